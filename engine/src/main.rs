@@ -1,0 +1,2 @@
+//! The `streamsplat` program.
+fn main() {}

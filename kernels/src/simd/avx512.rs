@@ -1,0 +1,236 @@
+//! AVX-512 (F, BW, DQ, VL): a logical vector is one 512-bit register.
+
+use core::arch::x86_64::*;
+
+use super::avx2::fold;
+use super::{LANES, Operation, Simd};
+use crate::level::{Kind, Level};
+
+/// # Safety
+/// The CPU has AVX2, FMA and AVX-512 F, BW, DQ and VL.
+#[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
+pub(super) unsafe fn enter<O: Operation>(operation: O) -> O::Output {
+    operation.run(Avx512(()))
+}
+
+#[derive(Clone, Copy)]
+pub(crate) struct Avx512(());
+
+type F = __m512;
+type I = __m512i;
+type M = __mmask16;
+
+/// The intrinsics in here are safe because a token of [`Avx512`] exists only below [`enter`].
+macro_rules! op {
+    ($($call:tt)*) => {
+        // SAFETY: the token proves AVX-512.
+        unsafe { $($call)* }
+    };
+}
+
+impl Simd for Avx512 {
+    type F32 = F;
+    type I32 = I;
+    type Mask = M;
+    const GEMM_ROWS: usize = 12;
+    const GEMM_PANELS: usize = 2;
+
+    #[inline(always)]
+    unsafe fn load_ptr(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe { _mm512_loadu_ps(from) }
+    }
+    #[inline(always)]
+    unsafe fn store_ptr(self, a: F, to: *mut f32) {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe { _mm512_storeu_ps(to, a) }
+    }
+    #[inline(always)]
+    fn level(self) -> Level {
+        Level(Kind::Avx512)
+    }
+    #[inline(always)]
+    fn splat(self, x: f32) -> F {
+        op!(_mm512_set1_ps(x))
+    }
+    #[inline(always)]
+    fn from_array(self, x: [f32; LANES]) -> F {
+        op!(_mm512_loadu_ps(x.as_ptr()))
+    }
+    #[inline(always)]
+    fn to_array(self, a: F) -> [f32; LANES] {
+        let mut x = [0.0; LANES];
+        op!(_mm512_storeu_ps(x.as_mut_ptr(), a));
+        x
+    }
+    #[inline(always)]
+    fn add(self, a: F, b: F) -> F {
+        op!(_mm512_add_ps(a, b))
+    }
+    #[inline(always)]
+    fn sub(self, a: F, b: F) -> F {
+        op!(_mm512_sub_ps(a, b))
+    }
+    #[inline(always)]
+    fn mul(self, a: F, b: F) -> F {
+        op!(_mm512_mul_ps(a, b))
+    }
+    #[inline(always)]
+    fn div(self, a: F, b: F) -> F {
+        op!(_mm512_div_ps(a, b))
+    }
+    #[inline(always)]
+    fn min(self, a: F, b: F) -> F {
+        op!(_mm512_min_ps(a, b))
+    }
+    #[inline(always)]
+    fn max(self, a: F, b: F) -> F {
+        op!(_mm512_max_ps(a, b))
+    }
+    #[inline(always)]
+    fn mul_add(self, a: F, b: F, c: F) -> F {
+        op!(_mm512_fmadd_ps(a, b, c))
+    }
+    #[inline(always)]
+    fn neg_mul_add(self, a: F, b: F, c: F) -> F {
+        op!(_mm512_fnmadd_ps(a, b, c))
+    }
+    #[inline(always)]
+    fn sqrt(self, a: F) -> F {
+        op!(_mm512_sqrt_ps(a))
+    }
+    #[inline(always)]
+    fn abs(self, a: F) -> F {
+        op!(_mm512_abs_ps(a))
+    }
+    #[inline(always)]
+    fn neg(self, a: F) -> F {
+        self.from_bits(self.xor_i32(self.to_bits(a), self.splat_i32(i32::MIN)))
+    }
+    #[inline(always)]
+    fn round(self, a: F) -> F {
+        op!(_mm512_roundscale_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(a))
+    }
+    #[inline(always)]
+    fn floor(self, a: F) -> F {
+        op!(_mm512_roundscale_ps::<{ _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC }>(a))
+    }
+    #[inline(always)]
+    fn lt(self, a: F, b: F) -> M {
+        op!(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b))
+    }
+    #[inline(always)]
+    fn le(self, a: F, b: F) -> M {
+        op!(_mm512_cmp_ps_mask::<_CMP_LE_OQ>(a, b))
+    }
+    #[inline(always)]
+    fn eq(self, a: F, b: F) -> M {
+        op!(_mm512_cmp_ps_mask::<_CMP_EQ_OQ>(a, b))
+    }
+    #[inline(always)]
+    fn select(self, mask: M, a: F, b: F) -> F {
+        op!(_mm512_mask_blend_ps(mask, b, a))
+    }
+    #[inline(always)]
+    fn splat_i32(self, x: i32) -> I {
+        op!(_mm512_set1_epi32(x))
+    }
+    #[inline(always)]
+    fn from_array_i32(self, x: [i32; LANES]) -> I {
+        op!(_mm512_loadu_si512(x.as_ptr().cast()))
+    }
+    #[inline(always)]
+    fn to_array_i32(self, a: I) -> [i32; LANES] {
+        let mut x = [0; LANES];
+        op!(_mm512_storeu_si512(x.as_mut_ptr().cast(), a));
+        x
+    }
+    #[inline(always)]
+    fn to_bits(self, a: F) -> I {
+        op!(_mm512_castps_si512(a))
+    }
+    #[inline(always)]
+    fn from_bits(self, a: I) -> F {
+        op!(_mm512_castsi512_ps(a))
+    }
+    #[inline(always)]
+    fn to_i32(self, a: F) -> I {
+        op!(_mm512_cvttps_epi32(a))
+    }
+    #[inline(always)]
+    fn to_f32(self, a: I) -> F {
+        op!(_mm512_cvtepi32_ps(a))
+    }
+    #[inline(always)]
+    fn add_i32(self, a: I, b: I) -> I {
+        op!(_mm512_add_epi32(a, b))
+    }
+    #[inline(always)]
+    fn sub_i32(self, a: I, b: I) -> I {
+        op!(_mm512_sub_epi32(a, b))
+    }
+    #[inline(always)]
+    fn and_i32(self, a: I, b: I) -> I {
+        op!(_mm512_and_si512(a, b))
+    }
+    #[inline(always)]
+    fn or_i32(self, a: I, b: I) -> I {
+        op!(_mm512_or_si512(a, b))
+    }
+    #[inline(always)]
+    fn xor_i32(self, a: I, b: I) -> I {
+        op!(_mm512_xor_si512(a, b))
+    }
+    #[inline(always)]
+    fn shl<const BITS: i32>(self, a: I) -> I {
+        op!(_mm512_sll_epi32(a, _mm_cvtsi32_si128(BITS)))
+    }
+    #[inline(always)]
+    fn shr<const BITS: i32>(self, a: I) -> I {
+        op!(_mm512_srl_epi32(a, _mm_cvtsi32_si128(BITS)))
+    }
+    #[inline(always)]
+    fn sar<const BITS: i32>(self, a: I) -> I {
+        op!(_mm512_sra_epi32(a, _mm_cvtsi32_si128(BITS)))
+    }
+    #[inline(always)]
+    fn gt_i32(self, a: I, b: I) -> M {
+        op!(_mm512_cmpgt_epi32_mask(a, b))
+    }
+    #[inline(always)]
+    fn eq_i32(self, a: I, b: I) -> M {
+        op!(_mm512_cmpeq_epi32_mask(a, b))
+    }
+    #[inline(always)]
+    fn select_i32(self, mask: M, a: I, b: I) -> I {
+        op!(_mm512_mask_blend_epi32(mask, b, a))
+    }
+    #[inline(always)]
+    fn and(self, a: M, b: M) -> M {
+        a & b
+    }
+    #[inline(always)]
+    fn or(self, a: M, b: M) -> M {
+        a | b
+    }
+    #[inline(always)]
+    fn not(self, a: M) -> M {
+        !a
+    }
+    #[inline(always)]
+    fn bits(self, a: M) -> u16 {
+        a
+    }
+    #[inline(always)]
+    fn mask_from_bits(self, bits: u16) -> M {
+        bits
+    }
+    #[inline(always)]
+    fn sum(self, a: F) -> f32 {
+        op!(fold!(_mm256_add_ps(_mm512_castps512_ps256(a), _mm512_extractf32x8_ps::<1>(a)), _mm_add_ps, _mm_add_ss))
+    }
+    #[inline(always)]
+    fn max_lane(self, a: F) -> f32 {
+        op!(fold!(_mm256_max_ps(_mm512_castps512_ps256(a), _mm512_extractf32x8_ps::<1>(a)), _mm_max_ps, _mm_max_ss))
+    }
+}

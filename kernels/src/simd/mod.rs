@@ -1,0 +1,230 @@
+//! One vector of 16 lanes on every instruction-set level; the home of intrinsics.
+//!
+//! A kernel is written once, generic over [`Simd`], and entered through [`dispatch`]. Every operation is defined to the
+//! bit, so a kernel that uses nothing else gives equal bits on every level:
+//!
+//! - arithmetic is IEEE 754 binary32, round to nearest even, denormals kept; [`Simd::mul_add`] rounds once everywhere,
+//!   [`Simd::mul`] and [`Simd::add`] are never fused;
+//! - [`Simd::min`] and [`Simd::max`] are comparisons followed by a selection: where either operand is NaN, or both are
+//!   zeros, the *second* operand is the result;
+//! - [`Simd::sum`] and [`Simd::max_lane`] fold lanes `i` and `i+8`, then `i` and `i+4`, `i+2`, `i+1`;
+//! - the bits of a NaN *result* are the only thing left open; kernels keep NaN out of what they store.
+//!
+//! Inside a parallel task call [`dispatch`] again: a closure handed to another thread leaves the instruction-set context.
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+#[cfg(target_arch = "aarch64")]
+mod neon;
+mod scalar;
+
+pub use scalar::fused_mul_add;
+
+use crate::level::{Kind, Level};
+
+/// Lanes of the logical vector.
+pub const LANES: usize = 16;
+
+/// A zero-size proof that the CPU has a level, and that level's operations on vectors of [`LANES`] lanes.
+///
+/// All methods are inlined; call them only below [`dispatch`].
+pub trait Simd: Copy + Send + Sync + 'static {
+    /// Sixteen `f32`.
+    type F32: Copy + Send + Sync;
+    /// Sixteen `i32`.
+    type I32: Copy + Send + Sync;
+    /// Sixteen truth values.
+    type Mask: Copy + Send + Sync;
+
+    /// Rows of the register block that fills this level's registers in a matrix product, with
+    /// [`Simd::GEMM_PANELS`] vectors of columns.
+    const GEMM_ROWS: usize;
+    /// Vectors of columns of the register block of a matrix product.
+    const GEMM_PANELS: usize;
+
+    /// The level of this token.
+    fn level(self) -> Level;
+
+    /// All lanes `x`.
+    fn splat(self, x: f32) -> Self::F32;
+    /// Lanes from 16 values.
+    fn from_array(self, x: [f32; LANES]) -> Self::F32;
+    /// The 16 values.
+    fn to_array(self, a: Self::F32) -> [f32; LANES];
+
+    /// Reads 16 values.
+    ///
+    /// # Safety
+    /// `from` is readable for 16 values; no alignment is needed.
+    unsafe fn load_ptr(self, from: *const f32) -> Self::F32;
+    /// Writes 16 values.
+    ///
+    /// # Safety
+    /// `to` is writable for 16 values; no alignment is needed.
+    unsafe fn store_ptr(self, a: Self::F32, to: *mut f32);
+
+    /// The first 16 values of a slice. Panics on a shorter one.
+    #[inline(always)]
+    fn load(self, from: &[f32]) -> Self::F32 {
+        let from = &from[..LANES];
+        // SAFETY: the slice holds 16 values.
+        unsafe { self.load_ptr(from.as_ptr()) }
+    }
+    /// Writes the first 16 values of a slice. Panics on a shorter one.
+    #[inline(always)]
+    fn store(self, a: Self::F32, to: &mut [f32]) {
+        let to = &mut to[..LANES];
+        // SAFETY: the slice holds 16 values.
+        unsafe { self.store_ptr(a, to.as_mut_ptr()) }
+    }
+    /// Up to 16 values; lanes past the end of the slice hold `fill`.
+    #[inline(always)]
+    fn load_partial(self, from: &[f32], fill: f32) -> Self::F32 {
+        if from.len() >= LANES {
+            return self.load(from);
+        }
+        let mut all = [fill; LANES];
+        all[..from.len()].copy_from_slice(from);
+        self.from_array(all)
+    }
+    /// Writes as many lanes as the slice takes, at most 16.
+    #[inline(always)]
+    fn store_partial(self, a: Self::F32, to: &mut [f32]) {
+        if to.len() >= LANES {
+            return self.store(a, to);
+        }
+        let all = self.to_array(a);
+        to.copy_from_slice(&all[..to.len()]);
+    }
+
+    /// `a + b`
+    fn add(self, a: Self::F32, b: Self::F32) -> Self::F32;
+    /// `a − b`
+    fn sub(self, a: Self::F32, b: Self::F32) -> Self::F32;
+    /// `a · b`
+    fn mul(self, a: Self::F32, b: Self::F32) -> Self::F32;
+    /// `a / b`
+    fn div(self, a: Self::F32, b: Self::F32) -> Self::F32;
+    /// `a·b + c`, rounded once.
+    fn mul_add(self, a: Self::F32, b: Self::F32, c: Self::F32) -> Self::F32;
+    /// `c − a·b`, rounded once.
+    fn neg_mul_add(self, a: Self::F32, b: Self::F32, c: Self::F32) -> Self::F32;
+    /// `a < b ? a : b`
+    fn min(self, a: Self::F32, b: Self::F32) -> Self::F32;
+    /// `a > b ? a : b`
+    fn max(self, a: Self::F32, b: Self::F32) -> Self::F32;
+    /// The square root, correctly rounded.
+    fn sqrt(self, a: Self::F32) -> Self::F32;
+    /// `|a|`
+    fn abs(self, a: Self::F32) -> Self::F32;
+    /// `−a`
+    fn neg(self, a: Self::F32) -> Self::F32;
+    /// The nearest integer, ties to even.
+    fn round(self, a: Self::F32) -> Self::F32;
+    /// The largest integer not above `a`.
+    fn floor(self, a: Self::F32) -> Self::F32;
+
+    /// `a < b`; false with NaN.
+    fn lt(self, a: Self::F32, b: Self::F32) -> Self::Mask;
+    /// `a ≤ b`; false with NaN.
+    fn le(self, a: Self::F32, b: Self::F32) -> Self::Mask;
+    /// `a = b`; false with NaN.
+    fn eq(self, a: Self::F32, b: Self::F32) -> Self::Mask;
+    /// `mask ? a : b`
+    fn select(self, mask: Self::Mask, a: Self::F32, b: Self::F32) -> Self::F32;
+
+    /// All lanes `x`.
+    fn splat_i32(self, x: i32) -> Self::I32;
+    /// Lanes from 16 values.
+    fn from_array_i32(self, x: [i32; LANES]) -> Self::I32;
+    /// The 16 values.
+    fn to_array_i32(self, a: Self::I32) -> [i32; LANES];
+    /// The bits of the lanes.
+    fn to_bits(self, a: Self::F32) -> Self::I32;
+    /// Lanes from their bits.
+    fn from_bits(self, a: Self::I32) -> Self::F32;
+    /// Lanes to integers, rounding toward zero. Precondition: |a| < 2³¹ (other values give any bits).
+    fn to_i32(self, a: Self::F32) -> Self::I32;
+    /// Integers to lanes, rounded to nearest even.
+    fn to_f32(self, a: Self::I32) -> Self::F32;
+    /// `a + b`, wrapping.
+    fn add_i32(self, a: Self::I32, b: Self::I32) -> Self::I32;
+    /// `a − b`, wrapping.
+    fn sub_i32(self, a: Self::I32, b: Self::I32) -> Self::I32;
+    /// The bits of both.
+    fn and_i32(self, a: Self::I32, b: Self::I32) -> Self::I32;
+    /// The bits of either.
+    fn or_i32(self, a: Self::I32, b: Self::I32) -> Self::I32;
+    /// The bits of exactly one.
+    fn xor_i32(self, a: Self::I32, b: Self::I32) -> Self::I32;
+    /// Shift left by `BITS`.
+    fn shl<const BITS: i32>(self, a: Self::I32) -> Self::I32;
+    /// Shift right by `BITS`, zeros from the left.
+    fn shr<const BITS: i32>(self, a: Self::I32) -> Self::I32;
+    /// Shift right by `BITS`, the sign from the left.
+    fn sar<const BITS: i32>(self, a: Self::I32) -> Self::I32;
+    /// `a > b`, signed.
+    fn gt_i32(self, a: Self::I32, b: Self::I32) -> Self::Mask;
+    /// `a = b`
+    fn eq_i32(self, a: Self::I32, b: Self::I32) -> Self::Mask;
+    /// `mask ? a : b`
+    fn select_i32(self, mask: Self::Mask, a: Self::I32, b: Self::I32) -> Self::I32;
+
+    /// Both.
+    fn and(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// Either.
+    fn or(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// The opposite.
+    fn not(self, a: Self::Mask) -> Self::Mask;
+    /// Bit `i` is lane `i`.
+    fn bits(self, a: Self::Mask) -> u16;
+    /// Lane `i` is bit `i`.
+    fn mask_from_bits(self, bits: u16) -> Self::Mask;
+    /// Whether any lane is true.
+    #[inline(always)]
+    fn any(self, a: Self::Mask) -> bool {
+        self.bits(a) != 0
+    }
+    /// Whether all lanes are true.
+    #[inline(always)]
+    fn all(self, a: Self::Mask) -> bool {
+        self.bits(a) == u16::MAX
+    }
+
+    /// The sum of the lanes: `i` with `i+8`, then `i+4`, `i+2`, `i+1`.
+    fn sum(self, a: Self::F32) -> f32;
+    /// The largest lane, folded like [`Simd::sum`] with [`Simd::max`].
+    fn max_lane(self, a: Self::F32) -> f32;
+}
+
+/// A computation that can be entered on any level.
+///
+/// `run` and everything it calls should be `#[inline(always)]`, so that all of it is compiled for the level.
+pub trait Operation {
+    /// What it gives.
+    type Output;
+    /// The computation.
+    fn run<S: Simd>(self, s: S) -> Self::Output;
+}
+
+/// Runs `operation` with the token of `level`, compiled for that level's instructions.
+#[inline]
+pub fn dispatch<O: Operation>(level: Level, operation: O) -> O::Output {
+    match level.0 {
+        Kind::Scalar => operation.run(scalar::Scalar),
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: a `Level` proves that the CPU has its instructions.
+        Kind::Avx2 => unsafe { avx2::enter(operation) },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: a `Level` proves that the CPU has its instructions.
+        Kind::Avx512 => unsafe { avx512::enter(operation) },
+        #[cfg(target_arch = "aarch64")]
+        // SAFETY: a `Level` proves that the CPU has its instructions.
+        Kind::Neon => unsafe { neon::enter(operation) },
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,197 @@
+//! Every operation on every level against plain Rust, bit for bit, over values chosen to trip them.
+
+use super::{LANES, Operation, Simd, dispatch, fused_mul_add};
+use crate::level::Level;
+
+/// Ordinary values, and zeros, denormals, powers of two, ties, infinities, values near the limits.
+fn values() -> Vec<f32> {
+    let mut v = vec![
+        0.0,
+        -0.0,
+        1.0,
+        -1.0,
+        0.5,
+        -0.5,
+        1.5,
+        2.5,
+        -2.5,
+        0.49999997,
+        8_388_607.5,
+        8_388_609.0,
+        -8_388_607.5,
+        1e-45,
+        -1e-45,
+        1.1754942e-38,
+        f32::MIN_POSITIVE,
+        f32::MAX,
+        f32::MIN,
+        f32::INFINITY,
+        f32::NEG_INFINITY,
+        f32::EPSILON,
+        1.0 + f32::EPSILON,
+        3.0e-20,
+        -7.1e19,
+        1e30,
+    ];
+    let mut state = 1_u32;
+    while v.len() < 40 * LANES {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let x = f32::from_bits(state);
+        v.push(if x.is_nan() { (state >> 8) as f32 * 1e-3 } else { x });
+    }
+    v
+}
+
+/// The bits of a value, with one pattern for all NaN.
+fn bits(x: f32) -> u32 {
+    if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() }
+}
+
+/// Results of all operations as bits.
+struct AllOperations<'a>(&'a [f32], &'a [f32], &'a [f32]);
+
+impl Operation for AllOperations<'_> {
+    type Output = Vec<u32>;
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) -> Vec<u32> {
+        let mut out = Vec::new();
+        let mut f = |v: S::F32| out.extend(s.to_array(v).map(bits));
+        let (a, b, c) = (s.load(self.0), s.load(self.1), s.load(self.2));
+        f(s.add(a, b));
+        f(s.sub(a, b));
+        f(s.mul(a, b));
+        f(s.div(a, b));
+        f(s.mul_add(a, b, c));
+        f(s.neg_mul_add(a, b, c));
+        f(s.min(a, b));
+        f(s.max(a, b));
+        f(s.sqrt(a));
+        f(s.abs(a));
+        f(s.neg(a));
+        f(s.round(a));
+        f(s.floor(a));
+        f(s.select(s.lt(a, b), c, a));
+        f(s.select(s.le(a, b), c, a));
+        f(s.select(s.eq(a, b), c, a));
+        f(s.select(s.not(s.or(s.lt(a, b), s.and(s.lt(b, c), s.lt(a, c)))), c, a));
+        f(s.select(s.mask_from_bits(0x9a53), c, a));
+        f(s.splat(s.sum(a)));
+        f(s.splat(s.max_lane(a)));
+        let small = s.max(s.min(a, s.splat(2e9)), s.splat(-2e9));
+        let (i, j) = (s.to_i32(small), s.to_bits(b));
+        f(s.to_f32(j));
+        let mut g = |v: S::I32| out.extend(s.to_array_i32(v).map(i32::cast_unsigned));
+        g(i);
+        g(s.add_i32(i, j));
+        g(s.sub_i32(i, j));
+        g(s.and_i32(i, j));
+        g(s.or_i32(i, j));
+        g(s.xor_i32(i, j));
+        g(s.shl::<7>(j));
+        g(s.shr::<7>(j));
+        g(s.sar::<7>(j));
+        g(s.select_i32(s.gt_i32(i, j), i, j));
+        g(s.select_i32(s.eq_i32(i, j), i, j));
+        out.push(u32::from(s.bits(s.lt(a, b))));
+        out.push(u32::from(s.any(s.lt(a, b))));
+        out.push(u32::from(s.all(s.lt(a, b))));
+        out.push(u32::from(s.bits(s.mask_from_bits(0x1234))));
+        out
+    }
+}
+
+/// Plain Rust for the float operations that have a name there, in the order of [`AllOperations`].
+fn plain(a: &[f32], b: &[f32], c: &[f32]) -> Vec<u32> {
+    let mut out = Vec::new();
+    let mut f = |g: &dyn Fn(f32, f32, f32) -> f32| out.extend((0..LANES).map(|i| bits(g(a[i], b[i], c[i]))));
+    f(&|a, b, _| a + b);
+    f(&|a, b, _| a - b);
+    f(&|a, b, _| a * b);
+    f(&|a, b, _| a / b);
+    f(&|a, b, c| a.mul_add(b, c));
+    f(&|a, b, c| (-a).mul_add(b, c));
+    f(&|a, b, _| if a < b { a } else { b });
+    f(&|a, b, _| if a > b { a } else { b });
+    f(&|a, _, _| a.sqrt());
+    f(&|a, _, _| a.abs());
+    f(&|a, _, _| -a);
+    f(&|a, _, _| a.round_ties_even());
+    f(&|a, _, _| a.floor());
+    f(&|a, b, c| if a < b { c } else { a });
+    f(&|a, b, c| if a <= b { c } else { a });
+    f(&|a, b, c| if a == b { c } else { a });
+    out
+}
+
+#[test]
+fn every_level_agrees_with_plain_rust_and_with_the_scalar_level() {
+    let v = values();
+    for shift in [1, 17, 333] {
+        for start in (0..v.len() - LANES).step_by(5) {
+            let at =
+                |k: usize| -> Vec<f32> { (0..LANES).map(|i| v[(start + k * shift + i * (k + 1)) % v.len()]).collect() };
+            let (a, b, c) = (at(0), at(1), at(2));
+            let expected = dispatch(Level::scalar(), AllOperations(&a, &b, &c));
+            let reference = plain(&a, &b, &c);
+            assert_eq!(expected[..reference.len()], reference, "{a:?} {b:?} {c:?}");
+            for level in Level::available() {
+                assert_eq!(dispatch(level, AllOperations(&a, &b, &c)), expected, "{level} {a:?} {b:?} {c:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn partial_loads_fill_and_partial_stores_stop() {
+    struct Partial<'a>(&'a [f32], &'a mut [f32]);
+    impl Operation for Partial<'_> {
+        type Output = [f32; LANES];
+        #[inline(always)]
+        fn run<S: Simd>(self, s: S) -> [f32; LANES] {
+            let v = s.load_partial(self.0, -3.0);
+            s.store_partial(v, self.1);
+            s.to_array(v)
+        }
+    }
+    let from: Vec<f32> = (0..20).map(|i| i as f32).collect();
+    for level in Level::available() {
+        for len in 0..=20 {
+            let mut to = vec![9.0; len];
+            let all = dispatch(level, Partial(&from[..len], &mut to));
+            for i in 0..LANES {
+                assert_eq!(all[i], if i < len { i as f32 } else { -3.0 });
+            }
+            for (i, x) in to.iter().enumerate() {
+                assert_eq!(*x, if i < LANES { i as f32 } else { 9.0 });
+            }
+        }
+    }
+}
+
+#[test]
+fn the_software_fused_multiply_add_rounds_once() {
+    // A product whose low half decides a tie, a result that is denormal, and one that cancels to the product's error.
+    let cases = [
+        (1.0 + f32::EPSILON, 1.0 + f32::EPSILON, -1.0),
+        (1.0 + f32::EPSILON, 1.0 - f32::EPSILON, -1.0),
+        (1e-20, 1e-20, 1e-40),
+        (1e-30, 1e-30, f32::MIN_POSITIVE),
+        (f32::MAX, 2.0, f32::NEG_INFINITY),
+        (f32::MAX, 1.0, f32::MAX),
+        (-1e-45, 0.5, 0.0),
+        (0.0, f32::INFINITY, 1.0),
+    ];
+    for (a, b, c) in cases {
+        assert_eq!(bits(fused_mul_add(a, b, c)), bits(a.mul_add(b, c)), "{a} {b} {c}");
+    }
+    let v = values();
+    for (i, &a) in v.iter().enumerate() {
+        for (j, &b) in v.iter().enumerate() {
+            let c = v[(i * 31 + j * 7) % v.len()];
+            // Addends near the product make the rounding hard.
+            for c in [c, -(a * b), a * b * 5.9604645e-8] {
+                assert_eq!(bits(fused_mul_add(a, b, c)), bits(a.mul_add(b, c)), "{a:e} {b:e} {c:e}");
+            }
+        }
+    }
+}
