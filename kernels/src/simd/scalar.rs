@@ -17,7 +17,7 @@ pub fn fused_mul_add(a: f32, b: f32, c: f32) -> f32 {
     let error = (product - (sum - part)) + (addend - part);
     let bits = sum.to_bits();
     // NaN (from infinite operands) compares false and leaves the sum alone.
-    let inexact = error < 0.0 || error > 0.0;
+    let inexact = error.abs() > 0.0;
     let toward = if (error > 0.0) == (sum > 0.0) { bits.wrapping_add(1) } else { bits.wrapping_sub(1) };
     let odd = if inexact && bits & 1 == 0 { toward } else { bits };
     f64::from_bits(odd) as f32
