@@ -1,1 +1,30 @@
-//! Not yet.
+//! The StreamSplat network on CPUs: what one pair of frames gives.
+//!
+//! StreamSplat (Wu, Yan, Yi, Wang, Liao: "StreamSplat: Towards Online Dynamic 3D Reconstruction from Uncalibrated Video
+//! Streams", ICLR 2026) turns each frame into static Gaussians and each pair of frames into the motion between them:
+//!
+//! ```text
+//! frame ── tokenize ── encode ──► h ── static upsampler ── static head ──► Gaussians at the frame's own time
+//! h_a, h_b, conditions ── decoder ──► d_a, d_b ── deformation upsampler ── deformation head ──► velocity, γ
+//! ```
+//!
+//! Arrays are row-major `f32`; a frame's tokens run over the patch grid row by row. World axes: x right, y away from the
+//! camera (0 near, 1 far: normalised inverse depth), z up. Every output obeys the bit contract of the kernels: it is the
+//! same on every instruction-set level and for any number of threads.
+//!
+//! The library never prints, and never panics on data: what is wrong with a file or an input comes back as a [`ModelError`].
+
+#![deny(unsafe_code)]
+
+mod config;
+mod error;
+mod frame;
+pub mod motion;
+
+pub use config::{Config, DinoConfig, StaticPosition};
+pub use error::ModelError;
+pub use frame::{Deformation, DinoFeatures, Embedding, FrameInput, Sampling, Side, StaticFrame, StaticGaussians};
+pub use options::{LoadOptions, Precision, UnknownPrecision};
+
+mod options;
+mod scalar;

@@ -1,0 +1,137 @@
+//! What can be wrong with a model file or with what a model is given.
+
+use std::io;
+
+/// An error that names the file, tensor or option, what was expected and what was found.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ModelError {
+    /// A file could not be read.
+    #[error("{file}: {source}")]
+    Io {
+        /// The file.
+        file: String,
+        /// Why.
+        source: io::Error,
+    },
+    /// A file could not be written.
+    #[error("{file}: cannot write: {source}")]
+    Write {
+        /// The file.
+        file: String,
+        /// Why.
+        source: io::Error,
+    },
+    /// The bytes are not the format they should be.
+    #[error("{file}: {reason}")]
+    Format {
+        /// The file.
+        file: String,
+        /// What is wrong, expected and found.
+        reason: String,
+    },
+    /// A tensor the model needs is not in the file.
+    #[error("{file}: tensor {tensor} is missing (expected shape {expected})")]
+    Missing {
+        /// The file.
+        file: String,
+        /// The tensor's full key.
+        tensor: String,
+        /// The shape it should have.
+        expected: String,
+    },
+    /// A tensor has another shape than the rest of the model needs.
+    #[error("{file}: tensor {tensor}: expected shape {expected}, found {found:?}")]
+    Shape {
+        /// The file.
+        file: String,
+        /// The tensor's full key.
+        tensor: String,
+        /// The shape it should have.
+        expected: String,
+        /// The shape it has.
+        found: Vec<usize>,
+    },
+    /// A tensor has a number format that is not read.
+    #[error("{file}: tensor {tensor}: expected F32, F16 or BF16, found {found}")]
+    Dtype {
+        /// The file.
+        file: String,
+        /// The tensor's full key.
+        tensor: String,
+        /// Its number format.
+        found: String,
+    },
+    /// A tensor of the file holds NaN or an infinity.
+    #[error("{file}: tensor {tensor}: expected finite values, found {value} at flat index {index}")]
+    NonFinite {
+        /// The file.
+        file: String,
+        /// The tensor's full key.
+        tensor: String,
+        /// The first bad element.
+        index: usize,
+        /// Its value.
+        value: f32,
+    },
+    /// The configuration contradicts itself or the tensors.
+    #[error("{file}: {key}: expected {expected}, found {found}")]
+    Config {
+        /// The configuration file, or the checkpoint where the value comes from its shapes or from a default.
+        file: String,
+        /// The key.
+        key: String,
+        /// What it can be.
+        expected: String,
+        /// What it is.
+        found: String,
+    },
+    /// An input has the wrong size, or is missing.
+    #[error("{input}: expected {expected}, found {found}")]
+    Input {
+        /// The input's name.
+        input: String,
+        /// The size or kind it should have.
+        expected: String,
+        /// What it has.
+        found: String,
+    },
+    /// An input holds NaN or an infinity.
+    #[error("{input}: expected finite values, found {value} at flat index {index}")]
+    InputNonFinite {
+        /// The input's name.
+        input: String,
+        /// The first bad element.
+        index: usize,
+        /// Its value.
+        value: f32,
+    },
+}
+
+/// An error unless `values` has `expected` elements, all finite.
+pub(crate) fn check_input(name: &str, values: &[f32], expected: usize, shape: &str) -> Result<(), ModelError> {
+    if values.len() != expected {
+        return Err(ModelError::Input {
+            input: name.to_owned(),
+            expected: format!("{expected} values ({shape})"),
+            found: format!("{}", values.len()),
+        });
+    }
+    match first_non_finite(values) {
+        None => Ok(()),
+        Some(index) => Err(ModelError::InputNonFinite { input: name.to_owned(), index, value: values[index] }),
+    }
+}
+
+/// The first element that is NaN or infinite.
+pub(crate) fn first_non_finite(values: &[f32]) -> Option<usize> {
+    // Whole chunks first: `x − x` is 0 for finite x and NaN otherwise, and so is their sum.
+    let chunk = 4096;
+    for (c, part) in values.chunks(chunk).enumerate() {
+        if part.iter().all(|x| x.is_finite()) {
+            continue;
+        }
+        return part.iter().position(|x| !x.is_finite()).map(|i| c * chunk + i);
+    }
+    None
+}

@@ -1,0 +1,67 @@
+//! How a model is loaded.
+
+use std::fmt;
+use std::str::FromStr;
+
+use streamsplat_kernels::Level;
+
+/// What a model is loaded for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LoadOptions {
+    /// The instruction-set level every kernel runs on. It changes no output bit.
+    pub level: Level,
+    /// The arithmetic of the large matrix products.
+    pub precision: Precision,
+}
+
+impl Default for LoadOptions {
+    /// The machine's highest level, f32.
+    fn default() -> Self {
+        Self { level: Level::detect(), precision: Precision::F32 }
+    }
+}
+
+/// The arithmetic of the large matrix products; norms, residual streams and heads are f32 in every mode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Precision {
+    /// Everything in binary32: the reference.
+    #[default]
+    F32,
+    /// Weights and activations of matrix products in bfloat16, accumulated in f32.
+    Bf16,
+    /// Weights per output channel and activations per token in 8 bits, accumulated in integers.
+    Int8,
+}
+
+impl Precision {
+    /// All modes, most exact first.
+    pub const ALL: [Precision; 3] = [Precision::F32, Precision::Bf16, Precision::Int8];
+
+    /// The name by which [`Precision::from_str`] finds it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Precision::F32 => "f32",
+            Precision::Bf16 => "bf16",
+            Precision::Int8 => "int8",
+        }
+    }
+}
+
+impl fmt::Display for Precision {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A name that is no precision mode's.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("unknown precision {0:?}: expected f32, bf16 or int8")]
+pub struct UnknownPrecision(pub String);
+
+impl FromStr for Precision {
+    type Err = UnknownPrecision;
+
+    fn from_str(name: &str) -> Result<Self, Self::Err> {
+        Self::ALL.into_iter().find(|p| p.name() == name).ok_or_else(|| UnknownPrecision(name.to_owned()))
+    }
+}
