@@ -5,6 +5,7 @@
 //! output bits are the same on every [`Level`] and for any number of threads.
 
 pub mod level;
+pub mod math;
 pub mod parallel;
 pub mod simd;
 

@@ -1,0 +1,72 @@
+//! The exponential.
+
+use super::polynomial;
+use crate::simd::Simd;
+
+/// log₂ e.
+const LOG2_E: f32 = 1.442_695;
+/// ln 2 to 15 bits: its product with an integer of 8 bits is exact.
+const LN2_HI: f32 = 45_426.0 / 65_536.0;
+/// The rest of ln 2.
+const LN2_LO: f32 = 1.428_606_8e-6;
+/// Adding it leaves the nearest integer in the low bits: 1.5 · 2²³.
+const TO_INTEGER: f32 = 12_582_912.0;
+
+/// exp(r) = 1 + r + r² Q(r) on |r| ≤ ln 2 / 2; minimax in relative error, 2^−28.2. Highest power first.
+const Q: [f32; 5] = [
+    f32::from_bits(0x3ab5_28d4),
+    f32::from_bits(0x3c09_1cc1),
+    f32::from_bits(0x3d2a_ac56),
+    f32::from_bits(0x3e2a_aa49),
+    f32::from_bits(0x3eff_fffe),
+];
+
+/// `x = n·ln 2 + r` with n = `t` − (the constant that was added).
+#[inline(always)]
+fn reduce<S: Simd>(s: S, x: S::F32, to_integer: f32) -> (S::F32, S::F32) {
+    let magic = s.splat(to_integer);
+    let t = s.mul_add(x, s.splat(LOG2_E), magic);
+    let n = s.sub(t, magic);
+    let r = s.neg_mul_add(n, s.splat(LN2_HI), x);
+    let r = s.neg_mul_add(n, s.splat(LN2_LO), r);
+    (t, r)
+}
+
+/// exp(x) = `p`·`scale[0]`·`scale[1]`: in this order the last product rounds once where it is denormal.
+///
+/// `x` is not above 89 and not under −104 (or it is NaN, and so is `p`).
+#[inline(always)]
+pub(super) fn parts<S: Simd>(s: S, x: S::F32) -> (S::F32, [S::F32; 2]) {
+    let (t, r) = reduce(s, x, TO_INTEGER);
+    let q = polynomial(s, r, &Q);
+    let one = s.splat(1.0);
+    let p = s.mul_add(s.mul_add(q, r, one), r, one);
+    let n = s.sub_i32(s.to_bits(t), s.splat_i32(TO_INTEGER.to_bits().cast_signed()));
+    let half = s.sar::<1>(n);
+    let bias = s.splat_i32(127);
+    let power = |n| s.from_bits(s.shl::<23>(s.add_i32(n, bias)));
+    (p, [power(half), power(s.sub_i32(n, half))])
+}
+
+/// eˣ. Overflows to ∞ above 88.72, underflows gradually to 0 below −103.97; NaN gives NaN.
+#[inline(always)]
+pub fn exp<S: Simd>(s: S, x: S::F32) -> S::F32 {
+    let x = s.max(s.splat(-104.0), s.min(s.splat(89.0), x));
+    let (p, [a, b]) = parts(s, x);
+    s.mul(s.mul(p, a), b)
+}
+
+/// eˣ for x ≤ 0, in 13 operations; same bits as [`exp`] where that is at least 2⁻¹²⁶.
+///
+/// Below 2^−126.5 the result is +0 (from there to 2⁻¹²⁶ it is denormal, rounded once). −∞ gives 0, NaN gives NaN;
+/// positive x must not pass 88 (they give eˣ until then, and no promise after).
+#[inline(always)]
+pub fn exp_nonpositive<S: Simd>(s: S, x: S::F32) -> S::F32 {
+    // At this bound n = −127, and 2ⁿ is formed as +0.
+    let x = s.max(s.splat(-88.0), x);
+    let (t, r) = reduce(s, x, TO_INTEGER + 127.0);
+    let q = polynomial(s, r, &Q);
+    let one = s.splat(1.0);
+    let p = s.mul_add(s.mul_add(q, r, one), r, one);
+    s.mul(p, s.from_bits(s.shl::<23>(s.to_bits(t))))
+}

@@ -1,0 +1,17 @@
+//! The functions of [`math`](super) on one value, with the bits of the vector functions.
+
+use super::one::One;
+
+/// Defines a function of one value by the vector algorithm.
+macro_rules! twin {
+    ($($name:ident)*) => {
+        $(
+            #[doc = concat!("[`math::", stringify!($name), "`](super::", stringify!($name), ") of one value.")]
+            pub fn $name(x: f32) -> f32 {
+                super::$name(One, x)
+            }
+        )*
+    };
+}
+
+twin!(exp exp_nonpositive);

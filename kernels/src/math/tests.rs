@@ -1,0 +1,151 @@
+//! Sweeps over bit patterns: error against binary64 references, special values, and equality of levels and twins.
+
+use super::scalar;
+use crate::level::Level;
+use crate::simd::{LANES, Operation, Simd, dispatch};
+
+/// The bits of a value, with one pattern for all NaN.
+fn bits(x: f32) -> u32 {
+    if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() }
+}
+
+/// Every 2¹²-th bit pattern with wandering low bits, and the surroundings of values where something changes.
+fn sweep() -> Vec<f32> {
+    let mut v: Vec<f32> =
+        (0..1_u32 << 20).map(|i| f32::from_bits(i << 12 | (i.wrapping_mul(2_654_435_761) >> 20))).collect();
+    let edges = [
+        0.0,
+        1.0,
+        2.0,
+        0.5,
+        88.0,
+        88.722_84,
+        87.336_55,
+        87.683_1,
+        103.972_08,
+        104.0,
+        0.346_573_6,
+        0.707_106_77,
+        1.414_213_5,
+        f32::MIN_POSITIVE,
+        f32::MAX,
+        f32::INFINITY,
+        f32::NAN,
+    ];
+    for edge in edges {
+        for step in -64..=64 {
+            let near = f32::from_bits(edge.to_bits().wrapping_add_signed(step));
+            v.extend([near, -near]);
+        }
+    }
+    v
+}
+
+/// The distance of `got` from `exact` in units of the last place of binary32 at `exact`.
+fn ulps(got: f32, exact: f64) -> f64 {
+    if exact.is_nan() || got.is_nan() {
+        return if exact.is_nan() && got.is_nan() { 0.0 } else { f64::INFINITY };
+    }
+    // Values past the largest finite one count as if the exponent went on.
+    let (got, exact) = if got.is_infinite() && exact.abs() > f64::from(f32::MAX) && (exact > 0.0) == (got > 0.0) {
+        return if exact.is_infinite() || exact.abs() >= 2.0_f64.powi(128) {
+            0.0
+        } else {
+            (2.0_f64.powi(128) - exact.abs()) / 2.0_f64.powi(104)
+        };
+    } else {
+        (f64::from(got), exact)
+    };
+    if got == exact {
+        return 0.0;
+    }
+    let exponent = ((exact.to_bits() >> 52 & 0x7ff) as i32 - 1023).max(-126);
+    (got - exact).abs() / 2.0_f64.powi(exponent - 23)
+}
+
+/// A vector function by name.
+trait Function: Copy {
+    fn vector<S: Simd>(self, s: S, x: S::F32) -> S::F32;
+    fn scalar(self, x: f32) -> f32;
+}
+
+macro_rules! function {
+    ($token:ident, $name:ident) => {
+        #[derive(Clone, Copy)]
+        struct $token;
+        impl Function for $token {
+            #[inline(always)]
+            fn vector<S: Simd>(self, s: S, x: S::F32) -> S::F32 {
+                super::$name(s, x)
+            }
+            fn scalar(self, x: f32) -> f32 {
+                scalar::$name(x)
+            }
+        }
+    };
+}
+
+struct Apply<'a, F>(F, &'a [f32], &'a mut [f32]);
+
+impl<F: Function> Operation for Apply<'_, F> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        for (from, to) in self.1.chunks(LANES).zip(self.2.chunks_mut(LANES)) {
+            s.store_partial(self.0.vector(s, s.load_partial(from, 0.0)), to);
+        }
+    }
+}
+
+/// All levels and the scalar twin agree on `values`; the error is at most `limit` ulp. Returns the worst.
+fn check<F: Function>(name: &str, f: F, values: &[f32], limit: f64, exact: impl Fn(f64) -> f64) {
+    let mut results = vec![0.0; values.len()];
+    dispatch(Level::scalar(), Apply(f, values, &mut results));
+    for level in Level::available() {
+        let mut other = vec![0.0; values.len()];
+        dispatch(level, Apply(f, values, &mut other));
+        for (i, x) in values.iter().enumerate() {
+            assert_eq!(bits(other[i]), bits(results[i]), "{name}({x:e}) on {level}");
+        }
+    }
+    let mut worst = (0.0, 0.0);
+    for (&x, &y) in values.iter().zip(&results) {
+        assert_eq!(bits(f.scalar(x)), bits(y), "scalar {name}({x:e})");
+        let error = ulps(y, exact(f64::from(x)));
+        if error > worst.0 {
+            worst = (error, x);
+        }
+    }
+    assert!(worst.0 <= limit, "{name}({:e}) is off by {} ulp", worst.1, worst.0);
+    println!("{name}: {:.3} ulp at {:e}", worst.0, worst.1);
+}
+
+function!(Exp, exp);
+function!(ExpNonpositive, exp_nonpositive);
+
+#[test]
+fn exp_is_within_an_ulp() {
+    check("exp", Exp, &sweep(), 1.0, f64::exp);
+    assert_eq!(scalar::exp(0.0), 1.0);
+    assert_eq!(scalar::exp(f32::NEG_INFINITY).to_bits(), 0);
+    assert_eq!(scalar::exp(f32::INFINITY), f32::INFINITY);
+    assert!(scalar::exp(f32::NAN).is_nan());
+}
+
+#[test]
+fn exp_of_nonpositive_numbers_has_the_bits_of_exp_until_it_flushes() {
+    let values: Vec<f32> = sweep().into_iter().filter(|x| x.is_nan() || *x <= 0.0).collect();
+    let limit = -87.336_55_f32;
+    check("exp_nonpositive", ExpNonpositive, &values, 1.0, |x| {
+        if x < -126.5 * std::f64::consts::LN_2 { 0.0 } else { x.exp() }
+    });
+    for x in values {
+        let y = scalar::exp_nonpositive(x);
+        if x > limit {
+            assert_eq!(bits(y), bits(scalar::exp(x)), "{x:e}");
+        }
+        if x < -88.0 {
+            assert_eq!(y.to_bits(), 0, "{x:e}");
+        }
+    }
+}
