@@ -3,12 +3,10 @@
 use super::polynomial;
 use crate::simd::Simd;
 
-/// log₂ e.
-const LOG2_E: f32 = 1.442_695;
 /// ln 2 to 15 bits: its product with an integer of 8 bits is exact.
-const LN2_HI: f32 = 45_426.0 / 65_536.0;
+pub(super) const LN2_HI: f32 = 45_426.0 / 65_536.0;
 /// The rest of ln 2.
-const LN2_LO: f32 = 1.428_606_8e-6;
+pub(super) const LN2_LO: f32 = 1.428_606_8e-6;
 /// Adding it leaves the nearest integer in the low bits: 1.5 · 2²³.
 const TO_INTEGER: f32 = 12_582_912.0;
 
@@ -25,7 +23,7 @@ const Q: [f32; 5] = [
 #[inline(always)]
 fn reduce<S: Simd>(s: S, x: S::F32, to_integer: f32) -> (S::F32, S::F32) {
     let magic = s.splat(to_integer);
-    let t = s.mul_add(x, s.splat(LOG2_E), magic);
+    let t = s.mul_add(x, s.splat(std::f32::consts::LOG2_E), magic);
     let n = s.sub(t, magic);
     let r = s.neg_mul_add(n, s.splat(LN2_HI), x);
     let r = s.neg_mul_add(n, s.splat(LN2_LO), r);
@@ -34,7 +32,7 @@ fn reduce<S: Simd>(s: S, x: S::F32, to_integer: f32) -> (S::F32, S::F32) {
 
 /// exp(x) = `p`·`scale[0]`·`scale[1]`: in this order the last product rounds once where it is denormal.
 ///
-/// `x` is not above 89 and not under −104 (or it is NaN, and so is `p`).
+/// `x` is not above 89 and not under −112 (or it is NaN, and so is `p`).
 #[inline(always)]
 pub(super) fn parts<S: Simd>(s: S, x: S::F32) -> (S::F32, [S::F32; 2]) {
     let (t, r) = reduce(s, x, TO_INTEGER);
@@ -46,6 +44,14 @@ pub(super) fn parts<S: Simd>(s: S, x: S::F32) -> (S::F32, [S::F32; 2]) {
     let bias = s.splat_i32(127);
     let power = |n| s.from_bits(s.shl::<23>(s.add_i32(n, bias)));
     (p, [power(half), power(s.sub_i32(n, half))])
+}
+
+/// exp(r) − 1 = `q` and 2ⁿ with x = n ln 2 + r; `x` between −87 and 88.
+#[inline(always)]
+pub(super) fn minus_one_parts<S: Simd>(s: S, x: S::F32) -> (S::F32, S::F32) {
+    let (t, r) = reduce(s, x, TO_INTEGER + 127.0);
+    let q = polynomial(s, r, &Q);
+    (s.mul_add(s.mul(r, r), q, r), s.from_bits(s.shl::<23>(s.to_bits(t))))
 }
 
 /// eˣ. Overflows to ∞ above 88.72, underflows gradually to 0 below −103.97; NaN gives NaN.

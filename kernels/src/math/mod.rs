@@ -5,13 +5,17 @@
 //! same algorithms on one value.
 
 mod exp;
+mod log;
 mod one;
 pub mod scalar;
+mod sigmoid;
 
 #[cfg(test)]
 mod tests;
 
 pub use exp::{exp, exp_nonpositive};
+pub use log::{log, softplus};
+pub use sigmoid::{sigmoid, silu, tanh};
 
 use crate::simd::Simd;
 

@@ -14,4 +14,4 @@ macro_rules! twin {
     };
 }
 
-twin!(exp exp_nonpositive);
+twin!(exp exp_nonpositive log softplus sigmoid silu tanh);

@@ -26,7 +26,7 @@ fn sweep() -> Vec<f32> {
         104.0,
         0.346_573_6,
         0.707_106_77,
-        1.414_213_5,
+        std::f32::consts::SQRT_2,
         f32::MIN_POSITIVE,
         f32::MAX,
         f32::INFINITY,
@@ -148,4 +148,54 @@ fn exp_of_nonpositive_numbers_has_the_bits_of_exp_until_it_flushes() {
             assert_eq!(y.to_bits(), 0, "{x:e}");
         }
     }
+}
+
+function!(Log, log);
+function!(Softplus, softplus);
+function!(Sigmoid, sigmoid);
+function!(Silu, silu);
+function!(Tanh, tanh);
+
+#[test]
+fn log_is_within_an_ulp() {
+    check("log", Log, &sweep(), 1.0, f64::ln);
+    assert_eq!(scalar::log(1.0).to_bits(), 0);
+    assert_eq!(scalar::log(0.0), f32::NEG_INFINITY);
+    assert_eq!(scalar::log(-0.0), f32::NEG_INFINITY);
+    assert_eq!(scalar::log(f32::INFINITY), f32::INFINITY);
+    assert!(scalar::log(-1e-45).is_nan());
+    assert!(scalar::log(f32::NEG_INFINITY).is_nan());
+}
+
+#[test]
+fn softplus_is_accurate_for_every_argument() {
+    check("softplus", Softplus, &sweep(), 2.0, |x| x.max(0.0) + (-x.abs()).exp().ln_1p() + 0.0 * x.clamp(-1.0, 0.0));
+    assert_eq!(scalar::softplus(f32::INFINITY), f32::INFINITY);
+    assert_eq!(scalar::softplus(f32::NEG_INFINITY).to_bits(), 0);
+    assert_eq!(scalar::softplus(1e30), 1e30);
+}
+
+#[test]
+fn sigmoid_reaches_its_limits_and_keeps_its_tail() {
+    check("sigmoid", Sigmoid, &sweep(), 2.5, |x| {
+        if x < 0.0 { x.exp() / (1.0 + x.exp()) } else { 1.0 / (1.0 + (-x).exp()) }
+    });
+    assert_eq!(scalar::sigmoid(0.0), 0.5);
+    assert_eq!(scalar::sigmoid(f32::INFINITY), 1.0);
+    assert_eq!(scalar::sigmoid(f32::NEG_INFINITY).to_bits(), 0);
+}
+
+#[test]
+fn silu_is_accurate_down_to_minus_zero() {
+    check("silu", Silu, &sweep(), 3.0, |x| if x == f64::NEG_INFINITY { -0.0 } else { x / (1.0 + (-x).exp()) });
+    assert_eq!(scalar::silu(f32::NEG_INFINITY).to_bits(), (-0.0_f32).to_bits());
+    assert_eq!(scalar::silu(-0.0).to_bits(), (-0.0_f32).to_bits());
+    assert_eq!(scalar::silu(f32::INFINITY), f32::INFINITY);
+}
+
+#[test]
+fn tanh_is_odd_and_ends_at_one() {
+    check("tanh", Tanh, &sweep(), 2.6, f64::tanh);
+    assert_eq!(scalar::tanh(-0.0).to_bits(), (-0.0_f32).to_bits());
+    assert_eq!(scalar::tanh(f32::NEG_INFINITY), -1.0);
 }
