@@ -16,9 +16,11 @@
 
 #![deny(unsafe_code)]
 
+pub mod checkpoint;
 mod config;
 mod error;
 mod frame;
+mod keys;
 pub mod motion;
 
 pub use config::{Config, DinoConfig, StaticPosition};

@@ -29,9 +29,50 @@ pub(crate) fn exp(x: f64) -> f64 {
     p * power(half) * power(n as i32 - half)
 }
 
+/// (sin x, cos x) within 2⁻⁴⁸ for |x| ≤ 2²⁰.
+///
+/// x = n·π/2 + r with |r| ≤ π/4 (π/2 in three parts, so that n times the first two is exact), then Taylor polynomials.
+pub(crate) fn sin_cos(x: f64) -> (f64, f64) {
+    // π/2 = HI + MIDDLE + LO; the first two have 31 bits.
+    const HI: f64 = 1.5707963267341256;
+    const MIDDLE: f64 = 6.07710050359346e-11;
+    const LO: f64 = 2.912732056093356e-20;
+    let n = (x * std::f64::consts::FRAC_2_PI).round_ties_even();
+    let r = ((x - n * HI) - n * MIDDLE) - n * LO;
+    let r2 = r * r;
+    let series = |first: f64, terms: std::ops::Range<u32>, odd: u32| {
+        // Σ (−1)^k r^{2k} / (2k + odd)!, Horner from the last term.
+        let mut p = 0.0;
+        for k in terms.rev() {
+            let (a, b) = (f64::from(2 * k + 1 + odd), f64::from(2 * k + 2 + odd));
+            p = first - p * (r2 / (a * b));
+        }
+        p
+    };
+    let sin = r * series(1.0, 0..9, 1);
+    let cos = series(1.0, 0..10, 0);
+    match n as i64 & 3 {
+        0 => (sin, cos),
+        1 => (cos, -sin),
+        2 => (-sin, -cos),
+        _ => (-cos, sin),
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::exp;
+    use super::{exp, sin_cos};
+
+    #[test]
+    fn sine_and_cosine_are_close_over_their_range() {
+        let mut x: f64 = -20_000.0;
+        while x < 20_000.0 {
+            let (s, c) = sin_cos(x);
+            assert!((s - x.sin()).abs() < 1e-13 && (c - x.cos()).abs() < 1e-13, "{x}: {s} {c}");
+            x += 0.617;
+        }
+        assert_eq!(sin_cos(0.0), (0.0, 1.0));
+    }
 
     #[test]
     fn exp_is_close_over_its_range() {

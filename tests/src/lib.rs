@@ -1,1 +1,4 @@
-//! Not yet.
+//! Contracts across crates: helpers of the integration tests.
+
+pub mod parity;
+pub mod reference;

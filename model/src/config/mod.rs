@@ -1,5 +1,11 @@
 //! The sizes of a network.
 
+mod derive;
+mod json;
+
+pub(crate) use derive::{is_dino, prefix};
+pub(crate) use json::Settings;
+
 /// Where the position offset of static Gaussians comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StaticPosition {

@@ -1,0 +1,111 @@
+//! Safetensors files: mapped, checked, read tensor by tensor.
+//!
+//! Nothing is believed before it is checked: the header's length against the file's, every tensor's range against its
+//! shape and its neighbours, every shape against the model. No memory is taken for what a header merely claims.
+
+mod header;
+mod storage;
+mod weights;
+mod write;
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+pub use header::{Dtype, TensorInfo};
+pub use storage::Storage;
+pub(crate) use weights::Weights;
+pub use write::write;
+
+use crate::ModelError;
+use crate::error::first_non_finite;
+
+/// A safetensors file whose header has been checked.
+#[derive(Debug)]
+pub struct Checkpoint {
+    file: String,
+    storage: Storage,
+    data: usize,
+    tensors: BTreeMap<String, TensorInfo>,
+}
+
+impl Checkpoint {
+    /// Maps the file at `path` and checks its header.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is not a well-formed safetensors file.
+    pub fn open(path: impl AsRef<Path>) -> Result<Checkpoint, ModelError> {
+        let file = path.as_ref().display().to_string();
+        let storage = Storage::map(path.as_ref()).map_err(|source| ModelError::Io { file: file.clone(), source })?;
+        Self::from_storage(storage, file)
+    }
+
+    /// Checks the header of bytes in memory; `name` stands for the file in errors.
+    ///
+    /// # Errors
+    /// When the bytes are not a well-formed safetensors file.
+    pub fn from_storage(storage: impl Into<Storage>, name: impl Into<String>) -> Result<Checkpoint, ModelError> {
+        let (file, storage) = (name.into(), storage.into());
+        match header::parse(storage.bytes()) {
+            Ok((data, tensors)) => Ok(Checkpoint { file, storage, data, tensors }),
+            Err(reason) => Err(ModelError::Format { file, reason }),
+        }
+    }
+
+    /// The file's name, or what stands for it.
+    pub fn file(&self) -> &str {
+        &self.file
+    }
+
+    /// Size of the file in bytes.
+    pub fn size(&self) -> usize {
+        self.storage.bytes().len()
+    }
+
+    /// All tensors, by name.
+    pub fn tensors(&self) -> &BTreeMap<String, TensorInfo> {
+        &self.tensors
+    }
+
+    /// The shape of a tensor, if it is there.
+    pub fn shape(&self, name: &str) -> Option<&[usize]> {
+        self.tensors.get(name).map(|t| t.shape.as_slice())
+    }
+
+    /// The values of a tensor as f32: borrowed where the file holds aligned F32, widened otherwise.
+    ///
+    /// # Errors
+    /// When it is missing, is not F32, F16 or BF16, or holds a value that is not finite.
+    pub fn read(&self, name: &str) -> Result<Cow<'_, [f32]>, ModelError> {
+        let info = self.tensors.get(name).ok_or_else(|| ModelError::Missing {
+            file: self.file.clone(),
+            tensor: name.to_owned(),
+            expected: "any".to_owned(),
+        })?;
+        let bytes = &self.storage.bytes()[self.data..][info.range.clone()];
+        let values = info.dtype.to_f32(bytes).ok_or_else(|| ModelError::Dtype {
+            file: self.file.clone(),
+            tensor: name.to_owned(),
+            found: info.dtype.name().to_owned(),
+        })?;
+        match first_non_finite(&values) {
+            None => Ok(values),
+            Some(index) => Err(ModelError::NonFinite {
+                file: self.file.clone(),
+                tensor: name.to_owned(),
+                index,
+                value: values[index],
+            }),
+        }
+    }
+
+    /// Tells the system that a tensor's pages of a mapped file are not needed for now; it reads them again if they are.
+    pub(crate) fn release(&self, name: &str) {
+        if let Some(info) = self.tensors.get(name) {
+            self.storage.release(self.data + info.range.start..self.data + info.range.end);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,92 @@
+//! Tensors of one model inside a checkpoint: keys with a prefix, shapes checked.
+
+use std::borrow::Cow;
+
+use super::Checkpoint;
+use crate::ModelError;
+
+/// A view of a checkpoint's keys that start with a prefix.
+#[derive(Clone, Debug)]
+pub(crate) struct Weights<'a> {
+    checkpoint: &'a Checkpoint,
+    prefix: String,
+}
+
+impl<'a> Weights<'a> {
+    pub(crate) fn new(checkpoint: &'a Checkpoint, prefix: impl Into<String>) -> Self {
+        Self { checkpoint, prefix: prefix.into() }
+    }
+
+    /// The keys below `name` and a dot.
+    pub(crate) fn at(&self, name: impl std::fmt::Display) -> Weights<'a> {
+        Weights { checkpoint: self.checkpoint, prefix: format!("{}{name}.", self.prefix) }
+    }
+
+    pub(crate) fn key(&self, name: &str) -> String {
+        format!("{}{name}", self.prefix)
+    }
+
+    pub(crate) fn file(&self) -> &'a str {
+        self.checkpoint.file()
+    }
+
+    pub(crate) fn shape(&self, name: &str) -> Option<&'a [usize]> {
+        self.checkpoint.shape(&self.key(name))
+    }
+
+    /// How many consecutive `name.0.…`, `name.1.…` hold a tensor `probe`.
+    pub(crate) fn count(&self, name: &str, probe: &str) -> usize {
+        (0..).take_while(|i| self.shape(&format!("{name}.{i}.{probe}")).is_some()).count()
+    }
+
+    /// The shape of a tensor that has to have `rank` axes, the ones that are `Some` of that size.
+    pub(crate) fn shape_like<const RANK: usize>(
+        &self,
+        name: &str,
+        like: [Option<usize>; RANK],
+    ) -> Result<[usize; RANK], ModelError> {
+        let expected = || {
+            let sides: Vec<String> = like.iter().map(|s| s.map_or("_".to_owned(), |s| s.to_string())).collect();
+            format!("[{}]", sides.join(", "))
+        };
+        let found = self.shape(name).ok_or_else(|| self.missing(name, expected()))?;
+        match <[usize; RANK]>::try_from(found) {
+            Ok(shape) if shape.iter().zip(&like).all(|(s, l)| l.is_none_or(|l| l == *s) && *s > 0) => Ok(shape),
+            _ => Err(self.misshapen(name, expected())),
+        }
+    }
+
+    /// The values of a tensor of this shape; leading axes of one element may be missing or in excess.
+    pub(crate) fn read(&self, name: &str, shape: &[usize]) -> Result<Cow<'a, [f32]>, ModelError> {
+        fn core(shape: &[usize]) -> &[usize] {
+            &shape[shape.iter().position(|&s| s != 1).unwrap_or(shape.len())..]
+        }
+        let expected = || format!("{shape:?}");
+        let found = self.shape(name).ok_or_else(|| self.missing(name, expected()))?;
+        if core(found) != core(shape) {
+            return Err(self.misshapen(name, expected()));
+        }
+        self.checkpoint.read(&self.key(name))
+    }
+
+    /// As [`Weights::read`], in memory of its own.
+    pub(crate) fn vector(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
+        let values = self.read(name, shape)?.into_owned();
+        self.release(name);
+        Ok(values)
+    }
+
+    /// The tensor has been read for the last time.
+    pub(crate) fn release(&self, name: &str) {
+        self.checkpoint.release(&self.key(name));
+    }
+
+    fn missing(&self, name: &str, expected: String) -> ModelError {
+        ModelError::Missing { file: self.file().to_owned(), tensor: self.key(name), expected }
+    }
+
+    fn misshapen(&self, name: &str, expected: String) -> ModelError {
+        let found = self.shape(name).unwrap_or_default().to_vec();
+        ModelError::Shape { file: self.file().to_owned(), tensor: self.key(name), expected, found }
+    }
+}

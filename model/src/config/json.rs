@@ -1,0 +1,100 @@
+//! The JSON beside a checkpoint: what shapes cannot say, and what they must agree with.
+//!
+//! Keys stand at the top or inside an object `config`; the latter win. Unknown keys are ignored.
+
+use serde_json::{Map, Value};
+
+use crate::ModelError;
+
+/// The settings of a configuration file.
+#[derive(Clone, Debug)]
+pub(crate) struct Settings {
+    file: String,
+    values: Map<String, Value>,
+}
+
+impl Settings {
+    /// No settings; `file` stands for the place where defaults come from.
+    pub(crate) fn none(file: impl Into<String>) -> Settings {
+        Settings { file: file.into(), values: Map::new() }
+    }
+
+    /// Parses the text of `file`.
+    pub(crate) fn parse(text: &str, file: impl Into<String>) -> Result<Settings, ModelError> {
+        let file = file.into();
+        match serde_json::from_str(text) {
+            Ok(Value::Object(mut values)) => {
+                if let Some(Value::Object(inner)) = values.remove("config") {
+                    values.extend(inner);
+                }
+                Ok(Settings { file, values })
+            }
+            Ok(_) => Err(ModelError::Format { file, reason: "expected a JSON object".to_owned() }),
+            Err(error) => Err(ModelError::Format { file, reason: format!("not JSON: {error}") }),
+        }
+    }
+
+    pub(crate) fn file(&self) -> &str {
+        &self.file
+    }
+
+    /// An error about `key`.
+    pub(crate) fn wrong(&self, key: &str, expected: impl Into<String>, found: impl ToString) -> ModelError {
+        ModelError::Config {
+            file: self.file.clone(),
+            key: key.to_owned(),
+            expected: expected.into(),
+            found: found.to_string(),
+        }
+    }
+
+    /// The value of `key`, read by `read`; absent and `null` are the same.
+    fn value<T>(&self, key: &str, expected: &str, read: impl Fn(&Value) -> Option<T>) -> Result<Option<T>, ModelError> {
+        match self.values.get(key) {
+            None | Some(Value::Null) => Ok(None),
+            Some(value) => read(value).map(Some).ok_or_else(|| self.wrong(key, expected, value)),
+        }
+    }
+
+    /// A positive integer.
+    pub(crate) fn size(&self, key: &str) -> Result<Option<usize>, ModelError> {
+        self.value(key, "a positive integer", size)
+    }
+
+    /// Two positive integers.
+    pub(crate) fn pair(&self, key: &str) -> Result<Option<[usize; 2]>, ModelError> {
+        self.value(key, "[height, width]", |value| match value.as_array()?.as_slice() {
+            [height, width] => Some([size(height)?, size(width)?]),
+            _ => None,
+        })
+    }
+
+    /// True or false.
+    pub(crate) fn flag(&self, key: &str) -> Result<Option<bool>, ModelError> {
+        self.value(key, "true or false", Value::as_bool)
+    }
+
+    /// A text.
+    pub(crate) fn text(&self, key: &str) -> Result<Option<&str>, ModelError> {
+        match self.values.get(key) {
+            None | Some(Value::Null) => Ok(None),
+            Some(Value::String(text)) => Ok(Some(text)),
+            Some(other) => Err(self.wrong(key, "a string", other)),
+        }
+    }
+
+    /// An error where the file states another value for `key` than the tensors' shapes do.
+    pub(crate) fn agrees(&self, key: &str, shapes: usize) -> Result<(), ModelError> {
+        match self.size(key)? {
+            Some(stated) if stated != shapes => {
+                Err(self.wrong(key, format!("{shapes}, as the tensors' shapes"), stated))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A positive integer that a size can be: the bound keeps products of a few of them from overflowing.
+fn size(value: &Value) -> Option<usize> {
+    value.as_u64().filter(|n| (1..=1 << 20).contains(n)).map(|n| n as usize)
+}

@@ -1,0 +1,81 @@
+//! The whole network once more, plain and in binary64: what the fast one is compared with.
+//!
+//! Loops over indices, no blocking, no fusion; every function is the formula of its operation. Slow on purpose.
+
+mod dino;
+mod network;
+mod operations;
+
+pub use dino::dino;
+pub use network::{Inputs, Sizes, forward};
+
+use std::collections::BTreeMap;
+
+use streamsplat_model::checkpoint::Checkpoint;
+
+/// Named results, first axis = frame.
+pub type Outputs = BTreeMap<String, Vec<f64>>;
+
+/// The tensors of a checkpoint, widened, without their prefix.
+pub struct Tensors(BTreeMap<String, (Vec<usize>, Vec<f64>)>);
+
+impl Tensors {
+    /// Everything in the checkpoint that can be read as f32.
+    ///
+    /// # Panics
+    /// When a tensor cannot be read.
+    pub fn new(checkpoint: &Checkpoint) -> Tensors {
+        let tensors = checkpoint.tensors().iter().map(|(name, info)| {
+            let short = name.strip_prefix("model.").unwrap_or(name);
+            let short = short.strip_prefix("_orig_mod.").unwrap_or(short);
+            let values = checkpoint.read(name).expect("a readable tensor").iter().map(|&x| f64::from(x)).collect();
+            (short.to_owned(), (info.shape.clone(), values))
+        });
+        Tensors(tensors.collect())
+    }
+
+    /// The values of a tensor.
+    ///
+    /// # Panics
+    /// When it is not there.
+    pub fn get(&self, name: &str) -> &[f64] {
+        &self.0.get(name).unwrap_or_else(|| panic!("tensor {name}")).1
+    }
+
+    /// The shape of a tensor.
+    ///
+    /// # Panics
+    /// When it is not there.
+    pub fn shape(&self, name: &str) -> &[usize] {
+        &self.0.get(name).unwrap_or_else(|| panic!("tensor {name}")).0
+    }
+
+    /// Whether a tensor is there.
+    pub fn has(&self, name: &str) -> bool {
+        self.0.contains_key(name)
+    }
+
+    /// How many consecutive `stem.0.leaf`, `stem.1.leaf`, … there are.
+    pub fn count(&self, stem: &str, leaf: &str) -> usize {
+        (0..).take_while(|i| self.has(&format!("{stem}.{i}.{leaf}"))).count()
+    }
+}
+
+/// ‖found − expected‖ / ‖expected‖
+///
+/// # Panics
+/// When the lengths differ.
+pub fn relative_l2(found: impl IntoIterator<Item = f64>, expected: impl IntoIterator<Item = f64>) -> f64 {
+    let (mut found, mut expected) = (found.into_iter(), expected.into_iter());
+    let (mut difference, mut norm) = (0.0, 0.0);
+    loop {
+        match (found.next(), expected.next()) {
+            (Some(f), Some(e)) => {
+                difference += (f - e) * (f - e);
+                norm += e * e;
+            }
+            (None, None) => return (difference / norm).sqrt(),
+            _ => panic!("the lengths differ"),
+        }
+    }
+}
