@@ -4,9 +4,18 @@
 //! generic body over a 16-lane vector, and overrides per instruction-set level. All of them keep the *bit contract*: the
 //! output bits are the same on every [`Level`] and for any number of threads.
 
+pub mod activation;
+pub mod attention;
+pub mod gemm;
 pub mod level;
 pub mod math;
+pub mod memory;
+pub mod norm;
 pub mod parallel;
+pub mod patches;
+pub mod pixel_shuffle;
 pub mod simd;
+#[cfg(test)]
+mod testing;
 
 pub use level::{Level, LevelError};

@@ -1,0 +1,56 @@
+//! Activation functions over slices: the functions of [`crate::math`], element by element, in place.
+//!
+//! Each element's result depends on that element alone. NaN gives NaN.
+
+use crate::Level;
+use crate::math;
+use crate::parallel::for_each_chunk;
+use crate::simd::{LANES, Operation, Simd, dispatch};
+
+/// Values of a task.
+const TASK: usize = 1 << 13;
+
+/// A function of one value.
+trait Function: Copy + Send + Sync {
+    fn lanes<S: Simd>(s: S, x: S::F32) -> S::F32;
+}
+
+struct Task<'a, F>(&'a mut [f32], F);
+
+impl<F: Function> Operation for Task<'_, F> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        for x in self.0.chunks_mut(LANES) {
+            s.store_partial(F::lanes(s, s.load_partial(x, 0.0)), x);
+        }
+    }
+}
+
+macro_rules! functions {
+    ($($(#[$doc:meta])* $name:ident = $type:ident($lanes:path);)*) => {$(
+        #[derive(Clone, Copy)]
+        struct $type;
+        impl Function for $type {
+            #[inline(always)]
+            fn lanes<S: Simd>(s: S, x: S::F32) -> S::F32 {
+                $lanes(s, x)
+            }
+        }
+        $(#[$doc])*
+        pub fn $name(level: Level, x: &mut [f32]) {
+            for_each_chunk(x, TASK, |_, x| dispatch(level, Task(x, $type)));
+        }
+    )*};
+}
+
+functions! {
+    /// `x ← x · σ(x)`
+    silu = Silu(math::silu);
+    /// `x ← 1 / (1 + e⁻ˣ)`
+    sigmoid = Sigmoid(math::sigmoid);
+    /// `x ← tanh x`
+    tanh = Tanh(math::tanh);
+    /// `x ← log(1 + eˣ)`
+    softplus = Softplus(math::softplus);
+}

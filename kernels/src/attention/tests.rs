@@ -1,0 +1,128 @@
+use super::{Rows, Shape, Windows, attend, reference};
+use crate::testing::{noise, on_every_level_and_thread_count};
+
+/// The largest error against binary64, relative to the largest value; equality over levels and threads on the way.
+fn error(shape: Shape, queries: usize, keys: usize, q: &[f32], k: &[f32], v: &[f32]) -> f64 {
+    let Shape { heads, width, windows } = shape;
+    let d = heads * width;
+    let out = on_every_level_and_thread_count(queries * d, |level, out| {
+        let rows = |x, n| Rows::new(x, n, d, 0);
+        attend(level, shape, rows(q, queries), rows(k, keys), rows(v, keys), out);
+    });
+    let run = |token: usize| match windows {
+        Windows::Full => 0,
+        Windows::Runs { length, roll } => (token + roll) % keys / length,
+    };
+    let expected = reference::attend(q, k, v, heads, width, |i, j| windows == Windows::Full || run(i) == run(j));
+    let most = v.iter().fold(0.0_f64, |most, v| most.max(f64::from(v.abs())));
+    out.iter().zip(expected).map(|(x, e)| (f64::from(*x) - e).abs() / most).fold(0.0, f64::max)
+}
+
+fn full(heads: usize) -> Shape {
+    Shape { heads, width: 64, windows: Windows::Full }
+}
+
+#[test]
+fn any_number_of_queries_and_keys_agrees_with_the_formula() {
+    for (heads, queries, keys) in [(1, 1, 1), (1, 5, 3), (2, 17, 33), (1, 49, 129), (3, 101, 300)] {
+        let d = heads * 64;
+        let (q, k, v) = (noise(queries * d, 1), noise(keys * d, 2), noise(keys * d, 3));
+        let worst = error(full(heads), queries, keys, &q, &k, &v);
+        assert!(worst < 1e-6, "{heads} heads, {queries} queries, {keys} keys: {worst:e}");
+    }
+}
+
+#[test]
+fn other_head_widths_agree_with_the_formula() {
+    for width in [16, 48, 80] {
+        let shape = Shape { heads: 2, width, windows: Windows::Full };
+        let (q, k, v) = (noise(31 * 2 * width, 1), noise(150 * 2 * width, 2), noise(150 * 2 * width, 3));
+        let worst = error(shape, 31, 150, &q, &k, &v);
+        assert!(worst < 1e-6, "width {width}: {worst:e}");
+    }
+}
+
+#[test]
+fn windows_see_their_own_run_and_wrap_when_rolled() {
+    for (tokens, length, roll) in [(60, 20, 0), (60, 20, 10), (61, 20, 10), (300, 128, 64), (7, 100, 50), (290, 145, 1)]
+    {
+        let shape = Shape { heads: 2, width: 64, windows: Windows::Runs { length, roll } };
+        let (q, k, v) = (noise(tokens * 128, 4), noise(tokens * 128, 5), noise(tokens * 128, 6));
+        let worst = error(shape, tokens, tokens, &q, &k, &v);
+        assert!(worst < 1e-6, "{tokens} tokens in runs of {length} rolled {roll}: {worst:e}");
+    }
+}
+
+#[test]
+fn matrices_inside_a_wider_one_are_read_in_place() {
+    let (tokens, heads, d) = (50, 2, 128);
+    let packed = noise(tokens * 3 * d, 7);
+    let part = |first: usize| -> Vec<f32> { packed.chunks(3 * d).flat_map(|r| r[first..][..d].to_vec()).collect() };
+    let (q, k, v) = (part(0), part(d), part(2 * d));
+    let run =
+        |q, k, v| on_every_level_and_thread_count(tokens * d, |level, out| attend(level, full(heads), q, k, v, out));
+    let inside = |first| Rows::new(&packed, tokens, 3 * d, first);
+    let apart = run(Rows::new(&q, tokens, d, 0), Rows::new(&k, tokens, d, 0), Rows::new(&v, tokens, d, 0));
+    assert_eq!(run(inside(0), inside(d), inside(2 * d)), apart);
+}
+
+#[test]
+fn extreme_logits_keep_the_softmax() {
+    let (queries, keys) = (20, 300);
+    let v = noise(keys * 64, 3);
+    // Logits near ±1e4, where one ulp of the score is 1e-3: the weights carry that, and stay an average of values.
+    let scale = |x: Vec<f32>, by: f32| -> Vec<f32> { x.iter().map(|x| x * by).collect() };
+    let (q, k) = (scale(noise(queries * 64, 1), 160.0), scale(noise(keys * 64, 2), 160.0));
+    let worst = error(full(1), queries, keys, &q, &k, &v);
+    assert!(worst < 2e-2, "large logits: {worst:e}");
+    // All equal: the mean of the values.
+    let same = vec![12.5; keys * 64];
+    let worst = error(full(1), queries, keys, &vec![12.5; queries * 64], &same, &v);
+    assert!(worst < 1e-6, "equal logits: {worst:e}");
+    // One key far above the others: its value.
+    let mut one = noise(keys * 64, 2);
+    for c in 0..64 {
+        one[200 * 64 + c] = 100.0;
+    }
+    let worst = error(full(1), queries, keys, &vec![12.5; queries * 64], &one, &v);
+    assert!(worst < 1e-6, "one dominating key: {worst:e}");
+}
+
+#[test]
+fn undefined_logits_never_spread() {
+    let (queries, keys) = (5, 40);
+    let (mut q, mut k, v) = (noise(queries * 64, 1), noise(keys * 64, 2), noise(keys * 64, 3));
+    let clean = |q: &[f32], k: &[f32]| {
+        on_every_level_and_thread_count(queries * 64, |level, out| {
+            attend(
+                level,
+                full(1),
+                Rows::new(q, queries, 64, 0),
+                Rows::new(k, keys, 64, 0),
+                Rows::new(&v, keys, 64, 0),
+                out,
+            );
+        })
+    };
+    let before = clean(&q, &k);
+    q[3 * 64] = f32::NAN;
+    q[64..128].fill(1e30);
+    k[7 * 64..8 * 64].fill(1e30);
+    let after = clean(&q, &k);
+    assert!(after.iter().all(|x| x.is_finite()));
+    let mean: f32 = v.chunks(64).map(|v| v[0]).sum::<f32>() / keys as f32;
+    assert!((after[3 * 64] - mean).abs() < 1e-5 && (after[64] - mean).abs() < 1e-5);
+    k[7 * 64..8 * 64].copy_from_slice(&noise(keys * 64, 2)[7 * 64..8 * 64]);
+    let repaired = clean(&q, &k);
+    assert_eq!(repaired[..64], before[..64]);
+    assert_eq!(repaired[4 * 64..], before[4 * 64..]);
+}
+
+#[test]
+fn no_keys_give_zero_and_no_queries_nothing() {
+    let rows = |x, n| Rows::new(x, n, 64, 0);
+    let mut out = [1.0; 64];
+    attend(crate::Level::detect(), full(1), rows(&[0.5; 64], 1), rows(&[], 0), rows(&[], 0), &mut out);
+    assert_eq!(out, [0.0; 64]);
+    attend(crate::Level::detect(), full(1), rows(&[], 0), rows(&[0.5; 64], 1), rows(&[0.5; 64], 1), &mut []);
+}

@@ -1,0 +1,71 @@
+//! The weight of a key: `2^t` for `t ≤ 0`, the innermost function of attention.
+
+use crate::simd::Simd;
+
+/// Added to a float below 2²² in magnitude, leaves its nearest integer in the low bits.
+const SHIFTER: f32 = 12_582_912.0;
+
+/// Weights are never below `2^LOWEST`.
+const LOWEST: f32 = -126.0;
+
+/// `(2^f − 1)/f` on [−½, ½], minimax in the relative error of `2^f` (2.2e-8), lowest power first.
+const COEFFICIENTS: [f32; 6] =
+    [0.693_147_24, 0.240_226_52, 0.055_503_104, 0.009_617_693, 0.001_340_664_3, 0.000_155_946_78];
+
+/// `2^t` for `t` at most a little above 0, within 1.5 ulp; `2^−126` below that, and for NaN.
+#[inline(always)]
+pub(super) fn weight<S: Simd>(s: S, t: S::F32) -> S::F32 {
+    // NaN compares false and becomes the second operand.
+    let t = s.max(t, s.splat(LOWEST));
+    let shifted = s.add(t, s.splat(SHIFTER));
+    let f = s.sub(t, s.sub(shifted, s.splat(SHIFTER)));
+    let mut p = s.splat(COEFFICIENTS[5]);
+    for i in (0..5).rev() {
+        p = s.mul_add(p, f, s.splat(COEFFICIENTS[i]));
+    }
+    let p = s.mul_add(p, f, s.splat(1.0));
+    // The integer part, moved to the exponent; what lies above falls off.
+    s.from_bits(s.add_i32(s.to_bits(p), s.shl::<23>(s.to_bits(shifted))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Level;
+    use crate::simd::{LANES, Operation, dispatch};
+
+    struct Weights([f32; LANES]);
+    impl Operation for Weights {
+        type Output = [f32; LANES];
+        #[inline(always)]
+        fn run<S: Simd>(self, s: S) -> [f32; LANES] {
+            s.to_array(weight(s, s.from_array(self.0)))
+        }
+    }
+
+    #[test]
+    fn weights_are_powers_of_two_on_every_level() {
+        for level in Level::available() {
+            let mut worst = 0.0_f64;
+            for i in 0..200_000 {
+                let t: [f32; LANES] = std::array::from_fn(|j| -((i * 16 + j) as f32) * (126.0 / 3_200_000.0));
+                let w = dispatch(level, Weights(t));
+                assert_eq!(w, dispatch(Level::scalar(), Weights(t)));
+                for j in 0..LANES {
+                    worst = worst.max((f64::from(w[j]) / f64::from(t[j]).exp2() - 1.0).abs());
+                }
+            }
+            assert!(worst < 1.5 * f64::from(f32::EPSILON), "{worst:e}");
+        }
+    }
+
+    #[test]
+    fn the_largest_logit_weighs_one_and_what_cannot_count_weighs_the_least() {
+        for level in Level::available() {
+            let mut t = [f32::NEG_INFINITY; LANES];
+            (t[0], t[1], t[2], t[3], t[4]) = (0.0, -0.0, f32::NAN, -126.0, -1e30);
+            let least = f32::MIN_POSITIVE;
+            assert_eq!(dispatch(level, Weights(t))[..6], [1.0, 1.0, least, least, least, least]);
+        }
+    }
+}

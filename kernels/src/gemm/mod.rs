@@ -1,0 +1,235 @@
+//! Matrix products with packed weights and fused epilogues.
+//!
+//! `out[i,j] = epilogue(Σ_k x[i,k] · w[j,k])` for `x [m,k]`, `w [n,k]` (the layout of a linear layer's weight), `out [m,n]`,
+//! all row-major.
+//!
+//! # Order of accumulation
+//! `k` is cut into blocks of [`K_BLOCK`]. Inside a block one fused multiply-add per step, `k` ascending, starting from +0;
+//! block sums are added in ascending order (the first block's sum is taken as it is). The tile in which an element lies
+//! has no part in this, so the bits are the same on every level and for any number of threads.
+//!
+//! # How it runs
+//! Weights lie in panels of 16 columns, `[n/16][k][16]`, padded with zeros. A task owns a block of rows and a range of
+//! panels (a fixed grid that follows from the sizes). For each panel it walks the blocks of `k`; a block of a panel
+//! stays in the first-level cache while all rows of the task pass over it, the rows stay in the second level. The sums of
+//! a panel wait in a small tile until their last block, then the epilogue writes them out.
+
+mod epilogue;
+mod microkernel;
+pub mod reference;
+#[cfg(test)]
+mod tests;
+
+use rayon::prelude::*;
+
+pub use epilogue::{Activation, Epilogue};
+pub(crate) use microkernel::multiply;
+
+use crate::Level;
+use crate::memory::{Aligned, Scratch};
+use crate::parallel::Disjoint;
+use crate::simd::{LANES, Operation, Simd, dispatch};
+
+/// Steps of `k` whose products are summed in one chain.
+pub const K_BLOCK: usize = 256;
+
+/// A linear layer's weight, packed for [`linear`].
+///
+/// The packing is the same on every level. It replaces the original: nothing needs `weight` afterwards.
+#[derive(Clone)]
+pub struct Weights {
+    n: usize,
+    k: usize,
+    panels: Aligned<f32>,
+}
+
+impl Weights {
+    /// Packs `weight [n,k]` (row-major, as linear layers store it).
+    ///
+    /// # Panics
+    /// When `weight` does not hold `n · k` values.
+    pub fn pack(weight: &[f32], n: usize, k: usize) -> Self {
+        assert_eq!(weight.len(), n * k, "weight holds {} values, expected n·k = {n}·{k}", weight.len());
+        let mut panels = Aligned::zeroed(n.div_ceil(LANES) * k * LANES);
+        if k > 0 {
+            panels.par_chunks_mut(k * LANES).enumerate().for_each(|(panel, to)| {
+                for lane in 0..LANES.min(n - panel * LANES) {
+                    let row = &weight[(panel * LANES + lane) * k..][..k];
+                    for (to, &value) in to[lane..].iter_mut().step_by(LANES).zip(row) {
+                        *to = value;
+                    }
+                }
+            });
+        }
+        Self { n, k, panels }
+    }
+
+    /// Output columns.
+    pub fn n(&self) -> usize {
+        self.n
+    }
+
+    /// Input columns.
+    pub fn k(&self) -> usize {
+        self.k
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        self.panels.bytes()
+    }
+
+    fn panel_count(&self) -> usize {
+        self.n.div_ceil(LANES)
+    }
+}
+
+/// `out[i,j] = epilogue(Σ_k x[i,k] · w[j,k])` for `x [m,k]`, `out [m,n]`. See [the module](self) for the order of accumulation
+/// and [`Epilogue`] for what can follow the product. `m` may be 0.
+///
+/// # Panics
+/// When a slice does not have the size that `m`, the weights' `n` and `k` ask for.
+pub fn linear(level: Level, x: &[f32], m: usize, weights: &Weights, epilogue: &Epilogue<'_>, out: &mut [f32]) {
+    let (n, k) = (weights.n, weights.k);
+    assert_eq!(x.len(), m * k, "input holds {} values, expected m·k = {m}·{k}", x.len());
+    assert_eq!(out.len(), m * n, "output holds {} values, expected m·n = {m}·{n}", out.len());
+    epilogue.check(n);
+    let grid = Grid::new(m, weights.panel_count(), k);
+    let out = &Disjoint::new(out);
+    (0..grid.tasks()).into_par_iter().with_max_len(1).for_each(|task| {
+        let (rows, panels) = grid.task(task);
+        dispatch(level, Task { x, weights, epilogue, out, rows, panels });
+    });
+}
+
+/// The fixed grid of tasks: blocks of rows, in each of them ranges of panels.
+struct Grid {
+    rows: usize,
+    panels: usize,
+    row_block: usize,
+    panel_block: usize,
+}
+
+impl Grid {
+    /// Row blocks whose rows stay in a second-level cache; as many panel ranges as give two or more threads enough to share.
+    fn new(rows: usize, panels: usize, k: usize) -> Self {
+        const TASKS: usize = 48;
+        let row_block = if k <= 1024 { 96 } else { 48 };
+        let row_blocks = rows.div_ceil(row_block).max(1);
+        // An even number of panels: some levels take two at a time.
+        let panel_block = panels.div_ceil(TASKS.div_ceil(row_blocks)).max(4).next_multiple_of(2);
+        Self { rows, panels, row_block, panel_block }
+    }
+
+    fn ranges(&self) -> usize {
+        self.panels.div_ceil(self.panel_block)
+    }
+
+    fn tasks(&self) -> usize {
+        self.rows.div_ceil(self.row_block) * self.ranges()
+    }
+
+    fn task(&self, index: usize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
+        let row = index / self.ranges() * self.row_block;
+        let panel = index % self.ranges() * self.panel_block;
+        (row..(row + self.row_block).min(self.rows), panel..(panel + self.panel_block).min(self.panels))
+    }
+}
+
+/// One task of [`linear`].
+struct Task<'a> {
+    x: &'a [f32],
+    weights: &'a Weights,
+    epilogue: &'a Epilogue<'a>,
+    out: &'a Disjoint<'a, f32>,
+    rows: std::ops::Range<usize>,
+    panels: std::ops::Range<usize>,
+}
+
+impl Operation for Task<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        // The constants of a level choose one of these; the others are not compiled for it.
+        match (S::GEMM_ROWS, S::GEMM_PANELS) {
+            (12, 2) => self.blocks::<S, 12, 2>(s),
+            (6, 1) => self.blocks::<S, 6, 1>(s),
+            _ => self.blocks::<S, 4, 1>(s),
+        }
+    }
+}
+
+impl Task<'_> {
+    #[inline(always)]
+    fn blocks<S: Simd, const MR: usize, const NV: usize>(&self, s: S) {
+        let mut tile = Scratch::take(self.rows.len() * NV * LANES);
+        let mut panel = self.panels.start;
+        while panel + NV <= self.panels.end {
+            self.panel_group::<S, MR, NV>(s, panel, &mut tile);
+            panel += NV;
+        }
+        while panel < self.panels.end {
+            self.panel_group::<S, MR, 1>(s, panel, &mut tile);
+            panel += 1;
+        }
+    }
+
+    /// `NV` panels over all rows of the task.
+    #[inline(always)]
+    fn panel_group<S: Simd, const MR: usize, const NV: usize>(&self, s: S, panel: usize, tile: &mut [f32]) {
+        let k = self.weights.k;
+        let rows = self.rows.len();
+        let tile = &mut tile[..rows * NV * LANES];
+        if k == 0 {
+            tile.fill(0.0);
+        }
+        for start in (0..k).step_by(K_BLOCK) {
+            let length = K_BLOCK.min(k - start);
+            let mut from = [std::ptr::null(); NV];
+            for v in 0..NV {
+                from[v] = self.weights.panels[(panel + v) * k * LANES + start * LANES..][..length * LANES].as_ptr();
+            }
+            for first in (0..rows).step_by(MR) {
+                let present = MR.min(rows - first);
+                // Rows past the last repeat it; their sums are not kept.
+                let mut at = [std::ptr::null(); MR];
+                for r in 0..MR {
+                    let row = self.rows.start + first + r.min(present - 1);
+                    at[r] = self.x[row * k + start..][..length].as_ptr();
+                }
+                // SAFETY: each pointer is that of a slice of the length read.
+                let acc = unsafe { multiply::<S, MR, NV>(s, at, from, length) };
+                keep::<S, MR, NV>(s, acc, present, start == 0, &mut tile[first * NV * LANES..]);
+            }
+        }
+        for (i, sums) in tile.chunks_exact(NV * LANES).enumerate() {
+            let start = panel * LANES;
+            let columns = start..(start + NV * LANES).min(self.weights.n);
+            let row = (self.rows.start + i) * self.weights.n;
+            // SAFETY: tasks own disjoint blocks of rows and columns.
+            let out = unsafe { self.out.part(row + columns.start..row + columns.end) };
+            self.epilogue.apply(s, sums, columns, out);
+        }
+    }
+}
+
+/// Stores a block's sums in the tile (the first block), or adds them to it.
+#[inline(always)]
+fn keep<S: Simd, const MR: usize, const NV: usize>(
+    s: S,
+    acc: microkernel::Tile<S, MR, NV>,
+    present: usize,
+    first: bool,
+    tile: &mut [f32],
+) {
+    let tile = &mut tile[..present * NV * LANES];
+    for r in 0..MR {
+        if r < present {
+            for v in 0..NV {
+                let at = &mut tile[(r * NV + v) * LANES..][..LANES];
+                let sum = if first { acc[r][v] } else { s.add(s.load(at), acc[r][v]) };
+                s.store(sum, at);
+            }
+        }
+    }
+}

@@ -1,0 +1,88 @@
+use super::{Epilogue, Weights, linear, reference};
+use crate::testing::{bits, noise, on_every_level_and_thread_count};
+
+const SIZES: [(usize, usize, usize); 9] = [
+    (1, 1, 1),
+    (1, 16, 4),
+    (5, 17, 3),
+    (13, 33, 255),
+    (97, 50, 256),
+    (12, 96, 257),
+    (101, 70, 513),
+    (55, 23, 1030),
+    (3, 5, 0),
+];
+
+#[test]
+fn every_level_and_thread_count_gives_the_defined_bits() {
+    for (m, n, k) in SIZES {
+        let (x, w) = (noise(m * k, 1), noise(n * k, 2));
+        let weights = Weights::pack(&w, n, k);
+        let out = on_every_level_and_thread_count(m * n, |level, out| {
+            linear(level, &x, m, &weights, &Epilogue::new(), out);
+        });
+        assert!(bits(&out) == bits(&reference::product(&x, &w, m, n, k)), "{m}x{n}x{k}");
+    }
+}
+
+#[test]
+fn the_error_stays_far_below_that_of_one_long_chain() {
+    let (m, n, k) = (4, 19, 3000);
+    let (x, w) = (noise(m * k, 3), noise(n * k, 4));
+    let mut out = vec![0.0; m * n];
+    linear(crate::Level::detect(), &x, m, &Weights::pack(&w, n, k), &Epilogue::new(), &mut out);
+    let size = reference::product_f64(
+        &x.iter().map(|x| x.abs()).collect::<Vec<_>>(),
+        &w.iter().map(|w| w.abs()).collect::<Vec<_>>(),
+        m,
+        n,
+        k,
+    );
+    for (i, e) in reference::product_f64(&x, &w, m, n, k).iter().enumerate() {
+        let error = (f64::from(out[i]) - e).abs();
+        assert!(error < 2e-7 * size[i], "{error:e} of {:e}", size[i]);
+    }
+}
+
+#[test]
+fn sums_that_cancel_lose_only_their_own_rounding() {
+    // +big, small, −big inside one block: the chain keeps what fits beside big.
+    let (mut x, w) = (vec![0.0; 300], vec![1.0; 300]);
+    (x[0], x[1], x[2]) = (1e6, 0.25, -1e6);
+    (x[260], x[299]) = (3e38, -3e38);
+    let out = on_every_level_and_thread_count(1, |level, out| {
+        linear(level, &x, 1, &Weights::pack(&w, 1, 300), &Epilogue::new(), out);
+    });
+    assert_eq!(out[0], 0.25);
+}
+
+#[test]
+fn epilogues_are_the_functions_they_name() {
+    let (m, n, k) = (7, 37, 20);
+    let (x, w, bias, gamma) = (noise(m * k, 5), noise(n * k, 6), noise(n, 7), noise(n, 8));
+    let product = reference::product_f64(&x, &w, m, n, k);
+    let weights = Weights::pack(&w, n, k);
+    let silu = |y: f64| y / (1.0 + (-y).exp());
+    let b = Epilogue::new().bias(&bias);
+    let cases: [(&str, Epilogue<'_>, &dyn Fn(f64, f64, f64) -> f64); 6] = [
+        ("none", Epilogue::new(), &|p, _, _| p),
+        ("bias", b, &|p, b, _| p + b),
+        ("silu", Epilogue::new().silu(), &|p, _, _| silu(p)),
+        ("bias, silu", b.silu(), &|p, b, _| silu(p + b)),
+        ("bias, residual", b.residual(), &|p, b, _| 0.5 + p + b),
+        ("bias, gamma, residual", b.gamma(&gamma).residual(), &|p, b, g| 0.5 + g * (p + b)),
+    ];
+    for (name, epilogue, expected) in cases {
+        let out = on_every_level_and_thread_count(m * n, |level, out| linear(level, &x, m, &weights, &epilogue, out));
+        for i in 0..m * n {
+            let e = expected(product[i], f64::from(bias[i % n]), f64::from(gamma[i % n]));
+            assert!((f64::from(out[i]) - e).abs() < 2e-6, "{name}: {} but {e}", out[i]);
+        }
+    }
+}
+
+#[test]
+#[should_panic(expected = "expected m·k")]
+fn a_short_input_is_refused() {
+    linear(crate::Level::detect(), &[0.0; 5], 2, &Weights::pack(&[0.0; 9], 3, 3), &Epilogue::new(), &mut [0.0; 6]);
+}

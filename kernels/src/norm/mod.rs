@@ -1,0 +1,132 @@
+//! Normalisation of rows.
+//!
+//! - RMS: `out = x · r · w`, `r = 1/√(mean(x²) + ε)`
+//! - layer: `out = (x − μ) · r · w + b`, `μ = mean(x)`, `r = 1/√(mean((x − μ)²) + ε)`
+//!
+//! Rows are independent. A sum over a row has 16 lanes: lane `i mod 16` takes its elements in ascending order (squares by
+//! fused multiply-add, the mean's terms by addition, a last part of a row filled with zeros), then [`Simd::sum`] folds the
+//! lanes. `x·r` and its product with `w` are rounded apart; `b` is added by fused multiply-add.
+//!
+//! A row whose largest magnitude is above 2⁴⁸ is scaled by 2⁻⁹⁶ before its squares are taken (and ε by 2⁻¹⁹², which is 0):
+//! no square overflows below the largest finite number. Small rows need nothing of the kind: ε outweighs their squares.
+//! A NaN or an infinity in a row makes that row's results NaN, and no other's.
+//!
+//! Source: "StreamSplat (ICLR 2026)", encoder and decoder blocks (RMS, ε = 1e-5); DINOv2 (layer, ε = 1e-6).
+
+pub mod reference;
+#[cfg(test)]
+mod tests;
+
+use crate::Level;
+use crate::parallel::for_each_chunk;
+use crate::simd::{LANES, Operation, Simd, dispatch};
+
+/// Magnitudes above this are scaled before they are squared.
+const LARGE: f32 = (1_u64 << 48) as f32;
+/// The scale of large rows: 2⁻⁹⁶.
+const SCALE: f32 = 1.0 / ((1_u128 << 96) as f32);
+
+/// Values of a task.
+const TASK: usize = 1 << 14;
+
+/// `out = x / √(mean(x²) + ε) · w` for every row of `x [rows, w.len()]`. See [the module](self).
+///
+/// # Panics
+/// When `x` is no whole number of rows or `out` has another size.
+pub fn rms_norm(level: Level, x: &[f32], w: &[f32], epsilon: f32, out: &mut [f32]) {
+    rows(level, x, out, w.len(), RowNorm { w, b: None, epsilon });
+}
+
+/// `out = (x − mean(x)) / √(variance + ε) · w + b` for every row of `x [rows, w.len()]`. See [the module](self).
+///
+/// # Panics
+/// When `x` is no whole number of rows, or `b` or `out` have another size.
+pub fn layer_norm(level: Level, x: &[f32], w: &[f32], b: &[f32], epsilon: f32, out: &mut [f32]) {
+    assert_eq!(w.len(), b.len(), "{} weights but {} biases", w.len(), b.len());
+    rows(level, x, out, w.len(), RowNorm { w, b: Some(b), epsilon });
+}
+
+fn rows(level: Level, x: &[f32], out: &mut [f32], d: usize, norm: RowNorm<'_>) {
+    assert_eq!(x.len(), out.len(), "input holds {} values, output {}", x.len(), out.len());
+    assert!(x.len().is_multiple_of(d), "{} values in rows of {d}", x.len());
+    if d == 0 {
+        return;
+    }
+    let chunk = (TASK / d).max(1) * d;
+    for_each_chunk(out, chunk, |i, out| {
+        let x = &x[i * chunk..][..out.len()];
+        dispatch(level, Task { norm, x, out });
+    });
+}
+
+struct Task<'a> {
+    norm: RowNorm<'a>,
+    x: &'a [f32],
+    out: &'a mut [f32],
+}
+
+impl Operation for Task<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let d = self.norm.w.len();
+        for (x, out) in self.x.chunks_exact(d).zip(self.out.chunks_exact_mut(d)) {
+            self.norm.apply(s, x, out);
+        }
+    }
+}
+
+/// The normalisation of one row.
+#[derive(Clone, Copy)]
+pub(crate) struct RowNorm<'a> {
+    pub(crate) w: &'a [f32],
+    pub(crate) b: Option<&'a [f32]>,
+    pub(crate) epsilon: f32,
+}
+
+impl RowNorm<'_> {
+    #[inline(always)]
+    pub(crate) fn apply<S: Simd>(&self, s: S, x: &[f32], out: &mut [f32]) {
+        let n = x.len() as f32;
+        let mut most = s.splat(0.0);
+        for x in x.chunks(LANES) {
+            most = s.max(s.abs(s.load_partial(x, 0.0)), most);
+        }
+        let (scale, epsilon) = if s.max_lane(most) > LARGE { (SCALE, 0.0) } else { (1.0, self.epsilon) };
+        let scale = s.splat(scale);
+        let load = |x: &[f32], fill: f32| s.mul(s.load_partial(x, fill), scale);
+
+        let mean = if self.b.is_some() {
+            let mut sum = s.splat(0.0);
+            for x in x.chunks(LANES) {
+                sum = s.add(sum, load(x, 0.0));
+            }
+            s.sum(sum) / n
+        } else {
+            0.0
+        };
+        let mu = s.splat(mean);
+        let mut squares = s.splat(0.0);
+        let whole = x.len() / LANES * LANES;
+        for x in x[..whole].chunks_exact(LANES) {
+            let y = s.sub(load(x, 0.0), mu);
+            squares = s.mul_add(y, y, squares);
+        }
+        if whole < x.len() {
+            let there = s.mask_from_bits((1 << (x.len() - whole)) - 1);
+            let y = s.select(there, s.sub(load(&x[whole..], 0.0), mu), s.splat(0.0));
+            squares = s.mul_add(y, y, squares);
+        }
+        let r = s.splat(1.0 / (s.sum(squares) / n + epsilon).sqrt());
+        for (i, out) in out.chunks_mut(LANES).enumerate() {
+            let at = i * LANES..(i * LANES + LANES).min(x.len());
+            let y = s.mul(s.sub(load(&x[at.clone()], 0.0), mu), r);
+            let w = s.load_partial(&self.w[at.clone()], 0.0);
+            let y = match self.b {
+                Some(b) => s.mul_add(y, w, s.load_partial(&b[at], 0.0)),
+                None => s.mul(y, w),
+            };
+            s.store_partial(y, out);
+        }
+    }
+}
