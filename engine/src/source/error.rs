@@ -1,0 +1,116 @@
+//! What can go wrong while frames are read.
+
+use std::io;
+use std::path::PathBuf;
+
+use crate::picture::{MAX_PIXELS, MAX_SIDE};
+
+/// A source that cannot be opened, or a frame that cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SourceError {
+    /// The file or folder cannot be read.
+    #[error("{}: {cause}", path.display())]
+    Read {
+        /// What was being read.
+        path: PathBuf,
+        /// The system's answer.
+        cause: io::Error,
+    },
+    /// A folder without a single image.
+    #[error("{}: the folder holds no image (expected files ending in {})", path.display(), super::folder::EXTENSIONS.join(", "))]
+    EmptyFolder {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The file is empty.
+    #[error("{}: the file is empty (0 bytes), expected an image", path.display())]
+    EmptyFile {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file is no image of a known kind, or a broken one.
+    #[error("{}: {cause}", path.display())]
+    Decode {
+        /// The file.
+        path: PathBuf,
+        /// What its decoder says.
+        cause: String,
+    },
+    /// A frame that is larger than this program decodes.
+    #[error(
+        "{}: the picture is {width}×{height}, expected at most {MAX_SIDE} pixels a side and {MAX_PIXELS} in all",
+        path.display()
+    )]
+    TooLarge {
+        /// The file or stream.
+        path: PathBuf,
+        /// Width found.
+        width: usize,
+        /// Height found.
+        height: usize,
+    },
+    /// A sample that is not a finite number.
+    #[error("{}: the sample at x={x}, y={y} is {value}, expected a finite number", path.display())]
+    NotFinite {
+        /// The file.
+        path: PathBuf,
+        /// Column of the first such sample.
+        x: usize,
+        /// Row of the first such sample.
+        y: usize,
+        /// The sample.
+        value: f32,
+    },
+    /// Frames of different sizes in one video.
+    #[error(
+        "{}: the frame is {}×{}, expected {}×{} as in {}",
+        path.display(), found.0, found.1, expected.0, expected.1, first.display()
+    )]
+    MixedSizes {
+        /// The frame that differs.
+        path: PathBuf,
+        /// Its width and height.
+        found: (usize, usize),
+        /// Width and height of the first frame.
+        expected: (usize, usize),
+        /// The first frame.
+        first: PathBuf,
+    },
+    /// A y4m stream that does not follow the format.
+    #[error("{}: {cause}", path.display())]
+    Y4m {
+        /// The file, or `-`.
+        path: PathBuf,
+        /// What was expected and what was found.
+        cause: String,
+    },
+    /// The `ffmpeg` program is not installed.
+    #[error(
+        "{}: reading this file needs the ffmpeg program, which is not installed (Debian: apt install ffmpeg); \
+         without it, give a folder of images or a .y4m file",
+        path.display()
+    )]
+    NoFfmpeg {
+        /// The video file.
+        path: PathBuf,
+    },
+    /// `ffmpeg` cannot read the file.
+    #[error("{}: ffmpeg cannot read it: {cause}", path.display())]
+    Ffmpeg {
+        /// The video file.
+        path: PathBuf,
+        /// What it says.
+        cause: String,
+    },
+    /// A frame rate that is no positive number.
+    #[error("frame rate {0}: expected a positive, finite number of frames per second")]
+    FrameRate(f64),
+}
+
+impl SourceError {
+    pub(crate) fn read(path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> SourceError {
+        let path = path.into();
+        move |cause| SourceError::Read { path, cause }
+    }
+}

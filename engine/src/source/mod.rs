@@ -1,0 +1,220 @@
+//! Frames from folders of images, y4m streams and video files.
+//!
+//! | input | what it is |
+//! |---|---|
+//! | a folder | its images ([`folder::EXTENSIONS`]) in natural order; hidden and other files are ignored |
+//! | an image file | a video of one frame |
+//! | `*.y4m`, or a file that starts as one | read by [`y4m`] |
+//! | `-` | y4m on standard input |
+//! | any other file | decoded by an installed [`ffmpeg`] program |
+//!
+//! Frame i has the timestamp `i / fps`: the rate is [`Options::fps`] when set, else the stream's own, else
+//! [`DEFAULT_FPS`]. All frames of a source have one size; a frame that differs is an error naming it and both sizes.
+
+pub mod decode;
+mod error;
+pub mod ffmpeg;
+pub mod folder;
+pub mod natural;
+mod tiff;
+pub mod y4m;
+
+use std::fs::File;
+use std::io::{BufReader, Read, Stdin};
+use std::path::{Path, PathBuf};
+
+use crate::picture::Picture;
+pub use error::SourceError;
+use ffmpeg::Ffmpeg;
+use y4m::Y4m;
+
+/// Frames per second where neither the user nor the stream gives a rate.
+pub const DEFAULT_FPS: f64 = 24.0;
+
+/// How to read a source.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Options {
+    /// Frames per second, in place of the stream's own.
+    pub fps: Option<f64>,
+}
+
+/// A frame with its place in time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TimedPicture {
+    /// Position in the source, from 0.
+    pub index: usize,
+    /// Seconds since the first frame.
+    pub timestamp: f64,
+    /// The image file, or the stream.
+    pub path: PathBuf,
+    /// The frame.
+    pub picture: Picture,
+}
+
+/// A video being read, frame by frame; holds one frame at a time.
+pub struct Source {
+    kind: Kind,
+    path: PathBuf,
+    /// Frames per second as a fraction.
+    rate: (f64, f64),
+    next: usize,
+    first: Option<(PathBuf, (usize, usize))>,
+}
+
+enum Kind {
+    Files(Vec<PathBuf>),
+    File(Y4m<BufReader<File>>),
+    Stdin(Y4m<BufReader<Stdin>>),
+    Ffmpeg(Box<Ffmpeg>),
+}
+
+impl Source {
+    /// Opens `input` (see the table above).
+    ///
+    /// # Errors
+    /// Nothing readable there, an empty folder, a stream that does not start as one, ffmpeg needed but missing, a rate that is
+    /// not positive and finite.
+    pub fn open(input: &Path, options: &Options) -> Result<Source, SourceError> {
+        if let Some(fps) = options.fps
+            && !(fps.is_finite() && fps > 0.0)
+        {
+            return Err(SourceError::FrameRate(fps));
+        }
+        let kind = if input == Path::new("-") {
+            Kind::Stdin(Y4m::new(BufReader::with_capacity(1 << 16, std::io::stdin()), input)?)
+        } else if std::fs::metadata(input).map_err(SourceError::read(input))?.is_dir() {
+            Kind::Files(folder::images(input)?)
+        } else if folder::is_image(input) {
+            Kind::Files(vec![input.to_owned()])
+        } else if starts_as_y4m(input)? {
+            let file = File::open(input).map_err(SourceError::read(input))?;
+            Kind::File(Y4m::new(BufReader::with_capacity(1 << 16, file), input)?)
+        } else {
+            Kind::Ffmpeg(Box::new(Ffmpeg::open(input)?))
+        };
+        let own = match &kind {
+            Kind::Files(_) => None,
+            Kind::File(y4m) => y4m.header().rate,
+            Kind::Stdin(y4m) => y4m.header().rate,
+            Kind::Ffmpeg(video) => video.header().rate,
+        };
+        let rate = match (options.fps, own) {
+            (Some(fps), _) => (fps, 1.0),
+            (None, Some((numerator, denominator))) => (numerator as f64, denominator as f64),
+            (None, None) => (DEFAULT_FPS, 1.0),
+        };
+        Ok(Source { kind, path: input.to_owned(), rate, next: 0, first: None })
+    }
+
+    /// How many frames there are, where that is known beforehand (image files).
+    pub fn frames(&self) -> Option<usize> {
+        match &self.kind {
+            Kind::Files(files) => Some(files.len()),
+            _ => None,
+        }
+    }
+
+    /// The image files, where the frames are files.
+    pub fn files(&self) -> Option<&[PathBuf]> {
+        match &self.kind {
+            Kind::Files(files) => Some(files),
+            _ => None,
+        }
+    }
+
+    /// Frames per second.
+    pub fn fps(&self) -> f64 {
+        self.rate.0 / self.rate.1
+    }
+
+    /// The next frame; `None` at the end.
+    ///
+    /// # Errors
+    /// A frame that cannot be read or has another size than the first.
+    pub fn next_frame(&mut self) -> Result<Option<TimedPicture>, SourceError> {
+        let (path, picture) = match &mut self.kind {
+            Kind::Files(files) => match files.get(self.next) {
+                Some(file) => (file.clone(), Some(decode::decode_file(file)?)),
+                None => return Ok(None),
+            },
+            Kind::File(y4m) => (self.path.clone(), y4m.next_picture()?),
+            Kind::Stdin(y4m) => (self.path.clone(), y4m.next_picture()?),
+            Kind::Ffmpeg(video) => (self.path.clone(), video.next_picture()?),
+        };
+        let Some(picture) = picture else { return Ok(None) };
+        let found = (picture.width, picture.height);
+        let (first, expected) = self.first.get_or_insert_with(|| (path.clone(), found));
+        if *expected != found {
+            return Err(SourceError::MixedSizes { path, found, expected: *expected, first: first.clone() });
+        }
+        let index = self.next;
+        self.next += 1;
+        let timestamp = index as f64 * self.rate.1 / self.rate.0;
+        Ok(Some(TimedPicture { index, timestamp, path, picture }))
+    }
+}
+
+fn starts_as_y4m(path: &Path) -> Result<bool, SourceError> {
+    if folder::ends_in(path, &["y4m"]) {
+        return Ok(true);
+    }
+    let mut start = Vec::new();
+    File::open(path).and_then(|file| file.take(10).read_to_end(&mut start)).map_err(SourceError::read(path))?;
+    if start.is_empty() {
+        return Err(SourceError::EmptyFile { path: path.to_owned() });
+    }
+    Ok(start == b"YUV4MPEG2 ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn write_png(path: &Path, width: u32, height: u32) {
+        image::RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, 9])).save(path).expect("writable");
+    }
+
+    #[test]
+    fn mixed_sizes_name_the_file_and_both_sizes() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        write_png(&folder.path().join("1.png"), 8, 6);
+        write_png(&folder.path().join("2.png"), 6, 8);
+        let mut source = Source::open(folder.path(), &Options::default()).expect("a folder");
+        assert!(source.next_frame().expect("first").is_some());
+        let error = source.next_frame().expect_err("other size").to_string();
+        assert!(error.contains("2.png: the frame is 6×8, expected 8×6 as in") && error.ends_with("1.png"), "{error}");
+    }
+
+    #[test]
+    fn a_zero_byte_image_is_named() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        std::fs::write(folder.path().join("0001.png"), b"").expect("writable");
+        let mut source = Source::open(folder.path(), &Options::default()).expect("a folder");
+        let error = source.next_frame().expect_err("empty").to_string();
+        assert!(error.contains("0001.png") && error.contains("empty"), "{error}");
+    }
+
+    #[test]
+    fn timestamps_follow_the_rate() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("v.y4m");
+        std::fs::write(&path, b"YUV4MPEG2 W1 H1 F30000:1001 Cmono\nFRAME\nxFRAME\nyFRAME\nz").expect("writable");
+        let times = |options: Options| {
+            let mut source = Source::open(&path, &options).expect("valid");
+            let mut times = Vec::new();
+            while let Some(frame) = source.next_frame().expect("valid") {
+                times.push(frame.timestamp);
+            }
+            times
+        };
+        assert_eq!(times(Options::default()), [0.0, 1001.0 / 30000.0, 2.0 * 1001.0 / 30000.0]);
+        assert_eq!(times(Options { fps: Some(2.0) }), [0.0, 0.5, 1.0]);
+        assert!(Source::open(&path, &Options { fps: Some(f64::NAN) }).is_err());
+    }
+
+    #[test]
+    fn a_missing_input_is_named() {
+        let error = Source::open(Path::new("no/such/input"), &Options::default()).err().map(|e| e.to_string());
+        assert!(error.is_some_and(|e| e.starts_with("no/such/input: ")));
+    }
+}

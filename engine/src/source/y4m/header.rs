@@ -1,0 +1,225 @@
+//! The header line of a y4m stream.
+
+use crate::picture::size_is_allowed;
+
+/// Longest header line accepted, in bytes.
+pub const MAX_LINE: usize = 4096;
+
+/// How chroma planes relate to the luma plane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Chroma {
+    /// Luma alone.
+    Mono,
+    /// Half width, half height, at `Siting`.
+    C420(Siting),
+    /// Half width, full height; samples lie on every second luma column.
+    C422,
+    /// Quarter width, full height; samples lie on every fourth luma column.
+    C411,
+    /// Full size.
+    C444,
+    /// Full size, with a plane of alpha after the chroma planes.
+    C444Alpha,
+}
+
+/// Where a 4:2:0 chroma sample lies in its 2×2 luma pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Siting {
+    /// In the middle (`420jpeg`, `420`).
+    Centre,
+    /// At the left, vertically in the middle (`420mpeg2`).
+    Left,
+    /// At the upper left (`420paldv`).
+    TopLeft,
+}
+
+/// What a stream says about itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Header {
+    /// Luma columns.
+    pub width: usize,
+    /// Luma rows.
+    pub height: usize,
+    /// Frames per second as a fraction, when given (`F0:0` is unknown).
+    pub rate: Option<(u64, u64)>,
+    /// Chroma planes.
+    pub chroma: Chroma,
+    /// Bits per sample: 8 to 16. More than 8 are stored in two bytes, little end first.
+    pub bits: u32,
+    /// Whether samples span the full range (`XCOLORRANGE=FULL`).
+    pub full_range: bool,
+}
+
+impl Header {
+    /// Reads the header line (without its newline).
+    ///
+    /// # Errors
+    /// What was expected and what was found, for every parameter that is missing, malformed or not supported, and for sizes
+    /// that are refused.
+    pub fn parse(line: &[u8]) -> Result<Header, String> {
+        let line = std::str::from_utf8(line).map_err(|_| "the header line is not text".to_owned())?;
+        let mut words = line.split(' ').filter(|w| !w.is_empty());
+        let magic = words.next().unwrap_or_default();
+        if magic != "YUV4MPEG2" {
+            return Err(format!("expected a header starting with YUV4MPEG2, found {:?}", shorten(magic)));
+        }
+        let (mut width, mut height, mut rate, mut full_range) = (None, None, None, false);
+        let (mut chroma, mut bits) = (Chroma::C420(Siting::Centre), 8);
+        for word in words {
+            let Some((tag, value)) = word.split_at_checked(1) else {
+                return Err(format!("malformed header parameter {:?}", shorten(word)));
+            };
+            match tag {
+                "W" => width = Some(number(word, value)?),
+                "H" => height = Some(number(word, value)?),
+                "F" => rate = fraction(word, value)?,
+                "C" => (chroma, bits) = colour(value)?,
+                "X" => match value.split_once('=') {
+                    Some(("COLORRANGE", "FULL")) => full_range = true,
+                    Some(("COLORRANGE", "LIMITED")) => full_range = false,
+                    _ => {}
+                },
+                // Interlacing and pixel aspect: every frame is taken as a whole picture of square pixels.
+                _ => {}
+            }
+        }
+        let width = width.ok_or("the header gives no width (W)")? as usize;
+        let height = height.ok_or("the header gives no height (H)")? as usize;
+        if !size_is_allowed(width, height) {
+            return Err(format!(
+                "the header gives {width}×{height}, expected 1 to {} pixels a side and at most {} in all",
+                crate::picture::MAX_SIDE,
+                crate::picture::MAX_PIXELS
+            ));
+        }
+        Ok(Header { width, height, rate, chroma, bits, full_range })
+    }
+
+    /// Columns and rows of a chroma plane.
+    pub fn chroma_size(&self) -> (usize, usize) {
+        match self.chroma {
+            Chroma::Mono => (0, 0),
+            Chroma::C420(_) => (self.width.div_ceil(2), self.height.div_ceil(2)),
+            Chroma::C422 => (self.width.div_ceil(2), self.height),
+            Chroma::C411 => (self.width.div_ceil(4), self.height),
+            Chroma::C444 | Chroma::C444Alpha => (self.width, self.height),
+        }
+    }
+
+    /// Bytes of one frame.
+    pub fn frame_bytes(&self) -> usize {
+        let (cw, ch) = self.chroma_size();
+        let alpha = if self.chroma == Chroma::C444Alpha { self.width * self.height } else { 0 };
+        (self.width * self.height + 2 * cw * ch + alpha) * self.sample_bytes()
+    }
+
+    /// Bytes of one sample.
+    pub fn sample_bytes(&self) -> usize {
+        if self.bits > 8 { 2 } else { 1 }
+    }
+}
+
+fn shorten(text: &str) -> String {
+    text.chars().take(40).collect()
+}
+
+fn number(word: &str, value: &str) -> Result<u32, String> {
+    value.parse().map_err(|_| format!("header parameter {:?}: expected a whole number", shorten(word)))
+}
+
+fn fraction(word: &str, value: &str) -> Result<Option<(u64, u64)>, String> {
+    let malformed = || format!("header parameter {:?}: expected a frame rate like F30000:1001", shorten(word));
+    let (numerator, denominator) = value.split_once(':').ok_or_else(malformed)?;
+    let parse = |text: &str| text.parse::<u32>().map(u64::from).map_err(|_| malformed());
+    Ok(match (parse(numerator)?, parse(denominator)?) {
+        (0, _) | (_, 0) => None,
+        rate => Some(rate),
+    })
+}
+
+fn colour(value: &str) -> Result<(Chroma, u32), String> {
+    let unsupported = || {
+        format!(
+            "colour space C{}: expected 420jpeg, 420mpeg2, 420paldv, 420, 422, 411, 444, 444alpha, mono, or 420, 422, 444 \
+             with p9 to p16, or mono9 to mono16",
+            shorten(value)
+        )
+    };
+    if let Some(bits) = value.strip_prefix("mono") {
+        let bits = if bits.is_empty() { 8 } else { bits.parse().map_err(|_| unsupported())? };
+        return if (8..=16).contains(&bits) { Ok((Chroma::Mono, bits)) } else { Err(unsupported()) };
+    }
+    Ok(match value {
+        "420jpeg" | "420" => (Chroma::C420(Siting::Centre), 8),
+        "420mpeg2" => (Chroma::C420(Siting::Left), 8),
+        "420paldv" => (Chroma::C420(Siting::TopLeft), 8),
+        "422" => (Chroma::C422, 8),
+        "411" => (Chroma::C411, 8),
+        "444" => (Chroma::C444, 8),
+        "444alpha" => (Chroma::C444Alpha, 8),
+        _ => {
+            let (chroma, bits) = value.split_once('p').ok_or_else(unsupported)?;
+            let chroma = match chroma {
+                // Video of more than eight bits is sited as MPEG-2 has it.
+                "420" => Chroma::C420(Siting::Left),
+                "422" => Chroma::C422,
+                "444" => Chroma::C444,
+                _ => return Err(unsupported()),
+            };
+            let bits = bits.parse().map_err(|_| unsupported())?;
+            if !(9..=16).contains(&bits) {
+                return Err(unsupported());
+            }
+            (chroma, bits)
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn what_ffmpeg_writes_is_understood() {
+        let header =
+            Header::parse(b"YUV4MPEG2 W853 H480 F30000:1001 Ip A1:1 C420mpeg2 XYSCSS=420MPEG2 XCOLORRANGE=FULL");
+        let header = header.expect("valid");
+        assert_eq!((header.width, header.height, header.rate), (853, 480, Some((30000, 1001))));
+        assert_eq!((header.chroma, header.bits, header.full_range), (Chroma::C420(Siting::Left), 8, true));
+        assert_eq!(header.frame_bytes(), 853 * 480 + 2 * 427 * 240);
+        let ten = Header::parse(b"YUV4MPEG2 W6 H4 F0:0 C422p10 XYSCSS=422P10").expect("valid");
+        assert_eq!((ten.rate, ten.bits, ten.frame_bytes()), (None, 10, 2 * (24 + 2 * 12)));
+    }
+
+    #[test]
+    fn hostile_headers_are_errors() {
+        for line in [
+            "RIFF W1 H1",
+            "YUV4MPEG2",
+            "YUV4MPEG2 W10",
+            "YUV4MPEG2 W0 H10",
+            "YUV4MPEG2 W4294967295 H4294967295",
+            "YUV4MPEG2 W99999999999 H1",
+            "YUV4MPEG2 W-4 H4",
+            "YUV4MPEG2 W4 H4 F25",
+            "YUV4MPEG2 W4 H4 C420p99",
+            "YUV4MPEG2 W4 H4 C500",
+            "YUV4MPEG2 W4 H4 Cmono7",
+            "YUV4MPEG2 W4 é",
+        ] {
+            assert!(Header::parse(line.as_bytes()).is_err(), "{line}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_line_panics(line in proptest::collection::vec(any::<u8>(), 0..60)) {
+            let mut whole = b"YUV4MPEG2 ".to_vec();
+            whole.extend(line);
+            if let Ok(header) = Header::parse(&whole) {
+                prop_assert!(header.frame_bytes() > 0);
+            }
+        }
+    }
+}
