@@ -1,0 +1,135 @@
+//! Cameras: the canonical orthographic one, and any rigid pose, orthographic or pinhole.
+//!
+//! *Scene space* is what the canonical camera sees (StreamSplat (ICLR 2026), camera and image): x right, y down, z forward,
+//! with x and y in [−1, 1] over the model's input and `z = 1 / (9.8·y_w + 0.2 + 10⁻⁶)` of a Gaussian's normalised inverse
+//! depth `y_w` in [0, 1] (z from 0.1 to 5). Other cameras are rigid poses in scene space. A camera at the origin with no
+//! rotation looks along +z with +x right and +y down, as the canonical one does.
+//!
+//! Lenses are measured in parts of the image, not pixels, so that one camera serves every size:
+//!
+//! ```text
+//! orthographic:  u = (X / (2·e_x) + ½)·W − ½                 e = half extents of the view, in scene units
+//! pinhole:       u = (f_x·X/Z + c_x)·W − ½                   f and c in image widths (heights for v)
+//! ```
+//!
+//! with pixel centres at whole numbers. [`file`] describes the JSON form, [`path`] cameras that move.
+
+pub mod file;
+mod path;
+mod pose;
+
+pub use file::CameraError;
+pub use path::CameraPath;
+pub use pose::{Pose, Rotation};
+
+/// A view of the scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Camera {
+    /// The view of the source's own camera: orthographic, axis-aligned, cropped to the source's content.
+    #[default]
+    Canonical,
+    /// A camera anywhere in scene space.
+    Posed {
+        /// Where it is and how it is turned.
+        pose: Pose,
+        /// How it projects.
+        lens: Lens,
+    },
+}
+
+/// How a camera projects what lies in front of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Lens {
+    /// Parallel rays.
+    Orthographic {
+        /// Scene units from the centre of the view to its right and to its lower edge.
+        half_extent: [f64; 2],
+    },
+    /// Rays through one point.
+    Pinhole {
+        /// Focal lengths in image widths and image heights.
+        focal: [f64; 2],
+        /// The principal point in image widths and heights from the upper left corner.
+        centre: [f64; 2],
+    },
+}
+
+impl Camera {
+    /// A pinhole camera with its principal point in the middle and a vertical field of view of `degrees`, for images of
+    /// `aspect` = width / height. `None` when an argument is not positive and finite or the field is 180° or more.
+    pub fn pinhole(pose: Pose, degrees: f64, aspect: f64) -> Option<Self> {
+        let usable = degrees > 0.0 && degrees < 180.0 && aspect > 0.0 && aspect.is_finite();
+        usable.then(|| {
+            let vertical = 0.5 / half_angle_tangent(degrees);
+            Camera::Posed { pose, lens: Lens::Pinhole { focal: [vertical / aspect, vertical], centre: [0.5; 2] } }
+        })
+    }
+
+    /// The orthographic camera with half extents of 1: the canonical view without its crop, anywhere.
+    pub fn orthographic(pose: Pose) -> Self {
+        Camera::Posed { pose, lens: Lens::Orthographic { half_extent: [1.0; 2] } }
+    }
+
+    /// Whether every number of it is finite and its lens can see: positive extents or focal lengths.
+    pub fn is_usable(&self) -> bool {
+        match self {
+            Camera::Canonical => true,
+            Camera::Posed { pose, lens } => {
+                let positive = |v: &[f64; 2]| v.iter().all(|x| *x > 0.0 && x.is_finite());
+                pose.position.iter().all(|x| x.is_finite())
+                    && match lens {
+                        Lens::Orthographic { half_extent } => positive(half_extent),
+                        Lens::Pinhole { focal, centre } => positive(focal) && centre.iter().all(|c| c.is_finite()),
+                    }
+            }
+        }
+    }
+}
+
+/// `tan(degrees / 2)` for an angle in (0°, 180°), the same on every machine: Taylor series of sine and cosine on [0, π/2].
+fn half_angle_tangent(degrees: f64) -> f64 {
+    let x = degrees * (std::f64::consts::PI / 360.0);
+    let series = |first: f64, start: u32| {
+        let (mut term, mut sum, mut n) = (first, first, start);
+        while n < 30 {
+            term *= -x * x / f64::from((n + 1) * (n + 2));
+            sum += term;
+            n += 2;
+        }
+        sum
+    };
+    series(x, 1) / series(1.0, 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_field_of_view_is_what_the_lens_sees() {
+        for (degrees, tangent) in [(90.0, 1.0), (60.0, 1.0 / 3f64.sqrt()), (120.0, 3f64.sqrt()), (1e-3, 8.726646e-6)] {
+            let Some(Camera::Posed { lens: Lens::Pinhole { focal, centre }, .. }) =
+                Camera::pinhole(Pose::default(), degrees, 2.0)
+            else {
+                panic!("a pinhole camera");
+            };
+            assert!((focal[1] * tangent - 0.5).abs() < 1e-7, "{degrees}");
+            assert_eq!((focal[0] * 2.0, centre), (focal[1], [0.5; 2]));
+        }
+        assert!(Camera::pinhole(Pose::default(), 180.0, 1.0).is_none());
+        assert!(Camera::pinhole(Pose::default(), f64::NAN, 1.0).is_none());
+        assert!(Camera::pinhole(Pose::default(), 60.0, 0.0).is_none());
+    }
+
+    #[test]
+    fn cameras_that_see_nothing_are_not_usable() {
+        assert!(Camera::Canonical.is_usable());
+        assert!(Camera::orthographic(Pose::default()).is_usable());
+        let with = |lens| Camera::Posed { pose: Pose::default(), lens };
+        assert!(!with(Lens::Orthographic { half_extent: [1.0, 0.0] }).is_usable());
+        assert!(!with(Lens::Pinhole { focal: [1.0, f64::NAN], centre: [0.5; 2] }).is_usable());
+        assert!(!with(Lens::Pinhole { focal: [1.0; 2], centre: [f64::INFINITY, 0.5] }).is_usable());
+        let far = Pose { position: [f64::INFINITY, 0.0, 0.0], ..Pose::default() };
+        assert!(!Camera::orthographic(far).is_usable());
+    }
+}

@@ -1,0 +1,156 @@
+//! Fitting frames of any size into the model's input, and images back to the frame's own shape.
+//!
+//! *Letterbox* (default) keeps the shape: the frame is scaled by one factor until it touches two sides of the model's input
+//! and is placed in the middle. The border repeats the content's edge (a grey bar would be an edge that the network
+//! reconstructs, and whose Gaussians reach into the picture). Images are cropped back to the content. *Stretch* scales
+//! both axes to the model's input, whatever that does to the shape.
+//!
+//! Resizing is bilinear with half-pixel centres and no antialiasing (model input, StreamSplat (ICLR 2026)):
+//! `x = (i + ½)·s_x − ½`, clamped to the frame, with `s_x` the frame's width over the content's.
+
+use std::str::FromStr;
+
+use streamsplat_kernels::Level;
+
+mod bilinear;
+
+/// How a frame is brought to the model's input size.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Fit {
+    /// Keeps the frame's shape; repeats the content's edge into the border.
+    #[default]
+    Letterbox,
+    /// Scales both axes independently.
+    Stretch,
+}
+
+/// A name that is no fit's.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("unknown fit {0:?}: expected letterbox or stretch")]
+pub struct UnknownFit(pub String);
+
+impl FromStr for Fit {
+    type Err = UnknownFit;
+
+    fn from_str(name: &str) -> Result<Self, Self::Err> {
+        match name {
+            "letterbox" => Ok(Fit::Letterbox),
+            "stretch" => Ok(Fit::Stretch),
+            _ => Err(UnknownFit(name.to_owned())),
+        }
+    }
+}
+
+impl Fit {
+    /// The name by which [`Fit::from_str`] finds it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Fit::Letterbox => "letterbox",
+            Fit::Stretch => "stretch",
+        }
+    }
+}
+
+/// Where a frame lies inside the model's input. All sizes are `[height, width]`, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+pub struct Placement {
+    /// The frame's own size.
+    pub source: [usize; 2],
+    /// The model's input size.
+    pub model: [usize; 2],
+    /// First row and column of the content inside the model's input.
+    pub offset: [usize; 2],
+    /// Size of the content inside the model's input.
+    pub content: [usize; 2],
+}
+
+impl Placement {
+    /// The placement of a frame of size `source` in an input of size `model`.
+    ///
+    /// Under [`Fit::Letterbox`] the content's shorter side is rounded to the nearest pixel, at least one, and an odd border
+    /// has its extra pixel at the end. `None` when a side is zero or larger than 2³¹.
+    pub fn new(fit: Fit, source: [usize; 2], model: [usize; 2]) -> Option<Self> {
+        if source.iter().chain(&model).any(|&side| side == 0 || side > 1 << 31) {
+            return None;
+        }
+        let [h, w] = source.map(|side| side as u128);
+        let [model_h, model_w] = model.map(|side| side as u128);
+        let rounded = |numerator: u128, denominator: u128| ((2 * numerator + denominator) / (2 * denominator)).max(1);
+        let content = match fit {
+            Fit::Stretch => model,
+            Fit::Letterbox if w * model_h >= h * model_w => [rounded(h * model_w, w).min(model_h) as usize, model[1]],
+            Fit::Letterbox => [model[0], rounded(w * model_h, h).min(model_w) as usize],
+        };
+        let offset = [(model[0] - content[0]) / 2, (model[1] - content[1]) / 2];
+        Some(Self { source, model, offset, content })
+    }
+
+    /// Whether the content fills the model's input.
+    pub fn is_full(&self) -> bool {
+        self.content == self.model
+    }
+
+    /// Brings planes of the source's size to the model's: `[channels, h, w]` → `[channels, H, W]`.
+    ///
+    /// # Panics
+    /// When `planes` does not hold a whole number of planes of the source's size.
+    pub fn fit_in(&self, level: Level, planes: &[f32]) -> Vec<f32> {
+        let area = self.source[0] * self.source[1];
+        assert!(planes.len().is_multiple_of(area), "{} values are no whole planes of {:?}", planes.len(), self.source);
+        let channels = planes.len() / area;
+        let [rows, columns] = self.content;
+        let mut content = vec![0.0; channels * rows * columns];
+        bilinear::resize(level, planes, self.source, self.content, &mut content);
+        if self.is_full() {
+            return content;
+        }
+        let [height, width] = self.model;
+        let mut out = Vec::with_capacity(channels * height * width);
+        for plane in content.chunks_exact(rows * columns) {
+            for y in 0..height {
+                let row = y.saturating_sub(self.offset[0]).min(rows - 1);
+                let row = &plane[row * columns..(row + 1) * columns];
+                for x in 0..width {
+                    out.push(row[x.saturating_sub(self.offset[1]).min(columns - 1)]);
+                }
+            }
+        }
+        out
+    }
+
+    /// Cuts the content out of planes of the model's size: `[channels, H, W]` → `[channels, content]`.
+    ///
+    /// # Panics
+    /// When `planes` does not hold a whole number of planes of the model's size.
+    pub fn crop(&self, planes: &[f32]) -> Vec<f32> {
+        let [height, width] = self.model;
+        assert!(planes.len().is_multiple_of(height * width), "{} values are no whole planes", planes.len());
+        let mut out = Vec::with_capacity(planes.len());
+        for plane in planes.chunks_exact(height * width) {
+            for row in plane.chunks_exact(width).skip(self.offset[0]).take(self.content[0]) {
+                out.extend_from_slice(&row[self.offset[1]..self.offset[1] + self.content[1]]);
+            }
+        }
+        out
+    }
+}
+
+/// Normalises a map of inverse depth to [0, 1] by its own minimum and maximum, in place; gives the number of values that
+/// were not finite and became 0 (farthest). A constant map becomes 0.
+///
+/// `(d − min) / (max − min)`, evaluated in f64 so that no range overflows, then rounded.
+pub fn normalise_depth(depth: &mut [f32]) -> u64 {
+    let finite = || depth.iter().copied().filter(|d| d.is_finite()).map(f64::from);
+    let low = finite().fold(f64::INFINITY, f64::min);
+    let range = finite().fold(f64::NEG_INFINITY, f64::max) - low;
+    let mut dropped = 0;
+    for d in depth {
+        let keep = d.is_finite();
+        dropped += u64::from(!keep);
+        *d = if keep && range > 0.0 { ((f64::from(*d) - low) / range) as f32 } else { 0.0 };
+    }
+    dropped
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,92 @@
+//! What an image is to be.
+
+use crate::fit::Placement;
+
+/// What to draw besides colour, how large, and on what.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderOptions {
+    /// The image's size.
+    pub size: Size,
+    /// Colour behind everything.
+    pub background: [f32; 3],
+    /// Whether a depth image (Σ d α T) is wanted.
+    pub depth: bool,
+    /// Whether an alpha image (Σ α T) is wanted.
+    pub alpha: bool,
+    /// Whether the transmittance left and the number of splats per pixel are wanted.
+    pub statistics: bool,
+}
+
+impl Default for RenderOptions {
+    /// Colour at the model's own size, on grey.
+    fn default() -> Self {
+        Self { size: Size::Model, background: [0.5; 3], depth: false, alpha: false, statistics: false }
+    }
+}
+
+/// The size of an image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Size {
+    /// The content's size inside the model's input.
+    #[default]
+    Model,
+    /// The source's own size.
+    Source,
+    /// Any other.
+    Exact {
+        /// Pixels per row.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+}
+
+impl Size {
+    /// Height and width for a source of this placement.
+    pub fn resolve(self, placement: &Placement) -> [usize; 2] {
+        match self {
+            Size::Model => placement.content,
+            Size::Source => placement.source,
+            Size::Exact { width, height } => [height, width],
+        }
+    }
+}
+
+/// Why an image could not be drawn.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RenderError {
+    /// The interval does not hold the time.
+    #[error("time {time} s: expected one between {start} s and {end} s")]
+    Time {
+        /// The time asked for.
+        time: f64,
+        /// The interval's start.
+        start: f64,
+        /// The interval's end.
+        end: f64,
+    },
+    /// The image has no pixels, or sides longer than can be drawn.
+    #[error("image size: expected sides of 1 to {most} pixels, found {width}×{height}")]
+    Size {
+        /// The longest side that can be drawn.
+        most: usize,
+        /// Pixels per row.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+    /// The camera has numbers that are not finite, or a lens that sees nothing.
+    #[error("camera: expected finite numbers, positive extents and focal lengths")]
+    Camera,
+    /// The arrays of an interval differ in length.
+    #[error("interval: {array}: expected {expected} records, found {found}")]
+    Records {
+        /// The array.
+        array: &'static str,
+        /// Records in `mean`.
+        expected: usize,
+        /// Records in it.
+        found: usize,
+    },
+}

@@ -1,0 +1,184 @@
+//! Gaussians at one time, and as a camera sees them.
+
+use rayon::prelude::*;
+
+use super::RenderError;
+use crate::camera::{self, Camera, Pose};
+use crate::fit::Placement;
+use crate::stream::{DynamicGaussians, Interval};
+
+/// Gaussians per task.
+const CHUNK: usize = 4096;
+/// What is under it cannot be drawn.
+const VISIBLE: f32 = 1.0 / 255.0;
+
+/// The Gaussians of an interval that can be seen at one time, in scene space (x right, y down, z forward), unrotated.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Snapshot {
+    /// Their places in the interval, ascending.
+    pub index: Vec<u32>,
+    /// Centres.
+    pub mean: Vec<[f32; 3]>,
+    /// Standard deviations along x, y and z.
+    pub scale: Vec<[f32; 3]>,
+    /// Opacities at the time.
+    pub opacity: Vec<f32>,
+    /// Colours.
+    pub rgb: Vec<[f32; 3]>,
+    /// Gaussians left out because a number of theirs was not finite.
+    pub dropped: u64,
+}
+
+/// One Gaussian of a snapshot.
+struct Seen {
+    index: u32,
+    mean: [f32; 3],
+    scale: [f32; 3],
+    opacity: f32,
+    rgb: [f32; 3],
+}
+
+/// The scene-space place of a world position (x right, y normalised inverse depth, z up); `None` outside 0 ≤ y ≤ 1.
+pub fn to_scene([x, y, z]: [f32; 3]) -> Option<[f32; 3]> {
+    (0.0..=1.0).contains(&y).then(|| [x, -z, 1.0 / (9.8 * y + 0.2 + 1e-6)])
+}
+
+impl Snapshot {
+    /// What of `gaussians` can be seen at `t` in [0, 1] of their interval.
+    ///
+    /// Left out: opacities under 1/255 (they cannot be drawn), inverse depths outside [0, 1], and records with a number that is
+    /// not finite, which are counted.
+    pub fn new(gaussians: &DynamicGaussians, t: f32) -> Self {
+        let count = gaussians.len();
+        let parts: Vec<(Vec<Seen>, u64)> = (0..count.div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|chunk| {
+                let mut seen = Vec::with_capacity(CHUNK);
+                let mut dropped = 0;
+                for i in chunk * CHUNK..count.min((chunk + 1) * CHUNK) {
+                    let record = gaussians.get(i);
+                    if !record.is_sound() {
+                        dropped += 1;
+                        continue;
+                    }
+                    let Some(mean) = to_scene(record.position_at(t)) else { continue };
+                    let opacity = record.opacity_at(t);
+                    if opacity < VISIBLE {
+                        continue;
+                    }
+                    let [sx, sz] = record.scale;
+                    let scale = [sx, sz, (sx + sz) * 0.5];
+                    seen.push(Seen { index: i as u32, mean, scale, opacity, rgb: record.rgb });
+                }
+                (seen, dropped)
+            })
+            .collect();
+        let mut out = Self::default();
+        for (seen, dropped) in parts {
+            out.dropped += dropped;
+            for s in seen {
+                out.index.push(s.index);
+                out.mean.push(s.mean);
+                out.scale.push(s.scale);
+                out.opacity.push(s.opacity);
+                out.rgb.push(s.rgb);
+            }
+        }
+        out
+    }
+
+    /// What of an interval can be seen at `time` seconds.
+    ///
+    /// # Errors
+    /// Times outside the interval, and intervals whose arrays differ in length.
+    pub fn of(interval: &Interval, time: f64) -> Result<Self, RenderError> {
+        let (start, end) = (interval.start, interval.end);
+        let t = interval.relative(time).ok_or(RenderError::Time { time, start, end })?;
+        if let Some((array, found)) = interval.gaussians.uneven() {
+            return Err(RenderError::Records { array, expected: interval.gaussians.len(), found });
+        }
+        Ok(interval.workers.install(|| Self::new(&interval.gaussians, t)))
+    }
+}
+
+/// How view space meets the image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Lens {
+    /// Parallel rays; the axis meets the middle of the image.
+    Orthographic {
+        /// Pixels per unit.
+        focal: [f32; 2],
+    },
+    /// Rays through one point.
+    Pinhole {
+        /// Focal lengths in pixels.
+        focal: [f32; 2],
+        /// Where the axis meets the image, in pixels.
+        centre: [f32; 2],
+    },
+}
+
+/// What a camera makes of scene space, for one image size.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// Where the view's origin lies in scene space, and how it is turned.
+    pose: Pose,
+    /// The projection.
+    pub lens: Lens,
+}
+
+impl View {
+    /// The view of `camera` in an image of `[height, width]`.
+    pub fn new(camera: &Camera, placement: &Placement, [height, width]: [usize; 2]) -> Self {
+        let sides = [width as f64, height as f64];
+        match *camera {
+            Camera::Canonical => {
+                let [rows, columns] = placement.content.map(|s| s as f64);
+                let [model_h, model_w] = placement.model.map(|s| s as f64);
+                let [top, left] = placement.offset.map(|s| s as f64);
+                // The content's middle; exactly 0 where it fills the input.
+                let x = (2.0 * left + columns) / model_w - 1.0;
+                let y = (2.0 * top + rows) / model_h - 1.0;
+                let focal = [0.5 * sides[0] * model_w / columns, 0.5 * sides[1] * model_h / rows];
+                let pose = Pose { position: [x, y, 0.0], ..Pose::default() };
+                Self { pose, lens: Lens::Orthographic { focal: focal.map(|f| f as f32) } }
+            }
+            Camera::Posed { pose, lens } => {
+                let lens = match lens {
+                    camera::Lens::Orthographic { half_extent } => {
+                        Lens::Orthographic { focal: std::array::from_fn(|i| (0.5 * sides[i] / half_extent[i]) as f32) }
+                    }
+                    camera::Lens::Pinhole { focal, centre } => Lens::Pinhole {
+                        focal: std::array::from_fn(|i| (focal[i] * sides[i]) as f32),
+                        centre: std::array::from_fn(|i| (centre[i] * sides[i] - 0.5) as f32),
+                    },
+                };
+                Self { pose, lens }
+            }
+        }
+    }
+
+    /// Takes scene-space centres into view space, in place.
+    ///
+    /// `m' = Rᵀ(m − c)`, in binary64, sums from left to right, then rounded; untouched where the pose is the identity.
+    pub fn apply(&self, mean: &mut [[f32; 3]]) {
+        let c = self.pose.position;
+        if self.pose.rotation.is_identity() {
+            if c != [0.0; 3] {
+                mean.iter_mut().for_each(|m| *m = std::array::from_fn(|i| (f64::from(m[i]) - c[i]) as f32));
+            }
+            return;
+        }
+        let rows = self.pose.rotation.inverse().matrix();
+        mean.par_chunks_mut(CHUNK).flatten_iter().for_each(|m| {
+            let d: [f64; 3] = std::array::from_fn(|i| f64::from(m[i]) - c[i]);
+            *m = rows.map(|row| (row[0] * d[0] + row[1] * d[1] + row[2] * d[2]) as f32);
+        });
+    }
+
+    /// The rotation (w, x, y, z) that every Gaussian has in view space; `None` where it is the identity.
+    pub fn rotation(&self) -> Option<[f32; 4]> {
+        let rotation = self.pose.rotation;
+        (!rotation.is_identity()).then(|| rotation.inverse().quaternion().map(|c| c as f32))
+    }
+}

@@ -1,0 +1,208 @@
+//! The canonical set: what the stream remembers of the scene, and how a key frame changes it.
+//!
+//! At key frame k the set holds *survivors* (older Gaussians that no frame continues, as they are at t_k) and the *current*
+//! Gaussians (those of frame k). [`CanonicalSet::advance`] takes frame k+1 and the pair's two deformation fields and gives
+//! interval k+1:
+//!
+//! - **Update.** Current Gaussians move with their forward field. An older one that coincides with a current Gaussian has been
+//!   continued by it one key frame ago (below), so it moves with that one's field, under that one's record. What is left, the
+//!   survivors, keep their velocity in the scene's own time and fade: [`FADE`](super::fuse::FADE) as γ₀ at least, γ₁ = 0, opacity counted from what
+//!   it was at the key frame.
+//! - **Fuse.** Frame k+1's Gaussians join with their backward field. Identities pass on one to one; old Gaussians that coincide with
+//!   a new one but pass on nothing end as [merged](Merge) into it. What coincides with nothing is vanishing.
+//! - **Hand over.** Old Gaussians that are continued fade out over the last eighth of the interval, new ones fade in over the
+//!   first. So at a key frame the image holds the frame's own Gaussians and the vanishing ones, whichever interval it is seen from,
+//!   and crossing it changes no bit.
+//! - **Prune.** Vanishing ones are kept while their opacity is at least 1/255 and their age at most `max_age`. Those whose age
+//!   ends fade out like continued ones, so that dropping them changes no image either.
+//!
+//! Pairwise fusion keeps the current Gaussians alone and hands nothing over.
+
+use std::sync::Arc;
+
+use streamsplat_model::{Deformation, StaticGaussians};
+
+use super::fuse::fuse;
+use super::identities::Identities;
+use super::matching::Lattice;
+use super::{DynamicGaussians, Fusion, Merge, Record, Reference};
+
+/// What is under it cannot be drawn.
+pub(crate) const VISIBLE: f32 = 1.0 / 255.0;
+
+/// One Gaussian of the current frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Current {
+    /// Its place in the frame's arrays.
+    cell: u32,
+    identity: u64,
+    birth: u64,
+    offset: [f32; 3],
+}
+
+/// What the stream remembers of the scene at a key frame.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct CanonicalSet {
+    /// The key frame.
+    frame: u64,
+    /// Length of the interval the survivors' velocities belong to.
+    length: f64,
+    /// As they are at the key frame, oldest first.
+    survivors: Vec<Record>,
+    current: Vec<Current>,
+    /// The frame's arrays.
+    gaussians: Arc<StaticGaussians>,
+    identities: Identities,
+}
+
+/// The content of an interval.
+#[derive(Debug, Default)]
+pub(crate) struct Advance {
+    pub(crate) gaussians: DynamicGaussians,
+    pub(crate) merges: Vec<Merge>,
+    pub(crate) dropped: u64,
+}
+
+/// What the set is advanced by.
+pub(crate) struct Step<'a> {
+    /// The new key frame's Gaussians.
+    pub(crate) gaussians: &'a Arc<StaticGaussians>,
+    /// Motion of the frame before.
+    pub(crate) forward: &'a Deformation,
+    /// Motion of the new frame.
+    pub(crate) backward: &'a Deformation,
+    /// Seconds between the two.
+    pub(crate) length: f64,
+    /// Height and width of the image the Gaussians lie on.
+    pub(crate) image: [usize; 2],
+    pub(crate) fusion: Fusion,
+    pub(crate) max_age: u32,
+}
+
+impl CanonicalSet {
+    /// The set after the first frame, and its static scene.
+    pub(crate) fn first(gaussians: &Arc<StaticGaussians>) -> (Self, Advance) {
+        let mut set = Self { gaussians: gaussians.clone(), ..Self::default() };
+        let mut out = Advance::default();
+        for cell in 0..gaussians.position.len() {
+            let mut record = still(gaussians, cell, 0);
+            if !record.is_sound() {
+                out.dropped += 1;
+            } else if record.opacity >= VISIBLE {
+                record.identity = set.identities.fresh();
+                set.current.push(Current { cell: cell as u32, identity: record.identity, birth: 0, offset: [0.0; 3] });
+                out.gaussians.push(record);
+            }
+        }
+        (set, out)
+    }
+
+    /// Survivors kept.
+    #[cfg(test)]
+    pub(crate) fn survivors(&self) -> usize {
+        self.survivors.len()
+    }
+
+    /// The set after the next key frame, and the interval up to it. `self` is left as it was.
+    pub(crate) fn advance(&self, step: &Step<'_>) -> (Self, Advance) {
+        let frame = self.frame + 1;
+        let mut out = Advance::default();
+        let mut old = self.updated(step, &mut out.dropped);
+        let mut new = arriving(step, frame, &mut out.dropped);
+        let mut identities = self.identities.clone();
+        let survivors = match step.fusion {
+            Fusion::Pairwise => {
+                new.iter_mut().for_each(|n| n.record.identity = identities.fresh());
+                Vec::new()
+            }
+            Fusion::Persistent => {
+                let lattice = Lattice::new(step.gaussians.position.len(), step.image);
+                let fused = fuse(lattice, step.max_age, frame, &mut old, &mut new, &mut identities);
+                out.merges = fused.merges;
+                fused.survivors
+            }
+        };
+        let current = |a: &Arrival| Current {
+            cell: a.cell,
+            identity: a.record.identity,
+            birth: a.record.birth,
+            offset: a.record.offset,
+        };
+        let current = new.iter().map(current).collect();
+        let shown = new.iter().filter(|a| a.shown).map(|a| a.record);
+        out.gaussians = DynamicGaussians::with_capacity(old.len() + new.len());
+        old.into_iter().chain(shown).for_each(|record| out.gaussians.push(record));
+        let set =
+            Self { frame, length: step.length, survivors, current, gaussians: step.gaussians.clone(), identities };
+        (set, out)
+    }
+
+    /// The old Gaussians over the new interval: survivors, then the frame at its start.
+    fn updated(&self, step: &Step<'_>, dropped: &mut u64) -> Vec<Record> {
+        let mut old = Vec::with_capacity(self.survivors.len() + self.current.len());
+        // The same velocity in the scene's own time.
+        let longer = step.length / self.length;
+        for survivor in &self.survivors {
+            let velocity = survivor.velocity.map(|v| (f64::from(v) * longer) as f32);
+            old.push(Record { velocity, ..*survivor });
+        }
+        for current in &self.current {
+            let cell = current.cell as usize;
+            old.push(Record {
+                velocity: step.forward.velocity[cell],
+                gamma: step.forward.gamma[cell],
+                identity: current.identity,
+                birth: current.birth,
+                offset: current.offset,
+                ..still(&self.gaussians, cell, self.frame)
+            });
+        }
+        let before = old.len();
+        old.retain(Record::is_sound);
+        *dropped += (before - old.len()) as u64;
+        old
+    }
+}
+
+/// A Gaussian of the new frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Arrival {
+    cell: u32,
+    pub(super) record: Record,
+    /// Whether its motion in this interval is sound; otherwise it waits for the next one.
+    shown: bool,
+}
+
+/// The new frame's Gaussians with their backward field, without identities.
+fn arriving(step: &Step<'_>, frame: u64, dropped: &mut u64) -> Vec<Arrival> {
+    let mut new = Vec::with_capacity(step.gaussians.position.len());
+    for cell in 0..step.gaussians.position.len() {
+        let record = still(step.gaussians, cell, frame);
+        if !record.is_sound() {
+            *dropped += 1;
+            continue;
+        }
+        if record.opacity < VISIBLE {
+            continue;
+        }
+        let (velocity, gamma) = (step.backward.velocity[cell], step.backward.gamma[cell]);
+        let moving = Record { velocity, gamma, reference: Reference::End, ..record };
+        let shown = moving.is_sound();
+        *dropped += u64::from(!shown);
+        new.push(Arrival { cell: cell as u32, record: if shown { moving } else { record }, shown });
+    }
+    new
+}
+
+/// Gaussian `cell` of key frame `frame` without motion or identity.
+fn still(gaussians: &StaticGaussians, cell: usize, frame: u64) -> Record {
+    Record {
+        mean: gaussians.position[cell],
+        opacity: gaussians.opacity[cell],
+        scale: gaussians.scale[cell],
+        rgb: gaussians.rgb[cell],
+        birth: frame,
+        frame,
+        ..Record::default()
+    }
+}

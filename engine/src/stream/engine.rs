@@ -1,0 +1,289 @@
+//! The online loop.
+
+use std::sync::Arc;
+
+use streamsplat_kernels::Level;
+use streamsplat_model::{Deformation, Embedding, FrameInput, Sampling, Side, StaticFrame, StaticGaussians};
+
+use super::canonical::{Advance, CanonicalSet, Step};
+use super::work::Stage;
+use super::{DepthRange, EngineError, Frame, Interval, Reconstructor, Reuse, SamplingMode, Settings, Work, Workers};
+use crate::fit::{self, Placement};
+
+/// Turns key frames into a dynamic scene, one interval per key frame.
+///
+/// What it keeps between key frames is bounded and independent of the stream's length: the last frame's input, embedding,
+/// tokens, condition and Gaussians, the last pair's motion, and the survivors of at most `max_age` frames.
+pub struct Engine {
+    settings: Settings,
+    model: Arc<dyn Reconstructor>,
+    workers: Workers,
+    work: Work,
+    state: Option<State>,
+}
+
+/// What a frame's network input and output are.
+struct View {
+    rgb: Vec<f32>,
+    depth: Option<Vec<f32>>,
+    features: Arc<Features>,
+    gaussians: Arc<StaticGaussians>,
+}
+
+/// What the dynamic decoder reads of a frame. Equal inputs share one.
+struct Features {
+    embedding: Embedding,
+    tokens: Vec<f32>,
+    condition: Option<Vec<f32>>,
+}
+
+/// The motion of a pair of frames, and which pair that was.
+struct Pair {
+    frames: [Arc<Features>; 2],
+    motion: Arc<[Deformation; 2]>,
+}
+
+/// What is kept between key frames.
+struct State {
+    frame: u64,
+    timestamp: f64,
+    placement: Placement,
+    view: View,
+    pair: Option<Pair>,
+    set: CanonicalSet,
+}
+
+impl Engine {
+    /// An engine that has seen nothing yet.
+    ///
+    /// # Errors
+    /// When the model cannot be loaded or the threads cannot be started.
+    pub fn new(settings: Settings) -> Result<Self, EngineError> {
+        let workers = Workers::new(settings.level.unwrap_or_else(Level::detect), settings.threads)?;
+        let model = settings.model.load()?;
+        Ok(Self { settings, model, workers, work: Work::default(), state: None })
+    }
+
+    /// What it was made with.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// What reconstructs its frames; other engines may share it.
+    pub fn model(&self) -> &Arc<dyn Reconstructor> {
+        &self.model
+    }
+
+    /// Its threads and instruction-set level.
+    pub fn workers(&self) -> &Workers {
+        &self.workers
+    }
+
+    /// Work done and work avoided since it was made.
+    pub fn work(&self) -> &Work {
+        &self.work
+    }
+
+    /// Takes the next key frame, `timestamp` seconds into the video, and gives the interval it ends. The first frame gives its static
+    /// scene, an interval of no length.
+    ///
+    /// # Errors
+    /// Frames without pixels, of another size than the first one, with buffers of the wrong length or pixels that are not
+    /// finite; time stamps that are not after the one before; what the model refuses. The stream is then as it was before.
+    pub fn push(&mut self, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
+        let index = self.state.as_ref().map_or(0, |s| s.frame + 1);
+        let placement = self.check(&frame, index, timestamp)?;
+        let (view, lost) = self.reconstruct(frame, index, placement)?;
+        let Self { settings, model, workers, work, state: before } = self;
+        let mut next_pair = None;
+        let (set, advance) = match before {
+            None => CanonicalSet::first(&view.gaussians),
+            Some(state) => {
+                let pair = deform(model.as_ref(), workers, work, state, &view, index)?;
+                let motion = &next_pair.insert(pair).motion;
+                let step = Step {
+                    gaussians: &view.gaussians,
+                    forward: &motion[0],
+                    backward: &motion[1],
+                    length: length(state.timestamp, timestamp),
+                    image: placement.model,
+                    fusion: settings.fusion,
+                    max_age: settings.max_age.0,
+                };
+                work.measure(Stage::Fusion, || state.set.advance(&step))
+            }
+        };
+        let start = before.as_ref().map_or(timestamp, |s| s.timestamp);
+        self.state = Some(State { frame: index, timestamp, placement, view, pair: next_pair, set });
+        let Advance { gaussians, merges, dropped } = advance;
+        let dropped = dropped + lost;
+        let workers = self.workers.clone();
+        Ok(Interval { index, start, end: timestamp, gaussians, placement, merges, dropped, workers })
+    }
+
+    /// The frame's placement, when frame and time stamp can be taken.
+    fn check(&self, frame: &Frame, index: u64, timestamp: f64) -> Result<Placement, EngineError> {
+        let after = self.state.as_ref().map(|s| s.timestamp);
+        if !(timestamp.is_finite() && after.is_none_or(|after| after < timestamp)) {
+            return Err(EngineError::Time { index, after, found: timestamp });
+        }
+        let size = [frame.height, frame.width];
+        let placement = match &self.state {
+            Some(state) if state.placement.source != size => {
+                return Err(EngineError::Size { index, expected: state.placement.source, found: size });
+            }
+            Some(state) => Some(state.placement),
+            None => Placement::new(self.settings.fit, size, self.model.resolution()),
+        };
+        let pixels = frame.width.checked_mul(frame.height).filter(|n| *n <= usize::MAX / 16);
+        let (Some(placement), Some(pixels)) = (placement, pixels) else {
+            return Err(EngineError::Empty { index, width: frame.width, height: frame.height });
+        };
+        let length = |what, expected, found| match expected == found {
+            true => Ok(()),
+            false => Err(EngineError::Length { index, what, expected, found }),
+        };
+        length("rgb", 3 * pixels, frame.rgb.len())?;
+        if let Some(depth) = &frame.depth {
+            length("depth", pixels, depth.len())?;
+        }
+        match frame.rgb.iter().position(|x| !x.is_finite()) {
+            Some(position) => Err(EngineError::NonFinite { index, position, value: frame.rgb[position] }),
+            None => Ok(placement),
+        }
+    }
+
+    /// The frame through its own part of the network, and the number of depth values that were not finite.
+    fn reconstruct(&mut self, frame: Frame, index: u64, placement: Placement) -> Result<(View, u64), EngineError> {
+        let Frame { mut rgb, mut depth, .. } = frame;
+        let level = self.workers.level();
+        let mut lost = 0;
+        let (rgb, depth) = self.work.measure(Stage::Fit, || {
+            self.workers.install(|| {
+                rgb.iter_mut().for_each(|x| *x = x.clamp(0.0, 1.0));
+                if let Some(depth) = &mut depth {
+                    lost = self.settings.depth_range.apply(depth);
+                }
+                (placement.fit_in(level, &rgb), depth.map(|d| placement.fit_in(level, &d)))
+            })
+        });
+        let input = FrameInput { rgb: &rgb, depth: depth.as_deref() };
+        let sampling = match self.settings.sampling {
+            SamplingMode::Mean => Sampling::Mean,
+            SamplingMode::Sample => Sampling::Sample { seed: self.settings.seed, frame: index },
+        };
+        let (model, workers, work) = (&self.model, &self.workers, &mut self.work);
+
+        let repeated = match &self.state {
+            Some(state) if self.settings.reuse == Reuse::Exact => {
+                same_bits(&state.view.rgb, &rgb) && same_depth(state.view.depth.as_deref(), depth.as_deref())
+            }
+            _ => false,
+        };
+        if let (true, Some(state)) = (repeated, &self.state) {
+            work.count(Stage::Encoder, 0, 1);
+            work.count(Stage::Condition, 0, u64::from(state.view.features.condition.is_some()));
+            let features = state.view.features.clone();
+            let gaussians = if sampling == Sampling::Mean || !model.draws_positions() {
+                work.count(Stage::Static, 0, 1);
+                state.view.gaussians.clone()
+            } else {
+                let embedding = &features.embedding;
+                let sampled =
+                    work.measure(Stage::Static, || workers.install(|| model.static_gaussians(embedding, &sampling)))?;
+                Arc::new(checked(sampled, index)?.gaussians)
+            };
+            return Ok((View { rgb, depth, features, gaussians }, lost));
+        }
+
+        let embedding = work.measure(Stage::Encoder, || workers.install(|| model.embed(&input)))?;
+        let reconstructed =
+            work.measure(Stage::Static, || workers.install(|| model.static_gaussians(&embedding, &sampling)))?;
+        let StaticFrame { tokens, gaussians } = checked(reconstructed, index)?;
+        let condition = match model.reads_condition() {
+            true => work.measure(Stage::Condition, || workers.install(|| model.condition(&input)))?,
+            false => None,
+        };
+        let features = Arc::new(Features { embedding, tokens, condition });
+        Ok((View { rgb, depth, features, gaussians: Arc::new(gaussians) }, lost))
+    }
+}
+
+/// The motion between the frame before and this one.
+fn deform(
+    model: &dyn Reconstructor,
+    workers: &Workers,
+    work: &mut Work,
+    state: &State,
+    view: &View,
+    index: u64,
+) -> Result<Pair, EngineError> {
+    let frames = [state.view.features.clone(), view.features.clone()];
+    if let Some(last) = &state.pair
+        && frames.iter().zip(&last.frames).all(|(now, then)| Arc::ptr_eq(now, then))
+    {
+        work.count(Stage::Deformation, 0, 1);
+        return Ok(Pair { frames, motion: last.motion.clone() });
+    }
+    let sides = [&frames[0], &frames[1]].map(|f| Side {
+        h: &f.embedding.h,
+        static_tokens: &f.tokens,
+        condition: f.condition.as_deref(),
+    });
+    let motion = work.measure(Stage::Deformation, || workers.install(|| model.deform(sides[0], sides[1])))?;
+    for (field, gaussians) in motion.iter().zip([&state.view.gaussians, &view.gaussians]) {
+        let expected = gaussians.position.len();
+        for (what, found) in [("velocity", field.velocity.len()), ("gamma", field.gamma.len())] {
+            if found != expected {
+                return Err(EngineError::Records { index, what, expected, found });
+            }
+        }
+    }
+    Ok(Pair { frames, motion: Arc::new(motion) })
+}
+
+impl DepthRange {
+    /// Brings a depth map into [0, 1]; gives the number of values that were not finite.
+    fn apply(self, depth: &mut [f32]) -> u64 {
+        match self {
+            DepthRange::Frame => fit::normalise_depth(depth),
+            DepthRange::Given => {
+                let mut lost = 0;
+                for d in depth {
+                    lost += u64::from(!d.is_finite());
+                    *d = if d.is_finite() { d.clamp(0.0, 1.0) } else { 0.0 };
+                }
+                lost
+            }
+        }
+    }
+}
+
+/// Seconds from one time stamp to a later one: positive and finite.
+fn length(start: f64, end: f64) -> f64 {
+    (end - start).clamp(f64::MIN_POSITIVE, f64::MAX)
+}
+
+/// The frame, when it has one record per Gaussian in every array.
+fn checked(frame: StaticFrame, index: u64) -> Result<StaticFrame, EngineError> {
+    let g = &frame.gaussians;
+    let expected = g.position.len();
+    for (what, found) in [("scale", g.scale.len()), ("opacity", g.opacity.len()), ("rgb", g.rgb.len())] {
+        if found != expected {
+            return Err(EngineError::Records { index, what, expected, found });
+        }
+    }
+    Ok(frame)
+}
+
+fn same_bits(a: &[f32], b: &[f32]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
+}
+
+fn same_depth(a: Option<&[f32]>, b: Option<&[f32]>) -> bool {
+    match (a, b) {
+        (None, None) => true,
+        (Some(a), Some(b)) => same_bits(a, b),
+        _ => false,
+    }
+}

@@ -1,0 +1,98 @@
+//! What is pushed into the stream, and what can be wrong with it.
+
+use streamsplat_model::ModelError;
+
+/// A key frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Frame {
+    /// Pixels per row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `[3, height, width]`, display-space RGB in [0, 1] (values outside are clamped).
+    pub rgb: Vec<f32>,
+    /// `[height, width]` inverse depth (larger is nearer, any scale), where there is any. Values that are not finite count as
+    /// infinitely far.
+    pub depth: Option<Vec<f32>>,
+}
+
+/// Why an engine could not be made, or a frame not be taken. The stream goes on as if the frame had not been pushed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EngineError {
+    /// The model could not be loaded or run.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The thread pool could not be started.
+    #[error("cannot start {threads} threads: {reason}")]
+    Threads {
+        /// Threads asked for; 0 is one per processor.
+        threads: usize,
+        /// Why.
+        reason: String,
+    },
+    /// A frame has no pixels, or more than can be addressed.
+    #[error("frame {index}: expected at least 1×1 pixels, found {width}×{height}")]
+    Empty {
+        /// The key frame's index.
+        index: u64,
+        /// Its width.
+        width: usize,
+        /// Its height.
+        height: usize,
+    },
+    /// A buffer has another length than the frame's size says.
+    #[error("frame {index}: {what}: expected {expected} values, found {found}")]
+    Length {
+        /// The key frame's index.
+        index: u64,
+        /// `rgb` or `depth`.
+        what: &'static str,
+        /// Values the size asks for.
+        expected: usize,
+        /// Values there are.
+        found: usize,
+    },
+    /// A frame has another size than the first one.
+    #[error("frame {index}: expected {}×{} pixels as in the first frame, found {}×{}", expected[1], expected[0], found[1], found[0])]
+    Size {
+        /// The key frame's index.
+        index: u64,
+        /// Height and width of the first frame.
+        expected: [usize; 2],
+        /// Height and width of this one.
+        found: [usize; 2],
+    },
+    /// A pixel is NaN or infinite.
+    #[error("frame {index}: expected finite pixels, found {value} at flat index {position} of rgb")]
+    NonFinite {
+        /// The key frame's index.
+        index: u64,
+        /// The first bad value's place.
+        position: usize,
+        /// The value.
+        value: f32,
+    },
+    /// A time stamp is not a number, or not after the one before.
+    #[error("frame {index}: expected a time after {after:?} s, found {found} s")]
+    Time {
+        /// The key frame's index.
+        index: u64,
+        /// The time stamp of the key frame before, if any.
+        after: Option<f64>,
+        /// This one.
+        found: f64,
+    },
+    /// What reconstructs frames gave arrays of other lengths than one Gaussian each.
+    #[error("frame {index}: {what}: expected {expected} records, found {found}")]
+    Records {
+        /// The key frame's index.
+        index: u64,
+        /// The array.
+        what: &'static str,
+        /// Gaussians of the frame.
+        expected: usize,
+        /// Records there are.
+        found: usize,
+    },
+}

@@ -1,0 +1,303 @@
+//! The dynamic Gaussians of one interval, one array per property.
+
+use streamsplat_model::motion;
+
+/// Part of an interval in which a Gaussian that fades in or out at a key frame does so.
+pub const HANDOVER: f32 = 0.125;
+
+/// Whether a Gaussian gives way to, or takes over from, another at an end of its interval.
+///
+/// The factor on the opacity, with t in [0, 1] over the interval: `min(1, t/⅛)` for one that arrives, `min(1, (1−t)/⅛)` for
+/// one that leaves. It is 0 at the key frame, so that the image there does not change when the Gaussian comes or goes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum Handover {
+    /// Neither.
+    #[default]
+    None = 0,
+    /// Fades in after the start.
+    Arrives = 1,
+    /// Fades out before the end.
+    Leaves = 2,
+}
+
+impl Handover {
+    /// The handover stored as `code`.
+    pub const fn from_code(code: u8) -> Option<Self> {
+        match code {
+            0 => Some(Handover::None),
+            1 => Some(Handover::Arrives),
+            2 => Some(Handover::Leaves),
+            _ => None,
+        }
+    }
+
+    /// The factor on the opacity at `t` in [0, 1].
+    pub fn factor(self, t: f32) -> f32 {
+        match self {
+            Handover::None => 1.0,
+            Handover::Arrives => (t / HANDOVER).min(1.0),
+            Handover::Leaves => ((1.0 - t) / HANDOVER).min(1.0),
+        }
+    }
+}
+
+/// Which end of the interval a record's own position and opacity belong to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum Reference {
+    /// t₀ = 0: the record is seen forward in time.
+    #[default]
+    Start = 0,
+    /// t₀ = 1: the record is seen backward in time.
+    End = 1,
+}
+
+impl Reference {
+    /// The reference stored as `code`.
+    pub const fn from_code(code: u8) -> Option<Self> {
+        match code {
+            0 => Some(Reference::Start),
+            1 => Some(Reference::End),
+            _ => None,
+        }
+    }
+
+    /// τ = t − t₀.
+    pub fn tau(self, t: f32) -> f32 {
+        match self {
+            Reference::Start => t,
+            Reference::End => t - 1.0,
+        }
+    }
+}
+
+/// The record of one Gaussian over one interval.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Record {
+    /// Position at the reference time, world axes (x right, y normalised inverse depth, z up).
+    pub mean: [f32; 3],
+    /// World units per interval.
+    pub velocity: [f32; 3],
+    /// (γ₀, γ₁) of [`motion::opacity_factor`].
+    pub gamma: [f32; 2],
+    /// Opacity at the reference time.
+    pub opacity: f32,
+    /// Standard deviations (s_x, s_z); along y it is their mean.
+    pub scale: [f32; 2],
+    /// Display-space colour.
+    pub rgb: [f32; 3],
+    /// What it is a view of: 64-bit, never reused.
+    pub identity: u64,
+    /// The key frame in which the identity was first seen.
+    pub birth: u64,
+    /// The key frame that reconstructed this record.
+    pub frame: u64,
+    /// From `mean` to the tracked point of the identity.
+    pub offset: [f32; 3],
+    /// Which end of the interval `mean` and `opacity` belong to.
+    pub reference: Reference,
+    /// Whether it fades at an end of the interval.
+    pub handover: Handover,
+}
+
+impl Record {
+    /// Position at `t` in [0, 1].
+    pub fn position_at(&self, t: f32) -> [f32; 3] {
+        let tau = self.reference.tau(t);
+        std::array::from_fn(|axis| self.mean[axis] + self.velocity[axis] * tau)
+    }
+
+    /// Opacity at `t` in [0, 1].
+    pub fn opacity_at(&self, t: f32) -> f32 {
+        self.opacity * motion::opacity_factor(self.gamma, self.reference.tau(t)) * self.handover.factor(t)
+    }
+
+    /// Whether every number is finite, as [`motion::opacity_factor`] needs, and no scale or opacity is negative.
+    pub fn is_sound(&self) -> bool {
+        let finite = |v: &[f32]| v.iter().all(|x| x.is_finite());
+        let not_negative = |v: &[f32]| v.iter().all(|x| *x >= 0.0 && x.is_finite());
+        finite(&self.mean)
+            && finite(&self.velocity)
+            && finite(&self.rgb)
+            && finite(&self.offset)
+            && not_negative(&self.gamma)
+            && not_negative(&self.scale)
+            && not_negative(&[self.opacity])
+    }
+}
+
+/// The Gaussians of an interval, in drawing order (among equals in depth): survivors, the frame at its start, the frame at
+/// its end.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DynamicGaussians {
+    /// See [`Record::mean`].
+    pub mean: Vec<[f32; 3]>,
+    /// See [`Record::velocity`].
+    pub velocity: Vec<[f32; 3]>,
+    /// See [`Record::gamma`].
+    pub gamma: Vec<[f32; 2]>,
+    /// See [`Record::opacity`].
+    pub opacity: Vec<f32>,
+    /// See [`Record::scale`].
+    pub scale: Vec<[f32; 2]>,
+    /// See [`Record::rgb`].
+    pub rgb: Vec<[f32; 3]>,
+    /// See [`Record::identity`].
+    pub identity: Vec<u64>,
+    /// See [`Record::birth`].
+    pub birth: Vec<u64>,
+    /// See [`Record::frame`].
+    pub frame: Vec<u64>,
+    /// See [`Record::offset`].
+    pub offset: Vec<[f32; 3]>,
+    /// See [`Record::reference`].
+    pub reference: Vec<Reference>,
+    /// See [`Record::handover`].
+    pub handover: Vec<Handover>,
+}
+
+impl DynamicGaussians {
+    /// Room for `count` records.
+    pub fn with_capacity(count: usize) -> Self {
+        Self {
+            mean: Vec::with_capacity(count),
+            velocity: Vec::with_capacity(count),
+            gamma: Vec::with_capacity(count),
+            opacity: Vec::with_capacity(count),
+            scale: Vec::with_capacity(count),
+            rgb: Vec::with_capacity(count),
+            identity: Vec::with_capacity(count),
+            birth: Vec::with_capacity(count),
+            frame: Vec::with_capacity(count),
+            offset: Vec::with_capacity(count),
+            reference: Vec::with_capacity(count),
+            handover: Vec::with_capacity(count),
+        }
+    }
+
+    /// Number of records.
+    pub fn len(&self) -> usize {
+        self.mean.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.mean.is_empty()
+    }
+
+    /// Appends a record.
+    pub fn push(&mut self, r: Record) {
+        self.mean.push(r.mean);
+        self.velocity.push(r.velocity);
+        self.gamma.push(r.gamma);
+        self.opacity.push(r.opacity);
+        self.scale.push(r.scale);
+        self.rgb.push(r.rgb);
+        self.identity.push(r.identity);
+        self.birth.push(r.birth);
+        self.frame.push(r.frame);
+        self.offset.push(r.offset);
+        self.reference.push(r.reference);
+        self.handover.push(r.handover);
+    }
+
+    /// Record `i`. Panics when there are fewer, or when an array is shorter than `mean`.
+    pub fn get(&self, i: usize) -> Record {
+        Record {
+            mean: self.mean[i],
+            velocity: self.velocity[i],
+            gamma: self.gamma[i],
+            opacity: self.opacity[i],
+            scale: self.scale[i],
+            rgb: self.rgb[i],
+            identity: self.identity[i],
+            birth: self.birth[i],
+            frame: self.frame[i],
+            offset: self.offset[i],
+            reference: self.reference[i],
+            handover: self.handover[i],
+        }
+    }
+
+    /// The records in order.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = Record> + '_ {
+        (0..self.len()).map(|i| self.get(i))
+    }
+
+    /// The name and length of an array that is not as long as `mean`, if there is one.
+    pub fn uneven(&self) -> Option<(&'static str, usize)> {
+        let lengths = [
+            ("velocity", self.velocity.len()),
+            ("gamma", self.gamma.len()),
+            ("opacity", self.opacity.len()),
+            ("scale", self.scale.len()),
+            ("rgb", self.rgb.len()),
+            ("identity", self.identity.len()),
+            ("birth", self.birth.len()),
+            ("frame", self.frame.len()),
+            ("offset", self.offset.len()),
+            ("reference", self.reference.len()),
+            ("handover", self.handover.len()),
+        ];
+        lengths.into_iter().find(|(_, len)| *len != self.len())
+    }
+}
+
+impl FromIterator<Record> for DynamicGaussians {
+    fn from_iter<I: IntoIterator<Item = Record>>(records: I) -> Self {
+        let records = records.into_iter();
+        let mut out = Self::with_capacity(records.size_hint().0);
+        records.for_each(|r| out.push(r));
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_handover_is_nothing_at_its_key_frame_and_everything_away_from_it() {
+        assert_eq!(Handover::Arrives.factor(0.0), 0.0);
+        assert_eq!(Handover::Arrives.factor(0.0625), 0.5);
+        assert_eq!(Handover::Leaves.factor(1.0), 0.0);
+        for t in [0.125, 0.2, 0.5, 0.8, 0.875] {
+            for handover in [Handover::None, Handover::Arrives, Handover::Leaves] {
+                assert_eq!(handover.factor(t), 1.0);
+            }
+        }
+    }
+
+    #[test]
+    fn codes_go_both_ways() {
+        for code in 0..=255u8 {
+            assert!(Handover::from_code(code).is_none_or(|h| h as u8 == code));
+            assert!(Reference::from_code(code).is_none_or(|r| r as u8 == code));
+        }
+        assert_eq!(Handover::from_code(2), Some(Handover::Leaves));
+        assert_eq!(Reference::from_code(1), Some(Reference::End));
+    }
+
+    #[test]
+    fn records_come_back_as_they_went_in() {
+        let record = Record { mean: [1.0, 2.0, 3.0], identity: 7, handover: Handover::Leaves, ..Record::default() };
+        let all: DynamicGaussians = [Record::default(), record].into_iter().collect();
+        assert_eq!(all.get(1), record);
+        assert_eq!(all.uneven(), None);
+        let mut short = all;
+        short.rgb.pop();
+        assert_eq!(short.uneven(), Some(("rgb", 1)));
+    }
+
+    #[test]
+    fn a_record_with_a_bad_number_is_not_sound() {
+        assert!(Record::default().is_sound());
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            assert!(!Record { mean: [0.0, bad, 0.0], ..Record::default() }.is_sound());
+            assert!(!Record { gamma: [0.0, bad], ..Record::default() }.is_sound());
+            assert!(!Record { opacity: bad, ..Record::default() }.is_sound());
+        }
+        assert!(!Record { scale: [-1.0, 1.0], ..Record::default() }.is_sound());
+    }
+}

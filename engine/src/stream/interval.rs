@@ -1,0 +1,49 @@
+//! What a key frame gives: the Gaussians between the key frame before and this one.
+
+use super::{DynamicGaussians, Workers};
+use crate::fit::Placement;
+
+/// An identity that ended at an interval's end because another Gaussian shows the same place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Merge {
+    /// The identity that ended.
+    pub identity: u64,
+    /// The identity that goes on in its place.
+    pub into: u64,
+}
+
+/// The scene from one key frame to the next: valid for good, independent of the engine that made it.
+#[derive(Clone, Debug)]
+pub struct Interval {
+    /// The key frame at its end.
+    pub index: u64,
+    /// Time of the key frame at its start, in seconds.
+    pub start: f64,
+    /// Time of the key frame at its end, in seconds; equal to `start` for the first frame's static scene.
+    pub end: f64,
+    /// What can be seen.
+    pub gaussians: DynamicGaussians,
+    /// Where the source's frame lies in the model's input.
+    pub placement: Placement,
+    /// Identities that ended in others.
+    pub merges: Vec<Merge>,
+    /// Gaussians left out because a number of theirs was not finite.
+    pub dropped: u64,
+    /// What draws it.
+    pub workers: Workers,
+}
+
+impl Interval {
+    /// Where `time` lies in the interval: 0 at its start, 1 at its end; 0 throughout one of no length. `None` outside.
+    pub fn relative(&self, time: f64) -> Option<f32> {
+        if !(self.start <= time && time <= self.end) {
+            return None;
+        }
+        if self.end == self.start {
+            return Some(0.0);
+        }
+        // Halves, so that no span of finite times overflows.
+        let t = (0.5 * time - 0.5 * self.start) / (0.5 * self.end - 0.5 * self.start);
+        Some(t as f32)
+    }
+}

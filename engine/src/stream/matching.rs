@@ -1,0 +1,259 @@
+//! Which Gaussian of a new frame continues which old one.
+//!
+//! An old Gaussian *coincides* with a new one whose position lies in its footprint: with d from the old tracked point to the
+//! new position, `q = (d_x/r_x)² + (d_y/r_y)² + (d_z/r_z)² ≤ 1`. The radii r are two standard deviations, but at least one
+//! and at most two grid cells across the image, and 0.05 to 0.2 in normalised inverse depth (which every frame normalises
+//! anew, so that it shifts by some per cent).
+//!
+//! - The *host* of an old Gaussian is the coinciding new one of smallest q (ties: lower index).
+//! - Identities go one to one: all coinciding pairs in ascending q (ties: lower new, then lower old index), each taken when
+//!   neither side is taken yet. The frame before goes first; older survivors share what is left.
+//!
+//! New Gaussians are binned over the image with one cell each on average, and a query visits at most six by six bins, so the
+//! whole is near-linear. To keep it so when positions pile up, a query reads at most [`PER_BIN`] records of a bin (the lowest
+//! indices) and keeps at most [`CANDIDATES`] pairs (the smallest q).
+
+/// Records of a bin that a query reads.
+const PER_BIN: usize = 64;
+/// Pairs that one old Gaussian takes part in.
+const CANDIDATES: usize = 8;
+/// Smallest and largest radius along the normalised inverse depth.
+const DEPTH_RADIUS: [f32; 2] = [0.05, 0.2];
+
+/// The lattice on which a frame's Gaussians lie, one per cell on average, over [−1, 1]².
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Lattice {
+    columns: usize,
+    rows: usize,
+}
+
+impl Lattice {
+    /// The lattice of `count` Gaussians over an image of `[height, width]`.
+    pub(crate) fn new(count: usize, [height, width]: [usize; 2]) -> Self {
+        let columns = (count as f64 * width as f64 / height.max(1) as f64).sqrt().round();
+        let columns = (columns as usize).clamp(1, count.max(1));
+        Self { columns, rows: count.div_ceil(columns).max(1) }
+    }
+
+    fn cell(&self) -> [f32; 2] {
+        [2.0 / self.columns as f32, 2.0 / self.rows as f32]
+    }
+
+    /// The footprint's radii of a Gaussian of this scale.
+    pub(crate) fn radii(&self, [sx, sz]: [f32; 2]) -> [f32; 3] {
+        let [cx, cz] = self.cell();
+        let [least, most] = DEPTH_RADIUS;
+        [(2.0 * sx).clamp(cx, 2.0 * cx), (sx + sz).clamp(least, most), (2.0 * sz).clamp(cz, 2.0 * cz)]
+    }
+
+    /// Column of an x, clamped to the lattice.
+    fn column(&self, x: f32) -> usize {
+        // Saturates below zero and far above.
+        (((x + 1.0) * 0.5 * self.columns as f32) as usize).min(self.columns - 1)
+    }
+
+    /// Row of a z, clamped to the lattice.
+    fn row(&self, z: f32) -> usize {
+        (((1.0 - z) * 0.5 * self.rows as f32) as usize).min(self.rows - 1)
+    }
+}
+
+/// An old Gaussian to find again.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Probe {
+    /// Its tracked point at the key frame.
+    pub(crate) point: [f32; 3],
+    /// Its footprint's radii.
+    pub(crate) radii: [f32; 3],
+    /// Whether it was born in the frame before: these go first.
+    pub(crate) recent: bool,
+}
+
+/// What the matching found.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Matches {
+    /// Per old Gaussian, the new one it coincides with best.
+    pub(crate) host: Vec<Option<u32>>,
+    /// Per new Gaussian, the old one whose identity it inherits.
+    pub(crate) parent: Vec<Option<u32>>,
+}
+
+/// Matches old Gaussians with the positions of new ones.
+pub(crate) fn match_up(lattice: Lattice, old: &[Probe], new: &[[f32; 3]]) -> Matches {
+    let bins = Bins::new(lattice, new);
+    let mut host = Vec::with_capacity(old.len());
+    let mut pairs = Vec::with_capacity(old.len() * 2);
+    let mut near = Vec::with_capacity(64);
+    for (index, probe) in old.iter().enumerate() {
+        bins.coinciding(probe, new, &mut near);
+        near.sort_unstable();
+        host.push(near.first().map(|&(_, new)| new));
+        // Non-negative floats sort as their bits do.
+        pairs.extend(near.iter().take(CANDIDATES).map(|&(q, new)| (!probe.recent, q, new, index as u32)));
+    }
+    pairs.sort_unstable();
+    let mut parent = vec![None; new.len()];
+    let mut taken = vec![false; old.len()];
+    for (_, _, new, old) in pairs {
+        let heir = &mut parent[new as usize];
+        if heir.is_none() && !taken[old as usize] {
+            *heir = Some(old);
+            taken[old as usize] = true;
+        }
+    }
+    Matches { host, parent }
+}
+
+/// Indices of positions by lattice cell, ascending within a cell.
+struct Bins {
+    lattice: Lattice,
+    starts: Vec<u32>,
+    members: Vec<u32>,
+}
+
+impl Bins {
+    fn new(lattice: Lattice, positions: &[[f32; 3]]) -> Self {
+        let bin = |p: &[f32; 3]| lattice.row(p[2]) * lattice.columns + lattice.column(p[0]);
+        let mut starts = vec![0u32; lattice.rows * lattice.columns + 1];
+        for p in positions {
+            starts[bin(p) + 1] += 1;
+        }
+        for i in 1..starts.len() {
+            starts[i] += starts[i - 1];
+        }
+        let mut next = starts.clone();
+        let mut members = vec![0; positions.len()];
+        for (index, p) in positions.iter().enumerate() {
+            let slot = &mut next[bin(p)];
+            members[*slot as usize] = index as u32;
+            *slot += 1;
+        }
+        Self { lattice, starts, members }
+    }
+
+    /// The pairs (bits of q, index) that coincide with the probe.
+    fn coinciding(&self, probe: &Probe, positions: &[[f32; 3]], near: &mut Vec<(u32, u32)>) {
+        near.clear();
+        let ([x, y, z], [rx, ry, rz]) = (probe.point, probe.radii);
+        for row in self.lattice.row(z + rz)..=self.lattice.row(z - rz) {
+            for column in self.lattice.column(x - rx)..=self.lattice.column(x + rx) {
+                let bin = row * self.lattice.columns + column;
+                let members = &self.members[self.starts[bin] as usize..self.starts[bin + 1] as usize];
+                for &index in members.iter().take(PER_BIN) {
+                    let p = positions[index as usize];
+                    let [dx, dy, dz] = [(p[0] - x) / rx, (p[1] - y) / ry, (p[2] - z) / rz];
+                    let q = dx * dx + dy * dy + dz * dz;
+                    if q <= 1.0 {
+                        near.push((q.to_bits(), index));
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grid(rows: usize, columns: usize, shift: [f32; 2]) -> Vec<[f32; 3]> {
+        (0..rows * columns)
+            .map(|i| {
+                let (r, c) = (i / columns, i % columns);
+                let x = (2.0 * c as f32 + 1.0) / columns as f32 - 1.0;
+                let z = 1.0 - (2.0 * r as f32 + 1.0) / rows as f32;
+                [x + shift[0], 0.5, z + shift[1]]
+            })
+            .collect()
+    }
+
+    fn probes(lattice: Lattice, points: &[[f32; 3]]) -> Vec<Probe> {
+        points.iter().map(|&point| Probe { point, radii: lattice.radii([0.0; 2]), recent: true }).collect()
+    }
+
+    #[test]
+    fn what_does_not_move_finds_itself() {
+        let lattice = Lattice::new(18 * 32, [18, 32]);
+        assert_eq!(lattice, Lattice { columns: 32, rows: 18 });
+        let points = grid(18, 32, [0.0; 2]);
+        let matches = match_up(lattice, &probes(lattice, &points), &points);
+        for i in 0..points.len() {
+            assert_eq!(matches.host[i], Some(i as u32));
+            assert_eq!(matches.parent[i], Some(i as u32));
+        }
+    }
+
+    #[test]
+    fn a_shift_by_one_cell_moves_every_identity_by_one_cell() {
+        let lattice = Lattice::new(18 * 32, [18, 32]);
+        let new = grid(18, 32, [0.0; 2]);
+        let old = grid(18, 32, [2.0 / 32.0, 0.0]);
+        let matches = match_up(lattice, &probes(lattice, &old), &new);
+        for row in 0..18 {
+            for column in 1..32u32 {
+                let i = row * 32 + column;
+                assert_eq!(matches.parent[i as usize], Some(i - 1), "cell {row}, {column}");
+            }
+        }
+    }
+
+    #[test]
+    fn matching_is_one_to_one_and_equals_an_exhaustive_search() {
+        // A reproducible scatter with uneven scales.
+        let mut state = 9u32;
+        let mut random = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) as f32 / (1 << 24) as f32
+        };
+        let lattice = Lattice::new(300, [9, 16]);
+        let new: Vec<[f32; 3]> = (0..300).map(|_| [random() * 2.2 - 1.1, random(), random() * 2.2 - 1.1]).collect();
+        let old: Vec<Probe> = (0..400)
+            .map(|i| Probe {
+                point: [random() * 2.2 - 1.1, random(), random() * 2.2 - 1.1],
+                radii: lattice.radii([random() * 0.2, random() * 0.2]),
+                recent: i % 3 != 0,
+            })
+            .collect();
+        let found = match_up(lattice, &old, &new);
+
+        let mut pairs = Vec::new();
+        let mut host = Vec::new();
+        for (i, probe) in old.iter().enumerate() {
+            let mut near: Vec<(f32, u32)> = Vec::new();
+            for (j, p) in new.iter().enumerate() {
+                let d: [f32; 3] = std::array::from_fn(|a| (p[a] - probe.point[a]) / probe.radii[a]);
+                let q = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+                if q <= 1.0 {
+                    near.push((q, j as u32));
+                }
+            }
+            near.sort_by(|a, b| a.partial_cmp(b).unwrap());
+            host.push(near.first().map(|n| n.1));
+            pairs.extend(near.iter().take(CANDIDATES).map(|&(q, j)| (!probe.recent, q, j, i as u32)));
+        }
+        pairs.sort_by(|a, b| a.partial_cmp(b).unwrap());
+        let mut parent = vec![None; new.len()];
+        let mut taken = vec![false; old.len()];
+        for (_, _, j, i) in pairs {
+            if parent[j as usize].is_none() && !taken[i as usize] {
+                parent[j as usize] = Some(i);
+                taken[i as usize] = true;
+            }
+        }
+        assert!(parent.iter().flatten().count() > 50, "the scatter has pairs");
+        assert_eq!(found, Matches { host, parent });
+    }
+
+    #[test]
+    fn positions_in_one_place_or_far_away_are_handled() {
+        let lattice = Lattice::new(5000, [9, 16]);
+        let pile = vec![[0.1, 0.5, 0.1]; 5000];
+        let matches = match_up(lattice, &probes(lattice, &pile), &pile);
+        assert_eq!(matches.host, vec![Some(0); 5000]);
+        assert_eq!(matches.parent.iter().flatten().count(), CANDIDATES);
+        let far = vec![[f32::MAX, 0.5, f32::MIN], [-1e30, 0.5, 1e30]];
+        let matches = match_up(lattice, &probes(lattice, &far), &pile);
+        assert_eq!(matches.host, vec![None; 2]);
+        assert_eq!(match_up(Lattice::new(0, [0, 0]), &[], &[]), Matches::default());
+    }
+}

@@ -1,0 +1,35 @@
+//! The online loop: key frames in, intervals of dynamic Gaussians out.
+//!
+//! ```text
+//! frame ─ fit ─ embed ─ static Gaussians ─┐
+//!                                         ├─ deform the pair ─ update ─ fuse ─ emit the interval ─ prune
+//! the frame before (kept) ────────────────┘
+//! ```
+//!
+//! [`Engine::push`] does this; nothing of the frame before is computed again. How Gaussians live from key frame to key frame
+//! is told in `canonical`, how they find each other in `matching`.
+//!
+//! Motion and opacity inside an interval follow the deformation fields of StreamSplat (ICLR 2026) over a time that runs from 0
+//! to 1, whatever the interval's length in seconds.
+
+mod canonical;
+mod engine;
+mod frame;
+mod fuse;
+mod gaussians;
+mod identities;
+mod interval;
+mod matching;
+mod reconstructor;
+mod settings;
+mod work;
+mod workers;
+
+pub use engine::Engine;
+pub use frame::{EngineError, Frame};
+pub use gaussians::{DynamicGaussians, HANDOVER, Handover, Record, Reference};
+pub use interval::{Interval, Merge};
+pub use reconstructor::Reconstructor;
+pub use settings::{DepthRange, Fusion, MaxAge, ModelSource, Reuse, SamplingMode, Settings, UnknownChoice};
+pub use work::{StageWork, Work};
+pub use workers::Workers;

@@ -1,0 +1,204 @@
+//! What an engine is made with.
+
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use streamsplat_kernels::Level;
+use streamsplat_model::Precision;
+
+use super::{EngineError, Reconstructor};
+use crate::fit::Fit;
+
+/// What an engine is made with.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The model.
+    pub model: ModelSource,
+    /// What one key frame knows of those before.
+    pub fusion: Fusion,
+    /// Key frames after which a Gaussian that nothing continues is dropped at the latest.
+    pub max_age: MaxAge,
+    /// How frames are brought to the model's input size.
+    pub fit: Fit,
+    /// Whether depth maps are normalised here.
+    pub depth_range: DepthRange,
+    /// How positions that the model gives as a distribution are drawn.
+    pub sampling: SamplingMode,
+    /// The seed of everything drawn.
+    pub seed: u64,
+    /// Which work is left out.
+    pub reuse: Reuse,
+    /// The arithmetic of the large matrix products.
+    pub precision: Precision,
+    /// The instruction-set level; `None` is the machine's highest. It changes no output bit.
+    pub level: Option<Level>,
+    /// Threads; 0 is one per processor. It changes no output bit.
+    pub threads: usize,
+}
+
+/// Where the model comes from.
+#[derive(Clone)]
+#[non_exhaustive]
+pub enum ModelSource {
+    /// Anything that reconstructs frames; several engines may share one.
+    Shared(Arc<dyn Reconstructor>),
+}
+
+impl ModelSource {
+    /// The model, ready to reconstruct.
+    pub(crate) fn load(&self) -> Result<Arc<dyn Reconstructor>, EngineError> {
+        match self {
+            ModelSource::Shared(model) => Ok(model.clone()),
+        }
+    }
+}
+
+impl Settings {
+    /// Everything but the model as the program's defaults.
+    pub fn with_model(model: ModelSource) -> Self {
+        Self {
+            model,
+            fusion: Fusion::default(),
+            max_age: MaxAge::default(),
+            fit: Fit::default(),
+            depth_range: DepthRange::default(),
+            sampling: SamplingMode::default(),
+            seed: 0,
+            reuse: Reuse::default(),
+            precision: Precision::default(),
+            level: None,
+            threads: 0,
+        }
+    }
+}
+
+impl fmt::Debug for ModelSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            ModelSource::Shared(_) => f.write_str("Shared"),
+        }
+    }
+}
+
+/// Defines an enum of named choices with `name`, `FromStr` and `Display`.
+macro_rules! named {
+    ($(#[$meta:meta])* $kind:ident: $what:literal { $($(#[$variant_meta:meta])* $variant:ident = $name:literal,)+ }) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+        pub enum $kind { $($(#[$variant_meta])* $variant,)+ }
+
+        impl $kind {
+            /// All choices.
+            pub const ALL: &'static [Self] = &[$(Self::$variant,)+];
+
+            /// The choice's name.
+            pub const fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name,)+ }
+            }
+        }
+
+        impl fmt::Display for $kind {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str(self.name())
+            }
+        }
+
+        impl FromStr for $kind {
+            type Err = UnknownChoice;
+
+            fn from_str(name: &str) -> Result<Self, Self::Err> {
+                Self::ALL.iter().copied().find(|c| c.name() == name).ok_or_else(|| UnknownChoice {
+                    what: $what,
+                    expected: Self::ALL.iter().map(|c| c.name()).collect::<Vec<_>>().join(", "),
+                    found: name.to_owned(),
+                })
+            }
+        }
+    };
+}
+
+/// A name that is no choice.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("unknown {what} {found:?}: expected one of {expected}")]
+pub struct UnknownChoice {
+    /// The setting.
+    pub what: &'static str,
+    /// Its choices.
+    pub expected: String,
+    /// The name given.
+    pub found: String,
+}
+
+named! {
+    /// What one key frame knows of those before.
+    Fusion: "fusion" {
+        /// Gaussians keep their identity from key frame to key frame; what no frame continues lives on and fades; crossing
+        /// a key frame changes no bit of the image.
+        #[default]
+        Persistent = "persistent",
+        /// Two frames at a time, and nothing else: the model's own definition of an interval.
+        Pairwise = "pairwise",
+    }
+}
+
+named! {
+    /// Whether depth maps are normalised here.
+    DepthRange: "depth range" {
+        /// Each by its own minimum and maximum.
+        #[default]
+        Frame = "frame",
+        /// Not at all: they are in [0, 1] already.
+        Given = "given",
+    }
+}
+
+named! {
+    /// How positions that the model gives as a distribution are drawn.
+    SamplingMode: "sampling" {
+        /// The distribution's mean.
+        #[default]
+        Mean = "mean",
+        /// One draw per Gaussian, a function of seed, key frame and index alone.
+        Sample = "sample",
+    }
+}
+
+named! {
+    /// Which work is left out. Neither choice changes an output bit.
+    Reuse: "reuse" {
+        /// None.
+        Off = "off",
+        /// What was computed from the same bits before.
+        #[default]
+        Exact = "exact",
+    }
+}
+
+/// Key frames after which a Gaussian that nothing continues is dropped at the latest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct MaxAge(pub u32);
+
+impl Default for MaxAge {
+    /// Eight: a survivor's opacity halves in every interval, so that little is left of it then.
+    fn default() -> Self {
+        Self(8)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn choices_are_found_by_their_names_and_others_are_refused() {
+        for fusion in Fusion::ALL {
+            assert_eq!(fusion.name().parse(), Ok(*fusion));
+        }
+        let error = "both".parse::<Fusion>().unwrap_err();
+        assert_eq!(error.to_string(), r#"unknown fusion "both": expected one of persistent, pairwise"#);
+        assert_eq!("off".parse(), Ok(Reuse::Off));
+        assert_eq!("sample".parse(), Ok(SamplingMode::Sample));
+        assert_eq!("given".parse(), Ok(DepthRange::Given));
+    }
+}
