@@ -1,2 +1,79 @@
-//! Measurements.
-fn main() {}
+//! `streamsplat-bench`: measurements of the kernels, the network's stages and the rasteriser.
+//!
+//! Every measurement checks its answer before it is timed and reports the fraction of the machine's peak, which is measured
+//! in the same run.
+
+mod kernels;
+mod machine;
+mod timing;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::{Args, Parser, Subcommand};
+use streamsplat_kernels::Level;
+
+/// Measure StreamSplat on this machine.
+#[derive(Parser)]
+#[command(name = "streamsplat-bench", version)]
+struct Program {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Matrix products, attention and norms, as fractions of the measured peak.
+    Kernels(kernels::Options),
+}
+
+/// Options of every measurement.
+#[derive(Args, Clone)]
+pub(crate) struct Common {
+    /// Instruction set: scalar, avx2, avx512, neon or auto.
+    #[arg(long, default_value = "auto", value_parser = level)]
+    isa: Level,
+    /// Threads (0: one per core).
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
+    /// Times each measurement is repeated.
+    #[arg(long, default_value_t = 7)]
+    repeat: usize,
+    /// Write the results here as JSON.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+impl Common {
+    /// A pool of the threads asked for.
+    fn pool(&self) -> Result<rayon::ThreadPool> {
+        rayon::ThreadPoolBuilder::new().num_threads(self.threads).build().context("starting threads")
+    }
+
+    /// Writes `value` where `--json` says.
+    fn write(&self, value: &impl serde::Serialize) -> Result<()> {
+        self.json.as_deref().map_or(Ok(()), |path| write_json(path, value))
+    }
+}
+
+fn level(name: &str) -> Result<Level, String> {
+    Level::named(name).map_err(|e| e.to_string())
+}
+
+fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
+    let text = serde_json::to_string_pretty(value)?;
+    std::fs::write(path, text + "\n").with_context(|| format!("writing {}", path.display()))
+}
+
+fn main() -> std::process::ExitCode {
+    let result = match Program::parse().command {
+        Command::Kernels(options) => kernels::run(&options),
+    };
+    match result {
+        Ok(()) => std::process::ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            std::process::ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,249 @@
+//! `kernels`: each kernel at the sizes of the published model and of the small one.
+
+use anyhow::{Result, ensure};
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+use streamsplat_kernels::Level;
+use streamsplat_kernels::attention::{self, Rows, Shape, Windows, attend};
+use streamsplat_kernels::gemm::{self, Epilogue, Weights, linear};
+use streamsplat_kernels::norm;
+
+use crate::Common;
+use crate::machine::{Machine, peak_f32};
+use crate::timing::{Seconds, once};
+
+/// Options of `kernels`.
+#[derive(Args)]
+pub(crate) struct Options {
+    #[command(flatten)]
+    common: Common,
+    /// Which model's sizes.
+    #[arg(long, value_enum, default_value_t = Size::All)]
+    size: Size,
+    /// Only kernels whose name contains this.
+    #[arg(long, default_value = "")]
+    only: String,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Size {
+    Paper,
+    Small,
+    All,
+}
+
+#[derive(Serialize)]
+struct Row {
+    kernel: String,
+    model: &'static str,
+    precision: &'static str,
+    size: String,
+    gflop: f64,
+    seconds: Seconds,
+    gflops: f64,
+    fraction_of_peak: f64,
+}
+
+#[derive(Serialize)]
+struct Results {
+    machine: Machine,
+    kernels: Vec<Row>,
+}
+
+/// One kernel at one size, checked already.
+struct Case {
+    kernel: String,
+    model: &'static str,
+    size: String,
+    flop: f64,
+    work: Box<dyn FnMut() + Send>,
+}
+
+pub(crate) fn run(options: &Options) -> Result<()> {
+    options.common.pool()?.install(|| measure(options))
+}
+
+fn measure(options: &Options) -> Result<()> {
+    let level = options.common.isa;
+    let mut cases = Vec::new();
+    let wanted = |name: &str| name.contains(&options.only);
+    for (model, products, attentions, norms) in [PAPER, SMALL] {
+        if options.size != Size::All && (options.size == Size::Paper) != (model == "paper") {
+            continue;
+        }
+        for &(name, m, n, k) in products.iter().filter(|p| wanted(p.0)) {
+            cases.push(product(level, model, name, m, n, k)?);
+        }
+        for &(name, queries, keys, heads, window) in attentions.iter().filter(|a| wanted(a.0)) {
+            cases.push(attention(level, model, name, queries, keys, heads, window)?);
+        }
+        for &(rows, d) in norms.iter().filter(|_| wanted("rms_norm")) {
+            cases.push(rms_norm(level, model, rows, d));
+        }
+    }
+    let mut peak: f64 = 0.0;
+    let mut rows = Vec::new();
+    println!("{:<22} {:<6} {:>24} {:>10} {:>10} {:>9}", "kernel", "model", "size", "ms (min)", "GFLOP/s", "of peak");
+    for mut case in cases {
+        let mut times = Vec::new();
+        let mut own_peak: f64 = 0.0;
+        for _ in 0..options.common.repeat.max(1) {
+            // The peak is taken beside every run: clocks move.
+            own_peak = own_peak.max(peak_f32(level));
+            times.push(once(&mut case.work));
+        }
+        peak = peak.max(own_peak);
+        let seconds = Seconds::of(times);
+        let gflops = case.flop / seconds.min / 1e9;
+        let row = Row {
+            kernel: case.kernel,
+            model: case.model,
+            precision: "f32",
+            size: case.size,
+            gflop: case.flop / 1e9,
+            seconds,
+            gflops,
+            fraction_of_peak: gflops / own_peak,
+        };
+        println!(
+            "{:<22} {:<6} {:>24} {:>10.3} {:>10.1} {:>8.1}%",
+            row.kernel,
+            row.model,
+            row.size,
+            seconds.min * 1e3,
+            gflops,
+            row.fraction_of_peak * 100.0
+        );
+        rows.push(row);
+    }
+    println!("peak {peak:.1} GFLOP/s f32 on {} threads, {}", rayon::current_num_threads(), level.name());
+    options.common.write(&Results { machine: Machine::new(level, peak), kernels: rows })
+}
+
+type Products = &'static [(&'static str, usize, usize, usize)];
+type Attentions = &'static [(&'static str, usize, usize, usize, Option<usize>)];
+type Norms = &'static [(usize, usize)];
+
+/// The published model: 2304 tokens of 768 channels, 12 heads; the upsampler's stages; the decoder's two frames.
+const PAPER: (&str, Products, Attentions, Norms) = (
+    "paper",
+    &[
+        ("linear qkv", 2304, 2304, 768),
+        ("linear out", 2304, 768, 768),
+        ("linear mlp up", 2304, 3072, 768),
+        ("linear mlp down", 2304, 768, 3072),
+        ("linear decoder mlp", 4608, 3072, 768),
+        ("linear upsample 1", 9216, 1152, 384),
+        ("linear upsample 2", 36_864, 576, 192),
+        ("linear embed", 2304, 768, 256),
+    ],
+    &[
+        ("attention encoder", 2304, 2304, 12, None),
+        ("attention decoder", 4608, 4608, 12, None),
+        ("attention cross", 2304, 576, 12, None),
+        ("attention window", 9216, 9216, 6, Some(2304)),
+    ],
+    &[(2304, 768), (36_864, 192)],
+);
+
+/// The small model: 576 tokens of 192 channels, 3 heads; its upsampler's stages of 64 channels in windows of 128.
+const SMALL: (&str, Products, Attentions, Norms) = (
+    "small",
+    &[
+        ("linear qkv", 576, 576, 192),
+        ("linear out", 576, 192, 192),
+        ("linear mlp up", 576, 768, 192),
+        ("linear mlp down", 576, 192, 768),
+        ("linear upsample 1", 2304, 192, 64),
+        ("linear upsample 2", 9216, 192, 64),
+        ("linear upsample mlp", 9216, 64, 256),
+    ],
+    &[("attention decoder", 1152, 1152, 3, None), ("attention window", 9216, 9216, 1, Some(128))],
+    &[(576, 192), (9216, 64)],
+);
+
+/// Values between −1 and 1 that follow from `seed`.
+fn noise(len: usize, seed: u32) -> Vec<f32> {
+    let mut state = seed.wrapping_mul(0x9e37_79b9) | 1;
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 17;
+        state ^= state << 5;
+        state as f32 / 2_147_483_648.0 - 1.0
+    };
+    (0..len).map(|_| next()).collect()
+}
+
+fn product(level: Level, model: &'static str, name: &str, m: usize, n: usize, k: usize) -> Result<Case> {
+    let (x, w) = (noise(m * k, 1), noise(n * k, 2));
+    let weights = Weights::pack(&w, n, k);
+    let mut out = vec![0.0; m * n];
+    linear(level, &x, m, &weights, &Epilogue::new(), &mut out);
+    for i in 0..97 {
+        let (row, column) = (i * 7919 % m, i * 104_729 % n);
+        let expected = gemm::reference::product(&x[row * k..][..k], &w[column * k..][..k], 1, 1, k)[0];
+        let found = out[row * n + column];
+        ensure!(found.to_bits() == expected.to_bits(), "{name} at {row},{column}: {found}, expected {expected}");
+    }
+    Ok(Case {
+        kernel: name.to_owned(),
+        model,
+        size: format!("{m}x{n}x{k}"),
+        flop: 2.0 * (m * n * k) as f64,
+        work: Box::new(move || linear(level, &x, m, &weights, &Epilogue::new(), &mut out)),
+    })
+}
+
+fn attention(
+    level: Level,
+    model: &'static str,
+    name: &str,
+    queries: usize,
+    keys: usize,
+    heads: usize,
+    window: Option<usize>,
+) -> Result<Case> {
+    let d = heads * 64;
+    let (q, k, v) = (noise(queries * d, 1), noise(keys * d, 2), noise(keys * d, 3));
+    let windows = window.map_or(Windows::Full, |length| Windows::Runs { length, roll: 0 });
+    let shape = Shape { heads, width: 64, windows };
+    let mut out = vec![0.0; queries * d];
+    let seen = window.unwrap_or(keys);
+    let expected = attention::reference::attend(&q[..d], &k[..seen * d], &v[..seen * d], heads, 64, |_, _| true);
+    let mut work = move || {
+        attend(
+            level,
+            shape,
+            Rows::new(&q, queries, d, 0),
+            Rows::new(&k, keys, d, 0),
+            Rows::new(&v, keys, d, 0),
+            &mut out,
+        );
+        out[..d].to_vec()
+    };
+    for (found, expected) in work().iter().zip(&expected) {
+        let error = (f64::from(*found) - expected).abs();
+        ensure!(error < 1e-6, "{name}: {found}, expected {expected}");
+    }
+    Ok(Case {
+        kernel: name.to_owned(),
+        model,
+        size: format!("{queries}x{seen} {heads} heads"),
+        flop: 4.0 * (queries * seen * d) as f64,
+        work: Box::new(move || {
+            work();
+        }),
+    })
+}
+
+fn rms_norm(level: Level, model: &'static str, rows: usize, d: usize) -> Case {
+    let (x, w) = (noise(rows * d, 1), noise(d, 2));
+    let mut out = vec![0.0; rows * d];
+    Case {
+        kernel: "rms_norm".to_owned(),
+        model,
+        size: format!("{rows}x{d}"),
+        flop: 4.0 * (rows * d) as f64,
+        work: Box::new(move || norm::rms_norm(level, &x, &w, 1e-5, &mut out)),
+    }
+}
