@@ -223,8 +223,10 @@ impl Simd for Neon {
     #[inline(always)]
     fn shr<const BITS: i32>(self, a: I) -> I {
         let count = self.splat_i32(-BITS);
-        let logical = |a, n| vreinterpretq_s32_u32(vshlq_u32(vreinterpretq_u32_s32(a), n));
-        four!(I, logical, a, count)
+        // SAFETY: the token proves NEON.
+        let logical = |a, n| unsafe { vreinterpretq_s32_u32(vshlq_u32(vreinterpretq_u32_s32(a), n)) };
+        let ([a0, a1, a2, a3], [n0, n1, n2, n3]) = (a.0, count.0);
+        I([logical(a0, n0), logical(a1, n1), logical(a2, n2), logical(a3, n3)])
     }
     #[inline(always)]
     fn gt_i32(self, a: I, b: I) -> M {
