@@ -4,18 +4,23 @@
 //! [`Simd`], so the results are too. The vector functions take the token of a level; the functions of [`scalar`] run the
 //! same algorithms on one value.
 
+mod erf;
 mod exp;
+pub mod f64;
 mod log;
 mod one;
 pub mod scalar;
 mod sigmoid;
+mod trigonometry;
 
 #[cfg(test)]
 mod tests;
 
+pub use erf::{erf, erfc, erfinv, gelu, normal_cdf};
 pub use exp::{exp, exp_nonpositive};
 pub use log::{log, softplus};
 pub use sigmoid::{sigmoid, silu, tanh};
+pub use trigonometry::sin_cos;
 
 use crate::simd::Simd;
 

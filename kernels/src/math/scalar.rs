@@ -14,4 +14,9 @@ macro_rules! twin {
     };
 }
 
-twin!(exp exp_nonpositive log softplus sigmoid silu tanh);
+twin!(exp exp_nonpositive log softplus sigmoid silu tanh erf erfc erfinv gelu normal_cdf);
+
+/// [`math::sin_cos`](super::sin_cos) of one value.
+pub fn sin_cos(x: f32) -> (f32, f32) {
+    super::sin_cos(One, x)
+}

@@ -1,6 +1,6 @@
 //! Sweeps over bit patterns: error against binary64 references, special values, and equality of levels and twins.
 
-use super::scalar;
+use super::{f64 as double, scalar};
 use crate::level::Level;
 use crate::simd::{LANES, Operation, Simd, dispatch};
 
@@ -9,10 +9,10 @@ fn bits(x: f32) -> u32 {
     if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() }
 }
 
-/// Every 2¹²-th bit pattern with wandering low bits, and the surroundings of values where something changes.
+/// Every 2¹⁴-th bit pattern with wandering low bits, and the surroundings of values where something changes.
 fn sweep() -> Vec<f32> {
     let mut v: Vec<f32> =
-        (0..1_u32 << 20).map(|i| f32::from_bits(i << 12 | (i.wrapping_mul(2_654_435_761) >> 20))).collect();
+        (0..1_u32 << 18).map(|i| f32::from_bits(i << 14 | (i.wrapping_mul(2_654_435_761) >> 18))).collect();
     let edges = [
         0.0,
         1.0,
@@ -198,4 +198,91 @@ fn tanh_is_odd_and_ends_at_one() {
     check("tanh", Tanh, &sweep(), 2.6, f64::tanh);
     assert_eq!(scalar::tanh(-0.0).to_bits(), (-0.0_f32).to_bits());
     assert_eq!(scalar::tanh(f32::NEG_INFINITY), -1.0);
+}
+
+function!(Erf, erf);
+function!(Erfc, erfc);
+function!(Erfinv, erfinv);
+function!(NormalCdf, normal_cdf);
+function!(Gelu, gelu);
+
+#[test]
+fn erf_is_odd_and_ends_at_one() {
+    check("erf", Erf, &sweep(), 2.0, double::erf);
+    assert_eq!(scalar::erf(-0.0).to_bits(), (-0.0_f32).to_bits());
+    assert_eq!(scalar::erf(f32::NEG_INFINITY), -1.0);
+}
+
+#[test]
+fn erfc_keeps_its_tail() {
+    check("erfc", Erfc, &sweep(), 4.0, double::erfc);
+    assert_eq!(scalar::erfc(f32::INFINITY).to_bits(), 0);
+    assert_eq!(scalar::erfc(f32::NEG_INFINITY), 2.0);
+    assert!(scalar::erfc(10.0) > 0.0);
+}
+
+#[test]
+fn erfinv_is_infinite_at_one() {
+    check("erfinv", Erfinv, &sweep(), 4.0, double::erfinv);
+    assert_eq!(scalar::erfinv(1.0), f32::INFINITY);
+    assert_eq!(scalar::erfinv(-1.0), f32::NEG_INFINITY);
+    assert!(scalar::erfinv(1.000_000_1).is_nan());
+    assert_eq!(scalar::erfinv(-0.0).to_bits(), (-0.0_f32).to_bits());
+}
+
+/// Φ(x) in binary64: x/√2 is formed with its error, which e^(−x²/2) magnifies.
+fn normal_cdf(x: f64) -> f64 {
+    let y = -x * std::f64::consts::FRAC_1_SQRT_2;
+    0.5 * double::erfc(y)
+}
+
+#[test]
+fn normal_cdf_keeps_its_lower_tail() {
+    check("normal_cdf", NormalCdf, &sweep(), 4.0, normal_cdf);
+    assert_eq!(scalar::normal_cdf(0.0), 0.5);
+    assert_eq!(scalar::normal_cdf(f32::INFINITY), 1.0);
+    assert_eq!(scalar::normal_cdf(f32::NEG_INFINITY).to_bits(), 0);
+}
+
+#[test]
+fn gelu_is_accurate_down_to_minus_zero() {
+    check("gelu", Gelu, &sweep(), 5.0, |x| if x == f64::NEG_INFINITY { -0.0 } else { x * normal_cdf(x) });
+    assert_eq!(scalar::gelu(f32::NEG_INFINITY).to_bits(), (-0.0_f32).to_bits());
+    assert_eq!(scalar::gelu(-0.0).to_bits(), (-0.0_f32).to_bits());
+    assert_eq!(scalar::gelu(f32::INFINITY), f32::INFINITY);
+}
+
+#[derive(Clone, Copy)]
+struct Sin;
+impl Function for Sin {
+    #[inline(always)]
+    fn vector<S: Simd>(self, s: S, x: S::F32) -> S::F32 {
+        super::sin_cos(s, x).0
+    }
+    fn scalar(self, x: f32) -> f32 {
+        scalar::sin_cos(x).0
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Cos;
+impl Function for Cos {
+    #[inline(always)]
+    fn vector<S: Simd>(self, s: S, x: S::F32) -> S::F32 {
+        super::sin_cos(s, x).1
+    }
+    fn scalar(self, x: f32) -> f32 {
+        scalar::sin_cos(x).1
+    }
+}
+
+#[test]
+fn sine_and_cosine_are_accurate_for_every_argument() {
+    let mut values = sweep();
+    // Multiples of π/2 and of π/4, where the reduction cancels and where it switches.
+    values.extend((0..20_000).map(|i| (f64::from(i - 10_000) * std::f64::consts::FRAC_PI_4) as f32));
+    check("sin", Sin, &values, 2.0, double::sin);
+    check("cos", Cos, &values, 2.0, double::cos);
+    assert_eq!(scalar::sin_cos(-0.0).0.to_bits(), (-0.0_f32).to_bits());
+    assert!(scalar::sin_cos(f32::INFINITY).1.is_nan());
 }
