@@ -18,15 +18,23 @@
 
 pub mod checkpoint;
 mod config;
+mod decoder;
+mod deformation_head;
+mod encoder;
 mod error;
+pub mod forward;
 mod frame;
 mod keys;
+mod layers;
 pub mod motion;
+mod network;
+mod options;
+mod scalar;
+mod static_head;
+mod upsampler;
 
 pub use config::{Config, DinoConfig, StaticPosition};
 pub use error::ModelError;
 pub use frame::{Deformation, DinoFeatures, Embedding, FrameInput, Sampling, Side, StaticFrame, StaticGaussians};
+pub use network::Network;
 pub use options::{LoadOptions, Precision, UnknownPrecision};
-
-mod options;
-mod scalar;

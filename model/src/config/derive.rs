@@ -118,7 +118,7 @@ impl Config {
     fn check_windows(&self, settings: &Settings) -> Result<(), ModelError> {
         let n = self.tokens();
         let divides = |key: &str, window: usize, tokens: usize, what: &str| {
-            if tokens % window == 0 {
+            if tokens.is_multiple_of(window) {
                 return Ok(());
             }
             Err(settings.wrong(key, format!("a divisor of {tokens}, {what}"), window))

@@ -2,6 +2,9 @@
 //!
 //! Keys stand at the top or inside an object `config`; the latter win. Unknown keys are ignored.
 
+use std::io;
+use std::path::Path;
+
 use serde_json::{Map, Value};
 
 use crate::ModelError;
@@ -19,6 +22,19 @@ impl Settings {
         Settings { file: file.into(), values: Map::new() }
     }
 
+    /// The JSON file of the checkpoint's name beside it; nothing where there is none.
+    pub(crate) fn beside(checkpoint: &Path) -> Result<Settings, ModelError> {
+        let path = checkpoint.with_extension("json");
+        let file = path.display().to_string();
+        match std::fs::read_to_string(&path) {
+            Ok(text) => Settings::parse(&text, file),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                Ok(Settings::none(checkpoint.display().to_string()))
+            }
+            Err(source) => Err(ModelError::Io { file, source }),
+        }
+    }
+
     /// Parses the text of `file`.
     pub(crate) fn parse(text: &str, file: impl Into<String>) -> Result<Settings, ModelError> {
         let file = file.into();
@@ -32,10 +48,6 @@ impl Settings {
             Ok(_) => Err(ModelError::Format { file, reason: "expected a JSON object".to_owned() }),
             Err(error) => Err(ModelError::Format { file, reason: format!("not JSON: {error}") }),
         }
-    }
-
-    pub(crate) fn file(&self) -> &str {
-        &self.file
     }
 
     /// An error about `key`.

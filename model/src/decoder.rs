@@ -1,0 +1,159 @@
+//! The dynamic decoder: two frames' embeddings to the embeddings of their deformations.
+//!
+//! ```text
+//! c_f = norm(condition_proj(features of the other frame) + position code)
+//! x = norm₁([h_a ; h_b] + learned positions + learned type of the frame)
+//! per block:  x += self_attention(norm_s(x))            over the tokens of both frames
+//!             x_f += cross_attention(norm_c(x_f), c_f)  for each frame
+//!             x += feed_forward(norm_m(x))
+//! d = norm₂(x)
+//! ```
+
+use streamsplat_kernels::Level;
+
+use crate::checkpoint::Weights;
+use crate::layers::{
+    Bias, CrossAttention, FeedForward, Linear, RmsNorm, SelfAttention, Workspace, add, sinusoid, windows,
+};
+use crate::{Config, ModelError};
+
+/// Tokens of the published condition: the patches of DINOv2.
+const USUAL_CONDITION: usize = 576;
+
+pub(crate) struct Decoder {
+    /// Learned positions plus the type of each half, `[2N, D]`.
+    position: Vec<f32>,
+    condition_proj: Linear,
+    condition_position: Table,
+    condition_ln: RmsNorm,
+    layernorm1: RmsNorm,
+    blocks: Vec<PairBlock>,
+    layernorm2: RmsNorm,
+}
+
+/// Position code of the condition.
+enum Table {
+    /// From the checkpoint: as long as it is.
+    Stored(Vec<f32>),
+    /// Computed: longer ones can be.
+    Computed(Vec<f32>),
+}
+
+struct PairBlock {
+    self_attn_ln: RmsNorm,
+    self_attn: SelfAttention,
+    cross_attn_ln: RmsNorm,
+    cross_attn: CrossAttention,
+    mlp_ln: RmsNorm,
+    mlp: FeedForward,
+}
+
+impl Decoder {
+    pub(crate) fn load(weights: &Weights<'_>, config: &Config) -> Result<Decoder, ModelError> {
+        let (d, n) = (config.hidden_dim, config.tokens());
+        let mut position = weights.vector("positional_embedding", &[1, 2 * n, d])?;
+        let types = weights.read("cls_embedding", &[1, 2, d])?;
+        for (half, kind) in position.chunks_exact_mut(n * d).zip(types.chunks_exact(d)) {
+            half.chunks_exact_mut(d).for_each(|row| row.iter_mut().zip(kind).for_each(|(x, t)| *x += t));
+        }
+        let pe = "positional_encoding.pe";
+        let condition_position = match weights.shape(pe) {
+            Some(_) => {
+                let [rows, _] = weights.shape_like(pe, [None, Some(d)])?;
+                Table::Stored(weights.vector(pe, &[rows, d])?)
+            }
+            None => Table::Computed(sinusoid(if config.use_dino { USUAL_CONDITION } else { n }, d)),
+        };
+        let blocks = (0..config.decoder_layers)
+            .map(|i| PairBlock::load(&weights.at(format_args!("transformer.resblocks.{i}")), d))
+            .collect::<Result<_, _>>()?;
+        let decoder = Decoder {
+            position,
+            condition_proj: Linear::load(weights, "condition_proj", d, config.condition_dim, Bias::No)?,
+            condition_position,
+            condition_ln: RmsNorm::load(weights, "condition_ln", d)?,
+            layernorm1: RmsNorm::load(weights, "layernorm1", d)?,
+            blocks,
+            layernorm2: RmsNorm::load(weights, "layernorm2", d)?,
+        };
+        if !config.use_dino && decoder.longest_condition(d).is_some_and(|rows| rows < n) {
+            return Err(ModelError::Shape {
+                file: weights.file().to_owned(),
+                tensor: weights.key(pe),
+                expected: format!("[at least {n}, {d}]"),
+                found: weights.shape(pe).unwrap_or_default().to_vec(),
+            });
+        }
+        Ok(decoder)
+    }
+
+    /// The most tokens a condition may have, if there is a bound.
+    pub(crate) fn longest_condition(&self, d: usize) -> Option<usize> {
+        match &self.condition_position {
+            Table::Stored(table) => Some(table.len() / d),
+            Table::Computed(_) => None,
+        }
+    }
+
+    /// `features [M, C]` of the other frame, ready to attend to.
+    fn condition(&self, level: Level, features: &[f32]) -> Vec<f32> {
+        let d = self.condition_proj.n();
+        let m = features.len() / self.condition_proj.k();
+        let mut projected = vec![0.0; m * d];
+        self.condition_proj.apply(level, features, &mut projected);
+        match &self.condition_position {
+            Table::Stored(table) | Table::Computed(table) if m * d <= table.len() => {
+                add(&mut projected, &table[..m * d])
+            }
+            _ => add(&mut projected, &sinusoid(m, d)),
+        }
+        self.condition_ln.of(level, &projected)
+    }
+
+    /// `[d_a, d_b]`, each `[N, D]`, from the embeddings and features of frames a and b.
+    pub(crate) fn apply(&self, level: Level, config: &Config, h: [&[f32]; 2], features: [&[f32]; 2]) -> [Vec<f32>; 2] {
+        // Each frame is conditioned on the other.
+        let conditions = [self.condition(level, features[1]), self.condition(level, features[0])];
+        let half = h[0].len();
+        let mut summed = h.concat();
+        add(&mut summed, &self.position);
+        let mut x = self.layernorm1.of(level, &summed);
+        let mut work = Workspace::default();
+        for (i, block) in self.blocks.iter().enumerate() {
+            let windows = windows(config.encoder_window, i);
+            block.self_attn.accumulate(level, &block.self_attn_ln, windows, &mut x, &mut work);
+            for (x, condition) in x.chunks_exact_mut(half).zip(&conditions) {
+                block.cross_attn.accumulate(level, &block.cross_attn_ln, condition, x, &mut work);
+            }
+            block.mlp.accumulate(level, &block.mlp_ln, &mut x, &mut work);
+        }
+        self.layernorm2.apply(level, &x, &mut summed);
+        let second = summed.split_off(half);
+        [summed, second]
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        let (Table::Stored(table) | Table::Computed(table)) = &self.condition_position;
+        let norms = self.condition_ln.bytes() + self.layernorm1.bytes() + self.layernorm2.bytes();
+        let tables = 4 * (self.position.len() + table.len());
+        self.condition_proj.bytes() + norms + tables + self.blocks.iter().map(PairBlock::bytes).sum::<usize>()
+    }
+}
+
+impl PairBlock {
+    fn load(weights: &Weights<'_>, d: usize) -> Result<PairBlock, ModelError> {
+        Ok(PairBlock {
+            self_attn_ln: RmsNorm::load(weights, "self_attn_ln", d)?,
+            self_attn: SelfAttention::load(&weights.at("self_attn"), d)?,
+            cross_attn_ln: RmsNorm::load(weights, "cross_attn_ln", d)?,
+            cross_attn: CrossAttention::load(&weights.at("cross_attn"), d)?,
+            mlp_ln: RmsNorm::load(weights, "mlp_ln", d)?,
+            mlp: FeedForward::load(&weights.at("mlp"), d)?,
+        })
+    }
+
+    fn bytes(&self) -> usize {
+        let norms = self.self_attn_ln.bytes() + self.cross_attn_ln.bytes() + self.mlp_ln.bytes();
+        norms + self.self_attn.bytes() + self.cross_attn.bytes() + self.mlp.bytes()
+    }
+}

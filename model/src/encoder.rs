@@ -1,0 +1,67 @@
+//! The static encoder: a frame's pixels and depth to its embedding.
+//!
+//! ```text
+//! tokens_conv = conv(R, G, B, depth)                     [N, D], 8×8 stride 8, no bias
+//! h = norm₂(blocks(norm₁(tokens_conv + position code)))
+//! ```
+
+use streamsplat_kernels::Level;
+use streamsplat_kernels::patches::patches;
+
+use crate::checkpoint::Weights;
+use crate::layers::{Block, Linear, RmsNorm, Workspace, add, sinusoid, windows};
+use crate::{Config, ModelError};
+
+pub(crate) struct Encoder {
+    conv: Linear,
+    position: Vec<f32>,
+    layernorm1: RmsNorm,
+    blocks: Vec<Block>,
+    layernorm2: RmsNorm,
+}
+
+impl Encoder {
+    pub(crate) fn load(weights: &Weights<'_>, config: &Config) -> Result<Encoder, ModelError> {
+        let (d, n, p) = (config.hidden_dim, config.tokens(), config.patch_size);
+        let conv = weights.read("conv.weight", &[d, 4, p, p])?;
+        let pe = "positional_encoding.pe";
+        let blocks = (0..config.encoder_layers)
+            .map(|i| Block::load(&weights.at(format_args!("transformer.resblocks.{i}")), d))
+            .collect::<Result<_, _>>()?;
+        Ok(Encoder {
+            conv: Linear::new(&conv, None, d, 4 * p * p),
+            position: if weights.shape(pe).is_some() { weights.vector(pe, &[n, d])? } else { sinusoid(n, d) },
+            layernorm1: RmsNorm::load(weights, "layernorm1", d)?,
+            blocks,
+            layernorm2: RmsNorm::load(weights, "layernorm2", d)?,
+        })
+    }
+
+    pub(crate) fn tokenize(&self, level: Level, config: &Config, rgb: &[f32], depth: &[f32]) -> Vec<f32> {
+        let [height, width] = config.resolution;
+        let area = height * width;
+        let planes = [&rgb[..area], &rgb[area..2 * area], &rgb[2 * area..], depth];
+        let mut rows = vec![0.0; 4 * area];
+        patches(&planes, height, width, config.patch_size, &mut rows);
+        let mut tokens = vec![0.0; config.tokens() * config.hidden_dim];
+        self.conv.apply(level, &rows, &mut tokens);
+        tokens
+    }
+
+    pub(crate) fn encode(&self, level: Level, config: &Config, tokens: &[f32]) -> Vec<f32> {
+        let mut summed = tokens.to_vec();
+        add(&mut summed, &self.position);
+        let mut x = self.layernorm1.of(level, &summed);
+        let mut work = Workspace::default();
+        for (i, block) in self.blocks.iter().enumerate() {
+            block.apply(level, windows(config.encoder_window, i), &mut x, &mut work);
+        }
+        self.layernorm2.apply(level, &x, &mut summed);
+        summed
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        let norms = self.layernorm1.bytes() + self.layernorm2.bytes();
+        self.conv.bytes() + 4 * self.position.len() + norms + self.blocks.iter().map(Block::bytes).sum::<usize>()
+    }
+}

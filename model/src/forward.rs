@@ -1,0 +1,140 @@
+//! One pair of frames through the whole network, from tensors to named tensors.
+//!
+//! | input | output |
+//! |---|---|
+//! | `in.frames [2,3,H,W]`, `in.depths [2,1,H,W]` (zeros when absent), `in.condition [2,M,C]` where the model wants it | `out.tokens_conv`, `out.h`, `out.d` `[2,N,D]`; `out.static_tokens`, `out.dynamic_tokens` `[2,16N,d]`; `out.static.{xyz_static,scale,opacity,rgb}`, `out.dynamic.{velocity,gamma}` `[2,16N,_]` |
+//! | `in.frame [1,3,h,w]` (for a DINOv2 file) | `out.resized`, `out.patch_tokens`, `out.cls_token` |
+//!
+//! `out.static.xyz_static` is the world position (x, y, z), not the offset.
+
+use std::path::Path;
+
+use crate::checkpoint::{self, Checkpoint};
+use crate::config::Settings;
+use crate::{FrameInput, LoadOptions, ModelError, Network, Sampling, Side};
+
+/// A named tensor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tensor {
+    /// Its name, `out.…`.
+    pub name: String,
+    /// Its shape; the first axis is the frame.
+    pub shape: Vec<usize>,
+    /// Its values.
+    pub values: Vec<f32>,
+}
+
+/// Reads `input`, runs the model at `model` on it and writes `output`.
+///
+/// # Errors
+/// When a file cannot be read or written, or the model cannot be loaded, or the inputs do not fit it.
+pub fn forward_file(
+    model: impl AsRef<Path>,
+    input: impl AsRef<Path>,
+    output: impl AsRef<Path>,
+    options: &LoadOptions,
+) -> Result<(), ModelError> {
+    let checkpoint = Checkpoint::open(model.as_ref())?;
+    let settings = Settings::beside(model.as_ref())?;
+    let input = Checkpoint::open(input)?;
+    let network = Network::load(&checkpoint, &settings, options)?;
+    drop(checkpoint);
+    let tensors = forward(&network, &input)?;
+    write(output, &tensors)
+}
+
+/// Writes tensors as a safetensors file.
+///
+/// # Errors
+/// When it cannot be written.
+pub fn write(output: impl AsRef<Path>, tensors: &[Tensor]) -> Result<(), ModelError> {
+    let list: Vec<_> = tensors.iter().map(|t| (t.name.clone(), t.shape.clone(), t.values.as_slice())).collect();
+    checkpoint::write(output, &list)
+}
+
+/// Every output of the network for a pair of frames.
+///
+/// # Errors
+/// When an input is missing or does not fit the network.
+pub fn forward(network: &Network, input: &Checkpoint) -> Result<Vec<Tensor>, ModelError> {
+    let config = network.config();
+    let [height, width] = config.resolution;
+    let area = height * width;
+    let frames = read(input, "in.frames", &[Some(2), Some(3), Some(height), Some(width)])?;
+    let depths = match input.shape("in.depths") {
+        Some(_) => Some(read(input, "in.depths", &[Some(2), Some(1), Some(height), Some(width)])?),
+        None => None,
+    };
+    let condition = match config.use_dino {
+        true => Some(read(input, "in.condition", &[Some(2), None, Some(config.condition_dim)])?),
+        false => None,
+    };
+
+    let (n, d) = (config.tokens(), config.hidden_dim);
+    let (gaussians, gaussian_dim) = (config.gaussians(), config.gaussian_dim());
+    let mut out = Outputs::default();
+    let (mut embeddings, mut statics) = (Vec::new(), Vec::new());
+    for frame in 0..2 {
+        let rgb = &frames[3 * area * frame..][..3 * area];
+        let depth = depths.as_ref().map(|depths| &depths[area * frame..][..area]);
+        let tokens = network.tokenize(&FrameInput { rgb, depth })?;
+        let embedding = network.encode(&tokens)?;
+        let still = network.static_gaussians(&embedding, &Sampling::Mean)?;
+        out.push("out.tokens_conv", &[n, d], &tokens);
+        out.push("out.h", &[n, d], &embedding.h);
+        out.push("out.static_tokens", &[gaussians, gaussian_dim], &still.tokens);
+        out.push("out.static.xyz_static", &[gaussians, 3], still.gaussians.position.as_flattened());
+        out.push("out.static.scale", &[gaussians, 2], still.gaussians.scale.as_flattened());
+        out.push("out.static.opacity", &[gaussians, 1], &still.gaussians.opacity);
+        out.push("out.static.rgb", &[gaussians, 3], still.gaussians.rgb.as_flattened());
+        embeddings.push(embedding);
+        statics.push(still);
+    }
+    let side = |frame: usize| Side {
+        h: &embeddings[frame].h,
+        static_tokens: &statics[frame].tokens,
+        condition: condition.as_ref().map(|c| &c[c.len() / 2 * frame..][..c.len() / 2]),
+    };
+    for motion in network.deform(side(0), side(1))? {
+        out.push("out.d", &[n, d], &motion.d);
+        out.push("out.dynamic_tokens", &[gaussians, gaussian_dim], &motion.tokens);
+        out.push("out.dynamic.velocity", &[gaussians, 3], motion.velocity.as_flattened());
+        out.push("out.dynamic.gamma", &[gaussians, 2], motion.gamma.as_flattened());
+    }
+    Ok(out.0)
+}
+
+/// An input tensor of this shape (`None`: any size above 0).
+fn read(input: &Checkpoint, name: &str, shape: &[Option<usize>]) -> Result<Vec<f32>, ModelError> {
+    let sides: Vec<String> = shape.iter().map(|s| s.map_or("_".to_owned(), |s| s.to_string())).collect();
+    let expected = format!("[{}]", sides.join(", "));
+    let (file, tensor) = (input.file().to_owned(), name.to_owned());
+    let Some(found) = input.shape(name) else {
+        return Err(ModelError::Missing { file, tensor, expected });
+    };
+    let fits = |(found, side): (&usize, &Option<usize>)| side.map_or(*found > 0, |side| side == *found);
+    if found.len() != shape.len() || !found.iter().zip(shape).all(fits) {
+        return Err(ModelError::Shape { file, tensor, expected, found: found.to_vec() });
+    }
+    Ok(input.read(name)?.into_owned())
+}
+
+/// Tensors in the order of their first frame, frames appended.
+#[derive(Default)]
+struct Outputs(Vec<Tensor>);
+
+impl Outputs {
+    /// One frame of the tensor `name`, of this shape.
+    fn push(&mut self, name: &str, shape: &[usize], values: &[f32]) {
+        match self.0.iter_mut().find(|t| t.name == name) {
+            Some(tensor) => {
+                tensor.shape[0] += 1;
+                tensor.values.extend_from_slice(values);
+            }
+            None => {
+                let shape = std::iter::once(1).chain(shape.iter().copied()).collect();
+                self.0.push(Tensor { name: name.to_owned(), shape, values: values.to_vec() });
+            }
+        }
+    }
+}

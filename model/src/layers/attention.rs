@@ -1,0 +1,105 @@
+//! Attention layers: projections around the kernel.
+
+use streamsplat_kernels::Level;
+use streamsplat_kernels::attention::{Rows, Shape, Windows, attend};
+
+use super::workspace::sized;
+use super::{Bias, HEAD, Linear, RmsNorm, Workspace};
+use crate::ModelError;
+use crate::checkpoint::Weights;
+
+fn shape(d: usize, windows: Windows) -> Shape {
+    Shape { heads: d / HEAD, width: HEAD, windows }
+}
+
+/// Attention of tokens to each other.
+pub(crate) struct SelfAttention {
+    packed_proj: Linear,
+    out_proj: Linear,
+}
+
+impl SelfAttention {
+    pub(crate) fn load(weights: &Weights<'_>, d: usize) -> Result<SelfAttention, ModelError> {
+        Ok(SelfAttention {
+            packed_proj: Linear::load(weights, "packed_proj", 3 * d, d, Bias::Yes)?,
+            out_proj: Linear::load(weights, "out_proj", d, d, Bias::Yes)?,
+        })
+    }
+
+    /// `x += attention(norm(x))`
+    pub(crate) fn accumulate(
+        &self,
+        level: Level,
+        norm: &RmsNorm,
+        windows: Windows,
+        x: &mut [f32],
+        work: &mut Workspace,
+    ) {
+        let d = self.out_proj.k();
+        let n = x.len() / d;
+        let normed = sized(&mut work.normed, x.len());
+        norm.apply(level, x, normed);
+        let qkv = sized(&mut work.projected, 3 * x.len());
+        self.packed_proj.apply(level, normed, qkv);
+        let mixed = sized(&mut work.mixed, x.len());
+        let [q, k, v] = [0, 1, 2].map(|part| Rows::new(qkv, n, 3 * d, part * d));
+        attend(level, shape(d, windows), q, k, v, mixed);
+        self.out_proj.accumulate(level, mixed, x);
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        self.packed_proj.bytes() + self.out_proj.bytes()
+    }
+}
+
+/// Attention of tokens to a condition. One packed tensor holds the projections of q, k and v; the first is applied to the
+/// tokens, the others to the condition.
+pub(crate) struct CrossAttention {
+    query: Linear,
+    key_value: Linear,
+    out_proj: Linear,
+}
+
+impl CrossAttention {
+    pub(crate) fn load(weights: &Weights<'_>, d: usize) -> Result<CrossAttention, ModelError> {
+        let weight = weights.read("packed_proj.weight", &[3 * d, d])?;
+        let mut query_bias = weights.vector("packed_proj.bias", &[3 * d])?;
+        let key_value_bias = query_bias.split_off(d);
+        let (query, key_value) = weight.split_at(d * d);
+        let layer = CrossAttention {
+            query: Linear::new(query, Some(query_bias), d, d),
+            key_value: Linear::new(key_value, Some(key_value_bias), 2 * d, d),
+            out_proj: Linear::load(weights, "out_proj", d, d, Bias::Yes)?,
+        };
+        drop(weight);
+        weights.release("packed_proj.weight");
+        Ok(layer)
+    }
+
+    /// `x += attention(norm(x), condition)`
+    pub(crate) fn accumulate(
+        &self,
+        level: Level,
+        norm: &RmsNorm,
+        condition: &[f32],
+        x: &mut [f32],
+        work: &mut Workspace,
+    ) {
+        let d = self.out_proj.k();
+        let (n, m) = (x.len() / d, condition.len() / d);
+        let normed = sized(&mut work.normed, x.len());
+        norm.apply(level, x, normed);
+        let q = sized(&mut work.projected, x.len());
+        self.query.apply(level, normed, q);
+        let kv = sized(&mut work.keys_values, 2 * condition.len());
+        self.key_value.apply(level, condition, kv);
+        let mixed = sized(&mut work.mixed, x.len());
+        let [k, v] = [0, 1].map(|part| Rows::new(kv, m, 2 * d, part * d));
+        attend(level, shape(d, Windows::Full), Rows::new(q, n, d, 0), k, v, mixed);
+        self.out_proj.accumulate(level, mixed, x);
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        self.query.bytes() + self.key_value.bytes() + self.out_proj.bytes()
+    }
+}

@@ -1,0 +1,101 @@
+//! Linear layers.
+
+use streamsplat_kernels::Level;
+use streamsplat_kernels::gemm::{self, Epilogue};
+
+use crate::ModelError;
+use crate::checkpoint::Weights;
+
+/// Whether a layer has a bias.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Bias {
+    Yes,
+    No,
+}
+
+/// `x · wᵀ (+ bias)` for `x [m,k]`, `w [n,k]`.
+pub(crate) struct Linear {
+    weights: gemm::Weights,
+    bias: Option<Vec<f32>>,
+}
+
+impl Linear {
+    /// The layer of the tensors `name.weight [n, k]` and `name.bias [n]`.
+    pub(crate) fn load(
+        weights: &Weights<'_>,
+        name: &str,
+        n: usize,
+        k: usize,
+        bias: Bias,
+    ) -> Result<Linear, ModelError> {
+        let key = format!("{name}.weight");
+        let weight = weights.read(&key, &[n, k])?;
+        let bias = match bias {
+            Bias::Yes => Some(weights.vector(&format!("{name}.bias"), &[n])?),
+            Bias::No => None,
+        };
+        let layer = Linear::new(&weight, bias, n, k);
+        drop(weight);
+        weights.release(&key);
+        Ok(layer)
+    }
+
+    /// The layer of a weight in memory.
+    pub(crate) fn new(weight: &[f32], bias: Option<Vec<f32>>, n: usize, k: usize) -> Linear {
+        Linear { weights: gemm::Weights::pack(weight, n, k), bias }
+    }
+
+    /// Several layers with the same input as one, their outputs side by side.
+    pub(crate) fn load_joined(weights: &Weights<'_>, layers: &[(&str, usize)], k: usize) -> Result<Linear, ModelError> {
+        let (mut weight, mut bias) = (Vec::new(), Vec::new());
+        for (name, n) in layers {
+            weight.extend_from_slice(&weights.read(&format!("{name}.weight"), &[*n, k])?);
+            bias.extend_from_slice(&weights.read(&format!("{name}.bias"), &[*n])?);
+        }
+        let n = bias.len();
+        Ok(Linear::new(&weight, Some(bias), n, k))
+    }
+
+    /// Output columns.
+    pub(crate) fn n(&self) -> usize {
+        self.weights.n()
+    }
+
+    /// Input columns.
+    pub(crate) fn k(&self) -> usize {
+        self.weights.k()
+    }
+
+    /// Bytes held.
+    pub(crate) fn bytes(&self) -> usize {
+        self.weights.bytes() + self.bias.as_ref().map_or(0, |b| 4 * b.len())
+    }
+
+    fn epilogue(&self) -> Epilogue<'_> {
+        Epilogue::new().maybe_bias(self.bias.as_deref())
+    }
+
+    fn run(&self, level: Level, x: &[f32], epilogue: Epilogue<'_>, out: &mut [f32]) {
+        gemm::linear(level, x, x.len() / self.k(), &self.weights, &epilogue, out);
+    }
+
+    /// `out = layer(x)`
+    pub(crate) fn apply(&self, level: Level, x: &[f32], out: &mut [f32]) {
+        self.run(level, x, self.epilogue(), out);
+    }
+
+    /// `out = silu(layer(x))`
+    pub(crate) fn apply_silu(&self, level: Level, x: &[f32], out: &mut [f32]) {
+        self.run(level, x, self.epilogue().silu(), out);
+    }
+
+    /// `out += layer(x)`
+    pub(crate) fn accumulate(&self, level: Level, x: &[f32], out: &mut [f32]) {
+        self.run(level, x, self.epilogue().residual(), out);
+    }
+
+    /// `out += γ · layer(x)`
+    pub(crate) fn accumulate_scaled(&self, level: Level, x: &[f32], gamma: &[f32], out: &mut [f32]) {
+        self.run(level, x, self.epilogue().gamma(gamma).residual(), out);
+    }
+}

@@ -1,0 +1,23 @@
+//! The layers all parts are built of: weights packed at load, applied to row-major matrices of tokens.
+
+mod attention;
+mod block;
+mod feed_forward;
+mod linear;
+mod norm;
+mod position;
+mod workspace;
+
+pub(crate) use attention::{CrossAttention, SelfAttention};
+pub(crate) use block::{Block, windows};
+pub(crate) use feed_forward::FeedForward;
+pub(crate) use linear::{Bias, Linear};
+pub(crate) use norm::RmsNorm;
+pub(crate) use position::{add, sinusoid};
+pub(crate) use workspace::Workspace;
+
+/// Channels of a head.
+pub(crate) const HEAD: usize = 64;
+
+/// Rows that pass through a feed-forward layer together: their hidden values stay small.
+pub(crate) const ROWS: usize = 1152;

@@ -1,0 +1,33 @@
+//! RMS normalisation.
+
+use streamsplat_kernels::{Level, norm};
+
+use crate::ModelError;
+use crate::checkpoint::Weights;
+
+/// `x / √(mean(x²) + 10⁻⁵) · w` for every row. The published code calls the class LayerNorm.
+pub(crate) struct RmsNorm(Vec<f32>);
+
+impl RmsNorm {
+    const EPSILON: f32 = 1e-5;
+
+    /// The norm of the tensor `name.weight [d]`.
+    pub(crate) fn load(weights: &Weights<'_>, name: &str, d: usize) -> Result<RmsNorm, ModelError> {
+        Ok(RmsNorm(weights.vector(&format!("{name}.weight"), &[d])?))
+    }
+
+    pub(crate) fn apply(&self, level: Level, x: &[f32], out: &mut [f32]) {
+        norm::rms_norm(level, x, &self.0, Self::EPSILON, out);
+    }
+
+    /// In memory of its own.
+    pub(crate) fn of(&self, level: Level, x: &[f32]) -> Vec<f32> {
+        let mut out = vec![0.0; x.len()];
+        self.apply(level, x, &mut out);
+        out
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        4 * self.0.len()
+    }
+}

@@ -1,0 +1,270 @@
+//! The whole network, loaded.
+
+use std::path::Path;
+
+use streamsplat_kernels::Level;
+use tracing::info_span;
+
+use crate::checkpoint::{Checkpoint, Storage, Weights};
+use crate::config::{self, Settings};
+use crate::decoder::Decoder;
+use crate::deformation_head::DeformationHead;
+use crate::encoder::Encoder;
+use crate::error::check_input;
+use crate::static_head::StaticHead;
+use crate::upsampler::Upsampler;
+use crate::{
+    Config, Deformation, Embedding, FrameInput, LoadOptions, ModelError, Sampling, Side, StaticFrame, StaticGaussians,
+    keys,
+};
+
+/// A StreamSplat network with its weights.
+///
+/// Its methods run on the threads of the rayon pool they are called in; the results do not depend on how many there are.
+/// Between them they recompute nothing: a frame is embedded once, and a pair costs one decoder call and two upsamplings.
+pub struct Network {
+    config: Config,
+    options: LoadOptions,
+    encoder: Encoder,
+    static_upsampler: Upsampler,
+    static_head: StaticHead,
+    decoder: Decoder,
+    deformation_upsampler: Upsampler,
+    deformation_head: DeformationHead,
+}
+
+impl std::fmt::Debug for Network {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Network").field("config", &self.config).field("options", &self.options).finish_non_exhaustive()
+    }
+}
+
+impl Network {
+    /// Loads the checkpoint at `path` (safetensors, official layout); what shapes cannot say stands in the JSON file of the
+    /// same name beside it, or has the published values.
+    ///
+    /// # Errors
+    /// When a file cannot be read or is malformed, when a tensor is missing, has another shape than the others need or
+    /// holds values that are not finite, and when the configuration contradicts the tensors.
+    pub fn open(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Network, ModelError> {
+        let checkpoint = Checkpoint::open(path.as_ref())?;
+        let settings = Settings::beside(path.as_ref())?;
+        Self::load(&checkpoint, &settings, options)
+    }
+
+    /// Loads a checkpoint in memory with the text of its JSON file.
+    ///
+    /// # Errors
+    /// As [`Network::open`].
+    pub fn from_parts(
+        bytes: impl Into<Storage>,
+        config_json: &str,
+        options: &LoadOptions,
+    ) -> Result<Network, ModelError> {
+        let checkpoint = Checkpoint::from_storage(bytes, "the model in memory")?;
+        let settings = Settings::parse(config_json, "the configuration in memory")?;
+        Self::load(&checkpoint, &settings, options)
+    }
+
+    pub(crate) fn load(
+        checkpoint: &Checkpoint,
+        settings: &Settings,
+        options: &LoadOptions,
+    ) -> Result<Network, ModelError> {
+        let _span = info_span!("load").entered();
+        let weights = Weights::new(checkpoint, config::prefix(checkpoint)?);
+        let config = Config::derive(&weights, settings)?;
+        Ok(Network {
+            encoder: Encoder::load(&weights.at(keys::ENCODER), &config)?,
+            static_upsampler: Upsampler::load(&weights.at(keys::STATIC_UPSAMPLER), &config)?,
+            static_head: StaticHead::load(&weights.at(keys::STATIC_HEAD), &config)?,
+            decoder: Decoder::load(&weights.at(keys::DECODER), &config)?,
+            deformation_upsampler: Upsampler::load(&weights.at(keys::DEFORMATION_UPSAMPLER), &config)?,
+            deformation_head: DeformationHead::load(&weights, &config)?,
+            config,
+            options: *options,
+        })
+    }
+
+    /// The network's sizes.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// What it was loaded for.
+    pub fn options(&self) -> &LoadOptions {
+        &self.options
+    }
+
+    /// Bytes its weights take in memory.
+    pub fn bytes(&self) -> usize {
+        let upsamplers = self.static_upsampler.bytes() + self.deformation_upsampler.bytes();
+        let heads = self.static_head.bytes() + self.deformation_head.bytes();
+        self.encoder.bytes() + upsamplers + heads + self.decoder.bytes()
+    }
+
+    fn level(&self) -> Level {
+        self.options.level
+    }
+
+    /// The embedding of a frame: [`Network::tokenize`], then [`Network::encode`].
+    ///
+    /// # Errors
+    /// When the frame is not of the model's resolution or holds values that are not finite.
+    pub fn embed(&self, frame: &FrameInput<'_>) -> Result<Embedding, ModelError> {
+        self.encode(&self.tokenize(frame)?)
+    }
+
+    /// The convolution of a frame's pixels and depth, `[N, D]`, before the position code.
+    ///
+    /// # Errors
+    /// As [`Network::embed`].
+    pub fn tokenize(&self, frame: &FrameInput<'_>) -> Result<Vec<f32>, ModelError> {
+        let [height, width] = self.config.resolution;
+        let area = height * width;
+        check_input("frame", frame.rgb, 3 * area, &format!("[3, {height}, {width}]"))?;
+        let zeros;
+        let depth = match frame.depth {
+            Some(depth) => {
+                check_input("depth", depth, area, &format!("[{height}, {width}]"))?;
+                depth
+            }
+            None => {
+                zeros = vec![0.0; area];
+                &zeros
+            }
+        };
+        let _span = info_span!("tokenize").entered();
+        Ok(self.encoder.tokenize(self.level(), &self.config, frame.rgb, depth))
+    }
+
+    /// The embedding of a frame's tokens.
+    ///
+    /// # Errors
+    /// When they are not `[N, D]` finite values.
+    pub fn encode(&self, tokens: &[f32]) -> Result<Embedding, ModelError> {
+        self.check_tokens("tokens", tokens)?;
+        let _span = info_span!("encoder").entered();
+        Ok(Embedding { h: self.encoder.encode(self.level(), &self.config, tokens) })
+    }
+
+    /// The Gaussians of a frame at its own time: [`Network::upsample_static`], then [`Network::static_head`].
+    ///
+    /// # Errors
+    /// When the embedding is not one of this network.
+    pub fn static_gaussians(&self, embedding: &Embedding, sampling: &Sampling) -> Result<StaticFrame, ModelError> {
+        let tokens = self.upsample_static(&embedding.h)?;
+        let gaussians = self.static_head(&tokens, sampling)?;
+        Ok(StaticFrame { tokens, gaussians })
+    }
+
+    /// The static upsampler: `h [N, D]` to `[16N, d]`.
+    ///
+    /// # Errors
+    /// When `h` is not `[N, D]` finite values.
+    pub fn upsample_static(&self, h: &[f32]) -> Result<Vec<f32>, ModelError> {
+        self.check_tokens("h", h)?;
+        let _span = info_span!("upsampler", kind = "static").entered();
+        Ok(self.static_upsampler.apply(self.level(), &self.config, h))
+    }
+
+    /// The static head on upsampled tokens `[16N, d]`.
+    ///
+    /// # Errors
+    /// When `tokens` is not of that size, or not finite.
+    pub fn static_head(&self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError> {
+        self.check_upsampled("static tokens", tokens)?;
+        let _span = info_span!("heads", kind = "static").entered();
+        Ok(self.static_head.apply(self.level(), &self.config, tokens, *sampling))
+    }
+
+    /// The motion of the Gaussians of frames `a` (the earlier) and `b` over the interval between them:
+    /// [`Network::decode`], then for each [`Network::upsample_deformation`] and [`Network::deformation_head`].
+    ///
+    /// # Errors
+    /// When a side is not of this network, or lacks features that the network is conditioned on.
+    pub fn deform(&self, a: Side<'_>, b: Side<'_>) -> Result<[Deformation; 2], ModelError> {
+        let [d_a, d_b] = self.decode(&a, &b)?;
+        let side = |side: Side<'_>, d: Vec<f32>| -> Result<Deformation, ModelError> {
+            let tokens = self.upsample_deformation(&d)?;
+            let (velocity, gamma) = self.deformation_head(side.static_tokens, &tokens)?;
+            Ok(Deformation { d, tokens, velocity, gamma })
+        };
+        Ok([side(a, d_a)?, side(b, d_b)?])
+    }
+
+    /// The decoder: `d_a` and `d_b`, each `[N, D]`. Static tokens are not looked at.
+    ///
+    /// # Errors
+    /// As [`Network::deform`].
+    pub fn decode(&self, a: &Side<'_>, b: &Side<'_>) -> Result<[Vec<f32>; 2], ModelError> {
+        self.check_tokens("h of the first frame", a.h)?;
+        self.check_tokens("h of the second frame", b.h)?;
+        let features = [self.features(a, "first")?, self.features(b, "second")?];
+        let _span = info_span!("decoder").entered();
+        Ok(self.decoder.apply(self.level(), &self.config, [a.h, b.h], features))
+    }
+
+    /// The deformation upsampler: `d [N, D]` of one frame to `[16N, d]`.
+    ///
+    /// # Errors
+    /// When `d` is not `[N, D]` finite values.
+    pub fn upsample_deformation(&self, d: &[f32]) -> Result<Vec<f32>, ModelError> {
+        self.check_tokens("d", d)?;
+        let _span = info_span!("upsampler", kind = "deformation").entered();
+        Ok(self.deformation_upsampler.apply(self.level(), &self.config, d))
+    }
+
+    /// The deformation head on a frame's static and deformation tokens, both `[16N, d]`: velocity and γ.
+    ///
+    /// # Errors
+    /// When one is not of that size, or not finite.
+    pub fn deformation_head(
+        &self,
+        static_tokens: &[f32],
+        tokens: &[f32],
+    ) -> Result<(Vec<[f32; 3]>, Vec<[f32; 2]>), ModelError> {
+        self.check_upsampled("static tokens", static_tokens)?;
+        self.check_upsampled("deformation tokens", tokens)?;
+        let _span = info_span!("heads", kind = "deformation").entered();
+        Ok(self.deformation_head.apply(self.level(), static_tokens, tokens))
+    }
+
+    /// What the other frame is conditioned on.
+    fn features<'a>(&self, side: &Side<'a>, which: &str) -> Result<&'a [f32], ModelError> {
+        if !self.config.use_dino {
+            return Ok(side.h);
+        }
+        let channels = self.config.condition_dim;
+        let name = format!("condition of the {which} frame");
+        let Some(features) = side.condition else {
+            return Err(ModelError::Input {
+                input: name,
+                expected: format!("features [M, {channels}]: this model is conditioned on DINOv2"),
+                found: "none".to_owned(),
+            });
+        };
+        let most = self.decoder.longest_condition(self.config.hidden_dim);
+        let rows = features.len() / channels;
+        if rows == 0 || features.len() % channels != 0 || most.is_some_and(|most| rows > most) {
+            let bound = most.map_or(String::new(), |most| format!(", M at most {most}"));
+            return Err(ModelError::Input {
+                input: name,
+                expected: format!("features [M, {channels}]{bound}"),
+                found: format!("{} values", features.len()),
+            });
+        }
+        check_input(&name, features, features.len(), "")?;
+        Ok(features)
+    }
+
+    fn check_tokens(&self, name: &str, values: &[f32]) -> Result<(), ModelError> {
+        let (n, d) = (self.config.tokens(), self.config.hidden_dim);
+        check_input(name, values, n * d, &format!("[{n}, {d}]"))
+    }
+
+    fn check_upsampled(&self, name: &str, values: &[f32]) -> Result<(), ModelError> {
+        let (n, d) = (self.config.gaussians(), self.config.gaussian_dim());
+        check_input(name, values, n * d, &format!("[{n}, {d}]"))
+    }
+}

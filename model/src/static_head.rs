@@ -1,0 +1,113 @@
+//! From upsampled tokens to the Gaussians of a frame.
+//!
+//! On a grid of `H2 × W2` cells, with `x_map` the cell centres of [−1, 1] left to right and `z_map` those of [1, −1] top to
+//! bottom:
+//!
+//! ```text
+//! o = tanh(layer(token))   or, for a truncated normal, its mean tanh(layer(token))·(1 − ε) or a sample
+//! position = (x_map + o₀/W2,  0.5 + 0.5·o₁,  z_map + o₂/H2)
+//! scale = 0.1·softplus,  opacity = 0.05 + 0.95·σ,  rgb = σ
+//! ```
+
+use streamsplat_kernels::{Level, activation};
+
+use crate::checkpoint::Weights;
+use crate::layers::{Linear, ROWS};
+use crate::{Config, ModelError, Sampling, StaticGaussians, StaticPosition};
+
+/// Margin of the truncated normal's bounds ±(1 − ε).
+const EPSILON: f32 = 1e-3;
+
+pub(crate) struct StaticHead {
+    /// All heads side by side: position (3), its log scale (3, only of a truncated normal), scale (2), opacity (1), rgb (3).
+    layers: Linear,
+    kind: StaticPosition,
+    x_map: Vec<f32>,
+    z_map: Vec<f32>,
+}
+
+impl StaticHead {
+    pub(crate) fn load(weights: &Weights<'_>, config: &Config) -> Result<StaticHead, ModelError> {
+        let position: &[(&str, usize)] = match config.static_position {
+            StaticPosition::Tanh => &[("gs_layer.xyz_static", 3)],
+            StaticPosition::TruncatedNormal => &[("mix_layer.xyz_static_mean", 3), ("mix_layer.xyz_static_scale", 3)],
+        };
+        let rest = [("gs_layer.scale", 2), ("gs_layer.opacity", 1), ("gs_layer.rgb", 3)];
+        let layers = Linear::load_joined(weights, &[position, &rest].concat(), config.gaussian_dim())?;
+        let [rows, columns] = config.gaussian_grid();
+        let map = |name: &str, cell: &dyn Fn(usize) -> f64| {
+            if weights.shape(name).is_some() {
+                return weights.vector(name, &[rows * columns]);
+            }
+            Ok((0..rows * columns).map(|i| cell(i) as f32).collect())
+        };
+        let centre = |i: usize, cells: usize| (2 * i + 1) as f64 / cells as f64 - 1.0;
+        Ok(StaticHead {
+            layers,
+            kind: config.static_position,
+            x_map: map("x_map", &|i| centre(i % columns, columns))?,
+            z_map: map("z_map", &|i| -centre(i / columns, rows))?,
+        })
+    }
+
+    pub(crate) fn apply(&self, level: Level, config: &Config, tokens: &[f32], sampling: Sampling) -> StaticGaussians {
+        let (n, d) = (config.gaussians(), config.gaussian_dim());
+        let mut position = vec![[0.0; 3]; n];
+        let mut log_scale = match self.kind {
+            StaticPosition::Tanh => Vec::new(),
+            StaticPosition::TruncatedNormal => vec![[0.0; 3]; n],
+        };
+        let mut scale = vec![[0.0; 2]; n];
+        let mut opacity = vec![0.0; n];
+        let mut rgb = vec![[0.0; 3]; n];
+        let width = self.layers.n();
+        let mut values = vec![0.0; ROWS.min(n) * width];
+        for (chunk, tokens) in tokens.chunks(ROWS * d).enumerate() {
+            let values = &mut values[..tokens.len() / d * width];
+            self.layers.apply(level, tokens, values);
+            for (i, mut row) in values.chunks_exact(width).enumerate() {
+                let i = chunk * ROWS + i;
+                take(&mut row, &mut position[i]);
+                if let Some(log_scale) = log_scale.get_mut(i) {
+                    take(&mut row, log_scale);
+                }
+                take(&mut row, &mut scale[i]);
+                opacity[i] = row[0];
+                row = &row[1..];
+                take(&mut row, &mut rgb[i]);
+            }
+        }
+
+        activation::tanh(level, position.as_flattened_mut());
+        if self.kind == StaticPosition::TruncatedNormal {
+            self.draw(level, position.as_flattened_mut(), log_scale.as_flattened(), sampling);
+        }
+        let [rows, columns] = config.gaussian_grid().map(|side| side as f32);
+        for (o, (x, z)) in position.iter_mut().zip(self.x_map.iter().zip(&self.z_map)) {
+            *o = [x + o[0] / columns, 0.5 + 0.5 * o[1], z + o[2] / rows];
+        }
+        activation::softplus(level, scale.as_flattened_mut());
+        scale.as_flattened_mut().iter_mut().for_each(|s| *s *= 0.1);
+        activation::sigmoid(level, &mut opacity);
+        opacity.iter_mut().for_each(|o| *o = 0.05 + 0.95 * *o);
+        activation::sigmoid(level, rgb.as_flattened_mut());
+        StaticGaussians { position, scale, opacity, rgb }
+    }
+
+    /// From `tanh` of the mean's layer to the offset.
+    fn draw(&self, level: Level, offset: &mut [f32], log_scale: &[f32], sampling: Sampling) {
+        offset.iter_mut().for_each(|m| *m *= 1.0 - EPSILON);
+        let _ = (level, log_scale, sampling);
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        self.layers.bytes() + 4 * (self.x_map.len() + self.z_map.len())
+    }
+}
+
+/// Moves the first values of `row` to `to`.
+fn take<const N: usize>(row: &mut &[f32], to: &mut [f32; N]) {
+    let (first, rest) = row.split_at(N);
+    to.copy_from_slice(first);
+    *row = rest;
+}

@@ -1,0 +1,67 @@
+//! From one token per patch to one per 2×2 pixels.
+//!
+//! Two stages; in each a linear layer widens a token to four sub-tokens, pixel shuffle spreads them over a grid twice as
+//! fine, and a pair of window blocks mixes them: the first with the windows as they are, the second rolled by half a window.
+
+use streamsplat_kernels::Level;
+use streamsplat_kernels::pixel_shuffle::pixel_shuffle;
+
+use crate::checkpoint::Weights;
+use crate::layers::{Bias, Block, Linear, RmsNorm, Workspace, windows};
+use crate::{Config, ModelError};
+
+pub(crate) struct Upsampler {
+    stages: [Stage; 2],
+    layernorm2: RmsNorm,
+}
+
+struct Stage {
+    residual_fc: Linear,
+    blocks: [Block; 2],
+}
+
+impl Upsampler {
+    pub(crate) fn load(weights: &Weights<'_>, config: &Config) -> Result<Upsampler, ModelError> {
+        let [first, second] = config.upsampler_widths;
+        Ok(Upsampler {
+            stages: [Stage::load(weights, 0, config.hidden_dim, first)?, Stage::load(weights, 1, first, second)?],
+            layernorm2: RmsNorm::load(weights, "layernorm2", second)?,
+        })
+    }
+
+    /// `[N, D]` to `[16N, d]`.
+    pub(crate) fn apply(&self, level: Level, config: &Config, h: &[f32]) -> Vec<f32> {
+        let [mut height, mut width] = config.grid();
+        let mut work = Workspace::default();
+        let mut x = Vec::new();
+        for (i, stage) in self.stages.iter().enumerate() {
+            let channels = stage.residual_fc.n() / 4;
+            let mut wide = vec![0.0; height * width * 4 * channels];
+            stage.residual_fc.apply(level, if i == 0 { h } else { &x }, &mut wide);
+            x = vec![0.0; wide.len()];
+            pixel_shuffle(&wide, height, width, channels, &mut x);
+            drop(wide);
+            [height, width] = [2 * height, 2 * width];
+            for (index, block) in stage.blocks.iter().enumerate() {
+                block.apply(level, windows(Some(config.upsampler_window), index), &mut x, &mut work);
+            }
+        }
+        drop(work);
+        self.layernorm2.of(level, &x)
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        let stage = |s: &Stage| s.residual_fc.bytes() + s.blocks.iter().map(Block::bytes).sum::<usize>();
+        self.stages.iter().map(stage).sum::<usize>() + self.layernorm2.bytes()
+    }
+}
+
+impl Stage {
+    fn load(weights: &Weights<'_>, index: usize, from: usize, to: usize) -> Result<Stage, ModelError> {
+        let block = |i: usize| Block::load(&weights.at(format_args!("attention_{index}.resblocks.{i}")), to);
+        Ok(Stage {
+            residual_fc: Linear::load(weights, &format!("upsampler_{index}.residual_fc"), 4 * to, from, Bias::Yes)?,
+            blocks: [block(0)?, block(1)?],
+        })
+    }
+}

@@ -1,0 +1,71 @@
+//! The network reproduces every tensor of the parity data.
+
+use streamsplat_kernels::Level;
+use streamsplat_model::forward::{Tensor, forward};
+use streamsplat_model::{LoadOptions, Network, Precision};
+use streamsplat_tests::parity;
+use streamsplat_tests::reference::relative_l2;
+
+/// Relative L2 error per tensor; the data are about 1e-6 from the exact results themselves.
+const BOUND: f64 = 3e-6;
+
+fn outputs(case: &str, level: Level) -> Vec<Tensor> {
+    let (_, io) = parity::case(case);
+    let options = LoadOptions { level, precision: Precision::F32 };
+    let network = Network::open(parity::path(&format!("{case}.safetensors")), &options).expect("a model");
+    forward(&network, &io).expect("inputs that fit")
+}
+
+fn reproduces(case: &str) {
+    let (_, io) = parity::case(case);
+    let found = outputs(case, Level::detect());
+    let expected = io.tensors().keys().filter(|name| name.starts_with("out."));
+    assert_eq!(expected.count(), found.len());
+    for tensor in found {
+        let expected = io.read(&tensor.name).expect("a parity tensor");
+        assert_eq!(Some(tensor.shape.as_slice()), io.shape(&tensor.name), "{case} {}", tensor.name);
+        let widen = |values: &[f32]| values.iter().map(|&x| f64::from(x)).collect::<Vec<_>>();
+        let error = relative_l2(widen(&tensor.values), widen(&expected));
+        println!("{case} {}: {error:.2e}", tensor.name);
+        assert!(error <= BOUND, "{case} {}: {error:.2e}", tensor.name);
+    }
+}
+
+#[test]
+fn model_conditioned_on_features_is_reproduced() {
+    reproduces("tiny-dino");
+}
+
+#[test]
+fn model_conditioned_on_embeddings_is_reproduced() {
+    reproduces("tiny-nodino");
+}
+
+#[test]
+fn model_of_sampled_positions_is_reproduced() {
+    reproduces("tiny-sampled");
+}
+
+#[test]
+fn model_of_windowed_blocks_is_reproduced() {
+    reproduces("tiny-window");
+}
+
+#[test]
+fn every_level_and_number_of_threads_gives_the_same_bits() {
+    for case in ["tiny-nodino", "tiny-sampled"] {
+        let bits = |tensors: Vec<Tensor>| -> Vec<(String, Vec<u32>)> {
+            tensors.into_iter().map(|t| (t.name, t.values.into_iter().map(f32::to_bits).collect())).collect()
+        };
+        let expected = bits(outputs(case, Level::scalar()));
+        for level in Level::available() {
+            for threads in [1, 2, 3, 8] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+                let found = bits(pool.install(|| outputs(case, level)));
+                for (found, expected) in found.iter().zip(&expected) {
+                    assert!(found == expected, "{case} {} on {level} with {threads} threads", found.0);
+                }
+            }
+        }
+    }
+}
