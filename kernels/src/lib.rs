@@ -14,6 +14,7 @@ pub mod norm;
 pub mod parallel;
 pub mod patches;
 pub mod pixel_shuffle;
+pub mod raster;
 pub mod simd;
 #[cfg(test)]
 mod testing;

@@ -92,6 +92,30 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
+    unsafe fn repeat_four(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe {
+            let both = _mm256_broadcast_ps(&_mm_loadu_ps(from));
+            F(both, both)
+        }
+    }
+    #[inline(always)]
+    unsafe fn spread_four(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe {
+            let both = _mm256_broadcast_ps(&_mm_loadu_ps(from));
+            F(
+                _mm256_permutevar_ps(both, _mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1)),
+                _mm256_permutevar_ps(both, _mm256_setr_epi32(2, 2, 2, 2, 3, 3, 3, 3)),
+            )
+        }
+    }
+    #[inline(always)]
+    fn prefetch<T>(self, at: *const T) {
+        // SAFETY: a prefetch of any address is harmless.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(at.cast()) }
+    }
+    #[inline(always)]
     fn add(self, a: F, b: F) -> F {
         both!(F, _mm256_add_ps, a, b)
     }

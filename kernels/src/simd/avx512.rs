@@ -64,6 +64,24 @@ impl Simd for Avx512 {
         x
     }
     #[inline(always)]
+    unsafe fn repeat_four(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe { _mm512_broadcast_f32x4(_mm_loadu_ps(from)) }
+    }
+    #[inline(always)]
+    unsafe fn spread_four(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe {
+            let lanes = _mm512_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
+            _mm512_permutexvar_ps(lanes, _mm512_castps128_ps512(_mm_loadu_ps(from)))
+        }
+    }
+    #[inline(always)]
+    fn prefetch<T>(self, at: *const T) {
+        // SAFETY: a prefetch of any address is harmless.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(at.cast()) }
+    }
+    #[inline(always)]
     fn add(self, a: F, b: F) -> F {
         op!(_mm512_add_ps(a, b))
     }

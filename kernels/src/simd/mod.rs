@@ -99,6 +99,32 @@ pub trait Simd: Copy + Send + Sync + 'static {
         to.copy_from_slice(&all[..to.len()]);
     }
 
+    /// Four values, four times over: lane `i` is value `i mod 4`.
+    ///
+    /// # Safety
+    /// `from` is readable for four values.
+    #[inline(always)]
+    unsafe fn repeat_four(self, from: *const f32) -> Self::F32 {
+        // SAFETY: the caller's.
+        let four = unsafe { from.cast::<[f32; 4]>().read_unaligned() };
+        self.from_array(std::array::from_fn(|i| four[i % 4]))
+    }
+    /// Each of four values on four lanes: lane `i` is value `i / 4`.
+    ///
+    /// # Safety
+    /// `from` is readable for four values.
+    #[inline(always)]
+    unsafe fn spread_four(self, from: *const f32) -> Self::F32 {
+        // SAFETY: the caller's.
+        let four = unsafe { from.cast::<[f32; 4]>().read_unaligned() };
+        self.from_array(std::array::from_fn(|i| four[i / 4]))
+    }
+    /// Hints that the cache line at `at` is read soon. Any address is allowed.
+    #[inline(always)]
+    fn prefetch<T>(self, at: *const T) {
+        let _ = at;
+    }
+
     /// `a + b`
     fn add(self, a: Self::F32, b: Self::F32) -> Self::F32;
     /// `a − b`

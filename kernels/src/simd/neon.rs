@@ -87,6 +87,19 @@ impl Simd for Neon {
         x
     }
     #[inline(always)]
+    unsafe fn repeat_four(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves NEON.
+        F([unsafe { vld1q_f32(from) }; 4])
+    }
+    #[inline(always)]
+    unsafe fn spread_four(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves NEON.
+        unsafe {
+            let v = vld1q_f32(from);
+            F([vdupq_laneq_f32::<0>(v), vdupq_laneq_f32::<1>(v), vdupq_laneq_f32::<2>(v), vdupq_laneq_f32::<3>(v)])
+        }
+    }
+    #[inline(always)]
     fn add(self, a: F, b: F) -> F {
         four!(F, vaddq_f32, a, b)
     }

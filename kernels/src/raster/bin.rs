@@ -1,0 +1,111 @@
+//! Which tiles a footprint can touch, and each tile's list.
+
+use super::project::{BLOCK, Splat};
+
+/// Blocks across and down a tile.
+pub(super) const TILE: [usize; 2] = [8, 8];
+
+/// A footprint that spans more tiles than this is tested against them row by row.
+const TEST_ABOVE: usize = 4;
+
+/// The tiles of an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Grid {
+    pub columns: usize,
+    pub rows: usize,
+}
+
+impl Grid {
+    pub(super) fn new(width: usize, height: usize) -> Self {
+        Self { columns: width.div_ceil(BLOCK * TILE[0]), rows: height.div_ceil(BLOCK * TILE[1]) }
+    }
+
+    pub(super) fn len(self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// Calls `visit` with every tile that `splat` may touch, in ascending order.
+    #[inline(always)]
+    pub(super) fn for_each_tile(self, splat: &Splat, mut visit: impl FnMut(usize)) {
+        if splat.is_hidden() {
+            return;
+        }
+        let [left, right] = splat.columns.map(|c| usize::from(c) / TILE[0]);
+        let [top, bottom] = splat.rows.map(|r| usize::from(r) / TILE[1]);
+        if (right - left + 1) * (bottom - top + 1) <= TEST_ABOVE {
+            for row in top..=bottom {
+                for column in left..=right {
+                    visit(row * self.columns + column);
+                }
+            }
+            return;
+        }
+        let reach = Reach::new(splat);
+        for row in top..=bottom {
+            let height = (BLOCK * TILE[1]) as f32;
+            let (from, to) = reach.columns(row as f32 * height, height - 1.0);
+            let width = (BLOCK * TILE[0]) as f32;
+            // Also where the bounds are NaN the comparison leaves the box of the footprint.
+            let first = if from / width > left as f32 { (from / width) as usize } else { left };
+            let last = if to / width < right as f32 { (to.max(-1.0) / width).floor() as isize } else { right as isize };
+            for column in first as isize..=last {
+                visit(row * self.columns + column as usize);
+            }
+        }
+    }
+}
+
+/// What it takes to tell how far a footprint extends sideways over a strip of rows.
+#[derive(Clone, Copy)]
+pub(super) struct Reach {
+    /// The centre.
+    pub x: f32,
+    pub y: f32,
+    pub p: f32,
+    pub q: f32,
+    pub k: f32,
+    /// The exponent at the rim.
+    pub exponent: f32,
+    /// Half the height.
+    pub height: f32,
+    /// Row, from the centre, of the rim's rightmost point; the leftmost is opposite.
+    pub rightmost: f32,
+    /// Pixels added on both sides against rounding.
+    pub slack: f32,
+}
+
+impl Reach {
+    #[inline(always)]
+    pub(super) fn new(splat: &Splat) -> Self {
+        let (x, y, k) = (splat.u as f32, splat.v as f32, splat.k as f32);
+        let root = splat.reach.sqrt();
+        let height = root / splat.q;
+        let slope = k * splat.p;
+        let norm = (splat.q * splat.q + slope * slope).sqrt();
+        let width = root * norm / (splat.p * splat.q);
+        Self {
+            x,
+            y,
+            p: splat.p,
+            q: splat.q,
+            k,
+            exponent: splat.reach,
+            height,
+            rightmost: height * (slope / norm),
+            slack: 0.05 + 2e-6 * (x.abs() + width),
+        }
+    }
+
+    /// First and last x of the rim over the rows `from ..= from + extent`, with some slack.
+    #[inline(always)]
+    fn columns(&self, from: f32, extent: f32) -> (f32, f32) {
+        let low = (from - self.y).max(-self.height).min(self.height);
+        let high = (from + extent - self.y).max(-self.height).min(self.height);
+        let at_right = self.rightmost.max(low).min(high);
+        let at_left = (-self.rightmost).max(low).min(high);
+        let half = |dy: f32| (self.exponent - (self.q * dy) * (self.q * dy)).max(0.0).sqrt() / self.p;
+        let right = self.k * at_right + half(at_right);
+        let left = self.k * at_left - half(at_left);
+        (self.x + left - self.slack, self.x + right + self.slack)
+    }
+}

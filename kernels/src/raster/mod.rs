@@ -1,0 +1,177 @@
+//! Rasterisation of 3-D Gaussians, orthographic or pinhole: project, bin, sort, blend.
+//!
+//! # What is computed
+//!
+//! Gaussians come in view space: x right, y down, z forward. Gaussian i with mean (x, y, z), scales S, rotation R (from the
+//! quaternion as it is, not normalised) and opacity o has the footprint
+//!
+//! ```text
+//! orthographic  u = f_x·x + (W − 1)/2        J = [[f_x, 0, 0], [0, f_y, 0]]                           drawn where z > 0
+//! pinhole       u = f_x·x/z + c_x            J = [[f_x/z, 0, −f_x·x/z²], [0, f_y/z, −f_y·y/z²]]       drawn where z > 1e-6
+//! Σ = J·R·S·Sᵀ·Rᵀ·Jᵀ + 0.3·I                (px²; pixel centres are whole numbers)
+//! ```
+//!
+//! and is drawn on pixel d away from its centre, front to back by z (ties: lower index first), with
+//!
+//! ```text
+//! α = min(0.99, o·exp(−½·dᵀΣ⁻¹d))            skipped where α < 1/255
+//! stop before the first that takes T·(1 − α) under 1e-4
+//! C += α·T·c     D += α·T·z     T −= α·T      from T = 1
+//! rgb = C + T·background     depth = D     alpha = 1 − T
+//! ```
+//!
+//! (StreamSplat, ICLR 2026, section 3, with the affine approximation of EWA splatting.) A Gaussian reaches every pixel on
+//! which its α is at least 1/255: the image depends on no tile size and no cut at a multiple of σ.
+//!
+//! # Order of operations
+//!
+//! A pixel's value is a function of the scene and the pixel alone. Projection is binary64 (`project.rs`), the blend
+//! binary32 with the fused multiply-adds written in `blend.rs`. The conic enters as a triangular factor,
+//! `½log₂e·dᵀΣ⁻¹d = (p·(dx − k·dy))² + (q·dy)²`, whose determinant is a sum of squares: neither thin nor far Gaussians cancel.
+//! Two forms of α, chosen by the scene and never by tile, level or thread:
+//!
+//! - *separable*, when the projection is orthographic and every rotation is the identity:
+//!   `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)²)`, one exponential per row and per column;
+//! - *general*: `α = min(0.99, o·2^−((p·(dx − k·dy))² + (q·dy)²))`.
+//!
+//! Pixels are blended in blocks of 4×4, one vector each. Blocks and tiles that a footprint cannot reach are left out, as are
+//! blocks of which every pixel is finished; that changes no bit.
+//!
+//! # Values that are not finite
+//!
+//! A Gaussian with a NaN or an infinity in any field is dropped and counted. Nothing of it reaches the image.
+
+mod bin;
+mod blend;
+mod project;
+pub mod reference;
+mod renderer;
+mod sort;
+
+pub use renderer::{Renderer, Work};
+
+use crate::level::Level;
+
+/// Gaussians in view space; all slices are equally long.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Gaussians<'a> {
+    /// Centres: x right, y down, z forward.
+    pub mean: &'a [[f32; 3]],
+    /// Standard deviations along the Gaussian's own axes.
+    pub scale: &'a [[f32; 3]],
+    /// Quaternions w, x, y, z, used as they are; `None`: all are the identity.
+    pub rotation: Option<&'a [[f32; 4]]>,
+    /// Opacity at the centre.
+    pub opacity: &'a [f32],
+    /// Colour.
+    pub rgb: &'a [[f32; 3]],
+}
+
+impl Gaussians<'_> {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.mean.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.mean.is_empty()
+    }
+
+    fn assert_equal_lengths(&self) {
+        let n = self.len();
+        assert!(
+            self.scale.len() == n
+                && self.opacity.len() == n
+                && self.rgb.len() == n
+                && self.rotation.is_none_or(|r| r.len() == n),
+            "Gaussians of unequal lengths: {n} means, {} scales, {:?} rotations, {} opacities, {} colours",
+            self.scale.len(),
+            self.rotation.map(<[_]>::len),
+            self.opacity.len(),
+            self.rgb.len(),
+        );
+    }
+}
+
+/// How view space meets the image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Projection {
+    /// Parallel rays; the axis z meets the middle of the image.
+    Orthographic {
+        /// Pixels per unit along x and y.
+        focal: [f32; 2],
+    },
+    /// Rays through one point.
+    Pinhole {
+        /// Focal lengths in pixels.
+        focal: [f32; 2],
+        /// The pixel that the axis z meets.
+        centre: [f32; 2],
+    },
+}
+
+/// What to draw.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Request {
+    /// Pixels per row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Colour behind everything. A component that is not finite counts as zero.
+    pub background: [f32; 3],
+    /// Whether `depth` is wanted.
+    pub depth: bool,
+    /// Whether `alpha` is wanted.
+    pub alpha: bool,
+    /// Whether `final_t` and `blended` are wanted.
+    pub statistics: bool,
+}
+
+impl Request {
+    /// A request for colour alone.
+    pub fn colour(width: usize, height: usize, background: [f32; 3]) -> Self {
+        Self { width, height, background, depth: false, alpha: false, statistics: false }
+    }
+}
+
+/// What was drawn. Planes are row-major.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Image {
+    /// Pixels per row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `[3, H, W]`
+    pub rgb: Vec<f32>,
+    /// `[H, W]`: Σ z α T, not normalised.
+    pub depth: Option<Vec<f32>>,
+    /// `[H, W]`: Σ α T.
+    pub alpha: Option<Vec<f32>>,
+    /// `[H, W]`: transmittance left.
+    pub final_t: Option<Vec<f32>>,
+    /// `[H, W]`: Gaussians drawn.
+    pub blended: Option<Vec<u32>>,
+    /// Gaussians dropped because a field was not finite.
+    pub dropped: u64,
+}
+
+/// Draws `gaussians`.
+///
+/// Runs on the current rayon pool. The result is the same for every level and number of threads.
+/// To draw a scene again and again use a [`Renderer`]: it keeps its buffers and redraws only what changed.
+///
+/// # Panics
+/// When the slices of `gaussians` differ in length, when there are 2³² Gaussians or more, or when a side of the image is longer than
+/// [`MAX_SIDE`].
+pub fn render(level: Level, gaussians: &Gaussians<'_>, projection: &Projection, request: &Request) -> Image {
+    let mut renderer = Renderer::new(level);
+    renderer.render(gaussians, projection, request);
+    renderer.into_image()
+}
+
+/// The longest side of an image.
+pub const MAX_SIDE: usize = 1 << 16;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,340 @@
+//! Drawing a scene again and again: buffers are kept, and only tiles whose splats changed are drawn anew.
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use rayon::prelude::*;
+
+use super::bin::Grid;
+use super::blend::{DrawTile, Planes, Scratch, Tally};
+use super::project::{Outcome, Splat, View, project};
+use super::sort::{Entry, by_depth};
+use super::{Gaussians, Image, MAX_SIDE, Projection, Request};
+use crate::level::Level;
+use crate::parallel::Disjoint;
+use crate::simd::{Operation, Simd, dispatch};
+
+/// Work done and avoided by the last [`Renderer::render`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Work {
+    /// Gaussians given.
+    pub gaussians: u64,
+    /// Gaussians with a field that is not finite.
+    pub dropped: u64,
+    /// Gaussians that cannot change a pixel: neither binned nor sorted.
+    pub culled: u64,
+    /// Gaussians whose record changed since the last image.
+    pub changed: u64,
+    /// Tiles of the image.
+    pub tiles: u64,
+    /// Tiles drawn; the others kept their pixels.
+    pub tiles_drawn: u64,
+    /// Entries of the lists of the tiles drawn.
+    pub entries: u64,
+    /// Entries that were not looked at because every pixel of their tile was finished.
+    pub entries_unseen: u64,
+    /// Blocks of 4×4 pixels on which a splat was blended.
+    pub blocks: u64,
+    /// Time of projection and comparison with the last image.
+    pub project: Duration,
+    /// Time of filling the lists.
+    pub bin: Duration,
+    /// Time of sorting and blending.
+    pub blend: Duration,
+}
+
+/// A rasteriser that keeps its buffers and its last image.
+#[derive(Debug)]
+pub struct Renderer {
+    level: Level,
+    /// What the last image was of; `None` before the first.
+    last: Option<Last>,
+    splats: Vec<Splat>,
+    /// Entries per chunk of Gaussians and tile; later where each chunk's entries of a tile start.
+    counts: Vec<u32>,
+    /// Where a tile's list starts; one more than tiles.
+    starts: Vec<u32>,
+    entries: Vec<Entry>,
+    dirty: Vec<AtomicBool>,
+    order: Vec<u32>,
+    scratch: Vec<Scratch>,
+    image: Image,
+    work: Work,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Last {
+    view: View,
+    request: Request,
+    gaussians: usize,
+}
+
+/// Gaussians of a chunk when there are few; there are at most `MOST_CHUNKS` chunks.
+const CHUNK: usize = 2048;
+const MOST_CHUNKS: usize = 64;
+
+/// Whether the rotation leaves everything in place.
+fn is_identity(q: &[f32; 4]) -> bool {
+    q[1] == 0.0 && q[2] == 0.0 && q[3] == 0.0
+}
+
+impl Renderer {
+    /// A renderer that runs on `level`.
+    pub fn new(level: Level) -> Self {
+        Self {
+            level,
+            last: None,
+            splats: Vec::new(),
+            counts: Vec::new(),
+            starts: Vec::new(),
+            entries: Vec::new(),
+            dirty: Vec::new(),
+            order: Vec::new(),
+            scratch: Vec::new(),
+            image: Image::default(),
+            work: Work::default(),
+        }
+    }
+
+    /// What the last image cost and what was left out.
+    pub fn work(&self) -> Work {
+        self.work
+    }
+
+    /// The last image.
+    pub fn image(&self) -> &Image {
+        &self.image
+    }
+
+    /// The last image, without the buffers.
+    pub fn into_image(self) -> Image {
+        self.image
+    }
+
+    /// Makes the next image start from nothing.
+    pub fn forget(&mut self) {
+        self.last = None;
+    }
+
+    /// Draws `gaussians`; the same bits as [`super::render`].
+    ///
+    /// When projection and request are those of the last call and there are as many Gaussians, tiles that no changed Gaussian
+    /// touches or touched keep their pixels.
+    ///
+    /// # Panics
+    /// As [`super::render`].
+    pub fn render(&mut self, gaussians: &Gaussians<'_>, projection: &Projection, request: &Request) -> &Image {
+        gaussians.assert_equal_lengths();
+        assert!(u32::try_from(gaussians.len()).is_ok(), "{} Gaussians, at most 2³² − 1", gaussians.len());
+        assert!(
+            request.width <= MAX_SIDE && request.height <= MAX_SIDE,
+            "an image of {}×{}, at most {MAX_SIDE} a side",
+            request.width,
+            request.height
+        );
+        let mut request = *request;
+        request.background = request.background.map(|c| if c.is_finite() { c } else { 0.0 });
+        let view = View {
+            projection: *projection,
+            width: request.width,
+            height: request.height,
+            separable: matches!(projection, Projection::Orthographic { .. })
+                && gaussians.rotation.is_none_or(|r| r.par_chunks(1 << 14).all(|r| r.iter().all(is_identity))),
+        };
+        let now = Last { view, request, gaussians: gaussians.len() };
+        let keep = self.last == Some(now);
+        let grid = Grid::new(request.width, request.height);
+        self.work = Work { gaussians: gaussians.len() as u64, tiles: grid.len() as u64, ..Work::default() };
+        let start = Instant::now();
+        self.project(gaussians, &view, grid, keep);
+        let projected = Instant::now();
+        self.bin(grid, keep);
+        let binned = Instant::now();
+        self.prepare_image(&request, keep);
+        self.blend(&view, &request, grid);
+        self.work.project = projected - start;
+        self.work.bin = binned - projected;
+        self.work.blend = binned.elapsed();
+        self.image.dropped = self.work.dropped;
+        self.last = Some(now);
+        &self.image
+    }
+
+    fn chunk(&self) -> usize {
+        self.splats.len().div_ceil(MOST_CHUNKS).max(CHUNK)
+    }
+
+    /// Fills `splats`, `dirty` and, where everything is new, `counts`.
+    fn project(&mut self, gaussians: &Gaussians<'_>, view: &View, grid: Grid, keep: bool) {
+        self.splats.resize(gaussians.len(), Splat::HIDDEN);
+        let chunk = self.chunk();
+        let chunks = gaussians.len().div_ceil(chunk);
+        self.dirty.resize_with(grid.len(), AtomicBool::default);
+        for dirty in &mut self.dirty {
+            *dirty.get_mut() = !keep;
+        }
+        self.counts.clear();
+        self.counts.resize(chunks * grid.len(), 0);
+        let (level, dirty) = (self.level, &self.dirty);
+        let width = grid.len().max(1);
+        let tallies: Vec<[u64; 3]> = self
+            .splats
+            .par_chunks_mut(chunk)
+            .zip(self.counts.par_chunks_mut(width))
+            .enumerate()
+            .map(|(index, (splats, counts))| {
+                let first = index * chunk;
+                dispatch(level, ProjectChunk { gaussians, view, grid, first, splats, counts, dirty, keep })
+            })
+            .collect();
+        for [dropped, culled, changed] in tallies {
+            self.work.dropped += dropped;
+            self.work.culled += culled;
+            self.work.changed += changed;
+        }
+    }
+
+    /// Fills `starts` and `entries` for the dirty tiles; other tiles get empty lists.
+    fn bin(&mut self, grid: Grid, keep: bool) {
+        let (tiles, chunk) = (grid.len(), self.chunk());
+        let chunks = self.splats.len().div_ceil(chunk);
+        let dirty: &[AtomicBool] = &self.dirty;
+        if keep {
+            self.splats.par_chunks(chunk).zip(self.counts.par_chunks_mut(tiles.max(1))).for_each(|(splats, counts)| {
+                for splat in splats {
+                    grid.for_each_tile(splat, |tile| {
+                        counts[tile] += u32::from(dirty[tile].load(Ordering::Relaxed));
+                    });
+                }
+            });
+        }
+        self.starts.clear();
+        let mut start = 0_u32;
+        for tile in 0..tiles {
+            self.starts.push(start);
+            for at in 0..chunks {
+                let count = std::mem::replace(&mut self.counts[at * tiles + tile], start);
+                start = start.checked_add(count).expect("fewer than 2³² entries");
+            }
+        }
+        self.starts.push(start);
+        self.work.entries = u64::from(start);
+        if self.entries.len() < start as usize {
+            self.entries.resize(start as usize, Entry::default());
+        }
+        let entries = Disjoint::new(&mut self.entries);
+        self.splats.par_chunks(chunk).zip(self.counts.par_chunks_mut(tiles.max(1))).enumerate().for_each(
+            |(at, (splats, counts))| {
+                for (i, splat) in splats.iter().enumerate() {
+                    let entry = Entry { key: splat.depth.to_bits(), index: (at * chunk + i) as u32 };
+                    grid.for_each_tile(splat, |tile| {
+                        if !keep || dirty[tile].load(Ordering::Relaxed) {
+                            let slot = counts[tile] as usize;
+                            // SAFETY: the places of a chunk in a tile's list are its own, as many as it counted.
+                            unsafe { entries.part(slot..slot + 1)[0] = entry };
+                            counts[tile] += 1;
+                        }
+                    });
+                }
+            },
+        );
+    }
+
+    fn prepare_image(&mut self, request: &Request, keep: bool) {
+        if keep {
+            return;
+        }
+        fn plane<T: Copy + Default>(wanted: bool, old: Option<Vec<T>>, pixels: usize) -> Option<Vec<T>> {
+            wanted.then(|| {
+                let mut plane = old.unwrap_or_default();
+                plane.resize(pixels, T::default());
+                plane
+            })
+        }
+        let pixels = request.width * request.height;
+        let image = &mut self.image;
+        (image.width, image.height) = (request.width, request.height);
+        image.rgb.resize(3 * pixels, 0.0);
+        image.depth = plane(request.depth, image.depth.take(), pixels);
+        image.alpha = plane(request.alpha, image.alpha.take(), pixels);
+        image.final_t = plane(request.statistics, image.final_t.take(), pixels);
+        image.blended = plane(request.statistics, image.blended.take(), pixels);
+    }
+
+    /// Sorts and draws the dirty tiles, longest lists first.
+    fn blend(&mut self, view: &View, request: &Request, grid: Grid) {
+        let starts = &self.starts;
+        self.order.clear();
+        self.order.extend((0..grid.len() as u32).filter(|&tile| self.dirty[tile as usize].load(Ordering::Relaxed)));
+        let length = |tile: u32| starts[tile as usize + 1] - starts[tile as usize];
+        self.order.sort_unstable_by_key(|&tile| (std::cmp::Reverse(length(tile)), tile));
+        self.work.tiles_drawn = self.order.len() as u64;
+        self.scratch.resize_with(rayon::current_num_threads(), Scratch::default);
+        let image = &mut self.image;
+        let planes = Planes {
+            width: request.width,
+            height: request.height,
+            background: request.background,
+            rgb: Disjoint::new(&mut image.rgb),
+            depth: image.depth.as_deref_mut().map(Disjoint::new),
+            alpha: image.alpha.as_deref_mut().map(Disjoint::new),
+            final_t: image.final_t.as_deref_mut().map(Disjoint::new),
+            blended: image.blended.as_deref_mut().map(Disjoint::new),
+        };
+        let entries = Disjoint::new(&mut self.entries);
+        let next = AtomicUsize::new(0);
+        let (order, splats, level) = (&self.order, &self.splats, self.level);
+        self.scratch.par_iter_mut().with_max_len(1).for_each(|scratch| {
+            scratch.tally = Tally::default();
+            while let Some(&tile) = order.get(next.fetch_add(1, Ordering::Relaxed)) {
+                let tile = tile as usize;
+                // SAFETY: a tile is taken once, and lists of tiles do not overlap.
+                let list = unsafe { entries.part(starts[tile] as usize..starts[tile + 1] as usize) };
+                by_depth(list, &mut scratch.spare);
+                let (column, row) = (tile % grid.columns, tile / grid.columns);
+                let separable = view.separable;
+                dispatch(level, DrawTile { splats, list, separable, column, row, planes: &planes, scratch });
+            }
+        });
+        for scratch in &self.scratch {
+            self.work.blocks += scratch.tally.blocks;
+            self.work.entries_unseen += scratch.tally.unseen;
+        }
+    }
+}
+
+/// Projects a chunk, counts entries per tile or marks the tiles that changed; gives dropped, culled, changed.
+struct ProjectChunk<'a> {
+    gaussians: &'a Gaussians<'a>,
+    view: &'a View,
+    grid: Grid,
+    first: usize,
+    splats: &'a mut [Splat],
+    counts: &'a mut [u32],
+    dirty: &'a [AtomicBool],
+    keep: bool,
+}
+
+impl Operation for ProjectChunk<'_> {
+    type Output = [u64; 3];
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) -> [u64; 3] {
+        let [mut dropped, mut culled, mut changed] = [0; 3];
+        let mark = |splat: &Splat| self.grid.for_each_tile(splat, |t| self.dirty[t].store(true, Ordering::Relaxed));
+        for (i, old) in self.splats.iter_mut().enumerate() {
+            let (splat, outcome) = project(self.gaussians, self.first + i, self.view);
+            dropped += u64::from(outcome == Outcome::Dropped);
+            culled += u64::from(outcome == Outcome::Culled);
+            if !self.keep {
+                self.grid.for_each_tile(&splat, |tile| self.counts[tile] += 1);
+                *old = splat;
+            } else if !splat.same_bits(old) {
+                changed += 1;
+                mark(old);
+                mark(&splat);
+                *old = splat;
+            }
+        }
+        [dropped, culled, changed]
+    }
+}
