@@ -5,15 +5,19 @@
 //! Nothing of this needs a file system, and nothing depends on the machine: the output bits are one function of the model,
 //! the frames and the [`Settings`], whatever the instruction-set level and the number of threads.
 //!
-//! Around it: [`source`] reads videos, [`picture`] and [`openexr`] read and write images, [`metrics`] measures them.
+//! Around it: [`source`] reads videos and [`depth`] their depth maps, [`output`] and [`scene`] write and read results,
+//! [`metrics`] measures them.
 #![deny(unsafe_code)]
 
 pub mod camera;
+pub mod depth;
 pub mod fit;
 pub mod metrics;
 pub mod openexr;
+pub mod output;
 pub mod picture;
 pub mod render;
+pub mod scene;
 pub mod source;
 pub mod stream;
 

@@ -1,5 +1,9 @@
 //! A picture in memory: three planes of display-referred colour.
 
+use streamsplat_kernels::Level;
+
+use crate::fit::{Fit, Placement};
+
 /// Largest width or height a picture may have, in pixels.
 pub const MAX_SIDE: usize = 32_768;
 
@@ -31,6 +35,18 @@ impl Picture {
         (rgb.len() == samples).then_some(Picture { width, height, rgb })
     }
 
+    /// The picture at another size, bilinearly.
+    ///
+    /// # Panics
+    /// When a side is zero.
+    pub fn resized(&self, width: usize, height: usize) -> Picture {
+        if (self.width, self.height) == (width, height) {
+            return self.clone();
+        }
+        let rgb = resize_planes(&self.rgb, [self.height, self.width], [height, width]);
+        Picture { width, height, rgb }
+    }
+
     /// Interleaved 8-bit samples: each clamped to [0,1], times 255, rounded half up. NaN becomes 0.
     pub fn to_rgb8(&self) -> Vec<u8> {
         let plane = self.width * self.height;
@@ -56,6 +72,17 @@ impl Picture {
             }
         }
         Some(Picture { width, height, rgb })
+    }
+}
+
+/// Planes of `[height, width]` brought to another size bilinearly (half-pixel centres), as frames are brought to a model's size.
+///
+/// # Panics
+/// When a side is zero or `planes` does not hold a whole number of planes.
+pub fn resize_planes(planes: &[f32], from: [usize; 2], to: [usize; 2]) -> Vec<f32> {
+    match Placement::new(Fit::Stretch, from, to) {
+        Some(placement) => placement.fit_in(Level::detect(), planes),
+        None => panic!("expected sides of at least one pixel, found {from:?} and {to:?}"),
     }
 }
 

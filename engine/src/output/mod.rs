@@ -1,0 +1,190 @@
+//! Files: pictures, depth maps, video. Nothing is seen under its own name before it is whole.
+//!
+//! A file is written under a temporary name beside its own (`.NAME.partial`), flushed, and renamed. Every file's BLAKE3 digest
+//! is taken on the way. PNG is written with fixed encoder settings by pure-Rust code, so its bytes are a function of the pixels.
+
+mod video;
+
+use std::fs::File;
+use std::io::{self, Cursor, Write};
+use std::path::{Path, PathBuf};
+
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+
+use crate::openexr::{self, Planes};
+use crate::picture::{Picture, to_u8};
+pub use video::{Finished, Video, VideoFormat};
+
+/// What can go wrong while results are written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OutputError {
+    /// The file or folder cannot be written.
+    #[error("{}: cannot write: {cause}", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's answer.
+        cause: io::Error,
+    },
+    /// The `ffmpeg` program is not installed.
+    #[error(
+        "{}: writing this file needs the ffmpeg program, which is not installed (Debian: apt install ffmpeg); \
+         without it, write a .y4m file or a folder of images",
+        .0.display()
+    )]
+    NoFfmpeg(PathBuf),
+    /// `ffmpeg` cannot write the file.
+    #[error("{}: ffmpeg cannot write it: {cause}", path.display())]
+    Ffmpeg {
+        /// The video file.
+        path: PathBuf,
+        /// What it says.
+        cause: String,
+    },
+    /// A frame of another size than the video's first.
+    #[error("{}: expected frames of {}×{}, found {}×{}", path.display(), expected.0, expected.1, found.0, found.1)]
+    FrameSize {
+        /// The video file.
+        path: PathBuf,
+        /// Width and height of the first frame.
+        expected: (usize, usize),
+        /// Width and height of this one.
+        found: (usize, usize),
+    },
+}
+
+impl OutputError {
+    pub(crate) fn write(path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> OutputError {
+        let path = path.into();
+        move |cause| OutputError::Write { path, cause }
+    }
+}
+
+/// Length and digest of a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Written {
+    /// Bytes.
+    pub bytes: u64,
+    /// BLAKE3 digest in hexadecimal.
+    pub blake3: String,
+}
+
+impl Written {
+    /// Of these bytes.
+    pub fn of(bytes: &[u8]) -> Written {
+        Written { bytes: bytes.len() as u64, blake3: blake3::hash(bytes).to_hex().to_string() }
+    }
+}
+
+/// Where a file is written before it gets its name.
+pub(crate) fn partial_name(path: &Path) -> PathBuf {
+    let mut name = std::ffi::OsString::from(".");
+    name.push(path.file_name().unwrap_or_default());
+    name.push(".partial");
+    path.with_file_name(name)
+}
+
+/// Writes `bytes` as the file `path`: whole or not at all.
+///
+/// # Errors
+/// The system's, with the file's name; nothing is left behind.
+pub fn write_file(path: &Path, bytes: &[u8]) -> Result<Written, OutputError> {
+    let partial = partial_name(path);
+    let result = File::create(&partial)
+        .and_then(|mut file| file.write_all(bytes).and_then(|()| file.flush()))
+        .and_then(|()| std::fs::rename(&partial, path));
+    match result {
+        Ok(()) => Ok(Written::of(bytes)),
+        Err(cause) => {
+            let _ = std::fs::remove_file(&partial);
+            Err(OutputError::Write { path: path.to_owned(), cause })
+        }
+    }
+}
+
+/// Creates a folder, and tries to write in it: an unwritable one is found before work is spent.
+///
+/// # Errors
+/// The folder cannot be created or written in.
+pub fn prepare_folder(path: &Path) -> Result<(), OutputError> {
+    std::fs::create_dir_all(path).map_err(OutputError::write(path))?;
+    let probe = path.join(".streamsplat.partial");
+    File::create(&probe).and_then(|_| std::fs::remove_file(&probe)).map_err(OutputError::write(path))
+}
+
+fn png(width: usize, height: usize, samples: &[u8], colour: ExtendedColorType) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive);
+    match encoder.write_image(samples, width as u32, height as u32, colour) {
+        Ok(()) => bytes,
+        // Into memory, with a length that fits the size, there is nothing to fail.
+        Err(e) => unreachable!("PNG of {width}×{height} in memory: {e}"),
+    }
+}
+
+/// The picture as an 8-bit PNG file.
+pub fn picture_png(picture: &Picture) -> Vec<u8> {
+    png(picture.width, picture.height, &picture.to_rgb8(), ExtendedColorType::Rgb8)
+}
+
+/// A plane with values in [0,1] as an 8-bit grey PNG file.
+///
+/// # Panics
+/// When `plane` does not hold `width · height` values.
+pub fn plane_png(width: usize, height: usize, plane: &[f32]) -> Vec<u8> {
+    assert_eq!(plane.len(), width * height, "a plane of {width}×{height}");
+    let samples: Vec<u8> = plane.iter().map(|&v| to_u8(v)).collect();
+    png(width, height, &samples, ExtendedColorType::L8)
+}
+
+/// A depth image (`Σ d α T`) and, if given, its alpha (`Σ α T`) as an EXR file with the channels `Z` and `A`.
+///
+/// # Errors
+/// Planes whose length is not `width · height`.
+pub fn depth_exr(width: usize, height: usize, depth: &[f32], alpha: Option<&[f32]>) -> io::Result<Vec<u8>> {
+    let mut channels = vec![("Z".to_owned(), depth.to_vec())];
+    if let Some(alpha) = alpha {
+        channels.insert(0, ("A".to_owned(), alpha.to_vec()));
+    }
+    let mut bytes = Cursor::new(Vec::new());
+    let comment = "Z: sum of depth * alpha * transmittance over the splats of a pixel, depth in scene units along the view axis \
+                   (0.1 nearest, 5 farthest for the canonical camera); divide by alpha for the mean depth";
+    openexr::write(&Planes { width, height, channels }, comment, &mut bytes)?;
+    Ok(bytes.into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_whole_or_absent() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("a.bin");
+        let written = write_file(&path, b"hello").expect("writable");
+        assert_eq!(written.blake3, blake3::hash(b"hello").to_hex().as_str());
+        assert_eq!(std::fs::read(&path).expect("readable"), b"hello");
+        // A folder stands where the file should go: the rename fails, and nothing is left.
+        std::fs::create_dir(folder.path().join("b.bin")).expect("writable");
+        assert!(write_file(&folder.path().join("b.bin"), b"x").is_err());
+        let names: Vec<_> =
+            std::fs::read_dir(folder.path()).expect("readable").flatten().map(|e| e.file_name()).collect();
+        assert_eq!(names.len(), 2, "{names:?}");
+        let error = write_file(&folder.path().join("no/such/c.bin"), b"x").expect_err("no folder").to_string();
+        assert!(error.contains("c.bin: cannot write"), "{error}");
+    }
+
+    #[test]
+    fn png_and_exr_come_back_as_they_were() {
+        let bytes: Vec<u8> = (0..60).map(|i| (i * 4) as u8).collect();
+        let picture = Picture::from_rgb8(5, 4, &bytes).expect("20 pixels");
+        let again = crate::source::decode::decode(&picture_png(&picture), Path::new("p.png")).expect("valid");
+        assert_eq!(again, picture);
+        let depth: Vec<f32> = (0..20).map(|i| i as f32 * 0.1).collect();
+        let exr = depth_exr(5, 4, &depth, Some(&[0.5; 20])).expect("memory");
+        let planes = openexr::read(&exr).expect("valid");
+        assert_eq!((planes.channel("Z"), planes.channel("A")), (Some(depth.as_slice()), Some(&[0.5; 20][..])));
+    }
+}

@@ -1,0 +1,331 @@
+//! Video out: y4m written here (to a file or to standard output), anything else by an installed `ffmpeg` program.
+//!
+//! y4m frames are 4:4:4, 8 bits, full range (`C444 XCOLORRANGE=FULL`), with the matrix that [`crate::source::y4m`] reads
+//! pictures of their size with, each sample rounded half up. ffmpeg gets 8-bit RGB and makes BT.709 video (yuv420p) of it.
+
+use std::fs::File;
+use std::io::{BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::thread::JoinHandle;
+
+use super::{OutputError, Written, partial_name};
+use crate::picture::Picture;
+use crate::source::y4m::convert::Matrix;
+
+/// Kinds of video.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum VideoFormat {
+    /// Uncompressed.
+    Y4m,
+    /// Whatever ffmpeg makes of the file's name (mp4, webm, mkv, mov).
+    Ffmpeg,
+}
+
+impl VideoFormat {
+    /// The format of a file of this name; `None` when it is no video's name.
+    pub fn of(path: &Path) -> Option<VideoFormat> {
+        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+        match extension.as_str() {
+            "y4m" => Some(VideoFormat::Y4m),
+            "mp4" | "webm" | "mkv" | "mov" => Some(VideoFormat::Ffmpeg),
+            _ => None,
+        }
+    }
+}
+
+/// A finished video.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finished {
+    /// The file, when it is one.
+    pub file: Option<Written>,
+    /// Digest of the 8-bit samples that went in: what two machines must agree on, whatever their ffmpeg.
+    pub samples: String,
+    /// Frames.
+    pub frames: usize,
+}
+
+/// A video being written.
+pub struct Video {
+    path: PathBuf,
+    fps: f64,
+    format: VideoFormat,
+    sink: Option<Sink>,
+    size: Option<(usize, usize)>,
+    samples: blake3::Hasher,
+    frames: usize,
+}
+
+enum Sink {
+    File { file: BufWriter<File>, digest: blake3::Hasher, bytes: u64 },
+    Stdout(std::io::Stdout),
+    Ffmpeg { child: Child, messages: JoinHandle<String> },
+}
+
+impl Video {
+    /// A video of `fps` frames per second at `path`; `-` is y4m on standard output. Nothing is created before the first frame,
+    /// but a folder that cannot be written is an error now.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub fn create(path: &Path, format: VideoFormat, fps: f64) -> Result<Video, OutputError> {
+        if path != Path::new("-") {
+            let partial = partial_name(path);
+            File::create(&partial).and_then(|_| std::fs::remove_file(&partial)).map_err(OutputError::write(path))?;
+        }
+        let samples = blake3::Hasher::new();
+        Ok(Video { path: path.to_owned(), fps, format, sink: None, size: None, samples, frames: 0 })
+    }
+
+    fn open(&mut self, width: usize, height: usize) -> Result<&mut Sink, OutputError> {
+        let sink = match self.sink.take() {
+            Some(sink) => sink,
+            None => {
+                let mut sink = if self.path == Path::new("-") {
+                    Sink::Stdout(std::io::stdout())
+                } else if self.format == VideoFormat::Y4m {
+                    let file = File::create(partial_name(&self.path)).map_err(OutputError::write(&self.path))?;
+                    Sink::File { file: BufWriter::new(file), digest: blake3::Hasher::new(), bytes: 0 }
+                } else {
+                    self.start_ffmpeg(width, height)?
+                };
+                if self.format == VideoFormat::Y4m {
+                    let (numerator, denominator) = fraction(self.fps);
+                    let header = format!(
+                        "YUV4MPEG2 W{width} H{height} F{numerator}:{denominator} Ip A1:1 C444 XCOLORRANGE=FULL\n"
+                    );
+                    sink.write(header.as_bytes()).map_err(OutputError::write(&self.path))?;
+                }
+                sink
+            }
+        };
+        Ok(self.sink.insert(sink))
+    }
+
+    fn start_ffmpeg(&self, width: usize, height: usize) -> Result<Sink, OutputError> {
+        let extension = self.path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+        let container = if extension == "mkv" { "matroska" } else { extension.as_str() };
+        let mut url = std::ffi::OsString::from("file:");
+        url.push(partial_name(&self.path));
+        let size = format!("{width}x{height}");
+        let rate = self.fps.to_string();
+        // Chroma is halved: sides must be even.
+        let filter = "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=limited";
+        let child = Command::new("ffmpeg")
+            .args([
+                "-nostdin", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &size, "-r", &rate, "-i",
+                "-",
+            ])
+            .args(["-vf", filter, "-pix_fmt", "yuv420p", "-color_range", "tv", "-colorspace", "bt709"])
+            .args(["-color_primaries", "bt709", "-color_trc", "bt709", "-f", container])
+            .arg(url)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn();
+        let mut child = match child {
+            Ok(child) => child,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Err(OutputError::NoFfmpeg(self.path.clone())),
+            Err(e) => return Err(self.ffmpeg_error(e.to_string())),
+        };
+        let Some(mut stderr) = child.stderr.take() else { return Err(self.ffmpeg_error("no pipe to it")) };
+        let messages = std::thread::spawn(move || {
+            let mut text = Vec::new();
+            let _ = stderr.by_ref().take(1 << 16).read_to_end(&mut text);
+            let _ = std::io::copy(&mut stderr, &mut std::io::sink());
+            String::from_utf8_lossy(&text).into_owned()
+        });
+        Ok(Sink::Ffmpeg { child, messages })
+    }
+
+    fn ffmpeg_error(&self, cause: impl Into<String>) -> OutputError {
+        OutputError::Ffmpeg { path: self.path.clone(), cause: cause.into() }
+    }
+
+    /// Appends a frame.
+    ///
+    /// # Errors
+    /// A frame of another size than the first; what the system or ffmpeg says. The frames before stay readable on standard
+    /// output; a file is not kept.
+    pub fn push(&mut self, picture: &Picture) -> Result<(), OutputError> {
+        let found = (picture.width, picture.height);
+        let expected = *self.size.get_or_insert(found);
+        if expected != found {
+            return Err(OutputError::FrameSize { path: self.path.clone(), expected, found });
+        }
+        let bytes = match self.format {
+            VideoFormat::Y4m => y4m_frame(picture),
+            VideoFormat::Ffmpeg => picture.to_rgb8(),
+        };
+        self.samples.update(&bytes);
+        let result = self.open(found.0, found.1)?.write(&bytes);
+        if let Err(cause) = result {
+            return Err(match self.sink.take() {
+                // A closed pipe says less than ffmpeg does.
+                Some(Sink::Ffmpeg { mut child, messages }) => {
+                    drop(child.stdin.take());
+                    let _ = child.wait();
+                    let _ = std::fs::remove_file(partial_name(&self.path));
+                    self.ffmpeg_error(first_line(&messages.join().unwrap_or_default(), &cause.to_string()))
+                }
+                other => {
+                    self.sink = other;
+                    OutputError::Write { path: self.path.clone(), cause }
+                }
+            });
+        }
+        self.frames += 1;
+        Ok(())
+    }
+
+    /// Completes the file and gives it its name.
+    ///
+    /// # Errors
+    /// What the system or ffmpeg says; the file is not kept then.
+    pub fn finish(mut self) -> Result<Finished, OutputError> {
+        let partial = partial_name(&self.path);
+        let file = match self.sink.take() {
+            None => None,
+            Some(Sink::Stdout(mut out)) => {
+                out.flush().map_err(OutputError::write(&self.path))?;
+                None
+            }
+            Some(Sink::File { mut file, digest, bytes }) => {
+                file.flush().and_then(|()| std::fs::rename(&partial, &self.path)).map_err(|cause| {
+                    let _ = std::fs::remove_file(&partial);
+                    OutputError::Write { path: self.path.clone(), cause }
+                })?;
+                Some(Written { bytes, blake3: digest.finalize().to_hex().to_string() })
+            }
+            Some(Sink::Ffmpeg { mut child, messages }) => {
+                drop(child.stdin.take());
+                let status = child.wait().map_err(OutputError::write(&self.path))?;
+                let text = messages.join().unwrap_or_default();
+                if !status.success() {
+                    let _ = std::fs::remove_file(&partial);
+                    return Err(self.ffmpeg_error(first_line(&text, "it gives no reason")));
+                }
+                std::fs::rename(&partial, &self.path).map_err(OutputError::write(&self.path))?;
+                let content = std::fs::read(&self.path).map_err(OutputError::write(&self.path))?;
+                Some(Written::of(&content))
+            }
+        };
+        Ok(Finished { file, samples: self.samples.finalize().to_hex().to_string(), frames: self.frames })
+    }
+}
+
+impl Drop for Video {
+    fn drop(&mut self) {
+        match self.sink.take() {
+            Some(Sink::Ffmpeg { mut child, .. }) => {
+                let _ = child.kill();
+                let _ = child.wait();
+                let _ = std::fs::remove_file(partial_name(&self.path));
+            }
+            Some(Sink::File { .. }) => {
+                let _ = std::fs::remove_file(partial_name(&self.path));
+            }
+            Some(Sink::Stdout(_)) | None => {}
+        }
+    }
+}
+
+impl Sink {
+    fn write(&mut self, content: &[u8]) -> std::io::Result<()> {
+        match self {
+            Sink::File { file, digest, bytes } => {
+                digest.update(content);
+                *bytes += content.len() as u64;
+                file.write_all(content)
+            }
+            Sink::Stdout(out) => out.write_all(content).and_then(|()| out.flush()),
+            Sink::Ffmpeg { child, .. } => match child.stdin.as_mut() {
+                Some(pipe) => pipe.write_all(content),
+                None => Err(std::io::ErrorKind::BrokenPipe.into()),
+            },
+        }
+    }
+}
+
+fn first_line(text: &str, otherwise: &str) -> String {
+    text.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or(otherwise).to_owned()
+}
+
+/// `FRAME` and the three planes.
+fn y4m_frame(picture: &Picture) -> Vec<u8> {
+    let plane = picture.width * picture.height;
+    let matrix = Matrix::of_size(picture.width, picture.height);
+    let mut bytes = b"FRAME\n".to_vec();
+    let start = bytes.len();
+    bytes.resize(start + 3 * plane, 0);
+    let planes = &mut bytes[start..];
+    for i in 0..plane {
+        let [y, b, r] = matrix.ycbcr([0, 1, 2].map(|c| picture.rgb[c * plane + i].clamp(0.0, 1.0)));
+        // `as` saturates.
+        planes[i] = (255.0 * y + 0.5) as u8;
+        planes[plane + i] = (255.0 * b + 128.5) as u8;
+        planes[2 * plane + i] = (255.0 * r + 128.5) as u8;
+    }
+    bytes
+}
+
+/// A frame rate as a fraction: exact where it is whole or n·1000/1001, else in millionths.
+fn fraction(fps: f64) -> (u64, u64) {
+    for denominator in [1u64, 1001] {
+        let numerator = fps * denominator as f64;
+        let whole = numerator.round();
+        if whole >= 1.0 && whole < 4e9 && (numerator - whole).abs() < 1e-6 * whole {
+            return (whole as u64, denominator);
+        }
+    }
+    ((fps.min(4000.0) * 1e6).round().max(1.0) as u64, 1_000_000)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::{Options, Source};
+
+    #[test]
+    fn y4m_comes_back_within_two_levels() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("v.y4m");
+        let bytes: Vec<u8> = (0..7 * 5 * 3).map(|i| (i * 41 % 256) as u8).collect();
+        let picture = Picture::from_rgb8(7, 5, &bytes).expect("35 pixels");
+        let mut video = Video::create(&path, VideoFormat::Y4m, 30000.0 / 1001.0).expect("writable");
+        (0..3).for_each(|_| video.push(&picture).expect("writable"));
+        assert!(!path.exists(), "named before it is whole");
+        let finished = video.finish().expect("writable");
+        let content = std::fs::read(&path).expect("readable");
+        assert_eq!(finished.file, Some(Written::of(&content)));
+        let mut source = Source::open(&path, &Options::default()).expect("valid");
+        assert_eq!(source.fps(), 30000.0 / 1001.0);
+        let mut frames = 0;
+        while let Some(frame) = source.next_frame().expect("valid") {
+            for (a, b) in frame.picture.rgb.iter().zip(&picture.rgb) {
+                assert!((a - b).abs() <= 2.0 / 255.0, "{a} {b}");
+            }
+            frames += 1;
+        }
+        assert_eq!(frames, 3);
+    }
+
+    #[test]
+    fn a_video_that_is_not_finished_leaves_nothing() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let mut video = Video::create(&folder.path().join("v.y4m"), VideoFormat::Y4m, 24.0).expect("writable");
+        video.push(&Picture { width: 2, height: 2, rgb: vec![0.5; 12] }).expect("writable");
+        let other = Picture { width: 1, height: 2, rgb: vec![0.5; 6] };
+        assert!(matches!(video.push(&other), Err(OutputError::FrameSize { .. })));
+        drop(video);
+        assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 0);
+        assert!(Video::create(Path::new("no/such/folder/v.y4m"), VideoFormat::Y4m, 24.0).is_err());
+    }
+
+    #[test]
+    fn rates_become_fractions() {
+        assert_eq!(fraction(24.0), (24, 1));
+        assert_eq!(fraction(30000.0 / 1001.0), (30000, 1001));
+        assert_eq!(fraction(12.5), (12_500_000, 1_000_000));
+    }
+}

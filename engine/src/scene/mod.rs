@@ -1,0 +1,144 @@
+//! Scenes on disk: a folder with `scene.json` and one safetensors file per interval.
+//!
+//! `scene.json` says where the source's frame lies in the model's input, and lists the intervals in order with their times in
+//! seconds, counts and BLAKE3 digests. It is replaced by renaming after the intervals it names are whole, so that it never
+//! names half a file; what a stopped writer leaves behind is a valid scene.
+//!
+//! | tensor | shape | what |
+//! |---|---|---|
+//! | `mean`, `velocity` | F32 `[N,3]` | world position at the reference time; world units per interval |
+//! | `gamma` | F32 `[N,2]` | the opacity's window in time |
+//! | `opacity` | F32 `[N]` | at the reference time |
+//! | `scale` | F32 `[N,2]` | standard deviations along x and z; along y their mean |
+//! | `rgb` | F32 `[N,3]` | display-space colour |
+//! | `identity`, `birth`, `frame` | U64 `[N]` | who it is; the key frame it was first seen in; the one that reconstructed this record |
+//! | `offset` | F32 `[N,3]` | from `mean` to the identity's tracked point |
+//! | `reference` | U8 `[N]` | 0: seen forward from the interval's start; 1: backward from its end |
+//! | `handover` | U8 `[N]` | 0 stays; 1 fades in after the start; 2 fades out before the end |
+//! | `merges` | U64 `[M,2]` | identities that ended, and the one that goes on in each one's place |
+//! | `time` | F64 `[2]` | start and end in seconds |
+//! | `index`, `dropped` | U64 `[1]` | the key frame at the end; Gaussians left out for numbers that are not finite |
+
+mod interval;
+mod read;
+mod write;
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+use crate::fit::Placement;
+use crate::output::OutputError;
+pub use interval::{from_safetensors, to_safetensors};
+pub use read::Scene;
+pub use write::SceneWriter;
+
+/// The name of a scene's index.
+pub const INDEX: &str = "scene.json";
+/// What `format` says in a scene's index.
+pub const FORMAT: &str = "streamsplat-scene";
+/// The version this program writes and reads.
+pub const VERSION: u32 = 1;
+
+/// What can be wrong with a scene.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SceneError {
+    /// A file cannot be read.
+    #[error("{}: {cause}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's answer.
+        cause: std::io::Error,
+    },
+    /// A file is no part of a scene, or a broken one.
+    #[error("{}: {cause}", path.display())]
+    Broken {
+        /// The file.
+        path: PathBuf,
+        /// What was expected and what was found.
+        cause: String,
+    },
+    /// A file cannot be written.
+    #[error(transparent)]
+    Write(#[from] OutputError),
+    /// No interval holds the time.
+    #[error("time {time} s: expected one between {start} s and {end} s, the times of this scene")]
+    Time {
+        /// The time asked for.
+        time: f64,
+        /// The scene's start.
+        start: f64,
+        /// The scene's end.
+        end: f64,
+    },
+}
+
+/// `scene.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Index {
+    /// [`FORMAT`].
+    pub format: String,
+    /// [`VERSION`].
+    pub version: u32,
+    /// Frames per second of the source.
+    pub fps: f64,
+    /// Sizes as `[height, width]`.
+    pub placement: PlacementRecord,
+    /// The intervals in order of time.
+    pub intervals: Vec<IntervalEntry>,
+}
+
+/// [`Placement`] as JSON; sizes and places are `[height, width]` and `[row, column]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PlacementRecord {
+    /// The source's frames.
+    pub source: [usize; 2],
+    /// The model's input.
+    pub model: [usize; 2],
+    /// The content's corner inside the model's input.
+    pub offset: [usize; 2],
+    /// The content's size inside the model's input.
+    pub content: [usize; 2],
+}
+
+/// One interval of the index.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct IntervalEntry {
+    /// File name inside the scene's folder.
+    pub file: String,
+    /// Start in seconds.
+    pub start: f64,
+    /// End in seconds; equal to the start for a single frame's static scene.
+    pub end: f64,
+    /// Gaussians.
+    pub gaussians: usize,
+    /// Bytes of the file.
+    pub bytes: u64,
+    /// BLAKE3 digest of the file.
+    pub blake3: String,
+}
+
+impl From<Placement> for PlacementRecord {
+    fn from(p: Placement) -> Self {
+        Self { source: p.source, model: p.model, offset: p.offset, content: p.content }
+    }
+}
+
+impl PlacementRecord {
+    /// The placement, if the content is not empty and lies inside the model's input.
+    pub fn placement(&self) -> Option<Placement> {
+        let inside = (0..2).all(|i| {
+            self.source[i] >= 1
+                && self.content[i] >= 1
+                && self.model[i] <= 1 << 31
+                && self.offset[i].checked_add(self.content[i]).is_some_and(|end| end <= self.model[i])
+        });
+        let Self { source, model, offset, content } = *self;
+        inside.then_some(Placement { source, model, offset, content })
+    }
+}
+
+#[cfg(test)]
+mod tests;

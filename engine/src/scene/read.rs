@@ -1,0 +1,151 @@
+//! Reading a scene.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use super::{FORMAT, INDEX, Index, SceneError, VERSION, from_safetensors};
+use crate::fit::Placement;
+use crate::stream::{Interval, Workers};
+
+/// Largest index read, in bytes.
+const MAX_INDEX: u64 = 1 << 28;
+/// Bytes that an interval's file needs beyond those of its records.
+const MAX_OVERHEAD: u64 = 1 << 20;
+/// Bytes of one Gaussian's record.
+const RECORD: u64 = 94;
+/// Bytes of one merge.
+const MERGE: u64 = 16;
+
+/// A scene on disk: its index in memory, its intervals read when asked for.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    folder: PathBuf,
+    index: Index,
+    placement: Placement,
+}
+
+impl Scene {
+    /// Opens the scene in `folder` (or whose `scene.json` is given, or in `folder/scene`).
+    ///
+    /// # Errors
+    /// An index that cannot be read, is of another format or version, or says something impossible.
+    pub fn open(path: &Path) -> Result<Scene, SceneError> {
+        let file = if path.is_file() {
+            path.to_owned()
+        } else if !path.join(INDEX).exists() && path.join("scene").join(INDEX).exists() {
+            path.join("scene").join(INDEX)
+        } else {
+            path.join(INDEX)
+        };
+        let broken = |cause: String| SceneError::Broken { path: file.clone(), cause };
+        let text = read_limited(&file, MAX_INDEX)?;
+        let index: Index = serde_json::from_slice(&text).map_err(|e| broken(format!("not a scene's index: {e}")))?;
+        if index.format != FORMAT || index.version != VERSION {
+            let found = format!("{} version {}", index.format, index.version);
+            return Err(broken(format!("expected {FORMAT} version {VERSION}, found {found}")));
+        }
+        let placement = index.placement.placement().ok_or_else(|| {
+            broken(format!("placement: expected the content inside the model's input, found {:?}", index.placement))
+        })?;
+        if index.intervals.is_empty() {
+            return Err(broken("the scene has no interval".into()));
+        }
+        for (i, entry) in index.intervals.iter().enumerate() {
+            let before = i.checked_sub(1).map_or(f64::NEG_INFINITY, |i| index.intervals[i].end);
+            if !(entry.start.is_finite() && entry.end.is_finite() && before <= entry.start && entry.start <= entry.end)
+            {
+                let (start, end) = (entry.start, entry.end);
+                return Err(broken(format!(
+                    "interval {i}: expected ascending times, found {start} to {end} after {before}"
+                )));
+            }
+            if entry.file.contains(['/', '\\']) || entry.file.starts_with('.') {
+                return Err(broken(format!(
+                    "interval {i}: expected a file name without a folder, found {:?}",
+                    entry.file
+                )));
+            }
+            if entry.gaussians as u64 > (1 << 40) / RECORD {
+                return Err(broken(format!(
+                    "interval {i}: {} Gaussians are more than this program reads",
+                    entry.gaussians
+                )));
+            }
+        }
+        let folder = file.parent().unwrap_or(Path::new("")).to_owned();
+        Ok(Scene { folder, index, placement })
+    }
+
+    /// What `scene.json` says.
+    pub fn index(&self) -> &Index {
+        &self.index
+    }
+
+    /// Where the source's frame lies in the model's input.
+    pub fn placement(&self) -> Placement {
+        self.placement
+    }
+
+    /// The scene's first and last time in seconds.
+    pub fn span(&self) -> (f64, f64) {
+        let intervals = &self.index.intervals;
+        (intervals[0].start, intervals[intervals.len() - 1].end)
+    }
+
+    /// The interval that shows `time`: where two meet, the earlier one that has a length (the image is the same).
+    ///
+    /// # Errors
+    /// Times outside the scene.
+    pub fn find(&self, time: f64) -> Result<usize, SceneError> {
+        let (start, end) = self.span();
+        let intervals = &self.index.intervals;
+        let holds = |i: &usize| intervals[*i].start <= time && time <= intervals[*i].end;
+        let first = intervals.partition_point(|entry| entry.end < time);
+        let candidates = || (first..intervals.len()).take(3).filter(holds);
+        let found = candidates().find(|&i| intervals[i].end > intervals[i].start).or_else(|| candidates().next());
+        found.ok_or(SceneError::Time { time, start, end })
+    }
+
+    /// Reads interval `i` of the index; `workers` draw it.
+    ///
+    /// # Errors
+    /// A file that cannot be read, has another digest than the index says, or is no interval.
+    ///
+    /// # Panics
+    /// When there are not so many intervals.
+    pub fn interval(&self, i: usize, workers: &Workers) -> Result<Interval, SceneError> {
+        let entry = &self.index.intervals[i];
+        let path = self.folder.join(&entry.file);
+        let broken = |cause: String| SceneError::Broken { path: path.clone(), cause };
+        let size = std::fs::metadata(&path).map_err(|cause| SceneError::Read { path: path.clone(), cause })?.len();
+        // Merges end identities, of which there is at most one per record of the interval before.
+        let most = entry.gaussians as u64 * (RECORD + MERGE) + (1 << 28) + MAX_OVERHEAD;
+        if size != entry.bytes || size > most {
+            return Err(broken(format!("expected {} bytes as {INDEX} says, found {size}", entry.bytes)));
+        }
+        let bytes = read_limited(&path, size)?;
+        let found = blake3::hash(&bytes).to_hex();
+        if found.as_str() != entry.blake3 {
+            return Err(broken(format!("expected the digest {} as {INDEX} says, found {found}", entry.blake3)));
+        }
+        let interval = from_safetensors(&bytes, self.placement, workers.clone()).map_err(broken)?;
+        if interval.gaussians.len() != entry.gaussians || (interval.start, interval.end) != (entry.start, entry.end) {
+            return Err(broken(format!("the file does not hold the interval that {INDEX} names")));
+        }
+        Ok(interval)
+    }
+}
+
+fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> {
+    let read = |cause| SceneError::Read { path: path.to_owned(), cause };
+    let file = File::open(path).map_err(read)?;
+    let size = file.metadata().map_err(read)?.len();
+    if size > limit {
+        let cause = format!("expected at most {limit} bytes, found {size}");
+        return Err(SceneError::Broken { path: path.to_owned(), cause });
+    }
+    let mut bytes = Vec::with_capacity(size as usize);
+    file.take(limit).read_to_end(&mut bytes).map_err(read)?;
+    Ok(bytes)
+}

@@ -1,0 +1,126 @@
+//! Scenes go to disk and come back.
+
+use std::path::Path;
+
+use streamsplat_kernels::Level;
+
+use super::*;
+use crate::stream::{Handover, Interval, Merge, Record, Reference, Workers};
+
+fn workers() -> Workers {
+    Workers::new(Level::scalar(), 1).expect("one thread")
+}
+
+fn interval(index: u64, start: f64, end: f64, count: u64) -> Interval {
+    let record = |i: u64| Record {
+        mean: [i as f32 * 0.1, 0.5, -0.25],
+        velocity: [0.01, -0.02, i as f32],
+        gamma: [i as f32, 0.5],
+        opacity: 0.7,
+        scale: [0.01, 0.02],
+        rgb: [0.1, 0.2, i as f32 * 0.05],
+        identity: u64::MAX - i,
+        birth: i,
+        frame: index,
+        offset: [1e-9, 0.0, -1.0],
+        reference: if i % 2 == 0 { Reference::Start } else { Reference::End },
+        handover: [Handover::None, Handover::Arrives, Handover::Leaves][i as usize % 3],
+    };
+    Interval {
+        index,
+        start,
+        end,
+        gaussians: (0..count).map(record).collect(),
+        placement: Placement { source: [90, 160], model: [64, 96], offset: [5, 0], content: [54, 96] },
+        merges: vec![Merge { identity: 3, into: 4 }],
+        dropped: 2,
+        workers: workers(),
+    }
+}
+
+fn written(folder: &Path) -> Vec<Interval> {
+    let intervals = vec![interval(0, 0.0, 0.0, 5), interval(1, 0.0, 0.1, 7), interval(2, 0.1, 1.0 / 3.0, 0)];
+    let mut writer = SceneWriter::create(folder, 24.0).expect("writable");
+    for interval in &intervals {
+        writer.push(interval).expect("writable");
+    }
+    assert!(writer.finish().expect("writable").is_some());
+    intervals
+}
+
+#[test]
+fn intervals_come_back_bit_for_bit() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let intervals = written(folder.path());
+    let scene = Scene::open(folder.path()).expect("just written");
+    assert_eq!(scene.span(), (0.0, 1.0 / 3.0));
+    assert_eq!(scene.placement(), intervals[0].placement);
+    for (i, expected) in intervals.iter().enumerate() {
+        let found = scene.interval(i, &workers()).expect("just written");
+        assert_eq!(found.gaussians, expected.gaussians);
+        assert_eq!((found.index, found.start, found.end), (expected.index, expected.start, expected.end));
+        assert_eq!((&found.merges, found.dropped), (&expected.merges, expected.dropped));
+    }
+}
+
+#[test]
+fn times_find_their_interval() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    written(folder.path());
+    let scene = Scene::open(&folder.path().join(INDEX)).expect("just written");
+    for (time, expected) in [(0.0, 1), (0.05, 1), (0.1, 1), (0.2, 2), (1.0 / 3.0, 2)] {
+        assert_eq!(scene.find(time).expect("inside"), expected, "{time}");
+    }
+    for time in [-0.1, 0.4, f64::NAN] {
+        assert!(matches!(scene.find(time), Err(SceneError::Time { .. })), "{time}");
+    }
+}
+
+#[test]
+fn a_flipped_byte_a_short_file_and_a_missing_one_are_named() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    written(folder.path());
+    let scene = Scene::open(folder.path()).expect("just written");
+    let file = folder.path().join("interval-000001.safetensors");
+    let bytes = std::fs::read(&file).expect("readable");
+    let mut flipped = bytes.clone();
+    flipped[bytes.len() / 2] ^= 1;
+    for (content, expected) in [(&flipped[..], "digest"), (&bytes[..50], "bytes")] {
+        std::fs::write(&file, content).expect("writable");
+        let error = scene.interval(1, &workers()).expect_err("broken").to_string();
+        assert!(error.contains("interval-000001.safetensors") && error.contains(expected), "{error}");
+    }
+    std::fs::remove_file(&file).expect("there");
+    assert!(matches!(scene.interval(1, &workers()), Err(SceneError::Read { .. })));
+}
+
+#[test]
+fn broken_tensors_and_indices_are_errors() {
+    let placement = interval(0, 0.0, 0.0, 0).placement;
+    let bytes = to_safetensors(&interval(1, 0.0, 1.0, 4)).expect("even arrays");
+    assert!(from_safetensors(&bytes, placement, workers()).is_ok());
+    for end in [0, 7, 8, 100, bytes.len() - 1] {
+        assert!(from_safetensors(&bytes[..end], placement, workers()).is_err(), "{end}");
+    }
+    let backwards = to_safetensors(&interval(1, 2.0, 1.0, 1)).expect("even arrays");
+    assert!(from_safetensors(&backwards, placement, workers()).is_err_and(|e| e.contains("time")));
+
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    written(folder.path());
+    let path = folder.path().join(INDEX);
+    let good = std::fs::read_to_string(&path).expect("readable");
+    for (from, to) in [
+        ("streamsplat-scene", "other"),
+        ("\"version\": 1", "\"version\": 9"),
+        ("interval-000001", "../interval-000001"),
+        ("\"gaussians\": 7", "\"gaussians\": 70000000000000"),
+        ("\"start\": 0.1", "\"start\": -5.0"),
+        ("54,", "99999,"),
+        ("{", "["),
+    ] {
+        assert!(good.contains(from), "{from}");
+        std::fs::write(&path, good.replacen(from, to, 1)).expect("writable");
+        assert!(Scene::open(folder.path()).is_err(), "{from} → {to}");
+    }
+    assert!(Scene::open(Path::new("no/such/scene")).is_err());
+}

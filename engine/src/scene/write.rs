@@ -1,0 +1,85 @@
+//! Writing a scene while it grows.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use super::{FORMAT, INDEX, Index, IntervalEntry, SceneError, VERSION, to_safetensors};
+use crate::output::{OutputError, Written, prepare_folder, write_file};
+use crate::stream::Interval;
+
+/// The index is rewritten at most this often while intervals come, so that a long stream does not spend its time on it.
+const INDEX_EVERY: Duration = Duration::from_secs(1);
+
+/// A scene's folder being filled.
+pub struct SceneWriter {
+    folder: PathBuf,
+    fps: f64,
+    index: Option<Index>,
+    indexed: Option<Instant>,
+}
+
+impl SceneWriter {
+    /// Prepares the folder and takes an earlier scene's index away, which the new files would not match.
+    ///
+    /// # Errors
+    /// A folder that cannot be written.
+    pub fn create(folder: &Path, fps: f64) -> Result<SceneWriter, OutputError> {
+        prepare_folder(folder)?;
+        match std::fs::remove_file(folder.join(INDEX)) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                return Err(OutputError::write(folder.join(INDEX))(e));
+            }
+            _ => {}
+        }
+        Ok(SceneWriter { folder: folder.to_owned(), fps, index: None, indexed: None })
+    }
+
+    /// Writes an interval: first its file, then (at most once a second) the index that names it.
+    ///
+    /// # Errors
+    /// What cannot be written.
+    pub fn push(&mut self, interval: &Interval) -> Result<(String, Written), SceneError> {
+        let index = self.index.get_or_insert_with(|| Index {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            fps: self.fps,
+            placement: interval.placement.into(),
+            intervals: Vec::new(),
+        });
+        let file = format!("interval-{:06}.safetensors", interval.index);
+        let path = self.folder.join(&file);
+        let bytes = to_safetensors(interval).map_err(|cause| SceneError::Broken { path: path.clone(), cause })?;
+        let written = write_file(&path, &bytes)?;
+        index.intervals.push(IntervalEntry {
+            file: file.clone(),
+            start: interval.start,
+            end: interval.end,
+            gaussians: interval.gaussians.len(),
+            bytes: written.bytes,
+            blake3: written.blake3.clone(),
+        });
+        if self.indexed.is_none_or(|at| at.elapsed() >= INDEX_EVERY) {
+            self.write_index()?;
+        }
+        Ok((file, written))
+    }
+
+    fn write_index(&mut self) -> Result<Option<Written>, SceneError> {
+        let Some(index) = &self.index else { return Ok(None) };
+        let path = self.folder.join(INDEX);
+        let mut text = serde_json::to_string_pretty(index)
+            .map_err(|e| SceneError::Broken { path: path.clone(), cause: e.to_string() })?;
+        text.push('\n');
+        let written = write_file(&path, text.as_bytes())?;
+        self.indexed = Some(Instant::now());
+        Ok(Some(written))
+    }
+
+    /// Writes the index of all intervals; `None` when there was none.
+    ///
+    /// # Errors
+    /// What cannot be written.
+    pub fn finish(mut self) -> Result<Option<(String, Written)>, SceneError> {
+        Ok(self.write_index()?.map(|written| (INDEX.to_owned(), written)))
+    }
+}
