@@ -13,10 +13,12 @@ pub mod memory;
 pub mod norm;
 pub mod parallel;
 pub mod patches;
+pub mod philox;
 pub mod pixel_shuffle;
 pub mod raster;
 pub mod simd;
 #[cfg(test)]
 mod testing;
+pub mod truncated_normal;
 
 pub use level::{Level, LevelError};
