@@ -2,3 +2,4 @@
 
 pub mod parity;
 pub mod reference;
+pub mod theatre;

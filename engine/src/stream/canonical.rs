@@ -97,11 +97,6 @@ impl CanonicalSet {
         (set, out)
     }
 
-    /// Survivors kept.
-    #[cfg(test)]
-    pub(crate) fn survivors(&self) -> usize {
-        self.survivors.len()
-    }
 
     /// The set after the next key frame, and the interval up to it. `self` is left as it was.
     pub(crate) fn advance(&self, step: &Step<'_>) -> (Self, Advance) {

@@ -1,0 +1,110 @@
+//! What a stream refuses, and that it goes on as if it had not been asked.
+
+use std::sync::Arc;
+
+use streamsplat::stream::{DepthRange, Fusion, ModelSource, Reconstructor};
+use streamsplat::{Engine, EngineError, Frame, Settings};
+use streamsplat_tests::theatre::Theatre;
+
+fn engine(theatre: Theatre) -> (Engine, Arc<Theatre>) {
+    let theatre = Arc::new(theatre);
+    let model: Arc<dyn Reconstructor> = theatre.clone();
+    let settings = Settings { threads: 1, ..Settings::with_model(ModelSource::Shared(model)) };
+    (Engine::new(settings).expect("starts"), theatre)
+}
+
+#[test]
+fn bad_frames_and_times_are_refused_and_leave_the_stream_as_it_was() {
+    let (mut engine, theatre) = engine(Theatre::new([6, 10]));
+    let (mut untouched, _) = self::engine(Theatre::new([6, 10]));
+    let good = theatre.frame(0.1);
+    let change = |f: &dyn Fn(&mut Frame)| {
+        let mut frame = good.clone();
+        f(&mut frame);
+        frame
+    };
+    assert!(matches!(engine.push(Frame::default(), 0.0), Err(EngineError::Empty { index: 0, .. })));
+    engine.push(good.clone(), 0.5).expect("taken");
+    untouched.push(good.clone(), 0.5).expect("taken");
+
+    for time in [0.5, 0.4, -1.0, f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        assert!(matches!(engine.push(good.clone(), time), Err(EngineError::Time { index: 1, after: Some(0.5), .. })));
+    }
+    let short = change(&|f| {
+        f.rgb.pop();
+    });
+    assert!(matches!(engine.push(short, 1.0), Err(EngineError::Length { what: "rgb", .. })));
+    let depth = change(&|f| f.depth = Some(vec![0.0; 3]));
+    assert!(matches!(engine.push(depth, 1.0), Err(EngineError::Length { what: "depth", found: 3, .. })));
+    let nan = change(&|f| f.rgb[77] = f32::NAN);
+    assert!(matches!(engine.push(nan, 1.0), Err(EngineError::NonFinite { position: 77, .. })));
+    let other = Frame { width: 1, height: 1, rgb: vec![0.0; 3], depth: None };
+    assert!(matches!(engine.push(other, 1.0), Err(EngineError::Size { found: [1, 1], .. })));
+
+    let next = theatre.frame(0.3);
+    let (a, b) = (engine.push(next.clone(), 1.0).expect("taken"), untouched.push(next, 1.0).expect("taken"));
+    assert_eq!(a.gaussians, b.gaussians);
+    assert_eq!((a.index, a.start, a.end), (1, 0.5, 1.0));
+}
+
+#[test]
+fn a_gaussian_with_a_bad_number_is_dropped_and_counted() {
+    for (field, drops) in [(0, [1, 2]), (1, [0, 2]), (2, [0, 2])] {
+        let (mut engine, theatre) = engine(Theatre { poison: Some((17, field)), ..Theatre::new([6, 10]) });
+        let first = engine.push(theatre.frame(0.0), 0.0).expect("taken");
+        assert_eq!((first.dropped, first.gaussians.len() as u64), (drops[0], 60 - drops[0]), "field {field}");
+        for k in 1..5 {
+            let interval = engine.push(theatre.frame(0.0), f64::from(k)).expect("taken");
+            // A Gaussian that never was cannot be dropped again as part of the frame before.
+            let expected = if field == 0 { 1 } else { drops[1] };
+            assert_eq!(interval.dropped, expected, "field {field}, key frame {k}");
+            assert!(interval.gaussians.iter().all(|r| r.is_sound()));
+            assert_eq!(interval.gaussians.len(), 118);
+        }
+    }
+}
+
+#[test]
+fn intervals_of_any_length_give_the_same_scene() {
+    for fusion in [Fusion::Pairwise, Fusion::Persistent] {
+        let scene = |start: f64, length: f64| {
+            let theatre = Arc::new(Theatre::new([6, 10]));
+            let model: Arc<dyn Reconstructor> = theatre.clone();
+            let settings = Settings { fusion, threads: 1, ..Settings::with_model(ModelSource::Shared(model)) };
+            let mut engine = Engine::new(settings).expect("starts");
+            let mut last = None;
+            for k in 0..6 {
+                let time = start + length * f64::from(k);
+                last = Some(engine.push(theatre.frame(0.15 * k as f32 - 0.5), time).expect("taken"));
+            }
+            last.expect("pushed")
+        };
+        let second = scene(0.0, 1.0);
+        for (start, length) in [(0.0, 1e-9), (-5e9, 1e9), (1e3, 2f64.powi(-20)), (-1.5e308, 0.3e308)] {
+            let other = scene(start, length);
+            assert_eq!(other.relative(other.start), Some(0.0));
+            assert_eq!(other.relative(other.end), Some(1.0));
+            assert_eq!(other.relative(other.end + length), None);
+            let close = |a: f32, b: f32| (a - b).abs() <= 1e-5;
+            for (a, b) in second.gaussians.iter().zip(other.gaussians.iter()) {
+                assert!((0..3).all(|i| close(a.velocity[i], b.velocity[i])), "{start} {length}: {a:?} {b:?}");
+                assert_eq!((a.mean.map(f32::to_bits), a.identity), (b.mean.map(f32::to_bits), b.identity));
+            }
+        }
+    }
+}
+
+#[test]
+fn depth_is_normalised_and_its_bad_values_are_counted() {
+    let (_, theatre) = engine(Theatre::new([6, 10]));
+    for range in [DepthRange::Frame, DepthRange::Given] {
+        let model: Arc<dyn Reconstructor> = theatre.clone();
+        let settings = Settings { depth_range: range, ..Settings::with_model(ModelSource::Shared(model)) };
+        let mut engine = Engine::new(settings).expect("starts");
+        let mut frame = theatre.frame(0.0);
+        let mut depth = vec![3.0; frame.width * frame.height];
+        (depth[0], depth[1], depth[2]) = (f32::NAN, f32::INFINITY, f32::NEG_INFINITY);
+        frame.depth = Some(depth);
+        assert_eq!(engine.push(frame, 0.0).expect("taken").dropped, 3);
+    }
+}
