@@ -7,8 +7,8 @@
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use streamsplat::Frame;
-use streamsplat::stream::Reconstructor;
-use streamsplat_model::{Deformation, Embedding, FrameInput, ModelError, Sampling, Side, StaticFrame, StaticGaussians};
+use streamsplat::stream::{Motion, Reconstructor};
+use streamsplat_model::{Embedding, FrameInput, ModelError, Sampling, Side, StaticGaussians};
 
 /// Inverse depth of the backdrop.
 pub const BACKDROP: f32 = 0.25;
@@ -28,7 +28,7 @@ pub struct Theatre {
     pub poison: Option<(usize, usize)>,
     /// Whether positions are drawn: moved by a function of the sampling coordinates.
     pub draws: bool,
-    /// Calls of `embed`, `static_gaussians` and `deform`.
+    /// Calls of `embed`, `gaussians` and `decode`.
     pub calls: [AtomicU64; 3],
 }
 
@@ -66,7 +66,7 @@ impl Theatre {
         [x, z]
     }
 
-    fn motion(&self, own: f32, moved: f32) -> Deformation {
+    fn moves(&self, own: f32, moved: f32) -> Motion {
         let cells = self.lattice[0] * self.lattice[1];
         let mut velocity: Vec<[f32; 3]> = (0..cells)
             .map(|cell| if Self::covers(own, self.cell(cell)) { [moved, 0.0, 0.0] } else { [0.0; 3] })
@@ -77,7 +77,7 @@ impl Theatre {
             Some((cell, 2)) => gamma[cell][0] = f32::INFINITY,
             _ => {}
         }
-        Deformation { d: Vec::new(), tokens: Vec::new(), velocity, gamma }
+        (velocity, gamma)
     }
 }
 
@@ -91,9 +91,13 @@ impl Reconstructor for Theatre {
         Ok(Embedding { h: vec![frame.rgb[0]] })
     }
 
-    fn static_gaussians(&self, embedding: &Embedding, sampling: &Sampling) -> Result<StaticFrame, ModelError> {
+    fn upsample(&self, embedding: &Embedding) -> Result<Vec<f32>, ModelError> {
+        Ok(embedding.h.clone())
+    }
+
+    fn gaussians(&self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError> {
         self.calls[1].fetch_add(1, Relaxed);
-        let sprite = Self::sprite(embedding.h[0]);
+        let sprite = Self::sprite(tokens[0]);
         let shift = match *sampling {
             Sampling::Sample { seed, frame } if self.draws => ((seed + frame) % 7) as f32 * 1e-3,
             _ => 0.0,
@@ -114,7 +118,7 @@ impl Reconstructor for Theatre {
             g.opacity.push(0.95);
             g.rgb.push(colour);
         }
-        Ok(StaticFrame { tokens: vec![embedding.h[0]], gaussians: g })
+        Ok(g)
     }
 
     fn draws_positions(&self) -> bool {
@@ -129,9 +133,17 @@ impl Reconstructor for Theatre {
         Ok(None)
     }
 
-    fn deform(&self, a: Side<'_>, b: Side<'_>) -> Result<[Deformation; 2], ModelError> {
+    fn decode(&self, a: &Side<'_>, b: &Side<'_>) -> Result<[Vec<f32>; 2], ModelError> {
         self.calls[2].fetch_add(1, Relaxed);
         let (start, end) = (Self::sprite(a.h[0]), Self::sprite(b.h[0]));
-        Ok([self.motion(start, end - start), self.motion(end, end - start)])
+        Ok([vec![start, end - start], vec![end, end - start]])
+    }
+
+    fn upsample_motion(&self, d: &[f32]) -> Result<Vec<f32>, ModelError> {
+        Ok(d.to_vec())
+    }
+
+    fn motion(&self, _: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError> {
+        Ok(self.moves(motion_tokens[0], motion_tokens[1]))
     }
 }

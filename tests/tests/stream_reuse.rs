@@ -35,10 +35,12 @@ fn a_repeated_frame_costs_no_network_and_changes_no_bit() {
         assert_eq!(calls(&theatre_off), [12, 12, 11]);
         let count = |e: &Engine, stage| e.work().stage(stage).map(|s| (s.done, s.avoided));
         assert_eq!(count(&engine, "encoder"), Some((4, 8)));
-        assert_eq!(count(&engine, "static"), Some((4, 8)));
-        assert_eq!(count(&engine, "deformation"), Some((7, 4)));
+        assert_eq!(count(&engine, "upsampler"), Some((4 + 14, 8 + 8)));
+        assert_eq!(count(&engine, "heads"), Some((4 + 14, 8 + 8)));
+        assert_eq!(count(&engine, "decoder"), Some((7, 4)));
         assert_eq!(count(&engine_off, "encoder"), Some((12, 0)));
-        assert_eq!(count(&engine_off, "deformation"), Some((11, 0)));
+        assert_eq!(count(&engine_off, "upsampler"), Some((12 + 22, 0)));
+        assert_eq!(count(&engine_off, "decoder"), Some((11, 0)));
     }
 }
 
@@ -51,6 +53,7 @@ fn drawn_positions_are_drawn_anew_in_a_repeated_frame() {
     }
     let count = |stage| engine.work().stage(stage).map(|s| (s.done, s.avoided));
     assert_eq!(count("encoder"), Some((4, 8)));
-    assert_eq!(count("static"), Some((12, 0)));
-    assert_eq!(count("deformation"), Some((7, 4)));
+    assert_eq!(count("upsampler"), Some((4 + 14, 8 + 8)));
+    assert_eq!(count("heads"), Some((12 + 14, 8)));
+    assert_eq!(count("decoder"), Some((7, 4)));
 }

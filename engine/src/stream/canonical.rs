@@ -20,11 +20,12 @@
 
 use std::sync::Arc;
 
-use streamsplat_model::{Deformation, StaticGaussians};
+use streamsplat_model::StaticGaussians;
 
 use super::fuse::fuse;
 use super::identities::Identities;
 use super::matching::Lattice;
+use super::reconstructor::Motion;
 use super::{DynamicGaussians, Fusion, Merge, Record, Reference};
 
 /// What is under it cannot be drawn.
@@ -68,9 +69,9 @@ pub(crate) struct Step<'a> {
     /// The new key frame's Gaussians.
     pub(crate) gaussians: &'a Arc<StaticGaussians>,
     /// Motion of the frame before.
-    pub(crate) forward: &'a Deformation,
+    pub(crate) forward: &'a Motion,
     /// Motion of the new frame.
-    pub(crate) backward: &'a Deformation,
+    pub(crate) backward: &'a Motion,
     /// Seconds between the two.
     pub(crate) length: f64,
     /// Height and width of the image the Gaussians lie on.
@@ -96,7 +97,6 @@ impl CanonicalSet {
         }
         (set, out)
     }
-
 
     /// The set after the next key frame, and the interval up to it. `self` is left as it was.
     pub(crate) fn advance(&self, step: &Step<'_>) -> (Self, Advance) {
@@ -144,8 +144,8 @@ impl CanonicalSet {
         for current in &self.current {
             let cell = current.cell as usize;
             old.push(Record {
-                velocity: step.forward.velocity[cell],
-                gamma: step.forward.gamma[cell],
+                velocity: step.forward.0[cell],
+                gamma: step.forward.1[cell],
                 identity: current.identity,
                 birth: current.birth,
                 offset: current.offset,
@@ -180,7 +180,7 @@ fn arriving(step: &Step<'_>, frame: u64, dropped: &mut u64) -> Vec<Arrival> {
         if record.opacity < VISIBLE {
             continue;
         }
-        let (velocity, gamma) = (step.backward.velocity[cell], step.backward.gamma[cell]);
+        let (velocity, gamma) = (step.backward.0[cell], step.backward.1[cell]);
         let moving = Record { velocity, gamma, reference: Reference::End, ..record };
         let shown = moving.is_sound();
         *dropped += u64::from(!shown);

@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use streamsplat_kernels::Level;
-use streamsplat_model::{Deformation, Embedding, FrameInput, Sampling, Side, StaticFrame, StaticGaussians};
+use streamsplat_model::{Embedding, FrameInput, LoadOptions, Sampling, Side, StaticGaussians};
 
 use super::canonical::{Advance, CanonicalSet, Step};
+use super::reconstructor::Motion;
 use super::work::Stage;
 use super::{DepthRange, EngineError, Frame, Interval, Reconstructor, Reuse, SamplingMode, Settings, Work, Workers};
 use crate::fit::{self, Placement};
@@ -40,7 +41,7 @@ struct Features {
 /// The motion of a pair of frames, and which pair that was.
 struct Pair {
     frames: [Arc<Features>; 2],
-    motion: Arc<[Deformation; 2]>,
+    motion: Arc<[Motion; 2]>,
 }
 
 /// What is kept between key frames.
@@ -60,7 +61,8 @@ impl Engine {
     /// When the model cannot be loaded or the threads cannot be started.
     pub fn new(settings: Settings) -> Result<Self, EngineError> {
         let workers = Workers::new(settings.level.unwrap_or_else(Level::detect), settings.threads)?;
-        let model = settings.model.load()?;
+        let options = LoadOptions { level: workers.level(), precision: settings.precision };
+        let model = workers.install(|| settings.model.load(&options))?;
         Ok(Self { settings, model, workers, work: Work::default(), state: None })
     }
 
@@ -180,32 +182,35 @@ impl Engine {
             }
             _ => false,
         };
-        if let (true, Some(state)) = (repeated, &self.state) {
+        let before = self.state.as_ref().filter(|_| repeated).map(|s| &s.view);
+        let features = if let Some(view) = before {
             work.count(Stage::Encoder, 0, 1);
-            work.count(Stage::Condition, 0, u64::from(state.view.features.condition.is_some()));
-            let features = state.view.features.clone();
-            let gaussians = if sampling == Sampling::Mean || !model.draws_positions() {
-                work.count(Stage::Static, 0, 1);
-                state.view.gaussians.clone()
-            } else {
-                let embedding = &features.embedding;
-                let sampled =
-                    work.measure(Stage::Static, || workers.install(|| model.static_gaussians(embedding, &sampling)))?;
-                Arc::new(checked(sampled, index)?.gaussians)
+            work.count(Stage::Upsampler, 0, 1);
+            work.count(Stage::Condition, 0, u64::from(model.reads_condition()));
+            view.features.clone()
+        } else {
+            let embedding = work.measure(Stage::Encoder, || workers.install(|| model.embed(&input)))?;
+            let tokens = work.measure(Stage::Upsampler, || workers.install(|| model.upsample(&embedding)))?;
+            let condition = match model.reads_condition() {
+                true => work.measure(Stage::Condition, || workers.install(|| model.condition(&input)))?,
+                false => None,
             };
-            return Ok((View { rgb, depth, features, gaussians }, lost));
-        }
-
-        let embedding = work.measure(Stage::Encoder, || workers.install(|| model.embed(&input)))?;
-        let reconstructed =
-            work.measure(Stage::Static, || workers.install(|| model.static_gaussians(&embedding, &sampling)))?;
-        let StaticFrame { tokens, gaussians } = checked(reconstructed, index)?;
-        let condition = match model.reads_condition() {
-            true => work.measure(Stage::Condition, || workers.install(|| model.condition(&input)))?,
-            false => None,
+            Arc::new(Features { embedding, tokens, condition })
         };
-        let features = Arc::new(Features { embedding, tokens, condition });
-        Ok((View { rgb, depth, features, gaussians: Arc::new(gaussians) }, lost))
+        let gaussians = match before {
+            Some(view) if sampling == Sampling::Mean || !model.draws_positions() => {
+                work.count(Stage::Heads, 0, 1);
+                view.gaussians.clone()
+            }
+            _ => {
+                let tokens = &features.tokens;
+                let gaussians =
+                    work.measure(Stage::Heads, || workers.install(|| model.gaussians(tokens, &sampling)))?;
+                check_records(index, gaussians.position.len(), &gaussians)?;
+                Arc::new(gaussians)
+            }
+        };
+        Ok((View { rgb, depth, features, gaussians }, lost))
     }
 }
 
@@ -222,7 +227,9 @@ fn deform(
     if let Some(last) = &state.pair
         && frames.iter().zip(&last.frames).all(|(now, then)| Arc::ptr_eq(now, then))
     {
-        work.count(Stage::Deformation, 0, 1);
+        work.count(Stage::Decoder, 0, 1);
+        work.count(Stage::Upsampler, 0, 2);
+        work.count(Stage::Heads, 0, 2);
         return Ok(Pair { frames, motion: last.motion.clone() });
     }
     let sides = [&frames[0], &frames[1]].map(|f| Side {
@@ -230,10 +237,15 @@ fn deform(
         static_tokens: &f.tokens,
         condition: f.condition.as_deref(),
     });
-    let motion = work.measure(Stage::Deformation, || workers.install(|| model.deform(sides[0], sides[1])))?;
-    for (field, gaussians) in motion.iter().zip([&state.view.gaussians, &view.gaussians]) {
-        let expected = gaussians.position.len();
-        for (what, found) in [("velocity", field.velocity.len()), ("gamma", field.gamma.len())] {
+    let decoded = work.measure(Stage::Decoder, || workers.install(|| model.decode(&sides[0], &sides[1])))?;
+    let mut motion: [Motion; 2] = Default::default();
+    let gaussians = [&state.view.gaussians, &view.gaussians];
+    for (side, d) in decoded.iter().enumerate() {
+        let tokens = work.measure(Stage::Upsampler, || workers.install(|| model.upsample_motion(d)))?;
+        let static_tokens = sides[side].static_tokens;
+        motion[side] = work.measure(Stage::Heads, || workers.install(|| model.motion(static_tokens, &tokens)))?;
+        let expected = gaussians[side].position.len();
+        for (what, found) in [("velocity", motion[side].0.len()), ("gamma", motion[side].1.len())] {
             if found != expected {
                 return Err(EngineError::Records { index, what, expected, found });
             }
@@ -264,16 +276,14 @@ fn length(start: f64, end: f64) -> f64 {
     (end - start).clamp(f64::MIN_POSITIVE, f64::MAX)
 }
 
-/// The frame, when it has one record per Gaussian in every array.
-fn checked(frame: StaticFrame, index: u64) -> Result<StaticFrame, EngineError> {
-    let g = &frame.gaussians;
-    let expected = g.position.len();
+/// An error unless every array has one record per Gaussian.
+fn check_records(index: u64, expected: usize, g: &StaticGaussians) -> Result<(), EngineError> {
     for (what, found) in [("scale", g.scale.len()), ("opacity", g.opacity.len()), ("rgb", g.rgb.len())] {
         if found != expected {
             return Err(EngineError::Records { index, what, expected, found });
         }
     }
-    Ok(frame)
+    Ok(())
 }
 
 fn same_bits(a: &[f32], b: &[f32]) -> bool {

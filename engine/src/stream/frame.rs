@@ -23,6 +23,9 @@ pub enum EngineError {
     /// The model could not be loaded or run.
     #[error(transparent)]
     Model(#[from] ModelError),
+    /// The model is conditioned on DINOv2 features and no DINOv2 weights were given.
+    #[error("this model is conditioned on DINOv2 features: expected DINOv2 weights beside it, found none")]
+    Condition,
     /// The thread pool could not be started.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {

@@ -1,8 +1,11 @@
 //! What turns frames into Gaussians and motion: a network, or anything that can stand in for one.
 
-use streamsplat_model::{Deformation, Embedding, FrameInput, ModelError, Sampling, Side, StaticFrame};
+use streamsplat_model::{Embedding, FrameInput, ModelError, Sampling, Side, StaticGaussians};
 
-/// Turns frames into static Gaussians, and pairs of frames into motion.
+/// Velocity (world units per interval) and (γ₀, γ₁) of each of a frame's Gaussians.
+pub type Motion = (Vec<[f32; 3]>, Vec<[f32; 2]>);
+
+/// Turns frames into static Gaussians, and pairs of frames into motion, stage by stage.
 ///
 /// The results must be functions of the arguments alone: the stream keeps and reuses them. Work is done on the calling thread
 /// and its rayon pool.
@@ -10,33 +13,51 @@ pub trait Reconstructor: Send + Sync {
     /// Height and width of the frames it takes.
     fn resolution(&self) -> [usize; 2];
 
-    /// The frame's embedding.
+    /// The encoder: a frame's embedding.
     ///
     /// # Errors
     /// Whatever the reconstructor refuses.
     fn embed(&self, frame: &FrameInput<'_>) -> Result<Embedding, ModelError>;
 
-    /// The Gaussians of the frame at its own time.
+    /// The static upsampler: a frame's tokens, one per Gaussian.
     ///
     /// # Errors
     /// Whatever the reconstructor refuses.
-    fn static_gaussians(&self, embedding: &Embedding, sampling: &Sampling) -> Result<StaticFrame, ModelError>;
+    fn upsample(&self, embedding: &Embedding) -> Result<Vec<f32>, ModelError>;
 
-    /// Whether [`Reconstructor::static_gaussians`] gives other Gaussians for another [`Sampling`]. Its tokens never differ.
+    /// The static head: a frame's Gaussians at its own time.
+    ///
+    /// # Errors
+    /// Whatever the reconstructor refuses.
+    fn gaussians(&self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError>;
+
+    /// Whether [`Reconstructor::gaussians`] gives other Gaussians for another [`Sampling`].
     fn draws_positions(&self) -> bool;
 
     /// Whether [`Reconstructor::condition`] gives anything; it is not called otherwise.
     fn reads_condition(&self) -> bool;
 
-    /// What [`Reconstructor::deform`] needs to know of a frame beyond its embedding, if anything.
+    /// Features of a frame that [`Reconstructor::decode`] needs beyond its embedding, if any.
     ///
     /// # Errors
     /// Whatever the reconstructor refuses.
     fn condition(&self, frame: &FrameInput<'_>) -> Result<Option<Vec<f32>>, ModelError>;
 
-    /// The motion of both frames' Gaussians over the interval from `a` to `b`.
+    /// The dynamic decoder: both frames' deformation embeddings over the interval from `a` to `b`.
     ///
     /// # Errors
     /// Whatever the reconstructor refuses.
-    fn deform(&self, a: Side<'_>, b: Side<'_>) -> Result<[Deformation; 2], ModelError>;
+    fn decode(&self, a: &Side<'_>, b: &Side<'_>) -> Result<[Vec<f32>; 2], ModelError>;
+
+    /// The deformation upsampler: one frame's deformation tokens, one per Gaussian.
+    ///
+    /// # Errors
+    /// Whatever the reconstructor refuses.
+    fn upsample_motion(&self, d: &[f32]) -> Result<Vec<f32>, ModelError>;
+
+    /// The deformation head: the motion of one frame's Gaussians, from both kinds of tokens.
+    ///
+    /// # Errors
+    /// Whatever the reconstructor refuses.
+    fn motion(&self, static_tokens: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError>;
 }

@@ -1,17 +1,20 @@
 //! What an engine is made with.
 
 use std::fmt;
+use std::path::PathBuf;
 use std::str::FromStr;
 use std::sync::Arc;
 
 use streamsplat_kernels::Level;
-use streamsplat_model::Precision;
+use streamsplat_model::{LoadOptions, Network, Precision};
 
+use super::network::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG, SelfConditioned};
 use super::{EngineError, Reconstructor};
 use crate::fit::Fit;
 
-/// What an engine is made with.
-#[derive(Clone, Debug)]
+/// What an engine is made with. [`Settings::default`] is the model inside the library, and everything else as the program's
+/// defaults.
+#[derive(Clone, Debug, Default)]
 pub struct Settings {
     /// The model.
     pub model: ModelSource,
@@ -38,44 +41,52 @@ pub struct Settings {
 }
 
 /// Where the model comes from.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 #[non_exhaustive]
 pub enum ModelSource {
+    /// The small checkpoint inside the library.
+    #[default]
+    Embedded,
+    /// A checkpoint in the official layout, with a JSON of the same name beside it for what shapes cannot say.
+    File {
+        /// The safetensors file.
+        checkpoint: PathBuf,
+        /// DINOv2's own weights, for models conditioned on them.
+        dinov2: Option<PathBuf>,
+    },
     /// Anything that reconstructs frames; several engines may share one.
     Shared(Arc<dyn Reconstructor>),
 }
 
 impl ModelSource {
     /// The model, ready to reconstruct.
-    pub(crate) fn load(&self) -> Result<Arc<dyn Reconstructor>, EngineError> {
-        match self {
-            ModelSource::Shared(model) => Ok(model.clone()),
+    pub(crate) fn load(&self, options: &LoadOptions) -> Result<Arc<dyn Reconstructor>, EngineError> {
+        let network = match self {
+            ModelSource::Shared(model) => return Ok(model.clone()),
+            ModelSource::Embedded => Network::from_parts(EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG, options)?,
+            ModelSource::File { checkpoint, .. } => Network::open(checkpoint, options)?,
+        };
+        if network.config().use_dino {
+            return Err(EngineError::Condition);
         }
+        Ok(Arc::new(SelfConditioned(network)))
     }
 }
 
 impl Settings {
-    /// Everything but the model as the program's defaults.
+    /// The program's defaults with another model.
     pub fn with_model(model: ModelSource) -> Self {
-        Self {
-            model,
-            fusion: Fusion::default(),
-            max_age: MaxAge::default(),
-            fit: Fit::default(),
-            depth_range: DepthRange::default(),
-            sampling: SamplingMode::default(),
-            seed: 0,
-            reuse: Reuse::default(),
-            precision: Precision::default(),
-            level: None,
-            threads: 0,
-        }
+        Self { model, ..Self::default() }
     }
 }
 
 impl fmt::Debug for ModelSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            ModelSource::Embedded => f.write_str("Embedded"),
+            ModelSource::File { checkpoint, dinov2 } => {
+                f.debug_struct("File").field("checkpoint", checkpoint).field("dinov2", dinov2).finish()
+            }
             ModelSource::Shared(_) => f.write_str("Shared"),
         }
     }

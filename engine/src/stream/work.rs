@@ -28,21 +28,34 @@ pub struct Work {
 pub(crate) enum Stage {
     Fit,
     Encoder,
-    Static,
+    Upsampler,
+    Heads,
     Condition,
-    Deformation,
+    Decoder,
     Fusion,
 }
 
 impl Stage {
-    const ALL: [(Stage, &'static str, &'static str); 6] = [
+    const ALL: [(Stage, &'static str, &'static str); 7] = [
         (Stage::Fit, "fit", "frames"),
         (Stage::Encoder, "encoder", "frames"),
-        (Stage::Static, "static", "frames"),
-        (Stage::Condition, "condition", "frames"),
-        (Stage::Deformation, "deformation", "pairs"),
+        (Stage::Upsampler, "upsampler", "frames"),
+        (Stage::Heads, "heads", "frames"),
+        (Stage::Condition, "dinov2", "frames"),
+        (Stage::Decoder, "decoder", "pairs"),
         (Stage::Fusion, "fusion", "intervals"),
     ];
+}
+
+impl Stage {
+    /// The stages inside the network have spans of their own.
+    fn span(self) -> tracing::Span {
+        match self {
+            Stage::Fit => tracing::info_span!("fit"),
+            Stage::Fusion => tracing::info_span!("fusion"),
+            _ => tracing::Span::none(),
+        }
+    }
 }
 
 impl Default for Work {
@@ -71,10 +84,10 @@ impl Work {
         stage.avoided += avoided;
     }
 
-    /// Runs `work` as one unit of a stage, inside a tracing span of its name.
+    /// Runs `work` as one unit of a stage, inside its tracing span.
     pub(crate) fn measure<R>(&mut self, stage: Stage, work: impl FnOnce() -> R) -> R {
         let entry = &mut self.stages[stage as usize];
-        let _span = tracing::info_span!("stage", name = entry.stage).entered();
+        let _span = stage.span().entered();
         let start = std::time::Instant::now();
         let result = work();
         entry.time += start.elapsed();
