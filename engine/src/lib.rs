@@ -5,6 +5,28 @@
 //! Nothing of this needs a file system, and nothing depends on the machine: the output bits are one function of the model,
 //! the frames and the [`Settings`], whatever the instruction-set level and the number of threads.
 //!
+//! ```
+//! use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
+//!
+//! // The small model inside the library; any other through `Settings::model`.
+//! let mut engine = Engine::new(Settings::default())?;
+//!
+//! // Two frames of a video: red, green and blue planes in [0, 1]. Any size.
+//! let (width, height) = (64, 36);
+//! let frame = |shift: usize| {
+//!     let pixel = |i: usize| ((i % width + shift) / 8 % 2) as f32;
+//!     Frame { width, height, rgb: (0..3 * width * height).map(pixel).collect(), depth: None }
+//! };
+//! engine.push(frame(0), 0.0)?;
+//! let interval = engine.push(frame(2), 0.2)?;
+//!
+//! // The scene between them, at any time, from any camera.
+//! let image = interval.render(0.1, &Camera::Canonical, &RenderOptions::default())?;
+//! assert_eq!((image.width, image.height), (256, 144));
+//! assert!(image.rgb.iter().all(|x| x.is_finite()));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! Around it: [`source`] reads videos and [`depth`] their depth maps, [`output`] and [`scene`] write and read results,
 //! [`metrics`] measures them.
 #![deny(unsafe_code)]
@@ -22,5 +44,5 @@ pub mod source;
 pub mod stream;
 
 pub use camera::Camera;
-pub use render::{RenderError, RenderOptions, Size};
+pub use render::{Image, RenderError, RenderOptions, Size};
 pub use stream::{Engine, EngineError, Frame, Interval, Settings};

@@ -18,4 +18,83 @@ mod options;
 mod view;
 
 pub use options::{RenderError, RenderOptions, Size};
-pub use view::{Lens, Snapshot, View};
+pub use streamsplat_kernels::raster::Image;
+pub use view::{Snapshot, View, to_scene};
+
+use streamsplat_kernels::raster::{self, Gaussians, Renderer, Request};
+
+use crate::camera::Camera;
+use crate::stream::{Interval, Workers};
+
+impl Interval {
+    /// The scene at `time` seconds, seen by `camera`.
+    ///
+    /// To draw many images use a [`Painter`].
+    ///
+    /// # Errors
+    /// Times outside the interval, sizes that cannot be drawn, cameras that see nothing, and intervals whose arrays differ in
+    /// length.
+    pub fn render(&self, time: f64, camera: &Camera, options: &RenderOptions) -> Result<Image, RenderError> {
+        let mut painter = Painter::new(&self.workers);
+        painter.draw(self, time, camera, options)?;
+        Ok(painter.renderer.into_image())
+    }
+}
+
+/// Draws one image after another, and only what changed between them. The images are those of [`Interval::render`].
+pub struct Painter {
+    workers: Workers,
+    renderer: Renderer,
+}
+
+impl Painter {
+    /// A painter that works with `workers`.
+    pub fn new(workers: &Workers) -> Self {
+        Self { workers: workers.clone(), renderer: Renderer::new(workers.level()) }
+    }
+
+    /// The scene at `time` seconds, seen by `camera`.
+    ///
+    /// # Errors
+    /// As [`Interval::render`].
+    pub fn draw(
+        &mut self,
+        interval: &Interval,
+        time: f64,
+        camera: &Camera,
+        options: &RenderOptions,
+    ) -> Result<&Image, RenderError> {
+        if !camera.is_usable() {
+            return Err(RenderError::Camera);
+        }
+        let [height, width] = options.size.resolve(&interval.placement);
+        if [height, width].iter().any(|side| !(1..=raster::MAX_SIDE).contains(side)) {
+            return Err(RenderError::Size { most: raster::MAX_SIDE, width, height });
+        }
+        let mut seen = Snapshot::of(interval, time)?;
+        let view = View::new(camera, &interval.placement, [height, width]);
+        let RenderOptions { background, depth, alpha, statistics, .. } = *options;
+        let request = Request { width, height, background, depth, alpha, statistics };
+        let renderer = &mut self.renderer;
+        Ok(self.workers.install(|| {
+            view.apply(&mut seen.mean);
+            let rotation = view.rotation().map(|q| vec![q; seen.mean.len()]);
+            let gaussians = Gaussians {
+                mean: &seen.mean,
+                scale: &seen.scale,
+                rotation: rotation.as_deref(),
+                opacity: &seen.opacity,
+                rgb: &seen.rgb,
+            };
+            renderer.render(&gaussians, view.projection(), &request)
+        }))
+    }
+
+    /// Work done and work avoided by the last image.
+    pub fn work(&self) -> raster::Work {
+        self.renderer.work()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,9 +1,10 @@
 //! Gaussians at one time, and as a camera sees them.
 
 use rayon::prelude::*;
+use streamsplat_kernels::raster::Projection;
 
 use super::RenderError;
-use crate::camera::{self, Camera, Pose};
+use crate::camera::{Camera, Lens, Pose};
 use crate::fit::Placement;
 use crate::stream::{DynamicGaussians, Interval};
 
@@ -101,30 +102,13 @@ impl Snapshot {
     }
 }
 
-/// How view space meets the image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Lens {
-    /// Parallel rays; the axis meets the middle of the image.
-    Orthographic {
-        /// Pixels per unit.
-        focal: [f32; 2],
-    },
-    /// Rays through one point.
-    Pinhole {
-        /// Focal lengths in pixels.
-        focal: [f32; 2],
-        /// Where the axis meets the image, in pixels.
-        centre: [f32; 2],
-    },
-}
-
 /// What a camera makes of scene space, for one image size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// Where the view's origin lies in scene space, and how it is turned.
     pose: Pose,
-    /// The projection.
-    pub lens: Lens,
+    /// How view space meets the image.
+    projection: Projection,
 }
 
 impl View {
@@ -141,21 +125,26 @@ impl View {
                 let y = (2.0 * top + rows) / model_h - 1.0;
                 let focal = [0.5 * sides[0] * model_w / columns, 0.5 * sides[1] * model_h / rows];
                 let pose = Pose { position: [x, y, 0.0], ..Pose::default() };
-                Self { pose, lens: Lens::Orthographic { focal: focal.map(|f| f as f32) } }
+                Self { pose, projection: Projection::Orthographic { focal: focal.map(|f| f as f32) } }
             }
             Camera::Posed { pose, lens } => {
-                let lens = match lens {
-                    camera::Lens::Orthographic { half_extent } => {
-                        Lens::Orthographic { focal: std::array::from_fn(|i| (0.5 * sides[i] / half_extent[i]) as f32) }
-                    }
-                    camera::Lens::Pinhole { focal, centre } => Lens::Pinhole {
+                let projection = match lens {
+                    Lens::Orthographic { half_extent } => Projection::Orthographic {
+                        focal: std::array::from_fn(|i| (0.5 * sides[i] / half_extent[i]) as f32),
+                    },
+                    Lens::Pinhole { focal, centre } => Projection::Pinhole {
                         focal: std::array::from_fn(|i| (focal[i] * sides[i]) as f32),
                         centre: std::array::from_fn(|i| (centre[i] * sides[i] - 0.5) as f32),
                     },
                 };
-                Self { pose, lens }
+                Self { pose, projection }
             }
         }
+    }
+
+    /// How view space meets the image.
+    pub fn projection(&self) -> &Projection {
+        &self.projection
     }
 
     /// Takes scene-space centres into view space, in place.

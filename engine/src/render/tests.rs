@@ -1,0 +1,187 @@
+use streamsplat_kernels::Level;
+use streamsplat_kernels::raster::Projection;
+
+use super::*;
+use crate::camera::{Lens, Pose, Rotation};
+use crate::fit::{Fit, Placement};
+use crate::stream::{DynamicGaussians, Record, Workers};
+
+/// A lattice of splats with some depth, over a 24×40 model input.
+fn interval(source: [usize; 2]) -> Interval {
+    let (rows, columns) = (12, 20);
+    let gaussians: DynamicGaussians = (0..rows * columns)
+        .map(|i| {
+            let (row, column) = (i / columns, i % columns);
+            let x = (2.0 * column as f32 + 1.0) / columns as f32 - 1.0;
+            let z = 1.0 - (2.0 * row as f32 + 1.0) / rows as f32;
+            let grain = (i * 7919 % 1013) as f32 / 1013.0;
+            Record {
+                mean: [x, 0.3 + 0.4 * grain, z],
+                velocity: [0.1 - 0.2 * grain, 0.05, 0.02],
+                gamma: [3.0 * grain, 0.5],
+                opacity: 0.6 + 0.4 * grain,
+                scale: [0.05, 0.07],
+                rgb: [grain, 1.0 - grain, 0.5],
+                identity: i as u64,
+                ..Record::default()
+            }
+        })
+        .collect();
+    let placement = Placement::new(Fit::Letterbox, source, [24, 40]).unwrap();
+    let workers = Workers::new(Level::detect(), 2).unwrap();
+    Interval { index: 1, start: 2.0, end: 4.0, gaussians, placement, merges: Vec::new(), dropped: 0, workers }
+}
+
+fn difference(a: &[f32], b: &[f32]) -> f32 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).fold(0.0, |m, (a, b)| m.max((a - b).abs()))
+}
+
+#[test]
+fn a_letterboxed_image_is_the_cut_of_the_whole_one() {
+    for source in [[10, 40], [48, 31], [24, 40], [7, 7]] {
+        let boxed = interval(source);
+        let whole = interval([24, 40]);
+        let options = RenderOptions { depth: true, alpha: true, ..RenderOptions::default() };
+        let a = boxed.render(3.0, &Camera::Canonical, &options).unwrap();
+        let b = whole.render(3.0, &Camera::Canonical, &options).unwrap();
+        assert_eq!([a.height, a.width], boxed.placement.content);
+        assert!(difference(&a.rgb, &boxed.placement.crop(&b.rgb)) < 2e-5, "{source:?}");
+        assert!(difference(a.alpha.as_ref().unwrap(), &boxed.placement.crop(b.alpha.as_ref().unwrap())) < 2e-5);
+        assert!(difference(a.depth.as_ref().unwrap(), &boxed.placement.crop(b.depth.as_ref().unwrap())) < 2e-4);
+    }
+}
+
+#[test]
+fn every_size_can_be_drawn_and_impossible_ones_are_refused() {
+    let interval = interval([30, 100]);
+    let sized = |width, height| {
+        let options = RenderOptions { size: Size::Exact { width, height }, ..RenderOptions::default() };
+        interval.render(2.5, &Camera::Canonical, &options)
+    };
+    for [width, height] in [[1, 1], [1, 77], [333, 10], [100, 30]] {
+        let image = sized(width, height).unwrap();
+        assert_eq!(image.rgb.len(), 3 * width * height);
+        assert!(image.rgb.iter().all(|x| (0.0..=1.0).contains(x)));
+    }
+    let source = RenderOptions { size: Size::Source, ..RenderOptions::default() };
+    assert_eq!(interval.render(2.5, &Camera::Canonical, &source).unwrap(), sized(100, 30).unwrap());
+    assert!(matches!(sized(0, 5), Err(RenderError::Size { width: 0, .. })));
+    assert!(matches!(sized(5, usize::MAX), Err(RenderError::Size { .. })));
+}
+
+#[test]
+fn the_canonical_camera_is_the_orthographic_one_at_the_origin() {
+    let interval = interval([24, 40]);
+    let options = RenderOptions::default();
+    let canonical = interval.render(3.5, &Camera::Canonical, &options).unwrap();
+    assert_eq!(interval.render(3.5, &Camera::orthographic(Pose::default()), &options).unwrap(), canonical);
+    // A rotation of nothing but rounding takes the general path to almost the same image.
+    let nearly = Rotation::from_quaternion([1.0, 0.0, 0.0, 1e-12]).unwrap();
+    let turned = Camera::orthographic(Pose { rotation: nearly, ..Pose::default() });
+    let turned = interval.render(3.5, &turned, &options).unwrap();
+    assert!(difference(&turned.rgb, &canonical.rgb) < 5e-3);
+}
+
+#[test]
+fn turning_the_camera_by_a_right_angle_turns_the_image() {
+    let interval = interval([24, 40]);
+    let half = 0.5f64.sqrt();
+    // Right becomes down: the camera's own right axis is scene-space down.
+    let rotation = Rotation::from_quaternion([half, 0.0, 0.0, half]).unwrap();
+    let lens = Lens::Orthographic { half_extent: [1.0; 2] };
+    let side = RenderOptions { size: Size::Exact { width: 32, height: 32 }, ..RenderOptions::default() };
+    let upright = interval.render(3.0, &Camera::Posed { pose: Pose::default(), lens }, &side).unwrap();
+    let turned =
+        interval.render(3.0, &Camera::Posed { pose: Pose { rotation, ..Pose::default() }, lens }, &side).unwrap();
+    let mut expected = Vec::new();
+    for plane in upright.rgb.chunks(32 * 32) {
+        for y in 0..32 {
+            for x in 0..32 {
+                // View (x, y) shows scene (−y, x).
+                expected.push(plane[x * 32 + (31 - y)]);
+            }
+        }
+    }
+    assert!(difference(&turned.rgb, &expected) < 5e-3);
+}
+
+#[test]
+fn a_pinhole_far_away_sees_what_the_orthographic_camera_sees() {
+    let interval = interval([24, 40]);
+    let distance = 3000.0;
+    let pose = Pose { position: [0.0, 0.0, -distance], ..Pose::default() };
+    let lens = Lens::Pinhole { focal: [0.5 * distance, 0.5 * distance], centre: [0.5; 2] };
+    let options = RenderOptions::default();
+    let far = interval.render(2.2, &Camera::Posed { pose, lens }, &options).unwrap();
+    let canonical = interval.render(2.2, &Camera::Canonical, &options).unwrap();
+    assert!(difference(&far.rgb, &canonical.rgb) < 0.02);
+}
+
+#[test]
+fn a_lens_is_in_parts_of_the_image() {
+    let placement = Placement::new(Fit::Stretch, [24, 40], [24, 40]).unwrap();
+    let lens = Lens::Pinhole { focal: [1.0, 2.0], centre: [0.5, 0.25] };
+    let view = View::new(&Camera::Posed { pose: Pose::default(), lens }, &placement, [100, 200]);
+    assert_eq!(*view.projection(), Projection::Pinhole { focal: [200.0, 200.0], centre: [99.5, 24.5] });
+    let view = View::new(&Camera::Canonical, &placement, [48, 80]);
+    assert_eq!(*view.projection(), Projection::Orthographic { focal: [40.0, 24.0] });
+    assert_eq!(view.rotation(), None);
+}
+
+#[test]
+fn what_lies_outside_the_depth_range_or_is_not_finite_is_not_drawn() {
+    assert_eq!(to_scene([0.5, -1e-6, 0.25]), None);
+    assert_eq!(to_scene([0.5, 1.000_001, 0.25]), None);
+    assert_eq!(to_scene([0.5, f32::NAN, 0.25]), None);
+    let [x, y, z] = to_scene([0.5, 0.0, 0.25]).unwrap();
+    assert_eq!((x, y), (0.5, -0.25));
+    assert!((z - 4.999_975).abs() < 1e-5);
+
+    let mut broken = interval([24, 40]);
+    broken.gaussians.mean[3][0] = f32::NAN;
+    broken.gaussians.gamma[4][1] = f32::INFINITY;
+    broken.gaussians.opacity[5] = -1.0;
+    let seen = Snapshot::of(&broken, 3.0).unwrap();
+    assert_eq!(seen.dropped, 3);
+    assert!(!seen.index.iter().any(|i| (3..=5).contains(i)));
+    let image = broken.render(3.0, &Camera::Canonical, &RenderOptions::default()).unwrap();
+    assert!(image.rgb.iter().all(|x| x.is_finite()));
+
+    broken.gaussians.rgb.pop();
+    let error = Snapshot::of(&broken, 3.0).unwrap_err();
+    assert_eq!(error, RenderError::Records { array: "rgb", expected: 240, found: 239 });
+}
+
+#[test]
+fn times_outside_the_interval_are_refused() {
+    let interval = interval([24, 40]);
+    for time in [1.999, 4.001, f64::NAN, f64::INFINITY] {
+        let found = interval.render(time, &Camera::Canonical, &RenderOptions::default());
+        assert!(matches!(found, Err(RenderError::Time { start: 2.0, end: 4.0, .. })));
+    }
+}
+
+#[test]
+fn levels_threads_and_painters_draw_the_same_bits() {
+    let options = RenderOptions { depth: true, alpha: true, statistics: true, ..RenderOptions::default() };
+    let pose = Pose::look_at([0.4, -0.3, -1.0], [0.0, 0.0, 0.4], [0.0, -1.0, 0.0]).unwrap();
+    for camera in [Camera::Canonical, Camera::pinhole(pose, 70.0, 40.0 / 24.0).unwrap()] {
+        let mut reference = interval([24, 37]);
+        reference.workers = Workers::new(Level::scalar(), 1).unwrap();
+        let expected: Vec<Image> =
+            [2.0, 2.01, 3.3, 4.0].map(|time| reference.render(time, &camera, &options).unwrap()).into();
+        for level in Level::available() {
+            for threads in [1, 2, 3, 8] {
+                let mut other = interval([24, 37]);
+                other.workers = Workers::new(level, threads).unwrap();
+                let mut painter = Painter::new(&other.workers);
+                for (time, expected) in [2.0, 2.01, 3.3, 4.0].into_iter().zip(&expected) {
+                    let found = painter.draw(&other, time, &camera, &options).unwrap();
+                    assert!(found.rgb.iter().zip(&expected.rgb).all(|(a, b)| a.to_bits() == b.to_bits()));
+                    assert_eq!(found, expected, "{level}, {threads} threads, {time} s");
+                }
+            }
+        }
+    }
+}
