@@ -99,6 +99,11 @@ impl Checkpoint {
         }
     }
 
+    /// The bytes of a tensor of any format, if it is there.
+    pub fn bytes(&self, name: &str) -> Option<&[u8]> {
+        self.tensors.get(name).map(|info| &self.storage.bytes()[self.data..][info.range.clone()])
+    }
+
     /// Tells the system that a tensor's pages of a mapped file are not needed for now; it reads them again if they are.
     pub(crate) fn release(&self, name: &str) {
         if let Some(info) = self.tensors.get(name) {
