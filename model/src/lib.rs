@@ -29,7 +29,6 @@ mod layers;
 pub mod motion;
 mod network;
 mod options;
-mod scalar;
 mod static_head;
 mod upsampler;
 

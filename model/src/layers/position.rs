@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::scalar::{exp, sin_cos};
+use streamsplat_kernels::math::f64::{exp, sin_cos};
 
 /// `pe[i, 2k] = sin(i·ω_k)`, `pe[i, 2k+1] = cos(i·ω_k)`, `ω_k = 10000^(−2k/d)`: a table `[n, d]`.
 ///

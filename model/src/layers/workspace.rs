@@ -13,7 +13,7 @@ pub(crate) struct Workspace {
 }
 
 /// The first `len` values of `memory`, which grows if it must.
-pub(super) fn sized(memory: &mut Aligned<f32>, len: usize) -> &mut [f32] {
+pub(crate) fn sized(memory: &mut Aligned<f32>, len: usize) -> &mut [f32] {
     memory.resize(len);
     memory
 }
