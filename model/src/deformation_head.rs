@@ -8,15 +8,12 @@
 //!
 //! Both are three linear layers, 2d → d → d → out, with SiLU between them.
 
-use streamsplat_kernels::{Level, activation};
+use streamsplat_kernels::{Level, activation, truncated_normal};
 
 use crate::checkpoint::Weights;
 use crate::keys;
 use crate::layers::{Bias, Linear, ROWS};
 use crate::{Config, ModelError};
-
-/// Margin of the velocity's bounds ±(1 − ε)·dynamic_scalar.
-const EPSILON: f32 = 1e-3;
 
 pub(crate) struct DeformationHead {
     encoder_proj: Linear,
@@ -66,11 +63,10 @@ impl DeformationHead {
             self.velocity.apply(level, joined, &mut hidden, velocity.as_flattened_mut());
             self.gamma.apply(level, joined, &mut hidden, gamma.as_flattened_mut());
         }
-        activation::tanh(level, velocity.as_flattened_mut());
+        let layer = velocity.clone();
+        truncated_normal::mean(level, layer.as_flattened(), velocity.as_flattened_mut());
         for v in velocity.iter_mut() {
-            for (v, scalar) in v.iter_mut().zip(self.dynamic_scalar) {
-                *v = *v * (1.0 - EPSILON) * scalar;
-            }
+            v.iter_mut().zip(self.dynamic_scalar).for_each(|(v, scalar)| *v *= scalar);
         }
         let mut fade: Vec<f32> = gamma.iter().map(|g| g[1]).collect();
         activation::sigmoid(level, &mut fade);

@@ -207,3 +207,41 @@ fn attention(queries: f64, keys: f64, d: f64) -> f64 {
 fn block(n: f64, d: f64, keys: f64) -> f64 {
     linear(n, d, 4.0 * d) + attention(n, keys, d) + 2.0 * linear(n, d, 4.0 * d)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The published model costs what the paper's description of it adds up to.
+    #[test]
+    fn costs_at_the_published_size() {
+        let config = Config {
+            hidden_dim: 768,
+            encoder_layers: 10,
+            decoder_layers: 10,
+            resolution: [288, 512],
+            patch_size: 8,
+            upsampler_window: 2304,
+            upsampler_widths: [384, 192],
+            encoder_window: None,
+            use_dino: true,
+            condition_dim: 768,
+            static_position: StaticPosition::Tanh,
+        };
+        let costs = stages(&config);
+        let gflop = |name: &str| costs.iter().find(|c| c.stage == name).expect("a stage").gflop;
+        for (name, expected) in [("encoder", 490.0), ("upsampler", 336.0), ("decoder", 1520.0)] {
+            assert!((gflop(name) / expected - 1.0).abs() < 0.01, "{name}: {} instead of {expected}", gflop(name));
+        }
+        let dino = DinoConfig {
+            embed_dim: 768,
+            depth: 12,
+            mlp_dim: 3072,
+            patch_size: 14,
+            register_tokens: 4,
+            pos_embed_grid: 37,
+            resized_to: [252, 448],
+        };
+        assert!((dino_gflop(&dino) / 111.7 - 1.0).abs() < 0.01, "{}", dino_gflop(&dino));
+    }
+}

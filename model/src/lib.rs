@@ -24,6 +24,7 @@ mod encoder;
 mod error;
 pub mod forward;
 mod frame;
+pub mod inspect;
 mod keys;
 mod layers;
 pub mod motion;

@@ -9,14 +9,12 @@
 //! scale = 0.1·softplus,  opacity = 0.05 + 0.95·σ,  rgb = σ
 //! ```
 
-use streamsplat_kernels::{Level, activation};
+use streamsplat_kernels::philox::Stream;
+use streamsplat_kernels::{Level, activation, truncated_normal};
 
 use crate::checkpoint::Weights;
 use crate::layers::{Linear, ROWS};
 use crate::{Config, ModelError, Sampling, StaticGaussians, StaticPosition};
-
-/// Margin of the truncated normal's bounds ±(1 − ε).
-const EPSILON: f32 = 1e-3;
 
 pub(crate) struct StaticHead {
     /// All heads side by side: position (3), its log scale (3, only of a truncated normal), scale (2), opacity (1), rgb (3).
@@ -78,9 +76,17 @@ impl StaticHead {
             }
         }
 
-        activation::tanh(level, position.as_flattened_mut());
-        if self.kind == StaticPosition::TruncatedNormal {
-            self.draw(level, position.as_flattened_mut(), log_scale.as_flattened(), sampling);
+        match self.kind {
+            StaticPosition::Tanh => activation::tanh(level, position.as_flattened_mut()),
+            StaticPosition::TruncatedNormal => {
+                let layer = position.clone();
+                truncated_normal::mean(level, layer.as_flattened(), position.as_flattened_mut());
+                if let Sampling::Sample { seed, frame } = sampling {
+                    let mean = position.clone();
+                    let (mean, log_scale) = (mean.as_flattened(), log_scale.as_flattened());
+                    truncated_normal::draw(Stream { seed, frame }, mean, log_scale, position.as_flattened_mut());
+                }
+            }
         }
         let [rows, columns] = config.gaussian_grid().map(|side| side as f32);
         for (o, (x, z)) in position.iter_mut().zip(self.x_map.iter().zip(&self.z_map)) {
@@ -92,12 +98,6 @@ impl StaticHead {
         opacity.iter_mut().for_each(|o| *o = 0.05 + 0.95 * *o);
         activation::sigmoid(level, rgb.as_flattened_mut());
         StaticGaussians { position, scale, opacity, rgb }
-    }
-
-    /// From `tanh` of the mean's layer to the offset.
-    fn draw(&self, level: Level, offset: &mut [f32], log_scale: &[f32], sampling: Sampling) {
-        offset.iter_mut().for_each(|m| *m *= 1.0 - EPSILON);
-        let _ = (level, log_scale, sampling);
     }
 
     pub(crate) fn bytes(&self) -> usize {

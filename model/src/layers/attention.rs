@@ -3,8 +3,7 @@
 use streamsplat_kernels::Level;
 use streamsplat_kernels::attention::{Rows, Shape, Windows, attend};
 
-use super::workspace::sized;
-use super::{Bias, HEAD, Linear, RmsNorm, Workspace};
+use super::{Bias, HEAD, Linear, RmsNorm, Workspace, sized};
 use crate::ModelError;
 use crate::checkpoint::Weights;
 

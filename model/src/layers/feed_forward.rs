@@ -2,8 +2,7 @@
 
 use streamsplat_kernels::Level;
 
-use super::workspace::sized;
-use super::{Bias, Linear, ROWS, RmsNorm, Workspace};
+use super::{Bias, Linear, ROWS, RmsNorm, Workspace, sized};
 use crate::ModelError;
 use crate::checkpoint::Weights;
 

@@ -3,7 +3,7 @@
 mod attention;
 mod block;
 mod feed_forward;
-mod layer_norm;
+
 mod linear;
 mod norm;
 mod position;
@@ -12,7 +12,7 @@ mod workspace;
 pub(crate) use attention::{CrossAttention, SelfAttention};
 pub(crate) use block::{Block, windows};
 pub(crate) use feed_forward::FeedForward;
-pub(crate) use layer_norm::LayerNorm;
+
 pub(crate) use linear::{Bias, Linear};
 pub(crate) use norm::RmsNorm;
 pub(crate) use position::{add, sinusoid};
