@@ -16,6 +16,7 @@ pub mod patches;
 pub mod philox;
 pub mod pixel_shuffle;
 pub mod raster;
+pub mod resize;
 pub mod simd;
 #[cfg(test)]
 mod testing;
