@@ -1,5 +1,6 @@
 //! Contracts across crates: helpers of the integration tests.
 
+pub mod digest;
 pub mod parity;
 pub mod reference;
 pub mod theatre;

@@ -1,0 +1,143 @@
+//! The kernels at sizes that are no multiple of anything.
+
+use streamsplat_kernels::attention::{Rows, Shape, Windows, attend};
+use streamsplat_kernels::gemm::{Epilogue, Weights, linear};
+use streamsplat_kernels::math::{self, f64 as double};
+use streamsplat_kernels::philox::Stream;
+use streamsplat_kernels::simd::{LANES, Operation, Simd, dispatch};
+use streamsplat_kernels::{Level, norm, patches, pixel_shuffle, truncated_normal};
+
+use super::{Digest, Thing, noise};
+
+/// Apart in their bits, so that 65,537 of them lie in every binade, denormals, infinities and NaN included.
+const STRIDE: u32 = 65_521;
+
+/// Values from all over the number line.
+fn everywhere() -> impl Iterator<Item = f32> {
+    (0..u32::MAX / STRIDE).map(|i| f32::from_bits(i * STRIDE))
+}
+
+macro_rules! vector_functions {
+    ($($name:ident)*) => {
+        vec![$(Thing::new(concat!("math/", stringify!($name)), |level, digest| {
+            struct Sweep<'a>(&'a mut [f32]);
+            impl Operation for Sweep<'_> {
+                type Output = ();
+                #[inline(always)]
+                fn run<S: Simd>(self, s: S) {
+                    for x in self.0.chunks_mut(LANES) {
+                        s.store_partial(math::$name(s, s.load_partial(x, 0.0)), x);
+                    }
+                }
+            }
+            let mut values: Vec<f32> = everywhere().collect();
+            dispatch(level, Sweep(&mut values));
+            digest.floats(&values);
+        })),*]
+    };
+}
+
+pub(super) fn things() -> Vec<Thing> {
+    let mut things =
+        vector_functions!(exp exp_nonpositive log softplus sigmoid silu tanh erf erfc erfinv gelu normal_cdf);
+    things.extend([
+        Thing::new("math/sin_cos", |level, digest| {
+            struct Sweep<'a>(&'a mut [f32]);
+            impl Operation for Sweep<'_> {
+                type Output = ();
+                #[inline(always)]
+                fn run<S: Simd>(self, s: S) {
+                    for x in self.0.chunks_mut(LANES) {
+                        let (sin, cos) = math::sin_cos(s, s.load_partial(x, 0.0));
+                        s.store_partial(s.sub(sin, s.mul(cos, s.splat(0.75))), x);
+                    }
+                }
+            }
+            let mut values: Vec<f32> = everywhere().collect();
+            dispatch(level, Sweep(&mut values));
+            digest.floats(&values);
+        }),
+        Thing::new("math/f64", |_, digest| {
+            let functions =
+                [double::erf, double::erfc, double::exp, double::expm1, double::ln, double::ln_1p, double::sin];
+            for function in functions {
+                let values: Vec<f64> = (-3000..3000).map(|i| function(f64::from(i) * 0.017)).collect();
+                digest.doubles(&values);
+            }
+            let inverses: Vec<f64> = (-999..1000).map(|i| double::erfinv(f64::from(i) * 1e-3)).collect();
+            digest.doubles(&inverses);
+        }),
+        Thing::new("gemm/linear", gemm),
+        Thing::new("attention/full", |level, digest| attention(level, digest, 2, 37, 301, Windows::Full)),
+        Thing::new("attention/windows", |level, digest| {
+            attention(level, digest, 3, 131, 131, Windows::Runs { length: 24, roll: 12 });
+        }),
+        Thing::new("norm", |level, digest| {
+            for (rows, d) in [(7, 128), (3, 131), (2, 1)] {
+                let (x, w, b) = (noise(rows * d, 1), noise(d, 2), noise(d, 3));
+                let mut out = vec![0.0; rows * d];
+                norm::rms_norm(level, &x, &w, 1e-5, &mut out);
+                digest.floats(&out);
+                norm::layer_norm(level, &x, &w, &b, 1e-6, &mut out);
+                digest.floats(&out);
+            }
+        }),
+        Thing::new("pixel_shuffle", |_, digest| {
+            let x = noise(5 * 7 * 4 * 3, 4);
+            let mut out = vec![0.0; x.len()];
+            pixel_shuffle::pixel_shuffle(&x, 5, 7, 3, &mut out);
+            digest.floats(&out);
+        }),
+        Thing::new("patches", |_, digest| {
+            let (red, green) = (noise(24 * 40, 5), noise(24 * 40, 6));
+            let mut out = vec![0.0; 2 * 24 * 40];
+            patches::patches(&[&red, &green], 24, 40, 8, &mut out);
+            digest.floats(&out);
+        }),
+        Thing::new("philox", |_, digest| {
+            let mut out = vec![0.0; 10_007];
+            Stream { seed: 7, frame: 3 }.fill_uniform(11, &mut out);
+            digest.floats(&out);
+        }),
+        Thing::new("truncated_normal", |level, digest| {
+            let len = 5003;
+            let mean: Vec<f32> = noise(len, 7).iter().map(|x| x * 4.0).collect();
+            let scale: Vec<f32> = noise(len, 8).iter().map(|x| x * 20.0).collect();
+            let mut out = vec![0.0; len];
+            truncated_normal::mean(level, &mean, &mut out);
+            digest.floats(&out);
+            let bounded = out.clone();
+            truncated_normal::draw(Stream { seed: 1, frame: 2 }, &bounded, &scale, &mut out);
+            digest.floats(&out);
+        }),
+    ]);
+    things
+}
+
+fn gemm(level: Level, digest: &mut Digest) {
+    for (m, n, k) in [(1, 1, 1), (7, 33, 256), (13, 50, 259), (65, 129, 515), (3, 17, 0)] {
+        let (x, w, bias) = (noise(m * k, 9), noise(n * k, 10), noise(n, 11));
+        let weights = Weights::pack(&w, n, k);
+        let mut out = noise(m * n, 12);
+        for epilogue in [
+            Epilogue::new(),
+            Epilogue::new().bias(&bias),
+            Epilogue::new().bias(&bias).silu(),
+            Epilogue::new().gamma(&bias).residual(),
+        ] {
+            linear(level, &x, m, &weights, &epilogue, &mut out);
+            digest.floats(&out);
+        }
+    }
+}
+
+fn attention(level: Level, digest: &mut Digest, heads: usize, queries: usize, keys: usize, windows: Windows) {
+    let d = heads * 64;
+    let loud = |len, seed| -> Vec<f32> { noise(len, seed).iter().map(|x| x * 3.0).collect() };
+    let (q, k, v) = (loud(queries * d, 13), loud(keys * d, 14), noise(keys * d, 15));
+    let mut out = vec![0.0; queries * d];
+    let rows = |x, n| Rows::new(x, n, d, 0);
+    let shape = Shape { heads, width: 64, windows };
+    attend(level, shape, rows(&q, queries), rows(&k, keys), rows(&v, keys), &mut out);
+    digest.floats(&out);
+}

@@ -1,0 +1,81 @@
+//! One digest per thing the project computes, for the bit contract: the same on every level, thread count, run and machine.
+//!
+//! Each [`Thing`] is small, so that all of them run in a minute on a real CPU and in some on an emulated one. Between them they
+//! reach every kernel, the network in each kind of configuration, and a short stream through both fusion modes.
+
+mod kernels;
+mod network;
+mod splats;
+mod stream;
+
+use rayon::ThreadPoolBuilder;
+use streamsplat_kernels::Level;
+
+/// Something computed, and how to compute it on a level, on the current rayon pool.
+pub struct Thing {
+    /// Its name.
+    pub name: String,
+    compute: Box<dyn Fn(Level, &mut Digest) + Send + Sync>,
+}
+
+impl Thing {
+    fn new(name: impl Into<String>, compute: impl Fn(Level, &mut Digest) + Send + Sync + 'static) -> Self {
+        Self { name: name.into(), compute: Box::new(compute) }
+    }
+
+    /// Its digest on a level and a number of threads, in hexadecimal.
+    ///
+    /// # Panics
+    /// When the threads cannot be started, or the thing cannot be computed.
+    pub fn digest(&self, level: Level, threads: usize) -> String {
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
+        let mut digest = Digest(blake3::Hasher::new());
+        pool.install(|| (self.compute)(level, &mut digest));
+        digest.0.finalize().to_hex()[..32].to_owned()
+    }
+}
+
+/// Everything there is to compute, in a fixed order.
+pub fn things() -> Vec<Thing> {
+    [kernels::things(), splats::things(), network::things(), stream::things()].into_iter().flatten().collect()
+}
+
+/// Takes values in.
+pub struct Digest(blake3::Hasher);
+
+impl Digest {
+    /// Values by their bits; every NaN counts as the same, since its bits are not defined.
+    pub fn floats(&mut self, values: &[f32]) {
+        for value in values {
+            let bits = if value.is_nan() { 0x7fc0_0000 } else { value.to_bits() };
+            self.0.update(&bits.to_le_bytes());
+        }
+    }
+
+    /// Values by their bits.
+    pub fn doubles(&mut self, values: &[f64]) {
+        for value in values {
+            let bits = if value.is_nan() { f64::NAN.to_bits() } else { value.to_bits() };
+            self.0.update(&bits.to_le_bytes());
+        }
+    }
+
+    /// Integers.
+    pub fn integers(&mut self, values: impl IntoIterator<Item = u64>) {
+        for value in values {
+            self.0.update(&value.to_le_bytes());
+        }
+    }
+}
+
+/// `len` values between −1 and 1 that follow from `seed`.
+fn noise(len: usize, seed: u64) -> Vec<f32> {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        ((state >> 40) as f32 - 8_388_608.0) / 8_388_608.0
+    };
+    (0..len).map(|_| next()).collect()
+}
