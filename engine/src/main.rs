@@ -1,2 +1,8 @@
 //! The `streamsplat` program.
-fn main() {}
+#![deny(unsafe_code)]
+
+mod program;
+
+fn main() -> std::process::ExitCode {
+    program::main()
+}

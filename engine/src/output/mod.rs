@@ -104,6 +104,52 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<Written, OutputError> {
     }
 }
 
+/// A file being written by someone else under its temporary name; removed when it is not kept.
+#[derive(Debug)]
+pub struct Partial {
+    target: PathBuf,
+    partial: Option<PathBuf>,
+}
+
+impl Partial {
+    /// Creates the temporary file: an unwritable folder is found before work is spent.
+    ///
+    /// # Errors
+    /// The file cannot be created.
+    pub fn create(target: &Path) -> Result<Partial, OutputError> {
+        let partial = partial_name(target);
+        File::create(&partial).map_err(OutputError::write(target))?;
+        Ok(Partial { target: target.to_owned(), partial: Some(partial) })
+    }
+
+    /// Where to write.
+    pub fn path(&self) -> &Path {
+        self.partial.as_deref().unwrap_or(&self.target)
+    }
+
+    /// Gives the file its own name.
+    ///
+    /// # Errors
+    /// The file cannot be renamed.
+    pub fn keep(mut self) -> Result<(), OutputError> {
+        match self.partial.take() {
+            Some(partial) => std::fs::rename(&partial, &self.target).map_err(|cause| {
+                let _ = std::fs::remove_file(&partial);
+                OutputError::Write { path: self.target.clone(), cause }
+            }),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Drop for Partial {
+    fn drop(&mut self) {
+        if let Some(partial) = &self.partial {
+            let _ = std::fs::remove_file(partial);
+        }
+    }
+}
+
 /// Creates a folder, and tries to write in it: an unwritable one is found before work is spent.
 ///
 /// # Errors

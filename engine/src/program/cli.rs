@@ -1,0 +1,257 @@
+//! What can be said on the command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+use serde::{Deserialize, Serialize};
+
+/// Ordinary video in, a dynamic 3D Gaussian scene out, on CPUs, the same to the last bit everywhere.
+#[derive(Parser)]
+#[command(name = "streamsplat", version, arg_required_else_help = true)]
+pub struct Cli {
+    #[command(subcommand)]
+    pub command: Command,
+    #[command(flatten)]
+    pub console: Console,
+}
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Video → scene, frames, report
+    Run(RunArgs),
+    /// Scene → images at chosen times and cameras
+    Render(RenderArgs),
+    /// Key frames in, the frames between held out: PSNR and SSIM beside simple baselines
+    Eval(EvalArgs),
+    /// A model on tensors: every intermediate result of one pair of frames
+    Forward(ForwardArgs),
+    /// Draw the Gaussians of a safetensors file
+    Splat(SplatArgs),
+    /// A model or a scene: sizes, parts, digests, cost
+    Inspect(InspectArgs),
+    /// Measurements (runs the streamsplat-bench beside this program)
+    #[command(disable_help_flag = true)]
+    Bench {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<std::ffi::OsString>,
+    },
+    /// Repeat what DIR/run.json describes; exit code 1 where a digest differs
+    Verify(VerifyArgs),
+}
+
+/// What is said while working.
+#[derive(Args, Clone, Default)]
+pub struct Console {
+    /// Say nothing but errors
+    #[arg(long, global = true)]
+    pub quiet: bool,
+    /// Log to standard error: error, warn, info, debug or trace
+    #[arg(long, global = true, value_name = "LEVEL")]
+    pub log: Option<String>,
+    /// Write a trace for Chrome or Perfetto, one span per stage
+    #[arg(long, global = true, value_name = "FILE")]
+    pub trace: Option<PathBuf>,
+}
+
+/// What the work is done with. Changes no output bit.
+#[derive(Args, Clone, Debug, Default)]
+pub struct Machine {
+    /// Threads [default: one per processor]
+    #[arg(long, value_name = "N")]
+    pub threads: Option<String>,
+    /// Instruction set: scalar, avx2, avx512, neon or auto
+    #[arg(long, value_name = "NAME", default_value = "auto")]
+    pub isa: String,
+}
+
+/// The model and its arithmetic.
+#[derive(Args, Clone, Debug, Serialize, Deserialize)]
+pub struct Model {
+    /// Checkpoint (safetensors, official layout; FILE.json beside it for what shapes cannot say) [default: the small embedded one]
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// DINOv2's own weights, for models conditioned on them
+    #[arg(long, value_name = "FILE")]
+    pub dinov2: Option<PathBuf>,
+    /// Arithmetic of the large matrix products: f32, bf16 or int8
+    #[arg(long, value_name = "MODE", default_value = "f32")]
+    pub precision: String,
+}
+
+/// How a video becomes a scene.
+#[derive(Args, Clone, Debug, Serialize, Deserialize)]
+pub struct Stream {
+    #[command(flatten)]
+    pub model: Model,
+    /// Depth maps: none, or a folder of EXR, 16-bit PNG or NPY files with inverse depth, one per frame
+    #[arg(long, value_name = "DIR", default_value = "none")]
+    pub depth: String,
+    /// Depth is normalised by each frame's own range (frame) or the range of all maps (clip)
+    #[arg(long, value_name = "RANGE", default_value = "frame")]
+    pub depth_range: String,
+    /// Every N-th frame is a key frame
+    #[arg(long, value_name = "N", default_value = "1")]
+    pub gap: String,
+    /// What a key frame knows of those before: persistent or pairwise
+    #[arg(long, value_name = "MODE", default_value = "persistent")]
+    pub fusion: String,
+    /// Key frames after which a Gaussian that nothing continues is dropped at the latest [default: 8]
+    #[arg(long, value_name = "N")]
+    pub max_age: Option<u32>,
+    /// Positions that a model gives as a distribution: mean or sample
+    #[arg(long, value_name = "MODE", default_value = "mean")]
+    pub sampling: String,
+    /// Seed of everything drawn at random
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// Work left out: off, or exact (repeated input is not computed again; no output bit changes)
+    #[arg(long, value_name = "MODE", default_value = "exact")]
+    pub reuse: String,
+}
+
+/// What is drawn.
+#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct View {
+    /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
+    #[arg(long, value_name = "TIMES")]
+    pub times: Option<String>,
+    /// Size of the images: model, source or WIDTHxHEIGHT
+    #[arg(long, value_name = "SIZE", default_value = "model")]
+    pub size: String,
+    /// Camera or camera path (JSON) [default: the source's own view]
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
+    /// Colour behind everything: grey level or R,G,B, in [0,1]
+    #[arg(long, value_name = "COLOUR", default_value = "0.5")]
+    pub background: String,
+}
+
+#[derive(Args, Clone)]
+pub struct RunArgs {
+    /// Folder of images, .y4m file, - (y4m on standard input), or any video file ffmpeg reads
+    pub input: PathBuf,
+    /// Folder for the results, or a video file (.y4m, .mp4, .webm, .mkv, .mov), or - (y4m on standard output)
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub options: RunOptions,
+    #[command(flatten)]
+    pub machine: Machine,
+    /// Also write run.json here
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Everything of a run that reaches its output.
+#[derive(Args, Clone, Debug, Serialize, Deserialize)]
+pub struct RunOptions {
+    #[command(flatten)]
+    pub stream: Stream,
+    /// How frames fit the model's input: letterbox or stretch
+    #[arg(long, value_name = "MODE", default_value = "letterbox")]
+    pub fit: String,
+    /// Frames per second of the input [default: its own, or 24]
+    #[arg(long, value_name = "RATE")]
+    pub fps: Option<f64>,
+    #[command(flatten)]
+    pub view: View,
+    /// Outputs: rgb, depth, alpha, scene [default: rgb,scene]
+    #[arg(long, value_name = "LIST")]
+    pub emit: Option<String>,
+    /// Stop after this many input frames
+    #[arg(long, value_name = "N")]
+    pub frames: Option<usize>,
+}
+
+#[derive(Args, Clone)]
+pub struct RenderArgs {
+    /// A scene's folder, its scene.json, or the folder of a run
+    pub scene: PathBuf,
+    /// Folder for the images, or a video file, or - (y4m on standard output)
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub options: RenderOptions,
+    #[command(flatten)]
+    pub machine: Machine,
+    /// Also write run.json here
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Everything of a rendering that reaches its output.
+#[derive(Args, Clone, Debug, Serialize, Deserialize)]
+pub struct RenderOptions {
+    #[command(flatten)]
+    pub view: View,
+    /// Images per second of the scene, where no times are given [default: the source's frame rate]
+    #[arg(long, value_name = "RATE")]
+    pub fps: Option<f64>,
+    /// Outputs: rgb, depth, alpha [default: rgb]
+    #[arg(long, value_name = "LIST")]
+    pub emit: Option<String>,
+}
+
+#[derive(Args, Clone)]
+pub struct EvalArgs {
+    /// A video as for run, or a folder of such folders
+    pub input: PathBuf,
+    #[command(flatten)]
+    pub stream: Stream,
+    /// How frames fit the model's input: stretch or letterbox
+    #[arg(long, value_name = "MODE", default_value = "stretch")]
+    pub fit: String,
+    /// Frames per second of the input [default: its own, or 24]
+    #[arg(long, value_name = "RATE")]
+    pub fps: Option<f64>,
+    #[command(flatten)]
+    pub machine: Machine,
+    /// Write the figures here
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+#[derive(Args, Clone)]
+pub struct ForwardArgs {
+    /// Checkpoint (a StreamSplat model or a DINOv2 file)
+    #[arg(long, value_name = "FILE")]
+    pub model: PathBuf,
+    /// Tensors in.frames, in.depths and in.condition; or in.frame for DINOv2
+    #[arg(long, value_name = "FILE")]
+    pub input: PathBuf,
+    /// Where the tensors out.* are written
+    #[arg(long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// Arithmetic of the large matrix products: f32, bf16 or int8
+    #[arg(long, value_name = "MODE", default_value = "f32")]
+    pub precision: String,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct SplatArgs {
+    /// Tensors mean, scale, quat, opacity, rgb in view space; size, background, and focal or intrinsics
+    pub scene: PathBuf,
+    /// Where rgb, depth, alpha, final_T and blended are written
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct InspectArgs {
+    /// A checkpoint, a scene's folder, or an interval
+    pub file: PathBuf,
+    /// Write what is found here
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+#[derive(Args, Clone)]
+pub struct VerifyArgs {
+    /// Folder of a run (or its .run.json, for a run that wrote a video)
+    pub dir: PathBuf,
+    #[command(flatten)]
+    pub machine: Machine,
+}

@@ -1,0 +1,99 @@
+//! Images at times, of intervals as they come.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use streamsplat::Image;
+use streamsplat::render::Painter;
+use streamsplat::stream::{Interval, Workers};
+
+use super::failure::Failure;
+use super::outputs::Outputs;
+use super::record::WorkRecord;
+use super::settings::Views;
+
+/// Draws and writes images; keeps the account.
+pub struct Drawing {
+    painter: Painter,
+    /// Gaussians left out because a number of theirs was not finite.
+    pub dropped: u64,
+    /// Time spent drawing.
+    pub render: Duration,
+    /// Time spent encoding and writing.
+    pub write: Duration,
+    images: u64,
+    /// Gaussians drawn and left out, tiles drawn and kept, list entries looked at and not.
+    raster: [[u64; 2]; 3],
+}
+
+impl Drawing {
+    /// Nothing drawn yet.
+    pub fn new(workers: &Workers) -> Drawing {
+        Drawing {
+            painter: Painter::new(workers),
+            dropped: 0,
+            render: Duration::ZERO,
+            write: Duration::ZERO,
+            images: 0,
+            raster: [[0; 2]; 3],
+        }
+    }
+
+    /// Draws the interval at `time` from where the camera is then.
+    pub fn draw(&mut self, interval: &Interval, time: f64, views: &Views) -> Result<Image, Failure> {
+        let _span = tracing::info_span!("stage", name = "render").entered();
+        let start = Instant::now();
+        let image = self.painter.draw(interval, time, &views.camera.at(time), &views.options)?.clone();
+        self.render += start.elapsed();
+        self.images += 1;
+        self.dropped += image.dropped;
+        let work = self.painter.work();
+        let counts = [
+            (work.gaussians.saturating_sub(work.culled), work.culled),
+            (work.tiles_drawn, work.tiles.saturating_sub(work.tiles_drawn)),
+            (work.entries.saturating_sub(work.entries_unseen), work.entries_unseen),
+        ];
+        for (sum, (done, avoided)) in self.raster.iter_mut().zip(counts) {
+            sum[0] += done;
+            sum[1] += avoided;
+        }
+        Ok(image)
+    }
+
+    /// Runs `work` as writing.
+    pub fn writing<R>(&mut self, work: impl FnOnce() -> Result<R, Failure>) -> Result<R, Failure> {
+        let _span = tracing::info_span!("stage", name = "write").entered();
+        let start = Instant::now();
+        let result = work();
+        self.write += start.elapsed();
+        result
+    }
+
+    /// Draws and writes the image with the number `index`.
+    pub fn image(
+        &mut self,
+        outputs: &mut Outputs,
+        index: usize,
+        interval: &Interval,
+        time: f64,
+        views: &Views,
+    ) -> Result<(), Failure> {
+        let image = self.draw(interval, time, views)?;
+        self.writing(|| outputs.image(index, image))
+    }
+
+    /// Adds what was drawn and what was not needed.
+    pub fn account(&self, work: &mut BTreeMap<String, WorkRecord>, seconds: &mut BTreeMap<String, f64>) {
+        let [gaussians, tiles, entries] = self.raster;
+        for (stage, [done, avoided], unit) in [
+            ("render", [self.images, 0], "images"),
+            ("render.project", gaussians, "Gaussians"),
+            ("render.tiles", tiles, "tiles"),
+            ("render.blend", entries, "splats in tiles"),
+        ] {
+            work.insert(stage.to_owned(), WorkRecord { done, avoided, unit: unit.to_owned() });
+        }
+        seconds.insert("render".to_owned(), self.render.as_secs_f64());
+        seconds.insert("write".to_owned(), self.write.as_secs_f64());
+    }
+}

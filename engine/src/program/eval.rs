@@ -1,0 +1,233 @@
+//! `eval`: key frames in, the frames between held out; how close the scene comes to them, and simple baselines beside it.
+//!
+//! Every `gap`-th frame is a key frame. The scene is drawn at every frame's time at the model's own size and compared with the
+//! true frame, both brought to 256×256 bilinearly. *Key* frames were given, *middle* frames were not. Baselines for the middle
+//! frames: the cross-fade of the key frames around, and the nearer one. Frames after the last whole interval are left out.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::Serialize;
+use streamsplat::Engine;
+use streamsplat::metrics::{psnr, ssim};
+use streamsplat::picture::Picture;
+use streamsplat::source::{self, Source, folder};
+use streamsplat::stream::{ModelSource, Settings};
+
+use super::cli::{Console, EvalArgs, View};
+use super::drawing::Drawing;
+use super::failure::Failure;
+use super::keyframes::KeyFrames;
+use super::progress::Progress;
+use super::settings::{DepthFrom, Views};
+use super::{say, stop};
+
+/// Side of the pictures that are compared.
+const SIDE: usize = 256;
+
+/// Means over frames, and how many there were.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+struct Score {
+    psnr: Option<f64>,
+    ssim: Option<f64>,
+    frames: usize,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Sum {
+    psnr: f64,
+    ssim: f64,
+    frames: usize,
+}
+
+impl Sum {
+    fn add(&mut self, a: &Picture, b: &Picture) -> Result<(), Failure> {
+        self.psnr += psnr(a, b)?;
+        self.ssim += ssim(a, b)?;
+        self.frames += 1;
+        Ok(())
+    }
+
+    fn join(&mut self, other: &Sum) {
+        self.psnr += other.psnr;
+        self.ssim += other.ssim;
+        self.frames += other.frames;
+    }
+
+    fn score(&self) -> Score {
+        let mean = |sum: f64| (self.frames > 0).then(|| sum / self.frames as f64);
+        Score { psnr: mean(self.psnr), ssim: mean(self.ssim), frames: self.frames }
+    }
+}
+
+#[derive(Clone, Debug, Default)]
+struct Sums {
+    key: Sum,
+    middle: Sum,
+    crossfade: Sum,
+    nearest: Sum,
+}
+
+#[derive(Serialize)]
+struct Baselines {
+    crossfade: Score,
+    nearest: Score,
+}
+
+/// One clip's figures, or the mean's.
+#[derive(Serialize)]
+struct Row {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    name: Option<String>,
+    gap: usize,
+    key: Score,
+    middle: Score,
+    baselines: Baselines,
+}
+
+#[derive(Serialize)]
+struct Figures {
+    fusion: String,
+    fit: String,
+    precision: String,
+    clips: Vec<Row>,
+    mean: Row,
+}
+
+impl Sums {
+    fn row(&self, name: Option<String>, gap: usize) -> Row {
+        let baselines = Baselines { crossfade: self.crossfade.score(), nearest: self.nearest.score() };
+        Row { name, gap, key: self.key.score(), middle: self.middle.score(), baselines }
+    }
+}
+
+/// Evaluates one clip or a folder of clips.
+pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
+    let gap = args.stream.gap()?;
+    let depth = args.stream.depth_from()?;
+    let mut settings = args.stream.settings(&args.fit, &args.machine)?;
+    let views = View { size: "model".into(), background: "0.5".into(), ..View::default() }.resolve()?;
+    let clips = clips(&args.input)?;
+    if clips.len() > 1 && depth != DepthFrom::None {
+        return Err(Failure::usage("--depth: one folder of maps cannot serve several clips"));
+    }
+    let mut total = Sums::default();
+    let mut rows = Vec::new();
+    if !console.quiet {
+        say("clip                          key dB / SSIM   middle dB / SSIM   cross-fade        nearest");
+    }
+    for clip in &clips {
+        if stop::asked() {
+            break;
+        }
+        let source = Source::open(clip, &source::Options { fps: args.fps })?;
+        let keys = KeyFrames::new(source, &depth, gap, true, None)?;
+        let engine = Engine::new(settings.clone())?;
+        // The next clip's engine uses the same weights.
+        settings.model = ModelSource::Shared(Arc::clone(engine.model()));
+        let sums = evaluate(keys, engine, &views, console)?;
+        let name = clip.file_name().unwrap_or(clip.as_os_str()).to_string_lossy().into_owned();
+        if sums.key.frames < 2 {
+            let message = format!("{}: expected at least {} frames for a gap of {gap}", clip.display(), gap + 1);
+            return Err(Failure::work(message));
+        }
+        for (into, from) in [
+            (&mut total.key, &sums.key),
+            (&mut total.middle, &sums.middle),
+            (&mut total.crossfade, &sums.crossfade),
+            (&mut total.nearest, &sums.nearest),
+        ] {
+            into.join(from);
+        }
+        let row = sums.row(Some(name), gap);
+        if !console.quiet {
+            say(line(&row));
+        }
+        rows.push(row);
+    }
+    let mean = total.row(None, gap);
+    if !console.quiet {
+        say(line(&mean));
+    }
+    if let Some(path) = &args.json {
+        let Settings { fusion, precision, .. } = settings;
+        let (fusion, precision) = (fusion.to_string(), precision.to_string());
+        let figures = Figures { fusion, fit: args.fit.clone(), precision, clips: rows, mean };
+        let text = serde_json::to_string_pretty(&figures).map_err(Failure::work)?;
+        streamsplat::output::write_file(path, (text + "\n").as_bytes())?;
+    }
+    Ok(())
+}
+
+/// The clip itself, or the clips of a folder of folders, in natural order.
+fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
+    if !input.is_dir() || folder::images(input).is_ok() {
+        return Ok(vec![input.to_owned()]);
+    }
+    let unreadable = |e: std::io::Error| Failure::work(format!("{}: {e}", input.display()));
+    let mut clips = Vec::new();
+    for entry in std::fs::read_dir(input).map_err(unreadable)? {
+        let entry = entry.map_err(unreadable)?;
+        let path = entry.path();
+        let hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
+        let video = path.extension().is_some_and(|e| e == "y4m");
+        if !hidden && (video || (path.is_dir() && folder::images(&path).is_ok())) {
+            clips.push(path);
+        }
+    }
+    let name = |path: &PathBuf| path.file_name().map(|n| n.as_encoded_bytes().to_vec()).unwrap_or_default();
+    clips.sort_by(|a, b| source::natural::compare(&name(a), &name(b)));
+    if clips.is_empty() {
+        return Err(Failure::work(format!("{}: the folder holds neither images nor clips", input.display())));
+    }
+    Ok(clips)
+}
+
+fn evaluate(mut keys: KeyFrames, mut engine: Engine, views: &Views, console: &Console) -> Result<Sums, Failure> {
+    let mut sums = Sums::default();
+    let mut drawing = Drawing::new(engine.workers());
+    let mut progress =
+        Progress::new("frames", keys.total(), console.quiet || !std::io::IsTerminal::is_terminal(&std::io::stderr()));
+    let mut before: Option<Picture> = None;
+    while let Some(key) = keys.next()? {
+        let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
+        let interval = engine.push(key.frame, timestamp)?;
+        let truths: Vec<Picture> = key.shown.iter().map(|frame| frame.picture.resized(SIDE, SIDE)).collect();
+        let last = truths.len() - 1;
+        for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate() {
+            let image = drawing.draw(&interval, frame.timestamp, views)?;
+            let ours = Picture { width: image.width, height: image.height, rgb: image.rgb }.resized(SIDE, SIDE);
+            if i == last {
+                sums.key.add(&ours, truth)?;
+            } else if let Some(before) = &before {
+                sums.middle.add(&ours, truth)?;
+                let t = (i + 1) as f32 / truths.len() as f32;
+                sums.crossfade.add(&mix(before, &truths[last], t), truth)?;
+                sums.nearest.add(if t <= 0.5 { before } else { &truths[last] }, truth)?;
+            }
+            progress.step();
+        }
+        before = truths.into_iter().next_back();
+    }
+    Ok(sums)
+}
+
+fn mix(a: &Picture, b: &Picture, t: f32) -> Picture {
+    let rgb = a.rgb.iter().zip(&b.rgb).map(|(&a, &b)| a * (1.0 - t) + b * t).collect();
+    Picture { rgb, ..*a }
+}
+
+fn line(row: &Row) -> String {
+    let show = |score: &Score| match (score.psnr, score.ssim) {
+        (Some(psnr), Some(ssim)) => format!("{psnr:7.3} / {ssim:.4}"),
+        _ => "      – /      –".to_owned(),
+    };
+    format!(
+        "{:28} {}   {}   {}   {}",
+        row.name.as_deref().unwrap_or("mean over frames"),
+        show(&row.key),
+        show(&row.middle),
+        show(&row.baselines.crossfade),
+        show(&row.baselines.nearest)
+    )
+}

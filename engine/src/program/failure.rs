@@ -1,0 +1,57 @@
+//! How a command fails.
+
+use std::fmt::Display;
+use std::process::ExitCode;
+
+/// A failed command: a message of one line and an exit code.
+#[derive(Debug)]
+pub enum Failure {
+    /// Wrong use: exit code 2.
+    Usage(String),
+    /// The work failed: exit code 1.
+    Work(String),
+}
+
+impl Failure {
+    /// Wrong use.
+    pub fn usage(message: impl Display) -> Failure {
+        Failure::Usage(message.to_string())
+    }
+
+    /// The work failed.
+    pub fn work(message: impl Display) -> Failure {
+        Failure::Work(message.to_string())
+    }
+
+    /// One line.
+    pub fn message(&self) -> String {
+        let (Failure::Usage(text) | Failure::Work(text)) = self;
+        text.split_whitespace().collect::<Vec<_>>().join(" ")
+    }
+
+    /// 1 or 2.
+    pub fn code(&self) -> ExitCode {
+        match self {
+            Failure::Usage(_) => ExitCode::from(2),
+            Failure::Work(_) => ExitCode::from(1),
+        }
+    }
+}
+
+/// Errors of the library are failed work, unless said otherwise.
+macro_rules! work {
+    ($($kind:ty),+) => { $(impl From<$kind> for Failure {
+        fn from(e: $kind) -> Failure { Failure::work(e) }
+    })+ };
+}
+
+work!(
+    streamsplat::EngineError,
+    streamsplat::RenderError,
+    streamsplat::depth::DepthError,
+    streamsplat::output::OutputError,
+    streamsplat::scene::SceneError,
+    streamsplat::source::SourceError,
+    streamsplat::metrics::MetricError,
+    streamsplat_model::ModelError
+);

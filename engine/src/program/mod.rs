@@ -1,0 +1,92 @@
+//! The `streamsplat` program: commands, exit codes, messages.
+//!
+//! Exit codes: 0 done, 1 the work failed, 2 wrong use. An error is one line on standard error that names the file, the tensor
+//! or the option, what was expected and what was found.
+
+mod bench;
+mod cli;
+mod digest;
+mod drawing;
+mod eval;
+mod failure;
+mod forward;
+mod inspect;
+mod keyframes;
+mod machine;
+mod outputs;
+mod progress;
+mod record;
+mod render;
+mod report;
+mod run;
+mod settings;
+mod splat;
+mod stop;
+mod trace;
+mod verify;
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::Parser;
+use clap::error::ErrorKind;
+
+use cli::{Cli, Command};
+use failure::Failure;
+
+/// Runs the program with the process's arguments.
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(e) if matches!(e.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
+            let _ = write!(std::io::stdout(), "{e}");
+            return ExitCode::SUCCESS;
+        }
+        Err(e) => return finish(Err(Failure::Usage(one_line(&e)))),
+    };
+    let _trace = match trace::start(&cli.console) {
+        Ok(guard) => guard,
+        Err(failure) => return finish(Err(failure)),
+    };
+    finish(match &cli.command {
+        Command::Run(args) => run::command(args, &cli.console),
+        Command::Render(args) => render::command(args, &cli.console),
+        Command::Eval(args) => eval::command(args, &cli.console),
+        Command::Forward(args) => forward::command(args),
+        Command::Splat(args) => splat::command(args),
+        Command::Inspect(args) => inspect::command(args),
+        Command::Bench { arguments } => {
+            return bench::command(arguments).unwrap_or_else(|failure| finish(Err(failure)));
+        }
+        Command::Verify(args) => verify::command(args, &cli.console),
+    })
+}
+
+fn finish(result: Result<(), Failure>) -> ExitCode {
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            let _ = writeln!(std::io::stderr(), "streamsplat: {}", failure.message());
+            failure.code()
+        }
+    }
+}
+
+/// What clap says, without usage and hints, in one line.
+fn one_line(error: &clap::Error) -> String {
+    let text = error.to_string();
+    let said = text.split("\n\n").next().unwrap_or(&text);
+    let mut words: Vec<&str> = said.split_whitespace().collect();
+    if words.first() == Some(&"error:") {
+        words.remove(0);
+    }
+    if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        return "expected a command (run, render, eval, forward, splat, inspect, bench, verify); see streamsplat --help".into();
+    }
+    words.join(" ")
+}
+
+/// Prints a line on standard output; a reader that has gone away is no failure of the work.
+fn say(line: impl std::fmt::Display) {
+    let _ = writeln!(std::io::stdout(), "{line}");
+}

@@ -1,0 +1,143 @@
+//! `run.json`: what was done, so that it can be done again and compared.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::cli::{RenderOptions, RunOptions};
+use super::failure::Failure;
+
+/// What `program` says.
+pub const PROGRAM: &str = "streamsplat";
+
+/// The whole file. Everything but `timing` is a function of model, input, options and seed alone.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Record {
+    /// [`PROGRAM`].
+    pub program: String,
+    /// The program's version.
+    pub version: String,
+    /// What was done, with every option that reaches the output.
+    #[serde(flatten)]
+    pub task: Task,
+    /// The seed of everything drawn at random.
+    pub seed: u64,
+    /// The checkpoint.
+    pub model: Option<ModelRecord>,
+    /// What was read.
+    pub input: InputRecord,
+    /// False when the user stopped it; what was written is valid.
+    pub complete: bool,
+    /// Every file written, by its path inside the folder.
+    pub outputs: BTreeMap<String, OutputRecord>,
+    /// Work done and work avoided.
+    pub work: BTreeMap<String, WorkRecord>,
+    /// Gaussians left out because a number of theirs was not finite.
+    pub dropped: u64,
+    /// Differs from run to run.
+    pub timing: Timing,
+}
+
+/// The command and its options.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(tag = "command", content = "options", rename_all = "lowercase")]
+pub enum Task {
+    /// `run`.
+    Run(Box<RunOptions>),
+    /// `render`.
+    Render(Box<RenderOptions>),
+}
+
+/// The checkpoint that was used.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ModelRecord {
+    /// Its file, or `embedded`.
+    pub path: String,
+    /// BLAKE3 of the checkpoint and its configuration.
+    pub blake3: String,
+}
+
+/// What was read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InputRecord {
+    /// The input as an absolute path, or `-`.
+    pub path: PathBuf,
+    /// BLAKE3 of the frames as they were decoded, or of the scene's index.
+    pub blake3: String,
+    /// Frames or intervals read.
+    pub count: usize,
+    /// Width and height of a frame.
+    pub size: [usize; 2],
+    /// Frames per second.
+    pub fps: f64,
+}
+
+/// A file that was written.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OutputRecord {
+    /// Its length.
+    pub bytes: u64,
+    /// BLAKE3 of the file.
+    pub blake3: String,
+    /// For a video: BLAKE3 of the samples that were encoded, which is what a repetition is compared by.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub samples: Option<String>,
+}
+
+/// One stage's account.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WorkRecord {
+    /// Work done.
+    pub done: u64,
+    /// Work that was not needed.
+    pub avoided: u64,
+    /// What is counted.
+    pub unit: String,
+}
+
+/// What differs from run to run.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Timing {
+    /// Seconds in all.
+    pub total: f64,
+    /// Seconds per stage.
+    pub seconds: BTreeMap<String, f64>,
+    /// The most memory held.
+    pub peak_resident_bytes: Option<u64>,
+    /// Threads.
+    pub threads: usize,
+    /// Instruction set.
+    pub isa: String,
+}
+
+impl Record {
+    /// As text.
+    pub fn to_json(&self) -> Result<String, Failure> {
+        serde_json::to_string_pretty(self).map(|text| text + "\n").map_err(|e| Failure::work(format!("run.json: {e}")))
+    }
+
+    /// Reads a `run.json`.
+    pub fn read(path: &Path) -> Result<Record, Failure> {
+        let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", path.display()));
+        let size = std::fs::metadata(path).map_err(|e| wrong(&e))?.len();
+        if size > 1 << 28 {
+            return Err(wrong(&format!("{size} bytes are too many for a run.json")));
+        }
+        let text = std::fs::read_to_string(path).map_err(|e| wrong(&e))?;
+        let record: Record =
+            serde_json::from_str(&text).map_err(|e| wrong(&format!("not the record of a run: {e}")))?;
+        if record.program != PROGRAM {
+            return Err(wrong(&format!("expected a record of {PROGRAM}, found {:?}", record.program)));
+        }
+        Ok(record)
+    }
+}
+
+/// `path` as it can be found from anywhere; `-` stays.
+pub fn absolute(path: &Path) -> PathBuf {
+    if path == Path::new("-") {
+        return path.to_owned();
+    }
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}

@@ -1,0 +1,218 @@
+//! From options to the library's settings: every unknown or unavailable value is wrong use.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use streamsplat::camera::{self, CameraPath};
+use streamsplat::depth::Range;
+use streamsplat::stream::{DepthRange, MaxAge, ModelSource, Settings};
+use streamsplat::{RenderOptions, Size};
+use streamsplat_kernels::raster;
+use streamsplat_model::Precision;
+
+use super::cli::{Machine, Model, Stream, View};
+use super::failure::Failure;
+
+/// `text` as a `T`, or wrong use of `option`.
+pub fn choice<T: FromStr>(option: &str, text: &str) -> Result<T, Failure>
+where
+    T::Err: std::fmt::Display,
+{
+    text.parse().map_err(|e| Failure::usage(format!("{option}: {e}")))
+}
+
+/// Where depth comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum DepthFrom {
+    /// There is none.
+    None,
+    /// A folder of maps.
+    Folder(PathBuf, Range),
+}
+
+impl Model {
+    /// The model that is meant.
+    pub fn source(&self) -> ModelSource {
+        match &self.model {
+            None => ModelSource::Embedded,
+            Some(checkpoint) => ModelSource::File { checkpoint: checkpoint.clone(), dinov2: self.dinov2.clone() },
+        }
+    }
+
+    /// The arithmetic that is meant.
+    pub fn precision(&self) -> Result<Precision, Failure> {
+        choice("--precision", &self.precision)
+    }
+}
+
+impl Stream {
+    /// Key frames are this many input frames apart.
+    pub fn gap(&self) -> Result<usize, Failure> {
+        if self.gap == "auto" {
+            return Err(Failure::usage("--gap auto is not available in this build; give a number of frames"));
+        }
+        match self.gap.parse() {
+            Ok(n @ 1..=100_000) => Ok(n),
+            _ => Err(Failure::usage(format!("--gap {}: expected a whole number from 1 to 100000", self.gap))),
+        }
+    }
+
+    /// Where depth comes from.
+    pub fn depth_from(&self) -> Result<DepthFrom, Failure> {
+        let range = match self.depth_range.as_str() {
+            "frame" => Range::Frame,
+            "clip" => Range::Clip,
+            other => return Err(Failure::usage(format!("--depth-range {other}: expected frame or clip"))),
+        };
+        if self.depth == "none" {
+            return Ok(DepthFrom::None);
+        }
+        if self.depth.starts_with("onnx:") {
+            let message =
+                "--depth onnx: depth networks are not available in this build; give none or a folder of depth maps";
+            return Err(Failure::usage(message));
+        }
+        let folder = PathBuf::from(&self.depth);
+        if !folder.is_dir() {
+            return Err(Failure::usage(format!("--depth {}: expected none or a folder of depth maps", self.depth)));
+        }
+        Ok(DepthFrom::Folder(folder, range))
+    }
+
+    /// What an engine is made with.
+    pub fn settings(&self, fit: &str, machine: &Machine) -> Result<Settings, Failure> {
+        let mut settings = Settings::with_model(self.model.source());
+        settings.fusion = choice("--fusion", &self.fusion)?;
+        settings.max_age = self.max_age.map_or_else(MaxAge::default, MaxAge);
+        settings.fit = choice("--fit", fit)?;
+        settings.depth_range = match self.depth_from()? {
+            DepthFrom::Folder(_, Range::Clip) => DepthRange::Given,
+            _ => DepthRange::Frame,
+        };
+        settings.sampling = choice("--sampling", &self.sampling)?;
+        settings.seed = self.seed;
+        settings.reuse = match self.reuse.parse::<f64>() {
+            Ok(_) => {
+                let message = format!(
+                    "--reuse {}: approximate reuse is not available in this build; give off or exact",
+                    self.reuse
+                );
+                return Err(Failure::usage(message));
+            }
+            Err(_) => choice("--reuse", &self.reuse)?,
+        };
+        settings.precision = self.model.precision()?;
+        settings.level = Some(machine.level()?);
+        settings.threads = machine.threads()?;
+        Ok(settings)
+    }
+}
+
+/// What is drawn, when, and from where.
+#[derive(Clone, Debug)]
+pub struct Views {
+    /// Size, background, and which planes.
+    pub options: RenderOptions,
+    /// The camera at any time.
+    pub camera: CameraPath,
+    /// Times asked for, ascending.
+    pub times: Option<Vec<f64>>,
+}
+
+impl View {
+    /// Checks everything that can be checked before work is spent.
+    pub fn resolve(&self) -> Result<Views, Failure> {
+        let camera = match &self.camera {
+            None => CameraPath::default(),
+            Some(file) => {
+                let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", file.display()));
+                let text = std::fs::read_to_string(file).map_err(|e| wrong(&e))?;
+                camera::file::parse(&text).map_err(|e| wrong(&e))?
+            }
+        };
+        let options = RenderOptions { size: self.size()?, background: self.background()?, ..RenderOptions::default() };
+        Ok(Views { options, camera, times: self.times.as_deref().map(times).transpose()? })
+    }
+
+    fn size(&self) -> Result<Size, Failure> {
+        match self.size.as_str() {
+            "model" => return Ok(Size::Model),
+            "source" => return Ok(Size::Source),
+            _ => {}
+        }
+        let side = |text: &str| text.parse().ok().filter(|side| (1..=raster::MAX_SIDE).contains(side));
+        let sides = self.size.split_once('x').and_then(|(w, h)| side(w).zip(side(h)));
+        sides.map(|(width, height)| Size::Exact { width, height }).ok_or_else(|| {
+            let most = raster::MAX_SIDE;
+            Failure::usage(format!("--size {}: expected model, source or WIDTHxHEIGHT up to {most} a side", self.size))
+        })
+    }
+
+    fn background(&self) -> Result<[f32; 3], Failure> {
+        let parts: Option<Vec<f32>> = self.background.split(',').map(|part| part.trim().parse().ok()).collect();
+        let inside = |v: &[f32]| v.iter().all(|c| (0.0..=1.0).contains(c));
+        match parts.as_deref() {
+            Some([grey]) if inside(&[*grey]) => Ok([*grey; 3]),
+            Some([r, g, b]) if inside(&[*r, *g, *b]) => Ok([*r, *g, *b]),
+            _ => Err(Failure::usage(format!(
+                "--background {}: expected one number or R,G,B, each from 0 to 1",
+                self.background
+            ))),
+        }
+    }
+}
+
+/// `a,b,c` or `start:end:count`, ascending seconds.
+fn times(text: &str) -> Result<Vec<f64>, Failure> {
+    let wrong = |what: &str| Failure::usage(format!("--times {text}: expected {what}"));
+    let number = |part: &str| part.trim().parse::<f64>().ok().filter(|t| t.is_finite());
+    if text.contains(':') {
+        let parts: Vec<&str> = text.split(':').collect();
+        let [start, end, count] = parts[..] else { return Err(wrong("START:END:COUNT")) };
+        let count: Option<usize> = count.trim().parse().ok().filter(|n| (1..=1_000_000).contains(n));
+        return match (number(start), number(end), count) {
+            (Some(start), Some(end), Some(1)) if start <= end => Ok(vec![start]),
+            (Some(start), Some(end), Some(n)) if start <= end => {
+                let step =
+                    |i: usize| if i + 1 == n { end } else { start + (end - start) * (i as f64 / (n - 1) as f64) };
+                Ok((0..n).map(step).collect())
+            }
+            _ => Err(wrong("START:END:COUNT with START ≤ END in seconds and COUNT from 1 to 1000000")),
+        };
+    }
+    let times: Option<Vec<f64>> = text.split(',').map(number).collect();
+    match times {
+        Some(times) if times.windows(2).all(|pair| pair[0] <= pair[1]) => Ok(times),
+        Some(_) => Err(wrong("ascending times")),
+        None => Err(wrong("seconds separated by commas, or START:END:COUNT")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_lists_or_ranges() {
+        assert_eq!(times("0,0.5,2").ok(), Some(vec![0.0, 0.5, 2.0]));
+        assert_eq!(times("0:1:3").ok(), Some(vec![0.0, 0.5, 1.0]));
+        assert_eq!(times("0:0.3:1").ok(), Some(vec![0.0]));
+        for wrong in ["", "1,0", "nan", "0:1", "1:0:4", "0:1:0", "0;1"] {
+            assert!(matches!(times(wrong), Err(Failure::Usage(_))), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn sizes_and_backgrounds_outside_their_range_are_wrong_use() {
+        let view =
+            |size: &str, background: &str| View { size: size.into(), background: background.into(), ..View::default() };
+        let views = view("640x360", "0,0.5,1").resolve().expect("valid");
+        assert_eq!(views.options.size, Size::Exact { width: 640, height: 360 });
+        assert_eq!(views.options.background, [0.0, 0.5, 1.0]);
+        for (size, background) in
+            [("0x4", "0"), ("big", "0"), ("4x", "0"), ("4x99999999", "0"), ("model", "2"), ("model", "0,1")]
+        {
+            assert!(matches!(view(size, background).resolve(), Err(Failure::Usage(_))), "{size} {background}");
+        }
+    }
+}

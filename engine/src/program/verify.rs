@@ -1,0 +1,108 @@
+//! `verify`: repeats what a `run.json` describes and compares.
+
+use std::path::{Path, PathBuf};
+
+use super::cli::{Console, VerifyArgs};
+use super::failure::Failure;
+use super::outputs::{Destination, is_inside};
+use super::record::{Record, Task};
+use super::{digest, render, run, say};
+
+/// Compares the files that are there with their digests, then repeats the work and compares again. Fails where one differs.
+pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
+    let (record_path, folder) = if args.dir.is_file() {
+        (args.dir.clone(), args.dir.parent().map(Path::to_owned).unwrap_or_default())
+    } else {
+        (args.dir.join("run.json"), args.dir.clone())
+    };
+    let record = Record::read(&record_path)?;
+    if record.input.path == Path::new("-") {
+        let message = format!("{}: the input was standard input, which cannot be read again", record_path.display());
+        return Err(Failure::work(message));
+    }
+
+    let mut differing: Vec<PathBuf> = Vec::new();
+    for (name, expected) in &record.outputs {
+        if !is_inside(name) {
+            let message = format!("{}: expected outputs inside its folder, found {name:?}", record_path.display());
+            return Err(Failure::work(message));
+        }
+        let path = folder.join(name);
+        // Nothing of standard output's stays on disk.
+        let found = if path.exists() { digest::file(&path)? } else { "none: the file is missing".to_owned() };
+        if found != expected.blake3 {
+            differ(console, &path.display().to_string(), &expected.blake3, &found);
+            differing.push(path);
+        }
+    }
+
+    let scratch = tempfile::tempdir().map_err(|e| Failure::work(format!("cannot make a temporary folder: {e}")))?;
+    let video = record.outputs.iter().find(|(_, output)| output.samples.is_some());
+    let destination = Destination::of(&match video {
+        Some((name, _)) => scratch.path().join(name),
+        None => scratch.path().join("out"),
+    });
+    let input = &record.input.path;
+    let again = match &record.task {
+        Task::Run(options) => {
+            let mut options = options.clone();
+            if !record.complete {
+                options.frames = Some(record.input.count);
+            }
+            run::run(input, destination, &options, &args.machine, console)?
+        }
+        Task::Render(_) if !record.complete => {
+            return Err(Failure::work(format!("{}: the rendering was stopped; run it again", record_path.display())));
+        }
+        Task::Render(options) => render::render(input, destination, options, &args.machine, console)?,
+    };
+
+    let model = |record: &Record| record.model.as_ref().map_or_else(|| "none".to_owned(), |model| model.blake3.clone());
+    for (what, expected, found) in [
+        ("the model", model(&record), model(&again)),
+        ("the input", record.input.blake3.clone(), again.input.blake3.clone()),
+    ] {
+        if expected != found {
+            differ(console, what, &expected, &found);
+            differing.push(what.into());
+        }
+    }
+    let mut names: Vec<&String> = record.outputs.keys().chain(again.outputs.keys()).collect();
+    names.sort();
+    names.dedup();
+    for name in names {
+        // Videos are compared by what was encoded: their bytes depend on the version of ffmpeg.
+        let digest = |record: &Record| match record.outputs.get(name) {
+            Some(output) => output.samples.clone().unwrap_or_else(|| output.blake3.clone()),
+            None => "none: the file is missing".to_owned(),
+        };
+        let (expected, found) = (digest(&record), digest(&again));
+        if expected != found {
+            let name = format!("{name}, repeated");
+            differ(console, &name, &expected, &found);
+            differing.push(name.into());
+        }
+    }
+    if let Some(first) = differing.first() {
+        let (count, of) = (differing.len(), record.outputs.len());
+        return Err(Failure::work(format!(
+            "{}: the digest differs ({count} differences, {of} files)",
+            first.display()
+        )));
+    }
+    if !console.quiet {
+        let (threads, isa) = (again.timing.threads, &again.timing.isa);
+        say(format!(
+            "{}: {} files, all digests equal ({threads} threads, {isa})",
+            record_path.display(),
+            record.outputs.len()
+        ));
+    }
+    Ok(())
+}
+
+fn differ(console: &Console, what: &str, expected: &str, found: &str) {
+    if !console.quiet {
+        say(format!("{what}: expected {expected}, found {found}"));
+    }
+}
