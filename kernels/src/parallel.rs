@@ -45,6 +45,12 @@ impl<'a, T> Disjoint<'a, T> {
         self.len == 0
     }
 
+    /// Where element `index` lies, for hints.
+    #[inline(always)]
+    pub(crate) fn address(&self, index: usize) -> *const T {
+        self.start.wrapping_add(index)
+    }
+
     /// The part `range`. Panics when it does not lie inside.
     ///
     /// # Safety

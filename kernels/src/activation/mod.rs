@@ -47,10 +47,40 @@ macro_rules! functions {
 functions! {
     /// `x ← x · σ(x)`
     silu = Silu(math::silu);
+    /// `x ← x · Φ(x)`, the exact GELU.
+    gelu = Gelu(math::gelu);
     /// `x ← 1 / (1 + e⁻ˣ)`
     sigmoid = Sigmoid(math::sigmoid);
     /// `x ← tanh x`
     tanh = Tanh(math::tanh);
     /// `x ← log(1 + eˣ)`
     softplus = Softplus(math::softplus);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{noise, on_every_level_and_thread_count};
+
+    #[test]
+    fn slices_of_any_length_hold_the_functions_everywhere() {
+        type Case = (fn(Level, &mut [f32]), fn(f32) -> f32);
+        let cases: [Case; 5] = [
+            (silu, math::scalar::silu),
+            (gelu, math::scalar::gelu),
+            (sigmoid, math::scalar::sigmoid),
+            (tanh, math::scalar::tanh),
+            (softplus, math::scalar::softplus),
+        ];
+        for (slice, scalar) in cases {
+            for len in [0, 1, 17, 20_001] {
+                let x: Vec<f32> = noise(len, 9).iter().map(|x| x * 12.0).collect();
+                let out = on_every_level_and_thread_count(len, |level, out| {
+                    out.copy_from_slice(&x);
+                    slice(level, out);
+                });
+                assert!(out.iter().zip(&x).all(|(y, &x)| y.to_bits() == scalar(x).to_bits()), "{len} values");
+            }
+        }
+    }
 }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::math;
-use crate::simd::{LANES, Simd};
+use crate::simd::Simd;
 
 /// The function of an [`Epilogue`].
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
@@ -13,6 +13,8 @@ pub enum Activation {
     Identity,
     /// `y · σ(y)`
     Silu,
+    /// `y · Φ(y)`, the exact form with the error function.
+    Gelu,
 }
 
 /// What follows a product `p`: `y = activation(p + bias)`, then `out = γ·y`, or, with a residual, `out += γ·y`.
@@ -61,6 +63,13 @@ impl<'a> Epilogue<'a> {
         self
     }
 
+    /// Applies exact GELU.
+    #[must_use]
+    pub const fn gelu(mut self) -> Self {
+        self.activation = Activation::Gelu;
+        self
+    }
+
     /// Multiplies by `gamma [n]` (layer scale).
     #[must_use]
     pub const fn gamma(mut self, gamma: &'a [f32]) -> Self {
@@ -83,28 +92,52 @@ impl<'a> Epilogue<'a> {
         }
     }
 
-    /// Applies to the sums of `columns` of one row (padded to whole vectors).
+    /// Whether no function stands between the product and what is added.
+    pub(super) fn is_affine(&self) -> bool {
+        self.activation == Activation::Identity
+    }
+
+    /// The epilogue's vectors for up to 16 columns.
     #[inline(always)]
-    pub(super) fn apply<S: Simd>(&self, s: S, sums: &[f32], columns: Range<usize>, out: &mut [f32]) {
-        for (v, out) in out.chunks_mut(LANES).enumerate() {
-            let start = columns.start + v * LANES;
-            let here = start..(start + LANES).min(columns.end);
-            let mut y = s.load(&sums[v * LANES..]);
-            if let Some(bias) = self.bias {
-                y = s.add(y, s.load_partial(&bias[here.clone()], 0.0));
-            }
-            y = match self.activation {
-                Activation::Identity => y,
-                Activation::Silu => math::silu(s, y),
-            };
-            let gamma = self.gamma.map(|gamma| s.load_partial(&gamma[here], 0.0));
-            let y = match (gamma, self.residual) {
-                (None, false) => y,
-                (Some(gamma), false) => s.mul(gamma, y),
-                (None, true) => s.add(s.load_partial(out, 0.0), y),
-                (Some(gamma), true) => s.mul_add(gamma, y, s.load_partial(out, 0.0)),
-            };
-            s.store_partial(y, out);
+    pub(super) fn affine<S: Simd>(&self, s: S, columns: &Range<usize>) -> Affine<S> {
+        let load = |x: &[f32]| s.load_partial(&x[columns.clone()], 0.0);
+        Affine {
+            bias: self.bias.map_or(s.splat(-0.0), load),
+            gamma: self.gamma.map_or(s.splat(1.0), load),
+            residual: self.residual,
         }
+    }
+
+    /// The function between the bias and the rest.
+    #[inline(always)]
+    pub(super) fn activate<S: Simd>(&self, s: S, y: S::F32) -> S::F32 {
+        match self.activation {
+            Activation::Identity => y,
+            Activation::Silu => math::silu(s, y),
+            Activation::Gelu => math::gelu(s, y),
+        }
+    }
+}
+
+/// An epilogue's vectors for 16 columns.
+///
+/// An absent bias is −0 and an absent `γ` is 1: neither changes a bit of what it is applied to.
+pub(super) struct Affine<S: Simd> {
+    pub(super) bias: S::F32,
+    gamma: S::F32,
+    residual: bool,
+}
+
+impl<S: Simd> Affine<S> {
+    /// The epilogue without a function.
+    #[inline(always)]
+    pub(super) fn apply(&self, s: S, p: S::F32, out: impl Fn() -> S::F32) -> S::F32 {
+        self.finish(s, s.add(p, self.bias), out)
+    }
+
+    /// What follows the function.
+    #[inline(always)]
+    pub(super) fn finish(&self, s: S, y: S::F32, out: impl Fn() -> S::F32) -> S::F32 {
+        if self.residual { s.mul_add(self.gamma, y, out()) } else { s.mul(self.gamma, y) }
     }
 }

@@ -20,6 +20,8 @@ pub mod reference;
 #[cfg(test)]
 mod tests;
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 pub use epilogue::{Activation, Epilogue};
@@ -28,7 +30,7 @@ pub(crate) use microkernel::multiply;
 use crate::Level;
 use crate::memory::{Aligned, Scratch};
 use crate::parallel::Disjoint;
-use crate::simd::{LANES, Operation, Simd, dispatch};
+use crate::simd::{LANES, Operation, Simd, dispatch, prefetch};
 
 /// Steps of `k` whose products are summed in one chain.
 pub const K_BLOCK: usize = 256;
@@ -129,7 +131,7 @@ impl Grid {
         self.rows.div_ceil(self.row_block) * self.ranges()
     }
 
-    fn task(&self, index: usize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
+    fn task(&self, index: usize) -> (Range<usize>, Range<usize>) {
         let row = index / self.ranges() * self.row_block;
         let panel = index % self.ranges() * self.panel_block;
         (row..(row + self.row_block).min(self.rows), panel..(panel + self.panel_block).min(self.panels))
@@ -142,8 +144,8 @@ struct Task<'a> {
     weights: &'a Weights,
     epilogue: &'a Epilogue<'a>,
     out: &'a Disjoint<'a, f32>,
-    rows: std::ops::Range<usize>,
-    panels: std::ops::Range<usize>,
+    rows: Range<usize>,
+    panels: Range<usize>,
 }
 
 impl Operation for Task<'_> {
@@ -177,58 +179,127 @@ impl Task<'_> {
     /// `NV` panels over all rows of the task.
     #[inline(always)]
     fn panel_group<S: Simd, const MR: usize, const NV: usize>(&self, s: S, panel: usize, tile: &mut [f32]) {
-        let k = self.weights.k;
+        let (n, k) = (self.weights.n, self.weights.k);
         let rows = self.rows.len();
         let tile = &mut tile[..rows * NV * LANES];
+        let start = panel * LANES;
+        let columns = start..(start + NV * LANES).min(n);
+        // Without a function to apply, whole vectors are written straight from the registers of the last block.
+        let direct = self.epilogue.is_affine() && columns.len() == NV * LANES && k > 0;
         if k == 0 {
             tile.fill(0.0);
         }
         for start in (0..k).step_by(K_BLOCK) {
             let length = K_BLOCK.min(k - start);
+            let (first_block, last_block) = (start == 0, start + length == k);
             let mut from = [std::ptr::null(); NV];
             for v in 0..NV {
-                from[v] = self.weights.panels[(panel + v) * k * LANES + start * LANES..][..length * LANES].as_ptr();
+                from[v] = self.weights.panels[((panel + v) * k + start) * LANES..][..length * LANES].as_ptr();
             }
+            let mut ahead = Ahead::after(
+                from,
+                length * LANES,
+                if last_block { (NV - 1) * k * LANES } else { 0 },
+                rows.div_ceil(MR),
+            );
             for first in (0..rows).step_by(MR) {
+                ahead.fetch();
                 let present = MR.min(rows - first);
                 // Rows past the last repeat it; their sums are not kept.
                 let mut at = [std::ptr::null(); MR];
                 for r in 0..MR {
                     let row = self.rows.start + first + r.min(present - 1);
-                    at[r] = self.x[row * k + start..][..length].as_ptr();
+                    // SAFETY: `linear` has checked that every row of the task holds k values.
+                    at[r] = unsafe { self.x.as_ptr().add(row * k + start) };
                 }
-                // SAFETY: each pointer is that of a slice of the length read.
-                let acc = unsafe { multiply::<S, MR, NV>(s, at, from, length) };
-                keep::<S, MR, NV>(s, acc, present, start == 0, &mut tile[first * NV * LANES..]);
+                if last_block {
+                    for r in 0..MR {
+                        let row = self.rows.start + first + r.min(present - 1);
+                        prefetch(self.out.address(row * n + columns.start));
+                    }
+                }
+                // SAFETY: each pointer is readable for the length read.
+                let mut acc = unsafe { multiply::<S, MR, NV>(s, at, from, length) };
+                let tile = &mut tile[first * NV * LANES..][..present * NV * LANES];
+                if !first_block {
+                    for r in 0..MR {
+                        if r < present {
+                            for v in 0..NV {
+                                acc[r][v] = s.add(s.load(&tile[(r * NV + v) * LANES..]), acc[r][v]);
+                            }
+                        }
+                    }
+                }
+                if last_block && direct {
+                    for v in 0..NV {
+                        let columns = columns.start + v * LANES..columns.start + (v + 1) * LANES;
+                        let affine = self.epilogue.affine(s, &columns);
+                        for r in 0..MR {
+                            if r < present {
+                                let row = (self.rows.start + first + r) * n;
+                                // SAFETY: tasks own disjoint blocks of rows and columns.
+                                let out = unsafe { self.out.part(row + columns.start..row + columns.end) };
+                                s.store(affine.apply(s, acc[r][v], || s.load(out)), out);
+                            }
+                        }
+                    }
+                } else {
+                    for r in 0..MR {
+                        if r < present {
+                            for v in 0..NV {
+                                s.store(acc[r][v], &mut tile[(r * NV + v) * LANES..]);
+                            }
+                        }
+                    }
+                }
             }
         }
-        for (i, sums) in tile.chunks_exact(NV * LANES).enumerate() {
-            let start = panel * LANES;
-            let columns = start..(start + NV * LANES).min(self.weights.n);
-            let row = (self.rows.start + i) * self.weights.n;
-            // SAFETY: tasks own disjoint blocks of rows and columns.
-            let out = unsafe { self.out.part(row + columns.start..row + columns.end) };
-            self.epilogue.apply(s, sums, columns, out);
+        if !direct {
+            self.finish::<S, NV>(s, columns, tile);
+        }
+    }
+
+    /// Applies the epilogue to a tile and writes it.
+    #[inline(always)]
+    fn finish<S: Simd, const NV: usize>(&self, s: S, columns: Range<usize>, tile: &[f32]) {
+        let n = self.weights.n;
+        for v in 0..NV {
+            let start = columns.start + v * LANES;
+            let columns = start..(start + LANES).min(columns.end);
+            if columns.is_empty() {
+                continue;
+            }
+            let affine = self.epilogue.affine(s, &columns);
+            for (i, sums) in tile.chunks_exact(NV * LANES).enumerate() {
+                let row = (self.rows.start + i) * n;
+                // SAFETY: tasks own disjoint blocks of rows and columns.
+                let out = unsafe { self.out.part(row + columns.start..row + columns.end) };
+                let y = self.epilogue.activate(s, s.add(s.load(&sums[v * LANES..]), affine.bias));
+                s.store_partial(affine.finish(s, y, || s.load_partial(out, 0.0)), out);
+            }
         }
     }
 }
 
-/// Stores a block's sums in the tile (the first block), or adds them to it.
-#[inline(always)]
-fn keep<S: Simd, const MR: usize, const NV: usize>(
-    s: S,
-    acc: microkernel::Tile<S, MR, NV>,
-    present: usize,
-    first: bool,
-    tile: &mut [f32],
-) {
-    let tile = &mut tile[..present * NV * LANES];
-    for r in 0..MR {
-        if r < present {
-            for v in 0..NV {
-                let at = &mut tile[(r * NV + v) * LANES..][..LANES];
-                let sum = if first { acc[r][v] } else { s.add(s.load(at), acc[r][v]) };
-                s.store(sum, at);
+/// Brings the weights of the next block into the cache, a part of them before every register block of this one.
+struct Ahead<const NV: usize> {
+    at: [*const f32; NV],
+    lines: usize,
+}
+
+impl<const NV: usize> Ahead<NV> {
+    /// What follows `len` values from each of `from`, after `skip` more, in `calls` parts.
+    #[inline(always)]
+    fn after(from: [*const f32; NV], len: usize, skip: usize, calls: usize) -> Self {
+        Self { at: from.map(|p| p.wrapping_add(len + skip)), lines: (len / LANES).div_ceil(calls) }
+    }
+
+    #[inline(always)]
+    fn fetch(&mut self) {
+        for at in &mut self.at {
+            for _ in 0..self.lines {
+                prefetch(*at);
+                *at = at.wrapping_add(LANES);
             }
         }
     }

@@ -63,12 +63,23 @@ fn epilogues_are_the_functions_they_name() {
     let product = reference::product_f64(&x, &w, m, n, k);
     let weights = Weights::pack(&w, n, k);
     let silu = |y: f64| y / (1.0 + (-y).exp());
+    // Φ by its series: exact enough for a test.
+    let gelu = |y: f64| {
+        let z = y / std::f64::consts::SQRT_2;
+        let (mut term, mut sum) = (z, z);
+        for i in 1..80 {
+            term *= -z * z / f64::from(i);
+            sum += term / f64::from(2 * i + 1);
+        }
+        y * 0.5 * (1.0 + sum * 2.0 / std::f64::consts::PI.sqrt())
+    };
     let b = Epilogue::new().bias(&bias);
-    let cases: [(&str, Epilogue<'_>, &dyn Fn(f64, f64, f64) -> f64); 6] = [
+    let cases: [(&str, Epilogue<'_>, &dyn Fn(f64, f64, f64) -> f64); 7] = [
         ("none", Epilogue::new(), &|p, _, _| p),
         ("bias", b, &|p, b, _| p + b),
         ("silu", Epilogue::new().silu(), &|p, _, _| silu(p)),
         ("bias, silu", b.silu(), &|p, b, _| silu(p + b)),
+        ("bias, gelu", b.gelu(), &|p, b, _| gelu(p + b)),
         ("bias, residual", b.residual(), &|p, b, _| 0.5 + p + b),
         ("bias, gamma, residual", b.gamma(&gamma).residual(), &|p, b, g| 0.5 + g * (p + b)),
     ];

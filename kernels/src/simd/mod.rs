@@ -225,6 +225,18 @@ pub trait Simd: Copy + Send + Sync + 'static {
     fn max_lane(self, a: Self::F32) -> f32;
 }
 
+/// Asks for the cache line at `at`, to be read soon. A hint: nothing is read through the pointer, which may be any.
+#[inline(always)]
+pub fn prefetch<T>(at: *const T) {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: every x86-64 CPU has the instruction, and it faults on no address.
+    unsafe {
+        core::arch::x86_64::_mm_prefetch::<{ core::arch::x86_64::_MM_HINT_T0 }>(at.cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = at;
+}
+
 /// A computation that can be entered on any level.
 ///
 /// `run` and everything it calls should be `#[inline(always)]`, so that all of it is compiled for the level.
