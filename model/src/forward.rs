@@ -10,8 +10,8 @@
 use std::path::Path;
 
 use crate::checkpoint::{self, Checkpoint};
-use crate::config::Settings;
-use crate::{FrameInput, LoadOptions, ModelError, Network, Sampling, Side};
+use crate::config::{Settings, is_dino};
+use crate::{Dino, FrameInput, LoadOptions, ModelError, Network, Sampling, Side};
 
 /// A named tensor.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,9 +37,15 @@ pub fn forward_file(
     let checkpoint = Checkpoint::open(model.as_ref())?;
     let settings = Settings::beside(model.as_ref())?;
     let input = Checkpoint::open(input)?;
-    let network = Network::load(&checkpoint, &settings, options)?;
-    drop(checkpoint);
-    let tensors = forward(&network, &input)?;
+    let tensors = if is_dino(&checkpoint) {
+        let dino = Dino::load(&checkpoint, &settings, options)?;
+        drop(checkpoint);
+        forward_dino(&dino, &input)?
+    } else {
+        let network = Network::load(&checkpoint, &settings, options)?;
+        drop(checkpoint);
+        forward(&network, &input)?
+    };
     write(output, &tensors)
 }
 
@@ -100,6 +106,25 @@ pub fn forward(network: &Network, input: &Checkpoint) -> Result<Vec<Tensor>, Mod
         out.push("out.dynamic_tokens", &[gaussians, gaussian_dim], &motion.tokens);
         out.push("out.dynamic.velocity", &[gaussians, 3], motion.velocity.as_flattened());
         out.push("out.dynamic.gamma", &[gaussians, 2], motion.gamma.as_flattened());
+    }
+    Ok(out.0)
+}
+
+/// Every output of DINOv2 for the frames of `in.frame [B, 3, h, w]`.
+///
+/// # Errors
+/// When the input is missing or malformed.
+pub fn forward_dino(dino: &Dino, input: &Checkpoint) -> Result<Vec<Tensor>, ModelError> {
+    let frames = read(input, "in.frame", &[None, Some(3), None, None])?;
+    let [_, _, height, width] = input.shape("in.frame").and_then(|s| s.try_into().ok()).unwrap_or([0; 4]);
+    let config = dino.config();
+    let [to_height, to_width] = config.resized_to;
+    let mut out = Outputs::default();
+    for frame in frames.chunks_exact(3 * height * width) {
+        let features = dino.features(frame, [height, width])?;
+        out.push("out.resized", &[3, to_height, to_width], &features.resized);
+        out.push("out.patch_tokens", &[config.patches(), config.embed_dim], &features.patch_tokens);
+        out.push("out.cls_token", &[config.embed_dim], &features.cls_token);
     }
     Ok(out.0)
 }

@@ -20,6 +20,7 @@ pub mod checkpoint;
 mod config;
 mod decoder;
 mod deformation_head;
+mod dino;
 mod encoder;
 mod error;
 pub mod forward;
@@ -34,6 +35,7 @@ mod static_head;
 mod upsampler;
 
 pub use config::{Config, DinoConfig, StaticPosition};
+pub use dino::Dino;
 pub use error::ModelError;
 pub use frame::{Deformation, DinoFeatures, Embedding, FrameInput, Sampling, Side, StaticFrame, StaticGaussians};
 pub use network::Network;

@@ -1,8 +1,8 @@
 //! The network reproduces every tensor of the parity data.
 
 use streamsplat_kernels::Level;
-use streamsplat_model::forward::{Tensor, forward};
-use streamsplat_model::{LoadOptions, Network, Precision};
+use streamsplat_model::forward::{Tensor, forward, forward_dino};
+use streamsplat_model::{Dino, LoadOptions, Network, Precision};
 use streamsplat_tests::parity;
 use streamsplat_tests::reference::relative_l2;
 
@@ -12,8 +12,11 @@ const BOUND: f64 = 3e-6;
 fn outputs(case: &str, level: Level) -> Vec<Tensor> {
     let (_, io) = parity::case(case);
     let options = LoadOptions { level, precision: Precision::F32 };
-    let network = Network::open(parity::path(&format!("{case}.safetensors")), &options).expect("a model");
-    forward(&network, &io).expect("inputs that fit")
+    let path = parity::path(&format!("{case}.safetensors"));
+    if case.starts_with("dino") {
+        return forward_dino(&Dino::open(path, &options).expect("a model"), &io).expect("inputs that fit");
+    }
+    forward(&Network::open(path, &options).expect("a model"), &io).expect("inputs that fit")
 }
 
 fn reproduces(case: &str) {
@@ -29,6 +32,11 @@ fn reproduces(case: &str) {
         println!("{case} {}: {error:.2e}", tensor.name);
         assert!(error <= BOUND, "{case} {}: {error:.2e}", tensor.name);
     }
+}
+
+#[test]
+fn dino_is_reproduced() {
+    reproduces("dino-tiny");
 }
 
 #[test]
@@ -53,13 +61,15 @@ fn model_of_windowed_blocks_is_reproduced() {
 
 #[test]
 fn every_level_and_number_of_threads_gives_the_same_bits() {
-    for case in ["tiny-nodino", "tiny-sampled"] {
+    for case in ["tiny-nodino", "tiny-sampled", "dino-tiny"] {
         let bits = |tensors: Vec<Tensor>| -> Vec<(String, Vec<u32>)> {
             tensors.into_iter().map(|t| (t.name, t.values.into_iter().map(f32::to_bits).collect())).collect()
         };
         let expected = bits(outputs(case, Level::scalar()));
         for level in Level::available() {
-            for threads in [1, 2, 3, 8] {
+            // DINOv2 takes its time without vectors.
+            let threads: &[usize] = if case == "dino-tiny" { &[2] } else { &[1, 2, 3, 8] };
+            for &threads in threads {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
                 let found = bits(pool.install(|| outputs(case, level)));
                 for (found, expected) in found.iter().zip(&expected) {

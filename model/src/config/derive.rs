@@ -12,6 +12,9 @@ const PUBLISHED_WINDOW: usize = 2304;
 /// What DINOv2 sees in the published model.
 const PUBLISHED_DINO_INPUT: [usize; 2] = [252, 448];
 
+/// Patches along a side above which no vision transformer runs.
+const LARGEST_GRID: usize = 512;
+
 /// The prefix of a StreamSplat checkpoint's keys.
 pub(crate) fn prefix(checkpoint: &Checkpoint) -> Result<&'static str, ModelError> {
     let probe = format!("{}.conv.weight", keys::ENCODER);
@@ -173,8 +176,10 @@ impl DinoConfig {
             });
         }
         let resized_to = settings.pair("resized_to")?.unwrap_or(PUBLISHED_DINO_INPUT);
-        if resized_to.iter().any(|side| side % patch_size != 0) {
-            let expected = format!("[height, width], multiples of the patch size {patch_size}");
+        if resized_to.iter().any(|side| side % patch_size != 0 || side / patch_size > LARGEST_GRID) {
+            let expected = format!(
+                "[height, width], multiples of the patch size {patch_size}, at most {LARGEST_GRID} patches each"
+            );
             return Err(settings.wrong("resized_to", expected, format!("{resized_to:?}")));
         }
         settings.agrees("embed_dim", embed_dim)?;

@@ -89,6 +89,11 @@ impl Linear {
         self.run(level, x, self.epilogue().silu(), out);
     }
 
+    /// `out = gelu(layer(x))`
+    pub(crate) fn apply_gelu(&self, level: Level, x: &[f32], out: &mut [f32]) {
+        self.run(level, x, self.epilogue().gelu(), out);
+    }
+
     /// `out += layer(x)`
     pub(crate) fn accumulate(&self, level: Level, x: &[f32], out: &mut [f32]) {
         self.run(level, x, self.epilogue().residual(), out);

@@ -4,6 +4,7 @@ mod attention;
 mod block;
 mod feed_forward;
 
+mod layer_norm;
 mod linear;
 mod norm;
 mod position;
@@ -13,6 +14,7 @@ pub(crate) use attention::{CrossAttention, SelfAttention};
 pub(crate) use block::{Block, windows};
 pub(crate) use feed_forward::FeedForward;
 
+pub(crate) use layer_norm::LayerNorm;
 pub(crate) use linear::{Bias, Linear};
 pub(crate) use norm::RmsNorm;
 pub(crate) use position::{add, sinusoid};

@@ -1,0 +1,196 @@
+//! DINOv2 with register tokens: the features a frame's partner is conditioned on.
+//!
+//! ```text
+//! resized = bilinear(frame)                                    252×448, values in [0, 1]
+//! x = [cls + position₀ ; registers ; conv(resized) + positions] conv: p×p stride p, with bias
+//! per block: x += γ₁·attention(norm₁(x)),  x += γ₂·fc2(gelu(fc1(norm₂(x))))
+//! out = norm(x)
+//! ```
+//!
+//! Positions are stored on a square grid; it is resized to the patch grid bicubically with antialiasing, once at load.
+//!
+//! Source: "DINOv2" (TMLR 2024) and "Vision Transformers Need Registers" (ICLR 2024).
+
+use std::path::Path;
+
+use streamsplat_kernels::attention::{Rows, Shape, Windows, attend};
+use streamsplat_kernels::patches::patches;
+use streamsplat_kernels::{Level, resize};
+use tracing::info_span;
+
+use crate::checkpoint::{Checkpoint, Weights};
+use crate::config::Settings;
+use crate::error::check_input;
+use crate::layers::{Bias, HEAD, LayerNorm, Linear, ROWS, Workspace, add, sized};
+use crate::{DinoConfig, DinoFeatures, LoadOptions, ModelError};
+
+/// DINOv2 with its weights.
+pub struct Dino {
+    config: DinoConfig,
+    options: LoadOptions,
+    patch_embed: Linear,
+    /// Class token with its position, then the registers, which have none.
+    first: Vec<f32>,
+    /// Positions of the patches, `[M, C]`.
+    position: Vec<f32>,
+    blocks: Vec<DinoBlock>,
+    norm: LayerNorm,
+}
+
+struct DinoBlock {
+    norm1: LayerNorm,
+    qkv: Linear,
+    proj: Linear,
+    ls1: Vec<f32>,
+    norm2: LayerNorm,
+    fc1: Linear,
+    fc2: Linear,
+    ls2: Vec<f32>,
+}
+
+impl std::fmt::Debug for Dino {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Dino").field("config", &self.config).field("options", &self.options).finish_non_exhaustive()
+    }
+}
+
+impl Dino {
+    /// Loads DINOv2's own file (safetensors). A JSON file of the same name may state another input size (`resized_to`).
+    ///
+    /// # Errors
+    /// As [`crate::Network::open`].
+    pub fn open(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Dino, ModelError> {
+        let checkpoint = Checkpoint::open(path.as_ref())?;
+        let settings = Settings::beside(path.as_ref())?;
+        Self::load(&checkpoint, &settings, options)
+    }
+
+    pub(crate) fn load(
+        checkpoint: &Checkpoint,
+        settings: &Settings,
+        options: &LoadOptions,
+    ) -> Result<Dino, ModelError> {
+        let _span = info_span!("load").entered();
+        let weights = &Weights::new(checkpoint, "");
+        let config = DinoConfig::derive(weights, settings)?;
+        let (d, p, side) = (config.embed_dim, config.patch_size, config.pos_embed_grid);
+        let positions = weights.vector("pos_embed", &[1, 1 + side * side, d])?;
+        let (class_position, grid) = positions.split_at(d);
+        let mut first = weights.vector("cls_token", &[1, 1, d])?;
+        add(&mut first, class_position);
+        if config.register_tokens > 0 {
+            first.extend_from_slice(&weights.read("register_tokens", &[1, config.register_tokens, d])?);
+        }
+        let kernel = weights.read("patch_embed.proj.weight", &[d, 3, p, p])?;
+        let bias = weights.vector("patch_embed.proj.bias", &[d])?;
+        let [rows, columns] = config.grid();
+        let mut position = vec![0.0; rows * columns * d];
+        resize::bicubic_antialiased(options.level, grid, side, side, d, rows, columns, &mut position);
+        let blocks = (0..config.depth)
+            .map(|i| DinoBlock::load(&weights.at(format_args!("blocks.{i}")), &config))
+            .collect::<Result<_, _>>()?;
+        Ok(Dino {
+            patch_embed: Linear::new(&kernel, Some(bias), d, 3 * p * p),
+            first,
+            position,
+            blocks,
+            norm: LayerNorm::load(weights, "norm", d)?,
+            config,
+            options: *options,
+        })
+    }
+
+    /// The network's sizes.
+    pub fn config(&self) -> &DinoConfig {
+        &self.config
+    }
+
+    /// Bytes its weights take in memory.
+    pub fn bytes(&self) -> usize {
+        let tables = 4 * (self.first.len() + self.position.len());
+        let blocks: usize = self.blocks.iter().map(DinoBlock::bytes).sum();
+        self.patch_embed.bytes() + tables + blocks + self.norm.bytes()
+    }
+
+    /// Features of a frame `rgb [3, height, width]` in [0, 1], of any size.
+    ///
+    /// # Errors
+    /// When the frame has no pixels or not that many values, or some are not finite.
+    pub fn features(&self, rgb: &[f32], [height, width]: [usize; 2]) -> Result<DinoFeatures, ModelError> {
+        let area = height.saturating_mul(width);
+        if area == 0 {
+            return Err(ModelError::Input {
+                input: "frame".to_owned(),
+                expected: "at least one pixel".to_owned(),
+                found: format!("{height}×{width}"),
+            });
+        }
+        check_input("frame", rgb, area.saturating_mul(3), &format!("[3, {height}, {width}]"))?;
+        let _span = info_span!("dinov2").entered();
+        let (level, d, p) = (self.options.level, self.config.embed_dim, self.config.patch_size);
+        let [to_height, to_width] = self.config.resized_to;
+        let to_area = to_height * to_width;
+        let mut resized = vec![0.0; 3 * to_area];
+        resize::bilinear(level, rgb, 3, height, width, to_height, to_width, &mut resized);
+
+        let planes = [&resized[..to_area], &resized[to_area..2 * to_area], &resized[2 * to_area..]];
+        let mut rows = vec![0.0; 3 * to_area];
+        patches(&planes, to_height, to_width, p, &mut rows);
+        let mut x = self.first.clone();
+        let start = x.len();
+        x.resize(start + self.position.len(), 0.0);
+        self.patch_embed.apply(level, &rows, &mut x[start..]);
+        add(&mut x[start..], &self.position);
+
+        let mut work = Workspace::default();
+        for block in &self.blocks {
+            block.apply(level, &mut x, &mut work);
+        }
+        let mut out = vec![0.0; x.len()];
+        self.norm.apply(level, &x, &mut out);
+        Ok(DinoFeatures { resized, patch_tokens: out.split_off(start), cls_token: out[..d].to_vec() })
+    }
+}
+
+impl DinoBlock {
+    fn load(weights: &Weights<'_>, config: &DinoConfig) -> Result<DinoBlock, ModelError> {
+        let (d, hidden) = (config.embed_dim, config.mlp_dim);
+        Ok(DinoBlock {
+            norm1: LayerNorm::load(weights, "norm1", d)?,
+            qkv: Linear::load(weights, "attn.qkv", 3 * d, d, Bias::Yes)?,
+            proj: Linear::load(weights, "attn.proj", d, d, Bias::Yes)?,
+            ls1: weights.vector("ls1.gamma", &[d])?,
+            norm2: LayerNorm::load(weights, "norm2", d)?,
+            fc1: Linear::load(weights, "mlp.fc1", hidden, d, Bias::Yes)?,
+            fc2: Linear::load(weights, "mlp.fc2", d, hidden, Bias::Yes)?,
+            ls2: weights.vector("ls2.gamma", &[d])?,
+        })
+    }
+
+    fn apply(&self, level: Level, x: &mut [f32], work: &mut Workspace) {
+        let d = self.proj.n();
+        let n = x.len() / d;
+        let normed = sized(&mut work.normed, x.len());
+        self.norm1.apply(level, x, normed);
+        let qkv = sized(&mut work.projected, 3 * x.len());
+        self.qkv.apply(level, normed, qkv);
+        let mixed = sized(&mut work.mixed, x.len());
+        let [q, k, v] = [0, 1, 2].map(|part| Rows::new(qkv, n, 3 * d, part * d));
+        let shape = Shape { heads: d / HEAD, width: HEAD, windows: Windows::Full };
+        attend(level, shape, q, k, v, mixed);
+        self.proj.accumulate_scaled(level, mixed, &self.ls1, x);
+
+        for x in x.chunks_mut(ROWS * d) {
+            let normed = sized(&mut work.normed, x.len());
+            self.norm2.apply(level, x, normed);
+            let hidden = sized(&mut work.hidden, x.len() / d * self.fc1.n());
+            self.fc1.apply_gelu(level, normed, hidden);
+            self.fc2.accumulate_scaled(level, hidden, &self.ls2, x);
+        }
+    }
+
+    fn bytes(&self) -> usize {
+        let layers = self.qkv.bytes() + self.proj.bytes() + self.fc1.bytes() + self.fc2.bytes();
+        layers + self.norm1.bytes() + self.norm2.bytes() + 4 * (self.ls1.len() + self.ls2.len())
+    }
+}

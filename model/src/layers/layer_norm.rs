@@ -1,0 +1,32 @@
+//! Layer normalisation, as DINOv2 uses it.
+
+use streamsplat_kernels::{Level, norm};
+
+use crate::ModelError;
+use crate::checkpoint::Weights;
+
+/// `(x − mean) / √(variance + 10⁻⁶) · w + b` for every row.
+pub(crate) struct LayerNorm {
+    weight: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+impl LayerNorm {
+    const EPSILON: f32 = 1e-6;
+
+    /// The norm of the tensors `name.weight [d]` and `name.bias [d]`.
+    pub(crate) fn load(weights: &Weights<'_>, name: &str, d: usize) -> Result<LayerNorm, ModelError> {
+        Ok(LayerNorm {
+            weight: weights.vector(&format!("{name}.weight"), &[d])?,
+            bias: weights.vector(&format!("{name}.bias"), &[d])?,
+        })
+    }
+
+    pub(crate) fn apply(&self, level: Level, x: &[f32], out: &mut [f32]) {
+        norm::layer_norm(level, x, &self.weight, &self.bias, Self::EPSILON, out);
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        4 * (self.weight.len() + self.bias.len())
+    }
+}
