@@ -21,13 +21,14 @@ struct Row {
     name: &'static str,
     run: fn(Level, &[f32], &mut [f32]),
     exact: fn(f64) -> f64,
+    ends: Ends,
     /// Arguments it is defined for; others only enter the digest.
     domain: fn(f32) -> bool,
     grows: bool,
 }
 
 macro_rules! row {
-    ($name:literal, $f:expr, $exact:expr, $domain:expr, $grows:expr) => {
+    ($name:literal, $f:expr, $exact:expr, $ends:expr, $domain:expr, $grows:expr) => {
         Row {
             name: $name,
             run: |level, from, to| {
@@ -44,6 +45,7 @@ macro_rules! row {
                 dispatch(level, Apply(from, to));
             },
             exact: $exact,
+            ends: $ends,
             domain: $domain,
             grows: $grows,
         }
@@ -56,37 +58,73 @@ fn sigmoid(x: f64) -> f64 {
 
 fn tanh(x: f64) -> f64 {
     let e = math::f64::expm1(2.0 * x.abs());
-    (if e < 1e20 { e / (e + 2.0) } else { 0.0 * x.signum() + 1.0 }).copysign(x)
+    (e / (e + 2.0)).copysign(x)
 }
 
 fn normal_cdf(x: f64) -> f64 {
     0.5 * math::f64::erfc(-x * std::f64::consts::FRAC_1_SQRT_2)
 }
 
+/// References where a few terms tell the value: |x| < 2⁻³⁰, x ≤ −128, x ≥ 128. They save the sweep most of its time.
+#[derive(Clone, Copy)]
+struct Ends {
+    tiny: fn(f64) -> f64,
+    low: fn(f64) -> f64,
+    high: fn(f64) -> f64,
+}
+
 fn rows() -> Vec<Row> {
+    const SLOPE: f64 = std::f64::consts::FRAC_2_SQRT_PI;
+    const LN_2: f64 = std::f64::consts::LN_2;
     let always: fn(f32) -> bool = |_| true;
+    let exp = Ends { tiny: |x| 1.0 + x, low: |_| 0.0, high: |_| f64::INFINITY };
+    let exp_nonpositive = Ends { ..exp };
+    let softplus = Ends { tiny: |x| LN_2 + 0.5 * x, low: |_| 0.0, high: |x| x };
+    let logistic = Ends { tiny: |x| 0.5 + 0.25 * x, low: |_| 0.0, high: |_| 1.0 };
+    let silu = Ends { tiny: |x| 0.5 * x + 0.25 * x * x, low: |_| -0.0, high: |x| x };
+    let tangent = Ends { tiny: |x| x, low: |_| -1.0, high: |_| 1.0 };
+    let erf = Ends { tiny: |x| SLOPE * x, ..tangent };
+    let erfc = Ends { tiny: |x| 1.0 - SLOPE * x, low: |_| 2.0, high: |_| 0.0 };
+    let erfinv = Ends { tiny: |x| x / SLOPE, low: |_| f64::NAN, high: |_| f64::NAN };
+    const HALF: f64 = 0.5 * std::f64::consts::FRAC_1_SQRT_2 * SLOPE;
+    let cdf = Ends { tiny: |x| 0.5 + HALF * x, ..logistic };
+    let gelu = Ends { tiny: |x| 0.5 * x + HALF * x * x, ..silu };
+    let sin = Ends { tiny: |x| x, low: math::f64::sin, high: math::f64::sin };
+    let cos = Ends { tiny: |_| 1.0, low: math::f64::cos, high: math::f64::cos };
+    let log = Ends { tiny: math::f64::ln, low: |_| f64::NAN, high: math::f64::ln };
+    let flushed = |x: f64| if x < -126.5 * LN_2 { 0.0 } else { math::f64::exp(x) };
+    let softplus_of = |x: f64| x.max(0.0) + math::f64::ln_1p(math::f64::exp(-x.abs()));
     vec![
-        row!("exp", math::exp, math::f64::exp, always, true),
-        row!(
-            "exp_nonpositive",
-            math::exp_nonpositive,
-            |x| if x < -126.5 * std::f64::consts::LN_2 { 0.0 } else { math::f64::exp(x) },
-            |x| x <= 0.0,
-            true
-        ),
-        row!("log", math::log, math::f64::ln, always, true),
-        row!("softplus", math::softplus, |x| x.max(0.0) + math::f64::ln_1p(math::f64::exp(-x.abs())), always, true),
-        row!("sigmoid", math::sigmoid, sigmoid, always, true),
-        row!("silu", math::silu, |x| if x < -1000.0 { -0.0 } else { x * sigmoid(x) }, always, false),
-        row!("tanh", math::tanh, tanh, always, true),
-        row!("erf", math::erf, math::f64::erf, always, true),
-        row!("erfc", math::erfc, math::f64::erfc, always, false),
-        row!("erfinv", math::erfinv, math::f64::erfinv, always, true),
-        row!("normal_cdf", math::normal_cdf, normal_cdf, always, true),
-        row!("gelu", math::gelu, |x| if x < -1000.0 { -0.0 } else { x * normal_cdf(x) }, always, false),
-        row!("sin", |s, x| math::sin_cos(s, x).0, math::f64::sin, always, false),
-        row!("cos", |s, x| math::sin_cos(s, x).1, math::f64::cos, always, false),
+        row!("exp", math::exp, math::f64::exp, exp, always, true),
+        row!("exp_nonpositive", math::exp_nonpositive, flushed, exp_nonpositive, |x| x <= 0.0, true),
+        row!("log", math::log, math::f64::ln, log, always, true),
+        row!("softplus", math::softplus, softplus_of, softplus, always, true),
+        row!("sigmoid", math::sigmoid, sigmoid, logistic, always, true),
+        row!("silu", math::silu, |x| x * sigmoid(x), silu, always, false),
+        row!("tanh", math::tanh, tanh, tangent, always, true),
+        row!("erf", math::erf, math::f64::erf, erf, always, true),
+        row!("erfc", math::erfc, math::f64::erfc, erfc, always, false),
+        row!("erfinv", math::erfinv, math::f64::erfinv, erfinv, always, true),
+        row!("normal_cdf", math::normal_cdf, normal_cdf, cdf, always, true),
+        row!("gelu", math::gelu, |x| x * normal_cdf(x), gelu, always, false),
+        row!("sin", |s, x| math::sin_cos(s, x).0, math::f64::sin, sin, always, false),
+        row!("cos", |s, x| math::sin_cos(s, x).1, math::f64::cos, cos, always, false),
     ]
+}
+
+impl Row {
+    fn reference(&self, x: f32) -> f64 {
+        let wide = f64::from(x);
+        if x.abs() < 9.313_226e-10 {
+            (self.ends.tiny)(wide)
+        } else if x >= 128.0 {
+            (self.ends.high)(wide)
+        } else if x <= -128.0 {
+            (self.ends.low)(wide)
+        } else {
+            (self.exact)(wide)
+        }
+    }
 }
 
 /// The `i`-th binary32 pattern in ascending order of value, negative NaN first and positive NaN last.
@@ -106,7 +144,7 @@ fn ulps(got: f32, exact: f64) -> f64 {
     let got = if got.is_infinite() { 2.0_f64.powi(128).copysign(f64::from(got)) } else { f64::from(got) };
     let exact = exact.clamp(-(2.0_f64.powi(128)), 2.0_f64.powi(128));
     let exponent = ((exact.to_bits() >> 52 & 0x7ff) as i32 - 1023).clamp(-126, 127);
-    (got - exact).abs() / 2.0_f64.powi(exponent - 23)
+    (got - exact).abs() * f64::from_bits(((1023 + 23 - exponent) as u64) << 52)
 }
 
 struct Part {
@@ -136,7 +174,7 @@ fn measure(row: &Row, level: Level, step: u64) -> Part {
             if !(row.domain)(x) {
                 continue;
             }
-            let error = ulps(y, (row.exact)(f64::from(x)));
+            let error = ulps(y, row.reference(x));
             if error > part.worst {
                 (part.worst, part.at) = (error, x);
             }

@@ -1,6 +1,6 @@
 //! The published formula, in binary32 as published, and the exact distribution.
 
-use super::{BOUND, EPSILON, NO_SPREAD, standardised};
+use super::{BOUND, EPSILON, NO_SPREAD, Normal};
 use crate::math::{f64 as double, scalar};
 
 /// The published implementation's draw: [`super::sample`] with all of its rounding.
@@ -22,10 +22,15 @@ pub fn published(mean: f32, log_scale: f32, uniform: f32) -> f32 {
 /// The mass of the truncated normal under `x`: the inverse of [`super::quantile`]. Preconditions: `mean` inside the
 /// bounds, e^`log_scale` neither 0 nor infinite.
 pub fn distribution(mean: f64, log_scale: f64, x: f64) -> f64 {
-    let Some((a, b, scale)) = standardised(mean, log_scale) else { return f64::NAN };
+    let Some(Normal { scale, ends: [a, _], erf: [erf_a, erf_b], .. }) = Normal::new(mean, log_scale) else {
+        return f64::NAN;
+    };
     let z = (x - mean) / scale;
-    // In the lower half the tails from −∞ are compared, so that none is a difference from 1.
-    let below = if z < 0.0 { double::erfc(-z) - double::erfc(-a) } else { double::erf(z) - double::erf(a) };
-    let central = if z < 0.0 && z > -0.4 && a > -0.4 { double::erf(z) - double::erf(a) } else { below };
-    central / (double::erf(b) - double::erf(a))
+    let below = if z > -0.4 {
+        double::erf(z) - erf_a
+    } else {
+        // In the tail neither is a difference from 1.
+        double::erfc(-z) - double::erfc(-a)
+    };
+    below / (erf_b - erf_a)
 }
