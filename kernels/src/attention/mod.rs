@@ -6,13 +6,18 @@
 //!
 //! # Order of operations
 //! - `s = q·k`: one chain of fused multiply-adds over the channels, ascending, from +0.
-//! - Keys are taken in blocks of [`KEY_BLOCK`], ascending. With `c` = `log2(e)/√width` rounded to f32, the row's reference
+//! - Keys are taken in blocks of [`KEY_BLOCK`], ascending. With `c` = `log2(e)/√width` rounded to f32, the query's reference
 //!   is `M = max(M, c·max s)`; what was accumulated before is scaled by `r = 2^(M_old − M)`.
 //! - The weight of a key is `2^(fma(s, c, −M))` (see `weight.rs`), never below `2^−126`.
-//! - `Σ w`: lane `j mod 16` of a block's sum adds its keys in ascending order; the row's lanes become `fma(lanes, r, block)`;
-//!   at the end [`Simd::sum`] folds them.
-//! - `Σ w v`: one chain over a block's keys, ascending, from +0; the row's sum becomes `fma(sum, r, block)`.
+//! - `Σ w`: a block has four sums, of its keys 0, 4, 8 …, of 1, 5, 9 …, and so on, each ascending from +0; the block's sum is
+//!   `(0 + 1) + (2 + 3)`, and the query's sum becomes `fma(sum, r, block)`.
+//! - `Σ w v`: one chain over a block's keys, ascending, from +0; the query's sum becomes `fma(sum, r, block)`.
 //! - The result is `sum · (1 / Σ w)`.
+//!
+//! # How it runs
+//! Lanes are queries: a vector holds one key's score for 16 queries, so that softmax needs no sums across a vector. Keys
+//! and values are the interleaved rows of the register block, queries and weights its panels; a block of weights is stored
+//! as the panel that its product with the values reads.
 //!
 //! # Extremes
 //! A logit that is NaN or −∞ weighs `2^−126` of the largest, so a row of nothing else gives the mean of its values; so does a
@@ -31,17 +36,20 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::Level;
-use crate::gemm::multiply;
+use crate::gemm::{deinterleave, interleave, multiply};
 use crate::memory::Scratch;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd, dispatch};
 use weight::weight;
 
-/// Keys of a block.
-pub const KEY_BLOCK: usize = 128;
+/// Keys of a block: whole register blocks on every level.
+pub const KEY_BLOCK: usize = 192;
 
-/// Queries of a task: their scores against a block of keys stay in the first-level cache.
-const QUERY_BLOCK: usize = 48;
+/// Queries of a task: while they pass over a block of keys, it stays in the second-level cache.
+const QUERY_BLOCK: usize = 64;
+
+/// Keys are packed to a multiple of this: whole register blocks on every level.
+const WHOLE: usize = 12;
 
 /// A matrix `[rows, heads·width]` that may be part of a wider one.
 #[derive(Clone, Copy)]
@@ -133,10 +141,13 @@ pub fn attend(level: Level, shape: Shape, q: Rows<'_>, k: Rows<'_>, v: Rows<'_>,
     }
     let mut packed = Scratch::take(2 * layout.packed_len());
     let (keys, values) = packed.split_at_mut(layout.packed_len());
-    pack(&layout, k, v, keys, values);
+    let len = layout.head_len();
+    keys.par_chunks_mut(len).zip(values.par_chunks_mut(len)).enumerate().for_each(|(index, (keys, values))| {
+        let (window, head) = (index / heads, index % heads);
+        dispatch(level, Pack { layout: &layout, k, v, window, head, keys, values });
+    });
     let (keys, values, out) = (&*keys, &*values, &Disjoint::new(out));
-    let tasks = layout.tasks();
-    tasks.par_iter().with_max_len(1).for_each(|task| {
+    layout.tasks().par_iter().with_max_len(1).for_each(|task| {
         dispatch(level, Block { layout: &layout, q, keys, values, out, task });
     });
 }
@@ -198,14 +209,9 @@ impl Layout {
         }
     }
 
-    /// Keys of a window, with room to whole vectors.
-    fn padded(&self) -> usize {
-        self.length().next_multiple_of(LANES)
-    }
-
-    /// Values that the packed keys of one head of one window take.
+    /// Values that the packed keys (or values) of one head of one window take: whole register blocks of keys.
     fn head_len(&self) -> usize {
-        self.padded() * self.shape.width
+        self.length().next_multiple_of(WHOLE) * self.shape.width
     }
 
     fn packed_len(&self) -> usize {
@@ -231,32 +237,50 @@ impl Layout {
     }
 }
 
-/// Packs keys as `[keys/16][width][16]` and values as `[width/16][keys][16]`, per window and head, padded with zeros.
-fn pack(layout: &Layout, k: Rows<'_>, v: Rows<'_>, keys: &mut [f32], values: &mut [f32]) {
-    let Shape { heads, width, .. } = layout.shape;
-    let (len, padded) = (layout.head_len(), layout.padded());
-    keys.par_chunks_mut(len).zip(values.par_chunks_mut(len)).enumerate().for_each(|(index, (keys, values))| {
-        let (window, head) = (index / heads, index % heads);
-        let count = layout.count(window, layout.keys);
-        for i in 0..padded {
-            let panel = &mut keys[i / LANES * LANES * width..][..LANES * width];
-            if i >= count {
-                panel[i % LANES..].iter_mut().step_by(LANES).for_each(|to| *to = 0.0);
-                for channels in values.chunks_exact_mut(padded * LANES) {
-                    channels[i * LANES..][..LANES].fill(0.0);
+/// Packs the keys and values of one head of one window.
+struct Pack<'a> {
+    layout: &'a Layout,
+    k: Rows<'a>,
+    v: Rows<'a>,
+    window: usize,
+    head: usize,
+    keys: &'a mut [f32],
+    values: &'a mut [f32],
+}
+
+impl Operation for Pack<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        match (S::GEMM_ROWS, S::GEMM_PANELS) {
+            (12, 2) => self.pack::<12, 8>(),
+            (6, 1) => self.pack::<6, 6>(),
+            _ => self.pack::<4, 4>(),
+        }
+    }
+}
+
+impl Pack<'_> {
+    /// Keys as `[keys/KR][width][KR]`; values, by blocks of [`KEY_BLOCK`], as `[width/CR][keys of the block][CR]`.
+    #[inline(always)]
+    fn pack<const KR: usize, const CR: usize>(self) {
+        let width = self.layout.shape.width;
+        let count = self.layout.count(self.window, self.layout.keys);
+        let row = |i| self.layout.row(self.window, i);
+        interleave::<KR>(count, width, |i| self.k.head(row(i), self.head, width), self.keys);
+        for (block, to) in self.values[..count * width].chunks_mut(KEY_BLOCK * width).enumerate() {
+            let present = to.len() / width;
+            for i in 0..present {
+                let from = self.v.head(row(block * KEY_BLOCK + i), self.head, width);
+                let whole = width / CR * CR;
+                for c in (0..whole).step_by(CR) {
+                    to[c * present + i * CR..][..CR].copy_from_slice(&from[c..c + CR]);
                 }
-                continue;
-            }
-            let row = layout.row(window, i);
-            for (to, &from) in panel[i % LANES..].iter_mut().step_by(LANES).zip(k.head(row, head, width)) {
-                *to = from;
-            }
-            let from = v.head(row, head, width).chunks_exact(LANES);
-            for (channels, from) in values.chunks_exact_mut(padded * LANES).zip(from) {
-                channels[i * LANES..][..LANES].copy_from_slice(from);
+                let rest = width - whole;
+                to[whole * present + i * rest..][..rest].copy_from_slice(&from[whole..]);
             }
         }
-    });
+    }
 }
 
 /// The work of one [`Task`].
@@ -273,227 +297,187 @@ impl Operation for Block<'_> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
+        // Rows of keys, rows of channels, panels of queries: what fills the registers of a level and divides its sizes.
         match (S::GEMM_ROWS, S::GEMM_PANELS) {
-            (12, 2) => self.attend::<S, 12, 2>(s),
-            (6, 1) => self.attend::<S, 6, 1>(s),
-            _ => self.attend::<S, 4, 1>(s),
+            (12, 2) => self.attend::<S, 12, 8, 2>(s),
+            (6, 1) => self.attend::<S, 6, 6, 1>(s),
+            _ => self.attend::<S, 4, 4, 1>(s),
         }
     }
-}
-
-/// What a block of queries keeps while it passes over the keys.
-struct State<'a> {
-    /// `[rows][width]`
-    q: &'a [f32],
-    /// `[rows][KEY_BLOCK]`: scores, then weights.
-    scores: &'a mut [f32],
-    /// `[rows][16]`: largest score of the key block per lane.
-    largest: &'a mut [f32],
-    /// `[rows][16]`: sums of weights per lane.
-    total: &'a mut [f32],
-    /// `[rows][width]`: weighted sums of values.
-    sum: &'a mut [f32],
-    /// `[rows]`, to whole vectors: the row's reference `M`.
-    reference: &'a mut [f32],
-    /// `[rows]`, to whole vectors: `r` of the current key block.
-    rescale: &'a mut [f32],
-    rows: usize,
-    width: usize,
 }
 
 impl Block<'_> {
     #[inline(always)]
-    fn attend<S: Simd, const MR: usize, const NV: usize>(&self, s: S) {
-        let width = self.layout.shape.width;
+    fn attend<S: Simd, const KR: usize, const CR: usize, const NV: usize>(&self, s: S) {
+        let Layout { shape: Shape { heads, width, .. }, keys, .. } = *self.layout;
         let (window, head) = (self.task.window, self.task.head);
-        let rows = self.task.queries.len();
-        let per_row = 2 * width + KEY_BLOCK + 2 * LANES;
-        let whole = QUERY_BLOCK.next_multiple_of(LANES);
-        let mut scratch = Scratch::take(QUERY_BLOCK * per_row + 2 * whole);
-        let (q, rest) = scratch.split_at_mut(QUERY_BLOCK * width);
-        let (sum, rest) = rest.split_at_mut(QUERY_BLOCK * width);
-        let (scores, rest) = rest.split_at_mut(QUERY_BLOCK * KEY_BLOCK);
-        let (largest, rest) = rest.split_at_mut(QUERY_BLOCK * LANES);
-        let (total, rest) = rest.split_at_mut(QUERY_BLOCK * LANES);
-        let (reference, rescale) = rest.split_at_mut(whole);
-        for i in 0..rows {
-            let row = self.layout.row(window, self.task.queries.start + i);
-            q[i * width..][..width].copy_from_slice(self.q.head(row, head, width));
-        }
+        let queries = self.task.queries.len();
+        let row = |i| self.layout.row(window, self.task.queries.start + i);
+        let padded = queries.next_multiple_of(LANES);
+        let mut scratch = Scratch::take(2 * padded * width + NV * KEY_BLOCK * LANES + 2 * padded);
+        let (q, rest) = scratch.split_at_mut(padded * width);
+        let (sum, rest) = rest.split_at_mut(padded * width);
+        let (scores, rest) = rest.split_at_mut(NV * KEY_BLOCK * LANES);
+        let (total, reference) = rest.split_at_mut(padded);
+        interleave::<LANES>(queries, width, |i| self.q.head(row(i), head, width), q);
         total.fill(0.0);
         sum.fill(0.0);
-        largest.fill(f32::NEG_INFINITY);
         reference.fill(f32::NEG_INFINITY);
-        let mut state = State { q, scores, largest, total, sum, reference, rescale, rows, width };
+        let mut state = State { q, sum, scores, total, reference, width };
 
-        let count = self.layout.count(window, self.layout.keys);
-        let keys = &self.keys[self.layout.packed(window, head)];
-        let values = &self.values[self.layout.packed(window, head)];
+        let packed = self.layout.packed(window, head);
+        let (packed_keys, packed_values) = (&self.keys[packed.clone()], &self.values[packed]);
+        let count = self.layout.count(window, keys);
         let scale = (std::f64::consts::LOG2_E / (width as f64).sqrt()) as f32;
         for start in (0..count).step_by(KEY_BLOCK) {
             let present = KEY_BLOCK.min(count - start);
-            state.score::<S, MR, NV>(s, &keys[start * width..], present);
-            state.weigh(s, scale, present);
-            state.accumulate::<S, MR, NV>(s, &values[start * LANES..], self.layout.padded(), present);
+            let keys = &packed_keys[start * width..][..present.next_multiple_of(KR) * width];
+            let values = &packed_values[start * width..][..present * width];
+            let mut panel = 0;
+            while (panel + NV) * LANES <= padded {
+                state.pass::<S, KR, CR, NV>(s, panel, keys, values, present, scale);
+                panel += NV;
+            }
+            while panel * LANES < padded {
+                state.pass::<S, KR, CR, 1>(s, panel, keys, values, present, scale);
+                panel += 1;
+            }
         }
 
-        for i in 0..rows {
-            let row = self.layout.row(window, self.task.queries.start + i);
-            let start = (row * self.layout.shape.heads + head) * width;
-            // SAFETY: tasks own disjoint rows of a head.
-            let out = unsafe { self.out.part(start..start + width) };
-            let inverse = s.splat(1.0 / s.sum(s.load(&state.total[i * LANES..])));
-            for c in (0..width).step_by(LANES) {
-                s.store(s.mul(s.load(&state.sum[i * width + c..]), inverse), &mut out[c..]);
+        for (panel, sum) in state.sum.chunks_exact_mut(width * LANES).enumerate() {
+            let inverse = s.div(s.splat(1.0), s.load(&state.total[panel * LANES..]));
+            for sum in sum.chunks_exact_mut(LANES) {
+                s.store(s.mul(s.load(sum), inverse), sum);
             }
+            let present = LANES.min(queries - panel * LANES);
+            let mut out: [&mut [f32]; LANES] = std::array::from_fn(|_| Default::default());
+            for (i, out) in out[..present].iter_mut().enumerate() {
+                let start = (row(panel * LANES + i) * heads + head) * width;
+                // SAFETY: tasks own disjoint rows of a head.
+                *out = unsafe { self.out.part(start..start + width) };
+            }
+            deinterleave(sum, &mut out[..present]);
         }
     }
 }
 
+/// What a block of queries keeps while it passes over the keys. Everything comes in panels of 16 queries.
+struct State<'a> {
+    /// `[panels][width][16]`
+    q: &'a [f32],
+    /// `[panels][width][16]`: weighted sums of values.
+    sum: &'a mut [f32],
+    /// `[NV][KEY_BLOCK][16]`: scores, then weights.
+    scores: &'a mut [f32],
+    /// `[panels][16]`: sums of weights.
+    total: &'a mut [f32],
+    /// `[panels][16]`: the references `M`.
+    reference: &'a mut [f32],
+    width: usize,
+}
+
 impl State<'_> {
-    /// Scores of a block of keys, and the largest of each row.
+    /// `NV` panels of queries over one block of keys.
     #[inline(always)]
-    fn score<S: Simd, const MR: usize, const NV: usize>(&mut self, s: S, keys: &[f32], present: usize) {
-        let panels = present.div_ceil(LANES);
-        let mut panel = 0;
-        while panel + NV <= panels {
-            self.score_panels::<S, MR, NV>(s, keys, panel, present);
-            panel += NV;
-        }
-        while panel < panels {
-            self.score_panels::<S, MR, 1>(s, keys, panel, present);
-            panel += 1;
-        }
-    }
-
-    #[inline(always)]
-    fn score_panels<S: Simd, const MR: usize, const NV: usize>(
+    fn pass<S: Simd, const KR: usize, const CR: usize, const NV: usize>(
         &mut self,
         s: S,
+        panel: usize,
         keys: &[f32],
-        panel: usize,
+        values: &[f32],
         present: usize,
+        scale: f32,
     ) {
-        let width = self.width;
-        let mut from = [std::ptr::null(); NV];
+        let largest = self.score::<S, KR, NV>(s, panel, keys, present);
+        let mut rescale = [s.splat(1.0); NV];
         for v in 0..NV {
-            from[v] = keys[(panel + v) * LANES * width..][..LANES * width].as_ptr();
+            rescale[v] = self.weigh(s, panel, v, largest[v], present, scale);
         }
-        for first in (0..self.rows).step_by(MR) {
-            let rows = MR.min(self.rows - first);
-            let mut at = [std::ptr::null(); MR];
-            for r in 0..MR {
-                at[r] = self.q[(first + r.min(rows - 1)) * width..][..width].as_ptr();
-            }
-            // SAFETY: each pointer is that of a slice of the length read.
-            let acc = unsafe { multiply::<S, MR, NV>(s, at, from, width) };
-            for r in 0..MR {
-                if r < rows {
-                    let largest = &mut self.largest[(first + r) * LANES..][..LANES];
-                    let scores = &mut self.scores[(first + r) * KEY_BLOCK + panel * LANES..][..NV * LANES];
-                    let mut most = s.load(largest);
-                    for v in 0..NV {
-                        let mut score = acc[r][v];
-                        let lanes = present - (panel + v) * LANES;
-                        if lanes < LANES {
-                            let there = s.mask_from_bits((1 << lanes) - 1);
-                            score = s.select(there, score, s.splat(f32::NEG_INFINITY));
-                        }
-                        most = s.max(score, most);
-                        s.store(score, &mut scores[v * LANES..]);
-                    }
-                    s.store(most, largest);
-                }
-            }
+        let whole = self.width / CR * CR;
+        for c in (0..whole).step_by(CR) {
+            self.accumulate::<S, CR, NV>(s, panel, &values[c * present..], c, present, rescale);
+        }
+        // Widths are multiples of 16, and the levels' blocks have 4, 6 or 8 rows.
+        match self.width - whole {
+            4 => self.accumulate::<S, 4, NV>(s, panel, &values[whole * present..], whole, present, rescale),
+            2 => self.accumulate::<S, 2, NV>(s, panel, &values[whole * present..], whole, present, rescale),
+            _ => {}
         }
     }
 
-    /// Moves the references, turns scores into weights and adds these to the totals.
+    /// Scores of a block of keys; returns the largest of each query.
     #[inline(always)]
-    fn weigh<S: Simd>(&mut self, s: S, scale: f32, present: usize) {
-        for i in 0..self.rows {
-            self.rescale[i] = s.max_lane(s.load(&self.largest[i * LANES..]));
+    fn score<S: Simd, const KR: usize, const NV: usize>(
+        &mut self,
+        s: S,
+        panel: usize,
+        keys: &[f32],
+        present: usize,
+    ) -> [S::F32; NV] {
+        let width = self.width;
+        let from = std::array::from_fn(|v| self.q[(panel + v) * width * LANES..][..width * LANES].as_ptr());
+        let mut largest = [s.splat(f32::NEG_INFINITY); NV];
+        for first in (0..present).step_by(KR) {
+            let at = &keys[first * width..][..KR * width];
+            // SAFETY: each pointer is that of a slice of the length read.
+            let acc = unsafe { multiply::<S, KR, NV>(s, at.as_ptr(), from, width) };
+            for v in 0..NV {
+                let to = &mut self.scores[(v * KEY_BLOCK + first) * LANES..][..KR * LANES];
+                for r in 0..KR {
+                    s.store(acc[r][v], &mut to[r * LANES..]);
+                    if first + r < present {
+                        largest[v] = s.max(acc[r][v], largest[v]);
+                    }
+                }
+            }
         }
-        let rows = self.rows.next_multiple_of(LANES);
-        let (reference, rescale) = (self.reference[..rows].chunks_exact_mut(LANES), &mut self.rescale[..rows]);
-        for (reference, rescale) in reference.zip(rescale.chunks_exact_mut(LANES)) {
-            let before = s.load(reference);
-            let now = s.max(s.mul(s.load(rescale), s.splat(scale)), before);
-            s.store(now, reference);
-            s.store(weight(s, s.sub(before, now)), rescale);
-        }
-        let panels = present.div_ceil(LANES);
+        largest
+    }
+
+    /// Moves a panel's references, turns its scores into weights and adds these to its totals; returns `r`.
+    #[inline(always)]
+    fn weigh<S: Simd>(&mut self, s: S, panel: usize, v: usize, largest: S::F32, present: usize, scale: f32) -> S::F32 {
         let scale = s.splat(scale);
-        for i in 0..self.rows {
-            let minus = s.splat(-self.reference[i]);
-            let scores = &mut self.scores[i * KEY_BLOCK..][..panels * LANES];
-            let mut block = s.splat(0.0);
-            for (panel, scores) in scores.chunks_exact_mut(LANES).enumerate() {
-                let mut w = weight(s, s.mul_add(s.load(scores), scale, minus));
-                let lanes = present - panel * LANES;
-                if lanes < LANES {
-                    w = s.select(s.mask_from_bits((1 << lanes) - 1), w, s.splat(0.0));
-                }
-                s.store(w, scores);
-                block = s.add(block, w);
+        let reference = &mut self.reference[(panel + v) * LANES..][..LANES];
+        let before = s.load(reference);
+        let now = s.max(s.mul(largest, scale), before);
+        s.store(now, reference);
+        let (rescale, minus) = (weight(s, s.sub(before, now)), s.neg(now));
+        let scores = &mut self.scores[v * KEY_BLOCK * LANES..][..present * LANES];
+        let mut sums = [s.splat(0.0); 4];
+        for four in scores.chunks_mut(4 * LANES) {
+            for (score, sum) in four.chunks_exact_mut(LANES).zip(&mut sums) {
+                let w = weight(s, s.mul_add(s.load(score), scale, minus));
+                s.store(w, score);
+                *sum = s.add(*sum, w);
             }
-            let total = &mut self.total[i * LANES..][..LANES];
-            s.store(s.mul_add(s.load(total), s.splat(self.rescale[i]), block), total);
         }
+        let block = s.add(s.add(sums[0], sums[1]), s.add(sums[2], sums[3]));
+        let total = &mut self.total[(panel + v) * LANES..][..LANES];
+        s.store(s.mul_add(s.load(total), rescale, block), total);
+        rescale
     }
 
-    /// Adds the weighted values of a block of keys.
+    /// Adds `CR` channels of a block's weighted values.
     #[inline(always)]
-    fn accumulate<S: Simd, const MR: usize, const NV: usize>(
+    fn accumulate<S: Simd, const CR: usize, const NV: usize>(
         &mut self,
         s: S,
-        values: &[f32],
-        padded: usize,
-        present: usize,
-    ) {
-        let panels = self.width / LANES;
-        let mut panel = 0;
-        while panel + NV <= panels {
-            self.accumulate_panels::<S, MR, NV>(s, values, padded, panel, present);
-            panel += NV;
-        }
-        while panel < panels {
-            self.accumulate_panels::<S, MR, 1>(s, values, padded, panel, present);
-            panel += 1;
-        }
-    }
-
-    #[inline(always)]
-    fn accumulate_panels<S: Simd, const MR: usize, const NV: usize>(
-        &mut self,
-        s: S,
-        values: &[f32],
-        padded: usize,
         panel: usize,
+        values: &[f32],
+        channel: usize,
         present: usize,
+        rescale: [S::F32; NV],
     ) {
-        let width = self.width;
-        let mut from = [std::ptr::null(); NV];
+        let from = std::array::from_fn(|v| self.scores[v * KEY_BLOCK * LANES..][..present * LANES].as_ptr());
+        let values = &values[..CR * present];
+        // SAFETY: each pointer is that of a slice of the length read.
+        let acc = unsafe { multiply::<S, CR, NV>(s, values.as_ptr(), from, present) };
         for v in 0..NV {
-            from[v] = values[(panel + v) * padded * LANES..][..present * LANES].as_ptr();
-        }
-        for first in (0..self.rows).step_by(MR) {
-            let rows = MR.min(self.rows - first);
-            let mut at = [std::ptr::null(); MR];
-            for r in 0..MR {
-                at[r] = self.scores[(first + r.min(rows - 1)) * KEY_BLOCK..][..present].as_ptr();
-            }
-            // SAFETY: each pointer is that of a slice of the length read.
-            let acc = unsafe { multiply::<S, MR, NV>(s, at, from, present) };
-            for r in 0..MR {
-                if r < rows {
-                    let rescale = s.splat(self.rescale[first + r]);
-                    let sum = &mut self.sum[(first + r) * width + panel * LANES..][..NV * LANES];
-                    for v in 0..NV {
-                        let at = &mut sum[v * LANES..][..LANES];
-                        s.store(s.mul_add(s.load(at), rescale, acc[r][v]), at);
-                    }
-                }
+            let sum = &mut self.sum[((panel + v) * self.width + channel) * LANES..][..CR * LANES];
+            for r in 0..CR {
+                let at = &mut sum[r * LANES..][..LANES];
+                s.store(s.mul_add(s.load(at), rescale[v], acc[r][v]), at);
             }
         }
     }

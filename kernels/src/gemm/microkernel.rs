@@ -1,18 +1,20 @@
 //! The register block: `MR` rows of `A` times `NV` panels of 16 columns of `B`, one block of `k`.
 
-use crate::simd::{LANES, Simd};
+use crate::simd::{LANES, Simd, prefetch, transpose2, transpose4};
 
 /// The sums of one register block.
 pub(crate) type Tile<S, const MR: usize, const NV: usize> = [[<S as Simd>::F32; NV]; MR];
 
-/// `acc[r][v] = Σ_k rows[r][k] · panels[v][k]`: one fused multiply-add per step, `k` ascending, from +0.
+/// `acc[r][v] = Σ_k rows[k][r] · panels[v][k]`: one fused multiply-add per step, `k` ascending, from +0.
+///
+/// `rows` holds `MR` rows interleaved: one after the other the `MR` values of a step.
 ///
 /// # Safety
-/// Every pointer of `rows` is readable for `k` values, every pointer of `panels` for `16 k`.
+/// `rows` is readable for `MR · k` values, every pointer of `panels` for `16 k`.
 #[inline(always)]
 pub(crate) unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
     s: S,
-    rows: [*const f32; MR],
+    rows: *const f32,
     panels: [*const f32; NV],
     k: usize,
 ) -> Tile<S, MR, NV> {
@@ -43,7 +45,7 @@ pub(crate) unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
 unsafe fn step<S: Simd, const MR: usize, const NV: usize>(
     s: S,
     acc: &mut Tile<S, MR, NV>,
-    rows: [*const f32; MR],
+    rows: *const f32,
     panels: [*const f32; NV],
     i: usize,
 ) {
@@ -54,10 +56,89 @@ unsafe fn step<S: Simd, const MR: usize, const NV: usize>(
             b[v] = s.load_ptr(panels[v].add(i * LANES));
         }
         for r in 0..MR {
-            let a = s.splat(*rows[r].add(i));
+            let a = s.splat(*rows.add(i * MR + r));
             for v in 0..NV {
                 acc[r][v] = s.mul_add(a, b[v], acc[r][v]);
             }
+        }
+    }
+}
+
+/// Interleaves rows of `k` values in groups of `MR`: `to [rows/MR][k][MR]`. `row(i)` gives row `i`; a last group is filled with
+/// zeros.
+#[inline(always)]
+pub(crate) fn interleave<'a, const MR: usize>(rows: usize, k: usize, row: impl Fn(usize) -> &'a [f32], to: &mut [f32]) {
+    if k == 0 {
+        return;
+    }
+    for (group, to) in to[..rows.next_multiple_of(MR) * k].chunks_exact_mut(MR * k).enumerate() {
+        let first = group * MR;
+        if first + MR <= rows {
+            let from: [*const f32; MR] = std::array::from_fn(|r| row(first + r)[..k].as_ptr());
+            let start = to.as_mut_ptr();
+            // The next group lies as far ahead as its rows are apart: ask for it while this one is copied.
+            let ahead = MR * (from[1] as usize).wrapping_sub(from[0] as usize);
+            for i in (0..k / 4 * 4).step_by(4) {
+                if i % LANES == 0 {
+                    for from in from {
+                        prefetch(from.wrapping_add(i).wrapping_byte_add(ahead));
+                    }
+                }
+                let mut r = 0;
+                // SAFETY: rows hold k values and `to` MR · k; i + 3 < k and r + 3 (or r + 1) < MR.
+                unsafe {
+                    let at = [0, 1, 2, 3].map(|j| start.add((i + j) * MR));
+                    while r + 4 <= MR {
+                        let rows = [from[r].add(i), from[r + 1].add(i), from[r + 2].add(i), from[r + 3].add(i)];
+                        transpose4(rows, at.map(|at| at.add(r)));
+                        r += 4;
+                    }
+                    if r + 2 <= MR {
+                        transpose2([from[r].add(i), from[r + 1].add(i)], at.map(|at| at.add(r)));
+                        r += 2;
+                    }
+                }
+                debug_assert_eq!(r, MR, "register blocks have an even number of rows");
+            }
+            for i in k / 4 * 4..k {
+                for r in 0..MR {
+                    // SAFETY: as above.
+                    unsafe { *start.add(i * MR + r) = *from[r].add(i) };
+                }
+            }
+        } else {
+            to.fill(0.0);
+            for r in 0..rows - first {
+                for (to, &x) in to[r..].iter_mut().step_by(MR).zip(row(first + r)) {
+                    *to = x;
+                }
+            }
+        }
+    }
+}
+
+/// Writes `from [k][16]` as the rows `to`, at most 16 of `k` values.
+#[inline(always)]
+pub(crate) fn deinterleave(from: &[f32], to: &mut [&mut [f32]]) {
+    let k = from.len() / LANES;
+    let mut r = 0;
+    while r + 4 <= to.len().min(LANES) {
+        let rows = [0, 1, 2, 3].map(|j| to[r + j][..k].as_mut_ptr());
+        for i in (0..k / 4 * 4).step_by(4) {
+            let at = from[i * LANES..(i + 4) * LANES].as_ptr();
+            // SAFETY: four vectors from i on, of which r..r+4 are read; four rows of k values, i + 3 < k.
+            unsafe { transpose4([0, 1, 2, 3].map(|j| at.add(j * LANES + r)), rows.map(|row| row.add(i))) };
+        }
+        for i in k / 4 * 4..k {
+            for j in 0..4 {
+                to[r + j][i] = from[i * LANES + r + j];
+            }
+        }
+        r += 4;
+    }
+    for (r, to) in to.iter_mut().enumerate().skip(r) {
+        for (to, from) in to.iter_mut().zip(from[r..].iter().step_by(LANES)) {
+            *to = *from;
         }
     }
 }

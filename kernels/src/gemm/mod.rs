@@ -25,7 +25,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 pub use epilogue::{Activation, Epilogue};
-pub(crate) use microkernel::multiply;
+pub(crate) use microkernel::{deinterleave, interleave, multiply};
 
 use crate::Level;
 use crate::memory::{Aligned, Scratch};
@@ -113,10 +113,13 @@ struct Grid {
 }
 
 impl Grid {
-    /// Row blocks whose rows stay in a second-level cache; as many panel ranges as give two or more threads enough to share.
+    /// Row blocks that stay in a second-level cache, fewer rows where that would leave few tasks; ranges of panels only where
+    /// there are few rows, since each range interleaves its rows again.
     fn new(rows: usize, panels: usize, k: usize) -> Self {
-        const TASKS: usize = 48;
-        let row_block = if k <= 1024 { 96 } else { 48 };
+        const TASKS: usize = 24;
+        const WHOLE: usize = 12;
+        let most = if k <= 1024 { 96 } else { 48 };
+        let row_block = rows.div_ceil(TASKS).next_multiple_of(WHOLE).clamp(WHOLE, most);
         let row_blocks = rows.div_ceil(row_block).max(1);
         // An even number of panels: some levels take two at a time.
         let panel_block = panels.div_ceil(TASKS.div_ceil(row_blocks)).max(4).next_multiple_of(2);
@@ -165,20 +168,23 @@ impl Task<'_> {
     #[inline(always)]
     fn blocks<S: Simd, const MR: usize, const NV: usize>(&self, s: S) {
         let mut tile = Scratch::take(self.rows.len() * NV * LANES);
+        let (k, rows) = (self.weights.k, self.rows.len());
+        let mut x = Scratch::take(rows.next_multiple_of(MR) * k);
+        interleave::<MR>(rows, k, |i| &self.x[(self.rows.start + i) * k..][..k], &mut x);
         let mut panel = self.panels.start;
         while panel + NV <= self.panels.end {
-            self.panel_group::<S, MR, NV>(s, panel, &mut tile);
+            self.panel_group::<S, MR, NV>(s, panel, &x, &mut tile);
             panel += NV;
         }
         while panel < self.panels.end {
-            self.panel_group::<S, MR, 1>(s, panel, &mut tile);
+            self.panel_group::<S, MR, 1>(s, panel, &x, &mut tile);
             panel += 1;
         }
     }
 
     /// `NV` panels over all rows of the task.
     #[inline(always)]
-    fn panel_group<S: Simd, const MR: usize, const NV: usize>(&self, s: S, panel: usize, tile: &mut [f32]) {
+    fn panel_group<S: Simd, const MR: usize, const NV: usize>(&self, s: S, panel: usize, x: &[f32], tile: &mut [f32]) {
         let (n, k) = (self.weights.n, self.weights.k);
         let rows = self.rows.len();
         let tile = &mut tile[..rows * NV * LANES];
@@ -205,21 +211,15 @@ impl Task<'_> {
             for first in (0..rows).step_by(MR) {
                 ahead.fetch();
                 let present = MR.min(rows - first);
-                // Rows past the last repeat it; their sums are not kept.
-                let mut at = [std::ptr::null(); MR];
-                for r in 0..MR {
-                    let row = self.rows.start + first + r.min(present - 1);
-                    // SAFETY: `linear` has checked that every row of the task holds k values.
-                    at[r] = unsafe { self.x.as_ptr().add(row * k + start) };
-                }
+                let at = &x[first * k + start * MR..][..length * MR];
                 if last_block {
                     for r in 0..MR {
-                        let row = self.rows.start + first + r.min(present - 1);
+                        let row = self.rows.start + first + r;
                         prefetch(self.out.address(row * n + columns.start));
                     }
                 }
-                // SAFETY: each pointer is readable for the length read.
-                let mut acc = unsafe { multiply::<S, MR, NV>(s, at, from, length) };
+                // SAFETY: each pointer is that of a slice of the length read.
+                let mut acc = unsafe { multiply::<S, MR, NV>(s, at.as_ptr(), from, length) };
                 let tile = &mut tile[first * NV * LANES..][..present * NV * LANES];
                 if !first_block {
                     for r in 0..MR {
