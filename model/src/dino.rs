@@ -70,6 +70,7 @@ impl Dino {
         settings: &Settings,
         options: &LoadOptions,
     ) -> Result<Dino, ModelError> {
+        options.check()?;
         let _span = info_span!("load").entered();
         let weights = &Weights::new(checkpoint, "");
         let config = DinoConfig::derive(weights, settings)?;

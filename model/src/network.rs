@@ -71,6 +71,7 @@ impl Network {
         settings: &Settings,
         options: &LoadOptions,
     ) -> Result<Network, ModelError> {
+        options.check()?;
         let _span = info_span!("load").entered();
         let weights = Weights::new(checkpoint, config::prefix(checkpoint)?);
         let config = Config::derive(&weights, settings)?;

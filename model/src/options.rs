@@ -5,6 +5,8 @@ use std::str::FromStr;
 
 use streamsplat_kernels::Level;
 
+use crate::ModelError;
+
 /// What a model is loaded for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LoadOptions {
@@ -50,6 +52,20 @@ impl Precision {
 impl fmt::Display for Precision {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
+    }
+}
+
+impl LoadOptions {
+    /// An error for a precision mode that cannot be computed: nothing falls back to another one in silence.
+    pub(crate) fn check(&self) -> Result<(), ModelError> {
+        if self.precision == Precision::F32 {
+            return Ok(());
+        }
+        Err(ModelError::Input {
+            input: "precision".to_owned(),
+            expected: "f32, the only mode there is so far".to_owned(),
+            found: self.precision.to_string(),
+        })
     }
 }
 
