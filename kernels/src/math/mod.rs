@@ -2,7 +2,32 @@
 //!
 //! Made of +, −, ×, /, fused multiply-add, square root and integer operations, all of them defined to the bit by
 //! [`Simd`], so the results are too. The vector functions take the token of a level; the functions of [`scalar`] run the
-//! same algorithms on one value.
+//! same algorithms on one value. NaN gives NaN everywhere; results that are denormal are rounded as such (except in
+//! [`exp_nonpositive`], which may flush them).
+//!
+//! | function | largest error, ulp | at | measured over |
+//! |---|---|---|---|
+//! | [`exp`] | 0.891 | −5.848642 | all patterns |
+//! | [`exp_nonpositive`] | 0.891 | −5.848642 | all patterns ≤ 0 |
+//! | [`log`] | 0.806 | 1.4044684 | all patterns; never falls |
+//! | [`softplus`] | 1.77 | −0.84621257 | every 251st |
+//! | [`sigmoid`] | 2.23 | −1.9723186 | every 251st |
+//! | [`silu`] | 2.77 | −1.8730091 | every 251st |
+//! | [`tanh`] | 2.46 | 0.059923127 | every 251st |
+//! | [`erf`] | 1.05 | −1.058904 | every 251st |
+//! | [`erfc`] | 3.57 | 0.007331228 | every 251st |
+//! | [`erfinv`] | 1.81 | −0.2493272 | every 251st |
+//! | [`normal_cdf`] | 3.67 | −9.248415 | every 251st |
+//! | [`gelu`] | 4.42 | −9.248415 | every 251st |
+//! | [`sin_cos`] | 1.55 | −7407.12 | every 251st |
+//!
+//! Errors are in units of the last place of binary32 at the exact value, against [`mod@f64`]; the example `ulp` of this
+//! crate measures them (`cargo run --release -p streamsplat-kernels --example ulp -- exhaustive` over all 2³² patterns).
+//! Only [`log`] was found to grow everywhere; the others may fall by a unit in the last place where they are flat
+//! (`exp` does at 2,914 of all arguments).
+//!
+//! Polynomials are minimax fits with coefficients rounded one after the other, the rest refitted; what they leave is
+//! noted beside each as a power of two, relative to the function.
 
 mod erf;
 mod exp;

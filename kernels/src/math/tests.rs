@@ -97,7 +97,12 @@ impl<F: Function> Operation for Apply<'_, F> {
     }
 }
 
-/// All levels and the scalar twin agree on `values`; the error is at most `limit` ulp. Returns the worst.
+/// FNV over the bits of all results.
+fn digest(results: &[f32]) -> u64 {
+    results.iter().fold(0xcbf2_9ce4_8422_2325, |digest, &y| (digest ^ u64::from(bits(y))).wrapping_mul(0x100_0000_01b3))
+}
+
+/// All levels and the scalar twin agree on `values`; the error is at most `limit` ulp.
 fn check<F: Function>(name: &str, f: F, values: &[f32], limit: f64, exact: impl Fn(f64) -> f64) {
     let mut results = vec![0.0; values.len()];
     dispatch(Level::scalar(), Apply(f, values, &mut results));
@@ -285,4 +290,33 @@ fn sine_and_cosine_are_accurate_for_every_argument() {
     check("cos", Cos, &values, 2.0, double::cos);
     assert_eq!(scalar::sin_cos(-0.0).0.to_bits(), (-0.0_f32).to_bits());
     assert!(scalar::sin_cos(f32::INFINITY).1.is_nan());
+}
+
+#[test]
+fn bits_are_those_of_every_other_machine() {
+    fn of<F: Function>(f: F) -> u64 {
+        let values = sweep();
+        let mut results = vec![0.0; values.len()];
+        dispatch(Level::detect(), Apply(f, &values, &mut results));
+        digest(&results)
+    }
+    let golden = [
+        ("exp", of(Exp), 0x1c0c_c238_ed89_7876),
+        ("exp_nonpositive", of(ExpNonpositive), 0x4944_6869_a16c_7373),
+        ("log", of(Log), 0xc7c1_e6c0_3003_b55a),
+        ("softplus", of(Softplus), 0xf717_81c4_0afe_9b96),
+        ("sigmoid", of(Sigmoid), 0xce93_ceff_54da_d3fa),
+        ("silu", of(Silu), 0xce91_3cd1_fbbb_e4f4),
+        ("tanh", of(Tanh), 0xf7a1_e4e6_62ff_c284),
+        ("erf", of(Erf), 0x6b8e_696f_3fe2_2c43),
+        ("erfc", of(Erfc), 0x4636_b14a_ee9c_2856),
+        ("erfinv", of(Erfinv), 0x88ec_1202_a3e7_59cc),
+        ("normal_cdf", of(NormalCdf), 0x19d1_052f_313b_9324),
+        ("gelu", of(Gelu), 0x8eb2_03c3_5f16_ff95),
+        ("sin", of(Sin), 0x0cd7_aa00_2f6c_5ea6),
+        ("cos", of(Cos), 0x7321_86ee_eb2e_d301),
+    ];
+    for (name, got, expected) in golden {
+        assert_eq!(got, expected, "{name}: {got:#018x}");
+    }
 }
