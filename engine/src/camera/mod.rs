@@ -18,6 +18,8 @@ pub mod file;
 mod path;
 mod pose;
 
+use streamsplat_kernels::math::f64::sin_cos;
+
 pub use file::CameraError;
 pub use path::CameraPath;
 pub use pose::{Pose, Rotation};
@@ -86,19 +88,10 @@ impl Camera {
     }
 }
 
-/// `tan(degrees / 2)` for an angle in (0°, 180°), the same on every machine: Taylor series of sine and cosine on [0, π/2].
+/// `tan(degrees / 2)` for an angle in (0°, 180°), the same on every machine.
 fn half_angle_tangent(degrees: f64) -> f64 {
-    let x = degrees * (std::f64::consts::PI / 360.0);
-    let series = |first: f64, start: u32| {
-        let (mut term, mut sum, mut n) = (first, first, start);
-        while n < 30 {
-            term *= -x * x / f64::from((n + 1) * (n + 2));
-            sum += term;
-            n += 2;
-        }
-        sum
-    };
-    series(x, 1) / series(1.0, 0)
+    let (sin, cos) = sin_cos(degrees * (std::f64::consts::PI / 360.0));
+    sin / cos
 }
 
 #[cfg(test)]

@@ -5,14 +5,11 @@
 //! reconstructs, and whose Gaussians reach into the picture). Images are cropped back to the content. *Stretch* scales
 //! both axes to the model's input, whatever that does to the shape.
 //!
-//! Resizing is bilinear with half-pixel centres and no antialiasing (model input, StreamSplat (ICLR 2026)):
-//! `x = (i + ½)·s_x − ½`, clamped to the frame, with `s_x` the frame's width over the content's.
+//! Resizing is bilinear with half-pixel centres and no antialiasing (model input, StreamSplat (ICLR 2026)).
 
 use std::str::FromStr;
 
-use streamsplat_kernels::Level;
-
-mod bilinear;
+use streamsplat_kernels::{Level, resize};
 
 /// How a frame is brought to the model's input size.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -100,7 +97,8 @@ impl Placement {
         let channels = planes.len() / area;
         let [rows, columns] = self.content;
         let mut content = vec![0.0; channels * rows * columns];
-        bilinear::resize(level, planes, self.source, self.content, &mut content);
+        let [height, width] = self.source;
+        resize::bilinear(level, planes, channels, height, width, rows, columns, &mut content);
         if self.is_full() {
             return content;
         }

@@ -26,6 +26,14 @@ pub enum EngineError {
     /// The model is conditioned on DINOv2 features and no DINOv2 weights were given.
     #[error("this model is conditioned on DINOv2 features: expected DINOv2 weights beside it, found none")]
     Condition,
+    /// The DINOv2 weights are of another width than the model is conditioned on.
+    #[error("DINOv2: expected {expected} channels as the model is conditioned on, found {found}")]
+    ConditionChannels {
+        /// Channels of the model's condition.
+        expected: usize,
+        /// Channels of the DINOv2 given.
+        found: usize,
+    },
     /// The thread pool could not be started.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {

@@ -23,6 +23,7 @@ mod matching;
 mod network;
 mod reconstructor;
 mod settings;
+mod track;
 mod work;
 mod workers;
 
@@ -33,5 +34,9 @@ pub use interval::{Interval, Merge};
 pub use network::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
 pub use reconstructor::{Motion, Reconstructor};
 pub use settings::{DepthRange, Fusion, MaxAge, ModelSource, Reuse, SamplingMode, Settings, UnknownChoice};
+pub use track::{Picked, Track, TrackPoint};
 pub use work::{StageWork, Work};
 pub use workers::Workers;
+
+#[cfg(test)]
+mod tests;

@@ -1,57 +1,87 @@
 //! The StreamSplat network as the stream's reconstructor, and the checkpoint inside the library.
 
-use streamsplat_model::{Embedding, FrameInput, ModelError, Network, Sampling, Side, StaticGaussians, StaticPosition};
+use std::path::Path;
 
-use super::Reconstructor;
+use streamsplat_model::{
+    Dino, Embedding, FrameInput, LoadOptions, ModelError, Network, Sampling, Side, StaticGaussians, StaticPosition,
+};
+
 use super::reconstructor::Motion;
+use super::{EngineError, Reconstructor};
 
 /// The small checkpoint that is part of the library: a safetensors file in the official layout.
 pub static EMBEDDED_CHECKPOINT: &[u8] = include_bytes!("../../../fixtures/lite/lite.safetensors");
 /// The configuration of [`EMBEDDED_CHECKPOINT`]: what shapes cannot say.
 pub const EMBEDDED_CONFIG: &str = include_str!("../../../fixtures/lite/lite.json");
 
-/// A network whose condition is the other frame's embedding.
-#[derive(Debug)]
-pub(super) struct SelfConditioned(pub(super) Network);
+/// A network, with DINOv2 where it is conditioned on that, and without where its condition is the other frame's embedding.
+pub(super) struct Conditioned {
+    network: Network,
+    dino: Option<Dino>,
+}
 
-impl Reconstructor for SelfConditioned {
+impl Conditioned {
+    /// The network of `source` (`None`: of the library), with DINOv2 from `dinov2` where it needs that.
+    pub(super) fn load(
+        source: Option<&Path>,
+        dinov2: Option<&Path>,
+        options: &LoadOptions,
+    ) -> Result<Self, EngineError> {
+        let network = match source {
+            Some(checkpoint) => Network::open(checkpoint, options)?,
+            None => Network::from_parts(EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG, options)?,
+        };
+        if !network.config().use_dino {
+            return Ok(Self { network, dino: None });
+        }
+        let dino = Dino::open(dinov2.ok_or(EngineError::Condition)?, options)?;
+        let (expected, found) = (network.config().condition_dim, dino.config().embed_dim);
+        if expected != found {
+            return Err(EngineError::ConditionChannels { expected, found });
+        }
+        Ok(Self { network, dino: Some(dino) })
+    }
+}
+
+impl Reconstructor for Conditioned {
     fn resolution(&self) -> [usize; 2] {
-        self.0.config().resolution
+        self.network.config().resolution
     }
 
     fn embed(&self, frame: &FrameInput<'_>) -> Result<Embedding, ModelError> {
-        self.0.embed(frame)
+        self.network.embed(frame)
     }
 
     fn upsample(&self, embedding: &Embedding) -> Result<Vec<f32>, ModelError> {
-        self.0.upsample_static(&embedding.h)
+        self.network.upsample_static(&embedding.h)
     }
 
     fn gaussians(&self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError> {
-        self.0.static_head(tokens, sampling)
+        self.network.static_head(tokens, sampling)
     }
 
     fn draws_positions(&self) -> bool {
-        self.0.config().static_position == StaticPosition::TruncatedNormal
+        self.network.config().static_position == StaticPosition::TruncatedNormal
     }
 
     fn reads_condition(&self) -> bool {
-        false
+        self.dino.is_some()
     }
 
-    fn condition(&self, _: &FrameInput<'_>) -> Result<Option<Vec<f32>>, ModelError> {
-        Ok(None)
+    fn condition(&self, frame: &FrameInput<'_>) -> Result<Option<Vec<f32>>, ModelError> {
+        let features = self.dino.as_ref().map(|dino| dino.features(frame.rgb, self.resolution()));
+        Ok(features.transpose()?.map(|f| f.patch_tokens))
     }
 
     fn decode(&self, a: &Side<'_>, b: &Side<'_>) -> Result<[Vec<f32>; 2], ModelError> {
-        self.0.decode(a, b)
+        self.network.decode(a, b)
     }
 
     fn upsample_motion(&self, d: &[f32]) -> Result<Vec<f32>, ModelError> {
-        self.0.upsample_deformation(d)
+        self.network.upsample_deformation(d)
     }
 
     fn motion(&self, static_tokens: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError> {
-        self.0.deformation_head(static_tokens, motion_tokens)
+        self.network.deformation_head(static_tokens, motion_tokens)
     }
 }

@@ -6,9 +6,9 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use streamsplat_kernels::Level;
-use streamsplat_model::{LoadOptions, Network, Precision};
+use streamsplat_model::{LoadOptions, Precision};
 
-use super::network::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG, SelfConditioned};
+use super::network::Conditioned;
 use super::{EngineError, Reconstructor};
 use crate::fit::Fit;
 
@@ -61,15 +61,14 @@ pub enum ModelSource {
 impl ModelSource {
     /// The model, ready to reconstruct.
     pub(crate) fn load(&self, options: &LoadOptions) -> Result<Arc<dyn Reconstructor>, EngineError> {
-        let network = match self {
+        let conditioned = match self {
             ModelSource::Shared(model) => return Ok(model.clone()),
-            ModelSource::Embedded => Network::from_parts(EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG, options)?,
-            ModelSource::File { checkpoint, .. } => Network::open(checkpoint, options)?,
+            ModelSource::Embedded => Conditioned::load(None, None, options)?,
+            ModelSource::File { checkpoint, dinov2 } => {
+                Conditioned::load(Some(checkpoint), dinov2.as_deref(), options)?
+            }
         };
-        if network.config().use_dino {
-            return Err(EngineError::Condition);
-        }
-        Ok(Arc::new(SelfConditioned(network)))
+        Ok(Arc::new(conditioned))
     }
 }
 

@@ -1,0 +1,146 @@
+//! The canonical set over a few key frames made by hand.
+
+use std::sync::Arc;
+
+use streamsplat_model::StaticGaussians;
+
+use super::canonical::{Advance, CanonicalSet, Step};
+use super::reconstructor::Motion;
+use super::{Fusion, Handover, Merge, Record, Reference};
+
+/// Gaussians at these places, on an image wide enough that two of them are far apart.
+fn frame(places: &[[f32; 3]]) -> Arc<StaticGaussians> {
+    let n = places.len();
+    Arc::new(StaticGaussians {
+        position: places.to_vec(),
+        scale: vec![[0.01; 2]; n],
+        opacity: vec![0.8; n],
+        rgb: vec![[0.5; 3]; n],
+    })
+}
+
+fn moving(velocity: &[[f32; 3]]) -> Motion {
+    (velocity.to_vec(), vec![[0.0, 0.5]; velocity.len()])
+}
+
+struct Stream {
+    set: CanonicalSet,
+    gaussians: Arc<StaticGaussians>,
+    max_age: u32,
+}
+
+impl Stream {
+    fn new(places: &[[f32; 3]], max_age: u32) -> (Self, Advance) {
+        let gaussians = frame(places);
+        let (set, advance) = CanonicalSet::first(&gaussians);
+        (Self { set, gaussians, max_age }, advance)
+    }
+
+    /// The next frame, with the velocities of the Gaussians of the one before.
+    fn push(&mut self, places: &[[f32; 3]], forward: &[[f32; 3]], length: f64) -> Advance {
+        assert_eq!(forward.len(), self.gaussians.position.len());
+        let gaussians = frame(places);
+        let step = Step {
+            gaussians: &gaussians,
+            forward: &moving(forward),
+            backward: &moving(&vec![[0.0; 3]; places.len()]),
+            length,
+            image: [100, 100],
+            fusion: Fusion::Persistent,
+            max_age: self.max_age,
+        };
+        let (set, advance) = self.set.advance(&step);
+        (self.set, self.gaussians) = (set, gaussians);
+        advance
+    }
+}
+
+/// Two dozen Gaussians in the lower half, so that the lattice's cells are small.
+fn floor() -> Vec<[f32; 3]> {
+    (0..100).map(|i| [(i % 10) as f32 * 0.2 - 0.9, 0.5, -0.05 - (i / 10) as f32 * 0.09]).collect()
+}
+
+const STILL: [f32; 3] = [0.0; 3];
+
+#[test]
+fn what_nothing_continues_keeps_its_pace_and_halves_in_every_interval() {
+    let mut start = floor();
+    start.push([-0.5, 0.5, 0.8]);
+    let (mut stream, first) = Stream::new(&start, 8);
+    assert_eq!(first.gaussians.len(), 101);
+    let lonely = first.gaussians.identity[100];
+    let mut velocity = vec![STILL; 101];
+    velocity[100] = [0.1, 0.0, 0.0];
+    // Two seconds, then one, then four: 0.05 units per second.
+    let mut found: Vec<Record> = Vec::new();
+    for (length, forward) in [(2.0, velocity), (1.0, vec![STILL; 100]), (4.0, vec![STILL; 100])] {
+        let advance = stream.push(&floor(), &forward, length);
+        found.push(advance.gaussians.iter().find(|r| r.identity == lonely).expect("it lives"));
+        assert!(advance.merges.is_empty());
+    }
+    let close = |a: f32, b: f32| assert!((a - b).abs() < 1e-5, "{a} {b}");
+    for (record, [x, v]) in found.iter().zip([[-0.5, 0.1], [-0.4, 0.05], [-0.35, 0.2]]) {
+        close(record.mean[0], x);
+        close(record.velocity[0], v);
+        assert_eq!(
+            (record.handover, record.reference, record.frame, record.birth),
+            (Handover::None, Reference::Start, 0, 0)
+        );
+    }
+    // Forward through its own interval without fading (γ₀ = 0), then a half of it in each.
+    close(found[0].opacity_at(1.0), 0.8);
+    close(found[1].opacity_at(0.0), 0.8);
+    close(found[1].opacity_at(1.0), 0.4);
+    close(found[2].opacity_at(0.0), 0.4);
+    close(found[2].opacity_at(1.0), 0.2);
+    assert_eq!(found[1].mean[0].to_bits(), found[0].position_at(1.0)[0].to_bits());
+    assert_eq!(found[2].opacity.to_bits(), found[1].opacity_at(1.0).to_bits());
+}
+
+#[test]
+fn what_is_too_old_fades_out_and_goes() {
+    for max_age in [0, 1, 3] {
+        let mut start = floor();
+        start.push([-0.5, 0.5, 0.8]);
+        let (mut stream, first) = Stream::new(&start, max_age);
+        let lonely = first.gaussians.identity[100];
+        let mut ages = Vec::new();
+        for k in 0..6 {
+            let forward = vec![STILL; if k == 0 { 101 } else { 100 }];
+            let advance = stream.push(&floor(), &forward, 1.0);
+            if let Some(record) = advance.gaussians.iter().find(|r| r.identity == lonely) {
+                ages.push(record.handover);
+            }
+        }
+        // Seen in interval k + 1 at age k; the last one fades out.
+        assert_eq!(ages.len() as u32, max_age + 1);
+        assert_eq!(ages.last(), Some(&Handover::Leaves));
+        assert!(ages[..max_age as usize].iter().all(|h| *h == Handover::None));
+    }
+}
+
+#[test]
+fn identities_pass_on_emerge_and_merge() {
+    // Two points that run into one place, and a third that appears.
+    let mut start = floor();
+    start.extend([[-0.5, 0.5, 0.5], [-0.3, 0.5, 0.5]]);
+    let (mut stream, first) = Stream::new(&start, 8);
+    let [left, right] = [first.gaussians.identity[100], first.gaussians.identity[101]];
+    let mut velocity = vec![STILL; 102];
+    (velocity[100][0], velocity[101][0]) = (0.1, -0.1);
+    let mut next = floor();
+    next.extend([[-0.41, 0.5, 0.5], [0.7, 0.5, 0.9]]);
+    let advance = stream.push(&next, &velocity, 1.0);
+    let ends: Vec<Record> = advance.gaussians.iter().filter(|r| r.reference == Reference::End).collect();
+    assert_eq!(ends.len(), 102);
+    assert!(ends.iter().all(|r| r.handover == Handover::Arrives && r.frame == 1));
+    assert!(ends[..100].iter().zip(&first.gaussians.identity).all(|(r, i)| r.identity == *i && r.birth == 0));
+    // Both are 0.01 from the new one as far as binary32 can tell; whoever is nearer passes on, the other ends in it.
+    let heir = ends[100].identity;
+    assert!(heir == left || heir == right);
+    assert_eq!(advance.merges, [Merge { identity: if heir == left { right } else { left }, into: heir }]);
+    assert_eq!((ends[101].identity, ends[101].birth), (102, 1));
+    // The tracked point stays where the motion took it, not where the lattice put the Gaussian.
+    let carried = ends[100].mean[0] + ends[100].offset[0];
+    assert!((carried + 0.4).abs() < 1e-6, "{carried}");
+}

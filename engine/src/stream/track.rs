@@ -1,0 +1,180 @@
+//! Following a point of the scene through time.
+//!
+//! [`Interval::pick`] finds the Gaussian that shows most at a pixel; a [`Track`] then moves with its identity: with the velocity
+//! of the identity's record inside an interval, with whatever carries the identity from one interval to the next, and with the
+//! identity it [merged](super::Merge) into where it ended in another. The point keeps its place relative to the motion, not
+//! to the Gaussians' lattice, so that motions smaller than a cell add up. A track is lost where the identity is gone.
+
+use streamsplat_kernels::math::f64::exp;
+use streamsplat_kernels::raster::Projection;
+
+use super::{Interval, Record, Reference};
+use crate::camera::Camera;
+use crate::render::{RenderError, Snapshot, View};
+
+/// A Gaussian at a pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Picked {
+    /// Its record in the interval.
+    pub index: usize,
+    /// Its identity.
+    pub identity: u64,
+    /// Its part of the pixel's colour: αT, at most 1.
+    pub weight: f64,
+    /// The world position under the pixel at its depth: x right, y normalised inverse depth, z up.
+    pub position: [f32; 3],
+}
+
+/// A point on its way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrackPoint {
+    /// Seconds of the video.
+    pub time: f64,
+    /// Whom it moves with.
+    pub identity: u64,
+    /// World position.
+    pub position: [f32; 3],
+    /// Place in the source's image, in pixels with their centres at whole numbers.
+    pub pixel: [f64; 2],
+    /// Opacity of what it moves with.
+    pub opacity: f32,
+}
+
+/// A point that moves with an identity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Track {
+    identity: u64,
+    /// Where it is, at `time`.
+    position: [f32; 3],
+    time: f64,
+}
+
+impl Interval {
+    /// The Gaussian that shows most at a pixel of the source's image (centres at whole numbers) at `time`: the largest αT, the
+    /// lowest index among equals. `None` where nothing is drawn.
+    ///
+    /// # Errors
+    /// As [`Snapshot::of`].
+    pub fn pick(&self, time: f64, pixel: [f64; 2]) -> Result<Option<Picked>, RenderError> {
+        let seen = Snapshot::of(self, time)?;
+        let [u, v] = self.project(pixel);
+        let focal = self.focal();
+        let mut hits: Vec<(f32, usize, f64)> = Vec::new();
+        for i in 0..seen.mean.len() {
+            let [x, y, z] = seen.mean[i];
+            let q: f64 = [(f64::from(x) - u, 0), (f64::from(y) - v, 1)]
+                .map(|(d, axis)| {
+                    let pixels = d * focal[axis];
+                    let sigma = f64::from(seen.scale[i][axis]) * focal[axis];
+                    pixels * pixels / (sigma * sigma + 0.3)
+                })
+                .iter()
+                .sum();
+            // Written so that what is not a number is no hit.
+            let alpha = (f64::from(seen.opacity[i]) * exp(-0.5 * q)).min(0.99);
+            if alpha >= 1.0 / 255.0 {
+                hits.push((z, i, alpha));
+            }
+        }
+        hits.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let (mut transmittance, mut best) = (1.0, None);
+        for (_, i, alpha) in hits {
+            if transmittance * (1.0 - alpha) < 1e-4 {
+                break;
+            }
+            let weight = alpha * transmittance;
+            transmittance -= weight;
+            if best.is_none_or(|(_, most)| weight > most) {
+                best = Some((i, weight));
+            }
+        }
+        Ok(best.map(|(i, weight)| {
+            let index = seen.index[i] as usize;
+            let record = self.gaussians.get(index);
+            let t = self.relative(time).unwrap_or_default();
+            let position = [u as f32, record.position_at(t)[1], -v as f32];
+            Picked { index, identity: record.identity, weight, position }
+        }))
+    }
+
+    /// Pixels per scene unit in an image of the source's size.
+    fn focal(&self) -> [f64; 2] {
+        match View::new(&Camera::Canonical, &self.placement, self.placement.source).projection() {
+            Projection::Orthographic { focal } | Projection::Pinhole { focal, .. } => focal.map(f64::from),
+        }
+    }
+
+    /// Scene-space x and y of a pixel of the source's image.
+    fn project(&self, pixel: [f64; 2]) -> [f64; 2] {
+        let p = &self.placement;
+        std::array::from_fn(|axis| {
+            let side = 1 - axis;
+            let part = (pixel[axis] + 0.5) / p.source[side] as f64;
+            let inside = p.offset[side] as f64 + part * p.content[side] as f64;
+            2.0 * inside / p.model[side] as f64 - 1.0
+        })
+    }
+
+    /// The pixel of the source's image of a scene-space x and y.
+    fn unproject(&self, place: [f64; 2]) -> [f64; 2] {
+        let p = &self.placement;
+        std::array::from_fn(|axis| {
+            let side = 1 - axis;
+            let inside = (place[axis] + 1.0) * 0.5 * p.model[side] as f64 - p.offset[side] as f64;
+            inside / p.content[side] as f64 * p.source[side] as f64 - 0.5
+        })
+    }
+
+    /// The record that moves an identity: the one seen forward in time where there are two.
+    fn record_of(&self, identity: u64) -> Option<Record> {
+        let find = |reference| {
+            let g = &self.gaussians;
+            (0..g.len()).find(|&i| g.identity[i] == identity && g.reference[i] == reference).map(|i| g.get(i))
+        };
+        find(Reference::Start).or_else(|| find(Reference::End))
+    }
+}
+
+impl Track {
+    /// A track of what was picked at `time`.
+    pub fn new(picked: &Picked, time: f64) -> Self {
+        Self { identity: picked.identity, position: picked.position, time }
+    }
+
+    /// Whom it moves with.
+    pub fn identity(&self) -> u64 {
+        self.identity
+    }
+
+    /// Moves forward through an interval that holds the track's time: its places at `times` (inside the interval, not before the
+    /// track's time), and the track at the interval's end, ready for the next one. `None` when it is lost.
+    pub fn forward(&self, interval: &Interval, times: &[f64]) -> Option<(Vec<TrackPoint>, Track)> {
+        let (points, end) = self.along(interval, times, interval.end)?;
+        // Where the identity goes on under its own name, nothing merged.
+        let merged = interval.merges.iter().find(|m| m.identity == self.identity);
+        Some((points, Track { identity: merged.map_or(self.identity, |m| m.into), ..end }))
+    }
+
+    /// Moves backward through an interval that holds the track's time: its places at `times` (inside the interval, not after
+    /// the track's time), and the track at the interval's start, ready for the one before. `None` when it was not there yet.
+    pub fn backward(&self, interval: &Interval, times: &[f64]) -> Option<(Vec<TrackPoint>, Track)> {
+        self.along(interval, times, interval.start)
+    }
+
+    fn along(&self, interval: &Interval, times: &[f64], to: f64) -> Option<(Vec<TrackPoint>, Track)> {
+        let record = interval.record_of(self.identity)?;
+        let from = interval.relative(self.time)?;
+        let place = |time: f64| -> Option<[f32; 3]> {
+            let since = interval.relative(time)? - from;
+            Some(std::array::from_fn(|axis| self.position[axis] + record.velocity[axis] * since))
+        };
+        let mut points = Vec::with_capacity(times.len());
+        for &time in times {
+            let position = place(time)?;
+            let pixel = interval.unproject([f64::from(position[0]), -f64::from(position[2])]);
+            let opacity = record.opacity_at(interval.relative(time)?);
+            points.push(TrackPoint { time, identity: self.identity, position, pixel, opacity });
+        }
+        Some((points, Track { position: place(to)?, time: to, ..*self }))
+    }
+}
