@@ -5,6 +5,7 @@
 
 mod kernels;
 mod machine;
+mod raster;
 mod timing;
 
 use std::path::{Path, PathBuf};
@@ -25,6 +26,8 @@ struct Program {
 enum Command {
     /// Matrix products, attention and norms, as fractions of the measured peak.
     Kernels(kernels::Options),
+    /// Whole scenes of Gaussians, redrawing, and growth with their number.
+    Raster(raster::Options),
 }
 
 /// Options of every measurement.
@@ -68,6 +71,7 @@ fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
 fn main() -> std::process::ExitCode {
     let result = match Program::parse().command {
         Command::Kernels(options) => kernels::run(&options),
+        Command::Raster(options) => raster::run(&options),
     };
     match result {
         Ok(()) => std::process::ExitCode::SUCCESS,

@@ -3,7 +3,7 @@
 use super::project::{BLOCK, Splat};
 
 /// Blocks across and down a tile.
-pub(super) const TILE: [usize; 2] = [8, 8];
+pub(super) const TILE: [usize; 2] = [16, 8];
 
 /// A footprint that spans more tiles than this is tested against them row by row.
 const TEST_ABOVE: usize = 4;
@@ -77,7 +77,7 @@ pub(super) struct Reach {
 impl Reach {
     #[inline(always)]
     pub(super) fn new(splat: &Splat) -> Self {
-        let (x, y, k) = (splat.u as f32, splat.v as f32, splat.k as f32);
+        let (x, y, k) = (splat.x[0] + splat.x[1], splat.y[0] + splat.y[1], splat.k as f32);
         let root = splat.reach.sqrt();
         let height = root / splat.q;
         let slope = k * splat.p;

@@ -1,5 +1,8 @@
 //! One tile: its list, front to back, onto its blocks of 4×4 pixels.
 
+use std::marker::PhantomData;
+use std::time::Duration;
+
 use super::bin::{Reach, TILE};
 use super::project::{ALPHA_MAX, ALPHA_MIN, BLOCK, Splat, TRANSMITTANCE_MIN, split};
 use super::sort::Entry;
@@ -7,14 +10,18 @@ use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd};
 
 /// Blocks of a tile.
-pub(super) const BLOCKS: usize = TILE[0] * TILE[1];
-/// Values kept per block: transmittance, red, green, blue.
-const STATE: usize = 4 * LANES;
+const BLOCKS: usize = TILE[0] * TILE[1];
 /// Entries ahead of which a record is fetched.
 const AHEAD: usize = 6;
+/// A box of at most this many blocks is drawn whole: to tell which of them the footprint misses would cost more.
+const WHOLE_BOX: usize = 16;
+/// Coordinates of a tile's columns or rows of pixels, whichever are more, and of a vector more.
+type Pixels = [f32; PIXELS];
+const PIXELS: usize = (if TILE[0] > TILE[1] { TILE[0] } else { TILE[1] }) * BLOCK + LANES;
+/// All pixels of a block.
 const ALL: u16 = u16::MAX;
 
-const _: () = assert!(TILE[1] <= LANES && BLOCK * BLOCK == LANES);
+const _: () = assert!(TILE[0] <= LANES && TILE[1] <= LANES && BLOCK * BLOCK == LANES);
 
 /// 2^−q for q ≥ 0, at most 4 units in the last place off; exactly 1 for 0; 2^−125 for q ≥ 125 and for NaN.
 ///
@@ -33,14 +40,32 @@ pub(super) fn exp2_negative<S: Simd>(s: S, q: S::F32) -> S::F32 {
     s.from_bits(s.add_i32(s.to_bits(sum), s.shl::<23>(s.to_bits(shifted))))
 }
 
+/// What is known of 4×4 pixels.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+struct Block {
+    /// Zero where the pixel is finished.
+    transmittance: [f32; LANES],
+    rgb: [[f32; LANES]; 3],
+}
+
+/// What else is known of them.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+struct Extra {
+    /// Transmittance with which a pixel was finished.
+    finished: [f32; LANES],
+    depth: [f32; LANES],
+    /// Splats drawn.
+    count: [f32; LANES],
+}
+
 /// What a thread needs to draw a tile.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    state: Vec<f32>,
-    depth: Vec<f32>,
-    count: Vec<f32>,
-    /// Transmittance with which a pixel was finished; its own is zero from then on.
-    finished: Vec<f32>,
+    blocks: Vec<Block>,
+    extras: Vec<Extra>,
+    /// Finished pixels of each block.
     done: Vec<u16>,
     pub spare: Vec<Entry>,
     pub tally: Tally,
@@ -53,6 +78,8 @@ pub(super) struct Tally {
     pub blocks: u64,
     /// Entries of lists that were not looked at because their tile was finished.
     pub unseen: u64,
+    pub sort: Duration,
+    pub blend: Duration,
 }
 
 /// Where a drawn tile goes.
@@ -86,10 +113,10 @@ impl Operation for DrawTile<'_> {
         self.clear();
         let extras = self.planes.depth.is_some() || self.planes.blended.is_some();
         match (self.separable, extras) {
-            (true, false) => self.blend::<S, true, false>(s),
-            (true, true) => self.blend::<S, true, true>(s),
-            (false, false) => self.blend::<S, false, false>(s),
-            (false, true) => self.blend::<S, false, true>(s),
+            (true, false) => self.blend_separable::<S, false>(s),
+            (true, true) => self.blend_separable::<S, true>(s),
+            (false, false) => self.blend_general::<S, false>(s),
+            (false, true) => self.blend_general::<S, true>(s),
         }
         self.store(s);
     }
@@ -101,124 +128,170 @@ struct Paint<S: Simd> {
     depth: S::F32,
 }
 
+impl<S: Simd> Paint<S> {
+    #[inline(always)]
+    fn new(s: S, splat: &Splat) -> Self {
+        let [red, green, blue] = splat.rgb;
+        Self { rgb: [s.splat(red), s.splat(green), s.splat(blue)], depth: s.splat(splat.depth) }
+    }
+}
+
+/// The blocks of a footprint's box that lie in a tile, first and end, counted from the tile's first.
+struct Box4 {
+    columns: [usize; 2],
+    rows: [usize; 2],
+}
+
 impl DrawTile<'_> {
     /// Transmittance 1 inside the image; pixels outside are finished from the start.
     #[inline(always)]
     fn clear(&mut self) {
         let scratch = &mut *self.scratch;
-        scratch.state.clear();
-        scratch.state.resize(BLOCKS * STATE, 0.0);
-        scratch.finished.resize(BLOCKS * LANES, 0.0);
+        const CLEAR: Block = Block { transmittance: [1.0; LANES], rgb: [[0.0; LANES]; 3] };
+        const NOTHING: Extra = Extra { finished: [0.0; LANES], depth: [0.0; LANES], count: [0.0; LANES] };
+        scratch.blocks.clear();
+        scratch.blocks.resize(BLOCKS, CLEAR);
+        scratch.extras.clear();
+        scratch.extras.resize(BLOCKS, NOTHING);
         scratch.done.clear();
         scratch.done.resize(BLOCKS, 0);
-        if self.planes.depth.is_some() || self.planes.blended.is_some() {
-            scratch.depth.clear();
-            scratch.depth.resize(BLOCKS * LANES, 0.0);
-            scratch.count.clear();
-            scratch.count.resize(BLOCKS * LANES, 0.0);
-        }
         for block in 0..BLOCKS {
             let x = (self.column * TILE[0] + block % TILE[0]) * BLOCK;
             let y = (self.row * TILE[1] + block / TILE[0]) * BLOCK;
-            let transmittance = &mut scratch.state[block * STATE..][..LANES];
             if x + BLOCK <= self.planes.width && y + BLOCK <= self.planes.height {
-                transmittance.fill(1.0);
                 continue;
             }
             for lane in 0..LANES {
-                if x + lane % BLOCK < self.planes.width && y + lane / BLOCK < self.planes.height {
-                    transmittance[lane] = 1.0;
-                } else {
+                if x + lane % BLOCK >= self.planes.width || y + lane / BLOCK >= self.planes.height {
+                    scratch.blocks[block].transmittance[lane] = 0.0;
                     scratch.done[block] |= 1 << lane;
                 }
             }
         }
     }
 
+    /// The splat of entry `at`, its blocks in the tile, and a hint for a later one.
     #[inline(always)]
-    fn blend<S: Simd, const SEPARABLE: bool, const EXTRAS: bool>(&mut self, s: S) {
-        let (first_column, first_row) = (self.column * TILE[0], self.row * TILE[1]);
-        let list = self.list;
-        let lane_x = s.from_array(std::array::from_fn(|i| (i % BLOCK) as f32));
-        let lane = s.from_array(std::array::from_fn(|i| i as f32));
-        let mut open = self.scratch.done.iter().filter(|&&done| done != ALL).count();
+    fn take<S: Simd>(&self, s: S, at: usize) -> (&Splat, Box4) {
+        if let Some(next) = self.list.get(at + AHEAD) {
+            s.prefetch(self.splats.as_ptr().wrapping_add(next.index as usize));
+        }
+        let splat = &self.splats[self.list[at].index as usize];
+        let (x, y) = (self.column * TILE[0], self.row * TILE[1]);
+        let [left, right] = splat.columns.map(usize::from);
+        let [top, bottom] = splat.rows.map(usize::from);
+        let columns = [left.max(x) - x, (right + 1).min(x + TILE[0]) - x];
+        (splat, Box4 { columns, rows: [top.max(y) - y, (bottom + 1).min(y + TILE[1]) - y] })
+    }
+
+    /// `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)²)`
+    #[inline(always)]
+    fn blend_separable<S: Simd, const EXTRAS: bool>(&mut self, s: S) {
+        let mut canvas = Canvas::new(self.scratch);
+        let (xs, ys) = self.pixels();
         let mut across = [0.0_f32; TILE[0] * BLOCK + LANES];
         let mut down = [0.0_f32; TILE[1] * BLOCK + LANES];
-        let (mut middle, mut middle_rest) = ([0.0_f32; TILE[1] * BLOCK], [0.0_f32; TILE[1] * BLOCK]);
-        for (at, entry) in list.iter().enumerate() {
-            if open == 0 {
-                self.scratch.tally.unseen += (list.len() - at) as u64;
+        let mut row_exponent = [0.0_f32; LANES];
+        let mut blocks = 0;
+        for at in 0..self.list.len() {
+            if canvas.open == 0 {
+                self.scratch.tally.unseen += (self.list.len() - at) as u64;
                 break;
             }
-            if let Some(next) = list.get(at + AHEAD) {
-                s.prefetch(self.splats.as_ptr().wrapping_add(next.index as usize));
+            let (splat, Box4 { columns, rows }) = self.take(s, at);
+            let paint = Paint::new(s, splat);
+            // SAFETY: columns and rows are blocks of the tile; the arrays have a vector to spare beyond its last.
+            unsafe {
+                factors(s, splat.x, splat.p, 1.0, columns, &xs, &mut across);
+                factors(s, splat.y, splat.q, splat.opacity, rows, &ys, &mut down);
             }
-            let splat = &self.splats[entry.index as usize];
-            let columns = [
-                usize::from(splat.columns[0]).max(first_column),
-                usize::from(splat.columns[1]).min(first_column + TILE[0] - 1),
-            ];
-            let rows =
-                [usize::from(splat.rows[0]).max(first_row), usize::from(splat.rows[1]).min(first_row + TILE[1] - 1)];
-            let (from, to) = strips::<S, SEPARABLE>(s, splat, lane, first_row, columns);
-            let paint = Paint::<S> { rgb: splat.rgb.map(|c| s.splat(c)), depth: s.splat(splat.depth) };
-            let (p, q, opacity) = (s.splat(splat.p), s.splat(splat.q), s.splat(splat.opacity));
-            let (top, height) = (rows[0] * BLOCK, (rows[1] + 1 - rows[0]) * BLOCK);
-            if SEPARABLE {
-                let [(hi_x, lo_x), (hi_y, lo_y)] = [splat.u, splat.v].map(|v| {
-                    let (hi, lo) = split(v);
-                    (s.splat(hi), s.splat(lo))
-                });
-                for block in (columns[0]..=columns[1]).step_by(LANES / BLOCK) {
-                    let x = s.add(s.splat((block * BLOCK) as f32), lane);
-                    let t = s.mul(p, s.sub(s.sub(x, hi_x), lo_x));
-                    s.store(exp2_negative(s, s.mul(t, t)), &mut across[(block - first_column) * BLOCK..]);
+            let count = (columns[1] - columns[0]) * (rows[1] - rows[0]);
+            if count <= WHOLE_BOX {
+                blocks += count;
+                for row in rows[0]..rows[1] {
+                    // SAFETY: `down` and `across` were filled for these rows and columns.
+                    unsafe { canvas.blend_row::<S, EXTRAS>(s, &down, &across, row, columns, &paint) };
                 }
-                for block in (rows[0]..=rows[1]).step_by(LANES / BLOCK) {
-                    let y = s.add(s.splat((block * BLOCK) as f32), lane);
-                    let t = s.mul(q, s.sub(s.sub(y, hi_y), lo_y));
-                    let factor = s.mul(opacity, exp2_negative(s, s.mul(t, t)));
-                    s.store(factor, &mut down[(block - first_row) * BLOCK..]);
+                continue;
+            }
+            let column_exponent = nearest(s, splat.x, splat.p, &xs);
+            s.store(nearest(s, splat.y, splat.q, &ys), &mut row_exponent);
+            let inside = (1_u32 << columns[1]) - (1 << columns[0]);
+            for row in rows[0]..rows[1] {
+                // A block on which even the nearest pixel's exponent is out of reach cannot change.
+                let reached = s.le(column_exponent, s.splat(splat.reach - row_exponent[row]));
+                let reached = u32::from(s.bits(reached)) & inside;
+                if reached != 0 {
+                    let columns = [reached.trailing_zeros() as usize, 32 - reached.leading_zeros() as usize];
+                    blocks += columns[1] - columns[0];
+                    // SAFETY: `down` and `across` were filled for these rows and columns.
+                    unsafe { canvas.blend_row::<S, EXTRAS>(s, &down, &across, row, columns, &paint) };
                 }
-            } else {
-                for i in 0..height {
-                    let dy = (top + i) as f64 - splat.v;
-                    (middle[i], middle_rest[i]) = split(splat.u + splat.k * dy);
+            }
+        }
+        self.scratch.tally.blocks += blocks as u64;
+    }
+
+    /// `α = min(0.99, o·2^−((p·(x − m(y)))² + (q·dy)²))`
+    #[inline(always)]
+    fn blend_general<S: Simd, const EXTRAS: bool>(&mut self, s: S) {
+        let mut canvas = Canvas::new(self.scratch);
+        let lane_x = s.from_array(std::array::from_fn(|i| (i % BLOCK) as f32));
+        let lane = s.from_array(std::array::from_fn(|i| i as f32));
+        let (left, top) = (self.column * TILE[0] * BLOCK, self.row * TILE[1] * BLOCK);
+        let mut down = [0.0_f32; TILE[1] * BLOCK];
+        let (mut middle, mut middle_rest) = (down, down);
+        let mut blocks = 0;
+        for at in 0..self.list.len() {
+            if canvas.open == 0 {
+                self.scratch.tally.unseen += (self.list.len() - at) as u64;
+                break;
+            }
+            let (splat, Box4 { columns, rows }) = self.take(s, at);
+            let (from, to) = strips(s, splat, lane, [left as f32, top as f32], columns);
+            let (p, opacity) = (s.splat(splat.p), s.splat(splat.opacity));
+            let paint = Paint::new(s, splat);
+            let (u, v) = (f64::from(splat.x[0]) + f64::from(splat.x[1]), f64::from(splat.y[0]) + f64::from(splat.y[1]));
+            for row in rows[0]..rows[1] {
+                for i in row * BLOCK..(row + 1) * BLOCK {
+                    let dy = (top + i) as f64 - v;
+                    (middle[i], middle_rest[i]) = split(u + splat.k * dy);
                     let t = splat.q * dy as f32;
                     down[i] = t * t;
                 }
             }
-            for row in rows[0] - first_row..=rows[1] - first_row {
-                // SAFETY: `row` is a row of the tile, the arrays have four values for each that the splat touches.
+            for row in rows[0]..rows[1] {
+                // SAFETY: `row` is a row of the tile and the arrays have four values for each.
                 let (along_y, hi_x, lo_x) = unsafe {
-                    if SEPARABLE {
-                        (s.spread_four(down.as_ptr().add(row * BLOCK)), opacity, opacity)
-                    } else {
-                        let at = (first_row + row) * BLOCK - top;
-                        let of = |values: &[f32]| s.spread_four(values.as_ptr().add(at));
-                        (of(&down), of(&middle), of(&middle_rest))
-                    }
+                    (
+                        s.spread_four(down.as_ptr().add(row * BLOCK)),
+                        s.spread_four(middle.as_ptr().add(row * BLOCK)),
+                        s.spread_four(middle_rest.as_ptr().add(row * BLOCK)),
+                    )
                 };
-                let (from, to) = (from[row] as usize, to[row] as usize);
-                self.scratch.tally.blocks += (to + 1).saturating_sub(from) as u64;
-                for column in from..to + 1 {
-                    let block = row * TILE[0] + column - first_column;
-                    if self.scratch.done[block] == ALL {
-                        continue;
+                let (from, to) = (from[row] as usize, (to[row] + 1) as usize);
+                blocks += to.saturating_sub(from);
+                for column in from..to {
+                    // SAFETY: a block of the tile.
+                    unsafe {
+                        if !canvas.is_finished(row * TILE[0] + column) {
+                            let x = s.add(s.splat((left + column * BLOCK) as f32), lane_x);
+                            let t = s.mul(p, s.sub(s.sub(x, hi_x), lo_x));
+                            let alpha = s.mul(opacity, exp2_negative(s, s.mul_add(t, t, along_y)));
+                            canvas.composite::<S, EXTRAS>(s, alpha, &paint, row * TILE[0] + column);
+                        }
                     }
-                    let alpha = if SEPARABLE {
-                        // SAFETY: `column` is a column of the tile, `across` has four values for each.
-                        let x = unsafe { s.repeat_four(across.as_ptr().add((column - first_column) * BLOCK)) };
-                        s.mul(along_y, x)
-                    } else {
-                        let x = s.add(s.splat((column * BLOCK) as f32), lane_x);
-                        let t = s.mul(p, s.sub(s.sub(x, hi_x), lo_x));
-                        s.mul(opacity, exp2_negative(s, s.mul_add(t, t, along_y)))
-                    };
-                    open -= usize::from(composite::<S, EXTRAS>(s, alpha, &paint, self.scratch, block));
                 }
             }
         }
+        self.scratch.tally.blocks += blocks as u64;
+    }
+
+    /// The coordinates of the tile's columns and rows of pixels, and of some more.
+    #[inline(always)]
+    fn pixels(&self) -> (Pixels, Pixels) {
+        let (left, top) = (self.column * TILE[0] * BLOCK, self.row * TILE[1] * BLOCK);
+        (std::array::from_fn(|i| (left + i) as f32), std::array::from_fn(|i| (top + i) as f32))
     }
 
     /// Adds the background and writes the planes.
@@ -226,37 +299,32 @@ impl DrawTile<'_> {
     fn store<S: Simd>(&mut self, s: S) {
         let planes = self.planes;
         let plane = planes.width * planes.height;
-        let background = planes.background.map(|c| s.splat(c));
-        for block in 0..BLOCKS {
-            let x = (self.column * TILE[0] + block % TILE[0]) * BLOCK;
-            let y = (self.row * TILE[1] + block / TILE[0]) * BLOCK;
+        let [red, green, blue] = planes.background;
+        let background = [s.splat(red), s.splat(green), s.splat(blue)];
+        for index in 0..BLOCKS {
+            let x = (self.column * TILE[0] + index % TILE[0]) * BLOCK;
+            let y = (self.row * TILE[1] + index / TILE[0]) * BLOCK;
             if x >= planes.width || y >= planes.height {
                 continue;
             }
-            let scratch = &*self.scratch;
-            let done = s.mask_from_bits(scratch.done[block]);
-            let state = &scratch.state[block * STATE..][..STATE];
-            let finished = s.load(&scratch.finished[block * LANES..]);
-            let transmittance = s.select(done, finished, s.load(state));
-            let put = |to: &Disjoint<'_, f32>, base: usize, values: S::F32| {
-                put_block(to, base, planes, x, y, &s.to_array(values));
-            };
+            let (block, extra) = (&self.scratch.blocks[index], &self.scratch.extras[index]);
+            let done = s.mask_from_bits(self.scratch.done[index]);
+            let transmittance = s.select(done, s.load(&extra.finished), s.load(&block.transmittance));
             for channel in 0..3 {
-                let colour = s.load(&state[(channel + 1) * LANES..]);
-                put(&planes.rgb, channel * plane, s.mul_add(transmittance, background[channel], colour));
+                let value = s.mul_add(transmittance, background[channel], s.load(&block.rgb[channel]));
+                put_block(&planes.rgb, channel * plane, planes, x, y, &s.to_array(value));
             }
             if let Some(to) = &planes.alpha {
-                put(to, 0, s.sub(s.splat(1.0), transmittance));
+                put_block(to, 0, planes, x, y, &s.to_array(s.sub(s.splat(1.0), transmittance)));
             }
             if let Some(to) = &planes.final_t {
-                put(to, 0, transmittance);
+                put_block(to, 0, planes, x, y, &s.to_array(transmittance));
             }
             if let Some(to) = &planes.depth {
-                put(to, 0, s.load(&scratch.depth[block * LANES..]));
+                put_block(to, 0, planes, x, y, &extra.depth);
             }
             if let Some(to) = &planes.blended {
-                let count = s.to_array(s.load(&scratch.count[block * LANES..]));
-                put_block(to, 0, planes, x, y, &count.map(|c| c as u32));
+                put_block(to, 0, planes, x, y, &extra.count.map(|c| c as u32));
             }
         }
     }
@@ -274,103 +342,196 @@ fn put_block<T: Copy>(to: &Disjoint<'_, T>, base: usize, planes: &Planes<'_>, x:
     }
 }
 
-/// First and last block column that a footprint can reach in each row of blocks of the tile, inside `columns`.
+/// `(scale·d)²` on lane i, with d the distance of the centre from the nearest pixel of the i-th block along one axis.
 #[inline(always)]
-fn strips<S: Simd, const SEPARABLE: bool>(
+fn nearest<S: Simd>(s: S, centre: [f32; 2], scale: f32, pixels: &Pixels) -> S::F32 {
+    let first = s.mul_add(
+        s.from_array(std::array::from_fn(|i| i as f32)),
+        s.splat(BLOCK as f32),
+        s.splat(pixels[0] - centre[0]),
+    );
+    let low = s.sub(first, s.splat(centre[1]));
+    let high = s.add(low, s.splat(BLOCK as f32 - 1.0));
+    // At most one of both is positive.
+    let t = s.mul(s.splat(scale), s.max(s.max(low, s.neg(high)), s.splat(0.0)));
+    s.mul(t, t)
+}
+
+/// `factor·2^−(scale·d)²` for every pixel of the blocks `span`, with d its distance from the centre along one axis.
+///
+/// # Safety
+/// `span` lies in the tile.
+#[inline(always)]
+unsafe fn factors<S: Simd>(
+    s: S,
+    centre: [f32; 2],
+    scale: f32,
+    factor: f32,
+    span: [usize; 2],
+    pixels: &Pixels,
+    to: &mut [f32],
+) {
+    let (whole, rest, scale) = (s.splat(centre[0]), s.splat(centre[1]), s.splat(scale));
+    let mut at = span[0] * BLOCK;
+    while at < span[1] * BLOCK {
+        // SAFETY: `at` is a pixel of the tile; both arrays go on for a vector behind its last.
+        unsafe {
+            let x = s.load_ptr(pixels.as_ptr().add(at));
+            let t = s.mul(scale, s.sub(s.sub(x, whole), rest));
+            s.store_ptr(s.mul(s.splat(factor), exp2_negative(s, s.mul(t, t))), to.as_mut_ptr().add(at));
+        }
+        at += LANES;
+    }
+}
+
+#[inline(always)]
+fn clamp<S: Simd>(s: S, v: S::F32, low: S::F32, high: S::F32) -> S::F32 {
+    s.min(s.max(v, low), high)
+}
+
+/// `√(exponent − (q·dy)²)`, or 0 beyond the footprint.
+#[inline(always)]
+fn rim<S: Simd>(s: S, reach: &Reach, dy: S::F32) -> S::F32 {
+    let t = s.mul(s.splat(reach.q), dy);
+    s.sqrt(s.max(s.neg_mul_add(t, t, s.splat(reach.exponent)), s.splat(0.0)))
+}
+
+/// First and last block column that a footprint can reach in each row of blocks of the tile at (`left`, `top`), inside `columns`.
+#[inline(always)]
+fn strips<S: Simd>(
     s: S,
     splat: &Splat,
     lane: S::F32,
-    first_row: usize,
+    [left, top]: [f32; 2],
     columns: [usize; 2],
 ) -> ([i32; LANES], [i32; LANES]) {
     let reach = Reach::new(splat);
-    let splats = |v: f32| s.splat(v);
-    let clamp = |v: S::F32, low: S::F32, high: S::F32| s.min(s.max(v, low), high);
-    let (bottom, top) = (splats(-reach.height), splats(reach.height));
-    let y = s.sub(s.mul_add(lane, splats(BLOCK as f32), splats((first_row * BLOCK) as f32)), splats(reach.y));
-    let low = clamp(y, bottom, top);
-    let high = clamp(s.add(y, splats(BLOCK as f32 - 1.0)), bottom, top);
-    let root = |dy: S::F32| {
-        let t = s.mul(splats(reach.q), dy);
-        s.sqrt(s.max(s.neg_mul_add(t, t, splats(reach.exponent)), splats(0.0)))
-    };
-    let (left, right);
-    let inverse = splats(1.0 / reach.p);
-    if SEPARABLE {
-        right = s.mul(root(clamp(splats(0.0), low, high)), inverse);
-        left = s.neg(right);
-    } else {
-        let at_right = clamp(splats(reach.rightmost), low, high);
-        let at_left = clamp(splats(-reach.rightmost), low, high);
-        right = s.mul_add(splats(reach.k), at_right, s.mul(root(at_right), inverse));
-        left = s.sub(s.mul(splats(reach.k), at_left), s.mul(root(at_left), inverse));
-    }
-    let per_block = splats(1.0 / BLOCK as f32);
-    let first = s.floor(s.mul(s.add(splats(reach.x - reach.slack), left), per_block));
-    let last = s.floor(s.mul(s.add(splats(reach.x + reach.slack), right), per_block));
+    let (above, below) = (s.splat(-reach.height), s.splat(reach.height));
+    let y = s.mul_add(lane, s.splat(BLOCK as f32), s.splat(top - reach.y));
+    let low = clamp(s, y, above, below);
+    let high = clamp(s, s.add(y, s.splat(BLOCK as f32 - 1.0)), above, below);
+    let inverse = s.splat(1.0 / reach.p);
+    let at_right = clamp(s, s.splat(reach.rightmost), low, high);
+    let at_left = clamp(s, s.splat(-reach.rightmost), low, high);
+    let last = s.mul_add(s.splat(reach.k), at_right, s.mul(rim(s, &reach, at_right), inverse));
+    let first = s.sub(s.mul(s.splat(reach.k), at_left), s.mul(rim(s, &reach, at_left), inverse));
+    let per_block = s.splat(1.0 / BLOCK as f32);
+    let first = s.floor(s.mul(s.add(s.splat(reach.x - left - reach.slack), first), per_block));
+    let last = s.floor(s.mul(s.add(s.splat(reach.x - left + reach.slack), last), per_block));
     // With NaN bounds the second operand is the result: the box of the footprint.
-    let first = s.min(s.max(first, splats(columns[0] as f32)), splats(columns[1] as f32 + 1.0));
-    let last = s.max(s.min(last, splats(columns[1] as f32)), splats(columns[0] as f32 - 1.0));
+    let first = s.min(s.max(first, s.splat(columns[0] as f32)), s.splat(columns[1] as f32));
+    let last = s.max(s.min(last, s.splat(columns[1] as f32 - 1.0)), s.splat(columns[0] as f32 - 1.0));
     (s.to_array_i32(s.to_i32(first)), s.to_array_i32(s.to_i32(last)))
 }
 
-/// Draws one splat on one block. True when that finished the block.
-#[inline(always)]
-fn composite<S: Simd, const EXTRAS: bool>(
-    s: S,
-    alpha: S::F32,
-    paint: &Paint<S>,
-    scratch: &mut Scratch,
-    block: usize,
-) -> bool {
-    let state = &mut scratch.state[block * STATE..][..STATE];
-    let alpha = s.min(alpha, s.splat(ALPHA_MAX));
-    let hit = s.le(s.splat(ALPHA_MIN), alpha);
-    let transmittance = s.load(state);
-    let mut weight = s.mul(s.select(hit, alpha, s.splat(0.0)), transmittance);
-    let mut left = s.sub(transmittance, weight);
-    // Finished pixels have no transmittance and stay below the threshold.
-    let below = s.bits(s.lt(left, s.splat(TRANSMITTANCE_MIN)));
-    let mut complete = false;
-    if below != scratch.done[block] {
-        let mut weights = s.to_array(weight);
-        let finished = &mut scratch.finished[block * LANES..][..LANES];
-        complete = finish(below, &mut scratch.done[block], &mut state[..LANES], finished, &mut weights);
-        weight = s.from_array(weights);
-        left = s.sub(s.load(state), weight);
-    }
-    s.store(left, state);
-    for channel in 0..3 {
-        let values = &mut state[(channel + 1) * LANES..][..LANES];
-        s.store(s.mul_add(weight, paint.rgb[channel], s.load(values)), values);
-    }
-    if EXTRAS {
-        let depth = &mut scratch.depth[block * LANES..][..LANES];
-        s.store(s.mul_add(weight, paint.depth, s.load(depth)), depth);
-        let count = &mut scratch.count[block * LANES..][..LANES];
-        let one = s.select(s.lt(s.splat(0.0), weight), s.splat(1.0), s.splat(0.0));
-        s.store(s.add(s.load(count), one), count);
-    }
-    complete
+/// The blocks of the tile that is drawn.
+struct Canvas<'a> {
+    blocks: *mut Block,
+    extras: *mut Extra,
+    done: *mut u16,
+    /// Blocks with a pixel that is not finished.
+    open: usize,
+    life: PhantomData<&'a mut Scratch>,
 }
 
-/// Finishes the pixels of `below` that are not in `done`: keeps their transmittance apart, gives this splat no weight on them.
+impl<'a> Canvas<'a> {
+    /// `scratch` was cleared for a tile.
+    #[inline(always)]
+    fn new(scratch: &mut Scratch) -> Canvas<'a> {
+        assert!(scratch.blocks.len() == BLOCKS && scratch.extras.len() == BLOCKS && scratch.done.len() == BLOCKS);
+        Canvas {
+            open: scratch.done.iter().filter(|&&done| done != ALL).count(),
+            blocks: scratch.blocks.as_mut_ptr(),
+            extras: scratch.extras.as_mut_ptr(),
+            done: scratch.done.as_mut_ptr(),
+            life: PhantomData,
+        }
+    }
+
+    /// # Safety
+    /// `at` is a block of the tile.
+    #[inline(always)]
+    unsafe fn is_finished(&self, at: usize) -> bool {
+        // SAFETY: the caller's.
+        unsafe { *self.done.add(at) == ALL }
+    }
+
+    /// Draws one splat on the blocks `columns` (first and end) of a row, separably.
+    ///
+    /// # Safety
+    /// They are blocks of the tile, and `down` and `across` have four values for each.
+    #[inline(always)]
+    unsafe fn blend_row<S: Simd, const EXTRAS: bool>(
+        &mut self,
+        s: S,
+        down: &[f32],
+        across: &[f32],
+        row: usize,
+        columns: [usize; 2],
+        paint: &Paint<S>,
+    ) {
+        // SAFETY: the caller's.
+        let along_y = unsafe { s.spread_four(down.as_ptr().add(row * BLOCK)) };
+        for column in columns[0]..columns[1] {
+            // SAFETY: the caller's.
+            unsafe {
+                let at = row * TILE[0] + column;
+                if !self.is_finished(at) {
+                    let alpha = s.mul(along_y, s.repeat_four(across.as_ptr().add(column * BLOCK)));
+                    self.composite::<S, EXTRAS>(s, alpha, paint, at);
+                }
+            }
+        }
+    }
+
+    /// Draws one splat on one block.
+    ///
+    /// # Safety
+    /// `at` is a block of the tile.
+    #[inline(always)]
+    unsafe fn composite<S: Simd, const EXTRAS: bool>(&mut self, s: S, alpha: S::F32, paint: &Paint<S>, at: usize) {
+        debug_assert!(at < BLOCKS);
+        // SAFETY: the caller's; nothing else refers to the block.
+        let block = unsafe { &mut *self.blocks.add(at) };
+        let alpha = s.min(alpha, s.splat(ALPHA_MAX));
+        let hit = s.le(s.splat(ALPHA_MIN), alpha);
+        let transmittance = s.load(&block.transmittance);
+        let mut weight = s.mul(s.keep(hit, alpha), transmittance);
+        let mut left = s.sub(transmittance, weight);
+        // A finished pixel has no transmittance and is not less than itself.
+        let below = s.lt(left, s.min(transmittance, s.splat(TRANSMITTANCE_MIN)));
+        if s.any(below) {
+            let mut weights = s.to_array(weight);
+            // SAFETY: the caller's; nothing else refers to them.
+            let (extra, done) = unsafe { (&mut *self.extras.add(at), &mut *self.done.add(at)) };
+            self.open -= usize::from(finish(s.bits(below), block, extra, done, &mut weights));
+            weight = s.from_array(weights);
+            left = s.sub(s.load(&block.transmittance), weight);
+        }
+        s.store(left, &mut block.transmittance);
+        for channel in 0..3 {
+            let values = &mut block.rgb[channel];
+            s.store(s.mul_add(weight, paint.rgb[channel], s.load(values)), values);
+        }
+        if EXTRAS {
+            // SAFETY: the caller's; nothing else refers to it.
+            let extra = unsafe { &mut *self.extras.add(at) };
+            s.store(s.mul_add(weight, paint.depth, s.load(&extra.depth)), &mut extra.depth);
+            let one = s.keep(s.lt(s.splat(0.0), weight), s.splat(1.0));
+            s.store(s.add(s.load(&extra.count), one), &mut extra.count);
+        }
+    }
+}
+
+/// Finishes the pixels of `below`: keeps their transmittance apart and gives this splat no weight on them.
 /// True when the block has no other pixels.
 #[cold]
 #[inline(never)]
-fn finish(
-    below: u16,
-    done: &mut u16,
-    transmittance: &mut [f32],
-    finished: &mut [f32],
-    weights: &mut [f32; LANES],
-) -> bool {
-    for lane in 0..LANES {
-        if (below & !*done) >> lane & 1 != 0 {
-            finished[lane] = transmittance[lane];
-            transmittance[lane] = 0.0;
-            weights[lane] = 0.0;
-        }
+fn finish(below: u16, block: &mut Block, extra: &mut Extra, done: &mut u16, weights: &mut [f32; LANES]) -> bool {
+    for lane in (0..LANES).filter(|lane| below >> lane & 1 != 0) {
+        extra.finished[lane] = block.transmittance[lane];
+        block.transmittance[lane] = 0.0;
+        weights[lane] = 0.0;
     }
     *done |= below;
     *done == ALL

@@ -1,11 +1,12 @@
-//! From a Gaussian in view space to what the blend needs of it.
+//! From Gaussians in view space to what the blend needs of them, sixteen at a time.
 
 use super::{Gaussians, Projection};
+use crate::simd::{LANES, Simd};
 
 /// Sides of the square blocks of pixels that the blend works on, aligned to the image's corner.
 pub(super) const BLOCK: usize = 4;
 /// Added to both variances of a footprint, px² (the low-pass filter of EWA splatting).
-pub(super) const LOW_PASS: f64 = 0.3;
+const LOW_PASS: f64 = 0.3;
 /// An alpha below this is skipped.
 pub(super) const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// An alpha above this is lowered to it.
@@ -15,11 +16,12 @@ pub(super) const TRANSMITTANCE_MIN: f32 = 1e-4;
 
 /// `½·log₂e`: the footprint is kept so that α = opacity · 2^−(t² + s²), without a factor.
 const HALF_LOG2_E: f64 = 0.721_347_520_444_481_7;
+const ROOT_HALF_LOG2_E: f32 = 0.849_321_8;
 /// Added to the exponent at which a footprint ends, so that no rounding in the blend reaches beyond it.
-const EXPONENT_MARGIN: f64 = 0.02;
-/// Centres farther out than this many pixels are brought in to it, together with their footprints: seen from the image, which is at
-/// most 2¹⁶ pixels wide, that changes the distance measured in standard deviations by less than one part in 10⁴, and far less where images
-/// are smaller. It keeps binary32 from overflowing.
+const EXPONENT_MARGIN: f32 = 0.02;
+/// Centres farther out than this many pixels are brought in to it, together with their footprints: seen from the image, which
+/// is at most 2¹⁶ pixels wide, that changes the distance measured in standard deviations by less than one part in 10⁴, and
+/// far less where images are smaller. It keeps binary32 from overflowing.
 const FARTHEST: f64 = 1_073_741_824.0;
 
 /// A projected Gaussian: one cache line.
@@ -30,8 +32,10 @@ const FARTHEST: f64 = 1_073_741_824.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct Splat {
-    pub u: f64,
-    pub v: f64,
+    /// The centre's u as a whole number and the rest.
+    pub x: [f32; 2],
+    /// The centre's v as a whole number and the rest.
+    pub y: [f32; 2],
     pub k: f64,
     pub p: f32,
     pub q: f32,
@@ -49,8 +53,8 @@ const _: () = assert!(size_of::<Splat>() == 64);
 
 impl Splat {
     pub(super) const HIDDEN: Splat = Splat {
-        u: 0.0,
-        v: 0.0,
+        x: [0.0; 2],
+        y: [0.0; 2],
         k: 0.0,
         p: 0.0,
         q: 0.0,
@@ -70,10 +74,19 @@ impl Splat {
     /// Whether both records have the same bits.
     #[inline(always)]
     pub(super) fn same_bits(&self, other: &Splat) -> bool {
-        let centre = |s: &Splat| [s.u, s.v, s.k].map(f64::to_bits);
-        let rest = |s: &Splat| [s.p, s.q, s.opacity, s.reach, s.rgb[0], s.rgb[1], s.rgb[2], s.depth].map(f32::to_bits);
-        let bounds = |s: &Splat| [s.columns, s.rows];
-        centre(self) == centre(other) && rest(self) == rest(other) && bounds(self) == bounds(other)
+        let words = |s: &Splat| {
+            let bits = |a: f32, b: f32| u64::from(a.to_bits()) << 32 | u64::from(b.to_bits());
+            [
+                bits(s.x[0], s.x[1]),
+                bits(s.y[0], s.y[1]),
+                s.k.to_bits(),
+                bits(s.p, s.q),
+                bits(s.opacity, s.reach),
+                bits(s.rgb[0], s.rgb[1]),
+                bits(s.rgb[2], s.depth),
+            ]
+        };
+        words(self) == words(other) && self.columns == other.columns && self.rows == other.rows
     }
 }
 
@@ -87,17 +100,6 @@ pub(super) struct View {
     pub separable: bool,
 }
 
-/// What became of a Gaussian.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Outcome {
-    /// It can change a pixel.
-    Visible,
-    /// It cannot: behind the camera, outside the image, or too transparent.
-    Culled,
-    /// A field of it is not finite.
-    Dropped,
-}
-
 /// `x` in two parts that add up to it: a whole number (where |x| < 2²⁴; otherwise `x` rounded) and the rest.
 ///
 /// A pixel's coordinate minus the first part is exact, so the distance to `x` is as precise far from the image's corner
@@ -107,16 +109,6 @@ pub(super) fn split(x: f64) -> (f32, f32) {
     const MAGIC: f64 = 6_755_399_441_055_744.0;
     let whole = ((x + MAGIC) - MAGIC) as f32;
     (whole, (x - f64::from(whole)) as f32)
-}
-
-/// At least `log₂ x`, at most 0.09 above it, for positive normal `x`.
-#[inline(always)]
-fn log2_above(x: f64) -> f64 {
-    let bits = x.to_bits();
-    let exponent = ((bits >> 52) as i64 - 1023) as f64;
-    let mantissa = f64::from_bits((bits & ((1 << 52) - 1)) | (1023 << 52));
-    // log₂(1 + m) exceeds m by at most 0.08608.
-    exponent + (mantissa - 1.0) + 0.0861
 }
 
 /// The rotation matrix of a quaternion (w, x, y, z), taken as it is: not normalised.
@@ -130,134 +122,264 @@ pub(super) fn rotation(q: [f64; 4]) -> [[f64; 3]; 3] {
     ]
 }
 
-#[inline(always)]
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+type Lanes = [f32; LANES];
+
+/// Up to sixteen projected Gaussians, field by field.
+pub(super) struct Batch {
+    /// Gaussians that can change a pixel, bit by bit.
+    pub visible: u16,
+    /// Gaussians with a field that is not finite.
+    pub dropped: u16,
+    u: [f64; LANES],
+    v: [f64; LANES],
+    k: [f64; LANES],
+    x: [Lanes; 2],
+    y: [Lanes; 2],
+    p: Lanes,
+    q: Lanes,
+    reach: Lanes,
+    columns: [[i32; LANES]; 2],
+    rows: [[i32; LANES]; 2],
 }
 
+/// The columns of an array of vectors, from `first`; lanes past the end hold zero.
 #[inline(always)]
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+fn transposed<const N: usize>(from: &[[f32; N]], first: usize) -> [Lanes; N] {
+    let mut lanes = [[0.0; LANES]; N];
+    let from = &from[first..];
+    for (i, vector) in from.iter().enumerate().take(LANES) {
+        for (lane, &value) in lanes.iter_mut().zip(vector) {
+            lane[i] = value;
+        }
+    }
+    lanes
 }
 
-/// First and last block of the pixels within `radius` of `centre` in an image of `size` pixels; `None` when there are none.
+/// Zero where every value so far was finite, NaN elsewhere.
 #[inline(always)]
-fn blocks(centre: f64, radius: f64, size: usize) -> Option<[u16; 2]> {
-    let last = size as f64 - 1.0;
-    let (from, to) = (centre - radius, centre + radius);
-    if !(from <= last && to >= 0.0) {
-        return None;
+fn poison<S: Simd, const N: usize>(s: S, mut sum: S::F32, values: &[Lanes; N]) -> S::F32 {
+    for values in values {
+        let v = s.from_array(*values);
+        sum = s.add(sum, s.sub(v, v));
     }
-    // Pixels are whole numbers: nothing is drawn before the next one above `from` or after the next one below `to`.
-    let from = if from > 0.0 { from } else { 0.0 };
-    let to = if to < last { to } else { last };
-    let first_pixel = from as usize + usize::from((from as usize as f64) < from);
-    let last_pixel = to as usize;
-    (first_pixel <= last_pixel).then_some([(first_pixel / BLOCK) as u16, (last_pixel / BLOCK) as u16])
+    sum
 }
 
-/// Projects Gaussian `i`.
-///
-/// Everything up to the record's fields is binary64 in the order written here. The determinant of the footprint's
-/// covariance is a sum of squares, `|m₁ × m₂|² + 0.3(|m₁|² + |m₂|²) + 0.09` with `m₁, m₂` the rows of `J·R·S`, so needles
-/// do not cancel.
+/// `log₂ 255`, the largest excess of log₂(1 + m) over m, and the margin.
+const REACH: f32 = 7.994_354 + 0.0861 + EXPONENT_MARGIN;
+
+/// At least `log₂(255·opacity)`, at most 0.11 above it, for opacities from 1/255.
 #[inline(always)]
-pub(super) fn project(gaussians: &Gaussians<'_>, i: usize, view: &View) -> (Splat, Outcome) {
-    let (mean, scale, rgb, opacity) = (gaussians.mean[i], gaussians.scale[i], gaussians.rgb[i], gaussians.opacity[i]);
-    let turn = gaussians.rotation.map_or([1.0, 0.0, 0.0, 0.0], |r| r[i]);
-    // A product with zero is zero exactly where a number is finite.
-    let finite = (mean[0] * 0.0 + mean[1] * 0.0 + mean[2] * 0.0)
-        + (scale[0] * 0.0 + scale[1] * 0.0 + scale[2] * 0.0)
-        + (rgb[0] * 0.0 + rgb[1] * 0.0 + rgb[2] * 0.0)
-        + (turn[0] * 0.0 + turn[1] * 0.0 + turn[2] * 0.0 + turn[3] * 0.0)
-        + opacity * 0.0
-        == 0.0;
-    if !finite {
-        return (Splat::HIDDEN, Outcome::Dropped);
+fn reach<S: Simd>(s: S, opacity: S::F32) -> S::F32 {
+    let bits = s.to_bits(opacity);
+    let exponent = s.to_f32(s.sub_i32(s.shr::<23>(bits), s.splat_i32(127)));
+    let fraction = s.or_i32(s.and_i32(bits, s.splat_i32(0x007f_ffff)), s.splat_i32(0x3f80_0000));
+    let mantissa = s.sub(s.from_bits(fraction), s.splat(1.0));
+    s.add(s.add(exponent, mantissa), s.splat(REACH))
+}
+
+/// First and last block of the pixels within `radius` of `centre` in an image of `size` pixels, and whether there are any.
+#[inline(always)]
+fn blocks<S: Simd>(s: S, centre: S::F32, radius: S::F32, size: usize) -> ([[i32; LANES]; 2], S::Mask) {
+    let (zero, last) = (s.splat(0.0), s.splat(size as f32 - 1.0));
+    let slack = s.mul_add(s.add(s.abs(centre), radius), s.splat(1e-6), s.splat(0.01));
+    let extent = s.add(radius, slack);
+    // The first operand loses to the second where it is NaN.
+    let from = s.max(s.sub(centre, extent), zero);
+    let to = s.min(s.add(centre, extent), last);
+    // Pixels are whole numbers: the next one from `from` up, the next one from `to` down.
+    let from = s.neg(s.floor(s.neg(from)));
+    let to = s.floor(to);
+    let some = s.le(from, to);
+    let block = |pixel: S::F32| s.to_array_i32(s.to_i32(s.mul(s.min(s.max(pixel, zero), last), s.splat(0.25))));
+    ([block(from), block(to)], some)
+}
+
+impl Batch {
+    /// Projects Gaussians `first ..` (as many as there are, at most sixteen) separably.
+    ///
+    /// Binary32: `u` in two parts by fused multiply-adds, `a = (f·s)² + 0.3`, `p = √(½log₂e)/√a`.
+    #[inline(always)]
+    pub(super) fn separable<S: Simd>(
+        s: S,
+        gaussians: &Gaussians<'_>,
+        first: usize,
+        focal: [f32; 2],
+        view: &View,
+    ) -> Self {
+        let mean = transposed(gaussians.mean, first);
+        let scale = transposed(gaussians.scale, first);
+        let rgb = transposed(gaussians.rgb, first);
+        let opacity = s.load_partial(&gaussians.opacity[first..], 0.0);
+        let poisoned = poison(s, poison(s, poison(s, s.sub(opacity, opacity), &mean), &scale), &rgb);
+        let finite = match gaussians.rotation {
+            // The vector part is zero: the scene is separable.
+            Some(rotation) => poison(s, poisoned, &transposed(rotation, first)),
+            None => poisoned,
+        };
+        let finite = s.eq(finite, s.splat(0.0));
+        let reach = reach(s, opacity);
+        let radius = s.mul(s.sqrt(reach), s.splat(1.0 / ROOT_HALF_LOG2_E));
+        let [(x, p, columns, seen_x), (y, q, rows, seen_y)] = std::array::from_fn(|axis| {
+            let size = [view.width, view.height][axis];
+            let (f, middle) = (s.splat(focal[axis]), s.splat((size as f32 - 1.0) * 0.5));
+            let mean = s.from_array(mean[axis]);
+            let centre = s.mul_add(f, mean, middle);
+            let whole = s.round(centre);
+            let rest = s.mul_add(f, mean, s.sub(middle, whole));
+            let sigma = s.mul(f, s.from_array(scale[axis]));
+            let root = s.sqrt(s.mul_add(sigma, sigma, s.splat(LOW_PASS as f32)));
+            // The square of a very long axis may overflow.
+            let long = s.lt(s.splat(1e9), s.abs(sigma));
+            let root = s.select(long, s.abs(sigma), root);
+            let p = s.div(s.splat(ROOT_HALF_LOG2_E), root);
+            let (blocks, some) = blocks(s, centre, s.mul(radius, root), size);
+            let seen = s.and(some, s.lt(s.abs(centre), s.splat(1e30)));
+            ([s.to_array(whole), s.to_array(rest)], s.to_array(p), blocks, seen)
+        });
+        let ahead = s.lt(s.splat(0.0), s.from_array(mean[2]));
+        let opaque = s.le(s.splat(ALPHA_MIN), opacity);
+        let visible = s.and(s.and(finite, s.and(ahead, opaque)), s.and(seen_x, seen_y));
+        Self {
+            visible: s.bits(visible),
+            dropped: !s.bits(finite) & Self::present(gaussians, first),
+            u: [0.0; LANES],
+            v: [0.0; LANES],
+            k: [0.0; LANES],
+            x,
+            y,
+            p,
+            q,
+            reach: s.to_array(reach),
+            columns,
+            rows,
+        }
     }
-    if opacity < ALPHA_MIN {
-        return (Splat::HIDDEN, Outcome::Culled);
-    }
-    let [x, y, z] = mean.map(f64::from);
-    let scale = scale.map(f64::from);
-    let reach = log2_above(255.0 * f64::from(opacity)) + EXPONENT_MARGIN;
-    let (centre, a, c, p, k, q);
-    match view.projection {
-        Projection::Orthographic { focal } => {
-            if z <= 0.0 {
-                return (Splat::HIDDEN, Outcome::Culled);
-            }
-            let [fx, fy] = focal.map(f64::from);
-            centre = [fx * x + (view.width as f64 - 1.0) / 2.0, fy * y + (view.height as f64 - 1.0) / 2.0];
-            if view.separable {
-                let (sx, sy) = (fx * scale[0], fy * scale[1]);
-                a = sx * sx + LOW_PASS;
-                c = sy * sy + LOW_PASS;
-                p = (HALF_LOG2_E / a).sqrt();
-                k = 0.0;
-                q = (HALF_LOG2_E / c).sqrt();
+
+    /// Projects Gaussians `first ..` (as many as there are, at most sixteen).
+    ///
+    /// Binary64 in the order written here. The determinant of the footprint's covariance is a sum of squares,
+    /// `|m₁ × m₂|² + 0.3(|m₁|² + |m₂|²) + 0.09` with `m₁, m₂` the rows of `J·R·S`, so needles do not cancel.
+    #[inline(always)]
+    pub(super) fn general<S: Simd, const PINHOLE: bool>(
+        s: S,
+        gaussians: &Gaussians<'_>,
+        first: usize,
+        focal: [f32; 2],
+        centre: [f64; 2],
+        view: &View,
+    ) -> Self {
+        let mean = transposed(gaussians.mean, first);
+        let scale = transposed(gaussians.scale, first);
+        let rgb = transposed(gaussians.rgb, first);
+        let opacity = s.load_partial(&gaussians.opacity[first..], 0.0);
+        let turn = gaussians.rotation.map_or([[0.0; LANES]; 4], |r| transposed(r, first));
+        let poisoned = poison(s, poison(s, poison(s, s.sub(opacity, opacity), &mean), &scale), &rgb);
+        let finite = s.eq(poison(s, poisoned, &turn), s.splat(0.0));
+        let [fx, fy] = focal.map(f64::from);
+        let [mut u, mut v, mut k] = [[0.0_f64; LANES]; 3];
+        let [mut a, mut c, mut p, mut q, mut whole, mut middle, mut sound] = [[0.0_f32; LANES]; 7];
+        for l in 0..LANES {
+            let [x, y, z] = [f64::from(mean[0][l]), f64::from(mean[1][l]), f64::from(mean[2][l])];
+            let r = rotation([turn[0][l].into(), turn[1][l].into(), turn[2][l].into(), turn[3][l].into()]);
+            let [sx, sy, sz] = [f64::from(scale[0][l]), f64::from(scale[1][l]), f64::from(scale[2][l])];
+            let m = [
+                [r[0][0] * sx, r[0][1] * sy, r[0][2] * sz],
+                [r[1][0] * sx, r[1][1] * sy, r[1][2] * sz],
+                [r[2][0] * sx, r[2][1] * sy, r[2][2] * sz],
+            ];
+            let (m1, m2);
+            if PINHOLE {
+                let inverse = 1.0 / z;
+                let (tx, ty, jx, jy) = (x * inverse, y * inverse, fx * inverse, fy * inverse);
+                u[l] = fx * tx + centre[0];
+                v[l] = fy * ty + centre[1];
+                m1 = [jx * (m[0][0] - tx * m[2][0]), jx * (m[0][1] - tx * m[2][1]), jx * (m[0][2] - tx * m[2][2])];
+                m2 = [jy * (m[1][0] - ty * m[2][0]), jy * (m[1][1] - ty * m[2][1]), jy * (m[1][2] - ty * m[2][2])];
             } else {
-                let m = rotated(turn, scale);
-                (a, c, p, k, q) = footprint(m[0].map(|v| fx * v), m[1].map(|v| fy * v));
+                u[l] = fx * x + centre[0];
+                v[l] = fy * y + centre[1];
+                m1 = [fx * m[0][0], fx * m[0][1], fx * m[0][2]];
+                m2 = [fy * m[1][0], fy * m[1][1], fy * m[1][2]];
             }
+            let n = [m1[1] * m2[2] - m1[2] * m2[1], m1[2] * m2[0] - m1[0] * m2[2], m1[0] * m2[1] - m1[1] * m2[0]];
+            let aa = m1[0] * m1[0] + m1[1] * m1[1] + m1[2] * m1[2];
+            let bb = m1[0] * m2[0] + m1[1] * m2[1] + m1[2] * m2[2];
+            let cc = m2[0] * m2[0] + m2[1] * m2[1] + m2[2] * m2[2];
+            let nn = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
+            let det = nn + LOW_PASS * (aa + cc) + LOW_PASS * LOW_PASS;
+            let variance = [aa + LOW_PASS, cc + LOW_PASS];
+            let inverse = 1.0 / variance[1];
+            k[l] = bb * inverse;
+            // Far centres are brought in, and their footprints with them.
+            let (far_x, far_y) = ((u[l].abs() * (1.0 / FARTHEST)).max(1.0), (v[l].abs() * (1.0 / FARTHEST)).max(1.0));
+            let (slope, height) = ((HALF_LOG2_E * (variance[1] / det)).sqrt(), (HALF_LOG2_E * inverse).sqrt());
+            p[l] = (slope * far_x) as f32;
+            q[l] = (height * far_y) as f32;
+            whole[l] = u[l] as f32;
+            middle[l] = v[l] as f32;
+            a[l] = variance[0] as f32;
+            c[l] = variance[1] as f32;
+            sound[l] = ((u[l] * 0.0 + v[l] * 0.0) + (slope * 0.0 + k[l] * 0.0) + height * 0.0) as f32;
+            k[l] *= far_y / far_x;
+            u[l] /= far_x;
+            v[l] /= far_y;
         }
-        Projection::Pinhole { focal, centre: [cx, cy] } => {
-            if z <= 1e-6 {
-                return (Splat::HIDDEN, Outcome::Culled);
-            }
-            let [fx, fy] = focal.map(f64::from);
-            let inverse = 1.0 / z;
-            let (tx, ty) = (x * inverse, y * inverse);
-            centre = [fx * tx + f64::from(cx), fy * ty + f64::from(cy)];
-            let m = rotated(turn, scale);
-            let (jx, jy) = (fx * inverse, fy * inverse);
-            let row = |j: f64, slope: f64, own: [f64; 3]| {
-                [j * (own[0] - slope * m[2][0]), j * (own[1] - slope * m[2][1]), j * (own[2] - slope * m[2][2])]
-            };
-            (a, c, p, k, q) = footprint(row(jx, tx, m[0]), row(jy, ty, m[1]));
+        let reach = reach(s, opacity);
+        let radius = s.mul(s.sqrt(reach), s.splat(1.0 / ROOT_HALF_LOG2_E));
+        let (columns, seen_x) = blocks(s, s.from_array(whole), s.mul(radius, s.sqrt(s.from_array(a))), view.width);
+        let (rows, seen_y) = blocks(s, s.from_array(middle), s.mul(radius, s.sqrt(s.from_array(c))), view.height);
+        let nearest = if PINHOLE { 1e-6 } else { 0.0 };
+        let ahead = s.lt(s.splat(nearest), s.from_array(mean[2]));
+        let opaque = s.le(s.splat(ALPHA_MIN), opacity);
+        let sound = s.eq(s.from_array(sound), s.splat(0.0));
+        let visible = s.and(s.and(finite, s.and(ahead, opaque)), s.and(sound, s.and(seen_x, seen_y)));
+        Self {
+            visible: s.bits(visible),
+            dropped: !s.bits(finite) & Self::present(gaussians, first),
+            u,
+            v,
+            k,
+            x: [[0.0; LANES]; 2],
+            y: [[0.0; LANES]; 2],
+            p,
+            q,
+            reach: s.to_array(reach),
+            columns,
+            rows,
         }
     }
-    let [u, v] = centre;
-    if (u * 0.0 + v * 0.0) + (a * 0.0 + c * 0.0) + (p * 0.0 + k * 0.0 + q * 0.0) != 0.0 {
-        return (Splat::HIDDEN, Outcome::Culled);
+
+    /// The lanes that hold a Gaussian.
+    #[inline(always)]
+    fn present(gaussians: &Gaussians<'_>, first: usize) -> u16 {
+        ((1_u32 << (gaussians.len() - first).min(LANES)) - 1) as u16
     }
-    let squared = reach / HALF_LOG2_E;
-    let columns = blocks(u, (squared * a).sqrt(), view.width);
-    let rows = blocks(v, (squared * c).sqrt(), view.height);
-    let (Some(columns), Some(rows)) = (columns, rows) else {
-        return (Splat::HIDDEN, Outcome::Culled);
-    };
-    let (far_x, far_y) = ((u.abs() / FARTHEST).max(1.0), (v.abs() / FARTHEST).max(1.0));
-    let splat = Splat {
-        u: u / far_x,
-        v: v / far_y,
-        k: k * (far_y / far_x),
-        p: (p * far_x) as f32,
-        q: (q * far_y) as f32,
-        opacity,
-        reach: reach as f32,
-        rgb,
-        depth: mean[2],
-        columns,
-        rows,
-    };
-    (splat, Outcome::Visible)
-}
 
-/// `R·S`, row major.
-#[inline(always)]
-fn rotated(turn: [f32; 4], scale: [f64; 3]) -> [[f64; 3]; 3] {
-    rotation(turn.map(f64::from)).map(|row| [row[0] * scale[0], row[1] * scale[1], row[2] * scale[2]])
-}
-
-/// Variances `a`, `c` along x and y of the footprint with rows `m1`, `m2`, and the factor `(p, k, q)` of half its conic:
-/// `½log₂e · dᵀΣ⁻¹d = (p·(dx − k·dy))² + (q·dy)²`.
-#[inline(always)]
-fn footprint(m1: [f64; 3], m2: [f64; 3]) -> (f64, f64, f64, f64, f64) {
-    let (aa, b, cc, n) = (dot(m1, m1), dot(m1, m2), dot(m2, m2), cross(m1, m2));
-    let det = dot(n, n) + LOW_PASS * (aa + cc) + LOW_PASS * LOW_PASS;
-    let (a, c) = (aa + LOW_PASS, cc + LOW_PASS);
-    let inverse = 1.0 / c;
-    let p = (HALF_LOG2_E * (c / det)).sqrt();
-    (a, c, p, b * inverse, (HALF_LOG2_E * inverse).sqrt())
+    /// The record of lane `l`, Gaussian `i`.
+    #[inline(always)]
+    pub(super) fn splat<const SEPARABLE: bool>(&self, gaussians: &Gaussians<'_>, l: usize, i: usize) -> Splat {
+        if self.visible >> l & 1 == 0 {
+            return Splat::HIDDEN;
+        }
+        let (x, y) = if SEPARABLE {
+            ([self.x[0][l], self.x[1][l]], [self.y[0][l], self.y[1][l]])
+        } else {
+            let (x, y) = (split(self.u[l]), split(self.v[l]));
+            ([x.0, x.1], [y.0, y.1])
+        };
+        Splat {
+            x,
+            y,
+            k: self.k[l],
+            p: self.p[l],
+            q: self.q[l],
+            opacity: gaussians.opacity[i],
+            reach: self.reach[l],
+            rgb: gaussians.rgb[i],
+            depth: gaussians.mean[i][2],
+            columns: [self.columns[0][l] as u16, self.columns[1][l] as u16],
+            rows: [self.rows[0][l] as u16, self.rows[1][l] as u16],
+        }
+    }
 }

@@ -7,12 +7,12 @@ use rayon::prelude::*;
 
 use super::bin::Grid;
 use super::blend::{DrawTile, Planes, Scratch, Tally};
-use super::project::{Outcome, Splat, View, project};
+use super::project::{Batch, Splat, View};
 use super::sort::{Entry, by_depth};
 use super::{Gaussians, Image, MAX_SIDE, Projection, Request};
 use crate::level::Level;
 use crate::parallel::Disjoint;
-use crate::simd::{Operation, Simd, dispatch};
+use crate::simd::{LANES, Operation, Simd, dispatch};
 
 /// Work done and avoided by the last [`Renderer::render`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -39,7 +39,9 @@ pub struct Work {
     pub project: Duration,
     /// Time of filling the lists.
     pub bin: Duration,
-    /// Time of sorting and blending.
+    /// Time of sorting the lists: the part that it took of the threads' time in the last stage.
+    pub sort: Duration,
+    /// Time of blending: the rest of the last stage.
     pub blend: Duration,
 }
 
@@ -71,6 +73,7 @@ struct Last {
 
 /// Gaussians of a chunk when there are few; there are at most `MOST_CHUNKS` chunks.
 const CHUNK: usize = 2048;
+const _: () = assert!(CHUNK % LANES == 0);
 const MOST_CHUNKS: usize = 64;
 
 /// Whether the rotation leaves everything in place.
@@ -151,17 +154,19 @@ impl Renderer {
         self.bin(grid, keep);
         let binned = Instant::now();
         self.prepare_image(&request, keep);
-        self.blend(&view, &request, grid);
+        let sorting = self.blend(&view, &request, grid);
         self.work.project = projected - start;
         self.work.bin = binned - projected;
-        self.work.blend = binned.elapsed();
+        let rest = binned.elapsed();
+        self.work.sort = rest.mul_f64(sorting);
+        self.work.blend = rest - self.work.sort;
         self.image.dropped = self.work.dropped;
         self.last = Some(now);
         &self.image
     }
 
     fn chunk(&self) -> usize {
-        self.splats.len().div_ceil(MOST_CHUNKS).max(CHUNK)
+        self.splats.len().div_ceil(MOST_CHUNKS).max(CHUNK).next_multiple_of(LANES)
     }
 
     /// Fills `splats`, `dirty` and, where everything is new, `counts`.
@@ -261,8 +266,8 @@ impl Renderer {
         image.blended = plane(request.statistics, image.blended.take(), pixels);
     }
 
-    /// Sorts and draws the dirty tiles, longest lists first.
-    fn blend(&mut self, view: &View, request: &Request, grid: Grid) {
+    /// Sorts and draws the dirty tiles, longest lists first. Gives the fraction of the threads' time that went into sorting.
+    fn blend(&mut self, view: &View, request: &Request, grid: Grid) -> f64 {
         let starts = &self.starts;
         self.order.clear();
         self.order.extend((0..grid.len() as u32).filter(|&tile| self.dirty[tile as usize].load(Ordering::Relaxed)));
@@ -290,16 +295,24 @@ impl Renderer {
                 let tile = tile as usize;
                 // SAFETY: a tile is taken once, and lists of tiles do not overlap.
                 let list = unsafe { entries.part(starts[tile] as usize..starts[tile + 1] as usize) };
+                let start = Instant::now();
                 by_depth(list, &mut scratch.spare);
+                let sorted = Instant::now();
                 let (column, row) = (tile % grid.columns, tile / grid.columns);
                 let separable = view.separable;
                 dispatch(level, DrawTile { splats, list, separable, column, row, planes: &planes, scratch });
+                scratch.tally.sort += sorted - start;
+                scratch.tally.blend += sorted.elapsed();
             }
         });
+        let (mut sort, mut blend) = (Duration::ZERO, Duration::ZERO);
         for scratch in &self.scratch {
+            sort += scratch.tally.sort;
+            blend += scratch.tally.blend;
             self.work.blocks += scratch.tally.blocks;
             self.work.entries_unseen += scratch.tally.unseen;
         }
+        sort.as_secs_f64() / (sort + blend).as_secs_f64().max(1e-9)
     }
 }
 
@@ -318,23 +331,51 @@ struct ProjectChunk<'a> {
 impl Operation for ProjectChunk<'_> {
     type Output = [u64; 3];
     #[inline(always)]
-    fn run<S: Simd>(self, _: S) -> [u64; 3] {
-        let [mut dropped, mut culled, mut changed] = [0; 3];
-        let mark = |splat: &Splat| self.grid.for_each_tile(splat, |t| self.dirty[t].store(true, Ordering::Relaxed));
-        for (i, old) in self.splats.iter_mut().enumerate() {
-            let (splat, outcome) = project(self.gaussians, self.first + i, self.view);
-            dropped += u64::from(outcome == Outcome::Dropped);
-            culled += u64::from(outcome == Outcome::Culled);
+    fn run<S: Simd>(mut self, s: S) -> [u64; 3] {
+        let (gaussians, view) = (self.gaussians, self.view);
+        let middle = [view.width, view.height].map(|size| (size as f64 - 1.0) / 2.0);
+        let mut tally = [0; 3];
+        for start in (0..self.splats.len()).step_by(LANES) {
+            let first = self.first + start;
+            match view.projection {
+                Projection::Orthographic { focal } if view.separable => {
+                    let batch = Batch::separable(s, gaussians, first, focal, view);
+                    self.take::<true>(&batch, start, &mut tally);
+                }
+                Projection::Orthographic { focal } => {
+                    let batch = Batch::general::<S, false>(s, gaussians, first, focal, middle, view);
+                    self.take::<false>(&batch, start, &mut tally);
+                }
+                Projection::Pinhole { focal, centre } => {
+                    let batch = Batch::general::<S, true>(s, gaussians, first, focal, centre.map(f64::from), view);
+                    self.take::<false>(&batch, start, &mut tally);
+                }
+            }
+        }
+        tally
+    }
+}
+
+impl ProjectChunk<'_> {
+    #[inline(always)]
+    fn take<const SEPARABLE: bool>(&mut self, batch: &Batch, start: usize, tally: &mut [u64; 3]) {
+        let lanes = LANES.min(self.splats.len() - start);
+        let dropped = batch.dropped.count_ones();
+        tally[0] += u64::from(dropped);
+        tally[1] += lanes as u64 - u64::from(dropped + batch.visible.count_ones());
+        for l in 0..lanes {
+            let splat = batch.splat::<SEPARABLE>(self.gaussians, l, self.first + start + l);
+            let old = &mut self.splats[start + l];
             if !self.keep {
                 self.grid.for_each_tile(&splat, |tile| self.counts[tile] += 1);
                 *old = splat;
             } else if !splat.same_bits(old) {
-                changed += 1;
-                mark(old);
-                mark(&splat);
+                tally[2] += 1;
+                for splat in [&*old, &splat] {
+                    self.grid.for_each_tile(splat, |tile| self.dirty[tile].store(true, Ordering::Relaxed));
+                }
                 *old = splat;
             }
         }
-        [dropped, culled, changed]
     }
 }

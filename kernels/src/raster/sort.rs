@@ -11,7 +11,8 @@ pub(super) struct Entry {
 /// Lists up to this long are sorted by insertion.
 const SHORT: usize = 24;
 /// Bits of a key that one pass looks at.
-const DIGIT: u32 = 8;
+const DIGIT: u32 = 9;
+const MASK: u32 = (1 << DIGIT) - 1;
 
 /// Sorts `list` by key, keeping the order of equal keys (lower index first, as lists are filled in index order).
 ///
@@ -44,7 +45,7 @@ pub(super) fn by_depth(list: &mut [Entry], spare: &mut Vec<Entry>) {
     for entry in list.iter() {
         let key = entry.key - least;
         for (pass, count) in counts.iter_mut().enumerate().take(passes) {
-            count[(key >> (DIGIT * pass as u32) & 0xff) as usize] += 1;
+            count[(key >> (DIGIT * pass as u32) & MASK) as usize] += 1;
         }
     }
     if spare.len() < list.len() {
@@ -59,7 +60,7 @@ pub(super) fn by_depth(list: &mut [Entry], spare: &mut Vec<Entry>) {
         let shift = DIGIT * pass as u32;
         let (from, to): (&[Entry], &mut [Entry]) = if pass % 2 == 0 { (list, other) } else { (other, list) };
         for entry in from {
-            let slot = &mut count[((entry.key - least) >> shift & 0xff) as usize];
+            let slot = &mut count[((entry.key - least) >> shift & MASK) as usize];
             to[*slot as usize] = *entry;
             *slot += 1;
         }

@@ -188,6 +188,11 @@ impl Simd for Avx2 {
         both!(F, _mm256_blendv_ps, b, a, m)
     }
     #[inline(always)]
+    fn keep(self, mask: I, a: F) -> F {
+        let m = self.from_bits(mask);
+        both!(F, _mm256_and_ps, a, m)
+    }
+    #[inline(always)]
     fn splat_i32(self, x: i32) -> I {
         // SAFETY: the token proves AVX2.
         let v = unsafe { _mm256_set1_epi32(x) };
@@ -286,6 +291,18 @@ impl Simd for Avx2 {
         // SAFETY: the token proves AVX2.
         let (low, high) = unsafe { (_mm256_movemask_ps(m.0), _mm256_movemask_ps(m.1)) };
         (low | high << 8) as u16
+    }
+    #[inline(always)]
+    fn any(self, a: I) -> bool {
+        let m = self.from_bits(a);
+        // SAFETY: the token proves AVX2.
+        unsafe { _mm256_movemask_ps(_mm256_or_ps(m.0, m.1)) != 0 }
+    }
+    #[inline(always)]
+    fn all(self, a: I) -> bool {
+        let m = self.from_bits(a);
+        // SAFETY: the token proves AVX2.
+        unsafe { _mm256_movemask_ps(_mm256_and_ps(m.0, m.1)) == 0xff }
     }
     #[inline(always)]
     fn mask_from_bits(self, bits: u16) -> I {

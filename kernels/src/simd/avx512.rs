@@ -150,6 +150,10 @@ impl Simd for Avx512 {
         op!(_mm512_mask_blend_ps(mask, b, a))
     }
     #[inline(always)]
+    fn keep(self, mask: M, a: F) -> F {
+        op!(_mm512_maskz_mov_ps(mask, a))
+    }
+    #[inline(always)]
     fn splat_i32(self, x: i32) -> I {
         op!(_mm512_set1_epi32(x))
     }

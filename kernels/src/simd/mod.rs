@@ -162,6 +162,11 @@ pub trait Simd: Copy + Send + Sync + 'static {
     fn eq(self, a: Self::F32, b: Self::F32) -> Self::Mask;
     /// `mask ? a : b`
     fn select(self, mask: Self::Mask, a: Self::F32, b: Self::F32) -> Self::F32;
+    /// `mask ? a : +0`
+    #[inline(always)]
+    fn keep(self, mask: Self::Mask, a: Self::F32) -> Self::F32 {
+        self.select(mask, a, self.splat(0.0))
+    }
 
     /// All lanes `x`.
     fn splat_i32(self, x: i32) -> Self::I32;

@@ -1,0 +1,268 @@
+//! `raster`: drawing whole scenes, redrawing after a change, and growth with the number of Gaussians.
+
+mod scenes;
+
+use std::process::Command;
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Args;
+use serde::{Deserialize, Serialize};
+use streamsplat_kernels::Level;
+use streamsplat_kernels::raster::{Renderer, Work, reference};
+
+use crate::Common;
+use crate::machine::{Machine, peak_f32};
+use crate::timing::{Seconds, once};
+use scenes::Scene;
+
+/// Options of `raster`.
+#[derive(Args)]
+pub(crate) struct Options {
+    #[command(flatten)]
+    common: Common,
+    /// Only scenes whose name contains this.
+    #[arg(long, default_value = "")]
+    only: String,
+    /// Most Gaussians of the growth measurement (0: leave it out).
+    #[arg(long, default_value_t = 10_000_000)]
+    largest: usize,
+    /// Measure one step of the growth measurement and print it (used by the command itself).
+    #[arg(long, hide = true)]
+    step: Option<usize>,
+}
+
+#[derive(Serialize)]
+struct Milliseconds {
+    min: f64,
+    median: f64,
+    max: f64,
+}
+
+impl From<Seconds> for Milliseconds {
+    fn from(s: Seconds) -> Self {
+        Self { min: s.min * 1e3, median: s.median * 1e3, max: s.max * 1e3 }
+    }
+}
+
+/// Milliseconds of each stage in the fastest run; sorting and blending share their threads' time.
+#[derive(Clone, Copy, Serialize)]
+struct Stages {
+    project: f64,
+    bin: f64,
+    sort: f64,
+    blend: f64,
+}
+
+#[derive(Serialize)]
+struct Row {
+    name: String,
+    gaussians: usize,
+    /// Width, height.
+    size: [usize; 2],
+    milliseconds: Milliseconds,
+    stages: Stages,
+    work: Counts,
+    /// Largest difference from the binary64 reference, away from its thresholds.
+    error: f64,
+}
+
+/// Work of one image, and what was left out.
+#[derive(Serialize)]
+struct Counts {
+    culled: u64,
+    changed: u64,
+    tiles: u64,
+    tiles_drawn: u64,
+    entries: u64,
+    entries_unseen: u64,
+    blocks: u64,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Growth {
+    gaussians: usize,
+    milliseconds: f64,
+    peak_rss_bytes: u64,
+}
+
+#[derive(Serialize)]
+struct Results {
+    machine: Machine,
+    scenes: Vec<Row>,
+    scaling: Vec<Growth>,
+}
+
+/// Measures.
+pub(crate) fn run(options: &Options) -> Result<()> {
+    let level = options.common.isa;
+    let pool = options.common.pool()?;
+    if let Some(count) = options.step {
+        let step = pool.install(|| growth_step(level, count, options.common.repeat))?;
+        println!("{}", serde_json::to_string(&step)?);
+        return Ok(());
+    }
+    pool.install(|| {
+        let wanted = |name: &str| name.contains(&options.only);
+        let repeat = options.common.repeat.max(3);
+        let mut rows = Vec::new();
+        println!(
+            "{:<20} {:>9}  {:>9}  {:>8} {:>8} {:>8}  {:>7} {:>7} {:>7} {:>7}  {:>7}",
+            "scene", "gaussians", "size", "min ms", "median", "max", "project", "bin", "sort", "blend", "error"
+        );
+        let whole: [(&str, fn() -> Scene); 3] = [
+            ("paper-grid", Scene::paper_grid),
+            ("anisotropic-720p", Scene::anisotropic_720p),
+            ("one-over-all", Scene::one_over_all),
+        ];
+        for (name, scene) in whole {
+            if wanted(name) {
+                rows.push(measure(level, name, &[scene()], false, repeat)?);
+            }
+        }
+        let choices: [(&str, fn(&Scene) -> Vec<usize>); 2] =
+            [("moved-5pc", Scene::object), ("moved-5pc-scattered", Scene::scatter)];
+        for (name, choose) in choices {
+            if wanted(name) {
+                let scene = Scene::paper_grid();
+                let chosen = choose(&scene);
+                let steps: Vec<Scene> =
+                    (0..4).map(|i| scene.moved(&chosen, [0.7 * i as f32, 0.3 * i as f32])).collect();
+                rows.push(measure(level, name, &steps, true, repeat)?);
+            }
+        }
+        let scaling = growth(options)?;
+        let machine = Machine::new(level, peak_f32(level));
+        options.common.write(&Results { machine, scenes: rows, scaling })
+    })
+}
+
+/// Draws the scenes in turn, `repeat` times over; from nothing each, or (`keep`) redrawing what changed from one to the next.
+fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize) -> Result<Row> {
+    let mut renderer = Renderer::new(level);
+    let mut error = 0.0_f64;
+    for scene in scenes {
+        renderer.render(&scene.gaussians(), &scene.projection, &scene.request);
+        error = error.max(check(&renderer, scene).with_context(|| name.to_owned())?);
+    }
+    let mut times = Vec::new();
+    let mut best: Option<(f64, Work)> = None;
+    for _ in 0..repeat {
+        for scene in scenes {
+            if !keep {
+                renderer.forget();
+            }
+            let seconds = once(|| {
+                std::hint::black_box(renderer.render(&scene.gaussians(), &scene.projection, &scene.request));
+            });
+            times.push(seconds);
+            if best.is_none_or(|(least, _)| seconds < least) {
+                best = Some((seconds, renderer.work()));
+            }
+        }
+    }
+    let (scene, (_, work)) = (&scenes[0], best.context("nothing was drawn")?);
+    let ms = |d: std::time::Duration| d.as_secs_f64() * 1e3;
+    let row = Row {
+        name: name.to_owned(),
+        gaussians: scene.mean.len(),
+        size: [scene.request.width, scene.request.height],
+        milliseconds: Seconds::of(times).into(),
+        stages: Stages { project: ms(work.project), bin: ms(work.bin), sort: ms(work.sort), blend: ms(work.blend) },
+        work: Counts {
+            culled: work.culled,
+            changed: work.changed,
+            tiles: work.tiles,
+            tiles_drawn: work.tiles_drawn,
+            entries: work.entries,
+            entries_unseen: work.entries_unseen,
+            blocks: work.blocks,
+        },
+        error,
+    };
+    println!(
+        "{:<20} {:>9}  {:>9}  {:>8.2} {:>8.2} {:>8.2}  {:>7.2} {:>7.2} {:>7.2} {:>7.2}  {:>7.1e}",
+        row.name,
+        row.gaussians,
+        format!("{}×{}", row.size[0], row.size[1]),
+        row.milliseconds.min,
+        row.milliseconds.median,
+        row.milliseconds.max,
+        row.stages.project,
+        row.stages.bin,
+        row.stages.sort,
+        row.stages.blend,
+        row.error,
+    );
+    Ok(row)
+}
+
+/// The largest error of the renderer's image against the binary64 reference, over pixels that no threshold decides.
+fn check(renderer: &Renderer, scene: &Scene) -> Result<f64> {
+    let expected = reference::render(&scene.gaussians(), &scene.projection, &scene.request);
+    let pixels = scene.request.width * scene.request.height;
+    let found = &renderer.image().rgb;
+    ensure!(found.len() == expected.rgb.len(), "{} values, expected {}", found.len(), expected.rgb.len());
+    let (mut worst, mut undecided) = (0.0_f64, 0);
+    for (at, (&found, &expected_value)) in found.iter().zip(&expected.rgb).enumerate() {
+        let error = (f64::from(found) - expected_value).abs();
+        if expected.margin[at % pixels] > 1e-5 {
+            worst = worst.max(error);
+        } else {
+            undecided += 1;
+            ensure!(error <= 2.0 / 255.0, "value {at} is {found}, expected {expected_value}");
+        }
+    }
+    ensure!(worst <= 2e-5, "off by {worst:e}");
+    ensure!(undecided * 100 <= found.len(), "{undecided} of {} values hang on a threshold", found.len());
+    Ok(worst)
+}
+
+/// Times for 10⁴, 10⁵ … Gaussians, each in a process of its own, so that its peak memory is its own.
+fn growth(options: &Options) -> Result<Vec<Growth>> {
+    let mut rows = Vec::new();
+    let program = std::env::current_exe().context("finding this program")?;
+    let mut count = 10_000;
+    while count <= options.largest && options.only.is_empty() {
+        let output = Command::new(&program)
+            .args(["raster", "--step", &count.to_string(), "--isa", options.common.isa.name()])
+            .args(["--threads", &rayon::current_num_threads().to_string()])
+            .args(["--repeat", &options.common.repeat.to_string()])
+            .output()
+            .context("starting a measurement")?;
+        if !output.status.success() {
+            bail!("{count} Gaussians: {}", String::from_utf8_lossy(&output.stderr).trim());
+        }
+        let row: Growth = serde_json::from_slice(&output.stdout)?;
+        println!(
+            "{:>10} Gaussians  {:>9.2} ms  {:>6.1} ns each  peak {:>5.0} MiB",
+            row.gaussians,
+            row.milliseconds,
+            row.milliseconds * 1e6 / row.gaussians as f64,
+            row.peak_rss_bytes as f64 / f64::from(1 << 20),
+        );
+        rows.push(row);
+        count *= 10;
+    }
+    Ok(rows)
+}
+
+fn growth_step(level: Level, count: usize, repeat: usize) -> Result<Growth> {
+    let scene = Scene::scattered(count);
+    let mut renderer = Renderer::new(level);
+    let mut times = Vec::new();
+    for _ in 0..repeat.clamp(2, if count > 1_000_000 { 3 } else { 100 }) {
+        renderer.forget();
+        times.push(once(|| {
+            std::hint::black_box(renderer.render(&scene.gaussians(), &scene.projection, &scene.request));
+        }));
+    }
+    Ok(Growth { gaussians: count, milliseconds: Seconds::of(times).min * 1e3, peak_rss_bytes: peak_rss_bytes()? })
+}
+
+/// The most memory that this process has had resident.
+fn peak_rss_bytes() -> Result<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").context("reading /proc/self/status")?;
+    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).context("no VmHWM in /proc/self/status")?;
+    let kilobytes: u64 = line.trim().trim_end_matches("kB").trim().parse().context("VmHWM is no number")?;
+    Ok(kilobytes * 1024)
+}

@@ -1,0 +1,181 @@
+//! The scenes that are timed. All are generated from fixed seeds.
+
+use streamsplat_kernels::raster::{Gaussians, Projection, Request};
+
+/// Gaussians with the view they are drawn in.
+#[derive(Clone)]
+pub(crate) struct Scene {
+    pub(crate) mean: Vec<[f32; 3]>,
+    pub(crate) scale: Vec<[f32; 3]>,
+    pub(crate) rotation: Option<Vec<[f32; 4]>>,
+    pub(crate) opacity: Vec<f32>,
+    pub(crate) rgb: Vec<[f32; 3]>,
+    pub(crate) projection: Projection,
+    pub(crate) request: Request,
+}
+
+/// The sequence of SplitMix64.
+pub(crate) struct Random(u64);
+
+impl Random {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    /// In [0, 1).
+    pub(crate) fn unit(&mut self) -> f32 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 40) as f32 / (1_u32 << 24) as f32
+    }
+
+    pub(crate) fn range(&mut self, from: f32, to: f32) -> f32 {
+        from + (to - from) * self.unit()
+    }
+
+    /// Its logarithm is uniform.
+    pub(crate) fn log_range(&mut self, from: f32, to: f32) -> f32 {
+        self.range(from.ln(), to.ln()).exp()
+    }
+
+    fn colour(&mut self) -> [f32; 3] {
+        std::array::from_fn(|_| self.unit())
+    }
+}
+
+const GREY: [f32; 3] = [0.5; 3];
+
+impl Scene {
+    pub(crate) fn gaussians(&self) -> Gaussians<'_> {
+        Gaussians {
+            mean: &self.mean,
+            scale: &self.scale,
+            rotation: self.rotation.as_deref(),
+            opacity: &self.opacity,
+            rgb: &self.rgb,
+        }
+    }
+
+    fn canonical(width: usize, height: usize) -> Self {
+        Self {
+            mean: Vec::new(),
+            scale: Vec::new(),
+            rotation: None,
+            opacity: Vec::new(),
+            rgb: Vec::new(),
+            projection: Projection::Orthographic { focal: [width as f32 / 2.0, height as f32 / 2.0] },
+            request: Request::colour(width, height, GREY),
+        }
+    }
+
+    /// Adds a Gaussian of the canonical view, given in pixels.
+    fn push_pixels(&mut self, centre: [f32; 2], sigma: [f32; 2], depth: f32, opacity: f32, rgb: [f32; 3]) {
+        let (w, h) = (self.request.width as f32, self.request.height as f32);
+        self.mean.push([(2.0 * centre[0] + 1.0) / w - 1.0, (2.0 * centre[1] + 1.0) / h - 1.0, depth]);
+        let scale = [sigma[0] * 2.0 / w, sigma[1] * 2.0 / h];
+        self.scale.push([scale[0], scale[1], 0.5 * (scale[0] + scale[1])]);
+        self.opacity.push(opacity);
+        self.rgb.push(rgb);
+    }
+
+    fn push_ordinary(&mut self, random: &mut Random, centre: [f32; 2]) {
+        let sigma = [random.log_range(0.5, 3.0), random.log_range(0.5, 3.0)];
+        let (depth, opacity) = (random.range(0.1, 5.0), random.range(0.05, 1.0));
+        let rgb = random.colour();
+        self.push_pixels(centre, sigma, depth, opacity, rgb);
+    }
+
+    /// What the paper's model predicts for two frames, as statistics: one Gaussian per cell of 2×2 pixels and frame.
+    pub(crate) fn paper_grid() -> Self {
+        let (mut scene, mut random) = (Self::canonical(512, 288), Random::new(1));
+        for _ in 0..2 {
+            for row in 0..144 {
+                for column in 0..256 {
+                    let jitter = [random.range(-1.0, 1.0), random.range(-1.0, 1.0)];
+                    let centre = [column as f32 * 2.0 + 0.5 + jitter[0], row as f32 * 2.0 + 0.5 + jitter[1]];
+                    scene.push_ordinary(&mut random, centre);
+                }
+            }
+        }
+        scene
+    }
+
+    /// `count` Gaussians of the grid's statistics anywhere in its image.
+    pub(crate) fn scattered(count: usize) -> Self {
+        let (mut scene, mut random) = (Self::canonical(512, 288), Random::new(2));
+        for list in [&mut scene.mean, &mut scene.scale, &mut scene.rgb] {
+            list.reserve_exact(count);
+        }
+        scene.opacity.reserve_exact(count);
+        for _ in 0..count {
+            let centre = [random.range(-0.5, 511.5), random.range(-0.5, 287.5)];
+            scene.push_ordinary(&mut random, centre);
+        }
+        scene
+    }
+
+    /// 200,000 turned Gaussians, each axis between half a pixel and six, through a pinhole.
+    pub(crate) fn anisotropic_720p() -> Self {
+        let (width, height, focal) = (1280, 720, 1000.0);
+        let (mut scene, mut random) = (Self::canonical(width, height), Random::new(3));
+        scene.projection = Projection::Pinhole { focal: [focal; 2], centre: [639.5, 359.5] };
+        let mut rotation = Vec::new();
+        for _ in 0..200_000 {
+            let z = random.log_range(1.0, 20.0);
+            let (u, v) = (random.range(-650.0, 650.0), random.range(-370.0, 370.0));
+            scene.mean.push([u * z / focal, v * z / focal, z]);
+            scene.scale.push(std::array::from_fn(|_| random.log_range(0.5, 6.0) * z / focal));
+            let q: [f32; 4] = std::array::from_fn(|_| random.range(-1.0, 1.0));
+            let norm = q.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-3);
+            rotation.push(q.map(|v| v / norm));
+            scene.opacity.push(random.range(0.05, 1.0));
+            let rgb = random.colour();
+            scene.rgb.push(rgb);
+        }
+        scene.rotation = Some(rotation);
+        scene
+    }
+
+    /// One Gaussian over the whole image behind 100,000 that are smaller than a pixel.
+    pub(crate) fn one_over_all() -> Self {
+        let (mut scene, mut random) = (Self::canonical(512, 288), Random::new(4));
+        scene.push_pixels([255.5, 143.5], [2000.0, 2000.0], 10.0, 0.9, [0.2, 0.4, 0.8]);
+        for _ in 0..100_000 {
+            let centre = [random.range(-0.5, 511.5), random.range(-0.5, 287.5)];
+            let sigma = [random.log_range(0.05, 0.5), random.log_range(0.05, 0.5)];
+            let (depth, opacity) = (random.range(0.1, 5.0), random.range(0.05, 1.0));
+            let rgb = random.colour();
+            scene.push_pixels(centre, sigma, depth, opacity, rgb);
+        }
+        scene
+    }
+
+    /// The Gaussians of the grid whose cells lie in one object of 5 % of the image.
+    pub(crate) fn object(&self) -> Vec<usize> {
+        let (w, h) = (self.request.width as f32, self.request.height as f32);
+        let side = 0.05_f32.sqrt();
+        let inside = |mean: &[f32; 3]| {
+            let (x, y) = ((mean[0] + 1.0) * 0.5 * w, (mean[1] + 1.0) * 0.5 * h);
+            (x / w - 0.4).abs() < 0.5 * side && (y / h - 0.45).abs() < 0.5 * side
+        };
+        (0..self.mean.len()).filter(|&i| inside(&self.mean[i])).collect()
+    }
+
+    /// Every twentieth Gaussian, in no order.
+    pub(crate) fn scatter(&self) -> Vec<usize> {
+        let mut random = Random::new(5);
+        (0..self.mean.len()).filter(|_| random.unit() < 0.05).collect()
+    }
+
+    /// Moves the chosen Gaussians by (x, y) pixels.
+    pub(crate) fn moved(&self, chosen: &[usize], [x, y]: [f32; 2]) -> Self {
+        let mut scene = self.clone();
+        for &i in chosen {
+            scene.mean[i][0] += 2.0 * x / self.request.width as f32;
+            scene.mean[i][1] += 2.0 * y / self.request.height as f32;
+        }
+        scene
+    }
+}
