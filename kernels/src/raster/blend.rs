@@ -18,6 +18,7 @@ const WHOLE_BOX: usize = 16;
 /// Coordinates of a tile's columns or rows of pixels, whichever are more, and of a vector more.
 type Pixels = [f32; PIXELS];
 const PIXELS: usize = (if TILE[0] > TILE[1] { TILE[0] } else { TILE[1] }) * BLOCK + LANES;
+const COUNTING: [f32; LANES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 /// All pixels of a block.
 const ALL: u16 = u16::MAX;
 
@@ -236,8 +237,8 @@ impl DrawTile<'_> {
     #[inline(always)]
     fn blend_general<S: Simd, const EXTRAS: bool>(&mut self, s: S) {
         let mut canvas = Canvas::new(self.scratch);
-        let lane_x = s.from_array(std::array::from_fn(|i| (i % BLOCK) as f32));
-        let lane = s.from_array(std::array::from_fn(|i| i as f32));
+        let lane_x = s.from_array([0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0]);
+        let lane = s.from_array(COUNTING);
         let (left, top) = (self.column * TILE[0] * BLOCK, self.row * TILE[1] * BLOCK);
         let mut down = [0.0_f32; TILE[1] * BLOCK];
         let (mut middle, mut middle_rest) = (down, down);
@@ -345,11 +346,7 @@ fn put_block<T: Copy>(to: &Disjoint<'_, T>, base: usize, planes: &Planes<'_>, x:
 /// `(scale·d)²` on lane i, with d the distance of the centre from the nearest pixel of the i-th block along one axis.
 #[inline(always)]
 fn nearest<S: Simd>(s: S, centre: [f32; 2], scale: f32, pixels: &Pixels) -> S::F32 {
-    let first = s.mul_add(
-        s.from_array(std::array::from_fn(|i| i as f32)),
-        s.splat(BLOCK as f32),
-        s.splat(pixels[0] - centre[0]),
-    );
+    let first = s.mul_add(s.from_array(COUNTING), s.splat(BLOCK as f32), s.splat(pixels[0] - centre[0]));
     let low = s.sub(first, s.splat(centre[1]));
     let high = s.add(low, s.splat(BLOCK as f32 - 1.0));
     // At most one of both is positive.

@@ -191,14 +191,39 @@ fn blocks<S: Simd>(s: S, centre: S::F32, radius: S::F32, size: usize) -> ([[i32;
     let from = s.neg(s.floor(s.neg(from)));
     let to = s.floor(to);
     let some = s.le(from, to);
-    let block = |pixel: S::F32| s.to_array_i32(s.to_i32(s.mul(s.min(s.max(pixel, zero), last), s.splat(0.25))));
-    ([block(from), block(to)], some)
+    let from = s.to_i32(s.mul(s.min(s.max(from, zero), last), s.splat(0.25)));
+    let to = s.to_i32(s.mul(s.min(s.max(to, zero), last), s.splat(0.25)));
+    ([s.to_array_i32(from), s.to_array_i32(to)], some)
+}
+
+/// One axis of a separable footprint, in binary32: the centre `f·x + (size − 1)/2` in two parts by fused multiply-adds,
+/// `√(½log₂e) / √((f·s)² + 0.3)`, the blocks it can touch, and whether there are any.
+#[inline(always)]
+fn along<S: Simd>(
+    s: S,
+    mean: &Lanes,
+    scale: &Lanes,
+    focal: f32,
+    radius: S::F32,
+    size: usize,
+) -> ([Lanes; 2], Lanes, [[i32; LANES]; 2], S::Mask) {
+    let (f, middle, mean) = (s.splat(focal), s.splat((size as f32 - 1.0) * 0.5), s.from_array(*mean));
+    let centre = s.mul_add(f, mean, middle);
+    let whole = s.round(centre);
+    let rest = s.mul_add(f, mean, s.sub(middle, whole));
+    let sigma = s.mul(f, s.from_array(*scale));
+    let root = s.sqrt(s.mul_add(sigma, sigma, s.splat(LOW_PASS as f32)));
+    // The square of a very long axis may overflow.
+    let long = s.lt(s.splat(1e9), s.abs(sigma));
+    let root = s.select(long, s.abs(sigma), root);
+    let p = s.div(s.splat(ROOT_HALF_LOG2_E), root);
+    let (blocks, some) = blocks(s, centre, s.mul(radius, root), size);
+    let seen = s.and(some, s.lt(s.abs(centre), s.splat(1e30)));
+    ([s.to_array(whole), s.to_array(rest)], s.to_array(p), blocks, seen)
 }
 
 impl Batch {
     /// Projects Gaussians `first ..` (as many as there are, at most sixteen) separably.
-    ///
-    /// Binary32: `u` in two parts by fused multiply-adds, `a = (f·s)² + 0.3`, `p = √(½log₂e)/√a`.
     #[inline(always)]
     pub(super) fn separable<S: Simd>(
         s: S,
@@ -220,23 +245,8 @@ impl Batch {
         let finite = s.eq(finite, s.splat(0.0));
         let reach = reach(s, opacity);
         let radius = s.mul(s.sqrt(reach), s.splat(1.0 / ROOT_HALF_LOG2_E));
-        let [(x, p, columns, seen_x), (y, q, rows, seen_y)] = std::array::from_fn(|axis| {
-            let size = [view.width, view.height][axis];
-            let (f, middle) = (s.splat(focal[axis]), s.splat((size as f32 - 1.0) * 0.5));
-            let mean = s.from_array(mean[axis]);
-            let centre = s.mul_add(f, mean, middle);
-            let whole = s.round(centre);
-            let rest = s.mul_add(f, mean, s.sub(middle, whole));
-            let sigma = s.mul(f, s.from_array(scale[axis]));
-            let root = s.sqrt(s.mul_add(sigma, sigma, s.splat(LOW_PASS as f32)));
-            // The square of a very long axis may overflow.
-            let long = s.lt(s.splat(1e9), s.abs(sigma));
-            let root = s.select(long, s.abs(sigma), root);
-            let p = s.div(s.splat(ROOT_HALF_LOG2_E), root);
-            let (blocks, some) = blocks(s, centre, s.mul(radius, root), size);
-            let seen = s.and(some, s.lt(s.abs(centre), s.splat(1e30)));
-            ([s.to_array(whole), s.to_array(rest)], s.to_array(p), blocks, seen)
-        });
+        let (x, p, columns, seen_x) = along(s, &mean[0], &scale[0], focal[0], radius, view.width);
+        let (y, q, rows, seen_y) = along(s, &mean[1], &scale[1], focal[1], radius, view.height);
         let ahead = s.lt(s.splat(0.0), s.from_array(mean[2]));
         let opaque = s.le(s.splat(ALPHA_MIN), opacity);
         let visible = s.and(s.and(finite, s.and(ahead, opaque)), s.and(seen_x, seen_y));
