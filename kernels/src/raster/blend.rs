@@ -11,11 +11,11 @@ use crate::simd::{LANES, Operation, Simd};
 
 /// Blocks of a tile.
 const BLOCKS: usize = TILE[0] * TILE[1];
-/// Entries ahead of which a record is fetched.
-const AHEAD: usize = 6;
+/// Records that are fetched together: their cache misses overlap.
+const TOGETHER: usize = 32;
 /// A box of at most this many blocks is drawn whole: to tell which of them the footprint misses would cost more.
 const WHOLE_BOX: usize = 16;
-/// Coordinates of a tile's columns or rows of pixels, whichever are more, and of a vector more.
+/// A value for each column or row of pixels of a tile, whichever are more, and for a vector more.
 type Pixels = [f32; PIXELS];
 const PIXELS: usize = (if TILE[0] > TILE[1] { TILE[0] } else { TILE[1] }) * BLOCK + LANES;
 const COUNTING: [f32; LANES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
@@ -26,17 +26,17 @@ const _: () = assert!(TILE[0] <= LANES && TILE[1] <= LANES && BLOCK * BLOCK == L
 
 /// 2^−q for q ≥ 0, at most 4 units in the last place off; exactly 1 for 0; 2^−125 for q ≥ 125 and for NaN.
 ///
-/// q is rounded to the whole number n by adding 1.5·2²³; with g = n − q in [−½, ½], 2^g is a polynomial of degree 5
+/// q is rounded to the whole number n by adding 1.5·2²³; with h = q − n in [−½, ½], 2^−h is a polynomial of degree 5
 /// (Chebyshev), and −n goes into the exponent.
 #[inline(always)]
 pub(super) fn exp2_negative<S: Simd>(s: S, q: S::F32) -> S::F32 {
     const MAGIC: f32 = 12_582_912.0;
     let q = s.min(q, s.splat(125.0));
     let shifted = s.sub(s.splat(MAGIC), q);
-    let g = s.neg(s.add(q, s.sub(shifted, s.splat(MAGIC))));
-    let mut sum = s.splat(0.001_338_130_2);
-    for c in [0.009_666_368, 0.055_503_81, 0.240_223_5, std::f32::consts::LN_2, 1.0] {
-        sum = s.mul_add(sum, g, s.splat(c));
+    let h = s.add(q, s.sub(shifted, s.splat(MAGIC)));
+    let mut sum = s.splat(-0.001_338_130_2);
+    for c in [0.009_666_368, -0.055_503_81, 0.240_223_5, -std::f32::consts::LN_2, 1.0] {
+        sum = s.mul_add(sum, h, s.splat(c));
     }
     s.from_bits(s.add_i32(s.to_bits(sum), s.shl::<23>(s.to_bits(shifted))))
 }
@@ -114,10 +114,10 @@ impl Operation for DrawTile<'_> {
         self.clear();
         let extras = self.planes.depth.is_some() || self.planes.blended.is_some();
         match (self.separable, extras) {
-            (true, false) => self.blend_separable::<S, false>(s),
-            (true, true) => self.blend_separable::<S, true>(s),
-            (false, false) => self.blend_general::<S, false>(s),
-            (false, true) => self.blend_general::<S, true>(s),
+            (true, false) => self.blend::<S, true, false>(s),
+            (true, true) => self.blend::<S, true, true>(s),
+            (false, false) => self.blend::<S, false, false>(s),
+            (false, true) => self.blend::<S, false, true>(s),
         }
         self.store(s);
     }
@@ -171,128 +171,47 @@ impl DrawTile<'_> {
         }
     }
 
-    /// The splat of entry `at`, its blocks in the tile, and a hint for a later one.
+    /// Copies the records of the entries from `at` on; gives how many there were.
     #[inline(always)]
-    fn take<S: Simd>(&self, s: S, at: usize) -> (&Splat, Box4) {
-        if let Some(next) = self.list.get(at + AHEAD) {
-            s.prefetch(self.splats.as_ptr().wrapping_add(next.index as usize));
+    fn fetch(&self, at: usize, near: &mut [Splat; TOGETHER]) -> usize {
+        let entries = &self.list[at..];
+        for (near, entry) in near.iter_mut().zip(entries) {
+            *near = self.splats[entry.index as usize];
         }
-        let splat = &self.splats[self.list[at].index as usize];
+        entries.len().min(TOGETHER)
+    }
+
+    /// The blocks of a splat's box in the tile.
+    #[inline(always)]
+    fn clip(&self, splat: &Splat) -> Box4 {
         let (x, y) = (self.column * TILE[0], self.row * TILE[1]);
         let [left, right] = splat.columns.map(usize::from);
         let [top, bottom] = splat.rows.map(usize::from);
         let columns = [left.max(x) - x, (right + 1).min(x + TILE[0]) - x];
-        (splat, Box4 { columns, rows: [top.max(y) - y, (bottom + 1).min(y + TILE[1]) - y] })
+        Box4 { columns, rows: [top.max(y) - y, (bottom + 1).min(y + TILE[1]) - y] }
     }
 
-    /// `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)²)`
+    /// Blends the list, as many records at a time as are fetched together.
     #[inline(always)]
-    fn blend_separable<S: Simd, const EXTRAS: bool>(&mut self, s: S) {
+    fn blend<S: Simd, const SEPARABLE: bool, const EXTRAS: bool>(&mut self, s: S) {
         let mut canvas = Canvas::new(self.scratch);
-        let (xs, ys) = self.pixels();
-        let mut across = [0.0_f32; TILE[0] * BLOCK + LANES];
-        let mut down = [0.0_f32; TILE[1] * BLOCK + LANES];
-        let mut row_exponent = [0.0_f32; LANES];
-        let mut blocks = 0;
-        for at in 0..self.list.len() {
-            if canvas.open == 0 {
-                self.scratch.tally.unseen += (self.list.len() - at) as u64;
-                break;
-            }
-            let (splat, Box4 { columns, rows }) = self.take(s, at);
-            let paint = Paint::new(s, splat);
-            // SAFETY: columns and rows are blocks of the tile; the arrays have a vector to spare beyond its last.
-            unsafe {
-                factors(s, splat.x, splat.p, 1.0, columns, &xs, &mut across);
-                factors(s, splat.y, splat.q, splat.opacity, rows, &ys, &mut down);
-            }
-            let count = (columns[1] - columns[0]) * (rows[1] - rows[0]);
-            if count <= WHOLE_BOX {
-                blocks += count;
-                for row in rows[0]..rows[1] {
-                    // SAFETY: `down` and `across` were filled for these rows and columns.
-                    unsafe { canvas.blend_row::<S, EXTRAS>(s, &down, &across, row, columns, &paint) };
-                }
-                continue;
-            }
-            let column_exponent = nearest(s, splat.x, splat.p, &xs);
-            s.store(nearest(s, splat.y, splat.q, &ys), &mut row_exponent);
-            let inside = (1_u32 << columns[1]) - (1 << columns[0]);
-            for row in rows[0]..rows[1] {
-                // A block on which even the nearest pixel's exponent is out of reach cannot change.
-                let reached = s.le(column_exponent, s.splat(splat.reach - row_exponent[row]));
-                let reached = u32::from(s.bits(reached)) & inside;
-                if reached != 0 {
-                    let columns = [reached.trailing_zeros() as usize, 32 - reached.leading_zeros() as usize];
-                    blocks += columns[1] - columns[0];
-                    // SAFETY: `down` and `across` were filled for these rows and columns.
-                    unsafe { canvas.blend_row::<S, EXTRAS>(s, &down, &across, row, columns, &paint) };
-                }
-            }
-        }
-        self.scratch.tally.blocks += blocks as u64;
-    }
-
-    /// `α = min(0.99, o·2^−((p·(x − m(y)))² + (q·dy)²))`
-    #[inline(always)]
-    fn blend_general<S: Simd, const EXTRAS: bool>(&mut self, s: S) {
-        let mut canvas = Canvas::new(self.scratch);
-        let lane_x = s.from_array([0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0]);
-        let lane = s.from_array(COUNTING);
-        let (left, top) = (self.column * TILE[0] * BLOCK, self.row * TILE[1] * BLOCK);
-        let mut down = [0.0_f32; TILE[1] * BLOCK];
-        let (mut middle, mut middle_rest) = (down, down);
-        let mut blocks = 0;
-        for at in 0..self.list.len() {
-            if canvas.open == 0 {
-                self.scratch.tally.unseen += (self.list.len() - at) as u64;
-                break;
-            }
-            let (splat, Box4 { columns, rows }) = self.take(s, at);
-            let (from, to) = strips(s, splat, lane, [left as f32, top as f32], columns);
-            let (p, opacity) = (s.splat(splat.p), s.splat(splat.opacity));
-            let paint = Paint::new(s, splat);
-            let (u, v) = (f64::from(splat.x[0]) + f64::from(splat.x[1]), f64::from(splat.y[0]) + f64::from(splat.y[1]));
-            for row in rows[0]..rows[1] {
-                for i in row * BLOCK..(row + 1) * BLOCK {
-                    let dy = (top + i) as f64 - v;
-                    (middle[i], middle_rest[i]) = split(u + splat.k * dy);
-                    let t = splat.q * dy as f32;
-                    down[i] = t * t;
-                }
-            }
-            for row in rows[0]..rows[1] {
-                // SAFETY: `row` is a row of the tile and the arrays have four values for each.
-                let (along_y, hi_x, lo_x) = unsafe {
-                    (
-                        s.spread_four(down.as_ptr().add(row * BLOCK)),
-                        s.spread_four(middle.as_ptr().add(row * BLOCK)),
-                        s.spread_four(middle_rest.as_ptr().add(row * BLOCK)),
-                    )
+        let mut tables = Tables::new(self.column, self.row);
+        let mut near = [Splat::HIDDEN; TOGETHER];
+        let (mut at, mut blocks) = (0, 0);
+        while at < self.list.len() && canvas.open > 0 {
+            let count = self.fetch(at, &mut near);
+            for splat in &near[..count] {
+                let bounds = self.clip(splat);
+                blocks += if SEPARABLE {
+                    canvas.separable::<S, EXTRAS>(s, splat, bounds, &mut tables)
+                } else {
+                    canvas.general::<S, EXTRAS>(s, splat, bounds, &mut tables)
                 };
-                let (from, to) = (from[row] as usize, (to[row] + 1) as usize);
-                blocks += to.saturating_sub(from);
-                for column in from..to {
-                    // SAFETY: a block of the tile.
-                    unsafe {
-                        if !canvas.is_finished(row * TILE[0] + column) {
-                            let x = s.add(s.splat((left + column * BLOCK) as f32), lane_x);
-                            let t = s.mul(p, s.sub(s.sub(x, hi_x), lo_x));
-                            let alpha = s.mul(opacity, exp2_negative(s, s.mul_add(t, t, along_y)));
-                            canvas.composite::<S, EXTRAS>(s, alpha, &paint, row * TILE[0] + column);
-                        }
-                    }
-                }
             }
+            at += count;
         }
+        self.scratch.tally.unseen += (self.list.len() - at) as u64;
         self.scratch.tally.blocks += blocks as u64;
-    }
-
-    /// The coordinates of the tile's columns and rows of pixels, and of some more.
-    #[inline(always)]
-    fn pixels(&self) -> (Pixels, Pixels) {
-        let (left, top) = (self.column * TILE[0] * BLOCK, self.row * TILE[1] * BLOCK);
-        (std::array::from_fn(|i| (left + i) as f32), std::array::from_fn(|i| (top + i) as f32))
     }
 
     /// Adds the background and writes the planes.
@@ -395,16 +314,10 @@ fn rim<S: Simd>(s: S, reach: &Reach, dy: S::F32) -> S::F32 {
 
 /// First and last block column that a footprint can reach in each row of blocks of the tile at (`left`, `top`), inside `columns`.
 #[inline(always)]
-fn strips<S: Simd>(
-    s: S,
-    splat: &Splat,
-    lane: S::F32,
-    [left, top]: [f32; 2],
-    columns: [usize; 2],
-) -> ([i32; LANES], [i32; LANES]) {
+fn strips<S: Simd>(s: S, splat: &Splat, [left, top]: [f32; 2], columns: [usize; 2]) -> ([i32; LANES], [i32; LANES]) {
     let reach = Reach::new(splat);
     let (above, below) = (s.splat(-reach.height), s.splat(reach.height));
-    let y = s.mul_add(lane, s.splat(BLOCK as f32), s.splat(top - reach.y));
+    let y = s.mul_add(s.from_array(COUNTING), s.splat(BLOCK as f32), s.splat(top - reach.y));
     let low = clamp(s, y, above, below);
     let high = clamp(s, s.add(y, s.splat(BLOCK as f32 - 1.0)), above, below);
     let inverse = s.splat(1.0 / reach.p);
@@ -419,6 +332,42 @@ fn strips<S: Simd>(
     let first = s.min(s.max(first, s.splat(columns[0] as f32)), s.splat(columns[1] as f32));
     let last = s.max(s.min(last, s.splat(columns[1] as f32 - 1.0)), s.splat(columns[0] as f32 - 1.0));
     (s.to_array_i32(s.to_i32(first)), s.to_array_i32(s.to_i32(last)))
+}
+
+/// Coordinates of a tile's pixels, and what a splat's lanes are made of, by column and by row of pixels; with a vector to spare.
+struct Tables {
+    columns: Pixels,
+    rows: Pixels,
+    /// `rows` in binary64.
+    lines: [f64; PIXELS],
+    /// Factor of each column, separably.
+    across: Pixels,
+    /// Factor of each row, separably; otherwise its exponent.
+    down: Pixels,
+    /// Middle of the footprint on each row, in two parts.
+    middle: Pixels,
+    rest: Pixels,
+}
+
+impl Tables {
+    #[inline(always)]
+    fn new(column: usize, row: usize) -> Self {
+        let mut tables = Self {
+            columns: [0.0; PIXELS],
+            rows: [0.0; PIXELS],
+            lines: [0.0; PIXELS],
+            across: [0.0; PIXELS],
+            down: [0.0; PIXELS],
+            middle: [0.0; PIXELS],
+            rest: [0.0; PIXELS],
+        };
+        for i in 0..PIXELS {
+            tables.columns[i] = (column * TILE[0] * BLOCK + i) as f32;
+            tables.rows[i] = (row * TILE[1] * BLOCK + i) as f32;
+            tables.lines[i] = (row * TILE[1] * BLOCK + i) as f64;
+        }
+        tables
+    }
 }
 
 /// The blocks of the tile that is drawn.
@@ -445,6 +394,109 @@ impl<'a> Canvas<'a> {
         }
     }
 
+    /// Draws a splat on its box, with `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)²)`. Gives the number of blocks.
+    #[inline(always)]
+    fn separable<S: Simd, const EXTRAS: bool>(
+        &mut self,
+        s: S,
+        splat: &Splat,
+        Box4 { columns, rows }: Box4,
+        tables: &mut Tables,
+    ) -> usize {
+        let paint = Paint::new(s, splat);
+        // SAFETY: columns and rows are blocks of the tile; the arrays have a vector to spare beyond its last.
+        unsafe {
+            factors(s, splat.x, splat.p, 1.0, columns, &tables.columns, &mut tables.across);
+            factors(s, splat.y, splat.q, splat.opacity, rows, &tables.rows, &mut tables.down);
+        }
+        let count = (columns[1] - columns[0]) * (rows[1] - rows[0]);
+        if count <= WHOLE_BOX {
+            for row in rows[0]..rows[1] {
+                // SAFETY: the factors were made for these rows and columns.
+                unsafe { self.blend_row::<S, EXTRAS>(s, tables, row, columns, &paint) };
+            }
+            return count;
+        }
+        let column_exponent = nearest(s, splat.x, splat.p, &tables.columns);
+        let row_exponent = s.to_array(nearest(s, splat.y, splat.q, &tables.rows));
+        let inside = (1_u32 << columns[1]) - (1 << columns[0]);
+        let mut count = 0;
+        for row in rows[0]..rows[1] {
+            // A block on which even the nearest pixel's exponent is out of reach cannot change.
+            let reached = s.le(column_exponent, s.splat(splat.reach - row_exponent[row]));
+            let reached = u32::from(s.bits(reached)) & inside;
+            if reached != 0 {
+                let columns = [reached.trailing_zeros() as usize, 32 - reached.leading_zeros() as usize];
+                count += columns[1] - columns[0];
+                // SAFETY: the factors were made for these rows and columns.
+                unsafe { self.blend_row::<S, EXTRAS>(s, tables, row, columns, &paint) };
+            }
+        }
+        count
+    }
+
+    /// Draws a splat on its box, with `α = min(0.99, o·2^−((p·(x − m(y)))² + (q·dy)²))`. Gives the number of blocks.
+    #[inline(always)]
+    fn general<S: Simd, const EXTRAS: bool>(
+        &mut self,
+        s: S,
+        splat: &Splat,
+        Box4 { columns, rows }: Box4,
+        tables: &mut Tables,
+    ) -> usize {
+        let (from, to) = strips(s, splat, [tables.columns[0], tables.rows[0]], columns);
+        let (p, opacity) = (s.splat(splat.p), s.splat(splat.opacity));
+        let paint = Paint::new(s, splat);
+        let (u, v) = (f64::from(splat.x[0]) + f64::from(splat.x[1]), f64::from(splat.y[0]) + f64::from(splat.y[1]));
+        let span = rows[0] * BLOCK..rows[1] * BLOCK;
+        let lines =
+            tables.lines[span.clone()].chunks_exact(BLOCK).zip(tables.down[span.clone()].chunks_exact_mut(BLOCK));
+        let middles =
+            tables.middle[span.clone()].chunks_exact_mut(BLOCK).zip(tables.rest[span].chunks_exact_mut(BLOCK));
+        for ((lines, down), (middle, rest)) in lines.zip(middles) {
+            // One array after the other, so that each step is a vector instruction.
+            let (mut dy, mut m, mut t) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
+            for i in 0..BLOCK {
+                dy[i] = lines[i] - v;
+            }
+            for i in 0..BLOCK {
+                m[i] = u + splat.k * dy[i];
+            }
+            for i in 0..BLOCK {
+                t[i] = splat.q * dy[i] as f32;
+            }
+            for i in 0..BLOCK {
+                (middle[i], rest[i]) = split(m[i]);
+                down[i] = t[i] * t[i];
+            }
+        }
+        let mut count = 0;
+        for row in rows[0]..rows[1] {
+            // SAFETY: `row` is a row of the tile and the arrays have four values for each.
+            let (along_y, whole, rest) = unsafe {
+                (
+                    s.spread_four(tables.down.as_ptr().add(row * BLOCK)),
+                    s.spread_four(tables.middle.as_ptr().add(row * BLOCK)),
+                    s.spread_four(tables.rest.as_ptr().add(row * BLOCK)),
+                )
+            };
+            let (from, to) = (from[row] as usize, (to[row] + 1) as usize);
+            count += to.saturating_sub(from);
+            for column in from..to {
+                // SAFETY: a block of the tile.
+                unsafe {
+                    if !self.is_finished(row * TILE[0] + column) {
+                        let x = s.repeat_four(tables.columns.as_ptr().add(column * BLOCK));
+                        let t = s.mul(p, s.sub(s.sub(x, whole), rest));
+                        let alpha = s.mul(opacity, exp2_negative(s, s.mul_add(t, t, along_y)));
+                        self.composite::<S, EXTRAS>(s, alpha, &paint, row * TILE[0] + column);
+                    }
+                }
+            }
+        }
+        count
+    }
+
     /// # Safety
     /// `at` is a block of the tile.
     #[inline(always)]
@@ -456,25 +508,24 @@ impl<'a> Canvas<'a> {
     /// Draws one splat on the blocks `columns` (first and end) of a row, separably.
     ///
     /// # Safety
-    /// They are blocks of the tile, and `down` and `across` have four values for each.
+    /// They are blocks of the tile.
     #[inline(always)]
     unsafe fn blend_row<S: Simd, const EXTRAS: bool>(
         &mut self,
         s: S,
-        down: &[f32],
-        across: &[f32],
+        tables: &Tables,
         row: usize,
         columns: [usize; 2],
         paint: &Paint<S>,
     ) {
         // SAFETY: the caller's.
-        let along_y = unsafe { s.spread_four(down.as_ptr().add(row * BLOCK)) };
+        let along_y = unsafe { s.spread_four(tables.down.as_ptr().add(row * BLOCK)) };
         for column in columns[0]..columns[1] {
             // SAFETY: the caller's.
             unsafe {
                 let at = row * TILE[0] + column;
                 if !self.is_finished(at) {
-                    let alpha = s.mul(along_y, s.repeat_four(across.as_ptr().add(column * BLOCK)));
+                    let alpha = s.mul(along_y, s.repeat_four(tables.across.as_ptr().add(column * BLOCK)));
                     self.composite::<S, EXTRAS>(s, alpha, paint, at);
                 }
             }

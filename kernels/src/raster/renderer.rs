@@ -73,7 +73,7 @@ struct Last {
 
 /// Gaussians of a chunk when there are few; there are at most `MOST_CHUNKS` chunks.
 const CHUNK: usize = 2048;
-const _: () = assert!(CHUNK % LANES == 0);
+const _: () = assert!(CHUNK.is_multiple_of(LANES));
 const MOST_CHUNKS: usize = 64;
 
 /// Whether the rotation leaves everything in place.
