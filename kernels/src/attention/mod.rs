@@ -19,6 +19,10 @@
 //! and values are the interleaved rows of the register block, queries and weights its panels; a block of weights is stored
 //! as the panel that its product with the values reads.
 //!
+//! # Precision
+//! In bf16 and int8 ([`attend_as`]) the queries, keys and values are rounded to bf16 as inputs of [`crate::gemm`] are, and so is
+//! every weight before it is summed or multiplied; the order of operations is the same.
+//!
 //! # Extremes
 //! A logit that is NaN or −∞ weighs `2^−126` of the largest, so a row of nothing else gives the mean of its values; so does a
 //! row whose largest is +∞. A NaN or infinite *value* reaches every row that sees its key: callers reject such input.
@@ -36,7 +40,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::Level;
-use crate::gemm::{deinterleave, interleave, multiply};
+use crate::gemm::{Precision, deinterleave, interleave, multiply, round_bf16};
 use crate::memory::Scratch;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd, dispatch};
@@ -115,6 +119,23 @@ pub struct Shape {
 /// When `width` is not a multiple of 16, when `k` and `v` differ in rows, when runs are asked for and `q` and `k` differ in
 /// rows, when a matrix is narrower than `heads · width`, or `out` has another size.
 pub fn attend(level: Level, shape: Shape, q: Rows<'_>, k: Rows<'_>, v: Rows<'_>, out: &mut [f32]) {
+    attend_as(Precision::F32, level, shape, q, k, v, out);
+}
+
+/// [`attend`] with the operands of both products held in `precision`.
+///
+/// # Panics
+/// As [`attend`].
+pub fn attend_as(
+    precision: Precision,
+    level: Level,
+    shape: Shape,
+    q: Rows<'_>,
+    k: Rows<'_>,
+    v: Rows<'_>,
+    out: &mut [f32],
+) {
+    let low = precision != Precision::F32;
     let Shape { heads, width, .. } = shape;
     assert!(width > 0 && width.is_multiple_of(LANES), "heads of {width} channels, expected a multiple of {LANES}");
     assert_eq!(k.rows, v.rows, "{} keys but {} values", k.rows, v.rows);
@@ -144,11 +165,11 @@ pub fn attend(level: Level, shape: Shape, q: Rows<'_>, k: Rows<'_>, v: Rows<'_>,
     let len = layout.head_len();
     keys.par_chunks_mut(len).zip(values.par_chunks_mut(len)).enumerate().for_each(|(index, (keys, values))| {
         let (window, head) = (index / heads, index % heads);
-        dispatch(level, Pack { layout: &layout, k, v, window, head, keys, values });
+        dispatch(level, Pack { layout: &layout, k, v, window, head, keys, values, low });
     });
     let (keys, values, out) = (&*keys, &*values, &Disjoint::new(out));
     layout.tasks().par_iter().with_max_len(1).for_each(|task| {
-        dispatch(level, Block { layout: &layout, q, keys, values, out, task });
+        dispatch(level, Block { layout: &layout, q, keys, values, out, task, low });
     });
 }
 
@@ -237,6 +258,14 @@ impl Layout {
     }
 }
 
+/// Rounds all values to bf16.
+#[inline(always)]
+fn round<S: Simd>(s: S, x: &mut [f32]) {
+    for x in x.chunks_mut(LANES) {
+        s.store_partial(round_bf16(s, s.load_partial(x, 0.0)), x);
+    }
+}
+
 /// Packs the keys and values of one head of one window.
 struct Pack<'a> {
     layout: &'a Layout,
@@ -246,16 +275,21 @@ struct Pack<'a> {
     head: usize,
     keys: &'a mut [f32],
     values: &'a mut [f32],
+    low: bool,
 }
 
 impl Operation for Pack<'_> {
     type Output = ();
     #[inline(always)]
-    fn run<S: Simd>(self, _: S) {
+    fn run<S: Simd>(mut self, s: S) {
         match (S::GEMM_ROWS, S::GEMM_PANELS) {
             (12, 2) => self.pack::<12, 8>(),
             (6, 1) => self.pack::<6, 6>(),
             _ => self.pack::<4, 4>(),
+        }
+        if self.low {
+            round(s, self.keys);
+            round(s, self.values);
         }
     }
 }
@@ -263,11 +297,11 @@ impl Operation for Pack<'_> {
 impl Pack<'_> {
     /// Keys as `[keys/KR][width][KR]`; values, by blocks of [`KEY_BLOCK`], as `[width/CR][keys of the block][CR]`.
     #[inline(always)]
-    fn pack<const KR: usize, const CR: usize>(self) {
+    fn pack<const KR: usize, const CR: usize>(&mut self) {
         let width = self.layout.shape.width;
         let count = self.layout.count(self.window, self.layout.keys);
         let row = |i| self.layout.row(self.window, i);
-        interleave::<KR>(count, width, |i| self.k.head(row(i), self.head, width), self.keys);
+        interleave::<KR>(count, width, |i| self.k.head(row(i), self.head, width), &mut *self.keys);
         for (block, to) in self.values[..count * width].chunks_mut(KEY_BLOCK * width).enumerate() {
             let present = to.len() / width;
             for i in 0..present {
@@ -291,6 +325,7 @@ struct Block<'a> {
     values: &'a [f32],
     out: &'a Disjoint<'a, f32>,
     task: &'a Task,
+    low: bool,
 }
 
 impl Operation for Block<'_> {
@@ -320,10 +355,13 @@ impl Block<'_> {
         let (scores, rest) = rest.split_at_mut(NV * KEY_BLOCK * LANES);
         let (total, reference) = rest.split_at_mut(padded);
         interleave::<LANES>(queries, width, |i| self.q.head(row(i), head, width), q);
+        if self.low {
+            round(s, q);
+        }
         total.fill(0.0);
         sum.fill(0.0);
         reference.fill(f32::NEG_INFINITY);
-        let mut state = State { q, sum, scores, total, reference, width };
+        let mut state = State { q, sum, scores, total, reference, width, low: self.low };
 
         let packed = self.layout.packed(window, head);
         let (packed_keys, packed_values) = (&self.keys[packed.clone()], &self.values[packed]);
@@ -374,6 +412,7 @@ struct State<'a> {
     /// `[panels][16]`: the references `M`.
     reference: &'a mut [f32],
     width: usize,
+    low: bool,
 }
 
 impl State<'_> {
@@ -445,9 +484,13 @@ impl State<'_> {
         let (rescale, minus) = (weight(s, s.sub(before, now)), s.neg(now));
         let scores = &mut self.scores[v * KEY_BLOCK * LANES..][..present * LANES];
         let mut sums = [s.splat(0.0); 4];
+        let low = self.low;
         for four in scores.chunks_mut(4 * LANES) {
             for (score, sum) in four.chunks_exact_mut(LANES).zip(&mut sums) {
-                let w = weight(s, s.mul_add(s.load(score), scale, minus));
+                let mut w = weight(s, s.mul_add(s.load(score), scale, minus));
+                if low {
+                    w = round_bf16(s, w);
+                }
                 s.store(w, score);
                 *sum = s.add(*sum, w);
             }

@@ -1,4 +1,5 @@
-use super::{Rows, Shape, Windows, attend, reference};
+use super::{Rows, Shape, Windows, attend, attend_as, reference};
+use crate::gemm::Precision;
 use crate::testing::{noise, on_every_level_and_thread_count};
 
 /// The largest error against binary64, relative to the largest value; equality over levels and threads on the way.
@@ -125,4 +126,20 @@ fn no_keys_give_zero_and_no_queries_nothing() {
     attend(crate::Level::detect(), full(1), rows(&[0.5; 64], 1), rows(&[], 0), rows(&[], 0), &mut out);
     assert_eq!(out, [0.0; 64]);
     attend(crate::Level::detect(), full(1), rows(&[], 0), rows(&[0.5; 64], 1), rows(&[0.5; 64], 1), &mut []);
+}
+
+#[test]
+fn lower_precisions_stay_near_the_formula_and_agree_everywhere() {
+    let (heads, tokens, d) = (2, 211, 128);
+    let (q, k, v) = (noise(tokens * d, 1), noise(tokens * d, 2), noise(tokens * d, 3));
+    let expected = reference::attend(&q, &k, &v, heads, 64, |_, _| true);
+    for precision in [Precision::Bf16, Precision::Int8] {
+        let out = on_every_level_and_thread_count(tokens * d, |level, out| {
+            let rows = |x| Rows::new(x, tokens, d, 0);
+            attend_as(precision, level, full(heads), rows(&q), rows(&k), rows(&v), out);
+        });
+        let error: f64 = out.iter().zip(&expected).map(|(o, e)| (f64::from(*o) - e).powi(2)).sum();
+        let size: f64 = expected.iter().map(|e| e * e).sum();
+        assert!((error / size).sqrt() < 1e-2, "{precision:?}: {:e}", (error / size).sqrt());
+    }
 }

@@ -100,12 +100,15 @@ impl<'a> Epilogue<'a> {
     /// The epilogue's vectors for up to 16 columns.
     #[inline(always)]
     pub(super) fn affine<S: Simd>(&self, s: S, columns: &Range<usize>) -> Affine<S> {
-        let load = |x: &[f32]| s.load_partial(&x[columns.clone()], 0.0);
-        Affine {
-            bias: self.bias.map_or(s.splat(-0.0), load),
-            gamma: self.gamma.map_or(s.splat(1.0), load),
-            residual: self.residual,
-        }
+        let bias = match self.bias {
+            Some(bias) => s.load_partial(&bias[columns.clone()], 0.0),
+            None => s.splat(-0.0),
+        };
+        let gamma = match self.gamma {
+            Some(gamma) => s.load_partial(&gamma[columns.clone()], 0.0),
+            None => s.splat(1.0),
+        };
+        Affine { bias, gamma, residual: self.residual }
     }
 
     /// The function between the bias and the rest.
@@ -125,19 +128,19 @@ impl<'a> Epilogue<'a> {
 pub(super) struct Affine<S: Simd> {
     pub(super) bias: S::F32,
     gamma: S::F32,
-    residual: bool,
+    pub(super) residual: bool,
 }
 
 impl<S: Simd> Affine<S> {
-    /// The epilogue without a function.
+    /// The epilogue without a function; `before` is what the output holds where there is a residual.
     #[inline(always)]
-    pub(super) fn apply(&self, s: S, p: S::F32, out: impl Fn() -> S::F32) -> S::F32 {
-        self.finish(s, s.add(p, self.bias), out)
+    pub(super) fn apply(&self, s: S, p: S::F32, before: S::F32) -> S::F32 {
+        self.finish(s, s.add(p, self.bias), before)
     }
 
     /// What follows the function.
     #[inline(always)]
-    pub(super) fn finish(&self, s: S, y: S::F32, out: impl Fn() -> S::F32) -> S::F32 {
-        if self.residual { s.mul_add(self.gamma, y, out()) } else { s.mul(self.gamma, y) }
+    pub(super) fn finish(&self, s: S, y: S::F32, before: S::F32) -> S::F32 {
+        if self.residual { s.mul_add(self.gamma, y, before) } else { s.mul(self.gamma, y) }
     }
 }

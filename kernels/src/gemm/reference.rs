@@ -1,6 +1,7 @@
 //! The product in plain Rust: the same bits, one element at a time; and in binary64, for its error.
 
-use super::K_BLOCK;
+use super::precision::{round_bf16_scalar, scale_of};
+use super::{K_BLOCK, Precision};
 use crate::simd::fused_mul_add;
 
 /// `x · wᵀ` for `x [m,k]`, `w [n,k]`, in the defined order.
@@ -29,4 +30,35 @@ pub fn product_f64(x: &[f32], w: &[f32], m: usize, n: usize, k: usize) -> Vec<f6
         }
     }
     out
+}
+
+/// `x · wᵀ` with both operands held in `precision`.
+pub fn product_as(precision: Precision, x: &[f32], w: &[f32], m: usize, n: usize, k: usize) -> Vec<f32> {
+    match precision {
+        Precision::F32 => product(x, w, m, n, k),
+        Precision::Bf16 => {
+            let round = |x: &[f32]| -> Vec<f32> { x.iter().map(|&x| round_bf16_scalar(x)).collect() };
+            product(&round(x), &round(w), m, n, k)
+        }
+        Precision::Int8 => {
+            let rows = |x: &[f32]| -> Vec<(f32, Vec<i64>)> { x.chunks(k.max(1)).map(integers).collect() };
+            let (x, w) = (rows(x), rows(w));
+            let mut out = vec![0.0; m * n];
+            for (row, (b, x)) in x.iter().enumerate() {
+                for (column, (a, w)) in w.iter().enumerate() {
+                    let sum: i64 = x.iter().zip(w).map(|(x, w)| x * w).sum();
+                    out[row * n + column] = sum as f32 * b * a;
+                }
+            }
+            out
+        }
+    }
+}
+
+/// A row's scale and its values in units of that.
+fn integers(row: &[f32]) -> (f32, Vec<i64>) {
+    let most = row.iter().fold(0.0, |most: f32, x| if x.is_nan() { f32::INFINITY } else { most.max(x.abs()) });
+    let (scale, inverse) = scale_of(most);
+    let unit = |&x: &f32| if scale > 0.0 { (x * inverse).round_ties_even() as i64 } else { 0 };
+    (scale, row.iter().map(unit).collect())
 }

@@ -1,4 +1,4 @@
-use super::{Epilogue, Weights, linear, reference};
+use super::{Epilogue, Precision, Weights, linear, reference};
 use crate::testing::{bits, noise, on_every_level_and_thread_count};
 
 const SIZES: [(usize, usize, usize); 9] = [
@@ -22,6 +22,45 @@ fn every_level_and_thread_count_gives_the_defined_bits() {
             linear(level, &x, m, &weights, &Epilogue::new(), out);
         });
         assert!(bits(&out) == bits(&reference::product(&x, &w, m, n, k)), "{m}x{n}x{k}");
+    }
+}
+
+#[test]
+fn lower_precisions_give_their_defined_bits_everywhere() {
+    for precision in [Precision::Bf16, Precision::Int8] {
+        for (m, n, k) in SIZES.into_iter().chain([(7, 20, 2051)]) {
+            let (mut x, mut w) = (noise(m * k, 1), noise(n * k, 2));
+            // Every magnitude a row can have, and values that a format flushes or cannot hold.
+            for (i, row) in x.chunks_mut(k.max(1)).enumerate() {
+                row.iter_mut().for_each(|x| *x *= [1.0, 1e-20, 1e15, 1e-40, 0.0][i % 5]);
+                if i % 7 == 6 {
+                    row[k / 2] = f32::NAN;
+                }
+            }
+            w.iter_mut().step_by(11).for_each(|w| *w *= 1e-17);
+            let weights = Weights::pack_as(precision, &w, n, k);
+            let out = on_every_level_and_thread_count(m * n, |level, out| {
+                linear(level, &x, m, &weights, &Epilogue::new(), out);
+            });
+            assert!(
+                bits(&out) == bits(&reference::product_as(precision, &x, &w, m, n, k)),
+                "{precision:?} {m}x{n}x{k}"
+            );
+        }
+    }
+}
+
+#[test]
+fn lower_precisions_stay_near_the_exact_product() {
+    let (m, n, k) = (9, 40, 768);
+    let (x, w) = (noise(m * k, 3), noise(n * k, 4));
+    let exact = reference::product_f64(&x, &w, m, n, k);
+    let size: f64 = exact.iter().map(|e| e * e).sum();
+    for (precision, bound) in [(Precision::F32, 1e-6), (Precision::Bf16, 4e-3), (Precision::Int8, 8e-3)] {
+        let mut out = vec![0.0; m * n];
+        linear(crate::Level::detect(), &x, m, &Weights::pack_as(precision, &w, n, k), &Epilogue::new(), &mut out);
+        let error: f64 = out.iter().zip(&exact).map(|(o, e)| (f64::from(*o) - e).powi(2)).sum();
+        assert!((error / size).sqrt() < bound, "{precision:?}: {:e}", (error / size).sqrt());
     }
 }
 
@@ -83,6 +122,13 @@ fn epilogues_are_the_functions_they_name() {
         ("bias, residual", b.residual(), &|p, b, _| 0.5 + p + b),
         ("bias, gamma, residual", b.gamma(&gamma).residual(), &|p, b, g| 0.5 + g * (p + b)),
     ];
+    for (name, epilogue, _) in &cases {
+        for precision in [Precision::Bf16, Precision::Int8] {
+            let weights = Weights::pack_as(precision, &w, n, k);
+            on_every_level_and_thread_count(m * n, |level, out| linear(level, &x, m, &weights, epilogue, out));
+            assert!(weights.bytes() < n.next_multiple_of(16) * k * 3, "{name}");
+        }
+    }
     for (name, epilogue, expected) in cases {
         let out = on_every_level_and_thread_count(m * n, |level, out| linear(level, &x, m, &weights, &epilogue, out));
         for i in 0..m * n {

@@ -57,6 +57,15 @@ impl Simd for Avx2 {
     const GEMM_PANELS: usize = 1;
 
     #[inline(always)]
+    fn split_bytes(self, a: I) -> [I; 2] {
+        let high = both!(I, _mm256_slli_epi16::<8>, a);
+        [both!(I, _mm256_srai_epi16::<8>, high), both!(I, _mm256_srai_epi16::<8>, a)]
+    }
+    #[inline(always)]
+    fn dot_i16(self, a: I, b: I) -> I {
+        both!(I, _mm256_madd_epi16, a, b)
+    }
+    #[inline(always)]
     fn level(self) -> Level {
         Level(Kind::Avx2)
     }

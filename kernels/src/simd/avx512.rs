@@ -10,11 +10,31 @@ use crate::level::{Kind, Level};
 /// The CPU has AVX2, FMA and AVX-512 F, BW, DQ and VL.
 #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
 pub(super) unsafe fn enter<O: Operation>(operation: O) -> O::Output {
-    operation.run(Avx512(()))
+    operation.run(Avx512::<false>(()))
 }
 
+/// [`enter`] with the dot products of bf16 pairs and of bytes.
+///
+/// # Safety
+/// As [`enter`], and the CPU has AVX-512 BF16 and VNNI.
+#[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl,avx512bf16,avx512vnni")]
+pub(super) unsafe fn enter_dot<O: Operation>(operation: O) -> O::Output {
+    operation.run(Avx512::<true>(()))
+}
+
+/// Whether the CPU has the dot products of bf16 pairs and of bytes and they give the defined bits.
+pub(super) fn has_dot() -> bool {
+    static HAS: std::sync::OnceLock<bool> = std::sync::OnceLock::new();
+    *HAS.get_or_init(|| {
+        let there = is_x86_feature_detected!("avx512bf16") && is_x86_feature_detected!("avx512vnni");
+        // SAFETY: only evaluated where the CPU has the instructions.
+        there && unsafe { enter_dot(super::dot::Answers) } == super::dot::known_answers()
+    })
+}
+
+/// With `DOT`, the CPU also has AVX-512 BF16 and VNNI.
 #[derive(Clone, Copy)]
-pub(crate) struct Avx512(());
+pub(crate) struct Avx512<const DOT: bool>(());
 
 type F = __m512;
 type I = __m512i;
@@ -28,12 +48,37 @@ macro_rules! op {
     };
 }
 
-impl Simd for Avx512 {
+impl<const DOT: bool> Simd for Avx512<DOT> {
     type F32 = F;
     type I32 = I;
     type Mask = M;
     const GEMM_ROWS: usize = 12;
     const GEMM_PANELS: usize = 2;
+    const DOT: bool = DOT;
+
+    #[inline(always)]
+    fn dot_bf16(self, acc: F, a: I, b: I) -> F {
+        if DOT {
+            // SAFETY: the token proves AVX-512 BF16; both types are 512 bits without invalid values.
+            unsafe {
+                _mm512_dpbf16_ps(acc, std::mem::transmute::<I, __m512bh>(a), std::mem::transmute::<I, __m512bh>(b))
+            }
+        } else {
+            super::dot::bf16(self, acc, a, b)
+        }
+    }
+    #[inline(always)]
+    fn dot_bytes(self, acc: I, a: I, b: I) -> I {
+        if DOT { op!(_mm512_dpbusd_epi32(acc, a, b)) } else { super::dot::bytes(self, acc, a, b) }
+    }
+    #[inline(always)]
+    fn split_bytes(self, a: I) -> [I; 2] {
+        op!([_mm512_srai_epi16::<8>(_mm512_slli_epi16::<8>(a)), _mm512_srai_epi16::<8>(a)])
+    }
+    #[inline(always)]
+    fn dot_i16(self, a: I, b: I) -> I {
+        op!(_mm512_madd_epi16(a, b))
+    }
 
     #[inline(always)]
     unsafe fn load_ptr(self, from: *const f32) -> F {

@@ -16,6 +16,7 @@
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+mod dot;
 #[cfg(target_arch = "aarch64")]
 mod neon;
 mod scalar;
@@ -45,6 +46,33 @@ pub trait Simd: Copy + Send + Sync + 'static {
     const GEMM_ROWS: usize;
     /// Vectors of columns of the register block of a matrix product.
     const GEMM_PANELS: usize;
+
+    /// Whether [`Simd::dot_bf16`] and [`Simd::dot_bytes`] are single instructions. See [`dispatch_dot`].
+    const DOT: bool = false;
+
+    /// `acc + a₁b₁ + a₀b₀` in every lane for pairs of bf16: a fused step of the high halves, then one of the low halves.
+    ///
+    /// Precondition: every bf16 is zero, infinite, NaN or at least 2⁻⁵⁶ in magnitude, and `acc` is +0 or the result of such
+    /// steps. Then no step is near the denormal numbers, where the instruction departs from a fused multiply-add.
+    #[inline(always)]
+    fn dot_bf16(self, acc: Self::F32, a: Self::I32, b: Self::I32) -> Self::F32 {
+        dot::bf16(self, acc, a, b)
+    }
+    /// `acc + Σ a·b` in every lane for four unsigned bytes `a` and four signed bytes `b`, wrapping.
+    #[inline(always)]
+    fn dot_bytes(self, acc: Self::I32, a: Self::I32, b: Self::I32) -> Self::I32 {
+        dot::bytes(self, acc, a, b)
+    }
+    /// The signed bytes 0 and 2, and the signed bytes 1 and 3, of every lane as pairs of i16.
+    #[inline(always)]
+    fn split_bytes(self, a: Self::I32) -> [Self::I32; 2] {
+        dot::split_bytes(self, a)
+    }
+    /// `a₀b₀ + a₁b₁` in every lane for pairs of i16.
+    #[inline(always)]
+    fn dot_i16(self, a: Self::I32, b: Self::I32) -> Self::I32 {
+        dot::i16s(self, a, b)
+    }
 
     /// The level of this token.
     fn level(self) -> Level;
@@ -269,6 +297,20 @@ pub fn dispatch<O: Operation>(level: Level, operation: O) -> O::Output {
         // SAFETY: a `Level` proves that the CPU has its instructions.
         Kind::Neon => unsafe { neon::enter(operation) },
     }
+}
+
+/// [`dispatch`], with the dot products of the lower precisions as instructions where the CPU has them.
+///
+/// They are a capability beside the level: before the first use they have to reproduce known answers, and a CPU whose
+/// instructions do not is served by the plain operations, with the same bits.
+#[inline]
+pub fn dispatch_dot<O: Operation>(level: Level, operation: O) -> O::Output {
+    #[cfg(target_arch = "x86_64")]
+    if level.0 == Kind::Avx512 && avx512::has_dot() {
+        // SAFETY: the level and the check prove that the CPU has the instructions.
+        return unsafe { avx512::enter_dot(operation) };
+    }
+    dispatch(level, operation)
 }
 
 #[cfg(test)]

@@ -1,0 +1,291 @@
+//! How each precision holds its operands, and what it does with them in the register block.
+//!
+//! Operands are 32-bit words: a weight panel is `[words][16]`, a group of rows `[words][MR]`. A word is one f32, two bf16 (the
+//! earlier in the high half: the instruction takes that first) or four bytes. Levels without dot products of words widen the
+//! panels in registers, and hold each row's word as two: two f32, or two pairs of i16.
+
+use super::microkernel::{self, Tile};
+use super::precision::{Precision, largest_magnitude, pair, round_bf16, scale_of};
+use crate::simd::{LANES, Simd};
+
+/// A precision's operands.
+pub(super) trait Form {
+    const PRECISION: Precision;
+
+    /// Words of a row of `k` values on a level.
+    fn row_words<S: Simd>(k: usize) -> usize;
+
+    /// Row words that go with one word of a panel on a level.
+    fn row_words_of_a_word<S: Simd>() -> usize;
+
+    /// Turns a row into its words; returns its scale.
+    fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32;
+
+    /// The sums of one block of `words`, starting from nothing.
+    ///
+    /// # Safety
+    /// `rows` is readable for the block's row words times `MR`, every pointer of `panels` for `16 words`.
+    unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
+        s: S,
+        rows: *const u32,
+        panels: [*const u32; NV],
+        words: usize,
+    ) -> Tile<S, MR, NV>;
+
+    /// Adds a block's sums to those before.
+    fn add<S: Simd>(s: S, before: S::F32, block: S::F32) -> S::F32;
+
+    /// The product from its sums.
+    fn product<S: Simd>(s: S, sum: S::F32, row_scale: f32, column_scales: S::F32, offsets: S::I32) -> S::F32;
+}
+
+/// Values of `k` in one word of a panel.
+pub(super) const fn values_of_a_word(precision: Precision) -> usize {
+    match precision {
+        Precision::F32 => 1,
+        Precision::Bf16 => 2,
+        Precision::Int8 => 4,
+    }
+}
+
+/// Words of a panel in one block: [`super::K_BLOCK`] values where the order of sums counts.
+pub(super) const fn block_words(precision: Precision) -> usize {
+    match precision {
+        Precision::F32 => super::K_BLOCK,
+        Precision::Bf16 => super::K_BLOCK / 2,
+        Precision::Int8 => 256,
+    }
+}
+
+/// f32 as it is.
+pub(super) struct Single;
+
+impl Form for Single {
+    const PRECISION: Precision = Precision::F32;
+
+    #[inline(always)]
+    fn row_words<S: Simd>(k: usize) -> usize {
+        k
+    }
+    #[inline(always)]
+    fn row_words_of_a_word<S: Simd>() -> usize {
+        1
+    }
+    #[inline(always)]
+    fn convert<S: Simd>(_: S, row: &[f32], _: &mut [f32], words: &mut [u32]) -> f32 {
+        words.copy_from_slice(bytemuck::cast_slice(row));
+        1.0
+    }
+    #[inline(always)]
+    unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
+        s: S,
+        rows: *const u32,
+        panels: [*const u32; NV],
+        words: usize,
+    ) -> Tile<S, MR, NV> {
+        // SAFETY: the caller's.
+        unsafe { microkernel::multiply(s, rows.cast(), panels.map(<*const u32>::cast), words) }
+    }
+    #[inline(always)]
+    fn add<S: Simd>(s: S, before: S::F32, block: S::F32) -> S::F32 {
+        s.add(before, block)
+    }
+    #[inline(always)]
+    fn product<S: Simd>(_: S, sum: S::F32, _: f32, _: S::F32, _: S::I32) -> S::F32 {
+        sum
+    }
+}
+
+/// bf16 operands, f32 sums.
+pub(super) struct Brain;
+
+impl Form for Brain {
+    const PRECISION: Precision = Precision::Bf16;
+
+    #[inline(always)]
+    fn row_words<S: Simd>(k: usize) -> usize {
+        if S::DOT { k.div_ceil(2) } else { k.next_multiple_of(2) }
+    }
+    #[inline(always)]
+    fn row_words_of_a_word<S: Simd>() -> usize {
+        if S::DOT { 1 } else { 2 }
+    }
+    #[inline(always)]
+    fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
+        let values = &mut values[..row.len().next_multiple_of(2)];
+        values[row.len()..].fill(0.0);
+        for (row, to) in row.chunks(LANES).zip(values.chunks_mut(LANES)) {
+            s.store_partial(round_bf16(s, s.load_partial(row, 0.0)), &mut to[..row.len()]);
+        }
+        if S::DOT {
+            for (word, two) in words.iter_mut().zip(values.chunks_exact(2)) {
+                *word = pair(two[0], two[1]);
+            }
+        } else {
+            words.copy_from_slice(bytemuck::cast_slice(values));
+        }
+        1.0
+    }
+    #[inline(always)]
+    unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
+        s: S,
+        rows: *const u32,
+        panels: [*const u32; NV],
+        words: usize,
+    ) -> Tile<S, MR, NV> {
+        let mut acc = [[s.splat(0.0); NV]; MR];
+        let mut i = 0;
+        // SAFETY: i < words in every step.
+        unsafe {
+            while i + 2 <= words {
+                brain_step(s, &mut acc, rows, panels, i);
+                brain_step(s, &mut acc, rows, panels, i + 1);
+                i += 2;
+            }
+            if i < words {
+                brain_step(s, &mut acc, rows, panels, i);
+            }
+        }
+        acc
+    }
+    #[inline(always)]
+    fn add<S: Simd>(s: S, before: S::F32, block: S::F32) -> S::F32 {
+        s.add(before, block)
+    }
+    #[inline(always)]
+    fn product<S: Simd>(_: S, sum: S::F32, _: f32, _: S::F32, _: S::I32) -> S::F32 {
+        sum
+    }
+}
+
+/// # Safety
+/// As [`Form::multiply`], with `i < words`.
+#[inline(always)]
+unsafe fn brain_step<S: Simd, const MR: usize, const NV: usize>(
+    s: S,
+    acc: &mut Tile<S, MR, NV>,
+    rows: *const u32,
+    panels: [*const u32; NV],
+    i: usize,
+) {
+    // SAFETY: the caller's.
+    unsafe {
+        let mut b = [s.splat_i32(0); NV];
+        for v in 0..NV {
+            b[v] = s.to_bits(s.load_ptr(panels[v].add(i * LANES).cast()));
+        }
+        if S::DOT {
+            for r in 0..MR {
+                let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
+                for v in 0..NV {
+                    acc[r][v] = s.dot_bf16(acc[r][v], a, b[v]);
+                }
+            }
+            return;
+        }
+        let rows = rows.add(2 * i * MR).cast::<f32>();
+        let high = s.splat_i32(0xffff_0000_u32.cast_signed());
+        for r in 0..MR {
+            let a = s.splat(*rows.add(r));
+            for v in 0..NV {
+                acc[r][v] = s.mul_add(a, s.from_bits(s.and_i32(b[v], high)), acc[r][v]);
+            }
+        }
+        for r in 0..MR {
+            let a = s.splat(*rows.add(MR + r));
+            for v in 0..NV {
+                acc[r][v] = s.mul_add(a, s.from_bits(s.shl::<16>(b[v])), acc[r][v]);
+            }
+        }
+    }
+}
+
+/// Bytes with scales, i32 sums.
+pub(super) struct Bytes;
+
+impl Form for Bytes {
+    const PRECISION: Precision = Precision::Int8;
+
+    #[inline(always)]
+    fn row_words<S: Simd>(k: usize) -> usize {
+        k.div_ceil(4) * Self::row_words_of_a_word::<S>()
+    }
+    #[inline(always)]
+    fn row_words_of_a_word<S: Simd>() -> usize {
+        if S::DOT { 1 } else { 2 }
+    }
+    #[inline(always)]
+    fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
+        let (scale, inverse) = scale_of(largest_magnitude(s, row));
+        // A row of zeros, or one with a value that is not finite, is zero.
+        let usable = s.mask_from_bits(if scale > 0.0 { u16::MAX } else { 0 });
+        let inverse = s.splat(inverse);
+        let zero = s.splat(0.0);
+        let integers: &mut [i32] = bytemuck::cast_slice_mut(values);
+        integers[row.len()..].fill(0);
+        for (row, to) in row.chunks(LANES).zip(integers.chunks_mut(LANES)) {
+            let x = s.select(usable, s.mul(s.load_partial(row, 0.0), inverse), zero);
+            let all = s.to_array_i32(s.to_i32(s.round(x)));
+            to.copy_from_slice(&all[..to.len()]);
+        }
+        let pack = |q: &[i32], offset: i32| q.iter().rev().fold(0, |word, q| word << 8 | (q + offset) as u32 & 0xff);
+        if S::DOT {
+            // The instruction takes these unsigned; the weights' offsets undo it.
+            for (word, q) in words.iter_mut().zip(integers.chunks_exact(4)) {
+                *word = pack(q, 128);
+            }
+        } else {
+            let pair = |low: i32, high: i32| (low as u32 & 0xffff) | (high as u32) << 16;
+            for (two, q) in words.chunks_exact_mut(2).zip(integers.chunks_exact(4)) {
+                (two[0], two[1]) = (pair(q[0], q[2]), pair(q[1], q[3]));
+            }
+        }
+        scale
+    }
+    #[inline(always)]
+    unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
+        s: S,
+        rows: *const u32,
+        panels: [*const u32; NV],
+        words: usize,
+    ) -> Tile<S, MR, NV> {
+        let mut acc = [[s.splat_i32(0); NV]; MR];
+        for i in 0..words {
+            // SAFETY: the caller's; i < words.
+            unsafe {
+                for v in 0..NV {
+                    let b = s.to_bits(s.load_ptr(panels[v].add(i * LANES).cast()));
+                    if S::DOT {
+                        for r in 0..MR {
+                            let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
+                            acc[r][v] = s.dot_bytes(acc[r][v], a, b);
+                        }
+                        continue;
+                    }
+                    for (half, b) in s.split_bytes(b).into_iter().enumerate() {
+                        for r in 0..MR {
+                            let a = s.splat_i32((*rows.add((2 * i + half) * MR + r)).cast_signed());
+                            acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, b));
+                        }
+                    }
+                }
+            }
+        }
+        let mut tile = [[s.splat(0.0); NV]; MR];
+        for r in 0..MR {
+            for v in 0..NV {
+                tile[r][v] = s.from_bits(acc[r][v]);
+            }
+        }
+        tile
+    }
+    #[inline(always)]
+    fn add<S: Simd>(s: S, before: S::F32, block: S::F32) -> S::F32 {
+        s.from_bits(s.add_i32(s.to_bits(before), s.to_bits(block)))
+    }
+    #[inline(always)]
+    fn product<S: Simd>(s: S, sum: S::F32, row_scale: f32, column_scales: S::F32, offsets: S::I32) -> S::F32 {
+        let sum = if S::DOT { s.sub_i32(s.to_bits(sum), offsets) } else { s.to_bits(sum) };
+        s.mul(s.mul(s.to_f32(sum), s.splat(row_scale)), column_scales)
+    }
+}

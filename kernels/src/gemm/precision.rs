@@ -1,0 +1,69 @@
+//! The number formats of products, and rounding to them.
+
+use crate::simd::{LANES, Simd};
+
+/// The format in which a product's operands are held. Sums, bias, functions and residuals are f32 in all of them.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub enum Precision {
+    /// f32, as given.
+    #[default]
+    F32,
+    /// bf16: 8 bits of significand, rounded to nearest even; magnitudes below 2⁻⁵⁶ become 0.
+    Bf16,
+    /// 8-bit integers: weights with a scale per output channel, inputs with a scale per row.
+    Int8,
+}
+
+/// The smallest magnitude that bf16 operands keep.
+///
+/// Their products are whole multiples of 2⁻¹²⁶, and so is every sum of them: none is near the denormal numbers, which the
+/// instructions for bf16 flush in their own way.
+const SMALLEST: f32 = f32::from_bits((127 - 56) << 23);
+
+/// The nearest bf16, as f32. NaN stays NaN.
+#[inline(always)]
+pub(crate) fn round_bf16<S: Simd>(s: S, x: S::F32) -> S::F32 {
+    let bits = s.to_bits(x);
+    let odd = s.and_i32(s.shr::<16>(bits), s.splat_i32(1));
+    let rounded = s.add_i32(bits, s.add_i32(odd, s.splat_i32(0x7fff)));
+    let rounded = s.from_bits(s.and_i32(rounded, s.splat_i32(0xffff_0000_u32.cast_signed())));
+    let rounded = s.select(s.eq(x, x), rounded, s.splat(f32::NAN));
+    s.select(s.lt(s.abs(x), s.splat(SMALLEST)), s.splat(0.0), rounded)
+}
+
+/// [`round_bf16`] of one value.
+pub(crate) fn round_bf16_scalar(x: f32) -> f32 {
+    if x.is_nan() {
+        f32::NAN
+    } else if x.abs() < SMALLEST {
+        0.0
+    } else {
+        let bits = x.to_bits();
+        f32::from_bits((bits + 0x7fff + (bits >> 16 & 1)) & 0xffff_0000)
+    }
+}
+
+/// Two bf16, held as f32, in one word: `first` in the high half.
+#[inline(always)]
+pub(crate) fn pair(first: f32, second: f32) -> u32 {
+    (first.to_bits() & 0xffff_0000) | second.to_bits() >> 16
+}
+
+/// The scale of a row for 8-bit integers, `max|x|/127`, and its inverse; 0 and 0 for a row of zeros or one that is not finite.
+#[inline(always)]
+pub(crate) fn scale_of(most: f32) -> (f32, f32) {
+    // A smaller maximum has no finite inverse.
+    if (1e-36..f32::INFINITY).contains(&most) { (most / 127.0, 127.0 / most) } else { (0.0, 0.0) }
+}
+
+/// The largest magnitude of a row; 0 where it has none.
+#[inline(always)]
+pub(crate) fn largest_magnitude<S: Simd>(s: S, x: &[f32]) -> f32 {
+    let mut most = s.splat(0.0);
+    for x in x.chunks(LANES) {
+        // An infinite or NaN value must not hide: it makes the whole row zero.
+        let x = s.abs(s.load_partial(x, 0.0));
+        most = s.select(s.eq(x, x), s.max(x, most), s.splat(f32::INFINITY));
+    }
+    s.max_lane(most)
+}

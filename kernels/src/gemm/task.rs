@@ -1,0 +1,280 @@
+//! A product cut into tasks, and the walk of one task over its rows and panels.
+
+use std::marker::PhantomData;
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::epilogue::Affine;
+use super::form::{Form, block_words};
+use super::{Epilogue, Precision, Weights, interleave};
+use crate::Level;
+use crate::memory::Scratch;
+use crate::parallel::Disjoint;
+use crate::simd::{LANES, Operation, Simd, dispatch, dispatch_dot, prefetch};
+
+/// All tasks of [`super::linear`], whose sizes have been checked.
+pub(super) fn run<F: Form>(
+    level: Level,
+    x: &[f32],
+    m: usize,
+    weights: &Weights,
+    epilogue: &Epilogue<'_>,
+    out: &mut [f32],
+) {
+    let grid = Grid::new(m, weights.panel_count(), weights.words());
+    let out = &Disjoint::new(out);
+    (0..grid.tasks()).into_par_iter().with_max_len(1).for_each(|index| {
+        let (rows, panels) = grid.task(index);
+        let task = Task { x, weights, epilogue, out, rows, panels, form: PhantomData::<fn(F)> };
+        if F::PRECISION == Precision::F32 { dispatch(level, task) } else { dispatch_dot(level, task) }
+    });
+}
+
+/// The fixed grid of tasks: blocks of rows, in each of them ranges of panels.
+struct Grid {
+    rows: usize,
+    panels: usize,
+    row_block: usize,
+    panel_block: usize,
+}
+
+impl Grid {
+    /// Row blocks that stay in a second-level cache, fewer rows where that would leave few tasks; ranges of panels only where
+    /// there are few rows, since each range interleaves its rows again.
+    fn new(rows: usize, panels: usize, words: usize) -> Self {
+        const TASKS: usize = 24;
+        const WHOLE: usize = 12;
+        let most = if words <= 1024 { 96 } else { 48 };
+        let row_block = rows.div_ceil(TASKS).next_multiple_of(WHOLE).clamp(WHOLE, most);
+        let row_blocks = rows.div_ceil(row_block).max(1);
+        // An even number of panels: some levels take two at a time.
+        let panel_block = panels.div_ceil(TASKS.div_ceil(row_blocks)).max(4).next_multiple_of(2);
+        Self { rows, panels, row_block, panel_block }
+    }
+
+    fn ranges(&self) -> usize {
+        self.panels.div_ceil(self.panel_block)
+    }
+
+    fn tasks(&self) -> usize {
+        self.rows.div_ceil(self.row_block) * self.ranges()
+    }
+
+    fn task(&self, index: usize) -> (Range<usize>, Range<usize>) {
+        let row = index / self.ranges() * self.row_block;
+        let panel = index % self.ranges() * self.panel_block;
+        (row..(row + self.row_block).min(self.rows), panel..(panel + self.panel_block).min(self.panels))
+    }
+}
+
+/// One task of [`super::linear`].
+struct Task<'a, F> {
+    x: &'a [f32],
+    weights: &'a Weights,
+    epilogue: &'a Epilogue<'a>,
+    out: &'a Disjoint<'a, f32>,
+    rows: Range<usize>,
+    panels: Range<usize>,
+    form: PhantomData<fn(F)>,
+}
+
+impl<F: Form> Operation for Task<'_, F> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        // The constants of a level choose one of these; the others are not compiled for it.
+        match (S::GEMM_ROWS, S::GEMM_PANELS) {
+            (12, 2) => self.blocks::<S, 12, 2>(s),
+            (6, 1) => self.blocks::<S, 6, 1>(s),
+            _ => self.blocks::<S, 4, 1>(s),
+        }
+    }
+}
+
+impl<F: Form> Task<'_, F> {
+    #[inline(always)]
+    fn blocks<S: Simd, const MR: usize, const NV: usize>(&self, s: S) {
+        let (k, rows) = (self.weights.k, self.rows.len());
+        let row_words = F::row_words::<S>(k);
+        let mut tile = Scratch::take(rows * NV * LANES);
+        let mut scales = Scratch::take(rows);
+        let mut words = Scratch::take(rows.next_multiple_of(MR) * row_words);
+        if F::PRECISION == Precision::F32 {
+            interleave::<MR>(rows, k, |i| self.row(i), &mut words);
+        } else {
+            let mut converted = Scratch::take(rows * row_words);
+            let mut values = Scratch::take(k.next_multiple_of(4));
+            for i in 0..rows {
+                let to = bytemuck::cast_slice_mut(&mut converted[i * row_words..][..row_words]);
+                scales[i] = F::convert(s, self.row(i), &mut values, to);
+            }
+            interleave::<MR>(rows, row_words, |i| &converted[i * row_words..][..row_words], &mut words);
+        }
+        let x: &[u32] = bytemuck::cast_slice(&words);
+        let mut panel = self.panels.start;
+        while panel + NV <= self.panels.end {
+            self.panel_group::<S, MR, NV>(s, panel, x, &scales, &mut tile);
+            panel += NV;
+        }
+        while panel < self.panels.end {
+            self.panel_group::<S, MR, 1>(s, panel, x, &scales, &mut tile);
+            panel += 1;
+        }
+    }
+
+    /// Row `i` of the task.
+    #[inline(always)]
+    fn row(&self, i: usize) -> &[f32] {
+        &self.x[(self.rows.start + i) * self.weights.k..][..self.weights.k]
+    }
+
+    /// `NV` panels over all rows of the task.
+    #[inline(always)]
+    fn panel_group<S: Simd, const MR: usize, const NV: usize>(
+        &self,
+        s: S,
+        panel: usize,
+        x: &[u32],
+        scales: &[f32],
+        tile: &mut [f32],
+    ) {
+        let (n, k) = (self.weights.n, self.weights.words());
+        let (each, row_words) = (F::row_words_of_a_word::<S>(), F::row_words::<S>(self.weights.k));
+        let rows = self.rows.len();
+        let tile = &mut tile[..rows * NV * LANES];
+        let start = panel * LANES;
+        let columns = start..(start + NV * LANES).min(n);
+        // Without a function to apply, whole vectors are written straight from the registers of the last block.
+        let direct = self.epilogue.is_affine() && columns.len() == NV * LANES && k > 0;
+        if k == 0 {
+            tile.fill(0.0);
+        }
+        for start in (0..k).step_by(block_words(F::PRECISION)) {
+            let length = block_words(F::PRECISION).min(k - start);
+            let (first_block, last_block) = (start == 0, start + length == k);
+            let mut from = [std::ptr::null(); NV];
+            for v in 0..NV {
+                from[v] = self.weights.panels[((panel + v) * k + start) * LANES..][..length * LANES].as_ptr();
+            }
+            let mut ahead = Ahead::after(
+                from,
+                length * LANES,
+                if last_block { (NV - 1) * k * LANES } else { 0 },
+                rows.div_ceil(MR),
+            );
+            for first in (0..rows).step_by(MR) {
+                ahead.fetch();
+                let present = MR.min(rows - first);
+                let at = &x[first * row_words + start * each * MR..];
+                let at = &at[..(length * each).min(row_words - start * each) * MR];
+                if last_block {
+                    for r in 0..MR {
+                        let row = self.rows.start + first + r;
+                        prefetch(self.out.address(row * n + columns.start));
+                    }
+                }
+                // SAFETY: each pointer is that of a slice of the length read.
+                let mut acc = unsafe { F::multiply::<S, MR, NV>(s, at.as_ptr(), from, length) };
+                let tile = &mut tile[first * NV * LANES..][..present * NV * LANES];
+                if !first_block {
+                    for r in 0..MR {
+                        if r < present {
+                            for v in 0..NV {
+                                let before = s.load(&tile[(r * NV + v) * LANES..]);
+                                acc[r][v] = F::add(s, before, acc[r][v]);
+                            }
+                        }
+                    }
+                }
+                if last_block && direct {
+                    for v in 0..NV {
+                        let columns = columns.start + v * LANES..columns.start + (v + 1) * LANES;
+                        let (affine, scaled, offsets) = self.of_columns(s, &columns);
+                        for r in 0..MR {
+                            if r < present {
+                                let row = (self.rows.start + first + r) * n;
+                                // SAFETY: tasks own disjoint blocks of rows and columns.
+                                let out = unsafe { self.out.part(row + columns.start..row + columns.end) };
+                                let p = F::product(s, acc[r][v], scales[first + r], scaled, offsets);
+                                let before = if affine.residual { s.load(out) } else { p };
+                                s.store(affine.apply(s, p, before), out);
+                            }
+                        }
+                    }
+                } else {
+                    for r in 0..MR {
+                        if r < present {
+                            for v in 0..NV {
+                                s.store(acc[r][v], &mut tile[(r * NV + v) * LANES..]);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        if !direct {
+            self.finish::<S, NV>(s, columns, scales, tile);
+        }
+    }
+
+    /// What the epilogue and the form have for up to 16 columns that start a panel.
+    #[inline(always)]
+    fn of_columns<S: Simd>(&self, s: S, columns: &Range<usize>) -> (Affine<S>, S::F32, S::I32) {
+        let affine = self.epilogue.affine(s, columns);
+        if F::PRECISION != Precision::Int8 {
+            return (affine, s.splat(1.0), s.splat_i32(0));
+        }
+        let whole = columns.start..columns.start + LANES;
+        let mut offsets = [0; LANES];
+        offsets.copy_from_slice(&self.weights.offsets[whole.clone()]);
+        (affine, s.load(&self.weights.scales[whole]), s.from_array_i32(offsets))
+    }
+
+    /// Applies the epilogue to a tile and writes it.
+    #[inline(always)]
+    fn finish<S: Simd, const NV: usize>(&self, s: S, columns: Range<usize>, scales: &[f32], tile: &[f32]) {
+        let n = self.weights.n;
+        for v in 0..NV {
+            let start = columns.start + v * LANES;
+            let columns = start..(start + LANES).min(columns.end);
+            if columns.is_empty() {
+                continue;
+            }
+            let (affine, scaled, offsets) = self.of_columns(s, &columns);
+            for (i, sums) in tile.chunks_exact(NV * LANES).enumerate() {
+                let row = (self.rows.start + i) * n;
+                // SAFETY: tasks own disjoint blocks of rows and columns.
+                let out = unsafe { self.out.part(row + columns.start..row + columns.end) };
+                let p = F::product(s, s.load(&sums[v * LANES..]), scales[i], scaled, offsets);
+                let y = self.epilogue.activate(s, s.add(p, affine.bias));
+                let before = if affine.residual { s.load_partial(out, 0.0) } else { y };
+                s.store_partial(affine.finish(s, y, before), out);
+            }
+        }
+    }
+}
+
+/// Brings the weights of the next block into the cache, a part of them before every register block of this one.
+struct Ahead<const NV: usize> {
+    at: [*const u32; NV],
+    lines: usize,
+}
+
+impl<const NV: usize> Ahead<NV> {
+    /// What follows `len` values from each of `from`, after `skip` more, in `calls` parts.
+    #[inline(always)]
+    fn after(from: [*const u32; NV], len: usize, skip: usize, calls: usize) -> Self {
+        Self { at: from.map(|p| p.wrapping_add(len + skip)), lines: (len / LANES).div_ceil(calls) }
+    }
+
+    #[inline(always)]
+    fn fetch(&mut self) {
+        for at in &mut self.at {
+            for _ in 0..self.lines {
+                prefetch(*at);
+                *at = at.wrapping_add(LANES);
+            }
+        }
+    }
+}
