@@ -57,7 +57,7 @@ pub struct Video {
 }
 
 enum Sink {
-    File { file: BufWriter<File>, digest: blake3::Hasher, bytes: u64 },
+    File { file: BufWriter<File>, digest: Box<blake3::Hasher>, bytes: u64 },
     Stdout(std::io::Stdout),
     Ffmpeg { child: Child, messages: JoinHandle<String> },
 }
@@ -85,7 +85,7 @@ impl Video {
                     Sink::Stdout(std::io::stdout())
                 } else if self.format == VideoFormat::Y4m {
                     let file = File::create(partial_name(&self.path)).map_err(OutputError::write(&self.path))?;
-                    Sink::File { file: BufWriter::new(file), digest: blake3::Hasher::new(), bytes: 0 }
+                    Sink::File { file: BufWriter::new(file), digest: Box::default(), bytes: 0 }
                 } else {
                     self.start_ffmpeg(width, height)?
                 };
@@ -274,7 +274,7 @@ fn fraction(fps: f64) -> (u64, u64) {
     for denominator in [1u64, 1001] {
         let numerator = fps * denominator as f64;
         let whole = numerator.round();
-        if whole >= 1.0 && whole < 4e9 && (numerator - whole).abs() < 1e-6 * whole {
+        if (1.0..4e9).contains(&whole) && (numerator - whole).abs() < 1e-6 * whole {
             return (whole as u64, denominator);
         }
     }

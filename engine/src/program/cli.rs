@@ -113,7 +113,7 @@ pub struct Stream {
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct View {
     /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
-    #[arg(long, value_name = "TIMES")]
+    #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
     pub times: Option<String>,
     /// Size of the images: model, source or WIDTHxHEIGHT
     #[arg(long, value_name = "SIZE", default_value = "model")]
@@ -122,7 +122,7 @@ pub struct View {
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     /// Colour behind everything: grey level or R,G,B, in [0,1]
-    #[arg(long, value_name = "COLOUR", default_value = "0.5")]
+    #[arg(long, value_name = "COLOUR", default_value = "0.5", allow_hyphen_values = true)]
     pub background: String,
 }
 
@@ -151,7 +151,7 @@ pub struct RunOptions {
     #[arg(long, value_name = "MODE", default_value = "letterbox")]
     pub fit: String,
     /// Frames per second of the input [default: its own, or 24]
-    #[arg(long, value_name = "RATE")]
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
     #[command(flatten)]
     pub view: View,
@@ -185,7 +185,7 @@ pub struct RenderOptions {
     #[command(flatten)]
     pub view: View,
     /// Images per second of the scene, where no times are given [default: the source's frame rate]
-    #[arg(long, value_name = "RATE")]
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
     /// Outputs: rgb, depth, alpha [default: rgb]
     #[arg(long, value_name = "LIST")]
@@ -202,8 +202,11 @@ pub struct EvalArgs {
     #[arg(long, value_name = "MODE", default_value = "stretch")]
     pub fit: String,
     /// Frames per second of the input [default: its own, or 24]
-    #[arg(long, value_name = "RATE")]
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
+    /// Size of the images before they are compared at 256x256: model, source or WIDTHxHEIGHT
+    #[arg(long, value_name = "SIZE", default_value = "model")]
+    pub size: String,
     #[command(flatten)]
     pub machine: Machine,
     /// Write the figures here

@@ -1,6 +1,6 @@
 //! `eval`: key frames in, the frames between held out; how close the scene comes to them, and simple baselines beside it.
 //!
-//! Every `gap`-th frame is a key frame. The scene is drawn at every frame's time at the model's own size and compared with the
+//! Every `gap`-th frame is a key frame. The scene is drawn at every frame's time (at the model's own size unless told otherwise) and compared with the
 //! true frame, both brought to 256×256 bilinearly. *Key* frames were given, *middle* frames were not. Baselines for the middle
 //! frames: the cross-fade of the key frames around, and the nearer one. Frames after the last whole interval are left out.
 
@@ -106,7 +106,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let gap = args.stream.gap()?;
     let depth = args.stream.depth_from()?;
     let mut settings = args.stream.settings(&args.fit, &args.machine)?;
-    let views = View { size: "model".into(), background: "0.5".into(), ..View::default() }.resolve()?;
+    let views = View { size: args.size.clone(), background: "0.5".into(), ..View::default() }.resolve()?;
     let clips = clips(&args.input)?;
     if clips.len() > 1 && depth != DepthFrom::None {
         return Err(Failure::usage("--depth: one folder of maps cannot serve several clips"));

@@ -1,13 +1,12 @@
 //! `inspect`: what a model, a scene or an interval holds.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use streamsplat::output::write_file;
 use streamsplat::scene::{INDEX, Scene};
 use streamsplat_model::checkpoint::Checkpoint;
-use streamsplat_model::{Config, LoadOptions, Network};
+use streamsplat_model::inspect::{Kind, inspect};
 
 use super::cli::InspectArgs;
 use super::failure::Failure;
@@ -15,10 +14,18 @@ use super::{digest, say};
 
 /// Tells what it is.
 pub fn command(args: &InspectArgs) -> Result<(), Failure> {
-    let found = if args.file.is_dir() || args.file.file_name().is_some_and(|name| name == INDEX) {
-        scene(&args.file)?
+    let path = &args.file;
+    let found = if path.is_dir() || path.file_name().is_some_and(|name| name == INDEX) {
+        scene(path)?
     } else {
-        tensors(&args.file)?
+        let checkpoint = Checkpoint::open(path)?;
+        let has = |name: &str| checkpoint.tensors().contains_key(name);
+        if ["mean", "velocity", "gamma", "identity"].into_iter().all(has) {
+            interval(path, &checkpoint)?
+        } else {
+            drop(checkpoint);
+            model(path)?
+        }
     };
     show(&found, 0);
     if let Some(path) = &args.json {
@@ -52,133 +59,110 @@ fn scene(path: &Path) -> Result<Value, Failure> {
     }))
 }
 
-fn tensors(path: &Path) -> Result<Value, Failure> {
-    let checkpoint = Checkpoint::open(path)?;
-    let mut parts: BTreeMap<String, (usize, usize)> = BTreeMap::new();
-    let mut kinds: BTreeMap<String, usize> = BTreeMap::new();
-    let mut parameters = 0;
-    for (name, info) in checkpoint.tensors() {
-        let part = parts.entry(part_of(name)).or_default();
-        part.0 += 1;
-        part.1 += info.elements();
-        parameters += info.elements();
-        *kinds.entry(info.dtype.name().to_owned()).or_default() += info.elements();
-    }
-    let parts: serde_json::Map<String, Value> = parts
-        .into_iter()
-        .map(|(part, (tensors, parameters))| (part, json!({ "tensors": tensors, "parameters": parameters })))
+fn interval(path: &Path, checkpoint: &Checkpoint) -> Result<Value, Failure> {
+    let tensors: Map<String, Value> = checkpoint
+        .tensors()
+        .iter()
+        .map(|(name, info)| (name.clone(), json!({ "format": info.dtype.name(), "shape": info.shape })))
         .collect();
-    let is = |suffix: &str| checkpoint.tensors().keys().any(|name| name.ends_with(suffix));
-    let network = is("gs_predictor.encoder.transformer_encoder.conv.weight");
-    let kind = if network {
-        "model"
-    } else if is("patch_embed.proj.weight") {
-        "DINOv2"
-    } else if is("identity") && is("velocity") {
-        "interval"
-    } else {
-        "tensors"
-    };
-    let mut found = json!({
-        "kind": kind,
-        "file": path.display().to_string(),
+    Ok(json!({
+        "kind": "interval",
         "bytes": checkpoint.size(),
         "blake3": digest::file(path)?,
-        "tensors": checkpoint.tensors().len(),
-        "values": parameters,
-        "stored_as": kinds,
+        "gaussians": checkpoint.shape("mean").and_then(|shape| shape.first()),
+        "tensors": tensors,
+    }))
+}
+
+fn model(path: &Path) -> Result<Value, Failure> {
+    let report = inspect(path)?;
+    let (kind, configuration) = match &report.kind {
+        Kind::StreamSplat(config) => (
+            "StreamSplat model",
+            json!({
+                "hidden_dim": config.hidden_dim,
+                "encoder_layers": config.encoder_layers,
+                "decoder_layers": config.decoder_layers,
+                "resolution": config.resolution,
+                "patch_size": config.patch_size,
+                "upsampler_window": config.upsampler_window,
+                "upsampler_widths": config.upsampler_widths,
+                "encoder_window": config.encoder_window,
+                "use_dino": config.use_dino,
+                "gaussians_per_frame": config.gaussians(),
+            }),
+        ),
+        Kind::Dino(config) => (
+            "DINOv2 model",
+            json!({
+                "embed_dim": config.embed_dim,
+                "depth": config.depth,
+                "patch_size": config.patch_size,
+                "register_tokens": config.register_tokens,
+                "resized_to": config.resized_to,
+            }),
+        ),
+        _ => ("model", Value::Null),
+    };
+    let formats: Map<String, Value> = report.formats.iter().map(|(name, count)| (name.clone(), json!(count))).collect();
+    // Weights of a matrix take four, two or one byte each in the three modes; the little that always stays f32 is not told apart.
+    let memory = |bytes: usize| report.parameters() * bytes;
+    let stages: Map<String, Value> = report
+        .stages
+        .iter()
+        .map(|stage| {
+            let gflop = (stage.gflop * 1e3).round() / 1e3;
+            (stage.stage.to_owned(), json!({ "gflop": gflop, "calls_per_key_frame": stage.calls }))
+        })
+        .collect();
+    let parts: Map<String, Value> = report
+        .parts
+        .iter()
+        .map(|part| {
+            let Value::Object(mut fields) = json!(part) else { return (part.name.clone(), Value::Null) };
+            fields.remove("name");
+            (part.name.clone(), Value::Object(fields))
+        })
+        .collect();
+    Ok(json!({
+        "kind": kind,
+        "file": report.file,
+        "bytes": report.bytes,
+        "blake3": digest::file(path)?,
+        "key_prefix": report.prefix,
+        "parameters": report.parameters(),
+        "tensor_formats": formats,
+        "configuration": configuration,
         "parts": parts,
-    });
-    drop(checkpoint);
-    if network {
-        let network = Network::open(path, &LoadOptions::default())?;
-        let config = network.config();
-        found["configuration"] = configuration(config);
-        found["memory_bytes"] = json!({ "f32": network.bytes() });
-        found["gflop"] = cost(config);
-    }
-    Ok(found)
+        "weights_bytes": { "f32": memory(4), "bf16": memory(2), "int8": memory(1) },
+        "stages": stages,
+        "gflop_per_key_frame": (report.gflop() * 1e3).round() / 1e3,
+        "ignored": report.ignored,
+    }))
 }
 
-/// The part of the network that a tensor belongs to.
-fn part_of(name: &str) -> String {
-    let name = name.strip_prefix("model.").unwrap_or(name);
-    let name = name.strip_prefix("_orig_mod.").unwrap_or(name);
-    for (prefix, part) in [
-        ("gs_predictor.encoder.", "encoder"),
-        ("gs_predictor.gaussian_upsampler.", "static upsampler"),
-        ("gs_predictor.predictor.", "static head"),
-        ("decoder.transformer_decoder.", "decoder"),
-        ("gaussian_upsampler.", "deformation upsampler"),
-        ("gs_dynamic_predictor.", "deformation head"),
-        ("encoder_proj.", "deformation head"),
-        ("blocks.", "blocks"),
-    ] {
-        if name.starts_with(prefix) {
-            return part.to_owned();
-        }
-    }
-    name.split('.').next().unwrap_or(name).to_owned()
-}
-
-fn configuration(config: &Config) -> Value {
-    json!({
-        "hidden_dim": config.hidden_dim,
-        "encoder_layers": config.encoder_layers,
-        "decoder_layers": config.decoder_layers,
-        "resolution": config.resolution,
-        "patch_size": config.patch_size,
-        "upsampler_window": config.upsampler_window,
-        "upsampler_widths": config.upsampler_widths,
-        "encoder_window": config.encoder_window,
-        "use_dino": config.use_dino,
-        "gaussians_per_frame": config.gaussians(),
-    })
-}
-
-/// Multiplications and additions of the matrix products and the attention, in 10⁹, per call.
-fn cost(config: &Config) -> Value {
-    let (n, d) = (config.tokens() as f64, config.hidden_dim as f64);
-    let block = |tokens: f64, width: f64, keys: f64| 2.0 * tokens * (12.0 * width * width + 2.0 * keys * width);
-    let keys = |tokens: f64| config.encoder_window.map_or(tokens, |window| (window as f64).min(tokens));
-    let embedding = 2.0 * n * d * (4 * config.patch_size * config.patch_size) as f64;
-    let encoder = embedding + config.encoder_layers as f64 * block(n, d, keys(n));
-    let mut upsampler = 0.0;
-    let (mut tokens, mut width) = (n, d);
-    for next in config.upsampler_widths.map(|w| w as f64) {
-        upsampler += 2.0 * tokens * width * 4.0 * next;
-        (tokens, width) = (4.0 * tokens, next);
-        upsampler += 2.0 * block(tokens, width, (config.upsampler_window as f64).min(tokens));
-    }
-    // Self-attention over both frames, then each frame's cross-attention (queries and output of the frame, keys and values
-    // of the condition), then the feed-forward layers. The condition's length is that of the frame, or of DINOv2's grid.
-    let m = if config.use_dino { 576.0 } else { n };
-    let cross = 2.0 * 2.0 * (2.0 * n * d * d + 2.0 * m * d * d + 2.0 * n * m * d);
-    let projection = 2.0 * 2.0 * m * config.condition_dim as f64 * d;
-    let decoder = projection + config.decoder_layers as f64 * (block(2.0 * n, d, keys(2.0 * n)) + cross);
-    let per_frame = encoder + 3.0 * upsampler + decoder;
-    let giga = |flop: f64| (flop / 1e6).round() / 1e3;
-    json!({
-        "encoder": giga(encoder),
-        "upsampler": giga(upsampler),
-        "decoder": giga(decoder),
-        "per_key_frame": giga(per_frame),
-        "note": "matrix products and attention; per key frame: one encoder, three upsampler and one decoder call, without DINOv2",
-    })
-}
-
-/// Prints a JSON object as indented lines.
+/// Prints a JSON object as indented lines; an object of plain values in one line.
 fn show(value: &Value, depth: usize) {
     let Value::Object(map) = value else { return };
+    let indent = "  ".repeat(depth);
     for (key, value) in map {
-        let indent = "  ".repeat(depth);
         match value {
+            Value::Object(inner) if depth > 0 && inner.values().all(|v| !v.is_object()) => {
+                let fields: Vec<String> = inner.iter().map(|(key, value)| format!("{key} {}", plain(value))).collect();
+                say(format!("{indent}{key}: {}", fields.join(", ")));
+            }
             Value::Object(_) => {
                 say(format!("{indent}{key}:"));
                 show(value, depth + 1);
             }
-            Value::String(text) => say(format!("{indent}{key}: {text}")),
-            other => say(format!("{indent}{key}: {other}")),
+            other => say(format!("{indent}{key}: {}", plain(other))),
         }
+    }
+}
+
+fn plain(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        other => other.to_string(),
     }
 }

@@ -51,6 +51,13 @@ impl Progress {
         }
     }
 
+    /// All is done. (After a failure nothing is added to its message.)
+    pub fn finish(self) {
+        if self.plain {
+            self.line();
+        }
+    }
+
     fn line(&self) {
         let each = self.start.elapsed().as_secs_f64() / self.done.max(1) as f64;
         let of = self.total.map(|n| format!(" of {n}")).unwrap_or_default();
@@ -62,8 +69,6 @@ impl Drop for Progress {
     fn drop(&mut self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
-        } else if self.plain && self.done > 0 {
-            self.line();
         }
     }
 }

@@ -86,7 +86,7 @@ pub fn render(
         current = Some((place, interval));
         progress.step();
     }
-    drop(progress);
+    progress.finish();
     let written = drawing.writing(|| outputs.finish())?;
 
     let mut options = options.clone();

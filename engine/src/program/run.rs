@@ -73,7 +73,6 @@ pub fn run(
         }
     };
     let Stream { keys, engine, outputs, progress, dropped, span, .. } = stream;
-    drop(progress);
     let Some((first, last)) = span else {
         return Err(Failure::work(format!("{}: the video has no frame", input.display())));
     };
@@ -84,6 +83,7 @@ pub fn run(
         outputs.abandon();
         return Err(Failure::usage(format!("--times: {time} s lies outside the video ({first} s to {last} s)")));
     }
+    progress.finish();
     let written = drawing.writing(|| outputs.finish())?;
 
     let mut work = BTreeMap::new();

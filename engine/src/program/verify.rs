@@ -43,18 +43,20 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
         None => scratch.path().join("out"),
     });
     let input = &record.input.path;
+    // The repetition itself says nothing.
+    let silent = Console { quiet: true, ..Console::default() };
     let again = match &record.task {
         Task::Run(options) => {
             let mut options = options.clone();
             if !record.complete {
                 options.frames = Some(record.input.count);
             }
-            run::run(input, destination, &options, &args.machine, console)?
+            run::run(input, destination, &options, &args.machine, &silent)?
         }
         Task::Render(_) if !record.complete => {
             return Err(Failure::work(format!("{}: the rendering was stopped; run it again", record_path.display())));
         }
-        Task::Render(options) => render::render(input, destination, options, &args.machine, console)?,
+        Task::Render(options) => render::render(input, destination, options, &args.machine, &silent)?,
     };
 
     let model = |record: &Record| record.model.as_ref().map_or_else(|| "none".to_owned(), |model| model.blake3.clone());

@@ -23,7 +23,7 @@ fn interval(index: u64, start: f64, end: f64, count: u64) -> Interval {
         birth: i,
         frame: index,
         offset: [1e-9, 0.0, -1.0],
-        reference: if i % 2 == 0 { Reference::Start } else { Reference::End },
+        reference: if i.is_multiple_of(2) { Reference::Start } else { Reference::End },
         handover: [Handover::None, Handover::Arrives, Handover::Leaves][i as usize % 3],
     };
     Interval {

@@ -1,0 +1,227 @@
+//! What goes wrong is one line with its cause, an exit code, and nothing half-written.
+
+use std::path::Path;
+
+use streamsplat_fixtures as fixtures;
+
+use crate::support::{Scratch, command, fails, model, run, run_ok};
+
+/// `run` with the small model and these arguments after the input and `--out`.
+fn attempt(input: &Path, out: &Path, more: &[&str]) -> std::process::Output {
+    command().arg("run").arg(input).arg("--out").arg(out).args(more).output().expect("the program starts")
+}
+
+/// No file of any kind below `folder` (which may not exist).
+fn nothing_written(folder: &Path) {
+    if folder.exists() {
+        let files = crate::support::files(folder);
+        assert!(files.is_empty(), "{:?}", files.keys());
+        assert!(!folder.join("run.json").exists());
+    }
+}
+
+#[test]
+fn unknown_and_unavailable_values_are_wrong_use() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 40, 24);
+    let out = scratch.path("out");
+    for (more, expected) in [
+        (&["--isa", "sse9"][..], "--isa: unknown instruction set \"sse9\""),
+        (&["--isa", if cfg!(target_arch = "aarch64") { "avx2" } else { "neon" }], "not available on this machine"),
+        (&["--precision", "f64"], "--precision: unknown precision \"f64\""),
+        (&["--threads", "0"], "--threads 0: expected"),
+        (&["--threads", "many"], "--threads many: expected"),
+        (&["--gap", "0"], "--gap 0: expected"),
+        (&["--gap", "auto"], "--gap auto is not available"),
+        (&["--fusion", "both"], "--fusion: unknown fusion \"both\""),
+        (&["--reuse", "0.1"], "--reuse 0.1: approximate reuse is not available"),
+        (&["--reuse", "some"], "--reuse: unknown reuse \"some\""),
+        (&["--sampling", "mode"], "--sampling: unknown sampling"),
+        (&["--seed", "x"], "--seed"),
+        (&["--fit", "crop"], "--fit:"),
+        (&["--depth", "onnx:model.onnx"], "not available in this build"),
+        (&["--depth", "no/such/folder"], "--depth no/such/folder: expected"),
+        (&["--depth-range", "all"], "--depth-range all: expected frame or clip"),
+        (&["--emit", "rgb,hologram"], "found \"hologram\""),
+        (&["--emit", "ply"], "--emit ply is not available"),
+        (&["--size", "4x"], "--size 4x: expected"),
+        (&["--times", "2,1"], "--times 2,1: expected ascending times"),
+        (&["--background", "red"], "--background red: expected"),
+        (&["--fps", "-3"], "--fps"),
+        (&["--log", "loud"], "--log loud: expected"),
+        (&["--resume"], "--resume"),
+    ] {
+        let text = fails(&attempt(&clip, &out, more), 2);
+        assert!(text.contains(expected), "{more:?}: {text}");
+        nothing_written(&out);
+    }
+    for arguments in [&["fly"][..], &["run"], &["run", "x"], &[]] {
+        let output = run(arguments);
+        if arguments.is_empty() {
+            // Without any word the help is shown.
+            assert!(matches!(output.status.code(), Some(0 | 2)));
+        } else {
+            fails(&output, 2);
+        }
+    }
+}
+
+#[test]
+fn inputs_that_cannot_be_read_name_the_file() {
+    let scratch = Scratch::new();
+    let empty = scratch.path("empty");
+    std::fs::create_dir(&empty).expect("writable");
+    std::fs::write(empty.join("notes.txt"), b"no image").expect("writable");
+    let mixed = scratch.clip("mixed", 1, 40, 24);
+    image::RgbImage::new(24, 40).save(mixed.join("1.png")).expect("writable");
+    let zero = scratch.clip("zero", 1, 40, 24);
+    std::fs::write(zero.join("1.png"), b"").expect("writable");
+    let corrupt = scratch.clip("corrupt", 2, 40, 24);
+    let bytes = std::fs::read(corrupt.join("1.png")).expect("readable");
+    std::fs::write(corrupt.join("1.png"), &bytes[..bytes.len() / 2]).expect("writable");
+    let cut = scratch.path("cut.y4m");
+    std::fs::write(&cut, b"YUV4MPEG2 W4 H4 F24:1 C444\nFRAME\nxxxx").expect("writable");
+    let hostile = scratch.path("hostile.y4m");
+    std::fs::write(&hostile, b"YUV4MPEG2 W4000000000 H4000000000 F24:1 C444\nFRAME\n").expect("writable");
+    let model = model();
+    let more = ["--model", model.to_str().expect("UTF-8")];
+    for (input, expected) in [
+        (scratch.path("absent"), "absent: No such file"),
+        (empty, "empty: the folder holds no image"),
+        (mixed, "1.png: the frame is 24×40, expected 40×24 as in"),
+        (zero, "1.png: the file is empty (0 bytes)"),
+        (corrupt, "1.png: broken or unsupported"),
+        (cut, "cut.y4m: frame 0 ends early: expected 48 bytes, found 4"),
+        (hostile, "hostile.y4m: the header gives 4000000000×4000000000"),
+    ] {
+        let out = scratch.path("out");
+        let text = fails(&attempt(&input, &out, &more), 1);
+        assert!(text.contains(expected), "{text}");
+        assert!(!out.join("run.json").exists() && !out.join("report.md").exists());
+        let _ = std::fs::remove_dir_all(&out);
+    }
+}
+
+#[test]
+fn what_was_written_before_a_broken_frame_is_a_valid_scene() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 3, 40, 24);
+    std::fs::write(clip.join("3.png"), b"").expect("writable");
+    let out = scratch.path("out");
+    let model = model();
+    fails(&attempt(&clip, &out, &["--model", model.to_str().expect("UTF-8")]), 1);
+    let scene = streamsplat::scene::Scene::open(&out).expect("a valid scene");
+    assert_eq!(scene.index().intervals.len(), 3);
+    for name in crate::support::files(&out).keys() {
+        assert!(!name.contains("partial"), "{name}");
+    }
+}
+
+#[test]
+fn models_that_cannot_be_loaded_name_the_file() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 40, 24);
+    let bytes = std::fs::read(model()).expect("readable");
+    let file = |name: &str, content: &[u8]| {
+        let path = scratch.path(name);
+        std::fs::write(&path, content).expect("writable");
+        path
+    };
+    let mut corrupt = bytes.clone();
+    corrupt[20] ^= 0x55;
+    let scene = fixtures::path("oracle/extreme.safetensors");
+    for path in [
+        scratch.path("absent.safetensors"),
+        file("truncated.safetensors", &bytes[..bytes.len() / 3]),
+        file("corrupt.safetensors", &corrupt),
+        file("empty.safetensors", b""),
+        file("foreign.safetensors", b"this is no model, only some text that someone named like one"),
+        scene,
+    ] {
+        let out = scratch.path("out");
+        let name = path.file_name().and_then(|n| n.to_str()).expect("UTF-8").to_owned();
+        let text = fails(&attempt(&clip, &out, &["--model", path.to_str().expect("UTF-8")]), 1);
+        assert!(text.contains(&name), "{text}");
+        nothing_written(&out);
+        let output = command().arg("inspect").arg(&path).output().expect("the program starts");
+        assert!(fails(&output, 1).contains(&name));
+    }
+}
+
+#[test]
+fn an_unwritable_output_is_found_before_the_work() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 40, 24);
+    // A file stands where a folder should be: no permission helps, not even a superuser's.
+    let file = scratch.path("file");
+    std::fs::write(&file, b"in the way").expect("writable");
+    for out in [file.join("out"), file.join("video.y4m"), file.clone()] {
+        // The model is not even looked for.
+        let text = fails(&attempt(&clip, &out, &["--model", "no/such/model.safetensors"]), 1);
+        assert!(text.contains("cannot write") && text.contains("file"), "{text}");
+    }
+    assert_eq!(std::fs::read(&file).expect("readable"), b"in the way");
+    let io = fixtures::path("parity/tiny-nodino.io.safetensors");
+    let output = command()
+        .arg("forward")
+        .arg("--model")
+        .arg(model())
+        .arg("--input")
+        .arg(io)
+        .arg("--output")
+        .arg(file.join("o.safetensors"))
+        .output()
+        .expect("the program starts");
+    assert!(fails(&output, 1).contains("cannot write"));
+}
+
+#[test]
+fn times_outside_the_video_are_wrong_use() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 40, 24);
+    let out = scratch.path("out");
+    run_ok(&clip, &out, &["--quiet"]);
+    let render = |times: &str| {
+        command()
+            .args(["render", "--times", times, "--out"])
+            .arg(scratch.path("again"))
+            .arg(&out)
+            .output()
+            .expect("the program starts")
+    };
+    let text = fails(&render("0,7.5"), 2);
+    assert!(text.contains("time 7.5 s: expected one between 0 s and"), "{text}");
+    assert!(!scratch.path("again").exists());
+    let model = model();
+    let text = fails(
+        &attempt(&clip, &scratch.path("third"), &["--times", "0,9", "--model", model.to_str().expect("UTF-8")]),
+        2,
+    );
+    assert!(text.contains("9 s lies outside the video"), "{text}");
+}
+
+#[test]
+fn tensors_that_do_not_fit_are_named() {
+    let scratch = Scratch::new();
+    let out = scratch.path("o.safetensors");
+    let forward = |input: &str| {
+        command()
+            .arg("forward")
+            .arg("--model")
+            .arg(model())
+            .arg("--input")
+            .arg(fixtures::path(input))
+            .arg("--output")
+            .arg(&out)
+            .output()
+            .expect("the program starts")
+    };
+    let text = fails(&forward("parity/tiny-dino.io.safetensors"), 1);
+    assert!(text.contains("in.frames"), "{text}");
+    assert!(!out.exists());
+    let splat =
+        |input: &std::path::Path| command().arg("splat").arg(input).arg(&out).output().expect("the program starts");
+    let text = fails(&splat(&model()), 1);
+    assert!(text.contains("tensor mean is missing"), "{text}");
+    assert!(!out.exists());
+}

@@ -1,0 +1,337 @@
+//! What the commands give.
+
+use std::process::Stdio;
+
+use streamsplat_fixtures as fixtures;
+use streamsplat_kernels::Level;
+
+use crate::support::{Scratch, command, files, json, model, run, run_ok};
+
+#[test]
+fn a_run_writes_frames_scene_record_and_report() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 5, 60, 30);
+    let out = scratch.path("out");
+    run_ok(&clip, &out, &["--gap", "2", "--emit", "rgb,depth,alpha,scene", "--size", "source"]);
+    let found = files(&out);
+    let names: Vec<&str> = found.keys().map(String::as_str).collect();
+    for name in ["frames/000000.png", "frames/000004.png", "depth/000001.exr", "alpha/000003.png", "scene/scene.json"] {
+        assert!(names.contains(&name), "{name} in {names:?}");
+    }
+    // Key frames 0, 2 and 4.
+    assert_eq!(names.iter().filter(|n| n.starts_with("scene/interval-")).count(), 3);
+    let frame = image::load_from_memory(&found["frames/000003.png"]).expect("a PNG");
+    assert_eq!((frame.width(), frame.height()), (60, 30));
+    let record = json(&out.join("run.json"));
+    assert_eq!(record["outputs"].as_object().expect("an object").len(), found.len());
+    for (name, bytes) in &found {
+        assert_eq!(record["outputs"][name]["blake3"], blake3::hash(bytes).to_hex().as_str(), "{name}");
+    }
+    for stage in ["encoder", "decoder", "render"] {
+        assert!(record["work"][stage]["done"].as_u64().is_some_and(|n| n > 0), "{stage}");
+        assert!(record["work"][stage]["unit"].is_string() && record["timing"]["seconds"][stage].is_number(), "{stage}");
+    }
+    assert!(record["model"]["blake3"].is_string() && record["input"]["blake3"].is_string());
+    assert!(std::fs::read_to_string(out.join("report.md")).expect("readable").contains("| encoder |"));
+}
+
+#[test]
+fn the_bytes_depend_on_neither_threads_nor_instruction_set_nor_run() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 3, 50, 40);
+    let emit = ["--emit", "rgb,depth,alpha,scene", "--quiet"];
+    let first = scratch.path("first");
+    run_ok(&clip, &first, &emit);
+    let expected = files(&first);
+    assert_eq!(expected.len(), 3 * 4 + 1);
+    let mut variants: Vec<Vec<String>> = ["1", "2", "3", "8"].map(|n| vec!["--threads".into(), n.into()]).to_vec();
+    variants.extend(Level::available().iter().map(|level| vec!["--isa".into(), level.name().into()]));
+    for variant in variants {
+        let out = scratch.path("again");
+        let more: Vec<&str> = emit.iter().copied().chain(variant.iter().map(String::as_str)).collect();
+        run_ok(&clip, &out, &more);
+        assert!(files(&out) == expected, "{variant:?}");
+    }
+}
+
+#[test]
+fn an_earlier_run_in_the_same_folder_leaves_nothing_behind() {
+    let scratch = Scratch::new();
+    let out = scratch.path("out");
+    run_ok(&scratch.clip("long", 4, 40, 24), &out, &["--quiet"]);
+    run_ok(&scratch.clip("short", 2, 40, 24), &out, &["--quiet"]);
+    let names: Vec<String> = files(&out).into_keys().collect();
+    let expected = [
+        "frames/000000.png",
+        "frames/000001.png",
+        "scene/interval-000000.safetensors",
+        "scene/interval-000001.safetensors",
+        "scene/scene.json",
+    ];
+    assert_eq!(names, expected);
+}
+
+#[test]
+fn rendering_a_scene_gives_the_images_of_the_run() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 4, 40, 24);
+    let (out, again) = (scratch.path("out"), scratch.path("again"));
+    run_ok(&clip, &out, &["--fps", "10", "--gap", "2", "--quiet"]);
+    let output = command().arg("render").arg(&out).arg("--out").arg(&again).output().expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let (first, second) = (files(&out), files(&again));
+    for frame in 0..4 {
+        let name = format!("frames/{frame:06}.png");
+        assert!(first[&name] == second[&name], "{name}");
+    }
+    let camera = scratch.path("camera.json");
+    let view = r#"{"type": "pinhole", "position": [0.1, 0.0, -0.5], "focal": [1.0, 1.6], "centre": [0.5, 0.5]}"#;
+    std::fs::write(&camera, view).expect("writable");
+    let output = command()
+        .arg("render")
+        .arg(&out)
+        .args(["--times", "0:0.3:5", "--size", "33x21", "--background", "0,0,1", "--camera"])
+        .arg(&camera)
+        .arg("--out")
+        .arg(scratch.path("v.y4m"))
+        .output()
+        .expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let video = std::fs::read(scratch.path("v.y4m")).expect("readable");
+    assert!(video.starts_with(b"YUV4MPEG2 W33 H21 F10:1 "));
+    assert_eq!(json(&scratch.path("v.y4m.run.json"))["work"]["render"]["done"], 5);
+}
+
+#[test]
+fn y4m_flows_from_standard_input_to_standard_output() {
+    let scratch = Scratch::new();
+    let clip = fixtures::path("clips/moving.y4m");
+    let input = std::fs::File::open(&clip).expect("readable");
+    let output = command()
+        .args(["run", "-", "--out", "-", "--frames", "3", "--model"])
+        .arg(model())
+        .stdin(Stdio::from(input))
+        .output()
+        .expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    // A 16:9 source in an input of 80×48: letterboxed to 80×45.
+    assert!(output.stdout.starts_with(b"YUV4MPEG2 W80 H45 F24:1 "), "{:?}", &output.stdout[..40]);
+    assert_eq!(
+        output.stdout.len() - output.stdout.iter().position(|&c| c == b'\n').expect("a header") - 1,
+        3 * (6 + 3 * 80 * 45)
+    );
+    let out = scratch.path("v.y4m");
+    run_ok(&clip, &out, &["--frames", "3", "--quiet"]);
+    assert!(std::fs::read(&out).expect("readable") == output.stdout);
+}
+
+#[test]
+fn a_repeated_frame_costs_no_network_and_changes_no_bit() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 40, 24);
+    std::fs::copy(clip.join("1.png"), clip.join("2.png")).expect("writable");
+    std::fs::copy(clip.join("1.png"), clip.join("3.png")).expect("writable");
+    let (exact, off) = (scratch.path("exact"), scratch.path("off"));
+    run_ok(&clip, &exact, &["--quiet"]);
+    run_ok(&clip, &off, &["--quiet", "--reuse", "off"]);
+    assert!(files(&exact) == files(&off));
+    let (exact, off) = (json(&exact.join("run.json")), json(&off.join("run.json")));
+    assert_eq!((&exact["work"]["encoder"]["done"], &exact["work"]["encoder"]["avoided"]), (&2.into(), &2.into()));
+    assert_eq!((&off["work"]["encoder"]["done"], &off["work"]["encoder"]["avoided"]), (&4.into(), &0.into()));
+}
+
+#[test]
+fn evaluation_reports_key_and_middle_frames_and_baselines() {
+    let scratch = Scratch::new();
+    let clips = scratch.path("clips");
+    std::fs::create_dir(&clips).expect("writable");
+    scratch.clip("clips/b2", 7, 80, 48);
+    scratch.clip("clips/b10", 4, 80, 48);
+    let figures = scratch.path("eval.json");
+    let output = command()
+        .arg("eval")
+        .arg(&clips)
+        .args(["--gap", "3", "--quiet", "--json"])
+        .arg(&figures)
+        .arg("--model")
+        .arg(model())
+        .output()
+        .expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(output.stdout.is_empty());
+    let figures = json(&figures);
+    let clips = figures["clips"].as_array().expect("a list");
+    assert_eq!(clips.iter().map(|c| c["name"].as_str().expect("a name")).collect::<Vec<_>>(), ["b2", "b10"]);
+    assert_eq!((&clips[0]["key"]["frames"], &clips[0]["middle"]["frames"]), (&3.into(), &4.into()));
+    assert_eq!((&figures["mean"]["key"]["frames"], &figures["mean"]["middle"]["frames"]), (&5.into(), &6.into()));
+    for row in [&clips[0], &clips[1], &figures["mean"]] {
+        assert_eq!(row["gap"], 3);
+        for score in [&row["key"], &row["middle"], &row["baselines"]["crossfade"], &row["baselines"]["nearest"]] {
+            let (psnr, ssim) = (score["psnr"].as_f64().expect("dB"), score["ssim"].as_f64().expect("SSIM"));
+            assert!((1.0..100.0).contains(&psnr) && (-1.0..=1.0).contains(&ssim), "{score}");
+        }
+    }
+    // What stands still is the same in both key frames: the baselines know most of the picture.
+    assert!(clips[0]["baselines"]["crossfade"]["psnr"].as_f64().expect("dB") > 15.0);
+}
+
+#[test]
+fn forward_gives_every_tensor_of_the_reference() {
+    let scratch = Scratch::new();
+    let out = scratch.path("o.safetensors");
+    let input = fixtures::path("parity/tiny-nodino.io.safetensors");
+    let output = command()
+        .arg("forward")
+        .arg("--model")
+        .arg(model())
+        .arg("--input")
+        .arg(&input)
+        .arg("--output")
+        .arg(&out)
+        .args(["--threads", "2"])
+        .output()
+        .expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let (expected, found) = (std::fs::read(input).expect("readable"), std::fs::read(out).expect("readable"));
+    let expected = safetensors::SafeTensors::deserialize(&expected).expect("valid");
+    let found = safetensors::SafeTensors::deserialize(&found).expect("valid");
+    let mut compared = 0;
+    for (name, tensor) in expected.tensors().iter().filter(|(name, _)| name.starts_with("out.")) {
+        let ours = found.tensor(name).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert_eq!(ours.shape(), tensor.shape(), "{name}");
+        let floats = |bytes: &[u8]| -> Vec<f64> {
+            bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect()
+        };
+        let (a, b) = (floats(ours.data()), floats(tensor.data()));
+        let error: f64 = a.iter().zip(&b).map(|(a, b)| (a - b) * (a - b)).sum();
+        let norm: f64 = b.iter().map(|b| b * b).sum();
+        assert!((error / norm).sqrt() < 3e-6, "{name}: {}", (error / norm).sqrt());
+        compared += 1;
+    }
+    assert_eq!(compared, 11);
+}
+
+#[test]
+fn splat_draws_the_oracles_scene() {
+    let scratch = Scratch::new();
+    let out = scratch.path("o.safetensors");
+    let scene = fixtures::path("oracle/rotated-orthographic.safetensors");
+    let output = command().arg("splat").arg(&scene).arg(&out).output().expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let (expected, found) = (std::fs::read(scene).expect("readable"), std::fs::read(out).expect("readable"));
+    let expected = safetensors::SafeTensors::deserialize(&expected).expect("valid");
+    let found = safetensors::SafeTensors::deserialize(&found).expect("valid");
+    let truth = expected.tensor("out.rgb").expect("the oracle's image");
+    let ours = found.tensor("rgb").expect("an image");
+    assert_eq!(ours.shape(), truth.shape());
+    let truth: Vec<f64> = match truth.dtype() {
+        safetensors::Dtype::F64 => truth.data().as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
+        _ => truth.data().as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),
+    };
+    for (found, expected) in ours.data().as_chunks::<4>().0.iter().zip(truth) {
+        assert!((f64::from(f32::from_le_bytes(*found)) - expected).abs() <= 2e-5);
+    }
+    assert_eq!(found.tensor("blended").expect("a count").dtype(), safetensors::Dtype::I32);
+}
+
+#[test]
+fn inspect_tells_sizes_of_models_and_scenes() {
+    let scratch = Scratch::new();
+    let report = scratch.path("i.json");
+    let inspect = |path: &std::path::Path| {
+        let output =
+            command().arg("inspect").arg(path).arg("--json").arg(&report).output().expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        json(&report)
+    };
+    let found = inspect(&model());
+    assert_eq!(
+        (&found["configuration"]["hidden_dim"], &found["configuration"]["use_dino"]),
+        (&128.into(), &false.into())
+    );
+    assert!(found["parameters"].as_u64().is_some_and(|n| n > 1_000_000));
+    assert!(found["gflop_per_key_frame"].as_f64().is_some_and(|g| g > 0.1));
+    let out = scratch.path("out");
+    run_ok(&scratch.clip("clip", 2, 40, 24), &out, &["--quiet"]);
+    assert_eq!(inspect(&out)["intervals"], 2);
+    let interval = inspect(&out.join("scene/interval-000001.safetensors"));
+    assert!(interval["gaussians"].as_u64().is_some_and(|n| n > 100));
+}
+
+#[test]
+fn the_embedded_model_needs_no_file_and_a_trace_can_be_read() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 64, 36);
+    let (out, trace) = (scratch.path("out"), scratch.path("trace.json"));
+    let output = run([
+        "run".as_ref(),
+        clip.as_os_str(),
+        "--out".as_ref(),
+        out.as_os_str(),
+        "--trace".as_ref(),
+        trace.as_os_str(),
+    ]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(json(&out.join("run.json"))["model"]["path"], "embedded");
+    let frame = image::open(out.join("frames/000001.png")).expect("a PNG");
+    assert_eq!((frame.width(), frame.height()), (256, 144));
+    let text = json(&trace).to_string();
+    for stage in ["encoder", "render", "write", "decode"] {
+        assert!(text.contains(stage), "{stage}");
+    }
+}
+
+#[test]
+fn depth_maps_change_the_scene_and_both_ranges_work() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 40, 24);
+    let depth = scratch.path("depth");
+    std::fs::create_dir(&depth).expect("writable");
+    for frame in 0..2u32 {
+        let map = image::ImageBuffer::<image::Luma<u16>, _>::from_fn(20, 12, |x, y| {
+            image::Luma([(1000 * x + 300 * y + 5000 * frame) as u16])
+        });
+        map.save(depth.join(format!("{frame}.png"))).expect("writable");
+    }
+    let with = |name: &str, more: &[&str]| {
+        let out = scratch.path(name);
+        run_ok(&clip, &out, &[&["--quiet"], more].concat());
+        files(&out)
+    };
+    let depth = depth.to_str().expect("UTF-8");
+    let none = with("none", &[]);
+    let frame = with("frame", &["--depth", depth]);
+    let whole = with("whole", &["--depth", depth, "--depth-range", "clip"]);
+    assert!(none != frame && frame != whole && none != whole);
+    std::fs::remove_file(scratch.path("depth/1.png")).expect("there");
+    let output = command()
+        .arg("run")
+        .arg(&clip)
+        .arg("--out")
+        .arg(scratch.path("short"))
+        .args(["--depth", depth, "--model"])
+        .arg(model())
+        .output()
+        .expect("the program starts");
+    let text = crate::support::fails(&output, 1);
+    assert!(text.contains("expected 2 depth maps, one for each frame, found 1"), "{text}");
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_panic() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 6, 40, 24);
+    let mut child = command()
+        .arg("run")
+        .arg(&clip)
+        .args(["--out", "-", "--quiet", "--size", "640x384", "--model"])
+        .arg(model())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    drop(child.stdout.take());
+    let output = child.wait_with_output().expect("it ends");
+    let text = crate::support::fails(&output, 1);
+    assert!(text.contains("cannot write"), "{text}");
+}

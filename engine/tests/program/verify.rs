@@ -1,0 +1,73 @@
+//! `verify` confirms a run, and fails after one flipped byte.
+
+use std::path::Path;
+
+use crate::support::{Scratch, command, fails, run_ok};
+
+fn verify(path: &Path) -> std::process::Output {
+    command().arg("verify").arg(path).args(["--threads", "3"]).output().expect("the program starts")
+}
+
+fn flip(path: &Path) {
+    let mut bytes = std::fs::read(path).expect("readable");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(path, bytes).expect("writable");
+}
+
+#[test]
+fn one_flipped_byte_of_an_output_or_of_the_input_is_found_and_named() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 3, 40, 24);
+    let out = scratch.path("out");
+    run_ok(&clip, &out, &["--gap", "2", "--emit", "rgb,depth,scene"]);
+    let output = verify(&out);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("all digests equal"));
+    for name in ["frames/000001.png", "depth/000002.exr", "scene/interval-000001.safetensors", "scene/scene.json"] {
+        flip(&out.join(name));
+        let text = fails(&verify(&out), 1);
+        assert!(text.contains(name) && text.contains("digest differs"), "{text}");
+        flip(&out.join(name));
+    }
+    std::fs::remove_file(out.join("frames/000000.png")).expect("there");
+    assert!(fails(&verify(&out), 1).contains("frames/000000.png"));
+
+    let again = scratch.path("again");
+    run_ok(&clip, &again, &[]);
+    let changed = image::RgbImage::from_pixel(40, 24, image::Rgb([9, 9, 9]));
+    changed.save(clip.join("1.png")).expect("writable");
+    assert!(fails(&verify(&again), 1).contains("the input"));
+}
+
+#[test]
+fn videos_and_renderings_are_verified_too() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 3, 40, 24);
+    let video = scratch.path("v.y4m");
+    run_ok(&clip, &video, &["--quiet"]);
+    let record = scratch.path("v.y4m.run.json");
+    let output = verify(&record);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    flip(&video);
+    assert!(fails(&verify(&record), 1).contains("v.y4m"));
+
+    let (out, images) = (scratch.path("out"), scratch.path("images"));
+    run_ok(&clip, &out, &["--quiet"]);
+    let output = command().arg("render").arg(&out).args(["--times", "0:0.05:4", "--out"]).arg(&images).output();
+    assert!(output.expect("the program starts").status.success());
+    assert!(verify(&images).status.success());
+    flip(&images.join("frames/000003.png"));
+    assert!(fails(&verify(&images), 1).contains("000003.png"));
+}
+
+#[test]
+fn records_that_are_none_and_inputs_that_are_gone_are_errors() {
+    let scratch = Scratch::new();
+    assert!(fails(&verify(&scratch.path("absent")), 1).contains("run.json"));
+    std::fs::create_dir(scratch.path("out")).expect("writable");
+    for text in ["", "{}", "{\"program\": \"other\"}", "[1, 2"] {
+        std::fs::write(scratch.path("out/run.json"), text).expect("writable");
+        assert!(fails(&verify(&scratch.path("out")), 1).contains("run.json"));
+    }
+}
