@@ -8,6 +8,8 @@ mod network;
 mod splats;
 mod stream;
 
+pub use splats::Scene;
+
 use rayon::ThreadPoolBuilder;
 use streamsplat_kernels::Level;
 
