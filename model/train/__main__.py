@@ -1,0 +1,165 @@
+"""`python -m train COMMAND` (from the folder `model/`): see README.md."""
+import argparse
+import json
+import os
+import pathlib
+
+os.environ.setdefault('OMP_WAIT_POLICY', 'passive')
+
+import numpy as np
+import torch
+
+from . import data, evaluate, layering, network, stages, start
+from .checkpoint import Run
+
+
+def sample_frames(clips, count, seed=0):
+    """Frames spread over the clips, for calibration; float32 [count,3,H,W]."""
+    r = np.random.default_rng([seed, 99])
+    picks = [clips[i % len(clips)] for i in range(count)]
+    return torch.from_numpy(np.stack([c[r.integers(len(c))] for c in picks])).permute(0, 3, 1, 2).float() / 255
+
+
+def load_clips(o, size):
+    if not o.clips:
+        raise SystemExit('where are the clips? --clips DIR or STREAMSPLAT_CLIPS=DIR (a folder with train/ and val/)')
+    return [data.load_clip(f, size, o.cache) for f in data.clip_folders(pathlib.Path(o.clips) / 'train')]
+
+
+def begin(o):
+    """Writes the analytic start into a new run folder."""
+    c = network.Config(hidden_dim=o.width, upsampler_window=o.window, static_position='truncated_normal' if o.sampling else 'tanh')
+    clips = load_clips(o, c.resolution)
+    torch.manual_seed(o.seed)
+    net = network.StreamSplat(c)
+    for p in net.parameters():
+        p.requires_grad_(False)
+    frames = sample_frames(clips, 24, o.seed)
+    readers, info = start.write_encoder(net, frames)
+    info.update(start.write_static(net, readers, frames))
+    info.update(start.write_decoder(net, readers, frames[:8]))
+    info.update(start.write_motion(net, readers, frames[:8]))
+    run = Run(o.run)
+    torch.save({k: v for k, v in readers.items() if torch.is_tensor(v) or isinstance(v, (dict, float))}, run.folder / 'readers.pt')
+    run.note('start', info)
+    run.note('config', {k: list(v) if isinstance(v, tuple) else v for k, v in c.__dict__.items()})
+    run.save(dict(stage='start', done=True, net=net.state_dict(), spent=0.0, before=0.0))
+    print(info)
+
+
+def open_run(o):
+    run = Run(o.run)
+    with open(run.folder / 'config.json') as f:
+        c = network.Config.of(json.load(f))
+    state = run.state
+    net = network.StreamSplat(c)
+    net.load_state_dict(state['net'])
+    return run, net, state
+
+
+def train(o):
+    run, net, state = open_run(o)
+    clips = load_clips(o, net.config.resolution)
+    o.readers = run.folder / 'readers.pt'
+    fresh = state['stage'] != o.stage or state['done']
+    stage = None if fresh else state
+    before = state['before'] + state['spent'] if fresh else state['before']
+    if fresh:                                     # a stage that follows another starts with its own optimiser and the weights it finds
+        run.save(dict(state, before=before, spent=0.0))
+    runner = getattr(stages, o.stage)
+    done = runner(net, o, run, clips, stage)
+    return done
+
+
+def export(o):
+    _, net, _ = open_run(o)
+    network.save_official(net, o.out, dict(f16=torch.float16, bf16=torch.bfloat16, f32=torch.float32)[o.dtype])
+
+
+def opened(o):
+    return network.open_official(o.model) if o.model else open_run(o)[1]
+
+
+def measure(o):
+    net = opened(o)
+    evaluate.evaluate(net, pathlib.Path(o.clips) / o.split, tuple(o.gaps), o.stride, o.limit, o.cache, o.out)
+
+
+def layer(o):
+    """Layering and fade into an existing checkpoint."""
+    net = network.open_official(o.model)
+    clips = load_clips(o, net.config.resolution)
+    pairs = data.Pairs(clips, o.seed, o.pairs, middle=1, procedural=0.3)
+    frames = torch.from_numpy(pairs.batch(0)['rgb'][:, :2]).flatten(0, 1)
+    info = layering.write_layering(net, frames)
+    layering.write_fade(net, o.sharpness, o.half_life, o.learned)
+    network.save_official(net, o.out, torch.float16)
+    print(info)
+
+
+def main():
+    a = argparse.ArgumentParser(prog='python -m train', description='The shipped checkpoint, from nothing but clips.')
+    a.add_argument('--threads', type=int, default=2)
+    a.add_argument('--device', choices=('cpu', 'cuda'), default='cpu')
+    commands = a.add_subparsers(dest='command', required=True)
+
+    def command(name, function, text, run=True):
+        c = commands.add_parser(name, help=text)
+        c.set_defaults(function=function)
+        c.add_argument('--clips', default=os.environ.get('STREAMSPLAT_CLIPS'), help='folder with train/ and val/, a folder per clip in each')
+        c.add_argument('--cache', help='folder for decoded clips')
+        c.add_argument('--seed', type=int, default=0)
+        if run:
+            c.add_argument('--run', default='runs/small', help='folder of the run')
+        return c
+
+    c = command('start', begin, 'write the analytic start')
+    c.add_argument('--width', type=int, default=256)
+    c.add_argument('--window', type=int, default=64)
+    c.add_argument('--sampling', action='store_true', help='a truncated-normal position head, sampled while training')
+    for name, text in (('colours', 'linear head through the rasteriser'), ('static', 'static half'), ('motion', 'decoder against teacher motion'),
+                       ('dynamic', 'deformation half')):
+        c = command(name, train, text)
+        c.set_defaults(stage=name)
+        c.add_argument('--steps', type=int, default=0, help='exact length; a resumed run equals an unbroken one to the bit on a CPU')
+        c.add_argument('--minutes', type=float, default=0, help='time budget instead of --steps')
+        c.add_argument('--until', type=int, help='stop early at this step (and resume by the same command)')
+        c.add_argument('--batch', type=int, default=4 if name in ('colours', 'static') else 1)
+        c.add_argument('--gradient', type=float, default=0.0, help='weight of the gradient L1')
+        c.add_argument('--depth', action='store_true', help='let depth move (see README: order is fragile)')
+        c.add_argument('--mean-positions', action='store_true', help='do not sample positions')
+        if name in ('colours', 'static'):
+            c.add_argument('--crop', type=int, nargs=2, help='rows and columns in patches of 8; keep the full width when attention is trained')
+            c.add_argument('--attention', action='store_true', help='train the upsampler\'s attention too')
+            c.add_argument('--encoder', action='store_true', help='train the encoder too')
+        else:
+            c.add_argument('--procedural', type=float, default=0.4, help='share of procedural scenes')
+            c.add_argument('--gaps', type=int, nargs=2, default=(2, 8))
+            c.add_argument('--middle', type=int, default=2)
+            c.add_argument('--flow', type=float, default=0.05)
+            c.add_argument('--decoder', action='store_true', help='train the decoder too')
+    c = command('export', export, 'write the checkpoint in the official layout')
+    c.add_argument('--out', required=True)
+    c.add_argument('--dtype', choices=('f16', 'bf16', 'f32'), default='f16')
+    c = command('eval', measure, 'held-out figures')
+    c.add_argument('--model', help='a checkpoint instead of the run')
+    c.add_argument('--split', default='val')
+    c.add_argument('--gaps', type=int, nargs='+', default=(5, 8))
+    c.add_argument('--stride', type=int, default=10)
+    c.add_argument('--limit', type=int, default=0, help='intervals per clip')
+    c.add_argument('--out')
+    c = command('layer', layer, 'write layering and fade into a checkpoint', run=False)
+    c.add_argument('--model', required=True)
+    c.add_argument('--out', required=True)
+    c.add_argument('--pairs', type=int, default=4)
+    c.add_argument('--sharpness', type=float, default=12.0)
+    c.add_argument('--half-life', type=float, default=0.8)
+    c.add_argument('--learned', type=float, default=0.0)
+    o = a.parse_args()
+    if o.device == 'cuda':
+        raise SystemExit('the rasteriser has no CUDA version yet: --device cpu')
+    torch.set_num_threads(o.threads)
+    o.function(o)
+
+
+main()

@@ -1,0 +1,183 @@
+"""Training data: real clips (a folder per clip, holding numbered images) and procedural scenes with true motion and depth.
+
+Every sample is a function of (seed, step, index in the batch) alone, so that a resumed run sees what an unbroken one would.
+"""
+import os
+import pathlib
+import threading
+
+import cv2
+import numpy as np
+
+cv2.setNumThreads(1)
+_local = threading.local()
+
+
+def clip_folders(root):
+    return sorted(p for p in pathlib.Path(root).iterdir() if p.is_dir())
+
+
+def load_clip(folder, size, cache=None):
+    """All frames of a clip at `size` (rows, columns) as uint8 RGB [F,H,W,3]; area averaging when it shrinks."""
+    h, w = size
+    folder = pathlib.Path(folder)
+    kept = pathlib.Path(cache) / f'{folder.parent.name}-{folder.name}-{h}x{w}.npy' if cache else None
+    if kept and kept.exists():
+        return np.load(kept)
+    files = sorted(f for f in folder.iterdir() if f.suffix.lower() in ('.jpg', '.jpeg', '.png'))
+    frames = []
+    for f in files:
+        image = cv2.imread(str(f))[:, :, ::-1]
+        frames.append(image if image.shape[:2] == (h, w) else cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA))
+    frames = np.stack(frames)
+    if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        np.save(kept, frames)
+    return frames
+
+
+def dis_flow(a, b):
+    """Dense optical flow from a to b (uint8 RGB), pixels."""
+    if not hasattr(_local, 'dis'):
+        _local.dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    grey = [cv2.cvtColor(np.ascontiguousarray(x), cv2.COLOR_RGB2GRAY) for x in (a, b)]
+    return _local.dis.calc(grey[0], grey[1], None)
+
+
+def warp(image, flow):
+    """image sampled at x + flow(x)."""
+    y, x = np.mgrid[0:image.shape[0], 0:image.shape[1]].astype(np.float32)
+    return cv2.remap(image, x + flow[..., 0], y + flow[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def consistent(f, g):
+    """1 where flow f followed by flow g returns to where it started."""
+    error = np.linalg.norm(f + warp(g, f), axis=-1)
+    return (error < 1.0 + 0.05 * np.linalg.norm(f, axis=-1)).astype(np.float32)
+
+
+def colour_jitter(r, x):
+    """One photometric change for all frames of a sample."""
+    if r.random() < 0.7:
+        x = np.clip((x - 0.5) * r.uniform(0.75, 1.2) + 0.5 + r.uniform(-0.08, 0.08), 0, 1)
+        if r.random() < 0.3:
+            x = x[..., r.permutation(3)]
+    return x
+
+
+class Frames:
+    """Single frames for the static stage: batch(step) -> (float32 [B,3,H,W], place).
+
+    With `crop` (rows, columns in patches of 8) every step shows one crop size of several frames, as if it lay at the token
+    `place` of the full grid: a random place for the position code, whatever place the pixels came from."""
+
+    def __init__(self, clips, seed, batch, crop=None):
+        self.clips, self.seed, self.size, self.crop = clips, seed, batch, crop
+
+    def frame(self, r):
+        clip = self.clips[r.integers(len(self.clips))]
+        frame = clip[r.integers(len(clip))]
+        return frame[:, ::-1] if r.random() < 0.5 else frame
+
+    def batch(self, step):
+        out, place = [], (0, 0)
+        if self.crop:
+            rows, columns = (n // 8 - c for n, c in zip(self.clips[0].shape[1:3], self.crop))
+            r = np.random.default_rng([self.seed, step, 1 << 20])
+            place = int(r.integers(rows + 1)), int(r.integers(columns + 1))
+        for i in range(self.size):
+            r = np.random.default_rng([self.seed, step, i])
+            frame = self.frame(r)
+            if self.crop:
+                y, x = 8 * int(r.integers(rows + 1)), 8 * int(r.integers(columns + 1))
+                frame = frame[y:y + 8 * self.crop[0], x:x + 8 * self.crop[1]]
+            out.append(colour_jitter(r, frame.astype(np.float32) / 255).transpose(2, 0, 1))
+        return np.ascontiguousarray(np.stack(out), dtype=np.float32), place
+
+
+class Pairs:
+    """Key frames, middle frames and teacher motion: batch(step) -> dict of float32 arrays.
+
+    rgb [B,2+K,H,W,3]->[B,2+K,3,H,W] (key 0, key 1, K middle ones), time [B,2+K], flow [B,2,2,H,W] in pixels (0 to 1 and 1 to 0),
+    sure [B,2,H,W] where the flow can be trusted, inverse depth [B,2,H,W], has_depth [B], foreground [B,2+K,H,W]."""
+
+    def __init__(self, clips, seed, batch, middle=2, procedural=0.4, gaps=(2, 8)):
+        self.frames = Frames(clips, seed, 1)
+        self.clips = [c for c in clips if len(c) > gaps[1] + 1]
+        self.seed, self.size, self.middle, self.procedural, self.gaps = seed, batch, middle, procedural, gaps
+
+    def real(self, r):
+        clip = self.clips[r.integers(len(self.clips))]
+        gap = int(r.integers(self.gaps[0], self.gaps[1] + 1))
+        i = int(r.integers(0, len(clip) - gap))
+        first, step = (i, 1) if r.random() < 0.5 else (i + gap, -1)                           # both time directions
+        inner = r.choice(np.arange(1, gap), size=self.middle, replace=gap - 1 < self.middle)
+        frames = [clip[first], clip[first + step * gap]] + [clip[first + step * int(j)] for j in inner]
+        if r.random() < 0.5:
+            frames = [np.ascontiguousarray(f[:, ::-1]) for f in frames]
+        forward, backward = dis_flow(frames[0], frames[1]), dis_flow(frames[1], frames[0])
+        h, w = frames[0].shape[:2]
+        return dict(rgb=np.stack(frames).astype(np.float32) / 255, time=np.array([0, 1] + [j / gap for j in inner], np.float32),
+                    flow=np.stack([forward, backward]), sure=np.stack([consistent(forward, backward), consistent(backward, forward)]),
+                    depth=np.zeros((2, h, w), np.float32), has_depth=np.float32(0), foreground=np.zeros((len(frames), h, w), np.float32))
+
+    def scene(self, r):
+        """Textured layers at different depths under affine motion: a background wider than the picture and blobs before it.
+
+        Motion is a camera's (in proportion to inverse depth) plus each layer's own; nearer layers hide farther ones."""
+        h, w = self.clips[0].shape[1:3]
+        times = np.concatenate([[0, 1], np.sort(r.uniform(0.1, 0.9, self.middle))]).astype(np.float32)
+        large = r.random() < 0.35
+        gx, gy = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
+        n = int(r.integers(0, 5))
+        angle, reach = r.uniform(0, 2 * np.pi), r.gamma(1.5, 5.0 if large else 2.5)
+        camera = np.array([np.cos(angle), 0.6 * np.sin(angle)]) * reach * w / 256                 # px over the interval
+        depth = np.sort(r.uniform(0.15, 1.0, n + 1))
+        layers = []
+        for k in range(n + 1):
+            texture = np.ascontiguousarray(self.frames.frame(r).astype(np.float32) / 255)
+            mask = np.ones((h, w), np.float32)
+            if k:
+                th = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+                rad = w / 256 * r.uniform(10, 40) * (1 + sum(r.normal(0, 0.25 / j) * np.cos(j * th + r.uniform(0, 6.28)) for j in (1, 2, 3, 4)))
+                points = np.stack([w / 2 + rad * np.cos(th) * r.uniform(0.6, 1.8), h / 2 + rad * np.sin(th)], 1)
+                mask = cv2.fillPoly(np.zeros((h, w), np.uint8), [np.round(points * 16).astype(np.int32)], 255, cv2.LINE_AA, 4).astype(np.float32) / 255
+            layers.append(dict(texture=texture, mask=mask, depth=depth[k], zoom=r.uniform(0.8, 1.4) if k else r.uniform(1.15, 1.6),
+                               centre=np.array([r.uniform(0.1, 0.9) * w, r.uniform(0.1, 0.9) * h]) if k else np.array([w / 2, h / 2]),
+                               move=camera * depth[k] / depth.mean() + (r.normal(0, 8.0 if large else 4.0, 2) * [1, 0.6] * w / 256 if k else 0),
+                               turn=r.normal(0, 0.08 if k else 0.03), grow=r.normal(0, 0.06 if k else 0.03)))
+
+        def placed(layer, t):
+            s, a = layer['zoom'] * (1 + layer['grow'] * (t - 0.5)), layer['turn'] * (t - 0.5)
+            m = s * np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+            return np.concatenate([m, (layer['centre'] + layer['move'] * (t - 0.5) - m @ [w / 2, h / 2])[:, None]], 1)
+
+        frames, flows, depths, foregrounds = [], [], [], []
+        for k, t in enumerate(times):
+            image, front = np.zeros((h, w, 3), np.float32), np.zeros((h, w), np.float32)
+            flow, inverse = np.zeros((h, w, 2), np.float32), np.zeros((h, w), np.float32)
+            for j, layer in enumerate(layers):
+                A = placed(layer, t)
+                texture = cv2.warpAffine(layer['texture'], A, (w, h), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+                m = cv2.warpAffine(layer['mask'], A, (w, h), flags=cv2.INTER_LINEAR) if j else np.ones((h, w), np.float32)
+                image += m[..., None] * (texture - image)
+                front = np.maximum(front, m) if j else front
+                if k < 2:
+                    M = np.vstack([placed(layer, 1 - t), [0, 0, 1]]) @ np.linalg.inv(np.vstack([A, [0, 0, 1]]))
+                    f = np.stack([M[0, 0] * gx + M[0, 1] * gy + M[0, 2] - gx, M[1, 0] * gx + M[1, 1] * gy + M[1, 2] - gy], -1)
+                    flow, inverse = np.where(m[..., None] > 0.5, f, flow), np.where(m > 0.5, layer['depth'], inverse)
+            frames.append(np.clip(image, 0, 1)); foregrounds.append(front)
+            if k < 2:
+                flows.append(flow); depths.append(inverse)
+        return dict(rgb=np.stack(frames), time=times, flow=np.stack(flows).astype(np.float32), sure=np.ones((2, h, w), np.float32),
+                    depth=np.stack(depths).astype(np.float32), has_depth=np.float32(1), foreground=np.stack(foregrounds))
+
+    def sample(self, r):
+        s = self.scene(r) if r.random() < self.procedural else self.real(r)
+        s['rgb'] = np.ascontiguousarray(colour_jitter(r, s['rgb']).transpose(0, 3, 1, 2), dtype=np.float32)
+        s['flow'] = np.ascontiguousarray(s['flow'].transpose(0, 3, 1, 2), dtype=np.float32)
+        return s
+
+    def batch(self, step):
+        samples = [self.sample(np.random.default_rng([self.seed, step, i])) for i in range(self.size)]
+        return {k: np.stack([s[k] for s in samples]).astype(np.float32) for k in samples[0]}

@@ -1,0 +1,51 @@
+"""What is minimised. Images are [.., 3, H, W] in [0, 1]."""
+import torch
+import torch.nn.functional as F
+
+
+def log_error(image, truth, floor=1e-4):
+    """Mean over images of log(MSE + floor): the figure that is reported is a mean of PSNRs, so every image counts alike.
+
+    Under `floor` (40 dB) an image is good enough and stops pulling."""
+    return torch.log((image - truth).pow(2).mean((-3, -2, -1)) + floor).mean()
+
+
+def psnr(image, truth):
+    return -10 * torch.log10((image - truth).pow(2).mean((-3, -2, -1)) + 1e-10)
+
+
+def gradient_l1(image, truth):
+    d = image - truth
+    return (d[..., 1:] - d[..., :-1]).abs().mean() + (d[..., 1:, :] - d[..., :-1, :]).abs().mean()
+
+
+def shift_scale(x):
+    """tau(x) = (x - median) / mean|x - median| per row."""
+    x = x - x.median(1, keepdim=True).values
+    return x / (x.abs().mean(1, keepdim=True) + 1e-3)
+
+
+def depth_loss(predicted, truth, width=1.0, weight=0.05):
+    """Scale-and-shift-invariant comparison of maps [B, H, W], weighted down where it disagrees wildly (weight detached)."""
+    error = (shift_scale(predicted.flatten(1)) - shift_scale(truth.flatten(1))).abs().mean(1)
+    return (weight * torch.sigmoid(-error.detach() / width) * error).mean()
+
+
+def splat_flow(flow, sure, splat_grid):
+    """Pixel flow [B,2,2,H,W] -> velocity target (x, z) [2B,N,2] in world units per interval on the splat grid, and its weight [2B,N].
+
+    Frame 1 sits at the interval's end, so its velocity points the other way."""
+    h, w = flow.shape[-2:]
+    k = h // splat_grid[0]
+    v = F.avg_pool2d(flow.flatten(0, 1), k).flatten(2).transpose(1, 2) * flow.new_tensor([2 / w, -2 / h])
+    v = v.unflatten(0, (-1, 2)) * flow.new_tensor([1.0, -1.0]).view(1, 2, 1, 1)
+    return v.flatten(0, 1), (F.avg_pool2d(sure.flatten(0, 1)[:, None], k).flatten(1) > 0.99).to(flow)
+
+
+def end_point_error(velocity, target, weight, size, limit=60.0):
+    """Mean robust distance in pixels where the teacher is sure and not absurd; and what no motion at all would score."""
+    px = velocity.new_tensor([size[1] / 2, size[0] / 2])
+    error = ((velocity[..., [0, 2]] - target) * px).pow(2).sum(-1).add(0.01).sqrt()
+    reach = (target * px).norm(dim=-1)
+    w = weight * (reach < limit)
+    return (error * w).sum() / (w.sum() + 1), (reach * w).sum() / (w.sum() + 1)
