@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use streamsplat::fit::Fit;
 use streamsplat::stream::{Fusion, ModelSource, SamplingMode};
-use streamsplat::{Camera, Engine, Frame, Image, Interval, RenderOptions, Settings};
+use streamsplat::{Camera, Engine, EngineError, Frame, Image, Interval, RenderOptions, Settings};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{self, Gaussians, Projection, Request};
 use streamsplat_model::{FrameInput, LoadOptions, Network, Sampling, Side, motion};
@@ -39,28 +39,43 @@ fn stream(settings: Settings) -> Vec<(Interval, Image)> {
 
 #[test]
 fn levels_and_threads_give_the_same_intervals_and_images() {
-    for name in ["tiny-nodino", "tiny-sampled"] {
-        let settings = |level, threads| Settings {
-            model: ModelSource::File { checkpoint: checkpoint(name), dinov2: None },
-            sampling: SamplingMode::Sample,
-            seed: 7,
-            level: Some(level),
-            threads,
-            ..Settings::default()
-        };
-        let expected = stream(settings(Level::scalar(), 1));
-        for level in Level::available() {
-            for threads in [1, 2, 3, 8] {
-                for ((a, image_a), (b, image_b)) in expected.iter().zip(&stream(settings(level, threads))) {
-                    assert_eq!(a.gaussians, b.gaussians, "{name}, {level}, {threads} threads");
-                    assert_eq!(a.merges, b.merges);
-                    let bits = |image: &Image| image.rgb.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
-                    assert_eq!(bits(image_a), bits(image_b), "{name}, {level}, {threads} threads");
-                    assert_eq!(image_a, image_b);
-                }
+    let settings = |level, threads| Settings {
+        model: ModelSource::File { checkpoint: checkpoint("tiny-sampled"), dinov2: None },
+        sampling: SamplingMode::Sample,
+        seed: 7,
+        level: Some(level),
+        threads,
+        ..Settings::default()
+    };
+    let expected = stream(settings(Level::scalar(), 1));
+    for level in Level::available() {
+        for threads in [1, 2, 3, 8] {
+            for ((a, image_a), (b, image_b)) in expected.iter().zip(&stream(settings(level, threads))) {
+                assert_eq!(a.gaussians, b.gaussians, "{level}, {threads} threads");
+                assert_eq!(a.merges, b.merges);
+                let bits = |image: &Image| image.rgb.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+                assert_eq!(bits(image_a), bits(image_b), "{level}, {threads} threads");
+                assert_eq!(image_a, image_b);
             }
         }
     }
+}
+
+#[test]
+fn a_model_conditioned_on_dinov2_streams_with_its_features_and_says_what_is_missing() {
+    let settings = |dinov2| Settings {
+        model: ModelSource::File { checkpoint: checkpoint("tiny-dino"), dinov2 },
+        ..Settings::default()
+    };
+    assert!(matches!(Engine::new(settings(None)).map(|_| ()), Err(EngineError::Condition)));
+    let missing = settings(Some(checkpoint("no-such-file")));
+    assert!(matches!(Engine::new(missing).map(|_| ()), Err(EngineError::Model(_))));
+    let mut engine = Engine::new(settings(Some(checkpoint("dino-tiny")))).expect("starts");
+    for (k, shown) in [0, 1, 1].into_iter().enumerate() {
+        engine.push(frame(shown), k as f64).expect("taken");
+    }
+    let dinov2 = engine.work().stage("dinov2").expect("a stage");
+    assert_eq!((dinov2.done, dinov2.avoided), (2, 1));
 }
 
 #[test]

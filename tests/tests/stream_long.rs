@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 use streamsplat::stream::{Fusion, ModelSource, Reconstructor};
-use streamsplat::{Engine, Frame, Interval, Settings};
+use streamsplat::{Camera, Engine, Frame, Interval, RenderOptions, Settings};
 use streamsplat_tests::theatre::Theatre;
 
 /// A sprite that wanders back and forth at changing speed.
@@ -77,4 +77,8 @@ fn pairwise_key_frame_ten_thousand_equals_a_fresh_stream() {
         (&b.mean, &b.velocity, &b.gamma, &b.opacity, &b.scale, &b.rgb, &b.reference)
     );
     assert_eq!((last.start, last.end), (other.start, other.end));
+    for time in [last.start, 0.5 * (last.start + last.end), last.end] {
+        let draw = |i: &Interval| i.render(time, &Camera::Canonical, &RenderOptions::default()).expect("drawn");
+        assert_eq!(draw(&last), draw(&other));
+    }
 }

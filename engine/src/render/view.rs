@@ -1,7 +1,10 @@
 //! Gaussians at one time, and as a camera sees them.
 
 use rayon::prelude::*;
+use streamsplat_kernels::Level;
+use streamsplat_kernels::parallel::map_indexed;
 use streamsplat_kernels::raster::Projection;
+use streamsplat_model::motion;
 
 use super::RenderError;
 use crate::camera::{Camera, Lens, Pose};
@@ -49,31 +52,11 @@ impl Snapshot {
     ///
     /// Left out: opacities under 1/255 (they cannot be drawn), inverse depths outside [0, 1], and records with a number that is
     /// not finite, which are counted.
-    pub fn new(gaussians: &DynamicGaussians, t: f32) -> Self {
-        let count = gaussians.len();
-        let parts: Vec<(Vec<Seen>, u64)> = (0..count.div_ceil(CHUNK))
-            .into_par_iter()
-            .map(|chunk| {
-                let mut seen = Vec::with_capacity(CHUNK);
-                let mut dropped = 0;
-                for i in chunk * CHUNK..count.min((chunk + 1) * CHUNK) {
-                    let record = gaussians.get(i);
-                    if !record.is_sound() {
-                        dropped += 1;
-                        continue;
-                    }
-                    let Some(mean) = to_scene(record.position_at(t)) else { continue };
-                    let opacity = record.opacity_at(t);
-                    if opacity < VISIBLE {
-                        continue;
-                    }
-                    let [sx, sz] = record.scale;
-                    let scale = [sx, sz, (sx + sz) * 0.5];
-                    seen.push(Seen { index: i as u32, mean, scale, opacity, rgb: record.rgb });
-                }
-                (seen, dropped)
-            })
-            .collect();
+    ///
+    /// # Panics
+    /// When the arrays differ in length ([`DynamicGaussians::uneven`]).
+    pub fn new(level: Level, gaussians: &DynamicGaussians, t: f32) -> Self {
+        let parts = map_indexed(gaussians.len().div_ceil(CHUNK), |chunk| seen(level, gaussians, t, chunk));
         let mut out = Self::default();
         for (seen, dropped) in parts {
             out.dropped += dropped;
@@ -98,8 +81,40 @@ impl Snapshot {
         if let Some((array, found)) = interval.gaussians.uneven() {
             return Err(RenderError::Records { array, expected: interval.gaussians.len(), found });
         }
-        Ok(interval.workers.install(|| Self::new(&interval.gaussians, t)))
+        Ok(interval.workers.install(|| Self::new(interval.workers.level(), &interval.gaussians, t)))
     }
+}
+
+/// What can be seen of one chunk, in order, and how many records were not sound.
+fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> (Vec<Seen>, u64) {
+    let start = chunk * CHUNK;
+    let end = gaussians.len().min(start + CHUNK);
+    let mut opacity = vec![0.0; end - start];
+    let mut from = start;
+    for run in gaussians.reference[start..end].chunk_by(|a, b| a == b) {
+        let part = from..from + run.len();
+        let out = &mut opacity[part.start - start..part.end - start];
+        let tau = run[0].tau(t);
+        motion::opacity_at(level, &gaussians.opacity[part.clone()], &gaussians.gamma[part.clone()], tau, out);
+        from = part.end;
+    }
+    let mut seen = Vec::with_capacity(end - start);
+    let mut dropped = 0;
+    for (i, opacity) in (start..end).zip(opacity) {
+        let record = gaussians.get(i);
+        if !record.is_sound() {
+            dropped += 1;
+            continue;
+        }
+        let opacity = opacity * record.handover.factor(t);
+        if opacity < VISIBLE {
+            continue;
+        }
+        let Some(mean) = to_scene(record.position_at(t)) else { continue };
+        let [sx, sz] = record.scale;
+        seen.push(Seen { index: i as u32, mean, scale: [sx, sz, (sx + sz) * 0.5], opacity, rgb: record.rgb });
+    }
+    (seen, dropped)
 }
 
 /// What a camera makes of scene space, for one image size.

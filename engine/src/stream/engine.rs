@@ -93,15 +93,21 @@ impl Engine {
     /// Frames without pixels, of another size than the first one, with buffers of the wrong length or pixels that are not
     /// finite; time stamps that are not after the one before; what the model refuses. The stream is then as it was before.
     pub fn push(&mut self, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
+        let workers = self.workers.clone();
+        workers.install(|| self.take(frame, timestamp))
+    }
+
+    /// [`Engine::push`] on the engine's own threads.
+    fn take(&mut self, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
         let index = self.state.as_ref().map_or(0, |s| s.frame + 1);
         let placement = self.check(&frame, index, timestamp)?;
         let (view, lost) = self.reconstruct(frame, index, placement)?;
-        let Self { settings, model, workers, work, state: before } = self;
+        let Self { settings, model, work, state: before, .. } = self;
         let mut next_pair = None;
         let (set, advance) = match before {
             None => CanonicalSet::first(&view.gaussians),
             Some(state) => {
-                let pair = deform(model.as_ref(), workers, work, state, &view, index)?;
+                let pair = deform(model.as_ref(), work, state, &view, index)?;
                 let motion = &next_pair.insert(pair).motion;
                 let step = Step {
                     gaussians: &view.gaussians,
@@ -161,20 +167,18 @@ impl Engine {
         let level = self.workers.level();
         let mut lost = 0;
         let (rgb, depth) = self.work.measure(Stage::Fit, || {
-            self.workers.install(|| {
-                rgb.iter_mut().for_each(|x| *x = x.clamp(0.0, 1.0));
-                if let Some(depth) = &mut depth {
-                    lost = self.settings.depth_range.apply(depth);
-                }
-                (placement.fit_in(level, &rgb), depth.map(|d| placement.fit_in(level, &d)))
-            })
+            rgb.iter_mut().for_each(|x| *x = x.clamp(0.0, 1.0));
+            if let Some(depth) = &mut depth {
+                lost = self.settings.depth_range.apply(depth);
+            }
+            (placement.fit_in(level, &rgb), depth.map(|d| placement.fit_in(level, &d)))
         });
         let input = FrameInput { rgb: &rgb, depth: depth.as_deref() };
         let sampling = match self.settings.sampling {
             SamplingMode::Mean => Sampling::Mean,
             SamplingMode::Sample => Sampling::Sample { seed: self.settings.seed, frame: index },
         };
-        let (model, workers, work) = (&self.model, &self.workers, &mut self.work);
+        let (model, work) = (&self.model, &mut self.work);
 
         let repeated = match &self.state {
             Some(state) if self.settings.reuse == Reuse::Exact => {
@@ -189,10 +193,10 @@ impl Engine {
             work.count(Stage::Condition, 0, u64::from(model.reads_condition()));
             view.features.clone()
         } else {
-            let embedding = work.measure(Stage::Encoder, || workers.install(|| model.embed(&input)))?;
-            let tokens = work.measure(Stage::Upsampler, || workers.install(|| model.upsample(&embedding)))?;
+            let embedding = work.measure(Stage::Encoder, || model.embed(&input))?;
+            let tokens = work.measure(Stage::Upsampler, || model.upsample(&embedding))?;
             let condition = match model.reads_condition() {
-                true => work.measure(Stage::Condition, || workers.install(|| model.condition(&input)))?,
+                true => work.measure(Stage::Condition, || model.condition(&input))?,
                 false => None,
             };
             Arc::new(Features { embedding, tokens, condition })
@@ -204,8 +208,7 @@ impl Engine {
             }
             _ => {
                 let tokens = &features.tokens;
-                let gaussians =
-                    work.measure(Stage::Heads, || workers.install(|| model.gaussians(tokens, &sampling)))?;
+                let gaussians = work.measure(Stage::Heads, || model.gaussians(tokens, &sampling))?;
                 check_records(index, gaussians.position.len(), &gaussians)?;
                 Arc::new(gaussians)
             }
@@ -217,7 +220,6 @@ impl Engine {
 /// The motion between the frame before and this one.
 fn deform(
     model: &dyn Reconstructor,
-    workers: &Workers,
     work: &mut Work,
     state: &State,
     view: &View,
@@ -237,13 +239,13 @@ fn deform(
         static_tokens: &f.tokens,
         condition: f.condition.as_deref(),
     });
-    let decoded = work.measure(Stage::Decoder, || workers.install(|| model.decode(&sides[0], &sides[1])))?;
+    let decoded = work.measure(Stage::Decoder, || model.decode(&sides[0], &sides[1]))?;
     let mut motion: [Motion; 2] = Default::default();
     let gaussians = [&state.view.gaussians, &view.gaussians];
     for (side, d) in decoded.iter().enumerate() {
-        let tokens = work.measure(Stage::Upsampler, || workers.install(|| model.upsample_motion(d)))?;
+        let tokens = work.measure(Stage::Upsampler, || model.upsample_motion(d))?;
         let static_tokens = sides[side].static_tokens;
-        motion[side] = work.measure(Stage::Heads, || workers.install(|| model.motion(static_tokens, &tokens)))?;
+        motion[side] = work.measure(Stage::Heads, || model.motion(static_tokens, &tokens))?;
         let expected = gaussians[side].position.len();
         for (what, found) in [("velocity", motion[side].0.len()), ("gamma", motion[side].1.len())] {
             if found != expected {
