@@ -28,11 +28,12 @@
 //! ```
 //!
 //! Around it: [`source`] reads videos and [`depth`] their depth maps, [`output`] and [`scene`] write and read results,
-//! [`metrics`] measures them.
+//! [`export`] writes them for viewers, [`metrics`] measures them.
 #![deny(unsafe_code)]
 
 pub mod camera;
 pub mod depth;
+pub mod export;
 pub mod fit;
 pub mod metrics;
 pub mod openexr;
