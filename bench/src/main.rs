@@ -6,6 +6,7 @@
 mod kernels;
 mod machine;
 mod raster;
+mod serve;
 mod timing;
 
 use std::path::{Path, PathBuf};
@@ -28,6 +29,8 @@ enum Command {
     Kernels(kernels::Options),
     /// Whole scenes of Gaussians, redrawing, and growth with their number.
     Raster(raster::Options),
+    /// Stages of the network on request, for comparisons driven from outside.
+    Serve(serve::Options),
 }
 
 /// Options of every measurement.
@@ -72,6 +75,7 @@ fn main() -> std::process::ExitCode {
     let result = match Program::parse().command {
         Command::Kernels(options) => kernels::run(&options),
         Command::Raster(options) => raster::run(&options),
+        Command::Serve(options) => serve::run(&options),
     };
     match result {
         Ok(()) => std::process::ExitCode::SUCCESS,

@@ -25,7 +25,7 @@ pub(crate) struct Options {
     #[arg(long)]
     input: PathBuf,
     /// f32, bf16 or int8.
-    #[arg(long, default_value = "f32", value_parser = crate::precision)]
+    #[arg(long, default_value = "f32")]
     precision: Precision,
 }
 
