@@ -1,11 +1,11 @@
 //! The kernels at sizes that are no multiple of anything.
 
-use streamsplat_kernels::attention::{Rows, Shape, Windows, attend};
-use streamsplat_kernels::gemm::{Epilogue, Weights, linear};
+use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as};
+use streamsplat_kernels::gemm::{Epilogue, Precision, Weights, linear};
 use streamsplat_kernels::math::{self, f64 as double};
 use streamsplat_kernels::philox::Stream;
 use streamsplat_kernels::simd::{LANES, Operation, Simd, dispatch};
-use streamsplat_kernels::{Level, norm, patches, pixel_shuffle, truncated_normal};
+use streamsplat_kernels::{Level, norm, patches, pixel_shuffle, resize, truncated_normal};
 
 use super::{Digest, Thing, noise};
 
@@ -67,10 +67,18 @@ pub(super) fn things() -> Vec<Thing> {
             let inverses: Vec<f64> = (-999..1000).map(|i| double::erfinv(f64::from(i) * 1e-3)).collect();
             digest.doubles(&inverses);
         }),
-        Thing::new("gemm/linear", gemm),
-        Thing::new("attention/full", |level, digest| attention(level, digest, 2, 37, 301, Windows::Full)),
-        Thing::new("attention/windows", |level, digest| {
-            attention(level, digest, 3, 131, 131, Windows::Runs { length: 24, roll: 12 });
+        Thing::new("resize", |level, digest| {
+            let (h, w) = (29, 45);
+            let source = noise(3 * h * w, 16);
+            for (rows, columns) in [(18, 32), (41, 67), (1, 1)] {
+                let mut out = vec![0.0; 3 * rows * columns];
+                resize::bilinear(level, &source, 3, h, w, rows, columns, &mut out);
+                digest.floats(&out);
+                resize::bilinear_antialiased(level, &source, 3, h, w, rows, columns, &mut out);
+                digest.floats(&out);
+                resize::bicubic_antialiased(level, &source, h, w, 3, rows, columns, &mut out);
+                digest.floats(&out);
+            }
         }),
         Thing::new("norm", |level, digest| {
             for (rows, d) in [(7, 128), (3, 131), (2, 1)] {
@@ -111,13 +119,21 @@ pub(super) fn things() -> Vec<Thing> {
             digest.floats(&out);
         }),
     ]);
+    for (name, precision) in [("f32", Precision::F32), ("bf16", Precision::Bf16), ("int8", Precision::Int8)] {
+        let attention = move |level, digest: &mut Digest| {
+            attention(precision, level, digest, [2, 37, 301], Windows::Full);
+            attention(precision, level, digest, [3, 131, 131], Windows::Runs { length: 24, roll: 12 });
+        };
+        things.push(Thing::new(format!("gemm/{name}"), move |level, digest| gemm(precision, level, digest)));
+        things.push(Thing::new(format!("attention/{name}"), attention));
+    }
     things
 }
 
-fn gemm(level: Level, digest: &mut Digest) {
+fn gemm(precision: Precision, level: Level, digest: &mut Digest) {
     for (m, n, k) in [(1, 1, 1), (7, 33, 256), (13, 50, 259), (65, 129, 515), (3, 17, 0)] {
         let (x, w, bias) = (noise(m * k, 9), noise(n * k, 10), noise(n, 11));
-        let weights = Weights::pack(&w, n, k);
+        let weights = Weights::pack_as(precision, &w, n, k);
         let mut out = noise(m * n, 12);
         for epilogue in [
             Epilogue::new(),
@@ -131,13 +147,20 @@ fn gemm(level: Level, digest: &mut Digest) {
     }
 }
 
-fn attention(level: Level, digest: &mut Digest, heads: usize, queries: usize, keys: usize, windows: Windows) {
+/// `heads` heads of 64 channels, so many queries and so many keys.
+fn attention(
+    precision: Precision,
+    level: Level,
+    digest: &mut Digest,
+    [heads, queries, keys]: [usize; 3],
+    windows: Windows,
+) {
     let d = heads * 64;
     let loud = |len, seed| -> Vec<f32> { noise(len, seed).iter().map(|x| x * 3.0).collect() };
     let (q, k, v) = (loud(queries * d, 13), loud(keys * d, 14), noise(keys * d, 15));
     let mut out = vec![0.0; queries * d];
     let rows = |x, n| Rows::new(x, n, d, 0);
     let shape = Shape { heads, width: 64, windows };
-    attend(level, shape, rows(&q, queries), rows(&k, keys), rows(&v, keys), &mut out);
+    attend_as(precision, level, shape, rows(&q, queries), rows(&k, keys), rows(&v, keys), &mut out);
     digest.floats(&out);
 }
