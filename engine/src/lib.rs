@@ -42,6 +42,7 @@ pub mod picture;
 pub mod render;
 pub mod scene;
 pub mod source;
+pub mod space;
 pub mod stream;
 
 pub use camera::Camera;
