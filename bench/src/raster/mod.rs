@@ -119,6 +119,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                 rows.push(measure(level, name, &[scene()], false, repeat)?);
             }
         }
+        if wanted("predicted") {
+            rows.push(measure(level, "predicted", &[Scene::predicted()?], false, repeat)?);
+        }
         let choices: [(&str, fn(&Scene) -> Vec<usize>); 2] =
             [("moved-5pc", Scene::object), ("moved-5pc-scattered", Scene::scatter)];
         for (name, choose) in choices {

@@ -1,5 +1,9 @@
 //! The scenes that are timed. All are generated from fixed seeds.
 
+use anyhow::{Context, Result};
+use streamsplat::render::{Snapshot, View};
+use streamsplat::{Camera, Engine, Frame, Settings};
+use streamsplat_fixtures::clip::{Clip, Kind};
 use streamsplat_kernels::raster::{Gaussians, Projection, Request};
 
 /// Gaussians with the view they are drawn in.
@@ -136,6 +140,31 @@ impl Scene {
         }
         scene.rotation = Some(rotation);
         scene
+    }
+
+    /// What the model inside the library predicts for two frames of a procedural clip, halfway between them, drawn at twice
+    /// the model's size in each direction.
+    pub(crate) fn predicted() -> Result<Self> {
+        let clip = Clip::new(Kind::Moving, 1, 512, 288);
+        let mut engine = Engine::new(Settings::default())?;
+        let mut interval = None;
+        for time in [0.0, 0.2] {
+            let picture = clip.picture(time);
+            let frame = Frame { width: picture.width, height: picture.height, rgb: picture.rgb, depth: None };
+            interval = Some(engine.push(frame, time)?);
+        }
+        let interval = interval.context("no interval")?;
+        let mut seen = Snapshot::of(&interval, 0.1)?;
+        let view = View::new(&Camera::Canonical, &interval.placement, [288, 512]);
+        view.apply(&mut seen.mean);
+        Ok(Self {
+            mean: seen.mean,
+            scale: seen.scale,
+            opacity: seen.opacity,
+            rgb: seen.rgb,
+            projection: *view.projection(),
+            ..Self::canonical(512, 288)
+        })
     }
 
     /// One Gaussian over the whole image behind 100,000 that are smaller than a pixel.
