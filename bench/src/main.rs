@@ -7,6 +7,7 @@ mod kernels;
 mod machine;
 mod raster;
 mod serve;
+mod stages;
 mod timing;
 
 use std::path::{Path, PathBuf};
@@ -31,6 +32,8 @@ enum Command {
     Raster(raster::Options),
     /// Stages of the network on request, for comparisons driven from outside.
     Serve(serve::Options),
+    /// The stages of the network and a whole key frame.
+    Stages(stages::Options),
 }
 
 /// Options of every measurement.
@@ -76,6 +79,7 @@ fn main() -> std::process::ExitCode {
         Command::Kernels(options) => kernels::run(&options),
         Command::Raster(options) => raster::run(&options),
         Command::Serve(options) => serve::run(&options),
+        Command::Stages(options) => stages::run(&options),
     };
     match result {
         Ok(()) => std::process::ExitCode::SUCCESS,
