@@ -15,7 +15,7 @@ use crate::checkpoint::Weights;
 use crate::layers::{
     Bias, CrossAttention, FeedForward, Linear, RmsNorm, SelfAttention, Workspace, add, sinusoid, windows,
 };
-use crate::{Config, ModelError};
+use crate::{Config, ModelError, Precision};
 
 /// Tokens of the published condition: the patches of DINOv2.
 const USUAL_CONDITION: usize = 576;
@@ -49,7 +49,7 @@ struct PairBlock {
 }
 
 impl Decoder {
-    pub(crate) fn load(weights: &Weights<'_>, config: &Config) -> Result<Decoder, ModelError> {
+    pub(crate) fn load(weights: &Weights<'_>, config: &Config, precision: Precision) -> Result<Decoder, ModelError> {
         let (d, n) = (config.hidden_dim, config.tokens());
         let mut position = weights.vector("positional_embedding", &[1, 2 * n, d])?;
         let types = weights.read("cls_embedding", &[1, 2, d])?;
@@ -64,8 +64,9 @@ impl Decoder {
             }
             None => Table::Computed(sinusoid(if config.use_dino { USUAL_CONDITION } else { n }, d)),
         };
+        let inner = weights.held_in(precision.of_blocks());
         let blocks = (0..config.decoder_layers)
-            .map(|i| PairBlock::load(&weights.at(format_args!("transformer.resblocks.{i}")), d))
+            .map(|i| PairBlock::load(&inner.at(format_args!("transformer.resblocks.{i}")), d))
             .collect::<Result<_, _>>()?;
         let decoder = Decoder {
             position,

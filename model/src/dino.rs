@@ -13,7 +13,8 @@
 
 use std::path::Path;
 
-use streamsplat_kernels::attention::{Rows, Shape, Windows, attend};
+use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as};
+use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::patches::patches;
 use streamsplat_kernels::{Level, resize};
 use tracing::info_span;
@@ -70,7 +71,6 @@ impl Dino {
         settings: &Settings,
         options: &LoadOptions,
     ) -> Result<Dino, ModelError> {
-        options.check()?;
         let _span = info_span!("load").entered();
         let weights = &Weights::new(checkpoint, "");
         let config = DinoConfig::derive(weights, settings)?;
@@ -87,11 +87,12 @@ impl Dino {
         let [rows, columns] = config.grid();
         let mut position = vec![0.0; rows * columns * d];
         resize::bicubic_antialiased(options.level, grid, side, side, d, rows, columns, &mut position);
+        let inner = weights.held_in(options.precision.of_blocks());
         let blocks = (0..config.depth)
-            .map(|i| DinoBlock::load(&weights.at(format_args!("blocks.{i}")), &config))
+            .map(|i| DinoBlock::load(&inner.at(format_args!("blocks.{i}")), &config))
             .collect::<Result<_, _>>()?;
         Ok(Dino {
-            patch_embed: Linear::new(&kernel, Some(bias), d, 3 * p * p),
+            patch_embed: Linear::new(Precision::F32, &kernel, Some(bias), d, 3 * p * p),
             first,
             position,
             blocks,
@@ -178,7 +179,7 @@ impl DinoBlock {
         let mixed = sized(&mut work.mixed, x.len());
         let [q, k, v] = [0, 1, 2].map(|part| Rows::new(qkv, n, 3 * d, part * d));
         let shape = Shape { heads: d / HEAD, width: HEAD, windows: Windows::Full };
-        attend(level, shape, q, k, v, mixed);
+        attend_as(self.proj.precision(), level, shape, q, k, v, mixed);
         self.proj.accumulate_scaled(level, mixed, &self.ls1, x);
 
         for x in x.chunks_mut(ROWS * d) {

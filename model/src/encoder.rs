@@ -10,7 +10,7 @@ use streamsplat_kernels::patches::patches;
 
 use crate::checkpoint::Weights;
 use crate::layers::{Block, Linear, RmsNorm, Workspace, add, sinusoid, windows};
-use crate::{Config, ModelError};
+use crate::{Config, ModelError, Precision};
 
 pub(crate) struct Encoder {
     conv: Linear,
@@ -21,15 +21,16 @@ pub(crate) struct Encoder {
 }
 
 impl Encoder {
-    pub(crate) fn load(weights: &Weights<'_>, config: &Config) -> Result<Encoder, ModelError> {
+    pub(crate) fn load(weights: &Weights<'_>, config: &Config, precision: Precision) -> Result<Encoder, ModelError> {
         let (d, n, p) = (config.hidden_dim, config.tokens(), config.patch_size);
         let conv = weights.read("conv.weight", &[d, 4, p, p])?;
         let pe = "positional_encoding.pe";
+        let inner = weights.held_in(precision.of_blocks());
         let blocks = (0..config.encoder_layers)
-            .map(|i| Block::load(&weights.at(format_args!("transformer.resblocks.{i}")), d))
+            .map(|i| Block::load(&inner.at(format_args!("transformer.resblocks.{i}")), d))
             .collect::<Result<_, _>>()?;
         Ok(Encoder {
-            conv: Linear::new(&conv, None, d, 4 * p * p),
+            conv: Linear::new(weights.precision(), &conv, None, d, 4 * p * p),
             position: if weights.shape(pe).is_some() { weights.vector(pe, &[n, d])? } else { sinusoid(n, d) },
             layernorm1: RmsNorm::load(weights, "layernorm1", d)?,
             blocks,

@@ -71,16 +71,19 @@ impl Network {
         settings: &Settings,
         options: &LoadOptions,
     ) -> Result<Network, ModelError> {
-        options.check()?;
         let _span = info_span!("load").entered();
         let weights = Weights::new(checkpoint, config::prefix(checkpoint)?);
         let config = Config::derive(&weights, settings)?;
         Ok(Network {
-            encoder: Encoder::load(&weights.at(keys::ENCODER), &config)?,
-            static_upsampler: Upsampler::load(&weights.at(keys::STATIC_UPSAMPLER), &config)?,
+            encoder: Encoder::load(&weights.at(keys::ENCODER), &config, options.precision)?,
+            static_upsampler: Upsampler::load(&weights.at(keys::STATIC_UPSAMPLER), &config, options.precision)?,
             static_head: StaticHead::load(&weights.at(keys::STATIC_HEAD), &config)?,
-            decoder: Decoder::load(&weights.at(keys::DECODER), &config)?,
-            deformation_upsampler: Upsampler::load(&weights.at(keys::DEFORMATION_UPSAMPLER), &config)?,
+            decoder: Decoder::load(&weights.at(keys::DECODER), &config, options.precision)?,
+            deformation_upsampler: Upsampler::load(
+                &weights.at(keys::DEFORMATION_UPSAMPLER),
+                &config,
+                options.precision,
+            )?,
             deformation_head: DeformationHead::load(&weights, &config)?,
             config,
             options: *options,

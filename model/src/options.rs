@@ -3,9 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use streamsplat_kernels::Level;
-
-use crate::ModelError;
+use streamsplat_kernels::{Level, gemm};
 
 /// What a model is loaded for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,6 +37,16 @@ impl Precision {
     /// All modes, most exact first.
     pub const ALL: [Precision; 3] = [Precision::F32, Precision::Bf16, Precision::Int8];
 
+    /// The operands of the products inside blocks and upsamplers. Everything else multiplies in f32: the convolutions of
+    /// pixels, the projection of the condition, the heads.
+    pub(crate) const fn of_blocks(self) -> gemm::Precision {
+        match self {
+            Precision::F32 => gemm::Precision::F32,
+            Precision::Bf16 => gemm::Precision::Bf16,
+            Precision::Int8 => gemm::Precision::Int8,
+        }
+    }
+
     /// The name by which [`Precision::from_str`] finds it.
     pub const fn name(self) -> &'static str {
         match self {
@@ -52,20 +60,6 @@ impl Precision {
 impl fmt::Display for Precision {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
-    }
-}
-
-impl LoadOptions {
-    /// An error for a precision mode that cannot be computed: nothing falls back to another one in silence.
-    pub(crate) fn check(&self) -> Result<(), ModelError> {
-        if self.precision == Precision::F32 {
-            return Ok(());
-        }
-        Err(ModelError::Input {
-            input: "precision".to_owned(),
-            expected: "f32, the only mode there is so far".to_owned(),
-            found: self.precision.to_string(),
-        })
     }
 }
 

@@ -8,7 +8,7 @@ use streamsplat_kernels::pixel_shuffle::pixel_shuffle;
 
 use crate::checkpoint::Weights;
 use crate::layers::{Bias, Block, Linear, RmsNorm, Workspace, windows};
-use crate::{Config, ModelError};
+use crate::{Config, ModelError, Precision};
 
 pub(crate) struct Upsampler {
     stages: [Stage; 2],
@@ -21,8 +21,9 @@ struct Stage {
 }
 
 impl Upsampler {
-    pub(crate) fn load(weights: &Weights<'_>, config: &Config) -> Result<Upsampler, ModelError> {
+    pub(crate) fn load(weights: &Weights<'_>, config: &Config, precision: Precision) -> Result<Upsampler, ModelError> {
         let [first, second] = config.upsampler_widths;
+        let weights = &weights.held_in(precision.of_blocks());
         Ok(Upsampler {
             stages: [Stage::load(weights, 0, config.hidden_dim, first)?, Stage::load(weights, 1, first, second)?],
             layernorm2: RmsNorm::load(weights, "layernorm2", second)?,

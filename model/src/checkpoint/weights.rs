@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use streamsplat_kernels::gemm::Precision;
+
 use super::Checkpoint;
 use crate::ModelError;
 
@@ -10,16 +12,27 @@ use crate::ModelError;
 pub(crate) struct Weights<'a> {
     checkpoint: &'a Checkpoint,
     prefix: String,
+    precision: Precision,
 }
 
 impl<'a> Weights<'a> {
     pub(crate) fn new(checkpoint: &'a Checkpoint, prefix: impl Into<String>) -> Self {
-        Self { checkpoint, prefix: prefix.into() }
+        Self { checkpoint, prefix: prefix.into(), precision: Precision::F32 }
     }
 
     /// The keys below `name` and a dot.
     pub(crate) fn at(&self, name: impl std::fmt::Display) -> Weights<'a> {
-        Weights { checkpoint: self.checkpoint, prefix: format!("{}{name}.", self.prefix) }
+        Weights { prefix: format!("{}{name}.", self.prefix), ..self.clone() }
+    }
+
+    /// The same keys, for layers that multiply in `precision`.
+    pub(crate) fn held_in(&self, precision: Precision) -> Weights<'a> {
+        Weights { precision, ..self.clone() }
+    }
+
+    /// The format in which layers hold the operands of their products: f32 where nothing else is said.
+    pub(crate) fn precision(&self) -> Precision {
+        self.precision
     }
 
     pub(crate) fn key(&self, name: &str) -> String {

@@ -1,7 +1,7 @@
 //! Attention layers: projections around the kernel.
 
 use streamsplat_kernels::Level;
-use streamsplat_kernels::attention::{Rows, Shape, Windows, attend};
+use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as};
 
 use super::{Bias, HEAD, Linear, RmsNorm, Workspace, sized};
 use crate::ModelError;
@@ -42,7 +42,7 @@ impl SelfAttention {
         self.packed_proj.apply(level, normed, qkv);
         let mixed = sized(&mut work.mixed, x.len());
         let [q, k, v] = [0, 1, 2].map(|part| Rows::new(qkv, n, 3 * d, part * d));
-        attend(level, shape(d, windows), q, k, v, mixed);
+        attend_as(self.out_proj.precision(), level, shape(d, windows), q, k, v, mixed);
         self.out_proj.accumulate(level, mixed, x);
     }
 
@@ -66,8 +66,8 @@ impl CrossAttention {
         let key_value_bias = query_bias.split_off(d);
         let (query, key_value) = weight.split_at(d * d);
         let layer = CrossAttention {
-            query: Linear::new(query, Some(query_bias), d, d),
-            key_value: Linear::new(key_value, Some(key_value_bias), 2 * d, d),
+            query: Linear::new(weights.precision(), query, Some(query_bias), d, d),
+            key_value: Linear::new(weights.precision(), key_value, Some(key_value_bias), 2 * d, d),
             out_proj: Linear::load(weights, "out_proj", d, d, Bias::Yes)?,
         };
         drop(weight);
@@ -94,7 +94,7 @@ impl CrossAttention {
         self.key_value.apply(level, condition, kv);
         let mixed = sized(&mut work.mixed, x.len());
         let [k, v] = [0, 1].map(|part| Rows::new(kv, m, 2 * d, part * d));
-        attend(level, shape(d, Windows::Full), Rows::new(q, n, d, 0), k, v, mixed);
+        attend_as(self.out_proj.precision(), level, shape(d, Windows::Full), Rows::new(q, n, d, 0), k, v, mixed);
         self.out_proj.accumulate(level, mixed, x);
     }
 

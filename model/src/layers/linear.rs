@@ -1,7 +1,7 @@
 //! Linear layers.
 
 use streamsplat_kernels::Level;
-use streamsplat_kernels::gemm::{self, Epilogue};
+use streamsplat_kernels::gemm::{self, Epilogue, Precision};
 
 use crate::ModelError;
 use crate::checkpoint::Weights;
@@ -34,15 +34,15 @@ impl Linear {
             Bias::Yes => Some(weights.vector(&format!("{name}.bias"), &[n])?),
             Bias::No => None,
         };
-        let layer = Linear::new(&weight, bias, n, k);
+        let layer = Linear::new(weights.precision(), &weight, bias, n, k);
         drop(weight);
         weights.release(&key);
         Ok(layer)
     }
 
     /// The layer of a weight in memory.
-    pub(crate) fn new(weight: &[f32], bias: Option<Vec<f32>>, n: usize, k: usize) -> Linear {
-        Linear { weights: gemm::Weights::pack(weight, n, k), bias }
+    pub(crate) fn new(precision: Precision, weight: &[f32], bias: Option<Vec<f32>>, n: usize, k: usize) -> Linear {
+        Linear { weights: gemm::Weights::pack_as(precision, weight, n, k), bias }
     }
 
     /// Several layers with the same input as one, their outputs side by side.
@@ -53,7 +53,7 @@ impl Linear {
             bias.extend_from_slice(&weights.read(&format!("{name}.bias"), &[*n])?);
         }
         let n = bias.len();
-        Ok(Linear::new(&weight, Some(bias), n, k))
+        Ok(Linear::new(weights.precision(), &weight, Some(bias), n, k))
     }
 
     /// Output columns.
@@ -64,6 +64,11 @@ impl Linear {
     /// Input columns.
     pub(crate) fn k(&self) -> usize {
         self.weights.k()
+    }
+
+    /// The format of the product's operands.
+    pub(crate) fn precision(&self) -> Precision {
+        self.weights.precision()
     }
 
     /// Bytes held.
