@@ -6,7 +6,7 @@
 
 use super::microkernel::{self, Tile};
 use super::precision::{Precision, largest_magnitude, pair, round_bf16, scale_of};
-use crate::simd::{LANES, Simd};
+use crate::simd::{LANES, Simd, again};
 
 /// A precision's operands.
 pub(super) trait Form {
@@ -184,17 +184,22 @@ unsafe fn brain_step<S: Simd, const MR: usize, const NV: usize>(
             return;
         }
         let rows = rows.add(2 * i * MR).cast::<f32>();
-        let high = s.splat_i32(0xffff_0000_u32.cast_signed());
+        for v in 0..NV {
+            b[v] = s.and_i32(b[v], s.splat_i32(0xffff_0000_u32.cast_signed()));
+        }
         for r in 0..MR {
             let a = s.splat(*rows.add(r));
             for v in 0..NV {
-                acc[r][v] = s.mul_add(a, s.from_bits(s.and_i32(b[v], high)), acc[r][v]);
+                acc[r][v] = s.mul_add(a, s.from_bits(b[v]), acc[r][v]);
             }
+        }
+        for v in 0..NV {
+            b[v] = s.shl::<16>(s.to_bits(s.load_ptr(again(panels[v].add(i * LANES)).cast())));
         }
         for r in 0..MR {
             let a = s.splat(*rows.add(MR + r));
             for v in 0..NV {
-                acc[r][v] = s.mul_add(a, s.from_bits(s.shl::<16>(b[v])), acc[r][v]);
+                acc[r][v] = s.mul_add(a, s.from_bits(b[v]), acc[r][v]);
             }
         }
     }
@@ -253,19 +258,26 @@ impl Form for Bytes {
         for i in 0..words {
             // SAFETY: the caller's; i < words.
             unsafe {
-                for v in 0..NV {
-                    let b = s.to_bits(s.load_ptr(panels[v].add(i * LANES).cast()));
-                    if S::DOT {
-                        for r in 0..MR {
-                            let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
-                            acc[r][v] = s.dot_bytes(acc[r][v], a, b);
+                if S::DOT {
+                    let b = panels.map(|panel| panel.add(i * LANES).cast::<f32>());
+                    for r in 0..MR {
+                        let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
+                        for v in 0..NV {
+                            acc[r][v] = s.dot_bytes(acc[r][v], a, s.to_bits(s.load_ptr(b[v])));
                         }
-                        continue;
                     }
-                    for (half, b) in s.split_bytes(b).into_iter().enumerate() {
-                        for r in 0..MR {
-                            let a = s.splat_i32((*rows.add((2 * i + half) * MR + r)).cast_signed());
-                            acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, b));
+                    continue;
+                }
+                for half in 0..2 {
+                    let mut b = [s.splat_i32(0); NV];
+                    for v in 0..NV {
+                        let word = s.load_ptr(again(panels[v].add(i * LANES)).cast());
+                        b[v] = s.split_bytes(s.to_bits(word))[half];
+                    }
+                    for r in 0..MR {
+                        let a = s.splat_i32((*rows.add((2 * i + half) * MR + r)).cast_signed());
+                        for v in 0..NV {
+                            acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, b[v]));
                         }
                     }
                 }

@@ -272,6 +272,21 @@ pub fn prefetch<T>(at: *const T) {
     let _ = at;
 }
 
+/// The same pointer, of which the compiler knows nothing: a second read through it stays a read.
+///
+/// Where a register block fills all registers, reading an operand again from the nearest cache is cheaper than keeping it.
+#[inline(always)]
+pub(crate) fn again<T>(mut at: *const T) -> *const T {
+    #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+    // SAFETY: no instruction at all.
+    unsafe {
+        core::arch::asm!("/* {0} */", inout(reg) at, options(pure, nomem, nostack, preserves_flags));
+    }
+    #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+    let _ = &mut at;
+    at
+}
+
 /// A computation that can be entered on any level.
 ///
 /// `run` and everything it calls should be `#[inline(always)]`, so that all of it is compiled for the level.
