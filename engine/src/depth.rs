@@ -129,7 +129,7 @@ impl DepthMaps {
         Ok(maps)
     }
 
-    /// The map of frame `index` at the frame's size; with [`Range::Clip`] normalised to [0,1].
+    /// The map of frame `index` at the frame's size; with [`Range::Clip`] normalised to `[0, 1]`.
     ///
     /// # Errors
     /// No such map, or an unreadable one.

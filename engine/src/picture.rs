@@ -10,7 +10,7 @@ pub const MAX_SIDE: usize = 32_768;
 /// Largest number of pixels a picture may have (a 16:9 picture of 10,922 × 6,144); its three f32 planes take 768 MiB.
 pub const MAX_PIXELS: usize = 1 << 26;
 
-/// RGB in display (gamma) space, nominally in [0,1], as three planes `[3, height, width]`, row-major.
+/// RGB in display (gamma) space, nominally in `[0, 1]`, as three planes `[3, height, width]`, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     /// Pixels per row.
@@ -47,7 +47,7 @@ impl Picture {
         Picture { width, height, rgb }
     }
 
-    /// Interleaved 8-bit samples: each clamped to [0,1], times 255, rounded half up. NaN becomes 0.
+    /// Interleaved 8-bit samples: each clamped to `[0, 1]`, times 255, rounded half up. NaN becomes 0.
     pub fn to_rgb8(&self) -> Vec<u8> {
         let plane = self.width * self.height;
         let mut bytes = vec![0u8; 3 * plane];
@@ -86,7 +86,7 @@ pub fn resize_planes(planes: &[f32], from: [usize; 2], to: [usize; 2]) -> Vec<f3
     }
 }
 
-/// `value` clamped to [0,1], times 255, rounded half up; NaN becomes 0.
+/// `value` clamped to `[0, 1]`, times 255, rounded half up; NaN becomes 0.
 pub fn to_u8(value: f32) -> u8 {
     // `as` saturates and sends NaN to 0.
     (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8

@@ -12,7 +12,7 @@
 //! pinhole:       u = (f_x·X/Z + c_x)·W − ½                   f and c in image widths (heights for v)
 //! ```
 //!
-//! with pixel centres at whole numbers. [`file`] describes the JSON form, [`path`] cameras that move.
+//! with pixel centres at whole numbers. [`mod@file`] describes the JSON form, [`CameraPath`] cameras that move.
 
 pub mod file;
 mod path;

@@ -175,7 +175,7 @@ pub fn picture_png(picture: &Picture) -> Vec<u8> {
     png(picture.width, picture.height, &picture.to_rgb8(), ExtendedColorType::Rgb8)
 }
 
-/// A plane with values in [0,1] as an 8-bit grey PNG file.
+/// A plane with values in `[0, 1]` as an 8-bit grey PNG file.
 ///
 /// # Panics
 /// When `plane` does not hold `width · height` values.

@@ -3,7 +3,7 @@
 //! The kind is told by the file's first bytes, not by its name.
 //!
 //! - Integer samples of b bits become `value / (2^b − 1)`. Float samples (TIFF, EXR) are taken as display-referred and clamped
-//!   to [0,1]; a NaN or infinite one is an error that names the pixel.
+//!   to `[0, 1]`; a NaN or infinite one is an error that names the pixel.
 //! - Grey is copied to the three channels. Alpha is composited over mid grey (0.5), the default background of the renderer:
 //!   `c·a + 0.5·(1 − a)`; EXR colours are premultiplied as that format has it: `c + 0.5·(1 − a)`.
 //! - JPEG is decoded by integer arithmetic without vector instructions, so that every CPU gives the same bytes (the decoder is

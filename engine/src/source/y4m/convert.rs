@@ -5,7 +5,7 @@
 //! - limited range: `y = (Y − 16 s) / (219 s)`, `b = (Cb − 128 s) / (224 s)`, `r` likewise; full range: `y = Y / m`,
 //!   `b = (Cb − 128 s) / m`.
 //! - `R = y + 2(1−Kr) r`, `B = y + 2(1−Kb) b`, `G = (y − cg_b b) − cg_r r` with `cg_b = 2(1−Kb) Kb / Kg`,
-//!   `cg_r = 2(1−Kr) Kr / Kg`, `Kg = 1 − Kr − Kb`; each clamped to [0,1].
+//!   `cg_r = 2(1−Kr) Kr / Kg`, `Kg = 1 − Kr − Kb`; each clamped to `[0, 1]`.
 //! - y4m does not say which matrix was used. Pictures of more than 576 rows or 1024 columns are taken as BT.709 (Kr 0.2126,
 //!   Kb 0.0722), smaller ones as BT.601 (0.299, 0.114), as video of those sizes is made.
 //! - Chroma is interpolated linearly between its sample positions (first along x, then along y), held at the borders.
@@ -121,14 +121,14 @@ impl Matrix {
         if width > 1024 || height > 576 { Matrix { kr: 0.2126, kb: 0.0722 } } else { Matrix { kr: 0.299, kb: 0.114 } }
     }
 
-    /// Red, green and blue of luma `y` in [0,1] and chroma `b`, `r` in [−½,½].
+    /// Red, green and blue of luma `y` in `[0, 1]` and chroma `b`, `r` in [−½,½].
     pub fn rgb(self, y: f32, b: f32, r: f32) -> [f32; 3] {
         let kg = 1.0 - self.kr - self.kb;
         let (to_r, to_b) = (2.0 * (1.0 - self.kr), 2.0 * (1.0 - self.kb));
         [y + to_r * r, (y - to_b * self.kb / kg * b) - to_r * self.kr / kg * r, y + to_b * b]
     }
 
-    /// Luma in [0,1] and chroma in [−½,½] of a colour: the inverse of [`Matrix::rgb`].
+    /// Luma in `[0, 1]` and chroma in [−½,½] of a colour: the inverse of [`Matrix::rgb`].
     pub fn ycbcr(self, [red, green, blue]: [f32; 3]) -> [f32; 3] {
         let kg = 1.0 - self.kr - self.kb;
         let y = self.kr * red + kg * green + self.kb * blue;
