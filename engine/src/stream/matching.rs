@@ -13,6 +13,11 @@
 //! whole is near-linear. To keep it so when positions pile up, a query reads at most [`PER_BIN`] records of a bin (the lowest
 //! indices) and keeps at most [`CANDIDATES`] pairs (the smallest q).
 
+use rayon::slice::ParallelSliceMut;
+use streamsplat_kernels::parallel::map_indexed;
+
+/// Old Gaussians per task.
+const CHUNK: usize = 2048;
 /// Records of a bin that a query reads.
 const PER_BIN: usize = 64;
 /// Pairs that one old Gaussian takes part in.
@@ -81,20 +86,32 @@ pub(crate) struct Matches {
 /// Matches old Gaussians with the positions of new ones.
 pub(crate) fn match_up(lattice: Lattice, old: &[Probe], new: &[[f32; 3]]) -> Matches {
     let bins = Bins::new(lattice, new);
+    let parts = map_indexed(old.len().div_ceil(CHUNK), |chunk| {
+        let start = chunk * CHUNK;
+        let probes = &old[start..old.len().min(start + CHUNK)];
+        let mut host = Vec::with_capacity(probes.len());
+        let mut pairs = Vec::with_capacity(2 * probes.len());
+        let mut near = Vec::with_capacity(64);
+        for (index, probe) in (start..).zip(probes) {
+            bins.coinciding(probe, new, &mut near);
+            near.sort_unstable();
+            host.push(near.first().map(|&(_, new)| new));
+            pairs.extend(near.iter().take(CANDIDATES).map(|&(q, new)| pair(probe.recent, q, new, index as u32)));
+        }
+        (host, pairs)
+    });
     let mut host = Vec::with_capacity(old.len());
-    let mut pairs = Vec::with_capacity(old.len() * 2);
-    let mut near = Vec::with_capacity(64);
-    for (index, probe) in old.iter().enumerate() {
-        bins.coinciding(probe, new, &mut near);
-        near.sort_unstable();
-        host.push(near.first().map(|&(_, new)| new));
-        // Non-negative floats sort as their bits do.
-        pairs.extend(near.iter().take(CANDIDATES).map(|&(q, new)| (!probe.recent, q, new, index as u32)));
+    let mut pairs = Vec::with_capacity(parts.iter().map(|(_, pairs)| pairs.len()).sum());
+    for (hosts, some) in parts {
+        host.extend(hosts);
+        pairs.extend(some);
     }
-    pairs.sort_unstable();
+    // All keys differ, so that the order is one, however it is found.
+    pairs.par_sort_unstable();
     let mut parent = vec![None; new.len()];
     let mut taken = vec![false; old.len()];
-    for (_, _, new, old) in pairs {
+    for key in pairs {
+        let (new, old) = ((key >> 32) as u32, key as u32);
         let heir = &mut parent[new as usize];
         if heir.is_none() && !taken[old as usize] {
             *heir = Some(old);
@@ -102,6 +119,12 @@ pub(crate) fn match_up(lattice: Lattice, old: &[Probe], new: &[[f32; 3]]) -> Mat
         }
     }
     Matches { host, parent }
+}
+
+/// A pair as one number that orders pairs: the frame before first, then q (non-negative floats order as their bits do), then
+/// the new and the old index.
+fn pair(recent: bool, q: u32, new: u32, old: u32) -> u128 {
+    u128::from(!recent) << 96 | u128::from(q) << 64 | u128::from(new) << 32 | u128::from(old)
 }
 
 /// Indices of positions by lattice cell, ascending within a cell.
