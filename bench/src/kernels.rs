@@ -4,12 +4,12 @@ use anyhow::{Result, ensure};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use streamsplat_kernels::Level;
-use streamsplat_kernels::attention::{self, Rows, Shape, Windows, attend};
-use streamsplat_kernels::gemm::{self, Epilogue, Weights, linear};
+use streamsplat_kernels::attention::{self, Rows, Shape, Windows, attend_as};
+use streamsplat_kernels::gemm::{self, Epilogue, Precision, Weights, linear};
 use streamsplat_kernels::norm;
 
 use crate::Common;
-use crate::machine::{Machine, peak_f32};
+use crate::machine::{Machine, peak};
 use crate::timing::{Seconds, once};
 
 /// Options of `kernels`.
@@ -20,6 +20,9 @@ pub(crate) struct Options {
     /// Which model's sizes.
     #[arg(long, value_enum, default_value_t = Size::All)]
     size: Size,
+    /// Formats of the operands.
+    #[arg(long, value_enum, num_args = 1.., default_values = ["f32", "bf16", "int8"])]
+    precision: Vec<Format>,
     /// Only kernels whose name contains this.
     #[arg(long, default_value = "")]
     only: String,
@@ -30,6 +33,23 @@ enum Size {
     Paper,
     Small,
     All,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Format {
+    F32,
+    Bf16,
+    Int8,
+}
+
+impl Format {
+    fn precision(self) -> (&'static str, Precision) {
+        match self {
+            Format::F32 => ("f32", Precision::F32),
+            Format::Bf16 => ("bf16", Precision::Bf16),
+            Format::Int8 => ("int8", Precision::Int8),
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -54,6 +74,7 @@ struct Results {
 struct Case {
     kernel: String,
     model: &'static str,
+    precision: (&'static str, Precision),
     size: String,
     flop: f64,
     work: Box<dyn FnMut() + Send>,
@@ -71,34 +92,43 @@ fn measure(options: &Options) -> Result<()> {
         if options.size != Size::All && (options.size == Size::Paper) != (model == "paper") {
             continue;
         }
-        for &(name, m, n, k) in products.iter().filter(|p| wanted(p.0)) {
-            cases.push(product(level, model, name, m, n, k)?);
-        }
-        for &(name, queries, keys, heads, window) in attentions.iter().filter(|a| wanted(a.0)) {
-            cases.push(attention(level, model, name, queries, keys, heads, window)?);
+        for precision in options.precision.iter().map(|f| f.precision()) {
+            for &(name, m, n, k) in products.iter().filter(|p| wanted(p.0)) {
+                cases.push(product(level, model, precision, name, m, n, k)?);
+            }
+            // Both lower modes multiply in bf16 here.
+            let attentions = if precision.1 == Precision::Int8 { &[] } else { attentions };
+            for &(name, queries, keys, heads, window) in attentions.iter().filter(|a| wanted(a.0)) {
+                cases.push(attention(level, model, precision, name, queries, keys, heads, window)?);
+            }
         }
         for &(rows, d) in norms.iter().filter(|_| wanted("rms_norm")) {
             cases.push(rms_norm(level, model, rows, d));
         }
     }
-    let mut peak: f64 = 0.0;
+    let mut f32_peak: f64 = 0.0;
     let mut rows = Vec::new();
-    println!("{:<22} {:<6} {:>24} {:>10} {:>10} {:>9}", "kernel", "model", "size", "ms (min)", "GFLOP/s", "of peak");
+    println!(
+        "{:<22} {:<6} {:<5} {:>20} {:>10} {:>10} {:>9}",
+        "kernel", "model", "type", "size", "ms (min)", "GFLOP/s", "of peak"
+    );
     for mut case in cases {
         let mut times = Vec::new();
         let mut own_peak: f64 = 0.0;
         for _ in 0..options.common.repeat.max(1) {
             // The peak is taken beside every run: clocks move.
-            own_peak = own_peak.max(peak_f32(level));
+            own_peak = own_peak.max(peak(level, case.precision.1));
             times.push(once(&mut case.work));
         }
-        peak = peak.max(own_peak);
+        if case.precision.1 == Precision::F32 {
+            f32_peak = f32_peak.max(own_peak);
+        }
         let seconds = Seconds::of(times);
         let gflops = case.flop / seconds.min / 1e9;
         let row = Row {
             kernel: case.kernel,
             model: case.model,
-            precision: "f32",
+            precision: case.precision.0,
             size: case.size,
             gflop: case.flop / 1e9,
             seconds,
@@ -106,9 +136,10 @@ fn measure(options: &Options) -> Result<()> {
             fraction_of_peak: gflops / own_peak,
         };
         println!(
-            "{:<22} {:<6} {:>24} {:>10.3} {:>10.1} {:>8.1}%",
+            "{:<22} {:<6} {:<5} {:>20} {:>10.3} {:>10.1} {:>8.1}%",
             row.kernel,
             row.model,
+            row.precision,
             row.size,
             seconds.min * 1e3,
             gflops,
@@ -116,8 +147,9 @@ fn measure(options: &Options) -> Result<()> {
         );
         rows.push(row);
     }
-    println!("peak {peak:.1} GFLOP/s f32 on {} threads, {}", rayon::current_num_threads(), level.name());
-    options.common.write(&Results { machine: Machine::new(level, peak), kernels: rows })
+    let machine = Machine::new(level, (Precision::F32, f32_peak));
+    println!("{machine}");
+    options.common.write(&Results { machine, kernels: rows })
 }
 
 type Products = &'static [(&'static str, usize, usize, usize)];
@@ -174,20 +206,30 @@ fn noise(len: usize, seed: u32) -> Vec<f32> {
     (0..len).map(|_| next()).collect()
 }
 
-fn product(level: Level, model: &'static str, name: &str, m: usize, n: usize, k: usize) -> Result<Case> {
+fn product(
+    level: Level,
+    model: &'static str,
+    precision: (&'static str, Precision),
+    name: &str,
+    m: usize,
+    n: usize,
+    k: usize,
+) -> Result<Case> {
     let (x, w) = (noise(m * k, 1), noise(n * k, 2));
-    let weights = Weights::pack(&w, n, k);
+    let weights = Weights::pack_as(precision.1, &w, n, k);
     let mut out = vec![0.0; m * n];
     linear(level, &x, m, &weights, &Epilogue::new(), &mut out);
     for i in 0..97 {
         let (row, column) = (i * 7919 % m, i * 104_729 % n);
-        let expected = gemm::reference::product(&x[row * k..][..k], &w[column * k..][..k], 1, 1, k)[0];
+        let (x, w) = (&x[row * k..][..k], &w[column * k..][..k]);
+        let expected = gemm::reference::product_as(precision.1, x, w, 1, 1, k)[0];
         let found = out[row * n + column];
         ensure!(found.to_bits() == expected.to_bits(), "{name} at {row},{column}: {found}, expected {expected}");
     }
     Ok(Case {
         kernel: name.to_owned(),
         model,
+        precision,
         size: format!("{m}x{n}x{k}"),
         flop: 2.0 * (m * n * k) as f64,
         work: Box::new(move || linear(level, &x, m, &weights, &Epilogue::new(), &mut out)),
@@ -197,6 +239,7 @@ fn product(level: Level, model: &'static str, name: &str, m: usize, n: usize, k:
 fn attention(
     level: Level,
     model: &'static str,
+    precision: (&'static str, Precision),
     name: &str,
     queries: usize,
     keys: usize,
@@ -211,23 +254,19 @@ fn attention(
     let seen = window.unwrap_or(keys);
     let expected = attention::reference::attend(&q[..d], &k[..seen * d], &v[..seen * d], heads, 64, |_, _| true);
     let mut work = move || {
-        attend(
-            level,
-            shape,
-            Rows::new(&q, queries, d, 0),
-            Rows::new(&k, keys, d, 0),
-            Rows::new(&v, keys, d, 0),
-            &mut out,
-        );
+        let (q, k, v) = (Rows::new(&q, queries, d, 0), Rows::new(&k, keys, d, 0), Rows::new(&v, keys, d, 0));
+        attend_as(precision.1, level, shape, q, k, v, &mut out);
         out[..d].to_vec()
     };
+    let bound = if precision.1 == Precision::F32 { 1e-6 } else { 1e-2 };
     for (found, expected) in work().iter().zip(&expected) {
         let error = (f64::from(*found) - expected).abs();
-        ensure!(error < 1e-6, "{name}: {found}, expected {expected}");
+        ensure!(error < bound, "{name}: {found}, expected {expected}");
     }
     Ok(Case {
         kernel: name.to_owned(),
         model,
+        precision,
         size: format!("{queries}x{seen} {heads} heads"),
         flop: 4.0 * (queries * seen * d) as f64,
         work: Box::new(move || {
@@ -242,6 +281,7 @@ fn rms_norm(level: Level, model: &'static str, rows: usize, d: usize) -> Case {
     Case {
         kernel: "rms_norm".to_owned(),
         model,
+        precision: ("f32", Precision::F32),
         size: format!("{rows}x{d}"),
         flop: 4.0 * (rows * d) as f64,
         work: Box::new(move || norm::rms_norm(level, &x, &w, 1e-5, &mut out)),

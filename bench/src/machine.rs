@@ -2,7 +2,8 @@
 
 use serde::Serialize;
 use streamsplat_kernels::Level;
-use streamsplat_kernels::simd::{Operation, Simd, dispatch};
+use streamsplat_kernels::gemm::Precision;
+use streamsplat_kernels::simd::{Operation, Simd, dispatch_dot};
 
 use crate::timing::once;
 
@@ -12,19 +13,34 @@ pub(crate) struct Machine {
     cpu: String,
     threads: usize,
     isa: &'static str,
-    pub(crate) peak_gflops: Peak,
+    peak_gflops: Peak,
 }
 
 /// Billions of operations a second on all threads, a multiplication and an addition counted as two.
 #[derive(Serialize)]
 pub(crate) struct Peak {
-    pub(crate) f32: f64,
+    f32: f64,
+    bf16: f64,
+    int8: f64,
 }
 
 impl Machine {
-    /// This machine with the threads of the current pool; `peak_gflops` in f32.
-    pub(crate) fn new(level: Level, f32: f64) -> Machine {
-        Machine { cpu: cpu(), threads: rayon::current_num_threads(), isa: level.name(), peak_gflops: Peak { f32 } }
+    /// This machine with the threads of the current pool. `seen` is a peak measured on the way: clocks move, the best counts.
+    pub(crate) fn new(level: Level, seen: (Precision, f64)) -> Machine {
+        let best = |precision| {
+            let start = if seen.0 == precision { seen.1 } else { 0.0 };
+            (0..5).fold(start, |best: f64, _| best.max(peak(level, precision)))
+        };
+        let peak_gflops = Peak { f32: best(Precision::F32), bf16: best(Precision::Bf16), int8: best(Precision::Int8) };
+        Machine { cpu: cpu(), threads: rayon::current_num_threads(), isa: level.name(), peak_gflops }
+    }
+}
+
+impl std::fmt::Display for Machine {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Peak { f32, bf16, int8 } = self.peak_gflops;
+        let Machine { cpu, threads, isa, .. } = self;
+        write!(f, "peak {f32:.1} GFLOP/s f32, {bf16:.1} bf16, {int8:.1} int8: {threads} threads, {isa}, {cpu}")
     }
 }
 
@@ -34,54 +50,60 @@ fn cpu() -> String {
     line.and_then(|l| l.split_once(':')).map_or_else(|| std::env::consts::ARCH.to_owned(), |(_, n)| n.trim().to_owned())
 }
 
-/// A chain of fused multiply-adds in every accumulator of the level's register block.
-struct Chains(usize);
+/// Chains of a precision's multiply-add in as many accumulators as the level's register block has. Returns operations done.
+///
+/// Where a level has no dot products of words, bf16 runs on f32's instruction and 8-bit integers on that of 16-bit pairs.
+struct Chains(Precision, usize);
 
 impl Operation for Chains {
-    type Output = f32;
+    type Output = f64;
     #[inline(always)]
-    fn run<S: Simd>(self, s: S) -> f32 {
+    fn run<S: Simd>(self, s: S) -> f64 {
         match (S::GEMM_ROWS, S::GEMM_PANELS) {
-            (12, 2) => chains::<S, 24>(s, self.0),
-            (6, 1) => chains::<S, 6>(s, self.0),
-            _ => chains::<S, 2>(s, self.0),
+            (12, 2) => chains::<S, 24>(s, self.0, self.1),
+            (6, 1) => chains::<S, 6>(s, self.0, self.1),
+            _ => chains::<S, 2>(s, self.0, self.1),
         }
     }
 }
 
 #[inline(always)]
-fn chains<S: Simd, const N: usize>(s: S, steps: usize) -> f32 {
+fn chains<S: Simd, const N: usize>(s: S, precision: Precision, steps: usize) -> f64 {
+    let lanes = (N * 16 * steps) as f64;
     let (a, b) = (s.splat(std::hint::black_box(0.999)), s.splat(std::hint::black_box(0.001)));
-    let mut acc: [S::F32; N] = std::array::from_fn(|i| s.splat(i as f32));
-    for _ in 0..steps {
-        for acc in &mut acc {
-            *acc = s.mul_add(*acc, a, b);
-        }
-    }
-    acc.iter().map(|&acc| s.sum(acc)).sum()
-}
-
-/// Fused multiply-adds a step of [`Chains`] does, times 2.
-fn flops_of_a_step(level: Level) -> f64 {
-    struct Count;
-    impl Operation for Count {
-        type Output = usize;
-        fn run<S: Simd>(self, _: S) -> usize {
-            match (S::GEMM_ROWS, S::GEMM_PANELS) {
-                (12, 2) => 24,
-                (6, 1) => 6,
-                _ => 2,
+    let (i, j) = (s.splat_i32(std::hint::black_box(0x3f80_3f80)), s.splat_i32(std::hint::black_box(0x0102_0304)));
+    if precision == Precision::Int8 {
+        let mut acc = [j; N];
+        for _ in 0..steps {
+            for acc in &mut acc {
+                *acc = if S::DOT { s.dot_bytes(*acc, i, j) } else { s.add_i32(*acc, s.dot_i16(*acc, j)) };
             }
         }
+        for acc in acc {
+            std::hint::black_box(s.to_array_i32(acc));
+        }
+        return lanes * if S::DOT { 8.0 } else { 4.0 };
     }
-    (dispatch(level, Count) * 16 * 2) as f64
+    let dot = S::DOT && precision == Precision::Bf16;
+    let mut acc = [b; N];
+    for _ in 0..steps {
+        for acc in &mut acc {
+            *acc = if dot { s.dot_bf16(*acc, i, j) } else { s.mul_add(*acc, a, b) };
+        }
+    }
+    for acc in acc {
+        std::hint::black_box(s.to_array(acc));
+    }
+    lanes * if dot { 4.0 } else { 2.0 }
 }
 
-/// GFLOP/s of fused multiply-adds in f32 on all threads of the current pool, measured once (about 20 ms).
-pub(crate) fn peak_f32(level: Level) -> f64 {
-    let steps = if level == Level::scalar() { 20_000 } else { 400_000 };
+/// Billions of a precision's operations a second on all threads of the current pool, measured once (some ten milliseconds).
+pub(crate) fn peak(level: Level, precision: Precision) -> f64 {
+    let steps = if level == Level::scalar() { 10_000 } else { 200_000 };
+    let mut done = 0.0;
     let seconds = once(|| {
-        rayon::broadcast(|_| std::hint::black_box(dispatch(level, Chains(steps))));
+        let each = rayon::broadcast(|_| std::hint::black_box(dispatch_dot(level, Chains(precision, steps))));
+        done = each.iter().sum();
     });
-    flops_of_a_step(level) * steps as f64 * rayon::current_num_threads() as f64 / seconds / 1e9
+    done / seconds / 1e9
 }

@@ -11,15 +11,15 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use streamsplat::stream::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
 use streamsplat_fixtures::seeded::{self, Sizes, uniform};
-use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Gaussians, Projection, Request, render};
+use streamsplat_kernels::{Level, gemm};
 use streamsplat_model::inspect::{dino_gflop, stages};
 use streamsplat_model::{
     Deformation, Dino, FrameInput, LoadOptions, Network, Precision, Sampling, Side, StaticGaussians, motion,
 };
 
 use crate::Common;
-use crate::machine::{Machine, peak_f32};
+use crate::machine::{self, Machine};
 use crate::timing::{Seconds, once};
 
 /// Options of `stages`.
@@ -72,9 +72,18 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             pool.install(|| model.measure(name, options, &mut rows, &mut peak))?;
         }
     }
-    println!("peak {peak:.1} GFLOP/s f32, {}", options.common.isa);
-    let machine = pool.install(|| Machine::new(options.common.isa, peak));
+    let machine = pool.install(|| Machine::new(options.common.isa, (operands(options.precision), peak)));
+    println!("{machine}");
     options.common.write(&Results { machine, stages: rows })
+}
+
+/// The format of the large products' operands.
+fn operands(precision: Precision) -> gemm::Precision {
+    match precision {
+        Precision::F32 => gemm::Precision::F32,
+        Precision::Bf16 => gemm::Precision::Bf16,
+        Precision::Int8 => gemm::Precision::Int8,
+    }
 }
 
 /// A network with everything that a new key frame reads.
@@ -231,7 +240,7 @@ impl Model {
             let (mut times, mut own_peak) = (Vec::new(), 0.0_f64);
             for _ in 0..options.common.repeat.max(1) {
                 // The peak is taken beside every run: clocks move.
-                own_peak = own_peak.max(peak_f32(self.level));
+                own_peak = own_peak.max(machine::peak(self.level, operands(options.precision)));
                 let mut result = Ok(Vec::new());
                 times.push(once(|| result = self.stage(name)));
                 std::hint::black_box(result?);

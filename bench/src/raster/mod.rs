@@ -8,10 +8,11 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use serde::{Deserialize, Serialize};
 use streamsplat_kernels::Level;
+use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::raster::{Renderer, Work, reference};
 
 use crate::Common;
-use crate::machine::{Machine, peak_f32};
+use crate::machine::Machine;
 use crate::timing::{Seconds, once};
 use scenes::Scene;
 
@@ -134,7 +135,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             }
         }
         let scaling = growth(options)?;
-        let machine = Machine::new(level, peak_f32(level));
+        let machine = Machine::new(level, (Precision::F32, 0.0));
         options.common.write(&Results { machine, scenes: rows, scaling })
     })
 }

@@ -278,6 +278,7 @@ pub fn prefetch<T>(at: *const T) {
 #[inline(always)]
 pub(crate) fn again<T>(mut at: *const T) -> *const T {
     #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+    #[expect(clippy::pointers_in_nomem_asm_block, reason = "nothing is read or written through it there")]
     // SAFETY: no instruction at all.
     unsafe {
         core::arch::asm!("/* {0} */", inout(reg) at, options(pure, nomem, nostack, preserves_flags));
