@@ -14,7 +14,7 @@ const BLOCKS: usize = TILE[0] * TILE[1];
 /// Records that are fetched together: their cache misses overlap.
 const TOGETHER: usize = 32;
 /// A box of at most this many blocks is drawn whole: to tell which of them the footprint misses would cost more.
-const WHOLE_BOX: usize = 16;
+const WHOLE_BOX: usize = 12;
 /// A value for each column or row of pixels of a tile, whichever are more, and for a vector more.
 type Pixels = [f32; PIXELS];
 const PIXELS: usize = (if TILE[0] > TILE[1] { TILE[0] } else { TILE[1] }) * BLOCK + LANES;
@@ -200,7 +200,10 @@ impl DrawTile<'_> {
         let (mut at, mut blocks) = (0, 0);
         while at < self.list.len() && canvas.open > 0 {
             let count = self.fetch(at, &mut near);
-            for splat in &near[..count] {
+            for (i, splat) in near[..count].iter().enumerate() {
+                if let Some(later) = self.list.get(at + TOGETHER + i) {
+                    s.prefetch(self.splats.as_ptr().wrapping_add(later.index as usize));
+                }
                 let bounds = self.clip(splat);
                 blocks += if SEPARABLE {
                     canvas.separable::<S, EXTRAS>(s, splat, bounds, &mut tables)

@@ -75,6 +75,12 @@ impl Operation for AllOperations<'_> {
         f(s.select(s.eq(a, b), c, a));
         f(s.select(s.not(s.or(s.lt(a, b), s.and(s.lt(b, c), s.lt(a, c)))), c, a));
         f(s.select(s.mask_from_bits(0x9a53), c, a));
+        f(s.keep(s.lt(a, b), c));
+        // SAFETY: slices of sixteen values.
+        unsafe {
+            f(s.repeat_four(self.0[4..].as_ptr()));
+            f(s.spread_four(self.0[4..].as_ptr()));
+        }
         f(s.splat(s.sum(a)));
         f(s.splat(s.max_lane(a)));
         let small = s.max(s.min(a, s.splat(2e9)), s.splat(-2e9));
@@ -120,6 +126,11 @@ fn plain(a: &[f32], b: &[f32], c: &[f32]) -> Vec<u32> {
     f(&|a, b, c| if a < b { c } else { a });
     f(&|a, b, c| if a <= b { c } else { a });
     f(&|a, b, c| if a == b { c } else { a });
+    f(&|a, b, c| if a < b || b < c && a < c { a } else { c });
+    out.extend((0..LANES).map(|i| bits(if 0x9a53 >> i & 1 != 0 { c[i] } else { a[i] })));
+    out.extend((0..LANES).map(|i| bits(if a[i] < b[i] { c[i] } else { 0.0 })));
+    out.extend((0..LANES).map(|i| bits(a[4 + i % 4])));
+    out.extend((0..LANES).map(|i| bits(a[4 + i / 4])));
     out
 }
 
