@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Runs a program on an emulated x86-64 CPU with AVX-512: tests/emulated/avx512.sh [--with FILE]… PROGRAM ARGUMENTS…
 #   e.g. tests/emulated/avx512.sh --with fixtures/parity/tiny-nodino.json target/release/digests --level avx512
-# qemu's user emulation knows no AVX-512; Bochs does (a Skylake-X, about 20 million instructions a second). It boots Debian's cloud kernel with an
+# qemu's user emulation knows no AVX-512; Bochs does (a Skylake-X, some 20 million instructions a second). It boots Debian's cloud kernel with an
 # initial file system that holds the program, its shared libraries and the files given by --with (under their own paths), and
 # writes what the program prints. Exit status: the program's. As root on Debian; what it needs is installed by apt.
 set -euo pipefail
@@ -19,6 +19,7 @@ if ! dpkg -s "${packages[@]}" >/dev/null 2>&1; then
 fi
 mkdir -p "$cache"
 if [ ! -e "$cache/vmlinuz" ]; then
+  apt-cache show linux-image-cloud-amd64 >/dev/null 2>&1 || apt-get update -qq
   kernel=$(apt-cache depends linux-image-cloud-amd64 | grep -oE 'linux-image-[0-9.]+-[0-9]+-cloud-amd64' | head -n 1 || true)
   [ -n "$kernel" ] || { echo "avx512: no Debian cloud kernel to be had" >&2; exit 1; }
   (cd "$cache" && apt-get download -q "$kernel" >/dev/null 2>&1 && dpkg -x "$kernel"_*.deb deb && mv deb/boot/vmlinuz-* vmlinuz && rm -rf deb ./*.deb)
