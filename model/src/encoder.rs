@@ -25,9 +25,12 @@ impl Encoder {
         let (d, n, p) = (config.hidden_dim, config.tokens(), config.patch_size);
         let conv = weights.read("conv.weight", &[d, 4, p, p])?;
         let pe = "positional_encoding.pe";
-        let inner = weights.held_in(precision.of_blocks());
         let blocks = (0..config.encoder_layers)
-            .map(|i| Block::load(&inner.at(format_args!("transformer.resblocks.{i}")), d))
+            .map(|i| {
+                let edge = i == 0 || i + 1 == config.encoder_layers;
+                let precision = if edge { precision.of_edges() } else { precision.of_blocks() };
+                Block::load(&weights.held_in(precision).at(format_args!("transformer.resblocks.{i}")), d)
+            })
             .collect::<Result<_, _>>()?;
         Ok(Encoder {
             conv: Linear::new(weights.precision(), &conv, None, d, 4 * p * p),

@@ -29,7 +29,8 @@ pub enum Precision {
     F32,
     /// Weights and activations of matrix products in bfloat16, accumulated in f32.
     Bf16,
-    /// Weights per output channel and activations per token in 8 bits, accumulated in integers.
+    /// Weights per output channel and activations per token in 8 bits, accumulated in integers; attention, the first and last
+    /// blocks of the encoder and the widening layers of the upsamplers in bfloat16.
     Int8,
 }
 
@@ -44,6 +45,15 @@ impl Precision {
             Precision::F32 => gemm::Precision::F32,
             Precision::Bf16 => gemm::Precision::Bf16,
             Precision::Int8 => gemm::Precision::Int8,
+        }
+    }
+
+    /// The operands of the products that 8 bits spoil: the first and last blocks of the encoder, whose outlying channels carry
+    /// a patch's colours, and the layers that spread a token over finer ones. They are bf16 in [`Precision::Int8`].
+    pub(crate) const fn of_edges(self) -> gemm::Precision {
+        match self {
+            Precision::Int8 => gemm::Precision::Bf16,
+            other => other.of_blocks(),
         }
     }
 

@@ -23,9 +23,11 @@ struct Stage {
 impl Upsampler {
     pub(crate) fn load(weights: &Weights<'_>, config: &Config, precision: Precision) -> Result<Upsampler, ModelError> {
         let [first, second] = config.upsampler_widths;
-        let weights = &weights.held_in(precision.of_blocks());
         Ok(Upsampler {
-            stages: [Stage::load(weights, 0, config.hidden_dim, first)?, Stage::load(weights, 1, first, second)?],
+            stages: [
+                Stage::load(weights, 0, config.hidden_dim, first, precision)?,
+                Stage::load(weights, 1, first, second, precision)?,
+            ],
             layernorm2: RmsNorm::load(weights, "layernorm2", second)?,
         })
     }
@@ -58,10 +60,17 @@ impl Upsampler {
 }
 
 impl Stage {
-    fn load(weights: &Weights<'_>, index: usize, from: usize, to: usize) -> Result<Stage, ModelError> {
-        let block = |i: usize| Block::load(&weights.at(format_args!("attention_{index}.resblocks.{i}")), to);
+    fn load(
+        weights: &Weights<'_>,
+        index: usize,
+        from: usize,
+        to: usize,
+        precision: Precision,
+    ) -> Result<Stage, ModelError> {
+        let (edge, inner) = (weights.held_in(precision.of_edges()), weights.held_in(precision.of_blocks()));
+        let block = |i: usize| Block::load(&inner.at(format_args!("attention_{index}.resblocks.{i}")), to);
         Ok(Stage {
-            residual_fc: Linear::load(weights, &format!("upsampler_{index}.residual_fc"), 4 * to, from, Bias::Yes)?,
+            residual_fc: Linear::load(&edge, &format!("upsampler_{index}.residual_fc"), 4 * to, from, Bias::Yes)?,
             blocks: [block(0)?, block(1)?],
         })
     }
