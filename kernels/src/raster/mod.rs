@@ -25,9 +25,10 @@
 //!
 //! # Order of operations
 //!
-//! A pixel's value is a function of the scene and the pixel alone. Projection is binary64 (`project.rs`), the blend
-//! binary32 with the fused multiply-adds written in `blend.rs`. The conic enters as a triangular factor,
-//! `½log₂e·dᵀΣ⁻¹d = (p·(dx − k·dy))² + (q·dy)²`, whose determinant is a sum of squares: neither thin nor far Gaussians cancel.
+//! A pixel's value is a function of the scene and the pixel alone. General footprints are projected in binary64, separable
+//! ones in binary32 with centres in two parts (`project.rs`); the blend is binary32 with the fused multiply-adds written in
+//! `blend.rs`. The conic enters as a triangular factor, `½log₂e·dᵀΣ⁻¹d = (p·(dx − k·dy))² + (q·dy)²`, whose determinant is a sum of
+//! squares: neither thin nor far Gaussians cancel.
 //! Two forms of α, chosen by the scene and never by tile, level or thread:
 //!
 //! - *separable*, when the projection is orthographic and every rotation is the identity:
