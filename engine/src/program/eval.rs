@@ -3,7 +3,9 @@
 //! Every `gap`-th frame is a key frame. The scene is drawn at every frame's time (at the model's own size unless told otherwise) and compared with the
 //! true frame, both brought to 256×256 bilinearly. *Key* frames were given, *middle* frames were not. Baselines for the middle
 //! frames: the cross-fade of the key frames around, and the nearer one. Frames after the last whole interval are left out.
+//! Both fusion modes are reported: they share the network's work.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -12,12 +14,13 @@ use streamsplat::Engine;
 use streamsplat::metrics::{psnr, ssim};
 use streamsplat::picture::Picture;
 use streamsplat::source::{self, Source, folder};
-use streamsplat::stream::{ModelSource, Settings};
+use streamsplat::stream::{Fusion, Interval, ModelSource, Settings};
 
 use super::cli::{Console, EvalArgs, View};
 use super::drawing::Drawing;
 use super::failure::Failure;
 use super::keyframes::KeyFrames;
+use super::memo::Memo;
 use super::progress::Progress;
 use super::settings::{DepthFrom, Views};
 use super::{say, stop};
@@ -62,10 +65,17 @@ impl Sum {
 
 #[derive(Clone, Debug, Default)]
 struct Sums {
-    key: Sum,
-    middle: Sum,
+    /// Key and middle frames of each fusion mode, in the order of [`Fusion::ALL`].
+    fusion: [[Sum; 2]; 2],
     crossfade: Sum,
     nearest: Sum,
+}
+
+/// What one fusion mode gives.
+#[derive(Serialize)]
+struct Mode {
+    key: Score,
+    middle: Score,
 }
 
 #[derive(Serialize)]
@@ -83,6 +93,8 @@ struct Row {
     key: Score,
     middle: Score,
     baselines: Baselines,
+    /// `key` and `middle` are those of the mode asked for; here are both.
+    fusion: BTreeMap<&'static str, Mode>,
 }
 
 #[derive(Serialize)]
@@ -95,9 +107,26 @@ struct Figures {
 }
 
 impl Sums {
-    fn row(&self, name: Option<String>, gap: usize) -> Row {
+    fn row(&self, name: Option<String>, gap: usize, chosen: Fusion) -> Row {
         let baselines = Baselines { crossfade: self.crossfade.score(), nearest: self.nearest.score() };
-        Row { name, gap, key: self.key.score(), middle: self.middle.score(), baselines }
+        let modes = Fusion::ALL.iter().zip(&self.fusion);
+        let fusion: BTreeMap<_, _> = modes
+            .clone()
+            .map(|(mode, [key, middle])| (mode.name(), Mode { key: key.score(), middle: middle.score() }))
+            .collect();
+        let [key, middle] = modes
+            .filter(|(mode, _)| **mode == chosen)
+            .map(|(_, sums)| sums.each_ref().map(Sum::score))
+            .next()
+            .unwrap_or_default();
+        Row { name, gap, key, middle, baselines, fusion }
+    }
+
+    fn join(&mut self, other: &Sums) {
+        let sums = self.fusion.as_flattened_mut().iter_mut().chain([&mut self.crossfade, &mut self.nearest]);
+        for (into, from) in sums.zip(other.fusion.as_flattened().iter().chain([&other.crossfade, &other.nearest])) {
+            into.join(from);
+        }
     }
 }
 
@@ -114,7 +143,9 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let mut total = Sums::default();
     let mut rows = Vec::new();
     if !console.quiet {
-        say("clip                          key dB / SSIM   middle dB / SSIM   cross-fade        nearest");
+        say(
+            "clip                          key dB / SSIM   middle dB / SSIM   cross-fade         nearest           other fusion, middle",
+        );
     }
     for clip in &clips {
         if stop::asked() {
@@ -122,30 +153,25 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         }
         let source = Source::open(clip, &source::Options { fps: args.fps })?;
         let keys = KeyFrames::new(source, &depth, gap, true, None)?;
-        let engine = Engine::new(settings.clone())?;
-        // The next clip's engine uses the same weights.
-        settings.model = ModelSource::Shared(Arc::clone(engine.model()));
-        let sums = evaluate(keys, engine, &views, console)?;
+        if rows.is_empty() {
+            // Loaded once for all clips and both modes.
+            let model = Arc::clone(Engine::new(settings.clone())?.model());
+            settings.model = ModelSource::Shared(Arc::new(Memo::new(model)));
+        }
+        let sums = evaluate(keys, &settings, &views, console)?;
         let name = clip.file_name().unwrap_or(clip.as_os_str()).to_string_lossy().into_owned();
-        if sums.key.frames < 2 {
+        if sums.fusion[0][0].frames < 2 {
             let message = format!("{}: expected at least {} frames for a gap of {gap}", clip.display(), gap + 1);
             return Err(Failure::work(message));
         }
-        for (into, from) in [
-            (&mut total.key, &sums.key),
-            (&mut total.middle, &sums.middle),
-            (&mut total.crossfade, &sums.crossfade),
-            (&mut total.nearest, &sums.nearest),
-        ] {
-            into.join(from);
-        }
-        let row = sums.row(Some(name), gap);
+        total.join(&sums);
+        let row = sums.row(Some(name), gap, settings.fusion);
         if !console.quiet {
             say(line(&row));
         }
         rows.push(row);
     }
-    let mean = total.row(None, gap);
+    let mean = total.row(None, gap, settings.fusion);
     if !console.quiet {
         say(line(&mean));
     }
@@ -183,30 +209,37 @@ fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(clips)
 }
 
-fn evaluate(mut keys: KeyFrames, mut engine: Engine, views: &Views, console: &Console) -> Result<Sums, Failure> {
+fn evaluate(mut keys: KeyFrames, settings: &Settings, views: &Views, console: &Console) -> Result<Sums, Failure> {
     let mut sums = Sums::default();
-    let mut drawing = Drawing::new(engine.workers());
-    let mut progress =
-        Progress::new("frames", keys.total(), console.quiet || !std::io::IsTerminal::is_terminal(&std::io::stderr()));
+    let mut modes = Vec::new();
+    for &fusion in Fusion::ALL {
+        let engine = Engine::new(Settings { fusion, ..settings.clone() })?;
+        let drawing = Drawing::new(engine.workers());
+        modes.push((engine, drawing));
+    }
+    let hidden = console.quiet || !std::io::IsTerminal::is_terminal(&std::io::stderr());
+    let mut progress = Progress::new("frames", keys.total(), hidden);
     let mut before: Option<Picture> = None;
     while let Some(key) = keys.next()? {
         let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
-        let interval = engine.push(key.frame, timestamp)?;
         let truths: Vec<Picture> = key.shown.iter().map(|frame| frame.picture.resized(SIDE, SIDE)).collect();
         let last = truths.len() - 1;
-        for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate() {
-            let image = drawing.draw(&interval, frame.timestamp, views)?;
-            let ours = Picture { width: image.width, height: image.height, rgb: image.rgb }.resized(SIDE, SIDE);
-            if i == last {
-                sums.key.add(&ours, truth)?;
-            } else if let Some(before) = &before {
-                sums.middle.add(&ours, truth)?;
+        for ((engine, drawing), [key_sum, middle_sum]) in modes.iter_mut().zip(&mut sums.fusion) {
+            let interval: Interval = engine.push(key.frame.clone(), timestamp)?;
+            for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate() {
+                let image = drawing.draw(&interval, frame.timestamp, views)?;
+                let ours = Picture { width: image.width, height: image.height, rgb: image.rgb }.resized(SIDE, SIDE);
+                if i == last { &mut *key_sum } else { &mut *middle_sum }.add(&ours, truth)?;
+            }
+        }
+        if let Some(before) = &before {
+            for (i, truth) in truths[..last].iter().enumerate() {
                 let t = (i + 1) as f32 / truths.len() as f32;
                 sums.crossfade.add(&mix(before, &truths[last], t), truth)?;
                 sums.nearest.add(if t <= 0.5 { before } else { &truths[last] }, truth)?;
             }
-            progress.step();
         }
+        truths.iter().for_each(|_| progress.step());
         before = truths.into_iter().next_back();
     }
     Ok(sums)
@@ -222,12 +255,15 @@ fn line(row: &Row) -> String {
         (Some(psnr), Some(ssim)) => format!("{psnr:7.3} / {ssim:.4}"),
         _ => "      – /      –".to_owned(),
     };
+    // The middle frames of the mode that was not asked for.
+    let other = row.fusion.values().map(|mode| show(&mode.middle)).find(|shown| *shown != show(&row.middle));
     format!(
-        "{:28} {}   {}   {}   {}",
+        "{:28} {}   {}   {}   {}   {}",
         row.name.as_deref().unwrap_or("mean over frames"),
         show(&row.key),
         show(&row.middle),
         show(&row.baselines.crossfade),
-        show(&row.baselines.nearest)
+        show(&row.baselines.nearest),
+        other.unwrap_or_else(|| show(&row.middle))
     )
 }

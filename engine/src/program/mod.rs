@@ -13,6 +13,7 @@ mod forward;
 mod inspect;
 mod keyframes;
 mod machine;
+mod memo;
 mod outputs;
 mod progress;
 mod record;

@@ -166,6 +166,8 @@ fn evaluation_reports_key_and_middle_frames_and_baselines() {
     assert_eq!((&figures["mean"]["key"]["frames"], &figures["mean"]["middle"]["frames"]), (&5.into(), &6.into()));
     for row in [&clips[0], &clips[1], &figures["mean"]] {
         assert_eq!(row["gap"], 3);
+        assert_eq!(row["fusion"]["persistent"]["middle"], row["middle"]);
+        assert_eq!(row["fusion"]["pairwise"]["key"]["frames"], row["key"]["frames"]);
         for score in [&row["key"], &row["middle"], &row["baselines"]["crossfade"], &row["baselines"]["nearest"]] {
             let (psnr, ssim) = (score["psnr"].as_f64().expect("dB"), score["ssim"].as_f64().expect("SSIM"));
             assert!((1.0..100.0).contains(&psnr) && (-1.0..=1.0).contains(&ssim), "{score}");
