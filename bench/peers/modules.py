@@ -76,12 +76,12 @@ class Encoder(nn.Module):
 
     def __init__(self, d, layers, code):
         super().__init__()
-        self.register_buffer('code', code, persistent=False)
+        self.register_buffer('position_code', code, persistent=False)
         self.layernorm1, self.layernorm2 = RMSNorm(d), RMSNorm(d)
         self.transformer = Stack([Block(d) for _ in range(layers)])
 
     def forward(self, x):
-        x = self.layernorm1(x + self.code)
+        x = self.layernorm1(x + self.position_code)
         for block in self.transformer.resblocks:
             x = block(x)
         return self.layernorm2(x)
@@ -146,13 +146,13 @@ class Decoder(nn.Module):
         self.condition_proj = nn.Linear(d, d, bias=False)
         self.condition_ln, self.layernorm1, self.layernorm2 = RMSNorm(d), RMSNorm(d), RMSNorm(d)
         self.transformer = Stack([PairBlock(d) for _ in range(layers)])
-        self.register_buffer('code', code[:condition], persistent=False)
+        self.register_buffer('position_code', code[:condition], persistent=False)
 
     def forward(self, h, condition):
         n = h.shape[0] // 2
         kind = torch.cat([self.cls_embedding[0, :1].expand(n, -1), self.cls_embedding[0, 1:].expand(n, -1)])
         x = self.layernorm1(h + self.positional_embedding[0] + kind)
-        a, b = (self.condition_ln(self.condition_proj(condition[f]).to(h.dtype) + self.code) for f in (1, 0))
+        a, b = (self.condition_ln(self.condition_proj(condition[f]).to(h.dtype) + self.position_code) for f in (1, 0))
         for block in self.transformer.resblocks:
             x = block(x, a, b)
         return self.layernorm2(x)
