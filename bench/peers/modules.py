@@ -3,6 +3,8 @@
 Names of parameters are the checkpoint's; shapes are row-major tokens [N, D] without a batch axis, so that exporters see
 constants. Residual streams and norms are float32 in every mode.
 """
+import math
+
 import torch
 import torch.nn.functional as F
 from torch import nn
@@ -159,10 +161,10 @@ class Decoder(nn.Module):
 
 
 def sinusoid(n, d):
-    """pe[i, 2k] = sin(i·ω_k), pe[i, 2k+1] = cos(i·ω_k), ω_k = 10000^(−2k/D)."""
-    k = torch.arange(d // 2, dtype=torch.float64)
-    angle = torch.arange(n, dtype=torch.float64)[:, None] * 10000.0 ** (-2 * k / d)
-    return torch.stack([angle.sin(), angle.cos()], -1).reshape(n, d).float()
+    """pe[i, 2k] = sin(i·ω_k), pe[i, 2k+1] = cos(i·ω_k), ω_k = 10000^(−2k/D): frequency and angle rounded to float32, as published."""
+    frequency = torch.exp(torch.arange(0, d, 2, dtype=torch.float32) * (-math.log(10000.0) / d))
+    angle = torch.arange(n, dtype=torch.float32)[:, None] * frequency
+    return torch.stack([angle.sin(), angle.cos()], -1).reshape(n, d)
 
 
 def build(config, weights):
