@@ -5,5 +5,7 @@
 //! [`Snapshot`]: crate::render::Snapshot
 
 mod ply;
+mod splat;
 
 pub use ply::ply;
+pub use splat::splat;

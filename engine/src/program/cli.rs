@@ -29,6 +29,10 @@ pub enum Command {
     Splat(SplatArgs),
     /// A model or a scene: sizes, parts, digests, cost
     Inspect(InspectArgs),
+    /// A scene in a format that viewers read, one file per time
+    Export(ExportArgs),
+    /// The identity under a pixel and its path through time
+    Track(TrackArgs),
     /// Measurements (runs the streamsplat-bench beside this program)
     #[command(disable_help_flag = true)]
     Bench {
@@ -155,7 +159,7 @@ pub struct RunOptions {
     pub fps: Option<f64>,
     #[command(flatten)]
     pub view: View,
-    /// Outputs: rgb, depth, alpha, scene [default: rgb,scene]
+    /// Outputs: rgb, depth, alpha, scene, ply [default: rgb,scene]
     #[arg(long, value_name = "LIST")]
     pub emit: Option<String>,
     /// Stop after this many input frames
@@ -249,6 +253,52 @@ pub struct InspectArgs {
     /// Write what is found here
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+}
+
+#[derive(Args, Clone)]
+pub struct ExportArgs {
+    /// A scene's folder, its scene.json, or the folder of a run
+    pub scene: PathBuf,
+    /// Format: ply (the layout of 3D Gaussian splatting) or splat (32-byte records)
+    #[arg(long, value_name = "NAME")]
+    pub format: String,
+    /// Folder for 000000.ply and so on; or, for a single time, a file with the format's name as its ending
+    #[arg(long, value_name = "PATH")]
+    pub out: PathBuf,
+    /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
+    #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
+    pub times: Option<String>,
+    /// Files per second of the scene, where no times are given [default: the source's frame rate]
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    pub fps: Option<f64>,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct TrackArgs {
+    /// A scene's folder, its scene.json, or the folder of a run
+    pub scene: PathBuf,
+    /// When the point is pointed at, in seconds
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    pub at: f64,
+    /// Column and row in the source's frame, pixel centres at whole numbers
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
+    pub point: String,
+    /// Times of the path in seconds: a list or START:END:COUNT [default: the input's own frame times, and T]
+    #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
+    pub times: Option<String>,
+    /// Points per second of the scene, where no times are given [default: the source's frame rate]
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    pub fps: Option<f64>,
+    /// Write the path (CSV) here instead of to standard output
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Also write what is found here
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub machine: Machine,
 }
 
 #[derive(Args, Clone)]

@@ -8,6 +8,7 @@ mod cli;
 mod digest;
 mod drawing;
 mod eval;
+mod export;
 mod failure;
 mod forward;
 mod inspect;
@@ -23,7 +24,9 @@ mod run;
 mod settings;
 mod splat;
 mod stop;
+mod times;
 mod trace;
+mod track;
 mod verify;
 
 use std::io::Write;
@@ -56,6 +59,8 @@ pub fn main() -> ExitCode {
         Command::Forward(args) => forward::command(args),
         Command::Splat(args) => splat::command(args),
         Command::Inspect(args) => inspect::command(args),
+        Command::Export(args) => export::command(args, &cli.console),
+        Command::Track(args) => track::command(args, &cli.console),
         Command::Bench { arguments } => {
             return bench::command(arguments).unwrap_or_else(|failure| finish(Err(failure)));
         }
@@ -82,7 +87,8 @@ fn one_line(error: &clap::Error) -> String {
         words.remove(0);
     }
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-        return "expected a command (run, render, eval, forward, splat, inspect, bench, verify); see streamsplat --help".into();
+        let commands = "run, render, eval, forward, splat, inspect, export, track, bench, verify";
+        return format!("expected a command ({commands}); see streamsplat --help");
     }
     words.join(" ")
 }

@@ -4,10 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
 use streamsplat::Image;
+use streamsplat::export;
 use streamsplat::output::{
     OutputError, Video, VideoFormat, Written, depth_exr, picture_png, plane_png, prepare_folder, write_file,
 };
 use streamsplat::picture::Picture;
+use streamsplat::render::Snapshot;
 use streamsplat::scene::SceneWriter;
 use streamsplat::stream::Interval;
 
@@ -15,7 +17,7 @@ use super::failure::Failure;
 use super::record::{OutputRecord, Record};
 
 /// Kinds of output that exist.
-const KINDS: [&str; 4] = ["rgb", "depth", "alpha", "scene"];
+const KINDS: [&str; 5] = ["rgb", "depth", "alpha", "scene", "ply"];
 
 /// What `--emit` asks for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -28,6 +30,8 @@ pub struct Emit {
     pub alpha: bool,
     /// The scene.
     pub scene: bool,
+    /// The Gaussians at each time as PLY files.
+    pub ply: bool,
 }
 
 impl Emit {
@@ -35,7 +39,7 @@ impl Emit {
     pub fn parse(list: &str, allowed: &[&str]) -> Result<Emit, Failure> {
         let kinds: BTreeSet<&str> = list.split(',').map(str::trim).collect();
         for kind in &kinds {
-            if ["ply", "tracks"].contains(kind) {
+            if *kind == "tracks" {
                 return Err(Failure::usage(format!("--emit {kind} is not available in this build")));
             }
             if !allowed.contains(kind) || !KINDS.contains(kind) {
@@ -46,7 +50,13 @@ impl Emit {
             }
         }
         let has = |kind| kinds.contains(kind);
-        Ok(Emit { rgb: has("rgb"), depth: has("depth"), alpha: has("alpha"), scene: has("scene") })
+        let [rgb, depth, alpha, scene, ply] = KINDS.map(has);
+        Ok(Emit { rgb, depth, alpha, scene, ply })
+    }
+
+    /// Whether anything is drawn.
+    pub fn draws(&self) -> bool {
+        self.rgb || self.depth || self.alpha
     }
 }
 
@@ -102,13 +112,13 @@ impl Outputs {
             Destination::Folder(folder) => {
                 prepare_folder(folder)?;
                 remove_earlier(folder)?;
-                let kinds = [(emit.rgb, "frames"), (emit.depth, "depth"), (emit.alpha, "alpha")];
+                let kinds = [(emit.rgb, "frames"), (emit.depth, "depth"), (emit.alpha, "alpha"), (emit.ply, "ply")];
                 for (_, name) in kinds.into_iter().filter(|(wanted, _)| *wanted) {
                     prepare_folder(&folder.join(name))?;
                 }
             }
             Destination::Video(path, format) => {
-                if emit.depth || emit.alpha || emit.scene {
+                if emit.depth || emit.alpha || emit.scene || emit.ply {
                     return Err(Failure::usage("--emit: a video holds rgb alone; give --out a folder for the rest"));
                 }
                 drop(Video::create(path, *format, 1.0)?);
@@ -172,6 +182,15 @@ impl Outputs {
         {
             write(format!("alpha/{index:06}.png"), &plane_png(width, height, alpha))?;
         }
+        Ok(())
+    }
+
+    /// Writes the Gaussians of one time under the number `index`.
+    pub fn snapshot(&mut self, index: usize, snapshot: &Snapshot) -> Result<(), Failure> {
+        let Destination::Folder(folder) = &self.destination else { return Ok(()) };
+        let name = format!("ply/{index:06}.ply");
+        let written = write_file(&folder.join(&name), &export::ply(snapshot))?;
+        self.note(name, written);
         Ok(())
     }
 

@@ -13,7 +13,7 @@ use super::failure::Failure;
 use super::outputs::{Destination, Emit, Outputs};
 use super::progress::Progress;
 use super::record::{InputRecord, PROGRAM, Record, Task, Timing, absolute};
-use super::{digest, machine, report, say, stop};
+use super::{digest, machine, report, say, stop, times};
 
 /// Renders, then writes the record and the report.
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
@@ -43,31 +43,21 @@ pub fn render(
     };
     views.options.depth = emit.depth;
     views.options.alpha = emit.alpha || emit.depth;
-    if options.fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) {
-        return Err(Failure::usage("--fps: expected a number above 0"));
-    }
+    times::check_rate(options.fps)?;
     let workers = machine.workers()?;
     let scene = Scene::open(path)?;
     let fps = options.fps.unwrap_or(scene.index().fps);
-    let times = match &views.times {
-        Some(times) => times.clone(),
-        None => grid(scene.span(), fps)?,
-    };
-    // Times outside the scene are said before anything is drawn.
-    let places: Vec<usize> = times.iter().map(|&t| scene.find(t)).collect::<Result<_, _>>().map_err(|e| match e {
-        streamsplat::scene::SceneError::Time { .. } => Failure::usage(format!("--times: {e}")),
-        other => other.into(),
-    })?;
+    let due = times::of_scene(&scene, views.times.as_deref(), fps)?;
     let mut outputs = Outputs::create(destination, emit)?;
     outputs.start(fps)?;
 
     let mut drawing = Drawing::new(&workers);
-    let mut progress = Progress::new("images", Some(times.len()), console.quiet);
+    let mut progress = Progress::new("images", Some(due.len()), console.quiet);
     let mut current: Option<(usize, Interval)> = None;
     let mut read = Duration::ZERO;
     let mut intervals = 0;
     let mut complete = true;
-    for (index, (&time, &place)) in times.iter().zip(&places).enumerate() {
+    for (index, &(time, place)) in due.iter().enumerate() {
         if stop::asked() {
             complete = false;
             break;
@@ -120,27 +110,4 @@ pub fn render(
             isa: workers.level().name().to_owned(),
         },
     })
-}
-
-/// Times from the scene's start, `fps` to the second, up to its end. The end is met when it is within a millionth of a step.
-fn grid((start, end): (f64, f64), fps: f64) -> Result<Vec<f64>, Failure> {
-    let steps = (end - start) * fps;
-    if !(steps.is_finite() && steps < 1e7) {
-        return Err(Failure::usage(format!("--fps {fps}: {steps} images are too many; give --times")));
-    }
-    let count = (steps + 1e-6) as usize;
-    Ok((0..=count).map(|i| (start + i as f64 / fps).min(end)).collect())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_grid_meets_both_ends() {
-        assert_eq!(grid((0.0, 0.5), 4.0).expect("few"), [0.0, 0.25, 0.5]);
-        assert_eq!(grid((1.0, 1.0), 24.0).expect("few"), [1.0]);
-        assert_eq!(grid((0.0, 29.0 / 24.0), 24.0).expect("few").len(), 30);
-        assert!(grid((0.0, 1e12), 24.0).is_err());
-    }
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use streamsplat::Engine;
+use streamsplat::render::Snapshot;
 use streamsplat::source::{self, Source};
 use streamsplat::stream::Interval;
 
@@ -45,7 +46,7 @@ pub fn run(
     let depth = options.stream.depth_from()?;
     let settings = options.stream.settings(&options.fit, machine)?;
     let emit = match (&options.emit, &destination) {
-        (Some(list), _) => Emit::parse(list, &["rgb", "depth", "alpha", "scene"])?,
+        (Some(list), _) => Emit::parse(list, &["rgb", "depth", "alpha", "scene", "ply"])?,
         (None, Destination::Folder(_)) => Emit { rgb: true, scene: true, ..Emit::default() },
         (None, Destination::Video(..)) => Emit { rgb: true, ..Emit::default() },
     };
@@ -62,10 +63,9 @@ pub fn run(
 
     let mut drawing = Drawing::new(engine.workers());
     let mut times = Times { asked: views.times.as_deref(), next: 0 };
-    let draws = emit.rgb || emit.depth || emit.alpha;
     let progress = Progress::new("frames", keys.total(), console.quiet);
     let mut stream = Stream { keys, engine, outputs, drawing: &mut drawing, progress, dropped: 0, span: None };
-    let complete = match stream.pass(&mut times, &views, draws) {
+    let complete = match stream.pass(&mut times, &views, emit) {
         Ok(complete) => complete,
         Err(failure) => {
             stream.outputs.abandon();
@@ -77,7 +77,7 @@ pub fn run(
         return Err(Failure::work(format!("{}: the video has no frame", input.display())));
     };
     if complete
-        && draws
+        && (emit.draws() || emit.ply)
         && let Some(time) = times.left()
     {
         outputs.abandon();
@@ -144,7 +144,7 @@ struct Stream<'a> {
 
 impl Stream<'_> {
     /// Takes the whole video through the engine; false when the user stopped it.
-    fn pass(&mut self, times: &mut Times<'_>, views: &Views, draws: bool) -> Result<bool, Failure> {
+    fn pass(&mut self, times: &mut Times<'_>, views: &Views, emit: Emit) -> Result<bool, Failure> {
         while let Some(key) = self.keys.next()? {
             let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
             let interval = self.engine.push(key.frame, timestamp)?;
@@ -152,10 +152,18 @@ impl Stream<'_> {
             self.span = Some((self.span.map_or(interval.start, |(first, _)| first), interval.end));
             let Stream { outputs, drawing, progress, .. } = self;
             drawing.writing(|| outputs.interval(&interval))?;
-            if draws {
+            if emit.draws() || emit.ply {
                 let frames = key.shown.iter().map(|frame| (frame.index, frame.timestamp));
                 for (index, time) in times.of(&interval, frames) {
-                    drawing.image(outputs, index, &interval, time, views)?;
+                    if emit.draws() {
+                        drawing.image(outputs, index, &interval, time, views)?;
+                    }
+                    if emit.ply {
+                        let snapshot = Snapshot::of(&interval, time)?;
+                        // Where an image is drawn as well, they are counted with it.
+                        drawing.dropped += if emit.draws() { 0 } else { snapshot.dropped };
+                        drawing.writing(|| outputs.snapshot(index, &snapshot))?;
+                    }
                 }
             }
             key.shown.iter().for_each(|_| progress.step());

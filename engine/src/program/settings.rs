@@ -163,7 +163,7 @@ impl View {
 }
 
 /// `a,b,c` or `start:end:count`, ascending seconds.
-fn times(text: &str) -> Result<Vec<f64>, Failure> {
+pub fn times(text: &str) -> Result<Vec<f64>, Failure> {
     let wrong = |what: &str| Failure::usage(format!("--times {text}: expected {what}"));
     let number = |part: &str| part.trim().parse::<f64>().ok().filter(|t| t.is_finite());
     if text.contains(':') {

@@ -125,11 +125,13 @@ impl Interval {
         })
     }
 
-    /// The record that moves an identity: the one seen forward in time where there are two.
+    /// The record that moves an identity: the one seen forward in time where there are two. One with a number that is not finite
+    /// moves nothing.
     fn record_of(&self, identity: u64) -> Option<Record> {
         let find = |reference| {
             let g = &self.gaussians;
-            (0..g.len()).find(|&i| g.identity[i] == identity && g.reference[i] == reference).map(|i| g.get(i))
+            let mine = |&i: &usize| g.identity[i] == identity && g.reference[i] == reference;
+            (0..g.len()).filter(mine).map(|i| g.get(i)).find(Record::is_sound)
         };
         find(Reference::Start).or_else(|| find(Reference::End))
     }
@@ -166,7 +168,9 @@ impl Track {
         let from = interval.relative(self.time)?;
         let place = |time: f64| -> Option<[f32; 3]> {
             let since = interval.relative(time)? - from;
-            Some(std::array::from_fn(|axis| self.position[axis] + record.velocity[axis] * since))
+            let place = std::array::from_fn(|axis| self.position[axis] + record.velocity[axis] * since);
+            // A finite velocity can still leave the numbers.
+            place.iter().all(|x: &f32| x.is_finite()).then_some(place)
         };
         let mut points = Vec::with_capacity(times.len());
         for &time in times {

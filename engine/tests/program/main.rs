@@ -1,6 +1,8 @@
 //! The `streamsplat` program as a user runs it: results, exit codes, messages.
 
 mod errors;
+mod export;
 mod results;
 mod support;
+mod track;
 mod verify;
