@@ -1,0 +1,54 @@
+# What tests of outside programs share. Sourced by tests/outside/*/run, from the repository's root.
+# Whatever a test needs it installs here, once, under target/outside; where that fails the test fails.
+
+outside=$PWD/target/outside
+mkdir -p "$outside"
+
+# debian PACKAGE…: installs the Debian packages that are missing.
+debian() {
+  local missing=() package
+  for package in "$@"; do
+    dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing+=("$package")
+  done
+  [ ${#missing[@]} -eq 0 ] && return
+  local as=()
+  [ "$(id -u)" -eq 0 ] || as=(sudo -n)
+  (
+    flock 9
+    "${as[@]}" apt-get update -qq
+    "${as[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}"
+  ) 9>"$outside/debian.lock" >"$outside/debian.log" 2>&1 || {
+    echo "cannot install the Debian packages ${missing[*]}:" >&2
+    tail -5 "$outside/debian.log" >&2
+    return 1
+  }
+}
+
+# python_with NAME REQUIREMENTS.TXT: a virtual environment of that name with the pinned packages; its interpreter is then $python.
+python_with() {
+  local home=$outside/python-$1 wanted
+  wanted=$(cat "$2")
+  python=$home/bin/python
+  [ "$(cat "$home/wanted" 2>/dev/null)" = "$wanted" ] && return
+  rm -rf "$home"
+  python3 -m venv "$home"
+  "$python" -m pip install --quiet --disable-pip-version-check -r "$2"
+  printf '%s\n' "$wanted" >"$home/wanted"
+}
+
+# node_with NAME PACKAGE-FOLDER: the packages of its package-lock.json; they are then in $node_modules.
+node_with() {
+  local home=$outside/node-$1
+  mkdir -p "$home"
+  node_modules=$home/node_modules
+  cmp -s "$2/package-lock.json" "$home/installed" && return
+  cp "$2/package.json" "$2/package-lock.json" "$home/"
+  (cd "$home" && npm ci --silent --no-audit --no-fund)
+  cp "$2/package-lock.json" "$home/installed"
+}
+
+# program: the release build of the command line; it is then $streamsplat.
+program() {
+  cargo build --release --locked --quiet "$@"
+  streamsplat=${CARGO_TARGET_DIR:-$PWD/target}/release/streamsplat
+}
