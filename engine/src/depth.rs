@@ -153,14 +153,21 @@ impl DepthMaps {
 /// # Errors
 /// Unreadable, broken, oversized or many-channelled files, and values that are not finite.
 pub fn read_map(path: &Path) -> Result<Map, DepthError> {
-    let bytes = decode::read_file(path)?;
+    decode_map(&decode::read_file(path)?, path)
+}
+
+/// Reads a map held in memory; `path` tells an NPY file and is for the messages.
+///
+/// # Errors
+/// As [`read_map`], but for the reading.
+pub fn decode_map(bytes: &[u8], path: &Path) -> Result<Map, DepthError> {
     let wrong = |cause: String| DepthError::Map { path: path.to_owned(), cause };
     let map = if folder::ends_in(path, &["npy"]) {
-        npy::read(&bytes).map_err(wrong)?
+        npy::read(bytes).map_err(wrong)?
     } else if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-        from_exr(&bytes).map_err(wrong)?
+        from_exr(bytes).map_err(wrong)?
     } else {
-        match decode::decode_dynamic(&bytes, path)? {
+        match decode::decode_dynamic(bytes, path)? {
             DynamicImage::ImageLuma8(i) => Map {
                 width: i.width() as usize,
                 height: i.height() as usize,

@@ -43,6 +43,7 @@ pub mod render;
 pub mod scene;
 pub mod source;
 pub mod space;
+pub mod splats;
 pub mod stream;
 
 pub use camera::Camera;

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use super::{FORMAT, INDEX, Index, SceneError, VERSION, from_safetensors};
+use super::{FORMAT, INDEX, Index, IntervalEntry, SceneError, VERSION, from_safetensors};
 use crate::fit::Placement;
 use crate::stream::{Interval, Workers};
 
@@ -40,39 +40,9 @@ impl Scene {
         };
         let broken = |cause: String| SceneError::Broken { path: file.clone(), cause };
         let text = read_limited(&file, MAX_INDEX)?;
-        let index: Index = serde_json::from_slice(&text).map_err(|e| broken(format!("not a scene's index: {e}")))?;
-        if index.format != FORMAT || index.version != VERSION {
-            let found = format!("{} version {}", index.format, index.version);
-            return Err(broken(format!("expected {FORMAT} version {VERSION}, found {found}")));
-        }
-        let placement = index.placement.placement().ok_or_else(|| {
-            broken(format!("placement: expected the content inside the model's input, found {:?}", index.placement))
-        })?;
-        if index.intervals.is_empty() {
-            return Err(broken("the scene has no interval".into()));
-        }
-        for (i, entry) in index.intervals.iter().enumerate() {
-            let before = i.checked_sub(1).map_or(f64::NEG_INFINITY, |i| index.intervals[i].end);
-            if !(entry.start.is_finite() && entry.end.is_finite() && before <= entry.start && entry.start <= entry.end)
-            {
-                let (start, end) = (entry.start, entry.end);
-                return Err(broken(format!(
-                    "interval {i}: expected ascending times, found {start} to {end} after {before}"
-                )));
-            }
-            if entry.file.contains(['/', '\\']) || entry.file.starts_with('.') {
-                return Err(broken(format!(
-                    "interval {i}: expected a file name without a folder, found {:?}",
-                    entry.file
-                )));
-            }
-            if entry.gaussians as u64 > (1 << 40) / RECORD {
-                return Err(broken(format!(
-                    "interval {i}: {} Gaussians are more than this program reads",
-                    entry.gaussians
-                )));
-            }
-        }
+        let index = Index::from_json(&text).map_err(broken)?;
+        // It was found to have one.
+        let placement = index.placement.placement().ok_or_else(|| broken("no placement".into()))?;
         let folder = file.parent().unwrap_or(Path::new("")).to_owned();
         Ok(Scene { folder, index, placement })
     }
@@ -134,6 +104,54 @@ impl Scene {
             return Err(broken(format!("the file does not hold the interval that {INDEX} names")));
         }
         Ok(interval)
+    }
+}
+
+impl Index {
+    /// Reads the text of a `scene.json`. Lengths, times, names and the placement are checked; no file it names is looked at.
+    ///
+    /// # Errors
+    /// Text that is no index, is of another format or version, or says something impossible: what was expected and what was found.
+    pub fn from_json(text: &[u8]) -> Result<Index, String> {
+        let index: Index = serde_json::from_slice(text).map_err(|e| format!("not a scene's index: {e}"))?;
+        if index.format != FORMAT || index.version != VERSION {
+            return Err(format!(
+                "expected {FORMAT} version {VERSION}, found {} version {}",
+                index.format, index.version
+            ));
+        }
+        if index.placement.placement().is_none() {
+            return Err(format!(
+                "placement: expected the content inside the model's input, found {:?}",
+                index.placement
+            ));
+        }
+        if index.intervals.is_empty() {
+            return Err("the scene has no interval".into());
+        }
+        let mut before = f64::NEG_INFINITY;
+        for (i, entry) in index.intervals.iter().enumerate() {
+            entry.check(before).map_err(|cause| format!("interval {i}: {cause}"))?;
+            before = entry.end;
+        }
+        Ok(index)
+    }
+}
+
+impl IntervalEntry {
+    /// An error unless it follows the time `before`, names a file in the scene's folder, and counts what can be read.
+    fn check(&self, before: f64) -> Result<(), String> {
+        let Self { file, start, end, gaussians, .. } = self;
+        if !(start.is_finite() && end.is_finite() && before <= *start && start <= end) {
+            return Err(format!("expected ascending times, found {start} to {end} after {before}"));
+        }
+        if file.contains(['/', '\\']) || file.starts_with('.') {
+            return Err(format!("expected a file name without a folder, found {file:?}"));
+        }
+        if *gaussians as u64 > (1 << 40) / RECORD {
+            return Err(format!("{gaussians} Gaussians are more than this program reads"));
+        }
+        Ok(())
     }
 }
 

@@ -1,0 +1,251 @@
+//! Well-formed inputs, small, of every kind that a reader reads.
+
+use std::io::Cursor;
+
+use image::{DynamicImage, ImageFormat};
+use safetensors::tensor::{Dtype, TensorView};
+use streamsplat::fit::Placement;
+use streamsplat::openexr;
+use streamsplat::scene::to_safetensors;
+use streamsplat::stream::{Handover, Interval, Merge, Record, Reference, Workers};
+use streamsplat_kernels::Level;
+
+/// What the shapes of [`model`] cannot say.
+pub(super) const CONFIG: &str =
+    r#"{"resolution": [1, 1], "upsampler_window": 1, "use_dino": false, "resized_to": [1, 1]}"#;
+
+/// A safetensors file by hand, for number formats that are not written otherwise: every tensor is of zeros.
+fn zeros(tensors: &[(&str, &str, &[usize], usize)]) -> Vec<u8> {
+    let (mut entries, mut end) = (Vec::new(), 0);
+    for (name, dtype, shape, bits) in tensors {
+        let start = end;
+        end += (shape.iter().product::<usize>() * bits).div_ceil(8);
+        entries.push(format!(r#""{name}":{{"dtype":"{dtype}","shape":{shape:?},"data_offsets":[{start},{end}]}}"#));
+    }
+    let header = format!("{{{}}}", entries.join(","));
+    let mut file = (header.len() as u64).to_le_bytes().to_vec();
+    file.extend_from_slice(header.as_bytes());
+    file.resize(file.len() + end, 0);
+    file
+}
+
+/// The tensors of a checkpoint that sizes are read off, for patches of one pixel.
+pub(super) fn model() -> Vec<u8> {
+    const ENCODER: &str = "model.gs_predictor.encoder.transformer_encoder";
+    const DECODER: &str = "model.decoder.transformer_decoder";
+    const UPSAMPLER: &str = "model.gs_predictor.gaussian_upsampler";
+    let names = [
+        format!("{ENCODER}.conv.weight"),
+        format!("{ENCODER}.transformer.resblocks.0.layernorm1.weight"),
+        format!("{DECODER}.condition_proj.weight"),
+        format!("{DECODER}.positional_embedding"),
+        format!("{UPSAMPLER}.upsampler_0.residual_fc.weight"),
+        format!("{UPSAMPLER}.upsampler_1.residual_fc.weight"),
+    ];
+    let shapes: [&[usize]; 6] = [&[64, 4, 1, 1], &[64], &[64, 64], &[1, 2, 64], &[256, 64], &[256, 64]];
+    let tensors: Vec<_> = names.iter().zip(shapes).map(|(name, shape)| (name.as_str(), "F4", shape, 4)).collect();
+    zeros(&tensors)
+}
+
+pub(super) fn checkpoint() -> Vec<Vec<u8>> {
+    let formats =
+        zeros(&[("a", "F32", &[2, 3], 32), ("b", "F16", &[5], 16), ("c", "BF16", &[], 16), ("d", "I64", &[0], 64)]);
+    let dino = zeros(&[
+        ("cls_token", "F16", &[1, 1, 64], 16),
+        ("patch_embed.proj.weight", "F16", &[64, 3, 1, 1], 16),
+        ("pos_embed", "F16", &[1, 5, 64], 16),
+        ("register_tokens", "F16", &[1, 4, 64], 16),
+    ]);
+    vec![model(), formats, dino]
+}
+
+pub(super) fn model_config() -> Vec<Vec<u8>> {
+    let nested = r#"{"config": {"resolution": [1, 1], "upsampler_window": 4, "encoder_window": 1, "use_dino": false,
+        "hidden_dim": 64, "encoder_layers": 1, "patch_size": 1, "static_position": "tanh",
+        "upsampler_stages": 2}, "note": null}"#;
+    vec![CONFIG.as_bytes().to_vec(), nested.as_bytes().to_vec()]
+}
+
+pub(super) fn interval() -> Vec<Vec<u8>> {
+    let record = |i: u8| {
+        let x = f32::from(i);
+        Record {
+            mean: [0.3 * x - 0.5, 0.2 * x, 0.1],
+            velocity: [0.1, 0.0, -0.2],
+            gamma: [3.0 * x, 0.5],
+            opacity: 0.9,
+            scale: [0.2, 0.1],
+            rgb: [0.2 * x, 0.5, 1.0],
+            identity: u64::from(i),
+            birth: 0,
+            frame: 1,
+            offset: [0.0; 3],
+            reference: if i.is_multiple_of(2) { Reference::Start } else { Reference::End },
+            handover: [Handover::None, Handover::Arrives, Handover::Leaves][usize::from(i % 3)],
+        }
+    };
+    let interval = Interval {
+        index: 1,
+        start: 0.0,
+        end: 0.25,
+        gaussians: (0..5).map(record).collect(),
+        placement: Placement { source: [9, 16], model: [18, 32], offset: [0, 0], content: [18, 32] },
+        merges: vec![Merge { identity: 3, into: 4 }],
+        dropped: 0,
+        workers: Workers::new(Level::scalar(), 1).expect("a thread starts"),
+    };
+    vec![to_safetensors(&interval).expect("even arrays")]
+}
+
+pub(super) fn scene_index() -> Vec<Vec<u8>> {
+    let text = r#"{"format": "streamsplat-scene", "version": 1, "fps": 24.0,
+        "placement": {"source": [9, 16], "model": [18, 32], "offset": [0, 0], "content": [18, 32]},
+        "intervals": [{"file": "interval-000000.safetensors", "start": 0.0, "end": 0.0, "gaussians": 5, "bytes": 900, "blake3": "00"},
+        {"file": "interval-000001.safetensors", "start": 0.0, "end": 0.25, "gaussians": 10, "bytes": 1800, "blake3": "11"}]}"#;
+    vec![text.as_bytes().to_vec()]
+}
+
+pub(super) fn camera() -> Vec<Vec<u8>> {
+    [
+        r#"{"type": "canonical"}"#,
+        r#"{"type": "orthographic", "position": [0, 0, -1], "look_at": [0.1, 0, 1], "up": [0, -1, 0], "half_extent": [1, 2]}"#,
+        r#"{"type": "pinhole", "rotation": [1, 0, 0.1, 0], "fov_y_degrees": 50, "aspect": 1.5}"#,
+        r#"{"type": "pinhole", "size": [20, 10], "fx": 20, "fy": 20, "cx": 9.5, "cy": 4.5}"#,
+        r#"{"views": [{"time": 0, "type": "pinhole", "focal": [1, 2], "centre": [0.5, 0.5]},
+            {"time": 1.5, "type": "pinhole", "focal": [1, 1], "position": [0.2, 0, -0.5]}]}"#,
+    ]
+    .map(|text| text.as_bytes().to_vec())
+    .into()
+}
+
+pub(super) fn y4m() -> Vec<Vec<u8>> {
+    ["420jpeg", "420mpeg2 XCOLORRANGE=FULL", "422p10", "411", "444alpha", "mono16"]
+        .map(|colour| {
+            let mut stream = format!("YUV4MPEG2 W5 H3 F30000:1001 Ip A1:1 C{colour}\n").into_bytes();
+            for frame in 0..2 {
+                stream.extend_from_slice(b"FRAME\n");
+                let bytes = match colour {
+                    "422p10" => 2 * (15 + 2 * 9),
+                    "411" => 15 + 2 * 6,
+                    "444alpha" => 4 * 15,
+                    "mono16" => 2 * 15,
+                    _ => 15 + 2 * 6,
+                };
+                stream.extend((0..bytes).map(|i| (i * 11 + frame) as u8));
+            }
+            stream
+        })
+        .into()
+}
+
+/// A picture of 5×3 pixels in several kinds of samples.
+fn pictures() -> Vec<DynamicImage> {
+    let rgb =
+        DynamicImage::ImageRgb8(image::RgbImage::from_fn(5, 3, |x, y| image::Rgb([50 * x as u8, 80 * y as u8, 7])));
+    let (grey, deep) = (DynamicImage::ImageLuma8(rgb.to_luma8()), DynamicImage::ImageRgb16(rgb.to_rgb16()));
+    let (clear, fine) = (DynamicImage::ImageRgba8(rgb.to_rgba8()), DynamicImage::ImageLuma16(rgb.to_luma16()));
+    vec![rgb, grey, deep, clear, fine]
+}
+
+fn encoded(picture: &DynamicImage, format: ImageFormat) -> Option<Vec<u8>> {
+    let mut bytes = Cursor::new(Vec::new());
+    picture.write_to(&mut bytes, format).ok()?;
+    Some(bytes.into_inner())
+}
+
+fn exr(names: &[&str]) -> Vec<u8> {
+    let plane: Vec<f32> = (0..15).map(|i| i as f32 / 14.0).collect();
+    let channels = names.iter().map(|name| ((*name).to_owned(), plane.clone())).collect();
+    let mut bytes = Vec::new();
+    openexr::write(&openexr::Planes { width: 5, height: 3, channels }, "a note", &mut bytes).expect("memory");
+    bytes
+}
+
+/// A TIFF by hand: little end first, one strip without compression of 2×2 grey samples of `bits` bits.
+fn tiff(bits: u16) -> Vec<u8> {
+    let data: Vec<u8> = (0..4 * bits / 8).map(|i| (i * 31) as u8).collect();
+    let entries: [(u16, u16, u32); 8] = [
+        (256, 3, 2),
+        (257, 3, 2),
+        (258, 3, u32::from(bits)),
+        (259, 3, 1),
+        (262, 3, 1),
+        (273, 4, 8),
+        (278, 3, 2),
+        (279, 4, data.len() as u32),
+    ];
+    let mut file = b"II*\0".to_vec();
+    file.extend((8 + data.len() as u32).to_le_bytes());
+    file.extend(&data);
+    file.extend((entries.len() as u16).to_le_bytes());
+    for (tag, kind, value) in entries {
+        file.extend(tag.to_le_bytes());
+        file.extend(kind.to_le_bytes());
+        file.extend(1_u32.to_le_bytes());
+        file.extend(value.to_le_bytes());
+    }
+    file.extend(0_u32.to_le_bytes());
+    file
+}
+
+/// A JPEG of one grey block, by hand: every table as short as it can be.
+fn jpeg() -> Vec<u8> {
+    let mut file = vec![0xff, 0xd8, 0xff, 0xdb, 0, 67, 0];
+    file.extend([1; 64]);
+    file.extend([0xff, 0xc0, 0, 11, 8, 0, 8, 0, 8, 1, 1, 0x11, 0]);
+    for class in [0x00, 0x10] {
+        // One code of one bit, 0: no difference, or the end of the block.
+        file.extend([0xff, 0xc4, 0, 20, class, 1]);
+        file.extend([0; 16]);
+    }
+    file.extend([0xff, 0xda, 0, 8, 1, 1, 0, 0, 63, 0, 0x3f, 0xff, 0xd9]);
+    file
+}
+
+pub(super) fn image() -> Vec<Vec<u8>> {
+    use ImageFormat::{Bmp, Png, Pnm, Qoi, Tga, WebP};
+    let pictures = pictures();
+    let formats = [Png, Bmp, WebP, Pnm, Tga, Qoi];
+    let encode =
+        |picture: &DynamicImage| formats.map(|format| encoded(picture, format)).into_iter().flatten().collect();
+    let mut seeds: Vec<Vec<u8>> = pictures.iter().flat_map(|picture| -> Vec<Vec<u8>> { encode(picture) }).collect();
+    seeds.extend([exr(&["B", "G", "R"]), exr(&["A", "Y"]), tiff(8), tiff(16), jpeg()]);
+    seeds
+}
+
+pub(super) fn depth_map() -> Vec<Vec<u8>> {
+    let npy = |kind: &str, size: usize| {
+        let header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': (3, 2), }}\n");
+        let mut file = b"\x93NUMPY\x01\x00".to_vec();
+        file.extend((header.len() as u16).to_le_bytes());
+        file.extend_from_slice(header.as_bytes());
+        file.extend((0..6 * size).map(|i| i as u8));
+        file
+    };
+    let grey = pictures().into_iter().filter(|p| p.color().channel_count() == 1);
+    let mut seeds: Vec<Vec<u8>> = grey.filter_map(|p| encoded(&p, ImageFormat::Png)).collect();
+    seeds.extend([npy("<f4", 4), npy(">f2", 2), npy("<f8", 8), npy("|u1", 1), npy("<u2", 2), exr(&["Z"])]);
+    seeds
+}
+
+pub(super) fn splat() -> Vec<Vec<u8>> {
+    let file = |pinhole: bool| {
+        let floats = |values: &[f32]| -> Vec<u8> { values.iter().flat_map(|v| v.to_le_bytes()).collect() };
+        let focal: &[f32] = if pinhole { &[4.0, 4.0, 3.5, 2.5] } else { &[4.0, 3.0] };
+        let tensors: Vec<(&str, Vec<usize>, Vec<u8>)> = vec![
+            ("mean", vec![2, 3], floats(&[0.0, 0.1, 1.0, -0.2, 0.0, 2.0])),
+            ("scale", vec![2, 3], floats(&[0.3, 0.2, 0.1, 0.5, 0.01, 0.2])),
+            ("quat", vec![2, 4], floats(&[1.0, 0.0, 0.0, 0.0, 0.8, 0.0, 0.6, 0.0])),
+            ("opacity", vec![2], floats(&[0.9, 0.5])),
+            ("rgb", vec![2, 3], floats(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.5])),
+            ("size", vec![2], floats(&[6.0, 8.0])),
+            ("background", vec![3], floats(&[0.5; 3])),
+            (if pinhole { "intrinsics" } else { "focal" }, vec![focal.len()], floats(focal)),
+        ];
+        let views = tensors.iter().map(|(name, shape, bytes)| {
+            (*name, TensorView::new(Dtype::F32, shape.clone(), bytes).expect("a shape that fits"))
+        });
+        safetensors::serialize(views, None).expect("a file")
+    };
+    vec![file(false), file(true)]
+}

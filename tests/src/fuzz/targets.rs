@@ -1,0 +1,148 @@
+//! One function per reader.
+
+use std::io::Cursor;
+use std::path::Path;
+use std::sync::LazyLock;
+
+use streamsplat::camera::file;
+use streamsplat::fit::Placement;
+use streamsplat::scene::{Index, from_safetensors, to_safetensors};
+use streamsplat::source::{decode, y4m::Y4m};
+use streamsplat::splats::Splats;
+use streamsplat::stream::Workers;
+use streamsplat::{Camera, Image, RenderOptions, Size, depth};
+use streamsplat_kernels::{Level, raster};
+use streamsplat_model::checkpoint::Checkpoint;
+use streamsplat_model::inspect::inspect_parts;
+
+use super::seeds;
+
+/// One thread on the lowest and one on the highest level.
+static WORKERS: LazyLock<[Workers; 2]> =
+    LazyLock::new(|| [Level::scalar(), Level::detect()].map(|level| Workers::new(level, 1).expect("a thread starts")));
+
+/// Pixels of an image that is drawn for a test.
+const FEW: usize = 1 << 12;
+
+/// A safetensors file as a model: every tensor is read, the sizes are derived, the cost is counted.
+pub(super) fn checkpoint(bytes: &[u8]) {
+    let Ok(checkpoint) = Checkpoint::from_storage(bytes.to_vec(), "fuzz") else { return };
+    for (name, info) in checkpoint.tensors() {
+        if let Ok(values) = checkpoint.read(name) {
+            assert_eq!(values.len(), info.elements(), "{name}");
+            assert!(values.iter().all(|x| x.is_finite()), "{name}");
+        }
+    }
+    let _ = inspect_parts(&checkpoint, seeds::CONFIG);
+}
+
+/// The JSON beside a checkpoint.
+pub(super) fn model_config(bytes: &[u8]) {
+    static MODEL: LazyLock<Checkpoint> =
+        LazyLock::new(|| Checkpoint::from_storage(seeds::model(), "fuzz").expect("a checkpoint"));
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    if let Ok(report) = inspect_parts(&MODEL, text) {
+        assert!(report.gflop() >= 0.0);
+    }
+}
+
+/// An interval of a scene: read, written again, and drawn on two levels.
+pub(super) fn interval(bytes: &[u8]) {
+    let placement = Placement { source: [9, 16], model: [18, 32], offset: [0, 0], content: [18, 32] };
+    let [low, high] = &*WORKERS;
+    let Ok(interval) = from_safetensors(bytes, placement, low.clone()) else { return };
+    let again = to_safetensors(&interval).expect("what was read can be written");
+    let mut other = from_safetensors(&again, placement, high.clone()).expect("what was written can be read");
+    assert_eq!(other.gaussians.len(), interval.gaussians.len());
+    other.workers = high.clone();
+    let options = RenderOptions {
+        size: Size::Exact { width: 13, height: 9 },
+        depth: true,
+        alpha: true,
+        statistics: true,
+        ..RenderOptions::default()
+    };
+    let middle = 0.5 * interval.start + 0.5 * interval.end;
+    for time in [interval.start, middle, interval.end] {
+        let a = interval.render(time, &Camera::Canonical, &options).expect("inside the interval");
+        let b = other.render(time, &Camera::Canonical, &options).expect("inside the interval");
+        assert_same_finite(&a, &b);
+    }
+}
+
+/// A scene's index.
+pub(super) fn scene_index(bytes: &[u8]) {
+    if let Ok(index) = Index::from_json(bytes) {
+        assert!(index.placement.placement().is_some() && !index.intervals.is_empty());
+        assert!(index.intervals.iter().all(|i| !i.file.contains('/') && i.start <= i.end));
+    }
+}
+
+/// A camera or a path of cameras, and what they see of a scene.
+pub(super) fn camera(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let Ok(path) = file::parse(text) else { return };
+    let placement = Placement { source: [9, 16], model: [18, 32], offset: [0, 0], content: [18, 32] };
+    let [low, high] = &*WORKERS;
+    let seed = seeds::interval().remove(0);
+    let [a, b] = [low, high].map(|w| from_safetensors(&seed, placement, w.clone()).expect("a seed"));
+    let options = RenderOptions { size: Size::Exact { width: 8, height: 5 }, ..RenderOptions::default() };
+    for time in [-1e300, 0.0, 0.5, 1e9] {
+        let camera = path.at(time);
+        let images = [&a, &b].map(|interval| interval.render(interval.start, &camera, &options));
+        if let [Ok(a), Ok(b)] = &images {
+            assert_same_finite(a, b);
+        }
+    }
+}
+
+/// A y4m stream, to its end.
+pub(super) fn y4m(bytes: &[u8]) {
+    let Ok(mut stream) = Y4m::new(Cursor::new(bytes), Path::new("fuzz.y4m")) else { return };
+    while let Ok(Some(picture)) = stream.next_picture() {
+        assert_eq!(picture.rgb.len(), 3 * picture.width * picture.height);
+        assert!(picture.rgb.iter().all(|x| (0.0..=1.0).contains(x)));
+    }
+}
+
+/// An image of any kind. TGA has no signature: what no other decoder claims is tried as one.
+pub(super) fn image(bytes: &[u8]) {
+    if let Ok(picture) = decode::decode(bytes, Path::new("fuzz.tga")) {
+        assert_eq!(picture.rgb.len(), 3 * picture.width * picture.height);
+        assert!(picture.rgb.iter().all(|x| (0.0..=1.0).contains(x)));
+    }
+}
+
+/// A depth map of any kind.
+pub(super) fn depth_map(bytes: &[u8]) {
+    let name = if bytes.starts_with(b"\x93NUMPY") { "fuzz.npy" } else { "fuzz.png" };
+    if let Ok(map) = depth::decode_map(bytes, Path::new(name)) {
+        assert_eq!(map.values.len(), map.width * map.height);
+        assert!(map.values.iter().all(|x| x.is_finite()));
+    }
+}
+
+/// A file of splats, drawn on two levels.
+pub(super) fn splat(bytes: &[u8]) {
+    let Ok(splats) = Splats::from_safetensors(bytes) else { return };
+    let mut request = splats.request;
+    if request.width * request.height > FEW {
+        (request.width, request.height) = (request.width.min(64), request.height.min(64));
+    }
+    let [a, b] = WORKERS
+        .each_ref()
+        .map(|w| w.install(|| raster::render(w.level(), &splats.gaussians(), &splats.projection, &request)));
+    assert_same_finite(&a, &b);
+}
+
+/// Both images have the same bits, and no value that is not finite.
+fn assert_same_finite(a: &Image, b: &Image) {
+    let planes = |image: &Image| {
+        let optional = [&image.depth, &image.alpha, &image.final_t].into_iter().flatten().flatten();
+        image.rgb.iter().chain(optional).copied().collect::<Vec<f32>>()
+    };
+    let (a_values, b_values) = (planes(a), planes(b));
+    assert!(a_values.iter().zip(&b_values).all(|(a, b)| a.to_bits() == b.to_bits()), "levels differ");
+    assert_eq!((&a.blended, a.dropped), (&b.blended, b.dropped), "levels differ");
+    assert!(a_values.iter().all(|x| x.is_finite()), "a value that is not finite was drawn");
+}

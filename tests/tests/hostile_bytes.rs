@@ -1,0 +1,102 @@
+//! Readers of files from outside, on bytes that mean them harm: seeds, what fuzzing found, and mutations of both. Nothing panics, nothing
+//! that is read breaks its promises. The long form is `tests/fuzz/run`.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use streamsplat_tests::fuzz::{Mutations, TARGETS, Target};
+
+/// Mutations of one input.
+const TRIES: usize = 400;
+
+fn try_all(target: &Target) {
+    let named = |kind: &str, i: usize, bytes: Vec<u8>| (format!("{kind} {i}"), bytes);
+    let seeds = (target.seeds)().into_iter().enumerate().map(|(i, bytes)| named("seed", i, bytes));
+    let inputs: Vec<_> = seeds.chain(target.regressions()).collect();
+    for (name, input) in &inputs {
+        attempt(target, name, input);
+        for (i, bytes) in Mutations::new(input, 7).take(TRIES).enumerate() {
+            attempt(target, &format!("{name}, mutation {i}"), &bytes);
+        }
+    }
+}
+
+fn attempt(target: &Target, name: &str, bytes: &[u8]) {
+    if catch_unwind(AssertUnwindSafe(|| (target.run)(bytes))).is_err() {
+        let shown = &bytes[..bytes.len().min(400)];
+        panic!("{}: {name} ({} bytes) panics: {}", target.name, bytes.len(), shown.escape_ascii());
+    }
+}
+
+macro_rules! targets {
+    ($($test:ident: $name:literal;)*) => {
+        $(#[test]
+        fn $test() {
+            try_all(Target::named($name).expect("a target"));
+        })*
+
+        #[test]
+        fn every_target_is_tried() {
+            let tried = [$($name),*];
+            assert!(TARGETS.iter().map(|target| target.name).eq(tried));
+        }
+    };
+}
+
+targets! {
+    no_bytes_break_the_reader_of_checkpoints: "checkpoint";
+    no_bytes_break_the_reader_of_model_configurations: "model_config";
+    no_bytes_break_the_reader_of_intervals: "interval";
+    no_bytes_break_the_reader_of_scenes: "scene_index";
+    no_bytes_break_the_reader_of_cameras: "camera";
+    no_bytes_break_the_reader_of_y4m_streams: "y4m";
+    no_bytes_break_the_readers_of_images: "image";
+    no_bytes_break_the_readers_of_depth_maps: "depth_map";
+    no_bytes_break_the_reader_of_splats: "splat";
+}
+
+#[test]
+fn every_target_has_its_fuzzer_and_no_other_folder_holds_regressions() {
+    let folder = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/fuzz"));
+    let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).expect("the fuzzers' manifest");
+    for target in &TARGETS {
+        assert!(folder.join(format!("fuzz_targets/{}.rs", target.name)).exists(), "{}", target.name);
+        assert!(manifest.contains(&format!("name = \"{}\"", target.name)), "{}", target.name);
+    }
+    let stems = |inside: &str| -> Vec<String> {
+        let entries = std::fs::read_dir(folder.join(inside)).into_iter().flatten().flatten();
+        entries.filter_map(|e| Some(e.path().file_stem()?.to_str()?.to_owned())).collect()
+    };
+    for name in [stems("fuzz_targets"), stems("regressions")].concat() {
+        assert!(Target::named(&name).is_some(), "{name}");
+    }
+}
+
+#[test]
+fn seeds_are_read_as_what_they_are() {
+    use std::path::Path;
+    use streamsplat::{camera, depth, scene, source, splats};
+    let all = |name: &str, good: &dyn Fn(&[u8]) -> bool| {
+        let target = Target::named(name).expect("a target");
+        for (i, seed) in (target.seeds)().iter().enumerate() {
+            assert!(good(seed) && seed.len() <= target.longest, "{name}: seed {i}, {} bytes", seed.len());
+        }
+    };
+    let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).expect("text");
+    all("checkpoint", &|b| streamsplat_model::checkpoint::Checkpoint::from_storage(b.to_vec(), "seed").is_ok());
+    all("scene_index", &|b| scene::Index::from_json(b).is_ok());
+    all("camera", &|b| camera::file::parse(&text(b)).is_ok());
+    all("image", &|b| source::decode::decode(b, Path::new("seed.tga")).is_ok());
+    all("depth_map", &|b| {
+        let name = if b.starts_with(b"\x93NUMPY") { "seed.npy" } else { "seed.png" };
+        depth::decode_map(b, Path::new(name)).is_ok()
+    });
+    all("splat", &|b| splats::Splats::from_safetensors(b).is_ok());
+    all("y4m", &|b| {
+        let mut stream = source::y4m::Y4m::new(b, Path::new("seed.y4m")).expect("a header");
+        (0..2).all(|_| stream.next_picture().is_ok_and(|p| p.is_some()))
+            && stream.next_picture().is_ok_and(|p| p.is_none())
+    });
+    let model = (Target::named("checkpoint").expect("a target").seeds)().remove(0);
+    let model = streamsplat_model::checkpoint::Checkpoint::from_storage(model, "seed").expect("a checkpoint");
+    all("model_config", &|b| streamsplat_model::inspect::inspect_parts(&model, &text(b)).is_ok());
+}
