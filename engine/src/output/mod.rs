@@ -14,7 +14,7 @@ use image::{ExtendedColorType, ImageEncoder};
 
 use crate::openexr::{self, Planes};
 use crate::picture::{Picture, to_u8};
-pub use video::{Finished, Video, VideoFormat};
+pub use video::{Finished, Video, VideoFormat, VideoPoint};
 
 /// What can go wrong while results are written.
 #[derive(Debug, thiserror::Error)]
@@ -42,6 +42,18 @@ pub enum OutputError {
         path: PathBuf,
         /// What it says.
         cause: String,
+    },
+    /// A file to go on with is not what it was.
+    #[error("{}: expected its first {bytes} bytes to have the digest {expected}, found {found}", path.display())]
+    Changed {
+        /// The file.
+        path: PathBuf,
+        /// How much of it is looked at.
+        bytes: u64,
+        /// The digest it had.
+        expected: String,
+        /// The digest it has.
+        found: String,
     },
     /// A frame of another size than the video's first.
     #[error("{}: expected frames of {}×{}, found {}×{}", path.display(), expected.0, expected.1, found.0, found.1)]
@@ -79,7 +91,7 @@ impl Written {
 }
 
 /// Where a file is written before it gets its name.
-pub(crate) fn partial_name(path: &Path) -> PathBuf {
+pub fn partial_name(path: &Path) -> PathBuf {
     let mut name = std::ffi::OsString::from(".");
     name.push(path.file_name().unwrap_or_default());
     name.push(".partial");
@@ -91,12 +103,21 @@ pub(crate) fn partial_name(path: &Path) -> PathBuf {
 /// # Errors
 /// The system's, with the file's name; nothing is left behind.
 pub fn write_file(path: &Path, bytes: &[u8]) -> Result<Written, OutputError> {
+    write_whole(path, bytes)?;
+    Ok(Written::of(bytes))
+}
+
+/// [`write_file`] without the digest.
+///
+/// # Errors
+/// As there.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
     let partial = partial_name(path);
     let result = File::create(&partial)
         .and_then(|mut file| file.write_all(bytes).and_then(|()| file.flush()))
         .and_then(|()| std::fs::rename(&partial, path));
     match result {
-        Ok(()) => Ok(Written::of(bytes)),
+        Ok(()) => Ok(()),
         Err(cause) => {
             let _ = std::fs::remove_file(&partial);
             Err(OutputError::Write { path: path.to_owned(), cause })

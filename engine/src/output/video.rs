@@ -3,6 +3,8 @@
 //! y4m frames are 4:4:4, 8 bits, full range (`C444 XCOLORRANGE=FULL`), with the matrix that [`crate::source::y4m`] reads
 //! pictures of their size with, each sample rounded half up. ffmpeg gets 8-bit RGB and makes BT.709 video (yuv420p) of it.
 
+mod resume;
+
 use std::fs::File;
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
@@ -12,6 +14,7 @@ use std::thread::JoinHandle;
 use super::{OutputError, Written, partial_name};
 use crate::picture::Picture;
 use crate::source::y4m::convert::Matrix;
+pub use resume::VideoPoint;
 
 /// Kinds of video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,8 +76,12 @@ impl Video {
             let partial = partial_name(path);
             File::create(&partial).and_then(|_| std::fs::remove_file(&partial)).map_err(OutputError::write(path))?;
         }
+        Ok(Video::create_beside(path, format, fps))
+    }
+
+    fn create_beside(path: &Path, format: VideoFormat, fps: f64) -> Video {
         let samples = blake3::Hasher::new();
-        Ok(Video { path: path.to_owned(), fps, format, sink: None, size: None, samples, frames: 0 })
+        Video { path: path.to_owned(), fps, format, sink: None, size: None, samples, frames: 0 }
     }
 
     fn open(&mut self, width: usize, height: usize) -> Result<&mut Sink, OutputError> {

@@ -141,6 +141,9 @@ pub struct RunArgs {
     pub options: RunOptions,
     #[command(flatten)]
     pub machine: Machine,
+    /// Go on with a run that was stopped, from its last whole interval; without one, start
+    #[arg(long)]
+    pub resume: bool,
     /// Also write run.json here
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
+use serde::{Deserialize, Serialize};
 use streamsplat::Image;
 use streamsplat::render::Painter;
 use streamsplat::stream::{Interval, Workers};
@@ -15,15 +16,22 @@ use super::settings::Views;
 /// Draws and writes images; keeps the account.
 pub struct Drawing {
     painter: Painter,
-    /// Gaussians left out because a number of theirs was not finite.
-    pub dropped: u64,
+    /// The account.
+    pub counts: Counts,
     /// Time spent drawing.
     pub render: Duration,
     /// Time spent encoding and writing.
     pub write: Duration,
+}
+
+/// What was drawn and what was not needed.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Counts {
     images: u64,
     /// Gaussians drawn and left out, tiles drawn and kept, list entries looked at and not.
     raster: [[u64; 2]; 3],
+    /// Gaussians left out because a number of theirs was not finite.
+    pub dropped: u64,
 }
 
 impl Drawing {
@@ -31,11 +39,9 @@ impl Drawing {
     pub fn new(workers: &Workers) -> Drawing {
         Drawing {
             painter: Painter::new(workers),
-            dropped: 0,
+            counts: Counts::default(),
             render: Duration::ZERO,
             write: Duration::ZERO,
-            images: 0,
-            raster: [[0; 2]; 3],
         }
     }
 
@@ -45,15 +51,15 @@ impl Drawing {
         let start = Instant::now();
         let image = self.painter.draw(interval, time, &views.camera.at(time), &views.options)?.clone();
         self.render += start.elapsed();
-        self.images += 1;
-        self.dropped += image.dropped;
+        self.counts.images += 1;
+        self.counts.dropped += image.dropped;
         let work = self.painter.work();
         let counts = [
             (work.gaussians.saturating_sub(work.culled), work.culled),
             (work.tiles_drawn, work.tiles.saturating_sub(work.tiles_drawn)),
             (work.entries.saturating_sub(work.entries_unseen), work.entries_unseen),
         ];
-        for (sum, (done, avoided)) in self.raster.iter_mut().zip(counts) {
+        for (sum, (done, avoided)) in self.counts.raster.iter_mut().zip(counts) {
             sum[0] += done;
             sum[1] += avoided;
         }
@@ -84,9 +90,9 @@ impl Drawing {
 
     /// Adds what was drawn and what was not needed.
     pub fn account(&self, work: &mut BTreeMap<String, WorkRecord>, seconds: &mut BTreeMap<String, f64>) {
-        let [gaussians, tiles, entries] = self.raster;
+        let [gaussians, tiles, entries] = self.counts.raster;
         for (stage, [done, avoided], unit) in [
-            ("render", [self.images, 0], "images"),
+            ("render", [self.counts.images, 0], "images"),
             ("render.project", gaussians, "Gaussians"),
             ("render.tiles", tiles, "tiles"),
             ("render.blend", entries, "splats in tiles"),

@@ -1,5 +1,6 @@
 //! Input frames to key frames: every gap-th frame, with its depth map, and the frames in between.
 
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use streamsplat::Frame;
@@ -9,6 +10,7 @@ use streamsplat::source::{Source, SourceError, TimedPicture};
 
 use super::digest::InputDigest;
 use super::failure::Failure;
+use super::record::{InputRecord, absolute};
 use super::settings::DepthFrom;
 
 /// A key frame and what came since the one before.
@@ -80,9 +82,10 @@ impl KeyFrames {
         &self.digest
     }
 
-    /// Width and height of a frame.
-    pub fn size(&self) -> [usize; 2] {
-        self.size
+    /// What was read so far, from `path`.
+    pub fn input(&self, path: &Path) -> InputRecord {
+        let (blake3, count) = (self.digest.finish(), self.digest.frames());
+        InputRecord { path: absolute(path), blake3, count, size: self.size, fps: self.fps() }
     }
 
     /// Time spent reading.

@@ -5,8 +5,10 @@
 
 mod bench;
 mod cli;
+mod destination;
 mod digest;
 mod drawing;
+mod earlier;
 mod eval;
 mod export;
 mod failure;
@@ -20,6 +22,7 @@ mod progress;
 mod record;
 mod render;
 mod report;
+mod resume;
 mod run;
 mod settings;
 mod splat;

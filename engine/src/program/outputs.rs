@@ -6,15 +6,19 @@ use std::path::{Component, Path, PathBuf};
 use streamsplat::Image;
 use streamsplat::export;
 use streamsplat::output::{
-    OutputError, Video, VideoFormat, Written, depth_exr, picture_png, plane_png, prepare_folder, write_file,
+    OutputError, Video, VideoPoint, Written, depth_exr, picture_png, plane_png, prepare_folder, write_whole,
 };
 use streamsplat::picture::Picture;
 use streamsplat::render::Snapshot;
-use streamsplat::scene::SceneWriter;
-use streamsplat::stream::Interval;
+use streamsplat::scene::{IntervalEntry, SceneWriter, to_safetensors};
+use streamsplat::stream::{Interval, Memory};
 
+pub use super::destination::Destination;
+use super::earlier::{remove_earlier, remove_file};
 use super::failure::Failure;
-use super::record::{OutputRecord, Record};
+use super::record::OutputRecord;
+use super::resume::ledger::{self, Ledger};
+use super::resume::{self, Point};
 
 /// Kinds of output that exist.
 const KINDS: [&str; 5] = ["rgb", "depth", "alpha", "scene", "ply"];
@@ -60,49 +64,16 @@ impl Emit {
     }
 }
 
-/// Where `--out` points.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Destination {
-    /// A folder.
-    Folder(PathBuf),
-    /// A video file, or `-`.
-    Video(PathBuf, VideoFormat),
-}
-
-impl Destination {
-    /// A path with a video's name is a video, `-` is y4m on standard output, anything else a folder.
-    pub fn of(out: &Path) -> Destination {
-        if out == Path::new("-") {
-            return Destination::Video(out.to_owned(), VideoFormat::Y4m);
-        }
-        match VideoFormat::of(out) {
-            Some(format) if !out.is_dir() => Destination::Video(out.to_owned(), format),
-            _ => Destination::Folder(out.to_owned()),
-        }
-    }
-
-    /// Where the record of the run goes; `None` for standard output.
-    pub fn record(&self) -> Option<PathBuf> {
-        match self {
-            Destination::Folder(folder) => Some(folder.join("run.json")),
-            Destination::Video(path, _) if path == Path::new("-") => None,
-            Destination::Video(path, _) => {
-                let mut name = path.file_name().unwrap_or_default().to_owned();
-                name.push(".run.json");
-                Some(path.with_file_name(name))
-            }
-        }
-    }
-}
-
 /// Writes results and remembers their digests.
 pub struct Outputs {
     destination: Destination,
     emit: Emit,
-    fps: f64,
     video: Option<Video>,
     scene: Option<SceneWriter>,
     written: BTreeMap<String, OutputRecord>,
+    ledger: Option<Ledger>,
+    /// The intervals of a scene that is gone on with.
+    intervals: Vec<IntervalEntry>,
 }
 
 impl Outputs {
@@ -112,24 +83,90 @@ impl Outputs {
             Destination::Folder(folder) => {
                 prepare_folder(folder)?;
                 remove_earlier(folder)?;
-                let kinds = [(emit.rgb, "frames"), (emit.depth, "depth"), (emit.alpha, "alpha"), (emit.ply, "ply")];
-                for (_, name) in kinds.into_iter().filter(|(wanted, _)| *wanted) {
-                    prepare_folder(&folder.join(name))?;
-                }
+                prepare_kinds(folder, emit)?;
             }
             Destination::Video(path, format) => {
                 if emit.depth || emit.alpha || emit.scene || emit.ply {
                     return Err(Failure::usage("--emit: a video holds rgb alone; give --out a folder for the rest"));
                 }
                 drop(Video::create(path, *format, 1.0)?);
+                if let Some(folder) = destination.resume() {
+                    resume::remove(&folder)?;
+                }
             }
         }
-        Ok(Outputs { destination, emit, fps: 0.0, video: None, scene: None, written: BTreeMap::new() })
+        Ok(Outputs::new(destination, emit))
+    }
+
+    fn new(destination: Destination, emit: Emit) -> Outputs {
+        let (written, intervals) = (BTreeMap::new(), Vec::new());
+        Outputs { destination, emit, video: None, scene: None, written, ledger: None, intervals }
+    }
+
+    /// Keeps a ledger from now on, where the results can be gone on with.
+    pub fn with_ledger(mut self) -> Outputs {
+        self.ledger = self.destination.resume().map(Ledger::new);
+        self
+    }
+
+    /// Goes on with results of which the first `length` bytes of the ledger in `folder` tell; each file must be as it was written.
+    pub fn resume(destination: Destination, emit: Emit, folder: PathBuf, length: u64) -> Result<Outputs, Failure> {
+        let lines = ledger::read(&folder, length)?;
+        let mut outputs = Outputs::new(destination, emit);
+        if let Destination::Folder(folder) = &outputs.destination {
+            outputs.written = ledger::verified(folder, &lines)?;
+        }
+        outputs.intervals = lines.into_iter().filter_map(|line| line.interval).collect();
+        if length > 0 {
+            outputs.ledger = Some(Ledger::resume(folder, length)?);
+            return Ok(outputs);
+        }
+        Ok(outputs.with_ledger())
+    }
+
+    /// Opens what is gone on with, `last` being the last whole interval, computed again: it must have come out as it was written. The
+    /// record of the stopped run goes.
+    pub fn take_up(&mut self, fps: f64, last: &Interval, video: Option<&VideoPoint>) -> Result<(), Failure> {
+        let files = match (&self.destination, video) {
+            (Destination::Folder(folder), _) => {
+                prepare_kinds(folder, self.emit)?;
+                if self.emit.scene {
+                    check_again(&self.intervals, last)?;
+                    let intervals = std::mem::take(&mut self.intervals);
+                    self.scene = Some(SceneWriter::resume(&folder.join("scene"), fps, last.placement, intervals)?);
+                }
+                vec![folder.join("run.json"), folder.join("report.md")]
+            }
+            (Destination::Video(path, _), Some(point)) => {
+                self.video = Some(Video::resume(path, fps, point)?);
+                self.destination.record().into_iter().collect()
+            }
+            (Destination::Video(path, format), None) => {
+                self.video = Some(Video::create(path, *format, fps)?);
+                self.destination.record().into_iter().collect()
+            }
+        };
+        files.iter().try_for_each(|file| remove_file(file))
+    }
+
+    /// Makes the interval at hand one to go on from; `point` is completed with how far the files have come.
+    pub fn commit(&mut self, mut point: Point, memory: Option<&Memory>) -> Result<(), Failure> {
+        let Some(ledger) = &self.ledger else { return Ok(()) };
+        point.ledger = ledger.length();
+        if let Some(video) = &mut self.video {
+            point.video = video.point()?;
+        }
+        prepare_folder(ledger.folder())?;
+        resume::commit(ledger.folder(), &point, memory)
+    }
+
+    /// Whether a stopped run can be gone on with.
+    pub fn can_resume(&self) -> bool {
+        self.ledger.is_some()
     }
 
     /// Opens what needs the frame rate.
     pub fn start(&mut self, fps: f64) -> Result<(), Failure> {
-        self.fps = fps;
         match &self.destination {
             Destination::Folder(folder) if self.emit.scene => {
                 self.scene = Some(SceneWriter::create(&folder.join("scene"), fps)?);
@@ -145,12 +182,29 @@ impl Outputs {
         self.written.insert(name, OutputRecord { bytes, blake3, samples: None });
     }
 
+    /// Writes a file inside the folder.
+    fn file(&mut self, name: String, bytes: &[u8]) -> Result<(), OutputError> {
+        let Destination::Folder(folder) = &self.destination else { return Ok(()) };
+        let written = Written::of(bytes);
+        if let Some(ledger) = &mut self.ledger {
+            ledger.add(&name, &written, None)?;
+        }
+        write_whole(&folder.join(&name), bytes)?;
+        self.note(name, written);
+        Ok(())
+    }
+
     /// Writes an interval of the scene, if the scene is wanted.
     pub fn interval(&mut self, interval: &Interval) -> Result<(), Failure> {
-        if let Some(scene) = &mut self.scene {
-            let (name, written) = scene.push(interval)?;
-            self.note(format!("scene/{name}"), written);
-        }
+        let Some(scene) = &mut self.scene else { return Ok(()) };
+        let ledger = &mut self.ledger;
+        let entry = scene.push_after(interval, |entry| {
+            let written = Written { bytes: entry.bytes, blake3: entry.blake3.clone() };
+            let name = format!("scene/{}", entry.file);
+            ledger.as_mut().map_or(Ok(()), |ledger| ledger.add(&name, &written, Some(entry)))
+        })?;
+        let IntervalEntry { file, bytes, blake3, .. } = entry;
+        self.note(format!("scene/{file}"), Written { bytes, blake3 });
         Ok(())
     }
 
@@ -161,44 +215,38 @@ impl Outputs {
         if let Some(video) = &mut self.video {
             return Ok(video.push(&picture)?);
         }
-        let Destination::Folder(folder) = self.destination.clone() else { return Ok(()) };
         let emit = self.emit;
-        let mut write = |name: String, bytes: &[u8]| -> Result<(), OutputError> {
-            let written = write_file(&folder.join(&name), bytes)?;
-            self.note(name, written);
-            Ok(())
-        };
         if emit.rgb {
-            write(format!("frames/{index:06}.png"), &picture_png(&picture))?;
+            self.file(format!("frames/{index:06}.png"), &picture_png(&picture))?;
         }
         if emit.depth
             && let Some(depth) = &depth
         {
             let bytes = depth_exr(width, height, depth, alpha.as_deref()).map_err(Failure::work)?;
-            write(format!("depth/{index:06}.exr"), &bytes)?;
+            self.file(format!("depth/{index:06}.exr"), &bytes)?;
         }
         if emit.alpha
             && let Some(alpha) = &alpha
         {
-            write(format!("alpha/{index:06}.png"), &plane_png(width, height, alpha))?;
+            self.file(format!("alpha/{index:06}.png"), &plane_png(width, height, alpha))?;
         }
         Ok(())
     }
 
     /// Writes the Gaussians of one time under the number `index`.
     pub fn snapshot(&mut self, index: usize, snapshot: &Snapshot) -> Result<(), Failure> {
-        let Destination::Folder(folder) = &self.destination else { return Ok(()) };
-        let name = format!("ply/{index:06}.ply");
-        let written = write_file(&folder.join(&name), &export::ply(snapshot))?;
-        self.note(name, written);
-        Ok(())
+        Ok(self.file(format!("ply/{index:06}.ply"), &export::ply(snapshot))?)
     }
 
-    /// After a failure: completes the scene of the intervals that were written. A video is not kept.
+    /// After a failure: completes the index of the intervals that were written. A y4m file stays under its temporary name where it
+    /// can be gone on with; any other video is not kept.
     pub fn abandon(mut self) {
         if let Some(scene) = self.scene.take() {
             // The first failure is the one to tell.
             let _ = scene.finish();
+        }
+        if let Some(video) = self.video.take_if(|_| self.ledger.is_some()) {
+            video.leave();
         }
     }
 
@@ -230,24 +278,24 @@ pub fn is_inside(name: &str) -> bool {
     !name.is_empty() && Path::new(name).components().all(|c| matches!(c, Component::Normal(_)))
 }
 
-/// Removes the files that an earlier run's record in `folder` names, and the record, so that old and new results never mix.
-fn remove_earlier(folder: &Path) -> Result<(), Failure> {
-    let record = folder.join("run.json");
-    if !record.exists() {
-        return Ok(());
-    }
-    let earlier = Record::read(&record)
-        .map_err(|e| Failure::work(format!("{}; the folder holds something else, give another --out", e.message())))?;
-    let mut names: Vec<&str> = earlier.outputs.keys().map(String::as_str).filter(|name| is_inside(name)).collect();
-    names.extend(["report.md", "run.json"]);
-    // The record goes last: what is stopped halfway can be cleared later.
-    for name in names {
-        match std::fs::remove_file(folder.join(name)) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                return Err(Failure::work(format!("{}: cannot remove: {e}", folder.join(name).display())));
-            }
-            _ => {}
+/// The folders of what is asked for.
+fn prepare_kinds(folder: &Path, emit: Emit) -> Result<(), OutputError> {
+    let kinds = [(emit.rgb, "frames"), (emit.depth, "depth"), (emit.alpha, "alpha"), (emit.ply, "ply")];
+    kinds.into_iter().filter(|(wanted, _)| *wanted).try_for_each(|(_, name)| prepare_folder(&folder.join(name)))
+}
+
+/// An error unless `last` is the last of `intervals`, bit for bit.
+fn check_again(intervals: &[IntervalEntry], last: &Interval) -> Result<(), Failure> {
+    let bytes = to_safetensors(last).map_err(Failure::work)?;
+    let found = Written::of(&bytes).blake3;
+    match intervals.last() {
+        Some(entry) if entry.blake3 == found => Ok(()),
+        entry => {
+            let expected = entry.map_or("none", |entry| entry.blake3.as_str());
+            Err(Failure::work(format!(
+                "--resume: interval {} computed again: expected the digest {expected}, found {found}; run again without --resume",
+                last.index
+            )))
         }
     }
-    Ok(())
 }

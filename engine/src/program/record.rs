@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use streamsplat::stream::{StageWork, Work};
 
 use super::cli::{RenderOptions, RunOptions};
 use super::failure::Failure;
@@ -109,6 +110,44 @@ pub struct Timing {
     pub threads: usize,
     /// Instruction set.
     pub isa: String,
+}
+
+/// The engine's account over a run, parts of which earlier processes may have done.
+#[derive(Default)]
+pub struct Account {
+    /// What was done before this process, by stage.
+    before: BTreeMap<String, WorkRecord>,
+    /// What this process did only to catch up.
+    caught_up: BTreeMap<String, WorkRecord>,
+}
+
+impl Account {
+    /// Counts from here on, `before` being done.
+    pub fn restart(&mut self, before: BTreeMap<String, WorkRecord>, now: &Work) {
+        self.before = before;
+        self.caught_up = records(now);
+    }
+
+    /// The whole run's.
+    pub fn of(&self, now: &Work) -> BTreeMap<String, WorkRecord> {
+        let mut all = records(now);
+        for (stage, work) in &mut all {
+            if let Some(less) = self.caught_up.get(stage) {
+                work.done -= less.done;
+                work.avoided -= less.avoided;
+            }
+            if let Some(more) = self.before.get(stage) {
+                work.done += more.done;
+                work.avoided += more.avoided;
+            }
+        }
+        all
+    }
+}
+
+fn records(work: &Work) -> BTreeMap<String, WorkRecord> {
+    let record = |s: &StageWork| WorkRecord { done: s.done, avoided: s.avoided, unit: s.unit.to_owned() };
+    work.stages().iter().map(|stage| (stage.stage.to_owned(), record(stage))).collect()
 }
 
 impl Record {

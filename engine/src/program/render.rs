@@ -101,7 +101,7 @@ pub fn render(
         complete,
         outputs: written,
         work,
-        dropped: drawing.dropped,
+        dropped: drawing.counts.dropped,
         timing: Timing {
             total: start.elapsed().as_secs_f64(),
             seconds,

@@ -1,13 +1,12 @@
 //! `run`: video → scene, frames, report.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
 use streamsplat::Engine;
 use streamsplat::render::Snapshot;
 use streamsplat::source::{self, Source};
-use streamsplat::stream::Interval;
+use streamsplat::stream::{Interval, Memory};
 
 use super::cli::{Console, Machine, RunArgs, RunOptions};
 use super::drawing::Drawing;
@@ -15,7 +14,8 @@ use super::failure::Failure;
 use super::keyframes::KeyFrames;
 use super::outputs::{Destination, Emit, Outputs};
 use super::progress::Progress;
-use super::record::{InputRecord, ModelRecord, PROGRAM, Record, Task, Timing, WorkRecord, absolute};
+use super::record::{Account, ModelRecord, PROGRAM, Record, Task, Timing};
+use super::resume::{self, Found, Point, Terms, with_absolute_paths};
 use super::settings::Views;
 use super::{digest, machine, report, say, stop};
 
@@ -23,16 +23,55 @@ use super::{digest, machine, report, say, stop};
 pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     stop::listen();
     let destination = Destination::of(&args.out);
-    let record = run(&args.input, destination.clone(), &args.options, &args.machine, console)?;
+    let record = match resume_or_run(args, &destination, console)? {
+        Some(record) => record,
+        None => return Ok(()),
+    };
     report::finish(&record, &destination, args.json.as_deref())?;
+    if record.complete
+        && let Some(folder) = destination.resume()
+    {
+        resume::remove(&folder)?;
+    }
     if !console.quiet && args.out != Path::new("-") {
         say(report::summary(&record, &args.out));
     }
     Ok(())
 }
 
+/// The run, from where it was stopped with `--resume`; `None` when it is complete already, which is said.
+fn resume_or_run(args: &RunArgs, destination: &Destination, console: &Console) -> Result<Option<Record>, Failure> {
+    let found = if args.resume { resume::find(destination)? } else { Found::Nothing };
+    let RunArgs { input, options, machine, .. } = args;
+    if let Found::Complete(record) = &found {
+        resume::check_complete(record, input, &Terms::given(options, &model_record(options)?)?)?;
+        if let Some(folder) = destination.resume() {
+            resume::remove(&folder)?;
+        }
+        if let Some(path) = &args.json {
+            streamsplat::output::write_file(path, record.to_json()?.as_bytes())?;
+        }
+        if !console.quiet {
+            say(format!("{}: complete already, nothing to resume", args.out.display()));
+        }
+        return Ok(None);
+    }
+    run_from(found, input, destination.clone(), options, machine, console).map(Some)
+}
+
 /// Everything of a run but its record's files.
 pub fn run(
+    input: &Path,
+    destination: Destination,
+    options: &RunOptions,
+    machine: &Machine,
+    console: &Console,
+) -> Result<Record, Failure> {
+    run_from(Found::Nothing, input, destination, options, machine, console)
+}
+
+fn run_from(
+    found: Found,
     input: &Path,
     destination: Destination,
     options: &RunOptions,
@@ -56,23 +95,46 @@ pub fn run(
         return Err(Failure::usage("--fps and --frames: expected numbers above 0"));
     }
     let source = Source::open(input, &source::Options { fps: options.fps })?;
-    let mut outputs = Outputs::create(destination, emit)?;
+    let (outputs, terms) = match (&found, destination.resume()) {
+        (Found::Under(point, _), Some(folder)) => {
+            let terms = Terms::given(options, &model_record(options)?)?;
+            point.terms.check(&terms)?;
+            (Outputs::resume(destination, emit, folder, point.ledger)?, Some(terms))
+        }
+        _ => (Outputs::create(destination, emit)?.with_ledger(), None),
+    };
     let keys = KeyFrames::new(source, &depth, gap, false, options.frames)?;
     let engine = Engine::new(settings)?;
-    outputs.start(keys.fps())?;
+    let terms = terms.map_or_else(|| Terms::given(options, &model_record(options)?), Ok)?;
 
     let mut drawing = Drawing::new(engine.workers());
     let mut times = Times { asked: views.times.as_deref(), next: 0 };
     let progress = Progress::new("frames", keys.total(), console.quiet);
-    let mut stream = Stream { keys, engine, outputs, drawing: &mut drawing, progress, dropped: 0, span: None };
-    let complete = match stream.pass(&mut times, &views, emit) {
+    let account = Account::default();
+    let (drawing_ref, span) = (&mut drawing, None);
+    let mut stream =
+        Stream { keys, engine, outputs, drawing: drawing_ref, progress, account, emit, dropped: 0, span, key: 0 };
+    let resumed = match &found {
+        Found::Under(point, memory) => {
+            if let Err(failure) = resume::catch_up(&mut stream, &mut times, &views, point, memory.as_ref()) {
+                stream.outputs.abandon();
+                return Err(failure);
+            }
+            true
+        }
+        _ => {
+            stream.outputs.start(stream.keys.fps())?;
+            false
+        }
+    };
+    let complete = match stream.pass(&mut times, &views, &Whence { terms: &terms, input, resumed }) {
         Ok(complete) => complete,
         Err(failure) => {
             stream.outputs.abandon();
             return Err(failure);
         }
     };
-    let Stream { keys, engine, outputs, progress, dropped, span, .. } = stream;
+    let Stream { keys, engine, outputs, progress, account, dropped, span, .. } = stream;
     let Some((first, last)) = span else {
         return Err(Failure::work(format!("{}: the video has no frame", input.display())));
     };
@@ -86,39 +148,23 @@ pub fn run(
     progress.finish();
     let written = drawing.writing(|| outputs.finish())?;
 
-    let mut work = BTreeMap::new();
-    let mut seconds = BTreeMap::new();
-    for stage in engine.work().stages() {
-        let unit = stage.unit.to_owned();
-        work.insert(stage.stage.to_owned(), WorkRecord { done: stage.done, avoided: stage.avoided, unit });
-        seconds.insert(stage.stage.to_owned(), stage.time.as_secs_f64());
-    }
+    let mut work = account.of(engine.work());
+    let stages = engine.work().stages().iter();
+    let mut seconds = stages.map(|stage| (stage.stage.to_owned(), stage.time.as_secs_f64())).collect();
     drawing.account(&mut work, &mut seconds);
     seconds.insert("decode".into(), keys.time().as_secs_f64());
-    let mut options = options.clone();
-    for path in [&mut options.stream.model.model, &mut options.stream.model.dinov2, &mut options.view.camera] {
-        *path = path.as_deref().map(absolute);
-    }
-    if options.stream.depth != "none" {
-        options.stream.depth = absolute(Path::new(&options.stream.depth)).display().to_string();
-    }
+    let options = with_absolute_paths(options);
     Ok(Record {
         program: PROGRAM.to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         seed: options.stream.seed,
         model: Some(model_record(&options)?),
-        input: InputRecord {
-            path: absolute(input),
-            blake3: keys.digest().finish(),
-            count: keys.digest().frames(),
-            size: keys.size(),
-            fps: keys.fps(),
-        },
+        input: keys.input(input),
         task: Task::Run(Box::new(options)),
         complete,
         outputs: written,
         work,
-        dropped: dropped + drawing.dropped,
+        dropped: dropped + drawing.counts.dropped,
         timing: Timing {
             total: start.elapsed().as_secs_f64(),
             seconds,
@@ -130,48 +176,92 @@ pub fn run(
 }
 
 /// A run under way.
-struct Stream<'a> {
-    keys: KeyFrames,
-    engine: Engine,
-    outputs: Outputs,
-    drawing: &'a mut Drawing,
-    progress: Progress,
+pub struct Stream<'a> {
+    pub keys: KeyFrames,
+    pub engine: Engine,
+    pub outputs: Outputs,
+    pub drawing: &'a mut Drawing,
+    pub progress: Progress,
+    pub account: Account,
+    pub emit: Emit,
     /// Gaussians left out by the engine.
-    dropped: u64,
+    pub dropped: u64,
     /// First and last time seen.
-    span: Option<(f64, f64)>,
+    pub span: Option<(f64, f64)>,
+    /// The next key frame.
+    pub key: u64,
+}
+
+/// What a run under way comes from.
+struct Whence<'a> {
+    terms: &'a Terms,
+    input: &'a Path,
+    /// Whether it has intervals from before.
+    resumed: bool,
 }
 
 impl Stream<'_> {
-    /// Takes the whole video through the engine; false when the user stopped it.
-    fn pass(&mut self, times: &mut Times<'_>, views: &Views, emit: Emit) -> Result<bool, Failure> {
+    /// Takes the rest of the video through the engine; false when the user stopped it.
+    fn pass(&mut self, times: &mut Times<'_>, views: &Views, whence: &Whence<'_>) -> Result<bool, Failure> {
+        if whence.resumed && stop::asked() {
+            return Ok(false);
+        }
         while let Some(key) = self.keys.next()? {
             let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
+            let memory = self.engine.memory().filter(|_| self.outputs.can_resume());
             let interval = self.engine.push(key.frame, timestamp)?;
             self.dropped += interval.dropped;
             self.span = Some((self.span.map_or(interval.start, |(first, _)| first), interval.end));
-            let Stream { outputs, drawing, progress, .. } = self;
-            drawing.writing(|| outputs.interval(&interval))?;
-            if emit.draws() || emit.ply {
-                let frames = key.shown.iter().map(|frame| (frame.index, frame.timestamp));
-                for (index, time) in times.of(&interval, frames) {
-                    if emit.draws() {
-                        drawing.image(outputs, index, &interval, time, views)?;
-                    }
-                    if emit.ply {
-                        let snapshot = Snapshot::of(&interval, time)?;
-                        // Where an image is drawn as well, they are counted with it.
-                        drawing.dropped += if emit.draws() { 0 } else { snapshot.dropped };
-                        drawing.writing(|| outputs.snapshot(index, &snapshot))?;
-                    }
-                }
-            }
-            key.shown.iter().for_each(|_| progress.step());
+            let frames = key.shown.iter().map(|frame| (frame.index, frame.timestamp));
+            let due = if self.emit.draws() || self.emit.ply { times.of(&interval, frames) } else { Vec::new() };
+            self.write(&interval, &due, views)?;
+            self.commit(whence, times.next, memory.as_ref())?;
+            self.key += 1;
+            key.shown.iter().for_each(|_| self.progress.step());
             if stop::asked() {
                 return Ok(false);
             }
         }
         Ok(true)
+    }
+
+    /// Writes an interval and what is due in it.
+    fn write(&mut self, interval: &Interval, due: &[(usize, f64)], views: &Views) -> Result<(), Failure> {
+        let Stream { outputs, drawing, emit, .. } = self;
+        drawing.writing(|| outputs.interval(interval))?;
+        for &(index, time) in due {
+            if emit.draws() {
+                drawing.image(outputs, index, interval, time, views)?;
+            }
+            if emit.ply {
+                let snapshot = Snapshot::of(interval, time)?;
+                // Where an image is drawn as well, they are counted with it.
+                drawing.counts.dropped += if emit.draws() { 0 } else { snapshot.dropped };
+                drawing.writing(|| outputs.snapshot(index, &snapshot))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes the interval just written one to go on from.
+    fn commit(&mut self, whence: &Whence<'_>, times: usize, memory: Option<&Memory>) -> Result<(), Failure> {
+        if !self.outputs.can_resume() {
+            return Ok(());
+        }
+        let point = Point {
+            terms: whence.terms.clone(),
+            input: self.keys.input(whence.input),
+            key: self.key,
+            span: self.span.unwrap_or_default(),
+            times,
+            work: self.account.of(self.engine.work()),
+            dropped: self.dropped,
+            drawn: self.drawing.counts.clone(),
+            ledger: 0,
+            video: None,
+        };
+        let Stream { outputs, drawing, .. } = self;
+        drawing.writing(|| outputs.commit(point, memory))
     }
 }
 
@@ -189,9 +279,11 @@ fn model_record(options: &RunOptions) -> Result<ModelRecord, Failure> {
 }
 
 /// The times at which images are due.
-struct Times<'a> {
-    asked: Option<&'a [f64]>,
-    next: usize,
+pub struct Times<'a> {
+    /// Those asked for.
+    pub asked: Option<&'a [f64]>,
+    /// The next of them.
+    pub next: usize,
 }
 
 impl Times<'_> {

@@ -20,7 +20,9 @@
 //! | `index`, `dropped` | U64 `[1]` | the key frame at the end; Gaussians left out for numbers that are not finite |
 
 mod interval;
+mod memory;
 mod read;
+mod records;
 mod write;
 
 use std::path::PathBuf;
@@ -30,6 +32,7 @@ use serde::{Deserialize, Serialize};
 use crate::fit::Placement;
 use crate::output::OutputError;
 pub use interval::{from_safetensors, to_safetensors};
+pub use memory::{memory_from_safetensors, memory_to_safetensors};
 pub use read::Scene;
 pub use write::SceneWriter;
 

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use super::{FORMAT, INDEX, Index, IntervalEntry, SceneError, VERSION, to_safetensors};
-use crate::output::{OutputError, Written, prepare_folder, write_file};
+use crate::fit::Placement;
+use crate::output::{OutputError, Written, prepare_folder, write_file, write_whole};
 use crate::stream::Interval;
 
 /// The index is rewritten at most this often while intervals come, so that a long stream does not spend its time on it.
@@ -34,11 +35,40 @@ impl SceneWriter {
         Ok(SceneWriter { folder: folder.to_owned(), fps, index: None, indexed: None })
     }
 
+    /// Goes on with the scene in `folder`, of which `intervals` are kept.
+    ///
+    /// # Errors
+    /// A folder that cannot be written.
+    pub fn resume(
+        folder: &Path,
+        fps: f64,
+        placement: Placement,
+        intervals: Vec<IntervalEntry>,
+    ) -> Result<SceneWriter, OutputError> {
+        prepare_folder(folder)?;
+        let placement = placement.into();
+        let index = Index { format: FORMAT.to_owned(), version: VERSION, fps, placement, intervals };
+        Ok(SceneWriter { folder: folder.to_owned(), fps, index: Some(index), indexed: None })
+    }
+
     /// Writes an interval: first its file, then (at most once a second) the index that names it.
     ///
     /// # Errors
     /// What cannot be written.
     pub fn push(&mut self, interval: &Interval) -> Result<(String, Written), SceneError> {
+        let entry = self.push_after(interval, |_| Ok(()))?;
+        Ok((entry.file, Written { bytes: entry.bytes, blake3: entry.blake3 }))
+    }
+
+    /// As [`SceneWriter::push`]; `announce` is told what the index will say before the file gets its name.
+    ///
+    /// # Errors
+    /// What cannot be written, and what `announce` says; nothing is written then.
+    pub fn push_after(
+        &mut self,
+        interval: &Interval,
+        announce: impl FnOnce(&IntervalEntry) -> Result<(), OutputError>,
+    ) -> Result<IntervalEntry, SceneError> {
         let index = self.index.get_or_insert_with(|| Index {
             format: FORMAT.to_owned(),
             version: VERSION,
@@ -49,19 +79,16 @@ impl SceneWriter {
         let file = format!("interval-{:06}.safetensors", interval.index);
         let path = self.folder.join(&file);
         let bytes = to_safetensors(interval).map_err(|cause| SceneError::Broken { path: path.clone(), cause })?;
-        let written = write_file(&path, &bytes)?;
-        index.intervals.push(IntervalEntry {
-            file: file.clone(),
-            start: interval.start,
-            end: interval.end,
-            gaussians: interval.gaussians.len(),
-            bytes: written.bytes,
-            blake3: written.blake3.clone(),
-        });
+        let Written { bytes: length, blake3 } = Written::of(&bytes);
+        let (start, end, gaussians) = (interval.start, interval.end, interval.gaussians.len());
+        let entry = IntervalEntry { file, start, end, gaussians, bytes: length, blake3 };
+        announce(&entry)?;
+        write_whole(&path, &bytes)?;
+        index.intervals.push(entry.clone());
         if self.indexed.is_none_or(|at| at.elapsed() >= INDEX_EVERY) {
             self.write_index()?;
         }
-        Ok((file, written))
+        Ok(entry)
     }
 
     fn write_index(&mut self) -> Result<Option<Written>, SceneError> {

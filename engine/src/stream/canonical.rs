@@ -31,29 +31,32 @@ use super::{DynamicGaussians, Fusion, Merge, Record, Reference};
 /// What is under it cannot be drawn.
 pub(crate) const VISIBLE: f32 = 1.0 / 255.0;
 
-/// One Gaussian of the current frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Current {
+/// One Gaussian of the last key frame, as a stream remembers it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Current {
     /// Its place in the frame's arrays.
-    cell: u32,
-    identity: u64,
-    birth: u64,
-    offset: [f32; 3],
+    pub cell: u32,
+    /// See [`Record::identity`].
+    pub identity: u64,
+    /// See [`Record::birth`].
+    pub birth: u64,
+    /// See [`Record::offset`].
+    pub offset: [f32; 3],
 }
 
 /// What the stream remembers of the scene at a key frame.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct CanonicalSet {
     /// The key frame.
-    frame: u64,
+    pub(super) frame: u64,
     /// Length of the interval the survivors' velocities belong to.
-    length: f64,
+    pub(super) length: f64,
     /// As they are at the key frame, oldest first.
-    survivors: Vec<Record>,
-    current: Vec<Current>,
+    pub(super) survivors: Vec<Record>,
+    pub(super) current: Vec<Current>,
     /// The frame's arrays.
-    gaussians: Arc<StaticGaussians>,
-    identities: Identities,
+    pub(super) gaussians: Arc<StaticGaussians>,
+    pub(super) identities: Identities,
 }
 
 /// The content of an interval.

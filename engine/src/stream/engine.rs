@@ -24,11 +24,11 @@ pub struct Engine {
 }
 
 /// What a frame's network input and output are.
-struct View {
+pub(super) struct View {
     rgb: Vec<f32>,
     depth: Option<Vec<f32>>,
     features: Arc<Features>,
-    gaussians: Arc<StaticGaussians>,
+    pub(super) gaussians: Arc<StaticGaussians>,
 }
 
 /// What the dynamic decoder reads of a frame. Equal inputs share one.
@@ -39,19 +39,19 @@ struct Features {
 }
 
 /// The motion of a pair of frames, and which pair that was.
-struct Pair {
+pub(super) struct Pair {
     frames: [Arc<Features>; 2],
     motion: Arc<[Motion; 2]>,
 }
 
 /// What is kept between key frames.
-struct State {
-    frame: u64,
-    timestamp: f64,
-    placement: Placement,
-    view: View,
-    pair: Option<Pair>,
-    set: CanonicalSet,
+pub(super) struct State {
+    pub(super) frame: u64,
+    pub(super) timestamp: f64,
+    pub(super) placement: Placement,
+    pub(super) view: View,
+    pub(super) pair: Option<Pair>,
+    pub(super) set: CanonicalSet,
 }
 
 impl Engine {
@@ -127,6 +127,27 @@ impl Engine {
         let dropped = dropped + lost;
         let workers = self.workers.clone();
         Ok(Interval { index, start, end: timestamp, gaussians, placement, merges, dropped, workers })
+    }
+
+    /// What is kept since the last key frame.
+    pub(super) fn state(&self) -> Option<&State> {
+        self.state.as_ref()
+    }
+
+    /// Goes on from there.
+    pub(super) fn set_state(&mut self, state: State) {
+        self.state = Some(state);
+    }
+
+    /// The frame through its own part of the network, as if it were the first one.
+    pub(super) fn see(&mut self, frame: Frame, index: u64, timestamp: f64) -> Result<(Placement, View), EngineError> {
+        let before = self.state.take();
+        let seen = self.check(&frame, index, timestamp).and_then(|placement| {
+            let (view, _) = self.reconstruct(frame, index, placement)?;
+            Ok((placement, view))
+        });
+        self.state = before;
+        seen
     }
 
     /// The frame's placement, when frame and time stamp can be taken.

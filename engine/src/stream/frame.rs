@@ -94,6 +94,14 @@ pub enum EngineError {
         /// This one.
         found: f64,
     },
+    /// A memory that cannot be of this frame.
+    #[error("memory of frame {index}: {reason}")]
+    Memory {
+        /// The key frame's index.
+        index: u64,
+        /// What was expected and what was found.
+        reason: String,
+    },
     /// What reconstructs frames gave arrays of other lengths than one Gaussian each.
     #[error("frame {index}: {what}: expected {expected} records, found {found}")]
     Records {

@@ -6,7 +6,18 @@ pub(crate) struct Identities {
     next: u64,
 }
 
+impl From<u64> for Identities {
+    fn from(next: u64) -> Self {
+        Self { next }
+    }
+}
+
 impl Identities {
+    /// The identity handed out next.
+    pub(crate) fn next(&self) -> u64 {
+        self.next
+    }
+
     /// An identity nobody had before.
     pub(crate) fn fresh(&mut self) -> u64 {
         let identity = self.next;

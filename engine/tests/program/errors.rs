@@ -49,7 +49,6 @@ fn unknown_and_unavailable_values_are_wrong_use() {
         (&["--background", "red"], "--background red: expected"),
         (&["--fps", "-3"], "--fps"),
         (&["--log", "loud"], "--log loud: expected"),
-        (&["--resume"], "--resume"),
     ] {
         let text = fails(&attempt(&clip, &out, more), 2);
         assert!(text.contains(expected), "{more:?}: {text}");

@@ -3,6 +3,7 @@
 mod errors;
 mod export;
 mod results;
+mod resume;
 mod support;
 mod track;
 mod verify;

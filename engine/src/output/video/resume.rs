@@ -1,0 +1,85 @@
+//! Going on with a y4m file that was stopped.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Sink, Video, VideoFormat};
+use crate::output::{OutputError, partial_name};
+
+/// How far a y4m file has come: whole frames, all of them with the system.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct VideoPoint {
+    /// Frames.
+    pub frames: usize,
+    /// Width and height of a frame.
+    pub size: (usize, usize),
+    /// Bytes.
+    pub bytes: u64,
+    /// BLAKE3 digest of these bytes.
+    pub blake3: String,
+}
+
+impl Video {
+    /// Goes on with a y4m file that has come to `point`: under its temporary name, or its own, which it loses again. What lies
+    /// beyond is cut off.
+    ///
+    /// # Errors
+    /// A file that cannot be read and written, or holds something else up to `point`.
+    pub fn resume(path: &Path, fps: f64, point: &VideoPoint) -> Result<Video, OutputError> {
+        let mut video = Video::create_beside(path, VideoFormat::Y4m, fps);
+        let partial = partial_name(path);
+        if !partial.exists() {
+            std::fs::rename(path, &partial).map_err(OutputError::write(path))?;
+        }
+        let mut file = File::options().read(true).write(true).open(&partial).map_err(OutputError::write(&partial))?;
+        let mut digest = Box::<blake3::Hasher>::default();
+        let mut rest = BufReader::with_capacity(1 << 16, Read::by_ref(&mut file).take(point.bytes));
+        let mut header = Vec::new();
+        rest.read_until(b'\n', &mut header).map_err(OutputError::write(&partial))?;
+        digest.update(&header);
+        let mut block = vec![0; 1 << 16];
+        loop {
+            let count = rest.read(&mut block).map_err(OutputError::write(&partial))?;
+            if count == 0 {
+                break;
+            }
+            digest.update(&block[..count]);
+            video.samples.update(&block[..count]);
+        }
+        let found = digest.finalize().to_hex().to_string();
+        if found != point.blake3 {
+            let (expected, bytes) = (point.blake3.clone(), point.bytes);
+            return Err(OutputError::Changed { path: partial, bytes, expected, found });
+        }
+        file.set_len(point.bytes).map_err(OutputError::write(&partial))?;
+        file.seek(SeekFrom::Start(point.bytes)).map_err(OutputError::write(&partial))?;
+        video.sink = Some(Sink::File { file: BufWriter::new(file), digest, bytes: point.bytes });
+        (video.size, video.frames) = (Some(point.size), point.frames);
+        Ok(video)
+    }
+
+    /// Hands what was pushed to the system and says how far it has come; `None` before the first frame, and where the video cannot
+    /// be gone on with (ffmpeg's, standard output).
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn point(&mut self) -> Result<Option<VideoPoint>, OutputError> {
+        let (Some(Sink::File { file, digest, bytes }), Some(size)) = (&mut self.sink, self.size) else {
+            return Ok(None);
+        };
+        file.flush().map_err(OutputError::write(&self.path))?;
+        let blake3 = digest.finalize().to_hex().to_string();
+        Ok(Some(VideoPoint { frames: self.frames, size, bytes: *bytes, blake3 }))
+    }
+
+    /// Leaves a y4m file under its temporary name, to go on with.
+    pub fn leave(mut self) {
+        if let Some(Sink::File { file, .. }) = self.sink.take() {
+            // What does not fit any more lies beyond the last point.
+            drop(file);
+        }
+    }
+}

@@ -1,0 +1,53 @@
+//! Where `--out` points.
+
+use std::path::{Path, PathBuf};
+
+use streamsplat::output::VideoFormat;
+
+/// Where `--out` points.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Destination {
+    /// A folder.
+    Folder(PathBuf),
+    /// A video file, or `-`.
+    Video(PathBuf, VideoFormat),
+}
+
+impl Destination {
+    /// A path with a video's name is a video, `-` is y4m on standard output, anything else a folder.
+    pub fn of(out: &Path) -> Destination {
+        if out == Path::new("-") {
+            return Destination::Video(out.to_owned(), VideoFormat::Y4m);
+        }
+        match VideoFormat::of(out) {
+            Some(format) if !out.is_dir() => Destination::Video(out.to_owned(), format),
+            _ => Destination::Folder(out.to_owned()),
+        }
+    }
+
+    /// Where a run under way keeps what it needs to go on after it was stopped; `None` where it cannot.
+    pub fn resume(&self) -> Option<PathBuf> {
+        match self {
+            Destination::Folder(folder) => Some(folder.join("resume")),
+            Destination::Video(path, VideoFormat::Y4m) if path != Path::new("-") => {
+                let mut name = path.file_name().unwrap_or_default().to_owned();
+                name.push(".resume");
+                Some(path.with_file_name(name))
+            }
+            Destination::Video(..) => None,
+        }
+    }
+
+    /// Where the record of the run goes; `None` for standard output.
+    pub fn record(&self) -> Option<PathBuf> {
+        match self {
+            Destination::Folder(folder) => Some(folder.join("run.json")),
+            Destination::Video(path, _) if path == Path::new("-") => None,
+            Destination::Video(path, _) => {
+                let mut name = path.file_name().unwrap_or_default().to_owned();
+                name.push(".run.json");
+                Some(path.with_file_name(name))
+            }
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! What a run leaves while it is under way, so that it can go on after it was stopped: by the user, by a failure, or by the
+//! system at any moment.
+//!
+//! In the folder `resume` of the results (for a video `v.y4m`, `v.y4m.resume` beside it):
+//!
+//! - `written.jsonl`, the [ledger]: a line per file before the file gets its name;
+//! - `state.safetensors`, the [`Point`] and the stream's memory, replaced by renaming after each whole interval.
+//!
+//! The point is what counts: everything it vouches for was written before it, and what came after it is written again. Of the stream it
+//! holds the memory *before* the last whole interval. So `--resume` reads the input from its beginning (the digest of what was read must
+//! be the same), takes up the memory at the key frame before the last one, and computes the last whole interval again, which must come
+//! out as it was written; two key frames of work. Where the memory says too little ([`Reuse::forgets`](streamsplat::stream::Reuse)),
+//! the stream is computed from its start. When a run is complete the folder goes.
+
+mod catch_up;
+pub mod ledger;
+mod terms;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use streamsplat::output::{OutputError, VideoPoint, write_file};
+use streamsplat::scene::{memory_from_safetensors, memory_to_safetensors};
+use streamsplat::stream::Memory;
+
+pub use catch_up::catch_up;
+pub use terms::{Terms, with_absolute_paths};
+
+use super::failure::Failure;
+use super::outputs::Destination;
+use super::record::{InputRecord, Record, Task, WorkRecord, absolute};
+
+/// The point's file.
+const STATE: &str = "state.safetensors";
+/// Largest one read, in bytes.
+const MAX_STATE: u64 = 1 << 32;
+
+/// How far a run has come.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Point {
+    /// What the run is a function of.
+    pub terms: Terms,
+    /// What was read.
+    pub input: InputRecord,
+    /// The last key frame whose interval is whole, with everything due in it.
+    pub key: u64,
+    /// First and last time of the scene so far, in seconds.
+    pub span: (f64, f64),
+    /// How many of the times asked for are done.
+    pub times: usize,
+    /// The engine's account.
+    pub work: BTreeMap<String, WorkRecord>,
+    /// Gaussians left out by the engine.
+    pub dropped: u64,
+    /// The account of drawing.
+    pub drawn: super::drawing::Counts,
+    /// Bytes of the ledger that count.
+    pub ledger: u64,
+    /// The video, where the result is one.
+    pub video: Option<VideoPoint>,
+}
+
+/// What `--resume` finds.
+pub enum Found {
+    /// Nothing: the run starts.
+    Nothing,
+    /// A complete run.
+    Complete(Box<Record>),
+    /// A run to go on with.
+    Under(Box<Point>, Option<Memory>),
+}
+
+/// Looks for what a run to `destination` left.
+pub fn find(destination: &Destination) -> Result<Found, Failure> {
+    let Some(folder) = destination.resume() else {
+        let message = "--resume: expected a folder or a .y4m file as --out; standard output and encoded videos cannot be gone on with";
+        return Err(Failure::usage(message));
+    };
+    let record = destination.record().filter(|path| path.exists());
+    let record = record.as_deref().map(Record::read).transpose()?;
+    if let Some(record) = record.as_ref().filter(|record| record.complete) {
+        return Ok(Found::Complete(Box::new(record.clone())));
+    }
+    let path = folder.join(STATE);
+    if !path.exists() {
+        return match record {
+            None => Ok(Found::Nothing),
+            Some(_) => Err(Failure::work(format!(
+                "{}: not found, but there is the record of a stopped run; run again without --resume",
+                path.display()
+            ))),
+        };
+    }
+    let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", path.display()));
+    let size = std::fs::metadata(&path).map_err(|e| wrong(&e))?.len();
+    if size > MAX_STATE {
+        return Err(wrong(&format!("expected at most {MAX_STATE} bytes, found {size}")));
+    }
+    let bytes = std::fs::read(&path).map_err(|e| wrong(&e))?;
+    let (memory, note) = memory_from_safetensors(&bytes).map_err(|e| wrong(&e))?;
+    let point: Point = serde_json::from_str(&note).map_err(|e| wrong(&format!("not the state of a run: {e}")))?;
+    Ok(Found::Under(Box::new(point), memory))
+}
+
+/// Writes the point, with the stream's memory before its interval.
+pub fn commit(folder: &Path, point: &Point, memory: Option<&Memory>) -> Result<(), Failure> {
+    let note = serde_json::to_string(point).map_err(Failure::work)?;
+    let bytes = memory_to_safetensors(memory, &note).map_err(Failure::work)?;
+    write_file(&folder.join(STATE), &bytes)?;
+    Ok(())
+}
+
+/// Takes away what the run no longer needs; the point goes first.
+pub fn remove(folder: &Path) -> Result<(), OutputError> {
+    let done = |result: std::io::Result<()>| match result {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+            Err(OutputError::Write { path: folder.to_owned(), cause: e })
+        }
+        _ => Ok(()),
+    };
+    done(std::fs::remove_file(folder.join(STATE)))?;
+    done(std::fs::remove_file(streamsplat::output::partial_name(&folder.join(STATE))))?;
+    done(ledger::remove(folder))?;
+    // Whatever else someone put there keeps it.
+    match std::fs::remove_dir(folder) {
+        Err(e) if e.kind() == std::io::ErrorKind::DirectoryNotEmpty => Ok(()),
+        other => done(other),
+    }
+}
+
+/// A complete run is only said to be one when it is the run asked for.
+pub fn check_complete(record: &Record, input: &Path, given: &Terms) -> Result<(), Failure> {
+    let Task::Run(options) = &record.task else {
+        return Err(Failure::usage("--resume: --out holds the results of render, not of run"));
+    };
+    let recorded = Terms::recorded(record, options)?;
+    recorded.check(given)?;
+    let input = absolute(input);
+    if record.input.path != input {
+        let (expected, found) = (record.input.path.display(), input.display());
+        return Err(Failure::work(format!("--resume: the input: recorded {expected}, given {found}")));
+    }
+    Ok(())
+}

@@ -1,0 +1,86 @@
+//! A stream's memory as safetensors, so that a stopped stream can go on.
+//!
+//! The survivors are the records of an interval; beside them:
+//!
+//! | tensor | shape | what |
+//! |---|---|---|
+//! | `current_cell` | U32 `[M]` | places of the last key frame's own Gaussians in its arrays |
+//! | `current_identity`, `current_birth` | U64 `[M]` | theirs |
+//! | `current_offset` | F32 `[M,3]` | theirs |
+//! | `key_frame`, `next_identity` | U64 `[1]` | the key frame; the first identity not given yet |
+//! | `seconds` | F64 `[2]` | the key frame's time, the length of the interval before it |
+
+use std::collections::HashMap;
+
+use safetensors::SafeTensors;
+use safetensors::tensor::Dtype;
+
+use super::records::{self, float_bytes, floats, tensor, word_bytes, words};
+use crate::stream::{Current, Memory};
+
+/// The key under which the note is stored.
+const NOTE: &str = "note";
+
+/// A memory (where there is one) and a note in words as a safetensors file.
+///
+/// # Errors
+/// None for memories that an engine gave.
+pub fn memory_to_safetensors(memory: Option<&Memory>, note: &str) -> Result<Vec<u8>, String> {
+    let mut tensors = Vec::new();
+    if let Some(memory) = memory {
+        let m = memory.current.len();
+        let cells = memory.current.iter().flat_map(|c| c.cell.to_le_bytes()).collect();
+        let of = |word: fn(&Current) -> u64| word_bytes(&memory.current.iter().map(word).collect::<Vec<_>>());
+        let offsets: Vec<f32> = memory.current.iter().flat_map(|c| c.offset).collect();
+        let seconds = [memory.timestamp, memory.length].iter().flat_map(|v| v.to_le_bytes()).collect();
+        tensors = records::write(&memory.survivors.iter().copied().collect())?;
+        tensors.extend([
+            ("current_cell", Dtype::U32, vec![m], cells),
+            ("current_identity", Dtype::U64, vec![m], of(|c| c.identity)),
+            ("current_birth", Dtype::U64, vec![m], of(|c| c.birth)),
+            ("current_offset", Dtype::F32, vec![m, 3], float_bytes(&offsets)),
+            ("key_frame", Dtype::U64, vec![1], word_bytes(&[memory.frame])),
+            ("next_identity", Dtype::U64, vec![1], word_bytes(&[memory.next_identity])),
+            ("seconds", Dtype::F64, vec![2], seconds),
+        ]);
+    }
+    records::serialize(&tensors, Some(HashMap::from([(NOTE.to_owned(), note.to_owned())])))
+}
+
+/// The memory and the note of such a file.
+///
+/// # Errors
+/// What was expected and what was found.
+pub fn memory_from_safetensors(bytes: &[u8]) -> Result<(Option<Memory>, String), String> {
+    let unreadable = |e| format!("not a readable safetensors file: {e}");
+    let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable)?;
+    let note = header.metadata().as_ref().and_then(|m| m.get(NOTE)).cloned();
+    let note = note.ok_or_else(|| format!("expected metadata {NOTE:?}, found none"))?;
+    let file = SafeTensors::deserialize(bytes).map_err(unreadable)?;
+    if file.is_empty() {
+        return Ok((None, note));
+    }
+    let survivors = records::read(&file)?.iter().collect();
+    let cells = tensor(&file, "current_cell", Dtype::U32, &[None])?;
+    let m = Some(cells.len() / 4);
+    let list = |name: &str| Ok::<_, String>(words::<1>(tensor(&file, name, Dtype::U64, &[m])?));
+    let (identities, births) = (list("current_identity")?, list("current_birth")?);
+    let offsets = floats::<3>(tensor(&file, "current_offset", Dtype::F32, &[m, Some(3)])?);
+    let cells = cells.as_chunks::<4>().0.iter().map(|b| u32::from_le_bytes(*b));
+    let current = cells
+        .zip(identities)
+        .zip(births.into_iter().zip(offsets))
+        .map(|((cell, [identity]), ([birth], offset))| Current { cell, identity, birth, offset })
+        .collect();
+    let word = |name: &str| Ok::<u64, String>(words::<1>(tensor(&file, name, Dtype::U64, &[Some(1)])?)[0][0]);
+    let seconds = tensor(&file, "seconds", Dtype::F64, &[Some(2)])?.as_chunks::<8>().0;
+    let memory = Memory {
+        frame: word("key_frame")?,
+        timestamp: f64::from_le_bytes(seconds[0]),
+        length: f64::from_le_bytes(seconds[1]),
+        survivors,
+        current,
+        next_identity: word("next_identity")?,
+    };
+    Ok((Some(memory), note))
+}

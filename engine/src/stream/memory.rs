@@ -1,0 +1,105 @@
+//! What a stream has to be told to go on where it was.
+//!
+//! Embedding, tokens, condition and Gaussians of the last key frame are functions of that frame: they are computed again, to the
+//! same bits. What is not a function of it is the canonical set: who survives, and which identity each of the frame's
+//! Gaussians carries. That is a [`Memory`]; it is small beside what it spares.
+
+use std::sync::Arc;
+
+use super::canonical::{CanonicalSet, Current};
+use super::engine::State;
+use super::identities::Identities;
+use super::{Engine, EngineError, Frame, Record, Reuse};
+
+/// A stream's memory at a key frame: with that frame, enough to go on ([`Engine::recall`]).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Memory {
+    /// The key frame.
+    pub frame: u64,
+    /// Its time, in seconds.
+    pub timestamp: f64,
+    /// Seconds of the interval that it ends.
+    pub length: f64,
+    /// Older Gaussians that no frame continues, as they are at the key frame, oldest first.
+    pub survivors: Vec<Record>,
+    /// The frame's own Gaussians, ascending in `cell`.
+    pub current: Vec<Current>,
+    /// The next identity that nobody had before.
+    pub next_identity: u64,
+}
+
+impl Engine {
+    /// What it remembers at the last key frame; `None` before the first one, and where what it computes next depends on more than
+    /// that frame ([`Reuse::forgets`]).
+    pub fn memory(&self) -> Option<Memory> {
+        self.state().filter(|_| self.settings().reuse.forgets()).map(|state| {
+            let CanonicalSet { length, survivors, current, identities, .. } = &state.set;
+            Memory {
+                frame: state.frame,
+                timestamp: state.timestamp,
+                length: *length,
+                survivors: survivors.clone(),
+                current: current.clone(),
+                next_identity: identities.next(),
+            }
+        })
+    }
+
+    /// Goes on from `memory`, whose key frame was `frame`: what is pushed next gives the intervals that the engine which had this
+    /// memory would have given, bit for bit, as long as settings and model are the same.
+    ///
+    /// # Errors
+    /// As [`Engine::push`]; and a memory that does not fit the frame's Gaussians. The stream is then as it was before.
+    pub fn recall(&mut self, memory: &Memory, frame: Frame) -> Result<(), EngineError> {
+        let workers = self.workers().clone();
+        workers.install(|| {
+            let (placement, view) = self.see(frame, memory.frame, memory.timestamp)?;
+            let gaussians = Arc::clone(&view.gaussians);
+            if let Some(reason) = memory.contradiction(gaussians.position.len()) {
+                return Err(EngineError::Memory { index: memory.frame, reason });
+            }
+            let set = CanonicalSet {
+                frame: memory.frame,
+                length: memory.length,
+                survivors: memory.survivors.clone(),
+                current: memory.current.clone(),
+                gaussians,
+                identities: Identities::from(memory.next_identity),
+            };
+            let (frame, timestamp) = (memory.frame, memory.timestamp);
+            self.set_state(State { frame, timestamp, placement, view, pair: None, set });
+            Ok(())
+        })
+    }
+}
+
+impl Memory {
+    /// Why it cannot be the memory of a frame of so many Gaussians.
+    fn contradiction(&self, gaussians: usize) -> Option<String> {
+        if !(self.length.is_finite() && self.length >= 0.0) {
+            return Some(format!("expected an interval of some length, found {} s", self.length));
+        }
+        if let Some(survivor) = self.survivors.iter().find(|r| !r.is_sound() || r.frame > self.frame) {
+            return Some(format!("expected survivors with finite numbers from earlier frames, found {survivor:?}"));
+        }
+        let ascending = self.current.windows(2).all(|pair| pair[0].cell < pair[1].cell);
+        let inside = self.current.last().is_none_or(|last| (last.cell as usize) < gaussians);
+        if !(ascending && inside) {
+            return Some(format!("expected ascending places among {gaussians} Gaussians"));
+        }
+        let identities = self.survivors.iter().map(|r| r.identity).chain(self.current.iter().map(|c| c.identity));
+        let newest = identities.max();
+        newest
+            .filter(|newest| *newest >= self.next_identity)
+            .map(|newest| format!("expected identities under {}, found {newest}", self.next_identity))
+    }
+}
+
+impl Reuse {
+    /// Whether what is computed from a key frame depends on nothing but that frame and a [`Memory`].
+    pub fn forgets(self) -> bool {
+        match self {
+            Reuse::Off | Reuse::Exact => true,
+        }
+    }
+}
