@@ -27,7 +27,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Around it: [`source`] reads videos and [`depth`] their depth maps, [`output`] and [`scene`] write and read results,
+//! Around it: [`source`] reads videos, [`depth`] gives their depth maps, from files or a network ([`onnx`]), [`output`] and [`scene`] write and read results,
 //! [`export`] writes them for viewers, [`metrics`] measures them.
 #![deny(unsafe_code)]
 
@@ -36,6 +36,7 @@ pub mod depth;
 pub mod export;
 pub mod fit;
 pub mod metrics;
+pub mod onnx;
 pub mod openexr;
 pub mod output;
 pub mod picture;

@@ -87,9 +87,14 @@ pub struct Model {
 pub struct Stream {
     #[command(flatten)]
     pub model: Model,
-    /// Depth maps: none, or a folder of EXR, 16-bit PNG or NPY files with inverse depth, one per frame
-    #[arg(long, value_name = "DIR", default_value = "none")]
+    /// Inverse depth: none, a folder of EXR, 16-bit PNG or NPY files, one per frame, or onnx:FILE, a network that ONNX Runtime runs
+    #[arg(long, value_name = "DIR|onnx:FILE", default_value = "none")]
     pub depth: String,
+    /// What the network's file does not say: size=N or WxH, multiple=N, mean=R/G/B, std=R/G/B, metric, output=NAME, separated by
+    /// commas [default: size=518,multiple=14 and ImageNet's mean and std]
+    #[arg(long, value_name = "LIST")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth_model: Option<String>,
     /// Depth is normalised by each frame's own range (frame) or the range of all maps (clip)
     #[arg(long, value_name = "RANGE", default_value = "frame")]
     pub depth_range: String,

@@ -14,11 +14,13 @@ use streamsplat::Engine;
 use streamsplat::metrics::{psnr, ssim};
 use streamsplat::picture::Picture;
 use streamsplat::source::{self, Source, folder};
-use streamsplat::stream::{Fusion, Interval, ModelSource, Settings};
+use streamsplat::stream::{Fusion, Interval, ModelSource, Reuse, Settings};
 
+use super::ahead::Ahead;
 use super::cli::{Console, EvalArgs, View};
 use super::drawing::Drawing;
 use super::failure::Failure;
+use super::keydepth::KeyDepth;
 use super::keyframes::KeyFrames;
 use super::memo::Memo;
 use super::progress::Progress;
@@ -137,7 +139,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let mut settings = args.stream.settings(&args.fit, &args.machine)?;
     let views = View { size: args.size.clone(), background: "0.5".into(), ..View::default() }.resolve()?;
     let clips = clips(&args.input)?;
-    if clips.len() > 1 && depth != DepthFrom::None {
+    if clips.len() > 1 && matches!(depth, DepthFrom::Folder(..)) {
         return Err(Failure::usage("--depth: one folder of maps cannot serve several clips"));
     }
     let mut total = Sums::default();
@@ -152,7 +154,8 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
             break;
         }
         let source = Source::open(clip, &source::Options { fps: args.fps })?;
-        let keys = KeyFrames::new(source, &depth, gap, true, None)?;
+        let depth = KeyDepth::open(&depth, &source, args.machine.level()?, settings.reuse == Reuse::Exact)?;
+        let keys = KeyFrames::new(source, depth, gap, true, None);
         if rows.is_empty() {
             // Loaded once for all clips and both modes.
             let model = Arc::clone(Engine::new(settings.clone())?.model());
@@ -209,7 +212,7 @@ fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(clips)
 }
 
-fn evaluate(mut keys: KeyFrames, settings: &Settings, views: &Views, console: &Console) -> Result<Sums, Failure> {
+fn evaluate(keys: KeyFrames, settings: &Settings, views: &Views, console: &Console) -> Result<Sums, Failure> {
     let mut sums = Sums::default();
     let mut modes = Vec::new();
     for &fusion in Fusion::ALL {
@@ -217,6 +220,7 @@ fn evaluate(mut keys: KeyFrames, settings: &Settings, views: &Views, console: &C
         let drawing = Drawing::new(engine.workers());
         modes.push((engine, drawing));
     }
+    let mut keys = Ahead::new(keys, modes.first().map_or(1, |(engine, _)| engine.workers().threads()));
     let hidden = console.quiet || !std::io::IsTerminal::is_terminal(&std::io::stderr());
     let mut progress = Progress::new("frames", keys.total(), hidden);
     let mut before: Option<Picture> = None;

@@ -49,6 +49,7 @@ work!(
     streamsplat::EngineError,
     streamsplat::RenderError,
     streamsplat::depth::DepthError,
+    streamsplat::onnx::OnnxError,
     streamsplat::output::OutputError,
     streamsplat::scene::SceneError,
     streamsplat::source::SourceError,

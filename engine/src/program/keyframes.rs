@@ -1,17 +1,14 @@
 //! Input frames to key frames: every gap-th frame, with its depth map, and the frames in between.
 
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use streamsplat::Frame;
-use streamsplat::depth::DepthMaps;
 use streamsplat::picture::Picture;
 use streamsplat::source::{Source, SourceError, TimedPicture};
 
 use super::digest::InputDigest;
 use super::failure::Failure;
-use super::record::{InputRecord, absolute};
-use super::settings::DepthFrom;
+use super::keydepth::{KeyDepth, NetworkAccount};
 
 /// A key frame and what came since the one before.
 pub struct KeyFrame {
@@ -21,10 +18,25 @@ pub struct KeyFrame {
     pub shown: Vec<TimedPicture>,
 }
 
+/// What was read.
+#[derive(Clone, Debug)]
+pub struct Reading {
+    /// Frames.
+    pub frames: usize,
+    /// Their digest.
+    pub blake3: String,
+    /// Width and height of a frame.
+    pub size: [usize; 2],
+    /// Time spent reading.
+    pub time: Duration,
+    /// What the depth network has done, if there is one.
+    pub network: Option<NetworkAccount>,
+}
+
 /// Reads key frames one at a time.
 pub struct KeyFrames {
     source: Source,
-    depth: Option<DepthMaps>,
+    depth: KeyDepth,
     gap: usize,
     keep_pictures: bool,
     limit: usize,
@@ -38,19 +50,9 @@ pub struct KeyFrames {
 impl KeyFrames {
     /// Every `gap`-th frame of `source`, at most `limit` frames in all. With `keep_pictures` the frames in between come with
     /// their pictures, and frames after the last whole gap are left out; otherwise the last frame is a key frame.
-    pub fn new(
-        source: Source,
-        depth: &DepthFrom,
-        gap: usize,
-        keep_pictures: bool,
-        limit: Option<usize>,
-    ) -> Result<Self, Failure> {
+    pub fn new(source: Source, depth: KeyDepth, gap: usize, keep_pictures: bool, limit: Option<usize>) -> Self {
         let limit = limit.unwrap_or(usize::MAX);
-        let depth = match depth {
-            DepthFrom::None => None,
-            DepthFrom::Folder(folder, range) => Some(DepthMaps::open(folder, source.files(), *range)?),
-        };
-        Ok(KeyFrames {
+        KeyFrames {
             source,
             depth,
             gap,
@@ -61,7 +63,7 @@ impl KeyFrames {
             pending: Vec::new(),
             time: Duration::ZERO,
             ended: false,
-        })
+        }
     }
 
     /// Frames there will be, where that is known.
@@ -77,20 +79,22 @@ impl KeyFrames {
         self.source.fps()
     }
 
-    /// The digest of the frames read so far.
-    pub fn digest(&self) -> &InputDigest {
-        &self.digest
+    /// Whether key frames are given their depth by a network.
+    pub fn runs_a_network(&self) -> bool {
+        matches!(self.depth, KeyDepth::Network(_))
     }
 
-    /// What was read so far, from `path`.
-    pub fn input(&self, path: &Path) -> InputRecord {
-        let (blake3, count) = (self.digest.finish(), self.digest.frames());
-        InputRecord { path: absolute(path), blake3, count, size: self.size, fps: self.fps() }
-    }
-
-    /// Time spent reading.
-    pub fn time(&self) -> Duration {
-        self.time
+    /// What was read so far.
+    pub fn account(&self) -> Reading {
+        let network = self.depth.account();
+        let looking = network.as_ref().map_or(Duration::ZERO, |network| network.time);
+        Reading {
+            frames: self.digest.frames(),
+            blake3: self.digest.finish(),
+            size: self.size,
+            time: self.time.saturating_sub(looking),
+            network,
+        }
     }
 
     /// The next key frame.
@@ -113,11 +117,11 @@ impl KeyFrames {
             let Some(frame) = next else { break };
             let (width, height) = (frame.picture.width, frame.picture.height);
             self.size = [width, height];
-            let depth = self.depth.as_ref().map(|maps| maps.map(frame.index, width, height)).transpose()?;
+            let depth = self.depth.of_file(frame.index, &frame.picture)?;
             self.digest.add(&frame.picture, frame.timestamp, depth.as_deref());
             let is_key = frame.index % self.gap == 0;
             if is_key {
-                return Ok(Some(self.key(frame, depth)));
+                return self.key(frame, depth).map(Some);
             }
             // Only the last of them may still become a key frame.
             if !self.keep_pictures
@@ -132,13 +136,16 @@ impl KeyFrames {
             return Ok(None);
         }
         let Some(last) = self.pending.pop() else { return Ok(None) };
-        let (width, height) = (last.picture.width, last.picture.height);
-        let depth = self.depth.as_ref().map(|maps| maps.map(last.index, width, height)).transpose()?;
-        Ok(Some(self.key(last, depth)))
+        let depth = self.depth.of_file(last.index, &last.picture)?;
+        self.key(last, depth).map(Some)
     }
 
-    fn key(&mut self, mut frame: TimedPicture, depth: Option<Vec<f32>>) -> KeyFrame {
+    fn key(&mut self, mut frame: TimedPicture, of_file: Option<Vec<f32>>) -> Result<KeyFrame, Failure> {
         let (width, height) = (frame.picture.width, frame.picture.height);
+        let depth = match of_file {
+            Some(depth) => Some(depth),
+            None => self.depth.of_network(&frame.picture)?,
+        };
         let mut shown = std::mem::take(&mut self.pending);
         let rgb = if self.keep_pictures {
             frame.picture.rgb.clone()
@@ -147,7 +154,7 @@ impl KeyFrames {
             std::mem::replace(&mut frame.picture, empty()).rgb
         };
         shown.push(frame);
-        KeyFrame { frame: Frame { width, height, rgb, depth }, shown }
+        Ok(KeyFrame { frame: Frame { width, height, rgb, depth }, shown })
     }
 }
 

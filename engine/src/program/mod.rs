@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 the work failed, 2 wrong use. An error is one line on standard error that names the file, the tensor
 //! or the option, what was expected and what was found.
 
+mod ahead;
 mod bench;
 mod cli;
 mod destination;
@@ -14,6 +15,7 @@ mod export;
 mod failure;
 mod forward;
 mod inspect;
+mod keydepth;
 mod keyframes;
 mod machine;
 mod memo;

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use streamsplat::stream::{StageWork, Work};
 
 use super::cli::{RenderOptions, RunOptions};
+use super::digest;
 use super::failure::Failure;
 
 /// What `program` says.
@@ -26,6 +27,9 @@ pub struct Record {
     pub seed: u64,
     /// The checkpoint.
     pub model: Option<ModelRecord>,
+    /// The depth network, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth: Option<DepthRecord>,
     /// What was read.
     pub input: InputRecord,
     /// False when the user stopped it; what was written is valid.
@@ -57,6 +61,37 @@ pub struct ModelRecord {
     pub path: String,
     /// BLAKE3 of the checkpoint and its configuration.
     pub blake3: String,
+}
+
+/// The depth network that was used. Its arithmetic is the runtime's: another version may give other bits.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DepthRecord {
+    /// Its file.
+    pub path: String,
+    /// BLAKE3 of the file, and of its weights where they lie beside it.
+    pub blake3: String,
+    /// What ran it, with its version.
+    pub runtime: String,
+}
+
+impl DepthRecord {
+    /// Of the network that `--depth` names, if it names one.
+    pub fn of(depth: &str, runtime: &str) -> Result<Option<DepthRecord>, Failure> {
+        let Some(file) = depth.strip_prefix("onnx:") else { return Ok(None) };
+        let (path, blake3) = (file.to_owned(), DepthRecord::digest(Path::new(file))?);
+        Ok(Some(DepthRecord { path, blake3, runtime: format!("ONNX Runtime {runtime}") }))
+    }
+
+    /// BLAKE3 of a network, whose weights may lie in a file beside it.
+    pub fn digest(file: &Path) -> Result<String, Failure> {
+        let mut files = vec![file.to_owned()];
+        for ending in [".data", "_data"] {
+            let mut beside = file.as_os_str().to_owned();
+            beside.push(ending);
+            files.extend(Some(PathBuf::from(beside)).filter(|path| path.is_file()));
+        }
+        digest::files(&files)
+    }
 }
 
 /// What was read.

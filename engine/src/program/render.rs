@@ -91,6 +91,7 @@ pub fn render(
         task: Task::Render(Box::new(options)),
         seed: 0,
         model: None,
+        depth: None,
         input: InputRecord {
             path: absolute(path),
             blake3: digest::scene(&scene)?,

@@ -59,6 +59,9 @@ fn write_markdown(record: &Record, out: &mut String) -> std::fmt::Result {
     if let Some(model) = &record.model {
         writeln!(out, "| model | {}, BLAKE3 `{}` |", model.path, model.blake3)?;
     }
+    if let Some(depth) = &record.depth {
+        writeln!(out, "| depth | {}, BLAKE3 `{}`, {} |", depth.path, depth.blake3, depth.runtime)?;
+    }
     writeln!(out, "| input | {}, BLAKE3 `{}` |", input.path.display(), input.blake3)?;
     writeln!(
         out,

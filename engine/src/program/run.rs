@@ -6,15 +6,17 @@ use std::time::Instant;
 use streamsplat::Engine;
 use streamsplat::render::Snapshot;
 use streamsplat::source::{self, Source};
-use streamsplat::stream::{Interval, Memory};
+use streamsplat::stream::{Interval, Memory, Reuse};
 
+use super::ahead::Ahead;
 use super::cli::{Console, Machine, RunArgs, RunOptions};
 use super::drawing::Drawing;
 use super::failure::Failure;
+use super::keydepth::KeyDepth;
 use super::keyframes::KeyFrames;
 use super::outputs::{Destination, Emit, Outputs};
 use super::progress::Progress;
-use super::record::{Account, ModelRecord, PROGRAM, Record, Task, Timing};
+use super::record::{Account, DepthRecord, ModelRecord, PROGRAM, Record, Task, Timing, WorkRecord};
 use super::resume::{self, Found, Point, Terms, with_absolute_paths};
 use super::settings::Views;
 use super::{digest, machine, report, say, stop};
@@ -103,8 +105,10 @@ fn run_from(
         }
         _ => (Outputs::create(destination, emit)?.with_ledger(), None),
     };
-    let keys = KeyFrames::new(source, &depth, gap, false, options.frames)?;
+    let depth = KeyDepth::open(&depth, &source, machine.level()?, settings.reuse == Reuse::Exact)?;
+    let keys = KeyFrames::new(source, depth, gap, false, options.frames);
     let engine = Engine::new(settings)?;
+    let keys = Ahead::new(keys, engine.workers().threads());
     let terms = terms.map_or_else(|| Terms::given(options, &model_record(options)?), Ok)?;
 
     let mut drawing = Drawing::new(engine.workers());
@@ -152,13 +156,21 @@ fn run_from(
     let stages = engine.work().stages().iter();
     let mut seconds = stages.map(|stage| (stage.stage.to_owned(), stage.time.as_secs_f64())).collect();
     drawing.account(&mut work, &mut seconds);
-    seconds.insert("decode".into(), keys.time().as_secs_f64());
+    let read = keys.account();
+    seconds.insert("decode".into(), read.time.as_secs_f64());
+    if let Some(network) = &read.network {
+        let unit = "frames".to_owned();
+        work.insert("depth".into(), WorkRecord { done: network.done, avoided: network.avoided, unit });
+        seconds.insert("depth".into(), network.time.as_secs_f64());
+    }
+    let runtime = read.network.as_ref().map(|network| network.runtime.as_str());
     let options = with_absolute_paths(options);
     Ok(Record {
         program: PROGRAM.to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         seed: options.stream.seed,
         model: Some(model_record(&options)?),
+        depth: runtime.map(|runtime| DepthRecord::of(&options.stream.depth, runtime)).transpose()?.flatten(),
         input: keys.input(input),
         task: Task::Run(Box::new(options)),
         complete,
@@ -177,7 +189,7 @@ fn run_from(
 
 /// A run under way.
 pub struct Stream<'a> {
-    pub keys: KeyFrames,
+    pub keys: Ahead,
     pub engine: Engine,
     pub outputs: Outputs,
     pub drawing: &'a mut Drawing,

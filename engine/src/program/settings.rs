@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use streamsplat::camera::{self, CameraPath};
-use streamsplat::depth::Range;
+use streamsplat::depth::{NetworkOptions, Range};
 use streamsplat::stream::{DepthRange, MaxAge, ModelSource, Settings};
 use streamsplat::{RenderOptions, Size};
 use streamsplat_kernels::raster;
@@ -28,6 +28,8 @@ pub enum DepthFrom {
     None,
     /// A folder of maps.
     Folder(PathBuf, Range),
+    /// A network.
+    Network(PathBuf, NetworkOptions),
 }
 
 impl Model {
@@ -64,17 +66,26 @@ impl Stream {
             "clip" => Range::Clip,
             other => return Err(Failure::usage(format!("--depth-range {other}: expected frame or clip"))),
         };
+        let network = self.depth.strip_prefix("onnx:").map(PathBuf::from);
+        if self.depth_model.is_some() && network.is_none() {
+            return Err(Failure::usage("--depth-model: expected a network as well (--depth onnx:FILE)"));
+        }
         if self.depth == "none" {
             return Ok(DepthFrom::None);
         }
-        if self.depth.starts_with("onnx:") {
-            let message =
-                "--depth onnx: depth networks are not available in this build; give none or a folder of depth maps";
-            return Err(Failure::usage(message));
+        if let Some(network) = network {
+            if range == Range::Clip {
+                return Err(Failure::usage("--depth-range clip: expected a folder of maps, found a network"));
+            }
+            let options = self.depth_model.as_deref().map(|text| choice("--depth-model", text)).transpose()?;
+            return Ok(DepthFrom::Network(network, options.unwrap_or_default()));
         }
         let folder = PathBuf::from(&self.depth);
         if !folder.is_dir() {
-            return Err(Failure::usage(format!("--depth {}: expected none or a folder of depth maps", self.depth)));
+            return Err(Failure::usage(format!(
+                "--depth {}: expected none, a folder of depth maps, or onnx:FILE",
+                self.depth
+            )));
         }
         Ok(DepthFrom::Folder(folder, range))
     }

@@ -60,8 +60,11 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
     };
 
     let model = |record: &Record| record.model.as_ref().map_or_else(|| "none".to_owned(), |model| model.blake3.clone());
+    let network =
+        |record: &Record| record.depth.as_ref().map_or_else(|| "none".to_owned(), |network| network.blake3.clone());
     for (what, expected, found) in [
         ("the model", model(&record), model(&again)),
+        ("the depth network", network(&record), network(&again)),
         ("the input", record.input.blake3.clone(), again.input.blake3.clone()),
     ] {
         if expected != found {
@@ -84,6 +87,11 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
             differ(console, &name, &expected, &found);
             differing.push(name.into());
         }
+    }
+    let runtime = |record: &Record| record.depth.as_ref().map_or_else(String::new, |network| network.runtime.clone());
+    if !differing.is_empty() && runtime(&record) != runtime(&again) {
+        // No difference in itself, but another runtime's arithmetic may be one.
+        differ(console, "what runs the depth network", &runtime(&record), &runtime(&again));
     }
     if let Some(first) = differing.first() {
         let (count, of) = (differing.len(), record.outputs.len());

@@ -21,7 +21,7 @@ pub fn catch_up(
     let mut last = None;
     for index in 0..=point.key {
         let Some(key) = stream.keys.next()? else {
-            let (expected, found) = (point.input.count, stream.keys.digest().frames());
+            let (expected, found) = (point.input.count, stream.keys.account().frames);
             let name = point.input.path.display();
             return Err(Failure::work(format!(
                 "--resume: the input: recorded {expected} frames of {name}, found {found}"

@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::super::cli::RunOptions;
 use super::super::digest;
 use super::super::failure::Failure;
-use super::super::record::{ModelRecord, Record, absolute};
+use super::super::record::{DepthRecord, ModelRecord, Record, absolute};
 
 /// Options whose files are compared by their content instead.
 const BY_CONTENT: [&str; 2] = ["model", "dinov2"];
@@ -22,16 +22,21 @@ pub struct Terms {
     model: ModelRecord,
     /// Digest of the camera's file.
     camera: Option<String>,
+    /// Digest of the depth network.
+    #[serde(default)]
+    network: Option<String>,
 }
 
 impl Terms {
     /// The terms of a run with these options.
     pub fn given(options: &RunOptions, model: &ModelRecord) -> Result<Terms, Failure> {
+        let network = options.stream.depth.strip_prefix("onnx:");
         Ok(Terms {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             options: serde_json::to_value(with_absolute_paths(options)).map_err(Failure::work)?,
             model: model.clone(),
             camera: options.view.camera.as_deref().map(digest::file).transpose()?,
+            network: network.map(|file| DepthRecord::digest(Path::new(file))).transpose()?,
         })
     }
 
@@ -39,7 +44,8 @@ impl Terms {
     pub fn recorded(record: &Record, options: &RunOptions) -> Result<Terms, Failure> {
         let model = record.model.clone().ok_or_else(|| Failure::work("run.json: expected a model, found none"))?;
         let options = serde_json::to_value(options).map_err(Failure::work)?;
-        Ok(Terms { version: record.version.clone(), options, model, camera: None })
+        let network = record.depth.as_ref().map(|network| network.blake3.clone());
+        Ok(Terms { version: record.version.clone(), options, model, camera: None, network })
     }
 
     /// An error that names what of `given` differs.
@@ -58,12 +64,16 @@ impl Terms {
             let of = |model: &ModelRecord| format!("{} with the digest {}", model.path, model.blake3);
             return work("the model", &of(&self.model), &of(&given.model));
         }
-        match (&self.camera, &given.camera) {
-            (Some(recorded), Some(given)) if recorded != given => {
-                work("the camera's file", &format!("digest {recorded}"), &format!("digest {given}"))
+        let files =
+            [("the camera's file", &self.camera, &given.camera), ("the depth network", &self.network, &given.network)];
+        for (what, recorded, given) in files {
+            if let (Some(recorded), Some(given)) = (recorded, given)
+                && recorded != given
+            {
+                return work(what, &format!("digest {recorded}"), &format!("digest {given}"));
             }
-            _ => Ok(()),
         }
+        Ok(())
     }
 }
 
@@ -73,7 +83,9 @@ pub fn with_absolute_paths(options: &RunOptions) -> RunOptions {
     for path in [&mut options.stream.model.model, &mut options.stream.model.dinov2, &mut options.view.camera] {
         *path = path.as_deref().map(absolute);
     }
-    if options.stream.depth != "none" {
+    if let Some(network) = options.stream.depth.strip_prefix("onnx:") {
+        options.stream.depth = format!("onnx:{}", absolute(Path::new(network)).display());
+    } else if options.stream.depth != "none" {
         options.stream.depth = absolute(Path::new(&options.stream.depth)).display().to_string();
     }
     options

@@ -12,11 +12,10 @@ use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
 
+use super::{DepthError, npy};
 use crate::openexr;
 use crate::picture::{resize_planes, size_is_allowed};
-use crate::source::{SourceError, decode, folder};
-
-mod npy;
+use crate::source::{decode, folder};
 
 /// File name endings taken as depth maps.
 pub const EXTENSIONS: [&str; 3] = ["exr", "png", "npy"];
@@ -29,46 +28,6 @@ pub enum Range {
     Frame,
     /// All by the smallest and the largest value of the whole folder.
     Clip,
-}
-
-/// What is wrong with a map or its folder.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum DepthError {
-    /// The folder or a file cannot be read.
-    #[error(transparent)]
-    Read(#[from] SourceError),
-    /// No map in the folder.
-    #[error("{}: the folder holds no depth map (expected files ending in {})", .0.display(), EXTENSIONS.join(", "))]
-    Empty(PathBuf),
-    /// Not as many maps as frames.
-    #[error("{}: expected {expected} depth maps, one for each frame, found {found}", folder.display())]
-    Count {
-        /// The folder of maps.
-        folder: PathBuf,
-        /// Frames.
-        expected: usize,
-        /// Maps.
-        found: usize,
-    },
-    /// A frame without a map.
-    #[error("{}: no depth map for frame {frame}, found {found} maps", folder.display())]
-    Missing {
-        /// The folder of maps.
-        folder: PathBuf,
-        /// The frame's index.
-        frame: usize,
-        /// Maps.
-        found: usize,
-    },
-    /// A file that is no depth map.
-    #[error("{}: {cause}", path.display())]
-    Map {
-        /// The file.
-        path: PathBuf,
-        /// What was expected and what was found.
-        cause: String,
-    },
 }
 
 /// A depth map: `height · width` values.

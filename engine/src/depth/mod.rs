@@ -1,0 +1,72 @@
+//! Inverse depth of frames: from files ([`DepthMaps`]) or from a network ([`DepthNetwork`]).
+//!
+//! Either way a map has one value for each pixel of its frame, larger is nearer, in any scale: the engine normalises it.
+
+mod maps;
+mod network;
+mod npy;
+mod options;
+mod prepare;
+
+use std::path::PathBuf;
+
+pub use maps::{DepthMaps, EXTENSIONS, Map, Range, decode_map, read_map};
+pub use network::DepthNetwork;
+pub use options::{NetworkOptions, NetworkSize, WrongOption};
+
+use crate::onnx::OnnxError;
+use crate::source::SourceError;
+
+/// What is wrong with a map, its folder, or the network that makes it.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DepthError {
+    /// The depth network cannot be loaded or run.
+    #[error(transparent)]
+    Onnx(#[from] OnnxError),
+    /// The depth network's input would be larger than this program makes it.
+    #[error("{}: a frame of {}×{} would make the network's input {}×{}, larger than this program makes it; give its size",
+        path.display(), frame[1], frame[0], input[1], input[0])]
+    Input {
+        /// The network's file.
+        path: PathBuf,
+        /// Height and width of the frame.
+        frame: [usize; 2],
+        /// Height and width of the network's input.
+        input: [usize; 2],
+    },
+    /// The folder or a file cannot be read.
+    #[error(transparent)]
+    Read(#[from] SourceError),
+    /// No map in the folder.
+    #[error("{}: the folder holds no depth map (expected files ending in {})", .0.display(), EXTENSIONS.join(", "))]
+    Empty(PathBuf),
+    /// Not as many maps as frames.
+    #[error("{}: expected {expected} depth maps, one for each frame, found {found}", folder.display())]
+    Count {
+        /// The folder of maps.
+        folder: PathBuf,
+        /// Frames.
+        expected: usize,
+        /// Maps.
+        found: usize,
+    },
+    /// A frame without a map.
+    #[error("{}: no depth map for frame {frame}, found {found} maps", folder.display())]
+    Missing {
+        /// The folder of maps.
+        folder: PathBuf,
+        /// The frame's index.
+        frame: usize,
+        /// Maps.
+        found: usize,
+    },
+    /// A file that is no depth map.
+    #[error("{}: {cause}", path.display())]
+    Map {
+        /// The file.
+        path: PathBuf,
+        /// What was expected and what was found.
+        cause: String,
+    },
+}

@@ -1,0 +1,148 @@
+//! Depth maps from a network.
+//!
+//! Any network with one image in, float `[1, 3, height, width]` (more axes of length 1 may stand in front, and each side may be left
+//! open), and one map out, float `[1, height, width]` with any axes of length 1 in front, of any size: Depth Anything and its like.
+//! The map is inverse depth, or depth with [`NetworkOptions::metric`]. Which arithmetic is whose stands in [`crate::onnx`].
+
+use std::path::Path;
+
+use super::{DepthError, NetworkOptions, NetworkSize, prepare};
+use crate::onnx::{Model, OnnxError, Port};
+use crate::picture::size_is_allowed;
+use crate::stream::Workers;
+
+/// A network that gives the inverse depth of a frame.
+#[derive(Debug)]
+pub struct DepthNetwork {
+    model: Model,
+    options: NetworkOptions,
+    workers: Workers,
+    /// Axes before the three of the image.
+    leading: usize,
+    /// Height and width, where the network fixes them.
+    axes: [Option<usize>; 2],
+    output: usize,
+}
+
+impl DepthNetwork {
+    /// Loads the network in the ONNX file `path`; pictures are prepared on `workers`.
+    ///
+    /// # Errors
+    /// No ONNX Runtime, or one that cannot be used; a file that is no network, or none with one image in and one map out.
+    pub fn open(path: &Path, options: NetworkOptions, workers: &Workers) -> Result<DepthNetwork, DepthError> {
+        let model = Model::open(path)?;
+        let (leading, axes) = image_axes(&model)?;
+        let form = |what: &str, expected: String, found: String| OnnxError::Form {
+            path: path.to_owned(),
+            what: what.to_owned(),
+            expected,
+            found,
+        };
+        if let Some(side) = axes.iter().flatten().find(|side| !(1..=8192).contains(*side)) {
+            return Err(form("its input", "sides from 1 to 8192".to_owned(), side.to_string()).into());
+        }
+        if let NetworkSize::Exact(asked) = options.size
+            && axes.iter().zip(asked).any(|(axis, asked)| axis.is_some_and(|fixed| fixed != asked))
+        {
+            let side = |axis: Option<usize>| axis.map_or_else(|| "any".to_owned(), |side| side.to_string());
+            let found = format!("{} by {}", side(axes[1]), side(axes[0]));
+            return Err(form("its input", format!("the {}x{} asked for", asked[1], asked[0]), found).into());
+        }
+        let output = map_output(&model, options.output.as_deref())?;
+        Ok(DepthNetwork { model, options, workers: workers.clone(), leading, axes, output })
+    }
+
+    /// The version of the ONNX Runtime that runs it.
+    pub fn runtime_version(&self) -> &str {
+        self.model.runtime().version()
+    }
+
+    /// Inverse depth of a frame of `[3, height, width]` samples in [0, 1]: `height · width` values.
+    ///
+    /// # Errors
+    /// An input that would be too large, the runtime's errors, an answer that is no map.
+    ///
+    /// # Panics
+    /// When `rgb` does not hold three planes of that size, or a side is zero.
+    pub fn map(&mut self, rgb: &[f32], width: usize, height: usize) -> Result<Vec<f32>, DepthError> {
+        let frame = [height, width];
+        let size = prepare::input_size(frame, self.axes, &self.options);
+        if !prepare::is_allowed(size) {
+            return Err(DepthError::Input { path: self.model.path().to_owned(), frame, input: size });
+        }
+        let DepthNetwork { model, options, workers, leading, output, .. } = self;
+        let level = workers.level();
+        let input = workers.install(|| prepare::image(level, rgb, frame, size, options));
+        let mut shape = vec![1; *leading];
+        shape.extend([3, size[0], size[1]]);
+        let (shape, answer) = model.run(&[(&shape, &input)], *output)?;
+        let from = match shape[..] {
+            [ref ones @ .., h, w] if ones.iter().all(|&n| n == 1) && size_is_allowed(w, h) => [h, w],
+            _ => {
+                return Err(OnnxError::Form {
+                    path: model.path().to_owned(),
+                    what: format!("its output {}", model.outputs()[*output].name),
+                    expected: "one map [1, height, width]".to_owned(),
+                    found: format!("{shape:?}"),
+                }
+                .into());
+            }
+        };
+        Ok(workers.install(|| prepare::map(level, answer, from, frame, options.metric)))
+    }
+}
+
+/// The number of axes before the image's three, and its height and width where they are fixed.
+fn image_axes(model: &Model) -> Result<(usize, [Option<usize>; 2]), OnnxError> {
+    let wrong = |what: String, found: String| OnnxError::Form {
+        path: model.path().to_owned(),
+        what,
+        expected: "one image, float [1, 3, height, width]".to_owned(),
+        found,
+    };
+    let [input] = model.inputs() else {
+        return Err(wrong("its inputs".to_owned(), names(model.inputs())));
+    };
+    match input.axes.as_deref() {
+        Some([ones @ .., Some(3) | None, height, width]) if ones.iter().all(|n| matches!(n, Some(1) | None)) => {
+            Ok((ones.len(), [*height, *width]))
+        }
+        _ => Err(wrong(format!("its input {}", input.name), input.kind.clone())),
+    }
+}
+
+/// The number of the output that is the map.
+fn map_output(model: &Model, asked: Option<&str>) -> Result<usize, OnnxError> {
+    let wrong = |what: String, expected: &str, found: String| OnnxError::Form {
+        path: model.path().to_owned(),
+        what,
+        expected: expected.to_owned(),
+        found,
+    };
+    let outputs = model.outputs();
+    let number = match asked {
+        Some(name) => outputs.iter().position(|output| output.name == name),
+        None if outputs.len() == 1 => Some(0),
+        None => {
+            return Err(wrong("its outputs".to_owned(), "one map, or output=NAME to choose it", names(outputs)));
+        }
+    };
+    let number = number.ok_or_else(|| wrong("its outputs".to_owned(), asked.unwrap_or("an output"), names(outputs)))?;
+    let output = &outputs[number];
+    // A shape that is not known before it runs has no axes.
+    let is_map = output.axes.as_deref().is_some_and(|axes| {
+        let ones = axes.len().saturating_sub(2);
+        axes.is_empty() || (axes.len() >= 2 && axes[..ones].iter().all(|n| matches!(n, Some(1) | None)))
+    });
+    match is_map {
+        true => Ok(number),
+        false => {
+            Err(wrong(format!("its output {}", output.name), "one map, float [1, height, width]", output.kind.clone()))
+        }
+    }
+}
+
+fn names(ports: &[Port]) -> String {
+    let listed: Vec<String> = ports.iter().map(|port| format!("{} {}", port.name, port.kind)).collect();
+    if listed.is_empty() { "none".to_owned() } else { listed.join(", ") }
+}

@@ -1,0 +1,121 @@
+//! A network, its inputs and outputs.
+
+use std::path::{Path, PathBuf};
+
+use ort::session::builder::GraphOptimizationLevel;
+use ort::session::{Session, SessionInputValue};
+use ort::value::{Outlet, TensorElementType, TensorRef, ValueType};
+
+use super::{OnnxError, Runtime};
+
+/// An input or an output of a network.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Port {
+    /// Its name.
+    pub name: String,
+    /// Its axes, `None` where the length is left open; nothing unless it is a tensor of 32-bit floats.
+    pub axes: Option<Vec<Option<usize>>>,
+    /// Type and shape in words.
+    pub kind: String,
+}
+
+impl Port {
+    fn new(outlet: &Outlet) -> Port {
+        let kind = outlet.dtype();
+        let axes = match kind {
+            ValueType::Tensor { ty: TensorElementType::Float32, shape, .. } => {
+                Some(shape.iter().map(|&length| usize::try_from(length).ok()).collect())
+            }
+            _ => None,
+        };
+        Port { name: outlet.name().to_owned(), axes, kind: kind.to_string() }
+    }
+}
+
+/// A network in memory, ready to run.
+#[derive(Debug)]
+pub struct Model {
+    path: PathBuf,
+    runtime: Runtime,
+    session: Session,
+    inputs: Vec<Port>,
+    outputs: Vec<Port>,
+}
+
+impl Model {
+    /// Loads ONNX Runtime, then the network.
+    ///
+    /// # Errors
+    /// No usable runtime; a file that is absent or no network that it can run.
+    pub fn open(path: &Path) -> Result<Model, OnnxError> {
+        let wrong = |cause: String| OnnxError::Model { path: path.to_owned(), cause };
+        // Before the runtime is looked for: what is absent is said in the system's words.
+        match std::fs::metadata(path) {
+            Err(e) => return Err(wrong(e.to_string())),
+            Ok(found) if !found.is_file() => return Err(wrong("it is no file".to_owned())),
+            Ok(found) if found.len() == 0 => return Err(wrong("it is empty (0 bytes)".to_owned())),
+            Ok(_) => {}
+        }
+        let runtime = Runtime::load()?;
+        let session = commit(&runtime, path).map_err(|e| wrong(e.to_string()))?;
+        let inputs = session.inputs().iter().map(Port::new).collect();
+        let outputs = session.outputs().iter().map(Port::new).collect();
+        Ok(Model { path: path.to_owned(), runtime, session, inputs, outputs })
+    }
+
+    /// The network's file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What runs it.
+    pub fn runtime(&self) -> &Runtime {
+        &self.runtime
+    }
+
+    /// Its inputs, in its own order.
+    pub fn inputs(&self) -> &[Port] {
+        &self.inputs
+    }
+
+    /// Its outputs, in its own order.
+    pub fn outputs(&self) -> &[Port] {
+        &self.outputs
+    }
+
+    /// Runs the network on a shape and row-major values for each input; gives shape and values of the output number `output`.
+    ///
+    /// # Errors
+    /// What the runtime says: values that do not fit, memory that is not there.
+    ///
+    /// # Panics
+    /// When there are not as many values as inputs, or no such output.
+    pub fn run(&mut self, inputs: &[(&[usize], &[f32])], output: usize) -> Result<(Vec<usize>, Vec<f32>), OnnxError> {
+        assert_eq!(inputs.len(), self.inputs.len(), "one tensor for each input");
+        let name = &self.outputs[output].name;
+        let path = &self.path;
+        let failed = |e: ort::Error| OnnxError::Run { path: path.clone(), cause: e.to_string() };
+        let mut values: Vec<(&str, SessionInputValue<'_>)> = Vec::with_capacity(inputs.len());
+        for (port, (shape, samples)) in self.inputs.iter().zip(inputs) {
+            let tensor = TensorRef::from_array_view((shape.to_vec(), *samples)).map_err(failed)?;
+            values.push((&port.name, tensor.into()));
+        }
+        let results = self.session.run(values).map_err(failed)?;
+        let Some(result) = results.get(name) else {
+            return Err(OnnxError::Run { path: path.clone(), cause: format!("there is no output {name}") });
+        };
+        let (shape, samples) = result.try_extract_tensor::<f32>().map_err(failed)?;
+        Ok((shape.iter().map(|&length| length as usize).collect(), samples.to_vec()))
+    }
+}
+
+/// One thread, node after node, deterministic kernels: the same bits for any number of threads of ours.
+fn commit(runtime: &Runtime, path: &Path) -> ort::Result<Session> {
+    Session::builder(&runtime.environment)?
+        .with_intra_threads(1)?
+        .with_inter_threads(1)?
+        .with_parallel_execution(false)?
+        .with_deterministic_compute(true)?
+        .with_optimization_level(GraphOptimizationLevel::All)?
+        .commit_from_file(path)
+}

@@ -1,0 +1,93 @@
+//! Key frames as they are wanted, or one ahead on a thread of its own.
+
+use std::path::Path;
+use std::sync::mpsc::{Receiver, sync_channel};
+
+use super::failure::Failure;
+use super::keyframes::{KeyFrame, KeyFrames, Reading};
+use super::record::{InputRecord, absolute};
+
+type Message = Result<(Option<KeyFrame>, Reading), Failure>;
+
+/// Gives the same key frames either way.
+pub struct Ahead {
+    from: From,
+    total: Option<usize>,
+    fps: f64,
+    account: Reading,
+}
+
+enum From {
+    /// Read when asked for.
+    Here(Box<KeyFrames>),
+    /// The next one is read, and given its depth, while the one before is worked on.
+    Thread(Receiver<Message>),
+    /// There are no more.
+    Ended,
+}
+
+impl Ahead {
+    /// Frames whose depth takes a network are read ahead where there is more than one thread; what else there is to do for a frame is
+    /// too little to be worth it.
+    pub fn new(keys: KeyFrames, threads: usize) -> Ahead {
+        let (total, fps, account) = (keys.total(), keys.fps(), keys.account());
+        let from = match keys.runs_a_network() && threads > 1 {
+            false => From::Here(Box::new(keys)),
+            true => From::Thread(start(keys)),
+        };
+        Ahead { from, total, fps, account }
+    }
+
+    /// Frames there will be, where that is known.
+    pub fn total(&self) -> Option<usize> {
+        self.total
+    }
+
+    /// Frames per second.
+    pub fn fps(&self) -> f64 {
+        self.fps
+    }
+
+    /// What was read up to the latest key frame that was given.
+    pub fn account(&self) -> &Reading {
+        &self.account
+    }
+
+    /// The record of it, `path` being where it came from.
+    pub fn input(&self, path: &Path) -> InputRecord {
+        let Reading { frames, blake3, size, .. } = &self.account;
+        InputRecord { path: absolute(path), blake3: blake3.clone(), count: *frames, size: *size, fps: self.fps }
+    }
+
+    /// The next key frame.
+    pub fn next(&mut self) -> Result<Option<KeyFrame>, Failure> {
+        let message = match &mut self.from {
+            From::Here(keys) => keys.next().map(|key| (key, keys.account())),
+            From::Thread(receiver) => {
+                receiver.recv().unwrap_or_else(|_| Err(Failure::work("the thread that reads frames has ended early")))
+            }
+            From::Ended => return Ok(None),
+        };
+        let (key, account) = message?;
+        self.account = account;
+        if key.is_none() {
+            self.from = From::Ended;
+        }
+        Ok(key)
+    }
+}
+
+/// A thread that holds at most one key frame that nobody has taken. It ends with the frames, or when nobody asks any more.
+fn start(mut keys: KeyFrames) -> Receiver<Message> {
+    let (sender, receiver) = sync_channel(0);
+    std::thread::spawn(move || {
+        loop {
+            let message = keys.next().map(|key| (key, keys.account()));
+            let last = !matches!(message, Ok((Some(_), _)));
+            if sender.send(message).is_err() || last {
+                return;
+            }
+        }
+    });
+    receiver
+}
