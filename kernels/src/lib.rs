@@ -6,6 +6,7 @@
 
 pub mod activation;
 pub mod attention;
+pub mod change;
 pub mod gemm;
 pub mod level;
 pub mod math;

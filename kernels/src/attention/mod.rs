@@ -135,6 +135,41 @@ pub fn attend_as(
     v: Rows<'_>,
     out: &mut [f32],
 ) {
+    run(precision, level, shape, None, q, k, v, out);
+}
+
+/// [`attend_as`] of some queries: row `i` of `q` and of `out` is that of the token `places[i]`. A row's bits do not depend on
+/// which others there are.
+///
+/// # Panics
+/// As [`attend`], but for the number of queries; when there are not as many places as queries, or, where runs are asked for, one
+/// is not that of a key.
+#[expect(clippy::too_many_arguments, reason = "those of `attend_as` and the places")]
+pub fn attend_some(
+    precision: Precision,
+    level: Level,
+    shape: Shape,
+    places: &[u32],
+    q: Rows<'_>,
+    k: Rows<'_>,
+    v: Rows<'_>,
+    out: &mut [f32],
+) {
+    assert_eq!(places.len(), q.rows, "{} places for {} queries", places.len(), q.rows);
+    run(precision, level, shape, Some(places), q, k, v, out);
+}
+
+#[expect(clippy::too_many_arguments, reason = "those of `attend_as` and the places")]
+fn run(
+    precision: Precision,
+    level: Level,
+    shape: Shape,
+    places: Option<&[u32]>,
+    q: Rows<'_>,
+    k: Rows<'_>,
+    v: Rows<'_>,
+    out: &mut [f32],
+) {
     let low = precision != Precision::F32;
     let Shape { heads, width, .. } = shape;
     assert!(width > 0 && width.is_multiple_of(LANES), "heads of {width} channels, expected a multiple of {LANES}");
@@ -155,7 +190,7 @@ pub fn attend_as(
         out.len(),
         q.rows
     );
-    let layout = Layout::new(shape, q.rows, k.rows);
+    let layout = Layout::new(shape, q.rows, k.rows, places);
     if k.rows == 0 {
         out.fill(0.0);
         return;
@@ -165,7 +200,9 @@ pub fn attend_as(
     let len = layout.head_len();
     keys.par_chunks_mut(len).zip(values.par_chunks_mut(len)).enumerate().for_each(|(index, (keys, values))| {
         let (window, head) = (index / heads, index % heads);
-        dispatch(level, Pack { layout: &layout, k, v, window, head, keys, values, low });
+        if layout.queries(window) > 0 {
+            dispatch(level, Pack { layout: &layout, k, v, window, head, keys, values, low });
+        }
     });
     let (keys, values, out) = (&*keys, &*values, &Disjoint::new(out));
     layout.tasks().par_iter().with_max_len(1).for_each(|task| {
@@ -178,6 +215,16 @@ struct Layout {
     shape: Shape,
     queries: usize,
     keys: usize,
+    /// Where only some tokens of runs are queried.
+    gathered: Option<Gathered>,
+}
+
+/// Rows of queries by the window they lie in.
+struct Gathered {
+    /// Rows of the queries, window by window.
+    rows: Vec<u32>,
+    /// Where each window's begin, and the end.
+    starts: Vec<usize>,
 }
 
 /// A block of queries of one head and window.
@@ -188,12 +235,60 @@ struct Task {
 }
 
 impl Layout {
-    fn new(shape: Shape, queries: usize, keys: usize) -> Self {
+    fn new(shape: Shape, queries: usize, keys: usize, places: Option<&[u32]>) -> Self {
+        let mut layout = Self { shape, queries, keys, gathered: None };
         if let Windows::Runs { length, .. } = shape.windows {
             assert!(length > 0, "windows of no tokens");
-            assert_eq!(queries, keys, "windows need as many queries as keys, found {queries} and {keys}");
+            match places {
+                Some(places) => layout.gathered = Some(layout.gather(places)),
+                None => assert_eq!(queries, keys, "windows need as many queries as keys, found {queries} and {keys}"),
+            }
         }
-        Self { shape, queries, keys }
+        layout
+    }
+
+    /// Sorts queries into their windows.
+    fn gather(&self, places: &[u32]) -> Gathered {
+        let mut starts = vec![0; self.windows() + 1];
+        for &place in places {
+            starts[self.window(place as usize) + 1] += 1;
+        }
+        for window in 0..self.windows() {
+            starts[window + 1] += starts[window];
+        }
+        let (mut next, mut rows) = (starts.clone(), vec![0; places.len()]);
+        for (row, &place) in places.iter().enumerate() {
+            let next = &mut next[self.window(place as usize)];
+            rows[*next] = row as u32;
+            *next += 1;
+        }
+        Gathered { rows, starts }
+    }
+
+    /// The window of a token.
+    fn window(&self, token: usize) -> usize {
+        assert!(token < self.keys, "a query at {token} among {} tokens", self.keys);
+        match self.shape.windows {
+            Windows::Full => 0,
+            Windows::Runs { roll, .. } => (token + roll % self.keys) % self.keys / self.length(),
+        }
+    }
+
+    /// Queries of a window.
+    fn queries(&self, window: usize) -> usize {
+        match &self.gathered {
+            Some(gathered) => gathered.starts[window + 1] - gathered.starts[window],
+            None => self.count(window, self.queries),
+        }
+    }
+
+    /// The row of query `i` of a window.
+    #[inline(always)]
+    fn query(&self, window: usize, i: usize) -> usize {
+        match &self.gathered {
+            Some(gathered) => gathered.rows[gathered.starts[window] + i] as usize,
+            None => self.row(window, i),
+        }
     }
 
     fn length(&self) -> usize {
@@ -247,7 +342,7 @@ impl Layout {
     fn tasks(&self) -> Vec<Task> {
         let mut tasks = Vec::new();
         for window in 0..self.windows() {
-            let count = self.count(window, self.queries);
+            let count = self.queries(window);
             for head in 0..self.shape.heads {
                 for start in (0..count).step_by(QUERY_BLOCK) {
                     tasks.push(Task { window, head, queries: start..(start + QUERY_BLOCK).min(count) });
@@ -347,7 +442,7 @@ impl Block<'_> {
         let Layout { shape: Shape { heads, width, .. }, keys, .. } = *self.layout;
         let (window, head) = (self.task.window, self.task.head);
         let queries = self.task.queries.len();
-        let row = |i| self.layout.row(window, self.task.queries.start + i);
+        let row = |i| self.layout.query(window, self.task.queries.start + i);
         let padded = queries.next_multiple_of(LANES);
         let mut scratch = Scratch::take(2 * padded * width + NV * KEY_BLOCK * LANES + 2 * padded);
         let (q, rest) = scratch.split_at_mut(padded * width);

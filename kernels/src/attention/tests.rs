@@ -1,4 +1,4 @@
-use super::{Rows, Shape, Windows, attend, attend_as, reference};
+use super::{Rows, Shape, Windows, attend, attend_as, attend_some, reference};
 use crate::gemm::Precision;
 use crate::testing::{noise, on_every_level_and_thread_count};
 
@@ -141,5 +141,39 @@ fn lower_precisions_stay_near_the_formula_and_agree_everywhere() {
         let error: f64 = out.iter().zip(&expected).map(|(o, e)| (f64::from(*o) - e).powi(2)).sum();
         let size: f64 = expected.iter().map(|e| e * e).sum();
         assert!((error / size).sqrt() < 1e-2, "{precision:?}: {:e}", (error / size).sqrt());
+    }
+}
+
+#[test]
+fn some_queries_give_the_bits_they_give_among_all() {
+    for (tokens, windows) in [
+        (211, Windows::Full),
+        (300, Windows::Runs { length: 128, roll: 64 }),
+        (300, Windows::Runs { length: 20, roll: 0 }),
+        (7, Windows::Runs { length: 100, roll: 50 }),
+    ] {
+        let shape = Shape { heads: 2, width: 64, windows };
+        let (q, k, v) = (noise(tokens * 128, 4), noise(tokens * 128, 5), noise(tokens * 128, 6));
+        fn rows(x: &[f32], n: usize) -> Rows<'_> {
+            Rows::new(x, n, 128, 0)
+        }
+        for precision in [Precision::F32, Precision::Bf16] {
+            let mut all = vec![0.0; tokens * 128];
+            let level = crate::Level::detect();
+            attend_as(precision, level, shape, rows(&q, tokens), rows(&k, tokens), rows(&v, tokens), &mut all);
+            for step in [1, 3, 50, 1000] {
+                // In no order.
+                let places: Vec<u32> = (0..tokens as u32).rev().filter(|i| (i * 7 + 1) % step == 0 || *i == 0).collect();
+                let pick = |x: &[f32]| -> Vec<f32> {
+                    places.iter().flat_map(|i| x[*i as usize * 128..][..128].to_vec()).collect()
+                };
+                let some = pick(&q);
+                let found = on_every_level_and_thread_count(some.len(), |level, out| {
+                    let q = rows(&some, places.len());
+                    attend_some(precision, level, shape, &places, q, rows(&k, tokens), rows(&v, tokens), out);
+                });
+                assert!(found == pick(&all), "{tokens} tokens, {windows:?}, {} queries", places.len());
+            }
+        }
     }
 }
