@@ -9,6 +9,8 @@
 //! d = norm₂(x)
 //! ```
 
+use std::borrow::Cow;
+
 use streamsplat_kernels::Level;
 
 use crate::checkpoint::Weights;
@@ -27,8 +29,8 @@ pub(crate) struct Decoder {
     condition_position: Table,
     condition_ln: RmsNorm,
     layernorm1: RmsNorm,
-    blocks: Vec<PairBlock>,
-    layernorm2: RmsNorm,
+    pub(crate) blocks: Vec<PairBlock>,
+    pub(crate) layernorm2: RmsNorm,
 }
 
 /// Position code of the condition.
@@ -39,13 +41,13 @@ enum Table {
     Computed(Vec<f32>),
 }
 
-struct PairBlock {
-    self_attn_ln: RmsNorm,
-    self_attn: SelfAttention,
-    cross_attn_ln: RmsNorm,
-    cross_attn: CrossAttention,
-    mlp_ln: RmsNorm,
-    mlp: FeedForward,
+pub(crate) struct PairBlock {
+    pub(crate) self_attn_ln: RmsNorm,
+    pub(crate) self_attn: SelfAttention,
+    pub(crate) cross_attn_ln: RmsNorm,
+    pub(crate) cross_attn: CrossAttention,
+    pub(crate) mlp_ln: RmsNorm,
+    pub(crate) mlp: FeedForward,
 }
 
 impl Decoder {
@@ -102,13 +104,29 @@ impl Decoder {
         let m = features.len() / self.condition_proj.k();
         let mut projected = vec![0.0; m * d];
         self.condition_proj.apply(level, features, &mut projected);
-        match &self.condition_position {
-            Table::Stored(table) | Table::Computed(table) if m * d <= table.len() => {
-                add(&mut projected, &table[..m * d])
-            }
-            _ => add(&mut projected, &sinusoid(m, d)),
+        add(&mut projected, &self.condition_positions(m)[..m * d]);
+        self.condition_ln.of(level, &projected)
+    }
+
+    /// [`Decoder::condition`] of the tokens `at`, of `m`, whose rows `features` holds.
+    pub(crate) fn condition_some(&self, level: Level, features: &[f32], at: &[u32], m: usize) -> Vec<f32> {
+        let d = self.condition_proj.n();
+        let mut projected = vec![0.0; at.len() * d];
+        self.condition_proj.apply(level, features, &mut projected);
+        let positions = self.condition_positions(m);
+        for (row, x) in at.iter().zip(projected.chunks_exact_mut(d)) {
+            x.iter_mut().zip(&positions[*row as usize * d..]).for_each(|(x, p)| *x += p);
         }
         self.condition_ln.of(level, &projected)
+    }
+
+    /// Position codes of at least `m` tokens of a condition.
+    fn condition_positions(&self, m: usize) -> Cow<'_, [f32]> {
+        let d = self.condition_proj.n();
+        match &self.condition_position {
+            Table::Stored(table) | Table::Computed(table) if m * d <= table.len() => Cow::Borrowed(table),
+            _ => Cow::Owned(sinusoid(m, d)),
+        }
     }
 
     /// `[d_a, d_b]`, each `[N, D]`, from the embeddings and features of frames a and b.
@@ -116,9 +134,7 @@ impl Decoder {
         // Each frame is conditioned on the other.
         let conditions = [self.condition(level, features[1]), self.condition(level, features[0])];
         let half = h[0].len();
-        let mut summed = h.concat();
-        add(&mut summed, &self.position);
-        let mut x = self.layernorm1.of(level, &summed);
+        let mut x = self.enter(level, h);
         let mut work = Workspace::default();
         for (i, block) in self.blocks.iter().enumerate() {
             let windows = windows(config.encoder_window, i);
@@ -128,9 +144,16 @@ impl Decoder {
             }
             block.mlp.accumulate(level, &block.mlp_ln, &mut x, &mut work);
         }
-        self.layernorm2.apply(level, &x, &mut summed);
-        let second = summed.split_off(half);
-        [summed, second]
+        let mut first = self.layernorm2.of(level, &x);
+        let second = first.split_off(half);
+        [first, second]
+    }
+
+    /// What enters the blocks, `[2N, D]`.
+    pub(crate) fn enter(&self, level: Level, h: [&[f32]; 2]) -> Vec<f32> {
+        let mut summed = h.concat();
+        add(&mut summed, &self.position);
+        self.layernorm1.of(level, &summed)
     }
 
     pub(crate) fn bytes(&self) -> usize {

@@ -16,8 +16,8 @@ pub(crate) struct Encoder {
     conv: Linear,
     position: Vec<f32>,
     layernorm1: RmsNorm,
-    blocks: Vec<Block>,
-    layernorm2: RmsNorm,
+    pub(crate) blocks: Vec<Block>,
+    pub(crate) layernorm2: RmsNorm,
 }
 
 impl Encoder {
@@ -53,15 +53,23 @@ impl Encoder {
     }
 
     pub(crate) fn encode(&self, level: Level, config: &Config, tokens: &[f32]) -> Vec<f32> {
+        self.run(level, config, self.enter(level, tokens))
+    }
+
+    /// What enters the blocks.
+    pub(crate) fn enter(&self, level: Level, tokens: &[f32]) -> Vec<f32> {
         let mut summed = tokens.to_vec();
         add(&mut summed, &self.position);
-        let mut x = self.layernorm1.of(level, &summed);
+        self.layernorm1.of(level, &summed)
+    }
+
+    /// The blocks and what follows.
+    pub(crate) fn run(&self, level: Level, config: &Config, mut x: Vec<f32>) -> Vec<f32> {
         let mut work = Workspace::default();
         for (i, block) in self.blocks.iter().enumerate() {
             block.apply(level, windows(config.encoder_window, i), &mut x, &mut work);
         }
-        self.layernorm2.apply(level, &x, &mut summed);
-        summed
+        self.layernorm2.of(level, &x)
     }
 
     pub(crate) fn bytes(&self) -> usize {

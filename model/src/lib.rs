@@ -8,6 +8,8 @@
 //! h_a, h_b, conditions ── decoder ──► d_a, d_b ── deformation upsampler ── deformation head ──► velocity, γ
 //! ```
 //!
+//! [`reuse`] leaves out what did not change between frames.
+//!
 //! Arrays are row-major `f32`; a frame's tokens run over the patch grid row by row. World axes: x right, y away from the
 //! camera (0 near, 1 far: normalised inverse depth), z up. Every output obeys the bit contract of the kernels: it is the
 //! same on every instruction-set level and for any number of threads.
@@ -31,6 +33,7 @@ mod layers;
 pub mod motion;
 mod network;
 mod options;
+pub mod reuse;
 mod static_head;
 mod upsampler;
 

@@ -11,11 +11,12 @@ use crate::decoder::Decoder;
 use crate::deformation_head::DeformationHead;
 use crate::encoder::Encoder;
 use crate::error::check_input;
+use crate::reuse::{Memory, Saving};
 use crate::static_head::StaticHead;
 use crate::upsampler::Upsampler;
 use crate::{
     Config, Deformation, Embedding, FrameInput, LoadOptions, ModelError, Sampling, Side, StaticFrame, StaticGaussians,
-    keys,
+    StaticPosition, keys,
 };
 
 /// A StreamSplat network with its weights.
@@ -232,6 +233,116 @@ impl Network {
         self.check_upsampled("deformation tokens", tokens)?;
         let _span = info_span!("heads", kind = "deformation").entered();
         Ok(self.deformation_head.apply(self.level(), static_tokens, tokens))
+    }
+
+    /// A memory for the `*_keeping` methods; `None` when this network has nothing to keep: where every token sees all others, no
+    /// part of a frame is exactly as it was.
+    pub fn memory(&self, saving: Saving) -> Option<Memory> {
+        Memory::new(saving, &self.config)
+    }
+
+    /// [`Network::encode`], leaving out what `memory` still holds. See [`crate::reuse`].
+    ///
+    /// # Errors
+    /// As [`Network::encode`].
+    pub fn encode_keeping(&self, tokens: &[f32], memory: &mut Memory) -> Result<Embedding, ModelError> {
+        self.check_tokens("tokens", tokens)?;
+        memory.begin();
+        let _span = info_span!("encoder").entered();
+        let (level, saving) = (self.level(), memory.saving);
+        Ok(Embedding { h: self.encoder.encode_keeping(level, &self.config, tokens, saving, &mut memory.encoder) })
+    }
+
+    /// [`Network::upsample_static`], leaving out what `memory` still holds.
+    ///
+    /// # Errors
+    /// As [`Network::upsample_static`].
+    pub fn upsample_static_keeping(&self, h: &[f32], memory: &mut Memory) -> Result<Vec<f32>, ModelError> {
+        self.check_tokens("h", h)?;
+        memory.begin();
+        let _span = info_span!("upsampler", kind = "static").entered();
+        let (level, saving) = (self.level(), memory.saving);
+        Ok(self.static_upsampler.apply_keeping(level, &self.config, h, saving, &mut memory.static_upsampler))
+    }
+
+    /// [`Network::static_head`] of `tokens`, the result of the last call of [`Network::upsample_static_keeping`] with this memory, leaving
+    /// out what it still holds. Positions that are drawn are all drawn anew.
+    ///
+    /// # Errors
+    /// As [`Network::static_head`].
+    pub fn static_head_keeping(
+        &self,
+        tokens: &[f32],
+        sampling: &Sampling,
+        memory: &mut Memory,
+    ) -> Result<StaticGaussians, ModelError> {
+        let draws = self.config.static_position == StaticPosition::TruncatedNormal;
+        if draws && *sampling != Sampling::Mean {
+            memory.begin();
+            return self.static_head(tokens, sampling);
+        }
+        self.check_upsampled("static tokens", tokens)?;
+        memory.begin();
+        let _span = info_span!("heads", kind = "static").entered();
+        let (upsampler, head) = (&memory.static_upsampler, &mut memory.static_head);
+        Ok(self.static_head.apply_keeping(self.level(), &self.config, tokens, upsampler, head))
+    }
+
+    /// [`Network::decode`], leaving out what `memory` still holds.
+    ///
+    /// # Errors
+    /// As [`Network::decode`].
+    pub fn decode_keeping(&self, a: &Side<'_>, b: &Side<'_>, memory: &mut Memory) -> Result<[Vec<f32>; 2], ModelError> {
+        self.check_tokens("h of the first frame", a.h)?;
+        self.check_tokens("h of the second frame", b.h)?;
+        let features = [self.features(a, "first")?, self.features(b, "second")?];
+        memory.begin();
+        let _span = info_span!("decoder").entered();
+        let (level, saving, pair) = (self.level(), memory.saving, ([a.h, b.h], features));
+        Ok(self.decoder.apply_keeping(level, &self.config, pair, saving, &mut memory.decoder))
+    }
+
+    /// [`Network::upsample_deformation`] of the earlier (0) or the later (1) frame of the pair, leaving out what `memory` still holds.
+    ///
+    /// # Errors
+    /// As [`Network::upsample_deformation`].
+    ///
+    /// # Panics
+    /// When `place` is neither 0 nor 1.
+    pub fn upsample_deformation_keeping(
+        &self,
+        place: usize,
+        d: &[f32],
+        memory: &mut Memory,
+    ) -> Result<Vec<f32>, ModelError> {
+        self.check_tokens("d", d)?;
+        memory.begin();
+        let _span = info_span!("upsampler", kind = "deformation").entered();
+        let (level, saving, (upsampler, _)) = (self.level(), memory.saving, &mut memory.deformation[place]);
+        Ok(self.deformation_upsampler.apply_keeping(level, &self.config, d, saving, upsampler))
+    }
+
+    /// [`Network::deformation_head`] of `tokens`, the result of the last call of [`Network::upsample_deformation_keeping`] for that place
+    /// with this memory, leaving out what it still holds.
+    ///
+    /// # Errors
+    /// As [`Network::deformation_head`].
+    ///
+    /// # Panics
+    /// When `place` is neither 0 nor 1.
+    pub fn deformation_head_keeping(
+        &self,
+        place: usize,
+        static_tokens: &[f32],
+        tokens: &[f32],
+        memory: &mut Memory,
+    ) -> Result<(Vec<[f32; 3]>, Vec<[f32; 2]>), ModelError> {
+        self.check_upsampled("static tokens", static_tokens)?;
+        self.check_upsampled("deformation tokens", tokens)?;
+        memory.begin();
+        let _span = info_span!("heads", kind = "deformation").entered();
+        let (upsampler, head) = &mut memory.deformation[place];
+        Ok(self.deformation_head.apply_keeping(self.level(), static_tokens, tokens, upsampler, head))
     }
 
     /// What the other frame is conditioned on.

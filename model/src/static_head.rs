@@ -49,7 +49,25 @@ impl StaticHead {
     }
 
     pub(crate) fn apply(&self, level: Level, config: &Config, tokens: &[f32], sampling: Sampling) -> StaticGaussians {
-        let (n, d) = (config.gaussians(), config.gaussian_dim());
+        self.apply_at(level, config, tokens, sampling, |i| i)
+    }
+
+    /// [`StaticHead::apply`] of the cells `at`, whose tokens these are, with the mean of a position's distribution.
+    pub(crate) fn apply_some(&self, level: Level, config: &Config, tokens: &[f32], at: &[u32]) -> StaticGaussians {
+        self.apply_at(level, config, tokens, Sampling::Mean, |i| at[i] as usize)
+    }
+
+    /// `cell(i)` is the cell of token `i`.
+    fn apply_at(
+        &self,
+        level: Level,
+        config: &Config,
+        tokens: &[f32],
+        sampling: Sampling,
+        cell: impl Fn(usize) -> usize,
+    ) -> StaticGaussians {
+        let d = config.gaussian_dim();
+        let n = tokens.len() / d;
         let mut position = vec![[0.0; 3]; n];
         let mut log_scale = match self.kind {
             StaticPosition::Tanh => Vec::new(),
@@ -89,7 +107,8 @@ impl StaticHead {
             }
         }
         let [rows, columns] = config.gaussian_grid().map(|side| side as f32);
-        for (o, (x, z)) in position.iter_mut().zip(self.x_map.iter().zip(&self.z_map)) {
+        for (i, o) in position.iter_mut().enumerate() {
+            let (x, z) = (self.x_map[cell(i)], self.z_map[cell(i)]);
             *o = [x + o[0] / columns, 0.5 + 0.5 * o[1], z + o[2] / rows];
         }
         activation::softplus(level, scale.as_flattened_mut());

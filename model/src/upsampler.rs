@@ -11,13 +11,13 @@ use crate::layers::{Bias, Block, Linear, RmsNorm, Workspace, windows};
 use crate::{Config, ModelError, Precision};
 
 pub(crate) struct Upsampler {
-    stages: [Stage; 2],
-    layernorm2: RmsNorm,
+    pub(crate) stages: [Stage; 2],
+    pub(crate) layernorm2: RmsNorm,
 }
 
-struct Stage {
-    residual_fc: Linear,
-    blocks: [Block; 2],
+pub(crate) struct Stage {
+    pub(crate) residual_fc: Linear,
+    pub(crate) blocks: [Block; 2],
 }
 
 impl Upsampler {

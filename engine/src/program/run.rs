@@ -153,7 +153,8 @@ fn run_from(
     let written = drawing.writing(|| outputs.finish())?;
 
     let mut work = account.of(engine.work());
-    let stages = engine.work().stages().iter();
+    // The time of a stage's part is in the stage's.
+    let stages = engine.work().stages().iter().filter(|stage| !stage.stage.contains('.'));
     let mut seconds = stages.map(|stage| (stage.stage.to_owned(), stage.time.as_secs_f64())).collect();
     drawing.account(&mut work, &mut seconds);
     let read = keys.account();

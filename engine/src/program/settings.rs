@@ -102,16 +102,7 @@ impl Stream {
         };
         settings.sampling = choice("--sampling", &self.sampling)?;
         settings.seed = self.seed;
-        settings.reuse = match self.reuse.parse::<f64>() {
-            Ok(_) => {
-                let message = format!(
-                    "--reuse {}: approximate reuse is not available in this build; give off or exact",
-                    self.reuse
-                );
-                return Err(Failure::usage(message));
-            }
-            Err(_) => choice("--reuse", &self.reuse)?,
-        };
+        settings.reuse = choice("--reuse", &self.reuse)?;
         settings.precision = self.model.precision()?;
         settings.level = Some(machine.level()?);
         settings.threads = machine.threads()?;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use streamsplat_kernels::Level;
+use streamsplat_model::reuse::{Memory, Saving};
 use streamsplat_model::{Embedding, FrameInput, LoadOptions, Sampling, Side, StaticGaussians};
 
 use super::canonical::{Advance, CanonicalSet, Step};
@@ -14,12 +15,14 @@ use crate::fit::{self, Placement};
 /// Turns key frames into a dynamic scene, one interval per key frame.
 ///
 /// What it keeps between key frames is bounded and independent of the stream's length: the last frame's input, embedding,
-/// tokens, condition and Gaussians, the last pair's motion, and the survivors of at most `max_age` frames.
+/// tokens, condition and Gaussians, the last pair's motion, the survivors of at most `max_age` frames, and with some choices of
+/// [`Reuse`] the network's [`Memory`].
 pub struct Engine {
     settings: Settings,
     model: Arc<dyn Reconstructor>,
     workers: Workers,
     work: Work,
+    memory: Option<Memory>,
     state: Option<State>,
 }
 
@@ -63,7 +66,12 @@ impl Engine {
         let workers = Workers::new(settings.level.unwrap_or_else(Level::detect), settings.threads)?;
         let options = LoadOptions { level: workers.level(), precision: settings.precision };
         let model = workers.install(|| settings.model.load(&options))?;
-        Ok(Self { settings, model, workers, work: Work::default(), state: None })
+        let memory = match settings.reuse {
+            Reuse::Off => None,
+            Reuse::Exact => model.memory(Saving::Exact),
+            Reuse::Within(tolerance) => model.memory(Saving::Within(tolerance)),
+        };
+        Ok(Self { settings, model, workers, work: Work::default(), memory, state: None })
     }
 
     /// What it was made with.
@@ -91,7 +99,8 @@ impl Engine {
     ///
     /// # Errors
     /// Frames without pixels, of another size than the first one, with buffers of the wrong length or pixels that are not
-    /// finite; time stamps that are not after the one before; what the model refuses. The stream is then as it was before.
+    /// finite; time stamps that are not after the one before; what the model refuses. The stream is then as it was before, but that
+    /// after the model has refused something the next frame is computed in full.
     pub fn push(&mut self, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
         let workers = self.workers.clone();
         workers.install(|| self.take(frame, timestamp))
@@ -101,13 +110,30 @@ impl Engine {
     fn take(&mut self, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
         let index = self.state.as_ref().map_or(0, |s| s.frame + 1);
         let placement = self.check(&frame, index, timestamp)?;
+        let interval = self.advance(frame, index, timestamp, placement);
+        match &mut self.memory {
+            Some(memory) if interval.is_err() => memory.forget(),
+            Some(memory) => self.work.tokens(&memory.tokens()),
+            None => {}
+        }
+        interval
+    }
+
+    /// Takes a frame that was found good.
+    fn advance(
+        &mut self,
+        frame: Frame,
+        index: u64,
+        timestamp: f64,
+        placement: Placement,
+    ) -> Result<Interval, EngineError> {
         let (view, lost) = self.reconstruct(frame, index, placement)?;
-        let Self { settings, model, work, state: before, .. } = self;
+        let Self { settings, model, work, memory, state: before, .. } = self;
         let mut next_pair = None;
         let (set, advance) = match before {
             None => CanonicalSet::first(&view.gaussians),
             Some(state) => {
-                let pair = deform(model.as_ref(), work, state, &view, index)?;
+                let pair = deform(model.as_ref(), work, memory.as_mut(), state, &view, index)?;
                 let motion = &next_pair.insert(pair).motion;
                 let step = Step {
                     gaussians: &view.gaussians,
@@ -200,9 +226,10 @@ impl Engine {
             SamplingMode::Sample => Sampling::Sample { seed: self.settings.seed, frame: index },
         };
         let (model, work) = (&self.model, &mut self.work);
+        let mut memory = self.memory.as_mut();
 
         let repeated = match &self.state {
-            Some(state) if self.settings.reuse == Reuse::Exact => {
+            Some(state) if self.settings.reuse != Reuse::Off => {
                 same_bits(&state.view.rgb, &rgb) && same_depth(state.view.depth.as_deref(), depth.as_deref())
             }
             _ => false,
@@ -214,8 +241,14 @@ impl Engine {
             work.count(Stage::Condition, 0, u64::from(model.reads_condition()));
             view.features.clone()
         } else {
-            let embedding = work.measure(Stage::Encoder, || model.embed(&input))?;
-            let tokens = work.measure(Stage::Upsampler, || model.upsample(&embedding))?;
+            let embedding = work.measure(Stage::Encoder, || match memory.as_deref_mut() {
+                Some(memory) => model.embed_keeping(&input, memory),
+                None => model.embed(&input),
+            })?;
+            let tokens = work.measure(Stage::Upsampler, || match memory.as_deref_mut() {
+                Some(memory) => model.upsample_keeping(&embedding, memory),
+                None => model.upsample(&embedding),
+            })?;
             let condition = match model.reads_condition() {
                 true => work.measure(Stage::Condition, || model.condition(&input))?,
                 false => None,
@@ -229,7 +262,10 @@ impl Engine {
             }
             _ => {
                 let tokens = &features.tokens;
-                let gaussians = work.measure(Stage::Heads, || model.gaussians(tokens, &sampling))?;
+                let gaussians = work.measure(Stage::Heads, || match memory {
+                    Some(memory) => model.gaussians_keeping(tokens, &sampling, memory),
+                    None => model.gaussians(tokens, &sampling),
+                })?;
                 check_records(index, gaussians.position.len(), &gaussians)?;
                 Arc::new(gaussians)
             }
@@ -242,6 +278,7 @@ impl Engine {
 fn deform(
     model: &dyn Reconstructor,
     work: &mut Work,
+    mut memory: Option<&mut Memory>,
     state: &State,
     view: &View,
     index: u64,
@@ -260,13 +297,22 @@ fn deform(
         static_tokens: &f.tokens,
         condition: f.condition.as_deref(),
     });
-    let decoded = work.measure(Stage::Decoder, || model.decode(&sides[0], &sides[1]))?;
+    let decoded = work.measure(Stage::Decoder, || match memory.as_deref_mut() {
+        Some(memory) => model.decode_keeping(&sides[0], &sides[1], memory),
+        None => model.decode(&sides[0], &sides[1]),
+    })?;
     let mut motion: [Motion; 2] = Default::default();
     let gaussians = [&state.view.gaussians, &view.gaussians];
     for (side, d) in decoded.iter().enumerate() {
-        let tokens = work.measure(Stage::Upsampler, || model.upsample_motion(d))?;
+        let tokens = work.measure(Stage::Upsampler, || match memory.as_deref_mut() {
+            Some(memory) => model.upsample_motion_keeping(side, d, memory),
+            None => model.upsample_motion(d),
+        })?;
         let static_tokens = sides[side].static_tokens;
-        motion[side] = work.measure(Stage::Heads, || model.motion(static_tokens, &tokens))?;
+        motion[side] = work.measure(Stage::Heads, || match memory.as_deref_mut() {
+            Some(memory) => model.motion_keeping(side, static_tokens, &tokens, memory),
+            None => model.motion(static_tokens, &tokens),
+        })?;
         let expected = gaussians[side].position.len();
         for (what, found) in [("velocity", motion[side].0.len()), ("gamma", motion[side].1.len())] {
             if found != expected {

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use streamsplat_model::reuse::{Memory, Saving};
 use streamsplat_model::{
     Dino, Embedding, FrameInput, LoadOptions, ModelError, Network, Sampling, Side, StaticGaussians, StaticPosition,
 };
@@ -83,5 +84,44 @@ impl Reconstructor for Conditioned {
 
     fn motion(&self, static_tokens: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError> {
         self.network.deformation_head(static_tokens, motion_tokens)
+    }
+
+    fn memory(&self, saving: Saving) -> Option<Memory> {
+        self.network.memory(saving)
+    }
+
+    fn embed_keeping(&self, frame: &FrameInput<'_>, memory: &mut Memory) -> Result<Embedding, ModelError> {
+        self.network.encode_keeping(&self.network.tokenize(frame)?, memory)
+    }
+
+    fn upsample_keeping(&self, embedding: &Embedding, memory: &mut Memory) -> Result<Vec<f32>, ModelError> {
+        self.network.upsample_static_keeping(&embedding.h, memory)
+    }
+
+    fn gaussians_keeping(
+        &self,
+        tokens: &[f32],
+        sampling: &Sampling,
+        memory: &mut Memory,
+    ) -> Result<StaticGaussians, ModelError> {
+        self.network.static_head_keeping(tokens, sampling, memory)
+    }
+
+    fn decode_keeping(&self, a: &Side<'_>, b: &Side<'_>, memory: &mut Memory) -> Result<[Vec<f32>; 2], ModelError> {
+        self.network.decode_keeping(a, b, memory)
+    }
+
+    fn upsample_motion_keeping(&self, place: usize, d: &[f32], memory: &mut Memory) -> Result<Vec<f32>, ModelError> {
+        self.network.upsample_deformation_keeping(place, d, memory)
+    }
+
+    fn motion_keeping(
+        &self,
+        place: usize,
+        static_tokens: &[f32],
+        motion_tokens: &[f32],
+        memory: &mut Memory,
+    ) -> Result<Motion, ModelError> {
+        self.network.deformation_head_keeping(place, static_tokens, motion_tokens, memory)
     }
 }

@@ -1,5 +1,6 @@
 //! What turns frames into Gaussians and motion: a network, or anything that can stand in for one.
 
+use streamsplat_model::reuse::{Memory, Saving};
 use streamsplat_model::{Embedding, FrameInput, ModelError, Sampling, Side, StaticGaussians};
 
 /// Velocity (world units per interval) and (γ₀, γ₁) of each of a frame's Gaussians.
@@ -9,6 +10,9 @@ pub type Motion = (Vec<[f32; 3]>, Vec<[f32; 2]>);
 ///
 /// The results must be functions of the arguments alone: the stream keeps and reuses them. Work is done on the calling thread
 /// and its rayon pool.
+///
+/// What can leave out work from frame to frame gives a [`Memory`] and has a second form of each stage, `*_keeping`, that reads and
+/// changes it. A stream calls either form, of all stages, in the order of its frames.
 pub trait Reconstructor: Send + Sync {
     /// Height and width of the frames it takes.
     fn resolution(&self) -> [usize; 2];
@@ -60,4 +64,75 @@ pub trait Reconstructor: Send + Sync {
     /// # Errors
     /// Whatever the reconstructor refuses.
     fn motion(&self, static_tokens: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError>;
+
+    /// An empty memory, where there is anything to keep.
+    fn memory(&self, saving: Saving) -> Option<Memory> {
+        let _ = saving;
+        None
+    }
+
+    /// [`Reconstructor::embed`] with a memory.
+    ///
+    /// # Errors
+    /// Whatever the reconstructor refuses.
+    fn embed_keeping(&self, frame: &FrameInput<'_>, memory: &mut Memory) -> Result<Embedding, ModelError> {
+        let _ = memory;
+        self.embed(frame)
+    }
+
+    /// [`Reconstructor::upsample`] with a memory.
+    ///
+    /// # Errors
+    /// Whatever the reconstructor refuses.
+    fn upsample_keeping(&self, embedding: &Embedding, memory: &mut Memory) -> Result<Vec<f32>, ModelError> {
+        let _ = memory;
+        self.upsample(embedding)
+    }
+
+    /// [`Reconstructor::gaussians`] of the latest tokens, with a memory.
+    ///
+    /// # Errors
+    /// Whatever the reconstructor refuses.
+    fn gaussians_keeping(
+        &self,
+        tokens: &[f32],
+        sampling: &Sampling,
+        memory: &mut Memory,
+    ) -> Result<StaticGaussians, ModelError> {
+        let _ = memory;
+        self.gaussians(tokens, sampling)
+    }
+
+    /// [`Reconstructor::decode`] with a memory.
+    ///
+    /// # Errors
+    /// Whatever the reconstructor refuses.
+    fn decode_keeping(&self, a: &Side<'_>, b: &Side<'_>, memory: &mut Memory) -> Result<[Vec<f32>; 2], ModelError> {
+        let _ = memory;
+        self.decode(a, b)
+    }
+
+    /// [`Reconstructor::upsample_motion`] of the pair's earlier (0) or later (1) frame, with a memory.
+    ///
+    /// # Errors
+    /// Whatever the reconstructor refuses.
+    fn upsample_motion_keeping(&self, place: usize, d: &[f32], memory: &mut Memory) -> Result<Vec<f32>, ModelError> {
+        let _ = (place, memory);
+        self.upsample_motion(d)
+    }
+
+    /// [`Reconstructor::motion`] of the latest motion tokens of the pair's earlier (0) or later (1) frame, with a memory.
+    ///
+    /// # Errors
+    /// Whatever the reconstructor refuses.
+    fn motion_keeping(
+        &self,
+        place: usize,
+        static_tokens: &[f32],
+        motion_tokens: &[f32],
+        memory: &mut Memory,
+    ) -> Result<Motion, ModelError> {
+        let _ = (place, memory);
+        self.motion(static_tokens, motion_tokens)
+    }
 }

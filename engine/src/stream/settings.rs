@@ -174,14 +174,44 @@ named! {
     }
 }
 
-named! {
-    /// Which work is left out. Neither choice changes an output bit.
-    Reuse: "reuse" {
-        /// None.
-        Off = "off",
-        /// What was computed from the same bits before.
-        #[default]
-        Exact = "exact",
+/// Which work is left out.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Reuse {
+    /// None.
+    Off,
+    /// What was computed from the same bits before. No output bit changes.
+    #[default]
+    Exact,
+    /// Also what would be computed from tokens that moved by no more than this fraction of their length, from 0 to 1. See
+    /// [`streamsplat_model::reuse`].
+    Within(f32),
+}
+
+impl fmt::Display for Reuse {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Reuse::Off => f.write_str("off"),
+            Reuse::Exact => f.write_str("exact"),
+            Reuse::Within(tolerance) => write!(f, "{tolerance}"),
+        }
+    }
+}
+
+impl FromStr for Reuse {
+    type Err = UnknownChoice;
+
+    /// `off`, `exact`, or a tolerance.
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match (text, text.parse::<f32>()) {
+            ("off", _) => Ok(Reuse::Off),
+            ("exact", _) => Ok(Reuse::Exact),
+            (_, Ok(tolerance)) if (0.0..=1.0).contains(&tolerance) => Ok(Reuse::Within(tolerance)),
+            _ => Err(UnknownChoice {
+                what: "reuse",
+                expected: "off, exact, a tolerance from 0 to 1".to_owned(),
+                found: text.to_owned(),
+            }),
+        }
     }
 }
 
@@ -207,7 +237,12 @@ mod tests {
         }
         let error = "both".parse::<Fusion>().unwrap_err();
         assert_eq!(error.to_string(), r#"unknown fusion "both": expected one of persistent, pairwise"#);
-        assert_eq!("off".parse(), Ok(Reuse::Off));
+        for reuse in [Reuse::Off, Reuse::Exact, Reuse::Within(0.0), Reuse::Within(0.03)] {
+            assert_eq!(reuse.to_string().parse(), Ok(reuse));
+        }
+        for wrong in ["some", "-0.1", "1.5", "nan", "inf", ""] {
+            assert!(wrong.parse::<Reuse>().is_err(), "{wrong}");
+        }
         assert_eq!("sample".parse(), Ok(SamplingMode::Sample));
         assert_eq!("given".parse(), Ok(DepthRange::Given));
     }

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use streamsplat_model::reuse::Tokens;
+
 /// One stage's account.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StageWork {
@@ -13,7 +15,7 @@ pub struct StageWork {
     pub avoided: u64,
     /// What is counted.
     pub unit: &'static str,
-    /// Time spent in the stage.
+    /// Time spent in the stage; zero where it is another's part.
     pub time: Duration,
 }
 
@@ -75,6 +77,24 @@ impl Work {
     /// The stage of this name.
     pub fn stage(&self, name: &str) -> Option<&StageWork> {
         self.stages.iter().find(|s| s.stage == name)
+    }
+
+    /// The accounts of the network's parts in tokens, each under its stage's name and `.tokens`.
+    pub(crate) fn tokens(&mut self, parts: &[(&'static str, Tokens)]) {
+        for (part, tokens) in parts {
+            let name = match *part {
+                "encoder" => "encoder.tokens",
+                "upsampler" => "upsampler.tokens",
+                "decoder" => "decoder.tokens",
+                _ => "heads.tokens",
+            };
+            let Tokens { done, avoided } = *tokens;
+            let account = StageWork { stage: name, done, avoided, unit: "tokens of a block", time: Duration::ZERO };
+            match self.stages.iter_mut().find(|stage| stage.stage == name) {
+                Some(stage) => *stage = account,
+                None => self.stages.push(account),
+            }
+        }
     }
 
     /// Counts `done` and `avoided` units of a stage.

@@ -34,7 +34,7 @@ fn unknown_and_unavailable_values_are_wrong_use() {
         (&["--gap", "0"], "--gap 0: expected"),
         (&["--gap", "auto"], "--gap auto is not available"),
         (&["--fusion", "both"], "--fusion: unknown fusion \"both\""),
-        (&["--reuse", "0.1"], "--reuse 0.1: approximate reuse is not available"),
+        (&["--reuse", "1.1"], "--reuse: unknown reuse \"1.1\""),
         (&["--reuse", "some"], "--reuse: unknown reuse \"some\""),
         (&["--sampling", "mode"], "--sampling: unknown sampling"),
         (&["--seed", "x"], "--seed"),

@@ -163,7 +163,8 @@ fn some_queries_give_the_bits_they_give_among_all() {
             attend_as(precision, level, shape, rows(&q, tokens), rows(&k, tokens), rows(&v, tokens), &mut all);
             for step in [1, 3, 50, 1000] {
                 // In no order.
-                let places: Vec<u32> = (0..tokens as u32).rev().filter(|i| (i * 7 + 1) % step == 0 || *i == 0).collect();
+                let places: Vec<u32> =
+                    (0..tokens as u32).rev().filter(|i| (i * 7 + 1) % step == 0 || *i == 0).collect();
                 let pick = |x: &[f32]| -> Vec<f32> {
                     places.iter().flat_map(|i| x[*i as usize * 128..][..128].to_vec()).collect()
                 };

@@ -1,11 +1,12 @@
 //! Attention layers: projections around the kernel.
 
 use streamsplat_kernels::Level;
-use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as};
+use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as, attend_some};
 
 use super::{Bias, HEAD, Linear, RmsNorm, Workspace, sized};
 use crate::ModelError;
 use crate::checkpoint::Weights;
+use crate::reuse::scatter;
 
 fn shape(d: usize, windows: Windows) -> Shape {
     Shape { heads: d / HEAD, width: HEAD, windows }
@@ -43,6 +44,33 @@ impl SelfAttention {
         let mixed = sized(&mut work.mixed, x.len());
         let [q, k, v] = [0, 1, 2].map(|part| Rows::new(qkv, n, 3 * d, part * d));
         attend_as(self.out_proj.precision(), level, shape(d, windows), q, k, v, mixed);
+        self.out_proj.accumulate(level, mixed, x);
+    }
+
+    /// [`SelfAttention::accumulate`] of the tokens `at` alone, whose rows `x` holds: `keys_values [n, 2d]` holds keys and values of
+    /// all tokens, and gets theirs.
+    #[expect(clippy::too_many_arguments, reason = "those of `accumulate`, the places and what is kept")]
+    pub(crate) fn accumulate_some(
+        &self,
+        level: Level,
+        norm: &RmsNorm,
+        windows: Windows,
+        at: &[u32],
+        x: &mut [f32],
+        keys_values: &mut [f32],
+        work: &mut Workspace,
+    ) {
+        let d = self.out_proj.k();
+        let n = keys_values.len() / (2 * d);
+        let normed = sized(&mut work.normed, x.len());
+        norm.apply(level, x, normed);
+        let qkv = sized(&mut work.projected, 3 * x.len());
+        self.packed_proj.apply(level, normed, qkv);
+        scatter(at, qkv, 3 * d, d, keys_values, 2 * d);
+        let mixed = sized(&mut work.mixed, x.len());
+        let q = Rows::new(qkv, at.len(), 3 * d, 0);
+        let [k, v] = [0, 1].map(|part| Rows::new(keys_values, n, 2 * d, part * d));
+        attend_some(self.out_proj.precision(), level, shape(d, windows), at, q, k, v, mixed);
         self.out_proj.accumulate(level, mixed, x);
     }
 
@@ -84,16 +112,36 @@ impl CrossAttention {
         x: &mut [f32],
         work: &mut Workspace,
     ) {
+        let mut keys_values = std::mem::take(&mut work.keys_values);
+        self.key_value.apply(level, condition, sized(&mut keys_values, 2 * condition.len()));
+        self.accumulate_with(level, norm, &keys_values, x, work);
+        work.keys_values = keys_values;
+    }
+
+    /// The keys and values of a condition, `[m, 2d]`.
+    pub(crate) fn keys_values(&self, level: Level, condition: &[f32]) -> Vec<f32> {
+        let mut keys_values = vec![0.0; 2 * condition.len()];
+        self.key_value.apply(level, condition, &mut keys_values);
+        keys_values
+    }
+
+    /// [`CrossAttention::accumulate`] with the keys and values of the condition.
+    pub(crate) fn accumulate_with(
+        &self,
+        level: Level,
+        norm: &RmsNorm,
+        keys_values: &[f32],
+        x: &mut [f32],
+        work: &mut Workspace,
+    ) {
         let d = self.out_proj.k();
-        let (n, m) = (x.len() / d, condition.len() / d);
+        let (n, m) = (x.len() / d, keys_values.len() / (2 * d));
         let normed = sized(&mut work.normed, x.len());
         norm.apply(level, x, normed);
         let q = sized(&mut work.projected, x.len());
         self.query.apply(level, normed, q);
-        let kv = sized(&mut work.keys_values, 2 * condition.len());
-        self.key_value.apply(level, condition, kv);
         let mixed = sized(&mut work.mixed, x.len());
-        let [k, v] = [0, 1].map(|part| Rows::new(kv, m, 2 * d, part * d));
+        let [k, v] = [0, 1].map(|part| Rows::new(keys_values, m, 2 * d, part * d));
         attend_as(self.out_proj.precision(), level, shape(d, Windows::Full), Rows::new(q, n, d, 0), k, v, mixed);
         self.out_proj.accumulate(level, mixed, x);
     }

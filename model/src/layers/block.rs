@@ -30,6 +30,20 @@ impl Block {
         self.mlp.accumulate(level, &self.layernorm2, x, work);
     }
 
+    /// [`Block::apply`] of the tokens `at` alone, whose rows `x` holds; `keys_values [n, 2d]` holds those of all tokens, and gets theirs.
+    pub(crate) fn apply_some(
+        &self,
+        level: Level,
+        windows: Windows,
+        at: &[u32],
+        x: &mut [f32],
+        keys_values: &mut [f32],
+        work: &mut Workspace,
+    ) {
+        self.attn.accumulate_some(level, &self.layernorm1, windows, at, x, keys_values, work);
+        self.mlp.accumulate(level, &self.layernorm2, x, work);
+    }
+
     pub(crate) fn bytes(&self) -> usize {
         self.layernorm1.bytes() + self.attn.bytes() + self.layernorm2.bytes() + self.mlp.bytes()
     }

@@ -1,0 +1,136 @@
+//! Runs of blocks, and the encoder, which is one.
+
+use streamsplat_kernels::Level;
+use streamsplat_kernels::attention::Windows;
+
+use super::rows::{Gate, Rows, places};
+use super::schedule::{Pass, Schedule};
+use super::{Saving, Tokens};
+use crate::Config;
+use crate::encoder::Encoder;
+use crate::layers::{Block, Workspace, windows};
+
+/// What a block keeps: its tokens as it last computed them, and their keys and values.
+#[derive(Debug)]
+pub(super) struct BlockMemory {
+    pub(super) gate: Gate,
+    /// `[n, 2d]`
+    pub(super) keys_values: Vec<f32>,
+}
+
+impl BlockMemory {
+    pub(super) fn new(n: usize, d: usize) -> BlockMemory {
+        BlockMemory { gate: Gate::new(n, d), keys_values: Vec::new() }
+    }
+
+    /// Leaves in `rows` what the block has to compute, and keeps its input. On a refresh these are all.
+    pub(super) fn admit(&mut self, level: Level, saving: Saving, refresh: bool, windows: Windows, rows: &mut Rows) {
+        if refresh {
+            self.gate.keep_at(rows);
+            self.keys_values.resize(2 * rows.x.len(), 0.0);
+            return;
+        }
+        self.gate.pass(level, saving.tolerance(), rows);
+        if saving == Saving::Exact {
+            let whole = whole_windows(windows, &rows.at, self.gate.rows());
+            let reference = self.gate.reference();
+            *rows = Rows::gather(whole, reference, reference.len() / self.gate.rows());
+        }
+    }
+
+    pub(super) fn bytes(&self) -> usize {
+        self.gate.bytes() + 4 * self.keys_values.len()
+    }
+}
+
+/// All tokens, of `n`, of the windows that hold one of `at`.
+fn whole_windows(windows: Windows, at: &[u32], n: usize) -> Vec<u32> {
+    let window = |token: usize| match windows {
+        Windows::Full => 0,
+        Windows::Runs { length, roll } => (token + roll) % n / length,
+    };
+    let mut touched = vec![false; n];
+    at.iter().for_each(|&token| touched[window(token as usize)] = true);
+    (0..n as u32).filter(|token| touched[window(*token as usize)]).collect()
+}
+
+/// Takes `rows` through one block.
+pub(super) fn step(
+    level: Level,
+    saving: Saving,
+    refresh: bool,
+    (block, memory, windows): (&Block, &mut BlockMemory, Windows),
+    rows: &mut Rows,
+    (work, tokens): (&mut Workspace, &mut Tokens),
+) {
+    memory.admit(level, saving, refresh, windows, rows);
+    tokens.count(rows.at.len(), memory.gate.rows());
+    block.apply_some(level, windows, &rows.at, &mut rows.x, &mut memory.keys_values, work);
+}
+
+/// What the encoder keeps.
+#[derive(Debug)]
+pub(crate) struct EncoderMemory {
+    schedule: Schedule,
+    blocks: Vec<BlockMemory>,
+    /// `h [N, D]`
+    output: Vec<f32>,
+    pub(crate) tokens: Tokens,
+}
+
+impl EncoderMemory {
+    pub(crate) fn new(config: &Config) -> EncoderMemory {
+        let block = |_| BlockMemory::new(config.tokens(), config.hidden_dim);
+        EncoderMemory {
+            schedule: Schedule::default(),
+            blocks: (0..config.encoder_layers).map(block).collect(),
+            output: Vec::new(),
+            tokens: Tokens::default(),
+        }
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        self.blocks.iter().map(BlockMemory::bytes).sum::<usize>() + 4 * self.output.len()
+    }
+}
+
+impl Encoder {
+    /// [`Encoder::encode`] with a memory.
+    pub(crate) fn encode_keeping(
+        &self,
+        level: Level,
+        config: &Config,
+        tokens: &[f32],
+        saving: Saving,
+        memory: &mut EncoderMemory,
+    ) -> Vec<f32> {
+        let (n, d) = (config.tokens(), config.hidden_dim);
+        let x = self.enter(level, tokens);
+        let EncoderMemory { schedule, blocks, output, tokens } = memory;
+        let Some(first) = blocks.first() else { return self.run(level, config, x) };
+        let changed = match schedule.has_seen() {
+            true => places(&first.gate.moved(level, saving.tolerance(), &x)),
+            false => Vec::new(),
+        };
+        let pass = schedule.next(saving, changed.len(), n);
+        let mut rows = match pass {
+            Pass::Plain => {
+                blocks[0].gate.keep(&x);
+                tokens.count(blocks.len() * n, blocks.len() * n);
+                return self.run(level, config, x);
+            }
+            Pass::Refresh => Rows::all(x, d),
+            Pass::Changed => Rows::gather(changed, &x, d),
+        };
+        let mut work = Workspace::default();
+        for (i, (block, memory)) in self.blocks.iter().zip(blocks).enumerate() {
+            let windows = windows(config.encoder_window, i);
+            let part = (block, memory, windows);
+            step(level, saving, pass == Pass::Refresh, part, &mut rows, (&mut work, tokens));
+        }
+        rows.x = self.layernorm2.of(level, &rows.x);
+        output.resize(n * d, 0.0);
+        rows.scatter(output, d);
+        output.clone()
+    }
+}

@@ -1,0 +1,149 @@
+//! The dynamic decoder.
+
+use streamsplat_kernels::Level;
+
+use super::blocks::BlockMemory;
+use super::rows::{Gate, Rows, places};
+use super::schedule::{Pass, Schedule};
+use super::{Saving, Tokens, scatter};
+use crate::Config;
+use crate::decoder::Decoder;
+use crate::layers::{Workspace, windows};
+
+/// What the decoder keeps. Its tokens are those of both frames, the earlier one's first.
+#[derive(Debug)]
+pub(crate) struct DecoderMemory {
+    schedule: Schedule,
+    /// The features that each frame is conditioned on.
+    conditions: [Gate; 2],
+    blocks: Vec<PairMemory>,
+    /// `d [2N, D]`
+    output: Vec<f32>,
+    pub(crate) tokens: Tokens,
+}
+
+/// What one block keeps.
+#[derive(Debug)]
+struct PairMemory {
+    own: BlockMemory,
+    /// Keys and values of each frame's condition, `[M, 2D]`.
+    cross: [Vec<f32>; 2],
+}
+
+impl DecoderMemory {
+    pub(crate) fn new(config: &Config) -> DecoderMemory {
+        let (n, d) = (config.tokens(), config.hidden_dim);
+        let block = |_| PairMemory { own: BlockMemory::new(2 * n, d), cross: Default::default() };
+        DecoderMemory {
+            schedule: Schedule::default(),
+            conditions: [0, 1].map(|_| Gate::new(n, config.condition_dim)),
+            blocks: (0..config.decoder_layers).map(block).collect(),
+            output: Vec::new(),
+            tokens: Tokens::default(),
+        }
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        let cross = |block: &PairMemory| block.cross.iter().map(Vec::len).sum::<usize>();
+        let blocks: usize = self.blocks.iter().map(|block| block.own.bytes() + 4 * cross(block)).sum();
+        self.conditions.iter().map(Gate::bytes).sum::<usize>() + blocks + 4 * self.output.len()
+    }
+}
+
+impl Decoder {
+    /// [`Decoder::apply`] with a memory.
+    pub(crate) fn apply_keeping(
+        &self,
+        level: Level,
+        config: &Config,
+        (h, features): ([&[f32]; 2], [&[f32]; 2]),
+        saving: Saving,
+        memory: &mut DecoderMemory,
+    ) -> [Vec<f32>; 2] {
+        let (n, d) = (config.tokens(), config.hidden_dim);
+        let DecoderMemory { schedule, conditions, blocks, output, tokens } = memory;
+        // Each token sees all of the other frame's: where one bit differs, all do.
+        let (Some(first), Saving::Within(_)) = (blocks.first_mut(), saving) else {
+            tokens.count(blocks.len() * 2 * n, blocks.len() * 2 * n);
+            return self.apply(level, config, h, features);
+        };
+        let x = self.enter(level, h);
+        let changed = match schedule.has_seen() {
+            true => {
+                let marks = first.own.gate.moved(level, saving.tolerance(), &x);
+                let (earlier, later) = marks.split_at(n);
+                let either: Vec<bool> = earlier.iter().zip(later).map(|(a, b)| *a || *b).collect();
+                places(&[either.as_slice(), &either].concat())
+            }
+            false => Vec::new(),
+        };
+        let pass = schedule.next(saving, changed.len(), 2 * n);
+        let mut rows = match pass {
+            Pass::Plain => {
+                first.own.gate.keep(&x);
+                tokens.count(blocks.len() * 2 * n, blocks.len() * 2 * n);
+                return self.apply(level, config, h, features);
+            }
+            Pass::Refresh => Rows::all(x, d),
+            Pass::Changed => Rows::gather(changed, &x, d),
+        };
+        let refresh = pass == Pass::Refresh;
+        // Each frame is conditioned on the other.
+        let mut conditions = conditions.iter_mut().zip([features[1], features[0]]);
+        let conditions = [(); 2].map(|()| match conditions.next() {
+            Some((gate, features)) => self.renewed(level, config.condition_dim, saving, refresh, gate, features),
+            None => (Rows::default(), 0),
+        });
+        let mut work = Workspace::default();
+        for (i, (block, memory)) in self.blocks.iter().zip(blocks).enumerate() {
+            let windows = windows(config.encoder_window, i);
+            // The gate would drop a token whose partner in the other frame changed.
+            if i == 0 && !refresh {
+                memory.own.gate.replace(&rows);
+            } else {
+                memory.own.admit(level, saving, refresh, windows, &mut rows);
+            }
+            tokens.count(rows.at.len(), 2 * n);
+            let Rows { at, x } = &mut rows;
+            let own = &mut memory.own.keys_values;
+            block.self_attn.accumulate_some(level, &block.self_attn_ln, windows, at, x, own, &mut work);
+            let (earlier, later) = x.split_at_mut(at.partition_point(|token| (*token as usize) < n) * d);
+            for ((x, kept), (renewed, m)) in [earlier, later].into_iter().zip(&mut memory.cross).zip(&conditions) {
+                kept.resize(m * 2 * d, 0.0);
+                let new = block.cross_attn.keys_values(level, &renewed.x);
+                scatter(&renewed.at, &new, 2 * d, 0, kept, 2 * d);
+                block.cross_attn.accumulate_with(level, &block.cross_attn_ln, kept, x, &mut work);
+            }
+            block.mlp.accumulate(level, &block.mlp_ln, x, &mut work);
+        }
+        rows.x = self.layernorm2.of(level, &rows.x);
+        output.resize(2 * n * d, 0.0);
+        rows.scatter(output, d);
+        let (earlier, later) = output.split_at(n * d);
+        [earlier.to_vec(), later.to_vec()]
+    }
+
+    /// The rows of a condition that changed, ready to attend to, and how many there are in all.
+    fn renewed(
+        &self,
+        level: Level,
+        channels: usize,
+        saving: Saving,
+        refresh: bool,
+        gate: &mut Gate,
+        features: &[f32],
+    ) -> (Rows, usize) {
+        let m = features.len() / channels;
+        if refresh || gate.rows() != m {
+            gate.keep(features);
+            let mut rows = Rows::all(Vec::new(), channels);
+            rows.at = (0..m as u32).collect();
+            rows.x = self.condition_some(level, features, &rows.at, m);
+            return (rows, m);
+        }
+        let mut rows = Rows::gather(places(&gate.moved(level, saving.tolerance(), features)), features, channels);
+        gate.replace(&rows);
+        rows.x = self.condition_some(level, &rows.x, &rows.at, m);
+        (rows, m)
+    }
+}

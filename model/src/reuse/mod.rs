@@ -1,0 +1,190 @@
+//! Leaving out what did not change since the key frame before.
+//!
+//! A [`Memory`] keeps, for every part of a [`Network`], what the part saw and gave last. With it the part computes only rows
+//! (tokens) whose input changed, and takes the rest from there:
+//!
+//! - [`Saving::Exact`]: no output bit changes. A block whose attention runs in windows computes the windows of which a token's
+//!   bits changed. Where attention sees every token every one depends on all others, and there is nothing to keep: this is for
+//!   models with `encoder_window`.
+//! - [`Saving::Within`]: a token is computed anew when its input moved by more than the tolerance (relative to its length, see
+//!   [`streamsplat_kernels::change`]) since it was last computed, block by block. Only such tokens are queried and only their keys
+//!   and values are replaced; every other keeps its last output. A token that a block drops is dropped by all that follow.
+//!   Errors do not build up without bound: a part computes everything anew after [`Memory::REFRESH`] steps, or once
+//!   [`Memory::REPLACED`] times all its tokens have been computed one by one.
+//!
+//! A part more than [`Memory::MOST`] of whose tokens changed is computed as if there were no memory, and keeps nothing but its
+//! input: a moving camera pays for the comparison alone. It is computed and kept when that share falls again.
+//!
+//! The decoder's input is a pair of frames, and its memory belongs to the pair's places, not to the frames: `h` of frame k is compared in
+//! the place of the later frame with that of frame k−1, and a step later, in the place of the earlier frame, with it again. What
+//! appears changes one place only, but the motion in both: a token is computed in both places when it changed in either.
+//!
+//! DINOv2 is not gated: its features, of which every one depends on all others, are compared as the decoder's condition.
+//!
+//! # Order
+//! Which rows are computed follows from the comparison alone, whose order of operations is fixed; rows are gathered in ascending
+//! order of tokens (in the upsamplers: each token's four sub-tokens one after the other), and no row's bits depend on which others there
+//! are. So the results are the same on every level and for any number of threads.
+//!
+//! Source: Dutson, Li and Gupta, "Eventful Transformers" (ICCV 2023), with one gate per block.
+//!
+//! [`Network`]: crate::Network
+
+mod blocks;
+mod decoder;
+mod heads;
+mod rows;
+mod schedule;
+mod upsampler;
+
+use streamsplat_kernels::change::Tolerance;
+
+pub(crate) use blocks::EncoderMemory;
+pub(crate) use decoder::DecoderMemory;
+pub(crate) use heads::{DeformationHeadMemory, StaticHeadMemory};
+pub(crate) use rows::scatter;
+pub(crate) use upsampler::UpsamplerMemory;
+
+use crate::Config;
+
+/// What may be left out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Saving {
+    /// What was computed from the same bits before.
+    Exact,
+    /// Also what would be computed from inputs that moved by no more than this fraction of their length.
+    Within(f32),
+}
+
+impl Saving {
+    fn tolerance(self) -> Tolerance {
+        match self {
+            Saving::Exact => Tolerance::Bits,
+            Saving::Within(tau) => Tolerance::Relative(tau),
+        }
+    }
+}
+
+/// Work of a part in tokens: one for every token a block computes, or does not need to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tokens {
+    /// Computed.
+    pub done: u64,
+    /// Kept from before.
+    pub avoided: u64,
+}
+
+impl Tokens {
+    fn count(&mut self, done: usize, of: usize) {
+        self.done += done as u64;
+        self.avoided += (of - done) as u64;
+    }
+}
+
+/// What the parts of one network keep from key frame to key frame. It is bounded: see [`Memory::bytes`].
+///
+/// One memory serves one stream: give it to the `*_keeping` methods of one [`crate::Network`], each frame in turn.
+#[derive(Debug)]
+pub struct Memory {
+    pub(crate) saving: Saving,
+    pub(crate) encoder: EncoderMemory,
+    pub(crate) static_upsampler: UpsamplerMemory,
+    pub(crate) static_head: StaticHeadMemory,
+    pub(crate) decoder: DecoderMemory,
+    /// Of the earlier and the later frame of a pair.
+    pub(crate) deformation: [(UpsamplerMemory, DeformationHeadMemory); 2],
+    position: u64,
+    stale: bool,
+    config: Config,
+}
+
+impl Memory {
+    /// Steps after which a part computes everything anew.
+    pub const REFRESH: u32 = 48;
+    /// How many times over a part's tokens are computed one by one before it computes all of them anew.
+    pub const REPLACED: usize = 6;
+    /// The largest share of a part's tokens that are computed one by one.
+    pub const MOST: f64 = 0.6;
+
+    /// An empty one; `None` when a network of this size has nothing to keep.
+    pub(crate) fn new(saving: Saving, config: &Config) -> Option<Memory> {
+        if saving == Saving::Exact && config.encoder_window.is_none() {
+            return None;
+        }
+        Some(Memory {
+            saving,
+            encoder: EncoderMemory::new(config),
+            static_upsampler: UpsamplerMemory::new(config),
+            static_head: StaticHeadMemory::new(config),
+            decoder: DecoderMemory::new(config),
+            deformation: [0, 1].map(|_| (UpsamplerMemory::new(config), DeformationHeadMemory::new(config))),
+            position: 0,
+            stale: false,
+            config: config.clone(),
+        })
+    }
+
+    /// What it may leave out.
+    pub fn saving(&self) -> Saving {
+        self.saving
+    }
+
+    /// Tokens computed and kept, by part: `encoder`, `upsampler`, `decoder`, `heads`.
+    pub fn tokens(&self) -> [(&'static str, Tokens); 4] {
+        let sum = |parts: &[Tokens]| {
+            parts
+                .iter()
+                .fold(Tokens::default(), |sum, t| Tokens { done: sum.done + t.done, avoided: sum.avoided + t.avoided })
+        };
+        let [(up_a, head_a), (up_b, head_b)] = &self.deformation;
+        [
+            ("encoder", self.encoder.tokens),
+            ("upsampler", sum(&[self.static_upsampler.tokens, up_a.tokens, up_b.tokens])),
+            ("decoder", self.decoder.tokens),
+            ("heads", sum(&[self.static_head.tokens, head_a.tokens, head_b.tokens])),
+        ]
+    }
+
+    /// Bytes it holds: at most what a first key frame and a pair make it hold, whatever the stream's length.
+    pub fn bytes(&self) -> usize {
+        let pair: usize = self.deformation.iter().map(|(up, head)| up.bytes() + head.bytes()).sum();
+        self.encoder.bytes() + self.static_upsampler.bytes() + self.static_head.bytes() + self.decoder.bytes() + pair
+    }
+
+    /// Forgets everything but the counts: what comes next is computed in full.
+    pub fn forget(&mut self) {
+        let tokens = self.tokens();
+        let Some(empty) = Memory::new(self.saving, &self.config) else { return };
+        let position = self.position;
+        *self = Memory { position, ..empty };
+        let parts = [
+            &mut self.encoder.tokens,
+            &mut self.static_upsampler.tokens,
+            &mut self.decoder.tokens,
+            &mut self.static_head.tokens,
+        ];
+        for (part, (_, before)) in parts.into_iter().zip(tokens) {
+            *part = before;
+        }
+    }
+
+    /// How many calls it has been given to: the calls' results follow from their arguments, this number and the calls before.
+    pub fn position(&self) -> u64 {
+        self.position
+    }
+
+    /// Counts a call whose result is known from another memory that was given the same calls. The next call that is made
+    /// with this one computes in full.
+    pub fn skip(&mut self) {
+        self.position += 1;
+        self.stale = true;
+    }
+
+    /// Begins a call.
+    pub(crate) fn begin(&mut self) {
+        if self.stale {
+            self.forget();
+        }
+        self.position += 1;
+    }
+}

@@ -1,0 +1,121 @@
+//! Some rows of a matrix, gathered; and the rows that are kept to compare them with.
+
+use streamsplat_kernels::Level;
+use streamsplat_kernels::change::{Tolerance, moved};
+
+/// Rows of a matrix `[n, d]`: where they lie, and their values.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Rows {
+    /// Their places.
+    pub(crate) at: Vec<u32>,
+    /// `[at.len(), d]`
+    pub(crate) x: Vec<f32>,
+}
+
+impl Rows {
+    /// All rows of `x [n, d]`.
+    pub(crate) fn all(x: Vec<f32>, d: usize) -> Rows {
+        Rows { at: (0..(x.len() / d) as u32).collect(), x }
+    }
+
+    /// The rows `at` of `x [n, d]`.
+    pub(crate) fn gather(at: Vec<u32>, x: &[f32], d: usize) -> Rows {
+        let mut rows = Vec::with_capacity(at.len() * d);
+        at.iter().for_each(|&row| rows.extend_from_slice(&x[row as usize * d..][..d]));
+        Rows { at, x: rows }
+    }
+
+    /// Writes them to their places in `to [n, d]`.
+    pub(crate) fn scatter(&self, to: &mut [f32], d: usize) {
+        scatter(&self.at, &self.x, d, 0, to, d);
+    }
+
+    /// Keeps those that are `wanted`.
+    fn retain(&mut self, wanted: &[bool], d: usize) {
+        let mut kept = 0;
+        for (row, _) in wanted.iter().enumerate().filter(|(_, wanted)| **wanted) {
+            self.at[kept] = self.at[row];
+            self.x.copy_within(row * d..(row + 1) * d, kept * d);
+            kept += 1;
+        }
+        self.at.truncate(kept);
+        self.x.truncate(kept * d);
+    }
+}
+
+/// Writes columns `first..first+d` of the rows of `x` to the places `at` of `to [n, d]`.
+pub(crate) fn scatter(at: &[u32], x: &[f32], stride: usize, first: usize, to: &mut [f32], d: usize) {
+    for (row, x) in at.iter().zip(x.chunks_exact(stride)) {
+        to[*row as usize * d..][..d].copy_from_slice(&x[first..first + d]);
+    }
+}
+
+/// The places that are `true`.
+pub(super) fn places(marks: &[bool]) -> Vec<u32> {
+    (0..marks.len() as u32).filter(|i| marks[*i as usize]).collect()
+}
+
+/// Rows as they were when they were last computed.
+#[derive(Debug)]
+pub(super) struct Gate {
+    d: usize,
+    rows: usize,
+    reference: Vec<f32>,
+}
+
+impl Gate {
+    /// Of `rows` rows of width `d`; takes no memory before the first [`Gate::keep`].
+    pub(super) fn new(rows: usize, d: usize) -> Gate {
+        Gate { d, rows, reference: Vec::new() }
+    }
+
+    /// Keeps all of `x`.
+    pub(super) fn keep(&mut self, x: &[f32]) {
+        self.reference.clear();
+        self.reference.extend_from_slice(x);
+        self.rows = x.len() / self.d;
+    }
+
+    /// Keeps `rows`, which are all, in any order.
+    pub(super) fn keep_at(&mut self, rows: &Rows) {
+        self.rows = rows.at.len();
+        self.reference.resize(rows.x.len(), 0.0);
+        self.replace(rows);
+    }
+
+    /// Which rows of `x` moved; all, when nothing of this size was kept.
+    pub(super) fn moved(&self, level: Level, tolerance: Tolerance, x: &[f32]) -> Vec<bool> {
+        let mut marks = vec![true; x.len() / self.d];
+        if x.len() == self.reference.len() {
+            moved(level, tolerance, self.d, x, &self.reference, None, &mut marks);
+        }
+        marks
+    }
+
+    /// Keeps the values of `rows`.
+    pub(super) fn replace(&mut self, rows: &Rows) {
+        rows.scatter(&mut self.reference, self.d);
+    }
+
+    /// Drops the rows that did not move, and keeps the values of the others.
+    pub(super) fn pass(&mut self, level: Level, tolerance: Tolerance, rows: &mut Rows) {
+        let mut marks = vec![false; rows.at.len()];
+        moved(level, tolerance, self.d, &rows.x, &self.reference, Some(&rows.at), &mut marks);
+        rows.retain(&marks, self.d);
+        self.replace(rows);
+    }
+
+    /// All rows as they were kept.
+    pub(super) fn reference(&self) -> &[f32] {
+        &self.reference
+    }
+
+    /// Rows it was made for, or keeps.
+    pub(super) fn rows(&self) -> usize {
+        self.rows
+    }
+
+    pub(super) fn bytes(&self) -> usize {
+        4 * self.reference.len()
+    }
+}
