@@ -6,6 +6,7 @@
 mod kernels;
 mod machine;
 mod raster;
+mod reuse;
 mod serve;
 mod stages;
 mod timing;
@@ -30,6 +31,8 @@ enum Command {
     Kernels(kernels::Options),
     /// Whole scenes of Gaussians, redrawing, and growth with their number.
     Raster(raster::Options),
+    /// What leaving out work costs and saves on given clips.
+    Reuse(reuse::Options),
     /// Stages of the network on request, for comparisons driven from outside.
     Serve(serve::Options),
     /// The stages of the network and a whole key frame.
@@ -78,6 +81,7 @@ fn main() -> std::process::ExitCode {
     let result = match Program::parse().command {
         Command::Kernels(options) => kernels::run(&options),
         Command::Raster(options) => raster::run(&options),
+        Command::Reuse(options) => reuse::run(&options),
         Command::Serve(options) => serve::run(&options),
         Command::Stages(options) => stages::run(&options),
     };

@@ -27,3 +27,71 @@ impl Seconds {
         Seconds { min: at(0), median: at(times.len() / 2), max: at(times.len().saturating_sub(1)) }
     }
 }
+
+/// Time spent: of the processor, on all threads of this process, where the system tells, and of the clock.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub(crate) struct Spent {
+    processor: Option<f64>,
+    clock: f64,
+}
+
+impl Spent {
+    /// The processor's time, or else the clock's.
+    pub(crate) fn seconds(&self) -> f64 {
+        self.processor.unwrap_or(self.clock)
+    }
+}
+
+impl std::ops::Add for Spent {
+    type Output = Spent;
+    fn add(self, other: Spent) -> Spent {
+        // Nothing spent yet is known to be nothing.
+        let processor = match (self.processor, other.processor) {
+            (None, only) if self.clock == 0.0 => only,
+            (a, b) => a.zip(b).map(|(a, b)| a + b),
+        };
+        Spent { processor, clock: self.clock + other.clock }
+    }
+}
+
+impl std::ops::AddAssign for Spent {
+    fn add_assign(&mut self, other: Spent) {
+        *self = *self + other;
+    }
+}
+
+impl std::ops::Div<f64> for Spent {
+    type Output = Spent;
+    fn div(self, by: f64) -> Spent {
+        Spent { processor: self.processor.map(|t| t / by), clock: self.clock / by }
+    }
+}
+
+/// Measures [`Spent`] time.
+pub(crate) struct Stopwatch {
+    processor: Option<f64>,
+    clock: Instant,
+}
+
+impl Stopwatch {
+    /// Starts now.
+    pub(crate) fn start() -> Stopwatch {
+        Stopwatch { processor: processor_seconds(), clock: Instant::now() }
+    }
+
+    /// The time since.
+    pub(crate) fn stop(self) -> Spent {
+        let clock = self.clock.elapsed().as_secs_f64();
+        Spent { processor: processor_seconds().zip(self.processor).map(|(now, then)| now - then), clock }
+    }
+}
+
+/// Seconds that this process's threads have run, as Linux counts them to the nanosecond.
+fn processor_seconds() -> Option<f64> {
+    let mut nanoseconds = 0;
+    for task in std::fs::read_dir("/proc/self/task").ok()?.flatten() {
+        let text = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
+        nanoseconds += text.split_whitespace().next()?.parse::<u64>().ok()?;
+    }
+    Some(nanoseconds as f64 * 1e-9)
+}

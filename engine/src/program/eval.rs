@@ -154,7 +154,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
             break;
         }
         let source = Source::open(clip, &source::Options { fps: args.fps })?;
-        let depth = KeyDepth::open(&depth, &source, args.machine.level()?, settings.reuse == Reuse::Exact)?;
+        let depth = KeyDepth::open(&depth, &source, args.machine.level()?, settings.reuse != Reuse::Off)?;
         let keys = KeyFrames::new(source, depth, gap, true, None);
         if rows.is_empty() {
             // Loaded once for all clips and both modes.

@@ -105,7 +105,7 @@ fn run_from(
         }
         _ => (Outputs::create(destination, emit)?.with_ledger(), None),
     };
-    let depth = KeyDepth::open(&depth, &source, machine.level()?, settings.reuse == Reuse::Exact)?;
+    let depth = KeyDepth::open(&depth, &source, machine.level()?, settings.reuse != Reuse::Off)?;
     let keys = KeyFrames::new(source, depth, gap, false, options.frames);
     let engine = Engine::new(settings)?;
     let keys = Ahead::new(keys, engine.workers().threads());

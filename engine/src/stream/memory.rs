@@ -100,6 +100,7 @@ impl Reuse {
     pub fn forgets(self) -> bool {
         match self {
             Reuse::Off | Reuse::Exact => true,
+            Reuse::Within(_) => false,
         }
     }
 }
