@@ -24,8 +24,10 @@
 //! every weight before it is summed or multiplied; the order of operations is the same.
 //!
 //! # Extremes
-//! A logit that is NaN or −∞ weighs `2^−126` of the largest, so a row of nothing else gives the mean of its values; so does a
-//! row whose largest is +∞. A NaN or infinite *value* reaches every row that sees its key: callers reject such input.
+//! A logit that is NaN or −∞ weighs `2^−126` of the largest, and nothing in bf16 and int8. A row of nothing else gives the mean of its
+//! values, and so does a row in which every logit is +∞: while `M` is infinite, `r` is 1 where `M` stays and all weights are equal
+//! (`2^−126` in f32, 1 in bf16 and int8). A row with some logits at +∞ gives some mean of its values. A NaN or infinite *value*
+//! reaches every row that sees its key: callers reject such input.
 //!
 //! Source: "StreamSplat (ICLR 2026)", encoder, decoder and upsampler blocks; the online form is that of Milakov and Gimelshein
 //! (2018) and of FlashAttention (2022).
@@ -576,7 +578,9 @@ impl State<'_> {
         let before = s.load(reference);
         let now = s.max(s.mul(largest, scale), before);
         s.store(now, reference);
-        let (rescale, minus) = (weight(s, s.sub(before, now)), s.neg(now));
+        // Infinities that stay what they were have no difference.
+        let rescale = s.select(s.eq(before, now), s.splat(1.0), weight(s, s.sub(before, now)));
+        let (minus, finite) = (s.neg(now), s.lt(s.abs(now), s.splat(f32::INFINITY)));
         let scores = &mut self.scores[v * KEY_BLOCK * LANES..][..present * LANES];
         let mut sums = [s.splat(0.0); 4];
         let low = self.low;
@@ -584,7 +588,8 @@ impl State<'_> {
             for (score, sum) in four.chunks_exact_mut(LANES).zip(&mut sums) {
                 let mut w = weight(s, s.mul_add(s.load(score), scale, minus));
                 if low {
-                    w = round_bf16(s, w);
+                    // Where every weight is the least, rounding would leave none.
+                    w = s.select(finite, round_bf16(s, w), s.splat(1.0));
                 }
                 s.store(w, score);
                 *sum = s.add(*sum, w);

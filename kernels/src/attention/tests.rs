@@ -1,4 +1,4 @@
-use super::{Rows, Shape, Windows, attend, attend_as, attend_some, reference};
+use super::{KEY_BLOCK, Rows, Shape, Windows, attend, attend_as, attend_some, reference};
 use crate::gemm::Precision;
 use crate::testing::{noise, on_every_level_and_thread_count};
 
@@ -117,6 +117,26 @@ fn undefined_logits_never_spread() {
     let repaired = clean(&q, &k);
     assert_eq!(repaired[..64], before[..64]);
     assert_eq!(repaired[4 * 64..], before[4 * 64..]);
+}
+
+#[test]
+fn rows_without_a_finite_logit_are_the_mean_of_all_blocks_in_every_precision() {
+    let (queries, keys) = (20, 2 * KEY_BLOCK + 17);
+    let (q, v) = (vec![1.0; queries * 64], noise(keys * 64, 3));
+    for logit in [f32::NEG_INFINITY, f32::INFINITY, f32::NAN] {
+        let k = vec![logit; keys * 64];
+        for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
+            let out = on_every_level_and_thread_count(queries * 64, |level, out| {
+                let rows = |x, n| Rows::new(x, n, 64, 0);
+                attend_as(precision, level, full(1), rows(&q, queries), rows(&k, keys), rows(&v, keys), out);
+            });
+            for (i, out) in out.iter().enumerate() {
+                let mean = v.chunks(64).map(|v| f64::from(v[i % 64])).sum::<f64>() / keys as f64;
+                // Values themselves are rounded to bf16 in the lower precisions.
+                assert!((f64::from(*out) - mean).abs() < 3e-4, "{logit} {precision:?}: {out}, expected {mean}");
+            }
+        }
+    }
 }
 
 #[test]

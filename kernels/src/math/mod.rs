@@ -39,6 +39,8 @@ mod sigmoid;
 mod trigonometry;
 
 #[cfg(test)]
+mod monotone;
+#[cfg(test)]
 mod tests;
 
 pub use erf::{erf, erfc, erfinv, gelu, normal_cdf};
