@@ -7,7 +7,10 @@ use std::io::{Cursor, Write};
 
 use exr::prelude::*;
 
-use crate::picture::size_is_allowed;
+use crate::picture::{MAX_PIXELS, size_is_allowed};
+
+/// Most samples of all channels of a layer: those of four at the largest size, colour and alpha.
+const MAX_SAMPLES: usize = 4 * MAX_PIXELS;
 
 /// Named planes of one size.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,6 +39,16 @@ pub enum ExrError {
     /// Larger than this program decodes.
     #[error("the picture is {0}×{1}, larger than this program decodes")]
     TooLarge(usize, usize),
+    /// More samples in all channels together than this program decodes.
+    #[error("the picture has {channels} channels of {width}×{height}, expected at most {MAX_SAMPLES} samples in all")]
+    Channels {
+        /// Pixels per row.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Channels.
+        channels: usize,
+    },
 }
 
 /// Decodes an EXR file from memory. The size is checked before memory is taken.
@@ -49,6 +62,10 @@ pub fn read(bytes: &[u8]) -> std::result::Result<Planes, ExrError> {
         let Vec2(width, height) = header.layer_size;
         if !size_is_allowed(width, height) {
             return Err(ExrError::TooLarge(width, height));
+        }
+        let channels = header.channels.list.len();
+        if channels.saturating_mul(width * height) > MAX_SAMPLES {
+            return Err(ExrError::Channels { width, height, channels });
         }
     }
     let image = exr::prelude::read()

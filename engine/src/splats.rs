@@ -17,7 +17,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use streamsplat_kernels::raster::{self, Gaussians, Projection, Request};
 
 /// Most pixels of an image.
-pub const MAX_PIXELS: usize = 1 << 28;
+pub const MAX_PIXELS: usize = 1 << 26;
 
 /// What is wrong with a file of splats.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

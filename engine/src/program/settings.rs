@@ -121,6 +121,9 @@ pub struct Views {
     pub times: Option<Vec<f64>>,
 }
 
+/// Longest camera file that is read, in bytes.
+const MAX_CAMERA: u64 = 1 << 26;
+
 impl View {
     /// Checks everything that can be checked before work is spent.
     pub fn resolve(&self) -> Result<Views, Failure> {
@@ -128,6 +131,10 @@ impl View {
             None => CameraPath::default(),
             Some(file) => {
                 let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", file.display()));
+                let size = std::fs::metadata(file).map_err(|e| wrong(&e))?.len();
+                if size > MAX_CAMERA {
+                    return Err(wrong(&format!("expected a camera file of at most {MAX_CAMERA} bytes, found {size}")));
+                }
                 let text = std::fs::read_to_string(file).map_err(|e| wrong(&e))?;
                 camera::file::parse(&text).map_err(|e| wrong(&e))?
             }

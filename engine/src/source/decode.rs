@@ -94,7 +94,27 @@ pub(crate) fn decode_dynamic(bytes: &[u8], path: &Path) -> Result<DynamicImage, 
     let explain = |e: image::ImageError| decode_error(path, format!("broken or unsupported {format:?} image: {e}"));
     let (width, height) = reader().into_dimensions().map_err(explain)?;
     check_size(path, width as usize, height as usize)?;
+    if format == ImageFormat::Png && !png_can_hold(bytes, u64::from(width), u64::from(height)) {
+        let found = bytes.len();
+        return Err(decode_error(
+            path,
+            format!("{found} bytes of PNG cannot hold the {width}×{height} pixels they promise"),
+        ));
+    }
     reader().decode().map_err(explain)
+}
+
+/// Whether a PNG file of this length can hold its pixels, by the bits of one in its header: a byte of deflate's gives 1032 bytes at most.
+fn png_can_hold(bytes: &[u8], width: u64, height: u64) -> bool {
+    const DEFLATE: u64 = 1032;
+    let Some(&[depth, colour]) = bytes.get(24..26).and_then(|b| b.first_chunk::<2>()) else { return false };
+    let channels = match colour {
+        2 => 3,
+        4 => 2,
+        6 => 4,
+        _ => 1,
+    };
+    width * u64::from(depth) * channels / 8 * height <= DEFLATE * bytes.len() as u64
 }
 
 pub(super) fn check_size(path: &Path, width: usize, height: usize) -> Result<(), SourceError> {

@@ -2,6 +2,8 @@
 
 mod errors;
 mod export;
+#[cfg(unix)]
+mod hostile;
 mod results;
 mod resume;
 mod support;

@@ -9,6 +9,9 @@ use serde_json::{Map, Value};
 
 use crate::ModelError;
 
+/// Longest configuration that is read, in bytes.
+const LONGEST: u64 = 16 << 20;
+
 /// The settings of a configuration file.
 #[derive(Clone, Debug)]
 pub(crate) struct Settings {
@@ -26,6 +29,11 @@ impl Settings {
     pub(crate) fn beside(checkpoint: &Path) -> Result<Settings, ModelError> {
         let path = checkpoint.with_extension("json");
         let file = path.display().to_string();
+        let size = std::fs::metadata(&path).map_or(0, |metadata| metadata.len());
+        if size > LONGEST {
+            let reason = format!("expected a configuration of at most {LONGEST} bytes, found {size}");
+            return Err(ModelError::Format { file, reason });
+        }
         match std::fs::read_to_string(&path) {
             Ok(text) => Settings::parse(&text, file),
             Err(error) if error.kind() == io::ErrorKind::NotFound => {

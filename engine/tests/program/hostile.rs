@@ -1,0 +1,222 @@
+//! Small files that promise much: refused with a line that says so, in little memory.
+
+use std::ffi::OsStr;
+use std::io::{Cursor, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use crate::support::{Scratch, command, fails, model, run_ok};
+
+/// Address space of the program, in KiB: what it takes to start, and far less than what the files promise.
+const ADDRESS_SPACE: u32 = 768 << 10;
+
+/// Runs the program with a limit on its address space: memory taken beyond it ends the process.
+fn confined<I: AsRef<OsStr>>(arguments: impl IntoIterator<Item = I>) -> Output {
+    Command::new("sh")
+        .arg("-c")
+        .arg(format!("ulimit -v {ADDRESS_SPACE}; exec \"$0\" \"$@\""))
+        .arg(command().get_program())
+        .args(arguments)
+        .stdin(Stdio::null())
+        .output()
+        .expect("a shell starts")
+}
+
+fn write(path: PathBuf, bytes: &[u8]) -> PathBuf {
+    std::fs::write(&path, bytes).expect("writable");
+    path
+}
+
+/// A file of this length that takes no room on the disk.
+fn sparse(path: PathBuf, length: u64) -> PathBuf {
+    std::fs::File::create(&path).and_then(|file| file.set_len(length)).expect("writable");
+    path
+}
+
+fn safetensors(header: &str, claimed: Option<u64>, data: usize) -> Vec<u8> {
+    let mut bytes = claimed.unwrap_or(header.len() as u64).to_le_bytes().to_vec();
+    bytes.extend_from_slice(header.as_bytes());
+    bytes.resize(bytes.len() + data, 0);
+    bytes
+}
+
+#[test]
+fn safetensors_headers_that_lie_about_their_length_or_shapes_are_refused() {
+    let scratch = Scratch::new();
+    let entry =
+        |shape: &str, end: u64| format!(r#"{{"a":{{"dtype":"F32","shape":{shape},"data_offsets":[0,{end}]}}}}"#);
+    for (name, bytes) in [
+        ("all", safetensors("{}", Some(u64::MAX), 0)),
+        ("most", safetensors("{}", Some(99_999_999), 0)),
+        ("sign", safetensors("{}", Some(1 << 63), 16)),
+        ("overflow", safetensors(&entry("[4294967296,4294967296,4]", 0), None, 0)),
+        ("large", safetensors(&entry("[1099511627776]", 4_398_046_511_104), None, 8)),
+        ("many", safetensors(&entry(&format!("[{}1]", "1,".repeat(100_000)), 4), None, 4)),
+        ("deep", safetensors(&"[".repeat(200_000), None, 0)),
+    ] {
+        let file = write(scratch.path(&format!("{name}.safetensors")), &bytes);
+        for first in [&["inspect"][..], &["splat"]] {
+            let out = scratch.path("out.safetensors");
+            let mut arguments: Vec<&OsStr> = first.iter().map(OsStr::new).collect();
+            arguments.push(file.as_os_str());
+            if first == ["splat"] {
+                arguments.push(out.as_os_str());
+            }
+            let text = fails(&confined(arguments), 1);
+            assert!(text.contains(name), "{text}");
+        }
+    }
+}
+
+#[test]
+fn splats_of_an_enormous_image_are_refused() {
+    let scratch = Scratch::new();
+    let shapes = [("mean", "[0,3]"), ("scale", "[0,3]"), ("rgb", "[0,3]"), ("opacity", "[0]")];
+    let mut entries: Vec<String> = shapes
+        .map(|(name, shape)| format!(r#""{name}":{{"dtype":"F32","shape":{shape},"data_offsets":[0,0]}}"#))
+        .into();
+    let mut data = Vec::new();
+    for (name, values) in [("size", &[65536_f32, 65536.0][..]), ("focal", &[1.0, 1.0]), ("background", &[0.0; 3])] {
+        let start = data.len();
+        data.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+        let (count, end) = (values.len(), data.len());
+        entries.push(format!(r#""{name}":{{"dtype":"F32","shape":[{count}],"data_offsets":[{start},{end}]}}"#));
+    }
+    let mut bytes = safetensors(&format!("{{{}}}", entries.join(",")), None, 0);
+    bytes.extend(data);
+    let file = write(scratch.path("enormous.safetensors"), &bytes);
+    let text = fails(&confined([OsStr::new("splat"), file.as_os_str(), scratch.path("o").as_os_str()]), 1);
+    assert!(text.contains("found 65536×65536"), "{text}");
+}
+
+/// The start of a PNG that promises `side` × `side` pixels of 16-bit colour and alpha; its checksum is right.
+fn png(side: u32) -> Vec<u8> {
+    let mut file = Cursor::new(Vec::new());
+    image::DynamicImage::ImageRgba16(image::ImageBuffer::new(3, 3))
+        .write_to(&mut file, image::ImageFormat::Png)
+        .expect("memory");
+    let mut bytes = file.into_inner();
+    bytes[16..20].copy_from_slice(&side.to_be_bytes());
+    bytes[20..24].copy_from_slice(&side.to_be_bytes());
+    let crc = bytes[12..29].iter().fold(u32::MAX, |crc, byte| {
+        (0..8).fold(crc ^ u32::from(*byte), |c, _| if c & 1 == 1 { 0xedb8_8320 ^ (c >> 1) } else { c >> 1 })
+    });
+    bytes[29..33].copy_from_slice(&(!crc).to_be_bytes());
+    bytes
+}
+
+/// An EXR of one pixel, made to promise more in its data window.
+fn exr(channels: usize, side: i32) -> Vec<u8> {
+    let names = (0..channels).map(|i| (format!("c{i:05}"), vec![0.5])).collect();
+    let planes = streamsplat::openexr::Planes { width: 1, height: 1, channels: names };
+    let mut bytes = Vec::new();
+    streamsplat::openexr::write(&planes, "", &mut bytes).expect("memory");
+    for window in [&b"dataWindow\0box2i\0"[..], b"displayWindow\0box2i\0"] {
+        let at = bytes.windows(window.len()).position(|w| w == window).expect("a window") + window.len() + 4 + 8;
+        bytes[at..at + 4].copy_from_slice(&(side - 1).to_le_bytes());
+        bytes[at + 4..at + 8].copy_from_slice(&(side - 1).to_le_bytes());
+    }
+    bytes
+}
+
+#[test]
+fn images_that_promise_more_than_they_hold_are_refused() {
+    let scratch = Scratch::new();
+    let tga = |side: u16| {
+        let mut bytes = vec![0, 0, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+        bytes.extend([side.to_le_bytes(), side.to_le_bytes()].concat());
+        bytes.extend([32, 8]);
+        bytes
+    };
+    let bmp = |side: i32| {
+        let mut file = Cursor::new(Vec::new());
+        image::DynamicImage::new_rgb8(2, 2).write_to(&mut file, image::ImageFormat::Bmp).expect("memory");
+        let mut bytes = file.into_inner();
+        bytes[18..22].copy_from_slice(&side.to_le_bytes());
+        bytes[22..26].copy_from_slice(&side.to_le_bytes());
+        bytes
+    };
+    let qoi = |side: u32| [&b"qoif"[..], &side.to_be_bytes(), &side.to_be_bytes(), &[4, 0], &[0xff; 16]].concat();
+    for (name, bytes) in [
+        ("side.png", png(32_768)),
+        ("whole.png", png(8192)),
+        ("many.exr", exr(1000, 8192)),
+        ("side.exr", exr(1, 100_000)),
+        ("plain.ppm", b"P6 32000 32000 65535\n\0\0".to_vec()),
+        ("whole.ppm", b"P6 8192 8192 255\n\0\0".to_vec()),
+        ("side.tga", tga(65535)),
+        ("side.bmp", bmp(30_000)),
+        ("side.qoi", qoi(1 << 20)),
+    ] {
+        let clip = scratch.path("clip");
+        let _ = std::fs::remove_dir_all(&clip);
+        std::fs::create_dir(&clip).expect("writable");
+        write(clip.join(name), &bytes);
+        let (out, model) = (scratch.path("out"), model());
+        let arguments = [
+            OsStr::new("run"),
+            clip.as_os_str(),
+            OsStr::new("--out"),
+            out.as_os_str(),
+            OsStr::new("--model"),
+            model.as_os_str(),
+            OsStr::new("--threads"),
+            OsStr::new("1"),
+        ];
+        let text = fails(&confined(arguments), 1);
+        assert!(text.contains(name), "{text}");
+    }
+}
+
+#[test]
+fn text_files_longer_than_any_of_their_kind_are_refused() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 40, 24);
+    let out = scratch.path("out");
+    run_ok(&clip, &out, &["--quiet"]);
+    let length = 4 << 30;
+    let camera = sparse(scratch.path("camera.json"), length);
+    let again = scratch.path("again");
+    let render = |camera: &Path| {
+        let words = ["render", "--out", again.to_str().expect("UTF-8"), "--camera", camera.to_str().expect("UTF-8")];
+        confined(words.map(OsStr::new).into_iter().chain([out.as_os_str()]))
+    };
+    assert!(fails(&render(&camera), 1).contains("camera.json: expected"));
+    let model = scratch.path("m.safetensors");
+    std::fs::copy(self::model(), &model).expect("writable");
+    sparse(scratch.path("m.json"), length);
+    assert!(fails(&confined([OsStr::new("inspect"), model.as_os_str()]), 1).contains("m.json: expected"));
+    sparse(out.join("run.json"), length);
+    assert!(fails(&confined([OsStr::new("verify"), out.as_os_str()]), 1).contains("run.json"));
+    sparse(out.join("scene").join("scene.json"), length);
+    write(scratch.path("small.json"), br#"{"type": "canonical"}"#);
+    assert!(fails(&render(&scratch.path("small.json")), 1).contains("scene.json: expected at most"));
+}
+
+#[test]
+fn a_spoilt_record_of_a_run_is_an_error_in_one_line() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 40, 24);
+    let out = scratch.path("out");
+    run_ok(&clip, &out, &["--quiet"]);
+    let good = std::fs::read(out.join("run.json")).expect("readable");
+    let verify = |bytes: &[u8]| {
+        let mut file = std::fs::File::create(out.join("run.json")).expect("writable");
+        file.write_all(bytes).expect("writable");
+        drop(file);
+        confined([OsStr::new("verify"), out.as_os_str()])
+    };
+    let at = |what: &str| good.windows(what.len()).position(|w| w == what.as_bytes()).expect("there");
+    // Cut, or with a byte that is none of JSON's in a place that matters.
+    for end in [0, 1, at("\"input\""), good.len() / 2, good.len() - 3] {
+        fails(&verify(&good[..end]), 1);
+    }
+    for what in ["\"outputs\"", "\"options\"", "\"blake3\"", "\"seed\"", "\"size\""] {
+        let mut bytes = good.clone();
+        bytes[at(what)] = 0xff;
+        fails(&verify(&bytes), 1);
+        bytes[at(what)] = b'[';
+        fails(&verify(&bytes), 1);
+    }
+    fails(&verify("{\"a\":".repeat(100_000).as_bytes()), 1);
+}
