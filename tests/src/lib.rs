@@ -1,6 +1,7 @@
 //! Contracts across crates: helpers of the integration tests.
 
 pub mod digest;
+pub mod extremes;
 pub mod fuzz;
 pub mod parity;
 pub mod reference;

@@ -1,0 +1,260 @@
+//! What happens at the extremes: every case on every instruction-set level of the machine and with 1, 2, 3 and 8 threads, its error against
+//! binary64, and whether the bits agree.
+//!
+//! A [`Case`] computes values and judges them: the worst error, the value that has it, and properties that must hold whatever the
+//! error is. [`record`] keeps the errors: `tests/extremes/record.json` is what tests compare with, `tests/extremes/REPORT.md` what people read.
+
+mod attention;
+mod images;
+mod motion;
+mod norms;
+mod opacity;
+mod products;
+pub mod record;
+pub mod report;
+mod sampling;
+mod scenes;
+mod splats;
+mod values;
+
+use rayon::ThreadPoolBuilder;
+use streamsplat_kernels::Level;
+
+/// Thread counts tried on every level.
+pub const THREADS: [usize; 4] = [1, 2, 3, 8];
+
+/// What a case computes.
+#[derive(Clone, Debug, Default)]
+pub struct Computed {
+    /// Values by which it is judged.
+    pub values: Vec<f64>,
+    /// What else has to agree: counts, identities, messages.
+    pub rest: Vec<u64>,
+}
+
+impl Computed {
+    fn new(values: &[f32]) -> Self {
+        Self { values: values.iter().map(|v| f64::from(*v)).collect(), rest: Vec::new() }
+    }
+
+    fn with(values: &[f32], rest: impl IntoIterator<Item = u64>) -> Self {
+        Self { rest: rest.into_iter().collect(), ..Self::new(values) }
+    }
+
+    /// The bits, with one pattern for all NaN.
+    fn digest(&self) -> blake3::Hash {
+        let mut hasher = blake3::Hasher::new();
+        for value in &self.values {
+            hasher.update(&(if value.is_nan() { f64::NAN.to_bits() } else { value.to_bits() }).to_le_bytes());
+        }
+        for word in &self.rest {
+            hasher.update(&word.to_le_bytes());
+        }
+        hasher.finalize()
+    }
+}
+
+/// What an error is measured in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unit {
+    /// |ours − exact|
+    Absolute,
+    /// |ours − exact| / |exact|
+    Relative,
+    /// |ours − exact| over the unit in the last place of binary32 at `exact`.
+    Ulp,
+    /// |ours − exact| over the sum of the magnitudes of what is summed.
+    OfTerms,
+    /// ‖ours − exact‖ / ‖exact‖
+    RelativeL2,
+    /// √n times the largest distance between the empirical and the exact distribution.
+    KolmogorovSmirnov,
+}
+
+impl Unit {
+    /// How it is written.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Unit::Absolute => "absolute",
+            Unit::Relative => "relative",
+            Unit::Ulp => "ulp",
+            Unit::OfTerms => "of the sum of magnitudes",
+            Unit::RelativeL2 => "relative L2",
+            Unit::KolmogorovSmirnov => "√n·D",
+        }
+    }
+}
+
+/// What is to be said of what a case computed.
+#[derive(Clone, Debug)]
+pub struct Judged {
+    /// The worst error.
+    pub error: f64,
+    /// What it is measured in.
+    pub unit: Unit,
+    /// The value that has it.
+    pub ours: f64,
+    /// What that should be.
+    pub exact: f64,
+    /// Properties that do not hold.
+    pub broken: Vec<String>,
+}
+
+impl Judged {
+    /// Nothing is wrong yet.
+    fn new(unit: Unit) -> Self {
+        Self { error: 0.0, unit, ours: f64::NAN, exact: f64::NAN, broken: Vec::new() }
+    }
+
+    /// Of values and what each should be. A NaN must be one; an infinity must be that one.
+    fn of(unit: Unit, ours: &[f64], exact: impl IntoIterator<Item = f64>) -> Self {
+        let mut judged = Self::new(unit);
+        let mut count = 0;
+        for (i, (&ours, exact)) in ours.iter().zip(exact).enumerate() {
+            let error =
+                if ours == exact || ours.is_nan() && exact.is_nan() { 0.0 } else { distance(unit, ours, exact) };
+            judged.demand(!error.is_nan(), || format!("value {i} is {ours}, expected {exact}"));
+            judged.take(error, ours, exact);
+            count += 1;
+        }
+        judged.demand(count == ours.len(), || format!("{} values, expected {count}", ours.len()));
+        judged
+    }
+
+    /// Keeps the worse.
+    fn take(&mut self, error: f64, ours: f64, exact: f64) {
+        if error > self.error || self.ours.is_nan() {
+            (self.error, self.ours, self.exact) = (error.max(self.error), ours, exact);
+        }
+    }
+
+    /// Notes what is broken unless `holds`.
+    fn demand(&mut self, holds: bool, what: impl FnOnce() -> String) {
+        if !holds && self.broken.len() < 8 {
+            self.broken.push(what());
+        }
+    }
+
+    /// The same with a demand.
+    fn and(mut self, holds: bool, what: impl FnOnce() -> String) -> Self {
+        self.demand(holds, what);
+        self
+    }
+}
+
+fn distance(unit: Unit, ours: f64, exact: f64) -> f64 {
+    let apart = (ours - exact).abs();
+    match unit {
+        Unit::Relative => apart / exact.abs(),
+        Unit::Ulp => {
+            let exponent = ((exact.to_bits() >> 52 & 0x7ff) as i32 - 1023).clamp(-126, 127);
+            apart / 2.0_f64.powi(exponent - 23)
+        }
+        _ => apart,
+    }
+}
+
+/// How much is drawn where much can be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// What every test run does.
+    Short,
+    /// What the report shows.
+    Long,
+}
+
+/// Where a case runs.
+#[derive(Clone, Copy, Debug)]
+pub struct Place {
+    /// The instruction-set level.
+    pub level: Level,
+    /// Threads of the current pool; for what starts its own.
+    pub threads: usize,
+    /// How much is drawn.
+    pub form: Form,
+}
+
+/// One extreme.
+pub struct Case {
+    /// What it belongs to.
+    pub group: &'static str,
+    /// What it is; unique in its group.
+    pub name: String,
+    /// Whether the long form differs from the short one.
+    pub long: bool,
+    compute: Box<dyn Fn(Place) -> Computed + Send + Sync>,
+    judge: Box<dyn Fn(&Computed) -> Judged + Send + Sync>,
+}
+
+impl Case {
+    fn new(
+        group: &'static str,
+        name: impl Into<String>,
+        compute: impl Fn(Place) -> Computed + Send + Sync + 'static,
+        judge: impl Fn(&Computed) -> Judged + Send + Sync + 'static,
+    ) -> Self {
+        Self { group, name: name.into(), long: false, compute: Box::new(compute), judge: Box::new(judge) }
+    }
+
+    /// Its name in the record.
+    pub fn key(&self) -> String {
+        format!("{}: {}", self.group, self.name)
+    }
+
+    /// Computes it on every level and thread count and judges the first; places whose bits differ from the first's are broken.
+    /// The long form runs on the highest level alone: the short one says whether bits agree.
+    ///
+    /// # Panics
+    /// When threads cannot be started.
+    pub fn run(&self, form: Form) -> Judged {
+        let mut first: Option<(Computed, blake3::Hash)> = None;
+        let mut different = Vec::new();
+        let levels = if form == Form::Long && self.long { vec![Level::detect()] } else { Level::available() };
+        for level in levels {
+            for threads in if form == Form::Long && self.long { &[2][..] } else { &THREADS } {
+                let pool = ThreadPoolBuilder::new().num_threads(*threads).build().expect("threads start");
+                let computed = pool.install(|| (self.compute)(Place { level, threads: *threads, form }));
+                let digest = computed.digest();
+                match &first {
+                    None => first = Some((computed, digest)),
+                    Some((_, expected)) if *expected == digest => {}
+                    Some(_) => different.push(format!("other bits on {level} with {threads} threads")),
+                }
+            }
+        }
+        let (computed, _) = first.expect("every machine has a level");
+        let mut judged = (self.judge)(&computed);
+        judged.broken.extend(different);
+        judged
+    }
+}
+
+/// All cases, in the order of the report.
+pub fn cases() -> Vec<Case> {
+    let groups = [
+        attention::cases,
+        norms::cases,
+        products::cases,
+        sampling::cases,
+        opacity::cases,
+        motion::cases,
+        splats::cases,
+        values::cases,
+        images::cases,
+    ];
+    groups.into_iter().flat_map(|cases| cases()).collect()
+}
+
+/// `len` values between −1 and 1 that follow from `seed`.
+fn noise(len: usize, seed: u64) -> Vec<f32> {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        ((state >> 40) as f32 - 8_388_608.0) / 8_388_608.0
+    };
+    (0..len).map(|_| next()).collect()
+}
+
+pub use sampling::{Collapse, Held, TRIED, collapse};
