@@ -28,13 +28,14 @@
 //! ```
 //!
 //! Around it: [`source`] reads videos, [`depth`] gives their depth maps, from files or a network ([`onnx`]), [`output`] and [`scene`] write and read results,
-//! [`export`] writes them for viewers, [`metrics`] measures them.
+//! [`export`] writes them for viewers, [`metrics`] and [`lpips`] measure them.
 #![deny(unsafe_code)]
 
 pub mod camera;
 pub mod depth;
 pub mod export;
 pub mod fit;
+pub mod lpips;
 pub mod metrics;
 pub mod onnx;
 pub mod openexr;

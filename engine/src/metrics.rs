@@ -41,7 +41,8 @@ pub enum MetricError {
     TooSmall(usize, usize),
 }
 
-fn check_sizes(a: &Picture, b: &Picture) -> Result<(), MetricError> {
+/// An error unless both have one size.
+pub(crate) fn check_sizes(a: &Picture, b: &Picture) -> Result<(), MetricError> {
     let size = |p: &Picture| (p.width, p.height);
     if size(a) == size(b) { Ok(()) } else { Err(MetricError::Sizes(size(a), size(b))) }
 }

@@ -1,10 +1,11 @@
 //! OpenEXR files: planes of float samples in and out.
 //!
-//! Reading takes the first layer's channels at full resolution as f32, whatever they are stored as. Writing makes one layer
-//! of f32 channels, ZIP compressed in single lines, always by one thread: the bytes are a function of the samples.
+//! Reading takes the first layer's channels at full resolution as f32, whatever they are stored as. Writing makes layers of
+//! f32 channels, ZIP compressed in single lines, always by one thread: the bytes are a function of the samples.
 
 use std::io::{Cursor, Write};
 
+use exr::image::write::layers::WritableLayers;
 use exr::prelude::*;
 
 use crate::picture::{MAX_PIXELS, size_is_allowed};
@@ -97,6 +98,56 @@ pub fn read(bytes: &[u8]) -> std::result::Result<Planes, ExrError> {
 /// # Errors
 /// The writer's, and planes whose length is not `width · height`.
 pub fn write(planes: &Planes, comment: &str, out: &mut impl Write) -> std::io::Result<()> {
+    let layer = encode(planes, LayerAttributes { comments: Text::new_or_none(comment), ..LayerAttributes::default() })?;
+    finish(&Image::from_layer(layer), out)
+}
+
+/// A layer of a file that has several.
+#[derive(Clone, Debug)]
+pub struct NamedLayer<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Its channels.
+    pub planes: Planes,
+    /// What the samples mean.
+    pub comment: &'a str,
+    /// The colour space, as the attribute `oiio:ColorSpace` calls it.
+    pub colour_space: Option<&'a str>,
+}
+
+/// Encodes layers of one size as one EXR file, a part for each in their order; readers that know one layer alone take the first.
+///
+/// # Errors
+/// The writer's, planes whose length is not `width · height`, and layers of different sizes.
+pub fn write_layers(layers: &[NamedLayer<'_>], out: &mut impl Write) -> std::io::Result<()> {
+    let size = |layer: &NamedLayer<'_>| (layer.planes.width, layer.planes.height);
+    let (width, height) =
+        layers.first().map(size).ok_or_else(|| std::io::Error::other("expected a layer, found none"))?;
+    let mut encoded = Vec::with_capacity(layers.len());
+    for layer in layers {
+        if size(layer) != (width, height) {
+            let (w, h) = size(layer);
+            return Err(std::io::Error::other(format!(
+                "layer {}: expected {width}×{height}, found {w}×{h}",
+                layer.name
+            )));
+        }
+        let space =
+            layer.colour_space.map(|space| (Text::from("oiio:ColorSpace"), AttributeValue::Text(Text::from(space))));
+        let attributes = LayerAttributes {
+            comments: Text::new_or_none(layer.comment),
+            // At most one: the order of several would not be fixed.
+            other: space.into_iter().collect(),
+            ..LayerAttributes::named(layer.name)
+        };
+        encoded.push(encode(&layer.planes, attributes)?);
+    }
+    let window = IntegerBounds::from_dimensions((width, height));
+    finish(&Image::from_layers(ImageAttributes::new(window), encoded), out)
+}
+
+/// A layer of f32 channels, sorted by name.
+fn encode(planes: &Planes, attributes: LayerAttributes) -> std::io::Result<Layer<AnyChannels<FlatSamples>>> {
     let size = planes.width * planes.height;
     let mut list = SmallVec::new();
     for (name, samples) in &planes.channels {
@@ -108,21 +159,19 @@ pub fn write(planes: &Planes, comment: &str, out: &mut impl Write) -> std::io::R
         }
         list.push(AnyChannel::new(name.as_str(), FlatSamples::F32(samples.clone())));
     }
-    let attributes = LayerAttributes {
-        comments: Text::new_or_none(comment),
-        software_name: Text::new_or_none("streamsplat"),
-        ..LayerAttributes::default()
-    };
+    let attributes = LayerAttributes { software_name: Text::new_or_none("streamsplat"), ..attributes };
     let encoding =
         Encoding { compression: Compression::ZIP1, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
-    let layer = Layer::new((planes.width, planes.height), attributes, encoding, AnyChannels::sort(list));
+    Ok(Layer::new((planes.width, planes.height), attributes, encoding, AnyChannels::sort(list)))
+}
+
+fn finish<'i, L>(image: &'i Image<L>, out: &mut impl Write) -> std::io::Result<()>
+where
+    L: WritableLayers<'i> + 'i,
+{
     // The encoder needs to seek; a file may be a pipe.
     let mut bytes = Cursor::new(Vec::new());
-    Image::from_layer(layer)
-        .write()
-        .non_parallel()
-        .to_buffered(&mut bytes)
-        .map_err(|e| std::io::Error::other(e.to_string()))?;
+    image.write().non_parallel().to_buffered(&mut bytes).map_err(|e| std::io::Error::other(e.to_string()))?;
     out.write_all(bytes.get_ref())
 }
 
@@ -145,6 +194,54 @@ mod tests {
         assert_eq!(read(&bytes).expect("just written"), planes);
         let mut again = Vec::new();
         write(&planes, "test", &mut again).expect("memory");
+        assert_eq!(bytes, again);
+    }
+
+    #[test]
+    fn layers_come_back_by_name_bit_for_bit() {
+        let plane = |scale: f32| (0..12).map(|i| i as f32 * scale).collect::<Vec<f32>>();
+        let planes = |channels: &[(&str, f32)]| Planes {
+            width: 4,
+            height: 3,
+            channels: channels.iter().map(|(name, scale)| (name.to_string(), plane(*scale))).collect(),
+        };
+        let layer = |name, channels: &[(&str, f32)], colour_space| NamedLayer {
+            name,
+            planes: planes(channels),
+            comment: "test",
+            colour_space,
+        };
+        let layers =
+            [layer("colour", &[("B", 0.1), ("G", 0.2), ("R", 0.3)], Some("sRGB")), layer("depth", &[("Z", 1.7)], None)];
+        let mut bytes = Vec::new();
+        write_layers(&layers, &mut bytes).expect("memory");
+        let image = exr::prelude::read()
+            .no_deep_data()
+            .largest_resolution_level()
+            .all_channels()
+            .all_layers()
+            .all_attributes()
+            .non_parallel()
+            .from_buffered(Cursor::new(&bytes))
+            .expect("just written");
+        assert_eq!(image.layer_data.len(), layers.len());
+        for (found, expected) in image.layer_data.iter().zip(&layers) {
+            assert_eq!(found.attributes.layer_name, Some(Text::from(expected.name)));
+            let space = found.attributes.other.get(&Text::from("oiio:ColorSpace"));
+            let expected_space = expected.colour_space.map(|space| AttributeValue::Text(Text::from(space)));
+            assert_eq!(space, expected_space.as_ref());
+            let channels: Vec<(String, Vec<f32>)> = found
+                .channel_data
+                .list
+                .iter()
+                .map(|channel| (channel.name.to_string(), channel.sample_data.values_as_f32().collect()))
+                .collect();
+            assert_eq!(channels, expected.planes.channels, "{}", expected.name);
+        }
+        // What knows one layer alone finds the colours.
+        assert_eq!(read(&bytes).expect("just written"), layers[0].planes);
+        let mut again = Vec::new();
+        write_layers(&layers, &mut again).expect("memory");
         assert_eq!(bytes, again);
     }
 

@@ -31,13 +31,18 @@ impl DepthNetwork {
     /// No ONNX Runtime, or one that cannot be used; a file that is no network, or none with one image in and one map out.
     pub fn open(path: &Path, options: NetworkOptions, workers: &Workers) -> Result<DepthNetwork, DepthError> {
         let model = Model::open(path)?;
-        let (leading, axes) = image_axes(&model)?;
         let form = |what: &str, expected: String, found: String| OnnxError::Form {
             path: path.to_owned(),
             what: what.to_owned(),
             expected,
             found,
         };
+        let [input] = model.inputs() else {
+            return Err(
+                form("its inputs", "one image, float [1, 3, height, width]".to_owned(), names(model.inputs())).into()
+            );
+        };
+        let (leading, axes) = model.image(input)?;
         if let Some(side) = axes.iter().flatten().find(|side| !(1..=8192).contains(*side)) {
             return Err(form("its input", "sides from 1 to 8192".to_owned(), side.to_string()).into());
         }
@@ -89,25 +94,6 @@ impl DepthNetwork {
             }
         };
         Ok(workers.install(|| prepare::map(level, answer, from, frame, options.metric)))
-    }
-}
-
-/// The number of axes before the image's three, and its height and width where they are fixed.
-fn image_axes(model: &Model) -> Result<(usize, [Option<usize>; 2]), OnnxError> {
-    let wrong = |what: String, found: String| OnnxError::Form {
-        path: model.path().to_owned(),
-        what,
-        expected: "one image, float [1, 3, height, width]".to_owned(),
-        found,
-    };
-    let [input] = model.inputs() else {
-        return Err(wrong("its inputs".to_owned(), names(model.inputs())));
-    };
-    match input.axes.as_deref() {
-        Some([ones @ .., Some(3) | None, height, width]) if ones.iter().all(|n| matches!(n, Some(1) | None)) => {
-            Ok((ones.len(), [*height, *width]))
-        }
-        _ => Err(wrong(format!("its input {}", input.name), input.kind.clone())),
     }
 }
 

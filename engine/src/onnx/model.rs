@@ -83,6 +83,24 @@ impl Model {
         &self.outputs
     }
 
+    /// The number of axes before the three of an image, and its height and width where they are fixed.
+    ///
+    /// # Errors
+    /// A port that is not one image, float `[1, 3, height, width]` with any axes of length 1 in front.
+    pub fn image(&self, port: &Port) -> Result<(usize, [Option<usize>; 2]), OnnxError> {
+        match port.axes.as_deref() {
+            Some([ones @ .., Some(3) | None, height, width]) if ones.iter().all(|n| matches!(n, Some(1) | None)) => {
+                Ok((ones.len(), [*height, *width]))
+            }
+            _ => Err(OnnxError::Form {
+                path: self.path.clone(),
+                what: format!("its input {}", port.name),
+                expected: "one image, float [1, 3, height, width]".to_owned(),
+                found: port.kind.clone(),
+            }),
+        }
+    }
+
     /// Runs the network on a shape and row-major values for each input; gives shape and values of the output number `output`.
     ///
     /// # Errors

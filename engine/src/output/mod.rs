@@ -12,8 +12,9 @@ use std::path::{Path, PathBuf};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 
-use crate::openexr::{self, Planes};
+use crate::openexr::{self, NamedLayer, Planes};
 use crate::picture::{Picture, to_u8};
+use crate::render::Image;
 pub use video::{Finished, Video, VideoFormat, VideoPoint};
 
 /// What can go wrong while results are written.
@@ -216,11 +217,49 @@ pub fn depth_exr(width: usize, height: usize, depth: &[f32], alpha: Option<&[f32
         channels.insert(0, ("A".to_owned(), alpha.to_vec()));
     }
     let mut bytes = Cursor::new(Vec::new());
-    let comment = "Z: sum of depth * alpha * transmittance over the splats of a pixel, depth in scene units along the view axis \
-                   (0.1 nearest, 5 farthest for the canonical camera); divide by alpha for the mean depth";
-    openexr::write(&Planes { width, height, channels }, comment, &mut bytes)?;
+    openexr::write(&Planes { width, height, channels }, DEPTH_COMMENT, &mut bytes)?;
     Ok(bytes.into_inner())
 }
+
+/// An image as one EXR file of 32-bit floats, which hold what was computed without loss, in three layers: `colour` (channels R, G
+/// and B), `depth` (Z, as [`depth_exr`] has it) and `alpha` (A).
+///
+/// Colours are as they are drawn: in display (gamma) space, over the background. Over a black background they are multiplied by
+/// alpha, as compositing wants them.
+///
+/// # Errors
+/// An image without depth or alpha, or planes whose length is not `width · height`.
+pub fn layered_exr(image: &Image) -> io::Result<Vec<u8>> {
+    let Image { width, height, .. } = *image;
+    let wanted = |plane: &Option<Vec<f32>>, what: &str| {
+        plane.clone().ok_or_else(|| io::Error::other(format!("expected an image with {what}, found none")))
+    };
+    let area = width * height;
+    if image.rgb.len() != 3 * area {
+        return Err(io::Error::other(format!("expected {} samples of colour, found {}", 3 * area, image.rgb.len())));
+    }
+    let colour = |name: &str, plane: usize| (name.to_owned(), image.rgb[plane * area..][..area].to_vec());
+    let layer = |name, comment, channels, colour_space| NamedLayer {
+        name,
+        planes: Planes { width, height, channels },
+        comment,
+        colour_space,
+    };
+    let layers = [
+        layer("colour", COLOUR_COMMENT, vec![colour("B", 2), colour("G", 1), colour("R", 0)], Some("sRGB")),
+        layer("depth", DEPTH_COMMENT, vec![("Z".to_owned(), wanted(&image.depth, "depth")?)], None),
+        layer("alpha", ALPHA_COMMENT, vec![("A".to_owned(), wanted(&image.alpha, "alpha")?)], None),
+    ];
+    let mut bytes = Vec::new();
+    openexr::write_layers(&layers, &mut bytes)?;
+    Ok(bytes)
+}
+
+const DEPTH_COMMENT: &str = "Z: sum of depth * alpha * transmittance over the splats of a pixel, depth in scene units along the view axis \
+                   (0.1 nearest, 5 farthest for the canonical camera); divide by alpha for the mean depth";
+const COLOUR_COMMENT: &str = "display-referred: Gaussians are blended in display (gamma) space, not in linear light; over the \
+                              background; where that is black, multiplied by alpha";
+const ALPHA_COMMENT: &str = "sum of alpha * transmittance over the splats of a pixel";
 
 #[cfg(test)]
 mod tests {

@@ -168,7 +168,7 @@ pub struct RunOptions {
     pub fps: Option<f64>,
     #[command(flatten)]
     pub view: View,
-    /// Outputs: rgb, depth, alpha, scene, ply [default: rgb,scene]
+    /// Outputs: rgb, depth, alpha, exr (these three as layers of one file), scene, ply [default: rgb,scene]
     #[arg(long, value_name = "LIST")]
     pub emit: Option<String>,
     /// Stop after this many input frames
@@ -200,7 +200,7 @@ pub struct RenderOptions {
     /// Images per second of the scene, where no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
-    /// Outputs: rgb, depth, alpha [default: rgb]
+    /// Outputs: rgb, depth, alpha, exr (these three as layers of one file) [default: rgb]
     #[arg(long, value_name = "LIST")]
     pub emit: Option<String>,
 }
@@ -220,6 +220,9 @@ pub struct EvalArgs {
     /// Size of the images before they are compared at 256x256: model, source or WIDTHxHEIGHT
     #[arg(long, value_name = "SIZE", default_value = "model")]
     pub size: String,
+    /// LPIPS as well, by this ONNX file: two images in [-1,1] in, one number out; run by ONNX Runtime
+    #[arg(long, value_name = "FILE")]
+    pub lpips_model: Option<PathBuf>,
     #[command(flatten)]
     pub machine: Machine,
     /// Write the figures here

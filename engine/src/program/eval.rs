@@ -11,6 +11,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 use streamsplat::Engine;
+use streamsplat::lpips::Lpips;
 use streamsplat::metrics::{psnr, ssim};
 use streamsplat::picture::Picture;
 use streamsplat::source::{self, Source, folder};
@@ -24,6 +25,7 @@ use super::keydepth::KeyDepth;
 use super::keyframes::KeyFrames;
 use super::memo::Memo;
 use super::progress::Progress;
+use super::record::NetworkRecord;
 use super::settings::{DepthFrom, Views};
 use super::{say, stop};
 
@@ -35,6 +37,9 @@ const SIDE: usize = 256;
 struct Score {
     psnr: Option<f64>,
     ssim: Option<f64>,
+    /// With `--lpips-model`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lpips: Option<f64>,
     frames: usize,
 }
 
@@ -42,13 +47,17 @@ struct Score {
 struct Sum {
     psnr: f64,
     ssim: f64,
+    lpips: Option<f64>,
     frames: usize,
 }
 
 impl Sum {
-    fn add(&mut self, a: &Picture, b: &Picture) -> Result<(), Failure> {
+    fn add(&mut self, a: &Picture, b: &Picture, lpips: Option<&mut Lpips>) -> Result<(), Failure> {
         self.psnr += psnr(a, b)?;
         self.ssim += ssim(a, b)?;
+        if let Some(lpips) = lpips {
+            *self.lpips.get_or_insert(0.0) += lpips.distance(a, b)?;
+        }
         self.frames += 1;
         Ok(())
     }
@@ -56,12 +65,15 @@ impl Sum {
     fn join(&mut self, other: &Sum) {
         self.psnr += other.psnr;
         self.ssim += other.ssim;
+        if let Some(lpips) = other.lpips {
+            *self.lpips.get_or_insert(0.0) += lpips;
+        }
         self.frames += other.frames;
     }
 
     fn score(&self) -> Score {
         let mean = |sum: f64| (self.frames > 0).then(|| sum / self.frames as f64);
-        Score { psnr: mean(self.psnr), ssim: mean(self.ssim), frames: self.frames }
+        Score { psnr: mean(self.psnr), ssim: mean(self.ssim), lpips: self.lpips.and_then(mean), frames: self.frames }
     }
 }
 
@@ -104,6 +116,9 @@ struct Figures {
     fusion: String,
     fit: String,
     precision: String,
+    /// What LPIPS was measured with.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lpips: Option<NetworkRecord>,
     clips: Vec<Row>,
     mean: Row,
 }
@@ -139,6 +154,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let mut settings = args.stream.settings(&args.fit, &args.machine)?;
     let views = View { size: args.size.clone(), background: "0.5".into(), ..View::default() }.resolve()?;
     let clips = clips(&args.input)?;
+    let mut lpips = args.lpips_model.as_deref().map(Lpips::open).transpose()?;
     if clips.len() > 1 && matches!(depth, DepthFrom::Folder(..)) {
         return Err(Failure::usage("--depth: one folder of maps cannot serve several clips"));
     }
@@ -161,7 +177,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
             let model = Arc::clone(Engine::new(settings.clone())?.model());
             settings.model = ModelSource::Shared(Arc::new(Memo::new(model)));
         }
-        let sums = evaluate(keys, &settings, &views, console)?;
+        let sums = evaluate(keys, &settings, &views, lpips.as_mut(), console)?;
         let name = clip.file_name().unwrap_or(clip.as_os_str()).to_string_lossy().into_owned();
         if sums.fusion[0][0].frames < 2 {
             let message = format!("{}: expected at least {} frames for a gap of {gap}", clip.display(), gap + 1);
@@ -181,7 +197,10 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     if let Some(path) = &args.json {
         let Settings { fusion, precision, .. } = settings;
         let (fusion, precision) = (fusion.to_string(), precision.to_string());
-        let figures = Figures { fusion, fit: args.fit.clone(), precision, clips: rows, mean };
+        let fit = args.fit.clone();
+        let measured = args.lpips_model.as_deref().zip(lpips.as_ref());
+        let lpips = measured.map(|(file, lpips)| NetworkRecord::of(file, lpips.runtime_version())).transpose()?;
+        let figures = Figures { fusion, fit, precision, lpips, clips: rows, mean };
         let text = serde_json::to_string_pretty(&figures).map_err(Failure::work)?;
         streamsplat::output::write_file(path, (text + "\n").as_bytes())?;
     }
@@ -212,7 +231,13 @@ fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(clips)
 }
 
-fn evaluate(keys: KeyFrames, settings: &Settings, views: &Views, console: &Console) -> Result<Sums, Failure> {
+fn evaluate(
+    keys: KeyFrames,
+    settings: &Settings,
+    views: &Views,
+    mut lpips: Option<&mut Lpips>,
+    console: &Console,
+) -> Result<Sums, Failure> {
     let mut sums = Sums::default();
     let mut modes = Vec::new();
     for &fusion in Fusion::ALL {
@@ -233,14 +258,15 @@ fn evaluate(keys: KeyFrames, settings: &Settings, views: &Views, console: &Conso
             for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate() {
                 let image = drawing.draw(&interval, frame.timestamp, views)?;
                 let ours = Picture { width: image.width, height: image.height, rgb: image.rgb }.resized(SIDE, SIDE);
-                if i == last { &mut *key_sum } else { &mut *middle_sum }.add(&ours, truth)?;
+                let sum = if i == last { &mut *key_sum } else { &mut *middle_sum };
+                sum.add(&ours, truth, lpips.as_deref_mut())?;
             }
         }
         if let Some(before) = &before {
             for (i, truth) in truths[..last].iter().enumerate() {
                 let t = (i + 1) as f32 / truths.len() as f32;
-                sums.crossfade.add(&mix(before, &truths[last], t), truth)?;
-                sums.nearest.add(if t <= 0.5 { before } else { &truths[last] }, truth)?;
+                sums.crossfade.add(&mix(before, &truths[last], t), truth, lpips.as_deref_mut())?;
+                sums.nearest.add(if t <= 0.5 { before } else { &truths[last] }, truth, lpips.as_deref_mut())?;
             }
         }
         truths.iter().for_each(|_| progress.step());
@@ -256,7 +282,10 @@ fn mix(a: &Picture, b: &Picture, t: f32) -> Picture {
 
 fn line(row: &Row) -> String {
     let show = |score: &Score| match (score.psnr, score.ssim) {
-        (Some(psnr), Some(ssim)) => format!("{psnr:7.3} / {ssim:.4}"),
+        (Some(psnr), Some(ssim)) => {
+            let lpips = score.lpips.map(|lpips| format!(" / {lpips:.4}")).unwrap_or_default();
+            format!("{psnr:7.3} / {ssim:.4}{lpips}")
+        }
         _ => "      – /      –".to_owned(),
     };
     // The middle frames of the mode that was not asked for.

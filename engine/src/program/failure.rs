@@ -49,6 +49,7 @@ work!(
     streamsplat::EngineError,
     streamsplat::RenderError,
     streamsplat::depth::DepthError,
+    streamsplat::lpips::LpipsError,
     streamsplat::onnx::OnnxError,
     streamsplat::output::OutputError,
     streamsplat::scene::SceneError,

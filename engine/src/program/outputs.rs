@@ -6,7 +6,8 @@ use std::path::{Component, Path, PathBuf};
 use streamsplat::Image;
 use streamsplat::export;
 use streamsplat::output::{
-    OutputError, Video, VideoPoint, Written, depth_exr, picture_png, plane_png, prepare_folder, write_whole,
+    OutputError, Video, VideoPoint, Written, depth_exr, layered_exr, picture_png, plane_png, prepare_folder,
+    write_whole,
 };
 use streamsplat::picture::Picture;
 use streamsplat::render::Snapshot;
@@ -21,7 +22,7 @@ use super::resume::ledger::{self, Ledger};
 use super::resume::{self, Point};
 
 /// Kinds of output that exist.
-const KINDS: [&str; 5] = ["rgb", "depth", "alpha", "scene", "ply"];
+const KINDS: [&str; 6] = ["rgb", "depth", "alpha", "exr", "scene", "ply"];
 
 /// What `--emit` asks for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -32,6 +33,8 @@ pub struct Emit {
     pub depth: bool,
     /// Alpha images.
     pub alpha: bool,
+    /// Colour, depth and alpha as layers of one file.
+    pub exr: bool,
     /// The scene.
     pub scene: bool,
     /// The Gaussians at each time as PLY files.
@@ -54,13 +57,18 @@ impl Emit {
             }
         }
         let has = |kind| kinds.contains(kind);
-        let [rgb, depth, alpha, scene, ply] = KINDS.map(has);
-        Ok(Emit { rgb, depth, alpha, scene, ply })
+        let [rgb, depth, alpha, exr, scene, ply] = KINDS.map(has);
+        Ok(Emit { rgb, depth, alpha, exr, scene, ply })
     }
 
     /// Whether anything is drawn.
     pub fn draws(&self) -> bool {
-        self.rgb || self.depth || self.alpha
+        self.rgb || self.depth || self.alpha || self.exr
+    }
+
+    /// The planes beside colour that must be drawn: depth and alpha.
+    pub fn planes(&self) -> [bool; 2] {
+        [self.depth || self.exr, self.depth || self.alpha || self.exr]
     }
 }
 
@@ -86,7 +94,7 @@ impl Outputs {
                 prepare_kinds(folder, emit)?;
             }
             Destination::Video(path, format) => {
-                if emit.depth || emit.alpha || emit.scene || emit.ply {
+                if emit.depth || emit.alpha || emit.exr || emit.scene || emit.ply {
                     return Err(Failure::usage("--emit: a video holds rgb alone; give --out a folder for the rest"));
                 }
                 drop(Video::create(path, *format, 1.0)?);
@@ -210,6 +218,9 @@ impl Outputs {
 
     /// Writes an image under the number `index`.
     pub fn image(&mut self, index: usize, image: Image) -> Result<(), Failure> {
+        if self.emit.exr {
+            self.file(format!("exr/{index:06}.exr"), &layered_exr(&image).map_err(Failure::work)?)?;
+        }
         let Image { width, height, rgb, depth, alpha, .. } = image;
         let picture = Picture { width, height, rgb };
         if let Some(video) = &mut self.video {
@@ -280,7 +291,8 @@ pub fn is_inside(name: &str) -> bool {
 
 /// The folders of what is asked for.
 fn prepare_kinds(folder: &Path, emit: Emit) -> Result<(), OutputError> {
-    let kinds = [(emit.rgb, "frames"), (emit.depth, "depth"), (emit.alpha, "alpha"), (emit.ply, "ply")];
+    let kinds =
+        [(emit.rgb, "frames"), (emit.depth, "depth"), (emit.alpha, "alpha"), (emit.exr, "exr"), (emit.ply, "ply")];
     kinds.into_iter().filter(|(wanted, _)| *wanted).try_for_each(|(_, name)| prepare_folder(&folder.join(name)))
 }
 

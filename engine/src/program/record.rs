@@ -29,7 +29,7 @@ pub struct Record {
     pub model: Option<ModelRecord>,
     /// The depth network, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub depth: Option<DepthRecord>,
+    pub depth: Option<NetworkRecord>,
     /// What was read.
     pub input: InputRecord,
     /// False when the user stopped it; what was written is valid.
@@ -63,9 +63,9 @@ pub struct ModelRecord {
     pub blake3: String,
 }
 
-/// The depth network that was used. Its arithmetic is the runtime's: another version may give other bits.
+/// A network that ONNX Runtime ran. Its arithmetic is the runtime's: another version may give other bits.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct DepthRecord {
+pub struct NetworkRecord {
     /// Its file.
     pub path: String,
     /// BLAKE3 of the file, and of its weights where they lie beside it.
@@ -74,12 +74,11 @@ pub struct DepthRecord {
     pub runtime: String,
 }
 
-impl DepthRecord {
-    /// Of the network that `--depth` names, if it names one.
-    pub fn of(depth: &str, runtime: &str) -> Result<Option<DepthRecord>, Failure> {
-        let Some(file) = depth.strip_prefix("onnx:") else { return Ok(None) };
-        let (path, blake3) = (file.to_owned(), DepthRecord::digest(Path::new(file))?);
-        Ok(Some(DepthRecord { path, blake3, runtime: format!("ONNX Runtime {runtime}") }))
+impl NetworkRecord {
+    /// Of the network in `file`, run by this version of the runtime.
+    pub fn of(file: &Path, runtime: &str) -> Result<NetworkRecord, Failure> {
+        let (path, blake3) = (absolute(file).display().to_string(), NetworkRecord::digest(file)?);
+        Ok(NetworkRecord { path, blake3, runtime: format!("ONNX Runtime {runtime}") })
     }
 
     /// BLAKE3 of a network, whose weights may lie in a file beside it.

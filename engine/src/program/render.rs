@@ -38,11 +38,10 @@ pub fn render(
     let start = Instant::now();
     let mut views = options.view.resolve()?;
     let emit = match &options.emit {
-        Some(list) => Emit::parse(list, &["rgb", "depth", "alpha"])?,
+        Some(list) => Emit::parse(list, &["rgb", "depth", "alpha", "exr"])?,
         None => Emit { rgb: true, ..Emit::default() },
     };
-    views.options.depth = emit.depth;
-    views.options.alpha = emit.alpha || emit.depth;
+    [views.options.depth, views.options.alpha] = emit.planes();
     times::check_rate(options.fps)?;
     let workers = machine.workers()?;
     let scene = Scene::open(path)?;

@@ -16,7 +16,7 @@ use super::keydepth::KeyDepth;
 use super::keyframes::KeyFrames;
 use super::outputs::{Destination, Emit, Outputs};
 use super::progress::Progress;
-use super::record::{Account, DepthRecord, ModelRecord, PROGRAM, Record, Task, Timing, WorkRecord};
+use super::record::{Account, ModelRecord, NetworkRecord, PROGRAM, Record, Task, Timing, WorkRecord};
 use super::resume::{self, Found, Point, Terms, with_absolute_paths};
 use super::settings::Views;
 use super::{digest, machine, report, say, stop};
@@ -87,12 +87,11 @@ fn run_from(
     let depth = options.stream.depth_from()?;
     let settings = options.stream.settings(&options.fit, machine)?;
     let emit = match (&options.emit, &destination) {
-        (Some(list), _) => Emit::parse(list, &["rgb", "depth", "alpha", "scene", "ply"])?,
+        (Some(list), _) => Emit::parse(list, &["rgb", "depth", "alpha", "exr", "scene", "ply"])?,
         (None, Destination::Folder(_)) => Emit { rgb: true, scene: true, ..Emit::default() },
         (None, Destination::Video(..)) => Emit { rgb: true, ..Emit::default() },
     };
-    views.options.depth = emit.depth;
-    views.options.alpha = emit.alpha || emit.depth;
+    [views.options.depth, views.options.alpha] = emit.planes();
     if options.fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) || options.frames == Some(0) {
         return Err(Failure::usage("--fps and --frames: expected numbers above 0"));
     }
@@ -164,14 +163,15 @@ fn run_from(
         work.insert("depth".into(), WorkRecord { done: network.done, avoided: network.avoided, unit });
         seconds.insert("depth".into(), network.time.as_secs_f64());
     }
-    let runtime = read.network.as_ref().map(|network| network.runtime.as_str());
     let options = with_absolute_paths(options);
+    let network = options.stream.depth.strip_prefix("onnx:").zip(read.network.as_ref());
+    let depth = network.map(|(file, network)| NetworkRecord::of(Path::new(file), &network.runtime)).transpose()?;
     Ok(Record {
         program: PROGRAM.to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         seed: options.stream.seed,
         model: Some(model_record(&options)?),
-        depth: runtime.map(|runtime| DepthRecord::of(&options.stream.depth, runtime)).transpose()?.flatten(),
+        depth,
         input: keys.input(input),
         task: Task::Run(Box::new(options)),
         complete,

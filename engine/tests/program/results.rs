@@ -103,6 +103,40 @@ fn rendering_a_scene_gives_the_images_of_the_run() {
 }
 
 #[test]
+fn the_camera_path_of_the_fixtures_moves_through_a_scene() {
+    let scratch = Scratch::new();
+    let out = scratch.path("out");
+    run_ok(&scratch.clip("clip", 4, 40, 24), &out, &["--fps", "10", "--quiet"]);
+    let render = |name: &str, times: &str| {
+        let to = scratch.path(name);
+        let path = fixtures::path("cameras/sway.json");
+        let output = command()
+            .arg("render")
+            .arg(&out)
+            .args(["--times", times, "--size", "64x36", "--emit", "exr", "--quiet", "--camera"])
+            .arg(path)
+            .arg("--out")
+            .arg(&to)
+            .output()
+            .expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        files(&to)
+    };
+    let moving = render("moving", "0,0.05,0.1,0.2");
+    assert_eq!(moving.keys().map(String::as_str).collect::<Vec<_>>(), [0, 1, 2, 3].map(|i| format!("exr/{i:06}.exr")));
+    let planes = |name: &str| streamsplat::openexr::read(&moving[name]).expect("an EXR file");
+    let pictures = ["exr/000000.exr", "exr/000001.exr", "exr/000002.exr", "exr/000003.exr"].map(planes);
+    for picture in &pictures {
+        assert_eq!((picture.width, picture.height, picture.channels.len()), (64, 36, 3));
+        let red = picture.channel("R").expect("the first layer is colour");
+        assert!(red.iter().any(|v| (v - 0.5).abs() > 0.05), "only background is seen");
+    }
+    assert!(pictures.windows(2).all(|pair| pair[0] != pair[1]), "the camera stands still");
+    // The last view holds after its time.
+    assert_eq!(render("held", "0.2,0.25").len(), 2);
+}
+
+#[test]
 fn y4m_flows_from_standard_input_to_standard_output() {
     let scratch = Scratch::new();
     let clip = fixtures::path("clips/moving.y4m");

@@ -224,6 +224,40 @@ def networks_that_cannot_be_used_give_one_line(at):
     fails(attempt(network('open.onnx', make.depth()), '--depth-model', 'size=5x5'), 'open.onnx: the network failed')
 
 
+def pictures_are_as_far_apart_as_the_network_says(at):
+    clip = write_clip(at / 'clip', width=256, height=256, count=5)
+    make.save(make.distance(256), at / 'distance.onnx')
+    make.save(make.distance('side'), at / 'open.onnx')
+    make.save(make.distance(64), at / 'small.onnx')
+
+    def evaluate(name):
+        out = at / f'{name}.json'
+        works(program('eval', clip, '--model', MODEL, '--gap', '4', '--quiet', '--json', out, '--lpips-model', at / f'{name}.onnx'))
+        return json.loads(out.read_text())
+
+    figures = evaluate('distance')
+    pictures = [np.asarray(Image.open(p), np.float64) / 255 for p in sorted(clip.iterdir())]
+    # Half the mean difference of values in [-1, 1] is the mean difference of values in [0, 1].
+    nearest = np.mean([abs(pictures[k] - pictures[i]).mean() for i, k in ((1, 0), (2, 0), (3, 4))])
+    mixed = [pictures[0] * (1 - i / 4) + pictures[4] * i / 4 for i in (1, 2, 3)]
+    crossfade = np.mean([abs(m - pictures[i]).mean() for i, m in zip((1, 2, 3), mixed)])
+    baselines = figures['mean']['baselines']
+    assert abs(baselines['nearest']['lpips'] - nearest) < 1e-6, (baselines, nearest)
+    assert abs(baselines['crossfade']['lpips'] - crossfade) < 1e-6, (baselines, crossfade)
+    for part in ('key', 'middle'):
+        assert 0 < figures['mean'][part]['lpips'] < 1
+    assert figures['lpips']['runtime'] == f'ONNX Runtime {onnxruntime.__version__}'
+    assert evaluate('open')['mean'] == figures['mean']
+    # At 64 pixels a side: four taps of the bilinear resizing, so only close.
+    small = evaluate('small')['mean']['baselines']['nearest']['lpips']
+    assert small > 0 and small != nearest and abs(small - nearest) < 0.1 * nearest, (small, nearest)
+    without = at / 'without.json'
+    works(program('eval', clip, '--model', MODEL, '--gap', '4', '--quiet', '--json', without))
+    assert 'lpips' not in without.read_text()
+    for network, words in ((DEPTH, 'its inputs: expected two images'), (at / 'absent.onnx', 'absent.onnx')):
+        fails(program('eval', clip, '--model', MODEL, '--gap', '4', '--quiet', '--lpips-model', network), words)
+
+
 def main():
     checks = [check for check in globals().values() if callable(check) and getattr(check, '__code__', None)
               and check.__code__.co_varnames[:check.__code__.co_argcount] == ('at',)]

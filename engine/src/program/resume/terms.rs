@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::super::cli::RunOptions;
 use super::super::digest;
 use super::super::failure::Failure;
-use super::super::record::{DepthRecord, ModelRecord, Record, absolute};
+use super::super::record::{ModelRecord, NetworkRecord, Record, absolute};
 
 /// Options whose files are compared by their content instead.
 const BY_CONTENT: [&str; 2] = ["model", "dinov2"];
@@ -36,7 +36,7 @@ impl Terms {
             options: serde_json::to_value(with_absolute_paths(options)).map_err(Failure::work)?,
             model: model.clone(),
             camera: options.view.camera.as_deref().map(digest::file).transpose()?,
-            network: network.map(|file| DepthRecord::digest(Path::new(file))).transpose()?,
+            network: network.map(|file| NetworkRecord::digest(Path::new(file))).transpose()?,
         })
     }
 

@@ -1,0 +1,88 @@
+//! LPIPS (Zhang et al., CVPR 2018) of two pictures, by a network in an ONNX file.
+//!
+//! Any network with two images in, each float `[1, 3, height, width]` with values in [−1, 1], and one number out: LPIPS as it is
+//! exported from PyTorch. Pictures of another size than the network fixes are brought to it bilinearly. Which arithmetic is whose
+//! stands in [`crate::onnx`].
+
+use std::path::Path;
+
+use crate::metrics::{MetricError, check_sizes};
+use crate::onnx::{Model, OnnxError};
+use crate::picture::Picture;
+
+/// A network that tells how far apart two pictures look.
+#[derive(Debug)]
+pub struct Lpips {
+    model: Model,
+    /// Axes of each input before the three of the image.
+    leading: [usize; 2],
+    /// Height and width, where the network fixes them.
+    axes: [Option<usize>; 2],
+}
+
+/// Why there is no distance.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LpipsError {
+    /// The network.
+    #[error(transparent)]
+    Onnx(#[from] OnnxError),
+    /// The pictures.
+    #[error(transparent)]
+    Pictures(#[from] MetricError),
+}
+
+impl Lpips {
+    /// Loads the network in the ONNX file `path`.
+    ///
+    /// # Errors
+    /// No ONNX Runtime, or one that cannot be used; a file that is no network, or none with two images in and one output.
+    pub fn open(path: &Path) -> Result<Lpips, LpipsError> {
+        let model = Model::open(path)?;
+        let [a, b] = model.inputs() else {
+            return Err(
+                form(&model, "its inputs", "two images, float [1, 3, height, width]", model.inputs().len()).into()
+            );
+        };
+        let (first, second) = (model.image(a)?, model.image(b)?);
+        if first.1 != second.1 {
+            return Err(
+                form(&model, "its inputs", "two images of one size", format!("{} and {}", a.kind, b.kind)).into()
+            );
+        }
+        if model.outputs().len() != 1 {
+            return Err(form(&model, "its outputs", "one number", model.outputs().len()).into());
+        }
+        Ok(Lpips { leading: [first.0, second.0], axes: first.1, model })
+    }
+
+    /// The version of the ONNX Runtime that runs it.
+    pub fn runtime_version(&self) -> &str {
+        self.model.runtime().version()
+    }
+
+    /// The distance of two pictures of one size.
+    ///
+    /// # Errors
+    /// Different sizes, the runtime's errors, an answer that is not one number.
+    pub fn distance(&mut self, a: &Picture, b: &Picture) -> Result<f64, LpipsError> {
+        check_sizes(a, b)?;
+        let [height, width] = [self.axes[0].unwrap_or(a.height), self.axes[1].unwrap_or(a.width)];
+        let prepared = [a, b].map(|picture| {
+            let mut rgb = picture.resized(width, height).rgb;
+            rgb.iter_mut().for_each(|x| *x = 2.0 * *x - 1.0);
+            rgb
+        });
+        let shapes = self.leading.map(|leading| [vec![1; leading], vec![3, height, width]].concat());
+        let (shape, answer) = self.model.run(&[(&shapes[0], &prepared[0]), (&shapes[1], &prepared[1])], 0)?;
+        match answer[..] {
+            [distance] => Ok(f64::from(distance)),
+            _ => Err(form(&self.model, "its output", "one number", format!("{shape:?}")).into()),
+        }
+    }
+}
+
+fn form(model: &Model, what: &str, expected: &str, found: impl ToString) -> OnnxError {
+    let (what, expected, found) = (what.to_owned(), expected.to_owned(), found.to_string());
+    OnnxError::Form { path: model.path().to_owned(), what, expected, found }
+}
