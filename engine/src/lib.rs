@@ -47,6 +47,7 @@ pub mod source;
 pub mod space;
 pub mod splats;
 pub mod stream;
+pub mod view;
 
 pub use camera::Camera;
 pub use render::{Image, RenderError, RenderOptions, Size};

@@ -33,6 +33,8 @@ pub enum Command {
     Export(ExportArgs),
     /// The identity under a pixel and its path through time
     Track(TrackArgs),
+    /// A page that shows a scene in a browser
+    View(ViewArgs),
     /// Measurements (runs the streamsplat-bench beside this program)
     #[command(disable_help_flag = true)]
     Bench {
@@ -150,6 +152,9 @@ pub struct RunArgs {
     /// Go on with a run that was stopped, from its last whole interval; without one, start
     #[arg(long)]
     pub resume: bool,
+    /// Show the stream in a browser while it is processed [default port: 8707]
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8707")]
+    pub serve: Option<u16>,
     /// Also write run.json here
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
@@ -309,6 +314,23 @@ pub struct TrackArgs {
     /// Also write what is found here
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct ViewArgs {
+    /// A scene's folder, its scene.json, or the folder of a run
+    pub scene: PathBuf,
+    /// Port to serve on; 0 takes any free one [default: 8707]
+    #[arg(long, value_name = "N")]
+    pub port: Option<u16>,
+    /// Address to serve on
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    pub host: std::net::IpAddr,
+    /// Serve nothing: write the page with the scene in it as this file, which opens by itself
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["port", "host"])]
+    pub html: Option<PathBuf>,
     #[command(flatten)]
     pub machine: Machine,
 }

@@ -55,5 +55,7 @@ work!(
     streamsplat::scene::SceneError,
     streamsplat::source::SourceError,
     streamsplat::metrics::MetricError,
+    streamsplat::view::PageError,
+    streamsplat::view::ServeError,
     streamsplat_model::ModelError
 );

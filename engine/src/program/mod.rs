@@ -26,6 +26,7 @@ mod render;
 mod report;
 mod resume;
 mod run;
+mod serving;
 mod settings;
 mod splat;
 mod stop;
@@ -33,6 +34,7 @@ mod times;
 mod trace;
 mod track;
 mod verify;
+mod view;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -66,6 +68,7 @@ pub fn main() -> ExitCode {
         Command::Inspect(args) => inspect::command(args),
         Command::Export(args) => export::command(args, &cli.console),
         Command::Track(args) => track::command(args, &cli.console),
+        Command::View(args) => view::command(args, &cli.console),
         Command::Bench { arguments } => {
             return bench::command(arguments).unwrap_or_else(|failure| finish(Err(failure)));
         }
@@ -92,7 +95,7 @@ fn one_line(error: &clap::Error) -> String {
         words.remove(0);
     }
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-        let commands = "run, render, eval, forward, splat, inspect, export, track, bench, verify";
+        let commands = "run, render, eval, forward, splat, inspect, export, track, view, bench, verify";
         return format!("expected a command ({commands}); see streamsplat --help");
     }
     words.join(" ")

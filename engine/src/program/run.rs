@@ -18,6 +18,7 @@ use super::outputs::{Destination, Emit, Outputs};
 use super::progress::Progress;
 use super::record::{Account, ModelRecord, NetworkRecord, PROGRAM, Record, Task, Timing, WorkRecord};
 use super::resume::{self, Found, Point, Terms, with_absolute_paths};
+use super::serving::Serving;
 use super::settings::Views;
 use super::{digest, machine, report, say, stop};
 
@@ -58,7 +59,7 @@ fn resume_or_run(args: &RunArgs, destination: &Destination, console: &Console) -
         }
         return Ok(None);
     }
-    run_from(found, input, destination.clone(), options, machine, console).map(Some)
+    run_from(found, input, destination.clone(), options, machine, args.serve, console).map(Some)
 }
 
 /// Everything of a run but its record's files.
@@ -69,15 +70,17 @@ pub fn run(
     machine: &Machine,
     console: &Console,
 ) -> Result<Record, Failure> {
-    run_from(Found::Nothing, input, destination, options, machine, console)
+    run_from(Found::Nothing, input, destination, options, machine, None, console)
 }
 
+/// The same from what was `found`, shown in a browser on the port `serve`, if there is one.
 fn run_from(
     found: Found,
     input: &Path,
     destination: Destination,
     options: &RunOptions,
     machine: &Machine,
+    serve: Option<u16>,
     console: &Console,
 ) -> Result<Record, Failure> {
     let start = Instant::now();
@@ -96,6 +99,7 @@ fn run_from(
         return Err(Failure::usage("--fps and --frames: expected numbers above 0"));
     }
     let source = Source::open(input, &source::Options { fps: options.fps })?;
+    let page = serve.map(|port| Serving::start(port, input, source.fps(), console)).transpose()?;
     let (outputs, terms) = match (&found, destination.resume()) {
         (Found::Under(point, _), Some(folder)) => {
             let terms = Terms::given(options, &model_record(options)?)?;
@@ -116,7 +120,7 @@ fn run_from(
     let account = Account::default();
     let (drawing_ref, span) = (&mut drawing, None);
     let mut stream =
-        Stream { keys, engine, outputs, drawing: drawing_ref, progress, account, emit, dropped: 0, span, key: 0 };
+        Stream { keys, engine, outputs, drawing: drawing_ref, progress, page, account, emit, dropped: 0, span, key: 0 };
     let resumed = match &found {
         Found::Under(point, memory) => {
             if let Err(failure) = resume::catch_up(&mut stream, &mut times, &views, point, memory.as_ref()) {
@@ -137,7 +141,7 @@ fn run_from(
             return Err(failure);
         }
     };
-    let Stream { keys, engine, outputs, progress, account, dropped, span, .. } = stream;
+    let Stream { keys, engine, outputs, progress, page, account, dropped, span, .. } = stream;
     let Some((first, last)) = span else {
         return Err(Failure::work(format!("{}: the video has no frame", input.display())));
     };
@@ -149,6 +153,9 @@ fn run_from(
         return Err(Failure::usage(format!("--times: {time} s lies outside the video ({first} s to {last} s)")));
     }
     progress.finish();
+    if let Some(page) = page {
+        page.finish();
+    }
     let written = drawing.writing(|| outputs.finish())?;
 
     let mut work = account.of(engine.work());
@@ -195,6 +202,7 @@ pub struct Stream<'a> {
     pub outputs: Outputs,
     pub drawing: &'a mut Drawing,
     pub progress: Progress,
+    pub page: Option<Serving>,
     pub account: Account,
     pub emit: Emit,
     /// Gaussians left out by the engine.
@@ -225,6 +233,9 @@ impl Stream<'_> {
             let interval = self.engine.push(key.frame, timestamp)?;
             self.dropped += interval.dropped;
             self.span = Some((self.span.map_or(interval.start, |(first, _)| first), interval.end));
+            if let Some(page) = &self.page {
+                page.push(&interval);
+            }
             let frames = key.shown.iter().map(|frame| (frame.index, frame.timestamp));
             let due = if self.emit.draws() || self.emit.ply { times.of(&interval, frames) } else { Vec::new() };
             self.write(&interval, &due, views)?;

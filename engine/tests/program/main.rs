@@ -9,3 +9,4 @@ mod resume;
 mod support;
 mod track;
 mod verify;
+mod view;

@@ -1,0 +1,92 @@
+// The camera: it looks at a target from some side.
+//
+// Scene space is x right, y down, z forward. From straight ahead with parallel rays it is the source's own view: the content of the
+// model's input fills the image. With perspective what lies as far as the target keeps its size.
+
+const TURN = Math.PI / 180;
+const STEEPEST = 85;
+
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
+
+class Camera {
+  constructor() {
+    this.half = [1, 1]; // half extents of the content in scene units
+    this.middle = [0, 0]; // its middle
+    this.aspect = 16 / 9; // of the source's frames
+    this.depth = 0.5; // of the target
+    this.perspective = false;
+    this.reset();
+  }
+
+  /** Back to the source's view. */
+  reset() {
+    this.yaw = 0;
+    this.pitch = 0;
+    this.zoom = 1;
+    this.shift = [0, 0, 0];
+  }
+
+  /** Learns where the content lies in the model's input. */
+  place({ source, model, offset, content }) {
+    this.half = [content[1] / model[1], content[0] / model[0]];
+    this.middle = [(2 * offset[1] + content[1]) / model[1] - 1, (2 * offset[0] + content[0]) / model[0] - 1];
+    this.aspect = source[1] / source[0];
+  }
+
+  get target() {
+    const [x, y] = this.middle;
+    return [x + this.shift[0], y + this.shift[1], this.depth + this.shift[2]];
+  }
+
+  /** The camera's right, down and forward in scene space. */
+  get axes() {
+    const [sy, cy] = [Math.sin(this.yaw * TURN), Math.cos(this.yaw * TURN)];
+    const [sp, cp] = [Math.sin(this.pitch * TURN), Math.cos(this.pitch * TURN)];
+    return [[cy, 0, -sy], [-sp * sy, cp, -sp * cy], [sy * cp, sp, cy * cp]];
+  }
+
+  /** The view in an image of width × height pixels; `focal` as splat.vert wants it. */
+  view(width, height) {
+    const fitted = Math.min(width, height * this.aspect);
+    const scale = [(0.5 * fitted) / this.half[0], (0.5 * fitted) / this.aspect / this.half[1]];
+    const axes = this.axes;
+    // Parallel rays start behind everything: depths end at 5.
+    const distance = this.perspective ? 2.4 / this.zoom : 12;
+    const eye = this.target.map((x, i) => x - axes[2][i] * distance);
+    const focal = scale.map((s) => s * (this.perspective ? 2.4 : this.zoom));
+    return { width, height, axes, eye, focal, pinhole: this.perspective, distance };
+  }
+
+  turn(right, down) {
+    this.yaw = ((this.yaw - right + 540) % 360) - 180;
+    this.pitch = clamp(this.pitch - down, -STEEPEST, STEEPEST);
+  }
+
+  /** Moves the target so that the image moves by this many of its pixels. */
+  pan(right, down, { axes, focal, distance, pinhole }) {
+    const unit = focal.map((f) => (pinhole ? distance : 1) / f);
+    this.shift = this.shift.map((x, i) => x - right * unit[0] * axes[0][i] - down * unit[1] * axes[1][i]);
+  }
+
+  magnify(factor) {
+    this.zoom = clamp(this.zoom * factor, 0.1, 50);
+  }
+}
+
+/** Where a view shows a scene-space point: pixels from the upper left corner, and depth. */
+function project({ width, height, axes, eye, focal, pinhole }, point) {
+  const away = point.map((x, i) => x - eye[i]);
+  const [x, y, z] = axes.map((axis) => dot(axis, away));
+  const near = pinhole ? 1 / z : 1;
+  return [focal[0] * x * near + 0.5 * width, focal[1] * y * near + 0.5 * height, z];
+}
+
+/** The view as `streamsplat render --camera` reads it. */
+function cameraFile({ width, height, axes, eye, focal, pinhole }) {
+  const numbers = (list) => list.map((x) => Number(x.toPrecision(12)) + 0);
+  const pose = { position: numbers(eye), look_at: numbers(eye.map((x, i) => x + axes[2][i])) };
+  return pinhole
+    ? { type: "pinhole", ...pose, focal: numbers([focal[0] / width, focal[1] / height]) }
+    : { type: "orthographic", ...pose, half_extent: numbers([(0.5 * width) / focal[0], (0.5 * height) / focal[1]]) };
+}

@@ -1,0 +1,135 @@
+// Drawing with WebGL2: splats front to back into sums of colour and alpha, then those onto the background.
+
+const MODES = ["colour", "depth", "identity"];
+/** Records in a row of the texture; each has two texels of 16 bytes. */
+const PER_ROW = 1024;
+
+class Drawing {
+  constructor(canvas) {
+    const options = { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" };
+    const gl = canvas.getContext("webgl2", options);
+    if (!gl) throw new Error("this browser offers no WebGL2");
+    this.canvas = canvas;
+    this.gl = gl;
+    // Sums in 16-bit floats where they can be drawn into, else in bytes.
+    this.deep = Boolean(gl.getExtension("EXT_color_buffer_float") ?? gl.getExtension("EXT_color_buffer_half_float"));
+    this.splat = this.program("splat.vert", "splat.frag");
+    this.resolve = this.program("resolve.vert", "resolve.frag");
+    this.packet = null;
+    this.records = gl.createTexture();
+    this.order = gl.createBuffer();
+    this.splats = gl.createVertexArray();
+    gl.bindVertexArray(this.splats);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
+    gl.enableVertexAttribArray(0);
+    gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
+    gl.vertexAttribDivisor(0, 1);
+    this.nothing = gl.createVertexArray();
+    this.blended = gl.createTexture();
+    this.target = gl.createFramebuffer();
+    this.size = [0, 0];
+  }
+
+  program(vertex, fragment) {
+    const { gl } = this;
+    const program = gl.createProgram();
+    for (const [kind, name] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, document.getElementById(name).textContent);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+    }
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
+      const logs = gl.getAttachedShaders(program).map((shader) => gl.getShaderInfoLog(shader));
+      throw new Error(`${vertex}, ${fragment}: ${[gl.getProgramInfoLog(program), ...logs].join(" ")}`);
+    }
+    const at = {};
+    for (let i = 0; i < gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS); i++) {
+      const { name } = gl.getActiveUniform(program, i);
+      at[name] = gl.getUniformLocation(program, name);
+    }
+    return { program, at };
+  }
+
+  /** A texture without filtering. */
+  bind(texture, unit) {
+    const { gl } = this;
+    gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+  }
+
+  /** Takes a packet's records to the graphics processor, as they are. */
+  upload(packet) {
+    if (this.packet === packet) return;
+    const { gl } = this;
+    const rows = Math.max(1, Math.ceil(packet.count / PER_ROW));
+    if (rows > gl.getParameter(gl.MAX_TEXTURE_SIZE)) throw new Error(`${packet.count} Gaussians are more than this browser draws`);
+    const whole = Math.floor(packet.count / PER_ROW);
+    this.bind(this.records, 0);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, 2 * PER_ROW, rows, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, null);
+    const put = (row, width, height, words) => {
+      if (width && height) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
+    };
+    const cut = whole * PER_ROW * WORDS;
+    put(0, 2 * PER_ROW, whole, packet.words.subarray(0, cut));
+    put(whole, 2 * (packet.count % PER_ROW), 1, packet.words.subarray(cut));
+    this.packet = packet;
+  }
+
+  /** Sums as large as the canvas. */
+  resize() {
+    const { gl, canvas } = this;
+    const [width, height] = this.size;
+    if (width === canvas.width && height === canvas.height) return;
+    this.size = [canvas.width, canvas.height];
+    this.bind(this.blended, 1);
+    const [kept, kind] = this.deep ? [gl.RGBA16F, gl.HALF_FLOAT] : [gl.RGBA8, gl.UNSIGNED_BYTE];
+    gl.texImage2D(gl.TEXTURE_2D, 0, kept, canvas.width, canvas.height, 0, gl.RGBA, kind, null);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.blended, 0);
+  }
+
+  /** Draws a packet's records in `order` at t in [0, 1]; `range` are the ends of the scale of inverse depths. */
+  draw(packet, order, t, view, { mode, background, range }) {
+    const { gl, splat, resolve, canvas } = this;
+    this.resize();
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    if (order.length) {
+      this.upload(packet);
+      gl.useProgram(splat.program);
+      this.bind(this.records, 0);
+      gl.uniform1i(splat.at.records, 0);
+      for (const name of ["positionLow", "positionStep", "velocityLow", "velocityStep"]) {
+        gl.uniform3fv(splat.at[name], packet[name]);
+      }
+      gl.uniform1f(splat.at.t, t);
+      gl.uniform3fv(splat.at.eye, view.eye);
+      gl.uniformMatrix3fv(splat.at.turn, false, view.axes.flat());
+      gl.uniform2fv(splat.at.focal, view.focal);
+      gl.uniform1i(splat.at.pinhole, view.pinhole ? 1 : 0);
+      gl.uniform2f(splat.at.size, canvas.width, canvas.height);
+      gl.uniform1i(splat.at.mode, mode);
+      gl.bindVertexArray(this.splats);
+      gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
+      gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
+      gl.enable(gl.BLEND);
+      gl.blendFunc(gl.ONE_MINUS_DST_ALPHA, gl.ONE);
+      gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, order.length);
+      gl.disable(gl.BLEND);
+    }
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.useProgram(resolve.program);
+    this.bind(this.blended, 1);
+    gl.uniform1i(resolve.at.blended, 1);
+    gl.uniform3fv(resolve.at.background, background);
+    gl.uniform1i(resolve.at.mode, mode);
+    gl.uniform2fv(resolve.at.range, range);
+    gl.bindVertexArray(this.nothing);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+}

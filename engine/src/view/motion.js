@@ -1,0 +1,48 @@
+// Gaussians in time, as splat.vert has it, for sorting and picking.
+
+const HANDOVER = 0.125;
+
+/** Scene-space depth of a normalised inverse depth. */
+const depthOf = (y) => 1 / (9.8 * y + 0.200001);
+
+/**
+ * What normalised inverse depths a packet has (of 4096 records at most): `middle`, and the ends of a scale, `far` and `near`, between
+ * which 98 % of them lie. A flat scene's scale is not narrower than a tenth.
+ */
+function inverseDepths(packet) {
+  const all = [];
+  for (let i = 0; i < packet.count; i += Math.ceil(packet.count / 4096)) {
+    const y = worldAt(packet, i, packet.reference(i))[1];
+    if (y >= 0 && y <= 1) all.push(y);
+  }
+  all.sort((a, b) => a - b);
+  const [low, middle, high] = [0.01, 0.5, 0.99].map((part) => all[Math.floor(part * all.length)] ?? 0.5);
+  const wider = Math.max(0, 0.05 - 0.5 * (high - low));
+  return { far: low - wider, middle, near: high + wider };
+}
+
+/** The world position of record i at t in [0, 1] of its interval. */
+function worldAt(packet, i, t) {
+  const tau = t - packet.reference(i);
+  const q = packet.shorts.subarray(i * SHORTS, i * SHORTS + 6);
+  return [0, 1, 2].map((axis) => {
+    const velocity = packet.velocityLow[axis] + packet.velocityStep[axis] * q[3 + axis];
+    return packet.positionLow[axis] + packet.positionStep[axis] * q[axis] + velocity * tau;
+  });
+}
+
+/** The same in scene space; null where nothing is drawn. */
+function sceneAt(packet, i, t) {
+  const [x, y, z] = worldAt(packet, i, t);
+  return y >= 0 && y <= 1 ? [x, -z, depthOf(y)] : null;
+}
+
+/** o · (1 + e^(−γ₀γ₁)) / (1 + e^(γ₀(|τ| − γ₁))) · handover, at t in [0, 1]. */
+function opacityAt(packet, i, t) {
+  const [steepness, width] = packet.gamma(i);
+  const x = steepness * (Math.abs(t - packet.reference(i)) - width);
+  const factor = Math.min(1, (1 + Math.exp(-steepness * width)) / (1 + Math.exp(x)));
+  const handover = packet.handover(i);
+  const ramp = handover === 1 ? t : handover === 2 ? 1 - t : HANDOVER;
+  return packet.opacity(i) * factor * Math.min(1, ramp / HANDOVER);
+}

@@ -1,0 +1,77 @@
+// Packets: one interval's Gaussians as the server sends them. packet.rs gives the layout.
+
+const HEADER = 96;
+const RECORD = 32;
+const WORDS = RECORD / 4;
+const SHORTS = RECORD / 2;
+
+/** The number that 16 bits of IEEE binary16 stand for. */
+function half(bits) {
+  const sign = bits & 0x8000 ? -1 : 1;
+  const exponent = (bits >> 10) & 31;
+  const fraction = bits & 1023;
+  if (exponent === 0) return sign * fraction * 2 ** -24;
+  if (exponent === 31) return fraction ? NaN : sign * Infinity;
+  return sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
+}
+
+/** One interval. `words`, `shorts` and `bytes` look at the same records. */
+class Packet {
+  constructor(buffer) {
+    const view = new DataView(buffer);
+    const magic = buffer.byteLength >= HEADER ? view.getUint32(0) : 0;
+    if (magic !== 0x7373706b || view.getUint32(4, true) !== 1) throw new Error("not an interval of a version this page reads");
+    const count = view.getUint32(32, true);
+    if (buffer.byteLength !== HEADER + count * (RECORD + 2)) throw new Error("an interval of the wrong length");
+    const vector = (at) => [0, 4, 8].map((offset) => view.getFloat32(at + offset, true));
+    this.size = buffer.byteLength;
+    this.index = Number(view.getBigUint64(8, true));
+    this.start = view.getFloat64(16, true);
+    this.end = view.getFloat64(24, true);
+    this.count = count;
+    this.positionLow = vector(40);
+    this.positionStep = vector(52);
+    this.velocityLow = vector(64);
+    this.velocityStep = vector(76);
+    this.words = new Uint32Array(buffer, HEADER, count * WORDS);
+    this.shorts = new Uint16Array(buffer, HEADER, count * SHORTS);
+    this.bytes = new Uint8Array(buffer, HEADER, count * RECORD);
+    this.ages = new Uint16Array(buffer, HEADER + count * RECORD, count);
+  }
+
+  /** 0 where record i belongs to the interval's start, 1 where it belongs to its end. */
+  reference(i) {
+    return this.bytes[i * RECORD + 31] & 1;
+  }
+
+  /** 0: stays; 1: fades in after the start; 2: fades out before the end. */
+  handover(i) {
+    return (this.bytes[i * RECORD + 31] >> 1) & 3;
+  }
+
+  identity(i) {
+    const low = this.words[i * WORDS + 6];
+    const high = this.words[i * WORDS + 7] & 0xffffff;
+    return (BigInt(high) << 32n) | BigInt(low);
+  }
+
+  /** Red, green and blue in [0, 255]. */
+  colour(i) {
+    return this.bytes.subarray(i * RECORD + 16, i * RECORD + 19);
+  }
+
+  opacity(i) {
+    return this.bytes[i * RECORD + 19] / 255;
+  }
+
+  gamma(i) {
+    return [half(this.shorts[i * SHORTS + 6]), this.shorts[i * SHORTS + 7] / 65535];
+  }
+
+  /** Standard deviations along scene-space x, y and z. */
+  deviation(i) {
+    const x = half(this.shorts[i * SHORTS + 10]);
+    const y = half(this.shorts[i * SHORTS + 11]);
+    return [x, y, 0.5 * (x + y)];
+  }
+}

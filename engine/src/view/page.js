@@ -1,0 +1,465 @@
+// The page: its state, what the user does to it, and one picture after another.
+
+const find = (id) => document.getElementById(id);
+const BACKGROUNDS = [0.07, 0.5, 1];
+const SPEEDS = [...find("speed").options].map((option) => Number(option.value));
+/** How often a stream is asked for more, in milliseconds. */
+const POLL = 400;
+/** Key frames marked on the time line at most. */
+const MARKS = 160;
+const PLAY = "M5 3l12 7-12 7z";
+const PAUSE = "M5 3h3.5v14H5zM11.5 3H15v14h-3.5z";
+
+const canvas = find("canvas");
+const embedded = find("scene");
+const store = new Store(embedded ? new Embedded(embedded) : new Served());
+const camera = new Camera();
+const sorter = new Sorter();
+let drawing = null;
+
+const state = {
+  time: 0,
+  playing: false,
+  following: false,
+  mode: 0,
+  background: [0.07, 0.07, 0.07],
+  picked: null, // { identity, … }
+  shown: null, // { packet, interval, order, t, view } of the picture on the screen
+};
+
+/** Whether the next frame must be drawn although nothing plays. */
+let stale = true;
+let placed = false;
+
+// ---- Messages -------------------------------------------------------------------------------------------------------------------
+
+function say(text) {
+  find("message").textContent = text;
+  find("message").hidden = !text;
+}
+
+/** Sets an element's text where it differs. */
+function write(id, text) {
+  const element = find(id);
+  if (element.textContent !== text) element.textContent = text;
+}
+
+const count = (n, what) => `${n.toLocaleString("en")} ${what}${n === 1 ? "" : "s"}`;
+
+// ---- Time -----------------------------------------------------------------------------------------------------------------------
+
+function seek(time) {
+  const [start, end] = store.span;
+  const next = clamp(time, start, end);
+  if (next !== state.time) stale = true;
+  state.time = next;
+}
+
+/** The user chose a time: a stream is no longer followed. */
+function jump(time) {
+  follow(false);
+  seek(time);
+}
+
+function play(on) {
+  state.playing = on;
+  find("play").setAttribute("aria-label", on ? "Pause" : "Play");
+  find("symbol").setAttribute("d", on ? PAUSE : PLAY);
+  stale = true;
+}
+
+function follow(on) {
+  state.following = on && Boolean(store.about?.live);
+  find("live").setAttribute("aria-pressed", String(state.following));
+}
+
+/** Takes the time `seconds` further. */
+function advance(seconds) {
+  const [start, end] = store.span;
+  if (state.following) {
+    // A second behind is caught up with within about a second.
+    seek(state.time + seconds * Math.max(1, end - state.time));
+    return;
+  }
+  if (!state.playing || end === start) return;
+  const next = state.time + seconds * Number(find("speed").value);
+  seek(next > end ? (store.about.live && !store.about.complete ? end : start) : next);
+}
+
+function listTimes() {
+  const [start, end] = store.span;
+  const slider = find("time");
+  slider.min = start;
+  slider.max = end;
+  const marks = store.times.slice(store.first).map((times) => times.end);
+  const shown = marks.length <= MARKS && end > start ? marks : [];
+  find("marks").replaceChildren(
+    ...shown.map((time) => {
+      const mark = document.createElement("i");
+      mark.style.left = `${(100 * (time - start)) / (end - start)}%`;
+      return mark;
+    }),
+  );
+}
+
+// ---- The picture ----------------------------------------------------------------------------------------------------------------
+
+/** Makes the canvas as large as it is seen; a device may have several pixels to one of the page. */
+function fit() {
+  const scale = Math.min(window.devicePixelRatio || 1, 2);
+  const [width, height] = [window.innerWidth, window.innerHeight].map((side) => Math.max(1, Math.round(side * scale)));
+  if (canvas.width === width && canvas.height === height) return;
+  canvas.width = width;
+  canvas.height = height;
+  stale = true;
+}
+
+/** Draws the scene at the state's time; false where its interval is still to come. */
+function picture() {
+  const interval = store.find(state.time);
+  const packet = store.held(interval);
+  if (!packet) {
+    store.fetch(interval).then(() => (stale = true), (e) => say(`Interval ${interval}: ${e.message}`));
+    return false;
+  }
+  if (interval + 1 < store.times.length) store.fetch(interval + 1).catch(() => {});
+  sorter.take(packet);
+  const { far, middle, near } = sorter.inverseDepths;
+  if (!placed) {
+    camera.depth = depthOf(middle);
+    placed = true;
+  }
+  const t = packet.end > packet.start ? clamp((state.time - packet.start) / (packet.end - packet.start), 0, 1) : 0;
+  const view = camera.view(canvas.width, canvas.height);
+  const order = sorter.sort(packet, t, view);
+  drawing.draw(packet, order, t, view, { mode: state.mode, background: state.background, range: [far, near] });
+  state.shown = { packet, interval, order, t, view };
+  canvas.dataset.shown = String(state.time);
+  describe();
+  mark();
+  return true;
+}
+
+/** What the panels say about the picture. */
+function describe() {
+  const { packet, interval } = state.shown;
+  const [start, end] = store.span;
+  const digits = end - start < 100 ? 2 : 1;
+  write("clock", `${state.time.toFixed(digits)} / ${end.toFixed(digits)} s`);
+  const of = store.about.live && !store.about.complete ? "" : ` of ${store.times.length}`;
+  write("facts", `${count(packet.count, "Gaussian")} · interval ${interval + 1}${of} · ${Number(store.about.fps.toFixed(3))} frames/s`);
+  const slider = find("time");
+  if (document.activeElement !== slider || Number(slider.value) !== state.time) slider.value = state.time;
+  if (state.mode === 1) {
+    const { far, near } = sorter.inverseDepths;
+    write("near", `near ${depthOf(clamp(near, 0, 1)).toPrecision(2)}`);
+    write("far", `${depthOf(clamp(far, 0, 1)).toPrecision(2)} far`);
+  }
+}
+
+/** Draws the path of the identity that was picked. */
+function mark() {
+  const { packet, interval, t, view } = state.shown;
+  const scale = canvas.clientWidth / canvas.width;
+  const onPage = (point) => project(view, point).slice(0, 2).map((x) => x * scale);
+  const visible = (point) => point && (!view.pinhole || project(view, point)[2] > 1e-3);
+  const path = state.picked ? pathOf(store, interval, state.picked.identity).filter(visible) : [];
+  find("path").setAttribute("points", path.map((point) => onPage(point).join(",")).join(" "));
+  const here = state.picked && whereIs(packet, state.picked.identity, t);
+  find("here").style.display = visible(here) ? "" : "none";
+  if (visible(here)) {
+    const [x, y] = onPage(here);
+    find("here").setAttribute("cx", x);
+    find("here").setAttribute("cy", y);
+  }
+}
+
+/** One turn of the browser's clock. */
+let before = performance.now();
+function turn(now) {
+  const seconds = Math.min(0.1, Math.max(0, (now - before) / 1000));
+  before = now;
+  fit();
+  if (store.times.length && drawing) {
+    // Time waits for an interval that is still to come.
+    if (!state.shown || store.held(store.find(state.time))) advance(seconds);
+    if (stale) stale = !picture();
+  }
+  requestAnimationFrame(turn);
+}
+
+// ---- Picking --------------------------------------------------------------------------------------------------------------------
+
+/** Intervals on either side of the present one through which a picked identity is followed. */
+const FOLLOWED = 8;
+
+/** Picks what is shown at a place of the page; null lets go. */
+function choose(place) {
+  const { packet, interval, order, t, view } = state.shown ?? {};
+  const scale = canvas.width / canvas.clientWidth;
+  state.picked = place && packet ? pick(packet, order, t, view, place[0] * scale, place[1] * scale) : null;
+  find("card").hidden = !state.picked;
+  stale = true;
+  if (!state.picked) return;
+  const { identity, birth, weight, colour } = state.picked;
+  find("swatch").style.background = `rgb(${colour.join(" ")})`;
+  write("identity", String(identity));
+  for (let i = Math.max(store.first, interval - FOLLOWED); i <= interval + FOLLOWED && i < store.times.length; i++) {
+    store.fetch(i).then(() => (stale = true), () => {});
+  }
+  write("story", `first seen in key frame ${birth} · ${Math.round(100 * weight)} % of this pixel`);
+}
+
+// ---- What the view's address says -----------------------------------------------------------------------------------------------
+
+/** Takes the view from the address (#t=0.5&yaw=20&…), so that a link shows what its sender saw. */
+function readAddress() {
+  const said = new URLSearchParams(location.hash.slice(1));
+  const number = (key, otherwise) => {
+    const value = Number.parseFloat(said.get(key));
+    return Number.isFinite(value) ? value : otherwise;
+  };
+  camera.reset();
+  camera.yaw = number("yaw", 0);
+  camera.pitch = clamp(number("pitch", 0), -STEEPEST, STEEPEST);
+  camera.zoom = 1;
+  camera.magnify(number("zoom", 1));
+  camera.shift = ["x", "y", "z"].map((key) => number(key, 0));
+  look(said.get("lens") === "perspective");
+  show(Math.max(0, MODES.indexOf(said.get("mode"))));
+  const grey = number("background", BACKGROUNDS[0]);
+  state.background = [grey, grey, grey].map((level) => clamp(level, 0, 1));
+  find("interface").hidden = said.get("interface") === "none";
+  if (said.has("t")) jump(number("t", 0));
+  return said.has("t");
+}
+
+let writing = 0;
+/** Writes the view into the address, once nothing has changed for a while. */
+function writeAddress() {
+  clearTimeout(writing);
+  writing = setTimeout(() => {
+    const said = new URLSearchParams();
+    const put = (key, value, otherwise, digits) => value !== otherwise && said.set(key, digits ? String(Number(value.toFixed(digits))) : value);
+    if (!state.playing && !state.following) put("t", state.time, null, 4);
+    put("yaw", camera.yaw, 0, 2);
+    put("pitch", camera.pitch, 0, 2);
+    put("zoom", camera.zoom, 1, 4);
+    ["x", "y", "z"].forEach((key, i) => put(key, camera.shift[i], 0, 4));
+    put("lens", camera.perspective ? "perspective" : "parallel", "parallel");
+    put("mode", MODES[state.mode], MODES[0]);
+    put("background", state.background[0], BACKGROUNDS[0], 3);
+    if (find("interface").hidden) said.set("interface", "none");
+    history.replaceState(null, "", `#${said}`);
+  }, 500);
+}
+
+// ---- What the user does ---------------------------------------------------------------------------------------------------------
+
+function changed() {
+  stale = true;
+  writeAddress();
+}
+
+function show(mode) {
+  state.mode = mode;
+  for (const button of document.querySelectorAll("[data-mode]")) {
+    button.setAttribute("aria-pressed", String(Number(button.dataset.mode) === mode));
+  }
+  find("legend").hidden = mode !== 1;
+  stale = true;
+}
+
+function look(perspective) {
+  camera.perspective = perspective;
+  find("perspective").setAttribute("aria-pressed", String(perspective));
+  stale = true;
+}
+
+function changeSpeed(by) {
+  const place = clamp(SPEEDS.indexOf(Number(find("speed").value)) + by, 0, SPEEDS.length - 1);
+  find("speed").value = String(SPEEDS[place]);
+}
+
+function nextBackground() {
+  const grey = BACKGROUNDS[(BACKGROUNDS.indexOf(state.background[0]) + 1) % BACKGROUNDS.length];
+  state.background = [grey, grey, grey];
+}
+
+/** The key frame before (−1) or after (+1) the state's time. */
+function keyFrame(by) {
+  const ends = store.times.slice(store.first).map((times) => times.end);
+  const others = ends.filter((time) => (by > 0 ? time > state.time + 1e-9 : time < state.time - 1e-9));
+  return (by > 0 ? others[0] : others[others.length - 1]) ?? state.time;
+}
+
+function openKeys() {
+  if (state.shown) find("camera").value = JSON.stringify(cameraFile(state.shown.view));
+  find("keys").showModal();
+}
+
+const KEYS = {
+  " ": () => play(!state.playing),
+  ArrowLeft: (e) => jump(e.shiftKey ? keyFrame(-1) : state.time - 1 / store.about.fps),
+  ArrowRight: (e) => jump(e.shiftKey ? keyFrame(1) : state.time + 1 / store.about.fps),
+  Home: () => jump(store.span[0]),
+  End: () => jump(store.span[1]),
+  "[": () => changeSpeed(-1),
+  "]": () => changeSpeed(1),
+  1: () => show(0),
+  2: () => show(1),
+  3: () => show(2),
+  a: () => camera.turn(5, 0),
+  d: () => camera.turn(-5, 0),
+  w: () => camera.turn(0, 5),
+  s: () => camera.turn(0, -5),
+  "+": () => camera.magnify(1.1),
+  "=": () => camera.magnify(1.1),
+  "-": () => camera.magnify(1 / 1.1),
+  p: () => look(!camera.perspective),
+  o: () => camera.reset(),
+  b: nextBackground,
+  h: () => (find("interface").hidden = !find("interface").hidden),
+  l: () => follow(!state.following),
+  "?": openKeys,
+  Escape: () => choose(null),
+};
+
+function listenToKeys() {
+  window.addEventListener("keydown", (e) => {
+    const key = e.key.length === 1 ? e.key.toLowerCase() : e.key;
+    const inControl = e.target.matches("textarea, select") || find("keys").open;
+    // A button or the slider keeps the keys that work it.
+    const own = (e.target.matches("button") && key === " ") || (e.target.matches("input") && key.startsWith("Arrow"));
+    if (!KEYS[key] || inControl || own || e.ctrlKey || e.metaKey || e.altKey || !store.about) return;
+    e.preventDefault();
+    KEYS[key](e);
+    changed();
+  });
+}
+
+function listenToButtons() {
+  const click = (id, act) => find(id).addEventListener("click", () => (act(), changed()));
+  click("play", () => play(!state.playing));
+  click("perspective", () => look(!camera.perspective));
+  click("home", () => camera.reset());
+  click("live", () => follow(!state.following));
+  click("unpick", () => choose(null));
+  find("help").addEventListener("click", openKeys);
+  for (const button of document.querySelectorAll("[data-mode]")) {
+    button.addEventListener("click", () => (show(Number(button.dataset.mode)), changed()));
+  }
+  find("time").addEventListener("input", () => (jump(Number(find("time").value)), changed()));
+}
+
+/** One finger or button turns (or, with Shift or another button, moves); two move and zoom; a click picks. */
+function listenToPointers() {
+  const down = new Map();
+  let travelled = 0;
+  const place = (e) => [e.clientX, e.clientY];
+  const spread = () => {
+    const [a, b] = [...down.values()];
+    return { middle: [0, 1].map((i) => (a[i] + b[i]) / 2), width: Math.hypot(a[0] - b[0], a[1] - b[1]) };
+  };
+  canvas.addEventListener("pointerdown", (e) => {
+    canvas.setPointerCapture(e.pointerId);
+    canvas.focus({ preventScroll: true });
+    if (!down.size) travelled = 0;
+    down.set(e.pointerId, place(e));
+    canvas.classList.add("held");
+  });
+  canvas.addEventListener("pointermove", (e) => {
+    const last = down.get(e.pointerId);
+    if (!last) return;
+    const earlier = down.size === 2 ? spread() : null;
+    down.set(e.pointerId, place(e));
+    let [right, below] = place(e).map((x, i) => x - last[i]);
+    travelled += Math.hypot(right, below);
+    if (earlier) {
+      const { middle, width } = spread();
+      [right, below] = middle.map((x, i) => x - earlier.middle[i]);
+      camera.magnify(width / Math.max(1, earlier.width));
+    }
+    const scale = canvas.width / canvas.clientWidth;
+    if (earlier || e.shiftKey || e.buttons > 1) camera.pan(right * scale, below * scale, camera.view(canvas.width, canvas.height));
+    else if (travelled > 4) camera.turn(right * 0.3, -below * 0.3);
+    changed();
+  });
+  const up = (e) => {
+    if (!down.delete(e.pointerId)) return;
+    if (!down.size) canvas.classList.remove("held");
+    if (e.type === "pointerup" && !down.size && travelled <= 4 && e.button === 0) choose(place(e));
+  };
+  canvas.addEventListener("pointerup", up);
+  canvas.addEventListener("pointercancel", up);
+  canvas.addEventListener("contextmenu", (e) => e.preventDefault());
+  const wheel = (e) => {
+    e.preventDefault();
+    camera.magnify(Math.exp(-e.deltaY * (e.deltaMode ? 0.05 : 0.0015)));
+    changed();
+  };
+  canvas.addEventListener("wheel", wheel, { passive: false });
+}
+
+function listen() {
+  listenToKeys();
+  listenToButtons();
+  listenToPointers();
+  window.addEventListener("hashchange", () => readAddress());
+  canvas.addEventListener("webglcontextlost", (e) => (e.preventDefault(), (drawing = null)));
+  canvas.addEventListener("webglcontextrestored", () => ((drawing = new Drawing(canvas)), (stale = true)));
+}
+
+// ---- Streams --------------------------------------------------------------------------------------------------------------------
+
+const wait = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
+
+/** Asks for what is new until the stream ends; keeps what comes, as far as there is room. */
+async function keepUp() {
+  let failures = 0;
+  while (!store.about.complete && failures < 5) {
+    await wait(POLL);
+    try {
+      const from = store.times.length;
+      const more = await store.refresh();
+      if (store.about.placement) camera.place(store.about.placement);
+      for (let i = from; i < from + more; i++) if (store.times[i]) await store.fetch(i).catch(() => {});
+      if (more) listTimes();
+      failures = 0;
+    } catch {
+      failures++;
+    }
+  }
+  store.about.complete = true;
+  find("live").textContent = "Ended";
+  find("live").disabled = true;
+  follow(false);
+  stale = true;
+}
+
+// ---- The beginning --------------------------------------------------------------------------------------------------------------
+
+async function begin() {
+  play(false);
+  listen();
+  drawing = new Drawing(canvas);
+  await store.refresh();
+  const { title, placement, live } = store.about;
+  document.title = `${title} · streamsplat`;
+  write("title", title);
+  if (placement) camera.place(placement);
+  listTimes();
+  seek(store.span[0]);
+  const still = readAddress() || window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  if (live) {
+    find("live").hidden = false;
+    write("facts", "Waiting for the first interval …");
+    follow(!still);
+    keepUp();
+  } else {
+    play(!still);
+  }
+  requestAnimationFrame(turn);
+}
+
+begin().catch((e) => say(e.message));

@@ -1,0 +1,72 @@
+// Who is under a pixel, and where it goes.
+
+const ALPHA_MIN = 1 / 255;
+const LOW_PASS = 0.3;
+
+/** α of record i on the pixel (x, y), as splat.vert and splat.frag have it; 0 where it does not reach. */
+function alphaOn(packet, i, t, view, x, y) {
+  const point = sceneAt(packet, i, t);
+  if (!point) return 0;
+  const [u, v, z] = project(view, point);
+  if (z <= (view.pinhole ? 1e-3 : 0)) return 0;
+  const deviation = packet.deviation(i);
+  const rows = view.axes.map((axis) => axis.map((a, k) => a * deviation[k]));
+  const [right, down] = [[u - 0.5 * view.width, 0], [v - 0.5 * view.height, 1]].map(([offset, axis]) => {
+    if (!view.pinhole) return rows[axis].map((m) => m * view.focal[axis]);
+    return rows[axis].map((m, k) => (m * view.focal[axis] - offset * rows[2][k]) / z);
+  });
+  const [a, b, c] = [dot(right, right) + LOW_PASS, dot(right, down), dot(down, down) + LOW_PASS];
+  const [dx, dy] = [x - u, y - v];
+  const q = (c * dx * dx - 2 * b * dx * dy + a * dy * dy) / (a * c - b * b);
+  if (q > 12) return 0; // under 1/255 of any opacity
+  const alpha = Math.min(0.99, opacityAt(packet, i, t) * Math.exp(-0.5 * q));
+  return alpha >= ALPHA_MIN ? alpha : 0;
+}
+
+/** The record that shows most at a pixel (the largest αT) among those in `order`, nearest first; null where nothing is drawn. */
+function pick(packet, order, t, view, x, y) {
+  let left = 1;
+  let best = null;
+  for (const i of order) {
+    const alpha = alphaOn(packet, i, t, view, x, y);
+    if (left * (1 - alpha) < 1e-4) break;
+    if (alpha && (!best || alpha * left > best.weight)) best = { record: i, weight: alpha * left };
+    left *= 1 - alpha;
+  }
+  if (!best) return null;
+  const identity = packet.identity(best.record);
+  return { ...best, identity, birth: packet.index - packet.ages[best.record], colour: [...packet.colour(best.record)] };
+}
+
+/** The record of an identity in a packet: the one that belongs to the end of the interval nearer to t. */
+function recordOf(packet, identity, t) {
+  const low = Number(identity & 0xffffffffn);
+  const high = Number(identity >> 32n);
+  let found = -1;
+  for (let i = 0; i < packet.count; i++) {
+    if (packet.words[i * WORDS + 6] !== low || (packet.words[i * WORDS + 7] & 0xffffff) !== high) continue;
+    if (found < 0 || packet.reference(i) === Math.round(t)) found = i;
+  }
+  return found;
+}
+
+/** Where an identity is at t in a packet, in scene space; null where it is not. */
+function whereIs(packet, identity, t) {
+  const i = recordOf(packet, identity, t);
+  return i < 0 ? null : sceneAt(packet, i, t);
+}
+
+/** An identity's way through the packets at hand around interval `from`, oldest first: scene-space points. */
+function pathOf(store, from, identity) {
+  const ends = (i) => {
+    const packet = store.kept.get(i);
+    const points = packet && [0, 1].map((t) => whereIs(packet, identity, t)).filter(Boolean);
+    return points?.length ? points : null;
+  };
+  const here = ends(from);
+  if (!here) return [];
+  const path = [here];
+  for (let i = from - 1, points; (points = ends(i)); i--) path.unshift(points);
+  for (let i = from + 1, points; (points = ends(i)); i++) path.push(points);
+  return path.flat();
+}

@@ -1,0 +1,112 @@
+//! Scenes in a browser. What the page draws is tested in tests/outside/page.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::process::{Child, Command, Stdio};
+
+use crate::support::{Scratch, command, fails, files, model, run_ok};
+
+/// The body that `path` has at an address as the program prints it.
+fn get(address: &str, path: &str) -> Vec<u8> {
+    let host = address.trim_start_matches("http://").trim_end_matches('/');
+    let mut stream = TcpStream::connect(host).expect("listening");
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").expect("open");
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).expect("answered");
+    assert!(answer.starts_with(b"HTTP/1.1 200"), "{}", String::from_utf8_lossy(&answer));
+    let end = answer.windows(4).position(|w| w == b"\r\n\r\n").expect("headers") + 4;
+    answer.split_off(end)
+}
+
+/// The first word of the first line that comes.
+fn address(lines: impl Read) -> String {
+    let mut line = String::new();
+    BufReader::new(lines).read_line(&mut line).expect("text");
+    line.split_whitespace().next().expect("an address").to_owned()
+}
+
+/// Ends it when the test ends, however it does.
+struct Ending(Child);
+
+impl Drop for Ending {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn a_scene_is_served_until_interrupted_and_the_file_holds_the_same() {
+    let scratch = Scratch::new();
+    let out = scratch.path("out");
+    run_ok(&scratch.clip("clip", 3, 40, 24), &out, &["--quiet"]);
+    let html = scratch.path("out.html");
+    let output = command().arg("view").arg(&out).arg("--html").arg(&html).output().expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let page = std::fs::read_to_string(&html).expect("a page");
+    assert_eq!(page.matches("id=\"interval-").count(), 3);
+
+    let mut view = command();
+    view.arg("view").arg(&out).args(["--port", "0"]).stdout(Stdio::piped());
+    let mut view = Ending(view.spawn().expect("the program starts"));
+    let address = address(view.0.stdout.take().expect("piped"));
+    let scene: serde_json::Value = serde_json::from_slice(&get(&address, "/scene.json")).expect("JSON");
+    assert_eq!((scene["intervals"].as_array().map(Vec::len), scene["complete"].as_bool()), (Some(3), Some(true)));
+    assert!(get(&address, "/").starts_with(b"<!doctype html>"));
+    let packet = get(&address, "/interval/2");
+    assert!(packet.starts_with(b"sspk") && packet.len() > 1000);
+    if cfg!(unix) {
+        let interrupt = Command::new("kill").args(["-INT", &view.0.id().to_string()]).status();
+        assert!(interrupt.expect("kill starts").success());
+        assert_eq!(view.0.wait().expect("it ends").code(), Some(0));
+    }
+}
+
+#[test]
+fn a_run_that_is_watched_writes_the_same_bytes() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 4, 40, 24);
+    let (alone, watched) = (scratch.path("alone"), scratch.path("watched"));
+    run_ok(&clip, &alone, &["--quiet", "--gap", "2"]);
+    let mut run = command();
+    run.arg("run").arg(&clip).arg("--out").arg(&watched).arg("--model").arg(model()).args(["--gap", "2", "--serve=0"]);
+    let mut run = Ending(run.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts"));
+    let address = address(run.0.stderr.take().expect("piped"));
+    // Whoever asks hears of the end before the program ends.
+    let end = std::time::Instant::now() + std::time::Duration::from_secs(60);
+    loop {
+        let scene: serde_json::Value = serde_json::from_slice(&get(&address, "/scene.json")).expect("JSON");
+        assert_eq!(scene["live"].as_bool(), Some(true));
+        if scene["complete"] == true {
+            assert_eq!(scene["intervals"].as_array().map(Vec::len), Some(3));
+            break;
+        }
+        assert!(std::time::Instant::now() < end, "it does not end");
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    assert_eq!(run.0.wait().expect("it ends").code(), Some(0));
+    assert!(files(&watched) == files(&alone));
+}
+
+#[test]
+fn what_cannot_be_served_is_said() {
+    let scratch = Scratch::new();
+    let scene = scratch.path("scene");
+    run_ok(&scratch.clip("clip", 2, 40, 24), &scene, &["--quiet"]);
+    let view = |more: &[&str]| command().arg("view").arg(&scene).args(more).output().expect("the program starts");
+    assert!(fails(&view(&["--port", "70000"]), 2).contains("--port"));
+    assert!(fails(&view(&["--host", "here"]), 2).contains("--host"));
+    assert!(fails(&view(&["--html", "a.html", "--port", "1"]), 2).contains("--html"));
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = taken.local_addr().expect("bound").port().to_string();
+    assert!(fails(&view(&["--port", &port]), 1).contains(&format!("cannot serve on 127.0.0.1:{port}")));
+    let html = scratch.path("no/such/folder.html");
+    let text = fails(&view(&["--html", &html.display().to_string()]), 1);
+    assert!(text.contains("folder.html"), "{text}");
+    // A broken interval leaves no page behind.
+    let interval = scene.join("scene/interval-000001.safetensors");
+    std::fs::write(&interval, b"broken").expect("writable");
+    let html = scratch.path("broken.html");
+    assert!(fails(&view(&["--html", &html.display().to_string()]), 1).contains("interval-000001"));
+    assert!(!html.exists());
+}

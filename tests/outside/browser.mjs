@@ -1,0 +1,72 @@
+// What tests in a browser share: headless Chromium with WebGL2 in software, programs under way, pictures compared.
+
+import { spawn, spawnSync } from "node:child_process";
+import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+
+/** Debian's Chromium, driven by the playwright-core in the folder of packages `modules`. Colours come back as they were drawn. */
+export async function chromium(modules, ...more) {
+  const { chromium } = createRequire(`${modules}/`)("playwright-core");
+  const gpu = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"];
+  return chromium.launch({
+    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
+    args: ["--headless", "--no-sandbox", "--force-color-profile=srgb", ...gpu, ...more],
+    env: { ...process.env, LANG: "C.UTF-8" },
+  });
+}
+
+/** A page of width × height pixels; what it says on its console, what fails in it and what it asks for goes to `log`. */
+export async function open(browser, [width, height], log) {
+  const page = await browser.newPage({ viewport: { width, height }, deviceScaleFactor: 1, reducedMotion: "reduce" });
+  page.setDefaultTimeout(60_000);
+  page.on("console", (message) => log.said.push(`${message.type()}: ${message.text()}`));
+  page.on("pageerror", (error) => log.said.push(`error: ${error}`));
+  page.on("requestfailed", (request) => log.said.push(`failed: ${request.url()}`));
+  page.on("request", (request) => log.asked.push(request.url()));
+  return page;
+}
+
+/** Runs a program to its end; its standard output. */
+export function run(program, ...args) {
+  const { status, stdout, stderr, error } = spawnSync(program, args, { encoding: "utf8" });
+  if (status !== 0) throw new Error(`${program} ${args.join(" ")}: ${error ?? ""} ${status} ${stderr}`);
+  return stdout;
+}
+
+/** A program under way: `line` is the first one it says on `stream`, `ended` its exit code. */
+export function start(program, args, stream) {
+  const child = spawn(program, args);
+  const ended = new Promise((done) => child.on("exit", done));
+  const line = new Promise((done, failed) => {
+    let text = "";
+    child[stream].on("data", (data) => (text += data).includes("\n") && done(text.split("\n")[0]));
+    child.on("exit", () => failed(new Error(`${args.join(" ")}: ended before it said anything`)));
+  });
+  child[stream === "stdout" ? "stderr" : "stdout"].resume();
+  process.on("exit", () => child.kill());
+  return { child, line, ended };
+}
+
+/** Peak signal-to-noise ratio in dB of two PNG files (names or bytes) of the same size, over red, green and blue. */
+export async function psnr(page, ...files) {
+  const pictures = files.map((file) => (typeof file === "string" ? readFileSync(file) : file).toString("base64"));
+  return page.evaluate(async (pictures) => {
+    const decode = async (picture) => {
+      const bytes = Uint8Array.from(atob(picture), (c) => c.charCodeAt(0));
+      const image = await createImageBitmap(new Blob([bytes], { type: "image/png" }));
+      const context = new OffscreenCanvas(image.width, image.height).getContext("2d");
+      context.drawImage(image, 0, 0);
+      return context.getImageData(0, 0, image.width, image.height);
+    };
+    const [a, b] = await Promise.all(pictures.map(decode));
+    if (a.width !== b.width || a.height !== b.height) throw new Error(`${a.width}×${a.height} beside ${b.width}×${b.height}`);
+    let sum = 0;
+    a.data.forEach((value, i) => (sum += i % 4 < 3 ? (value - b.data[i]) ** 2 : 0));
+    return 10 * Math.log10((255 ** 2 * 3 * a.width * a.height) / sum);
+  }, pictures);
+}
+
+/** A test: fails with `what` where `holds` is false. */
+export function check(holds, what) {
+  if (!holds) throw new Error(what);
+}

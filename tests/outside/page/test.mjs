@@ -1,0 +1,170 @@
+// test.mjs NODE-MODULES STREAMSPLAT SCRATCH-FOLDER; from the repository's root.
+
+import { readFileSync, writeFileSync } from "node:fs";
+import { check, chromium, open, psnr, run, start } from "../browser.mjs";
+
+const [modules, streamsplat, scratch] = process.argv.slice(2);
+const CLIP = "fixtures/clips/moving.y4m"; // 256×144
+const SIZE = [640, 360];
+/** The page's own pictures beside ours: what is quantised for it, and 16-bit sums, leave more than 50 dB. */
+const ENOUGH = 45;
+
+const scene = `${scratch}/scene`;
+run(streamsplat, "run", CLIP, "--gap", "4", "--frames", "13", "--emit", "scene", "--quiet", "--out", scene);
+const browser = await chromium(modules);
+const log = { said: [], asked: [] };
+const page = await open(browser, SIZE, log);
+const other = await browser.newPage();
+
+/** Waits until the picture of `time` is on the screen. */
+const shown = (page, time) => page.waitForFunction((time) => document.getElementById("canvas").dataset.shown === String(time), time);
+
+/** The page at what its address says. */
+async function visit(page, address, said) {
+  await page.goto(`${address}#${new URLSearchParams(said)}`);
+  await shown(page, said.t);
+}
+
+/** The picture on the page, and ours at the same time from the same camera. */
+async function compare(page, address, said) {
+  await visit(page, address, { interface: "none", background: 0.5, ...said });
+  const theirs = await page.screenshot();
+  await page.keyboard.press("?");
+  const camera = await page.locator("#camera").inputValue();
+  await page.keyboard.press("Escape");
+  writeFileSync(`${scratch}/camera.json`, camera);
+  const [width, height] = SIZE;
+  const from = said.canonical ? [] : ["--camera", `${scratch}/camera.json`];
+  const options = ["--times", String(said.t), "--size", `${width}x${height}`, "--quiet", "--out", `${scratch}/ours`];
+  run(streamsplat, "render", scene, ...from, ...options);
+  return { theirs, dB: await psnr(other, theirs, `${scratch}/ours/frames/000000.png`) };
+}
+
+async function pictures(address) {
+  const cameras = {
+    "the source's view": { canonical: true },
+    "parallel rays from the side": { yaw: 24, pitch: -15, zoom: 0.8 },
+    perspective: { yaw: -20, pitch: 10, zoom: 1.3, x: 0.2, lens: "perspective" },
+  };
+  for (const [name, camera] of Object.entries(cameras)) {
+    for (const t of [0.1, 0.43]) {
+      const { dB } = await compare(page, address, { t, ...camera });
+      console.log(`${name} at ${t} s: ${dB.toFixed(1)} dB`);
+      check(dB >= ENOUGH, `${name} at ${t} s: expected ${ENOUGH} dB beside our render, found ${dB}`);
+    }
+  }
+}
+
+async function controls(address) {
+  await visit(page, address, { t: 0.1 });
+  const time = () => page.locator("#canvas").getAttribute("data-shown").then(Number);
+  const still = await page.screenshot();
+
+  await page.locator("#time").fill("0.3");
+  await shown(page, 0.3);
+  check((await page.locator("#clock").textContent()).startsWith("0.30 / 0.50"), "the clock shows the slider's time");
+  await page.locator("#play").click();
+  await page.waitForFunction(() => Number(document.getElementById("canvas").dataset.shown) > 0.35);
+  await page.locator("#play").click();
+  const stopped = await time();
+  await page.waitForTimeout(300);
+  check((await time()) === stopped, "a paused scene stays");
+  await page.locator("#canvas").click({ position: { x: 5, y: 200 }, button: "middle" });
+  await page.keyboard.press("Home");
+  await shown(page, 0);
+  await page.keyboard.press("Shift+ArrowRight");
+  await page.waitForFunction((end) => Math.abs(Number(document.getElementById("canvas").dataset.shown) - end) < 1e-9, 4 / 24);
+
+  const pictures = [still];
+  for (const mode of ["Depth", "Identity", "Colour"]) {
+    await page.getByRole("button", { name: mode, exact: true }).click();
+    check((await page.locator("#legend").isVisible()) === (mode === "Depth"), "the depth has a legend");
+    await page.waitForTimeout(300);
+    pictures.push(await page.screenshot());
+  }
+  for (const [a, b] of [[1, 2], [2, 3], [1, 3]]) check((await psnr(other, pictures[a], pictures[b])) < 25, "modes differ");
+
+  await page.mouse.move(300, 150);
+  await page.mouse.down();
+  await page.mouse.move(400, 150, { steps: 4 });
+  await page.mouse.up();
+  await page.waitForFunction(() => location.hash.includes("yaw=-"));
+  await page.getByRole("button", { name: "Source view" }).click();
+  await page.waitForFunction(() => !location.hash.includes("yaw="));
+}
+
+/** A click finds the identity that `streamsplat track` finds, where the page has the source's size. */
+async function picking(address) {
+  const small = await open(browser, [256, 144], log);
+  await visit(small, address, { t: 0.25, interface: "none" });
+  for (const [x, y] of [[128, 72], [30, 20], [150, 110]]) {
+    await small.mouse.click(x, y);
+    const found = await small.locator("#identity").textContent();
+    run(streamsplat, "track", scene, "--at", "0.25", "--point", `${x - 0.5},${y - 0.5}`, "--times", "0.25", "--json", `${scratch}/track.json`);
+    const { identity } = JSON.parse(readFileSync(`${scratch}/track.json`));
+    check(found === String(identity), `the pixel ${x},${y}: expected identity ${identity}, found ${found}`);
+  }
+  await small.close();
+}
+
+/** The same picture from a file, which asks for nothing. */
+async function file(address) {
+  const html = `${scratch}/scene.html`;
+  run(streamsplat, "view", scene, "--html", html);
+  const { theirs } = await compare(page, address, { t: 0.2, yaw: 10 });
+  const before = log.asked.length;
+  const alone = await open(browser, SIZE, log);
+  await visit(alone, `file://${html}`, { t: 0.2, yaw: 10, interface: "none", background: 0.5 });
+  check((await alone.screenshot()).equals(theirs), "a file shows what is served");
+  const asked = log.asked.splice(before).filter((url) => !url.startsWith("file:") && !url.startsWith("data:"));
+  check(asked.length === 0, `the file asked for ${asked}`);
+  await alone.close();
+}
+
+/** A stream whose frames come one by one is on the page before it ends. */
+async function live() {
+  const bytes = readFileSync(CLIP);
+  const header = bytes.indexOf("\n") + 1;
+  const frame = "FRAME\n".length + (256 * 144 * 3) / 2;
+  const out = `${scratch}/live`;
+  const { child, line, ended } = start(streamsplat, ["run", "-", "--gap", "2", "--serve=0", "--out", out], "stderr");
+  child.stdin.write(bytes.subarray(0, header + 3 * frame));
+  const address = await line;
+  const watching = await open(browser, SIZE, log);
+  await watching.goto(address);
+  const reaches = (time) => watching.waitForFunction((time) => Number(document.getElementById("time").max) >= time - 1e-9, time);
+  await reaches(2 / 24);
+  await watching.waitForFunction(() => document.getElementById("canvas").dataset.shown);
+  await watching.locator("#live").click();
+  check((await watching.locator("#live").getAttribute("aria-pressed")) === "true", "a stream is followed");
+  child.stdin.write(bytes.subarray(header + 3 * frame, header + 7 * frame));
+  await reaches(6 / 24);
+  await watching.waitForFunction((end) => Number(document.getElementById("canvas").dataset.shown) === end, 6 / 24);
+  child.stdin.end(bytes.subarray(header + 7 * frame, header + 9 * frame));
+  check((await ended) === 0, "the run ends well");
+  await reaches(8 / 24);
+  await watching.waitForFunction(() => document.getElementById("live").textContent === "Ended");
+  // What was shown stays on the page.
+  await watching.locator("#time").fill("0.05");
+  await shown(watching, 0.05);
+  await watching.close();
+
+  const again = `${scratch}/again`;
+  run(streamsplat, "run", CLIP, "--gap", "2", "--frames", "9", "--quiet", "--out", again);
+  const outputs = (folder) => JSON.stringify(JSON.parse(readFileSync(`${folder}/run.json`)).outputs);
+  check(outputs(out) === outputs(again), "a stream that is watched gives the same digests");
+}
+
+const view = start(streamsplat, ["view", scene, "--port", "0"], "stdout");
+const address = (await view.line).split(" ")[0];
+await pictures(address);
+await controls(address);
+await picking(address);
+await file(address);
+view.child.kill("SIGINT");
+check((await view.ended) === 0, "Ctrl-C ends the server well");
+await live();
+await browser.close();
+check(log.said.length === 0, `the console is not clean: ${log.said.join("; ")}`);
+const strangers = log.asked.filter((url) => !/^(http:\/\/127\.0\.0\.1:\d+\/|data:)/.test(url));
+check(strangers.length === 0, `the page asked for ${strangers}`);

@@ -1,0 +1,57 @@
+// test.mjs NODE-MODULES STREAMSPLAT CLIP-FOLDER SCRATCH-FOLDER; from the repository's root.
+//
+// What the viewer does otherwise, and how far that shows: it cuts every Gaussian at √8 standard deviations (ours go on to α = 1/255),
+// blends in bytes, and projects in binary32.
+
+import { createReadStream, readFileSync, writeFileSync } from "node:fs";
+import { createServer } from "node:http";
+import { resolve } from "node:path";
+import { check, chromium, open, psnr, run } from "../browser.mjs";
+
+const [modules, streamsplat, clip, scratch] = process.argv.slice(2);
+const SIZE = [640, 360];
+const TIME = "0.06";
+const ENOUGH = 30;
+const CAMERAS = {
+  "in front": { position: [0, 0, -1.6], look_at: [0, 0, 1] },
+  "from the upper left": { position: [-0.7, -0.5, -1.2], look_at: [0, 0, 0.6] },
+};
+
+run(streamsplat, "run", `${clip}/frames`, "--depth", `${clip}/depth`, "--gap", "4", "--emit", "scene", "--quiet", "--out", `${scratch}/scene`);
+run(streamsplat, "export", `${scratch}/scene`, "--format", "ply", "--times", TIME, "--quiet", "--out", `${scratch}/scene.ply`);
+
+/** Serves the test's files, and the packages. */
+const KINDS = { html: "text/html", js: "text/javascript", json: "application/json" };
+const server = createServer((request, response) => {
+  const path = decodeURIComponent(new URL(request.url, "http://here").pathname);
+  const own = { "/": "tests/outside/viewer/viewer.html", "/scene.ply": `${scratch}/scene.ply`, "/camera.json": `${scratch}/camera.json` };
+  const file = own[path] ?? resolve(modules, `.${path}`);
+  response.setHeader("Content-Type", KINDS[file.split(".").pop()] ?? "application/octet-stream");
+  createReadStream(file).on("error", () => response.writeHead(404).end()).pipe(response);
+});
+await new Promise((listening) => server.listen(0, "127.0.0.1", listening));
+const address = `http://127.0.0.1:${server.address().port}/`;
+
+const browser = await chromium(modules);
+const other = await browser.newPage();
+for (const [name, pose] of Object.entries(CAMERAS)) {
+  const camera = { type: "pinhole", ...pose, fov_y_degrees: 45, aspect: SIZE[0] / SIZE[1] };
+  writeFileSync(`${scratch}/camera.json`, JSON.stringify(camera));
+  const options = ["--camera", `${scratch}/camera.json`, "--times", TIME, "--size", SIZE.join("x"), "--background", "0"];
+  run(streamsplat, "render", `${scratch}/scene`, ...options, "--quiet", "--out", `${scratch}/ours`);
+  const log = { said: [], asked: [] };
+  const page = await open(browser, SIZE, log);
+  await page.goto(address);
+  await page.waitForFunction(() => document.body.dataset.splats);
+  const splats = Number(await page.evaluate(() => document.body.dataset.splats));
+  const theirs = await page.screenshot();
+  await page.close();
+  const wanted = Number(/element vertex (\d+)/.exec(readFileSync(`${scratch}/scene.ply`, "latin1"))[1]);
+  check(splats === wanted, `expected ${wanted} Gaussians, the viewer has ${splats}: ${log.said.join("; ")}`);
+  const dB = await psnr(other, theirs, `${scratch}/ours/frames/000000.png`);
+  console.log(`${name}: ${splats} Gaussians, ${dB.toFixed(1)} dB`);
+  writeFileSync(`${scratch}/theirs-${name.replaceAll(" ", "-")}.png`, theirs);
+  check(dB >= ENOUGH, `${name}: expected ${ENOUGH} dB beside our render, found ${dB}; ${log.said.join("; ")}`);
+}
+await browser.close();
+server.close();
