@@ -122,7 +122,7 @@ impl Live {
     /// Appends an interval.
     ///
     /// # Panics
-    /// As [`packet`](fn@packet::packet).
+    /// As [`packet`](fn@super::packet::packet).
     pub fn push(&self, interval: &Interval) {
         let bytes: Arc<[u8]> = packet(interval).into();
         let times = IntervalTimes { start: interval.start, end: interval.end, gaussians: interval.gaussians.len() };
