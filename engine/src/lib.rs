@@ -28,7 +28,7 @@
 //! ```
 //!
 //! Around it: [`source`] reads videos, [`depth`] gives their depth maps, from files or a network ([`onnx`]), [`output`] and [`scene`] write and read results,
-//! [`export`] writes them for viewers, [`metrics`] and [`lpips`] measure them.
+//! [`export`] writes them for viewers, [`view`] shows them in a browser, [`metrics`] and [`lpips`] measure them.
 #![deny(unsafe_code)]
 
 pub mod camera;

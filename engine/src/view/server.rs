@@ -3,7 +3,6 @@
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tiny_http::{Header, Method, Request, Response};
@@ -32,7 +31,7 @@ pub enum ServeError {
     Thread(std::io::Error),
 }
 
-/// Serves a page until it is stopped or dropped.
+/// Serves a page until it is dropped; an answer under way may take longer.
 ///
 /// | path | answer |
 /// |---|---|
@@ -46,7 +45,6 @@ pub struct Server {
     address: SocketAddr,
     ending: Arc<AtomicBool>,
     asked: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
 }
 
 /// What answers requests.
@@ -67,7 +65,7 @@ impl Server {
         let address = http.server_addr().to_ip().ok_or_else(|| failed(&"no network address"))?;
         let (before, after) = page::halves();
         let answers = Arc::new(Answers { source, page: before + &after, local: address.ip().is_loopback() });
-        let mut server = Server { address, ending: Arc::default(), asked: Arc::default(), threads: Vec::new() };
+        let server = Server { address, ending: Arc::default(), asked: Arc::default() };
         for _ in 0..THREADS {
             let (http, answers) = (http.clone(), answers.clone());
             let (ending, asked) = (server.ending.clone(), server.asked.clone());
@@ -79,7 +77,7 @@ impl Server {
                     }
                 }
             };
-            server.threads.push(std::thread::Builder::new().spawn(work).map_err(ServeError::Thread)?);
+            std::thread::Builder::new().spawn(work).map_err(ServeError::Thread)?;
         }
         Ok(server)
     }
@@ -97,11 +95,8 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
+        // The threads are not waited for: one may be writing to a browser that has stopped reading.
         self.ending.store(true, Ordering::SeqCst);
-        for thread in self.threads.drain(..) {
-            // A thread that panicked has said so.
-            let _ = thread.join();
-        }
     }
 }
 
