@@ -2,11 +2,15 @@
 //! that is read breaks its promises. The long form is `tests/fuzz/run`.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::LazyLock;
 
 use streamsplat_tests::fuzz::{Mutations, TARGETS, Target};
 
-/// Mutations of one input.
-const TRIES: usize = 400;
+/// Mutations of one input: 400, or as many as `HOSTILE_TRIES` says.
+static TRIES: LazyLock<usize> = LazyLock::new(|| match std::env::var("HOSTILE_TRIES") {
+    Ok(tries) => tries.parse().expect("HOSTILE_TRIES: a number"),
+    Err(_) => 400,
+});
 
 fn try_all(target: &Target) {
     let named = |kind: &str, i: usize, bytes: Vec<u8>| (format!("{kind} {i}"), bytes);
@@ -14,7 +18,7 @@ fn try_all(target: &Target) {
     let inputs: Vec<_> = seeds.chain(target.regressions()).collect();
     for (name, input) in &inputs {
         attempt(target, name, input);
-        for (i, bytes) in Mutations::new(input, 7).take(TRIES).enumerate() {
+        for (i, bytes) in Mutations::new(input, 7).take(*TRIES).enumerate() {
             attempt(target, &format!("{name}, mutation {i}"), &bytes);
         }
     }
