@@ -28,13 +28,14 @@
 //! ```
 //!
 //! Around it: [`source`] reads videos, [`depth`] gives their depth maps, from files or a network ([`onnx`]), [`output`] and [`scene`] write and read results,
-//! [`export`] writes them for viewers, [`view`] shows them in a browser, [`metrics`] and [`lpips`] measure them.
+//! [`export`] writes them for viewers, [`import`] reads the still scenes of others, [`view`] shows them in a browser, [`metrics`] and [`lpips`] measure them.
 #![deny(unsafe_code)]
 
 pub mod camera;
 pub mod depth;
 pub mod export;
 pub mod fit;
+pub mod import;
 pub mod lpips;
 pub mod metrics;
 pub mod onnx;
@@ -46,6 +47,7 @@ pub mod scene;
 pub mod source;
 pub mod space;
 pub mod splats;
+pub mod still;
 pub mod stream;
 pub mod view;
 

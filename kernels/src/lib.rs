@@ -8,6 +8,7 @@ pub mod activation;
 pub mod attention;
 pub mod change;
 pub mod gemm;
+pub mod harmonics;
 pub mod level;
 pub mod math;
 pub mod memory;

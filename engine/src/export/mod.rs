@@ -9,3 +9,9 @@ mod splat;
 
 pub use ply::ply;
 pub use splat::splat;
+
+/// The same of scenes that do not move.
+pub mod still {
+    pub use super::ply::of_still as ply;
+    pub use super::splat::of_still as splat;
+}

@@ -1,42 +1,40 @@
 //! PLY in the layout of the original 3D Gaussian splatting release.
 
-use streamsplat_kernels::math::f64::ln;
-
 use crate::render::Snapshot;
+use crate::still::Still;
 
-/// The zeroth spherical harmonic, 1 / (2√π): viewers show `0.5 + HARMONIC·f_dc`.
-const HARMONIC: f64 = 0.282_094_791_773_878_14;
-/// The least scale and the distance of opacities from 0 and 1 that survive a logarithm.
-const LEAST: f64 = 1e-12;
+/// Properties before the harmonics' higher coefficients, and after them.
+const BEFORE: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"];
+const AFTER: [&str; 8] = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
 
-const PROPERTIES: [&str; 17] = [
-    "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0",
-    "rot_1", "rot_2", "rot_3",
-];
-
-/// The Gaussians of one time as a binary PLY file.
-///
-/// Positions in scene space (x right, y down, z forward; scene units); normals 0; `f_dc` = (rgb − ½) / (1/(2√π)), colours being
-/// display-space values; `opacity` = ln(o / (1 − o)); `scale` = ln(standard deviation); `rot` = quaternion, w first, the identity.
-/// Scales under 10⁻¹² and opacities nearer than that to 0 or 1 are moved there, so that every value is finite. Records in
-/// drawing order. Values are formed in binary64 and rounded once; the same bytes on every machine.
+/// The Gaussians of one time as a binary PLY file: [`of_still`] of what [`Still::of`] makes of them.
 pub fn ply(snapshot: &Snapshot) -> Vec<u8> {
-    let count = snapshot.mean.len();
+    of_still(&Still::of(snapshot))
+}
+
+/// A still scene as a binary PLY file.
+///
+/// Positions in scene space (x right, y down, z forward; scene units); normals 0; `f_dc`, `f_rest` (all of the first channel, then the
+/// second, then the third; none at degree 0), `opacity` as a logit, `scale` as logarithms, and `rot` (w first) with the scene's own bits.
+/// Records in its order.
+///
+/// # Panics
+/// When the arrays differ in length ([`Still::uneven`]).
+pub fn of_still(still: &Still) -> Vec<u8> {
+    let (count, rest) = (still.len(), still.rest());
     let mut out = format!("ply\nformat binary_little_endian 1.0\nelement vertex {count}\n").into_bytes();
-    for name in PROPERTIES {
+    let higher = (0..3 * rest).map(|i| format!("f_rest_{i}"));
+    for name in BEFORE.map(str::to_owned).into_iter().chain(higher).chain(AFTER.map(str::to_owned)) {
         out.extend_from_slice(format!("property float {name}\n").as_bytes());
     }
     out.extend_from_slice(b"end_header\n");
-    out.reserve(count * PROPERTIES.len() * 4);
+    out.reserve(count * (BEFORE.len() + 3 * rest + AFTER.len()) * 4);
     for i in 0..count {
-        let colour = snapshot.rgb[i].map(|c| ((f64::from(c) - 0.5) / HARMONIC) as f32);
-        let opacity = f64::from(snapshot.opacity[i]).clamp(LEAST, 1.0 - LEAST);
-        let logit = (ln(opacity) - ln(1.0 - opacity)) as f32;
-        let scale = snapshot.scale[i].map(|s| ln(f64::from(s).max(LEAST)) as f32);
-        let normal = [0.0; 3];
-        let fields = [snapshot.mean[i], normal, colour].concat();
-        let fields = fields.into_iter().chain([logit]).chain(scale).chain([1.0, 0.0, 0.0, 0.0]);
-        fields.for_each(|x: f32| out.extend_from_slice(&x.to_le_bytes()));
+        let higher = &still.higher[i * 3 * rest..(i + 1) * 3 * rest];
+        let by_channel = (0..3).flat_map(|channel| higher.iter().skip(channel).step_by(3));
+        let fields = still.mean[i].iter().chain(&[0.0; 3]).chain(&still.base[i]).chain(by_channel);
+        let fields = fields.chain([&still.logit[i]]).chain(&still.log_scale[i]).chain(&still.rotation[i]);
+        fields.for_each(|x: &f32| out.extend_from_slice(&x.to_le_bytes()));
     }
     out
 }
@@ -44,6 +42,8 @@ pub fn ply(snapshot: &Snapshot) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const PROPERTIES: usize = BEFORE.len() + AFTER.len();
 
     #[test]
     fn a_file_reads_back_as_what_went_in() {
@@ -59,11 +59,11 @@ mod tests {
         let end = file.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
         let header = std::str::from_utf8(&file[..end]).expect("text");
         assert!(header.starts_with("ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float x\n"));
-        assert_eq!(header.matches("property float").count(), PROPERTIES.len());
+        assert_eq!(header.matches("property float").count(), PROPERTIES);
         let values: Vec<f32> =
             file[end..].chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().expect("four bytes"))).collect();
-        assert_eq!(values.len(), 2 * PROPERTIES.len());
-        let first = &values[..PROPERTIES.len()];
+        assert_eq!(values.len(), 2 * PROPERTIES);
+        let first = &values[..PROPERTIES];
         assert_eq!(first[..6], [0.25, -0.5, 1.5, 0.0, 0.0, 0.0]);
         assert!((0.5 + 0.282_094_8 * first[6]).abs() < 1e-6 && first[7] == 0.0);
         let opacity = 1.0 / (1.0 + (-first[9]).exp());

@@ -1,7 +1,11 @@
 //! The 32-byte records of web viewers (`.splat`).
 
+use streamsplat_kernels::harmonics::Y0;
+
+use crate::camera::Rotation;
 use crate::picture::to_u8;
 use crate::render::Snapshot;
+use crate::still::Drawable;
 
 /// The identity, w first: each component times 128, plus 128, at most 255.
 const UNTURNED: [u8; 4] = [255, 128, 128, 128];
@@ -12,12 +16,33 @@ const UNTURNED: [u8; 4] = [255, 128, 128, 128];
 /// scene units), red, green, blue and opacity (bytes: [0, 1] times 255, rounded half up), rotation (four bytes: a quaternion, w
 /// first, `128·q + 128`; the identity). In drawing order.
 pub fn splat(snapshot: &Snapshot) -> Vec<u8> {
-    let mut out = Vec::with_capacity(snapshot.mean.len() * 32);
-    for (i, mean) in snapshot.mean.iter().enumerate() {
-        mean.iter().chain(&snapshot.scale[i]).for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
-        out.extend_from_slice(&snapshot.rgb[i].map(to_u8));
-        out.push(to_u8(snapshot.opacity[i]));
-        out.extend_from_slice(&UNTURNED);
+    let records = (0..snapshot.mean.len())
+        .map(|i| (snapshot.mean[i], snapshot.scale[i], snapshot.rgb[i], snapshot.opacity[i], UNTURNED));
+    written(records)
+}
+
+/// A still scene as `.splat` records, as [`splat`] says. The harmonics' higher coefficients are lost.
+pub fn of_still(scene: &Drawable) -> Vec<u8> {
+    let still = scene.still();
+    let colour = |base: [f32; 3]| base.map(|c| (0.5 + f64::from(c) * Y0) as f32);
+    let byte = |c: f64| (128.0 * c + 128.0).round_ties_even().clamp(0.0, 255.0) as u8;
+    let records = (0..still.len()).map(|i| {
+        let turn = Rotation::from_quaternion(still.rotation[i].map(f64::from));
+        let turn = turn.map_or(UNTURNED, |turn| turn.quaternion().map(byte));
+        (still.mean[i], scene.scale()[i], colour(still.base[i]), scene.opacity()[i], turn)
+    });
+    written(records)
+}
+
+type Record = ([f32; 3], [f32; 3], [f32; 3], f32, [u8; 4]);
+
+fn written(records: impl ExactSizeIterator<Item = Record>) -> Vec<u8> {
+    let mut out = Vec::with_capacity(records.len() * 32);
+    for (mean, scale, rgb, opacity, rotation) in records {
+        mean.iter().chain(&scale).for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
+        out.extend_from_slice(&rgb.map(to_u8));
+        out.push(to_u8(opacity));
+        out.extend_from_slice(&rotation);
     }
     out
 }

@@ -29,7 +29,7 @@ pub enum Command {
     Splat(SplatArgs),
     /// A model or a scene: sizes, parts, digests, cost
     Inspect(InspectArgs),
-    /// A scene in a format that viewers read, one file per time
+    /// A scene in a format that viewers read, one file per time, or as one compressed file
     Export(ExportArgs),
     /// The identity under a pixel and its path through time
     Track(TrackArgs),
@@ -183,7 +183,7 @@ pub struct RunOptions {
 
 #[derive(Args, Clone)]
 pub struct RenderArgs {
-    /// A scene's folder, its scene.json, or the folder of a run
+    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a PLY file of 3D Gaussian splatting
     pub scene: PathBuf,
     /// Folder for the images, or a video file, or - (y4m on standard output)
     #[arg(long, value_name = "DIR")]
@@ -265,7 +265,7 @@ pub struct SplatArgs {
 
 #[derive(Args, Clone)]
 pub struct InspectArgs {
-    /// A checkpoint, a scene's folder, or an interval
+    /// A checkpoint, a scene (folder, container or PLY file), or an interval
     pub file: PathBuf,
     /// Write what is found here
     #[arg(long, value_name = "FILE")]
@@ -274,12 +274,12 @@ pub struct InspectArgs {
 
 #[derive(Args, Clone)]
 pub struct ExportArgs {
-    /// A scene's folder, its scene.json, or the folder of a run
+    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a PLY file of 3D Gaussian splatting
     pub scene: PathBuf,
-    /// Format: ply (the layout of 3D Gaussian splatting) or splat (32-byte records)
+    /// Format: ply (the layout of 3D Gaussian splatting), splat (32-byte records), or ssz (the whole scene, compressed)
     #[arg(long, value_name = "NAME")]
     pub format: String,
-    /// Folder for 000000.ply and so on; or, for a single time, a file with the format's name as its ending
+    /// Folder for 000000.ply and so on; for a single time, a file with the format's name as its ending; for ssz, a file
     #[arg(long, value_name = "PATH")]
     pub out: PathBuf,
     /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
@@ -294,7 +294,7 @@ pub struct ExportArgs {
 
 #[derive(Args, Clone)]
 pub struct TrackArgs {
-    /// A scene's folder, its scene.json, or the folder of a run
+    /// A scene's folder, its scene.json, the folder of a run, or a container (.ssz)
     pub scene: PathBuf,
     /// When the point is pointed at, in seconds
     #[arg(long, value_name = "T", allow_negative_numbers = true)]

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
-use streamsplat::Image;
 use streamsplat::render::Painter;
+use streamsplat::still::Drawable;
 use streamsplat::stream::{Interval, Workers};
+use streamsplat::{Image, RenderError};
 
 use super::failure::Failure;
 use super::outputs::Outputs;
@@ -47,9 +48,26 @@ impl Drawing {
 
     /// Draws the interval at `time` from where the camera is then.
     pub fn draw(&mut self, interval: &Interval, time: f64, views: &Views) -> Result<Image, Failure> {
+        self.drawn(|painter| painter.draw(interval, time, &views.camera.at(time), &views.options))
+    }
+
+    /// Draws a still scene from where the camera is at `time`, and writes it.
+    pub fn still(
+        &mut self,
+        outputs: &mut Outputs,
+        index: usize,
+        scene: &Drawable,
+        time: f64,
+        views: &Views,
+    ) -> Result<(), Failure> {
+        let image = self.drawn(|painter| painter.draw_still(scene, &views.camera.at(time), &views.options))?;
+        self.writing(|| outputs.image(index, image))
+    }
+
+    fn drawn(&mut self, paint: impl FnOnce(&mut Painter) -> Result<&Image, RenderError>) -> Result<Image, Failure> {
         let _span = tracing::info_span!("stage", name = "render").entered();
         let start = Instant::now();
-        let image = self.painter.draw(interval, time, &views.camera.at(time), &views.options)?.clone();
+        let image = paint(&mut self.painter)?.clone();
         self.render += start.elapsed();
         self.counts.images += 1;
         self.counts.dropped += image.dropped;

@@ -1,47 +1,64 @@
-//! `export`: a scene in a format that viewers read, one file per time.
+//! `export`: a scene in a format that viewers read, one file per time, or as one compressed file.
 
 use std::path::{Path, PathBuf};
 
 use streamsplat::export;
+use streamsplat::import::{self, Opened};
 use streamsplat::output::{prepare_folder, write_file};
 use streamsplat::render::Snapshot;
-use streamsplat::scene::Scene;
-use streamsplat::stream::Interval;
+use streamsplat::scene::{ContainerWriter, Scene};
+use streamsplat::still::Drawable;
+use streamsplat::stream::{Interval, Workers};
 
 use super::cli::{Console, ExportArgs};
 use super::failure::Failure;
 use super::progress::Progress;
-use super::{say, settings, stop, times};
+use super::{say, settings, still, stop, times};
 
 /// A format of files.
 #[derive(Clone, Copy)]
-struct Format {
+pub struct Format {
     /// What the option calls it, and how its files' names end.
-    name: &'static str,
-    write: fn(&Snapshot) -> Vec<u8>,
+    pub name: &'static str,
+    /// Of a scene in time.
+    kind: Kind,
+    /// Of a still scene.
+    pub still: Option<fn(&Drawable) -> Vec<u8>>,
 }
 
-const FORMATS: [Format; 2] =
-    [Format { name: "ply", write: export::ply }, Format { name: "splat", write: export::splat }];
+/// How a scene in time becomes files.
+#[derive(Clone, Copy)]
+enum Kind {
+    /// One for each time.
+    Times(fn(&Snapshot) -> Vec<u8>),
+    /// One for all of it.
+    Container,
+}
+
+const FORMATS: [Format; 3] = [
+    Format { name: "ply", kind: Kind::Times(export::ply), still: Some(|scene| export::still::ply(scene.still())) },
+    Format { name: "splat", kind: Kind::Times(export::splat), still: Some(export::still::splat) },
+    Format { name: "ssz", kind: Kind::Container, still: None },
+];
 
 impl Format {
     fn named(name: &str) -> Result<Format, Failure> {
         if name == "spz" {
-            return Err(Failure::usage("--format spz is not available in this build; give ply or splat"));
+            return Err(Failure::usage("--format spz is not available in this build; give ply, splat or ssz"));
         }
         FORMATS
             .into_iter()
             .find(|format| format.name == name)
-            .ok_or_else(|| Failure::usage(format!("--format {name}: expected ply or splat")))
+            .ok_or_else(|| Failure::usage(format!("--format {name}: expected ply, splat or ssz")))
     }
 
     /// The name of the file with the number `index`.
-    fn file(self, index: usize) -> String {
+    pub fn file(self, index: usize) -> String {
         format!("{index:06}.{}", self.name)
     }
 
     /// Whether `path` is meant as one file of this format.
-    fn is_file(self, path: &Path) -> bool {
+    pub fn is_file(self, path: &Path) -> bool {
         path.extension().is_some_and(|end| end.eq_ignore_ascii_case(self.name)) && !path.is_dir()
     }
 
@@ -52,14 +69,20 @@ impl Format {
     }
 }
 
-/// Writes one file per time.
+/// Writes one file per time, or one of the whole scene.
 pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     stop::listen();
     let format = Format::named(&args.format)?;
     let asked = args.times.as_deref().map(settings::times).transpose()?;
     times::check_rate(args.fps)?;
     let workers = args.machine.workers()?;
-    let scene = Scene::open(&args.scene)?;
+    let scene = match import::open(&args.scene)? {
+        Opened::Moving(scene) => scene,
+        Opened::Still(file) => return still::export(file, format, args, &workers, console),
+    };
+    let Kind::Times(write) = format.kind else {
+        return container(&scene, args, &workers, console);
+    };
     let due = times::of_scene(&scene, asked.as_deref(), args.fps.unwrap_or(scene.index().fps))?;
     let paths: Vec<PathBuf> = if format.is_file(&args.out) {
         if due.len() != 1 {
@@ -87,7 +110,7 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
             None => scene.interval(place, &workers)?,
         };
         let snapshot = Snapshot::of(&interval, time)?;
-        bytes += write_file(path, &(format.write)(&snapshot))?.bytes;
+        bytes += write_file(path, &write(&snapshot))?.bytes;
         files += 1;
         dropped += snapshot.dropped;
         current = Some((place, interval));
@@ -105,8 +128,36 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Writes a scene in time as one compressed file.
+fn container(scene: &Scene, args: &ExportArgs, workers: &Workers, console: &Console) -> Result<(), Failure> {
+    if args.times.is_some() || args.fps.is_some() {
+        return Err(Failure::usage("--times, --fps: expected neither, as --format ssz holds the whole scene"));
+    }
+    if args.out.is_dir() {
+        let message = format!("--out {}: expected a file's name, as --format ssz is one file", args.out.display());
+        return Err(Failure::usage(message));
+    }
+    let intervals = &scene.index().intervals;
+    let mut writer = ContainerWriter::create(&args.out, scene.index().fps)?;
+    let mut progress = Progress::new("intervals", Some(intervals.len()), console.quiet);
+    for i in 0..intervals.len() {
+        if stop::asked() {
+            return Err(Failure::work(format!("{}: stopped by the user; nothing was written", args.out.display())));
+        }
+        writer.push(&scene.interval(i, workers)?)?;
+        progress.step();
+    }
+    progress.finish();
+    let bytes = writer.finish()?.map_or(0, |written| written.bytes);
+    if !console.quiet {
+        let of: u64 = intervals.iter().map(|entry| entry.bytes).sum();
+        say(format!("{}: {} intervals, {bytes} bytes of {of}", args.out.display(), intervals.len()));
+    }
+    Ok(())
+}
+
 /// Files of a longer export in the same folder would pass for this one's.
-fn refuse_others(folder: &Path, format: Format, count: usize) -> Result<(), Failure> {
+pub fn refuse_others(folder: &Path, format: Format, count: usize) -> Result<(), Failure> {
     let unreadable = |e| Failure::work(format!("{}: {e}", folder.display()));
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {
         let name = entry.map_err(unreadable)?.file_name();

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use serde_json::{Map, Value, json};
+use streamsplat::import::{self, Opened};
 use streamsplat::output::write_file;
 use streamsplat::scene::{INDEX, Scene};
 use streamsplat_model::checkpoint::Checkpoint;
@@ -10,13 +11,16 @@ use streamsplat_model::inspect::{Kind, inspect};
 
 use super::cli::InspectArgs;
 use super::failure::Failure;
-use super::{digest, say};
+use super::{digest, say, still};
 
 /// Tells what it is.
 pub fn command(args: &InspectArgs) -> Result<(), Failure> {
     let path = &args.file;
-    let found = if path.is_dir() || path.file_name().is_some_and(|name| name == INDEX) {
-        scene(path)?
+    let found = if path.is_dir() || path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path) {
+        match import::open(path)? {
+            Opened::Moving(scene) => moving(&scene)?,
+            Opened::Still(file) => still::inspect(&file),
+        }
     } else {
         let checkpoint = Checkpoint::open(path)?;
         let has = |name: &str| checkpoint.tensors().contains_key(name);
@@ -35,15 +39,15 @@ pub fn command(args: &InspectArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-fn scene(path: &Path) -> Result<Value, Failure> {
-    let scene = Scene::open(path)?;
+fn moving(scene: &Scene) -> Result<Value, Failure> {
     let index = scene.index();
     let (start, end) = scene.span();
     let placement = &index.placement;
     let gaussians: Vec<usize> = index.intervals.iter().map(|entry| entry.gaussians).collect();
     Ok(json!({
         "kind": "scene",
-        "blake3": digest::scene(&scene)?,
+        "format": format!("{} version {}", index.format, index.version),
+        "blake3": digest::scene(scene)?,
         "intervals": index.intervals.len(),
         "seconds": [start, end],
         "frames_per_second": index.fps,

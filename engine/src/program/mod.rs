@@ -29,6 +29,7 @@ mod run;
 mod serving;
 mod settings;
 mod splat;
+mod still;
 mod stop;
 mod times;
 mod trace;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use streamsplat::scene::Scene;
+use streamsplat::import::{self, Opened};
 use streamsplat::stream::Interval;
 
 use super::cli::{Console, Machine, RenderArgs, RenderOptions};
@@ -13,7 +13,7 @@ use super::failure::Failure;
 use super::outputs::{Destination, Emit, Outputs};
 use super::progress::Progress;
 use super::record::{InputRecord, PROGRAM, Record, Task, Timing, absolute};
-use super::{digest, machine, report, say, stop, times};
+use super::{digest, machine, report, say, still, stop, times};
 
 /// Renders, then writes the record and the report.
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
@@ -44,7 +44,12 @@ pub fn render(
     [views.options.depth, views.options.alpha] = emit.planes();
     times::check_rate(options.fps)?;
     let workers = machine.workers()?;
-    let scene = Scene::open(path)?;
+    let scene = match import::open(path)? {
+        Opened::Moving(scene) => scene,
+        Opened::Still(file) => {
+            return still::render(file, destination, options, &views, emit, &workers, console, start);
+        }
+    };
     let fps = options.fps.unwrap_or(scene.index().fps);
     let due = times::of_scene(&scene, views.times.as_deref(), fps)?;
     let mut outputs = Outputs::create(destination, emit)?;

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 
 use serde::Serialize;
+use streamsplat::import::open_moving;
 use streamsplat::output::write_file;
 use streamsplat::scene::Scene;
 use streamsplat::stream::{Track, TrackPoint, Workers};
@@ -53,7 +54,7 @@ pub fn command(args: &TrackArgs, console: &Console) -> Result<(), Failure> {
     let asked = args.times.as_deref().map(settings::times).transpose()?;
     times::check_rate(args.fps)?;
     let workers = args.machine.workers()?;
-    let scene = Scene::open(&args.scene)?;
+    let scene = open_moving(&args.scene)?;
     let place = times::find(&scene, "--at", args.at)?;
     let [height, width] = scene.placement().source;
     let inside = |x: f64, side: usize| (-0.5..=side as f64 - 0.5).contains(&x);

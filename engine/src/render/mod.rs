@@ -90,6 +90,11 @@ impl Painter {
         }))
     }
 
+    /// What works, and what draws.
+    pub(crate) fn parts(&mut self) -> (&Workers, &mut Renderer) {
+        (&self.workers, &mut self.renderer)
+    }
+
     /// Work done and work avoided by the last image.
     pub fn work(&self) -> raster::Work {
         self.renderer.work()

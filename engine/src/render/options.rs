@@ -79,6 +79,12 @@ pub enum RenderError {
     /// The camera has numbers that are not finite, or a lens that sees nothing.
     #[error("camera: expected finite numbers, positive extents and focal lengths")]
     Camera,
+    /// The canonical camera of a scene that has none.
+    #[error("camera: expected an orthographic or pinhole one, found canonical: a still scene has no camera of its own")]
+    NoOwnCamera,
+    /// A size taken from a source that a scene does not have.
+    #[error("image size: expected WIDTHxHEIGHT: a still scene has no size of its own")]
+    NoOwnSize,
     /// The arrays of an interval differ in length.
     #[error("interval: {array}: expected {expected} records, found {found}")]
     Records {

@@ -142,19 +142,23 @@ impl View {
                 let pose = Pose { position: [x, y, 0.0], ..Pose::default() };
                 Self { pose, projection: Projection::Orthographic { focal: focal.map(|f| f as f32) } }
             }
-            Camera::Posed { pose, lens } => {
-                let projection = match lens {
-                    Lens::Orthographic { half_extent } => Projection::Orthographic {
-                        focal: std::array::from_fn(|i| (0.5 * sides[i] / half_extent[i]) as f32),
-                    },
-                    Lens::Pinhole { focal, centre } => Projection::Pinhole {
-                        focal: std::array::from_fn(|i| (focal[i] * sides[i]) as f32),
-                        centre: std::array::from_fn(|i| (centre[i] * sides[i] - 0.5) as f32),
-                    },
-                };
-                Self { pose, projection }
-            }
+            Camera::Posed { ref pose, ref lens } => Self::posed(pose, lens, [height, width]),
         }
+    }
+
+    /// The view through `lens` from `pose` in an image of `[height, width]`.
+    pub fn posed(pose: &Pose, lens: &Lens, [height, width]: [usize; 2]) -> Self {
+        let sides = [width as f64, height as f64];
+        let projection = match *lens {
+            Lens::Orthographic { half_extent } => {
+                Projection::Orthographic { focal: std::array::from_fn(|i| (0.5 * sides[i] / half_extent[i]) as f32) }
+            }
+            Lens::Pinhole { focal, centre } => Projection::Pinhole {
+                focal: std::array::from_fn(|i| (focal[i] * sides[i]) as f32),
+                centre: std::array::from_fn(|i| (centre[i] * sides[i] - 0.5) as f32),
+            },
+        };
+        Self { pose: *pose, projection }
     }
 
     /// How view space meets the image.

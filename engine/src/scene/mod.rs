@@ -1,4 +1,4 @@
-//! Scenes on disk: a folder with `scene.json` and one safetensors file per interval.
+//! Scenes on disk: a folder with `scene.json` and one safetensors file per interval, or one compressed file, a container.
 //!
 //! `scene.json` says where the source's frame lies in the model's input, and lists the intervals in order with their times in
 //! seconds, counts and BLAKE3 digests. It is replaced by renaming after the intervals it names are whole, so that it never
@@ -19,6 +19,7 @@
 //! | `time` | F64 `[2]` | start and end in seconds |
 //! | `index`, `dropped` | U64 `[1]` | the key frame at the end; Gaussians left out for numbers that are not finite |
 
+mod container;
 mod interval;
 mod memory;
 mod read;
@@ -31,6 +32,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::fit::Placement;
 use crate::output::OutputError;
+pub use container::{CONTAINER_VERSION, ContainerWriter, MAGIC};
 pub use interval::{from_safetensors, to_safetensors};
 pub use memory::{memory_from_safetensors, memory_to_safetensors};
 pub use read::Scene;

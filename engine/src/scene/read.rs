@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use super::container::Container;
 use super::{FORMAT, INDEX, Index, IntervalEntry, SceneError, VERSION, from_safetensors};
 use crate::fit::Placement;
 use crate::stream::{Interval, Workers};
@@ -20,13 +21,20 @@ const MERGE: u64 = 16;
 /// A scene on disk: its index in memory, its intervals read when asked for.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    folder: PathBuf,
+    place: Place,
     index: Index,
     placement: Placement,
 }
 
+/// Where the intervals are.
+#[derive(Clone, Debug)]
+enum Place {
+    Folder(PathBuf),
+    Container(Container),
+}
+
 impl Scene {
-    /// Opens the scene in `folder` (or whose `scene.json` is given, or in `folder/scene`).
+    /// Opens the scene in the folder `path` (or whose `scene.json` is given, or in `path/scene`), or the container `path`.
     ///
     /// # Errors
     /// An index that cannot be read, is of another format or version, or says something impossible.
@@ -39,12 +47,17 @@ impl Scene {
             path.join(INDEX)
         };
         let broken = |cause: String| SceneError::Broken { path: file.clone(), cause };
+        if begins_as_container(&file)? {
+            let (container, index) = Container::open(&file)?;
+            let placement = index.placement.placement().ok_or_else(|| broken("placement".into()))?;
+            return Ok(Scene { place: Place::Container(container), index, placement });
+        }
         let text = read_limited(&file, MAX_INDEX)?;
         let index = Index::from_json(&text).map_err(broken)?;
         // It was found to have one.
         let placement = index.placement.placement().ok_or_else(|| broken("no placement".into()))?;
         let folder = file.parent().unwrap_or(Path::new("")).to_owned();
-        Ok(Scene { folder, index, placement })
+        Ok(Scene { place: Place::Folder(folder), index, placement })
     }
 
     /// What `scene.json` says.
@@ -86,7 +99,10 @@ impl Scene {
     /// When there are not so many intervals.
     pub fn interval(&self, i: usize, workers: &Workers) -> Result<Interval, SceneError> {
         let entry = &self.index.intervals[i];
-        let path = self.folder.join(&entry.file);
+        let path = match &self.place {
+            Place::Container(container) => return container.interval(i, self.placement, workers),
+            Place::Folder(folder) => folder.join(&entry.file),
+        };
         let broken = |cause: String| SceneError::Broken { path: path.clone(), cause };
         let size = std::fs::metadata(&path).map_err(|cause| SceneError::Read { path: path.clone(), cause })?.len();
         // Merges end identities, of which there is at most one per record of the interval before.
@@ -153,6 +169,13 @@ impl IntervalEntry {
         }
         Ok(())
     }
+}
+
+fn begins_as_container(path: &Path) -> Result<bool, SceneError> {
+    let read = |cause| SceneError::Read { path: path.to_owned(), cause };
+    let mut head = Vec::new();
+    File::open(path).map_err(read)?.take(8).read_to_end(&mut head).map_err(read)?;
+    Ok(Container::begins(&head))
 }
 
 fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> {

@@ -96,8 +96,8 @@ fn what_cannot_be_exported_is_said_and_nothing_written() {
     run_ok(&clip, &scene, &["--quiet"]);
     let out = scratch.path("out");
     for (more, expected) in [
-        (&["--format", "spz"][..], "--format spz is not available in this build; give ply or splat"),
-        (&["--format", "obj"], "--format obj: expected ply or splat"),
+        (&["--format", "spz"][..], "--format spz is not available in this build; give ply, splat or ssz"),
+        (&["--format", "obj"], "--format obj: expected ply, splat or ssz"),
         (&["--format", "ply", "--times", "0,9"], "--times: time 9 s: expected one between 0 s and"),
         (&["--format", "ply", "--times", "1,0"], "--times 1,0: expected ascending times"),
         (&["--format", "ply", "--fps", "0"], "--fps: expected a number above 0"),

@@ -1,11 +1,13 @@
 //! The `streamsplat` program as a user runs it: results, exit codes, messages.
 
+mod container;
 mod errors;
 mod export;
 #[cfg(unix)]
 mod hostile;
 mod results;
 mod resume;
+mod still;
 mod support;
 mod track;
 mod verify;

@@ -1,0 +1,112 @@
+//! Scenes of any kind this program reads, told apart by what they hold, not by their names.
+//!
+//! | input | begins with | becomes |
+//! |---|---|---|
+//! | the folder of a scene or of a run, a `scene.json` | `{` | a [`Scene`] |
+//! | a container (`.ssz`) | `ssplat` | a [`Scene`] |
+//! | PLY in the layout of 3D Gaussian splatting | `ply` and a new line | a [`Still`] |
+//!
+//! Nothing is allocated for what a header promises before the file is seen to be long enough to hold it.
+
+mod ply;
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+pub use ply::ply;
+
+use crate::scene::{self, Scene, SceneError};
+use crate::still::Still;
+
+/// What is wrong with a file.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{part}: expected {expected}, found {found}")]
+pub struct FormatError {
+    /// The property or the part of the file.
+    pub part: String,
+    /// What it can be.
+    pub expected: String,
+    /// What it is.
+    pub found: String,
+}
+
+impl FormatError {
+    pub(crate) fn new(part: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { part: part.into(), expected: expected.into(), found: found.into() }
+    }
+}
+
+/// A scene that has been opened.
+#[derive(Debug)]
+pub enum Opened {
+    /// One made of intervals, which are read when asked for.
+    Moving(Scene),
+    /// One that does not move, as a whole.
+    Still(StillFile),
+}
+
+/// A still scene and the file it is from.
+#[derive(Debug)]
+pub struct StillFile {
+    /// The file.
+    pub path: PathBuf,
+    /// Its format's name.
+    pub format: &'static str,
+    /// Its length.
+    pub bytes: u64,
+    /// Its BLAKE3 digest in hexadecimal.
+    pub blake3: String,
+    /// What it holds.
+    pub still: Still,
+}
+
+/// Reads the whole of a file.
+type Reader = fn(&[u8]) -> Result<Still, FormatError>;
+
+/// The name and the reader of the format that begins so.
+fn format(head: &[u8]) -> Option<(&'static str, Reader)> {
+    (head.starts_with(b"ply\n") || head.starts_with(b"ply\r")).then_some(("PLY", ply as Reader))
+}
+
+/// Whether a file begins as one of the formats that are a scene in one file.
+pub fn is_scene(path: &Path) -> bool {
+    let mut head = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(8).read_to_end(&mut head));
+    read.is_ok() && (format(&head).is_some() || head.starts_with(&scene::MAGIC))
+}
+
+/// Opens a scene in time.
+///
+/// # Errors
+/// As [`open`], and a still scene.
+pub fn open_moving(path: &Path) -> Result<Scene, SceneError> {
+    match open(path)? {
+        Opened::Moving(scene) => Ok(scene),
+        Opened::Still(file) => {
+            let cause = format!(
+                "expected a scene in time, found a still one ({}), in which nothing moves and nothing has an identity",
+                file.format
+            );
+            Err(SceneError::Broken { path: file.path, cause })
+        }
+    }
+}
+
+/// Opens a scene of any kind.
+///
+/// # Errors
+/// A file or a folder that cannot be read, or holds something else or something broken.
+pub fn open(path: &Path) -> Result<Opened, SceneError> {
+    if path.is_dir() {
+        return Scene::open(path).map(Opened::Moving);
+    }
+    let read = |cause| SceneError::Read { path: path.to_owned(), cause };
+    let mut head = Vec::new();
+    File::open(path).map_err(read)?.take(8).read_to_end(&mut head).map_err(read)?;
+    let Some((format, reader)) = format(&head) else { return Scene::open(path).map(Opened::Moving) };
+    let bytes = std::fs::read(path).map_err(read)?;
+    let still = reader(&bytes).map_err(|e| SceneError::Broken { path: path.to_owned(), cause: e.to_string() })?;
+    let blake3 = blake3::hash(&bytes).to_hex().to_string();
+    Ok(Opened::Still(StillFile { path: path.to_owned(), format, bytes: bytes.len() as u64, blake3, still }))
+}

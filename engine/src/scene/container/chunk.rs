@@ -1,0 +1,266 @@
+//! One interval: its records in order, each as its difference from a prediction.
+//!
+//! A record is of one of three kinds:
+//!
+//! - *carried*: the interval before holds a record of the same identity, key frame and birth, which predicts mean, offset, opacity, scale and
+//!   colour;
+//! - *following*: an earlier record of this interval has the same identity and birth. Where its tracked point is at the interval's end predicts
+//!   this one's; the rest as for a fresh one;
+//! - *fresh*: the last record that is not carried predicts mean, opacity, scale and colour (zeros before the first); nothing predicts
+//!   the offset; the identity is expected to be the last fresh one's plus one, the birth the key frame.
+//!
+//! The last record of any kind predicts velocity and γ; the last one that is not carried the key frame.
+
+use super::MOST;
+use super::columns::{Column, Values};
+use super::quantise::{COLOUR_AT, GAMMA, LIMIT, MEAN, OFFSET, Quantised, VALUES, VELOCITY};
+use crate::import::FormatError;
+use crate::stream::{Handover, Merge, Reference};
+use std::collections::BTreeMap;
+
+/// Kinds of records, as stored.
+const FRESH: u64 = 0;
+const CARRIED: u64 = 1;
+const FOLLOWING: u64 = 2;
+
+/// The columns, in the order they are stored in.
+pub(super) const COLUMNS: [&str; 25] = [
+    "kind",
+    "link",
+    "code",
+    "identity",
+    "birth",
+    "frame",
+    "mean_x",
+    "mean_y",
+    "mean_z",
+    "offset_x",
+    "offset_y",
+    "offset_z",
+    "opacity",
+    "scale_x",
+    "scale_z",
+    "green",
+    "red",
+    "blue",
+    "velocity_x",
+    "velocity_y",
+    "velocity_z",
+    "gamma_0",
+    "gamma_1",
+    "merge",
+    "merge_into",
+];
+const KIND: usize = 0;
+const LINK: usize = 1;
+const CODE: usize = 2;
+const IDENTITY: usize = 3;
+const BIRTH: usize = 4;
+const FRAME: usize = 5;
+/// The first column of the quantised numbers.
+const FIRST: usize = 6;
+const MERGE: usize = 23;
+const MERGE_INTO: usize = 24;
+const _: () = assert!(FIRST + VALUES == MERGE);
+
+/// What both sides know of the records before.
+#[derive(Default)]
+struct Memory {
+    /// The last record of any kind.
+    last: Quantised,
+    /// The last one that was not carried.
+    own: Quantised,
+    /// The identity a fresh record is expected to have.
+    fresh: u64,
+    /// Where the next link of a carried and of a following record is expected to point.
+    next: [u64; 2],
+}
+
+impl Memory {
+    /// The prediction of the quantised numbers, from the record that is linked to.
+    fn prediction(&self, kind: u64, linked: &Quantised) -> [i64; VALUES] {
+        let mut p = if kind == CARRIED { linked.values } else { self.own.values };
+        p[VELOCITY..].copy_from_slice(&self.last.values[VELOCITY..]);
+        if kind != CARRIED {
+            p[OFFSET..OFFSET + 3].fill(0);
+        }
+        p
+    }
+
+    /// After a record of a kind.
+    fn remember(&mut self, kind: u64, record: &Quantised) {
+        self.last = *record;
+        if kind != CARRIED {
+            self.own = *record;
+        }
+        if kind == FRESH {
+            self.fresh = record.identity.wrapping_add(1);
+        }
+    }
+}
+
+/// What a following record's offset is expected to be, by where its tracked point is and by its own mean.
+fn following_offset(parent: &Quantised, mean: &[i64]) -> [i64; 3] {
+    let point = parent.point_at_end();
+    std::array::from_fn(|axis| (point[axis] - mean[axis]).clamp(-LIMIT, LIMIT))
+}
+
+/// An interval's chunk. `before`: the records of the interval before, empty for a chunk that stands alone.
+pub(super) fn encode(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> Vec<u8> {
+    let mut columns: [Column; COLUMNS.len()] = std::array::from_fn(|_| Column::default());
+    let carried: BTreeMap<(u64, u64), usize> =
+        before.iter().enumerate().map(|(i, r)| ((r.identity, r.frame), i)).collect();
+    let mut seen: BTreeMap<u64, usize> = BTreeMap::new();
+    let mut memory = Memory::default();
+    for (i, record) in records.iter().enumerate() {
+        let from = carried.get(&(record.identity, record.frame)).filter(|j| before[**j].birth == record.birth);
+        let parent = seen.get(&record.identity).filter(|j| records[**j].birth == record.birth);
+        let (kind, linked) = match (from, parent) {
+            (Some(j), _) => (CARRIED, Some((*j, before[*j]))),
+            (None, Some(j)) => (FOLLOWING, Some((*j, records[*j]))),
+            (None, None) => (FRESH, None),
+        };
+        columns[KIND].push(kind);
+        let code = record.reference as u64 | (record.handover as u64) << 1;
+        columns[CODE].push(code);
+        if kind != CARRIED {
+            columns[FRAME].push_signed(record.frame.wrapping_sub(memory.own.frame).cast_signed());
+        }
+        match linked {
+            Some((j, _)) => {
+                let next = &mut memory.next[kind as usize - 1];
+                columns[LINK].push_signed((j as u64).wrapping_sub(*next).cast_signed());
+                *next = j as u64 + 1;
+            }
+            None => {
+                columns[IDENTITY].push_signed(record.identity.wrapping_sub(memory.fresh).cast_signed());
+                columns[BIRTH].push_signed(record.frame.wrapping_sub(record.birth).cast_signed());
+            }
+        }
+        let linked = linked.map(|(_, r)| r).unwrap_or_default();
+        let mut prediction = memory.prediction(kind, &linked);
+        if kind == FOLLOWING {
+            let offset = following_offset(&linked, &record.values[MEAN..MEAN + 3]);
+            prediction[OFFSET..OFFSET + 3].copy_from_slice(&offset);
+        }
+        for (k, (value, expected)) in record.values.iter().zip(prediction).enumerate() {
+            columns[FIRST + k].push_signed(value - expected);
+        }
+        memory.remember(kind, record);
+        seen.insert(record.identity, i);
+    }
+    let mut last = [0, 0];
+    for merge in merges {
+        columns[MERGE].push_signed(merge.identity.wrapping_sub(last[0]).cast_signed());
+        columns[MERGE_INTO].push_signed(merge.into.wrapping_sub(last[1]).cast_signed());
+        last = [merge.identity, merge.into];
+    }
+    streamsplat_kernels::parallel::map_indexed(columns.len(), |i| columns[i].stored()).concat()
+}
+
+/// Records and merges of a chunk, of which there are `count` and `merges`.
+pub(super) fn decode(
+    before: &[Quantised],
+    bytes: &[u8],
+    count: usize,
+    merges: usize,
+) -> Result<(Vec<Quantised>, Vec<Merge>), FormatError> {
+    let mut rest = bytes;
+    let mut columns = Vec::with_capacity(COLUMNS.len());
+    for name in COLUMNS {
+        columns.push(Values::read(name, &mut rest)?);
+    }
+    if !rest.is_empty() {
+        return Err(FormatError::new("chunk", "its end after the last column", format!("{} more bytes", rest.len())));
+    }
+    // Every record has a byte in each of these at least: nothing is reserved that the chunk does not hold.
+    for (column, expected) in [(KIND, count), (CODE, count), (FIRST, count), (MERGE, merges)] {
+        let found = columns[column].remaining();
+        if found < expected || expected > MOST {
+            let what = format!("{expected} values, of at most {MOST}");
+            return Err(FormatError::new(format!("column {}", COLUMNS[column]), what, format!("{found} bytes")));
+        }
+    }
+    let mut records: Vec<Quantised> = Vec::with_capacity(count);
+    let mut memory = Memory::default();
+    for _ in 0..count {
+        let record = next(&mut columns, before, &records, &mut memory)?;
+        records.push(record);
+    }
+    let mut found = Vec::with_capacity(merges);
+    let mut last = [0_u64, 0];
+    for _ in 0..merges {
+        last[0] = last[0].wrapping_add_signed(columns[MERGE].next_signed()?);
+        last[1] = last[1].wrapping_add_signed(columns[MERGE_INTO].next_signed()?);
+        found.push(Merge { identity: last[0], into: last[1] });
+    }
+    columns.into_iter().try_for_each(Values::end)?;
+    Ok((records, found))
+}
+
+/// The next record.
+fn next(
+    columns: &mut [Values],
+    before: &[Quantised],
+    records: &[Quantised],
+    memory: &mut Memory,
+) -> Result<Quantised, FormatError> {
+    let wrong = |part: &str, expected: &str, found: u64| FormatError::new(part, expected, found.to_string());
+    let kind = columns[KIND].next()?;
+    let code = columns[CODE].next()?;
+    let among = match kind {
+        FRESH => &[],
+        CARRIED => before,
+        FOLLOWING => records,
+        other => return Err(wrong("column kind", "0, 1 or 2", other)),
+    };
+    let mut record = Quantised {
+        reference: Reference::from_code(code as u8 & 1).unwrap_or_default(),
+        handover: Handover::from_code((code >> 1).min(255) as u8)
+            .ok_or_else(|| wrong("column code", "0 to 5", code))?,
+        ..Quantised::default()
+    };
+    if kind != CARRIED {
+        record.frame = memory.own.frame.wrapping_add_signed(columns[FRAME].next_signed()?);
+    }
+    let mut linked = Quantised::default();
+    if kind == FRESH {
+        record.identity = memory.fresh.wrapping_add_signed(columns[IDENTITY].next_signed()?);
+        record.birth = record.frame.wrapping_sub(columns[BIRTH].next_signed()?.cast_unsigned());
+    } else {
+        let next = &mut memory.next[kind as usize - 1];
+        let link = next.wrapping_add_signed(columns[LINK].next_signed()?);
+        linked = *usize::try_from(link)
+            .ok()
+            .and_then(|link| among.get(link))
+            .ok_or_else(|| wrong("column link", "a record before", link))?;
+        *next = link.wrapping_add(1);
+        (record.identity, record.birth) = (linked.identity, linked.birth);
+        if kind == CARRIED {
+            record.frame = linked.frame;
+        }
+    }
+    let mut prediction = memory.prediction(kind, &linked);
+    for k in 0..VALUES {
+        if k == OFFSET && kind == FOLLOWING {
+            let offset = following_offset(&linked, &record.values[MEAN..MEAN + 3]);
+            prediction[OFFSET..OFFSET + 3].copy_from_slice(&offset);
+        }
+        record.values[k] = prediction[k].wrapping_add(columns[FIRST + k].next_signed()?);
+        // Before it is added to others: sums of a few stay far from overflow.
+        if record.values[k].unsigned_abs() > LIMIT.unsigned_abs() {
+            return Err(FormatError::new(
+                format!("column {}", COLUMNS[FIRST + k]),
+                "magnitudes up to 2^46",
+                "a larger one",
+            ));
+        }
+    }
+    if !record.is_allowed() {
+        return Err(FormatError::new("record", "opacity, scale and gamma in their ranges", "others"));
+    }
+    memory.remember(kind, &record);
+    Ok(record)
+}
+
+const _: () = assert!(COLOUR_AT + 3 == VELOCITY && GAMMA + 2 == VALUES);

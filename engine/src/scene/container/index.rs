@@ -1,0 +1,185 @@
+//! The index: where each interval's chunk is, and what it holds.
+
+use super::{ALONE_EVERY, CONTAINER_VERSION, MAGIC, MOST};
+use crate::import::FormatError;
+use crate::scene::PlacementRecord;
+
+/// Bytes before the first chunk.
+pub(super) const HEADER: usize = 16;
+/// Bytes after the index: its place, its length, its digest.
+pub(super) const TRAILER: usize = 48;
+/// Bytes of the index before its entries.
+const BEFORE_ENTRIES: usize = 44;
+/// Bytes of an entry.
+const ENTRY: usize = 96;
+
+/// The first bytes of a container of this version.
+pub(super) fn header() -> [u8; HEADER] {
+    let mut out = [0; HEADER];
+    out[..8].copy_from_slice(&MAGIC);
+    out[8..12].copy_from_slice(&CONTAINER_VERSION.to_le_bytes());
+    out
+}
+
+/// Whether the first bytes are those of a container this program reads.
+pub(super) fn check_header(bytes: &[u8]) -> Result<(), FormatError> {
+    let wrong = |expected: String, found: String| Err(FormatError::new("header", expected, found));
+    if bytes.len() < HEADER || bytes[..8] != MAGIC {
+        return wrong("a container's first bytes".into(), "others".into());
+    }
+    match bytes[8..12].first_chunk().map(|b| u32::from_le_bytes(*b)) {
+        Some(CONTAINER_VERSION) if bytes[12..HEADER] == [0; 4] => Ok(()),
+        version => wrong(format!("version {CONTAINER_VERSION}"), format!("version {}", version.unwrap_or_default())),
+    }
+}
+
+/// One interval.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Entry {
+    pub(super) at: u64,
+    pub(super) bytes: u64,
+    pub(super) start: f64,
+    pub(super) end: f64,
+    pub(super) index: u64,
+    pub(super) dropped: u64,
+    pub(super) gaussians: usize,
+    pub(super) merges: usize,
+    /// Chunks back to the one that stands alone.
+    pub(super) back: usize,
+    pub(super) blake3: [u8; 32],
+}
+
+/// The whole index.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Table {
+    pub(super) fps: f64,
+    pub(super) placement: PlacementRecord,
+    pub(super) entries: Vec<Entry>,
+}
+
+impl Table {
+    /// The index as bytes.
+    pub(super) fn to_bytes(&self) -> Vec<u8> {
+        let mut out = Vec::with_capacity(BEFORE_ENTRIES + ENTRY * self.entries.len());
+        out.extend_from_slice(&self.fps.to_le_bytes());
+        let PlacementRecord { source, model, offset, content } = self.placement;
+        for side in [source, model, offset, content].as_flattened() {
+            out.extend_from_slice(&(*side as u32).to_le_bytes());
+        }
+        out.extend_from_slice(&(self.entries.len() as u32).to_le_bytes());
+        for e in &self.entries {
+            let words = [e.at, e.bytes, e.start.to_bits(), e.end.to_bits(), e.index, e.dropped];
+            words.iter().for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
+            let counts = [e.gaussians as u32, e.merges as u32, e.back as u32, 0];
+            counts.iter().for_each(|count| out.extend_from_slice(&count.to_le_bytes()));
+            out.extend_from_slice(&e.blake3);
+        }
+        out
+    }
+
+    /// The index of a container of which the chunks end at `end`.
+    pub(super) fn from_bytes(bytes: &[u8], end: u64) -> Result<Table, FormatError> {
+        let wrong = |what: String, expected: &str, found: String| Err(FormatError::new(what, expected, found));
+        let mut fields = Fields(bytes);
+        let short = || FormatError::new("index", "44 bytes and 96 for each interval", format!("{} bytes", bytes.len()));
+        let fps = f64::from_bits(fields.word().ok_or_else(short)?);
+        let mut sides = [0; 8];
+        for side in &mut sides {
+            *side = fields.half().ok_or_else(short)? as usize;
+        }
+        let [a, b, c, d, e, f, g, h] = sides;
+        let placement = PlacementRecord { source: [a, b], model: [c, d], offset: [e, f], content: [g, h] };
+        if placement.placement().is_none() {
+            return wrong("index: placement".into(), "the content inside the model's input", format!("{placement:?}"));
+        }
+        if !(fps.is_finite() && fps > 0.0) {
+            return wrong("index: frames per second".into(), "a number above 0", fps.to_string());
+        }
+        let count = fields.half().ok_or_else(short)? as usize;
+        if bytes.len() != BEFORE_ENTRIES + ENTRY.saturating_mul(count) || count == 0 {
+            return wrong(
+                "index".into(),
+                "44 bytes and 96 for each of at least one interval",
+                format!("{} for {count}", bytes.len()),
+            );
+        }
+        let mut entries: Vec<Entry> = Vec::with_capacity(count);
+        let mut next = HEADER as u64;
+        for i in 0..count {
+            let entry = fields.entry().ok_or_else(short)?;
+            let name = |what: &str| format!("index: interval {i}: {what}");
+            let after = entry.at.checked_add(entry.bytes).filter(|after| *after <= end);
+            if entry.at != next || after.is_none() {
+                return wrong(
+                    name("place"),
+                    "its chunk after the one before and before the index",
+                    format!("{} bytes at {}", entry.bytes, entry.at),
+                );
+            }
+            next += entry.bytes;
+            let before = entries.last().map_or(f64::NEG_INFINITY, |last| last.end);
+            let ordered = before <= entry.start && entry.start <= entry.end;
+            if !(entry.start.is_finite() && entry.end.is_finite() && ordered) {
+                return wrong(
+                    name("times"),
+                    "ascending ones",
+                    format!("{} to {} after {before}", entry.start, entry.end),
+                );
+            }
+            if entry.gaussians > MOST || entry.merges > MOST {
+                return wrong(name("counts"), "at most 2^24", format!("{} and {}", entry.gaussians, entry.merges));
+            }
+            let chain = i.checked_sub(1).map_or(0, |last| entries[last].back + 1);
+            if !(entry.back == 0 || (entry.back == chain && chain < ALONE_EVERY)) {
+                return wrong(
+                    name("chunks back"),
+                    "none, or one more than of the interval before, under 8",
+                    entry.back.to_string(),
+                );
+            }
+            entries.push(entry);
+        }
+        if next != end {
+            return wrong("index".into(), "chunks up to the index", format!("their end at {next} of {end}"));
+        }
+        Ok(Table { fps, placement, entries })
+    }
+}
+
+/// Fields being read.
+struct Fields<'a>(&'a [u8]);
+
+impl Fields<'_> {
+    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (first, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(*first)
+    }
+
+    fn word(&mut self) -> Option<u64> {
+        self.take().map(u64::from_le_bytes)
+    }
+
+    fn half(&mut self) -> Option<u32> {
+        self.take().map(u32::from_le_bytes)
+    }
+
+    fn entry(&mut self) -> Option<Entry> {
+        let [at, bytes, start, end, index, dropped] =
+            [self.word()?, self.word()?, self.word()?, self.word()?, self.word()?, self.word()?];
+        let [gaussians, merges, back, zero] = [self.half()?, self.half()?, self.half()?, self.half()?];
+        let blake3 = self.take()?;
+        (zero == 0).then_some(Entry {
+            at,
+            bytes,
+            start: f64::from_bits(start),
+            end: f64::from_bits(end),
+            index,
+            dropped,
+            gaussians: gaussians as usize,
+            merges: merges as usize,
+            back: back as usize,
+            blake3,
+        })
+    }
+}

@@ -1,0 +1,30 @@
+//! A scene as one compressed file (`.ssz`).
+//!
+//! Every number becomes a whole one ([`quantise`]), is predicted from what a reader already knows, and the differences are deflated
+//! column by column, one chunk per interval. An index at the end says where the chunks are, so that an interval is read
+//! without the others, but for those back to the nearest chunk that stands alone (every eighth does). `docs/container.md` gives every byte.
+//!
+//! Identities, births, merges, times and the source's placement come back as they were; positions and velocities to 2⁻¹⁴ world
+//! units, and the rest as closely as [`quantise`] says. The bytes are a function of the intervals and the frame rate alone.
+
+mod chunk;
+mod columns;
+mod index;
+mod quantise;
+mod read;
+#[cfg(test)]
+mod tests;
+mod write;
+
+pub(super) use read::Container;
+pub use write::ContainerWriter;
+
+/// The first bytes of a container.
+pub const MAGIC: [u8; 8] = *b"ssplat\x1a\n";
+/// The version this program writes and reads.
+pub const CONTAINER_VERSION: u32 = 1;
+
+/// Every chunk whose place is a multiple of this stands alone.
+const ALONE_EVERY: usize = 8;
+/// Most Gaussians, and most merges, of an interval.
+const MOST: usize = 1 << 24;

@@ -1,0 +1,120 @@
+//! Reading a container, one interval at a time.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+
+use super::chunk::decode;
+use super::index::{Entry, HEADER, TRAILER, Table, check_header};
+use super::quantise::Quantised;
+use super::{CONTAINER_VERSION, MAGIC};
+use crate::fit::Placement;
+use crate::import::FormatError;
+use crate::scene::{FORMAT, Index, IntervalEntry, SceneError};
+use crate::stream::{DynamicGaussians, Interval, Merge, Workers};
+
+/// Largest index read, in bytes.
+const MAX_INDEX: u64 = 1 << 28;
+
+/// A container on disk: its index in memory, its chunks read when asked for.
+#[derive(Clone, Debug)]
+pub(in crate::scene) struct Container {
+    path: PathBuf,
+    entries: Vec<Entry>,
+    /// The interval that was read last, for the one after it.
+    last: Arc<Mutex<Option<(usize, Vec<Quantised>)>>>,
+}
+
+impl Container {
+    /// Whether a file that begins so is a container.
+    pub(in crate::scene) fn begins(head: &[u8]) -> bool {
+        head.starts_with(&MAGIC)
+    }
+
+    /// Opens a container, and says what a scene's index would.
+    pub(in crate::scene) fn open(path: &Path) -> Result<(Container, Index), SceneError> {
+        let read = |cause| SceneError::Read { path: path.to_owned(), cause };
+        let broken = |e: FormatError| SceneError::Broken { path: path.to_owned(), cause: e.to_string() };
+        let mut file = File::open(path).map_err(read)?;
+        let size = file.metadata().map_err(read)?.len();
+        if size < (HEADER + TRAILER) as u64 {
+            let expected = format!("at least {} bytes", HEADER + TRAILER);
+            return Err(broken(FormatError::new("container", expected, size.to_string())));
+        }
+        let mut header = [0; HEADER];
+        file.read_exact(&mut header).map_err(read)?;
+        check_header(&header).map_err(broken)?;
+        let trailer_at = size - TRAILER as u64;
+        let mut trailer = [0; TRAILER];
+        file.seek(SeekFrom::Start(trailer_at)).and_then(|_| file.read_exact(&mut trailer)).map_err(read)?;
+        let [at, length] = [0, 8].map(|i| trailer[i..].first_chunk().map_or(0, |b| u64::from_le_bytes(*b)));
+        if at.checked_add(length) != Some(trailer_at) || length > MAX_INDEX {
+            let found = format!("{length} bytes at {at} of {size}");
+            return Err(broken(FormatError::new("trailer", "an index that ends where it begins", found)));
+        }
+        let mut index = vec![0; length as usize];
+        file.seek(SeekFrom::Start(at)).and_then(|_| file.read_exact(&mut index)).map_err(read)?;
+        if blake3::hash(&[&header[..], &index].concat()).as_bytes()[..] != trailer[16..] {
+            return Err(broken(FormatError::new("index", "the digest that the trailer says", "another")));
+        }
+        let table = Table::from_bytes(&index, at).map_err(broken)?;
+        let intervals = table.entries.iter().enumerate().map(|(i, e)| IntervalEntry {
+            file: i.to_string(),
+            start: e.start,
+            end: e.end,
+            gaussians: e.gaussians,
+            bytes: e.bytes,
+            blake3: blake3::Hash::from_bytes(e.blake3).to_hex().to_string(),
+        });
+        let index = Index {
+            format: format!("{FORMAT}-container"),
+            version: CONTAINER_VERSION,
+            fps: table.fps,
+            placement: table.placement,
+            intervals: intervals.collect(),
+        };
+        Ok((Container { path: path.to_owned(), entries: table.entries, last: Arc::default() }, index))
+    }
+
+    /// Reads interval `i`, and those before it that it is coded against, unless the last one read is among them.
+    pub(in crate::scene) fn interval(
+        &self,
+        i: usize,
+        placement: Placement,
+        workers: &Workers,
+    ) -> Result<Interval, SceneError> {
+        let alone = i - self.entries[i].back;
+        // A thread that panicked while it held this left it whole: it is only ever replaced.
+        let kept = self.last.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
+        let (from, mut records) = match kept {
+            Some((at, records)) if (alone..i).contains(&at) => (at + 1, records),
+            _ => (alone, Vec::new()),
+        };
+        let mut merges = Vec::new();
+        for j in from..=i {
+            (records, merges) = self.chunk(j, if j == alone { &[] } else { &records })?;
+        }
+        let entry = &self.entries[i];
+        let gaussians: DynamicGaussians = records.iter().map(Quantised::record).collect();
+        *self.last.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some((i, records));
+        let Entry { index, start, end, dropped, .. } = *entry;
+        Ok(Interval { index, start, end, gaussians, placement, merges, dropped, workers: workers.clone() })
+    }
+
+    fn chunk(&self, i: usize, before: &[Quantised]) -> Result<(Vec<Quantised>, Vec<Merge>), SceneError> {
+        let entry = &self.entries[i];
+        let read = |cause| SceneError::Read { path: self.path.clone(), cause };
+        let broken =
+            |cause: String| SceneError::Broken { path: self.path.clone(), cause: format!("interval {i}: {cause}") };
+        let mut file = File::open(&self.path).map_err(read)?;
+        // The index was seen to lie after the chunk, in a file of that length; it may have been cut since.
+        let mut bytes = Vec::new();
+        file.seek(SeekFrom::Start(entry.at)).map_err(read)?;
+        file.take(entry.bytes).read_to_end(&mut bytes).map_err(read)?;
+        if *blake3::hash(&bytes).as_bytes() != entry.blake3 {
+            return Err(broken("expected the digest that the index says, found another".into()));
+        }
+        decode(before, &bytes, entry.gaussians, entry.merges).map_err(|e| broken(e.to_string()))
+    }
+}

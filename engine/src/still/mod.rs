@@ -1,0 +1,103 @@
+//! Still scenes of 3D Gaussians, as 3D Gaussian splatting's own files hold them.
+//!
+//! A [`Still`] keeps a file's numbers as they are, so that writing it again gives them back: logarithms of scales, logits of
+//! opacities, coefficients of spherical harmonics, quaternions of any length. What is drawn follows from them:
+//!
+//! ```text
+//! scale = e^log_scale     opacity = 1 / (1 + e^−logit)     rotation = q / |q|     rgb = colour of the harmonics from the eye
+//! ```
+//!
+//! formed in binary64 and rounded once, the harmonics as [`streamsplat_kernels::harmonics`] says. Axes are those of scene space
+//! (x right, y down, z forward), units the file's own. Such a scene has no time, no camera of its own, and no identities.
+
+mod draw;
+#[cfg(test)]
+mod tests;
+
+pub use draw::Drawable;
+
+use streamsplat_kernels::harmonics;
+use streamsplat_kernels::math::f64::ln;
+
+use crate::render::Snapshot;
+
+/// The least scale and the distance of opacities from 0 and 1 that survive a logarithm.
+const LEAST: f64 = 1e-12;
+
+/// Gaussians that do not move. All arrays are equally long.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Still {
+    /// Centres.
+    pub mean: Vec<[f32; 3]>,
+    /// Natural logarithms of the standard deviations along the Gaussian's own axes.
+    pub log_scale: Vec<[f32; 3]>,
+    /// Quaternions (w, x, y, z) of any length; zero draws nothing.
+    pub rotation: Vec<[f32; 4]>,
+    /// ln(o / (1 − o)) of the opacities.
+    pub logit: Vec<f32>,
+    /// The harmonics' first coefficients, by channel.
+    pub base: Vec<[f32; 3]>,
+    /// Degree of the harmonics, 0 to 3.
+    pub degree: usize,
+    /// The other coefficients: `[N, (degree + 1)² − 1, 3]`.
+    pub higher: Vec<f32>,
+}
+
+impl Still {
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.mean.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.mean.is_empty()
+    }
+
+    /// Coefficients above the first, per Gaussian and channel.
+    pub fn rest(&self) -> usize {
+        harmonics::rest(self.degree)
+    }
+
+    /// The name and length of an array that does not fit `mean`, if there is one.
+    pub fn uneven(&self) -> Option<(&'static str, usize)> {
+        let n = self.len();
+        let lengths = [
+            ("log_scale", self.log_scale.len(), n),
+            ("rotation", self.rotation.len(), n),
+            ("logit", self.logit.len(), n),
+            ("base", self.base.len(), n),
+            ("higher", self.higher.len(), n * 3 * self.rest()),
+        ];
+        lengths.into_iter().find(|(_, found, expected)| found != expected).map(|(name, found, _)| (name, found))
+    }
+
+    /// What a snapshot shows. Scales under 10⁻¹² and opacities nearer than that to 0 or 1 are moved there, so that every
+    /// value is finite; colours become `(rgb − ½) / Y₀`. In drawing order.
+    pub fn of(snapshot: &Snapshot) -> Self {
+        let count = snapshot.mean.len();
+        let logit = |opacity: f32| {
+            let opacity = f64::from(opacity).clamp(LEAST, 1.0 - LEAST);
+            (ln(opacity) - ln(1.0 - opacity)) as f32
+        };
+        let first = |c: f32| ((f64::from(c) - 0.5) / harmonics::Y0) as f32;
+        Self {
+            mean: snapshot.mean.clone(),
+            log_scale: snapshot.scale.iter().map(|s| s.map(|s| ln(f64::from(s).max(LEAST)) as f32)).collect(),
+            rotation: vec![[1.0, 0.0, 0.0, 0.0]; count],
+            logit: snapshot.opacity.iter().map(|o| logit(*o)).collect(),
+            base: snapshot.rgb.iter().map(|rgb| rgb.map(first)).collect(),
+            degree: 0,
+            higher: Vec::new(),
+        }
+    }
+
+    /// Least and greatest coordinates of the centres that are finite.
+    pub fn bounds(&self) -> Option<[[f32; 3]; 2]> {
+        let finite = self.mean.iter().filter(|m| m.iter().all(|x| x.is_finite()));
+        finite.fold(None, |bounds, m| {
+            let [least, greatest] = bounds.unwrap_or([*m, *m]);
+            Some([std::array::from_fn(|i| least[i].min(m[i])), std::array::from_fn(|i| greatest[i].max(m[i]))])
+        })
+    }
+}

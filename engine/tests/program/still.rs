@@ -1,0 +1,140 @@
+//! PLY files of 3D Gaussian splatting in, images and other formats out.
+
+use std::path::{Path, PathBuf};
+
+use streamsplat::camera::file;
+use streamsplat::export;
+use streamsplat::picture::{Picture, to_u8};
+use streamsplat::render::Painter;
+use streamsplat::still::{Drawable, Still};
+use streamsplat::stream::Workers;
+use streamsplat::{RenderOptions, Size};
+use streamsplat_kernels::Level;
+
+use crate::support::{Scratch, command, fails, files, json, run};
+
+const CAMERA: &str =
+    r#"{"type": "pinhole", "position": [0.3, -0.2, -3.0], "look_at": [0, 0, 0.5], "fov_y_degrees": 45, "aspect": 1.5}"#;
+
+/// A scene with harmonics of degree 3.
+fn still() -> Still {
+    let value = |i: usize, k: usize| ((i * 7919 + k * 104_729) % 1009) as f32 / 504.5 - 1.0;
+    let count = 500;
+    Still {
+        mean: (0..count).map(|i| std::array::from_fn(|k| value(i, k))).collect(),
+        log_scale: (0..count).map(|i| std::array::from_fn(|k| -2.5 + value(i, 3 + k))).collect(),
+        rotation: (0..count).map(|i| std::array::from_fn(|k| 3.0 * value(i, 6 + k))).collect(),
+        logit: (0..count).map(|i| 4.0 * value(i, 10)).collect(),
+        base: (0..count).map(|i| std::array::from_fn(|k| value(i, 11 + k))).collect(),
+        degree: 3,
+        higher: (0..count * 45).map(|i| 0.3 * value(i, 14)).collect(),
+    }
+}
+
+fn prepared(scratch: &Scratch) -> (PathBuf, PathBuf) {
+    let (scene, camera) = (scratch.path("scene.ply"), scratch.path("camera.json"));
+    std::fs::write(&scene, export::still::ply(&still())).expect("writable");
+    std::fs::write(&camera, CAMERA).expect("writable");
+    (scene, camera)
+}
+
+fn render(scene: &Path, camera: &Path, out: &Path, more: &[&str]) -> std::process::Output {
+    let mut command = command();
+    command.arg("render").arg(scene).arg("--camera").arg(camera).arg("--out").arg(out);
+    command.args(more).output().expect("the program starts")
+}
+
+#[test]
+fn a_ply_file_is_drawn_as_the_library_draws_it_whatever_the_threads_and_verified() {
+    let scratch = Scratch::new();
+    let (scene, camera) = prepared(&scratch);
+    let workers = Workers::new(Level::detect(), 2).expect("threads start");
+    let drawable = Drawable::new(still(), &workers).expect("even arrays");
+    let view = file::parse(CAMERA).expect("a camera").at(0.0);
+    let options = RenderOptions { size: Size::Exact { width: 90, height: 60 }, ..RenderOptions::default() };
+    let image = Painter::new(&workers).draw_still(&drawable, &view, &options).expect("a camera").clone();
+    let picture = Picture { width: image.width, height: image.height, rgb: image.rgb };
+    let mut outputs = Vec::new();
+    for more in [&["--threads", "1", "--isa", "scalar"][..], &["--threads", "3"]] {
+        let out = scratch.path(more[1]);
+        let output = render(&scene, &camera, &out, &[&["--size", "90x60", "--emit", "rgb,depth,alpha"], more].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let found = files(&out);
+        assert!(found["frames/000000.png"] == streamsplat::output::picture_png(&picture));
+        assert_eq!(found.len(), 3);
+        outputs.push(found);
+        let output = command().arg("verify").arg(&out).output().expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    assert!(outputs[0] == outputs[1]);
+    assert!(picture.rgb.iter().map(|c| to_u8(*c)).any(|c| c > 200));
+}
+
+#[test]
+fn a_ply_file_exported_again_is_the_same_file() {
+    let scratch = Scratch::new();
+    let (scene, _) = prepared(&scratch);
+    for (format, expected) in [("ply", export::still::ply(&still())), ("splat", splat())] {
+        for out in [format!("again.{format}"), format!("folder-{format}")] {
+            let path = scratch.path(&out);
+            let output =
+                command().arg("export").arg(&scene).arg("--out").arg(&path).args(["--format", format]).output();
+            let output = output.expect("the program starts");
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            let file = if path.is_dir() { path.join(format!("000000.{format}")) } else { path };
+            assert!(std::fs::read(&file).expect("readable") == expected, "{out}");
+        }
+    }
+    let output = run([Path::new("inspect"), &scene, Path::new("--json"), &scratch.path("found.json")]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let found = json(&scratch.path("found.json"));
+    assert_eq!((&found["kind"], &found["format"]), (&"still scene".into(), &"PLY".into()));
+    assert_eq!((&found["gaussians"], &found["harmonics_degree"]), (&500.into(), &3.into()));
+}
+
+fn splat() -> Vec<u8> {
+    let workers = Workers::new(Level::scalar(), 1).expect("one thread");
+    export::still::splat(&Drawable::new(still(), &workers).expect("even arrays"))
+}
+
+#[test]
+fn what_a_ply_file_does_not_have_is_said_and_nothing_written() {
+    let scratch = Scratch::new();
+    let (scene, camera) = prepared(&scratch);
+    let out = scratch.path("out");
+    let text = fails(&render(&scene, &camera, &out, &[]), 2);
+    assert!(text.contains("--size model: expected WIDTHxHEIGHT") && text.contains("scene.ply"), "{text}");
+    let bare = command().arg("render").arg(&scene).arg("--out").arg(&out).args(["--size", "9x6"]).output();
+    let text = fails(&bare.expect("the program starts"), 2);
+    assert!(text.contains("--camera: expected a file, found none"), "{text}");
+    std::fs::write(&camera, r#"{"type": "canonical"}"#).expect("writable");
+    let text = fails(&render(&scene, &camera, &scratch.path("other"), &["--size", "9x6"]), 1);
+    assert!(text.contains("found canonical"), "{text}");
+    let track = ["track", "--at", "0", "--point", "1,1"].map(std::ffi::OsStr::new);
+    let text = fails(&run([&track[..], &[scene.as_os_str()]].concat()), 1);
+    assert!(text.contains("expected a scene in time, found a still one (PLY)"), "{text}");
+    for (more, expected) in [
+        (&["--format", "ply", "--times", "0"][..], "which has no time"),
+        (&["--format", "ssz"], "--format ssz: expected ply"),
+    ] {
+        let output = command().arg("export").arg(&scene).arg("--out").arg(&out).args(more).output();
+        let text = fails(&output.expect("the program starts"), 2);
+        assert!(text.contains(expected), "{text}");
+    }
+    let mut short = export::still::ply(&still());
+    short.truncate(short.len() - 1);
+    std::fs::write(&scene, short).expect("writable");
+    for name in ["render", "inspect", "export", "track"] {
+        let mut command = command();
+        command.arg(name).arg(&scene);
+        match name {
+            "render" => command.arg("--out").arg(&out),
+            "export" => command.args(["--format", "ply", "--out"]).arg(&out),
+            "track" => command.args(["--at", "0", "--point", "1,1"]),
+            _ => &mut command,
+        };
+        let text = fails(&command.output().expect("the program starts"), 1);
+        assert!(text.contains("scene.ply: vertices: expected 500 of 248 bytes each"), "{name}: {text}");
+    }
+    assert!(!out.exists());
+}
