@@ -6,12 +6,15 @@
 
 mod ply;
 mod splat;
+pub(crate) mod spz;
 
 pub use ply::ply;
 pub use splat::splat;
+pub use spz::spz;
 
 /// The same of scenes that do not move.
 pub mod still {
     pub use super::ply::of_still as ply;
     pub use super::splat::of_still as splat;
+    pub use super::spz::of_still as spz;
 }

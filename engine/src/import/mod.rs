@@ -5,16 +5,19 @@
 //! | the folder of a scene or of a run, a `scene.json` | `{` | a [`Scene`] |
 //! | a container (`.ssz`) | `ssplat` | a [`Scene`] |
 //! | PLY in the layout of 3D Gaussian splatting | `ply` and a new line | a [`Still`] |
+//! | SPZ, versions 2 to 4 | `NGSP`, or as gzip | a [`Still`] |
 //!
 //! Nothing is allocated for what a header promises before the file is seen to be long enough to hold it.
 
 mod ply;
+mod spz;
 
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
 pub use ply::ply;
+pub use spz::spz;
 
 use crate::scene::{self, Scene, SceneError};
 use crate::still::Still;
@@ -66,7 +69,10 @@ type Reader = fn(&[u8]) -> Result<Still, FormatError>;
 
 /// The name and the reader of the format that begins so.
 fn format(head: &[u8]) -> Option<(&'static str, Reader)> {
-    (head.starts_with(b"ply\n") || head.starts_with(b"ply\r")).then_some(("PLY", ply as Reader))
+    if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") {
+        return Some(("PLY", ply));
+    }
+    (head.starts_with(&spz::MAGIC) || head.starts_with(&[0x1f, 0x8b])).then_some(("SPZ", spz as Reader))
 }
 
 /// Whether a file begins as one of the formats that are a scene in one file.

@@ -183,7 +183,7 @@ pub struct RunOptions {
 
 #[derive(Args, Clone)]
 pub struct RenderArgs {
-    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a PLY file of 3D Gaussian splatting
+    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a PLY or SPZ file
     pub scene: PathBuf,
     /// Folder for the images, or a video file, or - (y4m on standard output)
     #[arg(long, value_name = "DIR")]
@@ -265,7 +265,7 @@ pub struct SplatArgs {
 
 #[derive(Args, Clone)]
 pub struct InspectArgs {
-    /// A checkpoint, a scene (folder, container or PLY file), or an interval
+    /// A checkpoint, a scene (folder, container, PLY or SPZ file), or an interval
     pub file: PathBuf,
     /// Write what is found here
     #[arg(long, value_name = "FILE")]
@@ -274,9 +274,9 @@ pub struct InspectArgs {
 
 #[derive(Args, Clone)]
 pub struct ExportArgs {
-    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a PLY file of 3D Gaussian splatting
+    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a PLY or SPZ file
     pub scene: PathBuf,
-    /// Format: ply (the layout of 3D Gaussian splatting), splat (32-byte records), or ssz (the whole scene, compressed)
+    /// Format: ply (the layout of 3D Gaussian splatting), splat (32-byte records), spz, or ssz (the whole scene, compressed)
     #[arg(long, value_name = "NAME")]
     pub format: String,
     /// Folder for 000000.ply and so on; for a single time, a file with the format's name as its ending; for ssz, a file

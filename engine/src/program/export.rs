@@ -35,21 +35,19 @@ enum Kind {
     Container,
 }
 
-const FORMATS: [Format; 3] = [
+const FORMATS: [Format; 4] = [
     Format { name: "ply", kind: Kind::Times(export::ply), still: Some(|scene| export::still::ply(scene.still())) },
     Format { name: "splat", kind: Kind::Times(export::splat), still: Some(export::still::splat) },
+    Format { name: "spz", kind: Kind::Times(export::spz), still: Some(|scene| export::still::spz(scene.still())) },
     Format { name: "ssz", kind: Kind::Container, still: None },
 ];
 
 impl Format {
     fn named(name: &str) -> Result<Format, Failure> {
-        if name == "spz" {
-            return Err(Failure::usage("--format spz is not available in this build; give ply, splat or ssz"));
-        }
         FORMATS
             .into_iter()
             .find(|format| format.name == name)
-            .ok_or_else(|| Failure::usage(format!("--format {name}: expected ply, splat or ssz")))
+            .ok_or_else(|| Failure::usage(format!("--format {name}: expected ply, splat, spz or ssz")))
     }
 
     /// The name of the file with the number `index`.

@@ -106,7 +106,7 @@ pub fn export(
         return Err(Failure::usage(format!("--times, --fps: expected neither; {kind}, which has no time")));
     }
     let Some(write) = format.still else {
-        return Err(Failure::usage(format!("--format {}: expected ply or splat; {kind}", format.name)));
+        return Err(Failure::usage(format!("--format {}: expected ply, splat or spz; {kind}", format.name)));
     };
     let path: PathBuf = if format.is_file(&args.out) {
         args.out.clone()

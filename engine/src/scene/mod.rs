@@ -32,7 +32,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::fit::Placement;
 use crate::output::OutputError;
-pub use container::{CONTAINER_VERSION, ContainerWriter, MAGIC};
+pub use container::{CONTAINER_VERSION, ContainerWriter, MAGIC, intervals_from_container};
 pub use interval::{from_safetensors, to_safetensors};
 pub use memory::{memory_from_safetensors, memory_to_safetensors};
 pub use read::Scene;

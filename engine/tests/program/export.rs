@@ -56,7 +56,9 @@ fn a_scene_read_back_exports_what_the_live_one_shows() {
     assert_ne!(expected[1], expected[3]);
 
     let list = ["--times", "0,0.03,0.1,0.15,0.2,0.29", "--threads", "3", "--format"];
-    for (format, write) in [("ply", export::ply as fn(&Snapshot) -> Vec<u8>), ("splat", export::splat)] {
+    for (format, write) in
+        [("ply", export::ply as fn(&Snapshot) -> Vec<u8>), ("splat", export::splat), ("spz", export::spz)]
+    {
         let out = scratch.path(format);
         export_ok(&folder, &out, &[&list[..], &[format]].concat());
         let found = files(&out);
@@ -96,8 +98,7 @@ fn what_cannot_be_exported_is_said_and_nothing_written() {
     run_ok(&clip, &scene, &["--quiet"]);
     let out = scratch.path("out");
     for (more, expected) in [
-        (&["--format", "spz"][..], "--format spz is not available in this build; give ply, splat or ssz"),
-        (&["--format", "obj"], "--format obj: expected ply, splat or ssz"),
+        (&["--format", "obj"][..], "--format obj: expected ply, splat, spz or ssz"),
         (&["--format", "ply", "--times", "0,9"], "--times: time 9 s: expected one between 0 s and"),
         (&["--format", "ply", "--times", "1,0"], "--times 1,0: expected ascending times"),
         (&["--format", "ply", "--fps", "0"], "--fps: expected a number above 0"),

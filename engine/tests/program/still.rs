@@ -74,7 +74,9 @@ fn a_ply_file_is_drawn_as_the_library_draws_it_whatever_the_threads_and_verified
 fn a_ply_file_exported_again_is_the_same_file() {
     let scratch = Scratch::new();
     let (scene, _) = prepared(&scratch);
-    for (format, expected) in [("ply", export::still::ply(&still())), ("splat", splat())] {
+    for (format, expected) in
+        [("ply", export::still::ply(&still())), ("splat", splat()), ("spz", export::still::spz(&still()))]
+    {
         for out in [format!("again.{format}"), format!("folder-{format}")] {
             let path = scratch.path(&out);
             let output =
@@ -115,7 +117,7 @@ fn what_a_ply_file_does_not_have_is_said_and_nothing_written() {
     assert!(text.contains("expected a scene in time, found a still one (PLY)"), "{text}");
     for (more, expected) in [
         (&["--format", "ply", "--times", "0"][..], "which has no time"),
-        (&["--format", "ssz"], "--format ssz: expected ply"),
+        (&["--format", "ssz"], "--format ssz: expected ply, splat or spz"),
     ] {
         let output = command().arg("export").arg(&scene).arg("--out").arg(&out).args(more).output();
         let text = fails(&output.expect("the program starts"), 2);

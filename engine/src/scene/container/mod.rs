@@ -17,6 +17,7 @@ mod tests;
 mod write;
 
 pub(super) use read::Container;
+pub use read::intervals_from_container;
 pub use write::ContainerWriter;
 
 /// The first bytes of a container.

@@ -48,11 +48,7 @@ impl Container {
         let trailer_at = size - TRAILER as u64;
         let mut trailer = [0; TRAILER];
         file.seek(SeekFrom::Start(trailer_at)).and_then(|_| file.read_exact(&mut trailer)).map_err(read)?;
-        let [at, length] = [0, 8].map(|i| trailer[i..].first_chunk().map_or(0, |b| u64::from_le_bytes(*b)));
-        if at.checked_add(length) != Some(trailer_at) || length > MAX_INDEX {
-            let found = format!("{length} bytes at {at} of {size}");
-            return Err(broken(FormatError::new("trailer", "an index that ends where it begins", found)));
-        }
+        let (at, length) = locate(&trailer, size).map_err(broken)?;
         let mut index = vec![0; length as usize];
         file.seek(SeekFrom::Start(at)).and_then(|_| file.read_exact(&mut index)).map_err(read)?;
         if blake3::hash(&[&header[..], &index].concat()).as_bytes()[..] != trailer[16..] {
@@ -95,11 +91,9 @@ impl Container {
         for j in from..=i {
             (records, merges) = self.chunk(j, if j == alone { &[] } else { &records })?;
         }
-        let entry = &self.entries[i];
-        let gaussians: DynamicGaussians = records.iter().map(Quantised::record).collect();
+        let interval = self.entries[i].interval(&records, merges, placement, workers);
         *self.last.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some((i, records));
-        let Entry { index, start, end, dropped, .. } = *entry;
-        Ok(Interval { index, start, end, gaussians, placement, merges, dropped, workers: workers.clone() })
+        Ok(interval)
     }
 
     fn chunk(&self, i: usize, before: &[Quantised]) -> Result<(Vec<Quantised>, Vec<Merge>), SceneError> {
@@ -116,5 +110,48 @@ impl Container {
             return Err(broken("expected the digest that the index says, found another".into()));
         }
         decode(before, &bytes, entry.gaussians, entry.merges).map_err(|e| broken(e.to_string()))
+    }
+}
+
+/// Where the index of a file of `size` bytes is, and its length.
+fn locate(trailer: &[u8], size: u64) -> Result<(u64, u64), FormatError> {
+    let [at, length] = [0, 8].map(|i| trailer[i..].first_chunk().map_or(0, |b| u64::from_le_bytes(*b)));
+    if at.checked_add(length) != size.checked_sub(TRAILER as u64) || length > MAX_INDEX || at < HEADER as u64 {
+        let found = format!("{length} bytes at {at} of {size}");
+        return Err(FormatError::new("trailer", "an index that ends where it begins", found));
+    }
+    Ok((at, length))
+}
+
+/// All intervals of a container in memory; `workers` draw them. Digests are not compared: they keep files from
+/// decaying unseen, and whoever has the bytes in memory vouches for them.
+///
+/// # Errors
+/// What was expected and what was found.
+pub fn intervals_from_container(bytes: &[u8], workers: &Workers) -> Result<Vec<Interval>, FormatError> {
+    let size = bytes.len();
+    check_header(bytes)?;
+    let (at, length) =
+        locate(size.checked_sub(TRAILER).and_then(|from| bytes.get(from..)).unwrap_or(&[0; 16]), size as u64)?;
+    let table = Table::from_bytes(&bytes[at as usize..(at + length) as usize], at)?;
+    let placement = table.placement.placement().ok_or_else(|| FormatError::new("index", "a placement", "none"))?;
+    let mut before = Vec::new();
+    let mut intervals = Vec::with_capacity(table.entries.len());
+    for entry in &table.entries {
+        let known: &[Quantised] = if entry.back == 0 { &[] } else { &before };
+        let chunk = &bytes[entry.at as usize..(entry.at + entry.bytes) as usize];
+        let (records, merges) = decode(known, chunk, entry.gaussians, entry.merges)?;
+        intervals.push(entry.interval(&records, merges, placement, workers));
+        before = records;
+    }
+    Ok(intervals)
+}
+
+impl Entry {
+    /// Its interval, of these records.
+    fn interval(&self, records: &[Quantised], merges: Vec<Merge>, placement: Placement, workers: &Workers) -> Interval {
+        let gaussians: DynamicGaussians = records.iter().map(Quantised::record).collect();
+        let Entry { index, start, end, dropped, .. } = *self;
+        Interval { index, start, end, gaussians, placement, merges, dropped, workers: workers.clone() }
     }
 }

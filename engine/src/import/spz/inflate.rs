@@ -1,0 +1,45 @@
+//! Compressed bytes of a known length.
+
+use std::io::Read;
+
+use flate2::read::GzDecoder;
+use ruzstd::decoding::FrameDecoder;
+
+use crate::import::FormatError;
+
+/// The largest window of a zstd frame that holds less.
+const WINDOW: u64 = 1 << 23;
+
+/// A gzip stream's first `head` bytes, which say what `read` takes from them and how many follow, and those.
+pub(super) fn gunzip<H>(
+    bytes: &[u8],
+    head: usize,
+    read: impl FnOnce(&[u8]) -> Result<(H, usize), FormatError>,
+) -> Result<(H, Vec<u8>), FormatError> {
+    let broken = |e: std::io::Error| FormatError::new("gzip stream", "a whole one", e.to_string());
+    let mut decoder = GzDecoder::new(bytes);
+    let mut first = vec![0; head];
+    decoder.read_exact(&mut first).map_err(broken)?;
+    let (header, size) = read(&first)?;
+    let mut rest = Vec::new();
+    // Grows with what comes, so that a length that is only promised takes no memory.
+    decoder.by_ref().take(size as u64 + 1).read_to_end(&mut rest).map_err(broken)?;
+    if rest.len() != size {
+        let found = if rest.len() > size { "more".to_owned() } else { rest.len().to_string() };
+        return Err(FormatError::new("attributes", format!("{size} bytes"), found));
+    }
+    match decoder.into_inner() {
+        [] => Ok((header, rest)),
+        more => Err(FormatError::new("file", "its end after the gzip stream", format!("{} more bytes", more.len()))),
+    }
+}
+
+/// What a zstd frame of `size` bytes holds.
+pub(super) fn zstd(name: &str, frame: &[u8], size: usize) -> Result<Vec<u8>, FormatError> {
+    let broken = |found: String| FormatError::new(name, format!("a zstd frame of {size} bytes"), found);
+    let mut decoder = FrameDecoder::new();
+    decoder.set_max_window_size(WINDOW.max(size as u64));
+    let mut out = vec![0; size];
+    let written = decoder.decode_all(frame, &mut out).map_err(|e| broken(e.to_string()))?;
+    if written == size { Ok(out) } else { Err(broken(format!("{written} bytes"))) }
+}

@@ -1,0 +1,179 @@
+//! SPZ, version 4 (a plain header and one zstd frame per attribute) and versions 2 and 3 (everything in one gzip stream).
+//!
+//! | attribute | bytes per Gaussian | value |
+//! |---|---|---|
+//! | positions | 9 | 24-bit fixed point, little-endian, `fractionalBits` after the point |
+//! | alphas | 1 | 255 times the opacity |
+//! | colours | 3 | `255·(0.15·c + ½)` of the harmonics' first coefficients |
+//! | scales | 3 | `16·(ln s + 10)` |
+//! | rotations | 4 (3 in version 2) | the three smallest components in ten bits each, and which is the largest (x, y and z in eight bits each) |
+//! | harmonics | 9, 24 or 45 | `128·(c + 1)`, coefficients outermost |
+//!
+//! SPZ's axes are x right, y up, z back: y and z change sign on the way, with the rotations and harmonics that follow them. Opacities come back
+//! as logits of at least 1/255 and at most 254/255.
+//!
+//! Refused: version 1, harmonics above degree 3, extensions (they may change the axes), unknown flags, lengths that do not fit each other.
+//!
+//! Source: the format's description and its reference implementation, nianticlabs/spz.
+
+mod inflate;
+mod unpack;
+
+#[cfg(test)]
+mod tests;
+
+use super::FormatError;
+use crate::still::Still;
+use inflate::{gunzip, zstd};
+
+/// "NGSP"
+pub(crate) const MAGIC: [u8; 4] = *b"NGSP";
+/// Bytes of the header in versions 2 and 3, and in version 4.
+const OLD_HEADER: usize = 16;
+const HEADER: usize = 32;
+/// The flag of scenes trained with anti-aliasing, which are drawn as all others.
+const ANTIALIASED: u8 = 1;
+/// The most that a byte of the file is taken to stand for, as the reference implementation has it.
+const MOST_RATIO: u64 = 1024;
+
+/// What an SPZ file says of itself.
+#[derive(Clone, Copy, Debug)]
+struct Header {
+    version: u32,
+    count: usize,
+    degree: usize,
+    fractional_bits: u32,
+}
+
+/// The attributes of a file, as bytes.
+struct Packed {
+    header: Header,
+    positions: Vec<u8>,
+    alphas: Vec<u8>,
+    colours: Vec<u8>,
+    scales: Vec<u8>,
+    rotations: Vec<u8>,
+    harmonics: Vec<u8>,
+}
+
+impl Header {
+    /// The fields that all versions have, of a file of `size` bytes.
+    fn read(bytes: &[u8], versions: [u32; 2], size: usize) -> Result<Header, FormatError> {
+        let word = |at: usize| bytes[at..].first_chunk().map_or(0, |b| u32::from_le_bytes(*b));
+        let wrong = |part: &str, expected: &str, found: u32| {
+            Err(FormatError::new(format!("header: {part}"), expected, found.to_string()))
+        };
+        if bytes[..4] != MAGIC {
+            return wrong("first word", "NGSP", word(0));
+        }
+        let (version, count) = (word(4), word(8));
+        let [degree, fractional_bits, flags] = [bytes[12], bytes[13], bytes[14]].map(u32::from);
+        if !(versions[0]..=versions[1]).contains(&version) {
+            let expected = format!("{} to {} in a file of this kind", versions[0], versions[1]);
+            return wrong("version", &expected, version);
+        }
+        if degree > 3 {
+            return wrong("degree of the harmonics", "0 to 3", degree);
+        }
+        if fractional_bits > 23 {
+            return wrong("fractional bits", "0 to 23", fractional_bits);
+        }
+        if flags & !u32::from(ANTIALIASED) != 0 {
+            return wrong("flags", "none but anti-aliasing: no extensions", flags);
+        }
+        if u64::from(count) * 9 > size as u64 * MOST_RATIO {
+            return wrong("points", &format!("at most {} in {size} bytes", size as u64 * MOST_RATIO / 9), count);
+        }
+        Ok(Header { version, count: count as usize, degree: degree as usize, fractional_bits })
+    }
+
+    /// Bytes of each attribute, in the order they are stored in.
+    fn sizes(&self) -> [(&'static str, usize); 6] {
+        let rotation = if self.version == 2 { 3 } else { 4 };
+        let harmonics = 3 * streamsplat_kernels::harmonics::rest(self.degree);
+        [
+            ("positions", 9),
+            ("alphas", 1),
+            ("colours", 3),
+            ("scales", 3),
+            ("rotations", rotation),
+            ("harmonics", harmonics),
+        ]
+        .map(|(name, each)| (name, each * self.count))
+    }
+}
+
+/// The Gaussians of a whole SPZ file.
+///
+/// # Errors
+/// What was expected and what was found, with the part's name.
+pub fn spz(bytes: &[u8]) -> Result<Still, FormatError> {
+    if bytes.starts_with(&[0x1f, 0x8b]) { old(bytes) } else { current(bytes) }.map(|packed| unpack::unpack(&packed))
+}
+
+/// Versions 2 and 3.
+fn old(bytes: &[u8]) -> Result<Packed, FormatError> {
+    let (header, rest) = gunzip(bytes, OLD_HEADER, |head| {
+        let header = Header::read(head, [2, 3], bytes.len())?;
+        if head[15] != 0 {
+            return Err(FormatError::new("header: reserved byte", "0", head[15].to_string()));
+        }
+        Ok((header, header.sizes().iter().map(|(_, size)| size).sum()))
+    })?;
+    let mut rest = rest.as_slice();
+    let attributes = header.sizes().map(|(_, size)| {
+        // As long as their sum.
+        let (attribute, after) = rest.split_at(size);
+        rest = after;
+        attribute.to_vec()
+    });
+    Ok(Packed::of(header, attributes))
+}
+
+/// Version 4.
+fn current(bytes: &[u8]) -> Result<Packed, FormatError> {
+    let wrong = |part: &str, expected: String, found: String| Err(FormatError::new(part, expected, found));
+    if bytes.len() < HEADER {
+        return wrong("header", format!("{HEADER} bytes"), bytes.len().to_string());
+    }
+    let header = Header::read(bytes, [4, 4], bytes.len())?;
+    let table = bytes[16..].first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
+    if table != HEADER || bytes[20..HEADER] != [0; 12] {
+        return wrong("header: table", "it at byte 32, and zeros between".into(), format!("it at {table}"));
+    }
+    let sizes = header.sizes();
+    let streams = sizes.iter().filter(|(_, size)| *size > 0).count();
+    if usize::from(bytes[15]) != streams {
+        return wrong("header: streams", streams.to_string(), bytes[15].to_string());
+    }
+    let Some((table, mut rest)) = bytes[HEADER..].split_at_checked(16 * streams) else {
+        return wrong("table", format!("{streams} entries of 16 bytes"), format!("{} bytes", bytes.len() - HEADER));
+    };
+    let mut entries = table.chunks_exact(16);
+    let mut attributes: [Vec<u8>; 6] = Default::default();
+    for ((name, size), attribute) in sizes.into_iter().zip(&mut attributes).filter(|((_, size), _)| *size > 0) {
+        // One for each that is not empty.
+        let entry = entries.next().unwrap_or(&[0; 16]);
+        let [compressed, whole] = [0, 8].map(|at| entry[at..].first_chunk().map_or(0, |b| u64::from_le_bytes(*b)));
+        if whole != size as u64 {
+            return wrong(name, format!("{size} bytes"), whole.to_string());
+        }
+        let compressed = usize::try_from(compressed).unwrap_or(usize::MAX);
+        let Some((frame, after)) = rest.split_at_checked(compressed) else {
+            return wrong(name, format!("{compressed} bytes in the file"), format!("{} bytes", rest.len()));
+        };
+        rest = after;
+        *attribute = zstd(name, frame, size)?;
+    }
+    if !rest.is_empty() {
+        return wrong("file", "its end after the last stream".into(), format!("{} more bytes", rest.len()));
+    }
+    Ok(Packed::of(header, attributes))
+}
+
+impl Packed {
+    fn of(header: Header, attributes: [Vec<u8>; 6]) -> Packed {
+        let [positions, alphas, colours, scales, rotations, harmonics] = attributes;
+        Packed { header, positions, alphas, colours, scales, rotations, harmonics }
+    }
+}

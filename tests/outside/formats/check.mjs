@@ -1,0 +1,159 @@
+// node check.mjs STREAMSPLAT FOLDER: a scene of our own making goes to SPZ and back through both programs.
+import assert from 'node:assert/strict';
+import { execFileSync } from 'node:child_process';
+import { readFileSync, writeFileSync } from 'node:fs';
+import create from '@adobe/spz';
+
+const [streamsplat, folder] = process.argv.slice(2);
+const spz = await create();
+const file = (name) => `${folder}/${name}`;
+const run = (...words) => execFileSync(streamsplat, [...words, '--quiet'], { stdio: ['ignore', 'ignore', 'inherit'] });
+
+const COUNT = 3000;
+const names = (degree) => [
+  ...'x y z nx ny nz f_dc_0 f_dc_1 f_dc_2'.split(' '),
+  ...Array.from({ length: 3 * ((degree + 1) ** 2 - 1) }, (_, i) => `f_rest_${i}`),
+  ...'opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3'.split(' '),
+];
+
+/** A scene in the columns of PLY, from a generator of its own. */
+function scene(degree) {
+  let state = 12345 + degree;
+  const next = () => {
+    state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
+    return state / 2 ** 32;
+  };
+  const range = { x: 8, y: 8, z: 8, opacity: 10, f_dc_0: 3, f_dc_1: 3, f_dc_2: 3 };
+  return Object.fromEntries(names(degree).map((name) => {
+    const value = name.startsWith('n') ? () => 0
+      : name.startsWith('scale') ? () => -9 + 10 * next()
+      : name.startsWith('f_rest') ? () => 1.8 * (next() - 0.5)
+      : () => (range[name] ?? 2) * (next() - 0.5);
+    return [name, Float32Array.from({ length: COUNT }, value)];
+  }));
+}
+
+function writePly(path, columns) {
+  const keys = Object.keys(columns);
+  const header = `ply\nformat binary_little_endian 1.0\nelement vertex ${COUNT}\n`
+    + keys.map((key) => `property float ${key}\n`).join('') + 'end_header\n';
+  const body = new Float32Array(COUNT * keys.length);
+  keys.forEach((key, k) => columns[key].forEach((value, i) => { body[i * keys.length + k] = value; }));
+  writeFileSync(path, Buffer.concat([Buffer.from(header), Buffer.from(body.buffer)]));
+}
+
+function readPly(path) {
+  const bytes = readFileSync(path);
+  const end = bytes.indexOf('end_header\n') + 11;
+  const keys = [...bytes.subarray(0, end).toString().matchAll(/property float (\w+)/g)].map((match) => match[1]);
+  const values = new Float32Array(Uint8Array.from(bytes.subarray(end)).buffer);
+  assert.equal(values.length, COUNT * keys.length);
+  return Object.fromEntries(keys.map((key, k) => [key, values.filter((_, i) => i % keys.length === k)]));
+}
+
+/** The reference's arrays as columns of PLY. */
+function columns(cloud) {
+  assert.equal(cloud.numPoints, COUNT);
+  const rest = (cloud.shDegree + 1) ** 2 - 1;
+  const pick = (array, width, at) => Float32Array.from({ length: COUNT }, (_, i) => array[i * width + at]);
+  const place = {
+    x: ['positions', 3, 0], y: ['positions', 3, 1], z: ['positions', 3, 2], opacity: ['alphas', 1, 0],
+    rot_0: ['rotations', 4, 3], rot_1: ['rotations', 4, 0], rot_2: ['rotations', 4, 1], rot_3: ['rotations', 4, 2],
+  };
+  for (let i = 0; i < 3; i++) {
+    place[`f_dc_${i}`] = ['colors', 3, i];
+    place[`scale_${i}`] = ['scales', 3, i];
+    for (let k = 0; k < rest; k++) place[`f_rest_${i * rest + k}`] = ['sh', 3 * rest, 3 * k + i];
+  }
+  return Object.fromEntries(names(cloud.shDegree).map((name) => {
+    const [key, width, at] = place[name] ?? [];
+    return [name, key ? pick(cloud[key], width, at) : new Float32Array(COUNT)];
+  }));
+}
+
+/** The other way. */
+function cloud(columns, degree) {
+  const rest = (degree + 1) ** 2 - 1;
+  const join = (keys) => Float32Array.from({ length: COUNT * keys.length }, (_, i) => columns[keys[i % keys.length]][Math.floor(i / keys.length)]);
+  const sh = Array.from({ length: 3 * rest }, (_, i) => `f_rest_${(i % 3) * rest + Math.floor(i / 3)}`);
+  return {
+    numPoints: COUNT, shDegree: degree, antialiased: false, extensions: [],
+    positions: join(['x', 'y', 'z']), scales: join(['scale_0', 'scale_1', 'scale_2']),
+    rotations: join(['rot_1', 'rot_2', 'rot_3', 'rot_0']), alphas: join(['opacity']),
+    colors: join(['f_dc_0', 'f_dc_1', 'f_dc_2']), sh: join(sh),
+  };
+}
+
+/** Opacities, and rotations of length 1: what can be compared. */
+function comparable(columns) {
+  const out = { ...columns, opacity: columns.opacity.map((x) => 1 / (1 + Math.exp(-x))) };
+  const keys = ['rot_0', 'rot_1', 'rot_2', 'rot_3'];
+  keys.forEach((key) => { out[key] = new Float32Array(COUNT); });
+  for (let i = 0; i < COUNT; i++) {
+    const q = keys.map((key) => columns[key][i]);
+    const length = Math.hypot(...q);
+    keys.forEach((key, k) => { out[key][i] = q[k] / length; });
+  }
+  return out;
+}
+
+function compare(what, found, expected, steps) {
+  const [a, b] = [comparable(found), comparable(expected)];
+  const turns = ['rot_0', 'rot_1', 'rot_2', 'rot_3'];
+  for (let i = 0; i < COUNT; i++) {
+    // Opposite quaternions are the same rotation.
+    const cosine = turns.reduce((sum, key) => sum + a[key][i] * b[key][i], 0);
+    if (cosine < 0) turns.forEach((key) => { a[key][i] = -a[key][i]; });
+  }
+  for (const name of Object.keys(b)) {
+    const step = steps(name);
+    let worst = 0;
+    for (let i = 0; i < COUNT; i++) worst = Math.max(worst, Math.abs(a[name][i] - b[name][i]));
+    assert(worst <= step, `${what}: ${name}: expected at most ${step}, found ${worst}`);
+  }
+}
+
+/** Half a step of the format, and a little. */
+const format = (version) => (name) => 1.01 * (
+  /^[xyz]$/.test(name) ? 0.5 / 4096
+  : name.startsWith('f_dc') ? 0.5 / 255 / 0.15
+  : name.startsWith('f_rest') ? 1 / 16
+  : name.startsWith('scale') ? 0.5 / 16
+  // The largest component follows from the others: its error is theirs, and more where they are large. Opacities of 0 and 1 are brought in by a step.
+  : name.startsWith('rot') ? (version === 2 ? 0.09 : 0.005) : 1 / 255);
+const same = () => 2e-6;
+const rdf = { to: spz.CoordinateSystem.RDF };
+
+for (const degree of [0, 1, 2, 3]) {
+  const original = scene(degree);
+  writePly(file('scene.ply'), original);
+  run('export', file('scene.ply'), '--format', 'ply', '--out', file('again.ply'));
+  assert(readFileSync(file('again.ply')).equals(readFileSync(file('scene.ply'))), 'PLY to PLY');
+
+  // What we write, the reference reads.
+  run('export', file('scene.ply'), '--format', 'spz', '--out', file('ours.spz'));
+  const read = columns(spz.loadSpzFromBuffer(readFileSync(file('ours.spz')), rdf));
+  compare(`ours at degree ${degree}`, read, original, format(4));
+  // And we read it as the reference does.
+  run('export', file('ours.spz'), '--format', 'ply', '--out', file('ours.ply'));
+  compare(`ours at degree ${degree}, by both`, readPly(file('ours.ply')), read, same);
+
+  // What the reference writes, we read as it does.
+  const theirs = [];
+  for (const version of [4, 3, 2]) {
+    const options = { version, from: spz.CoordinateSystem.RDF, sh1Bits: 5, shRestBits: 4 };
+    const bytes = spz.saveSpzToBuffer(cloud(original, degree), options);
+    theirs.push(bytes.length);
+    writeFileSync(file('theirs.spz'), bytes);
+    run('export', file('theirs.spz'), '--format', 'ply', '--out', file('theirs.ply'));
+    const expected = columns(spz.loadSpzFromBuffer(bytes, rdf));
+    compare(`version ${version} at degree ${degree}`, readPly(file('theirs.ply')), expected, same);
+    compare(`version ${version} at degree ${degree}, of the original`, readPly(file('theirs.ply')), original, format(version));
+    // Where both round, they round alike but for halves.
+    if (version === 4) {
+      const differ = Object.keys(read).map((name) => read[name].filter((x, i) => Math.abs(x - expected[name][i]) > 1e-5).length);
+      assert(Math.max(...differ) <= COUNT / 500, `degree ${degree}: ${differ} values rounded otherwise`);
+    }
+  }
+  console.log(`degree ${degree}: ours ${readFileSync(file('ours.spz')).length} bytes, the reference's ${theirs.join(', ')} (versions 4, 3, 2)`);
+}
