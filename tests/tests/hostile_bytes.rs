@@ -56,6 +56,9 @@ targets! {
     no_bytes_break_the_readers_of_images: "image";
     no_bytes_break_the_readers_of_depth_maps: "depth_map";
     no_bytes_break_the_reader_of_splats: "splat";
+    no_bytes_break_the_reader_of_ply_files: "ply";
+    no_bytes_break_the_reader_of_spz_files: "spz";
+    no_bytes_break_the_reader_of_containers: "container";
 }
 
 #[test]

@@ -5,9 +5,10 @@ use std::io::Cursor;
 use image::{DynamicImage, ImageFormat};
 use safetensors::tensor::{Dtype, TensorView};
 use streamsplat::fit::Placement;
-use streamsplat::openexr;
-use streamsplat::scene::to_safetensors;
+use streamsplat::scene::{ContainerWriter, from_safetensors, to_safetensors};
+use streamsplat::still::Still;
 use streamsplat::stream::{Handover, Interval, Merge, Record, Reference, Workers};
+use streamsplat::{export, openexr};
 use streamsplat_kernels::Level;
 
 /// What the shapes of [`model`] cannot say.
@@ -248,4 +249,76 @@ pub(super) fn splat() -> Vec<Vec<u8>> {
         safetensors::serialize(views, None).expect("a file")
     };
     vec![file(false), file(true)]
+}
+
+/// A few Gaussians with harmonics of a degree.
+fn still(degree: usize) -> Still {
+    let value = |i: usize, k: usize| ((i * 37 + k * 11) % 101) as f32 / 101.0;
+    let count = 3;
+    let rest = (degree + 1) * (degree + 1) - 1;
+    Still {
+        mean: (0..count).map(|i| [value(i, 0) - 0.5, value(i, 1) - 0.5, 1.0 + value(i, 2)]).collect(),
+        log_scale: (0..count).map(|i| std::array::from_fn(|k| -3.0 + value(i, 3 + k))).collect(),
+        rotation: (0..count).map(|i| std::array::from_fn(|k| value(i, 6 + k) - 0.4)).collect(),
+        logit: (0..count).map(|i| 4.0 * value(i, 10) - 1.0).collect(),
+        base: (0..count).map(|i| std::array::from_fn(|k| value(i, 11 + k))).collect(),
+        degree,
+        higher: (0..count * 3 * rest).map(|i| value(i, 14) - 0.5).collect(),
+    }
+}
+
+pub(super) fn ply() -> Vec<Vec<u8>> {
+    let files: Vec<Vec<u8>> = (0..=3).map(|degree| export::still::ply(&still(degree))).collect();
+    // As text, and in the other byte order.
+    let end = files[0].windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
+    let header = String::from_utf8_lossy(&files[0][..end]);
+    let values = files[0][end..].as_chunks::<4>().0;
+    let mut text = header.replace("binary_little_endian", "ascii");
+    for vertex in values.chunks(17) {
+        let words: Vec<String> = vertex.iter().map(|b| f32::from_le_bytes(*b).to_string()).collect();
+        text += &(words.join(" ") + "\n");
+    }
+    let mut big = header.replace("little", "big").into_bytes();
+    values.iter().for_each(|b| big.extend(b.iter().rev()));
+    [files, vec![text.into_bytes(), big]].concat()
+}
+
+pub(super) fn spz() -> Vec<Vec<u8>> {
+    let mut files: Vec<Vec<u8>> = (0..=3).map(|degree| export::still::spz(&still(degree))).collect();
+    // Versions 2 and 3, whose attributes follow the header in one gzip stream: here in stored blocks, so that mutations reach them.
+    for (version, bytes) in [(2_u32, 19), (3, 20)] {
+        let attributes: Vec<u8> = (0..3 * bytes).map(|i| (i * 53 % 251) as u8).collect();
+        let content =
+            [&b"NGSP"[..], &version.to_le_bytes(), &3_u32.to_le_bytes(), &[0, 12, 0, 0], &attributes].concat();
+        files.push(gzip_stored(&content));
+    }
+    files
+}
+
+/// A gzip file whose one block is stored.
+fn gzip_stored(content: &[u8]) -> Vec<u8> {
+    let len = content.len() as u16;
+    let crc = content.iter().fold(u32::MAX, |crc, byte| {
+        (0..8).fold(crc ^ u32::from(*byte), |crc, _| (crc >> 1) ^ (0xedb8_8320 & (crc & 1).wrapping_neg()))
+    });
+    let head = [0x1f, 0x8b, 8, 0, 0, 0, 0, 0, 0, 255, 1];
+    let sizes = [len.to_le_bytes(), (!len).to_le_bytes()].concat();
+    [&head[..], &sizes, content, &(!crc).to_le_bytes(), &u32::from(len).to_le_bytes()].concat()
+}
+
+pub(super) fn container() -> Vec<Vec<u8>> {
+    let placement = Placement { source: [9, 16], model: [18, 32], offset: [0, 0], content: [18, 32] };
+    let workers = Workers::new(Level::scalar(), 1).expect("a thread starts");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("seed.ssz");
+    let mut writer = ContainerWriter::create(&path, 24.0).expect("writable");
+    for (k, bytes) in interval().iter().enumerate() {
+        let mut interval = from_safetensors(bytes, placement, workers.clone()).expect("a seed");
+        (interval.start, interval.end) = (k as f64, k as f64 + 1.0);
+        writer.push(&interval).expect("writable");
+        (interval.start, interval.end) = (k as f64 + 1.0, k as f64 + 1.0);
+        writer.push(&interval).expect("writable");
+    }
+    writer.finish().expect("writable").expect("intervals");
+    vec![std::fs::read(&path).expect("just written")]
 }

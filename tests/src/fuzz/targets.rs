@@ -4,13 +4,15 @@ use std::io::Cursor;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use streamsplat::camera::file;
+use streamsplat::camera::{Pose, file};
 use streamsplat::fit::Placement;
-use streamsplat::scene::{Index, from_safetensors, to_safetensors};
+use streamsplat::render::Painter;
+use streamsplat::scene::{Index, from_safetensors, intervals_from_container, to_safetensors};
 use streamsplat::source::{decode, y4m::Y4m};
 use streamsplat::splats::Splats;
+use streamsplat::still::{Drawable, Still};
 use streamsplat::stream::Workers;
-use streamsplat::{Camera, Image, RenderOptions, Size, depth};
+use streamsplat::{Camera, Image, RenderOptions, Size, depth, export, import};
 use streamsplat_kernels::{Level, raster};
 use streamsplat_model::checkpoint::Checkpoint;
 use streamsplat_model::inspect::inspect_parts;
@@ -133,6 +135,52 @@ pub(super) fn splat(bytes: &[u8]) {
         .each_ref()
         .map(|w| w.install(|| raster::render(w.level(), &splats.gaussians(), &splats.projection, &request)));
     assert_same_finite(&a, &b);
+}
+
+/// A PLY file: what was read is written as a file that reads the same, and drawn.
+pub(super) fn ply(bytes: &[u8]) {
+    let Ok(still) = import::ply(bytes) else { return };
+    let file = export::still::ply(&still);
+    let again = import::ply(&file).expect("what was written can be read");
+    assert!(export::still::ply(&again) == file);
+    draw_still(still);
+}
+
+/// An SPZ file.
+pub(super) fn spz(bytes: &[u8]) {
+    let Ok(still) = import::spz(bytes) else { return };
+    let again = import::spz(&export::still::spz(&still)).expect("what was written can be read");
+    assert!(again.len() <= still.len() && again.uneven().is_none());
+    draw_still(still);
+}
+
+/// A still scene, on two levels.
+fn draw_still(still: Still) {
+    let camera = Camera::pinhole(Pose::default(), 60.0, 1.5).expect("a lens");
+    let options = RenderOptions {
+        size: Size::Exact { width: 12, height: 8 },
+        depth: true,
+        alpha: true,
+        statistics: true,
+        ..RenderOptions::default()
+    };
+    let [a, b] = WORKERS.each_ref().map(|workers| {
+        let scene = Drawable::new(still.clone(), workers).expect("even arrays");
+        Painter::new(workers).draw_still(&scene, &camera, &options).expect("a camera").clone()
+    });
+    assert_same_finite(&a, &b);
+}
+
+/// A compressed scene: every interval drawn on two levels.
+pub(super) fn container(bytes: &[u8]) {
+    let [a, b] = WORKERS.each_ref().map(|workers| intervals_from_container(bytes, workers));
+    let (Ok(a), Ok(b)) = (a, b) else { return };
+    let options = RenderOptions { size: Size::Exact { width: 13, height: 9 }, ..RenderOptions::default() };
+    for (a, b) in a.iter().zip(&b) {
+        assert!(a.gaussians.iter().all(|record| record.is_sound()));
+        let [a, b] = [a, b].map(|i| i.render(i.end, &Camera::Canonical, &options).expect("inside the interval"));
+        assert_same_finite(&a, &b);
+    }
 }
 
 /// Both images have the same bits, and no value that is not finite.
