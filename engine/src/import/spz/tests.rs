@@ -55,7 +55,8 @@ fn assert_close(found: &Still, expected: &Still, turn: f64) {
     near(found.mean.as_flattened(), expected.mean.as_flattened(), 0.501 / 4096.0, "mean");
     near(found.log_scale.as_flattened(), expected.log_scale.as_flattened(), 0.501 / 16.0, "scale");
     near(found.base.as_flattened(), expected.base.as_flattened(), 0.501 / 255.0 / 0.15, "base");
-    near(&found.higher, &expected.higher, 0.501 / 16.0 + 1e-6, "higher");
+    // Rounded twice, to a byte and to a bucket of 16.
+    near(&found.higher, &expected.higher, 1.0 / 16.0 + 0.501 / 128.0, "higher");
     let opacity = |logit: &[f32]| logit.iter().map(|x| 1.0 / (1.0 + (-x).exp())).collect::<Vec<f32>>();
     near(&opacity(&found.logit), &opacity(&expected.logit), 0.501 / 255.0, "opacity");
     for (a, b) in found.rotation.iter().zip(&expected.rotation) {
@@ -71,7 +72,8 @@ fn a_scene_comes_back_to_the_formats_precision_in_every_version() {
         let still = still(101, degree);
         assert_close(&spz(&export::still::spz(&still)).expect("version 4"), &still, 1e-5);
         assert_close(&spz(&old(&still, 3)).expect("version 3"), &still, 1e-5);
-        assert_close(&spz(&old(&still, 2)).expect("version 2"), &still, 1e-3);
+        // Its w is what x, y and z leave, which says little where it is small.
+        assert_close(&spz(&old(&still, 2)).expect("version 2"), &still, 1e-2);
     }
     assert_eq!(spz(&export::still::spz(&Still::default())), Ok(Still::default()));
 }
