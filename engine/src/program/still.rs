@@ -78,6 +78,7 @@ pub fn render(
         task: Task::Render(Box::new(options)),
         seed: 0,
         model: None,
+        depth: None,
         input: InputRecord { path: absolute(&file.path), blake3: file.blake3, count: 1, size: [width, height], fps },
         complete,
         outputs: written,
