@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// Ordinary video in, a dynamic 3D Gaussian scene out, on CPUs, the same to the last bit everywhere.
 #[derive(Parser)]
-#[command(name = "streamsplat", version, arg_required_else_help = true)]
+#[command(name = "streamsplat", version = super::version::version(), arg_required_else_help = true)]
 pub struct Cli {
     #[command(subcommand)]
     pub command: Command,
@@ -43,6 +43,17 @@ pub enum Command {
     },
     /// Repeat what DIR/run.json describes; exit code 1 where a digest differs
     Verify(VerifyArgs),
+    /// Print the completions of a shell
+    Completions {
+        /// Which shell
+        shell: clap_complete::Shell,
+    },
+    /// The manual page
+    Man {
+        /// Write streamsplat.1 and a page per command into this folder instead of printing the first
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+    },
 }
 
 /// What is said while working.

@@ -18,6 +18,7 @@ mod inspect;
 mod keydepth;
 mod keyframes;
 mod machine;
+mod manual;
 mod memo;
 mod outputs;
 mod progress;
@@ -35,6 +36,7 @@ mod times;
 mod trace;
 mod track;
 mod verify;
+mod version;
 mod view;
 
 use std::io::Write;
@@ -74,6 +76,8 @@ pub fn main() -> ExitCode {
             return bench::command(arguments).unwrap_or_else(|failure| finish(Err(failure)));
         }
         Command::Verify(args) => verify::command(args, &cli.console),
+        Command::Completions { shell } => manual::completions(*shell),
+        Command::Man { out } => manual::man(out.as_deref()),
     })
 }
 
@@ -96,7 +100,8 @@ fn one_line(error: &clap::Error) -> String {
         words.remove(0);
     }
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-        let commands = "run, render, eval, forward, splat, inspect, export, track, view, bench, verify";
+        let commands =
+            "run, render, eval, forward, splat, inspect, export, track, view, bench, verify, completions, man";
         return format!("expected a command ({commands}); see streamsplat --help");
     }
     words.join(" ")

@@ -5,6 +5,7 @@ mod errors;
 mod export;
 #[cfg(unix)]
 mod hostile;
+mod manual;
 mod results;
 mod resume;
 mod still;

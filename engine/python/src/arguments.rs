@@ -1,0 +1,62 @@
+//! Arguments that are more than numbers: cameras, sizes, backgrounds, names.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use streamsplat::camera::{self, CameraPath};
+use streamsplat::{RenderOptions, Size};
+
+use crate::failure::{system, wrong};
+
+/// `text` as a `T`, or a `ValueError` that names the argument.
+pub fn choice<T: FromStr>(name: &str, text: &str) -> PyResult<T>
+where
+    T::Err: std::fmt::Display,
+{
+    text.parse().map_err(|e| wrong(format!("{name}: {e}")))
+}
+
+/// A camera: `None`, a dictionary in the JSON form of cameras, or the path of a file of that form.
+pub fn camera(value: Option<&Bound<'_, PyAny>>) -> PyResult<CameraPath> {
+    let Some(value) = value else { return Ok(CameraPath::default()) };
+    if let Ok(dictionary) = value.cast::<PyDict>() {
+        let text: String = value.py().import("json")?.call_method1("dumps", (dictionary,))?.extract()?;
+        return camera::file::parse(&text).map_err(wrong);
+    }
+    let file: PathBuf =
+        value.extract().map_err(|_| wrong("camera: expected None, a dictionary, or the path of a JSON file"))?;
+    let text = std::fs::read_to_string(&file).map_err(|e| system(format!("{}: {e}", file.display())))?;
+    camera::file::parse(&text).map_err(|e| wrong(format!("{}: {e}", file.display())))
+}
+
+/// What to draw, from `size` ("model", "source" or (width, height)) and `background` (grey, or red, green, blue).
+pub fn options(
+    size: Option<&Bound<'_, PyAny>>,
+    background: Option<&Bound<'_, PyAny>>,
+    depth: bool,
+    alpha: bool,
+) -> PyResult<RenderOptions> {
+    let mut options = RenderOptions { depth, alpha, ..RenderOptions::default() };
+    if let Some(size) = size {
+        options.size = match (size.extract::<String>().as_deref(), size.extract::<(usize, usize)>()) {
+            (Ok("model"), _) => Size::Model,
+            (Ok("source"), _) => Size::Source,
+            (_, Ok((width, height))) => Size::Exact { width, height },
+            _ => return Err(wrong(format!("size: expected 'model', 'source' or (width, height), found {size}"))),
+        };
+    }
+    if let Some(background) = background {
+        let colour = background.extract::<[f32; 3]>().or_else(|_| background.extract::<f32>().map(|grey| [grey; 3]));
+        options.background = match colour {
+            Ok(colour) if colour.iter().all(|c| (0.0..=1.0).contains(c)) => colour,
+            _ => {
+                return Err(wrong(format!(
+                    "background: expected a number or three, each from 0 to 1, found {background}"
+                )));
+            }
+        };
+    }
+    Ok(options)
+}

@@ -1,0 +1,68 @@
+//! NumPy arrays from the engine's memory, and frames from NumPy arrays.
+
+use numpy::ndarray::{ArrayView, ArrayView3, Dimension};
+use numpy::{Element, PyArray, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+
+use crate::failure::wrong;
+
+/// `view` as a read-only NumPy array that keeps `owner` alive.
+///
+/// # Safety
+/// `view` shows memory of `owner` that stays where it is and is not written to for as long as `owner` lives.
+pub unsafe fn borrowed<'py, T: Element, D: Dimension>(
+    view: &ArrayView<'_, T, D>,
+    owner: Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyArray<T, D>>> {
+    // SAFETY: the caller's promise; and nobody can write through an array that is not writeable.
+    let array = unsafe { PyArray::borrow_from_array(view, owner) };
+    array.call_method1("setflags", (false,))?;
+    Ok(array)
+}
+
+/// A frame's pixels as planes `[3, H, W]`, with its height and width.
+pub fn planes(frame: &Bound<'_, PyAny>) -> PyResult<(Vec<f32>, [usize; 2])> {
+    if let Ok(pixels) = frame.extract::<PyReadonlyArray3<'_, f32>>() {
+        return split(pixels.as_array(), |x| x);
+    }
+    if let Ok(pixels) = frame.extract::<PyReadonlyArray3<'_, u8>>() {
+        return split(pixels.as_array(), |x| f32::from(x) / 255.0);
+    }
+    Err(wrong(format!(
+        "frame: expected a NumPy array [height, width, 3] of uint8 or float32, found {}",
+        describe(frame)
+    )))
+}
+
+fn split<T: Copy>(pixels: ArrayView3<'_, T>, value: impl Fn(T) -> f32) -> PyResult<(Vec<f32>, [usize; 2])> {
+    let (height, width, channels) = pixels.dim();
+    if channels != 3 {
+        return Err(wrong(format!("frame: expected [height, width, 3], found [{height}, {width}, {channels}]")));
+    }
+    let planes = pixels.permuted_axes([2, 0, 1]);
+    Ok((planes.iter().map(|&x| value(x)).collect(), [height, width]))
+}
+
+/// A depth map `[H, W]`.
+pub fn depth(map: &Bound<'_, PyAny>, size: [usize; 2]) -> PyResult<Vec<f32>> {
+    let Ok(values) = map.extract::<PyReadonlyArray2<'_, f32>>() else {
+        return Err(wrong(format!(
+            "depth: expected a NumPy array [height, width] of float32, found {}",
+            describe(map)
+        )));
+    };
+    if values.shape() != size {
+        return Err(wrong(format!("depth: expected {size:?} as the frame, found {:?}", values.shape())));
+    }
+    Ok(values.as_array().iter().copied().collect())
+}
+
+/// What an argument is, for messages.
+fn describe(value: &Bound<'_, PyAny>) -> String {
+    let shape = value.getattr("shape").map(|s| s.to_string());
+    let dtype = value.getattr("dtype").map(|d| d.to_string());
+    match (shape, dtype) {
+        (Ok(shape), Ok(dtype)) => format!("{shape} of {dtype}"),
+        _ => value.get_type().to_string(),
+    }
+}

@@ -1,0 +1,123 @@
+//! The online loop for Python.
+
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use streamsplat::stream::{MaxAge, ModelSource};
+use streamsplat::{Frame, Settings};
+use streamsplat_kernels::Level;
+
+use crate::arguments::choice;
+use crate::arrays;
+use crate::failure::{failed, wrong};
+use crate::interval::Interval;
+
+/// Turns key frames into a dynamic scene, one interval per key frame.
+///
+/// What it keeps between key frames is bounded and independent of the stream's length. The arguments are the options of the
+/// command line under the same names; `threads` and `isa` change no bit of any result.
+#[pyclass(frozen, module = "streamsplat")]
+pub struct Engine {
+    inner: Mutex<streamsplat::Engine>,
+}
+
+impl Engine {
+    fn lock(&self) -> MutexGuard<'_, streamsplat::Engine> {
+        // A panic inside would leave the stream as it was before the frame.
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl Engine {
+    #[new]
+    #[pyo3(signature = (model=None, *, dinov2=None, fusion="persistent", max_age=None, fit="letterbox", depth_range="frame",
+        sampling="mean", seed=0, reuse="exact", precision="f32", isa="auto", threads=0))]
+    fn new(
+        py: Python<'_>,
+        model: Option<PathBuf>,
+        dinov2: Option<PathBuf>,
+        fusion: &str,
+        max_age: Option<u32>,
+        fit: &str,
+        depth_range: &str,
+        sampling: &str,
+        seed: u64,
+        reuse: &str,
+        precision: &str,
+        isa: &str,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let model = match (model, dinov2) {
+            (Some(checkpoint), dinov2) => ModelSource::File { checkpoint, dinov2 },
+            (None, None) => ModelSource::Embedded,
+            (None, Some(_)) => {
+                return Err(wrong("dinov2: expected a model beside it; the embedded one does not use it"));
+            }
+        };
+        let settings = Settings {
+            fusion: choice("fusion", fusion)?,
+            max_age: max_age.map_or_else(MaxAge::default, MaxAge),
+            fit: choice("fit", fit)?,
+            depth_range: choice("depth_range", depth_range)?,
+            sampling: choice("sampling", sampling)?,
+            seed,
+            reuse: choice("reuse", reuse)?,
+            precision: choice("precision", precision)?,
+            level: Some(Level::named(isa).map_err(|e| wrong(format!("isa: {e}")))?),
+            threads,
+            ..Settings::with_model(model)
+        };
+        let engine = py.detach(|| streamsplat::Engine::new(settings)).map_err(failed)?;
+        Ok(Self { inner: Mutex::new(engine) })
+    }
+
+    /// Takes the next key frame, `time` seconds into the video, and gives the interval it ends.
+    ///
+    /// `frame` is `[height, width, 3]`, uint8 or float32 in [0, 1]; `depth` is `[height, width]` float32, inverse depth of any scale.
+    /// The first frame gives its static scene, an interval of no length. After an error the stream is as it was before.
+    #[pyo3(signature = (frame, time, depth=None))]
+    fn push(
+        &self,
+        py: Python<'_>,
+        frame: &Bound<'_, PyAny>,
+        time: f64,
+        depth: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Interval> {
+        let (rgb, [height, width]) = arrays::planes(frame)?;
+        let depth = depth.map(|map| arrays::depth(map, [height, width])).transpose()?;
+        let frame = Frame { width, height, rgb, depth };
+        let interval = py.detach(|| self.lock().push(frame, time)).map_err(failed)?;
+        Ok(Interval::from(interval))
+    }
+
+    /// Work done and work avoided so far: `{stage: {"done", "avoided", "unit", "seconds"}}`.
+    #[getter]
+    fn work<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let work = py.detach(|| self.lock().work().clone());
+        let all = PyDict::new(py);
+        for stage in work.stages() {
+            let one = PyDict::new(py);
+            one.set_item("done", stage.done)?;
+            one.set_item("avoided", stage.avoided)?;
+            one.set_item("unit", stage.unit)?;
+            one.set_item("seconds", stage.time.as_secs_f64())?;
+            all.set_item(stage.stage, one)?;
+        }
+        Ok(all)
+    }
+
+    /// The instruction-set level at work.
+    #[getter]
+    fn isa(&self, py: Python<'_>) -> &'static str {
+        py.detach(|| self.lock().workers().level().name())
+    }
+
+    /// The number of threads at work.
+    #[getter]
+    fn threads(&self, py: Python<'_>) -> usize {
+        py.detach(|| self.lock().workers().threads())
+    }
+}

@@ -1,0 +1,26 @@
+//! Errors of the library as Python exceptions.
+
+use pyo3::PyErr;
+use pyo3::exceptions::{PyException, PyOSError, PyValueError};
+
+pyo3::create_exception!(
+    streamsplat,
+    Error,
+    PyException,
+    "What the engine cannot do: a broken file, a frame it cannot take, a time outside the scene. The message says what was expected and what was found."
+);
+
+/// The work failed.
+pub fn failed(error: impl std::fmt::Display) -> PyErr {
+    Error::new_err(error.to_string())
+}
+
+/// An argument is not what it can be.
+pub fn wrong(error: impl std::fmt::Display) -> PyErr {
+    PyValueError::new_err(error.to_string())
+}
+
+/// A file could not be written or read.
+pub fn system(error: impl std::fmt::Display) -> PyErr {
+    PyOSError::new_err(error.to_string())
+}

@@ -1,0 +1,176 @@
+//! Intervals and their Gaussians.
+
+use numpy::ndarray::{ArrayView1, ArrayView2};
+use numpy::{Element, PyArray1, PyArray2};
+use pyo3::prelude::*;
+use streamsplat::stream::DynamicGaussians;
+
+use crate::arguments;
+use crate::arrays::borrowed;
+use crate::failure::failed;
+use crate::image::Image;
+
+/// The scene from one key frame to the next, valid for good and independent of the engine that made it.
+#[pyclass(frozen, module = "streamsplat")]
+pub struct Interval {
+    pub inner: streamsplat::Interval,
+}
+
+impl From<streamsplat::Interval> for Interval {
+    fn from(inner: streamsplat::Interval) -> Self {
+        Self { inner }
+    }
+}
+
+#[pymethods]
+impl Interval {
+    /// The key frame at its end, from 0.
+    #[getter]
+    fn index(&self) -> u64 {
+        self.inner.index
+    }
+
+    /// Time of the key frame at its start, in seconds.
+    #[getter]
+    fn start(&self) -> f64 {
+        self.inner.start
+    }
+
+    /// Time of the key frame at its end, in seconds; equal to `start` for the first frame's static scene.
+    #[getter]
+    fn end(&self) -> f64 {
+        self.inner.end
+    }
+
+    /// Gaussians left out because a number of theirs was not finite.
+    #[getter]
+    fn dropped(&self) -> u64 {
+        self.inner.dropped
+    }
+
+    /// Identities that ended in others: pairs (identity, the one that goes on in its place).
+    #[getter]
+    fn merges(&self) -> Vec<(u64, u64)> {
+        self.inner.merges.iter().map(|m| (m.identity, m.into)).collect()
+    }
+
+    /// Its Gaussians.
+    #[getter]
+    fn gaussians(this: Bound<'_, Self>) -> Gaussians {
+        Gaussians { interval: this.unbind() }
+    }
+
+    fn __len__(&self) -> usize {
+        self.inner.gaussians.len()
+    }
+
+    fn __repr__(&self) -> String {
+        let streamsplat::Interval { index, start, end, gaussians, .. } = &self.inner;
+        format!("Interval(index={index}, start={start}, end={end}, gaussians={})", gaussians.len())
+    }
+
+    /// The scene at `time` seconds.
+    ///
+    /// `camera` is None (the source's own view), a dictionary in the JSON form of cameras, or the path of such a file; `size` is 'model', 'source' or
+    /// (width, height); `background` is a grey or a colour in [0, 1].
+    #[pyo3(signature = (time, camera=None, *, size=None, background=None, depth=false, alpha=false))]
+    pub fn render(
+        &self,
+        py: Python<'_>,
+        time: f64,
+        camera: Option<&Bound<'_, PyAny>>,
+        size: Option<&Bound<'_, PyAny>>,
+        background: Option<&Bound<'_, PyAny>>,
+        depth: bool,
+        alpha: bool,
+    ) -> PyResult<Image> {
+        let camera = arguments::camera(camera)?.at(time);
+        let options = arguments::options(size, background, depth, alpha)?;
+        py.detach(|| self.inner.render(time, &camera, &options)).map(Image::from).map_err(failed)
+    }
+
+    /// What shows most at a pixel (column, row) of the source's frame: (identity, index, weight, world position), or None where nothing is drawn.
+    fn pick(&self, py: Python<'_>, time: f64, pixel: [f64; 2]) -> PyResult<Option<(u64, usize, f64, [f32; 3])>> {
+        let picked = py.detach(|| self.inner.pick(time, pixel)).map_err(failed)?;
+        Ok(picked.map(|p| (p.identity, p.index, p.weight, p.position)))
+    }
+}
+
+/// The Gaussians of an interval, one read-only array per property, in drawing order. The arrays show the interval's own memory.
+#[pyclass(frozen, module = "streamsplat")]
+pub struct Gaussians {
+    interval: Py<Interval>,
+}
+
+impl Gaussians {
+    fn records(&self) -> &DynamicGaussians {
+        &self.interval.get().inner.gaussians
+    }
+
+    fn column<'py, T: Element>(&self, py: Python<'py>, values: &[T]) -> PyResult<Bound<'py, PyArray1<T>>> {
+        // SAFETY: `values` belongs to the interval, which is frozen: nothing moves or writes it while it lives.
+        unsafe { borrowed(&ArrayView1::from(values), self.interval.bind(py).clone().into_any()) }
+    }
+
+    fn table<'py, T: Element, const K: usize>(
+        &self,
+        py: Python<'py>,
+        values: &[[T; K]],
+    ) -> PyResult<Bound<'py, PyArray2<T>>> {
+        // SAFETY: as in `column`.
+        unsafe { borrowed(&ArrayView2::from(values), self.interval.bind(py).clone().into_any()) }
+    }
+}
+
+/// Getters that show one array each.
+macro_rules! arrays {
+    ($($(#[doc = $doc:literal])+ $name:ident: $how:ident -> $kind:ty;)+) => {
+        #[pymethods]
+        impl Gaussians {
+            fn __len__(&self) -> usize {
+                self.records().len()
+            }
+
+            /// Which end of the interval `mean` and `opacity` belong to, uint8 [N]: 0 its start, 1 its end. A copy.
+            #[getter]
+            fn reference<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u8>> {
+                PyArray1::from_iter(py, self.records().reference.iter().map(|&r| r as u8))
+            }
+
+            /// uint8 [N]: 0 stays, 1 fades in after the start, 2 fades out before the end. A copy.
+            #[getter]
+            fn handover<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u8>> {
+                PyArray1::from_iter(py, self.records().handover.iter().map(|&h| h as u8))
+            }
+
+            $($(#[doc = $doc])+
+            #[getter]
+            fn $name<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, $kind>> {
+                self.$how(py, &self.records().$name)
+            })+
+        }
+    };
+}
+
+arrays! {
+    /// Position at the reference time, float32 [N, 3]: x right, y normalised inverse depth, z up.
+    mean: table -> PyArray2<f32>;
+    /// World units per interval, float32 [N, 3].
+    velocity: table -> PyArray2<f32>;
+    /// The opacity's window in time, float32 [N, 2].
+    gamma: table -> PyArray2<f32>;
+    /// Opacity at the reference time, float32 [N].
+    opacity: column -> PyArray1<f32>;
+    /// Standard deviations along x and z, float32 [N, 2]; along y it is their mean.
+    scale: table -> PyArray2<f32>;
+    /// Display-space colour, float32 [N, 3].
+    rgb: table -> PyArray2<f32>;
+    /// Who it is, uint64 [N]: never reused within a stream.
+    identity: column -> PyArray1<u64>;
+    /// The key frame in which the identity was first seen, uint64 [N].
+    birth: column -> PyArray1<u64>;
+    /// The key frame that reconstructed the record, uint64 [N].
+    frame: column -> PyArray1<u64>;
+    /// From `mean` to the identity's tracked point, float32 [N, 3].
+    offset: table -> PyArray2<f32>;
+}

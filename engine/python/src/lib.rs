@@ -1,0 +1,40 @@
+//! `streamsplat._streamsplat`: the engine for Python.
+//!
+//! Arrays are NumPy's. Those that come out show the engine's own memory, read-only, without a copy; those that go in are read where
+//! they lie, whatever their strides. Whatever takes long runs without the interpreter's lock. Python code around it lies in `streamsplat/`.
+
+mod arguments;
+mod arrays;
+mod engine;
+mod failure;
+mod image;
+mod interval;
+mod scene;
+mod source;
+
+use pyo3::prelude::*;
+
+/// The extension module.
+#[pymodule]
+#[pyo3(name = "_streamsplat")]
+mod module {
+    use super::*;
+
+    #[pymodule_export]
+    use super::engine::Engine;
+    #[pymodule_export]
+    use super::failure::Error;
+    #[pymodule_export]
+    use super::image::Image;
+    #[pymodule_export]
+    use super::interval::{Gaussians, Interval};
+    #[pymodule_export]
+    use super::scene::{Scene, SceneWriter};
+    #[pymodule_export]
+    use super::source::Frames;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}

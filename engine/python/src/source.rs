@@ -1,0 +1,54 @@
+//! Videos as NumPy arrays.
+
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+
+use numpy::{IntoPyArray, PyArrayMethods};
+use pyo3::prelude::*;
+use streamsplat::source::{Options, Source};
+
+use crate::failure::failed;
+
+/// The frames of a video: pairs (frame, time), frame float32 [height, width, 3] in [0, 1], time in seconds.
+///
+/// `input` is a folder of images, an image, a .y4m file, or any video where an ffmpeg program is installed; decoded as the command line does.
+#[pyclass(frozen, module = "streamsplat")]
+pub struct Frames {
+    source: Mutex<Source>,
+    fps: f64,
+    count: Option<usize>,
+}
+
+#[pymethods]
+impl Frames {
+    #[new]
+    #[pyo3(signature = (input, *, fps=None))]
+    fn new(py: Python<'_>, input: PathBuf, fps: Option<f64>) -> PyResult<Self> {
+        let source = py.detach(|| Source::open(&input, &Options { fps })).map_err(failed)?;
+        let (fps, count) = (source.fps(), source.frames());
+        Ok(Self { source: Mutex::new(source), fps, count })
+    }
+
+    /// Frames per second.
+    #[getter]
+    fn fps(&self) -> f64 {
+        self.fps
+    }
+
+    /// How many frames there are, where that is known beforehand.
+    #[getter]
+    fn count(&self) -> Option<usize> {
+        self.count
+    }
+
+    fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        this
+    }
+
+    fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<(Bound<'py, PyAny>, f64)>> {
+        let next = py.detach(|| self.source.lock().unwrap_or_else(PoisonError::into_inner).next_frame());
+        let Some(frame) = next.map_err(failed)? else { return Ok(None) };
+        let planes = frame.picture.rgb.into_pyarray(py).reshape([3, frame.picture.height, frame.picture.width])?;
+        Ok(Some((planes.call_method1("transpose", (1, 2, 0))?, frame.timestamp)))
+    }
+}

@@ -1,0 +1,181 @@
+"""Types of the extension module."""
+
+import os
+from collections.abc import Iterator, Mapping
+from types import TracebackType
+from typing import Any, Literal, Self, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+type _Camera = Mapping[str, Any] | str | os.PathLike[str] | None
+type _Size = str | tuple[int, int]
+type _Background = float | tuple[float, float, float]
+
+__all__ = ["Engine", "Error", "Frames", "Gaussians", "Image", "Interval", "Scene", "SceneWriter", "__version__"]
+
+__version__: str
+
+class Error(Exception):
+    """What the engine cannot do; the message says what was expected and what was found."""
+
+@final
+class Engine:
+    """Turns key frames into a dynamic scene, one interval per key frame."""
+
+    def __new__(
+        cls,
+        model: str | os.PathLike[str] | None = None,
+        *,
+        dinov2: str | os.PathLike[str] | None = None,
+        fusion: Literal["persistent", "pairwise"] = "persistent",
+        max_age: int | None = None,
+        fit: Literal["letterbox", "stretch"] = "letterbox",
+        depth_range: Literal["frame", "given"] = "frame",
+        sampling: Literal["mean", "sample"] = "mean",
+        seed: int = 0,
+        reuse: str = "exact",
+        precision: Literal["f32", "bf16", "int8"] = "f32",
+        isa: Literal["auto", "scalar", "avx2", "avx512", "neon"] = "auto",
+        threads: int = 0,
+    ) -> Self: ...
+    def push(
+        self, frame: NDArray[np.uint8] | NDArray[np.float32], time: float, depth: NDArray[np.float32] | None = None
+    ) -> Interval:
+        """Takes the next key frame ([height, width, 3]) and gives the interval it ends."""
+    @property
+    def work(self) -> dict[str, dict[str, Any]]:
+        """Work done and avoided per stage."""
+    @property
+    def isa(self) -> str: ...
+    @property
+    def threads(self) -> int: ...
+
+@final
+class Interval:
+    """The scene from one key frame to the next."""
+
+    @property
+    def index(self) -> int: ...
+    @property
+    def start(self) -> float: ...
+    @property
+    def end(self) -> float: ...
+    @property
+    def dropped(self) -> int: ...
+    @property
+    def merges(self) -> list[tuple[int, int]]: ...
+    @property
+    def gaussians(self) -> Gaussians: ...
+    def __len__(self) -> int: ...
+    def render(
+        self,
+        time: float,
+        camera: _Camera = None,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+    ) -> Image:
+        """The scene at `time` seconds."""
+    def pick(self, time: float, pixel: tuple[float, float]) -> tuple[int, int, float, list[float]] | None:
+        """(identity, index, weight, world position) of what shows most at a pixel of the source's frame."""
+
+@final
+class Gaussians:
+    """The Gaussians of an interval: read-only arrays that show its memory."""
+
+    def __len__(self) -> int: ...
+    @property
+    def mean(self) -> NDArray[np.float32]: ...
+    @property
+    def velocity(self) -> NDArray[np.float32]: ...
+    @property
+    def gamma(self) -> NDArray[np.float32]: ...
+    @property
+    def opacity(self) -> NDArray[np.float32]: ...
+    @property
+    def scale(self) -> NDArray[np.float32]: ...
+    @property
+    def rgb(self) -> NDArray[np.float32]: ...
+    @property
+    def identity(self) -> NDArray[np.uint64]: ...
+    @property
+    def birth(self) -> NDArray[np.uint64]: ...
+    @property
+    def frame(self) -> NDArray[np.uint64]: ...
+    @property
+    def offset(self) -> NDArray[np.float32]: ...
+    @property
+    def reference(self) -> NDArray[np.uint8]: ...
+    @property
+    def handover(self) -> NDArray[np.uint8]: ...
+
+@final
+class Image:
+    """A drawn image: read-only arrays that show its memory."""
+
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+    @property
+    def dropped(self) -> int: ...
+    @property
+    def rgb(self) -> NDArray[np.float32]: ...
+    @property
+    def depth(self) -> NDArray[np.float32] | None: ...
+    @property
+    def alpha(self) -> NDArray[np.float32] | None: ...
+    def png(self) -> bytes: ...
+    def save(self, path: str | os.PathLike[str]) -> None: ...
+
+@final
+class Frames:
+    """The frames of a video: pairs (frame, time)."""
+
+    def __new__(cls, input: str | os.PathLike[str], *, fps: float | None = None) -> Self: ...
+    @property
+    def fps(self) -> float: ...
+    @property
+    def count(self) -> int | None: ...
+    def __iter__(self) -> Iterator[tuple[NDArray[np.float32], float]]: ...
+    def __next__(self) -> tuple[NDArray[np.float32], float]: ...
+
+@final
+class Scene:
+    """A scene on disk; its intervals are read when they are asked for."""
+
+    def __new__(cls, path: str | os.PathLike[str], *, isa: str = "auto", threads: int = 0) -> Self: ...
+    @property
+    def fps(self) -> float: ...
+    @property
+    def span(self) -> tuple[float, float]: ...
+    @property
+    def times(self) -> list[tuple[float, float]]: ...
+    def __len__(self) -> int: ...
+    def __getitem__(self, i: int, /) -> Interval: ...
+    def at(self, time: float) -> Interval: ...
+    def render(
+        self,
+        time: float,
+        camera: _Camera = None,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+    ) -> Image: ...
+
+@final
+class SceneWriter:
+    """Writes a scene while it grows."""
+
+    def __new__(cls, path: str | os.PathLike[str], fps: float) -> Self: ...
+    def push(self, interval: Interval) -> None: ...
+    def finish(self) -> None: ...
+    def __enter__(self) -> Self: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> bool: ...
