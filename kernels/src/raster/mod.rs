@@ -44,11 +44,13 @@
 
 mod bin;
 mod blend;
+mod lists;
 mod project;
 pub mod reference;
 mod renderer;
 mod sort;
 
+pub use lists::{Footprint, Lists, TILE_PIXELS};
 pub use renderer::{Renderer, Work};
 
 use crate::level::Level;

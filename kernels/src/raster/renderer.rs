@@ -51,22 +51,24 @@ pub struct Renderer {
     level: Level,
     /// What the last image was of; `None` before the first.
     last: Option<Last>,
-    splats: Vec<Splat>,
+    pub(super) splats: Vec<Splat>,
     /// Entries per chunk of Gaussians and tile; later where each chunk's entries of a tile start.
     counts: Vec<u32>,
     /// Where a tile's list starts; one more than tiles.
-    starts: Vec<u32>,
-    entries: Vec<Entry>,
+    pub(super) starts: Vec<u32>,
+    pub(super) entries: Vec<Entry>,
+    /// Where each Gaussian's footprint lies, when lists are made for a blend elsewhere.
+    pub(super) places: Vec<u32>,
     dirty: Vec<AtomicBool>,
     order: Vec<u32>,
     scratch: Vec<Scratch>,
     image: Image,
-    work: Work,
+    pub(super) work: Work,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Last {
-    view: View,
+pub(super) struct Last {
+    pub(super) view: View,
     request: Request,
     gaussians: usize,
 }
@@ -91,6 +93,7 @@ impl Renderer {
             counts: Vec::new(),
             starts: Vec::new(),
             entries: Vec::new(),
+            places: Vec::new(),
             dirty: Vec::new(),
             order: Vec::new(),
             scratch: Vec::new(),
@@ -127,6 +130,28 @@ impl Renderer {
     /// # Panics
     /// As [`super::render`].
     pub fn render(&mut self, gaussians: &Gaussians<'_>, projection: &Projection, request: &Request) -> &Image {
+        let (now, grid) = self.begin(gaussians, projection, request);
+        let keep = self.last == Some(now);
+        let Last { view, request, .. } = now;
+        self.coarse(gaussians, &view, grid, keep);
+        let binned = Instant::now();
+        self.prepare_image(&request, keep);
+        let sorting = self.blend(&view, &request, grid);
+        let rest = binned.elapsed();
+        self.work.sort = rest.mul_f64(sorting);
+        self.work.blend = rest - self.work.sort;
+        self.image.dropped = self.work.dropped;
+        self.last = Some(now);
+        &self.image
+    }
+
+    /// Checks what is asked for and starts the account.
+    pub(super) fn begin(
+        &mut self,
+        gaussians: &Gaussians<'_>,
+        projection: &Projection,
+        request: &Request,
+    ) -> (Last, Grid) {
         gaussians.assert_equal_lengths();
         assert!(u32::try_from(gaussians.len()).is_ok(), "{} Gaussians, at most 2³² − 1", gaussians.len());
         assert!(
@@ -145,24 +170,19 @@ impl Renderer {
                 && gaussians.rotation.is_none_or(|r| r.par_chunks(1 << 14).all(|r| r.iter().all(is_identity))),
         };
         let now = Last { view, request, gaussians: gaussians.len() };
-        let keep = self.last == Some(now);
         let grid = Grid::new(request.width, request.height);
         self.work = Work { gaussians: gaussians.len() as u64, tiles: grid.len() as u64, ..Work::default() };
+        (now, grid)
+    }
+
+    /// Projects and bins.
+    pub(super) fn coarse(&mut self, gaussians: &Gaussians<'_>, view: &View, grid: Grid, keep: bool) {
         let start = Instant::now();
-        self.project(gaussians, &view, grid, keep);
+        self.project(gaussians, view, grid, keep);
         let projected = Instant::now();
         self.bin(grid, keep);
-        let binned = Instant::now();
-        self.prepare_image(&request, keep);
-        let sorting = self.blend(&view, &request, grid);
         self.work.project = projected - start;
-        self.work.bin = binned - projected;
-        let rest = binned.elapsed();
-        self.work.sort = rest.mul_f64(sorting);
-        self.work.blend = rest - self.work.sort;
-        self.image.dropped = self.work.dropped;
-        self.last = Some(now);
-        &self.image
+        self.work.bin = projected.elapsed();
     }
 
     fn chunk(&self) -> usize {

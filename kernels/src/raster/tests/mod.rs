@@ -5,6 +5,9 @@ use proptest::test_runner::RngSeed;
 
 use super::*;
 
+mod edges;
+mod lists;
+
 /// A scene that owns its Gaussians.
 #[derive(Clone, Debug, Default)]
 struct Scene {

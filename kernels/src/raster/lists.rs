@@ -1,0 +1,134 @@
+//! What comes before the blend, for a blend that runs elsewhere: footprints, and each tile's list in drawing order.
+
+use std::time::Instant;
+
+use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
+
+use super::bin::{Grid, TILE};
+use super::project::{BLOCK, Splat, split};
+use super::renderer::Renderer;
+use super::sort::by_depth;
+use super::{Gaussians, Projection, Request};
+use crate::parallel::Disjoint;
+
+/// Sides of a tile in pixels: across, down.
+pub const TILE_PIXELS: [usize; 2] = [TILE[0] * BLOCK, TILE[1] * BLOCK];
+
+/// A projected Gaussian that can change a pixel, in binary32 alone.
+///
+/// ```text
+/// α(x, y) = min(0.99, opacity · 2^−(s² + t²))     s = q·(y − v)     t = p·(x − m − k·(y − anchor))
+/// ```
+///
+/// with the centre's row v and the footprint's middle m on the row `anchor` each in two parts that add up: a whole number (where
+/// it is below 2²⁴ in size) and the rest. The anchor is the row of the image next to the centre: seen from it the footprint
+/// needs no more digits than binary32 has, however far away its centre is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Footprint {
+    /// m, the whole number and the rest.
+    pub middle: [f32; 2],
+    /// v, the whole number and the rest.
+    pub row: [f32; 2],
+    /// A row of the image.
+    pub anchor: f32,
+    /// k: columns per row.
+    pub slope: f32,
+    /// p: the inverse of the width on one row.
+    pub across: f32,
+    /// q: the inverse of the height.
+    pub down: f32,
+    /// Colour.
+    pub rgb: [f32; 3],
+    /// Opacity at the centre.
+    pub opacity: f32,
+    /// Depth of the centre.
+    pub depth: f32,
+    /// At least the exponent `s² + t²` at which α falls to 1/255.
+    pub reach: f32,
+    /// First and last column of 4×4 blocks that it can touch.
+    pub columns: [u16; 2],
+    /// First and last row of them.
+    pub rows: [u16; 2],
+}
+
+const _: () = assert!(size_of::<Footprint>() == 64);
+
+impl Footprint {
+    fn new(splat: &Splat, height: usize) -> Self {
+        let (u, v) = (f64::from(splat.x[0]) + f64::from(splat.x[1]), f64::from(splat.y[0]) + f64::from(splat.y[1]));
+        let anchor = v.round_ties_even().clamp(0.0, height as f64 - 1.0);
+        let (whole, rest) = split(u + splat.k * (anchor - v));
+        Self {
+            middle: [whole, rest],
+            row: splat.y,
+            anchor: anchor as f32,
+            slope: splat.k as f32,
+            across: splat.p,
+            down: splat.q,
+            rgb: splat.rgb,
+            opacity: splat.opacity,
+            depth: splat.depth,
+            reach: splat.reach,
+            columns: splat.columns,
+            rows: splat.rows,
+        }
+    }
+}
+
+/// Footprints and the lists of the image's tiles.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Lists {
+    /// Tiles across and down, of [`TILE_PIXELS`] each.
+    pub tiles: [usize; 2],
+    /// What can be seen, in the order of the Gaussians.
+    pub footprints: Vec<Footprint>,
+    /// Where each tile's list starts in `order`, row-major; one more than tiles.
+    pub starts: Vec<u32>,
+    /// Places in `footprints`, each tile's front to back (ties: lower index first).
+    pub order: Vec<u32>,
+}
+
+impl Renderer {
+    /// Projects, bins and sorts `gaussians` as [`Renderer::render`] does and leaves the blend to the caller; `to` is filled anew.
+    /// The next image starts from nothing. [`Renderer::work`] tells what this cost; nothing counts as drawn.
+    ///
+    /// The lists are the same for every level and number of threads.
+    ///
+    /// # Panics
+    /// As [`super::render`].
+    pub fn lists(&mut self, gaussians: &Gaussians<'_>, projection: &Projection, request: &Request, to: &mut Lists) {
+        self.forget();
+        let (now, grid) = self.begin(gaussians, projection, request);
+        self.coarse(gaussians, &now.view, grid, false);
+        let start = Instant::now();
+        self.sort_all(grid);
+        let height = request.height;
+        let visible = self.splats.iter().filter(|splat| !splat.is_hidden());
+        to.footprints.clear();
+        to.footprints.extend(visible.map(|splat| Footprint::new(splat, height)));
+        // Where each Gaussian's footprint went.
+        let mut next = 0;
+        self.places.clear();
+        self.places.extend(self.splats.iter().map(|splat| {
+            let place = next;
+            next += u32::from(!splat.is_hidden());
+            place
+        }));
+        let entries = &self.entries[..self.work.entries as usize];
+        entries.par_iter().map(|entry| self.places[entry.index as usize]).collect_into_vec(&mut to.order);
+        to.tiles = [grid.columns, grid.rows];
+        to.starts.clone_from(&self.starts);
+        self.work.sort = start.elapsed();
+    }
+
+    /// Sorts every tile's list.
+    fn sort_all(&mut self, grid: Grid) {
+        let (starts, entries) = (&self.starts, Disjoint::new(&mut self.entries));
+        (0..grid.len()).into_par_iter().for_each_init(Vec::new, |spare, tile| {
+            // SAFETY: lists of tiles do not overlap.
+            by_depth(unsafe { entries.part(starts[tile] as usize..starts[tile + 1] as usize) }, spare);
+        });
+    }
+}
