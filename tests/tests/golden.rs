@@ -8,7 +8,7 @@ use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
 use streamsplat_fixtures::clip::{Clip, Kind, Picture, write};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Image, render};
-use streamsplat_tests::digest::{Scene, things};
+use streamsplat_tests::digest::{scene, things};
 
 fn golden(name: &str) -> PathBuf {
     streamsplat_fixtures::path(&format!("golden/{name}"))
@@ -71,7 +71,7 @@ fn assert_golden(name: &str, image: &Image) {
 #[test]
 fn scenes_are_drawn_as_their_golden_images() {
     for name in ["predicted-t050", "perspective", "extreme"] {
-        let scene = Scene::read(name);
+        let scene = scene(name);
         for level in Level::available() {
             assert_golden(
                 &format!("{name}.png"),

@@ -1,21 +1,13 @@
 //! The rasteriser against a binary64 oracle written in Python from the same equations (`fixtures/oracle/raster.py`).
 
 use safetensors::SafeTensors;
+use streamsplat::splats::Splats;
 use streamsplat_kernels::Level;
-use streamsplat_kernels::raster::{Gaussians, Image, Projection, Request, reference, render};
-
-fn floats(file: &SafeTensors<'_>, name: &str) -> Vec<f32> {
-    let data = file.tensor(name).unwrap_or_else(|e| panic!("{name}: {e}")).data();
-    data.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect()
-}
+use streamsplat_kernels::raster::{Image, reference, render};
 
 fn doubles(file: &SafeTensors<'_>, name: &str) -> Vec<f64> {
     let data = file.tensor(name).unwrap_or_else(|e| panic!("{name}: {e}")).data();
     data.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().unwrap())).collect()
-}
-
-fn vectors<const N: usize>(values: &[f32]) -> Vec<[f32; N]> {
-    values.chunks_exact(N).map(|v| v.try_into().unwrap()).collect()
 }
 
 /// Largest error, and how many values are off by more than `tolerance`.
@@ -36,30 +28,9 @@ fn check(name: &str, tolerance: f64) {
     let path = streamsplat_fixtures::path(&format!("oracle/{name}.safetensors"));
     let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     let file = SafeTensors::deserialize(&bytes).unwrap();
-    let size: Vec<usize> = file
-        .tensor("size")
-        .unwrap()
-        .data()
-        .chunks_exact(4)
-        .map(|b| i32::from_le_bytes(b.try_into().unwrap()) as usize)
-        .collect();
-    let (mean, scale, rgb) = (
-        vectors::<3>(&floats(&file, "mean")),
-        vectors::<3>(&floats(&file, "scale")),
-        vectors::<3>(&floats(&file, "rgb")),
-    );
-    let (rotation, opacity) = (vectors::<4>(&floats(&file, "quat")), floats(&file, "opacity"));
-    let background = floats(&file, "background").try_into().unwrap();
-    let projection = match file.tensor("intrinsics") {
-        Ok(_) => {
-            let [fx, fy, cx, cy]: [f32; 4] = floats(&file, "intrinsics").try_into().unwrap();
-            Projection::Pinhole { focal: [fx, fy], centre: [cx, cy] }
-        }
-        Err(_) => Projection::Orthographic { focal: floats(&file, "focal").try_into().unwrap() },
-    };
-    let gaussians = Gaussians { mean: &mean, scale: &scale, rotation: Some(&rotation), opacity: &opacity, rgb: &rgb };
-    let request = Request { width: size[1], height: size[0], background, depth: true, alpha: true, statistics: true };
-    let pixels = size[0] * size[1];
+    let scene = Splats::from_safetensors(&bytes).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    let (gaussians, projection, request) = (scene.gaussians(), scene.projection, scene.request);
+    let pixels = request.width * request.height;
 
     let planes = ["out.rgb", "out.alpha", "out.final_T", "out.depth"].map(|plane| doubles(&file, plane));
     let assert_close = |what: &str, found: [Vec<f64>; 4], tolerance: f64| {

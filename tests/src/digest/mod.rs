@@ -8,7 +8,7 @@ mod network;
 mod splats;
 mod stream;
 
-pub use splats::Scene;
+pub use splats::scene;
 
 use rayon::ThreadPoolBuilder;
 use streamsplat_kernels::Level;
