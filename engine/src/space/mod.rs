@@ -5,8 +5,11 @@
 //! answered is decided box by box in binary64, so that every answer is the one that looking at all boxes would give, in
 //! ascending order, whatever the shape of the hierarchy.
 
+mod pick;
 #[cfg(test)]
 mod tests;
+
+pub use pick::{Hit, Picker, Ray, most_visible};
 
 use std::time::Duration;
 

@@ -176,6 +176,9 @@ impl Bins {
 }
 
 #[cfg(test)]
+mod by_tree;
+
+#[cfg(test)]
 mod tests {
     use super::*;
 

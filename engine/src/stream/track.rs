@@ -5,12 +5,12 @@
 //! identity it [merged](super::Merge) into where it ended in another. The point keeps its place relative to the motion, not
 //! to the Gaussians' lattice, so that motions smaller than a cell add up. A track is lost where the identity is gone.
 
-use streamsplat_kernels::math::f64::exp;
 use streamsplat_kernels::raster::Projection;
 
 use super::{Interval, Record, Reference};
 use crate::camera::Camera;
 use crate::render::{RenderError, Snapshot, View};
+use crate::space::{Hit, Picker, Ray, most_visible};
 
 /// A Gaussian at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,44 +57,42 @@ impl Interval {
     /// As [`Snapshot::of`].
     pub fn pick(&self, time: f64, pixel: [f64; 2]) -> Result<Option<Picked>, RenderError> {
         let seen = Snapshot::of(self, time)?;
+        let hit = most_visible(&seen, self.blur(), &self.ray(pixel));
+        Ok(hit.map(|hit| self.picked(&seen, time, pixel, hit)))
+    }
+
+    /// [`Interval::pick`] for many pixels at one time, in their order.
+    ///
+    /// # Errors
+    /// As [`Snapshot::of`].
+    pub fn pick_all(&self, time: f64, pixels: &[[f64; 2]]) -> Result<Vec<Option<Picked>>, RenderError> {
+        let picker = Picker::new(Snapshot::of(self, time)?, self.blur());
+        let pick = |&pixel: &[f64; 2]| {
+            let hit = picker.pick(&self.ray(pixel));
+            hit.map(|hit| self.picked(picker.snapshot(), time, pixel, hit))
+        };
+        Ok(pixels.iter().map(pick).collect())
+    }
+
+    fn picked(&self, seen: &Snapshot, time: f64, pixel: [f64; 2], hit: Hit) -> Picked {
         let [u, v] = self.project(pixel);
-        let focal = self.focal();
-        let mut hits: Vec<(f32, usize, f64)> = Vec::new();
-        for i in 0..seen.mean.len() {
-            let [x, y, z] = seen.mean[i];
-            let q: f64 = [(f64::from(x) - u, 0), (f64::from(y) - v, 1)]
-                .map(|(d, axis)| {
-                    let pixels = d * focal[axis];
-                    let sigma = f64::from(seen.scale[i][axis]) * focal[axis];
-                    pixels * pixels / (sigma * sigma + 0.3)
-                })
-                .iter()
-                .sum();
-            // Written so that what is not a number is no hit.
-            let alpha = (f64::from(seen.opacity[i]) * exp(-0.5 * q)).min(0.99);
-            if alpha >= 1.0 / 255.0 {
-                hits.push((z, i, alpha));
-            }
-        }
-        hits.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let (mut transmittance, mut best) = (1.0, None);
-        for (_, i, alpha) in hits {
-            if transmittance * (1.0 - alpha) < 1e-4 {
-                break;
-            }
-            let weight = alpha * transmittance;
-            transmittance -= weight;
-            if best.is_none_or(|(_, most)| weight > most) {
-                best = Some((i, weight));
-            }
-        }
-        Ok(best.map(|(i, weight)| {
-            let index = seen.index[i] as usize;
-            let record = self.gaussians.get(index);
-            let t = self.relative(time).unwrap_or_default();
-            let position = [u as f32, record.position_at(t)[1], -v as f32];
-            Picked { index, identity: record.identity, weight, position }
-        }))
+        let index = seen.index[hit.place as usize] as usize;
+        let record = self.gaussians.get(index);
+        let t = self.relative(time).unwrap_or_default();
+        let position = [u as f32, record.position_at(t)[1], -v as f32];
+        Picked { index, identity: record.identity, weight: hit.weight, position }
+    }
+
+    /// The ray of a pixel of the source's image.
+    fn ray(&self, pixel: [f64; 2]) -> Ray {
+        let [u, v] = self.project(pixel);
+        Ray { origin: [u as f32, v as f32, 0.0], direction: [0.0, 0.0, 1.0] }
+    }
+
+    /// What the pixel grid adds to the variances: 0.3 px².
+    fn blur(&self) -> [f64; 3] {
+        let [fx, fy] = self.focal();
+        [0.3 / (fx * fx), 0.3 / (fy * fy), 0.0]
     }
 
     /// Pixels per scene unit in an image of the source's size.

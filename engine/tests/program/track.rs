@@ -154,6 +154,21 @@ fn the_program_gives_the_librarys_track_of_a_run() {
 }
 
 #[test]
+fn many_points_picked_at_once_are_what_each_is_alone() {
+    let scratch = Scratch::new();
+    let out = scratch.path("out");
+    run_ok(&scratch.clip("clip", 3, 60, 30), &out, &["--quiet", "--fps", "10", "--gap", "2"]);
+    let scene = Scene::open(&out).expect("just written");
+    let interval = scene.interval(1, &workers()).expect("just written");
+    let pixels: Vec<[f64; 2]> = (0..200).map(|i| [f64::from(i % 20) * 3.3 - 1.0, f64::from(i / 20) * 3.1]).collect();
+    let all = interval.pick_all(0.13, &pixels).expect("inside");
+    assert!(all.iter().flatten().count() > 100);
+    for (pixel, picked) in pixels.iter().zip(all) {
+        assert_eq!(interval.pick(0.13, *pixel).expect("inside"), picked, "{pixel:?}");
+    }
+}
+
+#[test]
 fn points_and_times_that_are_none_are_wrong_use_and_an_empty_place_is_failed_work() {
     let scratch = Scratch::new();
     let folder = scene(&scratch, "scene", &[&[]]);
