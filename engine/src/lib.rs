@@ -50,6 +50,8 @@ pub mod splats;
 pub mod still;
 pub mod stream;
 pub mod view;
+#[cfg(feature = "wgpu")]
+pub mod wgpu;
 
 pub use camera::Camera;
 pub use render::{Image, RenderError, RenderOptions, Size};

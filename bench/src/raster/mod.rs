@@ -1,5 +1,7 @@
 //! `raster`: drawing whole scenes, redrawing after a change, and growth with the number of Gaussians.
 
+#[cfg(feature = "wgpu")]
+mod card;
 mod scenes;
 
 use std::process::Command;
@@ -7,6 +9,7 @@ use std::process::Command;
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use serde::{Deserialize, Serialize};
+use streamsplat::render::Backend;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::raster::{Renderer, Work, reference};
@@ -27,6 +30,9 @@ pub(crate) struct Options {
     /// Most Gaussians of the growth measurement (0: leave it out).
     #[arg(long, default_value_t = 10_000_000)]
     largest: usize,
+    /// What draws: cpu, or wgpu (compared with the CPU's images first; redrawing and growth are left out).
+    #[arg(long, default_value_t = Backend::Cpu)]
+    renderer: Backend,
     /// Measure one step of the growth measurement and print it (used by the command itself).
     #[arg(long, hide = true)]
     step: Option<usize>,
@@ -46,12 +52,33 @@ impl From<Seconds> for Milliseconds {
 }
 
 /// Milliseconds of each stage in the fastest run; sorting and blending share their threads' time.
-#[derive(Clone, Copy, Serialize)]
+#[derive(Clone, Copy, Serialize, Deserialize)]
 struct Stages {
     project: f64,
     bin: f64,
     sort: f64,
     blend: f64,
+}
+
+impl From<Work> for Stages {
+    fn from(work: Work) -> Self {
+        let ms = |d: std::time::Duration| d.as_secs_f64() * 1e3;
+        Self { project: ms(work.project), bin: ms(work.bin), sort: ms(work.sort), blend: ms(work.blend) }
+    }
+}
+
+impl Stages {
+    /// Time and share of each.
+    fn shown(&self) -> String {
+        let all = [self.project, self.bin, self.sort, self.blend];
+        let total = all.iter().sum::<f64>().max(1e-9);
+        all.map(|ms| format!("{ms:>8.2} {:>3.0}%", 100.0 * ms / total)).join(" ")
+    }
+
+    /// What stands above them.
+    fn heads() -> String {
+        ["project", "bin", "sort", "blend"].map(|head| format!("{head:>13}")).join(" ")
+    }
 }
 
 #[derive(Serialize)]
@@ -84,11 +111,14 @@ struct Growth {
     gaussians: usize,
     milliseconds: f64,
     peak_rss_bytes: u64,
+    stages: Stages,
 }
 
 #[derive(Serialize)]
 struct Results {
     machine: Machine,
+    /// What drew.
+    renderer: String,
     scenes: Vec<Row>,
     scaling: Vec<Growth>,
 }
@@ -102,26 +132,21 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         println!("{}", serde_json::to_string(&step)?);
         return Ok(());
     }
+    if options.renderer == Backend::Wgpu {
+        #[cfg(feature = "wgpu")]
+        return pool.install(|| card::run(options));
+        #[cfg(not(feature = "wgpu"))]
+        bail!("--renderer wgpu: expected a program built with the cargo feature wgpu, found one without");
+    }
     pool.install(|| {
         let wanted = |name: &str| name.contains(&options.only);
         let repeat = options.common.repeat.max(3);
         let mut rows = Vec::new();
-        println!(
-            "{:<20} {:>9}  {:>9}  {:>8} {:>8} {:>8}  {:>7} {:>7} {:>7} {:>7}  {:>7}",
-            "scene", "gaussians", "size", "min ms", "median", "max", "project", "bin", "sort", "blend", "error"
-        );
-        let whole: [(&str, fn() -> Scene); 3] = [
-            ("paper-grid", Scene::paper_grid),
-            ("anisotropic-720p", Scene::anisotropic_720p),
-            ("one-over-all", Scene::one_over_all),
-        ];
-        for (name, scene) in whole {
+        heads();
+        for (name, scene) in WHOLE {
             if wanted(name) {
-                rows.push(measure(level, name, &[scene()], false, repeat)?);
+                rows.push(measure(level, name, &[scene()?], false, repeat)?);
             }
-        }
-        if wanted("predicted") {
-            rows.push(measure(level, "predicted", &[Scene::predicted()?], false, repeat)?);
         }
         let choices: [(&str, fn(&Scene) -> Vec<usize>); 2] =
             [("moved-5pc", Scene::object), ("moved-5pc-scattered", Scene::scatter)];
@@ -136,8 +161,31 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         }
         let scaling = growth(options)?;
         let machine = Machine::new(level, (Precision::F32, 0.0));
-        options.common.write(&Results { machine, scenes: rows, scaling })
+        options.common.write(&Results { machine, renderer: options.renderer.to_string(), scenes: rows, scaling })
     })
+}
+
+/// Scenes that are drawn from nothing.
+const WHOLE: [(&str, fn() -> Result<Scene>); 4] = [
+    ("paper-grid", || Ok(Scene::paper_grid())),
+    ("anisotropic-720p", || Ok(Scene::anisotropic_720p())),
+    ("one-over-all", || Ok(Scene::one_over_all())),
+    ("predicted", Scene::predicted),
+];
+
+/// What stands above the rows.
+fn heads() {
+    println!(
+        "{:<20} {:>9}  {:>9}  {:>8} {:>8} {:>8}  {}  {:>7}",
+        "scene",
+        "gaussians",
+        "size",
+        "min ms",
+        "median",
+        "max",
+        Stages::heads(),
+        "error"
+    );
 }
 
 /// Draws the scenes in turn, `repeat` times over; from nothing each, or (`keep`) redrawing what changed from one to the next.
@@ -164,40 +212,43 @@ fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize
             }
         }
     }
-    let (scene, (_, work)) = (&scenes[0], best.context("nothing was drawn")?);
-    let ms = |d: std::time::Duration| d.as_secs_f64() * 1e3;
-    let row = Row {
-        name: name.to_owned(),
-        gaussians: scene.mean.len(),
-        size: [scene.request.width, scene.request.height],
-        milliseconds: Seconds::of(times).into(),
-        stages: Stages { project: ms(work.project), bin: ms(work.bin), sort: ms(work.sort), blend: ms(work.blend) },
-        work: Counts {
-            culled: work.culled,
-            changed: work.changed,
-            tiles: work.tiles,
-            tiles_drawn: work.tiles_drawn,
-            entries: work.entries,
-            entries_unseen: work.entries_unseen,
-            blocks: work.blocks,
-        },
-        error,
-    };
-    println!(
-        "{:<20} {:>9}  {:>9}  {:>8.2} {:>8.2} {:>8.2}  {:>7.2} {:>7.2} {:>7.2} {:>7.2}  {:>7.1e}",
-        row.name,
-        row.gaussians,
-        format!("{}×{}", row.size[0], row.size[1]),
-        row.milliseconds.min,
-        row.milliseconds.median,
-        row.milliseconds.max,
-        row.stages.project,
-        row.stages.bin,
-        row.stages.sort,
-        row.stages.blend,
-        row.error,
-    );
-    Ok(row)
+    let (_, work) = best.context("nothing was drawn")?;
+    Ok(Row::new(name, &scenes[0], Seconds::of(times), work, error))
+}
+
+impl Row {
+    /// The row, printed.
+    fn new(name: &str, scene: &Scene, seconds: Seconds, work: Work, error: f64) -> Self {
+        let row = Row {
+            name: name.to_owned(),
+            gaussians: scene.mean.len(),
+            size: [scene.request.width, scene.request.height],
+            milliseconds: seconds.into(),
+            stages: work.into(),
+            work: Counts {
+                culled: work.culled,
+                changed: work.changed,
+                tiles: work.tiles,
+                tiles_drawn: work.tiles_drawn,
+                entries: work.entries,
+                entries_unseen: work.entries_unseen,
+                blocks: work.blocks,
+            },
+            error,
+        };
+        println!(
+            "{:<20} {:>9}  {:>9}  {:>8.2} {:>8.2} {:>8.2}  {}  {:>7.1e}",
+            row.name,
+            row.gaussians,
+            format!("{}×{}", row.size[0], row.size[1]),
+            row.milliseconds.min,
+            row.milliseconds.median,
+            row.milliseconds.max,
+            row.stages.shown(),
+            row.error,
+        );
+        row
+    }
 }
 
 /// The largest error of the renderer's image against the binary64 reference, over pixels that no threshold decides.
@@ -238,11 +289,12 @@ fn growth(options: &Options) -> Result<Vec<Growth>> {
         }
         let row: Growth = serde_json::from_slice(&output.stdout)?;
         println!(
-            "{:>10} Gaussians  {:>9.2} ms  {:>6.1} ns each  peak {:>5.0} MiB",
+            "{:>10} Gaussians  {:>9.2} ms  {:>6.1} ns each  peak {:>5.0} MiB {}",
             row.gaussians,
             row.milliseconds,
             row.milliseconds * 1e6 / row.gaussians as f64,
             row.peak_rss_bytes as f64 / f64::from(1 << 20),
+            row.stages.shown(),
         );
         rows.push(row);
         count *= 10;
@@ -253,14 +305,18 @@ fn growth(options: &Options) -> Result<Vec<Growth>> {
 fn growth_step(level: Level, count: usize, repeat: usize) -> Result<Growth> {
     let scene = Scene::scattered(count);
     let mut renderer = Renderer::new(level);
-    let mut times = Vec::new();
+    let mut best = (f64::INFINITY, Work::default());
     for _ in 0..repeat.clamp(2, if count > 1_000_000 { 3 } else { 100 }) {
         renderer.forget();
-        times.push(once(|| {
+        let seconds = once(|| {
             std::hint::black_box(renderer.render(&scene.gaussians(), &scene.projection, &scene.request));
-        }));
+        });
+        if seconds < best.0 {
+            best = (seconds, renderer.work());
+        }
     }
-    Ok(Growth { gaussians: count, milliseconds: Seconds::of(times).min * 1e3, peak_rss_bytes: peak_rss_bytes()? })
+    let (seconds, work) = best;
+    Ok(Growth { gaussians: count, milliseconds: seconds * 1e3, peak_rss_bytes: peak_rss_bytes()?, stages: work.into() })
 }
 
 /// The most memory that this process has had resident.

@@ -147,6 +147,10 @@ pub struct View {
     /// Colour behind everything: grey level or R,G,B, in [0,1]
     #[arg(long, value_name = "COLOUR", default_value = "0.5", allow_hyphen_values = true)]
     pub background: String,
+    /// What draws: cpu, or wgpu (a graphics card; images are then outside of the bit contract) [default: cpu]
+    #[arg(long, value_name = "NAME")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub renderer: Option<String>,
 }
 
 #[derive(Args, Clone)]
@@ -239,6 +243,9 @@ pub struct EvalArgs {
     /// LPIPS as well, by this ONNX file: two images in [-1,1] in, one number out; run by ONNX Runtime
     #[arg(long, value_name = "FILE")]
     pub lpips_model: Option<PathBuf>,
+    /// What draws: cpu, or wgpu (a graphics card) [default: cpu]
+    #[arg(long, value_name = "NAME")]
+    pub renderer: Option<String>,
     #[command(flatten)]
     pub machine: Machine,
     /// Write the figures here

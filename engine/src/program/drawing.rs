@@ -4,19 +4,20 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
-use streamsplat::render::Painter;
+use streamsplat::render::{Backend, Painter};
 use streamsplat::still::Drawable;
 use streamsplat::stream::{Interval, Workers};
 use streamsplat::{Image, RenderError};
 
 use super::failure::Failure;
 use super::outputs::Outputs;
-use super::record::WorkRecord;
+use super::record::{RendererRecord, WorkRecord};
 use super::settings::Views;
 
 /// Draws and writes images; keeps the account.
 pub struct Drawing {
     painter: Painter,
+    backend: Backend,
     /// The account.
     pub counts: Counts,
     /// Time spent drawing.
@@ -37,12 +38,22 @@ pub struct Counts {
 
 impl Drawing {
     /// Nothing drawn yet.
-    pub fn new(workers: &Workers) -> Drawing {
-        Drawing {
-            painter: Painter::new(workers),
+    pub fn new(workers: &Workers, backend: Backend) -> Result<Drawing, Failure> {
+        Ok(Drawing {
+            painter: Painter::with(workers, backend)?,
+            backend,
             counts: Counts::default(),
             render: Duration::ZERO,
             write: Duration::ZERO,
+        })
+    }
+
+    /// What draws, for the record.
+    pub fn renderer(&self) -> RendererRecord {
+        RendererRecord {
+            name: self.backend.to_string(),
+            adapter: self.painter.adapter().map(str::to_owned),
+            bit_contract: self.backend.is_within_contract(),
         }
     }
 

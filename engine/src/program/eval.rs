@@ -116,6 +116,7 @@ struct Figures {
     fusion: String,
     fit: String,
     precision: String,
+    renderer: &'static str,
     /// What LPIPS was measured with.
     #[serde(skip_serializing_if = "Option::is_none")]
     lpips: Option<NetworkRecord>,
@@ -152,7 +153,9 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let gap = args.stream.gap()?;
     let depth = args.stream.depth_from()?;
     let mut settings = args.stream.settings(&args.fit, &args.machine)?;
-    let views = View { size: args.size.clone(), background: "0.5".into(), ..View::default() }.resolve()?;
+    let views =
+        View { size: args.size.clone(), background: "0.5".into(), renderer: args.renderer.clone(), ..View::default() }
+            .resolve()?;
     let clips = clips(&args.input)?;
     let mut lpips = args.lpips_model.as_deref().map(Lpips::open).transpose()?;
     if clips.len() > 1 && matches!(depth, DepthFrom::Folder(..)) {
@@ -200,7 +203,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         let fit = args.fit.clone();
         let measured = args.lpips_model.as_deref().zip(lpips.as_ref());
         let lpips = measured.map(|(file, lpips)| NetworkRecord::of(file, lpips.runtime_version())).transpose()?;
-        let figures = Figures { fusion, fit, precision, lpips, clips: rows, mean };
+        let figures = Figures { fusion, fit, precision, renderer: views.backend.name(), lpips, clips: rows, mean };
         let text = serde_json::to_string_pretty(&figures).map_err(Failure::work)?;
         streamsplat::output::write_file(path, (text + "\n").as_bytes())?;
     }
@@ -242,7 +245,7 @@ fn evaluate(
     let mut modes = Vec::new();
     for &fusion in Fusion::ALL {
         let engine = Engine::new(Settings { fusion, ..settings.clone() })?;
-        let drawing = Drawing::new(engine.workers());
+        let drawing = Drawing::new(engine.workers(), views.backend)?;
         modes.push((engine, drawing));
     }
     let mut keys = Ahead::new(keys, modes.first().map_or(1, |(engine, _)| engine.workers().threads()));

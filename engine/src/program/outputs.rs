@@ -10,7 +10,7 @@ use streamsplat::output::{
     write_whole,
 };
 use streamsplat::picture::Picture;
-use streamsplat::render::Snapshot;
+use streamsplat::render::{Backend, Snapshot};
 use streamsplat::scene::{IntervalEntry, SceneWriter, to_safetensors};
 use streamsplat::stream::{Interval, Memory};
 
@@ -82,6 +82,8 @@ pub struct Outputs {
     ledger: Option<Ledger>,
     /// The intervals of a scene that is gone on with.
     intervals: Vec<IntervalEntry>,
+    /// Whether images are outside of the bit contract.
+    outside: bool,
 }
 
 impl Outputs {
@@ -108,7 +110,12 @@ impl Outputs {
 
     fn new(destination: Destination, emit: Emit) -> Outputs {
         let (written, intervals) = (BTreeMap::new(), Vec::new());
-        Outputs { destination, emit, video: None, scene: None, written, ledger: None, intervals }
+        Outputs { destination, emit, video: None, scene: None, written, ledger: None, intervals, outside: false }
+    }
+
+    /// Says what draws the images.
+    pub fn drawn_by(&mut self, backend: Backend) {
+        self.outside = !backend.is_within_contract();
     }
 
     /// Keeps a ledger from now on, where the results can be gone on with.
@@ -187,7 +194,7 @@ impl Outputs {
 
     fn note(&mut self, name: String, written: Written) {
         let Written { bytes, blake3 } = written;
-        self.written.insert(name, OutputRecord { bytes, blake3, samples: None });
+        self.written.insert(name, OutputRecord { bytes, blake3, samples: None, outside_contract: false });
     }
 
     /// Writes a file inside the folder.
@@ -278,7 +285,12 @@ impl Outputs {
             };
             let Written { bytes, blake3 } =
                 finished.file.unwrap_or(Written { bytes: 0, blake3: finished.samples.clone() });
-            self.written.insert(name, OutputRecord { bytes, blake3, samples: Some(finished.samples) });
+            self.written
+                .insert(name, OutputRecord { bytes, blake3, samples: Some(finished.samples), outside_contract: false });
+        }
+        let drawn = |name: &str| ["frames/", "depth/", "alpha/"].iter().any(|folder| name.starts_with(folder));
+        for (name, record) in self.written.iter_mut().filter(|_| self.outside) {
+            record.outside_contract = record.samples.is_some() || drawn(name);
         }
         Ok(self.written)
     }

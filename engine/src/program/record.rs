@@ -13,7 +13,8 @@ use super::failure::Failure;
 /// What `program` says.
 pub const PROGRAM: &str = "streamsplat";
 
-/// The whole file. Everything but `timing` is a function of model, input, options and seed alone.
+/// The whole file. Everything but `timing` is a function of model, input, options and seed alone; where a graphics card drew, so is
+/// everything but `timing`, `renderer` and the outputs marked `outside_contract`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Record {
     /// [`PROGRAM`].
@@ -32,6 +33,9 @@ pub struct Record {
     pub depth: Option<NetworkRecord>,
     /// What was read.
     pub input: InputRecord,
+    /// What drew.
+    #[serde(default)]
+    pub renderer: RendererRecord,
     /// False when the user stopped it; what was written is valid.
     pub complete: bool,
     /// Every file written, by its path inside the folder.
@@ -93,6 +97,32 @@ impl NetworkRecord {
     }
 }
 
+/// What drew the images.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RendererRecord {
+    /// `cpu` or `wgpu`.
+    pub name: String,
+    /// The graphics card.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<String>,
+    /// Whether the images are the same to the last bit everywhere.
+    pub bit_contract: bool,
+}
+
+impl Default for RendererRecord {
+    /// The CPU.
+    fn default() -> Self {
+        Self { name: "cpu".into(), adapter: None, bit_contract: true }
+    }
+}
+
+impl std::fmt::Display for RendererRecord {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.name)?;
+        self.adapter.as_ref().map_or(Ok(()), |adapter| write!(f, " on {adapter}"))
+    }
+}
+
 /// What was read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct InputRecord {
@@ -118,6 +148,9 @@ pub struct OutputRecord {
     /// For a video: BLAKE3 of the samples that were encoded, which is what a repetition is compared by.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub samples: Option<String>,
+    /// A graphics card drew it: a repetition gives other bytes.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub outside_contract: bool,
 }
 
 /// One stage's account.

@@ -52,10 +52,11 @@ pub fn render(
     };
     let fps = options.fps.unwrap_or(scene.index().fps);
     let due = times::of_scene(&scene, views.times.as_deref(), fps)?;
+    let mut drawing = Drawing::new(&workers, views.backend)?;
     let mut outputs = Outputs::create(destination, emit)?;
+    outputs.drawn_by(views.backend);
     outputs.start(fps)?;
 
-    let mut drawing = Drawing::new(&workers);
     let mut progress = Progress::new("images", Some(due.len()), console.quiet);
     let mut current: Option<(usize, Interval)> = None;
     let mut read = Duration::ZERO;
@@ -103,6 +104,7 @@ pub fn render(
             size: [width, height],
             fps: scene.index().fps,
         },
+        renderer: drawing.renderer(),
         complete,
         outputs: written,
         work,

@@ -68,6 +68,11 @@ fn write_markdown(record: &Record, out: &mut String) -> std::fmt::Result {
         "| | {} read, {}×{}, {:.3} frames per second |",
         input.count, input.size[0], input.size[1], input.fps
     )?;
+    if record.renderer.bit_contract {
+        writeln!(out, "| renderer | {} |", record.renderer)?;
+    } else {
+        writeln!(out, "| renderer | {}: its images are outside of the bit contract |", record.renderer)?;
+    }
     writeln!(out, "| output | {} images, {} files |", images(record), record.outputs.len())?;
     if record.dropped > 0 {
         writeln!(out, "| left out | {} Gaussians with numbers that are not finite |", record.dropped)?;

@@ -99,8 +99,11 @@ fn run_from(
         return Err(Failure::usage("--fps and --frames: expected numbers above 0"));
     }
     let source = Source::open(input, &source::Options { fps: options.fps })?;
+    let reuse = settings.reuse != Reuse::Off;
+    let engine = Engine::new(settings)?;
+    let mut drawing = Drawing::new(engine.workers(), views.backend)?;
     let page = serve.map(|port| Serving::start(port, input, source.fps(), console)).transpose()?;
-    let (outputs, terms) = match (&found, destination.resume()) {
+    let (mut outputs, terms) = match (&found, destination.resume()) {
         (Found::Under(point, _), Some(folder)) => {
             let terms = Terms::given(options, &model_record(options)?)?;
             point.terms.check(&terms)?;
@@ -108,13 +111,12 @@ fn run_from(
         }
         _ => (Outputs::create(destination, emit)?.with_ledger(), None),
     };
-    let depth = KeyDepth::open(&depth, &source, machine.level()?, settings.reuse != Reuse::Off)?;
+    outputs.drawn_by(views.backend);
+    let depth = KeyDepth::open(&depth, &source, machine.level()?, reuse)?;
     let keys = KeyFrames::new(source, depth, gap, false, options.frames);
-    let engine = Engine::new(settings)?;
     let keys = Ahead::new(keys, engine.workers().threads());
     let terms = terms.map_or_else(|| Terms::given(options, &model_record(options)?), Ok)?;
 
-    let mut drawing = Drawing::new(engine.workers());
     let mut times = Times { asked: views.times.as_deref(), next: 0 };
     let progress = Progress::new("frames", keys.total(), console.quiet);
     let account = Account::default();
@@ -180,6 +182,7 @@ fn run_from(
         model: Some(model_record(&options)?),
         depth,
         input: keys.input(input),
+        renderer: drawing.renderer(),
         task: Task::Run(Box::new(options)),
         complete,
         outputs: written,

@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use streamsplat::camera::{self, CameraPath};
 use streamsplat::depth::{NetworkOptions, Range};
+use streamsplat::render::Backend;
 use streamsplat::stream::{DepthRange, MaxAge, ModelSource, Settings};
 use streamsplat::{RenderOptions, Size};
 use streamsplat_kernels::raster;
@@ -119,6 +120,8 @@ pub struct Views {
     pub camera: CameraPath,
     /// Times asked for, ascending.
     pub times: Option<Vec<f64>>,
+    /// What draws.
+    pub backend: Backend,
 }
 
 /// Longest camera file that is read, in bytes.
@@ -140,7 +143,18 @@ impl View {
             }
         };
         let options = RenderOptions { size: self.size()?, background: self.background()?, ..RenderOptions::default() };
-        Ok(Views { options, camera, times: self.times.as_deref().map(times).transpose()? })
+        Ok(Views { options, camera, times: self.times.as_deref().map(times).transpose()?, backend: self.backend()? })
+    }
+
+    fn backend(&self) -> Result<Backend, Failure> {
+        let Some(name) = &self.renderer else { return Ok(Backend::Cpu) };
+        let backend: Backend = choice("--renderer", name)?;
+        if !backend.is_built_in() {
+            return Err(Failure::usage(format!(
+                "--renderer {name}: expected a program built with the cargo feature {name} (cargo build --release --features {name}), found one without"
+            )));
+        }
+        Ok(backend)
     }
 
     fn size(&self) -> Result<Size, Failure> {

@@ -50,10 +50,11 @@ pub fn render(
     let times = views.times.clone().unwrap_or_else(|| vec![0.0]);
     let read = start.elapsed();
     let scene = Drawable::new(file.still, workers)?;
+    let mut drawing = Drawing::new(workers, views.backend)?;
     let mut outputs = Outputs::create(destination, emit)?;
+    outputs.drawn_by(views.backend);
     let fps = options.fps.unwrap_or(FPS);
     outputs.start(fps)?;
-    let mut drawing = Drawing::new(workers);
     let mut progress = Progress::new("images", Some(times.len()), console.quiet);
     let mut complete = true;
     for (index, &time) in times.iter().enumerate() {
@@ -80,6 +81,7 @@ pub fn render(
         model: None,
         depth: None,
         input: InputRecord { path: absolute(&file.path), blake3: file.blake3, count: 1, size: [width, height], fps },
+        renderer: drawing.renderer(),
         complete,
         outputs: written,
         work,

@@ -36,8 +36,17 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
         }
     }
 
+    let outside = record.outputs.values().filter(|output| output.outside_contract).count();
+    if outside > 0 && outside == record.outputs.len() {
+        let message = format!(
+            "{}: its images were drawn by {}, outside of the bit contract, and there is nothing else: a repetition gives other bytes",
+            record_path.display(),
+            record.renderer
+        );
+        return Err(Failure::work(message));
+    }
     let scratch = tempfile::tempdir().map_err(|e| Failure::work(format!("cannot make a temporary folder: {e}")))?;
-    let video = record.outputs.iter().find(|(_, output)| output.samples.is_some());
+    let video = record.outputs.iter().find(|(_, output)| output.samples.is_some() && !output.outside_contract);
     let destination = Destination::of(&match video {
         Some((name, _)) => scratch.path().join(name),
         None => scratch.path().join("out"),
@@ -50,6 +59,13 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
             let mut options = options.clone();
             if !record.complete {
                 options.frames = Some(record.input.count);
+            }
+            if outside > 0 {
+                // What a graphics card drew is left out.
+                let kinds = ["scene", "ply"];
+                let has = |kind: &&str| record.outputs.keys().any(|name| name.starts_with(&format!("{kind}/")));
+                options.emit = Some(kinds.into_iter().filter(has).collect::<Vec<_>>().join(","));
+                options.view.renderer = None;
             }
             run::run(input, destination, &options, &args.machine, &silent)?
         }
@@ -72,12 +88,15 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
             differing.push(what.into());
         }
     }
-    let mut names: Vec<&String> = record.outputs.keys().chain(again.outputs.keys()).collect();
+    let within = |record: &'_ Record| -> Vec<String> {
+        record.outputs.iter().filter(|(_, output)| !output.outside_contract).map(|(name, _)| name.clone()).collect()
+    };
+    let mut names = [within(&record), within(&again)].concat();
     names.sort();
     names.dedup();
     for name in names {
         // Videos are compared by what was encoded: their bytes depend on the version of ffmpeg.
-        let digest = |record: &Record| match record.outputs.get(name) {
+        let digest = |record: &Record| match record.outputs.get(&name) {
             Some(output) => output.samples.clone().unwrap_or_else(|| output.blake3.clone()),
             None => "none: the file is missing".to_owned(),
         };
@@ -102,11 +121,15 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
     }
     if !console.quiet {
         let (threads, isa) = (again.timing.threads, &again.timing.isa);
-        say(format!(
-            "{}: {} files, all digests equal ({threads} threads, {isa})",
-            record_path.display(),
-            record.outputs.len()
-        ));
+        let files = record.outputs.len() - outside;
+        let images = match outside {
+            0 => String::new(),
+            n => format!(
+                "; {n} images drawn by {} are outside of the bit contract and were not repeated",
+                record.renderer
+            ),
+        };
+        say(format!("{}: {files} files, all digests equal ({threads} threads, {isa}){images}", record_path.display()));
     }
     Ok(())
 }

@@ -14,13 +14,16 @@
 //! A canonical image shows the content of the model's input, without the border that the frame's shape left. Its Gaussians
 //! are drawn at the size asked for, not scaled from an image.
 
+mod backend;
 mod options;
 mod view;
 
+pub use backend::Backend;
 pub use options::{RenderError, RenderOptions, Size};
 pub use streamsplat_kernels::raster::Image;
 pub use view::{Snapshot, View, to_scene};
 
+use backend::Drawer;
 use streamsplat_kernels::raster::{self, Gaussians, Renderer, Request};
 
 use crate::camera::Camera;
@@ -37,26 +40,40 @@ impl Interval {
     pub fn render(&self, time: f64, camera: &Camera, options: &RenderOptions) -> Result<Image, RenderError> {
         let mut painter = Painter::new(&self.workers);
         painter.draw(self, time, camera, options)?;
-        Ok(painter.renderer.into_image())
+        Ok(painter.drawer.into_image())
     }
 }
 
-/// Draws one image after another, and only what changed between them. The images are those of [`Interval::render`].
+/// Draws one image after another; on the CPU only what changed between them. The images are those of [`Interval::render`], to the
+/// last bit on the CPU and nearly so on a graphics card ([`Backend`]).
 pub struct Painter {
     workers: Workers,
-    renderer: Renderer,
+    drawer: Drawer,
 }
 
 impl Painter {
-    /// A painter that works with `workers`.
+    /// A painter that works with `workers`, on the CPU.
     pub fn new(workers: &Workers) -> Self {
-        Self { workers: workers.clone(), renderer: Renderer::new(workers.level()) }
+        Self { workers: workers.clone(), drawer: Drawer::Cpu(Box::new(Renderer::new(workers.level()))) }
+    }
+
+    /// A painter that draws with `backend`.
+    ///
+    /// # Errors
+    /// When the library was built without it, or there is no graphics card to draw with.
+    pub fn with(workers: &Workers, backend: Backend) -> Result<Self, RenderError> {
+        Ok(Self { workers: workers.clone(), drawer: Drawer::new(backend, workers.level())? })
+    }
+
+    /// The graphics card that draws; `None` on the CPU.
+    pub fn adapter(&self) -> Option<&str> {
+        self.drawer.adapter()
     }
 
     /// The scene at `time` seconds, seen by `camera`.
     ///
     /// # Errors
-    /// As [`Interval::render`].
+    /// As [`Interval::render`]; and where the graphics card fails.
     pub fn draw(
         &mut self,
         interval: &Interval,
@@ -75,8 +92,8 @@ impl Painter {
         let view = View::new(camera, &interval.placement, [height, width]);
         let RenderOptions { background, depth, alpha, statistics, .. } = *options;
         let request = Request { width, height, background, depth, alpha, statistics };
-        let renderer = &mut self.renderer;
-        Ok(self.workers.install(|| {
+        let drawer = &mut self.drawer;
+        self.workers.install(|| {
             view.apply(&mut seen.mean);
             let rotation = view.rotation().map(|q| vec![q; seen.mean.len()]);
             let gaussians = Gaussians {
@@ -86,18 +103,18 @@ impl Painter {
                 opacity: &seen.opacity,
                 rgb: &seen.rgb,
             };
-            renderer.render(&gaussians, view.projection(), &request)
-        }))
+            drawer.render(&gaussians, view.projection(), &request)
+        })
     }
 
     /// What works, and what draws.
-    pub(crate) fn parts(&mut self) -> (&Workers, &mut Renderer) {
-        (&self.workers, &mut self.renderer)
+    pub(crate) fn parts(&mut self) -> (&Workers, &mut Drawer) {
+        (&self.workers, &mut self.drawer)
     }
 
     /// Work done and work avoided by the last image.
     pub fn work(&self) -> raster::Work {
-        self.renderer.work()
+        self.drawer.work()
     }
 }
 

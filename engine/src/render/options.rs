@@ -1,5 +1,6 @@
 //! What an image is to be.
 
+use super::Backend;
 use crate::fit::Placement;
 
 /// What to draw besides colour, how large, and on what.
@@ -85,6 +86,16 @@ pub enum RenderError {
     /// A size taken from a source that a scene does not have.
     #[error("image size: expected WIDTHxHEIGHT: a still scene has no size of its own")]
     NoOwnSize,
+    /// The library was built without what is to draw.
+    #[error("renderer {backend}: expected a build with the cargo feature {backend}, found one without")]
+    NotBuiltIn {
+        /// What is missing.
+        backend: Backend,
+    },
+    /// The graphics card could not draw.
+    #[cfg(feature = "wgpu")]
+    #[error("renderer wgpu: {0}")]
+    Wgpu(#[from] crate::wgpu::WgpuError),
     /// The arrays of an interval differ in length.
     #[error("interval: {array}: expected {expected} records, found {found}")]
     Records {

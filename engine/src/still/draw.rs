@@ -116,8 +116,8 @@ impl Painter {
         let RenderOptions { background, depth, alpha, statistics, .. } = *options;
         let request = Request { width, height, background, depth, alpha, statistics };
         let Drawable { still, scale, rotation, opacity } = scene;
-        let (workers, renderer) = self.parts();
-        Ok(workers.install(|| {
+        let (workers, drawer) = self.parts();
+        workers.install(|| {
             let mut rgb = vec![[0.0; 3]; still.len()];
             let eye = eye(pose, lens);
             harmonics::colours(workers.level(), still.degree, &still.base, &still.higher, &still.mean, eye, &mut rgb);
@@ -127,7 +127,7 @@ impl Painter {
             let rotation: Vec<[f32; 4]> =
                 rotation.par_iter().with_min_len(CHUNK).map(|own| after(turn, *own)).collect();
             let gaussians = Gaussians { mean: &mean, scale, rotation: Some(&rotation), opacity, rgb: &rgb };
-            renderer.render(&gaussians, view.projection(), &request)
-        }))
+            drawer.render(&gaussians, view.projection(), &request)
+        })
     }
 }

@@ -20,6 +20,16 @@ fn nothing_written(folder: &Path) {
     }
 }
 
+#[cfg(not(feature = "wgpu"))]
+#[test]
+fn a_renderer_that_was_not_built_in_is_wrong_use_that_names_the_feature() {
+    let scratch = Scratch::new();
+    let (clip, out) = (scratch.clip("clip", 2, 40, 24), scratch.path("out"));
+    let text = fails(&attempt(&clip, &out, &["--renderer", "wgpu"]), 2);
+    assert!(text.contains("--renderer wgpu: expected a program built with the cargo feature wgpu"), "{text}");
+    nothing_written(&out);
+}
+
 #[test]
 fn unknown_and_unavailable_values_are_wrong_use() {
     let scratch = Scratch::new();
@@ -33,6 +43,7 @@ fn unknown_and_unavailable_values_are_wrong_use() {
         (&["--threads", "many"], "--threads many: expected"),
         (&["--gap", "0"], "--gap 0: expected"),
         (&["--gap", "auto"], "--gap auto is not available"),
+        (&["--renderer", "metal"], "--renderer: expected cpu or wgpu, found \"metal\""),
         (&["--fusion", "both"], "--fusion: unknown fusion \"both\""),
         (&["--reuse", "1.1"], "--reuse: unknown reuse \"1.1\""),
         (&["--reuse", "some"], "--reuse: unknown reuse \"some\""),

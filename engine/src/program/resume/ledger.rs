@@ -130,7 +130,10 @@ pub fn verified(folder: &Path, lines: &[Line]) -> Result<BTreeMap<String, Output
                 path.display()
             )));
         }
-        records.insert(file.clone(), OutputRecord { bytes: *bytes, blake3: blake3.clone(), samples: None });
+        records.insert(
+            file.clone(),
+            OutputRecord { bytes: *bytes, blake3: blake3.clone(), samples: None, outside_contract: false },
+        );
     }
     Ok(records)
 }

@@ -1,0 +1,119 @@
+//! What draws: the CPU's rasteriser, or a graphics card.
+
+use std::fmt;
+use std::str::FromStr;
+
+use streamsplat_kernels::Level;
+use streamsplat_kernels::raster::{Gaussians, Image, Projection, Renderer, Request, Work};
+
+use super::RenderError;
+#[cfg(feature = "wgpu")]
+use crate::wgpu::WgpuRenderer;
+
+/// What draws.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Backend {
+    /// The CPU's rasteriser: images are within the bit contract.
+    #[default]
+    Cpu,
+    /// A graphics card (cargo feature `wgpu`): images are outside of the bit contract.
+    Wgpu,
+}
+
+impl Backend {
+    /// Both.
+    pub const ALL: &'static [Backend] = &[Backend::Cpu, Backend::Wgpu];
+
+    /// Its name in options and records.
+    pub fn name(self) -> &'static str {
+        match self {
+            Backend::Cpu => "cpu",
+            Backend::Wgpu => "wgpu",
+        }
+    }
+
+    /// Whether this library was built with it.
+    pub fn is_built_in(self) -> bool {
+        match self {
+            Backend::Cpu => true,
+            Backend::Wgpu => cfg!(feature = "wgpu"),
+        }
+    }
+
+    /// Whether its images are the same to the last bit everywhere.
+    pub fn is_within_contract(self) -> bool {
+        self == Backend::Cpu
+    }
+}
+
+impl fmt::Display for Backend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Backend {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let found = Self::ALL.iter().find(|backend| backend.name() == text);
+        found.copied().ok_or_else(|| format!("expected cpu or wgpu, found {text:?}"))
+    }
+}
+
+/// What draws, with its buffers.
+pub(crate) enum Drawer {
+    Cpu(Box<Renderer>),
+    #[cfg(feature = "wgpu")]
+    Wgpu(Box<WgpuRenderer>),
+}
+
+impl Drawer {
+    pub(crate) fn new(backend: Backend, level: Level) -> Result<Self, RenderError> {
+        match backend {
+            Backend::Cpu => Ok(Drawer::Cpu(Box::new(Renderer::new(level)))),
+            #[cfg(feature = "wgpu")]
+            Backend::Wgpu => Ok(Drawer::Wgpu(Box::new(WgpuRenderer::new(level)?))),
+            #[cfg(not(feature = "wgpu"))]
+            Backend::Wgpu => Err(RenderError::NotBuiltIn { backend }),
+        }
+    }
+
+    /// The graphics card's name.
+    pub(crate) fn adapter(&self) -> Option<&str> {
+        match self {
+            Drawer::Cpu(_) => None,
+            #[cfg(feature = "wgpu")]
+            Drawer::Wgpu(renderer) => Some(renderer.adapter()),
+        }
+    }
+
+    pub(crate) fn work(&self) -> Work {
+        match self {
+            Drawer::Cpu(renderer) => renderer.work(),
+            #[cfg(feature = "wgpu")]
+            Drawer::Wgpu(renderer) => renderer.work(),
+        }
+    }
+
+    pub(crate) fn into_image(self) -> Image {
+        match self {
+            Drawer::Cpu(renderer) => renderer.into_image(),
+            #[cfg(feature = "wgpu")]
+            Drawer::Wgpu(renderer) => renderer.into_image(),
+        }
+    }
+
+    pub(crate) fn render(
+        &mut self,
+        gaussians: &Gaussians<'_>,
+        projection: &Projection,
+        request: &Request,
+    ) -> Result<&Image, RenderError> {
+        match self {
+            Drawer::Cpu(renderer) => Ok(renderer.render(gaussians, projection, request)),
+            #[cfg(feature = "wgpu")]
+            Drawer::Wgpu(renderer) => Ok(renderer.render(gaussians, projection, request)?),
+        }
+    }
+}

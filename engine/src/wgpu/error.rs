@@ -1,0 +1,43 @@
+//! Why a graphics card could not draw.
+
+/// Why a graphics card could not draw.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum WgpuError {
+    /// There is no adapter.
+    #[error(
+        "expected a graphics card with a Vulkan driver, found none ({reason}); Mesa's software driver will do (Debian package mesa-vulkan-drivers)"
+    )]
+    NoAdapter {
+        /// What the search said.
+        reason: String,
+    },
+    /// The adapter gives no device.
+    #[error("{adapter}: expected a device, found none: {reason}")]
+    NoDevice {
+        /// The adapter's name.
+        adapter: String,
+        /// What it said.
+        reason: String,
+    },
+    /// The scene or the image is more than the adapter holds in one buffer.
+    #[error("{adapter}: {what}: expected at most {most} bytes, found {found}")]
+    TooLarge {
+        /// The adapter's name.
+        adapter: String,
+        /// What is too large.
+        what: &'static str,
+        /// Bytes that one buffer holds.
+        most: u64,
+        /// Bytes needed.
+        found: u64,
+    },
+    /// The device failed at the work.
+    #[error("{adapter}: the device failed: {reason}")]
+    Failed {
+        /// The adapter's name.
+        adapter: String,
+        /// What it said.
+        reason: String,
+    },
+}
