@@ -4,6 +4,14 @@
 //! A [`Tree`] holds axis-aligned boxes in a bounding volume hierarchy (`obvhs`). The hierarchy only proposes; what is
 //! answered is decided box by box in binary64, so that every answer is the one that looking at all boxes would give, in
 //! ascending order, whatever the shape of the hierarchy.
+//!
+//! [`Picker`] asks it what shows most along rays. Two things do not use it, because a measurement said so:
+//!
+//! - *Drawing through narrow cameras.* The rasteriser's projection leaves out what is not in view, and counts it. A hierarchy over an
+//!   interval costs several whole images to make, and intervals show few. It would not be exact as it stands, either: the affine
+//!   footprint of a Gaussian beside a pinhole can reach into the image where the Gaussian itself is outside the frustum.
+//!   (`space::tests::a_narrow_camera…` measures it.)
+//! - *Matching of frames* ([`crate::stream`]): bins on the frame's lattice give the same pairs sooner.
 
 mod pick;
 #[cfg(test)]

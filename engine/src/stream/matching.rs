@@ -12,6 +12,9 @@
 //! New Gaussians are binned over the image with one cell each on average, and a query visits at most six by six bins, so the
 //! whole is near-linear. To keep it so when positions pile up, a query reads at most [`PER_BIN`] records of a bin (the lowest
 //! indices) and keeps at most [`CANDIDATES`] pairs (the smallest q).
+//!
+//! The hierarchy of boxes of [`crate::space`] finds the same pairs (`by_tree.rs` tests it) but is several times slower to make and to
+//! search: positions on a lattice are binned for nothing, and a probe's footprint is a cell or two.
 
 use rayon::slice::ParallelSliceMut;
 use streamsplat_kernels::parallel::map_indexed;
