@@ -45,8 +45,7 @@ fn measure(renderer: &mut WgpuRenderer, options: &Options, name: &str, scene: &S
     let mut worst = 0.0_f32;
     for (at, (found, expected)) in found.rgb.iter().zip(&expected.rgb).enumerate() {
         let error = (found - expected).abs();
-        // Written so that what is not a number is off.
-        off[at % pixels] |= !(error <= CLOSE);
+        off[at % pixels] |= error.is_nan() || error > CLOSE;
         worst = worst.max(error);
     }
     let off = off.into_iter().filter(|off| *off).count();
