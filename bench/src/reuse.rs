@@ -11,6 +11,7 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 use serde::Serialize;
 use streamsplat::fit::Fit;
+use streamsplat::gap::{Choice, Chooser, Gap};
 use streamsplat::metrics::psnr;
 use streamsplat::picture::Picture;
 use streamsplat::render::Painter;
@@ -34,8 +35,8 @@ pub(crate) struct Options {
     #[arg(long, value_delimiter = ',', default_value = "exact,0.02,0.05,0.1")]
     reuse: Vec<Reuse>,
     /// Gaps between key frames.
-    #[arg(long, value_delimiter = ',', default_value = "1")]
-    gap: Vec<usize>,
+    #[arg(long, value_delimiter = ',', default_value = "1,auto")]
+    gap: Vec<Gap>,
     /// Input frames of each clip that are used.
     #[arg(long, value_name = "N")]
     frames: Option<usize>,
@@ -54,7 +55,7 @@ pub(crate) struct Options {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Variant {
     pub(crate) reuse: Reuse,
-    pub(crate) gap: usize,
+    pub(crate) gap: Gap,
 }
 
 /// What a variant took and gave on a clip.
@@ -96,12 +97,32 @@ pub(crate) fn read(input: &Path, frames: Option<usize>) -> Result<Vec<TimedPictu
     Ok(read)
 }
 
+/// The clip's key frames; as in a run, the last frame is one.
+fn keys(gap: Gap, clip: &[TimedPicture]) -> Vec<usize> {
+    let mut chooser = Chooser::new(gap);
+    let mut keys = Vec::new();
+    for (index, frame) in clip.iter().enumerate() {
+        match chooser.next(&frame.picture) {
+            Choice::Wait => {}
+            Choice::This => keys.push(index),
+            Choice::Before => keys.push(index - 1),
+        }
+    }
+    if let Some(last) = clip.len().checked_sub(1)
+        && keys.last() != Some(&last)
+    {
+        keys.push(last);
+    }
+    keys
+}
+
 /// One variant under way.
 struct Runner {
     variant: Variant,
     engine: Engine,
     painter: Painter,
     keys: Vec<usize>,
+    chosen: Spent,
     pushed: Spent,
     drawn: Spent,
     network: f64,
@@ -127,11 +148,23 @@ pub(crate) fn measure(
     for variant in variants {
         let engine = Engine::new(Settings { reuse: variant.reuse, ..settings.clone() })?;
         settings.model = ModelSource::Shared(Arc::clone(engine.model()));
-        let keys = (0..clip.len()).step_by(variant.gap).collect();
+        let watch = Stopwatch::start();
+        let keys = keys(variant.gap, clip);
+        let chosen = watch.stop();
         let painter = Painter::new(engine.workers());
         let (pushed, drawn) = (Spent::default(), Spent::default());
         let variant = variant.clone();
-        runners.push(Runner { variant, engine, painter, keys, pushed, drawn, network: 0.0, images: Vec::new() });
+        runners.push(Runner {
+            variant,
+            engine,
+            painter,
+            keys,
+            chosen,
+            pushed,
+            drawn,
+            network: 0.0,
+            images: Vec::new(),
+        });
     }
     for index in 0..clip.len() {
         for runner in runners.iter_mut().filter(|runner| runner.keys.contains(&index)) {
@@ -189,7 +222,7 @@ impl Runner {
             frames,
             keys: self.keys.len(),
             key_frame: self.pushed / self.keys.len() as f64,
-            frame: (self.pushed + self.drawn) / frames as f64,
+            frame: (self.chosen + self.pushed + self.drawn) / frames as f64,
             cost: self.pushed.seconds() / base.pushed.seconds(),
             network_cost: self.network / base.network,
             psnr_vs_off: (error > 0.0).then(|| -10.0 * error.log10()),
@@ -230,11 +263,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     settings.threads = options.common.threads;
     settings.fit = Fit::Stretch;
     let choices = [&[Reuse::Off], options.reuse.as_slice()].concat();
-    let variants: Vec<Variant> = options
-        .gap
-        .iter()
-        .flat_map(|gap| choices.iter().map(|reuse| Variant { reuse: *reuse, gap: (*gap).max(1) }))
-        .collect();
+    let variants: Vec<Variant> =
+        options.gap.iter().flat_map(|gap| choices.iter().map(|reuse| Variant { reuse: *reuse, gap: *gap })).collect();
     let mut rows = Vec::new();
     println!(
         "{:<24} {:>6} {:>4} {:>8} {:>8} {:>6} {:>6} {:>7} {:>7} {:>7} {:>7}",

@@ -27,7 +27,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Around it: [`source`] reads videos, [`depth`] gives their depth maps, from files or a network ([`onnx`]), [`output`] and [`scene`] write and read results,
+//! Around it: [`source`] reads videos, [`gap`] chooses key frames, [`depth`] gives their depth maps, from files or a network ([`onnx`]), [`output`] and [`scene`] write and read results,
 //! [`export`] writes them for viewers, [`import`] reads the still scenes of others, [`view`] shows them in a browser, [`metrics`] and [`lpips`] measure them.
 #![deny(unsafe_code)]
 
@@ -35,6 +35,7 @@ pub mod camera;
 pub mod depth;
 pub mod export;
 pub mod fit;
+pub mod gap;
 pub mod import;
 pub mod lpips;
 pub mod metrics;

@@ -298,7 +298,7 @@ impl Network {
         let features = [self.features(a, "first")?, self.features(b, "second")?];
         memory.begin();
         let _span = info_span!("decoder").entered();
-        let (level, saving, pair) = (self.level(), memory.saving, ([a.h, b.h], features));
+        let (level, saving, pair) = (self.level(), memory.saving.of_motion(), ([a.h, b.h], features));
         Ok(self.decoder.apply_keeping(level, &self.config, pair, saving, &mut memory.decoder))
     }
 
@@ -318,7 +318,7 @@ impl Network {
         self.check_tokens("d", d)?;
         memory.begin();
         let _span = info_span!("upsampler", kind = "deformation").entered();
-        let (level, saving, (upsampler, _)) = (self.level(), memory.saving, &mut memory.deformation[place]);
+        let (level, saving, (upsampler, _)) = (self.level(), memory.saving.of_motion(), &mut memory.deformation[place]);
         Ok(self.deformation_upsampler.apply_keeping(level, &self.config, d, saving, upsampler))
     }
 

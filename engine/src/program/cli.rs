@@ -111,7 +111,8 @@ pub struct Stream {
     /// Depth is normalised by each frame's own range (frame) or the range of all maps (clip)
     #[arg(long, value_name = "RANGE", default_value = "frame")]
     pub depth_range: String,
-    /// Every N-th frame is a key frame
+    /// Every N-th frame is a key frame; or auto[:[LEAST-]MOST[:DB]]: the next one when the frames in between could no longer be
+    /// predicted to DB decibels, LEAST to MOST frames apart; frames wait for at most MOST-1 later ones [auto: 5-12:26]
     #[arg(long, value_name = "N", default_value = "1")]
     pub gap: String,
     /// What a key frame knows of those before: persistent or pairwise

@@ -1,6 +1,6 @@
 //! `eval`: key frames in, the frames between held out; how close the scene comes to them, and simple baselines beside it.
 //!
-//! Every `gap`-th frame is a key frame. The scene is drawn at every frame's time (at the model's own size unless told otherwise) and compared with the
+//! Every `gap`-th frame is a key frame, or what `--gap auto` chooses. The scene is drawn at every frame's time (at the model's own size unless told otherwise) and compared with the
 //! true frame, both brought to 256×256 bilinearly. *Key* frames were given, *middle* frames were not. Baselines for the middle
 //! frames: the cross-fade of the key frames around, and the nearer one. Frames after the last whole interval are left out.
 //! Both fusion modes are reported: they share the network's work.
@@ -11,6 +11,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 use streamsplat::Engine;
+use streamsplat::gap::Gap;
 use streamsplat::lpips::Lpips;
 use streamsplat::metrics::{psnr, ssim};
 use streamsplat::picture::Picture;
@@ -83,6 +84,7 @@ struct Sums {
     fusion: [[Sum; 2]; 2],
     crossfade: Sum,
     nearest: Sum,
+    clips: usize,
 }
 
 /// What one fusion mode gives.
@@ -98,12 +100,21 @@ struct Baselines {
     nearest: Score,
 }
 
+/// Input frames from key frame to key frame.
+#[derive(Clone, Copy, Serialize)]
+#[serde(untagged)]
+enum Spacing {
+    Every(usize),
+    /// On average, where they were chosen.
+    Mean(f64),
+}
+
 /// One clip's figures, or the mean's.
 #[derive(Serialize)]
 struct Row {
     #[serde(skip_serializing_if = "Option::is_none")]
     name: Option<String>,
-    gap: usize,
+    gap: Spacing,
     key: Score,
     middle: Score,
     baselines: Baselines,
@@ -125,7 +136,20 @@ struct Figures {
 }
 
 impl Sums {
-    fn row(&self, name: Option<String>, gap: usize, chosen: Fusion) -> Row {
+    /// The gap, or the mean of those that were chosen.
+    fn spacing(&self, gap: Gap) -> Spacing {
+        match gap {
+            Gap::Every(n) => Spacing::Every(n),
+            Gap::Auto(_) => {
+                let [keys, middles] = self.fusion[0].each_ref().map(|sum| sum.frames);
+                // The first key frame of a clip ends no gap.
+                let ended = keys.saturating_sub(self.clips);
+                Spacing::Mean((ended + middles) as f64 / ended.max(1) as f64)
+            }
+        }
+    }
+
+    fn row(&self, name: Option<String>, gap: Gap, chosen: Fusion) -> Row {
         let baselines = Baselines { crossfade: self.crossfade.score(), nearest: self.nearest.score() };
         let modes = Fusion::ALL.iter().zip(&self.fusion);
         let fusion: BTreeMap<_, _> = modes
@@ -137,10 +161,11 @@ impl Sums {
             .map(|(_, sums)| sums.each_ref().map(Sum::score))
             .next()
             .unwrap_or_default();
-        Row { name, gap, key, middle, baselines, fusion }
+        Row { name, gap: self.spacing(gap), key, middle, baselines, fusion }
     }
 
     fn join(&mut self, other: &Sums) {
+        self.clips += other.clips;
         let sums = self.fusion.as_flattened_mut().iter_mut().chain([&mut self.crossfade, &mut self.nearest]);
         for (into, from) in sums.zip(other.fusion.as_flattened().iter().chain([&other.crossfade, &other.nearest])) {
             into.join(from);
@@ -183,7 +208,8 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         let sums = evaluate(keys, &settings, &views, lpips.as_mut(), console)?;
         let name = clip.file_name().unwrap_or(clip.as_os_str()).to_string_lossy().into_owned();
         if sums.fusion[0][0].frames < 2 {
-            let message = format!("{}: expected at least {} frames for a gap of {gap}", clip.display(), gap + 1);
+            let least = if let Gap::Every(n) = gap { n + 1 } else { 2 };
+            let message = format!("{}: expected at least {least} frames for a gap of {gap}", clip.display());
             return Err(Failure::work(message));
         }
         total.join(&sums);
@@ -241,7 +267,7 @@ fn evaluate(
     mut lpips: Option<&mut Lpips>,
     console: &Console,
 ) -> Result<Sums, Failure> {
-    let mut sums = Sums::default();
+    let mut sums = Sums { clips: 1, ..Sums::default() };
     let mut modes = Vec::new();
     for &fusion in Fusion::ALL {
         let engine = Engine::new(Settings { fusion, ..settings.clone() })?;

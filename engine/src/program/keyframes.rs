@@ -1,8 +1,9 @@
-//! Input frames to key frames: every gap-th frame, with its depth map, and the frames in between.
+//! Input frames to key frames, with their depth maps, and the frames in between.
 
 use std::time::{Duration, Instant};
 
 use streamsplat::Frame;
+use streamsplat::gap::{Choice, Chooser, Gap};
 use streamsplat::picture::Picture;
 use streamsplat::source::{Source, SourceError, TimedPicture};
 
@@ -37,30 +38,36 @@ pub struct Reading {
 pub struct KeyFrames {
     source: Source,
     depth: KeyDepth,
-    gap: usize,
+    chooser: Chooser,
     keep_pictures: bool,
+    /// Whether frames after the last key frame are left out.
+    whole_gaps: bool,
     limit: usize,
     digest: InputDigest,
     size: [usize; 2],
     pending: Vec<TimedPicture>,
+    /// A frame whose arrival made the one before a key frame.
+    ahead: Option<TimedPicture>,
     time: Duration,
     ended: bool,
 }
 
 impl KeyFrames {
-    /// Every `gap`-th frame of `source`, at most `limit` frames in all. With `keep_pictures` the frames in between come with
-    /// their pictures, and frames after the last whole gap are left out; otherwise the last frame is a key frame.
-    pub fn new(source: Source, depth: KeyDepth, gap: usize, keep_pictures: bool, limit: Option<usize>) -> Self {
+    /// The key frames that `gap` chooses of `source`, at most `limit` frames in all. With `keep_pictures` the frames in between come with
+    /// their pictures, and frames after the last whole fixed gap are left out; otherwise the last frame is a key frame.
+    pub fn new(source: Source, depth: KeyDepth, gap: Gap, keep_pictures: bool, limit: Option<usize>) -> Self {
         let limit = limit.unwrap_or(usize::MAX);
         KeyFrames {
             source,
             depth,
-            gap,
+            chooser: Chooser::new(gap),
             keep_pictures,
+            whole_gaps: keep_pictures && matches!(gap, Gap::Every(_)),
             limit,
             digest: InputDigest::default(),
             size: [0, 0],
             pending: Vec::new(),
+            ahead: None,
             time: Duration::ZERO,
             ended: false,
         }
@@ -108,19 +115,25 @@ impl KeyFrames {
 
     fn read(&mut self) -> Result<Option<KeyFrame>, Failure> {
         while !self.ended && self.digest.frames() < self.limit {
-            let next = match self.source.next_frame() {
-                Ok(next) => next,
-                // What feeds us is stopped by the same Ctrl-C; its stream may end anywhere.
-                Err(SourceError::Y4m { .. }) if super::stop::asked() => None,
-                Err(e) => return Err(e.into()),
+            let (frame, choice) = match self.ahead.take() {
+                Some(frame) => (frame, Choice::Wait),
+                None => {
+                    let Some(frame) = self.arrive()? else { break };
+                    let choice = self.chooser.next(&frame.picture);
+                    (frame, choice)
+                }
             };
-            let Some(frame) = next else { break };
+            if choice == Choice::Before
+                && let Some(before) = self.pending.pop()
+            {
+                self.ahead = Some(frame);
+                return self.last(before).map(Some);
+            }
             let (width, height) = (frame.picture.width, frame.picture.height);
             self.size = [width, height];
             let depth = self.depth.of_file(frame.index, &frame.picture)?;
             self.digest.add(&frame.picture, frame.timestamp, depth.as_deref());
-            let is_key = frame.index % self.gap == 0;
-            if is_key {
+            if choice == Choice::This {
                 return self.key(frame, depth).map(Some);
             }
             // Only the last of them may still become a key frame.
@@ -132,12 +145,29 @@ impl KeyFrames {
             self.pending.push(frame);
         }
         self.ended = true;
-        if self.keep_pictures {
+        if self.whole_gaps {
             return Ok(None);
         }
-        let Some(last) = self.pending.pop() else { return Ok(None) };
-        let depth = self.depth.of_file(last.index, &last.picture)?;
-        self.key(last, depth).map(Some)
+        match self.pending.pop() {
+            Some(last) => self.last(last).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// The next frame of the source.
+    fn arrive(&mut self) -> Result<Option<TimedPicture>, Failure> {
+        match self.source.next_frame() {
+            Ok(next) => Ok(next),
+            // What feeds us is stopped by the same Ctrl-C; its stream may end anywhere.
+            Err(SourceError::Y4m { .. }) if super::stop::asked() => Ok(None),
+            Err(e) => Err(e.into()),
+        }
+    }
+
+    /// The last of the frames that wait, as a key frame.
+    fn last(&mut self, frame: TimedPicture) -> Result<KeyFrame, Failure> {
+        let depth = self.depth.of_file(frame.index, &frame.picture)?;
+        self.key(frame, depth)
     }
 
     fn key(&mut self, mut frame: TimedPicture, of_file: Option<Vec<f32>>) -> Result<KeyFrame, Failure> {

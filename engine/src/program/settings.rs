@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use streamsplat::camera::{self, CameraPath};
 use streamsplat::depth::{NetworkOptions, Range};
+use streamsplat::gap::Gap;
 use streamsplat::render::Backend;
 use streamsplat::stream::{DepthRange, MaxAge, ModelSource, Settings};
 use streamsplat::{RenderOptions, Size};
@@ -49,15 +50,9 @@ impl Model {
 }
 
 impl Stream {
-    /// Key frames are this many input frames apart.
-    pub fn gap(&self) -> Result<usize, Failure> {
-        if self.gap == "auto" {
-            return Err(Failure::usage("--gap auto is not available in this build; give a number of frames"));
-        }
-        match self.gap.parse() {
-            Ok(n @ 1..=100_000) => Ok(n),
-            _ => Err(Failure::usage(format!("--gap {}: expected a whole number from 1 to 100000", self.gap))),
-        }
+    /// How far key frames are apart.
+    pub fn gap(&self) -> Result<Gap, Failure> {
+        choice("--gap", &self.gap)
     }
 
     /// Where depth comes from.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::support::{Scratch, command, fails, run_ok};
+use crate::support::{Scratch, command, fails, files, json, run_ok};
 
 fn verify(path: &Path) -> std::process::Output {
     command().arg("verify").arg(path).args(["--threads", "3"]).output().expect("the program starts")
@@ -38,6 +38,35 @@ fn one_flipped_byte_of_an_output_or_of_the_input_is_found_and_named() {
     let changed = image::RgbImage::from_pixel(40, 24, image::Rgb([9, 9, 9]));
     changed.save(clip.join("1.png")).expect("writable");
     assert!(fails(&verify(&again), 1).contains("the input"));
+}
+
+#[test]
+fn what_is_left_out_and_which_frames_are_key_frames_is_repeated() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 11, 80, 48);
+    // A cut.
+    for frame in 6..11 {
+        let path = clip.join(format!("{frame}.png"));
+        let mut image = image::open(&path).expect("a picture").to_rgb8();
+        image.pixels_mut().for_each(|pixel| pixel.0 = pixel.0.map(|c| 255 - c));
+        image.save(path).expect("writable");
+    }
+    let out = scratch.path("out");
+    run_ok(&clip, &out, &["--gap", "auto:1-4:18", "--reuse", "0.02", "--quiet"]);
+    let record = json(&out.join("run.json"));
+    assert_eq!(record["options"]["stream"]["gap"], "auto:1-4:18");
+    assert_eq!(record["options"]["stream"]["reuse"], "0.02");
+    assert!(record["work"]["encoder.tokens"]["avoided"].as_u64().is_some_and(|n| n > 0), "{}", record["work"]);
+    let scene = json(&out.join("scene/scene.json")).to_string();
+    // The largest gap, the frame before the cut, the one after.
+    for (index, expected) in [(1, 4), (2, 5), (3, 6), (4, 10)] {
+        let name = format!("interval-{index:06}.safetensors");
+        assert!(scene.contains(&name), "{name} ends with frame {expected}");
+    }
+    assert!(!scene.contains("interval-000005"));
+    assert_eq!(files(&out).keys().filter(|name| name.starts_with("frames/")).count(), 11);
+    let output = verify(&out);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 #[test]

@@ -8,7 +8,8 @@
 //!   models with `encoder_window`.
 //! - [`Saving::Within`]: a token is computed anew when its input moved by more than the tolerance (relative to its length, see
 //!   [`streamsplat_kernels::change`]) since it was last computed, block by block. Only such tokens are queried and only their keys
-//!   and values are replaced; every other keeps its last output. A token that a block drops is dropped by all that follow.
+//!   and values are replaced; every other keeps its last output. The decoder and the deformation upsampler tolerate
+//!   [`Memory::MOTION`] times as much: motion shows less of an error than colour does. A token that a block drops is dropped by all that follow.
 //!   Errors do not build up without bound: a part computes everything anew after [`Memory::REFRESH`] steps, or once
 //!   [`Memory::REPLACED`] times all its tokens have been computed one by one.
 //!
@@ -63,6 +64,14 @@ impl Saving {
             Saving::Within(tau) => Tolerance::Relative(tau),
         }
     }
+
+    /// For the parts that give motion: the tolerance times [`Memory::MOTION`].
+    pub(crate) fn of_motion(self) -> Saving {
+        match self {
+            Saving::Exact => Saving::Exact,
+            Saving::Within(tau) => Saving::Within(Memory::MOTION * tau),
+        }
+    }
 }
 
 /// Work of a part in tokens: one for every token a block computes, or does not need to.
@@ -103,6 +112,8 @@ impl Memory {
     pub const REFRESH: u32 = 48;
     /// How many times over a part's tokens are computed one by one before it computes all of them anew.
     pub const REPLACED: usize = 6;
+    /// By how much the tolerance is larger in the decoder and the deformation upsampler.
+    pub const MOTION: f32 = 4.0;
     /// The largest share of a part's tokens that are computed one by one.
     pub const MOST: f64 = 0.6;
 

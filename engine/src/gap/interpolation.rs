@@ -1,0 +1,122 @@
+//! How well the frames between two key frames follow from these, judged on small luma.
+//!
+//! A frame is averaged to [`COLUMNS`] × [`ROWS`] cells of luma. For each block of [`BLOCK`] × [`BLOCK`] cells the displacement `v` is
+//! sought, at most [`REACH`] cells along each axis, for which the first frame at `p − v` is nearest the last at `p + v`: what would pass
+//! the block half-way. Shorter displacements win unless a longer one is better by a tenth. A block of frame i of n is predicted
+//! twice: as the cross-fade `A(p)·(1−t) + B(p)·t`, and as that along the displacement, `A(p − 2v·t)·(1−t) + B(p + 2v·(1−t))·t`,
+//! `t = i/n`; the better counts, as a sum of squares. Places outside are those at the border.
+//!
+//! Everything behind the averages is done in integers; the averages are plain sums in binary32, in the order of the pixels.
+
+use crate::picture::Picture;
+
+/// Cells of a row.
+pub const COLUMNS: usize = 64;
+/// Rows of cells.
+pub const ROWS: usize = 36;
+/// Cells.
+pub const CELLS: usize = COLUMNS * ROWS;
+/// Cells along a block's side.
+pub const BLOCK: usize = 4;
+/// Cells of the largest displacement of half an interval, along an axis.
+pub const REACH: i32 = 4;
+/// The luma of white.
+pub const PEAK: u64 = 1023;
+
+/// The small luma of a frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Small(Vec<i32>);
+
+impl Small {
+    /// Of `picture`, whose every cell holds at least the pixel at its corner.
+    pub fn of(picture: &Picture) -> Small {
+        let Picture { width, height, rgb } = picture;
+        let plane = width * height;
+        let cell = |i: usize, cells: usize, side: usize| {
+            let start = (i * side / cells).min(side.saturating_sub(1));
+            start..((i + 1) * side / cells).max(start + 1).min(side)
+        };
+        let mut luma = Vec::with_capacity(CELLS);
+        for row in 0..ROWS {
+            for column in 0..COLUMNS {
+                let (rows, columns) = (cell(row, ROWS, *height), cell(column, COLUMNS, *width));
+                let count = rows.len() * columns.len();
+                let mut sums = [0.0_f32; 3];
+                for (plane, sum) in rgb.chunks_exact(plane.max(1)).zip(&mut sums) {
+                    for y in rows.clone() {
+                        plane[y * width..][columns.clone()].iter().for_each(|x| *sum += x);
+                    }
+                }
+                let [r, g, b] = sums.map(|sum| sum / count.max(1) as f32);
+                let value = 0.299 * r + 0.587 * g + 0.114 * b;
+                // `as` saturates and sends NaN to 0.
+                luma.push((value.clamp(0.0, 1.0) * PEAK as f32 + 0.5) as i32);
+            }
+        }
+        Small(luma)
+    }
+
+    fn at(&self, row: i32, column: i32) -> i32 {
+        let row = row.clamp(0, ROWS as i32 - 1) as usize;
+        self.0[row * COLUMNS + column.clamp(0, COLUMNS as i32 - 1) as usize]
+    }
+}
+
+/// The largest sum of squares by which a frame between the first and the last of `frames` is missed.
+pub fn worst(frames: &[Small]) -> u64 {
+    let ([first, between @ .., last], true) = (frames, frames.len() > 2) else { return 0 };
+    let n = between.len() as i32 + 1;
+    let mut errors = vec![0; between.len()];
+    for row in (0..ROWS as i32).step_by(BLOCK) {
+        for column in (0..COLUMNS as i32).step_by(BLOCK) {
+            let v = displacement(first, last, row, column);
+            for (i, (frame, error)) in between.iter().zip(&mut errors).enumerate() {
+                let still = miss(first, last, frame, (row, column), [0, 0], i as i32 + 1, n);
+                let moving =
+                    if v == [0, 0] { still } else { miss(first, last, frame, (row, column), v, i as i32 + 1, n) };
+                *error += still.min(moving);
+            }
+        }
+    }
+    errors.into_iter().max().unwrap_or(0)
+}
+
+/// The cells of the block at `(row, column)`.
+fn block((row, column): (i32, i32)) -> impl Iterator<Item = (i32, i32)> {
+    let side = BLOCK as i32;
+    (row..row + side).flat_map(move |y| (column..column + side).map(move |x| (y, x)))
+}
+
+/// The displacement of half an interval at a block.
+fn displacement(first: &Small, last: &Small, row: i32, column: i32) -> [i32; 2] {
+    let distance = |[dy, dx]: [i32; 2]| -> i32 {
+        block((row, column)).map(|(y, x)| (first.at(y - dy, x - dx) - last.at(y + dy, x + dx)).abs()).sum()
+    };
+    let mut best = ([0, 0], distance([0, 0]));
+    // Rings of growing size around the middle.
+    for ring in 1..=REACH {
+        for dy in -ring..=ring {
+            let step = if dy.abs() == ring { 1 } else { 2 * ring };
+            for dx in (-ring..=ring).step_by(step as usize) {
+                let distance = distance([dy, dx]);
+                if 10 * distance < 9 * best.1 {
+                    best = ([dy, dx], distance);
+                }
+            }
+        }
+    }
+    best.0
+}
+
+/// The sum of squares by which a block of frame `i` of `n` is missed.
+fn miss(first: &Small, last: &Small, frame: &Small, at: (i32, i32), v: [i32; 2], i: i32, n: i32) -> u64 {
+    // 2v·t, rounded half up.
+    let [dy, dx] = v.map(|v| (4 * v * i + n).div_euclid(2 * n));
+    let [ry, rx] = [2 * v[0] - dy, 2 * v[1] - dx];
+    let square = |(y, x): (i32, i32)| {
+        let mixed = first.at(y - dy, x - dx) * (n - i) + last.at(y + ry, x + rx) * i;
+        let error = i64::from((mixed + n / 2) / n - frame.at(y, x));
+        (error * error) as u64
+    };
+    block(at).map(square).sum()
+}

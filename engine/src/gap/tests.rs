@@ -1,0 +1,104 @@
+use super::interpolation::{PEAK, Small, worst};
+use super::{Auto, Choice, Chooser, Gap};
+use crate::picture::Picture;
+
+/// A textured plane that has moved right by `shift` pixels, with a bright square where `square` says.
+fn picture(shift: i32, square: Option<usize>) -> Picture {
+    let (width, height) = (256, 144);
+    let pixel = |i: usize| {
+        let (y, x) = ((i / width % height) as i32, (i % width) as i32 - shift);
+        let inside = square.is_some_and(|at| (40..104).contains(&y) && (at..at + 64).contains(&(i % width)));
+        if inside { 1.0 } else { 0.3 + 0.2 * ((x.div_euclid(23) + y / 17) % 3) as f32 * 0.5 }
+    };
+    Picture { width, height, rgb: (0..3 * width * height).map(pixel).collect() }
+}
+
+/// Key frames of a clip: with the last frame, as a run has them.
+fn keys(gap: Gap, clip: &[Picture]) -> Vec<usize> {
+    let mut chooser = Chooser::new(gap);
+    let mut keys = Vec::new();
+    for (i, picture) in clip.iter().enumerate() {
+        match chooser.next(picture) {
+            Choice::Wait => {}
+            Choice::This => keys.push(i),
+            Choice::Before => keys.push(i - 1),
+        }
+    }
+    keys
+}
+
+#[test]
+fn a_fixed_gap_takes_every_nth_frame() {
+    let clip = vec![picture(0, None); 10];
+    assert_eq!(keys(Gap::Every(1), &clip), (0..10).collect::<Vec<_>>());
+    assert_eq!(keys(Gap::Every(4), &clip), [0, 4, 8]);
+}
+
+#[test]
+fn a_still_scene_has_the_largest_gap_and_a_sudden_change_a_key_frame_on_both_sides() {
+    let auto = Gap::Auto(Auto { least: 1, most: 8, decibels: 26.0 });
+    let still = vec![picture(0, None); 25];
+    assert_eq!(keys(auto, &still), [0, 8, 16, 24]);
+    let mut cut = still.clone();
+    cut[11..].fill(picture(0, Some(100)));
+    assert_eq!(keys(auto, &cut), [0, 8, 10, 11, 19]);
+    // Not below the smallest gap.
+    let bounded = Gap::Auto(Auto { least: 5, most: 8, decibels: 26.0 });
+    let found = keys(bounded, &cut);
+    assert!(found.windows(2).all(|pair| (5..=8).contains(&(pair[1] - pair[0]))), "{found:?}");
+}
+
+#[test]
+fn uniform_motion_is_predicted_and_a_blink_is_not() {
+    let small = |shift, square| Small::of(&picture(shift, square));
+    let moving: Vec<Small> = (0..5).map(|i| small(4 * i, None)).collect();
+    let blinking = [small(0, None), small(0, Some(90)), small(0, None)];
+    let crossfade = {
+        // The same frames in an order that no motion has.
+        let mut shuffled = moving.clone();
+        shuffled.swap(1, 3);
+        worst(&shuffled)
+    };
+    assert_eq!(worst(&moving[..2]), 0);
+    assert!(worst(&moving) < crossfade, "{} {crossfade}", worst(&moving));
+    assert!(worst(&moving) < worst(&blinking) / 20, "{} {}", worst(&moving), worst(&blinking));
+    let cells = 16 * 16 * PEAK * PEAK / 8;
+    assert!(worst(&blinking) > cells, "{} {cells}", worst(&blinking));
+}
+
+#[test]
+fn pictures_of_any_size_have_their_luma() {
+    for (width, height) in [(1, 1), (3, 200), (63, 35), (640, 360)] {
+        let picture = Picture { width, height, rgb: vec![1.0; 3 * width * height] };
+        let black = Picture { rgb: vec![f32::NAN; 3 * width * height], ..picture.clone() };
+        let frames = [Small::of(&picture), Small::of(&black), Small::of(&picture)];
+        assert_eq!(worst(&frames), super::interpolation::CELLS as u64 * PEAK * PEAK, "{width}x{height}");
+    }
+}
+
+#[test]
+fn gaps_are_found_by_their_names_and_others_are_refused() {
+    assert_eq!("7".parse(), Ok(Gap::Every(7)));
+    assert_eq!("auto".parse(), Ok(Gap::Auto(Auto::default())));
+    assert_eq!("auto:20".parse(), Ok(Gap::Auto(Auto { most: 20, ..Auto::default() })));
+    assert_eq!("auto:3".parse(), Ok(Gap::Auto(Auto { least: 3, most: 3, ..Auto::default() })));
+    assert_eq!("auto:1-8:30.5".parse(), Ok(Gap::Auto(Auto { least: 1, most: 8, decibels: 30.5 })));
+    for gap in [Gap::Every(3), Gap::Auto(Auto { least: 2, most: 9, decibels: 24.5 })] {
+        assert_eq!(gap.to_string().parse(), Ok(gap));
+    }
+    for wrong in [
+        "0",
+        "100001",
+        "",
+        "auto:",
+        "auto:0",
+        "auto:65",
+        "auto:9-3",
+        "auto:8:5",
+        "auto:8:nan",
+        "auto:8:30:1",
+        "automatic",
+    ] {
+        assert!(wrong.parse::<Gap>().is_err(), "{wrong}");
+    }
+}
