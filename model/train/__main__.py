@@ -28,7 +28,7 @@ def load_clips(o, size):
 
 def begin(o):
     """Writes the analytic start into a new run folder."""
-    c = network.Config(hidden_dim=o.width, upsampler_window=o.window, static_position='truncated_normal' if o.sampling else 'tanh')
+    c = network.Config(hidden_dim=o.width, upsampler_window=o.window, resolution=tuple(o.resolution), condition_len=o.resolution[0] * o.resolution[1] // 64, static_position='truncated_normal' if o.sampling else 'tanh')
     clips = load_clips(o, c.resolution)
     torch.manual_seed(o.seed)
     net = network.StreamSplat(c)
@@ -40,7 +40,6 @@ def begin(o):
     info.update(start.write_decoder(net, readers, frames[:8]))
     info.update(start.write_motion(net, readers, frames[:8]))
     run = Run(o.run)
-    torch.save({k: v for k, v in readers.items() if torch.is_tensor(v) or isinstance(v, (dict, float))}, run.folder / 'readers.pt')
     run.note('start', info)
     run.note('config', {k: list(v) if isinstance(v, tuple) else v for k, v in c.__dict__.items()})
     run.save(dict(stage='start', done=True, net=net.state_dict(), spent=0.0, before=0.0))
@@ -54,21 +53,45 @@ def open_run(o):
     state = run.state
     net = network.StreamSplat(c)
     net.load_state_dict(state['net'])
-    return run, net, state
+    return run, net.to(o.device), state
 
 
 def train(o):
     run, net, state = open_run(o)
     clips = load_clips(o, net.config.resolution)
-    o.readers = run.folder / 'readers.pt'
     fresh = state['stage'] != o.stage or state['done']
     stage = None if fresh else state
     before = state['before'] + state['spent'] if fresh else state['before']
     if fresh:                                     # a stage that follows another starts with its own optimiser and the weights it finds
         run.save(dict(state, before=before, spent=0.0))
-    runner = getattr(stages, o.stage)
-    done = runner(net, o, run, clips, stage)
-    return done
+    return getattr(stages, o.stage)(net, o, run, clips, stage)
+
+
+SHARES = dict(static=0.6, heads=0.4)
+
+
+def whole(o):
+    """Start, both stages, checkpoint and held-out figures; whatever of it is done already is left as it is."""
+    if not (pathlib.Path(o.run) / 'state.pt').exists():
+        begin(o)
+    order = ['start', *SHARES]
+    for stage, share in SHARES.items():
+        state = Run(o.run).state
+        reached = order.index(state['stage'])
+        if reached > order.index(stage) or reached == order.index(stage) and state['done']:
+            continue
+        settings = argparse.Namespace(**vars(o))
+        settings.stage, settings.minutes, settings.steps = stage, o.minutes * share, o.steps
+        train(settings)
+    export(o)
+    if o.intervals >= 0:
+        o.model, o.limit, o.out = o.out, o.intervals, str(pathlib.Path(o.run) / 'eval.json')
+        measure(o)
+
+
+def pack(o):
+    """All clips at the model's resolution in one folder of a limited size."""
+    print(data.pack(pathlib.Path(o.clips or '.'), pathlib.Path(o.out), tuple(o.size), int(o.limit_mb * 1e6)))
 
 
 def export(o):
@@ -77,12 +100,12 @@ def export(o):
 
 
 def opened(o):
-    return network.open_official(o.model) if o.model else open_run(o)[1]
+    return network.open_official(o.model) if o.model else open_run(o)[1].cpu()
 
 
 def measure(o):
     net = opened(o)
-    evaluate.evaluate(net, pathlib.Path(o.clips) / o.split, tuple(o.gaps), o.stride, o.limit, o.cache, o.out)
+    evaluate.evaluate(net, pathlib.Path(o.clips) / o.split, tuple(o.gaps_measured), o.stride, o.limit, o.cache, o.out)
 
 
 def layer(o):
@@ -97,7 +120,7 @@ def layer(o):
     print(info)
 
 
-def main():
+def main(arguments=None):
     a = argparse.ArgumentParser(prog='python -m train', description='The shipped checkpoint, from nothing but clips.')
     a.add_argument('--threads', type=int, default=2)
     a.add_argument('--device', choices=('cpu', 'cuda'), default='cpu')
@@ -113,40 +136,80 @@ def main():
             c.add_argument('--run', default='runs/small', help='folder of the run')
         return c
 
-    c = command('start', begin, 'write the analytic start')
-    c.add_argument('--width', type=int, default=256)
-    c.add_argument('--window', type=int, default=64)
-    c.add_argument('--sampling', action='store_true', help='a truncated-normal position head, sampled while training')
-    for name, text in (('colours', 'linear head through the rasteriser'), ('static', 'static half'), ('motion', 'decoder against teacher motion'),
-                       ('dynamic', 'deformation half')):
-        c = command(name, train, text)
-        c.set_defaults(stage=name)
-        c.add_argument('--steps', type=int, default=0, help='exact length; a resumed run equals an unbroken one to the bit on a CPU')
+    def network_options(c):
+        c.add_argument('--width', type=int, default=256)
+        c.add_argument('--window', type=int, default=64)
+        c.add_argument('--resolution', type=int, nargs=2, default=(144, 256))
+        c.add_argument('--sampling', action='store_true', help='a truncated-normal position head, sampled while training')
+
+    def training_options(c):
+        c.add_argument('--steps', type=int, default=0, help='exact length of a stage; a resumed run equals an unbroken one to the bit')
         c.add_argument('--minutes', type=float, default=0, help='time budget instead of --steps')
         c.add_argument('--until', type=int, help='stop early at this step (and resume by the same command)')
-        c.add_argument('--batch', type=int, default=4 if name in ('colours', 'static') else 1)
+        c.add_argument('--rate', type=float, default=1.0, help='factor on all learning rates')
         c.add_argument('--gradient', type=float, default=0.0, help='weight of the gradient L1')
         c.add_argument('--depth', action='store_true', help='let depth move (see README: order is fragile)')
+        c.add_argument('--mixed', action='store_true', help='bfloat16 products in upsamplers and heads')
+        c.add_argument('--rasteriser', choices=('cpu', 'triton'), help='default: what the device asks for')
         c.add_argument('--mean-positions', action='store_true', help='do not sample positions')
-        if name in ('colours', 'static'):
-            c.add_argument('--crop', type=int, nargs=2, help='rows and columns in patches of 8; keep the full width when attention is trained')
-            c.add_argument('--attention', action='store_true', help='train the upsampler\'s attention too')
-            c.add_argument('--encoder', action='store_true', help='train the encoder too')
-        else:
-            c.add_argument('--procedural', type=float, default=0.4, help='share of procedural scenes')
-            c.add_argument('--gaps', type=int, nargs=2, default=(2, 8))
-            c.add_argument('--middle', type=int, default=2)
-            c.add_argument('--flow', type=float, default=0.05)
-            c.add_argument('--decoder', action='store_true', help='train the decoder too')
+
+    def static_options(c):
+        c.add_argument('--crop', type=int, nargs=2, help='rows and columns in patches of 8; keep the full width when attention is trained')
+        c.add_argument('--attention', action='store_true', help='train the upsampler\'s attention too')
+        c.add_argument('--encoder', action='store_true', help='train the encoder too')
+
+    def dynamic_options(c):
+        c.add_argument('--procedural', type=float, default=0.15, help='share of procedural scenes')
+        c.add_argument('--gaps', type=int, nargs=2, default=(3, 8))
+        c.add_argument('--middle', type=int, default=3)
+        c.add_argument('--flow', type=float, default=0.05)
+        c.add_argument('--decoder', action='store_true', help='train the decoder too')
+
+    def heads_options(c):
+        c.add_argument('--pairs', type=int, default=120, help='pairs of frames held ready, about 7 MB each')
+
+    def checkpoint_options(c):
+        c.add_argument('--dtype', choices=('f16', 'bf16', 'f32'), default='f16')
+
+    def measuring_options(c):
+        c.add_argument('--split', default='val')
+        c.add_argument('--gaps-measured', type=int, nargs='+', default=(5, 8))
+        c.add_argument('--stride', type=int, default=10)
+
+    c = command('pack', pack, 'all clips at the model\'s resolution in one small folder', run=False)
+    c.add_argument('--out', required=True)
+    c.add_argument('--size', type=int, nargs=2, default=(144, 256))
+    c.add_argument('--limit-mb', type=float, default=50.0)
+    c = command('start', begin, 'write the analytic start')
+    network_options(c)
+    c = command('static', train, 'the static half')
+    c.set_defaults(stage='static')
+    training_options(c)
+    c.add_argument('--batch', type=int, default=2)
+    static_options(c)
+    c = command('dynamic', train, 'the deformation half')
+    c.set_defaults(stage='dynamic')
+    training_options(c)
+    c.add_argument('--batch', type=int, default=1)
+    dynamic_options(c)
+    c = command('heads', train, 'the deformation heads alone, on tokens worked out once')
+    c.set_defaults(stage='heads')
+    training_options(c)
+    dynamic_options(c)
+    heads_options(c)
+    c = command('all', whole, 'start, static, dynamic, export and eval; resumes')
+    for options in (network_options, training_options, static_options, dynamic_options, heads_options, checkpoint_options, measuring_options):
+        options(c)
+    c.add_argument('--batch', type=int, default=2, help='frames of a step of the static stage')
+    c.add_argument('--out', required=True, help='the checkpoint')
+    c.add_argument('--intervals', type=int, default=0, help='measured per clip (0: all; -1: measure nothing)')
     c = command('export', export, 'write the checkpoint in the official layout')
     c.add_argument('--out', required=True)
-    c.add_argument('--dtype', choices=('f16', 'bf16', 'f32'), default='f16')
+    checkpoint_options(c)
     c = command('eval', measure, 'held-out figures')
     c.add_argument('--model', help='a checkpoint instead of the run')
-    c.add_argument('--split', default='val')
-    c.add_argument('--gaps', type=int, nargs='+', default=(5, 8))
-    c.add_argument('--stride', type=int, default=10)
-    c.add_argument('--limit', type=int, default=0, help='intervals per clip')
+    measuring_options(c)
+    c.add_argument('--limit', type=int, default=0, help='intervals per clip (0: all)')
     c.add_argument('--out')
     c = command('layer', layer, 'write layering and fade into a checkpoint', run=False)
     c.add_argument('--model', required=True)
@@ -155,11 +218,12 @@ def main():
     c.add_argument('--sharpness', type=float, default=12.0)
     c.add_argument('--half-life', type=float, default=0.8)
     c.add_argument('--learned', type=float, default=0.0)
-    o = a.parse_args()
-    if o.device == 'cuda':
-        raise SystemExit('the rasteriser has no CUDA version yet: --device cpu')
+    o = a.parse_args(arguments)
+    if o.device == 'cuda' and not torch.cuda.is_available():
+        raise SystemExit('--device cuda: this machine has no CUDA device that PyTorch can use')
     torch.set_num_threads(o.threads)
     o.function(o)
 
 
-main()
+if __name__ == '__main__':
+    main()

@@ -36,6 +36,30 @@ def load_clip(folder, size, cache=None):
     return frames
 
 
+def coded_frame(frame, quality):
+    settings = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    return cv2.imencode('.jpg', frame[:, :, ::-1], settings)[1]
+
+
+def pack(source, target, size, limit):
+    """Writes the clips of source/train and source/val at `size` to `target`, in the layout that is read here, in at most `limit` bytes.
+
+    JPEG without chroma subsampling, of the highest quality of 95, 90, ... that fits. Returns what was written."""
+    clips = [(p.relative_to(source), load_clip(p, size)) for split in ('train', 'val') for p in clip_folders(source / split)]
+    for quality in range(95, 45, -5):
+        coded = [[coded_frame(f, quality) for f in clip] for _, clip in clips]
+        used = sum(len(f) for clip in coded for f in clip)
+        if used <= limit:
+            break
+    else:
+        raise ValueError(f'{used} bytes at quality {quality}, {limit} allowed: fewer clips or a smaller size')
+    for (name, _), clip in zip(clips, coded):
+        (target / name).mkdir(parents=True, exist_ok=True)
+        for k, f in enumerate(clip):
+            (target / name / f'{k:05}.jpg').write_bytes(f.tobytes())
+    return dict(clips=len(clips), frames=sum(map(len, coded)), bytes=used, quality=quality)
+
+
 def dis_flow(a, b):
     """Dense optical flow from a to b (uint8 RGB), pixels."""
     if not hasattr(_local, 'dis'):

@@ -1,4 +1,4 @@
-"""Differentiable splatting on the CPU (rasteriser.cpp, compiled on first use) and StreamSplat's Gaussians in time."""
+"""Differentiable splatting and StreamSplat's Gaussians in time: rasteriser.cpp on the CPU (compiled on first use), rasteriser_triton.py on CUDA."""
 import ctypes
 import hashlib
 import os
@@ -58,13 +58,21 @@ class Splat(torch.autograd.Function):
         return gP, gV, None, None, None, None
 
 
+def splat(P, values, key, background, H, W, kernels=None):
+    """`kernels`: 'cpu' or 'triton'; by default what the tensors' device asks for."""
+    if (kernels or ('triton' if P.is_cuda else 'cpu')) == 'cpu':
+        return Splat.apply(P, values, key, background, H, W)
+    from .rasteriser_triton import SplatTriton
+    return SplatTriton.apply(P, values, key, background, H, W)
+
+
 def opacity_at(gamma, dt):
     """Factor of the static opacity at distance `dt` from the Gaussian's own frame; 1 at 0, never overflows."""
     g0, g1 = gamma[..., 0], gamma[..., 1]
     return torch.sigmoid(-g0 * (dt.abs() - g1)) / torch.sigmoid(g0 * g1)
 
 
-def render(xyz, scale, opacity, rgb, H, W, background, full=None, offset=(0, 0)):
+def render(xyz, scale, opacity, rgb, H, W, background, full=None, offset=(0, 0), kernels=None):
     """World-space Gaussians [M,N,.] in the canonical camera -> image [M,4,H,W] (r, g, b, depth), transmittance [M,H,W].
 
     `full` (rows, columns) and `offset` (row, column) cut a window out of a larger image; y is normalised inverse depth."""
@@ -77,21 +85,21 @@ def render(xyz, scale, opacity, rgb, H, W, background, full=None, offset=(0, 0))
     visible = ((y >= 0) & (y <= 1)).to(y.dtype)
     P = torch.stack([u, v, variance(scale[..., 0], full_w / 2), variance(scale[..., 1], full_h / 2), opacity * visible], -1)
     values = torch.cat([rgb, depth[..., None]], -1)
-    return Splat.apply(P, values, depth.detach(), torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W)
+    return splat(P, values, depth.detach(), torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W, kernels)
 
 
-def render_static(g, H, W, background, full=None, offset=(0, 0)):
-    return render(g['xyz'], g['scale'], g['opacity'][..., 0], g['rgb'], H, W, background, full, offset)
+def render_static(g, H, W, background, full=None, offset=(0, 0), kernels=None):
+    return render(g['xyz'], g['scale'], g['opacity'][..., 0], g['rgb'], H, W, background, full, offset, kernels)
 
 
-def render_pair(g, times, H, W, background):
+def render_pair(g, times, H, W, background, kernels=None):
     """Both frames' Gaussians [B,2,N,.] at `times` [B,K] in [0,1], background [B,K,3] -> image [B,K,4,H,W], T [B,K,H,W]."""
     B, _, N, _ = g['xyz'].shape
     K = times.shape[1]
-    dt = times[:, :, None, None] - torch.tensor([0.0, 1.0]).view(1, 1, 2, 1)                       # [B,K,2,1]
+    dt = times[:, :, None, None] - times.new_tensor([0.0, 1.0]).view(1, 1, 2, 1)                       # [B,K,2,1]
     xyz = g['xyz'][:, None] + g['velocity'][:, None] * dt[..., None]
     opacity = g['opacity'][:, None, ..., 0] * opacity_at(g['gamma'][:, None], dt)
     flat = lambda a: a.reshape(B * K, 2 * N, a.shape[-1])
     spread = lambda a: flat(a[:, None].expand(B, K, *a.shape[1:]))
-    image, T = render(flat(xyz), spread(g['scale']), opacity.reshape(B * K, 2 * N), spread(g['rgb']), H, W, background.reshape(B * K, 3))
+    image, T = render(flat(xyz), spread(g['scale']), opacity.reshape(B * K, 2 * N), spread(g['rgb']), H, W, background.reshape(B * K, 3), kernels=kernels)
     return image.view(B, K, 4, H, W), T.view(B, K, H, W)

@@ -1,18 +1,18 @@
 """The stages of training. Each is a function from (network, settings, run) that can stop and go on at any step.
 
-colours   the head alone, on top of the window extractor: a linear map through the rasteriser
 static    upsampler and head on single frames (the encoder is the exact extractor of start.py; `--encoder` frees it)
-motion    the decoder against teacher motion, nothing rendered
+heads     the deformation heads alone, on tokens of pairs that are worked out once, rendered at one key time and two between
 dynamic   deformation upsampler and heads, rendered at both key times and at times between; encoder and static half frozen
 """
 import math
+import signal
 import time
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 
-from . import data, losses, start
+from . import data, losses
+from .optimiser import Mixed, groups_of
 from .rasteriser import render_pair, render_static
 
 
@@ -31,32 +31,46 @@ class Progress:
         self.spent += (now - self._since) / 60
         self._since = now
 
+    def skip(self):
+        self._since = time.monotonic()
+
     def at(self, step):
         return step / self.steps if self.steps else min(1.0, self.spent / self.minutes)
 
 
-def cosine(f, step, warm=40, hold=0.2):
-    return min(1.0, (step + 1) / warm) * (0.03 + 0.97 * 0.5 * (1 + math.cos(math.pi * max(0.0, (f - hold) / (1 - hold)))))
+def tensors(batch, device):
+    """A batch of numpy arrays where the network is."""
+    return {k: torch.from_numpy(v).to(device) for k, v in batch.items()}
+
+
+def half(o, device):
+    """Mixed precision for upsamplers and heads where `--mixed` asks for it. Encoder and decoder stay in float32: their start hides
+    matching and motion in faint directions that 8 bits of mantissa would lose."""
+    return torch.autocast(device.type, torch.bfloat16, enabled=o.mixed)
+
+
+def single(g):
+    return {k: t.float() for k, t in g.items()}
+
+
+def cosine(f, step, warm=20, hold=0.1):
+    return min(1.0, (step + 1) / warm) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * max(0.0, (f - hold) / (1 - hold)))))
 
 
 class Stage:
     """Optimiser, running mean of the weights, log and state around one `loss(step, fraction) -> (loss, figures)`."""
 
-    def __init__(self, name, net, groups, run, steps=0, minutes=0.0, beta2=0.98, clip=8.0, decay=0.0, every=25, keep=180.0, mean=0.995):
+    def __init__(self, name, net, groups, run, steps=0, minutes=0.0, clip=8.0, every=25, keep=120.0, mean=0.995):
         for p in net.parameters():
             p.requires_grad_(False)
         self.name, self.net, self.run, self.every, self.keep, self.clip, self.mean = name, net, run, every, keep, clip, mean
-        self.rates = []
-        params = []
-        for tensors, rate in groups:
-            tensors = list(tensors)
-            for p in tensors:
-                p.requires_grad_(True)
-            params.append(dict(params=tensors, lr=rate))
-            self.rates.append(rate)
-        self.trained = [p for g in params for p in g['params']]
+        self.rates = [g['lr'] for g in groups]
+        self.trained = [p for g in groups for p in g['params']]
+        self.device = self.trained[0].device
+        for p in self.trained:
+            p.requires_grad_(True)
         self.names = {id(p): k for k, p in net.named_parameters()}
-        self.opt = torch.optim.AdamW(params, betas=(0.9, beta2), eps=1e-10, weight_decay=decay)
+        self.opt = Mixed(groups)
         self.average = {self.names[id(p)]: p.detach().clone() for p in self.trained}
         self.progress, self.step, self.before = Progress(steps, minutes), 0, 0.0
 
@@ -65,7 +79,7 @@ class Stage:
             return
         self.net.load_state_dict(state['net'])
         self.opt.load_state_dict(state['opt'])
-        self.average = {k: v.clone() for k, v in state['average'].items()}
+        self.average = {k: v.to(self.device, copy=True) for k, v in state['average'].items()}
         self.step, self.progress.spent, self.before = state['step'], state['spent'], state['before']
 
     def state(self, done=False):
@@ -73,12 +87,13 @@ class Stage:
                     spent=self.progress.spent, before=self.before)
 
     def go(self, loss_of, until=None):
-        """Runs to the end of the budget (or to step `until`), then puts the running mean into the network."""
-        figures, saved = [], time.monotonic()
+        """Runs to the end of the budget, then puts the running mean into the network; or to step `until` or a SIGTERM, and keeps what resumes it."""
+        figures, saved, stop = [], time.monotonic(), []
+        before = signal.signal(signal.SIGTERM, lambda *_: stop.append(1))
         while True:
             self.progress.tick()
             f = self.progress.at(self.step)
-            if f >= 1 or (until is not None and self.step >= until):
+            if f >= 1 or stop or (until is not None and self.step >= until):
                 break
             for g, rate in zip(self.opt.param_groups, self.rates):
                 g['lr'] = rate * cosine(f, self.step)
@@ -104,8 +119,11 @@ class Stage:
             if time.monotonic() - saved > self.keep:
                 self.run.save(self.state())
                 saved = time.monotonic()
-        if until is not None and self.step >= until and self.progress.at(self.step) < 1:
+        signal.signal(signal.SIGTERM, before)
+        if self.progress.at(self.step) < 1:
             self.run.save(self.state())
+            if stop:
+                raise SystemExit(f'stopped at step {self.step}; the same command goes on from there')
             return self
         with torch.no_grad():
             for p in self.trained:
@@ -128,29 +146,18 @@ def flat_depth(net):
     return hooks
 
 
-def named(module, *words, exclude=()):
-    return [p for k, p in module.named_parameters() if (not words or any(w in k for w in words)) and not any(w in k for w in exclude)]
-
-
-def static_groups(net, attention=False, encoder=False):
+def static_groups(net, attention=False, encoder=False, rate=1.0):
     up, head = net.gs_predictor.gaussian_upsampler, net.gs_predictor.predictor
     silent = () if attention else ('.attn.', 'layernorm1')
-    groups = [(named(up, 'mlp.', exclude=silent), 5e-4), (named(up, 'layernorm', exclude=silent), 1e-3), (named(up, 'residual_fc'), 1e-4), (head.parameters(), 5e-4)]
-    if attention:
-        groups.append((named(up, '.attn.'), 3e-4))
+    groups = groups_of(up, 0.015 * rate, 3e-3 * rate, slow={'residual_fc': 0.0045 * rate}, skip=silent)
+    groups.append(dict(params=list(head.parameters()), lr=7.5e-3 * rate))
     if encoder:
-        groups.append((named(net.gs_predictor.encoder), 2e-5))
+        groups += groups_of(net.gs_predictor.encoder, 1.5e-3 * rate, 1.5e-4 * rate)
     return groups
 
 
-def colours(net, o, run, clips, state=None):
-    stage = Stage('colours', net, [(net.gs_predictor.predictor.parameters(), 2e-2)], run, o.steps, o.minutes)
-    stage.resume(state)
-    return _static(stage, net, o, clips, encoder=False)
-
-
 def static(net, o, run, clips, state=None):
-    stage = Stage('static', net, static_groups(net, o.attention, o.encoder), run, o.steps, o.minutes)
+    stage = Stage('static', net, static_groups(net, o.attention, o.encoder, o.rate), run, o.steps, o.minutes)
     stage.resume(state)
     return _static(stage, net, o, clips, o.encoder)
 
@@ -163,15 +170,17 @@ def _static(stage, net, o, clips, encoder):
 
     def loss_of(step, f):
         x, place = source.batch(step)
-        x = torch.from_numpy(x)
+        x = torch.from_numpy(x).to(stage.device)
         grid = (x.shape[2] // 8, x.shape[3] // 8)
         gen = torch.Generator().manual_seed(o.seed * 1_000_003 + step)
         with torch.set_grad_enabled(encoder):
             e = net.encode(x, place=place)
-        token = net.gs_predictor.gaussian_upsampler(e, grid)
-        u = torch.rand(*token.shape[:2], 3, generator=gen) if sampled and not o.mean_positions else None
-        g = net.gs_predictor.predictor(token, u, net.cells(grid, place))
-        image, T = render_static(g, x.shape[2], x.shape[3], torch.rand(len(x), 3, generator=gen), (h, w), (place[0] * 8, place[1] * 8))
+        with half(o, stage.device):
+            token = net.gs_predictor.gaussian_upsampler(e, grid)
+            u = torch.rand(*token.shape[:2], 3, generator=gen).to(stage.device) if sampled and not o.mean_positions else None
+            g = single(net.gs_predictor.predictor(token, u, net.cells(grid, place)))
+        background = torch.rand(len(x), 3, generator=gen).to(stage.device)
+        image, T = render_static(g, x.shape[2], x.shape[3], background, (h, w), (place[0] * 8, place[1] * 8), o.rasteriser)
         # a crop's rim lacks the neighbours that the full frame has
         m = 8 if grid != net.config.grid else 0
         inner = (slice(None), slice(None), slice(m, x.shape[2] - m), slice(m, x.shape[3] - m))
@@ -185,39 +194,76 @@ def _static(stage, net, o, clips, encoder):
     return stage
 
 
-def motion(net, o, run, clips, state=None):
-    """The decoder alone: the smoothed motion axes against the teacher, on patches."""
-    dec = net.decoder.transformer_decoder
-    readers = torch.load(o.readers, weights_only=True)
-    b0, b1 = dec.transformer.resblocks[:2]
-    groups = [(named(b0.mlp), 2e-4), ([b0.mlp_ln.weight, b1.mlp_ln.weight], 1e-3), (named(b1.mlp), 2e-4)]
-    stage = Stage('motion', net, groups, run, o.steps, o.minutes)
+class Prepared:
+    """Pairs with everything that the deformation heads read worked out once: what lies before the heads stays as it is in their stage."""
+
+    def __init__(self, net, o, clips, device):
+        source = data.Pairs(clips, o.seed, 1, middle=o.middle, procedural=o.procedural, gaps=tuple(o.gaps))
+        self.pairs, self.seed = [], o.seed
+        for k in range(o.pairs):
+            b = tensors(source.batch(k), device)
+            with torch.no_grad():
+                e = net.encode(b['rgb'][:, :2].flatten(0, 1))
+                g, token = net.static(e)
+                features = torch.cat([token, net.gaussian_upsampler(net.decoder.transformer_decoder(e))], -1)
+                target, sure = losses.splat_flow(b['flow'], b['sure'], net.config.splat_grid)
+            entry = dict(g, features=features, target=target, sure=sure, frames=b['rgb'], time=b['time'], foreground=b['foreground'])
+            self.pairs.append({k: v.half() for k, v in entry.items()} | dict(xyz=g['xyz']))
+
+    def at(self, step):
+        """One pair with its first or last frame and two of those between."""
+        r = np.random.default_rng([self.seed, step, 1 << 21])
+        b = {k: v.float() for k, v in self.pairs[r.integers(len(self.pairs))].items()}
+        inner = b['time'].shape[1] - 2
+        pick = [int(r.integers(2)), *(2 + r.permutation(inner)[:2]).tolist()]
+        return dict(b, **{k: b[k][:, pick] for k in ('frames', 'time', 'foreground')}, ends=b['frames'][:, :2])
+
+
+def heads(net, o, run, clips, state=None):
+    head, (h, w) = net.gs_dynamic_predictor, net.config.resolution
+    proj = net.encoder_proj.weight
+    groups = groups_of(head.gs_layer['xyz_dynamic'], 0.005 * o.rate, 3e-4 * o.rate, output=('layers.7',))
+    groups += groups_of(head.gs_layer['opacity_dynamic'], 0.01 * o.rate, 3e-3 * o.rate, output=('layers.7',))
+    stage = Stage('heads', net, groups, run, o.steps, o.minutes, every=100)
     stage.resume(state)
-    source = data.Pairs(clips, o.seed, o.batch, middle=1, procedural=o.procedural, gaps=tuple(o.gaps))
-    axes = torch.stack([readers['motion']['sx'], readers['motion']['sy']]).float() * readers['decoder_gain'] * start.SMOOTH_UNIT * net.config.patch_size
+    source = Prepared(net, o, clips, stage.device)
+    stage.progress.skip()                         # working out the tokens is not training
+    hooks = [] if o.depth else flat_depth(net)
 
     def loss_of(step, f):
-        b = {k: torch.from_numpy(v) for k, v in source.batch(step).items()}
+        b = source.at(step)
+        gen = torch.Generator().manual_seed(o.seed * 1_000_003 + step)
+        token, up = b['features'].chunk(2, -1)
+        velocity, gamma = head(torch.cat([token @ proj.T, up], -1))
+        g = {k: b[k].unflatten(0, (-1, 2)) for k in ('xyz', 'scale', 'opacity', 'rgb')}
+        g.update(velocity=velocity.unflatten(0, (-1, 2)), gamma=gamma.unflatten(0, (-1, 2)))
+        background = torch.rand(1, 1, 3, generator=gen).expand(1, b['time'].shape[1], 3).contiguous().to(stage.device)
+        image = render_pair(g, b['time'], h, w, background, o.rasteriser)[0][:, :, :3]
+        epe, epe_zero = losses.end_point_error(velocity, b['target'], b['sure'], (h, w))
+        masked = ((1 + 3 * b['foreground'][:, :, None]) * (image - b['frames']).pow(2)).mean((2, 3, 4))
+        loss = torch.log(masked + 1e-4).mean() + o.flow * (1 - 0.9 * f) * epe
         with torch.no_grad():
-            h = net.encode(b['rgb'][:, :2].flatten(0, 1))
-        got = dec(h) @ axes.T
-        p = net.config.patch_size
-        want = (F.avg_pool2d(b['flow'].flatten(0, 1), p).flatten(2).transpose(1, 2).unflatten(0, (-1, 2)) * torch.tensor([1.0, -1.0]).view(1, 2, 1, 1)).flatten(0, 1)
-        sure = (F.avg_pool2d(b['sure'].flatten(0, 1)[:, None], p).flatten(1) > 0.95).float() * (want.norm(dim=-1) < 60)
-        error = (got - want).pow(2).sum(-1).add(0.01).sqrt()
-        loss = (error * sure).sum() / (sure.sum() + 1)
-        return loss, dict(epe=float(loss.detach()), epe_zero=float((want.norm(dim=-1) * sure).sum() / (sure.sum() + 1)))
+            t = b['time'][:, 1:, None, None, None]
+            fade = b['ends'][:, :1] * (1 - t) + b['ends'][:, 1:] * t
+            psnr = losses.psnr(image, b['frames'])
+            figures = dict(key=float(psnr[:, 0].mean()), middle=float(psnr[:, 1:].mean()), crossfade=float(losses.psnr(fade, b['frames'][:, 1:]).mean()),
+                           epe=float(epe), epe_zero=float(epe_zero))
+        return loss, figures
 
     stage.go(loss_of, o.until)
+    for hook in hooks:
+        hook.remove()
     return stage
 
 
 def dynamic(net, o, run, clips, state=None):
     up, head, dec = net.gaussian_upsampler, net.gs_dynamic_predictor, net.decoder.transformer_decoder
-    groups = [(named(up, 'mlp.'), 3e-4), (named(up, 'layernorm2'), 1e-3), (named(up, 'residual_fc'), 1e-4), (net.encoder_proj.parameters(), 3e-4),
-              (named(head, 'xyz_dynamic.'), 1e-4), (named(head, 'opacity_dynamic'), 1e-3)]
+    groups = groups_of(up, 0.01 * o.rate, 2e-3 * o.rate, slow={'residual_fc': 0.003 * o.rate}, skip=('.attn.', 'layernorm1'))
+    groups += groups_of(net.encoder_proj, 0.003 * o.rate, 1e-3 * o.rate)
+    groups += groups_of(head.gs_layer['xyz_dynamic'], 0.005 * o.rate, 1e-4 * o.rate, output=('layers.7',))
+    groups += groups_of(head.gs_layer['opacity_dynamic'], 0.01 * o.rate, 2e-3 * o.rate, output=('layers.7',))
     if o.decoder:
-        groups.append((named(dec, 'mlp'), 5e-5))
+        groups += groups_of(dec, 0.001 * o.rate, 1e-4 * o.rate, output=('positional_embedding', 'cls_embedding'), slow={'attn': 2e-4 * o.rate, 'condition_proj': 2e-4 * o.rate})
     stage = Stage('dynamic', net, groups, run, o.steps, o.minutes)
     stage.resume(state)
     size = h, w = net.config.resolution
@@ -225,17 +271,21 @@ def dynamic(net, o, run, clips, state=None):
     hooks = [] if o.depth else flat_depth(net)
 
     def loss_of(step, f):
-        b = {k: torch.from_numpy(v) for k, v in source.batch(step).items()}
+        b = tensors(source.batch(step), stage.device)
         gen = torch.Generator().manual_seed(o.seed * 1_000_003 + step)
         with torch.no_grad():
             e = net.encode(b['rgb'][:, :2].flatten(0, 1))
-            g, token = net.static(e)
+            with half(o, stage.device):
+                g, token = net.static(e)
         with torch.set_grad_enabled(bool(o.decoder)):
             d = dec(e)
-        velocity, gamma = head(torch.cat([net.encoder_proj(token), up(d)], -1))
-        g = {k: t.unflatten(0, (-1, 2)) for k, t in dict(g, velocity=velocity, gamma=gamma).items()}
+        with half(o, stage.device):
+            velocity, gamma = head(torch.cat([net.encoder_proj(token), up(d)], -1))
+        g = {k: t.unflatten(0, (-1, 2)) for k, t in single(dict(g, velocity=velocity, gamma=gamma)).items()}
+        velocity = g['velocity'].flatten(0, 1)
         B, K = b['time'].shape
-        image, _ = render_pair(g, b['time'], h, w, torch.rand(B, 1, 3, generator=gen).expand(B, K, 3).contiguous())
+        background = torch.rand(B, 1, 3, generator=gen).expand(B, K, 3).contiguous().to(stage.device)
+        image, _ = render_pair(g, b['time'], h, w, background, o.rasteriser)
         image = image[:, :, :3]
         target, sure = losses.splat_flow(b['flow'], b['sure'], net.config.splat_grid)
         epe, epe_zero = losses.end_point_error(velocity, target, sure, size)

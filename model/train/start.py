@@ -339,7 +339,8 @@ def quiet(module, gen):
 N_MATCH = 33                                                             # fetched content: 27 luma and 2 x 3 chroma cosine coefficients
 UNIT, SMOOTH_UNIT = 16.0, 2.0                                             # tokens per unit on the raw and the smoothed motion axes
 MOTION = ('mx', 'my', 'nx', 'ny', 'sx', 'sy')
-LAYERING, FADE = 0.002, (12.0, 0.8)
+DIFFERENCE = 6.0                                                          # per unit of luma, on the deformation token
+FADE = ((5.0, 0.2), (8.0, 0.98))                                          # of the first frame, which lies in front, and of the second
 
 
 def content_rows(readers, frames, net):
@@ -350,7 +351,18 @@ def content_rows(readers, frames, net):
     pick = low + [64, 65, 68] + [80, 81, 84]
     rows = basis[pick] @ readers['raw'][:96]
     spread = (net.encode(frames).double().flatten(0, 1) @ rows.T).std(0)
-    return rows / spread[:, None]
+    return rows / spread[:, None], spread
+
+
+def cell_differences(spread):
+    """From the difference of two patches' 33 whitened coefficients to that of their 16 luma cells (2x2 pixels, rows first) and two mean chromas [18, 33]."""
+    order = sorted(((u, v) for u in range(8) for v in range(8)), key=lambda q: (q[0] + q[1], q[0]))[:27]
+    mean = dct(8).view(8, 4, 2).mean(-1)                                 # cosine u averaged over cell i
+    m = torch.zeros(18, N_MATCH, dtype=torch.float64)
+    for k, (u, v) in enumerate(order):
+        m[:16, k] = torch.outer(mean[u], mean[v]).flatten()
+    m[16, 27] = m[17, 30] = 0.25                                          # 4x4 cells: the constant cosine's coefficient is four times the mean
+    return m * spread
 
 
 @torch.no_grad()
@@ -378,7 +390,8 @@ def write_decoder(net, readers, frames, beta=(12.0, 40.0), gamma=(0.15, 0.25), s
     other, matched = border[6:6 + N_MATCH], border[6 + N_MATCH:6 + 2 * N_MATCH]
     clean = lambda u: u - (u @ flag)[..., None] * flag if u.dim() > 1 else u - (u @ flag) * flag
     U = {k: clean(readers[k]) for k in ('col', 'row', 'p2', 'f2', 'dsc', 'one')}
-    content = clean(content_rows(readers, frames, net))
+    content, spread = content_rows(readers, frames, net)
+    content = clean(content)
     # streams: the condition carries the table twice and the content `louder` times
     louder = 4.0
     dec.condition_proj.weight.copy_((torch.eye(d, dtype=torch.float64) + (louder - 1) * on_free).float())
@@ -480,7 +493,7 @@ def write_decoder(net, readers, frames, beta=(12.0, 40.0), gamma=(0.15, 0.25), s
         O1[:, 64 * head], O1[:, 64 * head + 1] = (sign * 0.5 * motion['sx'] / SMOOTH_UNIT).float(), (sign * 0.5 * motion['sy'] / SMOOTH_UNIT).float()
     out = net.decoder.transformer_decoder(h.repeat_interleave(2, 0))
     ko = float((out.double() @ U['col'] * cols.repeat_interleave(2, 0)).sum() / (out.double() @ U['col']).pow(2).sum())
-    readers.update(flag=flag, motion=motion, content=content, other=other, matched=matched, amplitude=amplitude, decoder_gain=ko)
+    readers.update(flag=flag, motion=motion, content=content, content_spread=spread, other=other, matched=matched, amplitude=amplitude, decoder_gain=ko)
     return dict(condition_gain=kc, query_gain=kx, decoder_gain=ko)
 
 
@@ -498,7 +511,7 @@ def block0_stream(net, h):
 
 @torch.no_grad()
 def write_motion(net, readers, frames, seed=4):
-    """Deformation upsampler and heads: the smoothed motion becomes the velocity; the frame flag puts the frame that is nearer in time in front."""
+    """Deformation upsampler and heads: the smoothed motion becomes the velocity; the first frame lies in front (equal depths, order of storage) and fades."""
     gen = torch.Generator().manual_seed(seed)
     c, up = net.config, net.gaussian_upsampler
     quiet(up, gen)
@@ -508,20 +521,31 @@ def write_motion(net, readers, frames, seed=4):
     d0, d1 = b0.shape[0], b1.shape[0]
     ko, flag, motion = readers['decoder_gain'], readers['flag'], readers['motion']
     A = readers['amplitude']
-    rows = [ko * SMOOTH_UNIT * motion['sx'] / 2, ko * SMOOTH_UNIT * motion['sy'] / 2, ko * flag]
-    rows += list(0.35 * ko * (readers['content'] - readers['other'] / A)[:20]) + list(0.35 * ko * (readers['content'] - readers['matched'] / A)[:20])
-    rows += [ko * UNIT * motion[k] / 2 for k in MOTION[:4]]
-    k = len(rows)
+    base = [ko * SMOOTH_UNIT * motion['sx'] / 2, ko * SMOOTH_UNIT * motion['sy'] / 2, ko * flag]
+    base += [ko * UNIT * motion[k] / 2 for k in MOTION[:4]]
+    to_cells = cell_differences(readers['content_spread'])
+    same, match = (DIFFERENCE * ko * to_cells @ (readers['content'] - readers[k] / A) for k in ('other', 'matched'))
+    base += [same[16], same[17], match[16], match[17]]
+    k = len(base)
     w0[:] *= 0.1; b0.zero_(); w1[:] *= 0.3; b1.zero_()
-    w0[:k] = torch.stack(rows).float()[:, None]
-    w0[d0 - 1] = 0; b0[d0 - 1] = 6 * math.sqrt(2)
-    w1[:k] = 0
+    w0[:k] = torch.stack(base).float()[:, None]
+    w1[:k + 18] = 0
     for j in range(k):
         w1[j, :, j] = 1
+    # differences to the other frame, at the same place and at the match: 4x4 cells around each sub-patch, then 3x3 around each Gaussian
+    for s in range(4):
+        for a in range(4):
+            for b in range(4):
+                cell = 4 * min(max(2 * (s // 2) + a - 1, 0), 3) + min(max(2 * (s % 2) + b - 1, 0), 3)
+                w0[k + 4 * a + b, s], w0[k + 16 + 4 * a + b, s] = same[cell].float(), match[cell].float()
+        for a in range(3):
+            for b in range(3):
+                for half in (0, 1):
+                    w1[k + 9 * half + 3 * a + b, s, k + 16 * half + 4 * (s // 2 + a) + s % 2 + b] = 1
+    w0[d0 - 1] = 0; b0[d0 - 1] = 6 * math.sqrt(2)
     w1[d1 - 1] = 0; b1[d1 - 1] = 6
     for s in range(4):                                                     # which sub-cell this is, where the channels are spare
-        b0[k:k + 2, s] = torch.tensor([0.3 if s & 1 else -0.3, 0.3 if s & 2 else -0.3])
-        b1[k:k + 2, s] = torch.tensor([0.3 if s & 1 else -0.3, 0.3 if s & 2 else -0.3])
+        b1[k + 18:k + 20, s] = torch.tensor([0.3 if s & 1 else -0.3, 0.3 if s & 2 else -0.3])
     for stage, n, const in ((0, d0, 6 * math.sqrt(2)), (1, d1, 6.0)):
         rms = math.sqrt(const ** 2 / n + 0.1)
         for block in getattr(up, f'attention_{stage}').resblocks:
@@ -530,7 +554,6 @@ def write_motion(net, readers, frames, seed=4):
     up.layernorm2.weight.fill_(rms); up.layernorm2.weight[d1 - 1] = rms / const
     net.encoder_proj.weight.copy_(0.5 * torch.eye(d_out))
     head = net.gs_dynamic_predictor
-    head.dynamic_scalar[1] = LAYERING
     head.gs_layer['xyz_dynamic_scale'].weight.fill_(0)
     h = net.encode(frames[:8])
     token = up(net.decoder.transformer_decoder(h))
@@ -544,17 +567,23 @@ def write_motion(net, readers, frames, seed=4):
         layers['7'].weight.zero_(); layers['7'].bias.zero_()
     L = head.gs_layer['xyz_dynamic'].layers
     E = torch.eye(2 * d_out)
-    # linear pass-through, silu(a) - silu(-a) = a: two motions and the flag
-    for j, gain in ((0, 2.0), (1, 2.0), (2, kf)):
-        L['1'].weight[2 * j], L['1'].weight[2 * j + 1] = gain * E[d_out + j], -gain * E[d_out + j]
-        L['4'].weight[2 * j:2 * j + 2] = 0
-        L['4'].weight[2 * j, 2 * j], L['4'].weight[2 * j, 2 * j + 1] = 1, -1
-        L['4'].weight[2 * j + 1, 2 * j], L['4'].weight[2 * j + 1, 2 * j + 1] = -1, 1
+    G = head.gs_layer['opacity_dynamic'].layers
+
+    def pass_through(layers, unit, channel, gain):
+        """silu(a) - silu(-a) = a: hidden units `unit` and `unit` + 1 of both layers carry a channel of the deformation token."""
+        layers['1'].weight[unit], layers['1'].weight[unit + 1] = gain * E[d_out + channel], -gain * E[d_out + channel]
+        layers['4'].weight[unit:unit + 2] = 0
+        layers['4'].weight[unit, unit], layers['4'].weight[unit, unit + 1] = 1, -1
+        layers['4'].weight[unit + 1, unit], layers['4'].weight[unit + 1, unit + 1] = -1, 1
+
+    for j in (0, 1):
+        pass_through(L, 2 * j, j, 2.0)
+    pass_through(G, 0, 2, kf)
     p = c.patch_size
     gx, gz = 2 * p / c.resolution[1] / 0.5, -2 * p / c.resolution[0] / 0.5
     L['7'].weight[0, 0], L['7'].weight[0, 1] = gx, -gx
     L['7'].weight[2, 2], L['7'].weight[2, 3] = gz, -gz
-    L['7'].weight[1, 4], L['7'].weight[1, 5] = -30, 30                      # saturates: exactly one value per frame, so that ties keep their order
-    G = head.gs_layer['opacity_dynamic'].layers['7']
-    G.bias.copy_(torch.tensor([FADE[0], math.log(FADE[1] / (1 - FADE[1]))]))
+    fades = torch.tensor([[sharpness, math.log(half / (1 - half))] for sharpness, half in FADE])          # by the frame's flag, +1 and -1
+    G['7'].bias.copy_(fades.mean(0))
+    G['7'].weight[:, 0], G['7'].weight[:, 1] = (fades[0] - fades[1]) / 2, (fades[1] - fades[0]) / 2
     return dict(flag_gain=kf, constant=km)

@@ -3,6 +3,8 @@ import pathlib
 import sys
 
 os.environ.setdefault('OMP_WAIT_POLICY', 'passive')
+if not pathlib.Path('/dev/nvidia0').exists():
+    os.environ['TRITON_INTERPRET'] = '1'                # read when the kernels are defined
 HERE = pathlib.Path(__file__).resolve()
 sys.path.insert(0, str(HERE.parents[2]))
 FIXTURES = pathlib.Path(os.environ.get('STREAMSPLAT_FIXTURES', HERE.parents[3] / 'fixtures'))

@@ -1,0 +1,67 @@
+"""The commands as they are typed, on clips a few patches large."""
+import json
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from train import data, network
+from train.__main__ import main
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    root, r = tmp_path_factory.mktemp('clips'), np.random.default_rng(5)
+    for split, names in (('train', ('a', 'b')), ('val', ('c',))):
+        for name in names:
+            base = cv2.resize((r.random((12, 16, 3)) * 255).astype(np.uint8), (80, 60), interpolation=cv2.INTER_CUBIC)
+            (root / split / name).mkdir(parents=True)
+            for t in range(12):
+                cv2.imwrite(str(root / split / name / f'{t:03}.png'), np.roll(base, t, 1)[:48, :64])
+    return root
+
+
+def whole(folder, run, out, *more):
+    main(['all', '--clips', str(folder), '--run', str(run), '--out', str(out), '--resolution', '48', '64', '--steps', '3', '--gaps', '2', '6', '--middle', '2', '--pairs', '2',
+          '--intervals', '1', '--gaps-measured', '4', *more])
+
+
+def test_one_command_makes_a_checkpoint_and_repeats_nothing_that_is_done(folder, tmp_path, capsys):
+    run, out = tmp_path / 'run', tmp_path / 'small.safetensors'
+    whole(folder, run, out, '--dtype', 'f32')
+    net = network.open_official(out)
+    assert net.config.resolution == (48, 64)
+    figures = json.loads((run / 'eval.json').read_text())['gap4']['mean']
+    assert {'key.ours', 'middle.ours', 'middle.crossfade', 'middle.nearest', 'middle.dis'} <= set(figures)
+    capsys.readouterr()
+    again = tmp_path / 'again.safetensors'
+    whole(folder, run, again, '--dtype', 'f32', '--intervals', '-1')
+    assert "'stage'" not in capsys.readouterr().out
+    for k, v in net.state_dict().items():
+        assert torch.equal(v, network.open_official(again).state_dict()[k]), k
+
+
+def test_stages_one_by_one_give_what_the_single_command_gives(folder, tmp_path):
+    whole(folder, tmp_path / 'run', tmp_path / 'a.safetensors', '--intervals', '-1')
+    at = ['--clips', str(folder), '--run', str(tmp_path / 'parts')]
+    main(['start', *at, '--resolution', '48', '64'])
+    main(['static', *at, '--steps', '3', '--until', '2'])
+    main(['static', *at, '--steps', '3'])
+    main(['heads', *at, '--steps', '3', '--gaps', '2', '6', '--middle', '2', '--pairs', '2'])
+    main(['export', *at, '--out', str(tmp_path / 'b.safetensors')])
+    assert (tmp_path / 'a.safetensors').read_bytes() == (tmp_path / 'b.safetensors').read_bytes()
+
+
+def test_packed_clips_are_the_same_pictures_at_the_models_size(folder, tmp_path):
+    main(['pack', '--clips', str(folder), '--out', str(tmp_path / 'packed'), '--size', '24', '32', '--limit-mb', '1'])
+    for split, name in (('train', 'a'), ('val', 'c')):
+        want, got = data.load_clip(folder / split / name, (24, 32)), data.load_clip(tmp_path / 'packed' / split / name, (24, 32))
+        assert got.shape == want.shape and np.abs(got.astype(float) - want).mean() < 6
+    assert sum(f.stat().st_size for f in (tmp_path / 'packed').rglob('*.jpg')) <= 1_000_000
+
+
+def test_a_limit_that_cannot_be_kept_writes_nothing(folder, tmp_path):
+    with pytest.raises(ValueError, match='allowed'):
+        main(['pack', '--clips', str(folder), '--out', str(tmp_path / 'packed'), '--limit-mb', '0.001'])
+    assert not (tmp_path / 'packed').exists()
