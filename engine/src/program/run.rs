@@ -100,8 +100,10 @@ fn run_from(
     }
     let source = Source::open(input, &source::Options { fps: options.fps })?;
     let reuse = settings.reuse != Reuse::Off;
-    let engine = Engine::new(settings)?;
-    let mut drawing = Drawing::new(engine.workers(), views.backend)?;
+    if !views.backend.is_within_contract() {
+        // That there is no adapter is said before anything is touched.
+        Drawing::new(&machine.workers()?, views.backend)?;
+    }
     let page = serve.map(|port| Serving::start(port, input, source.fps(), console)).transpose()?;
     let (mut outputs, terms) = match (&found, destination.resume()) {
         (Found::Under(point, _), Some(folder)) => {
@@ -112,6 +114,9 @@ fn run_from(
         _ => (Outputs::create(destination, emit)?.with_ledger(), None),
     };
     outputs.drawn_by(views.backend);
+    // That nothing can be written is said before the model is loaded.
+    let engine = Engine::new(settings)?;
+    let mut drawing = Drawing::new(engine.workers(), views.backend)?;
     let depth = KeyDepth::open(&depth, &source, machine.level()?, reuse)?;
     let keys = KeyFrames::new(source, depth, gap, false, options.frames);
     let keys = Ahead::new(keys, engine.workers().threads());
