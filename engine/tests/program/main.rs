@@ -5,6 +5,8 @@ mod errors;
 mod export;
 #[cfg(unix)]
 mod hostile;
+#[cfg(unix)]
+mod killed;
 mod manual;
 mod results;
 mod resume;

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use streamsplat_fixtures as fixtures;
 
-use crate::support::{Scratch, command, fails, files, json, model, run_ok};
+use crate::support::{Scratch, command, fails, files, json, model, record, run_ok};
 
 /// `run INPUT --out OUT --model (the small one) MORE…`.
 fn run(input: &Path, out: &Path, more: &[&str]) -> Command {
@@ -24,13 +24,6 @@ fn resume(input: &Path, out: &Path, more: &[&str]) -> Output {
 fn succeeds(output: &Output) -> String {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8_lossy(&output.stdout).into_owned()
-}
-
-/// The record without what differs from run to run.
-fn record(path: &Path) -> Value {
-    let mut record = json(path);
-    record.as_object_mut().expect("an object").remove("timing");
-    record
 }
 
 /// Every file, hidden ones too, and the record.

@@ -80,6 +80,13 @@ pub fn json(path: &Path) -> serde_json::Value {
     serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
+/// A record without what differs from run to run.
+pub fn record(path: &Path) -> serde_json::Value {
+    let mut record = json(path);
+    record.as_object_mut().expect("an object").remove("timing");
+    record
+}
+
 /// Every file below a folder but the record and the report, by its path in it, with its bytes.
 pub fn files(folder: &Path) -> std::collections::BTreeMap<String, Vec<u8>> {
     let mut found = std::collections::BTreeMap::new();
