@@ -7,10 +7,12 @@
 mod ply;
 mod splat;
 pub(crate) mod spz;
+mod tracks;
 
 pub use ply::ply;
 pub use splat::splat;
 pub use spz::spz;
+pub use tracks::{HEADER as TRACKS_HEADER, tracks};
 
 /// The same of scenes that do not move.
 pub mod still {

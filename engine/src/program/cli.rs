@@ -189,7 +189,7 @@ pub struct RunOptions {
     pub fps: Option<f64>,
     #[command(flatten)]
     pub view: View,
-    /// Outputs: rgb, depth, alpha, exr (these three as layers of one file), scene, ply [default: rgb,scene]
+    /// Outputs: rgb, depth, alpha, exr (these three as layers of one file), scene, ply, tracks [default: rgb,scene]
     #[arg(long, value_name = "LIST")]
     pub emit: Option<String>,
     /// Stop after this many input frames

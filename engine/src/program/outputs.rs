@@ -22,7 +22,7 @@ use super::resume::ledger::{self, Ledger};
 use super::resume::{self, Point};
 
 /// Kinds of output that exist.
-const KINDS: [&str; 6] = ["rgb", "depth", "alpha", "exr", "scene", "ply"];
+const KINDS: [&str; 7] = ["rgb", "depth", "alpha", "exr", "scene", "ply", "tracks"];
 
 /// What `--emit` asks for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -39,6 +39,8 @@ pub struct Emit {
     pub scene: bool,
     /// The Gaussians at each time as PLY files.
     pub ply: bool,
+    /// Where every identity is at each key frame, as CSV.
+    pub tracks: bool,
 }
 
 impl Emit {
@@ -46,9 +48,6 @@ impl Emit {
     pub fn parse(list: &str, allowed: &[&str]) -> Result<Emit, Failure> {
         let kinds: BTreeSet<&str> = list.split(',').map(str::trim).collect();
         for kind in &kinds {
-            if *kind == "tracks" {
-                return Err(Failure::usage(format!("--emit {kind} is not available in this build")));
-            }
             if !allowed.contains(kind) || !KINDS.contains(kind) {
                 return Err(Failure::usage(format!(
                     "--emit {list}: expected a list of {}, found {kind:?}",
@@ -57,8 +56,8 @@ impl Emit {
             }
         }
         let has = |kind| kinds.contains(kind);
-        let [rgb, depth, alpha, exr, scene, ply] = KINDS.map(has);
-        Ok(Emit { rgb, depth, alpha, exr, scene, ply })
+        let [rgb, depth, alpha, exr, scene, ply, tracks] = KINDS.map(has);
+        Ok(Emit { rgb, depth, alpha, exr, scene, ply, tracks })
     }
 
     /// Whether anything is drawn.
@@ -96,7 +95,7 @@ impl Outputs {
                 prepare_kinds(folder, emit)?;
             }
             Destination::Video(path, format) => {
-                if emit.depth || emit.alpha || emit.exr || emit.scene || emit.ply {
+                if emit.depth || emit.alpha || emit.exr || emit.scene || emit.ply || emit.tracks {
                     return Err(Failure::usage("--emit: a video holds rgb alone; give --out a folder for the rest"));
                 }
                 drop(Video::create(path, *format, 1.0)?);
@@ -209,8 +208,11 @@ impl Outputs {
         Ok(())
     }
 
-    /// Writes an interval of the scene, if the scene is wanted.
+    /// Writes an interval of the scene, and where its identities are, if these are wanted.
     pub fn interval(&mut self, interval: &Interval) -> Result<(), Failure> {
+        if self.emit.tracks {
+            self.file(format!("tracks/interval-{:06}.csv", interval.index), export::tracks(interval).as_bytes())?;
+        }
         let Some(scene) = &mut self.scene else { return Ok(()) };
         let ledger = &mut self.ledger;
         let entry = scene.push_after(interval, |entry| {
@@ -303,8 +305,14 @@ pub fn is_inside(name: &str) -> bool {
 
 /// The folders of what is asked for.
 fn prepare_kinds(folder: &Path, emit: Emit) -> Result<(), OutputError> {
-    let kinds =
-        [(emit.rgb, "frames"), (emit.depth, "depth"), (emit.alpha, "alpha"), (emit.exr, "exr"), (emit.ply, "ply")];
+    let kinds = [
+        (emit.rgb, "frames"),
+        (emit.depth, "depth"),
+        (emit.alpha, "alpha"),
+        (emit.exr, "exr"),
+        (emit.ply, "ply"),
+        (emit.tracks, "tracks"),
+    ];
     kinds.into_iter().filter(|(wanted, _)| *wanted).try_for_each(|(_, name)| prepare_folder(&folder.join(name)))
 }
 

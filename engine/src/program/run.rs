@@ -90,7 +90,7 @@ fn run_from(
     let depth = options.stream.depth_from()?;
     let settings = options.stream.settings(&options.fit, machine)?;
     let emit = match (&options.emit, &destination) {
-        (Some(list), _) => Emit::parse(list, &["rgb", "depth", "alpha", "exr", "scene", "ply"])?,
+        (Some(list), _) => Emit::parse(list, &["rgb", "depth", "alpha", "exr", "scene", "ply", "tracks"])?,
         (None, Destination::Folder(_)) => Emit { rgb: true, scene: true, ..Emit::default() },
         (None, Destination::Video(..)) => Emit { rgb: true, ..Emit::default() },
     };

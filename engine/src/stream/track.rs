@@ -114,7 +114,7 @@ impl Interval {
     }
 
     /// The pixel of the source's image of a scene-space x and y.
-    fn unproject(&self, place: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn unproject(&self, place: [f64; 2]) -> [f64; 2] {
         let p = &self.placement;
         std::array::from_fn(|axis| {
             let side = 1 - axis;

@@ -195,3 +195,62 @@ fn points_and_times_that_are_none_are_wrong_use_and_an_empty_place_is_failed_wor
         assert!(output.stdout.is_empty());
     }
 }
+
+/// The rows of a file of `--emit tracks`; an absent number is NaN.
+fn tracks(path: &std::path::Path) -> Vec<Vec<f64>> {
+    let text = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    let mut lines = text.lines();
+    assert_eq!(lines.next(), Some("identity,birth,time,x,y,world_x,world_y,world_z,opacity,into"));
+    lines.map(|line| line.split(',').map(|field| field.parse().unwrap_or(f64::NAN)).collect()).collect()
+}
+
+#[test]
+fn emitted_tracks_are_where_the_scenes_identities_are() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 6, 60, 30);
+    let out = scratch.path("out");
+    run_ok(&clip, &out, &["--quiet", "--fps", "10", "--gap", "2", "--emit", "scene,tracks"]);
+    let record = json(&out.join("run.json"));
+    let scene = Scene::open(&out).expect("just written");
+    let mut merged = 0;
+    for i in 0..4 {
+        let name = format!("tracks/interval-{i:06}.csv");
+        assert!(record["outputs"][&name]["blake3"].is_string(), "{name} is recorded");
+        let rows = tracks(&out.join(&name));
+        let interval = scene.interval(i, &workers()).expect("just written");
+        assert!(rows.windows(2).all(|pair| pair[0][0] < pair[1][0]), "a line per identity, ascending");
+        merged += rows.iter().filter(|row| row[9].is_finite()).count();
+        for merge in &interval.merges {
+            let row = rows.iter().find(|row| row[0] as u64 == merge.identity).expect("what ends is said");
+            assert_eq!(row[9] as u64, merge.into);
+        }
+        let Some(next) = (i < 3).then(|| scene.interval(i + 1, &workers()).expect("just written")) else { continue };
+        // The next interval starts with exactly these, at these places.
+        let mut compared = 0;
+        for record in next.gaussians.iter().filter(|r| r.reference == Reference::Start) {
+            let row = rows.iter().find(|row| row[0] as u64 == record.identity).expect("a line");
+            assert!(row[9].is_nan() && row[1] as u64 == record.birth && row[2] == interval.end);
+            let place: [f32; 3] = std::array::from_fn(|axis| record.mean[axis] + record.offset[axis]);
+            assert_eq!([row[5] as f32, row[6] as f32, row[7] as f32], place);
+            compared += 1;
+        }
+        assert_eq!(compared, rows.iter().filter(|row| row[9].is_nan()).count());
+        // And a pixel is where a track of that identity is.
+        let record = next.gaussians.get(next.gaussians.len() / 3);
+        let row = rows.iter().find(|row| row[0] as u64 == record.identity).expect("a line");
+        let picked = streamsplat::stream::Picked {
+            index: 0,
+            identity: record.identity,
+            weight: 1.0,
+            position: [row[5] as f32, row[6] as f32, row[7] as f32],
+        };
+        let (points, _) = Track::new(&picked, next.start).forward(&next, &[next.start]).expect("it lives");
+        assert!((points[0].pixel[0] - row[3]).abs() < 1e-9 && (points[0].pixel[1] - row[4]).abs() < 1e-9);
+    }
+    assert!(merged > 0, "some identities end in others");
+    let text = fails(
+        &crate::support::run(["run", clip.to_str().expect("UTF-8"), "--out", "v.y4m", "--emit", "rgb,tracks"]),
+        2,
+    );
+    assert!(text.contains("--emit: a video holds rgb alone"), "{text}");
+}
