@@ -3,7 +3,8 @@
 //! Every `gap`-th frame is a key frame, or what `--gap auto` chooses. The scene is drawn at every frame's time (at the model's own size unless told otherwise) and compared with the
 //! true frame, both brought to 256×256 bilinearly. *Key* frames were given, *middle* frames were not. Baselines for the middle
 //! frames: the cross-fade of the key frames around, and the nearer one. Frames after the last whole interval are left out.
-//! Both fusion modes are reported: they share the network's work.
+//! Both fusion modes are reported: they share the network's work. Of each it is said how the image jumps at key frames, beside how far
+//! it goes from frame to frame.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -78,10 +79,49 @@ impl Sum {
     }
 }
 
+/// How far images lie apart, as mean absolute differences of colour.
+#[derive(Clone, Debug, Default)]
+struct Pops {
+    /// At key frames, seen from the interval before and from the one after.
+    jump: f64,
+    jumps: usize,
+    /// From one frame to the next inside an interval.
+    step: f64,
+    steps: usize,
+}
+
+impl Pops {
+    fn join(&mut self, other: &Pops) {
+        self.jump += other.jump;
+        self.jumps += other.jumps;
+        self.step += other.step;
+        self.steps += other.steps;
+    }
+
+    fn pop(&self) -> Pop {
+        let mean = |sum: f64, count: usize| (count > 0).then(|| sum / count as f64);
+        let (jump, step) = (mean(self.jump, self.jumps), mean(self.step, self.steps));
+        let ratio = jump.zip(step).filter(|(_, step)| *step > 0.0).map(|(jump, step)| jump / step);
+        Pop { jump, step, ratio }
+    }
+}
+
+/// What a key frame does to the image, beside what a frame's time does.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Pop {
+    /// Mean absolute difference of the images at a key frame seen from the intervals before and after.
+    jump: Option<f64>,
+    /// That of neighbouring frames inside an interval.
+    step: Option<f64>,
+    /// jump / step; 0 where nothing pops.
+    ratio: Option<f64>,
+}
+
 #[derive(Clone, Debug, Default)]
 struct Sums {
     /// Key and middle frames of each fusion mode, in the order of [`Fusion::ALL`].
     fusion: [[Sum; 2]; 2],
+    pops: [Pops; 2],
     crossfade: Sum,
     nearest: Sum,
     clips: usize,
@@ -92,6 +132,7 @@ struct Sums {
 struct Mode {
     key: Score,
     middle: Score,
+    pop: Pop,
 }
 
 #[derive(Serialize)]
@@ -152,10 +193,10 @@ impl Sums {
     fn row(&self, name: Option<String>, gap: Gap, chosen: Fusion) -> Row {
         let baselines = Baselines { crossfade: self.crossfade.score(), nearest: self.nearest.score() };
         let modes = Fusion::ALL.iter().zip(&self.fusion);
-        let fusion: BTreeMap<_, _> = modes
-            .clone()
-            .map(|(mode, [key, middle])| (mode.name(), Mode { key: key.score(), middle: middle.score() }))
-            .collect();
+        let mode = |((mode, [key, middle]), pops): ((&Fusion, &[Sum; 2]), &Pops)| {
+            (mode.name(), Mode { key: key.score(), middle: middle.score(), pop: pops.pop() })
+        };
+        let fusion: BTreeMap<_, _> = modes.clone().zip(&self.pops).map(mode).collect();
         let [key, middle] = modes
             .filter(|(mode, _)| **mode == chosen)
             .map(|(_, sums)| sums.each_ref().map(Sum::score))
@@ -170,6 +211,7 @@ impl Sums {
         for (into, from) in sums.zip(other.fusion.as_flattened().iter().chain([&other.crossfade, &other.nearest])) {
             into.join(from);
         }
+        self.pops.iter_mut().zip(&other.pops).for_each(|(into, from)| into.join(from));
     }
 }
 
@@ -272,9 +314,9 @@ fn evaluate(
     for &fusion in Fusion::ALL {
         let engine = Engine::new(Settings { fusion, ..settings.clone() })?;
         let drawing = Drawing::new(engine.workers(), views.backend)?;
-        modes.push((engine, drawing));
+        modes.push((engine, drawing, Vec::new()));
     }
-    let mut keys = Ahead::new(keys, modes.first().map_or(1, |(engine, _)| engine.workers().threads()));
+    let mut keys = Ahead::new(keys, modes.first().map_or(1, |(engine, ..)| engine.workers().threads()));
     let hidden = console.quiet || !std::io::IsTerminal::is_terminal(&std::io::stderr());
     let mut progress = Progress::new("frames", keys.total(), hidden);
     let mut before: Option<Picture> = None;
@@ -282,10 +324,22 @@ fn evaluate(
         let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
         let truths: Vec<Picture> = key.shown.iter().map(|frame| frame.picture.resized(SIDE, SIDE)).collect();
         let last = truths.len() - 1;
-        for ((engine, drawing), [key_sum, middle_sum]) in modes.iter_mut().zip(&mut sums.fusion) {
+        let each = modes.iter_mut().zip(&mut sums.fusion).zip(&mut sums.pops);
+        for (((engine, drawing, shown), [key_sum, middle_sum]), pops) in each {
             let interval: Interval = engine.push(key.frame.clone(), timestamp)?;
+            if interval.start < interval.end {
+                let crossed = drawing.draw(&interval, interval.start, views)?.rgb;
+                pops.jump += apart(shown, &crossed);
+                pops.jumps += 1;
+                *shown = crossed;
+            }
             for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate() {
                 let image = drawing.draw(&interval, frame.timestamp, views)?;
+                if !shown.is_empty() {
+                    pops.step += apart(shown, &image.rgb);
+                    pops.steps += 1;
+                }
+                shown.clone_from(&image.rgb);
                 let ours = Picture { width: image.width, height: image.height, rgb: image.rgb }.resized(SIDE, SIDE);
                 let sum = if i == last { &mut *key_sum } else { &mut *middle_sum };
                 sum.add(&ours, truth, lpips.as_deref_mut())?;
@@ -302,6 +356,12 @@ fn evaluate(
         before = truths.into_iter().next_back();
     }
     Ok(sums)
+}
+
+/// The mean absolute difference.
+fn apart(a: &[f32], b: &[f32]) -> f64 {
+    let sum: f64 = a.iter().zip(b).map(|(a, b)| f64::from((a - b).abs())).sum();
+    sum / a.len().max(1) as f64
 }
 
 fn mix(a: &Picture, b: &Picture, t: f32) -> Picture {

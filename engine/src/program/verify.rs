@@ -62,7 +62,7 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
             }
             if outside > 0 {
                 // What a graphics card drew is left out.
-                let kinds = ["scene", "ply"];
+                let kinds = ["scene", "ply", "tracks"];
                 let has = |kind: &&str| record.outputs.keys().any(|name| name.starts_with(&format!("{kind}/")));
                 options.emit = Some(kinds.into_iter().filter(has).collect::<Vec<_>>().join(","));
                 options.view.renderer = None;

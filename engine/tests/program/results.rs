@@ -202,6 +202,11 @@ fn evaluation_reports_key_and_middle_frames_and_baselines() {
         assert_eq!(row["gap"], 3);
         assert_eq!(row["fusion"]["persistent"]["middle"], row["middle"]);
         assert_eq!(row["fusion"]["pairwise"]["key"]["frames"], row["key"]["frames"]);
+        // Crossing a key frame changes no bit; pairs alone change with the frame they were made for.
+        assert_eq!(row["fusion"]["persistent"]["pop"]["ratio"], 0.0);
+        let pairs = &row["fusion"]["pairwise"]["pop"];
+        let [jump, step, ratio] = ["jump", "step", "ratio"].map(|name| pairs[name].as_f64().expect("a number"));
+        assert!(jump > 0.0 && step > 0.0 && (ratio - jump / step).abs() < 1e-12, "{pairs}");
         for score in [&row["key"], &row["middle"], &row["baselines"]["crossfade"], &row["baselines"]["nearest"]] {
             let (psnr, ssim) = (score["psnr"].as_f64().expect("dB"), score["ssim"].as_f64().expect("SSIM"));
             assert!((1.0..100.0).contains(&psnr) && (-1.0..=1.0).contains(&ssim), "{score}");
