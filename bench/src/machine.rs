@@ -44,7 +44,8 @@ impl std::fmt::Display for Machine {
     }
 }
 
-fn cpu() -> String {
+/// The processor's name.
+pub(crate) fn cpu() -> String {
     let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let line = info.lines().find(|l| l.starts_with("model name") || l.starts_with("CPU part"));
     line.and_then(|l| l.split_once(':')).map_or_else(|| std::env::consts::ARCH.to_owned(), |(_, n)| n.trim().to_owned())

@@ -5,9 +5,11 @@
 
 mod kernels;
 mod machine;
+mod process;
 mod raster;
 mod reuse;
 mod serve;
+mod soak;
 mod stages;
 mod timing;
 
@@ -33,6 +35,8 @@ enum Command {
     Raster(raster::Options),
     /// What leaving out work costs and saves on given clips.
     Reuse(reuse::Options),
+    /// A stream of thousands of key frames: memory, time, identities, drift.
+    Soak(soak::Options),
     /// Stages of the network on request, for comparisons driven from outside.
     Serve(serve::Options),
     /// The stages of the network and a whole key frame.
@@ -83,6 +87,7 @@ fn main() -> std::process::ExitCode {
         Command::Raster(options) => raster::run(&options),
         Command::Reuse(options) => reuse::run(&options),
         Command::Serve(options) => serve::run(&options),
+        Command::Soak(options) => soak::run(&options),
         Command::Stages(options) => stages::run(&options),
     };
     match result {
