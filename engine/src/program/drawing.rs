@@ -4,15 +4,19 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
-use streamsplat::render::{Backend, Painter};
+use streamsplat::render::{Backend, Painter, View};
 use streamsplat::still::Drawable;
 use streamsplat::stream::{Interval, Workers};
 use streamsplat::{Image, RenderError};
+use streamsplat_kernels::raster::Projection;
 
 use super::failure::Failure;
 use super::outputs::Outputs;
 use super::record::{RendererRecord, WorkRecord};
 use super::settings::Views;
+
+/// Colour, depth and alpha.
+const PLANES: u64 = 3;
 
 /// Draws and writes images; keeps the account.
 pub struct Drawing {
@@ -30,8 +34,9 @@ pub struct Drawing {
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Counts {
     images: u64,
-    /// Gaussians drawn and left out, tiles drawn and kept, list entries looked at and not.
-    raster: [[u64; 2]; 3],
+    /// Gaussians drawn and left out, tiles drawn and kept, list entries looked at and not, planes computed and not, images whose
+    /// splats are turned and images of which none is.
+    raster: [[u64; 2]; 5],
     /// Gaussians left out because a number of theirs was not finite.
     pub dropped: u64,
 }
@@ -59,7 +64,10 @@ impl Drawing {
 
     /// Draws the interval at `time` from where the camera is then.
     pub fn draw(&mut self, interval: &Interval, time: f64, views: &Views) -> Result<Image, Failure> {
-        self.drawn(|painter| painter.draw(interval, time, &views.camera.at(time), &views.options))
+        let camera = views.camera.at(time);
+        let view = View::new(&camera, &interval.placement, [1; 2]);
+        let turned = view.rotation().is_some() || !matches!(view.projection(), Projection::Orthographic { .. });
+        self.drawn(turned, |painter| painter.draw(interval, time, &camera, &views.options))
     }
 
     /// Draws a still scene from where the camera is at `time`, and writes it.
@@ -71,11 +79,17 @@ impl Drawing {
         time: f64,
         views: &Views,
     ) -> Result<(), Failure> {
-        let image = self.drawn(|painter| painter.draw_still(scene, &views.camera.at(time), &views.options))?;
+        // Its Gaussians have rotations of their own.
+        let image = self.drawn(true, |painter| painter.draw_still(scene, &views.camera.at(time), &views.options))?;
         self.writing(|| outputs.image(index, image))
     }
 
-    fn drawn(&mut self, paint: impl FnOnce(&mut Painter) -> Result<&Image, RenderError>) -> Result<Image, Failure> {
+    /// Draws and counts; `turned`: whether the view needs splats that are turned.
+    fn drawn(
+        &mut self,
+        turned: bool,
+        paint: impl FnOnce(&mut Painter) -> Result<&Image, RenderError>,
+    ) -> Result<Image, Failure> {
         let _span = tracing::info_span!("stage", name = "render").entered();
         let start = Instant::now();
         let image = paint(&mut self.painter)?.clone();
@@ -83,10 +97,13 @@ impl Drawing {
         self.counts.images += 1;
         self.counts.dropped += image.dropped;
         let work = self.painter.work();
+        let planes = 1 + u64::from(image.depth.is_some()) + u64::from(image.alpha.is_some());
         let counts = [
             (work.gaussians.saturating_sub(work.culled), work.culled),
             (work.tiles_drawn, work.tiles.saturating_sub(work.tiles_drawn)),
             (work.entries.saturating_sub(work.entries_unseen), work.entries_unseen),
+            (planes, PLANES - planes),
+            (u64::from(turned), u64::from(!turned)),
         ];
         for (sum, (done, avoided)) in self.counts.raster.iter_mut().zip(counts) {
             sum[0] += done;
@@ -119,12 +136,14 @@ impl Drawing {
 
     /// Adds what was drawn and what was not needed.
     pub fn account(&self, work: &mut BTreeMap<String, WorkRecord>, seconds: &mut BTreeMap<String, f64>) {
-        let [gaussians, tiles, entries] = self.counts.raster;
+        let [gaussians, tiles, entries, planes, turned] = self.counts.raster;
         for (stage, [done, avoided], unit) in [
             ("render", [self.counts.images, 0], "images"),
             ("render.project", gaussians, "Gaussians"),
             ("render.tiles", tiles, "tiles"),
             ("render.blend", entries, "splats in tiles"),
+            ("render.planes", planes, "planes"),
+            ("render.turned", turned, "images"),
         ] {
             work.insert(stage.to_owned(), WorkRecord { done, avoided, unit: unit.to_owned() });
         }

@@ -238,7 +238,7 @@ impl Engine {
         let features = if let Some(view) = before {
             work.count(Stage::Encoder, 0, 1);
             work.count(Stage::Upsampler, 0, 1);
-            work.count(Stage::Condition, 0, u64::from(model.reads_condition()));
+            work.count(Stage::Condition, 0, 1);
             view.features.clone()
         } else {
             let embedding = work.measure(Stage::Encoder, || match memory.as_deref_mut() {
@@ -251,7 +251,10 @@ impl Engine {
             })?;
             let condition = match model.reads_condition() {
                 true => work.measure(Stage::Condition, || model.condition(&input))?,
-                false => None,
+                false => {
+                    work.count(Stage::Condition, 0, 1);
+                    None
+                }
             };
             Arc::new(Features { embedding, tokens, condition })
         };
