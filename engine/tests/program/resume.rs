@@ -39,9 +39,11 @@ fn assert_same(found: &Path, expected: &Path) {
 
 /// Runs until `ready`, then sends the signal.
 fn stop_when(mut command: Command, signal: &str, ready: impl Fn() -> bool) -> Output {
-    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the program starts");
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the program starts");
     let start = Instant::now();
     while !ready() {
+        let ended = child.try_wait().expect("a child");
+        assert!(ended.is_none_or(|_| ready()), "it ended before there was something to stop");
         assert!(start.elapsed() < Duration::from_secs(60), "nothing to stop");
         std::thread::sleep(Duration::from_millis(1));
     }
@@ -83,6 +85,37 @@ fn ctrl_c_finishes_the_interval_and_what_it_leaves_is_gone_on_with() {
     let said = succeeds(&resume(&clip(), &out, &EVERYTHING[..4]));
     assert!(said.contains("complete already, nothing to resume"), "{said}");
     assert!(files(&out) == before);
+}
+
+#[test]
+fn it_goes_on_with_whatever_chooses_its_work() {
+    let scratch = Scratch::new();
+    let depth = scratch.path("depth");
+    std::fs::create_dir(&depth).expect("writable");
+    for i in 0..24u8 {
+        let plane = image::GrayImage::from_fn(24, 14, |x, y| image::Luma([(3 * x + 5 * y) as u8 + 4 * i]));
+        plane.save(depth.join(format!("{i:02}.png"))).expect("writable");
+    }
+    let depth = depth.to_str().expect("UTF-8");
+    let each: [&[&str]; 4] = [
+        &["--reuse", "0.1", "--gap", "2"],
+        &["--reuse", "off", "--fusion", "pairwise"],
+        &["--gap", "auto:4", "--reuse", "0.1"],
+        &["--depth", depth, "--gap", "2"],
+    ];
+    for (i, options) in each.iter().enumerate() {
+        let (whole, out) = (scratch.path(&format!("whole{i}")), scratch.path(&format!("out{i}")));
+        let options = [options, &["--quiet"][..]].concat();
+        run_ok(&clip(), &whole, &options);
+        let second = out.join("scene/interval-000002.safetensors");
+        // Shown in a browser or not: the same.
+        let mut shown = run(&clip(), &out, &options);
+        shown.arg("--serve=0");
+        stop_when(shown, "KILL", || second.exists());
+        assert!(!out.join("run.json").exists());
+        succeeds(&resume(&clip(), &out, &[&options[..], &["--serve=0"]].concat()));
+        assert_same(&out, &whole);
+    }
 }
 
 #[test]
