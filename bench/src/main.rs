@@ -5,6 +5,8 @@
 
 mod kernels;
 mod machine;
+mod model;
+mod passage;
 mod process;
 mod raster;
 mod reuse;
@@ -12,6 +14,7 @@ mod serve;
 mod soak;
 mod stages;
 mod timing;
+mod tradeoff;
 
 use std::path::{Path, PathBuf};
 
@@ -41,6 +44,8 @@ enum Command {
     Serve(serve::Options),
     /// The stages of the network and a whole key frame.
     Stages(stages::Options),
+    /// Error against run time: precision, reuse and gap on a clip; each stage's error and time.
+    Tradeoff(tradeoff::Options),
 }
 
 /// Options of every measurement.
@@ -89,6 +94,7 @@ fn main() -> std::process::ExitCode {
         Command::Serve(options) => serve::run(&options),
         Command::Soak(options) => soak::run(&options),
         Command::Stages(options) => stages::run(&options),
+        Command::Tradeoff(options) => tradeoff::run(&options),
     };
     match result {
         Ok(()) => std::process::ExitCode::SUCCESS,

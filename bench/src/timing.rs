@@ -40,6 +40,16 @@ impl Spent {
     pub(crate) fn seconds(&self) -> f64 {
         self.processor.unwrap_or(self.clock)
     }
+
+    /// The clock's time.
+    pub(crate) fn clock(&self) -> f64 {
+        self.clock
+    }
+
+    /// The processor's time, where the system tells.
+    pub(crate) fn processor(&self) -> Option<f64> {
+        self.processor
+    }
 }
 
 impl std::ops::Add for Spent {

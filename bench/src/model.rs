@@ -1,0 +1,176 @@
+//! Networks with everything that a new key frame reads, and their stages one by one.
+
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use streamsplat::stream::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
+use streamsplat_fixtures::seeded::{self, Sizes, uniform};
+use streamsplat_kernels::Level;
+use streamsplat_kernels::raster::{Gaussians, Projection, Request, render};
+use streamsplat_model::{Deformation, Dino, FrameInput, LoadOptions, Network, Sampling, Side, StaticGaussians, motion};
+
+/// Which model.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Which<'a> {
+    /// The checkpoint inside the library.
+    Small,
+    /// The published model's sizes with weights from a seed, through a temporary file.
+    Paper,
+    /// A checkpoint, with DINOv2's weights where it is conditioned on them.
+    File { checkpoint: &'a Path, dinov2: Option<&'a Path> },
+}
+
+/// Two frames of noise.
+pub(crate) fn noise([height, width]: [usize; 2]) -> Result<[Vec<f32>; 2]> {
+    let image = |seed: u64| -> Vec<f32> {
+        let mut state = seed;
+        (0..3 * height * width).map(|_| uniform(&mut state)).collect()
+    };
+    Ok([image(1), image(2)])
+}
+
+/// A network with everything that a new key frame reads.
+pub(crate) struct Model {
+    pub(crate) network: Network,
+    pub(crate) dino: Option<Dino>,
+    pub(crate) level: Level,
+    pub(crate) rgb: [Vec<f32>; 2],
+    tokens: Vec<f32>,
+    h: [Vec<f32>; 2],
+    static_tokens: [Vec<f32>; 2],
+    pub(crate) condition: [Option<Vec<f32>>; 2],
+    still: [StaticGaussians; 2],
+    moving: [Deformation; 2],
+}
+
+/// A seeded model as a file that is removed when dropped.
+struct Temporary(PathBuf);
+
+impl Temporary {
+    fn new(name: &str, write: impl FnOnce(&mut BufWriter<std::fs::File>) -> std::io::Result<()>) -> Result<Temporary> {
+        let path = std::env::temp_dir().join(format!("streamsplat-{}-{name}.safetensors", std::process::id()));
+        let file = std::fs::File::create(&path).with_context(|| format!("creating {}", path.display()))?;
+        let file_guard = Temporary(path);
+        let mut file = BufWriter::new(file);
+        write(&mut file).and_then(|()| file.flush()).with_context(|| format!("writing {}", file_guard.0.display()))?;
+        Ok(file_guard)
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        // Left behind at worst.
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+impl Model {
+    /// A model that has seen the two frames that `frames` gives of its resolution, `[3, H, W]` each.
+    pub(crate) fn load(
+        which: Which<'_>,
+        load: &LoadOptions,
+        frames: &dyn Fn([usize; 2]) -> Result<[Vec<f32>; 2]>,
+    ) -> Result<Model> {
+        let (network, dino) = match which {
+            Which::Small => (Network::from_parts(EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG, load)?, None),
+            Which::Paper => {
+                let file = Temporary::new("paper", |out| Sizes::paper().write(31, "model.", out))?;
+                let network = Network::open(&file.0, load)?;
+                let file = Temporary::new("dino", |out| seeded::write(&seeded::dino_shapes(768, 12), 32, "", out))?;
+                (network, Some(Dino::open(&file.0, load)?))
+            }
+            Which::File { checkpoint, dinov2 } => {
+                let network = Network::open(checkpoint, load)?;
+                let dino = match dinov2 {
+                    Some(file) if network.config().use_dino => Some(Dino::open(file, load)?),
+                    _ => None,
+                };
+                (network, dino)
+            }
+        };
+        let [height, width] = network.config().resolution;
+        let rgb = frames([height, width])?;
+        let tokens = network.tokenize(&FrameInput { rgb: &rgb[1], depth: None })?;
+        let features = |rgb: &[f32]| -> Result<Option<Vec<f32>>> {
+            Ok(match &dino {
+                Some(dino) => Some(dino.features(rgb, [height, width])?.patch_tokens),
+                None => None,
+            })
+        };
+        let condition = [features(&rgb[0])?, features(&rgb[1])?];
+        let embed = |rgb: &[f32]| -> Result<_> {
+            let embedding = network.embed(&FrameInput { rgb, depth: None })?;
+            let still = network.static_gaussians(&embedding, &Sampling::Mean)?;
+            Ok((embedding.h, still))
+        };
+        let (h_a, a) = embed(&rgb[0])?;
+        let (h_b, b) = embed(&rgb[1])?;
+        let (h, static_tokens) = ([h_a, h_b], [a.tokens, b.tokens]);
+        let side = |i: usize| Side { h: &h[i], static_tokens: &static_tokens[i], condition: condition[i].as_deref() };
+        let moving = network.deform(side(0), side(1))?;
+        let (level, still) = (load.level, [a.gaussians, b.gaussians]);
+        Ok(Model { network, dino, level, rgb, tokens, h, static_tokens, condition, still, moving })
+    }
+
+    fn side(&self, i: usize) -> Side<'_> {
+        Side { h: &self.h[i], static_tokens: &self.static_tokens[i], condition: self.condition[i].as_deref() }
+    }
+
+    pub(crate) fn features(&self, i: usize) -> Result<Vec<f32>> {
+        Ok(match &self.dino {
+            Some(dino) => dino.features(&self.rgb[i], self.network.config().resolution)?.patch_tokens,
+            None => Vec::new(),
+        })
+    }
+
+    /// Runs a stage once and gives what it computed. Its input is what the stages before gave at the same precision.
+    pub(crate) fn stage(&self, name: &str) -> Result<Vec<f32>> {
+        let network = &self.network;
+        Ok(match name {
+            "encoder" => network.encode(&self.tokens)?.h,
+            "upsampler" => network.upsample_static(&self.h[1])?,
+            "decoder" => network.decode(&self.side(0), &self.side(1))?.concat(),
+            "dinov2" => self.features(1)?,
+            "heads" => {
+                let still = network.static_head(&self.static_tokens[1], &Sampling::Mean)?;
+                let mut out = still.position.into_flattened();
+                for (moving, tokens) in self.moving.iter().zip(&self.static_tokens) {
+                    out.extend(network.deformation_head(tokens, &moving.tokens)?.0.into_flattened());
+                }
+                out
+            }
+            "raster" => self.draw(),
+            // All that one more key frame costs.
+            _ => {
+                let features = self.features(1)?;
+                let embedding = network.embed(&FrameInput { rgb: &self.rgb[1], depth: None })?;
+                let still = network.static_gaussians(&embedding, &Sampling::Mean)?;
+                let condition = self.dino.is_some().then_some(features.as_slice());
+                let new = Side { h: &embedding.h, static_tokens: &still.tokens, condition };
+                let [a, b] = network.deform(self.side(0), new)?;
+                [a.velocity, b.velocity].concat().into_flattened()
+            }
+        })
+    }
+
+    /// Both frames' Gaussians in the middle of their interval, from the canonical camera.
+    fn draw(&self) -> Vec<f32> {
+        let [height, width] = self.network.config().resolution;
+        let (mut mean, mut scale, mut opacity, mut rgb) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for ((still, moving), tau) in self.still.iter().zip(&self.moving).zip([0.5, -0.5]) {
+            let mut position = vec![[0.0; 3]; still.position.len()];
+            motion::position_at(&still.position, &moving.velocity, tau, &mut position);
+            mean.extend(position.iter().map(|[x, y, z]| [*x, -z, 1.0 / (9.8 * y + 0.2 + 1e-6)]));
+            scale.extend(still.scale.iter().map(|[x, z]| [*x, *z, 0.5 * (x + z)]));
+            let mut faded = vec![0.0; position.len()];
+            motion::opacity_at(self.level, &still.opacity, &moving.gamma, tau, &mut faded);
+            opacity.extend(faded);
+            rgb.extend_from_slice(&still.rgb);
+        }
+        let gaussians = Gaussians { mean: &mean, scale: &scale, rotation: None, opacity: &opacity, rgb: &rgb };
+        let projection = Projection::Orthographic { focal: [width as f32 / 2.0, height as f32 / 2.0] };
+        let request = Request { width, height, background: [0.5; 3], depth: false, alpha: false, statistics: false };
+        render(self.level, &gaussians, &projection, &request).rgb
+    }
+}

@@ -1,0 +1,189 @@
+//! Ways through a clip: engines that differ in precision, reuse or gap and take the same frames in turn, key frame by key frame, so that
+//! what disturbs the machine disturbs all of them alike.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, Result, ensure};
+use streamsplat::gap::{Choice, Chooser, Gap};
+use streamsplat::metrics::psnr;
+use streamsplat::picture::Picture;
+use streamsplat::render::Painter;
+use streamsplat::source::{self, Source, TimedPicture, folder};
+use streamsplat::stream::{ModelSource, Reconstructor, Reuse, Work};
+use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
+use streamsplat_model::Precision;
+
+use crate::timing::{Spent, Stopwatch};
+
+/// A way through a clip.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Variant {
+    pub(crate) precision: Precision,
+    pub(crate) reuse: Reuse,
+    pub(crate) gap: Gap,
+}
+
+/// Frames of a clip.
+pub(crate) fn read(input: &Path, frames: Option<usize>) -> Result<Vec<TimedPicture>> {
+    let mut source = Source::open(input, &source::Options::default())?;
+    let mut read = Vec::new();
+    while read.len() < frames.unwrap_or(usize::MAX)
+        && let Some(frame) = source.next_frame()?
+    {
+        read.push(frame);
+    }
+    Ok(read)
+}
+
+/// The clip's key frames; as in a run, the last frame is one.
+fn keys(gap: Gap, clip: &[TimedPicture]) -> Vec<usize> {
+    let mut chooser = Chooser::new(gap);
+    let mut keys = Vec::new();
+    for (index, frame) in clip.iter().enumerate() {
+        match chooser.next(&frame.picture) {
+            Choice::Wait => {}
+            Choice::This => keys.push(index),
+            Choice::Before => keys.push(index - 1),
+        }
+    }
+    if let Some(last) = clip.len().checked_sub(1)
+        && keys.last() != Some(&last)
+    {
+        keys.push(last);
+    }
+    keys
+}
+
+/// One variant under way.
+pub(crate) struct Runner {
+    pub(crate) variant: Variant,
+    pub(crate) engine: Engine,
+    painter: Painter,
+    pub(crate) keys: Vec<usize>,
+    chosen: Spent,
+    pub(crate) pushed: Spent,
+    drawn: Spent,
+    pub(crate) network: f64,
+    pub(crate) images: Vec<Picture>,
+}
+
+/// The stages of the network.
+const NETWORK: [&str; 4] = ["encoder", "upsampler", "heads", "decoder"];
+
+fn network_seconds(work: &Work) -> f64 {
+    NETWORK.iter().filter_map(|stage| work.stage(stage)).map(|stage| stage.time.as_secs_f64()).sum()
+}
+
+/// Engines of one model; those of one precision share its weights.
+pub(crate) struct Models {
+    settings: Settings,
+    loaded: Vec<(Precision, Arc<dyn Reconstructor>)>,
+}
+
+impl Models {
+    /// Those that `settings` give, their precision and reuse aside.
+    pub(crate) fn new(settings: Settings) -> Models {
+        Models { settings, loaded: Vec::new() }
+    }
+
+    /// An engine that has seen nothing.
+    fn engine(&mut self, variant: &Variant) -> Result<Engine> {
+        let mut settings = Settings { precision: variant.precision, reuse: variant.reuse, ..self.settings.clone() };
+        let loaded = self.loaded.iter().find(|(precision, _)| *precision == variant.precision);
+        if let Some((_, model)) = loaded {
+            settings.model = ModelSource::Shared(Arc::clone(model));
+        }
+        let known = loaded.is_some();
+        let engine = Engine::new(settings)?;
+        if !known {
+            self.loaded.push((variant.precision, Arc::clone(engine.model())));
+        }
+        Ok(engine)
+    }
+
+    fn runner(&mut self, variant: &Variant, clip: &[TimedPicture]) -> Result<Runner> {
+        let engine = self.engine(variant)?;
+        let watch = Stopwatch::start();
+        let keys = keys(variant.gap, clip);
+        let chosen = watch.stop();
+        let painter = Painter::new(engine.workers());
+        let (pushed, drawn) = (Spent::default(), Spent::default());
+        let variant = variant.clone();
+        Ok(Runner { variant, engine, painter, keys, chosen, pushed, drawn, network: 0.0, images: Vec::new() })
+    }
+
+    /// Takes a clip through every variant.
+    pub(crate) fn pass(&mut self, clip: &[TimedPicture], variants: &[Variant]) -> Result<Vec<Runner>> {
+        let mut runners = Vec::new();
+        for variant in variants {
+            runners.push(self.runner(variant, clip)?);
+        }
+        for index in 0..clip.len() {
+            for runner in runners.iter_mut().filter(|runner| runner.keys.contains(&index)) {
+                runner.take(clip, index)?;
+            }
+        }
+        Ok(runners)
+    }
+}
+
+impl Runner {
+    fn take(&mut self, clip: &[TimedPicture], index: usize) -> Result<()> {
+        let Picture { width, height, rgb } = clip[index].picture.clone();
+        let watch = Stopwatch::start();
+        let interval = self.engine.push(Frame { width, height, rgb, depth: None }, clip[index].timestamp)?;
+        self.pushed += watch.stop();
+        for frame in &clip[self.images.len()..=index] {
+            let watch = Stopwatch::start();
+            let image = self.painter.draw(&interval, frame.timestamp, &Camera::Canonical, &RenderOptions::default())?;
+            self.drawn += watch.stop();
+            self.images.push(Picture { width: image.width, height: image.height, rgb: image.rgb.clone() });
+        }
+        self.network = network_seconds(self.engine.work());
+        Ok(())
+    }
+
+    /// Of everything but reading and writing, per input frame.
+    pub(crate) fn frame(&self) -> Spent {
+        (self.chosen + self.pushed + self.drawn) / self.images.len() as f64
+    }
+}
+
+/// The true frames of a clip as images are compared with them.
+pub(crate) fn truths(clip: &[TimedPicture]) -> Vec<Picture> {
+    clip.iter().map(|frame| frame.picture.resized(256, 256)).collect()
+}
+
+/// PSNR of images against the [`truths`], at 256×256.
+pub(crate) fn against(images: &[Picture], truths: &[Picture]) -> Result<Vec<f64>> {
+    images.iter().zip(truths).map(|(image, truth)| Ok(psnr(&image.resized(256, 256), truth)?)).collect()
+}
+
+/// Mean square error of all images against others.
+pub(crate) fn mean_square_error(images: &[Picture], others: &[Picture]) -> Result<f64> {
+    ensure!(images.len() == others.len(), "variants of one gap drew other frames");
+    let mut error = 0.0;
+    for (a, b) in images.iter().zip(others) {
+        error += streamsplat::metrics::mean_square_error(a, b)? / images.len() as f64;
+    }
+    Ok(error)
+}
+
+/// The clips of the inputs, in natural order.
+pub(crate) fn clips(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    let mut clips = Vec::new();
+    for input in inputs {
+        if !input.is_dir() || folder::images(input).is_ok() {
+            clips.push(input.clone());
+            continue;
+        }
+        let entries = std::fs::read_dir(input).with_context(|| format!("{}", input.display()))?;
+        let mut inside: Vec<PathBuf> =
+            entries.flatten().map(|entry| entry.path()).filter(|path| path.is_dir()).collect();
+        inside.sort();
+        ensure!(!inside.is_empty(), "{}: neither images nor clips", input.display());
+        clips.extend(inside);
+    }
+    Ok(clips)
+}

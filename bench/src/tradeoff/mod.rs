@@ -1,0 +1,239 @@
+//! `tradeoff`: error against run time on one clip, over precision, reuse and gap; and each stage's error and time per precision.
+//!
+//! One run gives CSV, JSON, Markdown and a plot. All configurations go through the clip in turn, key frame by key frame, and that
+//! several times, so that what disturbs the machine disturbs all of them alike. Before anything is timed, f32 must give the same bits on
+//! another number of threads and exact reuse those of none; in every later round every configuration must give its bits again.
+//!
+//! A checkpoint runs at one number of tokens, because its decoder stores a row per token of two frames; so the resolution is the model's
+//! own. Other resolutions are other checkpoints (`--model`).
+
+mod front;
+mod grid;
+mod plot;
+mod stages;
+mod table;
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, ensure};
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+use streamsplat::Settings;
+use streamsplat::fit::Fit;
+use streamsplat::gap::Gap;
+use streamsplat::stream::{ModelSource, Reuse};
+use streamsplat_model::Precision;
+
+use crate::Common;
+use crate::machine::cpu;
+use crate::model::Which;
+use crate::passage::read;
+
+/// Options of `tradeoff`.
+#[derive(Args)]
+pub(crate) struct Options {
+    #[command(flatten)]
+    common: Common,
+    /// A folder of images or a video [default: fixtures/clips/moving.y4m].
+    input: Option<PathBuf>,
+    /// Where tradeoff.{csv,json,md,svg} and tradeoff-stages.csv go.
+    #[arg(long, value_name = "DIR", default_value = "tradeoff")]
+    out: PathBuf,
+    /// `small`: the embedded model, or `--model`. `paper`: the published sizes with weights from a seed; of these, whose pictures
+    /// mean nothing, the stages alone, compared with f32 (binary64 would take hours).
+    #[arg(long, value_enum, default_value_t = Size::Small)]
+    size: Size,
+    /// Checkpoint [default: the embedded one].
+    #[arg(long, value_name = "FILE", conflicts_with = "size")]
+    model: Option<PathBuf>,
+    /// DINOv2's weights, for models conditioned on them.
+    #[arg(long, value_name = "FILE")]
+    dinov2: Option<PathBuf>,
+    /// Precisions.
+    #[arg(long, value_delimiter = ',', default_value = "f32,bf16,int8")]
+    precision: Vec<Precision>,
+    /// Choices of reuse, beside off.
+    #[arg(long, value_delimiter = ',', default_value = "exact,0.003,0.02")]
+    reuse: Vec<Reuse>,
+    /// Gaps between key frames.
+    #[arg(long, value_delimiter = ',', default_value = "1,4,auto")]
+    gap: Vec<Gap>,
+    /// Input frames that are used.
+    #[arg(long, value_name = "N")]
+    frames: Option<usize>,
+    /// Times every configuration goes through the clip.
+    #[arg(long, default_value_t = 3)]
+    rounds: usize,
+    /// What the stages' errors are against: f64 (plain loops in binary64, some half a minute of one processor for the embedded model),
+    /// or f32 (the f32 network).
+    #[arg(long, value_enum, default_value_t = Yardstick::F64)]
+    against: Yardstick,
+    /// The time on the plot and of the Pareto front.
+    #[arg(long, value_enum, default_value_t = Clock::Wall)]
+    clock: Clock,
+    /// A sentence for the record: under which conditions this was run.
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    note: String,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Size {
+    Paper,
+    Small,
+}
+
+/// What errors are against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Yardstick {
+    F64,
+    F32,
+}
+
+/// A time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Clock {
+    /// The clock on the wall.
+    Wall,
+    /// Of the processor, on all threads.
+    Processor,
+}
+
+impl Clock {
+    fn name(self) -> &'static str {
+        match self {
+            Clock::Wall => "wall clock",
+            Clock::Processor => "processor time",
+        }
+    }
+}
+
+/// Where and of what this was measured.
+#[derive(Serialize)]
+struct About {
+    model: String,
+    clip: String,
+    frames: usize,
+    resolution: String,
+    cpu: String,
+    isa: &'static str,
+    threads: usize,
+    rounds: usize,
+    /// What `seconds_per_frame` counts.
+    clock: Clock,
+    /// What the stages' errors are against.
+    against: Yardstick,
+    note: String,
+}
+
+#[derive(Serialize)]
+struct Results {
+    about: About,
+    rows: Vec<grid::Row>,
+    stages: Vec<stages::Row>,
+}
+
+impl Options {
+    fn which(&self) -> Which<'_> {
+        match (&self.model, self.size) {
+            (Some(checkpoint), _) => Which::File { checkpoint, dinov2: self.dinov2.as_deref() },
+            (None, Size::Small) => Which::Small,
+            (None, Size::Paper) => Which::Paper,
+        }
+    }
+
+    fn settings(&self) -> Settings {
+        let model = match &self.model {
+            None => ModelSource::Embedded,
+            Some(checkpoint) => ModelSource::File { checkpoint: checkpoint.clone(), dinov2: self.dinov2.clone() },
+        };
+        Settings {
+            level: Some(self.common.isa),
+            threads: self.common.threads,
+            fit: Fit::Stretch,
+            ..Settings::with_model(model)
+        }
+    }
+
+    fn model_name(&self) -> String {
+        match (&self.model, self.size) {
+            (Some(path), _) => path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
+            (None, Size::Small) => "the embedded model".to_owned(),
+            (None, Size::Paper) => "paper's size, seeded weights".to_owned(),
+        }
+    }
+}
+
+/// The values in the order given, each once; `first` before them.
+fn once_each<T: Copy + PartialEq>(first: T, others: &[T]) -> Vec<T> {
+    let mut all = vec![first];
+    for &other in others {
+        if !all.contains(&other) {
+            all.push(other);
+        }
+    }
+    all
+}
+
+pub(crate) fn run(options: &Options) -> Result<()> {
+    let default = || PathBuf::from("fixtures/clips/moving.y4m");
+    let input = options.input.clone().unwrap_or_else(default);
+    let clip = read(&input, options.frames)?;
+    ensure!(clip.len() >= 2, "{}: expected two frames or more, found {}", input.display(), clip.len());
+    ensure!(options.rounds > 0, "--rounds: expected 1 or more, found 0");
+    std::fs::create_dir_all(&options.out).with_context(|| format!("creating {}", options.out.display()))?;
+    let pool = options.common.pool()?;
+    let against = if options.size == Size::Paper { Yardstick::F32 } else { options.against };
+    // f32 is what the others are compared with.
+    let precisions = once_each(Precision::F32, &options.precision);
+    let task = stages::Task {
+        which: options.which(),
+        precisions: &precisions,
+        level: options.common.isa,
+        against,
+        rounds: options.common.repeat,
+    };
+    let (resolution, stages) = pool.install(|| stages::measure(&task, &clip))?;
+    let rows = match options.size {
+        Size::Paper => Vec::new(),
+        Size::Small => {
+            let reuse = once_each(Reuse::Off, &options.reuse);
+            let choices = grid::Choices { precisions: &precisions, reuse: &reuse, gaps: &options.gap };
+            grid::measure(&choices, &clip, options.settings(), options.rounds, options.clock)?
+        }
+    };
+    let about = About {
+        model: options.model_name(),
+        clip: input.file_name().unwrap_or(input.as_os_str()).to_string_lossy().into_owned(),
+        frames: clip.len(),
+        resolution,
+        cpu: cpu(),
+        isa: options.common.isa.name(),
+        threads: pool.current_num_threads(),
+        rounds: options.rounds,
+        clock: options.clock,
+        against,
+        note: options.note.clone(),
+    };
+    let results = Results { about, rows, stages };
+    write(options, &results)
+}
+
+/// All the files.
+fn write(options: &Options, results: &Results) -> Result<()> {
+    let markdown = table::markdown(results);
+    print!("{markdown}");
+    let file = |name: &str, text: &str| {
+        let path = options.out.join(name);
+        std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
+    };
+    file("tradeoff-stages.csv", &table::stages_csv(results))?;
+    if !results.rows.is_empty() {
+        file("tradeoff.csv", &table::csv(results))?;
+        file("tradeoff.svg", &plot::svg(results)?)?;
+    }
+    file("tradeoff.md", &markdown)?;
+    crate::write_json(&options.out.join("tradeoff.json"), results)?;
+    options.common.write(results)
+}

@@ -1,0 +1,137 @@
+//! CSV and Markdown.
+
+use std::fmt::Write;
+
+use super::{Results, Yardstick};
+use crate::timing::Seconds;
+
+const HEAD: &str = "precision,reuse,gap,resolution,keys,seconds_per_frame,wall_min,wall_median,wall_max,processor_min,processor_median,\
+processor_max,relative_l2,worst,psnr_vs_f32,psnr_vs_truth,pareto\n";
+
+fn of(seconds: Option<Seconds>) -> String {
+    seconds.map_or_else(|| ",,".to_owned(), |s| format!("{:.6},{:.6},{:.6}", s.min, s.median, s.max))
+}
+
+/// One line per configuration.
+pub(super) fn csv(results: &Results) -> String {
+    let mut text = HEAD.to_owned();
+    for row in &results.rows {
+        // Writing into a string does not fail.
+        let _ = writeln!(
+            text,
+            "{},{},{},{},{},{:.6},{},{},{:.3e},{:.3e},{:.3},{:.4},{}",
+            row.precision,
+            row.reuse,
+            row.gap,
+            row.resolution,
+            row.keys,
+            row.seconds_per_frame,
+            of(Some(row.wall)),
+            of(row.processor),
+            row.relative_l2,
+            row.worst,
+            row.psnr_vs_f32,
+            row.psnr_vs_truth,
+            row.pareto
+        );
+    }
+    text
+}
+
+/// One line per stage and precision.
+pub(super) fn stages_csv(results: &Results) -> String {
+    let mut text =
+        "precision,stage,against,relative_l2,worst,wall_min,wall_median,wall_max,processor_min,processor_median,\
+        processor_max\n"
+            .to_owned();
+    let against = name(results.about.against);
+    for row in &results.stages {
+        let (wall, processor) = (of(Some(row.wall)), of(row.processor));
+        let _ = writeln!(
+            text,
+            "{},{},{against},{:.3e},{:.3e},{wall},{processor}",
+            row.precision, row.stage, row.relative_l2, row.worst
+        );
+    }
+    text
+}
+
+fn name(against: Yardstick) -> &'static str {
+    match against {
+        Yardstick::F64 => "f64",
+        Yardstick::F32 => "f32",
+    }
+}
+
+/// Milliseconds with their spread.
+fn spread(seconds: Option<Seconds>) -> String {
+    let show = |s: Seconds| format!("{:.1} ({:.1}–{:.1})", s.median * 1e3, s.min * 1e3, s.max * 1e3);
+    seconds.map_or_else(|| "-".to_owned(), show)
+}
+
+/// The report.
+pub(super) fn markdown(results: &Results) -> String {
+    let about = &results.about;
+    let mut text = format!(
+        "# Error against run time\n\n{} at {}, {} ({} frames), {}, {}, {} threads, {} rounds.\n",
+        about.model, about.resolution, about.clip, about.frames, about.cpu, about.isa, about.threads, about.rounds
+    );
+    if !about.note.is_empty() {
+        let _ = writeln!(text, "{}", about.note);
+    }
+    if !results.rows.is_empty() {
+        configurations(results, &mut text);
+    }
+    stages(results, &mut text);
+    text
+}
+
+fn configurations(results: &Results, text: &mut String) {
+    let _ = write!(
+        text,
+        "\n## Configurations\n\nMilliseconds per input frame: median (least–most) of the rounds. `L2` and `vs f32` compare all images with those of \
+        f32 without reuse at the same gap (100 dB: equal), `vs truth` with the true frames at 256×256. ● is on the Pareto front of {} and `vs truth`.\n\n\
+        | | precision | reuse | gap | key frames | ms, processor | ms, wall | L2 | worst sample | vs f32, dB | vs truth, dB |\n\
+        |---|---|---|---|---|---|---|---|---|---|---|\n",
+        results.about.clock.name()
+    );
+    for row in &results.rows {
+        let _ = writeln!(
+            text,
+            "| {} | {} | {} | {} | {} | {} | {} | {:.1e} | {:.1e} | {:.1} | {:.2} |",
+            if row.pareto { "●" } else { "" },
+            row.precision,
+            row.reuse,
+            row.gap,
+            row.keys,
+            spread(row.processor),
+            spread(Some(row.wall)),
+            row.relative_l2,
+            row.worst,
+            row.psnr_vs_f32,
+            row.psnr_vs_truth
+        );
+    }
+}
+
+fn stages(results: &Results, text: &mut String) {
+    let _ = write!(
+        text,
+        "\n## Stages\n\nOn two frames of the clip, each stage fed by those before it at its own precision, against {}. `worst`: largest difference over \
+        largest value. Milliseconds of a call: median (least–most).\n\n\
+        | precision | stage | L2 | worst | ms, processor | ms, wall |\n|---|---|---|---|---|---|\n",
+        name(results.about.against)
+    );
+    for row in &results.stages {
+        let _ = writeln!(
+            text,
+            "| {} | {} | {:.1e} | {:.1e} | {} | {} |",
+            row.precision,
+            row.stage,
+            row.relative_l2,
+            row.worst,
+            spread(row.processor),
+            spread(Some(row.wall))
+        );
+    }
+}
