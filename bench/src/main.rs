@@ -3,6 +3,7 @@
 //! Every measurement checks its answer before it is timed and reports the fraction of the machine's peak, which is measured
 //! in the same run.
 
+mod instructions;
 mod kernels;
 mod machine;
 mod model;

@@ -17,6 +17,8 @@ pub(crate) enum Which<'a> {
     Small,
     /// The published model's sizes with weights from a seed, through a temporary file.
     Paper,
+    /// A small network with weights from a seed.
+    Seeded,
     /// A checkpoint, with DINOv2's weights where it is conditioned on them.
     File { checkpoint: &'a Path, dinov2: Option<&'a Path> },
 }
@@ -74,6 +76,21 @@ impl Model {
     ) -> Result<Model> {
         let (network, dino) = match which {
             Which::Small => (Network::from_parts(EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG, load)?, None),
+            Which::Seeded => {
+                let sizes = Sizes {
+                    hidden_dim: 64,
+                    encoder_layers: 1,
+                    decoder_layers: 1,
+                    resolution: [16, 32],
+                    upsampler_window: 32,
+                    encoder_window: None,
+                    features: None,
+                    truncated_normal: false,
+                };
+                let mut bytes = Vec::new();
+                sizes.write(31, "model.", &mut bytes).context("seeded weights")?;
+                (Network::from_parts(bytes, &sizes.json().to_string(), load)?, None)
+            }
             Which::Paper => {
                 let file = Temporary::new("paper", |out| Sizes::paper().write(31, "model.", out))?;
                 let network = Network::open(&file.0, load)?;

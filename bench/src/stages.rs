@@ -3,6 +3,8 @@
 //! `small` is the checkpoint inside the library; `paper` has the published model's sizes and weights from a seed, written to
 //! a temporary file. Before a stage is timed, its result is compared in bits with that of another number of threads.
 
+use std::path::PathBuf;
+
 use anyhow::{Result, ensure};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -11,6 +13,7 @@ use streamsplat_model::inspect::{dino_gflop, stages};
 use streamsplat_model::{LoadOptions, Precision};
 
 use crate::Common;
+use crate::instructions;
 use crate::machine::{self, Machine};
 use crate::model::{Model, Which, noise};
 use crate::timing::{Seconds, once};
@@ -29,6 +32,15 @@ pub(crate) struct Options {
     /// f32, bf16 or int8.
     #[arg(long, default_value = "f32")]
     precision: Precision,
+    /// Count instructions instead, by valgrind, of a small network on one thread.
+    #[arg(long, conflicts_with_all = ["size", "only", "precision"])]
+    instructions: bool,
+    /// Recorded counts; more than 3 % above them is a failure.
+    #[arg(long, value_name = "FILE", requires = "instructions")]
+    recorded: Option<PathBuf>,
+    /// What runs under valgrind.
+    #[arg(long, hide = true)]
+    counted_work: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -56,6 +68,12 @@ struct Results {
 }
 
 pub(crate) fn run(options: &Options) -> Result<()> {
+    if options.counted_work {
+        return instructions::work(options.common.isa, options.precision);
+    }
+    if options.instructions {
+        return instructions::run(options.recorded.as_deref(), options.common.json.as_deref());
+    }
     let pool = options.common.pool()?;
     println!("{:<10} {:<6} {:>10} {:>12} {:>10} {:>9}", "stage", "size", "GFLOP", "ms (min)", "GFLOP/s", "of peak");
     let (mut rows, mut peak) = (Vec::new(), 0.0_f64);

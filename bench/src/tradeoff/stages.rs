@@ -120,7 +120,7 @@ fn binary64(which: Which<'_>, model: &Model) -> Result<Vec<Vec<f64>>> {
     let checkpoint = match which {
         Which::Small => Checkpoint::from_storage(EMBEDDED_CHECKPOINT, "the embedded model")?,
         Which::File { checkpoint, .. } => Checkpoint::open(checkpoint)?,
-        Which::Paper => anyhow::bail!("the paper's size is compared with f32"),
+        Which::Paper | Which::Seeded => anyhow::bail!("seeded weights are compared with f32"),
     };
     let config = model.network.config();
     let sizes = Sizes {
