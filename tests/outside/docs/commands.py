@@ -1,17 +1,20 @@
 """Runs the commands that README.md and docs/*.md show: commands.py ROOT PROGRAM
 
 A command is a line of an indented block of the README or of a ```sh block of a page. They run in order, page by page, in a scratch folder in which the names
-they use exist: `clip.mp4`, `clip.y4m`, `FOLDER` of images, `CLIPS` of clips, a small model as `MODEL.safetensors`, and links to the repository's folders.
-What a command cannot mean here is replaced (REPLACED); what another part of the tests runs is named with that part (ELSEWHERE). A command that is in
+they use exist: `clip.mp4`, `clip.y4m`, `FOLDER` of images, `CLIPS` of clips, a small model as `MODEL.safetensors`, a depth network as `NETWORK.onnx`,
+somebody's scene as `garden.ply`, and links to the repository's folders. A command that serves a page (SERVES) is stopped as a user stops it. What a command cannot mean here is replaced (REPLACED); what another part of the tests runs is named with that part (ELSEWHERE). A command that is in
 neither table and fails, and an entry of a table that no page uses, are errors.
 """
 
+import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
+import urllib.request
 from pathlib import Path
 
 # Text in a command → what stands for it here.
@@ -23,6 +26,8 @@ ELSEWHERE = {
     "tests/run": "it is what runs this",
     "tests/emulated/run.sh": ".ci/run",
 }
+# Commands that go on until they are stopped.
+SERVES = re.compile(r"streamsplat view (?!.*--html)")
 
 
 def commands_of(page: Path) -> list[str]:
@@ -52,6 +57,13 @@ def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
     for kind in ("safetensors", "json"):
         shutil.copy(root / f"fixtures/parity/tiny-dino.{kind}", scratch / f"MODEL.{kind}")
         shutil.copy(root / f"fixtures/parity/dino-tiny.{kind}", scratch / f"DINOV2.{kind}")
+    shutil.copy(root / "fixtures/depth/depth.onnx", scratch / "NETWORK.onnx")
+    camera = {"type": "pinhole", "position": [0, 0, -1], "fov_y_degrees": 60, "aspect": 16 / 9}
+    (scratch / "camera.json").write_text(json.dumps(camera))
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([program, "run", scratch / "FOLDER", "--frames", "2", "--out", folder, "--quiet"], check=True)
+        subprocess.run([program, "export", folder, "--format", "ply", "--times", "0", "--out", scratch / "garden.ply"], check=True,
+                       stdout=subprocess.DEVNULL)
     tools = scratch / ".tools"
     tools.mkdir()
     (tools / "streamsplat").symlink_to(program)
@@ -62,6 +74,24 @@ def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
     (tools / "cargo").write_text(shim)
     (tools / "cargo").chmod(0o755)
     return {**os.environ, "PATH": f"{tools}:{os.environ['PATH']}"}
+
+
+def serve(command: str, scratch: Path, environment: dict[str, str]) -> str | None:
+    """Starts a command that serves a page, looks at the page, stops it with Ctrl-C; gives what went wrong."""
+    server = subprocess.Popen(command.split(), cwd=scratch, env=environment, stdout=subprocess.PIPE, text=True)
+    said = server.stdout.readline()
+    address = re.search(r"http://\S+", said)
+    page = urllib.request.urlopen(address[0], timeout=20).read() if address else b""
+    server.send_signal(signal.SIGINT)
+    code = server.wait(20)
+    return None if b"<html" in page and code == 0 else f"said {said!r}, served {len(page)} bytes, exit code {code}"
+
+
+def run(command: str, scratch: Path, environment: dict[str, str]) -> str | None:
+    """Runs a command to its end; gives what went wrong."""
+    result = subprocess.run(["bash", "-ec", f"set -o pipefail; {command}"], cwd=scratch, env=environment,
+                            stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    return f"exit code {result.returncode}: {result.stderr.strip()[-600:]}" if result.returncode else None
 
 
 def main() -> int:
@@ -81,12 +111,11 @@ def main() -> int:
                     if text in command:
                         used.add(text)
                         command = command.replace(text, instead)
-                result = subprocess.run(["bash", "-ec", f"set -o pipefail; {command}"], cwd=scratch, env=environment,
-                                        stdin=subprocess.DEVNULL, capture_output=True, text=True)
+                wrong = (serve if SERVES.match(command) else run)(command, Path(scratch), environment)
                 ran += 1
-                if result.returncode:
+                if wrong:
                     failed += 1
-                    print(f"{page.relative_to(root)}: {command}\n  exit code {result.returncode}: {result.stderr.strip()[-600:]}")
+                    print(f"{page.relative_to(root)}: {command}\n  {wrong}")
     stale = (REPLACED.keys() | ELSEWHERE.keys()) - used
     if stale:
         print(f"in a table of commands.py, on no page: {', '.join(sorted(stale))}")
