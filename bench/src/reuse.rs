@@ -57,7 +57,7 @@ struct Row {
     gap: String,
     frames: usize,
     keys: usize,
-    /// Of [`Engine::push`] per key frame.
+    /// Of [`streamsplat::Engine::push`] per key frame.
     key_frame: Spent,
     /// Of everything but reading and writing, per input frame.
     frame: Spent,
