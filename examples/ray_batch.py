@@ -21,6 +21,9 @@ def clips_in(folder: Path) -> list[Path]:
 
 def work_on(clip: Path, out: Path, gap: int, threads: int) -> str:
     """One clip, from its frames to its folder."""
+    if out.exists():
+        # A worker finished it and was lost before it could say so.
+        return f"{clip.name}: there already"
     done = streamsplat.reconstruct(clip, out, gap=gap, threads=threads)
     return f"{clip.name}: {done.frames} frames, {done.key_frames} key frames"
 
