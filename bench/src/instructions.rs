@@ -61,7 +61,7 @@ counted!(encoder, upsampler, decoder, heads, raster);
 pub(crate) fn work(level: Level, precision: Precision) -> Result<()> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     pool.install(|| {
-        let model = Model::load(Which::Seeded, &LoadOptions { level, precision }, &noise)?;
+        let model = Model::load(Which::Seeded, &LoadOptions { level, precision, ..LoadOptions::default() }, &noise)?;
         for (_, stage) in STAGES {
             std::hint::black_box(stage(&model)?);
         }

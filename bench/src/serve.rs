@@ -59,7 +59,7 @@ struct Inputs {
 
 pub(crate) fn run(options: &Options) -> Result<()> {
     let pool = options.common.pool()?;
-    let load = LoadOptions { level: options.common.isa, precision: options.precision };
+    let load = LoadOptions { level: options.common.isa, precision: options.precision, ..LoadOptions::default() };
     let served = pool.install(|| Served::load(options, &load))?;
     let mut answers = std::io::stdout().lock();
     for line in std::io::stdin().lock().lines() {

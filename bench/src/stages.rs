@@ -10,13 +10,13 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use streamsplat_kernels::gemm;
 use streamsplat_model::inspect::{dino_gflop, stages};
-use streamsplat_model::{LoadOptions, Precision};
+use streamsplat_model::{LoadOptions, Precision, silent};
 
 use crate::Common;
 use crate::instructions;
 use crate::machine::{self, Machine};
 use crate::model::{Model, Which, noise};
-use crate::timing::{Seconds, once};
+use crate::timing::{Seconds, Spent, Stopwatch};
 
 /// Options of `stages`.
 #[derive(Args)]
@@ -26,6 +26,9 @@ pub(crate) struct Options {
     /// Which model.
     #[arg(long, value_enum, default_value_t = Size::Small)]
     size: Size,
+    /// A checkpoint that is not conditioned on DINOv2, instead.
+    #[arg(long, value_name = "FILE", conflicts_with = "size")]
+    model: Option<PathBuf>,
     /// Only stages whose name contains this.
     #[arg(long, default_value = "")]
     only: String,
@@ -33,7 +36,7 @@ pub(crate) struct Options {
     #[arg(long, default_value = "f32")]
     precision: Precision,
     /// Count instructions instead, by valgrind, of a small network on one thread.
-    #[arg(long, conflicts_with_all = ["size", "only", "precision"])]
+    #[arg(long, conflicts_with_all = ["size", "model", "only", "precision"])]
     instructions: bool,
     /// Recorded counts; more than 3 % above them is a failure.
     #[arg(long, value_name = "FILE", requires = "instructions")]
@@ -58,6 +61,10 @@ struct Row {
     /// Operations of a call in 10⁹; none for drawing, whose work depends on the scene.
     gflop: Option<f64>,
     seconds: Seconds,
+    /// Of the processor.
+    processor: Seconds,
+    /// The same of a network that computes its silent branches, run in turn with the other.
+    processor_with_silent: Option<Seconds>,
     fraction_of_peak: Option<f64>,
 }
 
@@ -75,13 +82,31 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         return instructions::run(options.recorded.as_deref(), options.common.json.as_deref());
     }
     let pool = options.common.pool()?;
-    println!("{:<10} {:<6} {:>10} {:>12} {:>10} {:>9}", "stage", "size", "GFLOP", "ms (min)", "GFLOP/s", "of peak");
+    println!(
+        "{:<10} {:<6} {:>10} {:>12} {:>10} {:>9} {:>13} {:>13}",
+        "stage", "size", "GFLOP", "ms (min)", "GFLOP/s", "of peak", "cpu ms (min)", "with silent"
+    );
     let (mut rows, mut peak) = (Vec::new(), 0.0_f64);
-    let load = LoadOptions { level: options.common.isa, precision: options.precision };
-    for (size, which, name) in [(Size::Small, Which::Small, "small"), (Size::Paper, Which::Paper, "paper")] {
-        if options.size == Size::All || options.size == size {
-            let model = pool.install(|| Model::load(which, &load, &noise))?;
-            pool.install(|| measure(&model, name, options, &mut rows, &mut peak))?;
+    let load = LoadOptions { level: options.common.isa, precision: options.precision, ..LoadOptions::default() };
+    let mut all = |which, name| -> Result<()> {
+        let model = pool.install(|| Model::load(which, &load, &noise))?;
+        let full = match model.network.silent().iter().any(|part| part.silent > 0) {
+            true => {
+                let load = LoadOptions { compute_silent: true, ..load };
+                Some(pool.install(|| Model::load(which, &load, &noise))?)
+            }
+            false => None,
+        };
+        pool.install(|| measure(&model, full.as_ref(), name, options, &mut rows, &mut peak))
+    };
+    match &options.model {
+        Some(checkpoint) => all(Which::File { checkpoint, dinov2: None }, "file")?,
+        None => {
+            for (size, which, name) in [(Size::Small, Which::Small, "small"), (Size::Paper, Which::Paper, "paper")] {
+                if options.size == Size::All || options.size == size {
+                    all(which, name)?;
+                }
+            }
         }
     }
     let machine = pool.install(|| Machine::new(options.common.isa, (operands(options.precision), peak)));
@@ -98,10 +123,25 @@ fn operands(precision: Precision) -> gemm::Precision {
     }
 }
 
-fn measure(model: &Model, size: &'static str, options: &Options, rows: &mut Vec<Row>, peak: &mut f64) -> Result<()> {
-    let mut costs: Vec<(&'static str, Option<f64>)> =
-        stages(model.network.config()).into_iter().map(|cost| (cost.stage, Some(cost.gflop))).collect();
-    let frame: f64 = stages(model.network.config()).iter().map(|cost| cost.gflop * cost.calls as f64).sum();
+/// Measures `model`, and beside it `full`, which computes the same and its silent branches too.
+fn measure(
+    model: &Model,
+    full: Option<&Model>,
+    size: &'static str,
+    options: &Options,
+    rows: &mut Vec<Row>,
+    peak: &mut f64,
+) -> Result<()> {
+    let parts = model.network.silent();
+    // The stage that is called an upsampler here is the static one.
+    let part = |stage| if stage == "upsampler" { "static upsampler" } else { stage };
+    let left_out = |stage| parts.iter().filter(|s| s.part == part(stage)).map(|s| s.gflop).sum::<f64>();
+    let mut costs: Vec<(&'static str, Option<f64>)> = stages(model.network.config())
+        .into_iter()
+        .map(|cost| (cost.stage, Some(cost.gflop - left_out(cost.stage))))
+        .collect();
+    let nominal: f64 = stages(model.network.config()).iter().map(|cost| cost.gflop * cost.calls as f64).sum();
+    let frame = nominal - silent::gflop(parts);
     let dino = model.dino.as_ref().map(|dino| dino_gflop(dino.config()));
     costs.extend(dino.map(|gflop| ("dinov2", Some(gflop))));
     costs.extend([("raster", None), ("step", Some(frame + dino.unwrap_or(0.0)))]);
@@ -113,28 +153,43 @@ fn measure(model: &Model, size: &'static str, options: &Options, rows: &mut Vec<
         let bits = |x: &[f32]| x.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
         ensure!(bits(&again) == bits(&expected), "{name}: another number of threads gives other bits");
         drop(other);
+        if let Some(full) = full {
+            ensure!(bits(&full.stage(name)?) == bits(&expected), "{name}: silent branches change bits");
+        }
 
-        let (mut times, mut own_peak) = (Vec::new(), 0.0_f64);
+        let (mut spent, mut spent_in_full, mut own_peak) = (Vec::new(), Vec::new(), 0.0_f64);
         for _ in 0..options.common.repeat.max(1) {
             // The peak is taken beside every run: clocks move.
             own_peak = own_peak.max(machine::peak(model.level, operands(options.precision)));
-            let mut result = Ok(Vec::new());
-            times.push(once(|| result = model.stage(name)));
-            std::hint::black_box(result?);
+            let run = |model: &Model, spent: &mut Vec<Spent>| -> Result<()> {
+                let watch = Stopwatch::start();
+                std::hint::black_box(model.stage(name)?);
+                spent.push(watch.stop());
+                Ok(())
+            };
+            run(model, &mut spent)?;
+            if let Some(full) = full {
+                run(full, &mut spent_in_full)?;
+            }
         }
         *peak = peak.max(own_peak);
-        let seconds = Seconds::of(times);
+        let seconds = Seconds::of(spent.iter().map(Spent::clock).collect());
+        let of_processor = |spent: &[Spent]| Seconds::of(spent.iter().map(Spent::seconds).collect());
+        let (processor, processor_with_silent) = (of_processor(&spent), full.map(|_| of_processor(&spent_in_full)));
         let speed = gflop.map(|gflop| gflop / seconds.min);
         let fraction_of_peak = speed.map(|speed| speed / own_peak);
         let figure = |x: Option<f64>| x.map_or_else(|| "-".to_owned(), |x| format!("{x:.1}"));
         println!(
-            "{name:<10} {size:<6} {:>10} {:>12.2} {:>10} {:>8}%",
+            "{name:<10} {size:<6} {:>10} {:>12.2} {:>10} {:>8}% {:>13.2} {:>13}",
             figure(gflop),
             seconds.min * 1e3,
             figure(speed),
-            figure(fraction_of_peak.map(|f| 100.0 * f))
+            figure(fraction_of_peak.map(|f| 100.0 * f)),
+            processor.min * 1e3,
+            figure(processor_with_silent.map(|s| s.min * 1e3))
         );
-        rows.push(Row { name, size, precision: options.precision.name(), gflop, seconds, fraction_of_peak });
+        let precision = options.precision.name();
+        rows.push(Row { name, size, precision, gflop, seconds, processor, processor_with_silent, fraction_of_peak });
     }
     Ok(())
 }

@@ -15,7 +15,7 @@ use streamsplat_kernels::Level;
 
 use crate::checkpoint::Weights;
 use crate::layers::{
-    Bias, CrossAttention, FeedForward, Linear, RmsNorm, SelfAttention, Workspace, add, sinusoid, windows,
+    Bias, CrossAttention, FeedForward, Linear, RmsNorm, SelfAttention, Workspace, add, add_zero, sinusoid, windows,
 };
 use crate::{Config, ModelError, Precision};
 
@@ -41,13 +41,11 @@ enum Table {
     Computed(Vec<f32>),
 }
 
+/// A block; a branch that is silent is none.
 pub(crate) struct PairBlock {
-    pub(crate) self_attn_ln: RmsNorm,
-    pub(crate) self_attn: SelfAttention,
-    pub(crate) cross_attn_ln: RmsNorm,
-    pub(crate) cross_attn: CrossAttention,
-    pub(crate) mlp_ln: RmsNorm,
-    pub(crate) mlp: FeedForward,
+    pub(crate) self_attn: Option<SelfAttention>,
+    pub(crate) cross_attn: Option<CrossAttention>,
+    pub(crate) mlp: Option<FeedForward>,
 }
 
 impl Decoder {
@@ -138,11 +136,19 @@ impl Decoder {
         let mut work = Workspace::default();
         for (i, block) in self.blocks.iter().enumerate() {
             let windows = windows(config.encoder_window, i);
-            block.self_attn.accumulate(level, &block.self_attn_ln, windows, &mut x, &mut work);
-            for (x, condition) in x.chunks_exact_mut(half).zip(&conditions) {
-                block.cross_attn.accumulate(level, &block.cross_attn_ln, condition, x, &mut work);
+            match &block.self_attn {
+                Some(self_attn) => self_attn.accumulate(level, windows, &mut x, &mut work),
+                None => add_zero(&mut x),
             }
-            block.mlp.accumulate(level, &block.mlp_ln, &mut x, &mut work);
+            match &block.cross_attn {
+                Some(cross_attn) => {
+                    for (x, condition) in x.chunks_exact_mut(half).zip(&conditions) {
+                        cross_attn.accumulate(level, condition, x, &mut work);
+                    }
+                }
+                None => add_zero(&mut x),
+            }
+            block.feed_forward(level, &mut x, &mut work);
         }
         let mut first = self.layernorm2.of(level, &x);
         let second = first.split_off(half);
@@ -167,17 +173,23 @@ impl Decoder {
 impl PairBlock {
     fn load(weights: &Weights<'_>, d: usize) -> Result<PairBlock, ModelError> {
         Ok(PairBlock {
-            self_attn_ln: RmsNorm::load(weights, "self_attn_ln", d)?,
-            self_attn: SelfAttention::load(&weights.at("self_attn"), d)?,
-            cross_attn_ln: RmsNorm::load(weights, "cross_attn_ln", d)?,
-            cross_attn: CrossAttention::load(&weights.at("cross_attn"), d)?,
-            mlp_ln: RmsNorm::load(weights, "mlp_ln", d)?,
-            mlp: FeedForward::load(&weights.at("mlp"), d)?,
+            self_attn: SelfAttention::load(weights, "self_attn_ln", "self_attn", d)?,
+            cross_attn: CrossAttention::load(weights, "cross_attn_ln", "cross_attn", d)?,
+            mlp: FeedForward::load(weights, "mlp_ln", "mlp", d)?,
         })
     }
 
+    /// The last branch.
+    pub(crate) fn feed_forward(&self, level: Level, x: &mut [f32], work: &mut Workspace) {
+        match &self.mlp {
+            Some(mlp) => mlp.accumulate(level, false, x, work),
+            None => add_zero(x),
+        }
+    }
+
     fn bytes(&self) -> usize {
-        let norms = self.self_attn_ln.bytes() + self.cross_attn_ln.bytes() + self.mlp_ln.bytes();
-        norms + self.self_attn.bytes() + self.cross_attn.bytes() + self.mlp.bytes()
+        self.self_attn.as_ref().map_or(0, SelfAttention::bytes)
+            + self.cross_attn.as_ref().map_or(0, CrossAttention::bytes)
+            + self.mlp.as_ref().map_or(0, FeedForward::bytes)
     }
 }

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use crate::checkpoint::{Checkpoint, Weights};
 use crate::config::{self, Settings};
+use crate::silent::{Silent, silent};
 use crate::{Config, DinoConfig, ModelError, StaticPosition, keys};
 
 /// Kind and sizes of a model.
@@ -58,8 +59,10 @@ pub struct Report {
     pub parts: Vec<Part>,
     /// Number formats of the tensors and how many have each.
     pub formats: Vec<(String, usize)>,
-    /// Cost per stage.
+    /// Cost per stage, were all of it computed.
     pub stages: Vec<StageCost>,
+    /// What of it is left out because it adds nothing, by part.
+    pub silent: Vec<Silent>,
     /// Tensors that are not read.
     pub ignored: Vec<String>,
 }
@@ -70,12 +73,13 @@ impl Report {
         self.parts.iter().filter(|p| p.name != IGNORED).map(|p| p.parameters).sum()
     }
 
-    /// 10⁹ operations per new key frame.
+    /// 10⁹ operations per new key frame, were all of it computed.
     pub fn gflop(&self) -> f64 {
         self.stages.iter().map(|s| s.gflop * s.calls as f64).sum()
     }
 }
 
+pub(crate) const DEFORMATION_UPSAMPLER: &str = "deformation upsampler";
 const IGNORED: &str = "ignored";
 
 /// Looks at the model file at `path`, and at the JSON file beside it.
@@ -130,8 +134,12 @@ fn inspect_checkpoint(checkpoint: &Checkpoint, settings: &Settings) -> Result<Re
         Kind::StreamSplat(config) => stages(config),
         Kind::Dino(config) => vec![StageCost { stage: "dinov2", gflop: dino_gflop(config), calls: 1 }],
     };
+    let silent = match &kind {
+        Kind::StreamSplat(config) => silent(&Weights::new(checkpoint, prefix), config),
+        Kind::Dino(_) => Vec::new(),
+    };
     let (file, bytes) = (checkpoint.file().to_owned(), checkpoint.size());
-    Ok(Report { file, bytes, prefix, kind, parts, formats, stages, ignored })
+    Ok(Report { file, bytes, prefix, kind, parts, formats, stages, silent, ignored })
 }
 
 /// Parts of a StreamSplat checkpoint and the keys they start with. The first that fits counts.
@@ -140,7 +148,7 @@ const PARTS: [(&str, &[&str]); 6] = [
     ("static upsampler", &[keys::STATIC_UPSAMPLER]),
     ("static head", &[keys::STATIC_HEAD]),
     ("decoder", &[keys::DECODER]),
-    ("deformation upsampler", &[keys::DEFORMATION_UPSAMPLER]),
+    (DEFORMATION_UPSAMPLER, &[keys::DEFORMATION_UPSAMPLER]),
     ("deformation head", &[keys::DEFORMATION_HEAD, "encoder_proj."]),
 ];
 
@@ -194,18 +202,28 @@ pub fn dino_gflop(config: &DinoConfig) -> f64 {
     (embed + config.depth as f64 * block) / 1e9
 }
 
-fn linear(rows: f64, from: f64, to: f64) -> f64 {
+pub(crate) fn linear(rows: f64, from: f64, to: f64) -> f64 {
     2.0 * rows * from * to
 }
 
 /// Queries against the keys each of them sees, and back.
-fn attention(queries: f64, keys: f64, d: f64) -> f64 {
+pub(crate) fn attention(queries: f64, keys: f64, d: f64) -> f64 {
     4.0 * queries * keys * d
 }
 
 /// A block whose tokens see `keys` tokens.
 fn block(n: f64, d: f64, keys: f64) -> f64 {
-    linear(n, d, 4.0 * d) + attention(n, keys, d) + 2.0 * linear(n, d, 4.0 * d)
+    own_attention(n, d, keys) + feed_forward(n, d)
+}
+
+/// Attention of tokens that see `keys` of their own kind, with its projections.
+pub(crate) fn own_attention(n: f64, d: f64, keys: f64) -> f64 {
+    linear(n, d, 4.0 * d) + attention(n, keys, d)
+}
+
+/// A feed-forward layer.
+pub(crate) fn feed_forward(n: f64, d: f64) -> f64 {
+    2.0 * linear(n, d, 4.0 * d)
 }
 
 #[cfg(test)]

@@ -12,6 +12,7 @@ use crate::deformation_head::DeformationHead;
 use crate::encoder::Encoder;
 use crate::error::check_input;
 use crate::reuse::{Memory, Saving};
+use crate::silent::{Silent, silent};
 use crate::static_head::StaticHead;
 use crate::upsampler::Upsampler;
 use crate::{
@@ -26,6 +27,7 @@ use crate::{
 pub struct Network {
     config: Config,
     options: LoadOptions,
+    silent: Vec<Silent>,
     encoder: Encoder,
     static_upsampler: Upsampler,
     static_head: StaticHead,
@@ -73,8 +75,12 @@ impl Network {
         options: &LoadOptions,
     ) -> Result<Network, ModelError> {
         let _span = info_span!("load").entered();
-        let weights = Weights::new(checkpoint, config::prefix(checkpoint)?);
+        let mut weights = Weights::new(checkpoint, config::prefix(checkpoint)?);
         let config = Config::derive(&weights, settings)?;
+        let silent = silent(&weights, &config);
+        if options.compute_silent {
+            weights = weights.with_silent();
+        }
         Ok(Network {
             encoder: Encoder::load(&weights.at(keys::ENCODER), &config, options.precision)?,
             static_upsampler: Upsampler::load(&weights.at(keys::STATIC_UPSAMPLER), &config, options.precision)?,
@@ -88,6 +94,7 @@ impl Network {
             deformation_head: DeformationHead::load(&weights, &config)?,
             config,
             options: *options,
+            silent,
         })
     }
 
@@ -99,6 +106,11 @@ impl Network {
     /// What it was loaded for.
     pub fn options(&self) -> &LoadOptions {
         &self.options
+    }
+
+    /// Its residual branches that add nothing, by part. They are left out unless [`LoadOptions::compute_silent`] says otherwise.
+    pub fn silent(&self) -> &[Silent] {
+        &self.silent
     }
 
     /// Bytes its weights take in memory.

@@ -12,12 +12,14 @@ pub struct LoadOptions {
     pub level: Level,
     /// The arithmetic of the large matrix products.
     pub precision: Precision,
+    /// Whether residual branches that add nothing are computed all the same. It changes no output bit: see [`crate::silent`].
+    pub compute_silent: bool,
 }
 
 impl Default for LoadOptions {
-    /// The machine's highest level, f32.
+    /// The machine's highest level, f32, nothing that adds nothing.
     fn default() -> Self {
-        Self { level: Level::detect(), precision: Precision::F32 }
+        Self { level: Level::detect(), precision: Precision::F32, compute_silent: false }
     }
 }
 

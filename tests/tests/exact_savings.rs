@@ -3,6 +3,7 @@
 //! | left out | `work` in `run.json` | without it |
 //! |---|---|---|
 //! | the network on a repeated frame | `encoder`, `upsampler`, `heads`, `dinov2`, `decoder` | `--reuse off`: `stream_reuse.rs` |
+//! | residual branches that add nothing | `encoder.branches`, `upsampler.branches`, `decoder.branches` | `--reuse off`: here |
 //! | DINOv2, where the model is not conditioned on it | `dinov2` | never opened: here |
 //! | depth maps nobody gave | none: no file is looked for | a map of zeros: here |
 //! | copies of weights: checkpoints are mapped | none | read into memory: here |
@@ -12,7 +13,7 @@
 //! | planes nobody asked for | `render.planes` | all planes: here |
 //! | turning splats in a view that turns none | `render.turned` | rotations by nothing: here |
 
-use streamsplat::stream::{DynamicGaussians, ModelSource};
+use streamsplat::stream::{DynamicGaussians, ModelSource, Reuse};
 use streamsplat::{Camera, Engine, Frame, Interval, RenderOptions, Settings};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Gaussians, Image, Projection, Renderer, Request, render};
@@ -192,6 +193,28 @@ fn dinov2_is_not_opened_by_a_model_that_does_not_read_it() {
     assert_eq!(gaussians(&with), gaussians(&without));
     let work = engine.work().stage("dinov2").expect("a stage");
     assert_eq!((work.done, work.avoided), (0, 3));
+}
+
+#[test]
+fn residual_branches_that_add_nothing_are_counted_and_change_no_bit() {
+    // The small checkpoint has them: an attention of the encoder, a feed-forward layer of the decoder.
+    let run = |reuse| {
+        let mut engine = Engine::new(Settings { reuse, ..Settings::default() }).expect("starts");
+        let mut push = |k: u32| {
+            let mut frame = frame(None);
+            frame.rgb[0] = k as f32 * 0.1;
+            engine.push(frame, f64::from(k)).expect("taken")
+        };
+        let intervals: Vec<Interval> = (0..3).map(&mut push).collect();
+        (intervals, engine)
+    };
+    let ((with, engine), (without, off)) = (run(Reuse::Exact), run(Reuse::Off));
+    assert_eq!(gaussians(&with), gaussians(&without));
+    let count = |stage| engine.work().stage(stage).map(|s| (s.done, s.avoided));
+    assert_eq!(count("encoder.branches"), Some((3, 3)));
+    assert_eq!(count("upsampler.branches"), Some((7 * 8, 0)));
+    assert_eq!(count("decoder.branches"), Some((2 * 8, 2)));
+    assert!(off.work().stages().iter().all(|stage| !stage.stage.ends_with(".branches")));
 }
 
 #[test]

@@ -11,7 +11,7 @@ const BOUND: f64 = 3e-6;
 
 fn outputs(case: &str, level: Level, precision: Precision) -> Vec<Tensor> {
     let (_, io) = parity::case(case);
-    let options = LoadOptions { level, precision };
+    let options = LoadOptions { level, precision, ..LoadOptions::default() };
     let path = parity::path(&format!("{case}.safetensors"));
     if case.starts_with("dino") {
         return forward_dino(&Dino::open(path, &options).expect("a model"), &io).expect("inputs that fit");

@@ -46,7 +46,7 @@ pub(crate) struct Row {
 pub(super) fn measure(task: &Task<'_>, clip: &[TimedPicture]) -> Result<(String, Vec<Row>)> {
     let frames = |size: [usize; 2]| fitted(clip, size, task.level);
     let load = |precision| {
-        let options = LoadOptions { level: task.level, precision };
+        let options = LoadOptions { level: task.level, precision, ..LoadOptions::default() };
         Model::load(task.which, &options, &frames)
     };
     let mut models = Vec::new();

@@ -127,7 +127,7 @@ pub struct Stream {
     /// Seed of everything drawn at random
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
-    /// Work left out: off, exact (what was computed from the same bits before; no output bit changes), or a tolerance from 0 to 1:
+    /// Work left out: off, exact (what was computed from the same bits before or adds nothing; no output bit changes), or a tolerance from 0 to 1:
     /// tokens that moved by less than this fraction keep what was computed for them
     #[arg(long, value_name = "MODE", default_value = "exact", allow_negative_numbers = true)]
     pub reuse: String,

@@ -9,7 +9,11 @@ use super::settings::choice;
 
 /// Reads, computes, and writes the whole output or nothing.
 pub fn command(args: &ForwardArgs) -> Result<(), Failure> {
-    let options = LoadOptions { level: args.machine.level()?, precision: choice("--precision", &args.precision)? };
+    let options = LoadOptions {
+        level: args.machine.level()?,
+        precision: choice("--precision", &args.precision)?,
+        ..LoadOptions::default()
+    };
     let workers = args.machine.workers()?;
     let output = Partial::create(&args.output)?;
     workers.install(|| forward::forward_file(&args.model, &args.input, output.path(), &options))?;

@@ -8,6 +8,7 @@ use streamsplat::output::write_file;
 use streamsplat::scene::{INDEX, Scene};
 use streamsplat_model::checkpoint::Checkpoint;
 use streamsplat_model::inspect::{Kind, inspect};
+use streamsplat_model::silent::gflop;
 
 use super::cli::InspectArgs;
 use super::failure::Failure;
@@ -109,13 +110,28 @@ fn model(path: &Path) -> Result<Value, Failure> {
         _ => ("model", Value::Null),
     };
     let formats: Map<String, Value> = report.formats.iter().map(|(name, count)| (name.clone(), json!(count))).collect();
-    // Weights of a matrix take four, two or one byte each in the three modes; the little that always stays f32 is not told apart.
-    let memory = |bytes: usize| report.parameters() * bytes;
+    // Weights of a matrix take four, two or one byte each in the three modes; the little that always stays f32 is not told apart. Silent ones take none.
+    let held = report.parameters() - report.silent.iter().map(|part| part.parameters).sum::<usize>();
+    let memory = |bytes: usize| held * bytes;
+    let thousandths = |x: f64| (x * 1e3).round() / 1e3;
+    let silent: Map<String, Value> = report
+        .silent
+        .iter()
+        .map(|part| {
+            let account = json!({
+                "branches": part.silent,
+                "of": part.branches,
+                "parameters": part.parameters,
+                "gflop": thousandths(part.gflop),
+            });
+            (part.part.to_owned(), account)
+        })
+        .collect();
     let stages: Map<String, Value> = report
         .stages
         .iter()
         .map(|stage| {
-            let gflop = (stage.gflop * 1e3).round() / 1e3;
+            let gflop = thousandths(stage.gflop);
             (stage.stage.to_owned(), json!({ "gflop": gflop, "calls_per_key_frame": stage.calls }))
         })
         .collect();
@@ -140,7 +156,8 @@ fn model(path: &Path) -> Result<Value, Failure> {
         "parts": parts,
         "weights_bytes": { "f32": memory(4), "bf16": memory(2), "int8": memory(1) },
         "stages": stages,
-        "gflop_per_key_frame": (report.gflop() * 1e3).round() / 1e3,
+        "silent": silent,
+        "gflop_per_key_frame": thousandths(report.gflop() - gflop(&report.silent)),
         "ignored": report.ignored,
     }))
 }

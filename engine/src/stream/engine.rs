@@ -64,7 +64,11 @@ impl Engine {
     /// When the model cannot be loaded or the threads cannot be started.
     pub fn new(settings: Settings) -> Result<Self, EngineError> {
         let workers = Workers::new(settings.level.unwrap_or_else(Level::detect), settings.threads)?;
-        let options = LoadOptions { level: workers.level(), precision: settings.precision };
+        let options = LoadOptions {
+            level: workers.level(),
+            precision: settings.precision,
+            compute_silent: settings.reuse == Reuse::Off,
+        };
         let model = workers.install(|| settings.model.load(&options))?;
         let memory = match settings.reuse {
             Reuse::Off => None,
@@ -116,6 +120,7 @@ impl Engine {
             Some(memory) => self.work.tokens(&memory.tokens()),
             None => {}
         }
+        self.work.branches(self.model.silent());
         interval
     }
 

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use streamsplat_model::reuse::{Memory, Saving};
+use streamsplat_model::silent::Silent;
 use streamsplat_model::{
     Dino, Embedding, FrameInput, LoadOptions, ModelError, Network, Sampling, Side, StaticGaussians, StaticPosition,
 };
@@ -84,6 +85,13 @@ impl Reconstructor for Conditioned {
 
     fn motion(&self, static_tokens: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError> {
         self.network.deformation_head(static_tokens, motion_tokens)
+    }
+
+    fn silent(&self) -> &[Silent] {
+        match self.network.options().compute_silent {
+            true => &[],
+            false => self.network.silent(),
+        }
     }
 
     fn memory(&self, saving: Saving) -> Option<Memory> {

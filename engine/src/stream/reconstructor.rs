@@ -1,6 +1,7 @@
 //! What turns frames into Gaussians and motion: a network, or anything that can stand in for one.
 
 use streamsplat_model::reuse::{Memory, Saving};
+use streamsplat_model::silent::Silent;
 use streamsplat_model::{Embedding, FrameInput, ModelError, Sampling, Side, StaticGaussians};
 
 /// Velocity (world units per interval) and (γ₀, γ₁) of each of a frame's Gaussians.
@@ -64,6 +65,11 @@ pub trait Reconstructor: Send + Sync {
     /// # Errors
     /// Whatever the reconstructor refuses.
     fn motion(&self, static_tokens: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError>;
+
+    /// Residual branches that add nothing and are left out, by part.
+    fn silent(&self) -> &[Silent] {
+        &[]
+    }
 
     /// An empty memory, where there is anything to keep.
     fn memory(&self, saving: Saving) -> Option<Memory> {

@@ -179,7 +179,7 @@ named! {
 pub enum Reuse {
     /// None.
     Off,
-    /// What was computed from the same bits before. No output bit changes.
+    /// What was computed from the same bits before, and what adds nothing ([`streamsplat_model::silent`]). No output bit changes.
     #[default]
     Exact,
     /// Also what would be computed from tokens that moved by no more than this fraction of their length, from 0 to 1. See

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use streamsplat_model::reuse::Tokens;
+use streamsplat_model::silent::Silent;
 
 /// One stage's account.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,11 +90,42 @@ impl Work {
                 _ => "heads.tokens",
             };
             let Tokens { done, avoided } = *tokens;
-            let account = StageWork { stage: name, done, avoided, unit: "tokens of a block", time: Duration::ZERO };
-            match self.stages.iter_mut().find(|stage| stage.stage == name) {
-                Some(stage) => *stage = account,
-                None => self.stages.push(account),
+            self.replace(StageWork { stage: name, done, avoided, unit: "tokens of a block", time: Duration::ZERO });
+        }
+    }
+
+    /// The accounts of the network's residual branches, those left out being `silent`: one for every call of a part so far, each under its stage's name and
+    /// `.branches`. None where nothing is silent.
+    pub(crate) fn branches(&mut self, silent: &[Silent]) {
+        if silent.iter().all(|part| part.silent == 0) {
+            return;
+        }
+        let calls = |stage: Stage| self.stages[stage as usize].done;
+        let accounts = [
+            // Every embedding is upsampled, and both halves of what the decoder gives.
+            ("encoder.branches", [("encoder", calls(Stage::Encoder)), ("", 0)]),
+            (
+                "upsampler.branches",
+                [("static upsampler", calls(Stage::Encoder)), ("deformation upsampler", 2 * calls(Stage::Decoder))],
+            ),
+            ("decoder.branches", [("decoder", calls(Stage::Decoder)), ("", 0)]),
+        ];
+        for (stage, parts) in accounts {
+            let (mut done, mut avoided) = (0, 0);
+            for part in silent {
+                let calls: u64 = parts.iter().filter(|(name, _)| *name == part.part).map(|(_, calls)| calls).sum();
+                done += calls * (part.branches - part.silent) as u64;
+                avoided += calls * part.silent as u64;
             }
+            self.replace(StageWork { stage, done, avoided, unit: "branches", time: Duration::ZERO });
+        }
+    }
+
+    /// An account that belongs to no stage of the stream.
+    fn replace(&mut self, account: StageWork) {
+        match self.stages.iter_mut().find(|stage| stage.stage == account.stage) {
+            Some(stage) => *stage = account,
+            None => self.stages.push(account),
         }
     }
 

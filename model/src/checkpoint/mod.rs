@@ -99,6 +99,22 @@ impl Checkpoint {
         }
     }
 
+    /// Whether a tensor is there and all its values are zero, of either sign.
+    pub(crate) fn is_zero(&self, name: &str) -> bool {
+        let Some(TensorInfo { dtype, range, .. }) = self.tensors.get(name) else { return false };
+        let bytes = &self.storage.bytes()[self.data..][range.clone()];
+        // Little-endian: the sign is the last byte's first bit.
+        let zero = |value: &[u8]| match value {
+            [low @ .., high] => high & 0x7f == 0 && low.iter().all(|byte| *byte == 0),
+            [] => true,
+        };
+        match dtype {
+            Dtype::F32 => bytes.chunks(4).all(zero),
+            Dtype::F16 | Dtype::Bf16 => bytes.chunks(2).all(zero),
+            Dtype::Other(_) => false,
+        }
+    }
+
     /// The bytes of a tensor of any format, if it is there.
     pub fn bytes(&self, name: &str) -> Option<&[u8]> {
         self.tensors.get(name).map(|info| &self.storage.bytes()[self.data..][info.range.clone()])

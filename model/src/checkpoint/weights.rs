@@ -13,11 +13,35 @@ pub(crate) struct Weights<'a> {
     checkpoint: &'a Checkpoint,
     prefix: String,
     precision: Precision,
+    compute_silent: bool,
 }
 
 impl<'a> Weights<'a> {
     pub(crate) fn new(checkpoint: &'a Checkpoint, prefix: impl Into<String>) -> Self {
-        Self { checkpoint, prefix: prefix.into(), precision: Precision::F32 }
+        Self { checkpoint, prefix: prefix.into(), precision: Precision::F32, compute_silent: false }
+    }
+
+    /// The same keys, for layers that are built even where they add nothing.
+    pub(crate) fn with_silent(self) -> Weights<'a> {
+        Weights { compute_silent: true, ..self }
+    }
+
+    /// Whether the residual branch whose last layer is `name`, with a bias or without, is to be left out: it adds zeros.
+    pub(crate) fn leaves_out(&self, name: &str) -> bool {
+        !self.compute_silent && self.is_silent(name)
+    }
+
+    /// Whether the layer `name` gives zeros, whatever its input.
+    pub(crate) fn is_silent(&self, name: &str) -> bool {
+        let zero = |tensor: &str| self.checkpoint.is_zero(&self.key(&format!("{name}.{tensor}")));
+        zero("weight") && (self.shape(&format!("{name}.bias")).is_none() || zero("bias"))
+    }
+
+    /// Finds the faults that [`Weights::read`] would find in a tensor that nothing needs.
+    pub(crate) fn check(&self, name: &str, shape: &[usize]) -> Result<(), ModelError> {
+        self.read(name, shape)?;
+        self.release(name);
+        Ok(())
     }
 
     /// The keys below `name` and a dot.

@@ -12,33 +12,51 @@ fn shape(d: usize, windows: Windows) -> Shape {
     Shape { heads: d / HEAD, width: HEAD, windows }
 }
 
-/// Attention of tokens to each other.
+/// Whether an attention is silent and left out. Its tensors are checked all the same.
+fn is_left_out(weights: &Weights<'_>, d: usize) -> Result<bool, ModelError> {
+    if !weights.leaves_out("out_proj") {
+        return Ok(false);
+    }
+    weights.check("packed_proj.weight", &[3 * d, d])?;
+    weights.check("packed_proj.bias", &[3 * d])?;
+    weights.check("out_proj.weight", &[d, d])?;
+    weights.check("out_proj.bias", &[d])?;
+    Ok(true)
+}
+
+/// Attention of tokens to each other, a residual branch.
 pub(crate) struct SelfAttention {
+    norm: RmsNorm,
     packed_proj: Linear,
     out_proj: Linear,
 }
 
 impl SelfAttention {
-    pub(crate) fn load(weights: &Weights<'_>, d: usize) -> Result<SelfAttention, ModelError> {
-        Ok(SelfAttention {
+    /// The attention `name` of a block with its norm; none where it is silent.
+    pub(crate) fn load(
+        weights: &Weights<'_>,
+        norm: &str,
+        name: &str,
+        d: usize,
+    ) -> Result<Option<SelfAttention>, ModelError> {
+        let norm = RmsNorm::load(weights, norm, d)?;
+        let weights = &weights.at(name);
+        if is_left_out(weights, d)? {
+            return Ok(None);
+        }
+        Ok(Some(SelfAttention {
+            norm,
             packed_proj: Linear::load(weights, "packed_proj", 3 * d, d, Bias::Yes)?,
             out_proj: Linear::load(weights, "out_proj", d, d, Bias::Yes)?,
-        })
+        }))
     }
 
     /// `x += attention(norm(x))`
-    pub(crate) fn accumulate(
-        &self,
-        level: Level,
-        norm: &RmsNorm,
-        windows: Windows,
-        x: &mut [f32],
-        work: &mut Workspace,
-    ) {
+    pub(crate) fn accumulate(&self, level: Level, windows: Windows, x: &mut [f32], work: &mut Workspace) {
         let d = self.out_proj.k();
         let n = x.len() / d;
         let normed = sized(&mut work.normed, x.len());
-        norm.apply(level, x, normed);
+        self.norm.apply(level, x, normed);
         let qkv = sized(&mut work.projected, 3 * x.len());
         self.packed_proj.apply(level, normed, qkv);
         let mixed = sized(&mut work.mixed, x.len());
@@ -49,11 +67,9 @@ impl SelfAttention {
 
     /// [`SelfAttention::accumulate`] of the tokens `at` alone, whose rows `x` holds: `keys_values [n, 2d]` holds keys and values of
     /// all tokens, and gets theirs.
-    #[expect(clippy::too_many_arguments, reason = "those of `accumulate`, the places and what is kept")]
     pub(crate) fn accumulate_some(
         &self,
         level: Level,
-        norm: &RmsNorm,
         windows: Windows,
         at: &[u32],
         x: &mut [f32],
@@ -63,7 +79,7 @@ impl SelfAttention {
         let d = self.out_proj.k();
         let n = keys_values.len() / (2 * d);
         let normed = sized(&mut work.normed, x.len());
-        norm.apply(level, x, normed);
+        self.norm.apply(level, x, normed);
         let qkv = sized(&mut work.projected, 3 * x.len());
         self.packed_proj.apply(level, normed, qkv);
         scatter(at, qkv, 3 * d, d, keys_values, 2 * d);
@@ -75,46 +91,52 @@ impl SelfAttention {
     }
 
     pub(crate) fn bytes(&self) -> usize {
-        self.packed_proj.bytes() + self.out_proj.bytes()
+        self.norm.bytes() + self.packed_proj.bytes() + self.out_proj.bytes()
     }
 }
 
-/// Attention of tokens to a condition. One packed tensor holds the projections of q, k and v; the first is applied to the
+/// Attention of tokens to a condition, a residual branch. One packed tensor holds the projections of q, k and v; the first is applied to the
 /// tokens, the others to the condition.
 pub(crate) struct CrossAttention {
+    norm: RmsNorm,
     query: Linear,
     key_value: Linear,
     out_proj: Linear,
 }
 
 impl CrossAttention {
-    pub(crate) fn load(weights: &Weights<'_>, d: usize) -> Result<CrossAttention, ModelError> {
+    /// The attention `name` of a block with its norm; none where it is silent.
+    pub(crate) fn load(
+        weights: &Weights<'_>,
+        norm: &str,
+        name: &str,
+        d: usize,
+    ) -> Result<Option<CrossAttention>, ModelError> {
+        let norm = RmsNorm::load(weights, norm, d)?;
+        let weights = &weights.at(name);
+        if is_left_out(weights, d)? {
+            return Ok(None);
+        }
         let weight = weights.read("packed_proj.weight", &[3 * d, d])?;
         let mut query_bias = weights.vector("packed_proj.bias", &[3 * d])?;
         let key_value_bias = query_bias.split_off(d);
         let (query, key_value) = weight.split_at(d * d);
         let layer = CrossAttention {
+            norm,
             query: Linear::new(weights.precision(), query, Some(query_bias), d, d),
             key_value: Linear::new(weights.precision(), key_value, Some(key_value_bias), 2 * d, d),
             out_proj: Linear::load(weights, "out_proj", d, d, Bias::Yes)?,
         };
         drop(weight);
         weights.release("packed_proj.weight");
-        Ok(layer)
+        Ok(Some(layer))
     }
 
     /// `x += attention(norm(x), condition)`
-    pub(crate) fn accumulate(
-        &self,
-        level: Level,
-        norm: &RmsNorm,
-        condition: &[f32],
-        x: &mut [f32],
-        work: &mut Workspace,
-    ) {
+    pub(crate) fn accumulate(&self, level: Level, condition: &[f32], x: &mut [f32], work: &mut Workspace) {
         let mut keys_values = std::mem::take(&mut work.keys_values);
         self.key_value.apply(level, condition, sized(&mut keys_values, 2 * condition.len()));
-        self.accumulate_with(level, norm, &keys_values, x, work);
+        self.accumulate_with(level, &keys_values, x, work);
         work.keys_values = keys_values;
     }
 
@@ -126,18 +148,11 @@ impl CrossAttention {
     }
 
     /// [`CrossAttention::accumulate`] with the keys and values of the condition.
-    pub(crate) fn accumulate_with(
-        &self,
-        level: Level,
-        norm: &RmsNorm,
-        keys_values: &[f32],
-        x: &mut [f32],
-        work: &mut Workspace,
-    ) {
+    pub(crate) fn accumulate_with(&self, level: Level, keys_values: &[f32], x: &mut [f32], work: &mut Workspace) {
         let d = self.out_proj.k();
         let (n, m) = (x.len() / d, keys_values.len() / (2 * d));
         let normed = sized(&mut work.normed, x.len());
-        norm.apply(level, x, normed);
+        self.norm.apply(level, x, normed);
         let q = sized(&mut work.projected, x.len());
         self.query.apply(level, normed, q);
         let mixed = sized(&mut work.mixed, x.len());
@@ -147,6 +162,6 @@ impl CrossAttention {
     }
 
     pub(crate) fn bytes(&self) -> usize {
-        self.query.bytes() + self.key_value.bytes() + self.out_proj.bytes()
+        self.norm.bytes() + self.query.bytes() + self.key_value.bytes() + self.out_proj.bytes()
     }
 }

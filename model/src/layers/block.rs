@@ -3,34 +3,33 @@
 use streamsplat_kernels::Level;
 use streamsplat_kernels::attention::Windows;
 
-use super::{FeedForward, RmsNorm, SelfAttention, Workspace};
+use super::{FeedForward, SelfAttention, Workspace, add_zero};
 use crate::ModelError;
 use crate::checkpoint::Weights;
 
-/// `x += attention(norm₁(x))`, `x += feed_forward(norm₂(x))`
+/// `x += attention(norm₁(x))`, `x += feed_forward(norm₂(x))`; a branch that is silent is none.
 pub(crate) struct Block {
-    layernorm1: RmsNorm,
-    attn: SelfAttention,
-    layernorm2: RmsNorm,
-    mlp: FeedForward,
+    attn: Option<SelfAttention>,
+    mlp: Option<FeedForward>,
 }
 
 impl Block {
     pub(crate) fn load(weights: &Weights<'_>, d: usize) -> Result<Block, ModelError> {
         Ok(Block {
-            layernorm1: RmsNorm::load(weights, "layernorm1", d)?,
-            attn: SelfAttention::load(&weights.at("attn"), d)?,
-            layernorm2: RmsNorm::load(weights, "layernorm2", d)?,
-            mlp: FeedForward::load(&weights.at("mlp"), d)?,
+            attn: SelfAttention::load(weights, "layernorm1", "attn", d)?,
+            mlp: FeedForward::load(weights, "layernorm2", "mlp", d)?,
         })
     }
 
     pub(crate) fn apply(&self, level: Level, windows: Windows, x: &mut [f32], work: &mut Workspace) {
-        self.attn.accumulate(level, &self.layernorm1, windows, x, work);
-        self.mlp.accumulate(level, &self.layernorm2, x, work);
+        if let Some(attn) = &self.attn {
+            attn.accumulate(level, windows, x, work);
+        }
+        self.feed_forward(level, x, work);
     }
 
-    /// [`Block::apply`] of the tokens `at` alone, whose rows `x` holds; `keys_values [n, 2d]` holds those of all tokens, and gets theirs.
+    /// [`Block::apply`] of the tokens `at` alone, whose rows `x` holds; `keys_values [n, 2d]` holds those of all tokens, and gets theirs. A block
+    /// that does not mix tokens leaves it as it is.
     pub(crate) fn apply_some(
         &self,
         level: Level,
@@ -40,12 +39,27 @@ impl Block {
         keys_values: &mut [f32],
         work: &mut Workspace,
     ) {
-        self.attn.accumulate_some(level, &self.layernorm1, windows, at, x, keys_values, work);
-        self.mlp.accumulate(level, &self.layernorm2, x, work);
+        if let Some(attn) = &self.attn {
+            attn.accumulate_some(level, windows, at, x, keys_values, work);
+        }
+        self.feed_forward(level, x, work);
+    }
+
+    /// What follows the attention.
+    fn feed_forward(&self, level: Level, x: &mut [f32], work: &mut Workspace) {
+        match &self.mlp {
+            Some(mlp) => mlp.accumulate(level, self.attn.is_none(), x, work),
+            None => add_zero(x),
+        }
+    }
+
+    /// Whether a token's result depends on other tokens.
+    pub(crate) fn mixes(&self) -> bool {
+        self.attn.is_some()
     }
 
     pub(crate) fn bytes(&self) -> usize {
-        self.layernorm1.bytes() + self.attn.bytes() + self.layernorm2.bytes() + self.mlp.bytes()
+        self.attn.as_ref().map_or(0, SelfAttention::bytes) + self.mlp.as_ref().map_or(0, FeedForward::bytes)
     }
 }
 

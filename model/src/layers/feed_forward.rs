@@ -2,30 +2,48 @@
 
 use streamsplat_kernels::Level;
 
-use super::{Bias, Linear, ROWS, RmsNorm, Workspace, sized};
+use super::{Bias, Linear, ROWS, RmsNorm, Workspace, add_zero, sized};
 use crate::ModelError;
 use crate::checkpoint::Weights;
 
-/// `W₂ · silu(W₁ · x)` without biases, hidden width 4d.
+/// `W₂ · silu(W₁ · x)` without biases, hidden width 4d: a residual branch.
 pub(crate) struct FeedForward {
+    norm: RmsNorm,
     expand: Linear,
     contract: Linear,
 }
 
 impl FeedForward {
-    pub(crate) fn load(weights: &Weights<'_>, d: usize) -> Result<FeedForward, ModelError> {
-        Ok(FeedForward {
+    /// The layer `name` of a block with its norm; none where it is silent.
+    pub(crate) fn load(
+        weights: &Weights<'_>,
+        norm: &str,
+        name: &str,
+        d: usize,
+    ) -> Result<Option<FeedForward>, ModelError> {
+        let norm = RmsNorm::load(weights, norm, d)?;
+        let weights = &weights.at(name);
+        if weights.leaves_out("c_proj") {
+            weights.check("c_fc.weight", &[4 * d, d])?;
+            weights.check("c_proj.weight", &[d, 4 * d])?;
+            return Ok(None);
+        }
+        Ok(Some(FeedForward {
+            norm,
             expand: Linear::load(weights, "c_fc", 4 * d, d, Bias::No)?,
             contract: Linear::load(weights, "c_proj", d, 4 * d, Bias::No)?,
-        })
+        }))
     }
 
-    /// `x += feed_forward(norm(x))`
-    pub(crate) fn accumulate(&self, level: Level, norm: &RmsNorm, x: &mut [f32], work: &mut Workspace) {
+    /// `x += feed_forward(norm(x))`; `after_silence`: to what a silent branch before it left to be done, `x += 0`.
+    pub(crate) fn accumulate(&self, level: Level, after_silence: bool, x: &mut [f32], work: &mut Workspace) {
         let d = self.expand.k();
         for x in x.chunks_mut(ROWS * d) {
+            if after_silence {
+                add_zero(x);
+            }
             let normed = sized(&mut work.normed, x.len());
-            norm.apply(level, x, normed);
+            self.norm.apply(level, x, normed);
             let hidden = sized(&mut work.hidden, 4 * x.len());
             self.expand.apply_silu(level, normed, hidden);
             self.contract.accumulate(level, hidden, x);
@@ -33,6 +51,6 @@ impl FeedForward {
     }
 
     pub(crate) fn bytes(&self) -> usize {
-        self.expand.bytes() + self.contract.bytes()
+        self.norm.bytes() + self.expand.bytes() + self.contract.bytes()
     }
 }

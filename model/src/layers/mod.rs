@@ -17,7 +17,7 @@ pub(crate) use feed_forward::FeedForward;
 pub(crate) use layer_norm::LayerNorm;
 pub(crate) use linear::{Bias, Linear};
 pub(crate) use norm::RmsNorm;
-pub(crate) use position::{add, sinusoid};
+pub(crate) use position::{add, add_zero, sinusoid};
 pub(crate) use workspace::{Workspace, sized};
 
 /// Channels of a head.

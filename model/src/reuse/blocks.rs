@@ -14,7 +14,7 @@ use crate::layers::{Block, Workspace, windows};
 #[derive(Debug)]
 pub(super) struct BlockMemory {
     pub(super) gate: Gate,
-    /// `[n, 2d]`
+    /// `[n, 2d]`; empty where the block does not mix tokens.
     pub(super) keys_values: Vec<f32>,
 }
 
@@ -23,15 +23,25 @@ impl BlockMemory {
         BlockMemory { gate: Gate::new(n, d), keys_values: Vec::new() }
     }
 
-    /// Leaves in `rows` what the block has to compute, and keeps its input. On a refresh these are all.
-    pub(super) fn admit(&mut self, level: Level, saving: Saving, refresh: bool, windows: Windows, rows: &mut Rows) {
+    /// Leaves in `rows` what the block has to compute, and keeps its input. On a refresh these are all. `mixed` are the windows in which
+    /// the block mixes tokens, if it does.
+    pub(super) fn admit(
+        &mut self,
+        level: Level,
+        saving: Saving,
+        refresh: bool,
+        mixed: Option<Windows>,
+        rows: &mut Rows,
+    ) {
         if refresh {
             self.gate.keep_at(rows);
-            self.keys_values.resize(2 * rows.x.len(), 0.0);
+            if mixed.is_some() {
+                self.keys_values.resize(2 * rows.x.len(), 0.0);
+            }
             return;
         }
         self.gate.pass(level, saving.tolerance(), rows);
-        if saving == Saving::Exact {
+        if let (Saving::Exact, Some(windows)) = (saving, mixed) {
             let whole = whole_windows(windows, &rows.at, self.gate.rows());
             let reference = self.gate.reference();
             *rows = Rows::gather(whole, reference, reference.len() / self.gate.rows());
@@ -63,7 +73,7 @@ pub(super) fn step(
     rows: &mut Rows,
     (work, tokens): (&mut Workspace, &mut Tokens),
 ) {
-    memory.admit(level, saving, refresh, windows, rows);
+    memory.admit(level, saving, refresh, block.mixes().then_some(windows), rows);
     tokens.count(rows.at.len(), memory.gate.rows());
     block.apply_some(level, windows, &rows.at, &mut rows.x, &mut memory.keys_values, work);
 }

@@ -8,7 +8,7 @@ use super::schedule::{Pass, Schedule};
 use super::{Saving, Tokens, scatter};
 use crate::Config;
 use crate::decoder::Decoder;
-use crate::layers::{Workspace, windows};
+use crate::layers::{Workspace, add_zero, windows};
 
 /// What the decoder keeps. Its tokens are those of both frames, the earlier one's first.
 #[derive(Debug)]
@@ -101,20 +101,30 @@ impl Decoder {
             if i == 0 && !refresh {
                 memory.own.gate.replace(&rows);
             } else {
-                memory.own.admit(level, saving, refresh, windows, &mut rows);
+                let mixed = block.self_attn.is_some().then_some(windows);
+                memory.own.admit(level, saving, refresh, mixed, &mut rows);
             }
             tokens.count(rows.at.len(), 2 * n);
             let Rows { at, x } = &mut rows;
             let own = &mut memory.own.keys_values;
-            block.self_attn.accumulate_some(level, &block.self_attn_ln, windows, at, x, own, &mut work);
-            let (earlier, later) = x.split_at_mut(at.partition_point(|token| (*token as usize) < n) * d);
-            for ((x, kept), (renewed, m)) in [earlier, later].into_iter().zip(&mut memory.cross).zip(&conditions) {
-                kept.resize(m * 2 * d, 0.0);
-                let new = block.cross_attn.keys_values(level, &renewed.x);
-                scatter(&renewed.at, &new, 2 * d, 0, kept, 2 * d);
-                block.cross_attn.accumulate_with(level, &block.cross_attn_ln, kept, x, &mut work);
+            match &block.self_attn {
+                Some(self_attn) => self_attn.accumulate_some(level, windows, at, x, own, &mut work),
+                None => add_zero(x),
             }
-            block.mlp.accumulate(level, &block.mlp_ln, x, &mut work);
+            match &block.cross_attn {
+                Some(cross_attn) => {
+                    let (earlier, later) = x.split_at_mut(at.partition_point(|token| (*token as usize) < n) * d);
+                    let halves = [earlier, later].into_iter().zip(&mut memory.cross);
+                    for ((x, kept), (renewed, m)) in halves.zip(&conditions) {
+                        kept.resize(m * 2 * d, 0.0);
+                        let new = cross_attn.keys_values(level, &renewed.x);
+                        scatter(&renewed.at, &new, 2 * d, 0, kept, 2 * d);
+                        cross_attn.accumulate_with(level, kept, x, &mut work);
+                    }
+                }
+                None => add_zero(x),
+            }
+            block.feed_forward(level, x, &mut work);
         }
         rows.x = self.layernorm2.of(level, &rows.x);
         output.resize(2 * n * d, 0.0);

@@ -13,7 +13,9 @@ pub(super) fn things() -> Vec<Thing> {
     let case = |name: &'static str| {
         Thing::new(format!("network/{name}"), move |level, digest| {
             let path = |end: &str| streamsplat_fixtures::path(&format!("parity/{name}{end}.safetensors"));
-            let network = Network::open(path(""), &LoadOptions { level, precision: Precision::F32 }).expect("a model");
+            let network =
+                Network::open(path(""), &LoadOptions { level, precision: Precision::F32, ..LoadOptions::default() })
+                    .expect("a model");
             let input = Checkpoint::open(path(".io")).expect("inputs");
             for tensor in forward(&network, &input).expect("outputs") {
                 digest.floats(&tensor.values);

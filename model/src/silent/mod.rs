@@ -1,0 +1,108 @@
+//! Residual branches that add nothing, and are left out.
+//!
+//! Every block is made of residual branches, `x += project(inner(norm(x)))`: attention with the projection `out_proj`, the feed-forward layer with
+//! `c_proj`. A branch is *silent* when the checkpoint holds nothing but zeros there, of either sign: the weight, and the bias where there is one. Training that
+//! begins with such branches, and keeps some of them, leaves checkpoints that have many.
+//!
+//! # What is left of it
+//! What a silent branch adds is +0 for every token. A product with zeros is a chain of fused multiply-adds that starts from +0 and, as `a·0 + 0` is +0 for every
+//! finite `a`, stays there, in f32 and in bf16; in 8-bit integers the sum is the integer 0, and its scales are not negative. A bias of −0 or none leaves +0 as it is.
+//! So norm, projections and attention of a silent branch are neither packed at load nor computed, and `x += 0` is what remains, on all levels, for any number of threads and
+//! in every precision: it turns −0 into +0, as the sum did, and changes no other bit.
+//!
+//! Where it can be told from the full computation: when a sum *inside* the branch is not finite. `∞·0` is NaN, and the full computation spreads that in f32 and
+//! bf16; here the token stays finite. Inputs and weights are finite, so this takes sums beyond 3.4·10³⁸. The branch's tensors are checked at load as all others are.
+//!
+//! [`LoadOptions::compute_silent`](crate::LoadOptions::compute_silent) computes them.
+
+use serde::Serialize;
+
+use crate::checkpoint::Weights;
+use crate::inspect::{DEFORMATION_UPSAMPLER, attention, feed_forward, linear, own_attention};
+use crate::{Config, keys};
+
+/// The silent branches of a part of a network.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Silent {
+    /// The part's name, as in [`crate::inspect::Report::parts`].
+    pub part: &'static str,
+    /// Its residual branches, all of them.
+    pub branches: usize,
+    /// How many of them are silent.
+    pub silent: usize,
+    /// Values of the silent ones' layers.
+    pub parameters: usize,
+    /// 10⁹ operations of the silent ones per call of the part.
+    pub gflop: f64,
+}
+
+impl Silent {
+    /// Calls of the part per new key frame: the deformation of both frames of a pair is upsampled.
+    pub fn calls(&self) -> usize {
+        if self.part == DEFORMATION_UPSAMPLER { 2 } else { 1 }
+    }
+}
+
+/// 10⁹ operations per new key frame that the silent branches would take.
+pub fn gflop(parts: &[Silent]) -> f64 {
+    parts.iter().map(|part| part.gflop * part.calls() as f64).sum()
+}
+
+/// The silent branches of every part that has blocks, in the order of the computation.
+pub(crate) fn silent(weights: &Weights<'_>, config: &Config) -> Vec<Silent> {
+    let (n, d) = (config.tokens() as f64, config.hidden_dim as f64);
+    let window = |tokens: f64| config.encoder_window.map_or(tokens, |w| w as f64);
+    let square = (config.hidden_dim * config.hidden_dim) as f64;
+    let (attn, mlp) = (4.0 * square + 4.0 * d, 8.0 * square);
+    let mut encoder = Count::new("encoder");
+    for i in 0..config.encoder_layers {
+        let block = weights.at(keys::ENCODER).at(format_args!("transformer.resblocks.{i}"));
+        encoder.add(&block, "attn.out_proj", attn, own_attention(n, d, window(n)));
+        encoder.add(&block, "mlp.c_proj", mlp, feed_forward(n, d));
+    }
+    let m = if config.use_dino { 576.0 } else { n };
+    let cross = linear(2.0 * n, d, 2.0 * d) + linear(2.0 * m, d, 2.0 * d) + attention(2.0 * n, m, d);
+    let mut decoder = Count::new("decoder");
+    for i in 0..config.decoder_layers {
+        let block = weights.at(keys::DECODER).at(format_args!("transformer.resblocks.{i}"));
+        decoder.add(&block, "self_attn.out_proj", attn, own_attention(2.0 * n, d, window(2.0 * n)));
+        decoder.add(&block, "cross_attn.out_proj", attn, cross);
+        decoder.add(&block, "mlp.c_proj", mlp, feed_forward(2.0 * n, d));
+    }
+    let upsampler = |part, key| {
+        let mut upsampler = Count::new(part);
+        for (stage, width) in config.upsampler_widths.into_iter().enumerate() {
+            let (tokens, d, run) = (n * [4.0, 16.0][stage], width as f64, config.upsampler_window as f64);
+            for i in 0..2 {
+                let block = weights.at(key).at(format_args!("attention_{stage}.resblocks.{i}"));
+                upsampler.add(&block, "attn.out_proj", 4.0 * (d * d + d), own_attention(tokens, d, run));
+                upsampler.add(&block, "mlp.c_proj", 8.0 * d * d, feed_forward(tokens, d));
+            }
+        }
+        upsampler.0
+    };
+    let static_upsampler = upsampler("static upsampler", keys::STATIC_UPSAMPLER);
+    let deformation_upsampler = upsampler(DEFORMATION_UPSAMPLER, keys::DEFORMATION_UPSAMPLER);
+    vec![encoder.0, static_upsampler, decoder.0, deformation_upsampler]
+}
+
+struct Count(Silent);
+
+impl Count {
+    fn new(part: &'static str) -> Count {
+        Count(Silent { part, branches: 0, silent: 0, parameters: 0, gflop: 0.0 })
+    }
+
+    /// Counts the branch of `block` that ends with the layer `last`.
+    fn add(&mut self, block: &Weights<'_>, last: &str, parameters: f64, flop: f64) {
+        self.0.branches += 1;
+        if block.is_silent(last) {
+            self.0.silent += 1;
+            self.0.parameters += parameters as usize;
+            self.0.gflop += flop / 1e9;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

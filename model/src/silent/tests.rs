@@ -1,0 +1,190 @@
+use streamsplat_fixtures::seeded::Sizes;
+use streamsplat_kernels::Level;
+
+use crate::reuse::{Memory, Saving};
+use crate::{FrameInput, LoadOptions, Network, Precision, Sampling, Side};
+
+const SIZES: Sizes = Sizes {
+    hidden_dim: 128,
+    encoder_layers: 2,
+    decoder_layers: 2,
+    resolution: [16, 48],
+    upsampler_window: 16,
+    encoder_window: Some(4),
+    features: None,
+    truncated_normal: false,
+};
+
+/// Silent branches of every kind, in blocks with others and alone.
+const SILENT: [&str; 12] = [
+    "gs_predictor.encoder.transformer_encoder.transformer.resblocks.0.attn.out_proj",
+    "gs_predictor.encoder.transformer_encoder.transformer.resblocks.1.mlp.c_proj",
+    "gs_predictor.gaussian_upsampler.attention_0.resblocks.0.attn.out_proj",
+    "gs_predictor.gaussian_upsampler.attention_1.resblocks.1.attn.out_proj",
+    "gs_predictor.gaussian_upsampler.attention_1.resblocks.1.mlp.c_proj",
+    "decoder.transformer_decoder.transformer.resblocks.0.self_attn.out_proj",
+    "decoder.transformer_decoder.transformer.resblocks.0.mlp.c_proj",
+    "decoder.transformer_decoder.transformer.resblocks.1.cross_attn.out_proj",
+    "gaussian_upsampler.attention_0.resblocks.0.attn.out_proj",
+    "gaussian_upsampler.attention_0.resblocks.0.mlp.c_proj",
+    "gaussian_upsampler.attention_0.resblocks.1.mlp.c_proj",
+    "gaussian_upsampler.attention_1.resblocks.0.attn.out_proj",
+];
+
+/// The values of a tensor of a checkpoint, F32.
+fn values<'a>(bytes: &'a mut [u8], name: &str) -> impl Iterator<Item = &'a mut [u8]> {
+    let length = u64::from_le_bytes(bytes[..8].try_into().expect("eight")) as usize;
+    let header: serde_json::Value = serde_json::from_slice(&bytes[8..8 + length]).expect("a header");
+    let [begin, end] = [0, 1].map(|i| header[name]["data_offsets"][i].as_u64().expect(name) as usize);
+    bytes[8 + length..][begin..end].chunks_exact_mut(4)
+}
+
+/// Zeros of both signs.
+fn silence(bytes: &mut [u8], name: &str) {
+    for (i, value) in values(bytes, name).enumerate() {
+        value.copy_from_slice(&[0.0f32, -0.0][usize::from(i % 3 == 1)].to_le_bytes());
+    }
+}
+
+fn seeded(sizes: &Sizes) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    sizes.write(7, "", &mut bytes).expect("written");
+    bytes
+}
+
+fn checkpoint() -> Vec<u8> {
+    let mut bytes = seeded(&SIZES);
+    for name in SILENT {
+        silence(&mut bytes, &format!("{name}.weight"));
+        if name.ends_with("out_proj") {
+            silence(&mut bytes, &format!("{name}.bias"));
+        }
+    }
+    // A bias is enough to be heard.
+    silence(&mut bytes, "gs_predictor.gaussian_upsampler.attention_0.resblocks.1.attn.out_proj.weight");
+    bytes
+}
+
+fn load(bytes: &[u8], sizes: &Sizes, level: Level, precision: Precision, compute_silent: bool) -> Network {
+    let options = LoadOptions { level, precision, compute_silent };
+    Network::from_parts(bytes.to_vec(), &sizes.json().to_string(), &options).expect("a model")
+}
+
+/// The bits of all that the network gives of four frames in which a square moves, with the memory where there is one.
+fn pass(network: &Network, mut memory: Option<&mut Memory>) -> Vec<Vec<u32>> {
+    let [height, width] = network.config().resolution;
+    let mut results: Vec<Vec<f32>> = Vec::new();
+    let mut before: Option<(Vec<f32>, Vec<f32>)> = None;
+    for column in [0, 8, 8, 24] {
+        let pixel = |i: usize| match (column..column + 8).contains(&(i % width)) && i / width % height < 8 {
+            true => 0.9,
+            false => (i * 7919 % 1013) as f32 / 2000.0,
+        };
+        let rgb: Vec<f32> = (0..3 * height * width).map(pixel).collect();
+        let tokens = network.tokenize(&FrameInput { rgb: &rgb, depth: None }).expect("tokens");
+        let (h, still) = match memory.as_deref_mut() {
+            Some(memory) => {
+                let h = network.encode_keeping(&tokens, memory).expect("h").h;
+                let still = network.upsample_static_keeping(&h, memory).expect("tokens");
+                (h, still)
+            }
+            None => {
+                let h = network.encode(&tokens).expect("h").h;
+                let still = network.upsample_static(&h).expect("tokens");
+                (h, still)
+            }
+        };
+        results.extend([h.clone(), still.clone()]);
+        results.push(network.static_head(&still, &Sampling::Mean).expect("Gaussians").position.concat());
+        if let Some((h_a, still_a)) = &before {
+            let a = Side { h: h_a, static_tokens: still_a, condition: None };
+            let b = Side { h: &h, static_tokens: &still, condition: None };
+            match memory.as_deref_mut() {
+                Some(memory) => {
+                    for (place, d) in network.decode_keeping(&a, &b, memory).expect("d").into_iter().enumerate() {
+                        results.push(network.upsample_deformation_keeping(place, &d, memory).expect("tokens"));
+                        results.push(d);
+                    }
+                }
+                None => network.deform(a, b).expect("motion").into_iter().for_each(|m| results.extend([m.tokens, m.d])),
+            }
+        }
+        before = Some((h, still));
+    }
+    results.iter().map(|values| values.iter().map(|x| x.to_bits()).collect()).collect()
+}
+
+#[test]
+fn a_network_without_its_silent_branches_gives_the_bits_of_one_with_them() {
+    let bytes = checkpoint();
+    for precision in Precision::ALL {
+        for level in Level::available() {
+            let [lean, full] = [false, true].map(|computed| load(&bytes, &SIZES, level, precision, computed));
+            for threads in [1, 3] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+                pool.install(|| {
+                    assert!(pass(&lean, None) == pass(&full, None), "{precision} {level} {threads}");
+                    for saving in [Saving::Exact, Saving::Within(0.02)] {
+                        let kept = |network: &Network| {
+                            let mut memory = network.memory(saving).expect("windows can be kept");
+                            (pass(network, Some(&mut memory)), memory.bytes())
+                        };
+                        let ((found, less), (expected, more)) = (kept(&lean), kept(&full));
+                        assert!(found == expected, "{precision} {level} {threads} {saving:?}");
+                        assert!(less < more, "no keys and values of silent attention: {less} of {more} bytes");
+                    }
+                });
+            }
+        }
+    }
+}
+
+#[test]
+fn silent_branches_are_counted_and_take_no_memory() {
+    let bytes = checkpoint();
+    let [lean, full] = [false, true].map(|all| load(&bytes, &SIZES, Level::scalar(), Precision::F32, all));
+    let counts: Vec<_> = lean.silent().iter().map(|s| (s.part, s.branches, s.silent)).collect();
+    let expected = [("encoder", 4, 2), ("static upsampler", 8, 3), ("decoder", 6, 3), ("deformation upsampler", 8, 4)];
+    assert_eq!(counts, expected);
+    assert!(lean.silent().iter().all(|s| s.gflop > 0.0));
+    assert_eq!(full.silent(), lean.silent());
+    let parameters: usize = lean.silent().iter().map(|s| s.parameters).sum();
+    // And the norms before them.
+    let norms = 2 * 128 + (64 + 2 * 64) + 3 * 128 + (3 * 64 + 64);
+    assert_eq!(full.bytes() - lean.bytes(), 4 * (parameters + norms));
+    assert!(
+        load(&seeded(&SIZES), &SIZES, Level::scalar(), Precision::F32, false).silent().iter().all(|s| s.silent == 0)
+    );
+}
+
+#[test]
+fn a_silent_branch_turns_minus_zero_into_zero() {
+    let sizes = Sizes { encoder_layers: 1, ..SIZES };
+    let mut bytes = seeded(&sizes);
+    let encoder = "gs_predictor.encoder.transformer_encoder";
+    let block = format!("{encoder}.transformer.resblocks.0");
+    for name in ["attn.out_proj.weight", "attn.out_proj.bias", "mlp.c_proj.weight"] {
+        silence(&mut bytes, &format!("{block}.{name}"));
+    }
+    // A black patch at the origin of the position code: its first channel enters the block as −0.
+    values(&mut bytes, &format!("{encoder}.layernorm1.weight"))
+        .for_each(|w| w.copy_from_slice(&(-1.0f32).to_le_bytes()));
+    let black = vec![0.0; 3 * 16 * 48];
+    for precision in Precision::ALL {
+        let h = [false, true].map(|all| {
+            let network = load(&bytes, &sizes, Level::detect(), precision, all);
+            network.embed(&FrameInput { rgb: &black, depth: None }).expect("h").h
+        });
+        assert_eq!(h[0][0].to_bits(), 0);
+        assert!(h[0].iter().zip(&h[1]).all(|(a, b)| a.to_bits() == b.to_bits()));
+    }
+}
+
+#[test]
+fn tensors_of_silent_branches_are_checked() {
+    let mut bytes = checkpoint();
+    let name = format!("{}.packed_proj.weight", SILENT[0].trim_end_matches(".out_proj"));
+    values(&mut bytes, &name).nth(5).expect("a value").copy_from_slice(&f32::NAN.to_le_bytes());
+    let error = Network::from_parts(bytes, &SIZES.json().to_string(), &LoadOptions::default()).expect_err("NaN");
+    assert!(error.to_string().contains(&name), "{error}");
+}
