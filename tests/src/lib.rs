@@ -3,6 +3,7 @@
 pub mod digest;
 pub mod extremes;
 pub mod fuzz;
+mod noise;
 pub mod parity;
 pub mod reference;
 pub mod theatre;

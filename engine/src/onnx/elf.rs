@@ -3,18 +3,17 @@
 //! The system's loader maps the segments that a library's header announces, and a file that ends before they do kills the process
 //! at the first touch; it cannot report it.
 
-use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 
 /// Bytes of the header of a 64-bit file, and of one entry of its segment table.
 const HEADER: usize = 64;
 const ENTRY: usize = 56;
 
-/// The number of bytes that `file` announces, where it is a 64-bit little-endian ELF file; `None` for any other form.
+/// The number of bytes that a shared library announces, where it is a 64-bit little-endian ELF file; `None` for any other form.
 ///
 /// # Errors
 /// The system's, and a file that ends within its header or segment table.
-pub(super) fn announced_length(file: &mut File) -> io::Result<Option<u64>> {
+pub fn announced_length(file: &mut (impl Read + Seek)) -> io::Result<Option<u64>> {
     let mut start = Vec::new();
     file.by_ref().take(HEADER as u64).read_to_end(&mut start)?;
     if !start.starts_with(b"\x7fELF\x02\x01") {
@@ -26,10 +25,14 @@ pub(super) fn announced_length(file: &mut File) -> io::Result<Option<u64>> {
     if entry != ENTRY as u64 {
         return Err(io::Error::other(format!("segments are described in {entry} bytes each, expected {ENTRY}")));
     }
-    // At most 65,535 entries: under 4 MiB.
-    let mut entries = vec![0; ENTRY * count as usize];
+    // As much as is there, of at most 65,535 entries.
+    let length = ENTRY as u64 * count;
+    let mut entries = Vec::new();
     file.seek(SeekFrom::Start(table))?;
-    file.read_exact(&mut entries)?;
+    file.take(length).read_to_end(&mut entries)?;
+    if entries.len() as u64 != length {
+        return Err(io::ErrorKind::UnexpectedEof.into());
+    }
     let ends = entries.chunks_exact(ENTRY).map(|entry| number(entry, 8, 8).saturating_add(number(entry, 32, 8)));
     Ok(ends.max())
 }
@@ -43,8 +46,8 @@ fn number(bytes: &[u8], at: usize, length: usize) -> u64 {
 mod tests {
     use super::*;
 
-    /// A file with one segment of `length` bytes at `offset`.
-    fn file(offset: u64, length: u64, keep: usize) -> File {
+    /// A file with one segment of `length` bytes at `offset`, of which the first bytes are kept.
+    fn file(offset: u64, length: u64, keep: usize) -> io::Cursor<Vec<u8>> {
         let mut bytes = [0; HEADER + ENTRY];
         bytes[..6].copy_from_slice(b"\x7fELF\x02\x01");
         bytes[32..40].copy_from_slice(&(HEADER as u64).to_le_bytes());
@@ -52,10 +55,7 @@ mod tests {
         bytes[56..58].copy_from_slice(&1u16.to_le_bytes());
         bytes[HEADER + 8..HEADER + 16].copy_from_slice(&offset.to_le_bytes());
         bytes[HEADER + 32..HEADER + 40].copy_from_slice(&length.to_le_bytes());
-        let mut file = tempfile::tempfile().expect("a temporary file");
-        io::Write::write_all(&mut file, &bytes[..keep]).expect("writable");
-        file.rewind().expect("seekable");
-        file
+        io::Cursor::new(bytes[..keep].to_vec())
     }
 
     #[test]

@@ -25,6 +25,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use ort::environment::Environment;
 use ort::logging::LogLevel;
 
+pub use elf::announced_length;
 pub use model::{Model, Port};
 
 /// The oldest version of ONNX Runtime that can be loaded, as major and minor number.

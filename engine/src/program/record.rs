@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
-use streamsplat::stream::{StageWork, Work};
+use streamsplat::stream::{StageWork, Work, Workers};
 
 use super::cli::{RenderOptions, RunOptions};
-use super::digest;
 use super::failure::Failure;
+use super::{digest, machine};
 
 /// What `program` says.
 pub const PROGRAM: &str = "streamsplat";
@@ -177,6 +178,19 @@ pub struct Timing {
     pub threads: usize,
     /// Instruction set.
     pub isa: String,
+}
+
+impl Timing {
+    /// Of work that began at `start` and ends now.
+    pub fn of(start: Instant, seconds: BTreeMap<String, f64>, workers: &Workers) -> Timing {
+        Timing {
+            total: start.elapsed().as_secs_f64(),
+            seconds,
+            peak_resident_bytes: machine::peak_resident_bytes(),
+            threads: workers.threads(),
+            isa: workers.level().name().to_owned(),
+        }
+    }
 }
 
 /// The engine's account over a run, parts of which earlier processes may have done.

@@ -5,15 +5,15 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use streamsplat::import::{self, Opened};
-use streamsplat::stream::Interval;
+use streamsplat::stream::{Interval, Workers};
 
 use super::cli::{Console, Machine, RenderArgs, RenderOptions};
 use super::drawing::Drawing;
 use super::failure::Failure;
 use super::outputs::{Destination, Emit, Outputs};
 use super::progress::Progress;
-use super::record::{InputRecord, PROGRAM, Record, Task, Timing, absolute};
-use super::{digest, machine, report, say, still, stop, times};
+use super::record::{InputRecord, OutputRecord, PROGRAM, Record, Task, Timing, absolute};
+use super::{digest, report, say, still, stop, times};
 
 /// Renders, then writes the record and the report.
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
@@ -84,37 +84,56 @@ pub fn render(
     progress.finish();
     let written = drawing.writing(|| outputs.finish())?;
 
+    let [height, width] = scene.placement().source;
+    let input = InputRecord {
+        path: absolute(path),
+        blake3: digest::scene(&scene)?,
+        count: intervals,
+        size: [width, height],
+        fps: scene.index().fps,
+    };
+    Ok(record(options, input, &drawing, Rendered { outputs: written, complete, read, start }, &workers))
+}
+
+/// What a rendering came to, beside what drew it.
+pub(super) struct Rendered {
+    /// The files.
+    pub outputs: BTreeMap<String, OutputRecord>,
+    /// False when the user stopped it.
+    pub complete: bool,
+    /// Time spent reading.
+    pub read: Duration,
+    /// When it began.
+    pub start: Instant,
+}
+
+/// The record of a rendering of `input`.
+pub(super) fn record(
+    options: &RenderOptions,
+    input: InputRecord,
+    drawing: &Drawing,
+    rendered: Rendered,
+    workers: &Workers,
+) -> Record {
+    let Rendered { outputs, complete, read, start } = rendered;
     let mut options = options.clone();
     options.view.camera = options.view.camera.as_deref().map(absolute);
-    let [height, width] = scene.placement().source;
     let mut work = BTreeMap::new();
     let mut seconds = BTreeMap::from([("read".to_owned(), read.as_secs_f64())]);
     drawing.account(&mut work, &mut seconds);
-    Ok(Record {
+    Record {
         program: PROGRAM.to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         task: Task::Render(Box::new(options)),
         seed: 0,
         model: None,
         depth: None,
-        input: InputRecord {
-            path: absolute(path),
-            blake3: digest::scene(&scene)?,
-            count: intervals,
-            size: [width, height],
-            fps: scene.index().fps,
-        },
+        input,
         renderer: drawing.renderer(),
         complete,
-        outputs: written,
+        outputs,
         work,
         dropped: drawing.counts.dropped,
-        timing: Timing {
-            total: start.elapsed().as_secs_f64(),
-            seconds,
-            peak_resident_bytes: machine::peak_resident_bytes(),
-            threads: workers.threads(),
-            isa: workers.level().name().to_owned(),
-        },
-    })
+        timing: Timing::of(start, seconds, workers),
+    }
 }

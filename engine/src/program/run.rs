@@ -20,7 +20,7 @@ use super::record::{Account, ModelRecord, NetworkRecord, PROGRAM, Record, Task, 
 use super::resume::{self, Found, Point, Terms, with_absolute_paths};
 use super::serving::Serving;
 use super::settings::Views;
-use super::{digest, machine, report, say, stop};
+use super::{digest, report, say, stop};
 
 /// Runs, then writes the record and the report.
 pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
@@ -193,13 +193,7 @@ fn run_from(
         outputs: written,
         work,
         dropped: dropped + drawing.counts.dropped,
-        timing: Timing {
-            total: start.elapsed().as_secs_f64(),
-            seconds,
-            peak_resident_bytes: machine::peak_resident_bytes(),
-            threads: engine.workers().threads(),
-            isa: engine.workers().level().name().to_owned(),
-        },
+        timing: Timing::of(start, seconds, engine.workers()),
     })
 }
 

@@ -1,6 +1,5 @@
 //! Still scenes, such as PLY files, in `render`, `export` and `inspect`.
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -17,9 +16,10 @@ use super::export::{Format, refuse_others};
 use super::failure::Failure;
 use super::outputs::{Destination, Emit, Outputs};
 use super::progress::Progress;
-use super::record::{InputRecord, PROGRAM, Record, Task, Timing, absolute};
+use super::record::{InputRecord, Record, absolute};
+use super::render::{Rendered, record};
 use super::settings::Views;
-use super::{machine, say, stop};
+use super::{say, stop};
 
 /// Frames per second of a video of a scene that has no time.
 const FPS: f64 = 24.0;
@@ -68,32 +68,8 @@ pub fn render(
     progress.finish();
     let written = drawing.writing(|| outputs.finish())?;
 
-    let mut options = options.clone();
-    options.view.camera = options.view.camera.as_deref().map(absolute);
-    let mut work = BTreeMap::new();
-    let mut seconds = BTreeMap::from([("read".to_owned(), read.as_secs_f64())]);
-    drawing.account(&mut work, &mut seconds);
-    Ok(Record {
-        program: PROGRAM.to_owned(),
-        version: env!("CARGO_PKG_VERSION").to_owned(),
-        task: Task::Render(Box::new(options)),
-        seed: 0,
-        model: None,
-        depth: None,
-        input: InputRecord { path: absolute(&file.path), blake3: file.blake3, count: 1, size: [width, height], fps },
-        renderer: drawing.renderer(),
-        complete,
-        outputs: written,
-        work,
-        dropped: drawing.counts.dropped,
-        timing: Timing {
-            total: start.elapsed().as_secs_f64(),
-            seconds,
-            peak_resident_bytes: machine::peak_resident_bytes(),
-            threads: workers.threads(),
-            isa: workers.level().name().to_owned(),
-        },
-    })
+    let input = InputRecord { path: absolute(&file.path), blake3: file.blake3, count: 1, size: [width, height], fps };
+    Ok(record(options, input, &drawing, Rendered { outputs: written, complete, read, start }, workers))
 }
 
 /// Writes the one file that a still scene is.

@@ -7,7 +7,8 @@ use streamsplat_kernels::philox::Stream;
 use streamsplat_kernels::simd::{LANES, Operation, Simd, dispatch};
 use streamsplat_kernels::{Level, norm, patches, pixel_shuffle, resize, truncated_normal};
 
-use super::{Digest, Thing, noise};
+use super::{Digest, Thing};
+use crate::noise::noise;
 
 /// Apart in their bits, so that 65,537 of them lie in every binade, denormals, infinities and NaN included.
 const STRIDE: u32 = 65_521;

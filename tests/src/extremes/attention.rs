@@ -3,7 +3,8 @@
 use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as, reference};
 use streamsplat_kernels::gemm::Precision;
 
-use super::{Case, Computed, Judged, Unit, noise};
+use super::{Case, Computed, Judged, Unit};
+use crate::noise::noise;
 
 const GROUP: &str = "Attention";
 const WIDTH: usize = 64;

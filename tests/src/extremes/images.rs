@@ -9,7 +9,8 @@ use streamsplat::stream::ModelSource;
 use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings, openexr};
 use streamsplat_model::{FrameInput, LoadOptions, Network, Sampling, Side};
 
-use super::{Case, Computed, Judged, Place, Unit, noise};
+use super::{Case, Computed, Judged, Place, Unit};
+use crate::noise::noise;
 use crate::parity;
 use crate::reference::{Inputs, Sizes, Tensors, forward, relative_l2};
 

@@ -2,7 +2,8 @@
 
 use streamsplat_kernels::norm::{layer_norm, reference, rms_norm};
 
-use super::{Case, Computed, Judged, Unit, noise};
+use super::{Case, Computed, Judged, Unit};
+use crate::noise::noise;
 
 const GROUP: &str = "Norms";
 const D: usize = 131;

@@ -2,7 +2,8 @@
 
 use streamsplat_kernels::gemm::{Epilogue, Precision, Weights, linear, reference};
 
-use super::{Case, Computed, Judged, Unit, noise};
+use super::{Case, Computed, Judged, Unit};
+use crate::noise::noise;
 
 const GROUP: &str = "Products";
 const M: usize = 5;

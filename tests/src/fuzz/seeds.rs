@@ -306,6 +306,23 @@ fn gzip_stored(content: &[u8]) -> Vec<u8> {
     [&head[..], &sizes, content, &(!crc).to_le_bytes(), &u32::from(len).to_le_bytes()].concat()
 }
 
+/// Libraries of no, one and three segments.
+pub(super) fn library() -> Vec<Vec<u8>> {
+    let of = |segments: u16| {
+        let mut bytes = vec![0; 64 + 56 * usize::from(segments)];
+        bytes[..6].copy_from_slice(b"\x7fELF\x02\x01");
+        bytes[32..40].copy_from_slice(&64_u64.to_le_bytes());
+        bytes[54..56].copy_from_slice(&56_u16.to_le_bytes());
+        bytes[56..58].copy_from_slice(&segments.to_le_bytes());
+        for (i, entry) in bytes[64..].chunks_exact_mut(56).enumerate() {
+            entry[8..16].copy_from_slice(&(4096 * i as u64).to_le_bytes());
+            entry[32..40].copy_from_slice(&5000_u64.to_le_bytes());
+        }
+        bytes
+    };
+    [0, 1, 3].map(of).to_vec()
+}
+
 pub(super) fn container() -> Vec<Vec<u8>> {
     let placement = Placement { source: [9, 16], model: [18, 32], offset: [0, 0], content: [18, 32] };
     let workers = Workers::new(Level::scalar(), 1).expect("a thread starts");

@@ -12,7 +12,7 @@ use streamsplat::source::{decode, y4m::Y4m};
 use streamsplat::splats::Splats;
 use streamsplat::still::{Drawable, Still};
 use streamsplat::stream::Workers;
-use streamsplat::{Camera, Image, RenderOptions, Size, depth, export, import};
+use streamsplat::{Camera, Image, RenderOptions, Size, depth, export, import, onnx};
 use streamsplat_kernels::{Level, raster};
 use streamsplat_model::checkpoint::Checkpoint;
 use streamsplat_model::inspect::inspect_parts;
@@ -169,6 +169,13 @@ fn draw_still(still: Still) {
         Painter::new(workers).draw_still(&scene, &camera, &options).expect("a camera").clone()
     });
     assert_same_finite(&a, &b);
+}
+
+/// The header of a shared library.
+pub(super) fn library(bytes: &[u8]) {
+    if let Ok(Some(_)) = onnx::announced_length(&mut Cursor::new(bytes)) {
+        assert!(bytes.starts_with(b"\x7fELF") && bytes.len() >= 64);
+    }
 }
 
 /// A compressed scene: every interval drawn on two levels.
