@@ -14,7 +14,7 @@
 //! and counts them.
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
-use streamsplat_kernels::raster::{self, Gaussians, Projection, Request};
+use streamsplat_kernels::raster::{self, Gaussians, OwnedGaussians, Projection, Request};
 
 /// Most pixels of an image.
 pub const MAX_PIXELS: usize = 1 << 26;
@@ -66,11 +66,7 @@ pub enum SplatsError {
 /// Splats, and how they are to be drawn.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Splats {
-    mean: Vec<[f32; 3]>,
-    scale: Vec<[f32; 3]>,
-    rotation: Option<Vec<[f32; 4]>>,
-    opacity: Vec<f32>,
-    rgb: Vec<[f32; 3]>,
+    splats: OwnedGaussians,
     /// How they are projected.
     pub projection: Projection,
     /// The image wanted: all planes of it.
@@ -102,12 +98,15 @@ impl Splats {
             return Err(SplatsError::Projection);
         };
         let background = row::<3>(file, "background")?.map(|v| v as f32);
-        Ok(Splats {
+        let splats = OwnedGaussians {
             scale: rows::<3>(file, "scale", n)?,
             rotation,
             opacity: rows::<1>(file, "opacity", n)?.into_iter().flatten().collect(),
             rgb: rows::<3>(file, "rgb", n)?,
             mean,
+        };
+        Ok(Splats {
+            splats,
             projection,
             request: Request { width, height, background, depth: true, alpha: true, statistics: true },
         })
@@ -115,13 +114,7 @@ impl Splats {
 
     /// The splats.
     pub fn gaussians(&self) -> Gaussians<'_> {
-        Gaussians {
-            mean: &self.mean,
-            scale: &self.scale,
-            rotation: self.rotation.as_deref(),
-            opacity: &self.opacity,
-            rgb: &self.rgb,
-        }
+        self.splats.gaussians()
     }
 }
 

@@ -221,7 +221,7 @@ impl Row {
     fn new(name: &str, scene: &Scene, seconds: Seconds, work: Work, error: f64) -> Self {
         let row = Row {
             name: name.to_owned(),
-            gaussians: scene.mean.len(),
+            gaussians: scene.splats.mean.len(),
             size: [scene.request.width, scene.request.height],
             milliseconds: seconds.into(),
             stages: work.into(),

@@ -4,16 +4,12 @@ use anyhow::{Context, Result};
 use streamsplat::render::{Snapshot, View};
 use streamsplat::{Camera, Engine, Frame, Settings};
 use streamsplat_fixtures::clip::{Clip, Kind};
-use streamsplat_kernels::raster::{Gaussians, Projection, Request};
+use streamsplat_kernels::raster::{Gaussians, OwnedGaussians, Projection, Request};
 
 /// Gaussians with the view they are drawn in.
 #[derive(Clone)]
 pub(crate) struct Scene {
-    pub(crate) mean: Vec<[f32; 3]>,
-    pub(crate) scale: Vec<[f32; 3]>,
-    pub(crate) rotation: Option<Vec<[f32; 4]>>,
-    pub(crate) opacity: Vec<f32>,
-    pub(crate) rgb: Vec<[f32; 3]>,
+    pub(crate) splats: OwnedGaussians,
     pub(crate) projection: Projection,
     pub(crate) request: Request,
 }
@@ -53,22 +49,12 @@ const GREY: [f32; 3] = [0.5; 3];
 
 impl Scene {
     pub(crate) fn gaussians(&self) -> Gaussians<'_> {
-        Gaussians {
-            mean: &self.mean,
-            scale: &self.scale,
-            rotation: self.rotation.as_deref(),
-            opacity: &self.opacity,
-            rgb: &self.rgb,
-        }
+        self.splats.gaussians()
     }
 
     fn canonical(width: usize, height: usize) -> Self {
         Self {
-            mean: Vec::new(),
-            scale: Vec::new(),
-            rotation: None,
-            opacity: Vec::new(),
-            rgb: Vec::new(),
+            splats: OwnedGaussians::default(),
             projection: Projection::Orthographic { focal: [width as f32 / 2.0, height as f32 / 2.0] },
             request: Request::colour(width, height, GREY),
         }
@@ -77,11 +63,10 @@ impl Scene {
     /// Adds a Gaussian of the canonical view, given in pixels.
     fn push_pixels(&mut self, centre: [f32; 2], sigma: [f32; 2], depth: f32, opacity: f32, rgb: [f32; 3]) {
         let (w, h) = (self.request.width as f32, self.request.height as f32);
-        self.mean.push([(2.0 * centre[0] + 1.0) / w - 1.0, (2.0 * centre[1] + 1.0) / h - 1.0, depth]);
+        let mean = [(2.0 * centre[0] + 1.0) / w - 1.0, (2.0 * centre[1] + 1.0) / h - 1.0, depth];
         let scale = [sigma[0] * 2.0 / w, sigma[1] * 2.0 / h];
-        self.scale.push([scale[0], scale[1], 0.5 * (scale[0] + scale[1])]);
-        self.opacity.push(opacity);
-        self.rgb.push(rgb);
+        let scale = [scale[0], scale[1], 0.5 * (scale[0] + scale[1])];
+        self.splats.push(mean, scale, [1.0, 0.0, 0.0, 0.0], opacity, rgb);
     }
 
     fn push_ordinary(&mut self, random: &mut Random, centre: [f32; 2]) {
@@ -109,10 +94,11 @@ impl Scene {
     /// `count` Gaussians of the grid's statistics anywhere in its image.
     pub(crate) fn scattered(count: usize) -> Self {
         let (mut scene, mut random) = (Self::canonical(512, 288), Random::new(2));
-        for list in [&mut scene.mean, &mut scene.scale, &mut scene.rgb] {
+        let splats = &mut scene.splats;
+        for list in [&mut splats.mean, &mut splats.scale, &mut splats.rgb] {
             list.reserve_exact(count);
         }
-        scene.opacity.reserve_exact(count);
+        splats.opacity.reserve_exact(count);
         for _ in 0..count {
             let centre = [random.range(-0.5, 511.5), random.range(-0.5, 287.5)];
             scene.push_ordinary(&mut random, centre);
@@ -125,20 +111,17 @@ impl Scene {
         let (width, height, focal) = (1280, 720, 1000.0);
         let (mut scene, mut random) = (Self::canonical(width, height), Random::new(3));
         scene.projection = Projection::Pinhole { focal: [focal; 2], centre: [639.5, 359.5] };
-        let mut rotation = Vec::new();
+        scene.splats.rotation = Some(Vec::new());
         for _ in 0..200_000 {
             let z = random.log_range(1.0, 20.0);
             let (u, v) = (random.range(-650.0, 650.0), random.range(-370.0, 370.0));
-            scene.mean.push([u * z / focal, v * z / focal, z]);
-            scene.scale.push(std::array::from_fn(|_| random.log_range(0.5, 6.0) * z / focal));
+            let scale = std::array::from_fn(|_| random.log_range(0.5, 6.0) * z / focal);
             let q: [f32; 4] = std::array::from_fn(|_| random.range(-1.0, 1.0));
             let norm = q.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-3);
-            rotation.push(q.map(|v| v / norm));
-            scene.opacity.push(random.range(0.05, 1.0));
+            let opacity = random.range(0.05, 1.0);
             let rgb = random.colour();
-            scene.rgb.push(rgb);
+            scene.splats.push([u * z / focal, v * z / focal, z], scale, q.map(|v| v / norm), opacity, rgb);
         }
-        scene.rotation = Some(rotation);
         scene
     }
 
@@ -157,11 +140,9 @@ impl Scene {
         let mut seen = Snapshot::of(&interval, 0.1)?;
         let view = View::new(&Camera::Canonical, &interval.placement, [288, 512]);
         view.apply(&mut seen.mean);
+        let Snapshot { mean, scale, opacity, rgb, .. } = seen;
         Ok(Self {
-            mean: seen.mean,
-            scale: seen.scale,
-            opacity: seen.opacity,
-            rgb: seen.rgb,
+            splats: OwnedGaussians { mean, scale, rotation: None, opacity, rgb },
             projection: *view.projection(),
             ..Self::canonical(512, 288)
         })
@@ -189,21 +170,21 @@ impl Scene {
             let (x, y) = ((mean[0] + 1.0) * 0.5 * w, (mean[1] + 1.0) * 0.5 * h);
             (x / w - 0.4).abs() < 0.5 * side && (y / h - 0.45).abs() < 0.5 * side
         };
-        (0..self.mean.len()).filter(|&i| inside(&self.mean[i])).collect()
+        (0..self.splats.mean.len()).filter(|&i| inside(&self.splats.mean[i])).collect()
     }
 
     /// Every twentieth Gaussian, in no order.
     pub(crate) fn scatter(&self) -> Vec<usize> {
         let mut random = Random::new(5);
-        (0..self.mean.len()).filter(|_| random.unit() < 0.05).collect()
+        (0..self.splats.mean.len()).filter(|_| random.unit() < 0.05).collect()
     }
 
     /// Moves the chosen Gaussians by (x, y) pixels.
     pub(crate) fn moved(&self, chosen: &[usize], [x, y]: [f32; 2]) -> Self {
         let mut scene = self.clone();
         for &i in chosen {
-            scene.mean[i][0] += 2.0 * x / self.request.width as f32;
-            scene.mean[i][1] += 2.0 * y / self.request.height as f32;
+            scene.splats.mean[i][0] += 2.0 * x / self.request.width as f32;
+            scene.splats.mean[i][1] += 2.0 * y / self.request.height as f32;
         }
         scene
     }

@@ -97,6 +97,45 @@ impl Gaussians<'_> {
     }
 }
 
+/// [`Gaussians`] that are owned; all arrays are equally long.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OwnedGaussians {
+    /// Centres.
+    pub mean: Vec<[f32; 3]>,
+    /// Standard deviations along the Gaussian's own axes.
+    pub scale: Vec<[f32; 3]>,
+    /// Quaternions w, x, y, z; `None`: all are the identity.
+    pub rotation: Option<Vec<[f32; 4]>>,
+    /// Opacity at the centre.
+    pub opacity: Vec<f32>,
+    /// Colour.
+    pub rgb: Vec<[f32; 3]>,
+}
+
+impl OwnedGaussians {
+    /// All of them.
+    pub fn gaussians(&self) -> Gaussians<'_> {
+        Gaussians {
+            mean: &self.mean,
+            scale: &self.scale,
+            rotation: self.rotation.as_deref(),
+            opacity: &self.opacity,
+            rgb: &self.rgb,
+        }
+    }
+
+    /// Adds one; the quaternion only where the others have one.
+    pub fn push(&mut self, mean: [f32; 3], scale: [f32; 3], turn: [f32; 4], opacity: f32, rgb: [f32; 3]) {
+        self.mean.push(mean);
+        self.scale.push(scale);
+        if let Some(rotation) = &mut self.rotation {
+            rotation.push(turn);
+        }
+        self.opacity.push(opacity);
+        self.rgb.push(rgb);
+    }
+}
+
 /// How view space meets the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {

@@ -67,14 +67,13 @@ fn scenes(name: &str, fill: impl Fn(&mut Scene), drawn: Option<bool>) -> Vec<Cas
     ];
     let mut cases = Vec::new();
     for (kind, projection, rotated) in kinds {
-        let mut scene = Scene::new(projection);
-        scene.rotation = rotated.then(Vec::new);
+        let mut scene = Scene::new(projection, rotated);
         fill(&mut scene);
-        if scene.rotation.is_some() && !rotated {
+        if scene.splats.rotation.is_some() && !rotated {
             continue;
         }
         // A rotation by nothing is taken out again where the form is chosen: a hair of one is not.
-        if let (true, Some(rotation)) = (kind.ends_with("form"), &mut scene.rotation) {
+        if let (true, Some(rotation)) = (kind.ends_with("form"), &mut scene.splats.rotation) {
             rotation.iter_mut().filter(|q| **q == [1.0, 0.0, 0.0, 0.0]).for_each(|q| q[3] = 1e-20);
         }
         cases.push(case(format!("{name}, {kind}"), scene, drawn));
@@ -110,7 +109,7 @@ pub(super) fn cases() -> Vec<Case> {
                 scene.push([x, 0.1 * x, 1.0 + i as f32], [1.0, 1e-6, 1e-6], 0.9);
             }
             if degrees != 0.0 {
-                scene.rotation = Some(vec![about_z(degrees); 3]);
+                scene.splats.rotation = Some(vec![about_z(degrees); 3]);
             }
         }
     };
@@ -156,7 +155,7 @@ pub(super) fn cases() -> Vec<Case> {
     // An orthographic camera sees what is a hair before it; for a pinhole that is too near.
     for (kind, projection, drawn) in [("orthographic", ORTHOGRAPHIC, true), ("pinhole", PINHOLE, false)] {
         for (name, z) in [("1e-30", 1e-30), ("1e-6", 1e-6), ("1e-40, denormal", 1e-40)] {
-            let mut scene = Scene::new(projection);
+            let mut scene = Scene::new(projection, false);
             scene.push([0.0, 0.0, z], round, 0.9);
             cases.push(case(format!("at depth {name}, {kind}"), scene, Some(drawn)));
         }

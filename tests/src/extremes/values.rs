@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use streamsplat::stream::{DepthRange, ModelSource, Reconstructor};
 use streamsplat::{Camera, Engine, EngineError, RenderOptions, Settings};
-use streamsplat_kernels::raster::render;
+use streamsplat_kernels::raster::{OwnedGaussians, render};
 use streamsplat_model::{FrameInput, LoadOptions, ModelError, Network};
 
 use super::scenes::{ORTHOGRAPHIC, PINHOLE, SIZE, Scene};
@@ -22,11 +22,11 @@ const FIELDS: [&str; 5] = ["mean", "scale", "rotation", "opacity", "colour"];
 /// Puts `value` into a field of splat `i`.
 fn spoil(scene: &mut Scene, i: usize, field: &str, value: f32) {
     match field {
-        "mean" => scene.mean[i][i % 3] = value,
-        "scale" => scene.scale[i][i % 3] = value,
-        "rotation" => scene.rotation.iter_mut().for_each(|r| r[i][i % 4] = value),
-        "opacity" => scene.opacity[i] = value,
-        _ => scene.rgb[i][i % 3] = value,
+        "mean" => scene.splats.mean[i][i % 3] = value,
+        "scale" => scene.splats.scale[i][i % 3] = value,
+        "rotation" => scene.splats.rotation.iter_mut().for_each(|r| r[i][i % 4] = value),
+        "opacity" => scene.splats.opacity[i] = value,
+        _ => scene.splats.rgb[i][i % 3] = value,
     }
 }
 
@@ -35,14 +35,14 @@ fn without(scene: &Scene, indices: &[usize]) -> Scene {
     fn rest<T: Clone>(all: &[T], indices: &[usize]) -> Vec<T> {
         all.iter().enumerate().filter(|(i, _)| !indices.contains(i)).map(|(_, v)| v.clone()).collect()
     }
-    Scene {
-        mean: rest(&scene.mean, indices),
-        scale: rest(&scene.scale, indices),
-        rotation: scene.rotation.as_ref().map(|r| rest(r, indices)),
-        opacity: rest(&scene.opacity, indices),
-        rgb: rest(&scene.rgb, indices),
-        projection: scene.projection,
-    }
+    let splats = OwnedGaussians {
+        mean: rest(&scene.splats.mean, indices),
+        scale: rest(&scene.splats.scale, indices),
+        rotation: scene.splats.rotation.as_ref().map(|r| rest(r, indices)),
+        opacity: rest(&scene.splats.opacity, indices),
+        rgb: rest(&scene.splats.rgb, indices),
+    };
+    Scene { splats, projection: scene.projection }
 }
 
 /// Three splats of forty spoilt: the image is that of the other thirty-seven, to the bit.

@@ -3,9 +3,9 @@
 use super::*;
 
 /// Needles of axis ratio 10⁶ at every angle, from shorter than a pixel to longer than the image.
-fn needles(count: usize, seed: u64) -> Scene {
+fn needles(count: usize, seed: u64) -> OwnedGaussians {
     let mut random = Random(seed);
-    let mut scene = Scene { rotation: Some(Vec::new()), ..Scene::default() };
+    let mut scene = OwnedGaussians { rotation: Some(Vec::new()), ..OwnedGaussians::default() };
     for i in 0..count {
         // Along an axis, at 45°, then anywhere.
         let angle = match i % 8 {
@@ -52,7 +52,7 @@ fn opacities_around_the_threshold_are_drawn_where_alpha_reaches_it() {
     // Centres on pixels, so that α there is the opacity itself.
     for ulps in -3_i32..=3 {
         let opacity = f32::from_bits(ALPHA_MIN.to_bits().wrapping_add_signed(ulps));
-        let mut scene = Scene { rotation: Some(Vec::new()), ..Scene::default() };
+        let mut scene = OwnedGaussians { rotation: Some(Vec::new()), ..OwnedGaussians::default() };
         let turn = [0.6_f32.cos(), 0.0, 0.0, 0.6_f32.sin()];
         scene.push([1.0 / 8.0, 1.0 / 8.0, 1.0], [0.1, 0.3, 0.2], turn, opacity, [1.0; 3]);
         for level in Level::available() {

@@ -2,7 +2,7 @@
 
 use super::*;
 
-fn lists(level: Level, scene: &Scene, projection: &Projection, request: &Request) -> (Lists, Work) {
+fn lists(level: Level, scene: &OwnedGaussians, projection: &Projection, request: &Request) -> (Lists, Work) {
     let (mut renderer, mut lists) = (Renderer::new(level), Lists::default());
     renderer.lists(&scene.gaussians(), projection, request, &mut lists);
     (lists, renderer.work())

@@ -8,38 +8,6 @@ use super::*;
 mod edges;
 mod lists;
 
-/// A scene that owns its Gaussians.
-#[derive(Clone, Debug, Default)]
-struct Scene {
-    mean: Vec<[f32; 3]>,
-    scale: Vec<[f32; 3]>,
-    rotation: Option<Vec<[f32; 4]>>,
-    opacity: Vec<f32>,
-    rgb: Vec<[f32; 3]>,
-}
-
-impl Scene {
-    fn gaussians(&self) -> Gaussians<'_> {
-        Gaussians {
-            mean: &self.mean,
-            scale: &self.scale,
-            rotation: self.rotation.as_deref(),
-            opacity: &self.opacity,
-            rgb: &self.rgb,
-        }
-    }
-
-    fn push(&mut self, mean: [f32; 3], scale: [f32; 3], turn: [f32; 4], opacity: f32, rgb: [f32; 3]) {
-        self.mean.push(mean);
-        self.scale.push(scale);
-        if let Some(rotation) = &mut self.rotation {
-            rotation.push(turn);
-        }
-        self.opacity.push(opacity);
-        self.rgb.push(rgb);
-    }
-}
-
 /// A generator of test values; the quality of its bits does not matter.
 struct Random(u64);
 
@@ -61,9 +29,9 @@ impl Random {
     }
 }
 
-fn ordinary(count: usize, rotated: bool, seed: u64) -> Scene {
+fn ordinary(count: usize, rotated: bool, seed: u64) -> OwnedGaussians {
     let mut random = Random(seed);
-    let mut scene = Scene { rotation: rotated.then(Vec::new), ..Scene::default() };
+    let mut scene = OwnedGaussians { rotation: rotated.then(Vec::new), ..OwnedGaussians::default() };
     for _ in 0..count {
         let mean = [random.range(-1.1, 1.1), random.range(-1.1, 1.1), random.range(0.3, 4.0)];
         let scale = std::array::from_fn(|_| (random.range(-6.0, -2.0)).exp());
@@ -75,9 +43,9 @@ fn ordinary(count: usize, rotated: bool, seed: u64) -> Scene {
 }
 
 /// Extremes: needles, specks, walls, ties in depth, thresholds, tile corners, bad numbers.
-fn extreme(count: usize, seed: u64) -> Scene {
+fn extreme(count: usize, seed: u64) -> OwnedGaussians {
     let mut random = Random(seed);
-    let mut scene = Scene { rotation: Some(Vec::new()), ..Scene::default() };
+    let mut scene = OwnedGaussians { rotation: Some(Vec::new()), ..OwnedGaussians::default() };
     let least = ALPHA_MIN;
     let under = f32::from_bits(least.to_bits() - 1);
     for _ in 0..count {
@@ -145,7 +113,7 @@ fn bits(image: &Image) -> Vec<u32> {
 
 /// Compares an image with the plain version's: pixels that no rounding decides are within `tolerance`, and a pixel on
 /// which an alpha or a transmittance is closer to its threshold than `doubt` (relative) may have been decided otherwise.
-fn assert_agrees(scene: &Scene, projection: &Projection, request: &Request, tolerance: f64, doubt: f64) {
+fn assert_agrees(scene: &OwnedGaussians, projection: &Projection, request: &Request, tolerance: f64, doubt: f64) {
     let expected = reference::render(&scene.gaussians(), projection, request);
     let found = render(Level::detect(), &scene.gaussians(), projection, request);
     let pixels = request.width * request.height;
@@ -265,7 +233,7 @@ fn planes_nobody_asked_for_are_absent_and_change_nothing() {
 
 #[test]
 fn equal_depths_are_drawn_in_index_order() {
-    let mut scene = Scene::default();
+    let mut scene = OwnedGaussians::default();
     for i in 0..300 {
         scene.push([0.0, 0.0, 1.0], [50.0; 3], [1.0, 0.0, 0.0, 0.0], 0.9, if i == 0 { [1.0; 3] } else { [0.0; 3] });
     }
@@ -276,7 +244,7 @@ fn equal_depths_are_drawn_in_index_order() {
 #[test]
 fn an_opacity_of_one_255th_is_drawn_at_its_centre_and_one_ulp_less_is_not() {
     let draw = |opacity: f32| {
-        let mut scene = Scene::default();
+        let mut scene = OwnedGaussians::default();
         scene.push([1.0 / 8.0, 1.0 / 8.0, 1.0], [0.1; 3], [1.0, 0.0, 0.0, 0.0], opacity, [1.0; 3]);
         render(Level::detect(), &scene.gaussians(), &projections(8, 8)[0], &everything(8, 8)).blended.unwrap()
     };
