@@ -5,7 +5,7 @@ use streamsplat_kernels::gemm::{Epilogue, Precision, Weights, linear};
 use streamsplat_kernels::math::{self, f64 as double};
 use streamsplat_kernels::philox::Stream;
 use streamsplat_kernels::simd::{LANES, Operation, Simd, dispatch};
-use streamsplat_kernels::{Level, norm, patches, pixel_shuffle, resize, truncated_normal};
+use streamsplat_kernels::{Level, harmonics, norm, patches, pixel_shuffle, resize, truncated_normal};
 
 use super::{Digest, Thing};
 use crate::noise::noise;
@@ -107,6 +107,19 @@ pub(super) fn things() -> Vec<Thing> {
             let mut out = vec![0.0; 10_007];
             Stream { seed: 7, frame: 3 }.fill_uniform(11, &mut out);
             digest.floats(&out);
+        }),
+        Thing::new("harmonics", |level, digest| {
+            let count = 1031;
+            let (base, mean) = (noise(3 * count, 17), noise(3 * count, 18));
+            let (base, mean) = (base.as_chunks::<3>().0, mean.as_chunks::<3>().0);
+            for degree in 0..=harmonics::MAX_DEGREE {
+                let higher = noise(3 * count * harmonics::rest(degree), 19);
+                for eye in [harmonics::Eye::At([0.3, -0.2, 0.1]), harmonics::Eye::Along([0.48, -0.6, 0.64])] {
+                    let mut out = vec![[0.0; 3]; count];
+                    harmonics::colours(level, degree, base, &higher, mean, eye, &mut out);
+                    digest.floats(out.as_flattened());
+                }
+            }
         }),
         Thing::new("truncated_normal", |level, digest| {
             let len = 5003;

@@ -1,6 +1,7 @@
 //! A short stream: video in, dynamic Gaussians and images out.
 
 use streamsplat::camera::{Camera, Pose, Rotation};
+use streamsplat::scene::{ContainerWriter, intervals_from_container};
 use streamsplat::stream::{Fusion, ModelSource, SamplingMode};
 use streamsplat::{Engine, Frame, Interval, RenderOptions, Settings};
 use streamsplat_fixtures::clip::{Clip, Kind};
@@ -20,7 +21,34 @@ pub(super) fn things() -> Vec<Thing> {
             let settings = Settings { sampling: SamplingMode::Sample, seed: 5, ..Settings::default() };
             stream(level, digest, "tiny-sampled", &settings);
         }),
+        Thing::new("stream/container", container),
     ]
+}
+
+/// Three key frames as a compressed scene: its bytes, and what is read from them.
+fn container(level: Level, digest: &mut Digest) {
+    let checkpoint = streamsplat_fixtures::path("parity/tiny-nodino.safetensors");
+    let settings = Settings {
+        level: Some(level),
+        threads: rayon::current_num_threads(),
+        ..Settings::with_model(ModelSource::File { checkpoint, dinov2: None })
+    };
+    let mut engine = Engine::new(settings).expect("an engine");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("scene.ssz");
+    let mut writer = ContainerWriter::create(&path, 8.0).expect("writable");
+    let clip = Clip::new(Kind::Moving, 4, 40, 24);
+    for time in [0.0, 0.125, 0.25] {
+        let picture = clip.picture(time);
+        let frame = Frame { width: picture.width, height: picture.height, rgb: picture.rgb, depth: None };
+        writer.push(&engine.push(frame, time).expect("an interval")).expect("writable");
+    }
+    writer.finish().expect("writable");
+    let bytes = std::fs::read(&path).expect("just written");
+    digest.integers(bytes.iter().map(|byte| u64::from(*byte)));
+    for interval in intervals_from_container(&bytes, engine.workers()).expect("a scene") {
+        records(digest, &interval);
+    }
 }
 
 /// Three key frames with depth, letterboxed into the model's input; every record and several images of each interval.
