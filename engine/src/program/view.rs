@@ -6,8 +6,8 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use streamsplat::import::open_moving;
 use streamsplat::output::Partial;
-use streamsplat::scene::Scene;
 use streamsplat::view::{PageError, Recorded, Server, write_page};
 
 use super::cli::{Console, ViewArgs};
@@ -22,7 +22,7 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Serves until Ctrl-C, or writes the file.
 pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     let workers = args.machine.workers()?;
-    let scene = Scene::open(&args.scene)?;
+    let scene = open_moving(&args.scene)?;
     let source = Recorded::new(title(&args.scene), scene, workers);
     if let Some(file) = &args.html {
         let bytes = write_file(&source, file)?;
