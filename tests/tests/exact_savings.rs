@@ -8,53 +8,39 @@
 //! | depth maps nobody gave | none: no file is looked for | a map of zeros: here |
 //! | copies of weights: checkpoints are mapped | none | read into memory: here |
 //! | Gaussians that reach no pixel | `render.project` | the scene without them: here |
+//! | Gaussians that are seen to reach none before they are projected | `render.window` | the whole scene projected: here |
 //! | splats behind finished pixels | `render.blend` | the scene without them: here |
 //! | tiles none of whose splats changed | `render.tiles` | a fresh image: here |
 //! | planes nobody asked for | `render.planes` | all planes: here |
 //! | turning splats in a view that turns none | `render.turned` | rotations by nothing: here |
 
-use streamsplat::stream::{DynamicGaussians, ModelSource, Reuse};
-use streamsplat::{Camera, Engine, Frame, Interval, RenderOptions, Settings};
+use streamsplat::camera::{Lens, Pose};
+use streamsplat::render::Painter;
+use streamsplat::still::{Drawable, Still};
+use streamsplat::stream::{DynamicGaussians, ModelSource, Reuse, Workers};
+use streamsplat::{Camera, Engine, Frame, Interval, RenderOptions, Settings, Size};
 use streamsplat_kernels::Level;
-use streamsplat_kernels::raster::{Gaussians, Image, Projection, Renderer, Request, render};
+use streamsplat_kernels::raster::{Gaussians, Image, OwnedGaussians, Projection, Renderer, Request, render};
 use streamsplat_model::{FrameInput, LoadOptions, Network};
 
 fn checkpoint(name: &str) -> std::path::PathBuf {
     streamsplat_fixtures::path(&format!("parity/{name}"))
 }
 
-/// Gaussians without rotation in view space.
-#[derive(Clone, Default)]
-struct Scene {
-    mean: Vec<[f32; 3]>,
-    scale: Vec<[f32; 3]>,
-    opacity: Vec<f32>,
-    rgb: Vec<[f32; 3]>,
+/// Many, all over the image and around it.
+fn scattered(count: u32) -> OwnedGaussians {
+    let mut scene = OwnedGaussians::default();
+    for i in 0..count {
+        let part = |n: u32| (i.wrapping_mul(n) % 1009) as f32 / 1009.0;
+        let mean = [2.4 * part(389) - 1.2, 2.4 * part(701) - 1.2, 0.2 + 4.0 * part(127)];
+        add(&mut scene, mean, 0.01 + 0.1 * part(53), 0.3 + 0.65 * part(911), [part(17), part(31), part(71)]);
+    }
+    scene
 }
 
-impl Scene {
-    /// Many, all over the image and around it.
-    fn scattered(count: u32) -> Scene {
-        let mut scene = Scene::default();
-        for i in 0..count {
-            let part = |n: u32| (i.wrapping_mul(n) % 1009) as f32 / 1009.0;
-            let mean = [2.4 * part(389) - 1.2, 2.4 * part(701) - 1.2, 0.2 + 4.0 * part(127)];
-            scene.push(mean, 0.01 + 0.1 * part(53), 0.3 + 0.65 * part(911), [part(17), part(31), part(71)]);
-        }
-        scene
-    }
-
-    fn push(&mut self, mean: [f32; 3], scale: f32, opacity: f32, rgb: [f32; 3]) {
-        self.mean.push(mean);
-        self.scale.push([scale; 3]);
-        self.opacity.push(opacity);
-        self.rgb.push(rgb);
-    }
-
-    fn gaussians(&self) -> Gaussians<'_> {
-        let Scene { mean, scale, opacity, rgb } = self;
-        Gaussians { mean, scale, rotation: None, opacity, rgb }
-    }
+/// A round one.
+fn add(scene: &mut OwnedGaussians, mean: [f32; 3], scale: f32, opacity: f32, rgb: [f32; 3]) {
+    scene.push(mean, [scale; 3], [1.0, 0.0, 0.0, 0.0], opacity, rgb);
 }
 
 const VIEW: Projection = Projection::Orthographic { focal: [64.0, 40.0] };
@@ -70,16 +56,16 @@ fn bits(image: &Image) -> Vec<u32> {
 
 #[test]
 fn gaussians_that_reach_no_pixel_are_counted_and_change_no_bit() {
-    let scene = Scene::scattered(800);
+    let scene = scattered(800);
     let mut more = scene.clone();
     for i in 0..500 {
         let x = i as f32 * 0.01;
         // Beside the image, behind the camera, too faint.
-        more.push([3.0 + x, 0.0, 1.0], 0.1, 0.9, [1.0; 3]);
-        more.push([0.0, 0.1, -x], 0.1, 0.9, [1.0; 3]);
-        more.push([0.0, 0.1, 0.1], 0.1, 0.0039, [1.0; 3]);
+        add(&mut more, [3.0 + x, 0.0, 1.0], 0.1, 0.9, [1.0; 3]);
+        add(&mut more, [0.0, 0.1, -x], 0.1, 0.9, [1.0; 3]);
+        add(&mut more, [0.0, 0.1, 0.1], 0.1, 0.0039, [1.0; 3]);
     }
-    let draw = |scene: &Scene| {
+    let draw = |scene: &OwnedGaussians| {
         let mut renderer = Renderer::new(Level::detect());
         let found = bits(renderer.render(&scene.gaussians(), &VIEW, &request()));
         (found, renderer.work().culled)
@@ -89,17 +75,147 @@ fn gaussians_that_reach_no_pixel_are_counted_and_change_no_bit() {
     assert_eq!(after - before, 1500);
 }
 
+/// A scene of which a camera in its midst sees a part: far and near, large and small, turned, faint, huge, and with numbers that are none.
+fn around(count: usize, seed: u64, wild: bool) -> Still {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    let mut random = |from: f32, to: f32| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        from + (to - from) * ((state >> 40) as f32 / (1 << 24) as f32)
+    };
+    let mut still = Still { degree: 1, ..Still::default() };
+    for _ in 0..count {
+        let away = random(-2.0, 3.0).exp();
+        still.mean.push([random(-1.0, 1.0) * away, random(-1.0, 1.0) * away, random(-1.0, 1.0) * away]);
+        let large = if random(0.0, 1.0) < 0.1 { 1.0 } else { -4.0 };
+        still.log_scale.push(std::array::from_fn(|_| large + random(-1.5, 1.5)));
+        still.rotation.push(std::array::from_fn(|_| random(-1.0, 1.0)));
+        still.logit.push(random(-7.0, 7.0));
+        still.base.push(std::array::from_fn(|_| random(-1.0, 1.0)));
+        still.higher.extend((0..9).map(|_| random(-0.5, 0.5)));
+        if wild && random(0.0, 1.0) < 0.3 {
+            let i = still.len() - 1;
+            let odd = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e-30, 1e20, -3e38, 70.0, -90.0, 0.0];
+            let value = odd[random(0.0, 8.999) as usize];
+            match random(0.0, 6.999) as usize {
+                0 => still.mean[i][i % 3] = value,
+                1 => still.log_scale[i][i % 3] = value,
+                2 => still.rotation[i][i % 4] = value,
+                3 => still.rotation[i] = [value; 4],
+                4 => still.logit[i] = value,
+                5 => still.base[i][i % 3] = value,
+                _ => still.higher[9 * i + i % 9] = value,
+            }
+        }
+    }
+    still
+}
+
+/// Cameras in the midst of a scene, from very narrow to very wide.
+fn narrow(seed: u64) -> Vec<(Camera, [usize; 2])> {
+    let part = |n: u64| (seed.wrapping_mul(n) % 1009) as f64 / 1009.0;
+    [(60.0, [64, 48]), (20.0, [48, 64]), (3.0, [33, 9]), (0.01, [16, 16]), (150.0, [40, 30])]
+        .into_iter()
+        .enumerate()
+        .map(|(i, (degrees, size))| {
+            let eye = [part(389 + i as u64) - 0.5, part(701) - 0.5, part(127) - 0.5].map(|x| x * 4.0);
+            let target = [part(53), part(911 + i as u64) - 0.5, part(17) - 0.5];
+            let pose = Pose::look_at(eye, target, [0.1, -1.0, 0.2]).expect("apart");
+            let Some(Camera::Posed { pose, lens: Lens::Pinhole { focal, .. } }) = Camera::pinhole(pose, degrees, 1.3)
+            else {
+                panic!("a pinhole");
+            };
+            // Off the middle, and now and then off the image.
+            let centre = [part(31) * 1.5 - 0.25, 0.4];
+            (Camera::Posed { pose, lens: Lens::Pinhole { focal, centre } }, size)
+        })
+        .collect()
+}
+
+fn sized([width, height]: [usize; 2]) -> RenderOptions {
+    let size = Size::Exact { width, height };
+    RenderOptions { size, depth: true, alpha: true, statistics: true, ..RenderOptions::default() }
+}
+
+#[test]
+fn gaussians_beside_a_still_image_are_counted_and_change_no_bit() {
+    let workers = Workers::new(Level::detect(), 2).expect("threads start");
+    let (mut left_out, mut culled) = ([0; 2], [0; 2]);
+    for seed in 0..60 {
+        let wild = seed % 2 == 1;
+        let still = around(1500, seed, wild);
+        let whole = Drawable::new(still, &workers).expect("even arrays");
+        let grouped = whole.clone().grouped(&workers);
+        for (camera, size) in narrow(seed) {
+            let draw = |scene: &Drawable, camera: &Camera| {
+                let mut painter = Painter::new(&workers);
+                let image = painter.draw_still(scene, camera, &sized(size)).expect("a camera").clone();
+                (image, painter.work(), painter.left_out())
+            };
+            let ((expected, all, none), (found, work, some)) = (draw(&whole, &camera), draw(&grouped, &camera));
+            assert!(bits(&expected) == bits(&found) && expected.blended == found.blended, "{seed}: {camera:?}");
+            assert_eq!((expected.dropped, all.gaussians, all.culled), (found.dropped, work.gaussians, work.culled));
+            assert_eq!(none, 0);
+            left_out[usize::from(wild)] += some;
+            culled[usize::from(wild)] += work.culled;
+            // Whether an orthographic image is separable is a question about all Gaussians.
+            let Camera::Posed { pose, .. } = camera else { panic!("posed") };
+            let lens = Lens::Orthographic { half_extent: [0.1; 2] };
+            let camera = Camera::Posed { pose, lens };
+            let ((expected, ..), (found, _, some)) = (draw(&whole, &camera), draw(&grouped, &camera));
+            assert!(bits(&expected) == bits(&found) && some == 0);
+        }
+    }
+    // Nearly all of it before the projection, but for scenes of which a third is odd.
+    assert!(culled[0] > 100_000 && left_out[0] * 10 > culled[0] * 8, "{left_out:?} of {culled:?}");
+    assert!(left_out[1] * 2 > culled[1], "{left_out:?} of {culled:?}");
+}
+
+#[test]
+fn a_gaussian_beside_the_frustum_whose_footprint_reaches_the_image_is_drawn() {
+    // Ten units aside and one ahead, with a deviation of ⅓: the ellipsoid begins 78° from the axis, but its affine footprint is
+    // 3.33/3·√(1 + 10²) = 11.2 tangents long.
+    let one = |mean: [f32; 3]| Still {
+        mean: vec![mean],
+        log_scale: vec![[(1.0_f32 / 3.0).ln(); 3]],
+        rotation: vec![[1.0, 0.0, 0.0, 0.0]],
+        logit: vec![9.0],
+        base: vec![[1.0; 3]],
+        ..Still::default()
+    };
+    let workers = Workers::new(Level::detect(), 1).expect("one thread");
+    let camera = Camera::pinhole(Pose::default(), 40.0, 1.0).expect("a camera");
+    let draw = |mean: [f32; 3]| {
+        let mut scene = one(mean);
+        // Behind the camera, so that more than half can be left out.
+        for _ in 0..9 {
+            let behind = one([0.0, 0.0, -5.0]);
+            scene.mean.extend(behind.mean);
+            scene.log_scale.extend(behind.log_scale);
+            scene.rotation.extend(behind.rotation);
+            scene.logit.extend(behind.logit);
+            scene.base.extend(behind.base);
+        }
+        let scene = Drawable::new(scene, &workers).expect("even arrays").grouped(&workers);
+        let mut painter = Painter::new(&workers);
+        let image = painter.draw_still(&scene, &camera, &sized([32, 32])).expect("a camera");
+        let seen = image.alpha.iter().flatten().any(|a| *a > 0.0);
+        (seen, painter.left_out())
+    };
+    assert_eq!(draw([10.0, 0.0, 1.0]), (true, 9));
+    assert_eq!(draw([10.0, 0.0, 1.5]), (false, 10));
+}
+
 #[test]
 fn splats_behind_finished_pixels_are_counted_and_change_no_bit() {
-    let mut scene = Scene::default();
-    (0..40).for_each(|i| scene.push([0.0, 0.0, 0.2 + 1e-3 * i as f32], 50.0, 0.95, [0.2, 0.4, 0.6]));
+    let mut scene = OwnedGaussians::default();
+    (0..40).for_each(|i| add(&mut scene, [0.0, 0.0, 0.2 + 1e-3 * i as f32], 50.0, 0.95, [0.2, 0.4, 0.6]));
     let mut more = scene.clone();
-    let behind = Scene::scattered(2000);
+    let behind = scattered(2000);
     for i in 0..2000 {
         let [x, y, z] = behind.mean[i];
-        more.push([x, y, 1.0 + z], behind.scale[i][0], behind.opacity[i], behind.rgb[i]);
+        add(&mut more, [x, y, 1.0 + z], behind.scale[i][0], behind.opacity[i], behind.rgb[i]);
     }
-    let draw = |scene: &Scene| {
+    let draw = |scene: &OwnedGaussians| {
         let mut renderer = Renderer::new(Level::detect());
         let found = bits(renderer.render(&scene.gaussians(), &VIEW, &request()));
         (found, renderer.work())
@@ -112,10 +228,10 @@ fn splats_behind_finished_pixels_are_counted_and_change_no_bit() {
 
 #[test]
 fn tiles_that_did_not_change_are_counted_and_keep_their_bits() {
-    let mut scene = Scene::scattered(800);
+    let mut scene = scattered(800);
     let mut renderer = Renderer::new(Level::detect());
     renderer.render(&scene.gaussians(), &VIEW, &request());
-    scene.push([0.5, 0.5, 0.15], 0.02, 0.9, [1.0; 3]);
+    add(&mut scene, [0.5, 0.5, 0.15], 0.02, 0.9, [1.0; 3]);
     // As many Gaussians as before: one takes another's place.
     for plane in [&mut scene.mean, &mut scene.scale, &mut scene.rgb] {
         plane.swap_remove(7);
@@ -129,7 +245,7 @@ fn tiles_that_did_not_change_are_counted_and_keep_their_bits() {
 
 #[test]
 fn planes_nobody_asked_for_change_no_bit_of_those_that_were() {
-    let scene = Scene::scattered(800);
+    let scene = scattered(800);
     let full = render(Level::detect(), &scene.gaussians(), &VIEW, &request());
     for (depth, alpha) in [(false, false), (true, false), (false, true)] {
         let some = render(Level::detect(), &scene.gaussians(), &VIEW, &Request { depth, alpha, ..request() });
@@ -142,7 +258,7 @@ fn planes_nobody_asked_for_change_no_bit_of_those_that_were() {
 
 #[test]
 fn rotations_by_nothing_are_not_computed_with() {
-    let scene = Scene::scattered(800);
+    let scene = scattered(800);
     let expected = bits(&render(Level::detect(), &scene.gaussians(), &VIEW, &request()));
     let still = vec![[1.0, 0.0, 0.0, 0.0]; scene.mean.len()];
     let gaussians = Gaussians { rotation: Some(&still), ..scene.gaussians() };

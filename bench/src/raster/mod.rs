@@ -1,7 +1,8 @@
-//! `raster`: drawing whole scenes, redrawing after a change, and growth with the number of Gaussians.
+//! `raster`: drawing whole scenes, redrawing after a change, images of a part of a scene, and growth with the number of Gaussians.
 
 #[cfg(feature = "wgpu")]
 mod card;
+mod part;
 mod scenes;
 
 use std::process::Command;
@@ -120,6 +121,7 @@ struct Results {
     /// What drew.
     renderer: String,
     scenes: Vec<Row>,
+    parts: Vec<part::Row>,
     scaling: Vec<Growth>,
 }
 
@@ -159,9 +161,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                 rows.push(measure(level, name, &steps, true, repeat)?);
             }
         }
+        let parts = if wanted("part") { part::run(level, repeat)? } else { Vec::new() };
         let scaling = growth(options)?;
         let machine = Machine::new(level, (Precision::F32, 0.0));
-        options.common.write(&Results { machine, renderer: options.renderer.to_string(), scenes: rows, scaling })
+        let renderer = options.renderer.to_string();
+        options.common.write(&Results { machine, renderer, scenes: rows, parts, scaling })
     })
 }
 

@@ -35,8 +35,8 @@ pub struct Drawing {
 pub struct Counts {
     images: u64,
     /// Gaussians drawn and left out, tiles drawn and kept, list entries looked at and not, planes computed and not, images whose
-    /// splats are turned and images of which none is.
-    raster: [[u64; 2]; 5],
+    /// splats are turned and images of which none is, Gaussians projected and left out before.
+    raster: [[u64; 2]; 6],
     /// Gaussians left out because a number of theirs was not finite.
     pub dropped: u64,
 }
@@ -96,7 +96,7 @@ impl Drawing {
         self.render += start.elapsed();
         self.counts.images += 1;
         self.counts.dropped += image.dropped;
-        let work = self.painter.work();
+        let (work, left_out) = (self.painter.work(), self.painter.left_out());
         let planes = 1 + u64::from(image.depth.is_some()) + u64::from(image.alpha.is_some());
         let counts = [
             (work.gaussians.saturating_sub(work.culled), work.culled),
@@ -104,6 +104,7 @@ impl Drawing {
             (work.entries.saturating_sub(work.entries_unseen), work.entries_unseen),
             (planes, PLANES - planes),
             (u64::from(turned), u64::from(!turned)),
+            (work.gaussians.saturating_sub(left_out), left_out),
         ];
         for (sum, (done, avoided)) in self.counts.raster.iter_mut().zip(counts) {
             sum[0] += done;
@@ -136,9 +137,10 @@ impl Drawing {
 
     /// Adds what was drawn and what was not needed.
     pub fn account(&self, work: &mut BTreeMap<String, WorkRecord>, seconds: &mut BTreeMap<String, f64>) {
-        let [gaussians, tiles, entries, planes, turned] = self.counts.raster;
+        let [gaussians, tiles, entries, planes, turned, projected] = self.counts.raster;
         for (stage, [done, avoided], unit) in [
             ("render", [self.counts.images, 0], "images"),
+            ("render.window", projected, "Gaussians"),
             ("render.project", gaussians, "Gaussians"),
             ("render.tiles", tiles, "tiles"),
             ("render.blend", entries, "splats in tiles"),

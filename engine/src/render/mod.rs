@@ -49,12 +49,14 @@ impl Interval {
 pub struct Painter {
     workers: Workers,
     drawer: Drawer,
+    /// Gaussians left out of the last image before anything of them was projected.
+    left_out: u64,
 }
 
 impl Painter {
     /// A painter that works with `workers`, on the CPU.
     pub fn new(workers: &Workers) -> Self {
-        Self { workers: workers.clone(), drawer: Drawer::Cpu(Box::new(Renderer::new(workers.level()))) }
+        Self::from(workers, Drawer::Cpu(Box::new(Renderer::new(workers.level()))))
     }
 
     /// A painter that draws with `backend`.
@@ -62,7 +64,11 @@ impl Painter {
     /// # Errors
     /// When the library was built without it, or there is no graphics card to draw with.
     pub fn with(workers: &Workers, backend: Backend) -> Result<Self, RenderError> {
-        Ok(Self { workers: workers.clone(), drawer: Drawer::new(backend, workers.level())? })
+        Ok(Self::from(workers, Drawer::new(backend, workers.level())?))
+    }
+
+    fn from(workers: &Workers, drawer: Drawer) -> Self {
+        Self { workers: workers.clone(), drawer, left_out: 0 }
     }
 
     /// The graphics card that draws; `None` on the CPU.
@@ -90,6 +96,7 @@ impl Painter {
         }
         let mut seen = Snapshot::of(interval, time)?;
         let view = View::new(camera, &interval.placement, [height, width]);
+        self.left_out = 0;
         let RenderOptions { background, depth, alpha, statistics, .. } = *options;
         let request = Request { width, height, background, depth, alpha, statistics };
         let drawer = &mut self.drawer;
@@ -107,14 +114,29 @@ impl Painter {
         })
     }
 
-    /// What works, and what draws.
-    pub(crate) fn parts(&mut self) -> (&Workers, &mut Drawer) {
+    /// What works.
+    pub(crate) fn workers(&self) -> &Workers {
+        &self.workers
+    }
+
+    /// What works, and what draws an image from which so many Gaussians have been left out.
+    pub(crate) fn parts(&mut self, left_out: u64) -> (&Workers, &mut Drawer) {
+        self.left_out = left_out;
         (&self.workers, &mut self.drawer)
     }
 
-    /// Work done and work avoided by the last image.
+    /// Work done and work avoided by the last image. Gaussians that were [left out](Self::left_out) count as any others that reach no
+    /// pixel.
     pub fn work(&self) -> raster::Work {
-        self.drawer.work()
+        let mut work = self.drawer.work();
+        work.gaussians += self.left_out;
+        work.culled += self.left_out;
+        work
+    }
+
+    /// Gaussians that the last image was found not to show before anything of them was projected ([`crate::space`]).
+    pub fn left_out(&self) -> u64 {
+        self.left_out
     }
 }
 

@@ -161,6 +161,11 @@ impl View {
         Self { pose: *pose, projection }
     }
 
+    /// Where the view's origin lies in scene space, and how it is turned.
+    pub(crate) fn pose(&self) -> &Pose {
+        &self.pose
+    }
+
     /// How view space meets the image.
     pub fn projection(&self) -> &Projection {
         &self.projection

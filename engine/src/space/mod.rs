@@ -5,19 +5,31 @@
 //! answered is decided box by box in binary64, so that every answer is the one that looking at all boxes would give, in
 //! ascending order, whatever the shape of the hierarchy.
 //!
-//! [`Picker`] asks it what shows most along rays. Two things do not use it, because a measurement said so:
+//! [`Picker`] asks it what shows most along rays. *Matching of frames* ([`crate::stream`]) does not, because bins on the frame's lattice
+//! give the same pairs sooner.
 //!
-//! - *Drawing through narrow cameras.* The rasteriser's projection leaves out what is not in view, and counts it. A hierarchy over an
-//!   interval costs several whole images to make, and intervals show few. It would not be exact as it stands, either: the affine
-//!   footprint of a Gaussian beside a pinhole can reach into the image where the Gaussian itself is outside the frustum.
-//!   (`space::tests::a_narrow_camera…` measures it.)
-//! - *Matching of frames* ([`crate::stream`]): bins on the frame's lattice give the same pairs sooner.
+//! # Images of a part of a scene
+//!
+//! A frustum cannot tell what an image shows: the affine footprint of a Gaussian beside a pinhole can reach into the image where the
+//! Gaussian itself is outside. `Window` bounds the rasteriser's footprints instead, of one Gaussian or of a box of centres. What it
+//! misses, where that is more than half of a scene, is left out before anything of it is computed. The image keeps its bits;
+//! [`Painter::left_out`](crate::render::Painter::left_out) counts.
+//!
+//! Still scenes are drawn so ([`Drawable::grouped`](crate::still::Drawable::grouped)), for a camera path shows many images of one:
+//! their Gaussians are asked in groups of 64 neighbours along a Z-order curve. Intervals are not: each shows a few images, and grouping
+//! its Gaussians takes as long as several of them; asking every Gaussian once it has been taken to the image's time takes as long as
+//! projecting it. `streamsplat bench raster --only part` measures images, groups, and a hierarchy over the Gaussians, which takes
+//! longer to make than the groups.
 
+mod groups;
 mod pick;
 #[cfg(test)]
 mod tests;
+mod window;
 
+pub(crate) use groups::Groups;
 pub use pick::{Hit, Picker, Ray, most_visible};
+pub(crate) use window::Window;
 
 use std::time::Duration;
 

@@ -3,10 +3,6 @@
 use safetensors::SafeTensors;
 
 use super::*;
-use crate::camera::{Camera, Pose};
-use crate::fit::{Fit, Placement};
-use crate::render::{Painter, RenderOptions, Size};
-use crate::stream::{DynamicGaussians, Interval, Record, Workers};
 
 fn fixture() -> Vec<u8> {
     let root = std::env::var_os("STREAMSPLAT_FIXTURES")
@@ -100,84 +96,4 @@ fn empty_trees_and_bad_numbers_find_nothing() {
     assert!(tree.along_ray([f32::NAN; 3], [0.0, 0.0, 1.0]).is_empty());
     assert!(tree.along_ray([0.5; 3], [0.0; 3]).is_empty());
     assert_eq!(Bounds::of_gaussian([0.0; 3], [1.0; 3], 0.003), None);
-}
-
-/// 500,000 Gaussians in view of the canonical camera, seen by one of 5 degrees.
-#[test]
-#[ignore = "a measurement: cargo test --release -p streamsplat --lib space::tests::a_narrow -- --ignored --nocapture"]
-fn a_narrow_camera_timed_with_and_without_a_hierarchy_over_the_interval() {
-    use std::time::Instant;
-    let mut state = 3_u32;
-    let mut random = |from: f32, to: f32| {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        from + (to - from) * ((state >> 8) as f32 / (1 << 24) as f32)
-    };
-    let gaussians: DynamicGaussians = (0..500_000)
-        .map(|i| Record {
-            mean: [random(-1.0, 1.0), random(0.1, 0.9), random(-1.0, 1.0)],
-            velocity: [random(-0.05, 0.05), 0.0, random(-0.05, 0.05)],
-            opacity: random(0.1, 1.0),
-            scale: [random(0.001, 0.004), random(0.001, 0.004)],
-            rgb: [0.5; 3],
-            identity: i,
-            ..Record::default()
-        })
-        .collect();
-    let placement = Placement::new(Fit::Stretch, [288, 512], [288, 512]).unwrap();
-    let workers = Workers::new(streamsplat_kernels::Level::detect(), 2).unwrap();
-    let mut interval = Interval {
-        index: 1,
-        start: 0.0,
-        end: 1.0,
-        gaussians,
-        placement,
-        merges: Vec::new(),
-        dropped: 0,
-        workers: workers.clone(),
-    };
-    let pose = Pose::look_at([0.1, 0.1, -1.0], [0.1, 0.1, 0.5], [0.0, -1.0, 0.0]).unwrap();
-    let camera = Camera::pinhole(pose, 5.0, 16.0 / 9.0).unwrap();
-    let options = RenderOptions { size: Size::Exact { width: 512, height: 288 }, ..RenderOptions::default() };
-    let ms = |start: Instant| start.elapsed().as_secs_f64() * 1e3;
-    for _ in 0..3 {
-        // From the first time to the last, so that a Gaussian's box holds it all the way.
-        let start = Instant::now();
-        let ends = [0.0, 1.0].map(|time| Snapshot::of(&interval, time).unwrap());
-        let tree = Tree::new((0..ends[0].mean.len()).map(|i| {
-            let [a, b] = [0, 1].map(|e| Bounds::of_gaussian(ends[e].mean[i], ends[e].scale[i], 1.0).unwrap());
-            let least = std::array::from_fn(|k| a.least[k].min(b.least[k]));
-            (i as u32, Bounds { least, greatest: std::array::from_fn(|k| a.greatest[k].max(b.greatest[k])) })
-        }));
-        let build = ms(start);
-        // The pyramid, a little wider than the image.
-        let (half_x, half_y) = (0.085, 0.05);
-        let side = |normal: [f32; 3]| HalfSpace { normal, offset: -(normal[0] * 0.1 + normal[1] * 0.1 - normal[2]) };
-        let sides = [[1.0, 0.0, half_x], [-1.0, 0.0, half_x], [0.0, 1.0, half_y], [0.0, -1.0, half_y]].map(side);
-        let start = Instant::now();
-        let inside = tree.inside(&sides);
-        let query = ms(start);
-        let part: DynamicGaussians = inside.iter().map(|&i| interval.gaussians.get(i as usize)).collect();
-        let gather = ms(start) - query;
-
-        let mut painter = Painter::new(&workers);
-        let start = Instant::now();
-        let whole = painter.draw(&interval, 0.5, &camera, &options).unwrap().clone();
-        let all = ms(start);
-        let work = painter.work();
-        assert!(work.culled * 10 > work.gaussians * 9, "{work:?}");
-        let rest = std::mem::replace(&mut interval.gaussians, part);
-        let mut painter = Painter::new(&workers);
-        let start = Instant::now();
-        let culled = painter.draw(&interval, 0.5, &camera, &options).unwrap().clone();
-        let few = ms(start);
-        interval.gaussians = rest;
-        assert_eq!(culled.rgb, whole.rgb);
-        println!(
-            "{} of {} Gaussians: image {all:.1} ms (project {:.1}, blend {:.1}); hierarchy {build:.1} ms once, query {query:.2} + {gather:.2} ms, image {few:.1} ms",
-            inside.len(),
-            interval.gaussians.len(),
-            work.project.as_secs_f64() * 1e3,
-            work.blend.as_secs_f64() * 1e3,
-        );
-    }
 }

@@ -1,5 +1,7 @@
 //! Still scenes as images.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 use streamsplat_kernels::harmonics::{self, Eye};
 use streamsplat_kernels::math::f64::exp;
@@ -8,10 +10,13 @@ use streamsplat_kernels::raster::{self, Gaussians, Image, Request};
 use super::Still;
 use crate::camera::{Camera, Lens, Pose, Rotation};
 use crate::render::{Painter, RenderError, RenderOptions, Size, View};
+use crate::space::{Groups, Window};
 use crate::stream::Workers;
 
 /// Gaussians per task.
 const CHUNK: usize = 4096;
+/// Coefficients up to this size give finite colours from everywhere.
+const LARGEST_COEFFICIENT: f32 = 1e30;
 
 /// A still scene with what every image of it needs.
 #[derive(Clone, Debug)]
@@ -21,6 +26,7 @@ pub struct Drawable {
     /// Of length 1; NaN where the file's has none.
     rotation: Vec<[f64; 4]>,
     opacity: Vec<f32>,
+    groups: Option<Groups>,
 }
 
 impl Drawable {
@@ -38,7 +44,21 @@ impl Drawable {
             let opacity = still.logit.par_iter().with_min_len(CHUNK).map(|x| sigmoid(*x)).collect();
             (scale, rotation, opacity)
         });
-        Ok(Self { still, scale, rotation, opacity })
+        Ok(Self { still, scale, rotation, opacity, groups: None })
+    }
+
+    /// Prepares the scene for many images of parts of it: Gaussians that a pinhole camera's image cannot show are then left out
+    /// before their colours are formed ([`crate::space`]). The images keep their bits.
+    pub fn grouped(mut self, workers: &Workers) -> Self {
+        let Self { still, scale, rotation, opacity, .. } = &self;
+        let width = 3 * still.rest();
+        let sound = |c: &f32| c.abs() <= LARGEST_COEFFICIENT;
+        let tame = |i: usize| {
+            let turned = rotation[i].iter().all(|c| c.is_finite());
+            turned && still.base[i].iter().all(sound) && still.higher[i * width..(i + 1) * width].iter().all(sound)
+        };
+        self.groups = Some(workers.install(|| Groups::new(&still.mean, scale, opacity, tame)));
+        self
     }
 
     /// The scene.
@@ -84,6 +104,24 @@ fn after([aw, ax, ay, az]: [f64; 4], [bw, bx, by, bz]: [f64; 4]) -> [f32; 4] {
     .map(|c| c as f32)
 }
 
+/// The elements at `places`; all of them where none are chosen.
+fn chosen<'a, T: Copy + Send + Sync>(all: &'a [T], places: Option<&[u32]>) -> Cow<'a, [T]> {
+    let Some(places) = places else { return Cow::Borrowed(all) };
+    Cow::Owned(places.par_iter().with_min_len(CHUNK).map(|&i| all[i as usize]).collect())
+}
+
+/// The same of rows of `width` elements.
+fn chosen_rows<'a>(all: &'a [f32], width: usize, places: Option<&[u32]>) -> Cow<'a, [f32]> {
+    let Some(places) = places else { return Cow::Borrowed(all) };
+    let mut rows = vec![0.0; places.len() * width];
+    if width > 0 {
+        rows.par_chunks_mut(width).zip(places).with_min_len(CHUNK).for_each(|(row, &i)| {
+            row.copy_from_slice(&all[i as usize * width..][..width]);
+        });
+    }
+    Cow::Owned(rows)
+}
+
 /// Where a camera sees colours from.
 pub(super) fn eye(pose: &Pose, lens: &Lens) -> Eye {
     match lens {
@@ -115,18 +153,26 @@ impl Painter {
         let view = View::posed(pose, lens, [height, width]);
         let RenderOptions { background, depth, alpha, statistics, .. } = *options;
         let request = Request { width, height, background, depth, alpha, statistics };
-        let Drawable { still, scale, rotation, opacity } = scene;
-        let (workers, drawer) = self.parts();
+        let Drawable { still, scale, rotation, opacity, groups } = scene;
+        let window = Window::new(&view, [height, width]);
+        let places = groups.as_ref().zip(window);
+        let places = places.and_then(|(groups, window)| self.workers().install(|| groups.seen(&window)));
+        let places = places.as_deref();
+        let (workers, drawer) = self.parts(places.map_or(0, |places| (still.len() - places.len()) as u64));
         workers.install(|| {
-            let mut rgb = vec![[0.0; 3]; still.len()];
+            let mut mean = chosen(&still.mean, places).into_owned();
+            let (scale, opacity) = (chosen(scale, places), chosen(opacity, places));
+            let (rotation, base) = (chosen(rotation, places), chosen(&still.base, places));
+            let higher = chosen_rows(&still.higher, 3 * still.rest(), places);
+            let mut rgb = vec![[0.0; 3]; mean.len()];
             let eye = eye(pose, lens);
-            harmonics::colours(workers.level(), still.degree, &still.base, &still.higher, &still.mean, eye, &mut rgb);
-            let mut mean = still.mean.clone();
+            harmonics::colours(workers.level(), still.degree, &base, &higher, &mean, eye, &mut rgb);
             view.apply(&mut mean);
             let turn = pose.rotation.inverse().quaternion();
             let rotation: Vec<[f32; 4]> =
                 rotation.par_iter().with_min_len(CHUNK).map(|own| after(turn, *own)).collect();
-            let gaussians = Gaussians { mean: &mean, scale, rotation: Some(&rotation), opacity, rgb: &rgb };
+            let gaussians =
+                Gaussians { mean: &mean, scale: &scale, rotation: Some(&rotation), opacity: &opacity, rgb: &rgb };
             drawer.render(&gaussians, view.projection(), &request)
         })
     }

@@ -71,6 +71,38 @@ fn a_ply_file_is_drawn_as_the_library_draws_it_whatever_the_threads_and_verified
 }
 
 #[test]
+fn images_along_a_path_are_those_drawn_alone() {
+    let scratch = Scratch::new();
+    let (scene, _) = prepared(&scratch);
+    let camera = scratch.path("path.json");
+    let view = |time: f64, x: f64| {
+        format!(
+            r#"{{"time": {time}, "type": "pinhole", "position": [0.1, 0, 0], "look_at": [{x}, 0.2, 1], "fov_y_degrees": 20, "aspect": 1.5}}"#
+        )
+    };
+    std::fs::write(&camera, format!(r#"{{"views": [{}, {}]}}"#, view(0.0, -3.0), view(7.0, 3.0))).expect("writable");
+    let size = ["--size", "60x40", "--emit", "rgb,depth"];
+    let out = scratch.path("all");
+    let output = render(&scene, &camera, &out, &[&size[..], &["--times", "0,1,2,3,4,5,6,7"]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let window = |out: &Path| json(&out.join("run.json"))["work"]["render.window"].clone();
+    // Of 4000.
+    assert!(window(&out)["avoided"].as_u64().is_some_and(|n| n > 2000), "{}", window(&out));
+    let all = files(&out);
+    for time in 0..8 {
+        let out = scratch.path(&time.to_string());
+        let output = render(&scene, &camera, &out, &[&size[..], &["--times", &time.to_string()]].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(window(&out)["avoided"], 0);
+        let alone = files(&out);
+        assert_eq!(alone.len() * 8, all.len());
+        for (name, bytes) in &alone {
+            assert!(*bytes == all[&name.replace("000000", &format!("{time:06}"))], "{name}, {time}");
+        }
+    }
+}
+
+#[test]
 fn a_ply_file_exported_again_is_the_same_file() {
     let scratch = Scratch::new();
     let (scene, _) = prepared(&scratch);
