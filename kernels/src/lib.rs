@@ -3,6 +3,9 @@
 //! Every operation lives in one folder: documentation with its formula and order of accumulation, a plain reference, the
 //! generic body over a 16-lane vector, and overrides per instruction-set level. All of them keep the *bit contract*: the
 //! output bits are the same on every [`Level`] and for any number of threads.
+//!
+//! An operation runs in a [`tracing`] span that is named after its folder (those of `raster` after its passes), at the level `DEBUG`. Where nobody
+//! listens, that is one comparison a call.
 
 pub mod activation;
 pub mod attention;

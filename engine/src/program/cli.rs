@@ -65,7 +65,7 @@ pub struct Console {
     /// Log to standard error: error, warn, info, debug or trace
     #[arg(long, global = true, value_name = "LEVEL")]
     pub log: Option<String>,
-    /// Write a trace for Chrome or Perfetto, one span per stage
+    /// Write a trace for Chrome or Perfetto, one span per stage and operation
     #[arg(long, global = true, value_name = "FILE")]
     pub trace: Option<PathBuf>,
 }

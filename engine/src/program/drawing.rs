@@ -90,7 +90,7 @@ impl Drawing {
         turned: bool,
         paint: impl FnOnce(&mut Painter) -> Result<&Image, RenderError>,
     ) -> Result<Image, Failure> {
-        let _span = tracing::info_span!("stage", name = "render").entered();
+        let _span = tracing::info_span!("render").entered();
         let start = Instant::now();
         let image = paint(&mut self.painter)?.clone();
         self.render += start.elapsed();
@@ -115,7 +115,7 @@ impl Drawing {
 
     /// Runs `work` as writing.
     pub fn writing<R>(&mut self, work: impl FnOnce() -> Result<R, Failure>) -> Result<R, Failure> {
-        let _span = tracing::info_span!("stage", name = "write").entered();
+        let _span = tracing::info_span!("write").entered();
         let start = Instant::now();
         let result = work();
         self.write += start.elapsed();

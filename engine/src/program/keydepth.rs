@@ -94,7 +94,7 @@ impl Looker {
             self.account.avoided += 1;
             return Ok(map.clone());
         }
-        let _span = tracing::info_span!("stage", name = "depth").entered();
+        let _span = tracing::info_span!("depth").entered();
         let start = Instant::now();
         let map = self.network.map(&picture.rgb, picture.width, picture.height)?;
         self.account.time += start.elapsed();

@@ -107,7 +107,7 @@ impl KeyFrames {
     /// The next key frame.
     pub fn next(&mut self) -> Result<Option<KeyFrame>, Failure> {
         let start = Instant::now();
-        let _span = tracing::info_span!("stage", name = "decode").entered();
+        let _span = tracing::info_span!("decode").entered();
         let result = self.read();
         self.time += start.elapsed();
         result

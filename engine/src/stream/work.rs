@@ -51,7 +51,7 @@ impl Stage {
 }
 
 impl Stage {
-    /// The stages inside the network have spans of their own.
+    /// The network's stages have spans of their own.
     fn span(self) -> tracing::Span {
         match self {
             Stage::Fit => tracing::info_span!("fit"),

@@ -160,6 +160,7 @@ impl WgpuRenderer {
 
     /// Uploads the lists, blends, and gives the planes one after another.
     fn blend(&mut self, request: &Request) -> Result<Vec<f32>, WgpuError> {
+        let _span = tracing::debug_span!("blend", width = request.width, height = request.height).entered();
         let (gpu, lists) = (&self.gpu, &self.lists);
         let (planes, count) = planes(request);
         let bytes = 4 * u64::from(count) * (request.width * request.height) as u64;

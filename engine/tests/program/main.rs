@@ -12,6 +12,7 @@ mod results;
 mod resume;
 mod still;
 mod support;
+mod trace;
 mod track;
 mod verify;
 mod view;

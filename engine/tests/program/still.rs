@@ -31,7 +31,8 @@ fn still() -> Still {
     }
 }
 
-fn prepared(scratch: &Scratch) -> (PathBuf, PathBuf) {
+/// The scene as a PLY file, and a camera.
+pub fn prepared(scratch: &Scratch) -> (PathBuf, PathBuf) {
     let (scene, camera) = (scratch.path("scene.ply"), scratch.path("camera.json"));
     std::fs::write(&scene, export::still::ply(&still())).expect("writable");
     std::fs::write(&camera, CAMERA).expect("writable");

@@ -2,6 +2,8 @@
 //!
 //! Each element's result depends on that element alone. NaN gives NaN.
 
+use tracing::debug_span;
+
 use crate::Level;
 use crate::math;
 use crate::parallel::for_each_chunk;
@@ -39,6 +41,7 @@ macro_rules! functions {
         }
         $(#[$doc])*
         pub fn $name(level: Level, x: &mut [f32]) {
+            let _span = debug_span!("activation", kind = stringify!($name), values = x.len()).entered();
             for_each_chunk(x, TASK, |_, x| dispatch(level, Task(x, $type)));
         }
     )*};

@@ -40,6 +40,7 @@ mod weight;
 use std::ops::Range;
 
 use rayon::prelude::*;
+use tracing::debug_span;
 
 use crate::Level;
 use crate::gemm::{Precision, deinterleave, interleave, multiply, round_bf16};
@@ -192,6 +193,7 @@ fn run(
         out.len(),
         q.rows
     );
+    let _span = debug_span!("attention", queries = q.rows, keys = k.rows, heads, ?precision).entered();
     let layout = Layout::new(shape, q.rows, k.rows, places);
     if k.rows == 0 {
         out.fill(0.0);

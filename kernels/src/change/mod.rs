@@ -14,6 +14,8 @@ pub mod reference;
 #[cfg(test)]
 mod tests;
 
+use tracing::debug_span;
+
 use crate::Level;
 use crate::parallel::for_each_chunk;
 use crate::simd::{LANES, Operation, Simd, dispatch};
@@ -47,6 +49,7 @@ pub fn moved(
     if let Some(at) = at {
         assert_eq!(at.len(), out.len(), "{} places for {} rows", at.len(), out.len());
     }
+    let _span = debug_span!("change", rows = out.len(), width = d).entered();
     let chunk = (TASK / d.max(1)).max(1);
     for_each_chunk(out, chunk, |index, out| {
         let first = index * chunk;

@@ -39,6 +39,8 @@ pub use precision::Precision;
 pub(crate) use precision::round_bf16;
 pub use weights::Weights;
 
+use tracing::debug_span;
+
 use crate::Level;
 
 /// Steps of `k` whose products are summed in one chain.
@@ -54,6 +56,7 @@ pub fn linear(level: Level, x: &[f32], m: usize, weights: &Weights, epilogue: &E
     assert_eq!(x.len(), m * k, "input holds {} values, expected m·k = {m}·{k}", x.len());
     assert_eq!(out.len(), m * n, "output holds {} values, expected m·n = {m}·{n}", out.len());
     epilogue.check(n);
+    let _span = debug_span!("gemm", m, n, k, precision = ?weights.precision).entered();
     match weights.precision {
         Precision::F32 => task::run::<form::Single>(level, x, m, weights, epilogue, out),
         Precision::Bf16 => task::run::<form::Brain>(level, x, m, weights, epilogue, out),

@@ -30,6 +30,8 @@ pub mod reference;
 #[cfg(test)]
 mod tests;
 
+use tracing::debug_span;
+
 use crate::Level;
 use crate::parallel::for_each_chunk;
 use crate::simd::{LANES, Operation, Simd, dispatch};
@@ -92,6 +94,7 @@ pub fn colours(
         higher.len(),
         mean.len()
     );
+    let _span = debug_span!("harmonics", degree, colours = out.len()).entered();
     for_each_chunk(out, TASK, |chunk, out| {
         let part = chunk * TASK..chunk * TASK + out.len();
         let higher = &higher[part.start * width..part.end * width];

@@ -17,6 +17,8 @@ pub mod reference;
 #[cfg(test)]
 mod tests;
 
+use tracing::debug_span;
+
 use crate::Level;
 use crate::parallel::for_each_chunk;
 use crate::simd::{LANES, Operation, Simd, dispatch};
@@ -52,6 +54,8 @@ fn rows(level: Level, x: &[f32], out: &mut [f32], d: usize, norm: RowNorm<'_>) {
     if d == 0 {
         return;
     }
+    let kind = if norm.b.is_some() { "layer" } else { "rms" };
+    let _span = debug_span!("norm", kind, rows = x.len() / d, width = d).entered();
     let chunk = (TASK / d).max(1) * d;
     for_each_chunk(out, chunk, |i, out| {
         let x = &x[i * chunk..][..out.len()];

@@ -3,6 +3,8 @@
 //! `out[(y·w + x), (c·p + i)·p + j] = plane_c[y·p + i, x·p + j]` for planes `[h·p, w·p]`: the column order of a convolution
 //! weight `[n, channels, p, p]` read as `[n, channels·p·p]`.
 
+use tracing::debug_span;
+
 use crate::parallel::for_each_chunk;
 
 /// The patches of `planes`, each `[height, width]` row-major, as `out [height/p · width/p, planes·p·p]`, row-major over the grid.
@@ -22,6 +24,7 @@ pub fn patches(planes: &[&[f32]], height: usize, width: usize, p: usize, out: &m
     if out.is_empty() {
         return;
     }
+    let _span = debug_span!("patches", height, width, p).entered();
     for_each_chunk(out, across * len, |y, out| {
         for (x, out) in out.chunks_exact_mut(len).enumerate() {
             let rows = planes.iter().flat_map(|plane| (0..p).map(move |i| &plane[(y * p + i) * width + x * p..][..p]));

@@ -4,6 +4,8 @@
 //!
 //! A copy: no arithmetic. Source: "StreamSplat (ICLR 2026)", Gaussian upsampler; the channel order is PyTorch's `PixelShuffle`.
 
+use tracing::debug_span;
+
 use crate::parallel::for_each_chunk;
 
 /// The shuffle of a grid of `height × width` tokens with `4 · channels` channels.
@@ -17,6 +19,7 @@ pub fn pixel_shuffle(x: &[f32], height: usize, width: usize, channels: usize, ou
     if len == 0 {
         return;
     }
+    let _span = debug_span!("pixel_shuffle", height, width, channels).entered();
     for_each_chunk(out, 2 * width * channels, |row, out| {
         let (y, i) = (row / 2, row % 2);
         let tokens = x[y * width * 4 * channels..][..width * 4 * channels].chunks_exact(4 * channels);

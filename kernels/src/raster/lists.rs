@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
+use tracing::debug_span;
 
 use super::bin::{Grid, TILE};
 use super::project::{BLOCK, Splat, split};
@@ -125,6 +126,7 @@ impl Renderer {
 
     /// Sorts every tile's list.
     fn sort_all(&mut self, grid: Grid) {
+        let _span = debug_span!("sort", tiles = grid.len()).entered();
         let (starts, entries) = (&self.starts, Disjoint::new(&mut self.entries));
         (0..grid.len()).into_par_iter().for_each_init(Vec::new, |spare, tile| {
             // SAFETY: lists of tiles do not overlap.

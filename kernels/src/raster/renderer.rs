@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
+use tracing::debug_span;
 
 use super::bin::Grid;
 use super::blend::{DrawTile, Planes, Scratch, Tally};
@@ -191,6 +192,7 @@ impl Renderer {
 
     /// Fills `splats`, `dirty` and, where everything is new, `counts`.
     fn project(&mut self, gaussians: &Gaussians<'_>, view: &View, grid: Grid, keep: bool) {
+        let _span = debug_span!("project", gaussians = gaussians.len(), keep).entered();
         self.splats.resize(gaussians.len(), Splat::HIDDEN);
         let chunk = self.chunk();
         let chunks = gaussians.len().div_ceil(chunk);
@@ -222,6 +224,7 @@ impl Renderer {
     /// Fills `starts` and `entries` for the dirty tiles; other tiles get empty lists.
     fn bin(&mut self, grid: Grid, keep: bool) {
         let (tiles, chunk) = (grid.len(), self.chunk());
+        let _span = debug_span!("bin", tiles, keep).entered();
         let chunks = self.splats.len().div_ceil(chunk);
         let dirty: &[AtomicBool] = &self.dirty;
         if keep {
@@ -288,6 +291,7 @@ impl Renderer {
 
     /// Sorts and draws the dirty tiles, longest lists first. Gives the fraction of the threads' time that went into sorting.
     fn blend(&mut self, view: &View, request: &Request, grid: Grid) -> f64 {
+        let _span = debug_span!("blend", width = request.width, height = request.height).entered();
         let starts = &self.starts;
         self.order.clear();
         self.order.extend((0..grid.len() as u32).filter(|&tile| self.dirty[tile as usize].load(Ordering::Relaxed)));

@@ -1,5 +1,7 @@
 //! Taps as far as the reduction reaches.
 
+use tracing::debug_span;
+
 use crate::simd::{LANES, Operation, Simd, dispatch};
 use crate::{Level, parallel};
 
@@ -117,6 +119,7 @@ pub fn antialiased(
         return;
     }
     assert!(height > 0 && width > 0, "a grid of {height}×{width} cannot be resized to {dst_h}×{dst_w}");
+    let _span = debug_span!("resize", kind = ?filter, ?grid, dst_h, dst_w).entered();
     if height == dst_h && width == dst_w {
         out.copy_from_slice(source);
         return;

@@ -1,5 +1,7 @@
 //! Two taps per axis.
 
+use tracing::debug_span;
+
 use crate::simd::{LANES, Operation, Simd, dispatch};
 use crate::{Level, parallel};
 
@@ -52,6 +54,7 @@ pub fn bilinear(
         return;
     }
     assert!(h > 0 && w > 0, "an image of {h}×{w} cannot be resized to {dst_h}×{dst_w}");
+    let _span = debug_span!("resize", kind = "bilinear", channels, h, w, dst_h, dst_w).entered();
     let (rows, columns) = (Axis::new(h, dst_h), Axis::new(w, dst_w));
     let blocks = dst_h.div_ceil(ROWS);
     let parts = parallel::Disjoint::new(out);

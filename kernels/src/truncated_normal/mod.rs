@@ -34,6 +34,8 @@
 
 pub mod reference;
 
+use tracing::debug_span;
+
 use crate::math::{self, f64 as double};
 use crate::philox::Stream;
 use crate::simd::{LANES, Operation, Simd, dispatch};
@@ -66,6 +68,7 @@ pub fn mean(level: Level, x: &[f32], out: &mut [f32]) {
             }
         }
     }
+    let _span = debug_span!("truncated_normal", kind = "mean", values = x.len()).entered();
     parallel::for_each_chunk(out, CHUNK, |i, out| dispatch(level, Mean(&x[i * CHUNK..][..out.len()], out)));
 }
 
@@ -156,6 +159,7 @@ pub fn sample(mean: &[f32], log_scale: &[f32], uniform: &[f32], out: &mut [f32])
     assert_eq!(mean.len(), out.len(), "means");
     assert_eq!(log_scale.len(), out.len(), "log scales");
     assert_eq!(uniform.len(), out.len(), "uniform numbers");
+    let _span = debug_span!("truncated_normal", kind = "sample", values = out.len()).entered();
     parallel::for_each_chunk(out, CHUNK, |chunk, out| {
         for (i, x) in out.iter_mut().enumerate() {
             let i = chunk * CHUNK + i;
@@ -171,6 +175,7 @@ pub fn sample(mean: &[f32], log_scale: &[f32], uniform: &[f32], out: &mut [f32])
 pub fn draw(stream: Stream, mean: &[f32], log_scale: &[f32], out: &mut [f32]) {
     assert_eq!(mean.len(), out.len(), "means");
     assert_eq!(log_scale.len(), out.len(), "log scales");
+    let _span = debug_span!("truncated_normal", kind = "draw", values = out.len()).entered();
     parallel::for_each_chunk(out, CHUNK, |chunk, out| {
         for (i, x) in out.iter_mut().enumerate() {
             let i = chunk * CHUNK + i;
