@@ -245,10 +245,14 @@ impl Record {
             return Err(wrong(&format!("{size} bytes are too many for a run.json")));
         }
         let text = std::fs::read_to_string(path).map_err(|e| wrong(&e))?;
-        let record: Record =
-            serde_json::from_str(&text).map_err(|e| wrong(&format!("not the record of a run: {e}")))?;
+        Record::parse(&text).map_err(|e| wrong(&e))
+    }
+
+    /// Reads the text of a `run.json`.
+    fn parse(text: &str) -> Result<Record, String> {
+        let record: Record = serde_json::from_str(text).map_err(|e| format!("not the record of a run: {e}"))?;
         if record.program != PROGRAM {
-            return Err(wrong(&format!("expected a record of {PROGRAM}, found {:?}", record.program)));
+            return Err(format!("expected a record of {PROGRAM}, found {:?}", record.program));
         }
         Ok(record)
     }
@@ -260,4 +264,136 @@ pub fn absolute(path: &Path) -> PathBuf {
         return path.to_owned();
     }
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use proptest::prelude::*;
+    use proptest::sample::{Index, select};
+
+    use super::super::cli::{Cli, Command};
+    use super::*;
+
+    /// What the command line's words do.
+    fn task(words: &[&str]) -> Task {
+        match Cli::try_parse_from(words).expect("a command").command {
+            Command::Run(args) => Task::Run(Box::new(args.options)),
+            Command::Render(args) => Task::Render(Box::new(args.options)),
+            _ => panic!("{words:?} leave no record"),
+        }
+    }
+
+    /// Records with everything that one can hold.
+    fn texts() -> [String; 2] {
+        let output = |samples: Option<&str>, outside_contract| OutputRecord {
+            bytes: 900,
+            blake3: "cd".repeat(32),
+            samples: samples.map(str::to_owned),
+            outside_contract,
+        };
+        let record = Record {
+            program: PROGRAM.to_owned(),
+            version: "0.1.0".to_owned(),
+            task: task(&[
+                "streamsplat",
+                "run",
+                "in.y4m",
+                "--out",
+                "o",
+                "--gap",
+                "auto",
+                "--size",
+                "64x48",
+                "--frames",
+                "9",
+            ]),
+            seed: 7,
+            model: Some(ModelRecord { path: "embedded".into(), blake3: "ab".repeat(32) }),
+            depth: Some(NetworkRecord {
+                path: "d.onnx".into(),
+                blake3: "01".repeat(32),
+                runtime: "ONNX Runtime".into(),
+            }),
+            input: InputRecord { path: "/in.y4m".into(), blake3: String::new(), count: 9, size: [64, 48], fps: 23.976 },
+            renderer: RendererRecord { name: "wgpu".into(), adapter: Some("a card".into()), bit_contract: false },
+            complete: true,
+            outputs: [("frames/0.png", output(None, true)), ("v.mp4", output(Some("ef"), false))]
+                .map(|(name, output)| (name.to_owned(), output))
+                .into(),
+            work: [("encoder".to_owned(), WorkRecord { done: 9, avoided: 1, unit: "frames".into() })].into(),
+            dropped: 3,
+            timing: Timing { total: 0.1, threads: 2, isa: "avx2".into(), ..Timing::default() },
+        };
+        let render = Record {
+            task: task(&["streamsplat", "render", "scene", "--out", "o"]),
+            model: None,
+            depth: None,
+            renderer: RendererRecord::default(),
+            ..record.clone()
+        };
+        [record, render].map(|record| record.to_json().expect("text"))
+    }
+
+    /// What is read is written and read as the same.
+    fn survives(record: &Record) {
+        let text = record.to_json().expect("text");
+        assert_eq!(Record::parse(&text).expect("what was written").to_json().expect("text"), text);
+    }
+
+    #[test]
+    fn records_are_read_as_they_were_written() {
+        for text in texts() {
+            let record = Record::parse(&text).expect("a record");
+            assert_eq!(record.to_json().expect("text"), text);
+            assert!(Record::parse(&text.replace(PROGRAM, "another")).is_err_and(|e| e.contains("found \"another\"")));
+        }
+    }
+
+    /// What may stand in a spoilt file.
+    const WORDS: [&str; 24] = [
+        "",
+        "0",
+        "-1",
+        "1e999",
+        "1e-999",
+        "18446744073709551616",
+        "0.5",
+        "null",
+        "true",
+        "[",
+        "]",
+        "{",
+        "}",
+        "{}",
+        "[]",
+        "\"",
+        "\\u",
+        ",",
+        ":",
+        "\"run\"",
+        "\"render\"",
+        "\"options\":",
+        "\"timing\":",
+        "\u{0}",
+    ];
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(4096))]
+
+        #[test]
+        fn no_text_panics(
+            which in 0_usize..2,
+            changes in proptest::collection::vec((any::<Index>(), 0_usize..24, select(&WORDS[..])), 1..4),
+        ) {
+            let mut text = texts()[which].clone();
+            for (at, length, word) in changes {
+                let at = at.index(text.len());
+                text.replace_range(at..(at + length).min(text.len()), word);
+            }
+            if let Ok(record) = Record::parse(&text) {
+                survives(&record);
+            }
+        }
+    }
 }
