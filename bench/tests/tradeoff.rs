@@ -67,11 +67,19 @@ fn files_are_whole_and_exactly_what_nothing_dominates_is_marked() {
     for stage in stages {
         let error = number(stage, "relative_l2");
         assert!(if stage["precision"] == "f32" { error < 3e-6 } else { error > 1e-4 && error < 0.1 }, "{stage}");
+        // f32 alone is told in its last places, whose half every rounding may cost.
+        let ulp = stage["worst_ulp"].as_f64();
+        assert!(
+            if stage["precision"] == "f32" { ulp.is_some_and(|ulp| ulp > 0.5 && ulp < 1e4) } else { ulp.is_none() },
+            "{stage}"
+        );
     }
     assert_eq!(text(&out, "tradeoff-stages.csv").lines().count(), 1 + stages.len());
 
     let svg = text(&out, "tradeoff.svg");
-    assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>") && !svg.contains("NaN"));
+    for svg in [&svg, &text(&out, "tradeoff-stages.svg")] {
+        assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>") && !svg.contains("NaN"));
+    }
     let front = rows.iter().filter(|row| row["pareto"] == true).count();
     let markdown = text(&out, "tradeoff.md");
     assert_eq!(markdown.matches("\n| ● |").count(), front);

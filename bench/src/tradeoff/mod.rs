@@ -1,6 +1,6 @@
 //! `tradeoff`: error against run time on one clip, over precision, reuse and gap; and each stage's error and time per precision.
 //!
-//! One run gives CSV, JSON, Markdown and a plot. All configurations go through the clip in turn, key frame by key frame, and that
+//! One run gives CSV, JSON, Markdown and plots. All configurations go through the clip in turn, key frame by key frame, and that
 //! several times, so that what disturbs the machine disturbs all of them alike. Before anything is timed, f32 must give the same bits on
 //! another number of threads and exact reuse those of none; in every later round every configuration must give its bits again.
 //!
@@ -36,7 +36,7 @@ pub(crate) struct Options {
     common: Common,
     /// A folder of images or a video [default: fixtures/clips/moving.y4m].
     input: Option<PathBuf>,
-    /// Where tradeoff.{csv,json,md,svg} and tradeoff-stages.csv go.
+    /// Where tradeoff.{csv,json,md,svg} and tradeoff-stages.{csv,svg} go.
     #[arg(long, value_name = "DIR", default_value = "tradeoff")]
     out: PathBuf,
     /// `small`: the embedded model, or `--model`. `paper`: the published sizes with weights from a seed; of these, whose pictures
@@ -120,6 +120,8 @@ struct About {
     isa: &'static str,
     threads: usize,
     rounds: usize,
+    /// Times each stage was run.
+    repeat: usize,
     /// What `seconds_per_frame` counts.
     clock: Clock,
     /// What the stages' errors are against.
@@ -212,6 +214,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         isa: options.common.isa.name(),
         threads: pool.current_num_threads(),
         rounds: options.rounds,
+        repeat: options.common.repeat.max(1),
         clock: options.clock,
         against,
         note: options.note.clone(),
@@ -229,6 +232,7 @@ fn write(options: &Options, results: &Results) -> Result<()> {
         std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
     };
     file("tradeoff-stages.csv", &table::stages_csv(results))?;
+    file("tradeoff-stages.svg", &plot::stages_svg(results)?)?;
     if !results.rows.is_empty() {
         file("tradeoff.csv", &table::csv(results))?;
         file("tradeoff.svg", &plot::svg(results)?)?;

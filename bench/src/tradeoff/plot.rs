@@ -1,15 +1,16 @@
-//! The plot: quality over time, twice: against the true frames with the Pareto front, and against f32 without reuse.
+//! The plots. Of configurations: quality over time, twice: against the true frames with the Pareto front, and against f32 without reuse. Of
+//! stages: error over time.
 //!
 //! Colours are precisions, shapes are gaps, and a shape is the more open the more is reused. Members of the front carry a number that a
-//! list below spells out.
+//! list below spells out. In the plot of stages, shapes are stages.
 
-use anyhow::{Result, anyhow};
+use anyhow::{Context, Result, anyhow};
 use plotters::coord::ranged1d::{KeyPointHint, Ranged, ValueFormatter};
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
-use super::Results;
 use super::grid::Row;
+use super::{Clock, Results, stages, table};
 
 const WIDTH: u32 = 1120;
 const HEAD: u32 = 64;
@@ -20,6 +21,11 @@ const COLOURS: [RGBColor; 4] =
     [RGBColor(27, 94, 160), RGBColor(230, 126, 34), RGBColor(46, 139, 87), RGBColor(142, 68, 173)];
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+/// Colour, kind of shape, and how full it is.
+type Mark = (RGBColor, usize, f64);
+
+/// Orders of magnitude of an axis from which on only powers of ten are marked.
+const WIDE: f64 = 1000.0;
 
 /// A logarithmic axis whose marks are 1, 2 and 5 times powers of ten.
 #[derive(Clone)]
@@ -43,7 +49,8 @@ impl Ranged for Logarithmic {
     }
 
     fn key_points<Hint: KeyPointHint>(&self, _: Hint) -> Vec<f64> {
-        let steps = (-9..9).flat_map(|power| [1.0, 2.0, 5.0].map(|step| step * 10f64.powi(power)));
+        let steps: &[f64] = if self.range.1 / self.range.0 < WIDE { &[1.0, 2.0, 5.0] } else { &[1.0] };
+        let steps = (-12..9).flat_map(|power| steps.iter().map(move |step| step * 10f64.powi(power)));
         steps.filter(|step| (self.range.0..=self.range.1).contains(step)).collect()
     }
 
@@ -59,7 +66,7 @@ impl ValueFormatter<f64> for Logarithmic {
 }
 
 /// The names in a column, in the order they come.
-fn names(rows: &[Row], name: impl Fn(&Row) -> &str) -> Vec<String> {
+fn names<R>(rows: &[R], name: impl Fn(&R) -> &str) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for row in rows {
         if !names.iter().any(|known| known == name(row)) {
@@ -77,9 +84,9 @@ struct Key {
 }
 
 impl Key {
-    fn mark(&self, row: &Row) -> (RGBColor, usize, f64) {
+    fn mark(&self, row: &Row) -> Mark {
         let place = |names: &[String], name: &str| names.iter().position(|n| n == name).unwrap_or(0);
-        let colour = COLOURS[place(&self.precisions, row.precision) % COLOURS.len()];
+        let colour = colour(place(&self.precisions, row.precision));
         (colour, place(&self.gaps, &row.gap), self.fill(place(&self.reuse, &row.reuse)))
     }
 
@@ -94,7 +101,7 @@ fn fail(error: impl std::fmt::Display) -> anyhow::Error {
 }
 
 /// A shape of radius 6 with its middle at `at`.
-fn shape(area: &Area<'_>, at: (i32, i32), (colour, kind, fill): (RGBColor, usize, f64)) -> Result<()> {
+fn shape(area: &Area<'_>, at: (i32, i32), (colour, kind, fill): Mark) -> Result<()> {
     let (x, y) = at;
     let corners: &[(i32, i32)] = match kind % 4 {
         0 => &[],
@@ -200,27 +207,39 @@ fn panel(
     Ok(())
 }
 
-/// Shapes and colours explained.
-fn legend(area: &Area<'_>, key: &Key) -> Result<()> {
+/// Shapes and colours explained: lines of marks with what they stand for.
+fn legend(area: &Area<'_>, lines: &[(&str, Vec<(Mark, &String)>)]) -> Result<()> {
     let mut y = 14;
-    let mut line = |name: &str, marks: Vec<((RGBColor, usize, f64), String)>| -> Result<()> {
+    for (name, marks) in lines {
         text(area, name, (24, y - 8), 15)?;
         let mut x = 110;
         for (mark, label) in marks {
-            shape(area, (x, y), mark)?;
-            text(area, &label, (x + 14, y - 8), 15)?;
+            shape(area, (x, y), *mark)?;
+            text(area, label, (x + 14, y - 8), 15)?;
             x += 40 + 9 * label.chars().count() as i32;
         }
         y += 26;
-        Ok(())
-    };
-    let precisions = key.precisions.iter().enumerate();
-    line("precision", precisions.map(|(i, name)| ((COLOURS[i % COLOURS.len()], 0, 1.0), name.clone())).collect())?;
-    line("gap", key.gaps.iter().enumerate().map(|(i, name)| ((INK, i, 1.0), name.clone())).collect())?;
-    line("reuse", key.reuse.iter().enumerate().map(|(i, name)| ((INK, 0, key.fill(i)), name.clone())).collect())
+    }
+    Ok(())
 }
 
-/// The plot as SVG.
+/// Names with the mark of each one's place.
+fn marked(names: &[String], mark: impl Fn(usize) -> Mark) -> Vec<(Mark, &String)> {
+    names.iter().enumerate().map(|(i, name)| (mark(i), name)).collect()
+}
+
+fn colour(place: usize) -> RGBColor {
+    COLOURS[place % COLOURS.len()]
+}
+
+/// Where this was measured.
+fn machine(results: &Results, rounds: usize) -> String {
+    let about = &results.about;
+    let threads = if about.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", about.threads) };
+    format!("{}, {}, {threads}; medians of {rounds} rounds", about.cpu, about.isa)
+}
+
+/// The configurations as SVG.
 pub(super) fn svg(results: &Results) -> Result<String> {
     let rows = &results.rows;
     let about = &results.about;
@@ -242,9 +261,7 @@ pub(super) fn svg(results: &Results) -> Result<String> {
             about.model, about.resolution, about.clip, about.frames
         );
         text(&root, &title, (24, 12), 20)?;
-        let threads = if about.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", about.threads) };
-        let machine = format!("{}, {}, {threads}; medians of {} rounds", about.cpu, about.isa, about.rounds);
-        text(&root, &machine, (24, 38), 15)?;
+        text(&root, &machine(results, about.rounds), (24, 38), 15)?;
         let (_, rest) = root.split_vertically(HEAD);
         let (panels, below) = rest.split_vertically(PANELS);
         let (left, right) = panels.split_horizontally(size.0 / 2);
@@ -253,7 +270,12 @@ pub(super) fn svg(results: &Results) -> Result<String> {
         let same = ("against f32 without reuse at the same gap (100: equal)", "PSNR, dB");
         panel(&right, rows, &key, same, time, &|row| row.psnr_vs_f32, &[])?;
         let (left, right) = below.split_horizontally(400);
-        legend(&left, &key)?;
+        let explained = [
+            ("precision", marked(&key.precisions, |i| (colour(i), 0, 1.0))),
+            ("gap", marked(&key.gaps, |i| (INK, i, 1.0))),
+            ("reuse", marked(&key.reuse, |i| (INK, 0, key.fill(i)))),
+        ];
+        legend(&left, &explained)?;
         text(&right, "Pareto front (line; nothing is faster and at least as close to the true frames)", (24, 6), 15)?;
         for (i, row) in front.iter().enumerate() {
             let words = format!(
@@ -268,6 +290,76 @@ pub(super) fn svg(results: &Results) -> Result<String> {
             let (column, line) = (i as i32 / lines as i32, i as i32 % lines as i32);
             text(&right, &words, (24 + 350 * column, 30 + 22 * line), 15)?;
         }
+        root.present().map_err(fail)?;
+    }
+    Ok(picture)
+}
+
+/// The stages as SVG. What does not differ at all lies on the lower edge.
+pub(super) fn stages_svg(results: &Results) -> Result<String> {
+    let (rows, about) = (&results.stages, &results.about);
+    let milliseconds = |row: &stages::Row| {
+        let seconds = match about.clock {
+            Clock::Wall => Some(row.wall),
+            Clock::Processor => row.processor,
+        };
+        seconds
+            .map(|seconds| seconds.median * 1e3)
+            .context("this system does not tell processor time; use --clock wall")
+    };
+    let times: Vec<f64> = rows.iter().map(milliseconds).collect::<Result<_>>()?;
+    let (least, most) = times.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), &x| (a.min(x), b.max(x)));
+    let errors = || rows.iter().map(|row| row.relative_l2).filter(|&error| error > 0.0);
+    let high = 3.0 * errors().fold(1e-7, f64::max);
+    let low = errors().fold(high / 10.0, f64::min) / 3.0;
+    let (precisions, stages) = (names(rows, |row| row.precision), names(rows, |row| row.stage));
+    let place = |names: &[String], name: &str| names.iter().position(|n| n == name).unwrap_or(0);
+
+    let mut picture = String::new();
+    {
+        let root = SVGBackend::with_string(&mut picture, (WIDTH / 4 * 3, HEAD + PANELS + 70)).into_drawing_area();
+        root.fill(&WHITE).map_err(fail)?;
+        let title = format!("Error of stages against run time: {} at {}", about.model, about.resolution);
+        text(&root, &title, (24, 12), 20)?;
+        text(&root, &machine(results, about.repeat), (24, 38), 15)?;
+        let (_, rest) = root.split_vertically(HEAD);
+        let (area, below) = rest.split_vertically(PANELS);
+        let mut chart = ChartBuilder::on(&area)
+            .margin(12)
+            .x_label_area_size(46)
+            .y_label_area_size(70)
+            .build_cartesian_2d(Logarithmic::new(least / 1.3, most * 1.3), Logarithmic::new(low, high))
+            .map_err(fail)?;
+        let equal = if rows.iter().any(|row| row.relative_l2 == 0.0) { "; lower edge: equal" } else { "" };
+        chart
+            .configure_mesh()
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(RGBColor(225, 225, 225))
+            .label_style(("sans-serif", 14).into_font().color(&INK))
+            .axis_desc_style(("sans-serif", 15).into_font().color(&INK))
+            .x_desc(format!("{} of a call, ms (logarithmic)", about.clock.name()))
+            .y_desc(format!("relative L2 error against {}{equal}", table::name(about.against)))
+            .y_label_formatter(&|y| format!("{y:.0e}"))
+            .draw()
+            .map_err(fail)?;
+        let points: Vec<(f64, f64)> = rows.iter().zip(&times).map(|(row, &x)| (x, row.relative_l2.max(low))).collect();
+        for stage in &stages {
+            let line = rows.iter().zip(&points).filter(|(row, _)| row.stage == stage).map(|(_, point)| *point);
+            chart
+                .draw_series(std::iter::once(PathElement::new(line.collect::<Vec<_>>(), FRONT.stroke_width(1))))
+                .map_err(fail)?;
+        }
+        let (left, top) = area.get_base_pixel();
+        for (row, point) in rows.iter().zip(&points) {
+            let (x, y) = chart.backend_coord(point);
+            let mark = (colour(place(&precisions, row.precision)), place(&stages, row.stage), 1.0);
+            shape(&area, (x - left, y - top), mark)?;
+        }
+        let explained = [
+            ("precision", marked(&precisions, |i| (colour(i), 0, 1.0))),
+            ("stage", marked(&stages, |i| (INK, i, 1.0))),
+        ];
+        legend(&below, &explained)?;
         root.present().map_err(fail)?;
     }
     Ok(picture)

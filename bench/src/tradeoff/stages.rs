@@ -16,6 +16,8 @@ use crate::timing::{Seconds, Spent, Stopwatch};
 
 /// Frames between the two that are looked at, where the clip has as many.
 const APART: usize = 4;
+/// Values below this fraction of the largest are left out of [`Row::worst_ulp`]: their rounding is that of the larger terms they are sums of.
+const COUNTED: f64 = 0.01;
 /// Stages, in the order of the computation.
 const STAGES: [&str; 4] = ["encoder", "upsampler", "decoder", "heads"];
 
@@ -37,6 +39,9 @@ pub(crate) struct Row {
     pub(super) relative_l2: f64,
     /// max |found − expected| / max |expected|
     pub(super) worst: f64,
+    /// max |found − expected| in units in the last place of f32 at `expected`, over all values of a hundredth of the largest or more. None for
+    /// lower precisions, whose operands do not have these places, and where f32 is compared with itself.
+    pub(super) worst_ulp: Option<f64>,
     /// Of a call.
     pub(super) wall: Seconds,
     pub(super) processor: Option<Seconds>,
@@ -77,24 +82,34 @@ pub(super) fn measure(task: &Task<'_>, clip: &[TimedPicture]) -> Result<(String,
     for ((precision, model), spent) in models.iter().zip(spent) {
         for ((stage, expected), spent) in STAGES.iter().zip(&expected).zip(spent) {
             let found = model.stage(stage)?;
-            rows.push(row(precision.name(), stage, &found, expected, &spent)?);
+            let in_ulp = *precision == Precision::F32 && task.against == Yardstick::F64;
+            rows.push(row((precision.name(), stage), &found, expected, in_ulp, &spent)?);
         }
     }
     Ok((format!("{width}x{height}"), rows))
 }
 
-fn row(precision: &'static str, stage: &'static str, found: &[f32], expected: &[f64], spent: &[Spent]) -> Result<Row> {
+fn row(
+    (precision, stage): (&'static str, &'static str),
+    found: &[f32],
+    expected: &[f64],
+    in_ulp: bool,
+    spent: &[Spent],
+) -> Result<Row> {
     ensure!(found.len() == expected.len(), "{stage}: {} values, expected {}", found.len(), expected.len());
     ensure!(found.iter().all(|x| x.is_finite()), "{stage}: a result is not finite");
     let found = widen(found);
     let largest = expected.iter().fold(0.0, |largest: f64, x| largest.max(x.abs()));
     let worst = found.iter().zip(expected).fold(0.0, |worst: f64, (a, b)| worst.max((a - b).abs()));
+    let counted = found.iter().zip(expected).filter(|(_, b)| b.abs() >= COUNTED * largest);
+    let worst_ulp = in_ulp.then(|| counted.fold(0.0, |worst: f64, (a, b)| worst.max(reference::ulps(*a, *b))));
     let processor: Option<Vec<f64>> = spent.iter().map(Spent::processor).collect();
     Ok(Row {
         precision,
         stage,
         relative_l2: reference::relative_l2(found.iter().copied(), expected.iter().copied()),
         worst: worst / largest,
+        worst_ulp,
         wall: Seconds::of(spent.iter().map(Spent::clock).collect()),
         processor: processor.map(Seconds::of),
     })

@@ -41,22 +41,23 @@ pub(super) fn csv(results: &Results) -> String {
 /// One line per stage and precision.
 pub(super) fn stages_csv(results: &Results) -> String {
     let mut text =
-        "precision,stage,against,relative_l2,worst,wall_min,wall_median,wall_max,processor_min,processor_median,\
+        "precision,stage,against,relative_l2,worst,worst_ulp,wall_min,wall_median,wall_max,processor_min,processor_median,\
         processor_max\n"
             .to_owned();
     let against = name(results.about.against);
     for row in &results.stages {
         let (wall, processor) = (of(Some(row.wall)), of(row.processor));
+        let ulp = row.worst_ulp.map_or_else(String::new, |ulp| format!("{ulp:.1}"));
         let _ = writeln!(
             text,
-            "{},{},{against},{:.3e},{:.3e},{wall},{processor}",
+            "{},{},{against},{:.3e},{:.3e},{ulp},{wall},{processor}",
             row.precision, row.stage, row.relative_l2, row.worst
         );
     }
     text
 }
 
-fn name(against: Yardstick) -> &'static str {
+pub(super) fn name(against: Yardstick) -> &'static str {
     match against {
         Yardstick::F64 => "f64",
         Yardstick::F32 => "f32",
@@ -73,8 +74,8 @@ fn spread(seconds: Option<Seconds>) -> String {
 pub(super) fn markdown(results: &Results) -> String {
     let about = &results.about;
     let mut text = format!(
-        "# Error against run time\n\n{} at {}, {} ({} frames), {}, {}, {} threads, {} rounds.\n",
-        about.model, about.resolution, about.clip, about.frames, about.cpu, about.isa, about.threads, about.rounds
+        "# Error against run time\n\n{} at {}, {} ({} frames), {}, {}, threads: {}.\n",
+        about.model, about.resolution, about.clip, about.frames, about.cpu, about.isa, about.threads
     );
     if !about.note.is_empty() {
         let _ = writeln!(text, "{}", about.note);
@@ -89,10 +90,11 @@ pub(super) fn markdown(results: &Results) -> String {
 fn configurations(results: &Results, text: &mut String) {
     let _ = write!(
         text,
-        "\n## Configurations\n\nMilliseconds per input frame: median (least–most) of the rounds. `L2` and `vs f32` compare all images with those of \
+        "\n## Configurations\n\nMilliseconds per input frame: median (least–most) of {} rounds. `L2` and `vs f32` compare all images with those of \
         f32 without reuse at the same gap (100 dB: equal), `vs truth` with the true frames at 256×256. ● is on the Pareto front of {} and `vs truth`.\n\n\
         | | precision | reuse | gap | key frames | ms, processor | ms, wall | L2 | worst sample | vs f32, dB | vs truth, dB |\n\
         |---|---|---|---|---|---|---|---|---|---|---|\n",
+        results.about.rounds,
         results.about.clock.name()
     );
     for row in &results.rows {
@@ -118,18 +120,21 @@ fn stages(results: &Results, text: &mut String) {
     let _ = write!(
         text,
         "\n## Stages\n\nOn two frames of the clip, each stage fed by those before it at its own precision, against {}. `worst`: largest difference over \
-        largest value. Milliseconds of a call: median (least–most).\n\n\
-        | precision | stage | L2 | worst | ms, processor | ms, wall |\n|---|---|---|---|---|---|\n",
-        name(results.about.against)
+        largest value; `ulp`: largest difference in units in the last place of f32 at the value, over values of a hundredth of the largest \
+        or more. Milliseconds of a call: median (least–most) of {}.\n\n\
+        | precision | stage | L2 | worst | ulp | ms, processor | ms, wall |\n|---|---|---|---|---|---|---|\n",
+        name(results.about.against),
+        results.about.repeat
     );
     for row in &results.stages {
         let _ = writeln!(
             text,
-            "| {} | {} | {:.1e} | {:.1e} | {} | {} |",
+            "| {} | {} | {:.1e} | {:.1e} | {} | {} | {} |",
             row.precision,
             row.stage,
             row.relative_l2,
             row.worst,
+            row.worst_ulp.map_or_else(|| "-".to_owned(), |ulp| format!("{ulp:.1}")),
             spread(row.processor),
             spread(Some(row.wall))
         );

@@ -20,6 +20,8 @@ mod values;
 use rayon::ThreadPoolBuilder;
 use streamsplat_kernels::Level;
 
+use crate::reference::ulps;
+
 /// Thread counts tried on every level.
 pub const THREADS: [usize; 4] = [1, 2, 3, 8];
 
@@ -146,10 +148,7 @@ fn distance(unit: Unit, ours: f64, exact: f64) -> f64 {
     let apart = (ours - exact).abs();
     match unit {
         Unit::Relative => apart / exact.abs(),
-        Unit::Ulp => {
-            let exponent = ((exact.to_bits() >> 52 & 0x7ff) as i32 - 1023).clamp(-126, 127);
-            apart / 2.0_f64.powi(exponent - 23)
-        }
+        Unit::Ulp => ulps(ours, exact),
         _ => apart,
     }
 }

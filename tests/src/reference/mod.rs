@@ -61,6 +61,12 @@ impl Tensors {
     }
 }
 
+/// |found − expected| in units in the last place of binary32 at `expected`.
+pub fn ulps(found: f64, expected: f64) -> f64 {
+    let exponent = ((expected.to_bits() >> 52 & 0x7ff) as i32 - 1023).clamp(-126, 127);
+    (found - expected).abs() / 2.0_f64.powi(exponent - 23)
+}
+
 /// ‖found − expected‖ / ‖expected‖
 ///
 /// # Panics
