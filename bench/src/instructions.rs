@@ -16,13 +16,14 @@ use crate::model::{Model, Which, noise};
 const PRECISIONS: [Precision; 3] = [Precision::F32, Precision::Bf16, Precision::Int8];
 /// How much more may be counted than was recorded.
 const LIMIT: f64 = 0.03;
-/// The same where another compiler was used.
+/// The same where another compiler was used, or other settings.
 const LIMIT_OF_OTHERS: f64 = 0.10;
 
 /// What was counted.
 #[derive(Serialize, Deserialize)]
 struct Counts {
-    rustc: String,
+    /// The compiler, and what of the release profile was set otherwise.
+    built: String,
     isa: String,
     stages: Vec<Count>,
 }
@@ -112,24 +113,31 @@ fn compare(recorded: &Counts, counts: &Counts) -> Result<()> {
         counts.isa
     );
     let mut limit = LIMIT;
-    if recorded.rustc != counts.rustc {
+    if recorded.built != counts.built {
         limit = LIMIT_OF_OTHERS;
         println!(
             "recorded with {}, counted with {}: {:.0} % are allowed instead of {:.0} %",
-            recorded.rustc,
-            counts.rustc,
+            recorded.built,
+            counts.built,
             100.0 * LIMIT_OF_OTHERS,
             100.0 * LIMIT
         );
     }
-    let mut worse = Vec::new();
+    let (mut worse, mut stale) = (Vec::new(), false);
     for count in &counts.stages {
         let Some(before) = find(recorded, count) else {
             bail!("{} {}: not in the record; --json writes another", count.stage, count.precision);
         };
+        stale |= (count.instructions as f64) < before as f64 * (1.0 - limit);
         if count.instructions as f64 > before as f64 * (1.0 + limit) {
             worse.push(format!("{} {} from {before} to {}", count.stage, count.precision, count.instructions));
         }
+    }
+    if stale {
+        println!(
+            "more than {:.0} % fewer than recorded: --json writes another record, by which growth shows again",
+            100.0 * limit
+        );
     }
     ensure!(
         worse.is_empty(),
@@ -172,7 +180,7 @@ fn count() -> Result<Counts> {
             stages.push(Count { stage: (*stage).to_owned(), precision: precision.name().to_owned(), instructions });
         }
     }
-    Ok(Counts { rustc: env!("BUILT_BY").to_owned(), isa: level.name().to_owned(), stages })
+    Ok(Counts { built: env!("BUILT_BY").to_owned(), isa: level.name().to_owned(), stages })
 }
 
 /// Instructions of a function that was called once, and of all that it called.
