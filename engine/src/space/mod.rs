@@ -17,9 +17,9 @@
 //!
 //! Still scenes are drawn so ([`Drawable::grouped`](crate::still::Drawable::grouped)), for a camera path shows many images of one:
 //! their Gaussians are asked in groups of 64 neighbours along a Z-order curve. Intervals are not: each shows a few images, and grouping
-//! its Gaussians takes as long as several of them; asking every Gaussian once it has been taken to the image's time takes as long as
-//! projecting it. `streamsplat bench raster --only part` measures images, groups, and a hierarchy over the Gaussians, which takes
-//! longer to make than the groups.
+//! its Gaussians, once for all of its times, takes longer than two of them; asking every Gaussian once it has been taken to the image's time
+//! takes as long as projecting it. `streamsplat bench raster --only part` measures images, groups, and a hierarchy over the Gaussians,
+//! which takes about three times as long to make as the groups.
 
 mod groups;
 mod pick;
