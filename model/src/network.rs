@@ -273,7 +273,7 @@ impl Network {
         self.check_tokens("h", h)?;
         memory.begin();
         let _span = info_span!("upsampler", kind = "static").entered();
-        let (level, saving) = (self.level(), memory.saving);
+        let (level, saving) = (self.level(), (memory.saving, memory.encoder.moves()));
         Ok(self.static_upsampler.apply_keeping(level, &self.config, h, saving, &mut memory.static_upsampler))
     }
 
@@ -310,7 +310,8 @@ impl Network {
         let features = [self.features(a, "first")?, self.features(b, "second")?];
         memory.begin();
         let _span = info_span!("decoder").entered();
-        let (level, saving, pair) = (self.level(), memory.saving.of_motion(), ([a.h, b.h], features));
+        let (level, pair) = (self.level(), ([a.h, b.h], features));
+        let saving = (memory.saving.of_motion(), memory.encoder.moves());
         Ok(self.decoder.apply_keeping(level, &self.config, pair, saving, &mut memory.decoder))
     }
 
@@ -330,7 +331,8 @@ impl Network {
         self.check_tokens("d", d)?;
         memory.begin();
         let _span = info_span!("upsampler", kind = "deformation").entered();
-        let (level, saving, (upsampler, _)) = (self.level(), memory.saving.of_motion(), &mut memory.deformation[place]);
+        let saving = (memory.saving.of_motion(), memory.encoder.moves());
+        let (level, (upsampler, _)) = (self.level(), &mut memory.deformation[place]);
         Ok(self.deformation_upsampler.apply_keeping(level, &self.config, d, saving, upsampler))
     }
 

@@ -3,7 +3,7 @@
 use streamsplat_kernels::Level;
 use streamsplat_kernels::attention::Windows;
 
-use super::rows::{Gate, Rows, places};
+use super::rows::{Gate, Rows, places, sized};
 use super::schedule::{Pass, Schedule};
 use super::{Saving, Tokens};
 use crate::Config;
@@ -36,7 +36,7 @@ impl BlockMemory {
         if refresh {
             self.gate.keep_at(rows);
             if mixed.is_some() {
-                self.keys_values.resize(2 * rows.x.len(), 0.0);
+                sized(&mut self.keys_values, 2 * rows.x.len());
             }
             return;
         }
@@ -99,6 +99,11 @@ impl EncoderMemory {
         }
     }
 
+    /// Whether most of the picture changed since the frame before.
+    pub(crate) fn moves(&self) -> bool {
+        self.schedule.moves()
+    }
+
     pub(crate) fn bytes(&self) -> usize {
         self.blocks.iter().map(BlockMemory::bytes).sum::<usize>() + 4 * self.output.len()
     }
@@ -122,7 +127,7 @@ impl Encoder {
             true => places(&first.gate.moved(level, saving.tolerance(), &x)),
             false => Vec::new(),
         };
-        let pass = schedule.next(saving, changed.len(), n);
+        let pass = schedule.next(saving, false, changed.len(), n);
         let mut rows = match pass {
             Pass::Plain => {
                 blocks[0].gate.keep(&x);
@@ -139,7 +144,7 @@ impl Encoder {
             step(level, saving, pass == Pass::Refresh, part, &mut rows, (&mut work, tokens));
         }
         rows.x = self.layernorm2.of(level, &rows.x);
-        output.resize(n * d, 0.0);
+        sized(output, n * d);
         rows.scatter(output, d);
         output.clone()
     }

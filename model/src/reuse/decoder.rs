@@ -3,7 +3,7 @@
 use streamsplat_kernels::Level;
 
 use super::blocks::BlockMemory;
-use super::rows::{Gate, Rows, places};
+use super::rows::{Gate, Rows, places, sized};
 use super::schedule::{Pass, Schedule};
 use super::{Saving, Tokens, scatter};
 use crate::Config;
@@ -51,13 +51,13 @@ impl DecoderMemory {
 }
 
 impl Decoder {
-    /// [`Decoder::apply`] with a memory.
+    /// [`Decoder::apply`] with a memory; `moves`: see [`Schedule::next`].
     pub(crate) fn apply_keeping(
         &self,
         level: Level,
         config: &Config,
         (h, features): ([&[f32]; 2], [&[f32]; 2]),
-        saving: Saving,
+        (saving, moves): (Saving, bool),
         memory: &mut DecoderMemory,
     ) -> [Vec<f32>; 2] {
         let (n, d) = (config.tokens(), config.hidden_dim);
@@ -77,7 +77,7 @@ impl Decoder {
             }
             false => Vec::new(),
         };
-        let pass = schedule.next(saving, changed.len(), 2 * n);
+        let pass = schedule.next(saving, moves, changed.len(), 2 * n);
         let mut rows = match pass {
             Pass::Plain => {
                 first.own.gate.keep(&x);
@@ -116,7 +116,7 @@ impl Decoder {
                     let (earlier, later) = x.split_at_mut(at.partition_point(|token| (*token as usize) < n) * d);
                     let halves = [earlier, later].into_iter().zip(&mut memory.cross);
                     for ((x, kept), (renewed, m)) in halves.zip(&conditions) {
-                        kept.resize(m * 2 * d, 0.0);
+                        sized(kept, m * 2 * d);
                         let new = cross_attn.keys_values(level, &renewed.x);
                         scatter(&renewed.at, &new, 2 * d, 0, kept, 2 * d);
                         cross_attn.accumulate_with(level, kept, x, &mut work);
@@ -127,7 +127,7 @@ impl Decoder {
             block.feed_forward(level, x, &mut work);
         }
         rows.x = self.layernorm2.of(level, &rows.x);
-        output.resize(2 * n * d, 0.0);
+        sized(output, 2 * n * d);
         rows.scatter(output, d);
         let (earlier, later) = output.split_at(n * d);
         [earlier.to_vec(), later.to_vec()]

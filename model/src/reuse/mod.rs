@@ -14,7 +14,8 @@
 //!   [`Memory::REPLACED`] times all its tokens have been computed one by one.
 //!
 //! A part more than [`Memory::MOST`] of whose tokens changed is computed as if there were no memory, and keeps nothing but its
-//! input: a moving camera pays for the comparison alone. It is computed and kept when that share falls again.
+//! input: a moving camera pays for the comparison alone. It is computed and kept when that share falls again. Of the first frame everything
+//! is kept, of the first pair what gives motion only when the encoder's tokens did not change as much.
 //!
 //! The decoder's input is a pair of frames, and its memory belongs to the pair's places, not to the frames: `h` of frame k is compared in
 //! the place of the later frame with that of frame k−1, and a step later, in the place of the earlier frame, with it again. What

@@ -50,6 +50,13 @@ pub(crate) fn scatter(at: &[u32], x: &[f32], stride: usize, first: usize, to: &m
     }
 }
 
+/// Makes `kept` hold `len` values. Those that are new are zeros of the system, which cost nothing until they are written.
+pub(super) fn sized(kept: &mut Vec<f32>, len: usize) {
+    if kept.len() != len {
+        *kept = vec![0.0; len];
+    }
+}
+
 /// The places that are `true`.
 pub(super) fn places(marks: &[bool]) -> Vec<u32> {
     (0..marks.len() as u32).filter(|i| marks[*i as usize]).collect()
@@ -79,7 +86,7 @@ impl Gate {
     /// Keeps `rows`, which are all, in any order.
     pub(super) fn keep_at(&mut self, rows: &Rows) {
         self.rows = rows.at.len();
-        self.reference.resize(rows.x.len(), 0.0);
+        sized(&mut self.reference, rows.x.len());
         self.replace(rows);
     }
 

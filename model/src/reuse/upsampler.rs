@@ -3,7 +3,7 @@
 use streamsplat_kernels::Level;
 
 use super::blocks::{BlockMemory, step};
-use super::rows::{Gate, Rows, places};
+use super::rows::{Gate, Rows, places, sized};
 use super::schedule::{Pass, Schedule};
 use super::{Saving, Tokens};
 use crate::Config;
@@ -46,13 +46,13 @@ impl UpsamplerMemory {
 }
 
 impl Upsampler {
-    /// [`Upsampler::apply`] with a memory.
+    /// [`Upsampler::apply`] with a memory; `moves`: see [`Schedule::next`].
     pub(crate) fn apply_keeping(
         &self,
         level: Level,
         config: &Config,
         h: &[f32],
-        saving: Saving,
+        (saving, moves): (Saving, bool),
         memory: &mut UpsamplerMemory,
     ) -> Vec<f32> {
         let UpsamplerMemory { schedule, entry, stages, output, calls, latest, tokens } = memory;
@@ -62,7 +62,7 @@ impl Upsampler {
             true => places(&entry.moved(level, saving.tolerance(), h)),
             false => Vec::new(),
         };
-        let pass = schedule.next(saving, changed.len(), n);
+        let pass = schedule.next(saving, moves, changed.len(), n);
         let mut rows = match pass {
             Pass::Plain => {
                 entry.keep(h);
@@ -94,7 +94,7 @@ impl Upsampler {
         }
         let d = config.gaussian_dim();
         rows.x = self.layernorm2.of(level, &rows.x);
-        output.resize(config.gaussians() * d, 0.0);
+        sized(output, config.gaussians() * d);
         rows.scatter(output, d);
         *latest = (pass == Pass::Changed).then_some(rows.at);
         output.clone()
