@@ -5,6 +5,7 @@
 
 mod instructions;
 mod kernels;
+mod live;
 mod machine;
 mod model;
 mod passage;
@@ -22,6 +23,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
 use streamsplat_kernels::Level;
+
+#[global_allocator]
+static ALLOCATOR: live::Counting = live::Counting;
 
 /// Measure StreamSplat on this machine.
 #[derive(Parser)]

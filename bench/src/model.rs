@@ -47,10 +47,13 @@ pub(crate) struct Model {
 }
 
 /// A seeded model as a file that is removed when dropped.
-struct Temporary(PathBuf);
+pub(crate) struct Temporary(PathBuf);
 
 impl Temporary {
-    fn new(name: &str, write: impl FnOnce(&mut BufWriter<std::fs::File>) -> std::io::Result<()>) -> Result<Temporary> {
+    pub(crate) fn new(
+        name: &str,
+        write: impl FnOnce(&mut BufWriter<std::fs::File>) -> std::io::Result<()>,
+    ) -> Result<Temporary> {
         let path = std::env::temp_dir().join(format!("streamsplat-{}-{name}.safetensors", std::process::id()));
         let file = std::fs::File::create(&path).with_context(|| format!("creating {}", path.display()))?;
         let file_guard = Temporary(path);
@@ -58,12 +61,18 @@ impl Temporary {
         write(&mut file).and_then(|()| file.flush()).with_context(|| format!("writing {}", file_guard.0.display()))?;
         Ok(file_guard)
     }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.0
+    }
 }
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        // Left behind at worst.
-        let _ = std::fs::remove_file(&self.0);
+        // Left behind at worst. Some have a configuration beside them.
+        for path in [self.0.with_extension("json"), std::mem::take(&mut self.0)] {
+            let _ = std::fs::remove_file(path);
+        }
     }
 }
 

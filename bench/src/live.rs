@@ -1,0 +1,79 @@
+//! An allocator that counts: what this process holds on the heap, without what the system's allocator keeps for later.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+
+/// Bytes given and not taken back.
+static HELD: AtomicUsize = AtomicUsize::new(0);
+/// Most of them at once since [`restart`].
+static MOST: AtomicUsize = AtomicUsize::new(0);
+
+/// The system's allocator with a count of bytes.
+pub(crate) struct Counting;
+
+fn given(bytes: usize) {
+    let held = HELD.fetch_add(bytes, Relaxed) + bytes;
+    MOST.fetch_max(held, Relaxed);
+}
+
+fn taken(bytes: usize) {
+    HELD.fetch_sub(bytes, Relaxed);
+}
+
+// SAFETY: every call goes to the system's allocator as it is.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        given(layout.size());
+        // SAFETY: the caller keeps the contract of `GlobalAlloc`.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        given(layout.size());
+        // SAFETY: the caller keeps the contract of `GlobalAlloc`.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        taken(layout.size());
+        // SAFETY: the caller keeps the contract of `GlobalAlloc`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        given(size);
+        taken(layout.size());
+        // SAFETY: the caller keeps the contract of `GlobalAlloc`.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+/// Begins to look for the most anew.
+pub(crate) fn restart() {
+    MOST.store(HELD.load(Relaxed), Relaxed);
+}
+
+/// The most bytes held at once since [`restart`].
+pub(crate) fn most() -> u64 {
+    MOST.load(Relaxed) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_held_counts_once_and_what_is_given_back_does_not() {
+        restart();
+        let before = most();
+        // Zeros that are never touched take no memory, and the other tests beside this one far less.
+        let mut held = std::hint::black_box(vec![0u8; 512 << 20]);
+        held.reserve_exact(512 << 20);
+        drop(std::hint::black_box(held));
+        // While it grows, the old and the new one count.
+        let grown = most() - before;
+        assert!((1 << 30..7 << 28).contains(&grown), "{grown}");
+        restart();
+        assert!(most() < before + (1 << 28));
+    }
+}
