@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -140,6 +141,31 @@ def a_repeated_frame_is_not_looked_at_twice(at):
     assert work == {'done': 3, 'avoided': 2, 'unit': 'frames'}, work
     works(run(clip, at / 'off', *depth, '--reuse', 'off'))
     assert files(at / 'off') == files(at / 'out')
+
+
+def a_stopped_run_goes_on_to_the_same_bytes(at):
+    clip = write_clip(at / 'clip', count=40)
+    options = ['--gap', '2', '--depth', f'onnx:{DEPTH}', '--depth-model', 'size=70', '--emit', 'rgb,depth,scene']
+    works(run(clip, at / 'whole', *options))
+    command = [PROGRAM, 'run', clip, '--model', MODEL, '--out', at / 'out', '--quiet', *options]
+    stopped = subprocess.Popen([str(part) for part in command], env=WITH)
+    while not (at / 'out' / 'scene' / 'interval-000003.safetensors').exists():
+        assert stopped.poll() is None, 'it ended before there was something to stop'
+        time.sleep(0.001)
+    stopped.kill()
+    stopped.wait()
+    assert not (at / 'out' / 'run.json').exists(), 'it ended before it was stopped'
+    works(run(clip, at / 'out', *options, '--resume'))
+    assert files(at / 'out') == files(at / 'whole')
+    record = json.loads((at / 'out' / 'run.json').read_text())
+    whole = json.loads((at / 'whole' / 'run.json').read_text())
+    for part in ('outputs', 'input', 'depth'):
+        assert record[part] == whole[part], part
+    # Another network would give other maps: it is not the same run.
+    make.save(make.depth(sides=(70, 126)), at / 'other.onnx')
+    other = [f'onnx:{at / "other.onnx"}' if part == f'onnx:{DEPTH}' else part for part in options]
+    done = run(clip, at / 'out', *other[:4], *other[6:], '--resume')
+    assert done.returncode != 0 and 'depth' in done.stderr, (done.returncode, done.stderr)
 
 
 def the_library_is_found_in_every_place(at):
