@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
-use streamsplat::gap::{Choice, Chooser, Gap};
+use streamsplat::gap::{Auto, Choice, Chooser, Gap};
 use streamsplat::metrics::psnr;
 use streamsplat::picture::Picture;
 use streamsplat::render::Painter;
 use streamsplat::source::{self, Source, TimedPicture, folder};
-use streamsplat::stream::{ModelSource, Reconstructor, Reuse, Work};
+use streamsplat::stream::{ModelSource, Reconstructor, Reuse};
 use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
 use streamsplat_model::Precision;
 
@@ -22,6 +22,11 @@ pub(crate) struct Variant {
     pub(crate) precision: Precision,
     pub(crate) reuse: Reuse,
     pub(crate) gap: Gap,
+}
+
+/// A gap as one writes it.
+pub(crate) fn gap_name(gap: Gap) -> String {
+    if gap == Gap::Auto(Auto::default()) { "auto".to_owned() } else { gap.to_string() }
 }
 
 /// Frames of a clip.
@@ -55,6 +60,15 @@ fn keys(gap: Gap, clip: &[TimedPicture]) -> Vec<usize> {
     keys
 }
 
+/// What a key frame took.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Step {
+    /// [`Engine::push`].
+    pub(crate) pushed: Spent,
+    /// The images of its interval.
+    pub(crate) drawn: Spent,
+}
+
 /// One variant under way.
 pub(crate) struct Runner {
     pub(crate) variant: Variant,
@@ -62,17 +76,8 @@ pub(crate) struct Runner {
     painter: Painter,
     pub(crate) keys: Vec<usize>,
     chosen: Spent,
-    pub(crate) pushed: Spent,
-    drawn: Spent,
-    pub(crate) network: f64,
+    pub(crate) steps: Vec<Step>,
     pub(crate) images: Vec<Picture>,
-}
-
-/// The stages of the network.
-const NETWORK: [&str; 4] = ["encoder", "upsampler", "heads", "decoder"];
-
-fn network_seconds(work: &Work) -> f64 {
-    NETWORK.iter().filter_map(|stage| work.stage(stage)).map(|stage| stage.time.as_secs_f64()).sum()
 }
 
 /// Engines of one model; those of one precision share its weights.
@@ -108,9 +113,8 @@ impl Models {
         let keys = keys(variant.gap, clip);
         let chosen = watch.stop();
         let painter = Painter::new(engine.workers());
-        let (pushed, drawn) = (Spent::default(), Spent::default());
         let variant = variant.clone();
-        Ok(Runner { variant, engine, painter, keys, chosen, pushed, drawn, network: 0.0, images: Vec::new() })
+        Ok(Runner { variant, engine, painter, keys, chosen, steps: Vec::new(), images: Vec::new() })
     }
 
     /// Takes a clip through every variant.
@@ -133,20 +137,35 @@ impl Runner {
         let Picture { width, height, rgb } = clip[index].picture.clone();
         let watch = Stopwatch::start();
         let interval = self.engine.push(Frame { width, height, rgb, depth: None }, clip[index].timestamp)?;
-        self.pushed += watch.stop();
+        let mut step = Step { pushed: watch.stop(), drawn: Spent::default() };
         for frame in &clip[self.images.len()..=index] {
             let watch = Stopwatch::start();
             let image = self.painter.draw(&interval, frame.timestamp, &Camera::Canonical, &RenderOptions::default())?;
-            self.drawn += watch.stop();
+            step.drawn += watch.stop();
             self.images.push(Picture { width: image.width, height: image.height, rgb: image.rgb.clone() });
         }
-        self.network = network_seconds(self.engine.work());
+        self.steps.push(step);
         Ok(())
+    }
+
+    /// Keeps, of every part of the work, the less that it and the same variant took.
+    pub(crate) fn quicken(&mut self, other: &Runner) {
+        self.chosen = self.chosen.least(other.chosen);
+        for (step, other) in self.steps.iter_mut().zip(&other.steps) {
+            step.pushed = step.pushed.least(other.pushed);
+            step.drawn = step.drawn.least(other.drawn);
+        }
+    }
+
+    /// Of all key frames.
+    pub(crate) fn pushed(&self) -> Spent {
+        self.steps.iter().fold(Spent::default(), |sum, step| sum + step.pushed)
     }
 
     /// Of everything but reading and writing, per input frame.
     pub(crate) fn frame(&self) -> Spent {
-        (self.chosen + self.pushed + self.drawn) / self.images.len() as f64
+        let steps = self.steps.iter().fold(self.chosen, |sum, step| sum + step.pushed + step.drawn);
+        steps / self.images.len() as f64
     }
 }
 

@@ -2,11 +2,14 @@
 //!
 //! Every variant (a choice of reuse and of gap) takes the same frames through an engine of its own, in turn, key frame by key frame:
 //! what disturbs the machine disturbs all of them alike. Times are those of the processor where the system tells (Linux), else of the
-//! clock; with `--threads 1` the former do not depend on what else runs.
+//! clock. The former, too, move by some per cent with what else runs; `--rounds` takes the clips several times and keeps the least of
+//! every key frame, whose images must be the same bits each time.
+
+mod table;
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
 use serde::Serialize;
 use streamsplat::Settings;
@@ -18,8 +21,10 @@ use streamsplat::stream::{ModelSource, Reuse};
 use streamsplat_model::Precision;
 
 use crate::Common;
-use crate::passage::{Models, Runner, Variant, against, clips, mean_square_error, read, truths};
+use crate::machine::cpu;
+use crate::passage::{Models, Runner, Variant, against, clips, gap_name, mean_square_error, read, truths};
 use crate::timing::Spent;
+use crate::tradeoff::once_each;
 
 /// Options of `reuse`.
 #[derive(Args)]
@@ -47,12 +52,41 @@ pub(crate) struct Options {
     /// DINOv2's weights, for models conditioned on them.
     #[arg(long, value_name = "FILE")]
     dinov2: Option<PathBuf>,
+    /// Times every clip is taken.
+    #[arg(long, default_value_t = 1)]
+    rounds: usize,
+    /// A table (tab-separated) with columns `clip` and `static_camera` (yes or no), by which clips are summed up.
+    #[arg(long, value_name = "FILE")]
+    manifest: Option<PathBuf>,
+    /// Write the tables here as Markdown.
+    #[arg(long, value_name = "FILE")]
+    markdown: Option<PathBuf>,
+    /// A sentence for the record: under which conditions this was run.
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    note: String,
+}
+
+/// Where and with what this was measured.
+#[derive(Serialize)]
+struct About {
+    command: String,
+    cpu: String,
+    isa: &'static str,
+    note: String,
+}
+
+#[derive(Serialize)]
+struct Results {
+    about: About,
+    rows: Vec<Row>,
 }
 
 /// What a variant took and gave on a clip.
 #[derive(Clone, Debug, Serialize)]
 struct Row {
     clip: String,
+    /// Whether the camera stands still, where the manifest tells.
+    still: Option<bool>,
     reuse: String,
     gap: String,
     frames: usize,
@@ -63,22 +97,34 @@ struct Row {
     frame: Spent,
     /// Time of key frames relative to the variant without reuse.
     cost: f64,
-    /// Time of the network alone, relative to the same.
-    network_cost: f64,
     /// Of all frames' images against those without reuse; none where all are equal.
     psnr_vs_off: Option<f64>,
-    /// Of key frames and of those between, against the true frames at 256×256.
+    /// Of all frames, of key frames and of those between, against the true frames at 256×256.
+    psnr: f64,
     psnr_key: f64,
     psnr_middle: Option<f64>,
     /// Of all frames against the true ones, above that of the variant without reuse.
     gain: f64,
-    /// Work of the network's parts: done and avoided.
-    tokens: Vec<(String, u64, u64)>,
+    /// Work, done and avoided: the network's stages, and their parts in tokens.
+    work: Vec<(String, u64, u64)>,
 }
 
 /// Takes a clip through every variant. Each is compared with the first of its gap.
-fn measure(name: &str, clip: &[TimedPicture], variants: &[Variant], settings: &Settings) -> Result<Vec<Row>> {
-    let runners = Models::new(settings.clone()).pass(clip, variants)?;
+fn measure(
+    name: &str,
+    clip: &[TimedPicture],
+    variants: &[Variant],
+    settings: &Settings,
+    rounds: usize,
+) -> Result<Vec<Row>> {
+    let mut models = Models::new(settings.clone());
+    let mut runners = models.pass(clip, variants)?;
+    for _ in 1..rounds {
+        for (runner, again) in runners.iter_mut().zip(models.pass(clip, variants)?) {
+            ensure!(runner.images == again.images, "{name}, {:?}: other images again", runner.variant);
+            runner.quicken(&again);
+        }
+    }
     let truths = truths(clip);
     let mut rows: Vec<Row> = Vec::new();
     for runner in &runners {
@@ -99,23 +145,33 @@ fn row(runner: &Runner, name: &str, truths: &[Picture], base: &Runner) -> Result
     };
     let is_key = |i: &usize| runner.keys.contains(i);
     let error = mean_square_error(&runner.images, &base.images)?;
-    let tokens = runner.engine.work().stages().iter().filter(|stage| stage.stage.ends_with(".tokens"));
     Ok(Row {
         clip: name.to_owned(),
+        still: None,
         reuse: runner.variant.reuse.to_string(),
-        gap: runner.variant.gap.to_string(),
+        gap: gap_name(runner.variant.gap),
         frames,
         keys: runner.keys.len(),
-        key_frame: runner.pushed / runner.keys.len() as f64,
+        key_frame: runner.pushed() / runner.keys.len() as f64,
         frame: runner.frame(),
-        cost: runner.pushed.seconds() / base.pushed.seconds(),
-        network_cost: runner.network / base.network,
+        cost: runner.pushed().seconds() / base.pushed().seconds(),
         psnr_vs_off: (error > 0.0).then(|| -10.0 * error.log10()),
+        psnr: own.iter().sum::<f64>() / frames as f64,
         psnr_key: mean(&mut (0..frames).filter(is_key).map(|i| own[i])).unwrap_or(f64::NAN),
         psnr_middle: mean(&mut (0..frames).filter(|i| !is_key(i)).map(|i| own[i])),
         gain: own.iter().zip(&others).map(|(a, b)| a - b).sum::<f64>() / frames as f64,
-        tokens: tokens.map(|stage| (stage.stage.to_owned(), stage.done, stage.avoided)).collect(),
+        work: runner.engine.work().stages().iter().map(|w| (w.stage.to_owned(), w.done, w.avoided)).collect(),
     })
+}
+
+/// Which clips of a manifest were taken by a camera that stands still.
+fn still(manifest: &str) -> Option<Vec<(&str, bool)>> {
+    let mut lines = manifest.lines();
+    let head: Vec<&str> = lines.next()?.split('\t').collect();
+    let [clip, camera] = ["clip", "static_camera"].map(|name| head.iter().position(|column| *column == name));
+    let (clip, camera) = (clip?, camera?);
+    let cells = lines.map(|line| line.split('\t').collect::<Vec<_>>());
+    cells.map(|cells| Some((*cells.get(clip)?, *cells.get(camera)? == "yes"))).collect()
 }
 
 pub(crate) fn run(options: &Options) -> Result<()> {
@@ -127,46 +183,71 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     settings.level = Some(options.common.isa);
     settings.threads = options.common.threads;
     settings.fit = Fit::Stretch;
-    let choices = [&[Reuse::Off], options.reuse.as_slice()].concat();
+    let manifest = match &options.manifest {
+        Some(path) => std::fs::read_to_string(path).with_context(|| format!("{}", path.display()))?,
+        None => "clip\tstatic_camera".to_owned(),
+    };
+    let cameras = still(&manifest).context("--manifest: expected columns `clip` and `static_camera` in every line")?;
+    let choices = once_each(Reuse::Off, &options.reuse);
     let variants: Vec<Variant> = options
         .gap
         .iter()
         .flat_map(|gap| choices.iter().map(|reuse| Variant { precision: options.precision, reuse: *reuse, gap: *gap }))
         .collect();
     let mut rows = Vec::new();
-    println!(
-        "{:<24} {:>6} {:>4} {:>8} {:>8} {:>6} {:>6} {:>7} {:>7} {:>7} {:>7}",
-        "clip", "reuse", "gap", "ms/key", "ms/frame", "cost", "net", "vs off", "key", "middle", "gain"
-    );
+    println!("{}", table::HEAD);
     for path in clips(&options.inputs)? {
         let clip = read(&path, options.frames)?;
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        for row in measure(&name, &clip, &variants, &settings)? {
-            let show = |x: Option<f64>| x.map_or_else(|| "-".to_owned(), |x| format!("{x:.2}"));
-            println!(
-                "{:<24} {:>6} {:>4} {:>8.1} {:>8.1} {:>6.3} {:>6.3} {:>7} {:>7.2} {:>7} {:>7.3}",
-                row.clip,
-                row.reuse,
-                row.gap,
-                row.key_frame.seconds() * 1e3,
-                row.frame.seconds() * 1e3,
-                row.cost,
-                row.network_cost,
-                show(row.psnr_vs_off),
-                row.psnr_key,
-                show(row.psnr_middle),
-                row.gain
-            );
-            let shares: Vec<String> = row
-                .tokens
-                .iter()
-                .map(|(part, done, avoided)| format!("{part} {:.2}", *done as f64 / (done + avoided).max(1) as f64))
-                .collect();
-            if !shares.is_empty() {
-                println!("{:<24} {}", "", shares.join("  "));
-            }
+        let still = cameras.iter().find(|(clip, _)| *clip == name).map(|(_, still)| *still);
+        for row in measure(&name, &clip, &variants, &settings, options.rounds.max(1))? {
+            let row = Row { still, ..row };
+            print!("{}", table::line(&row));
             rows.push(row);
         }
     }
-    options.common.write(&rows)
+    let about =
+        About { command: options.command(), cpu: cpu(), isa: options.common.isa.name(), note: options.note.clone() };
+    let results = Results { about, rows };
+    if let Some(path) = &options.markdown {
+        std::fs::write(path, table::markdown(&results)).with_context(|| format!("writing {}", path.display()))?;
+    }
+    options.common.write(&results)
+}
+
+impl Options {
+    /// The command that measures the same, but for the clips' place.
+    fn command(&self) -> String {
+        fn list<T: ToString>(values: &[T]) -> String {
+            values.iter().map(T::to_string).collect::<Vec<_>>().join(",")
+        }
+        let mut command = format!(
+            "streamsplat bench reuse CLIPS --threads {} --rounds {} --precision {} --reuse {} --gap {}",
+            self.common.threads,
+            self.rounds,
+            self.precision.name(),
+            list(&self.reuse),
+            list(&self.gap.iter().map(|gap| gap_name(*gap)).collect::<Vec<_>>())
+        );
+        if let Some(frames) = self.frames {
+            command += &format!(" --frames {frames}");
+        }
+        if let Some(model) = &self.model {
+            command += &format!(" --model {}", model.file_name().unwrap_or_default().to_string_lossy());
+        }
+        command
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_manifest_tells_by_its_head_which_cameras_stand_still() {
+        let manifest = "static_camera\tframes\tclip\nyes\t41\ta\nno\t41\tb\n";
+        assert_eq!(still(manifest), Some(vec![("a", true), ("b", false)]));
+        assert_eq!(still("clip\tframes\na\t41"), None);
+        assert_eq!(still("clip\tstatic_camera\na"), None);
+    }
 }

@@ -41,6 +41,12 @@ impl Spent {
         self.processor.unwrap_or(self.clock)
     }
 
+    /// The smaller of two, each clock by itself.
+    pub(crate) fn least(self, other: Spent) -> Spent {
+        let processor = self.processor.zip(other.processor).map(|(a, b)| a.min(b));
+        Spent { processor, clock: self.clock.min(other.clock) }
+    }
+
     /// The clock's time.
     pub(crate) fn clock(&self) -> f64 {
         self.clock

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use anyhow::{Context, Result, ensure};
 use serde::Serialize;
 use streamsplat::Settings;
-use streamsplat::gap::{Auto, Gap};
+use streamsplat::gap::Gap;
 use streamsplat::metrics::PSNR_CAP;
 use streamsplat::picture::Picture;
 use streamsplat::source::TimedPicture;
@@ -14,7 +14,7 @@ use streamsplat_model::Precision;
 
 use super::Clock;
 use super::front::front;
-use crate::passage::{Models, Variant, against, mean_square_error, truths};
+use crate::passage::{Models, Variant, against, gap_name, mean_square_error, truths};
 use crate::timing::{Seconds, Spent};
 
 /// Frames of the check before anything is timed.
@@ -63,11 +63,6 @@ impl Choices<'_> {
         }
         variants
     }
-}
-
-/// A gap as one writes it.
-fn gap_name(gap: Gap) -> String {
-    if gap == Gap::Auto(Auto::default()) { "auto".to_owned() } else { gap.to_string() }
 }
 
 fn bits(images: &[Picture]) -> impl Iterator<Item = u32> + '_ {

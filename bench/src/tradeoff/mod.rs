@@ -168,7 +168,7 @@ impl Options {
 }
 
 /// The values in the order given, each once; `first` before them.
-fn once_each<T: Copy + PartialEq>(first: T, others: &[T]) -> Vec<T> {
+pub(crate) fn once_each<T: Copy + PartialEq>(first: T, others: &[T]) -> Vec<T> {
     let mut all = vec![first];
     for &other in others {
         if !all.contains(&other) {
