@@ -17,9 +17,9 @@ fn said(output: &Output) -> String {
 
 #[test]
 fn a_short_soak_holds() {
-    let output = soak(&["400"]);
+    let output = soak(&["500"]);
     assert!(output.status.success(), "{}", said(&output));
-    assert_eq!(said(&output).matches("| holds |").count(), 5);
+    assert_eq!(said(&output).matches("| holds |").count(), 6);
     assert!(!soak(&["300"]).status.success());
 }
 
