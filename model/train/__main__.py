@@ -67,11 +67,11 @@ def train(o):
     return getattr(stages, o.stage)(net, o, run, clips, stage)
 
 
-SHARES = dict(static=0.6, heads=0.4)
+SHARES = dict(static=0.5, heads=0.25, flow=0.25)
 
 
 def whole(o):
-    """Start, both stages, checkpoint and held-out figures; whatever of it is done already is left as it is."""
+    """Start, the stages, checkpoint and held-out figures; whatever of it is done already is left as it is."""
     if not (pathlib.Path(o.run) / 'state.pt').exists():
         begin(o)
     order = ['start', *SHARES]
@@ -197,7 +197,11 @@ def main(arguments=None):
     training_options(c)
     dynamic_options(c)
     heads_options(c)
-    c = command('all', whole, 'start, static, dynamic, export and eval; resumes')
+    c = command('flow', train, 'decoder, deformation upsampler and velocity head against flow alone')
+    c.set_defaults(stage='flow')
+    training_options(c)
+    dynamic_options(c)
+    c = command('all', whole, 'start, static, heads, flow, export and eval; resumes')
     for options in (network_options, training_options, static_options, dynamic_options, heads_options, checkpoint_options, measuring_options):
         options(c)
     c.add_argument('--batch', type=int, default=2, help='frames of a step of the static stage')

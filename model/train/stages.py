@@ -2,6 +2,7 @@
 
 static    upsampler and head on single frames (the encoder is the exact extractor of start.py; `--encoder` frees it)
 heads     the deformation heads alone, on tokens of pairs that are worked out once, rendered at one key time and two between
+flow      decoder, deformation upsampler and velocity head against flow alone, each tensor at a rate from its sensitivity; nothing is rendered
 dynamic   deformation upsampler and heads, rendered at both key times and at times between; encoder and static half frozen
 """
 import math
@@ -79,6 +80,7 @@ class Stage:
             return
         self.net.load_state_dict(state['net'])
         self.opt.load_state_dict(state['opt'])
+        self.rates = [g.get('rate', r) for g, r in zip(self.opt.param_groups, self.rates)]
         self.average = {k: v.to(self.device, copy=True) for k, v in state['average'].items()}
         self.step, self.progress.spent, self.before = state['step'], state['spent'], state['before']
 
@@ -253,6 +255,48 @@ def heads(net, o, run, clips, state=None):
     stage.go(loss_of, o.until)
     for hook in hooks:
         hook.remove()
+    return stage
+
+
+def calibrated(named, error_of, pairs, pixels, most=4e-4):
+    """Adam groups, one per tensor: at its rate a step may change the flow's error by `pixels` / sqrt(tensors), to first order.
+
+    A step of Adam is as large for every entry, so it changes the error by rate * sum|gradient|. The start codes places and contents
+    faintly beside the position table, and these sums span four orders of magnitude."""
+    size = {k: 0.0 for k, _ in named}
+    for b in pairs:
+        grads = torch.autograd.grad(error_of(b), [p for _, p in named], allow_unused=True)
+        for (k, _), g in zip(named, grads):
+            size[k] += 0.0 if g is None else float(g.abs().sum()) / len(pairs)
+    rate = {k: min(most, pixels / math.sqrt(len(named)) / max(a, 1e-9)) for k, a in size.items()}
+    return [dict(params=[p], lr=rate[k], rate=rate[k]) for k, p in named]
+
+
+def flow(net, o, run, clips, state=None):
+    source = data.Pairs(clips, o.seed, 1, middle=1, procedural=o.procedural, gaps=tuple(o.gaps))
+    device = next(net.parameters()).device
+    frozen = ('positional_embedding', 'gs_predictor', 'opacity_dynamic', 'xyz_dynamic_scale')
+    named = [(k, p) for k, p in net.named_parameters() if not any(s in k for s in frozen) and not ('gaussian_upsampler' in k and '.attn.' in k)]
+
+    def error_of(b):
+        with torch.no_grad():
+            e = net.encode(b['rgb'][:, :2].flatten(0, 1))
+            _, token = net.static(e)
+        velocity = net.dynamic(e, token)[0]
+        target, sure = losses.splat_flow(b['flow'], b['sure'], net.config.splat_grid)
+        return losses.end_point_error(velocity, target, sure, net.config.resolution)
+
+    for k, p in net.named_parameters():
+        p.requires_grad_(any(p is q for _, q in named))
+    groups = calibrated(named, lambda b: error_of(b)[0], [tensors(source.batch((1 << 22) + k), device) for k in range(6)], 0.05 * o.rate)
+    stage = Stage('flow', net, groups, run, o.steps, o.minutes)
+    stage.resume(state)
+
+    def loss_of(step, f):
+        error, still = error_of(tensors(source.batch(step), device))
+        return error, dict(epe=float(error.detach()), epe_zero=float(still))
+
+    stage.go(loss_of, o.until)
     return stage
 
 

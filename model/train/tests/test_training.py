@@ -83,7 +83,7 @@ def options(**more):
                                              mixed=False, rasteriser=None, pairs=2), **more))
 
 
-@pytest.mark.parametrize('stage, mixed', (('static', False), ('static', True), ('heads', False), ('dynamic', False), ('dynamic', True)))
+@pytest.mark.parametrize('stage, mixed', (('static', False), ('static', True), ('heads', False), ('flow', False), ('dynamic', False), ('dynamic', True)))
 def test_half_a_run_and_its_continuation_are_the_whole_run_to_the_bit(stage, mixed, begun, clips_module, tmp_path):
     net, _, _, _ = begun
     first = {k: v.clone() for k, v in net.state_dict().items()}
