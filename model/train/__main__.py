@@ -67,7 +67,7 @@ def train(o):
     return getattr(stages, o.stage)(net, o, run, clips, stage)
 
 
-SHARES = dict(static=0.5, heads=0.25, flow=0.25)
+SHARES = dict(static=0.5, flow=0.25, heads=0.25)
 
 
 def whole(o):
@@ -201,7 +201,7 @@ def main(arguments=None):
     c.set_defaults(stage='flow')
     training_options(c)
     dynamic_options(c)
-    c = command('all', whole, 'start, static, heads, flow, export and eval; resumes')
+    c = command('all', whole, 'start, static, flow, heads, export and eval; resumes')
     for options in (network_options, training_options, static_options, dynamic_options, heads_options, checkpoint_options, measuring_options):
         options(c)
     c.add_argument('--batch', type=int, default=2, help='frames of a step of the static stage')

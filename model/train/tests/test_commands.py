@@ -48,8 +48,8 @@ def test_stages_one_by_one_give_what_the_single_command_gives(folder, tmp_path):
     main(['start', *at, '--resolution', '48', '64'])
     main(['static', *at, '--steps', '3', '--until', '2'])
     main(['static', *at, '--steps', '3'])
-    main(['heads', *at, '--steps', '3', '--gaps', '2', '6', '--middle', '2', '--pairs', '2'])
     main(['flow', *at, '--steps', '3', '--gaps', '2', '6', '--middle', '2'])
+    main(['heads', *at, '--steps', '3', '--gaps', '2', '6', '--middle', '2', '--pairs', '2'])
     main(['export', *at, '--out', str(tmp_path / 'b.safetensors')])
     assert (tmp_path / 'a.safetensors').read_bytes() == (tmp_path / 'b.safetensors').read_bytes()
 
