@@ -128,27 +128,33 @@ impl Decoder {
     }
 
     /// `[d_a, d_b]`, each `[N, D]`, from the embeddings and features of frames a and b.
-    pub(crate) fn apply(&self, level: Level, config: &Config, h: [&[f32]; 2], features: [&[f32]; 2]) -> [Vec<f32>; 2] {
+    pub(crate) fn apply(
+        &self,
+        level: Level,
+        config: &Config,
+        h: [&[f32]; 2],
+        features: [&[f32]; 2],
+        work: &mut Workspace,
+    ) -> [Vec<f32>; 2] {
         // Each frame is conditioned on the other.
         let conditions = [self.condition(level, features[1]), self.condition(level, features[0])];
         let half = h[0].len();
         let mut x = self.enter(level, h);
-        let mut work = Workspace::default();
         for (i, block) in self.blocks.iter().enumerate() {
             let windows = windows(config.encoder_window, i);
             match &block.self_attn {
-                Some(self_attn) => self_attn.accumulate(level, windows, &mut x, &mut work),
+                Some(self_attn) => self_attn.accumulate(level, windows, &mut x, work),
                 None => add_zero(&mut x),
             }
             match &block.cross_attn {
                 Some(cross_attn) => {
                     for (x, condition) in x.chunks_exact_mut(half).zip(&conditions) {
-                        cross_attn.accumulate(level, condition, x, &mut work);
+                        cross_attn.accumulate(level, condition, x, work);
                     }
                 }
                 None => add_zero(&mut x),
             }
-            block.feed_forward(level, &mut x, &mut work);
+            block.feed_forward(level, &mut x, work);
         }
         let mut first = self.layernorm2.of(level, &x);
         let second = first.split_off(half);

@@ -12,7 +12,7 @@ use streamsplat_kernels::{Level, activation, truncated_normal};
 
 use crate::checkpoint::Weights;
 use crate::keys;
-use crate::layers::{Bias, Linear, ROWS};
+use crate::layers::{Bias, Linear, ROWS, Workspace, sized};
 use crate::{Config, ModelError};
 
 pub(crate) struct DeformationHead {
@@ -41,25 +41,30 @@ impl DeformationHead {
     }
 
     /// Velocity and γ of every token.
-    pub(crate) fn apply(&self, level: Level, static_tokens: &[f32], tokens: &[f32]) -> (Vec<[f32; 3]>, Vec<[f32; 2]>) {
+    pub(crate) fn apply(
+        &self,
+        level: Level,
+        static_tokens: &[f32],
+        tokens: &[f32],
+        work: &mut Workspace,
+    ) -> (Vec<[f32; 3]>, Vec<[f32; 2]>) {
         let d = self.encoder_proj.n();
         let n = tokens.len() / d;
         let (mut velocity, mut gamma) = (vec![[0.0; 3]; n], vec![[0.0; 2]; n]);
-        let rows = ROWS.min(n);
-        let (mut projected, mut joined) = (vec![0.0; rows * d], vec![0.0; rows * 2 * d]);
-        let mut hidden = [vec![0.0; rows * d], vec![0.0; rows * d]];
+        let Workspace { normed, projected: pairs, mixed, hidden, .. } = work;
         let chunks = static_tokens.chunks(ROWS * d).zip(tokens.chunks(ROWS * d));
         let results = velocity.chunks_mut(ROWS).zip(gamma.chunks_mut(ROWS));
         for ((static_tokens, tokens), (velocity, gamma)) in chunks.zip(results) {
             let rows = velocity.len();
-            let projected = &mut projected[..rows * d];
+            let projected = sized(normed, rows * d);
             self.encoder_proj.apply(level, static_tokens, projected);
-            let joined = &mut joined[..rows * 2 * d];
+            let joined = sized(pairs, rows * 2 * d);
             let halves = projected.chunks_exact(d).zip(tokens.chunks_exact(d));
             for (row, (left, right)) in joined.chunks_exact_mut(2 * d).zip(halves) {
                 row[..d].copy_from_slice(left);
                 row[d..].copy_from_slice(right);
             }
+            let mut hidden = [sized(mixed, rows * d), sized(hidden, rows * d)];
             self.velocity.apply(level, joined, &mut hidden, velocity.as_flattened_mut());
             self.gamma.apply(level, joined, &mut hidden, gamma.as_flattened_mut());
         }
@@ -90,13 +95,12 @@ impl Mlp {
         ]))
     }
 
-    fn apply(&self, level: Level, x: &[f32], hidden: &mut [Vec<f32>; 2], out: &mut [f32]) {
+    fn apply(&self, level: Level, x: &[f32], hidden: &mut [&mut [f32]; 2], out: &mut [f32]) {
         let [first, second, last] = &self.0;
-        let len = x.len() / 2;
         let [a, b] = hidden;
-        first.apply_silu(level, x, &mut a[..len]);
-        second.apply_silu(level, &a[..len], &mut b[..len]);
-        last.apply(level, &b[..len], out);
+        first.apply_silu(level, x, a);
+        second.apply_silu(level, a, b);
+        last.apply(level, b, out);
     }
 
     fn bytes(&self) -> usize {

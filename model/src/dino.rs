@@ -22,7 +22,7 @@ use tracing::info_span;
 use crate::checkpoint::{Checkpoint, Weights};
 use crate::config::Settings;
 use crate::error::check_input;
-use crate::layers::{Bias, HEAD, LayerNorm, Linear, ROWS, Workspace, add, sized};
+use crate::layers::{Bias, HEAD, LayerNorm, Linear, ROWS, Workspace, Workspaces, add, sized};
 use crate::{DinoConfig, DinoFeatures, LoadOptions, ModelError};
 
 /// DINOv2 with its weights.
@@ -36,6 +36,7 @@ pub struct Dino {
     position: Vec<f32>,
     blocks: Vec<DinoBlock>,
     norm: LayerNorm,
+    workspaces: Workspaces,
 }
 
 struct DinoBlock {
@@ -97,6 +98,7 @@ impl Dino {
             position,
             blocks,
             norm: LayerNorm::load(weights, "norm", d)?,
+            workspaces: Workspaces::default(),
             config,
             options: *options,
         })
@@ -144,10 +146,7 @@ impl Dino {
         self.patch_embed.apply(level, &rows, &mut x[start..]);
         add(&mut x[start..], &self.position);
 
-        let mut work = Workspace::default();
-        for block in &self.blocks {
-            block.apply(level, &mut x, &mut work);
-        }
+        self.workspaces.lend(|work| self.blocks.iter().for_each(|block| block.apply(level, &mut x, work)));
         let mut out = vec![0.0; x.len()];
         self.norm.apply(level, &x, &mut out);
         Ok(DinoFeatures { resized, patch_tokens: out.split_off(start), cls_token: out[..d].to_vec() })

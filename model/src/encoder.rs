@@ -52,8 +52,8 @@ impl Encoder {
         tokens
     }
 
-    pub(crate) fn encode(&self, level: Level, config: &Config, tokens: &[f32]) -> Vec<f32> {
-        self.run(level, config, self.enter(level, tokens))
+    pub(crate) fn encode(&self, level: Level, config: &Config, tokens: &[f32], work: &mut Workspace) -> Vec<f32> {
+        self.run(level, config, self.enter(level, tokens), work)
     }
 
     /// What enters the blocks.
@@ -64,10 +64,9 @@ impl Encoder {
     }
 
     /// The blocks and what follows.
-    pub(crate) fn run(&self, level: Level, config: &Config, mut x: Vec<f32>) -> Vec<f32> {
-        let mut work = Workspace::default();
+    pub(crate) fn run(&self, level: Level, config: &Config, mut x: Vec<f32>, work: &mut Workspace) -> Vec<f32> {
         for (i, block) in self.blocks.iter().enumerate() {
-            block.apply(level, windows(config.encoder_window, i), &mut x, &mut work);
+            block.apply(level, windows(config.encoder_window, i), &mut x, work);
         }
         self.layernorm2.of(level, &x)
     }

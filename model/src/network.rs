@@ -11,6 +11,7 @@ use crate::decoder::Decoder;
 use crate::deformation_head::DeformationHead;
 use crate::encoder::Encoder;
 use crate::error::check_input;
+use crate::layers::{Workspace, Workspaces};
 use crate::reuse::{Memory, Saving};
 use crate::silent::{Silent, silent};
 use crate::static_head::StaticHead;
@@ -28,6 +29,7 @@ pub struct Network {
     config: Config,
     options: LoadOptions,
     silent: Vec<Silent>,
+    workspaces: Workspaces,
     encoder: Encoder,
     static_upsampler: Upsampler,
     static_head: StaticHead,
@@ -95,6 +97,7 @@ impl Network {
             config,
             options: *options,
             silent,
+            workspaces: Workspaces::default(),
         })
     }
 
@@ -162,7 +165,8 @@ impl Network {
     pub fn encode(&self, tokens: &[f32]) -> Result<Embedding, ModelError> {
         self.check_tokens("tokens", tokens)?;
         let _span = info_span!("encoder").entered();
-        Ok(Embedding { h: self.encoder.encode(self.level(), &self.config, tokens) })
+        let encode = |work: &mut Workspace| self.encoder.encode(self.level(), &self.config, tokens, work);
+        Ok(Embedding { h: self.workspaces.lend(encode) })
     }
 
     /// The Gaussians of a frame at its own time: [`Network::upsample_static`], then [`Network::static_head`].
@@ -182,7 +186,7 @@ impl Network {
     pub fn upsample_static(&self, h: &[f32]) -> Result<Vec<f32>, ModelError> {
         self.check_tokens("h", h)?;
         let _span = info_span!("upsampler", kind = "static").entered();
-        Ok(self.static_upsampler.apply(self.level(), &self.config, h))
+        Ok(self.workspaces.lend(|work| self.static_upsampler.apply(self.level(), &self.config, h, work)))
     }
 
     /// The static head on upsampled tokens `[16N, d]`.
@@ -219,7 +223,7 @@ impl Network {
         self.check_tokens("h of the second frame", b.h)?;
         let features = [self.features(a, "first")?, self.features(b, "second")?];
         let _span = info_span!("decoder").entered();
-        Ok(self.decoder.apply(self.level(), &self.config, [a.h, b.h], features))
+        Ok(self.workspaces.lend(|work| self.decoder.apply(self.level(), &self.config, [a.h, b.h], features, work)))
     }
 
     /// The deformation upsampler: `d [N, D]` of one frame to `[16N, d]`.
@@ -229,7 +233,7 @@ impl Network {
     pub fn upsample_deformation(&self, d: &[f32]) -> Result<Vec<f32>, ModelError> {
         self.check_tokens("d", d)?;
         let _span = info_span!("upsampler", kind = "deformation").entered();
-        Ok(self.deformation_upsampler.apply(self.level(), &self.config, d))
+        Ok(self.workspaces.lend(|work| self.deformation_upsampler.apply(self.level(), &self.config, d, work)))
     }
 
     /// The deformation head on a frame's static and deformation tokens, both `[16N, d]`: velocity and γ.
@@ -244,7 +248,7 @@ impl Network {
         self.check_upsampled("static tokens", static_tokens)?;
         self.check_upsampled("deformation tokens", tokens)?;
         let _span = info_span!("heads", kind = "deformation").entered();
-        Ok(self.deformation_head.apply(self.level(), static_tokens, tokens))
+        Ok(self.workspaces.lend(|work| self.deformation_head.apply(self.level(), static_tokens, tokens, work)))
     }
 
     /// A memory for the `*_keeping` methods; `None` when this network has nothing to keep: where every token sees all others, no
@@ -262,7 +266,10 @@ impl Network {
         memory.begin();
         let _span = info_span!("encoder").entered();
         let (level, saving) = (self.level(), memory.saving);
-        Ok(Embedding { h: self.encoder.encode_keeping(level, &self.config, tokens, saving, &mut memory.encoder) })
+        let (encoder, config, kept) = (&self.encoder, &self.config, &mut memory.encoder);
+        Ok(Embedding {
+            h: self.workspaces.lend(|work| encoder.encode_keeping(level, config, tokens, saving, kept, work)),
+        })
     }
 
     /// [`Network::upsample_static`], leaving out what `memory` still holds.
@@ -274,7 +281,8 @@ impl Network {
         memory.begin();
         let _span = info_span!("upsampler", kind = "static").entered();
         let (level, saving) = (self.level(), (memory.saving, memory.encoder.moves()));
-        Ok(self.static_upsampler.apply_keeping(level, &self.config, h, saving, &mut memory.static_upsampler))
+        let (upsampler, config, kept) = (&self.static_upsampler, &self.config, &mut memory.static_upsampler);
+        Ok(self.workspaces.lend(|work| upsampler.apply_keeping(level, config, h, saving, kept, work)))
     }
 
     /// [`Network::static_head`] of `tokens`, the result of the last call of [`Network::upsample_static_keeping`] with this memory, leaving
@@ -312,7 +320,8 @@ impl Network {
         let _span = info_span!("decoder").entered();
         let (level, pair) = (self.level(), ([a.h, b.h], features));
         let saving = (memory.saving.of_motion(), memory.encoder.moves());
-        Ok(self.decoder.apply_keeping(level, &self.config, pair, saving, &mut memory.decoder))
+        let (decoder, config, kept) = (&self.decoder, &self.config, &mut memory.decoder);
+        Ok(self.workspaces.lend(|work| decoder.apply_keeping(level, config, pair, saving, kept, work)))
     }
 
     /// [`Network::upsample_deformation`] of the earlier (0) or the later (1) frame of the pair, leaving out what `memory` still holds.
@@ -332,8 +341,9 @@ impl Network {
         memory.begin();
         let _span = info_span!("upsampler", kind = "deformation").entered();
         let saving = (memory.saving.of_motion(), memory.encoder.moves());
-        let (level, (upsampler, _)) = (self.level(), &mut memory.deformation[place]);
-        Ok(self.deformation_upsampler.apply_keeping(level, &self.config, d, saving, upsampler))
+        let (level, (kept, _)) = (self.level(), &mut memory.deformation[place]);
+        let (upsampler, config) = (&self.deformation_upsampler, &self.config);
+        Ok(self.workspaces.lend(|work| upsampler.apply_keeping(level, config, d, saving, kept, work)))
     }
 
     /// [`Network::deformation_head`] of `tokens`, the result of the last call of [`Network::upsample_deformation_keeping`] for that place
@@ -356,7 +366,10 @@ impl Network {
         memory.begin();
         let _span = info_span!("heads", kind = "deformation").entered();
         let (upsampler, head) = &mut memory.deformation[place];
-        Ok(self.deformation_head.apply_keeping(self.level(), static_tokens, tokens, upsampler, head))
+        let level = self.level();
+        Ok(self
+            .workspaces
+            .lend(|work| self.deformation_head.apply_keeping(level, static_tokens, tokens, upsampler, head, work)))
     }
 
     /// What the other frame is conditioned on.

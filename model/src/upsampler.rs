@@ -7,7 +7,7 @@ use streamsplat_kernels::Level;
 use streamsplat_kernels::pixel_shuffle::pixel_shuffle;
 
 use crate::checkpoint::Weights;
-use crate::layers::{Bias, Block, Linear, RmsNorm, Workspace, windows};
+use crate::layers::{Bias, Block, Linear, RmsNorm, Workspace, sized, windows};
 use crate::{Config, ModelError, Precision};
 
 pub(crate) struct Upsampler {
@@ -33,24 +33,22 @@ impl Upsampler {
     }
 
     /// `[N, D]` to `[16N, d]`.
-    pub(crate) fn apply(&self, level: Level, config: &Config, h: &[f32]) -> Vec<f32> {
+    pub(crate) fn apply(&self, level: Level, config: &Config, h: &[f32], work: &mut Workspace) -> Vec<f32> {
         let [mut height, mut width] = config.grid();
-        let mut work = Workspace::default();
-        let mut x = Vec::new();
+        let mut x = std::mem::take(&mut work.tokens);
         for (i, stage) in self.stages.iter().enumerate() {
             let channels = stage.residual_fc.n() / 4;
-            let mut wide = vec![0.0; height * width * 4 * channels];
-            stage.residual_fc.apply(level, if i == 0 { h } else { &x }, &mut wide);
-            x = vec![0.0; wide.len()];
-            pixel_shuffle(&wide, height, width, channels, &mut x);
-            drop(wide);
+            let wide = sized(&mut work.wide, height * width * 4 * channels);
+            stage.residual_fc.apply(level, if i == 0 { h } else { &x }, wide);
+            pixel_shuffle(wide, height, width, channels, sized(&mut x, wide.len()));
             [height, width] = [2 * height, 2 * width];
             for (index, block) in stage.blocks.iter().enumerate() {
-                block.apply(level, windows(Some(config.upsampler_window), index), &mut x, &mut work);
+                block.apply(level, windows(Some(config.upsampler_window), index), &mut x, work);
             }
         }
-        drop(work);
-        self.layernorm2.of(level, &x)
+        let tokens = self.layernorm2.of(level, &x);
+        work.tokens = x;
+        tokens
     }
 
     pub(crate) fn bytes(&self) -> usize {

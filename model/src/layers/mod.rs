@@ -18,7 +18,7 @@ pub(crate) use layer_norm::LayerNorm;
 pub(crate) use linear::{Bias, Linear};
 pub(crate) use norm::RmsNorm;
 pub(crate) use position::{add, add_zero, sinusoid};
-pub(crate) use workspace::{Workspace, sized};
+pub(crate) use workspace::{Workspace, Workspaces, sized};
 
 /// Channels of a head.
 pub(crate) const HEAD: usize = 64;

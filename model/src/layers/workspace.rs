@@ -1,10 +1,14 @@
-//! Memory that the blocks of a part use one after the other.
+//! Memory that the parts use one after the other, and keep for the next call.
+
+use std::sync::{Mutex, PoisonError};
 
 use streamsplat_kernels::memory::Aligned;
 
-/// Intermediate matrices of a block. Contents have no meaning between uses.
+/// Intermediate matrices of a part and its blocks. Contents have no meaning between uses.
 #[derive(Default)]
 pub(crate) struct Workspace {
+    pub(crate) tokens: Aligned<f32>,
+    pub(crate) wide: Aligned<f32>,
     pub(crate) normed: Aligned<f32>,
     pub(crate) projected: Aligned<f32>,
     pub(crate) keys_values: Aligned<f32>,
@@ -12,8 +16,39 @@ pub(crate) struct Workspace {
     pub(crate) hidden: Aligned<f32>,
 }
 
+/// Workspaces that calls have given back: as many as there ever were calls at a time. Fresh memory is dear, as the system clears it page by page.
+#[derive(Default)]
+pub(crate) struct Workspaces(Mutex<Vec<Workspace>>);
+
+impl Workspaces {
+    /// Calls `work` with one of them.
+    pub(crate) fn lend<R>(&self, work: impl FnOnce(&mut Workspace) -> R) -> R {
+        let kept = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut lent = kept().pop().unwrap_or_default();
+        let result = work(&mut lent);
+        kept().push(lent);
+        result
+    }
+}
+
 /// The first `len` values of `memory`, which grows if it must.
 pub(crate) fn sized(memory: &mut Aligned<f32>, len: usize) -> &mut [f32] {
     memory.resize(len);
     memory
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_is_kept_for_the_next_call_and_is_one_calls_at_a_time() {
+        let workspaces = Workspaces::default();
+        let first = workspaces.lend(|work| sized(&mut work.normed, 1000).as_ptr() as usize);
+        workspaces.lend(|work| {
+            assert_eq!(sized(&mut work.normed, 900).as_ptr() as usize, first);
+            let inner = workspaces.lend(|work| sized(&mut work.normed, 900).as_ptr() as usize);
+            assert_ne!(inner, first);
+        });
+    }
 }

@@ -118,11 +118,12 @@ impl Encoder {
         tokens: &[f32],
         saving: Saving,
         memory: &mut EncoderMemory,
+        work: &mut Workspace,
     ) -> Vec<f32> {
         let (n, d) = (config.tokens(), config.hidden_dim);
         let x = self.enter(level, tokens);
         let EncoderMemory { schedule, blocks, output, tokens } = memory;
-        let Some(first) = blocks.first() else { return self.run(level, config, x) };
+        let Some(first) = blocks.first() else { return self.run(level, config, x, work) };
         let changed = match schedule.has_seen() {
             true => places(&first.gate.moved(level, saving.tolerance(), &x)),
             false => Vec::new(),
@@ -132,16 +133,15 @@ impl Encoder {
             Pass::Plain => {
                 blocks[0].gate.keep(&x);
                 tokens.count(blocks.len() * n, blocks.len() * n);
-                return self.run(level, config, x);
+                return self.run(level, config, x, work);
             }
             Pass::Refresh => Rows::all(x, d),
             Pass::Changed => Rows::gather(changed, &x, d),
         };
-        let mut work = Workspace::default();
         for (i, (block, memory)) in self.blocks.iter().zip(blocks).enumerate() {
             let windows = windows(config.encoder_window, i);
             let part = (block, memory, windows);
-            step(level, saving, pass == Pass::Refresh, part, &mut rows, (&mut work, tokens));
+            step(level, saving, pass == Pass::Refresh, part, &mut rows, (work, tokens));
         }
         rows.x = self.layernorm2.of(level, &rows.x);
         sized(output, n * d);

@@ -59,13 +59,14 @@ impl Decoder {
         (h, features): ([&[f32]; 2], [&[f32]; 2]),
         (saving, moves): (Saving, bool),
         memory: &mut DecoderMemory,
+        work: &mut Workspace,
     ) -> [Vec<f32>; 2] {
         let (n, d) = (config.tokens(), config.hidden_dim);
         let DecoderMemory { schedule, conditions, blocks, output, tokens } = memory;
         // Each token sees all of the other frame's: where one bit differs, all do.
         let (Some(first), Saving::Within(_)) = (blocks.first_mut(), saving) else {
             tokens.count(blocks.len() * 2 * n, blocks.len() * 2 * n);
-            return self.apply(level, config, h, features);
+            return self.apply(level, config, h, features, work);
         };
         let x = self.enter(level, h);
         let changed = match schedule.has_seen() {
@@ -82,7 +83,7 @@ impl Decoder {
             Pass::Plain => {
                 first.own.gate.keep(&x);
                 tokens.count(blocks.len() * 2 * n, blocks.len() * 2 * n);
-                return self.apply(level, config, h, features);
+                return self.apply(level, config, h, features, work);
             }
             Pass::Refresh => Rows::all(x, d),
             Pass::Changed => Rows::gather(changed, &x, d),
@@ -94,7 +95,6 @@ impl Decoder {
             Some((gate, features)) => self.renewed(level, config.condition_dim, saving, refresh, gate, features),
             None => (Rows::default(), 0),
         });
-        let mut work = Workspace::default();
         for (i, (block, memory)) in self.blocks.iter().zip(blocks).enumerate() {
             let windows = windows(config.encoder_window, i);
             // The gate would drop a token whose partner in the other frame changed.
@@ -108,7 +108,7 @@ impl Decoder {
             let Rows { at, x } = &mut rows;
             let own = &mut memory.own.keys_values;
             match &block.self_attn {
-                Some(self_attn) => self_attn.accumulate_some(level, windows, at, x, own, &mut work),
+                Some(self_attn) => self_attn.accumulate_some(level, windows, at, x, own, work),
                 None => add_zero(x),
             }
             match &block.cross_attn {
@@ -119,12 +119,12 @@ impl Decoder {
                         sized(kept, m * 2 * d);
                         let new = cross_attn.keys_values(level, &renewed.x);
                         scatter(&renewed.at, &new, 2 * d, 0, kept, 2 * d);
-                        cross_attn.accumulate_with(level, kept, x, &mut work);
+                        cross_attn.accumulate_with(level, kept, x, work);
                     }
                 }
                 None => add_zero(x),
             }
-            block.feed_forward(level, x, &mut work);
+            block.feed_forward(level, x, work);
         }
         rows.x = self.layernorm2.of(level, &rows.x);
         sized(output, 2 * n * d);

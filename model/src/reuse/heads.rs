@@ -6,6 +6,7 @@ use streamsplat_kernels::change::Tolerance;
 use super::rows::{Gate, Rows};
 use super::{Tokens, UpsamplerMemory};
 use crate::deformation_head::DeformationHead;
+use crate::layers::Workspace;
 use crate::static_head::StaticHead;
 use crate::{Config, Sampling, StaticGaussians};
 
@@ -102,6 +103,7 @@ impl DeformationHead {
         tokens: &[f32],
         upsampler: &UpsamplerMemory,
         memory: &mut DeformationHeadMemory,
+        work: &mut Workspace,
     ) -> (Vec<[f32; 3]>, Vec<[f32; 2]>) {
         let n = memory.still.rows();
         let d = tokens.len() / n;
@@ -114,7 +116,7 @@ impl DeformationHead {
                 let still = Rows::gather(super::rows::places(&marks), static_tokens, d);
                 memory.still.replace(&still);
                 let moving = Rows::gather(still.at, tokens, d);
-                let (velocity, gamma) = self.apply(level, &still.x, &moving.x);
+                let (velocity, gamma) = self.apply(level, &still.x, &moving.x, work);
                 for (i, row) in moving.at.iter().map(|row| *row as usize).enumerate() {
                     memory.velocity[row] = velocity[i];
                     memory.gamma[row] = gamma[i];
@@ -127,7 +129,7 @@ impl DeformationHead {
                 if memory.kept {
                     memory.still.keep(static_tokens);
                 }
-                (memory.velocity, memory.gamma) = self.apply(level, static_tokens, tokens);
+                (memory.velocity, memory.gamma) = self.apply(level, static_tokens, tokens, work);
                 memory.tokens.count(n, n);
             }
         }

@@ -54,6 +54,7 @@ impl Upsampler {
         h: &[f32],
         (saving, moves): (Saving, bool),
         memory: &mut UpsamplerMemory,
+        work: &mut Workspace,
     ) -> Vec<f32> {
         let UpsamplerMemory { schedule, entry, stages, output, calls, latest, tokens } = memory;
         (*calls, *latest) = (*calls + 1, None);
@@ -67,7 +68,7 @@ impl Upsampler {
             Pass::Plain => {
                 entry.keep(h);
                 tokens.count(2 * (4 + 16) * n, 2 * (4 + 16) * n);
-                return self.apply(level, config, h);
+                return self.apply(level, config, h, work);
             }
             Pass::Refresh => {
                 entry.keep(h);
@@ -80,7 +81,6 @@ impl Upsampler {
             }
         };
         let [_, mut width] = config.grid();
-        let mut work = Workspace::default();
         for (stage, memories) in self.stages.iter().zip(stages) {
             let channels = stage.residual_fc.n() / 4;
             let mut wide = vec![0.0; rows.at.len() * 4 * channels];
@@ -89,7 +89,7 @@ impl Upsampler {
             width *= 2;
             for (index, (block, memory)) in stage.blocks.iter().zip(memories).enumerate() {
                 let part = (block, memory, windows(Some(config.upsampler_window), index));
-                step(level, saving, pass == Pass::Refresh, part, &mut rows, (&mut work, tokens));
+                step(level, saving, pass == Pass::Refresh, part, &mut rows, (work, tokens));
             }
         }
         let d = config.gaussian_dim();
