@@ -39,7 +39,13 @@ class OnnxRuntime:
         path = folder / f'{stage}.onnx'
         torch.onnx.export(module, tuple(torch.from_numpy(x) for x in inputs), str(path), dynamo=True, external_data=True, verbose=False)
         if precision == 'int8':
+            import onnx
             from onnxruntime.quantization import QuantType, quantize_dynamic
+            # The exporter leaves shapes of weights as they were before it transposed them; the quantizer infers them anew.
+            graph = onnx.load(path)
+            del graph.graph.value_info[:]
+            path = folder / f'{stage}-whole.onnx'
+            onnx.save(graph, path)
             quantized = folder / f'{stage}-int8.onnx'
             quantize_dynamic(str(path), str(quantized), weight_type=QuantType.QInt8, per_channel=True, op_types_to_quantize=['MatMul', 'Gemm'])
             path = quantized
