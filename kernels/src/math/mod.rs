@@ -20,7 +20,7 @@
 //! | [`normal_cdf`] | 4.759 | −8.537904 | all patterns |
 //! | [`gelu`] | 5.261 | −11.700364 | all patterns |
 //! | [`sin_cos`], sine | 1.560 | −922.8229 | all patterns |
-//! | [`sin_cos`], cosine | 1.548 | −7407.12 | every 251st |
+//! | [`sin_cos`], cosine | 1.562 | −1840.216 | all patterns |
 //!
 //! Errors are in units of the last place of binary32 at the exact value, against [`mod@f64`]; the example `ulp` of this
 //! crate measures them (`cargo run --release -p streamsplat-kernels --example ulp -- exhaustive` over all 2³² patterns).
