@@ -96,6 +96,8 @@ def pack(o):
 
 def export(o):
     _, net, _ = open_run(o)
+    if o.silence:
+        print('silenced:', *network.silence(net, o.silence))
     network.save_official(net, o.out, dict(f16=torch.float16, bf16=torch.bfloat16, f32=torch.float32)[o.dtype])
 
 
@@ -170,6 +172,7 @@ def main(arguments=None):
 
     def checkpoint_options(c):
         c.add_argument('--dtype', choices=('f16', 'bf16', 'f32'), default='f16')
+        c.add_argument('--silence', type=float, default=0.0, metavar='LEAST', help='leave out residual branches whose output projection is smaller everywhere')
 
     def measuring_options(c):
         c.add_argument('--split', default='val')

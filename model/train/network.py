@@ -369,6 +369,20 @@ def load_official(net, entries):
     return net
 
 
+@torch.no_grad()
+def silence(net, least):
+    """Zeroes the output projections of residual branches (weight and bias all smaller than `least`): they add next to nothing, and the
+    engine leaves out a branch that adds nothing at all. Returns the names."""
+    out = []
+    for name, module in net.named_modules():
+        last = getattr(module, 'out_proj', None) if isinstance(module, Attention) else getattr(module, 'c_proj', None)
+        if last is not None and max(float(p.abs().max()) for p in last.parameters()) < least:
+            for p in last.parameters():
+                p.zero_()
+            out.append(name)
+    return out
+
+
 def save_official(net, path, dtype=torch.float16):
     """Writes `path` (safetensors, prefix `model.`) and `path` with .json: what the shapes cannot say."""
     from safetensors.torch import save_file
