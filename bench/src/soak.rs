@@ -9,8 +9,9 @@
 //!
 //! Time is the time that all threads of this process spent on a CPU. Because that, too, depends on what else the machine does, the
 //! long stream is compared twice: its last hundred steps alone with its second hundred, by their lower quartiles; and the hundred after with the
-//! second hundred of a *young* stream beside it, fed the same frames in turn, which what else runs disturbs alike. (The young one takes
-//! some per cent more: glibc gives its thread's own heap back to the system after every step.) Memory is looked at until the young stream
+//! second hundred of a *young* stream beside it, fed the same frames in turn, which what else runs disturbs alike. That figure has no
+//! limit: glibc gives the heap of one of the two threads back to the system after every step, which one is chance, and that costs some per cent
+//! (0.90 to 1.05 were seen). Memory is looked at until the young stream
 //! starts.
 
 use std::path::PathBuf;
@@ -108,6 +109,8 @@ struct Results {
     checks: Vec<Check>,
     /// Resident memory at any one moment after the first period, over its most until then.
     resident_peaks: f64,
+    /// The hundred after / the second hundred of the young stream.
+    beside_young: f64,
     rows: Vec<Row>,
 }
 
@@ -353,6 +356,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 
     let (long_steps, young_steps) = beside.context("a young stream")?;
     let at = |key_frame: u64| rows.iter().find(|row| row.key_frame == key_frame).and_then(|row| row.cpu_seconds);
+    let beside_young = slower(&long_steps, &young_steps);
     let alone = at(count - YOUNG).context("a time")? / at(2 * HUNDRED).context("a time")?;
     let mut fresh = Engine::new(pairwise)?;
     let mut other = None;
@@ -366,11 +370,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         Check::new("most live memory after the first 50 / until then", live_peaks, LIVE),
         Check::new("resident memory after the first 50 / until then", resident, options.resident),
         Check::new("CPU time, last hundred / second hundred", alone, options.slowdown),
-        Check::new(
-            "the same, the second hundred of a young stream beside it",
-            slower(&long_steps, &young_steps),
-            options.slowdown,
-        ),
         Check::new("identities seen twice", identities.twice as f64, 0.0),
         Check::new("images unlike a stream started two frames earlier, pairwise", f64::from(u8::from(!same)), 0.0),
     ];
@@ -379,6 +378,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         println!("| {what} | {found:.4} | {at_most} | {} |", if *holds { "holds" } else { "FAILS" });
     }
     println!("\nMost resident memory at any one moment after the first 50 / until then: {resident_peaks:.4}");
+    println!("The hundred after / the second hundred of a young stream beside it: {beside_young:.4}");
     let failed = checks.iter().filter(|check| !check.holds).count();
     let results = Results {
         cpu: machine::cpu(),
@@ -388,6 +388,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         model: name,
         checks,
         resident_peaks,
+        beside_young,
         rows,
     };
     options.json.as_deref().map_or(Ok(()), |path| super::write_json(path, &results))?;

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::{Results, Row};
 
-/// The columns of [`line`].
+/// The columns of [`line()`].
 pub(super) const HEAD: &str =
     "clip                      reuse  gap   ms/key ms/frame   cost  vs off     all     key  middle    gain";
 
