@@ -83,7 +83,8 @@ pub(crate) struct Runner {
 /// Engines of one model; those of one precision share its weights.
 pub(crate) struct Models {
     settings: Settings,
-    loaded: Vec<(Precision, Arc<dyn Reconstructor>)>,
+    /// By precision, and whether every branch is computed, which only `off` asks for.
+    loaded: Vec<((Precision, bool), Arc<dyn Reconstructor>)>,
 }
 
 impl Models {
@@ -95,14 +96,15 @@ impl Models {
     /// An engine that has seen nothing.
     fn engine(&mut self, variant: &Variant) -> Result<Engine> {
         let mut settings = Settings { precision: variant.precision, reuse: variant.reuse, ..self.settings.clone() };
-        let loaded = self.loaded.iter().find(|(precision, _)| *precision == variant.precision);
+        let key = (variant.precision, variant.reuse == Reuse::Off);
+        let loaded = self.loaded.iter().find(|(known, _)| *known == key);
         if let Some((_, model)) = loaded {
             settings.model = ModelSource::Shared(Arc::clone(model));
         }
         let known = loaded.is_some();
         let engine = Engine::new(settings)?;
         if !known {
-            self.loaded.push((variant.precision, Arc::clone(engine.model())));
+            self.loaded.push((key, Arc::clone(engine.model())));
         }
         Ok(engine)
     }
