@@ -27,22 +27,27 @@ fn share(rows: &[&Row], name: &str) -> Option<f64> {
     (all > 0).then(|| done as f64 / all as f64)
 }
 
+/// A row's measurements, in the order of both tables.
+fn figures(row: &Row) -> [String; 8] {
+    [
+        format!("{:.1}", 1e3 * row.key_frame.seconds()),
+        format!("{:.1}", 1e3 * row.frame.seconds()),
+        format!("{:.3}", row.cost),
+        or_none(row.psnr_vs_off),
+        format!("{:.2}", row.psnr),
+        format!("{:.2}", row.psnr_key),
+        or_none(row.psnr_middle),
+        format!("{:.3}", row.gain),
+    ]
+}
+
 /// One row for the terminal.
 pub(super) fn line(row: &Row) -> String {
-    let mut text = format!(
-        "{:<24} {:>6} {:>4} {:>8.1} {:>8.1} {:>6.3} {:>7} {:>7.2} {:>7.2} {:>7} {:>7.3}\n",
-        row.clip,
-        row.reuse,
-        row.gap,
-        row.key_frame.seconds() * 1e3,
-        row.frame.seconds() * 1e3,
-        row.cost,
-        or_none(row.psnr_vs_off),
-        row.psnr,
-        row.psnr_key,
-        or_none(row.psnr_middle),
-        row.gain
-    );
+    let mut text = format!("{:<24} {:>6} {:>4}", row.clip, row.reuse, row.gap);
+    for (figure, width) in figures(row).iter().zip([8, 8, 6, 7, 7, 7, 7, 7]) {
+        let _ = write!(text, " {figure:>width$}");
+    }
+    text.push('\n');
     let parts = PARTS.iter().filter_map(|part| Some((part, share(&[row], &format!("{part}.tokens"))?)));
     let parts: Vec<String> = parts.map(|(part, share)| format!("{part} {share:.2}")).collect();
     if !parts.is_empty() {
@@ -132,23 +137,11 @@ pub(super) fn markdown(results: &Results) -> String {
         | clip | camera | frames | key frames | reuse | gap | ms per key frame | ms per input frame | cost | vs off, dB | PSNR, dB | key frames | between | gain |\n\
         |---|---|---:|---:|---|---|---:|---:|---:|---:|---:|---:|---:|---:|\n";
     for row in &results.rows {
+        let (camera, figures) = (camera(row.still), figures(row).join(" | "));
         let _ = writeln!(
             text,
-            "| {} | {} | {} | {} | {} | {} | {:.0} | {:.1} | {:.3} | {} | {:.2} | {:.2} | {} | {:.3} |",
-            row.clip,
-            camera(row.still),
-            row.frames,
-            row.keys,
-            row.reuse,
-            row.gap,
-            1e3 * row.key_frame.seconds(),
-            1e3 * row.frame.seconds(),
-            row.cost,
-            or_none(row.psnr_vs_off),
-            row.psnr,
-            row.psnr_key,
-            or_none(row.psnr_middle),
-            row.gain
+            "| {} | {camera} | {} | {} | {} | {} | {figures} |",
+            row.clip, row.frames, row.keys, row.reuse, row.gap
         );
     }
     text

@@ -5,6 +5,7 @@
 //! list below spells out. In the plot of stages, shapes are stages.
 
 use anyhow::{Context, Result, anyhow};
+use plotters::chart::MeshStyle;
 use plotters::coord::ranged1d::{KeyPointHint, Ranged, ValueFormatter};
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
@@ -121,6 +122,16 @@ fn shape(area: &Area<'_>, at: (i32, i32), (colour, kind, fill): Mark) -> Result<
     area.draw(&PathElement::new(points, line)).map_err(fail)
 }
 
+/// The grid and lettering of every panel.
+fn plain<'m, 'a, 'b, 's, X: Ranged, Y: Ranged>(
+    mesh: &'m mut MeshStyle<'a, 'b, X, Y, SVGBackend<'s>>,
+) -> &'m mut MeshStyle<'a, 'b, X, Y, SVGBackend<'s>> {
+    mesh.light_line_style(TRANSPARENT)
+        .bold_line_style(RGBColor(225, 225, 225))
+        .label_style(("sans-serif", 14).into_font().color(&INK))
+        .axis_desc_style(("sans-serif", 15).into_font().color(&INK))
+}
+
 fn text(area: &Area<'_>, words: &str, at: (i32, i32), size: i32) -> Result<()> {
     area.draw(&Text::new(words.to_owned(), at, ("sans-serif", size).into_font().color(&INK))).map_err(fail)
 }
@@ -168,12 +179,7 @@ fn panel(
         .y_label_area_size(58)
         .build_cartesian_2d(Logarithmic::new(least / 1.15, most * 1.15), low..high)
         .map_err(fail)?;
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(RGBColor(225, 225, 225))
-        .label_style(("sans-serif", 14).into_font().color(&INK))
-        .axis_desc_style(("sans-serif", 15).into_font().color(&INK))
+    plain(&mut chart.configure_mesh())
         .x_desc(format!("{time} per input frame, ms (logarithmic)"))
         .y_desc(unit)
         .y_label_formatter(&|y| format!("{y:.digits$}"))
@@ -331,12 +337,7 @@ pub(super) fn stages_svg(results: &Results) -> Result<String> {
             .build_cartesian_2d(Logarithmic::new(least / 1.3, most * 1.3), Logarithmic::new(low, high))
             .map_err(fail)?;
         let equal = if rows.iter().any(|row| row.relative_l2 == 0.0) { "; lower edge: equal" } else { "" };
-        chart
-            .configure_mesh()
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(RGBColor(225, 225, 225))
-            .label_style(("sans-serif", 14).into_font().color(&INK))
-            .axis_desc_style(("sans-serif", 15).into_font().color(&INK))
+        plain(&mut chart.configure_mesh())
             .x_desc(format!("{} of a call, ms (logarithmic)", about.clock.name()))
             .y_desc(format!("relative L2 error against {}{equal}", table::name(about.against)))
             .y_label_formatter(&|y| format!("{y:.0e}"))
