@@ -67,7 +67,7 @@ def train(o):
     return getattr(stages, o.stage)(net, o, run, clips, stage)
 
 
-SHARES = dict(static=0.5, flow=0.25, heads=0.25)
+SHARES = dict(static=0.3, flow=0.25, dynamic=0.45)
 
 
 def whole(o):
@@ -81,7 +81,7 @@ def whole(o):
         if reached > order.index(stage) or reached == order.index(stage) and state['done']:
             continue
         settings = argparse.Namespace(**vars(o))
-        settings.stage, settings.minutes, settings.steps = stage, o.minutes * share, o.steps
+        settings.stage, settings.minutes, settings.steps, settings.batch = stage, o.minutes * share, o.steps, o.batch if stage == 'static' else 1
         train(settings)
     export(o)
     if o.intervals >= 0:
@@ -164,8 +164,7 @@ def main(arguments=None):
         c.add_argument('--procedural', type=float, default=0.15, help='share of procedural scenes')
         c.add_argument('--gaps', type=int, nargs=2, default=(3, 8))
         c.add_argument('--middle', type=int, default=3)
-        c.add_argument('--flow', type=float, default=0.05)
-        c.add_argument('--decoder', action='store_true', help='train the decoder too')
+        c.add_argument('--flow', type=float, default=0.05, help='weight of the end-point error in pixels beside the pictures')
 
     def heads_options(c):
         c.add_argument('--pairs', type=int, default=120, help='pairs of frames held ready, about 7 MB each')
@@ -190,7 +189,7 @@ def main(arguments=None):
     training_options(c)
     c.add_argument('--batch', type=int, default=2)
     static_options(c)
-    c = command('dynamic', train, 'the deformation half')
+    c = command('dynamic', train, 'decoder, deformation upsampler and heads against pictures and flow')
     c.set_defaults(stage='dynamic')
     training_options(c)
     c.add_argument('--batch', type=int, default=1)
@@ -203,9 +202,10 @@ def main(arguments=None):
     c = command('flow', train, 'decoder, deformation upsampler and velocity head against flow alone')
     c.set_defaults(stage='flow')
     training_options(c)
+    c.add_argument('--batch', type=int, default=1)
     dynamic_options(c)
-    c = command('all', whole, 'start, static, flow, heads, export and eval; resumes')
-    for options in (network_options, training_options, static_options, dynamic_options, heads_options, checkpoint_options, measuring_options):
+    c = command('all', whole, 'start, static, flow, dynamic, export and eval; resumes')
+    for options in (network_options, training_options, static_options, dynamic_options, checkpoint_options, measuring_options):
         options(c)
     c.add_argument('--batch', type=int, default=2, help='frames of a step of the static stage')
     c.add_argument('--out', required=True, help='the checkpoint')

@@ -36,11 +36,12 @@ def square(x):
 
 @torch.no_grad()
 def interval(net, clip, i, gap):
-    """Rows (kind, method, psnr, ssim) of the interval that starts at frame i."""
+    """Rows (kind, method, psnr, ssim) of the interval that starts at frame i, and the widest Gaussian in cells of the splat grid."""
     h, w = net.config.resolution
     frames = torch.from_numpy(clip[i:i + gap + 1]).permute(0, 3, 1, 2).float() / 255
     times = torch.linspace(0, 1, gap + 1)
-    image, _ = render_pair(net(frames[[0, -1]]), times[None], h, w, torch.full((1, gap + 1, 3), 0.5))
+    g = net(frames[[0, -1]])
+    image, _ = render_pair(g, times[None], h, w, torch.full((1, gap + 1, 3), 0.5))
     ours = image[0, :, :3].clamp(0, 1)
     forward, backward = data.dis_flow(clip[i], clip[i + gap]), data.dis_flow(clip[i + gap], clip[i])
     a, b = (frames[k].permute(1, 2, 0).contiguous().numpy() for k in (0, -1))
@@ -53,7 +54,7 @@ def interval(net, clip, i, gap):
                               dis=torch.from_numpy(flow_blend(a, b, forward, backward, t)).permute(2, 0, 1).clamp(0, 1))
         for method, x in candidates.items():
             rows.append(('middle' if inner else 'key', method, *figures(square(x), square(frames[k]))))
-    return rows
+    return rows, float(g['scale'].max()) * net.config.splat_grid[1] / 2
 
 
 def summary(rows):
@@ -85,15 +86,16 @@ def evaluate(net, root, gaps=(5, 8), stride=10, limit=0, cache=None, report=None
     net.eval()
     result = {}
     for gap in gaps:
-        rows = []
+        rows, widest = [], 0.0
         for folder in data.clip_folders(root):
             clip = data.load_clip(folder, net.config.resolution, cache)
             starts = list(range(0, len(clip) - gap, stride))
             for i in starts[:limit or None]:
-                rows += [(folder.name, *r) for r in interval(net, clip, i, gap)]
+                measured, wide = interval(net, clip, i, gap)
+                rows, widest = rows + [(folder.name, *r) for r in measured], max(widest, wide)
             say(gap, folder.name, {k: v['psnr'] for k, v in summary([r for r in rows if r[0] == folder.name]).items()})
-        result[f'gap{gap}'] = dict(mean=summary(rows), bars=judge(rows), clips={n: summary([r for r in rows if r[0] == n]) for n in dict.fromkeys(r[0] for r in rows)})
-        say(gap, result[f'gap{gap}']['mean'], result[f'gap{gap}']['bars'])
+        result[f'gap{gap}'] = dict(mean=summary(rows), bars=judge(rows), widest_cells=round(widest, 3), clips={n: summary([r for r in rows if r[0] == n]) for n in dict.fromkeys(r[0] for r in rows)})
+        say(gap, result[f'gap{gap}']['mean'], result[f'gap{gap}']['bars'], f'widest Gaussian {widest:.2f} cells')
         if report:
             with open(report, 'w') as f:
                 json.dump(result, f, indent=1)

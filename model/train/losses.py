@@ -19,6 +19,20 @@ def gradient_l1(image, truth):
     return (d[..., 1:] - d[..., :-1]).abs().mean() + (d[..., 1:, :] - d[..., :-1, :]).abs().mean()
 
 
+LOCAL = 4.0    # cells of the splat grid: the widest that a Gaussian may be
+
+
+def kept_local(g, splat_grid, weight=20.0):
+    """(Gaussians whose scales end at LOCAL cells, the loss weight * mean log(1 + max(0, scale / limit - 1)) of the scales as they were).
+
+    Depths are equal while the static half trains, so array order decides what is in front: without a limit the last row grows into an
+    opaque backdrop that all others hide, and that covers the scene from any other camera. The picture is made of the limited scales, so
+    nothing is gained by passing the limit; the loss brings back what has passed it."""
+    most = LOCAL * 2 / splat_grid[1]
+    excess = F.relu(g['scale'] / most - 1)
+    return dict(g, scale=g['scale'].clamp(max=most)), weight * torch.log1p(excess).mean()
+
+
 def shift_scale(x):
     """tau(x) = (x - median) / mean|x - median| per row."""
     x = x - x.median(1, keepdim=True).values

@@ -3,7 +3,7 @@
 static    upsampler and head on single frames (the encoder is the exact extractor of start.py; `--encoder` frees it)
 heads     the deformation heads alone, on tokens of pairs that are worked out once, rendered at one key time and two between
 flow      decoder, deformation upsampler and velocity head against flow alone, each tensor at a rate from its sensitivity; nothing is rendered
-dynamic   deformation upsampler and heads, rendered at both key times and at times between; encoder and static half frozen
+dynamic   the same tensors and rates, and the opacity head, rendered at both key times and at times between
 """
 import math
 import signal
@@ -181,14 +181,15 @@ def _static(stage, net, o, clips, encoder):
             token = net.gs_predictor.gaussian_upsampler(e, grid)
             u = torch.rand(*token.shape[:2], 3, generator=gen).to(stage.device) if sampled and not o.mean_positions else None
             g = single(net.gs_predictor.predictor(token, u, net.cells(grid, place)))
+        g, wide = losses.kept_local(g, net.config.splat_grid)
         background = torch.rand(len(x), 3, generator=gen).to(stage.device)
         image, T = render_static(g, x.shape[2], x.shape[3], background, (h, w), (place[0] * 8, place[1] * 8), o.rasteriser)
         # a crop's rim lacks the neighbours that the full frame has
         m = 8 if grid != net.config.grid else 0
         inner = (slice(None), slice(None), slice(m, x.shape[2] - m), slice(m, x.shape[3] - m))
         a, b = image[:, :3][inner], x[inner]
-        loss = losses.log_error(a, b) + o.gradient * losses.gradient_l1(a, b)
-        return loss, dict(key=float(losses.psnr(a.detach(), b).mean()), transmittance=float(T.mean()))
+        loss = losses.log_error(a, b) + o.gradient * losses.gradient_l1(a, b) + wide
+        return loss, dict(wide=float(wide.detach()), key=float(losses.psnr(a.detach(), b).mean()), transmittance=float(T.mean()))
 
     stage.go(loss_of, o.until)
     for hook in hooks:
@@ -272,28 +273,44 @@ def calibrated(named, error_of, pairs, pixels, most=4e-4):
     return [dict(params=[p], lr=rate[k], rate=rate[k]) for k, p in named]
 
 
-def flow(net, o, run, clips, state=None):
-    source = data.Pairs(clips, o.seed, 1, middle=1, procedural=o.procedural, gaps=tuple(o.gaps))
-    device = next(net.parameters()).device
-    frozen = ('positional_embedding', 'gs_predictor', 'opacity_dynamic', 'xyz_dynamic_scale')
-    named = [(k, p) for k, p in net.named_parameters() if not any(s in k for s in frozen) and not ('gaussian_upsampler' in k and '.attn.' in k)]
+class Motion:
+    """What `flow` and `dynamic` share: pairs, the tensors that velocities come from with their rates (`calibrated` at `pixels`), and
+    a pair's motion against the teacher's."""
 
-    def error_of(b):
+    def __init__(self, net, o, clips, middle, pixels):
+        self.net, self.o, self.device = net, o, next(net.parameters()).device
+        self.source = data.Pairs(clips, o.seed, o.batch, middle=middle, procedural=o.procedural, gaps=tuple(o.gaps))
+        frozen = ('positional_embedding', 'gs_predictor', 'opacity_dynamic', 'xyz_dynamic_scale')
+        named = [(k, p) for k, p in net.named_parameters() if not any(s in k for s in frozen) and not ('gaussian_upsampler' in k and '.attn.' in k)]
+        for k, p in net.named_parameters():
+            p.requires_grad_(any(p is q for _, q in named))
+        self.groups = calibrated(named, lambda b: self.of(b)[0], [self.batch((1 << 22) + k) for k in range(6)], pixels * o.rate)
+
+    def batch(self, step):
+        return tensors(self.source.batch(step), self.device)
+
+    def of(self, b):
+        """(end-point error, that of no motion, all Gaussians [2B, N, .])"""
+        net = self.net
         with torch.no_grad():
             e = net.encode(b['rgb'][:, :2].flatten(0, 1))
-            _, token = net.static(e)
-        velocity = net.dynamic(e, token)[0]
+            with half(self.o, self.device):
+                g, token = net.static(e)
+        d = net.decoder.transformer_decoder(e)
+        with half(self.o, self.device):
+            velocity, gamma = net.gs_dynamic_predictor(torch.cat([net.encoder_proj(token), net.gaussian_upsampler(d)], -1))
+        g = single(dict(g, velocity=velocity, gamma=gamma))
         target, sure = losses.splat_flow(b['flow'], b['sure'], net.config.splat_grid)
-        return losses.end_point_error(velocity, target, sure, net.config.resolution)
+        return *losses.end_point_error(g['velocity'], target, sure, net.config.resolution), g
 
-    for k, p in net.named_parameters():
-        p.requires_grad_(any(p is q for _, q in named))
-    groups = calibrated(named, lambda b: error_of(b)[0], [tensors(source.batch((1 << 22) + k), device) for k in range(6)], 0.05 * o.rate)
-    stage = Stage('flow', net, groups, run, o.steps, o.minutes)
+
+def flow(net, o, run, clips, state=None):
+    motion = Motion(net, o, clips, 1, 0.05)
+    stage = Stage('flow', net, motion.groups, run, o.steps, o.minutes)
     stage.resume(state)
 
     def loss_of(step, f):
-        error, still = error_of(tensors(source.batch(step), device))
+        error, still, _ = motion.of(motion.batch(step))
         return error, dict(epe=float(error.detach()), epe_zero=float(still))
 
     stage.go(loss_of, o.until)
@@ -301,47 +318,26 @@ def flow(net, o, run, clips, state=None):
 
 
 def dynamic(net, o, run, clips, state=None):
-    up, head, dec = net.gaussian_upsampler, net.gs_dynamic_predictor, net.decoder.transformer_decoder
-    groups = groups_of(up, 0.01 * o.rate, 2e-3 * o.rate, slow={'residual_fc': 0.003 * o.rate}, skip=('.attn.', 'layernorm1'))
-    groups += groups_of(net.encoder_proj, 0.003 * o.rate, 1e-3 * o.rate)
-    groups += groups_of(head.gs_layer['xyz_dynamic'], 0.005 * o.rate, 1e-4 * o.rate, output=('layers.7',))
-    groups += groups_of(head.gs_layer['opacity_dynamic'], 0.01 * o.rate, 2e-3 * o.rate, output=('layers.7',))
-    if o.decoder:
-        groups += groups_of(dec, 0.001 * o.rate, 1e-4 * o.rate, output=('positional_embedding', 'cls_embedding'), slow={'attn': 2e-4 * o.rate, 'condition_proj': 2e-4 * o.rate})
-    stage = Stage('dynamic', net, groups, run, o.steps, o.minutes)
+    motion, (h, w) = Motion(net, o, clips, o.middle, 0.125), net.config.resolution
+    head = net.gs_dynamic_predictor.gs_layer['opacity_dynamic']
+    stage = Stage('dynamic', net, motion.groups + groups_of(head, 0.0125 * o.rate, 3.75e-3 * o.rate, output=('layers.7',)), run, o.steps, o.minutes)
     stage.resume(state)
-    size = h, w = net.config.resolution
-    source = data.Pairs(clips, o.seed, o.batch, middle=o.middle, procedural=o.procedural, gaps=tuple(o.gaps))
     hooks = [] if o.depth else flat_depth(net)
 
     def loss_of(step, f):
-        b = tensors(source.batch(step), stage.device)
+        b = motion.batch(step)
+        error, still, g = motion.of(b)
         gen = torch.Generator().manual_seed(o.seed * 1_000_003 + step)
-        with torch.no_grad():
-            e = net.encode(b['rgb'][:, :2].flatten(0, 1))
-            with half(o, stage.device):
-                g, token = net.static(e)
-        with torch.set_grad_enabled(bool(o.decoder)):
-            d = dec(e)
-        with half(o, stage.device):
-            velocity, gamma = head(torch.cat([net.encoder_proj(token), up(d)], -1))
-        g = {k: t.unflatten(0, (-1, 2)) for k, t in single(dict(g, velocity=velocity, gamma=gamma)).items()}
-        velocity = g['velocity'].flatten(0, 1)
         B, K = b['time'].shape
         background = torch.rand(B, 1, 3, generator=gen).expand(B, K, 3).contiguous().to(stage.device)
-        image, _ = render_pair(g, b['time'], h, w, background, o.rasteriser)
-        image = image[:, :, :3]
-        target, sure = losses.splat_flow(b['flow'], b['sure'], net.config.splat_grid)
-        epe, epe_zero = losses.end_point_error(velocity, target, sure, size)
-        weight = 1 + 3 * b['foreground'][:, :, None]
-        masked = (weight * (image - b['rgb']).pow(2)).mean((2, 3, 4))
-        loss = 0.3 * losses.log_error(image[:, :2], b['rgb'][:, :2]) + 0.7 * torch.log(masked[:, 2:] + 1e-4).mean()
-        loss = loss + o.gradient * losses.gradient_l1(image, b['rgb']) + o.flow * (1 - 0.9 * f) * epe
+        image = render_pair({k: t.unflatten(0, (-1, 2)) for k, t in g.items()}, b['time'], h, w, background, o.rasteriser)[0][:, :, :3]
+        masked = torch.log(((1 + 3 * b['foreground'][:, :, None]) * (image - b['rgb']).pow(2)).mean((2, 3, 4)) + 1e-4)
+        loss = 0.3 * masked[:, :2].mean() + 0.7 * masked[:, 2:].mean() + o.gradient * losses.gradient_l1(image, b['rgb']) + o.flow * error
         with torch.no_grad():
             t = b['time'][:, 2:, None, None, None]
             fade = b['rgb'][:, :1] * (1 - t) + b['rgb'][:, 1:2] * t
             figures = dict(key=float(losses.psnr(image[:, :2], b['rgb'][:, :2]).mean()), middle=float(losses.psnr(image[:, 2:], b['rgb'][:, 2:]).mean()),
-                           crossfade=float(losses.psnr(fade, b['rgb'][:, 2:]).mean()), epe=float(epe), epe_zero=float(epe_zero))
+                           crossfade=float(losses.psnr(fade, b['rgb'][:, 2:]).mean()), epe=float(error), epe_zero=float(still))
         return loss, figures
 
     stage.go(loss_of, o.until)

@@ -23,7 +23,7 @@ def folder(tmp_path_factory):
 
 
 def whole(folder, run, out, *more):
-    main(['all', '--clips', str(folder), '--run', str(run), '--out', str(out), '--resolution', '48', '64', '--steps', '3', '--gaps', '2', '6', '--middle', '2', '--pairs', '2',
+    main(['all', '--clips', str(folder), '--run', str(run), '--out', str(out), '--resolution', '48', '64', '--steps', '3', '--gaps', '2', '6', '--middle', '2',
           '--intervals', '1', '--gaps-measured', '4', *more])
 
 
@@ -32,7 +32,9 @@ def test_one_command_makes_a_checkpoint_and_repeats_nothing_that_is_done(folder,
     whole(folder, run, out, '--dtype', 'f32')
     net = network.open_official(out)
     assert net.config.resolution == (48, 64)
-    figures = json.loads((run / 'eval.json').read_text())['gap4']['mean']
+    measured = json.loads((run / 'eval.json').read_text())['gap4']
+    figures = measured['mean']
+    assert 0 < measured['widest_cells'] < 1e3
     assert {'key.ours', 'middle.ours', 'middle.crossfade', 'middle.nearest', 'middle.dis'} <= set(figures)
     capsys.readouterr()
     again = tmp_path / 'again.safetensors'
@@ -49,7 +51,7 @@ def test_stages_one_by_one_give_what_the_single_command_gives(folder, tmp_path):
     main(['static', *at, '--steps', '3', '--until', '2'])
     main(['static', *at, '--steps', '3'])
     main(['flow', *at, '--steps', '3', '--gaps', '2', '6', '--middle', '2'])
-    main(['heads', *at, '--steps', '3', '--gaps', '2', '6', '--middle', '2', '--pairs', '2'])
+    main(['dynamic', *at, '--steps', '3', '--gaps', '2', '6', '--middle', '2'])
     main(['export', *at, '--out', str(tmp_path / 'b.safetensors')])
     assert (tmp_path / 'a.safetensors').read_bytes() == (tmp_path / 'b.safetensors').read_bytes()
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from train import layering, network, stages, start
+from train import layering, losses, network, stages, start
 from train.checkpoint import Run
 from train.rasteriser import opacity_at
 
@@ -77,9 +77,18 @@ def test_differences_of_cells_are_read_off_the_embedding(begun):
     assert float((got - want).abs().mean()) < 0.15 * float(want.abs().mean())
 
 
+def test_a_gaussian_wider_than_the_limit_is_drawn_at_it_and_pulled_back():
+    most = losses.LOCAL * 2 / 128
+    raw = torch.tensor([[0.5 * most, most], [1.2 * most, 20 * most]], requires_grad=True)
+    g, wide = losses.kept_local(dict(scale=raw, opacity=torch.ones(2, 1)), (72, 128))
+    torch.testing.assert_close(g['scale'], torch.tensor([[0.5 * most, most], [most, most]]))
+    (wide + g['scale'].sum()).backward()
+    assert raw.grad[0, 0] == 1 and raw.grad[1, 0] > 0 and raw.grad[1, 1] > 0 and float(wide) > 0
+
+
 def options(**more):
     return types.SimpleNamespace(**dict(dict(seed=3, batch=1, steps=6, minutes=0, until=None, crop=None, encoder=False, attention=False, depth=False, gradient=0.01,
-                                             mean_positions=False, procedural=0.5, gaps=(2, 6), middle=1, flow=0.05, decoder=False, rate=0.5,
+                                             mean_positions=False, procedural=0.5, gaps=(2, 6), middle=1, flow=0.05, rate=0.5,
                                              mixed=False, rasteriser=None, pairs=2), **more))
 
 
