@@ -107,7 +107,7 @@ def opened(o):
 
 def measure(o):
     net = opened(o)
-    evaluate.evaluate(net, pathlib.Path(o.clips) / o.split, tuple(o.gaps_measured), o.stride, o.limit, o.cache, o.out)
+    evaluate.evaluate(net, pathlib.Path(o.clips) / o.split, tuple(o.gaps_measured), o.stride, o.limit, o.cache, o.out, o.one_way)
 
 
 def layer(o):
@@ -166,6 +166,9 @@ def main(arguments=None):
         c.add_argument('--middle', type=int, default=3)
         c.add_argument('--flow', type=float, default=0.05, help='weight of the end-point error in pixels beside the pictures')
 
+    def one_way_option(c):
+        c.add_argument('--one-way', action='store_true', help='the first frame\'s Gaussians alone (for comparison)')
+
     def heads_options(c):
         c.add_argument('--pairs', type=int, default=120, help='pairs of frames held ready, about 7 MB each')
 
@@ -194,6 +197,7 @@ def main(arguments=None):
     training_options(c)
     c.add_argument('--batch', type=int, default=1)
     dynamic_options(c)
+    one_way_option(c)
     c = command('heads', train, 'the deformation heads alone, on tokens worked out once')
     c.set_defaults(stage='heads')
     training_options(c)
@@ -205,7 +209,7 @@ def main(arguments=None):
     c.add_argument('--batch', type=int, default=1)
     dynamic_options(c)
     c = command('all', whole, 'start, static, flow, dynamic, export and eval; resumes')
-    for options in (network_options, training_options, static_options, dynamic_options, checkpoint_options, measuring_options):
+    for options in (network_options, training_options, static_options, dynamic_options, one_way_option, checkpoint_options, measuring_options):
         options(c)
     c.add_argument('--batch', type=int, default=2, help='frames of a step of the static stage')
     c.add_argument('--out', required=True, help='the checkpoint')
@@ -216,6 +220,7 @@ def main(arguments=None):
     c = command('eval', measure, 'held-out figures')
     c.add_argument('--model', help='a checkpoint instead of the run')
     measuring_options(c)
+    one_way_option(c)
     c.add_argument('--limit', type=int, default=0, help='intervals per clip (0: all)')
     c.add_argument('--out')
     c = command('layer', layer, 'write layering and fade into a checkpoint', run=False)

@@ -35,12 +35,12 @@ def square(x):
 
 
 @torch.no_grad()
-def interval(net, clip, i, gap):
+def interval(net, clip, i, gap, one_way=False):
     """Rows (kind, method, psnr, ssim) of the interval that starts at frame i, and the widest Gaussian in cells of the splat grid."""
     h, w = net.config.resolution
     frames = torch.from_numpy(clip[i:i + gap + 1]).permute(0, 3, 1, 2).float() / 255
     times = torch.linspace(0, 1, gap + 1)
-    g = net(frames[[0, -1]])
+    g = {k: t[:, :1 if one_way else 2] for k, t in net(frames[[0, -1]]).items()}
     image, _ = render_pair(g, times[None], h, w, torch.full((1, gap + 1, 3), 0.5))
     ours = image[0, :, :3].clamp(0, 1)
     forward, backward = data.dis_flow(clip[i], clip[i + gap]), data.dis_flow(clip[i + gap], clip[i])
@@ -81,8 +81,8 @@ def judge(rows):
     return dict(moving_clips=len(moving), moving_middle_above_crossfade=mean(moving), still_clips=len(still), still_middle_above_own_key=mean(still))
 
 
-def evaluate(net, root, gaps=(5, 8), stride=10, limit=0, cache=None, report=None, say=print):
-    """`limit`: intervals per clip (0: all). Writes `report` (JSON) after each gap."""
+def evaluate(net, root, gaps=(5, 8), stride=10, limit=0, cache=None, report=None, one_way=False, say=print):
+    """`limit`: intervals per clip (0: all); `one_way`: the first frame's Gaussians alone. Writes `report` (JSON) after each gap."""
     net.eval()
     result = {}
     for gap in gaps:
@@ -91,7 +91,7 @@ def evaluate(net, root, gaps=(5, 8), stride=10, limit=0, cache=None, report=None
             clip = data.load_clip(folder, net.config.resolution, cache)
             starts = list(range(0, len(clip) - gap, stride))
             for i in starts[:limit or None]:
-                measured, wide = interval(net, clip, i, gap)
+                measured, wide = interval(net, clip, i, gap, one_way)
                 rows, widest = rows + [(folder.name, *r) for r in measured], max(widest, wide)
             say(gap, folder.name, {k: v['psnr'] for k, v in summary([r for r in rows if r[0] == folder.name]).items()})
         result[f'gap{gap}'] = dict(mean=summary(rows), bars=judge(rows), widest_cells=round(widest, 3), clips={n: summary([r for r in rows if r[0] == n]) for n in dict.fromkeys(r[0] for r in rows)})

@@ -93,13 +93,14 @@ def render_static(g, H, W, background, full=None, offset=(0, 0), kernels=None):
 
 
 def render_pair(g, times, H, W, background, kernels=None):
-    """Both frames' Gaussians [B,2,N,.] at `times` [B,K] in [0,1], background [B,K,3] -> image [B,K,4,H,W], T [B,K,H,W]."""
-    B, _, N, _ = g['xyz'].shape
+    """Both frames' Gaussians [B,2,N,.], or the first one's alone [B,1,N,.], at `times` [B,K] in [0,1], background [B,K,3]
+    -> image [B,K,4,H,W], T [B,K,H,W]."""
+    B, F, N, _ = g['xyz'].shape
     K = times.shape[1]
-    dt = times[:, :, None, None] - times.new_tensor([0.0, 1.0]).view(1, 1, 2, 1)                       # [B,K,2,1]
+    dt = times[:, :, None, None] - times.new_tensor([0.0, 1.0])[:F].view(1, 1, F, 1)                   # [B,K,F,1]
     xyz = g['xyz'][:, None] + g['velocity'][:, None] * dt[..., None]
     opacity = g['opacity'][:, None, ..., 0] * opacity_at(g['gamma'][:, None], dt)
-    flat = lambda a: a.reshape(B * K, 2 * N, a.shape[-1])
+    flat = lambda a: a.reshape(B * K, F * N, a.shape[-1])
     spread = lambda a: flat(a[:, None].expand(B, K, *a.shape[1:]))
-    image, T = render(flat(xyz), spread(g['scale']), opacity.reshape(B * K, 2 * N), spread(g['rgb']), H, W, background.reshape(B * K, 3), kernels=kernels)
+    image, T = render(flat(xyz), spread(g['scale']), opacity.reshape(B * K, F * N), spread(g['rgb']), H, W, background.reshape(B * K, 3), kernels=kernels)
     return image.view(B, K, 4, H, W), T.view(B, K, H, W)

@@ -330,7 +330,8 @@ def dynamic(net, o, run, clips, state=None):
         gen = torch.Generator().manual_seed(o.seed * 1_000_003 + step)
         B, K = b['time'].shape
         background = torch.rand(B, 1, 3, generator=gen).expand(B, K, 3).contiguous().to(stage.device)
-        image = render_pair({k: t.unflatten(0, (-1, 2)) for k, t in g.items()}, b['time'], h, w, background, o.rasteriser)[0][:, :, :3]
+        g = {k: t.unflatten(0, (-1, 2))[:, :1 if o.one_way else 2] for k, t in g.items()}
+        image = render_pair(g, b['time'], h, w, background, o.rasteriser)[0][:, :, :3]
         masked = torch.log(((1 + 3 * b['foreground'][:, :, None]) * (image - b['rgb']).pow(2)).mean((2, 3, 4)) + 1e-4)
         loss = 0.3 * masked[:, :2].mean() + 0.7 * masked[:, 2:].mean() + o.gradient * losses.gradient_l1(image, b['rgb']) + o.flow * error
         with torch.no_grad():

@@ -4,7 +4,7 @@ import torch
 from conftest import FIXTURES
 from safetensors.torch import load_file
 
-from train.rasteriser import Splat, opacity_at, render
+from train.rasteriser import Splat, opacity_at, render, render_pair
 
 
 def plain(P, values, key, background, H, W):
@@ -86,3 +86,14 @@ def test_opacity_is_static_at_its_own_frame_and_never_overflows():
     gamma = torch.tensor([[0.0, 0.5], [1e6, 0.0], [1e6, 1.0], [3.0, 0.3]])
     assert torch.equal(opacity_at(gamma, torch.zeros(4)), torch.ones(4))
     assert bool(torch.isfinite(opacity_at(gamma, torch.ones(4))).all())
+
+
+def test_the_first_frame_alone_is_the_pair_with_a_second_one_that_cannot_be_seen():
+    torch.manual_seed(1)
+    u = lambda n: torch.rand(2, 2, 30, n)
+    g = dict(xyz=u(3) * torch.tensor([2.0, 1.0, 2.0]) - torch.tensor([1.0, 0.0, 1.0]), scale=0.1 * u(2), opacity=u(1), rgb=u(3), velocity=0.1 * (u(3) - 0.5), gamma=3 * u(2))
+    g['opacity'][:, 1] = 0
+    times, background = torch.tensor([[0.0, 0.3, 1.0]] * 2), torch.rand(2, 3, 3)
+    both, alone = render_pair(g, times, 16, 24, background), render_pair({k: t[:, :1] for k, t in g.items()}, times, 16, 24, background)
+    torch.testing.assert_close(alone, both)
+    assert float((alone[0][:, 0] - alone[0][:, 2]).abs().max()) > 0.01

@@ -88,7 +88,7 @@ def test_a_gaussian_wider_than_the_limit_is_drawn_at_it_and_pulled_back():
 
 def options(**more):
     return types.SimpleNamespace(**dict(dict(seed=3, batch=1, steps=6, minutes=0, until=None, crop=None, encoder=False, attention=False, depth=False, gradient=0.01,
-                                             mean_positions=False, procedural=0.5, gaps=(2, 6), middle=1, flow=0.05, rate=0.5,
+                                             mean_positions=False, procedural=0.5, gaps=(2, 6), middle=1, flow=0.05, one_way=False, rate=0.5,
                                              mixed=False, rasteriser=None, pairs=2), **more))
 
 
