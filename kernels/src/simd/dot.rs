@@ -1,6 +1,8 @@
 //! The dot products of the lower precisions in plain operations: what their instructions are held to.
 
-use super::{LANES, Operation, Simd};
+#[cfg(any(test, target_arch = "x86_64"))]
+use super::Operation;
+use super::{LANES, Simd};
 
 /// `acc + a₁b₁ + a₀b₀` in every lane, two fused steps, for pairs of bf16 (index 1 in the high half), the high halves first.
 #[inline(always)]
@@ -42,8 +44,10 @@ pub(super) fn i16s<S: Simd>(s: S, a: S::I32, b: S::I32) -> S::I32 {
 
 /// Sums that an instruction has to reproduce before it is used: random pairs of every magnitude that products have, and
 /// sums that cancel.
+#[cfg(any(test, target_arch = "x86_64"))]
 pub(super) struct Answers;
 
+#[cfg(any(test, target_arch = "x86_64"))]
 impl Operation for Answers {
     type Output = Vec<i32>;
     #[inline(always)]
@@ -83,6 +87,7 @@ impl Operation for Answers {
 }
 
 /// What [`Answers`] gives in plain operations.
+#[cfg(any(test, target_arch = "x86_64"))]
 pub(super) fn known_answers() -> Vec<i32> {
     super::dispatch(crate::Level::scalar(), Answers)
 }
