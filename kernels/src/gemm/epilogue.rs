@@ -125,6 +125,7 @@ impl<'a> Epilogue<'a> {
 /// An epilogue's vectors for 16 columns.
 ///
 /// An absent bias is −0 and an absent `γ` is 1: neither changes a bit of what it is applied to.
+#[derive(Clone, Copy)]
 pub(super) struct Affine<S: Simd> {
     pub(super) bias: S::F32,
     gamma: S::F32,

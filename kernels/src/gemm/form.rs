@@ -5,11 +5,11 @@
 //! panels in registers, and hold each row's word as two: two f32, or two pairs of i16.
 
 use super::microkernel::{self, Tile};
-use super::precision::{Precision, largest_magnitude, pair, round_bf16, scale_of};
+use super::precision::{Precision, largest_magnitude, round_bf16, scale_of};
 use crate::simd::{LANES, Simd, again};
 
 /// A precision's operands.
-pub(super) trait Form {
+pub(crate) trait Form: 'static {
     const PRECISION: Precision;
 
     /// Words of a row of `k` values on a level.
@@ -20,6 +20,10 @@ pub(super) trait Form {
 
     /// Turns a row into its words; returns its scale.
     fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32;
+
+    /// Turns a row into the words of one lane of a panel; returns its scale and what [`Form::of_row`] takes off. The words are the same on
+    /// every level.
+    fn convert_column<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> (f32, i32);
 
     /// The sums of one block of `words`, starting from nothing.
     ///
@@ -35,12 +39,19 @@ pub(super) trait Form {
     /// Adds a block's sums to those before.
     fn add<S: Simd>(s: S, before: S::F32, block: S::F32) -> S::F32;
 
+    /// The product from its sums, but for the scales of the columns.
+    fn of_row<S: Simd>(s: S, sum: S::F32, row_scale: f32, offsets: S::I32) -> S::F32;
+
     /// The product from its sums.
-    fn product<S: Simd>(s: S, sum: S::F32, row_scale: f32, column_scales: S::F32, offsets: S::I32) -> S::F32;
+    #[inline(always)]
+    fn product<S: Simd>(s: S, sum: S::F32, row_scale: f32, column_scales: S::F32, offsets: S::I32) -> S::F32 {
+        let product = Self::of_row(s, sum, row_scale, offsets);
+        if Self::PRECISION == Precision::Int8 { s.mul(product, column_scales) } else { product }
+    }
 }
 
 /// Values of `k` in one word of a panel.
-pub(super) const fn values_of_a_word(precision: Precision) -> usize {
+pub(crate) const fn values_of_a_word(precision: Precision) -> usize {
     match precision {
         Precision::F32 => 1,
         Precision::Bf16 => 2,
@@ -48,17 +59,17 @@ pub(super) const fn values_of_a_word(precision: Precision) -> usize {
     }
 }
 
-/// Words of a panel in one block: [`super::K_BLOCK`] values where the order of sums counts.
+/// Words of a panel in one block: [`super::K_BLOCK`] or [`super::K_BLOCK_LOW`] values where the order of sums counts.
 pub(super) const fn block_words(precision: Precision) -> usize {
     match precision {
         Precision::F32 => super::K_BLOCK,
-        Precision::Bf16 => super::K_BLOCK / 2,
+        Precision::Bf16 => super::K_BLOCK_LOW / 2,
         Precision::Int8 => 256,
     }
 }
 
 /// f32 as it is.
-pub(super) struct Single;
+pub(crate) struct Single;
 
 impl Form for Single {
     const PRECISION: Precision = Precision::F32;
@@ -77,6 +88,10 @@ impl Form for Single {
         1.0
     }
     #[inline(always)]
+    fn convert_column<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> (f32, i32) {
+        (Self::convert(s, row, values, words), 0)
+    }
+    #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
         rows: *const u32,
@@ -91,13 +106,13 @@ impl Form for Single {
         s.add(before, block)
     }
     #[inline(always)]
-    fn product<S: Simd>(_: S, sum: S::F32, _: f32, _: S::F32, _: S::I32) -> S::F32 {
+    fn of_row<S: Simd>(_: S, sum: S::F32, _: f32, _: S::I32) -> S::F32 {
         sum
     }
 }
 
 /// bf16 operands, f32 sums.
-pub(super) struct Brain;
+pub(crate) struct Brain;
 
 impl Form for Brain {
     const PRECISION: Precision = Precision::Bf16;
@@ -112,19 +127,22 @@ impl Form for Brain {
     }
     #[inline(always)]
     fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
-        let values = &mut values[..row.len().next_multiple_of(2)];
-        values[row.len()..].fill(0.0);
-        for (row, to) in row.chunks(LANES).zip(values.chunks_mut(LANES)) {
-            s.store_partial(round_bf16(s, s.load_partial(row, 0.0)), &mut to[..row.len()]);
-        }
         if S::DOT {
-            for (word, two) in words.iter_mut().zip(values.chunks_exact(2)) {
-                *word = pair(two[0], two[1]);
-            }
+            pair_row(s, row, words);
         } else {
+            let values = &mut values[..row.len().next_multiple_of(2)];
+            values[row.len()..].fill(0.0);
+            for (row, to) in row.chunks(LANES).zip(values.chunks_mut(LANES)) {
+                s.store_partial(round_bf16(s, s.load_partial(row, 0.0)), &mut to[..row.len()]);
+            }
             words.copy_from_slice(bytemuck::cast_slice(values));
         }
         1.0
+    }
+    #[inline(always)]
+    fn convert_column<S: Simd>(s: S, row: &[f32], _: &mut [f32], words: &mut [u32]) -> (f32, i32) {
+        pair_row(s, row, words);
+        (1.0, 0)
     }
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
@@ -153,8 +171,19 @@ impl Form for Brain {
         s.add(before, block)
     }
     #[inline(always)]
-    fn product<S: Simd>(_: S, sum: S::F32, _: f32, _: S::F32, _: S::I32) -> S::F32 {
+    fn of_row<S: Simd>(_: S, sum: S::F32, _: f32, _: S::I32) -> S::F32 {
         sum
+    }
+}
+
+/// A row rounded to bf16, two values to a word; a last one has 0 beside it.
+#[inline(always)]
+fn pair_row<S: Simd>(s: S, row: &[f32], words: &mut [u32]) {
+    let words: &mut [f32] = bytemuck::cast_slice_mut(words);
+    for (row, to) in row.chunks(2 * LANES).zip(words.chunks_mut(LANES)) {
+        let (a, b) = row.split_at(row.len().min(LANES));
+        let pairs = s.pairs_of_bf16(s.load_partial(a, 0.0), s.load_partial(b, 0.0));
+        s.store_partial(s.from_bits(pairs), to);
     }
 }
 
@@ -206,7 +235,7 @@ unsafe fn brain_step<S: Simd, const MR: usize, const NV: usize>(
 }
 
 /// Bytes with scales, i32 sums.
-pub(super) struct Bytes;
+pub(crate) struct Bytes;
 
 impl Form for Bytes {
     const PRECISION: Precision = Precision::Int8;
@@ -221,31 +250,22 @@ impl Form for Bytes {
     }
     #[inline(always)]
     fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
-        let (scale, inverse) = scale_of(largest_magnitude(s, row));
-        // A row of zeros, or one with a value that is not finite, is zero.
-        let usable = s.mask_from_bits(if scale > 0.0 { u16::MAX } else { 0 });
-        let inverse = s.splat(inverse);
-        let zero = s.splat(0.0);
-        let integers: &mut [i32] = bytemuck::cast_slice_mut(values);
-        integers[row.len()..].fill(0);
-        for (row, to) in row.chunks(LANES).zip(integers.chunks_mut(LANES)) {
-            let x = s.select(usable, s.mul(s.load_partial(row, 0.0), inverse), zero);
-            let all = s.to_array_i32(s.to_i32(s.round(x)));
-            to.copy_from_slice(&all[..to.len()]);
-        }
-        let pack = |q: &[i32], offset: i32| q.iter().rev().fold(0, |word, q| word << 8 | (q + offset) as u32 & 0xff);
         if S::DOT {
             // The instruction takes these unsigned; the weights' offsets undo it.
-            for (word, q) in words.iter_mut().zip(integers.chunks_exact(4)) {
-                *word = pack(q, 128);
-            }
-        } else {
-            let pair = |low: i32, high: i32| (low as u32 & 0xffff) | (high as u32) << 16;
-            for (two, q) in words.chunks_exact_mut(2).zip(integers.chunks_exact(4)) {
-                (two[0], two[1]) = (pair(q[0], q[2]), pair(q[1], q[3]));
-            }
+            return quantise_row(s, row, 128, words).0;
+        }
+        let bytes = &mut bytemuck::cast_slice_mut(values)[..words.len() / 2];
+        let (scale, _) = quantise_row(s, row, 0, bytes);
+        for (two, bytes) in words.chunks_exact_mut(2).zip(bytes) {
+            let [a, b, c, d] = bytes.to_le_bytes().map(|byte| i32::from(byte.cast_signed()) as u32 & 0xffff);
+            (two[0], two[1]) = (a | c << 16, b | d << 16);
         }
         scale
+    }
+    #[inline(always)]
+    fn convert_column<S: Simd>(s: S, row: &[f32], _: &mut [f32], words: &mut [u32]) -> (f32, i32) {
+        let (scale, sum) = quantise_row(s, row, 0, words);
+        (scale, 128 * sum)
     }
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
@@ -296,8 +316,30 @@ impl Form for Bytes {
         s.from_bits(s.add_i32(s.to_bits(before), s.to_bits(block)))
     }
     #[inline(always)]
-    fn product<S: Simd>(s: S, sum: S::F32, row_scale: f32, column_scales: S::F32, offsets: S::I32) -> S::F32 {
+    fn of_row<S: Simd>(s: S, sum: S::F32, row_scale: f32, offsets: S::I32) -> S::F32 {
         let sum = if S::DOT { s.sub_i32(s.to_bits(sum), offsets) } else { s.to_bits(sum) };
-        s.mul(s.mul(s.to_f32(sum), s.splat(row_scale)), column_scales)
+        s.mul(s.to_f32(sum), s.splat(row_scale))
     }
+}
+
+/// A row in units of its scale, `offset` added, as the bytes of words, the first lowest, with zeros (and `offset`) to whole words;
+/// the scale and the sum of the integers without `offset`.
+#[inline(always)]
+fn quantise_row<S: Simd>(s: S, row: &[f32], offset: i32, words: &mut [u32]) -> (f32, i32) {
+    let (scale, inverse) = scale_of(largest_magnitude(s, row));
+    // A row of zeros, or one with a value that is not finite, is zero.
+    let usable = s.mask_from_bits(if scale > 0.0 { u16::MAX } else { 0 });
+    let (inverse, zero, offset) = (s.splat(inverse), s.splat(0.0), s.splat_i32(offset));
+    let bytes: &mut [u8] = bytemuck::cast_slice_mut(words);
+    let mut sum = s.splat_i32(0);
+    for (i, to) in bytes.chunks_mut(LANES).enumerate() {
+        let from = &row[(i * LANES).min(row.len())..];
+        let x = s.load_partial(&from[..from.len().min(LANES)], 0.0);
+        let q = s.to_i32(s.round(s.select(usable, s.mul(x, inverse), zero)));
+        sum = s.add_i32(sum, q);
+        let all = s.low_bytes(s.add_i32(q, offset));
+        to.copy_from_slice(&all[..to.len()]);
+    }
+    let sums = s.to_array_i32(sum);
+    (scale, sums.iter().sum())
 }

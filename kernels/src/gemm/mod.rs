@@ -4,7 +4,7 @@
 //! all row-major.
 //!
 //! # Order of accumulation
-//! `k` is cut into blocks of [`K_BLOCK`]. Inside a block one fused multiply-add per step, `k` ascending, starting from +0;
+//! `k` is cut into blocks of [`K_BLOCK`] ([`K_BLOCK_LOW`] in bf16). Inside a block one fused multiply-add per step, `k` ascending, starting from +0;
 //! block sums are added in ascending order (the first block's sum is taken as it is). The tile in which an element lies
 //! has no part in this, so the bits are the same on every level and for any number of threads.
 //!
@@ -24,7 +24,7 @@
 //! a panel wait in a small tile until their last block, then the epilogue writes them out.
 
 mod epilogue;
-mod form;
+pub(crate) mod form;
 mod microkernel;
 mod precision;
 pub mod reference;
@@ -34,9 +34,9 @@ mod tests;
 mod weights;
 
 pub use epilogue::{Activation, Epilogue};
-pub(crate) use microkernel::{deinterleave, interleave, multiply};
+pub(crate) use microkernel::{deinterleave, interleave};
 pub use precision::Precision;
-pub(crate) use precision::round_bf16;
+pub(crate) use precision::{SMALLEST, pair, pair_bf16, round_bf16};
 pub use weights::Weights;
 
 use tracing::debug_span;
@@ -45,6 +45,9 @@ use crate::Level;
 
 /// Steps of `k` whose products are summed in one chain.
 pub const K_BLOCK: usize = 256;
+
+/// [`K_BLOCK`] where operands are bf16: the error of longer chains is far below that of the operands.
+pub const K_BLOCK_LOW: usize = 1024;
 
 /// `out[i,j] = epilogue(Σ_k x[i,k] · w[j,k])` for `x [m,k]`, `out [m,n]`. See [the module](self) for the order of accumulation
 /// and [`Epilogue`] for what can follow the product. `m` may be 0.

@@ -18,7 +18,7 @@ pub enum Precision {
 ///
 /// Their products are whole multiples of 2⁻¹²⁶, and so is every sum of them: none is near the denormal numbers, which the
 /// instructions for bf16 flush in their own way.
-const SMALLEST: f32 = f32::from_bits((127 - 56) << 23);
+pub(crate) const SMALLEST: f32 = f32::from_bits((127 - 56) << 23);
 
 /// The nearest bf16, as f32. NaN stays NaN.
 #[inline(always)]
@@ -47,6 +47,12 @@ pub(crate) fn round_bf16_scalar(x: f32) -> f32 {
 #[inline(always)]
 pub(crate) fn pair(first: f32, second: f32) -> u32 {
     (first.to_bits() & 0xffff_0000) | second.to_bits() >> 16
+}
+
+/// [`pair`] of two vectors of values that are bf16.
+#[inline(always)]
+pub(crate) fn pair_bf16<S: Simd>(s: S, first: S::F32, second: S::F32) -> S::I32 {
+    s.or_i32(s.to_bits(first), s.shr::<16>(s.to_bits(second)))
 }
 
 /// The scale of a row for 8-bit integers, `max|x|/127`, and its inverse; 0 and 0 for a row of zeros or one that is not finite.

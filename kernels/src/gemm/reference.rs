@@ -1,18 +1,23 @@
 //! The product in plain Rust: the same bits, one element at a time; and in binary64, for its error.
 
 use super::precision::{round_bf16_scalar, scale_of};
-use super::{K_BLOCK, Precision};
+use super::{K_BLOCK, K_BLOCK_LOW, Precision};
 use crate::simd::fused_mul_add;
 
 /// `x · wᵀ` for `x [m,k]`, `w [n,k]`, in the defined order.
 pub fn product(x: &[f32], w: &[f32], m: usize, n: usize, k: usize) -> Vec<f32> {
+    blockwise(K_BLOCK, x, w, m, n, k)
+}
+
+/// [`product`] with chains of `block` steps.
+fn blockwise(block: usize, x: &[f32], w: &[f32], m: usize, n: usize, k: usize) -> Vec<f32> {
     let mut out = vec![0.0; m * n];
     for row in 0..m {
         for column in 0..n {
             let (a, b) = (&x[row * k..][..k], &w[column * k..][..k]);
             let blocks = a
-                .chunks(K_BLOCK)
-                .zip(b.chunks(K_BLOCK))
+                .chunks(block)
+                .zip(b.chunks(block))
                 .map(|(a, b)| a.iter().zip(b).fold(0.0, |sum, (&a, &b)| fused_mul_add(a, b, sum)));
             out[row * n + column] = blocks.reduce(|sum, block| sum + block).unwrap_or(0.0);
         }
@@ -38,7 +43,7 @@ pub fn product_as(precision: Precision, x: &[f32], w: &[f32], m: usize, n: usize
         Precision::F32 => product(x, w, m, n, k),
         Precision::Bf16 => {
             let round = |x: &[f32]| -> Vec<f32> { x.iter().map(|&x| round_bf16_scalar(x)).collect() };
-            product(&round(x), &round(w), m, n, k)
+            blockwise(K_BLOCK_LOW, &round(x), &round(w), m, n, k)
         }
         Precision::Int8 => {
             let rows = |x: &[f32]| -> Vec<(f32, Vec<i64>)> { x.chunks(k.max(1)).map(integers).collect() };

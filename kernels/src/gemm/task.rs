@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::epilogue::Affine;
 use super::form::{Form, block_words};
+use super::microkernel::Tile;
 use super::{Epilogue, Precision, Weights, interleave};
 use crate::Level;
 use crate::memory::Scratch;
@@ -97,7 +98,7 @@ impl<F: Form> Task<'_, F> {
     fn blocks<S: Simd, const MR: usize, const NV: usize>(&self, s: S) {
         let (k, rows) = (self.weights.k, self.rows.len());
         let row_words = F::row_words::<S>(k);
-        let mut tile = Scratch::take(rows * NV * LANES);
+        let mut tile = Scratch::take(rows.next_multiple_of(MR) * NV * LANES);
         let mut scales = Scratch::take(rows);
         let mut words = Scratch::take(rows.next_multiple_of(MR) * row_words);
         if F::PRECISION == Precision::F32 {
@@ -142,13 +143,12 @@ impl<F: Form> Task<'_, F> {
         let (n, k) = (self.weights.n, self.weights.words());
         let (each, row_words) = (F::row_words_of_a_word::<S>(), F::row_words::<S>(self.weights.k));
         let rows = self.rows.len();
-        let tile = &mut tile[..rows * NV * LANES];
         let start = panel * LANES;
         let columns = start..(start + NV * LANES).min(n);
-        // Without a function to apply, whole vectors are written straight from the registers of the last block.
+        // Without a function to apply, whole register blocks are written straight from the registers of the last block.
         let direct = self.epilogue.is_affine() && columns.len() == NV * LANES && k > 0;
         if k == 0 {
-            tile.fill(0.0);
+            tile[..rows * NV * LANES].fill(0.0);
         }
         for start in (0..k).step_by(block_words(F::PRECISION)) {
             let length = block_words(F::PRECISION).min(k - start);
@@ -165,56 +165,43 @@ impl<F: Form> Task<'_, F> {
             );
             for first in (0..rows).step_by(MR) {
                 ahead.fetch();
-                let present = MR.min(rows - first);
                 let at = &x[first * row_words + start * each * MR..];
                 let at = &at[..(length * each).min(row_words - start * each) * MR];
                 if last_block {
-                    for r in 0..MR {
-                        let row = self.rows.start + first + r;
-                        prefetch(self.out.address(row * n + columns.start));
-                    }
+                    self.expect::<MR, NV>(first, columns.start);
                 }
                 // SAFETY: each pointer is that of a slice of the length read.
                 let mut acc = unsafe { F::multiply::<S, MR, NV>(s, at.as_ptr(), from, length) };
-                let tile = &mut tile[first * NV * LANES..][..present * NV * LANES];
+                let tile = &mut tile[first * NV * LANES..][..MR * NV * LANES];
                 if !first_block {
                     for r in 0..MR {
-                        if r < present {
-                            for v in 0..NV {
-                                let before = s.load(&tile[(r * NV + v) * LANES..]);
-                                acc[r][v] = F::add(s, before, acc[r][v]);
-                            }
+                        for v in 0..NV {
+                            acc[r][v] = F::add(s, s.load(&tile[(r * NV + v) * LANES..]), acc[r][v]);
                         }
                     }
                 }
-                if last_block && direct {
-                    for v in 0..NV {
-                        let columns = columns.start + v * LANES..columns.start + (v + 1) * LANES;
-                        let (affine, scaled, offsets) = self.of_columns(s, &columns);
-                        for r in 0..MR {
-                            if r < present {
-                                let row = (self.rows.start + first + r) * n;
-                                // SAFETY: tasks own disjoint blocks of rows and columns.
-                                let out = unsafe { self.out.part(row + columns.start..row + columns.end) };
-                                let p = F::product(s, acc[r][v], scales[first + r], scaled, offsets);
-                                let before = if affine.residual { s.load(out) } else { p };
-                                s.store(affine.apply(s, p, before), out);
-                            }
-                        }
-                    }
+                if last_block && direct && first + MR <= rows {
+                    self.write(s, first, columns.start, acc, &scales[first..]);
                 } else {
                     for r in 0..MR {
-                        if r < present {
-                            for v in 0..NV {
-                                s.store(acc[r][v], &mut tile[(r * NV + v) * LANES..]);
-                            }
+                        for v in 0..NV {
+                            s.store(acc[r][v], &mut tile[(r * NV + v) * LANES..]);
                         }
                     }
                 }
             }
         }
-        if !direct {
-            self.finish::<S, NV>(s, columns, scales, tile);
+        let written = if direct { rows / MR * MR } else { 0 };
+        self.finish::<S, NV>(s, columns, written, scales, tile);
+    }
+
+    /// Asks for the lines of the output that a register block is about to write.
+    #[inline(always)]
+    fn expect<const MR: usize, const NV: usize>(&self, first: usize, column: usize) {
+        for r in 0..MR {
+            for v in 0..NV {
+                prefetch(self.out.address((self.rows.start + first + r) * self.weights.n + column + v * LANES));
+            }
         }
     }
 
@@ -231,9 +218,56 @@ impl<F: Form> Task<'_, F> {
         (affine, s.load(&self.weights.scales[whole]), s.from_array_i32(offsets))
     }
 
-    /// Applies the epilogue to a tile and writes it.
+    /// Writes a whole register block, of rows from `first` of the task and columns from `column`, whose epilogue has no function.
     #[inline(always)]
-    fn finish<S: Simd, const NV: usize>(&self, s: S, columns: Range<usize>, scales: &[f32], tile: &[f32]) {
+    fn write<S: Simd, const MR: usize, const NV: usize>(
+        &self,
+        s: S,
+        first: usize,
+        column: usize,
+        acc: Tile<S, MR, NV>,
+        scales: &[f32],
+    ) {
+        let n = self.weights.n;
+        let scales = &scales[..MR];
+        let start = (self.rows.start + first) * n + column;
+        let mut of = [self.of_columns(s, &(column..column + LANES)); NV];
+        for v in 1..NV {
+            let column = column + v * LANES;
+            of[v] = self.of_columns(s, &(column..column + LANES));
+        }
+        // SAFETY: tasks own disjoint blocks of rows and columns; each vector lies inside the rows that are asked for.
+        unsafe {
+            let out = self.out.rows(start, MR, n, NV * LANES);
+            if of[0].0.residual {
+                for r in 0..MR {
+                    for v in 0..NV {
+                        let at = out.add(r * n + v * LANES);
+                        let p = F::product(s, acc[r][v], scales[r], of[v].1, of[v].2);
+                        s.store_ptr(of[v].0.apply(s, p, s.load_ptr(at)), at);
+                    }
+                }
+            } else {
+                for r in 0..MR {
+                    for v in 0..NV {
+                        let p = F::product(s, acc[r][v], scales[r], of[v].1, of[v].2);
+                        s.store_ptr(of[v].0.apply(s, p, p), out.add(r * n + v * LANES));
+                    }
+                }
+            }
+        }
+    }
+
+    /// Applies the epilogue to the rows of a tile from `first` on and writes them.
+    #[inline(always)]
+    fn finish<S: Simd, const NV: usize>(
+        &self,
+        s: S,
+        columns: Range<usize>,
+        first: usize,
+        scales: &[f32],
+        tile: &[f32],
+    ) {
         let n = self.weights.n;
         for v in 0..NV {
             let start = columns.start + v * LANES;
@@ -242,11 +276,11 @@ impl<F: Form> Task<'_, F> {
                 continue;
             }
             let (affine, scaled, offsets) = self.of_columns(s, &columns);
-            for (i, sums) in tile.chunks_exact(NV * LANES).enumerate() {
+            for i in first..self.rows.len() {
                 let row = (self.rows.start + i) * n;
                 // SAFETY: tasks own disjoint blocks of rows and columns.
                 let out = unsafe { self.out.part(row + columns.start..row + columns.end) };
-                let p = F::product(s, s.load(&sums[v * LANES..]), scales[i], scaled, offsets);
+                let p = F::product(s, s.load(&tile[(i * NV + v) * LANES..]), scales[i], scaled, offsets);
                 let y = self.epilogue.activate(s, s.add(p, affine.bias));
                 let before = if affine.residual { s.load_partial(out, 0.0) } else { y };
                 s.store_partial(affine.finish(s, y, before), out);

@@ -72,6 +72,24 @@ impl<const DOT: bool> Simd for Avx512<DOT> {
         if DOT { op!(_mm512_dpbusd_epi32(acc, a, b)) } else { super::dot::bytes(self, acc, a, b) }
     }
     #[inline(always)]
+    fn pairs_of_bf16(self, a: F, b: F) -> I {
+        if !DOT {
+            return super::dot::pairs_of_bf16(self, a, b);
+        }
+        let least = self.splat(crate::gemm::SMALLEST);
+        // What is not below, so that NaN stays.
+        let (a, b) =
+            (self.keep(self.not(self.lt(self.abs(a), least)), a), self.keep(self.not(self.lt(self.abs(b), least)), b));
+        // SAFETY: the token proves AVX-512 BF16; both types are 512 bits without invalid values.
+        unsafe { _mm512_rol_epi32::<16>(std::mem::transmute::<__m512bh, I>(_mm512_cvtne2ps_pbh(b, a))) }
+    }
+    #[inline(always)]
+    fn low_bytes(self, a: I) -> [u8; LANES] {
+        let mut bytes = [0; LANES];
+        op!(_mm_storeu_si128(bytes.as_mut_ptr().cast(), _mm512_cvtepi32_epi8(a)));
+        bytes
+    }
+    #[inline(always)]
     fn split_bytes(self, a: I) -> [I; 2] {
         op!([_mm512_srai_epi16::<8>(_mm512_slli_epi16::<8>(a)), _mm512_srai_epi16::<8>(a)])
     }

@@ -3,6 +3,7 @@
 #[cfg(any(test, target_arch = "x86_64"))]
 use super::Operation;
 use super::{LANES, Simd};
+use crate::gemm::{pair, round_bf16};
 
 /// `acc + a₁b₁ + a₀b₀` in every lane, two fused steps, for pairs of bf16 (index 1 in the high half), the high halves first.
 #[inline(always)]
@@ -10,6 +11,18 @@ pub(super) fn bf16<S: Simd>(s: S, acc: S::F32, a: S::I32, b: S::I32) -> S::F32 {
     let high = s.splat_i32(0xffff_0000_u32.cast_signed());
     let acc = s.mul_add(s.from_bits(s.and_i32(a, high)), s.from_bits(s.and_i32(b, high)), acc);
     s.mul_add(s.from_bits(s.shl::<16>(a)), s.from_bits(s.shl::<16>(b)), acc)
+}
+
+/// 32 values rounded to bf16, in pairs of neighbours, the earlier in the high half.
+#[inline(always)]
+pub(super) fn pairs_of_bf16<S: Simd>(s: S, a: S::F32, b: S::F32) -> S::I32 {
+    let (a, b) = (s.to_array(round_bf16(s, a)), s.to_array(round_bf16(s, b)));
+    let mut pairs = [0; LANES];
+    for i in 0..LANES / 2 {
+        pairs[i] = pair(a[2 * i], a[2 * i + 1]).cast_signed();
+        pairs[LANES / 2 + i] = pair(b[2 * i], b[2 * i + 1]).cast_signed();
+    }
+    s.from_array_i32(pairs)
 }
 
 /// `acc + Σ a·b` in every lane for four unsigned bytes `a` and four signed bytes `b`, wrapping.

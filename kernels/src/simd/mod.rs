@@ -74,6 +74,23 @@ pub trait Simd: Copy + Send + Sync + 'static {
         dot::i16s(self, a, b)
     }
 
+    /// 32 values rounded to bf16, in pairs of neighbours, the earlier in the high half: those of `a`, then those of `b`. Magnitudes below
+    /// 2⁻⁵⁶ become 0.
+    #[inline(always)]
+    fn pairs_of_bf16(self, a: Self::F32, b: Self::F32) -> Self::I32 {
+        dot::pairs_of_bf16(self, a, b)
+    }
+    /// The lowest byte of every lane.
+    #[inline(always)]
+    fn low_bytes(self, a: Self::I32) -> [u8; LANES] {
+        let a = self.to_array_i32(a);
+        let mut bytes = [0; LANES];
+        for i in 0..LANES {
+            bytes[i] = a[i] as u8;
+        }
+        bytes
+    }
+
     /// The level of this token.
     fn level(self) -> Level;
 

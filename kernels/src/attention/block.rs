@@ -1,0 +1,330 @@
+//! A block of queries of one head passes over its window's keys.
+
+use std::marker::PhantomData;
+
+use super::layout::{Layout, Task};
+use super::weight::{weight, weight_low};
+use super::{KEY_BLOCK, Rows};
+use crate::gemm::form::{Form, values_of_a_word};
+use crate::gemm::{Precision, deinterleave, interleave, pair_bf16};
+use crate::memory::Scratch;
+use crate::parallel::Disjoint;
+use crate::simd::{LANES, Operation, Simd};
+
+/// The work of one [`Task`], with the operands of `q·k` in the form `A` and those of `w·v` in the form `B`.
+pub(super) struct Block<'a, A, B> {
+    layout: &'a Layout,
+    task: &'a Task,
+    q: Rows<'a>,
+    keys: &'a [f32],
+    values: &'a [f32],
+    scales: &'a [f32],
+    out: &'a Disjoint<'a, f32>,
+    forms: PhantomData<fn(A, B)>,
+}
+
+impl<'a, A: Form, B: Form> Block<'a, A, B> {
+    pub(super) fn new(
+        layout: &'a Layout,
+        task: &'a Task,
+        q: Rows<'a>,
+        keys: &'a [f32],
+        values: &'a [f32],
+        scales: &'a [f32],
+        out: &'a Disjoint<'a, f32>,
+    ) -> Self {
+        Self { layout, task, q, keys, values, scales, out, forms: PhantomData }
+    }
+}
+
+impl<A: Form, B: Form> Operation for Block<'_, A, B> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        // Rows of keys, rows of channels, panels of queries: what fills the registers of a level and divides its sizes.
+        match (S::GEMM_ROWS, S::GEMM_PANELS) {
+            (12, 2) => self.attend::<S, 12, 8, 2>(s),
+            (6, 1) => self.attend::<S, 6, 6, 1>(s),
+            _ => self.attend::<S, 4, 4, 1>(s),
+        }
+    }
+}
+
+impl<A: Form, B: Form> Block<'_, A, B> {
+    #[inline(always)]
+    fn attend<S: Simd, const KR: usize, const CR: usize, const NV: usize>(&self, s: S) {
+        let (heads, width) = (self.layout.shape.heads, self.layout.shape.width);
+        let (window, head) = (self.task.window, self.task.head);
+        let queries = self.task.queries.len();
+        let row = |i| self.layout.query(window, self.task.queries.start + i);
+        let padded = queries.next_multiple_of(LANES);
+        let mut scratch = Scratch::take(2 * padded * width + NV * KEY_BLOCK * LANES + 4 * padded);
+        let (q, rest) = scratch.split_at_mut(padded * width);
+        let (sum, rest) = rest.split_at_mut(padded * width);
+        let (scores, rest) = rest.split_at_mut(NV * KEY_BLOCK * LANES);
+        let (total, rest) = rest.split_at_mut(padded);
+        let (reference, rest) = rest.split_at_mut(padded);
+        let (scales, offsets) = rest.split_at_mut(padded);
+        let scale = (std::f64::consts::LOG2_E / (width as f64).sqrt()) as f32;
+        scales.fill(scale);
+        offsets.fill(0.0);
+        let words = width / values_of_a_word(A::PRECISION);
+        if A::PRECISION == Precision::F32 {
+            interleave::<LANES>(queries, width, |i| self.q.head(row(i), head, width), q);
+        } else {
+            let offsets: &mut [i32] = bytemuck::cast_slice_mut(offsets);
+            let mut converted = Scratch::take(queries * words);
+            let mut work = Scratch::take(width);
+            for (i, to) in converted.chunks_exact_mut(words).enumerate() {
+                let to = bytemuck::cast_slice_mut(to);
+                let unit;
+                (unit, offsets[i]) = A::convert_column(s, self.q.head(row(i), head, width), &mut work, to);
+                scales[i] = unit * scale;
+            }
+            interleave::<LANES>(queries, words, |i| &converted[i * words..][..words], q);
+        }
+        total.fill(0.0);
+        sum.fill(0.0);
+        reference.fill(f32::NEG_INFINITY);
+        let mut state = State::<A, B> {
+            q,
+            sum,
+            scores,
+            total,
+            reference,
+            scales,
+            offsets: bytemuck::cast_slice(offsets),
+            width,
+            words,
+            forms: PhantomData,
+        };
+
+        let packed = self.layout.packed(window, head);
+        let (packed_keys, packed_values) = (&self.keys[packed.clone()], &self.values[packed]);
+        let key_scales = &self.scales[self.layout.packed_scales(window, head)];
+        let count = self.layout.count(window, self.layout.keys);
+        let row_words = A::row_words::<S>(width);
+        for start in (0..count).step_by(KEY_BLOCK) {
+            let present = KEY_BLOCK.min(count - start);
+            let rows = present.next_multiple_of(KR);
+            let keys = Keys {
+                words: &packed_keys[start * row_words..][..rows * row_words],
+                scales: &key_scales[start..][..rows],
+                values: &packed_values[start * width..],
+                present,
+            };
+            let mut panel = 0;
+            while (panel + NV) * LANES <= padded {
+                state.pass::<S, KR, CR, NV>(s, panel, &keys);
+                panel += NV;
+            }
+            while panel * LANES < padded {
+                state.pass::<S, KR, CR, 1>(s, panel, &keys);
+                panel += 1;
+            }
+        }
+
+        for (panel, sum) in state.sum.chunks_exact_mut(width * LANES).enumerate() {
+            let inverse = s.div(s.splat(1.0), s.load(&state.total[panel * LANES..]));
+            for sum in sum.chunks_exact_mut(LANES) {
+                s.store(s.mul(s.load(sum), inverse), sum);
+            }
+            let present = LANES.min(queries - panel * LANES);
+            let mut out: [&mut [f32]; LANES] = std::array::from_fn(|_| Default::default());
+            for (i, out) in out[..present].iter_mut().enumerate() {
+                let start = (row(panel * LANES + i) * heads + head) * width;
+                // SAFETY: tasks own disjoint rows of a head.
+                *out = unsafe { self.out.part(start..start + width) };
+            }
+            deinterleave(sum, &mut out[..present]);
+        }
+    }
+}
+
+/// A block of keys and their values, as [`super::pack`] leaves them.
+struct Keys<'a> {
+    words: &'a [f32],
+    scales: &'a [f32],
+    values: &'a [f32],
+    present: usize,
+}
+
+/// What a block of queries keeps while it passes over the keys. Everything comes in panels of 16 queries.
+struct State<'a, A, B> {
+    /// `[panels][words][16]`
+    q: &'a [f32],
+    /// `[panels][width][16]`: weighted sums of values.
+    sum: &'a mut [f32],
+    /// `[NV][KEY_BLOCK][16]`: scores, then words of weights.
+    scores: &'a mut [f32],
+    /// `[panels][16]`: sums of weights.
+    total: &'a mut [f32],
+    /// `[panels][16]`: the references `M`.
+    reference: &'a mut [f32],
+    /// `[panels][16]`: from scores to powers of 2.
+    scales: &'a [f32],
+    /// `[panels][16]`: what the form of the keys adds to a score.
+    offsets: &'a [i32],
+    width: usize,
+    words: usize,
+    forms: PhantomData<fn(A, B)>,
+}
+
+impl<A: Form, B: Form> State<'_, A, B> {
+    /// `NV` panels of queries over one block of keys.
+    #[inline(always)]
+    fn pass<S: Simd, const KR: usize, const CR: usize, const NV: usize>(
+        &mut self,
+        s: S,
+        panel: usize,
+        keys: &Keys<'_>,
+    ) {
+        let largest = self.score::<S, KR, NV>(s, panel, keys);
+        let mut rescale = [s.splat(1.0); NV];
+        for v in 0..NV {
+            rescale[v] = self.weigh(s, panel, v, largest[v], keys.present);
+        }
+        let rows = keys.present.div_ceil(values_of_a_word(B::PRECISION));
+        let words = rows * B::row_words_of_a_word::<S>();
+        let whole = self.width / CR * CR;
+        for c in (0..whole).step_by(CR) {
+            self.accumulate::<S, CR, NV>(s, panel, &keys.values[c * words..], c, rows, rescale);
+        }
+        // Widths are multiples of 16, and the levels' blocks have 4, 6 or 8 rows.
+        match self.width - whole {
+            4 => self.accumulate::<S, 4, NV>(s, panel, &keys.values[whole * words..], whole, rows, rescale),
+            2 => self.accumulate::<S, 2, NV>(s, panel, &keys.values[whole * words..], whole, rows, rescale),
+            _ => {}
+        }
+    }
+
+    /// Scores of a block of keys; returns the largest of each query.
+    #[inline(always)]
+    fn score<S: Simd, const KR: usize, const NV: usize>(
+        &mut self,
+        s: S,
+        panel: usize,
+        keys: &Keys<'_>,
+    ) -> [S::F32; NV] {
+        let len = self.words * LANES;
+        let from = std::array::from_fn(|v| self.q[(panel + v) * len..][..len].as_ptr().cast());
+        let mut offsets = [s.splat_i32(0); NV];
+        for v in 0..NV {
+            let from = &self.offsets[(panel + v) * LANES..][..LANES];
+            offsets[v] = s.to_bits(s.load(bytemuck::cast_slice(from)));
+        }
+        let row_words = A::row_words::<S>(self.width);
+        let mut largest = [s.splat(f32::NEG_INFINITY); NV];
+        for first in (0..keys.present).step_by(KR) {
+            let at = &keys.words[first * row_words..][..KR * row_words];
+            let scales = &keys.scales[first..][..KR];
+            // SAFETY: each pointer is that of a slice of the length read.
+            let mut acc = unsafe { A::multiply::<S, KR, NV>(s, at.as_ptr().cast(), from, self.words) };
+            for r in 0..KR {
+                for v in 0..NV {
+                    acc[r][v] = A::of_row(s, acc[r][v], scales[r], offsets[v]);
+                }
+            }
+            for v in 0..NV {
+                let to = &mut self.scores[(v * KEY_BLOCK + first) * LANES..][..KR * LANES];
+                for r in 0..KR {
+                    s.store(acc[r][v], &mut to[r * LANES..]);
+                }
+            }
+            for r in 0..KR {
+                if first + r < keys.present {
+                    for v in 0..NV {
+                        largest[v] = s.max(acc[r][v], largest[v]);
+                    }
+                }
+            }
+        }
+        largest
+    }
+
+    /// Moves a panel's references, turns its scores into weights and adds these to its totals; returns `r`.
+    #[inline(always)]
+    fn weigh<S: Simd>(&mut self, s: S, panel: usize, v: usize, largest: S::F32, present: usize) -> S::F32 {
+        let scale = s.load(&self.scales[panel * LANES + v * LANES..]);
+        let reference = &mut self.reference[(panel + v) * LANES..][..LANES];
+        let before = s.load(reference);
+        let now = s.max(s.mul(largest, scale), before);
+        s.store(now, reference);
+        // Infinities that stay what they were have no difference.
+        let rescale = s.select(s.eq(before, now), s.splat(1.0), weight(s, s.sub(before, now)));
+        let scores = &mut self.scores[v * KEY_BLOCK * LANES..][..present.next_multiple_of(2) * LANES];
+        let block = if B::PRECISION == Precision::F32 {
+            weigh_singly(s, &mut scores[..present * LANES], scale, s.neg(now))
+        } else {
+            weigh_in_pairs(s, scores, present, scale, s.neg(now))
+        };
+        let total = &mut self.total[(panel + v) * LANES..][..LANES];
+        s.store(s.mul_add(s.load(total), rescale, block), total);
+        rescale
+    }
+
+    /// Adds `CR` channels of a block's weighted values, whose keys take `rows` words of a panel.
+    #[inline(always)]
+    fn accumulate<S: Simd, const CR: usize, const NV: usize>(
+        &mut self,
+        s: S,
+        panel: usize,
+        values: &[f32],
+        channel: usize,
+        rows: usize,
+        rescale: [S::F32; NV],
+    ) {
+        let from = std::array::from_fn(|v| self.scores[v * KEY_BLOCK * LANES..][..rows * LANES].as_ptr().cast());
+        let values = &values[..CR * rows * B::row_words_of_a_word::<S>()];
+        // SAFETY: each pointer is that of a slice of the length read.
+        let acc = unsafe { B::multiply::<S, CR, NV>(s, values.as_ptr().cast(), from, rows) };
+        for v in 0..NV {
+            let sum = &mut self.sum[((panel + v) * self.width + channel) * LANES..][..CR * LANES];
+            for r in 0..CR {
+                let at = &mut sum[r * LANES..][..LANES];
+                s.store(s.mul_add(s.load(at), rescale[v], acc[r][v]), at);
+            }
+        }
+    }
+}
+
+/// Turns scores `[keys][16]` into weights in f32 and gives their sum.
+#[inline(always)]
+fn weigh_singly<S: Simd>(s: S, scores: &mut [f32], scale: S::F32, minus: S::F32) -> S::F32 {
+    let mut sums = [s.splat(0.0); 4];
+    for four in scores.chunks_mut(4 * LANES) {
+        for (score, sum) in four.chunks_exact_mut(LANES).zip(&mut sums) {
+            let w = weight(s, s.mul_add(s.load(score), scale, minus));
+            s.store(w, score);
+            *sum = s.add(*sum, w);
+        }
+    }
+    s.add(s.add(sums[0], sums[1]), s.add(sums[2], sums[3]))
+}
+
+/// Turns the first `present` of scores `[keys][16]` into pairs of weights in bf16, `[keys/2][16]`, and gives their sum. The partner of a
+/// last weight is 0.
+#[inline(always)]
+fn weigh_in_pairs<S: Simd>(s: S, scores: &mut [f32], present: usize, scale: S::F32, minus: S::F32) -> S::F32 {
+    let mut sums = [s.splat(0.0); 4];
+    let whole = present / 4 * 4;
+    for i in (0..whole).step_by(4) {
+        let mut four = [s.splat(0.0); 4];
+        for j in 0..4 {
+            four[j] = weight_low(s, s.mul_add(s.load(&scores[(i + j) * LANES..]), scale, minus));
+            sums[j] = s.add(sums[j], four[j]);
+        }
+        let to = &mut scores[i / 2 * LANES..][..2 * LANES];
+        s.store(s.from_bits(pair_bf16(s, four[0], four[1])), to);
+        s.store(s.from_bits(pair_bf16(s, four[2], four[3])), &mut to[LANES..]);
+    }
+    for i in (whole..present).step_by(2) {
+        let mut two = [s.splat(0.0); 2];
+        for j in 0..2.min(present - i) {
+            two[j] = weight_low(s, s.mul_add(s.load(&scores[(i + j) * LANES..]), scale, minus));
+            sums[(i + j) % 4] = s.add(sums[(i + j) % 4], two[j]);
+        }
+        s.store(s.from_bits(pair_bf16(s, two[0], two[1])), &mut scores[i / 2 * LANES..]);
+    }
+    s.add(s.add(sums[0], sums[1]), s.add(sums[2], sums[3]))
+}
