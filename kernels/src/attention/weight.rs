@@ -1,5 +1,6 @@
 //! The weight of a key: `2^t` for `t ≤ 0`, the innermost function of attention.
 
+use crate::math;
 use crate::simd::Simd;
 
 /// Added to a float below 2²² in magnitude, leaves its nearest integer in the low bits.
@@ -31,21 +32,11 @@ pub(super) fn weight<S: Simd>(s: S, t: S::F32) -> S::F32 {
 /// Weights of the lower precisions are never below `2^LOWEST_LOW`: there their products with values are far from the denormal numbers.
 const LOWEST_LOW: f32 = -56.0;
 
-/// `2^f` on [−½, ½], minimax in relative error (7.5e-5), lowest power first.
-const COEFFICIENTS_LOW: [f32; 4] = [0.999_928_06, 0.693_260_97, 0.242_611_13, 0.055_171_67];
-
 /// `2^t` for `t` at most a little above 0, rounded to bf16 (to nearest, ties up): within 0.52 of its last place; `2^−56` below that, and
 /// for NaN.
 #[inline(always)]
 pub(super) fn weight_low<S: Simd>(s: S, t: S::F32) -> S::F32 {
-    let t = s.max(t, s.splat(LOWEST_LOW));
-    let shifted = s.add(t, s.splat(SHIFTER));
-    let f = s.sub(t, s.sub(shifted, s.splat(SHIFTER)));
-    let mut p = s.splat(COEFFICIENTS_LOW[3]);
-    for i in (0..3).rev() {
-        p = s.mul_add(p, f, s.splat(COEFFICIENTS_LOW[i]));
-    }
-    let w = s.add_i32(s.to_bits(p), s.shl::<23>(s.to_bits(shifted)));
+    let w = s.to_bits(math::exp2_low(s, s.max(t, s.splat(LOWEST_LOW))));
     let rounded = s.add_i32(w, s.splat_i32(0x8000));
     s.from_bits(s.and_i32(rounded, s.splat_i32(0xffff_0000_u32.cast_signed())))
 }

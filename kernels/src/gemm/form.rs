@@ -64,7 +64,7 @@ pub(super) const fn block_words(precision: Precision) -> usize {
     match precision {
         Precision::F32 => super::K_BLOCK,
         Precision::Bf16 => super::K_BLOCK_LOW / 2,
-        Precision::Int8 => 256,
+        Precision::Int8 => 1024,
     }
 }
 
@@ -252,10 +252,10 @@ impl Form for Bytes {
     fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
         if S::DOT {
             // The instruction takes these unsigned; the weights' offsets undo it.
-            return quantise_row(s, row, 128, words).0;
+            return quantise_row::<S, 128>(s, row, words);
         }
         let bytes = &mut bytemuck::cast_slice_mut(values)[..words.len() / 2];
-        let (scale, _) = quantise_row(s, row, 0, bytes);
+        let scale = quantise_row::<S, 0>(s, row, bytes);
         for (two, bytes) in words.chunks_exact_mut(2).zip(bytes) {
             let [a, b, c, d] = bytes.to_le_bytes().map(|byte| i32::from(byte.cast_signed()) as u32 & 0xffff);
             (two[0], two[1]) = (a | c << 16, b | d << 16);
@@ -264,8 +264,9 @@ impl Form for Bytes {
     }
     #[inline(always)]
     fn convert_column<S: Simd>(s: S, row: &[f32], _: &mut [f32], words: &mut [u32]) -> (f32, i32) {
-        let (scale, sum) = quantise_row(s, row, 0, words);
-        (scale, 128 * sum)
+        let scale = quantise_row::<S, 0>(s, row, words);
+        let bytes: &[i8] = bytemuck::cast_slice(words);
+        (scale, 128 * bytes.iter().map(|&q| i32::from(q)).sum::<i32>())
     }
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
@@ -322,24 +323,28 @@ impl Form for Bytes {
     }
 }
 
-/// A row in units of its scale, `offset` added, as the bytes of words, the first lowest, with zeros (and `offset`) to whole words;
-/// the scale and the sum of the integers without `offset`.
+/// A row in units of its scale, `OFFSET` added, as the bytes of words, the first lowest; what is left of the last word is `OFFSET`. Returns
+/// the scale. A row of zeros, or one with a value that is not finite, is zeros.
 #[inline(always)]
-fn quantise_row<S: Simd>(s: S, row: &[f32], offset: i32, words: &mut [u32]) -> (f32, i32) {
+fn quantise_row<S: Simd, const OFFSET: u8>(s: S, row: &[f32], words: &mut [u32]) -> f32 {
     let (scale, inverse) = scale_of(largest_magnitude(s, row));
-    // A row of zeros, or one with a value that is not finite, is zero.
-    let usable = s.mask_from_bits(if scale > 0.0 { u16::MAX } else { 0 });
-    let (inverse, zero, offset) = (s.splat(inverse), s.splat(0.0), s.splat_i32(offset));
     let bytes: &mut [u8] = bytemuck::cast_slice_mut(words);
-    let mut sum = s.splat_i32(0);
-    for (i, to) in bytes.chunks_mut(LANES).enumerate() {
-        let from = &row[(i * LANES).min(row.len())..];
-        let x = s.load_partial(&from[..from.len().min(LANES)], 0.0);
-        let q = s.to_i32(s.round(s.select(usable, s.mul(x, inverse), zero)));
-        sum = s.add_i32(sum, q);
-        let all = s.low_bytes(s.add_i32(q, offset));
-        to.copy_from_slice(&all[..to.len()]);
+    if scale == 0.0 {
+        bytes.fill(OFFSET);
+        return 0.0;
     }
-    let sums = s.to_array_i32(sum);
-    (scale, sums.iter().sum())
+    let inverse = s.splat(inverse);
+    // Adding this leaves the nearest integer, and the offset, in the low bits.
+    let to_integer = s.splat(12_582_912.0 + f32::from(OFFSET));
+    let whole = row.len() / LANES * LANES;
+    let (rows, last) = row.split_at(whole);
+    let (to, end) = bytes.split_at_mut(whole);
+    for (x, to) in rows.chunks_exact(LANES).zip(to.chunks_exact_mut(LANES)) {
+        to.copy_from_slice(&s.low_bytes(s.to_bits(s.add(s.mul(s.load(x), inverse), to_integer))));
+    }
+    if !end.is_empty() {
+        let x = s.mul(s.load_partial(last, 0.0), inverse);
+        end.copy_from_slice(&s.low_bytes(s.to_bits(s.add(x, to_integer)))[..end.len()]);
+    }
+    scale
 }

@@ -62,14 +62,29 @@ pub(crate) fn scale_of(most: f32) -> (f32, f32) {
     if (1e-36..f32::INFINITY).contains(&most) { (most / 127.0, 127.0 / most) } else { (0.0, 0.0) }
 }
 
-/// The largest magnitude of a row; 0 where it has none.
+/// The largest magnitude of a row; 0 where it has none, infinite where a value is not finite.
 #[inline(always)]
 pub(crate) fn largest_magnitude<S: Simd>(s: S, x: &[f32]) -> f32 {
-    let mut most = s.splat(0.0);
-    for x in x.chunks(LANES) {
-        // An infinite or NaN value must not hide: it makes the whole row zero.
-        let x = s.abs(s.load_partial(x, 0.0));
-        most = s.select(s.eq(x, x), s.max(x, most), s.splat(f32::INFINITY));
+    let zero = s.splat(0.0);
+    // Several chains, as each step waits for the one before; a product with 0 is 0 but for values that are not finite.
+    let (mut most, mut poison) = ([zero; 4], [zero; 4]);
+    let whole = x.len() / (4 * LANES) * (4 * LANES);
+    for four in x[..whole].chunks_exact(4 * LANES) {
+        for j in 0..4 {
+            let x = s.load(&four[j * LANES..]);
+            most[j] = s.max(s.abs(x), most[j]);
+            poison[j] = s.mul_add(x, zero, poison[j]);
+        }
     }
-    s.max_lane(most)
+    for x in x[whole..].chunks(LANES) {
+        let x = s.load_partial(x, 0.0);
+        most[0] = s.max(s.abs(x), most[0]);
+        poison[0] = s.mul_add(x, zero, poison[0]);
+    }
+    let poison = s.add(s.add(poison[0], poison[1]), s.add(poison[2], poison[3]));
+    if s.sum(poison) == 0.0 {
+        s.max_lane(s.max(s.max(most[0], most[1]), s.max(most[2], most[3])))
+    } else {
+        f32::INFINITY
+    }
 }

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::epilogue::Affine;
+use super::epilogue::{Activation, Affine, Function, Gelu, Identity, Silu, SiluLow};
 use super::form::{Form, block_words};
 use super::microkernel::Tile;
 use super::{Epilogue, Precision, Weights, interleave};
@@ -192,7 +192,13 @@ impl<F: Form> Task<'_, F> {
             }
         }
         let written = if direct { rows / MR * MR } else { 0 };
-        self.finish::<S, NV>(s, columns, written, scales, tile);
+        let rest = written..rows;
+        match (self.epilogue.activation(), F::PRECISION) {
+            (Activation::Identity, _) => self.finish::<S, Identity, NV>(s, columns, rest, scales, tile),
+            (Activation::Silu, Precision::F32) => self.finish::<S, Silu, NV>(s, columns, rest, scales, tile),
+            (Activation::Silu, _) => self.finish::<S, SiluLow, NV>(s, columns, rest, scales, tile),
+            (Activation::Gelu, _) => self.finish::<S, Gelu, NV>(s, columns, rest, scales, tile),
+        }
     }
 
     /// Asks for the lines of the output that a register block is about to write.
@@ -258,13 +264,13 @@ impl<F: Form> Task<'_, F> {
         }
     }
 
-    /// Applies the epilogue to the rows of a tile from `first` on and writes them.
+    /// Applies the epilogue, whose function is `A`, to rows of a tile and writes them.
     #[inline(always)]
-    fn finish<S: Simd, const NV: usize>(
+    fn finish<S: Simd, A: Function, const NV: usize>(
         &self,
         s: S,
         columns: Range<usize>,
-        first: usize,
+        rows: Range<usize>,
         scales: &[f32],
         tile: &[f32],
     ) {
@@ -272,18 +278,21 @@ impl<F: Form> Task<'_, F> {
         for v in 0..NV {
             let start = columns.start + v * LANES;
             let columns = start..(start + LANES).min(columns.end);
-            if columns.is_empty() {
+            if columns.is_empty() || rows.is_empty() {
                 continue;
             }
             let (affine, scaled, offsets) = self.of_columns(s, &columns);
-            for i in first..self.rows.len() {
-                let row = (self.rows.start + i) * n;
-                // SAFETY: tasks own disjoint blocks of rows and columns.
-                let out = unsafe { self.out.part(row + columns.start..row + columns.end) };
-                let p = F::product(s, s.load(&tile[(i * NV + v) * LANES..]), scales[i], scaled, offsets);
-                let y = self.epilogue.activate(s, s.add(p, affine.bias));
-                let before = if affine.residual { s.load_partial(out, 0.0) } else { y };
-                s.store_partial(affine.finish(s, y, before), out);
+            let (tile, scales) = (&tile[v * LANES..], &scales[rows.clone()]);
+            let tile = tile[rows.start * NV * LANES..].chunks(NV * LANES).zip(scales);
+            let row = (self.rows.start + rows.start) * n + columns.start;
+            // SAFETY: tasks own disjoint blocks of rows and columns.
+            let out = unsafe { self.out.rows(row, rows.len(), n, columns.len()) };
+            for (i, (sums, &scale)) in tile.enumerate() {
+                let y = A::of(s, s.add(F::product(s, s.load(sums), scale, scaled, offsets), affine.bias));
+                // SAFETY: row `i` of those that are asked for.
+                let to = unsafe { std::slice::from_raw_parts_mut(out.add(i * n), columns.len()) };
+                let before = if affine.residual { s.load_partial(to, 0.0) } else { y };
+                s.store_partial(affine.finish(s, y, before), to);
             }
         }
     }

@@ -14,7 +14,7 @@ macro_rules! twin {
     };
 }
 
-twin!(exp exp_nonpositive log softplus sigmoid silu tanh erf erfc erfinv gelu normal_cdf);
+twin!(exp exp_nonpositive exp2_low log softplus sigmoid silu silu_low tanh erf erfc erfinv gelu normal_cdf);
 
 /// [`math::sin_cos`](super::sin_cos) of one value.
 pub fn sin_cos(x: f32) -> (f32, f32) {

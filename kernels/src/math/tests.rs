@@ -198,6 +198,24 @@ fn silu_is_accurate_down_to_minus_zero() {
     assert_eq!(scalar::silu(f32::INFINITY), f32::INFINITY);
 }
 
+function!(Exp2Low, exp2_low);
+function!(SiluLow, silu_low);
+
+#[test]
+fn functions_for_the_lower_precisions_keep_their_thirteen_bits() {
+    let within = |range: std::ops::RangeInclusive<f32>| -> Vec<f32> {
+        sweep().into_iter().filter(|x| range.contains(x)).collect()
+    };
+    check("exp2_low", Exp2Low, &within(-126.0..=126.0), 1_260.0, f64::exp2);
+    check("silu_low", SiluLow, &within(-87.0..=f32::MAX), 1_300.0, |x| x / (1.0 + (-x).exp()));
+    for x in [-88.0, -112.0, -1e30, f32::NEG_INFINITY] {
+        let y = scalar::silu_low(x);
+        assert!(y < 0.0 && y > -2e-36, "{x}: {y:e}");
+    }
+    assert_eq!(scalar::silu_low(f32::INFINITY), f32::INFINITY);
+    assert!(scalar::silu_low(f32::NAN).is_nan());
+}
+
 #[test]
 fn tanh_is_odd_and_ends_at_one() {
     check("tanh", Tanh, &sweep(), 2.6, f64::tanh);
