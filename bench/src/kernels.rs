@@ -6,6 +6,7 @@ use serde::Serialize;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::attention::{self, Rows, Shape, Windows, attend_as};
 use streamsplat_kernels::gemm::{self, Epilogue, Precision, Weights, linear};
+use streamsplat_kernels::memory::Aligned;
 use streamsplat_kernels::norm;
 
 use crate::Common;
@@ -77,6 +78,8 @@ struct Case {
     precision: (&'static str, Precision),
     size: String,
     flop: f64,
+    /// The formats in which it multiplies, each a part of equal size.
+    formats: &'static [Precision],
     work: Box<dyn FnMut() + Send>,
 }
 
@@ -96,8 +99,6 @@ fn measure(options: &Options) -> Result<()> {
             for &(name, m, n, k) in products.iter().filter(|p| wanted(p.0)) {
                 cases.push(product(level, model, precision, name, m, n, k)?);
             }
-            // Both lower modes multiply in bf16 here.
-            let attentions = if precision.1 == Precision::Int8 { &[] } else { attentions };
             for &(name, queries, keys, heads, window) in attentions.iter().filter(|a| wanted(a.0)) {
                 cases.push(attention(level, model, precision, name, queries, keys, heads, window)?);
             }
@@ -115,12 +116,17 @@ fn measure(options: &Options) -> Result<()> {
     );
     for mut case in cases {
         let mut times = Vec::new();
-        let own_peak = &mut peaks[case.precision.1 as usize];
         for _ in 0..options.common.repeat.max(1) {
-            // The peak is taken beside every run: clocks move.
-            *own_peak = own_peak.max(peak(level, case.precision.1));
+            // The peaks are taken beside every run: clocks move.
+            for &format in case.formats {
+                let best = &mut peaks[format as usize];
+                *best = best.max(peak(level, format));
+            }
             times.push(once(&mut case.work));
         }
+        // Parts of equal work one after the other.
+        let slowness: f64 = case.formats.iter().map(|&format| 1.0 / peaks[format as usize]).sum();
+        let own_peak = case.formats.len() as f64 / slowness;
         let seconds = Seconds::of(times);
         let gflops = case.flop / seconds.min / 1e9;
         let row = Row {
@@ -131,7 +137,7 @@ fn measure(options: &Options) -> Result<()> {
             gflop: case.flop / 1e9,
             seconds,
             gflops,
-            fraction_of_peak: gflops / *own_peak,
+            fraction_of_peak: gflops / own_peak,
         };
         println!(
             "{:<22} {:<6} {:<5} {:>20} {:>10.3} {:>10.1} {:>8.1}%",
@@ -204,6 +210,35 @@ fn noise(len: usize, seed: u32) -> Vec<f32> {
     (0..len).map(|_| next()).collect()
 }
 
+/// The formats of a product's operands.
+fn formats_of_product(precision: Precision) -> &'static [Precision] {
+    match precision {
+        Precision::F32 => &[Precision::F32],
+        Precision::Bf16 => &[Precision::Bf16],
+        Precision::Int8 => &[Precision::Int8],
+    }
+}
+
+/// The formats of an attention's two products.
+fn formats_of_attention(precision: Precision) -> &'static [Precision] {
+    match precision {
+        Precision::Int8 => &[Precision::Int8, Precision::Bf16],
+        _ => formats_of_product(precision),
+    }
+}
+
+/// Zeros as the model holds its matrices: on cache lines.
+fn zeros(len: usize) -> Aligned<f32> {
+    Aligned::zeroed(len)
+}
+
+/// [`noise`] as the model holds its matrices.
+fn aligned_noise(len: usize, seed: u32) -> Aligned<f32> {
+    let mut values = zeros(len);
+    values.copy_from_slice(&noise(len, seed));
+    values
+}
+
 fn product(
     level: Level,
     model: &'static str,
@@ -213,9 +248,9 @@ fn product(
     n: usize,
     k: usize,
 ) -> Result<Case> {
-    let (x, w) = (noise(m * k, 1), noise(n * k, 2));
+    let (x, w) = (aligned_noise(m * k, 1), noise(n * k, 2));
     let weights = Weights::pack_as(precision.1, &w, n, k);
-    let mut out = vec![0.0; m * n];
+    let mut out = zeros(m * n);
     linear(level, &x, m, &weights, &Epilogue::new(), &mut out);
     for i in 0..97 {
         let (row, column) = (i * 7919 % m, i * 104_729 % n);
@@ -230,6 +265,7 @@ fn product(
         precision,
         size: format!("{m}x{n}x{k}"),
         flop: 2.0 * (m * n * k) as f64,
+        formats: formats_of_product(precision.1),
         work: Box::new(move || linear(level, &x, m, &weights, &Epilogue::new(), &mut out)),
     })
 }
@@ -245,10 +281,10 @@ fn attention(
     window: Option<usize>,
 ) -> Result<Case> {
     let d = heads * 64;
-    let (q, k, v) = (noise(queries * d, 1), noise(keys * d, 2), noise(keys * d, 3));
+    let (q, k, v) = (aligned_noise(queries * d, 1), aligned_noise(keys * d, 2), aligned_noise(keys * d, 3));
     let windows = window.map_or(Windows::Full, |length| Windows::Runs { length, roll: 0 });
     let shape = Shape { heads, width: 64, windows };
-    let mut out = vec![0.0; queries * d];
+    let mut out = zeros(queries * d);
     let seen = window.unwrap_or(keys);
     let expected = attention::reference::attend(&q[..d], &k[..seen * d], &v[..seen * d], heads, 64, |_, _| true);
     let mut work = move || {
@@ -267,6 +303,7 @@ fn attention(
         precision,
         size: format!("{queries}x{seen} {heads} heads"),
         flop: 4.0 * (queries * seen * d) as f64,
+        formats: formats_of_attention(precision.1),
         work: Box::new(move || {
             work();
         }),
@@ -274,14 +311,15 @@ fn attention(
 }
 
 fn rms_norm(level: Level, model: &'static str, rows: usize, d: usize) -> Case {
-    let (x, w) = (noise(rows * d, 1), noise(d, 2));
-    let mut out = vec![0.0; rows * d];
+    let (x, w) = (aligned_noise(rows * d, 1), noise(d, 2));
+    let mut out = zeros(rows * d);
     Case {
         kernel: "rms_norm".to_owned(),
         model,
         precision: ("f32", Precision::F32),
         size: format!("{rows}x{d}"),
         flop: 4.0 * (rows * d) as f64,
+        formats: &[Precision::F32],
         work: Box::new(move || norm::rms_norm(level, &x, &w, 1e-5, &mut out)),
     }
 }

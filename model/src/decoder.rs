@@ -139,24 +139,26 @@ impl Decoder {
         // Each frame is conditioned on the other.
         let conditions = [self.condition(level, features[1]), self.condition(level, features[0])];
         let half = h[0].len();
-        let mut x = self.enter(level, h);
-        for (i, block) in self.blocks.iter().enumerate() {
-            let windows = windows(config.encoder_window, i);
-            match &block.self_attn {
-                Some(self_attn) => self_attn.accumulate(level, windows, &mut x, work),
-                None => add_zero(&mut x),
-            }
-            match &block.cross_attn {
-                Some(cross_attn) => {
-                    for (x, condition) in x.chunks_exact_mut(half).zip(&conditions) {
-                        cross_attn.accumulate(level, condition, x, work);
-                    }
+        let entered = self.enter(level, h);
+        let mut first = work.with_tokens(&entered, |x, work| {
+            for (i, block) in self.blocks.iter().enumerate() {
+                let windows = windows(config.encoder_window, i);
+                match &block.self_attn {
+                    Some(self_attn) => self_attn.accumulate(level, windows, x, work),
+                    None => add_zero(x),
                 }
-                None => add_zero(&mut x),
+                match &block.cross_attn {
+                    Some(cross_attn) => {
+                        for (x, condition) in x.chunks_exact_mut(half).zip(&conditions) {
+                            cross_attn.accumulate(level, condition, x, work);
+                        }
+                    }
+                    None => add_zero(x),
+                }
+                block.feed_forward(level, x, work);
             }
-            block.feed_forward(level, &mut x, work);
-        }
-        let mut first = self.layernorm2.of(level, &x);
+            self.layernorm2.of(level, x)
+        });
         let second = first.split_off(half);
         [first, second]
     }

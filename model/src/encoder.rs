@@ -64,11 +64,13 @@ impl Encoder {
     }
 
     /// The blocks and what follows.
-    pub(crate) fn run(&self, level: Level, config: &Config, mut x: Vec<f32>, work: &mut Workspace) -> Vec<f32> {
-        for (i, block) in self.blocks.iter().enumerate() {
-            block.apply(level, windows(config.encoder_window, i), &mut x, work);
-        }
-        self.layernorm2.of(level, &x)
+    pub(crate) fn run(&self, level: Level, config: &Config, entered: Vec<f32>, work: &mut Workspace) -> Vec<f32> {
+        work.with_tokens(&entered, |x, work| {
+            for (i, block) in self.blocks.iter().enumerate() {
+                block.apply(level, windows(config.encoder_window, i), x, work);
+            }
+            self.layernorm2.of(level, x)
+        })
     }
 
     pub(crate) fn bytes(&self) -> usize {
