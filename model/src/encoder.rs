@@ -27,8 +27,7 @@ impl Encoder {
         let pe = "positional_encoding.pe";
         let blocks = (0..config.encoder_layers)
             .map(|i| {
-                let edge = i == 0 || i + 1 == config.encoder_layers;
-                let precision = if edge { precision.of_edges() } else { precision.of_blocks() };
+                let precision = if i == 0 { precision.of_edges() } else { precision.of_blocks() };
                 Block::load(&weights.held_in(precision).at(format_args!("transformer.resblocks.{i}")), d)
             })
             .collect::<Result<_, _>>()?;

@@ -50,8 +50,8 @@ impl Precision {
         }
     }
 
-    /// The operands of the products that 8 bits spoil: the first and last blocks of the encoder, whose outlying channels carry
-    /// a patch's colours, and the layers that spread a token over finer ones. They are bf16 in [`Precision::Int8`].
+    /// The operands of the products that 8 bits spoil: the first block of the encoder, whose outlying channels carry a patch's colours, and
+    /// the layers that spread a token over finer ones. They are bf16 in [`Precision::Int8`].
     pub(crate) const fn of_edges(self) -> gemm::Precision {
         match self {
             Precision::Int8 => gemm::Precision::Bf16,
