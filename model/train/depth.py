@@ -71,7 +71,7 @@ def keep_frames_apart(net, step=APART):
     net.gs_dynamic_predictor.dynamic_scalar[1] = step
 
 
-ORDERS = ('storage', 'nearest rows last', 'right to left', 'patches at random', 'at random')
+ORDERS = ('storage', 'lowest row first', 'rightmost first in each row', 'patches at random', 'at random')
 
 
 def keys_of(order, grid, generator):
@@ -89,8 +89,8 @@ def fragility(net, frames, seed=0):
     h, w = net.config.resolution
     g, _ = net.static(net.encode(frames))
     out = {}
-    for order in ORDERS:
-        key = keys_of(order, net.config.splat_grid, torch.Generator().manual_seed(seed)).expand(len(frames), -1)
+    for order in ('depth', *ORDERS):
+        key = None if order == 'depth' else keys_of(order, net.config.splat_grid, torch.Generator().manual_seed(seed)).expand(len(frames), -1)
         image, _ = render(g['xyz'], g['scale'], g['opacity'][..., 0], g['rgb'], h, w, torch.full((len(frames), 3), 0.5), order=key)
         out[order] = round(float(psnr(image[:, :3], frames).mean()), 2)
     return out
