@@ -9,7 +9,7 @@ os.environ.setdefault('OMP_WAIT_POLICY', 'passive')
 import numpy as np
 import torch
 
-from . import data, evaluate, layering, network, stages, start
+from . import data, depth, evaluate, layering, network, stages, start
 from .checkpoint import Run
 
 
@@ -27,7 +27,10 @@ def load_clips(o, size):
 
 
 def begin(o):
-    """Writes the analytic start into a new run folder."""
+    """Writes the analytic start, or the checkpoint `--from`, into a new run folder."""
+    if o.source:
+        net = network.open_official(o.source)
+        return keep_start(o, net, dict(source=o.source))
     c = network.Config(hidden_dim=o.width, upsampler_window=o.window, resolution=tuple(o.resolution), condition_len=o.resolution[0] * o.resolution[1] // 64, static_position='truncated_normal' if o.sampling else 'tanh')
     clips = load_clips(o, c.resolution)
     torch.manual_seed(o.seed)
@@ -39,9 +42,13 @@ def begin(o):
     info.update(start.write_static(net, readers, frames))
     info.update(start.write_decoder(net, readers, frames[:8]))
     info.update(start.write_motion(net, readers, frames[:8]))
+    keep_start(o, net, info)
+
+
+def keep_start(o, net, info):
     run = Run(o.run)
     run.note('start', info)
-    run.note('config', {k: list(v) if isinstance(v, tuple) else v for k, v in c.__dict__.items()})
+    run.note('config', {k: list(v) if isinstance(v, tuple) else v for k, v in net.config.__dict__.items()})
     run.save(dict(stage='start', done=True, net=net.state_dict(), spent=0.0, before=0.0))
     print(info)
 
@@ -110,6 +117,18 @@ def measure(o):
     evaluate.evaluate(net, pathlib.Path(o.clips) / o.split, tuple(o.gaps_measured), o.stride, o.limit, o.cache, o.out, o.one_way)
 
 
+def order(o):
+    """What depth there is: procedural scenes in order, and what other orders of compositing do to the pictures."""
+    net = opened(o)
+    clips = [data.load_clip(f, net.config.resolution, o.cache) for f in data.clip_folders(pathlib.Path(o.clips) / o.split)]
+    frames = torch.from_numpy(np.stack([c[len(c) // 2] for c in clips])).permute(0, 3, 1, 2).float() / 255
+    result = dict(rendered=depth.order_of_scenes(lambda f: depth.rendered_nearness(net, f), clips, o.scenes),
+                  lower_is_nearer=depth.order_of_scenes(depth.lower_is_nearer, clips, o.scenes), key_psnr_by_order=depth.fragility(net, frames))
+    print(json.dumps(result, indent=1))
+    if o.out:
+        pathlib.Path(o.out).write_text(json.dumps(result, indent=1))
+
+
 def layer(o):
     """Layering and fade into an existing checkpoint."""
     net = network.open_official(o.model)
@@ -142,6 +161,7 @@ def main(arguments=None):
         c.add_argument('--width', type=int, default=256)
         c.add_argument('--window', type=int, default=64)
         c.add_argument('--resolution', type=int, nargs=2, default=(144, 256))
+        c.add_argument('--from', dest='source', metavar='FILE', help='an exported checkpoint instead of the analytic start; its shapes count')
         c.add_argument('--sampling', action='store_true', help='a truncated-normal position head, sampled while training')
 
     def training_options(c):
@@ -150,7 +170,7 @@ def main(arguments=None):
         c.add_argument('--until', type=int, help='stop early at this step (and resume by the same command)')
         c.add_argument('--rate', type=float, default=1.0, help='factor on all learning rates')
         c.add_argument('--gradient', type=float, default=0.0, help='weight of the gradient L1')
-        c.add_argument('--depth', action='store_true', help='let depth move (see README: order is fragile)')
+        c.add_argument('--depth', type=float, default=0.0, metavar='WEIGHT', help='let depth move; in `static`, by this weight of the depth loss on procedural scenes (README: what it costs)')
         c.add_argument('--mixed', action='store_true', help='bfloat16 products in upsamplers and heads')
         c.add_argument('--rasteriser', choices=('cpu', 'triton'), help='default: what the device asks for')
         c.add_argument('--mean-positions', action='store_true', help='do not sample positions')
@@ -164,6 +184,7 @@ def main(arguments=None):
         c.add_argument('--procedural', type=float, default=0.15, help='share of procedural scenes')
         c.add_argument('--gaps', type=int, nargs=2, default=(3, 8))
         c.add_argument('--middle', type=int, default=3)
+        c.add_argument('--keep-silent', action='store_true', help='leave residual branches that add nothing as they are (they cost nothing)')
         c.add_argument('--flow', type=float, default=0.05, help='weight of the end-point error in pixels beside the pictures')
 
     def one_way_option(c):
@@ -222,6 +243,11 @@ def main(arguments=None):
     measuring_options(c)
     one_way_option(c)
     c.add_argument('--limit', type=int, default=0, help='intervals per clip (0: all)')
+    c.add_argument('--out')
+    c = command('order', order, 'rendered depth on procedural scenes, and pictures composited in other orders')
+    c.add_argument('--model', help='a checkpoint instead of the run')
+    c.add_argument('--split', default='val', help='where textures and pictures come from')
+    c.add_argument('--scenes', type=int, default=60)
     c.add_argument('--out')
     c = command('layer', layer, 'write layering and fade into a checkpoint', run=False)
     c.add_argument('--model', required=True)

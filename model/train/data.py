@@ -196,6 +196,13 @@ class Pairs:
         return dict(rgb=np.stack(frames), time=times, flow=np.stack(flows).astype(np.float32), sure=np.ones((2, h, w), np.float32),
                     depth=np.stack(depths).astype(np.float32), has_depth=np.float32(1), foreground=np.stack(foregrounds))
 
+    def still(self, step):
+        """One key frame of a procedural scene and its true inverse depth: float32 [1,3,H,W], [1,H,W]."""
+        r = np.random.default_rng([self.seed, step, 1 << 23])
+        s, key = self.scene(r), int(r.integers(2))
+        rgb = colour_jitter(r, s['rgb'][key]).transpose(2, 0, 1)
+        return np.ascontiguousarray(rgb[None], dtype=np.float32), s['depth'][None, key]
+
     def sample(self, r):
         s = self.scene(r) if r.random() < self.procedural else self.real(r)
         s['rgb'] = np.ascontiguousarray(colour_jitter(r, s['rgb']).transpose(0, 3, 1, 2), dtype=np.float32)

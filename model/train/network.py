@@ -61,12 +61,29 @@ class RmsNorm(nn.Module):
         return F.rms_norm(x, (x.shape[-1],), self.weight, 1e-5)
 
 
-class Attention(nn.Module):
+class Branch(nn.Module):
+    """A residual branch; `last` is its output projection."""
+
+    @property
+    def silent(self):
+        """Contributes exactly nothing and is not being trained: its product need not be computed."""
+        if self.last.weight.requires_grad:
+            return False
+        if not hasattr(self, '_silent'):
+            self._silent = not any(bool(p.any()) for p in self.last.parameters())
+        return self._silent
+
+
+class Attention(Branch):
     def __init__(self, d):
         super().__init__()
         self.heads = d // 64
         self.packed_proj = nn.Linear(d, 3 * d)
         self.out_proj = nn.Linear(d, d)
+
+    @property
+    def last(self):
+        return self.out_proj
 
     def forward(self, query, source=None):
         d = query.shape[-1]
@@ -80,21 +97,16 @@ class Attention(nn.Module):
         o = F.scaled_dot_product_attention(split(q), split(k), split(v))
         return self.out_proj(o.transpose(1, 2).flatten(-2))
 
-    @property
-    def silent(self):
-        """Contributes exactly nothing and is not being trained: its product need not be computed."""
-        if self.out_proj.weight.requires_grad:
-            return False
-        if not hasattr(self, '_silent'):
-            self._silent = not (self.out_proj.weight.any() or self.out_proj.bias.any())
-        return self._silent
 
-
-class FeedForward(nn.Module):
+class FeedForward(Branch):
     def __init__(self, d):
         super().__init__()
         self.c_fc = nn.Linear(d, 4 * d, bias=False)
         self.c_proj = nn.Linear(4 * d, d, bias=False)
+
+    @property
+    def last(self):
+        return self.c_proj
 
     def forward(self, x):
         return self.c_proj(F.silu(self.c_fc(x)))
@@ -121,7 +133,7 @@ class Block(nn.Module):
     def forward(self, x):
         if not self.attn.silent:
             x = x + windowed(self.layernorm1(x), self.window, self.rolled, self.attn)
-        return x + self.mlp(self.layernorm2(x))
+        return x if self.mlp.silent else x + self.mlp(self.layernorm2(x))
 
 
 class Stack(nn.Module):
@@ -276,7 +288,9 @@ class PairBlock(nn.Module):
         x = x.reshape(2 * b, n // 2, d)
         if not self.cross_attn.silent:
             x = x + self.cross_attn(self.cross_attn_ln(x), condition)
-        return (x + self.mlp(self.mlp_ln(x))).reshape(b, n, d)
+        if not self.mlp.silent:
+            x = x + self.mlp(self.mlp_ln(x))
+        return x.reshape(b, n, d)
 
 
 class PairDecoder(nn.Module):
@@ -370,17 +384,21 @@ def load_official(net, entries):
 
 
 @torch.no_grad()
+def branches(net):
+    """(name, output projection, largest entry of the projection) of every residual branch."""
+    found = [(name, module.last) for name, module in net.named_modules() if isinstance(module, Branch)]
+    return [(name, last, max(float(p.abs().max()) for p in last.parameters())) for name, last in found]
+
+
+@torch.no_grad()
 def silence(net, least):
     """Zeroes the output projections of residual branches (weight and bias all smaller than `least`): they add next to nothing, and the
     engine leaves out a branch that adds nothing at all. Returns the names."""
-    out = []
-    for name, module in net.named_modules():
-        last = getattr(module, 'out_proj', None) if isinstance(module, Attention) else getattr(module, 'c_proj', None)
-        if last is not None and max(float(p.abs().max()) for p in last.parameters()) < least:
-            for p in last.parameters():
-                p.zero_()
-            out.append(name)
-    return out
+    quiet = [(name, last) for name, last, size in branches(net) if size < least]
+    for _, last in quiet:
+        for p in last.parameters():
+            p.zero_()
+    return [name for name, _ in quiet]
 
 
 def save_official(net, path, dtype=torch.float16):

@@ -72,10 +72,11 @@ def opacity_at(gamma, dt):
     return torch.sigmoid(-g0 * (dt.abs() - g1)) / torch.sigmoid(g0 * g1)
 
 
-def render(xyz, scale, opacity, rgb, H, W, background, full=None, offset=(0, 0), kernels=None):
+def render(xyz, scale, opacity, rgb, H, W, background, full=None, offset=(0, 0), kernels=None, order=None):
     """World-space Gaussians [M,N,.] in the canonical camera -> image [M,4,H,W] (r, g, b, depth), transmittance [M,H,W].
 
-    `full` (rows, columns) and `offset` (row, column) cut a window out of a larger image; y is normalised inverse depth."""
+    `full` (rows, columns) and `offset` (row, column) cut a window out of a larger image; y is normalised inverse depth. `order` [M,N]
+    takes the place of depth as what Gaussians are sorted by."""
     full_h, full_w = full or (H, W)
     y = xyz[..., 1]
     depth = 1.0 / (9.8 * y.clamp(0, 1) + 0.2 + 1e-6)
@@ -85,7 +86,7 @@ def render(xyz, scale, opacity, rgb, H, W, background, full=None, offset=(0, 0),
     visible = ((y >= 0) & (y <= 1)).to(y.dtype)
     P = torch.stack([u, v, variance(scale[..., 0], full_w / 2), variance(scale[..., 1], full_h / 2), opacity * visible], -1)
     values = torch.cat([rgb, depth[..., None]], -1)
-    return splat(P, values, depth.detach(), torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W, kernels)
+    return splat(P, values, depth.detach() if order is None else order, torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W, kernels)
 
 
 def render_static(g, H, W, background, full=None, offset=(0, 0), kernels=None):

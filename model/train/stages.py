@@ -12,7 +12,7 @@ import time
 import numpy as np
 import torch
 
-from . import data, losses
+from . import data, depth, losses, network
 from .optimiser import Mixed, groups_of
 from .rasteriser import render_pair, render_static
 
@@ -159,6 +159,10 @@ def static_groups(net, attention=False, encoder=False, rate=1.0):
 
 
 def static(net, o, run, clips, state=None):
+    if o.depth:
+        if o.crop:
+            raise ValueError('--depth takes whole frames: no --crop')
+        depth.keep_frames_apart(net)
     stage = Stage('static', net, static_groups(net, o.attention, o.encoder, o.rate), run, o.steps, o.minutes)
     stage.resume(state)
     return _static(stage, net, o, clips, o.encoder)
@@ -167,11 +171,15 @@ def static(net, o, run, clips, state=None):
 def _static(stage, net, o, clips, encoder):
     h, w = net.config.resolution
     source = data.Frames(clips, o.seed, o.batch, None if not o.crop else tuple(o.crop))
+    scenes = data.Pairs(clips, o.seed, 1, middle=0) if o.depth else None
     hooks = [] if o.depth else flat_depth(net)
     sampled = net.gs_predictor.predictor.sampled
 
     def loss_of(step, f):
         x, place = source.batch(step)
+        if scenes:                                # the last one of the batch is a scene whose depth is known
+            scene, inverse = scenes.still(step)
+            x = np.concatenate([x, scene])
         x = torch.from_numpy(x).to(stage.device)
         grid = (x.shape[2] // 8, x.shape[3] // 8)
         gen = torch.Generator().manual_seed(o.seed * 1_000_003 + step)
@@ -189,6 +197,8 @@ def _static(stage, net, o, clips, encoder):
         inner = (slice(None), slice(None), slice(m, x.shape[2] - m), slice(m, x.shape[3] - m))
         a, b = image[:, :3][inner], x[inner]
         loss = losses.log_error(a, b) + o.gradient * losses.gradient_l1(a, b) + wide
+        if scenes:
+            loss = loss + losses.depth_loss(depth.nearness(image, T)[-1:], torch.from_numpy(inverse).to(stage.device), weight=o.depth)
         return loss, dict(wide=float(wide.detach()), key=float(losses.psnr(a.detach(), b).mean()), transmittance=float(T.mean()))
 
     stage.go(loss_of, o.until)
@@ -281,6 +291,7 @@ class Motion:
         self.net, self.o, self.device = net, o, next(net.parameters()).device
         self.source = data.Pairs(clips, o.seed, o.batch, middle=middle, procedural=o.procedural, gaps=tuple(o.gaps))
         frozen = ('positional_embedding', 'gs_predictor', 'opacity_dynamic', 'xyz_dynamic_scale')
+        frozen += tuple(f'{name}.' for name, _, size in network.branches(net) if not size) if o.keep_silent else ()
         named = [(k, p) for k, p in net.named_parameters() if not any(s in k for s in frozen) and not ('gaussian_upsampler' in k and '.attn.' in k)]
         for k, p in net.named_parameters():
             p.requires_grad_(any(p is q for _, q in named))

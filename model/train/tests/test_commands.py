@@ -56,6 +56,24 @@ def test_stages_one_by_one_give_what_the_single_command_gives(folder, tmp_path):
     assert (tmp_path / 'a.safetensors').read_bytes() == (tmp_path / 'b.safetensors').read_bytes()
 
 
+def test_a_run_can_begin_with_an_exported_checkpoint(folder, tmp_path):
+    at = ['--clips', str(folder), '--run']
+    whole(folder, tmp_path / 'run', tmp_path / 'a.safetensors', '--intervals', '-1', '--dtype', 'f32')
+    main(['start', *at, str(tmp_path / 'next'), '--from', str(tmp_path / 'a.safetensors')])
+    main(['export', *at, str(tmp_path / 'next'), '--out', str(tmp_path / 'b.safetensors'), '--dtype', 'f32'])
+    for kind in ('safetensors', 'json'):
+        assert (tmp_path / f'a.{kind}').read_bytes() == (tmp_path / f'b.{kind}').read_bytes()
+
+
+def test_order_says_what_depth_there_is_and_what_order_is_worth(folder, tmp_path):
+    run = tmp_path / 'run'
+    main(['start', '--clips', str(folder), '--run', str(run), '--resolution', '48', '64'])
+    main(['order', '--clips', str(folder), '--run', str(run), '--scenes', '8', '--out', str(tmp_path / 'order.json')])
+    got = json.loads((tmp_path / 'order.json').read_text())
+    assert got['rendered']['pixels'] == 0.5 and got['rendered']['count'] == got['lower_is_nearer']['count'] > 0
+    assert got['lower_is_nearer']['pixels'] != 0.5 and len(got['key_psnr_by_order']) == 6
+
+
 def test_packed_clips_are_the_same_pictures_at_the_models_size(folder, tmp_path):
     main(['pack', '--clips', str(folder), '--out', str(tmp_path / 'packed'), '--size', '24', '32', '--limit-mb', '1'])
     for split, name in (('train', 'a'), ('val', 'c')):
