@@ -160,7 +160,8 @@ def report(o, results):
     if not o.no_record:
         record = ROOT / 'bench' / 'record'
         record.mkdir(exist_ok=True)
-        stem = record / f"peers-{o.size}-{date}-{re.sub(r'[^a-z0-9]+', '-', cpu.lower()).strip('-')}"
+        machine = re.sub(r'[^a-z0-9]+', '-', f"{cpu} {'avx512' if 'avx512f' in isa else 'avx2'}".lower()).strip('-')
+        stem = record / f'peers-{o.size}-{date}-{machine}'
         stem.with_suffix('.json').write_text(json.dumps(dict(head, results=results), indent=1) + '\n')
         stem.with_suffix('.md').write_text(text)
 

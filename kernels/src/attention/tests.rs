@@ -150,18 +150,41 @@ fn no_keys_give_zero_and_no_queries_nothing() {
 
 #[test]
 fn lower_precisions_stay_near_the_formula_and_agree_everywhere() {
-    let (heads, tokens, d) = (2, 211, 128);
-    let (q, k, v) = (noise(tokens * d, 1), noise(tokens * d, 2), noise(tokens * d, 3));
-    let expected = reference::attend(&q, &k, &v, heads, 64, |_, _| true);
-    for precision in [Precision::Bf16, Precision::Int8] {
-        let out = on_every_level_and_thread_count(tokens * d, |level, out| {
-            let rows = |x| Rows::new(x, tokens, d, 0);
-            attend_as(precision, level, full(heads), rows(&q), rows(&k), rows(&v), out);
-        });
-        let error: f64 = out.iter().zip(&expected).map(|(o, e)| (f64::from(*o) - e).powi(2)).sum();
-        let size: f64 = expected.iter().map(|e| e * e).sum();
-        assert!((error / size).sqrt() < 1e-2, "{precision:?}: {:e}", (error / size).sqrt());
+    // Odd numbers of keys, more than a block of them, and widths that no level's register blocks divide.
+    for (tokens, width) in [(211, 64), (1, 64), (401, 48), (50, 80), (33, 16)] {
+        let (heads, d) = (2, 2 * width);
+        let (q, k, v) = (noise(tokens * d, 1), noise(tokens * d, 2), noise(tokens * d, 3));
+        let expected = reference::attend(&q, &k, &v, heads, width, |_, _| true);
+        let shape = Shape { heads, width, windows: Windows::Full };
+        for precision in [Precision::Bf16, Precision::Int8] {
+            let out = on_every_level_and_thread_count(tokens * d, |level, out| {
+                let rows = |x| Rows::new(x, tokens, d, 0);
+                attend_as(precision, level, shape, rows(&q), rows(&k), rows(&v), out);
+            });
+            let error: f64 = out.iter().zip(&expected).map(|(o, e)| (f64::from(*o) - e).powi(2)).sum();
+            let size: f64 = expected.iter().map(|e| e * e).sum();
+            let error = (error / size).sqrt();
+            assert!(error < 1e-2, "{precision:?}, {tokens} tokens of {width}: {error:e}");
+        }
     }
+}
+
+#[test]
+fn a_query_or_key_that_is_not_finite_counts_as_zeros_in_bytes() {
+    fn rows(x: &[f32]) -> Rows<'_> {
+        Rows::new(x, 40, 64, 0)
+    }
+    let (mut q, mut k, v) = (noise(40 * 64, 1), noise(40 * 64, 2), noise(40 * 64, 3));
+    let run = |q: &[f32], k: &[f32]| {
+        on_every_level_and_thread_count(40 * 64, |level, out| {
+            attend_as(Precision::Int8, level, full(1), rows(q), rows(k), rows(&v), out);
+        })
+    };
+    (q[64], k[7 * 64 + 3]) = (f32::NAN, f32::INFINITY);
+    let found = run(&q, &k);
+    q[64..128].fill(0.0);
+    k[7 * 64..8 * 64].fill(0.0);
+    assert_eq!(found, run(&q, &k));
 }
 
 #[test]
@@ -177,7 +200,7 @@ fn some_queries_give_the_bits_they_give_among_all() {
         fn rows(x: &[f32], n: usize) -> Rows<'_> {
             Rows::new(x, n, 128, 0)
         }
-        for precision in [Precision::F32, Precision::Bf16] {
+        for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
             let mut all = vec![0.0; tokens * 128];
             let level = crate::Level::detect();
             attend_as(precision, level, shape, rows(&q, tokens), rows(&k, tokens), rows(&v, tokens), &mut all);
