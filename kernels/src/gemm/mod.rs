@@ -37,7 +37,9 @@ mod weights;
 pub use epilogue::{Activation, Epilogue};
 pub(crate) use microkernel::{deinterleave, interleave};
 pub use precision::Precision;
-pub(crate) use precision::{SMALLEST, pair, pair_bf16, round_bf16};
+#[cfg(target_arch = "x86_64")]
+pub(crate) use precision::SMALLEST;
+pub(crate) use precision::{pair, pair_bf16, round_bf16};
 pub use weights::Weights;
 
 use tracing::debug_span;
