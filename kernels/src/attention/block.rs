@@ -13,28 +13,14 @@ use crate::simd::{LANES, Operation, Simd};
 
 /// The work of one [`Task`], with the operands of `q·k` in the form `A` and those of `w·v` in the form `B`.
 pub(super) struct Block<'a, A, B> {
-    layout: &'a Layout,
-    task: &'a Task,
-    q: Rows<'a>,
-    keys: &'a [f32],
-    values: &'a [f32],
-    scales: &'a [f32],
-    out: &'a Disjoint<'a, f32>,
-    forms: PhantomData<fn(A, B)>,
-}
-
-impl<'a, A: Form, B: Form> Block<'a, A, B> {
-    pub(super) fn new(
-        layout: &'a Layout,
-        task: &'a Task,
-        q: Rows<'a>,
-        keys: &'a [f32],
-        values: &'a [f32],
-        scales: &'a [f32],
-        out: &'a Disjoint<'a, f32>,
-    ) -> Self {
-        Self { layout, task, q, keys, values, scales, out, forms: PhantomData }
-    }
+    pub(super) layout: &'a Layout,
+    pub(super) task: &'a Task,
+    pub(super) q: Rows<'a>,
+    pub(super) keys: &'a [f32],
+    pub(super) values: &'a [f32],
+    pub(super) scales: &'a [f32],
+    pub(super) out: &'a Disjoint<'a, f32>,
+    pub(super) forms: PhantomData<fn(A, B)>,
 }
 
 impl<A: Form, B: Form> Operation for Block<'_, A, B> {

@@ -44,6 +44,8 @@ pub mod reference;
 mod tests;
 mod weight;
 
+use std::marker::PhantomData;
+
 use rayon::prelude::*;
 use tracing::debug_span;
 
@@ -223,12 +225,14 @@ fn compute<A: Form, B: Form>(level: Level, layout: &Layout, q: Rows<'_>, k: Rows
     parts.zip(scales.par_chunks_mut(layout.head_rows())).enumerate().for_each(|(index, ((keys, values), scales))| {
         let (window, head) = (index / heads, index % heads);
         if layout.queries(window) > 0 {
-            enter::<B, _>(level, Pack::<A, B>::new(layout, [k, v], [window, head], keys, values, scales));
+            let pack = Pack::<A, B> { layout, k, v, window, head, keys, values, scales, forms: PhantomData };
+            enter::<B, _>(level, pack);
         }
     });
     let (keys, values, scales, out) = (&*keys, &*values, &*scales, &Disjoint::new(out));
     layout.tasks().par_iter().with_max_len(1).for_each(|task| {
-        enter::<B, _>(level, Block::<A, B>::new(layout, task, q, keys, values, scales, out));
+        let block = Block::<A, B> { layout, task, q, keys, values, scales, out, forms: PhantomData };
+        enter::<B, _>(level, block);
     });
 }
 

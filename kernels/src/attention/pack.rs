@@ -12,29 +12,16 @@ use crate::simd::{LANES, Operation, Simd};
 /// Packs the keys and values of one head of one window: keys as `[keys/KR][words][KR]` in the form `A`; values in the form `B`, by
 /// blocks of [`KEY_BLOCK`], as `[width/CR][words of the block's keys][CR]`. A part at the end of `keys` and `values` may stay as it was.
 pub(super) struct Pack<'a, A, B> {
-    layout: &'a Layout,
-    k: Rows<'a>,
-    v: Rows<'a>,
-    window: usize,
-    head: usize,
-    keys: &'a mut [f32],
-    values: &'a mut [f32],
+    pub(super) layout: &'a Layout,
+    pub(super) k: Rows<'a>,
+    pub(super) v: Rows<'a>,
+    pub(super) window: usize,
+    pub(super) head: usize,
+    pub(super) keys: &'a mut [f32],
+    pub(super) values: &'a mut [f32],
     /// Per key.
-    scales: &'a mut [f32],
-    forms: PhantomData<fn(A, B)>,
-}
-
-impl<'a, A: Form, B: Form> Pack<'a, A, B> {
-    pub(super) fn new(
-        layout: &'a Layout,
-        [k, v]: [Rows<'a>; 2],
-        [window, head]: [usize; 2],
-        keys: &'a mut [f32],
-        values: &'a mut [f32],
-        scales: &'a mut [f32],
-    ) -> Self {
-        Self { layout, k, v, window, head, keys, values, scales, forms: PhantomData }
-    }
+    pub(super) scales: &'a mut [f32],
+    pub(super) forms: PhantomData<fn(A, B)>,
 }
 
 impl<A: Form, B: Form> Operation for Pack<'_, A, B> {

@@ -72,6 +72,36 @@ mod tests {
         }
     }
 
+    struct LowWeights([f32; LANES]);
+    impl Operation for LowWeights {
+        type Output = [f32; LANES];
+        #[inline(always)]
+        fn run<S: Simd>(self, s: S) -> [f32; LANES] {
+            s.to_array(weight_low(s, s.from_array(self.0)))
+        }
+    }
+
+    #[test]
+    fn low_weights_are_the_nearest_bf16_on_every_level() {
+        for level in Level::available() {
+            for i in 0..20_000 {
+                let t: [f32; LANES] = std::array::from_fn(|j| -((i * 16 + j) as f32) * (56.0 / 320_000.0));
+                let w = dispatch(level, LowWeights(t));
+                assert_eq!(w, dispatch(Level::scalar(), LowWeights(t)));
+                for j in 0..LANES {
+                    let exact = f64::from(t[j]).exp2();
+                    // Half a last place of 8 bits, and what the short polynomial adds.
+                    assert!((f64::from(w[j]) / exact - 1.0).abs() < 1.05 / 256.0, "2^{}: {}", t[j], w[j]);
+                    assert_eq!(w[j].to_bits() & 0xffff, 0, "2^{} is no bf16", t[j]);
+                }
+            }
+            let mut t = [f32::NEG_INFINITY; LANES];
+            (t[0], t[1], t[2]) = (0.0, f32::NAN, -1e30);
+            let least = f32::from_bits((127 - 56) << 23);
+            assert_eq!(dispatch(level, LowWeights(t))[..4], [1.0, least, least, least]);
+        }
+    }
+
     #[test]
     fn the_largest_logit_weighs_one_and_what_cannot_count_weighs_the_least() {
         for level in Level::available() {

@@ -28,7 +28,7 @@
 //! (`exp` does at 2,914 of all arguments).
 //!
 //! Two are for the lower precisions, where a result is rounded to 8 bits of significand or fewer at once: [`exp2_low`] is within 7.5e-5 of
-//! its value, [`silu_low`] within 1e-4.
+//! its value, [`silu_low`] within 1e-4 from −87 on.
 //!
 //! Polynomials are minimax fits with coefficients rounded one after the other, the rest refitted; what they leave is
 //! noted beside each as a power of two, relative to the function.
