@@ -77,15 +77,15 @@ fn chains<S: Simd, const N: usize>(s: S, precision: Precision, steps: usize) -> 
         let mut acc = [j; N];
         for _ in 0..steps {
             for acc in &mut acc {
-                *acc = if S::DOT { s.dot_bytes(*acc, i, j) } else { s.add_i32(*acc, s.dot_i16(*acc, j)) };
+                *acc = if S::BYTE_DOT { s.dot_bytes(*acc, i, j) } else { s.add_i32(*acc, s.dot_i16(*acc, j)) };
             }
         }
         for acc in acc {
             std::hint::black_box(s.to_array_i32(acc));
         }
-        return lanes * if S::DOT { 8.0 } else { 4.0 };
+        return lanes * if S::BYTE_DOT { 8.0 } else { 4.0 };
     }
-    let dot = S::DOT && precision == Precision::Bf16;
+    let dot = S::BF16_DOT && precision == Precision::Bf16;
     let mut acc = [b; N];
     for _ in 0..steps {
         for acc in &mut acc {

@@ -119,15 +119,15 @@ impl Form for Brain {
 
     #[inline(always)]
     fn row_words<S: Simd>(k: usize) -> usize {
-        if S::DOT { k.div_ceil(2) } else { k.next_multiple_of(2) }
+        if S::BF16_DOT { k.div_ceil(2) } else { k.next_multiple_of(2) }
     }
     #[inline(always)]
     fn row_words_of_a_word<S: Simd>() -> usize {
-        if S::DOT { 1 } else { 2 }
+        if S::BF16_DOT { 1 } else { 2 }
     }
     #[inline(always)]
     fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
-        if S::DOT {
+        if S::BF16_DOT {
             pair_row(s, row, words);
         } else {
             let values = &mut values[..row.len().next_multiple_of(2)];
@@ -203,7 +203,7 @@ unsafe fn brain_step<S: Simd, const MR: usize, const NV: usize>(
         for v in 0..NV {
             b[v] = s.to_bits(s.load_ptr(panels[v].add(i * LANES).cast()));
         }
-        if S::DOT {
+        if S::BF16_DOT {
             for r in 0..MR {
                 let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
                 for v in 0..NV {
@@ -246,11 +246,11 @@ impl Form for Bytes {
     }
     #[inline(always)]
     fn row_words_of_a_word<S: Simd>() -> usize {
-        if S::DOT { 1 } else { 2 }
+        if S::BYTE_DOT { 1 } else { 2 }
     }
     #[inline(always)]
     fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
-        if S::DOT {
+        if S::BYTE_DOT {
             // The instruction takes these unsigned; the weights' offsets undo it.
             return quantise_row::<S, 128>(s, row, words);
         }
@@ -279,7 +279,7 @@ impl Form for Bytes {
         for i in 0..words {
             // SAFETY: the caller's; i < words.
             unsafe {
-                if S::DOT {
+                if S::BYTE_DOT {
                     let b = panels.map(|panel| panel.add(i * LANES).cast::<f32>());
                     for r in 0..MR {
                         let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
@@ -318,7 +318,7 @@ impl Form for Bytes {
     }
     #[inline(always)]
     fn of_row<S: Simd>(s: S, sum: S::F32, row_scale: f32, offsets: S::I32) -> S::F32 {
-        let sum = if S::DOT { s.sub_i32(s.to_bits(sum), offsets) } else { s.to_bits(sum) };
+        let sum = if S::BYTE_DOT { s.sub_i32(s.to_bits(sum), offsets) } else { s.to_bits(sum) };
         s.mul(s.to_f32(sum), s.splat(row_scale))
     }
 }

@@ -39,6 +39,8 @@ pub(crate) use microkernel::{deinterleave, interleave};
 pub use precision::Precision;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use precision::SMALLEST;
+#[cfg(test)]
+pub(crate) use precision::round_bf16_scalar;
 pub(crate) use precision::{pair, pair_bf16, round_bf16};
 pub use weights::Weights;
 

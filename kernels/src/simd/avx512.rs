@@ -1,16 +1,27 @@
 //! AVX-512 (F, BW, DQ, VL): a logical vector is one 512-bit register.
 
 use core::arch::x86_64::*;
+use std::sync::OnceLock;
 
 use super::avx2::fold;
 use super::{LANES, Operation, Simd};
+use crate::gemm::round_bf16;
 use crate::level::{Kind, Level};
 
 /// # Safety
 /// The CPU has AVX2, FMA and AVX-512 F, BW, DQ and VL.
 #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
 pub(super) unsafe fn enter<O: Operation>(operation: O) -> O::Output {
-    operation.run(Avx512::<false>(()))
+    operation.run(Avx512::<false, false>(()))
+}
+
+/// [`enter`] with the dot products of bytes.
+///
+/// # Safety
+/// As [`enter`], and the CPU has AVX-512 VNNI.
+#[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni")]
+pub(super) unsafe fn enter_bytes<O: Operation>(operation: O) -> O::Output {
+    operation.run(Avx512::<false, true>(()))
 }
 
 /// [`enter`] with the dot products of bf16 pairs and of bytes.
@@ -19,22 +30,77 @@ pub(super) unsafe fn enter<O: Operation>(operation: O) -> O::Output {
 /// As [`enter`], and the CPU has AVX-512 BF16 and VNNI.
 #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl,avx512bf16,avx512vnni")]
 pub(super) unsafe fn enter_dot<O: Operation>(operation: O) -> O::Output {
-    operation.run(Avx512::<true>(()))
+    operation.run(Avx512::<true, true>(()))
 }
 
-/// Whether the CPU has the dot products of bf16 pairs and of bytes and they give the defined bits.
-pub(super) fn has_dot() -> bool {
-    static HAS: std::sync::OnceLock<bool> = std::sync::OnceLock::new();
-    *HAS.get_or_init(|| {
-        let there = is_x86_feature_detected!("avx512bf16") && is_x86_feature_detected!("avx512vnni");
-        // SAFETY: only evaluated where the CPU has the instructions.
-        there && unsafe { enter_dot(super::dot::Answers) } == super::dot::known_answers()
-    })
+/// Dot products that are instructions of this CPU, give the defined bits, and are worth their time.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Dots {
+    None,
+    /// Of bytes.
+    Bytes,
+    /// Of bytes and of bf16 pairs.
+    All,
 }
 
-/// With `DOT`, the CPU also has AVX-512 BF16 and VNNI.
+impl Dots {
+    /// Those that are instructions and give the defined bits, fewest first.
+    pub(super) fn available() -> Vec<Dots> {
+        let mut dots = vec![Dots::None];
+        if is_x86_feature_detected!("avx512vnni") {
+            let known = super::dot::known_answers();
+            // SAFETY: only evaluated where the CPU has the instructions.
+            if unsafe { enter_bytes(super::dot::Answers) } == known {
+                dots.push(Dots::Bytes);
+            }
+            // SAFETY: only evaluated where the CPU has the instructions.
+            if is_x86_feature_detected!("avx512bf16") && unsafe { enter_dot(super::dot::Answers) } == known {
+                dots.push(Dots::All);
+            }
+        }
+        dots
+    }
+
+    /// The most of those that is no loss: on Intel's cores the instruction for bf16 pairs takes as long as four fused multiply-adds, which do
+    /// as much in half the time.
+    pub(super) fn detect() -> Dots {
+        static DOTS: OnceLock<Dots> = OnceLock::new();
+        #[cfg(test)]
+        if let Some(dots) = *ASKED.read().expect("no test panics while it changes this") {
+            return dots;
+        }
+        *DOTS.get_or_init(|| {
+            let worth = |&dots: &Dots| dots != Dots::All || !is_intel();
+            Self::available().into_iter().rfind(worth).unwrap_or(Dots::None)
+        })
+    }
+
+    /// Calls `test` once for each of those available, while [`Dots::detect`] gives that one everywhere.
+    #[cfg(test)]
+    pub(super) fn with_each(test: impl Fn(Dots)) {
+        static ONE_AT_A_TIME: std::sync::Mutex<()> = std::sync::Mutex::new(());
+        // A test that failed inside has told so itself.
+        let _one = ONE_AT_A_TIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        for dots in Self::available() {
+            *ASKED.write().expect("no test panics while it changes this") = Some(dots);
+            test(dots);
+        }
+        *ASKED.write().expect("no test panics while it changes this") = None;
+    }
+}
+
+/// What tests ask for instead of what is found.
+#[cfg(test)]
+static ASKED: std::sync::RwLock<Option<Dots>> = std::sync::RwLock::new(None);
+
+fn is_intel() -> bool {
+    let vendor = __cpuid(0);
+    [vendor.ebx, vendor.edx, vendor.ecx].map(u32::to_le_bytes).concat() == b"GenuineIntel"
+}
+
+/// With `BF16`, the CPU also has AVX-512 BF16, with `BYTES` AVX-512 VNNI.
 #[derive(Clone, Copy)]
-pub(crate) struct Avx512<const DOT: bool>(());
+pub(crate) struct Avx512<const BF16: bool, const BYTES: bool>(());
 
 type F = __m512;
 type I = __m512i;
@@ -48,17 +114,18 @@ macro_rules! op {
     };
 }
 
-impl<const DOT: bool> Simd for Avx512<DOT> {
+impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
     type F32 = F;
     type I32 = I;
     type Mask = M;
     const GEMM_ROWS: usize = 12;
     const GEMM_PANELS: usize = 2;
-    const DOT: bool = DOT;
+    const BF16_DOT: bool = BF16;
+    const BYTE_DOT: bool = BYTES;
 
     #[inline(always)]
     fn dot_bf16(self, acc: F, a: I, b: I) -> F {
-        if DOT {
+        if BF16 {
             // SAFETY: the token proves AVX-512 BF16; both types are 512 bits without invalid values.
             unsafe {
                 _mm512_dpbf16_ps(acc, std::mem::transmute::<I, __m512bh>(a), std::mem::transmute::<I, __m512bh>(b))
@@ -69,12 +136,18 @@ impl<const DOT: bool> Simd for Avx512<DOT> {
     }
     #[inline(always)]
     fn dot_bytes(self, acc: I, a: I, b: I) -> I {
-        if DOT { op!(_mm512_dpbusd_epi32(acc, a, b)) } else { super::dot::bytes(self, acc, a, b) }
+        if BYTES { op!(_mm512_dpbusd_epi32(acc, a, b)) } else { super::dot::bytes(self, acc, a, b) }
     }
     #[inline(always)]
     fn pairs_of_bf16(self, a: F, b: F) -> I {
-        if !DOT {
-            return super::dot::pairs_of_bf16(self, a, b);
+        if !BF16 {
+            let (a, b) = (self.to_bits(round_bf16(self, a)), self.to_bits(round_bf16(self, b)));
+            return op!({
+                let even = _mm512_set_epi32(30, 28, 26, 24, 22, 20, 18, 16, 14, 12, 10, 8, 6, 4, 2, 0);
+                let odd = _mm512_add_epi32(even, _mm512_set1_epi32(1));
+                let (first, second) = (_mm512_permutex2var_epi32(a, even, b), _mm512_permutex2var_epi32(a, odd, b));
+                _mm512_or_epi32(first, _mm512_srli_epi32::<16>(second))
+            });
         }
         let least = self.splat(crate::gemm::SMALLEST);
         // What is not below, so that NaN stays.

@@ -109,14 +109,43 @@ pub(super) fn known_answers() -> Vec<i32> {
 mod tests {
     use super::*;
     use crate::Level;
-    use crate::simd::{dispatch, dispatch_dot};
+    use crate::gemm::round_bf16_scalar;
+    use crate::simd::{dispatch, dispatch_dot, with_every_dot_product};
 
     #[test]
     fn dot_products_have_their_known_answers_on_every_level() {
         let expected = known_answers();
         for level in Level::available() {
             assert!(dispatch(level, Answers) == expected, "{level}");
-            assert!(dispatch_dot(level, Answers) == expected, "{level} with dot products");
+            with_every_dot_product(level, |dots| {
+                assert!(dispatch_dot(level, Answers) == expected, "{level} with dot products {dots}");
+            });
+        }
+    }
+
+    #[test]
+    fn vectors_become_pairs_of_bf16_alike_on_every_level() {
+        struct Pairs([f32; LANES], [f32; LANES]);
+        impl Operation for Pairs {
+            type Output = [i32; LANES];
+            #[inline(always)]
+            fn run<S: Simd>(self, s: S) -> [i32; LANES] {
+                s.to_array_i32(s.pairs_of_bf16(s.from_array(self.0), s.from_array(self.1)))
+            }
+        }
+        // Numbered lanes tell where each went; ties and what is flushed or no number, how it was rounded.
+        let a = std::array::from_fn(|i| i as f32);
+        let b = [1.0, 1.00390625, 1.01171875, -1e-17, 1.4e-17, f32::MAX, f32::INFINITY, f32::NEG_INFINITY]
+            .map(|x: f32| [x, -x * 1.001]);
+        let b: [f32; LANES] = std::array::from_fn(|i| b[i / 2][i % 2]);
+        let expected: [i32; LANES] = std::array::from_fn(|i| {
+            let of = |j: usize| round_bf16_scalar(if j < LANES { a[j] } else { b[j - LANES] });
+            pair(of(2 * i), of(2 * i + 1)).cast_signed()
+        });
+        for level in Level::available() {
+            with_every_dot_product(level, |dots| {
+                assert_eq!(dispatch_dot(level, Pairs(a, b)), expected, "{level} with dot products {dots}");
+            });
         }
     }
 

@@ -47,8 +47,10 @@ pub trait Simd: Copy + Send + Sync + 'static {
     /// Vectors of columns of the register block of a matrix product.
     const GEMM_PANELS: usize;
 
-    /// Whether [`Simd::dot_bf16`] and [`Simd::dot_bytes`] are single instructions. See [`dispatch_dot`].
-    const DOT: bool = false;
+    /// Whether [`Simd::dot_bf16`] is a single instruction. See [`dispatch_dot`].
+    const BF16_DOT: bool = false;
+    /// Whether [`Simd::dot_bytes`] is a single instruction.
+    const BYTE_DOT: bool = false;
 
     /// `acc + a₁b₁ + a₀b₀` in every lane for pairs of bf16: a fused step of the high halves, then one of the low halves.
     ///
@@ -332,18 +334,34 @@ pub fn dispatch<O: Operation>(level: Level, operation: O) -> O::Output {
     }
 }
 
-/// [`dispatch`], with the dot products of the lower precisions as instructions where the CPU has them.
+/// [`dispatch`], with the dot products of the lower precisions as instructions where the CPU has them and they are no loss.
 ///
 /// They are a capability beside the level: before the first use they have to reproduce known answers, and a CPU whose
 /// instructions do not is served by the plain operations, with the same bits.
 #[inline]
 pub fn dispatch_dot<O: Operation>(level: Level, operation: O) -> O::Output {
     #[cfg(target_arch = "x86_64")]
-    if level.0 == Kind::Avx512 && avx512::has_dot() {
-        // SAFETY: the level and the check prove that the CPU has the instructions.
-        return unsafe { avx512::enter_dot(operation) };
+    if level.0 == Kind::Avx512 {
+        match avx512::Dots::detect() {
+            // SAFETY: the level and the check prove that the CPU has the instructions.
+            avx512::Dots::All => return unsafe { avx512::enter_dot(operation) },
+            // SAFETY: as above.
+            avx512::Dots::Bytes => return unsafe { avx512::enter_bytes(operation) },
+            avx512::Dots::None => {}
+        }
     }
     dispatch(level, operation)
+}
+
+/// Calls `test` once for every set of dot products that the CPU has at a level, while [`dispatch_dot`] uses that set in the whole process.
+#[cfg(test)]
+pub(crate) fn with_every_dot_product(level: Level, test: impl Fn(&str)) {
+    #[cfg(target_arch = "x86_64")]
+    if level.0 == Kind::Avx512 {
+        return avx512::Dots::with_each(|dots| test(&format!("{dots:?}")));
+    }
+    let _ = level;
+    test("None");
 }
 
 #[cfg(test)]
