@@ -3,27 +3,28 @@
 use std::marker::PhantomData;
 
 use super::layout::{Layout, Task};
-use super::weight::{weight, weight_low};
-use super::{KEY_BLOCK, Rows};
-use crate::gemm::form::{Form, values_of_a_word};
-use crate::gemm::{Precision, deinterleave, interleave, pair_bf16};
+use super::mix::{Mix, Weighed};
+use super::{KEY_BLOCK, LARGEST_SCALE, Rows};
+use crate::gemm::form::{Form, Multiply, values_of_a_word};
+use crate::gemm::{Precision, deinterleave, interleave};
 use crate::memory::Scratch;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd};
 
-/// The work of one [`Task`], with the operands of `q·k` in the form `A` and those of `w·v` in the form `B`.
-pub(super) struct Block<'a, A, B> {
+/// The work of one [`Task`], with the operands of `q·k` in the form `A` and `w·v` as `M` holds it.
+pub(super) struct Block<'a, A, M> {
     pub(super) layout: &'a Layout,
     pub(super) task: &'a Task,
     pub(super) q: Rows<'a>,
     pub(super) keys: &'a [f32],
     pub(super) values: &'a [f32],
     pub(super) scales: &'a [f32],
+    pub(super) value_scales: &'a [f32],
     pub(super) out: &'a Disjoint<'a, f32>,
-    pub(super) forms: PhantomData<fn(A, B)>,
+    pub(super) forms: PhantomData<fn(A, M)>,
 }
 
-impl<A: Form, B: Form> Operation for Block<'_, A, B> {
+impl<A: Form, M: Mix> Operation for Block<'_, A, M> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
@@ -36,7 +37,7 @@ impl<A: Form, B: Form> Operation for Block<'_, A, B> {
     }
 }
 
-impl<A: Form, B: Form> Block<'_, A, B> {
+impl<A: Form, M: Mix> Block<'_, A, M> {
     #[inline(always)]
     fn attend<S: Simd, const KR: usize, const CR: usize, const NV: usize>(&self, s: S) {
         let (heads, width) = (self.layout.shape.heads, self.layout.shape.width);
@@ -65,14 +66,14 @@ impl<A: Form, B: Form> Block<'_, A, B> {
                 let to = bytemuck::cast_slice_mut(to);
                 let unit;
                 (unit, offsets[i]) = A::convert_column(s, self.q.head(row(i), head, width), &mut work, to);
-                scales[i] = unit * scale;
+                scales[i] = unit.min(LARGEST_SCALE) * scale;
             }
             interleave::<LANES>(queries, words, |i| &converted[i * words..][..words], q);
         }
         total.fill(0.0);
         sum.fill(0.0);
         reference.fill(f32::NEG_INFINITY);
-        let mut state = State::<A, B> {
+        let mut state = State::<A, M> {
             q,
             sum,
             scores,
@@ -88,6 +89,7 @@ impl<A: Form, B: Form> Block<'_, A, B> {
         let packed = self.layout.packed(window, head);
         let (packed_keys, packed_values) = (&self.keys[packed.clone()], &self.values[packed]);
         let key_scales = &self.scales[self.layout.packed_scales(window, head)];
+        let value_scales = if M::SCALED { &self.value_scales[self.layout.value_scales(window, head)] } else { &[] };
         let count = self.layout.count(window, self.layout.keys);
         let row_words = A::row_words::<S>(width);
         for start in (0..count).step_by(KEY_BLOCK) {
@@ -97,6 +99,7 @@ impl<A: Form, B: Form> Block<'_, A, B> {
                 words: &packed_keys[start * row_words..][..rows * row_words],
                 scales: &key_scales[start..][..rows],
                 values: &packed_values[start * width..],
+                value_scales: if M::SCALED { &value_scales[start / KEY_BLOCK * width..][..width] } else { &[] },
                 present,
             };
             let mut panel = 0;
@@ -132,11 +135,12 @@ struct Keys<'a> {
     words: &'a [f32],
     scales: &'a [f32],
     values: &'a [f32],
+    value_scales: &'a [f32],
     present: usize,
 }
 
 /// What a block of queries keeps while it passes over the keys. Everything comes in panels of 16 queries.
-struct State<'a, A, B> {
+struct State<'a, A, M> {
     /// `[panels][words][16]`
     q: &'a [f32],
     /// `[panels][width][16]`: weighted sums of values.
@@ -153,10 +157,10 @@ struct State<'a, A, B> {
     offsets: &'a [i32],
     width: usize,
     words: usize,
-    forms: PhantomData<fn(A, B)>,
+    forms: PhantomData<fn(A, M)>,
 }
 
-impl<A: Form, B: Form> State<'_, A, B> {
+impl<A: Form, M: Mix> State<'_, A, M> {
     /// `NV` panels of queries over one block of keys.
     #[inline(always)]
     fn pass<S: Simd, const KR: usize, const CR: usize, const NV: usize>(
@@ -166,20 +170,19 @@ impl<A: Form, B: Form> State<'_, A, B> {
         keys: &Keys<'_>,
     ) {
         let largest = self.score::<S, KR, NV>(s, panel, keys);
-        let mut rescale = [s.splat(1.0); NV];
+        let mut weighed = [Weighed::nothing(s); NV];
         for v in 0..NV {
-            rescale[v] = self.weigh(s, panel, v, largest[v], keys.present);
+            weighed[v] = self.weigh(s, panel, v, largest[v], keys.present);
         }
-        let rows = keys.present.div_ceil(values_of_a_word(B::PRECISION));
-        let words = rows * B::row_words_of_a_word::<S>();
+        let words = keys.present.div_ceil(M::KEYS);
         let whole = self.width / CR * CR;
         for c in (0..whole).step_by(CR) {
-            self.accumulate::<S, CR, NV>(s, panel, &keys.values[c * words..], c, rows, rescale);
+            self.accumulate::<S, CR, NV>(s, panel, keys, c, words, &weighed);
         }
         // Widths are multiples of 16, and the levels' blocks have 4, 6 or 8 rows.
         match self.width - whole {
-            4 => self.accumulate::<S, 4, NV>(s, panel, &keys.values[whole * words..], whole, rows, rescale),
-            2 => self.accumulate::<S, 2, NV>(s, panel, &keys.values[whole * words..], whole, rows, rescale),
+            4 => self.accumulate::<S, 4, NV>(s, panel, keys, whole, words, &weighed),
+            2 => self.accumulate::<S, 2, NV>(s, panel, keys, whole, words, &weighed),
             _ => {}
         }
     }
@@ -228,89 +231,42 @@ impl<A: Form, B: Form> State<'_, A, B> {
         largest
     }
 
-    /// Moves a panel's references, turns its scores into weights and adds these to its totals; returns `r`.
+    /// Turns a panel's scores into weights, moves its references and adds to its totals.
     #[inline(always)]
-    fn weigh<S: Simd>(&mut self, s: S, panel: usize, v: usize, largest: S::F32, present: usize) -> S::F32 {
-        let scale = s.load(&self.scales[panel * LANES + v * LANES..]);
-        let reference = &mut self.reference[(panel + v) * LANES..][..LANES];
-        let before = s.load(reference);
-        let now = s.max(s.mul(largest, scale), before);
-        s.store(now, reference);
-        // Infinities that stay what they were have no difference.
-        let rescale = s.select(s.eq(before, now), s.splat(1.0), weight(s, s.sub(before, now)));
-        let scores = &mut self.scores[v * KEY_BLOCK * LANES..][..present.next_multiple_of(2) * LANES];
-        let block = if B::PRECISION == Precision::F32 {
-            weigh_singly(s, &mut scores[..present * LANES], scale, s.neg(now))
-        } else {
-            weigh_in_pairs(s, scores, present, scale, s.neg(now))
-        };
-        let total = &mut self.total[(panel + v) * LANES..][..LANES];
-        s.store(s.mul_add(s.load(total), rescale, block), total);
-        rescale
+    fn weigh<S: Simd>(&mut self, s: S, panel: usize, v: usize, largest: S::F32, present: usize) -> Weighed<S> {
+        let at = (panel + v) * LANES;
+        let scale = s.load(&self.scales[at..]);
+        let scores = &mut self.scores[v * KEY_BLOCK * LANES..][..KEY_BLOCK * LANES];
+        let weighed = M::weigh(s, scores, present, scale, largest, s.load(&self.reference[at..]));
+        s.store(weighed.reference, &mut self.reference[at..][..LANES]);
+        let total = &mut self.total[at..][..LANES];
+        s.store(s.mul_add(s.load(total), weighed.before, weighed.total), total);
+        weighed
     }
 
-    /// Adds `CR` channels of a block's weighted values, whose keys take `rows` words of a panel.
+    /// Adds `CR` channels of a block's weighted values, whose weights take `words` words of a panel.
     #[inline(always)]
     fn accumulate<S: Simd, const CR: usize, const NV: usize>(
         &mut self,
         s: S,
         panel: usize,
-        values: &[f32],
+        keys: &Keys<'_>,
         channel: usize,
-        rows: usize,
-        rescale: [S::F32; NV],
+        words: usize,
+        weighed: &[Weighed<S>; NV],
     ) {
-        let from = std::array::from_fn(|v| self.scores[v * KEY_BLOCK * LANES..][..rows * LANES].as_ptr().cast());
-        let values = &values[..CR * rows * B::row_words_of_a_word::<S>()];
+        let row_words = words * M::Product::row_words_of_a_word::<S>();
+        let from = std::array::from_fn(|v| self.scores[v * KEY_BLOCK * LANES..][..words * LANES].as_ptr().cast());
+        let values = &keys.values[channel * row_words..][..CR * row_words];
         // SAFETY: each pointer is that of a slice of the length read.
-        let acc = unsafe { B::multiply::<S, CR, NV>(s, values.as_ptr().cast(), from, rows) };
+        let acc = unsafe { M::Product::multiply::<S, CR, NV>(s, values.as_ptr().cast(), from, words) };
         for v in 0..NV {
             let sum = &mut self.sum[((panel + v) * self.width + channel) * LANES..][..CR * LANES];
             for r in 0..CR {
                 let at = &mut sum[r * LANES..][..LANES];
-                s.store(s.mul_add(s.load(at), rescale[v], acc[r][v]), at);
+                let scale = if M::SCALED { keys.value_scales[channel + r] } else { 1.0 };
+                s.store(M::add(s, s.load(at), acc[r][v], &weighed[v], scale), at);
             }
         }
     }
-}
-
-/// Turns scores `[keys][16]` into weights in f32 and gives their sum.
-#[inline(always)]
-fn weigh_singly<S: Simd>(s: S, scores: &mut [f32], scale: S::F32, minus: S::F32) -> S::F32 {
-    let mut sums = [s.splat(0.0); 4];
-    for four in scores.chunks_mut(4 * LANES) {
-        for (score, sum) in four.chunks_exact_mut(LANES).zip(&mut sums) {
-            let w = weight(s, s.mul_add(s.load(score), scale, minus));
-            s.store(w, score);
-            *sum = s.add(*sum, w);
-        }
-    }
-    s.add(s.add(sums[0], sums[1]), s.add(sums[2], sums[3]))
-}
-
-/// Turns the first `present` of scores `[keys][16]` into pairs of weights in bf16, `[keys/2][16]`, and gives their sum. The partner of a
-/// last weight is 0.
-#[inline(always)]
-fn weigh_in_pairs<S: Simd>(s: S, scores: &mut [f32], present: usize, scale: S::F32, minus: S::F32) -> S::F32 {
-    let mut sums = [s.splat(0.0); 4];
-    let whole = present / 4 * 4;
-    for i in (0..whole).step_by(4) {
-        let mut four = [s.splat(0.0); 4];
-        for j in 0..4 {
-            four[j] = weight_low(s, s.mul_add(s.load(&scores[(i + j) * LANES..]), scale, minus));
-            sums[j] = s.add(sums[j], four[j]);
-        }
-        let to = &mut scores[i / 2 * LANES..][..2 * LANES];
-        s.store(s.from_bits(pair_bf16(s, four[0], four[1])), to);
-        s.store(s.from_bits(pair_bf16(s, four[2], four[3])), &mut to[LANES..]);
-    }
-    for i in (whole..present).step_by(2) {
-        let mut two = [s.splat(0.0); 2];
-        for j in 0..2.min(present - i) {
-            two[j] = weight_low(s, s.mul_add(s.load(&scores[(i + j) * LANES..]), scale, minus));
-            sums[(i + j) % 4] = s.add(sums[(i + j) % 4], two[j]);
-        }
-        s.store(s.from_bits(pair_bf16(s, two[0], two[1])), &mut scores[i / 2 * LANES..]);
-    }
-    s.add(s.add(sums[0], sums[1]), s.add(sums[2], sums[3]))
 }

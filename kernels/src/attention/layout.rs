@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::{QUERY_BLOCK, Shape, WHOLE, Windows};
+use super::{KEY_BLOCK, QUERY_BLOCK, Shape, WHOLE, Windows};
 
 /// Where the tokens of windows lie, in the sequences and packed.
 pub(super) struct Layout {
@@ -138,6 +138,22 @@ impl Layout {
     pub(super) fn packed_scales(&self, window: usize, head: usize) -> Range<usize> {
         let start = (window * self.shape.heads + head) * self.head_rows();
         start..start + self.head_rows()
+    }
+
+    /// Scales of the values of one head of one window: one per block of keys and channel.
+    pub(super) fn head_value_scales(&self) -> usize {
+        self.length().div_ceil(KEY_BLOCK) * self.shape.width
+    }
+
+    /// Scales of all values.
+    pub(super) fn all_value_scales(&self) -> usize {
+        self.windows() * self.shape.heads * self.head_value_scales()
+    }
+
+    /// Where the scales of the values of one head of one window lie.
+    pub(super) fn value_scales(&self, window: usize, head: usize) -> Range<usize> {
+        let start = (window * self.shape.heads + head) * self.head_value_scales();
+        start..start + self.head_value_scales()
     }
 
     /// Values that the packed keys of all take.

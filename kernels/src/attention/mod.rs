@@ -20,24 +20,28 @@
 //! as the panel that its product with the values reads.
 //!
 //! # Precision
-//! In the lower modes ([`attend_as`]) both products have smaller operands; the order of operations is the same.
-//! - Values are rounded to bf16 as inputs of [`crate::gemm`] are. A weight is rounded to bf16 (to nearest, ties up) before it is summed or
-//!   multiplied, comes from a shorter polynomial (7.5e-5) and is never below `2^−56`.
-//! - bf16: queries and keys are rounded to bf16; `s` is the same chain.
-//! - int8: a query's or key's channels of a head are 8-bit integers with one scale each, `a` and `b`, as a row of a product's inputs has.
-//!   `s = f32(Σ integers)·b`, whose sum is exact, and `c` is multiplied by `a` (rounded).
+//! In the lower modes ([`attend_as`]) both products have smaller operands; the order of operations is otherwise the same.
+//! - bf16: queries, keys and values are rounded to bf16 as inputs of [`crate::gemm`] are; `s` is the same chain. A weight is rounded to bf16 (to
+//!   nearest, ties up) before it is summed or multiplied, comes from a shorter polynomial (7.5e-5) and is never below `2^−56`.
+//! - int8: a query's or key's channels of a head are 8-bit integers with one scale each, `a` and `b`, as a row of a product's inputs has (but
+//!   at most 2⁴⁸). `s = f32(Σ integers)·b`, whose sum is exact, and `c` is multiplied by `a` (rounded). A block of keys has a reference
+//!   of its own, `B = max s·c`; its weights are the integers nearest to `255·2^(s·c − B)` (the same short polynomial; ties to even), its values
+//!   8-bit integers with a scale `d` per channel of the block. `Σ w` and `Σ w v` of a block are exact; with `M = max(M, B)`, `r` as above and
+//!   `u = 2^(B − M)` the query's sums become `fma(sum, r, f32(Σ w)·u)` and `fma(sum, r, f32(Σ w v)·(u·d))`. What weighs less than 1/510 of
+//!   the largest of its block weighs nothing.
 //!
 //! # Extremes
-//! A logit that is NaN or −∞ weighs `2^−126` (`2^−56` in the lower modes) of the largest. A row of nothing else gives the mean of its
+//! A logit that is NaN or −∞ weighs `2^−126` (`2^−56` in bf16) of the largest. A row of nothing else gives the mean of its
 //! values, and so does a row in which every logit is +∞: while `M` is infinite, `r` is 1 where `M` stays and all weights are equal. A row
-//! with some logits at +∞ gives some mean of its values. In int8 a query or key with a value that is not finite counts as zeros. A NaN or
-//! infinite *value* reaches every row that sees its key: callers reject such input.
+//! with some logits at +∞ gives some mean of its values. In int8 a query or key with a value that is not finite counts as zeros, and so does a
+//! channel of a block of values. Otherwise a NaN or infinite *value* reaches every row that sees its key: callers reject such input.
 //!
 //! Source: "StreamSplat (ICLR 2026)", encoder, decoder and upsampler blocks; the online form is that of Milakov and Gimelshein
 //! (2018) and of FlashAttention (2022).
 
 mod block;
 mod layout;
+mod mix;
 mod pack;
 pub mod reference;
 #[cfg(test)]
@@ -57,6 +61,7 @@ use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, dispatch, dispatch_dot};
 use block::Block;
 use layout::Layout;
+use mix::{InBytes, InPairs, Mix, Singly};
 use pack::Pack;
 
 /// Keys of a block: whole register blocks on every level.
@@ -67,6 +72,9 @@ const QUERY_BLOCK: usize = 64;
 
 /// Keys are packed to a multiple of this: whole register blocks on every level.
 const WHOLE: usize = 12;
+
+/// Scales of queries and keys are at most this, so that no logit is infinite.
+const LARGEST_SCALE: f32 = (1_u64 << 48) as f32;
 
 /// A matrix `[rows, heads·width]` that may be part of a wider one.
 #[derive(Clone, Copy)]
@@ -209,34 +217,39 @@ fn run(
         return;
     }
     match precision {
-        Precision::F32 => compute::<Single, Single>(level, &layout, q, k, v, out),
-        Precision::Bf16 => compute::<Brain, Brain>(level, &layout, q, k, v, out),
-        Precision::Int8 => compute::<Bytes, Brain>(level, &layout, q, k, v, out),
+        Precision::F32 => compute::<Single, Singly>(level, &layout, q, k, v, out),
+        Precision::Bf16 => compute::<Brain, InPairs>(level, &layout, q, k, v, out),
+        Precision::Int8 => compute::<Bytes, InBytes>(level, &layout, q, k, v, out),
     }
 }
 
-/// The attention with the operands of `q·k` in the form `A` and those of `w·v` in the form `B`.
-fn compute<A: Form, B: Form>(level: Level, layout: &Layout, q: Rows<'_>, k: Rows<'_>, v: Rows<'_>, out: &mut [f32]) {
+/// The attention with the operands of `q·k` in the form `A` and `w·v` as `M` holds it.
+fn compute<A: Form, M: Mix>(level: Level, layout: &Layout, q: Rows<'_>, k: Rows<'_>, v: Rows<'_>, out: &mut [f32]) {
     let heads = layout.shape.heads;
     let mut packed = Scratch::take(2 * layout.packed_len());
     let mut scales = Scratch::take(layout.packed_rows());
+    let mut value_scales = Scratch::take(layout.all_value_scales());
     let (keys, values) = packed.split_at_mut(layout.packed_len());
     let parts = keys.par_chunks_mut(layout.head_len()).zip(values.par_chunks_mut(layout.head_len()));
-    parts.zip(scales.par_chunks_mut(layout.head_rows())).enumerate().for_each(|(index, ((keys, values), scales))| {
+    let scale_parts =
+        scales.par_chunks_mut(layout.head_rows()).zip(value_scales.par_chunks_mut(layout.head_value_scales()));
+    parts.zip(scale_parts).enumerate().for_each(|(index, ((keys, values), (scales, value_scales)))| {
         let (window, head) = (index / heads, index % heads);
         if layout.queries(window) > 0 {
-            let pack = Pack::<A, B> { layout, k, v, window, head, keys, values, scales, forms: PhantomData };
-            enter::<B, _>(level, pack);
+            let pack =
+                Pack::<A, M> { layout, k, v, window, head, keys, values, scales, value_scales, forms: PhantomData };
+            enter::<A, _>(level, pack);
         }
     });
-    let (keys, values, scales, out) = (&*keys, &*values, &*scales, &Disjoint::new(out));
+    let (keys, values, scales, value_scales) = (&*keys, &*values, &*scales, &*value_scales);
+    let out = &Disjoint::new(out);
     layout.tasks().par_iter().with_max_len(1).for_each(|task| {
-        let block = Block::<A, B> { layout, task, q, keys, values, scales, out, forms: PhantomData };
-        enter::<B, _>(level, block);
+        let block = Block::<A, M> { layout, task, q, keys, values, scales, value_scales, out, forms: PhantomData };
+        enter::<A, _>(level, block);
     });
 }
 
 /// Enters a level, with its dot products where the operands are for them.
-fn enter<B: Form, O: Operation>(level: Level, operation: O) -> O::Output {
-    if B::PRECISION == Precision::F32 { dispatch(level, operation) } else { dispatch_dot(level, operation) }
+fn enter<A: Form, O: Operation>(level: Level, operation: O) -> O::Output {
+    if A::PRECISION == Precision::F32 { dispatch(level, operation) } else { dispatch_dot(level, operation) }
 }

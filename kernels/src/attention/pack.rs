@@ -3,15 +3,16 @@
 use std::marker::PhantomData;
 
 use super::layout::Layout;
-use super::{KEY_BLOCK, Rows};
-use crate::gemm::form::{Form, values_of_a_word};
-use crate::gemm::{Precision, interleave, pair_bf16, round_bf16};
+use super::mix::Mix;
+use super::{KEY_BLOCK, LARGEST_SCALE, Rows};
+use crate::gemm::form::{Form, Multiply};
+use crate::gemm::{Precision, interleave, scale_of};
 use crate::memory::Scratch;
 use crate::simd::{LANES, Operation, Simd};
 
-/// Packs the keys and values of one head of one window: keys as `[keys/KR][words][KR]` in the form `A`; values in the form `B`, by
-/// blocks of [`KEY_BLOCK`], as `[width/CR][words of the block's keys][CR]`. A part at the end of `keys` and `values` may stay as it was.
-pub(super) struct Pack<'a, A, B> {
+/// Packs the keys and values of one head of one window: keys as `[keys/KR][words][KR]` in the form `A`; values as `M` holds them, by
+/// blocks of [`KEY_BLOCK`], as `[width/CR][row words of the block's keys][CR]`. A part at the end of `keys` and `values` may stay as it was.
+pub(super) struct Pack<'a, A, M> {
     pub(super) layout: &'a Layout,
     pub(super) k: Rows<'a>,
     pub(super) v: Rows<'a>,
@@ -21,10 +22,12 @@ pub(super) struct Pack<'a, A, B> {
     pub(super) values: &'a mut [f32],
     /// Per key.
     pub(super) scales: &'a mut [f32],
-    pub(super) forms: PhantomData<fn(A, B)>,
+    /// Per block of keys and channel, where `M` has them.
+    pub(super) value_scales: &'a mut [f32],
+    pub(super) forms: PhantomData<fn(A, M)>,
 }
 
-impl<A: Form, B: Form> Operation for Pack<'_, A, B> {
+impl<A: Form, M: Mix> Operation for Pack<'_, A, M> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(mut self, s: S) {
@@ -36,7 +39,7 @@ impl<A: Form, B: Form> Operation for Pack<'_, A, B> {
     }
 }
 
-impl<A: Form, B: Form> Pack<'_, A, B> {
+impl<A: Form, M: Mix> Pack<'_, A, M> {
     #[inline(always)]
     fn pack<S: Simd, const KR: usize, const CR: usize>(&mut self, s: S) {
         let width = self.layout.shape.width;
@@ -50,19 +53,20 @@ impl<A: Form, B: Form> Pack<'_, A, B> {
             let mut converted = Scratch::take(count * words);
             let mut work = Scratch::take(width);
             for (i, to) in converted.chunks_exact_mut(words).enumerate() {
-                self.scales[i] = A::convert(s, key(i), &mut work, bytemuck::cast_slice_mut(to));
+                self.scales[i] = A::convert(s, key(i), &mut work, bytemuck::cast_slice_mut(to)).min(LARGEST_SCALE);
             }
             interleave::<KR>(count, words, |i| &converted[i * words..][..words], &mut *self.keys);
         }
-        for first in (0..count).step_by(KEY_BLOCK) {
+        for (index, first) in (0..count).step_by(KEY_BLOCK).enumerate() {
             let block = Values { v, layout, window, head, first, present: KEY_BLOCK.min(count - first) };
-            block.spread::<S, B, CR>(s, &mut self.values[first * width..]);
+            let scales = if M::SCALED { &mut self.value_scales[index * width..][..width] } else { &mut [] };
+            block.spread::<S, M, CR>(s, &mut self.values[first * width..], scales);
         }
     }
 }
 
 /// A block of values.
-struct Values<'a> {
+pub(super) struct Values<'a> {
     v: Rows<'a>,
     layout: &'a Layout,
     window: usize,
@@ -72,24 +76,21 @@ struct Values<'a> {
 }
 
 impl Values<'_> {
-    /// Writes the block as `[width/CR][rows][CR]` words in the form `B`; what is left of `width` is a last group of its own.
+    /// Writes the block as `[width/CR][row words][CR]` as `M` holds it, and its channels' scales; what is left of `width` is a last group of
+    /// its own.
     #[inline(always)]
-    fn spread<S: Simd, B: Form, const CR: usize>(&self, s: S, to: &mut [f32]) {
+    fn spread<S: Simd, M: Mix, const CR: usize>(&self, s: S, to: &mut [f32], scales: &mut [f32]) {
         let width = self.layout.shape.width;
-        let (values, words) = (values_of_a_word(B::PRECISION), B::row_words_of_a_word::<S>());
-        let rows = self.present.div_ceil(values) * words;
+        let rows = self.present.div_ceil(M::KEYS) * M::Product::row_words_of_a_word::<S>();
         let whole = width / CR * CR;
-        for i in 0..rows {
-            for c in (0..width).step_by(LANES) {
-                let from = if B::PRECISION == Precision::F32 {
-                    self.value(s, i, c)
-                } else if values == words {
-                    round_bf16(s, self.value(s, i, c))
-                } else {
-                    let (a, b) = (self.value(s, 2 * i, c), self.value(s, 2 * i + 1, c));
-                    s.from_bits(pair_bf16(s, round_bf16(s, a), round_bf16(s, b)))
-                };
-                let from = s.to_array(from);
+        for c in (0..width).step_by(LANES) {
+            let mut inverse = [1.0; LANES];
+            if M::SCALED {
+                self.scales_of_channels(s, c, &mut scales[c..c + LANES], &mut inverse);
+            }
+            let inverse = s.from_array(inverse);
+            for i in 0..rows {
+                let from = s.to_array(M::row_word(s, i, self, c, inverse));
                 let mut at = 0;
                 while at < LANES {
                     let (group, inside) = ((c + at) / CR * CR, (c + at) % CR);
@@ -102,9 +103,24 @@ impl Values<'_> {
         }
     }
 
+    /// Scales of 16 channels from `c` on, as [`scale_of`] has them, and their inverses.
+    #[inline(always)]
+    fn scales_of_channels<S: Simd>(&self, s: S, c: usize, scales: &mut [f32], inverses: &mut [f32; LANES]) {
+        let (mut most, mut poison) = (s.splat(0.0), s.splat(0.0));
+        for i in 0..self.present {
+            let value = self.value(s, i, c);
+            most = s.max(s.abs(value), most);
+            poison = s.mul_add(value, s.splat(0.0), poison);
+        }
+        let (most, poison) = (s.to_array(most), s.to_array(poison));
+        for c in 0..LANES {
+            (scales[c], inverses[c]) = scale_of(if poison[c] == 0.0 { most[c] } else { f32::INFINITY });
+        }
+    }
+
     /// 16 channels from `c` on of value `i`; zeros past the last.
     #[inline(always)]
-    fn value<S: Simd>(&self, s: S, i: usize, c: usize) -> S::F32 {
+    pub(super) fn value<S: Simd>(&self, s: S, i: usize, c: usize) -> S::F32 {
         if i >= self.present {
             return s.splat(0.0);
         }

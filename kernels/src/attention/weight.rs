@@ -41,6 +41,16 @@ pub(super) fn weight_low<S: Simd>(s: S, t: S::F32) -> S::F32 {
     s.from_bits(s.and_i32(rounded, s.splat_i32(0xffff_0000_u32.cast_signed())))
 }
 
+/// What [`numbered`] adds to the bits of a number.
+pub(super) const NUMBERED: i32 = 0x4b40_0000;
+
+/// `255·2^t` for `t ≤ 0`, to the nearest integer (of a value within 7.5e-5; ties to even), [`NUMBERED`] added; 0 for what is below ½, and for NaN.
+#[inline(always)]
+pub(super) fn numbered<S: Simd>(s: S, t: S::F32) -> S::I32 {
+    let w = math::exp2_low(s, s.max(t, s.splat(-20.0)));
+    s.to_bits(s.mul_add(w, s.splat(255.0), s.splat(SHIFTER)))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -99,6 +109,33 @@ mod tests {
             (t[0], t[1], t[2]) = (0.0, f32::NAN, -1e30);
             let least = f32::from_bits((127 - 56) << 23);
             assert_eq!(dispatch(level, LowWeights(t))[..4], [1.0, least, least, least]);
+        }
+    }
+
+    struct Numbers([f32; LANES]);
+    impl Operation for Numbers {
+        type Output = [i32; LANES];
+        #[inline(always)]
+        fn run<S: Simd>(self, s: S) -> [i32; LANES] {
+            s.to_array_i32(numbered(s, s.from_array(self.0)))
+        }
+    }
+
+    #[test]
+    fn numbers_are_the_nearest_to_255_powers_of_two_on_every_level() {
+        for level in Level::available() {
+            for i in 0..20_000 {
+                let t: [f32; LANES] = std::array::from_fn(|j| -((i * 16 + j) as f32) * (24.0 / 320_000.0));
+                let n = dispatch(level, Numbers(t)).map(|n| n - NUMBERED);
+                assert_eq!(n, dispatch(Level::scalar(), Numbers(t)).map(|n| n - NUMBERED));
+                for j in 0..LANES {
+                    let exact = 255.0 * f64::from(t[j]).exp2();
+                    assert!((f64::from(n[j]) - exact).abs() < 0.5 + exact * 7.5e-5 + 1e-6, "2^{}: {}", t[j], n[j]);
+                }
+            }
+            let mut t = [f32::NEG_INFINITY; LANES];
+            (t[0], t[1], t[2]) = (0.0, f32::NAN, -1e30);
+            assert_eq!(dispatch(level, Numbers(t))[..4], [255, 0, 0, 0].map(|n| n + NUMBERED));
         }
     }
 

@@ -3,27 +3,16 @@
 //! Operands are 32-bit words: a weight panel is `[words][16]`, a group of rows `[words][MR]`. A word is one f32, two bf16 (the
 //! earlier in the high half: the instruction takes that first) or four bytes. Levels without dot products of words widen the
 //! panels in registers, and hold each row's word as two: two f32, or two pairs of i16.
+//! [`Portions`] is not a form of inputs and weights but of attention's values and weights: there the panel's bytes have no sign.
 
 use super::microkernel::{self, Tile};
 use super::precision::{Precision, largest_magnitude, round_bf16, scale_of};
 use crate::simd::{LANES, Simd, again};
 
-/// A precision's operands.
-pub(crate) trait Form: 'static {
-    const PRECISION: Precision;
-
-    /// Words of a row of `k` values on a level.
-    fn row_words<S: Simd>(k: usize) -> usize;
-
+/// A product of words.
+pub(crate) trait Multiply: 'static {
     /// Row words that go with one word of a panel on a level.
     fn row_words_of_a_word<S: Simd>() -> usize;
-
-    /// Turns a row into its words; returns its scale.
-    fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32;
-
-    /// Turns a row into the words of one lane of a panel; returns its scale and what [`Form::of_row`] takes off. The words are the same on
-    /// every level.
-    fn convert_column<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> (f32, i32);
 
     /// The sums of one block of `words`, starting from nothing.
     ///
@@ -35,6 +24,21 @@ pub(crate) trait Form: 'static {
         panels: [*const u32; NV],
         words: usize,
     ) -> Tile<S, MR, NV>;
+}
+
+/// A precision's operands.
+pub(crate) trait Form: Multiply {
+    const PRECISION: Precision;
+
+    /// Words of a row of `k` values on a level.
+    fn row_words<S: Simd>(k: usize) -> usize;
+
+    /// Turns a row into its words; returns its scale.
+    fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32;
+
+    /// Turns a row into the words of one lane of a panel; returns its scale and what [`Form::of_row`] takes off. The words are the same on
+    /// every level.
+    fn convert_column<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> (f32, i32);
 
     /// Adds a block's sums to those before.
     fn add<S: Simd>(s: S, before: S::F32, block: S::F32) -> S::F32;
@@ -71,25 +75,10 @@ pub(super) const fn block_words(precision: Precision) -> usize {
 /// f32 as it is.
 pub(crate) struct Single;
 
-impl Form for Single {
-    const PRECISION: Precision = Precision::F32;
-
-    #[inline(always)]
-    fn row_words<S: Simd>(k: usize) -> usize {
-        k
-    }
+impl Multiply for Single {
     #[inline(always)]
     fn row_words_of_a_word<S: Simd>() -> usize {
         1
-    }
-    #[inline(always)]
-    fn convert<S: Simd>(_: S, row: &[f32], _: &mut [f32], words: &mut [u32]) -> f32 {
-        words.copy_from_slice(bytemuck::cast_slice(row));
-        1.0
-    }
-    #[inline(always)]
-    fn convert_column<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> (f32, i32) {
-        (Self::convert(s, row, values, words), 0)
     }
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
@@ -100,6 +89,24 @@ impl Form for Single {
     ) -> Tile<S, MR, NV> {
         // SAFETY: the caller's.
         unsafe { microkernel::multiply(s, rows.cast(), panels.map(<*const u32>::cast), words) }
+    }
+}
+
+impl Form for Single {
+    const PRECISION: Precision = Precision::F32;
+
+    #[inline(always)]
+    fn row_words<S: Simd>(k: usize) -> usize {
+        k
+    }
+    #[inline(always)]
+    fn convert<S: Simd>(_: S, row: &[f32], _: &mut [f32], words: &mut [u32]) -> f32 {
+        words.copy_from_slice(bytemuck::cast_slice(row));
+        1.0
+    }
+    #[inline(always)]
+    fn convert_column<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> (f32, i32) {
+        (Self::convert(s, row, values, words), 0)
     }
     #[inline(always)]
     fn add<S: Simd>(s: S, before: S::F32, block: S::F32) -> S::F32 {
@@ -114,35 +121,10 @@ impl Form for Single {
 /// bf16 operands, f32 sums.
 pub(crate) struct Brain;
 
-impl Form for Brain {
-    const PRECISION: Precision = Precision::Bf16;
-
-    #[inline(always)]
-    fn row_words<S: Simd>(k: usize) -> usize {
-        if S::BF16_DOT { k.div_ceil(2) } else { k.next_multiple_of(2) }
-    }
+impl Multiply for Brain {
     #[inline(always)]
     fn row_words_of_a_word<S: Simd>() -> usize {
         if S::BF16_DOT { 1 } else { 2 }
-    }
-    #[inline(always)]
-    fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
-        if S::BF16_DOT {
-            pair_row(s, row, words);
-        } else {
-            let values = &mut values[..row.len().next_multiple_of(2)];
-            values[row.len()..].fill(0.0);
-            for (row, to) in row.chunks(LANES).zip(values.chunks_mut(LANES)) {
-                s.store_partial(round_bf16(s, s.load_partial(row, 0.0)), &mut to[..row.len()]);
-            }
-            words.copy_from_slice(bytemuck::cast_slice(values));
-        }
-        1.0
-    }
-    #[inline(always)]
-    fn convert_column<S: Simd>(s: S, row: &[f32], _: &mut [f32], words: &mut [u32]) -> (f32, i32) {
-        pair_row(s, row, words);
-        (1.0, 0)
     }
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
@@ -165,6 +147,34 @@ impl Form for Brain {
             }
         }
         acc
+    }
+}
+
+impl Form for Brain {
+    const PRECISION: Precision = Precision::Bf16;
+
+    #[inline(always)]
+    fn row_words<S: Simd>(k: usize) -> usize {
+        if S::BF16_DOT { k.div_ceil(2) } else { k.next_multiple_of(2) }
+    }
+    #[inline(always)]
+    fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
+        if S::BF16_DOT {
+            pair_row(s, row, words);
+        } else {
+            let values = &mut values[..row.len().next_multiple_of(2)];
+            values[row.len()..].fill(0.0);
+            for (row, to) in row.chunks(LANES).zip(values.chunks_mut(LANES)) {
+                s.store_partial(round_bf16(s, s.load_partial(row, 0.0)), &mut to[..row.len()]);
+            }
+            words.copy_from_slice(bytemuck::cast_slice(values));
+        }
+        1.0
+    }
+    #[inline(always)]
+    fn convert_column<S: Simd>(s: S, row: &[f32], _: &mut [f32], words: &mut [u32]) -> (f32, i32) {
+        pair_row(s, row, words);
+        (1.0, 0)
     }
     #[inline(always)]
     fn add<S: Simd>(s: S, before: S::F32, block: S::F32) -> S::F32 {
@@ -237,36 +247,10 @@ unsafe fn brain_step<S: Simd, const MR: usize, const NV: usize>(
 /// Bytes with scales, i32 sums.
 pub(crate) struct Bytes;
 
-impl Form for Bytes {
-    const PRECISION: Precision = Precision::Int8;
-
-    #[inline(always)]
-    fn row_words<S: Simd>(k: usize) -> usize {
-        k.div_ceil(4) * Self::row_words_of_a_word::<S>()
-    }
+impl Multiply for Bytes {
     #[inline(always)]
     fn row_words_of_a_word<S: Simd>() -> usize {
         if S::BYTE_DOT { 1 } else { 2 }
-    }
-    #[inline(always)]
-    fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
-        if S::BYTE_DOT {
-            // The instruction takes these unsigned; the weights' offsets undo it.
-            return quantise_row::<S, 128>(s, row, words);
-        }
-        let bytes = &mut bytemuck::cast_slice_mut(values)[..words.len() / 2];
-        let scale = quantise_row::<S, 0>(s, row, bytes);
-        for (two, bytes) in words.chunks_exact_mut(2).zip(bytes) {
-            let [a, b, c, d] = bytes.to_le_bytes().map(|byte| i32::from(byte.cast_signed()) as u32 & 0xffff);
-            (two[0], two[1]) = (a | c << 16, b | d << 16);
-        }
-        scale
-    }
-    #[inline(always)]
-    fn convert_column<S: Simd>(s: S, row: &[f32], _: &mut [f32], words: &mut [u32]) -> (f32, i32) {
-        let scale = quantise_row::<S, 0>(s, row, words);
-        let bytes: &[i8] = bytemuck::cast_slice(words);
-        (scale, 128 * bytes.iter().map(|&q| i32::from(q)).sum::<i32>())
     }
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
@@ -312,6 +296,35 @@ impl Form for Bytes {
         }
         tile
     }
+}
+
+impl Form for Bytes {
+    const PRECISION: Precision = Precision::Int8;
+
+    #[inline(always)]
+    fn row_words<S: Simd>(k: usize) -> usize {
+        k.div_ceil(4) * Self::row_words_of_a_word::<S>()
+    }
+    #[inline(always)]
+    fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
+        if S::BYTE_DOT {
+            // The instruction takes these unsigned; the weights' offsets undo it.
+            return quantise_row::<S, 128>(s, row, words);
+        }
+        let bytes = &mut bytemuck::cast_slice_mut(values)[..words.len() / 2];
+        let scale = quantise_row::<S, 0>(s, row, bytes);
+        for (two, bytes) in words.chunks_exact_mut(2).zip(bytes) {
+            let [a, b, c, d] = bytes.to_le_bytes().map(|byte| i32::from(byte.cast_signed()) as u32 & 0xffff);
+            (two[0], two[1]) = (a | c << 16, b | d << 16);
+        }
+        scale
+    }
+    #[inline(always)]
+    fn convert_column<S: Simd>(s: S, row: &[f32], _: &mut [f32], words: &mut [u32]) -> (f32, i32) {
+        let scale = quantise_row::<S, 0>(s, row, words);
+        let bytes: &[i8] = bytemuck::cast_slice(words);
+        (scale, 128 * bytes.iter().map(|&q| i32::from(q)).sum::<i32>())
+    }
     #[inline(always)]
     fn add<S: Simd>(s: S, before: S::F32, block: S::F32) -> S::F32 {
         s.from_bits(s.add_i32(s.to_bits(before), s.to_bits(block)))
@@ -320,6 +333,105 @@ impl Form for Bytes {
     fn of_row<S: Simd>(s: S, sum: S::F32, row_scale: f32, offsets: S::I32) -> S::F32 {
         let sum = if S::BYTE_DOT { s.sub_i32(s.to_bits(sum), offsets) } else { s.to_bits(sum) };
         s.mul(s.to_f32(sum), s.splat(row_scale))
+    }
+}
+
+/// Panels of unsigned bytes, rows of signed ones, i32 sums.
+pub(crate) struct Portions;
+
+impl Multiply for Portions {
+    #[inline(always)]
+    fn row_words_of_a_word<S: Simd>() -> usize {
+        if S::BYTE_DOT { 1 } else { 2 }
+    }
+    #[inline(always)]
+    unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
+        s: S,
+        rows: *const u32,
+        panels: [*const u32; NV],
+        words: usize,
+    ) -> Tile<S, MR, NV> {
+        let mut acc = [[s.splat_i32(0); NV]; MR];
+        for i in 0..words {
+            // SAFETY: the caller's; i < words.
+            unsafe {
+                let mut b = [s.splat_i32(0); NV];
+                for v in 0..NV {
+                    b[v] = s.to_bits(s.load_ptr(panels[v].add(i * LANES).cast()));
+                }
+                if S::BYTE_DOT {
+                    for r in 0..MR {
+                        let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
+                        for v in 0..NV {
+                            acc[r][v] = s.dot_bytes(acc[r][v], b[v], a);
+                        }
+                    }
+                    continue;
+                }
+                for half in 0..2 {
+                    let mut pairs = [s.splat_i32(0); NV];
+                    for v in 0..NV {
+                        pairs[v] = Self::halves(s, b[v])[half];
+                    }
+                    for r in 0..MR {
+                        let a = s.splat_i32((*rows.add((2 * i + half) * MR + r)).cast_signed());
+                        for v in 0..NV {
+                            acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, pairs[v]));
+                        }
+                    }
+                }
+            }
+        }
+        let mut tile = [[s.splat(0.0); NV]; MR];
+        for r in 0..MR {
+            for v in 0..NV {
+                tile[r][v] = s.from_bits(acc[r][v]);
+            }
+        }
+        tile
+    }
+}
+
+impl Portions {
+    /// Bytes 0 and 2, and 1 and 3, of every lane as pairs of i16.
+    #[inline(always)]
+    fn halves<S: Simd>(s: S, word: S::I32) -> [S::I32; 2] {
+        let low = s.splat_i32(0x00ff_00ff);
+        [s.and_i32(word, low), s.and_i32(s.shr::<8>(word), low)]
+    }
+
+    /// Row word `i` of those that go with one word: of four integers in −128..128, in the low bits.
+    #[inline(always)]
+    pub(crate) fn row_word<S: Simd>(s: S, integers: [S::I32; 4], i: usize) -> S::F32 {
+        let [a, b, c, d] = integers;
+        s.from_bits(if Self::row_words_of_a_word::<S>() == 2 {
+            let (first, second) = if i == 0 { (a, c) } else { (b, d) };
+            s.or_i32(s.and_i32(first, s.splat_i32(0xffff)), s.shl::<16>(second))
+        } else {
+            let byte = s.splat_i32(0xff);
+            let low = s.or_i32(s.and_i32(a, byte), s.shl::<8>(s.and_i32(b, byte)));
+            s.or_i32(low, s.or_i32(s.shl::<16>(s.and_i32(c, byte)), s.shl::<24>(d)))
+        })
+    }
+
+    /// Adds a panel word's bytes to a count that [`Portions::counted`] reads, of at most 128 words.
+    #[inline(always)]
+    pub(crate) fn count<S: Simd>(s: S, count: S::I32, word: S::I32) -> S::I32 {
+        if S::BYTE_DOT {
+            return s.dot_bytes(count, word, s.splat_i32(0x0101_0101));
+        }
+        // Two counts of 16 bits.
+        let [a, b] = Self::halves(s, word);
+        s.add_i32(count, s.add_i32(a, b))
+    }
+
+    /// The sum of all bytes.
+    #[inline(always)]
+    pub(crate) fn counted<S: Simd>(s: S, count: S::I32) -> S::I32 {
+        if S::BYTE_DOT {
+            return count;
+        }
+        s.add_i32(s.and_i32(count, s.splat_i32(0xffff)), s.shr::<16>(count))
     }
 }
 
