@@ -8,7 +8,7 @@
 //! - `s = q·k`: one chain of fused multiply-adds over the channels, ascending, from +0.
 //! - Keys are taken in blocks of [`KEY_BLOCK`], ascending. With `c` = `log2(e)/√width` rounded to f32, the query's reference
 //!   is `M = max(M, c·max s)`; what was accumulated before is scaled by `r = 2^(M_old − M)`.
-//! - The weight of a key is `2^(fma(s, c, −M))` (see `weight.rs`), never below `2^−126`.
+//! - The weight of a key is `2^(fma(s, c, −M))` (see `weight.rs`), never below `2^−64`.
 //! - `Σ w`: a block has four sums, of its keys 0, 4, 8 …, of 1, 5, 9 …, and so on, each ascending from +0; the block's sum is
 //!   `(0 + 1) + (2 + 3)`, and the query's sum becomes `fma(sum, r, block)`.
 //! - `Σ w v`: one chain over a block's keys, ascending, from +0; the query's sum becomes `fma(sum, r, block)`.
@@ -31,7 +31,7 @@
 //!   the largest of its block weighs nothing.
 //!
 //! # Extremes
-//! A logit that is NaN or −∞ weighs `2^−126` (`2^−56` in bf16) of the largest. A row of nothing else gives the mean of its
+//! A logit that is NaN or −∞ weighs `2^−64` (`2^−56` in bf16) of the largest. A row of nothing else gives the mean of its
 //! values, and so does a row in which every logit is +∞: while `M` is infinite, `r` is 1 where `M` stays and all weights are equal. A row
 //! with some logits at +∞ gives some mean of its values. In int8 a query or key with a value that is not finite counts as zeros, and so does a
 //! channel of a block of values. Otherwise a NaN or infinite *value* reaches every row that sees its key: callers reject such input.
