@@ -78,8 +78,6 @@ struct Case {
     precision: (&'static str, Precision),
     size: String,
     flop: f64,
-    /// The formats in which it multiplies, each a part of equal size.
-    formats: &'static [Precision],
     work: Box<dyn FnMut() + Send>,
 }
 
@@ -117,16 +115,11 @@ fn measure(options: &Options) -> Result<()> {
     for mut case in cases {
         let mut times = Vec::new();
         for _ in 0..options.common.repeat.max(1) {
-            // The peaks are taken beside every run: clocks move.
-            for &format in case.formats {
-                let best = &mut peaks[format as usize];
-                *best = best.max(peak(level, format));
-            }
+            // The peak is taken beside every run: clocks move.
+            let best = &mut peaks[case.precision.1 as usize];
+            *best = best.max(peak(level, case.precision.1));
             times.push(once(&mut case.work));
         }
-        // Parts of equal work one after the other.
-        let slowness: f64 = case.formats.iter().map(|&format| 1.0 / peaks[format as usize]).sum();
-        let own_peak = case.formats.len() as f64 / slowness;
         let seconds = Seconds::of(times);
         let gflops = case.flop / seconds.min / 1e9;
         let row = Row {
@@ -137,7 +130,7 @@ fn measure(options: &Options) -> Result<()> {
             gflop: case.flop / 1e9,
             seconds,
             gflops,
-            fraction_of_peak: gflops / own_peak,
+            fraction_of_peak: gflops / peaks[case.precision.1 as usize],
         };
         println!(
             "{:<22} {:<6} {:<5} {:>20} {:>10.3} {:>10.1} {:>8.1}%",
@@ -210,23 +203,6 @@ fn noise(len: usize, seed: u32) -> Vec<f32> {
     (0..len).map(|_| next()).collect()
 }
 
-/// The formats of a product's operands.
-fn formats_of_product(precision: Precision) -> &'static [Precision] {
-    match precision {
-        Precision::F32 => &[Precision::F32],
-        Precision::Bf16 => &[Precision::Bf16],
-        Precision::Int8 => &[Precision::Int8],
-    }
-}
-
-/// The formats of an attention's two products.
-fn formats_of_attention(precision: Precision) -> &'static [Precision] {
-    match precision {
-        Precision::Int8 => &[Precision::Int8, Precision::Bf16],
-        _ => formats_of_product(precision),
-    }
-}
-
 /// Zeros as the model holds its matrices: on cache lines.
 fn zeros(len: usize) -> Aligned<f32> {
     Aligned::zeroed(len)
@@ -265,7 +241,6 @@ fn product(
         precision,
         size: format!("{m}x{n}x{k}"),
         flop: 2.0 * (m * n * k) as f64,
-        formats: formats_of_product(precision.1),
         work: Box::new(move || linear(level, &x, m, &weights, &Epilogue::new(), &mut out)),
     })
 }
@@ -303,7 +278,6 @@ fn attention(
         precision,
         size: format!("{queries}x{seen} {heads} heads"),
         flop: 4.0 * (queries * seen * d) as f64,
-        formats: formats_of_attention(precision.1),
         work: Box::new(move || {
             work();
         }),
@@ -319,7 +293,6 @@ fn rms_norm(level: Level, model: &'static str, rows: usize, d: usize) -> Case {
         precision: ("f32", Precision::F32),
         size: format!("{rows}x{d}"),
         flop: 4.0 * (rows * d) as f64,
-        formats: &[Precision::F32],
         work: Box::new(move || norm::rms_norm(level, &x, &w, 1e-5, &mut out)),
     }
 }
