@@ -118,12 +118,13 @@ def measure(o):
 
 
 def order(o):
-    """What depth there is: procedural scenes in order, and what other orders of compositing do to the pictures."""
+    """What depth there is: procedural scenes in order and from the side, and what other orders of compositing do to the pictures."""
     net = opened(o)
     clips = [data.load_clip(f, net.config.resolution, o.cache) for f in data.clip_folders(pathlib.Path(o.clips) / o.split)]
     frames = torch.from_numpy(np.stack([c[len(c) // 2] for c in clips])).permute(0, 3, 1, 2).float() / 255
     result = dict(rendered=depth.order_of_scenes(lambda f: depth.rendered_nearness(net, f), clips, o.scenes),
-                  lower_is_nearer=depth.order_of_scenes(depth.lower_is_nearer, clips, o.scenes), key_psnr_by_order=depth.fragility(net, frames))
+                  lower_is_nearer=depth.order_of_scenes(depth.lower_is_nearer, clips, o.scenes), key_psnr_by_order=depth.fragility(net, frames),
+                  turned_by_10_degrees=depth.turned_scenes(net, clips, o.scenes))
     print(json.dumps(result, indent=1))
     if o.out:
         pathlib.Path(o.out).write_text(json.dumps(result, indent=1))
