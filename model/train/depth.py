@@ -18,7 +18,7 @@ STEP = 0.05                # of the argument of y's tanh while it trains: from o
 UNEVEN = 0.3               # weight of what is uneven beside what is misplaced (`lean_loss`)
 STANDS = 0.5               # of the same argument: how far before and behind the middle foreground and background shall stand
 RELIEF = 0.3               # what is left of all this when the stage ends: order is the same at any scale
-APART = 0.15               # of the inverse-depth range: how far the second frame lies behind the first, 20 of the steps that are left
+APART = 0.15               # of the inverse-depth range: how far the second frame lies behind the first, 20 of the steps that are left (README: the engine loses identities by it)
 
 
 def nearness(image, transmittance):
