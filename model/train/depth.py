@@ -18,7 +18,7 @@ STEP = 0.05                # of the argument of y's tanh while it trains: from o
 UNEVEN = 0.3               # weight of what is uneven beside what is misplaced (`lean_loss`)
 STANDS = 0.5               # of the same argument: how far before and behind the middle foreground and background shall stand
 RELIEF = 0.3               # what is left of all this when the stage ends: order is the same at any scale
-APART = 0.15               # of the inverse-depth range: how far the second frame lies behind the first, 20 of the steps that are left (README: the engine loses identities by it)
+APART = 0.15               # of the inverse-depth range: how far the second frame lies behind the first, 20 of the steps that are left
 
 
 def nearness(image, transmittance):
@@ -114,6 +114,37 @@ def keep_frames_apart(net, step=APART):
     last.weight[1] = 0
     last.bias[1] = 20                              # tanh is 1 to the last bit
     net.gs_dynamic_predictor.dynamic_scalar[1] = step
+
+
+@torch.no_grad()
+def come_forward(net, frames, step=APART, margin=0.1):
+    """Depth velocity 0 for the first frame and `step` for the second, which so comes forward from behind: what is followed keeps its depth.
+
+    One hidden unit of each layer of the motion head (those that matter least on `frames`, pairs next to each other) opens for the second frame alone: the first
+    reads the frame's flag off the tokens by least squares, far enough that the unit is 0 to the bit where it is shut. Returns the least distance of
+    a token from the wrong side; under `margin` nothing is written. It has to be done last: training would move it."""
+    e = net.encode(frames)
+    _, token = net.static(e)
+    x = torch.cat([net.encoder_proj(token), net.gaussian_upsampler(net.decoder.transformer_decoder(e))], -1)
+    flag = torch.tensor([-1.0, 1.0], dtype=torch.float64).repeat(len(frames) // 2)[:, None].expand(x.shape[:2])
+    a = torch.cat([x, torch.ones_like(x[..., :1])], -1).flatten(0, 1).double()
+    w = torch.linalg.solve(a.T @ a + 1e-7 * len(a) * torch.eye(a.shape[1], dtype=torch.float64), a.T @ flag.flatten())
+    least = float((a @ w * flag.flatten()).min())
+    if least < margin:
+        return least
+    one, two, out = (net.gs_dynamic_predictor.gs_layer['xyz_dynamic'].layers[k] for k in '147')
+    h1 = F.silu(one(x))
+    h2 = F.silu(two(h1))
+    size = lambda h: h.pow(2).mean((0, 1)).sqrt()
+    u, v = int((two.weight.norm(dim=0) * size(h1)).argmin()), int((out.weight[[0, 2]].norm(dim=0) * size(h2)).argmin())
+    gain = 150 / margin
+    one.weight[u], one.bias[u] = gain * w[:-1].float(), gain * w[-1].float()
+    two.weight[:, u], two.weight[v], two.bias[v] = 0, 0, 0
+    two.weight[v, u] = 1
+    out.weight[:, v], out.weight[1], out.bias[1] = 0, 0, 0
+    out.weight[1, v] = 1
+    net.gs_dynamic_predictor.dynamic_scalar[1] = step
+    return least
 
 
 def position_layer(net):
