@@ -105,6 +105,9 @@ def export(o):
     _, net, _ = open_run(o)
     if o.silence:
         print('silenced:', *network.silence(net, o.silence))
+    if o.forward:
+        clips = load_clips(o, net.config.resolution)
+        print('least margin of the frame\'s flag:', depth.come_forward(net, torch.from_numpy(np.concatenate([c[[0, 5]] for c in clips[::6]])).permute(0, 3, 1, 2).float() / 255))
     network.save_official(net, o.out, dict(f16=torch.float16, bf16=torch.bfloat16, f32=torch.float32)[o.dtype])
 
 
@@ -118,12 +121,13 @@ def measure(o):
 
 
 def order(o):
-    """What depth there is: procedural scenes in order, and what other orders of compositing do to the pictures."""
+    """What depth there is: procedural scenes in order and from the side, and what other orders of compositing do to the pictures."""
     net = opened(o)
     clips = [data.load_clip(f, net.config.resolution, o.cache) for f in data.clip_folders(pathlib.Path(o.clips) / o.split)]
     frames = torch.from_numpy(np.stack([c[len(c) // 2] for c in clips])).permute(0, 3, 1, 2).float() / 255
     result = dict(rendered=depth.order_of_scenes(lambda f: depth.rendered_nearness(net, f), clips, o.scenes),
-                  lower_is_nearer=depth.order_of_scenes(depth.lower_is_nearer, clips, o.scenes), key_psnr_by_order=depth.fragility(net, frames))
+                  lower_is_nearer=depth.order_of_scenes(depth.lower_is_nearer, clips, o.scenes), key_psnr_by_order=depth.fragility(net, frames),
+                  turned_by_10_degrees=depth.turned_scenes(net, clips, o.scenes))
     print(json.dumps(result, indent=1))
     if o.out:
         pathlib.Path(o.out).write_text(json.dumps(result, indent=1))
@@ -195,6 +199,7 @@ def main(arguments=None):
 
     def checkpoint_options(c):
         c.add_argument('--dtype', choices=('f16', 'bf16', 'f32'), default='f16')
+        c.add_argument('--forward', action='store_true', help='with depth: the first frame keeps its depth and the second comes forward, so that followed points do not drift')
         c.add_argument('--silence', type=float, default=0.0, metavar='LEAST', help='leave out residual branches whose output projection is smaller everywhere')
 
     def measuring_options(c):

@@ -145,10 +145,12 @@ class Pairs:
                     flow=np.stack([forward, backward]), sure=np.stack([consistent(forward, backward), consistent(backward, forward)]),
                     depth=np.zeros((2, h, w), np.float32), has_depth=np.float32(0), foreground=np.zeros((len(frames), h, w), np.float32))
 
-    def scene(self, r):
+    def scene(self, r, turns=()):
         """Textured layers at different depths under affine motion: a background wider than the picture and blobs before it.
 
-        Motion is a camera's (in proportion to inverse depth) plus each layer's own; nearer layers hide farther ones."""
+        Motion is a camera's (in proportion to inverse depth) plus each layer's own; nearer layers hide farther ones. `turned` are the key
+        frames [2, len(turns), H, W, 3] as a camera sees them that has been led around the mean distance of what is seen by `turns` degrees, and `both` is 1 where
+        such a picture shows what the key frame shows too."""
         h, w = self.clips[0].shape[1:3]
         times = np.concatenate([[0, 1], np.sort(r.uniform(0.1, 0.9, self.middle))]).astype(np.float32)
         large = r.random() < 0.35
@@ -176,32 +178,50 @@ class Pairs:
             m = s * np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
             return np.concatenate([m, (layer['centre'] + layer['move'] * (t - 0.5) - m @ [w / 2, h / 2])[:, None]], 1)
 
-        frames, flows, depths, foregrounds = [], [], [], []
-        for k, t in enumerate(times):
-            image, front = np.zeros((h, w, 3), np.float32), np.zeros((h, w), np.float32)
-            flow, inverse = np.zeros((h, w, 2), np.float32), np.zeros((h, w), np.float32)
+        def drawn(t, views):
+            """Picture, foreground and nearest layer [H, W] at time t, each layer k moved by the affine map views[k] after its own."""
+            image, front, nearest = np.zeros((h, w, 3), np.float32), np.zeros((h, w), np.float32), np.zeros((h, w), np.int64)
             for j, layer in enumerate(layers):
-                A = placed(layer, t)
+                A = (views[j] @ np.vstack([placed(layer, t), [0, 0, 1]]))[:2]
                 texture = cv2.warpAffine(layer['texture'], A, (w, h), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
                 m = cv2.warpAffine(layer['mask'], A, (w, h), flags=cv2.INTER_LINEAR) if j else np.ones((h, w), np.float32)
                 image += m[..., None] * (texture - image)
                 front = np.maximum(front, m) if j else front
-                if k < 2:
-                    M = np.vstack([placed(layer, 1 - t), [0, 0, 1]]) @ np.linalg.inv(np.vstack([A, [0, 0, 1]]))
-                    f = np.stack([M[0, 0] * gx + M[0, 1] * gy + M[0, 2] - gx, M[1, 0] * gx + M[1, 1] * gy + M[1, 2] - gy], -1)
-                    flow, inverse = np.where(m[..., None] > 0.5, f, flow), np.where(m > 0.5, layer['depth'], inverse)
-            frames.append(np.clip(image, 0, 1)); foregrounds.append(front)
+                nearest = np.where(m > 0.5, j, nearest)
+            return np.clip(image, 0, 1), front, nearest
+
+        straight = [np.eye(3)] * len(layers)
+        frames, flows, depths, foregrounds, turned, both = [], [], [], [], [], []
+        for k, t in enumerate(times):
+            image, front, nearest = drawn(t, straight)
+            frames.append(image); foregrounds.append(front)
             if k < 2:
-                flows.append(flow); depths.append(inverse)
+                flow = np.zeros((h, w, 2), np.float32)
+                for j, layer in enumerate(layers):
+                    A, B = (np.vstack([placed(layer, s), [0, 0, 1]]) for s in (t, 1 - t))
+                    M = B @ np.linalg.inv(A)
+                    f = np.stack([M[0, 0] * gx + M[0, 1] * gy + M[0, 2] - gx, M[1, 0] * gx + M[1, 1] * gy + M[1, 2] - gy], -1)
+                    flow = np.where((nearest == j)[..., None], f, flow)
+                flows.append(flow); depths.append(depth[nearest])
+                distance = 1 / (9.8 * depth + 0.2)
+                pivot = distance[nearest].mean()
+                for degrees in turns:
+                    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+                    views = [np.array([[c, 0, (1 - c) * (w - 1) / 2 - s * (z - pivot) * w / 2], [0, 1, 0], [0, 0, 1]]) for z in distance]
+                    image, _, seen = drawn(t, views)
+                    x = np.round(np.stack([(gx - v[0, 2]) / c for v in views])[seen, np.arange(h)[:, None], np.arange(w)]).astype(np.int64)
+                    before = nearest[np.arange(h)[:, None], np.clip(x, 0, w - 1)]
+                    turned.append(image); both.append(((x >= 0) & (x < w) & (before == seen)).astype(np.float32))
+        views = dict(turned=np.stack(turned).reshape(2, len(turns), h, w, 3), both=np.stack(both).reshape(2, len(turns), h, w)) if turns else {}
         return dict(rgb=np.stack(frames), time=times, flow=np.stack(flows).astype(np.float32), sure=np.ones((2, h, w), np.float32),
-                    depth=np.stack(depths).astype(np.float32), has_depth=np.float32(1), foreground=np.stack(foregrounds))
+                    depth=np.stack(depths).astype(np.float32), has_depth=np.float32(1), foreground=np.stack(foregrounds), **views)
 
     def still(self, step):
-        """One key frame of a procedural scene and its true inverse depth: float32 [1,3,H,W], [1,H,W]."""
+        """One key frame of a procedural scene and what stands before its background: float32 [1,3,H,W], [1,H,W]."""
         r = np.random.default_rng([self.seed, step, 1 << 23])
         s, key = self.scene(r), int(r.integers(2))
         rgb = colour_jitter(r, s['rgb'][key]).transpose(2, 0, 1)
-        return np.ascontiguousarray(rgb[None], dtype=np.float32), s['depth'][None, key]
+        return np.ascontiguousarray(rgb[None], dtype=np.float32), s['foreground'][None, key]
 
     def sample(self, r):
         s = self.scene(r) if r.random() < self.procedural else self.real(r)

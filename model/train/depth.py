@@ -3,16 +3,22 @@
 `y` is normalised inverse depth, larger is nearer. A rendering gives the mean distance of what a pixel shows; one over it is the pixel's
 nearness, an increasing affine function of `y` where one depth is seen.
 """
+import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
 
 from . import data
 from .losses import psnr
-from .rasteriser import render, render_pair
+from .rasteriser import at_times, render, render_pair, render_static, render_turned
 
 VALIDATION = 1 << 30       # seeds the scenes that are measured; training draws its samples from (seed, step, place in the batch)
 EQUAL = 1e-3               # two pixels are as near as each other when their nearness differs by less than this share
-APART = 0.1                # of the inverse-depth range: how far the second frame lies behind the first
+STEP = 0.05                # of the argument of y's tanh while it trains: from one Gaussian of a patch to the next
+UNEVEN = 0.3               # weight of what is uneven beside what is misplaced (`lean_loss`)
+STANDS = 0.5               # of the same argument: how far before and behind the middle foreground and background shall stand
+RELIEF = 0.3               # what is left of all this when the stage ends: order is the same at any scale
+APART = 0.15               # of the inverse-depth range: how far the second frame lies behind the first, 20 of the steps that are left
 
 
 def nearness(image, transmittance):
@@ -59,6 +65,45 @@ def lower_is_nearer(frames):
     return np.broadcast_to(np.arange(1.0, h + 1)[:, None], (len(frames), h, w))
 
 
+def turned_on_its_plane(image, degrees):
+    """[H, W, 3] as a camera sees it that is led around its middle: what flat depth gives."""
+    h, w = image.shape[:2]
+    c = np.cos(np.radians(degrees))
+    return cv2.warpAffine(image, np.array([[c, 0, (1 - c) * (w - 1) / 2], [0, 1, 0]]), (w, h), flags=cv2.INTER_LINEAR)
+
+
+@torch.no_grad()
+def turned_scenes(net, clips, scenes, degrees=10.0):
+    """PSNR (dB) beside true views of procedural scenes from a camera led around them by `degrees` to both sides, where they show what the key frame shows.
+
+    -> dict: `views`, the network's Gaussians from there; `flat`, its picture of the key frame turned on its plane; `true_flat`, the key frame turned on
+    its plane; `untouched`, the key frame as it is; `count` of views. The pivot is the mean distance of what is seen, in the scene and in the network's alike."""
+    h, w = net.config.resolution
+    source = data.Pairs(clips, VALIDATION, 1, middle=1)
+    sums, count = {}, 0
+    grey = torch.full((2, 3), 0.5)
+    for k in range(scenes):
+        scene = source.scene(np.random.default_rng([VALIDATION, k]), (degrees, -degrees))
+        gaussians = at_times(net(torch.from_numpy(np.ascontiguousarray(scene['rgb'][:2].transpose(0, 3, 1, 2), dtype=np.float32))), torch.tensor([[0.0, 1.0]]))
+        straight, T = render(*gaussians, h, w, grey)
+        pivot = (straight[:, 3] / (1 - T).clamp_min(1e-6)).mean((1, 2))
+        shown = lambda image: np.ascontiguousarray(image[:, :3].clamp(0, 1).permute(0, 2, 3, 1).numpy())
+        for side, angle in enumerate((degrees, -degrees)):
+            views = shown(render_turned(*gaussians, h, w, grey, angle, pivot)[0])
+            for key in (0, 1):
+                front, behind = scene['foreground'][key] > 0.99, scene['foreground'][key] < 0.01
+                if min(front.sum(), behind.sum()) < 50:
+                    continue
+                count += 1
+                both = scene['both'][key, side] > 0
+                rgb = scene['rgb'][key]
+                flat = dict(views=views[key], flat=turned_on_its_plane(shown(straight)[key], angle), true_flat=turned_on_its_plane(rgb, angle), untouched=rgb)
+                for name, image in flat.items():
+                    error = np.square(image[both] - scene['turned'][key, side][both]).mean()
+                    sums[name] = sums.get(name, 0.0) - 10 * np.log10(error + 1e-10)
+    return dict({name: round(float(v / count), 2) for name, v in sums.items()}, count=count)
+
+
 @torch.no_grad()
 def keep_frames_apart(net, step=APART):
     """One depth velocity for all Gaussians: the second frame lies `step` behind the first at every time of the interval.
@@ -69,6 +114,143 @@ def keep_frames_apart(net, step=APART):
     last.weight[1] = 0
     last.bias[1] = 20                              # tanh is 1 to the last bit
     net.gs_dynamic_predictor.dynamic_scalar[1] = step
+
+
+@torch.no_grad()
+def come_forward(net, frames, step=APART, margin=0.1):
+    """Depth velocity 0 for the first frame and `step` for the second, which so comes forward from behind: what is followed keeps its depth.
+
+    One hidden unit of each layer of the motion head (those that matter least on `frames`, pairs next to each other) opens for the second frame alone: the first
+    reads the frame's flag off the tokens by least squares, far enough that the unit is 0 to the bit where it is shut. Returns the least distance of
+    a token from the wrong side; under `margin` nothing is written. It has to be done last: training would move it."""
+    e = net.encode(frames)
+    _, token = net.static(e)
+    x = torch.cat([net.encoder_proj(token), net.gaussian_upsampler(net.decoder.transformer_decoder(e))], -1)
+    flag = torch.tensor([-1.0, 1.0], dtype=torch.float64).repeat(len(frames) // 2)[:, None].expand(x.shape[:2])
+    a = torch.cat([x, torch.ones_like(x[..., :1])], -1).flatten(0, 1).double()
+    w = torch.linalg.solve(a.T @ a + 1e-7 * len(a) * torch.eye(a.shape[1], dtype=torch.float64), a.T @ flag.flatten())
+    least = float((a @ w * flag.flatten()).min())
+    if least < margin:
+        return least
+    one, two, out = (net.gs_dynamic_predictor.gs_layer['xyz_dynamic'].layers[k] for k in '147')
+    h1 = F.silu(one(x))
+    h2 = F.silu(two(h1))
+    size = lambda h: h.pow(2).mean((0, 1)).sqrt()
+    u, v = int((two.weight.norm(dim=0) * size(h1)).argmin()), int((out.weight[[0, 2]].norm(dim=0) * size(h2)).argmin())
+    gain = 150 / margin
+    one.weight[u], one.bias[u] = gain * w[:-1].float(), gain * w[-1].float()
+    two.weight[:, u], two.weight[v], two.bias[v] = 0, 0, 0
+    two.weight[v, u] = 1
+    out.weight[:, v], out.weight[1], out.bias[1] = 0, 0, 0
+    out.weight[1, v] = 1
+    net.gs_dynamic_predictor.dynamic_scalar[1] = step
+    return least
+
+
+def position_layer(net):
+    """The linear layer whose row 1 is y."""
+    head = net.gs_predictor.predictor
+    return head.mix_layer['xyz_static_mean'] if head.sampled else head.gs_layer['xyz_static']
+
+
+def lean():
+    """[4, 4]: how much nearer than its patch each Gaussian of a patch is, in the order of storage."""
+    return STEP * (7.5 - torch.arange(16.0).view(4, 4))
+
+
+@torch.no_grad()
+def least_missed(net, frames):
+    """(channel of the first, of the second stage of the static upsampler) that the pictures of `frames` miss least."""
+    up, (h, w) = net.gs_predictor.gaussian_upsampler, net.config.resolution
+    e = net.encode(frames)
+
+    def psnr_without(*missing):
+        x, grid = e, net.config.grid
+        for i, channel in enumerate(missing):
+            x = getattr(up, f'attention_{i}')(getattr(up, f'upsampler_{i}')(x, tuple(n << i for n in grid)))
+            x[..., channel] = 0
+        image, _ = render_static(net.gs_predictor.predictor(up.layernorm2(x)), h, w, frames.new_full((len(frames), 3), 0.5))
+        return float(psnr(image[:, :3], frames).mean())
+
+    n0, n1 = up.upsampler_0.d_out, up.upsampler_1.d_out
+    return max(range(n0), key=lambda k: psnr_without(k, [])), max(range(n1), key=lambda k: psnr_without([], k))
+
+
+@torch.no_grad()
+def write_lean(net, frames):
+    """What y needs before it can learn: patches that lean, so that neighbours keep an order that pictures can be learnt in.
+
+    One channel of each stage of the static upsampler (those that `frames` miss least) holds the place in the patch, and y reads the last one alone. To the
+    first stage's channel training adds what it finds of depth; from there on the way to y is fixed (`kept_lean`). A network that has depth
+    already is scaled back to where it trains."""
+    layer = position_layer(net)
+    if layer.weight[1].any():
+        layer.weight[1] /= RELIEF
+        layer.bias[1] /= RELIEF
+        return
+    up = net.gs_predictor.gaussian_upsampler
+    c0, c1 = least_missed(net, frames)
+    place = torch.arange(2.0)[:, None] * 4 + torch.arange(2.0)                     # the order of storage: rows of four
+    unit = 0.2
+    for i, c, p in ((0, c0, 2 * place), (1, c1, place)):
+        fc, stack = getattr(up, f'upsampler_{i}').residual_fc, getattr(up, f'attention_{i}')
+        fc.weight.view(-1, 4, fc.in_features)[c] = 0
+        fc.bias.view(-1, 4)[c] = unit * (p.mean() - p).flatten()
+        for block in stack.resblocks:
+            block.mlp.c_fc.weight[:, c] = 0
+            block.mlp.c_proj.weight[c] = 0
+            block.attn.out_proj.weight[c], block.attn.out_proj.bias[c] = 0, 0
+    up.upsampler_1.residual_fc.weight.view(-1, 4, up.upsampler_0.d_out)[c1, :, c0] = 1
+    net.encoder_proj.weight[:, c1] = 0
+    for name in ('scale', 'opacity', 'rgb'):
+        net.gs_predictor.predictor.gs_layer[name].weight[:, c1] = 0
+    layer.weight[:, c1] = 0
+    token = up(net.encode(frames))[..., c1].unflatten(1, (net.config.splat_grid[0] // 4, 4, -1, 4))
+    want = lean().to(token)[:, None, :].expand_as(token)
+    layer.weight[1, c1] = (want * token).sum() / token.pow(2).sum()
+
+
+def kept_lean(net):
+    """Hooks that leave the way from the first stage's channel to y as `write_lean` wrote it."""
+    layer, up = position_layer(net), net.gs_predictor.gaussian_upsampler
+    c = int(layer.weight[1].abs().argmax())
+
+    def without(rows):
+        def hook(g):
+            g = g.clone()
+            g[rows] = 0
+            return g
+        return hook
+
+    four = slice(4 * c, 4 * c + 4)
+    fixed = [(up.upsampler_1.residual_fc.weight, four), (up.upsampler_1.residual_fc.bias, four), (up.layernorm2.weight, c), (layer.weight, 1)]
+    fixed += [(block.mlp.c_proj.weight, c) for block in up.attention_1.resblocks]
+    return [p.register_hook(without(rows)) for p, rows in fixed if p.requires_grad]
+
+
+@torch.no_grad()
+def settle(net):
+    """Depth as it trained, brought to the scale at which it is kept."""
+    layer = position_layer(net)
+    layer.weight[1] *= RELIEF
+    layer.bias[1] *= RELIEF
+
+
+def lean_loss(y, splat_grid, front):
+    """How far y [B, N] is from patches that lean and stand where they should: (uneven, misplaced).
+
+    `uneven`: the mean square by which Gaussians miss their place in their patch, in steps. `misplaced`: that by which the patches of the last
+    len(front) frames miss STANDS where `front` [.., H, W] is 1 and -STANDS where it is 0, in parts of it. Both sides of a frame count alike, so what is
+    uncertain stands in between; frames with one side only do not count."""
+    o = torch.atanh((2 * y - 1).clamp(-0.999, 0.999)).unflatten(1, (splat_grid[0] // 4, 4, splat_grid[1] // 4, 4))
+    rest = o - lean()[:, None, :].to(o)
+    patch = rest.mean((2, 4))
+    uneven = ((rest - patch[:, :, None, :, None]) / STEP).pow(2).mean()
+    f = F.avg_pool2d(front[:, None], front.shape[1] // patch.shape[1]).flatten(1)
+    p = patch[-len(f):].flatten(1) / STANDS
+    sides = torch.stack([f.sum(1), (1 - f).sum(1)])
+    error = 0.5 * (f * (p - 1).pow(2)).sum(1) / (sides[0] + 1) + 0.5 * ((1 - f) * (p + 1).pow(2)).sum(1) / (sides[1] + 1)
+    return uneven, (error * (sides.amin(0) >= 1)).mean()
 
 
 ORDERS = ('storage', 'lowest row first', 'rightmost first in each row', 'patches at random', 'at random')

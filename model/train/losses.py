@@ -33,18 +33,6 @@ def kept_local(g, splat_grid, weight=20.0):
     return dict(g, scale=g['scale'].clamp(max=most)), weight * torch.log1p(excess).mean()
 
 
-def shift_scale(x):
-    """tau(x) = (x - median) / mean|x - median| per row."""
-    x = x - x.median(1, keepdim=True).values
-    return x / (x.abs().mean(1, keepdim=True) + 1e-3)
-
-
-def depth_loss(predicted, truth, width=1.0, weight=0.05):
-    """Scale-and-shift-invariant comparison of maps [B, H, W], weighted down where it disagrees wildly (weight detached)."""
-    error = (shift_scale(predicted.flatten(1)) - shift_scale(truth.flatten(1))).abs().mean(1)
-    return (weight * torch.sigmoid(-error.detach() / width) * error).mean()
-
-
 def splat_flow(flow, sure, splat_grid):
     """Pixel flow [B,2,2,H,W] -> velocity target (x, z) [2B,N,2] in world units per interval on the splat grid, and its weight [2B,N].
 

@@ -1,6 +1,7 @@
 """Differentiable splatting and StreamSplat's Gaussians in time: rasteriser.cpp on the CPU (compiled on first use), rasteriser_triton.py on CUDA."""
 import ctypes
 import hashlib
+import math
 import os
 import pathlib
 import subprocess
@@ -93,9 +94,8 @@ def render_static(g, H, W, background, full=None, offset=(0, 0), kernels=None):
     return render(g['xyz'], g['scale'], g['opacity'][..., 0], g['rgb'], H, W, background, full, offset, kernels)
 
 
-def render_pair(g, times, H, W, background, kernels=None):
-    """Both frames' Gaussians [B,2,N,.], or the first one's alone [B,1,N,.], at `times` [B,K] in [0,1], background [B,K,3]
-    -> image [B,K,4,H,W], T [B,K,H,W]."""
+def at_times(g, times):
+    """Both frames' Gaussians [B,2,N,.], or the first one's alone [B,1,N,.], at `times` [B,K] in [0,1] -> xyz, scale, opacity, rgb [B*K,F*N,.]."""
     B, F, N, _ = g['xyz'].shape
     K = times.shape[1]
     dt = times[:, :, None, None] - times.new_tensor([0.0, 1.0])[:F].view(1, 1, F, 1)                   # [B,K,F,1]
@@ -103,5 +103,25 @@ def render_pair(g, times, H, W, background, kernels=None):
     opacity = g['opacity'][:, None, ..., 0] * opacity_at(g['gamma'][:, None], dt)
     flat = lambda a: a.reshape(B * K, F * N, a.shape[-1])
     spread = lambda a: flat(a[:, None].expand(B, K, *a.shape[1:]))
-    image, T = render(flat(xyz), spread(g['scale']), opacity.reshape(B * K, F * N), spread(g['rgb']), H, W, background.reshape(B * K, 3), kernels=kernels)
+    return flat(xyz), spread(g['scale']), opacity.reshape(B * K, F * N), spread(g['rgb'])
+
+
+def render_pair(g, times, H, W, background, kernels=None):
+    """Gaussians of pairs at `times` (`at_times`), background [B,K,3] -> image [B,K,4,H,W], T [B,K,H,W]."""
+    B, K = times.shape
+    image, T = render(*at_times(g, times), H, W, background.reshape(B * K, 3), kernels=kernels)
     return image.view(B, K, 4, H, W), T.view(B, K, H, W)
+
+
+def render_turned(xyz, scale, opacity, rgb, H, W, background, degrees, pivot):
+    """As `render`, by an orthographic camera that is led around the vertical line through the optical axis at distance `pivot` [M]; the scale
+    along the optical axis is the mean of the two others."""
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    y = xyz[..., 1]
+    behind = 1.0 / (9.8 * y.clamp(0, 1) + 0.2 + 1e-6) - pivot[:, None]
+    x, distance = c * xyz[..., 0] - s * behind, pivot[:, None] + s * xyz[..., 0] + c * behind
+    u, v = ((x + 1) * W - 1) * 0.5, ((1 - xyz[..., 2]) * H - 1) * 0.5
+    variance_x = (c * scale[..., 0]) ** 2 + (s * scale.mean(-1)) ** 2
+    visible = ((y >= 0) & (y <= 1) & (distance > 0)).to(y.dtype)
+    P = torch.stack([u, v, variance_x * (W / 2) ** 2 + 0.3, (scale[..., 1] * H / 2) ** 2 + 0.3, opacity * visible], -1)
+    return splat(P, torch.cat([rgb, distance[..., None]], -1), distance, torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W)

@@ -162,23 +162,29 @@ def static(net, o, run, clips, state=None):
     if o.depth:
         if o.crop:
             raise ValueError('--depth takes whole frames: no --crop')
-        depth.keep_frames_apart(net)
+        if not state:
+            depth.keep_frames_apart(net)
+            depth.write_lean(net, torch.from_numpy(data.Frames(clips, o.seed, 2).batch(1 << 22)[0]).to(next(net.parameters()).device))
     stage = Stage('static', net, static_groups(net, o.attention, o.encoder, o.rate), run, o.steps, o.minutes)
     stage.resume(state)
-    return _static(stage, net, o, clips, o.encoder)
+    _static(stage, net, o, clips, o.encoder)
+    if o.depth and stage.progress.at(stage.step) >= 1:
+        depth.settle(net)
+        run.save(stage.state(done=True))
+    return stage
 
 
 def _static(stage, net, o, clips, encoder):
     h, w = net.config.resolution
     source = data.Frames(clips, o.seed, o.batch, None if not o.crop else tuple(o.crop))
     scenes = data.Pairs(clips, o.seed, 1, middle=0) if o.depth else None
-    hooks = [] if o.depth else flat_depth(net)
+    hooks = depth.kept_lean(net) if o.depth else flat_depth(net)
     sampled = net.gs_predictor.predictor.sampled
 
     def loss_of(step, f):
         x, place = source.batch(step)
         if scenes:                                # the last one of the batch is a scene whose depth is known
-            scene, inverse = scenes.still(step)
+            scene, front = scenes.still(step)
             x = np.concatenate([x, scene])
         x = torch.from_numpy(x).to(stage.device)
         grid = (x.shape[2] // 8, x.shape[3] // 8)
@@ -194,12 +200,15 @@ def _static(stage, net, o, clips, encoder):
         image, T = render_static(g, x.shape[2], x.shape[3], background, (h, w), (place[0] * 8, place[1] * 8), o.rasteriser)
         # a crop's rim lacks the neighbours that the full frame has
         m = 8 if grid != net.config.grid else 0
+        depths = {}
         inner = (slice(None), slice(None), slice(m, x.shape[2] - m), slice(m, x.shape[3] - m))
         a, b = image[:, :3][inner], x[inner]
         loss = losses.log_error(a, b) + o.gradient * losses.gradient_l1(a, b) + wide
         if scenes:
-            loss = loss + losses.depth_loss(depth.nearness(image, T)[-1:], torch.from_numpy(inverse).to(stage.device), weight=o.depth)
-        return loss, dict(wide=float(wide.detach()), key=float(losses.psnr(a.detach(), b).mean()), transmittance=float(T.mean()))
+            uneven, misplaced = depth.lean_loss(g['xyz'][..., 1], net.config.splat_grid, torch.from_numpy(front).to(stage.device))
+            loss = loss + o.depth * (depth.UNEVEN * uneven + misplaced)
+            depths = dict(uneven=float(uneven.detach()), misplaced=float(misplaced.detach()))
+        return loss, dict(depths, wide=float(wide.detach()), key=float(losses.psnr(a.detach(), b).mean()), transmittance=float(T.mean()))
 
     stage.go(loss_of, o.until)
     for hook in hooks:

@@ -71,7 +71,7 @@ def test_order_says_what_depth_there_is_and_what_order_is_worth(folder, tmp_path
     main(['order', '--clips', str(folder), '--run', str(run), '--scenes', '8', '--out', str(tmp_path / 'order.json')])
     got = json.loads((tmp_path / 'order.json').read_text())
     assert got['rendered']['pixels'] == 0.5 and got['rendered']['count'] == got['lower_is_nearer']['count'] > 0
-    assert got['lower_is_nearer']['pixels'] != 0.5 and len(got['key_psnr_by_order']) == 6
+    assert got['lower_is_nearer']['pixels'] != 0.5 and len(got['key_psnr_by_order']) == 6 and got['turned_by_10_degrees']['count'] > 0
 
 
 def test_packed_clips_are_the_same_pictures_at_the_models_size(folder, tmp_path):

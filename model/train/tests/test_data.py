@@ -1,6 +1,6 @@
 import numpy as np
 
-from train import data
+from train import data, depth
 
 
 def test_a_batch_depends_on_seed_and_step_alone(clips):
@@ -40,3 +40,18 @@ def test_both_directions_and_all_gaps_occur(clips):
     pairs = data.Pairs(clips, 0, 1, procedural=0.0, gaps=(2, 6))
     times = np.concatenate([pairs.real(np.random.default_rng(i))['time'][2:] for i in range(60)])
     assert times.min() > 0 and times.max() < 1 and len(set(np.round(times, 3))) > 6
+
+
+def test_a_scene_from_where_it_is_seen_is_the_scene_and_a_plane_from_the_side_is_squeezed(clips):
+    source, planes = data.Pairs(clips, 0, 1, middle=1), 0
+    for k in range(12):
+        s = source.scene(np.random.default_rng(k), (0.0, 10.0))
+        np.testing.assert_allclose(s['turned'][:, 0], s['rgb'][:2], atol=1e-5)
+        assert s['both'][:, 0].all() and s['both'][:, 1].mean() > 0.5
+        if not s['foreground'].any():
+            planes += 1
+            got = np.stack([depth.turned_on_its_plane(image, 10.0) for image in s['rgb'][:2]])
+            assert np.abs(got - s['turned'][:, 1])[s['both'][:, 1] > 0].mean() < 0.02
+        else:                                          # what is hidden from here and seen from there does not count
+            assert (s['both'][:, 1, :, 2:-2] == 0).any() or not (s['foreground'][:2] > 0.99).any()
+    assert planes

@@ -65,7 +65,7 @@ def test_frames_kept_apart_are_composited_as_with_equal_depths(net):
 
 @torch.no_grad()
 def test_the_second_frame_lies_behind_the_first_at_every_time(net):
-    net.gs_predictor.predictor.gs_layer['xyz_static'].weight[1] = 0.003
+    net.gs_predictor.predictor.gs_layer['xyz_static'].weight[1] = 0.0005
     depth.keep_frames_apart(net)
     g = net(torch.rand(2, 3, 48, 64))
     y, v = g['xyz'][0, :, :, 1], g['velocity'][0, :, :, 1]
@@ -85,3 +85,64 @@ def test_storage_order_is_how_equal_depths_are_composited_and_others_are_not(net
     for order in depth.ORDERS:
         assert depth.keys_of(order, (12, 16), torch.Generator().manual_seed(0)).unique().numel() == 12 * 16, order
     assert len(set(got.values())) > 1
+
+
+@pytest.fixture
+def leaning(net):
+    """A network as the start leaves it where it matters: tokens with a constant, residual branches that add nothing."""
+    up = net.gs_predictor.gaussian_upsampler
+    for _, last, _ in network.branches(net):
+        for p in last.parameters():
+            p.zero_()
+    up.upsampler_1.residual_fc.bias.view(-1, 4)[-4:] = 20
+    depth.write_lean(net, torch.rand(1, 3, 48, 64))
+    return net
+
+
+@torch.no_grad()
+def test_patches_lean_in_the_order_of_storage_and_stand_level(leaning):
+    g, _ = leaning.static(leaning.encode(torch.rand(2, 3, 48, 64)))
+    uneven, _ = depth.lean_loss(g['xyz'][..., 1], (24, 32), torch.zeros(1, 48, 64))
+    assert float(uneven) < 0.1
+    patches = g['xyz'][..., 1].unflatten(1, (6, 4, 8, 4)).permute(0, 1, 3, 2, 4).flatten(-2)
+    assert (patches.diff() < 0).all()
+
+
+@torch.no_grad()
+def test_what_settles_keeps_its_order_and_is_scaled_back_where_it_goes_on(leaning):
+    frames, row = torch.rand(2, 3, 48, 64), depth.position_layer(leaning).weight[1].clone()
+    y = lambda: leaning.static(leaning.encode(frames))[0]['xyz'][..., 1]
+    before = y()
+    depth.settle(leaning)
+    after = y()
+    assert (after.gather(1, before.argsort(1)).diff() > -1e-6).all() and float(after.max() - after.min()) < 0.5 * float(before.max() - before.min())
+    depth.write_lean(leaning, frames)
+    torch.testing.assert_close(depth.position_layer(leaning).weight[1], row)
+
+
+def test_depth_learns_before_the_last_channel_and_not_behind_it(leaning):
+    up = leaning.requires_grad_(True).gs_predictor.gaussian_upsampler
+    hooks = depth.kept_lean(leaning)
+    y = leaning.static(leaning.encode(torch.rand(2, 3, 48, 64)))[0]['xyz'][..., 1]
+    sum(depth.lean_loss(y, (24, 32), torch.rand(2, 48, 64).round())).backward()
+    c = int(depth.position_layer(leaning).weight[1].abs().argmax())
+    assert up.upsampler_0.residual_fc.weight.grad.any() and not depth.position_layer(leaning).weight.grad[1].any()
+    assert not up.upsampler_1.residual_fc.weight.grad[4 * c:4 * c + 4].any() and not up.attention_1.resblocks[0].mlp.c_proj.weight.grad[c].any()
+    for hook in hooks:
+        hook.remove()
+
+
+def test_foreground_in_front_is_no_loss_and_behind_it_is_one():
+    front = torch.zeros(2, 48, 64)
+    front[0, 8:24, 16:32] = 1
+    stands = torch.nn.functional.avg_pool2d(front, 8).mul(2).sub(1).mul(depth.STANDS).repeat_interleave(4, 1).repeat_interleave(4, 2)
+    y = lambda sign: (0.5 + 0.5 * torch.tanh(sign * stands + depth.lean().repeat(6, 8))).flatten(1)
+    for sign, want in ((1.0, 0.0), (0.0, 1.0 / 2), (-1.0, 4.0 / 2)):           # the second frame has no foreground and does not count
+        uneven, misplaced = depth.lean_loss(y(sign), (24, 32), front)
+        assert float(uneven) < 1e-6 and float(misplaced) == pytest.approx(want, rel=0.25, abs=1e-6)
+
+
+@torch.no_grad()
+def test_flat_depth_from_the_side_is_the_picture_turned_on_its_plane(net, clips):
+    got = depth.turned_scenes(net, clips, 8)
+    assert got['count'] > 0 and got['count'] % 2 == 0 and abs(got['views'] - got['flat']) < 0.5

@@ -15,7 +15,7 @@ const CAMERAS = {
   "from the left": { position: [-0.9, -0.4, -1.1], look_at: [0, 0, 0.3] },
   "from the lower right": { position: [0.8, 0.7, -1.2], look_at: [0.1, 0, 0.3] },
 };
-/** The embedded model's Gaussians are many and in one plane; those of a small model with seeded weights few, large, and at all depths. */
+/** The embedded model's Gaussians are many and nearly in one plane; those of a small model with seeded weights few, large, and at all depths. */
 const SCENES = { embedded: [], seeded: ["--model", "fixtures/parity/tiny-nodino.safetensors"] };
 const TIME = "0.06";
 
