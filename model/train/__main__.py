@@ -107,7 +107,11 @@ def export(o):
         print('silenced:', *network.silence(net, o.silence))
     if o.forward:
         clips = load_clips(o, net.config.resolution)
-        print('least margin of the frame\'s flag:', depth.come_forward(net, torch.from_numpy(np.concatenate([c[[0, 5]] for c in clips[::6]])).permute(0, 3, 1, 2).float() / 255))
+        frames = torch.from_numpy(np.concatenate([c[[0, 5]] for c in clips[::6]])).permute(0, 3, 1, 2).float() / 255
+        margin = depth.come_forward(net, frames)
+        if margin < depth.MARGIN:
+            raise SystemExit(f'{o.out}: not written: the frame a token is of is read off it with a margin of {margin:.3f}, expected at least {depth.MARGIN}')
+        print(f'least margin of the frame a token is of: {margin:.3f}')
     network.save_official(net, o.out, dict(f16=torch.float16, bf16=torch.bfloat16, f32=torch.float32)[o.dtype])
 
 

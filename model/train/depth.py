@@ -19,6 +19,7 @@ UNEVEN = 0.3               # weight of what is uneven beside what is misplaced (
 STANDS = 0.5               # of the same argument: how far before and behind the middle foreground and background shall stand
 RELIEF = 0.3               # what is left of all this when the stage ends: order is the same at any scale
 APART = 0.15               # of the inverse-depth range: how far the second frame lies behind the first, 20 of the steps that are left
+MARGIN = 0.1               # of the frame a token is of, told as -1 and 1: less and the gate of `come_forward` would not be shut
 
 
 def nearness(image, transmittance):
@@ -117,7 +118,7 @@ def keep_frames_apart(net, step=APART):
 
 
 @torch.no_grad()
-def come_forward(net, frames, step=APART, margin=0.1):
+def come_forward(net, frames, step=APART, margin=MARGIN):
     """Depth velocity 0 for the first frame and `step` for the second, which so comes forward from behind: what is followed keeps its depth.
 
     One hidden unit of each layer of the motion head (those that matter least on `frames`, pairs next to each other) opens for the second frame alone: the first

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from conftest import FIXTURES
 from train import data, depth, network
 from train.rasteriser import render_pair, render_static
 
@@ -72,6 +73,27 @@ def test_the_second_frame_lies_behind_the_first_at_every_time(net):
     assert 0 < float(y.max() - y.min()) < depth.APART and v.unique().numel() == 1
     for t in (0.0, 0.4, 1.0):
         assert float((y[0] + t * v[0]).min()) > float((y[1] + (t - 1) * v[1]).max())
+
+
+@torch.no_grad()
+def test_what_ships_keeps_the_first_frames_depth_and_brings_the_second_forward():
+    net = network.open_official(FIXTURES / 'lite' / 'lite.safetensors')
+    frames = torch.nn.functional.interpolate(torch.rand(4, 3, 18, 32, generator=torch.Generator().manual_seed(0)), size=net.config.resolution, mode='bicubic').clamp(0, 1)
+    before = net(frames)
+    assert not before['velocity'][:, 0, :, 1].any()
+    assert (before['velocity'][:, 1, :, 1] - depth.APART).abs().max() < 2e-4
+    # Written once more it opens the same gate, and the motion that is seen stays.
+    assert depth.come_forward(net, frames) >= 0.1
+    after = net(frames)
+    assert not after['velocity'][:, 0, :, 1].any() and (after['velocity'][:, 1, :, 1] - depth.APART).abs().max() < 2e-4
+    assert (after['velocity'] - before['velocity']).pow(2).mean().sqrt() < 0.05 * before['velocity'][..., ::2].pow(2).mean().sqrt()
+
+
+@torch.no_grad()
+def test_nothing_is_written_where_the_frames_cannot_be_told_apart(net):
+    kept = {k: v.clone() for k, v in net.state_dict().items()}
+    assert depth.come_forward(net, torch.rand(1, 3, 48, 64).repeat(2, 1, 1, 1), margin=0.9) < 0.9
+    assert all(torch.equal(v, kept[k]) for k, v in net.state_dict().items())
 
 
 @torch.no_grad()
