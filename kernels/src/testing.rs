@@ -1,7 +1,7 @@
 //! What the kernels' tests share.
 
 use crate::Level;
-use crate::simd::with_every_dot_product;
+use crate::simd::DotProducts;
 
 /// `len` values between −1 and 1 that follow from `seed`.
 pub(crate) fn noise(len: usize, seed: u32) -> Vec<f32> {
@@ -23,20 +23,24 @@ pub(crate) fn bits(x: &[f32]) -> Vec<u32> {
 /// What `compute` writes on the scalar level with one thread, after it has written the same bits on every level with 1, 2, 3
 /// and 8 threads, and with every set of dot products that the CPU has. The output holds 0.5 before.
 pub(crate) fn on_every_level_and_thread_count(len: usize, compute: impl Fn(Level, &mut [f32]) + Sync) -> Vec<f32> {
-    let run = |level, threads| {
+    let run = |level, threads, dots: Option<DotProducts>| {
         let mut out = vec![0.5; len];
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .start_handler(move |_| dots.into_iter().for_each(DotProducts::use_in_this_thread))
+            .build()
+            .expect("threads start");
         pool.install(|| compute(level, &mut out));
         out
     };
-    let expected = run(Level::scalar(), 1);
+    let expected = run(Level::scalar(), 1, None);
     for level in Level::available() {
         for threads in [1, 2, 3, 8] {
-            assert!(bits(&run(level, threads)) == bits(&expected), "{level} with {threads} threads differs");
+            assert!(bits(&run(level, threads, None)) == bits(&expected), "{level} with {threads} threads differs");
         }
-        with_every_dot_product(level, |dots| {
-            assert!(bits(&run(level, 2)) == bits(&expected), "{level} with dot products {dots} differs");
-        });
+        for dots in DotProducts::available(level) {
+            assert!(bits(&run(level, 2, Some(dots))) == bits(&expected), "{level} with {dots:?} differs");
+        }
     }
     expected
 }

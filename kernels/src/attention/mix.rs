@@ -38,8 +38,8 @@ pub(super) trait Mix: 'static {
     /// Keys of one word.
     const KEYS: usize;
 
-    /// Turns scores `[keys][16]`, of which the first `present` count, into words of weights `[words][16]`. `largest` is the largest score,
-    /// `reference` what it was so far.
+    /// Turns scores `[keys][16]`, of which the first `present` count, into words of weights `[words][16]`. `largest` is the largest score of
+    /// these, `reference` the `M` before them; a score times `scale` is a logit.
     fn weigh<S: Simd>(
         s: S,
         scores: &mut [f32],
@@ -49,8 +49,11 @@ pub(super) trait Mix: 'static {
         reference: S::F32,
     ) -> Weighed<S>;
 
-    /// Adds a block's sums of a channel, whose values have the scale `scale`, to those before.
-    fn add<S: Simd>(s: S, before: S::F32, block: S::F32, weighed: &Weighed<S>, scale: f32) -> S::F32;
+    /// Adds a block's sums of a channel, whose values have the scale `scale` where there are scales, to those before.
+    #[inline(always)]
+    fn add<S: Simd>(s: S, before: S::F32, block: S::F32, weighed: &Weighed<S>, _scale: f32) -> S::F32 {
+        s.mul_add(before, weighed.before, block)
+    }
 
     /// Row word `i` of 16 channels, from `c` on, of a block of values; `inverse` is that of the channels' scales.
     fn row_word<S: Simd>(s: S, i: usize, values: &Values<'_>, c: usize, inverse: S::F32) -> S::F32;
@@ -94,11 +97,6 @@ impl Mix for Singly {
         }
         weighed.total = s.add(s.add(sums[0], sums[1]), s.add(sums[2], sums[3]));
         weighed
-    }
-
-    #[inline(always)]
-    fn add<S: Simd>(s: S, before: S::F32, block: S::F32, weighed: &Weighed<S>, _: f32) -> S::F32 {
-        s.mul_add(before, weighed.before, block)
     }
 
     #[inline(always)]
@@ -148,11 +146,6 @@ impl Mix for InPairs {
         }
         weighed.total = s.add(s.add(sums[0], sums[1]), s.add(sums[2], sums[3]));
         weighed
-    }
-
-    #[inline(always)]
-    fn add<S: Simd>(s: S, before: S::F32, block: S::F32, weighed: &Weighed<S>, _: f32) -> S::F32 {
-        s.mul_add(before, weighed.before, block)
     }
 
     #[inline(always)]

@@ -259,43 +259,60 @@ impl Multiply for Bytes {
         panels: [*const u32; NV],
         words: usize,
     ) -> Tile<S, MR, NV> {
-        let mut acc = [[s.splat_i32(0); NV]; MR];
-        for i in 0..words {
-            // SAFETY: the caller's; i < words.
-            unsafe {
-                if S::BYTE_DOT {
-                    let b = panels.map(|panel| panel.add(i * LANES).cast::<f32>());
-                    for r in 0..MR {
-                        let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
-                        for v in 0..NV {
-                            acc[r][v] = s.dot_bytes(acc[r][v], a, s.to_bits(s.load_ptr(b[v])));
-                        }
-                    }
-                    continue;
-                }
-                for half in 0..2 {
-                    let mut b = [s.splat_i32(0); NV];
-                    for v in 0..NV {
-                        let word = s.load_ptr(again(panels[v].add(i * LANES)).cast());
-                        b[v] = s.split_bytes(s.to_bits(word))[half];
-                    }
-                    for r in 0..MR {
-                        let a = s.splat_i32((*rows.add((2 * i + half) * MR + r)).cast_signed());
-                        for v in 0..NV {
-                            acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, b[v]));
-                        }
-                    }
-                }
-            }
-        }
-        let mut tile = [[s.splat(0.0); NV]; MR];
-        for r in 0..MR {
-            for v in 0..NV {
-                tile[r][v] = s.from_bits(acc[r][v]);
-            }
-        }
-        tile
+        // SAFETY: the caller's.
+        unsafe { multiply_bytes::<S, MR, NV, true>(s, rows, panels, words) }
     }
+}
+
+/// [`Multiply::multiply`] of bytes, with the panels' bytes or else the rows' (as the instruction has them) signed.
+///
+/// # Safety
+/// As [`Multiply::multiply`].
+#[inline(always)]
+unsafe fn multiply_bytes<S: Simd, const MR: usize, const NV: usize, const SIGNED: bool>(
+    s: S,
+    rows: *const u32,
+    panels: [*const u32; NV],
+    words: usize,
+) -> Tile<S, MR, NV> {
+    let mut acc = [[s.splat_i32(0); NV]; MR];
+    for i in 0..words {
+        // SAFETY: the caller's; i < words.
+        unsafe {
+            if S::BYTE_DOT {
+                let b = panels.map(|panel| panel.add(i * LANES).cast::<f32>());
+                for r in 0..MR {
+                    let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
+                    for v in 0..NV {
+                        let b = s.to_bits(s.load_ptr(b[v]));
+                        let (unsigned, signed) = if SIGNED { (a, b) } else { (b, a) };
+                        acc[r][v] = s.dot_bytes(acc[r][v], unsigned, signed);
+                    }
+                }
+                continue;
+            }
+            for half in 0..2 {
+                let mut b = [s.splat_i32(0); NV];
+                for v in 0..NV {
+                    let word = s.to_bits(s.load_ptr(again(panels[v].add(i * LANES)).cast()));
+                    b[v] = if SIGNED { s.split_bytes(word)[half] } else { Portions::halves(s, word)[half] };
+                }
+                for r in 0..MR {
+                    let a = s.splat_i32((*rows.add((2 * i + half) * MR + r)).cast_signed());
+                    for v in 0..NV {
+                        acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, b[v]));
+                    }
+                }
+            }
+        }
+    }
+    let mut tile = [[s.splat(0.0); NV]; MR];
+    for r in 0..MR {
+        for v in 0..NV {
+            tile[r][v] = s.from_bits(acc[r][v]);
+        }
+    }
+    tile
 }
 
 impl Form for Bytes {
@@ -342,7 +359,7 @@ pub(crate) struct Portions;
 impl Multiply for Portions {
     #[inline(always)]
     fn row_words_of_a_word<S: Simd>() -> usize {
-        if S::BYTE_DOT { 1 } else { 2 }
+        Bytes::row_words_of_a_word::<S>()
     }
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
@@ -351,44 +368,8 @@ impl Multiply for Portions {
         panels: [*const u32; NV],
         words: usize,
     ) -> Tile<S, MR, NV> {
-        let mut acc = [[s.splat_i32(0); NV]; MR];
-        for i in 0..words {
-            // SAFETY: the caller's; i < words.
-            unsafe {
-                let mut b = [s.splat_i32(0); NV];
-                for v in 0..NV {
-                    b[v] = s.to_bits(s.load_ptr(panels[v].add(i * LANES).cast()));
-                }
-                if S::BYTE_DOT {
-                    for r in 0..MR {
-                        let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
-                        for v in 0..NV {
-                            acc[r][v] = s.dot_bytes(acc[r][v], b[v], a);
-                        }
-                    }
-                    continue;
-                }
-                for half in 0..2 {
-                    let mut pairs = [s.splat_i32(0); NV];
-                    for v in 0..NV {
-                        pairs[v] = Self::halves(s, b[v])[half];
-                    }
-                    for r in 0..MR {
-                        let a = s.splat_i32((*rows.add((2 * i + half) * MR + r)).cast_signed());
-                        for v in 0..NV {
-                            acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, pairs[v]));
-                        }
-                    }
-                }
-            }
-        }
-        let mut tile = [[s.splat(0.0); NV]; MR];
-        for r in 0..MR {
-            for v in 0..NV {
-                tile[r][v] = s.from_bits(acc[r][v]);
-            }
-        }
-        tile
+        // SAFETY: the caller's.
+        unsafe { multiply_bytes::<S, MR, NV, false>(s, rows, panels, words) }
     }
 }
 

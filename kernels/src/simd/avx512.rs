@@ -66,7 +66,7 @@ impl Dots {
     pub(super) fn detect() -> Dots {
         static DOTS: OnceLock<Dots> = OnceLock::new();
         #[cfg(test)]
-        if let Some(dots) = *ASKED.read().expect("no test panics while it changes this") {
+        if let Some(dots) = ASKED.get() {
             return dots;
         }
         *DOTS.get_or_init(|| {
@@ -74,24 +74,13 @@ impl Dots {
             Self::available().into_iter().rfind(worth).unwrap_or(Dots::None)
         })
     }
-
-    /// Calls `test` once for each of those available, while [`Dots::detect`] gives that one everywhere.
-    #[cfg(test)]
-    pub(super) fn with_each(test: impl Fn(Dots)) {
-        static ONE_AT_A_TIME: std::sync::Mutex<()> = std::sync::Mutex::new(());
-        // A test that failed inside has told so itself.
-        let _one = ONE_AT_A_TIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        for dots in Self::available() {
-            *ASKED.write().expect("no test panics while it changes this") = Some(dots);
-            test(dots);
-        }
-        *ASKED.write().expect("no test panics while it changes this") = None;
-    }
 }
 
-/// What tests ask for instead of what is found.
 #[cfg(test)]
-static ASKED: std::sync::RwLock<Option<Dots>> = std::sync::RwLock::new(None);
+thread_local! {
+    /// What a test asks for instead of what is found.
+    pub(super) static ASKED: std::cell::Cell<Option<Dots>> = const { std::cell::Cell::new(None) };
+}
 
 fn is_intel() -> bool {
     let vendor = __cpuid(0);

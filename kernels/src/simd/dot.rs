@@ -110,16 +110,18 @@ mod tests {
     use super::*;
     use crate::Level;
     use crate::gemm::round_bf16_scalar;
-    use crate::simd::{dispatch, dispatch_dot, with_every_dot_product};
+    use crate::simd::{DotProducts, dispatch, dispatch_dot};
 
     #[test]
     fn dot_products_have_their_known_answers_on_every_level() {
         let expected = known_answers();
         for level in Level::available() {
             assert!(dispatch(level, Answers) == expected, "{level}");
-            with_every_dot_product(level, |dots| {
-                assert!(dispatch_dot(level, Answers) == expected, "{level} with dot products {dots}");
-            });
+            assert!(dispatch_dot(level, Answers) == expected, "{level} with its dot products");
+            for dots in DotProducts::available(level) {
+                dots.use_in_this_thread();
+                assert!(dispatch_dot(level, Answers) == expected, "{level} with {dots:?}");
+            }
         }
     }
 
@@ -143,9 +145,11 @@ mod tests {
             pair(of(2 * i), of(2 * i + 1)).cast_signed()
         });
         for level in Level::available() {
-            with_every_dot_product(level, |dots| {
-                assert_eq!(dispatch_dot(level, Pairs(a, b)), expected, "{level} with dot products {dots}");
-            });
+            assert_eq!(dispatch_dot(level, Pairs(a, b)), expected, "{level}");
+            for dots in DotProducts::available(level) {
+                dots.use_in_this_thread();
+                assert_eq!(dispatch_dot(level, Pairs(a, b)), expected, "{level} with {dots:?}");
+            }
         }
     }
 

@@ -353,15 +353,28 @@ pub fn dispatch_dot<O: Operation>(level: Level, operation: O) -> O::Output {
     dispatch(level, operation)
 }
 
-/// Calls `test` once for every set of dot products that the CPU has at a level, while [`dispatch_dot`] uses that set in the whole process.
+/// A set of dot products that [`dispatch_dot`] can be asked to use.
 #[cfg(test)]
-pub(crate) fn with_every_dot_product(level: Level, test: impl Fn(&str)) {
-    #[cfg(target_arch = "x86_64")]
-    if level.0 == Kind::Avx512 {
-        return avx512::Dots::with_each(|dots| test(&format!("{dots:?}")));
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DotProducts(#[cfg(target_arch = "x86_64")] avx512::Dots);
+
+#[cfg(test)]
+impl DotProducts {
+    /// The sets that the CPU has at a level.
+    pub(crate) fn available(level: Level) -> Vec<Self> {
+        #[cfg(target_arch = "x86_64")]
+        if level.0 == Kind::Avx512 {
+            return avx512::Dots::available().into_iter().map(Self).collect();
+        }
+        let _ = level;
+        Vec::new()
     }
-    let _ = level;
-    test("None");
+
+    /// Lets this thread use this set from now on: what one call has packed, the next has to read.
+    pub(crate) fn use_in_this_thread(self) {
+        #[cfg(target_arch = "x86_64")]
+        avx512::ASKED.set(Some(self.0));
+    }
 }
 
 #[cfg(test)]
