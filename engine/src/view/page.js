@@ -30,6 +30,7 @@ const state = {
 /** Whether the next frame must be drawn although nothing plays. */
 let stale = true;
 let placed = false;
+let placing = null;
 
 // ---- Messages -------------------------------------------------------------------------------------------------------------------
 
@@ -114,7 +115,21 @@ function fit() {
   stale = true;
 }
 
-/** Draws the scene at the state's time; false where its interval is still to come. */
+/** Lets the camera turn about the middle of the first interval, whichever is shown: an address is the same picture wherever one came from. */
+function place() {
+  placing ??= store.fetch(0).then(
+    (first) => {
+      camera.depth = depthOf(inverseDepths(first).middle);
+      placed = stale = true;
+    },
+    (e) => {
+      placing = null;
+      say(`Interval 0: ${e.message}`);
+    },
+  );
+}
+
+/** Draws the scene at the state's time; false where its interval, or what places the camera, is still to come. */
 function picture() {
   const interval = store.find(state.time);
   const packet = store.held(interval);
@@ -123,12 +138,12 @@ function picture() {
     return false;
   }
   if (interval + 1 < store.times.length) store.fetch(interval + 1).catch(() => {});
-  sorter.take(packet);
-  const { far, middle, near } = sorter.inverseDepths;
   if (!placed) {
-    camera.depth = depthOf(middle);
-    placed = true;
+    place();
+    return false;
   }
+  sorter.take(packet);
+  const { far, near } = sorter.inverseDepths;
   const t = packet.end > packet.start ? clamp((state.time - packet.start) / (packet.end - packet.start), 0, 1) : 0;
   const view = camera.view(canvas.width, canvas.height);
   const order = sorter.sort(packet, t, view);
