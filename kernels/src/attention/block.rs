@@ -3,7 +3,7 @@
 use std::marker::PhantomData;
 
 use super::layout::{Layout, Task};
-use super::mix::{Mix, Weighed};
+use super::mix::{Mix, Scores, Weighed};
 use super::{KEY_BLOCK, LARGEST_SCALE, Rows};
 use crate::gemm::form::{Form, Multiply, values_of_a_word};
 use crate::gemm::{Precision, deinterleave, interleave};
@@ -235,9 +235,14 @@ impl<A: Form, M: Mix> State<'_, A, M> {
     #[inline(always)]
     fn weigh<S: Simd>(&mut self, s: S, panel: usize, v: usize, largest: S::F32, present: usize) -> Weighed<S> {
         let at = (panel + v) * LANES;
-        let scale = s.load(&self.scales[at..]);
-        let scores = &mut self.scores[v * KEY_BLOCK * LANES..][..KEY_BLOCK * LANES];
-        let weighed = M::weigh(s, scores, present, scale, largest, s.load(&self.reference[at..]));
+        let scores = Scores {
+            values: &mut self.scores[v * KEY_BLOCK * LANES..][..KEY_BLOCK * LANES],
+            present,
+            scale: s.load(&self.scales[at..]),
+            largest,
+            reference: s.load(&self.reference[at..]),
+        };
+        let weighed = M::weigh(s, scores);
         s.store(weighed.reference, &mut self.reference[at..][..LANES]);
         let total = &mut self.total[at..][..LANES];
         s.store(s.mul_add(s.load(total), weighed.before, weighed.total), total);

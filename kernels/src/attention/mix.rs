@@ -1,10 +1,23 @@
 //! The weighted sum of values, `Σ w v`, as each precision holds weights and values.
 
 use super::pack::Values;
-use super::weight::{NUMBERED, numbered, weight, weight_low};
+use super::weight::{NUMBERED, SHIFTER, numbered, weight, weight_low};
 use crate::gemm::form::{Brain, Multiply, Portions, Single};
 use crate::gemm::{pair_bf16, round_bf16};
 use crate::simd::{LANES, Simd};
+
+/// A block's scores of 16 queries.
+pub(super) struct Scores<'a, S: Simd> {
+    /// `[KEY_BLOCK][16]`, of which the first `present` keys count.
+    pub(super) values: &'a mut [f32],
+    pub(super) present: usize,
+    /// From a score to a logit.
+    pub(super) scale: S::F32,
+    /// The largest of them.
+    pub(super) largest: S::F32,
+    /// The reference before them, `M`.
+    pub(super) reference: S::F32,
+}
 
 /// What becomes of a block of scores.
 #[derive(Clone, Copy)]
@@ -38,16 +51,8 @@ pub(super) trait Mix: 'static {
     /// Keys of one word.
     const KEYS: usize;
 
-    /// Turns scores `[keys][16]`, of which the first `present` count, into words of weights `[words][16]`. `largest` is the largest score of
-    /// these, `reference` the `M` before them; a score times `scale` is a logit.
-    fn weigh<S: Simd>(
-        s: S,
-        scores: &mut [f32],
-        present: usize,
-        scale: S::F32,
-        largest: S::F32,
-        reference: S::F32,
-    ) -> Weighed<S>;
+    /// Turns scores into words of weights `[words][16]`, in their place.
+    fn weigh<S: Simd>(s: S, scores: Scores<'_, S>) -> Weighed<S>;
 
     /// Adds a block's sums of a channel, whose values have the scale `scale` where there are scales, to those before.
     #[inline(always)]
@@ -61,8 +66,9 @@ pub(super) trait Mix: 'static {
 
 /// The reference moves to the block's largest logit where that is above it; what was summed before is scaled to it, the block is not.
 #[inline(always)]
-fn moved<S: Simd>(s: S, scale: S::F32, largest: S::F32, before: S::F32) -> Weighed<S> {
-    let reference = s.max(s.mul(largest, scale), before);
+fn moved<S: Simd>(s: S, scores: &Scores<'_, S>) -> Weighed<S> {
+    let before = scores.reference;
+    let reference = s.max(s.mul(scores.largest, scores.scale), before);
     // Infinities that stay what they were have no difference.
     let rescale = s.select(s.eq(before, reference), s.splat(1.0), weight(s, s.sub(before, reference)));
     Weighed { reference, before: rescale, block: s.splat(1.0), total: s.splat(0.0) }
@@ -77,15 +83,9 @@ impl Mix for Singly {
     const KEYS: usize = 1;
 
     #[inline(always)]
-    fn weigh<S: Simd>(
-        s: S,
-        scores: &mut [f32],
-        present: usize,
-        scale: S::F32,
-        largest: S::F32,
-        reference: S::F32,
-    ) -> Weighed<S> {
-        let mut weighed = moved(s, scale, largest, reference);
+    fn weigh<S: Simd>(s: S, scores: Scores<'_, S>) -> Weighed<S> {
+        let mut weighed = moved(s, &scores);
+        let Scores { values: scores, present, scale, .. } = scores;
         let minus = s.neg(weighed.reference);
         let mut sums = [s.splat(0.0); 4];
         for four in scores[..present * LANES].chunks_mut(4 * LANES) {
@@ -114,15 +114,9 @@ impl Mix for InPairs {
     const KEYS: usize = 2;
 
     #[inline(always)]
-    fn weigh<S: Simd>(
-        s: S,
-        scores: &mut [f32],
-        present: usize,
-        scale: S::F32,
-        largest: S::F32,
-        reference: S::F32,
-    ) -> Weighed<S> {
-        let mut weighed = moved(s, scale, largest, reference);
+    fn weigh<S: Simd>(s: S, scores: Scores<'_, S>) -> Weighed<S> {
+        let mut weighed = moved(s, &scores);
+        let Scores { values: scores, present, scale, .. } = scores;
         let minus = s.neg(weighed.reference);
         let mut sums = [s.splat(0.0); 4];
         let whole = present / 4 * 4;
@@ -167,14 +161,8 @@ impl Mix for InBytes {
     const KEYS: usize = 4;
 
     #[inline(always)]
-    fn weigh<S: Simd>(
-        s: S,
-        scores: &mut [f32],
-        present: usize,
-        scale: S::F32,
-        largest: S::F32,
-        reference: S::F32,
-    ) -> Weighed<S> {
+    fn weigh<S: Simd>(s: S, scores: Scores<'_, S>) -> Weighed<S> {
+        let Scores { values: scores, present, scale, largest, reference } = scores;
         let own = s.mul(largest, scale);
         let now = s.max(own, reference);
         // Past the last score lie zeros, or what an earlier block left: of no weight.
@@ -216,7 +204,7 @@ impl Mix for InBytes {
         for j in 0..4 {
             // The nearest integer is in the low bits, its sign in those above.
             let x = s.mul(values.value(s, i / each * 4 + j, c), inverse);
-            integers[j] = s.to_bits(s.add(x, s.splat(12_582_912.0)));
+            integers[j] = s.to_bits(s.add(x, s.splat(SHIFTER)));
         }
         Portions::row_word(s, integers, i % each)
     }

@@ -4,10 +4,10 @@ use crate::math;
 use crate::simd::Simd;
 
 /// Added to a float below 2²² in magnitude, leaves its nearest integer in the low bits.
-const SHIFTER: f32 = 12_582_912.0;
+pub(super) const SHIFTER: f32 = 12_582_912.0;
 
 /// Weights are never below `2^LOWEST`: too little to count, and so much that its products with values are no denormal numbers, on which some
-/// CPUs spend a hundred times the time.
+/// CPUs spend far more time.
 const LOWEST: f32 = -64.0;
 
 /// `(2^f − 1)/f` on [−½, ½], minimax in the relative error of `2^f` (2.2e-8), lowest power first.
@@ -42,8 +42,8 @@ pub(super) fn weight_low<S: Simd>(s: S, t: S::F32) -> S::F32 {
     s.from_bits(s.and_i32(rounded, s.splat_i32(0xffff_0000_u32.cast_signed())))
 }
 
-/// What [`numbered`] adds to the bits of a number.
-pub(super) const NUMBERED: i32 = 0x4b40_0000;
+/// What [`numbered`] adds to a number: the bits of [`SHIFTER`].
+pub(super) const NUMBERED: i32 = SHIFTER.to_bits().cast_signed();
 
 /// `255·2^t` for `t ≤ 0`, to the nearest integer (of a value within 7.5e-5; ties to even), [`NUMBERED`] added; 0 for what is below ½, and for NaN.
 #[inline(always)]

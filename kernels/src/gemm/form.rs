@@ -244,10 +244,16 @@ unsafe fn brain_step<S: Simd, const MR: usize, const NV: usize>(
     }
 }
 
-/// Bytes with scales, i32 sums.
-pub(crate) struct Bytes;
+/// Four bytes to a word, i32 sums; the bytes of panels or else those of rows (as the instruction has them) are signed.
+pub(crate) struct Octets<const SIGNED: bool>;
 
-impl Multiply for Bytes {
+/// Inputs and weights, with scales.
+pub(crate) type Bytes = Octets<true>;
+
+/// Attention's values as rows, and its weights as panels.
+pub(crate) type Portions = Octets<false>;
+
+impl<const SIGNED: bool> Multiply for Octets<SIGNED> {
     #[inline(always)]
     fn row_words_of_a_word<S: Simd>() -> usize {
         if S::BYTE_DOT { 1 } else { 2 }
@@ -259,60 +265,45 @@ impl Multiply for Bytes {
         panels: [*const u32; NV],
         words: usize,
     ) -> Tile<S, MR, NV> {
-        // SAFETY: the caller's.
-        unsafe { multiply_bytes::<S, MR, NV, true>(s, rows, panels, words) }
-    }
-}
-
-/// [`Multiply::multiply`] of bytes, with the panels' bytes or else the rows' (as the instruction has them) signed.
-///
-/// # Safety
-/// As [`Multiply::multiply`].
-#[inline(always)]
-unsafe fn multiply_bytes<S: Simd, const MR: usize, const NV: usize, const SIGNED: bool>(
-    s: S,
-    rows: *const u32,
-    panels: [*const u32; NV],
-    words: usize,
-) -> Tile<S, MR, NV> {
-    let mut acc = [[s.splat_i32(0); NV]; MR];
-    for i in 0..words {
-        // SAFETY: the caller's; i < words.
-        unsafe {
-            if S::BYTE_DOT {
-                let b = panels.map(|panel| panel.add(i * LANES).cast::<f32>());
-                for r in 0..MR {
-                    let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
-                    for v in 0..NV {
-                        let b = s.to_bits(s.load_ptr(b[v]));
-                        let (unsigned, signed) = if SIGNED { (a, b) } else { (b, a) };
-                        acc[r][v] = s.dot_bytes(acc[r][v], unsigned, signed);
+        let mut acc = [[s.splat_i32(0); NV]; MR];
+        for i in 0..words {
+            // SAFETY: the caller's; i < words.
+            unsafe {
+                if S::BYTE_DOT {
+                    let b = panels.map(|panel| panel.add(i * LANES).cast::<f32>());
+                    for r in 0..MR {
+                        let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
+                        for v in 0..NV {
+                            let b = s.to_bits(s.load_ptr(b[v]));
+                            let (unsigned, signed) = if SIGNED { (a, b) } else { (b, a) };
+                            acc[r][v] = s.dot_bytes(acc[r][v], unsigned, signed);
+                        }
                     }
+                    continue;
                 }
-                continue;
-            }
-            for half in 0..2 {
-                let mut b = [s.splat_i32(0); NV];
-                for v in 0..NV {
-                    let word = s.to_bits(s.load_ptr(again(panels[v].add(i * LANES)).cast()));
-                    b[v] = if SIGNED { s.split_bytes(word)[half] } else { Portions::halves(s, word)[half] };
-                }
-                for r in 0..MR {
-                    let a = s.splat_i32((*rows.add((2 * i + half) * MR + r)).cast_signed());
+                for half in 0..2 {
+                    let mut b = [s.splat_i32(0); NV];
                     for v in 0..NV {
-                        acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, b[v]));
+                        let word = s.to_bits(s.load_ptr(again(panels[v].add(i * LANES)).cast()));
+                        b[v] = if SIGNED { s.split_bytes(word)[half] } else { Portions::halves(s, word)[half] };
+                    }
+                    for r in 0..MR {
+                        let a = s.splat_i32((*rows.add((2 * i + half) * MR + r)).cast_signed());
+                        for v in 0..NV {
+                            acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, b[v]));
+                        }
                     }
                 }
             }
         }
-    }
-    let mut tile = [[s.splat(0.0); NV]; MR];
-    for r in 0..MR {
-        for v in 0..NV {
-            tile[r][v] = s.from_bits(acc[r][v]);
+        let mut tile = [[s.splat(0.0); NV]; MR];
+        for r in 0..MR {
+            for v in 0..NV {
+                tile[r][v] = s.from_bits(acc[r][v]);
+            }
         }
+        tile
     }
-    tile
 }
 
 impl Form for Bytes {
@@ -350,26 +341,6 @@ impl Form for Bytes {
     fn of_row<S: Simd>(s: S, sum: S::F32, row_scale: f32, offsets: S::I32) -> S::F32 {
         let sum = if S::BYTE_DOT { s.sub_i32(s.to_bits(sum), offsets) } else { s.to_bits(sum) };
         s.mul(s.to_f32(sum), s.splat(row_scale))
-    }
-}
-
-/// Panels of unsigned bytes, rows of signed ones, i32 sums.
-pub(crate) struct Portions;
-
-impl Multiply for Portions {
-    #[inline(always)]
-    fn row_words_of_a_word<S: Simd>() -> usize {
-        Bytes::row_words_of_a_word::<S>()
-    }
-    #[inline(always)]
-    unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
-        s: S,
-        rows: *const u32,
-        panels: [*const u32; NV],
-        words: usize,
-    ) -> Tile<S, MR, NV> {
-        // SAFETY: the caller's.
-        unsafe { multiply_bytes::<S, MR, NV, false>(s, rows, panels, words) }
     }
 }
 
