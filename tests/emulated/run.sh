@@ -17,10 +17,11 @@ cargo build --release --quiet --locked -p streamsplat-tests --bin digests
 program=${CARGO_TARGET_DIR:-target}/release/digests
 export STREAMSPLAT_FIXTURES=$PWD/fixtures
 passed=0 failed=0
+printed=$(mktemp); trap 'rm -f "$printed"' EXIT
 try() { # what, command…
   local what=$1; shift
   local from=$SECONDS
-  if "$@" >/dev/null; then passed=$((passed + 1)); else failed=$((failed + 1)); what="$what FAILED"; fi
+  if "$@" >"$printed"; then passed=$((passed + 1)); else failed=$((failed + 1)); what="$what FAILED"; cat "$printed"; fi
   echo "emulated: $what ($((SECONDS - from)) s)"
 }
 try "x86-64 without AVX2 and FMA" tests/emulated/x86.sh Nehalem "$program" --levels scalar --threads 3 --check "$golden" "${things[@]}"

@@ -6,7 +6,7 @@ use super::layout::Layout;
 use super::mix::Mix;
 use super::{KEY_BLOCK, LARGEST_SCALE, Rows};
 use crate::gemm::form::{Form, Multiply};
-use crate::gemm::{Precision, interleave, scale_of};
+use crate::gemm::{Precision, interleave, scales_of};
 use crate::memory::Scratch;
 use crate::simd::{LANES, Operation, Simd};
 
@@ -84,11 +84,8 @@ impl Values<'_> {
         let rows = self.present.div_ceil(M::KEYS) * M::Product::row_words_of_a_word::<S>();
         let whole = width / CR * CR;
         for c in (0..width).step_by(LANES) {
-            let mut inverse = [1.0; LANES];
-            if M::SCALED {
-                self.scales_of_channels(s, c, &mut scales[c..c + LANES], &mut inverse);
-            }
-            let inverse = s.from_array(inverse);
+            let inverse =
+                if M::SCALED { self.scales_of_channels(s, c, &mut scales[c..c + LANES]) } else { s.splat(1.0) };
             for i in 0..rows {
                 let from = s.to_array(M::row_word(s, i, self, c, inverse));
                 let mut at = 0;
@@ -103,19 +100,19 @@ impl Values<'_> {
         }
     }
 
-    /// Scales of 16 channels from `c` on, as [`scale_of`] has them, and their inverses.
+    /// Scales of 16 channels from `c` on, as [`scales_of`] has them; returns their inverses.
     #[inline(always)]
-    fn scales_of_channels<S: Simd>(&self, s: S, c: usize, scales: &mut [f32], inverses: &mut [f32; LANES]) {
+    fn scales_of_channels<S: Simd>(&self, s: S, c: usize, scales: &mut [f32]) -> S::F32 {
         let (mut most, mut poison) = (s.splat(0.0), s.splat(0.0));
         for i in 0..self.present {
             let value = self.value(s, i, c);
             most = s.max(s.abs(value), most);
             poison = s.mul_add(value, s.splat(0.0), poison);
         }
-        let (most, poison) = (s.to_array(most), s.to_array(poison));
-        for c in 0..LANES {
-            (scales[c], inverses[c]) = scale_of(if poison[c] == 0.0 { most[c] } else { f32::INFINITY });
-        }
+        let finite = s.eq(poison, s.splat(0.0));
+        let (scale, inverse) = scales_of(s, s.select(finite, most, s.splat(f32::INFINITY)));
+        s.store(scale, scales);
+        inverse
     }
 
     /// 16 channels from `c` on of value `i`; zeros past the last.

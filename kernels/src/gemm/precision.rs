@@ -62,6 +62,14 @@ pub(crate) fn scale_of(most: f32) -> (f32, f32) {
     if (1e-36..f32::INFINITY).contains(&most) { (most / 127.0, 127.0 / most) } else { (0.0, 0.0) }
 }
 
+/// [`scale_of`] in every lane.
+#[inline(always)]
+pub(crate) fn scales_of<S: Simd>(s: S, most: S::F32) -> (S::F32, S::F32) {
+    let has = s.and(s.le(s.splat(1e-36), most), s.lt(most, s.splat(f32::INFINITY)));
+    let of = s.splat(127.0);
+    (s.keep(has, s.div(most, of)), s.keep(has, s.div(of, most)))
+}
+
 /// The largest magnitude of a row; 0 where it has none, infinite where a value is not finite.
 #[inline(always)]
 pub(crate) fn largest_magnitude<S: Simd>(s: S, x: &[f32]) -> f32 {
@@ -86,5 +94,34 @@ pub(crate) fn largest_magnitude<S: Simd>(s: S, x: &[f32]) -> f32 {
         s.max_lane(s.max(s.max(most[0], most[1]), s.max(most[2], most[3])))
     } else {
         f32::INFINITY
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Level;
+    use crate::simd::{Operation, dispatch};
+
+    #[test]
+    fn scales_of_lanes_are_those_of_rows_on_every_level() {
+        struct Scales([f32; LANES]);
+        impl Operation for Scales {
+            type Output = [[f32; LANES]; 2];
+            #[inline(always)]
+            fn run<S: Simd>(self, s: S) -> [[f32; LANES]; 2] {
+                let (scale, inverse) = scales_of(s, s.from_array(self.0));
+                [s.to_array(scale), s.to_array(inverse)]
+            }
+        }
+        let below = 1e-36_f32.next_down();
+        let ends = [0.0, 1e-40, below, 1e-36, 1.0, 3.0, 127.0, 1e30, f32::MAX, f32::INFINITY, f32::NAN, 0.1];
+        let most: [f32; LANES] = std::array::from_fn(|i| *ends.get(i).unwrap_or(&(1.0 / i as f32)));
+        for level in Level::available() {
+            let [scales, inverses] = dispatch(level, Scales(most));
+            for i in 0..LANES {
+                assert_eq!((scales[i], inverses[i]), scale_of(most[i]), "{level}: {}", most[i]);
+            }
+        }
     }
 }
