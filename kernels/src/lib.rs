@@ -20,6 +20,7 @@ pub mod parallel;
 pub mod patches;
 pub mod philox;
 pub mod pixel_shuffle;
+pub mod pointwise;
 pub mod raster;
 pub mod resize;
 pub mod simd;

@@ -8,21 +8,27 @@
 //!
 //! Both are three linear layers, 2d → d → d → out, with SiLU between them.
 
+use streamsplat_kernels::gemm::Activation::{Identity, Silu};
+use streamsplat_kernels::memory::Scratch;
+use streamsplat_kernels::pointwise::{self, Layer, TOKENS};
 use streamsplat_kernels::{Level, activation, truncated_normal};
 
 use crate::checkpoint::Weights;
 use crate::keys;
-use crate::layers::{Bias, Linear, ROWS, Workspace, sized};
+use crate::layers::{Bias, load_pointwise};
 use crate::{Config, ModelError};
 
 pub(crate) struct DeformationHead {
-    encoder_proj: Linear,
-    velocity: Mlp,
-    gamma: Mlp,
+    encoder_proj: Layer,
+    /// The first layers of both networks, side by side: they have the same input.
+    first: Layer,
+    velocity: Rest,
+    gamma: Rest,
     dynamic_scalar: [f32; 3],
 }
 
-struct Mlp([Linear; 3]);
+/// The second and third layer of a network.
+struct Rest([Layer; 2]);
 
 impl DeformationHead {
     /// `weights` is the whole model's: the head's tensors lie in two places.
@@ -32,42 +38,29 @@ impl DeformationHead {
         // Only training draws velocities; the tensor is checked all the same.
         head.shape_like("gs_layer.xyz_dynamic_scale.weight", [Some(3), Some(2 * d)])?;
         let scalar = head.vector("dynamic_scalar", &[3])?;
+        let layer = |name: &str| format!("gs_layer.{name}_dynamic.layers.1");
+        let first = [layer("xyz"), layer("opacity")];
+        let first = [(first[0].as_str(), d, Bias::Yes), (first[1].as_str(), d, Bias::Yes)];
         Ok(DeformationHead {
-            encoder_proj: Linear::load(weights, "encoder_proj", d, d, Bias::No)?,
-            velocity: Mlp::load(&head.at("gs_layer.xyz_dynamic.layers"), d, 3)?,
-            gamma: Mlp::load(&head.at("gs_layer.opacity_dynamic.layers"), d, 2)?,
+            encoder_proj: load_pointwise(weights, &[("encoder_proj", d, Bias::No)], Identity, d)?,
+            first: load_pointwise(&head, &first, Silu, 2 * d)?,
+            velocity: Rest::load(&head.at("gs_layer.xyz_dynamic.layers"), d, 3)?,
+            gamma: Rest::load(&head.at("gs_layer.opacity_dynamic.layers"), d, 2)?,
             dynamic_scalar: [scalar[0], scalar[1], scalar[2]],
         })
     }
 
     /// Velocity and γ of every token.
-    pub(crate) fn apply(
-        &self,
-        level: Level,
-        static_tokens: &[f32],
-        tokens: &[f32],
-        work: &mut Workspace,
-    ) -> (Vec<[f32; 3]>, Vec<[f32; 2]>) {
+    pub(crate) fn apply(&self, level: Level, static_tokens: &[f32], tokens: &[f32]) -> (Vec<[f32; 3]>, Vec<[f32; 2]>) {
         let d = self.encoder_proj.n();
         let n = tokens.len() / d;
-        let (mut velocity, mut gamma) = (vec![[0.0; 3]; n], vec![[0.0; 2]; n]);
-        let Workspace { normed, projected: pairs, mixed, hidden, .. } = work;
-        let chunks = static_tokens.chunks(ROWS * d).zip(tokens.chunks(ROWS * d));
-        let results = velocity.chunks_mut(ROWS).zip(gamma.chunks_mut(ROWS));
-        for ((static_tokens, tokens), (velocity, gamma)) in chunks.zip(results) {
-            let rows = velocity.len();
-            let projected = sized(normed, rows * d);
-            self.encoder_proj.apply(level, static_tokens, projected);
-            let joined = sized(pairs, rows * 2 * d);
-            let halves = projected.chunks_exact(d).zip(tokens.chunks_exact(d));
-            for (row, (left, right)) in joined.chunks_exact_mut(2 * d).zip(halves) {
-                row[..d].copy_from_slice(left);
-                row[d..].copy_from_slice(right);
-            }
-            let mut hidden = [sized(mixed, rows * d), sized(hidden, rows * d)];
-            self.velocity.apply(level, joined, &mut hidden, velocity.as_flattened_mut());
-            self.gamma.apply(level, joined, &mut hidden, gamma.as_flattened_mut());
-        }
+        let mut rows = vec![[0.0; 5]; n];
+        pointwise::for_each_block(rows.as_flattened_mut(), 5, |first, rows| {
+            let part = first * d..(first + rows.len() / 5) * d;
+            self.block(level, &static_tokens[part.clone()], &tokens[part], rows);
+        });
+        let mut velocity: Vec<[f32; 3]> = rows.iter().map(|row| [row[0], row[1], row[2]]).collect();
+        let mut gamma: Vec<[f32; 2]> = rows.iter().map(|row| [row[3], row[4]]).collect();
         let layer = velocity.clone();
         truncated_normal::mean(level, layer.as_flattened(), velocity.as_flattened_mut());
         for v in velocity.iter_mut() {
@@ -81,29 +74,44 @@ impl DeformationHead {
         (velocity, gamma)
     }
 
+    /// The last layers' outputs, five a row, of a block of tokens.
+    fn block(&self, level: Level, static_tokens: &[f32], tokens: &[f32], rows: &mut [f32]) {
+        let width = self.encoder_proj.n() * TOKENS;
+        let mut memory = Scratch::take(6 * width);
+        let (joined, hidden) = memory.split_at_mut(2 * width);
+        let (hidden, second) = hidden.split_at_mut(2 * width);
+        let (left, right) = joined.split_at_mut(width);
+        pointwise::load(static_tokens, self.encoder_proj.k(), &mut hidden[..width]);
+        self.encoder_proj.apply(level, &hidden[..width], left);
+        pointwise::load(tokens, self.encoder_proj.n(), right);
+        self.first.apply(level, joined, hidden);
+        let mut last = [0.0; 5 * TOKENS];
+        let (velocity, gamma) = last.split_at_mut(3 * TOKENS);
+        self.velocity.apply(level, &hidden[..width], &mut second[..width], velocity);
+        self.gamma.apply(level, &hidden[width..], &mut second[width..], gamma);
+        pointwise::store(&last, 5, rows);
+    }
+
     pub(crate) fn bytes(&self) -> usize {
-        self.encoder_proj.bytes() + self.velocity.bytes() + self.gamma.bytes()
+        self.encoder_proj.bytes() + self.first.bytes() + self.velocity.bytes() + self.gamma.bytes()
     }
 }
 
-impl Mlp {
-    fn load(weights: &Weights<'_>, d: usize, out: usize) -> Result<Mlp, ModelError> {
-        Ok(Mlp([
-            Linear::load(weights, "1", d, 2 * d, Bias::Yes)?,
-            Linear::load(weights, "4", d, d, Bias::Yes)?,
-            Linear::load(weights, "7", out, d, Bias::Yes)?,
+impl Rest {
+    fn load(weights: &Weights<'_>, d: usize, out: usize) -> Result<Rest, ModelError> {
+        Ok(Rest([
+            load_pointwise(weights, &[("4", d, Bias::Yes)], Silu, d)?,
+            load_pointwise(weights, &[("7", out, Bias::Yes)], Identity, d)?,
         ]))
     }
 
-    fn apply(&self, level: Level, x: &[f32], hidden: &mut [&mut [f32]; 2], out: &mut [f32]) {
-        let [first, second, last] = &self.0;
-        let [a, b] = hidden;
-        first.apply_silu(level, x, a);
-        second.apply_silu(level, a, b);
-        last.apply(level, b, out);
+    fn apply(&self, level: Level, x: &[f32], hidden: &mut [f32], out: &mut [f32]) {
+        let [second, last] = &self.0;
+        second.apply(level, x, hidden);
+        last.apply(level, hidden, out);
     }
 
     fn bytes(&self) -> usize {
-        self.0.iter().map(Linear::bytes).sum()
+        self.0.iter().map(Layer::bytes).sum()
     }
 }

@@ -248,7 +248,7 @@ impl Network {
         self.check_upsampled("static tokens", static_tokens)?;
         self.check_upsampled("deformation tokens", tokens)?;
         let _span = info_span!("heads", kind = "deformation").entered();
-        Ok(self.workspaces.lend(|work| self.deformation_head.apply(self.level(), static_tokens, tokens, work)))
+        Ok(self.deformation_head.apply(self.level(), static_tokens, tokens))
     }
 
     /// A memory for the `*_keeping` methods; `None` when this network has nothing to keep: where every token sees all others, no
@@ -367,9 +367,7 @@ impl Network {
         let _span = info_span!("heads", kind = "deformation").entered();
         let (upsampler, head) = &mut memory.deformation[place];
         let level = self.level();
-        Ok(self
-            .workspaces
-            .lend(|work| self.deformation_head.apply_keeping(level, static_tokens, tokens, upsampler, head, work)))
+        Ok(self.deformation_head.apply_keeping(level, static_tokens, tokens, upsampler, head))
     }
 
     /// What the other frame is conditioned on.

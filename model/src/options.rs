@@ -31,8 +31,8 @@ pub enum Precision {
     F32,
     /// Weights and activations of matrix products in bfloat16, accumulated in f32.
     Bf16,
-    /// Weights per output channel and activations per token in 8 bits, accumulated in integers; attention's scores from 8-bit queries and
-    /// keys; its weights and values, the encoder's first block and the widening layers of the upsamplers in bfloat16.
+    /// Weights per output channel and activations per token in 8 bits, accumulated in integers; all of attention's products in 8 bits; the
+    /// encoder's first block and the widening layers of the upsamplers in bfloat16.
     Int8,
 }
 

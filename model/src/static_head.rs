@@ -9,16 +9,19 @@
 //! scale = 0.1·softplus,  opacity = 0.05 + 0.95·σ,  rgb = σ
 //! ```
 
+use streamsplat_kernels::gemm::Activation;
+use streamsplat_kernels::memory::Scratch;
 use streamsplat_kernels::philox::Stream;
+use streamsplat_kernels::pointwise::{self, Layer, TOKENS};
 use streamsplat_kernels::{Level, activation, truncated_normal};
 
 use crate::checkpoint::Weights;
-use crate::layers::{Linear, ROWS};
+use crate::layers::{Bias, load_pointwise};
 use crate::{Config, ModelError, Sampling, StaticGaussians, StaticPosition};
 
 pub(crate) struct StaticHead {
     /// All heads side by side: position (3), its log scale (3, only of a truncated normal), scale (2), opacity (1), rgb (3).
-    layers: Linear,
+    layers: Layer,
     kind: StaticPosition,
     x_map: Vec<f32>,
     z_map: Vec<f32>,
@@ -26,12 +29,16 @@ pub(crate) struct StaticHead {
 
 impl StaticHead {
     pub(crate) fn load(weights: &Weights<'_>, config: &Config) -> Result<StaticHead, ModelError> {
-        let position: &[(&str, usize)] = match config.static_position {
-            StaticPosition::Tanh => &[("gs_layer.xyz_static", 3)],
-            StaticPosition::TruncatedNormal => &[("mix_layer.xyz_static_mean", 3), ("mix_layer.xyz_static_scale", 3)],
+        let yes = Bias::Yes;
+        let position: &[(&str, usize, Bias)] = match config.static_position {
+            StaticPosition::Tanh => &[("gs_layer.xyz_static", 3, yes)],
+            StaticPosition::TruncatedNormal => {
+                &[("mix_layer.xyz_static_mean", 3, yes), ("mix_layer.xyz_static_scale", 3, yes)]
+            }
         };
-        let rest = [("gs_layer.scale", 2), ("gs_layer.opacity", 1), ("gs_layer.rgb", 3)];
-        let layers = Linear::load_joined(weights, &[position, &rest].concat(), config.gaussian_dim())?;
+        let rest = [("gs_layer.scale", 2, yes), ("gs_layer.opacity", 1, yes), ("gs_layer.rgb", 3, yes)];
+        let layers = [position, &rest].concat();
+        let layers = load_pointwise(weights, &layers, Activation::Identity, config.gaussian_dim())?;
         let [rows, columns] = config.gaussian_grid();
         let map = |name: &str, cell: &dyn Fn(usize) -> f64| {
             if weights.shape(name).is_some() {
@@ -77,21 +84,23 @@ impl StaticHead {
         let mut opacity = vec![0.0; n];
         let mut rgb = vec![[0.0; 3]; n];
         let width = self.layers.n();
-        let mut values = vec![0.0; ROWS.min(n) * width];
-        for (chunk, tokens) in tokens.chunks(ROWS * d).enumerate() {
-            let values = &mut values[..tokens.len() / d * width];
-            self.layers.apply(level, tokens, values);
-            for (i, mut row) in values.chunks_exact(width).enumerate() {
-                let i = chunk * ROWS + i;
-                take(&mut row, &mut position[i]);
-                if let Some(log_scale) = log_scale.get_mut(i) {
-                    take(&mut row, log_scale);
-                }
-                take(&mut row, &mut scale[i]);
-                opacity[i] = row[0];
-                row = &row[1..];
-                take(&mut row, &mut rgb[i]);
+        let mut values = vec![0.0; n * width];
+        pointwise::for_each_block(&mut values, width, |first, rows| {
+            let mut memory = Scratch::take((d + width) * TOKENS);
+            let (x, out) = memory.split_at_mut(d * TOKENS);
+            pointwise::load(&tokens[first * d..][..rows.len() / width * d], d, x);
+            self.layers.apply(level, x, out);
+            pointwise::store(out, width, rows);
+        });
+        for (i, mut row) in values.chunks_exact(width).enumerate() {
+            take(&mut row, &mut position[i]);
+            if let Some(log_scale) = log_scale.get_mut(i) {
+                take(&mut row, log_scale);
             }
+            take(&mut row, &mut scale[i]);
+            opacity[i] = row[0];
+            row = &row[1..];
+            take(&mut row, &mut rgb[i]);
         }
 
         match self.kind {

@@ -118,14 +118,14 @@ impl<'a> Epilogue<'a> {
 }
 
 /// An [`Activation`] on vectors.
-pub(super) trait Function {
+pub(crate) trait Function {
     fn of<S: Simd>(s: S, y: S::F32) -> S::F32;
 }
 
-pub(super) struct Identity;
-pub(super) struct Silu;
+pub(crate) struct Identity;
+pub(crate) struct Silu;
 pub(super) struct SiluLow;
-pub(super) struct Gelu;
+pub(crate) struct Gelu;
 
 impl Function for Identity {
     #[inline(always)]

@@ -24,7 +24,7 @@
 //! stays in the first-level cache while all rows of the task pass over it, the rows stay in the second level. The sums of
 //! a panel wait in a small tile until their last block, then the epilogue writes them out.
 
-mod epilogue;
+pub(crate) mod epilogue;
 pub(crate) mod form;
 mod microkernel;
 mod precision;

@@ -45,17 +45,6 @@ impl Linear {
         Linear { weights: gemm::Weights::pack_as(precision, weight, n, k), bias }
     }
 
-    /// Several layers with the same input as one, their outputs side by side.
-    pub(crate) fn load_joined(weights: &Weights<'_>, layers: &[(&str, usize)], k: usize) -> Result<Linear, ModelError> {
-        let (mut weight, mut bias) = (Vec::new(), Vec::new());
-        for (name, n) in layers {
-            weight.extend_from_slice(&weights.read(&format!("{name}.weight"), &[*n, k])?);
-            bias.extend_from_slice(&weights.read(&format!("{name}.bias"), &[*n])?);
-        }
-        let n = bias.len();
-        Ok(Linear::new(weights.precision(), &weight, Some(bias), n, k))
-    }
-
     /// Output columns.
     pub(crate) fn n(&self) -> usize {
         self.weights.n()

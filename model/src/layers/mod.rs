@@ -7,6 +7,7 @@ mod feed_forward;
 mod layer_norm;
 mod linear;
 mod norm;
+mod pointwise;
 mod position;
 mod workspace;
 
@@ -17,6 +18,7 @@ pub(crate) use feed_forward::FeedForward;
 pub(crate) use layer_norm::LayerNorm;
 pub(crate) use linear::{Bias, Linear};
 pub(crate) use norm::RmsNorm;
+pub(crate) use pointwise::load_pointwise;
 pub(crate) use position::{add, add_zero, sinusoid};
 pub(crate) use workspace::{Workspace, Workspaces, sized};
 

@@ -6,7 +6,6 @@ use streamsplat_kernels::change::Tolerance;
 use super::rows::{Gate, Rows};
 use super::{Tokens, UpsamplerMemory};
 use crate::deformation_head::DeformationHead;
-use crate::layers::Workspace;
 use crate::static_head::StaticHead;
 use crate::{Config, Sampling, StaticGaussians};
 
@@ -103,7 +102,6 @@ impl DeformationHead {
         tokens: &[f32],
         upsampler: &UpsamplerMemory,
         memory: &mut DeformationHeadMemory,
-        work: &mut Workspace,
     ) -> (Vec<[f32; 3]>, Vec<[f32; 2]>) {
         let n = memory.still.rows();
         let d = tokens.len() / n;
@@ -116,7 +114,7 @@ impl DeformationHead {
                 let still = Rows::gather(super::rows::places(&marks), static_tokens, d);
                 memory.still.replace(&still);
                 let moving = Rows::gather(still.at, tokens, d);
-                let (velocity, gamma) = self.apply(level, &still.x, &moving.x, work);
+                let (velocity, gamma) = self.apply(level, &still.x, &moving.x);
                 for (i, row) in moving.at.iter().map(|row| *row as usize).enumerate() {
                     memory.velocity[row] = velocity[i];
                     memory.gamma[row] = gamma[i];
@@ -129,7 +127,7 @@ impl DeformationHead {
                 if memory.kept {
                     memory.still.keep(static_tokens);
                 }
-                (memory.velocity, memory.gamma) = self.apply(level, static_tokens, tokens, work);
+                (memory.velocity, memory.gamma) = self.apply(level, static_tokens, tokens);
                 memory.tokens.count(n, n);
             }
         }

@@ -1,9 +1,10 @@
 //! The kernels at sizes that are no multiple of anything.
 
 use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as};
-use streamsplat_kernels::gemm::{Epilogue, Precision, Weights, linear};
+use streamsplat_kernels::gemm::{Activation, Epilogue, Precision, Weights, linear};
 use streamsplat_kernels::math::{self, f64 as double};
 use streamsplat_kernels::philox::Stream;
+use streamsplat_kernels::pointwise::{Layer, TOKENS};
 use streamsplat_kernels::simd::{LANES, Operation, Simd, dispatch};
 use streamsplat_kernels::{Level, harmonics, norm, patches, pixel_shuffle, resize, truncated_normal};
 
@@ -96,6 +97,15 @@ pub(super) fn things() -> Vec<Thing> {
             let mut out = vec![0.0; x.len()];
             pixel_shuffle::pixel_shuffle(&x, 5, 7, 3, &mut out);
             digest.floats(&out);
+        }),
+        Thing::new("pointwise", |level, digest| {
+            for (n, k) in [(64, 64), (5, 131), (9, 300)] {
+                let (x, w, bias) = (noise(k * TOKENS, 20), noise(n * k, 21), noise(n, 22));
+                let layer = Layer::pack(&w, Some(&bias), Activation::Silu, n, k);
+                let mut out = vec![0.0; n * TOKENS];
+                layer.apply(level, &x, &mut out);
+                digest.floats(&out);
+            }
         }),
         Thing::new("patches", |_, digest| {
             let (red, green) = (noise(24 * 40, 5), noise(24 * 40, 6));

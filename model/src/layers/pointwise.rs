@@ -1,0 +1,27 @@
+//! Narrow layers, whose tokens lie in lanes.
+
+use streamsplat_kernels::gemm::Activation;
+use streamsplat_kernels::pointwise::Layer;
+
+use super::Bias;
+use crate::ModelError;
+use crate::checkpoint::Weights;
+
+/// Layers with the same input as one, their outputs one after the other: each is a name, its output channels and whether it has a bias.
+pub(crate) fn load_pointwise(
+    weights: &Weights<'_>,
+    layers: &[(&str, usize, Bias)],
+    activation: Activation,
+    k: usize,
+) -> Result<Layer, ModelError> {
+    let (mut weight, mut biases) = (Vec::new(), Vec::new());
+    for &(name, n, bias) in layers {
+        weight.extend_from_slice(&weights.read(&format!("{name}.weight"), &[n, k])?);
+        match bias {
+            Bias::Yes => biases.extend_from_slice(&weights.vector(&format!("{name}.bias"), &[n])?),
+            // What changes no bit of the number it is added to.
+            Bias::No => biases.resize(biases.len() + n, -0.0),
+        }
+    }
+    Ok(Layer::pack(&weight, Some(&biases), activation, biases.len(), k))
+}
