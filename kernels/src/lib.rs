@@ -10,6 +10,7 @@
 pub mod activation;
 pub mod attention;
 pub mod change;
+pub mod feed_forward;
 pub mod gemm;
 pub mod harmonics;
 pub mod level;

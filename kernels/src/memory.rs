@@ -55,6 +55,12 @@ impl<T: Pod> DerefMut for Aligned<T> {
     }
 }
 
+impl<T: Pod> AsRef<[T]> for Aligned<T> {
+    fn as_ref(&self) -> &[T] {
+        self
+    }
+}
+
 thread_local! {
     static KEPT: Cell<Vec<Aligned<f32>>> = const { Cell::new(Vec::new()) };
 }

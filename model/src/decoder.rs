@@ -155,7 +155,7 @@ impl Decoder {
                     }
                     None => add_zero(x),
                 }
-                block.feed_forward(level, x, work);
+                block.feed_forward(level, x);
             }
             self.layernorm2.of(level, x)
         });
@@ -188,9 +188,9 @@ impl PairBlock {
     }
 
     /// The last branch.
-    pub(crate) fn feed_forward(&self, level: Level, x: &mut [f32], work: &mut Workspace) {
+    pub(crate) fn feed_forward(&self, level: Level, x: &mut [f32]) {
         match &self.mlp {
-            Some(mlp) => mlp.accumulate(level, false, x, work),
+            Some(mlp) => mlp.accumulate(level, false, x),
             None => add_zero(x),
         }
     }

@@ -14,6 +14,7 @@
 use std::path::Path;
 
 use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as};
+use streamsplat_kernels::feed_forward::FeedForward;
 use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::patches::patches;
 use streamsplat_kernels::{Level, resize};
@@ -22,7 +23,7 @@ use tracing::info_span;
 use crate::checkpoint::{Checkpoint, Weights};
 use crate::config::Settings;
 use crate::error::check_input;
-use crate::layers::{Bias, HEAD, LayerNorm, Linear, ROWS, Workspace, Workspaces, add, sized};
+use crate::layers::{Bias, HEAD, LayerNorm, Linear, Workspace, Workspaces, add, sized};
 use crate::{DinoConfig, DinoFeatures, LoadOptions, ModelError};
 
 /// DINOv2 with its weights.
@@ -171,23 +172,22 @@ impl DinoBlock {
     fn apply(&self, level: Level, x: &mut [f32], work: &mut Workspace) {
         let d = self.proj.n();
         let n = x.len() / d;
-        let normed = sized(&mut work.normed, x.len());
-        self.norm1.apply(level, x, normed);
         let qkv = sized(&mut work.projected, 3 * x.len());
-        self.qkv.apply(level, normed, qkv);
+        self.qkv.apply_normed(level, self.norm1.norm(), x, qkv);
         let mixed = sized(&mut work.mixed, x.len());
         let [q, k, v] = [0, 1, 2].map(|part| Rows::new(qkv, n, 3 * d, part * d));
         let shape = Shape { heads: d / HEAD, width: HEAD, windows: Windows::Full };
         attend_as(self.proj.precision(), level, shape, q, k, v, mixed);
         self.proj.accumulate_scaled(level, mixed, &self.ls1, x);
 
-        for x in x.chunks_mut(ROWS * d) {
-            let normed = sized(&mut work.normed, x.len());
-            self.norm2.apply(level, x, normed);
-            let hidden = sized(&mut work.hidden, x.len() / d * self.fc1.n());
-            self.fc1.apply_gelu(level, normed, hidden);
-            self.fc2.accumulate_scaled(level, hidden, &self.ls2, x);
-        }
+        let mlp = FeedForward {
+            norm: self.norm2.norm(),
+            expand: self.fc1.weights(),
+            hidden: self.fc1.epilogue().gelu(),
+            contract: self.fc2.weights(),
+            residual: self.fc2.epilogue().gamma(&self.ls2).residual(),
+        };
+        mlp.accumulate(level, x);
     }
 
     fn bytes(&self) -> usize {

@@ -26,6 +26,7 @@
 
 pub(crate) mod epilogue;
 pub(crate) mod form;
+mod input;
 mod microkernel;
 mod precision;
 pub mod reference;
@@ -35,6 +36,7 @@ mod tests;
 mod weights;
 
 pub use epilogue::{Activation, Epilogue};
+pub use input::Input;
 pub(crate) use microkernel::{deinterleave, interleave};
 pub use precision::Precision;
 #[cfg(target_arch = "x86_64")]
@@ -54,20 +56,58 @@ pub const K_BLOCK: usize = 256;
 /// [`K_BLOCK`] where operands are bf16: the error of longer chains is far below that of the operands.
 pub const K_BLOCK_LOW: usize = 1024;
 
-/// `out[i,j] = epilogue(Σ_k x[i,k] · w[j,k])` for `x [m,k]`, `out [m,n]`. See [the module](self) for the order of accumulation
-/// and [`Epilogue`] for what can follow the product. `m` may be 0.
+/// `out[i,j] = epilogue(Σ_k x[i,k] · w[j,k])` for `x [m,k]`, `out [m,n]`. See [the module](self) for the order of accumulation,
+/// [`Input`] for rows that are normalised first, and [`Epilogue`] for what can follow the product. `m` may be 0.
 ///
 /// # Panics
 /// When a slice does not have the size that `m`, the weights' `n` and `k` ask for.
-pub fn linear(level: Level, x: &[f32], m: usize, weights: &Weights, epilogue: &Epilogue<'_>, out: &mut [f32]) {
-    let (n, k) = (weights.n, weights.k);
-    assert_eq!(x.len(), m * k, "input holds {} values, expected m·k = {m}·{k}", x.len());
-    assert_eq!(out.len(), m * n, "output holds {} values, expected m·n = {m}·{n}", out.len());
-    epilogue.check(n);
-    let _span = debug_span!("gemm", m, n, k, precision = ?weights.precision).entered();
-    match weights.precision {
-        Precision::F32 => task::run::<form::Single>(level, x, m, weights, epilogue, out),
-        Precision::Bf16 => task::run::<form::Brain>(level, x, m, weights, epilogue, out),
-        Precision::Int8 => task::run::<form::Bytes>(level, x, m, weights, epilogue, out),
+pub fn linear<'a>(
+    level: Level,
+    x: impl Into<Input<'a>>,
+    m: usize,
+    weights: &Weights,
+    epilogue: &Epilogue<'_>,
+    out: &mut [f32],
+) {
+    let product = Product::new(x.into(), m, weights, epilogue, out.len());
+    let _span = debug_span!("gemm", m, n = weights.n, k = weights.k, precision = ?weights.precision).entered();
+    product.run(level, out);
+}
+
+/// A product whose sizes have been checked.
+#[derive(Clone, Copy)]
+pub(crate) struct Product<'a> {
+    x: Input<'a>,
+    m: usize,
+    weights: &'a Weights,
+    epilogue: &'a Epilogue<'a>,
+}
+
+impl<'a> Product<'a> {
+    /// Checks the sizes, with `len` values to write.
+    pub(crate) fn new(x: Input<'a>, m: usize, weights: &'a Weights, epilogue: &'a Epilogue<'a>, len: usize) -> Self {
+        let (n, k) = (weights.n, weights.k);
+        x.check(m, k);
+        assert_eq!(len, m * n, "output holds {len} values, expected m·n = {m}·{n}");
+        epilogue.check(n);
+        Self { x, m, weights, epilogue }
+    }
+
+    /// In tasks.
+    fn run(self, level: Level, out: &mut [f32]) {
+        match self.weights.precision {
+            Precision::F32 => task::run::<form::Single>(level, self, out),
+            Precision::Bf16 => task::run::<form::Brain>(level, self, out),
+            Precision::Int8 => task::run::<form::Bytes>(level, self, out),
+        }
+    }
+
+    /// On the calling thread, as part of a larger task.
+    pub(crate) fn run_here(self, level: Level, out: &mut [f32]) {
+        match self.weights.precision {
+            Precision::F32 => task::run_here::<form::Single>(level, self, out),
+            Precision::Bf16 => task::run_here::<form::Brain>(level, self, out),
+            Precision::Int8 => task::run_here::<form::Bytes>(level, self, out),
+        }
     }
 }

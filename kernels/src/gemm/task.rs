@@ -8,28 +8,30 @@ use rayon::prelude::*;
 use super::epilogue::{Activation, Affine, Function, Gelu, Identity, Silu, SiluLow};
 use super::form::{Form, block_words};
 use super::microkernel::Tile;
-use super::{Epilogue, Precision, Weights, interleave};
+use super::{Input, Precision, Product, interleave};
 use crate::Level;
 use crate::memory::Scratch;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd, dispatch, dispatch_dot, prefetch};
 
-/// All tasks of [`super::linear`], whose sizes have been checked.
-pub(super) fn run<F: Form>(
-    level: Level,
-    x: &[f32],
-    m: usize,
-    weights: &Weights,
-    epilogue: &Epilogue<'_>,
-    out: &mut [f32],
-) {
-    let grid = Grid::new(m, weights.panel_count(), weights.words());
+/// All tasks of a product.
+pub(super) fn run<F: Form>(level: Level, product: Product<'_>, out: &mut [f32]) {
+    let grid = Grid::new(product.m, product.weights.panel_count(), product.weights.words());
     let out = &Disjoint::new(out);
     (0..grid.tasks()).into_par_iter().with_max_len(1).for_each(|index| {
         let (rows, panels) = grid.task(index);
-        let task = Task { x, weights, epilogue, out, rows, panels, form: PhantomData::<fn(F)> };
-        if F::PRECISION == Precision::F32 { dispatch(level, task) } else { dispatch_dot(level, task) }
+        enter(level, Task { product, out, rows, panels, form: PhantomData::<fn(F)> });
     });
+}
+
+/// A product as one task.
+pub(super) fn run_here<F: Form>(level: Level, product: Product<'_>, out: &mut [f32]) {
+    let (rows, panels) = (0..product.m, 0..product.weights.panel_count());
+    enter(level, Task { product, out: &Disjoint::new(out), rows, panels, form: PhantomData::<fn(F)> });
+}
+
+fn enter<F: Form>(level: Level, task: Task<'_, F>) {
+    if F::PRECISION == Precision::F32 { dispatch(level, task) } else { dispatch_dot(level, task) }
 }
 
 /// The fixed grid of tasks: blocks of rows, in each of them ranges of panels.
@@ -69,11 +71,9 @@ impl Grid {
     }
 }
 
-/// One task of [`super::linear`].
+/// One task of a product.
 struct Task<'a, F> {
-    x: &'a [f32],
-    weights: &'a Weights,
-    epilogue: &'a Epilogue<'a>,
+    product: Product<'a>,
     out: &'a Disjoint<'a, f32>,
     rows: Range<usize>,
     panels: Range<usize>,
@@ -96,19 +96,28 @@ impl<F: Form> Operation for Task<'_, F> {
 impl<F: Form> Task<'_, F> {
     #[inline(always)]
     fn blocks<S: Simd, const MR: usize, const NV: usize>(&self, s: S) {
-        let (k, rows) = (self.weights.k, self.rows.len());
+        let (k, rows) = (self.product.weights.k, self.rows.len());
         let row_words = F::row_words::<S>(k);
         let mut tile = Scratch::take(rows.next_multiple_of(MR) * NV * LANES);
         let mut scales = Scratch::take(rows);
         let mut words = Scratch::take(rows.next_multiple_of(MR) * row_words);
         if F::PRECISION == Precision::F32 {
-            interleave::<MR>(rows, k, |i| self.row(i), &mut words);
+            let normed = self.normed(s);
+            let row = |i: usize| normed.as_ref().map_or_else(|| self.row(i), |normed| &normed[i * k..][..k]);
+            interleave::<MR>(rows, k, row, &mut words);
         } else {
             let mut converted = Scratch::take(rows * row_words);
             let mut values = Scratch::take(k.next_multiple_of(4));
+            let mut line = Scratch::take(k);
             for i in 0..rows {
                 let to = bytemuck::cast_slice_mut(&mut converted[i * row_words..][..row_words]);
-                scales[i] = F::convert(s, self.row(i), &mut values, to);
+                scales[i] = match self.product.x {
+                    Input::Rows(_) => F::convert(s, self.row(i), &mut values, to),
+                    Input::Normed(_, norm) => {
+                        norm.apply(s, self.row(i), &mut line);
+                        F::convert(s, &line, &mut values, to)
+                    }
+                };
             }
             interleave::<MR>(rows, row_words, |i| &converted[i * row_words..][..row_words], &mut words);
         }
@@ -124,10 +133,27 @@ impl<F: Form> Task<'_, F> {
         }
     }
 
-    /// Row `i` of the task.
+    /// Row `i` of the task, before any normalisation.
     #[inline(always)]
     fn row(&self, i: usize) -> &[f32] {
-        &self.x[(self.rows.start + i) * self.weights.k..][..self.weights.k]
+        let k = self.product.weights.k;
+        &self.product.x.values()[(self.rows.start + i) * k..][..k]
+    }
+
+    /// The rows of the task, where they are normalised.
+    #[inline(always)]
+    fn normed<S: Simd>(&self, s: S) -> Option<Scratch> {
+        let Input::Normed(_, norm) = self.product.x else {
+            return None;
+        };
+        let k = norm.width();
+        let mut normed = Scratch::take(self.rows.len() * k);
+        if k > 0 {
+            for (i, to) in normed.chunks_exact_mut(k).enumerate() {
+                norm.apply(s, self.row(i), to);
+            }
+        }
+        Some(normed)
     }
 
     /// `NV` panels over all rows of the task.
@@ -140,13 +166,13 @@ impl<F: Form> Task<'_, F> {
         scales: &[f32],
         tile: &mut [f32],
     ) {
-        let (n, k) = (self.weights.n, self.weights.words());
-        let (each, row_words) = (F::row_words_of_a_word::<S>(), F::row_words::<S>(self.weights.k));
+        let (n, k) = (self.product.weights.n, self.product.weights.words());
+        let (each, row_words) = (F::row_words_of_a_word::<S>(), F::row_words::<S>(self.product.weights.k));
         let rows = self.rows.len();
         let start = panel * LANES;
         let columns = start..(start + NV * LANES).min(n);
         // Without a function to apply, whole register blocks are written straight from the registers of the last block.
-        let direct = self.epilogue.is_affine() && columns.len() == NV * LANES && k > 0;
+        let direct = self.product.epilogue.is_affine() && columns.len() == NV * LANES && k > 0;
         if k == 0 {
             tile[..rows * NV * LANES].fill(0.0);
         }
@@ -155,7 +181,7 @@ impl<F: Form> Task<'_, F> {
             let (first_block, last_block) = (start == 0, start + length == k);
             let mut from = [std::ptr::null(); NV];
             for v in 0..NV {
-                from[v] = self.weights.panels[((panel + v) * k + start) * LANES..][..length * LANES].as_ptr();
+                from[v] = self.product.weights.panels[((panel + v) * k + start) * LANES..][..length * LANES].as_ptr();
             }
             let mut ahead = Ahead::after(
                 from,
@@ -193,7 +219,7 @@ impl<F: Form> Task<'_, F> {
         }
         let written = if direct { rows / MR * MR } else { 0 };
         let rest = written..rows;
-        match (self.epilogue.activation(), F::PRECISION) {
+        match (self.product.epilogue.activation(), F::PRECISION) {
             (Activation::Identity, _) => self.finish::<S, Identity, NV>(s, columns, rest, scales, tile),
             (Activation::Silu, Precision::F32) => self.finish::<S, Silu, NV>(s, columns, rest, scales, tile),
             (Activation::Silu, _) => self.finish::<S, SiluLow, NV>(s, columns, rest, scales, tile),
@@ -206,7 +232,7 @@ impl<F: Form> Task<'_, F> {
     fn expect<const MR: usize, const NV: usize>(&self, first: usize, column: usize) {
         for r in 0..MR {
             for v in 0..NV {
-                prefetch(self.out.address((self.rows.start + first + r) * self.weights.n + column + v * LANES));
+                prefetch(self.out.address((self.rows.start + first + r) * self.product.weights.n + column + v * LANES));
             }
         }
     }
@@ -214,14 +240,14 @@ impl<F: Form> Task<'_, F> {
     /// What the epilogue and the form have for up to 16 columns that start a panel.
     #[inline(always)]
     fn of_columns<S: Simd>(&self, s: S, columns: &Range<usize>) -> (Affine<S>, S::F32, S::I32) {
-        let affine = self.epilogue.affine(s, columns);
+        let affine = self.product.epilogue.affine(s, columns);
         if F::PRECISION != Precision::Int8 {
             return (affine, s.splat(1.0), s.splat_i32(0));
         }
         let whole = columns.start..columns.start + LANES;
         let mut offsets = [0; LANES];
-        offsets.copy_from_slice(&self.weights.offsets[whole.clone()]);
-        (affine, s.load(&self.weights.scales[whole]), s.from_array_i32(offsets))
+        offsets.copy_from_slice(&self.product.weights.offsets[whole.clone()]);
+        (affine, s.load(&self.product.weights.scales[whole]), s.from_array_i32(offsets))
     }
 
     /// Writes a whole register block, of rows from `first` of the task and columns from `column`, whose epilogue has no function.
@@ -234,7 +260,7 @@ impl<F: Form> Task<'_, F> {
         acc: Tile<S, MR, NV>,
         scales: &[f32],
     ) {
-        let n = self.weights.n;
+        let n = self.product.weights.n;
         let scales = &scales[..MR];
         let start = (self.rows.start + first) * n + column;
         let mut of = [self.of_columns(s, &(column..column + LANES)); NV];
@@ -274,7 +300,7 @@ impl<F: Form> Task<'_, F> {
         scales: &[f32],
         tile: &[f32],
     ) {
-        let n = self.weights.n;
+        let n = self.product.weights.n;
         for v in 0..NV {
             let start = columns.start + v * LANES;
             let columns = start..(start + LANES).min(columns.end);

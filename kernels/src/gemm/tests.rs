@@ -1,4 +1,5 @@
-use super::{Epilogue, Precision, Weights, linear, reference};
+use super::{Epilogue, Input, Precision, Weights, linear, reference};
+use crate::norm::{self, Norm};
 use crate::testing::{bits, noise, on_every_level_and_thread_count};
 
 const SIZES: [(usize, usize, usize); 9] = [
@@ -142,4 +143,30 @@ fn epilogues_are_the_functions_they_name() {
 #[should_panic(expected = "expected m·k")]
 fn a_short_input_is_refused() {
     linear(crate::Level::detect(), &[0.0; 5], 2, &Weights::pack(&[0.0; 9], 3, 3), &Epilogue::new(), &mut [0.0; 6]);
+}
+
+#[test]
+fn rows_normalised_on_their_way_are_those_normalised_before() {
+    for (m, n, k) in SIZES.into_iter().chain([(400, 40, 70)]) {
+        let (x, w, scale, shift) = (noise(m * k, 1), noise(n * k, 2), noise(k, 3), noise(k, 4));
+        for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
+            let weights = Weights::pack_as(precision, &w, n, k);
+            for norm in [Norm::rms(&scale, 1e-5), Norm::layer(&scale, &shift, 1e-6)] {
+                let out = on_every_level_and_thread_count(m * n, |level, out| {
+                    linear(level, Input::Normed(&x, norm), m, &weights, &Epilogue::new(), out);
+                });
+                let (level, mut normed, mut expected) = (crate::Level::detect(), vec![0.0; m * k], vec![0.0; m * n]);
+                norm::rows(level, &x, &mut normed, norm);
+                linear(level, &normed, m, &weights, &Epilogue::new(), &mut expected);
+                assert!(bits(&out) == bits(&expected), "{m}x{n}x{k}, {precision:?}");
+            }
+        }
+    }
+}
+
+#[test]
+#[should_panic(expected = "the norm is of 2 values, expected k = 3")]
+fn a_norm_of_another_width_is_refused() {
+    let input = Input::Normed(&[0.0; 6], Norm::rms(&[1.0; 2], 1e-5));
+    linear(crate::Level::detect(), input, 2, &Weights::pack(&[0.0; 9], 3, 3), &Epilogue::new(), &mut [0.0; 6]);
 }

@@ -36,7 +36,7 @@ const TASK: usize = 1 << 14;
 /// # Panics
 /// When `x` is no whole number of rows or `out` has another size.
 pub fn rms_norm(level: Level, x: &[f32], w: &[f32], epsilon: f32, out: &mut [f32]) {
-    rows(level, x, out, w.len(), RowNorm { w, b: None, epsilon });
+    rows(level, x, out, Norm::rms(w, epsilon));
 }
 
 /// `out = (x − mean(x)) / √(variance + ε) · w + b` for every row of `x [rows, w.len()]`. See [the module](self).
@@ -44,11 +44,11 @@ pub fn rms_norm(level: Level, x: &[f32], w: &[f32], epsilon: f32, out: &mut [f32
 /// # Panics
 /// When `x` is no whole number of rows, or `b` or `out` have another size.
 pub fn layer_norm(level: Level, x: &[f32], w: &[f32], b: &[f32], epsilon: f32, out: &mut [f32]) {
-    assert_eq!(w.len(), b.len(), "{} weights but {} biases", w.len(), b.len());
-    rows(level, x, out, w.len(), RowNorm { w, b: Some(b), epsilon });
+    rows(level, x, out, Norm::layer(w, b, epsilon));
 }
 
-fn rows(level: Level, x: &[f32], out: &mut [f32], d: usize, norm: RowNorm<'_>) {
+pub(crate) fn rows(level: Level, x: &[f32], out: &mut [f32], norm: Norm<'_>) {
+    let d = norm.width();
     assert_eq!(x.len(), out.len(), "input holds {} values, output {}", x.len(), out.len());
     assert!(x.len().is_multiple_of(d), "{} values in rows of {d}", x.len());
     if d == 0 {
@@ -64,7 +64,7 @@ fn rows(level: Level, x: &[f32], out: &mut [f32], d: usize, norm: RowNorm<'_>) {
 }
 
 struct Task<'a> {
-    norm: RowNorm<'a>,
+    norm: Norm<'a>,
     x: &'a [f32],
     out: &'a mut [f32],
 }
@@ -73,22 +73,41 @@ impl Operation for Task<'_> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let d = self.norm.w.len();
+        let d = self.norm.width();
         for (x, out) in self.x.chunks_exact(d).zip(self.out.chunks_exact_mut(d)) {
             self.norm.apply(s, x, out);
         }
     }
 }
 
-/// The normalisation of one row.
-#[derive(Clone, Copy)]
-pub(crate) struct RowNorm<'a> {
-    pub(crate) w: &'a [f32],
-    pub(crate) b: Option<&'a [f32]>,
-    pub(crate) epsilon: f32,
+/// The normalisation of a row.
+#[derive(Clone, Copy, Debug)]
+pub struct Norm<'a> {
+    w: &'a [f32],
+    b: Option<&'a [f32]>,
+    epsilon: f32,
 }
 
-impl RowNorm<'_> {
+impl<'a> Norm<'a> {
+    /// That of [`rms_norm`].
+    pub const fn rms(w: &'a [f32], epsilon: f32) -> Self {
+        Self { w, b: None, epsilon }
+    }
+
+    /// That of [`layer_norm`].
+    ///
+    /// # Panics
+    /// When there are more or fewer biases than weights.
+    pub fn layer(w: &'a [f32], b: &'a [f32], epsilon: f32) -> Self {
+        assert_eq!(w.len(), b.len(), "{} weights but {} biases", w.len(), b.len());
+        Self { w, b: Some(b), epsilon }
+    }
+
+    /// Values of a row.
+    pub const fn width(&self) -> usize {
+        self.w.len()
+    }
+
     #[inline(always)]
     pub(crate) fn apply<S: Simd>(&self, s: S, x: &[f32], out: &mut [f32]) {
         let n = x.len() as f32;

@@ -55,10 +55,8 @@ impl SelfAttention {
     pub(crate) fn accumulate(&self, level: Level, windows: Windows, x: &mut [f32], work: &mut Workspace) {
         let d = self.out_proj.k();
         let n = x.len() / d;
-        let normed = sized(&mut work.normed, x.len());
-        self.norm.apply(level, x, normed);
         let qkv = sized(&mut work.projected, 3 * x.len());
-        self.packed_proj.apply(level, normed, qkv);
+        self.packed_proj.apply_normed(level, self.norm.norm(), x, qkv);
         let mixed = sized(&mut work.mixed, x.len());
         let [q, k, v] = [0, 1, 2].map(|part| Rows::new(qkv, n, 3 * d, part * d));
         attend_as(self.out_proj.precision(), level, shape(d, windows), q, k, v, mixed);
@@ -78,10 +76,8 @@ impl SelfAttention {
     ) {
         let d = self.out_proj.k();
         let n = keys_values.len() / (2 * d);
-        let normed = sized(&mut work.normed, x.len());
-        self.norm.apply(level, x, normed);
         let qkv = sized(&mut work.projected, 3 * x.len());
-        self.packed_proj.apply(level, normed, qkv);
+        self.packed_proj.apply_normed(level, self.norm.norm(), x, qkv);
         scatter(at, qkv, 3 * d, d, keys_values, 2 * d);
         let mixed = sized(&mut work.mixed, x.len());
         let q = Rows::new(qkv, at.len(), 3 * d, 0);
@@ -151,10 +147,8 @@ impl CrossAttention {
     pub(crate) fn accumulate_with(&self, level: Level, keys_values: &[f32], x: &mut [f32], work: &mut Workspace) {
         let d = self.out_proj.k();
         let (n, m) = (x.len() / d, keys_values.len() / (2 * d));
-        let normed = sized(&mut work.normed, x.len());
-        self.norm.apply(level, x, normed);
         let q = sized(&mut work.projected, x.len());
-        self.query.apply(level, normed, q);
+        self.query.apply_normed(level, self.norm.norm(), x, q);
         let mixed = sized(&mut work.mixed, x.len());
         let [k, v] = [0, 1].map(|part| Rows::new(keys_values, m, 2 * d, part * d));
         attend_as(self.out_proj.precision(), level, shape(d, Windows::Full), Rows::new(q, n, d, 0), k, v, mixed);

@@ -25,7 +25,7 @@ impl Block {
         if let Some(attn) = &self.attn {
             attn.accumulate(level, windows, x, work);
         }
-        self.feed_forward(level, x, work);
+        self.feed_forward(level, x);
     }
 
     /// [`Block::apply`] of the tokens `at` alone, whose rows `x` holds; `keys_values [n, 2d]` holds those of all tokens, and gets theirs. A block
@@ -42,13 +42,13 @@ impl Block {
         if let Some(attn) = &self.attn {
             attn.accumulate_some(level, windows, at, x, keys_values, work);
         }
-        self.feed_forward(level, x, work);
+        self.feed_forward(level, x);
     }
 
     /// What follows the attention.
-    fn feed_forward(&self, level: Level, x: &mut [f32], work: &mut Workspace) {
+    fn feed_forward(&self, level: Level, x: &mut [f32]) {
         match &self.mlp {
-            Some(mlp) => mlp.accumulate(level, self.attn.is_none(), x, work),
+            Some(mlp) => mlp.accumulate(level, self.attn.is_none(), x),
             None => add_zero(x),
         }
     }

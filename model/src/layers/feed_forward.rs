@@ -1,8 +1,8 @@
 //! The feed-forward layer of a block.
 
-use streamsplat_kernels::Level;
+use streamsplat_kernels::{Level, feed_forward};
 
-use super::{Bias, Linear, ROWS, RmsNorm, Workspace, add_zero, sized};
+use super::{Bias, Linear, RmsNorm, add_zero};
 use crate::ModelError;
 use crate::checkpoint::Weights;
 
@@ -36,18 +36,18 @@ impl FeedForward {
     }
 
     /// `x += feed_forward(norm(x))`; `after_silence`: to what a silent branch before it left to be done, `x += 0`.
-    pub(crate) fn accumulate(&self, level: Level, after_silence: bool, x: &mut [f32], work: &mut Workspace) {
-        let d = self.expand.k();
-        for x in x.chunks_mut(ROWS * d) {
-            if after_silence {
-                add_zero(x);
-            }
-            let normed = sized(&mut work.normed, x.len());
-            self.norm.apply(level, x, normed);
-            let hidden = sized(&mut work.hidden, 4 * x.len());
-            self.expand.apply_silu(level, normed, hidden);
-            self.contract.accumulate(level, hidden, x);
+    pub(crate) fn accumulate(&self, level: Level, after_silence: bool, x: &mut [f32]) {
+        if after_silence {
+            add_zero(x);
         }
+        let layer = feed_forward::FeedForward {
+            norm: self.norm.norm(),
+            expand: self.expand.weights(),
+            hidden: self.expand.epilogue().silu(),
+            contract: self.contract.weights(),
+            residual: self.contract.epilogue().residual(),
+        };
+        layer.accumulate(level, x);
     }
 
     pub(crate) fn bytes(&self) -> usize {

@@ -1,6 +1,7 @@
 //! Layer normalisation, as DINOv2 uses it.
 
-use streamsplat_kernels::{Level, norm};
+use streamsplat_kernels::Level;
+use streamsplat_kernels::norm::{self, Norm};
 
 use crate::ModelError;
 use crate::checkpoint::Weights;
@@ -20,6 +21,11 @@ impl LayerNorm {
             weight: weights.vector(&format!("{name}.weight"), &[d])?,
             bias: weights.vector(&format!("{name}.bias"), &[d])?,
         })
+    }
+
+    /// For products that normalise their rows.
+    pub(crate) fn norm(&self) -> Norm<'_> {
+        Norm::layer(&self.weight, &self.bias, Self::EPSILON)
     }
 
     pub(crate) fn apply(&self, level: Level, x: &[f32], out: &mut [f32]) {

@@ -1,7 +1,8 @@
 //! Linear layers.
 
 use streamsplat_kernels::Level;
-use streamsplat_kernels::gemm::{self, Epilogue, Precision};
+use streamsplat_kernels::gemm::{self, Epilogue, Input, Precision};
+use streamsplat_kernels::norm::Norm;
 
 use crate::ModelError;
 use crate::checkpoint::Weights;
@@ -65,36 +66,37 @@ impl Linear {
         self.weights.bytes() + self.bias.as_ref().map_or(0, |b| 4 * b.len())
     }
 
-    fn epilogue(&self) -> Epilogue<'_> {
+    /// The packed weight.
+    pub(crate) fn weights(&self) -> &gemm::Weights {
+        &self.weights
+    }
+
+    /// The bias as what follows the product.
+    pub(crate) fn epilogue(&self) -> Epilogue<'_> {
         Epilogue::new().maybe_bias(self.bias.as_deref())
     }
 
-    fn run(&self, level: Level, x: &[f32], epilogue: Epilogue<'_>, out: &mut [f32]) {
-        gemm::linear(level, x, x.len() / self.k(), &self.weights, &epilogue, out);
+    fn run(&self, level: Level, x: Input<'_>, epilogue: Epilogue<'_>, out: &mut [f32]) {
+        gemm::linear(level, x, out.len() / self.n(), &self.weights, &epilogue, out);
     }
 
     /// `out = layer(x)`
     pub(crate) fn apply(&self, level: Level, x: &[f32], out: &mut [f32]) {
-        self.run(level, x, self.epilogue(), out);
+        self.run(level, Input::Rows(x), self.epilogue(), out);
     }
 
-    /// `out = silu(layer(x))`
-    pub(crate) fn apply_silu(&self, level: Level, x: &[f32], out: &mut [f32]) {
-        self.run(level, x, self.epilogue().silu(), out);
-    }
-
-    /// `out = gelu(layer(x))`
-    pub(crate) fn apply_gelu(&self, level: Level, x: &[f32], out: &mut [f32]) {
-        self.run(level, x, self.epilogue().gelu(), out);
+    /// `out = layer(norm(x))`
+    pub(crate) fn apply_normed(&self, level: Level, norm: Norm<'_>, x: &[f32], out: &mut [f32]) {
+        self.run(level, Input::Normed(x, norm), self.epilogue(), out);
     }
 
     /// `out += layer(x)`
     pub(crate) fn accumulate(&self, level: Level, x: &[f32], out: &mut [f32]) {
-        self.run(level, x, self.epilogue().residual(), out);
+        self.run(level, Input::Rows(x), self.epilogue().residual(), out);
     }
 
     /// `out += γ · layer(x)`
     pub(crate) fn accumulate_scaled(&self, level: Level, x: &[f32], gamma: &[f32], out: &mut [f32]) {
-        self.run(level, x, self.epilogue().gamma(gamma).residual(), out);
+        self.run(level, Input::Rows(x), self.epilogue().gamma(gamma).residual(), out);
     }
 }

@@ -3,7 +3,6 @@
 mod attention;
 mod block;
 mod feed_forward;
-
 mod layer_norm;
 mod linear;
 mod norm;
@@ -14,7 +13,6 @@ mod workspace;
 pub(crate) use attention::{CrossAttention, SelfAttention};
 pub(crate) use block::{Block, windows};
 pub(crate) use feed_forward::FeedForward;
-
 pub(crate) use layer_norm::LayerNorm;
 pub(crate) use linear::{Bias, Linear};
 pub(crate) use norm::RmsNorm;
@@ -24,6 +22,3 @@ pub(crate) use workspace::{Workspace, Workspaces, sized};
 
 /// Channels of a head.
 pub(crate) const HEAD: usize = 64;
-
-/// Rows that pass through a feed-forward layer together: their hidden values stay small.
-pub(crate) const ROWS: usize = 1152;

@@ -1,6 +1,7 @@
 //! RMS normalisation.
 
-use streamsplat_kernels::{Level, norm};
+use streamsplat_kernels::Level;
+use streamsplat_kernels::norm::{self, Norm};
 
 use crate::ModelError;
 use crate::checkpoint::Weights;
@@ -16,14 +17,15 @@ impl RmsNorm {
         Ok(RmsNorm(weights.vector(&format!("{name}.weight"), &[d])?))
     }
 
-    pub(crate) fn apply(&self, level: Level, x: &[f32], out: &mut [f32]) {
-        norm::rms_norm(level, x, &self.0, Self::EPSILON, out);
+    /// For products that normalise their rows.
+    pub(crate) fn norm(&self) -> Norm<'_> {
+        Norm::rms(&self.0, Self::EPSILON)
     }
 
-    /// In memory of its own.
+    /// The rows by themselves.
     pub(crate) fn of(&self, level: Level, x: &[f32]) -> Vec<f32> {
         let mut out = vec![0.0; x.len()];
-        self.apply(level, x, &mut out);
+        norm::rms_norm(level, x, &self.0, Self::EPSILON, &mut out);
         out
     }
 

@@ -9,11 +9,9 @@ use streamsplat_kernels::memory::Aligned;
 pub(crate) struct Workspace {
     pub(crate) tokens: Aligned<f32>,
     pub(crate) wide: Aligned<f32>,
-    pub(crate) normed: Aligned<f32>,
     pub(crate) projected: Aligned<f32>,
     pub(crate) keys_values: Aligned<f32>,
     pub(crate) mixed: Aligned<f32>,
-    pub(crate) hidden: Aligned<f32>,
 }
 
 impl Workspace {
@@ -56,10 +54,10 @@ mod tests {
     #[test]
     fn memory_is_kept_for_the_next_call_and_is_one_calls_at_a_time() {
         let workspaces = Workspaces::default();
-        let first = workspaces.lend(|work| sized(&mut work.normed, 1000).as_ptr() as usize);
+        let first = workspaces.lend(|work| sized(&mut work.mixed, 1000).as_ptr() as usize);
         workspaces.lend(|work| {
-            assert_eq!(sized(&mut work.normed, 900).as_ptr() as usize, first);
-            let inner = workspaces.lend(|work| sized(&mut work.normed, 900).as_ptr() as usize);
+            assert_eq!(sized(&mut work.mixed, 900).as_ptr() as usize, first);
+            let inner = workspaces.lend(|work| sized(&mut work.mixed, 900).as_ptr() as usize);
             assert_ne!(inner, first);
         });
     }

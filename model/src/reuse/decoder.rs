@@ -124,7 +124,7 @@ impl Decoder {
                 }
                 None => add_zero(x),
             }
-            block.feed_forward(level, x, work);
+            block.feed_forward(level, x);
         }
         rows.x = self.layernorm2.of(level, &rows.x);
         sized(output, 2 * n * d);
