@@ -6,7 +6,7 @@ use super::layout::Layout;
 use super::mix::Mix;
 use super::{KEY_BLOCK, LARGEST_SCALE, Rows};
 use crate::gemm::form::{Form, Multiply};
-use crate::gemm::{Precision, interleave, scales_of};
+use crate::gemm::{Precision, interleave, larger, scales_of};
 use crate::memory::Scratch;
 use crate::simd::{LANES, Operation, Simd};
 
@@ -53,7 +53,8 @@ impl<A: Form, M: Mix> Pack<'_, A, M> {
             let mut converted = Scratch::take(count * words);
             let mut work = Scratch::take(width);
             for (i, to) in converted.chunks_exact_mut(words).enumerate() {
-                self.scales[i] = A::convert(s, key(i), &mut work, bytemuck::cast_slice_mut(to)).min(LARGEST_SCALE);
+                self.scales[i] =
+                    A::convert(s, key(i), None, &mut work, bytemuck::cast_slice_mut(to)).min(LARGEST_SCALE);
             }
             interleave::<KR>(count, words, |i| &converted[i * words..][..words], &mut *self.keys);
         }
@@ -103,14 +104,11 @@ impl Values<'_> {
     /// Scales of 16 channels from `c` on, as [`scales_of`] has them; returns their inverses.
     #[inline(always)]
     fn scales_of_channels<S: Simd>(&self, s: S, c: usize, scales: &mut [f32]) -> S::F32 {
-        let (mut most, mut poison) = (s.splat(0.0), s.splat(0.0));
+        let mut most = s.splat_i32(0);
         for i in 0..self.present {
-            let value = self.value(s, i, c);
-            most = s.max(s.abs(value), most);
-            poison = s.mul_add(value, s.splat(0.0), poison);
+            most = larger(s, most, self.value(s, i, c));
         }
-        let finite = s.eq(poison, s.splat(0.0));
-        let (scale, inverse) = scales_of(s, s.select(finite, most, s.splat(f32::INFINITY)));
+        let (scale, inverse) = scales_of(s, s.from_bits(most));
         s.store(scale, scales);
         inverse
     }

@@ -33,8 +33,9 @@ pub(crate) trait Form: Multiply {
     /// Words of a row of `k` values on a level.
     fn row_words<S: Simd>(k: usize) -> usize;
 
-    /// Turns a row into its words; returns its scale.
-    fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32;
+    /// Turns a row into its words; returns its scale. `largest` is the row's largest magnitude where that is known, infinite where a value is
+    /// not finite.
+    fn convert<S: Simd>(s: S, row: &[f32], largest: Option<f32>, values: &mut [f32], words: &mut [u32]) -> f32;
 
     /// Turns a row into the words of one lane of a panel; returns its scale and what [`Form::of_row`] takes off. The words are the same on
     /// every level.
@@ -100,13 +101,13 @@ impl Form for Single {
         k
     }
     #[inline(always)]
-    fn convert<S: Simd>(_: S, row: &[f32], _: &mut [f32], words: &mut [u32]) -> f32 {
+    fn convert<S: Simd>(_: S, row: &[f32], _: Option<f32>, _: &mut [f32], words: &mut [u32]) -> f32 {
         words.copy_from_slice(bytemuck::cast_slice(row));
         1.0
     }
     #[inline(always)]
     fn convert_column<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> (f32, i32) {
-        (Self::convert(s, row, values, words), 0)
+        (Self::convert(s, row, None, values, words), 0)
     }
     #[inline(always)]
     fn add<S: Simd>(s: S, before: S::F32, block: S::F32) -> S::F32 {
@@ -158,7 +159,7 @@ impl Form for Brain {
         if S::BF16_DOT { k.div_ceil(2) } else { k.next_multiple_of(2) }
     }
     #[inline(always)]
-    fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
+    fn convert<S: Simd>(s: S, row: &[f32], _: Option<f32>, values: &mut [f32], words: &mut [u32]) -> f32 {
         if S::BF16_DOT {
             pair_row(s, row, words);
         } else {
@@ -314,13 +315,14 @@ impl Form for Bytes {
         k.div_ceil(4) * Self::row_words_of_a_word::<S>()
     }
     #[inline(always)]
-    fn convert<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> f32 {
+    fn convert<S: Simd>(s: S, row: &[f32], largest: Option<f32>, values: &mut [f32], words: &mut [u32]) -> f32 {
+        let largest = largest.unwrap_or_else(|| largest_magnitude(s, row));
         if S::BYTE_DOT {
             // The instruction takes these unsigned; the weights' offsets undo it.
-            return quantise_row::<S, 128>(s, row, words);
+            return quantise_row::<S, 128>(s, row, largest, words);
         }
         let bytes = &mut bytemuck::cast_slice_mut(values)[..words.len() / 2];
-        let scale = quantise_row::<S, 0>(s, row, bytes);
+        let scale = quantise_row::<S, 0>(s, row, largest, bytes);
         for (two, bytes) in words.chunks_exact_mut(2).zip(bytes) {
             let [a, b, c, d] = bytes.to_le_bytes().map(|byte| i32::from(byte.cast_signed()) as u32 & 0xffff);
             (two[0], two[1]) = (a | c << 16, b | d << 16);
@@ -329,7 +331,7 @@ impl Form for Bytes {
     }
     #[inline(always)]
     fn convert_column<S: Simd>(s: S, row: &[f32], _: &mut [f32], words: &mut [u32]) -> (f32, i32) {
-        let scale = quantise_row::<S, 0>(s, row, words);
+        let scale = quantise_row::<S, 0>(s, row, largest_magnitude(s, row), words);
         let bytes: &[i8] = bytemuck::cast_slice(words);
         (scale, 128 * bytes.iter().map(|&q| i32::from(q)).sum::<i32>())
     }
@@ -390,8 +392,8 @@ impl Portions {
 /// A row in units of its scale, `OFFSET` added, as the bytes of words, the first lowest; what is left of the last word is `OFFSET`. Returns
 /// the scale. A row of zeros, or one with a value that is not finite, is zeros.
 #[inline(always)]
-fn quantise_row<S: Simd, const OFFSET: u8>(s: S, row: &[f32], words: &mut [u32]) -> f32 {
-    let (scale, inverse) = scale_of(largest_magnitude(s, row));
+fn quantise_row<S: Simd, const OFFSET: u8>(s: S, row: &[f32], largest: f32, words: &mut [u32]) -> f32 {
+    let (scale, inverse) = scale_of(largest);
     let bytes: &mut [u8] = bytemuck::cast_slice_mut(words);
     if scale == 0.0 {
         bytes.fill(OFFSET);

@@ -43,7 +43,7 @@ pub use precision::Precision;
 pub(crate) use precision::SMALLEST;
 #[cfg(test)]
 pub(crate) use precision::round_bf16_scalar;
-pub(crate) use precision::{pair, pair_bf16, round_bf16, scales_of};
+pub(crate) use precision::{larger, largest, pair, pair_bf16, round_bf16, scales_of};
 pub use weights::Weights;
 
 use tracing::debug_span;

@@ -112,10 +112,10 @@ impl<F: Form> Task<'_, F> {
             for i in 0..rows {
                 let to = bytemuck::cast_slice_mut(&mut converted[i * row_words..][..row_words]);
                 scales[i] = match self.product.x {
-                    Input::Rows(_) => F::convert(s, self.row(i), &mut values, to),
+                    Input::Rows(_) => F::convert(s, self.row(i), None, &mut values, to),
                     Input::Normed(_, norm) => {
-                        norm.apply(s, self.row(i), &mut line);
-                        F::convert(s, &line, &mut values, to)
+                        let largest = norm.apply_largest(s, self.row(i), &mut line);
+                        F::convert(s, &line, Some(largest), &mut values, to)
                     }
                 };
             }

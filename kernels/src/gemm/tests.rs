@@ -52,6 +52,28 @@ fn lower_precisions_give_their_defined_bits_everywhere() {
 }
 
 #[test]
+fn weights_are_packed_alike_on_every_level() {
+    for (_, n, k) in SIZES {
+        let mut w = noise(n * k, 2);
+        // What a format flushes, rounds to nothing, or has to leave out.
+        w.iter_mut().step_by(11).for_each(|w| *w *= 1e-17);
+        w.iter_mut().step_by(13).for_each(|w| *w = -0.0);
+        if let Some(w) = w.last_mut() {
+            *w = f32::INFINITY;
+        }
+        for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
+            let expected = Weights::pack_on(crate::Level::scalar(), precision, &w, n, k);
+            for level in crate::Level::available() {
+                let packed = Weights::pack_on(level, precision, &w, n, k);
+                assert!(packed.panels[..] == expected.panels[..], "{level}, {precision:?}, {n}x{k}");
+                assert_eq!(packed.scales, expected.scales, "{level}, {precision:?}, {n}x{k}");
+                assert_eq!(packed.offsets, expected.offsets, "{level}, {precision:?}, {n}x{k}");
+            }
+        }
+    }
+}
+
+#[test]
 fn lower_precisions_stay_near_the_exact_product() {
     let (m, n, k) = (9, 40, 768);
     let (x, w) = (noise(m * k, 3), noise(n * k, 4));

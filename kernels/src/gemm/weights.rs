@@ -1,11 +1,14 @@
 //! Weights in the layout that the register block reads.
 
+use std::marker::PhantomData;
+
 use rayon::prelude::*;
 
-use super::form::values_of_a_word;
-use super::precision::{Precision, pair, round_bf16_scalar, scale_of};
-use crate::memory::Aligned;
-use crate::simd::LANES;
+use super::Precision;
+use super::form::{Brain, Bytes, Form, Single, values_of_a_word};
+use crate::Level;
+use crate::memory::{Aligned, Scratch};
+use crate::simd::{LANES, Operation, Simd, dispatch};
 
 /// A linear layer's weight, packed for [`linear`](super::linear).
 ///
@@ -37,29 +40,43 @@ impl Weights {
     /// # Panics
     /// When `weight` does not hold `n · k` values, or `k` is above 2¹⁶ (where sums of 8-bit products could overflow).
     pub fn pack_as(precision: Precision, weight: &[f32], n: usize, k: usize) -> Self {
+        Self::pack_on(Level::detect(), precision, weight, n, k)
+    }
+
+    /// [`Weights::pack_as`] with a level's instructions.
+    pub(super) fn pack_on(level: Level, precision: Precision, weight: &[f32], n: usize, k: usize) -> Self {
+        match precision {
+            Precision::F32 => Self::pack_form::<Single>(level, weight, n, k),
+            Precision::Bf16 => Self::pack_form::<Brain>(level, weight, n, k),
+            Precision::Int8 => Self::pack_form::<Bytes>(level, weight, n, k),
+        }
+    }
+
+    fn pack_form<F: Form>(level: Level, weight: &[f32], n: usize, k: usize) -> Self {
         assert_eq!(weight.len(), n * k, "weight holds {} values, expected n·k = {n}·{k}", weight.len());
         assert!(k <= 1 << 16, "rows of {k} values, expected at most 65536");
-        let words = k.div_ceil(values_of_a_word(precision));
+        let words = k.div_ceil(values_of_a_word(F::PRECISION));
         let mut panels = Aligned::<u32>::zeroed(n.div_ceil(LANES) * words * LANES);
-        let integers = precision == Precision::Int8;
-        let columns = if integers { n.next_multiple_of(LANES) } else { 0 };
-        let (mut scales, mut offsets) = (vec![0.0; columns], vec![0; columns]);
-        if words > 0 {
-            panels.par_chunks_mut(words * LANES).enumerate().for_each(|(panel, to)| {
-                for lane in 0..LANES.min(n - panel * LANES) {
-                    let row = &weight[(panel * LANES + lane) * k..][..k];
-                    pack_row(precision, row, to[lane..].iter_mut().step_by(LANES));
-                }
-            });
+        let columns: Vec<_> = match words {
+            0 => vec![([0.0; LANES], [0; LANES]); n.div_ceil(LANES)],
+            _ => panels
+                .par_chunks_mut(words * LANES)
+                .zip(weight.par_chunks(LANES * k))
+                .map(|(panel, rows)| dispatch(level, Pack { rows, k, panel, form: PhantomData::<fn(F)> }))
+                .collect(),
+        };
+        let (scales, offsets): (Vec<_>, Vec<_>) = match F::PRECISION {
+            Precision::Int8 => columns.into_iter().unzip(),
+            _ => Default::default(),
+        };
+        Self {
+            n,
+            k,
+            precision: F::PRECISION,
+            panels,
+            scales: scales.into_flattened(),
+            offsets: offsets.into_flattened(),
         }
-        if integers && k > 0 {
-            scales.par_iter_mut().zip(&mut offsets).zip(weight.par_chunks(k)).for_each(|((scale, offset), row)| {
-                let (step, inverse) = row_scale(row);
-                *scale = step;
-                *offset = 128 * row.iter().map(|&w| quantise(w, inverse)).sum::<i32>();
-            });
-        }
-        Self { n, k, precision, panels, scales, offsets }
     }
 
     /// Output columns.
@@ -92,28 +109,28 @@ impl Weights {
     }
 }
 
-/// The scale of a row of weights and its inverse; zeros for a row with a value that is not finite.
-pub(super) fn row_scale(row: &[f32]) -> (f32, f32) {
-    scale_of(row.iter().fold(0.0, |most: f32, w| if w.is_nan() { f32::INFINITY } else { most.max(w.abs()) }))
+/// Packs a panel of up to 16 rows of `k` weights; gives their scales and offsets, as [`Form::convert_column`] has them.
+struct Pack<'a, F> {
+    rows: &'a [f32],
+    k: usize,
+    panel: &'a mut [u32],
+    form: PhantomData<fn(F)>,
 }
 
-/// A weight in units of its scale.
-pub(super) fn quantise(w: f32, inverse: f32) -> i32 {
-    if inverse > 0.0 { (w * inverse).round_ties_even() as i32 } else { 0 }
-}
-
-fn pack_row<'a>(precision: Precision, row: &[f32], to: impl Iterator<Item = &'a mut u32>) {
-    match precision {
-        Precision::F32 => to.zip(row).for_each(|(to, w)| *to = w.to_bits()),
-        Precision::Bf16 => to.zip(row.chunks(2)).for_each(|(to, two)| {
-            let second = two.get(1).copied().unwrap_or(0.0);
-            *to = pair(round_bf16_scalar(two[0]), round_bf16_scalar(second));
-        }),
-        Precision::Int8 => {
-            let (_, inverse) = row_scale(row);
-            to.zip(row.chunks(4)).for_each(|(to, four)| {
-                *to = four.iter().rev().fold(0, |word, &w| word << 8 | quantise(w, inverse) as u8 as u32);
-            });
+impl<F: Form> Operation for Pack<'_, F> {
+    type Output = ([f32; LANES], [i32; LANES]);
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) -> Self::Output {
+        let (mut scales, mut offsets) = ([0.0; LANES], [0; LANES]);
+        let mut values = Scratch::take(self.k.next_multiple_of(4));
+        let mut line = Scratch::take(self.panel.len() / LANES);
+        let line: &mut [u32] = bytemuck::cast_slice_mut(&mut line);
+        for (lane, row) in self.rows.chunks_exact(self.k).enumerate() {
+            (scales[lane], offsets[lane]) = F::convert_column(s, row, &mut values, line);
+            for (to, word) in self.panel[lane..].iter_mut().step_by(LANES).zip(&*line) {
+                *to = *word;
+            }
         }
+        (scales, offsets)
     }
 }

@@ -20,6 +20,7 @@ mod tests;
 use tracing::debug_span;
 
 use crate::Level;
+use crate::gemm::{larger, largest};
 use crate::parallel::for_each_chunk;
 use crate::simd::{LANES, Operation, Simd, dispatch};
 
@@ -110,12 +111,54 @@ impl<'a> Norm<'a> {
 
     #[inline(always)]
     pub(crate) fn apply<S: Simd>(&self, s: S, x: &[f32], out: &mut [f32]) {
+        self.write::<S, false>(s, x, out);
+    }
+
+    /// [`Norm::apply`]; returns the largest magnitude of the result, infinite where a value is not finite.
+    #[inline(always)]
+    pub(crate) fn apply_largest<S: Simd>(&self, s: S, x: &[f32], out: &mut [f32]) -> f32 {
+        let most = self.write::<S, true>(s, x, out);
+        largest(s, most)
+    }
+
+    /// Writes the result; gives the larger of its magnitudes in each lane where they are asked for.
+    #[inline(always)]
+    fn write<S: Simd, const LARGEST: bool>(&self, s: S, x: &[f32], out: &mut [f32]) -> S::I32 {
         let n = x.len() as f32;
-        let mut most = s.splat(0.0);
-        for x in x.chunks(LANES) {
-            most = s.max(s.abs(s.load_partial(x, 0.0)), most);
+        let whole = x.len() / LANES * LANES;
+        let (mut most, mut squares) = (s.splat(0.0), s.splat(0.0));
+        for x in x[..whole].chunks_exact(LANES) {
+            let x = s.load(x);
+            most = s.max(s.abs(x), most);
+            squares = s.mul_add(x, x, squares);
         }
-        let (scale, epsilon) = if s.max_lane(most) > LARGE { (SCALE, 0.0) } else { (1.0, self.epsilon) };
+        if whole < x.len() {
+            let x = s.load_partial(&x[whole..], 0.0);
+            most = s.max(s.abs(x), most);
+            squares = s.mul_add(x, x, squares);
+        }
+        let large = s.max_lane(most) > LARGE;
+        if self.b.is_some() || large {
+            return self.write_any::<S, LARGEST>(s, x, large, out);
+        }
+        // The mean is none, the scale is 1.
+        let r = s.splat(1.0 / (s.sum(squares) / n + self.epsilon).sqrt());
+        let mut most = s.splat_i32(0);
+        for ((x, w), out) in x.chunks(LANES).zip(self.w.chunks(LANES)).zip(out.chunks_mut(LANES)) {
+            let y = s.mul(s.mul(s.load_partial(x, 0.0), r), s.load_partial(w, 0.0));
+            if LARGEST {
+                most = larger(s, most, y);
+            }
+            s.store_partial(y, out);
+        }
+        most
+    }
+
+    /// [`Norm::write`] of layer norms and of large rows.
+    #[inline(always)]
+    fn write_any<S: Simd, const LARGEST: bool>(&self, s: S, x: &[f32], large: bool, out: &mut [f32]) -> S::I32 {
+        let n = x.len() as f32;
+        let (scale, epsilon) = if large { (SCALE, 0.0) } else { (1.0, self.epsilon) };
         let scale = s.splat(scale);
         let load = |x: &[f32], fill: f32| s.mul(s.load_partial(x, fill), scale);
 
@@ -141,6 +184,7 @@ impl<'a> Norm<'a> {
             squares = s.mul_add(y, y, squares);
         }
         let r = s.splat(1.0 / (s.sum(squares) / n + epsilon).sqrt());
+        let mut most = s.splat_i32(0);
         for (i, out) in out.chunks_mut(LANES).enumerate() {
             let at = i * LANES..(i * LANES + LANES).min(x.len());
             let y = s.mul(s.sub(load(&x[at.clone()], 0.0), mu), r);
@@ -149,7 +193,11 @@ impl<'a> Norm<'a> {
                 Some(b) => s.mul_add(y, w, s.load_partial(&b[at], 0.0)),
                 None => s.mul(y, w),
             };
+            if LARGEST {
+                most = larger(s, most, y);
+            }
             s.store_partial(y, out);
         }
+        most
     }
 }

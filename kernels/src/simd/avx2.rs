@@ -275,6 +275,10 @@ impl Simd for Avx2 {
         both!(I, _mm256_cmpgt_epi32, a, b)
     }
     #[inline(always)]
+    fn max_i32(self, a: I, b: I) -> I {
+        both!(I, _mm256_max_epi32, a, b)
+    }
+    #[inline(always)]
     fn eq_i32(self, a: I, b: I) -> I {
         both!(I, _mm256_cmpeq_epi32, a, b)
     }

@@ -345,6 +345,10 @@ impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
         op!(_mm512_cmpgt_epi32_mask(a, b))
     }
     #[inline(always)]
+    fn max_i32(self, a: I, b: I) -> I {
+        op!(_mm512_max_epi32(a, b))
+    }
+    #[inline(always)]
     fn eq_i32(self, a: I, b: I) -> M {
         op!(_mm512_cmpeq_epi32_mask(a, b))
     }

@@ -247,6 +247,11 @@ pub trait Simd: Copy + Send + Sync + 'static {
     fn sar<const BITS: i32>(self, a: Self::I32) -> Self::I32;
     /// `a > b`, signed.
     fn gt_i32(self, a: Self::I32, b: Self::I32) -> Self::Mask;
+    /// The larger of both, signed.
+    #[inline(always)]
+    fn max_i32(self, a: Self::I32, b: Self::I32) -> Self::I32 {
+        self.select_i32(self.gt_i32(a, b), a, b)
+    }
     /// `a = b`
     fn eq_i32(self, a: Self::I32, b: Self::I32) -> Self::Mask;
     /// `mask ? a : b`

@@ -246,6 +246,10 @@ impl Simd for Neon {
         four!(M, vcgtq_s32, a, b)
     }
     #[inline(always)]
+    fn max_i32(self, a: I, b: I) -> I {
+        four!(I, vmaxq_s32, a, b)
+    }
+    #[inline(always)]
     fn eq_i32(self, a: I, b: I) -> M {
         four!(M, vceqq_s32, a, b)
     }

@@ -98,6 +98,9 @@ impl Operation for AllOperations<'_> {
         g(s.sar::<7>(j));
         g(s.select_i32(s.gt_i32(i, j), i, j));
         g(s.select_i32(s.eq_i32(i, j), i, j));
+        let larger = s.max_i32(i, j);
+        assert_eq!(s.to_array_i32(larger), s.to_array_i32(s.select_i32(s.gt_i32(i, j), i, j)));
+        g(larger);
         out.push(u32::from(s.bits(s.lt(a, b))));
         out.push(u32::from(s.any(s.lt(a, b))));
         out.push(u32::from(s.all(s.lt(a, b))));
