@@ -208,7 +208,7 @@ impl<A: Form, M: Mix> State<'_, A, M> {
             let at = &keys.words[first * row_words..][..KR * row_words];
             let scales = &keys.scales[first..][..KR];
             // SAFETY: each pointer is that of a slice of the length read.
-            let mut acc = unsafe { A::multiply::<S, KR, NV>(s, at.as_ptr().cast(), from, self.words) };
+            let mut acc = unsafe { A::multiply::<S, KR, NV>(s, at.as_ptr().cast(), from, self.words, &mut ()) };
             for r in 0..KR {
                 for v in 0..NV {
                     acc[r][v] = A::of_row(s, acc[r][v], scales[r], offsets[v]);
@@ -264,7 +264,7 @@ impl<A: Form, M: Mix> State<'_, A, M> {
         let from = std::array::from_fn(|v| self.scores[v * KEY_BLOCK * LANES..][..words * LANES].as_ptr().cast());
         let values = &keys.values[channel * row_words..][..CR * row_words];
         // SAFETY: each pointer is that of a slice of the length read.
-        let acc = unsafe { M::Product::multiply::<S, CR, NV>(s, values.as_ptr().cast(), from, words) };
+        let acc = unsafe { M::Product::multiply::<S, CR, NV>(s, values.as_ptr().cast(), from, words, &mut ()) };
         for v in 0..NV {
             let sum = &mut self.sum[((panel + v) * self.width + channel) * LANES..][..CR * LANES];
             for r in 0..CR {

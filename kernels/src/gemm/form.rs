@@ -5,7 +5,7 @@
 //! panels in registers, and hold each row's word as two: two f32, or two pairs of i16.
 //! [`Portions`] is not a form of inputs and weights but of attention's values and weights: there the panel's bytes have no sign.
 
-use super::microkernel::{self, Tile};
+use super::microkernel::{self, Between, LEG, Tile};
 use super::precision::{Precision, largest_magnitude, round_bf16, scale_of};
 use crate::simd::{LANES, Simd, again};
 
@@ -14,7 +14,7 @@ pub(crate) trait Multiply: 'static {
     /// Row words that go with one word of a panel on a level.
     fn row_words_of_a_word<S: Simd>() -> usize;
 
-    /// The sums of one block of `words`, starting from nothing.
+    /// The sums of one block of `words`, starting from nothing; `between` is told of every [`LEG`] of them.
     ///
     /// # Safety
     /// `rows` is readable for the block's row words times `MR`, every pointer of `panels` for `16 words`.
@@ -23,6 +23,7 @@ pub(crate) trait Multiply: 'static {
         rows: *const u32,
         panels: [*const u32; NV],
         words: usize,
+        between: &mut impl Between,
     ) -> Tile<S, MR, NV>;
 }
 
@@ -87,9 +88,10 @@ impl Multiply for Single {
         rows: *const u32,
         panels: [*const u32; NV],
         words: usize,
+        between: &mut impl Between,
     ) -> Tile<S, MR, NV> {
         // SAFETY: the caller's.
-        unsafe { microkernel::multiply(s, rows.cast(), panels.map(<*const u32>::cast), words) }
+        unsafe { microkernel::multiply(s, rows.cast(), panels.map(<*const u32>::cast), words, between) }
     }
 }
 
@@ -133,12 +135,16 @@ impl Multiply for Brain {
         rows: *const u32,
         panels: [*const u32; NV],
         words: usize,
+        between: &mut impl Between,
     ) -> Tile<S, MR, NV> {
         let mut acc = [[s.splat(0.0); NV]; MR];
         let mut i = 0;
         // SAFETY: i < words in every step.
         unsafe {
             while i + 2 <= words {
+                if i.is_multiple_of(LEG) {
+                    between.leg();
+                }
                 brain_step(s, &mut acc, rows, panels, i);
                 brain_step(s, &mut acc, rows, panels, i + 1);
                 i += 2;
@@ -265,9 +271,13 @@ impl<const SIGNED: bool> Multiply for Octets<SIGNED> {
         rows: *const u32,
         panels: [*const u32; NV],
         words: usize,
+        between: &mut impl Between,
     ) -> Tile<S, MR, NV> {
         let mut acc = [[s.splat_i32(0); NV]; MR];
         for i in 0..words {
+            if i.is_multiple_of(LEG) {
+                between.leg();
+            }
             // SAFETY: the caller's; i < words.
             unsafe {
                 if S::BYTE_DOT {

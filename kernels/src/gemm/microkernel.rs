@@ -5,6 +5,21 @@ use crate::simd::{LANES, Simd, prefetch, transpose2, transpose4};
 /// The sums of one register block.
 pub(crate) type Tile<S, const MR: usize, const NV: usize> = [[<S as Simd>::F32; NV]; MR];
 
+/// What happens between the steps of a product, such as asking for memory that is used soon: a request now and then costs nothing, many at once
+/// keep the steps from their own operands.
+pub(crate) trait Between {
+    /// Called before every [`LEG`] steps.
+    fn leg(&mut self);
+}
+
+/// Steps of a leg.
+pub(crate) const LEG: usize = 16;
+
+impl Between for () {
+    #[inline(always)]
+    fn leg(&mut self) {}
+}
+
 /// `acc[r][v] = Σ_k rows[k][r] · panels[v][k]`: one fused multiply-add per step, `k` ascending, from +0.
 ///
 /// `rows` holds `MR` rows interleaved: one after the other the `MR` values of a step.
@@ -17,12 +32,16 @@ pub(crate) unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
     rows: *const f32,
     panels: [*const f32; NV],
     k: usize,
+    between: &mut impl Between,
 ) -> Tile<S, MR, NV> {
     let mut acc = [[s.splat(0.0); NV]; MR];
     let mut i = 0;
     // SAFETY: i < k in every step.
     unsafe {
         while i + 4 <= k {
+            if i.is_multiple_of(LEG) {
+                between.leg();
+            }
             step(s, &mut acc, rows, panels, i);
             step(s, &mut acc, rows, panels, i + 1);
             step(s, &mut acc, rows, panels, i + 2);

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::epilogue::{Activation, Affine, Function, Gelu, Identity, Silu, SiluLow};
 use super::form::{Form, block_words};
-use super::microkernel::Tile;
+use super::microkernel::{Between, LEG, Tile};
 use super::{Input, Precision, Product, interleave};
 use crate::Level;
 use crate::memory::Scratch;
@@ -183,21 +183,16 @@ impl<F: Form> Task<'_, F> {
             for v in 0..NV {
                 from[v] = self.product.weights.panels[((panel + v) * k + start) * LANES..][..length * LANES].as_ptr();
             }
-            let mut ahead = Ahead::after(
-                from,
-                length * LANES,
-                if last_block { (NV - 1) * k * LANES } else { 0 },
-                rows.div_ceil(MR),
-            );
+            let skipped = if last_block { (NV - 1) * k * LANES } else { 0 };
+            let mut ahead = Ahead::after(from, length, skipped, rows.div_ceil(MR));
             for first in (0..rows).step_by(MR) {
-                ahead.fetch();
                 let at = &x[first * row_words + start * each * MR..];
                 let at = &at[..(length * each).min(row_words - start * each) * MR];
                 if last_block {
-                    self.expect::<MR, NV>(first, columns.start);
+                    ahead.expect(MR, self.address(first, columns.start), self.product.weights.n);
                 }
                 // SAFETY: each pointer is that of a slice of the length read.
-                let mut acc = unsafe { F::multiply::<S, MR, NV>(s, at.as_ptr(), from, length) };
+                let mut acc = unsafe { F::multiply::<S, MR, NV>(s, at.as_ptr(), from, length, &mut ahead) };
                 let tile = &mut tile[first * NV * LANES..][..MR * NV * LANES];
                 if !first_block {
                     for r in 0..MR {
@@ -227,14 +222,10 @@ impl<F: Form> Task<'_, F> {
         }
     }
 
-    /// Asks for the lines of the output that a register block is about to write.
+    /// Where a value of the output lies, of a row of the task.
     #[inline(always)]
-    fn expect<const MR: usize, const NV: usize>(&self, first: usize, column: usize) {
-        for r in 0..MR {
-            for v in 0..NV {
-                prefetch(self.out.address((self.rows.start + first + r) * self.product.weights.n + column + v * LANES));
-            }
-        }
+    fn address(&self, row: usize, column: usize) -> *const f32 {
+        self.out.address((self.rows.start + row) * self.product.weights.n + column)
     }
 
     /// What the epilogue and the form have for up to 16 columns that start a panel.
@@ -324,26 +315,60 @@ impl<F: Form> Task<'_, F> {
     }
 }
 
-/// Brings the weights of the next block into the cache, a part of them before every register block of this one.
+/// Brings into the cache what is used next, a little in every leg of the register blocks: the weights of the next block, and the lines of the output
+/// that a register block is about to write.
 struct Ahead<const NV: usize> {
-    at: [*const u32; NV],
+    weights: [*const u32; NV],
+    /// Lines of each panel in a leg.
     lines: usize,
+    legs: usize,
+    out: *const f32,
+    /// From a row of the output to the next.
+    stride: usize,
+    rows: usize,
+    /// Rows in a leg.
+    each: usize,
 }
 
 impl<const NV: usize> Ahead<NV> {
-    /// What follows `len` values from each of `from`, after `skip` more, in `calls` parts.
+    /// What follows the blocks of `words` at `from`, after `skipped` more, in the legs of `blocks` register blocks.
     #[inline(always)]
-    fn after(from: [*const u32; NV], len: usize, skip: usize, calls: usize) -> Self {
-        Self { at: from.map(|p| p.wrapping_add(len + skip)), lines: (len / LANES).div_ceil(calls) }
+    fn after(from: [*const u32; NV], words: usize, skipped: usize, blocks: usize) -> Self {
+        let legs = words.div_ceil(LEG);
+        Self {
+            weights: from.map(|p| p.wrapping_add(words * LANES + skipped)),
+            lines: words.div_ceil(blocks.max(1) * legs),
+            legs,
+            out: std::ptr::null(),
+            stride: 0,
+            rows: 0,
+            each: 0,
+        }
     }
 
+    /// The next register block writes `rows` rows that begin at `out`.
     #[inline(always)]
-    fn fetch(&mut self) {
-        for at in &mut self.at {
+    fn expect(&mut self, rows: usize, out: *const f32, stride: usize) {
+        (self.out, self.stride, self.rows, self.each) = (out, stride, rows, rows.div_ceil(self.legs));
+    }
+}
+
+impl<const NV: usize> Between for Ahead<NV> {
+    #[inline(always)]
+    fn leg(&mut self) {
+        for at in &mut self.weights {
             for _ in 0..self.lines {
                 prefetch(*at);
                 *at = at.wrapping_add(LANES);
             }
+        }
+        let now = self.each.min(self.rows);
+        self.rows -= now;
+        for _ in 0..now {
+            for v in 0..NV {
+                prefetch(self.out.wrapping_add(v * LANES));
+            }
+            self.out = self.out.wrapping_add(self.stride);
         }
     }
 }
