@@ -256,14 +256,26 @@ fn attention(
     window: Option<usize>,
 ) -> Result<Case> {
     let d = heads * 64;
+    // As the model holds them: heads one after the other.
     let (q, k, v) = (aligned_noise(queries * d, 1), aligned_noise(keys * d, 2), aligned_noise(keys * d, 3));
     let windows = window.map_or(Windows::Full, |length| Windows::Runs { length, roll: 0 });
     let shape = Shape { heads, width: 64, windows };
     let mut out = zeros(queries * d);
     let seen = window.unwrap_or(keys);
-    let expected = attention::reference::attend(&q[..d], &k[..seen * d], &v[..seen * d], heads, 64, |_, _| true);
+    let first = |x: &[f32], rows: usize, count: usize| -> Vec<f32> {
+        (0..count).flat_map(|row| x.chunks(rows * 64).flat_map(move |head| head[row * 64..][..64].to_vec())).collect()
+    };
+    let expected = attention::reference::attend(
+        &first(&q, queries, 1),
+        &first(&k, keys, seen),
+        &first(&v, keys, seen),
+        heads,
+        64,
+        |_, _| true,
+    );
     let mut work = move || {
-        let (q, k, v) = (Rows::new(&q, queries, d, 0), Rows::new(&k, keys, d, 0), Rows::new(&v, keys, d, 0));
+        let (q, k, v) =
+            (Rows::of_heads(&q, queries, 64, 0), Rows::of_heads(&k, keys, 64, 0), Rows::of_heads(&v, keys, 64, 0));
         attend_as(precision.1, level, shape, q, k, v, &mut out);
         out[..d].to_vec()
     };

@@ -173,9 +173,9 @@ impl DinoBlock {
         let d = self.proj.n();
         let n = x.len() / d;
         let qkv = sized(&mut work.projected, 3 * x.len());
-        self.qkv.apply_normed(level, self.norm1.norm(), x, qkv);
+        self.qkv.heads_of_normed(level, self.norm1.norm(), x, qkv);
         let mixed = sized(&mut work.mixed, x.len());
-        let [q, k, v] = [0, 1, 2].map(|part| Rows::new(qkv, n, 3 * d, part * d));
+        let [q, k, v] = [0, 1, 2].map(|part| Rows::of_heads(qkv, n, HEAD, part * d / HEAD));
         let shape = Shape { heads: d / HEAD, width: HEAD, windows: Windows::Full };
         attend_as(self.proj.precision(), level, shape, q, k, v, mixed);
         self.proj.accumulate_scaled(level, mixed, &self.ls1, x);

@@ -6,20 +6,32 @@ use super::layout::{Layout, Task};
 use super::mix::{Mix, Scores, Weighed};
 use super::{KEY_BLOCK, LARGEST_SCALE, Rows};
 use crate::gemm::form::{Form, Multiply, values_of_a_word};
-use crate::gemm::{Precision, deinterleave, interleave};
+use crate::gemm::{Across, Along, Precision, deinterleave, interleave};
 use crate::memory::Scratch;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd};
+
+/// Channels of a head in all models so far.
+const USUAL_WIDTH: usize = 64;
+
+/// All keys and values as [`super::pack`] leaves them; empty in f32.
+#[derive(Clone, Copy)]
+pub(super) struct Packed<'a> {
+    pub(super) keys: &'a [f32],
+    pub(super) values: &'a [f32],
+    pub(super) scales: &'a [f32],
+    pub(super) value_scales: &'a [f32],
+}
 
 /// The work of one [`Task`], with the operands of `q·k` in the form `A` and `w·v` as `M` holds it.
 pub(super) struct Block<'a, A, M> {
     pub(super) layout: &'a Layout,
     pub(super) task: &'a Task,
     pub(super) q: Rows<'a>,
-    pub(super) keys: &'a [f32],
-    pub(super) values: &'a [f32],
-    pub(super) scales: &'a [f32],
-    pub(super) value_scales: &'a [f32],
+    pub(super) k: Rows<'a>,
+    pub(super) v: Rows<'a>,
+    /// What is read in place of `k` and `v` in the lower modes.
+    pub(super) packed: Packed<'a>,
     pub(super) out: &'a Disjoint<'a, f32>,
     pub(super) forms: PhantomData<fn(A, M)>,
 }
@@ -86,21 +98,15 @@ impl<A: Form, M: Mix> Block<'_, A, M> {
             forms: PhantomData,
         };
 
-        let packed = self.layout.packed(window, head);
-        let (packed_keys, packed_values) = (&self.keys[packed.clone()], &self.values[packed]);
-        let key_scales = &self.scales[self.layout.packed_scales(window, head)];
-        let value_scales = if M::SCALED { &self.value_scales[self.layout.value_scales(window, head)] } else { &[] };
         let count = self.layout.count(window, self.layout.keys);
-        let row_words = A::row_words::<S>(width);
+        let mut copy = Scratch::take(0);
         for start in (0..count).step_by(KEY_BLOCK) {
             let present = KEY_BLOCK.min(count - start);
             let rows = present.next_multiple_of(KR);
-            let keys = Keys {
-                words: &packed_keys[start * row_words..][..rows * row_words],
-                scales: &key_scales[start..][..rows],
-                values: &packed_values[start * width..],
-                value_scales: if M::SCALED { &value_scales[start / KEY_BLOCK * width..][..width] } else { &[] },
-                present,
+            let keys = if A::PRECISION == Precision::F32 {
+                self.in_place(start, present, rows, &mut copy)
+            } else {
+                self.converted::<S>(start, present, rows)
             };
             let mut panel = 0;
             while (panel + NV) * LANES <= padded {
@@ -130,11 +136,77 @@ impl<A: Form, M: Mix> Block<'_, A, M> {
     }
 }
 
-/// A block of keys and their values, as [`super::pack`] leaves them.
+impl<'a, A: Form, M: Mix> Block<'a, A, M> {
+    /// The `present` keys from `start` on where they were written, with what follows them up to `rows`; or, where they do not follow one another
+    /// or memory ends before, in `copy`.
+    #[inline(always)]
+    fn in_place<'b>(&self, start: usize, present: usize, rows: usize, copy: &'b mut Scratch) -> Keys<'b>
+    where
+        'a: 'b,
+    {
+        let (window, head, width) = (self.task.window, self.task.head, self.layout.shape.width);
+        let first = self.layout.row(window, start);
+        let keys = |words, stride, values, value_stride| Keys {
+            words,
+            stride,
+            scales: &[1.0; KEY_BLOCK],
+            values,
+            value_stride,
+            value_scales: &[],
+            present,
+        };
+        if self.layout.row(window, start + present - 1) == first + present - 1
+            && let Some(words) = self.k.lines(first, rows, head, width)
+            && let Some(values) = self.v.lines(first, present, head, width)
+        {
+            return keys(words, self.k.stride, values, self.v.stride);
+        }
+        *copy = Scratch::take(2 * rows * width);
+        let (words, values) = copy.split_at_mut(rows * width);
+        words[present * width..].fill(0.0);
+        for (i, (key, value)) in
+            words.chunks_exact_mut(width).zip(values.chunks_exact_mut(width)).take(present).enumerate()
+        {
+            let row = self.layout.row(window, start + i);
+            key.copy_from_slice(self.k.head(row, head, width));
+            value.copy_from_slice(self.v.head(row, head, width));
+        }
+        keys(words, width, values, width)
+    }
+
+    /// The `present` converted keys from `start` on, with what follows them up to `rows`.
+    #[inline(always)]
+    fn converted<S: Simd>(&self, start: usize, present: usize, rows: usize) -> Keys<'a> {
+        let (window, head, width) = (self.task.window, self.task.head, self.layout.shape.width);
+        let (packed, stride) = (self.layout.packed(window, head), A::row_words::<S>(width));
+        let value_scales = if M::SCALED {
+            &self.packed.value_scales[self.layout.value_scales(window, head)][start / KEY_BLOCK * width..][..width]
+        } else {
+            &[]
+        };
+        Keys {
+            words: &self.packed.keys[packed.clone()][start * stride..][..rows * stride],
+            stride,
+            scales: &self.packed.scales[self.layout.packed_scales(window, head)][start..][..rows],
+            values: &self.packed.values[packed][start * width..],
+            value_stride: width,
+            value_scales,
+            present,
+        }
+    }
+}
+
+/// A block of keys and their values.
 struct Keys<'a> {
+    /// The words of a key one after the other.
     words: &'a [f32],
+    /// From a key to the next.
+    stride: usize,
     scales: &'a [f32],
+    /// For each row word of the keys, one of every channel.
     values: &'a [f32],
+    /// From a row word's channels to those of the next.
+    value_stride: usize,
     value_scales: &'a [f32],
     present: usize,
 }
@@ -202,13 +274,21 @@ impl<A: Form, M: Mix> State<'_, A, M> {
             let from = &self.offsets[(panel + v) * LANES..][..LANES];
             offsets[v] = s.to_bits(s.load(bytemuck::cast_slice(from)));
         }
-        let row_words = A::row_words::<S>(self.width);
+        let (row_words, usual) = (A::row_words::<S>(self.width), A::row_words::<S>(USUAL_WIDTH));
         let mut largest = [s.splat(f32::NEG_INFINITY); NV];
         for first in (0..keys.present).step_by(KR) {
-            let at = &keys.words[first * row_words..][..KR * row_words];
             let scales = &keys.scales[first..][..KR];
+            let at = &keys.words[first * keys.stride..][..(KR - 1) * keys.stride + row_words];
+            let at = Along { at: at.as_ptr().cast(), stride: keys.stride };
             // SAFETY: each pointer is that of a slice of the length read.
-            let mut acc = unsafe { A::multiply::<S, KR, NV>(s, at.as_ptr().cast(), from, self.words, &mut ()) };
+            let mut acc = unsafe {
+                // With a distance that the compiler knows, the addresses of all keys are one register's.
+                if keys.stride == usual {
+                    A::multiply::<S, KR, NV>(s, Along { stride: usual, ..at }, from, self.words, &mut ())
+                } else {
+                    A::multiply::<S, KR, NV>(s, at, from, self.words, &mut ())
+                }
+            };
             for r in 0..KR {
                 for v in 0..NV {
                     acc[r][v] = A::of_row(s, acc[r][v], scales[r], offsets[v]);
@@ -262,9 +342,10 @@ impl<A: Form, M: Mix> State<'_, A, M> {
     ) {
         let row_words = words * M::Product::row_words_of_a_word::<S>();
         let from = std::array::from_fn(|v| self.scores[v * KEY_BLOCK * LANES..][..words * LANES].as_ptr().cast());
-        let values = &keys.values[channel * row_words..][..CR * row_words];
+        let values = &keys.values[channel..][..(row_words - 1) * keys.value_stride + CR];
+        let values = Across { at: values.as_ptr().cast(), stride: keys.value_stride };
         // SAFETY: each pointer is that of a slice of the length read.
-        let acc = unsafe { M::Product::multiply::<S, CR, NV>(s, values.as_ptr().cast(), from, words, &mut ()) };
+        let acc = unsafe { M::Product::multiply::<S, CR, NV>(s, values, from, words, &mut ()) };
         for v in 0..NV {
             let sum = &mut self.sum[((panel + v) * self.width + channel) * LANES..][..CR * LANES];
             for r in 0..CR {

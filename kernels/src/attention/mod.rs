@@ -16,8 +16,10 @@
 //!
 //! # How it runs
 //! Lanes are queries: a vector holds one key's score for 16 queries, so that softmax needs no sums across a vector. Keys
-//! and values are the interleaved rows of the register block, queries and weights its panels; a block of weights is stored
-//! as the panel that its product with the values reads.
+//! and channels of values are the rows of the register block, queries and weights its panels; a block of weights is stored
+//! as the panel that its product with the values reads. A row's words may lie anywhere as long as the next row's are a fixed distance away, so
+//! that f32 keys and values are read where the projection wrote them ([`Rows::of_heads`] is how that is best); in the lower modes they are
+//! converted once, in the same order. Only a block of keys that is cut apart by the roll is copied.
 //!
 //! # Precision
 //! In the lower modes ([`attend_as`]) both products have smaller operands; the order of operations is otherwise the same.
@@ -59,7 +61,7 @@ use crate::gemm::form::{Brain, Bytes, Form, Single};
 use crate::memory::Scratch;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, dispatch, dispatch_dot};
-use block::Block;
+use block::{Block, Packed};
 use layout::Layout;
 use mix::{InBytes, InPairs, Mix, Singly};
 use pack::Pack;
@@ -70,18 +72,21 @@ pub const KEY_BLOCK: usize = 192;
 /// Queries of a task: while they pass over a block of keys, it stays in the second-level cache.
 const QUERY_BLOCK: usize = 64;
 
-/// Keys are packed to a multiple of this: whole register blocks on every level.
+/// Converted keys take a multiple of this: whole register blocks on every level.
 const WHOLE: usize = 12;
 
 /// Scales of queries and keys are at most this, so that no logit is infinite.
 const LARGEST_SCALE: f32 = (1_u64 << 48) as f32;
 
-/// A matrix `[rows, heads·width]` that may be part of a wider one.
+/// A matrix `[rows, heads·width]`: part of a wider one, or a matrix for each head.
 #[derive(Clone, Copy)]
 pub struct Rows<'a> {
     values: &'a [f32],
     rows: usize,
+    /// From a row to the next.
     stride: usize,
+    /// From a head to the next; none: it follows.
+    head: Option<usize>,
     first: usize,
 }
 
@@ -92,7 +97,21 @@ impl<'a> Rows<'a> {
     /// When `values` does not hold `rows · stride` values.
     pub fn new(values: &'a [f32], rows: usize, stride: usize, first: usize) -> Self {
         assert_eq!(values.len(), rows * stride, "{} values, expected rows·stride = {rows}·{stride}", values.len());
-        Self { values, rows, stride, first }
+        Self { values, rows, stride, head: None, first }
+    }
+
+    /// The heads from `first` on of `values [heads][rows][width]`: as [`Epilogue::in_groups_of`](crate::gemm::Epilogue::in_groups_of) writes them.
+    ///
+    /// # Panics
+    /// When `values` holds no whole number of heads.
+    pub fn of_heads(values: &'a [f32], rows: usize, width: usize, first: usize) -> Self {
+        let head = rows * width;
+        assert!(
+            values.is_empty() || values.len().is_multiple_of(head),
+            "{} values in heads of {rows}·{width}",
+            values.len()
+        );
+        Self { values, rows, stride: width, head: Some(head), first: first * head }
     }
 
     /// Rows of the matrix.
@@ -100,9 +119,31 @@ impl<'a> Rows<'a> {
         self.rows
     }
 
+    /// Where the channels of a head begin in a row.
+    #[inline(always)]
+    fn place(&self, row: usize, head: usize, width: usize) -> usize {
+        self.first + row * self.stride + head * self.head.unwrap_or(width)
+    }
+
     #[inline(always)]
     fn head(&self, row: usize, head: usize, width: usize) -> &'a [f32] {
-        &self.values[row * self.stride + self.first + head * width..][..width]
+        &self.values[self.place(row, head, width)..][..width]
+    }
+
+    /// A head's channels of `count` rows from `row` on, each `stride` after the one before, where `values` reaches so far: rows past the last
+    /// hold anything.
+    #[inline(always)]
+    fn lines(&self, row: usize, count: usize, head: usize, width: usize) -> Option<&'a [f32]> {
+        self.values.get(self.place(row, head, width)..)?.get(..(count - 1) * self.stride + width)
+    }
+
+    /// Whether all heads lie inside.
+    fn holds(&self, heads: usize, width: usize) -> bool {
+        self.rows == 0
+            || match self.head {
+                None => self.first + heads * width <= self.stride,
+                Some(head) => self.stride == width && self.first + heads * head <= self.values.len(),
+            }
     }
 }
 
@@ -138,7 +179,7 @@ pub struct Shape {
 ///
 /// # Panics
 /// When `width` is not a multiple of 16, when `k` and `v` differ in rows, when runs are asked for and `q` and `k` differ in
-/// rows, when a matrix is narrower than `heads · width`, or `out` has another size.
+/// rows, when a matrix is narrower than `heads · width` or has heads of another width, or `out` has another size.
 pub fn attend(level: Level, shape: Shape, q: Rows<'_>, k: Rows<'_>, v: Rows<'_>, out: &mut [f32]) {
     attend_as(Precision::F32, level, shape, q, k, v, out);
 }
@@ -195,12 +236,12 @@ fn run(
     assert!(width > 0 && width.is_multiple_of(LANES), "heads of {width} channels, expected a multiple of {LANES}");
     assert_eq!(k.rows, v.rows, "{} keys but {} values", k.rows, v.rows);
     for (name, m) in [("queries", q), ("keys", k), ("values", v)] {
-        let columns = heads * width;
         assert!(
-            m.rows == 0 || m.first + columns <= m.stride,
-            "{name}: {columns} columns from {} of {}",
+            m.holds(heads, width),
+            "{name}: {heads} heads of {width} from value {} on, in rows of {} and {} values",
             m.first,
-            m.stride
+            m.stride,
+            m.values.len()
         );
     }
     assert_eq!(
@@ -225,26 +266,26 @@ fn run(
 
 /// The attention with the operands of `q·k` in the form `A` and `w·v` as `M` holds it.
 fn compute<A: Form, M: Mix>(level: Level, layout: &Layout, q: Rows<'_>, k: Rows<'_>, v: Rows<'_>, out: &mut [f32]) {
-    let heads = layout.shape.heads;
-    let mut packed = Scratch::take(2 * layout.packed_len());
-    let mut scales = Scratch::take(layout.packed_rows());
-    let mut value_scales = Scratch::take(layout.all_value_scales());
-    let (keys, values) = packed.split_at_mut(layout.packed_len());
-    let parts = keys.par_chunks_mut(layout.head_len()).zip(values.par_chunks_mut(layout.head_len()));
-    let scale_parts =
-        scales.par_chunks_mut(layout.head_rows()).zip(value_scales.par_chunks_mut(layout.head_value_scales()));
-    parts.zip(scale_parts).enumerate().for_each(|(index, ((keys, values), (scales, value_scales)))| {
-        let (window, head) = (index / heads, index % heads);
-        if layout.queries(window) > 0 {
-            let pack =
-                Pack::<A, M> { layout, k, v, window, head, keys, values, scales, value_scales, forms: PhantomData };
-            enter::<A, _>(level, pack);
-        }
-    });
-    let (keys, values, scales, value_scales) = (&*keys, &*values, &*scales, &*value_scales);
+    let sized = |len: usize| Scratch::take(if A::PRECISION == Precision::F32 { 0 } else { len });
+    let (mut keys, mut values) = (sized(layout.packed_len()), sized(layout.packed_len()));
+    let (mut scales, mut value_scales) = (sized(layout.packed_rows()), sized(layout.all_value_scales()));
+    if A::PRECISION != Precision::F32 {
+        let parts = keys.par_chunks_mut(layout.head_len()).zip(values.par_chunks_mut(layout.head_len()));
+        let scale_parts =
+            scales.par_chunks_mut(layout.head_rows()).zip(value_scales.par_chunks_mut(layout.head_value_scales()));
+        parts.zip(scale_parts).enumerate().for_each(|(index, ((keys, values), (scales, value_scales)))| {
+            let (window, head) = (index / layout.shape.heads, index % layout.shape.heads);
+            if layout.queries(window) > 0 {
+                let pack =
+                    Pack::<A, M> { layout, k, v, window, head, keys, values, scales, value_scales, forms: PhantomData };
+                enter::<A, _>(level, pack);
+            }
+        });
+    }
+    let packed = Packed { keys: &keys, values: &values, scales: &scales, value_scales: &value_scales };
     let out = &Disjoint::new(out);
     layout.tasks().par_iter().with_max_len(1).for_each(|task| {
-        let block = Block::<A, M> { layout, task, q, keys, values, scales, value_scales, out, forms: PhantomData };
+        let block = Block::<A, M> { layout, task, q, k, v, packed, out, forms: PhantomData };
         enter::<A, _>(level, block);
     });
 }

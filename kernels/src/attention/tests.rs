@@ -68,6 +68,38 @@ fn matrices_inside_a_wider_one_are_read_in_place() {
 }
 
 #[test]
+fn heads_one_after_the_other_give_the_bits_of_heads_side_by_side() {
+    for (tokens, windows) in [(50, Windows::Full), (401, Windows::Full), (300, Windows::Runs { length: 128, roll: 64 })]
+    {
+        let (heads, width) = (3, 64);
+        let d = heads * width;
+        let rows = noise(tokens * 3 * d, 7);
+        let apart: Vec<f32> = (0..3 * heads)
+            .flat_map(|head| rows.chunks(3 * d).flat_map(move |row| row[head * width..][..width].to_vec()))
+            .collect();
+        let shape = Shape { heads, width, windows };
+        for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
+            let run = |[q, k, v]: [Rows<'_>; 3]| {
+                on_every_level_and_thread_count(tokens * d, |level, out| {
+                    attend_as(precision, level, shape, q, k, v, out);
+                })
+            };
+            let side_by_side = run([0, 1, 2].map(|part| Rows::new(&rows, tokens, 3 * d, part * d)));
+            let in_turn = run([0, 1, 2].map(|part| Rows::of_heads(&apart, tokens, width, part * heads)));
+            assert!(in_turn == side_by_side, "{precision:?}");
+        }
+    }
+}
+
+#[test]
+#[should_panic(expected = "values: 2 heads of 64")]
+fn heads_that_are_not_there_are_refused() {
+    let x = [0.0; 128];
+    let (two, one) = (Rows::of_heads(&x, 1, 64, 0), Rows::of_heads(&x, 1, 64, 1));
+    attend(crate::Level::detect(), full(2), two, two, one, &mut [0.0; 128]);
+}
+
+#[test]
 fn extreme_logits_keep_the_softmax() {
     let (queries, keys) = (20, 300);
     let v = noise(keys * 64, 3);

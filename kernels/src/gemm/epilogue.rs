@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::math;
-use crate::simd::Simd;
+use crate::simd::{LANES, Simd};
 
 /// The function of an [`Epilogue`].
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
@@ -18,6 +18,8 @@ pub enum Activation {
 }
 
 /// What follows a product `p`: `y = activation(p + bias)`, then `out = γ·y`, or, with a residual, `out += γ·y`.
+///
+/// Rows of `out` hold all columns, or those of a group: see [`Epilogue::in_groups_of`].
 ///
 /// `p + bias` is a plain addition. Without `γ` the residual is a plain addition; with it `γ·y + out` is rounded once.
 ///
@@ -34,12 +36,13 @@ pub struct Epilogue<'a> {
     activation: Activation,
     gamma: Option<&'a [f32]>,
     residual: bool,
+    group: Option<usize>,
 }
 
 impl<'a> Epilogue<'a> {
     /// `out = p`
     pub const fn new() -> Self {
-        Self { bias: None, activation: Activation::Identity, gamma: None, residual: false }
+        Self { bias: None, activation: Activation::Identity, gamma: None, residual: false, group: None }
     }
 
     /// Adds `bias [n]`.
@@ -84,7 +87,25 @@ impl<'a> Epilogue<'a> {
         self
     }
 
+    /// Writes the columns in groups of `width`, each a matrix of its own: `out [n/width][m][width]`, as attention reads its heads.
+    #[must_use]
+    pub const fn in_groups_of(mut self, width: usize) -> Self {
+        self.group = Some(width);
+        self
+    }
+
+    /// Columns of a matrix that is written, of `n`.
+    pub(super) fn width(&self, n: usize) -> usize {
+        self.group.unwrap_or(n)
+    }
+
     pub(super) fn check(&self, n: usize) {
+        if let Some(width) = self.group {
+            assert!(
+                width > 0 && width.is_multiple_of(LANES) && n.is_multiple_of(width),
+                "groups of {width} columns of {n}, expected a multiple of {LANES} that divides them"
+            );
+        }
         for (name, values) in [("bias", self.bias), ("gamma", self.gamma)] {
             if let Some(values) = values {
                 assert_eq!(values.len(), n, "{name} holds {} values, expected n = {n}", values.len());

@@ -5,7 +5,7 @@
 //! panels in registers, and hold each row's word as two: two f32, or two pairs of i16.
 //! [`Portions`] is not a form of inputs and weights but of attention's values and weights: there the panel's bytes have no sign.
 
-use super::microkernel::{self, Between, LEG, Tile};
+use super::microkernel::{self, Between, LEG, Rows, Tile};
 use super::precision::{Precision, largest_magnitude, round_bf16, scale_of};
 use crate::simd::{LANES, Simd, again};
 
@@ -17,10 +17,10 @@ pub(crate) trait Multiply: 'static {
     /// The sums of one block of `words`, starting from nothing; `between` is told of every [`LEG`] of them.
     ///
     /// # Safety
-    /// `rows` is readable for the block's row words times `MR`, every pointer of `panels` for `16 words`.
+    /// `MR` rows are readable for the block's row words, every pointer of `panels` for `16 words`.
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
-        rows: *const u32,
+        rows: impl Rows,
         panels: [*const u32; NV],
         words: usize,
         between: &mut impl Between,
@@ -85,13 +85,13 @@ impl Multiply for Single {
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
-        rows: *const u32,
+        rows: impl Rows,
         panels: [*const u32; NV],
         words: usize,
         between: &mut impl Between,
     ) -> Tile<S, MR, NV> {
         // SAFETY: the caller's.
-        unsafe { microkernel::multiply(s, rows.cast(), panels.map(<*const u32>::cast), words, between) }
+        unsafe { microkernel::multiply(s, rows, panels.map(<*const u32>::cast), words, between) }
     }
 }
 
@@ -132,7 +132,7 @@ impl Multiply for Brain {
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
-        rows: *const u32,
+        mut rows: impl Rows,
         panels: [*const u32; NV],
         words: usize,
         between: &mut impl Between,
@@ -145,12 +145,14 @@ impl Multiply for Brain {
                 if i.is_multiple_of(LEG) {
                     between.leg();
                 }
-                brain_step(s, &mut acc, rows, panels, i);
-                brain_step(s, &mut acc, rows, panels, i + 1);
+                let each = Self::row_words_of_a_word::<S>();
+                brain_step(s, &mut acc, rows, panels.map(|panel| panel.add(i * LANES)));
+                brain_step(s, &mut acc, rows.skip(each), panels.map(|panel| panel.add((i + 1) * LANES)));
+                rows = rows.skip(2 * each);
                 i += 2;
             }
             if i < words {
-                brain_step(s, &mut acc, rows, panels, i);
+                brain_step(s, &mut acc, rows, panels.map(|panel| panel.add(i * LANES)));
             }
         }
         acc
@@ -204,46 +206,46 @@ fn pair_row<S: Simd>(s: S, row: &[f32], words: &mut [u32]) {
     }
 }
 
+/// The step of one word.
+///
 /// # Safety
-/// As [`Form::multiply`], with `i < words`.
+/// The row words that go with a word are readable, every pointer of `panels` for 16 words.
 #[inline(always)]
 unsafe fn brain_step<S: Simd, const MR: usize, const NV: usize>(
     s: S,
     acc: &mut Tile<S, MR, NV>,
-    rows: *const u32,
+    rows: impl Rows,
     panels: [*const u32; NV],
-    i: usize,
 ) {
     // SAFETY: the caller's.
     unsafe {
         let mut b = [s.splat_i32(0); NV];
         for v in 0..NV {
-            b[v] = s.to_bits(s.load_ptr(panels[v].add(i * LANES).cast()));
+            b[v] = s.to_bits(s.load_ptr(panels[v].cast()));
         }
         if S::BF16_DOT {
             for r in 0..MR {
-                let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
+                let a = s.splat_i32((*rows.word(0, r)).cast_signed());
                 for v in 0..NV {
                     acc[r][v] = s.dot_bf16(acc[r][v], a, b[v]);
                 }
             }
             return;
         }
-        let rows = rows.add(2 * i * MR).cast::<f32>();
         for v in 0..NV {
             b[v] = s.and_i32(b[v], s.splat_i32(0xffff_0000_u32.cast_signed()));
         }
         for r in 0..MR {
-            let a = s.splat(*rows.add(r));
+            let a = s.splat(*rows.word(0, r).cast::<f32>());
             for v in 0..NV {
                 acc[r][v] = s.mul_add(a, s.from_bits(b[v]), acc[r][v]);
             }
         }
         for v in 0..NV {
-            b[v] = s.shl::<16>(s.to_bits(s.load_ptr(again(panels[v].add(i * LANES)).cast())));
+            b[v] = s.shl::<16>(s.to_bits(s.load_ptr(again(panels[v]).cast())));
         }
         for r in 0..MR {
-            let a = s.splat(*rows.add(MR + r));
+            let a = s.splat(*rows.word(1, r).cast::<f32>());
             for v in 0..NV {
                 acc[r][v] = s.mul_add(a, s.from_bits(b[v]), acc[r][v]);
             }
@@ -268,7 +270,7 @@ impl<const SIGNED: bool> Multiply for Octets<SIGNED> {
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
-        rows: *const u32,
+        mut rows: impl Rows,
         panels: [*const u32; NV],
         words: usize,
         between: &mut impl Between,
@@ -283,13 +285,14 @@ impl<const SIGNED: bool> Multiply for Octets<SIGNED> {
                 if S::BYTE_DOT {
                     let b = panels.map(|panel| panel.add(i * LANES).cast::<f32>());
                     for r in 0..MR {
-                        let a = s.splat_i32((*rows.add(i * MR + r)).cast_signed());
+                        let a = s.splat_i32((*rows.word(0, r)).cast_signed());
                         for v in 0..NV {
                             let b = s.to_bits(s.load_ptr(b[v]));
                             let (unsigned, signed) = if SIGNED { (a, b) } else { (b, a) };
                             acc[r][v] = s.dot_bytes(acc[r][v], unsigned, signed);
                         }
                     }
+                    rows = rows.skip(1);
                     continue;
                 }
                 for half in 0..2 {
@@ -299,12 +302,13 @@ impl<const SIGNED: bool> Multiply for Octets<SIGNED> {
                         b[v] = if SIGNED { s.split_bytes(word)[half] } else { Portions::halves(s, word)[half] };
                     }
                     for r in 0..MR {
-                        let a = s.splat_i32((*rows.add((2 * i + half) * MR + r)).cast_signed());
+                        let a = s.splat_i32((*rows.word(half, r)).cast_signed());
                         for v in 0..NV {
                             acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, b[v]));
                         }
                     }
                 }
+                rows = rows.skip(2);
             }
         }
         let mut tile = [[s.splat(0.0); NV]; MR];

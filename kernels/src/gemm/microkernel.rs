@@ -20,16 +20,74 @@ impl Between for () {
     fn leg(&mut self) {}
 }
 
-/// `acc[r][v] = Σ_k rows[k][r] · panels[v][k]`: one fused multiply-add per step, `k` ascending, from +0.
-///
-/// `rows` holds `MR` rows interleaved: one after the other the `MR` values of a step.
+/// Where the words of a register block's rows lie.
+pub(crate) trait Rows: Copy {
+    /// The word of row `r` in step `i` from here.
+    fn word(self, i: usize, r: usize) -> *const u32;
+
+    /// From `steps` further on.
+    fn skip(self, steps: usize) -> Self;
+}
+
+/// `MR` rows interleaved: one after the other the `MR` words of a step.
+#[derive(Clone, Copy)]
+pub(crate) struct Interleaved<const MR: usize>(pub(crate) *const u32);
+
+impl<const MR: usize> Rows for Interleaved<MR> {
+    #[inline(always)]
+    fn word(self, i: usize, r: usize) -> *const u32 {
+        self.0.wrapping_add(i * MR + r)
+    }
+    #[inline(always)]
+    fn skip(self, steps: usize) -> Self {
+        Self(self.0.wrapping_add(steps * MR))
+    }
+}
+
+/// The words of a step one after the other, those of the next `stride` further.
+#[derive(Clone, Copy)]
+pub(crate) struct Across {
+    pub(crate) at: *const u32,
+    pub(crate) stride: usize,
+}
+
+impl Rows for Across {
+    #[inline(always)]
+    fn word(self, i: usize, r: usize) -> *const u32 {
+        self.at.wrapping_add(i * self.stride + r)
+    }
+    #[inline(always)]
+    fn skip(self, steps: usize) -> Self {
+        Self { at: self.at.wrapping_add(steps * self.stride), ..self }
+    }
+}
+
+/// The words of a row one after the other, those of the next row `stride` further.
+#[derive(Clone, Copy)]
+pub(crate) struct Along {
+    pub(crate) at: *const u32,
+    pub(crate) stride: usize,
+}
+
+impl Rows for Along {
+    #[inline(always)]
+    fn word(self, i: usize, r: usize) -> *const u32 {
+        self.at.wrapping_add(r * self.stride + i)
+    }
+    #[inline(always)]
+    fn skip(self, steps: usize) -> Self {
+        Self { at: self.at.wrapping_add(steps), ..self }
+    }
+}
+
+/// `acc[r][v] = Σ_k rows[r][k] · panels[v][k]`: one fused multiply-add per step, `k` ascending, from +0.
 ///
 /// # Safety
-/// `rows` is readable for `MR · k` values, every pointer of `panels` for `16 k`.
+/// `MR` rows are readable for `k` words, every pointer of `panels` for `16 k`.
 #[inline(always)]
 pub(crate) unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
     s: S,
-    rows: *const f32,
+    mut rows: impl Rows,
     panels: [*const f32; NV],
     k: usize,
     between: &mut impl Between,
@@ -42,15 +100,14 @@ pub(crate) unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
             if i.is_multiple_of(LEG) {
                 between.leg();
             }
-            step(s, &mut acc, rows, panels, i);
-            step(s, &mut acc, rows, panels, i + 1);
-            step(s, &mut acc, rows, panels, i + 2);
-            step(s, &mut acc, rows, panels, i + 3);
+            for j in 0..4 {
+                step(s, &mut acc, rows, j, panels.map(|panel| panel.add((i + j) * LANES)));
+            }
+            rows = rows.skip(4);
             i += 4;
         }
-        while i < k {
-            step(s, &mut acc, rows, panels, i);
-            i += 1;
+        for j in 0..k - i {
+            step(s, &mut acc, rows, j, panels.map(|panel| panel.add((i + j) * LANES)));
         }
     }
     acc
@@ -59,23 +116,23 @@ pub(crate) unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
 /// One step of [`multiply`].
 ///
 /// # Safety
-/// As [`multiply`], with `i < k`.
+/// Word `j` of the rows is readable, every pointer of `panels` for 16 values.
 #[inline(always)]
 unsafe fn step<S: Simd, const MR: usize, const NV: usize>(
     s: S,
     acc: &mut Tile<S, MR, NV>,
-    rows: *const f32,
+    rows: impl Rows,
+    j: usize,
     panels: [*const f32; NV],
-    i: usize,
 ) {
     // SAFETY: the caller's.
     unsafe {
         let mut b = [s.splat(0.0); NV];
         for v in 0..NV {
-            b[v] = s.load_ptr(panels[v].add(i * LANES));
+            b[v] = s.load_ptr(panels[v]);
         }
         for r in 0..MR {
-            let a = s.splat(*rows.add(i * MR + r));
+            let a = s.splat(*rows.word(j, r).cast::<f32>());
             for v in 0..NV {
                 acc[r][v] = s.mul_add(a, b[v], acc[r][v]);
             }

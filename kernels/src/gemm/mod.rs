@@ -37,7 +37,7 @@ mod weights;
 
 pub use epilogue::{Activation, Epilogue};
 pub use input::Input;
-pub(crate) use microkernel::{deinterleave, interleave};
+pub(crate) use microkernel::{Across, Along, deinterleave, interleave};
 pub use precision::Precision;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use precision::SMALLEST;
@@ -57,7 +57,7 @@ pub const K_BLOCK: usize = 256;
 pub const K_BLOCK_LOW: usize = 1024;
 
 /// `out[i,j] = epilogue(Σ_k x[i,k] · w[j,k])` for `x [m,k]`, `out [m,n]`. See [the module](self) for the order of accumulation,
-/// [`Input`] for rows that are normalised first, and [`Epilogue`] for what can follow the product. `m` may be 0.
+/// [`Input`] for rows that are normalised first, and [`Epilogue`] for what can follow the product and for how `out` lies. `m` may be 0.
 ///
 /// # Panics
 /// When a slice does not have the size that `m`, the weights' `n` and `k` ask for.

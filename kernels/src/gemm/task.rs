@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::epilogue::{Activation, Affine, Function, Gelu, Identity, Silu, SiluLow};
 use super::form::{Form, block_words};
-use super::microkernel::{Between, LEG, Tile};
+use super::microkernel::{Between, Interleaved, LEG, Tile};
 use super::{Input, Precision, Product, interleave};
 use crate::Level;
 use crate::memory::Scratch;
@@ -171,6 +171,11 @@ impl<F: Form> Task<'_, F> {
         let rows = self.rows.len();
         let start = panel * LANES;
         let columns = start..(start + NV * LANES).min(n);
+        let (stride, mut places) = (self.width(), [0; NV]);
+        for v in 0..NV {
+            places[v] = self.place(start + v * LANES);
+        }
+        let far = self.product.weights.panels.len() > NEAR;
         // Without a function to apply, whole register blocks are written straight from the registers of the last block.
         let direct = self.product.epilogue.is_affine() && columns.len() == NV * LANES && k > 0;
         if k == 0 {
@@ -183,16 +188,23 @@ impl<F: Form> Task<'_, F> {
             for v in 0..NV {
                 from[v] = self.product.weights.panels[((panel + v) * k + start) * LANES..][..length * LANES].as_ptr();
             }
-            let skipped = if last_block { (NV - 1) * k * LANES } else { 0 };
-            let mut ahead = Ahead::after(from, length, skipped, rows.div_ceil(MR));
+            let mut ahead = Ahead::new(length, rows.div_ceil(MR), MR, stride);
+            if far {
+                ahead.weights_after(from, length, if last_block { (NV - 1) * k * LANES } else { 0 });
+            }
             for first in (0..rows).step_by(MR) {
                 let at = &x[first * row_words + start * each * MR..];
                 let at = &at[..(length * each).min(row_words - start * each) * MR];
                 if last_block {
-                    ahead.expect(MR, self.address(first, columns.start), self.product.weights.n);
+                    let mut out = [std::ptr::null(); NV];
+                    for v in 0..NV {
+                        out[v] = self.out.address(places[v] + first * stride);
+                    }
+                    ahead.expect(MR, out);
                 }
                 // SAFETY: each pointer is that of a slice of the length read.
-                let mut acc = unsafe { F::multiply::<S, MR, NV>(s, at.as_ptr(), from, length, &mut ahead) };
+                let mut acc =
+                    unsafe { F::multiply::<S, MR, NV>(s, Interleaved::<MR>(at.as_ptr()), from, length, &mut ahead) };
                 let tile = &mut tile[first * NV * LANES..][..MR * NV * LANES];
                 if !first_block {
                     for r in 0..MR {
@@ -202,7 +214,7 @@ impl<F: Form> Task<'_, F> {
                     }
                 }
                 if last_block && direct && first + MR <= rows {
-                    self.write(s, first, columns.start, acc, &scales[first..]);
+                    self.write(s, columns.start, places.map(|place| place + first * stride), acc, &scales[first..]);
                 } else {
                     for r in 0..MR {
                         for v in 0..NV {
@@ -222,10 +234,17 @@ impl<F: Form> Task<'_, F> {
         }
     }
 
-    /// Where a value of the output lies, of a row of the task.
+    /// Values of a row of the output.
     #[inline(always)]
-    fn address(&self, row: usize, column: usize) -> *const f32 {
-        self.out.address((self.rows.start + row) * self.product.weights.n + column)
+    fn width(&self) -> usize {
+        self.product.epilogue.width(self.product.weights.n)
+    }
+
+    /// Where the task's first value of a column lies in the output.
+    #[inline(always)]
+    fn place(&self, column: usize) -> usize {
+        let width = self.width();
+        (column / width * self.product.m + self.rows.start) * width + column % width
     }
 
     /// What the epilogue and the form have for up to 16 columns that start a panel.
@@ -241,31 +260,33 @@ impl<F: Form> Task<'_, F> {
         (affine, s.load(&self.product.weights.scales[whole]), s.from_array_i32(offsets))
     }
 
-    /// Writes a whole register block, of rows from `first` of the task and columns from `column`, whose epilogue has no function.
+    /// Writes a whole register block of columns from `column`, whose epilogue has no function, to rows that begin at `places`.
     #[inline(always)]
     fn write<S: Simd, const MR: usize, const NV: usize>(
         &self,
         s: S,
-        first: usize,
         column: usize,
+        places: [usize; NV],
         acc: Tile<S, MR, NV>,
         scales: &[f32],
     ) {
-        let n = self.product.weights.n;
-        let scales = &scales[..MR];
-        let start = (self.rows.start + first) * n + column;
+        let (width, scales) = (self.width(), &scales[..MR]);
         let mut of = [self.of_columns(s, &(column..column + LANES)); NV];
-        for v in 1..NV {
+        let mut out = [std::ptr::null_mut(); NV];
+        for v in 0..NV {
             let column = column + v * LANES;
-            of[v] = self.of_columns(s, &(column..column + LANES));
+            if v > 0 {
+                of[v] = self.of_columns(s, &(column..column + LANES));
+            }
+            // SAFETY: tasks own disjoint blocks of rows and columns.
+            out[v] = unsafe { self.out.rows(places[v], MR, width, LANES) };
         }
-        // SAFETY: tasks own disjoint blocks of rows and columns; each vector lies inside the rows that are asked for.
+        // SAFETY: each vector lies inside the rows that were asked for.
         unsafe {
-            let out = self.out.rows(start, MR, n, NV * LANES);
             if of[0].0.residual {
                 for r in 0..MR {
                     for v in 0..NV {
-                        let at = out.add(r * n + v * LANES);
+                        let at = out[v].add(r * width);
                         let p = F::product(s, acc[r][v], scales[r], of[v].1, of[v].2);
                         s.store_ptr(of[v].0.apply(s, p, s.load_ptr(at)), at);
                     }
@@ -274,7 +295,7 @@ impl<F: Form> Task<'_, F> {
                 for r in 0..MR {
                     for v in 0..NV {
                         let p = F::product(s, acc[r][v], scales[r], of[v].1, of[v].2);
-                        s.store_ptr(of[v].0.apply(s, p, p), out.add(r * n + v * LANES));
+                        s.store_ptr(of[v].0.apply(s, p, p), out[v].add(r * width));
                     }
                 }
             }
@@ -291,7 +312,7 @@ impl<F: Form> Task<'_, F> {
         scales: &[f32],
         tile: &[f32],
     ) {
-        let n = self.product.weights.n;
+        let width = self.width();
         for v in 0..NV {
             let start = columns.start + v * LANES;
             let columns = start..(start + LANES).min(columns.end);
@@ -301,13 +322,13 @@ impl<F: Form> Task<'_, F> {
             let (affine, scaled, offsets) = self.of_columns(s, &columns);
             let (tile, scales) = (&tile[v * LANES..], &scales[rows.clone()]);
             let tile = tile[rows.start * NV * LANES..].chunks(NV * LANES).zip(scales);
-            let row = (self.rows.start + rows.start) * n + columns.start;
+            let start = self.place(columns.start) + rows.start * width;
             // SAFETY: tasks own disjoint blocks of rows and columns.
-            let out = unsafe { self.out.rows(row, rows.len(), n, columns.len()) };
+            let out = unsafe { self.out.rows(start, rows.len(), width, columns.len()) };
             for (i, (sums, &scale)) in tile.enumerate() {
                 let y = A::of(s, s.add(F::product(s, s.load(sums), scale, scaled, offsets), affine.bias));
                 // SAFETY: row `i` of those that are asked for.
-                let to = unsafe { std::slice::from_raw_parts_mut(out.add(i * n), columns.len()) };
+                let to = unsafe { std::slice::from_raw_parts_mut(out.add(i * width), columns.len()) };
                 let before = if affine.residual { s.load_partial(to, 0.0) } else { y };
                 s.store_partial(affine.finish(s, y, before), to);
             }
@@ -315,49 +336,61 @@ impl<F: Form> Task<'_, F> {
     }
 }
 
+/// Words of weights that stay in a second-level cache beside a task's rows.
+const NEAR: usize = 1 << 16;
+
 /// Brings into the cache what is used next, a little in every leg of the register blocks: the weights of the next block, and the lines of the output
 /// that a register block is about to write.
 struct Ahead<const NV: usize> {
     weights: [*const u32; NV],
-    /// Lines of each panel in a leg.
-    lines: usize,
-    legs: usize,
-    out: *const f32,
+    /// Lines of each panel in a leg, where weights are asked for at all.
+    lines: u32,
+    /// Lines that a leg would have to ask for.
+    share: u32,
+    out: [*const f32; NV],
     /// From a row of the output to the next.
     stride: usize,
-    rows: usize,
+    /// Rows that are left.
+    rows: u32,
     /// Rows in a leg.
-    each: usize,
+    each: u32,
 }
 
 impl<const NV: usize> Ahead<NV> {
-    /// What follows the blocks of `words` at `from`, after `skipped` more, in the legs of `blocks` register blocks.
+    /// For `blocks` register blocks of `words`, which write `height` rows that lie `stride` values apart.
     #[inline(always)]
-    fn after(from: [*const u32; NV], words: usize, skipped: usize, blocks: usize) -> Self {
-        let legs = words.div_ceil(LEG);
+    fn new(words: usize, blocks: usize, height: usize, stride: usize) -> Self {
+        let legs = words.div_ceil(LEG) as u32;
         Self {
-            weights: from.map(|p| p.wrapping_add(words * LANES + skipped)),
-            lines: words.div_ceil(blocks.max(1) * legs),
-            legs,
-            out: std::ptr::null(),
-            stride: 0,
+            weights: [std::ptr::null(); NV],
+            lines: 0,
+            share: (words as u32).div_ceil((blocks as u32).max(1) * legs),
+            out: [std::ptr::null(); NV],
+            stride,
             rows: 0,
-            each: 0,
+            each: (height as u32).div_ceil(legs),
         }
+    }
+
+    /// The next block's weights are those after `words` at `from` and `skipped` more.
+    #[inline(always)]
+    fn weights_after(&mut self, from: [*const u32; NV], words: usize, skipped: usize) {
+        self.weights = from.map(|p| p.wrapping_add(words * LANES + skipped));
+        self.lines = self.share;
     }
 
     /// The next register block writes `rows` rows that begin at `out`.
     #[inline(always)]
-    fn expect(&mut self, rows: usize, out: *const f32, stride: usize) {
-        (self.out, self.stride, self.rows, self.each) = (out, stride, rows, rows.div_ceil(self.legs));
+    fn expect(&mut self, rows: usize, out: [*const f32; NV]) {
+        (self.out, self.rows) = (out, rows as u32);
     }
 }
 
 impl<const NV: usize> Between for Ahead<NV> {
     #[inline(always)]
     fn leg(&mut self) {
-        for at in &mut self.weights {
-            for _ in 0..self.lines {
+        for _ in 0..self.lines {
+            for at in &mut self.weights {
                 prefetch(*at);
                 *at = at.wrapping_add(LANES);
             }
@@ -365,10 +398,10 @@ impl<const NV: usize> Between for Ahead<NV> {
         let now = self.each.min(self.rows);
         self.rows -= now;
         for _ in 0..now {
-            for v in 0..NV {
-                prefetch(self.out.wrapping_add(v * LANES));
+            for out in &mut self.out {
+                prefetch(*out);
+                *out = out.wrapping_add(self.stride);
             }
-            self.out = self.out.wrapping_add(self.stride);
         }
     }
 }

@@ -192,3 +192,32 @@ fn a_norm_of_another_width_is_refused() {
     let input = Input::Normed(&[0.0; 6], Norm::rms(&[1.0; 2], 1e-5));
     linear(crate::Level::detect(), input, 2, &Weights::pack(&[0.0; 9], 3, 3), &Epilogue::new(), &mut [0.0; 6]);
 }
+
+#[test]
+fn columns_in_groups_are_the_same_values_elsewhere() {
+    for (m, group, groups, k) in [(1, 16, 3, 20), (29, 48, 2, 70), (100, 64, 6, 300), (13, 16, 1, 1)] {
+        let n = group * groups;
+        let (x, w, bias) = (noise(m * k, 1), noise(n * k, 2), noise(n, 3));
+        for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
+            let weights = Weights::pack_as(precision, &w, n, k);
+            for epilogue in [Epilogue::new().bias(&bias), Epilogue::new().silu().residual()] {
+                let mut rows = vec![0.5; m * n];
+                linear(crate::Level::detect(), &x, m, &weights, &epilogue, &mut rows);
+                let grouped = on_every_level_and_thread_count(m * n, |level, out| {
+                    linear(level, &x, m, &weights, &epilogue.in_groups_of(group), out);
+                });
+                let expected: Vec<f32> = (0..groups)
+                    .flat_map(|g| rows.chunks(n).flat_map(move |row| row[g * group..][..group].to_vec()))
+                    .collect();
+                assert!(bits(&grouped) == bits(&expected), "{precision:?} {m}x{n}x{k} in groups of {group}");
+            }
+        }
+    }
+}
+
+#[test]
+#[should_panic(expected = "groups of 24 columns of 48")]
+fn groups_that_are_no_whole_vectors_are_refused() {
+    let weights = Weights::pack(&[0.0; 48], 48, 1);
+    linear(crate::Level::detect(), &[0.0], 1, &weights, &Epilogue::new().in_groups_of(24), &mut [0.0; 48]);
+}

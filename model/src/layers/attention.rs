@@ -6,7 +6,7 @@ use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as, attend_som
 use super::{Bias, HEAD, Linear, RmsNorm, Workspace, sized};
 use crate::ModelError;
 use crate::checkpoint::Weights;
-use crate::reuse::scatter;
+use crate::reuse::scatter_heads;
 
 fn shape(d: usize, windows: Windows) -> Shape {
     Shape { heads: d / HEAD, width: HEAD, windows }
@@ -56,15 +56,15 @@ impl SelfAttention {
         let d = self.out_proj.k();
         let n = x.len() / d;
         let qkv = sized(&mut work.projected, 3 * x.len());
-        self.packed_proj.apply_normed(level, self.norm.norm(), x, qkv);
+        self.packed_proj.heads_of_normed(level, self.norm.norm(), x, qkv);
         let mixed = sized(&mut work.mixed, x.len());
-        let [q, k, v] = [0, 1, 2].map(|part| Rows::new(qkv, n, 3 * d, part * d));
+        let [q, k, v] = [0, 1, 2].map(|part| Rows::of_heads(qkv, n, HEAD, part * d / HEAD));
         attend_as(self.out_proj.precision(), level, shape(d, windows), q, k, v, mixed);
         self.out_proj.accumulate(level, mixed, x);
     }
 
-    /// [`SelfAttention::accumulate`] of the tokens `at` alone, whose rows `x` holds: `keys_values [n, 2d]` holds keys and values of
-    /// all tokens, and gets theirs.
+    /// [`SelfAttention::accumulate`] of the tokens `at` alone, whose rows `x` holds: `keys_values` holds keys and values of all tokens,
+    /// `[2·heads][n][64]`, and gets theirs.
     pub(crate) fn accumulate_some(
         &self,
         level: Level,
@@ -77,11 +77,11 @@ impl SelfAttention {
         let d = self.out_proj.k();
         let n = keys_values.len() / (2 * d);
         let qkv = sized(&mut work.projected, 3 * x.len());
-        self.packed_proj.apply_normed(level, self.norm.norm(), x, qkv);
-        scatter(at, qkv, 3 * d, d, keys_values, 2 * d);
+        self.packed_proj.heads_of_normed(level, self.norm.norm(), x, qkv);
+        scatter_heads(at, &qkv[x.len()..], HEAD, keys_values);
         let mixed = sized(&mut work.mixed, x.len());
-        let q = Rows::new(qkv, at.len(), 3 * d, 0);
-        let [k, v] = [0, 1].map(|part| Rows::new(keys_values, n, 2 * d, part * d));
+        let q = Rows::of_heads(qkv, at.len(), HEAD, 0);
+        let [k, v] = [0, 1].map(|part| Rows::of_heads(keys_values, n, HEAD, part * d / HEAD));
         attend_some(self.out_proj.precision(), level, shape(d, windows), at, q, k, v, mixed);
         self.out_proj.accumulate(level, mixed, x);
     }
@@ -131,15 +131,15 @@ impl CrossAttention {
     /// `x += attention(norm(x), condition)`
     pub(crate) fn accumulate(&self, level: Level, condition: &[f32], x: &mut [f32], work: &mut Workspace) {
         let mut keys_values = std::mem::take(&mut work.keys_values);
-        self.key_value.apply(level, condition, sized(&mut keys_values, 2 * condition.len()));
+        self.key_value.heads(level, condition, sized(&mut keys_values, 2 * condition.len()));
         self.accumulate_with(level, &keys_values, x, work);
         work.keys_values = keys_values;
     }
 
-    /// The keys and values of a condition, `[m, 2d]`.
+    /// The keys and values of a condition, `[2·heads][m][64]`.
     pub(crate) fn keys_values(&self, level: Level, condition: &[f32]) -> Vec<f32> {
         let mut keys_values = vec![0.0; 2 * condition.len()];
-        self.key_value.apply(level, condition, &mut keys_values);
+        self.key_value.heads(level, condition, &mut keys_values);
         keys_values
     }
 
@@ -148,10 +148,11 @@ impl CrossAttention {
         let d = self.out_proj.k();
         let (n, m) = (x.len() / d, keys_values.len() / (2 * d));
         let q = sized(&mut work.projected, x.len());
-        self.query.apply_normed(level, self.norm.norm(), x, q);
+        self.query.heads_of_normed(level, self.norm.norm(), x, q);
         let mixed = sized(&mut work.mixed, x.len());
-        let [k, v] = [0, 1].map(|part| Rows::new(keys_values, m, 2 * d, part * d));
-        attend_as(self.out_proj.precision(), level, shape(d, Windows::Full), Rows::new(q, n, d, 0), k, v, mixed);
+        let q = Rows::of_heads(q, n, HEAD, 0);
+        let [k, v] = [0, 1].map(|part| Rows::of_heads(keys_values, m, HEAD, part * d / HEAD));
+        attend_as(self.out_proj.precision(), level, shape(d, Windows::Full), q, k, v, mixed);
         self.out_proj.accumulate(level, mixed, x);
     }
 

@@ -28,7 +28,7 @@ impl Block {
         self.feed_forward(level, x);
     }
 
-    /// [`Block::apply`] of the tokens `at` alone, whose rows `x` holds; `keys_values [n, 2d]` holds those of all tokens, and gets theirs. A block
+    /// [`Block::apply`] of the tokens `at` alone, whose rows `x` holds; `keys_values [2·heads][n][64]` holds those of all tokens, and gets theirs. A block
     /// that does not mix tokens leaves it as it is.
     pub(crate) fn apply_some(
         &self,

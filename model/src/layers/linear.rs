@@ -4,6 +4,7 @@ use streamsplat_kernels::Level;
 use streamsplat_kernels::gemm::{self, Epilogue, Input, Precision};
 use streamsplat_kernels::norm::Norm;
 
+use super::HEAD;
 use crate::ModelError;
 use crate::checkpoint::Weights;
 
@@ -85,9 +86,14 @@ impl Linear {
         self.run(level, Input::Rows(x), self.epilogue(), out);
     }
 
-    /// `out = layer(norm(x))`
-    pub(crate) fn apply_normed(&self, level: Level, norm: Norm<'_>, x: &[f32], out: &mut [f32]) {
-        self.run(level, Input::Normed(x, norm), self.epilogue(), out);
+    /// `out = layer(x)` as attention reads it, head after head: `[n/64][m][64]`.
+    pub(crate) fn heads(&self, level: Level, x: &[f32], out: &mut [f32]) {
+        self.run(level, Input::Rows(x), self.epilogue().in_groups_of(HEAD), out);
+    }
+
+    /// [`Linear::heads`] of `norm(x)`.
+    pub(crate) fn heads_of_normed(&self, level: Level, norm: Norm<'_>, x: &[f32], out: &mut [f32]) {
+        self.run(level, Input::Normed(x, norm), self.epilogue().in_groups_of(HEAD), out);
     }
 
     /// `out += layer(x)`

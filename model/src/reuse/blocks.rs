@@ -14,7 +14,7 @@ use crate::layers::{Block, Workspace, windows};
 #[derive(Debug)]
 pub(super) struct BlockMemory {
     pub(super) gate: Gate,
-    /// `[n, 2d]`; empty where the block does not mix tokens.
+    /// `[2·heads][n][64]`; empty where the block does not mix tokens.
     pub(super) keys_values: Vec<f32>,
 }
 

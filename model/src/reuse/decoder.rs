@@ -5,10 +5,10 @@ use streamsplat_kernels::Level;
 use super::blocks::BlockMemory;
 use super::rows::{Gate, Rows, places, sized};
 use super::schedule::{Pass, Schedule};
-use super::{Saving, Tokens, scatter};
+use super::{Saving, Tokens, scatter_heads};
 use crate::Config;
 use crate::decoder::Decoder;
-use crate::layers::{Workspace, add_zero, windows};
+use crate::layers::{HEAD, Workspace, add_zero, windows};
 
 /// What the decoder keeps. Its tokens are those of both frames, the earlier one's first.
 #[derive(Debug)]
@@ -26,7 +26,7 @@ pub(crate) struct DecoderMemory {
 #[derive(Debug)]
 struct PairMemory {
     own: BlockMemory,
-    /// Keys and values of each frame's condition, `[M, 2D]`.
+    /// Keys and values of each frame's condition, `[2·heads][M][64]`.
     cross: [Vec<f32>; 2],
 }
 
@@ -118,7 +118,7 @@ impl Decoder {
                     for ((x, kept), (renewed, m)) in halves.zip(&conditions) {
                         sized(kept, m * 2 * d);
                         let new = cross_attn.keys_values(level, &renewed.x);
-                        scatter(&renewed.at, &new, 2 * d, 0, kept, 2 * d);
+                        scatter_heads(&renewed.at, &new, HEAD, kept);
                         cross_attn.accumulate_with(level, kept, x, work);
                     }
                 }

@@ -44,7 +44,7 @@ use streamsplat_kernels::change::Tolerance;
 pub(crate) use blocks::EncoderMemory;
 pub(crate) use decoder::DecoderMemory;
 pub(crate) use heads::{DeformationHeadMemory, StaticHeadMemory};
-pub(crate) use rows::scatter;
+pub(crate) use rows::scatter_heads;
 pub(crate) use upsampler::UpsamplerMemory;
 
 use crate::Config;

@@ -27,7 +27,7 @@ impl Rows {
 
     /// Writes them to their places in `to [n, d]`.
     pub(crate) fn scatter(&self, to: &mut [f32], d: usize) {
-        scatter(&self.at, &self.x, d, 0, to, d);
+        scatter(&self.at, &self.x, to, d);
     }
 
     /// Keeps those that are `wanted`.
@@ -43,10 +43,22 @@ impl Rows {
     }
 }
 
-/// Writes columns `first..first+d` of the rows of `x` to the places `at` of `to [n, d]`.
-pub(crate) fn scatter(at: &[u32], x: &[f32], stride: usize, first: usize, to: &mut [f32], d: usize) {
-    for (row, x) in at.iter().zip(x.chunks_exact(stride)) {
-        to[*row as usize * d..][..d].copy_from_slice(&x[first..first + d]);
+/// Writes the rows of `x` to the places `at` of `to [n, d]`.
+fn scatter(at: &[u32], x: &[f32], to: &mut [f32], d: usize) {
+    for (row, x) in at.iter().zip(x.chunks_exact(d)) {
+        to[*row as usize * d..][..d].copy_from_slice(x);
+    }
+}
+
+/// Writes the rows of every head of `x [heads][at][width]` to the places `at` of `to [heads][n][width]`.
+pub(crate) fn scatter_heads(at: &[u32], x: &[f32], width: usize, to: &mut [f32]) {
+    if at.is_empty() {
+        return;
+    }
+    let heads = x.len() / (at.len() * width);
+    let n = to.len() / heads;
+    for (x, to) in x.chunks_exact(at.len() * width).zip(to.chunks_exact_mut(n)) {
+        scatter(at, x, to, width);
     }
 }
 
