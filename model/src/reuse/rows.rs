@@ -138,3 +138,19 @@ impl Gate {
         4 * self.reference.len()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_of_every_head_reach_their_places() {
+        let (n, width) = (3, 2);
+        let mut to = vec![0.0; 2 * n * width];
+        // Two rows of two heads; the last row first.
+        scatter_heads(&[2, 0], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0], width, &mut to);
+        assert_eq!(to, [3.0, 4.0, 0.0, 0.0, 1.0, 2.0, 7.0, 8.0, 0.0, 0.0, 5.0, 6.0]);
+        scatter_heads(&[], &[], width, &mut to);
+        assert_eq!(to[..2], [3.0, 4.0]);
+    }
+}
