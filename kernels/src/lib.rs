@@ -20,7 +20,6 @@ pub mod norm;
 pub mod parallel;
 pub mod patches;
 pub mod philox;
-pub mod pixel_shuffle;
 pub mod pointwise;
 pub mod raster;
 pub mod resize;

@@ -51,14 +51,13 @@ impl<'a, T> Disjoint<'a, T> {
         self.start.wrapping_add(index)
     }
 
-    /// The start of `rows` rows of `width` elements that lie `stride` apart, the first at `start`. Panics when they do not lie inside.
+    /// Element `start`, as the first of parts that end before `end`. Panics when that is past the last element.
     ///
     /// # Safety
-    /// As [`Disjoint::part`]; nothing but those rows is read or written through the pointer.
+    /// As [`Disjoint::part`]; nothing but those parts is read or written through the pointer.
     #[inline(always)]
-    pub(crate) unsafe fn rows(&self, start: usize, rows: usize, stride: usize, width: usize) -> *mut T {
-        let end = start + (rows - 1) * stride + width;
-        assert!(rows > 0 && end <= self.len, "rows to {end} of {} elements", self.len);
+    pub(crate) unsafe fn parts(&self, start: usize, end: usize) -> *mut T {
+        assert!(start < end && end <= self.len, "parts to {end} of {} elements", self.len);
         self.start.wrapping_add(start)
     }
 

@@ -2,6 +2,8 @@
 
 use std::io;
 
+use rayon::prelude::*;
+
 /// An error that names the file, tensor or option, what was expected and what was found.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -125,14 +127,10 @@ pub(crate) fn check_input(name: &str, values: &[f32], expected: usize, shape: &s
 
 /// The first element that is NaN or infinite.
 pub(crate) fn first_non_finite(values: &[f32]) -> Option<usize> {
-    // Whole chunks first, without a branch inside: these alone have all bits of the exponent.
+    // Whole parts first, without a branch inside: these alone have all bits of the exponent.
     const EXPONENT: u32 = 0x7f80_0000;
-    let chunk = 4096;
-    for (c, part) in values.chunks(chunk).enumerate() {
-        let found = part.iter().fold(0, |found, x| found | u32::from(x.to_bits() & EXPONENT == EXPONENT));
-        if found != 0 {
-            return part.iter().position(|x| !x.is_finite()).map(|i| c * chunk + i);
-        }
-    }
-    None
+    const PART: usize = 1 << 14;
+    let holds_one = |part: &[f32]| part.iter().fold(false, |found, x| found | (x.to_bits() & EXPONENT == EXPONENT));
+    let part = values.par_chunks(PART).position_first(holds_one)?;
+    values.iter().skip(part * PART).position(|x| !x.is_finite()).map(|i| part * PART + i)
 }

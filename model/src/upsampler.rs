@@ -1,13 +1,12 @@
 //! From one token per patch to one per 2×2 pixels.
 //!
-//! Two stages; in each a linear layer widens a token to four sub-tokens, pixel shuffle spreads them over a grid twice as
-//! fine, and a pair of window blocks mixes them: the first with the windows as they are, the second rolled by half a window.
+//! Two stages; in each a linear layer widens a token to four sub-tokens and writes them on a grid twice as fine (a pixel shuffle), and a pair of
+//! window blocks mixes them: the first with the windows as they are, the second rolled by half a window.
 
 use streamsplat_kernels::Level;
-use streamsplat_kernels::pixel_shuffle::pixel_shuffle;
 
 use crate::checkpoint::Weights;
-use crate::layers::{Bias, Block, Linear, RmsNorm, Workspace, sized, windows};
+use crate::layers::{Block, Linear, RmsNorm, Workspace, sized, windows};
 use crate::{Config, ModelError, Precision};
 
 pub(crate) struct Upsampler {
@@ -16,6 +15,7 @@ pub(crate) struct Upsampler {
 }
 
 pub(crate) struct Stage {
+    /// Its columns are sub-token after sub-token.
     pub(crate) residual_fc: Linear,
     pub(crate) blocks: [Block; 2],
 }
@@ -34,20 +34,24 @@ impl Upsampler {
 
     /// `[N, D]` to `[16N, d]`.
     pub(crate) fn apply(&self, level: Level, config: &Config, h: &[f32], work: &mut Workspace) -> Vec<f32> {
-        let [mut height, mut width] = config.grid();
-        let mut x = std::mem::take(&mut work.tokens);
+        let (mut tokens, mut x) = (config.tokens(), std::mem::take(&mut work.tokens));
+        let [_, mut columns] = config.grid();
+        let mut from = std::mem::take(&mut work.wide);
         for (i, stage) in self.stages.iter().enumerate() {
-            let channels = stage.residual_fc.n() / 4;
-            let wide = sized(&mut work.wide, height * width * 4 * channels);
-            stage.residual_fc.apply(level, if i == 0 { h } else { &x }, wide);
-            pixel_shuffle(wide, height, width, channels, sized(&mut x, wide.len()));
-            [height, width] = [2 * height, 2 * width];
+            std::mem::swap(&mut x, &mut from);
+            let fine = sized(&mut x, tokens * stage.residual_fc.n());
+            stage.residual_fc.shuffled(level, columns, if i == 0 { h } else { &from }, fine);
+            (tokens, columns) = (4 * tokens, 2 * columns);
             for (index, block) in stage.blocks.iter().enumerate() {
+                // To add zero again changes nothing.
+                if index > 0 && block.is_silent() && stage.blocks[index - 1].is_silent() {
+                    continue;
+                }
                 block.apply(level, windows(Some(config.upsampler_window), index), &mut x, work);
             }
         }
         let tokens = self.layernorm2.of(level, &x);
-        work.tokens = x;
+        (work.tokens, work.wide) = (x, from);
         tokens
     }
 
@@ -68,7 +72,7 @@ impl Stage {
         let (edge, inner) = (weights.held_in(precision.of_edges()), weights.held_in(precision.of_blocks()));
         let block = |i: usize| Block::load(&inner.at(format_args!("attention_{index}.resblocks.{i}")), to);
         Ok(Stage {
-            residual_fc: Linear::load(&edge, &format!("upsampler_{index}.residual_fc"), 4 * to, from, Bias::Yes)?,
+            residual_fc: Linear::load_sub_tokens(&edge, &format!("upsampler_{index}.residual_fc"), to, from)?,
             blocks: [block(0)?, block(1)?],
         })
     }

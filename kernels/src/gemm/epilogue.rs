@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use super::places::Places;
 use crate::math;
 use crate::simd::{LANES, Simd};
 
@@ -19,7 +20,7 @@ pub enum Activation {
 
 /// What follows a product `p`: `y = activation(p + bias)`, then `out = γ·y`, or, with a residual, `out += γ·y`.
 ///
-/// Rows of `out` hold all columns, or those of a group: see [`Epilogue::in_groups_of`].
+/// Rows of `out` hold all columns, or lie otherwise: see [`Epilogue::in_groups_of`] and [`Epilogue::shuffled`].
 ///
 /// `p + bias` is a plain addition. Without `γ` the residual is a plain addition; with it `γ·y + out` is rounded once.
 ///
@@ -36,13 +37,25 @@ pub struct Epilogue<'a> {
     activation: Activation,
     gamma: Option<&'a [f32]>,
     residual: bool,
-    group: Option<usize>,
+    layout: Layout,
+}
+
+/// Where rows and columns lie in the output.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub(super) enum Layout {
+    /// `[m][n]`
+    #[default]
+    Rows,
+    /// `[n/width][m][width]`
+    Groups(usize),
+    /// `[m/columns][2][columns][2][n/4]`
+    Shuffled(usize),
 }
 
 impl<'a> Epilogue<'a> {
     /// `out = p`
     pub const fn new() -> Self {
-        Self { bias: None, activation: Activation::Identity, gamma: None, residual: false, group: None }
+        Self { bias: None, activation: Activation::Identity, gamma: None, residual: false, layout: Layout::Rows }
     }
 
     /// Adds `bias [n]`.
@@ -90,21 +103,36 @@ impl<'a> Epilogue<'a> {
     /// Writes the columns in groups of `width`, each a matrix of its own: `out [n/width][m][width]`, as attention reads its heads.
     #[must_use]
     pub const fn in_groups_of(mut self, width: usize) -> Self {
-        self.group = Some(width);
+        self.layout = Layout::Groups(width);
         self
     }
 
-    /// Columns of a matrix that is written, of `n`.
-    pub(super) fn width(&self, n: usize) -> usize {
-        self.group.unwrap_or(n)
+    /// Writes rows that are the tokens of a grid with this many columns, line by line, each as 2×2 tokens of a grid twice as fine (a pixel shuffle):
+    /// the columns of a product are four groups, left and right of the upper and of the lower line, so that
+    /// `out [m/columns][2][columns][2][n/4]` holds column `(2i + j)·n/4 + c` of token `(y, x)` at `[y][i][x][j][c]`.
+    #[must_use]
+    pub const fn shuffled(mut self, columns: usize) -> Self {
+        self.layout = Layout::Shuffled(columns);
+        self
     }
 
-    pub(super) fn check(&self, n: usize) {
-        if let Some(width) = self.group {
-            assert!(
+    /// Where a product of `m` rows and `n` columns is written.
+    pub(super) fn places(&self, m: usize, n: usize) -> Places {
+        Places::new(self.layout, m, n)
+    }
+
+    pub(super) fn check(&self, m: usize, n: usize) {
+        match self.layout {
+            Layout::Rows => {}
+            Layout::Groups(width) => assert!(
                 width > 0 && width.is_multiple_of(LANES) && n.is_multiple_of(width),
                 "groups of {width} columns of {n}, expected a multiple of {LANES} that divides them"
-            );
+            ),
+            Layout::Shuffled(columns) => assert!(
+                n.is_multiple_of(4 * LANES) && columns > 0 && m.is_multiple_of(columns),
+                "a shuffle of {n} columns and {m} tokens in lines of {columns}, expected a multiple of {} and whole lines",
+                4 * LANES
+            ),
         }
         for (name, values) in [("bias", self.bias), ("gamma", self.gamma)] {
             if let Some(values) = values {

@@ -28,6 +28,7 @@ pub(crate) mod epilogue;
 pub(crate) mod form;
 mod input;
 mod microkernel;
+mod places;
 mod precision;
 pub mod reference;
 mod task;
@@ -89,7 +90,7 @@ impl<'a> Product<'a> {
         let (n, k) = (weights.n, weights.k);
         x.check(m, k);
         assert_eq!(len, m * n, "output holds {len} values, expected m·n = {m}·{n}");
-        epilogue.check(n);
+        epilogue.check(m, n);
         Self { x, m, weights, epilogue }
     }
 

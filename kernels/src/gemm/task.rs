@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::epilogue::{Activation, Affine, Function, Gelu, Identity, Silu, SiluLow};
 use super::form::{Form, block_words};
 use super::microkernel::{Between, Interleaved, LEG, Tile};
+use super::places::{Places, Walk};
 use super::{Input, Precision, Product, interleave};
 use crate::Level;
 use crate::memory::Scratch;
@@ -171,9 +172,9 @@ impl<F: Form> Task<'_, F> {
         let rows = self.rows.len();
         let start = panel * LANES;
         let columns = start..(start + NV * LANES).min(n);
-        let (stride, mut places) = (self.width(), [0; NV]);
+        let (places, mut from_row) = (self.places(), [0; NV]);
         for v in 0..NV {
-            places[v] = self.place(start + v * LANES);
+            from_row[v] = places.of_column(start + v * LANES);
         }
         let far = self.product.weights.panels.len() > NEAR;
         // Without a function to apply, whole register blocks are written straight from the registers of the last block.
@@ -188,17 +189,18 @@ impl<F: Form> Task<'_, F> {
             for v in 0..NV {
                 from[v] = self.product.weights.panels[((panel + v) * k + start) * LANES..][..length * LANES].as_ptr();
             }
-            let mut ahead = Ahead::new(length, rows.div_ceil(MR), MR, stride);
+            let mut ahead = Ahead::new(length, rows.div_ceil(MR), MR, places.stride());
             if far {
                 ahead.weights_after(from, length, if last_block { (NV - 1) * k * LANES } else { 0 });
             }
+            let mut walk = places.rows_from(self.rows.start);
             for first in (0..rows).step_by(MR) {
                 let at = &x[first * row_words + start * each * MR..];
                 let at = &at[..(length * each).min(row_words - start * each) * MR];
                 if last_block {
                     let mut out = [std::ptr::null(); NV];
                     for v in 0..NV {
-                        out[v] = self.out.address(places[v] + first * stride);
+                        out[v] = self.out.address(walk.at + from_row[v]);
                     }
                     ahead.expect(MR, out);
                 }
@@ -214,7 +216,7 @@ impl<F: Form> Task<'_, F> {
                     }
                 }
                 if last_block && direct && first + MR <= rows {
-                    self.write(s, columns.start, places.map(|place| place + first * stride), acc, &scales[first..]);
+                    self.write(s, columns.start, walk, from_row, acc, &scales[first..]);
                 } else {
                     for r in 0..MR {
                         for v in 0..NV {
@@ -222,6 +224,7 @@ impl<F: Form> Task<'_, F> {
                         }
                     }
                 }
+                walk = walk.skip(MR);
             }
         }
         let written = if direct { rows / MR * MR } else { 0 };
@@ -234,17 +237,10 @@ impl<F: Form> Task<'_, F> {
         }
     }
 
-    /// Values of a row of the output.
+    /// Where the output's rows and columns lie.
     #[inline(always)]
-    fn width(&self) -> usize {
-        self.product.epilogue.width(self.product.weights.n)
-    }
-
-    /// Where the task's first value of a column lies in the output.
-    #[inline(always)]
-    fn place(&self, column: usize) -> usize {
-        let width = self.width();
-        (column / width * self.product.m + self.rows.start) * width + column % width
+    fn places(&self) -> Places {
+        self.product.epilogue.places(self.product.m, self.product.weights.n)
     }
 
     /// What the epilogue and the form have for up to 16 columns that start a panel.
@@ -260,17 +256,19 @@ impl<F: Form> Task<'_, F> {
         (affine, s.load(&self.product.weights.scales[whole]), s.from_array_i32(offsets))
     }
 
-    /// Writes a whole register block of columns from `column`, whose epilogue has no function, to rows that begin at `places`.
+    /// Writes a whole register block of columns from `column`, whose epilogue has no function, to the rows of a walk; `from_row` is where each panel's
+    /// columns begin in a row.
     #[inline(always)]
     fn write<S: Simd, const MR: usize, const NV: usize>(
         &self,
         s: S,
         column: usize,
-        places: [usize; NV],
+        mut walk: Walk,
+        from_row: [usize; NV],
         acc: Tile<S, MR, NV>,
         scales: &[f32],
     ) {
-        let (width, scales) = (self.width(), &scales[..MR]);
+        let (scales, last) = (&scales[..MR], walk.skip(MR - 1).at);
         let mut of = [self.of_columns(s, &(column..column + LANES)); NV];
         let mut out = [std::ptr::null_mut(); NV];
         for v in 0..NV {
@@ -279,24 +277,26 @@ impl<F: Form> Task<'_, F> {
                 of[v] = self.of_columns(s, &(column..column + LANES));
             }
             // SAFETY: tasks own disjoint blocks of rows and columns.
-            out[v] = unsafe { self.out.rows(places[v], MR, width, LANES) };
+            out[v] = unsafe { self.out.parts(from_row[v], last + from_row[v] + LANES) };
         }
-        // SAFETY: each vector lies inside the rows that were asked for.
+        // SAFETY: each vector lies inside the rows, the last of which was asked for.
         unsafe {
             if of[0].0.residual {
                 for r in 0..MR {
                     for v in 0..NV {
-                        let at = out[v].add(r * width);
+                        let at = out[v].add(walk.at);
                         let p = F::product(s, acc[r][v], scales[r], of[v].1, of[v].2);
                         s.store_ptr(of[v].0.apply(s, p, s.load_ptr(at)), at);
                     }
+                    walk.step();
                 }
             } else {
                 for r in 0..MR {
                     for v in 0..NV {
                         let p = F::product(s, acc[r][v], scales[r], of[v].1, of[v].2);
-                        s.store_ptr(of[v].0.apply(s, p, p), out[v].add(r * width));
+                        s.store_ptr(of[v].0.apply(s, p, p), out[v].add(walk.at));
                     }
+                    walk.step();
                 }
             }
         }
@@ -312,7 +312,7 @@ impl<F: Form> Task<'_, F> {
         scales: &[f32],
         tile: &[f32],
     ) {
-        let width = self.width();
+        let places = self.places();
         for v in 0..NV {
             let start = columns.start + v * LANES;
             let columns = start..(start + LANES).min(columns.end);
@@ -322,13 +322,15 @@ impl<F: Form> Task<'_, F> {
             let (affine, scaled, offsets) = self.of_columns(s, &columns);
             let (tile, scales) = (&tile[v * LANES..], &scales[rows.clone()]);
             let tile = tile[rows.start * NV * LANES..].chunks(NV * LANES).zip(scales);
-            let start = self.place(columns.start) + rows.start * width;
+            let (from_row, mut walk) = (places.of_column(columns.start), places.rows_from(self.rows.start + rows.start));
+            let end = walk.skip(rows.len() - 1).at + from_row + columns.len();
             // SAFETY: tasks own disjoint blocks of rows and columns.
-            let out = unsafe { self.out.rows(start, rows.len(), width, columns.len()) };
-            for (i, (sums, &scale)) in tile.enumerate() {
+            let out = unsafe { self.out.parts(from_row, end) };
+            for (sums, &scale) in tile {
                 let y = A::of(s, s.add(F::product(s, s.load(sums), scale, scaled, offsets), affine.bias));
-                // SAFETY: row `i` of those that are asked for.
-                let to = unsafe { std::slice::from_raw_parts_mut(out.add(i * width), columns.len()) };
+                // SAFETY: inside the rows, the last of which was asked for.
+                let to = unsafe { std::slice::from_raw_parts_mut(out.add(walk.at), columns.len()) };
+                walk.step();
                 let before = if affine.residual { s.load_partial(to, 0.0) } else { y };
                 s.store_partial(affine.finish(s, y, before), to);
             }

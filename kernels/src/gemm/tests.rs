@@ -221,3 +221,42 @@ fn groups_that_are_no_whole_vectors_are_refused() {
     let weights = Weights::pack(&[0.0; 48], 48, 1);
     linear(crate::Level::detect(), &[0.0], 1, &weights, &Epilogue::new().in_groups_of(24), &mut [0.0; 48]);
 }
+
+#[test]
+fn shuffled_columns_land_where_the_formula_says() {
+    for (height, width, channels, k) in [(1, 1, 16, 20), (3, 5, 16, 70), (4, 7, 48, 300), (9, 24, 64, 9), (0, 3, 16, 4)] {
+        let (m, n) = (height * width, 4 * channels);
+        let (x, w, bias) = (noise(m * k, 1), noise(n * k, 2), noise(n, 3));
+        for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
+            let weights = Weights::pack_as(precision, &w, n, k);
+            for epilogue in [Epilogue::new().bias(&bias), Epilogue::new().silu(), Epilogue::new().residual()] {
+                let mut rows = vec![0.5; m * n];
+                linear(crate::Level::detect(), &x, m, &weights, &epilogue, &mut rows);
+                let shuffled = on_every_level_and_thread_count(m * n, |level, out| {
+                    linear(level, &x, m, &weights, &epilogue.shuffled(width), out);
+                });
+                for (token, row) in rows.chunks(n).enumerate() {
+                    for (column, value) in row.iter().enumerate() {
+                        let (y, x, part, c) = (token / width, token % width, column / channels, column % channels);
+                        let at = ((2 * y + part / 2) * 2 * width + 2 * x + part % 2) * channels + c;
+                        assert_eq!(shuffled[at].to_bits(), value.to_bits(), "{precision:?}, token {token}, column {column}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+#[should_panic(expected = "a shuffle of 64 columns and 5 tokens in lines of 2")]
+fn a_shuffle_of_broken_lines_is_refused() {
+    let weights = Weights::pack(&[0.0; 64], 64, 1);
+    linear(crate::Level::detect(), &[0.0; 5], 5, &weights, &Epilogue::new().shuffled(2), &mut [0.0; 5 * 64]);
+}
+
+#[test]
+#[should_panic(expected = "a shuffle of 96 columns")]
+fn a_shuffle_of_no_whole_vectors_is_refused() {
+    let weights = Weights::pack(&[0.0; 96], 96, 1);
+    linear(crate::Level::detect(), &[0.0], 1, &weights, &Epilogue::new().shuffled(1), &mut [0.0; 96]);
+}

@@ -53,6 +53,11 @@ impl Block {
         }
     }
 
+    /// Whether nothing is left of it but `x += 0`.
+    pub(crate) fn is_silent(&self) -> bool {
+        self.attn.is_none() && self.mlp.is_none()
+    }
+
     /// Whether a token's result depends on other tokens.
     pub(crate) fn mixes(&self) -> bool {
         self.attn.is_some()

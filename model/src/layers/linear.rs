@@ -42,6 +42,22 @@ impl Linear {
         Ok(layer)
     }
 
+    /// The layer of the tensors `name.weight [4·width, k]` and `name.bias [4·width]` that widens a token to 2×2 sub-tokens. Files have the sub-tokens'
+    /// values of a channel side by side; here come all channels of the first, then of the second, and so on: what [`Linear::shuffled`] writes.
+    pub(crate) fn load_sub_tokens(
+        weights: &Weights<'_>,
+        name: &str,
+        width: usize,
+        k: usize,
+    ) -> Result<Linear, ModelError> {
+        let (key, n) = (format!("{name}.weight"), 4 * width);
+        let weight = sub_tokens(&weights.read(&key, &[n, k])?, k);
+        let bias = sub_tokens(&weights.vector(&format!("{name}.bias"), &[n])?, 1);
+        let layer = Linear::new(weights.precision(), &weight, Some(bias), n, k);
+        weights.release(&key);
+        Ok(layer)
+    }
+
     /// The layer of a weight in memory.
     pub(crate) fn new(precision: Precision, weight: &[f32], bias: Option<Vec<f32>>, n: usize, k: usize) -> Linear {
         Linear { weights: gemm::Weights::pack_as(precision, weight, n, k), bias }
@@ -96,6 +112,11 @@ impl Linear {
         self.run(level, Input::Normed(x, norm), self.epilogue().in_groups_of(HEAD), out);
     }
 
+    /// `out = layer(x)` for the tokens of a grid, as the tokens of a grid twice as fine. See [`Epilogue::shuffled`].
+    pub(crate) fn shuffled(&self, level: Level, columns: usize, x: &[f32], out: &mut [f32]) {
+        self.run(level, Input::Rows(x), self.epilogue().shuffled(columns), out);
+    }
+
     /// `out += layer(x)`
     pub(crate) fn accumulate(&self, level: Level, x: &[f32], out: &mut [f32]) {
         self.run(level, Input::Rows(x), self.epilogue().residual(), out);
@@ -104,5 +125,22 @@ impl Linear {
     /// `out += γ · layer(x)`
     pub(crate) fn accumulate_scaled(&self, level: Level, x: &[f32], gamma: &[f32], out: &mut [f32]) {
         self.run(level, Input::Rows(x), self.epilogue().gamma(gamma).residual(), out);
+    }
+}
+
+/// Rows of `k` values, `4c + part` of them at `part·n/4 + c`.
+fn sub_tokens(rows: &[f32], k: usize) -> Vec<f32> {
+    (0..4).flat_map(|part| rows.chunks_exact(k).skip(part).step_by(4)).flatten().copied().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_channels_of_a_sub_token_come_together() {
+        let rows: Vec<f32> = (0..12).flat_map(|row| [row as f32, 100.0 + row as f32]).collect();
+        let together: Vec<f32> = sub_tokens(&rows, 2).into_iter().step_by(2).collect();
+        assert_eq!(together, [0.0, 4.0, 8.0, 1.0, 5.0, 9.0, 2.0, 6.0, 10.0, 3.0, 7.0, 11.0]);
     }
 }

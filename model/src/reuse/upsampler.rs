@@ -82,10 +82,9 @@ impl Upsampler {
         };
         let [_, mut width] = config.grid();
         for (stage, memories) in self.stages.iter().zip(stages) {
-            let channels = stage.residual_fc.n() / 4;
-            let mut wide = vec![0.0; rows.at.len() * 4 * channels];
-            stage.residual_fc.apply(level, &rows.x, &mut wide);
-            rows = spread(&rows.at, &wide, width, channels);
+            let mut x = vec![0.0; rows.at.len() * stage.residual_fc.n()];
+            stage.residual_fc.apply(level, &rows.x, &mut x);
+            rows = Rows { at: sub_tokens(&rows.at, width), x };
             width *= 2;
             for (index, (block, memory)) in stage.blocks.iter().zip(memories).enumerate() {
                 let part = (block, memory, windows(Some(config.upsampler_window), index));
@@ -101,17 +100,11 @@ impl Upsampler {
     }
 }
 
-/// The pixel shuffle of some tokens `at` of a grid of this width: each gives four, row by row.
-fn spread(at: &[u32], wide: &[f32], width: usize, channels: usize) -> Rows {
-    let mut rows = Rows { at: Vec::with_capacity(4 * at.len()), x: vec![0.0; wide.len()] };
-    let tokens = wide.chunks_exact(4 * channels).zip(rows.x.chunks_exact_mut(4 * channels));
-    for (&token, (wide, out)) in at.iter().zip(tokens) {
+/// The places of the four sub-tokens of each token `at` of a grid of this width, row by row.
+fn sub_tokens(at: &[u32], width: usize) -> Vec<u32> {
+    let four = |&token: &u32| {
         let (y, x) = (token as usize / width, token as usize % width);
-        for (part, out) in out.chunks_exact_mut(channels).enumerate() {
-            let (i, j) = (part / 2, part % 2);
-            rows.at.push(((2 * y + i) * 2 * width + 2 * x + j) as u32);
-            out.iter_mut().zip(wide.chunks_exact(4)).for_each(|(out, four)| *out = four[part]);
-        }
-    }
-    rows
+        [0, 1].map(|i| [0, 1].map(|j| ((2 * y + i) * 2 * width + 2 * x + j) as u32))
+    };
+    at.iter().flat_map(four).flatten().collect()
 }

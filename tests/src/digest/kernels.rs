@@ -6,7 +6,7 @@ use streamsplat_kernels::math::{self, f64 as double};
 use streamsplat_kernels::philox::Stream;
 use streamsplat_kernels::pointwise::{Layer, TOKENS};
 use streamsplat_kernels::simd::{LANES, Operation, Simd, dispatch};
-use streamsplat_kernels::{Level, harmonics, norm, patches, pixel_shuffle, resize, truncated_normal};
+use streamsplat_kernels::{Level, harmonics, norm, patches, resize, truncated_normal};
 
 use super::{Digest, Thing};
 use crate::noise::noise;
@@ -91,12 +91,6 @@ pub(super) fn things() -> Vec<Thing> {
                 norm::layer_norm(level, &x, &w, &b, 1e-6, &mut out);
                 digest.floats(&out);
             }
-        }),
-        Thing::new("pixel_shuffle", |_, digest| {
-            let x = noise(5 * 7 * 4 * 3, 4);
-            let mut out = vec![0.0; x.len()];
-            pixel_shuffle::pixel_shuffle(&x, 5, 7, 3, &mut out);
-            digest.floats(&out);
         }),
         Thing::new("pointwise", |level, digest| {
             for (n, k) in [(64, 64), (5, 131), (9, 300)] {

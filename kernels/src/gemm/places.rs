@@ -1,0 +1,87 @@
+//! Where the rows and columns of a product lie in its output.
+
+use super::epilogue::Layout;
+
+/// Column `j` of row `i` lies at `of_column(j) + i·stride + ⌊i/run⌋·jump`.
+#[derive(Clone, Copy)]
+pub(super) struct Places {
+    /// Columns that lie side by side.
+    width: usize,
+    /// From a group of such columns to the next, of even and of odd ones.
+    group: usize,
+    pair: usize,
+    stride: usize,
+    run: usize,
+    jump: usize,
+}
+
+impl Places {
+    /// Of `m` rows and `n` columns.
+    pub(super) fn new(layout: Layout, m: usize, n: usize) -> Self {
+        let rows = |width| Self { width, group: m * width, pair: 2 * m * width, stride: width, run: usize::MAX, jump: 0 };
+        match layout {
+            Layout::Rows => rows(n),
+            Layout::Groups(width) => rows(width),
+            Layout::Shuffled(columns) => {
+                let width = n / 4;
+                let line = 2 * columns * width;
+                Self { width, group: width, pair: line, stride: 2 * width, run: columns, jump: line }
+            }
+        }
+    }
+
+    /// What a column adds to where its row begins.
+    #[inline(always)]
+    pub(super) fn of_column(&self, column: usize) -> usize {
+        let group = column / self.width;
+        group / 2 * self.pair + group % 2 * self.group + column % self.width
+    }
+
+    /// From a row to the next of the same run.
+    #[inline(always)]
+    pub(super) fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// The rows from `first` on.
+    #[inline(always)]
+    pub(super) fn rows_from(&self, first: usize) -> Walk {
+        let (runs, row) = (first / self.run, first % self.run);
+        Walk { at: first * self.stride + runs * self.jump, left: self.run - row, of: *self }
+    }
+}
+
+/// A walk over rows.
+#[derive(Clone, Copy)]
+pub(super) struct Walk {
+    /// Where the row begins.
+    pub(super) at: usize,
+    /// Rows of the run from this one on.
+    left: usize,
+    of: Places,
+}
+
+impl Walk {
+    /// Goes to the next row.
+    #[inline(always)]
+    pub(super) fn step(&mut self) {
+        self.at += self.of.stride;
+        self.left -= 1;
+        if self.left == 0 {
+            (self.at, self.left) = (self.at + self.of.jump, self.of.run);
+        }
+    }
+
+    /// The walk from `rows` further on.
+    #[inline(always)]
+    pub(super) fn skip(mut self, mut rows: usize) -> Self {
+        while rows >= self.left {
+            rows -= self.left;
+            self.at += self.left * self.of.stride + self.of.jump;
+            self.left = self.of.run;
+        }
+        self.at += rows * self.of.stride;
+        self.left -= rows;
+        self
+    }
+}
