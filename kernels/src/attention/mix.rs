@@ -1,10 +1,10 @@
 //! The weighted sum of values, `Σ w v`, as each precision holds weights and values.
 
 use super::pack::Values;
-use super::weight::{NUMBERED, SHIFTER, numbered, weight, weight_low};
+use super::weight::{NUMBERED, numbered, weight, weight_low};
 use crate::gemm::form::{Brain, Multiply, Portions, Single};
 use crate::gemm::{pair_bf16, round_bf16};
-use crate::simd::{LANES, Simd};
+use crate::simd::{LANES, SHIFTER, Simd};
 
 /// A block's scores of 16 queries.
 pub(super) struct Scores<'a, S: Simd> {

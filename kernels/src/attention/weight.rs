@@ -1,10 +1,7 @@
 //! The weight of a key: `2^t` for `t ≤ 0`, the innermost function of attention.
 
 use crate::math;
-use crate::simd::Simd;
-
-/// Added to a float below 2²² in magnitude, leaves its nearest integer in the low bits.
-pub(super) const SHIFTER: f32 = 12_582_912.0;
+use crate::simd::{SHIFTER, Simd};
 
 /// Weights are never below `2^LOWEST`: too little to count, and so much that its products with values are no denormal numbers, on which some
 /// CPUs spend far more time.
@@ -19,15 +16,12 @@ const COEFFICIENTS: [f32; 6] =
 pub(super) fn weight<S: Simd>(s: S, t: S::F32) -> S::F32 {
     // NaN compares false and becomes the second operand.
     let t = s.max(t, s.splat(LOWEST));
-    let shifted = s.add(t, s.splat(SHIFTER));
-    let f = s.sub(t, s.sub(shifted, s.splat(SHIFTER)));
+    let (whole, part) = s.whole_and_part(t);
     let mut p = s.splat(COEFFICIENTS[5]);
     for i in (0..5).rev() {
-        p = s.mul_add(p, f, s.splat(COEFFICIENTS[i]));
+        p = s.mul_add(p, part, s.splat(COEFFICIENTS[i]));
     }
-    let p = s.mul_add(p, f, s.splat(1.0));
-    // The integer part, moved to the exponent; what lies above falls off.
-    s.from_bits(s.add_i32(s.to_bits(p), s.shl::<23>(s.to_bits(shifted))))
+    s.times_power(s.mul_add(p, part, s.splat(1.0)), whole)
 }
 
 /// Weights of the lower precisions are never below `2^LOWEST_LOW`: there their products with values are far from the denormal numbers.

@@ -7,7 +7,7 @@
 
 use super::microkernel::{self, Between, LEG, Rows, Tile};
 use super::precision::{Precision, largest_magnitude, round_bf16, scale_of};
-use crate::simd::{LANES, Simd, again};
+use crate::simd::{LANES, SHIFTER, Simd, again};
 
 /// A product of words.
 pub(crate) trait Multiply: 'static {
@@ -415,7 +415,7 @@ fn quantise_row<S: Simd, const OFFSET: u8>(s: S, row: &[f32], largest: f32, word
     }
     let inverse = s.splat(inverse);
     // Adding this leaves the nearest integer, and the offset, in the low bits.
-    let to_integer = s.splat(12_582_912.0 + f32::from(OFFSET));
+    let to_integer = s.splat(SHIFTER + f32::from(OFFSET));
     let whole = row.len() / LANES * LANES;
     let (rows, last) = row.split_at(whole);
     let (to, end) = bytes.split_at_mut(whole);

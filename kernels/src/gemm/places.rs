@@ -18,7 +18,8 @@ pub(super) struct Places {
 impl Places {
     /// Of `m` rows and `n` columns.
     pub(super) fn new(layout: Layout, m: usize, n: usize) -> Self {
-        let rows = |width| Self { width, group: m * width, pair: 2 * m * width, stride: width, run: usize::MAX, jump: 0 };
+        let rows =
+            |width| Self { width, group: m * width, pair: 2 * m * width, stride: width, run: usize::MAX, jump: 0 };
         match layout {
             Layout::Rows => rows(n),
             Layout::Groups(width) => rows(width),

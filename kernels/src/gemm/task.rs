@@ -322,7 +322,8 @@ impl<F: Form> Task<'_, F> {
             let (affine, scaled, offsets) = self.of_columns(s, &columns);
             let (tile, scales) = (&tile[v * LANES..], &scales[rows.clone()]);
             let tile = tile[rows.start * NV * LANES..].chunks(NV * LANES).zip(scales);
-            let (from_row, mut walk) = (places.of_column(columns.start), places.rows_from(self.rows.start + rows.start));
+            let (from_row, mut walk) =
+                (places.of_column(columns.start), places.rows_from(self.rows.start + rows.start));
             let end = walk.skip(rows.len() - 1).at + from_row + columns.len();
             // SAFETY: tasks own disjoint blocks of rows and columns.
             let out = unsafe { self.out.parts(from_row, end) };

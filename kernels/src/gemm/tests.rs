@@ -224,7 +224,8 @@ fn groups_that_are_no_whole_vectors_are_refused() {
 
 #[test]
 fn shuffled_columns_land_where_the_formula_says() {
-    for (height, width, channels, k) in [(1, 1, 16, 20), (3, 5, 16, 70), (4, 7, 48, 300), (9, 24, 64, 9), (0, 3, 16, 4)] {
+    for (height, width, channels, k) in [(1, 1, 16, 20), (3, 5, 16, 70), (4, 7, 48, 300), (9, 24, 64, 9), (0, 3, 16, 4)]
+    {
         let (m, n) = (height * width, 4 * channels);
         let (x, w, bias) = (noise(m * k, 1), noise(n * k, 2), noise(n, 3));
         for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
@@ -239,7 +240,11 @@ fn shuffled_columns_land_where_the_formula_says() {
                     for (column, value) in row.iter().enumerate() {
                         let (y, x, part, c) = (token / width, token % width, column / channels, column % channels);
                         let at = ((2 * y + part / 2) * 2 * width + 2 * x + part % 2) * channels + c;
-                        assert_eq!(shuffled[at].to_bits(), value.to_bits(), "{precision:?}, token {token}, column {column}");
+                        assert_eq!(
+                            shuffled[at].to_bits(),
+                            value.to_bits(),
+                            "{precision:?}, token {token}, column {column}"
+                        );
                     }
                 }
             }

@@ -77,9 +77,9 @@ struct Tail {
 }
 
 impl Tail {
-    /// The tail at a = |x|, as `v`·`scale[0]`·`scale[1]`, to be multiplied in this order.
+    /// The tail at a = |x|, as `v`·2ⁿ, with `n` as [`Simd::times_any_power`] takes it.
     #[inline(always)]
-    fn parts<S: Simd>(&self, s: S, x: S::F32) -> (S::F32, [S::F32; 2]) {
+    fn parts<S: Simd>(&self, s: S, x: S::F32) -> (S::F32, S::F32) {
         let a = s.min(s.splat(self.last), s.abs(x));
         // t = 1/d, then moved by what the sum and the quotient lost: up to 3 ulp of the result near a = 0.
         let d = s.add(a, s.splat(self.pole));
@@ -92,9 +92,9 @@ impl Tail {
         // a² = square + lost; e^−lost = 1 − lost to 2⁻³⁴.
         let square = s.mul(a, a);
         let lost = s.mul_add(a, a, s.neg(square));
-        let (p, scale) = exp::parts(s, s.mul(s.splat(-self.square), square));
+        let (p, n) = exp::parts(s, s.mul(s.splat(-self.square), square));
         let v = s.mul(v, p);
-        (s.neg_mul_add(s.mul(s.splat(self.square), lost), v, v), scale)
+        (s.neg_mul_add(s.mul(s.splat(self.square), lost), v, v), n)
     }
 }
 
@@ -113,16 +113,16 @@ pub fn erf<S: Simd>(s: S, x: S::F32) -> S::F32 {
 /// erfc x = 1 − erf x, with full relative accuracy in the tail, down to denormal results.
 #[inline(always)]
 pub fn erfc<S: Simd>(s: S, x: S::F32) -> S::F32 {
-    let (v, [a, b]) = ERFC.parts(s, x);
-    let tail = s.mul(s.mul(v, a), b);
+    let (v, n) = ERFC.parts(s, x);
+    let tail = s.times_any_power(v, n);
     s.select(s.lt(x, s.splat(0.0)), s.sub(s.splat(2.0), tail), tail)
 }
 
 /// Φ(x), the distribution function of the standard normal, with full relative accuracy in the lower tail.
 #[inline(always)]
 pub fn normal_cdf<S: Simd>(s: S, x: S::F32) -> S::F32 {
-    let (v, [a, b]) = NORMAL.parts(s, x);
-    let tail = s.mul(s.mul(v, a), b);
+    let (v, n) = NORMAL.parts(s, x);
+    let tail = s.times_any_power(v, n);
     s.select(s.lt(s.splat(0.0), x), s.sub(s.splat(1.0), tail), tail)
 }
 
@@ -131,10 +131,10 @@ pub fn normal_cdf<S: Simd>(s: S, x: S::F32) -> S::F32 {
 pub fn gelu<S: Simd>(s: S, x: S::F32) -> S::F32 {
     // From −14.9 down the result is −0.
     let x = s.max(s.splat(-14.9), x);
-    let (v, [a, b]) = NORMAL.parts(s, x);
+    let (v, n) = NORMAL.parts(s, x);
     // x·Φ(x) with x multiplied in before the tail could become denormal.
-    let lower = s.mul(s.mul(s.mul(x, v), a), b);
-    let upper = s.mul(x, s.sub(s.splat(1.0), s.mul(s.mul(v, a), b)));
+    let lower = s.times_any_power(s.mul(x, v), n);
+    let upper = s.mul(x, s.sub(s.splat(1.0), s.times_any_power(v, n)));
     s.select(s.lt(s.splat(0.0), x), upper, lower)
 }
 

@@ -1,14 +1,12 @@
 //! The exponential.
 
 use super::polynomial;
-use crate::simd::Simd;
+use crate::simd::{SHIFTER, Simd};
 
 /// ln 2 to 15 bits: its product with an integer of 8 bits is exact.
 pub(super) const LN2_HI: f32 = 45_426.0 / 65_536.0;
 /// The rest of ln 2.
 pub(super) const LN2_LO: f32 = 1.428_606_8e-6;
-/// Adding it leaves the nearest integer in the low bits: 1.5 · 2²³.
-const TO_INTEGER: f32 = 12_582_912.0;
 
 /// exp(r) = 1 + r + r² Q(r) on |r| ≤ ln 2 / 2; minimax in relative error, 2^−28.2. Highest power first.
 const Q: [f32; 5] = [
@@ -30,26 +28,21 @@ fn reduce<S: Simd>(s: S, x: S::F32, to_integer: f32) -> (S::F32, S::F32) {
     (t, r)
 }
 
-/// exp(x) = `p`·`scale[0]`·`scale[1]`: in this order the last product rounds once where it is denormal.
+/// exp(x) = `p`·2ⁿ, with `n` as [`Simd::times_any_power`] takes it.
 ///
 /// `x` is not above 89 and not under −112 (or it is NaN, and so is `p`).
 #[inline(always)]
-pub(super) fn parts<S: Simd>(s: S, x: S::F32) -> (S::F32, [S::F32; 2]) {
-    let (t, r) = reduce(s, x, TO_INTEGER);
+pub(super) fn parts<S: Simd>(s: S, x: S::F32) -> (S::F32, S::F32) {
+    let (t, r) = reduce(s, x, SHIFTER);
     let q = polynomial(s, r, &Q);
     let one = s.splat(1.0);
-    let p = s.mul_add(s.mul_add(q, r, one), r, one);
-    let n = s.sub_i32(s.to_bits(t), s.splat_i32(TO_INTEGER.to_bits().cast_signed()));
-    let half = s.sar::<1>(n);
-    let bias = s.splat_i32(127);
-    let power = |n| s.from_bits(s.shl::<23>(s.add_i32(n, bias)));
-    (p, [power(half), power(s.sub_i32(n, half))])
+    (s.mul_add(s.mul_add(q, r, one), r, one), s.whole(t))
 }
 
 /// exp(r) − 1 = `q` and 2ⁿ with x = n ln 2 + r; `x` between −87 and 88.
 #[inline(always)]
 pub(super) fn minus_one_parts<S: Simd>(s: S, x: S::F32) -> (S::F32, S::F32) {
-    let (t, r) = reduce(s, x, TO_INTEGER + 127.0);
+    let (t, r) = reduce(s, x, SHIFTER + 127.0);
     let q = polynomial(s, r, &Q);
     (s.mul_add(s.mul(r, r), q, r), s.from_bits(s.shl::<23>(s.to_bits(t))))
 }
@@ -58,8 +51,8 @@ pub(super) fn minus_one_parts<S: Simd>(s: S, x: S::F32) -> (S::F32, S::F32) {
 #[inline(always)]
 pub fn exp<S: Simd>(s: S, x: S::F32) -> S::F32 {
     let x = s.max(s.splat(-104.0), s.min(s.splat(89.0), x));
-    let (p, [a, b]) = parts(s, x);
-    s.mul(s.mul(p, a), b)
+    let (p, n) = parts(s, x);
+    s.times_any_power(p, n)
 }
 
 /// eˣ for x ≤ 0, in 13 operations; same bits as [`exp`] where that is at least 2⁻¹²⁶.
@@ -70,7 +63,7 @@ pub fn exp<S: Simd>(s: S, x: S::F32) -> S::F32 {
 pub fn exp_nonpositive<S: Simd>(s: S, x: S::F32) -> S::F32 {
     // At this bound n = −127, and 2ⁿ is formed as +0.
     let x = s.max(s.splat(-88.0), x);
-    let (t, r) = reduce(s, x, TO_INTEGER + 127.0);
+    let (t, r) = reduce(s, x, SHIFTER + 127.0);
     let q = polynomial(s, r, &Q);
     let one = s.splat(1.0);
     let p = s.mul_add(s.mul_add(q, r, one), r, one);
@@ -83,9 +76,6 @@ const LOW: [f32; 4] = [0.055_171_67, 0.242_611_13, 0.693_260_97, 0.999_928_06];
 /// 2ˣ within 7.5e-5 of itself, for what is rounded to bf16 or 8 bits next. |x| is at most 126 (others, and NaN, give any value).
 #[inline(always)]
 pub fn exp2_low<S: Simd>(s: S, x: S::F32) -> S::F32 {
-    let magic = s.splat(TO_INTEGER);
-    let t = s.add(x, magic);
-    let p = polynomial(s, s.sub(x, s.sub(t, magic)), &LOW);
-    // The integer part, moved to the exponent; what lies above falls off.
-    s.from_bits(s.add_i32(s.to_bits(p), s.shl::<23>(s.to_bits(t))))
+    let (whole, part) = s.whole_and_part(x);
+    s.times_power(polynomial(s, part, &LOW), whole)
 }

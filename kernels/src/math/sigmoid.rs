@@ -16,10 +16,10 @@ pub fn sigmoid<S: Simd>(s: S, x: S::F32) -> S::F32 {
 pub fn silu<S: Simd>(s: S, x: S::F32) -> S::F32 {
     // From −112 down the result is −0.
     let x = s.max(s.splat(-112.0), x);
-    let (p, [a, b]) = exp::parts(s, s.max(s.splat(-112.0), s.neg(s.abs(x))));
-    let e = s.mul(s.mul(p, a), b);
+    let (p, n) = exp::parts(s, s.max(s.splat(-112.0), s.neg(s.abs(x))));
+    let e = s.times_any_power(p, n);
     // x·e with x multiplied in before e could become denormal.
-    let xe = s.mul(s.mul(s.mul(x, p), a), b);
+    let xe = s.times_any_power(s.mul(x, p), n);
     s.div(s.select(s.lt(x, s.splat(0.0)), xe, x), s.add(s.splat(1.0), e))
 }
 

@@ -1,7 +1,7 @@
 //! Sine and cosine.
 
 use super::{f64 as double, polynomial};
-use crate::simd::{LANES, Simd};
+use crate::simd::{LANES, SHIFTER, Simd};
 
 /// Arguments up to here are reduced in vectors.
 const LAST: f32 = 8192.0;
@@ -9,8 +9,6 @@ const LAST: f32 = 8192.0;
 const A: f32 = std::f32::consts::FRAC_PI_2;
 const B: f32 = -4.371_139e-8;
 const C: f32 = -1.715_124_7e-15;
-/// Adding it leaves the nearest integer in the low bits: 1.5 · 2²³.
-const TO_INTEGER: f32 = 12_582_912.0;
 
 /// sin r = r + r³ P(r²) on |r| ≤ π/4; 2^−27.9.
 const SIN: [f32; 3] = [f32::from_bits(0xb94c_a9f1), f32::from_bits(0x3c08_83bc), f32::from_bits(0xbe2a_aaa3)];
@@ -22,7 +20,7 @@ const COS: [f32; 3] = [f32::from_bits(0x37cc_f482), f32::from_bits(0xbab6_0615),
 /// Lanes beyond ±8192 are computed one by one in binary64.
 #[inline(always)]
 pub fn sin_cos<S: Simd>(s: S, x: S::F32) -> (S::F32, S::F32) {
-    let magic = s.splat(TO_INTEGER);
+    let magic = s.splat(SHIFTER);
     let t = s.mul_add(x, s.splat(std::f32::consts::FRAC_2_PI), magic);
     let n = s.sub(t, magic);
     let r = s.neg_mul_add(n, s.splat(A), x);

@@ -7,7 +7,7 @@ use super::bin::{Reach, TILE};
 use super::project::{ALPHA_MAX, ALPHA_MIN, BLOCK, Splat, TRANSMITTANCE_MIN, split};
 use super::sort::Entry;
 use crate::parallel::Disjoint;
-use crate::simd::{LANES, Operation, Simd};
+use crate::simd::{LANES, Operation, SHIFTER, Simd};
 
 /// Blocks of a tile.
 const BLOCKS: usize = TILE[0] * TILE[1];
@@ -30,10 +30,9 @@ const _: () = assert!(TILE[0] <= LANES && TILE[1] <= LANES && BLOCK * BLOCK == L
 /// (Chebyshev), and −n goes into the exponent.
 #[inline(always)]
 pub(super) fn exp2_negative<S: Simd>(s: S, q: S::F32) -> S::F32 {
-    const MAGIC: f32 = 12_582_912.0;
     let q = s.min(q, s.splat(125.0));
-    let shifted = s.sub(s.splat(MAGIC), q);
-    let h = s.add(q, s.sub(shifted, s.splat(MAGIC)));
+    let shifted = s.sub(s.splat(SHIFTER), q);
+    let h = s.add(q, s.sub(shifted, s.splat(SHIFTER)));
     let mut sum = s.splat(-0.001_338_130_2);
     for c in [0.009_666_368, -0.055_503_81, 0.240_223_5, -std::f32::consts::LN_2, 1.0] {
         sum = s.mul_add(sum, h, s.splat(c));

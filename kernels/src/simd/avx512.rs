@@ -4,7 +4,7 @@ use core::arch::x86_64::*;
 use std::sync::OnceLock;
 
 use super::avx2::fold;
-use super::{LANES, Operation, Simd};
+use super::{LANES, Operation, SHIFTER, Simd};
 use crate::gemm::round_bf16;
 use crate::level::{Kind, Level};
 
@@ -221,6 +221,23 @@ impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
     #[inline(always)]
     fn div(self, a: F, b: F) -> F {
         op!(_mm512_div_ps(a, b))
+    }
+    #[inline(always)]
+    fn whole(self, shifted: F) -> F {
+        self.sub(shifted, self.splat(SHIFTER))
+    }
+    #[inline(always)]
+    fn whole_and_part(self, t: F) -> (F, F) {
+        let part = op!(_mm512_reduce_ps::<0>(t));
+        (self.sub(t, part), part)
+    }
+    #[inline(always)]
+    fn times_power(self, p: F, whole: F) -> F {
+        op!(_mm512_scalef_ps(p, whole))
+    }
+    #[inline(always)]
+    fn times_any_power(self, p: F, whole: F) -> F {
+        op!(_mm512_scalef_ps(p, whole))
     }
     #[inline(always)]
     fn min(self, a: F, b: F) -> F {

@@ -27,6 +27,9 @@ pub(crate) use transpose::{transpose2, transpose4};
 
 use crate::level::{Kind, Level};
 
+/// Added to a float below 2²² in magnitude, leaves its nearest integer in the low bits: 1.5 · 2²³.
+pub(crate) const SHIFTER: f32 = 12_582_912.0;
+
 /// Lanes of the logical vector.
 pub const LANES: usize = 16;
 
@@ -81,6 +84,34 @@ pub trait Simd: Copy + Send + Sync + 'static {
     #[inline(always)]
     fn pairs_of_bf16(self, a: Self::F32, b: Self::F32) -> Self::I32 {
         dot::pairs_of_bf16(self, a, b)
+    }
+    /// What 1.5·2²³ and an integer `n` add up to, as [`Simd::times_power`] takes `n`.
+    #[inline(always)]
+    fn whole(self, shifted: Self::F32) -> Self::F32 {
+        shifted
+    }
+    /// The integer nearest to `t` (ties to even) as [`Simd::times_power`] takes it, and `t` less that integer, for |t| < 2²².
+    #[inline(always)]
+    fn whole_and_part(self, t: Self::F32) -> (Self::F32, Self::F32) {
+        let shifter = self.splat(SHIFTER);
+        let shifted = self.add(t, shifter);
+        (self.whole(shifted), self.sub(t, self.sub(shifted, shifter)))
+    }
+    /// `p · 2ⁿ`, where `p` and the result are normal numbers.
+    #[inline(always)]
+    fn times_power(self, p: Self::F32, whole: Self::F32) -> Self::F32 {
+        // The integer, moved to the exponent; what lies above falls off.
+        self.from_bits(self.add_i32(self.to_bits(p), self.shl::<23>(self.to_bits(whole))))
+    }
+    /// `p · 2ⁿ` for −252 ≤ `n` ≤ 254, rounded once, where `p·2^⌊n/2⌋` is a normal number or `p` is none.
+    #[inline(always)]
+    fn times_any_power(self, p: Self::F32, whole: Self::F32) -> Self::F32 {
+        let n = self.sub_i32(self.to_bits(whole), self.splat_i32(SHIFTER.to_bits().cast_signed()));
+        let half = self.sar::<1>(n);
+        let bias = self.splat_i32(127);
+        let a = self.from_bits(self.shl::<23>(self.add_i32(half, bias)));
+        let b = self.from_bits(self.shl::<23>(self.add_i32(self.sub_i32(n, half), bias)));
+        self.mul(self.mul(p, a), b)
     }
     /// The lowest byte of every lane.
     #[inline(always)]

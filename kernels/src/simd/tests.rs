@@ -209,3 +209,39 @@ fn the_software_fused_multiply_add_rounds_once() {
         }
     }
 }
+
+/// `[whole and part of t, joined again, part, p·2^whole(t) for normal results, for any]`
+struct Powers([f32; LANES], [f32; LANES]);
+
+impl Operation for Powers {
+    type Output = [[f32; LANES]; 3];
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) -> Self::Output {
+        let (whole, part) = s.whole_and_part(s.from_array(self.0));
+        let p = s.from_array(self.1);
+        [part, s.times_power(p, whole), s.times_any_power(p, whole)].map(|v| s.to_array(v))
+    }
+}
+
+#[test]
+fn powers_of_two_are_split_off_and_multiplied_back_on_every_level() {
+    let exact = |p: f32, n: f64| (f64::from(p) * n.exp2()) as f32;
+    for level in Level::available() {
+        for i in 0..40_000 {
+            // Both signs, ties, whole numbers; results from the largest to the denormal numbers and zero.
+            let t: [f32; LANES] = std::array::from_fn(|j| ((i * 16 + j) as f32 - 320_000.0) / 1280.0);
+            let p: [f32; LANES] = std::array::from_fn(|j| [1.0, -1.37, 0.71, 1.999_999_9][(i / 7 + j) % 4]);
+            let [part, normal, any] = dispatch(level, Powers(t, p));
+            for j in 0..LANES {
+                let n = f64::from(t[j]).round_ties_even();
+                assert_eq!(part[j], t[j] - n as f32, "{level}: part of {}", t[j]);
+                assert_eq!(any[j].to_bits(), exact(p[j], n).to_bits(), "{level}: {} · 2^{n}", p[j]);
+                if n.abs() <= 125.0 {
+                    assert_eq!(normal[j].to_bits(), any[j].to_bits(), "{level}: {} · 2^{n}", p[j]);
+                }
+            }
+        }
+        let [_, _, any] = dispatch(level, Powers([-1.0; LANES], [f32::NAN; LANES]));
+        assert!(any.iter().all(|x| x.is_nan()), "{level}");
+    }
+}
