@@ -6,7 +6,7 @@ use super::layout::{Layout, Task};
 use super::mix::{Mix, Scores, Weighed};
 use super::{KEY_BLOCK, LARGEST_SCALE, Rows};
 use crate::gemm::form::{Form, Multiply, values_of_a_word};
-use crate::gemm::{Across, Along, Precision, deinterleave, interleave};
+use crate::gemm::{self, Precision, deinterleave, interleave};
 use crate::memory::Scratch;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd};
@@ -279,14 +279,14 @@ impl<A: Form, M: Mix> State<'_, A, M> {
         for first in (0..keys.present).step_by(KR) {
             let scales = &keys.scales[first..][..KR];
             let at = &keys.words[first * keys.stride..][..(KR - 1) * keys.stride + row_words];
-            let at = Along { at: at.as_ptr().cast(), stride: keys.stride };
+            let along = |stride| gemm::Rows::along(at.as_ptr().cast(), stride);
             // SAFETY: each pointer is that of a slice of the length read.
             let mut acc = unsafe {
                 // With a distance that the compiler knows, the addresses of all keys are one register's.
                 if keys.stride == usual {
-                    A::multiply::<S, KR, NV>(s, Along { stride: usual, ..at }, from, self.words, &mut ())
+                    A::multiply::<S, KR, NV>(s, along(usual), from, self.words, &mut ())
                 } else {
-                    A::multiply::<S, KR, NV>(s, at, from, self.words, &mut ())
+                    A::multiply::<S, KR, NV>(s, along(keys.stride), from, self.words, &mut ())
                 }
             };
             for r in 0..KR {
@@ -343,7 +343,7 @@ impl<A: Form, M: Mix> State<'_, A, M> {
         let row_words = words * M::Product::row_words_of_a_word::<S>();
         let from = std::array::from_fn(|v| self.scores[v * KEY_BLOCK * LANES..][..words * LANES].as_ptr().cast());
         let values = &keys.values[channel..][..(row_words - 1) * keys.value_stride + CR];
-        let values = Across { at: values.as_ptr().cast(), stride: keys.value_stride };
+        let values = gemm::Rows::across(values.as_ptr().cast(), keys.value_stride);
         // SAFETY: each pointer is that of a slice of the length read.
         let acc = unsafe { M::Product::multiply::<S, CR, NV>(s, values, from, words, &mut ()) };
         for v in 0..NV {

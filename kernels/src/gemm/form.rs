@@ -20,7 +20,7 @@ pub(crate) trait Multiply: 'static {
     /// `MR` rows are readable for the block's row words, every pointer of `panels` for `16 words`.
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
-        rows: impl Rows,
+        rows: Rows,
         panels: [*const u32; NV],
         words: usize,
         between: &mut impl Between,
@@ -85,7 +85,7 @@ impl Multiply for Single {
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
-        rows: impl Rows,
+        rows: Rows,
         panels: [*const u32; NV],
         words: usize,
         between: &mut impl Between,
@@ -132,7 +132,7 @@ impl Multiply for Brain {
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
-        mut rows: impl Rows,
+        mut rows: Rows,
         panels: [*const u32; NV],
         words: usize,
         between: &mut impl Between,
@@ -214,7 +214,7 @@ fn pair_row<S: Simd>(s: S, row: &[f32], words: &mut [u32]) {
 unsafe fn brain_step<S: Simd, const MR: usize, const NV: usize>(
     s: S,
     acc: &mut Tile<S, MR, NV>,
-    rows: impl Rows,
+    rows: Rows,
     panels: [*const u32; NV],
 ) {
     // SAFETY: the caller's.
@@ -270,7 +270,7 @@ impl<const SIGNED: bool> Multiply for Octets<SIGNED> {
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
-        mut rows: impl Rows,
+        mut rows: Rows,
         panels: [*const u32; NV],
         words: usize,
         between: &mut impl Between,

@@ -20,63 +20,38 @@ impl Between for () {
     fn leg(&mut self) {}
 }
 
-/// Where the words of a register block's rows lie.
-pub(crate) trait Rows: Copy {
+/// The words of a register block's rows: that of row `r` in step `i` lies at `i·step + r·row`. Where a distance is known when this is compiled, so are
+/// its multiples.
+#[derive(Clone, Copy)]
+pub(crate) struct Rows {
+    at: *const u32,
+    step: usize,
+    row: usize,
+}
+
+impl Rows {
+    /// The words of a step one after the other, those of the next `stride` further; where rows are interleaved, as many as there are rows.
+    #[inline(always)]
+    pub(crate) fn across(at: *const u32, stride: usize) -> Self {
+        Self { at, step: stride, row: 1 }
+    }
+
+    /// The words of a row one after the other, those of the next row `stride` further.
+    #[inline(always)]
+    pub(crate) fn along(at: *const u32, stride: usize) -> Self {
+        Self { at, step: 1, row: stride }
+    }
+
     /// The word of row `r` in step `i` from here.
-    fn word(self, i: usize, r: usize) -> *const u32;
+    #[inline(always)]
+    pub(crate) fn word(self, i: usize, r: usize) -> *const u32 {
+        self.at.wrapping_add(i * self.step + r * self.row)
+    }
 
     /// From `steps` further on.
-    fn skip(self, steps: usize) -> Self;
-}
-
-/// `MR` rows interleaved: one after the other the `MR` words of a step.
-#[derive(Clone, Copy)]
-pub(crate) struct Interleaved<const MR: usize>(pub(crate) *const u32);
-
-impl<const MR: usize> Rows for Interleaved<MR> {
     #[inline(always)]
-    fn word(self, i: usize, r: usize) -> *const u32 {
-        self.0.wrapping_add(i * MR + r)
-    }
-    #[inline(always)]
-    fn skip(self, steps: usize) -> Self {
-        Self(self.0.wrapping_add(steps * MR))
-    }
-}
-
-/// The words of a step one after the other, those of the next `stride` further.
-#[derive(Clone, Copy)]
-pub(crate) struct Across {
-    pub(crate) at: *const u32,
-    pub(crate) stride: usize,
-}
-
-impl Rows for Across {
-    #[inline(always)]
-    fn word(self, i: usize, r: usize) -> *const u32 {
-        self.at.wrapping_add(i * self.stride + r)
-    }
-    #[inline(always)]
-    fn skip(self, steps: usize) -> Self {
-        Self { at: self.at.wrapping_add(steps * self.stride), ..self }
-    }
-}
-
-/// The words of a row one after the other, those of the next row `stride` further.
-#[derive(Clone, Copy)]
-pub(crate) struct Along {
-    pub(crate) at: *const u32,
-    pub(crate) stride: usize,
-}
-
-impl Rows for Along {
-    #[inline(always)]
-    fn word(self, i: usize, r: usize) -> *const u32 {
-        self.at.wrapping_add(r * self.stride + i)
-    }
-    #[inline(always)]
-    fn skip(self, steps: usize) -> Self {
-        Self { at: self.at.wrapping_add(steps), ..self }
+    pub(crate) fn skip(self, steps: usize) -> Self {
+        Self { at: self.at.wrapping_add(steps * self.step), ..self }
     }
 }
 
@@ -87,7 +62,7 @@ impl Rows for Along {
 #[inline(always)]
 pub(crate) unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
     s: S,
-    mut rows: impl Rows,
+    mut rows: Rows,
     panels: [*const f32; NV],
     k: usize,
     between: &mut impl Between,
@@ -121,7 +96,7 @@ pub(crate) unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
 unsafe fn step<S: Simd, const MR: usize, const NV: usize>(
     s: S,
     acc: &mut Tile<S, MR, NV>,
-    rows: impl Rows,
+    rows: Rows,
     j: usize,
     panels: [*const f32; NV],
 ) {

@@ -38,7 +38,7 @@ mod weights;
 
 pub use epilogue::{Activation, Epilogue};
 pub use input::Input;
-pub(crate) use microkernel::{Across, Along, deinterleave, interleave};
+pub(crate) use microkernel::{Rows, deinterleave, interleave};
 pub use precision::Precision;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use precision::SMALLEST;

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::epilogue::{Activation, Affine, Function, Gelu, Identity, Silu, SiluLow};
 use super::form::{Form, block_words};
-use super::microkernel::{Between, Interleaved, LEG, Tile};
+use super::microkernel::{Between, LEG, Rows, Tile};
 use super::places::{Places, Walk};
 use super::{Input, Precision, Product, interleave};
 use crate::Level;
@@ -206,7 +206,7 @@ impl<F: Form> Task<'_, F> {
                 }
                 // SAFETY: each pointer is that of a slice of the length read.
                 let mut acc =
-                    unsafe { F::multiply::<S, MR, NV>(s, Interleaved::<MR>(at.as_ptr()), from, length, &mut ahead) };
+                    unsafe { F::multiply::<S, MR, NV>(s, Rows::across(at.as_ptr(), MR), from, length, &mut ahead) };
                 let tile = &mut tile[first * NV * LANES..][..MR * NV * LANES];
                 if !first_block {
                     for r in 0..MR {
