@@ -134,3 +134,23 @@ pub(crate) fn first_non_finite(values: &[f32]) -> Option<usize> {
     let part = values.par_chunks(PART).position_first(holds_one)?;
     values.iter().skip(part * PART).position(|x| !x.is_finite()).map(|i| part * PART + i)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::first_non_finite;
+
+    #[test]
+    fn the_first_value_that_is_not_finite_is_found_wherever_it_lies() {
+        for len in [0, 1, 5, (1 << 14) - 1, 1 << 14, 100_000] {
+            let mut values = vec![f32::MAX; len];
+            assert_eq!(first_non_finite(&values), None);
+            for (i, bad) in [(len.saturating_sub(1), f32::NAN), (len / 2, f32::NEG_INFINITY), (len / 3, f32::INFINITY)]
+            {
+                if let Some(value) = values.get_mut(i) {
+                    *value = bad;
+                    assert_eq!(first_non_finite(&values), Some(i), "{len} values");
+                }
+            }
+        }
+    }
+}

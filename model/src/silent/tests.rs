@@ -188,3 +188,31 @@ fn tensors_of_silent_branches_are_checked() {
     let error = Network::from_parts(bytes, &SIZES.json().to_string(), &LoadOptions::default()).expect_err("NaN");
     assert!(error.to_string().contains(&name), "{error}");
 }
+
+#[test]
+fn an_upsampler_of_silent_blocks_alone_gives_no_minus_zero() {
+    let mut bytes = seeded(&SIZES);
+    for (stage, block) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+        for branch in ["attn.out_proj.weight", "attn.out_proj.bias", "mlp.c_proj.weight"] {
+            silence(&mut bytes, &format!("gaussian_upsampler.attention_{stage}.resblocks.{block}.{branch}"));
+        }
+    }
+    // Products of both signs that underflow, and biases that keep the sign of the last of them.
+    let layer = |stage| format!("gaussian_upsampler.upsampler_{stage}.residual_fc");
+    for (i, value) in values(&mut bytes, &format!("{}.weight", layer(1))).enumerate() {
+        value.copy_from_slice(&[1e-30f32, -1e-30][i % 3 % 2].to_le_bytes());
+    }
+    for bias in [0, 1].map(|stage| format!("{}.bias", layer(stage))) {
+        values(&mut bytes, &bias).for_each(|value| value.copy_from_slice(&(-0.0f32).to_le_bytes()));
+    }
+    for level in Level::available() {
+        let [lean, full] = [false, true].map(|computed| load(&bytes, &SIZES, level, Precision::F32, computed));
+        let config = lean.config();
+        let d: Vec<f32> = (0..config.tokens() * config.hidden_dim).map(|i| (i % 7) as f32 * 1e-20 - 3e-20).collect();
+        let bits = |network: &Network| -> Vec<u32> {
+            network.upsample_deformation(&d).expect("tokens").iter().map(|x| x.to_bits()).collect()
+        };
+        assert!(bits(&lean).iter().all(|&bits| bits == 0), "{level}: something else than +0");
+        assert!(bits(&full).iter().all(|&bits| bits == 0), "{level}, computed: something else than +0");
+    }
+}
