@@ -224,7 +224,8 @@ fn groups_that_are_no_whole_vectors_are_refused() {
 
 #[test]
 fn shuffled_columns_land_where_the_formula_says() {
-    for (height, width, channels, k) in [(1, 1, 16, 20), (3, 5, 16, 70), (4, 7, 48, 300), (9, 24, 64, 9), (0, 3, 16, 4)]
+    for (height, width, channels, k) in
+        [(1, 1, 16, 20), (3, 5, 16, 70), (4, 7, 48, 300), (9, 24, 64, 9), (30, 12, 16, 9), (0, 3, 16, 4)]
     {
         let (m, n) = (height * width, 4 * channels);
         let (x, w, bias) = (noise(m * k, 1), noise(n * k, 2), noise(n, 3));
