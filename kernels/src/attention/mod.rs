@@ -8,7 +8,7 @@
 //! - `s = q·k`: one chain of fused multiply-adds over the channels, ascending, from +0.
 //! - Keys are taken in blocks of [`KEY_BLOCK`], ascending. With `c` = `log2(e)/√width` rounded to f32, the query's reference
 //!   is `M = max(M, c·max s)`; what was accumulated before is scaled by `r = 2^(M_old − M)`.
-//! - The weight of a key is `2^(fma(s, c, −M))` (see `weight.rs`), never below `2^−64`.
+//! - The weight of a key is `2^(fma(s, c, −M))` (see `weight.rs`), never below `2^−64` nor, where logits are so large that `M` is rounded by more, above 2.
 //! - `Σ w`: a block has four sums, of its keys 0, 4, 8 …, of 1, 5, 9 …, and so on, each ascending from +0; the block's sum is
 //!   `(0 + 1) + (2 + 3)`, and the query's sum becomes `fma(sum, r, block)`.
 //! - `Σ w v`: one chain over a block's keys, ascending, from +0; the query's sum becomes `fma(sum, r, block)`.

@@ -312,3 +312,21 @@ fn some_queries_give_the_bits_they_give_among_all() {
         }
     }
 }
+
+#[test]
+fn logits_whose_rounding_is_more_than_one_give_equal_bits_and_means_of_values() {
+    // A query's reference is a rounded product: past 2²⁴ what is left of the largest logit may be any number of either sign.
+    let (queries, keys) = (37, 250);
+    for size in [1e4, 1e6, 1e8, 1e11, 1e15] {
+        let scaled = |n: usize, seed| noise(n * 64, seed).iter().map(|x| x * size).collect::<Vec<_>>();
+        let (q, k, v) = (scaled(queries, 1), scaled(keys, 2), noise(keys * 64, 3));
+        for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
+            let out = on_every_level_and_thread_count(queries * 64, |level, out| {
+                let rows = |x, n| Rows::new(x, n, 64, 0);
+                attend_as(precision, level, full(1), rows(&q, queries), rows(&k, keys), rows(&v, keys), out);
+            });
+            let most = v.iter().fold(0.0_f32, |most, v| most.max(v.abs()));
+            assert!(out.iter().all(|x| x.abs() <= 1.01 * most), "{precision:?}, {size:e}: no mean of the values");
+        }
+    }
+}

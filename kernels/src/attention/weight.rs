@@ -7,15 +7,18 @@ use crate::simd::{SHIFTER, Simd};
 /// CPUs spend far more time.
 const LOWEST: f32 = -64.0;
 
+/// The largest `t`: what rounding leaves of `s·c − M` is more only where logits pass 2²⁴.
+const HIGHEST: f32 = 1.0;
+
 /// `(2^f − 1)/f` on [−½, ½], minimax in the relative error of `2^f` (2.2e-8), lowest power first.
 const COEFFICIENTS: [f32; 6] =
     [0.693_147_24, 0.240_226_52, 0.055_503_104, 0.009_617_693, 0.001_340_664_3, 0.000_155_946_78];
 
-/// `2^t` for `t` at most a little above 0, within 1.5 ulp; `2^−64` below that, and for NaN.
+/// `2^t` for `−64 ≤ t ≤ 1`, within 1.5 ulp; `2^−64` below, and for NaN; 2 above.
 #[inline(always)]
 pub(super) fn weight<S: Simd>(s: S, t: S::F32) -> S::F32 {
     // NaN compares false and becomes the second operand.
-    let t = s.max(t, s.splat(LOWEST));
+    let t = s.min(s.max(t, s.splat(LOWEST)), s.splat(HIGHEST));
     let (whole, part) = s.whole_and_part(t);
     let mut p = s.splat(COEFFICIENTS[5]);
     for i in (0..5).rev() {
@@ -27,11 +30,10 @@ pub(super) fn weight<S: Simd>(s: S, t: S::F32) -> S::F32 {
 /// Weights of the lower precisions are never below `2^LOWEST_LOW`: there their products with values are far from the denormal numbers.
 const LOWEST_LOW: f32 = -56.0;
 
-/// `2^t` for `t` at most a little above 0, rounded to bf16 (to nearest, ties up): within 0.52 of its last place; `2^−56` below that, and
-/// for NaN.
+/// `2^t` for `−56 ≤ t ≤ 1`, rounded to bf16 (to nearest, ties up): within 0.52 of its last place; `2^−56` below, and for NaN; 2 above.
 #[inline(always)]
 pub(super) fn weight_low<S: Simd>(s: S, t: S::F32) -> S::F32 {
-    let w = s.to_bits(math::exp2_low(s, s.max(t, s.splat(LOWEST_LOW))));
+    let w = s.to_bits(math::exp2_low(s, s.min(s.max(t, s.splat(LOWEST_LOW)), s.splat(HIGHEST))));
     let rounded = s.add_i32(w, s.splat_i32(0x8000));
     s.from_bits(s.and_i32(rounded, s.splat_i32(0xffff_0000_u32.cast_signed())))
 }
