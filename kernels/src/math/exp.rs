@@ -73,7 +73,8 @@ pub fn exp_nonpositive<S: Simd>(s: S, x: S::F32) -> S::F32 {
 /// 2^f on |f| ≤ ½; minimax in relative error, 2^−13.7. Highest power first.
 const LOW: [f32; 4] = [0.055_171_67, 0.242_611_13, 0.693_260_97, 0.999_928_06];
 
-/// 2ˣ within 7.5e-5 of itself, for what is rounded to bf16 or 8 bits next. |x| is at most 126 (others, and NaN, give any value).
+/// 2ˣ within 7.5e-5 of itself, for what is rounded to bf16 or 8 bits next. `x` is from −125 to 126 (others, and NaN, give any value, not the same
+/// on every level).
 #[inline(always)]
 pub fn exp2_low<S: Simd>(s: S, x: S::F32) -> S::F32 {
     let (whole, part) = s.whole_and_part(x);

@@ -29,7 +29,7 @@ pub fn silu_low<S: Simd>(s: S, x: S::F32) -> S::F32 {
     // NaN stays.
     let x = s.max(s.splat(-112.0), x);
     let t = s.mul(x, s.splat(-std::f32::consts::LOG2_E));
-    let e = exp::exp2_low(s, s.max(s.min(t, s.splat(126.0)), s.splat(-126.0)));
+    let e = exp::exp2_low(s, s.max(s.min(t, s.splat(126.0)), s.splat(-125.0)));
     s.div(x, s.add(s.splat(1.0), e))
 }
 
