@@ -14,6 +14,7 @@ use std::borrow::Cow;
 use streamsplat_kernels::Level;
 
 use crate::checkpoint::Weights;
+use crate::grid::rows_of;
 use crate::layers::{
     Bias, CrossAttention, FeedForward, Linear, RmsNorm, SelfAttention, Workspace, add, add_zero, sinusoid, windows,
 };
@@ -22,6 +23,7 @@ use crate::{Config, ModelError, Precision};
 /// Tokens of the published condition: the patches of DINOv2.
 const USUAL_CONDITION: usize = 576;
 
+#[derive(Clone)]
 pub(crate) struct Decoder {
     /// Learned positions plus the type of each half, `[2N, D]`.
     position: Vec<f32>,
@@ -34,6 +36,7 @@ pub(crate) struct Decoder {
 }
 
 /// Position code of the condition.
+#[derive(Clone)]
 enum Table {
     /// From the checkpoint: as long as it is.
     Stored(Vec<f32>),
@@ -42,6 +45,7 @@ enum Table {
 }
 
 /// A block; a branch that is silent is none.
+#[derive(Clone)]
 pub(crate) struct PairBlock {
     pub(crate) self_attn: Option<SelfAttention>,
     pub(crate) cross_attn: Option<CrossAttention>,
@@ -86,6 +90,17 @@ impl Decoder {
             });
         }
         Ok(decoder)
+    }
+
+    /// Keeps the positions of these places of the grid of `config`, in this order.
+    pub(crate) fn keep_positions(&mut self, places: &[usize], config: &Config) {
+        let (d, n) = (config.hidden_dim, config.tokens());
+        let pair: Vec<usize> = places.iter().copied().chain(places.iter().map(|place| n + place)).collect();
+        self.position = rows_of(&self.position, d, &pair);
+        // A condition that is not the other frame's embedding lies on a grid of its own.
+        if !config.use_dino {
+            self.condition_position = Table::Stored(rows_of(&self.condition_positions(n), d, places));
+        }
     }
 
     /// The most tokens a condition may have, if there is a bound.

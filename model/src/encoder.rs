@@ -9,9 +9,11 @@ use streamsplat_kernels::Level;
 use streamsplat_kernels::patches::patches;
 
 use crate::checkpoint::Weights;
+use crate::grid::rows_of;
 use crate::layers::{Block, Linear, RmsNorm, Workspace, add, sinusoid, windows};
 use crate::{Config, ModelError, Precision};
 
+#[derive(Clone)]
 pub(crate) struct Encoder {
     conv: Linear,
     position: Vec<f32>,
@@ -38,6 +40,11 @@ impl Encoder {
             blocks,
             layernorm2: RmsNorm::load(weights, "layernorm2", d)?,
         })
+    }
+
+    /// Keeps the position codes of these places of the grid, in this order.
+    pub(crate) fn keep_positions(&mut self, places: &[usize]) {
+        self.position = rows_of(&self.position, self.conv.n(), places);
     }
 
     pub(crate) fn tokenize(&self, level: Level, config: &Config, rgb: &[f32], depth: &[f32]) -> Vec<f32> {

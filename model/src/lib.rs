@@ -27,6 +27,7 @@ mod encoder;
 mod error;
 pub mod forward;
 mod frame;
+mod grid;
 pub mod inspect;
 mod keys;
 mod layers;

@@ -1,6 +1,7 @@
 //! The whole network, loaded.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use streamsplat_kernels::Level;
 use tracing::info_span;
@@ -13,7 +14,7 @@ use crate::encoder::Encoder;
 use crate::error::check_input;
 use crate::layers::{Workspace, Workspaces};
 use crate::reuse::{Memory, Saving};
-use crate::silent::{Silent, silent};
+use crate::silent::{Silent, silent, upsamplers_are_local};
 use crate::static_head::StaticHead;
 use crate::upsampler::Upsampler;
 use crate::{
@@ -26,16 +27,18 @@ use crate::{
 /// Its methods run on the threads of the rayon pool they are called in; the results do not depend on how many there are.
 /// Between them they recompute nothing: a frame is embedded once, and a pair costs one decoder call and two upsamplings.
 pub struct Network {
-    config: Config,
-    options: LoadOptions,
-    silent: Vec<Silent>,
-    workspaces: Workspaces,
-    encoder: Encoder,
-    static_upsampler: Upsampler,
-    static_head: StaticHead,
-    decoder: Decoder,
-    deformation_upsampler: Upsampler,
-    deformation_head: DeformationHead,
+    pub(crate) config: Config,
+    pub(crate) options: LoadOptions,
+    pub(crate) silent: Vec<Silent>,
+    /// Whether no block of an upsampler mixes tokens.
+    pub(crate) upsamplers_are_local: bool,
+    pub(crate) workspaces: Workspaces,
+    pub(crate) encoder: Encoder,
+    pub(crate) static_upsampler: Upsampler,
+    pub(crate) static_head: StaticHead,
+    pub(crate) decoder: Decoder,
+    pub(crate) deformation_upsampler: Upsampler,
+    pub(crate) deformation_head: Arc<DeformationHead>,
 }
 
 impl std::fmt::Debug for Network {
@@ -80,6 +83,7 @@ impl Network {
         let mut weights = Weights::new(checkpoint, config::prefix(checkpoint)?);
         let config = Config::derive(&weights, settings)?;
         let silent = silent(&weights, &config);
+        let upsamplers_are_local = upsamplers_are_local(&weights);
         if options.compute_silent {
             weights = weights.with_silent();
         }
@@ -93,10 +97,11 @@ impl Network {
                 &config,
                 options.precision,
             )?,
-            deformation_head: DeformationHead::load(&weights, &config)?,
+            deformation_head: Arc::new(DeformationHead::load(&weights, &config)?),
             config,
             options: *options,
             silent,
+            upsamplers_are_local,
             workspaces: Workspaces::default(),
         })
     }

@@ -9,6 +9,8 @@
 //! scale = 0.1·softplus,  opacity = 0.05 + 0.95·σ,  rgb = σ
 //! ```
 
+use std::sync::Arc;
+
 use streamsplat_kernels::gemm::Activation;
 use streamsplat_kernels::memory::Scratch;
 use streamsplat_kernels::philox::Stream;
@@ -19,9 +21,10 @@ use crate::checkpoint::Weights;
 use crate::layers::{Bias, load_pointwise};
 use crate::{Config, ModelError, Sampling, StaticGaussians, StaticPosition};
 
+#[derive(Clone)]
 pub(crate) struct StaticHead {
     /// All heads side by side: position (3), its log scale (3, only of a truncated normal), scale (2), opacity (1), rgb (3).
-    layers: Layer,
+    layers: Arc<Layer>,
     kind: StaticPosition,
     x_map: Vec<f32>,
     z_map: Vec<f32>,
@@ -46,13 +49,19 @@ impl StaticHead {
             }
             Ok((0..rows * columns).map(|i| cell(i) as f32).collect())
         };
-        let centre = |i: usize, cells: usize| (2 * i + 1) as f64 / cells as f64 - 1.0;
         Ok(StaticHead {
-            layers,
+            layers: Arc::new(layers),
             kind: config.static_position,
             x_map: map("x_map", &|i| centre(i % columns, columns))?,
             z_map: map("z_map", &|i| -centre(i / columns, rows))?,
         })
+    }
+
+    /// Puts the cells' centres where those of a frame of `config` are.
+    pub(crate) fn centre_cells(&mut self, config: &Config) {
+        let [rows, columns] = config.gaussian_grid();
+        self.x_map = (0..rows * columns).map(|i| centre(i % columns, columns) as f32).collect();
+        self.z_map = (0..rows * columns).map(|i| -centre(i / columns, rows) as f32).collect();
     }
 
     pub(crate) fn apply(&self, level: Level, config: &Config, tokens: &[f32], sampling: Sampling) -> StaticGaussians {
@@ -131,6 +140,11 @@ impl StaticHead {
     pub(crate) fn bytes(&self) -> usize {
         self.layers.bytes() + 4 * (self.x_map.len() + self.z_map.len())
     }
+}
+
+/// The centre of cell `i` of as many across [−1, 1].
+fn centre(i: usize, cells: usize) -> f64 {
+    (2 * i + 1) as f64 / cells as f64 - 1.0
 }
 
 /// Moves the first values of `row` to `to`.

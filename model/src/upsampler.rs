@@ -9,11 +9,13 @@ use crate::checkpoint::Weights;
 use crate::layers::{Block, Linear, RmsNorm, Workspace, sized, windows};
 use crate::{Config, ModelError, Precision};
 
+#[derive(Clone)]
 pub(crate) struct Upsampler {
     pub(crate) stages: [Stage; 2],
     pub(crate) layernorm2: RmsNorm,
 }
 
+#[derive(Clone)]
 pub(crate) struct Stage {
     /// Its columns are sub-token after sub-token.
     pub(crate) residual_fc: Linear,

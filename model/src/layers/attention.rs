@@ -25,6 +25,7 @@ fn is_left_out(weights: &Weights<'_>, d: usize) -> Result<bool, ModelError> {
 }
 
 /// Attention of tokens to each other, a residual branch.
+#[derive(Clone)]
 pub(crate) struct SelfAttention {
     norm: RmsNorm,
     packed_proj: Linear,
@@ -93,6 +94,7 @@ impl SelfAttention {
 
 /// Attention of tokens to a condition, a residual branch. One packed tensor holds the projections of q, k and v; the first is applied to the
 /// tokens, the others to the condition.
+#[derive(Clone)]
 pub(crate) struct CrossAttention {
     norm: RmsNorm,
     query: Linear,

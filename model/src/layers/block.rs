@@ -8,6 +8,7 @@ use crate::ModelError;
 use crate::checkpoint::Weights;
 
 /// `x += attention(norm₁(x))`, `x += feed_forward(norm₂(x))`; a branch that is silent is none.
+#[derive(Clone)]
 pub(crate) struct Block {
     attn: Option<SelfAttention>,
     mlp: Option<FeedForward>,

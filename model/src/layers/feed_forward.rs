@@ -7,6 +7,7 @@ use crate::ModelError;
 use crate::checkpoint::Weights;
 
 /// `W₂ · silu(W₁ · x)` without biases, hidden width 4d: a residual branch.
+#[derive(Clone)]
 pub(crate) struct FeedForward {
     norm: RmsNorm,
     expand: Linear,

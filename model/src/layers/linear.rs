@@ -1,5 +1,7 @@
 //! Linear layers.
 
+use std::sync::Arc;
+
 use streamsplat_kernels::Level;
 use streamsplat_kernels::gemm::{self, Epilogue, Input, Precision};
 use streamsplat_kernels::norm::Norm;
@@ -15,9 +17,10 @@ pub(crate) enum Bias {
     No,
 }
 
-/// `x · wᵀ (+ bias)` for `x [m,k]`, `w [n,k]`.
+/// `x · wᵀ (+ bias)` for `x [m,k]`, `w [n,k]`. Clones share the weights.
+#[derive(Clone)]
 pub(crate) struct Linear {
-    weights: gemm::Weights,
+    weights: Arc<gemm::Weights>,
     bias: Option<Vec<f32>>,
 }
 
@@ -60,7 +63,7 @@ impl Linear {
 
     /// The layer of a weight in memory.
     pub(crate) fn new(precision: Precision, weight: &[f32], bias: Option<Vec<f32>>, n: usize, k: usize) -> Linear {
-        Linear { weights: gemm::Weights::pack_as(precision, weight, n, k), bias }
+        Linear { weights: Arc::new(gemm::Weights::pack_as(precision, weight, n, k)), bias }
     }
 
     /// Output columns.

@@ -7,6 +7,7 @@ use crate::ModelError;
 use crate::checkpoint::Weights;
 
 /// `x / √(mean(x²) + 10⁻⁵) · w` for every row. The published code calls the class LayerNorm.
+#[derive(Clone)]
 pub(crate) struct RmsNorm(Vec<f32>);
 
 impl RmsNorm {

@@ -86,6 +86,16 @@ pub(crate) fn silent(weights: &Weights<'_>, config: &Config) -> Vec<Silent> {
     vec![encoder.0, static_upsampler, decoder.0, deformation_upsampler]
 }
 
+/// Whether every attention of both upsamplers is silent.
+pub(crate) fn upsamplers_are_local(weights: &Weights<'_>) -> bool {
+    let blocks = [keys::STATIC_UPSAMPLER, keys::DEFORMATION_UPSAMPLER]
+        .into_iter()
+        .flat_map(|key| (0..4).map(move |i| (key, i / 2, i % 2)));
+    blocks.into_iter().all(|(key, stage, block)| {
+        weights.at(key).at(format_args!("attention_{stage}.resblocks.{block}")).is_silent("attn.out_proj")
+    })
+}
+
 struct Count(Silent);
 
 impl Count {

@@ -1,0 +1,64 @@
+//! The same network for smaller frames: part of its patch grid.
+//!
+//! A token's place reaches the network through position tables alone. With the tables' rows of the grid's upper left `rows × columns` places, the same weights take frames of that many
+//! patches; a token's neighbours are then as far from it, in the tables, as they were in training. This needs attention that sees every token of the frame, or none: windows are
+//! runs of tokens of a whole grid, and have no meaning in a part of it.
+
+use std::sync::Arc;
+
+use crate::Network;
+use crate::layers::Workspaces;
+
+impl Network {
+    /// Whether [`Network::on_grid`] takes every grid that is not larger than this network's: neither encoder and decoder nor the upsamplers mix tokens within windows.
+    pub fn takes_part_of_its_grid(&self) -> bool {
+        self.config.encoder_window.is_none() && self.upsamplers_are_local
+    }
+
+    /// This network for frames of `grid` patches (rows, columns), sharing its weights. `None` when a side is zero or larger than this network's, or where it must be the whole
+    /// grid ([`Network::takes_part_of_its_grid`]).
+    pub fn on_grid(&self, grid: [usize; 2]) -> Option<Network> {
+        let [whole_rows, whole_columns] = self.config.grid();
+        let [rows, columns] = grid;
+        let inside = (1..=whole_rows).contains(&rows) && (1..=whole_columns).contains(&columns);
+        if !inside || !(grid == self.config.grid() || self.takes_part_of_its_grid()) {
+            return None;
+        }
+        let mut config = self.config.clone();
+        config.resolution = grid.map(|side| side * config.patch_size);
+        // Only branches that add nothing would still see windows; they must divide the tokens.
+        config.upsampler_window = gcd(config.upsampler_window, 4 * rows * columns);
+        let places: Vec<usize> =
+            (0..rows).flat_map(|row| (0..columns).map(move |column| row * whole_columns + column)).collect();
+        let mut encoder = self.encoder.clone();
+        encoder.keep_positions(&places);
+        let mut decoder = self.decoder.clone();
+        decoder.keep_positions(&places, &self.config);
+        let mut static_head = self.static_head.clone();
+        if grid != self.config.grid() {
+            static_head.centre_cells(&config);
+        }
+        Some(Network {
+            config,
+            options: self.options,
+            silent: self.silent.clone(),
+            upsamplers_are_local: self.upsamplers_are_local,
+            workspaces: Workspaces::default(),
+            encoder,
+            static_upsampler: self.static_upsampler.clone(),
+            static_head,
+            decoder,
+            deformation_upsampler: self.deformation_upsampler.clone(),
+            deformation_head: Arc::clone(&self.deformation_head),
+        })
+    }
+}
+
+/// The rows `places` of a table whose rows have `width` values.
+pub(crate) fn rows_of(table: &[f32], width: usize, places: &[usize]) -> Vec<f32> {
+    places.iter().flat_map(|place| &table[place * width..][..width]).copied().collect()
+}
+
+fn gcd(a: usize, b: usize) -> usize {
+    if b == 0 { a } else { gcd(b, a % b) }
+}
