@@ -115,6 +115,21 @@ pub struct Stream {
     /// predicted to DB decibels, LEAST to MOST frames apart; frames wait for at most MOST-1 later ones [auto: 5-12:26]
     #[arg(long, value_name = "N", default_value = "1")]
     pub gap: String,
+    /// Size at which the model sees frames: HEIGHTxWIDTH in whole patches (8 pixels), native (the model's own), or auto (four times its area in the
+    /// source's shape, never more than the source) [default: auto for the model inside the program, native for others]
+    #[arg(long, value_name = "SIZE")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resolution: Option<String>,
+    /// Motion between key frames: network (as the model predicts it), frames (optical flow between the key frames) or between (optical flow
+    /// through the frames in between) [default: between for the model inside the program, network for others]
+    #[arg(long, value_name = "FROM")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion: Option<String>,
+    /// Steps of conjugate gradients that fit colours to the frames; 0: colours as the model gives them [default: 16 for the model inside the
+    /// program, 0 for others]
+    #[arg(long, value_name = "N")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refine: Option<u32>,
     /// What a key frame knows of those before: persistent or pairwise
     #[arg(long, value_name = "MODE", default_value = "persistent")]
     pub fusion: String,

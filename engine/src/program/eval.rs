@@ -3,8 +3,7 @@
 //! Every `gap`-th frame is a key frame, or what `--gap auto` chooses. The scene is drawn at every frame's time (at the model's own size unless told otherwise) and compared with the
 //! true frame, both brought to 256×256 bilinearly. *Key* frames were given, *middle* frames were not. Baselines for the middle
 //! frames: the cross-fade of the key frames around, and the nearer one. Frames after the last whole interval are left out.
-//! Both fusion modes are reported: they share the network's work. Of each it is said how the image jumps at key frames, beside how far
-//! it goes from frame to frame.
+//! Said beside it is how the image jumps at key frames, and how far it goes from frame to frame.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -17,7 +16,7 @@ use streamsplat::lpips::Lpips;
 use streamsplat::metrics::{psnr, ssim};
 use streamsplat::picture::Picture;
 use streamsplat::source::{self, Source, folder};
-use streamsplat::stream::{Fusion, Interval, ModelSource, Reuse, Settings};
+use streamsplat::stream::{Fusion, Interval, Reconstructor, Reuse, Settings};
 
 use super::ahead::Ahead;
 use super::cli::{Console, EvalArgs, View};
@@ -25,7 +24,6 @@ use super::drawing::Drawing;
 use super::failure::Failure;
 use super::keydepth::KeyDepth;
 use super::keyframes::KeyFrames;
-use super::memo::Memo;
 use super::progress::Progress;
 use super::record::NetworkRecord;
 use super::settings::{DepthFrom, Views};
@@ -119,9 +117,9 @@ struct Pop {
 
 #[derive(Clone, Debug, Default)]
 struct Sums {
-    /// Key and middle frames of each fusion mode, in the order of [`Fusion::ALL`].
-    fusion: [[Sum; 2]; 2],
-    pops: [Pops; 2],
+    key: Sum,
+    middle: Sum,
+    pops: Pops,
     crossfade: Sum,
     nearest: Sum,
     clips: usize,
@@ -159,7 +157,7 @@ struct Row {
     key: Score,
     middle: Score,
     baselines: Baselines,
-    /// `key` and `middle` are those of the mode asked for; here are both.
+    /// The same under the fusion mode's name, with how the image jumps at key frames.
     fusion: BTreeMap<&'static str, Mode>,
 }
 
@@ -182,7 +180,7 @@ impl Sums {
         match gap {
             Gap::Every(n) => Spacing::Every(n),
             Gap::Auto(_) => {
-                let [keys, middles] = self.fusion[0].each_ref().map(|sum| sum.frames);
+                let (keys, middles) = (self.key.frames, self.middle.frames);
                 // The first key frame of a clip ends no gap.
                 let ended = keys.saturating_sub(self.clips);
                 Spacing::Mean((ended + middles) as f64 / ended.max(1) as f64)
@@ -192,26 +190,18 @@ impl Sums {
 
     fn row(&self, name: Option<String>, gap: Gap, chosen: Fusion) -> Row {
         let baselines = Baselines { crossfade: self.crossfade.score(), nearest: self.nearest.score() };
-        let modes = Fusion::ALL.iter().zip(&self.fusion);
-        let mode = |((mode, [key, middle]), pops): ((&Fusion, &[Sum; 2]), &Pops)| {
-            (mode.name(), Mode { key: key.score(), middle: middle.score(), pop: pops.pop() })
-        };
-        let fusion: BTreeMap<_, _> = modes.clone().zip(&self.pops).map(mode).collect();
-        let [key, middle] = modes
-            .filter(|(mode, _)| **mode == chosen)
-            .map(|(_, sums)| sums.each_ref().map(Sum::score))
-            .next()
-            .unwrap_or_default();
+        let (key, middle) = (self.key.score(), self.middle.score());
+        let fusion = BTreeMap::from([(chosen.name(), Mode { key, middle, pop: self.pops.pop() })]);
         Row { name, gap: self.spacing(gap), key, middle, baselines, fusion }
     }
 
     fn join(&mut self, other: &Sums) {
         self.clips += other.clips;
-        let sums = self.fusion.as_flattened_mut().iter_mut().chain([&mut self.crossfade, &mut self.nearest]);
-        for (into, from) in sums.zip(other.fusion.as_flattened().iter().chain([&other.crossfade, &other.nearest])) {
-            into.join(from);
-        }
-        self.pops.iter_mut().zip(&other.pops).for_each(|(into, from)| into.join(from));
+        self.key.join(&other.key);
+        self.middle.join(&other.middle);
+        self.crossfade.join(&other.crossfade);
+        self.nearest.join(&other.nearest);
+        self.pops.join(&other.pops);
     }
 }
 
@@ -219,7 +209,7 @@ impl Sums {
 pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let gap = args.stream.gap()?;
     let depth = args.stream.depth_from()?;
-    let mut settings = args.stream.settings(&args.fit, &args.machine)?;
+    let settings = args.stream.settings(&args.fit, &args.machine)?;
     let views =
         View { size: args.size.clone(), background: "0.5".into(), renderer: args.renderer.clone(), ..View::default() }
             .resolve()?;
@@ -229,10 +219,10 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         return Err(Failure::usage("--depth: one folder of maps cannot serve several clips"));
     }
     let mut total = Sums::default();
-    let mut rows = Vec::new();
+    let (mut rows, mut model) = (Vec::new(), None);
     if !console.quiet {
         say(
-            "clip                          key dB / SSIM   middle dB / SSIM   cross-fade         nearest           other fusion, middle",
+            "clip                          key dB / SSIM   middle dB / SSIM   cross-fade         nearest",
         );
     }
     for clip in &clips {
@@ -242,14 +232,9 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         let source = Source::open(clip, &source::Options { fps: args.fps })?;
         let depth = KeyDepth::open(&depth, &source, args.machine.level()?, settings.reuse != Reuse::Off)?;
         let keys = KeyFrames::new(source, depth, gap, true, None);
-        if rows.is_empty() {
-            // Loaded once for all clips and both modes.
-            let model = Arc::clone(Engine::new(settings.clone())?.model());
-            settings.model = ModelSource::Shared(Arc::new(Memo::new(model)));
-        }
-        let sums = evaluate(keys, &settings, &views, lpips.as_mut(), console)?;
+        let sums = evaluate(keys, &settings, &mut model, &views, lpips.as_mut(), console)?;
         let name = clip.file_name().unwrap_or(clip.as_os_str()).to_string_lossy().into_owned();
-        if sums.fusion[0][0].frames < 2 {
+        if sums.key.frames < 2 {
             let least = if let Gap::Every(n) = gap { n + 1 } else { 2 };
             let message = format!("{}: expected at least {least} frames for a gap of {gap}", clip.display());
             return Err(Failure::work(message));
@@ -305,18 +290,21 @@ fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
 fn evaluate(
     keys: KeyFrames,
     settings: &Settings,
+    model: &mut Option<Arc<dyn Reconstructor>>,
     views: &Views,
     mut lpips: Option<&mut Lpips>,
     console: &Console,
 ) -> Result<Sums, Failure> {
     let mut sums = Sums { clips: 1, ..Sums::default() };
-    let mut modes = Vec::new();
-    for &fusion in Fusion::ALL {
-        let engine = Engine::new(Settings { fusion, ..settings.clone() })?;
-        let drawing = Drawing::new(engine.workers(), views.backend)?;
-        modes.push((engine, drawing, Vec::new()));
-    }
-    let mut keys = Ahead::new(keys, modes.first().map_or(1, |(engine, ..)| engine.workers().threads()));
+    let mut engine = match model {
+        Some(model) => Engine::with_model(settings.clone(), model.clone())?,
+        None => Engine::new(settings.clone())?,
+    };
+    // Loaded once for all clips.
+    *model = Some(engine.model().clone());
+    let mut drawing = Drawing::new(engine.workers(), views.backend)?;
+    let mut shown = Vec::new();
+    let mut keys = Ahead::new(keys, engine.workers().threads());
     let hidden = console.quiet || !std::io::IsTerminal::is_terminal(&std::io::stderr());
     let mut progress = Progress::new("frames", keys.total(), hidden);
     let mut before: Option<Picture> = None;
@@ -324,26 +312,23 @@ fn evaluate(
         let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
         let truths: Vec<Picture> = key.shown.iter().map(|frame| frame.picture.resized(SIDE, SIDE)).collect();
         let last = truths.len() - 1;
-        let each = modes.iter_mut().zip(&mut sums.fusion).zip(&mut sums.pops);
-        for (((engine, drawing, shown), [key_sum, middle_sum]), pops) in each {
-            let interval: Interval = engine.push(key.frame.clone(), timestamp)?;
-            if interval.start < interval.end {
-                let crossed = drawing.draw(&interval, interval.start, views)?.rgb;
-                pops.jump += apart(shown, &crossed);
-                pops.jumps += 1;
-                *shown = crossed;
+        let interval: Interval = engine.push(key.frame, timestamp)?;
+        if interval.start < interval.end {
+            let crossed = drawing.draw(&interval, interval.start, views)?.rgb;
+            sums.pops.jump += apart(&shown, &crossed);
+            sums.pops.jumps += 1;
+            shown = crossed;
+        }
+        for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate() {
+            let image = drawing.draw(&interval, frame.timestamp, views)?;
+            if !shown.is_empty() {
+                sums.pops.step += apart(&shown, &image.rgb);
+                sums.pops.steps += 1;
             }
-            for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate() {
-                let image = drawing.draw(&interval, frame.timestamp, views)?;
-                if !shown.is_empty() {
-                    pops.step += apart(shown, &image.rgb);
-                    pops.steps += 1;
-                }
-                shown.clone_from(&image.rgb);
-                let ours = Picture { width: image.width, height: image.height, rgb: image.rgb }.resized(SIDE, SIDE);
-                let sum = if i == last { &mut *key_sum } else { &mut *middle_sum };
-                sum.add(&ours, truth, lpips.as_deref_mut())?;
-            }
+            shown.clone_from(&image.rgb);
+            let ours = Picture { width: image.width, height: image.height, rgb: image.rgb }.resized(SIDE, SIDE);
+            let sum = if i == last { &mut sums.key } else { &mut sums.middle };
+            sum.add(&ours, truth, lpips.as_deref_mut())?;
         }
         if let Some(before) = &before {
             for (i, truth) in truths[..last].iter().enumerate() {
@@ -377,15 +362,12 @@ fn line(row: &Row) -> String {
         }
         _ => "      – /      –".to_owned(),
     };
-    // The middle frames of the mode that was not asked for.
-    let other = row.fusion.values().map(|mode| show(&mode.middle)).find(|shown| *shown != show(&row.middle));
     format!(
-        "{:28} {}   {}   {}   {}   {}",
+        "{:28} {}   {}   {}   {}",
         row.name.as_deref().unwrap_or("mean over frames"),
         show(&row.key),
         show(&row.middle),
         show(&row.baselines.crossfade),
-        show(&row.baselines.nearest),
-        other.unwrap_or_else(|| show(&row.middle))
+        show(&row.baselines.nearest)
     )
 }

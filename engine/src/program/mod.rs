@@ -19,7 +19,6 @@ mod keydepth;
 mod keyframes;
 mod machine;
 mod manual;
-mod memo;
 mod outputs;
 mod progress;
 mod record;

@@ -92,6 +92,9 @@ impl Stream {
         settings.fusion = choice("--fusion", &self.fusion)?;
         settings.max_age = self.max_age.map_or_else(MaxAge::default, MaxAge);
         settings.fit = choice("--fit", fit)?;
+        settings.resolution = self.resolution.as_deref().map(|text| choice("--resolution", text)).transpose()?;
+        settings.motion = self.motion.as_deref().map(|text| choice("--motion", text)).transpose()?;
+        settings.refine = self.refine;
         settings.depth_range = match self.depth_from()? {
             DepthFrom::Folder(_, Range::Clip) => DepthRange::Given,
             _ => DepthRange::Frame,

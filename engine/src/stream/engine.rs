@@ -3,48 +3,29 @@
 use std::sync::Arc;
 
 use streamsplat_kernels::Level;
-use streamsplat_model::reuse::{Memory, Saving};
-use streamsplat_model::{Embedding, FrameInput, LoadOptions, Sampling, Side, StaticGaussians};
+use streamsplat_model::LoadOptions;
+use streamsplat_model::reuse::{Saving, Tokens};
 
 use super::canonical::{Advance, CanonicalSet, Step};
-use super::reconstructor::Motion;
+use super::keyframe::{Context, KeyView};
+use super::pair::Pair;
+use super::tiles::Tiles;
 use super::work::Stage;
-use super::{DepthRange, EngineError, Frame, Interval, Reconstructor, Reuse, SamplingMode, Settings, Work, Workers};
-use crate::fit::{self, Placement};
+use super::{EngineError, Frame, Interval, Reconstructor, Reuse, Settings, Work, Workers};
+use crate::fit::Placement;
 
 /// Turns key frames into a dynamic scene, one interval per key frame.
 ///
 /// What it keeps between key frames is bounded and independent of the stream's length: the last frame's input, embedding,
 /// tokens, condition and Gaussians, the last pair's motion, the survivors of at most `max_age` frames, and with some choices of
-/// [`Reuse`] the network's [`Memory`].
+/// [`Reuse`] the network's [`Memory`](streamsplat_model::reuse::Memory).
 pub struct Engine {
     settings: Settings,
     model: Arc<dyn Reconstructor>,
     workers: Workers,
     work: Work,
-    memory: Option<Memory>,
+    tiles: Option<Tiles>,
     state: Option<State>,
-}
-
-/// What a frame's network input and output are.
-pub(super) struct View {
-    rgb: Vec<f32>,
-    depth: Option<Vec<f32>>,
-    features: Arc<Features>,
-    pub(super) gaussians: Arc<StaticGaussians>,
-}
-
-/// What the dynamic decoder reads of a frame. Equal inputs share one.
-struct Features {
-    embedding: Embedding,
-    tokens: Vec<f32>,
-    condition: Option<Vec<f32>>,
-}
-
-/// The motion of a pair of frames, and which pair that was.
-pub(super) struct Pair {
-    frames: [Arc<Features>; 2],
-    motion: Arc<[Motion; 2]>,
 }
 
 /// What is kept between key frames.
@@ -52,7 +33,7 @@ pub(super) struct State {
     pub(super) frame: u64,
     pub(super) timestamp: f64,
     pub(super) placement: Placement,
-    pub(super) view: View,
+    pub(super) view: KeyView,
     pub(super) pair: Option<Pair>,
     pub(super) set: CanonicalSet,
 }
@@ -70,12 +51,20 @@ impl Engine {
             compute_silent: settings.reuse == Reuse::Off,
         };
         let model = workers.install(|| settings.model.load(&options))?;
-        let memory = match settings.reuse {
-            Reuse::Off => None,
-            Reuse::Exact => model.memory(Saving::Exact),
-            Reuse::Within(tolerance) => model.memory(Saving::Within(tolerance)),
-        };
-        Ok(Self { settings, model, workers, work: Work::default(), memory, state: None })
+        Ok(Self::from_parts(settings, workers, model))
+    }
+
+    /// [`Engine::new`] with the model of another engine that was made with the same model, precision and reuse, and has loaded it.
+    ///
+    /// # Errors
+    /// When the threads cannot be started.
+    pub fn with_model(settings: Settings, model: Arc<dyn Reconstructor>) -> Result<Self, EngineError> {
+        let workers = Workers::new(settings.level.unwrap_or_else(Level::detect), settings.threads)?;
+        Ok(Self::from_parts(settings, workers, model))
+    }
+
+    fn from_parts(settings: Settings, workers: Workers, model: Arc<dyn Reconstructor>) -> Self {
+        Self { settings, model, workers, work: Work::default(), tiles: None, state: None }
     }
 
     /// What it was made with.
@@ -114,11 +103,13 @@ impl Engine {
     fn take(&mut self, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
         let index = self.state.as_ref().map_or(0, |s| s.frame + 1);
         let placement = self.check(&frame, index, timestamp)?;
+        self.lay_tiles(placement)?;
         let interval = self.advance(frame, index, timestamp, placement);
-        match &mut self.memory {
-            Some(memory) if interval.is_err() => memory.forget(),
-            Some(memory) => self.work.tokens(&memory.tokens()),
-            None => {}
+        if let Some(tiles) = &mut self.tiles {
+            if interval.is_err() {
+                tiles.memories().for_each(|memory| memory.forget());
+            }
+            self.work.tokens(&tokens(tiles));
         }
         self.work.branches(self.model.silent());
         interval
@@ -133,12 +124,13 @@ impl Engine {
         placement: Placement,
     ) -> Result<Interval, EngineError> {
         let (view, lost) = self.reconstruct(frame, index, placement)?;
-        let Self { settings, model, work, memory, state: before, .. } = self;
+        let Self { settings, work, tiles, state: before, .. } = self;
         let mut next_pair = None;
         let (set, advance) = match before {
             None => CanonicalSet::first(&view.gaussians),
             Some(state) => {
-                let pair = deform(model.as_ref(), work, memory.as_mut(), state, &view, index)?;
+                let Some(tiles) = tiles else { return Err(EngineError::Empty { index, width: 0, height: 0 }) };
+                let pair = Pair::new(tiles, work, state.pair.as_ref(), [&state.view, &view], index)?;
                 let motion = &next_pair.insert(pair).motion;
                 let step = Step {
                     gaussians: &view.gaussians,
@@ -171,9 +163,10 @@ impl Engine {
     }
 
     /// The frame through its own part of the network, as if it were the first one.
-    pub(super) fn see(&mut self, frame: Frame, index: u64, timestamp: f64) -> Result<(Placement, View), EngineError> {
+    pub(super) fn see(&mut self, frame: Frame, index: u64, timestamp: f64) -> Result<(Placement, KeyView), EngineError> {
         let before = self.state.take();
         let seen = self.check(&frame, index, timestamp).and_then(|placement| {
+            self.lay_tiles(placement)?;
             let (view, _) = self.reconstruct(frame, index, placement)?;
             Ok((placement, view))
         });
@@ -193,7 +186,7 @@ impl Engine {
                 return Err(EngineError::Size { index, expected: state.placement.source, found: size });
             }
             Some(state) => Some(state.placement),
-            None => Placement::new(self.settings.fit, size, self.model.resolution()),
+            None => self.settings.resolution().place(size, self.settings.fit, self.model.as_ref()),
         };
         let pixels = frame.width.checked_mul(frame.height).filter(|n| *n <= usize::MAX / 16);
         let (Some(placement), Some(pixels)) = (placement, pixels) else {
@@ -213,164 +206,58 @@ impl Engine {
         }
     }
 
-    /// The frame through its own part of the network, and the number of depth values that were not finite.
-    fn reconstruct(&mut self, frame: Frame, index: u64, placement: Placement) -> Result<(View, u64), EngineError> {
-        let Frame { mut rgb, mut depth, .. } = frame;
-        let level = self.workers.level();
-        let mut lost = 0;
-        let (rgb, depth) = self.work.measure(Stage::Fit, || {
-            rgb.iter_mut().for_each(|x| *x = x.clamp(0.0, 1.0));
-            if let Some(depth) = &mut depth {
-                lost = self.settings.depth_range.apply(depth);
-            }
-            (placement.fit_in(level, &rgb), depth.map(|d| placement.fit_in(level, &d)))
-        });
-        let input = FrameInput { rgb: &rgb, depth: depth.as_deref() };
-        let sampling = match self.settings.sampling {
-            SamplingMode::Mean => Sampling::Mean,
-            SamplingMode::Sample => Sampling::Sample { seed: self.settings.seed, frame: index },
-        };
-        let (model, work) = (&self.model, &mut self.work);
-        let mut memory = self.memory.as_mut();
 
-        let repeated = match &self.state {
-            Some(state) if self.settings.reuse != Reuse::Off => {
-                same_bits(&state.view.rgb, &rgb) && same_depth(state.view.depth.as_deref(), depth.as_deref())
-            }
-            _ => false,
+    /// The tiles of frames of this placement, unless they are there already.
+    fn lay_tiles(&mut self, placement: Placement) -> Result<(), EngineError> {
+        let found = placement.model;
+        if self.tiles.as_ref().is_some_and(|tiles| tiles.resolution == found) {
+            return Ok(());
+        }
+        let saving = match self.settings.reuse {
+            Reuse::Off => None,
+            Reuse::Exact => Some(Saving::Exact),
+            Reuse::Within(tolerance) => Some(Saving::Within(tolerance)),
         };
-        let before = self.state.as_ref().filter(|_| repeated).map(|s| &s.view);
-        let features = if let Some(view) = before {
-            work.count(Stage::Encoder, 0, 1);
-            work.count(Stage::Upsampler, 0, 1);
-            work.count(Stage::Condition, 0, 1);
-            view.features.clone()
-        } else {
-            let embedding = work.measure(Stage::Encoder, || match memory.as_deref_mut() {
-                Some(memory) => model.embed_keeping(&input, memory),
-                None => model.embed(&input),
-            })?;
-            let tokens = work.measure(Stage::Upsampler, || match memory.as_deref_mut() {
-                Some(memory) => model.upsample_keeping(&embedding, memory),
-                None => model.upsample(&embedding),
-            })?;
-            let condition = match model.reads_condition() {
-                true => work.measure(Stage::Condition, || model.condition(&input))?,
-                false => {
-                    work.count(Stage::Condition, 0, 1);
-                    None
-                }
-            };
-            Arc::new(Features { embedding, tokens, condition })
+        self.tiles = Tiles::new(&self.model, found, saving);
+        if self.tiles.is_some() {
+            return Ok(());
+        }
+        let own = self.model.resolution();
+        let expected = match self.model.tiling() {
+            None => format!("{}x{}, the only one that the model takes", own[0], own[1]),
+            Some(tiling) if tiling.partial => format!("multiples of {0}", tiling.patch),
+            Some(tiling) => format!("multiples of {}, at least {}x{}", tiling.patch, own[0], own[1]),
         };
-        let gaussians = match before {
-            Some(view) if sampling == Sampling::Mean || !model.draws_positions() => {
-                work.count(Stage::Heads, 0, 1);
-                view.gaussians.clone()
-            }
-            _ => {
-                let tokens = &features.tokens;
-                let gaussians = work.measure(Stage::Heads, || match memory {
-                    Some(memory) => model.gaussians_keeping(tokens, &sampling, memory),
-                    None => model.gaussians(tokens, &sampling),
-                })?;
-                check_records(index, gaussians.position.len(), &gaussians)?;
-                Arc::new(gaussians)
-            }
-        };
-        Ok((View { rgb, depth, features, gaussians }, lost))
+        Err(EngineError::Resolution { expected, found })
+    }
+
+    /// A frame through its own part of the network; its tiles are laid.
+    fn reconstruct(&mut self, frame: Frame, index: u64, placement: Placement) -> Result<(KeyView, u64), EngineError> {
+        let Self { settings, workers, work, tiles, state, .. } = self;
+        let Some(tiles) = tiles else { return Err(EngineError::Empty { index, width: 0, height: 0 }) };
+        let before = state.as_ref().filter(|_| settings.reuse != Reuse::Off).map(|state| &state.view);
+        Context { settings, level: workers.level(), work, tiles, before }.reconstruct(frame, index, placement)
     }
 }
 
-/// The motion between the frame before and this one.
-fn deform(
-    model: &dyn Reconstructor,
-    work: &mut Work,
-    mut memory: Option<&mut Memory>,
-    state: &State,
-    view: &View,
-    index: u64,
-) -> Result<Pair, EngineError> {
-    let frames = [state.view.features.clone(), view.features.clone()];
-    if let Some(last) = &state.pair
-        && frames.iter().zip(&last.frames).all(|(now, then)| Arc::ptr_eq(now, then))
-    {
-        work.count(Stage::Decoder, 0, 1);
-        work.count(Stage::Upsampler, 0, 2);
-        work.count(Stage::Heads, 0, 2);
-        return Ok(Pair { frames, motion: last.motion.clone() });
-    }
-    let sides = [&frames[0], &frames[1]].map(|f| Side {
-        h: &f.embedding.h,
-        static_tokens: &f.tokens,
-        condition: f.condition.as_deref(),
-    });
-    let decoded = work.measure(Stage::Decoder, || match memory.as_deref_mut() {
-        Some(memory) => model.decode_keeping(&sides[0], &sides[1], memory),
-        None => model.decode(&sides[0], &sides[1]),
-    })?;
-    let mut motion: [Motion; 2] = Default::default();
-    let gaussians = [&state.view.gaussians, &view.gaussians];
-    for (side, d) in decoded.iter().enumerate() {
-        let tokens = work.measure(Stage::Upsampler, || match memory.as_deref_mut() {
-            Some(memory) => model.upsample_motion_keeping(side, d, memory),
-            None => model.upsample_motion(d),
-        })?;
-        let static_tokens = sides[side].static_tokens;
-        motion[side] = work.measure(Stage::Heads, || match memory.as_deref_mut() {
-            Some(memory) => model.motion_keeping(side, static_tokens, &tokens, memory),
-            None => model.motion(static_tokens, &tokens),
-        })?;
-        let expected = gaussians[side].position.len();
-        for (what, found) in [("velocity", motion[side].0.len()), ("gamma", motion[side].1.len())] {
-            if found != expected {
-                return Err(EngineError::Records { index, what, expected, found });
-            }
-        }
-    }
-    Ok(Pair { frames, motion: Arc::new(motion) })
-}
-
-impl DepthRange {
-    /// Brings a depth map into [0, 1]; gives the number of values that were not finite.
-    fn apply(self, depth: &mut [f32]) -> u64 {
-        match self {
-            DepthRange::Frame => fit::normalise_depth(depth),
-            DepthRange::Given => {
-                let mut lost = 0;
-                for d in depth {
-                    lost += u64::from(!d.is_finite());
-                    *d = if d.is_finite() { d.clamp(0.0, 1.0) } else { 0.0 };
+/// The tokens computed and kept by all tiles, part by part; nothing where no tile keeps any.
+fn tokens(tiles: &mut Tiles) -> Vec<(&'static str, Tokens)> {
+    let mut sums: Vec<(&'static str, Tokens)> = Vec::new();
+    for memory in tiles.memories() {
+        for (at, (part, tokens)) in memory.tokens().into_iter().enumerate() {
+            match sums.get_mut(at) {
+                Some((_, sum)) => {
+                    sum.done += tokens.done;
+                    sum.avoided += tokens.avoided;
                 }
-                lost
+                None => sums.push((part, tokens)),
             }
         }
     }
+    sums
 }
 
 /// Seconds from one time stamp to a later one: positive and finite.
 fn length(start: f64, end: f64) -> f64 {
     (end - start).clamp(f64::MIN_POSITIVE, f64::MAX)
-}
-
-/// An error unless every array has one record per Gaussian.
-fn check_records(index: u64, expected: usize, g: &StaticGaussians) -> Result<(), EngineError> {
-    for (what, found) in [("scale", g.scale.len()), ("opacity", g.opacity.len()), ("rgb", g.rgb.len())] {
-        if found != expected {
-            return Err(EngineError::Records { index, what, expected, found });
-        }
-    }
-    Ok(())
-}
-
-fn same_bits(a: &[f32], b: &[f32]) -> bool {
-    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
-}
-
-fn same_depth(a: Option<&[f32]>, b: Option<&[f32]>) -> bool {
-    match (a, b) {
-        (None, None) => true,
-        (Some(a), Some(b)) => same_bits(a, b),
-        _ => false,
-    }
 }

@@ -52,6 +52,14 @@ pub enum EngineError {
         /// Its height.
         height: usize,
     },
+    /// The model takes no frames of the resolution asked for.
+    #[error("resolution {}x{}: expected {expected}", found[0], found[1])]
+    Resolution {
+        /// What the model takes.
+        expected: String,
+        /// Height and width asked for.
+        found: [usize; 2],
+    },
     /// A buffer has another length than the frame's size says.
     #[error("frame {index}: {what}: expected {expected} values, found {found}")]
     Length {

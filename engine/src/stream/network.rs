@@ -1,6 +1,7 @@
 //! The StreamSplat network as the stream's reconstructor, and the checkpoint inside the library.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use streamsplat_model::reuse::{Memory, Saving};
 use streamsplat_model::silent::Silent;
@@ -8,7 +9,7 @@ use streamsplat_model::{
     Dino, Embedding, FrameInput, LoadOptions, ModelError, Network, Sampling, Side, StaticGaussians, StaticPosition,
 };
 
-use super::reconstructor::Motion;
+use super::reconstructor::{Motion, Tiling};
 use super::{EngineError, Reconstructor};
 
 /// The small checkpoint that is part of the library: a safetensors file in the official layout.
@@ -19,7 +20,7 @@ pub const EMBEDDED_CONFIG: &str = include_str!("../../../fixtures/lite/lite.json
 /// A network, with DINOv2 where it is conditioned on that, and without where its condition is the other frame's embedding.
 pub(super) struct Conditioned {
     network: Network,
-    dino: Option<Dino>,
+    dino: Option<Arc<Dino>>,
 }
 
 impl Conditioned {
@@ -41,13 +42,24 @@ impl Conditioned {
         if expected != found {
             return Err(EngineError::ConditionChannels { expected, found });
         }
-        Ok(Self { network, dino: Some(dino) })
+        Ok(Self { network, dino: Some(Arc::new(dino)) })
     }
 }
 
 impl Reconstructor for Conditioned {
     fn resolution(&self) -> [usize; 2] {
         self.network.config().resolution
+    }
+
+    fn tiling(&self) -> Option<Tiling> {
+        let patch = self.network.config().patch_size;
+        Some(Tiling { patch, cells: 4, partial: self.network.takes_part_of_its_grid() && self.dino.is_none() })
+    }
+
+    fn at(&self, resolution: [usize; 2]) -> Option<Arc<dyn Reconstructor>> {
+        let patch = self.network.config().patch_size;
+        let network = self.network.on_grid(resolution.map(|side| side / patch))?;
+        Some(Arc::new(Self { network, dino: self.dino.clone() }))
     }
 
     fn embed(&self, frame: &FrameInput<'_>) -> Result<Embedding, ModelError> {

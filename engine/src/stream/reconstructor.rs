@@ -1,11 +1,24 @@
 //! What turns frames into Gaussians and motion: a network, or anything that can stand in for one.
 
+use std::sync::Arc;
+
 use streamsplat_model::reuse::{Memory, Saving};
 use streamsplat_model::silent::Silent;
 use streamsplat_model::{Embedding, FrameInput, ModelError, Sampling, Side, StaticGaussians};
 
 /// Velocity (world units per interval) and (γ₀, γ₁) of each of a frame's Gaussians.
 pub type Motion = (Vec<[f32; 3]>, Vec<[f32; 2]>);
+
+/// How a reconstructor takes frames of other sizes than its own: see [`Reconstructor::at`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tiling {
+    /// Sides of frames are multiples of this many pixels.
+    pub patch: usize,
+    /// Gaussians along a patch's side; a frame's are given row by row.
+    pub cells: usize,
+    /// Whether frames may be smaller than its own; otherwise a larger picture is covered by frames of its own size.
+    pub partial: bool,
+}
 
 /// Turns frames into static Gaussians, and pairs of frames into motion, stage by stage.
 ///
@@ -17,6 +30,17 @@ pub type Motion = (Vec<[f32; 3]>, Vec<[f32; 2]>);
 pub trait Reconstructor: Send + Sync {
     /// Height and width of the frames it takes.
     fn resolution(&self) -> [usize; 2];
+
+    /// How larger frames can be put together from frames that it takes; `None`: not at all.
+    fn tiling(&self) -> Option<Tiling> {
+        None
+    }
+
+    /// The same reconstructor for frames of this height and width, which [`Reconstructor::tiling`] must allow.
+    fn at(&self, resolution: [usize; 2]) -> Option<Arc<dyn Reconstructor>> {
+        let _ = resolution;
+        None
+    }
 
     /// The encoder: a frame's embedding.
     ///

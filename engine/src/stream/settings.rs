@@ -9,7 +9,7 @@ use streamsplat_kernels::Level;
 use streamsplat_model::{LoadOptions, Precision};
 
 use super::network::Conditioned;
-use super::{EngineError, Reconstructor};
+use super::{EngineError, Reconstructor, Resolution};
 use crate::fit::Fit;
 
 /// What an engine is made with. [`Settings::default`] is the model inside the library, and everything else as the program's
@@ -24,6 +24,13 @@ pub struct Settings {
     pub max_age: MaxAge,
     /// How frames are brought to the model's input size.
     pub fit: Fit,
+    /// The size at which the model sees frames; `None`: [`Resolution::Auto`] for the model inside the library, its own for any other.
+    pub resolution: Option<Resolution>,
+    /// Where motion comes from; `None`: [`MotionFrom::Between`] for the model inside the library, [`MotionFrom::Network`] for any other.
+    pub motion: Option<MotionFrom>,
+    /// Steps of conjugate gradients that fit colours to the frames, 0 for none; `None`: [`Settings::REFINE`] for the model inside the library, 0
+    /// for any other.
+    pub refine: Option<u32>,
     /// Whether depth maps are normalised here.
     pub depth_range: DepthRange,
     /// How positions that the model gives as a distribution are drawn.
@@ -73,9 +80,36 @@ impl ModelSource {
 }
 
 impl Settings {
+    /// Steps that fit colours of the model inside the library where nothing else is said.
+    pub const REFINE: u32 = 16;
+
     /// The program's defaults with another model.
     pub fn with_model(model: ModelSource) -> Self {
         Self { model, ..Self::default() }
+    }
+
+    /// The size at which the model sees frames.
+    pub fn resolution(&self) -> Resolution {
+        self.resolution.unwrap_or(match self.model {
+            ModelSource::Embedded => Resolution::Auto,
+            _ => Resolution::Native,
+        })
+    }
+
+    /// Where motion comes from.
+    pub fn motion(&self) -> MotionFrom {
+        self.motion.unwrap_or(match self.model {
+            ModelSource::Embedded => MotionFrom::Between,
+            _ => MotionFrom::Network,
+        })
+    }
+
+    /// Steps that fit colours to the frames.
+    pub fn refine(&self) -> u32 {
+        self.refine.unwrap_or(match self.model {
+            ModelSource::Embedded => Self::REFINE,
+            _ => 0,
+        })
     }
 }
 
@@ -149,6 +183,20 @@ named! {
         Persistent = "persistent",
         /// Two frames at a time, and nothing else: the model's own definition of an interval.
         Pairwise = "pairwise",
+    }
+}
+
+named! {
+    /// Where the motion of Gaussians between two key frames comes from.
+    MotionFrom: "motion" {
+        /// The network's deformation field.
+        #[default]
+        Network = "network",
+        /// Optical flow from either key frame to the other, read at each Gaussian's centre.
+        Frames = "frames",
+        /// Optical flow from frame to frame, followed through the frames between the two key frames: the line of least squares through the places it
+        /// leads to. Where no frame lies between, as [`MotionFrom::Frames`].
+        Between = "between",
     }
 }
 

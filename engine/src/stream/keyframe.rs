@@ -1,0 +1,195 @@
+//! A key frame by itself: its pixels through the static half of the network, tile by tile.
+
+use std::sync::Arc;
+
+use streamsplat_model::reuse::Memory;
+use streamsplat_model::{Embedding, FrameInput, Sampling, StaticGaussians};
+
+use super::reconstructor::Reconstructor;
+use super::tiles::{Tile, Tiles};
+use super::work::Stage;
+use super::{DepthRange, EngineError, Frame, SamplingMode, Settings, Work};
+use crate::fit::{self, Placement};
+
+/// A key frame as the model sees it, and what the model makes of it.
+pub(super) struct KeyView {
+    /// `[3, H, W]`
+    pub(super) rgb: Vec<f32>,
+    /// `[H, W]`
+    depth: Option<Vec<f32>>,
+    pub(super) tiles: Vec<TileView>,
+    /// The Gaussians of all tiles, in the frame's world.
+    pub(super) gaussians: Arc<StaticGaussians>,
+}
+
+/// A tile of it.
+#[derive(Clone)]
+pub(super) struct TileView {
+    pub(super) features: Arc<Features>,
+    /// In the tile's own world.
+    pub(super) gaussians: Arc<StaticGaussians>,
+}
+
+/// The dynamic decoder's input from one tile. Equal inputs share one.
+pub(super) struct Features {
+    pub(super) embedding: Embedding,
+    pub(super) tokens: Vec<f32>,
+    pub(super) condition: Option<Vec<f32>>,
+}
+
+/// What a frame is reconstructed with.
+pub(super) struct Context<'a> {
+    pub(super) settings: &'a Settings,
+    pub(super) level: streamsplat_kernels::Level,
+    pub(super) work: &'a mut Work,
+    pub(super) tiles: &'a mut Tiles,
+    /// The key frame before, where its results may be kept.
+    pub(super) before: Option<&'a KeyView>,
+}
+
+impl Context<'_> {
+    /// Key frame `index` through its own part of the network, and the number of depth values that were not finite.
+    pub(super) fn reconstruct(
+        &mut self,
+        frame: Frame,
+        index: u64,
+        placement: Placement,
+    ) -> Result<(KeyView, u64), EngineError> {
+        let Frame { mut rgb, mut depth, .. } = frame;
+        let (level, range) = (self.level, self.settings.depth_range);
+        let mut lost = 0;
+        let (rgb, depth) = self.work.measure(Stage::Fit, || {
+            rgb.iter_mut().for_each(|x| *x = x.clamp(0.0, 1.0));
+            if let Some(depth) = &mut depth {
+                lost = range.apply(depth);
+            }
+            (placement.fit_in(level, &rgb), depth.map(|d| placement.fit_in(level, &d)))
+        });
+        let mut tiles = Vec::with_capacity(self.tiles.tiles.len());
+        for at in 0..self.tiles.tiles.len() {
+            tiles.push(self.tile(at, &rgb, depth.as_deref(), index)?);
+        }
+        let unchanged = |before: &&KeyView| {
+            before.tiles.iter().zip(&tiles).all(|(then, now)| Arc::ptr_eq(&then.gaussians, &now.gaussians))
+        };
+        let gaussians = match self.before.filter(unchanged) {
+            Some(before) => before.gaussians.clone(),
+            None => {
+                let of_tiles: Vec<_> = tiles.iter().map(|tile| tile.gaussians.clone()).collect();
+                self.tiles.gaussians(&of_tiles)
+            }
+        };
+        Ok((KeyView { rgb, depth, tiles, gaussians }, lost))
+    }
+
+    /// Tile `at` of the frame.
+    fn tile(&mut self, at: usize, rgb: &[f32], depth: Option<&[f32]>, index: u64) -> Result<TileView, EngineError> {
+        let resolution = self.tiles.resolution;
+        let same = |before: &&KeyView| {
+            let tile = &self.tiles.tiles[at];
+            tile.sees_the_same(resolution, &before.rgb, rgb)
+                && match (&before.depth, depth) {
+                    (None, None) => true,
+                    (Some(a), Some(b)) => tile.sees_the_same(resolution, a, b),
+                    _ => false,
+                }
+        };
+        let before = self.before.filter(same).map(|view| view.tiles[at].clone());
+        let sampling = match self.settings.sampling {
+            SamplingMode::Mean => Sampling::Mean,
+            // Each tile draws from a stream of its own.
+            SamplingMode::Sample => Sampling::Sample { seed: self.settings.seed ^ (at as u64) << 40, frame: index },
+        };
+        let work = &mut *self.work;
+        let draws = |model: &dyn Reconstructor| sampling != Sampling::Mean && model.draws_positions();
+        if let Some(before) = before {
+            work.count(Stage::Encoder, 0, 1);
+            work.count(Stage::Upsampler, 0, 1);
+            work.count(Stage::Condition, 0, 1);
+            let tile = &mut self.tiles.tiles[at];
+            if !draws(tile.model.as_ref()) {
+                work.count(Stage::Heads, 0, 1);
+                return Ok(before);
+            }
+            let gaussians = gaussians(tile, work, &before.features.tokens, sampling, index)?;
+            return Ok(TileView { gaussians: Arc::new(gaussians), ..before });
+        }
+        let (rgb, depth) = {
+            let tile = &self.tiles.tiles[at];
+            (self.tiles.cut(tile, rgb), depth.map(|depth| self.tiles.cut(tile, depth)))
+        };
+        let input = FrameInput { rgb: &rgb, depth: depth.as_deref() };
+        let tile = &mut self.tiles.tiles[at];
+        let model = tile.model.clone();
+        let mut memory = tile.memory.as_mut();
+        let embedding = work.measure(Stage::Encoder, || match memory.as_deref_mut() {
+            Some(memory) => model.embed_keeping(&input, memory),
+            None => model.embed(&input),
+        })?;
+        let tokens = work.measure(Stage::Upsampler, || match memory.as_deref_mut() {
+            Some(memory) => model.upsample_keeping(&embedding, memory),
+            None => model.upsample(&embedding),
+        })?;
+        let condition = match model.reads_condition() {
+            true => work.measure(Stage::Condition, || model.condition(&input))?,
+            false => {
+                work.count(Stage::Condition, 0, 1);
+                None
+            }
+        };
+        let gaussians = gaussians(tile, work, &tokens, sampling, index)?;
+        let features = Arc::new(Features { embedding, tokens, condition });
+        Ok(TileView { features, gaussians: Arc::new(gaussians) })
+    }
+}
+
+/// The static head on a tile's tokens.
+fn gaussians(
+    tile: &mut Tile,
+    work: &mut Work,
+    tokens: &[f32],
+    sampling: Sampling,
+    index: u64,
+) -> Result<StaticGaussians, EngineError> {
+    let Tile { model, memory, .. } = tile;
+    let gaussians = work.measure(Stage::Heads, || match memory.as_mut() {
+        Some(memory) => model.gaussians_keeping(tokens, &sampling, memory),
+        None => model.gaussians(tokens, &sampling),
+    })?;
+    check_records(index, gaussians.position.len(), &gaussians)?;
+    Ok(gaussians)
+}
+
+impl Tiles {
+    /// What the tiles remember.
+    pub(super) fn memories(&mut self) -> impl Iterator<Item = &mut Memory> {
+        self.tiles.iter_mut().filter_map(|tile| tile.memory.as_mut())
+    }
+}
+
+impl DepthRange {
+    /// Brings a depth map into [0, 1]; gives the number of values that were not finite.
+    fn apply(self, depth: &mut [f32]) -> u64 {
+        match self {
+            DepthRange::Frame => fit::normalise_depth(depth),
+            DepthRange::Given => {
+                let mut lost = 0;
+                for d in depth {
+                    lost += u64::from(!d.is_finite());
+                    *d = if d.is_finite() { d.clamp(0.0, 1.0) } else { 0.0 };
+                }
+                lost
+            }
+        }
+    }
+}
+
+/// An error unless every array has one record per Gaussian.
+fn check_records(index: u64, expected: usize, g: &StaticGaussians) -> Result<(), EngineError> {
+    for (what, found) in [("scale", g.scale.len()), ("opacity", g.opacity.len()), ("rgb", g.rgb.len())] {
+        if found != expected {
+            return Err(EngineError::Records { index, what, expected, found });
+        }
+    }
+    Ok(())
+}

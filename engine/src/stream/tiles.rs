@@ -1,0 +1,236 @@
+//! A frame as tiles of the size that the model takes.
+//!
+//! A network sees frames of one size; a larger frame goes through it in rectangular parts, each as a frame of its own. Along an axis of `n` patches there are as few tiles as can be,
+//! of lengths that differ by one patch at most; a network that takes no smaller grid than its own ([`Tiling::partial`]) gets tiles of its own size, which overlap, and of what
+//! two tiles show each keeps its half.
+//!
+//! Gaussians of the tile with first pixel `(x₀, y₀)` and size `w × h` in a frame of `W × H` come to the frame's world by
+//!
+//! ```text
+//! x' = x·(w/W) + ((2·x₀ + w)/W − 1)     z' = z·(h/H) + (1 − (2·y₀ + h)/H)     y' = y
+//! s_x' = s_x·(w/W)     s_z' = s_z·(h/H)     v_x' = v_x·(w/W)     v_z' = v_z·(h/H)
+//! ```
+//!
+//! with factors and offsets rounded from binary64, one fused multiply-add each, and stand in the frame's arrays row by row, as if there were no tiles.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::sync::Arc;
+
+use streamsplat_model::StaticGaussians;
+use streamsplat_model::reuse::{Memory, Saving};
+
+use super::reconstructor::{Motion, Reconstructor, Tiling};
+
+/// A part of the frame, and the model for frames of its size.
+pub(super) struct Tile {
+    pub(super) model: Arc<dyn Reconstructor>,
+    pub(super) memory: Option<Memory>,
+    /// First row and column of pixels.
+    origin: [usize; 2],
+    /// Rows and columns of pixels.
+    size: [usize; 2],
+    /// The Gaussians that it keeps: their places in its own arrays and in the frame's. `None`: all of them, and the frame has no others.
+    places: Option<Vec<[u32; 2]>>,
+}
+
+/// All tiles of a frame, row by row.
+pub(super) struct Tiles {
+    /// Rows and columns of pixels of a frame.
+    pub(super) resolution: [usize; 2],
+    pub(super) tiles: Vec<Tile>,
+}
+
+/// One axis of a tile, in patches: what it sees, and what of it it keeps.
+#[derive(Clone, Debug, PartialEq)]
+struct Span {
+    seen: Range<usize>,
+    kept: Range<usize>,
+}
+
+impl Tiles {
+    /// The tiles of frames of `resolution`; `None` where the model takes no part of such a frame.
+    pub(super) fn new(
+        model: &Arc<dyn Reconstructor>,
+        resolution: [usize; 2],
+        saving: Option<Saving>,
+    ) -> Option<Self> {
+        let memory = |model: &Arc<dyn Reconstructor>| saving.and_then(|saving| model.memory(saving));
+        if resolution == model.resolution() {
+            let whole = Tile { model: model.clone(), memory: memory(model), origin: [0; 2], size: resolution, places: None };
+            return Some(Self { resolution, tiles: vec![whole] });
+        }
+        let Tiling { patch, cells, partial } = model.tiling()?;
+        if resolution.iter().any(|side| *side == 0 || side % patch != 0) {
+            return None;
+        }
+        let [rows, columns] = [0, 1].map(|axis| spans(resolution[axis] / patch, model.resolution()[axis] / patch, partial));
+        let (rows, columns) = (rows?, columns?);
+        let mut models: BTreeMap<[usize; 2], Arc<dyn Reconstructor>> = BTreeMap::new();
+        let mut tiles = Vec::with_capacity(rows.len() * columns.len());
+        for row in &rows {
+            for column in &columns {
+                let size = [row.seen.len() * patch, column.seen.len() * patch];
+                let sized = match models.get(&size) {
+                    Some(sized) => sized.clone(),
+                    None => {
+                        let sized = if size == model.resolution() { model.clone() } else { model.at(size)? };
+                        models.insert(size, sized.clone());
+                        sized
+                    }
+                };
+                let width = resolution[1] / patch * cells;
+                let kept = |span: &Span| span.kept.start * cells..span.kept.end * cells;
+                let places = kept(row).flat_map(|y| {
+                    kept(column).map(move |x| {
+                        let own = (y - row.seen.start * cells) * column.seen.len() * cells + x - column.seen.start * cells;
+                        [own as u32, (y * width + x) as u32]
+                    })
+                });
+                tiles.push(Tile {
+                    memory: memory(&sized),
+                    model: sized,
+                    origin: [row.seen.start * patch, column.seen.start * patch],
+                    size,
+                    places: Some(places.collect()),
+                });
+            }
+        }
+        Some(Self { resolution, tiles })
+    }
+
+    /// The frame's Gaussians from those of its tiles.
+    pub(super) fn gaussians(&self, of_tiles: &[Arc<StaticGaussians>]) -> Arc<StaticGaussians> {
+        if let [only] = of_tiles
+            && self.tiles[0].places.is_none()
+        {
+            return only.clone();
+        }
+        let count = self.tiles.iter().map(|tile| tile.places.as_ref().map_or(0, Vec::len)).sum();
+        let mut frame = StaticGaussians {
+            position: vec![[0.0; 3]; count],
+            scale: vec![[0.0; 2]; count],
+            opacity: vec![0.0; count],
+            rgb: vec![[0.0; 3]; count],
+        };
+        for (tile, own) in self.tiles.iter().zip(of_tiles) {
+            let ([fx, fz], [ox, oz]) = (self.factors(tile), self.offsets(tile));
+            for &[from, to] in tile.places.iter().flatten() {
+                let (from, to) = (from as usize, to as usize);
+                let ([x, y, z], [sx, sz]) = (own.position[from], own.scale[from]);
+                frame.position[to] = [x.mul_add(fx, ox), y, z.mul_add(fz, oz)];
+                frame.scale[to] = [sx * fx, sz * fz];
+                frame.opacity[to] = own.opacity[from];
+                frame.rgb[to] = own.rgb[from];
+            }
+        }
+        Arc::new(frame)
+    }
+
+    /// The motion of the frame's Gaussians from that of its tiles'.
+    pub(super) fn motion(&self, of_tiles: &[Arc<Motion>]) -> Arc<Motion> {
+        if let [only] = of_tiles
+            && self.tiles[0].places.is_none()
+        {
+            return only.clone();
+        }
+        let count = self.tiles.iter().map(|tile| tile.places.as_ref().map_or(0, Vec::len)).sum();
+        let (mut velocity, mut gamma) = (vec![[0.0; 3]; count], vec![[0.0; 2]; count]);
+        for (tile, own) in self.tiles.iter().zip(of_tiles) {
+            let [fx, fz] = self.factors(tile);
+            for &[from, to] in tile.places.iter().flatten() {
+                let [x, y, z] = own.0[from as usize];
+                velocity[to as usize] = [x * fx, y, z * fz];
+                gamma[to as usize] = own.1[from as usize];
+            }
+        }
+        Arc::new((velocity, gamma))
+    }
+
+    /// w/W and h/H.
+    fn factors(&self, tile: &Tile) -> [f32; 2] {
+        [1, 0].map(|axis| (tile.size[axis] as f64 / self.resolution[axis] as f64) as f32)
+    }
+
+    /// The tile's middle in the frame's world.
+    fn offsets(&self, tile: &Tile) -> [f32; 2] {
+        let middle = |axis: usize| (2 * tile.origin[axis] + tile.size[axis]) as f64 / self.resolution[axis] as f64 - 1.0;
+        [middle(1) as f32, -middle(0) as f32]
+    }
+
+    /// The pixels of `tile` in planes of a frame, `[C, H, W]` to `[C, h, w]`.
+    pub(super) fn cut(&self, tile: &Tile, planes: &[f32]) -> Vec<f32> {
+        let [height, width] = self.resolution;
+        if tile.places.is_none() {
+            return planes.to_vec();
+        }
+        let ([top, left], [rows, columns]) = (tile.origin, tile.size);
+        let mut part = Vec::with_capacity(planes.len() / (height * width) * rows * columns);
+        for plane in planes.chunks_exact(height * width) {
+            for row in plane.chunks_exact(width).skip(top).take(rows) {
+                part.extend_from_slice(&row[left..left + columns]);
+            }
+        }
+        part
+    }
+}
+
+impl Tile {
+    /// Whether what it sees is the same in both frames, whose planes are `[C, H, W]`.
+    pub(super) fn sees_the_same(&self, resolution: [usize; 2], a: &[f32], b: &[f32]) -> bool {
+        let ([top, left], [rows, columns]) = (self.origin, self.size);
+        let same = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
+        let [height, width] = resolution;
+        a.len() == b.len()
+            && a.chunks_exact(height * width).zip(b.chunks_exact(height * width)).all(|(a, b)| {
+                let rows = (top..top + rows).map(|row| row * width + left..row * width + left + columns);
+                rows.into_iter().all(|row| same(&a[row.clone()], &b[row]))
+            })
+    }
+}
+
+/// Tiles along an axis of `total` patches for a model of `most`; `partial`: whether they may be shorter.
+fn spans(total: usize, most: usize, partial: bool) -> Option<Vec<Span>> {
+    if most == 0 || total == 0 || (!partial && total < most) {
+        return None;
+    }
+    let count = total.div_ceil(most);
+    if partial {
+        let edge = |i: usize| i * total / count;
+        return Some((0..count).map(|i| Span { seen: edge(i)..edge(i + 1), kept: edge(i)..edge(i + 1) }).collect());
+    }
+    let start = |i: usize| if count == 1 { 0 } else { i * (total - most) / (count - 1) };
+    let edge = |i: usize| match i {
+        0 => 0,
+        i if i == count => total,
+        i => (start(i) + start(i - 1) + most) / 2,
+    };
+    Some((0..count).map(|i| Span { seen: start(i)..start(i) + most, kept: edge(i)..edge(i + 1) }).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_keep_every_patch_once_and_see_what_they_keep() {
+        for (most, partial) in [(18, true), (32, true), (18, false), (1, true), (5, false)] {
+            for total in 1..200 {
+                let Some(spans) = spans(total, most, partial) else {
+                    assert!(!partial && total < most);
+                    continue;
+                };
+                let mut at = 0;
+                for Span { seen, kept } in &spans {
+                    assert_eq!(kept.start, at);
+                    assert!(seen.start <= kept.start && kept.end <= seen.end && seen.end <= total, "{total} {spans:?}");
+                    assert!(seen.len() <= most && (partial || seen.len() == most));
+                    at = kept.end;
+                }
+                assert_eq!(at, total);
+                let lengths = spans.iter().map(|span| span.seen.len());
+                assert!(lengths.clone().max() <= lengths.min().map(|least| least + 1));
+            }
+        }
+    }
+}
