@@ -10,7 +10,7 @@ use streamsplat::metrics::psnr;
 use streamsplat::picture::Picture;
 use streamsplat::render::Painter;
 use streamsplat::source::{self, Source, TimedPicture, folder};
-use streamsplat::stream::{ModelSource, Reconstructor, Reuse};
+use streamsplat::stream::{Reconstructor, Reuse};
 use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
 use streamsplat_model::Precision;
 
@@ -95,17 +95,14 @@ impl Models {
 
     /// An engine that has seen nothing.
     fn engine(&mut self, variant: &Variant) -> Result<Engine> {
-        let mut settings = Settings { precision: variant.precision, reuse: variant.reuse, ..self.settings.clone() };
+        let settings = Settings { precision: variant.precision, reuse: variant.reuse, ..self.settings.clone() };
         let key = (variant.precision, variant.reuse == Reuse::Off);
         let loaded = self.loaded.iter().find(|(known, _)| *known == key);
         if let Some((_, model)) = loaded {
-            settings.model = ModelSource::Shared(Arc::clone(model));
+            return Ok(Engine::with_model(settings, Arc::clone(model))?);
         }
-        let known = loaded.is_some();
         let engine = Engine::new(settings)?;
-        if !known {
-            self.loaded.push((key, Arc::clone(engine.model())));
-        }
+        self.loaded.push((key, Arc::clone(engine.model())));
         Ok(engine)
     }
 

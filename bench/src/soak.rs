@@ -286,9 +286,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut long = Measured::new(&settings)?;
     drop(seeded);
     // One network for all streams.
-    let settings = Settings { model: ModelSource::Shared(long.engine.model().clone()), ..settings };
+    let model = long.engine.model().clone();
     let pairwise = Settings { fusion: Fusion::Pairwise, ..settings.clone() };
-    let mut pairs = Engine::new(pairwise.clone())?;
+    let mut pairs = Engine::with_model(pairwise.clone(), model.clone())?;
     let film = Film::new(long.engine.model().resolution());
 
     let mut identities = Identities::default();
@@ -358,7 +358,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let at = |key_frame: u64| rows.iter().find(|row| row.key_frame == key_frame).and_then(|row| row.cpu_seconds);
     let beside_young = slower(&long_steps, &young_steps);
     let alone = at(count - YOUNG).context("a time")? / at(2 * HUNDRED).context("a time")?;
-    let mut fresh = Engine::new(pairwise)?;
+    let mut fresh = Engine::with_model(pairwise, model)?;
     let mut other = None;
     for k in count - 3..count {
         other = Some(fresh.push(film.frame(k), k as f64 / RATE)?);

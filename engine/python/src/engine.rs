@@ -34,7 +34,7 @@ impl Engine {
 impl Engine {
     #[new]
     #[pyo3(signature = (model=None, *, dinov2=None, fusion="persistent", max_age=None, fit="letterbox", depth_range="frame",
-        sampling="mean", seed=0, reuse="exact", precision="f32", isa="auto", threads=0))]
+        sampling="mean", seed=0, reuse="exact", precision="f32", isa="auto", threads=0, resolution=None, motion=None, refine=None))]
     fn new(
         py: Python<'_>,
         model: Option<PathBuf>,
@@ -49,6 +49,9 @@ impl Engine {
         precision: &str,
         isa: &str,
         threads: usize,
+        resolution: Option<&str>,
+        motion: Option<&str>,
+        refine: Option<u32>,
     ) -> PyResult<Self> {
         let model = match (model, dinov2) {
             (Some(checkpoint), dinov2) => ModelSource::File { checkpoint, dinov2 },
@@ -66,6 +69,9 @@ impl Engine {
             seed,
             reuse: choice("reuse", reuse)?,
             precision: choice("precision", precision)?,
+            resolution: resolution.map(|text| choice("resolution", text)).transpose()?,
+            motion: motion.map(|text| choice("motion", text)).transpose()?,
+            refine,
             level: Some(Level::named(isa).map_err(|e| wrong(format!("isa: {e}")))?),
             threads,
             ..Settings::with_model(model)
@@ -78,18 +84,28 @@ impl Engine {
     ///
     /// `frame` is `[height, width, 3]`, uint8 or float32 in [0, 1]; `depth` is `[height, width]` float32, inverse depth of any scale.
     /// The first frame gives its static scene, an interval of no length. After an error the stream is as it was before.
-    #[pyo3(signature = (frame, time, depth=None))]
+    ///
+    /// `between` holds the frames since the key frame before with their times, `[(frame, time), …]`, ascending: motion and colours are taken from them
+    /// (`motion="between"`).
+    #[pyo3(signature = (frame, time, depth=None, *, between=None))]
     fn push(
         &self,
         py: Python<'_>,
         frame: &Bound<'_, PyAny>,
         time: f64,
         depth: Option<&Bound<'_, PyAny>>,
+        between: Option<Vec<(Bound<'_, PyAny>, f64)>>,
     ) -> PyResult<Interval> {
         let (rgb, [height, width]) = arrays::planes(frame)?;
         let depth = depth.map(|map| arrays::depth(map, [height, width])).transpose()?;
         let frame = Frame { width, height, rgb, depth };
-        let interval = py.detach(|| self.lock().push(frame, time)).map_err(failed)?;
+        let seen = between.unwrap_or_default();
+        let seen = seen.iter().map(|(frame, time)| {
+            let (rgb, [height, width]) = arrays::planes(frame)?;
+            Ok((Frame { width, height, rgb, depth: None }, *time))
+        });
+        let seen = seen.collect::<PyResult<Vec<_>>>()?;
+        let interval = py.detach(|| self.lock().push_with(seen, frame, time)).map_err(failed)?;
         Ok(Interval::from(interval))
     }
 

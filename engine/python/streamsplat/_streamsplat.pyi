@@ -1,7 +1,7 @@
 """Types of the extension module."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Literal, Self, final
 
@@ -38,11 +38,19 @@ class Engine:
         precision: Literal["f32", "bf16", "int8"] = "f32",
         isa: Literal["auto", "scalar", "avx2", "avx512", "neon"] = "auto",
         threads: int = 0,
+        resolution: str | None = None,
+        motion: Literal["network", "frames", "between"] | None = None,
+        refine: int | None = None,
     ) -> Self: ...
     def push(
-        self, frame: NDArray[np.uint8] | NDArray[np.float32], time: float, depth: NDArray[np.float32] | None = None
+        self,
+        frame: NDArray[np.uint8] | NDArray[np.float32],
+        time: float,
+        depth: NDArray[np.float32] | None = None,
+        *,
+        between: Sequence[tuple[NDArray[np.uint8] | NDArray[np.float32], float]] | None = None,
     ) -> Interval:
-        """Takes the next key frame ([height, width, 3]) and gives the interval it ends."""
+        """Takes the next key frame ([height, width, 3]) and gives the interval it ends; `between`: the frames since the one before, with their times."""
     @property
     def work(self) -> dict[str, dict[str, Any]]:
         """Work done and avoided per stage."""

@@ -68,19 +68,19 @@ def _stream(
 ) -> tuple[int, int]:
     """Writes scene and images; gives the number of frames and of key frames."""
     count = keys = 0
-    waiting: list[tuple[int, float]] = []
+    waiting: list[tuple[int, float, Any]] = []
     last = None
     with SceneWriter(folder / "scene", frames.fps) as scene:
 
         def key_frame(frame: Any, time: float) -> None:
-            interval = engine.push(frame, time)
+            interval = engine.push(frame, time, between=[(seen, at) for _, at, seen in waiting[:-1]])
             scene.push(interval)
-            for index, at in waiting:
+            for index, at, _ in waiting:
                 interval.render(at, size=size, background=background).save(folder / "frames" / f"{index:06}.png")
             waiting.clear()
 
         for frame, time in frames:
-            waiting.append((count, time))
+            waiting.append((count, time, frame))
             if count % gap == 0:
                 key_frame(frame, time)
                 keys += 1

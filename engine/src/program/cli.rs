@@ -247,6 +247,9 @@ pub struct EvalArgs {
     pub input: PathBuf,
     #[command(flatten)]
     pub stream: Stream,
+    /// Give the frames between key frames as well, and measure them as seen; without it nothing but the comparison reads them
+    #[arg(long)]
+    pub seen: bool,
     /// How frames fit the model's input: stretch or letterbox
     #[arg(long, value_name = "MODE", default_value = "stretch")]
     pub fit: String,

@@ -11,19 +11,22 @@ use std::sync::Arc;
 
 use serde::Serialize;
 use streamsplat::Engine;
+use streamsplat::fit::Placement;
 use streamsplat::gap::Gap;
 use streamsplat::lpips::Lpips;
 use streamsplat::metrics::{psnr, ssim};
 use streamsplat::picture::Picture;
 use streamsplat::source::{self, Source, folder};
-use streamsplat::stream::{Fusion, Interval, Reconstructor, Reuse, Settings};
+use streamsplat::stream::{Fusion, Interval, Reconstructor, Reuse, Settings, Workers};
+
+use streamsplat_kernels::flow::{self, Field, Pyramid};
 
 use super::ahead::Ahead;
 use super::cli::{Console, EvalArgs, View};
 use super::drawing::Drawing;
 use super::failure::Failure;
 use super::keydepth::KeyDepth;
-use super::keyframes::KeyFrames;
+use super::keyframes::{Keep, KeyFrames};
 use super::progress::Progress;
 use super::record::NetworkRecord;
 use super::settings::{DepthFrom, Views};
@@ -122,6 +125,7 @@ struct Sums {
     pops: Pops,
     crossfade: Sum,
     nearest: Sum,
+    flow: Sum,
     clips: usize,
 }
 
@@ -137,6 +141,8 @@ struct Mode {
 struct Baselines {
     crossfade: Score,
     nearest: Score,
+    /// The key frames blended along the optical flow between them.
+    flow: Score,
 }
 
 /// Input frames from key frame to key frame.
@@ -159,6 +165,47 @@ struct Row {
     baselines: Baselines,
     /// The same under the fusion mode's name, with how the image jumps at key frames.
     fusion: BTreeMap<&'static str, Mode>,
+    /// Means over the clips whose cross-fade is under [`MOVING`] dB; of the mean alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    moving: Option<Group>,
+    /// Means over the other clips.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    still: Option<Group>,
+}
+
+/// Means over some clips, each of which counts once.
+#[derive(Debug, Serialize)]
+struct Group {
+    clips: usize,
+    middle: GroupScore,
+    /// Decibels by which middle frames are better than the cross-fade.
+    over_crossfade: Option<f64>,
+    /// The least of them.
+    worst_over_crossfade: Option<f64>,
+}
+
+#[derive(Debug, Serialize)]
+struct GroupScore {
+    psnr: Option<f64>,
+}
+
+/// Cross-fade of clips that are called still, in dB, at least.
+const MOVING: f64 = 26.0;
+
+impl Group {
+    /// The moving or the still ones of `clips`.
+    fn of(clips: &[Row], moving: bool) -> Group {
+        let figures = clips.iter().filter_map(|row| row.middle.psnr.zip(row.baselines.crossfade.psnr));
+        let figures: Vec<_> = figures.filter(|(_, fade)| (*fade < MOVING) == moving).collect();
+        let mean = |sum: f64| (!figures.is_empty()).then(|| sum / figures.len() as f64);
+        let over = figures.iter().map(|(ours, fade)| ours - fade);
+        Group {
+            clips: figures.len(),
+            middle: GroupScore { psnr: mean(figures.iter().map(|(ours, _)| ours).sum()) },
+            over_crossfade: mean(over.clone().sum()),
+            worst_over_crossfade: over.min_by(f64::total_cmp),
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -167,6 +214,11 @@ struct Figures {
     fit: String,
     precision: String,
     renderer: &'static str,
+    /// Whether the middle frames were given, too.
+    seen: bool,
+    motion: &'static str,
+    refine: u32,
+    resolution: String,
     /// What LPIPS was measured with.
     #[serde(skip_serializing_if = "Option::is_none")]
     lpips: Option<NetworkRecord>,
@@ -189,10 +241,10 @@ impl Sums {
     }
 
     fn row(&self, name: Option<String>, gap: Gap, chosen: Fusion) -> Row {
-        let baselines = Baselines { crossfade: self.crossfade.score(), nearest: self.nearest.score() };
+        let baselines = Baselines { crossfade: self.crossfade.score(), nearest: self.nearest.score(), flow: self.flow.score() };
         let (key, middle) = (self.key.score(), self.middle.score());
         let fusion = BTreeMap::from([(chosen.name(), Mode { key, middle, pop: self.pops.pop() })]);
-        Row { name, gap: self.spacing(gap), key, middle, baselines, fusion }
+        Row { name, gap: self.spacing(gap), key, middle, baselines, fusion, moving: None, still: None }
     }
 
     fn join(&mut self, other: &Sums) {
@@ -201,6 +253,7 @@ impl Sums {
         self.middle.join(&other.middle);
         self.crossfade.join(&other.crossfade);
         self.nearest.join(&other.nearest);
+        self.flow.join(&other.flow);
         self.pops.join(&other.pops);
     }
 }
@@ -222,7 +275,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let (mut rows, mut model) = (Vec::new(), None);
     if !console.quiet {
         say(
-            "clip                          key dB / SSIM   middle dB / SSIM   cross-fade         nearest",
+            "clip                          key dB / SSIM   middle dB / SSIM   cross-fade         nearest           flow",
         );
     }
     for clip in &clips {
@@ -231,8 +284,8 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         }
         let source = Source::open(clip, &source::Options { fps: args.fps })?;
         let depth = KeyDepth::open(&depth, &source, args.machine.level()?, settings.reuse != Reuse::Off)?;
-        let keys = KeyFrames::new(source, depth, gap, true, None);
-        let sums = evaluate(keys, &settings, &mut model, &views, lpips.as_mut(), console)?;
+        let keys = KeyFrames::new(source, depth, gap, Keep::Everything, None);
+        let sums = evaluate(keys, &settings, &mut model, &views, args.seen, lpips.as_mut(), console)?;
         let name = clip.file_name().unwrap_or(clip.as_os_str()).to_string_lossy().into_owned();
         if sums.key.frames < 2 {
             let least = if let Gap::Every(n) = gap { n + 1 } else { 2 };
@@ -246,17 +299,28 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         }
         rows.push(row);
     }
-    let mean = total.row(None, gap, settings.fusion);
+    let mut mean = total.row(None, gap, settings.fusion);
+    (mean.moving, mean.still) = (Some(Group::of(&rows, true)), Some(Group::of(&rows, false)));
     if !console.quiet {
         say(line(&mean));
+        for (name, group) in [("moving", &mean.moving), ("still", &mean.still)] {
+            if let Some(Group { clips: clips @ 1.., middle, over_crossfade, worst_over_crossfade }) = group {
+                let [psnr, over, worst] = [middle.psnr, *over_crossfade, *worst_over_crossfade].map(Option::unwrap_or_default);
+                say(format!("{name} clips ({clips}): middle {psnr:.2} dB, {over:+.2} over the cross-fade, least {worst:+.2}"));
+            }
+        }
     }
     if let Some(path) = &args.json {
-        let Settings { fusion, precision, .. } = settings;
-        let (fusion, precision) = (fusion.to_string(), precision.to_string());
+        let (fusion, precision) = (settings.fusion.to_string(), settings.precision.to_string());
+        let (motion, refine) = (settings.motion().name(), settings.refine());
+        let (seen, resolution) = (args.seen, settings.resolution().to_string());
         let fit = args.fit.clone();
         let measured = args.lpips_model.as_deref().zip(lpips.as_ref());
         let lpips = measured.map(|(file, lpips)| NetworkRecord::of(file, lpips.runtime_version())).transpose()?;
-        let figures = Figures { fusion, fit, precision, renderer: views.backend.name(), lpips, clips: rows, mean };
+        let renderer = views.backend.name();
+        let figures = Figures {
+            fusion, fit, precision, renderer, seen, motion, refine, resolution, lpips, clips: rows, mean,
+        };
         let text = serde_json::to_string_pretty(&figures).map_err(Failure::work)?;
         streamsplat::output::write_file(path, (text + "\n").as_bytes())?;
     }
@@ -292,6 +356,7 @@ fn evaluate(
     settings: &Settings,
     model: &mut Option<Arc<dyn Reconstructor>>,
     views: &Views,
+    seen: bool,
     mut lpips: Option<&mut Lpips>,
     console: &Console,
 ) -> Result<Sums, Failure> {
@@ -307,12 +372,14 @@ fn evaluate(
     let mut keys = Ahead::new(keys, engine.workers().threads());
     let hidden = console.quiet || !std::io::IsTerminal::is_terminal(&std::io::stderr());
     let mut progress = Progress::new("frames", keys.total(), hidden);
-    let mut before: Option<Picture> = None;
+    let mut before: Option<(Picture, Placed)> = None;
     while let Some(key) = keys.next()? {
         let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
         let truths: Vec<Picture> = key.shown.iter().map(|frame| frame.picture.resized(SIDE, SIDE)).collect();
         let last = truths.len() - 1;
-        let interval: Interval = engine.push(key.frame, timestamp)?;
+        let picture = key.shown.last().map(|frame| frame.picture.clone());
+        let between = if seen { key.between() } else { Vec::new() };
+        let interval: Interval = engine.push_with(between, key.frame, timestamp)?;
         if interval.start < interval.end {
             let crossed = drawing.draw(&interval, interval.start, views)?.rgb;
             sums.pops.jump += apart(&shown, &crossed);
@@ -330,7 +397,18 @@ fn evaluate(
             let sum = if i == last { &mut sums.key } else { &mut sums.middle };
             sum.add(&ours, truth, lpips.as_deref_mut())?;
         }
-        if let Some(before) = &before {
+        let Some(picture) = picture else { continue };
+        let placed = Placed::new(&picture, interval.placement, engine.workers());
+        if let Some((_, earlier)) = &before
+            && last > 0
+        {
+            let flow = FlowBlend::new(engine.workers(), earlier, &placed)?;
+            for (i, truth) in truths[..last].iter().enumerate() {
+                let blend = flow.at((i + 1) as f32 / truths.len() as f32);
+                sums.flow.add(&blend.resized(SIDE, SIDE), truth, lpips.as_deref_mut())?;
+            }
+        }
+        if let Some((before, _)) = &before {
             for (i, truth) in truths[..last].iter().enumerate() {
                 let t = (i + 1) as f32 / truths.len() as f32;
                 sums.crossfade.add(&mix(before, &truths[last], t), truth, lpips.as_deref_mut())?;
@@ -338,7 +416,7 @@ fn evaluate(
             }
         }
         truths.iter().for_each(|_| progress.step());
-        before = truths.into_iter().next_back();
+        before = truths.into_iter().next_back().map(|truth| (truth, placed));
     }
     Ok(sums)
 }
@@ -347,6 +425,48 @@ fn evaluate(
 fn apart(a: &[f32], b: &[f32]) -> f64 {
     let sum: f64 = a.iter().zip(b).map(|(a, b)| f64::from((a - b).abs())).sum();
     sum / a.len().max(1) as f64
+}
+
+/// A key frame's planes at the model's size.
+struct Placed {
+    rgb: Vec<f32>,
+    placement: Placement,
+}
+
+/// The key frames of an interval, to be blended along the flow between them.
+struct FlowBlend<'a> {
+    workers: &'a Workers,
+    frames: [&'a Placed; 2],
+    fields: [Field; 2],
+}
+
+impl Placed {
+    fn new(picture: &Picture, placement: Placement, workers: &Workers) -> Placed {
+        Placed { rgb: workers.install(|| placement.fit_in(workers.level(), &picture.rgb)), placement }
+    }
+}
+
+impl<'a> FlowBlend<'a> {
+    fn new(workers: &'a Workers, a: &'a Placed, b: &'a Placed) -> Result<Self, Failure> {
+        let (level, size, options) = (workers.level(), a.placement.model, flow::Options::default());
+        workers.install(|| {
+            let pyramid = |frame: &Placed| Pyramid::new(level, &flow::luma(level, &frame.rgb, size), size, &options);
+            let [one, other] = [pyramid(a).map_err(Failure::work)?, pyramid(b).map_err(Failure::work)?];
+            let fields = [
+                flow::between(level, &one, &other, None, &options),
+                flow::between(level, &other, &one, None, &options),
+            ];
+            Ok(Self { workers, frames: [a, b], fields })
+        })
+    }
+
+    /// The picture at `t` in [0, 1].
+    fn at(&self, t: f32) -> Picture {
+        let ([a, b], [there, back]) = (self.frames, &self.fields);
+        let blend = || flow::blend(self.workers.level(), &a.rgb, &b.rgb, there.size, there, back, t);
+        let [height, width] = a.placement.content;
+        Picture { width, height, rgb: a.placement.crop(&self.workers.install(blend)) }
+    }
 }
 
 fn mix(a: &Picture, b: &Picture, t: f32) -> Picture {
@@ -363,11 +483,12 @@ fn line(row: &Row) -> String {
         _ => "      – /      –".to_owned(),
     };
     format!(
-        "{:28} {}   {}   {}   {}",
+        "{:28} {}   {}   {}   {}   {}",
         row.name.as_deref().unwrap_or("mean over frames"),
         show(&row.key),
         show(&row.middle),
         show(&row.baselines.crossfade),
-        show(&row.baselines.nearest)
+        show(&row.baselines.nearest),
+        show(&row.baselines.flow)
     )
 }

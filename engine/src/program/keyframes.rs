@@ -34,12 +34,45 @@ pub struct Reading {
     pub network: Option<NetworkAccount>,
 }
 
+impl KeyFrame {
+    /// The frames in between with their times, where their pictures were kept; they are taken out of `shown`.
+    pub fn take_between(&mut self) -> Vec<(Frame, f64)> {
+        let between = self.shown.len().saturating_sub(1);
+        let taken = self.shown[..between].iter_mut().map(|frame| {
+            let Picture { width, height, rgb } = std::mem::replace(&mut frame.picture, empty());
+            (Frame { width, height, rgb, depth: None }, frame.timestamp)
+        });
+        taken.filter(|(frame, _)| frame.width > 0).collect()
+    }
+
+    /// Copies of the frames in between with their times, where their pictures were kept.
+    pub fn between(&self) -> Vec<(Frame, f64)> {
+        let between = self.shown.len().saturating_sub(1);
+        let copy = |frame: &TimedPicture| {
+            let Picture { width, height, rgb } = frame.picture.clone();
+            (Frame { width, height, rgb, depth: None }, frame.timestamp)
+        };
+        self.shown[..between].iter().map(copy).collect()
+    }
+}
+
+/// Which pictures come with a key frame besides its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Keep {
+    /// None.
+    Nothing,
+    /// Those of the frames in between.
+    Between,
+    /// Those of the frames in between and of the key frame, and frames after the last whole fixed gap are left out: for comparisons.
+    Everything,
+}
+
 /// Reads key frames one at a time.
 pub struct KeyFrames {
     source: Source,
     depth: KeyDepth,
     chooser: Chooser,
-    keep_pictures: bool,
+    keep: Keep,
     /// Whether frames after the last key frame are left out.
     whole_gaps: bool,
     limit: usize,
@@ -53,16 +86,15 @@ pub struct KeyFrames {
 }
 
 impl KeyFrames {
-    /// The key frames that `gap` chooses of `source`, at most `limit` frames in all. With `keep_pictures` the frames in between come with
-    /// their pictures, and frames after the last whole fixed gap are left out; otherwise the last frame is a key frame.
-    pub fn new(source: Source, depth: KeyDepth, gap: Gap, keep_pictures: bool, limit: Option<usize>) -> Self {
+    /// The key frames that `gap` chooses of `source`, at most `limit` frames in all. The last frame is a key frame, but with [`Keep::Everything`].
+    pub fn new(source: Source, depth: KeyDepth, gap: Gap, keep: Keep, limit: Option<usize>) -> Self {
         let limit = limit.unwrap_or(usize::MAX);
         KeyFrames {
             source,
             depth,
             chooser: Chooser::new(gap),
-            keep_pictures,
-            whole_gaps: keep_pictures && matches!(gap, Gap::Every(_)),
+            keep,
+            whole_gaps: keep == Keep::Everything && matches!(gap, Gap::Every(_)),
             limit,
             digest: InputDigest::default(),
             size: [0, 0],
@@ -137,7 +169,7 @@ impl KeyFrames {
                 return self.key(frame, depth).map(Some);
             }
             // Only the last of them may still become a key frame.
-            if !self.keep_pictures
+            if self.keep == Keep::Nothing
                 && let Some(before) = self.pending.last_mut()
             {
                 before.picture = empty();
@@ -177,11 +209,12 @@ impl KeyFrames {
             None => self.depth.of_network(&frame.picture)?,
         };
         let mut shown = std::mem::take(&mut self.pending);
-        let rgb = if self.keep_pictures {
-            frame.picture.rgb.clone()
-        } else {
+        if self.keep == Keep::Nothing {
             shown.iter_mut().for_each(|before| before.picture = empty());
-            std::mem::replace(&mut frame.picture, empty()).rgb
+        }
+        let rgb = match self.keep {
+            Keep::Everything => frame.picture.rgb.clone(),
+            Keep::Nothing | Keep::Between => std::mem::replace(&mut frame.picture, empty()).rgb,
         };
         shown.push(frame);
         Ok(KeyFrame { frame: Frame { width, height, rgb, depth }, shown })

@@ -6,14 +6,14 @@ use std::time::Instant;
 use streamsplat::Engine;
 use streamsplat::render::Snapshot;
 use streamsplat::source::{self, Source};
-use streamsplat::stream::{Interval, Memory, Reuse};
+use streamsplat::stream::{Interval, Memory, MotionFrom, Reuse};
 
 use super::ahead::Ahead;
 use super::cli::{Console, Machine, RunArgs, RunOptions};
 use super::drawing::Drawing;
 use super::failure::Failure;
 use super::keydepth::KeyDepth;
-use super::keyframes::KeyFrames;
+use super::keyframes::{Keep, KeyFrames};
 use super::outputs::{Destination, Emit, Outputs};
 use super::progress::Progress;
 use super::record::{Account, ModelRecord, NetworkRecord, PROGRAM, Record, Task, Timing, WorkRecord};
@@ -100,6 +100,7 @@ fn run_from(
     }
     let source = Source::open(input, &source::Options { fps: options.fps })?;
     let reuse = settings.reuse != Reuse::Off;
+    let keep = if settings.motion() == MotionFrom::Between { Keep::Between } else { Keep::Nothing };
     if !views.backend.is_within_contract() {
         // That there is no adapter is said before anything is touched.
         Drawing::new(&machine.workers()?, views.backend)?;
@@ -118,7 +119,7 @@ fn run_from(
     let engine = Engine::new(settings)?;
     let mut drawing = Drawing::new(engine.workers(), views.backend)?;
     let depth = KeyDepth::open(&depth, &source, machine.level()?, reuse)?;
-    let keys = KeyFrames::new(source, depth, gap, false, options.frames);
+    let keys = KeyFrames::new(source, depth, gap, keep, options.frames);
     let keys = Ahead::new(keys, engine.workers().threads());
     let terms = terms.map_or_else(|| Terms::given(options, &model_record(options)?), Ok)?;
 
@@ -229,10 +230,10 @@ impl Stream<'_> {
         if whence.resumed && stop::asked() {
             return Ok(false);
         }
-        while let Some(key) = self.keys.next()? {
+        while let Some(mut key) = self.keys.next()? {
             let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
             let memory = self.engine.memory().filter(|_| self.outputs.can_resume());
-            let interval = self.engine.push(key.frame, timestamp)?;
+            let interval = self.engine.push_with(key.take_between(), key.frame, timestamp)?;
             self.dropped += interval.dropped;
             self.span = Some((self.span.map_or(interval.start, |(first, _)| first), interval.end));
             if let Some(page) = &self.page {

@@ -135,6 +135,21 @@ impl CanonicalSet {
         (set, out)
     }
 
+    /// Gives survivors the colours that they have at the end of the interval whose Gaussians these are, so that crossing it changes none.
+    pub(super) fn recolour_survivors(&mut self, gaussians: &DynamicGaussians) {
+        let mut at = 0;
+        for survivor in &mut self.survivors {
+            // Survivors are some of the interval's old Gaussians, in their order.
+            while gaussians.identity.get(at).is_some_and(|identity| *identity != survivor.identity) {
+                at += 1;
+            }
+            if at == gaussians.len() {
+                return;
+            }
+            survivor.rgb = gaussians.get(at).rgb_at(1.0);
+        }
+    }
+
     /// The old Gaussians over the new interval: survivors, then the frame at its start.
     fn updated(&self, step: &Step<'_>, dropped: &mut u64) -> Vec<Record> {
         let mut old = Vec::with_capacity(self.survivors.len() + self.current.len());

@@ -6,12 +6,14 @@ use streamsplat_kernels::Level;
 use streamsplat_model::LoadOptions;
 use streamsplat_model::reuse::{Saving, Tokens};
 
+use super::between::{Flows, Seen, targets};
 use super::canonical::{Advance, CanonicalSet, Step};
+use super::colours::{Fitter, Target};
 use super::keyframe::{Context, KeyView};
 use super::pair::Pair;
 use super::tiles::Tiles;
 use super::work::Stage;
-use super::{EngineError, Frame, Interval, Reconstructor, Reuse, Settings, Work, Workers};
+use super::{EngineError, Frame, Interval, MotionFrom, Reconstructor, Reuse, Settings, Work, Workers};
 use crate::fit::Placement;
 
 /// Turns key frames into a dynamic scene, one interval per key frame.
@@ -25,6 +27,7 @@ pub struct Engine {
     workers: Workers,
     work: Work,
     tiles: Option<Tiles>,
+    fitter: Fitter,
     state: Option<State>,
 }
 
@@ -64,7 +67,8 @@ impl Engine {
     }
 
     fn from_parts(settings: Settings, workers: Workers, model: Arc<dyn Reconstructor>) -> Self {
-        Self { settings, model, workers, work: Work::default(), tiles: None, state: None }
+        let fitter = Fitter::new(workers.level());
+        Self { settings, model, workers, work: Work::default(), tiles: None, fitter, state: None }
     }
 
     /// What it was made with.
@@ -95,16 +99,42 @@ impl Engine {
     /// finite; time stamps that are not after the one before; what the model refuses. The stream is then as it was before, but that
     /// after the model has refused something the next frame is computed in full.
     pub fn push(&mut self, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
-        let workers = self.workers.clone();
-        workers.install(|| self.take(frame, timestamp))
+        self.push_with(Vec::new(), frame, timestamp)
     }
 
-    /// [`Engine::push`] on the engine's own threads.
-    fn take(&mut self, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
+    /// [`Engine::push`] of a key frame together with the frames since the key frame before, with their times, ascending. They are looked at where motion is taken from them
+    /// ([`MotionFrom::Between`]) and ignored otherwise, as they are before the first key frame. Depth of theirs is not used.
+    ///
+    /// # Errors
+    /// As [`Engine::push`]; and times that do not ascend from one key frame to the other.
+    pub fn push_with(
+        &mut self,
+        between: Vec<(Frame, f64)>,
+        frame: Frame,
+        timestamp: f64,
+    ) -> Result<Interval, EngineError> {
+        let workers = self.workers.clone();
+        workers.install(|| self.take(between, frame, timestamp))
+    }
+
+    /// [`Engine::push_with`] on the engine's own threads.
+    fn take(&mut self, between: Vec<(Frame, f64)>, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
         let index = self.state.as_ref().map_or(0, |s| s.frame + 1);
         let placement = self.check(&frame, index, timestamp)?;
+        let between = match self.settings.motion() {
+            MotionFrom::Between if self.state.is_some() => between,
+            _ => Vec::new(),
+        };
+        let mut after = self.state.as_ref().map(|state| state.timestamp);
+        for (seen, time) in &between {
+            if !(time.is_finite() && after.is_none_or(|after| after < *time) && *time < timestamp) {
+                return Err(EngineError::Between { index, after, before: timestamp, found: *time });
+            }
+            self.check(seen, index, *time)?;
+            after = Some(*time);
+        }
         self.lay_tiles(placement)?;
-        let interval = self.advance(frame, index, timestamp, placement);
+        let interval = self.advance(between, frame, index, timestamp, placement);
         if let Some(tiles) = &mut self.tiles {
             if interval.is_err() {
                 tiles.memories().for_each(|memory| memory.forget());
@@ -118,30 +148,57 @@ impl Engine {
     /// Takes a frame that was found good.
     fn advance(
         &mut self,
+        between: Vec<(Frame, f64)>,
         frame: Frame,
         index: u64,
         timestamp: f64,
         placement: Placement,
     ) -> Result<Interval, EngineError> {
         let (view, lost) = self.reconstruct(frame, index, placement)?;
-        let Self { settings, work, tiles, state: before, .. } = self;
+        let Self { settings, work, tiles, fitter, workers, state: before, .. } = self;
+        let level = workers.level();
         let mut next_pair = None;
         let (set, advance) = match before {
             None => CanonicalSet::first(&view.gaussians),
             Some(state) => {
                 let Some(tiles) = tiles else { return Err(EngineError::Empty { index, width: 0, height: 0 }) };
                 let pair = Pair::new(tiles, work, state.pair.as_ref(), [&state.view, &view], index)?;
-                let motion = &next_pair.insert(pair).motion;
+                let network = &next_pair.insert(pair).motion;
+                let views = [&state.view, &view];
+                let length = length(state.timestamp, timestamp);
+                let relative = |time: f64| ((time - state.timestamp) / length) as f32;
+                let seen = between
+                    .into_iter()
+                    .map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement, index))
+                    .collect::<Result<Vec<_>, _>>()?;
+                let flows = Flows::new(level, work, views, &seen);
+                let motion = match &flows {
+                    Some(flows) => work.time(Stage::Flow, || flows.motion(views, network)),
+                    None => network.clone(),
+                };
                 let step = Step {
                     gaussians: &view.gaussians,
                     forward: &motion[0],
                     backward: &motion[1],
-                    length: length(state.timestamp, timestamp),
+                    length,
                     image: placement.model,
                     fusion: settings.fusion,
                     max_age: settings.max_age.0,
                 };
-                work.measure(Stage::Fusion, || state.set.advance(&step))
+                let (mut set, mut advance) = work.measure(Stage::Fusion, || state.set.advance(&step));
+                let steps = settings.refine();
+                if let Some(flows) = flows.filter(|_| steps > 0) {
+                    let predicted = work.time(Stage::Flow, || flows.predicted(level, views));
+                    let mut targets = targets(&seen);
+                    targets.extend(predicted.iter().map(|(t, rgb)| Target { t: *t, rgb }));
+                    let (rates, taken) = work.time(Stage::Colours, || {
+                        fitter.rates(&advance.gaussians, &targets, placement.model, steps)
+                    });
+                    work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
+                    advance.gaussians.rgb_rate = rates;
+                    set.recolour_survivors(&advance.gaussians);
+                }
+                (set, advance)
             }
         };
         let start = before.as_ref().map_or(timestamp, |s| s.timestamp);
@@ -233,10 +290,10 @@ impl Engine {
 
     /// A frame through its own part of the network; its tiles are laid.
     fn reconstruct(&mut self, frame: Frame, index: u64, placement: Placement) -> Result<(KeyView, u64), EngineError> {
-        let Self { settings, workers, work, tiles, state, .. } = self;
+        let Self { settings, workers, work, tiles, fitter, state, .. } = self;
         let Some(tiles) = tiles else { return Err(EngineError::Empty { index, width: 0, height: 0 }) };
         let before = state.as_ref().filter(|_| settings.reuse != Reuse::Off).map(|state| &state.view);
-        Context { settings, level: workers.level(), work, tiles, before }.reconstruct(frame, index, placement)
+        Context { settings, level: workers.level(), work, tiles, fitter, before }.reconstruct(frame, index, placement)
     }
 }
 

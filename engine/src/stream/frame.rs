@@ -52,6 +52,26 @@ pub enum EngineError {
         /// Its height.
         height: usize,
     },
+    /// Optical flow refused a frame.
+    #[error("frame {index}: optical flow: {reason}")]
+    Flow {
+        /// The key frame's index, or that of the one that follows the frame.
+        index: u64,
+        /// What was expected and what was found.
+        reason: String,
+    },
+    /// A frame in between has no time between the key frames around it, in ascending order.
+    #[error("frame {index}: expected ascending times of the frames before it, after {after:?} s and before {before} s, found {found} s")]
+    Between {
+        /// The key frame's index.
+        index: u64,
+        /// The time before.
+        after: Option<f64>,
+        /// The key frame's time.
+        before: f64,
+        /// The time found.
+        found: f64,
+    },
     /// The model takes no frames of the resolution asked for.
     #[error("resolution {}x{}: expected {expected}", found[0], found[1])]
     Resolution {

@@ -5,10 +5,12 @@ use std::sync::Arc;
 use streamsplat_model::reuse::Memory;
 use streamsplat_model::{Embedding, FrameInput, Sampling, StaticGaussians};
 
+use super::between::FlowView;
+use super::colours::Fitter;
 use super::reconstructor::Reconstructor;
 use super::tiles::{Tile, Tiles};
 use super::work::Stage;
-use super::{DepthRange, EngineError, Frame, SamplingMode, Settings, Work};
+use super::{DepthRange, EngineError, Frame, MotionFrom, SamplingMode, Settings, Work};
 use crate::fit::{self, Placement};
 
 /// A key frame as the model sees it, and what the model makes of it.
@@ -18,8 +20,18 @@ pub(super) struct KeyView {
     /// `[H, W]`
     depth: Option<Vec<f32>>,
     pub(super) tiles: Vec<TileView>,
-    /// The Gaussians of all tiles, in the frame's world.
+    /// The Gaussians of all tiles, in the frame's world, with colours that fit the frame where that is asked for.
     pub(super) gaussians: Arc<StaticGaussians>,
+    /// Where motion is taken from frames.
+    pub(super) flow: Option<FlowView>,
+    resolution: [usize; 2],
+}
+
+impl KeyView {
+    /// Rows and columns of pixels.
+    pub(super) fn resolution(&self) -> [usize; 2] {
+        self.resolution
+    }
 }
 
 /// A tile of it.
@@ -43,6 +55,7 @@ pub(super) struct Context<'a> {
     pub(super) level: streamsplat_kernels::Level,
     pub(super) work: &'a mut Work,
     pub(super) tiles: &'a mut Tiles,
+    pub(super) fitter: &'a mut Fitter,
     /// The key frame before, where its results may be kept.
     pub(super) before: Option<&'a KeyView>,
 }
@@ -76,10 +89,27 @@ impl Context<'_> {
             Some(before) => before.gaussians.clone(),
             None => {
                 let of_tiles: Vec<_> = tiles.iter().map(|tile| tile.gaussians.clone()).collect();
-                self.tiles.gaussians(&of_tiles)
+                self.coloured(self.tiles.gaussians(&of_tiles), &rgb)
             }
         };
-        Ok((KeyView { rgb, depth, tiles, gaussians }, lost))
+        let resolution = self.tiles.resolution;
+        let flow = match self.settings.motion() {
+            MotionFrom::Network => None,
+            _ => Some(self.work.time(Stage::Flow, || FlowView::new(level, &rgb, resolution, index))?),
+        };
+        Ok((KeyView { rgb, depth, tiles, gaussians, flow, resolution }, lost))
+    }
+
+    /// The Gaussians with colours that fit the frame, where that is asked for.
+    fn coloured(&mut self, gaussians: Arc<StaticGaussians>, frame: &[f32]) -> Arc<StaticGaussians> {
+        let steps = self.settings.refine();
+        if steps == 0 {
+            return gaussians;
+        }
+        let (fitter, resolution) = (&mut *self.fitter, self.tiles.resolution);
+        let (rgb, taken) = self.work.time(Stage::Colours, || fitter.key(&gaussians, frame, resolution, steps));
+        self.work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
+        Arc::new(StaticGaussians { rgb, ..Arc::unwrap_or_clone(gaussians) })
     }
 
     /// Tile `at` of the frame.

@@ -12,7 +12,9 @@
 //! Motion and opacity inside an interval follow the deformation fields of StreamSplat (ICLR 2026) over a time that runs from 0
 //! to 1, whatever the interval's length in seconds.
 
+mod between;
 mod canonical;
+mod colours;
 mod engine;
 mod frame;
 mod fuse;
@@ -22,6 +24,7 @@ mod interval;
 mod keyframe;
 mod matching;
 mod memory;
+mod motion;
 mod network;
 mod pair;
 mod reconstructor;

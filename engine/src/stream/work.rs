@@ -35,18 +35,22 @@ pub(crate) enum Stage {
     Heads,
     Condition,
     Decoder,
+    Flow,
     Fusion,
+    Colours,
 }
 
 impl Stage {
-    const ALL: [(Stage, &'static str, &'static str); 7] = [
+    const ALL: [(Stage, &'static str, &'static str); 9] = [
         (Stage::Fit, "fit", "frames"),
-        (Stage::Encoder, "encoder", "frames"),
-        (Stage::Upsampler, "upsampler", "frames"),
-        (Stage::Heads, "heads", "frames"),
-        (Stage::Condition, "dinov2", "frames"),
-        (Stage::Decoder, "decoder", "pairs"),
+        (Stage::Encoder, "encoder", "tiles"),
+        (Stage::Upsampler, "upsampler", "tiles"),
+        (Stage::Heads, "heads", "tiles"),
+        (Stage::Condition, "dinov2", "tiles"),
+        (Stage::Decoder, "decoder", "pairs of tiles"),
+        (Stage::Flow, "flow", "pairs of frames"),
         (Stage::Fusion, "fusion", "intervals"),
+        (Stage::Colours, "colours", "steps"),
     ];
 }
 
@@ -56,6 +60,8 @@ impl Stage {
         match self {
             Stage::Fit => tracing::info_span!("fit"),
             Stage::Fusion => tracing::info_span!("fusion"),
+            Stage::Flow => tracing::info_span!("flow"),
+            Stage::Colours => tracing::info_span!("colours"),
             _ => tracing::Span::none(),
         }
     }
@@ -138,12 +144,18 @@ impl Work {
 
     /// Runs `work` as one unit of a stage, inside its tracing span.
     pub(crate) fn measure<R>(&mut self, stage: Stage, work: impl FnOnce() -> R) -> R {
+        let result = self.time(stage, work);
+        self.count(stage, 1, 0);
+        result
+    }
+
+    /// Runs `work` in the time and the span of a stage, of which it is no unit.
+    pub(crate) fn time<R>(&mut self, stage: Stage, work: impl FnOnce() -> R) -> R {
         let entry = &mut self.stages[stage as usize];
         let _span = stage.span().entered();
         let start = std::time::Instant::now();
         let result = work();
         entry.time += start.elapsed();
-        entry.done += 1;
         result
     }
 }

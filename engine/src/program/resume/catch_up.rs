@@ -20,7 +20,7 @@ pub fn catch_up(
     let mut before: Option<Frame> = None;
     let mut last = None;
     for index in 0..=point.key {
-        let Some(key) = stream.keys.next()? else {
+        let Some(mut key) = stream.keys.next()? else {
             let (expected, found) = (point.input.count, stream.keys.account().frames);
             let name = point.input.path.display();
             return Err(Failure::work(format!(
@@ -39,7 +39,8 @@ pub fn catch_up(
                 if let Some((memory, frame)) = memory.zip(before.take()) {
                     stream.engine.recall(memory, frame)?;
                 }
-                last = Some((stream.engine.push(key.frame, timestamp)?, key.shown));
+                let between = key.take_between();
+                last = Some((stream.engine.push_with(between, key.frame, timestamp)?, key.shown));
             }
         }
     }

@@ -1,0 +1,124 @@
+//! What lies between two key frames: the frames in between where they are seen, optical flow, and what both say of the motion and the colours of the interval.
+
+use std::sync::Arc;
+
+use streamsplat_kernels::Level;
+use streamsplat_kernels::flow::{self, Field, Pyramid};
+
+use super::colours::Target;
+use super::keyframe::KeyView;
+use super::motion::{Step, along_flow};
+use super::reconstructor::Motion;
+use super::work::Stage;
+use super::{EngineError, Frame, Work};
+use crate::fit::Placement;
+
+/// Times in an interval whose pictures are predicted from its key frames where no frame in between is seen.
+const PREDICTED: [f32; 4] = [0.2, 0.4, 0.6, 0.8];
+
+/// A frame as flow sees it.
+pub(super) struct FlowView {
+    pyramid: Pyramid,
+}
+
+/// A frame between two key frames.
+pub(super) struct Seen {
+    /// Its time in the interval.
+    pub(super) t: f32,
+    /// `[3, H, W]`
+    rgb: Vec<f32>,
+    flow: FlowView,
+}
+
+/// Flow through an interval.
+pub(super) struct Flows {
+    /// From each frame to the next and back, first to last.
+    steps: Vec<[Field; 2]>,
+    /// Times of the frames, 0 and 1 among them.
+    times: Vec<f32>,
+}
+
+impl FlowView {
+    /// Of a frame `[3, H, W]`.
+    pub(super) fn new(level: Level, rgb: &[f32], resolution: [usize; 2], index: u64) -> Result<Self, EngineError> {
+        let luma = flow::luma(level, rgb, resolution);
+        let pyramid = Pyramid::new(level, &luma, resolution, &flow::Options::default());
+        pyramid.map(|pyramid| Self { pyramid }).map_err(|e| EngineError::Flow { index, reason: e.to_string() })
+    }
+}
+
+impl Seen {
+    /// A frame at `t` of the interval that ends with key frame `index`.
+    pub(super) fn new(
+        level: Level,
+        work: &mut Work,
+        mut frame: Frame,
+        t: f32,
+        placement: Placement,
+        index: u64,
+    ) -> Result<Self, EngineError> {
+        let rgb = work.measure(Stage::Fit, || {
+            frame.rgb.iter_mut().for_each(|x| *x = x.clamp(0.0, 1.0));
+            placement.fit_in(level, &frame.rgb)
+        });
+        let flow = work.time(Stage::Flow, || FlowView::new(level, &rgb, placement.model, index))?;
+        Ok(Self { t, rgb, flow })
+    }
+}
+
+impl Flows {
+    /// Flow from frame to frame of `between`, from key frame `a` to key frame `b`.
+    pub(super) fn new(level: Level, work: &mut Work, [a, b]: [&KeyView; 2], between: &[Seen]) -> Option<Self> {
+        let (first, last) = (a.flow.as_ref()?, b.flow.as_ref()?);
+        let mut frames = vec![(first, &a.rgb)];
+        frames.extend(between.iter().map(|seen| (&seen.flow, &seen.rgb)));
+        frames.push((last, &b.rgb));
+        let steps = frames
+            .windows(2)
+            .map(|pair| {
+                let same = pair[0].1.iter().zip(pair[1].1).all(|(a, b)| a.to_bits() == b.to_bits());
+                if same {
+                    work.count(Stage::Flow, 0, 1);
+                    let still = || Field::still(a.resolution());
+                    return [still(), still()];
+                }
+                let [one, other] = [&pair[0].0.pyramid, &pair[1].0.pyramid];
+                let options = flow::Options::default();
+                work.measure(Stage::Flow, || {
+                    let both = rayon::join(
+                        || flow::between(level, one, other, None, &options),
+                        || flow::between(level, other, one, None, &options),
+                    );
+                    [both.0, both.1]
+                })
+            })
+            .collect();
+        let times = [0.0].into_iter().chain(between.iter().map(|seen| seen.t)).chain([1.0]).collect();
+        Some(Self { steps, times })
+    }
+
+    /// The motion of the Gaussians of both key frames; what flow does not tell is the network's.
+    pub(super) fn motion(&self, [a, b]: [&KeyView; 2], network: &[Arc<Motion>; 2]) -> [Arc<Motion>; 2] {
+        let count = self.steps.len();
+        let forward: Vec<Step<'_>> = (0..count)
+            .map(|i| Step { there: &self.steps[i][0], back: &self.steps[i][1], distance: self.times[i + 1] })
+            .collect();
+        let backward: Vec<Step<'_>> = (0..count)
+            .rev()
+            .map(|i| Step { there: &self.steps[i][1], back: &self.steps[i][0], distance: 1.0 - self.times[i] })
+            .collect();
+        [along_flow(&a.gaussians, &network[0], &forward, 1.0), along_flow(&b.gaussians, &network[1], &backward, -1.0)]
+    }
+
+    /// Pictures of the interval as flow predicts them from its key frames; none where there are frames in between.
+    pub(super) fn predicted(&self, level: Level, [a, b]: [&KeyView; 2]) -> Vec<(f32, Vec<f32>)> {
+        let [[forward, backward]] = &self.steps[..] else { return Vec::new() };
+        let size = forward.size;
+        PREDICTED.map(|t| (t, flow::blend(level, &a.rgb, &b.rgb, size, forward, backward, t))).to_vec()
+    }
+}
+
+/// Frames in between as targets of colours.
+pub(super) fn targets(between: &[Seen]) -> Vec<Target<'_>> {
+    between.iter().map(|seen| Target { t: seen.t, rgb: &seen.rgb }).collect()
+}
