@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use tracing::debug_span;
 
 use super::bin::Grid;
-use super::blend::{DrawTile, Planes, Scratch, Tally};
+use super::blend::{DrawTile, Planes, Scratch, Tally, Walk};
 use super::project::{Batch, Splat, View};
 use super::sort::{Entry, by_depth};
 use super::{Gaussians, Image, MAX_SIDE, Projection, Request};
@@ -301,8 +301,6 @@ impl Renderer {
         self.scratch.resize_with(rayon::current_num_threads(), Scratch::default);
         let image = &mut self.image;
         let planes = Planes {
-            width: request.width,
-            height: request.height,
             background: request.background,
             rgb: Disjoint::new(&mut image.rgb),
             depth: image.depth.as_deref_mut().map(Disjoint::new),
@@ -322,9 +320,9 @@ impl Renderer {
                 let start = Instant::now();
                 by_depth(list, &mut scratch.spare);
                 let sorted = Instant::now();
-                let (column, row) = (tile % grid.columns, tile / grid.columns);
-                let separable = view.separable;
-                dispatch(level, DrawTile { splats, list, separable, column, row, planes: &planes, scratch });
+                let (separable, tile) = (view.separable, [tile % grid.columns, tile / grid.columns]);
+                let walk = Walk { splats, list, separable, tile, size: [request.width, request.height] };
+                dispatch(level, DrawTile { walk, planes: &planes, scratch });
                 scratch.tally.sort += sorted - start;
                 scratch.tally.blend += sorted.elapsed();
             }
