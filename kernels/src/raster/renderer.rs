@@ -84,6 +84,11 @@ fn is_identity(q: &[f32; 4]) -> bool {
     q[1] == 0.0 && q[2] == 0.0 && q[3] == 0.0
 }
 
+/// Background of which a component that is not finite, or −0, is +0.
+pub(super) fn finite_background(background: [f32; 3]) -> [f32; 3] {
+    background.map(|c| if c.is_finite() { c + 0.0 } else { 0.0 })
+}
+
 impl Renderer {
     /// A renderer that runs on `level`.
     pub fn new(level: Level) -> Self {
@@ -162,7 +167,7 @@ impl Renderer {
             request.height
         );
         let mut request = *request;
-        request.background = request.background.map(|c| if c.is_finite() { c } else { 0.0 });
+        request.background = finite_background(request.background);
         let view = View {
             projection: *projection,
             width: request.width,
