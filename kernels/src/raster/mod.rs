@@ -44,12 +44,14 @@
 
 mod bin;
 mod blend;
+mod linear;
 mod lists;
 mod project;
 pub mod reference;
 mod renderer;
 mod sort;
 
+pub use linear::{ColourMap, WEIGHT_BYTES};
 pub use lists::{Footprint, Lists, TILE_PIXELS};
 pub use renderer::{Renderer, Work};
 

@@ -25,6 +25,36 @@ pub struct ReferenceImage {
 
 /// Draws the scene as the equations say (StreamSplat, ICLR 2026; EWA splatting for the Jacobian).
 pub fn render(gaussians: &Gaussians<'_>, projection: &Projection, request: &Request) -> ReferenceImage {
+    render_with(gaussians, projection, request, |_, _, _| {})
+}
+
+/// Weight `α·T` of a Gaussian on a pixel, where it is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weight {
+    /// Index of the Gaussian.
+    pub gaussian: usize,
+    /// Row-major index of the pixel.
+    pub pixel: usize,
+    /// α·T
+    pub weight: f64,
+}
+
+/// The scene as [`render`] draws it, and all weights, Gaussian by Gaussian from front to back.
+pub fn weights(gaussians: &Gaussians<'_>, projection: &Projection, request: &Request) -> (ReferenceImage, Vec<Weight>) {
+    let mut all = Vec::new();
+    let image = render_with(gaussians, projection, request, |gaussian, pixel, weight| {
+        all.push(Weight { gaussian, pixel, weight });
+    });
+    (image, all)
+}
+
+/// [`render`], calling `visit(gaussian, pixel, weight)` where a Gaussian is drawn.
+fn render_with(
+    gaussians: &Gaussians<'_>,
+    projection: &Projection,
+    request: &Request,
+    mut visit: impl FnMut(usize, usize, f64),
+) -> ReferenceImage {
     let (width, height) = (request.width, request.height);
     let pixels = width * height;
     let mut image = ReferenceImage {
@@ -115,6 +145,7 @@ pub fn render(gaussians: &Gaussians<'_>, projection: &Projection, request: &Requ
                     continue;
                 }
                 let weight = alpha * transmittance;
+                visit(i, at, weight);
                 for channel in 0..3 {
                     image.rgb[channel * pixels + at] += weight * f64::from(gaussians.rgb[i][channel]);
                 }

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use tracing::debug_span;
 
 use super::bin::Grid;
-use super::blend::{DrawTile, Planes, Scratch, Tally};
+use super::blend::{DrawTile, Planes, Scratch, Tally, Walk};
 use super::project::{Batch, Splat, View};
 use super::sort::{Entry, by_depth};
 use super::{Gaussians, Image, MAX_SIDE, Projection, Request};
@@ -82,6 +82,11 @@ const MOST_CHUNKS: usize = 64;
 /// Whether the rotation leaves everything in place.
 fn is_identity(q: &[f32; 4]) -> bool {
     q[1] == 0.0 && q[2] == 0.0 && q[3] == 0.0
+}
+
+/// Background of which a component that is not finite, or −0, is +0.
+pub(super) fn finite_background(background: [f32; 3]) -> [f32; 3] {
+    background.map(|c| if c.is_finite() { c + 0.0 } else { 0.0 })
 }
 
 impl Renderer {
@@ -162,7 +167,7 @@ impl Renderer {
             request.height
         );
         let mut request = *request;
-        request.background = request.background.map(|c| if c.is_finite() { c } else { 0.0 });
+        request.background = finite_background(request.background);
         let view = View {
             projection: *projection,
             width: request.width,
@@ -301,8 +306,6 @@ impl Renderer {
         self.scratch.resize_with(rayon::current_num_threads(), Scratch::default);
         let image = &mut self.image;
         let planes = Planes {
-            width: request.width,
-            height: request.height,
             background: request.background,
             rgb: Disjoint::new(&mut image.rgb),
             depth: image.depth.as_deref_mut().map(Disjoint::new),
@@ -322,9 +325,9 @@ impl Renderer {
                 let start = Instant::now();
                 by_depth(list, &mut scratch.spare);
                 let sorted = Instant::now();
-                let (column, row) = (tile % grid.columns, tile / grid.columns);
-                let separable = view.separable;
-                dispatch(level, DrawTile { splats, list, separable, column, row, planes: &planes, scratch });
+                let (separable, tile) = (view.separable, [tile % grid.columns, tile / grid.columns]);
+                let walk = Walk { splats, list, separable, tile, size: [request.width, request.height] };
+                dispatch(level, DrawTile { walk, planes: &planes, scratch });
                 scratch.tally.sort += sorted - start;
                 scratch.tally.blend += sorted.elapsed();
             }

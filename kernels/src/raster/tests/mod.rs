@@ -6,6 +6,7 @@ use proptest::test_runner::RngSeed;
 use super::*;
 
 mod edges;
+mod linear;
 mod lists;
 
 /// A generator of test values; the quality of its bits does not matter.

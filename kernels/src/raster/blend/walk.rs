@@ -1,0 +1,403 @@
+//! The weights `α·T` of a tile's splats, front to back, and what takes them.
+
+use std::marker::PhantomData;
+
+use super::super::bin::TILE;
+use super::super::project::{ALPHA_MAX, ALPHA_MIN, BLOCK, Splat, TRANSMITTANCE_MIN, split};
+use super::super::sort::Entry;
+use super::tables::{Tables, exp2_negative, factors, nearest, strips};
+use crate::simd::{LANES, Simd};
+
+/// Blocks of a tile.
+pub(in super::super) const BLOCKS: usize = TILE[0] * TILE[1];
+/// Records that are fetched together: their cache misses overlap.
+const TOGETHER: usize = 32;
+/// A box of at most this many blocks is drawn whole: to tell which of them the footprint misses would cost more.
+const WHOLE_BOX: usize = 12;
+/// All pixels of a block.
+const ALL: u16 = u16::MAX;
+
+/// A value for each of 4×4 pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C, align(64))]
+pub(in super::super) struct Lanes(pub [f32; LANES]);
+
+impl Lanes {
+    pub(in super::super) const ZERO: Self = Self([0.0; LANES]);
+}
+
+/// Transmittance of a tile's pixels.
+#[derive(Debug, Default)]
+pub(in super::super) struct Transmittance {
+    /// Zero where the pixel is finished.
+    left: Vec<Lanes>,
+    /// With which a pixel was finished.
+    finished: Vec<Lanes>,
+    /// Finished pixels of each block.
+    done: Vec<u16>,
+}
+
+impl Transmittance {
+    /// 1 inside an image of `width`×`height` pixels; pixels outside are finished from the start.
+    #[inline(always)]
+    fn clear(&mut self, [column, row]: [usize; 2], [width, height]: [usize; 2]) {
+        self.left.clear();
+        self.left.resize(BLOCKS, Lanes([1.0; LANES]));
+        self.finished.clear();
+        self.finished.resize(BLOCKS, Lanes::ZERO);
+        self.done.clear();
+        self.done.resize(BLOCKS, 0);
+        for block in 0..BLOCKS {
+            let [x, y] = corner([column, row], block);
+            if x + BLOCK <= width && y + BLOCK <= height {
+                continue;
+            }
+            for lane in 0..LANES {
+                if x + lane % BLOCK >= width || y + lane / BLOCK >= height {
+                    self.left[block].0[lane] = 0.0;
+                    self.done[block] |= 1 << lane;
+                }
+            }
+        }
+    }
+
+    /// What is left of the light behind all splats of the list; zero outside the image.
+    #[inline(always)]
+    pub(in super::super) fn last<S: Simd>(&self, s: S, block: usize) -> S::F32 {
+        let done = s.mask_from_bits(self.done[block]);
+        s.select(done, s.load(&self.finished[block].0), s.load(&self.left[block].0))
+    }
+}
+
+/// First pixel of a tile's block.
+#[inline(always)]
+pub(in super::super) fn corner([column, row]: [usize; 2], block: usize) -> [usize; 2] {
+    [(column * TILE[0] + block % TILE[0]) * BLOCK, (row * TILE[1] + block / TILE[0]) * BLOCK]
+}
+
+/// Receiver of the weights of splats on the blocks of a tile, splat by splat.
+pub(in super::super) trait Sink<S: Simd> {
+    /// What is kept of a splat while its blocks are visited.
+    type Paint;
+    /// A splat whose blocks are visited next.
+    fn begin(&mut self, s: S, splat: &Splat) -> Self::Paint;
+    /// Weights of the splat on the block `at`: `α·T`, zero where it is not drawn.
+    ///
+    /// # Safety
+    /// `at` is a block of the tile.
+    unsafe fn add(&mut self, s: S, at: usize, weight: S::F32, paint: &Self::Paint);
+    /// The splat has no other blocks; `entry` is its place in the list.
+    fn end(&mut self, entry: &Entry) {
+        let _ = entry;
+    }
+}
+
+/// A tile's list and where it lies.
+#[derive(Clone, Copy)]
+pub(in super::super) struct Walk<'a> {
+    pub splats: &'a [Splat],
+    /// In drawing order.
+    pub list: &'a [Entry],
+    pub separable: bool,
+    /// Column and row of the tile in the grid.
+    pub tile: [usize; 2],
+    /// Width and height of the image.
+    pub size: [usize; 2],
+}
+
+/// Work of a walk.
+#[derive(Clone, Copy, Debug, Default)]
+pub(in super::super) struct Walked {
+    /// Blocks visited.
+    pub blocks: u64,
+    /// Entries that were not looked at because the tile was finished.
+    pub unseen: u64,
+}
+
+/// The blocks of a footprint's box that lie in a tile, first and end, counted from the tile's first.
+struct Box4 {
+    columns: [usize; 2],
+    rows: [usize; 2],
+}
+
+impl Walk<'_> {
+    /// Gives `sink` the weights of the list, front to back, until all pixels are finished.
+    #[inline(always)]
+    pub(in super::super) fn run<S: Simd, K: Sink<S>>(&self, s: S, light: &mut Transmittance, sink: &mut K) -> Walked {
+        light.clear(self.tile, self.size);
+        if self.separable { self.walk::<S, K, true>(s, light, sink) } else { self.walk::<S, K, false>(s, light, sink) }
+    }
+
+    /// Copies the records of the entries from `at` on; gives how many there were.
+    #[inline(always)]
+    fn fetch(&self, at: usize, near: &mut [Splat; TOGETHER]) -> usize {
+        let entries = &self.list[at..];
+        for (near, entry) in near.iter_mut().zip(entries) {
+            *near = self.splats[entry.index as usize];
+        }
+        entries.len().min(TOGETHER)
+    }
+
+    /// The blocks of a splat's box in the tile.
+    #[inline(always)]
+    fn clip(&self, splat: &Splat) -> Box4 {
+        let (x, y) = (self.tile[0] * TILE[0], self.tile[1] * TILE[1]);
+        let [left, right] = splat.columns.map(usize::from);
+        let [top, bottom] = splat.rows.map(usize::from);
+        let columns = [left.max(x) - x, (right + 1).min(x + TILE[0]) - x];
+        Box4 { columns, rows: [top.max(y) - y, (bottom + 1).min(y + TILE[1]) - y] }
+    }
+
+    /// As many records at a time as are fetched together.
+    #[inline(always)]
+    fn walk<S: Simd, K: Sink<S>, const SEPARABLE: bool>(
+        &self,
+        s: S,
+        light: &mut Transmittance,
+        sink: &mut K,
+    ) -> Walked {
+        let mut canvas = Canvas::new(light);
+        let mut tables = Tables::new(self.tile[0], self.tile[1]);
+        let mut near = [Splat::HIDDEN; TOGETHER];
+        let (mut at, mut blocks) = (0, 0);
+        while at < self.list.len() && canvas.open > 0 {
+            let count = self.fetch(at, &mut near);
+            for (i, splat) in near[..count].iter().enumerate() {
+                if let Some(later) = self.list.get(at + TOGETHER + i) {
+                    s.prefetch(self.splats.as_ptr().wrapping_add(later.index as usize));
+                }
+                let bounds = self.clip(splat);
+                blocks += if SEPARABLE {
+                    canvas.separable(s, splat, bounds, &mut tables, sink)
+                } else {
+                    canvas.general(s, splat, bounds, &mut tables, sink)
+                };
+                sink.end(&self.list[at + i]);
+            }
+            at += count;
+        }
+        Walked { blocks: blocks as u64, unseen: (self.list.len() - at) as u64 }
+    }
+}
+
+/// The blocks of the tile that is walked.
+struct Canvas<'a> {
+    left: *mut Lanes,
+    finished: *mut Lanes,
+    done: *mut u16,
+    /// Blocks with a pixel that is not finished.
+    open: usize,
+    life: PhantomData<&'a mut Transmittance>,
+}
+
+impl<'a> Canvas<'a> {
+    /// `light` was cleared for a tile.
+    #[inline(always)]
+    fn new(light: &'a mut Transmittance) -> Self {
+        assert!(light.left.len() == BLOCKS && light.finished.len() == BLOCKS && light.done.len() == BLOCKS);
+        Self {
+            open: light.done.iter().filter(|&&done| done != ALL).count(),
+            left: light.left.as_mut_ptr(),
+            finished: light.finished.as_mut_ptr(),
+            done: light.done.as_mut_ptr(),
+            life: PhantomData,
+        }
+    }
+
+    /// Weights of a splat on its box, with `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)²)`. Gives the number of blocks.
+    #[inline(always)]
+    fn separable<S: Simd, K: Sink<S>>(
+        &mut self,
+        s: S,
+        splat: &Splat,
+        Box4 { columns, rows }: Box4,
+        tables: &mut Tables,
+        sink: &mut K,
+    ) -> usize {
+        let paint = sink.begin(s, splat);
+        // SAFETY: columns and rows are blocks of the tile; the arrays have a vector to spare beyond its last.
+        unsafe {
+            factors(s, splat.x, splat.p, 1.0, columns, &tables.columns, &mut tables.across);
+            factors(s, splat.y, splat.q, splat.opacity, rows, &tables.rows, &mut tables.down);
+        }
+        let count = (columns[1] - columns[0]) * (rows[1] - rows[0]);
+        if count <= WHOLE_BOX {
+            for row in rows[0]..rows[1] {
+                // SAFETY: the factors were made for these rows and columns.
+                unsafe { self.walk_row(s, tables, row, columns, sink, &paint) };
+            }
+            return count;
+        }
+        let column_exponent = nearest(s, splat.x, splat.p, &tables.columns);
+        let row_exponent = s.to_array(nearest(s, splat.y, splat.q, &tables.rows));
+        let inside = (1_u32 << columns[1]) - (1 << columns[0]);
+        let mut count = 0;
+        for row in rows[0]..rows[1] {
+            // A block on which even the nearest pixel's exponent is out of reach cannot change.
+            let reached = s.le(column_exponent, s.splat(splat.reach - row_exponent[row]));
+            let reached = u32::from(s.bits(reached)) & inside;
+            if reached != 0 {
+                let columns = [reached.trailing_zeros() as usize, 32 - reached.leading_zeros() as usize];
+                count += columns[1] - columns[0];
+                // SAFETY: the factors were made for these rows and columns.
+                unsafe { self.walk_row(s, tables, row, columns, sink, &paint) };
+            }
+        }
+        count
+    }
+
+    /// Weights of a splat on its box, with `α = min(0.99, o·2^−((p·(x − m(y)))² + (q·dy)²))`. Gives the number of blocks.
+    #[inline(always)]
+    fn general<S: Simd, K: Sink<S>>(
+        &mut self,
+        s: S,
+        splat: &Splat,
+        Box4 { columns, rows }: Box4,
+        tables: &mut Tables,
+        sink: &mut K,
+    ) -> usize {
+        let (from, to) = strips(s, splat, [tables.columns[0], tables.rows[0]], columns);
+        let (p, opacity) = (s.splat(splat.p), s.splat(splat.opacity));
+        let paint = sink.begin(s, splat);
+        let (u, v) = (f64::from(splat.x[0]) + f64::from(splat.x[1]), f64::from(splat.y[0]) + f64::from(splat.y[1]));
+        let span = rows[0] * BLOCK..rows[1] * BLOCK;
+        let lines =
+            tables.lines[span.clone()].chunks_exact(BLOCK).zip(tables.down[span.clone()].chunks_exact_mut(BLOCK));
+        let middles =
+            tables.middle[span.clone()].chunks_exact_mut(BLOCK).zip(tables.rest[span].chunks_exact_mut(BLOCK));
+        for ((lines, down), (middle, rest)) in lines.zip(middles) {
+            // One array after the other, so that each step is a vector instruction.
+            let (mut dy, mut m, mut t) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
+            for i in 0..BLOCK {
+                dy[i] = lines[i] - v;
+            }
+            for i in 0..BLOCK {
+                m[i] = u + splat.k * dy[i];
+            }
+            for i in 0..BLOCK {
+                t[i] = splat.q * dy[i] as f32;
+            }
+            for i in 0..BLOCK {
+                (middle[i], rest[i]) = split(m[i]);
+                down[i] = t[i] * t[i];
+            }
+        }
+        let mut count = 0;
+        for row in rows[0]..rows[1] {
+            // SAFETY: `row` is a row of the tile and the arrays have four values for each.
+            let (along_y, whole, rest) = unsafe {
+                (
+                    s.spread_four(tables.down.as_ptr().add(row * BLOCK)),
+                    s.spread_four(tables.middle.as_ptr().add(row * BLOCK)),
+                    s.spread_four(tables.rest.as_ptr().add(row * BLOCK)),
+                )
+            };
+            let (from, to) = (from[row] as usize, (to[row] + 1) as usize);
+            count += to.saturating_sub(from);
+            for column in from..to {
+                // SAFETY: a block of the tile.
+                unsafe {
+                    if !self.is_finished(row * TILE[0] + column) {
+                        let x = s.repeat_four(tables.columns.as_ptr().add(column * BLOCK));
+                        let t = s.mul(p, s.sub(s.sub(x, whole), rest));
+                        let alpha = s.mul(opacity, exp2_negative(s, s.mul_add(t, t, along_y)));
+                        self.composite(s, alpha, row * TILE[0] + column, sink, &paint);
+                    }
+                }
+            }
+        }
+        count
+    }
+
+    /// # Safety
+    /// `at` is a block of the tile.
+    #[inline(always)]
+    unsafe fn is_finished(&self, at: usize) -> bool {
+        // SAFETY: the caller's.
+        unsafe { *self.done.add(at) == ALL }
+    }
+
+    /// Weights of one splat on the blocks `columns` (first and end) of a row, separably.
+    ///
+    /// # Safety
+    /// They are blocks of the tile.
+    #[inline(always)]
+    unsafe fn walk_row<S: Simd, K: Sink<S>>(
+        &mut self,
+        s: S,
+        tables: &Tables,
+        row: usize,
+        columns: [usize; 2],
+        sink: &mut K,
+        paint: &K::Paint,
+    ) {
+        // SAFETY: the caller's.
+        let along_y = unsafe { s.spread_four(tables.down.as_ptr().add(row * BLOCK)) };
+        for column in columns[0]..columns[1] {
+            // SAFETY: the caller's.
+            unsafe {
+                let at = row * TILE[0] + column;
+                if !self.is_finished(at) {
+                    let alpha = s.mul(along_y, s.repeat_four(tables.across.as_ptr().add(column * BLOCK)));
+                    self.composite(s, alpha, at, sink, paint);
+                }
+            }
+        }
+    }
+
+    /// Weights of one splat on one block, and what it leaves of the light.
+    ///
+    /// # Safety
+    /// `at` is a block of the tile.
+    #[inline(always)]
+    unsafe fn composite<S: Simd, K: Sink<S>>(
+        &mut self,
+        s: S,
+        alpha: S::F32,
+        at: usize,
+        sink: &mut K,
+        paint: &K::Paint,
+    ) {
+        debug_assert!(at < BLOCKS);
+        // SAFETY: the caller's; nothing else refers to the block.
+        let light = unsafe { &mut (*self.left.add(at)).0 };
+        let alpha = s.min(alpha, s.splat(ALPHA_MAX));
+        let hit = s.le(s.splat(ALPHA_MIN), alpha);
+        let transmittance = s.load(light);
+        let mut weight = s.mul(s.keep(hit, alpha), transmittance);
+        let mut left = s.sub(transmittance, weight);
+        // A finished pixel has no transmittance and is not less than itself.
+        let below = s.lt(left, s.min(transmittance, s.splat(TRANSMITTANCE_MIN)));
+        if s.any(below) {
+            let mut weights = s.to_array(weight);
+            // SAFETY: the caller's; nothing else refers to them.
+            let (finished, done) = unsafe { (&mut (*self.finished.add(at)).0, &mut *self.done.add(at)) };
+            self.open -= usize::from(finish(s.bits(below), light, finished, done, &mut weights));
+            weight = s.from_array(weights);
+            left = s.sub(s.load(light), weight);
+        }
+        s.store(left, light);
+        // SAFETY: the caller's.
+        unsafe { sink.add(s, at, weight, paint) };
+    }
+}
+
+/// Finishes the pixels of `below`: keeps their transmittance apart and gives this splat no weight on them.
+/// True when the block has no other pixels.
+#[cold]
+#[inline(never)]
+fn finish(
+    below: u16,
+    left: &mut [f32; LANES],
+    finished: &mut [f32; LANES],
+    done: &mut u16,
+    weights: &mut [f32; LANES],
+) -> bool {
+    for lane in (0..LANES).filter(|lane| below >> lane & 1 != 0) {
+        finished[lane] = left[lane];
+        left[lane] = 0.0;
+        weights[lane] = 0.0;
+    }
+    *done |= below;
+    *done == ALL
+}

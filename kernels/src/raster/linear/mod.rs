@@ -1,0 +1,469 @@
+//! The image as a linear map of the colours: forward, adjoint, and the normal operator of least squares.
+//!
+//! With projection, order, α and transmittance fixed, an image is linear in the colours of its Gaussians:
+//!
+//! ```text
+//! image = A·c + T·background      A[p, i] = α_ip·T_ip      T[p] = light left behind all Gaussians
+//! ```
+//!
+//! The weights A are those of the blend, by the same code and to the same bits: `α` below 1/255 and Gaussians behind a finished
+//! pixel have weight 0.
+//!
+//! # Order of operations
+//!
+//! Everything is binary32. A pixel of `A·c` is summed front to back, one fused multiply-add per Gaussian. A sum over pixels (the
+//! adjoint) is made in three steps: on each of the 16 lanes of a block of 4×4 pixels over the tile's blocks on which the Gaussian
+//! has a weight, row-major, a fused multiply-add each; the lanes folded as [`Simd::sum`](crate::simd::Simd::sum) does; the sums
+//! of tiles of [`TILE_PIXELS`](super::TILE_PIXELS) added in ascending tile order, row-major, from +0.
+//!
+//! # Values that are not finite
+//!
+//! A Gaussian with a NaN or an infinity in mean, scale, rotation or opacity is dropped: its weights are 0, and so are its
+//! sums. A component of a colour or of the background that is not finite counts as +0. So does a residual that is not
+//! finite, on its pixel and channel alone. Sums beyond the largest binary32 number are infinite or NaN.
+
+mod passes;
+mod record;
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+use tracing::debug_span;
+
+use super::bin::Grid;
+use super::blend::{BLOCKS, Lanes, Transmittance, Walk};
+use super::renderer::{Renderer, finite_background};
+use super::sort::{Entry, by_depth};
+use super::{Gaussians, Projection, Request};
+use crate::level::Level;
+use crate::parallel::{Disjoint, for_each_chunk};
+use crate::simd::dispatch;
+use passes::{Adjoint, Forward, Moments, Normal, Place, Residual, Slots};
+use record::{Record, RecordTile};
+
+/// Bytes of weights that a [`ColourMap`] keeps unless told otherwise.
+pub const WEIGHT_BYTES: usize = 256 << 20;
+/// Gaussians whose sums are merged in one task.
+const MERGED: usize = 4096;
+
+/// The linear map from colours to pixels of one scene, seen by one camera.
+///
+/// [`ColourMap::prepare`] projects, bins, sorts and walks the lists once; after it any number of colours or images can be
+/// taken through the map and its transpose. Before the first it is that of no Gaussians onto no pixels.
+///
+/// All methods run on the current rayon pool. Their results are the same for every level and number of threads.
+#[derive(Debug)]
+pub struct ColourMap {
+    level: Level,
+    budget: usize,
+    renderer: Renderer,
+    separable: bool,
+    /// Width, height.
+    size: [usize; 2],
+    grid: Grid,
+    tiles: Vec<Tile>,
+    /// Tiles that are not left out, most hits first.
+    order: Vec<u32>,
+    /// Where the splats of each tile's record start in `slots`; one more than tiles.
+    starts: Vec<usize>,
+    /// Where the sums of each splat of each tile go: Gaussian by Gaussian, tiles ascending.
+    slots: Vec<u32>,
+    /// Where the sums of each Gaussian start; one more than Gaussians.
+    offsets: Vec<u32>,
+    spare: Mutex<Spare>,
+}
+
+/// The record of a tile.
+#[derive(Debug, Default)]
+struct Tile {
+    record: Record,
+    /// Whether the record holds weights; otherwise they are made anew where they are needed.
+    kept: bool,
+}
+
+/// Buffers between calls.
+#[derive(Debug, Default)]
+struct Spare {
+    threads: Vec<Thread>,
+    partial: Vec<f32>,
+}
+
+/// Buffers of a thread.
+#[derive(Debug, Default)]
+struct Thread {
+    light: Transmittance,
+    record: Record,
+    spare: Vec<Entry>,
+    pixels: Vec<[Lanes; 3]>,
+    single: Vec<[Lanes; 1]>,
+}
+
+impl Thread {
+    fn clear(&mut self) {
+        self.pixels.resize(BLOCKS, [Lanes::ZERO; 3]);
+        self.single.resize(BLOCKS, [Lanes::ZERO; 1]);
+    }
+}
+
+impl ColourMap {
+    /// A map that runs on `level` and keeps [`WEIGHT_BYTES`] of weights.
+    pub fn new(level: Level) -> Self {
+        Self::with_budget(level, WEIGHT_BYTES)
+    }
+
+    /// A map that keeps about `bytes` of weights (64 for a Gaussian and a block of 4×4 pixels) between calls; the others are
+    /// made anew in every call, to the same bits.
+    pub fn with_budget(level: Level, bytes: usize) -> Self {
+        Self {
+            level,
+            budget: bytes,
+            renderer: Renderer::new(level),
+            separable: false,
+            size: [0; 2],
+            grid: Grid::new(0, 0),
+            tiles: Vec::new(),
+            order: Vec::new(),
+            starts: vec![0],
+            slots: Vec::new(),
+            offsets: vec![0],
+            spare: Mutex::default(),
+        }
+    }
+
+    /// Makes this the map of a scene onto an image of `[width, height]` pixels. `Gaussians::rgb` is not looked at; it may be empty.
+    ///
+    /// # Panics
+    /// As [`super::render`], colours aside.
+    pub fn prepare(&mut self, gaussians: &Gaussians<'_>, projection: &Projection, size: [usize; 2]) {
+        self.prepare_tiles(gaussians, projection, size, |_| true);
+    }
+
+    /// [`ColourMap::prepare`] for the pixels of the tiles that are `wanted`, by row-major index. Pixels of the others are no part
+    /// of the map: [`ColourMap::forward`] leaves what is there, residuals there are not looked at.
+    ///
+    /// # Panics
+    /// As [`ColourMap::prepare`].
+    pub fn prepare_tiles(
+        &mut self,
+        gaussians: &Gaussians<'_>,
+        projection: &Projection,
+        size: [usize; 2],
+        wanted: impl Fn(usize) -> bool,
+    ) {
+        let _span = debug_span!("colour_map", gaussians = gaussians.len(), width = size[0], height = size[1]).entered();
+        // Means stand in for colours: where they are not finite the Gaussian is dropped in any case.
+        let gaussians = Gaussians { rgb: gaussians.mean, ..*gaussians };
+        self.renderer.forget();
+        let request = Request::colour(size[0], size[1], [0.0; 3]);
+        let (now, grid) = self.renderer.begin(&gaussians, projection, &request);
+        self.renderer.coarse(&gaussians, &now.view, grid, false);
+        (self.separable, self.size, self.grid) = (now.view.separable, size, grid);
+        self.order.clear();
+        self.order.extend((0..grid.len() as u32).filter(|&tile| wanted(tile as usize)));
+        self.record();
+        self.index(gaussians.len());
+    }
+
+    /// Gaussians of the scene.
+    pub fn gaussians(&self) -> usize {
+        self.offsets.len() - 1
+    }
+
+    /// Width and height of the image.
+    pub fn size(&self) -> [usize; 2] {
+        self.size
+    }
+
+    /// Tiles across and down, of [`super::TILE_PIXELS`] each.
+    pub fn tiles(&self) -> [usize; 2] {
+        [self.grid.columns, self.grid.rows]
+    }
+
+    /// Bytes of weights that are kept.
+    pub fn weight_bytes(&self) -> usize {
+        self.tiles.iter().filter(|tile| tile.kept).map(|tile| tile.record.bytes()).sum()
+    }
+
+    /// Sorts and records the tiles of `order`.
+    fn record(&mut self) {
+        let tiles = self.grid.len();
+        let _span = debug_span!("record", tiles).entered();
+        let starts = &self.renderer.starts;
+        let length = |tile: u32| starts[tile as usize + 1] - starts[tile as usize];
+        self.order.sort_unstable_by_key(|&tile| (std::cmp::Reverse(length(tile)), tile));
+        self.tiles.resize_with(tiles, Tile::default);
+        for tile in &mut self.tiles {
+            tile.kept = false;
+            tile.record.gaussians.clear();
+        }
+        let (next, used) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let entries = Disjoint::new(&mut self.renderer.entries);
+        let slots = Disjoint::new(&mut self.tiles);
+        let spare = self.spare.get_mut().unwrap_or_else(std::sync::PoisonError::into_inner);
+        spare.threads.resize_with(rayon::current_num_threads(), Thread::default);
+        let (order, splats, level, budget) = (&self.order, &self.renderer.splats, self.level, self.budget);
+        let (separable, size, columns) = (self.separable, self.size, self.grid.columns);
+        spare.threads.par_iter_mut().with_max_len(1).for_each(|thread| {
+            while let Some(&tile) = order.get(next.fetch_add(1, Ordering::Relaxed)) {
+                let tile = tile as usize;
+                // SAFETY: a tile is taken once, and lists of tiles do not overlap.
+                let list = unsafe { entries.part(starts[tile] as usize..starts[tile + 1] as usize) };
+                by_depth(list, &mut thread.spare);
+                // SAFETY: a tile is taken once.
+                let slot = unsafe { &mut slots.part(tile..tile + 1)[0] };
+                let walk = Walk { splats, list, separable, tile: [tile % columns, tile / columns], size };
+                // No bit depends on which tiles are kept.
+                slot.kept = used.load(Ordering::Relaxed) < budget;
+                let record = if slot.kept { &mut slot.record } else { &mut thread.record };
+                dispatch(level, RecordTile { walk, light: &mut thread.light, record });
+                if slot.kept {
+                    used.fetch_add(slot.record.bytes(), Ordering::Relaxed);
+                } else {
+                    slot.record = Record { gaussians: thread.record.gaussians.clone(), ..Record::default() };
+                }
+            }
+        });
+    }
+
+    /// Gives every splat of every tile the place of its sums.
+    fn index(&mut self, gaussians: usize) {
+        let _span = debug_span!("index", gaussians).entered();
+        self.offsets.clear();
+        self.offsets.resize(gaussians + 1, 0);
+        self.starts.clear();
+        let mut total = 0;
+        for tile in &self.tiles {
+            self.starts.push(total);
+            total += tile.record.gaussians.len();
+            for &gaussian in &tile.record.gaussians {
+                self.offsets[gaussian as usize] += 1;
+            }
+        }
+        self.starts.push(total);
+        assert!(u32::try_from(total).is_ok(), "{total} places for sums, at most 2³² − 1");
+        let mut start = 0;
+        for offset in &mut self.offsets {
+            start += std::mem::replace(offset, start);
+        }
+        // Each offset moves to its Gaussian's end, which is where the next one starts.
+        self.slots.clear();
+        for tile in &self.tiles {
+            self.slots.extend(tile.record.gaussians.iter().map(|&gaussian| {
+                let slot = self.offsets[gaussian as usize];
+                self.offsets[gaussian as usize] += 1;
+                slot
+            }));
+        }
+        self.offsets.rotate_right(1);
+        self.offsets[0] = 0;
+    }
+
+    /// Calls `work` with every tile's record, index, place and slots.
+    fn each_tile(&self, threads: &mut Vec<Thread>, work: impl Fn(usize, &Record, Place, &[u32], Pixels<'_>) + Sync) {
+        threads.resize_with(rayon::current_num_threads(), Thread::default);
+        let next = AtomicUsize::new(0);
+        let Renderer { splats, entries, starts, .. } = &self.renderer;
+        threads.par_iter_mut().with_max_len(1).for_each(|thread| {
+            thread.clear();
+            while let Some(&tile) = self.order.get(next.fetch_add(1, Ordering::Relaxed)) {
+                let index = tile as usize;
+                let tile = [index % self.grid.columns, index / self.grid.columns];
+                let place = Place { tile, size: self.size };
+                let Thread { light, record: spare, pixels, single, .. } = &mut *thread;
+                let record = if self.tiles[index].kept {
+                    &self.tiles[index].record
+                } else {
+                    let list = &entries[starts[index] as usize..starts[index + 1] as usize];
+                    let walk = Walk { splats, list, separable: self.separable, tile, size: self.size };
+                    dispatch(self.level, RecordTile { walk, light, record: &mut *spare });
+                    &*spare
+                };
+                let slots = &self.slots[self.starts[index]..self.starts[index + 1]];
+                let (three, one) = (pixels.first_chunk_mut(), single.first_chunk_mut());
+                let (three, one) = three.zip(one).expect("a value for each block");
+                work(index, record, place, slots, Pixels { three, one });
+            }
+        });
+    }
+
+    /// Runs `work` with buffers of an earlier call.
+    fn with_spare<R>(&self, work: impl FnOnce(&mut Spare) -> R) -> R {
+        let lock = || self.spare.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut spare = std::mem::take(&mut *lock());
+        let result = work(&mut spare);
+        *lock() = spare;
+        result
+    }
+
+    /// Adds up, for every Gaussian, the `C` sums that `work` has stored for each of its tiles, and gives them to `put`.
+    fn sum_tiles<const C: usize, T: Send>(
+        &self,
+        sums: &mut [T],
+        work: impl Fn(usize, &Record, Place, Slots<'_>, Pixels<'_>) + Sync,
+        put: impl Fn([f32; C]) -> T + Sync + Send,
+    ) {
+        assert_eq!(sums.len(), self.gaussians(), "one sum per Gaussian");
+        self.with_spare(|Spare { threads, partial }| {
+            partial.resize(partial.len().max(self.slots.len() * C), 0.0);
+            let partial_of = Disjoint::new(partial);
+            self.each_tile(threads, |tile, record, place, slots, pixels| {
+                work(tile, record, place, Slots { slots, partial: &partial_of }, pixels);
+            });
+            let partial: &[[f32; C]] = partial[..self.slots.len() * C].as_chunks().0;
+            for_each_chunk(sums, MERGED, |index, sums| {
+                let first = index * MERGED;
+                for (i, sum) in sums.iter_mut().enumerate() {
+                    let range = self.offsets[first + i] as usize..self.offsets[first + i + 1] as usize;
+                    let mut total = [0.0; C];
+                    for part in &partial[range] {
+                        for c in 0..C {
+                            total[c] += part[c];
+                        }
+                    }
+                    *sum = put(total);
+                }
+            });
+        });
+    }
+
+    fn assert_colours(&self, colours: &[[f32; 3]]) {
+        assert_eq!(colours.len(), self.gaussians(), "one colour per Gaussian");
+    }
+
+    fn assert_image(&self, image: &[f32]) {
+        let [width, height] = self.size;
+        assert_eq!(image.len(), 3 * width * height, "three planes of {width}×{height} pixels");
+    }
+
+    /// `image = A·colours + T·background`, `[3, H, W]`: to the bit [`super::render`]'s image of the Gaussians with these colours,
+    /// when colours are finite.
+    ///
+    /// # Panics
+    /// When there is not one colour per Gaussian, or `image` is not of the map's size.
+    pub fn forward(&self, colours: &[[f32; 3]], background: [f32; 3], image: &mut [f32]) {
+        let _span = debug_span!("colour_map_forward", gaussians = colours.len()).entered();
+        self.assert_colours(colours);
+        self.assert_image(image);
+        let background = finite_background(background);
+        let image = Disjoint::new(image);
+        self.with_spare(|spare| {
+            self.each_tile(&mut spare.threads, |_, record, place, _, Pixels { three: pixels, .. }| {
+                dispatch(self.level, Forward { record, place, colours, background, pixels, image: &image });
+            });
+        });
+    }
+
+    /// `sums = Aᵀ·residual` for a residual `[3, H, W]`: one sum per Gaussian and channel.
+    ///
+    /// # Panics
+    /// When there is not one sum per Gaussian, or `residual` is not of the map's size.
+    pub fn adjoint(&self, residual: &[f32], sums: &mut [[f32; 3]]) {
+        let _span = debug_span!("colour_map_adjoint", gaussians = sums.len()).entered();
+        self.assert_image(residual);
+        self.sum_tiles(
+            sums,
+            |_, record, place, to, Pixels { three: pixels, .. }| {
+                dispatch(self.level, Adjoint { record, place, residual, pixels, to });
+            },
+            |sum: [f32; 3]| sum,
+        );
+    }
+
+    /// `sums = AᵀA·colours`, tile by tile without an image: to the bit [`ColourMap::adjoint`] of [`ColourMap::forward`] on black.
+    ///
+    /// # Panics
+    /// When there is not one colour or not one sum per Gaussian.
+    pub fn normal(&self, colours: &[[f32; 3]], sums: &mut [[f32; 3]]) {
+        let _span = debug_span!("colour_map_normal", gaussians = colours.len()).entered();
+        self.assert_colours(colours);
+        self.sum_tiles(
+            sums,
+            |_, record, _, to, Pixels { three: pixels, .. }| {
+                dispatch(self.level, Normal { record, colours, pixels, to });
+            },
+            |sum: [f32; 3]| sum,
+        );
+    }
+
+    /// `sums = AᵀA·1`: the sum of each row of `AᵀA`, one per Gaussian. No weight is negative, so these bound the
+    /// eigenvalues of `AᵀA` and are the diagonal of a preconditioner.
+    ///
+    /// # Panics
+    /// When there is not one sum per Gaussian.
+    pub fn row_sums(&self, sums: &mut [f32]) {
+        let _span = debug_span!("colour_map_row_sums", gaussians = sums.len()).entered();
+        let ones = vec![[1.0]; self.gaussians()];
+        self.sum_tiles(
+            sums,
+            |_, record, _, to, Pixels { one: pixels, .. }| {
+                dispatch(self.level, Normal { record, colours: &ones, pixels, to });
+            },
+            |[sum]: [f32; 1]| sum,
+        );
+    }
+
+    /// `[Σ_p A[p, i], Σ_p A[p, i]²]` for each Gaussian i: the sum of its weights (`Aᵀ·1`), and the diagonal of `AᵀA`.
+    ///
+    /// # Panics
+    /// When there is not one pair per Gaussian.
+    pub fn column_sums(&self, sums: &mut [[f32; 2]]) {
+        let _span = debug_span!("colour_map_column_sums", gaussians = sums.len()).entered();
+        self.sum_tiles(sums, |_, record, _, to, _| dispatch(self.level, Moments { record, to }), |sums: [f32; 2]| sums);
+    }
+
+    /// `sums = Aᵀ(target − A·colours − T·background)` for a target `[3, H, W]`; gives the sum of the squared residuals in
+    /// binary64. See [`ColourMap::residual_adjoint_tiles`].
+    ///
+    /// # Panics
+    /// When there is not one colour or not one sum per Gaussian, or `target` is not of the map's size.
+    pub fn residual_adjoint(
+        &self,
+        colours: &[[f32; 3]],
+        background: [f32; 3],
+        target: &[f32],
+        sums: &mut [[f32; 3]],
+    ) -> f64 {
+        self.residual_adjoint_tiles(colours, background, target, sums, &mut vec![0.0; self.grid.len()])
+    }
+
+    /// [`ColourMap::residual_adjoint`] that leaves the sum of squares of each tile in `squares`, 0 for tiles that are left out.
+    ///
+    /// The squares are summed in binary64: on each lane over the blocks of the tile, row-major, and the channels of each; the
+    /// lanes folded `i` with `i+8`, `i+4`, `i+2`, `i+1`; the tiles in ascending order.
+    ///
+    /// # Panics
+    /// As [`ColourMap::residual_adjoint`], and when there is not one of `squares` per tile.
+    pub fn residual_adjoint_tiles(
+        &self,
+        colours: &[[f32; 3]],
+        background: [f32; 3],
+        target: &[f32],
+        sums: &mut [[f32; 3]],
+        squares: &mut [f64],
+    ) -> f64 {
+        let _span = debug_span!("colour_map_residual_adjoint", gaussians = colours.len()).entered();
+        self.assert_colours(colours);
+        self.assert_image(target);
+        assert_eq!(squares.len(), self.grid.len(), "one sum of squares per tile");
+        squares.fill(0.0);
+        let background = finite_background(background);
+        let squares_of = Disjoint::new(squares);
+        self.sum_tiles(
+            sums,
+            |tile, record, place, to, Pixels { three: pixels, .. }| {
+                let sum = dispatch(self.level, Residual { record, place, colours, background, target, pixels, to });
+                // SAFETY: a tile is taken once.
+                unsafe { squares_of.part(tile..tile + 1)[0] = sum };
+            },
+            |sum: [f32; 3]| sum,
+        );
+        squares.iter().fold(0.0, |total, sum| total + sum)
+    }
+}
+
+/// Pixels of a tile, of three channels and of one.
+struct Pixels<'a> {
+    three: &'a mut [[Lanes; 3]; BLOCKS],
+    one: &'a mut [[Lanes; 1]; BLOCKS],
+}

@@ -1,0 +1,114 @@
+//! The weights of a tile, stored: its splats front to back, and for each the blocks on which it is drawn.
+
+use super::super::blend::{BLOCKS, Lanes, Sink, Transmittance, Walk};
+use super::super::project::Splat;
+use super::super::sort::Entry;
+use crate::simd::{Operation, Simd};
+
+const _: () = assert!(BLOCKS <= 1 << u8::BITS);
+
+/// Weights `α·T` of a tile. A *hit* is a splat and a block of 4×4 pixels on one of which its weight is not zero.
+#[derive(Debug, Default)]
+pub(super) struct Record {
+    /// Gaussian of each splat that has hits, in drawing order.
+    pub gaussians: Vec<u32>,
+    /// End of each splat's hits.
+    pub ends: Vec<u32>,
+    /// Block of each hit, ascending for each splat.
+    pub blocks: Vec<u8>,
+    /// Weights of each hit.
+    pub weights: Vec<Lanes>,
+    /// Transmittance behind all splats, one value per block; zero outside the image.
+    pub light: Vec<Lanes>,
+}
+
+impl Record {
+    /// Bytes of its arrays.
+    pub(super) fn bytes(&self) -> usize {
+        size_of_val(&*self.gaussians)
+            + size_of_val(&*self.ends)
+            + size_of_val(&*self.blocks)
+            + size_of_val(&*self.weights)
+            + size_of_val(&*self.light)
+    }
+
+    /// The splats: place in the record, Gaussian, hits.
+    #[inline(always)]
+    pub(super) fn splats(&self) -> impl Iterator<Item = (usize, u32, std::ops::Range<usize>)> + '_ {
+        let mut from = 0;
+        self.gaussians.iter().zip(&self.ends).enumerate().map(move |(at, (&gaussian, &end))| {
+            let hits = from..end as usize;
+            from = hits.end;
+            (at, gaussian, hits)
+        })
+    }
+}
+
+/// Fills a record.
+pub(super) struct RecordTile<'a> {
+    pub walk: Walk<'a>,
+    pub light: &'a mut Transmittance,
+    pub record: &'a mut Record,
+}
+
+impl Operation for RecordTile<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let record = self.record;
+        record.gaussians.clear();
+        record.ends.clear();
+        record.blocks.clear();
+        record.weights.clear();
+        self.walk.run(s, self.light, &mut Recorder { record, hits: 0 });
+        record.light.clear();
+        record.light.resize(BLOCKS, Lanes::ZERO);
+        for (block, light) in record.light.iter_mut().enumerate() {
+            s.store(self.light.last(s, block), &mut light.0);
+        }
+        debug_assert!(record.blocks.len() == record.weights.len());
+    }
+}
+
+/// Writes hits behind one another. `blocks` and `weights` have room for a splat's worth of them from `begin` to `end`.
+struct Recorder<'a> {
+    record: &'a mut Record,
+    /// Hits so far.
+    hits: usize,
+}
+
+impl<S: Simd> Sink<S> for Recorder<'_> {
+    type Paint = ();
+
+    #[inline(always)]
+    fn begin(&mut self, _: S, _: &Splat) {
+        self.record.blocks.reserve(BLOCKS);
+        self.record.weights.reserve(BLOCKS);
+    }
+
+    #[inline(always)]
+    unsafe fn add(&mut self, s: S, at: usize, weight: S::F32, (): &()) {
+        debug_assert!(self.hits < self.record.weights.capacity() && self.hits < self.record.blocks.capacity());
+        // SAFETY: a splat visits each block at most once, and there was room for all of them when it began.
+        unsafe {
+            *self.record.blocks.as_mut_ptr().add(self.hits) = at as u8;
+            s.store_ptr(weight, self.record.weights.as_mut_ptr().add(self.hits).cast());
+        }
+        // A block without a hit is written over by the next.
+        self.hits += usize::from(s.any(s.lt(s.splat(0.0), weight)));
+    }
+
+    #[inline(always)]
+    fn end(&mut self, entry: &Entry) {
+        let record = &mut *self.record;
+        if self.hits > record.blocks.len() {
+            // SAFETY: as many were written.
+            unsafe {
+                record.blocks.set_len(self.hits);
+                record.weights.set_len(self.hits);
+            }
+            record.gaussians.push(entry.index);
+            record.ends.push(u32::try_from(self.hits).expect("fewer than 2³² hits in a tile"));
+        }
+    }
+}

@@ -1,0 +1,308 @@
+//! The linear map of the colours: the bits of the image, adjointness, the plain version, extremes.
+
+use super::*;
+
+/// Values between −1 and 1.
+fn noise(len: usize, seed: u64) -> Vec<f32> {
+    let mut random = Random(seed);
+    (0..len).map(|_| random.range(-1.0, 1.0)).collect()
+}
+
+fn colours(len: usize, seed: u64) -> Vec<[f32; 3]> {
+    noise(3 * len, seed).as_chunks().0.to_vec()
+}
+
+/// A map with its inputs, of the budget of weights `bytes`.
+fn map(level: Level, scene: &OwnedGaussians, projection: &Projection, size: [usize; 2], bytes: usize) -> ColourMap {
+    let mut map = ColourMap::with_budget(level, bytes);
+    map.prepare(&scene.gaussians(), projection, size);
+    map
+}
+
+fn forward(map: &ColourMap, colours: &[[f32; 3]], background: [f32; 3]) -> Vec<f32> {
+    let mut image = vec![f32::NAN; 3 * map.size()[0] * map.size()[1]];
+    map.forward(colours, background, &mut image);
+    image
+}
+
+fn adjoint(map: &ColourMap, residual: &[f32]) -> Vec<[f32; 3]> {
+    let mut sums = vec![[f32::NAN; 3]; map.gaussians()];
+    map.adjoint(residual, &mut sums);
+    sums
+}
+
+fn normal(map: &ColourMap, colours: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let mut sums = vec![[f32::NAN; 3]; map.gaussians()];
+    map.normal(colours, &mut sums);
+    sums
+}
+
+/// Bits of everything that a map gives.
+fn everything_of(map: &ColourMap, colours: &[[f32; 3]], target: &[f32]) -> Vec<u32> {
+    let mut all = forward(map, colours, [0.5, 0.25, 0.75]);
+    all.extend(adjoint(map, target).as_flattened());
+    all.extend(normal(map, colours).as_flattened());
+    let mut sums = vec![[f32::NAN; 3]; map.gaussians()];
+    let squares = map.residual_adjoint(colours, [0.5, 0.25, 0.75], target, &mut sums);
+    all.extend(sums.as_flattened());
+    let mut rows = vec![f32::NAN; map.gaussians()];
+    map.row_sums(&mut rows);
+    all.extend(rows);
+    let mut columns = vec![[f32::NAN; 2]; map.gaussians()];
+    map.column_sums(&mut columns);
+    all.extend(columns.as_flattened());
+    let mut bits: Vec<u32> = all.iter().map(|v| v.to_bits()).collect();
+    bits.extend([squares.to_bits() as u32, (squares.to_bits() >> 32) as u32]);
+    bits
+}
+
+fn assert_same(found: &[f32], expected: &[f32], what: &str) {
+    let bits = |v: &[f32]| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+    assert!(bits(found) == bits(expected), "{what}");
+}
+
+fn dot(a: &[f32], b: &[f32]) -> f64 {
+    a.iter().zip(b).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum()
+}
+
+/// Scenes with what makes each different: separable, turned, opaque and deep, extreme.
+fn scenes() -> Vec<OwnedGaussians> {
+    let mut deep = ordinary(900, true, 6);
+    deep.opacity.fill(1.0);
+    deep.mean.iter_mut().for_each(|mean| mean[2] = 1.0);
+    deep.scale.iter_mut().for_each(|scale| *scale = scale.map(|s| 4.0 * s));
+    let mut clear = ordinary(900, false, 7);
+    clear.opacity.iter_mut().for_each(|opacity| *opacity *= 0.02);
+    vec![ordinary(3000, false, 3), ordinary(3000, true, 4), extreme(500, 5), deep, clear, OwnedGaussians::default()]
+}
+
+#[test]
+fn forward_has_the_bits_of_the_image_with_the_same_colours() {
+    for size in [[131, 77], [1, 1], [64, 32]] {
+        for projection in projections(size[0], size[1]) {
+            for mut scene in scenes() {
+                let background = [0.5, -0.0, 0.75];
+                let map = map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES);
+                let colours = colours(scene.mean.len(), 8);
+                scene.rgb.clone_from(&colours);
+                let request = Request::colour(size[0], size[1], background);
+                let image = render(Level::detect(), &scene.gaussians(), &projection, &request);
+                assert_same(&forward(&map, &colours, background), &image.rgb, "the image differs");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_level_thread_count_and_budget_gives_the_same_bits() {
+    let size = [131, 77];
+    for projection in projections(size[0], size[1]) {
+        for scene in scenes() {
+            let (colours, target) = (colours(scene.mean.len(), 9), noise(3 * size[0] * size[1], 10));
+            let run = |level, bytes| everything_of(&map(level, &scene, &projection, size, bytes), &colours, &target);
+            let expected = run(Level::scalar(), WEIGHT_BYTES);
+            for level in Level::available() {
+                for threads in [1, 2, 3, 8] {
+                    for bytes in [0, 100_000, WEIGHT_BYTES] {
+                        let found = pool(threads).install(|| run(level, bytes));
+                        assert!(found == expected, "{} with {threads} threads, {bytes} bytes", level.name());
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_adjoint_is_one() {
+    for size in [[131, 77], [33, 65], [1, 1]] {
+        for projection in projections(size[0], size[1]) {
+            for scene in scenes() {
+                let map = map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES);
+                let x = colours(scene.mean.len(), 11);
+                let y = noise(3 * size[0] * size[1], 12);
+                let (ax, aty) = (forward(&map, &x, [0.0; 3]), adjoint(&map, &y));
+                let (one, other) = (dot(&ax, &y), dot(x.as_flattened(), aty.as_flattened()));
+                let scale = (dot(&ax, &ax) * dot(&y, &y)).sqrt().max(1e-30);
+                assert!((one - other).abs() <= 1e-6 * scale, "{one} and {other} of {scale}");
+            }
+        }
+    }
+}
+
+#[test]
+fn normal_has_the_bits_of_the_adjoint_of_the_forward_map() {
+    let size = [131, 77];
+    for projection in projections(size[0], size[1]) {
+        for scene in scenes() {
+            let map = map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES);
+            let mut x = colours(scene.mean.len(), 13);
+            // Magnitudes down to the smallest, of either sign.
+            for (i, x) in x.iter_mut().enumerate() {
+                *x = x.map(|v| v * [1.0, 1e-38, 1e-44, 1e30][i % 4]);
+            }
+            let expected = adjoint(&map, &forward(&map, &x, [0.0; 3]));
+            assert_same(normal(&map, &x).as_flattened(), expected.as_flattened(), "normal differs");
+            let mut rows = vec![f32::NAN; map.gaussians()];
+            map.row_sums(&mut rows);
+            let ones = normal(&map, &vec![[1.0; 3]; map.gaussians()]);
+            assert_same(&rows, &ones.iter().map(|v| v[1]).collect::<Vec<_>>(), "row sums differ");
+            let mut columns = vec![[f32::NAN; 2]; map.gaussians()];
+            map.column_sums(&mut columns);
+            let ones = adjoint(&map, &vec![1.0; 3 * size[0] * size[1]]);
+            assert_same(
+                &columns.iter().map(|v| v[0]).collect::<Vec<_>>(),
+                &ones.iter().map(|v| v[2]).collect::<Vec<_>>(),
+                "column sums differ",
+            );
+        }
+    }
+}
+
+#[test]
+fn sums_agree_with_the_plain_version() {
+    let size = [61, 47];
+    let pixels = size[0] * size[1];
+    for projection in projections(size[0], size[1]) {
+        for (scene, tolerance, doubt) in [
+            (ordinary(700, false, 14), 1e-5, 1e-4),
+            (ordinary(700, true, 15), 1e-5, 1e-4),
+            (extreme(300, 16), 5e-4, 5e-3),
+        ] {
+            let request = everything(size[0], size[1]);
+            let (image, weights) = reference::weights(&scene.gaussians(), &projection, &request);
+            // Pixels that rounding may decide otherwise are no part of the comparison.
+            let mut residual = noise(3 * pixels, 17);
+            for (at, value) in residual.iter_mut().enumerate() {
+                if image.margin[at % pixels] <= doubt {
+                    *value = f32::NAN;
+                }
+            }
+            let map = map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES);
+            let mut expected = vec![[0.0_f64; 3]; map.gaussians()];
+            let mut sizes = vec![0.0_f64; map.gaussians()];
+            for w in weights.iter().filter(|w| image.margin[w.pixel] > doubt) {
+                for c in 0..3 {
+                    expected[w.gaussian][c] += w.weight * f64::from(residual[c * pixels + w.pixel]);
+                }
+                sizes[w.gaussian] += w.weight;
+            }
+            for (i, found) in adjoint(&map, &residual).iter().enumerate() {
+                for c in 0..3 {
+                    let error = (f64::from(found[c]) - expected[i][c]).abs();
+                    let allowed = tolerance * sizes[i].max(1.0);
+                    assert!(error <= allowed, "{i}: {} expected {}", found[c], expected[i][c]);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_adjoint_of_a_residual_is_that_of_target_less_image() {
+    let size = [131, 77];
+    let pixels = size[0] * size[1];
+    for projection in projections(size[0], size[1]) {
+        for scene in scenes() {
+            let map = map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES);
+            let (colours, background) = (colours(scene.mean.len(), 18), [0.1, 0.2, 0.3]);
+            let mut target = noise(3 * pixels, 19);
+            target[pixels + 5] = f32::NAN;
+            target[7] = f32::INFINITY;
+            let image = forward(&map, &colours, background);
+            let residual: Vec<f32> = target.iter().zip(&image).map(|(t, i)| t - i).collect();
+            let mut sums = vec![[f32::NAN; 3]; map.gaussians()];
+            let mut squares = vec![f64::NAN; map.tiles()[0] * map.tiles()[1]];
+            let total = map.residual_adjoint_tiles(&colours, background, &target, &mut sums, &mut squares);
+            assert_same(sums.as_flattened(), adjoint(&map, &residual).as_flattened(), "sums differ");
+            let finite: Vec<f32> = residual.iter().map(|r| if r.is_finite() { *r } else { 0.0 }).collect();
+            let expected = dot(&finite, &finite);
+            assert!((total - expected).abs() <= 1e-12 * expected, "{total}, expected {expected}");
+            assert!(total.to_bits() == squares.iter().fold(0.0, |a, b| a + b).to_bits());
+        }
+    }
+}
+
+#[test]
+fn gaussians_that_are_not_finite_have_no_sums_and_change_nothing() {
+    let size = [70, 50];
+    for projection in projections(size[0], size[1]) {
+        let scene = ordinary(300, true, 20);
+        let mut spoiled = scene.clone();
+        spoiled.push([0.0, f32::NAN, 1.0], [0.5; 3], [1.0, 0.0, 0.0, 0.0], 0.9, [0.0; 3]);
+        spoiled.push([0.0, 0.0, 0.5], [0.5, f32::INFINITY, 0.5], [1.0, 0.0, 0.0, 0.0], 0.9, [0.0; 3]);
+        spoiled.push([0.0, 0.0, 0.5], [0.5; 3], [1.0, 0.0, 0.0, 0.0], f32::NAN, [0.0; 3]);
+        // Colours of the scene are not looked at.
+        spoiled.rgb.fill([f32::NAN; 3]);
+        let residual = noise(3 * size[0] * size[1], 21);
+        let clean = adjoint(&map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES), &residual);
+        let found = adjoint(&map(Level::detect(), &spoiled, &projection, size, WEIGHT_BYTES), &residual);
+        assert_same(found[..300].as_flattened(), clean.as_flattened(), "sums differ");
+        assert_eq!(found[300..], [[0.0; 3]; 3]);
+    }
+}
+
+#[test]
+fn huge_residuals_are_summed_and_those_that_are_not_finite_count_as_zero() {
+    let size = [70, 50];
+    let pixels = size[0] * size[1];
+    let scene = ordinary(300, false, 22);
+    let map = map(Level::detect(), &scene, &projections(70, 50)[0], size, WEIGHT_BYTES);
+    let huge: Vec<f32> = noise(3 * pixels, 23).iter().map(|v| v * 1e30).collect();
+    assert!(adjoint(&map, &huge).as_flattened().iter().all(|v| v.is_finite()));
+    let (mut bad, mut zero) = (noise(3 * pixels, 24), noise(3 * pixels, 24));
+    for (at, value) in [(0, f32::NAN), (77, f32::INFINITY), (pixels, f32::NEG_INFINITY), (3 * pixels - 1, f32::NAN)] {
+        (bad[at], zero[at]) = (value, 0.0);
+    }
+    assert_same(adjoint(&map, &bad).as_flattened(), adjoint(&map, &zero).as_flattened(), "sums differ");
+    let (mut bad, mut zero) = (colours(300, 25), colours(300, 25));
+    for (at, value) in [(0, f32::NAN), (1, f32::INFINITY), (299, f32::NEG_INFINITY)] {
+        (bad[at][at % 3], zero[at][at % 3]) = (value, 0.0);
+    }
+    assert_same(&forward(&map, &bad, [0.5; 3]), &forward(&map, &zero, [0.5; 3]), "images differ");
+}
+
+#[test]
+fn tiles_left_out_are_no_part_of_the_map() {
+    let size = [131, 77];
+    let plane = size[0] * size[1];
+    let [width, height] = TILE_PIXELS;
+    for projection in projections(size[0], size[1]) {
+        let scene = ordinary(3000, true, 26);
+        let full = map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES);
+        let mut part = ColourMap::new(Level::detect());
+        part.prepare_tiles(&scene.gaussians(), &projection, size, |tile| tile % 2 == 1);
+        let inside = |at: usize| {
+            let (x, y) = (at % plane % size[0], at % plane / size[0]);
+            (y / height * part.tiles()[0] + x / width) % 2 == 1
+        };
+        let (colours, target) = (colours(3000, 27), noise(3 * plane, 28));
+        let masked: Vec<f32> = target.iter().enumerate().map(|(i, &v)| if inside(i) { v } else { 0.0 }).collect();
+        let (found, expected) = (adjoint(&part, &target), adjoint(&full, &masked));
+        // Sums of zeros aside.
+        assert!(found == expected);
+        let mut image = vec![7.0; 3 * plane];
+        part.forward(&colours, [0.5; 3], &mut image);
+        let whole = forward(&full, &colours, [0.5; 3]);
+        for (i, value) in image.iter().enumerate() {
+            assert_eq!(*value, if inside(i) { whole[i] } else { 7.0 });
+        }
+        let mut squares = vec![f64::NAN; part.tiles()[0] * part.tiles()[1]];
+        part.residual_adjoint_tiles(&colours, [0.5; 3], &target, &mut vec![[0.0; 3]; 3000], &mut squares);
+        assert!(squares.iter().enumerate().all(|(tile, &sum)| (sum > 0.0) == (tile % 2 == 1)));
+    }
+}
+
+#[test]
+fn a_map_can_be_prepared_again_for_another_scene_and_size() {
+    let mut again = ColourMap::with_budget(Level::detect(), 200_000);
+    for (count, size) in [(3000, [131, 77]), (10, [5, 5]), (0, [0, 7]), (2000, [200, 90]), (700, [131, 77])] {
+        let (scene, projection) = (ordinary(count, count % 20 == 0, 29), projections(size[0], size[1])[0]);
+        again.prepare(&scene.gaussians(), &projection, size);
+        let (colours, target) = (colours(count, 30), noise(3 * size[0] * size[1], 31));
+        let fresh = map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES);
+        assert!(everything_of(&again, &colours, &target) == everything_of(&fresh, &colours, &target));
+    }
+    let empty = ColourMap::new(Level::detect());
+    assert!(normal(&empty, &[]).is_empty() && forward(&empty, &[], [0.5; 3]).is_empty());
+}
