@@ -11,6 +11,7 @@ pub mod activation;
 pub mod attention;
 pub mod change;
 pub mod feed_forward;
+pub mod flow;
 pub mod gemm;
 pub mod harmonics;
 pub mod level;

@@ -101,6 +101,11 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
+    unsafe fn load_halves(self, low: *const f32, high: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe { F(_mm256_loadu_ps(low), _mm256_loadu_ps(high)) }
+    }
+    #[inline(always)]
     unsafe fn repeat_four(self, from: *const f32) -> F {
         // SAFETY: the caller's; the token proves AVX2.
         unsafe {

@@ -189,6 +189,11 @@ impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
         x
     }
     #[inline(always)]
+    unsafe fn load_halves(self, low: *const f32, high: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe { _mm512_insertf32x8::<1>(_mm512_castps256_ps512(_mm256_loadu_ps(low)), _mm256_loadu_ps(high)) }
+    }
+    #[inline(always)]
     unsafe fn repeat_four(self, from: *const f32) -> F {
         // SAFETY: the caller's; the token proves AVX-512.
         unsafe { _mm512_broadcast_f32x4(_mm_loadu_ps(from)) }

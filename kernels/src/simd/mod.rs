@@ -199,6 +199,19 @@ pub trait Simd: Copy + Send + Sync + 'static {
         let four = unsafe { from.cast::<[f32; 4]>().read_unaligned() };
         self.from_array(std::array::from_fn(|i| four[i / 4]))
     }
+    /// Eight values on lanes 0–7, eight others on lanes 8–15.
+    ///
+    /// # Safety
+    /// Both are readable for eight values; no alignment is needed.
+    #[inline(always)]
+    unsafe fn load_halves(self, low: *const f32, high: *const f32) -> Self::F32 {
+        let mut all = [0.0; LANES];
+        // SAFETY: the caller's.
+        let (low, high) = unsafe { (low.cast::<[f32; 8]>().read_unaligned(), high.cast::<[f32; 8]>().read_unaligned()) };
+        all[..8].copy_from_slice(&low);
+        all[8..].copy_from_slice(&high);
+        self.from_array(all)
+    }
     /// Hints that the cache line at `at` is read soon. Any address is allowed.
     #[inline(always)]
     fn prefetch<T>(self, at: *const T) {

@@ -87,6 +87,11 @@ impl Simd for Neon {
         x
     }
     #[inline(always)]
+    unsafe fn load_halves(self, low: *const f32, high: *const f32) -> F {
+        // SAFETY: the caller's; the token proves NEON.
+        unsafe { F([vld1q_f32(low), vld1q_f32(low.add(4)), vld1q_f32(high), vld1q_f32(high.add(4))]) }
+    }
+    #[inline(always)]
     unsafe fn repeat_four(self, from: *const f32) -> F {
         // SAFETY: the caller's; the token proves NEON.
         F([unsafe { vld1q_f32(from) }; 4])

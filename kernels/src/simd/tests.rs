@@ -80,6 +80,7 @@ impl Operation for AllOperations<'_> {
         unsafe {
             f(s.repeat_four(self.0[4..].as_ptr()));
             f(s.spread_four(self.0[4..].as_ptr()));
+            f(s.load_halves(self.0[3..].as_ptr(), self.1[5..].as_ptr()));
         }
         f(s.splat(s.sum(a)));
         f(s.splat(s.max_lane(a)));

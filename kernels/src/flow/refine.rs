@@ -1,0 +1,322 @@
+//! Variational refinement: the linear systems of the fixed-point iterations. `relax.rs` solves them.
+
+use super::Options;
+use super::pyramid::{Plane, ROWS};
+use super::relax::{A12, EDGE_X, EDGE_Y, INVERSE_U, INVERSE_V, RIGHT_U, RIGHT_V, SYSTEM, relax};
+use super::sample::{Sampler, column};
+use super::split::{Columns, Places, Split};
+use crate::Level;
+use crate::parallel::for_each_chunk;
+use crate::simd::{LANES, Operation, Simd, dispatch};
+
+/// ε², under every square root.
+const EPSILON: f32 = 1e-6;
+/// ζ², added to the squared gradients that normalise the data terms, and to the system's diagonal.
+const ZETA: f32 = 1e-2;
+
+/// Constants of a pixel: the flow W that the pictures were warped by, and the linearised data terms, each divided by the length of its
+/// gradient: brightness (x, y, rest), derivative along x (x, y, rest), derivative along y (x, y, rest).
+const CONSTANTS: usize = 11;
+
+/// `flow` (`[h, w]` each) improved by `options.refinement` fixed-point iterations.
+pub(super) fn refine(level: Level, first: &Plane, second: &Plane, flow: &mut [Vec<f32>; 2], options: &Options) {
+    let (h, w) = (first.h, first.w);
+    let columns = Columns::new(w);
+    let mut constants = Split::<CONSTANTS>::new(h, &columns);
+    let mut total = Split::<2>::new(h, &columns);
+    let places = total.places;
+    for (y, block) in total.inside().chunks_mut(places.block()).enumerate() {
+        for (kind, plane) in flow.iter().enumerate() {
+            places.put(block, kind, &plane[y * w..][..w]);
+        }
+    }
+    linearise(level, first, second, flow, &mut constants);
+    let mut system = Split::<SYSTEM>::new(h, &columns);
+    for _ in 0..options.refinement {
+        let (places, block) = (system.places, system.places.block());
+        for_each_chunk(system.inside(), ROWS * block, |index, rows| {
+            let first = index * ROWS;
+            let (columns, constants, total) = (&columns, &constants, &total);
+            dispatch(level, Assemble { rows, places, first, h, columns, constants, total, options });
+        });
+        relax(level, &columns, h, &system, &mut total);
+    }
+    for (kind, plane) in flow.iter_mut().enumerate() {
+        for (y, row) in plane.chunks_mut(w).enumerate() {
+            total.take(y, kind, row);
+        }
+    }
+}
+
+/// Warps the second picture by the flow and fills `constants`.
+fn linearise(level: Level, first: &Plane, second: &Plane, flow: &[Vec<f32>; 2], constants: &mut Split<CONSTANTS>) {
+    let size @ [h, w] = [first.h, first.w];
+    let [u, v] = flow;
+    let mut change = Plane::new(size);
+    let stride = change.stride;
+    for_each_chunk(change.inside(), ROWS * stride, |index, rows| {
+        dispatch(level, Warp { first, second, u, v, y: index * ROWS, rows, stride });
+    });
+    change.replicate();
+    let mut mean = Plane::new(size);
+    mean.fill(level, |y, out| {
+        for (out, (a, d)) in out.iter_mut().zip(first.row(y).iter().zip(change.row(y))) {
+            *out = a + 0.5 * d;
+        }
+    });
+    mean.replicate();
+    let (dx, dy) = (along_x(level, &mean), along_y(level, &mean));
+    let (xx, xy, yy) = (along_x(level, &dx), along_y(level, &dx), along_y(level, &dy));
+    let (xz, yz) = (along_x(level, &change), along_y(level, &change));
+    let (places, block) = (constants.places, constants.places.block());
+    for_each_chunk(constants.inside(), ROWS * block, |index, rows| {
+        let planes = [&dx, &dy, &change, &xx, &xy, &xz, &yy, &yz];
+        dispatch(level, Normalise { planes, u, v, y: index * ROWS, size: [h, w], places, rows });
+    });
+}
+
+fn along_x(level: Level, plane: &Plane) -> Plane {
+    let mut out = Plane::new([plane.h, plane.w]);
+    out.fill(level, |y, out| {
+        let n = out.len();
+        let row = &plane.data[plane.at(y as isize, -1)..][..n + 2];
+        for x in 0..n {
+            out[x] = 0.5 * (row[x + 2] - row[x]);
+        }
+    });
+    out.replicate();
+    out
+}
+
+fn along_y(level: Level, plane: &Plane) -> Plane {
+    let mut out = Plane::new([plane.h, plane.w]);
+    out.fill(level, |y, out| {
+        let n = out.len();
+        let row = |y: isize| &plane.data[plane.at(y, 0)..][..n];
+        let (a, b) = (row(y as isize - 1), row(y as isize + 1));
+        for x in 0..n {
+            out[x] = 0.5 * (b[x] - a[x]);
+        }
+    });
+    out.replicate();
+    out
+}
+
+/// The second picture at x + W less the first, for some rows.
+struct Warp<'a> {
+    first: &'a Plane,
+    second: &'a Plane,
+    u: &'a [f32],
+    v: &'a [f32],
+    y: usize,
+    rows: &'a mut [f32],
+    stride: usize,
+}
+
+impl Operation for Warp<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let Warp { first, second, u, v, .. } = self;
+        let w = first.w;
+        let sampler = Sampler { h: first.h, w, stride: second.stride };
+        let image = &second.data[second.at(0, 0)..];
+        for (i, row) in self.rows.chunks_mut(self.stride).enumerate() {
+            let y = self.y + i;
+            let row = &mut row[super::pyramid::PAD..][..w];
+            for x in (0..w).step_by(LANES) {
+                let n = LANES.min(w - x);
+                let at = y * w + x;
+                let (u, v) = (s.load_partial(&u[at..at + n], 0.0), s.load_partial(&v[at..at + n], 0.0));
+                let taps = sampler.taps(s, sampler.columns(s, x, u), sampler.row(s, y, v));
+                let own = s.load_partial(&first.row(y)[x..x + n], 0.0);
+                s.store_partial(s.sub(taps.take(s, image), own), &mut row[x..x + n]);
+            }
+        }
+    }
+}
+
+/// Constants of some rows.
+struct Normalise<'a> {
+    planes: [&'a Plane; 8],
+    u: &'a [f32],
+    v: &'a [f32],
+    y: usize,
+    size: [usize; 2],
+    places: Places<CONSTANTS>,
+    rows: &'a mut [f32],
+}
+
+impl Operation for Normalise<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let [h, w] = self.size;
+        let whole = w.next_multiple_of(LANES);
+        let mut row = vec![0.0; (CONSTANTS - 2) * whole];
+        for (i, block) in self.rows.chunks_mut(self.places.block()).enumerate() {
+            let y = self.y + i;
+            let planes = self.planes.map(|plane| plane.row(y));
+            let (u, v) = (&self.u[y * w..][..w], &self.v[y * w..][..w]);
+            self.places.put(block, 0, u);
+            self.places.put(block, 1, v);
+            let (bottom, right) = (s.splat((h - 1) as f32), s.splat((w - 1) as f32));
+            for x in (0..w).step_by(LANES) {
+                let n = LANES.min(w - x);
+                let take = |from: &[f32]| s.load_partial(&from[x..x + n], 0.0);
+                let [dx, dy, dz, xx, xy, xz, yy, yz] = planes.map(take);
+                // Where the flow leaves the picture there are no data.
+                let at_x = s.add(take(u), column(s, x));
+                let at_y = s.add(take(v), s.splat(y as f32));
+                let zero = s.splat(0.0);
+                let inside = s.and(
+                    s.and(s.le(zero, at_x), s.le(at_x, right)),
+                    s.and(s.le(zero, at_y), s.le(at_y, bottom)),
+                );
+                let scale = |a: S::F32, b: S::F32| {
+                    let square = s.mul_add(a, a, s.mul_add(b, b, s.splat(ZETA)));
+                    s.keep(inside, s.div(s.splat(1.0), s.sqrt(square)))
+                };
+                let (brightness, slope_x, slope_y) = (scale(dx, dy), scale(xx, xy), scale(xy, yy));
+                let values = [
+                    (dx, brightness),
+                    (dy, brightness),
+                    (dz, brightness),
+                    (xx, slope_x),
+                    (xy, slope_x),
+                    (xz, slope_x),
+                    (xy, slope_y),
+                    (yy, slope_y),
+                    (yz, slope_y),
+                ];
+                for (k, (value, scale)) in values.into_iter().enumerate() {
+                    s.store(s.mul(value, scale), &mut row[k * whole + x..]);
+                }
+            }
+            for kind in 2..CONSTANTS {
+                self.places.put(block, kind, &row[(kind - 2) * whole..][..w]);
+            }
+        }
+    }
+}
+
+/// The system of some rows at the present flow.
+struct Assemble<'a> {
+    rows: &'a mut [f32],
+    places: Places<SYSTEM>,
+    first: usize,
+    h: usize,
+    columns: &'a Columns,
+    constants: &'a Split<CONSTANTS>,
+    total: &'a Split<2>,
+    options: &'a Options,
+}
+
+impl Operation for Assemble<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let Assemble { rows, places, first, h, columns, constants, total, options } = self;
+        let whole = columns.whole;
+        let edges = Edges { columns, total, h, alpha: options.smoothness };
+        // Weights of the edges from the row above, even and odd columns.
+        let mut above = [vec![0.0; whole], vec![0.0; whole]];
+        let mut right = [vec![0.0; whole], vec![0.0; whole]];
+        let mut below = [vec![0.0; whole], vec![0.0; whole]];
+        if first > 0 {
+            edges.row(s, first - 1, &mut right, &mut above);
+        }
+        for (i, block) in rows.chunks_mut(places.block()).enumerate() {
+            let y = first + i;
+            edges.row(s, y, &mut right, &mut below);
+            for parity in 0..2 {
+                for column in (0..whole).step_by(LANES) {
+                    let constant =
+                        |kind: usize| s.load(&constants.data[constants.places.start(y as isize, parity, kind) + column..]);
+                    let flow = |kind: usize| s.load(&total.data[total.places.start(y as isize, parity, kind) + column..]);
+                    let [w_u, w_v] = [0, 1].map(constant);
+                    let (du, dv) = (s.sub(flow(0), w_u), s.sub(flow(1), w_v));
+                    let terms = [2, 5, 8].map(|kind| [kind, kind + 1, kind + 2].map(constant));
+                    let rest = terms.map(|[x, y, z]| s.mul_add(x, du, s.mul_add(y, dv, z)));
+                    let epsilon = s.splat(EPSILON);
+                    let brightness = s.mul_add(rest[0], rest[0], epsilon);
+                    let slope = s.mul_add(rest[1], rest[1], s.mul_add(rest[2], rest[2], epsilon));
+                    let brightness = s.div(s.splat(options.brightness), s.sqrt(brightness));
+                    let slope = s.div(s.splat(options.gradient), s.sqrt(slope));
+                    let (mut a11, mut a12, mut a22) = (s.splat(ZETA), s.splat(0.0), s.splat(ZETA));
+                    let (mut b1, mut b2) = (s.splat(0.0), s.splat(0.0));
+                    for ([x, y, z], weight) in terms.into_iter().zip([brightness, slope, slope]) {
+                        let (wx, wy) = (s.mul(weight, x), s.mul(weight, y));
+                        a11 = s.mul_add(wx, x, a11);
+                        a12 = s.mul_add(wx, y, a12);
+                        a22 = s.mul_add(wy, y, a22);
+                        b1 = s.neg_mul_add(wx, z, b1);
+                        b2 = s.neg_mul_add(wy, z, b2);
+                    }
+                    let b1 = s.mul_add(a11, w_u, s.mul_add(a12, w_v, b1));
+                    let b2 = s.mul_add(a12, w_u, s.mul_add(a22, w_v, b2));
+                    // The edge to the left is the one to the right of the neighbour there, which has the other parity.
+                    let to_right = s.load(&right[parity][column..]);
+                    let to_left = if parity == 1 {
+                        s.load(&right[0][column..])
+                    } else {
+                        let mut lanes = [0.0; LANES];
+                        let from = &right[1][column.saturating_sub(1)..];
+                        let skip = usize::from(column == 0);
+                        lanes[skip..].copy_from_slice(&from[..LANES - skip]);
+                        s.from_array(lanes)
+                    };
+                    let to_below = s.load(&below[parity][column..]);
+                    let to_above = s.load(&above[parity][column..]);
+                    let edges = s.add(s.add(to_left, to_right), s.add(to_above, to_below));
+                    let exists = s.load(&columns.exists[parity][column..]);
+                    let mut put = |kind: usize, value: S::F32| s.store(value, &mut block[places.within(parity, kind) + column..]);
+                    put(EDGE_X, to_right);
+                    put(EDGE_Y, to_below);
+                    put(A12, a12);
+                    put(INVERSE_U, s.div(exists, s.add(a11, edges)));
+                    put(INVERSE_V, s.div(exists, s.add(a22, edges)));
+                    put(RIGHT_U, b1);
+                    put(RIGHT_V, b2);
+                }
+            }
+            std::mem::swap(&mut above, &mut below);
+        }
+    }
+}
+
+/// Weights of the edges of the grid of pixels.
+struct Edges<'a> {
+    columns: &'a Columns,
+    total: &'a Split<2>,
+    h: usize,
+    alpha: f32,
+}
+
+impl Edges<'_> {
+    /// α / √(|∇u|² + |∇v|² + ε²) of row `y` with forward differences, for the edges to the right and down; 0 where there is none.
+    #[inline(always)]
+    fn row<S: Simd>(&self, s: S, y: usize, right: &mut [Vec<f32>; 2], below: &mut [Vec<f32>; 2]) {
+        let last = s.splat(if y + 1 < self.h { 1.0 } else { 0.0 });
+        let (places, data) = (self.total.places, &self.total.data);
+        for parity in 0..2 {
+            for column in (0..self.columns.whole).step_by(LANES) {
+                let to_right = s.load(&self.columns.right[parity][column..]);
+                let to_below = s.mul(last, s.load(&self.columns.exists[parity][column..]));
+                let mut square = s.splat(EPSILON);
+                for kind in 0..2 {
+                    let at = |row: usize, parity: usize, column: usize| {
+                        s.load(&data[places.start(row as isize, parity, kind) + column..])
+                    };
+                    let own = at(y, parity, column);
+                    let x = s.mul(to_right, s.sub(at(y, 1 - parity, column + parity), own));
+                    let y = s.mul(to_below, s.sub(at(y + 1, parity, column), own));
+                    square = s.mul_add(x, x, s.mul_add(y, y, square));
+                }
+                let weight = s.div(s.splat(self.alpha), s.sqrt(square));
+                s.store(s.mul(weight, to_right), &mut right[parity][column..]);
+                s.store(s.mul(weight, to_below), &mut below[parity][column..]);
+            }
+        }
+    }
+}

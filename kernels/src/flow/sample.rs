@@ -1,0 +1,106 @@
+//! Pictures and fields between their pixels: bilinear, the border repeated.
+
+use crate::simd::{LANES, Simd};
+
+/// Coordinates on one axis, for every lane: the lower of two taps, the step to the upper one, the upper one's weight.
+#[derive(Clone, Copy)]
+pub(super) struct Axis<S: Simd> {
+    low: S::I32,
+    step: S::I32,
+    weight: S::F32,
+}
+
+/// The geometry of what is sampled.
+#[derive(Clone, Copy)]
+pub(super) struct Sampler {
+    pub h: usize,
+    pub w: usize,
+    /// Values from one row to the next.
+    pub stride: usize,
+}
+
+impl Sampler {
+    #[inline(always)]
+    fn axis<S: Simd>(s: S, at: S::F32, n: usize) -> Axis<S> {
+        let last = s.splat((n - 1) as f32);
+        // A comparison with NaN is false: it ends on the last value.
+        let at = s.max(s.min(at, last), s.splat(0.0));
+        let floor = s.floor(at);
+        let step = s.select_i32(s.lt(floor, last), s.splat_i32(1), s.splat_i32(0));
+        Axis { low: s.to_i32(floor), step, weight: s.sub(at, floor) }
+    }
+
+    /// Columns `x` … displaced by `u`.
+    #[inline(always)]
+    pub fn columns<S: Simd>(self, s: S, x: usize, u: S::F32) -> Axis<S> {
+        Self::axis(s, s.add(column(s, x), u), self.w)
+    }
+
+    /// Row `y` displaced by `v`.
+    #[inline(always)]
+    pub fn row<S: Simd>(self, s: S, y: usize, v: S::F32) -> Axis<S> {
+        Self::axis(s, s.add(s.splat(y as f32), v), self.h)
+    }
+
+    /// The taps of coordinates on both axes.
+    #[inline(always)]
+    pub fn taps<S: Simd>(self, s: S, x: Axis<S>, y: Axis<S>) -> Taps<S> {
+        let (row, low) = (s.to_array_i32(y.low), s.to_array_i32(x.low));
+        let (down, right) = (s.to_array_i32(y.step), s.to_array_i32(x.step));
+        let mut taps = [[0; LANES]; 4];
+        for i in 0..LANES {
+            let upper = row[i] as usize * self.stride + low[i] as usize;
+            let lower = upper + down[i] as usize * self.stride;
+            let right = right[i] as usize;
+            for (k, at) in [upper, upper + right, lower, lower + right].into_iter().enumerate() {
+                taps[k][i] = at as u32;
+            }
+        }
+        Taps { taps, x: x.weight, y: y.weight }
+    }
+}
+
+/// Four indices and two weights for every lane.
+pub(super) struct Taps<S: Simd> {
+    taps: [[u32; LANES]; 4],
+    x: S::F32,
+    y: S::F32,
+}
+
+impl<S: Simd> Taps<S> {
+    /// The values of a plane: along the row, then between the rows, a fused step each.
+    #[inline(always)]
+    pub fn take(&self, s: S, plane: &[f32]) -> S::F32 {
+        let [a, b, c, d] = std::array::from_fn(|k| {
+            let taps = &self.taps[k];
+            s.from_array(std::array::from_fn(|i| plane[taps[i] as usize]))
+        });
+        let upper = s.mul_add(self.x, s.sub(b, a), a);
+        let lower = s.mul_add(self.x, s.sub(d, c), c);
+        s.mul_add(self.y, s.sub(lower, upper), upper)
+    }
+}
+
+/// The columns from `x` on.
+#[inline(always)]
+pub(super) fn column<S: Simd>(s: S, x: usize) -> S::F32 {
+    s.to_f32(s.add_i32(s.splat_i32(x as i32), s.from_array_i32(std::array::from_fn(|i| i as i32))))
+}
+
+/// [`Taps::take`] for one value of a plane `[h, w]`.
+pub(super) fn sample_one(plane: &[f32], [h, w]: [usize; 2], x: f32, y: f32) -> f32 {
+    let axis = |at: f32, n: usize| {
+        let last = (n - 1) as f32;
+        let at = if at < last { at } else { last };
+        let at = if at > 0.0 { at } else { 0.0 };
+        let low = at as usize;
+        (low, (low + 1).min(n - 1), at - low as f32)
+    };
+    let ((x0, x1, fx), (y0, y1, fy)) = (axis(x, w), axis(y, h));
+    let row = |y: usize| {
+        let (a, b) = (plane[y * w + x0], plane[y * w + x1]);
+        crate::simd::fused_mul_add(fx, b - a, a)
+    };
+    let (upper, lower) = (row(y0), row(y1));
+    crate::simd::fused_mul_add(fy, lower - upper, upper)
+}
