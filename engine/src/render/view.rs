@@ -27,7 +27,7 @@ pub struct Snapshot {
     pub scale: Vec<[f32; 3]>,
     /// Opacities at the time.
     pub opacity: Vec<f32>,
-    /// Colours.
+    /// Colours at the time.
     pub rgb: Vec<[f32; 3]>,
     /// Gaussians left out because a number of theirs was not finite.
     pub dropped: u64,
@@ -112,7 +112,7 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> (Ve
         }
         let Some(mean) = to_scene(record.position_at(t)) else { continue };
         let [sx, sz] = record.scale;
-        seen.push(Seen { index: i as u32, mean, scale: [sx, sz, (sx + sz) * 0.5], opacity, rgb: record.rgb });
+        seen.push(Seen { index: i as u32, mean, scale: [sx, sz, (sx + sz) * 0.5], opacity, rgb: record.rgb_at(t) });
     }
     (seen, dropped)
 }

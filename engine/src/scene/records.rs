@@ -7,16 +7,21 @@ use crate::stream::{DynamicGaussians, Handover, Reference};
 /// A tensor to be written: name, kind, shape, bytes.
 pub(super) type Tensor = (&'static str, Dtype, Vec<usize>, Vec<u8>);
 
-/// The arrays of `g`, one tensor each.
+/// The name of the tensor that is there only where some colour changes.
+const RGB_RATE: &str = "rgb_rate";
+
+/// The arrays of `g`, one tensor each; [`RGB_RATE`] only where one of its numbers is not zero.
 ///
 /// # Errors
-/// Arrays of different lengths.
+/// Arrays of different lengths, and rates of colour that are not finite.
 pub(super) fn write(g: &DynamicGaussians) -> Result<Vec<Tensor>, String> {
     if let Some((array, found)) = g.uneven() {
         return Err(format!("{array}: expected {} records, found {found}", g.len()));
     }
     let n = g.len();
-    Ok(vec![
+    let rates = g.rgb_rate.as_flattened();
+    finite(RGB_RATE, rates)?;
+    let mut tensors = vec![
         ("mean", Dtype::F32, vec![n, 3], float_bytes(g.mean.as_flattened())),
         ("velocity", Dtype::F32, vec![n, 3], float_bytes(g.velocity.as_flattened())),
         ("gamma", Dtype::F32, vec![n, 2], float_bytes(g.gamma.as_flattened())),
@@ -29,10 +34,23 @@ pub(super) fn write(g: &DynamicGaussians) -> Result<Vec<Tensor>, String> {
         ("offset", Dtype::F32, vec![n, 3], float_bytes(g.offset.as_flattened())),
         ("reference", Dtype::U8, vec![n], g.reference.iter().map(|&r| r as u8).collect()),
         ("handover", Dtype::U8, vec![n], g.handover.iter().map(|&h| h as u8).collect()),
-    ])
+    ];
+    if rates.iter().any(|rate| *rate != 0.0) {
+        tensors.push((RGB_RATE, Dtype::F32, vec![n, 3], float_bytes(rates)));
+    }
+    Ok(tensors)
 }
 
-/// The records of a file. Lengths, kinds and codes are checked; numbers are not.
+/// An error that names the first of the numbers of tensor `name` that is not finite.
+fn finite(name: &str, values: &[f32]) -> Result<(), String> {
+    match values.iter().position(|v| !v.is_finite()) {
+        Some(at) => Err(format!("tensor {name}: expected finite numbers, found {} at {at}", values[at])),
+        None => Ok(()),
+    }
+}
+
+/// The records of a file. Lengths, kinds and codes are checked; of the numbers, only those of [`RGB_RATE`]. Where it is missing,
+/// colours stay.
 ///
 /// # Errors
 /// What was expected and what was found, with the tensor's name.
@@ -42,6 +60,11 @@ pub(super) fn read(file: &SafeTensors<'_>) -> Result<DynamicGaussians, String> {
     let tensor = |name: &str, dtype, shape: &[Option<usize>]| tensor(file, name, dtype, shape);
     let codes = |name: &str| tensor(name, Dtype::U8, &[n]);
     let code = |name: &str, code: u8| format!("tensor {name}: expected codes this version knows, found {code}");
+    let rgb_rate = match file.tensor(RGB_RATE) {
+        Ok(_) => floats::<3>(tensor(RGB_RATE, Dtype::F32, &[n, Some(3)])?),
+        Err(_) => vec![[0.0; 3]; mean.len() / 12],
+    };
+    finite(RGB_RATE, rgb_rate.as_flattened())?;
     Ok(DynamicGaussians {
         mean: floats::<3>(mean),
         velocity: floats::<3>(tensor("velocity", Dtype::F32, &[n, Some(3)])?),
@@ -49,6 +72,7 @@ pub(super) fn read(file: &SafeTensors<'_>) -> Result<DynamicGaussians, String> {
         opacity: floats::<1>(tensor("opacity", Dtype::F32, &[n])?).into_iter().flatten().collect(),
         scale: floats::<2>(tensor("scale", Dtype::F32, &[n, Some(2)])?),
         rgb: floats::<3>(tensor("rgb", Dtype::F32, &[n, Some(3)])?),
+        rgb_rate,
         identity: words::<1>(tensor("identity", Dtype::U64, &[n])?).into_iter().flatten().collect(),
         birth: words::<1>(tensor("birth", Dtype::U64, &[n])?).into_iter().flatten().collect(),
         frame: words::<1>(tensor("frame", Dtype::U64, &[n])?).into_iter().flatten().collect(),

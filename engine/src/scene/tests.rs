@@ -19,6 +19,7 @@ fn interval(index: u64, start: f64, end: f64, count: u64) -> Interval {
         opacity: 0.7,
         scale: [0.01, 0.02],
         rgb: [0.1, 0.2, i as f32 * 0.05],
+        rgb_rate: [0.0; 3],
         identity: u64::MAX - i,
         birth: i,
         frame: index,

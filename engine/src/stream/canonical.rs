@@ -6,8 +6,8 @@
 //!
 //! - **Update.** Current Gaussians move with their forward field. An older one that coincides with a current Gaussian has been
 //!   continued by it one key frame ago (below), so it moves with that one's field, under that one's record. What is left, the
-//!   survivors, keep their velocity in the scene's own time and fade: [`FADE`](super::fuse::FADE) as γ₀ at least, γ₁ = 0, opacity counted from what
-//!   it was at the key frame.
+//!   survivors, keep their velocity in the scene's own time, the colour they had at the key frame, and fade: [`FADE`](super::fuse::FADE) as γ₀ at least,
+//!   γ₁ = 0, opacity counted from what it was there.
 //! - **Fuse.** Frame k+1's Gaussians join with their backward field. Identities pass on one to one; old Gaussians that coincide with
 //!   a new one but pass on nothing end as [merged](Merge) into it. What coincides with nothing is vanishing.
 //! - **Hand over.** Old Gaussians that are continued fade out over the last eighth of the interval, new ones fade in over the

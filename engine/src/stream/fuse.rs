@@ -72,6 +72,8 @@ pub(super) fn fuse(
                         mean: ends[i],
                         opacity,
                         gamma,
+                        rgb: record.rgb_at(1.0),
+                        rgb_rate: [0.0; 3],
                         reference: Reference::Start,
                         handover: Handover::None,
                         ..*record

@@ -42,7 +42,7 @@ impl Handover {
     }
 }
 
-/// Which end of the interval a record's own position and opacity belong to.
+/// Which end of the interval a record's own position, opacity and colour belong to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum Reference {
@@ -85,8 +85,10 @@ pub struct Record {
     pub opacity: f32,
     /// Standard deviations (s_x, s_z); along y it is their mean.
     pub scale: [f32; 2],
-    /// Display-space colour.
+    /// Display-space colour at the reference time.
     pub rgb: [f32; 3],
+    /// Change of colour per interval; the network itself gives zero.
+    pub rgb_rate: [f32; 3],
     /// What it is a view of: 64-bit, never reused.
     pub identity: u64,
     /// The key frame in which the identity was first seen.
@@ -95,7 +97,7 @@ pub struct Record {
     pub frame: u64,
     /// From `mean` to the tracked point of the identity.
     pub offset: [f32; 3],
-    /// Which end of the interval `mean` and `opacity` belong to.
+    /// Which end of the interval `mean`, `opacity` and `rgb` belong to.
     pub reference: Reference,
     /// Whether it fades at an end of the interval.
     pub handover: Handover,
@@ -108,18 +110,33 @@ impl Record {
         std::array::from_fn(|axis| self.mean[axis] + self.velocity[axis] * tau)
     }
 
+    /// Colour at `t` in [0, 1]: product and sum are rounded one after the other, and a product of zero, of either sign, leaves
+    /// `rgb` as it is, to the bit.
+    pub fn rgb_at(&self, t: f32) -> [f32; 3] {
+        let tau = self.reference.tau(t);
+        std::array::from_fn(|channel| {
+            let change = self.rgb_rate[channel] * tau;
+            if change == 0.0 { self.rgb[channel] } else { self.rgb[channel] + change }
+        })
+    }
+
     /// Opacity at `t` in [0, 1].
     pub fn opacity_at(&self, t: f32) -> f32 {
         self.opacity * motion::opacity_factor(self.gamma, self.reference.tau(t)) * self.handover.factor(t)
     }
 
-    /// Whether every number is finite, as [`motion::opacity_factor`] needs, and no scale or opacity is negative.
+    /// Whether every number is finite, as [`motion::opacity_factor`] needs, the colour throughout the interval, and no scale or
+    /// opacity is negative.
     pub fn is_sound(&self) -> bool {
         let finite = |v: &[f32]| v.iter().all(|x| x.is_finite());
         let not_negative = |v: &[f32]| v.iter().all(|x| *x >= 0.0 && x.is_finite());
         finite(&self.mean)
             && finite(&self.velocity)
             && finite(&self.rgb)
+            && finite(&self.rgb_rate)
+            // Between the ends every rounded value lies between theirs.
+            && finite(&self.rgb_at(0.0))
+            && finite(&self.rgb_at(1.0))
             && finite(&self.offset)
             && not_negative(&self.gamma)
             && not_negative(&self.scale)
@@ -143,6 +160,8 @@ pub struct DynamicGaussians {
     pub scale: Vec<[f32; 2]>,
     /// See [`Record::rgb`].
     pub rgb: Vec<[f32; 3]>,
+    /// See [`Record::rgb_rate`].
+    pub rgb_rate: Vec<[f32; 3]>,
     /// See [`Record::identity`].
     pub identity: Vec<u64>,
     /// See [`Record::birth`].
@@ -167,6 +186,7 @@ impl DynamicGaussians {
             opacity: Vec::with_capacity(count),
             scale: Vec::with_capacity(count),
             rgb: Vec::with_capacity(count),
+            rgb_rate: Vec::with_capacity(count),
             identity: Vec::with_capacity(count),
             birth: Vec::with_capacity(count),
             frame: Vec::with_capacity(count),
@@ -194,6 +214,7 @@ impl DynamicGaussians {
         self.opacity.push(r.opacity);
         self.scale.push(r.scale);
         self.rgb.push(r.rgb);
+        self.rgb_rate.push(r.rgb_rate);
         self.identity.push(r.identity);
         self.birth.push(r.birth);
         self.frame.push(r.frame);
@@ -211,6 +232,7 @@ impl DynamicGaussians {
             opacity: self.opacity[i],
             scale: self.scale[i],
             rgb: self.rgb[i],
+            rgb_rate: self.rgb_rate[i],
             identity: self.identity[i],
             birth: self.birth[i],
             frame: self.frame[i],
@@ -233,6 +255,7 @@ impl DynamicGaussians {
             ("opacity", self.opacity.len()),
             ("scale", self.scale.len()),
             ("rgb", self.rgb.len()),
+            ("rgb_rate", self.rgb_rate.len()),
             ("identity", self.identity.len()),
             ("birth", self.birth.len()),
             ("frame", self.frame.len()),
@@ -291,13 +314,40 @@ mod tests {
     }
 
     #[test]
+    fn a_colour_is_its_own_at_the_reference_time_and_linear_from_there() {
+        let values = [0.0, -0.0, 1.0, 0.1, -0.3, 1e-45, 7.5, f32::MAX, -f32::MAX];
+        for colour in values {
+            for rate in values {
+                for (reference, at) in [(Reference::Start, 0.0), (Reference::End, 1.0)] {
+                    let r = Record { rgb: [colour; 3], rgb_rate: [rate; 3], reference, ..Record::default() };
+                    assert_eq!(r.rgb_at(at).map(f32::to_bits), r.rgb.map(f32::to_bits), "{colour} {rate}");
+                    let still = Record { rgb_rate: [-0.0, 0.0, -0.0], ..r };
+                    for t in [0.0, 0.3, 1.0] {
+                        assert_eq!(still.rgb_at(t).map(f32::to_bits), r.rgb.map(f32::to_bits), "{colour}");
+                    }
+                    // A colour that is finite at both ends is so between them.
+                    assert!(!r.is_sound() || (0..=64).all(|i| r.rgb_at(i as f32 / 64.0)[0].is_finite()));
+                }
+            }
+        }
+        let warmer = Record { rgb: [0.5; 3], rgb_rate: [0.25, 0.0, -0.5], ..Record::default() };
+        assert_eq!(warmer.rgb_at(0.5), [0.625, 0.5, 0.25]);
+        assert_eq!(Record { reference: Reference::End, ..warmer }.rgb_at(0.5), [0.375, 0.5, 0.75]);
+    }
+
+    #[test]
     fn a_record_with_a_bad_number_is_not_sound() {
         assert!(Record::default().is_sound());
         for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             assert!(!Record { mean: [0.0, bad, 0.0], ..Record::default() }.is_sound());
             assert!(!Record { gamma: [0.0, bad], ..Record::default() }.is_sound());
             assert!(!Record { opacity: bad, ..Record::default() }.is_sound());
+            assert!(!Record { rgb_rate: [0.0, 0.0, bad], ..Record::default() }.is_sound());
         }
         assert!(!Record { scale: [-1.0, 1.0], ..Record::default() }.is_sound());
+        let bright = Record { rgb: [f32::MAX; 3], rgb_rate: [f32::MAX; 3], ..Record::default() };
+        assert!(!bright.is_sound());
+        assert!(!Record { rgb_rate: [-f32::MAX; 3], reference: Reference::End, ..bright }.is_sound());
+        assert!(Record { reference: Reference::End, ..bright }.is_sound());
     }
 }

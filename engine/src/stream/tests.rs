@@ -5,6 +5,9 @@ use std::sync::Arc;
 use streamsplat_model::StaticGaussians;
 
 use super::canonical::{Advance, CanonicalSet, Step};
+use super::fuse::fuse;
+use super::identities::Identities;
+use super::matching::Lattice;
 use super::reconstructor::Motion;
 use super::{Fusion, Handover, Merge, Record, Reference};
 
@@ -95,6 +98,19 @@ fn what_nothing_continues_keeps_its_pace_and_halves_in_every_interval() {
     close(found[2].opacity_at(1.0), 0.2);
     assert_eq!(found[1].mean[0].to_bits(), found[0].position_at(1.0)[0].to_bits());
     assert_eq!(found[2].opacity.to_bits(), found[1].opacity_at(1.0).to_bits());
+}
+
+#[test]
+fn a_survivor_keeps_the_colour_it_had_at_the_key_frame() {
+    let rate = [0.3, -0.2, 0.0];
+    let mut old = [Record { rgb: [0.1, 0.7, 0.5], rgb_rate: rate, opacity: 0.8, ..Record::default() }];
+    let lattice = Lattice::new(0, [100, 100]);
+    let fused = fuse(lattice, 8, 1, &mut old, &mut [], &mut Identities::from(1));
+    let [survivor] = fused.survivors[..] else { panic!("expected one survivor, found {}", fused.survivors.len()) };
+    assert_eq!(survivor.rgb_rate, [0.0; 3]);
+    for t in [0.0, 0.5, 1.0] {
+        assert_eq!(survivor.rgb_at(t).map(f32::to_bits), old[0].rgb_at(1.0).map(f32::to_bits));
+    }
 }
 
 #[test]

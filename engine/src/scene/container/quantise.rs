@@ -98,6 +98,7 @@ impl Quantised {
             opacity: (v(OPACITY_AT) / OPACITY) as f32,
             scale: [scale(SCALE_AT), scale(SCALE_AT + 1)],
             rgb: [green + v(COLOUR_AT + 1), green, green + v(COLOUR_AT + 2)].map(|c| (c / COLOUR) as f32),
+            rgb_rate: [0.0; 3],
             identity: self.identity,
             birth: self.birth,
             frame: self.frame,

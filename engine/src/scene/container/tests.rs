@@ -30,6 +30,7 @@ fn intervals(count: u64, workers: &Workers) -> Vec<Interval> {
             opacity: noise(seed + 5),
             scale: [0.01 + 0.1 * noise(seed + 6), 0.02],
             rgb: [noise(seed + 7), noise(seed + 8), 0.3],
+            rgb_rate: [0.0; 3],
             identity: if cell.is_multiple_of(3) { frame * 100 + cell } else { cell },
             birth: if cell.is_multiple_of(3) { frame } else { 0 },
             frame,
