@@ -241,7 +241,8 @@ impl Sums {
     }
 
     fn row(&self, name: Option<String>, gap: Gap, chosen: Fusion) -> Row {
-        let baselines = Baselines { crossfade: self.crossfade.score(), nearest: self.nearest.score(), flow: self.flow.score() };
+        let baselines =
+            Baselines { crossfade: self.crossfade.score(), nearest: self.nearest.score(), flow: self.flow.score() };
         let (key, middle) = (self.key.score(), self.middle.score());
         let fusion = BTreeMap::from([(chosen.name(), Mode { key, middle, pop: self.pops.pop() })]);
         Row { name, gap: self.spacing(gap), key, middle, baselines, fusion, moving: None, still: None }
@@ -305,8 +306,11 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         say(line(&mean));
         for (name, group) in [("moving", &mean.moving), ("still", &mean.still)] {
             if let Some(Group { clips: clips @ 1.., middle, over_crossfade, worst_over_crossfade }) = group {
-                let [psnr, over, worst] = [middle.psnr, *over_crossfade, *worst_over_crossfade].map(Option::unwrap_or_default);
-                say(format!("{name} clips ({clips}): middle {psnr:.2} dB, {over:+.2} over the cross-fade, least {worst:+.2}"));
+                let [psnr, over, worst] =
+                    [middle.psnr, *over_crossfade, *worst_over_crossfade].map(Option::unwrap_or_default);
+                say(format!(
+                    "{name} clips ({clips}): middle {psnr:.2} dB, {over:+.2} over the cross-fade, least {worst:+.2}"
+                ));
             }
         }
     }
@@ -318,9 +322,8 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         let measured = args.lpips_model.as_deref().zip(lpips.as_ref());
         let lpips = measured.map(|(file, lpips)| NetworkRecord::of(file, lpips.runtime_version())).transpose()?;
         let renderer = views.backend.name();
-        let figures = Figures {
-            fusion, fit, precision, renderer, seen, motion, refine, resolution, lpips, clips: rows, mean,
-        };
+        let figures =
+            Figures { fusion, fit, precision, renderer, seen, motion, refine, resolution, lpips, clips: rows, mean };
         let text = serde_json::to_string_pretty(&figures).map_err(Failure::work)?;
         streamsplat::output::write_file(path, (text + "\n").as_bytes())?;
     }
@@ -450,7 +453,7 @@ impl<'a> FlowBlend<'a> {
     fn new(workers: &'a Workers, a: &'a Placed, b: &'a Placed) -> Result<Self, Failure> {
         let (level, size, options) = (workers.level(), a.placement.model, flow::Options::default());
         workers.install(|| {
-            let pyramid = |frame: &Placed| Pyramid::new(level, &flow::luma(level, &frame.rgb, size), size, &options);
+            let pyramid = |frame: &Placed| Pyramid::new(level, &flow::luma(level, &frame.rgb), size, &options);
             let [one, other] = [pyramid(a).map_err(Failure::work)?, pyramid(b).map_err(Failure::work)?];
             let fields = [
                 flow::between(level, &one, &other, None, &options),

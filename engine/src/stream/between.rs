@@ -41,7 +41,7 @@ pub(super) struct Flows {
 impl FlowView {
     /// Of a frame `[3, H, W]`.
     pub(super) fn new(level: Level, rgb: &[f32], resolution: [usize; 2], index: u64) -> Result<Self, EngineError> {
-        let luma = flow::luma(level, rgb, resolution);
+        let luma = flow::luma(level, rgb);
         let pyramid = Pyramid::new(level, &luma, resolution, &flow::Options::default());
         pyramid.map(|pyramid| Self { pyramid }).map_err(|e| EngineError::Flow { index, reason: e.to_string() })
     }
@@ -79,18 +79,12 @@ impl Flows {
                 let same = pair[0].1.iter().zip(pair[1].1).all(|(a, b)| a.to_bits() == b.to_bits());
                 if same {
                     work.count(Stage::Flow, 0, 1);
-                    let still = || Field::still(a.resolution());
+                    let still = || Field::zero(a.resolution());
                     return [still(), still()];
                 }
                 let [one, other] = [&pair[0].0.pyramid, &pair[1].0.pyramid];
                 let options = flow::Options::default();
-                work.measure(Stage::Flow, || {
-                    let both = rayon::join(
-                        || flow::between(level, one, other, None, &options),
-                        || flow::between(level, other, one, None, &options),
-                    );
-                    [both.0, both.1]
-                })
+                work.measure(Stage::Flow, || flow::both(level, one, other, [None; 2], &options))
             })
             .collect();
         let times = [0.0].into_iter().chain(between.iter().map(|seen| seen.t)).chain([1.0]).collect();

@@ -68,7 +68,9 @@ impl Fitter {
         for (i, &position) in gaussians.position.iter().enumerate() {
             let ([sx, sz], opacity, rgb) = (gaussians.scale[i], gaussians.opacity[i], gaussians.rgb[i]);
             let sound = [sx, sz, opacity].iter().chain(&rgb).all(|x| x.is_finite()) && sx >= 0.0 && sz >= 0.0;
-            let Some(mean) = to_scene(position).filter(|mean| sound && mean.iter().all(|x| x.is_finite())) else { continue };
+            let Some(mean) = to_scene(position).filter(|mean| sound && mean.iter().all(|x| x.is_finite())) else {
+                continue;
+            };
             seen.index.push(i as u32);
             seen.mean.push(mean);
             seen.scale.push([sx, sz, (sx + sz) * 0.5]);
@@ -114,7 +116,7 @@ impl Fitter {
         let (mut rates, taken) = system.solve(start, steps);
         for (i, rate) in rates.iter_mut().enumerate() {
             // At the other end of the interval the colour is rgb + rate or rgb − rate.
-            let sign = if gaussians.reference[i] == Reference::Start { 1.0 } else { -1.0 };
+            let sign: f32 = if gaussians.reference[i] == Reference::Start { 1.0 } else { -1.0 };
             for (rate, rgb) in rate.iter_mut().zip(gaussians.rgb[i]) {
                 let end = sign.mul_add(*rate, rgb);
                 if !(RANGE[0]..=RANGE[1]).contains(&end) {

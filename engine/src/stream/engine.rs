@@ -191,9 +191,8 @@ impl Engine {
                     let predicted = work.time(Stage::Flow, || flows.predicted(level, views));
                     let mut targets = targets(&seen);
                     targets.extend(predicted.iter().map(|(t, rgb)| Target { t: *t, rgb }));
-                    let (rates, taken) = work.time(Stage::Colours, || {
-                        fitter.rates(&advance.gaussians, &targets, placement.model, steps)
-                    });
+                    let (rates, taken) = work
+                        .time(Stage::Colours, || fitter.rates(&advance.gaussians, &targets, placement.model, steps));
                     work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
                     advance.gaussians.rgb_rate = rates;
                     set.recolour_survivors(&advance.gaussians);
@@ -220,7 +219,12 @@ impl Engine {
     }
 
     /// The frame through its own part of the network, as if it were the first one.
-    pub(super) fn see(&mut self, frame: Frame, index: u64, timestamp: f64) -> Result<(Placement, KeyView), EngineError> {
+    pub(super) fn see(
+        &mut self,
+        frame: Frame,
+        index: u64,
+        timestamp: f64,
+    ) -> Result<(Placement, KeyView), EngineError> {
         let before = self.state.take();
         let seen = self.check(&frame, index, timestamp).and_then(|placement| {
             self.lay_tiles(placement)?;
@@ -262,7 +266,6 @@ impl Engine {
             None => Ok(placement),
         }
     }
-
 
     /// The tiles of frames of this placement, unless they are there already.
     fn lay_tiles(&mut self, placement: Placement) -> Result<(), EngineError> {

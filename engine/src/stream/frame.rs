@@ -61,7 +61,9 @@ pub enum EngineError {
         reason: String,
     },
     /// A frame in between has no time between the key frames around it, in ascending order.
-    #[error("frame {index}: expected ascending times of the frames before it, after {after:?} s and before {before} s, found {found} s")]
+    #[error(
+        "frame {index}: expected ascending times of the frames before it, after {after:?} s and before {before} s, found {found} s"
+    )]
     Between {
         /// The key frame's index.
         index: u64,

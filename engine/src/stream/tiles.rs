@@ -50,21 +50,19 @@ struct Span {
 
 impl Tiles {
     /// The tiles of frames of `resolution`; `None` where the model takes no part of such a frame.
-    pub(super) fn new(
-        model: &Arc<dyn Reconstructor>,
-        resolution: [usize; 2],
-        saving: Option<Saving>,
-    ) -> Option<Self> {
+    pub(super) fn new(model: &Arc<dyn Reconstructor>, resolution: [usize; 2], saving: Option<Saving>) -> Option<Self> {
         let memory = |model: &Arc<dyn Reconstructor>| saving.and_then(|saving| model.memory(saving));
         if resolution == model.resolution() {
-            let whole = Tile { model: model.clone(), memory: memory(model), origin: [0; 2], size: resolution, places: None };
+            let whole =
+                Tile { model: model.clone(), memory: memory(model), origin: [0; 2], size: resolution, places: None };
             return Some(Self { resolution, tiles: vec![whole] });
         }
         let Tiling { patch, cells, partial } = model.tiling()?;
         if resolution.iter().any(|side| *side == 0 || side % patch != 0) {
             return None;
         }
-        let [rows, columns] = [0, 1].map(|axis| spans(resolution[axis] / patch, model.resolution()[axis] / patch, partial));
+        let [rows, columns] =
+            [0, 1].map(|axis| spans(resolution[axis] / patch, model.resolution()[axis] / patch, partial));
         let (rows, columns) = (rows?, columns?);
         let mut models: BTreeMap<[usize; 2], Arc<dyn Reconstructor>> = BTreeMap::new();
         let mut tiles = Vec::with_capacity(rows.len() * columns.len());
@@ -83,7 +81,8 @@ impl Tiles {
                 let kept = |span: &Span| span.kept.start * cells..span.kept.end * cells;
                 let places = kept(row).flat_map(|y| {
                     kept(column).map(move |x| {
-                        let own = (y - row.seen.start * cells) * column.seen.len() * cells + x - column.seen.start * cells;
+                        let own =
+                            (y - row.seen.start * cells) * column.seen.len() * cells + x - column.seen.start * cells;
                         [own as u32, (y * width + x) as u32]
                     })
                 });
@@ -154,7 +153,8 @@ impl Tiles {
 
     /// The tile's middle in the frame's world.
     fn offsets(&self, tile: &Tile) -> [f32; 2] {
-        let middle = |axis: usize| (2 * tile.origin[axis] + tile.size[axis]) as f64 / self.resolution[axis] as f64 - 1.0;
+        let middle =
+            |axis: usize| (2 * tile.origin[axis] + tile.size[axis]) as f64 / self.resolution[axis] as f64 - 1.0;
         [middle(1) as f32, -middle(0) as f32]
     }
 
