@@ -1,5 +1,6 @@
 //! What the commands give.
 
+use std::path::Path;
 use std::process::Stdio;
 
 use streamsplat_fixtures as fixtures;
@@ -181,19 +182,23 @@ fn evaluation_reports_key_and_middle_frames_and_baselines() {
     std::fs::create_dir(&clips).expect("writable");
     scratch.clip("clips/b2", 7, 80, 48);
     scratch.clip("clips/b10", 4, 80, 48);
-    let figures = scratch.path("eval.json");
-    let output = command()
-        .arg("eval")
-        .arg(&clips)
-        .args(["--gap", "3", "--quiet", "--json"])
-        .arg(&figures)
-        .arg("--model")
-        .arg(model())
-        .output()
-        .expect("the program starts");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(output.stdout.is_empty());
-    let figures = json(&figures);
+    let evaluate = |more: &[&str]| {
+        let figures = scratch.path("eval.json");
+        let output = command()
+            .arg("eval")
+            .arg(&clips)
+            .args(["--gap", "3", "--quiet", "--json"])
+            .arg(&figures)
+            .arg("--model")
+            .arg(model())
+            .args(more)
+            .output()
+            .expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert!(output.stdout.is_empty());
+        json(&figures)
+    };
+    let (figures, pairwise) = (evaluate(&[]), evaluate(&["--fusion", "pairwise"]));
     let clips = figures["clips"].as_array().expect("a list");
     assert_eq!(clips.iter().map(|c| c["name"].as_str().expect("a name")).collect::<Vec<_>>(), ["b2", "b10"]);
     assert_eq!((&clips[0]["key"]["frames"], &clips[0]["middle"]["frames"]), (&3.into(), &4.into()));
@@ -201,19 +206,57 @@ fn evaluation_reports_key_and_middle_frames_and_baselines() {
     for row in [&clips[0], &clips[1], &figures["mean"]] {
         assert_eq!(row["gap"], 3);
         assert_eq!(row["fusion"]["persistent"]["middle"], row["middle"]);
-        assert_eq!(row["fusion"]["pairwise"]["key"]["frames"], row["key"]["frames"]);
         // Crossing a key frame changes no bit; pairs alone change with the frame they were made for.
         assert_eq!(row["fusion"]["persistent"]["pop"]["ratio"], 0.0);
-        let pairs = &row["fusion"]["pairwise"]["pop"];
+        let pairs = &pairwise["mean"]["fusion"]["pairwise"]["pop"];
         let [jump, step, ratio] = ["jump", "step", "ratio"].map(|name| pairs[name].as_f64().expect("a number"));
         assert!(jump > 0.0 && step > 0.0 && (ratio - jump / step).abs() < 1e-12, "{pairs}");
-        for score in [&row["key"], &row["middle"], &row["baselines"]["crossfade"], &row["baselines"]["nearest"]] {
+        for score in [&row["key"], &row["middle"], &row["baselines"]["crossfade"], &row["baselines"]["nearest"], &row["baselines"]["flow"]] {
             let (psnr, ssim) = (score["psnr"].as_f64().expect("dB"), score["ssim"].as_f64().expect("SSIM"));
             assert!((1.0..100.0).contains(&psnr) && (-1.0..=1.0).contains(&ssim), "{score}");
         }
     }
+    assert_eq!(figures["seen"], false);
+    let groups = ["moving", "still"].map(|group| figures["mean"][group]["clips"].as_u64().expect("a count"));
+    assert_eq!(groups.iter().sum::<u64>(), 2);
     // What stands still is the same in both key frames: the baselines know most of the picture.
     assert!(clips[0]["baselines"]["crossfade"]["psnr"].as_f64().expect("dB") > 15.0);
+}
+
+#[test]
+fn evaluation_reads_what_lies_between_key_frames_only_where_it_is_seen() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 7, 80, 48);
+    let evaluate = |clip: &Path, more: &[&str]| {
+        let (figures, out) = (scratch.path("eval.json"), command());
+        let mut program = out;
+        let options = ["--gap", "3", "--resolution", "24x40", "--refine", "2", "--quiet", "--json"];
+        program.arg("eval").arg(clip).args(options).arg(&figures).args(more);
+        let output = program.output().expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        json(&figures)["mean"].clone()
+    };
+    let (blind, seen) = (evaluate(&clip, &[]), evaluate(&clip, &["--seen"]));
+    let psnr = |mean: &serde_json::Value| mean["middle"]["psnr"].as_f64().expect("dB");
+    assert!(psnr(&seen) > psnr(&blind), "{seen} {blind}");
+    // Other pictures in between: the same scene, as the key frames and what is drawn there tell, compared with others.
+    for (index, path) in images(&clip).iter().enumerate() {
+        if index % 3 != 0 {
+            image::RgbImage::from_pixel(80, 48, image::Rgb([250, 3, 60])).save(path).expect("writable");
+        }
+    }
+    let (poisoned, poisoned_seen) = (evaluate(&clip, &[]), evaluate(&clip, &["--seen"]));
+    assert_eq!(poisoned["key"], blind["key"]);
+    assert_eq!(poisoned["fusion"]["persistent"]["pop"], blind["fusion"]["persistent"]["pop"]);
+    assert_ne!(poisoned_seen["fusion"]["persistent"]["pop"], seen["fusion"]["persistent"]["pop"]);
+    assert!(psnr(&poisoned) < psnr(&blind) - 3.0);
+}
+
+/// The images of a folder, in order.
+fn images(folder: &Path) -> Vec<std::path::PathBuf> {
+    let mut images: Vec<_> = std::fs::read_dir(folder).expect("readable").flatten().map(|entry| entry.path()).collect();
+    images.sort();
+    images
 }
 
 #[test]

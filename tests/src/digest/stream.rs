@@ -2,7 +2,7 @@
 
 use streamsplat::camera::{Camera, Pose, Rotation};
 use streamsplat::scene::{ContainerWriter, intervals_from_container};
-use streamsplat::stream::{Fusion, ModelSource, SamplingMode};
+use streamsplat::stream::{Fusion, ModelSource, MotionFrom, Resolution, SamplingMode};
 use streamsplat::{Engine, Frame, Interval, RenderOptions, Settings};
 use streamsplat_fixtures::clip::{Clip, Kind};
 use streamsplat_kernels::Level;
@@ -22,7 +22,46 @@ pub(super) fn things() -> Vec<Thing> {
             stream(level, digest, "tiny-sampled", &settings);
         }),
         Thing::new("stream/container", container),
+        // Tiles that overlap, since this model takes no part of its grid.
+        Thing::new("stream/tiles-flow-colours", |level, digest| {
+            let checkpoint = streamsplat_fixtures::path("parity/tiny-nodino.safetensors");
+            let settings = Settings {
+                resolution: Some(Resolution::Exact([72, 120])),
+                motion: Some(MotionFrom::Between),
+                refine: Some(3),
+                ..Settings::with_model(ModelSource::File { checkpoint, dinov2: None })
+            };
+            seen(level, digest, &settings, [120, 72]);
+        }),
+        // A grid of the source's shape, smaller than the model's.
+        Thing::new("stream/embedded-frames", |level, digest| {
+            let settings = Settings { motion: Some(MotionFrom::Frames), refine: Some(2), ..Settings::default() };
+            seen(level, digest, &settings, [80, 48]);
+        }),
     ]
+}
+
+/// Three key frames with two frames between each two, which the engine is given.
+fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]: [usize; 2]) {
+    let settings = Settings { level: Some(level), threads: rayon::current_num_threads(), ..settings.clone() };
+    let mut engine = Engine::new(settings).expect("an engine");
+    let clip = Clip::new(Kind::Moving, 4, width, height);
+    let frame = |k: usize| {
+        let time = 0.05 * k as f64;
+        let picture = clip.picture(time);
+        (Frame { width: picture.width, height: picture.height, rgb: picture.rgb, depth: None }, time)
+    };
+    for k in [0, 3, 6] {
+        let (key, time) = frame(k);
+        let between = (k.saturating_sub(2)..k).map(frame).collect();
+        let interval = engine.push_with(between, key, time).expect("an interval");
+        records(digest, &interval);
+        interval.gaussians.rgb_rate.iter().for_each(|rate| digest.floats(rate));
+        for at in [0.0, 0.4] {
+            let at = interval.start + (interval.end - interval.start) * at;
+            splats::add(digest, &interval.render(at, &Camera::Canonical, &RenderOptions::default()).expect("an image"));
+        }
+    }
 }
 
 /// Three key frames as a compressed scene: its bytes, and what is read from them.
