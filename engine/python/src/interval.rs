@@ -131,7 +131,7 @@ macro_rules! arrays {
                 self.records().len()
             }
 
-            /// Which end of the interval `mean` and `opacity` belong to, uint8 [N]: 0 its start, 1 its end. A copy.
+            /// Which end of the interval `mean`, `opacity` and `rgb` belong to, uint8 [N]: 0 its start, 1 its end. A copy.
             #[getter]
             fn reference<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u8>> {
                 PyArray1::from_iter(py, self.records().reference.iter().map(|&r| r as u8))
@@ -163,8 +163,10 @@ arrays! {
     opacity: column -> PyArray1<f32>;
     /// Standard deviations along x and z, float32 [N, 2]; along y it is their mean.
     scale: table -> PyArray2<f32>;
-    /// Display-space colour, float32 [N, 3].
+    /// Display-space colour at the reference time, float32 [N, 3].
     rgb: table -> PyArray2<f32>;
+    /// Change of colour per interval, float32 [N, 3].
+    rgb_rate: table -> PyArray2<f32>;
     /// Who it is, uint64 [N]: never reused within a stream.
     identity: column -> PyArray1<u64>;
     /// The key frame in which the identity was first seen, uint64 [N].

@@ -185,3 +185,37 @@ fn levels_threads_and_painters_draw_the_same_bits() {
         }
     }
 }
+
+#[test]
+fn a_colour_that_changes_is_halfway_there_at_half_time() {
+    let moving = interval([24, 40]);
+    let mut changing = moving.clone();
+    let (now, then) = ([0.25, 0.5, 0.75], [0.75, 0.25, 0.75]);
+    changing.gaussians.rgb.fill(now);
+    changing.gaussians.rgb_rate.fill([0.5, -0.25, 0.0]);
+    let draw = |interval: &Interval, time| {
+        interval.render(time, &Camera::Canonical, &RenderOptions::default()).expect("inside").rgb
+    };
+    let painted = |rgb| {
+        let mut painted = moving.clone();
+        painted.gaussians.rgb.fill(rgb);
+        painted
+    };
+    for (time, rgb) in [(2.0, now), (3.0, [0.5, 0.375, 0.75]), (4.0, then)] {
+        let snapshot = Snapshot::of(&changing, time).expect("inside");
+        assert!(snapshot.rgb.iter().all(|found| *found == rgb), "{time}");
+        assert!(draw(&changing, time) == draw(&painted(rgb), time), "{time}");
+        // Files of one time hold what is seen then.
+        let expected = Snapshot::of(&painted(rgb), time).expect("inside");
+        for write in [crate::export::ply, crate::export::splat, crate::export::spz] {
+            assert!(write(&snapshot) == write(&expected), "{time}");
+        }
+    }
+    // Seen backward, from the end.
+    changing.gaussians.rgb.fill(then);
+    let end = |gaussians: &mut DynamicGaussians| gaussians.reference.fill(crate::stream::Reference::End);
+    end(&mut changing.gaussians);
+    let mut middle = painted([0.5, 0.375, 0.75]);
+    end(&mut middle.gaussians);
+    assert!(draw(&changing, 3.0) == draw(&middle, 3.0));
+}

@@ -10,7 +10,8 @@
 //! | `gamma` | F32 `[N,2]` | the opacity's window in time |
 //! | `opacity` | F32 `[N]` | at the reference time |
 //! | `scale` | F32 `[N,2]` | standard deviations along x and z; along y their mean |
-//! | `rgb` | F32 `[N,3]` | display-space colour |
+//! | `rgb` | F32 `[N,3]` | display-space colour at the reference time |
+//! | `rgb_rate` | F32 `[N,3]` | change of colour per interval; only where one is not zero |
 //! | `identity`, `birth`, `frame` | U64 `[N]` | who it is; the key frame it was first seen in; the one that reconstructed this record |
 //! | `offset` | F32 `[N,3]` | from `mean` to the identity's tracked point |
 //! | `reference` | U8 `[N]` | 0: seen forward from the interval's start; 1: backward from its end |

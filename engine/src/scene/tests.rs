@@ -125,3 +125,52 @@ fn broken_tensors_and_indices_are_errors() {
     }
     assert!(Scene::open(Path::new("no/such/scene")).is_err());
 }
+
+#[test]
+fn a_change_of_colour_comes_back_bit_for_bit_and_is_not_there_where_there_is_none() {
+    let mut changing = interval(1, 0.0, 1.0, 7);
+    let placement = changing.placement;
+    let plain = to_safetensors(&changing).expect("even arrays");
+    assert!(!plain.windows(8).any(|w| w == b"rgb_rate"));
+    let found = from_safetensors(&plain, placement, workers()).expect("just written");
+    assert_eq!(found.gaussians.rgb_rate, vec![[0.0; 3]; 7]);
+    changing.gaussians.rgb_rate[3] = [0.1, -0.0, f32::from_bits(1)];
+    changing.gaussians.rgb_rate[6] = [-1.0 / 3.0, 2.5, 1e-9];
+    let bytes = to_safetensors(&changing).expect("even arrays");
+    let found = from_safetensors(&bytes, placement, workers()).expect("just written");
+    let bits =
+        |g: &crate::stream::DynamicGaussians| g.rgb_rate.as_flattened().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&found.gaussians), bits(&changing.gaussians));
+    assert_eq!(found.gaussians, changing.gaussians);
+}
+
+#[test]
+fn rates_of_another_kind_shape_or_without_a_value_are_refused() {
+    use records::{float_bytes, serialize};
+    use safetensors::tensor::Dtype;
+
+    let mut whole = interval(1, 0.0, 1.0, 4);
+    let read = |rates: (&'static str, Dtype, Vec<usize>, Vec<u8>)| {
+        let mut tensors = records::write(&interval(1, 0.0, 1.0, 4).gaussians).expect("even arrays");
+        tensors.push(rates);
+        let bytes = serialize(&tensors, None).expect("sound shapes");
+        records::read(&safetensors::SafeTensors::deserialize(&bytes).expect("just written"))
+    };
+    let rates = |shape: Vec<usize>, values: &[f32]| ("rgb_rate", Dtype::F32, shape, float_bytes(values));
+    assert!(read(rates(vec![4, 3], &[0.5; 12])).is_ok());
+    for (wrong, expected) in [
+        (rates(vec![3, 3], &[0.5; 9]), "expected F32 [4, 3], found F32 [3, 3]"),
+        (rates(vec![5, 3], &[0.5; 15]), "expected F32 [4, 3]"),
+        (rates(vec![12], &[0.5; 12]), "expected F32 [4, 3]"),
+        (("rgb_rate", Dtype::F64, vec![4, 3], vec![0; 96]), "found F64"),
+        (rates(vec![4, 3], &[&[0.0; 11][..], &[f32::NAN]].concat()), "expected finite numbers, found NaN at 11"),
+        (rates(vec![4, 3], &[f32::INFINITY; 12]), "expected finite numbers, found inf at 0"),
+    ] {
+        let error = read(wrong).expect_err(expected);
+        assert!(error.contains("tensor rgb_rate") && error.contains(expected), "{error}");
+    }
+    whole.gaussians.rgb_rate[2][1] = f32::NAN;
+    assert!(to_safetensors(&whole).is_err_and(|e| e.contains("rgb_rate")));
+    whole.gaussians.rgb_rate.pop();
+    assert!(to_safetensors(&whole).is_err_and(|e| e.contains("rgb_rate: expected 4 records, found 3")));
+}

@@ -1,7 +1,7 @@
 // Drawing with WebGL2: splats front to back into sums of colour and alpha, then those onto the background.
 
 const MODES = ["colour", "depth", "identity"];
-/** Records in a row of the texture; each has two texels of 16 bytes. */
+/** Records in a row of the textures; each has two texels of 16 bytes, and one of its rates of colour. */
 const PER_ROW = 1024;
 
 class Drawing {
@@ -17,6 +17,7 @@ class Drawing {
     this.resolve = this.program("resolve.vert", "resolve.frag");
     this.packet = null;
     this.records = gl.createTexture();
+    this.rates = gl.createTexture();
     this.order = gl.createBuffer();
     this.splats = gl.createVertexArray();
     gl.bindVertexArray(this.splats);
@@ -75,6 +76,16 @@ class Drawing {
     const cut = whole * PER_ROW * WORDS;
     put(0, 2 * PER_ROW, whole, packet.words.subarray(0, cut));
     put(whole, 2 * (packet.count % PER_ROW), 1, packet.words.subarray(cut));
+    this.bind(this.rates, 2);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    const [across, down] = packet.rates.length ? [PER_ROW, rows] : [1, 1];
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8I, across, down, 0, gl.RGB_INTEGER, gl.BYTE, null);
+    const paint = (row, width, height, rates) => {
+      if (width && height && rates.length) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, width, height, gl.RGB_INTEGER, gl.BYTE, rates);
+    };
+    paint(0, PER_ROW, whole, packet.rates.subarray(0, whole * PER_ROW * 3));
+    paint(whole, packet.count % PER_ROW, 1, packet.rates.subarray(whole * PER_ROW * 3));
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
     this.packet = packet;
   }
 
@@ -104,6 +115,9 @@ class Drawing {
       gl.useProgram(splat.program);
       this.bind(this.records, 0);
       gl.uniform1i(splat.at.records, 0);
+      this.bind(this.rates, 2);
+      gl.uniform1i(splat.at.rates, 2);
+      gl.uniform1f(splat.at.rateStep, packet.rateStep);
       for (const name of ["positionLow", "positionStep", "velocityLow", "velocityStep"]) {
         gl.uniform3fv(splat.at[name], packet[name]);
       }

@@ -46,3 +46,10 @@ function opacityAt(packet, i, t) {
   const ramp = handover === 1 ? t : handover === 2 ? 1 - t : HANDOVER;
   return packet.opacity(i) * factor * Math.min(1, ramp / HANDOVER);
 }
+
+/** Red, green and blue of record i at t in [0, 1] of its interval, whole numbers in [0, 255]. */
+function colourAt(packet, i, t) {
+  const change = 255 * packet.rateStep * (t - packet.reference(i));
+  const at = (value, channel) => value + change * (packet.rates[3 * i + channel] ?? 0);
+  return Array.from(packet.colour(i), (value, channel) => Math.min(255, Math.max(0, Math.round(at(value, channel)))));
+}

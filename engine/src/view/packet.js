@@ -20,9 +20,11 @@ class Packet {
   constructor(buffer) {
     const view = new DataView(buffer);
     const magic = buffer.byteLength >= HEADER ? view.getUint32(0) : 0;
-    if (magic !== 0x7373706b || view.getUint32(4, true) !== 1) throw new Error("not an interval of a version this page reads");
+    if (magic !== 0x7373706b || view.getUint32(4, true) !== 2) throw new Error("not an interval of a version this page reads");
     const count = view.getUint32(32, true);
-    if (buffer.byteLength !== HEADER + count * (RECORD + 2)) throw new Error("an interval of the wrong length");
+    this.rateStep = view.getFloat32(88, true);
+    const rates = this.rateStep > 0 ? count : 0;
+    if (buffer.byteLength !== HEADER + count * (RECORD + 2) + 3 * rates) throw new Error("an interval of the wrong length");
     const vector = (at) => [0, 4, 8].map((offset) => view.getFloat32(at + offset, true));
     this.size = buffer.byteLength;
     this.index = Number(view.getBigUint64(8, true));
@@ -37,6 +39,8 @@ class Packet {
     this.shorts = new Uint16Array(buffer, HEADER, count * SHORTS);
     this.bytes = new Uint8Array(buffer, HEADER, count * RECORD);
     this.ages = new Uint16Array(buffer, HEADER + count * RECORD, count);
+    /** Three per record; none where colours stay. */
+    this.rates = new Int8Array(buffer, HEADER + count * (RECORD + 2), 3 * rates);
   }
 
   /** 0 where record i belongs to the interval's start, 1 where it belongs to its end. */
@@ -55,7 +59,7 @@ class Packet {
     return (BigInt(high) << 32n) | BigInt(low);
   }
 
-  /** Red, green and blue in [0, 255]. */
+  /** Red, green and blue in [0, 255], at the reference time. */
   colour(i) {
     return this.bytes.subarray(i * RECORD + 16, i * RECORD + 19);
   }

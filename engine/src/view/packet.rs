@@ -1,16 +1,17 @@
-//! One interval as the page reads it: 34 bytes per Gaussian.
+//! One interval as the page reads it: 34 bytes per Gaussian, 37 where colours change.
 //!
-//! Little-endian. A header of 96 bytes, `count` records of 32 bytes, `count` ages of two bytes.
+//! Little-endian. A header of 96 bytes, `count` records of 32 bytes, `count` ages of two bytes; and where the step of rates
+//! is not zero, `count` rates of three bytes.
 //!
 //! | header | | |
 //! |---|---|---|
 //! | 0 | 4 bytes | `sspk` |
-//! | 4 | u32 | version, 1 |
+//! | 4 | u32 | version, 2 |
 //! | 8 | u64 | the key frame at the interval's end |
 //! | 16 | f64, f64 | start and end in seconds |
 //! | 32 | u32, u32 | count; zero |
 //! | 40 | 4 × 3 f32 | `low` and `step` of positions, `low` and `step` of velocities |
-//! | 88 | u64 | zero |
+//! | 88 | f32, u32 | `step` of rates; zero |
 //!
 //! | record | | value | error at most |
 //! |---|---|---|---|
@@ -22,6 +23,8 @@
 //! | 20 | 2 × f16 | standard deviations along x and z, at most 65,504 | 2⁻¹¹ of it, 2⁻²⁵ |
 //! | 24 | u64 | identity in the low 56 bits; bit 56 reference; bits 57 and 58 handover | none below 2⁵⁶ |
 //!
+//! A rate is the change of red, green and blue per interval, 3 × i8: `step·q`, half a step off at most, which is a 254th of the largest.
+//!
 //! An age is the number of key frames from the identity's birth to the interval's end, at most 65,535. Left out is what no image
 //! of the interval can show: opacities under 1/255, inverse depths that leave [0, 1] on one side throughout, and records with a
 //! number that is not finite. The order is the drawing order.
@@ -32,12 +35,16 @@ use crate::stream::{Interval, Record};
 
 /// The first bytes.
 pub const MAGIC: [u8; 4] = *b"sspk";
+/// The version this program writes, and its page reads.
+pub const VERSION: u32 = 2;
 /// Bytes before the records.
 pub const HEADER: usize = 96;
 /// Bytes of a record.
 pub const RECORD: usize = 32;
 /// What is under it cannot be drawn.
 const VISIBLE: f32 = 1.0 / 255.0;
+/// Steps of the largest rate.
+const RATE_STEPS: f32 = 127.0;
 /// Steps of a range.
 const STEPS: f64 = 65535.0;
 /// The identity's part of a record's last word.
@@ -51,9 +58,10 @@ pub fn packet(interval: &Interval) -> Vec<u8> {
     let shown: Vec<Record> = interval.gaussians.iter().filter(can_be_seen).collect();
     let position = Grid::over(shown.iter().map(|r| r.mean));
     let velocity = Grid::over(shown.iter().map(|r| r.velocity));
-    let mut out = Vec::with_capacity(HEADER + shown.len() * (RECORD + 2));
+    let rate = shown.iter().flat_map(|r| r.rgb_rate).fold(0.0, |most: f32, rate| most.max(rate.abs())) / RATE_STEPS;
+    let mut out = Vec::with_capacity(HEADER + shown.len() * (RECORD + 5));
     out.extend_from_slice(&MAGIC);
-    out.extend_from_slice(&1_u32.to_le_bytes());
+    out.extend_from_slice(&VERSION.to_le_bytes());
     out.extend_from_slice(&interval.index.to_le_bytes());
     out.extend_from_slice(&interval.start.to_le_bytes());
     out.extend_from_slice(&interval.end.to_le_bytes());
@@ -61,6 +69,7 @@ pub fn packet(interval: &Interval) -> Vec<u8> {
     for values in [position.low, position.step, velocity.low, velocity.step] {
         values.iter().for_each(|v| out.extend_from_slice(&v.to_le_bytes()));
     }
+    out.extend_from_slice(&rate.to_le_bytes());
     out.resize(HEADER, 0);
     for r in &shown {
         let words = position.steps(r.mean).into_iter().chain(velocity.steps(r.velocity));
@@ -75,6 +84,11 @@ pub fn packet(interval: &Interval) -> Vec<u8> {
     for r in &shown {
         let age = interval.index.saturating_sub(r.birth).min(u64::from(u16::MAX)) as u16;
         out.extend_from_slice(&age.to_le_bytes());
+    }
+    if rate > 0.0 {
+        // A conversion saturates.
+        let steps = |change: f32| (f64::from(change) / f64::from(rate)).round() as i8;
+        out.extend(shown.iter().flat_map(|r| r.rgb_rate).flat_map(|change| steps(change).to_le_bytes()));
     }
     out
 }
@@ -154,6 +168,7 @@ mod tests {
                     opacity: 0.004 + 0.99 * grain,
                     scale: [1e-3 + grain, 0.07 * grain],
                     rgb: [grain, 1.0 - grain, 0.5],
+                    rgb_rate: [0.3 * grain, -0.2, grain * grain - 0.5],
                     identity: (1 << 40) + i as u64,
                     birth: i as u64 * 271,
                     reference: Reference::from_code((i % 2) as u8).expect("a code"),
@@ -176,8 +191,8 @@ mod tests {
     fn every_value_comes_back_within_its_stated_error() {
         let records = records();
         let bytes = packet(&interval(records.iter().copied().collect()));
-        assert_eq!(bytes.len(), HEADER + records.len() * 34);
-        assert_eq!((&bytes[..4], bytes[4], word(&bytes, 32)), (&MAGIC[..], 1, 257));
+        assert_eq!(bytes.len(), HEADER + records.len() * 37);
+        assert_eq!((&bytes[..4], bytes[4], word(&bytes, 32)), (&MAGIC[..], VERSION as u8, 257));
         assert_eq!(f64::from_le_bytes(bytes[24..32].try_into().expect("eight bytes")), 0.5);
         for (i, r) in records.iter().enumerate() {
             let at = HEADER + i * RECORD;
@@ -200,9 +215,27 @@ mod tests {
             let last = u64::from_le_bytes(bytes[at + 24..at + 32].try_into().expect("eight bytes"));
             assert_eq!(last & IDENTITY, r.identity);
             assert_eq!(last >> 56, r.reference as u64 + 2 * r.handover as u64);
+            let step = float(&bytes, 88);
+            for channel in 0..3 {
+                let found = step * f32::from(bytes[HEADER + records.len() * 34 + 3 * i + channel].cast_signed());
+                assert!((found - r.rgb_rate[channel]).abs() <= 0.5001 * step, "{i} {channel}: {found}");
+            }
             let age = word(&bytes, HEADER + records.len() * RECORD + 2 * i);
             assert_eq!(u64::from(age), (70_000 - r.birth).min(65_535));
         }
+    }
+
+    #[test]
+    fn colours_that_stay_take_no_bytes_and_the_least_rate_is_no_hazard() {
+        let still = Record { opacity: 0.5, mean: [0.0, 0.5, 0.0], ..Record::default() };
+        let bytes = packet(&interval([still].into_iter().collect()));
+        assert_eq!((bytes.len(), float(&bytes, 88)), (HEADER + 34, 0.0));
+        // A 127th of it is no number.
+        let hardly = Record { rgb_rate: [1e-45, 0.0, 0.0], ..still };
+        assert_eq!(packet(&interval([hardly].into_iter().collect())).len(), HEADER + 34);
+        let most = Record { rgb_rate: [f32::MAX, -f32::MAX, 0.0], ..still };
+        let bytes = packet(&interval([still, most].into_iter().collect()));
+        assert_eq!(bytes[HEADER + 2 * 34..], [0, 0, 0, 127, 129, 0]);
     }
 
     #[test]

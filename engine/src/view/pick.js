@@ -35,7 +35,7 @@ function pick(packet, order, t, view, x, y) {
   }
   if (!best) return null;
   const identity = packet.identity(best.record);
-  return { ...best, identity, birth: packet.index - packet.ages[best.record], colour: [...packet.colour(best.record)] };
+  return { ...best, identity, birth: packet.index - packet.ages[best.record], colour: colourAt(packet, best.record, t) };
 }
 
 /** The record of an identity in a packet: the one that belongs to the end of the interval nearer to t. */

@@ -26,7 +26,7 @@ async function visit(page, address, said) {
 }
 
 /** The picture on the page, and ours at the same time from the same camera. */
-async function compare(page, address, said) {
+async function compare(page, address, said, source = scene) {
   await visit(page, address, { interface: "none", background: 0.5, ...said });
   const theirs = await page.screenshot();
   await page.keyboard.press("?");
@@ -36,7 +36,7 @@ async function compare(page, address, said) {
   const [width, height] = SIZE;
   const from = said.canonical ? [] : ["--camera", `${scratch}/camera.json`];
   const options = ["--times", String(said.t), "--size", `${width}x${height}`, "--quiet", "--out", `${scratch}/ours`];
-  run(streamsplat, "render", scene, ...from, ...options);
+  run(streamsplat, "render", source, ...from, ...options);
   return { theirs, dB: await psnr(other, theirs, `${scratch}/ours/frames/000000.png`) };
 }
 
@@ -52,6 +52,23 @@ async function pictures(address) {
       check(dB >= ENOUGH, `${name} at ${t} s: expected ${ENOUGH} dB beside our render, found ${dB}`);
     }
   }
+}
+
+/** Colours that change, from both ends of the interval. */
+async function changing() {
+  const source = "fixtures/containers/version-2.ssz";
+  const view = start(streamsplat, ["view", source, "--port", "0"], "stdout");
+  const address = (await view.line).split(" ")[0];
+  const pictures = [];
+  for (const t of [0.002, 0.02, 0.04]) {
+    const { theirs, dB } = await compare(page, address, { t, canonical: true }, source);
+    console.log(`colours that change at ${t} s: ${dB.toFixed(1)} dB`);
+    check(dB >= ENOUGH, `colours that change at ${t} s: expected ${ENOUGH} dB beside our render, found ${dB}`);
+    pictures.push(theirs);
+  }
+  check((await psnr(other, pictures[0], pictures[2])) < 40, "colours change");
+  view.child.kill("SIGINT");
+  check((await view.ended) === 0, "Ctrl-C ends the server well");
 }
 
 async function controls(address) {
@@ -163,6 +180,7 @@ await picking(address);
 await file(address);
 view.child.kill("SIGINT");
 check((await view.ended) === 0, "Ctrl-C ends the server well");
+await changing();
 await live();
 await browser.close();
 check(log.said.length === 0, `the console is not clean: ${log.said.join("; ")}`);

@@ -66,8 +66,8 @@ def test_arrays_show_the_engines_memory_and_cannot_be_written(intervals):
     interval = intervals[-1]
     gaussians = interval.gaussians
     assert len(gaussians) == len(interval) == len(gaussians.mean)
-    shapes = {"mean": (3,), "velocity": (3,), "gamma": (2,), "opacity": (), "scale": (2,), "rgb": (3,), "identity": (),
-              "birth": (), "frame": (), "offset": (3,)}
+    shapes = {"mean": (3,), "velocity": (3,), "gamma": (2,), "opacity": (), "scale": (2,), "rgb": (3,), "rgb_rate": (3,),
+              "identity": (), "birth": (), "frame": (), "offset": (3,)}
     for name, rest in shapes.items():
         array = getattr(gaussians, name)
         assert array.shape == (len(interval), *rest) and np.shares_memory(array, getattr(interval.gaussians, name)), name
@@ -75,6 +75,7 @@ def test_arrays_show_the_engines_memory_and_cannot_be_written(intervals):
             array[0] = 0
         with pytest.raises(ValueError):
             array.setflags(write=True)
+    assert not gaussians.rgb_rate.any(), "the network's own colours stay"
     image = interval.render(interval.end, depth=True)
     assert image.rgb.shape == (image.height, image.width, 3) and np.shares_memory(image.rgb, image.rgb)
     assert image.depth.shape == (image.height, image.width) and image.alpha is None

@@ -77,6 +77,7 @@ pub(super) fn interval() -> Vec<Vec<u8>> {
             opacity: 0.9,
             scale: [0.2, 0.1],
             rgb: [0.2 * x, 0.5, 1.0],
+            rgb_rate: [0.0; 3],
             identity: u64::from(i),
             birth: 0,
             frame: 1,
@@ -95,7 +96,11 @@ pub(super) fn interval() -> Vec<Vec<u8>> {
         dropped: 0,
         workers: Workers::new(Level::scalar(), 1).expect("a thread starts"),
     };
-    vec![to_safetensors(&interval).expect("even arrays")]
+    let mut changing = interval.clone();
+    for (i, rate) in changing.gaussians.rgb_rate.iter_mut().enumerate() {
+        *rate = [0.1 * i as f32, -0.25, 0.0];
+    }
+    [interval, changing].iter().map(|interval| to_safetensors(interval).expect("even arrays")).collect()
 }
 
 pub(super) fn scene_index() -> Vec<Vec<u8>> {

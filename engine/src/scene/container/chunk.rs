@@ -9,11 +9,11 @@
 //! - *fresh*: the last record that is not carried predicts mean, opacity, scale and colour (zeros before the first); nothing predicts
 //!   the offset; the identity is expected to be the last fresh one's plus one, the birth the key frame.
 //!
-//! The last record of any kind predicts velocity and γ; the last one that is not carried the key frame.
+//! The last record of any kind predicts velocity, γ and change of colour; the last one that is not carried the key frame.
 
 use super::MOST;
 use super::columns::{Column, Values};
-use super::quantise::{COLOUR_AT, GAMMA, LIMIT, MEAN, OFFSET, Quantised, VALUES, VELOCITY};
+use super::quantise::{COLOUR_AT, GAMMA, LIMIT, MEAN, OFFSET, Quantised, RATE_AT, VALUES, VELOCITY};
 use crate::import::FormatError;
 use crate::stream::{Handover, Merge, Reference};
 use std::collections::BTreeMap;
@@ -24,7 +24,7 @@ const CARRIED: u64 = 1;
 const FOLLOWING: u64 = 2;
 
 /// The columns, in the order they are stored in.
-pub(super) const COLUMNS: [&str; 25] = [
+pub(super) const COLUMNS: [&str; 28] = [
     "kind",
     "link",
     "code",
@@ -48,6 +48,9 @@ pub(super) const COLUMNS: [&str; 25] = [
     "velocity_z",
     "gamma_0",
     "gamma_1",
+    "green_rate",
+    "red_rate",
+    "blue_rate",
     "merge",
     "merge_into",
 ];
@@ -59,8 +62,10 @@ const BIRTH: usize = 4;
 const FRAME: usize = 5;
 /// The first column of the quantised numbers.
 const FIRST: usize = 6;
-const MERGE: usize = 23;
-const MERGE_INTO: usize = 24;
+/// The columns of the change of colour: not there in version 1; empty where no number in them differs from 0.
+const RATES: std::ops::Range<usize> = FIRST + RATE_AT..MERGE;
+const MERGE: usize = 26;
+const MERGE_INTO: usize = 27;
 const _: () = assert!(FIRST + VALUES == MERGE);
 
 /// What both sides know of the records before.
@@ -155,11 +160,18 @@ pub(super) fn encode(before: &[Quantised], records: &[Quantised], merges: &[Merg
         columns[MERGE_INTO].push_signed(merge.into.wrapping_sub(last[1]).cast_signed());
         last = [merge.identity, merge.into];
     }
+    // Differences of 0 throughout are numbers of 0 throughout: predictions begin with 0.
+    for column in &mut columns[RATES] {
+        if column.is_silent() {
+            *column = Column::default();
+        }
+    }
     streamsplat_kernels::parallel::map_indexed(columns.len(), |i| columns[i].stored()).concat()
 }
 
-/// Records and merges of a chunk, of which there are `count` and `merges`.
+/// Records and merges of a chunk of `version`, of which there are `count` and `merges`.
 pub(super) fn decode(
+    version: u32,
     before: &[Quantised],
     bytes: &[u8],
     count: usize,
@@ -167,9 +179,13 @@ pub(super) fn decode(
 ) -> Result<(Vec<Quantised>, Vec<Merge>), FormatError> {
     let mut rest = bytes;
     let mut columns = Vec::with_capacity(COLUMNS.len());
-    for name in COLUMNS {
-        columns.push(Values::read(name, &mut rest)?);
+    for (at, name) in COLUMNS.into_iter().enumerate() {
+        let stored = version > 1 || !RATES.contains(&at);
+        columns.push(if stored { Values::read(name, &mut rest)? } else { Values::none(name) });
     }
+    let rates = RATES.map(|at| columns[at].remaining() > 0);
+    let mut written = [true; VALUES];
+    written[RATE_AT..].iter_mut().zip(rates).for_each(|(written, found)| *written = found);
     if !rest.is_empty() {
         return Err(FormatError::new("chunk", "its end after the last column", format!("{} more bytes", rest.len())));
     }
@@ -184,7 +200,7 @@ pub(super) fn decode(
     let mut records: Vec<Quantised> = Vec::with_capacity(count);
     let mut memory = Memory::default();
     for _ in 0..count {
-        let record = next(&mut columns, before, &records, &mut memory)?;
+        let record = next(&mut columns, &written, before, &records, &mut memory)?;
         records.push(record);
     }
     let mut found = Vec::with_capacity(merges);
@@ -198,9 +214,10 @@ pub(super) fn decode(
     Ok((records, found))
 }
 
-/// The next record.
+/// The next record; `written`: which of its quantised numbers have a column.
 fn next(
     columns: &mut [Values],
+    written: &[bool; VALUES],
     before: &[Quantised],
     records: &[Quantised],
     memory: &mut Memory,
@@ -246,7 +263,8 @@ fn next(
             let offset = following_offset(&linked, &record.values[MEAN..MEAN + 3]);
             prediction[OFFSET..OFFSET + 3].copy_from_slice(&offset);
         }
-        record.values[k] = prediction[k].wrapping_add(columns[FIRST + k].next_signed()?);
+        let difference = if written[k] { columns[FIRST + k].next_signed()? } else { 0 };
+        record.values[k] = prediction[k].wrapping_add(difference);
         // Before it is added to others: sums of a few stay far from overflow.
         if record.values[k].unsigned_abs() > LIMIT.unsigned_abs() {
             return Err(FormatError::new(
@@ -263,4 +281,4 @@ fn next(
     Ok(record)
 }
 
-const _: () = assert!(COLOUR_AT + 3 == VELOCITY && GAMMA + 2 == VALUES);
+const _: () = assert!(COLOUR_AT + 3 == VELOCITY && GAMMA + 2 == RATE_AT && RATE_AT + 3 == VALUES);

@@ -39,6 +39,11 @@ impl Column {
         self.push(fold(x));
     }
 
+    /// Whether every number is 0.
+    pub(super) fn is_silent(&self) -> bool {
+        self.0.iter().all(|byte| *byte == 0)
+    }
+
     /// The column as it is stored: lengths of the bytes and of what they deflate to, then that.
     pub(super) fn stored(&self) -> Vec<u8> {
         let mut compress = Compress::new(Compression::best(), false);
@@ -60,6 +65,11 @@ pub(super) struct Values {
 }
 
 impl Values {
+    /// A column without numbers.
+    pub(super) fn none(name: &'static str) -> Values {
+        Values { name, bytes: Vec::new(), at: 0 }
+    }
+
     /// The column that `rest` begins with; `rest` is moved past it.
     pub(super) fn read(name: &'static str, rest: &mut &[u8]) -> Result<Values, FormatError> {
         let wrong = |expected: &str, found: String| FormatError::new(format!("column {name}"), expected, found);

@@ -21,15 +21,20 @@ pub(super) fn header() -> [u8; HEADER] {
     out
 }
 
-/// Whether the first bytes are those of a container this program reads.
-pub(super) fn check_header(bytes: &[u8]) -> Result<(), FormatError> {
+/// The version of a container that begins so.
+///
+/// # Errors
+/// Bytes that no container of a version this program reads begins with.
+pub(super) fn version(bytes: &[u8]) -> Result<u32, FormatError> {
     let wrong = |expected: String, found: String| Err(FormatError::new("header", expected, found));
     if bytes.len() < HEADER || bytes[..8] != MAGIC {
         return wrong("a container's first bytes".into(), "others".into());
     }
     match bytes[8..12].first_chunk().map(|b| u32::from_le_bytes(*b)) {
-        Some(CONTAINER_VERSION) if bytes[12..HEADER] == [0; 4] => Ok(()),
-        version => wrong(format!("version {CONTAINER_VERSION}"), format!("version {}", version.unwrap_or_default())),
+        Some(version @ 1..=CONTAINER_VERSION) if bytes[12..HEADER] == [0; 4] => Ok(version),
+        version => {
+            wrong(format!("version 1 to {CONTAINER_VERSION}"), format!("version {}", version.unwrap_or_default()))
+        }
     }
 }
 

@@ -22,8 +22,8 @@ pub use write::ContainerWriter;
 
 /// The first bytes of a container.
 pub const MAGIC: [u8; 8] = *b"ssplat\x1a\n";
-/// The version this program writes and reads.
-pub const CONTAINER_VERSION: u32 = 1;
+/// The version this program writes. It reads that one and version 1, in which colours do not change.
+pub const CONTAINER_VERSION: u32 = 2;
 
 /// Every chunk whose place is a multiple of this stands alone.
 const ALONE_EVERY: usize = 8;

@@ -8,6 +8,7 @@
 //! | opacity | `1023·o` |
 //! | scale | `64·log₂ s`, from −9664 (which comes back as 0) to 8128 |
 //! | rgb | `511·c` |
+//! | change of rgb | `255·c` |
 //!
 //! rounded to the nearest, ties to even, in binary64; magnitudes above 2⁴⁶ become 2⁴⁶.
 
@@ -21,6 +22,8 @@ const GAMMA1: f64 = 256.0;
 const OPACITY: f64 = 1023.0;
 const SCALE: f64 = 64.0;
 const COLOUR: f64 = 511.0;
+/// Coarser than colours: it is weighed by the time from the reference, and most of it is seen where its Gaussian fades.
+const RATE: f64 = 255.0;
 /// The largest magnitude of a whole number.
 pub(super) const LIMIT: i64 = 1 << 46;
 const LEAST_SCALE: i64 = -9664;
@@ -28,8 +31,9 @@ const MOST_SCALE: i64 = 8128;
 const MOST_GAMMA0: i64 = 4092;
 
 /// Numbers per record that are quantised.
-pub(super) const VALUES: usize = 17;
-/// Where they are: mean, offset, opacity, scale, and colour as green, red − green, blue − green; then velocity and γ.
+pub(super) const VALUES: usize = 20;
+/// Where they are: mean, offset, opacity, scale, and colour as green, red − green, blue − green; then velocity, γ, and the change of
+/// colour in the same three parts.
 pub(super) const MEAN: usize = 0;
 pub(super) const OFFSET: usize = 3;
 pub(super) const OPACITY_AT: usize = 6;
@@ -37,6 +41,7 @@ pub(super) const SCALE_AT: usize = 7;
 pub(super) const COLOUR_AT: usize = 9;
 pub(super) const VELOCITY: usize = 12;
 pub(super) const GAMMA: usize = 15;
+pub(super) const RATE_AT: usize = 17;
 
 /// A record in whole numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -53,6 +58,12 @@ fn whole(x: f64) -> i64 {
     (x.round_ties_even() as i64).clamp(-LIMIT, LIMIT)
 }
 
+/// Green, red − green, blue − green, in steps. Differences of two stay inside the limit's double; a colour that large is none.
+fn parts(rgb: [f32; 3], steps: f64) -> [i64; 3] {
+    let [red, green, blue] = rgb.map(|c| whole(f64::from(c) * steps));
+    [green, red - green, blue - green].map(|c| c.clamp(-LIMIT, LIMIT))
+}
+
 /// log₂ x
 fn log2(x: f64) -> f64 {
     ln(x) * std::f64::consts::LOG2_E
@@ -66,7 +77,6 @@ impl Quantised {
             true => whole(SCALE * log2(f64::from(s))).clamp(LEAST_SCALE, MOST_SCALE),
             false => LEAST_SCALE,
         };
-        let [red, green, blue] = r.rgb.map(|c| whole(f64::from(c) * COLOUR));
         let gamma0 = whole(GAMMA0 * (ln_1p(f64::from(r.gamma[0])) * std::f64::consts::LOG2_E)).min(MOST_GAMMA0);
         let mut values = [0; VALUES];
         for axis in 0..3 {
@@ -76,10 +86,9 @@ impl Quantised {
         }
         values[OPACITY_AT] = whole(f64::from(r.opacity) * OPACITY);
         values[SCALE_AT..COLOUR_AT].copy_from_slice(&r.scale.map(scale));
-        // Differences of two stay inside the limit's double; a colour that large is none.
-        values[COLOUR_AT..VELOCITY]
-            .copy_from_slice(&[green, red - green, blue - green].map(|c| c.clamp(-LIMIT, LIMIT)));
-        values[GAMMA..].copy_from_slice(&[gamma0, whole(f64::from(r.gamma[1]) * GAMMA1)]);
+        values[COLOUR_AT..VELOCITY].copy_from_slice(&parts(r.rgb, COLOUR));
+        values[RATE_AT..].copy_from_slice(&parts(r.rgb_rate, RATE));
+        values[GAMMA..RATE_AT].copy_from_slice(&[gamma0, whole(f64::from(r.gamma[1]) * GAMMA1)]);
         let Record { identity, birth, frame, reference, handover, .. } = *r;
         Self { values, identity, birth, frame, reference, handover }
     }
@@ -89,7 +98,10 @@ impl Quantised {
         let v = |i: usize| self.values[i] as f64;
         let triple = |from: usize| std::array::from_fn(|axis| (v(from + axis) / LENGTH) as f32);
         let scale = |i: usize| exp(v(i) / SCALE * std::f64::consts::LN_2) as f32;
-        let green = v(COLOUR_AT);
+        let colour = |at: usize, steps: f64| {
+            let green = v(at);
+            [green + v(at + 1), green, green + v(at + 2)].map(|c| (c / steps) as f32)
+        };
         let gamma0 = expm1(v(GAMMA) / GAMMA0 * std::f64::consts::LN_2) as f32;
         Record {
             mean: triple(MEAN),
@@ -97,8 +109,8 @@ impl Quantised {
             gamma: [gamma0, (v(GAMMA + 1) / GAMMA1) as f32],
             opacity: (v(OPACITY_AT) / OPACITY) as f32,
             scale: [scale(SCALE_AT), scale(SCALE_AT + 1)],
-            rgb: [green + v(COLOUR_AT + 1), green, green + v(COLOUR_AT + 2)].map(|c| (c / COLOUR) as f32),
-            rgb_rate: [0.0; 3],
+            rgb: colour(COLOUR_AT, COLOUR),
+            rgb_rate: colour(RATE_AT, RATE),
             identity: self.identity,
             birth: self.birth,
             frame: self.frame,

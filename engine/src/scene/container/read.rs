@@ -5,10 +5,10 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
+use super::MAGIC;
 use super::chunk::decode;
-use super::index::{Entry, HEADER, TRAILER, Table, check_header};
+use super::index::{Entry, HEADER, TRAILER, Table, version};
 use super::quantise::Quantised;
-use super::{CONTAINER_VERSION, MAGIC};
 use crate::fit::Placement;
 use crate::import::FormatError;
 use crate::scene::{FORMAT, Index, IntervalEntry, SceneError};
@@ -21,6 +21,7 @@ const MAX_INDEX: u64 = 1 << 28;
 #[derive(Clone, Debug)]
 pub(in crate::scene) struct Container {
     path: PathBuf,
+    version: u32,
     entries: Vec<Entry>,
     /// The interval that was read last, for the one after it.
     last: Arc<Mutex<Option<(usize, Vec<Quantised>)>>>,
@@ -44,7 +45,7 @@ impl Container {
         }
         let mut header = [0; HEADER];
         file.read_exact(&mut header).map_err(read)?;
-        check_header(&header).map_err(broken)?;
+        let version = version(&header).map_err(broken)?;
         let trailer_at = size - TRAILER as u64;
         let mut trailer = [0; TRAILER];
         file.seek(SeekFrom::Start(trailer_at)).and_then(|_| file.read_exact(&mut trailer)).map_err(read)?;
@@ -65,12 +66,12 @@ impl Container {
         });
         let index = Index {
             format: format!("{FORMAT}-container"),
-            version: CONTAINER_VERSION,
+            version,
             fps: table.fps,
             placement: table.placement,
             intervals: intervals.collect(),
         };
-        Ok((Container { path: path.to_owned(), entries: table.entries, last: Arc::default() }, index))
+        Ok((Container { path: path.to_owned(), version, entries: table.entries, last: Arc::default() }, index))
     }
 
     /// Reads interval `i`, and those before it that it is coded against, unless the last one read is among them.
@@ -109,7 +110,7 @@ impl Container {
         if *blake3::hash(&bytes).as_bytes() != entry.blake3 {
             return Err(broken("expected the digest that the index says, found another".into()));
         }
-        decode(before, &bytes, entry.gaussians, entry.merges).map_err(|e| broken(e.to_string()))
+        decode(self.version, before, &bytes, entry.gaussians, entry.merges).map_err(|e| broken(e.to_string()))
     }
 }
 
@@ -130,7 +131,7 @@ fn locate(trailer: &[u8], size: u64) -> Result<(u64, u64), FormatError> {
 /// What was expected and what was found.
 pub fn intervals_from_container(bytes: &[u8], workers: &Workers) -> Result<Vec<Interval>, FormatError> {
     let size = bytes.len();
-    check_header(bytes)?;
+    let version = version(bytes)?;
     let (at, length) =
         locate(size.checked_sub(TRAILER).and_then(|from| bytes.get(from..)).unwrap_or(&[0; 16]), size as u64)?;
     let table = Table::from_bytes(&bytes[at as usize..(at + length) as usize], at)?;
@@ -140,7 +141,7 @@ pub fn intervals_from_container(bytes: &[u8], workers: &Workers) -> Result<Vec<I
     for entry in &table.entries {
         let known: &[Quantised] = if entry.back == 0 { &[] } else { &before };
         let chunk = &bytes[entry.at as usize..(entry.at + entry.bytes) as usize];
-        let (records, merges) = decode(known, chunk, entry.gaussians, entry.merges)?;
+        let (records, merges) = decode(version, known, chunk, entry.gaussians, entry.merges)?;
         intervals.push(entry.interval(&records, merges, placement, workers));
         before = records;
     }

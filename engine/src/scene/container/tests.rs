@@ -30,7 +30,8 @@ fn intervals(count: u64, workers: &Workers) -> Vec<Interval> {
             opacity: noise(seed + 5),
             scale: [0.01 + 0.1 * noise(seed + 6), 0.02],
             rgb: [noise(seed + 7), noise(seed + 8), 0.3],
-            rgb_rate: [0.0; 3],
+            // Every third key frame's colours stay.
+            rgb_rate: [noise(seed + 10) - 0.5, 0.1, -0.3].map(|c| c * (frame % 3) as f32),
             identity: if cell.is_multiple_of(3) { frame * 100 + cell } else { cell },
             birth: if cell.is_multiple_of(3) { frame } else { 0 },
             frame,
@@ -98,6 +99,7 @@ fn intervals_come_back_in_any_order_as_closely_as_is_said() {
             let half = 0.5 / 8192.0 * 1.001;
             assert!(close(&a.mean, &b.mean, half) && close(&a.velocity, &b.velocity, half));
             assert!(close(&a.offset, &b.offset, half) && close(&a.rgb, &b.rgb, 0.501 / 511.0));
+            assert!(close(&a.rgb_rate, &b.rgb_rate, 0.501 / 255.0));
             assert!((a.opacity - b.opacity).abs() < 0.501 / 1023.0);
             assert!(close(&a.scale.map(f32::log2), &b.scale.map(f32::log2), 0.501 / 64.0));
             assert!(((1.0 + a.gamma[0]).log2() - (1.0 + b.gamma[0]).log2()).abs() < 0.501 / 32.0);
@@ -108,6 +110,77 @@ fn intervals_come_back_in_any_order_as_closely_as_is_said() {
     for (i, gaussians) in kept {
         let fresh = Scene::open(&path).expect("just written").interval(i, &workers).expect("just written");
         assert!(fresh.gaussians == gaussians, "{i}: whatever was read before");
+    }
+}
+
+#[test]
+fn a_container_of_version_1_is_read_as_it_was() {
+    let path = streamsplat_fixtures::path("containers/version-1.ssz");
+    let scene = Scene::open(&path).expect("a container");
+    assert_eq!((scene.index().version, scene.index().intervals.len()), (1, 2));
+    for (i, count) in [(1, 1920), (0, 960)] {
+        let interval = scene.interval(i, &workers(1)).expect("sound");
+        assert_eq!((interval.gaussians.len(), interval.dropped), (count, 0));
+        assert!(interval.gaussians.rgb_rate.iter().all(|rate| *rate == [0.0; 3]));
+    }
+    let bytes = std::fs::read(&path).expect("readable");
+    let intervals = intervals_from_container(&bytes, &workers(1)).expect("sound");
+    // What the program that wrote it exports from it.
+    let snapshot = crate::render::Snapshot::of(&intervals[1], 0.02).expect("inside");
+    let digest = blake3::hash(&crate::export::ply(&snapshot)).to_hex();
+    assert_eq!(digest.as_str(), "6698c4d4cec34629b96221bcd90d85bc07e801dcd367fd30a83886b8b2880eed");
+    // Written anew it is one of version 2 with the same records, and three empty columns more in each chunk.
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let anew = written(&folder.path().join("scene.ssz"), &intervals);
+    assert_eq!(anew.len(), bytes.len() + 2 * 3 * 10);
+    let again = intervals_from_container(&anew, &workers(1)).expect("just written");
+    assert!(again.iter().zip(&intervals).all(|(a, b)| a.gaussians == b.gaussians && a.merges == b.merges));
+    // Either's chunks under the other's version are refused, and so are versions that there are not.
+    for (bytes, version) in [(&bytes, 2), (&anew, 1), (&bytes, 0), (&bytes, 3)] {
+        let mut other = bytes.clone();
+        other[8] = version;
+        assert!(intervals_from_container(&other, &workers(1)).is_err(), "{version}");
+    }
+}
+
+#[test]
+fn columns_of_rates_of_another_length_are_refused() {
+    let interval = &intervals(2, &workers(1))[1];
+    let records: Vec<Quantised> = interval.gaussians.iter().map(|r| Quantised::of(&r)).collect();
+    let still: Vec<Quantised> =
+        records.iter().map(|r| Quantised::of(&Record { rgb_rate: [0.0; 3], ..r.record() })).collect();
+    let (bytes, plain) = (encode(&[], &records, &interval.merges), encode(&[], &still, &interval.merges));
+    let columns = |bytes: &[u8]| {
+        let (mut rest, mut all) = (bytes, Vec::new());
+        while !rest.is_empty() {
+            let stored = u32::from_le_bytes(rest[4..8].try_into().expect("four bytes")) as usize;
+            let (column, after) = rest.split_at(8 + stored);
+            all.push(column.to_vec());
+            rest = after;
+        }
+        all
+    };
+    let (full, empty) = (columns(&bytes), columns(&plain));
+    let (many, merges) = (records.len(), interval.merges.len());
+    assert_eq!(
+        (full.len(), empty[23].len(), decode(2, &[], &plain, many, merges).map(|(found, _)| found)),
+        (28, 10, Ok(still))
+    );
+    for rate in 23..26 {
+        // Fewer numbers than records, more, and ones beyond the limit.
+        let mut column = super::columns::Column::default();
+        (1..many).for_each(|_| column.push_signed(1));
+        let fewer = column.stored();
+        (0..2).for_each(|_| column.push_signed(1));
+        let more = column.stored();
+        let mut vast = super::columns::Column::default();
+        (0..many).for_each(|_| vast.push_signed(1 << 45));
+        for wrong in [fewer, more, vast.stored()] {
+            let mut hostile = full.clone();
+            hostile[rate] = wrong;
+            let error = decode(2, &[], &hostile.concat(), many, merges).expect_err("hostile").to_string();
+            assert!(error.contains("_rate: expected"), "{error}");
+        }
     }
 }
 
@@ -138,6 +211,7 @@ fn extreme_records_stay_sound_and_unsound_ones_are_counted() {
         opacity: x.abs().min(1.0),
         scale: [x.abs(), 0.0],
         rgb: [x, -x, x],
+        rgb_rate: [-0.5 * x, x, 0.0],
         offset: [-x; 3],
         identity: u64::MAX,
         birth: u64::MAX,
@@ -245,7 +319,7 @@ proptest! {
     #[test]
     fn any_records_come_back(
         records in proptest::collection::vec(
-            (proptest::array::uniform17(-(1_i64 << 40)..1 << 40), 0_u64..6, 0_u64..3, 0_u64..3, 0_u8..6), 0..60,
+            (proptest::array::uniform20(-(1_i64 << 40)..1 << 40), 0_u64..6, 0_u64..3, 0_u64..3, 0_u8..6), 0..60,
         ),
         split in any::<proptest::sample::Index>(),
         merges in proptest::collection::vec((any::<u64>(), any::<u64>()), 0..5),
@@ -269,10 +343,10 @@ proptest! {
         let merges: Vec<Merge> = merges.into_iter().map(|(identity, into)| Merge { identity, into }).collect();
         let (before, records) = all.split_at(if all.is_empty() { 0 } else { split.index(all.len()) });
         let bytes = encode(before, records, &merges);
-        let (found, ended) = decode(before, &bytes, records.len(), merges.len()).expect("just encoded");
+        let (found, ended) = decode(CONTAINER_VERSION, before, &bytes, records.len(), merges.len()).expect("just encoded");
         prop_assert_eq!(&found, records);
         prop_assert_eq!(ended, merges);
-        prop_assert!(decode(before, &bytes, records.len() + 1, 0).is_err());
+        prop_assert!(decode(CONTAINER_VERSION, before, &bytes, records.len() + 1, 0).is_err());
     }
 
     #[test]
@@ -286,7 +360,7 @@ proptest! {
             let at = index.index(bytes.len());
             bytes[at] = byte;
         }
-        if let Ok((found, _)) = decode(&[], &bytes, records.len(), interval.merges.len()) {
+        if let Ok((found, _)) = decode(CONTAINER_VERSION, &[], &bytes, records.len(), interval.merges.len()) {
             prop_assert!(found.iter().all(|r| r.record().is_sound()));
         }
     }

@@ -3,6 +3,7 @@
 //
 // A record (packet.rs) is taken to the time t of its interval, into scene space, and into the view:
 //   position = mean + velocity·τ,   opacity = o · (1 + e^(−γ₀γ₁)) / (1 + e^(γ₀(|τ| − γ₁))) · handover,   τ = t − t₀
+//   colour   = rgb + rate·τ
 //   scene    = (x, −z, 1 / (9.8·y + 0.2 + 10⁻⁶)) for y in [0, 1]
 //   Σ        = J·R·S·Sᵀ·Rᵀ·Jᵀ + 0.3·I   (px²)
 // With Σ = L·Lᵀ, L lower triangular, the place L·w has the exponent −½·|w|²: the square |w|∞ ≤ r, r = √(2·ln(255·o)), holds every
@@ -10,8 +11,11 @@
 precision highp float;
 precision highp int;
 precision highp usampler2D;
+precision highp isampler2D;
 
 uniform usampler2D records;
+uniform isampler2D rates;
+uniform float rateStep;   // 0 where colours stay
 uniform vec3 positionLow, positionStep, velocityLow, velocityStep;
 uniform float t;
 uniform vec3 eye;
@@ -96,7 +100,11 @@ void main() {
   w = corner * sqrt(2.0 * log(255.0 * opacity));
   vec2 pixel = centre + vec2(l11 * w.x, l21 * w.x + l22 * w.y);
 
-  vec3 value = mode == 0 ? vec3(b.x & 255u, (b.x >> 8) & 255u, (b.x >> 16) & 255u) / 255.0
+  vec3 rgb = vec3(b.x & 255u, (b.x >> 8) & 255u, (b.x >> 16) & 255u) / 255.0;
+  if (rateStep > 0.0) {
+    rgb += rateStep * tau * vec3(texelFetch(rates, ivec2(int(record % PER_ROW), int(record / PER_ROW)), 0).rgb);
+  }
+  vec3 value = mode == 0 ? rgb
              : mode == 1 ? vec3(world.y, 0.0, 0.0)
              : colourOf(b.z);
   splat = vec4(value, opacity);
