@@ -165,8 +165,10 @@ fn sums_agree_with_the_plain_version() {
     let pixels = size[0] * size[1];
     for projection in projections(size[0], size[1]) {
         let mut cases = vec![(ordinary(700, false, 14), 1e-5, 1e-4), (ordinary(700, true, 15), 1e-5, 1e-4)];
-        cases.extend((0..4).map(|seed| (extreme(60, seed), 1e-3, 5e-3)));
-        for (case, (scene, tolerance, doubt)) in cases.into_iter().enumerate() {
+        cases.extend((0..4).map(|seed| (extreme(60, seed), 5e-4, 5e-3)));
+        for (case, (mut scene, tolerance, doubt)) in cases.into_iter().enumerate() {
+            // The plain version drops Gaussians whose colour is not finite; the map does not look at it.
+            scene.rgb.fill([0.5; 3]);
             let request = everything(size[0], size[1]);
             let (image, weights) = reference::weights(&scene.gaussians(), &projection, &request);
             // Pixels that rounding may decide otherwise are no part of the comparison.
