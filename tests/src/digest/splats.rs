@@ -1,20 +1,48 @@
 //! The rasteriser on the oracle's scenes.
 
 use streamsplat::splats::Splats;
-use streamsplat_kernels::raster::{Image, render};
+use streamsplat_kernels::Level;
+use streamsplat_kernels::raster::{ColourMap, Image, render};
 
 use super::{Digest, Thing};
 
 pub(super) fn things() -> Vec<Thing> {
-    ["predicted-t050", "rotated-orthographic", "perspective", "extreme"]
-        .map(|name| {
-            Thing::new(format!("splats/{name}"), move |level, digest| {
-                let scene = scene(name);
-                let image = render(level, &scene.gaussians(), &scene.projection, &scene.request);
-                add(digest, &image);
-            })
+    let scenes = ["predicted-t050", "rotated-orthographic", "perspective", "extreme"];
+    let images = scenes.map(|name| {
+        Thing::new(format!("splats/{name}"), move |level, digest| {
+            let scene = scene(name);
+            let image = render(level, &scene.gaussians(), &scene.projection, &scene.request);
+            add(digest, &image);
         })
-        .into()
+    });
+    let maps = scenes
+        .map(|name| Thing::new(format!("colour-map/{name}"), move |level, digest| linear(level, digest, &scene(name))));
+    images.into_iter().chain(maps).collect()
+}
+
+/// The linear map of the colours: adjoint, normal operator, residual and sums, of the scene's colours and its image in negative.
+fn linear(level: Level, digest: &mut Digest, scene: &Splats) {
+    let (gaussians, background) = (scene.gaussians(), scene.request.background);
+    let size = [scene.request.width, scene.request.height];
+    let mut map = ColourMap::new(level);
+    map.prepare(&gaussians, &scene.projection, size);
+    let mut image = vec![0.0; 3 * size[0] * size[1]];
+    map.forward(gaussians.rgb, background, &mut image);
+    digest.floats(&image);
+    let mut sums = vec![[0.0; 3]; map.gaussians()];
+    map.adjoint(&image, &mut sums);
+    digest.floats(sums.as_flattened());
+    map.normal(gaussians.rgb, &mut sums);
+    digest.floats(sums.as_flattened());
+    let negative: Vec<f32> = image.iter().map(|v| 1.0 - v).collect();
+    let squares = map.residual_adjoint(gaussians.rgb, background, &negative, &mut sums);
+    digest.floats(sums.as_flattened());
+    digest.doubles(&[squares]);
+    let (mut rows, mut columns) = (vec![0.0; map.gaussians()], vec![[0.0; 2]; map.gaussians()]);
+    map.row_sums(&mut rows);
+    map.column_sums(&mut columns);
+    digest.floats(&rows);
+    digest.floats(columns.as_flattened());
 }
 
 /// An image, all planes of it.

@@ -6,27 +6,31 @@
 //! image = A·c + T·background      A[p, i] = α_ip·T_ip      T[p] = light left behind all Gaussians
 //! ```
 //!
-//! The weights A are those of the blend, by the same code and to the same bits: `α` below 1/255 and Gaussians behind a finished
-//! pixel have weight 0.
+//! The weights A are those of the blend, by the same code and to the same bits: where α is below 1/255, and behind a
+//! finished pixel, a Gaussian has weight 0.
 //!
 //! # Order of operations
 //!
-//! Everything is binary32. A pixel of `A·c` is summed front to back, one fused multiply-add per Gaussian. A sum over pixels (the
-//! adjoint) is made in three steps: on each of the 16 lanes of a block of 4×4 pixels over the tile's blocks on which the Gaussian
-//! has a weight, row-major, a fused multiply-add each; the lanes folded as [`Simd::sum`](crate::simd::Simd::sum) does; the sums
-//! of tiles of [`TILE_PIXELS`](super::TILE_PIXELS) added in ascending tile order, row-major, from +0.
+//! Everything is binary32. A pixel of `A·c` is summed front to back, one fused multiply-add per Gaussian. A sum over
+//! pixels (the adjoint) is made in three steps:
+//!
+//! 1. on each of the 16 lanes of a block of 4×4 pixels, over those blocks of a tile on which the Gaussian has a weight,
+//!    row-major, a fused multiply-add each, from +0;
+//! 2. the lanes, folded as [`Simd::sum`](crate::simd::Simd::sum) does;
+//! 3. the tiles of [`TILE_PIXELS`](super::TILE_PIXELS), added in ascending order, row-major, from +0.
 //!
 //! # Values that are not finite
 //!
-//! A Gaussian with a NaN or an infinity in mean, scale, rotation or opacity is dropped: its weights are 0, and so are its
-//! sums. A component of a colour or of the background that is not finite counts as +0. So does a residual that is not
-//! finite, on its pixel and channel alone. Sums beyond the largest binary32 number are infinite or NaN.
+//! A Gaussian with a NaN or an infinity in mean, scale, rotation or opacity is dropped: its weights are 0, and so are
+//! its sums. A component of a colour or of the background that is not finite counts as +0. So does a residual that is
+//! not finite, on its pixel and channel alone. Sums beyond the largest binary32 number are infinite or NaN.
 
 mod passes;
+mod prepare;
 mod record;
 
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 use tracing::debug_span;
@@ -34,7 +38,7 @@ use tracing::debug_span;
 use super::bin::Grid;
 use super::blend::{BLOCKS, Lanes, Transmittance, Walk};
 use super::renderer::{Renderer, finite_background};
-use super::sort::{Entry, by_depth};
+use super::sort::Entry;
 use super::{Gaussians, Projection, Request};
 use crate::level::Level;
 use crate::parallel::{Disjoint, for_each_chunk};
@@ -49,8 +53,8 @@ const MERGED: usize = 4096;
 
 /// The linear map from colours to pixels of one scene, seen by one camera.
 ///
-/// [`ColourMap::prepare`] projects, bins, sorts and walks the lists once; after it any number of colours or images can be
-/// taken through the map and its transpose. Before the first it is that of no Gaussians onto no pixels.
+/// [`ColourMap::prepare`] projects, bins, sorts and walks the lists once; after it any number of colours or images
+/// can be taken through the map and its transpose. Before the first it is that of no Gaussians onto no pixels.
 ///
 /// All methods run on the current rayon pool. Their results are the same for every level and number of threads.
 #[derive(Debug)]
@@ -112,8 +116,8 @@ impl ColourMap {
         Self::with_budget(level, WEIGHT_BYTES)
     }
 
-    /// A map that keeps about `bytes` of weights (64 for a Gaussian and a block of 4×4 pixels) between calls; the others are
-    /// made anew in every call, to the same bits.
+    /// A map that keeps about `bytes` of weights (64 for a Gaussian and a block of 4×4 pixels) between calls; the
+    /// others are made anew in every call, to the same bits.
     pub fn with_budget(level: Level, bytes: usize) -> Self {
         Self {
             level,
@@ -131,7 +135,8 @@ impl ColourMap {
         }
     }
 
-    /// Makes this the map of a scene onto an image of `[width, height]` pixels. `Gaussians::rgb` is not looked at; it may be empty.
+    /// Makes this the map of a scene onto an image of `[width, height]` pixels. `Gaussians::rgb` is not looked at; it
+    /// may be empty.
     ///
     /// # Panics
     /// As [`super::render`], colours aside.
@@ -139,8 +144,8 @@ impl ColourMap {
         self.prepare_tiles(gaussians, projection, size, |_| true);
     }
 
-    /// [`ColourMap::prepare`] for the pixels of the tiles that are `wanted`, by row-major index. Pixels of the others are no part
-    /// of the map: [`ColourMap::forward`] leaves what is there, residuals there are not looked at.
+    /// [`ColourMap::prepare`] for the pixels of the tiles that are `wanted`, by row-major index. Pixels of the others
+    /// are no part of the map: [`ColourMap::forward`] leaves what is there, residuals there are not looked at.
     ///
     /// # Panics
     /// As [`ColourMap::prepare`].
@@ -185,80 +190,6 @@ impl ColourMap {
         self.tiles.iter().filter(|tile| tile.kept).map(|tile| tile.record.bytes()).sum()
     }
 
-    /// Sorts and records the tiles of `order`.
-    fn record(&mut self) {
-        let tiles = self.grid.len();
-        let _span = debug_span!("record", tiles).entered();
-        let starts = &self.renderer.starts;
-        let length = |tile: u32| starts[tile as usize + 1] - starts[tile as usize];
-        self.order.sort_unstable_by_key(|&tile| (std::cmp::Reverse(length(tile)), tile));
-        self.tiles.resize_with(tiles, Tile::default);
-        for tile in &mut self.tiles {
-            tile.kept = false;
-            tile.record.gaussians.clear();
-        }
-        let (next, used) = (AtomicUsize::new(0), AtomicUsize::new(0));
-        let entries = Disjoint::new(&mut self.renderer.entries);
-        let slots = Disjoint::new(&mut self.tiles);
-        let spare = self.spare.get_mut().unwrap_or_else(std::sync::PoisonError::into_inner);
-        spare.threads.resize_with(rayon::current_num_threads(), Thread::default);
-        let (order, splats, level, budget) = (&self.order, &self.renderer.splats, self.level, self.budget);
-        let (separable, size, columns) = (self.separable, self.size, self.grid.columns);
-        spare.threads.par_iter_mut().with_max_len(1).for_each(|thread| {
-            while let Some(&tile) = order.get(next.fetch_add(1, Ordering::Relaxed)) {
-                let tile = tile as usize;
-                // SAFETY: a tile is taken once, and lists of tiles do not overlap.
-                let list = unsafe { entries.part(starts[tile] as usize..starts[tile + 1] as usize) };
-                by_depth(list, &mut thread.spare);
-                // SAFETY: a tile is taken once.
-                let slot = unsafe { &mut slots.part(tile..tile + 1)[0] };
-                let walk = Walk { splats, list, separable, tile: [tile % columns, tile / columns], size };
-                // No bit depends on which tiles are kept.
-                slot.kept = used.load(Ordering::Relaxed) < budget;
-                let record = if slot.kept { &mut slot.record } else { &mut thread.record };
-                dispatch(level, RecordTile { walk, light: &mut thread.light, record });
-                if slot.kept {
-                    used.fetch_add(slot.record.bytes(), Ordering::Relaxed);
-                } else {
-                    slot.record = Record { gaussians: thread.record.gaussians.clone(), ..Record::default() };
-                }
-            }
-        });
-    }
-
-    /// Gives every splat of every tile the place of its sums.
-    fn index(&mut self, gaussians: usize) {
-        let _span = debug_span!("index", gaussians).entered();
-        self.offsets.clear();
-        self.offsets.resize(gaussians + 1, 0);
-        self.starts.clear();
-        let mut total = 0;
-        for tile in &self.tiles {
-            self.starts.push(total);
-            total += tile.record.gaussians.len();
-            for &gaussian in &tile.record.gaussians {
-                self.offsets[gaussian as usize] += 1;
-            }
-        }
-        self.starts.push(total);
-        assert!(u32::try_from(total).is_ok(), "{total} places for sums, at most 2³² − 1");
-        let mut start = 0;
-        for offset in &mut self.offsets {
-            start += std::mem::replace(offset, start);
-        }
-        // Each offset moves to its Gaussian's end, which is where the next one starts.
-        self.slots.clear();
-        for tile in &self.tiles {
-            self.slots.extend(tile.record.gaussians.iter().map(|&gaussian| {
-                let slot = self.offsets[gaussian as usize];
-                self.offsets[gaussian as usize] += 1;
-                slot
-            }));
-        }
-        self.offsets.rotate_right(1);
-        self.offsets[0] = 0;
-    }
-
     /// Calls `work` with every tile's record, index, place and slots.
     fn each_tile(&self, threads: &mut Vec<Thread>, work: impl Fn(usize, &Record, Place, &[u32], Pixels<'_>) + Sync) {
         threads.resize_with(rayon::current_num_threads(), Thread::default);
@@ -289,14 +220,15 @@ impl ColourMap {
 
     /// Runs `work` with buffers of an earlier call.
     fn with_spare<R>(&self, work: impl FnOnce(&mut Spare) -> R) -> R {
-        let lock = || self.spare.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let lock = || self.spare.lock().unwrap_or_else(PoisonError::into_inner);
         let mut spare = std::mem::take(&mut *lock());
         let result = work(&mut spare);
         *lock() = spare;
         result
     }
 
-    /// Adds up, for every Gaussian, the `C` sums that `work` has stored for each of its tiles, and gives them to `put`.
+    /// Adds up, for every Gaussian, the `C` sums that `work` has stored for each of its tiles, and gives them to
+    /// `put`.
     fn sum_tiles<const C: usize, T: Send>(
         &self,
         sums: &mut [T],
@@ -336,8 +268,8 @@ impl ColourMap {
         assert_eq!(image.len(), 3 * width * height, "three planes of {width}×{height} pixels");
     }
 
-    /// `image = A·colours + T·background`, `[3, H, W]`: to the bit [`super::render`]'s image of the Gaussians with these colours,
-    /// when colours are finite.
+    /// `image = A·colours + T·background`, `[3, H, W]`: to the bit [`super::render`]'s image of the Gaussians with
+    /// these colours, when colours are finite.
     ///
     /// # Panics
     /// When there is not one colour per Gaussian, or `image` is not of the map's size.
@@ -370,7 +302,8 @@ impl ColourMap {
         );
     }
 
-    /// `sums = AᵀA·colours`, tile by tile without an image: to the bit [`ColourMap::adjoint`] of [`ColourMap::forward`] on black.
+    /// `sums = AᵀA·colours`, tile by tile without an image: to the bit [`ColourMap::adjoint`] of
+    /// [`ColourMap::forward`] on black.
     ///
     /// # Panics
     /// When there is not one colour or not one sum per Gaussian.
@@ -412,8 +345,8 @@ impl ColourMap {
         self.sum_tiles(sums, |_, record, _, to, _| dispatch(self.level, Moments { record, to }), |sums: [f32; 2]| sums);
     }
 
-    /// `sums = Aᵀ(target − A·colours − T·background)` for a target `[3, H, W]`; gives the sum of the squared residuals in
-    /// binary64. See [`ColourMap::residual_adjoint_tiles`].
+    /// `sums = Aᵀ(target − A·colours − T·background)` for a target `[3, H, W]`; gives the sum of the squared
+    /// residuals in binary64. See [`ColourMap::residual_adjoint_tiles`].
     ///
     /// # Panics
     /// When there is not one colour or not one sum per Gaussian, or `target` is not of the map's size.
@@ -427,10 +360,11 @@ impl ColourMap {
         self.residual_adjoint_tiles(colours, background, target, sums, &mut vec![0.0; self.grid.len()])
     }
 
-    /// [`ColourMap::residual_adjoint`] that leaves the sum of squares of each tile in `squares`, 0 for tiles that are left out.
+    /// [`ColourMap::residual_adjoint`] that leaves the sum of squares of each tile in `squares`, 0 for tiles that are
+    /// left out.
     ///
-    /// The squares are summed in binary64: on each lane over the blocks of the tile, row-major, and the channels of each; the
-    /// lanes folded `i` with `i+8`, `i+4`, `i+2`, `i+1`; the tiles in ascending order.
+    /// The squares are summed in binary64: on each lane over the blocks of the tile, row-major, and the channels of
+    /// each; the lanes folded `i` with `i+8`, `i+4`, `i+2`, `i+1`; the tiles in ascending order.
     ///
     /// # Panics
     /// As [`ColourMap::residual_adjoint`], and when there is not one of `squares` per tile.

@@ -164,11 +164,11 @@ fn sums_agree_with_the_plain_version() {
     let size = [61, 47];
     let pixels = size[0] * size[1];
     for projection in projections(size[0], size[1]) {
-        for (scene, tolerance, doubt) in [
-            (ordinary(700, false, 14), 1e-5, 1e-4),
-            (ordinary(700, true, 15), 1e-5, 1e-4),
-            (extreme(300, 16), 5e-4, 5e-3),
-        ] {
+        let mut cases = vec![(ordinary(700, false, 14), 1e-5, 1e-4), (ordinary(700, true, 15), 1e-5, 1e-4)];
+        cases.extend((0..4).map(|seed| (extreme(60, seed), 5e-4, 5e-3)));
+        for (case, (mut scene, tolerance, doubt)) in cases.into_iter().enumerate() {
+            // The plain version drops Gaussians whose colour is not finite; the map does not look at it.
+            scene.rgb.fill([0.5; 3]);
             let request = everything(size[0], size[1]);
             let (image, weights) = reference::weights(&scene.gaussians(), &projection, &request);
             // Pixels that rounding may decide otherwise are no part of the comparison.
@@ -180,18 +180,18 @@ fn sums_agree_with_the_plain_version() {
             }
             let map = map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES);
             let mut expected = vec![[0.0_f64; 3]; map.gaussians()];
-            let mut sizes = vec![0.0_f64; map.gaussians()];
+            let mut drawn = vec![0.0_f64; map.gaussians()];
             for w in weights.iter().filter(|w| image.margin[w.pixel] > doubt) {
                 for c in 0..3 {
                     expected[w.gaussian][c] += w.weight * f64::from(residual[c * pixels + w.pixel]);
                 }
-                sizes[w.gaussian] += w.weight;
+                drawn[w.gaussian] += 1.0;
             }
             for (i, found) in adjoint(&map, &residual).iter().enumerate() {
                 for c in 0..3 {
                     let error = (f64::from(found[c]) - expected[i][c]).abs();
-                    let allowed = tolerance * sizes[i].max(1.0);
-                    assert!(error <= allowed, "{i}: {} expected {}", found[c], expected[i][c]);
+                    let allowed = tolerance * drawn[i].max(4.0);
+                    assert!(error <= allowed, "{case}, {i}: {} expected {}", found[c], expected[i][c]);
                 }
             }
         }
