@@ -4,8 +4,8 @@ use super::PATCH;
 use super::pyramid::{Plane, ROWS};
 use super::search::{Found, Grid};
 use crate::Level;
-use crate::simd::{LANES, Operation, Simd, dispatch};
 use crate::parallel;
+use crate::simd::{LANES, Operation, Simd, dispatch};
 
 /// The flow of every pixel, `u` and `v` `[h, w]`: the mean over the patches that hold it, weighted by 1 / max(1, |difference|).
 ///

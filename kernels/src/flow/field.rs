@@ -232,9 +232,8 @@ impl Work<3> for Between<'_> {
     fn pixels<S: Simd>(&self, s: S, y: usize, x: usize, n: usize) -> [S::F32; 3] {
         let (f, b) = (self.forward.load(s, y, x, n), self.backward.load(s, y, x, n));
         let (t, rest) = (self.t, 1.0 - self.t);
-        let mix = |k: usize, forward: f32, backward: f32| {
-            s.mul_add(s.splat(forward), f[k], s.mul(s.splat(backward), b[k]))
-        };
+        let mix =
+            |k: usize, forward: f32, backward: f32| s.mul_add(s.splat(forward), f[k], s.mul(s.splat(backward), b[k]));
         let to_a = [0, 1].map(|k| mix(k, -(rest * t), t * t));
         let to_b = [0, 1].map(|k| mix(k, rest * rest, -(t * rest)));
         let sampler = self.forward.sampler();

@@ -47,15 +47,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self {
-            finest: 1,
-            stride: 3,
-            iterations: 12,
-            refinement: 5,
-            smoothness: 20.0,
-            brightness: 5.0,
-            gradient: 10.0,
-        }
+        Self { finest: 1, stride: 3, iterations: 12, refinement: 5, smoothness: 20.0, brightness: 5.0, gradient: 10.0 }
     }
 }
 
@@ -65,7 +57,9 @@ impl Options {
         let (long, short) = (h.max(w), h.min(w));
         let mut scale = 0;
         // log₂(long / (4 · 8)) rounded, and log₂(short / 8) cut off.
-        while (long as f64) >= 32.0 * std::f64::consts::SQRT_2 * f64::from(1_u32 << scale) && short >> (scale + 1) >= PATCH {
+        while (long as f64) >= 32.0 * std::f64::consts::SQRT_2 * f64::from(1_u32 << scale)
+            && short >> (scale + 1) >= PATCH
+        {
             scale += 1;
         }
         scale
@@ -219,3 +213,6 @@ fn enlarge(level: Level, size: [usize; 2], from: [usize; 2], scale: usize, flow:
     });
     Field { size, u, v }
 }
+
+#[cfg(test)]
+mod tests;

@@ -169,10 +169,8 @@ impl Operation for Normalise<'_> {
                 let at_x = s.add(take(u), column(s, x));
                 let at_y = s.add(take(v), s.splat(y as f32));
                 let zero = s.splat(0.0);
-                let inside = s.and(
-                    s.and(s.le(zero, at_x), s.le(at_x, right)),
-                    s.and(s.le(zero, at_y), s.le(at_y, bottom)),
-                );
+                let inside =
+                    s.and(s.and(s.le(zero, at_x), s.le(at_x, right)), s.and(s.le(zero, at_y), s.le(at_y, bottom)));
                 let scale = |a: S::F32, b: S::F32| {
                     let square = s.mul_add(a, a, s.mul_add(b, b, s.splat(ZETA)));
                     s.keep(inside, s.div(s.splat(1.0), s.sqrt(square)))
@@ -231,9 +229,11 @@ impl Operation for Assemble<'_> {
             edges.row(s, y, &mut right, &mut below);
             for parity in 0..2 {
                 for column in (0..whole).step_by(LANES) {
-                    let constant =
-                        |kind: usize| s.load(&constants.data[constants.places.start(y as isize, parity, kind) + column..]);
-                    let flow = |kind: usize| s.load(&total.data[total.places.start(y as isize, parity, kind) + column..]);
+                    let constant = |kind: usize| {
+                        s.load(&constants.data[constants.places.start(y as isize, parity, kind) + column..])
+                    };
+                    let flow =
+                        |kind: usize| s.load(&total.data[total.places.start(y as isize, parity, kind) + column..]);
                     let [w_u, w_v] = [0, 1].map(constant);
                     let (du, dv) = (s.sub(flow(0), w_u), s.sub(flow(1), w_v));
                     let terms = [2, 5, 8].map(|kind| [kind, kind + 1, kind + 2].map(constant));
@@ -270,7 +270,8 @@ impl Operation for Assemble<'_> {
                     let to_above = s.load(&above[parity][column..]);
                     let edges = s.add(s.add(to_left, to_right), s.add(to_above, to_below));
                     let exists = s.load(&columns.exists[parity][column..]);
-                    let mut put = |kind: usize, value: S::F32| s.store(value, &mut block[places.within(parity, kind) + column..]);
+                    let mut put =
+                        |kind: usize, value: S::F32| s.store(value, &mut block[places.within(parity, kind) + column..]);
                     put(EDGE_X, to_right);
                     put(EDGE_Y, to_below);
                     put(A12, a12);

@@ -5,9 +5,9 @@
 //! a trapezoid of every band that shrinks by a row on either side a half-step, then the gaps between the bands, which grow likewise.
 
 use super::split::{Columns, Places, Split};
+use crate::Level;
 use crate::parallel::{Disjoint, map_indexed};
 use crate::simd::{LANES, Operation, Simd, dispatch};
-use crate::Level;
 
 /// The weight of the edge to the pixel on the right.
 pub(super) const EDGE_X: usize = 0;

@@ -245,15 +245,7 @@ impl<'a, S: Simd> Patch<'a, S> {
         let xy = dot(s, &dx, &dy);
         let yy = dot(s, &dy, &dy) + DAMPING;
         let scale = 1.0 / (xx * yy - xy * xy);
-        Self {
-            second,
-            y: y as f32,
-            x: x as f32,
-            luma,
-            dx,
-            dy,
-            inverse: [yy * scale, -(xy * scale), xx * scale],
-        }
+        Self { second, y: y as f32, x: x as f32, luma, dx, dy, inverse: [yy * scale, -(xy * scale), xx * scale] }
     }
 
     /// The differences at a displacement, which is brought so near that patch and picture overlap.

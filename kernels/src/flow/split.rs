@@ -40,7 +40,8 @@ impl<const KINDS: usize> Places<KINDS> {
     pub fn put(self, block: &mut [f32], kind: usize, from: &[f32]) {
         let n = from.len();
         let (even, odd) = block.split_at_mut(self.within(1, 0) - LANES);
-        let (even, odd) = (&mut even[self.within(0, kind)..][..n.div_ceil(2)], &mut odd[self.within(0, kind)..][..n / 2]);
+        let (even, odd) =
+            (&mut even[self.within(0, kind)..][..n.div_ceil(2)], &mut odd[self.within(0, kind)..][..n / 2]);
         for (i, out) in even.iter_mut().enumerate() {
             *out = from[2 * i];
         }

@@ -207,7 +207,8 @@ pub trait Simd: Copy + Send + Sync + 'static {
     unsafe fn load_halves(self, low: *const f32, high: *const f32) -> Self::F32 {
         let mut all = [0.0; LANES];
         // SAFETY: the caller's.
-        let (low, high) = unsafe { (low.cast::<[f32; 8]>().read_unaligned(), high.cast::<[f32; 8]>().read_unaligned()) };
+        let (low, high) =
+            unsafe { (low.cast::<[f32; 8]>().read_unaligned(), high.cast::<[f32; 8]>().read_unaligned()) };
         all[..8].copy_from_slice(&low);
         all[8..].copy_from_slice(&high);
         self.from_array(all)
