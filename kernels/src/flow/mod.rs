@@ -3,6 +3,7 @@
 mod densify;
 mod field;
 mod pyramid;
+pub mod reference;
 mod refine;
 mod relax;
 mod sample;

@@ -2,6 +2,8 @@
 
 use proptest::prelude::*;
 
+use super::reference::{self, Picture};
+use super::search::{Found, Grid, Guess, search};
 use super::*;
 use crate::testing::{noise, on_every_level_and_thread_count};
 
@@ -67,6 +69,142 @@ fn translations_are_found_below_a_tenth_of_a_pixel() {
             let error = error(&field, u, v, 16);
             assert!(error < 0.1, "motion ({u}, {v}), finest scale {finest}: off by {error} pixels");
         }
+    }
+}
+
+/// The finest scale of a picture, and the same for the reference.
+fn scale(luma: &[f32], size: [usize; 2]) -> (Pyramid, Picture) {
+    let options = Options { finest: 0, ..Options::default() };
+    let pyramid = Pyramid::new(Level::detect(), luma, size, &options).expect("finite luma");
+    let picture = Picture::new(size, |y, x| f64::from(pyramid.scales[0].luma.row(y as usize)[x as usize]));
+    (pyramid, picture)
+}
+
+fn as_picture(plane: &[f32], size: [usize; 2]) -> Picture {
+    Picture::new(size, |y, x| f64::from(plane[y as usize * size[1] + x as usize]))
+}
+
+/// Pairs for the stages: a picture and where it moved, of odd and even sizes, one pixel wide, smaller than a patch.
+fn stages() -> impl Iterator<Item = ([usize; 2], [(Pyramid, Picture); 2])> {
+    [[48, 70], [33, 47], [9, 8], [5, 21], [1, 12], [30, 1]].into_iter().map(|size| {
+        let moved = picture(size, |x, y| texture(x - 1.3 - 0.02 * y, y + 0.8));
+        (size, [scale(&picture(size, texture), size), scale(&moved, size)])
+    })
+}
+
+#[test]
+fn patches_are_compared_as_in_the_reference() {
+    for (size, [(first, a), (second, b)]) in stages() {
+        let (first, second) = (&first.scales[0], &second.scales[0].luma);
+        let grid = Grid::new(size, 3);
+        let guess = |x: f32, y: f32| Some([0.3 * (x * 0.7).sin() - 0.2, 2.0 * (y * 0.9).cos()]);
+        let guesses: &[&dyn Guess] = &[&guess];
+        let cost = |found: &Found, at: [usize; 2]| {
+            let flow = [f64::from(found.u), f64::from(found.v)];
+            reference::patch(&a, &b, at.map(|i| i as isize), flow).0
+        };
+        let places: Vec<[usize; 2]> = grid.ys.iter().flat_map(|&y| grid.xs.iter().map(move |&x| [y, x])).collect();
+        let started =
+            search(Level::detect(), first, second, &grid, guesses, &Options { iterations: 0, ..Options::default() });
+        let descended = search(Level::detect(), first, second, &grid, guesses, &Options::default());
+        for (found, at) in started.iter().chain(&descended).zip(places.iter().chain(&places)) {
+            let expected = cost(found, *at);
+            let close = (f64::from(found.cost) - expected).abs() < 1e-2 + 1e-4 * expected;
+            assert!(close, "{size:?}, {at:?}: cost {} instead of {expected}", found.cost);
+        }
+        let sum = |found: &[Found]| found.iter().map(|f| f64::from(f.cost)).sum::<f64>();
+        assert!(sum(&descended) <= sum(&started));
+    }
+}
+
+#[test]
+fn slopes_are_those_of_the_reference() {
+    // A Gauss–Newton step with a diagonal of 64 more than the structure tensor's, from the reference's slope.
+    let size = [40, 52];
+    let (first, a) = scale(&picture(size, texture), size);
+    let (second, b) = scale(&picture(size, |x, y| texture(x - 0.4, y + 0.3)), size);
+    let grid = Grid::new(size, 8);
+    let none = |_: f32, _: f32| Some([0.0; 2]);
+    let guesses: &[&dyn Guess] = &[&none];
+    let options = Options { iterations: 30, ..Options::default() };
+    let found = search(Level::detect(), &first.scales[0], &second.scales[0].luma, &grid, guesses, &options);
+    for (k, found) in found.iter().enumerate() {
+        let at = [grid.ys[k / grid.xs.len()], grid.xs[k % grid.xs.len()]].map(|i| i as isize);
+        let (_, slope) = reference::patch(&a, &b, at, [f64::from(found.u), f64::from(found.v)]);
+        let still = reference::patch(&a, &b, at, [0.0; 2]).1;
+        let length = |[x, y]: [f64; 2]| x.hypot(y);
+        assert!(length(slope) < 0.2 * length(still) + 20.0, "{at:?}: {slope:?} from {still:?}");
+    }
+}
+
+#[test]
+fn densification_agrees_with_the_reference() {
+    for (size, [(first, a), (second, b)]) in stages() {
+        let grid = Grid::new(size, 3);
+        let random = noise(2 * grid.ys.len() * grid.xs.len(), 9);
+        let found: Vec<Found> =
+            random.chunks(2).map(|r| Found { u: 3.0 * r[0].max(-0.3), v: 3.0 * r[1].min(0.1), cost: 0.0 }).collect();
+        let inside = |at: usize, by: f32, n: usize| at as f32 + by > -7.9 && at as f32 + by < n as f32 - 1.1;
+        let mut patches = Vec::new();
+        let mut kept = found.clone();
+        for (k, found) in kept.iter_mut().enumerate() {
+            let at = [grid.ys[k / grid.xs.len()], grid.xs[k % grid.xs.len()]];
+            if !inside(at[0], found.v, size[0]) || !inside(at[1], found.u, size[1]) {
+                *found = Found::default();
+            }
+            patches.push((at, [f64::from(found.u), f64::from(found.v)]));
+        }
+        let (first, second) = (&first.scales[0].luma, &second.scales[0].luma);
+        let dense = densify::densify(Level::detect(), first, second, &grid, &kept);
+        for (plane, expected) in dense.iter().zip(reference::densify(&a, &b, &patches)) {
+            for (x, expected) in plane.iter().zip(&expected.values) {
+                assert!((f64::from(*x) - expected).abs() < 1e-4, "{size:?}: {x} instead of {expected}");
+            }
+        }
+    }
+}
+
+#[test]
+fn refinement_agrees_with_the_reference() {
+    for (size, [(first, a), (second, b)]) in stages() {
+        let wave = |at: f32| move |x: f32, y: f32| 0.4 * (0.2 * x + at).sin() * (0.3 * y - at).cos() + 0.5;
+        let start = [picture(size, wave(0.3)), picture(size, wave(1.9))];
+        for refinement in [1, 5] {
+            let options = Options { refinement, ..Options::default() };
+            let mut flow = start.clone();
+            let (first, second) = (&first.scales[0].luma, &second.scales[0].luma);
+            refine::refine(Level::detect(), first, second, &mut flow, &options);
+            let weights = [options.smoothness, options.brightness, options.gradient].map(f64::from);
+            let start = [as_picture(&start[0], size), as_picture(&start[1], size)];
+            let expected = reference::refine(&a, &b, &start, weights, refinement);
+            for (plane, expected) in flow.iter().zip(&expected) {
+                for (x, expected) in plane.iter().zip(&expected.values) {
+                    assert!((f64::from(*x) - expected).abs() < 2e-3, "{size:?}: {x} instead of {expected}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn warps_and_blends_agree_with_the_reference() {
+    for size @ [h, w] in SIZES {
+        let area = h * w;
+        let (a, b) = (noise(3 * area, 1), noise(3 * area, 2));
+        let scattered = |seed: u32| noise(area, seed).iter().map(|x| x * 9.0).collect::<Vec<f32>>();
+        let f = Field { size, u: scattered(3), v: scattered(4) };
+        let g = Field { size, u: scattered(5), v: scattered(6) };
+        let warped = warp(Level::detect(), &a, size, &f);
+        for k in 0..3 {
+            let plane = as_picture(&a[k * area..][..area], size);
+            for i in 0..area {
+                let (y, x) = ((i / w) as f64 + f64::from(f.v[i]), (i % w) as f64 + f64::from(f.u[i]));
+                let expected = plane.between(y, x);
+                let got = warped[k * area + i];
+                assert!((f64::from(got) - expected).abs() < 2e-5, "{size:?}: {got} instead of {expected}");
+            }
+        }
+        let _ = (&b, &g);
     }
 }
 
