@@ -56,14 +56,9 @@ impl Operation for Block<'_> {
                 let (cx, cy) = (px as usize, py as usize);
                 let (fx, fy) = (s.splat(px - cx as f32), s.splat(py - cy as f32));
                 let (u, v) = (s.splat(f.u), s.splat(f.v));
-                let take = |row: usize| {
-                    let start = (cy + row) * second.stride + cx;
-                    let (a, b) = (s.load(&second.data[start..]), s.load(&second.data[start + 1..]));
-                    s.mul_add(fx, s.sub(b, a), a)
-                };
-                let mut upper = take(covered.start - y);
+                let mut upper = between(s, second, (cy + covered.start - y) * second.stride + cx, fx);
                 for row in covered.clone() {
-                    let lower = take(row + 1 - y);
+                    let lower = between(s, second, (cy + row + 1 - y) * second.stride + cx, fx);
                     let moved = s.mul_add(fy, s.sub(lower, upper), upper);
                     upper = lower;
                     let own = s.load(&first.data[first.at(row as isize, x as isize)..]);
@@ -90,4 +85,11 @@ impl Operation for Block<'_> {
             }
         }
     }
+}
+
+/// A row from `start` on, moved by a part of a pixel.
+#[inline(always)]
+fn between<S: Simd>(s: S, plane: &Plane, start: usize, fx: S::F32) -> S::F32 {
+    let (a, b) = (s.load(&plane.data[start..]), s.load(&plane.data[start + 1..]));
+    s.mul_add(fx, s.sub(b, a), a)
 }

@@ -56,13 +56,13 @@ struct Block<'a, W, const N: usize> {
 impl<W: Work<N>, const N: usize> Operation for Block<'_, W, N> {
     type Output = ();
     #[inline(always)]
-    fn run<S: Simd>(mut self, s: S) {
+    fn run<S: Simd>(self, s: S) {
         for (i, y) in self.rows.enumerate() {
             for x in (0..self.w).step_by(LANES) {
                 let n = LANES.min(self.w - x);
                 let values = self.work.pixels(s, y, x, n);
-                for (value, out) in values.into_iter().zip(&mut self.out) {
-                    s.store_partial(value, &mut out[i * self.w + x..][..n]);
+                for k in 0..N {
+                    s.store_partial(values[k], &mut self.out[k][i * self.w + x..][..n]);
                 }
             }
         }
@@ -85,7 +85,7 @@ impl Field {
     #[inline(always)]
     fn load<S: Simd>(&self, s: S, y: usize, x: usize, n: usize) -> [S::F32; 2] {
         let at = y * self.size[1] + x;
-        [&self.u, &self.v].map(|plane| s.load_partial(&plane[at..at + n], 0.0))
+        [s.load_partial(&self.u[at..at + n], 0.0), s.load_partial(&self.v[at..at + n], 0.0)]
     }
 
     /// No motion.
@@ -184,7 +184,11 @@ impl Work<3> for Moved<'_> {
 fn colours<S: Simd>(s: S, sampler: Sampler, image: &[f32], y: usize, x: usize, [u, v]: [S::F32; 2]) -> [S::F32; 3] {
     let taps = sampler.taps(s, sampler.columns(s, x, u), sampler.row(s, y, v));
     let area = sampler.h * sampler.w;
-    std::array::from_fn(|k| taps.take(s, &image[k * area..][..area]))
+    let mut colours = [s.splat(0.0); 3];
+    for k in 0..3 {
+        colours[k] = taps.take(s, &image[k * area..][..area]);
+    }
+    colours
 }
 
 /// The picture at time `t` between `a` (0) and `b` (1), all `[3, h, w]`, from the flow from `a` to `b` and from `b` to `a`.
@@ -239,6 +243,10 @@ impl Work<3> for Between<'_> {
         let sampler = self.forward.sampler();
         let from_a = colours(s, sampler, self.a, y, x, to_a);
         let from_b = colours(s, sampler, self.b, y, x, to_b);
-        std::array::from_fn(|k| s.mul_add(s.splat(t), from_b[k], s.mul(s.splat(rest), from_a[k])))
+        let mut mixed = from_a;
+        for k in 0..3 {
+            mixed[k] = s.mul_add(s.splat(t), from_b[k], s.mul(s.splat(rest), from_a[k]));
+        }
+        mixed
     }
 }

@@ -3,6 +3,7 @@
 mod densify;
 mod field;
 mod pyramid;
+pub mod reference;
 mod refine;
 mod relax;
 mod sample;
@@ -213,3 +214,6 @@ fn enlarge(level: Level, size: [usize; 2], from: [usize; 2], scale: usize, flow:
     });
     Field { size, u, v }
 }
+
+#[cfg(test)]
+mod tests;

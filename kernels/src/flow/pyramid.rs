@@ -1,8 +1,11 @@
 //! One frame at every scale, with its gradient.
 
+use std::ops::{Deref, DerefMut};
+
 use tracing::debug_span;
 
 use super::{FlowError, Options, PATCH};
+use crate::memory::Scratch;
 use crate::parallel::for_each_chunk;
 use crate::simd::{LANES, Operation, Simd, dispatch};
 use crate::{Level, parallel};
@@ -14,21 +17,33 @@ pub(super) const PAD: usize = PATCH;
 pub(super) const ROWS: usize = 16;
 
 /// A plane with [`PAD`] values beyond every side.
-pub(super) struct Plane {
+pub(super) struct Plane<D = Vec<f32>> {
     pub w: usize,
     pub h: usize,
     pub stride: usize,
-    pub data: Vec<f32>,
+    pub data: D,
+}
+
+/// Values of a plane. A vector that starts on the last value inside still ends inside.
+fn values([h, w]: [usize; 2]) -> usize {
+    (w + 2 * PAD) * (h + 2 * PAD) + LANES
 }
 
 impl Plane {
     /// Zeros.
-    pub fn new([h, w]: [usize; 2]) -> Self {
-        // A vector that starts on the last value still ends inside.
-        let stride = w + 2 * PAD;
-        Self { w, h, stride, data: vec![0.0; stride * (h + 2 * PAD) + LANES] }
+    pub fn new(size @ [h, w]: [usize; 2]) -> Self {
+        Self { w, h, stride: w + 2 * PAD, data: vec![0.0; values(size)] }
     }
+}
 
+impl Plane<Scratch> {
+    /// Unspecified values.
+    pub fn scratch(size @ [h, w]: [usize; 2]) -> Self {
+        Self { w, h, stride: w + 2 * PAD, data: Scratch::take(values(size)) }
+    }
+}
+
+impl<D: Deref<Target = [f32]>> Plane<D> {
     /// Index of the value at row `y` and column `x`, both from −[`PAD`] on.
     #[inline(always)]
     pub fn at(&self, y: isize, x: isize) -> usize {
@@ -41,7 +56,9 @@ impl Plane {
         let start = self.at(y as isize, 0);
         &self.data[start..start + self.w]
     }
+}
 
+impl<D: DerefMut<Target = [f32]>> Plane<D> {
     /// The rows inside the picture, with what lies to their left and right.
     pub fn inside(&mut self) -> &mut [f32] {
         let (stride, h) = (self.stride, self.h);

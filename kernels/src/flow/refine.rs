@@ -2,10 +2,11 @@
 
 use super::Options;
 use super::pyramid::{Plane, ROWS};
-use super::relax::{A12, EDGE_X, EDGE_Y, INVERSE_U, INVERSE_V, RIGHT_U, RIGHT_V, SYSTEM, relax};
+use super::relax::{SYSTEM, relax};
 use super::sample::{Sampler, column};
 use super::split::{Columns, Places, Split};
 use crate::Level;
+use crate::memory::Scratch;
 use crate::parallel::for_each_chunk;
 use crate::simd::{LANES, Operation, Simd, dispatch};
 
@@ -50,56 +51,25 @@ pub(super) fn refine(level: Level, first: &Plane, second: &Plane, flow: &mut [Ve
 
 /// Warps the second picture by the flow and fills `constants`.
 fn linearise(level: Level, first: &Plane, second: &Plane, flow: &[Vec<f32>; 2], constants: &mut Split<CONSTANTS>) {
-    let size @ [h, w] = [first.h, first.w];
+    let size = [first.h, first.w];
     let [u, v] = flow;
-    let mut change = Plane::new(size);
+    let mut change = Plane::scratch(size);
     let stride = change.stride;
     for_each_chunk(change.inside(), ROWS * stride, |index, rows| {
         dispatch(level, Warp { first, second, u, v, y: index * ROWS, rows, stride });
     });
     change.replicate();
-    let mut mean = Plane::new(size);
+    let mut mean = Plane::scratch(size);
     mean.fill(level, |y, out| {
         for (out, (a, d)) in out.iter_mut().zip(first.row(y).iter().zip(change.row(y))) {
             *out = a + 0.5 * d;
         }
     });
     mean.replicate();
-    let (dx, dy) = (along_x(level, &mean), along_y(level, &mean));
-    let (xx, xy, yy) = (along_x(level, &dx), along_y(level, &dx), along_y(level, &dy));
-    let (xz, yz) = (along_x(level, &change), along_y(level, &change));
     let (places, block) = (constants.places, constants.places.block());
     for_each_chunk(constants.inside(), ROWS * block, |index, rows| {
-        let planes = [&dx, &dy, &change, &xx, &xy, &xz, &yy, &yz];
-        dispatch(level, Normalise { planes, u, v, y: index * ROWS, size: [h, w], places, rows });
+        dispatch(level, Normalise { mean: &mean, change: &change, u, v, y: index * ROWS, places, rows });
     });
-}
-
-fn along_x(level: Level, plane: &Plane) -> Plane {
-    let mut out = Plane::new([plane.h, plane.w]);
-    out.fill(level, |y, out| {
-        let n = out.len();
-        let row = &plane.data[plane.at(y as isize, -1)..][..n + 2];
-        for x in 0..n {
-            out[x] = 0.5 * (row[x + 2] - row[x]);
-        }
-    });
-    out.replicate();
-    out
-}
-
-fn along_y(level: Level, plane: &Plane) -> Plane {
-    let mut out = Plane::new([plane.h, plane.w]);
-    out.fill(level, |y, out| {
-        let n = out.len();
-        let row = |y: isize| &plane.data[plane.at(y, 0)..][..n];
-        let (a, b) = (row(y as isize - 1), row(y as isize + 1));
-        for x in 0..n {
-            out[x] = 0.5 * (b[x] - a[x]);
-        }
-    });
-    out.replicate();
-    out
 }
 
 /// The second picture at x + W less the first, for some rows.
@@ -138,61 +108,109 @@ impl Operation for Warp<'_> {
 
 /// Constants of some rows.
 struct Normalise<'a> {
-    planes: [&'a Plane; 8],
+    mean: &'a Plane<Scratch>,
+    change: &'a Plane<Scratch>,
     u: &'a [f32],
     v: &'a [f32],
     y: usize,
-    size: [usize; 2],
     places: Places<CONSTANTS>,
     rows: &'a mut [f32],
+}
+
+/// Derivatives of three rows, row y at y mod 3, each with its first and last value repeated once outwards.
+struct Slopes {
+    w: usize,
+    x: [Vec<f32>; 3],
+    y: [Vec<f32>; 3],
+}
+
+impl Slopes {
+    fn new(w: usize) -> Self {
+        let rows = || [0; 3].map(|_| vec![0.0; w + 1 + 2 * LANES]);
+        Self { w, x: rows(), y: rows() }
+    }
+
+    /// Half the differences of the neighbours.
+    #[inline(always)]
+    fn fill(&mut self, plane: &Plane<Scratch>, y: usize) {
+        let w = self.w;
+        let row = |y: isize| &plane.data[plane.at(y, -1)..][..w + 2];
+        let (above, own, below) = (row(y as isize - 1), row(y as isize), row(y as isize + 1));
+        let (dx, dy) = (&mut self.x[y % 3][..w + 2], &mut self.y[y % 3][..w + 2]);
+        for x in 1..=w {
+            dx[x] = 0.5 * (own[x + 1] - own[x - 1]);
+            dy[x] = 0.5 * (below[x] - above[x]);
+        }
+        for row in [dx, dy] {
+            row[0] = row[1];
+            row[w + 1] = row[w];
+        }
+    }
+}
+
+/// ½(b − a)
+#[inline(always)]
+fn half_difference<S: Simd>(s: S, a: &[f32], b: &[f32]) -> S::F32 {
+    s.mul(s.splat(0.5), s.sub(s.load(b), s.load(a)))
+}
+
+/// 1 / √(a² + b² + ζ²)
+#[inline(always)]
+fn inverse_length<S: Simd>(s: S, a: S::F32, b: S::F32) -> S::F32 {
+    s.div(s.splat(1.0), s.sqrt(s.mul_add(a, a, s.mul_add(b, b, s.splat(ZETA)))))
 }
 
 impl Operation for Normalise<'_> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let [h, w] = self.size;
+        let Normalise { mean, change, u, v, places, .. } = self;
+        let (h, w) = (mean.h, mean.w);
         let whole = w.next_multiple_of(LANES);
         let mut row = vec![0.0; (CONSTANTS - 2) * whole];
-        for (i, block) in self.rows.chunks_mut(self.places.block()).enumerate() {
+        let mut slopes = Slopes::new(w);
+        slopes.fill(mean, self.y.saturating_sub(1));
+        slopes.fill(mean, self.y);
+        let (bottom, right) = (s.splat((h - 1) as f32), s.splat((w - 1) as f32));
+        let zero = s.splat(0.0);
+        for (i, block) in self.rows.chunks_mut(places.block()).enumerate() {
             let y = self.y + i;
-            let planes = self.planes.map(|plane| plane.row(y));
-            let (u, v) = (&self.u[y * w..][..w], &self.v[y * w..][..w]);
-            self.places.put(block, 0, u);
-            self.places.put(block, 1, v);
-            let (bottom, right) = (s.splat((h - 1) as f32), s.splat((w - 1) as f32));
+            let (above, below) = (y.saturating_sub(1), (y + 1).min(h - 1));
+            if below > y {
+                slopes.fill(mean, below);
+            }
+            let (u, v) = (&u[y * w..][..w], &v[y * w..][..w]);
+            places.put(block, 0, u);
+            places.put(block, 1, v);
+            let dz_above = &change.data[change.at(y as isize - 1, -1)..];
+            let dz_own = &change.data[change.at(y as isize, -1)..];
+            let dz_below = &change.data[change.at(y as isize + 1, -1)..];
             for x in (0..w).step_by(LANES) {
                 let n = LANES.min(w - x);
-                let take = |from: &[f32]| s.load_partial(&from[x..x + n], 0.0);
-                let [dx, dy, dz, xx, xy, xz, yy, yz] = planes.map(take);
+                let (own, next) = (x + 1, x + 2);
+                let (dx, dy) = (s.load(&slopes.x[y % 3][own..]), s.load(&slopes.y[y % 3][own..]));
+                let dz = s.load(&dz_own[own..]);
+                let xx = half_difference(s, &slopes.x[y % 3][x..], &slopes.x[y % 3][next..]);
+                let xy = half_difference(s, &slopes.x[above % 3][own..], &slopes.x[below % 3][own..]);
+                let yy = half_difference(s, &slopes.y[above % 3][own..], &slopes.y[below % 3][own..]);
+                let xz = half_difference(s, &dz_own[x..], &dz_own[next..]);
+                let yz = half_difference(s, &dz_above[own..], &dz_below[own..]);
                 // Where the flow leaves the picture there are no data.
-                let at_x = s.add(take(u), column(s, x));
-                let at_y = s.add(take(v), s.splat(y as f32));
-                let zero = s.splat(0.0);
-                let inside =
-                    s.and(s.and(s.le(zero, at_x), s.le(at_x, right)), s.and(s.le(zero, at_y), s.le(at_y, bottom)));
-                let scale = |a: S::F32, b: S::F32| {
-                    let square = s.mul_add(a, a, s.mul_add(b, b, s.splat(ZETA)));
-                    s.keep(inside, s.div(s.splat(1.0), s.sqrt(square)))
-                };
-                let (brightness, slope_x, slope_y) = (scale(dx, dy), scale(xx, xy), scale(xy, yy));
-                let values = [
-                    (dx, brightness),
-                    (dy, brightness),
-                    (dz, brightness),
-                    (xx, slope_x),
-                    (xy, slope_x),
-                    (xz, slope_x),
-                    (xy, slope_y),
-                    (yy, slope_y),
-                    (yz, slope_y),
-                ];
-                for (k, (value, scale)) in values.into_iter().enumerate() {
-                    s.store(s.mul(value, scale), &mut row[k * whole + x..]);
+                let at_x = s.add(s.load_partial(&u[x..x + n], 0.0), column(s, x));
+                let at_y = s.add(s.load_partial(&v[x..x + n], 0.0), s.splat(y as f32));
+                let inside = s.and(s.le(zero, at_x), s.le(at_x, right));
+                let inside = s.and(inside, s.and(s.le(zero, at_y), s.le(at_y, bottom)));
+                let brightness = s.keep(inside, inverse_length(s, dx, dy));
+                let slope_x = s.keep(inside, inverse_length(s, xx, xy));
+                let slope_y = s.keep(inside, inverse_length(s, xy, yy));
+                let values = [dx, dy, dz, xx, xy, xz, xy, yy, yz];
+                let scales = [brightness, slope_x, slope_y];
+                for k in 0..CONSTANTS - 2 {
+                    s.store(s.mul(values[k], scales[k / 3]), &mut row[k * whole + x..]);
                 }
             }
             for kind in 2..CONSTANTS {
-                self.places.put(block, kind, &row[(kind - 2) * whole..][..w]);
+                places.put(block, kind, &row[(kind - 2) * whole..][..w]);
             }
         }
     }
@@ -229,15 +247,20 @@ impl Operation for Assemble<'_> {
             edges.row(s, y, &mut right, &mut below);
             for parity in 0..2 {
                 for column in (0..whole).step_by(LANES) {
-                    let constant = |kind: usize| {
-                        s.load(&constants.data[constants.places.start(y as isize, parity, kind) + column..])
-                    };
-                    let flow =
-                        |kind: usize| s.load(&total.data[total.places.start(y as isize, parity, kind) + column..]);
-                    let [w_u, w_v] = [0, 1].map(constant);
-                    let (du, dv) = (s.sub(flow(0), w_u), s.sub(flow(1), w_v));
-                    let terms = [2, 5, 8].map(|kind| [kind, kind + 1, kind + 2].map(constant));
-                    let rest = terms.map(|[x, y, z]| s.mul_add(x, du, s.mul_add(y, dv, z)));
+                    let constant = &constants.data[constants.places.start(y as isize, parity, 0) + column..];
+                    let at = constants.places.step();
+                    let flow = &total.data[total.places.start(y as isize, parity, 0) + column..];
+                    let (w_u, w_v) = (s.load(constant), s.load(&constant[at..]));
+                    let du = s.sub(s.load(flow), w_u);
+                    let dv = s.sub(s.load(&flow[total.places.step()..]), w_v);
+                    let mut terms = [[w_u; 3]; 3];
+                    let mut rest = [w_u; 3];
+                    for k in 0..3 {
+                        for i in 0..3 {
+                            terms[k][i] = s.load(&constant[at * (2 + 3 * k + i)..]);
+                        }
+                        rest[k] = s.mul_add(terms[k][0], du, s.mul_add(terms[k][1], dv, terms[k][2]));
+                    }
                     let epsilon = s.splat(EPSILON);
                     let brightness = s.mul_add(rest[0], rest[0], epsilon);
                     let slope = s.mul_add(rest[1], rest[1], s.mul_add(rest[2], rest[2], epsilon));
@@ -245,7 +268,9 @@ impl Operation for Assemble<'_> {
                     let slope = s.div(s.splat(options.gradient), s.sqrt(slope));
                     let (mut a11, mut a12, mut a22) = (s.splat(ZETA), s.splat(0.0), s.splat(ZETA));
                     let (mut b1, mut b2) = (s.splat(0.0), s.splat(0.0));
-                    for ([x, y, z], weight) in terms.into_iter().zip([brightness, slope, slope]) {
+                    let weights = [brightness, slope, slope];
+                    for k in 0..3 {
+                        let ([x, y, z], weight) = (terms[k], weights[k]);
                         let (wx, wy) = (s.mul(weight, x), s.mul(weight, y));
                         a11 = s.mul_add(wx, x, a11);
                         a12 = s.mul_add(wx, y, a12);
@@ -270,15 +295,13 @@ impl Operation for Assemble<'_> {
                     let to_above = s.load(&above[parity][column..]);
                     let edges = s.add(s.add(to_left, to_right), s.add(to_above, to_below));
                     let exists = s.load(&columns.exists[parity][column..]);
-                    let mut put =
-                        |kind: usize, value: S::F32| s.store(value, &mut block[places.within(parity, kind) + column..]);
-                    put(EDGE_X, to_right);
-                    put(EDGE_Y, to_below);
-                    put(A12, a12);
-                    put(INVERSE_U, s.div(exists, s.add(a11, edges)));
-                    put(INVERSE_V, s.div(exists, s.add(a22, edges)));
-                    put(RIGHT_U, b1);
-                    put(RIGHT_V, b2);
+                    let inverse_u = s.div(exists, s.add(a11, edges));
+                    let inverse_v = s.div(exists, s.add(a22, edges));
+                    let out = &mut block[places.within(parity, 0) + column..];
+                    let values = [to_right, to_below, a12, inverse_u, inverse_v, b1, b2];
+                    for kind in 0..SYSTEM {
+                        s.store(values[kind], &mut out[kind * places.step()..]);
+                    }
                 }
             }
             std::mem::swap(&mut above, &mut below);
@@ -306,12 +329,11 @@ impl Edges<'_> {
                 let to_below = s.mul(last, s.load(&self.columns.exists[parity][column..]));
                 let mut square = s.splat(EPSILON);
                 for kind in 0..2 {
-                    let at = |row: usize, parity: usize, column: usize| {
-                        s.load(&data[places.start(row as isize, parity, kind) + column..])
-                    };
-                    let own = at(y, parity, column);
-                    let x = s.mul(to_right, s.sub(at(y, 1 - parity, column + parity), own));
-                    let y = s.mul(to_below, s.sub(at(y + 1, parity, column), own));
+                    let start = places.start(y as isize, parity, kind) + column;
+                    let beside = places.start(y as isize, 1 - parity, kind) + column + parity;
+                    let own = s.load(&data[start..]);
+                    let x = s.mul(to_right, s.sub(s.load(&data[beside..]), own));
+                    let y = s.mul(to_below, s.sub(s.load(&data[start + places.block()..]), own));
                     square = s.mul_add(x, x, s.mul_add(y, y, square));
                 }
                 let weight = s.div(s.splat(self.alpha), s.sqrt(square));

@@ -9,18 +9,19 @@ use crate::Level;
 use crate::parallel::{Disjoint, map_indexed};
 use crate::simd::{LANES, Operation, Simd, dispatch};
 
+// Kinds of the system, in the order in which `refine.rs` writes them.
 /// The weight of the edge to the pixel on the right.
-pub(super) const EDGE_X: usize = 0;
+const EDGE_X: usize = 0;
 /// The weight of the edge to the pixel below.
-pub(super) const EDGE_Y: usize = 1;
+const EDGE_Y: usize = 1;
 /// The element off the diagonal.
-pub(super) const A12: usize = 2;
+const A12: usize = 2;
 /// The inverses of the elements on the diagonal, 0 outside the picture.
-pub(super) const INVERSE_U: usize = 3;
-pub(super) const INVERSE_V: usize = 4;
+const INVERSE_U: usize = 3;
+const INVERSE_V: usize = 4;
 /// The right-hand side.
-pub(super) const RIGHT_U: usize = 5;
-pub(super) const RIGHT_V: usize = 6;
+const RIGHT_U: usize = 5;
+const RIGHT_V: usize = 6;
 /// Values of a pixel in the system.
 pub(super) const SYSTEM: usize = 7;
 
@@ -66,7 +67,6 @@ impl Operation for Band<'_, '_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let (places, system) = (self.places, self.system);
-        let omega = s.splat(OMEGA);
         // SAFETY: tasks that run at the same time write different rows, and none reads the colour of a row that another writes.
         let flow = unsafe { self.flow.parts(0, self.flow.len()) };
         for half in 0..HALF_STEPS {
@@ -76,6 +76,9 @@ impl Operation for Band<'_, '_> {
                 // The colour that is updated: even columns of even rows first. Its neighbours to the left and right have the other parity.
                 let own = (y as usize + half) & 1;
                 let other = 1 - own;
+                let end = places.start(y + 1, 1, 1) + self.columns.whole + 1;
+                let end_of_system = system.places.start(y, 1, SYSTEM - 1) + self.columns.whole;
+                assert!(end <= self.flow.len() && end_of_system <= system.data.len());
                 let around = |parity: usize, row: isize, kind: usize| places.start(y + row, parity, kind);
                 let at = |kind: usize| system.places.start(y, own, kind);
                 let above = system.places.start(y - 1, own, EDGE_Y);
@@ -84,33 +87,61 @@ impl Operation for Band<'_, '_> {
                 let (u, v) = (around(own, 0, 0), around(own, 0, 1));
                 let sides = around(other, 0, 0) + own - 1;
                 let rows = [around(own, -1, 0), around(own, 1, 0)];
-                let kinds = v - u;
+                let starts = Starts {
+                    flow: [u, v],
+                    near: [sides, sides + 1, rows[0], rows[1]],
+                    kinds: v - u,
+                    edges: [beside, at(EDGE_X), above, at(EDGE_Y)],
+                    across: at(A12),
+                    inverse: [at(INVERSE_U), at(INVERSE_V)],
+                    right: [at(RIGHT_U), at(RIGHT_V)],
+                };
                 for column in (0..self.columns.whole).step_by(LANES) {
-                    let element = |start: usize| s.load(&system.data[start + column..]);
-                    // SAFETY: a vector of a row between zeros; nothing writes it now but this task.
-                    let value = |start: usize| unsafe { s.load_ptr(flow.add(start + column)) };
-                    let edges = [element(beside), element(at(EDGE_X)), element(above), element(at(EDGE_Y))];
-                    let near = [sides, sides + 1, rows[0], rows[1]];
-                    let pull = |kind: usize, right: S::F32| {
-                        let mut sum = right;
-                        for i in 0..4 {
-                            sum = s.mul_add(edges[i], value(near[i] + kind * kinds), sum);
-                        }
-                        sum
-                    };
-                    let across = element(at(A12));
-                    let (old_u, old_v) = (value(u), value(v));
-                    let goal = s.neg_mul_add(across, old_v, pull(0, element(at(RIGHT_U))));
-                    let new_u = s.mul_add(omega, s.sub(s.mul(goal, element(at(INVERSE_U))), old_u), old_u);
-                    let goal = s.neg_mul_add(across, new_u, pull(1, element(at(RIGHT_V))));
-                    let new_v = s.mul_add(omega, s.sub(s.mul(goal, element(at(INVERSE_V))), old_v), old_v);
-                    // SAFETY: as above.
-                    unsafe {
-                        s.store_ptr(new_u, flow.add(u + column));
-                        s.store_ptr(new_v, flow.add(v + column));
-                    }
+                    // SAFETY: vectors of rows between zeros, inside both planes as asserted; nothing else writes these rows now.
+                    unsafe { starts.step(s, system.data.as_ptr().add(column), flow.add(column)) };
                 }
             }
+        }
+    }
+}
+
+/// Where the values of a row of pixels and of their neighbours start.
+struct Starts {
+    flow: [usize; 2],
+    /// Left, right, above, below, for u.
+    near: [usize; 4],
+    /// From u to v.
+    kinds: usize,
+    edges: [usize; 4],
+    across: usize,
+    inverse: [usize; 2],
+    right: [usize; 2],
+}
+
+impl Starts {
+    /// Updates one vector.
+    ///
+    /// # Safety
+    /// Both planes hold a vector at all of the starts.
+    #[inline(always)]
+    unsafe fn step<S: Simd>(&self, s: S, system: *const f32, flow: *mut f32) {
+        // SAFETY: the caller's.
+        unsafe {
+            let omega = s.splat(OMEGA);
+            let (mut sum_u, mut sum_v) = (s.load_ptr(system.add(self.right[0])), s.load_ptr(system.add(self.right[1])));
+            for i in 0..4 {
+                let edge = s.load_ptr(system.add(self.edges[i]));
+                sum_u = s.mul_add(edge, s.load_ptr(flow.add(self.near[i])), sum_u);
+                sum_v = s.mul_add(edge, s.load_ptr(flow.add(self.near[i] + self.kinds)), sum_v);
+            }
+            let across = s.load_ptr(system.add(self.across));
+            let (u, v) = (s.load_ptr(flow.add(self.flow[0])), s.load_ptr(flow.add(self.flow[1])));
+            let goal = s.mul(s.neg_mul_add(across, v, sum_u), s.load_ptr(system.add(self.inverse[0])));
+            let u = s.mul_add(omega, s.sub(goal, u), u);
+            let goal = s.mul(s.neg_mul_add(across, u, sum_v), s.load_ptr(system.add(self.inverse[1])));
+            let v = s.mul_add(omega, s.sub(goal, v), v);
+            s.store_ptr(u, flow.add(self.flow[0]));
+            s.store_ptr(v, flow.add(self.flow[1]));
         }
     }
 }

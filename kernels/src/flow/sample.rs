@@ -71,20 +71,38 @@ impl<S: Simd> Taps<S> {
     /// The values of a plane: along the row, then between the rows, a fused step each.
     #[inline(always)]
     pub fn take(&self, s: S, plane: &[f32]) -> S::F32 {
-        let [a, b, c, d] = std::array::from_fn(|k| {
-            let taps = &self.taps[k];
-            s.from_array(std::array::from_fn(|i| plane[taps[i] as usize]))
-        });
+        let (a, b) = (gather(s, plane, &self.taps[0]), gather(s, plane, &self.taps[1]));
+        let (c, d) = (gather(s, plane, &self.taps[2]), gather(s, plane, &self.taps[3]));
         let upper = s.mul_add(self.x, s.sub(b, a), a);
         let lower = s.mul_add(self.x, s.sub(d, c), c);
         s.mul_add(self.y, s.sub(lower, upper), upper)
     }
 }
 
+#[inline(always)]
+fn gather<S: Simd>(s: S, plane: &[f32], taps: &[u32; LANES]) -> S::F32 {
+    let mut lanes = [0.0; LANES];
+    for i in 0..LANES {
+        lanes[i] = plane[taps[i] as usize];
+    }
+    s.from_array(lanes)
+}
+
+/// 0, 1, 2, …
+const COUNT: [f32; LANES] = {
+    let mut count = [0.0; LANES];
+    let mut i = 0;
+    while i < LANES {
+        count[i] = i as f32;
+        i += 1;
+    }
+    count
+};
+
 /// The columns from `x` on.
 #[inline(always)]
 pub(super) fn column<S: Simd>(s: S, x: usize) -> S::F32 {
-    s.to_f32(s.add_i32(s.splat_i32(x as i32), s.from_array_i32(std::array::from_fn(|i| i as i32))))
+    s.add(s.splat(x as f32), s.from_array(COUNT))
 }
 
 /// [`Taps::take`] for one value of a plane `[h, w]`.

@@ -223,24 +223,9 @@ struct Patch<'a, S: Simd> {
 impl<'a, S: Simd> Patch<'a, S> {
     #[inline(always)]
     fn new(s: S, first: &Scale, second: &'a Plane, y: usize, x: usize) -> Self {
-        let plane = |plane: &Plane| {
-            let start = plane.at(y as isize, x as isize);
-            let rows = &plane.data[start..start + (PATCH - 1) * plane.stride + PATCH];
-            std::array::from_fn::<_, VECTORS, _>(|i| {
-                // SAFETY: both rows end inside the slice.
-                unsafe {
-                    s.load_halves(
-                        rows.as_ptr().add(2 * i * plane.stride),
-                        rows.as_ptr().add((2 * i + 1) * plane.stride),
-                    )
-                }
-            })
-        };
-        let centred = |v: [S::F32; VECTORS]| {
-            let mean = s.sum(s.add(s.add(v[0], v[1]), s.add(v[2], v[3]))) * (1.0 / (PATCH * PATCH) as f32);
-            v.map(|v| s.sub(v, s.splat(mean)))
-        };
-        let (luma, dx, dy) = (plane(&first.luma), centred(plane(&first.dx)), centred(plane(&first.dy)));
+        let luma = rows(s, &first.luma, y, x);
+        let dx = centred(s, rows(s, &first.dx, y, x));
+        let dy = centred(s, rows(s, &first.dy, y, x));
         let xx = dot(s, &dx, &dx) + DAMPING;
         let xy = dot(s, &dx, &dy);
         let yy = dot(s, &dy, &dy) + DAMPING;
@@ -252,10 +237,6 @@ impl<'a, S: Simd> Patch<'a, S> {
     #[inline(always)]
     fn at(&self, s: S, [u, v]: [f32; 2]) -> Sums {
         let pad = PAD as f32;
-        let clamp = |p: f32, n: usize| {
-            let p = if p < n as f32 - 1.0 { p } else { n as f32 - 1.0 };
-            if p > -pad { p } else { -pad }
-        };
         let (px, py) = (clamp(self.x + u, self.second.w), clamp(self.y + v, self.second.h));
         let (cx, cy) = ((px + pad) as usize, (py + pad) as usize);
         let (fx, fy) = (px + pad - cx as f32, py + pad - cy as f32);
@@ -267,12 +248,13 @@ impl<'a, S: Simd> Patch<'a, S> {
         for i in 0..VECTORS {
             // SAFETY: the last of nine rows of nine values ends with the slice.
             let [a, b, c, d] = unsafe {
-                let row = |k: usize| rows.as_ptr().add((2 * i + k) * stride);
+                let first = rows.as_ptr().add(2 * i * stride);
+                let (second, third) = (first.add(stride), first.add(2 * stride));
                 [
-                    s.load_halves(row(0), row(1)),
-                    s.load_halves(row(0).add(1), row(1).add(1)),
-                    s.load_halves(row(1), row(2)),
-                    s.load_halves(row(1).add(1), row(2).add(1)),
+                    s.load_halves(first, second),
+                    s.load_halves(first.add(1), second.add(1)),
+                    s.load_halves(second, third),
+                    s.load_halves(second.add(1), third.add(1)),
                 ]
             };
             let upper = s.mul_add(fx, s.sub(b, a), a);
@@ -309,6 +291,40 @@ impl<'a, S: Simd> Patch<'a, S> {
         }
         Found { u: best.at[0], v: best.at[1], cost: best.cost }
     }
+}
+
+/// A patch's place on one axis, so near that it overlaps the picture.
+#[inline(always)]
+fn clamp(p: f32, n: usize) -> f32 {
+    let p = if p < n as f32 - 1.0 { p } else { n as f32 - 1.0 };
+    if p > -(PAD as f32) { p } else { -(PAD as f32) }
+}
+
+/// A patch of a plane, two rows a vector.
+#[inline(always)]
+fn rows<S: Simd>(s: S, plane: &Plane, y: usize, x: usize) -> [S::F32; VECTORS] {
+    let start = plane.at(y as isize, x as isize);
+    let rows = &plane.data[start..start + (PATCH - 1) * plane.stride + PATCH];
+    let mut patch = [s.splat(0.0); VECTORS];
+    for i in 0..VECTORS {
+        // SAFETY: both rows end inside the slice.
+        patch[i] = unsafe {
+            let first = rows.as_ptr().add(2 * i * plane.stride);
+            s.load_halves(first, first.add(plane.stride))
+        };
+    }
+    patch
+}
+
+/// A patch less its mean.
+#[inline(always)]
+fn centred<S: Simd>(s: S, mut patch: [S::F32; VECTORS]) -> [S::F32; VECTORS] {
+    let sum = s.sum(s.add(s.add(patch[0], patch[1]), s.add(patch[2], patch[3])));
+    let mean = s.splat(sum * (1.0 / (PATCH * PATCH) as f32));
+    for i in 0..VECTORS {
+        patch[i] = s.sub(patch[i], mean);
+    }
+    patch
 }
 
 /// Σ a·b: lanes by fused steps in ascending order of the vectors, then [`Simd::sum`].

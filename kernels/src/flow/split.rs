@@ -1,12 +1,13 @@
 //! Planes in which even and odd columns lie apart, so that one colour of a chessboard is whole vectors.
 
+use crate::memory::Scratch;
 use crate::simd::LANES;
 
 /// `KINDS` values per pixel. A row holds those of the even columns, then those of the odd ones; zeros lie around the picture: a row above
 /// and below, [`LANES`] values and the rest of a vector left and right.
 pub(super) struct Split<const KINDS: usize> {
     pub places: Places<KINDS>,
-    pub data: Vec<f32>,
+    pub data: Scratch,
 }
 
 /// Where the values of a [`Split`] lie.
@@ -23,6 +24,12 @@ impl<const KINDS: usize> Places<KINDS> {
         2 * KINDS * self.row
     }
 
+    /// From one kind to the next.
+    #[inline(always)]
+    pub fn step(self) -> usize {
+        self.row
+    }
+
     /// Index of the first value of row `y` (from −1 on), columns of one parity, one kind.
     #[inline(always)]
     pub fn start(self, y: isize, parity: usize, kind: usize) -> usize {
@@ -35,27 +42,41 @@ impl<const KINDS: usize> Places<KINDS> {
         (parity * KINDS + kind) * self.row + LANES
     }
 
-    /// Spreads a picture's row over the two parities of `block`.
+    /// Spreads a picture's row over the two parities of `block`, zeros behind it.
     #[inline(always)]
     pub fn put(self, block: &mut [f32], kind: usize, from: &[f32]) {
         let n = from.len();
         let (even, odd) = block.split_at_mut(self.within(1, 0) - LANES);
-        let (even, odd) =
-            (&mut even[self.within(0, kind)..][..n.div_ceil(2)], &mut odd[self.within(0, kind)..][..n / 2]);
-        for (i, out) in even.iter_mut().enumerate() {
-            *out = from[2 * i];
+        let (start, whole) = (self.within(0, kind), self.row - 2 * LANES);
+        let (even, odd) = (&mut even[start..][..whole], &mut odd[start..][..whole]);
+        even[n.div_ceil(2)..].fill(0.0);
+        odd[n / 2..].fill(0.0);
+        for (out, x) in even.iter_mut().zip(from.iter().step_by(2)) {
+            *out = *x;
         }
-        for (i, out) in odd.iter_mut().enumerate() {
-            *out = from[2 * i + 1];
+        for (out, x) in odd.iter_mut().zip(from.iter().skip(1).step_by(2)) {
+            *out = *x;
         }
     }
 }
 
 impl<const KINDS: usize> Split<KINDS> {
-    /// Zeros.
+    /// Zeros outside the picture, unspecified values inside.
     pub fn new(h: usize, columns: &Columns) -> Self {
         let places = Places { row: columns.row };
-        Self { places, data: vec![0.0; (h + 2) * places.block()] }
+        let mut data = Scratch::take((h + 2) * places.block());
+        let rows = data.len() / places.block();
+        for (y, block) in data.chunks_mut(places.block()).enumerate() {
+            if y == 0 || y + 1 == rows {
+                block.fill(0.0);
+            } else {
+                for row in block.chunks_mut(columns.row) {
+                    row[..LANES].fill(0.0);
+                    row[LANES + columns.whole..].fill(0.0);
+                }
+            }
+        }
+        Self { places, data }
     }
 
     /// The rows inside the picture.
