@@ -7,8 +7,7 @@
 //! v = Σ s_k·(p_k − p₀) / Σ s_k²          k ascending, in binary32
 //! ```
 //!
-//! in world units: `v_x·2/W`, `−v_z·2/H`; the velocity along the depth stays the network's. Where the flow leaves the picture or does not come back ([`RETURN`]) the sums end;
-//! a Gaussian whose first step does so already takes the mean of its neighbours that know better, and where there are none the flow as it is.
+//! in world units: `v_x·2/W`, `−v_z·2/H`. The velocity along the depth stays the network's, and so does all of it where a Gaussian's place is not finite.
 
 use std::sync::Arc;
 
@@ -26,8 +25,6 @@ const CHUNK: usize = 1024;
 pub(super) struct Step<'a> {
     /// Towards the next frame.
     pub(super) there: &'a Field,
-    /// From it.
-    pub(super) back: &'a Field,
     /// The next frame's distance in time from the key frame, in intervals: positive.
     pub(super) distance: f32,
 }

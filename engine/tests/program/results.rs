@@ -211,7 +211,13 @@ fn evaluation_reports_key_and_middle_frames_and_baselines() {
         let pairs = &pairwise["mean"]["fusion"]["pairwise"]["pop"];
         let [jump, step, ratio] = ["jump", "step", "ratio"].map(|name| pairs[name].as_f64().expect("a number"));
         assert!(jump > 0.0 && step > 0.0 && (ratio - jump / step).abs() < 1e-12, "{pairs}");
-        for score in [&row["key"], &row["middle"], &row["baselines"]["crossfade"], &row["baselines"]["nearest"], &row["baselines"]["flow"]] {
+        for score in [
+            &row["key"],
+            &row["middle"],
+            &row["baselines"]["crossfade"],
+            &row["baselines"]["nearest"],
+            &row["baselines"]["flow"],
+        ] {
             let (psnr, ssim) = (score["psnr"].as_f64().expect("dB"), score["ssim"].as_f64().expect("SSIM"));
             assert!((1.0..100.0).contains(&psnr) && (-1.0..=1.0).contains(&ssim), "{score}");
         }
