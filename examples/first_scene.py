@@ -14,14 +14,17 @@ video = Path(sys.argv[1] if len(sys.argv) > 1 else "fixtures/clips/moving.y4m")
 out = Path(sys.argv[2] if len(sys.argv) > 2 else "first-scene")
 (out / "frames").mkdir(parents=True, exist_ok=True)
 
-# %% The stream: one interval per key frame
+# %% The stream: one interval per key frame, which is given the frames in between as well
 engine = streamsplat.Engine()
 frames = streamsplat.Frames(video)
-intervals, times = [], []
+intervals, times, between = [], [], []
 for number, (frame, time) in enumerate(frames):
     times.append(time)
     if number % 4 == 0:
-        intervals.append(engine.push(frame, time))
+        intervals.append(engine.push(frame, time, between=between))
+        between = []
+    else:
+        between.append((frame, time))
 print(f"{len(times)} frames of {frame.shape[1]}×{frame.shape[0]}, {len(intervals)} key frames, {engine.isa}, {engine.threads} threads")
 
 # %% Its Gaussians are NumPy arrays that show the engine's memory

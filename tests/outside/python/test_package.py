@@ -27,7 +27,7 @@ def by_command_line(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def intervals():
-    engine = streamsplat.Engine()
+    engine = streamsplat.Engine(refine=0)
     return [engine.push(frame, time) for i, (frame, time) in enumerate(streamsplat.Frames(CLIP)) if i % 4 == 0]
 
 
@@ -91,6 +91,27 @@ def test_frames_of_either_kind_and_any_strides_are_the_same_frame():
     kinds = [pixels, np.asfortranarray(pixels), pixels[::-1][::-1], pixels.astype(np.float32) / np.float32(255), planes.transpose(1, 2, 0)]
     pictures = {streamsplat.Engine().push(kind, 0.0).render(0.0).png() for kind in kinds}
     assert len(pictures) == 1
+
+
+def test_frames_in_between_move_colours_and_must_lie_there():
+    frames = list(streamsplat.Frames(CLIP))[:5]
+    (first, start), (last, end) = frames[0], frames[4]
+
+    def interval(between, **settings):
+        engine = streamsplat.Engine(threads=1, **settings)
+        engine.push(first, start, between=between)
+        return engine.push(last, end, between=between)
+
+    seen, blind = interval(frames[1:4], refine=2), interval(None, refine=2)
+    assert seen.gaussians.rgb_rate.any() and blind.gaussians.rgb_rate.any()
+    assert (seen.gaussians.rgb_rate != blind.gaussians.rgb_rate).any()
+    network = interval(frames[1:4], motion="network", refine=0)
+    assert (network.gaussians.velocity == interval(None, motion="network", refine=0).gaussians.velocity).all()
+    with pytest.raises(streamsplat.Error, match="ascending times"):
+        interval(frames[3:0:-1])
+    for wrong in ({"motion": "flow"}, {"resolution": "288"}):
+        with pytest.raises(ValueError):
+            streamsplat.Engine(**wrong)
 
 
 def test_a_scene_comes_back_as_it_was_written(intervals, tmp_path):
