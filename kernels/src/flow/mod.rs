@@ -1,5 +1,6 @@
 //! Dense optical flow by inverse search.
 
+mod blend;
 mod densify;
 mod field;
 mod pyramid;
@@ -14,7 +15,8 @@ use std::fmt;
 
 use tracing::debug_span;
 
-pub use field::{Field, blend, warp};
+pub use blend::blend;
+pub use field::{Field, warp};
 pub use pyramid::Pyramid;
 
 use crate::parallel::for_each_chunk;
@@ -85,8 +87,10 @@ pub enum FlowError {
 }
 
 impl FlowError {
-    /// The longest side of a frame: 2¹⁶ pixels.
-    pub(crate) const LONGEST: usize = 1 << 16;
+    /// The longest side of a frame.
+    const LONGEST: usize = 1 << 16;
+    /// Pixels of the largest frame.
+    const MOST: usize = 1 << 28;
 }
 
 impl fmt::Display for FlowError {
@@ -96,8 +100,11 @@ impl fmt::Display for FlowError {
                 write!(f, "the luma at row {row}, column {column} is not finite: optical flow needs finite values")
             }
             FlowError::Size { size: [h, w] } => {
-                let most = Self::LONGEST;
-                write!(f, "a frame of {h}×{w} pixels has no optical flow: expected sides from 1 to {most}")
+                let (longest, most) = (Self::LONGEST, Self::MOST);
+                write!(
+                    f,
+                    "a frame of {h}×{w} pixels has no optical flow: expected sides from 1 to {longest}, at most {most} pixels"
+                )
             }
         }
     }
