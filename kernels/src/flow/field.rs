@@ -2,6 +2,7 @@
 
 use tracing::debug_span;
 
+use super::FlowError;
 use super::sample::{Sampler, sample_one};
 use crate::Level;
 use crate::parallel::{Disjoint, map_indexed};
@@ -70,20 +71,21 @@ impl<W: Work<N>, const N: usize> Operation for Block<'_, W, N> {
 }
 
 impl Field {
-    fn check(&self) {
+    pub(super) fn check(&self) {
         let [h, w] = self.size;
         assert!(h > 0 && w > 0, "a field without pixels");
+        assert!(h.saturating_mul(w) <= FlowError::MOST, "a field of {h}×{w} pixels");
         assert!(self.u.len() == h * w && self.v.len() == h * w, "a field of shape [2, {h}, {w}]");
     }
 
-    fn sampler(&self) -> Sampler {
+    pub(super) fn sampler(&self) -> Sampler {
         let [h, w] = self.size;
         Sampler { h, w, stride: w }
     }
 
     /// The displacements of `n` pixels.
     #[inline(always)]
-    fn load<S: Simd>(&self, s: S, y: usize, x: usize, n: usize) -> [S::F32; 2] {
+    pub(super) fn load<S: Simd>(&self, s: S, y: usize, x: usize, n: usize) -> [S::F32; 2] {
         let at = y * self.size[1] + x;
         [s.load_partial(&self.u[at..at + n], 0.0), s.load_partial(&self.v[at..at + n], 0.0)]
     }
@@ -181,7 +183,14 @@ impl Work<3> for Moved<'_> {
 
 /// Three channels at a displacement.
 #[inline(always)]
-fn colours<S: Simd>(s: S, sampler: Sampler, image: &[f32], y: usize, x: usize, [u, v]: [S::F32; 2]) -> [S::F32; 3] {
+pub(super) fn colours<S: Simd>(
+    s: S,
+    sampler: Sampler,
+    image: &[f32],
+    y: usize,
+    x: usize,
+    [u, v]: [S::F32; 2],
+) -> [S::F32; 3] {
     let taps = sampler.taps(s, sampler.columns(s, x, u), sampler.row(s, y, v));
     let area = sampler.h * sampler.w;
     let mut colours = [s.splat(0.0); 3];
@@ -189,64 +198,4 @@ fn colours<S: Simd>(s: S, sampler: Sampler, image: &[f32], y: usize, x: usize, [
         colours[k] = taps.take(s, &image[k * area..][..area]);
     }
     colours
-}
-
-/// The picture at time `t` between `a` (0) and `b` (1), all `[3, h, w]`, from the flow from `a` to `b` and from `b` to `a`.
-///
-/// ```text
-/// to a = −(1 − t)·t·F + t²·B          to b = (1 − t)²·F − t·(1 − t)·B
-/// (1 − t)·a(x + to a) + t·b(x + to b)
-/// ```
-///
-/// # Panics
-/// When a length does not fit `size`, or there are no pixels.
-pub fn blend(
-    level: Level,
-    a: &[f32],
-    b: &[f32],
-    size: [usize; 2],
-    forward: &Field,
-    backward: &Field,
-    t: f32,
-) -> Vec<f32> {
-    let [h, w] = size;
-    for field in [forward, backward] {
-        field.check();
-        assert_eq!(field.size, size, "a field of another size");
-    }
-    for image in [a, b] {
-        assert_eq!(image.len(), 3 * h * w, "an image of shape [3, {h}, {w}]");
-    }
-    let _span = debug_span!("flow", step = "blend", h, w).entered();
-    let mut out = vec![0.0; 3 * h * w];
-    planes(level, size, &mut out, &Between { a, b, forward, backward, t });
-    out
-}
-
-struct Between<'a> {
-    a: &'a [f32],
-    b: &'a [f32],
-    forward: &'a Field,
-    backward: &'a Field,
-    t: f32,
-}
-
-impl Work<3> for Between<'_> {
-    #[inline(always)]
-    fn pixels<S: Simd>(&self, s: S, y: usize, x: usize, n: usize) -> [S::F32; 3] {
-        let (f, b) = (self.forward.load(s, y, x, n), self.backward.load(s, y, x, n));
-        let (t, rest) = (self.t, 1.0 - self.t);
-        let mix =
-            |k: usize, forward: f32, backward: f32| s.mul_add(s.splat(forward), f[k], s.mul(s.splat(backward), b[k]));
-        let to_a = [0, 1].map(|k| mix(k, -(rest * t), t * t));
-        let to_b = [0, 1].map(|k| mix(k, rest * rest, -(t * rest)));
-        let sampler = self.forward.sampler();
-        let from_a = colours(s, sampler, self.a, y, x, to_a);
-        let from_b = colours(s, sampler, self.b, y, x, to_b);
-        let mut mixed = from_a;
-        for k in 0..3 {
-            mixed[k] = s.mul_add(s.splat(t), from_b[k], s.mul(s.splat(rest), from_a[k]));
-        }
-        mixed
-    }
 }

@@ -1,5 +1,42 @@
-//! Dense optical flow by inverse search.
+//! Dense optical flow by inverse search, and pictures between two frames.
+//!
+//! # Flow: [`Pyramid`], [`between`], [`both`]
+//!
+//! Kroeger, Timofte, Dai, Van Gool: Fast Optical Flow using Dense Inverse Search, ECCV 2016 (arXiv:1603.03590). Luma L is from 0 to 255
+//! here. At every scale, from the coarsest to [`Options::finest`]:
+//!
+//! ```text
+//! search    patches P of 8×8 pixels, every `stride` pixels, look for the displacement f of least cost
+//!             d(x) = L₂(x + f) − L₁(x)         L₂ bilinear, its border repeated; f kept so short that patch and picture overlap
+//!             cost = Σ d² − (Σ d)²/64           over P
+//!             f ← f − (Σ ĝĝᵀ + 64·I)⁻¹ Σ ĝ·d    ĝ: Sobel's gradient of L₁ less its mean over P
+//!           until the step is under 0.01 pixels, the cost does not fall, or after `iterations` steps; farther than 8 pixels from
+//!           where it started, it stays there
+//! densify   f(x) = Σ w·f_P / Σ w over the patches that hold x, w = 1 / max(1, |d_P(x)|)
+//! refine    `refinement` fixed-point iterations on
+//!             ∫ δ·Ψ(brightness) + γ·Ψ(gradient) + α·Ψ(|∇u|² + |∇v|²),  Ψ(s²) = √(s² + 0.001²)
+//!           where the data terms are linearised at the flow that came in, with derivatives of the mean of L₁ and the warped L₂, each divided
+//!           by the length of its gradient (0.1 is added under the root); 0 where the flow leaves the picture
+//! ```
+//!
+//! A search starts from the cheapest of: the coarser scale's flow at the patch's middle (0 at the coarsest), `start`'s, that of the patch
+//! to the left, that of the patch above. A second pass, from the last patch to the first, goes on from the patch to the right, the one
+//! below or the one above where that is cheaper. The flow of the finest scale is enlarged bilinearly.
+//!
+//! # Order of operations
+//!
+//! A patch is four vectors, rows 2i and 2i + 1 in vector i. Sums over a patch: lanes by fused steps in ascending order of the vectors
+//! (plain sums pair vectors 0 and 1, 2 and 3), then [`Simd::sum`]. Patches are searched in stripes of six rows of patches, row by row;
+//! in the first pass a stripe sees nothing of the others, in the second what the first pass gave there. Stripes are fixed, so threads change
+//! nothing. Pixels sum over patches in ascending order of rows, then columns. The refinement solves its systems by five steps of red-black
+//! over-relaxation (ω = 1.6), red (row + column even) first, where no pixel depends on another of its colour.
+//!
+//! # Extremes
+//!
+//! Frames may have any size, smaller than a patch too. Equal or evenly lit frames do not move. The flow is finite and at most as long as the picture
+//! on either axis. Luma that is not finite is an error; `start` is passed over where it is not finite.
 
+mod blend;
 mod densify;
 mod field;
 mod pyramid;
@@ -14,7 +51,8 @@ use std::fmt;
 
 use tracing::debug_span;
 
-pub use field::{Field, blend, warp};
+pub use blend::blend;
+pub use field::{Field, warp};
 pub use pyramid::Pyramid;
 
 use crate::parallel::for_each_chunk;
@@ -85,8 +123,10 @@ pub enum FlowError {
 }
 
 impl FlowError {
-    /// The longest side of a frame: 2¹⁶ pixels.
-    pub(crate) const LONGEST: usize = 1 << 16;
+    /// The longest side of a frame.
+    const LONGEST: usize = 1 << 16;
+    /// Pixels of the largest frame.
+    const MOST: usize = 1 << 28;
 }
 
 impl fmt::Display for FlowError {
@@ -96,8 +136,11 @@ impl fmt::Display for FlowError {
                 write!(f, "the luma at row {row}, column {column} is not finite: optical flow needs finite values")
             }
             FlowError::Size { size: [h, w] } => {
-                let most = Self::LONGEST;
-                write!(f, "a frame of {h}×{w} pixels has no optical flow: expected sides from 1 to {most}")
+                let (longest, most) = (Self::LONGEST, Self::MOST);
+                write!(
+                    f,
+                    "a frame of {h}×{w} pixels has no optical flow: expected sides from 1 to {longest}, at most {most} pixels"
+                )
             }
         }
     }

@@ -156,14 +156,14 @@ impl Pyramid {
     /// The pyramid of `luma` `[h, w]`, whose values are from 0 to 1 (others are clamped).
     ///
     /// # Errors
-    /// A value that is not finite; a picture without pixels or with a side above 2²⁰.
+    /// A value that is not finite; a picture without pixels, with a side above 2¹⁶ or with more than 2²⁸ pixels.
     ///
     /// # Panics
     /// When `luma` does not fit `size`.
     pub fn new(level: Level, luma: &[f32], size: [usize; 2], options: &Options) -> Result<Pyramid, FlowError> {
         let [h, w] = size;
         assert_eq!(luma.len(), h * w, "luma of shape [{h}, {w}]");
-        if h == 0 || w == 0 || h > FlowError::LONGEST || w > FlowError::LONGEST {
+        if h == 0 || w == 0 || h.max(w) > FlowError::LONGEST || h * w > FlowError::MOST {
             return Err(FlowError::Size { size });
         }
         let _span = debug_span!("flow", step = "pyramid", h, w).entered();

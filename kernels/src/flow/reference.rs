@@ -179,3 +179,36 @@ pub fn refine(
     }
     [u, v]
 }
+
+/// The picture at time `t` between two of three channels each, from the flow forth and back.
+pub fn blend(a: &[Picture; 3], b: &[Picture; 3], [forward, backward]: &[[Picture; 2]; 2], t: f64) -> [Picture; 3] {
+    let size @ [h, w] = [a[0].h, a[0].w];
+    let outside = |y: f64, x: f64| {
+        let beyond = |at: f64, n: usize| (-at).max(at - (n - 1) as f64).max(0.0);
+        1.0 + (beyond(y, h).powi(2) + beyond(x, w).powi(2)) / 16.0
+    };
+    let sources = |own: &[Picture; 3], other: &[Picture; 3], f: &[Picture; 2], t: f64, y: isize, x: isize| {
+        let (y, x) = (y as f64, x as f64);
+        let motion = |y: f64, x: f64| [f[0].between(y, x), f[1].between(y, x)];
+        let [u, v] = motion(y, x);
+        let [u, v] = motion(y - t * v, x - t * u);
+        let from = [y - t * v, x - t * u];
+        let [u, v] = motion(from[0], from[1]);
+        let to = [from[0] + v, from[1] + u];
+        let off = (from[0] + t * v - y).powi(2) + (from[1] + t * u - x).powi(2);
+        let near = [0, 1, 2].map(|k| own[k].between(from[0], from[1]));
+        let far = [0, 1, 2].map(|k| other[k].between(to[0], to[1]));
+        let unlike = near.iter().zip(&far).map(|(a, b)| (a - b).abs()).sum::<f64>() / 3.0;
+        let weight = 1.0 / (1.0 + off / 16.0 + (unlike / 0.3).powi(2));
+        let near_weight = (1.0 - t).powi(2) * weight / outside(from[0], from[1]);
+        let far_weight = t * (1.0 - t) * weight / outside(to[0], to[1]);
+        ([0, 1, 2].map(|k| near_weight * near[k] + far_weight * far[k]), near_weight + far_weight)
+    };
+    [0, 1, 2].map(|k| {
+        Picture::new(size, |y, x| {
+            let (first, weight) = sources(a, b, forward, t, y, x);
+            let (second, rest) = sources(b, a, backward, 1.0 - t, y, x);
+            (first[k] + second[k]) / (weight + rest)
+        })
+    })
+}

@@ -280,7 +280,7 @@ impl<'a, S: Simd> Patch<'a, S> {
                 break;
             }
             let next = self.at(s, [best.at[0] - dx, best.at[1] - dy]);
-            if !(next.cost < best.cost) {
+            if next.cost >= best.cost {
                 break;
             }
             best = next;

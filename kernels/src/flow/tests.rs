@@ -204,7 +204,15 @@ fn warps_and_blends_agree_with_the_reference() {
                 assert!((f64::from(got) - expected).abs() < 2e-5, "{size:?}: {got} instead of {expected}");
             }
         }
-        let _ = (&b, &g);
+        let planes = |x: &[f32]| [0, 1, 2].map(|k| as_picture(&x[k * area..][..area], size));
+        let fields = [&f, &g].map(|f| [as_picture(&f.u, size), as_picture(&f.v, size)]);
+        for t in [0.25, 0.7] {
+            let blended = blend(Level::detect(), &a, &b, size, &f, &g, t);
+            let expected = reference::blend(&planes(&a), &planes(&b), &fields, f64::from(t));
+            for (got, expected) in blended.iter().zip(expected.iter().flat_map(|p| &p.values)) {
+                assert!((f64::from(*got) - expected).abs() < 1e-3, "{size:?}: {got} instead of {expected}");
+            }
+        }
     }
 }
 

@@ -2,11 +2,12 @@
 
 use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as};
 use streamsplat_kernels::gemm::{Activation, Epilogue, Precision, Weights, linear};
+use streamsplat_kernels::flow::{Field, Options, Pyramid};
 use streamsplat_kernels::math::{self, f64 as double};
 use streamsplat_kernels::philox::Stream;
 use streamsplat_kernels::pointwise::{Layer, TOKENS};
 use streamsplat_kernels::simd::{LANES, Operation, Simd, dispatch};
-use streamsplat_kernels::{Level, harmonics, norm, patches, resize, truncated_normal};
+use streamsplat_kernels::{Level, flow, harmonics, norm, patches, resize, truncated_normal};
 
 use super::{Digest, Thing};
 use crate::noise::noise;
@@ -80,6 +81,32 @@ pub(super) fn things() -> Vec<Thing> {
                 digest.floats(&out);
                 resize::bicubic_antialiased(level, &source, h, w, 3, rows, columns, &mut out);
                 digest.floats(&out);
+            }
+        }),
+        Thing::new("flow", |level, digest| {
+            // A texture of blurred noise and where it moved; both are made of sums and products alone.
+            let size @ [h, w] = [61, 93];
+            let smooth: Vec<f32> = {
+                let mut grid = vec![0.0; 3 * h * w];
+                resize::bilinear(level, &noise(3 * 16 * 24, 33), 3, 16, 24, h, w, &mut grid);
+                grid.iter().map(|x| 0.5 + 0.5 * x).collect()
+            };
+            let still = Field::zero(size);
+            let motion = Field { u: vec![-2.375; h * w], v: vec![1.625; h * w], ..still };
+            let moved = flow::warp(level, &smooth, size, &motion);
+            for finest in [0, 1] {
+                let options = Options { finest, ..Options::default() };
+                let [a, b] = [&smooth, &moved].map(|rgb| {
+                    Pyramid::new(level, &flow::luma(level, rgb), size, &options).expect("values from 0 to 1")
+                });
+                let [forth, back] = flow::both(level, &a, &b, [None; 2], &options);
+                let again = flow::between(level, &a, &b, Some(&motion), &options);
+                for field in [&forth, &back, &again, &forth.then(level, &back)] {
+                    digest.floats(&field.u);
+                    digest.floats(&field.v);
+                }
+                digest.floats(&forth.round_trip(level, &back));
+                digest.floats(&flow::blend(level, &smooth, &moved, size, &forth, &back, 0.375));
             }
         }),
         Thing::new("norm", |level, digest| {
