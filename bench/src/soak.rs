@@ -156,8 +156,7 @@ struct Measured {
 }
 
 impl Measured {
-    fn new(settings: &Settings) -> Result<Measured> {
-        let engine = Engine::new(settings.clone())?;
+    fn new(engine: Engine) -> Result<Measured> {
         let painter = Painter::new(engine.workers());
         Ok(Measured { engine, painter, seconds: Vec::with_capacity(HUNDRED as usize) })
     }
@@ -283,7 +282,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
     let source = ModelSource::File { checkpoint, dinov2: None };
     let settings = Settings { level: Some(options.isa), threads: options.threads, ..Settings::with_model(source) };
-    let mut long = Measured::new(&settings)?;
+    let mut long = Measured::new(Engine::new(settings.clone())?)?;
     drop(seeded);
     // One network for all streams.
     let model = long.engine.model().clone();
@@ -299,7 +298,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut beside = None;
     for k in 0..count {
         if k == count - YOUNG {
-            young = Some(Measured::new(&settings)?);
+            young = Some(Measured::new(Engine::with_model(settings.clone(), model.clone())?)?);
         }
         live::restart();
         // In turn: whoever goes second finds the caches warm.
@@ -358,7 +357,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let at = |key_frame: u64| rows.iter().find(|row| row.key_frame == key_frame).and_then(|row| row.cpu_seconds);
     let beside_young = slower(&long_steps, &young_steps);
     let alone = at(count - YOUNG).context("a time")? / at(2 * HUNDRED).context("a time")?;
-    let mut fresh = Engine::with_model(pairwise, model)?;
+    let mut fresh = Engine::with_model(pairwise, model.clone())?;
     let mut other = None;
     for k in count - 3..count {
         other = Some(fresh.push(film.frame(k), k as f64 / RATE)?);

@@ -127,7 +127,7 @@ pub struct Stream {
     pub motion: Option<String>,
     /// Steps of conjugate gradients that fit colours to the frames; 0: colours as the model gives them [default: 16 for the model inside the
     /// program, 0 for others]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refine: Option<u32>,
     /// What a key frame knows of those before: persistent or pairwise

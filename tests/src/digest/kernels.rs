@@ -1,8 +1,8 @@
 //! The kernels at sizes that are no multiple of anything.
 
 use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as};
-use streamsplat_kernels::gemm::{Activation, Epilogue, Precision, Weights, linear};
 use streamsplat_kernels::flow::{Field, Options, Pyramid};
+use streamsplat_kernels::gemm::{Activation, Epilogue, Precision, Weights, linear};
 use streamsplat_kernels::math::{self, f64 as double};
 use streamsplat_kernels::philox::Stream;
 use streamsplat_kernels::pointwise::{Layer, TOKENS};
