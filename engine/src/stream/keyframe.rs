@@ -156,7 +156,7 @@ impl Context<'_> {
             Some(memory) => model.embed_keeping(&input, memory),
             None => model.embed(&input),
         })?;
-        let tokens = work.measure(Stage::Upsampler, || match memory.as_deref_mut() {
+        let tokens = work.measure(Stage::Upsampler, || match memory {
             Some(memory) => model.upsample_keeping(&embedding, memory),
             None => model.upsample(&embedding),
         })?;
