@@ -466,7 +466,7 @@ impl<'a> FlowBlend<'a> {
     /// The picture at `t` in [0, 1].
     fn at(&self, t: f32) -> Picture {
         let ([a, b], [there, back]) = (self.frames, &self.fields);
-        let blend = || flow::blend(self.workers.level(), &a.rgb, &b.rgb, there.size, there, back, t);
+        let blend = || flow::Blend::new(self.workers.level(), [&a.rgb, &b.rgb], [there, back]).at(t);
         let [height, width] = a.placement.content;
         Picture { width, height, rgb: a.placement.crop(&self.workers.install(blend)) }
     }

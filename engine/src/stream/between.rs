@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use streamsplat_kernels::Level;
-use streamsplat_kernels::flow::{self, Field, Pyramid};
+use streamsplat_kernels::flow::{self, Blend, Field, Pyramid};
 
 use super::colours::Target;
 use super::keyframe::KeyView;
@@ -104,8 +104,8 @@ impl Flows {
     /// Pictures of the interval as flow predicts them from its key frames; none where there are frames in between.
     pub(super) fn predicted(&self, level: Level, [a, b]: [&KeyView; 2]) -> Vec<(f32, Vec<f32>)> {
         let [[forward, backward]] = &self.steps[..] else { return Vec::new() };
-        let size = forward.size;
-        PREDICTED.map(|t| (t, flow::blend(level, &a.rgb, &b.rgb, size, forward, backward, t))).to_vec()
+        let blend = Blend::new(level, [&a.rgb, &b.rgb], [forward, backward]);
+        PREDICTED.map(|t| (t, blend.at(t))).to_vec()
     }
 }
 

@@ -133,35 +133,34 @@ impl Engine {
             self.check(seen, index, *time)?;
             after = Some(*time);
         }
-        self.lay_tiles(placement)?;
-        let interval = self.advance(between, frame, index, timestamp, placement);
-        if let Some(tiles) = &mut self.tiles {
-            if interval.is_err() {
-                tiles.memories().for_each(|memory| memory.forget());
-            }
-            self.work.tokens(&tokens(tiles));
+        let mut tiles = self.tiles(placement)?;
+        let interval = self.advance(&mut tiles, between, frame, index, timestamp, placement);
+        if interval.is_err() {
+            tiles.memories().for_each(|memory| memory.forget());
         }
+        self.work.tokens(&tokens(&mut tiles));
         self.work.branches(self.model.silent());
+        self.tiles = Some(tiles);
         interval
     }
 
     /// Takes a frame that was found good.
     fn advance(
         &mut self,
+        tiles: &mut Tiles,
         between: Vec<(Frame, f64)>,
         frame: Frame,
         index: u64,
         timestamp: f64,
         placement: Placement,
     ) -> Result<Interval, EngineError> {
-        let (view, lost) = self.reconstruct(frame, index, placement)?;
-        let Self { settings, work, tiles, fitter, workers, state: before, .. } = self;
+        let (view, lost) = self.reconstruct(tiles, frame, index, placement)?;
+        let Self { settings, work, fitter, workers, state: before, .. } = self;
         let level = workers.level();
         let mut next_pair = None;
         let (set, advance) = match before {
             None => CanonicalSet::first(&view.gaussians),
             Some(state) => {
-                let Some(tiles) = tiles else { return Err(EngineError::Empty { index, width: 0, height: 0 }) };
                 let pair = Pair::new(tiles, work, state.pair.as_ref(), [&state.view, &view], index)?;
                 let network = &next_pair.insert(pair).motion;
                 let views = [&state.view, &view];
@@ -227,9 +226,10 @@ impl Engine {
     ) -> Result<(Placement, KeyView), EngineError> {
         let before = self.state.take();
         let seen = self.check(&frame, index, timestamp).and_then(|placement| {
-            self.lay_tiles(placement)?;
-            let (view, _) = self.reconstruct(frame, index, placement)?;
-            Ok((placement, view))
+            let mut tiles = self.tiles(placement)?;
+            let view = self.reconstruct(&mut tiles, frame, index, placement);
+            self.tiles = Some(tiles);
+            view.map(|(view, _)| (placement, view))
         });
         self.state = before;
         seen
@@ -267,34 +267,37 @@ impl Engine {
         }
     }
 
-    /// The tiles of frames of this placement, unless they are there already.
-    fn lay_tiles(&mut self, placement: Placement) -> Result<(), EngineError> {
+    /// The tiles of frames of this placement, taken out of the engine or laid anew.
+    fn tiles(&mut self, placement: Placement) -> Result<Tiles, EngineError> {
         let found = placement.model;
-        if self.tiles.as_ref().is_some_and(|tiles| tiles.resolution == found) {
-            return Ok(());
+        if let Some(tiles) = self.tiles.take().filter(|tiles| tiles.resolution == found) {
+            return Ok(tiles);
         }
         let saving = match self.settings.reuse {
             Reuse::Off => None,
             Reuse::Exact => Some(Saving::Exact),
             Reuse::Within(tolerance) => Some(Saving::Within(tolerance)),
         };
-        self.tiles = Tiles::new(&self.model, found, saving);
-        if self.tiles.is_some() {
-            return Ok(());
-        }
-        let own = self.model.resolution();
-        let expected = match self.model.tiling() {
-            None => format!("{}x{}, the only one that the model takes", own[0], own[1]),
-            Some(tiling) if tiling.partial => format!("multiples of {0}", tiling.patch),
-            Some(tiling) => format!("multiples of {}, at least {}x{}", tiling.patch, own[0], own[1]),
-        };
-        Err(EngineError::Resolution { expected, found })
+        Tiles::new(&self.model, found, saving).ok_or_else(|| {
+            let own = self.model.resolution();
+            let expected = match self.model.tiling() {
+                None => format!("{}x{}, the only one that the model takes", own[0], own[1]),
+                Some(tiling) if tiling.partial => format!("multiples of {0}", tiling.patch),
+                Some(tiling) => format!("multiples of {}, at least {}x{}", tiling.patch, own[0], own[1]),
+            };
+            EngineError::Resolution { expected, found }
+        })
     }
 
-    /// A frame through its own part of the network; its tiles are laid.
-    fn reconstruct(&mut self, frame: Frame, index: u64, placement: Placement) -> Result<(KeyView, u64), EngineError> {
-        let Self { settings, workers, work, tiles, fitter, state, .. } = self;
-        let Some(tiles) = tiles else { return Err(EngineError::Empty { index, width: 0, height: 0 }) };
+    /// A frame through its own part of the network.
+    fn reconstruct(
+        &mut self,
+        tiles: &mut Tiles,
+        frame: Frame,
+        index: u64,
+        placement: Placement,
+    ) -> Result<(KeyView, u64), EngineError> {
+        let Self { settings, workers, work, fitter, state, .. } = self;
         let before = state.as_ref().filter(|_| settings.reuse != Reuse::Off).map(|state| &state.view);
         Context { settings, level: workers.level(), work, tiles, fitter, before }.reconstruct(frame, index, placement)
     }

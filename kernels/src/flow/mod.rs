@@ -51,7 +51,7 @@ use std::fmt;
 
 use tracing::debug_span;
 
-pub use blend::blend;
+pub use blend::Blend;
 pub use field::{Field, warp};
 pub use pyramid::Pyramid;
 

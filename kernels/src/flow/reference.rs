@@ -204,11 +204,28 @@ pub fn blend(a: &[Picture; 3], b: &[Picture; 3], [forward, backward]: &[[Picture
         let far_weight = t * (1.0 - t) * weight / outside(to[0], to[1]);
         ([0, 1, 2].map(|k| near_weight * near[k] + far_weight * far[k]), near_weight + far_weight)
     };
+    let apart = |y: isize, x: isize, own: &[Picture; 3], other: &[Picture; 3], [u, v]: [f64; 2]| {
+        let (row, column) = (y as f64 + v, x as f64 + u);
+        own.iter().zip(other).map(|(own, other)| (own.at(y, x) - other.between(row, column)).abs()).sum::<f64>() / 3.0
+    };
+    let along = |y: isize, x: isize, f: &[Picture; 2]| [f[0].at(y, x), f[1].at(y, x)];
+    let moved = Picture::new(size, |y, x| {
+        0.5 * (apart(y, x, a, b, along(y, x, forward)) + apart(y, x, b, a, along(y, x, backward)))
+    });
+    let still = Picture::new(size, |y, x| apart(y, x, a, b, [0.0; 2]));
+    let near = |plane: &Picture, y: isize, x: isize| -> f64 {
+        (0..15 * 15).map(|i| plane.at(y + i / 15 - 7, x + i % 15 - 7)).sum()
+    };
+    let still = Picture::new(size, |y, x| {
+        let [moved, still] = [&moved, &still].map(|plane| near(plane, y, x).powi(2));
+        moved / (moved + still + 1e-12)
+    });
     [0, 1, 2].map(|k| {
         Picture::new(size, |y, x| {
             let (first, weight) = sources(a, b, forward, t, y, x);
             let (second, rest) = sources(b, a, backward, 1.0 - t, y, x);
-            (first[k] + second[k]) / (weight + rest)
+            let (n, mixed) = (still.at(y, x), (1.0 - t) * a[k].at(y, x) + t * b[k].at(y, x));
+            (first[k] + second[k] + n * mixed) / (weight + rest + n)
         })
     })
 }

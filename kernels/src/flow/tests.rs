@@ -206,8 +206,9 @@ fn warps_and_blends_agree_with_the_reference() {
         }
         let planes = |x: &[f32]| [0, 1, 2].map(|k| as_picture(&x[k * area..][..area], size));
         let fields = [&f, &g].map(|f| [as_picture(&f.u, size), as_picture(&f.v, size)]);
+        let blend = Blend::new(Level::detect(), [&a, &b], [&f, &g]);
         for t in [0.25, 0.7] {
-            let blended = blend(Level::detect(), &a, &b, size, &f, &g, t);
+            let blended = blend.at(t);
             let expected = reference::blend(&planes(&a), &planes(&b), &fields, f64::from(t));
             for (got, expected) in blended.iter().zip(expected.iter().flat_map(|p| &p.values)) {
                 assert!((f64::from(*got) - expected).abs() < 1e-3, "{size:?}: {got} instead of {expected}");
@@ -251,7 +252,7 @@ fn bits_are_equal_on_every_level_and_for_any_number_of_threads() {
                 }
                 rest.split_off_mut(..area).expect("room").copy_from_slice(&forward.round_trip(level, &backward));
                 rest.split_off_mut(..3 * area).expect("room").copy_from_slice(&warp(level, &a, size, &forward));
-                let blended = blend(level, &a, &b, size, &forward, &backward, 0.3);
+                let blended = Blend::new(level, [&a, &b], [&forward, &backward]).at(0.3);
                 assert!(blended.iter().all(|x| x.is_finite()));
                 rest.copy_from_slice(&blended[..area]);
             });
@@ -342,8 +343,9 @@ fn a_blend_at_the_ends_is_the_frame_there() {
         v: noise(2000, seed + 1).iter().map(|x| x * 9.0).collect(),
     };
     let (f, g) = (scattered(3), scattered(5));
-    assert_eq!(blend(Level::detect(), &a, &b, size, &f, &g, 0.0), a);
-    assert_eq!(blend(Level::detect(), &a, &b, size, &f, &g, 1.0), b);
+    let blend = Blend::new(Level::detect(), [&a, &b], [&f, &g]);
+    assert_eq!(blend.at(0.0), a);
+    assert_eq!(blend.at(1.0), b);
 }
 
 proptest! {

@@ -106,7 +106,7 @@ pub(super) fn things() -> Vec<Thing> {
                     digest.floats(&field.v);
                 }
                 digest.floats(&forth.round_trip(level, &back));
-                digest.floats(&flow::blend(level, &smooth, &moved, size, &forth, &back, 0.375));
+                digest.floats(&flow::Blend::new(level, [&smooth, &moved], [&forth, &back]).at(0.375));
             }
         }),
         Thing::new("norm", |level, digest| {
