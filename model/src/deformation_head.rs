@@ -8,6 +8,8 @@
 //!
 //! Both are three linear layers, 2d → d → d → out, with SiLU between them.
 
+use std::sync::Arc;
+
 use streamsplat_kernels::gemm::Activation::{Identity, Silu};
 use streamsplat_kernels::memory::Scratch;
 use streamsplat_kernels::pointwise::{self, Layer, TOKENS};
@@ -18,17 +20,19 @@ use crate::keys;
 use crate::layers::{Bias, load_pointwise};
 use crate::{Config, ModelError};
 
+#[derive(Clone)]
 pub(crate) struct DeformationHead {
-    encoder_proj: Layer,
+    encoder_proj: Arc<Layer>,
     /// The first layers of both networks, side by side: they have the same input.
-    first: Layer,
+    first: Arc<Layer>,
     velocity: Rest,
     gamma: Rest,
     dynamic_scalar: [f32; 3],
 }
 
 /// The second and third layer of a network.
-struct Rest([Layer; 2]);
+#[derive(Clone)]
+struct Rest([Arc<Layer>; 2]);
 
 impl DeformationHead {
     /// `weights` is the whole model's: the head's tensors lie in two places.
@@ -42,12 +46,17 @@ impl DeformationHead {
         let first = [layer("xyz"), layer("opacity")];
         let first = [(first[0].as_str(), d, Bias::Yes), (first[1].as_str(), d, Bias::Yes)];
         Ok(DeformationHead {
-            encoder_proj: load_pointwise(weights, &[("encoder_proj", d, Bias::No)], Identity, d)?,
-            first: load_pointwise(&head, &first, Silu, 2 * d)?,
+            encoder_proj: Arc::new(load_pointwise(weights, &[("encoder_proj", d, Bias::No)], Identity, d)?),
+            first: Arc::new(load_pointwise(&head, &first, Silu, 2 * d)?),
             velocity: Rest::load(&head.at("gs_layer.xyz_dynamic.layers"), d, 3)?,
             gamma: Rest::load(&head.at("gs_layer.opacity_dynamic.layers"), d, 2)?,
             dynamic_scalar: [scalar[0], scalar[1], scalar[2]],
         })
+    }
+
+    /// For frames whose sides are those of training over `ratio`: velocities are parts of a side.
+    pub(crate) fn fit_to(&mut self, [x, z]: [f32; 2]) {
+        self.dynamic_scalar = [self.dynamic_scalar[0] * x, self.dynamic_scalar[1], self.dynamic_scalar[2] * z];
     }
 
     /// Velocity and γ of every token.
@@ -100,8 +109,8 @@ impl DeformationHead {
 impl Rest {
     fn load(weights: &Weights<'_>, d: usize, out: usize) -> Result<Rest, ModelError> {
         Ok(Rest([
-            load_pointwise(weights, &[("4", d, Bias::Yes)], Silu, d)?,
-            load_pointwise(weights, &[("7", out, Bias::Yes)], Identity, d)?,
+            Arc::new(load_pointwise(weights, &[("4", d, Bias::Yes)], Silu, d)?),
+            Arc::new(load_pointwise(weights, &[("7", out, Bias::Yes)], Identity, d)?),
         ]))
     }
 
@@ -112,6 +121,6 @@ impl Rest {
     }
 
     fn bytes(&self) -> usize {
-        self.0.iter().map(Layer::bytes).sum()
+        self.0.iter().map(|layer| layer.bytes()).sum()
     }
 }

@@ -1,10 +1,8 @@
 //! The same network for smaller frames: part of its patch grid.
 //!
 //! A token's place reaches the network through position tables alone. With the tables' rows of the grid's upper left `rows × columns` places, the same weights take frames of that many
-//! patches; a token's neighbours are then as far from it, in the tables, as they were in training. This needs attention that sees every token of the frame, or none: windows are
+//! patches; a token's neighbours are then as far from it, in the tables, as they were in training. Scales and velocities, which are parts of a frame's sides, grow by the ratio of the sides. This needs attention that sees every token of the frame, or none: windows are
 //! runs of tokens of a whole grid, and have no meaning in a part of it.
-
-use std::sync::Arc;
 
 use crate::Network;
 use crate::layers::Workspaces;
@@ -34,9 +32,11 @@ impl Network {
         encoder.keep_positions(&places);
         let mut decoder = self.decoder.clone();
         decoder.keep_positions(&places, &self.config);
-        let mut static_head = self.static_head.clone();
+        let (mut static_head, mut deformation_head) = (self.static_head.clone(), self.deformation_head.clone());
+        let ratio = [(whole_columns, columns), (whole_rows, rows)].map(|(whole, part)| whole as f32 / part as f32);
         if grid != self.config.grid() {
-            static_head.centre_cells(&config);
+            static_head.fit_to(&config, ratio);
+            deformation_head.fit_to(ratio);
         }
         Some(Network {
             config,
@@ -49,7 +49,7 @@ impl Network {
             static_head,
             decoder,
             deformation_upsampler: self.deformation_upsampler.clone(),
-            deformation_head: Arc::clone(&self.deformation_head),
+            deformation_head,
         })
     }
 }

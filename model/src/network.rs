@@ -1,7 +1,6 @@
 //! The whole network, loaded.
 
 use std::path::Path;
-use std::sync::Arc;
 
 use streamsplat_kernels::Level;
 use tracing::info_span;
@@ -38,7 +37,7 @@ pub struct Network {
     pub(crate) static_head: StaticHead,
     pub(crate) decoder: Decoder,
     pub(crate) deformation_upsampler: Upsampler,
-    pub(crate) deformation_head: Arc<DeformationHead>,
+    pub(crate) deformation_head: DeformationHead,
 }
 
 impl std::fmt::Debug for Network {
@@ -97,7 +96,7 @@ impl Network {
                 &config,
                 options.precision,
             )?,
-            deformation_head: Arc::new(DeformationHead::load(&weights, &config)?),
+            deformation_head: DeformationHead::load(&weights, &config)?,
             config,
             options: *options,
             silent,

@@ -8,6 +8,8 @@
 //! position = (x_map + o₀/W2,  0.5 + 0.5·o₁,  z_map + o₂/H2)
 //! scale = 0.1·softplus,  opacity = 0.05 + 0.95·σ,  rgb = σ
 //! ```
+//!
+//! Scales are parts of a frame's sides. For a frame that is smaller than those of training they are multiplied by the ratio of the sides, so that they are as many cells as there.
 
 use std::sync::Arc;
 
@@ -28,6 +30,8 @@ pub(crate) struct StaticHead {
     kind: StaticPosition,
     x_map: Vec<f32>,
     z_map: Vec<f32>,
+    /// The sides of a frame in training over this one's: of x and of z.
+    ratio: [f32; 2],
 }
 
 impl StaticHead {
@@ -54,11 +58,13 @@ impl StaticHead {
             kind: config.static_position,
             x_map: map("x_map", &|i| centre(i % columns, columns))?,
             z_map: map("z_map", &|i| -centre(i / columns, rows))?,
+            ratio: [1.0; 2],
         })
     }
 
-    /// Puts the cells' centres where those of a frame of `config` are.
-    pub(crate) fn centre_cells(&mut self, config: &Config) {
+    /// For frames of `config`: the cells' centres are where theirs are, and scales are multiplied by `ratio`.
+    pub(crate) fn fit_to(&mut self, config: &Config, ratio: [f32; 2]) {
+        self.ratio = ratio;
         let [rows, columns] = config.gaussian_grid();
         self.x_map = (0..rows * columns).map(|i| centre(i % columns, columns) as f32).collect();
         self.z_map = (0..rows * columns).map(|i| -centre(i / columns, rows) as f32).collect();
@@ -131,6 +137,9 @@ impl StaticHead {
         }
         activation::softplus(level, scale.as_flattened_mut());
         scale.as_flattened_mut().iter_mut().for_each(|s| *s *= 0.1);
+        if self.ratio != [1.0; 2] {
+            scale.iter_mut().for_each(|[x, z]| (*x, *z) = (*x * self.ratio[0], *z * self.ratio[1]));
+        }
         activation::sigmoid(level, &mut opacity);
         opacity.iter_mut().for_each(|o| *o = 0.05 + 0.95 * *o);
         activation::sigmoid(level, rgb.as_flattened_mut());

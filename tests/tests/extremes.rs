@@ -47,6 +47,7 @@ groups! {
     splats_in_traps_are_drawn_as_defined: "Splats";
     bad_values_are_dropped_and_never_spread: "Values that are no numbers";
     images_of_any_kind_are_read_and_reconstructed: "Images";
+    videos_that_break_off_keep_their_key_frames: "Videos";
 }
 
 #[test]

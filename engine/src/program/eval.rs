@@ -8,6 +8,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Instant;
 
 use serde::Serialize;
 use streamsplat::Engine;
@@ -126,6 +127,8 @@ struct Sums {
     crossfade: Sum,
     nearest: Sum,
     flow: Sum,
+    /// In the engine.
+    seconds: f64,
     clips: usize,
 }
 
@@ -162,6 +165,8 @@ struct Row {
     gap: Spacing,
     key: Score,
     middle: Score,
+    /// Time in the engine per input frame, drawing and comparison apart.
+    seconds_per_frame: f64,
     baselines: Baselines,
     /// The same under the fusion mode's name, with how the image jumps at key frames.
     fusion: BTreeMap<&'static str, Mode>,
@@ -245,7 +250,9 @@ impl Sums {
             Baselines { crossfade: self.crossfade.score(), nearest: self.nearest.score(), flow: self.flow.score() };
         let (key, middle) = (self.key.score(), self.middle.score());
         let fusion = BTreeMap::from([(chosen.name(), Mode { key, middle, pop: self.pops.pop() })]);
-        Row { name, gap: self.spacing(gap), key, middle, baselines, fusion, moving: None, still: None }
+        let seconds_per_frame = self.seconds / (self.key.frames + self.middle.frames).max(1) as f64;
+        let gap = self.spacing(gap);
+        Row { name, gap, key, middle, seconds_per_frame, baselines, fusion, moving: None, still: None }
     }
 
     fn join(&mut self, other: &Sums) {
@@ -255,6 +262,7 @@ impl Sums {
         self.crossfade.join(&other.crossfade);
         self.nearest.join(&other.nearest);
         self.flow.join(&other.flow);
+        self.seconds += other.seconds;
         self.pops.join(&other.pops);
     }
 }
@@ -382,7 +390,9 @@ fn evaluate(
         let last = truths.len() - 1;
         let picture = key.shown.last().map(|frame| frame.picture.clone());
         let between = if seen { key.between() } else { Vec::new() };
+        let start = Instant::now();
         let interval: Interval = engine.push_with(between, key.frame, timestamp)?;
+        sums.seconds += start.elapsed().as_secs_f64();
         if interval.start < interval.end {
             let crossed = drawing.draw(&interval, interval.start, views)?.rgb;
             sums.pops.jump += apart(&shown, &crossed);

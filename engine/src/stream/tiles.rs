@@ -1,8 +1,9 @@
 //! A frame as tiles of the size that the model takes.
 //!
-//! A network sees frames of one size; a larger frame goes through it in rectangular parts, each as a frame of its own. Along an axis of `n` patches there are as few tiles as can be,
-//! of lengths that differ by one patch at most; a network that takes no smaller grid than its own ([`Tiling::partial`]) gets tiles of its own size, which overlap, and of what
-//! two tiles show each keeps its half.
+//! A network sees frames of one size; a larger frame goes through it in rectangular parts, each as a frame of its own. What it makes of a frame's border, beyond which it sees nothing,
+//! fits its neighbours badly, so a tile sees [`HALO`] patches more than it keeps wherever it has a neighbour. Along an axis there are as few tiles as can be, which keep lengths that
+//! differ by one patch at most; a network that takes no smaller grid than its own ([`Tiling::partial`]) gets tiles of its own size, which overlap farther, and of what two tiles show
+//! each keeps its half.
 //!
 //! Gaussians of the tile with first pixel `(x₀, y₀)` and size `w × h` in a frame of `W × H` come to the frame's world by
 //!
@@ -21,6 +22,9 @@ use streamsplat_model::StaticGaussians;
 use streamsplat_model::reuse::{Memory, Saving};
 
 use super::reconstructor::{Motion, Reconstructor, Tiling};
+
+/// Patches that a tile sees beyond what it keeps.
+const HALO: usize = 1;
 
 /// A part of the frame, and the model for frames of its size.
 pub(super) struct Tile {
@@ -194,11 +198,21 @@ fn spans(total: usize, most: usize, partial: bool) -> Option<Vec<Span>> {
     if most == 0 || total == 0 || (!partial && total < most) {
         return None;
     }
-    let count = total.div_ceil(most);
     if partial {
-        let edge = |i: usize| i * total / count;
-        return Some((0..count).map(|i| Span { seen: edge(i)..edge(i + 1), kept: edge(i)..edge(i + 1) }).collect());
+        // Where a tile could keep nothing beside its halos, there are none.
+        let halo = if most > 2 * HALO { HALO } else { 0 };
+        let spans = |count: usize| -> Vec<Span> {
+            let edge = |i: usize| i * total / count;
+            let span = |i: usize| {
+                let kept = edge(i)..edge(i + 1);
+                Span { seen: kept.start.saturating_sub(halo)..(kept.end + halo).min(total), kept }
+            };
+            (0..count).map(span).collect()
+        };
+        let fits = |spans: &Vec<Span>| spans.iter().all(|span| span.seen.len() <= most);
+        return (total.div_ceil(most)..=total).map(spans).find(fits);
     }
+    let count = total.div_ceil(most);
     let start = |i: usize| if count == 1 { 0 } else { i * (total - most) / (count - 1) };
     let edge = |i: usize| match i {
         0 => 0,
@@ -225,10 +239,13 @@ mod tests {
                     assert_eq!(kept.start, at);
                     assert!(seen.start <= kept.start && kept.end <= seen.end && seen.end <= total, "{total} {spans:?}");
                     assert!(seen.len() <= most && (partial || seen.len() == most));
+                    let halo = |far: bool, length: usize| !far || length >= HALO || most <= 2 * HALO;
+                    assert!(halo(kept.start > 0, kept.start - seen.start), "{total} {spans:?}");
+                    assert!(halo(kept.end < total, seen.end - kept.end), "{total} {spans:?}");
                     at = kept.end;
                 }
                 assert_eq!(at, total);
-                let lengths = spans.iter().map(|span| span.seen.len());
+                let lengths = spans.iter().map(|span| if partial { span.kept.len() } else { span.seen.len() });
                 assert!(lengths.clone().max() <= lengths.min().map(|least| least + 1));
             }
         }

@@ -16,6 +16,7 @@ mod sampling;
 mod scenes;
 mod splats;
 mod values;
+mod videos;
 
 use rayon::ThreadPoolBuilder;
 use streamsplat_kernels::Level;
@@ -240,6 +241,7 @@ pub fn cases() -> Vec<Case> {
         splats::cases,
         values::cases,
         images::cases,
+        videos::cases,
     ];
     groups.into_iter().flat_map(|cases| cases()).collect()
 }
