@@ -3,6 +3,7 @@
 //! Every measurement checks its answer before it is timed and reports the fraction of the machine's peak, which is measured
 //! in the same run.
 
+mod fit;
 mod instructions;
 mod kernels;
 mod live;
@@ -37,6 +38,8 @@ struct Program {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Optical flow, and steps of the fit of colours.
+    Fit(fit::Options),
     /// Matrix products, attention and norms, as fractions of the measured peak.
     Kernels(kernels::Options),
     /// Whole scenes of Gaussians, redrawing, and growth with their number.
@@ -93,6 +96,7 @@ fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
 
 fn main() -> std::process::ExitCode {
     let result = match Program::parse().command {
+        Command::Fit(options) => fit::run(&options),
         Command::Kernels(options) => kernels::run(&options),
         Command::Raster(options) => raster::run(&options),
         Command::Reuse(options) => reuse::run(&options),

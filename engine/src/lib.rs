@@ -12,7 +12,7 @@
 //! let mut engine = Engine::new(Settings::default())?;
 //!
 //! // Two frames of a video: red, green and blue planes in [0, 1]. Any size.
-//! let (width, height) = (64, 36);
+//! let (width, height) = (128, 72);
 //! let frame = |shift: usize| {
 //!     let pixel = |i: usize| ((i % width + shift) / 8 % 2) as f32;
 //!     Frame { width, height, rgb: (0..3 * width * height).map(pixel).collect(), depth: None }
@@ -22,7 +22,7 @@
 //!
 //! // The scene between them, at any time, from any camera.
 //! let image = interval.render(0.1, &Camera::Canonical, &RenderOptions::default())?;
-//! assert_eq!((image.width, image.height), (256, 144));
+//! assert_eq!((image.width, image.height), (width, height));
 //! assert!(image.rgb.iter().all(|x| x.is_finite()));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

@@ -9,7 +9,7 @@ cd "$(dirname "$0")/../.."
 how=${1:-short}
 golden=fixtures/golden/digests.txt
 case $how in
-short) things=(math/ gemm attention flow resize norm philox patches pointwise truncated splats/perspective splats/extreme network/tiny-sampled) ;;
+short) things=(math/ gemm attention flow resize norm philox patches pointwise truncated colour-map splats/perspective splats/extreme network/tiny-sampled) ;;
 full) things=(/ flow norm patches philox pointwise resize truncated) ;;
 *) echo "usage: tests/emulated/run.sh [short|full]" >&2; exit 2 ;;
 esac

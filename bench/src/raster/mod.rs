@@ -3,7 +3,7 @@
 #[cfg(feature = "wgpu")]
 mod card;
 mod part;
-mod scenes;
+pub(crate) mod scenes;
 
 use std::process::Command;
 

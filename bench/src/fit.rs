@@ -1,0 +1,110 @@
+//! `fit`: optical flow between two frames of 512×288, and the map from colours to an image that a fit of colours steps on.
+
+use anyhow::{Result, ensure};
+use clap::Args;
+use serde::Serialize;
+use streamsplat_fixtures::clip::{Clip, Kind};
+use streamsplat_kernels::flow::{self, Blend, Options as FlowOptions, Pyramid};
+use streamsplat_kernels::gemm::Precision;
+use streamsplat_kernels::raster::{ColourMap, render};
+
+use crate::Common;
+use crate::machine::Machine;
+use crate::raster::scenes::Scene;
+use crate::timing::{Seconds, once};
+
+/// Options of `fit`.
+#[derive(Args)]
+pub(crate) struct Options {
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Serialize)]
+struct Row {
+    what: &'static str,
+    milliseconds: Seconds,
+}
+
+#[derive(Serialize)]
+struct Report {
+    machine: Machine,
+    rows: Vec<Row>,
+}
+
+pub(crate) fn run(options: &Options) -> Result<()> {
+    let (rows, machine) = options.common.pool()?.install(|| -> Result<_> {
+        let mut rows = flow_rows(&options.common)?;
+        rows.extend(map_rows(&options.common)?);
+        Ok((rows, Machine::new(options.common.isa, (Precision::F32, 0.0))))
+    })?;
+    println!("{:56} {:>9} {:>9} {:>9}", "milliseconds", "least", "median", "most");
+    for Row { what, milliseconds: Seconds { min, median, max } } in &rows {
+        println!("{what:56} {min:9.2} {median:9.2} {max:9.2}");
+    }
+    options.common.write(&Report { machine, rows })
+}
+
+/// Times of `work`, after one run that is not counted.
+fn measure(common: &Common, what: &'static str, mut work: impl FnMut()) -> Row {
+    work();
+    let times = (0..common.repeat.max(1)).map(|_| 1e3 * once(&mut work)).collect();
+    Row { what, milliseconds: Seconds::of(times) }
+}
+
+fn flow_rows(common: &Common) -> Result<Vec<Row>> {
+    let (level, size, options) = (common.isa, [288, 512], FlowOptions::default());
+    let clip = Clip::new(Kind::Moving, 1, size[1], size[0]);
+    let [a, b] = [0.0, 0.1].map(|time| clip.picture(time).rgb);
+    let pyramid = |rgb: &[f32]| Pyramid::new(level, &flow::luma(level, rgb), size, &options);
+    let pyramids = [pyramid(&a)?, pyramid(&b)?];
+    let both = || flow::both(level, &pyramids[0], &pyramids[1], [None; 2], &options);
+    let [forward, backward] = both();
+    let apart = |x: &[f32]| a.iter().zip(x).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
+    let (still, moved) = (apart(&b), apart(&flow::warp(level, &b, size, &forward)));
+    ensure!(moved < 0.5 * still, "the flow explains too little: {moved} of {still} is left");
+    let blend = Blend::new(level, [&a, &b], [&forward, &backward]);
+    Ok(vec![
+        measure(common, "pyramids of two frames of 512×288", || {
+            let _ = std::hint::black_box((pyramid(&a), pyramid(&b)));
+        }),
+        measure(common, "flow, both directions", || drop(std::hint::black_box(both()))),
+        measure(common, "a picture between, first the comparison of the frames", || {
+            drop(std::hint::black_box(Blend::new(level, [&a, &b], [&forward, &backward]).at(0.4)));
+        }),
+        measure(common, "a picture between, each further one", || drop(std::hint::black_box(blend.at(0.6)))),
+    ])
+}
+
+fn map_rows(common: &Common) -> Result<Vec<Row>> {
+    let scene = Scene::paper_grid();
+    let gaussians = scene.gaussians();
+    let size @ [width, height] = [scene.request.width, scene.request.height];
+    let background = scene.request.background;
+    let mut map = ColourMap::new(common.isa);
+    map.prepare(&gaussians, &scene.projection, size);
+    let mut image = vec![0.0; 3 * width * height];
+    map.forward(gaussians.rgb, background, &mut image);
+    let drawn = render(common.isa, &gaussians, &scene.projection, &scene.request);
+    ensure!(image == drawn.rgb, "the map's image is not the rasteriser's");
+    let residual: Vec<f32> = image.iter().enumerate().map(|(i, x)| x - (i % 7) as f32 * 0.1).collect();
+    let mut sums = vec![[0.0; 3]; gaussians.len()];
+    map.adjoint(&residual, &mut sums);
+    // ⟨A·c, r⟩ = ⟨c, Aᵀ·r⟩, on black.
+    let mut linear = vec![0.0; image.len()];
+    map.forward(gaussians.rgb, [0.0; 3], &mut linear);
+    let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
+    let (left, right) = (dot(&linear, &residual), dot(gaussians.rgb.as_flattened(), sums.as_flattened()));
+    ensure!((left - right).abs() <= 1e-4 * left.abs(), "⟨A·c, r⟩ is {left}, ⟨c, Aᵀ·r⟩ {right}");
+    Ok(vec![
+        measure(common, "73,728 Gaussians at 512×288, the rasteriser", || {
+            drop(std::hint::black_box(render(common.isa, &gaussians, &scene.projection, &scene.request)));
+        }),
+        measure(common, "the same, preparing the map", || {
+            ColourMap::new(common.isa).prepare(&gaussians, &scene.projection, size);
+        }),
+        measure(common, "the same, forward", || map.forward(gaussians.rgb, background, &mut image)),
+        measure(common, "the same, adjoint", || map.adjoint(&residual, &mut sums)),
+        measure(common, "the same, a step of the fit: AᵀA·c", || map.normal(gaussians.rgb, &mut sums)),
+    ])
+}
