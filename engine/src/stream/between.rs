@@ -94,10 +94,13 @@ impl Flows {
     /// The motion of the Gaussians of both key frames; what flow does not tell is the network's.
     pub(super) fn motion(&self, [a, b]: [&KeyView; 2], network: &[Arc<Motion>; 2]) -> [Arc<Motion>; 2] {
         let count = self.steps.len();
-        let forward: Vec<Step<'_>> =
-            (0..count).map(|i| Step { there: &self.steps[i][0], distance: self.times[i + 1] }).collect();
-        let backward: Vec<Step<'_>> =
-            (0..count).rev().map(|i| Step { there: &self.steps[i][1], distance: 1.0 - self.times[i] }).collect();
+        let step = |i: usize, way: usize, distance: f32| Step {
+            there: &self.steps[i][way],
+            back: &self.steps[i][1 - way],
+            distance,
+        };
+        let forward: Vec<Step<'_>> = (0..count).map(|i| step(i, 0, self.times[i + 1])).collect();
+        let backward: Vec<Step<'_>> = (0..count).rev().map(|i| step(i, 1, 1.0 - self.times[i])).collect();
         [along_flow(&a.gaussians, &network[0], &forward, 1.0), along_flow(&b.gaussians, &network[1], &backward, -1.0)]
     }
 

@@ -8,6 +8,10 @@
 //! ```
 //!
 //! in world units: `v_x·2/W`, `−v_z·2/H`. The velocity along the depth stays the network's, and so does all of it where a Gaussian's place is not finite.
+//!
+//! A chain of several steps ends before the first one that leaves the picture or that the flow back does not undo, to within [`ASTRAY`] pixels and a tenth of the step's length: what was
+//! hidden there is not followed any farther. Where that is the first step, the network's motion stays. (A single step, from key frame to key frame, is taken as it is: what the network says instead was
+//! no better.)
 
 use std::sync::Arc;
 
@@ -19,14 +23,29 @@ use super::reconstructor::Motion;
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;
+/// Pixels by which the flow back may miss where a step came from, beside a tenth of the step.
+const ASTRAY: f32 = 2.0;
 
 /// From one frame to the next, seen from a key frame.
 #[derive(Clone, Copy)]
 pub(super) struct Step<'a> {
     /// Towards the next frame.
     pub(super) there: &'a Field,
+    /// Back from it.
+    pub(super) back: &'a Field,
     /// The next frame's distance in time from the key frame, in intervals: positive.
     pub(super) distance: f32,
+}
+
+impl Step<'_> {
+    /// Whether the step by `[u, v]`, to `at`, leaves the picture or does not come back.
+    fn strays(&self, [u, v]: [f32; 2], at: [f32; 2]) -> bool {
+        let [height, width] = self.there.size.map(|side| side as f32);
+        let inside = (-0.5..=width - 0.5).contains(&at[0]) && (-0.5..=height - 0.5).contains(&at[1]);
+        let [back_u, back_v] = self.back.at(at[0], at[1]);
+        let length = |x: f32, y: f32| x.mul_add(x, y * y).sqrt();
+        !inside || length(u + back_u, v + back_v) > 0.1f32.mul_add(length(u, v), ASTRAY)
+    }
 }
 
 /// Velocities of a key frame's Gaussians along `steps`, whose first leaves from the key frame; `sign` is 1 for the interval's first key frame and −1 for its last. γ and the velocity
@@ -46,14 +65,20 @@ pub(super) fn along_flow(
             if !start.iter().all(|c| c.is_finite()) {
                 continue;
             }
-            let [mut at, mut num, mut den] = [start, [0.0; 2], [0.0; 2]];
+            let (mut at, mut num, mut den) = (start, [0.0; 2], 0.0);
             for step in steps {
                 let [u, w] = step.there.at(at[0], at[1]);
                 at = [at[0] + u, at[1] + w];
+                if steps.len() > 1 && step.strays([u, w], at) {
+                    break;
+                }
                 num = [0, 1].map(|axis| step.distance.mul_add(at[axis] - start[axis], num[axis]));
-                den[0] = step.distance.mul_add(step.distance, den[0]);
+                den = step.distance.mul_add(step.distance, den);
             }
-            let [dx, dy] = num.map(|n| sign * n / den[0]);
+            if den == 0.0 {
+                continue;
+            }
+            let [dx, dy] = num.map(|n| sign * n / den);
             (v[0], v[2]) = (dx * 2.0 / width, -dy * 2.0 / height);
         }
     });
