@@ -2,8 +2,8 @@
 //!
 //! A network sees frames of one size; a larger frame goes through it in rectangular parts, each as a frame of its own. What it makes of a frame's border, beyond which it sees nothing,
 //! fits its neighbours badly, so a tile sees [`HALO`] patches more than it keeps wherever it has a neighbour. Along an axis there are as few tiles as can be, which keep lengths that
-//! differ by one patch at most; a network that takes no smaller grid than its own ([`Tiling::partial`]) gets tiles of its own size, which overlap farther, and of what two tiles show
-//! each keeps its half.
+//! differ by one patch at most; a network that takes no smaller grid than its own ([`Tiling::partial`]) gets tiles of its own size, which overlap by twice that at least, and of
+//! what two tiles show each keeps its half.
 //!
 //! Gaussians of the tile with first pixel `(x₀, y₀)` and size `w × h` in a frame of `W × H` come to the frame's world by
 //!
@@ -198,9 +198,9 @@ fn spans(total: usize, most: usize, partial: bool) -> Option<Vec<Span>> {
     if most == 0 || total == 0 || (!partial && total < most) {
         return None;
     }
+    // Where a tile could keep nothing beside its halos, there are none.
+    let halo = if most > 2 * HALO { HALO } else { 0 };
     if partial {
-        // Where a tile could keep nothing beside its halos, there are none.
-        let halo = if most > 2 * HALO { HALO } else { 0 };
         let spans = |count: usize| -> Vec<Span> {
             let edge = |i: usize| i * total / count;
             let span = |i: usize| {
@@ -212,7 +212,7 @@ fn spans(total: usize, most: usize, partial: bool) -> Option<Vec<Span>> {
         let fits = |spans: &Vec<Span>| spans.iter().all(|span| span.seen.len() <= most);
         return (total.div_ceil(most)..=total).map(spans).find(fits);
     }
-    let count = total.div_ceil(most);
+    let count = if total == most { 1 } else { (total - 2 * halo).div_ceil(most - 2 * halo) };
     let start = |i: usize| if count == 1 { 0 } else { i * (total - most) / (count - 1) };
     let edge = |i: usize| match i {
         0 => 0,
