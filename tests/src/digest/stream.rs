@@ -23,7 +23,7 @@ pub(super) fn things() -> Vec<Thing> {
         }),
         Thing::new("stream/container", container),
         // Tiles that overlap, since this model takes no part of its grid.
-        Thing::new("stream/tiles-flow-colours", |level, digest| {
+        Thing::new("stream/tiles-motion-colours", |level, digest| {
             let checkpoint = streamsplat_fixtures::path("parity/tiny-nodino.safetensors");
             let settings = Settings {
                 resolution: Some(Resolution::Exact([72, 120])),
