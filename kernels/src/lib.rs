@@ -7,10 +7,16 @@
 //! An operation runs in a [`tracing`] span that is named after its folder (those of `raster` after its passes), at the level `DEBUG`. Where nobody
 //! listens, that is one comparison a call.
 
+#![deny(unsafe_code)]
+
 pub mod activation;
 pub mod attention;
 pub mod change;
 pub mod feed_forward;
+#[expect(
+    unsafe_code,
+    reason = "taps and patches are read, and rows are written by several tasks, without a check for each value"
+)]
 pub mod flow;
 pub mod gemm;
 pub mod harmonics;
@@ -25,6 +31,7 @@ pub mod pointwise;
 pub mod raster;
 pub mod resize;
 pub mod simd;
+mod size;
 #[cfg(test)]
 mod testing;
 pub mod truncated_normal;

@@ -5,10 +5,17 @@ use std::ops::{Deref, DerefMut};
 
 use bytemuck::{Pod, Zeroable};
 
+use crate::size::product;
+
 /// One cache line.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C, align(64))]
 struct Line([u8; 64]);
+
+/// Lines that `len` elements take.
+fn lines_of<T>(len: usize) -> usize {
+    product([len, size_of::<T>()]).div_ceil(size_of::<Line>())
+}
 
 /// A fixed number of elements that start on a cache-line boundary.
 #[derive(Clone, Default)]
@@ -20,14 +27,20 @@ pub struct Aligned<T> {
 
 impl<T: Pod> Aligned<T> {
     /// `len` zeros.
+    ///
+    /// # Panics
+    /// When there is no room for them.
     pub fn zeroed(len: usize) -> Self {
-        let lines = bytemuck::allocation::zeroed_vec((len * size_of::<T>()).div_ceil(64));
+        let lines = bytemuck::allocation::zeroed_vec(lines_of::<T>(len));
         Self { lines, len, kind: std::marker::PhantomData }
     }
 
     /// Makes room for `len` elements. What they hold is unspecified (but initialised).
+    ///
+    /// # Panics
+    /// When there is no room for them.
     pub fn resize(&mut self, len: usize) {
-        let lines = (len * size_of::<T>()).div_ceil(64);
+        let lines = lines_of::<T>(len);
         if lines > self.lines.len() {
             self.lines = bytemuck::allocation::zeroed_vec(lines);
         }
@@ -72,10 +85,14 @@ pub struct Scratch(Aligned<f32>);
 
 impl Scratch {
     /// `len` values.
+    ///
+    /// # Panics
+    /// When there is no room for them.
     pub fn take(len: usize) -> Self {
+        let bytes = product([len, size_of::<f32>()]);
         let mut kept = KEPT.take();
         // The smallest that is large enough, else the largest, which then grows.
-        let fits = |a: &Aligned<f32>| a.bytes() >= len * size_of::<f32>();
+        let fits = |a: &Aligned<f32>| a.bytes() >= bytes;
         let found = (0..kept.len()).filter(|&i| fits(&kept[i])).min_by_key(|&i| kept[i].bytes());
         let found = found.or_else(|| (0..kept.len()).max_by_key(|&i| kept[i].bytes()));
         let mut memory = found.map(|i| kept.swap_remove(i)).unwrap_or_default();

@@ -3,6 +3,8 @@
 //! Kernels hand out chunks whose boundaries follow from the sizes alone; a task writes only its own chunk. Nothing is
 //! reduced across threads in an order that could vary: partial results are stored by index and merged in index order.
 
+#![expect(unsafe_code, reason = "parts of one slice are handed to several tasks")]
+
 use rayon::prelude::*;
 
 /// Calls `work(index, chunk)` for consecutive chunks of `len` elements of `data` (the last may be shorter).

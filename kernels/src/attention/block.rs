@@ -1,5 +1,7 @@
 //! A block of queries of one head passes over its window's keys.
 
+#![expect(unsafe_code, reason = "register blocks read operands by pointer, and tasks write rows of one output")]
+
 use std::marker::PhantomData;
 
 use super::layout::{Layout, Task};

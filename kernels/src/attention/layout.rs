@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use super::{KEY_BLOCK, QUERY_BLOCK, Shape, WHOLE, Windows};
+use crate::size::product;
 
 /// Where the tokens of windows lie, in the sequences and packed.
 pub(super) struct Layout {
@@ -131,7 +132,7 @@ impl Layout {
 
     /// Keys of all heads and windows, in whole register blocks.
     pub(super) fn packed_rows(&self) -> usize {
-        self.windows() * self.shape.heads * self.head_rows()
+        product([self.windows(), self.shape.heads, self.head_rows()])
     }
 
     /// Where the scales of the keys of one head of one window lie.
@@ -147,7 +148,7 @@ impl Layout {
 
     /// Scales of all values.
     pub(super) fn all_value_scales(&self) -> usize {
-        self.windows() * self.shape.heads * self.head_value_scales()
+        product([self.windows(), self.shape.heads, self.head_value_scales()])
     }
 
     /// Where the scales of the values of one head of one window lie.
@@ -158,7 +159,7 @@ impl Layout {
 
     /// Values that the packed keys of all take.
     pub(super) fn packed_len(&self) -> usize {
-        self.windows() * self.shape.heads * self.head_len()
+        product([self.windows(), self.shape.heads, self.head_len()])
     }
 
     pub(super) fn packed(&self, window: usize, head: usize) -> Range<usize> {

@@ -61,6 +61,7 @@ use crate::gemm::form::{Brain, Bytes, Form, Single};
 use crate::memory::Scratch;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, dispatch, dispatch_dot};
+use crate::size::{checked_product, product};
 use block::{Block, Packed};
 use layout::Layout;
 use mix::{InBytes, InPairs, Mix, Singly};
@@ -96,7 +97,12 @@ impl<'a> Rows<'a> {
     /// # Panics
     /// When `values` does not hold `rows · stride` values.
     pub fn new(values: &'a [f32], rows: usize, stride: usize, first: usize) -> Self {
-        assert_eq!(values.len(), rows * stride, "{} values, expected rows·stride = {rows}·{stride}", values.len());
+        assert_eq!(
+            values.len(),
+            product([rows, stride]),
+            "{} values, expected rows·stride = {rows}·{stride}",
+            values.len()
+        );
         Self { values, rows, stride, head: None, first }
     }
 
@@ -105,13 +111,13 @@ impl<'a> Rows<'a> {
     /// # Panics
     /// When `values` holds no whole number of heads.
     pub fn of_heads(values: &'a [f32], rows: usize, width: usize, first: usize) -> Self {
-        let head = rows * width;
+        let head = product([rows, width]);
         assert!(
             values.is_empty() || values.len().is_multiple_of(head),
             "{} values in heads of {rows}·{width}",
             values.len()
         );
-        Self { values, rows, stride: width, head: Some(head), first: first * head }
+        Self { values, rows, stride: width, head: Some(head), first: product([first, head]) }
     }
 
     /// Rows of the matrix.
@@ -139,11 +145,13 @@ impl<'a> Rows<'a> {
 
     /// Whether all heads lie inside.
     fn holds(&self, heads: usize, width: usize) -> bool {
-        self.rows == 0
-            || match self.head {
-                None => self.first + heads * width <= self.stride,
-                Some(head) => self.stride == width && self.first + heads * head <= self.values.len(),
-            }
+        let (width_of_one, all) = match self.head {
+            None => (width, self.stride),
+            Some(head) if self.stride == width => (head, self.values.len()),
+            Some(_) => return self.rows == 0,
+        };
+        let end = checked_product([heads, width_of_one]).and_then(|heads| heads.checked_add(self.first));
+        self.rows == 0 || end.is_some_and(|end| end <= all)
     }
 }
 
@@ -246,12 +254,15 @@ fn run(
     }
     assert_eq!(
         out.len(),
-        q.rows * heads * width,
+        product([q.rows, heads, width]),
         "output holds {} values, expected {}·{heads}·{width}",
         out.len(),
         q.rows
     );
     let _span = debug_span!("attention", queries = q.rows, keys = k.rows, heads, ?precision).entered();
+    if heads == 0 {
+        return;
+    }
     let layout = Layout::new(shape, q.rows, k.rows, places);
     if k.rows == 0 {
         out.fill(0.0);

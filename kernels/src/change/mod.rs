@@ -19,6 +19,7 @@ use tracing::debug_span;
 use crate::Level;
 use crate::parallel::for_each_chunk;
 use crate::simd::{LANES, Operation, Simd, dispatch};
+use crate::size::product;
 
 /// Values of a task.
 const TASK: usize = 1 << 14;
@@ -45,7 +46,7 @@ pub fn moved(
     at: Option<&[u32]>,
     out: &mut [bool],
 ) {
-    assert_eq!(x.len(), out.len() * d, "{} values in {} rows of {d}", x.len(), out.len());
+    assert_eq!(x.len(), product([out.len(), d]), "{} values in {} rows of {d}", x.len(), out.len());
     if let Some(at) = at {
         assert_eq!(at.len(), out.len(), "{} places for {} rows", at.len(), out.len());
     }
@@ -76,7 +77,7 @@ impl Operation for Task<'_> {
         for (i, out) in self.out.iter_mut().enumerate() {
             let row = self.first + i;
             let row = self.at.map_or(row, |at| at[row] as usize);
-            let (x, r) = (&self.x[i * d..][..d], &self.references[row * d..][..d]);
+            let (x, r) = (&self.x[i * d..][..d], &self.references[product([row, d])..][..d]);
             *out = match self.tolerance {
                 Tolerance::Bits => x.iter().zip(r).any(|(x, r)| x.to_bits() != r.to_bits()),
                 Tolerance::Relative(tau) => is_further(s, tau, x, r),

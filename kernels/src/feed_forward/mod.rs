@@ -16,6 +16,7 @@ use crate::gemm::{Epilogue, Input, Product, Weights, linear};
 use crate::memory::Scratch;
 use crate::norm::Norm;
 use crate::parallel::for_each_chunk;
+use crate::size::product;
 
 /// The layer.
 #[derive(Clone, Copy)]
@@ -54,14 +55,14 @@ impl FeedForward<'_> {
         let _span = debug_span!("feed_forward", m, d, width, precision = ?self.expand.precision()).entered();
         let rows = block(m, width);
         if m.div_ceil(rows) < FEWEST {
-            let mut hidden = Scratch::take(m * width);
+            let mut hidden = Scratch::take(product([m, width]));
             linear(level, Input::Normed(x, self.norm), m, self.expand, &self.hidden, &mut hidden);
             linear(level, &*hidden, m, self.contract, &self.residual, x);
             return;
         }
         for_each_chunk(x, rows * d, |_, x| {
             let m = x.len() / d;
-            let mut hidden = Scratch::take(m * width);
+            let mut hidden = Scratch::take(product([m, width]));
             Product::new(Input::Normed(x, self.norm), m, self.expand, &self.hidden, hidden.len())
                 .run_here(level, &mut hidden);
             Product::new(Input::Rows(&hidden), m, self.contract, &self.residual, x.len()).run_here(level, x);

@@ -44,7 +44,7 @@ impl<'a> Blend<'a> {
     /// Of two frames and the flow `[F, B]` between them.
     ///
     /// # Panics
-    /// When a length does not fit the fields' size, the fields' sizes differ, or there are no pixels.
+    /// When a length does not fit the fields' size, the fields' sizes differ, or a [`Pyramid`](super::Pyramid) has no such size.
     pub fn new(level: Level, [a, b]: [&'a [f32]; 2], [forward, backward]: [&'a Field; 2]) -> Self {
         let size @ [h, w] = forward.size;
         for field in [forward, backward] {

@@ -7,6 +7,7 @@ use super::sample::{Sampler, sample_one};
 use crate::Level;
 use crate::parallel::{Disjoint, map_indexed};
 use crate::simd::{LANES, Operation, Simd, dispatch};
+use crate::size::product;
 
 /// Rows of a task.
 const ROWS: usize = 16;
@@ -73,8 +74,7 @@ impl<W: Work<N>, const N: usize> Operation for Block<'_, W, N> {
 impl Field {
     pub(super) fn check(&self) {
         let [h, w] = self.size;
-        assert!(h > 0 && w > 0, "a field without pixels");
-        assert!(h.saturating_mul(w) <= FlowError::MOST, "a field of {h}×{w} pixels");
+        assert!(FlowError::allows(self.size), "{}", FlowError::Size { size: self.size });
         assert!(self.u.len() == h * w && self.v.len() == h * w, "a field of shape [2, {h}, {w}]");
     }
 
@@ -91,22 +91,27 @@ impl Field {
     }
 
     /// No motion.
+    ///
+    /// # Panics
+    /// When there is no room for it.
     pub fn zero(size: [usize; 2]) -> Field {
-        Field { size, u: vec![0.0; size[0] * size[1]], v: vec![0.0; size[0] * size[1]] }
+        let pixels = product(size);
+        Field { size, u: vec![0.0; pixels], v: vec![0.0; pixels] }
     }
 
     /// The displacement at column `x`, row `y`: bilinear, the border repeated.
     ///
     /// # Panics
-    /// On a field without pixels.
+    /// On a field without pixels, or with other than a displacement for every pixel.
     pub fn at(&self, x: f32, y: f32) -> [f32; 2] {
+        assert!(!self.u.is_empty(), "a field without pixels");
         [sample_one(&self.u, self.size, x, y), sample_one(&self.v, self.size, x, y)]
     }
 
     /// This field followed by `next`: `f(x) + next(x + f(x))`.
     ///
     /// # Panics
-    /// When the sizes differ.
+    /// When the sizes differ, or are none of a [`Pyramid`](super::Pyramid).
     pub fn then(&self, level: Level, next: &Field) -> Field {
         let [u, v] = self.carried(level, next, "then");
         Field { size: self.size, u, v }
@@ -115,7 +120,7 @@ impl Field {
     /// The forward–backward error `|f(x) + back(x + f(x))|` of every pixel, in pixels.
     ///
     /// # Panics
-    /// When the sizes differ.
+    /// When the sizes differ, or are none of a [`Pyramid`](super::Pyramid).
     pub fn round_trip(&self, level: Level, back: &Field) -> Vec<f32> {
         let [u, mut v] = self.carried(level, back, "round trip");
         for (v, u) in v.iter_mut().zip(&u) {
@@ -155,7 +160,7 @@ impl Work<2> for Carry<'_> {
 /// `image` `[3, h, w]` at x + f(x): bilinear, the border repeated.
 ///
 /// # Panics
-/// When a length does not fit `size`, or there are no pixels.
+/// When a length does not fit `size`, or a [`Pyramid`](super::Pyramid) has no such size.
 pub fn warp(level: Level, image: &[f32], size: [usize; 2], field: &Field) -> Vec<f32> {
     let [h, w] = size;
     field.check();

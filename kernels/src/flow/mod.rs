@@ -127,6 +127,11 @@ impl FlowError {
     const LONGEST: usize = 1 << 16;
     /// Pixels of the largest frame.
     const MOST: usize = 1 << 28;
+
+    /// Whether a frame of this size has pixels, and not too many: every place in it is a binary32 number.
+    const fn allows([h, w]: [usize; 2]) -> bool {
+        h > 0 && w > 0 && h <= Self::LONGEST && w <= Self::LONGEST && h * w <= Self::MOST
+    }
 }
 
 impl fmt::Display for FlowError {
@@ -193,6 +198,7 @@ pub fn between(level: Level, first: &Pyramid, second: &Pyramid, start: Option<&F
         "pyramids with different options"
     );
     if let Some(start) = start {
+        start.check();
         assert_eq!(start.size, first.size, "a start of another size");
     }
     let [h, w] = first.size;

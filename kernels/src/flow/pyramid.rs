@@ -162,10 +162,10 @@ impl Pyramid {
     /// When `luma` does not fit `size`.
     pub fn new(level: Level, luma: &[f32], size: [usize; 2], options: &Options) -> Result<Pyramid, FlowError> {
         let [h, w] = size;
-        assert_eq!(luma.len(), h * w, "luma of shape [{h}, {w}]");
-        if h == 0 || w == 0 || h.max(w) > FlowError::LONGEST || h * w > FlowError::MOST {
+        if !FlowError::allows(size) {
             return Err(FlowError::Size { size });
         }
+        assert_eq!(luma.len(), h * w, "luma of shape [{h}, {w}]");
         let _span = debug_span!("flow", step = "pyramid", h, w).entered();
         let blocks = luma.len().div_ceil(1 << 16);
         let bad = parallel::map_indexed(blocks, |i| {

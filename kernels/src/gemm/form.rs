@@ -5,6 +5,8 @@
 //! panels in registers, and hold each row's word as two: two f32, or two pairs of i16.
 //! [`Portions`] is not a form of inputs and weights but of attention's values and weights: there the panel's bytes have no sign.
 
+#![expect(unsafe_code, reason = "register blocks read operands by pointer")]
+
 use super::microkernel::{self, Between, LEG, Rows, Tile};
 use super::precision::{Precision, largest_magnitude, round_bf16, scale_of};
 use crate::simd::{LANES, SHIFTER, Simd, again};

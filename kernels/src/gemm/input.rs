@@ -1,6 +1,7 @@
 //! What a product's rows are made of.
 
 use crate::norm::Norm;
+use crate::size::product;
 
 /// The rows of a product.
 #[derive(Clone, Copy, Debug)]
@@ -21,7 +22,7 @@ impl<'a> Input<'a> {
 
     pub(crate) fn check(&self, m: usize, k: usize) {
         let len = self.values().len();
-        assert_eq!(len, m * k, "input holds {len} values, expected m·k = {m}·{k}");
+        assert_eq!(len, product([m, k]), "input holds {len} values, expected m·k = {m}·{k}");
         if let Self::Normed(_, norm) = self {
             assert_eq!(norm.width(), k, "the norm is of {} values, expected k = {k}", norm.width());
         }

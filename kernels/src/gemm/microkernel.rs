@@ -1,5 +1,7 @@
 //! The register block: `MR` rows of `A` times `NV` panels of 16 columns of `B`, one block of `k`.
 
+#![expect(unsafe_code, reason = "register blocks read operands by pointer")]
+
 use crate::simd::{LANES, Simd, prefetch, transpose2, transpose4};
 
 /// The sums of one register block.
@@ -128,7 +130,7 @@ pub(crate) fn interleave<'a, const MR: usize>(rows: usize, k: usize, row: impl F
             let from: [*const f32; MR] = std::array::from_fn(|r| row(first + r)[..k].as_ptr());
             let start = to.as_mut_ptr();
             // The next group lies as far ahead as its rows are apart: ask for it while this one is copied.
-            let ahead = MR * (from[1] as usize).wrapping_sub(from[0] as usize);
+            let ahead = (from[1] as usize).wrapping_sub(from[0] as usize).wrapping_mul(MR);
             for i in (0..k / 4 * 4).step_by(4) {
                 if i % LANES == 0 {
                     for from in from {

@@ -50,6 +50,7 @@ pub use weights::Weights;
 use tracing::debug_span;
 
 use crate::Level;
+use crate::size::product;
 
 /// Steps of `k` whose products are summed in one chain.
 pub const K_BLOCK: usize = 256;
@@ -89,7 +90,7 @@ impl<'a> Product<'a> {
     pub(crate) fn new(x: Input<'a>, m: usize, weights: &'a Weights, epilogue: &'a Epilogue<'a>, len: usize) -> Self {
         let (n, k) = (weights.n, weights.k);
         x.check(m, k);
-        assert_eq!(len, m * n, "output holds {len} values, expected m·n = {m}·{n}");
+        assert_eq!(len, product([m, n]), "output holds {len} values, expected m·n = {m}·{n}");
         epilogue.check(m, n);
         Self { x, m, weights, epilogue }
     }

@@ -3,6 +3,7 @@
 use super::precision::{round_bf16_scalar, scale_of};
 use super::{K_BLOCK, K_BLOCK_LOW, Precision};
 use crate::simd::fused_mul_add;
+use crate::size;
 
 /// `x · wᵀ` for `x [m,k]`, `w [n,k]`, in the defined order.
 pub fn product(x: &[f32], w: &[f32], m: usize, n: usize, k: usize) -> Vec<f32> {
@@ -11,7 +12,7 @@ pub fn product(x: &[f32], w: &[f32], m: usize, n: usize, k: usize) -> Vec<f32> {
 
 /// [`product`] with chains of `block` steps.
 fn blockwise(block: usize, x: &[f32], w: &[f32], m: usize, n: usize, k: usize) -> Vec<f32> {
-    let mut out = vec![0.0; m * n];
+    let mut out = vec![0.0; size::product([m, n])];
     for row in 0..m {
         for column in 0..n {
             let (a, b) = (&x[row * k..][..k], &w[column * k..][..k]);
@@ -27,7 +28,7 @@ fn blockwise(block: usize, x: &[f32], w: &[f32], m: usize, n: usize, k: usize) -
 
 /// `x · wᵀ` in binary64.
 pub fn product_f64(x: &[f32], w: &[f32], m: usize, n: usize, k: usize) -> Vec<f64> {
-    let mut out = vec![0.0; m * n];
+    let mut out = vec![0.0; size::product([m, n])];
     for row in 0..m {
         for column in 0..n {
             let (a, b) = (&x[row * k..][..k], &w[column * k..][..k]);
@@ -48,7 +49,7 @@ pub fn product_as(precision: Precision, x: &[f32], w: &[f32], m: usize, n: usize
         Precision::Int8 => {
             let rows = |x: &[f32]| -> Vec<(f32, Vec<i64>)> { x.chunks(k.max(1)).map(integers).collect() };
             let (x, w) = (rows(x), rows(w));
-            let mut out = vec![0.0; m * n];
+            let mut out = vec![0.0; size::product([m, n])];
             for (row, (b, x)) in x.iter().enumerate() {
                 for (column, (a, w)) in w.iter().enumerate() {
                     let sum: i64 = x.iter().zip(w).map(|(x, w)| x * w).sum();

@@ -1,5 +1,7 @@
 //! A product cut into tasks, and the walk of one task over its rows and panels.
 
+#![expect(unsafe_code, reason = "tasks write blocks of rows and columns of one output, by pointer")]
+
 use std::marker::PhantomData;
 use std::ops::Range;
 
@@ -196,7 +198,7 @@ impl<F: Form> Task<'_, F> {
             let mut walk = places.rows_from(self.rows.start);
             for first in (0..rows).step_by(MR) {
                 let at = &x[first * row_words + start * each * MR..];
-                let at = &at[..(length * each).min(row_words - start * each) * MR];
+                let at = &at[..length * each * MR];
                 if last_block {
                     let mut out = [std::ptr::null(); NV];
                     for v in 0..NV {
@@ -204,7 +206,7 @@ impl<F: Form> Task<'_, F> {
                     }
                     ahead.expect(MR, out);
                 }
-                // SAFETY: each pointer is that of a slice of the length read.
+                // SAFETY: `at` holds `length` steps of MR rows' words, and each of `from` `length` vectors of weights.
                 let mut acc =
                     unsafe { F::multiply::<S, MR, NV>(s, Rows::across(at.as_ptr(), MR), from, length, &mut ahead) };
                 let tile = &mut tile[first * NV * LANES..][..MR * NV * LANES];

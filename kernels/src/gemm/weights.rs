@@ -9,6 +9,7 @@ use super::form::{Brain, Bytes, Form, Single, values_of_a_word};
 use crate::Level;
 use crate::memory::{Aligned, Scratch};
 use crate::simd::{LANES, Operation, Simd, dispatch};
+use crate::size::product;
 
 /// A linear layer's weight, packed for [`linear`](super::linear).
 ///
@@ -53,12 +54,13 @@ impl Weights {
     }
 
     fn pack_form<F: Form>(level: Level, weight: &[f32], n: usize, k: usize) -> Self {
-        assert_eq!(weight.len(), n * k, "weight holds {} values, expected n·k = {n}·{k}", weight.len());
+        assert_eq!(weight.len(), product([n, k]), "weight holds {} values, expected n·k = {n}·{k}", weight.len());
         assert!(k <= 1 << 16, "rows of {k} values, expected at most 65536");
         let words = k.div_ceil(values_of_a_word(F::PRECISION));
-        let mut panels = Aligned::<u32>::zeroed(n.div_ceil(LANES) * words * LANES);
-        let columns: Vec<_> = match words {
-            0 => vec![([0.0; LANES], [0; LANES]); n.div_ceil(LANES)],
+        let mut panels = Aligned::<u32>::zeroed(product([n.div_ceil(LANES), words, LANES]));
+        let columns: Vec<_> = match (words, F::PRECISION) {
+            (0, Precision::Int8) => vec![([0.0; LANES], [0; LANES]); n.div_ceil(LANES)],
+            (0, _) => Vec::new(),
             _ => panels
                 .par_chunks_mut(words * LANES)
                 .zip(weight.par_chunks(LANES * k))

@@ -54,9 +54,10 @@ const Y3: [f32; 5] = [
 /// Gaussians of a task.
 const TASK: usize = 1 << 10;
 
-/// Coefficients above the first, per channel: (degree + 1)² − 1.
+/// Coefficients above the first, per channel: (degree + 1)² − 1; `usize::MAX` − 1 where that is more than a number holds.
 pub const fn rest(degree: usize) -> usize {
-    (degree + 1) * (degree + 1) - 1
+    let orders = degree.saturating_add(1);
+    orders.saturating_mul(orders) - 1
 }
 
 /// Where colours are seen from.

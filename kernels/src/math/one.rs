@@ -1,5 +1,7 @@
 //! One value standing for sixteen equal lanes: how the scalar twins run the vector algorithms.
 
+#![expect(unsafe_code, reason = "the trait of vectors has loads by pointer")]
+
 use crate::level::Level;
 use crate::simd::{LANES, Simd, fused_mul_add};
 

@@ -6,6 +6,7 @@
 use tracing::debug_span;
 
 use crate::parallel::for_each_chunk;
+use crate::size::product;
 
 /// The patches of `planes`, each `[height, width]` row-major, as `out [height/p · width/p, planes·p·p]`, row-major over the grid.
 ///
@@ -16,14 +17,15 @@ pub fn patches(planes: &[&[f32]], height: usize, width: usize, p: usize, out: &m
         p > 0 && height.is_multiple_of(p) && width.is_multiple_of(p),
         "{height}x{width} is no whole number of {p}x{p} patches"
     );
+    let pixels = product([height, width]);
     for plane in planes {
-        assert_eq!(plane.len(), height * width, "a plane holds {} values, expected {height}·{width}", plane.len());
+        assert_eq!(plane.len(), pixels, "a plane holds {} values, expected {height}·{width}", plane.len());
     }
-    let (len, across) = (planes.len() * p * p, width / p);
-    assert_eq!(out.len(), planes.len() * height * width, "output holds {} values", out.len());
+    assert_eq!(out.len(), product([planes.len(), pixels]), "output holds {} values", out.len());
     if out.is_empty() {
         return;
     }
+    let (len, across) = (planes.len() * p * p, width / p);
     let _span = debug_span!("patches", height, width, p).entered();
     for_each_chunk(out, across * len, |y, out| {
         for (x, out) in out.chunks_exact_mut(len).enumerate() {

@@ -14,6 +14,8 @@
 //! Weights lie in groups of 8 rows, `[n/8][k][8]`, padded with zeros. The register block is 8 rows of weights by 48 tokens, or 4 by 16 where
 //! there are fewer registers.
 
+#![expect(unsafe_code, reason = "register blocks read operands by pointer")]
+
 pub mod reference;
 #[cfg(test)]
 mod tests;
@@ -26,6 +28,7 @@ use crate::gemm::{Activation, K_BLOCK, interleave};
 use crate::memory::Aligned;
 use crate::parallel::for_each_chunk;
 use crate::simd::{LANES, Operation, Simd, dispatch};
+use crate::size::product;
 
 /// Tokens of a block.
 pub const TOKENS: usize = 3 * LANES;
@@ -54,10 +57,10 @@ impl Layer {
     /// # Panics
     /// When `weight` does not hold `n · k` values, or `bias` not `n`.
     pub fn pack(weight: &[f32], bias: Option<&[f32]>, activation: Activation, n: usize, k: usize) -> Self {
-        assert_eq!(weight.len(), n * k, "weight holds {} values, expected n·k = {n}·{k}", weight.len());
+        assert_eq!(weight.len(), product([n, k]), "weight holds {} values, expected n·k = {n}·{k}", weight.len());
         let bias = bias.map_or_else(|| vec![-0.0; n], <[f32]>::to_vec);
         assert_eq!(bias.len(), n, "bias holds {} values, expected n = {n}", bias.len());
-        let mut weights = Aligned::zeroed(n.next_multiple_of(ROWS) * k);
+        let mut weights = Aligned::zeroed(product([n.div_ceil(ROWS), ROWS, k]));
         interleave::<ROWS>(n, k, |j| &weight[j * k..][..k], &mut weights);
         Self { n, k, weights, bias, activation }
     }
@@ -82,8 +85,20 @@ impl Layer {
     /// # Panics
     /// When a slice has another size.
     pub fn apply(&self, level: Level, x: &[f32], out: &mut [f32]) {
-        assert_eq!(x.len(), self.k * TOKENS, "input holds {} values, expected k·48 with k = {}", x.len(), self.k);
-        assert_eq!(out.len(), self.n * TOKENS, "output holds {} values, expected n·48 with n = {}", out.len(), self.n);
+        assert_eq!(
+            x.len(),
+            product([self.k, TOKENS]),
+            "input holds {} values, expected k·48 with k = {}",
+            x.len(),
+            self.k
+        );
+        assert_eq!(
+            out.len(),
+            product([self.n, TOKENS]),
+            "output holds {} values, expected n·48 with n = {}",
+            out.len(),
+            self.n
+        );
         dispatch(level, Apply { layer: self, x, out });
     }
 }
@@ -94,9 +109,12 @@ impl Layer {
 /// # Panics
 /// When `out` is no whole number of rows.
 pub fn for_each_block(out: &mut [f32], width: usize, work: impl Fn(usize, &mut [f32]) + Sync + Send) {
-    assert!(out.is_empty() || out.len().is_multiple_of(width), "{} values in rows of {width}", out.len());
-    let _span = debug_span!("pointwise", tokens = out.len() / width.max(1), width).entered();
-    for_each_chunk(out, BLOCKS * TOKENS * width, |task, rows| {
+    if out.is_empty() {
+        return;
+    }
+    assert!(out.len().is_multiple_of(width), "{} values in rows of {width}", out.len());
+    let _span = debug_span!("pointwise", tokens = out.len() / width, width).entered();
+    for_each_chunk(out, product([BLOCKS, TOKENS, width]), |task, rows| {
         for (block, rows) in rows.chunks_mut(TOKENS * width).enumerate() {
             work((task * BLOCKS + block) * TOKENS, rows);
         }
@@ -108,7 +126,7 @@ pub fn for_each_block(out: &mut [f32], width: usize, work: impl Fn(usize, &mut [
 /// # Panics
 /// When `rows` is no whole number of rows or too many, or `to` has another size.
 pub fn load(rows: &[f32], k: usize, to: &mut [f32]) {
-    assert_eq!(to.len(), k * TOKENS, "a block holds {} values, expected k·48 with k = {k}", to.len());
+    assert_eq!(to.len(), product([k, TOKENS]), "a block holds {} values, expected k·48 with k = {k}", to.len());
     if k == 0 {
         return;
     }
@@ -125,7 +143,7 @@ pub fn load(rows: &[f32], k: usize, to: &mut [f32]) {
 /// # Panics
 /// When `rows` is no whole number of rows or too many, or `from` has another size.
 pub fn store(from: &[f32], n: usize, rows: &mut [f32]) {
-    assert_eq!(from.len(), n * TOKENS, "a block holds {} values, expected n·48 with n = {n}", from.len());
+    assert_eq!(from.len(), product([n, TOKENS]), "a block holds {} values, expected n·48 with n = {n}", from.len());
     if n == 0 {
         return;
     }

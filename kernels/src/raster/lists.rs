@@ -11,7 +11,6 @@ use super::project::{BLOCK, Splat, split};
 use super::renderer::Renderer;
 use super::sort::by_depth;
 use super::{Gaussians, Projection, Request};
-use crate::parallel::Disjoint;
 
 /// Sides of a tile in pixels: across, down.
 pub const TILE_PIXELS: [usize; 2] = [TILE[0] * BLOCK, TILE[1] * BLOCK];
@@ -127,10 +126,12 @@ impl Renderer {
     /// Sorts every tile's list.
     fn sort_all(&mut self, grid: Grid) {
         let _span = debug_span!("sort", tiles = grid.len()).entered();
-        let (starts, entries) = (&self.starts, Disjoint::new(&mut self.entries));
-        (0..grid.len()).into_par_iter().for_each_init(Vec::new, |spare, tile| {
-            // SAFETY: lists of tiles do not overlap.
-            by_depth(unsafe { entries.part(starts[tile] as usize..starts[tile + 1] as usize) }, spare);
-        });
+        let mut rest = self.entries.as_mut_slice();
+        let lists: Vec<_> = self
+            .starts
+            .windows(2)
+            .map(|ends| rest.split_off_mut(..(ends[1] - ends[0]) as usize).expect("as many entries as were counted"))
+            .collect();
+        lists.into_par_iter().for_each_init(Vec::new, |spare, list| by_depth(list, spare));
     }
 }

@@ -44,6 +44,10 @@
 
 mod bin;
 mod blend;
+#[expect(
+    unsafe_code,
+    reason = "tiles are written by several tasks, and hits behind one another without a check for each"
+)]
 mod linear;
 mod lists;
 mod project;

@@ -1,5 +1,7 @@
 //! Drawing a scene again and again: buffers are kept, and only tiles whose splats changed are drawn anew.
 
+#![expect(unsafe_code, reason = "tasks fill, sort and draw lists of one array")]
+
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
@@ -14,6 +16,7 @@ use super::{Gaussians, Image, MAX_SIDE, Projection, Request};
 use crate::level::Level;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd, dispatch};
+use crate::size::product;
 
 /// Work done and avoided by the last [`Renderer::render`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -137,7 +140,8 @@ impl Renderer {
     /// As [`super::render`].
     pub fn render(&mut self, gaussians: &Gaussians<'_>, projection: &Projection, request: &Request) -> &Image {
         let (now, grid) = self.begin(gaussians, projection, request);
-        let keep = self.last == Some(now);
+        // Taken, so that after a panic the next image starts from nothing.
+        let keep = self.last.take() == Some(now);
         let Last { view, request, .. } = now;
         self.coarse(gaussians, &view, grid, keep);
         let binned = Instant::now();
@@ -263,7 +267,8 @@ impl Renderer {
                     grid.for_each_tile(splat, |tile| {
                         if !keep || dirty[tile].load(Ordering::Relaxed) {
                             let slot = counts[tile] as usize;
-                            // SAFETY: the places of a chunk in a tile's list are its own, as many as it counted.
+                            // SAFETY: the places from `counts[tile]` on, as many as the chunk has footprints in the tile, are this chunk's
+                            // alone: they were counted by the same walk over the same splats and flags, which nothing has written since.
                             unsafe { entries.part(slot..slot + 1)[0] = entry };
                             counts[tile] += 1;
                         }
@@ -284,10 +289,10 @@ impl Renderer {
                 plane
             })
         }
-        let pixels = request.width * request.height;
+        let pixels = product([request.width, request.height]);
         let image = &mut self.image;
         (image.width, image.height) = (request.width, request.height);
-        image.rgb.resize(3 * pixels, 0.0);
+        image.rgb.resize(product([3, pixels]), 0.0);
         image.depth = plane(request.depth, image.depth.take(), pixels);
         image.alpha = plane(request.alpha, image.alpha.take(), pixels);
         image.final_t = plane(request.statistics, image.final_t.take(), pixels);

@@ -3,6 +3,7 @@
 use tracing::debug_span;
 
 use crate::simd::{LANES, Operation, Simd, dispatch};
+use crate::size::product;
 use crate::{Level, parallel};
 
 /// The kernel that is widened by the reduction.
@@ -51,7 +52,7 @@ pub struct Grid {
 
 impl Grid {
     fn len(self) -> usize {
-        self.outer * self.height * self.width * self.inner
+        product([self.outer, self.height, self.width, self.inner])
     }
 }
 
@@ -133,7 +134,7 @@ pub fn antialiased(
         pass(level, &rows, source, height, width * inner, out);
         return;
     }
-    let mut wide = vec![0.0; outer * height * dst_w * inner];
+    let mut wide = vec![0.0; product([outer, height, dst_w, inner])];
     pass(level, &Taps::new(filter, width, dst_w), source, width, inner, &mut wide);
     pass(level, &rows, &wide, height, dst_w * inner, out);
 }

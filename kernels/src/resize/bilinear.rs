@@ -2,8 +2,10 @@
 
 use tracing::debug_span;
 
+use crate::Level;
+use crate::parallel::for_each_chunk;
 use crate::simd::{LANES, Operation, Simd, dispatch};
-use crate::{Level, parallel};
+use crate::size::product;
 
 /// Where each output of an axis reads.
 pub(super) struct Axis {
@@ -48,25 +50,19 @@ pub fn bilinear(
     dst_w: usize,
     out: &mut [f32],
 ) {
-    assert_eq!(source.len(), channels * h * w, "source of shape [{channels}, {h}, {w}]");
-    assert_eq!(out.len(), channels * dst_h * dst_w, "result of shape [{channels}, {dst_h}, {dst_w}]");
+    assert_eq!(source.len(), product([channels, h, w]), "source of shape [{channels}, {h}, {w}]");
+    assert_eq!(out.len(), product([channels, dst_h, dst_w]), "result of shape [{channels}, {dst_h}, {dst_w}]");
     if out.is_empty() {
         return;
     }
     assert!(h > 0 && w > 0, "an image of {h}×{w} cannot be resized to {dst_h}×{dst_w}");
     let _span = debug_span!("resize", kind = "bilinear", channels, h, w, dst_h, dst_w).entered();
     let (rows, columns) = (Axis::new(h, dst_h), Axis::new(w, dst_w));
-    let blocks = dst_h.div_ceil(ROWS);
-    let parts = parallel::Disjoint::new(out);
-    parallel::map_indexed(channels * blocks, |task| {
-        let (channel, block) = (task / blocks, task % blocks);
-        let first = block * ROWS;
-        let last = (first + ROWS).min(dst_h);
-        let start = channel * dst_h;
-        // SAFETY: tasks have different channels or different rows.
-        let out = unsafe { parts.part((start + first) * dst_w..(start + last) * dst_w) };
+    for_each_chunk(out, dst_h * dst_w, |channel, out| {
         let source = &source[channel * h * w..][..h * w];
-        dispatch(level, Block { source, w, rows: &rows, columns: &columns, first, out });
+        for_each_chunk(out, ROWS * dst_w, |block, out| {
+            dispatch(level, Block { source, w, rows: &rows, columns: &columns, first: block * ROWS, out });
+        });
     });
 }
 

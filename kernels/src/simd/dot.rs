@@ -47,11 +47,11 @@ pub(super) fn split_bytes<S: Simd>(s: S, a: S::I32) -> [S::I32; 2] {
     [s.from_array_i32(even), s.from_array_i32(odd)]
 }
 
-/// `a₀b₀ + a₁b₁` in every lane for pairs of i16.
+/// `a₀b₀ + a₁b₁` in every lane for pairs of i16, wrapping (where all four are −2¹⁵).
 #[inline(always)]
 pub(super) fn i16s<S: Simd>(s: S, a: S::I32, b: S::I32) -> S::I32 {
     let (a, b) = (s.to_array_i32(a), s.to_array_i32(b));
-    let dot = |a: i32, b: i32| (a << 16 >> 16) * (b << 16 >> 16) + (a >> 16) * (b >> 16);
+    let dot = |a: i32, b: i32| ((a << 16 >> 16) * (b << 16 >> 16)).wrapping_add((a >> 16) * (b >> 16));
     s.from_array_i32(std::array::from_fn(|i| dot(a[i], b[i])))
 }
 

@@ -12,6 +12,8 @@
 //!
 //! Inside a parallel task call [`dispatch`] again: a closure handed to another thread leaves the instruction-set context.
 
+#![expect(unsafe_code, reason = "the home of intrinsics")]
+
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
@@ -73,7 +75,7 @@ pub trait Simd: Copy + Send + Sync + 'static {
     fn split_bytes(self, a: Self::I32) -> [Self::I32; 2] {
         dot::split_bytes(self, a)
     }
-    /// `a₀b₀ + a₁b₁` in every lane for pairs of i16.
+    /// `a₀b₀ + a₁b₁` in every lane for pairs of i16, wrapping.
     #[inline(always)]
     fn dot_i16(self, a: Self::I32, b: Self::I32) -> Self::I32 {
         dot::i16s(self, a, b)
@@ -332,12 +334,12 @@ pub trait Simd: Copy + Send + Sync + 'static {
 /// Asks for the cache line at `at`, to be read soon. A hint: nothing is read through the pointer, which may be any.
 #[inline(always)]
 pub fn prefetch<T>(at: *const T) {
-    #[cfg(target_arch = "x86_64")]
+    #[cfg(all(target_arch = "x86_64", not(miri)))]
     // SAFETY: every x86-64 CPU has the instruction, and it faults on no address.
     unsafe {
         core::arch::x86_64::_mm_prefetch::<{ core::arch::x86_64::_MM_HINT_T1 }>(at.cast());
     }
-    #[cfg(not(target_arch = "x86_64"))]
+    #[cfg(any(not(target_arch = "x86_64"), miri))]
     let _ = at;
 }
 
@@ -346,13 +348,13 @@ pub fn prefetch<T>(at: *const T) {
 /// Where a register block fills all registers, reading an operand again from the nearest cache is cheaper than keeping it.
 #[inline(always)]
 pub(crate) fn again<T>(mut at: *const T) -> *const T {
-    #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+    #[cfg(all(any(target_arch = "x86_64", target_arch = "aarch64"), not(miri)))]
     #[expect(clippy::pointers_in_nomem_asm_block, reason = "nothing is read or written through it there")]
     // SAFETY: no instruction at all.
     unsafe {
         core::arch::asm!("/* {0} */", inout(reg) at, options(pure, nomem, nostack, preserves_flags));
     }
-    #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+    #[cfg(any(not(any(target_arch = "x86_64", target_arch = "aarch64")), miri))]
     let _ = &mut at;
     at
 }

@@ -1,5 +1,7 @@
 //! One tile: its list, front to back, onto its blocks of 4×4 pixels.
 
+#![expect(unsafe_code, reason = "tasks write tiles of one image; blocks are found without a check for each")]
+
 mod tables;
 mod walk;
 
@@ -68,12 +70,14 @@ impl Operation for DrawTile<'_> {
         let Scratch { light, rgb, extras, tally, .. } = &mut *self.scratch;
         rgb.clear();
         rgb.resize(BLOCKS, [Lanes::ZERO; 3]);
+        let Some(rgb) = rgb.first_chunk_mut() else { unreachable!("a colour for each block") };
         let walked = if self.planes.depth.is_some() || self.planes.blended.is_some() {
             extras.clear();
             extras.resize(BLOCKS, Extra { depth: Lanes::ZERO, count: Lanes::ZERO });
-            self.walk.run(s, light, &mut Picture::<true> { rgb, extras })
+            let Some(extras) = extras.first_chunk_mut::<BLOCKS>() else { unreachable!("a depth for each block") };
+            self.walk.run(s, light, &mut Picture { rgb, extras })
         } else {
-            self.walk.run(s, light, &mut Picture::<false> { rgb, extras })
+            self.walk.run(s, light, &mut Picture { rgb, extras: &mut [] })
         };
         tally.blocks += walked.blocks;
         tally.unseen += walked.unseen;
@@ -81,12 +85,10 @@ impl Operation for DrawTile<'_> {
     }
 }
 
-/// Colour, and depth and counts where `EXTRAS`, of a tile's blocks.
-struct Picture<'a, const EXTRAS: bool> {
-    /// One per block.
-    rgb: &'a mut [Rgb],
-    /// One per block where `EXTRAS`.
-    extras: &'a mut [Extra],
+/// Colour, and depth and counts where `EXTRAS` is [`BLOCKS`] and not 0, of a tile's blocks.
+struct Picture<'a, const EXTRAS: usize> {
+    rgb: &'a mut [Rgb; BLOCKS],
+    extras: &'a mut [Extra; EXTRAS],
 }
 
 /// Colour and depth of a splat on all lanes.
@@ -95,7 +97,7 @@ struct Paint<S: Simd> {
     depth: S::F32,
 }
 
-impl<S: Simd, const EXTRAS: bool> Sink<S> for Picture<'_, EXTRAS> {
+impl<S: Simd, const EXTRAS: usize> Sink<S> for Picture<'_, EXTRAS> {
     type Paint = Paint<S>;
 
     #[inline(always)]
@@ -105,16 +107,16 @@ impl<S: Simd, const EXTRAS: bool> Sink<S> for Picture<'_, EXTRAS> {
 
     #[inline(always)]
     unsafe fn add(&mut self, s: S, at: usize, weight: S::F32, paint: &Paint<S>) {
-        debug_assert!(at < self.rgb.len());
-        // SAFETY: a block of the tile, by the caller's promise; there is a colour for each.
+        const { assert!(EXTRAS == 0 || EXTRAS == BLOCKS) };
+        debug_assert!(at < BLOCKS);
+        // SAFETY: at < BLOCKS by the caller's promise.
         let rgb = unsafe { self.rgb.get_unchecked_mut(at) };
         for channel in 0..3 {
             let values = &mut rgb[channel].0;
             s.store(s.mul_add(weight, paint.rgb[channel], s.load(values)), values);
         }
-        if EXTRAS {
-            debug_assert!(at < self.extras.len());
-            // SAFETY: as above.
+        if EXTRAS > 0 {
+            // SAFETY: as above; there are as many extras.
             let Extra { depth, count } = unsafe { self.extras.get_unchecked_mut(at) };
             s.store(s.mul_add(weight, paint.depth, s.load(&depth.0)), &mut depth.0);
             let one = s.keep(s.lt(s.splat(0.0), weight), s.splat(1.0));

@@ -1,5 +1,7 @@
 //! Factors of α by column and by row of a tile's pixels, and the blocks that a footprint reaches.
 
+#![expect(unsafe_code, reason = "vectors of a table are read and written by pointer")]
+
 use super::super::bin::{Reach, TILE};
 use super::super::project::{BLOCK, Splat};
 use crate::simd::{LANES, SHIFTER, Simd};
@@ -41,7 +43,7 @@ pub(super) fn nearest<S: Simd>(s: S, centre: [f32; 2], scale: f32, pixels: &Pixe
 /// `factor·2^−(scale·d)²` for every pixel of the blocks `span`, with d its distance from the centre along one axis.
 ///
 /// # Safety
-/// `span` lies in the tile.
+/// `span[1]` is at most the blocks of the tile on this axis.
 #[inline(always)]
 pub(super) unsafe fn factors<S: Simd>(
     s: S,
@@ -50,12 +52,13 @@ pub(super) unsafe fn factors<S: Simd>(
     factor: f32,
     span: [usize; 2],
     pixels: &Pixels,
-    to: &mut [f32],
+    to: &mut Pixels,
 ) {
+    debug_assert!(span[1] * BLOCK + LANES <= PIXELS);
     let (whole, rest, scale) = (s.splat(centre[0]), s.splat(centre[1]), s.splat(scale));
     let mut at = span[0] * BLOCK;
     while at < span[1] * BLOCK {
-        // SAFETY: `at` is a pixel of the tile; both arrays go on for a vector behind its last.
+        // SAFETY: at < span[1]·BLOCK, which is at most PIXELS − LANES by the caller's promise: a vector from there on ends in the arrays.
         unsafe {
             let x = s.load_ptr(pixels.as_ptr().add(at));
             let t = s.mul(scale, s.sub(s.sub(x, whole), rest));

@@ -1,6 +1,6 @@
 //! The weights `α·T` of a tile's splats, front to back, and what takes them.
 
-use std::marker::PhantomData;
+#![expect(unsafe_code, reason = "blocks are found without a check for each")]
 
 use super::super::bin::TILE;
 use super::super::project::{ALPHA_MAX, ALPHA_MIN, BLOCK, Splat, TRANSMITTANCE_MIN, split};
@@ -84,7 +84,7 @@ pub(in super::super) trait Sink<S: Simd> {
     /// Weights of the splat on the block `at`: `α·T`, zero where it is not drawn.
     ///
     /// # Safety
-    /// `at` is a block of the tile.
+    /// `at < BLOCKS`, and it is given once at most between [`Sink::begin`] and [`Sink::end`], which alternate.
     unsafe fn add(&mut self, s: S, at: usize, weight: S::F32, paint: &Self::Paint);
     /// The splat has no other blocks; `entry` is its place in the list.
     fn end(&mut self, entry: &Entry) {
@@ -115,9 +115,28 @@ pub(in super::super) struct Walked {
 }
 
 /// The blocks of a footprint's box that lie in a tile, first and end, counted from the tile's first.
+///
+/// [`Box4::new`] keeps `first ≤ end ≤ TILE` on both axes whatever the footprint's record and the tile are, so that
+/// `row·TILE[0] + column < BLOCKS` for every block of a box: unsafe code indexes by that.
+#[derive(Clone, Copy)]
 struct Box4 {
     columns: [usize; 2],
     rows: [usize; 2],
+}
+
+impl Box4 {
+    /// The blocks of `splat` in the tile of this column and row.
+    #[inline(always)]
+    fn new(splat: &Splat, tile: [usize; 2]) -> Self {
+        let inside = |[first, last]: [u16; 2], start: usize, size: usize| {
+            let end = (usize::from(last) + 1).saturating_sub(start).min(size);
+            [usize::from(first).saturating_sub(start).min(end), end]
+        };
+        Self {
+            columns: inside(splat.columns, tile[0] * TILE[0], TILE[0]),
+            rows: inside(splat.rows, tile[1] * TILE[1], TILE[1]),
+        }
+    }
 }
 
 impl Walk<'_> {
@@ -138,16 +157,6 @@ impl Walk<'_> {
         entries.len().min(TOGETHER)
     }
 
-    /// The blocks of a splat's box in the tile.
-    #[inline(always)]
-    fn clip(&self, splat: &Splat) -> Box4 {
-        let (x, y) = (self.tile[0] * TILE[0], self.tile[1] * TILE[1]);
-        let [left, right] = splat.columns.map(usize::from);
-        let [top, bottom] = splat.rows.map(usize::from);
-        let columns = [left.max(x) - x, (right + 1).min(x + TILE[0]) - x];
-        Box4 { columns, rows: [top.max(y) - y, (bottom + 1).min(y + TILE[1]) - y] }
-    }
-
     /// As many records at a time as are fetched together.
     #[inline(always)]
     fn walk<S: Simd, K: Sink<S>, const SEPARABLE: bool>(
@@ -166,7 +175,7 @@ impl Walk<'_> {
                 if let Some(later) = self.list.get(at + TOGETHER + i) {
                     s.prefetch(self.splats.as_ptr().wrapping_add(later.index as usize));
                 }
-                let bounds = self.clip(splat);
+                let bounds = Box4::new(splat, self.tile);
                 blocks += if SEPARABLE {
                     canvas.separable(s, splat, bounds, &mut tables, sink)
                 } else {
@@ -180,28 +189,25 @@ impl Walk<'_> {
     }
 }
 
-/// The blocks of the tile that is walked.
+/// The blocks of the tile that is walked: [`Transmittance`], as arrays.
 struct Canvas<'a> {
-    left: *mut Lanes,
-    finished: *mut Lanes,
-    done: *mut u16,
+    left: &'a mut [Lanes; BLOCKS],
+    finished: &'a mut [Lanes; BLOCKS],
+    done: &'a mut [u16; BLOCKS],
     /// Blocks with a pixel that is not finished.
     open: usize,
-    life: PhantomData<&'a mut Transmittance>,
 }
 
 impl<'a> Canvas<'a> {
     /// `light` was cleared for a tile.
     #[inline(always)]
     fn new(light: &'a mut Transmittance) -> Self {
-        assert!(light.left.len() == BLOCKS && light.finished.len() == BLOCKS && light.done.len() == BLOCKS);
-        Self {
-            open: light.done.iter().filter(|&&done| done != ALL).count(),
-            left: light.left.as_mut_ptr(),
-            finished: light.finished.as_mut_ptr(),
-            done: light.done.as_mut_ptr(),
-            life: PhantomData,
-        }
+        let open = light.done.iter().filter(|&&done| done != ALL).count();
+        let Transmittance { left, finished, done } = light;
+        let arrays =
+            (left.as_mut_slice().try_into(), finished.as_mut_slice().try_into(), done.as_mut_slice().try_into());
+        let (Ok(left), Ok(finished), Ok(done)) = arrays else { unreachable!("a value for each block of a tile") };
+        Self { left, finished, done, open }
     }
 
     /// Weights of a splat on its box, with `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)²)`. Gives the number of blocks.
@@ -215,7 +221,7 @@ impl<'a> Canvas<'a> {
         sink: &mut K,
     ) -> usize {
         let paint = sink.begin(s, splat);
-        // SAFETY: columns and rows are blocks of the tile; the arrays have a vector to spare beyond its last.
+        // SAFETY: a box ends with the tile.
         unsafe {
             factors(s, splat.x, splat.p, 1.0, columns, &tables.columns, &mut tables.across);
             factors(s, splat.y, splat.q, splat.opacity, rows, &tables.rows, &mut tables.down);
@@ -223,7 +229,7 @@ impl<'a> Canvas<'a> {
         let count = (columns[1] - columns[0]) * (rows[1] - rows[0]);
         if count <= WHOLE_BOX {
             for row in rows[0]..rows[1] {
-                // SAFETY: the factors were made for these rows and columns.
+                // SAFETY: rows and columns of the box, each row once.
                 unsafe { self.walk_row(s, tables, row, columns, sink, &paint) };
             }
             return count;
@@ -239,7 +245,7 @@ impl<'a> Canvas<'a> {
             if reached != 0 {
                 let columns = [reached.trailing_zeros() as usize, 32 - reached.leading_zeros() as usize];
                 count += columns[1] - columns[0];
-                // SAFETY: the factors were made for these rows and columns.
+                // SAFETY: a row of the box, once, and columns whose bits are among those of `inside`: the box's.
                 unsafe { self.walk_row(s, tables, row, columns, sink, &paint) };
             }
         }
@@ -284,7 +290,7 @@ impl<'a> Canvas<'a> {
         }
         let mut count = 0;
         for row in rows[0]..rows[1] {
-            // SAFETY: `row` is a row of the tile and the arrays have four values for each.
+            // SAFETY: row < TILE[1], as a row of the box, and the arrays have BLOCK = 4 values for each row of the tile.
             let (along_y, whole, rest) = unsafe {
                 (
                     s.spread_four(tables.down.as_ptr().add(row * BLOCK)),
@@ -295,7 +301,8 @@ impl<'a> Canvas<'a> {
             let (from, to) = (from[row] as usize, (to[row] + 1) as usize);
             count += to.saturating_sub(from);
             for column in from..to {
-                // SAFETY: a block of the tile.
+                // SAFETY: `strips` gives columns of the box, so column < TILE[0], and row < TILE[1] as above: at < BLOCKS, each once, and
+                // the columns' array has BLOCK = 4 values for each column of the tile.
                 unsafe {
                     if !self.is_finished(row * TILE[0] + column) {
                         let x = s.repeat_four(tables.columns.as_ptr().add(column * BLOCK));
@@ -310,17 +317,18 @@ impl<'a> Canvas<'a> {
     }
 
     /// # Safety
-    /// `at` is a block of the tile.
+    /// `at < BLOCKS`.
     #[inline(always)]
     unsafe fn is_finished(&self, at: usize) -> bool {
+        debug_assert!(at < BLOCKS);
         // SAFETY: the caller's.
-        unsafe { *self.done.add(at) == ALL }
+        unsafe { *self.done.get_unchecked(at) == ALL }
     }
 
     /// Weights of one splat on the blocks `columns` (first and end) of a row, separably.
     ///
     /// # Safety
-    /// They are blocks of the tile.
+    /// `row < TILE[1]`, `columns[1] ≤ TILE[0]`, and no row comes twice between [`Sink::begin`] and [`Sink::end`].
     #[inline(always)]
     unsafe fn walk_row<S: Simd, K: Sink<S>>(
         &mut self,
@@ -331,10 +339,12 @@ impl<'a> Canvas<'a> {
         sink: &mut K,
         paint: &K::Paint,
     ) {
-        // SAFETY: the caller's.
+        debug_assert!(row < TILE[1] && columns[1] <= TILE[0]);
+        // SAFETY: row < TILE[1] by the caller's promise; the array has BLOCK = 4 values for each row of the tile.
         let along_y = unsafe { s.spread_four(tables.down.as_ptr().add(row * BLOCK)) };
         for column in columns[0]..columns[1] {
-            // SAFETY: the caller's.
+            // SAFETY: column < TILE[0] and row < TILE[1] by the caller's promise, so at < BLOCKS, each once; the array has BLOCK = 4 values
+            // for each column of the tile.
             unsafe {
                 let at = row * TILE[0] + column;
                 if !self.is_finished(at) {
@@ -348,7 +358,7 @@ impl<'a> Canvas<'a> {
     /// Weights of one splat on one block, and what it leaves of the light.
     ///
     /// # Safety
-    /// `at` is a block of the tile.
+    /// That of [`Sink::add`].
     #[inline(always)]
     unsafe fn composite<S: Simd, K: Sink<S>>(
         &mut self,
@@ -359,8 +369,8 @@ impl<'a> Canvas<'a> {
         paint: &K::Paint,
     ) {
         debug_assert!(at < BLOCKS);
-        // SAFETY: the caller's; nothing else refers to the block.
-        let light = unsafe { &mut (*self.left.add(at)).0 };
+        // SAFETY: at < BLOCKS by the caller's promise.
+        let light = unsafe { &mut self.left.get_unchecked_mut(at).0 };
         let alpha = s.min(alpha, s.splat(ALPHA_MAX));
         let hit = s.le(s.splat(ALPHA_MIN), alpha);
         let transmittance = s.load(light);
@@ -370,8 +380,9 @@ impl<'a> Canvas<'a> {
         let below = s.lt(left, s.min(transmittance, s.splat(TRANSMITTANCE_MIN)));
         if s.any(below) {
             let mut weights = s.to_array(weight);
-            // SAFETY: the caller's; nothing else refers to them.
-            let (finished, done) = unsafe { (&mut (*self.finished.add(at)).0, &mut *self.done.add(at)) };
+            // SAFETY: at < BLOCKS by the caller's promise.
+            let (finished, done) =
+                unsafe { (&mut self.finished.get_unchecked_mut(at).0, self.done.get_unchecked_mut(at)) };
             self.open -= usize::from(finish(s.bits(below), light, finished, done, &mut weights));
             weight = s.from_array(weights);
             left = s.sub(s.load(light), weight);

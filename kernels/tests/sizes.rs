@@ -1,0 +1,414 @@
+//! Sizes that no slice has, handed to every public function that takes sizes and slices: products that wrap around to the length of a
+//! slice that is there, and sizes near the largest number. All of it safe code, so none of it may end in anything but a result or a
+//! panic; and where the true product is not the length, only the panic is right.
+
+#![forbid(unsafe_code)]
+
+use std::cell::Cell;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Once;
+
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as, attend_some};
+use streamsplat_kernels::change::{Tolerance, moved};
+use streamsplat_kernels::feed_forward::FeedForward;
+use streamsplat_kernels::flow::{self, Blend, Field, Options, Pyramid};
+use streamsplat_kernels::gemm::{Activation, Epilogue, Input, Precision, Weights, linear};
+use streamsplat_kernels::harmonics::{Eye, colours, rest};
+use streamsplat_kernels::memory::{Aligned, Scratch};
+use streamsplat_kernels::norm::{Norm, layer_norm, rms_norm};
+use streamsplat_kernels::parallel::{for_each_chunk, map_indexed};
+use streamsplat_kernels::philox::Stream;
+use streamsplat_kernels::raster::{ColourMap, Gaussians, Lists, MAX_SIDE, Projection, Renderer, Request};
+use streamsplat_kernels::resize::{Filter, Grid, antialiased, bicubic_antialiased, bilinear, bilinear_antialiased};
+use streamsplat_kernels::{Level, patches, pointwise, truncated_normal};
+
+const PRECISIONS: [Precision; 3] = [Precision::F32, Precision::Bf16, Precision::Int8];
+
+thread_local! {
+    static EXPECTED: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Whether `call` panics; nothing is printed of it.
+fn panics<R>(call: impl FnOnce() -> R) -> bool {
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let print = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |info| {
+            if !EXPECTED.get() {
+                print(info);
+            }
+        }));
+    });
+    EXPECTED.set(true);
+    let panicked = catch_unwind(AssertUnwindSafe(call)).is_err();
+    EXPECTED.set(false);
+    panicked
+}
+
+/// The product without a limit, as far as 128 bits go.
+fn exact(factors: &[usize]) -> u128 {
+    factors.iter().fold(1, |product: u128, &factor| product.saturating_mul(factor as u128))
+}
+
+/// The product as plain multiplication has it in release builds.
+fn wrapped(factors: &[usize]) -> usize {
+    factors.iter().fold(1, |product: usize, &factor| product.wrapping_mul(factor))
+}
+
+/// The longest slice that is made here.
+const MOST: usize = 1 << 16;
+
+/// Values of the wrapped length, or fewer where that is long.
+fn values(sizes: &[usize]) -> Vec<f32> {
+    vec![0.5; wrapped(sizes).min(MOST)]
+}
+
+/// The inverse of an odd number modulo 2⁶⁴, by Newton's iteration.
+fn inverse(odd: usize) -> usize {
+    (0..6).fold(odd, |x, _| x.wrapping_mul(2_usize.wrapping_sub(odd.wrapping_mul(x))))
+}
+
+/// Sizes around every power of two and near the ends.
+fn any_size() -> impl Strategy<Value = usize> {
+    prop_oneof![
+        0..40_usize,
+        (0..usize::BITS, -2..=2_isize).prop_map(|(bit, off)| (1_usize << bit).wrapping_add_signed(off)),
+        (0..40_usize).prop_map(|below| usize::MAX - below),
+        (0..40_usize).prop_map(|below| isize::MAX.unsigned_abs() - below),
+    ]
+}
+
+/// `n` sizes whose product wraps around to at most 4096: what unchecked code takes for the length of a small slice.
+fn wrapping_sizes(n: usize) -> impl Strategy<Value = Vec<usize>> {
+    let by_powers =
+        (proptest::collection::vec(0..64_u32, n), 0..n, 0..64_usize).prop_map(move |(bits, last, small)| {
+            let mut sizes: Vec<usize> = bits.iter().map(|bit| 1 << bit).collect();
+            let others: u32 = bits.iter().enumerate().filter(|(i, _)| *i != last).map(|(_, bit)| bit).sum();
+            sizes[last] = (1_usize << 64_u32.saturating_sub(others).min(63)).wrapping_add(small % 2);
+            sizes
+        });
+    let by_inverse =
+        (proptest::collection::vec(any::<usize>(), n), 0..n, 0..4096_usize).prop_map(move |(sizes, last, small)| {
+            let mut sizes: Vec<usize> = sizes.into_iter().map(|size| size | 1).collect();
+            let others: Vec<usize> = sizes.iter().enumerate().filter(|(i, _)| *i != last).map(|(_, s)| *s).collect();
+            sizes[last] = inverse(wrapped(&others)).wrapping_mul(small);
+            sizes
+        });
+    let of_any = proptest::collection::vec(any_size(), n);
+    prop_oneof![by_powers, by_inverse, of_any]
+        .prop_filter("a slice of that length can be made", |sizes| wrapped(sizes) <= 4096)
+        // What is not wrapped is asked for in earnest, and memory for it may be there or not.
+        .prop_filter("no size is only large", |sizes| {
+            sizes.iter().all(|&size| !(1 << 16..1 << 61).contains(&size)) || exact(sizes) > usize::MAX as u128
+        })
+}
+
+/// Whether sizes are what they seem: the product is the slice's length, and none of them is large beside a 0.
+fn is_small(sizes: &[usize]) -> bool {
+    exact(sizes) <= 4096 && sizes.iter().all(|&size| size <= 4096)
+}
+
+/// A call with these sizes and a slice of the wrapped length: it has to go well with small sizes, and to panic where the true product is
+/// not the length. Beside a 0 a large size may do either.
+fn check<R>(sizes: &[usize], call: impl FnOnce(&mut [f32]) -> R) {
+    if wrapped(sizes) > MOST {
+        return;
+    }
+    let mut values = vec![0.5; wrapped(sizes)];
+    let panicked = panics(|| call(&mut values));
+    if is_small(sizes) {
+        assert!(!panicked, "{sizes:?} refused");
+    } else if exact(sizes) != values.len() as u128 {
+        assert!(panicked, "{sizes:?} taken for the sizes of {} values", values.len());
+    }
+}
+
+fn config(cases: u32) -> ProptestConfig {
+    ProptestConfig { cases, failure_persistence: None, rng_seed: RngSeed::Fixed(8), ..ProptestConfig::default() }
+}
+
+proptest! {
+    #![proptest_config(config(256))]
+
+    #[test]
+    fn packed_weights_hold_n_times_k_values(sizes in wrapping_sizes(2)) {
+        let [n, k] = sizes[..] else { unreachable!() };
+        for precision in PRECISIONS {
+            check(&sizes, |weight| Weights::pack_as(precision, weight, n, k).bytes());
+        }
+        check(&sizes, |weight| pointwise::Layer::pack(weight, None, Activation::Identity, n, k).bytes());
+    }
+
+    #[test]
+    fn products_read_and_write_m_rows(
+        m in prop_oneof![0..8_usize, (58..64_u32, 0..8_usize).prop_map(|(bit, few)| 1 << bit | few), any_size()],
+        bits in 0..7_u32,
+        k_bits in 0..7_u32,
+    ) {
+        let (n, k) = (1_usize << bits, 1_usize << k_bits);
+        for precision in PRECISIONS {
+            let weights = Weights::pack_as(precision, &vec![0.25; n * k], n, k);
+            check(&[m, k], |x| {
+                linear(Level::detect(), &*x, m, &weights, &Epilogue::new(), &mut values(&[m, n]));
+            });
+            let norm = vec![1.0; k];
+            check(&[m, n], |out| {
+                let x = values(&[m, k]);
+                let epilogue = if n < 16 { Epilogue::new() } else { Epilogue::new().in_groups_of(n) };
+                linear(Level::detect(), Input::Normed(&x, Norm::rms(&norm, 1e-5)), m, &weights, &epilogue, out);
+            });
+        }
+    }
+
+    #[test]
+    fn rows_of_attention_are_a_whole_matrix(sizes in wrapping_sizes(2), first in any_size()) {
+        let [rows, stride] = sizes[..] else { unreachable!() };
+        check(&sizes, |values| Rows::new(values, rows, stride, first).rows());
+        let values = values(&sizes);
+        panics(|| Rows::of_heads(&values, rows, stride, first).rows());
+    }
+
+    #[test]
+    fn attention_with_any_shape_is_computed_or_refused(
+        sizes in wrapping_sizes(2),
+        queries in wrapping_sizes(2),
+        heads in any_size(),
+        width in prop_oneof![Just(16), Just(48), (0..64_u32).prop_map(|bit| 1_usize << bit)],
+        first in prop_oneof![Just(0_usize), any_size()],
+        runs in proptest::option::of((any_size(), any_size())),
+        grouped in any::<bool>(),
+    ) {
+        let windows = runs.map_or(Windows::Full, |(length, roll)| Windows::Runs { length, roll });
+        let shape = Shape { heads, width, windows };
+        let (keys, of_queries) = (values(&sizes), values(&queries));
+        let mut out = values(&[queries[0], heads, width]);
+        let rows = |values, sizes: &[usize]| {
+            if grouped { Rows::of_heads(values, sizes[0], width, first) } else { Rows::new(values, sizes[0], sizes[1], first) }
+        };
+        for precision in PRECISIONS {
+            panics(|| {
+                let (q, k) = (rows(&of_queries, &queries), rows(&keys, &sizes));
+                attend_as(precision, Level::detect(), shape, q, k, k, &mut out);
+            });
+            panics(|| {
+                let (q, k) = (rows(&of_queries, &queries), rows(&keys, &sizes));
+                let places = vec![0; q.rows().min(MOST)];
+                attend_some(precision, Level::detect(), shape, &places, q, k, k, &mut out);
+            });
+        }
+    }
+
+    #[test]
+    fn images_are_resized_between_the_shapes_they_have(sizes in wrapping_sizes(3), to in wrapping_sizes(2)) {
+        let [channels, h, w] = sizes[..] else { unreachable!() };
+        let level = Level::detect();
+        let source = vec![0.5; 15];
+        // Any source into an image that is there, and an image that is there into anything.
+        if h > 0 && w > 0 {
+            check(&sizes, |source| bilinear(level, source, channels, h, w, 2, 3, &mut values(&[channels, 6])));
+        }
+        check(&[1, to[0], to[1]], |out| bilinear(level, &source, 1, 3, 5, to[0], to[1], out));
+        check(&[1, to[0], to[1]], |out| bilinear_antialiased(level, &source, 1, 3, 5, to[0], to[1], out));
+        check(&[1, to[0], to[1]], |out| bicubic_antialiased(level, &source, 3, 5, 1, to[0], to[1], out));
+    }
+
+    #[test]
+    fn grids_are_resized_between_the_shapes_they_have(sizes in wrapping_sizes(4)) {
+        let [outer, height, width, inner] = sizes[..] else { unreachable!() };
+        let grid = Grid { outer, height, width, inner };
+        for filter in [Filter::Triangle, Filter::Cubic] {
+            let (source, mut out) = (values(&sizes), values(&[outer, 2, 3, inner]));
+            let panicked = panics(|| antialiased(Level::detect(), filter, &source, grid, 2, 3, &mut out));
+            prop_assert!(panicked || is_small(&sizes) || exact(&sizes) == 0, "{grid:?}");
+        }
+    }
+
+    #[test]
+    fn patches_are_cut_from_planes_that_are_there(sizes in wrapping_sizes(2), p in any_size()) {
+        let [height, width] = sizes[..] else { unreachable!() };
+        let plane = values(&sizes);
+        for p in [1, p] {
+            for count in 0..3 {
+                let planes = vec![&plane[..]; count];
+                let mut out = vec![0.0; count * plane.len()];
+                let panicked = panics(|| patches::patches(&planes, height, width, p, &mut out));
+                prop_assert!(panicked || exact(&sizes) == plane.len() as u128, "{sizes:?}");
+                prop_assert!(!panicked || !is_small(&sizes) || p != 1, "{sizes:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_of_tokens_hold_48_values_a_channel(k in any_size(), rows in 0..200_usize) {
+        let k = if k > MOST { k } else { k % 64 };
+        let mut token = vec![0.5; if k < 64 { k } else { 0 }];
+        check(&[k, pointwise::TOKENS], |to| pointwise::load(&token, k, to));
+        check(&[k, pointwise::TOKENS], |from| pointwise::store(from, k, &mut token));
+        let mut out = vec![0.0; rows];
+        let panicked = panics(|| pointwise::for_each_block(&mut out, k, |_, _| {}));
+        prop_assert_eq!(panicked, rows > 0 && !rows.is_multiple_of(k));
+        check(&[k, pointwise::TOKENS], |x| {
+            pointwise::Layer::pack(&[], None, Activation::Gelu, 0, k).apply(Level::detect(), x, &mut []);
+        });
+    }
+
+    #[test]
+    fn rows_that_may_have_changed_are_rows_that_are_there(d in any_size(), rows in 0..40_usize, at in any::<u32>()) {
+        for tolerance in [Tolerance::Bits, Tolerance::Relative(0.1)] {
+            let mut out = vec![false; rows];
+            check(&[rows, d], |x| {
+                let references = x.to_vec();
+                moved(Level::detect(), tolerance, d, x, &references, None, &mut out);
+            });
+            let x = values(&[rows, d]);
+            panics(|| moved(Level::detect(), tolerance, d, &x, &x, Some(&vec![at; rows]), &mut out));
+        }
+    }
+
+    #[test]
+    fn harmonics_of_any_degree_are_computed_or_refused(degree in any_size(), n in 0..40_usize) {
+        let (base, mut out) = (vec![[0.5; 3]; n], vec![[0.0; 3]; n]);
+        let higher = values(&[n, 3, rest(degree)]);
+        let panicked = panics(|| {
+            colours(Level::detect(), degree, &base, &higher, &base, Eye::At([0.0; 3]), &mut out);
+        });
+        prop_assert_eq!(panicked, degree > 3);
+    }
+
+    #[test]
+    fn flow_takes_frames_of_its_sizes(sizes in wrapping_sizes(2)) {
+        let (size, level, options) = ([sizes[0], sizes[1]], Level::detect(), Options::default());
+        let mut made = false;
+        let panicked = panics(|| made = Pyramid::new(level, &values(&sizes), size, &options).is_ok());
+        prop_assert!(is_small(&sizes) || panicked || !made, "{size:?}");
+        let field = |len: usize| Field { size, u: vec![0.5; len], v: vec![0.5; len] };
+        let len = wrapped(&sizes);
+        panics(|| field(len).at(1e9, -1e9));
+        panics(|| Field::zero(size));
+        let image = vec![0.5; 3 * len];
+        let uses: [&dyn Fn(); 4] = [
+            &|| drop(field(len).then(level, &field(len))),
+            &|| drop(field(len).round_trip(level, &field(len))),
+            &|| drop(flow::warp(level, &image, size, &field(len))),
+            &|| drop(Blend::new(level, [&image, &image], [&field(len), &field(len)]).at(0.5)),
+        ];
+        for work in uses {
+            let panicked = panics(work);
+            prop_assert_eq!(panicked, !(is_small(&sizes) && len > 0), "{:?}", size);
+        }
+    }
+
+    #[test]
+    fn images_have_sides_of_at_most_2_to_the_16(width in any_size(), height in any_size()) {
+        let side = |side: usize| if side > MAX_SIDE { side } else { side % 64 };
+        let (width, height) = (side(width), side(height));
+        let gaussians = Gaussians {
+            mean: &[[0.0, 0.0, 1.0]],
+            scale: &[[0.1; 3]],
+            rotation: None,
+            opacity: &[0.5],
+            rgb: &[[0.5; 3]],
+        };
+        let projections = [
+            Projection::Orthographic { focal: [8.0; 2] },
+            Projection::Pinhole { focal: [8.0; 2], centre: [4.0; 2] },
+        ];
+        let allowed = width <= MAX_SIDE && height <= MAX_SIDE;
+        for projection in &projections {
+            let mut request = Request::colour(width, height, [0.0; 3]);
+            (request.depth, request.alpha, request.statistics) = (true, true, true);
+            let mut renderer = Renderer::new(Level::detect());
+            prop_assert_eq!(panics(|| renderer.render(&gaussians, projection, &request).width), !allowed);
+            prop_assert_eq!(panics(|| renderer.lists(&gaussians, projection, &request, &mut Lists::default())), !allowed);
+            let mut map = ColourMap::with_budget(Level::detect(), width);
+            prop_assert_eq!(panics(|| map.prepare(&gaussians, projection, [width, height])), !allowed);
+            // Also one whose preparation was refused.
+            let [w, h] = map.size();
+            let (mut image, mut sums) = (vec![0.0; 3 * w * h], vec![[0.0; 3]; map.gaussians()]);
+            let colours = vec![[0.5; 3]; map.gaussians()];
+            prop_assert!(!panics(|| map.forward(&colours, [0.0; 3], &mut image)));
+            prop_assert!(!panics(|| map.adjoint(&image, &mut sums)));
+            prop_assert!(!panics(|| map.normal(&colours, &mut sums)));
+            image.push(0.0);
+            prop_assert!(panics(|| map.forward(&colours, [0.0; 3], &mut image)));
+            prop_assert!(panics(|| map.adjoint(&image, &mut sums)));
+            prop_assert!(panics(|| map.residual_adjoint(&colours, [0.0; 3], &image, &mut sums)));
+        }
+    }
+
+    #[test]
+    fn memory_holds_what_was_asked_for_or_nothing(len in any_size()) {
+        // Lengths whose bytes wrap around, and short ones: what lies between is asked for in earnest.
+        let len = if len >= 1 << 60 { len } else { len % 4096 };
+        prop_assert_eq!(panics(|| assert_eq!(Aligned::<u32>::zeroed(len).len(), len)), len >= 1 << 60);
+        prop_assert_eq!(panics(|| assert_eq!(Scratch::take(len).len(), len)), len >= 1 << 60);
+        let mut memory = Aligned::<[u64; 2]>::zeroed(3);
+        prop_assert_eq!(panics(|| memory.resize(len)), len >= 1 << 60);
+        prop_assert_eq!(memory.len(), if len >= 1 << 60 { 3 } else { len });
+    }
+
+    #[test]
+    fn loops_with_any_step_reach_every_element_once(step in any_size(), first in any::<u64>()) {
+        let mut data = vec![0_u8; 100];
+        for_each_chunk(&mut data, step, |_, chunk| chunk.iter_mut().for_each(|x| *x += 1));
+        prop_assert!(data.iter().all(|&x| x == 1));
+        prop_assert_eq!(map_indexed(step % 100, |i| i).len(), step % 100);
+        Stream { seed: first, frame: first }.fill_uniform(first, &mut [0.0; 40]);
+    }
+
+    #[test]
+    fn lengths_that_differ_are_refused(lengths in proptest::array::uniform4(0..40_usize), d in 0..40_usize) {
+        let values = lengths.map(|len| vec![0.5; len]);
+        let [a, b, c, e] = &values;
+        let mut out = e.clone();
+        let equal = |some: &[&Vec<f32>]| some.iter().all(|x| x.len() == e.len());
+        prop_assert_eq!(panics(|| truncated_normal::mean(Level::detect(), a, &mut out)), !equal(&[a]));
+        prop_assert_eq!(panics(|| truncated_normal::sample(a, b, c, &mut out)), !equal(&[a, b, c]));
+        let stream = Stream { seed: 1, frame: 2 };
+        prop_assert_eq!(panics(|| truncated_normal::draw(stream, a, b, &mut out)), !equal(&[a, b]));
+        let fits = equal(&[a]) && (a.is_empty() || !b.is_empty() && a.len().is_multiple_of(b.len()));
+        prop_assert_eq!(panics(|| rms_norm(Level::detect(), a, b, 1e-5, &mut out)), !fits);
+        let fits = fits && b.len() == c.len();
+        prop_assert_eq!(panics(|| layer_norm(Level::detect(), a, b, c, 1e-5, &mut out)), !fits);
+        // A feed-forward layer whose parts have unequal widths.
+        let weights = |n: usize, k: usize| Weights::pack(&vec![0.1; n * k], n, k);
+        let (expand, contract) = (weights(32, a.len()), weights(b.len(), d));
+        let layer = FeedForward {
+            norm: Norm::rms(c, 1e-5),
+            expand: &expand,
+            hidden: Epilogue::new().gelu(),
+            contract: &contract,
+            residual: Epilogue::new().residual(),
+        };
+        let whole = e.is_empty() || !c.is_empty() && e.len().is_multiple_of(c.len());
+        let fits = b.len() == c.len() && (c.is_empty() || whole && (e.is_empty() || a.len() == c.len() && d == 32));
+        let panicked = panics(|| layer.accumulate(Level::detect(), &mut out));
+        prop_assert!(panicked || fits, "{lengths:?} {d}");
+    }
+}
+
+#[test]
+fn sizes_whose_products_wrap_to_zero_are_refused() {
+    let level = Level::detect();
+    let half = 1_usize << 32;
+    // 2³² rows of 2³² values are no values at all in 64 bits.
+    assert!(panics(|| Rows::new(&[], half, half, 0)));
+    assert!(panics(|| Weights::pack(&[], 1 << 60, 16)));
+    assert!(panics(|| pointwise::Layer::pack(&[], Some(&[]), Activation::Identity, 0, usize::MAX)));
+    assert!(panics(|| bilinear(level, &[0.0; 4], 1, 2, 2, half, half, &mut [])));
+    let weights = Weights::pack(&[0.5; 256], 16, 16);
+    assert!(panics(|| linear(level, &[], 1 << 60, &weights, &Epilogue::new(), &mut [])));
+    let shape = Shape { heads: 1 << 60, width: 16, windows: Windows::Full };
+    let rows = Rows::new(&[0.5; 16], 1, 16, 0);
+    assert!(panics(|| attend_as(Precision::F32, level, shape, rows, rows, rows, &mut [])));
+}
+
+#[test]
+fn fields_with_a_side_that_floats_cannot_count_are_refused() {
+    // The last column of such a row is no binary32 number: rounded, it lies behind the row.
+    let (w, level) = ((1 << 24) + 4, Level::detect());
+    let field = Field { size: [1, w], u: vec![1e9; w], v: vec![0.0; w] };
+    assert!(panics(|| field.round_trip(level, &field)));
+}
