@@ -17,7 +17,7 @@
 use streamsplat::camera::{Lens, Pose};
 use streamsplat::render::Painter;
 use streamsplat::still::{Drawable, Still};
-use streamsplat::stream::{DynamicGaussians, ModelSource, Reuse, Workers};
+use streamsplat::stream::{DynamicGaussians, Fade, ModelSource, Reuse, Workers};
 use streamsplat::{Camera, Engine, Frame, Interval, RenderOptions, Settings, Size};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Gaussians, Image, OwnedGaussians, Projection, Renderer, Request, render};
@@ -315,7 +315,8 @@ fn dinov2_is_not_opened_by_a_model_that_does_not_read_it() {
 fn residual_branches_that_add_nothing_are_counted_and_change_no_bit() {
     // The small checkpoint has them: the static upsampler's attention, half of the decoder, all of the deformation upsampler's.
     let run = |reuse| {
-        let mut engine = Engine::new(Settings { reuse, ..Settings::default() }).expect("starts");
+        let mut engine =
+            Engine::new(Settings { reuse, fade: Some(Fade::Network), ..Settings::default() }).expect("starts");
         let mut push = |k: u32| {
             let mut frame = frame(None);
             frame.rgb[0] = k as f32 * 0.1;

@@ -34,7 +34,8 @@ impl Engine {
 impl Engine {
     #[new]
     #[pyo3(signature = (model=None, *, dinov2=None, fusion="persistent", max_age=None, fit="letterbox", depth_range="frame",
-        sampling="mean", seed=0, reuse="exact", precision="f32", isa="auto", threads=0, resolution=None, motion=None, refine=None))]
+        sampling="mean", seed=0, reuse=None, precision=None, isa="auto", threads=0, resolution=None, motion=None, refine=None, flow=None,
+        fade=None, refine_every=None, quality=None))]
     fn new(
         py: Python<'_>,
         model: Option<PathBuf>,
@@ -45,13 +46,17 @@ impl Engine {
         depth_range: &str,
         sampling: &str,
         seed: u64,
-        reuse: &str,
-        precision: &str,
+        reuse: Option<&str>,
+        precision: Option<&str>,
         isa: &str,
         threads: usize,
         resolution: Option<&str>,
         motion: Option<&str>,
         refine: Option<u32>,
+        flow: Option<&str>,
+        fade: Option<&str>,
+        refine_every: Option<u32>,
+        quality: Option<&str>,
     ) -> PyResult<Self> {
         let model = match (model, dinov2) {
             (Some(checkpoint), dinov2) => ModelSource::File { checkpoint, dinov2 },
@@ -60,22 +65,43 @@ impl Engine {
                 return Err(wrong("dinov2: expected a model beside it; the embedded one does not use it"));
             }
         };
-        let settings = Settings {
-            fusion: choice("fusion", fusion)?,
-            max_age: max_age.map_or_else(MaxAge::default, MaxAge),
-            fit: choice("fit", fit)?,
-            depth_range: choice("depth_range", depth_range)?,
-            sampling: choice("sampling", sampling)?,
-            seed,
-            reuse: choice("reuse", reuse)?,
-            precision: choice("precision", precision)?,
-            resolution: resolution.map(|text| choice("resolution", text)).transpose()?,
-            motion: motion.map(|text| choice("motion", text)).transpose()?,
-            refine,
-            level: Some(Level::named(isa).map_err(|e| wrong(format!("isa: {e}")))?),
-            threads,
-            ..Settings::with_model(model)
+        let mut settings = match quality {
+            Some(name) => Settings { model, ..Settings::of_quality(choice("quality", name)?) },
+            None => Settings::with_model(model),
         };
+        settings.fusion = choice("fusion", fusion)?;
+        settings.max_age = max_age.map_or_else(MaxAge::default, MaxAge);
+        settings.fit = choice("fit", fit)?;
+        settings.depth_range = choice("depth_range", depth_range)?;
+        settings.sampling = choice("sampling", sampling)?;
+        settings.seed = seed;
+        settings.level = Some(Level::named(isa).map_err(|e| wrong(format!("isa: {e}")))?);
+        settings.threads = threads;
+        if let Some(text) = motion {
+            settings.motion = Some(choice("motion", text)?);
+            // Who asks for the network's motion gets its fading with it.
+            settings.fade = None;
+        }
+        if let Some(text) = reuse {
+            settings.reuse = choice("reuse", text)?;
+        }
+        if let Some(text) = precision {
+            settings.precision = choice("precision", text)?;
+        }
+        if let Some(text) = resolution {
+            settings.resolution = Some(choice("resolution", text)?);
+        }
+        if let Some(text) = flow {
+            settings.flow = choice("flow", text)?;
+        }
+        if let Some(text) = fade {
+            settings.fade = Some(choice("fade", text)?);
+        }
+        if refine_every == Some(0) {
+            return Err(wrong("refine_every: expected a whole number from 1 on, found 0"));
+        }
+        settings.refine = refine.or(settings.refine);
+        settings.refine_every = refine_every.or(settings.refine_every);
         let engine = py.detach(|| streamsplat::Engine::new(settings)).map_err(failed)?;
         Ok(Self { inner: Mutex::new(engine) })
     }

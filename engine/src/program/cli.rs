@@ -90,9 +90,10 @@ pub struct Model {
     /// DINOv2's own weights, for models conditioned on them
     #[arg(long, value_name = "FILE")]
     pub dinov2: Option<PathBuf>,
-    /// Arithmetic of the large matrix products: f32, bf16 or int8
-    #[arg(long, value_name = "MODE", default_value = "f32")]
-    pub precision: String,
+    /// Arithmetic of the large matrix products: f32, bf16 or int8 [default: f32]
+    #[arg(long, value_name = "MODE")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub precision: Option<String>,
 }
 
 /// How a video becomes a scene.
@@ -100,6 +101,11 @@ pub struct Model {
 pub struct Stream {
     #[command(flatten)]
     pub model: Model,
+    /// Trade of error for time: realtime, balanced or best; sets gap, resolution, motion, flow, fade, refine, refine-every, precision and reuse
+    /// where they are not given [default: balanced for the model inside the program; others run as the paper says]
+    #[arg(long, value_name = "NAME")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quality: Option<String>,
     /// Inverse depth: none, a folder of EXR, 16-bit PNG or NPY files, one per frame, or onnx:FILE, a network that ONNX Runtime runs
     #[arg(long, value_name = "DIR|onnx:FILE", default_value = "none")]
     pub depth: String,
@@ -112,9 +118,10 @@ pub struct Stream {
     #[arg(long, value_name = "RANGE", default_value = "frame")]
     pub depth_range: String,
     /// Every N-th frame is a key frame; or auto[:[LEAST-]MOST[:DB]]: the next one when the frames in between could no longer be
-    /// predicted to DB decibels, LEAST to MOST frames apart; frames wait for at most MOST-1 later ones [auto: 5-12:26]
-    #[arg(long, value_name = "N", default_value = "1")]
-    pub gap: String,
+    /// predicted to DB decibels, LEAST to MOST frames apart; frames wait for at most MOST-1 later ones [auto: 5-12:26] [default: 5 for the model inside the program, 1 for others]
+    #[arg(long, value_name = "N")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gap: Option<String>,
     /// Size at which the model sees frames: HEIGHTxWIDTH in whole patches (8 pixels), native (the model's own), or auto (four times its area in the
     /// source's shape, never more than the source) [default: auto for the model inside the program, native for others]
     #[arg(long, value_name = "SIZE")]
@@ -125,11 +132,25 @@ pub struct Stream {
     #[arg(long, value_name = "FROM")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<String>,
+    /// Effort of optical flow: fine or coarse (a quarter of the resolution) [default: fine]
+    #[arg(long, value_name = "EFFORT")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flow: Option<String>,
+    /// How Gaussians fade in and out between key frames: network (each as the model predicts it) or fixed (all alike; where motion is not the
+    /// model's either, nothing of its prediction between key frames is computed) [default: fixed for the model inside the program, network for
+    /// others and for --motion network]
+    #[arg(long, value_name = "HOW")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fade: Option<String>,
     /// Steps of conjugate gradients that fit colours to the frames; 0: colours as the model gives them [default: 16 for the model inside the
     /// program, 0 for others]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refine: Option<u32>,
+    /// Fit colours to every K-th of the frames between key frames [default: 1]
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..))]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refine_every: Option<u32>,
     /// What a key frame knows of those before: persistent or pairwise
     #[arg(long, value_name = "MODE", default_value = "persistent")]
     pub fusion: String,
@@ -143,9 +164,10 @@ pub struct Stream {
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
     /// Work left out: off, exact (what was computed from the same bits before or adds nothing; no output bit changes), or a tolerance from 0 to 1:
-    /// tokens that moved by less than this fraction keep what was computed for them
-    #[arg(long, value_name = "MODE", default_value = "exact", allow_negative_numbers = true)]
-    pub reuse: String,
+    /// tokens that moved by less than this fraction keep what was computed for them [default: exact]
+    #[arg(long, value_name = "MODE", allow_negative_numbers = true)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reuse: Option<String>,
 }
 
 /// What is drawn.

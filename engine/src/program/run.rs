@@ -45,7 +45,8 @@ pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
 /// The run, from where it was stopped with `--resume`; `None` when it is complete already, which is said.
 fn resume_or_run(args: &RunArgs, destination: &Destination, console: &Console) -> Result<Option<Record>, Failure> {
     let found = if args.resume { resume::find(destination)? } else { Found::Nothing };
-    let RunArgs { input, options, machine, .. } = args;
+    let RunArgs { input, machine, .. } = args;
+    let options = &RunOptions { stream: args.options.stream.resolved()?, ..args.options.clone() };
     if let Found::Complete(record) = &found {
         resume::check_complete(record, input, &Terms::given(options, &model_record(options)?)?)?;
         if let Some(folder) = destination.resume() {

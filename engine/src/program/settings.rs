@@ -7,7 +7,7 @@ use streamsplat::camera::{self, CameraPath};
 use streamsplat::depth::{NetworkOptions, Range};
 use streamsplat::gap::Gap;
 use streamsplat::render::Backend;
-use streamsplat::stream::{DepthRange, MaxAge, ModelSource, Settings};
+use streamsplat::stream::{DepthRange, Fade, FlowEffort, MaxAge, ModelSource, MotionFrom, Quality, Reuse, Settings};
 use streamsplat::{RenderOptions, Size};
 use streamsplat_kernels::raster;
 use streamsplat_model::Precision;
@@ -45,14 +45,42 @@ impl Model {
 
     /// The arithmetic that is meant.
     pub fn precision(&self) -> Result<Precision, Failure> {
-        choice("--precision", &self.precision)
+        self.precision.as_deref().map_or_else(|| Ok(Precision::default()), |text| choice("--precision", text))
     }
 }
 
 impl Stream {
+    /// These options with what the quality stands for in place of those that are not given. The model inside the program has `balanced` unless
+    /// told otherwise; other models have none.
+    pub fn resolved(&self) -> Result<Stream, Failure> {
+        let mut stream = self.clone();
+        let quality = match (&self.quality, self.model.source()) {
+            (Some(name), _) => choice("--quality", name)?,
+            (None, ModelSource::Embedded) => Quality::default(),
+            (None, _) => return Ok(stream),
+        };
+        let preset = quality.preset();
+        stream.quality = Some(quality.name().to_owned());
+        let fill = |option: &mut Option<String>, value: &dyn std::fmt::Display| {
+            option.get_or_insert_with(|| value.to_string());
+        };
+        fill(&mut stream.gap, &preset.gap);
+        fill(&mut stream.resolution, &preset.resolution);
+        fill(&mut stream.motion, &preset.motion);
+        fill(&mut stream.flow, &preset.flow);
+        // Who asks for the network's motion gets its fading with it.
+        let network = stream.motion.as_deref() == Some(MotionFrom::Network.name());
+        fill(&mut stream.fade, if network { &Fade::Network } else { &preset.fade });
+        fill(&mut stream.model.precision, &preset.precision);
+        fill(&mut stream.reuse, &preset.reuse);
+        stream.refine.get_or_insert(preset.refine);
+        stream.refine_every.get_or_insert(preset.refine_every);
+        Ok(stream)
+    }
+
     /// How far key frames are apart.
     pub fn gap(&self) -> Result<Gap, Failure> {
-        choice("--gap", &self.gap)
+        self.gap.as_deref().map_or(Ok(Gap::Every(1)), |text| choice("--gap", text))
     }
 
     /// Where depth comes from.
@@ -94,6 +122,10 @@ impl Stream {
         settings.fit = choice("--fit", fit)?;
         settings.resolution = self.resolution.as_deref().map(|text| choice("--resolution", text)).transpose()?;
         settings.motion = self.motion.as_deref().map(|text| choice("--motion", text)).transpose()?;
+        settings.fade = self.fade.as_deref().map(|text| choice("--fade", text)).transpose()?;
+        settings.flow =
+            self.flow.as_deref().map_or_else(|| Ok(FlowEffort::default()), |text| choice("--flow", text))?;
+        settings.refine_every = self.refine_every;
         settings.refine = self.refine;
         settings.depth_range = match self.depth_from()? {
             DepthFrom::Folder(_, Range::Clip) => DepthRange::Given,
@@ -101,7 +133,7 @@ impl Stream {
         };
         settings.sampling = choice("--sampling", &self.sampling)?;
         settings.seed = self.seed;
-        settings.reuse = choice("--reuse", &self.reuse)?;
+        settings.reuse = self.reuse.as_deref().map_or_else(|| Ok(Reuse::default()), |text| choice("--reuse", text))?;
         settings.precision = self.model.precision()?;
         settings.level = Some(machine.level()?);
         settings.threads = machine.threads()?;

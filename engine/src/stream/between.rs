@@ -10,7 +10,7 @@ use super::keyframe::KeyView;
 use super::motion::{Step, along_flow};
 use super::reconstructor::Motion;
 use super::work::Stage;
-use super::{EngineError, Frame, Work};
+use super::{EngineError, FlowEffort, Frame, Work};
 use crate::fit::Placement;
 
 /// Times in an interval whose pictures are predicted from its key frames where no frame in between is seen.
@@ -40,9 +40,15 @@ pub(super) struct Flows {
 
 impl FlowView {
     /// Of a frame `[3, H, W]`.
-    pub(super) fn new(level: Level, rgb: &[f32], resolution: [usize; 2], index: u64) -> Result<Self, EngineError> {
+    pub(super) fn new(
+        level: Level,
+        rgb: &[f32],
+        resolution: [usize; 2],
+        index: u64,
+        effort: FlowEffort,
+    ) -> Result<Self, EngineError> {
         let luma = flow::luma(level, rgb);
-        let pyramid = Pyramid::new(level, &luma, resolution, &flow::Options::default());
+        let pyramid = Pyramid::new(level, &luma, resolution, &options(effort));
         pyramid.map(|pyramid| Self { pyramid }).map_err(|e| EngineError::Flow { index, reason: e.to_string() })
     }
 }
@@ -56,19 +62,26 @@ impl Seen {
         t: f32,
         placement: Placement,
         index: u64,
+        effort: FlowEffort,
     ) -> Result<Self, EngineError> {
         let rgb = work.measure(Stage::Fit, || {
             frame.rgb.iter_mut().for_each(|x| *x = x.clamp(0.0, 1.0));
             placement.fit_in(level, &frame.rgb)
         });
-        let flow = work.time(Stage::Flow, || FlowView::new(level, &rgb, placement.model, index))?;
+        let flow = work.time(Stage::Flow, || FlowView::new(level, &rgb, placement.model, index, effort))?;
         Ok(Self { t, rgb, flow })
     }
 }
 
 impl Flows {
     /// Flow from frame to frame of `between`, from key frame `a` to key frame `b`.
-    pub(super) fn new(level: Level, work: &mut Work, [a, b]: [&KeyView; 2], between: &[Seen]) -> Option<Self> {
+    pub(super) fn new(
+        level: Level,
+        work: &mut Work,
+        [a, b]: [&KeyView; 2],
+        between: &[Seen],
+        effort: FlowEffort,
+    ) -> Option<Self> {
         let (first, last) = (a.flow.as_ref()?, b.flow.as_ref()?);
         let mut frames = vec![(first, &a.rgb)];
         frames.extend(between.iter().map(|seen| (&seen.flow, &seen.rgb)));
@@ -83,7 +96,7 @@ impl Flows {
                     return [still(), still()];
                 }
                 let [one, other] = [&pair[0].0.pyramid, &pair[1].0.pyramid];
-                let options = flow::Options::default();
+                let options = options(effort);
                 work.measure(Stage::Flow, || flow::both(level, one, other, [None; 2], &options))
             })
             .collect();
@@ -112,7 +125,16 @@ impl Flows {
     }
 }
 
-/// Frames in between as targets of colours.
-pub(super) fn targets(between: &[Seen]) -> Vec<Target<'_>> {
-    between.iter().map(|seen| Target { t: seen.t, rgb: &seen.rgb }).collect()
+/// Parameters of the flow.
+fn options(effort: FlowEffort) -> flow::Options {
+    match effort {
+        FlowEffort::Fine => flow::Options::default(),
+        FlowEffort::Coarse => flow::Options { finest: 2, refinement: 2, ..flow::Options::default() },
+    }
+}
+
+/// Every `every`-th of the frames in between as a target of colours, from the middle of the first `every` on.
+pub(super) fn targets(between: &[Seen], every: usize) -> Vec<Target<'_>> {
+    let first = (every / 2).min(between.len().saturating_sub(1) / 2);
+    between.iter().skip(first).step_by(every).map(|seen| Target { t: seen.t, rgb: &seen.rgb }).collect()
 }

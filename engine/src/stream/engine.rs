@@ -10,10 +10,11 @@ use super::between::{Flows, Seen, targets};
 use super::canonical::{Advance, CanonicalSet, Step};
 use super::colours::{Fitter, Target};
 use super::keyframe::{Context, KeyView};
+use super::motion::fixed;
 use super::pair::Pair;
 use super::tiles::Tiles;
 use super::work::Stage;
-use super::{EngineError, Frame, Interval, MotionFrom, Reconstructor, Reuse, Settings, Work, Workers};
+use super::{EngineError, Fade, Frame, Interval, MotionFrom, Reconstructor, Reuse, Settings, Work, Workers};
 use crate::fit::Placement;
 
 /// Turns key frames into a dynamic scene, one interval per key frame.
@@ -161,19 +162,30 @@ impl Engine {
         let (set, advance) = match before {
             None => CanonicalSet::first(&view.gaussians),
             Some(state) => {
-                let pair = Pair::new(tiles, work, state.pair.as_ref(), [&state.view, &view], index)?;
-                let network = &next_pair.insert(pair).motion;
                 let views = [&state.view, &view];
+                let mut network = fixed(views.map(|view| view.gaussians.position.len()));
+                if settings.deforms() {
+                    let pair = next_pair.insert(Pair::new(tiles, work, state.pair.as_ref(), views, index)?);
+                    match settings.fade() {
+                        Fade::Network => network = pair.motion.clone(),
+                        Fade::Fixed => {
+                            let of = &pair.motion;
+                            network = [0, 1].map(|side| Arc::new((of[side].0.clone(), network[side].1.clone())));
+                        }
+                    }
+                } else {
+                    Pair::leave_out(tiles, work);
+                }
                 let length = length(state.timestamp, timestamp);
                 let relative = |time: f64| ((time - state.timestamp) / length) as f32;
                 let seen = between
                     .into_iter()
-                    .map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement, index))
+                    .map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement, index, settings.flow))
                     .collect::<Result<Vec<_>, _>>()?;
-                let flows = Flows::new(level, work, views, &seen);
+                let flows = Flows::new(level, work, views, &seen, settings.flow);
                 let motion = match &flows {
-                    Some(flows) => work.time(Stage::Flow, || flows.motion(views, network)),
-                    None => network.clone(),
+                    Some(flows) => work.time(Stage::Flow, || flows.motion(views, &network)),
+                    None => network,
                 };
                 let step = Step {
                     gaussians: &view.gaussians,
@@ -188,7 +200,7 @@ impl Engine {
                 let steps = settings.refine();
                 if let Some(flows) = flows.filter(|_| steps > 0) {
                     let predicted = work.time(Stage::Flow, || flows.predicted(level, views));
-                    let mut targets = targets(&seen);
+                    let mut targets = targets(&seen, settings.refine_every() as usize);
                     targets.extend(predicted.iter().map(|(t, rgb)| Target { t: *t, rgb }));
                     let (rates, taken) = work
                         .time(Stage::Colours, || fitter.rates(&advance.gaussians, &targets, placement.model, steps));

@@ -95,7 +95,9 @@ impl Context<'_> {
         let resolution = self.tiles.resolution;
         let flow = match self.settings.motion() {
             MotionFrom::Network => None,
-            _ => Some(self.work.time(Stage::Flow, || FlowView::new(level, &rgb, resolution, index))?),
+            _ => Some(
+                self.work.time(Stage::Flow, || FlowView::new(level, &rgb, resolution, index, self.settings.flow))?,
+            ),
         };
         Ok((KeyView { rgb, depth, tiles, gaussians, flow, resolution }, lost))
     }

@@ -27,6 +27,7 @@ mod memory;
 mod motion;
 mod network;
 mod pair;
+mod quality;
 mod reconstructor;
 mod resolution;
 mod settings;
@@ -42,9 +43,12 @@ pub use gaussians::{DynamicGaussians, HANDOVER, Handover, Record, Reference};
 pub use interval::{Interval, Merge};
 pub use memory::Memory;
 pub use network::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
+pub use quality::{Preset, Quality};
 pub use reconstructor::{Motion, Reconstructor, Tiling};
 pub use resolution::Resolution;
-pub use settings::{DepthRange, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode, Settings, UnknownChoice};
+pub use settings::{
+    DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode, Settings, UnknownChoice,
+};
 pub use track::{Picked, Track, TrackPoint};
 pub use work::{StageWork, Work};
 pub use workers::Workers;

@@ -48,6 +48,15 @@ impl Step<'_> {
     }
 }
 
+/// γ of all Gaussians where they fade alike: half of their opacity is left at half time, 3 % at the other key frame
+/// ([`opacity_factor`](streamsplat_model::motion::opacity_factor)). Found on clips that train the embedded model, where the error is that of the network's own γ.
+const FIXED: [f32; 2] = [7.0, 0.5];
+
+/// The motion of Gaussians of which only the count is known: none, and γ that is [`FIXED`].
+pub(super) fn fixed(counts: [usize; 2]) -> [Arc<Motion>; 2] {
+    [0, 1].map(|side| Arc::new((vec![[0.0; 3]; counts[side]], vec![FIXED; counts[side]])))
+}
+
 /// Velocities of a key frame's Gaussians along `steps`, whose first leaves from the key frame; `sign` is 1 for the interval's first key frame and −1 for its last. γ and the velocity
 /// along the depth are those of `network`.
 pub(super) fn along_flow(

@@ -56,6 +56,14 @@ impl Pair {
         });
         Ok(Pair { tiles: pairs, motion })
     }
+
+    /// Counts a pair whose motion nothing needs.
+    pub(super) fn leave_out(tiles: &Tiles, work: &mut Work) {
+        let count = tiles.tiles.len() as u64;
+        work.count(Stage::Decoder, 0, count);
+        work.count(Stage::Upsampler, 0, 2 * count);
+        work.count(Stage::Heads, 0, 2 * count);
+    }
 }
 
 /// The motion of one tile between the frame before and this one.

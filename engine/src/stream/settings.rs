@@ -28,9 +28,16 @@ pub struct Settings {
     pub resolution: Option<Resolution>,
     /// Where motion comes from; `None`: [`MotionFrom::Between`] for the model inside the library, [`MotionFrom::Network`] for any other.
     pub motion: Option<MotionFrom>,
+    /// How Gaussians fade in and out between key frames.
+    /// `None`: [`Fade::Fixed`] for the model inside the library where motion is not the network's, [`Fade::Network`] otherwise.
+    pub fade: Option<Fade>,
+    /// How much is spent on optical flow from frame to frame.
+    pub flow: FlowEffort,
     /// Steps of conjugate gradients that fit colours to the frames, 0 for none; `None`: [`Settings::REFINE`] for the model inside the library, 0
     /// for any other.
     pub refine: Option<u32>,
+    /// Every how many of the frames between key frames are looked at where colours are fitted, 1 for all; `None`: 1. 0 is 1.
+    pub refine_every: Option<u32>,
     /// Whether depth maps are normalised here.
     pub depth_range: DepthRange,
     /// How positions that the model gives as a distribution are drawn.
@@ -104,6 +111,24 @@ impl Settings {
         })
     }
 
+    /// How Gaussians fade in and out between key frames.
+    pub fn fade(&self) -> Fade {
+        self.fade.unwrap_or(match (&self.model, self.motion()) {
+            (ModelSource::Embedded, MotionFrom::Frames | MotionFrom::Between) => Fade::Fixed,
+            _ => Fade::Network,
+        })
+    }
+
+    /// Every how many of the frames between key frames are looked at where colours are fitted.
+    pub fn refine_every(&self) -> u32 {
+        self.refine_every.unwrap_or(1).max(1)
+    }
+
+    /// Whether anything is taken from the network's dynamic half; otherwise it is not computed.
+    pub(crate) fn deforms(&self) -> bool {
+        self.motion() == MotionFrom::Network || self.fade() == Fade::Network
+    }
+
     /// Steps that fit colours to the frames.
     pub fn refine(&self) -> u32 {
         self.refine.unwrap_or(match self.model {
@@ -142,17 +167,17 @@ macro_rules! named {
             }
         }
 
-        impl fmt::Display for $kind {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        impl std::fmt::Display for $kind {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
                 f.write_str(self.name())
             }
         }
 
-        impl FromStr for $kind {
-            type Err = UnknownChoice;
+        impl std::str::FromStr for $kind {
+            type Err = $crate::stream::UnknownChoice;
 
             fn from_str(name: &str) -> Result<Self, Self::Err> {
-                Self::ALL.iter().copied().find(|c| c.name() == name).ok_or_else(|| UnknownChoice {
+                Self::ALL.iter().copied().find(|c| c.name() == name).ok_or_else(|| $crate::stream::UnknownChoice {
                     what: $what,
                     expected: Self::ALL.iter().map(|c| c.name()).collect::<Vec<_>>().join(", "),
                     found: name.to_owned(),
@@ -161,6 +186,8 @@ macro_rules! named {
         }
     };
 }
+
+pub(super) use named;
 
 /// A name that is no choice.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -197,6 +224,29 @@ named! {
         /// Optical flow from frame to frame, followed through the frames between the two key frames: the line of least squares through the places it
         /// leads to. Where no frame lies between, as [`MotionFrom::Frames`].
         Between = "between",
+    }
+}
+
+named! {
+    /// How Gaussians fade in and out between two key frames.
+    Fade: "fade" {
+        /// As the network says of each of them.
+        #[default]
+        Network = "network",
+        /// All alike, as the network does on average. Where motion is not the network's either, its dynamic half is not computed: what flow does not
+        /// tell of a Gaussian then stands still.
+        Fixed = "fixed",
+    }
+}
+
+named! {
+    /// How much is spent on optical flow through the frames between key frames ([`MotionFrom::Between`]).
+    FlowEffort: "flow" {
+        /// Half of the resolution, smoothed in five iterations.
+        #[default]
+        Fine = "fine",
+        /// A quarter of the resolution, smoothed in two.
+        Coarse = "coarse",
     }
 }
 

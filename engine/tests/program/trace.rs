@@ -160,7 +160,7 @@ fn every_operation_of_the_kernels_has_spans() {
         traced(&scratch, "still", &["render".as_ref(), &scene, "--camera".as_ref(), &camera, "--size=90x60".as_ref()]);
     found.extend(operations(&spans));
 
-    // One operation, one folder. Three hold what operations are made of; the rasteriser has three passes, and its map of colours three more of its own.
+    // One operation, one folder. Three hold what operations are made of; the rasteriser has three passes, its map of colours three more, and their fit one.
     let folders = std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../kernels/src")).expect("the sources");
     let folders = folders.map(|entry| entry.expect("a listed file").path()).filter(|path| path.is_dir());
     let mut expected: BTreeSet<String> =
@@ -168,19 +168,7 @@ fn every_operation_of_the_kernels_has_spans() {
     for parts in ["math", "philox", "simd", "raster"] {
         assert!(expected.remove(parts), "{parts}");
     }
-    expected.extend(
-        [
-            "project",
-            "bin",
-            "blend",
-            "record",
-            "index",
-            "colour_map",
-            "colour_map_normal",
-            "colour_map_residual_adjoint",
-        ]
-        .map(str::to_owned),
-    );
+    expected.extend(["project", "bin", "blend", "record", "index", "colour_map", "colour_fit"].map(str::to_owned));
     assert_eq!(found, expected);
 }
 

@@ -55,7 +55,7 @@ pub mod reference;
 mod renderer;
 mod sort;
 
-pub use linear::{ColourMap, WEIGHT_BYTES};
+pub use linear::{ColourFit, ColourMap, Solution, View as FitView, WEIGHT_BYTES};
 pub use lists::{Footprint, Lists, TILE_PIXELS};
 pub use renderer::{Renderer, Work};
 

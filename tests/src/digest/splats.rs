@@ -2,7 +2,7 @@
 
 use streamsplat::splats::Splats;
 use streamsplat_kernels::Level;
-use streamsplat_kernels::raster::{ColourMap, Image, render};
+use streamsplat_kernels::raster::{ColourFit, ColourMap, FitView, Image, Solution, render};
 
 use super::{Digest, Thing};
 
@@ -43,6 +43,13 @@ fn linear(level: Level, digest: &mut Digest, scene: &Splats) {
     map.column_sums(&mut columns);
     digest.floats(&rows);
     digest.floats(columns.as_flattened());
+    let unknown: Vec<u32> = (0..).take(map.gaussians()).collect();
+    let factor: Vec<f32> = unknown.iter().map(|i| 1.0 - 0.25 * (i % 7) as f32).collect();
+    let views = [&[][..], &factor].map(|factor| FitView { map: &map, unknown: &unknown, factor });
+    let fit = ColourFit::new(level, views.to_vec(), unknown.len(), 1e-3);
+    let Solution { change, steps } = fit.solve(gaussians.rgb, &[&negative, &image], background, 3, 0.0);
+    digest.floats(change.as_flattened());
+    digest.integers([u64::from(steps)]);
 }
 
 /// An image, all planes of it.

@@ -2,7 +2,7 @@
 
 use streamsplat::camera::{Camera, Pose, Rotation};
 use streamsplat::scene::{ContainerWriter, intervals_from_container};
-use streamsplat::stream::{Fusion, ModelSource, MotionFrom, Resolution, SamplingMode};
+use streamsplat::stream::{Fusion, ModelSource, MotionFrom, Quality, Resolution, SamplingMode};
 use streamsplat::{Engine, Frame, Interval, RenderOptions, Settings};
 use streamsplat_fixtures::clip::{Clip, Kind};
 use streamsplat_kernels::Level;
@@ -37,6 +37,10 @@ pub(super) fn things() -> Vec<Thing> {
         Thing::new("stream/embedded-frames", |level, digest| {
             let settings = Settings { motion: Some(MotionFrom::Frames), refine: Some(2), ..Settings::default() };
             seen(level, digest, &settings, [80, 48]);
+        }),
+        // Without the dynamic half, colours fitted to every second frame, products of bytes.
+        Thing::new("stream/embedded-realtime", |level, digest| {
+            seen(level, digest, &Settings::of_quality(Quality::Realtime), [80, 48]);
         }),
     ]
 }

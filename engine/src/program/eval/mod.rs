@@ -45,7 +45,11 @@ struct Figures {
     renderer: &'static str,
     /// Whether the middle frames were given, too.
     seen: bool,
+    /// The quality asked for; what else is said here may differ from what it stands for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    quality: Option<String>,
     motion: &'static str,
+    fade: &'static str,
     refine: u32,
     resolution: String,
     /// What LPIPS was measured with.
@@ -57,9 +61,10 @@ struct Figures {
 
 /// Evaluates one clip or a folder of clips.
 pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
-    let gap = args.stream.gap()?;
-    let depth = args.stream.depth_from()?;
-    let settings = args.stream.settings(&args.fit, &args.machine)?;
+    let stream = args.stream.resolved()?;
+    let gap = stream.gap()?;
+    let depth = stream.depth_from()?;
+    let settings = stream.settings(&args.fit, &args.machine)?;
     let views =
         View { size: args.size.clone(), background: "0.5".into(), renderer: args.renderer.clone(), ..View::default() }
             .resolve()?;
@@ -112,14 +117,28 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     }
     if let Some(path) = &args.json {
         let (fusion, precision) = (settings.fusion.to_string(), settings.precision.to_string());
-        let (motion, refine) = (settings.motion().name(), settings.refine());
+        let (motion, fade, refine) = (settings.motion().name(), settings.fade().name(), settings.refine());
+        let quality = stream.quality.clone();
         let (seen, resolution) = (args.seen, settings.resolution().to_string());
         let fit = args.fit.clone();
         let measured = args.lpips_model.as_deref().zip(lpips.as_ref());
         let lpips = measured.map(|(file, lpips)| NetworkRecord::of(file, lpips.runtime_version())).transpose()?;
         let renderer = views.backend.name();
-        let figures =
-            Figures { fusion, fit, precision, renderer, seen, motion, refine, resolution, lpips, clips: rows, mean };
+        let figures = Figures {
+            fusion,
+            fit,
+            precision,
+            renderer,
+            seen,
+            quality,
+            motion,
+            fade,
+            refine,
+            resolution,
+            lpips,
+            clips: rows,
+            mean,
+        };
         let text = serde_json::to_string_pretty(&figures).map_err(Failure::work)?;
         streamsplat::output::write_file(path, (text + "\n").as_bytes())?;
     }

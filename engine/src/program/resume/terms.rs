@@ -53,16 +53,17 @@ impl Terms {
         let work = |what: &str, recorded: &str, given: &str| {
             Err(Failure::work(format!("--resume: {what}: recorded {recorded}, given {given}")))
         };
-        if let Some((option, recorded, given)) = difference("", &self.options, &given.options) {
-            let message = format!("--resume: --{option}: the run was started with {recorded}, given {given}");
-            return Err(Failure::usage(message));
-        }
         if self.version != given.version {
             return work("the program's version", &self.version, &given.version);
         }
         if self.model.blake3 != given.model.blake3 {
             let of = |model: &ModelRecord| format!("{} with the digest {}", model.path, model.blake3);
             return work("the model", &of(&self.model), &of(&given.model));
+        }
+        // Defaults of options depend on the model, so that comes first.
+        if let Some((option, recorded, given)) = difference("", &self.options, &given.options) {
+            let message = format!("--resume: --{option}: the run was started with {recorded}, given {given}");
+            return Err(Failure::usage(message));
         }
         let files =
             [("the camera's file", &self.camera, &given.camera), ("the depth network", &self.network, &given.network)];

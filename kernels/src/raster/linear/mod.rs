@@ -28,6 +28,7 @@
 mod passes;
 mod prepare;
 mod record;
+mod solve;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -45,6 +46,8 @@ use crate::parallel::{Disjoint, for_each_chunk};
 use crate::simd::dispatch;
 use passes::{Adjoint, Forward, Moments, Normal, Place, Residual, Slots};
 use record::{Record, RecordTile};
+
+pub use solve::{ColourFit, Solution, View};
 
 /// Bytes of weights that a [`ColourMap`] keeps unless told otherwise.
 pub const WEIGHT_BYTES: usize = 256 << 20;
@@ -194,28 +197,39 @@ impl ColourMap {
     fn each_tile(&self, threads: &mut Vec<Thread>, work: impl Fn(usize, &Record, Place, &[u32], Pixels<'_>) + Sync) {
         threads.resize_with(rayon::current_num_threads(), Thread::default);
         let next = AtomicUsize::new(0);
-        let Renderer { splats, entries, starts, .. } = &self.renderer;
         threads.par_iter_mut().with_max_len(1).for_each(|thread| {
-            thread.clear();
             while let Some(&tile) = self.order.get(next.fetch_add(1, Ordering::Relaxed)) {
                 let index = tile as usize;
-                let tile = [index % self.grid.columns, index / self.grid.columns];
-                let place = Place { tile, size: self.size };
-                let Thread { light, record: spare, pixels, single, .. } = &mut *thread;
-                let record = if self.tiles[index].kept {
-                    &self.tiles[index].record
-                } else {
-                    let list = &entries[starts[index] as usize..starts[index + 1] as usize];
-                    let walk = Walk { splats, list, separable: self.separable, tile, size: self.size };
-                    dispatch(self.level, RecordTile { walk, light, record: &mut *spare });
-                    &*spare
-                };
-                let slots = &self.slots[self.starts[index]..self.starts[index + 1]];
-                let (three, one) = (pixels.first_chunk_mut(), single.first_chunk_mut());
-                let (three, one) = three.zip(one).expect("a value for each block");
-                work(index, record, place, slots, Pixels { three, one });
+                self.tile(index, thread, |record, place, slots, pixels| work(index, record, place, slots, pixels));
             }
         });
+    }
+
+    /// Calls `work` with a tile's record, place and slots, and buffers of a thread.
+    #[inline(always)]
+    fn tile<R>(
+        &self,
+        index: usize,
+        thread: &mut Thread,
+        work: impl FnOnce(&Record, Place, &[u32], Pixels<'_>) -> R,
+    ) -> R {
+        thread.clear();
+        let tile = [index % self.grid.columns, index / self.grid.columns];
+        let place = Place { tile, size: self.size };
+        let Thread { light, record: spare, pixels, single, .. } = thread;
+        let record = if self.tiles[index].kept {
+            &self.tiles[index].record
+        } else {
+            let Renderer { splats, entries, starts, .. } = &self.renderer;
+            let list = &entries[starts[index] as usize..starts[index + 1] as usize];
+            let walk = Walk { splats, list, separable: self.separable, tile, size: self.size };
+            dispatch(self.level, RecordTile { walk, light, record: &mut *spare });
+            &*spare
+        };
+        let slots = &self.slots[self.starts[index]..self.starts[index + 1]];
+        let (three, one) = (pixels.first_chunk_mut(), single.first_chunk_mut());
+        let (three, one) = three.zip(one).expect("a value for each block");
+        work(record, place, slots, Pixels { three, one })
     }
 
     /// Runs `work` with buffers of an earlier call.
@@ -330,7 +344,7 @@ impl ColourMap {
         self.sum_tiles(
             sums,
             |_, record, _, to, Pixels { one: pixels, .. }| {
-                dispatch(self.level, Normal { record, colours: &ones, pixels, to });
+                dispatch(self.level, Normal { record, colours: &*ones, pixels, to });
             },
             |[sum]: [f32; 1]| sum,
         );

@@ -29,13 +29,36 @@ fn finite<S: Simd>(s: S, value: S::F32) -> S::F32 {
     s.keep(s.eq(s.sub(value, value), s.splat(0.0)), value)
 }
 
+/// Splats between a colour's use and the request that brings it near.
+const AHEAD: usize = 12;
+
+/// The colours of a tile's splats.
+pub(super) trait Paint<const C: usize> {
+    /// That of splat `at` of the record, a view of `gaussian`.
+    fn of(&self, at: usize, gaussian: u32) -> [f32; C];
+
+    /// Asks for the colour of splat `at`, if there is one.
+    fn prefetch<S: Simd>(&self, s: S, at: usize);
+}
+
+impl<const C: usize> Paint<C> for &[[f32; C]] {
+    #[inline(always)]
+    fn of(&self, _: usize, gaussian: u32) -> [f32; C] {
+        self[gaussian as usize]
+    }
+
+    #[inline(always)]
+    fn prefetch<S: Simd>(&self, _: S, _: usize) {}
+}
+
 /// `pixels = Σ w·colour`, hit by hit, each a fused multiply-add.
 #[inline(always)]
-fn spread<S: Simd, const C: usize>(s: S, record: &Record, colours: &[[f32; C]], pixels: &mut Pixels<C>) {
+fn spread<S: Simd, const C: usize>(s: S, record: &Record, colours: &impl Paint<C>, pixels: &mut Pixels<C>) {
     pixels.fill([Lanes::ZERO; C]);
-    for (_, gaussian, hits) in record.splats() {
+    for (at, gaussian, hits) in record.splats() {
+        colours.prefetch(s, at + AHEAD);
         let mut paint = [s.splat(0.0); C];
-        for (paint, c) in paint.iter_mut().zip(colours[gaussian as usize]) {
+        for (paint, c) in paint.iter_mut().zip(colours.of(at, gaussian)) {
             *paint = s.splat(if c.is_finite() { c } else { 0.0 });
         }
         for (&block, weight) in record.blocks[hits.clone()].iter().zip(&record.weights[hits]) {
@@ -120,7 +143,7 @@ impl Operation for Forward<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let Self { record, place, pixels, .. } = self;
-        spread(s, record, self.colours, pixels);
+        spread(s, record, &self.colours, pixels);
         place.blocks(|block, xy| {
             let light = s.load(&record.light[block].0);
             for c in 0..3 {
@@ -158,19 +181,19 @@ impl Operation for Adjoint<'_> {
 }
 
 /// `AᵀA·c` of a tile.
-pub(super) struct Normal<'a, const C: usize> {
+pub(super) struct Normal<'a, P, const C: usize> {
     pub record: &'a Record,
-    pub colours: &'a [[f32; C]],
+    pub colours: P,
     pub pixels: &'a mut Pixels<C>,
     pub to: Slots<'a>,
 }
 
-impl<const C: usize> Operation for Normal<'_, C> {
+impl<P: Paint<C>, const C: usize> Operation for Normal<'_, P, C> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let Self { record, colours, pixels, to } = self;
-        spread(s, record, colours, pixels);
+        spread(s, record, &colours, pixels);
         for pixel in pixels.iter_mut().flatten() {
             // The black background's zero: −0 becomes +0.
             let value = s.add(s.load(&pixel.0), s.splat(0.0));
@@ -181,10 +204,10 @@ impl<const C: usize> Operation for Normal<'_, C> {
 }
 
 /// `Aᵀ(target − A·c − T·background)` of a tile; gives the sum of squares.
-pub(super) struct Residual<'a> {
+pub(super) struct Residual<'a, P> {
     pub record: &'a Record,
     pub place: Place,
-    pub colours: &'a [[f32; 3]],
+    pub colours: P,
     pub background: [f32; 3],
     /// `[3, H, W]`
     pub target: &'a [f32],
@@ -192,12 +215,12 @@ pub(super) struct Residual<'a> {
     pub to: Slots<'a>,
 }
 
-impl Operation for Residual<'_> {
+impl<P: Paint<3>> Operation for Residual<'_, P> {
     type Output = f64;
     #[inline(always)]
     fn run<S: Simd>(self, s: S) -> f64 {
         let Self { record, place, pixels, to, .. } = self;
-        spread(s, record, self.colours, pixels);
+        spread(s, record, &self.colours, pixels);
         let plane = place.size[0] * place.size[1];
         let mut squares = [0.0_f64; LANES];
         place.blocks(|block, xy| {

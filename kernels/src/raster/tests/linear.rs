@@ -306,3 +306,169 @@ fn a_map_can_be_prepared_again_for_another_scene_and_size() {
     let empty = ColourMap::new(Level::detect());
     assert!(normal(&empty, &[]).is_empty() && forward(&empty, &[], [0.5; 3]).is_empty());
 }
+
+/// Three views of some Gaussians: unknowns and factors of each.
+struct Views {
+    maps: Vec<ColourMap>,
+    unknown: Vec<Vec<u32>>,
+    factor: Vec<Vec<f32>>,
+    frames: Vec<Vec<f32>>,
+}
+
+impl Views {
+    fn new(level: Level, bytes: usize) -> Self {
+        let size = [131, 77];
+        let scene = ordinary(9000, false, 21);
+        let projection = projections(size[0], size[1])[0];
+        let mut views = Self { maps: Vec::new(), unknown: Vec::new(), factor: Vec::new(), frames: Vec::new() };
+        for view in 0..3_u32 {
+            // Each view lacks other Gaussians, and sees them elsewhere.
+            let unknown: Vec<u32> = (0..9000).filter(|i| i % 5 != view).collect();
+            let of = |v: &[[f32; 3]]| unknown.iter().map(|&i| v[i as usize]).collect::<Vec<_>>();
+            let mut part =
+                OwnedGaussians { mean: of(&scene.mean), scale: of(&scene.scale), ..OwnedGaussians::default() };
+            part.mean.iter_mut().for_each(|mean| mean[0] += 0.02 * view as f32);
+            part.opacity = unknown.iter().map(|&i| scene.opacity[i as usize]).collect();
+            part.rgb = of(&scene.rgb);
+            part.mean[17] = [f32::NAN; 3];
+            views.maps.push(map(level, &part, &projection, size, bytes));
+            let mut random = Random(30 + u64::from(view));
+            let factor = unknown.iter().map(|_| random.range(-1.0, 1.0)).collect();
+            views.factor.push(if view == 1 { Vec::new() } else { factor });
+            views.unknown.push(unknown);
+            views.frames.push(noise(3 * size[0] * size[1], 40 + u64::from(view)));
+        }
+        views
+    }
+
+    fn fit(&self, level: Level) -> ColourFit<'_> {
+        let views = (0..3).map(|k| FitView { map: &self.maps[k], unknown: &self.unknown[k], factor: &self.factor[k] });
+        ColourFit::new(level, views.collect(), 9000, 1e-3)
+    }
+
+    fn solve(&self, level: Level, from: &[[f32; 3]], steps: u32) -> Solution {
+        let frames: Vec<&[f32]> = self.frames.iter().map(Vec::as_slice).collect();
+        self.fit(level).solve(from, &frames, [0.5; 3], steps, 0.0)
+    }
+
+    fn factor(&self, k: usize, at: usize) -> f32 {
+        self.factor[k].get(at).map_or(1.0, |factor| *factor)
+    }
+
+    /// What [`ColourFit`] documents, operation by operation.
+    fn plainly(&self, from: &[[f32; 3]], steps: u32) -> Vec<[f32; 3]> {
+        let n = from.len();
+        let add = |k: usize, sums: &[[f32; 3]], magnitude: bool, to: &mut [[f32; 3]]| {
+            for (at, (&i, sum)) in self.unknown[k].iter().zip(sums).enumerate() {
+                let tau = if magnitude { self.factor(k, at).abs() } else { self.factor(k, at) };
+                for c in 0..3 {
+                    to[i as usize][c] = sum[c].mul_add(tau, to[i as usize][c]);
+                }
+            }
+        };
+        let (mut r, mut rows) = (vec![[0.0; 3]; n], vec![[1e-3; 3]; n]);
+        for k in 0..3 {
+            let colours: Vec<_> = self.unknown[k].iter().map(|&i| from[i as usize]).collect();
+            let mut sums = vec![[0.0; 3]; colours.len()];
+            self.maps[k].residual_adjoint(&colours, [0.5; 3], &self.frames[k], &mut sums);
+            add(k, &sums, false, &mut r);
+            let ones: Vec<_> = (0..colours.len()).map(|at| [self.factor(k, at).abs(); 3]).collect();
+            add(k, &normal(&self.maps[k], &ones), true, &mut rows);
+        }
+        let diagonal: Vec<f32> = rows.iter().map(|row| 1.0 / row[0]).collect();
+        let dot = |a: &[[f32; 3]], b: &[[f32; 3]]| -> [f64; 3] {
+            std::array::from_fn(|c| {
+                let part = |(a, b): (&[[f32; 3]], &[[f32; 3]])| {
+                    a.iter().zip(b).fold(0.0, |sum, (a, b)| sum + f64::from(a[c]) * f64::from(b[c]))
+                };
+                a.chunks(4096).zip(b.chunks(4096)).map(part).fold(0.0, |a, b| a + b)
+            })
+        };
+        let scaled = |r: &[[f32; 3]]| r.iter().zip(&diagonal).map(|(r, d)| r.map(|r| r * d)).collect::<Vec<_>>();
+        let mut x = vec![[0.0; 3]; n];
+        let mut z = scaled(&r);
+        let mut p = z.clone();
+        let mut rz = dot(&r, &z);
+        for _ in 0..steps {
+            let mut q: Vec<[f32; 3]> = p.iter().map(|p| p.map(|p| 1e-3 * p)).collect();
+            for k in 0..3 {
+                let seen = self.unknown[k].iter().enumerate();
+                let colours: Vec<_> = seen.map(|(at, &i)| p[i as usize].map(|p| p * self.factor(k, at))).collect();
+                add(k, &normal(&self.maps[k], &colours), false, &mut q);
+            }
+            let pq = dot(&p, &q);
+            for c in 0..3 {
+                let a = (rz[c] / pq[c]) as f32;
+                for i in 0..n {
+                    x[i][c] = p[i][c].mul_add(a, x[i][c]);
+                    r[i][c] = q[i][c].mul_add(-a, r[i][c]);
+                }
+            }
+            z = scaled(&r);
+            let new = dot(&r, &z);
+            for c in 0..3 {
+                let ratio = (new[c] / rz[c]) as f32;
+                for i in 0..n {
+                    p[i][c] = p[i][c].mul_add(ratio, z[i][c]);
+                }
+            }
+            rz = new;
+        }
+        x
+    }
+}
+
+#[test]
+fn a_fit_is_conjugate_gradients_step_by_step() {
+    let views = Views::new(Level::detect(), WEIGHT_BYTES);
+    let from = colours(9000, 20);
+    for steps in [1, 2, 5] {
+        let Solution { change, steps: taken } = views.solve(Level::detect(), &from, steps);
+        assert_eq!(taken, steps);
+        assert_same(change.as_flattened(), views.plainly(&from, steps).as_flattened(), "a step differs");
+    }
+    let nothing = views.solve(Level::detect(), &from, 0);
+    assert_eq!(nothing, Solution { change: vec![[0.0; 3]; 9000], steps: 0 });
+}
+
+#[test]
+fn a_fit_has_the_same_bits_for_every_level_thread_count_and_budget() {
+    let from = colours(9000, 20);
+    let expected = Views::new(Level::scalar(), WEIGHT_BYTES).solve(Level::scalar(), &from, 3);
+    for level in Level::available() {
+        for threads in [1, 3] {
+            for bytes in [0, 100_000, WEIGHT_BYTES] {
+                let found = pool(threads).install(|| Views::new(level, bytes).solve(level, &from, 3));
+                assert!(found == expected, "{} with {threads} threads, {bytes} bytes", level.name());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_fit_lowers_the_error_to_where_its_gradient_is_small() {
+    let views = Views::new(Level::detect(), WEIGHT_BYTES);
+    let from = colours(9000, 20);
+    let error = |change: &[[f32; 3]]| -> f64 {
+        let ridge: f64 = change.as_flattened().iter().map(|x| 1e-3 * f64::from(*x) * f64::from(*x)).sum();
+        let of = |k: usize| {
+            let seen = views.unknown[k].iter().enumerate();
+            let colour = |(at, &i): (usize, &u32)| -> [f32; 3] {
+                std::array::from_fn(|c| change[i as usize][c].mul_add(views.factor(k, at), from[i as usize][c]))
+            };
+            let image = forward(&views.maps[k], &seen.map(colour).collect::<Vec<_>>(), [0.5; 3]);
+            image.iter().zip(&views.frames[k]).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>()
+        };
+        (0..3).map(of).sum::<f64>() + ridge
+    };
+    let errors: Vec<f64> =
+        [0, 1, 2, 4, 8, 16, 32, 64].map(|n| error(&views.solve(Level::detect(), &from, n).change)).to_vec();
+    assert!(errors.windows(2).all(|pair| pair[1] < pair[0]), "{errors:?}");
+    assert!(errors[7] > 0.995 * errors[6], "{errors:?}");
+    // Random frames cannot be reached, random colours are far from the best.
+    assert!(errors[7] < 0.8 * errors[0], "{errors:?}");
+    // A loose bound ends it early.
+    let frames: Vec<&[f32]> = views.frames.iter().map(Vec::as_slice).collect();
+    let early = views.fit(Level::detect()).solve(&from, &frames, [0.5; 3], 64, 0.01);
+    assert!((1..20).contains(&early.steps), "{}", early.steps);
+}

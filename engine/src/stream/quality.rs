@@ -1,0 +1,122 @@
+//! Named trades of error for time.
+
+use super::settings::named;
+use super::{Fade, FlowEffort, MotionFrom, Resolution, Reuse, Settings};
+use crate::gap::Gap;
+use streamsplat_model::Precision;
+
+named! {
+    /// A trade of error for time: a fixed set of other settings ([`Quality::preset`]). It never looks at a clock or a CPU, so that results stay a function of model, input and
+    /// settings.
+    Quality: "quality" {
+        /// The least time per frame at which motion and colours still follow the frames.
+        Realtime = "realtime",
+        /// The defaults of the model inside the library.
+        #[default]
+        Balanced = "balanced",
+        /// The least error.
+        Best = "best",
+    }
+}
+
+/// What a [`Quality`] stands for.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Preset {
+    /// Which frames are key frames.
+    pub gap: Gap,
+    /// [`Settings::resolution`]
+    pub resolution: Resolution,
+    /// [`Settings::motion`]
+    pub motion: MotionFrom,
+    /// [`Settings::flow`]
+    pub flow: FlowEffort,
+    /// [`Settings::fade`]
+    pub fade: Fade,
+    /// [`Settings::refine`]
+    pub refine: u32,
+    /// [`Settings::refine_every`]
+    pub refine_every: u32,
+    /// [`Settings::precision`]
+    pub precision: Precision,
+    /// [`Settings::reuse`]
+    pub reuse: Reuse,
+}
+
+impl Quality {
+    /// What it stands for.
+    ///
+    /// | | `realtime` | `balanced` | `best` |
+    /// |---|---|---|---|
+    /// | gap | 8 | 5 | 3 |
+    /// | resolution | auto | auto | auto |
+    /// | motion | between | between | between |
+    /// | flow | coarse | fine | fine |
+    /// | fade | fixed | fixed | fixed |
+    /// | refine | 3 | 16 | 64 |
+    /// | refine every | 2 | 1 | 1 |
+    /// | precision | int8 | f32 | f32 |
+    /// | reuse | exact | exact | exact |
+    pub fn preset(self) -> Preset {
+        let balanced = Preset {
+            gap: Gap::Every(5),
+            resolution: Resolution::Auto,
+            motion: MotionFrom::Between,
+            flow: FlowEffort::Fine,
+            fade: Fade::Fixed,
+            refine: Settings::REFINE,
+            refine_every: 1,
+            precision: Precision::F32,
+            reuse: Reuse::Exact,
+        };
+        match self {
+            Quality::Realtime => Preset {
+                gap: Gap::Every(8),
+                flow: FlowEffort::Coarse,
+                refine: 3,
+                refine_every: 2,
+                precision: Precision::Int8,
+                ..balanced
+            },
+            Quality::Balanced => balanced,
+            Quality::Best => Preset { gap: Gap::Every(3), refine: 64, ..balanced },
+        }
+    }
+}
+
+impl Settings {
+    /// The settings of the model inside the library for a [`Quality`]; which frames are key frames is for the caller to choose ([`Preset::gap`]).
+    pub fn of_quality(quality: Quality) -> Self {
+        let Preset { gap: _, resolution, motion, flow, fade, refine, refine_every, precision, reuse } =
+            quality.preset();
+        Self {
+            resolution: Some(resolution),
+            motion: Some(motion),
+            flow,
+            fade: Some(fade),
+            refine: Some(refine),
+            refine_every: Some(refine_every),
+            precision,
+            reuse,
+            ..Self::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn balanced_is_what_the_defaults_are() {
+        let (balanced, default) = (Settings::of_quality(Quality::default()), Settings::default());
+        assert_eq!(balanced.resolution(), default.resolution());
+        assert_eq!(balanced.motion(), default.motion());
+        assert_eq!(balanced.flow, default.flow);
+        assert_eq!(balanced.fade(), default.fade());
+        assert_eq!(balanced.refine(), default.refine());
+        assert_eq!(balanced.refine_every(), default.refine_every());
+        assert_eq!(balanced.precision, default.precision);
+        assert_eq!(balanced.reuse, default.reuse);
+    }
+}
