@@ -1,11 +1,11 @@
 //! Files: pictures, depth maps, video. Nothing is seen under its own name before it is whole.
 //!
-//! A file is written under a temporary name beside its own (`.NAME.partial`), flushed, and renamed. Every file's BLAKE3 digest
-//! is taken on the way. PNG is written with fixed encoder settings by pure-Rust code, so its bytes are a function of the pixels.
+//! A file is written under a temporary name beside its own (`.NAME.partial`), synced, and renamed; no symbolic link is written through
+//! ([`storage`]). Every file's BLAKE3 digest is taken on the way. PNG is written with fixed encoder settings by pure-Rust code, so its bytes are a function of the pixels.
 
+pub mod storage;
 mod video;
 
-use std::fs::File;
 use std::io::{self, Cursor, Write};
 use std::path::{Path, PathBuf};
 
@@ -99,28 +99,34 @@ pub fn partial_name(path: &Path) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// Writes `bytes` as the file `path`: whole or not at all.
+/// The folder that `path` is in.
+pub fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Writes `bytes` as the file `path`: whole or not at all. It survives a power loss.
 ///
 /// # Errors
 /// The system's, with the file's name; nothing is left behind.
 pub fn write_file(path: &Path, bytes: &[u8]) -> Result<Written, OutputError> {
     write_whole(path, bytes)?;
+    storage::sync_folder(folder_of(path)).map_err(OutputError::write(path))?;
     Ok(Written::of(bytes))
 }
 
-/// [`write_file`] without the digest.
+/// [`write_file`] without the digest, and without waiting for the name to last: [`storage::sync_folder`] does so for all files of a folder.
 ///
 /// # Errors
 /// As there.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
     let partial = partial_name(path);
-    let result = File::create(&partial)
-        .and_then(|mut file| file.write_all(bytes).and_then(|()| file.flush()))
-        .and_then(|()| std::fs::rename(&partial, path));
+    let result = storage::create(&partial)
+        .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync()))
+        .and_then(|()| storage::rename(&partial, path));
     match result {
         Ok(()) => Ok(()),
         Err(cause) => {
-            let _ = std::fs::remove_file(&partial);
+            let _ = storage::remove(&partial);
             Err(OutputError::Write { path: path.to_owned(), cause })
         }
     }
@@ -140,7 +146,7 @@ impl Partial {
     /// The file cannot be created.
     pub fn create(target: &Path) -> Result<Partial, OutputError> {
         let partial = partial_name(target);
-        File::create(&partial).map_err(OutputError::write(target))?;
+        storage::create(&partial).map_err(OutputError::write(target))?;
         Ok(Partial { target: target.to_owned(), partial: Some(partial) })
     }
 
@@ -149,37 +155,68 @@ impl Partial {
         self.partial.as_deref().unwrap_or(&self.target)
     }
 
-    /// Gives the file its own name.
+    /// Syncs the file and gives it its own name.
     ///
     /// # Errors
-    /// The file cannot be renamed.
+    /// The file cannot be synced or renamed.
     pub fn keep(mut self) -> Result<(), OutputError> {
-        match self.partial.take() {
-            Some(partial) => std::fs::rename(&partial, &self.target).map_err(|cause| {
-                let _ = std::fs::remove_file(&partial);
-                OutputError::Write { path: self.target.clone(), cause }
-            }),
-            None => Ok(()),
-        }
+        let Some(partial) = self.partial.take() else { return Ok(()) };
+        keep(&partial, &self.target)
     }
 }
 
 impl Drop for Partial {
     fn drop(&mut self) {
         if let Some(partial) = &self.partial {
-            let _ = std::fs::remove_file(partial);
+            let _ = storage::remove(partial);
         }
     }
 }
 
-/// Creates a folder, and tries to write in it: an unwritable one is found before work is spent.
+/// Syncs a file that is complete under its temporary name, and gives it its own.
+fn keep(partial: &Path, target: &Path) -> Result<(), OutputError> {
+    let kept = storage::reopen(partial)
+        .and_then(|file| file.sync())
+        .and_then(|()| storage::rename(partial, target))
+        .and_then(|()| storage::sync_folder(folder_of(target)));
+    kept.map_err(|cause| {
+        let _ = storage::remove(partial);
+        OutputError::Write { path: target.to_owned(), cause }
+    })
+}
+
+/// Creates a folder, and tries to write in it: an unwritable one is found before work is spent. The folder itself may be a link.
 ///
 /// # Errors
 /// The folder cannot be created or written in.
 pub fn prepare_folder(path: &Path) -> Result<(), OutputError> {
-    std::fs::create_dir_all(path).map_err(OutputError::write(path))?;
-    let probe = path.join(".streamsplat.partial");
-    File::create(&probe).and_then(|_| std::fs::remove_file(&probe)).map_err(OutputError::write(path))
+    create_all(path).and_then(|()| probe(path)).map_err(OutputError::write(path))
+}
+
+/// As [`prepare_folder`], for a folder below one that results go to: a link is refused.
+///
+/// # Errors
+/// The folder cannot be created or written in, or is a link.
+pub fn prepare_subfolder(path: &Path) -> Result<(), OutputError> {
+    storage::create_folder(path).and_then(|()| probe(path)).map_err(OutputError::write(path))
+}
+
+/// Creates a folder and those it is in.
+fn create_all(path: &Path) -> io::Result<()> {
+    if path.as_os_str().is_empty() || path.is_dir() {
+        return Ok(());
+    }
+    create_all(folder_of(path))?;
+    match storage::create_folder(path) {
+        // Someone else was sooner.
+        Err(e) if !path.is_dir() => Err(e),
+        _ => storage::sync_folder(folder_of(path)),
+    }
+}
+
+fn probe(folder: &Path) -> io::Result<()> {
+    let probe = folder.join(".streamsplat.partial");
+    storage::create(&probe).and_then(|_| storage::remove(&probe))
 }
 
 fn png(width: usize, height: usize, samples: &[u8], colour: ExtendedColorType) -> Vec<u8> {

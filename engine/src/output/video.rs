@@ -5,13 +5,13 @@
 
 mod resume;
 
-use std::fs::File;
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::thread::JoinHandle;
 
-use super::{OutputError, Written, partial_name};
+use super::storage::{self, Output};
+use super::{OutputError, Written, folder_of, partial_name};
 use crate::picture::Picture;
 use crate::source::y4m::convert::Matrix;
 pub use resume::VideoPoint;
@@ -60,7 +60,7 @@ pub struct Video {
 }
 
 enum Sink {
-    File { file: BufWriter<File>, digest: Box<blake3::Hasher>, bytes: u64 },
+    File { file: BufWriter<Output>, digest: Box<blake3::Hasher>, bytes: u64 },
     Stdout(std::io::Stdout),
     Ffmpeg { child: Child, messages: JoinHandle<String> },
 }
@@ -74,7 +74,7 @@ impl Video {
     pub fn create(path: &Path, format: VideoFormat, fps: f64) -> Result<Video, OutputError> {
         if path != Path::new("-") {
             let partial = partial_name(path);
-            File::create(&partial).and_then(|_| std::fs::remove_file(&partial)).map_err(OutputError::write(path))?;
+            storage::create(&partial).and_then(|_| storage::remove(&partial)).map_err(OutputError::write(path))?;
         }
         Ok(Video::create_beside(path, format, fps))
     }
@@ -91,7 +91,7 @@ impl Video {
                 let mut sink = if self.path == Path::new("-") {
                     Sink::Stdout(std::io::stdout())
                 } else if self.format == VideoFormat::Y4m {
-                    let file = File::create(partial_name(&self.path)).map_err(OutputError::write(&self.path))?;
+                    let file = storage::create(&partial_name(&self.path)).map_err(OutputError::write(&self.path))?;
                     Sink::File { file: BufWriter::new(file), digest: Box::default(), bytes: 0 }
                 } else {
                     self.start_ffmpeg(width, height)?
@@ -112,6 +112,8 @@ impl Video {
     fn start_ffmpeg(&self, width: usize, height: usize) -> Result<Sink, OutputError> {
         let extension = self.path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         let container = if extension == "mkv" { "matroska" } else { extension.as_str() };
+        // ffmpeg writes into the file that is there, which is no link then.
+        storage::create(&partial_name(&self.path)).map_err(OutputError::write(&self.path))?;
         let mut url = std::ffi::OsString::from("file:");
         url.push(partial_name(&self.path));
         let size = format!("{width}x{height}");
@@ -172,7 +174,7 @@ impl Video {
                 Some(Sink::Ffmpeg { mut child, messages }) => {
                     drop(child.stdin.take());
                     let _ = child.wait();
-                    let _ = std::fs::remove_file(partial_name(&self.path));
+                    let _ = storage::remove(&partial_name(&self.path));
                     self.ffmpeg_error(first_line(&messages.join().unwrap_or_default(), &cause.to_string()))
                 }
                 other => {
@@ -198,8 +200,10 @@ impl Video {
                 None
             }
             Some(Sink::File { mut file, digest, bytes }) => {
-                file.flush().and_then(|()| std::fs::rename(&partial, &self.path)).map_err(|cause| {
-                    let _ = std::fs::remove_file(&partial);
+                let named = file.flush().and_then(|()| file.get_ref().sync());
+                let named = named.and_then(|()| storage::rename(&partial, &self.path));
+                named.and_then(|()| storage::sync_folder(folder_of(&self.path))).map_err(|cause| {
+                    let _ = storage::remove(&partial);
                     OutputError::Write { path: self.path.clone(), cause }
                 })?;
                 Some(Written { bytes, blake3: digest.finalize().to_hex().to_string() })
@@ -209,12 +213,11 @@ impl Video {
                 let status = child.wait().map_err(OutputError::write(&self.path))?;
                 let text = messages.join().unwrap_or_default();
                 if !status.success() {
-                    let _ = std::fs::remove_file(&partial);
+                    let _ = storage::remove(&partial);
                     return Err(self.ffmpeg_error(first_line(&text, "it gives no reason")));
                 }
-                std::fs::rename(&partial, &self.path).map_err(OutputError::write(&self.path))?;
-                let content = std::fs::read(&self.path).map_err(OutputError::write(&self.path))?;
-                Some(Written::of(&content))
+                super::keep(&partial, &self.path)?;
+                Some(of_file(&self.path).map_err(OutputError::write(&self.path))?)
             }
         };
         Ok(Finished { file, samples: self.samples.finalize().to_hex().to_string(), frames: self.frames })
@@ -227,10 +230,10 @@ impl Drop for Video {
             Some(Sink::Ffmpeg { mut child, .. }) => {
                 let _ = child.kill();
                 let _ = child.wait();
-                let _ = std::fs::remove_file(partial_name(&self.path));
+                let _ = storage::remove(&partial_name(&self.path));
             }
             Some(Sink::File { .. }) => {
-                let _ = std::fs::remove_file(partial_name(&self.path));
+                let _ = storage::remove(&partial_name(&self.path));
             }
             Some(Sink::Stdout(_)) | None => {}
         }
@@ -252,6 +255,15 @@ impl Sink {
             },
         }
     }
+}
+
+/// Length and digest of a file that is there.
+fn of_file(path: &Path) -> std::io::Result<Written> {
+    let file = std::fs::File::open(path)?;
+    let bytes = file.metadata()?.len();
+    let mut digest = blake3::Hasher::new();
+    digest.update_reader(file)?;
+    Ok(Written { bytes, blake3: digest.finalize().to_hex().to_string() })
 }
 
 fn first_line(text: &str, otherwise: &str) -> String {

@@ -38,6 +38,26 @@ impl Destination {
         }
     }
 
+    /// The folder or the video's file.
+    pub fn path(&self) -> &Path {
+        let (Destination::Folder(path) | Destination::Video(path, _)) = self;
+        path
+    }
+
+    /// The file by which a process holds the place; `None` for standard output.
+    pub fn lock(&self) -> Option<PathBuf> {
+        match self {
+            Destination::Folder(folder) => Some(folder.join(".streamsplat.lock")),
+            Destination::Video(path, _) if path == Path::new("-") => None,
+            Destination::Video(path, _) => {
+                let mut name = std::ffi::OsString::from(".");
+                name.push(path.file_name().unwrap_or_default());
+                name.push(".lock");
+                Some(path.with_file_name(name))
+            }
+        }
+    }
+
     /// Where the record of the run goes; `None` for standard output.
     pub fn record(&self) -> Option<PathBuf> {
         match self {

@@ -20,6 +20,9 @@ mod keyframes;
 mod machine;
 mod manual;
 mod outputs;
+mod place;
+#[cfg(test)]
+mod power;
 mod progress;
 mod record;
 mod render;

@@ -6,8 +6,8 @@ use std::path::{Component, Path, PathBuf};
 use streamsplat::Image;
 use streamsplat::export;
 use streamsplat::output::{
-    OutputError, Video, VideoPoint, Written, depth_exr, layered_exr, picture_png, plane_png, prepare_folder,
-    write_whole,
+    OutputError, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, plane_png,
+    prepare_subfolder, storage, write_whole,
 };
 use streamsplat::picture::Picture;
 use streamsplat::render::{Backend, Snapshot};
@@ -17,6 +17,7 @@ use streamsplat::stream::{Interval, Memory};
 pub use super::destination::Destination;
 use super::earlier::{remove_earlier, remove_file};
 use super::failure::Failure;
+use super::place::Place;
 use super::record::OutputRecord;
 use super::resume::ledger::{self, Ledger};
 use super::resume::{self, Point};
@@ -87,10 +88,11 @@ pub struct Outputs {
 
 impl Outputs {
     /// Prepares the place: what an earlier run wrote there is removed, and an unwritable place is an error before any work.
-    pub fn create(destination: Destination, emit: Emit) -> Result<Outputs, Failure> {
+    pub fn create(place: &mut Place, emit: Emit) -> Result<Outputs, Failure> {
+        place.hold()?;
+        let destination = place.destination().clone();
         match &destination {
             Destination::Folder(folder) => {
-                prepare_folder(folder)?;
                 remove_earlier(folder)?;
                 prepare_kinds(folder, emit)?;
             }
@@ -170,8 +172,26 @@ impl Outputs {
         if let Some(video) = &mut self.video {
             point.video = video.point()?;
         }
-        prepare_folder(ledger.folder())?;
+        prepare_subfolder(ledger.folder())?;
+        ledger.sync()?;
+        self.sync_folders()?;
         resume::commit(ledger.folder(), &point, memory)
+    }
+
+    /// Waits until the names of all files would survive a power loss.
+    fn sync_folders(&self) -> Result<(), OutputError> {
+        let folders = match &self.destination {
+            Destination::Folder(folder) => {
+                let mut all: Vec<PathBuf> = kinds(self.emit).map(|name| folder.join(name)).collect();
+                all.push(folder.clone());
+                all
+            }
+            Destination::Video(path, _) if path == Path::new("-") => Vec::new(),
+            Destination::Video(path, _) => vec![folder_of(path).to_owned()],
+        };
+        folders
+            .into_iter()
+            .try_for_each(|path| storage::sync_folder(&path).map_err(|cause| OutputError::Write { path, cause }))
     }
 
     /// Whether a stopped run can be gone on with.
@@ -291,6 +311,7 @@ impl Outputs {
                 .insert(name, OutputRecord { bytes, blake3, samples: Some(finished.samples), outside_contract: false });
         }
         let drawn = |name: &str| ["frames/", "depth/", "alpha/"].iter().any(|folder| name.starts_with(folder));
+        self.sync_folders()?;
         for (name, record) in self.written.iter_mut().filter(|_| self.outside) {
             record.outside_contract = record.samples.is_some() || drawn(name);
         }
@@ -303,8 +324,8 @@ pub fn is_inside(name: &str) -> bool {
     !name.is_empty() && Path::new(name).components().all(|c| matches!(c, Component::Normal(_)))
 }
 
-/// The folders of what is asked for.
-fn prepare_kinds(folder: &Path, emit: Emit) -> Result<(), OutputError> {
+/// The folders of what is asked for, by their names.
+fn kinds(emit: Emit) -> impl Iterator<Item = &'static str> {
     let kinds = [
         (emit.rgb, "frames"),
         (emit.depth, "depth"),
@@ -312,8 +333,13 @@ fn prepare_kinds(folder: &Path, emit: Emit) -> Result<(), OutputError> {
         (emit.exr, "exr"),
         (emit.ply, "ply"),
         (emit.tracks, "tracks"),
+        (emit.scene, "scene"),
     ];
-    kinds.into_iter().filter(|(wanted, _)| *wanted).try_for_each(|(_, name)| prepare_folder(&folder.join(name)))
+    kinds.into_iter().filter(|(wanted, _)| *wanted).map(|(_, name)| name)
+}
+
+fn prepare_kinds(folder: &Path, emit: Emit) -> Result<(), OutputError> {
+    kinds(emit).try_for_each(|name| prepare_subfolder(&folder.join(name)))
 }
 
 /// An error unless `last` is the last of `intervals`, bit for bit.

@@ -11,6 +11,7 @@ use super::cli::{Console, Machine, RenderArgs, RenderOptions};
 use super::drawing::Drawing;
 use super::failure::Failure;
 use super::outputs::{Destination, Emit, Outputs};
+use super::place::Place;
 use super::progress::Progress;
 use super::record::{InputRecord, OutputRecord, PROGRAM, Record, Task, Timing, absolute};
 use super::{digest, report, say, still, stop, times};
@@ -18,9 +19,10 @@ use super::{digest, report, say, still, stop, times};
 /// Renders, then writes the record and the report.
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     stop::listen();
-    let destination = Destination::of(&args.out);
-    let record = render(&args.scene, destination.clone(), &args.options, &args.machine, console)?;
-    report::finish(&record, &destination, args.json.as_deref())?;
+    // Held until everything is written.
+    let mut place = Place::new(Destination::of(&args.out));
+    let record = render(&args.scene, &mut place, &args.options, &args.machine, console)?;
+    report::finish(&record, place.destination(), args.json.as_deref())?;
     if !console.quiet && args.out != Path::new("-") {
         say(report::summary(&record, &args.out));
     }
@@ -30,7 +32,7 @@ pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
 /// Everything of a rendering but its record's files.
 pub fn render(
     path: &Path,
-    destination: Destination,
+    place: &mut Place,
     options: &RenderOptions,
     machine: &Machine,
     console: &Console,
@@ -47,13 +49,13 @@ pub fn render(
     let scene = match import::open(path)? {
         Opened::Moving(scene) => scene,
         Opened::Still(file) => {
-            return still::render(file, destination, options, &views, emit, &workers, console, start);
+            return still::render(file, place, options, &views, emit, &workers, console, start);
         }
     };
     let fps = options.fps.unwrap_or(scene.index().fps);
     let due = times::of_scene(&scene, views.times.as_deref(), fps)?;
     let mut drawing = Drawing::new(&workers, views.backend)?;
-    let mut outputs = Outputs::create(destination, emit)?;
+    let mut outputs = Outputs::create(place, emit)?;
     outputs.drawn_by(views.backend);
     outputs.start(fps)?;
 

@@ -15,6 +15,7 @@ use super::failure::Failure;
 use super::keydepth::KeyDepth;
 use super::keyframes::{Keep, KeyFrames};
 use super::outputs::{Destination, Emit, Outputs};
+use super::place::Place;
 use super::progress::Progress;
 use super::record::{Account, ModelRecord, NetworkRecord, PROGRAM, Record, Task, Timing, WorkRecord};
 use super::resume::{self, Found, Point, Terms, with_absolute_paths};
@@ -25,60 +26,65 @@ use super::{digest, report, say, stop};
 /// Runs, then writes the record and the report.
 pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     stop::listen();
-    let destination = Destination::of(&args.out);
-    let record = match resume_or_run(args, &destination, console)? {
+    // Held until everything is written.
+    let mut place = Place::new(Destination::of(&args.out));
+    let record = match resume_or_run(args, &mut place, console)? {
         Some(record) => record,
         None => return Ok(()),
     };
-    report::finish(&record, &destination, args.json.as_deref())?;
+    let destination = place.destination();
+    report::finish(&record, destination, args.json.as_deref())?;
     if record.complete
         && let Some(folder) = destination.resume()
     {
         resume::remove(&folder)?;
     }
     if !console.quiet && args.out != Path::new("-") {
-        say(report::summary(&record, &args.out));
+        say(report::summary(&record, &args.out))?;
     }
     Ok(())
 }
 
 /// The run, from where it was stopped with `--resume`; `None` when it is complete already, which is said.
-fn resume_or_run(args: &RunArgs, destination: &Destination, console: &Console) -> Result<Option<Record>, Failure> {
-    let found = if args.resume { resume::find(destination)? } else { Found::Nothing };
+fn resume_or_run(args: &RunArgs, place: &mut Place, console: &Console) -> Result<Option<Record>, Failure> {
+    if args.resume {
+        place.hold_existing()?;
+    }
+    let found = if args.resume { resume::find(place.destination())? } else { Found::Nothing };
     let RunArgs { input, machine, .. } = args;
     let options = &RunOptions { stream: args.options.stream.resolved()?, ..args.options.clone() };
     if let Found::Complete(record) = &found {
         resume::check_complete(record, input, &Terms::given(options, &model_record(options)?)?)?;
-        if let Some(folder) = destination.resume() {
+        if let Some(folder) = place.destination().resume() {
             resume::remove(&folder)?;
         }
         if let Some(path) = &args.json {
             streamsplat::output::write_file(path, record.to_json()?.as_bytes())?;
         }
         if !console.quiet {
-            say(format!("{}: complete already, nothing to resume", args.out.display()));
+            say(format!("{}: complete already, nothing to resume", args.out.display()))?;
         }
         return Ok(None);
     }
-    run_from(found, input, destination.clone(), options, machine, args.serve, console).map(Some)
+    run_from(found, input, place, options, machine, args.serve, console).map(Some)
 }
 
 /// Everything of a run but its record's files.
 pub fn run(
     input: &Path,
-    destination: Destination,
+    place: &mut Place,
     options: &RunOptions,
     machine: &Machine,
     console: &Console,
 ) -> Result<Record, Failure> {
-    run_from(Found::Nothing, input, destination, options, machine, None, console)
+    run_from(Found::Nothing, input, place, options, machine, None, console)
 }
 
 /// The same from what was `found`, shown in a browser on the port `serve`, if there is one.
 fn run_from(
     found: Found,
     input: &Path,
-    destination: Destination,
+    place: &mut Place,
     options: &RunOptions,
     machine: &Machine,
     serve: Option<u16>,
@@ -90,7 +96,7 @@ fn run_from(
     let gap = options.stream.gap()?;
     let depth = options.stream.depth_from()?;
     let settings = options.stream.settings(&options.fit, machine)?;
-    let emit = match (&options.emit, &destination) {
+    let emit = match (&options.emit, place.destination()) {
         (Some(list), _) => Emit::parse(list, &["rgb", "depth", "alpha", "exr", "scene", "ply", "tracks"])?,
         (None, Destination::Folder(_)) => Emit { rgb: true, scene: true, ..Emit::default() },
         (None, Destination::Video(..)) => Emit { rgb: true, ..Emit::default() },
@@ -107,13 +113,13 @@ fn run_from(
         Drawing::new(&machine.workers()?, views.backend)?;
     }
     let page = serve.map(|port| Serving::start(port, input, source.fps(), console)).transpose()?;
-    let (mut outputs, terms) = match (&found, destination.resume()) {
+    let (mut outputs, terms) = match (&found, place.destination().resume()) {
         (Found::Under(point, _), Some(folder)) => {
             let terms = Terms::given(options, &model_record(options)?)?;
             point.terms.check(&terms)?;
-            (Outputs::resume(destination, emit, folder, point.ledger)?, Some(terms))
+            (Outputs::resume(place.destination().clone(), emit, folder, point.ledger)?, Some(terms))
         }
-        _ => (Outputs::create(destination, emit)?.with_ledger(), None),
+        _ => (Outputs::create(place, emit)?.with_ledger(), None),
     };
     outputs.drawn_by(views.backend);
     // That nothing can be written is said before the model is loaded.

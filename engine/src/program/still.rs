@@ -14,7 +14,8 @@ use super::cli::{Console, ExportArgs, RenderOptions};
 use super::drawing::Drawing;
 use super::export::{Format, refuse_others};
 use super::failure::Failure;
-use super::outputs::{Destination, Emit, Outputs};
+use super::outputs::{Emit, Outputs};
+use super::place::Place;
 use super::progress::Progress;
 use super::record::{InputRecord, Record, absolute};
 use super::render::{Rendered, record};
@@ -30,7 +31,7 @@ const MANY: usize = 8;
 /// Everything of a rendering but its record's files: one image, or one for each of `--times`, when a camera moves.
 pub fn render(
     file: StillFile,
-    destination: Destination,
+    place: &mut Place,
     options: &RenderOptions,
     views: &Views,
     emit: Emit,
@@ -55,7 +56,7 @@ pub fn render(
     let scene = Drawable::new(file.still, workers)?;
     let scene = if times.len() >= MANY { scene.grouped(workers) } else { scene };
     let mut drawing = Drawing::new(workers, views.backend)?;
-    let mut outputs = Outputs::create(destination, emit)?;
+    let mut outputs = Outputs::create(place, emit)?;
     outputs.drawn_by(views.backend);
     let fps = options.fps.unwrap_or(FPS);
     outputs.start(fps)?;

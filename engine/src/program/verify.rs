@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use super::cli::{Console, VerifyArgs};
 use super::failure::Failure;
 use super::outputs::{Destination, is_inside};
+use super::place::Place;
 use super::record::{Record, Task};
 use super::{digest, render, run, say};
 
@@ -47,10 +48,10 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
     }
     let scratch = tempfile::tempdir().map_err(|e| Failure::work(format!("cannot make a temporary folder: {e}")))?;
     let video = record.outputs.iter().find(|(_, output)| output.samples.is_some() && !output.outside_contract);
-    let destination = Destination::of(&match video {
+    let mut place = Place::new(Destination::of(&match video {
         Some((name, _)) => scratch.path().join(name),
         None => scratch.path().join("out"),
-    });
+    }));
     let input = &record.input.path;
     // The repetition itself says nothing.
     let silent = Console { quiet: true, ..Console::default() };
@@ -67,12 +68,12 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
                 options.emit = Some(kinds.into_iter().filter(has).collect::<Vec<_>>().join(","));
                 options.view.renderer = None;
             }
-            run::run(input, destination, &options, &args.machine, &silent)?
+            run::run(input, &mut place, &options, &args.machine, &silent)?
         }
         Task::Render(_) if !record.complete => {
             return Err(Failure::work(format!("{}: the rendering was stopped; run it again", record_path.display())));
         }
-        Task::Render(options) => render::render(input, destination, options, &args.machine, &silent)?,
+        Task::Render(options) => render::render(input, &mut place, options, &args.machine, &silent)?,
     };
 
     let model = |record: &Record| record.model.as_ref().map_or_else(|| "none".to_owned(), |model| model.blake3.clone());

@@ -15,6 +15,8 @@ const MAX_INDEX: u64 = 1 << 28;
 const MAX_OVERHEAD: u64 = 1 << 20;
 /// Bytes of one Gaussian's record.
 const RECORD: u64 = 106;
+/// The most Gaussians of an interval, as in a container.
+const MOST_GAUSSIANS: u64 = 1 << 24;
 /// Bytes of one merge.
 const MERGE: u64 = 16;
 
@@ -164,7 +166,7 @@ impl IntervalEntry {
         if file.contains(['/', '\\']) || file.starts_with('.') {
             return Err(format!("expected a file name without a folder, found {file:?}"));
         }
-        if *gaussians as u64 > (1 << 40) / RECORD {
+        if *gaussians as u64 > MOST_GAUSSIANS {
             return Err(format!("{gaussians} Gaussians are more than this program reads"));
         }
         Ok(())
@@ -186,7 +188,8 @@ fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> {
         let cause = format!("expected at most {limit} bytes, found {size}");
         return Err(SceneError::Broken { path: path.to_owned(), cause });
     }
-    let mut bytes = Vec::with_capacity(size as usize);
+    let mut bytes = Vec::new();
+    bytes.try_reserve_exact(size as usize).map_err(|e| read(e.into()))?;
     file.take(limit).read_to_end(&mut bytes).map_err(read)?;
     Ok(bytes)
 }

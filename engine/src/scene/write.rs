@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::{FORMAT, INDEX, Index, IntervalEntry, SceneError, VERSION, to_safetensors};
 use crate::fit::Placement;
-use crate::output::{OutputError, Written, prepare_folder, write_file, write_whole};
+use crate::output::{OutputError, Written, prepare_folder, storage, write_file, write_whole};
 use crate::stream::Interval;
 
 /// The index is rewritten at most this often while intervals come, so that a long stream does not spend its time on it.
@@ -26,7 +26,7 @@ impl SceneWriter {
     /// A folder that cannot be written.
     pub fn create(folder: &Path, fps: f64) -> Result<SceneWriter, OutputError> {
         prepare_folder(folder)?;
-        match std::fs::remove_file(folder.join(INDEX)) {
+        match storage::remove(&folder.join(INDEX)) {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
                 return Err(OutputError::write(folder.join(INDEX))(e));
             }

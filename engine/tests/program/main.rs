@@ -8,11 +8,14 @@ mod hostile;
 #[cfg(unix)]
 mod killed;
 mod manual;
+#[cfg(unix)]
+mod places;
 mod results;
 mod resume;
 mod still;
 mod support;
 mod trace;
 mod track;
+mod trust;
 mod verify;
 mod view;

@@ -264,15 +264,16 @@ fn what_differs_from_the_stopped_run_is_named() {
     let text = fails(&resume(&clip, &out, &["--gap", "2"]), 1);
     assert!(text.contains("--resume: the input: recorded 3 frames"), "{text}");
     std::fs::write(clip.join("1.png"), frame).expect("writable");
+    // Damaged files are no obstacle: the run goes on from before them, to the frame that stopped it.
     let image = out.join("frames/000001.png");
     let content = std::fs::read(&image).expect("readable");
     std::fs::write(&image, &content[1..]).expect("writable");
     let text = fails(&resume(&clip, &out, &["--gap", "2"]), 1);
-    assert!(text.contains("frames/000001.png: expected the file as it was written"), "{text}");
+    assert!(text.contains("4.png"), "{text}");
     for broken in [&b""[..], b"{}", &[0xff; 64]] {
         std::fs::write(out.join("resume/state.safetensors"), broken).expect("writable");
         let text = fails(&resume(&clip, &out, &["--gap", "2"]), 1);
-        assert!(text.contains("state.safetensors"), "{text}");
+        assert!(text.contains("4.png"), "{text}");
     }
     // Without --resume the folder is cleared and the run starts.
     std::fs::remove_file(clip.join("4.png")).expect("there");

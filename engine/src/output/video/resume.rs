@@ -1,12 +1,12 @@
 //! Going on with a y4m file that was stopped.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use super::{Sink, Video, VideoFormat};
+use crate::output::storage::{self};
 use crate::output::{OutputError, partial_name};
 
 /// How far a y4m file has come: whole frames, all of them with the system.
@@ -32,36 +32,35 @@ impl Video {
         let mut video = Video::create_beside(path, VideoFormat::Y4m, fps);
         let partial = partial_name(path);
         if !partial.exists() {
-            std::fs::rename(path, &partial).map_err(OutputError::write(path))?;
+            storage::rename(path, &partial).map_err(OutputError::write(path))?;
         }
-        let mut file = File::options().read(true).write(true).open(&partial).map_err(OutputError::write(&partial))?;
+        let mut file = storage::reopen(&partial).map_err(OutputError::write(&partial))?;
         let mut digest = Box::<blake3::Hasher>::default();
-        let mut rest = BufReader::with_capacity(1 << 16, Read::by_ref(&mut file).take(point.bytes));
-        let mut header = Vec::new();
-        rest.read_until(b'\n', &mut header).map_err(OutputError::write(&partial))?;
-        digest.update(&header);
-        let mut block = vec![0; 1 << 16];
-        loop {
-            let count = rest.read(&mut block).map_err(OutputError::write(&partial))?;
-            if count == 0 {
-                break;
-            }
-            digest.update(&block[..count]);
-            video.samples.update(&block[..count]);
-        }
+        digests(Read::by_ref(&mut file).take(point.bytes), &mut digest, &mut video.samples)
+            .map_err(OutputError::write(&partial))?;
         let found = digest.finalize().to_hex().to_string();
         if found != point.blake3 {
             let (expected, bytes) = (point.blake3.clone(), point.bytes);
             return Err(OutputError::Changed { path: partial, bytes, expected, found });
         }
-        file.set_len(point.bytes).map_err(OutputError::write(&partial))?;
-        file.seek(SeekFrom::Start(point.bytes)).map_err(OutputError::write(&partial))?;
+        file.cut(point.bytes).map_err(OutputError::write(&partial))?;
         video.sink = Some(Sink::File { file: BufWriter::new(file), digest, bytes: point.bytes });
         (video.size, video.frames) = (Some(point.size), point.frames);
         Ok(video)
     }
 
-    /// Hands what was pushed to the system and says how far it has come; `None` before the first frame, and where the video cannot
+    /// Whether the y4m file `path` can be gone on with from `point`.
+    pub fn can_resume(path: &Path, point: &VideoPoint) -> bool {
+        let partial = partial_name(path);
+        let path = if partial.exists() { &partial } else { path };
+        let mut digest = blake3::Hasher::new();
+        let read = storage::regular(path)
+            .and_then(|_| std::fs::File::open(path))
+            .and_then(|file| digests(file.take(point.bytes), &mut digest, &mut blake3::Hasher::new()));
+        read.is_ok() && digest.finalize().to_hex().as_str() == point.blake3
+    }
+
+    /// Syncs what was pushed and says how far it has come; `None` before the first frame, and where the video cannot
     /// be gone on with (ffmpeg's, standard output).
     ///
     /// # Errors
@@ -70,7 +69,7 @@ impl Video {
         let (Some(Sink::File { file, digest, bytes }), Some(size)) = (&mut self.sink, self.size) else {
             return Ok(None);
         };
-        file.flush().map_err(OutputError::write(&self.path))?;
+        file.flush().and_then(|()| file.get_ref().sync()).map_err(OutputError::write(&self.path))?;
         let blake3 = digest.finalize().to_hex().to_string();
         Ok(Some(VideoPoint { frames: self.frames, size, bytes: *bytes, blake3 }))
     }
@@ -81,5 +80,23 @@ impl Video {
             // What does not fit any more lies beyond the last point.
             drop(file);
         }
+    }
+}
+
+/// Reads a y4m file: the digests of all of it, and of what follows its header.
+fn digests(file: impl Read, all: &mut blake3::Hasher, samples: &mut blake3::Hasher) -> io::Result<()> {
+    let mut rest = BufReader::with_capacity(1 << 16, file);
+    let mut header = Vec::new();
+    // The header written here is far shorter.
+    Read::by_ref(&mut rest).take(1 << 16).read_until(b'\n', &mut header)?;
+    all.update(&header);
+    let mut block = vec![0; 1 << 16];
+    loop {
+        let count = rest.read(&mut block)?;
+        if count == 0 {
+            return Ok(());
+        }
+        all.update(&block[..count]);
+        samples.update(&block[..count]);
     }
 }

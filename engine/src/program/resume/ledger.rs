@@ -5,13 +5,15 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom, Write};
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use streamsplat::output::{OutputError, Written, prepare_folder};
+use streamsplat::output::storage::{self, Output};
+use streamsplat::output::{OutputError, Written, prepare_subfolder};
 use streamsplat::scene::IntervalEntry;
 
+use super::super::earlier::is_as_written;
 use super::super::failure::Failure;
 use super::super::outputs::is_inside;
 use super::super::record::OutputRecord;
@@ -24,8 +26,8 @@ const NAME: &str = "written.jsonl";
 pub struct Line {
     /// Its path inside the run's folder.
     pub file: String,
-    bytes: u64,
-    blake3: String,
+    pub bytes: u64,
+    pub blake3: String,
     /// What the scene's index says of it, where it is an interval.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub interval: Option<IntervalEntry>,
@@ -34,7 +36,7 @@ pub struct Line {
 /// A ledger being written.
 pub struct Ledger {
     folder: PathBuf,
-    file: Option<File>,
+    file: Option<Output>,
     length: u64,
 }
 
@@ -48,8 +50,8 @@ impl Ledger {
     pub fn resume(folder: PathBuf, length: u64) -> Result<Ledger, OutputError> {
         let path = folder.join(NAME);
         let write = |cause| OutputError::Write { path: path.clone(), cause };
-        let mut file = File::options().write(true).open(&path).map_err(write)?;
-        file.set_len(length).and_then(|()| file.seek(SeekFrom::Start(length))).map_err(write)?;
+        let mut file = storage::reopen(&path).map_err(write)?;
+        file.cut(length).map_err(write)?;
         Ok(Ledger { folder, file: Some(file), length })
     }
 
@@ -73,13 +75,21 @@ impl Ledger {
         let ledger = match &mut self.file {
             Some(ledger) => ledger,
             none => {
-                prepare_folder(&self.folder)?;
-                none.insert(File::create(self.folder.join(NAME)).map_err(write)?)
+                prepare_subfolder(&self.folder)?;
+                none.insert(storage::create(&self.folder.join(NAME)).map_err(write)?)
             }
         };
         ledger.write_all(text.as_bytes()).map_err(write)?;
         self.length += text.len() as u64;
         Ok(())
+    }
+}
+
+impl Ledger {
+    /// Waits until what was added would survive a power loss.
+    pub fn sync(&self) -> Result<(), OutputError> {
+        let synced = self.file.as_ref().map_or(Ok(()), Output::sync);
+        synced.map_err(|cause| OutputError::Write { path: self.folder.join(NAME), cause })
     }
 }
 
@@ -103,16 +113,24 @@ pub fn read(folder: &Path, length: u64) -> Result<Vec<Line>, Failure> {
     }
 }
 
+/// Longest ledger read where nothing says how much of it counts, in bytes.
+const MAX_LEDGER: u64 = 1 << 28;
+
 /// All files that the ledger in `folder` may have named, whatever state it is in.
-pub fn names(folder: &Path) -> Vec<String> {
-    let text = std::fs::read(folder.join(NAME)).unwrap_or_default();
+pub fn all(folder: &Path) -> Vec<Line> {
+    let (path, mut text) = (folder.join(NAME), Vec::new());
+    if storage::regular(&path).is_err() {
+        return Vec::new();
+    }
+    // What cannot be read names nothing.
+    let _ = File::open(path).and_then(|file| file.take(MAX_LEDGER).read_to_end(&mut text));
     let lines = text.split(|byte| *byte == b'\n').filter_map(|line| serde_json::from_slice::<Line>(line).ok());
-    lines.map(|line| line.file).filter(|name| is_inside(name)).collect()
+    lines.filter(|line| is_inside(&line.file)).collect()
 }
 
 /// Removes the ledger in `folder`.
 pub fn remove(folder: &Path) -> std::io::Result<()> {
-    match std::fs::remove_file(folder.join(NAME)) {
+    match storage::remove(&folder.join(NAME)) {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(e),
         _ => Ok(()),
     }
@@ -122,11 +140,10 @@ pub fn remove(folder: &Path) -> std::io::Result<()> {
 pub fn verified(folder: &Path, lines: &[Line]) -> Result<BTreeMap<String, OutputRecord>, Failure> {
     let mut records = BTreeMap::new();
     for Line { file, bytes, blake3, .. } in lines {
-        let path = folder.join(file);
-        let found = if path.exists() { super::super::digest::file(&path)? } else { "none: it is missing".to_owned() };
-        if found != *blake3 {
+        if !is_as_written(folder, file, *bytes, blake3)? {
+            let path = folder.join(file);
             return Err(Failure::work(format!(
-                "{}: expected the file as it was written, digest {blake3}, found {found}; run again without --resume",
+                "{}: expected the file as it was written, {bytes} bytes with the digest {blake3}",
                 path.display()
             )));
         }

@@ -4,7 +4,12 @@
 //! In the folder `resume` of the results (for a video `v.y4m`, `v.y4m.resume` beside it):
 //!
 //! - `written.jsonl`, the [ledger]: a line per file before the file gets its name;
-//! - `state.safetensors`, the [`Point`] and the stream's memory, replaced by renaming after each whole interval.
+//! - `state.safetensors`, the [`Point`] and the stream's memory, replaced by renaming after each whole interval;
+//! - `state.before.safetensors`, the one of the interval before.
+//!
+//! After an interval its files, the folders they are in, the ledger and the video are synced, and then the state is written, so that whatever a
+//! state vouches for survives a power loss. Where a state or something it vouches for is damaged all the same, the one before
+//! is taken; where that is no better, the run starts again.
 //!
 //! The point is what counts: everything it vouches for was written before it, and what came after it is written again. Of the stream it
 //! holds the memory *before* the last whole interval. So `--resume` reads the input from its beginning (the digest of what was read must
@@ -17,22 +22,26 @@ pub mod ledger;
 mod terms;
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use streamsplat::output::{OutputError, VideoPoint, write_file};
+use streamsplat::output::{OutputError, Video, VideoPoint, partial_name, storage};
 use streamsplat::scene::{memory_from_safetensors, memory_to_safetensors};
 use streamsplat::stream::Memory;
 
 pub use catch_up::catch_up;
 pub use terms::{Terms, with_absolute_paths};
 
+use super::earlier::is_as_written;
 use super::failure::Failure;
 use super::outputs::Destination;
 use super::record::{InputRecord, Record, Task, WorkRecord, absolute};
 
 /// The point's file.
 const STATE: &str = "state.safetensors";
+/// The file of the point before.
+const BEFORE: &str = "state.before.safetensors";
 /// Largest one read, in bytes.
 const MAX_STATE: u64 = 1 << 32;
 
@@ -62,6 +71,7 @@ pub struct Point {
 }
 
 /// What `--resume` finds.
+#[derive(Debug)]
 pub enum Found {
     /// Nothing: the run starts.
     Nothing,
@@ -80,35 +90,104 @@ pub fn find(destination: &Destination) -> Result<Found, Failure> {
     let record = destination.record().filter(|path| path.exists());
     let record = record.as_deref().map(Record::read).transpose()?;
     if let Some(record) = record.as_ref().filter(|record| record.complete) {
-        return Ok(Found::Complete(Box::new(record.clone())));
+        return Ok(match check_outputs(record, destination) {
+            Ok(()) => Found::Complete(Box::new(record.clone())),
+            Err(damage) => {
+                tell(&format!("{}; starting again", damage.message()));
+                Found::Nothing
+            }
+        });
     }
-    let path = folder.join(STATE);
-    if !path.exists() {
+    let states = [STATE, BEFORE].map(|name| folder.join(name));
+    if !states.iter().any(|path| path.exists()) {
         return match record {
             None => Ok(Found::Nothing),
             Some(_) => Err(Failure::work(format!(
                 "{}: not found, but there is the record of a stopped run; run again without --resume",
-                path.display()
+                states[0].display()
             ))),
         };
     }
+    let mut points =
+        states.iter().filter(|path| path.exists()).map(|path| point(path, &folder, destination)).peekable();
+    while let Some(found) = points.next() {
+        match found {
+            Ok((point, memory)) => return Ok(Found::Under(Box::new(point), memory)),
+            Err(damage) => {
+                let next = if points.peek().is_some() { "going back one interval" } else { "starting again" };
+                tell(&format!("{}; {next}", damage.message()));
+            }
+        }
+    }
+    Ok(Found::Nothing)
+}
+
+/// The point in the file `path`, if all that it vouches for is there.
+fn point(path: &Path, folder: &Path, destination: &Destination) -> Result<(Point, Option<Memory>), Failure> {
     let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", path.display()));
-    let size = std::fs::metadata(&path).map_err(|e| wrong(&e))?.len();
+    let size = storage::regular(path).map_err(|e| wrong(&e))?.len();
     if size > MAX_STATE {
         return Err(wrong(&format!("expected at most {MAX_STATE} bytes, found {size}")));
     }
-    let bytes = std::fs::read(&path).map_err(|e| wrong(&e))?;
+    let bytes = std::fs::read(path).map_err(|e| wrong(&e))?;
     let (memory, note) = memory_from_safetensors(&bytes).map_err(|e| wrong(&e))?;
     let point: Point = serde_json::from_str(&note).map_err(|e| wrong(&format!("not the state of a run: {e}")))?;
-    Ok(Found::Under(Box::new(point), memory))
+    let lines = ledger::read(folder, point.ledger)?;
+    match (destination, &point.video) {
+        (Destination::Folder(folder), _) => drop(ledger::verified(folder, &lines)?),
+        (Destination::Video(path, _), Some(video)) if !Video::can_resume(path, video) => {
+            let VideoPoint { bytes, blake3, .. } = video;
+            let expected = format!("expected its first {bytes} bytes to have the digest {blake3}");
+            return Err(Failure::work(format!("{}: {expected}", path.display())));
+        }
+        (Destination::Video(..), _) => {}
+    }
+    Ok((point, memory))
 }
 
-/// Writes the point, with the stream's memory before its interval.
+/// Every file of a record must have the length and the digest that it names.
+fn check_outputs(record: &Record, destination: &Destination) -> Result<(), Failure> {
+    let folder = match destination {
+        Destination::Folder(folder) => folder,
+        Destination::Video(path, _) => streamsplat::output::folder_of(path),
+    };
+    for (name, output) in &record.outputs {
+        if !is_as_written(folder, name, output.bytes, &output.blake3)? {
+            let path = folder.join(name);
+            let (bytes, blake3) = (output.bytes, &output.blake3);
+            let expected = format!("expected the file as it was written, {bytes} bytes with the digest {blake3}");
+            return Err(Failure::work(format!("{}: {expected}", path.display())));
+        }
+    }
+    Ok(())
+}
+
+fn tell(message: &str) {
+    tracing::warn!("--resume: {message}");
+}
+
+/// Writes the point, with the stream's memory before its interval, when all that it vouches for is synced.
 pub fn commit(folder: &Path, point: &Point, memory: Option<&Memory>) -> Result<(), Failure> {
     let note = serde_json::to_string(point).map_err(Failure::work)?;
     let bytes = memory_to_safetensors(memory, &note).map_err(Failure::work)?;
-    write_file(&folder.join(STATE), &bytes)?;
-    Ok(())
+    let (state, before) = (folder.join(STATE), folder.join(BEFORE));
+    let partial = partial_name(&state);
+    let write = || {
+        let mut file = storage::create(&partial)?;
+        file.write_all(&bytes)?;
+        file.sync()?;
+        if state.exists() {
+            storage::rename(&state, &before)?;
+            // Until the next line has lasted as well, the state before is the one to go on from.
+            storage::sync_folder(folder)?;
+        }
+        storage::rename(&partial, &state)?;
+        storage::sync_folder(folder)
+    };
+    write().map_err(|cause| {
+        let _ = storage::remove(&partial);
+        Failure::from(OutputError::Write { path: state.clone(), cause })
+    })
 }
 
 /// Takes away what the run no longer needs; the point goes first.
@@ -119,11 +198,22 @@ pub fn remove(folder: &Path) -> Result<(), OutputError> {
         }
         _ => Ok(()),
     };
-    done(std::fs::remove_file(folder.join(STATE)))?;
-    done(std::fs::remove_file(streamsplat::output::partial_name(&folder.join(STATE))))?;
+    // Nothing below a link is the run's.
+    if std::fs::symlink_metadata(folder).is_ok_and(|found| !found.is_dir()) {
+        return Err(OutputError::Write {
+            path: folder.to_owned(),
+            cause: std::io::Error::other("expected a folder, found something else, such as a symbolic link"),
+        });
+    }
+    done(storage::remove(&folder.join(STATE)))?;
+    done(storage::remove(&folder.join(BEFORE)))?;
+    done(storage::remove(&partial_name(&folder.join(STATE))))?;
     done(ledger::remove(folder))?;
+    if !folder.exists() {
+        return Ok(());
+    }
     // Whatever else someone put there keeps it.
-    match std::fs::remove_dir(folder) {
+    match storage::remove_folder(folder) {
         Err(e) if e.kind() == std::io::ErrorKind::DirectoryNotEmpty => Ok(()),
         other => done(other),
     }

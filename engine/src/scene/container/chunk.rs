@@ -181,7 +181,11 @@ pub(super) fn decode(
     let mut columns = Vec::with_capacity(COLUMNS.len());
     for (at, name) in COLUMNS.into_iter().enumerate() {
         let stored = version > 1 || !RATES.contains(&at);
-        columns.push(if stored { Values::read(name, &mut rest)? } else { Values::none(name) });
+        columns.push(if stored {
+            Values::read(name, if at < MERGE { count } else { merges }, &mut rest)?
+        } else {
+            Values::none(name)
+        });
     }
     let rates = RATES.map(|at| columns[at].remaining() > 0);
     let mut written = [true; VALUES];

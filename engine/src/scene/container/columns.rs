@@ -9,6 +9,8 @@ use crate::import::FormatError;
 
 /// The most that deflate makes of a byte.
 const MOST_RATIO: usize = 1032;
+/// The most bytes of a number.
+const LONGEST: usize = 10;
 
 /// A signed number as an unsigned one.
 pub(super) fn fold(x: i64) -> u64 {
@@ -70,8 +72,8 @@ impl Values {
         Values { name, bytes: Vec::new(), at: 0 }
     }
 
-    /// The column that `rest` begins with; `rest` is moved past it.
-    pub(super) fn read(name: &'static str, rest: &mut &[u8]) -> Result<Values, FormatError> {
+    /// The column of at most `most` numbers that `rest` begins with; `rest` is moved past it.
+    pub(super) fn read(name: &'static str, most: usize, rest: &mut &[u8]) -> Result<Values, FormatError> {
         let wrong = |expected: &str, found: String| FormatError::new(format!("column {name}"), expected, found);
         let short = |found: usize| wrong("its two lengths and as many bytes", format!("{found} bytes"));
         let (lengths, after) = rest.split_at_checked(8).ok_or_else(|| short(rest.len()))?;
@@ -80,6 +82,9 @@ impl Values {
         let (deflated, after) = after.split_at_checked(deflated).ok_or_else(|| short(after.len()))?;
         if len > deflated.len().saturating_mul(MOST_RATIO) {
             return Err(wrong("at most 1032 bytes from one", format!("{len} from {}", deflated.len())));
+        }
+        if len > most.saturating_mul(LONGEST) {
+            return Err(wrong(&format!("at most {LONGEST} bytes for each of {most} numbers"), len.to_string()));
         }
         let mut bytes = vec![0; len];
         let mut inflate = Decompress::new(false);
@@ -145,7 +150,7 @@ mod tests {
         signed.iter().for_each(|x| column.push_signed(*x));
         let stored = column.stored();
         let mut rest = stored.as_slice();
-        let mut values = Values::read("test", &mut rest).expect("just stored");
+        let mut values = Values::read("test", 100, &mut rest).expect("just stored");
         assert!(rest.is_empty());
         numbers.iter().for_each(|x| assert_eq!(values.next(), Ok(*x)));
         signed.iter().for_each(|x| assert_eq!(values.next_signed(), Ok(*x)));
@@ -159,16 +164,16 @@ mod tests {
         (0..100).for_each(|x| column.push(x));
         let stored = column.stored();
         for end in 0..stored.len() {
-            assert!(Values::read("test", &mut &stored[..end]).is_err(), "{end}");
+            assert!(Values::read("test", 100, &mut &stored[..end]).is_err(), "{end}");
         }
         for len in [99_u32, 101, u32::MAX] {
             let mut hostile = stored.clone();
             hostile[..4].copy_from_slice(&len.to_le_bytes());
-            assert!(Values::read("test", &mut hostile.as_slice()).is_err(), "{len}");
+            assert!(Values::read("test", 100, &mut hostile.as_slice()).is_err(), "{len}");
         }
         for bytes in [&[0x80][..], &[0x80, 0], &[0xff; 9], &[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 2]] {
             let stored = Column(bytes.to_vec()).stored();
-            assert!(Values::read("test", &mut stored.as_slice()).expect("deflated").next().is_err(), "{bytes:?}");
+            assert!(Values::read("test", 100, &mut stored.as_slice()).expect("deflated").next().is_err(), "{bytes:?}");
         }
     }
 }

@@ -1,0 +1,190 @@
+//! File operations of everything that is written: files, names, folders, and what makes them last.
+//!
+//! A symbolic link is never written through: [`create`] makes a new file in the place of whatever had the name, [`reopen`] and
+//! [`create_folder`] refuse links. What was written survives a power loss once it was synced: a file's bytes by [`Output::sync`], the names
+//! in a folder by [`sync_folder`].
+//!
+//! Tests can have operations of their thread fail, or lose what was not synced: [`faults`].
+
+use std::fs::{File, Metadata};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+pub mod faults;
+
+use faults::Change;
+
+/// A file being written.
+#[derive(Debug)]
+pub struct Output {
+    file: File,
+    path: PathBuf,
+}
+
+impl Output {
+    /// Waits until the file's bytes would survive a power loss.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn sync(&self) -> io::Result<()> {
+        faults::step()?;
+        self.file.sync_all()?;
+        faults::synced(&self.path);
+        Ok(())
+    }
+
+    /// Cuts the file to `length` bytes and goes on writing there.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn cut(&mut self, length: u64) -> io::Result<()> {
+        faults::step()?;
+        self.file.set_len(length)?;
+        self.file.seek(SeekFrom::Start(length)).map(drop)
+    }
+}
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let bytes = match faults::write_step()? {
+            faults::Room::Enough => bytes,
+            faults::Room::Half => &bytes[..bytes.len().div_ceil(2)],
+        };
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Read for Output {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        self.file.read(bytes)
+    }
+}
+
+/// Creates a file. What had the name before, a link too, loses it; a folder is an error.
+///
+/// # Errors
+/// The system's.
+pub fn create(path: &Path) -> io::Result<Output> {
+    if exists(path) {
+        remove(path)?;
+    }
+    faults::step()?;
+    let file = File::options().write(true).create_new(true).open(path)?;
+    faults::changed(|| Change::Created(path.to_owned()));
+    Ok(Output { file, path: path.to_owned() })
+}
+
+/// Opens a regular file to read it and to write on.
+///
+/// # Errors
+/// The system's; something that is no regular file, such as a link.
+pub fn reopen(path: &Path) -> io::Result<Output> {
+    regular(path)?;
+    faults::step()?;
+    let file = File::options().read(true).write(true).open(path)?;
+    faults::reopened(path, file.metadata()?.len());
+    Ok(Output { file, path: path.to_owned() })
+}
+
+/// Gives the file `from` the name `to`, in the same folder.
+///
+/// # Errors
+/// The system's.
+pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
+    faults::step()?;
+    let change = faults::before(|| Change::renamed(from, to));
+    std::fs::rename(from, to)?;
+    faults::changed_to(change);
+    Ok(())
+}
+
+/// Removes a file, or a link itself.
+///
+/// # Errors
+/// The system's.
+pub fn remove(path: &Path) -> io::Result<()> {
+    std::fs::symlink_metadata(path)?;
+    faults::step()?;
+    let change = faults::before(|| Change::removed(path));
+    std::fs::remove_file(path)?;
+    faults::changed_to(change);
+    Ok(())
+}
+
+/// Creates a folder in one that is there; one that is there already is left as it is.
+///
+/// # Errors
+/// The system's; something that is no folder, such as a link to one.
+pub fn create_folder(path: &Path) -> io::Result<()> {
+    match std::fs::symlink_metadata(path) {
+        Ok(found) if found.is_dir() => Ok(()),
+        Ok(found) => Err(io::Error::other(format!("expected a folder, found {}", kind(&found)))),
+        Err(_) => {
+            faults::step()?;
+            std::fs::create_dir(path)?;
+            faults::changed(|| Change::FolderCreated(path.to_owned()));
+            Ok(())
+        }
+    }
+}
+
+/// Removes an empty folder.
+///
+/// # Errors
+/// The system's.
+pub fn remove_folder(path: &Path) -> io::Result<()> {
+    faults::step()?;
+    std::fs::remove_dir(path)?;
+    faults::changed(|| Change::FolderRemoved(path.to_owned()));
+    Ok(())
+}
+
+/// Waits until the names in a folder would survive a power loss. Where the system knows no such thing, nothing happens.
+///
+/// # Errors
+/// The system's.
+pub fn sync_folder(path: &Path) -> io::Result<()> {
+    faults::step()?;
+    let path = if path.as_os_str().is_empty() { Path::new(".") } else { path };
+    if cfg!(unix) {
+        match File::open(path)?.sync_all() {
+            Err(e) if !matches!(e.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported) => return Err(e),
+            _ => {}
+        }
+    }
+    faults::synced_folder(path);
+    Ok(())
+}
+
+/// Whether there is something of that name, be it a link to nothing.
+pub fn exists(path: &Path) -> bool {
+    std::fs::symlink_metadata(path).is_ok()
+}
+
+/// What is at `path`, which must be a regular file.
+///
+/// # Errors
+/// The system's; something else, such as a link.
+pub fn regular(path: &Path) -> io::Result<Metadata> {
+    let found = std::fs::symlink_metadata(path)?;
+    if found.is_file() {
+        return Ok(found);
+    }
+    Err(io::Error::other(format!("expected a regular file, found {}", kind(&found))))
+}
+
+fn kind(found: &Metadata) -> &'static str {
+    if found.is_symlink() {
+        "a symbolic link"
+    } else if found.is_dir() {
+        "a folder"
+    } else if found.is_file() {
+        "a file"
+    } else {
+        "something else"
+    }
+}

@@ -1,0 +1,208 @@
+//! Faults for tests: operations that fail, and power losses.
+//!
+//! Nothing happens outside of [`inject`], which works on the calling thread alone. A power loss is simulated as the worst that a file system may
+//! do: from one operation on everything fails, and then whatever was not synced is lost. File systems differ in what they lose first, so
+//! there are two kinds: names last and bytes do not ([`Fault::LosesBytes`]: files are there, cut to what was synced), or names do not last
+//! either ([`Fault::LosesNames`]: what was created, renamed or removed since its folder was synced is undone).
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// What happens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// One operation fails: there is no room (ENOSPC).
+    NoSpace,
+    /// One operation fails: the device does (EIO).
+    Device,
+    /// One write takes half of the bytes, and the operation after it fails for want of room.
+    ShortWrite,
+    /// The power fails; unsynced bytes are lost.
+    LosesBytes,
+    /// The power fails; unsynced bytes and names are lost.
+    LosesNames,
+}
+
+/// Whether a write takes all of its bytes.
+pub(super) enum Room {
+    Enough,
+    Half,
+}
+
+/// A change of names.
+#[derive(Debug)]
+pub(super) enum Change {
+    Created(PathBuf),
+    Renamed { from: PathBuf, to: PathBuf, replaced: Option<Vec<u8>> },
+    Removed { path: PathBuf, bytes: Vec<u8> },
+    FolderCreated(PathBuf),
+    FolderRemoved(PathBuf),
+}
+
+impl Change {
+    pub(super) fn renamed(from: &Path, to: &Path) -> Change {
+        Change::Renamed { from: from.to_owned(), to: to.to_owned(), replaced: std::fs::read(to).ok() }
+    }
+
+    pub(super) fn removed(path: &Path) -> Change {
+        Change::Removed { path: path.to_owned(), bytes: std::fs::read(path).unwrap_or_default() }
+    }
+
+    fn folder(&self) -> Option<&Path> {
+        let (Change::Created(path)
+        | Change::Renamed { to: path, .. }
+        | Change::Removed { path, .. }
+        | Change::FolderCreated(path)
+        | Change::FolderRemoved(path)) = self;
+        path.parent()
+    }
+
+    fn undo(self) {
+        // What cannot be undone was undone with its folder.
+        let _ = match self {
+            Change::Created(path) => std::fs::remove_file(path),
+            Change::Renamed { from, to, replaced } => {
+                std::fs::rename(&to, from).and_then(|()| replaced.map_or(Ok(()), |bytes| std::fs::write(to, bytes)))
+            }
+            Change::Removed { path, bytes } => std::fs::write(path, bytes),
+            Change::FolderCreated(path) => std::fs::remove_dir_all(path),
+            Change::FolderRemoved(path) => std::fs::create_dir(path),
+        };
+    }
+}
+
+#[derive(Debug)]
+struct Plan {
+    fault: Option<(Fault, u64)>,
+    operations: u64,
+    /// Operations fail from now on.
+    dead: bool,
+    short: bool,
+    /// Files with bytes that are not synced, and how many are.
+    files: BTreeMap<PathBuf, u64>,
+    /// Names that are not synced.
+    changes: Vec<Change>,
+}
+
+thread_local! {
+    static PLAN: RefCell<Option<Plan>> = const { RefCell::new(None) };
+}
+
+fn with<T>(f: impl FnOnce(&mut Plan) -> T) -> Option<T> {
+    PLAN.with_borrow_mut(|plan| plan.as_mut().map(f))
+}
+
+/// Does `work` with `fault` at this operation of the thread, counted from 1; gives what it gives and how many operations there were. After a
+/// power loss, what it loses is lost by then.
+pub fn inject<T>(fault: Option<(Fault, u64)>, work: impl FnOnce() -> T) -> (T, u64) {
+    let plan = Plan { fault, operations: 0, dead: false, short: false, files: BTreeMap::new(), changes: Vec::new() };
+    PLAN.set(Some(plan));
+    let result = work();
+    let Some(plan) = PLAN.take() else { return (result, 0) };
+    let operations = plan.operations;
+    if plan.dead {
+        plan.lose();
+    }
+    (result, operations)
+}
+
+impl Plan {
+    fn lose(self) {
+        for (path, length) in &self.files {
+            // A file that was removed since has nothing to lose.
+            let _ = std::fs::File::options().write(true).open(path).and_then(|file| {
+                let shorter = file.metadata()?.len() > *length;
+                if shorter { file.set_len(*length) } else { Ok(()) }
+            });
+        }
+        if self.fault.is_some_and(|(fault, _)| fault == Fault::LosesNames) {
+            self.changes.into_iter().rev().for_each(Change::undo);
+        }
+    }
+
+    fn step(&mut self, writes: bool) -> io::Result<Room> {
+        self.operations += 1;
+        if self.dead {
+            return Err(io::Error::other("the power failed"));
+        }
+        if std::mem::take(&mut self.short) {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        let Some((fault, _)) = self.fault.filter(|(_, at)| *at == self.operations) else { return Ok(Room::Enough) };
+        match fault {
+            Fault::ShortWrite if writes => {
+                self.short = true;
+                Ok(Room::Half)
+            }
+            Fault::NoSpace | Fault::ShortWrite => Err(io::ErrorKind::StorageFull.into()),
+            Fault::Device => Err(io::Error::other("input/output error")),
+            Fault::LosesBytes | Fault::LosesNames => {
+                self.dead = true;
+                Err(io::Error::other("the power failed"))
+            }
+        }
+    }
+}
+
+/// Counts an operation; an error where one is due.
+pub(super) fn step() -> io::Result<()> {
+    with(|plan| plan.step(false)).unwrap_or(Ok(Room::Enough)).map(drop)
+}
+
+/// As [`step`], of a write.
+pub(super) fn write_step() -> io::Result<Room> {
+    with(|plan| plan.step(true)).unwrap_or(Ok(Room::Enough))
+}
+
+/// A change about to be made, where one is to be kept.
+pub(super) fn before(change: impl FnOnce() -> Change) -> Option<Change> {
+    PLAN.with_borrow(Option::is_some).then(change)
+}
+
+/// Keeps a change that was made.
+pub(super) fn changed(change: impl FnOnce() -> Change) {
+    changed_to(before(change));
+}
+
+/// As [`changed`], of what [`before`] gave.
+pub(super) fn changed_to(change: Option<Change>) {
+    let Some(change) = change else { return };
+    with(|plan| {
+        match &change {
+            Change::Created(path) => {
+                plan.files.insert(path.clone(), 0);
+            }
+            Change::Renamed { from, to, .. } => {
+                let unsynced = plan.files.remove(from);
+                plan.files.remove(to);
+                if let Some(length) = unsynced {
+                    plan.files.insert(to.clone(), length);
+                }
+            }
+            Change::Removed { path, .. } => {
+                plan.files.remove(path);
+            }
+            Change::FolderCreated(_) | Change::FolderRemoved(_) => {}
+        }
+        plan.changes.push(change);
+    });
+}
+
+/// A file's bytes are synced; what is written to it from now on is not.
+pub(super) fn synced(path: &Path) {
+    with(|plan| plan.files.insert(path.to_owned(), std::fs::metadata(path).map_or(0, |found| found.len())));
+}
+
+/// A file of this length is written on.
+pub(super) fn reopened(path: &Path, length: u64) {
+    with(|plan| {
+        plan.files.entry(path.to_owned()).or_insert(length);
+    });
+}
+
+/// A folder's names are synced.
+pub(super) fn synced_folder(path: &Path) {
+    with(|plan| plan.changes.retain(|change| change.folder() != Some(path)));
+}

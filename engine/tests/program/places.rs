@@ -1,0 +1,143 @@
+//! Places that are in use, hostile or damaged.
+
+use std::io::Write as _;
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use streamsplat_fixtures as fixtures;
+
+use crate::support::{Scratch, command, fails, files, json, model, record, run_ok};
+
+fn run(input: &Path, out: &Path, more: &[&str]) -> Command {
+    let mut command = command();
+    command.arg("run").arg(input).arg("--out").arg(out).arg("--model").arg(model()).args(more).arg("--quiet");
+    command.stdin(Stdio::null());
+    command
+}
+
+fn resume(input: &Path, out: &Path) -> Output {
+    run(input, out, &["--resume"]).output().expect("the program starts")
+}
+
+/// A run that waits for the rest of its input, with its place held.
+fn waiting(out: &Path, lock: &Path) -> Child {
+    let stream = std::fs::read(fixtures::path("clips/moving.y4m")).expect("readable");
+    let mut child = run(Path::new("-"), out, &[]).stdin(Stdio::piped()).spawn().expect("the program starts");
+    child.stdin.as_mut().expect("a pipe").write_all(&stream[..stream.len() / 4]).expect("it reads");
+    let start = Instant::now();
+    while std::fs::read(lock).map_or(true, |text| text.is_empty()) {
+        assert!(start.elapsed() < Duration::from_secs(60), "no lock");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    child
+}
+
+#[test]
+fn a_second_run_into_the_same_place_is_refused() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 3, 40, 24);
+    for (name, lock) in [("out", "out/.streamsplat.lock"), ("v.y4m", ".v.y4m.lock")] {
+        let out = scratch.path(name);
+        let mut first = waiting(&out, &scratch.path(lock));
+        for more in [&[][..], &["--resume"]] {
+            let text = fails(&run(&clip, &out, more).output().expect("the program starts"), 2);
+            assert!(text.contains(&format!("process {} is writing there", first.id())), "{text}");
+        }
+        first.kill().expect("a child");
+        first.wait().expect("it ends");
+        // What it left is no obstacle.
+        assert!(scratch.path(lock).exists());
+        run_ok(&clip, &out, &["--quiet"]);
+        assert!(!scratch.path(lock).exists());
+    }
+}
+
+#[test]
+fn nothing_is_removed_or_written_through_links() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 3, 40, 24);
+    let other = scratch.path("other");
+    run_ok(&clip, &other, &["--quiet"]);
+    let before = files(&other);
+    for name in ["frames", "scene", "resume"] {
+        // The record names files that lie beyond the link, with their lengths and digests.
+        let out = scratch.path(&format!("out-{name}"));
+        std::fs::create_dir(&out).expect("writable");
+        std::fs::copy(other.join("run.json"), out.join("run.json")).expect("writable");
+        std::fs::create_dir_all(other.join(name)).expect("writable");
+        symlink(other.join(name), out.join(name)).expect("writable");
+        let text = fails(&run(&clip, &out, &[]).output().expect("the program starts"), 1);
+        assert!(text.contains("symbolic link") && text.contains(name), "{text}");
+        assert!(files(&other) == before, "{name}");
+    }
+    let out = scratch.path("out");
+    let precious = scratch.path("precious");
+    std::fs::create_dir_all(out.join("frames")).expect("writable");
+    std::fs::write(&precious, "text").expect("writable");
+    for name in [
+        ".run.json.partial",
+        ".report.md.partial",
+        ".streamsplat.partial",
+        "frames/.000000.png.partial",
+        "frames/000001.png",
+    ] {
+        symlink(&precious, out.join(name)).expect("writable");
+    }
+    run_ok(&clip, &out, &["--quiet"]);
+    assert_eq!(std::fs::read(&precious).expect("there"), b"text");
+    assert!(files(&out) == before);
+}
+
+#[test]
+fn only_what_a_run_wrote_is_removed() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 3, 40, 24);
+    let out = scratch.path("out");
+    run_ok(&clip, &out, &["--quiet"]);
+    std::fs::write(out.join("frames/000002.png"), "edited by hand").expect("writable");
+    run_ok(&clip, &out, &["--quiet", "--frames", "1"]);
+    assert_eq!(std::fs::read(out.join("frames/000002.png")).expect("there"), b"edited by hand");
+    assert!(!out.join("frames/000001.png").exists());
+}
+
+#[test]
+fn a_complete_run_whose_files_were_damaged_is_not_complete() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 3, 40, 24);
+    let (whole, out) = (scratch.path("whole"), scratch.path("out"));
+    run_ok(&clip, &whole, &["--quiet"]);
+    run_ok(&clip, &out, &["--quiet"]);
+    std::fs::write(out.join("frames/000001.png"), "").expect("writable");
+    assert!(resume(&clip, &out).status.success());
+    assert!(files(&out) == files(&whole));
+    assert_eq!(record(&out.join("run.json")), record(&whole.join("run.json")));
+}
+
+#[test]
+fn damage_takes_a_stopped_run_back_but_never_ends_it() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 5, 40, 24);
+    let whole = scratch.path("whole");
+    run_ok(&clip, &whole, &["--quiet"]);
+    let last = clip.join("4.png");
+    let content = std::fs::read(&last).expect("readable");
+    for damaged in [
+        "frames/000003.png",
+        "frames/000000.png",
+        "resume/state.safetensors",
+        "resume/written.jsonl",
+        "scene/interval-000003.safetensors",
+    ] {
+        let out = scratch.path(&damaged.replace('/', "-"));
+        std::fs::write(&last, "").expect("writable");
+        fails(&run(&clip, &out, &[]).output().expect("the program starts"), 1);
+        std::fs::write(&last, &content).expect("writable");
+        std::fs::write(out.join(damaged), "").expect("writable");
+        let output = resume(&clip, &out);
+        assert!(output.status.success(), "{damaged}: {}", String::from_utf8_lossy(&output.stderr));
+        assert!(files(&out) == files(&whole), "{damaged}");
+        assert_eq!(json(&out.join("run.json"))["outputs"], json(&whole.join("run.json"))["outputs"]);
+    }
+}
