@@ -28,7 +28,14 @@ pub(super) fn run(options: &Options) -> Result<()> {
     }
     let machine = Machine::new(level, (Precision::F32, 0.0));
     let renderer = format!("wgpu on {}", renderer.adapter());
-    options.common.write(&Results { machine, renderer, scenes: rows, parts: Vec::new(), scaling: Vec::new() })
+    options.common.write(&Results {
+        machine,
+        renderer,
+        scenes: rows,
+        parts: Vec::new(),
+        scaling: Vec::new(),
+        trained: Vec::new(),
+    })
 }
 
 fn measure(renderer: &mut WgpuRenderer, options: &Options, name: &str, scene: &Scene) -> Result<Row> {

@@ -4,6 +4,7 @@
 mod card;
 mod part;
 pub(crate) mod scenes;
+mod trained;
 
 use std::process::Command;
 
@@ -37,6 +38,9 @@ pub(crate) struct Options {
     /// Measure one step of the growth measurement and print it (used by the command itself).
     #[arg(long, hide = true)]
     step: Option<usize>,
+    /// Measure one scene of this size with the statistics of trained ones and print it (used by the command itself).
+    #[arg(long, hide = true)]
+    trained: Option<usize>,
 }
 
 #[derive(Serialize)]
@@ -123,6 +127,7 @@ struct Results {
     scenes: Vec<Row>,
     parts: Vec<part::Row>,
     scaling: Vec<Growth>,
+    trained: Vec<trained::Row>,
 }
 
 /// Measures.
@@ -132,6 +137,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if let Some(count) = options.step {
         let step = pool.install(|| growth_step(level, count, options.common.repeat))?;
         println!("{}", serde_json::to_string(&step)?);
+        return Ok(());
+    }
+    if let Some(count) = options.trained {
+        let row = pool.install(|| trained::measure(level, count, options.common.repeat))?;
+        println!("{}", serde_json::to_string(&row)?);
         return Ok(());
     }
     if options.renderer == Backend::Wgpu {
@@ -163,9 +173,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         }
         let parts = if wanted("part") { part::run(level, repeat)? } else { Vec::new() };
         let scaling = growth(options)?;
+        let trained = large(options)?;
         let machine = Machine::new(level, (Precision::F32, 0.0));
         let renderer = options.renderer.to_string();
-        options.common.write(&Results { machine, renderer, scenes: rows, parts, scaling })
+        options.common.write(&Results { machine, renderer, scenes: rows, parts, scaling, trained })
     })
 }
 
@@ -276,22 +287,39 @@ fn check(renderer: &Renderer, scene: &Scene) -> Result<f64> {
     Ok(worst)
 }
 
+/// Scenes with the statistics of trained ones, each in a process of its own.
+fn large(options: &Options) -> Result<Vec<trained::Row>> {
+    let wanted = |count: &usize| *count <= options.largest && "trained".contains(&options.only);
+    let mut rows = Vec::new();
+    for count in trained::COUNTS.into_iter().filter(wanted) {
+        let row: trained::Row = alone(options, "--trained", count)?;
+        row.print();
+        rows.push(row);
+    }
+    Ok(rows)
+}
+
+/// What this program prints when it measures `count` Gaussians in a process of its own, whose peak memory is theirs.
+fn alone<T: for<'a> Deserialize<'a>>(options: &Options, what: &str, count: usize) -> Result<T> {
+    let program = std::env::current_exe().context("finding this program")?;
+    let output = Command::new(&program)
+        .args(["raster", what, &count.to_string(), "--isa", options.common.isa.name()])
+        .args(["--threads", &rayon::current_num_threads().to_string()])
+        .args(["--repeat", &options.common.repeat.to_string()])
+        .output()
+        .context("starting a measurement")?;
+    if !output.status.success() {
+        bail!("{count} Gaussians: {}", String::from_utf8_lossy(&output.stderr).trim());
+    }
+    Ok(serde_json::from_slice(&output.stdout)?)
+}
+
 /// Times for 10⁴, 10⁵ … Gaussians, each in a process of its own, so that its peak memory is its own.
 fn growth(options: &Options) -> Result<Vec<Growth>> {
     let mut rows = Vec::new();
-    let program = std::env::current_exe().context("finding this program")?;
     let mut count = 10_000;
     while count <= options.largest && options.only.is_empty() {
-        let output = Command::new(&program)
-            .args(["raster", "--step", &count.to_string(), "--isa", options.common.isa.name()])
-            .args(["--threads", &rayon::current_num_threads().to_string()])
-            .args(["--repeat", &options.common.repeat.to_string()])
-            .output()
-            .context("starting a measurement")?;
-        if !output.status.success() {
-            bail!("{count} Gaussians: {}", String::from_utf8_lossy(&output.stderr).trim());
-        }
-        let row: Growth = serde_json::from_slice(&output.stdout)?;
+        let row: Growth = alone(options, "--step", count)?;
         println!(
             "{:>10} Gaussians  {:>9.2} ms  {:>6.1} ns each  peak {:>5.0} MiB {}",
             row.gaussians,
