@@ -59,6 +59,7 @@ targets! {
     no_bytes_break_the_reader_of_ply_files: "ply";
     no_bytes_break_the_reader_of_spz_files: "spz";
     no_bytes_break_the_reader_of_library_headers: "library";
+    no_bytes_break_the_reader_of_http_requests: "http";
     no_bytes_break_the_reader_of_containers: "container";
 }
 

@@ -1,7 +1,8 @@
 //! Errors of the library as Python exceptions.
 
 use pyo3::PyErr;
-use pyo3::exceptions::{PyException, PyOSError, PyValueError};
+use pyo3::exceptions::{PyException, PyMemoryError, PyOSError, PyValueError};
+use streamsplat::RenderError;
 
 pyo3::create_exception!(
     streamsplat,
@@ -13,6 +14,15 @@ pyo3::create_exception!(
 /// The work failed.
 pub fn failed(error: impl std::fmt::Display) -> PyErr {
     Error::new_err(error.to_string())
+}
+
+/// An image could not be drawn.
+pub fn not_drawn(error: RenderError) -> PyErr {
+    match error {
+        RenderError::Memory { .. } => PyMemoryError::new_err(error.to_string()),
+        RenderError::Size { .. } => wrong(error),
+        _ => failed(error),
+    }
 }
 
 /// An argument is not what it can be.

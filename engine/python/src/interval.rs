@@ -7,7 +7,7 @@ use streamsplat::stream::DynamicGaussians;
 
 use crate::arguments;
 use crate::arrays::borrowed;
-use crate::failure::failed;
+use crate::failure::{failed, not_drawn};
 use crate::image::Image;
 
 /// The scene from one key frame to the next, valid for good and independent of the engine that made it.
@@ -86,7 +86,7 @@ impl Interval {
     ) -> PyResult<Image> {
         let camera = arguments::camera(camera)?.at(time);
         let options = arguments::options(size, background, depth, alpha)?;
-        py.detach(|| self.inner.render(time, &camera, &options)).map(Image::from).map_err(failed)
+        py.detach(|| self.inner.render(time, &camera, &options)).map(Image::from).map_err(not_drawn)
     }
 
     /// What shows most at a pixel (column, row) of the source's frame: (identity, index, weight, world position), or None where nothing is drawn.

@@ -7,8 +7,10 @@
 //! | PLY in the layout of 3D Gaussian splatting | `ply` and a new line | a [`Still`] |
 //! | SPZ, versions 2 to 4 | `NGSP`, or as gzip | a [`Still`] |
 //!
-//! Nothing is allocated for what a header promises before the file is seen to be long enough to hold it.
+//! Nothing is allocated for what a header promises before the file is seen to be long enough to hold it, and before it is seen to be within the
+//! [`Limits`].
 
+mod limits;
 mod ply;
 mod spz;
 
@@ -16,6 +18,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+pub use limits::{GAUSSIANS, Limits, read_file, read_text};
 pub use ply::ply;
 pub use spz::spz;
 
@@ -65,14 +68,17 @@ pub struct StillFile {
 }
 
 /// Reads the whole of a file.
-type Reader = fn(&[u8]) -> Result<Still, FormatError>;
+type Reader = fn(&[u8], &Limits) -> Result<Still, FormatError>;
+
+/// Longest still scene read, in bytes.
+const MAX_FILE: u64 = 16 << 30;
 
 /// The name and the reader of the format that begins so.
 fn format(head: &[u8]) -> Option<(&'static str, Reader)> {
     if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") {
-        return Some(("PLY", ply));
+        return Some(("PLY", ply::within));
     }
-    (head.starts_with(&spz::MAGIC) || head.starts_with(&[0x1f, 0x8b])).then_some(("SPZ", spz as Reader))
+    (head.starts_with(&spz::MAGIC) || head.starts_with(&[0x1f, 0x8b])).then_some(("SPZ", spz::within as Reader))
 }
 
 /// Whether a file begins as one of the formats that are a scene in one file.
@@ -86,8 +92,8 @@ pub fn is_scene(path: &Path) -> bool {
 ///
 /// # Errors
 /// As [`open`], and a still scene.
-pub fn open_moving(path: &Path) -> Result<Scene, SceneError> {
-    match open(path)? {
+pub fn open_moving(path: &Path, limits: &Limits) -> Result<Scene, SceneError> {
+    match open(path, limits)? {
         Opened::Moving(scene) => Ok(scene),
         Opened::Still(file) => {
             let cause = format!(
@@ -102,17 +108,29 @@ pub fn open_moving(path: &Path) -> Result<Scene, SceneError> {
 /// Opens a scene of any kind.
 ///
 /// # Errors
-/// A file or a folder that cannot be read, or holds something else or something broken.
-pub fn open(path: &Path) -> Result<Opened, SceneError> {
+/// A file or a folder that cannot be read, or holds something else, something broken, or more than the limits allow.
+pub fn open(path: &Path, limits: &Limits) -> Result<Opened, SceneError> {
     if path.is_dir() {
-        return Scene::open(path).map(Opened::Moving);
+        return Scene::open_within(path, limits).map(Opened::Moving);
     }
     let read = |cause| SceneError::Read { path: path.to_owned(), cause };
     let mut head = Vec::new();
     File::open(path).map_err(read)?.take(8).read_to_end(&mut head).map_err(read)?;
-    let Some((format, reader)) = format(&head) else { return Scene::open(path).map(Opened::Moving) };
-    let bytes = std::fs::read(path).map_err(read)?;
-    let still = reader(&bytes).map_err(|e| SceneError::Broken { path: path.to_owned(), cause: e.to_string() })?;
+    let Some((format, reader)) = format(&head) else {
+        return Scene::open_within(path, limits).map(Opened::Moving);
+    };
+    let bytes = read_file(path, MAX_FILE).map_err(read)?;
+    let still =
+        reader(&bytes, limits).map_err(|e| SceneError::Broken { path: path.to_owned(), cause: e.to_string() })?;
     let blake3 = blake3::hash(&bytes).to_hex().to_string();
     Ok(Opened::Still(StillFile { path: path.to_owned(), format, bytes: bytes.len() as u64, blake3, still }))
+}
+
+/// An error where a file holds more Gaussians than the limits allow.
+pub(crate) fn check_count(part: &str, count: usize, limits: &Limits) -> Result<(), FormatError> {
+    if count <= limits.gaussians {
+        return Ok(());
+    }
+    let expected = format!("at most {} Gaussians (the limit can be raised)", limits.gaussians);
+    Err(FormatError::new(part, expected, count.to_string()))
 }

@@ -16,8 +16,9 @@ const LIBRARY: &str = if cfg!(windows) {
     "libonnxruntime.so"
 };
 
-/// Prints the folder of the package's libraries, without importing it and without looking into the working folder.
-const ASK: &str = "import sys; sys.path = [p for p in sys.path if p]; import importlib.util, os; \
+/// Prints the folder of the package's libraries without importing it. Python runs isolated: neither the working folder nor what environment
+/// variables name is looked into, so that nobody else's file is run; the user's own packages are.
+const ASK: &str = "import importlib.util, os, site, sys; sys.path.append(site.getusersitepackages()); \
                    s = importlib.util.find_spec('onnxruntime'); \
                    print(os.path.join(os.path.dirname(s.origin), 'capi') if s and s.origin else '')";
 
@@ -74,7 +75,8 @@ fn in_python() -> Result<PathBuf, String> {
     interpreters.extend(["python3", "python"].map(PathBuf::from));
     let mut asked = None;
     for interpreter in interpreters {
-        let answer = Command::new(&interpreter).args(["-c", ASK]).stdin(Stdio::null()).stderr(Stdio::null()).output();
+        let answer =
+            Command::new(&interpreter).args(["-I", "-c", ASK]).stdin(Stdio::null()).stderr(Stdio::null()).output();
         let Some(answer) = answer.ok().filter(|answer| answer.status.success()) else { continue };
         let folder = String::from_utf8_lossy(&answer.stdout).trim().to_owned();
         if let Some(path) = Some(&folder).filter(|f| !f.is_empty()).and_then(|f| in_folder(Path::new(f))) {

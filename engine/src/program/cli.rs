@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 use serde::{Deserialize, Serialize};
+use streamsplat::import::Limits;
 
 /// Ordinary video in, a dynamic 3D Gaussian scene out, on CPUs, the same to the last bit everywhere.
 #[derive(Parser)]
@@ -261,6 +262,25 @@ pub struct RenderOptions {
     /// Outputs: rgb, depth, alpha, exr (these three as layers of one file) [default: rgb]
     #[arg(long, value_name = "LIST")]
     pub emit: Option<String>,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub limit: Limit,
+}
+
+/// What input files may hold.
+#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Limit {
+    /// Gaussians of an interval or of a still scene that are read at most [default: 16777216]
+    #[arg(long, value_name = "N")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limit_gaussians: Option<usize>,
+}
+
+impl Limit {
+    /// With the default where nothing is said.
+    pub fn limits(&self) -> Limits {
+        self.limit_gaussians.map_or_else(Limits::default, |gaussians| Limits { gaussians })
+    }
 }
 
 #[derive(Args, Clone)]
@@ -319,6 +339,8 @@ pub struct SplatArgs {
     /// Where rgb, depth, alpha, final_T and blended are written
     pub out: PathBuf,
     #[command(flatten)]
+    pub limit: Limit,
+    #[command(flatten)]
     pub machine: Machine,
 }
 
@@ -329,6 +351,8 @@ pub struct InspectArgs {
     /// Write what is found here
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub limit: Limit,
 }
 
 #[derive(Args, Clone)]
@@ -347,6 +371,8 @@ pub struct ExportArgs {
     /// Files per second of the scene, where no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
+    #[command(flatten)]
+    pub limit: Limit,
     #[command(flatten)]
     pub machine: Machine,
 }
@@ -374,6 +400,8 @@ pub struct TrackArgs {
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
     #[command(flatten)]
+    pub limit: Limit,
+    #[command(flatten)]
     pub machine: Machine,
 }
 
@@ -387,9 +415,14 @@ pub struct ViewArgs {
     /// Address to serve on
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
     pub host: std::net::IpAddr,
+    /// A name that browsers may give this machine, beside addresses and localhost; can be repeated
+    #[arg(long, value_name = "NAME")]
+    pub allow_host: Vec<String>,
     /// Serve nothing: write the page with the scene in it as this file, which opens by itself
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["port", "host"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["port", "host", "allow_host"])]
     pub html: Option<PathBuf>,
+    #[command(flatten)]
+    pub limit: Limit,
     #[command(flatten)]
     pub machine: Machine,
 }

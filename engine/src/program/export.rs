@@ -74,7 +74,7 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     let asked = args.times.as_deref().map(settings::times).transpose()?;
     times::check_rate(args.fps)?;
     let workers = args.machine.workers()?;
-    let scene = match import::open(&args.scene)? {
+    let scene = match import::open(&args.scene, &args.limit.limits())? {
         Opened::Moving(scene) => scene,
         Opened::Still(file) => return still::export(file, format, args, &workers, console),
     };
@@ -121,7 +121,7 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
             0 => String::new(),
             n => format!(", {n} Gaussians left out with numbers that are not finite"),
         };
-        say(format!("{}: {files} files, {bytes} bytes{left_out}{stopped}", args.out.display()));
+        say(format!("{}: {files} files, {bytes} bytes{left_out}{stopped}", args.out.display()))?;
     }
     Ok(())
 }
@@ -149,7 +149,7 @@ fn container(scene: &Scene, args: &ExportArgs, workers: &Workers, console: &Cons
     let bytes = writer.finish()?.map_or(0, |written| written.bytes);
     if !console.quiet {
         let of: u64 = intervals.iter().map(|entry| entry.bytes).sum();
-        say(format!("{}: {} intervals, {bytes} bytes of {of}", args.out.display(), intervals.len()));
+        say(format!("{}: {} intervals, {bytes} bytes of {of}", args.out.display(), intervals.len()))?;
     }
     Ok(())
 }

@@ -18,7 +18,7 @@ use super::{digest, say, still};
 pub fn command(args: &InspectArgs) -> Result<(), Failure> {
     let path = &args.file;
     let found = if path.is_dir() || path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path) {
-        match import::open(path)? {
+        match import::open(path, &args.limit.limits())? {
             Opened::Moving(scene) => moving(&scene)?,
             Opened::Still(file) => still::inspect(&file),
         }
@@ -32,7 +32,7 @@ pub fn command(args: &InspectArgs) -> Result<(), Failure> {
             model(path)?
         }
     };
-    show(&found, 0);
+    show(&found, 0)?;
     if let Some(path) = &args.json {
         let text = serde_json::to_string_pretty(&found).map_err(Failure::work)?;
         write_file(path, (text + "\n").as_bytes())?;
@@ -163,22 +163,23 @@ fn model(path: &Path) -> Result<Value, Failure> {
 }
 
 /// Prints a JSON object as indented lines; an object of plain values in one line.
-fn show(value: &Value, depth: usize) {
-    let Value::Object(map) = value else { return };
+fn show(value: &Value, depth: usize) -> Result<(), Failure> {
+    let Value::Object(map) = value else { return Ok(()) };
     let indent = "  ".repeat(depth);
     for (key, value) in map {
         match value {
             Value::Object(inner) if depth > 0 && inner.values().all(|v| !v.is_object()) => {
                 let fields: Vec<String> = inner.iter().map(|(key, value)| format!("{key} {}", plain(value))).collect();
-                say(format!("{indent}{key}: {}", fields.join(", ")));
+                say(format!("{indent}{key}: {}", fields.join(", ")))?;
             }
             Value::Object(_) => {
-                say(format!("{indent}{key}:"));
-                show(value, depth + 1);
+                say(format!("{indent}{key}:"))?;
+                show(value, depth + 1)?;
             }
-            other => say(format!("{indent}{key}: {}", plain(other))),
+            other => say(format!("{indent}{key}: {}", plain(other)))?,
         }
     }
+    Ok(())
 }
 
 fn plain(value: &Value) -> String {

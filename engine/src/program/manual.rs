@@ -1,6 +1,5 @@
 //! `completions` and `man`: what shells and `man` want to know of the command line.
 
-use std::io::Write;
 use std::path::Path;
 
 use clap::CommandFactory;
@@ -9,6 +8,7 @@ use streamsplat::output::{prepare_folder, write_file};
 
 use super::cli::Cli;
 use super::failure::Failure;
+use super::print;
 
 /// Prints the completions of a shell.
 pub fn completions(shell: Shell) -> Result<(), Failure> {
@@ -35,9 +35,4 @@ fn page(command: &clap::Command) -> Result<Vec<u8>, Failure> {
     let mut text = Vec::new();
     clap_mangen::Man::new(command.clone()).render(&mut text).map_err(Failure::work)?;
     Ok(text)
-}
-
-fn print(text: &[u8]) -> Result<(), Failure> {
-    let failed = |e| Failure::work(format!("standard output: cannot write: {e}"));
-    std::io::stdout().write_all(text).map_err(failed)
 }

@@ -55,8 +55,7 @@ pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(e) if matches!(e.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
-            let _ = write!(std::io::stdout(), "{e}");
-            return ExitCode::SUCCESS;
+            return finish(print(e.to_string().as_bytes()));
         }
         Err(e) => return finish(Err(Failure::Usage(one_line(&e)))),
     };
@@ -109,7 +108,18 @@ fn one_line(error: &clap::Error) -> String {
     words.join(" ")
 }
 
-/// Prints a line on standard output; a reader that has gone away is no failure of the work.
-fn say(line: impl std::fmt::Display) {
-    let _ = writeln!(std::io::stdout(), "{line}");
+/// Prints a line on standard output.
+fn say(line: impl std::fmt::Display) -> Result<(), Failure> {
+    print(format!("{line}\n").as_bytes())
+}
+
+/// Writes to standard output; a reader that has gone away is no failure of the work.
+fn print(text: &[u8]) -> Result<(), Failure> {
+    let mut out = std::io::stdout();
+    match out.write_all(text).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(Failure::work(format!("standard output: cannot write: {e}")))
+        }
+        _ => Ok(()),
+    }
 }

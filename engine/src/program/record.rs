@@ -5,11 +5,15 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
+use streamsplat::import::read_text;
 use streamsplat::stream::{StageWork, Work, Workers};
 
 use super::cli::{RenderOptions, RunOptions};
 use super::failure::Failure;
 use super::{digest, machine};
+
+/// Longest record read, in bytes.
+const MAX_RECORD: u64 = 1 << 28;
 
 /// What `program` says.
 pub const PROGRAM: &str = "streamsplat";
@@ -240,11 +244,7 @@ impl Record {
     /// Reads a `run.json`.
     pub fn read(path: &Path) -> Result<Record, Failure> {
         let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", path.display()));
-        let size = std::fs::metadata(path).map_err(|e| wrong(&e))?.len();
-        if size > 1 << 28 {
-            return Err(wrong(&format!("{size} bytes are too many for a run.json")));
-        }
-        let text = std::fs::read_to_string(path).map_err(|e| wrong(&e))?;
+        let text = read_text(path, MAX_RECORD).map_err(|e| wrong(&e))?;
         Record::parse(&text).map_err(|e| wrong(&e))
     }
 

@@ -24,7 +24,7 @@ pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     let record = render(&args.scene, &mut place, &args.options, &args.machine, console)?;
     report::finish(&record, place.destination(), args.json.as_deref())?;
     if !console.quiet && args.out != Path::new("-") {
-        say(report::summary(&record, &args.out));
+        say(report::summary(&record, &args.out))?;
     }
     Ok(())
 }
@@ -46,7 +46,7 @@ pub fn render(
     [views.options.depth, views.options.alpha] = emit.planes();
     times::check_rate(options.fps)?;
     let workers = machine.workers()?;
-    let scene = match import::open(path)? {
+    let scene = match import::open(path, &options.limit.limits())? {
         Opened::Moving(scene) => scene,
         Opened::Still(file) => {
             return still::render(file, place, options, &views, emit, &workers, console, start);

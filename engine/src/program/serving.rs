@@ -30,7 +30,7 @@ impl Serving {
     /// Serves on this machine alone.
     pub fn start(port: u16, input: &Path, fps: f64, console: &Console) -> Result<Serving, Failure> {
         let live = Arc::new(Live::new(title(input), fps, KEPT));
-        let server = Server::start(SocketAddr::from((Ipv4Addr::LOCALHOST, port)), live.clone())?;
+        let server = Server::start(SocketAddr::from((Ipv4Addr::LOCALHOST, port)), &[], live.clone())?;
         if !console.quiet {
             // Standard output may carry the video.
             let _ = writeln!(std::io::stderr(), "http://{}/", server.address());

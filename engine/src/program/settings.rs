@@ -6,6 +6,7 @@ use std::str::FromStr;
 use streamsplat::camera::{self, CameraPath};
 use streamsplat::depth::{NetworkOptions, Range};
 use streamsplat::gap::Gap;
+use streamsplat::import::read_text;
 use streamsplat::render::Backend;
 use streamsplat::stream::{DepthRange, Fade, FlowEffort, MaxAge, ModelSource, MotionFrom, Quality, Reuse, Settings};
 use streamsplat::{RenderOptions, Size};
@@ -57,7 +58,10 @@ impl Stream {
         let quality = match (&self.quality, self.model.source()) {
             (Some(name), _) => choice("--quality", name)?,
             (None, ModelSource::Embedded) => Quality::default(),
-            (None, _) => return Ok(stream),
+            (None, _) => {
+                stream.gap = Some(self.gap()?.to_string());
+                return Ok(stream);
+            }
         };
         let preset = quality.preset();
         stream.quality = Some(quality.name().to_owned());
@@ -164,11 +168,7 @@ impl View {
             None => CameraPath::default(),
             Some(file) => {
                 let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", file.display()));
-                let size = std::fs::metadata(file).map_err(|e| wrong(&e))?.len();
-                if size > MAX_CAMERA {
-                    return Err(wrong(&format!("expected a camera file of at most {MAX_CAMERA} bytes, found {size}")));
-                }
-                let text = std::fs::read_to_string(file).map_err(|e| wrong(&e))?;
+                let text = read_text(file, MAX_CAMERA).map_err(|e| wrong(&e))?;
                 camera::file::parse(&text).map_err(|e| wrong(&e))?
             }
         };

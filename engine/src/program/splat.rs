@@ -1,25 +1,35 @@
 //! `splat`: draws the Gaussians of a safetensors file.
 
 use safetensors::tensor::{Dtype, TensorView};
+use streamsplat::import::read_file;
 use streamsplat::output::write_file;
-use streamsplat::splats::Splats;
+use streamsplat::splats::{Splats, SplatsError};
 use streamsplat_kernels::raster;
+use streamsplat_model::checkpoint::Checkpoint;
 
 use super::cli::SplatArgs;
 use super::failure::Failure;
 
-/// Largest file read, in bytes.
-const MAX_FILE: u64 = 16 << 30;
+/// Bytes of a Gaussian at most: 14 numbers in binary64.
+const RECORD: u64 = 112;
+/// Bytes of everything else.
+const MAX_OVERHEAD: u64 = 1 << 20;
 
 /// Reads, draws, writes.
 pub fn command(args: &SplatArgs) -> Result<(), Failure> {
     let workers = args.machine.workers()?;
     let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", args.scene.display()));
-    let size = std::fs::metadata(&args.scene).map_err(|e| wrong(&e))?.len();
-    if size > MAX_FILE {
-        return Err(wrong(&format!("{size} bytes are more than this program reads")));
+    // Tensors are counted before they are read.
+    let file = Checkpoint::open(&args.scene)?;
+    let mean = file.tensors().get("mean").ok_or_else(|| wrong(&SplatsError::Missing("mean")))?;
+    let count = mean.shape.first().copied().unwrap_or_default();
+    drop(file);
+    if count > args.limit.limits().gaussians {
+        let most = args.limit.limits().gaussians;
+        return Err(wrong(&format!("mean: expected at most {most} Gaussians (--limit-gaussians), found {count}")));
     }
-    let bytes = std::fs::read(&args.scene).map_err(|e| wrong(&e))?;
+    let most = (count as u64).saturating_mul(RECORD) + MAX_OVERHEAD;
+    let bytes = read_file(&args.scene, most).map_err(|e| wrong(&e))?;
     let scene = Splats::from_safetensors(&bytes).map_err(|e| wrong(&e))?;
     drop(bytes);
     let image =

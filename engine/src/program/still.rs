@@ -101,7 +101,7 @@ pub fn export(
     };
     let bytes = write_file(&path, &write(&Drawable::new(file.still, workers)?))?.bytes;
     if !console.quiet {
-        say(format!("{}: 1 file, {bytes} bytes", args.out.display()));
+        say(format!("{}: 1 file, {bytes} bytes", args.out.display()))?;
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! Ctrl-C: the first one lets the interval at hand finish, the second one ends the program.
+//! Ctrl-C, or a request to terminate: the first one lets the interval at hand finish, the second one ends the program.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 

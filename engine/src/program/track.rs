@@ -1,7 +1,6 @@
 //! `track`: the identity under a pixel and its path through time.
 
 use std::fmt::Write as _;
-use std::io::Write as _;
 
 use serde::Serialize;
 use streamsplat::import::open_moving;
@@ -11,7 +10,7 @@ use streamsplat::stream::{Track, TrackPoint, Workers};
 
 use super::cli::{Console, TrackArgs};
 use super::failure::Failure;
-use super::{say, settings, times};
+use super::{print, say, settings, times};
 
 /// What is found, as JSON.
 #[derive(Serialize)]
@@ -54,7 +53,7 @@ pub fn command(args: &TrackArgs, console: &Console) -> Result<(), Failure> {
     let asked = args.times.as_deref().map(settings::times).transpose()?;
     times::check_rate(args.fps)?;
     let workers = args.machine.workers()?;
-    let scene = open_moving(&args.scene)?;
+    let scene = open_moving(&args.scene, &args.limit.limits())?;
     let place = times::find(&scene, "--at", args.at)?;
     let [height, width] = scene.placement().source;
     let inside = |x: f64, side: usize| (-0.5..=side as f64 - 0.5).contains(&x);
@@ -94,12 +93,10 @@ pub fn command(args: &TrackArgs, console: &Console) -> Result<(), Failure> {
             write_file(file, table.as_bytes())?;
             if !console.quiet {
                 let (identity, rows, of) = (found.identity, found.path.len(), due.len());
-                say(format!("{}: identity {identity}, at {rows} of {of} times", file.display()));
+                say(format!("{}: identity {identity}, at {rows} of {of} times", file.display()))?;
             }
         }
-        None => std::io::stdout()
-            .write_all(table.as_bytes())
-            .map_err(|e| Failure::work(format!("standard output: cannot write: {e}")))?,
+        None => print(table.as_bytes())?,
     }
     Ok(())
 }

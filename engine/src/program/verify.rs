@@ -32,7 +32,7 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
         // Nothing of standard output's stays on disk.
         let found = if path.exists() { digest::file(&path)? } else { "none: the file is missing".to_owned() };
         if found != expected.blake3 {
-            differ(console, &path.display().to_string(), &expected.blake3, &found);
+            differ(console, &path.display().to_string(), &expected.blake3, &found)?;
             differing.push(path);
         }
     }
@@ -85,7 +85,7 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
         ("the input", record.input.blake3.clone(), again.input.blake3.clone()),
     ] {
         if expected != found {
-            differ(console, what, &expected, &found);
+            differ(console, what, &expected, &found)?;
             differing.push(what.into());
         }
     }
@@ -104,14 +104,14 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
         let (expected, found) = (digest(&record), digest(&again));
         if expected != found {
             let name = format!("{name}, repeated");
-            differ(console, &name, &expected, &found);
+            differ(console, &name, &expected, &found)?;
             differing.push(name.into());
         }
     }
     let runtime = |record: &Record| record.depth.as_ref().map_or_else(String::new, |network| network.runtime.clone());
     if !differing.is_empty() && runtime(&record) != runtime(&again) {
         // No difference in itself, but another runtime's arithmetic may be one.
-        differ(console, "what runs the depth network", &runtime(&record), &runtime(&again));
+        differ(console, "what runs the depth network", &runtime(&record), &runtime(&again))?;
     }
     if let Some(first) = differing.first() {
         let (count, of) = (differing.len(), record.outputs.len());
@@ -130,13 +130,11 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
                 record.renderer
             ),
         };
-        say(format!("{}: {files} files, all digests equal ({threads} threads, {isa}){images}", record_path.display()));
+        say(format!("{}: {files} files, all digests equal ({threads} threads, {isa}){images}", record_path.display()))?;
     }
     Ok(())
 }
 
-fn differ(console: &Console, what: &str, expected: &str, found: &str) {
-    if !console.quiet {
-        say(format!("{what}: expected {expected}, found {found}"));
-    }
+fn differ(console: &Console, what: &str, expected: &str, found: &str) -> Result<(), Failure> {
+    if console.quiet { Ok(()) } else { say(format!("{what}: expected {expected}, found {found}")) }
 }

@@ -22,19 +22,20 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Serves until Ctrl-C, or writes the file.
 pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     let workers = args.machine.workers()?;
-    let scene = open_moving(&args.scene)?;
+    let scene = open_moving(&args.scene, &args.limit.limits())?;
     let source = Recorded::new(title(&args.scene), scene, workers);
     if let Some(file) = &args.html {
         let bytes = write_file(&source, file)?;
         if !console.quiet {
-            say(format!("{}: {bytes} bytes", file.display()));
+            say(format!("{}: {bytes} bytes", file.display()))?;
         }
         return Ok(());
     }
     stop::listen();
-    let server = Server::start(SocketAddr::new(args.host, args.port.unwrap_or(PORT)), Arc::new(source))?;
+    let server =
+        Server::start(SocketAddr::new(args.host, args.port.unwrap_or(PORT)), &args.allow_host, Arc::new(source))?;
     if !console.quiet {
-        say(format!("http://{}/ (Ctrl-C ends it)", server.address()));
+        say(format!("http://{}/ (Ctrl-C ends it)", server.address()))?;
     }
     while !stop::asked() {
         std::thread::sleep(LOOK);

@@ -24,7 +24,7 @@ pub use streamsplat_kernels::raster::Image;
 pub use view::{Snapshot, View, to_scene};
 
 use backend::Drawer;
-use streamsplat_kernels::raster::{self, Gaussians, Renderer, Request};
+use streamsplat_kernels::raster::{self, Gaussians, Renderer};
 
 use crate::camera::Camera;
 use crate::stream::{Interval, Workers};
@@ -90,15 +90,11 @@ impl Painter {
         if !camera.is_usable() {
             return Err(RenderError::Camera);
         }
-        let [height, width] = options.size.resolve(&interval.placement);
-        if [height, width].iter().any(|side| !(1..=raster::MAX_SIDE).contains(side)) {
-            return Err(RenderError::Size { most: raster::MAX_SIDE, width, height });
-        }
+        let size = options.size.resolve(&interval.placement);
+        let request = options.request(size)?;
         let mut seen = Snapshot::of(interval, time)?;
-        let view = View::new(camera, &interval.placement, [height, width]);
+        let view = View::new(camera, &interval.placement, size);
         self.left_out = 0;
-        let RenderOptions { background, depth, alpha, statistics, .. } = *options;
-        let request = Request { width, height, background, depth, alpha, statistics };
         let drawer = &mut self.drawer;
         self.workers.install(|| {
             view.apply(&mut seen.mean);

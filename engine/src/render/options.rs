@@ -1,5 +1,7 @@
 //! What an image is to be.
 
+use streamsplat_kernels::raster::{self, Request};
+
 use super::Backend;
 use crate::fit::Placement;
 
@@ -22,6 +24,30 @@ impl Default for RenderOptions {
     /// Colour at the model's own size, on grey.
     fn default() -> Self {
         Self { size: Size::Model, background: [0.5; 3], depth: false, alpha: false, statistics: false }
+    }
+}
+
+/// Bytes of a pixel beside its planes: lists of its tile, and its samples as they are written to a file.
+const BESIDE: usize = 16;
+
+impl RenderOptions {
+    /// What is asked of the rasteriser, for an image of this size.
+    ///
+    /// # Errors
+    /// Sides that cannot be drawn, and images for which there is no memory: it is asked for here, and given back, so that nothing
+    /// that follows ends the process.
+    pub(crate) fn request(&self, [height, width]: [usize; 2]) -> Result<Request, RenderError> {
+        if [height, width].iter().any(|side| !(1..=raster::MAX_SIDE).contains(side)) {
+            return Err(RenderError::Size { most: raster::MAX_SIDE, width, height });
+        }
+        let Self { background, depth, alpha, statistics, .. } = *self;
+        let planes = 3 + usize::from(depth) + usize::from(alpha) + 2 * usize::from(statistics);
+        // At most 2^32 pixels.
+        let bytes = width * height * (size_of::<f32>() * planes + BESIDE);
+        if Vec::<u8>::new().try_reserve_exact(bytes).is_err() {
+            return Err(RenderError::Memory { width, height, bytes });
+        }
+        Ok(Request { width, height, background, depth, alpha, statistics })
     }
 }
 
@@ -76,6 +102,16 @@ pub enum RenderError {
         width: usize,
         /// Rows.
         height: usize,
+    },
+    /// There is no memory for the image.
+    #[error("image size: no memory for {width}×{height} pixels, which take {bytes} bytes")]
+    Memory {
+        /// Pixels per row.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Bytes of the image and of what is made of it.
+        bytes: usize,
     },
     /// The camera has numbers that are not finite, or a lens that sees nothing.
     #[error("camera: expected finite numbers, positive extents and focal lengths")]

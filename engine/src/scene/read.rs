@@ -7,16 +7,15 @@ use std::path::{Path, PathBuf};
 use super::container::Container;
 use super::{FORMAT, INDEX, Index, IntervalEntry, SceneError, VERSION, from_safetensors};
 use crate::fit::Placement;
+use crate::import::{Limits, check_count, read_file};
 use crate::stream::{Interval, Workers};
 
 /// Largest index read, in bytes.
-const MAX_INDEX: u64 = 1 << 28;
+const MAX_INDEX: u64 = 1 << 26;
 /// Bytes that an interval's file needs beyond those of its records.
 const MAX_OVERHEAD: u64 = 1 << 20;
 /// Bytes of one Gaussian's record.
 const RECORD: u64 = 106;
-/// The most Gaussians of an interval, as in a container.
-const MOST_GAUSSIANS: u64 = 1 << 24;
 /// Bytes of one merge.
 const MERGE: u64 = 16;
 
@@ -41,6 +40,14 @@ impl Scene {
     /// # Errors
     /// An index that cannot be read, is of another format or version, or says something impossible.
     pub fn open(path: &Path) -> Result<Scene, SceneError> {
+        Scene::open_within(path, &Limits::default())
+    }
+
+    /// As [`Scene::open`], within other limits.
+    ///
+    /// # Errors
+    /// As there, and intervals of more Gaussians than allowed.
+    pub fn open_within(path: &Path, limits: &Limits) -> Result<Scene, SceneError> {
         let file = if path.is_file() {
             path.to_owned()
         } else if !path.join(INDEX).exists() && path.join("scene").join(INDEX).exists() {
@@ -51,11 +58,13 @@ impl Scene {
         let broken = |cause: String| SceneError::Broken { path: file.clone(), cause };
         if begins_as_container(&file)? {
             let (container, index) = Container::open(&file)?;
+            index.check_counts(limits).map_err(broken)?;
             let placement = index.placement.placement().ok_or_else(|| broken("placement".into()))?;
             return Ok(Scene { place: Place::Container(container), index, placement });
         }
-        let text = read_limited(&file, MAX_INDEX)?;
+        let text = read_file(&file, MAX_INDEX).map_err(unreadable(&file))?;
         let index = Index::from_json(&text).map_err(broken)?;
+        index.check_counts(limits).map_err(broken)?;
         // It was found to have one.
         let placement = index.placement.placement().ok_or_else(|| broken("no placement".into()))?;
         let folder = file.parent().unwrap_or(Path::new("")).to_owned();
@@ -112,7 +121,7 @@ impl Scene {
         if size != entry.bytes || size > most {
             return Err(broken(format!("expected {} bytes as {INDEX} says, found {size}", entry.bytes)));
         }
-        let bytes = read_limited(&path, size)?;
+        let bytes = read_file(&path, size).map_err(unreadable(&path))?;
         let found = blake3::hash(&bytes).to_hex();
         if found.as_str() != entry.blake3 {
             return Err(broken(format!("expected the digest {} as {INDEX} says, found {found}", entry.blake3)));
@@ -156,6 +165,15 @@ impl Index {
     }
 }
 
+impl Index {
+    /// An error where an interval has more Gaussians than allowed.
+    fn check_counts(&self, limits: &Limits) -> Result<(), String> {
+        let check =
+            |(i, entry): (usize, &IntervalEntry)| check_count(&format!("interval {i}"), entry.gaussians, limits);
+        self.intervals.iter().enumerate().try_for_each(check).map_err(|e| e.to_string())
+    }
+}
+
 impl IntervalEntry {
     /// An error unless it follows the time `before`, names a file in the scene's folder, and counts what can be read.
     fn check(&self, before: f64) -> Result<(), String> {
@@ -166,7 +184,7 @@ impl IntervalEntry {
         if file.contains(['/', '\\']) || file.starts_with('.') {
             return Err(format!("expected a file name without a folder, found {file:?}"));
         }
-        if *gaussians as u64 > MOST_GAUSSIANS {
+        if *gaussians as u64 > (1 << 40) / RECORD {
             return Err(format!("{gaussians} Gaussians are more than this program reads"));
         }
         Ok(())
@@ -180,16 +198,7 @@ fn begins_as_container(path: &Path) -> Result<bool, SceneError> {
     Ok(Container::begins(&head))
 }
 
-fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> {
-    let read = |cause| SceneError::Read { path: path.to_owned(), cause };
-    let file = File::open(path).map_err(read)?;
-    let size = file.metadata().map_err(read)?.len();
-    if size > limit {
-        let cause = format!("expected at most {limit} bytes, found {size}");
-        return Err(SceneError::Broken { path: path.to_owned(), cause });
-    }
-    let mut bytes = Vec::new();
-    bytes.try_reserve_exact(size as usize).map_err(|e| read(e.into()))?;
-    file.take(limit).read_to_end(&mut bytes).map_err(read)?;
-    Ok(bytes)
+fn unreadable(path: &Path) -> impl Fn(std::io::Error) -> SceneError {
+    let path = path.to_owned();
+    move |cause| SceneError::Read { path: path.clone(), cause }
 }

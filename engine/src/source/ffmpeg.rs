@@ -31,7 +31,8 @@ impl Ffmpeg {
         let mut url = std::ffi::OsString::from("file:");
         url.push(path);
         let child = Command::new("ffmpeg")
-            .args(["-nostdin", "-v", "error", "-i"])
+            // A playlist may name other files, but nothing on a network.
+            .args(["-nostdin", "-v", "error", "-protocol_whitelist", "file", "-i"])
             .arg(url)
             .args(["-map", "0:v:0", "-sws_flags", "+accurate_rnd+bitexact"])
             .args(["-strict", "-1", "-f", "yuv4mpegpipe", "-"])

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 use streamsplat_kernels::harmonics::{self, Eye};
 use streamsplat_kernels::math::f64::exp;
-use streamsplat_kernels::raster::{self, Gaussians, Image, Request};
+use streamsplat_kernels::raster::{Gaussians, Image};
 
 use super::Still;
 use crate::camera::{Camera, Lens, Pose, Rotation};
@@ -147,12 +147,8 @@ impl Painter {
             return Err(RenderError::Camera);
         }
         let Size::Exact { width, height } = options.size else { return Err(RenderError::NoOwnSize) };
-        if [height, width].iter().any(|side| !(1..=raster::MAX_SIDE).contains(side)) {
-            return Err(RenderError::Size { most: raster::MAX_SIDE, width, height });
-        }
+        let request = options.request([height, width])?;
         let view = View::posed(pose, lens, [height, width]);
-        let RenderOptions { background, depth, alpha, statistics, .. } = *options;
-        let request = Request { width, height, background, depth, alpha, statistics };
         let Drawable { still, scale, rotation, opacity, groups } = scene;
         let window = Window::new(&view, [height, width]);
         let places = groups.as_ref().zip(window);

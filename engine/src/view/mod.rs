@@ -7,6 +7,7 @@
 //! The page draws in the browser's arithmetic: its image is close to [`Interval::render`](crate::stream::Interval::render)'s, and
 //! outside the contract of equal bits.
 
+pub mod http;
 pub mod packet;
 mod page;
 mod server;

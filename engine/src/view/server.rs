@@ -1,34 +1,18 @@
 //! The page and its scene over HTTP.
 
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 
-use tiny_http::{Header, Method, Request, Response};
-
+use super::http::{Answer, Hosts, Listener, Request};
 use super::{Source, page};
 
-/// Requests answered at the same time.
-const THREADS: usize = 3;
-/// How long a thread waits for a request before it looks whether it should end.
-const WAIT: Duration = Duration::from_millis(100);
-
-/// Why nothing is served.
+/// Nothing is served: the address is taken, or not ours, or there is no thread.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ServeError {
-    /// The address is taken, or not ours.
-    #[error("cannot serve on {address}: {cause}")]
-    Address {
-        /// The address.
-        address: SocketAddr,
-        /// The system's answer.
-        cause: String,
-    },
-    /// Threads cannot be started.
-    #[error("cannot start a thread: {0}")]
-    Thread(std::io::Error),
+#[error("cannot serve on {address}: {cause}")]
+pub struct ServeError {
+    address: SocketAddr,
+    cause: std::io::Error,
 }
 
 /// Serves a page until it is dropped; an answer under way may take longer.
@@ -39,52 +23,39 @@ pub enum ServeError {
 /// | `/scene.json?from=N` | the [`Description`](super::Description), its intervals from number N on |
 /// | `/interval/N` | a [`packet`](mod@super::packet) |
 ///
-/// Anything else is not found; other methods than GET and HEAD are refused. On a loopback address requests that name another
-/// host than this machine are refused too, so that no web page can reach the scene under a name of its own.
+/// Anything else is not found. [`mod@super::http`] says what is refused, and what clients can take.
 pub struct Server {
-    address: SocketAddr,
-    ending: Arc<AtomicBool>,
+    listener: Listener,
     asked: Arc<AtomicBool>,
 }
 
-/// What answers requests.
-struct Answers {
-    source: Arc<dyn Source>,
-    page: String,
-    local: bool,
-}
-
 impl Server {
-    /// Serves `source` on `address`; port 0 takes any free port.
+    /// Serves `source` on `address`; port 0 takes any free port. Requests may give the server these `names`, beside those of
+    /// [`Hosts::of`].
     ///
     /// # Errors
     /// An address that cannot be listened on.
-    pub fn start(address: SocketAddr, source: Arc<dyn Source>) -> Result<Server, ServeError> {
-        let failed = |cause: &dyn std::fmt::Display| ServeError::Address { address, cause: cause.to_string() };
-        let http = Arc::new(tiny_http::Server::http(address).map_err(|e| failed(&e))?);
-        let address = http.server_addr().to_ip().ok_or_else(|| failed(&"no network address"))?;
+    pub fn start(address: SocketAddr, names: &[String], source: Arc<dyn Source>) -> Result<Server, ServeError> {
         let (before, after) = page::halves();
-        let answers = Arc::new(Answers { source, page: before + &after, local: address.ip().is_loopback() });
-        let server = Server { address, ending: Arc::default(), asked: Arc::default() };
-        for _ in 0..THREADS {
-            let (http, answers) = (http.clone(), answers.clone());
-            let (ending, asked) = (server.ending.clone(), server.asked.clone());
-            let work = move || {
-                while !ending.load(Ordering::SeqCst) {
-                    if let Ok(Some(request)) = http.recv_timeout(WAIT) {
-                        asked.store(true, Ordering::SeqCst);
-                        answers.answer(request);
-                    }
-                }
-            };
-            std::thread::Builder::new().spawn(work).map_err(ServeError::Thread)?;
-        }
-        Ok(server)
+        let page: Arc<[u8]> = (before + &after).into_bytes().into();
+        let asked = Arc::new(AtomicBool::new(false));
+        let flag = asked.clone();
+        let answer = move |request: &Request| {
+            flag.store(true, Ordering::SeqCst);
+            match request.path.as_str() {
+                "/" => Answer { status: 200, media_type: "text/html; charset=utf-8", body: page.clone() },
+                "/scene.json" => description(&*source, &request.query),
+                path => interval(&*source, path),
+            }
+        };
+        let listener = Listener::start(address, Hosts::of(address.ip(), names), answer)
+            .map_err(|cause| ServeError { address, cause })?;
+        Ok(Server { listener, asked })
     }
 
     /// Where it listens.
     pub fn address(&self) -> SocketAddr {
-        self.address
+        self.listener.address()
     }
 
     /// Whether anything was asked for since this was last called.
@@ -93,82 +64,24 @@ impl Server {
     }
 }
 
-impl Drop for Server {
-    fn drop(&mut self) {
-        // The threads are not waited for: one may be writing to a browser that has stopped reading.
-        self.ending.store(true, Ordering::SeqCst);
+fn description(source: &dyn Source, query: &str) -> Answer {
+    let from = query.split('&').find_map(|pair| pair.strip_prefix("from="));
+    let Ok(from) = from.map_or(Ok(0), str::parse) else {
+        return Answer::text(400, "from: expected a number of an interval\n");
+    };
+    match serde_json::to_vec(&source.describe(from)) {
+        Ok(json) => Answer { status: 200, media_type: "application/json", body: json.into() },
+        Err(e) => Answer::text(500, &format!("{e}\n")),
     }
 }
 
-impl Answers {
-    /// Answers; a reader that has gone away is nobody's failure.
-    fn answer(&self, request: Request) {
-        let (path, query) = request.url().split_once('?').unwrap_or((request.url(), ""));
-        let known = [Method::Get, Method::Head].contains(request.method());
-        let (status, kind, body): (u16, &str, Arc<[u8]>) = if !(known && self.is_for_us(&request)) {
-            (403, TEXT, b"refused\n"[..].into())
-        } else {
-            match path {
-                "/" => (200, "text/html; charset=utf-8", self.page.as_bytes().into()),
-                "/scene.json" => self.description(query),
-                _ => self.interval(path),
-            }
-        };
-        let length = body.len();
-        let headers = [
-            ("Content-Type", kind),
-            ("Cache-Control", "no-store"),
-            ("X-Content-Type-Options", "nosniff"),
-            ("Referrer-Policy", "no-referrer"),
-        ];
-        let headers = headers.iter().filter_map(|(name, value)| Header::from_bytes(*name, *value).ok()).collect();
-        let body = std::io::Cursor::new(body);
-        // With its length, never in chunks.
-        let _ = request.respond(
-            Response::new(status.into(), headers, body, Some(length), None).with_chunked_threshold(usize::MAX),
-        );
+fn interval(source: &dyn Source, path: &str) -> Answer {
+    let number = path.strip_prefix("/interval/").and_then(|n| n.parse().ok());
+    match number.map(|i| source.packet(i)) {
+        Some(Ok(Some(body))) => Answer { status: 200, media_type: "application/octet-stream", body },
+        Some(Err(e)) => Answer::text(500, &format!("{e}\n")),
+        Some(Ok(None)) | None => Answer::text(404, "not found\n"),
     }
-
-    /// Whether the request names this machine, where only it should.
-    fn is_for_us(&self, request: &Request) -> bool {
-        let host = request.headers().iter().find(|h| h.field.equiv("Host"));
-        !self.local || host.is_none_or(|host| is_local(host.value.as_str()))
-    }
-
-    fn description(&self, query: &str) -> (u16, &'static str, Arc<[u8]>) {
-        let from = query.split('&').find_map(|pair| pair.strip_prefix("from="));
-        match (from.map_or(Ok(0), str::parse), "from: expected a number of an interval\n") {
-            (Ok(from), _) => match serde_json::to_vec(&self.source.describe(from)) {
-                Ok(json) => (200, "application/json", json.into()),
-                Err(e) => (500, TEXT, format!("{e}\n").into_bytes().into()),
-            },
-            (Err(_), message) => (400, TEXT, message.as_bytes().into()),
-        }
-    }
-
-    fn interval(&self, path: &str) -> (u16, &'static str, Arc<[u8]>) {
-        let number = path.strip_prefix("/interval/").and_then(|n| n.parse().ok());
-        match number.map(|i| self.source.packet(i)) {
-            Some(Ok(Some(packet))) => (200, "application/octet-stream", packet),
-            Some(Err(e)) => (500, TEXT, format!("{e}\n").into_bytes().into()),
-            Some(Ok(None)) | None => (404, TEXT, b"not found\n"[..].into()),
-        }
-    }
-}
-
-const TEXT: &str = "text/plain; charset=utf-8";
-
-/// Whether a `Host` header names this machine as it names itself.
-fn is_local(host: &str) -> bool {
-    if let Ok(address) = host.parse::<SocketAddr>() {
-        return address.ip().is_loopback();
-    }
-    let bare = host.strip_prefix('[').and_then(|h| h.strip_suffix(']')).unwrap_or(host);
-    if let Ok(address) = bare.parse::<IpAddr>() {
-        return address.is_loopback();
-    }
-    let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
-    name.eq_ignore_ascii_case("localhost")
 }
 
 #[cfg(test)]
@@ -196,7 +109,8 @@ mod tests {
 
     fn server() -> Server {
         let live = Live::new("a \"stream\"", 24.0, 1 << 20);
-        Server::start(SocketAddr::from(([127, 0, 0, 1], 0)), Arc::new(live)).expect("a free port")
+        Server::start(SocketAddr::from(([127, 0, 0, 1], 0)), &["box.example".into()], Arc::new(live))
+            .expect("a free port")
     }
 
     #[test]
@@ -219,7 +133,12 @@ mod tests {
             assert_eq!(get(&server, path, "[::1]:3").0, expected, "{path}");
         }
         let post = "POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
-        assert_eq!(ask(&server, post).0, 403);
+        let (status, text) = ask(&server, post);
+        assert!(status == 405 && text.contains("Allow: GET, HEAD"), "{text}");
+        let (status, head) = ask(&server, "HEAD / HTTP/1.1\r\nHost: localhost\r\n\r\n");
+        let body = page.split_once("\r\n\r\n").expect("a head").1;
+        let length = format!("Content-Length: {}\r\n", body.len());
+        assert!(status == 200 && head.ends_with("\r\n\r\n") && head.contains(&length), "{head}");
     }
 
     #[test]
@@ -228,7 +147,7 @@ mod tests {
         for host in ["evil.example", "evil.example:8080", "127.0.0.1.evil.example", "10.0.0.1"] {
             assert_eq!(get(&server, "/", host).0, 403, "{host}");
         }
-        for host in ["LOCALHOST:1", "127.0.0.1", "127.8.9.1:5", "[::1]"] {
+        for host in ["LOCALHOST:1", "127.0.0.1", "127.8.9.1:5", "[::1]", "box.example:8707"] {
             assert_eq!(get(&server, "/", host).0, 200, "{host}");
         }
     }
@@ -238,14 +157,9 @@ mod tests {
         let first = server();
         let address = first.address();
         let source = || Arc::new(Live::new("b", 1.0, 0));
-        let error = Server::start(address, source()).err().expect("taken").to_string();
+        let error = Server::start(address, &[], source()).err().expect("taken").to_string();
         assert!(error.contains(&address.to_string()), "{error}");
         drop(first);
-        // The listener closes a moment after its last user.
-        let again = (0..50).find_map(|_| {
-            std::thread::sleep(Duration::from_millis(20));
-            Server::start(address, source()).ok()
-        });
-        assert!(again.is_some());
+        Server::start(address, &[], source()).expect("free again");
     }
 }

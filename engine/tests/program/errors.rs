@@ -239,3 +239,19 @@ fn tensors_that_do_not_fit_are_named() {
     assert!(text.contains("tensor mean is missing"), "{text}");
     assert!(!out.exists());
 }
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_behind_standard_output_is_a_failure() {
+    let scratch = Scratch::new();
+    let out = scratch.path("out");
+    run_ok(&scratch.clip("clip", 2, 40, 24), &out, &["--quiet"]);
+    let (record, model) = (out.join("run.json"), model());
+    for words in
+        [&["inspect".as_ref(), model.as_os_str()][..], &["verify".as_ref(), record.as_os_str()], &["--help".as_ref()]]
+    {
+        let full = std::fs::File::options().write(true).open("/dev/full").expect("there");
+        let output = command().args(words).stdout(full).output().expect("the program starts");
+        assert!(fails(&output, 1).contains("standard output: cannot write"), "{words:?}");
+    }
+}

@@ -220,3 +220,106 @@ fn a_spoilt_record_of_a_run_is_an_error_in_one_line() {
     }
     fails(&verify("{\"a\":".repeat(100_000).as_bytes()), 1);
 }
+
+/// As [`confined`], and the most that was resident at any time, in KiB.
+#[cfg(target_os = "linux")]
+fn measured<I: AsRef<OsStr>>(arguments: impl IntoIterator<Item = I>) -> (Output, u64) {
+    let mut child = Command::new("sh");
+    child.arg("-c").arg(format!("ulimit -v {ADDRESS_SPACE}; exec \"$0\" \"$@\""));
+    child
+        .arg(command().get_program())
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
+    let mut child = child.spawn().expect("a shell starts");
+    let (status, mut most) = (format!("/proc/{}/status", child.id()), 0);
+    while child.try_wait().expect("a child").is_none() {
+        let text = std::fs::read_to_string(&status).unwrap_or_default();
+        let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or("0");
+        most = most.max(line.trim().trim_end_matches(" kB").parse().unwrap_or(0));
+    }
+    (child.wait_with_output().expect("a child"), most)
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn what_would_fill_the_memory_is_refused_in_little_memory() {
+    let scratch = Scratch::new();
+    let out = scratch.path("out");
+    run_ok(&scratch.clip("clip", 2, 40, 24), &out, &["--quiet"]);
+    let rendered = scratch.path("rendered");
+    let refused = |words: &[&OsStr], code: i32, expected: &str| {
+        let (output, most) = measured(words);
+        let text = fails(&output, code);
+        assert!(text.contains(expected), "{text}");
+        assert!(most < 100_000, "{most} KiB for {words:?}");
+    };
+    let words = |scene: &Path, more: &[&str]| -> Vec<std::ffi::OsString> {
+        let mut words = vec!["render".into(), scene.into(), "--out".into(), rendered.clone().into()];
+        words.extend(more.iter().map(Into::into));
+        words
+    };
+    let check = |scene: &Path, more: &[&str], expected: &str| {
+        let words = words(scene, more);
+        refused(&words.iter().map(AsRef::as_ref).collect::<Vec<_>>(), 1, expected);
+    };
+    // 30 kB that stand for 1.5 million Gaussians.
+    let mut spz = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+    let count = 1_500_000_u32;
+    let head =
+        [b"NGSP".to_vec(), 3_u32.to_le_bytes().to_vec(), count.to_le_bytes().to_vec(), vec![0, 12, 0, 0]].concat();
+    spz.write_all(&head).and_then(|()| spz.write_all(&vec![0; 20 * count as usize])).expect("memory");
+    let bytes = spz.finish().expect("memory");
+    assert!(bytes.len() < 32_000, "{}", bytes.len());
+    let file = write(scratch.path("bomb.spz"), &bytes);
+    check(&file, &[], "points: expected at most");
+    // More than is read where nothing else is said, and an option that says so.
+    let ply = |count: u64| {
+        let names = [
+            "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",
+            "rot_2", "rot_3",
+        ];
+        let properties: String = names.iter().map(|name| format!("property float {name}\n")).collect();
+        let head = format!("ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n");
+        let file = write(scratch.path("bomb.ply"), head.as_bytes());
+        let length = head.len() as u64 + 56 * count;
+        std::fs::File::options().write(true).open(&file).and_then(|f| f.set_len(length)).expect("writable");
+        file
+    };
+    check(&ply(1000), &["--limit-gaussians", "999"], "expected at most 999 Gaussians");
+    // An interval that is a hole of a tebibyte.
+    let scene = out.join("scene");
+    let name = "interval-000001.safetensors";
+    let length = 1_u64 << 40;
+    sparse(scene.join(name), length);
+    let index = std::fs::read_to_string(scene.join("scene.json")).expect("readable");
+    let mut index: serde_json::Value = serde_json::from_str(&index).expect("JSON");
+    index["intervals"][1]["bytes"] = length.into();
+    std::fs::write(scene.join("scene.json"), index.to_string()).expect("writable");
+    check(&out, &[], name);
+    index["intervals"][1]["gaussians"] = (1_u64 << 25).into();
+    std::fs::write(scene.join("scene.json"), index.to_string()).expect("writable");
+    check(&out, &[], "expected at most 16777216 Gaussians");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn images_for_which_there_is_no_memory_are_refused() {
+    let scratch = Scratch::new();
+    let (out, rendered) = (scratch.path("out"), scratch.path("rendered"));
+    run_ok(&scratch.clip("clip", 2, 40, 24), &out, &["--quiet"]);
+    for size in ["40000x40000", "60000x60000"] {
+        let words = [
+            "render".as_ref(),
+            out.as_os_str(),
+            "--size".as_ref(),
+            size.as_ref(),
+            "--out".as_ref(),
+            rendered.as_os_str(),
+        ];
+        let (output, most) = measured(words);
+        assert!(fails(&output, 1).contains("no memory for"), "{size}");
+        assert!(most < 100_000, "{most} KiB");
+    }
+}

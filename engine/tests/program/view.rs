@@ -3,6 +3,8 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use crate::support::{Scratch, command, fails, files, model, run_ok};
 
@@ -36,7 +38,7 @@ impl Drop for Ending {
 }
 
 #[test]
-fn a_scene_is_served_until_interrupted_and_the_file_holds_the_same() {
+fn a_scene_is_served_until_terminated_and_the_file_holds_the_same() {
     let scratch = Scratch::new();
     let out = scratch.path("out");
     run_ok(&scratch.clip("clip", 3, 40, 24), &out, &["--quiet"]);
@@ -56,7 +58,7 @@ fn a_scene_is_served_until_interrupted_and_the_file_holds_the_same() {
     let packet = get(&address, "/interval/2");
     assert!(packet.starts_with(b"sspk") && packet.len() > 1000);
     if cfg!(unix) {
-        let interrupt = Command::new("kill").args(["-INT", &view.0.id().to_string()]).status();
+        let interrupt = Command::new("kill").args(["-TERM", &view.0.id().to_string()]).status();
         assert!(interrupt.expect("kill starts").success());
         assert_eq!(view.0.wait().expect("it ends").code(), Some(0));
     }
@@ -73,7 +75,7 @@ fn a_run_that_is_watched_writes_the_same_bytes() {
     let mut run = Ending(run.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts"));
     let address = address(run.0.stderr.take().expect("piped"));
     // Whoever asks hears of the end before the program ends.
-    let end = std::time::Instant::now() + std::time::Duration::from_secs(60);
+    let end = std::time::Instant::now() + Duration::from_secs(60);
     loop {
         let scene: serde_json::Value = serde_json::from_slice(&get(&address, "/scene.json")).expect("JSON");
         assert_eq!(scene["live"].as_bool(), Some(true));
@@ -82,10 +84,80 @@ fn a_run_that_is_watched_writes_the_same_bytes() {
             break;
         }
         assert!(std::time::Instant::now() < end, "it does not end");
-        std::thread::sleep(std::time::Duration::from_millis(20));
+        std::thread::sleep(Duration::from_millis(20));
     }
     assert_eq!(run.0.wait().expect("it ends").code(), Some(0));
     assert!(files(&watched) == files(&alone));
+}
+
+/// Connects and misbehaves until it is told to stop; `kind` says how.
+fn attack(host: &str, kind: usize, stop: &AtomicBool) -> usize {
+    let mut attempts = 0;
+    let mut kept = Vec::new();
+    while !stop.load(Ordering::SeqCst) {
+        let Ok(mut stream) = TcpStream::connect(host) else { continue };
+        attempts += 1;
+        let timeout = Some(Duration::from_millis(50));
+        stream.set_read_timeout(timeout).and_then(|()| stream.set_write_timeout(timeout)).expect("a socket");
+        let head = format!("Host: {host}\r\n");
+        let sent = match kind {
+            // Bodies that are announced and never sent.
+            0 => format!("POST / HTTP/1.1\r\n{head}Content-Length: 1000000000000000\r\n\r\n").into_bytes(),
+            1 => format!("GET / HTTP/1.1\r\n{head}Content-Length: 18446744073709551615\r\n\r\n").into_bytes(),
+            // Many requests at once, none of whose answers is read.
+            2 => format!("GET / HTTP/1.1\r\n{head}\r\n").repeat(1000).into_bytes(),
+            // A line without an end.
+            3 => vec![b'a'; 4 << 20],
+            // Nothing at all.
+            4 => Vec::new(),
+            // Another's name, twice.
+            _ => b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n".to_vec(),
+        };
+        // The server may have closed the connection.
+        let _ = stream.write_all(&sent);
+        if kind == 5 {
+            let mut answer = [0; 12];
+            if stream.read_exact(&mut answer).is_ok() {
+                assert_eq!(&answer, b"HTTP/1.1 400");
+            }
+        } else {
+            kept.push(stream);
+            // Enough that every connection the server has is taken.
+            if kept.len() == 64 {
+                kept.clear();
+            }
+        }
+    }
+    attempts
+}
+
+#[test]
+fn a_run_under_attack_writes_the_same_bytes() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 24, 96, 64);
+    let (alone, attacked) = (scratch.path("alone"), scratch.path("attacked"));
+    run_ok(&clip, &alone, &["--quiet", "--gap", "2"]);
+    let mut run = command();
+    run.arg("run").arg(&clip).arg("--out").arg(&attacked).arg("--model").arg(model()).args(["--gap", "2", "--serve=0"]);
+    let mut run = Ending(run.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts"));
+    let address = address(run.0.stderr.take().expect("piped"));
+    let host = address.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let stop = AtomicBool::new(false);
+    let attempts: Vec<usize> = std::thread::scope(|scope| {
+        let attackers: Vec<_> = (0..6)
+            .map(|kind| {
+                scope.spawn({
+                    let (host, stop) = (&host, &stop);
+                    move || attack(host, kind, stop)
+                })
+            })
+            .collect();
+        assert_eq!(run.0.wait().expect("it ends").code(), Some(0));
+        stop.store(true, Ordering::SeqCst);
+        attackers.into_iter().map(|attacker| attacker.join().expect("no panic")).collect()
+    });
+    assert!(attempts.iter().all(|n| *n > 0), "{attempts:?}");
+    assert!(files(&attacked) == files(&alone));
 }
 
 #[test]

@@ -2,7 +2,8 @@
 //!
 //! Keys stand at the top or inside an object `config`; the latter win. Unknown keys are ignored.
 
-use std::io;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::Path;
 
 use serde_json::{Map, Value};
@@ -29,13 +30,13 @@ impl Settings {
     pub(crate) fn beside(checkpoint: &Path) -> Result<Settings, ModelError> {
         let path = checkpoint.with_extension("json");
         let file = path.display().to_string();
-        let size = std::fs::metadata(&path).map_or(0, |metadata| metadata.len());
-        if size > LONGEST {
-            let reason = format!("expected a configuration of at most {LONGEST} bytes, found {size}");
-            return Err(ModelError::Format { file, reason });
-        }
-        match std::fs::read_to_string(&path) {
-            Ok(text) => Settings::parse(&text, file),
+        let mut text = String::new();
+        match File::open(&path).and_then(|file| file.take(LONGEST + 1).read_to_string(&mut text)) {
+            Ok(length) if length as u64 > LONGEST => {
+                let reason = format!("expected a configuration of at most {LONGEST} bytes, found more");
+                Err(ModelError::Format { file, reason })
+            }
+            Ok(_) => Settings::parse(&text, file),
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 Ok(Settings::none(checkpoint.display().to_string()))
             }

@@ -175,6 +175,13 @@ def the_library_is_found_in_every_place(at):
     venv = Path(sys.prefix)
     works(run(clip, at / 'venv', *depth, env={**BARE, 'VIRTUAL_ENV': str(venv)}))
     works(run(clip, at / 'python', *depth, env={**BARE, 'PATH': str(venv / 'bin')}))
+    # Python is asked, but runs nothing that the environment or the working folder puts in its way.
+    (at / 'planted').mkdir()
+    for name in ('sitecustomize.py', 'onnxruntime.py', 'importlib.py'):
+        (at / 'planted' / name).write_text(f"open({str(at / 'ran')!r}, 'w')\n")
+    planted = {**BARE, 'VIRTUAL_ENV': str(venv), 'PYTHONPATH': str(at / 'planted')}
+    works(run(clip, at / 'isolated', *depth, env=planted))
+    assert not (at / 'ran').exists(), 'a file that PYTHONPATH leads to was run'
     (at / 'beside').mkdir()
     shutil.copy(PROGRAM, at / 'beside' / 'streamsplat')
     (at / 'beside' / LIBRARY.name).symlink_to(LIBRARY)

@@ -152,6 +152,7 @@ def test_errors_are_exceptions_that_say_what_was_expected(intervals, tmp_path):
         (streamsplat.Error, "expected 64×36 pixels", lambda: engine.push(np.zeros((64, 36, 3), np.uint8), 2.0)),
         (streamsplat.Error, "expected one between", lambda: intervals[-1].render(-1.0)),
         (ValueError, "size", lambda: intervals[-1].render(intervals[-1].end, size="big")),
+        (MemoryError, "no memory", lambda: intervals[-1].render(intervals[-1].end, size=(60000, 60000))),
         (ValueError, "background", lambda: intervals[-1].render(intervals[-1].end, background=2.0)),
         (ValueError, "camera", lambda: intervals[-1].render(intervals[-1].end, {"type": "fisheye"})),
         (OSError, "none.json", lambda: intervals[-1].render(intervals[-1].end, tmp_path / "none.json")),

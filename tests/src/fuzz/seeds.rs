@@ -344,3 +344,13 @@ pub(super) fn container() -> Vec<Vec<u8>> {
     writer.finish().expect("writable").expect("intervals");
     vec![std::fs::read(&path).expect("just written")]
 }
+
+pub(super) fn http() -> Vec<Vec<u8>> {
+    let heads = [
+        "GET / HTTP/1.1\r\nHost: localhost:8707\r\nAccept: text/html\r\n\r\n",
+        "HEAD /scene.json?from=12 HTTP/1.1\r\nHost: [::1]:80\r\nConnection: keep-alive\r\n\r\n",
+        "GET /interval/3 HTTP/1.0\r\nhost: 192.168.1.7\r\n\r\n",
+        "POST / HTTP/1.1\r\nHost: a.example\r\nContent-Length: 18446744073709551615\r\n\r\nbody",
+    ];
+    heads.map(|head| head.as_bytes().to_vec()).into()
+}

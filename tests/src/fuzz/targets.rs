@@ -201,3 +201,17 @@ fn assert_same_finite(a: &Image, b: &Image) {
     assert_eq!((&a.blended, a.dropped), (&b.blended, b.dropped), "levels differ");
     assert!(a_values.iter().all(|x| x.is_finite()), "a value that is not finite was drawn");
 }
+
+/// The head of a request to the page's server.
+pub(super) fn http(bytes: &[u8]) {
+    use streamsplat::view::http::{Hosts, Request};
+    let parsed = Request::parse(bytes);
+    if let Ok(Some(request)) = &parsed {
+        assert!(request.path.len() + request.query.len() + request.host.len() < bytes.len());
+        let loopback = Hosts::of([127, 0, 0, 1].into(), &[]);
+        let open = Hosts::of([0, 0, 0, 0].into(), &[]);
+        assert!(open.contain(&request.host) || !loopback.contain(&request.host), "{:?}", request.host);
+        // What comes after a head changes nothing about it.
+        assert_eq!(Request::parse(&[bytes, b"more"].concat()), parsed);
+    }
+}

@@ -1,13 +1,14 @@
 //! The vertices of a PLY file.
 
 use super::header::{Header, Kind, quoted};
-use crate::import::FormatError;
+use crate::import::{FormatError, Limits, check_count};
 use crate::still::Still;
 
 /// Vertices as bytes, one after another.
 pub(super) fn binary(
     header: &Header,
     body: &[u8],
+    limits: &Limits,
     float: fn([u8; 4]) -> f32,
     double: fn([u8; 8]) -> f64,
 ) -> Result<Still, FormatError> {
@@ -26,7 +27,7 @@ pub(super) fn binary(
         return Err(FormatError::new("vertices", expected, format!("{} bytes", body.len())));
     }
     let wanted: Vec<(usize, Kind)> = header.places.iter().map(|&p| (starts[p], header.properties[p].kind)).collect();
-    let mut filling = Filling::new(header);
+    let mut filling = Filling::new(header, limits)?;
     for record in body.chunks_exact(stride) {
         filling.push(wanted.iter().map(|&(at, kind)| match kind {
             Kind::Double => record[at..].first_chunk().map_or(f32::NAN, |b| double(*b) as f32),
@@ -37,7 +38,7 @@ pub(super) fn binary(
 }
 
 /// Vertices as lines of numbers.
-pub(super) fn text(header: &Header, body: &[u8]) -> Result<Still, FormatError> {
+pub(super) fn text(header: &Header, body: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let wrong = |part: String, expected: &str, found: &str| FormatError::new(part, expected, quoted(found));
     // A number and what parts it from the next are two bytes at least; the last needs no line feed.
     let least = header.count.checked_mul(2 * header.properties.len());
@@ -47,7 +48,7 @@ pub(super) fn text(header: &Header, body: &[u8]) -> Result<Still, FormatError> {
     }
     let body = std::str::from_utf8(body).map_err(|_| FormatError::new("vertices", "text", "bytes that are none"))?;
     let mut lines = body.lines();
-    let mut filling = Filling::new(header);
+    let mut filling = Filling::new(header, limits)?;
     let mut values = vec![0.0_f32; header.properties.len()];
     for i in 0..header.count {
         let line = lines
@@ -76,8 +77,9 @@ struct Filling {
 }
 
 impl Filling {
-    fn new(header: &Header) -> Self {
+    fn new(header: &Header, limits: &Limits) -> Result<Self, FormatError> {
         let n = header.count;
+        check_count("element vertex", n, limits)?;
         let mut still = Still { degree: header.degree, ..Still::default() };
         let higher = n * 3 * still.rest();
         still.mean.reserve_exact(n);
@@ -86,7 +88,7 @@ impl Filling {
         still.logit.reserve_exact(n);
         still.base.reserve_exact(n);
         still.higher.reserve_exact(higher);
-        Self { still }
+        Ok(Self { still })
     }
 
     /// Takes a vertex: its values in the order of [`Header::places`].

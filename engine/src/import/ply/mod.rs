@@ -20,7 +20,7 @@ mod header;
 #[cfg(test)]
 mod tests;
 
-use super::FormatError;
+use super::{FormatError, Limits};
 use crate::still::Still;
 use header::{Encoding, Header};
 
@@ -29,10 +29,15 @@ use header::{Encoding, Header};
 /// # Errors
 /// See [`import`](super): what was expected and what was found, with the property's name.
 pub fn ply(bytes: &[u8]) -> Result<Still, FormatError> {
+    within(bytes, &Limits::default())
+}
+
+/// As [`ply`], within other limits.
+pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let (header, body) = Header::read(bytes)?;
     match header.encoding {
-        Encoding::Text => body::text(&header, body),
-        Encoding::Little => body::binary(&header, body, f32::from_le_bytes, f64::from_le_bytes),
-        Encoding::Big => body::binary(&header, body, f32::from_be_bytes, f64::from_be_bytes),
+        Encoding::Text => body::text(&header, body, limits),
+        Encoding::Little => body::binary(&header, body, limits, f32::from_le_bytes, f64::from_le_bytes),
+        Encoding::Big => body::binary(&header, body, limits, f32::from_be_bytes, f64::from_be_bytes),
     }
 }

@@ -22,7 +22,7 @@ mod unpack;
 #[cfg(test)]
 mod tests;
 
-use super::FormatError;
+use super::{FormatError, Limits, check_count};
 use crate::still::Still;
 use inflate::{gunzip, zstd};
 
@@ -33,8 +33,11 @@ const OLD_HEADER: usize = 16;
 const HEADER: usize = 32;
 /// The flag of scenes trained with anti-aliasing, which are drawn as all others.
 const ANTIALIASED: u8 = 1;
-/// The most that a byte of the file is taken to stand for, as the reference implementation has it.
-const MOST_RATIO: u64 = 1024;
+/// The most bytes that a byte of a file larger than [`SMALL`] may stand for. Files of real scenes have one to three; the reference
+/// implementation allows 1024, with which a file of a megabyte takes tens of gigabytes.
+const MOST_RATIO: u64 = 64;
+/// What any file may stand for, in bytes.
+const SMALL: u64 = 1 << 20;
 
 /// What an SPZ file says of itself.
 #[derive(Clone, Copy, Debug)]
@@ -58,7 +61,7 @@ struct Packed {
 
 impl Header {
     /// The fields that all versions have, of a file of `size` bytes.
-    fn read(bytes: &[u8], versions: [u32; 2], size: usize) -> Result<Header, FormatError> {
+    fn read(bytes: &[u8], versions: [u32; 2], size: usize, limits: &Limits) -> Result<Header, FormatError> {
         let word = |at: usize| bytes[at..].first_chunk().map_or(0, |b| u32::from_le_bytes(*b));
         let wrong = |part: &str, expected: &str, found: u32| {
             Err(FormatError::new(format!("header: {part}"), expected, found.to_string()))
@@ -81,10 +84,15 @@ impl Header {
         if flags & !u32::from(ANTIALIASED) != 0 {
             return wrong("flags", "none but anti-aliasing: no extensions", flags);
         }
-        if u64::from(count) * 9 > size as u64 * MOST_RATIO {
-            return wrong("points", &format!("at most {} in {size} bytes", size as u64 * MOST_RATIO / 9), count);
+        let header = Header { version, count: count as usize, degree: degree as usize, fractional_bits };
+        check_count("header: points", header.count, limits)?;
+        let whole: u64 = header.sizes().iter().map(|(_, size)| *size as u64).sum();
+        let most = (size as u64).saturating_mul(MOST_RATIO).max(SMALL);
+        if whole > most {
+            let fit = most * u64::from(count) / whole;
+            return wrong("points", &format!("at most {fit} in {size} bytes"), count);
         }
-        Ok(Header { version, count: count as usize, degree: degree as usize, fractional_bits })
+        Ok(header)
     }
 
     /// Bytes of each attribute, in the order they are stored in.
@@ -108,13 +116,19 @@ impl Header {
 /// # Errors
 /// What was expected and what was found, with the part's name.
 pub fn spz(bytes: &[u8]) -> Result<Still, FormatError> {
-    if bytes.starts_with(&[0x1f, 0x8b]) { old(bytes) } else { current(bytes) }.map(|packed| unpack::unpack(&packed))
+    within(bytes, &Limits::default())
+}
+
+/// As [`spz`], within other limits.
+pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
+    let packed = if bytes.starts_with(&[0x1f, 0x8b]) { old(bytes, limits)? } else { current(bytes, limits)? };
+    Ok(unpack::unpack(&packed))
 }
 
 /// Versions 2 and 3.
-fn old(bytes: &[u8]) -> Result<Packed, FormatError> {
+fn old(bytes: &[u8], limits: &Limits) -> Result<Packed, FormatError> {
     let (header, rest) = gunzip(bytes, OLD_HEADER, |head| {
-        let header = Header::read(head, [2, 3], bytes.len())?;
+        let header = Header::read(head, [2, 3], bytes.len(), limits)?;
         if head[15] != 0 {
             return Err(FormatError::new("header: reserved byte", "0", head[15].to_string()));
         }
@@ -131,12 +145,12 @@ fn old(bytes: &[u8]) -> Result<Packed, FormatError> {
 }
 
 /// Version 4.
-fn current(bytes: &[u8]) -> Result<Packed, FormatError> {
+fn current(bytes: &[u8], limits: &Limits) -> Result<Packed, FormatError> {
     let wrong = |part: &str, expected: String, found: String| Err(FormatError::new(part, expected, found));
     if bytes.len() < HEADER {
         return wrong("header", format!("{HEADER} bytes"), bytes.len().to_string());
     }
-    let header = Header::read(bytes, [4, 4], bytes.len())?;
+    let header = Header::read(bytes, [4, 4], bytes.len(), limits)?;
     let table = bytes[16..].first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
     if table != HEADER || bytes[20..HEADER] != [0; 12] {
         return wrong("header: table", "it at byte 32, and zeros between".into(), format!("it at {table}"));

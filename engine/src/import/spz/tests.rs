@@ -4,6 +4,7 @@ use std::io::Write;
 
 use proptest::prelude::*;
 
+use super::super::Limits;
 use super::spz;
 use crate::export;
 use crate::still::Still;
@@ -25,7 +26,7 @@ fn still(count: usize, degree: usize) -> Still {
 /// The same scene in version 2 or 3.
 fn old(still: &Still, version: u32) -> Vec<u8> {
     let file = export::still::spz(still);
-    let packed = super::current(&file).expect("just written");
+    let packed = super::current(&file, &Limits::default()).expect("just written");
     let mut bytes = [&b"NGSP"[..], &version.to_le_bytes(), &file[8..15], &[0]].concat();
     for attribute in [&packed.positions, &packed.alphas, &packed.colours, &packed.scales] {
         bytes.extend_from_slice(attribute);

@@ -78,7 +78,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     if !console.quiet {
         say(
             "clip                          key dB / SSIM   middle dB / SSIM   cross-fade         nearest           flow",
-        );
+        )?;
     }
     for clip in &clips {
         if stop::asked() {
@@ -97,21 +97,21 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         total.join(&sums);
         let row = sums.row(Some(name), gap, settings.fusion);
         if !console.quiet {
-            say(line(&row));
+            say(line(&row))?;
         }
         rows.push(row);
     }
     let mut mean = total.row(None, gap, settings.fusion);
     (mean.moving, mean.still) = (Some(Group::of(&rows, true)), Some(Group::of(&rows, false)));
     if !console.quiet {
-        say(line(&mean));
+        say(line(&mean))?;
         for (name, group) in [("moving", &mean.moving), ("still", &mean.still)] {
             if let Some(Group { clips: clips @ 1.., middle, over_crossfade, worst_over_crossfade }) = group {
                 let [psnr, over, worst] =
                     [middle.psnr, *over_crossfade, *worst_over_crossfade].map(Option::unwrap_or_default);
                 say(format!(
                     "{name} clips ({clips}): middle {psnr:.2} dB, {over:+.2} over the cross-fade, least {worst:+.2}"
-                ));
+                ))?;
             }
         }
     }

@@ -26,6 +26,7 @@ use std::io::Write;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use streamsplat::import::read_file;
 use streamsplat::output::{OutputError, Video, VideoPoint, partial_name, storage};
 use streamsplat::scene::{memory_from_safetensors, memory_to_safetensors};
 use streamsplat::stream::Memory;
@@ -125,11 +126,8 @@ pub fn find(destination: &Destination) -> Result<Found, Failure> {
 /// The point in the file `path`, if all that it vouches for is there.
 fn point(path: &Path, folder: &Path, destination: &Destination) -> Result<(Point, Option<Memory>), Failure> {
     let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", path.display()));
-    let size = storage::regular(path).map_err(|e| wrong(&e))?.len();
-    if size > MAX_STATE {
-        return Err(wrong(&format!("expected at most {MAX_STATE} bytes, found {size}")));
-    }
-    let bytes = std::fs::read(path).map_err(|e| wrong(&e))?;
+    storage::regular(path).map_err(|e| wrong(&e))?;
+    let bytes = read_file(path, MAX_STATE).map_err(|e| wrong(&e))?;
     let (memory, note) = memory_from_safetensors(&bytes).map_err(|e| wrong(&e))?;
     let point: Point = serde_json::from_str(&note).map_err(|e| wrong(&format!("not the state of a run: {e}")))?;
     let lines = ledger::read(folder, point.ledger)?;

@@ -176,4 +176,14 @@ mod tests {
             assert!(Values::read("test", 100, &mut stored.as_slice()).expect("deflated").next().is_err(), "{bytes:?}");
         }
     }
+
+    #[test]
+    fn a_column_longer_than_its_numbers_is_refused() {
+        // A megabyte of zeros, which deflates to a kilobyte, for one number.
+        let stored = Column(vec![0; 1 << 20]).stored();
+        assert!(stored.len() < 2000);
+        let error = Values::read("test", 1, &mut stored.as_slice()).expect_err("a bomb").to_string();
+        assert!(error.contains("at most 10 bytes for each of 1 numbers"), "{error}");
+        assert!(Values::read("test", 1 << 20, &mut stored.as_slice()).is_ok());
+    }
 }

@@ -15,7 +15,7 @@ use crate::scene::{FORMAT, Index, IntervalEntry, SceneError};
 use crate::stream::{DynamicGaussians, Interval, Merge, Workers};
 
 /// Largest index read, in bytes.
-const MAX_INDEX: u64 = 1 << 28;
+const MAX_INDEX: u64 = 1 << 26;
 
 /// A container on disk: its index in memory, its chunks read when asked for.
 #[derive(Clone, Debug)]

@@ -1,0 +1,77 @@
+//! Which names a server answers to.
+
+use std::net::{IpAddr, SocketAddr};
+
+/// The names that requests may give a server in their `Host` header.
+///
+/// A web page somewhere else can give its own name the address of this server (DNS rebinding), and would be allowed to read what the
+/// browser fetches under that name. Its requests carry its name, so names are refused unless they were allowed; addresses and
+/// `localhost` cannot be given away like that.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Hosts {
+    loopback: bool,
+    names: Vec<String>,
+}
+
+impl Hosts {
+    /// For a server that listens on `address`: on a loopback address, loopback addresses; on any other, all addresses; on both
+    /// `localhost` and these `names`.
+    pub fn of(address: IpAddr, names: &[String]) -> Hosts {
+        Hosts { loopback: address.is_loopback(), names: names.to_vec() }
+    }
+
+    /// Whether requests may name this host, with a port or without.
+    pub fn contain(&self, host: &str) -> bool {
+        let allowed = |address: IpAddr| !self.loopback || address.is_loopback();
+        if let Ok(address) = host.parse::<SocketAddr>() {
+            return allowed(address.ip());
+        }
+        let bare = host.strip_prefix('[').and_then(|h| h.strip_suffix(']')).unwrap_or(host);
+        if let Ok(address) = bare.parse::<IpAddr>() {
+            return allowed(address);
+        }
+        let name = match host.rsplit_once(':') {
+            Some((name, port)) if port.bytes().all(|digit| digit.is_ascii_digit()) => name,
+            _ => host,
+        };
+        name.eq_ignore_ascii_case("localhost") || self.names.iter().any(|known| known.eq_ignore_ascii_case(name))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_refused_unless_they_were_allowed() {
+        let names = ["box.example".to_owned()];
+        let loopback = Hosts::of(IpAddr::from([127, 0, 0, 1]), &names);
+        let open = Hosts::of(IpAddr::from([0, 0, 0, 0]), &names);
+        for host in [
+            "evil.example",
+            "evil.example:8080",
+            "127.0.0.1.evil.example",
+            "box.example.evil",
+            "localhost.evil:1",
+            "",
+            ":80",
+        ] {
+            assert!(!loopback.contain(host) && !open.contain(host), "{host}");
+        }
+        for host in [
+            "LOCALHOST:1",
+            "localhost",
+            "127.0.0.1",
+            "127.8.9.1:5",
+            "[::1]",
+            "[::1]:3",
+            "box.example",
+            "Box.Example:8707",
+        ] {
+            assert!(loopback.contain(host) && open.contain(host), "{host}");
+        }
+        for host in ["10.0.0.1", "192.168.1.7:8707", "[fe80::1]:80"] {
+            assert!(!loopback.contain(host) && open.contain(host), "{host}");
+        }
+    }
+}
