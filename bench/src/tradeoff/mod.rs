@@ -1,4 +1,5 @@
-//! `tradeoff`: error against run time on one clip, over precision, reuse and gap; and each stage's error and time per precision.
+//! `tradeoff`: error against run time on one clip, over precision, reuse and gap; and each stage's error and time per precision. On a
+//! folder of clips ([`clips`]): over resolution, motion, colours, gap and quality.
 //!
 //! One run gives CSV, JSON, Markdown and plots. All configurations go through the clip in turn, key frame by key frame, and that
 //! several times, so that what disturbs the machine disturbs all of them alike. Before anything is timed, f32 must give the same bits on
@@ -7,6 +8,7 @@
 //! A checkpoint runs at one number of tokens, because its decoder stores a row per token of two frames; so the resolution is the model's
 //! own. Other resolutions are other checkpoints (`--model`).
 
+mod clips;
 mod front;
 mod grid;
 mod plot;
@@ -34,8 +36,15 @@ use crate::passage::read;
 pub(crate) struct Options {
     #[command(flatten)]
     common: Common,
-    /// A folder of images or a video [default: fixtures/clips/moving.y4m].
+    /// A folder of images or a video [default: fixtures/clips/moving.y4m]; or a folder of clips: what resolution, motion, colours and
+    /// `--quality` cost and give on them, with the options' defaults.
     input: Option<PathBuf>,
+    /// Of a folder of clips: put the table into this page, and the plot beside it as tradeoff.svg.
+    #[arg(long, value_name = "FILE")]
+    page: Option<PathBuf>,
+    /// Of a folder of clips: take the figures from this record instead of measuring.
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
     /// Where tradeoff.{csv,json,md,svg} and tradeoff-stages.{csv,svg} go.
     #[arg(long, value_name = "DIR", default_value = "tradeoff")]
     out: PathBuf,
@@ -181,6 +190,10 @@ pub(crate) fn once_each<T: Copy + PartialEq>(first: T, others: &[T]) -> Vec<T> {
 pub(crate) fn run(options: &Options) -> Result<()> {
     let default = || PathBuf::from("fixtures/clips/moving.y4m");
     let input = options.input.clone().unwrap_or_else(default);
+    if clips::is_folder_of_clips(&input) || options.record.is_some() {
+        return clips::run(options, &input);
+    }
+    clips::check(options)?;
     let clip = read(&input, options.frames)?;
     ensure!(clip.len() >= 2, "{}: expected two frames or more, found {}", input.display(), clip.len());
     ensure!(options.rounds > 0, "--rounds: expected 1 or more, found 0");

@@ -16,27 +16,27 @@ use super::{Clock, Results, stages, table};
 const WIDTH: u32 = 1120;
 const HEAD: u32 = 64;
 const PANELS: u32 = 420;
-const INK: RGBColor = RGBColor(34, 34, 34);
-const FRONT: RGBColor = RGBColor(120, 120, 120);
+pub(super) const INK: RGBColor = RGBColor(34, 34, 34);
+pub(super) const FRONT: RGBColor = RGBColor(120, 120, 120);
 const COLOURS: [RGBColor; 4] =
     [RGBColor(27, 94, 160), RGBColor(230, 126, 34), RGBColor(46, 139, 87), RGBColor(142, 68, 173)];
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 /// Colour, kind of shape, and how full it is.
-type Mark = (RGBColor, usize, f64);
+pub(super) type Mark = (RGBColor, usize, f64);
 
 /// Orders of magnitude of an axis from which on only powers of ten are marked.
 const WIDE: f64 = 1000.0;
 
 /// A logarithmic axis whose marks are 1, 2 and 5 times powers of ten.
 #[derive(Clone)]
-struct Logarithmic {
+pub(super) struct Logarithmic {
     inner: RangedCoordf64,
     range: (f64, f64),
 }
 
 impl Logarithmic {
-    fn new(from: f64, to: f64) -> Logarithmic {
+    pub(super) fn new(from: f64, to: f64) -> Logarithmic {
         Logarithmic { inner: (from.ln()..to.ln()).into(), range: (from, to) }
     }
 }
@@ -97,12 +97,12 @@ impl Key {
     }
 }
 
-fn fail(error: impl std::fmt::Display) -> anyhow::Error {
+pub(super) fn fail(error: impl std::fmt::Display) -> anyhow::Error {
     anyhow!("drawing the plot: {error}")
 }
 
 /// A shape of radius 6 with its middle at `at`.
-fn shape(area: &Area<'_>, at: (i32, i32), (colour, kind, fill): Mark) -> Result<()> {
+pub(super) fn shape(area: &Area<'_>, at: (i32, i32), (colour, kind, fill): Mark) -> Result<()> {
     let (x, y) = at;
     let corners: &[(i32, i32)] = match kind % 4 {
         0 => &[],
@@ -123,7 +123,7 @@ fn shape(area: &Area<'_>, at: (i32, i32), (colour, kind, fill): Mark) -> Result<
 }
 
 /// The grid and lettering of every panel.
-fn plain<'m, 'a, 'b, 's, X: Ranged, Y: Ranged>(
+pub(super) fn plain<'m, 'a, 'b, 's, X: Ranged, Y: Ranged>(
     mesh: &'m mut MeshStyle<'a, 'b, X, Y, SVGBackend<'s>>,
 ) -> &'m mut MeshStyle<'a, 'b, X, Y, SVGBackend<'s>> {
     mesh.light_line_style(TRANSPARENT)
@@ -132,12 +132,12 @@ fn plain<'m, 'a, 'b, 's, X: Ranged, Y: Ranged>(
         .axis_desc_style(("sans-serif", 15).into_font().color(&INK))
 }
 
-fn text(area: &Area<'_>, words: &str, at: (i32, i32), size: i32) -> Result<()> {
+pub(super) fn text(area: &Area<'_>, words: &str, at: (i32, i32), size: i32) -> Result<()> {
     area.draw(&Text::new(words.to_owned(), at, ("sans-serif", size).into_font().color(&INK))).map_err(fail)
 }
 
 /// The smallest and largest value with a margin.
-fn around(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
+pub(super) fn around(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
     let (least, most) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
     let space = ((most - least) * margin).max(0.05);
     (least - space, most + space)
@@ -214,7 +214,7 @@ fn panel(
 }
 
 /// Shapes and colours explained: lines of marks with what they stand for.
-fn legend(area: &Area<'_>, lines: &[(&str, Vec<(Mark, &String)>)]) -> Result<()> {
+pub(super) fn legend(area: &Area<'_>, lines: &[(&str, Vec<(Mark, &String)>)]) -> Result<()> {
     let mut y = 14;
     for (name, marks) in lines {
         text(area, name, (24, y - 8), 15)?;
@@ -234,7 +234,7 @@ fn marked(names: &[String], mark: impl Fn(usize) -> Mark) -> Vec<(Mark, &String)
     names.iter().enumerate().map(|(i, name)| (mark(i), name)).collect()
 }
 
-fn colour(place: usize) -> RGBColor {
+pub(super) fn colour(place: usize) -> RGBColor {
     COLOURS[place % COLOURS.len()]
 }
 

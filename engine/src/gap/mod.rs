@@ -15,7 +15,7 @@ mod tests;
 use std::fmt;
 use std::str::FromStr;
 
-use streamsplat_kernels::math::f64::exp;
+use streamsplat_kernels::math::f64::{exp, ln};
 
 use crate::picture::Picture;
 use interpolation::Small;
@@ -158,6 +158,13 @@ impl Chooser {
         self.seen.drain(..key);
         choice
     }
+}
+
+/// The ratio, in dB, by which the worst frame in between is predicted from the first and the last of `frames`; at most 99.
+pub fn predicted(frames: &[Small]) -> f64 {
+    let worst = interpolation::worst(frames) as f64 / interpolation::CELLS as f64;
+    let peak = (interpolation::PEAK * interpolation::PEAK) as f64;
+    if worst > 0.0 { (10.0 * ln(peak / worst) / std::f64::consts::LN_10).min(99.0) } else { 99.0 }
 }
 
 /// The sum of squares that a ratio of so many decibels allows.

@@ -15,7 +15,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use crate::openexr::{self, NamedLayer, Planes};
 use crate::picture::{Picture, to_u8};
 use crate::render::Image;
-pub use video::{Finished, Video, VideoFormat, VideoPoint};
+pub use video::{Finished, VIDEOS, Video, VideoFormat, VideoPoint};
 
 /// What can go wrong while results are written.
 #[derive(Debug, thiserror::Error)]

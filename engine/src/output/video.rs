@@ -16,12 +16,15 @@ use crate::picture::Picture;
 use crate::source::y4m::convert::Matrix;
 pub use resume::VideoPoint;
 
+/// Endings of the videos that are written, the first by this library, the others by ffmpeg.
+pub const VIDEOS: [&str; 9] = ["y4m", "mp4", "webm", "mkv", "mov", "m4v", "gif", "webp", "avif"];
+
 /// Kinds of video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VideoFormat {
     /// Uncompressed.
     Y4m,
-    /// Whatever ffmpeg makes of the file's name (mp4, webm, mkv, mov).
+    /// Whatever ffmpeg makes of the file's name.
     Ffmpeg,
 }
 
@@ -31,8 +34,7 @@ impl VideoFormat {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
         match extension.as_str() {
             "y4m" => Some(VideoFormat::Y4m),
-            "mp4" | "webm" | "mkv" | "mov" => Some(VideoFormat::Ffmpeg),
-            _ => None,
+            other => VIDEOS.contains(&other).then_some(VideoFormat::Ffmpeg),
         }
     }
 }
@@ -111,22 +113,35 @@ impl Video {
 
     fn start_ffmpeg(&self, width: usize, height: usize) -> Result<Sink, OutputError> {
         let extension = self.path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-        let container = if extension == "mkv" { "matroska" } else { extension.as_str() };
+        let container = match extension.as_str() {
+            "mkv" => "matroska",
+            "m4v" => "mp4",
+            other => other,
+        };
         // ffmpeg writes into the file that is there, which is no link then.
         storage::create(&partial_name(&self.path)).map_err(OutputError::write(&self.path))?;
         let mut url = std::ffi::OsString::from("file:");
         url.push(partial_name(&self.path));
         let size = format!("{width}x{height}");
         let rate = self.fps.to_string();
-        // Chroma is halved: sides must be even.
-        let filter = "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=limited";
+        // Halved chroma needs even sides.
+        let format = if width % 2 == 0 && height % 2 == 0 { "yuv420p" } else { "yuv444p" };
+        let limited = "scale=out_color_matrix=bt709:out_range=limited";
+        let video = ["-color_range", "tv", "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"];
+        let arguments: Vec<&str> = match container {
+            // 256 colours of each frame's own.
+            "gif" => vec!["-vf", "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1"],
+            "webp" => vec!["-vf", limited, "-c:v", "libwebp_anim", "-pix_fmt", "yuv420p", "-quality", "90", "-loop", "0"],
+            "avif" => [&["-vf", limited, "-pix_fmt", format, "-cpu-used", "8"][..], &video].concat(),
+            _ => [&["-vf", limited, "-pix_fmt", format][..], &video].concat(),
+        };
         let child = Command::new("ffmpeg")
             .args([
                 "-nostdin", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &size, "-r", &rate, "-i",
                 "-",
             ])
-            .args(["-vf", filter, "-pix_fmt", "yuv420p", "-color_range", "tv", "-colorspace", "bt709"])
-            .args(["-color_primaries", "bt709", "-color_trc", "bt709", "-f", container])
+            .args(arguments)
+            .args(["-f", container])
             .arg(url)
             .stdin(Stdio::piped())
             .stdout(Stdio::null())

@@ -1,5 +1,6 @@
 //! What can be said on the command line.
 
+use std::io::Write;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
@@ -69,6 +70,15 @@ pub struct Console {
     /// Write a trace for Chrome or Perfetto, one span per stage and operation
     #[arg(long, global = true, value_name = "FILE")]
     pub trace: Option<PathBuf>,
+}
+
+impl Console {
+    /// Says lines beside the results: on standard error, because standard output may carry a video.
+    pub fn note(&self, lines: &[String]) {
+        for line in lines.iter().filter(|_| !self.quiet) {
+            let _ = writeln!(std::io::stderr(), "{line}");
+        }
+    }
 }
 
 /// What the work is done with. Changes no output bit.

@@ -2,7 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use streamsplat::output::VideoFormat;
+use streamsplat::output::{VIDEOS, VideoFormat};
+
+use super::failure::Failure;
+
+/// Endings of files that nobody means as the name of a folder.
+const FOREIGN: [&str; 27] = [
+    "3gp", "asf", "avi", "flv", "m2ts", "mpeg", "mpg", "mts", "ogv", "ts", "vob", "wmv", "mp3", "wav", "bmp", "exr", "jpeg",
+    "jpg", "png", "tga", "tif", "tiff", "heic", "ply", "spz", "ssz", "zip",
+];
 
 /// Where `--out` points.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -14,6 +22,19 @@ pub enum Destination {
 }
 
 impl Destination {
+    /// As [`Destination::of`]; an error for the name of a file of a kind that is not written.
+    pub fn asked(out: &Path) -> Result<Destination, Failure> {
+        let destination = Destination::of(out);
+        let ending = out.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
+        match destination {
+            Destination::Folder(_) if FOREIGN.contains(&ending.as_str()) && !out.is_dir() => {
+                let found = out.display();
+                Err(Failure::usage(format!("--out: expected a folder, - or a video (.{}), found {found}", VIDEOS.join(", ."))))
+            }
+            destination => Ok(destination),
+        }
+    }
+
     /// A path with a video's name is a video, `-` is y4m on standard output, anything else a folder.
     pub fn of(out: &Path) -> Destination {
         if out == Path::new("-") {

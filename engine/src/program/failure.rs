@@ -10,6 +10,8 @@ pub enum Failure {
     Usage(String),
     /// The work failed: exit code 1.
     Work(String),
+    /// The user stopped it: exit code 130, as shells have it.
+    Stopped(String),
 }
 
 impl Failure {
@@ -25,15 +27,16 @@ impl Failure {
 
     /// One line.
     pub fn message(&self) -> String {
-        let (Failure::Usage(text) | Failure::Work(text)) = self;
+        let (Failure::Usage(text) | Failure::Work(text) | Failure::Stopped(text)) = self;
         text.split_whitespace().collect::<Vec<_>>().join(" ")
     }
 
-    /// 1 or 2.
+    /// 1, 2 or 130.
     pub fn code(&self) -> ExitCode {
         match self {
             Failure::Usage(_) => ExitCode::from(2),
             Failure::Work(_) => ExitCode::from(1),
+            Failure::Stopped(_) => ExitCode::from(130),
         }
     }
 }

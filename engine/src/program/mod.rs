@@ -1,6 +1,6 @@
 //! The `streamsplat` program: commands, exit codes, messages.
 //!
-//! Exit codes: 0 done, 1 the work failed, 2 wrong use. An error is one line on standard error that names the file, the tensor
+//! Exit codes: 0 done, 1 the work failed, 2 wrong use, 130 stopped by the user. An error is one line on standard error that names the file, the tensor
 //! or the option, what was expected and what was found.
 
 mod ahead;
@@ -105,7 +105,13 @@ fn one_line(error: &clap::Error) -> String {
             "run, render, eval, forward, splat, inspect, export, track, view, bench, verify, completions, man";
         return format!("expected a command ({commands}); see streamsplat --help");
     }
-    words.join(" ")
+    let tip = text.lines().find_map(|line| line.trim().strip_prefix("tip: "));
+    words.extend(tip.filter(|tip| tip.contains("similar")).map(|_| ";"));
+    let said = words.join(" ").replace(" ;", ";");
+    match tip.filter(|tip| tip.contains("similar")) {
+        Some(tip) => format!("{said} {}", tip.trim()),
+        None => said,
+    }
 }
 
 /// Prints a line on standard output.

@@ -20,13 +20,13 @@ use super::{digest, report, say, still, stop, times};
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     stop::listen();
     // Held until everything is written.
-    let mut place = Place::new(Destination::of(&args.out));
+    let mut place = Place::new(Destination::asked(&args.out)?);
     let record = render(&args.scene, &mut place, &args.options, &args.machine, console)?;
     report::finish(&record, place.destination(), args.json.as_deref())?;
     if !console.quiet && args.out != Path::new("-") {
         say(report::summary(&record, &args.out))?;
     }
-    Ok(())
+    if record.complete { Ok(()) } else { Err(stop::stopped(false)) }
 }
 
 /// Everything of a rendering but its record's files.

@@ -27,7 +27,7 @@ use super::{digest, report, say, stop};
 pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     stop::listen();
     // Held until everything is written.
-    let mut place = Place::new(Destination::of(&args.out));
+    let mut place = Place::new(Destination::asked(&args.out)?);
     let record = match resume_or_run(args, &mut place, console)? {
         Some(record) => record,
         None => return Ok(()),
@@ -42,7 +42,8 @@ pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     if !console.quiet && args.out != Path::new("-") {
         say(report::summary(&record, &args.out))?;
     }
-    Ok(())
+    let resumable = destination.resume().is_some();
+    if record.complete { Ok(()) } else { Err(stop::stopped(resumable)) }
 }
 
 /// The run, from where it was stopped with `--resume`; `None` when it is complete already, which is said.
@@ -106,6 +107,7 @@ fn run_from(
         return Err(Failure::usage("--fps and --frames: expected numbers above 0"));
     }
     let source = Source::open(input, &source::Options { fps: options.fps })?;
+    console.note(source.notes());
     let reuse = settings.reuse != Reuse::Off;
     let keep = if settings.motion() == MotionFrom::Between { Keep::Between } else { Keep::Nothing };
     if !views.backend.is_within_contract() {

@@ -1,5 +1,6 @@
 //! Ctrl-C, or a request to terminate: the first one lets the interval at hand finish, the second one ends the program.
 
+use super::failure::Failure;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static ASKED: AtomicBool = AtomicBool::new(false);
@@ -12,6 +13,12 @@ pub fn listen() {
             std::process::exit(130);
         }
     });
+}
+
+/// How a command ends that the user stopped.
+pub fn stopped(resumable: bool) -> Failure {
+    let how = if resumable { "; the same command with --resume goes on" } else { "" };
+    Failure::Stopped(format!("stopped; what was written is valid{how}"))
 }
 
 /// Whether the user asked to stop.

@@ -63,8 +63,18 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<Picture, SourceError> {
         [0xff, 0xd8, ..] => decode_jpeg(bytes, path),
         [0x76, 0x2f, 0x31, 0x01, ..] => decode_exr(bytes, path),
         [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..] => super::tiff::decode(bytes, path),
+        _ if is_animated_webp(bytes) => Err(decode_error(
+            path,
+            "expected one picture, found an animated WebP; give its frames as a folder of images or as a video (ffmpeg does not read it either)",
+        )),
         _ => from_dynamic(&decode_dynamic(bytes, path)?, path),
     }
+}
+
+/// Whether a WebP file says of itself that it is animated.
+fn is_animated_webp(bytes: &[u8]) -> bool {
+    let flags = bytes.get(20).copied().unwrap_or_default();
+    bytes.starts_with(b"RIFF") && bytes.get(8..16) == Some(b"WEBPVP8X") && flags & 2 != 0
 }
 
 pub(super) fn decode_error(path: &Path, cause: impl Into<String>) -> SourceError {

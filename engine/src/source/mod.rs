@@ -9,7 +9,7 @@
 //! | any other file | decoded by an installed [`ffmpeg`] program |
 //!
 //! Frame i has the timestamp `i / fps`: the rate is [`Options::fps`] when set, else the stream's own, else
-//! [`DEFAULT_FPS`]. All frames of a source have one size; a frame that differs is an error naming it and both sizes.
+//! [`DEFAULT_FPS`]. Frames of video files that do not follow each other at a constant rate have their own times where no rate is set. All frames of a source have one size; a frame that differs is an error naming it and both sizes.
 
 pub mod decode;
 mod error;
@@ -57,6 +57,8 @@ pub struct Source {
     path: PathBuf,
     /// Frames per second as a fraction.
     rate: (f64, f64),
+    /// Whether frames have times of their own.
+    uneven: bool,
     next: usize,
     first: Option<(PathBuf, (usize, usize))>,
 }
@@ -98,12 +100,26 @@ impl Source {
             Kind::Stdin(y4m) => y4m.header().rate,
             Kind::Ffmpeg(video) => video.header().rate,
         };
-        let rate = match (options.fps, own) {
-            (Some(fps), _) => (fps, 1.0),
-            (None, Some((numerator, denominator))) => (numerator as f64, denominator as f64),
-            (None, None) => (DEFAULT_FPS, 1.0),
+        // A rate that was asked for goes before the file's own times.
+        let uneven = match &kind {
+            Kind::Ffmpeg(video) if options.fps.is_none() => video.uneven(),
+            _ => None,
         };
-        Ok(Source { kind, path: input.to_owned(), rate, next: 0, first: None })
+        let rate = match (options.fps, uneven, own) {
+            (Some(fps), ..) => (fps, 1.0),
+            (None, Some((seconds, frames)), _) => ((frames - 1) as f64, seconds),
+            (None, None, Some((numerator, denominator))) => (numerator as f64, denominator as f64),
+            (None, None, None) => (DEFAULT_FPS, 1.0),
+        };
+        Ok(Source { kind, path: input.to_owned(), rate, uneven: uneven.is_some(), next: 0, first: None })
+    }
+
+    /// What was done to the pictures on the way in, and what of the input is left out, a line each.
+    pub fn notes(&self) -> &[String] {
+        match &self.kind {
+            Kind::Ffmpeg(video) => video.notes(),
+            _ => &[],
+        }
     }
 
     /// How many frames there are, where that is known beforehand (image files).
@@ -149,7 +165,11 @@ impl Source {
         }
         let index = self.next;
         self.next += 1;
-        let timestamp = index as f64 * self.rate.1 / self.rate.0;
+        let own = match &self.kind {
+            Kind::Ffmpeg(video) if self.uneven => video.time(index),
+            _ => None,
+        };
+        let timestamp = own.unwrap_or(index as f64 * self.rate.1 / self.rate.0);
         Ok(Some(TimedPicture { index, timestamp, path, picture }))
     }
 }

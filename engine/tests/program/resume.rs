@@ -66,7 +66,8 @@ fn ctrl_c_finishes_the_interval_and_what_it_leaves_is_gone_on_with() {
     run_ok(&clip(), &whole, &EVERYTHING);
     let third = out.join("scene/interval-000003.safetensors");
     let output = stop_when(run(&clip(), &out, &EVERYTHING), "INT", || third.exists());
-    succeeds(&output);
+    let said = fails(&output, 130);
+    assert!(said.contains("the same command with --resume goes on"), "{said}");
     let stopped = json(&out.join("run.json"));
     assert_eq!(stopped["complete"], false);
     let scene = streamsplat::scene::Scene::open(&out).expect("a valid scene");
@@ -186,7 +187,7 @@ fn a_stopped_y4m_goes_on_and_other_videos_cannot() {
     let state = scratch.path("out.y4m.resume/state.safetensors");
     for signal in ["INT", "KILL"] {
         let output = stop_when(run(&clip(), &out, &options), signal, || state.exists());
-        assert_eq!(output.status.success(), signal == "INT");
+        assert_eq!(output.status.code(), (signal == "INT").then_some(130));
         assert_eq!(out.exists(), signal == "INT", "a name means that it was finished");
         succeeds(&resume(&clip(), &out, &options));
         assert!(std::fs::read(&out).expect("readable") == std::fs::read(&whole).expect("readable"), "{signal}");

@@ -102,9 +102,21 @@ pub(super) struct Sums {
     pub(super) crossfade: Sum,
     pub(super) nearest: Sum,
     pub(super) flow: Sum,
+    pub(super) intervals: Vec<IntervalFigures>,
     /// In the engine.
     pub(super) seconds: f64,
     pub(super) clips: usize,
+}
+
+/// What an interval gives, beside what was to be expected of it.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(super) struct IntervalFigures {
+    /// Frames after the key frame before, with the one at its end.
+    pub(super) frames: usize,
+    /// Mean over these frames, in dB.
+    pub(super) psnr: f64,
+    /// How well the frames between its key frames follow from these, in dB ([`streamsplat::gap::predicted`]).
+    pub(super) predicted: f64,
 }
 
 /// What one fusion mode gives.
@@ -143,6 +155,9 @@ pub(super) struct Row {
     /// Time in the engine per input frame, drawing and comparison apart.
     pub(super) seconds_per_frame: f64,
     pub(super) baselines: Baselines,
+    /// Interval by interval; of clips alone.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) intervals: Vec<IntervalFigures>,
     /// The same under the fusion mode's name, with how the image jumps at key frames.
     pub(super) fusion: BTreeMap<&'static str, Mode>,
     /// Means over the clips whose cross-fade is under [`MOVING`] dB; of the mean alone.
@@ -209,7 +224,8 @@ impl Sums {
         let fusion = BTreeMap::from([(chosen.name(), Mode { key, middle, pop: self.pops.pop() })]);
         let seconds_per_frame = self.seconds / (self.key.frames + self.middle.frames).max(1) as f64;
         let gap = self.spacing(gap);
-        Row { name, gap, key, middle, seconds_per_frame, baselines, fusion, moving: None, still: None }
+        let intervals = self.intervals.clone();
+        Row { name, gap, key, middle, seconds_per_frame, baselines, intervals, fusion, moving: None, still: None }
     }
 
     pub(super) fn join(&mut self, other: &Sums) {

@@ -11,7 +11,8 @@ use std::time::Instant;
 
 use serde::Serialize;
 use streamsplat::Engine;
-use streamsplat::gap::Gap;
+use streamsplat::gap::interpolation::Small;
+use streamsplat::gap::{Gap, predicted};
 use streamsplat::lpips::Lpips;
 use streamsplat::picture::Picture;
 use streamsplat::source::{self, Source, folder};
@@ -32,7 +33,7 @@ mod baselines;
 mod figures;
 
 use baselines::{FlowBlend, Placed, mix};
-use figures::{Group, Row, Sums, line};
+use figures::{Group, IntervalFigures, Row, Sums, line};
 
 /// Side of the pictures that are compared.
 const SIDE: usize = 256;
@@ -191,12 +192,16 @@ fn evaluate(
     let hidden = console.quiet || !std::io::IsTerminal::is_terminal(&std::io::stderr());
     let mut progress = Progress::new("frames", keys.total(), hidden);
     let mut before: Option<(Picture, Placed)> = None;
+    let mut last_small: Option<Small> = None;
     while let Some(key) = keys.next()? {
         let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
         let truths: Vec<Picture> = key.shown.iter().map(|frame| frame.picture.resized(SIDE, SIDE)).collect();
         let last = truths.len() - 1;
         let picture = key.shown.last().map(|frame| frame.picture.clone());
         let between = if seen { key.between() } else { Vec::new() };
+        let small: Vec<Small> =
+            last_small.take().into_iter().chain(key.shown.iter().map(|f| Small::of(&f.picture))).collect();
+        let given = sums.key.psnr + sums.middle.psnr;
         let start = Instant::now();
         let interval: Interval = engine.push_with(between, key.frame, timestamp)?;
         sums.seconds += start.elapsed().as_secs_f64();
@@ -217,6 +222,11 @@ fn evaluate(
             let sum = if i == last { &mut sums.key } else { &mut sums.middle };
             sum.add(&ours, truth, lpips.as_deref_mut())?;
         }
+        if small.len() > truths.len() {
+            let psnr = (sums.key.psnr + sums.middle.psnr - given) / truths.len() as f64;
+            sums.intervals.push(IntervalFigures { frames: truths.len(), psnr, predicted: predicted(&small) });
+        }
+        last_small = small.into_iter().next_back();
         let Some(picture) = picture else { continue };
         let placed = Placed::new(&picture, interval.placement, engine.workers());
         if let Some((_, earlier)) = &before

@@ -1,0 +1,54 @@
+//! What is run.
+
+use super::Kind;
+
+/// The paper's way: one pass of the network at its own size.
+const PAPER: &str = "--resolution native --motion network --refine 0";
+
+/// One option after the other.
+const STEPS: [(&str, &str); 9] = [
+    ("the paper's way: one pass at the model's own size, the network's motion and colours", PAPER),
+    ("+ resolution: four times the area, in tiles", "--motion network --refine 0"),
+    ("+ motion: optical flow between the key frames", "--motion frames --refine 0 --fade network"),
+    ("+ fading: all alike, nothing of the dynamic half is computed", "--motion frames --refine 0"),
+    ("+ colours: 4 steps", "--motion frames --refine 4"),
+    ("+ colours: 16 steps at most", "--motion frames"),
+    ("seen, motion through the frames between, no colours", "--seen --refine 0"),
+    ("seen, + colours: 4 steps", "--seen --refine 4"),
+    ("seen, + colours: 16 steps at most", "--seen"),
+];
+/// From the fastest to the closest.
+const QUALITIES: [(&str, &str); 3] = [("realtime", "gap 8"), ("balanced", "gap 5, the default"), ("best", "gap 3")];
+/// Gaps of the grid, and what is said beside them.
+const GAPS: [usize; 4] = [2, 3, 5, 8];
+const CHOICES: [&str; 4] =
+    ["--flow coarse --refine 3 --refine-every 2", "--flow coarse --refine 4", "--refine 4", "--refine 16"];
+const UNSEEN_GAPS: [usize; 2] = [5, 8];
+
+/// Names, kinds and arguments of all rows.
+pub(super) fn all() -> Vec<(String, Kind, Vec<String>)> {
+    let words = |text: &str| -> Vec<String> { text.split_whitespace().map(str::to_owned).collect() };
+    let mut rows = Vec::new();
+    for (name, arguments) in STEPS {
+        rows.push((name.to_owned(), Kind::Step, words(&format!("{arguments} --gap 5"))));
+    }
+    for (name, gap) in QUALITIES {
+        let row = format!("seen, `--quality {name}`: {gap}");
+        rows.push((row, Kind::Quality, words(&format!("--seen --quality {name}"))));
+    }
+    for (name, gap) in QUALITIES {
+        rows.push((format!("`--quality {name}`: {gap}"), Kind::Quality, words(&format!("--quality {name}"))));
+    }
+    let grid = |rows: &mut Vec<_>, arguments: String| rows.push((arguments.clone(), Kind::Grid, words(&arguments)));
+    for gap in GAPS {
+        for choice in CHOICES {
+            grid(&mut rows, format!("--seen --gap {gap} {choice}"));
+        }
+    }
+    for gap in UNSEEN_GAPS {
+        for choice in &CHOICES[1..3] {
+            grid(&mut rows, format!("--gap {gap} {choice}"));
+        }
+    }
+    rows
+}
