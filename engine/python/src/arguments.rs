@@ -4,11 +4,15 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{IntoPyDict, PyDict};
 use streamsplat::camera::{self, CameraPath};
+use streamsplat::import::read_text;
 use streamsplat::{RenderOptions, Size};
 
 use crate::failure::{system, wrong};
+
+/// Longest camera file read, in bytes.
+const MAX_CAMERA: u64 = 16 << 20;
 
 /// `text` as a `T`, or a `ValueError` that names the argument.
 pub fn choice<T: FromStr>(name: &str, text: &str) -> PyResult<T>
@@ -22,12 +26,15 @@ where
 pub fn camera(value: Option<&Bound<'_, PyAny>>) -> PyResult<CameraPath> {
     let Some(value) = value else { return Ok(CameraPath::default()) };
     if let Ok(dictionary) = value.cast::<PyDict>() {
-        let text: String = value.py().import("json")?.call_method1("dumps", (dictionary,))?.extract()?;
+        // NumPy's numbers and arrays become Python's.
+        let plain = value.py().import("operator")?.call_method1("methodcaller", ("tolist",))?;
+        let named = [("default", plain)].into_py_dict(value.py())?;
+        let text: String = value.py().import("json")?.call_method("dumps", (dictionary,), Some(&named))?.extract()?;
         return camera::file::parse(&text).map_err(wrong);
     }
     let file: PathBuf =
         value.extract().map_err(|_| wrong("camera: expected None, a dictionary, or the path of a JSON file"))?;
-    let text = std::fs::read_to_string(&file).map_err(|e| system(format!("{}: {e}", file.display())))?;
+    let text = read_text(&file, MAX_CAMERA).map_err(|e| system(format!("{}: {e}", file.display())))?;
     camera::file::parse(&text).map_err(|e| wrong(format!("{}: {e}", file.display())))
 }
 

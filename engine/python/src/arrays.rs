@@ -3,6 +3,7 @@
 use numpy::ndarray::{ArrayView, ArrayView3, Dimension};
 use numpy::{Element, PyArray, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
+use streamsplat::picture::{MAX_PIXELS, MAX_SIDE, size_is_allowed};
 
 use crate::failure::wrong;
 
@@ -20,10 +21,18 @@ pub unsafe fn borrowed<'py, T: Element, D: Dimension>(
     Ok(array)
 }
 
+/// The greatest sample of a float frame that is not taken for one of 0 to 255.
+const MOST_FLOAT: f32 = 2.0;
+
 /// A frame's pixels as planes `[3, H, W]`, with its height and width.
 pub fn planes(frame: &Bound<'_, PyAny>) -> PyResult<(Vec<f32>, [usize; 2])> {
     if let Ok(pixels) = frame.extract::<PyReadonlyArray3<'_, f32>>() {
-        return split(pixels.as_array(), |x| x);
+        aligned("frame", frame)?;
+        let (planes, size) = split(pixels.as_array(), |x| x)?;
+        return match planes.iter().find(|x| **x > MOST_FLOAT && x.is_finite()) {
+            Some(x) => Err(wrong(format!("frame: expected float32 in [0, 1] (or uint8 in 0 to 255), found {x}"))),
+            None => Ok((planes, size)),
+        };
     }
     if let Ok(pixels) = frame.extract::<PyReadonlyArray3<'_, u8>>() {
         return split(pixels.as_array(), |x| f32::from(x) / 255.0);
@@ -39,6 +48,11 @@ fn split<T: Copy>(pixels: ArrayView3<'_, T>, value: impl Fn(T) -> f32) -> PyResu
     if channels != 3 {
         return Err(wrong(format!("frame: expected [height, width, 3], found [{height}, {width}, {channels}]")));
     }
+    // An array may show one number many times.
+    if !size_is_allowed(width, height) {
+        let most = format!("1 to {MAX_SIDE} pixels a side and {MAX_PIXELS} in all");
+        return Err(wrong(format!("frame: expected {most}, found {width}×{height}")));
+    }
     let planes = pixels.permuted_axes([2, 0, 1]);
     Ok((planes.iter().map(|&x| value(x)).collect(), [height, width]))
 }
@@ -51,10 +65,19 @@ pub fn depth(map: &Bound<'_, PyAny>, size: [usize; 2]) -> PyResult<Vec<f32>> {
             describe(map)
         )));
     };
+    aligned("depth", map)?;
     if values.shape() != size {
         return Err(wrong(format!("depth: expected {size:?} as the frame, found {:?}", values.shape())));
     }
     Ok(values.as_array().iter().copied().collect())
+}
+
+/// An error where an array's numbers do not lie where the processor expects numbers of their kind.
+fn aligned(name: &str, array: &Bound<'_, PyAny>) -> PyResult<()> {
+    if array.getattr("flags")?.getattr("aligned")?.extract()? {
+        return Ok(());
+    }
+    Err(wrong(format!("{name}: expected an aligned array, found one that is not (numpy.require(x, requirements='A') makes one)")))
 }
 
 /// What an argument is, for messages.

@@ -10,7 +10,7 @@ use streamsplat::output::{picture_png, write_file};
 use streamsplat::picture::Picture;
 
 use crate::arrays::borrowed;
-use crate::failure::{failed, system};
+use crate::failure::{failed, system, wrong};
 
 /// A drawn image. Its arrays are read-only and show the engine's own memory.
 #[pyclass(frozen, module = "streamsplat")]
@@ -81,8 +81,11 @@ impl Image {
         PyBytes::new(py, &bytes)
     }
 
-    /// Writes the PNG file: whole or not at all.
+    /// Writes the PNG file: whole or not at all. The name ends in .png.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        if !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png")) {
+            return Err(wrong(format!("path: expected a name ending in .png, found {}", path.display())));
+        }
         py.detach(|| write_file(&path, &picture_png(&self.picture))).map(drop).map_err(system)
     }
 

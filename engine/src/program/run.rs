@@ -41,6 +41,9 @@ pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     }
     if !console.quiet && args.out != Path::new("-") {
         say(report::summary(&record, &args.out))?;
+        if record.complete && record.outputs.keys().any(|name| name.starts_with("scene/")) {
+            say(format!("Next: streamsplat view {}", args.out.display()))?;
+        }
     }
     let resumable = destination.resume().is_some();
     if record.complete { Ok(()) } else { Err(stop::stopped(resumable)) }

@@ -98,6 +98,7 @@ impl Painter {
         let drawer = &mut self.drawer;
         self.workers.install(|| {
             view.apply(&mut seen.mean);
+            view.widen(&interval.placement, &seen.mean, &mut seen.scale);
             let rotation = view.rotation().map(|q| vec![q; seen.mean.len()]);
             let gaussians = Gaussians {
                 mean: &seen.mean,

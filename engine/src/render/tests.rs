@@ -53,6 +53,31 @@ fn a_letterboxed_image_is_the_cut_of_the_whole_one() {
 }
 
 #[test]
+fn an_enlarged_image_shows_the_models_own_pixels_between_which_it_is_closed() {
+    for source in [[24, 40], [48, 31]] {
+        let interval = interval(source);
+        let [height, width] = interval.placement.content;
+        let draw = |zoom: usize| {
+            let size = Size::Exact { width: zoom * width, height: zoom * height };
+            let options = RenderOptions { size, alpha: true, ..RenderOptions::default() };
+            interval.render(3.0, &Camera::Canonical, &options).expect("a size")
+        };
+        let (own, large) = (draw(1), draw(3));
+        // The middle of each 3×3 pixels is where the model's pixel was: the same Gaussians, equally wide.
+        for y in 0..height {
+            for x in 0..width {
+                let (at, middle) = (y * width + x, (3 * y + 1) * 3 * width + 3 * x + 1);
+                for c in 0..3 {
+                    let (a, b) = (own.rgb[c * width * height + at], large.rgb[c * 9 * width * height + middle]);
+                    // A Gaussian at the threshold of what is drawn may be on the other side of it.
+                    assert!((a - b).abs() < 2.5 / 255.0, "{source:?} at {x}, {y}: {a} and {b}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn every_size_can_be_drawn_and_impossible_ones_are_refused() {
     let interval = interval([30, 100]);
     let sized = |width, height| {

@@ -13,6 +13,8 @@ use crate::stream::{DynamicGaussians, Interval};
 
 /// Gaussians per task.
 const CHUNK: usize = 4096;
+/// What the rasteriser adds to variances, in px².
+const LOW_PASS: f64 = 0.3;
 /// What is under it cannot be drawn.
 const VISIBLE: f32 = 1.0 / 255.0;
 
@@ -186,6 +188,44 @@ impl View {
         mean.par_chunks_mut(CHUNK).flatten_iter().for_each(|m| {
             let d: [f64; 3] = std::array::from_fn(|i| f64::from(m[i]) - c[i]);
             *m = rows.map(|row| (row[0] * d[0] + row[1] * d[1] + row[2] * d[2]) as f32);
+        });
+    }
+
+    /// Widens Gaussians in view space that this view shows larger than the model's own pixels show them.
+    ///
+    /// The rasteriser adds 0.3 px² to every projected variance. Gaussians were trained, and their colours fitted, where a pixel is one of the model's, of which a unit of the
+    /// scene has `m = side / 2` along an axis; where it has `f > m` pixels, that addition is too small and gaps open between Gaussians. So that it stays what it was in the scene,
+    ///
+    /// ```text
+    /// s' = √(s² + a)      a = 0.3·(m⁻² − f⁻²), 0 where that is not above 10⁻⁶·0.3·m⁻²      f: the focal length, for a pinhole over the Gaussian's z
+    /// ```
+    ///
+    /// along x and y, with the mean of both along z. The variance in the image is then `(f·s)² + 0.3·(f/m)²` px². `m` and `f` are formed in binary64, what follows them in
+    /// binary32. At the model's own size no bit changes.
+    pub fn widen(&self, placement: &Placement, mean: &[[f32; 3]], scale: &mut [[f32; 3]]) {
+        let (focal, pinhole) = match self.projection {
+            Projection::Orthographic { focal } => (focal, false),
+            Projection::Pinhole { focal, .. } => (focal, true),
+        };
+        let own = [placement.model[1], placement.model[0]].map(|side| 0.5 * side.max(1) as f64);
+        let most = own.map(|m| (LOW_PASS / (m * m)) as f32);
+        let inverse = focal.map(|f| (LOW_PASS.sqrt() / f64::from(f)) as f32);
+        let added = |z: f32| -> [f32; 2] {
+            std::array::from_fn(|i| {
+                let root = if pinhole { inverse[i] * z } else { inverse[i] };
+                let a = most[i] - root * root;
+                if a > 1e-6 * most[i] { a } else { 0.0 }
+            })
+        };
+        if !pinhole && added(1.0) == [0.0; 2] {
+            return;
+        }
+        scale.par_iter_mut().with_min_len(CHUNK).zip(mean).for_each(|(s, mean)| {
+            let [x, y] = added(mean[2]);
+            if x + y > 0.0 {
+                let added = [x, y, 0.5 * (x + y)];
+                *s = std::array::from_fn(|i| (s[i] * s[i] + added[i]).sqrt());
+            }
         });
     }
 

@@ -12,6 +12,7 @@ const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
 class Camera {
   constructor() {
     this.half = [1, 1]; // half extents of the content in scene units
+    this.own = [1, 1];
     this.middle = [0, 0]; // its middle
     this.aspect = 16 / 9; // of the source's frames
     this.depth = 0.5; // of the target
@@ -30,6 +31,7 @@ class Camera {
   /** Learns where the content lies in the model's input. */
   place({ source, model, offset, content }) {
     this.half = [content[1] / model[1], content[0] / model[0]];
+    this.own = [model[1] / 2, model[0] / 2]; // the model's pixels per scene unit
     this.middle = [(2 * offset[1] + content[1]) / model[1] - 1, (2 * offset[0] + content[0]) / model[0] - 1];
     this.aspect = source[1] / source[0];
   }
@@ -55,7 +57,7 @@ class Camera {
     const distance = this.perspective ? 2.4 / this.zoom : 12;
     const eye = this.target.map((x, i) => x - axes[2][i] * distance);
     const focal = scale.map((s) => s * (this.perspective ? 2.4 : this.zoom));
-    return { width, height, axes, eye, focal, pinhole: this.perspective, distance };
+    return { width, height, axes, eye, focal, own: this.own, pinhole: this.perspective, distance };
   }
 
   turn(right, down) {

@@ -9,7 +9,9 @@ function alphaOn(packet, i, t, view, x, y) {
   if (!point) return 0;
   const [u, v, z] = project(view, point);
   if (z <= (view.pinhole ? 1e-3 : 0)) return 0;
-  const deviation = packet.deviation(i);
+  const unit = view.focal.map((f) => (view.pinhole ? f / z : f));
+  const [mx, my] = unit.map((f, axis) => LOW_PASS * Math.max(0, view.own[axis] ** -2 - f ** -2));
+  const deviation = packet.deviation(i).map((s, k) => Math.sqrt(s * s + [mx, my, 0.5 * (mx + my)][k]));
   const rows = view.axes.map((axis) => axis.map((a, k) => a * deviation[k]));
   const [right, down] = [[u - 0.5 * view.width, 0], [v - 0.5 * view.height, 1]].map(([offset, axis]) => {
     if (!view.pinhole) return rows[axis].map((m) => m * view.focal[axis]);

@@ -130,7 +130,7 @@ fn damage_takes_a_stopped_run_back_but_never_ends_it() {
         "resume/written.jsonl",
         "scene/interval-000003.safetensors",
     ] {
-        let out = scratch.path(&damaged.replace('/', "-"));
+        let out = scratch.path(&damaged.replace(['/', '.'], "-"));
         std::fs::write(&last, "").expect("writable");
         fails(&run(&clip, &out, &[]).output().expect("the program starts"), 1);
         std::fs::write(&last, &content).expect("writable");

@@ -31,6 +31,12 @@ def intervals():
     return [engine.push(frame, time) for i, (frame, time) in enumerate(streamsplat.Frames(CLIP)) if i % 4 == 0]
 
 
+def unaligned(shape):
+    """Float zeros one byte off."""
+    count = int(np.prod(shape))
+    return np.zeros(4 * count + 1, np.uint8)[1:].view(np.float32).reshape(shape)
+
+
 def files(folder):
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
@@ -133,6 +139,8 @@ def test_a_pixel_is_picked_and_a_camera_turned(intervals):
     assert interval.gaussians.identity[index] == identity and 0 < weight <= 1 and len(position) == 3
     turned = interval.render(interval.end, {"type": "orthographic", "position": [0.2, 0, 0]})
     assert turned.png() != interval.render(interval.end, {"type": "orthographic"}).png()
+    numbers = {"type": "orthographic", "position": np.array([0.2, 0, 0])}
+    assert turned.png() == interval.render(interval.end, numbers).png()
 
 
 def test_errors_are_exceptions_that_say_what_was_expected(intervals, tmp_path):
@@ -152,6 +160,10 @@ def test_errors_are_exceptions_that_say_what_was_expected(intervals, tmp_path):
         (streamsplat.Error, "expected 64×36 pixels", lambda: engine.push(np.zeros((64, 36, 3), np.uint8), 2.0)),
         (streamsplat.Error, "expected one between", lambda: intervals[-1].render(-1.0)),
         (ValueError, "size", lambda: intervals[-1].render(intervals[-1].end, size="big")),
+        (ValueError, "expected a name ending in .png", lambda: intervals[-1].render(intervals[-1].end).save(tmp_path / "a.jpg")),
+        (ValueError, "expected float32 in \\[0, 1\\] .* found 200", lambda: engine.push(np.full((36, 64, 3), 200, np.float32), 2.0)),
+        (ValueError, "found 60000×60000", lambda: engine.push(np.broadcast_to(np.float32(0), (60000, 60000, 3)), 2.0)),
+        (ValueError, "expected an aligned array", lambda: engine.push(unaligned((36, 64, 3)), 2.0)),
         (MemoryError, "no memory", lambda: intervals[-1].render(intervals[-1].end, size=(60000, 60000))),
         (ValueError, "background", lambda: intervals[-1].render(intervals[-1].end, background=2.0)),
         (ValueError, "camera", lambda: intervals[-1].render(intervals[-1].end, {"type": "fisheye"})),
