@@ -20,9 +20,8 @@ const STEPS: [(&str, &str); 9] = [
 /// From the fastest to the closest.
 const QUALITIES: [(&str, &str); 3] = [("realtime", "gap 8"), ("balanced", "gap 5, the default"), ("best", "gap 3")];
 /// Gaps of the grid, and what is said beside them.
-const GAPS: [usize; 4] = [2, 3, 5, 8];
-const CHOICES: [&str; 4] =
-    ["--flow coarse --refine 3 --refine-every 2", "--flow coarse --refine 4", "--refine 4", "--refine 16"];
+const GAPS: [usize; 3] = [3, 5, 8];
+const CHOICES: [&str; 3] = ["--flow coarse --refine 3 --refine-every 2", "--flow coarse --refine 6", "--refine 16"];
 const UNSEEN_GAPS: [usize; 2] = [5, 8];
 
 /// Names, kinds and arguments of all rows.
@@ -46,7 +45,7 @@ pub(super) fn all() -> Vec<(String, Kind, Vec<String>)> {
         }
     }
     for gap in UNSEEN_GAPS {
-        for choice in &CHOICES[1..3] {
+        for choice in &CHOICES[..1] {
             grid(&mut rows, format!("--gap {gap} {choice}"));
         }
     }
