@@ -77,7 +77,9 @@ fn aligned(name: &str, array: &Bound<'_, PyAny>) -> PyResult<()> {
     if array.getattr("flags")?.getattr("aligned")?.extract()? {
         return Ok(());
     }
-    Err(wrong(format!("{name}: expected an aligned array, found one that is not (numpy.require(x, requirements='A') makes one)")))
+    Err(wrong(format!(
+        "{name}: expected an aligned array, found one that is not (numpy.require(x, requirements='A') makes one)"
+    )))
 }
 
 /// What an argument is, for messages.

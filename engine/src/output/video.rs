@@ -125,13 +125,15 @@ impl Video {
         let size = format!("{width}x{height}");
         let rate = self.fps.to_string();
         // Halved chroma needs even sides.
-        let format = if width % 2 == 0 && height % 2 == 0 { "yuv420p" } else { "yuv444p" };
+        let format = if [width, height].iter().all(|side| side.is_multiple_of(2)) { "yuv420p" } else { "yuv444p" };
         let limited = "scale=out_color_matrix=bt709:out_range=limited";
         let video = ["-color_range", "tv", "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"];
         let arguments: Vec<&str> = match container {
             // 256 colours of each frame's own.
             "gif" => vec!["-vf", "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1"],
-            "webp" => vec!["-vf", limited, "-c:v", "libwebp_anim", "-pix_fmt", "yuv420p", "-quality", "90", "-loop", "0"],
+            "webp" => {
+                vec!["-vf", limited, "-c:v", "libwebp_anim", "-pix_fmt", "yuv420p", "-quality", "90", "-loop", "0"]
+            }
             "avif" => [&["-vf", limited, "-pix_fmt", format, "-cpu-used", "8"][..], &video].concat(),
             _ => [&["-vf", limited, "-pix_fmt", format][..], &video].concat(),
         };

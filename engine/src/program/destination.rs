@@ -8,8 +8,8 @@ use super::failure::Failure;
 
 /// Endings of files that nobody means as the name of a folder.
 const FOREIGN: [&str; 27] = [
-    "3gp", "asf", "avi", "flv", "m2ts", "mpeg", "mpg", "mts", "ogv", "ts", "vob", "wmv", "mp3", "wav", "bmp", "exr", "jpeg",
-    "jpg", "png", "tga", "tif", "tiff", "heic", "ply", "spz", "ssz", "zip",
+    "3gp", "asf", "avi", "flv", "m2ts", "mpeg", "mpg", "mts", "ogv", "ts", "vob", "wmv", "mp3", "wav", "bmp", "exr",
+    "jpeg", "jpg", "png", "tga", "tif", "tiff", "heic", "ply", "spz", "ssz", "zip",
 ];
 
 /// Where `--out` points.
@@ -29,7 +29,10 @@ impl Destination {
         match destination {
             Destination::Folder(_) if FOREIGN.contains(&ending.as_str()) && !out.is_dir() => {
                 let found = out.display();
-                Err(Failure::usage(format!("--out: expected a folder, - or a video (.{}), found {found}", VIDEOS.join(", ."))))
+                Err(Failure::usage(format!(
+                    "--out: expected a folder, - or a video (.{}), found {found}",
+                    VIDEOS.join(", .")
+                )))
             }
             destination => Ok(destination),
         }

@@ -97,9 +97,8 @@ pub(super) fn run(options: &Options, clips: &Path) -> Result<()> {
     let table = page::table(&record);
     print!("{table}");
     std::fs::create_dir_all(&options.out).with_context(|| format!("creating {}", options.out.display()))?;
-    let write = |path: PathBuf, text: &str| {
-        std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
-    };
+    let write =
+        |path: PathBuf, text: &str| std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()));
     if options.record.is_none() {
         crate::write_json(&options.out.join("tradeoff-clips.json"), &record)?;
     }

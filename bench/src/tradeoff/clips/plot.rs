@@ -77,7 +77,8 @@ pub(super) fn svg(record: &Record) -> Result<String> {
         root.fill(&WHITE).map_err(fail)?;
         let title = format!("Error against run time: the embedded model on {} clips of 512×288", record.clips);
         text(&root, &title, (24, 12), 20)?;
-        let machine = format!("{}, {}, {} threads; line: nothing is faster and as close", record.cpu, record.isa, record.threads);
+        let machine =
+            format!("{}, {}, {} threads; line: nothing is faster and as close", record.cpu, record.isa, record.threads);
         text(&root, &machine, (24, 38), 15)?;
         let (_, rest) = root.split_vertically(HEAD);
         let (panels, below) = rest.split_vertically(SIZE.1 - HEAD - BELOW);

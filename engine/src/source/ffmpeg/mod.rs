@@ -212,7 +212,11 @@ fn to_standard(path: &Path, probe: &Probe) -> Option<(String, String)> {
 /// The sample of HLG, 0 to 1, that a display of 1000 cd/m² shows as grey of `light` cd/m².
 fn hlg(light: f64) -> f64 {
     let scene = (light / 1000.0).powf(1.0 / 1.2);
-    if scene <= 1.0 / 12.0 { (3.0 * scene).sqrt() } else { 0.178_832_77 * (12.0 * scene - 0.284_668_92).ln() + 0.559_910_73 }
+    if scene <= 1.0 / 12.0 {
+        (3.0 * scene).sqrt()
+    } else {
+        0.178_832_77 * (12.0 * scene - 0.284_668_92).ln() + 0.559_910_73
+    }
 }
 
 /// The sample of PQ, 0 to 1, of `light` cd/m².
@@ -228,7 +232,12 @@ fn looks_brighter(path: &Path, white: f64) -> bool {
     let answer = Command::new("ffmpeg")
         .args(["-nostdin", "-v", "error", "-protocol_whitelist", "file", "-i"])
         .arg(url(path))
-        .args(["-map", "0:v:0", "-vf", "fps=1:round=up,scale=64:36:flags=area:in_range=tv:out_range=tv,format=gray16le"])
+        .args([
+            "-map",
+            "0:v:0",
+            "-vf",
+            "fps=1:round=up,scale=64:36:flags=area:in_range=tv:out_range=tv,format=gray16le",
+        ])
         .args(["-frames:v", &frames.to_string(), "-f", "rawvideo", "-"])
         .stdin(Stdio::null())
         .stderr(Stdio::null())
@@ -257,7 +266,12 @@ mod tests {
     fn text_is_told_from_other_bytes() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("a.mp4");
-        for (bytes, expected) in [(&b"Dear diary,\n\t\xc3\xa9\xc3"[..], true), (b"\0\0\0\x18ftypmp42", false), (b"", false), (b"\xff\xfe", false)] {
+        for (bytes, expected) in [
+            (&b"Dear diary,\n\t\xc3\xa9\xc3"[..], true),
+            (b"\0\0\0\x18ftypmp42", false),
+            (b"", false),
+            (b"\xff\xfe", false),
+        ] {
             std::fs::write(&path, bytes).expect("writable");
             assert_eq!(is_text(&path), expected, "{bytes:?}");
         }

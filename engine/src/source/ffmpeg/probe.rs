@@ -159,13 +159,19 @@ mod tests {
     #[test]
     fn times_are_kept_where_they_are_uneven() {
         assert_eq!(shown("0.000000,K_\n0.066,__\n0.033,__\n0.100,__\n"), None);
-        assert_eq!(shown("1.0,K__\n1.1,___\n1.2,_D_\n1.9,___\n1.2,___\n"), Some(vec![0.0, 1.1 - 1.0, 1.2 - 1.0, 1.9 - 1.0]));
+        assert_eq!(
+            shown("1.0,K__\n1.1,___\n1.2,_D_\n1.9,___\n1.2,___\n"),
+            Some(vec![0.0, 1.1 - 1.0, 1.2 - 1.0, 1.9 - 1.0])
+        );
         assert_eq!(shown(""), None);
         assert_eq!(shown("N/A,K\nx\n"), None);
     }
 
     #[test]
     fn ratios_are_read_and_zeros_are_none() {
-        assert_eq!([ratio("30000/1001"), ratio("4:3"), ratio("0:1"), ratio("0/0"), ratio("N/A")], [Some((30000, 1001)), Some((4, 3)), None, None, None]);
+        assert_eq!(
+            [ratio("30000/1001"), ratio("4:3"), ratio("0:1"), ratio("0/0"), ratio("N/A")],
+            [Some((30000, 1001)), Some((4, 3)), None, None, None]
+        );
     }
 }
