@@ -24,7 +24,7 @@ debian() {
   }
 }
 
-# python_with NAME REQUIREMENTS.TXT: a virtual environment of that name with the pinned packages; its interpreter is then $python.
+# python_with NAME REQUIREMENTS.TXT: a virtual environment of that name with the pinned packages, whose files must have the hashes named; its interpreter is then $python.
 python_with() {
   local home=$outside/python-$1 wanted
   wanted=$(cat "$2")
@@ -32,7 +32,7 @@ python_with() {
   [ "$(cat "$home/wanted" 2>/dev/null)" = "$wanted" ] && return
   rm -rf "$home"
   python3 -m venv "$home"
-  "$python" -m pip install --quiet --disable-pip-version-check -r "$2"
+  "$python" -m pip install --quiet --disable-pip-version-check --require-hashes -r "$2"
   printf '%s\n' "$wanted" >"$home/wanted"
 }
 
