@@ -62,9 +62,21 @@ impl Small {
     }
 }
 
-/// The largest sum of squares by which a frame between the first and the last of `frames` is missed.
-pub fn worst(frames: &[Small]) -> u64 {
-    let ([first, between @ .., last], true) = (frames, frames.len() > 2) else { return 0 };
+/// The sum of squares by which `frame` is missed by the frame before, each block of it sought there within [`REACH`].
+pub fn step(before: &Small, frame: &Small) -> u64 {
+    let blocks =
+        (0..ROWS as i32).step_by(BLOCK).flat_map(|row| (0..COLUMNS as i32).step_by(BLOCK).map(move |c| (row, c)));
+    let miss = |at: (i32, i32)| {
+        let error = |[dy, dx]: [i32; 2], (y, x): (i32, i32)| before.at(y - dy, x - dx) - frame.at(y, x);
+        let v = nearest(|v| block(at).map(|cell| error(v, cell).abs()).sum());
+        block(at).map(|cell| i64::from(error(v, cell)).pow(2) as u64).sum::<u64>()
+    };
+    blocks.map(miss).sum()
+}
+
+/// The sums of squares by which the frames between the first and the last of `frames` are missed.
+pub fn misses(frames: &[Small]) -> Vec<u64> {
+    let [first, between @ .., last] = frames else { return Vec::new() };
     let n = between.len() as i32 + 1;
     let mut errors = vec![0; between.len()];
     for row in (0..ROWS as i32).step_by(BLOCK) {
@@ -78,7 +90,7 @@ pub fn worst(frames: &[Small]) -> u64 {
             }
         }
     }
-    errors.into_iter().max().unwrap_or(0)
+    errors
 }
 
 /// The cells of the block at `(row, column)`.
@@ -89,9 +101,13 @@ fn block((row, column): (i32, i32)) -> impl Iterator<Item = (i32, i32)> {
 
 /// The displacement of half an interval at a block.
 fn displacement(first: &Small, last: &Small, row: i32, column: i32) -> [i32; 2] {
-    let distance = |[dy, dx]: [i32; 2]| -> i32 {
+    nearest(|[dy, dx]| {
         block((row, column)).map(|(y, x)| (first.at(y - dy, x - dx) - last.at(y + dy, x + dx)).abs()).sum()
-    };
+    })
+}
+
+/// The displacement within [`REACH`] of the least distance; shorter ones win unless a longer one is better by a tenth.
+fn nearest(distance: impl Fn([i32; 2]) -> i32) -> [i32; 2] {
     let mut best = ([0, 0], distance([0, 0]));
     // Rings of growing size around the middle.
     for ring in 1..=REACH {

@@ -1,23 +1,27 @@
 //! Which input frames become key frames.
 //!
-//! [`Gap::Every`] takes every n-th. [`Gap::Auto`] takes the next key frame when the frames in between could no longer be told from
-//! the key frames around them: as each frame arrives, what lies between the last key frame and it is predicted from these two
-//! ([`interpolation`]), and where the worst prediction is further from its frame than the bound allows, the frame before
-//! becomes a key frame. A gap never leaves its range.
+//! [`Gap::Every`] takes every n-th. [`Gap::Auto`] takes as few key frames as a run's images need to be as close to its frames as is asked for: as each frame arrives, what lies
+//! between the last key frame and it is predicted from these two ([`interpolation`]), how close the interval's images would come is expected from that and from how close those of
+//! earlier intervals came ([`control`]), and where that is less than what is asked for, the frame before becomes a key frame. A cut has a key frame on both sides. A gap never leaves its range.
 //!
 //! It works online: no frame waits for more than `most − 1` later ones before its key frame is known, as with a fixed gap
-//! of `most`. The choice is a function of the frames alone, in integers.
+//! of `most`. The choice is a function of the frames and of what [`Chooser::learn`] was told.
 
+pub mod control;
 pub mod interpolation;
 #[cfg(test)]
 mod tests;
 
+use std::collections::VecDeque;
 use std::fmt;
 use std::str::FromStr;
 
 use streamsplat_kernels::math::f64::{exp, ln};
 
 use crate::picture::Picture;
+pub use control::{ControlState, Found};
+
+use control::Control;
 use interpolation::Small;
 
 /// The largest gap.
@@ -25,29 +29,41 @@ pub const MOST: usize = 100_000;
 /// The largest gap that is chosen by looking: every frame is compared with all since the key frame.
 pub const MOST_AUTO: usize = 64;
 
+/// Ratio, in dB, under which a frame does not follow from the one before: a cut.
+const CUT: f64 = 18.0;
+/// The ratio, in dB, of a prediction that cannot be told from its frame.
+pub const LIKE: f64 = 60.0;
+
 /// How far key frames are apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Gap {
     /// This many input frames.
     Every(usize),
-    /// As far as the frames in between can be predicted.
+    /// As far as images stay close to the frames.
     Auto(Auto),
 }
 
-/// The range of a gap that is chosen by looking, and the bound.
+/// The range of a gap that is chosen by looking, and how close images should come.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Auto {
     /// The smallest gap: it bounds the cost.
     pub least: usize,
     /// The largest gap: it bounds the latency.
     pub most: usize,
-    /// Peak signal-to-noise ratio, in dB, that a prediction of a frame's small luma must have.
+    /// Mean peak signal-to-noise ratio that the images of all frames should have, in dB.
     pub decibels: f64,
 }
 
 impl Default for Auto {
     fn default() -> Self {
-        Auto { least: 5, most: 12, decibels: 26.0 }
+        Auto { least: 3, most: 12, decibels: 38.0 }
+    }
+}
+
+impl Gap {
+    /// Whether key frames depend on how close images come to frames.
+    pub fn depends_on_images(&self) -> bool {
+        matches!(self, Gap::Auto(auto) if auto.least < auto.most)
     }
 }
 
@@ -113,25 +129,56 @@ pub struct Chooser {
     since: Option<usize>,
     /// The last key frame and what came since.
     seen: Vec<Small>,
+    /// Whether a cut lies among these.
+    cut: bool,
+    /// At which ratio, in the mean, the frames between the last key frame and the latest frame are predicted from these two.
+    predicted: Option<f64>,
+    control: Control,
+    replay: Option<Replay>,
+}
+
+/// Choices that were made before.
+#[derive(Clone, Debug)]
+struct Replay {
+    gaps: VecDeque<usize>,
+    /// What was known when the last of them was made.
+    state: ControlState,
 }
 
 impl Chooser {
     /// One that has seen nothing.
     pub fn new(gap: Gap) -> Chooser {
-        Chooser { gap, since: None, seen: Vec::new() }
+        let control = Control::new(if let Gap::Auto(auto) = gap { auto } else { Auto::default() });
+        Chooser { gap, since: None, seen: Vec::new(), cut: false, predicted: None, control, replay: None }
+    }
+
+    /// Makes the choices of before again, `gaps` after the first key frame, and goes on with what was known at the last of them.
+    pub fn replay(&mut self, gaps: impl IntoIterator<Item = usize>, state: ControlState) {
+        self.replay = Some(Replay { gaps: gaps.into_iter().collect(), state });
+    }
+
+    /// Whether the next choice is one of before.
+    pub fn is_replaying(&self) -> bool {
+        self.replay.as_ref().is_some_and(|replay| !replay.gaps.is_empty())
     }
 
     /// Takes the next frame. The first is a key frame.
     pub fn next(&mut self, picture: &Picture) -> Choice {
         let since = self.since.map_or(0, |since| since + 1);
+        let again = self.replay.as_mut().filter(|replay| replay.gaps.front().is_some_and(|gap| since >= *gap));
+        let again = again.and_then(|replay| replay.gaps.pop_front());
         let choice = match self.gap {
-            _ if since == 0 => Choice::This,
+            _ if since == 0 || again.is_some() => Choice::This,
+            _ if self.is_replaying() => Choice::Wait,
             Gap::Every(n) if since == n => Choice::This,
             Gap::Every(_) => Choice::Wait,
             Gap::Auto(auto) => self.look(auto, since, picture),
         };
-        if since == 0 && matches!(self.gap, Gap::Auto(_)) {
-            self.seen = vec![Small::of(picture)];
+        if (since == 0 || again.is_some()) && !self.is_replaying() {
+            self.seen = if matches!(self.gap, Gap::Auto(_)) { vec![Small::of(picture)] } else { Vec::new() };
+            if let Some(replay) = self.replay.take() {
+                self.control.set(&replay.state);
+            }
         }
         self.since = Some(match choice {
             Choice::Wait => since,
@@ -141,30 +188,50 @@ impl Chooser {
         choice
     }
 
+    /// Takes how close the images of the next interval came, in the order of intervals, the first key frame's first, and at most [`control::LATE`] intervals late.
+    /// Where nothing is told, choices rest on predictions alone.
+    pub fn learn(&mut self, found: &Found) {
+        self.control.learn(found);
+    }
+
+    /// What is known, for [`Chooser::replay`].
+    pub fn state(&self) -> ControlState {
+        self.control.state()
+    }
+
     fn look(&mut self, auto: Auto, since: usize, picture: &Picture) -> Choice {
         self.seen.push(Small::of(picture));
-        let choice = if since > auto.least && interpolation::worst(&self.seen) > bound(auto.decibels) {
+        let [.., before, last] = &self.seen[..] else { return Choice::Wait };
+        let cut = interpolation::step(before, last) > bound(CUT);
+        self.cut |= cut;
+        let predicted = predicted(&self.seen);
+        let mean = (!predicted.is_empty()).then(|| predicted.iter().sum::<f64>() / predicted.len() as f64);
+        let shorter = std::mem::replace(&mut self.predicted, mean);
+        let choice = if since > auto.least && (self.cut || self.control.is_too_long(since, mean)) {
             Choice::Before
         } else if since >= auto.most {
             Choice::This
         } else {
             Choice::Wait
         };
-        let key = match choice {
+        let (gap, predicted) = match choice {
             Choice::Wait => return choice,
-            Choice::This => since,
-            Choice::Before => since - 1,
+            Choice::This => (since, mean),
+            Choice::Before => (since - 1, shorter),
         };
-        self.seen.drain(..key);
+        self.control.choose(gap, predicted, self.cut);
+        self.seen.drain(..gap);
+        self.cut = choice == Choice::Before && cut;
+        self.predicted = None;
         choice
     }
 }
 
-/// The ratio, in dB, by which the worst frame in between is predicted from the first and the last of `frames`; at most 99.
-pub fn predicted(frames: &[Small]) -> f64 {
-    let worst = interpolation::worst(frames) as f64 / interpolation::CELLS as f64;
-    let peak = (interpolation::PEAK * interpolation::PEAK) as f64;
-    if worst > 0.0 { (10.0 * ln(peak / worst) / std::f64::consts::LN_10).min(99.0) } else { 99.0 }
+/// Peak signal-to-noise ratios, in dB, at which the frames in between are predicted from the first and the last of `frames`; at most [`LIKE`].
+pub fn predicted(frames: &[Small]) -> Vec<f64> {
+    let peak = (interpolation::PEAK * interpolation::PEAK * interpolation::CELLS as u64) as f64;
+    let ratio = |miss: u64| if miss > 0 { 10.0 * ln(peak / miss as f64) / std::f64::consts::LN_10 } else { LIKE };
+    interpolation::misses(frames).into_iter().map(|miss| ratio(miss).min(LIKE)).collect()
 }
 
 /// The sum of squares that a ratio of so many decibels allows.

@@ -1,5 +1,5 @@
-use super::interpolation::{PEAK, Small, worst};
-use super::{Auto, Choice, Chooser, Gap};
+use super::interpolation::{PEAK, Small, misses};
+use super::{Auto, Choice, Chooser, Found, Gap};
 use crate::picture::Picture;
 
 /// A textured plane that has moved right by `shift` pixels, with a bright square where `square` says.
@@ -11,6 +11,11 @@ fn picture(shift: i32, square: Option<usize>) -> Picture {
         if inside { 1.0 } else { 0.3 + 0.2 * ((x.div_euclid(23) + y / 17) % 3) as f32 * 0.5 }
     };
     Picture { width, height, rgb: (0..3 * width * height).map(pixel).collect() }
+}
+
+/// The largest miss.
+fn worst(frames: &[Small]) -> u64 {
+    misses(frames).into_iter().max().unwrap_or(0)
 }
 
 /// Key frames of a clip: with the last frame, as a run has them.
@@ -38,14 +43,96 @@ fn a_fixed_gap_takes_every_nth_frame() {
 fn a_still_scene_has_the_largest_gap_and_a_sudden_change_a_key_frame_on_both_sides() {
     let auto = Gap::Auto(Auto { least: 1, most: 8, decibels: 26.0 });
     let still = vec![picture(0, None); 25];
-    assert_eq!(keys(auto, &still), [0, 8, 16, 24]);
+    // The gap doubles at most.
+    assert_eq!(keys(auto, &still), [0, 4, 12, 20]);
     let mut cut = still.clone();
     cut[11..].fill(picture(0, Some(100)));
-    assert_eq!(keys(auto, &cut), [0, 8, 10, 11, 19]);
+    assert_eq!(keys(auto, &cut), [0, 4, 10, 11, 19]);
     // Not below the smallest gap.
     let bounded = Gap::Auto(Auto { least: 5, most: 8, decibels: 26.0 });
     let found = keys(bounded, &cut);
     assert!(found.windows(2).all(|pair| (5..=8).contains(&(pair[1] - pair[0]))), "{found:?}");
+}
+
+/// Key frames of `clip`, where an interval of n frames turns out to have `between` dB between its key frames, two intervals late.
+fn told(auto: Auto, clip: &[Picture], between: impl Fn(usize) -> f64) -> (Vec<usize>, f64) {
+    let mut chooser = Chooser::new(Gap::Auto(auto));
+    let (mut keys, mut waiting) = (Vec::new(), std::collections::VecDeque::new());
+    let (mut sum, mut frames) = (0.0, 0);
+    for (i, picture) in clip.iter().enumerate() {
+        let key = match chooser.next(picture) {
+            Choice::Wait => continue,
+            Choice::This => i,
+            Choice::Before => i - 1,
+        };
+        let n = keys.last().map_or(1, |before| key - before);
+        let found = Found { key: 44.0, between: (n > 1).then(|| between(n)), frames: n };
+        sum += found.key + (n - 1) as f64 * found.between.unwrap_or_default();
+        frames += n;
+        keys.push(key);
+        waiting.push_back(found);
+        if waiting.len() > 1 {
+            waiting.pop_front().iter().for_each(|found| chooser.learn(found));
+        }
+    }
+    (keys, sum / frames as f64)
+}
+
+#[test]
+fn the_mean_comes_near_to_what_is_asked_for_whatever_predictions_say() {
+    let clip: Vec<Picture> = (0..150).map(|i| picture(2 * (i % 20), None)).collect();
+    for asked in [34.0, 36.0, 38.0, 40.0] {
+        // Easier and harder than expected.
+        for offset in [-6.0, -3.0, 0.0, 3.0] {
+            let auto = Auto { least: 2, most: 20, decibels: asked };
+            let (keys, mean) = told(auto, &clip, |n| 44.0 + offset - 5.0 * (n as f64).ln());
+            let free = keys.windows(2).filter(|pair| pair[1] - pair[0] > 2).count() > 2 && keys.len() > 8;
+            assert!(!free || (mean - asked).abs() < 1.0, "asked {asked}, offset {offset}: {mean} with {keys:?}");
+        }
+    }
+    let bounded = Auto { least: 2, most: 9, decibels: 60.0 };
+    assert!(told(bounded, &clip, |_| 10.0).0.windows(2).all(|pair| pair[1] - pair[0] == 2));
+    let easy = Auto { decibels: 12.0, ..bounded };
+    // The gap doubles until it is the largest.
+    assert!(told(easy, &clip, |_| 50.0).0.windows(2).skip(2).all(|pair| pair[1] - pair[0] == 9));
+}
+
+#[test]
+fn choices_go_on_from_where_they_were_replayed_to() {
+    let clip: Vec<Picture> = (0..80).map(|i| picture(i * i / 40, (i > 50).then_some(30))).collect();
+    let auto = Gap::Auto(Auto { least: 1, most: 11, decibels: 37.0 });
+    let found = |key: usize| Found { key: 40.0, between: Some(30.0 + (key % 7) as f64), frames: 3 };
+    let mut whole = Chooser::new(auto);
+    let mut keys: Vec<usize> = Vec::new();
+    let mut states = Vec::new();
+    for (i, picture) in clip.iter().enumerate() {
+        let key = match whole.next(picture) {
+            Choice::Wait => continue,
+            Choice::This => i,
+            Choice::Before => i - 1,
+        };
+        keys.push(key);
+        states.push(whole.state());
+        whole.learn(&found(key));
+    }
+    assert!(keys.len() > 10, "{keys:?}");
+    for at in 0..keys.len() {
+        let mut again = Chooser::new(auto);
+        again.replay(keys[..=at].windows(2).map(|pair| pair[1] - pair[0]), states[at].clone());
+        let mut found_keys: Vec<usize> = Vec::new();
+        for (i, picture) in clip.iter().enumerate() {
+            let key = match again.next(picture) {
+                Choice::Wait => continue,
+                Choice::This => i,
+                Choice::Before => i - 1,
+            };
+            found_keys.push(key);
+            if !again.is_replaying() {
+                again.learn(&found(key));
+            }
+        }
+        assert_eq!(found_keys, keys, "from {at}");
+    }
 }
 
 #[test]

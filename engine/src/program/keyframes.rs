@@ -1,12 +1,14 @@
 //! Input frames to key frames, with their depth maps, and the frames in between.
 
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use streamsplat::Frame;
-use streamsplat::gap::{Choice, Chooser, Gap};
+use streamsplat::gap::{Choice, Chooser, ControlState, Found, Gap};
 use streamsplat::picture::Picture;
 use streamsplat::source::{Source, SourceError, TimedPicture};
 
+use super::closeness::{Choices, SIDE, Truth};
 use super::digest::InputDigest;
 use super::failure::Failure;
 use super::keydepth::{KeyDepth, NetworkAccount};
@@ -17,6 +19,8 @@ pub struct KeyFrame {
     pub frame: Frame,
     /// Input frames after the key frame before, this one last. Their pictures are empty unless they were asked for.
     pub shown: Vec<TimedPicture>,
+    /// The same as they are compared, where key frames depend on that.
+    pub truths: Vec<Truth>,
 }
 
 /// What was read.
@@ -79,6 +83,12 @@ pub struct KeyFrames {
     digest: InputDigest,
     size: [usize; 2],
     pending: Vec<TimedPicture>,
+    /// All frames since the key frame before as they are compared, where key frames depend on that.
+    truths: Option<Vec<Truth>>,
+    /// How close images came to frames.
+    told: Option<Receiver<Found>>,
+    /// Key frames given.
+    given: usize,
     /// A frame whose arrival made the one before a key frame.
     ahead: Option<TimedPicture>,
     time: Duration,
@@ -99,10 +109,31 @@ impl KeyFrames {
             digest: InputDigest::default(),
             size: [0, 0],
             pending: Vec::new(),
+            truths: gap.depends_on_images().then(Vec::new),
+            told: None,
+            given: 0,
             ahead: None,
             time: Duration::ZERO,
             ended: false,
         }
+    }
+
+    /// Makes the choices of before again, then goes on.
+    pub fn replay(&mut self, choices: &Choices) {
+        self.chooser.replay(choices.gaps.iter().copied(), choices.state.clone());
+    }
+
+    /// Where it is told how close images came to frames, one message per key frame, if it wants to know. The choice of a key frame waits for what was found up to
+    /// the last key frame but one before it: whether frames are read ahead then makes no difference.
+    pub fn listen(&mut self, told: Receiver<Found>) -> bool {
+        let wanted = self.truths.is_some();
+        self.told = Some(told).filter(|_| wanted);
+        wanted
+    }
+
+    /// What the latest choice rested on.
+    pub fn state(&self) -> ControlState {
+        self.chooser.state()
     }
 
     /// Frames there will be, where that is known.
@@ -138,10 +169,18 @@ impl KeyFrames {
 
     /// The next key frame.
     pub fn next(&mut self) -> Result<Option<KeyFrame>, Failure> {
+        if let Some(told) = &self.told
+            && self.given >= 2
+            && !self.chooser.is_replaying()
+        {
+            // Nobody tells any more when nobody takes key frames any more.
+            told.recv().iter().for_each(|found| self.chooser.learn(found));
+        }
         let start = Instant::now();
         let _span = tracing::info_span!("decode").entered();
         let result = self.read();
         self.time += start.elapsed();
+        self.given += 1;
         result
     }
 
@@ -165,6 +204,9 @@ impl KeyFrames {
             self.size = [width, height];
             let depth = self.depth.of_file(frame.index, &frame.picture)?;
             self.digest.add(&frame.picture, frame.timestamp, depth.as_deref());
+            if let Some(truths) = &mut self.truths {
+                truths.push(Truth { time: frame.timestamp, picture: frame.picture.resized(SIDE, SIDE) });
+            }
             if choice == Choice::This {
                 return self.key(frame, depth).map(Some);
             }
@@ -217,7 +259,8 @@ impl KeyFrames {
             Keep::Nothing | Keep::Between => std::mem::replace(&mut frame.picture, empty()).rgb,
         };
         shown.push(frame);
-        Ok(KeyFrame { frame: Frame { width, height, rgb, depth }, shown })
+        let truths = self.truths.as_mut().map(std::mem::take).unwrap_or_default();
+        Ok(KeyFrame { frame: Frame { width, height, rgb, depth }, shown, truths })
     }
 }
 

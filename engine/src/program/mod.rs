@@ -6,6 +6,7 @@
 mod ahead;
 mod bench;
 mod cli;
+mod closeness;
 mod destination;
 mod digest;
 mod drawing;

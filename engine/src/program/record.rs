@@ -49,6 +49,9 @@ pub struct Record {
     pub work: BTreeMap<String, WorkRecord>,
     /// Gaussians left out because a number of theirs was not finite.
     pub dropped: u64,
+    /// Mean PSNR of the images of all frames at 256×256, in dB, where key frames depend on it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psnr: Option<f64>,
     /// Differs from run to run.
     pub timing: Timing,
 }
@@ -323,6 +326,7 @@ mod tests {
                 .into(),
             work: [("encoder".to_owned(), WorkRecord { done: 9, avoided: 1, unit: "frames".into() })].into(),
             dropped: 3,
+            psnr: None,
             timing: Timing { total: 0.1, threads: 2, isa: "avx2".into(), ..Timing::default() },
         };
         let render = Record {

@@ -136,6 +136,7 @@ pub(super) fn record(
         outputs,
         work,
         dropped: drawing.counts.dropped,
+        psnr: None,
         timing: Timing::of(start, seconds, workers),
     }
 }

@@ -74,6 +74,9 @@ fn write_markdown(record: &Record, out: &mut String) -> std::fmt::Result {
         writeln!(out, "| renderer | {}: its images are outside of the bit contract |", record.renderer)?;
     }
     writeln!(out, "| output | {} images, {} files |", images(record), record.outputs.len())?;
+    if let Some(psnr) = record.psnr {
+        writeln!(out, "| closeness | {psnr:.2} dB, mean PSNR of all frames at 256×256 |")?;
+    }
     if record.dropped > 0 {
         writeln!(out, "| left out | {} Gaussians with numbers that are not finite |", record.dropped)?;
     }

@@ -10,6 +10,7 @@ use streamsplat::stream::{Interval, Memory, MotionFrom, Reuse};
 
 use super::ahead::Ahead;
 use super::cli::{Console, Machine, RunArgs, RunOptions};
+use super::closeness::Closeness;
 use super::drawing::Drawing;
 use super::failure::Failure;
 use super::keydepth::KeyDepth;
@@ -132,15 +133,21 @@ fn run_from(
     let mut drawing = Drawing::new(engine.workers(), views.backend)?;
     let depth = KeyDepth::open(&depth, &source, machine.level()?, reuse)?;
     let keys = KeyFrames::new(source, depth, gap, keep, options.frames);
-    let keys = Ahead::new(keys, engine.workers().threads());
+    let before = if let Found::Under(point, _) = &found { point.choices.as_ref() } else { None };
+    let keys = Ahead::resume(keys, engine.workers().threads(), before);
+    let mut closeness = gap.depends_on_images().then(|| Closeness::new(engine.workers())).transpose()?;
+    if let Some((closeness, choices)) = closeness.as_mut().zip(before) {
+        closeness.resume(choices);
+    }
     let terms = terms.map_or_else(|| Terms::given(options, &model_record(options)?), Ok)?;
 
     let mut times = Times { asked: views.times.as_deref(), next: 0 };
     let progress = Progress::new("frames", keys.total(), console.quiet);
     let account = Account::default();
     let (drawing_ref, span) = (&mut drawing, None);
+    let drawing = drawing_ref;
     let mut stream =
-        Stream { keys, engine, outputs, drawing: drawing_ref, progress, page, account, emit, dropped: 0, span, key: 0 };
+        Stream { keys, engine, outputs, drawing, closeness, progress, page, account, emit, dropped: 0, span, key: 0 };
     let resumed = match &found {
         Found::Under(point, memory) => {
             if let Err(failure) = resume::catch_up(&mut stream, &mut times, &views, point, memory.as_ref()) {
@@ -161,7 +168,7 @@ fn run_from(
             return Err(failure);
         }
     };
-    let Stream { keys, engine, outputs, progress, page, account, dropped, span, .. } = stream;
+    let Stream { keys, engine, outputs, closeness, progress, page, account, dropped, span, .. } = stream;
     let Some((first, last)) = span else {
         return Err(Failure::work(format!("{}: the video has no frame", input.display())));
     };
@@ -183,6 +190,9 @@ fn run_from(
     let stages = engine.work().stages().iter().filter(|stage| !stage.stage.contains('.'));
     let mut seconds = stages.map(|stage| (stage.stage.to_owned(), stage.time.as_secs_f64())).collect();
     drawing.account(&mut work, &mut seconds);
+    if let Some(closeness) = &closeness {
+        closeness.account(&mut work, &mut seconds);
+    }
     let read = keys.account();
     seconds.insert("decode".into(), read.time.as_secs_f64());
     if let Some(network) = &read.network {
@@ -206,6 +216,7 @@ fn run_from(
         outputs: written,
         work,
         dropped: dropped + drawing.counts.dropped,
+        psnr: closeness.as_ref().and_then(Closeness::mean),
         timing: Timing::of(start, seconds, engine.workers()),
     })
 }
@@ -216,6 +227,8 @@ pub struct Stream<'a> {
     pub engine: Engine,
     pub outputs: Outputs,
     pub drawing: &'a mut Drawing,
+    /// Where key frames depend on it.
+    pub closeness: Option<Closeness>,
     pub progress: Progress,
     pub page: Option<Serving>,
     pub account: Account,
@@ -254,6 +267,11 @@ impl Stream<'_> {
             let frames = key.shown.iter().map(|frame| (frame.index, frame.timestamp));
             let due = if self.emit.draws() || self.emit.ply { times.of(&interval, frames) } else { Vec::new() };
             self.write(&interval, &due, views)?;
+            if let Some(closeness) = &mut self.closeness
+                && let Some(found) = closeness.of(&interval, &key.truths)?
+            {
+                self.keys.tell(&found, closeness);
+            }
             self.commit(whence, times.next, memory.as_ref())?;
             self.key += 1;
             key.shown.iter().for_each(|_| self.progress.step());
@@ -293,6 +311,7 @@ impl Stream<'_> {
             key: self.key,
             span: self.span.unwrap_or_default(),
             times,
+            choices: self.keys.choices().cloned(),
             work: self.account.of(self.engine.work()),
             dropped: self.dropped,
             drawn: self.drawing.counts.clone(),

@@ -161,6 +161,13 @@ pub struct Views {
 /// Longest camera file that is read, in bytes.
 const MAX_CAMERA: u64 = 1 << 26;
 
+impl Views {
+    /// The video's own, at the size at which the model sees frames.
+    pub fn own() -> Views {
+        Views { options: RenderOptions::default(), camera: CameraPath::default(), times: None, backend: Backend::Cpu }
+    }
+}
+
 impl View {
     /// Checks everything that can be checked before work is spent.
     pub fn resolve(&self) -> Result<Views, Failure> {

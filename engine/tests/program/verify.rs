@@ -52,9 +52,9 @@ fn what_is_left_out_and_which_frames_are_key_frames_is_repeated() {
         image.save(path).expect("writable");
     }
     let out = scratch.path("out");
-    run_ok(&clip, &out, &["--gap", "auto:1-4:18", "--reuse", "0.02", "--quiet"]);
+    run_ok(&clip, &out, &["--gap", "auto:1-4:10", "--reuse", "0.02", "--quiet"]);
     let record = json(&out.join("run.json"));
-    assert_eq!(record["options"]["stream"]["gap"], "auto:1-4:18");
+    assert_eq!(record["options"]["stream"]["gap"], "auto:1-4:10");
     assert_eq!(record["options"]["stream"]["reuse"], "0.02");
     assert!(record["work"]["encoder.tokens"]["avoided"].as_u64().is_some_and(|n| n > 0), "{}", record["work"]);
     let scene = json(&out.join("scene/scene.json")).to_string();

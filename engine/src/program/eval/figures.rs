@@ -109,14 +109,19 @@ pub(super) struct Sums {
 }
 
 /// What an interval gives, beside what was to be expected of it.
-#[derive(Clone, Copy, Debug, Serialize)]
+/// An interval: how close its images are to the frames, and how close they were said to be.
+#[derive(Clone, Debug, Serialize)]
 pub(super) struct IntervalFigures {
-    /// Frames after the key frame before, with the one at its end.
+    /// After its first key frame.
     pub(super) frames: usize,
-    /// Mean over these frames, in dB.
-    pub(super) psnr: f64,
-    /// How well the frames between its key frames follow from these, in dB ([`streamsplat::gap::predicted`]).
-    pub(super) predicted: f64,
+    /// PSNR of its last frame, the key frame, in dB.
+    pub(super) key: f64,
+    /// Mean PSNR of the frames in between, in dB.
+    pub(super) between: Option<f64>,
+    /// Mean ratio, in dB, at which the frames in between follow from the key frames ([`streamsplat::gap::predicted`]).
+    pub(super) predicted: Option<f64>,
+    /// The least of these.
+    pub(super) worst: Option<f64>,
 }
 
 /// What one fusion mode gives.

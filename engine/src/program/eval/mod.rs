@@ -20,6 +20,7 @@ use streamsplat::stream::{Interval, Reconstructor, Reuse, Settings};
 
 use crate::program::ahead::Ahead;
 use crate::program::cli::{Console, EvalArgs, View};
+use crate::program::closeness::{self, Closeness};
 use crate::program::drawing::Drawing;
 use crate::program::failure::Failure;
 use crate::program::keydepth::KeyDepth;
@@ -36,7 +37,7 @@ use baselines::{FlowBlend, Placed, mix};
 use figures::{Group, IntervalFigures, Row, Sums, line};
 
 /// Side of the pictures that are compared.
-const SIDE: usize = 256;
+const SIDE: usize = closeness::SIDE;
 
 #[derive(Serialize)]
 struct Figures {
@@ -88,7 +89,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         let source = Source::open(clip, &source::Options { fps: args.fps })?;
         let depth = KeyDepth::open(&depth, &source, args.machine.level()?, settings.reuse != Reuse::Off)?;
         let keys = KeyFrames::new(source, depth, gap, Keep::Everything, None);
-        let sums = evaluate(keys, &settings, &mut model, &views, args.seen, lpips.as_mut(), console)?;
+        let sums = evaluate(keys, gap, &settings, &mut model, &views, args.seen, lpips.as_mut(), console)?;
         let name = clip.file_name().unwrap_or(clip.as_os_str()).to_string_lossy().into_owned();
         if sums.key.frames < 2 {
             let least = if let Gap::Every(n) = gap { n + 1 } else { 2 };
@@ -172,6 +173,7 @@ fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
 
 fn evaluate(
     keys: KeyFrames,
+    gap: Gap,
     settings: &Settings,
     model: &mut Option<Arc<dyn Reconstructor>>,
     views: &Views,
@@ -188,6 +190,7 @@ fn evaluate(
     *model = Some(engine.model().clone());
     let mut drawing = Drawing::new(engine.workers(), views.backend)?;
     let mut shown = Vec::new();
+    let mut closeness = gap.depends_on_images().then(|| Closeness::new(engine.workers())).transpose()?;
     let mut keys = Ahead::new(keys, engine.workers().threads());
     let hidden = console.quiet || !std::io::IsTerminal::is_terminal(&std::io::stderr());
     let mut progress = Progress::new("frames", keys.total(), hidden);
@@ -201,7 +204,7 @@ fn evaluate(
         let between = if seen { key.between() } else { Vec::new() };
         let small: Vec<Small> =
             last_small.take().into_iter().chain(key.shown.iter().map(|f| Small::of(&f.picture))).collect();
-        let given = sums.key.psnr + sums.middle.psnr;
+        let given = [sums.key.psnr, sums.middle.psnr];
         let start = Instant::now();
         let interval: Interval = engine.push_with(between, key.frame, timestamp)?;
         sums.seconds += start.elapsed().as_secs_f64();
@@ -222,9 +225,22 @@ fn evaluate(
             let sum = if i == last { &mut sums.key } else { &mut sums.middle };
             sum.add(&ours, truth, lpips.as_deref_mut())?;
         }
+        let mean = |sum: f64| (last > 0).then(|| sum / last as f64);
+        let (reached, between) = (sums.key.psnr - given[0], mean(sums.middle.psnr - given[1]));
+        if let Some(closeness) = &mut closeness
+            && let Some(found) = closeness.of(&interval, &key.truths)?
+        {
+            keys.tell(&found, closeness);
+        }
         if small.len() > truths.len() {
-            let psnr = (sums.key.psnr + sums.middle.psnr - given) / truths.len() as f64;
-            sums.intervals.push(IntervalFigures { frames: truths.len(), psnr, predicted: predicted(&small) });
+            let predicted = predicted(&small);
+            sums.intervals.push(IntervalFigures {
+                frames: truths.len(),
+                key: reached,
+                between,
+                predicted: mean(predicted.iter().sum()),
+                worst: predicted.into_iter().reduce(f64::min),
+            });
         }
         last_small = small.into_iter().next_back();
         let Some(picture) = picture else { continue };

@@ -34,6 +34,7 @@ use streamsplat::stream::Memory;
 pub use catch_up::catch_up;
 pub use terms::{Terms, with_absolute_paths};
 
+use super::closeness::Choices;
 use super::earlier::is_as_written;
 use super::failure::Failure;
 use super::outputs::Destination;
@@ -59,6 +60,9 @@ pub struct Point {
     pub span: (f64, f64),
     /// How many of the times asked for are done.
     pub times: usize,
+    /// The key frames chosen, where they depend on how close images come to frames.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub choices: Option<Choices>,
     /// The engine's account.
     pub work: BTreeMap<String, WorkRecord>,
     /// Gaussians left out by the engine.
