@@ -52,12 +52,14 @@ fn what_is_left_out_and_which_frames_are_key_frames_is_repeated() {
         image.save(path).expect("writable");
     }
     let out = scratch.path("out");
-    run_ok(&clip, &out, &["--gap", "auto:1-4:10", "--reuse", "0.02", "--quiet"]);
+    let close = ["--motion", "between", "--refine", "4"];
+    run_ok(&clip, &out, &[&close[..], &["--gap", "auto:1-4:10", "--reuse", "0.02", "--quiet"]].concat());
     let record = json(&out.join("run.json"));
     assert_eq!(record["options"]["stream"]["gap"], "auto:1-4:10");
     assert_eq!(record["options"]["stream"]["reuse"], "0.02");
     assert!(record["work"]["encoder.tokens"]["avoided"].as_u64().is_some_and(|n| n > 0), "{}", record["work"]);
     let scene = json(&out.join("scene/scene.json")).to_string();
+    assert!(record["psnr"].as_f64().is_some_and(|found| found > 10.0), "{}", record["psnr"]);
     // The largest gap, the frame before the cut, the one after.
     for (index, expected) in [(1, 4), (2, 5), (3, 6), (4, 10)] {
         let name = format!("interval-{index:06}.safetensors");
