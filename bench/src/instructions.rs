@@ -19,7 +19,7 @@ const LIMIT: f64 = 0.03;
 /// The same where another compiler was used, or other settings.
 const LIMIT_OF_OTHERS: f64 = 0.10;
 
-/// What was counted.
+/// Counted instructions.
 #[derive(Serialize, Deserialize)]
 struct Counts {
     /// The compiler, and what of the release profile was set otherwise.
@@ -58,7 +58,7 @@ macro_rules! counted {
 
 counted!(encoder, upsampler, decoder, heads, raster);
 
-/// What runs under valgrind: every stage once, on one thread.
+/// Runs every stage once, on one thread: the work counted by valgrind.
 pub(crate) fn work(level: Level, precision: Precision) -> Result<()> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     pool.install(|| {

@@ -1,4 +1,4 @@
-//! What the machine can do at most, from loops of independent instructions.
+//! Peak of the machine, from loops of independent instructions.
 
 use serde::Serialize;
 use streamsplat_kernels::Level;

@@ -44,7 +44,7 @@ enum Command {
     Kernels(kernels::Options),
     /// Whole scenes of Gaussians, redrawing, and growth with their number.
     Raster(raster::Options),
-    /// What leaving out work costs and saves on given clips.
+    /// Cost and saving of reuse on given clips.
     Reuse(reuse::Options),
     /// A stream of thousands of key frames: memory, time, identities, drift.
     Soak(soak::Options),

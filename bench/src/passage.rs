@@ -60,7 +60,7 @@ fn keys(gap: Gap, clip: &[TimedPicture]) -> Vec<usize> {
     keys
 }
 
-/// What a key frame took.
+/// Time of a key frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Step {
     /// [`Engine::push`].

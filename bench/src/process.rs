@@ -1,4 +1,4 @@
-//! What this process uses, as Linux tells it.
+//! Resources that this process uses, from Linux.
 
 use anyhow::{Context, Result};
 

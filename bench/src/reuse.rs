@@ -81,11 +81,11 @@ struct Results {
     rows: Vec<Row>,
 }
 
-/// What a variant took and gave on a clip.
+/// Cost and result of a variant on a clip.
 #[derive(Clone, Debug, Serialize)]
 struct Row {
     clip: String,
-    /// Whether the camera stands still, where the manifest tells.
+    /// True if the camera stands still, where the manifest tells.
     still: Option<bool>,
     reuse: String,
     gap: String,

@@ -39,7 +39,7 @@ struct Request {
     write: Option<PathBuf>,
 }
 
-/// What is run, with its inputs.
+/// Network to run, with its inputs.
 enum Served {
     Network(Box<Network>, Inputs),
     Dino(Box<Dino>, Tensor),

@@ -41,7 +41,7 @@ pub(crate) struct Options {
     /// Recorded counts; more than 3 % above them is a failure.
     #[arg(long, value_name = "FILE", requires = "instructions")]
     recorded: Option<PathBuf>,
-    /// What runs under valgrind.
+    /// Work that runs under valgrind.
     #[arg(long, hide = true)]
     counted_work: bool,
 }

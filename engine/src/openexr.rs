@@ -109,7 +109,7 @@ pub struct NamedLayer<'a> {
     pub name: &'a str,
     /// Its channels.
     pub planes: Planes,
-    /// What the samples mean.
+    /// Meaning of the samples.
     pub comment: &'a str,
     /// The colour space, as the attribute `oiio:ColorSpace` calls it.
     pub colour_space: Option<&'a str>,

@@ -21,7 +21,7 @@ pub struct Picture {
     pub rgb: Vec<f32>,
 }
 
-/// Whether a picture of this size may be decoded: at least one pixel, within [`MAX_SIDE`] and [`MAX_PIXELS`].
+/// Returns true if a picture of this size may be decoded: at least one pixel, within [`MAX_SIDE`] and [`MAX_PIXELS`].
 ///
 /// Asked before any memory is taken for the samples.
 pub fn size_is_allowed(width: usize, height: usize) -> bool {

@@ -19,7 +19,7 @@ use streamsplat_kernels::raster::{self, Gaussians, OwnedGaussians, Projection, R
 /// Most pixels of an image.
 pub const MAX_PIXELS: usize = 1 << 26;
 
-/// What is wrong with a file of splats.
+/// Errors of a file of splats.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SplatsError {
@@ -37,9 +37,9 @@ pub enum SplatsError {
     Shape {
         /// The tensor.
         tensor: &'static str,
-        /// What it should have.
+        /// The expected shape or type.
         expected: String,
-        /// What it has.
+        /// The one found.
         found: Vec<usize>,
     },
     /// A tensor's number format is not read.
@@ -77,7 +77,7 @@ impl Splats {
     /// Reads the bytes of a safetensors file.
     ///
     /// # Errors
-    /// What is no such file, or one whose tensors do not fit together.
+    /// Files of another kind, or whose tensors do not fit together.
     pub fn from_safetensors(bytes: &[u8]) -> Result<Splats, SplatsError> {
         let file = SafeTensors::deserialize(bytes).map_err(|e| SplatsError::Format(e.to_string()))?;
         let file = &file;

@@ -1,11 +1,13 @@
 //! Arithmetic of StreamSplat on CPUs. Knows nothing of models.
 //!
-//! Every operation lives in one folder: documentation with its formula and order of accumulation, a plain reference, the
-//! generic body over a 16-lane vector, and overrides per instruction-set level. All of them keep the *bit contract*: the
-//! output bits are the same on every [`Level`] and for any number of threads.
+//! An operation is a folder: documentation with its formula and order of accumulation, a body that is generic over a
+//! vector of 16 lanes ([`simd`]), tests, and a plain reference where a formula in binary64 or scalar code says more than
+//! the body. Elementary functions ([`math`]) have scalar twins. Levels differ in [`simd`] alone, and in the sizes of
+//! register blocks that they ask for. Everything keeps the *bit contract*: the output bits are the same on every
+//! [`Level`] and for any number of threads.
 //!
-//! An operation runs in a [`tracing`] span that is named after its folder (those of `raster` after its passes), at the level `DEBUG`. Where nobody
-//! listens, that is one comparison a call.
+//! Operations run in [`tracing`] spans at the level `DEBUG`, named after the operation (those of `raster` after its
+//! passes). Without a subscriber, that is one comparison a call.
 
 #![deny(unsafe_code)]
 

@@ -42,7 +42,7 @@ impl<'a, T> Disjoint<'a, T> {
         self.len
     }
 
-    /// Whether nothing is shared.
+    /// Returns true if nothing is shared.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }

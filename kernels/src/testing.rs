@@ -1,4 +1,4 @@
-//! What the kernels' tests share.
+//! Helpers that the kernels' tests share.
 
 use crate::Level;
 use crate::simd::DotProducts;
@@ -20,7 +20,7 @@ pub(crate) fn bits(x: &[f32]) -> Vec<u32> {
     x.iter().map(|x| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() }).collect()
 }
 
-/// What `compute` writes on the scalar level with one thread, after it has written the same bits on every level with 1, 2, 3
+/// Result of `compute` on the scalar level with one thread, after it has written the same bits on every level with 1, 2, 3
 /// and 8 threads, and with every set of dot products that the CPU has. The output holds 0.5 before.
 pub(crate) fn on_every_level_and_thread_count(len: usize, compute: impl Fn(Level, &mut [f32]) + Sync) -> Vec<f32> {
     let run = |level, threads, dots: Option<DotProducts>| {

@@ -30,7 +30,7 @@ thread_local! {
     static EXPECTED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Whether `call` panics; nothing is printed of it.
+/// Returns true if `call` panics; nothing is printed of it.
 fn panics<R>(call: impl FnOnce() -> R) -> bool {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
@@ -105,7 +105,7 @@ fn wrapping_sizes(n: usize) -> impl Strategy<Value = Vec<usize>> {
         })
 }
 
-/// Whether sizes are what they seem: the product is the slice's length, and none of them is large beside a 0.
+/// Returns true if sizes are what they seem: the product is the slice's length, and none of them is large beside a 0.
 fn is_small(sizes: &[usize]) -> bool {
     exact(sizes) <= 4096 && sizes.iter().all(|&size| size <= 4096)
 }

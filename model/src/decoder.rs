@@ -178,7 +178,7 @@ impl Decoder {
         [first, second]
     }
 
-    /// What enters the blocks, `[2N, D]`.
+    /// Input of the blocks, `[2N, D]`.
     pub(crate) fn enter(&self, level: Level, h: [&[f32]; 2]) -> Vec<f32> {
         let mut summed = h.concat();
         add(&mut summed, &self.position);

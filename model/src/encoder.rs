@@ -62,7 +62,7 @@ impl Encoder {
         self.run(level, config, self.enter(level, tokens), work)
     }
 
-    /// What enters the blocks.
+    /// Input of the blocks.
     pub(crate) fn enter(&self, level: Level, tokens: &[f32]) -> Vec<f32> {
         let mut summed = tokens.to_vec();
         add(&mut summed, &self.position);

@@ -1,4 +1,4 @@
-//! What can be wrong with a model file or with what a model is given.
+//! Errors of model files and of a model's inputs.
 
 use std::io;
 
@@ -29,7 +29,7 @@ pub enum ModelError {
     Format {
         /// The file.
         file: String,
-        /// What is wrong, expected and found.
+        /// The cause: expected and found.
         reason: String,
     },
     /// A tensor the model needs is not in the file.
@@ -83,9 +83,9 @@ pub enum ModelError {
         file: String,
         /// The key.
         key: String,
-        /// What it can be.
+        /// Values it can have.
         expected: String,
-        /// What it is.
+        /// The value found.
         found: String,
     },
     /// An input has the wrong size, or is missing.
@@ -95,7 +95,7 @@ pub enum ModelError {
         input: String,
         /// The size or kind it should have.
         expected: String,
-        /// What it has.
+        /// The size or kind found.
         found: String,
     },
     /// An input holds NaN or an infinity.

@@ -1,4 +1,4 @@
-//! What goes into the network and what comes out, per frame and per pair of frames.
+//! Inputs and outputs of the network, per frame and per pair of frames.
 
 /// One key frame at the model's resolution.
 #[derive(Clone, Copy, Debug)]
@@ -82,7 +82,7 @@ pub struct Deformation {
     pub gamma: Vec<[f32; 2]>,
 }
 
-/// What DINOv2 makes of a frame.
+/// DINOv2's features of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DinoFeatures {
     /// `[3, h, w]`: the frame at DINOv2's own resolution.

@@ -8,7 +8,7 @@ use crate::Network;
 use crate::layers::Workspaces;
 
 impl Network {
-    /// Whether [`Network::on_grid`] takes every grid that is not larger than this network's: neither encoder and decoder nor the upsamplers mix tokens within windows.
+    /// Returns true if [`Network::on_grid`] takes every grid that is not larger than this network's: neither encoder and decoder nor the upsamplers mix tokens within windows.
     pub fn takes_part_of_its_grid(&self) -> bool {
         self.config.encoder_window.is_none() && self.upsamplers_are_local
     }

@@ -1,4 +1,4 @@
-//! What a model file holds, without loading it: sizes, parts, parameters, memory and cost.
+//! Contents of a model file, without loading it: sizes, parts, parameters, memory and cost.
 
 use std::path::Path;
 
@@ -43,7 +43,7 @@ pub struct StageCost {
     pub calls: usize,
 }
 
-/// What a model file holds.
+/// Contents of a model file.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Report {
@@ -61,7 +61,7 @@ pub struct Report {
     pub formats: Vec<(String, usize)>,
     /// Cost per stage, were all of it computed.
     pub stages: Vec<StageCost>,
-    /// What of it is left out because it adds nothing, by part.
+    /// Residual branches that are left out because they add zero, by part.
     pub silent: Vec<Silent>,
     /// Tensors that are not read.
     pub ignored: Vec<String>,

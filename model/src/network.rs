@@ -29,7 +29,7 @@ pub struct Network {
     pub(crate) config: Config,
     pub(crate) options: LoadOptions,
     pub(crate) silent: Vec<Silent>,
-    /// Whether no block of an upsampler mixes tokens.
+    /// True if no block of an upsampler mixes tokens.
     pub(crate) upsamplers_are_local: bool,
     pub(crate) workspaces: Workspaces,
     pub(crate) encoder: Encoder,
@@ -110,7 +110,7 @@ impl Network {
         &self.config
     }
 
-    /// What it was loaded for.
+    /// Options it was loaded with.
     pub fn options(&self) -> &LoadOptions {
         &self.options
     }
@@ -374,7 +374,7 @@ impl Network {
         Ok(self.deformation_head.apply_keeping(level, static_tokens, tokens, upsampler, head))
     }
 
-    /// What the other frame is conditioned on.
+    /// Features that the other frame is conditioned on.
     fn features<'a>(&self, side: &Side<'a>, which: &str) -> Result<&'a [f32], ModelError> {
         if !self.config.use_dino {
             return Ok(side.h);

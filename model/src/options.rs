@@ -5,14 +5,14 @@ use std::str::FromStr;
 
 use streamsplat_kernels::{Level, gemm};
 
-/// What a model is loaded for.
+/// Options of loading a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LoadOptions {
     /// The instruction-set level every kernel runs on. It changes no output bit.
     pub level: Level,
     /// The arithmetic of the large matrix products.
     pub precision: Precision,
-    /// Whether residual branches that add nothing are computed all the same. It changes no output bit: see [`crate::silent`].
+    /// True if residual branches that add nothing are computed all the same. It changes no output bit: see [`crate::silent`].
     pub compute_silent: bool,
 }
 

@@ -26,7 +26,7 @@ pub struct Theatre {
     pub gamma: [f32; 2],
     /// Gives this cell NaN in its position (0), its velocity (1) or its γ (2).
     pub poison: Option<(usize, usize)>,
-    /// Whether positions are drawn: moved by a function of the sampling coordinates.
+    /// True if positions are drawn: moved by a function of the sampling coordinates.
     pub draws: bool,
     /// Calls of `embed`, `gaussians` and `decode`.
     pub calls: [AtomicU64; 3],
@@ -52,7 +52,7 @@ impl Theatre {
         2.0 * code - 1.0
     }
 
-    /// Whether the sprite at `sprite` covers a place of the image.
+    /// Returns true if the sprite at `sprite` covers a place of the image.
     pub fn covers(sprite: f32, [x, z]: [f32; 2]) -> bool {
         (x - sprite).abs() <= HALF[0] && z.abs() <= HALF[1]
     }

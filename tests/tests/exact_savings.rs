@@ -1,4 +1,4 @@
-//! What is left out and changes no bit: each kind of it beside the run without it, with the counter in `run.json` that tells of it.
+//! Savings that change no bit: each kind of it beside the run without it, with the counter in `run.json` that tells of it.
 //!
 //! | left out | `work` in `run.json` | without it |
 //! |---|---|---|

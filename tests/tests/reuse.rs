@@ -1,4 +1,4 @@
-//! What the network leaves out: exactly, nothing changes; within a tolerance, it is the same on every level and for any number
+//! Reuse in the network: exactly, nothing changes; within a tolerance, it is the same on every level and for any number
 //! of threads.
 
 use std::path::PathBuf;

@@ -1,4 +1,4 @@
-//! What a stream refuses, and that it goes on as if it had not been asked.
+//! Refusals of a stream, which goes on as if it had not been asked.
 
 use std::sync::Arc;
 

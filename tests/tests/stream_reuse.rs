@@ -1,4 +1,4 @@
-//! What is left out changes no bit.
+//! Reuse in the stream changes no bit.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;

@@ -19,7 +19,7 @@ struct Truth<'a> {
     on_object: &'a dyn Fn([f64; 2]) -> bool,
 }
 
-/// What is found of the points that can be seen after some key frames.
+/// Tracking accuracy of the points that can be seen after some key frames.
 #[derive(Default)]
 struct Score {
     points: usize,

@@ -32,7 +32,7 @@ pub(crate) struct Options {
     /// Most Gaussians of the growth measurement (0: leave it out).
     #[arg(long, default_value_t = 10_000_000)]
     largest: usize,
-    /// What draws: cpu, or wgpu (compared with the CPU's images first; redrawing and growth are left out).
+    /// Renderer: cpu, or wgpu (compared with the CPU's images first; redrawing and growth are left out).
     #[arg(long, default_value_t = Backend::Cpu)]
     renderer: Backend,
     /// Measure one step of the growth measurement and print it (used by the command itself).
@@ -80,7 +80,7 @@ impl Stages {
         all.map(|ms| format!("{ms:>8.2} {:>3.0}%", 100.0 * ms / total)).join(" ")
     }
 
-    /// What stands above them.
+    /// Column titles.
     fn heads() -> String {
         ["project", "bin", "sort", "blend"].map(|head| format!("{head:>13}")).join(" ")
     }
@@ -122,7 +122,7 @@ struct Growth {
 #[derive(Serialize)]
 struct Results {
     machine: Machine,
-    /// What drew.
+    /// Renderer.
     renderer: String,
     scenes: Vec<Row>,
     parts: Vec<part::Row>,
@@ -188,7 +188,7 @@ const WHOLE: [(&str, fn() -> Result<Scene>); 4] = [
     ("predicted", Scene::predicted),
 ];
 
-/// What stands above the rows.
+/// Prints the column titles.
 fn heads() {
     println!(
         "{:<20} {:>9}  {:>9}  {:>8} {:>8} {:>8}  {}  {:>7}",
@@ -299,7 +299,7 @@ fn large(options: &Options) -> Result<Vec<trained::Row>> {
     Ok(rows)
 }
 
-/// What this program prints when it measures `count` Gaussians in a process of its own, whose peak memory is theirs.
+/// Measures `count` Gaussians in a process of its own, whose peak memory is theirs.
 fn alone<T: for<'a> Deserialize<'a>>(options: &Options, what: &str, count: usize) -> Result<T> {
     let program = std::env::current_exe().context("finding this program")?;
     let output = Command::new(&program)

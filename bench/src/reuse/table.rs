@@ -1,4 +1,4 @@
-//! What the terminal shows, and the record in Markdown.
+//! Tables for the terminal, and the record in Markdown.
 
 use std::fmt::Write;
 

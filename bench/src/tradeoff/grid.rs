@@ -20,7 +20,7 @@ use crate::timing::{Seconds, Spent};
 /// Frames of the check before anything is timed.
 const CHECKED: usize = 3;
 
-/// What is combined.
+/// Values to combine.
 pub(super) struct Choices<'a> {
     pub(super) precisions: &'a [Precision],
     pub(super) reuse: &'a [Reuse],
@@ -93,7 +93,7 @@ fn check(precisions: &[Precision], clip: &[TimedPicture], settings: &Settings) -
     Ok(())
 }
 
-/// What a configuration gave.
+/// Result of a configuration.
 struct Outcome {
     variant: Variant,
     keys: usize,

@@ -73,7 +73,7 @@ pub(crate) struct Options {
     /// Times every configuration goes through the clip.
     #[arg(long, default_value_t = 3)]
     rounds: usize,
-    /// What the stages' errors are against: f64 (plain loops in binary64, some half a minute of one processor for the embedded model),
+    /// Reference of the stages' errors: f64 (plain loops in binary64, some half a minute of one processor for the embedded model),
     /// or f32 (the f32 network).
     #[arg(long, value_enum, default_value_t = Yardstick::F64)]
     against: Yardstick,
@@ -91,7 +91,7 @@ enum Size {
     Small,
 }
 
-/// What errors are against.
+/// Reference of errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Yardstick {
@@ -131,9 +131,9 @@ struct About {
     rounds: usize,
     /// Times each stage was run.
     repeat: usize,
-    /// What `seconds_per_frame` counts.
+    /// Clock of `seconds_per_frame`.
     clock: Clock,
-    /// What the stages' errors are against.
+    /// Reference of the stages' errors.
     against: Yardstick,
     note: String,
 }

@@ -77,7 +77,7 @@ fn names<R>(rows: &[R], name: impl Fn(&R) -> &str) -> Vec<String> {
     names
 }
 
-/// What stands for a configuration.
+/// Marks and colours of configurations.
 struct Key {
     precisions: Vec<String>,
     gaps: Vec<String>,

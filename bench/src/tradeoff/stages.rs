@@ -21,7 +21,7 @@ const COUNTED: f64 = 0.01;
 /// Stages, in the order of the computation.
 const STAGES: [&str; 4] = ["encoder", "upsampler", "decoder", "heads"];
 
-/// What is measured.
+/// Stages to measure.
 pub(super) struct Task<'a> {
     pub(super) which: Which<'a>,
     pub(super) precisions: &'a [Precision],
@@ -130,7 +130,7 @@ fn fitted(clip: &[TimedPicture], size: [usize; 2], level: Level) -> Result<[Vec<
     Ok([fit(0)?, fit(APART.min(clip.len() - 1))?])
 }
 
-/// What the stages give in binary64. Where the network is conditioned on DINOv2, its features are those of `model`.
+/// Results of the stages in binary64. Where the network is conditioned on DINOv2, its features are those of `model`.
 fn binary64(which: Which<'_>, model: &Model) -> Result<Vec<Vec<f64>>> {
     let checkpoint = match which {
         Which::Small => Checkpoint::from_storage(EMBEDDED_CHECKPOINT, "the embedded model")?,

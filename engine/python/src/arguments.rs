@@ -38,7 +38,7 @@ pub fn camera(value: Option<&Bound<'_, PyAny>>) -> PyResult<CameraPath> {
     camera::file::parse(&text).map_err(|e| wrong(format!("{}: {e}", file.display())))
 }
 
-/// What to draw, from `size` ("model", "source" or (width, height)) and `background` (grey, or red, green, blue).
+/// Options of an image, from `size` ("model", "source" or (width, height)) and `background` (grey, or red, green, blue).
 pub fn options(
     size: Option<&Bound<'_, PyAny>>,
     background: Option<&Bound<'_, PyAny>>,

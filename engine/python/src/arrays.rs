@@ -82,7 +82,7 @@ fn aligned(name: &str, array: &Bound<'_, PyAny>) -> PyResult<()> {
     )))
 }
 
-/// What an argument is, for messages.
+/// Description of an argument, for messages.
 fn describe(value: &Bound<'_, PyAny>) -> String {
     let shape = value.getattr("shape").map(|s| s.to_string());
     let dtype = value.getattr("dtype").map(|d| d.to_string());

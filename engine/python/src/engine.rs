@@ -16,7 +16,7 @@ use crate::interval::Interval;
 
 /// Turns key frames into a dynamic scene, one interval per key frame.
 ///
-/// What it keeps between key frames is bounded and independent of the stream's length. The arguments are the options of the
+/// State between key frames is bounded and independent of the stream's length. The arguments are the options of the
 /// command line under the same names; `threads` and `isa` change no bit of any result.
 #[pyclass(frozen, module = "streamsplat")]
 pub struct Engine {

@@ -89,7 +89,7 @@ impl Interval {
         py.detach(|| self.inner.render(time, &camera, &options)).map(Image::from).map_err(not_drawn)
     }
 
-    /// What shows most at a pixel (column, row) of the source's frame: (identity, index, weight, world position), or None where nothing is drawn.
+    /// The Gaussian that shows most at a pixel (column, row) of the source's frame: (identity, index, weight, world position), or None where nothing is drawn.
     fn pick(&self, py: Python<'_>, time: f64, pixel: [f64; 2]) -> PyResult<Option<(u64, usize, f64, [f32; 3])>> {
         let picked = py.detach(|| self.inner.pick(time, pixel)).map_err(failed)?;
         Ok(picked.map(|p| (p.identity, p.index, p.weight, p.position)))

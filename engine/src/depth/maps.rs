@@ -20,7 +20,7 @@ use crate::source::{decode, folder};
 /// File name endings taken as depth maps.
 pub const EXTENSIONS: [&str; 3] = ["exr", "png", "npy"];
 
-/// What the values of a map are normalised by.
+/// Range by which the values of a map are normalised.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Range {
     /// Each map by its own smallest and largest value (done by the engine).

@@ -17,7 +17,7 @@ pub use options::{NetworkOptions, NetworkSize, WrongOption};
 use crate::onnx::OnnxError;
 use crate::source::SourceError;
 
-/// What is wrong with a map, its folder, or the network that makes it.
+/// Errors of a map, its folder, or the network that makes it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DepthError {
@@ -66,7 +66,7 @@ pub enum DepthError {
     Map {
         /// The file.
         path: PathBuf,
-        /// What was expected and what was found.
+        /// Expected and found values.
         cause: String,
     },
 }

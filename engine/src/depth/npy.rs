@@ -6,7 +6,7 @@ use crate::picture::size_is_allowed;
 /// Reads a two-dimensional array (axes of length 1 in front or behind are dropped).
 ///
 /// # Errors
-/// What was expected and what was found.
+/// Expected and found values.
 pub(super) fn read(bytes: &[u8]) -> Result<Map, String> {
     let short = || "the NPY file ends within its header".to_owned();
     if !bytes.starts_with(b"\x93NUMPY") {

@@ -1,8 +1,8 @@
-//! What a depth network's file does not say.
+//! Options that a depth network's file does not hold.
 
 use std::str::FromStr;
 
-/// What a network's pictures are made with. The default is that of Depth Anything and its like: the shorter side 518 pixels where
+/// Preparation of a network's pictures. The default is that of Depth Anything and its like: the shorter side 518 pixels where
 /// the network leaves it open, sides in multiples of 14, ImageNet's mean and standard deviation, inverse depth out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetworkOptions {
@@ -12,7 +12,7 @@ pub struct NetworkOptions {
     pub multiple: usize,
     /// Subtracted from red, green and blue, which are in [0, 1].
     pub mean: [f32; 3],
-    /// What the differences are divided by.
+    /// Divisors of the differences.
     pub std: [f32; 3],
     /// The network gives depth (larger is farther) instead of inverse depth.
     pub metric: bool,
@@ -48,7 +48,7 @@ impl Default for NetworkOptions {
 pub struct WrongOption {
     /// The part.
     pub part: String,
-    /// What it can be.
+    /// Values it can have.
     pub expected: &'static str,
 }
 

@@ -8,7 +8,7 @@ use super::{NetworkOptions, NetworkSize};
 /// Most pixels of a network's input.
 const MOST_PIXELS: usize = 1 << 23;
 
-/// Whether an input of `[height, width]` may be made: asked before memory is taken.
+/// Returns true if an input of `[height, width]` may be made: asked before memory is taken.
 pub(super) fn is_allowed([height, width]: [usize; 2]) -> bool {
     height > 0 && width > 0 && height.checked_mul(width).is_some_and(|pixels| pixels <= MOST_PIXELS)
 }

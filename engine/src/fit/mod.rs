@@ -82,7 +82,7 @@ impl Placement {
         Some(Self { source, model, offset, content })
     }
 
-    /// Whether the content fills the model's input.
+    /// Returns true if the content fills the model's input.
     pub fn is_full(&self) -> bool {
         self.content == self.model
     }

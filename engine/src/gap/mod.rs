@@ -110,7 +110,7 @@ impl FromStr for Gap {
     }
 }
 
-/// What a frame's arrival decides.
+/// Decision on a frame's arrival.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Choice {
     /// Nothing yet.

@@ -1,4 +1,4 @@
-//! Whether a shared library in ELF form is all there.
+//! Checks that a shared library in ELF form is complete.
 //!
 //! The system's loader maps the segments that a library's header announces, and a file that ends before they do kills the process
 //! at the first touch; it cannot report it.

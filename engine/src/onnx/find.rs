@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use super::OnnxError;
 use crate::source::natural;
 
-/// What the library's file is called; on Linux and macOS a version may stand in the name as well.
+/// File name of the library; on Linux and macOS a version may stand in the name as well.
 const LIBRARY: &str = if cfg!(windows) {
     "onnxruntime.dll"
 } else if cfg!(target_vendor = "apple") {
@@ -43,7 +43,7 @@ fn absolute(path: PathBuf) -> PathBuf {
     std::path::absolute(&path).unwrap_or(path)
 }
 
-/// Whether a file of this name is the library.
+/// Returns true if a file of this name is the library.
 fn is_library(name: &str) -> bool {
     if name == LIBRARY {
         return true;

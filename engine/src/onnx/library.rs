@@ -1,4 +1,4 @@
-//! What a shared library says of itself before it is used.
+//! Checks of a shared library before it is used.
 //!
 //! The loader of the `ort` crate trusts the library's entry point; a file of that name which is something else would end the
 //! process. So it is asked here first.

@@ -42,11 +42,11 @@ pub enum OnnxError {
         beside.display(), OLDEST.0, OLDEST.1
     )]
     Missing {
-        /// What the library's file is called.
+        /// File name of the library.
         library: &'static str,
         /// The program's folder.
         beside: PathBuf,
-        /// What was found out about Python.
+        /// Result of the search in Python.
         python: String,
     },
     /// `ORT_DYLIB_PATH` names no file.
@@ -61,7 +61,7 @@ pub enum OnnxError {
     Broken {
         /// The library.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The cause.
         cause: String,
     },
     /// The library is older than [`OLDEST`].
@@ -81,7 +81,7 @@ pub enum OnnxError {
     Model {
         /// The network's file.
         path: PathBuf,
-        /// What the system or the runtime says.
+        /// Message of the system or the runtime.
         cause: String,
     },
     /// The network's inputs or outputs are of another form than its use needs.
@@ -91,9 +91,9 @@ pub enum OnnxError {
         path: PathBuf,
         /// Which input or output.
         what: String,
-        /// What can be used.
+        /// Kinds that can be used.
         expected: String,
-        /// What the network has.
+        /// The kind found.
         found: String,
     },
     /// The network fails while it runs.
@@ -101,7 +101,7 @@ pub enum OnnxError {
     Run {
         /// The network's file.
         path: PathBuf,
-        /// What the runtime says.
+        /// Message of the runtime.
         cause: String,
     },
 }
@@ -120,7 +120,7 @@ impl std::fmt::Debug for Runtime {
     }
 }
 
-/// What was loaded; a failure may be tried again.
+/// The loaded runtime; a failure may be tried again.
 static LOADED: Mutex<Option<Runtime>> = Mutex::new(None);
 
 impl Runtime {
@@ -158,7 +158,7 @@ impl Runtime {
     }
 }
 
-/// What the runtime has to say goes to the log: an error comes back as a result too.
+/// Passes the runtime's messages to the log: an error comes back as a result too.
 fn log(level: LogLevel, category: &str, _id: &str, _location: &str, message: &str) {
     tracing::debug!(target: "onnxruntime", ?level, category, message);
 }

@@ -68,7 +68,7 @@ impl Model {
         &self.path
     }
 
-    /// What runs it.
+    /// Runtime that runs it.
     pub fn runtime(&self) -> &Runtime {
         &self.runtime
     }
@@ -104,7 +104,7 @@ impl Model {
     /// Runs the network on a shape and row-major values for each input; gives shape and values of the output number `output`.
     ///
     /// # Errors
-    /// What the runtime says: values that do not fit, memory that is not there.
+    /// Errors of the runtime: values that do not fit, memory that is not there.
     ///
     /// # Panics
     /// When there are not as many values as inputs, or no such output.

@@ -17,7 +17,7 @@ use crate::picture::{Picture, to_u8};
 use crate::render::Image;
 pub use video::{Finished, VIDEOS, Video, VideoFormat, VideoPoint};
 
-/// What can go wrong while results are written.
+/// Errors of writing results.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OutputError {
@@ -41,7 +41,7 @@ pub enum OutputError {
     Ffmpeg {
         /// The video file.
         path: PathBuf,
-        /// What it says.
+        /// The message of ffmpeg.
         cause: String,
     },
     /// A file to go on with is not what it was.

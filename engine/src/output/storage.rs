@@ -160,12 +160,12 @@ pub fn sync_folder(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Whether there is something of that name, be it a link to nothing.
+/// Returns true if there is something of that name, be it a link to nothing.
 pub fn exists(path: &Path) -> bool {
     std::fs::symlink_metadata(path).is_ok()
 }
 
-/// What is at `path`, which must be a regular file.
+/// Metadata of `path`, which must be a regular file.
 ///
 /// # Errors
 /// The system's; something else, such as a link.

@@ -207,7 +207,7 @@ impl Video {
     /// Completes the file and gives it its name.
     ///
     /// # Errors
-    /// What the system or ffmpeg says; the file is not kept then.
+    /// Errors of the system or of ffmpeg; the file is not kept then.
     pub fn finish(mut self) -> Result<Finished, OutputError> {
         let partial = partial_name(&self.path);
         let file = match self.sink.take() {

@@ -1,4 +1,4 @@
-//! What draws: the CPU's rasteriser, or a graphics card.
+//! Drawing backends: the CPU's rasteriser, or a graphics card.
 
 use std::fmt;
 use std::str::FromStr;
@@ -10,7 +10,7 @@ use super::RenderError;
 #[cfg(feature = "wgpu")]
 use crate::wgpu::WgpuRenderer;
 
-/// What draws.
+/// A drawing backend.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Backend {
     /// The CPU's rasteriser: images are within the bit contract.
@@ -32,7 +32,7 @@ impl Backend {
         }
     }
 
-    /// Whether this library was built with it.
+    /// Returns true if this library was built with it.
     pub fn is_built_in(self) -> bool {
         match self {
             Backend::Cpu => true,
@@ -40,7 +40,7 @@ impl Backend {
         }
     }
 
-    /// Whether its images are the same to the last bit everywhere.
+    /// Returns true if its images are the same to the last bit everywhere.
     pub fn is_within_contract(self) -> bool {
         self == Backend::Cpu
     }
@@ -61,7 +61,7 @@ impl FromStr for Backend {
     }
 }
 
-/// What draws, with its buffers.
+/// A drawing backend with its buffers.
 pub(crate) enum Drawer {
     Cpu(Box<Renderer>),
     #[cfg(feature = "wgpu")]

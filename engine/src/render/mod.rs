@@ -111,12 +111,12 @@ impl Painter {
         })
     }
 
-    /// What works.
+    /// Threads and level.
     pub(crate) fn workers(&self) -> &Workers {
         &self.workers
     }
 
-    /// What works, and what draws an image from which so many Gaussians have been left out.
+    /// Threads, level and drawer of an image from which so many Gaussians have been left out.
     pub(crate) fn parts(&mut self, left_out: u64) -> (&Workers, &mut Drawer) {
         self.left_out = left_out;
         (&self.workers, &mut self.drawer)

@@ -1,22 +1,22 @@
-//! What an image is to be.
+//! Options of an image.
 
 use streamsplat_kernels::raster::{self, Request};
 
 use super::Backend;
 use crate::fit::Placement;
 
-/// What to draw besides colour, how large, and on what.
+/// Options of an image: planes besides colour, size, background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderOptions {
     /// The image's size.
     pub size: Size,
     /// Colour behind everything.
     pub background: [f32; 3],
-    /// Whether a depth image (Σ d α T) is wanted.
+    /// True if a depth image (Σ d α T) is wanted.
     pub depth: bool,
-    /// Whether an alpha image (Σ α T) is wanted.
+    /// True if an alpha image (Σ α T) is wanted.
     pub alpha: bool,
-    /// Whether the transmittance left and the number of splats per pixel are wanted.
+    /// True if the transmittance left and the number of splats per pixel are wanted.
     pub statistics: bool,
 }
 
@@ -31,7 +31,7 @@ impl Default for RenderOptions {
 const BESIDE: usize = 16;
 
 impl RenderOptions {
-    /// What is asked of the rasteriser, for an image of this size.
+    /// Request to the rasteriser for an image of this size.
     ///
     /// # Errors
     /// Sides that cannot be drawn, and images for which there is no memory: it is asked for here, and given back, so that nothing
@@ -125,7 +125,7 @@ pub enum RenderError {
     /// The library was built without what is to draw.
     #[error("renderer {backend}: expected a build with the cargo feature {backend}, found one without")]
     NotBuiltIn {
-        /// What is missing.
+        /// The missing backend.
         backend: Backend,
     },
     /// The graphics card could not draw.

@@ -13,9 +13,9 @@ use crate::stream::{DynamicGaussians, Interval};
 
 /// Gaussians per task.
 const CHUNK: usize = 4096;
-/// What the rasteriser adds to variances, in px².
+/// Low-pass that the rasteriser adds to variances, in px².
 const LOW_PASS: f64 = 0.3;
-/// What is under it cannot be drawn.
+/// Least opacity that can be drawn.
 const VISIBLE: f32 = 1.0 / 255.0;
 
 /// The Gaussians of an interval that can be seen at one time, in scene space (x right, y down, z forward), unrotated.
@@ -50,7 +50,7 @@ pub fn to_scene([x, y, z]: [f32; 3]) -> Option<[f32; 3]> {
 }
 
 impl Snapshot {
-    /// What of `gaussians` can be seen at `t` in [0, 1] of their interval.
+    /// Gaussians that can be seen at `t` in [0, 1] of their interval.
     ///
     /// Left out: opacities under 1/255 (they cannot be drawn), inverse depths outside [0, 1], and records with a number that is
     /// not finite, which are counted.
@@ -73,7 +73,7 @@ impl Snapshot {
         out
     }
 
-    /// What of an interval can be seen at `time` seconds.
+    /// Gaussians of an interval that can be seen at `time` seconds.
     ///
     /// # Errors
     /// Times outside the interval, and intervals whose arrays differ in length.
@@ -87,7 +87,7 @@ impl Snapshot {
     }
 }
 
-/// What can be seen of one chunk, in order, and how many records were not sound.
+/// Visible Gaussians of one chunk, in order, and the number of records that were not sound.
 fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> (Vec<Seen>, u64) {
     let start = chunk * CHUNK;
     let end = gaussians.len().min(start + CHUNK);
@@ -119,7 +119,7 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> (Ve
     (seen, dropped)
 }
 
-/// What a camera makes of scene space, for one image size.
+/// A camera's view of scene space, for one image size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// Where the view's origin lies in scene space, and how it is turned.

@@ -27,7 +27,7 @@ pub fn to_safetensors(interval: &Interval) -> Result<Vec<u8>, String> {
 /// left out, and counted, where they are drawn.
 ///
 /// # Errors
-/// What was expected and what was found, with the tensor's name.
+/// Expected and found values, with the tensor's name.
 pub fn from_safetensors(bytes: &[u8], placement: Placement, workers: Workers) -> Result<Interval, String> {
     let file = SafeTensors::deserialize(bytes).map_err(|e| format!("not a readable safetensors file: {e}"))?;
     let gaussians = records::read(&file)?;

@@ -50,7 +50,7 @@ pub fn memory_to_safetensors(memory: Option<&Memory>, note: &str) -> Result<Vec<
 /// The memory and the note of such a file.
 ///
 /// # Errors
-/// What was expected and what was found.
+/// Expected and found values.
 pub fn memory_from_safetensors(bytes: &[u8]) -> Result<(Option<Memory>, String), String> {
     let unreadable = |e| format!("not a readable safetensors file: {e}");
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable)?;

@@ -41,12 +41,12 @@ pub use write::SceneWriter;
 
 /// The name of a scene's index.
 pub const INDEX: &str = "scene.json";
-/// What `format` says in a scene's index.
+/// Value of `format` in a scene's index.
 pub const FORMAT: &str = "streamsplat-scene";
 /// The version this program writes and reads.
 pub const VERSION: u32 = 1;
 
-/// What can be wrong with a scene.
+/// Errors of a scene.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneError {
@@ -63,7 +63,7 @@ pub enum SceneError {
     Broken {
         /// The file.
         path: PathBuf,
-        /// What was expected and what was found.
+        /// Expected and found values.
         cause: String,
     },
     /// A file cannot be written.

@@ -71,7 +71,7 @@ impl Scene {
         Ok(Scene { place: Place::Folder(folder), index, placement })
     }
 
-    /// What `scene.json` says.
+    /// Contents of `scene.json`.
     pub fn index(&self) -> &Index {
         &self.index
     }

@@ -53,7 +53,7 @@ fn finite(name: &str, values: &[f32]) -> Result<(), String> {
 /// colours stay.
 ///
 /// # Errors
-/// What was expected and what was found, with the tensor's name.
+/// Expected and found values, with the tensor's name.
 pub(super) fn read(file: &SafeTensors<'_>) -> Result<DynamicGaussians, String> {
     let mean = tensor(file, "mean", Dtype::F32, &[None, Some(3)])?;
     let n = Some(mean.len() / 12);

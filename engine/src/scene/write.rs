@@ -54,7 +54,7 @@ impl SceneWriter {
     /// Writes an interval: first its file, then (at most once a second) the index that names it.
     ///
     /// # Errors
-    /// What cannot be written.
+    /// Files that cannot be written.
     pub fn push(&mut self, interval: &Interval) -> Result<(String, Written), SceneError> {
         let entry = self.push_after(interval, |_| Ok(()))?;
         Ok((entry.file, Written { bytes: entry.bytes, blake3: entry.blake3 }))
@@ -63,7 +63,7 @@ impl SceneWriter {
     /// As [`SceneWriter::push`]; `announce` is told what the index will say before the file gets its name.
     ///
     /// # Errors
-    /// What cannot be written, and what `announce` says; nothing is written then.
+    /// Files that cannot be written, and errors of `announce`; nothing is written then.
     pub fn push_after(
         &mut self,
         interval: &Interval,
@@ -105,7 +105,7 @@ impl SceneWriter {
     /// Writes the index of all intervals; `None` when there was none.
     ///
     /// # Errors
-    /// What cannot be written.
+    /// Files that cannot be written.
     pub fn finish(mut self) -> Result<Option<(String, Written)>, SceneError> {
         Ok(self.write_index()?.map(|written| (INDEX.to_owned(), written)))
     }

@@ -28,7 +28,7 @@ use crate::picture::{MAX_SIDE, Picture, size_is_allowed};
 const MAX_FILE: u64 = 1 << 30;
 /// Largest decoder allocation, in bytes: [`crate::picture::MAX_PIXELS`] of four f32 samples.
 const MAX_ALLOC: u64 = 1 << 30;
-/// What transparent pixels show.
+/// Grey level behind transparent pixels.
 const BEHIND: f32 = 0.5;
 
 /// Reads a whole image file, refusing empty and huge ones.
@@ -71,7 +71,7 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<Picture, SourceError> {
     }
 }
 
-/// Whether a WebP file says of itself that it is animated.
+/// Returns true if a WebP file says of itself that it is animated.
 fn is_animated_webp(bytes: &[u8]) -> bool {
     let flags = bytes.get(20).copied().unwrap_or_default();
     bytes.starts_with(b"RIFF") && bytes.get(8..16) == Some(b"WEBPVP8X") && flags & 2 != 0
@@ -114,7 +114,7 @@ pub(crate) fn decode_dynamic(bytes: &[u8], path: &Path) -> Result<DynamicImage, 
     reader().decode().map_err(explain)
 }
 
-/// Whether a PNG file of this length can hold its pixels, by the bits of one in its header: a byte of deflate's gives 1032 bytes at most.
+/// Returns true if a PNG file of this length can hold its pixels, by the bits of one in its header: a byte of deflate's gives 1032 bytes at most.
 fn png_can_hold(bytes: &[u8], width: u64, height: u64) -> bool {
     const DEFLATE: u64 = 1032;
     let Some(&[depth, colour]) = bytes.get(24..26).and_then(|b| b.first_chunk::<2>()) else { return false };

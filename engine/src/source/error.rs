@@ -1,4 +1,4 @@
-//! What can go wrong while frames are read.
+//! Errors of reading frames.
 
 use std::io;
 use std::path::PathBuf;
@@ -12,7 +12,7 @@ pub enum SourceError {
     /// The file or folder cannot be read.
     #[error("{}: {cause}", path.display())]
     Read {
-        /// What was being read.
+        /// The file or folder.
         path: PathBuf,
         /// The system's answer.
         cause: io::Error,
@@ -34,7 +34,7 @@ pub enum SourceError {
     Decode {
         /// The file.
         path: PathBuf,
-        /// What its decoder says.
+        /// The decoder's message.
         cause: String,
     },
     /// A frame that is larger than this program decodes.
@@ -82,7 +82,7 @@ pub enum SourceError {
     Y4m {
         /// The file, or `-`.
         path: PathBuf,
-        /// What was expected and what was found.
+        /// Expected and found values.
         cause: String,
     },
     /// The `ffmpeg` program is not installed.
@@ -100,7 +100,7 @@ pub enum SourceError {
     Ffmpeg {
         /// The video file.
         path: PathBuf,
-        /// What it says.
+        /// The message of ffmpeg.
         cause: String,
     },
     /// A frame rate that is no positive number.

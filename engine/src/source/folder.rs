@@ -8,12 +8,12 @@ use super::{SourceError, natural};
 pub const EXTENSIONS: [&str; 12] =
     ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "webp", "exr", "ppm", "pgm", "tga", "qoi"];
 
-/// Whether the name ends like an image's.
+/// Returns true if the name ends like an image's.
 pub fn is_image(path: &Path) -> bool {
     ends_in(path, &EXTENSIONS)
 }
 
-/// Whether the name ends in one of `extensions` (lower case, without the dot).
+/// Returns true if the name ends in one of `extensions` (lower case, without the dot).
 pub(crate) fn ends_in(path: &Path, extensions: &[&str]) -> bool {
     path.extension().and_then(|e| e.to_str()).is_some_and(|e| extensions.contains(&e.to_ascii_lowercase().as_str()))
 }

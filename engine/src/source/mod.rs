@@ -57,7 +57,7 @@ pub struct Source {
     path: PathBuf,
     /// Frames per second as a fraction.
     rate: (f64, f64),
-    /// Whether frames have times of their own.
+    /// True if frames have times of their own.
     uneven: bool,
     next: usize,
     first: Option<(PathBuf, (usize, usize))>,
@@ -114,7 +114,7 @@ impl Source {
         Ok(Source { kind, path: input.to_owned(), rate, uneven: uneven.is_some(), next: 0, first: None })
     }
 
-    /// What was done to the pictures on the way in, and what of the input is left out, a line each.
+    /// Conversions of the pictures on the way in and parts of the input that are left out, a line each.
     pub fn notes(&self) -> &[String] {
         match &self.kind {
             Kind::Ffmpeg(video) => video.notes(),

@@ -6,7 +6,7 @@ use super::window::{LARGEST, Window, reach};
 
 /// Gaussians of a group.
 const GROUP: usize = 64;
-/// What is under it cannot be drawn.
+/// Least opacity that can be drawn.
 const VISIBLE: f32 = 1.0 / 255.0;
 /// Steps of the lattice along each axis on which neighbours are found, as a power of two.
 const STEPS: u32 = 21;

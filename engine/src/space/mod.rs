@@ -72,12 +72,12 @@ impl Bounds {
         bounds.is_sound().then_some(bounds)
     }
 
-    /// Whether all corners are finite and in order.
+    /// Returns true if all corners are finite and in order.
     pub fn is_sound(&self) -> bool {
         (0..3).all(|i| self.least[i].is_finite() && self.greatest[i].is_finite() && self.least[i] <= self.greatest[i])
     }
 
-    /// Whether the ray from `origin` along `direction` meets the box; its surface belongs to it.
+    /// Returns true if the ray from `origin` along `direction` meets the box; its surface belongs to it.
     pub fn meets_ray(&self, origin: [f32; 3], direction: [f32; 3]) -> bool {
         let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
         for i in 0..3 {
@@ -96,12 +96,12 @@ impl Bounds {
         enter <= leave
     }
 
-    /// Whether the boxes have a point in common.
+    /// Returns true if the boxes have a point in common.
     pub fn overlaps(&self, other: &Bounds) -> bool {
         (0..3).all(|i| self.least[i] <= other.greatest[i] && other.least[i] <= self.greatest[i])
     }
 
-    /// Whether some corner lies in the half space.
+    /// Returns true if some corner lies in the half space.
     pub fn reaches(&self, side: &HalfSpace) -> bool {
         let far = |i: usize| if side.normal[i] > 0.0 { self.greatest[i] } else { self.least[i] };
         let sum: f64 = (0..3).map(|i| f64::from(side.normal[i]) * f64::from(far(i))).sum();
@@ -145,7 +145,7 @@ impl Tree {
         self.boxes.len()
     }
 
-    /// Whether there are none.
+    /// Returns true if there are none.
     pub fn is_empty(&self) -> bool {
         self.boxes.is_empty()
     }

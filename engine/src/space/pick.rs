@@ -14,7 +14,7 @@ pub struct Ray {
     pub direction: [f32; 3],
 }
 
-/// What a ray sees.
+/// Gaussian that a ray sees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// Place in the snapshot.
@@ -56,13 +56,13 @@ impl Picker {
         &self.snapshot
     }
 
-    /// What shows most along the ray; the same as [`most_visible`], without looking at every Gaussian.
+    /// Gaussian that shows most along the ray; the same as [`most_visible`], without looking at every Gaussian.
     pub fn pick(&self, ray: &Ray) -> Option<Hit> {
         blend(&self.snapshot, self.blur, ray, self.tree.along_ray(ray.origin, ray.direction))
     }
 }
 
-/// What shows most along the ray, found by looking at every Gaussian: for a single ray the faster way.
+/// Gaussian that shows most along the ray, found by looking at every Gaussian: for a single ray the faster way.
 pub fn most_visible(snapshot: &Snapshot, blur: [f64; 3], ray: &Ray) -> Option<Hit> {
     let met =
         |i: &u32| bounds(snapshot, blur, *i as usize).is_some_and(|bounds| bounds.meets_ray(ray.origin, ray.direction));

@@ -1,4 +1,4 @@
-//! Whether a pinhole's image can show any of some Gaussians, decided from where their centres are and how far they reach.
+//! Test whether a pinhole's image can show any of some Gaussians, decided from where their centres are and how far they reach.
 
 use streamsplat_kernels::raster::Projection;
 
@@ -60,7 +60,7 @@ impl Window {
         Some(Self { eye: pose.position, rows: pose.rotation.inverse().matrix(), focal, edges })
     }
 
-    /// Whether the image certainly shows nothing of Gaussians with centres in a box, `half` from its `middle` to its sides, that reach
+    /// Returns true if the image certainly shows nothing of Gaussians with centres in a box, `half` from its `middle` to its sides, that reach
     /// at most `reach`. False where a number is not finite.
     pub(super) fn misses(&self, middle: [f64; 3], half: [f64; 3], reach: f64) -> bool {
         let largest: f64 = (0..3).map(|i| middle[i].abs() + half[i] + self.eye[i].abs()).sum();

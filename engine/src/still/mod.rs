@@ -49,7 +49,7 @@ impl Still {
         self.mean.len()
     }
 
-    /// Whether there is none.
+    /// Returns true if there is none.
     pub fn is_empty(&self) -> bool {
         self.mean.is_empty()
     }
@@ -72,7 +72,7 @@ impl Still {
         lengths.into_iter().find(|(_, found, expected)| found != expected).map(|(name, found, _)| (name, found))
     }
 
-    /// What a snapshot shows. Scales under 10⁻¹² and opacities nearer than that to 0 or 1 are moved there, so that every
+    /// Still scene of a snapshot. Scales under 10⁻¹² and opacities nearer than that to 0 or 1 are moved there, so that every
     /// value is finite; colours become `(rgb − ½) / Y₀`. In drawing order.
     pub fn of(snapshot: &Snapshot) -> Self {
         let count = snapshot.mean.len();

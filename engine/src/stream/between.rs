@@ -1,4 +1,4 @@
-//! What lies between two key frames: the frames in between where they are seen, optical flow, and what both say of the motion and the colours of the interval.
+//! Evidence between two key frames: the frames in between where they are seen, optical flow, and what both say of the motion and the colours of the interval.
 
 use std::sync::Arc;
 

@@ -28,7 +28,7 @@ use super::matching::Lattice;
 use super::reconstructor::Motion;
 use super::{DynamicGaussians, Fusion, Merge, Record, Reference};
 
-/// What is under it cannot be drawn.
+/// Least opacity that can be drawn.
 pub(crate) const VISIBLE: f32 = 1.0 / 255.0;
 
 /// One Gaussian of the last key frame, as a stream remembers it.
@@ -44,7 +44,7 @@ pub struct Current {
     pub offset: [f32; 3],
 }
 
-/// What the stream remembers of the scene at a key frame.
+/// The stream's Gaussians at a key frame.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct CanonicalSet {
     /// The key frame.
@@ -67,7 +67,7 @@ pub(crate) struct Advance {
     pub(crate) dropped: u64,
 }
 
-/// What the set is advanced by.
+/// A key frame by which the set advances.
 pub(crate) struct Step<'a> {
     /// The new key frame's Gaussians.
     pub(crate) gaussians: &'a Arc<StaticGaussians>,
@@ -182,7 +182,7 @@ impl CanonicalSet {
 pub(super) struct Arrival {
     cell: u32,
     pub(super) record: Record,
-    /// Whether its motion in this interval is sound; otherwise it waits for the next one.
+    /// True if its motion in this interval is sound; otherwise it waits for the next one.
     shown: bool,
 }
 

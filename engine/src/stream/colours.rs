@@ -28,7 +28,7 @@ const ENOUGH: f64 = 0.004;
 pub(super) const RANGE: [f32; 2] = [-0.2, 1.2];
 /// Range of colours at the other end of the interval.
 const FAR_RANGE: [f32; 2] = [-4.0, 5.0];
-/// What images are drawn on while colours are fitted.
+/// Background of images while colours are fitted.
 const BACKGROUND: [f32; 3] = [0.5; 3];
 
 type Colours = Vec<[f32; 3]>;

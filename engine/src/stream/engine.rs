@@ -19,7 +19,7 @@ use crate::fit::Placement;
 
 /// Turns key frames into a dynamic scene, one interval per key frame.
 ///
-/// What it keeps between key frames is bounded and independent of the stream's length: the last frame's input, embedding,
+/// State between key frames is bounded and independent of the stream's length: the last frame's input, embedding,
 /// tokens, condition and Gaussians, the last pair's motion, the survivors of at most `max_age` frames, and with some choices of
 /// [`Reuse`] the network's [`Memory`](streamsplat_model::reuse::Memory).
 pub struct Engine {
@@ -32,7 +32,7 @@ pub struct Engine {
     state: Option<State>,
 }
 
-/// What is kept between key frames.
+/// State between key frames.
 pub(super) struct State {
     pub(super) frame: u64,
     pub(super) timestamp: f64,
@@ -72,12 +72,12 @@ impl Engine {
         Self { settings, model, workers, work: Work::default(), tiles: None, fitter, state: None }
     }
 
-    /// What it was made with.
+    /// Settings it was made with.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// What reconstructs its frames; other engines may share it.
+    /// Model that reconstructs its frames; other engines may share it.
     pub fn model(&self) -> &Arc<dyn Reconstructor> {
         &self.model
     }
@@ -219,7 +219,7 @@ impl Engine {
         Ok(Interval { index, start, end: timestamp, gaussians, placement, merges, dropped, workers })
     }
 
-    /// What is kept since the last key frame.
+    /// State since the last key frame.
     pub(super) fn state(&self) -> Option<&State> {
         self.state.as_ref()
     }

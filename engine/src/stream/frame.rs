@@ -1,4 +1,4 @@
-//! What is pushed into the stream, and what can be wrong with it.
+//! Frames pushed into the stream, and their errors.
 
 use streamsplat_model::ModelError;
 
@@ -57,7 +57,7 @@ pub enum EngineError {
     Flow {
         /// The key frame's index, or that of the one that follows the frame.
         index: u64,
-        /// What was expected and what was found.
+        /// Expected and found values.
         reason: String,
     },
     /// A frame in between has no time between the key frames around it, in ascending order.
@@ -77,7 +77,7 @@ pub enum EngineError {
     /// The model takes no frames of the resolution asked for.
     #[error("resolution {}x{}: expected {expected}", found[0], found[1])]
     Resolution {
-        /// What the model takes.
+        /// Sizes that the model takes.
         expected: String,
         /// Height and width asked for.
         found: [usize; 2],
@@ -129,10 +129,10 @@ pub enum EngineError {
     Memory {
         /// The key frame's index.
         index: u64,
-        /// What was expected and what was found.
+        /// Expected and found values.
         reason: String,
     },
-    /// What reconstructs frames gave arrays of other lengths than one Gaussian each.
+    /// The reconstructor gave arrays of other lengths than one Gaussian each.
     #[error("frame {index}: {what}: expected {expected} records, found {found}")]
     Records {
         /// The key frame's index.

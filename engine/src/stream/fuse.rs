@@ -8,7 +8,7 @@ use super::{Handover, Merge, Record, Reference};
 /// The least γ₀ of a survivor: ln 3, which halves its opacity in every interval (`2·σ(−ln 3) = ½`).
 pub(crate) const FADE: f32 = 1.098_612_3;
 
-/// What remains beside the records themselves.
+/// Results of fusion beside the records themselves.
 #[derive(Debug, Default)]
 pub(super) struct Fused {
     pub(super) merges: Vec<Merge>,

@@ -5,7 +5,7 @@ use streamsplat_model::motion;
 /// Part of an interval in which a Gaussian that fades in or out at a key frame does so.
 pub const HANDOVER: f32 = 0.125;
 
-/// Whether a Gaussian gives way to, or takes over from, another at an end of its interval.
+/// Handover of a Gaussian at an end of its interval: it gives way to another, takes over from one, or neither.
 ///
 /// The factor on the opacity, with t in [0, 1] over the interval: `min(1, t/⅛)` for one that arrives, `min(1, (1−t)/⅛)` for
 /// one that leaves. It is 0 at the key frame, so that the image there does not change when the Gaussian comes or goes.
@@ -89,7 +89,7 @@ pub struct Record {
     pub rgb: [f32; 3],
     /// Change of colour per interval; the network itself gives zero.
     pub rgb_rate: [f32; 3],
-    /// What it is a view of: 64-bit, never reused.
+    /// Identity of the thing that it shows: 64-bit, never reused.
     pub identity: u64,
     /// The key frame in which the identity was first seen.
     pub birth: u64,
@@ -99,7 +99,7 @@ pub struct Record {
     pub offset: [f32; 3],
     /// Which end of the interval `mean`, `opacity` and `rgb` belong to.
     pub reference: Reference,
-    /// Whether it fades at an end of the interval.
+    /// True if it fades at an end of the interval.
     pub handover: Handover,
 }
 
@@ -125,7 +125,7 @@ impl Record {
         self.opacity * motion::opacity_factor(self.gamma, self.reference.tau(t)) * self.handover.factor(t)
     }
 
-    /// Whether every number is finite, as [`motion::opacity_factor`] needs, the colour throughout the interval, and no scale or
+    /// Returns true if every number is finite, as [`motion::opacity_factor`] needs, the colour throughout the interval, and no scale or
     /// opacity is negative.
     pub fn is_sound(&self) -> bool {
         let finite = |v: &[f32]| v.iter().all(|x| x.is_finite());
@@ -201,7 +201,7 @@ impl DynamicGaussians {
         self.mean.len()
     }
 
-    /// Whether there is none.
+    /// Returns true if there is none.
     pub fn is_empty(&self) -> bool {
         self.mean.is_empty()
     }

@@ -1,4 +1,4 @@
-//! What a key frame gives: the Gaussians between the key frame before and this one.
+//! Intervals, one per key frame: the Gaussians between the key frame before and this one.
 
 use super::{DynamicGaussians, Workers};
 use crate::fit::Placement;
@@ -21,7 +21,7 @@ pub struct Interval {
     pub start: f64,
     /// Time of the key frame at its end, in seconds; equal to `start` for the first frame's static scene.
     pub end: f64,
-    /// What can be seen.
+    /// Gaussians that can be seen.
     pub gaussians: DynamicGaussians,
     /// Where the source's frame lies in the model's input.
     pub placement: Placement,
@@ -29,7 +29,7 @@ pub struct Interval {
     pub merges: Vec<Merge>,
     /// Gaussians left out because a number of theirs was not finite.
     pub dropped: u64,
-    /// What draws it.
+    /// Threads and level that draw it.
     pub workers: Workers,
 }
 

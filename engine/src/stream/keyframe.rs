@@ -49,7 +49,7 @@ pub(super) struct Features {
     pub(super) condition: Option<Vec<f32>>,
 }
 
-/// What a frame is reconstructed with.
+/// Context in which a frame is reconstructed.
 pub(super) struct Context<'a> {
     pub(super) settings: &'a Settings,
     pub(super) level: streamsplat_kernels::Level,
@@ -193,7 +193,7 @@ fn gaussians(
 }
 
 impl Tiles {
-    /// What the tiles remember.
+    /// Caches of the tiles.
     pub(super) fn memories(&mut self) -> impl Iterator<Item = &mut Memory> {
         self.tiles.iter_mut().filter_map(|tile| tile.memory.as_mut())
     }

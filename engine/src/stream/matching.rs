@@ -73,11 +73,11 @@ pub(crate) struct Probe {
     pub(crate) point: [f32; 3],
     /// Its footprint's radii.
     pub(crate) radii: [f32; 3],
-    /// Whether it was born in the frame before: these go first.
+    /// True if it was born in the frame before: these go first.
     pub(crate) recent: bool,
 }
 
-/// What the matching found.
+/// Result of the matching.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Matches {
     /// Per old Gaussian, the new one it coincides with best.

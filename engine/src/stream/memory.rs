@@ -1,4 +1,4 @@
-//! What a stream has to be told to go on where it was.
+//! State that a stream needs to resume.
 //!
 //! Embedding, tokens, condition and Gaussians of the last key frame are functions of that frame: they are computed again, to the
 //! same bits. What is not a function of it is the canonical set: who survives, and which identity each of the frame's
@@ -29,7 +29,7 @@ pub struct Memory {
 }
 
 impl Engine {
-    /// What it remembers at the last key frame; `None` before the first one, and where what it computes next depends on more than
+    /// State at the last key frame; `None` before the first one, and where what it computes next depends on more than
     /// that frame ([`Reuse::forgets`]).
     pub fn memory(&self) -> Option<Memory> {
         self.state().filter(|_| self.settings().reuse.forgets()).map(|state| {
@@ -96,7 +96,7 @@ impl Memory {
 }
 
 impl Reuse {
-    /// Whether what is computed from a key frame depends on nothing but that frame and a [`Memory`].
+    /// Returns true if what is computed from a key frame depends on nothing but that frame and a [`Memory`].
     pub fn forgets(self) -> bool {
         match self {
             Reuse::Off | Reuse::Exact => true,

@@ -38,7 +38,7 @@ pub(super) struct Step<'a> {
 }
 
 impl Step<'_> {
-    /// Whether the step by `[u, v]`, to `at`, leaves the picture or does not come back.
+    /// Returns true if the step by `[u, v]`, to `at`, leaves the picture or does not come back.
     fn strays(&self, [u, v]: [f32; 2], at: [f32; 2]) -> bool {
         let [height, width] = self.there.size.map(|side| side as f32);
         let inside = (-0.5..=width - 0.5).contains(&at[0]) && (-0.5..=height - 0.5).contains(&at[1]);

@@ -19,7 +19,7 @@ named! {
     }
 }
 
-/// What a [`Quality`] stands for.
+/// Settings that a [`Quality`] stands for.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Preset {
@@ -44,7 +44,7 @@ pub struct Preset {
 }
 
 impl Quality {
-    /// What it stands for.
+    /// Settings it stands for.
     ///
     /// | | `realtime` | `balanced` | `best` |
     /// |---|---|---|---|

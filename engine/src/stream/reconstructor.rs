@@ -1,4 +1,4 @@
-//! What turns frames into Gaussians and motion: a network, or anything that can stand in for one.
+//! Reconstructors, which turn frames into Gaussians and motion: a network, or anything that can stand in for one.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ pub struct Tiling {
     pub patch: usize,
     /// Gaussians along a patch's side; a frame's are given row by row.
     pub cells: usize,
-    /// Whether frames may be smaller than its own; otherwise a larger picture is covered by frames of its own size.
+    /// True if frames may be smaller than its own; otherwise a larger picture is covered by frames of its own size.
     pub partial: bool,
 }
 
@@ -25,7 +25,7 @@ pub struct Tiling {
 /// The results must be functions of the arguments alone: the stream keeps and reuses them. Work is done on the calling thread
 /// and its rayon pool.
 ///
-/// What can leave out work from frame to frame gives a [`Memory`] and has a second form of each stage, `*_keeping`, that reads and
+/// A reconstructor that can leave out work from frame to frame gives a [`Memory`] and has a second form of each stage, `*_keeping`, that reads and
 /// changes it. A stream calls either form, of all stages, in the order of its frames.
 pub trait Reconstructor: Send + Sync {
     /// Height and width of the frames it takes.
@@ -60,10 +60,10 @@ pub trait Reconstructor: Send + Sync {
     /// Whatever the reconstructor refuses.
     fn gaussians(&self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError>;
 
-    /// Whether [`Reconstructor::gaussians`] gives other Gaussians for another [`Sampling`].
+    /// Returns true if [`Reconstructor::gaussians`] gives other Gaussians for another [`Sampling`].
     fn draws_positions(&self) -> bool;
 
-    /// Whether [`Reconstructor::condition`] gives anything; it is not called otherwise.
+    /// Returns true if [`Reconstructor::condition`] gives anything; it is not called otherwise.
     fn reads_condition(&self) -> bool;
 
     /// Features of a frame that [`Reconstructor::decode`] needs beyond its embedding, if any.

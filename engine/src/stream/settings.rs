@@ -1,4 +1,4 @@
-//! What an engine is made with.
+//! Settings of an engine.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -12,13 +12,13 @@ use super::network::Conditioned;
 use super::{EngineError, Reconstructor, Resolution};
 use crate::fit::Fit;
 
-/// What an engine is made with. [`Settings::default`] is the model inside the library, and everything else as the program's
+/// Settings of an engine. [`Settings::default`] is the model inside the library, and everything else as the program's
 /// defaults.
 #[derive(Clone, Debug, Default)]
 pub struct Settings {
     /// The model.
     pub model: ModelSource,
-    /// What one key frame knows of those before.
+    /// Fusion of a key frame with those before.
     pub fusion: Fusion,
     /// Key frames after which a Gaussian that nothing continues is dropped at the latest.
     pub max_age: MaxAge,
@@ -38,7 +38,7 @@ pub struct Settings {
     pub refine: Option<u32>,
     /// Every how many of the frames between key frames are looked at where colours are fitted, 1 for all; `None`: 1. 0 is 1.
     pub refine_every: Option<u32>,
-    /// Whether depth maps are normalised here.
+    /// True if depth maps are normalised here.
     pub depth_range: DepthRange,
     /// How positions that the model gives as a distribution are drawn.
     pub sampling: SamplingMode,
@@ -124,7 +124,7 @@ impl Settings {
         self.refine_every.unwrap_or(1).max(1)
     }
 
-    /// Whether anything is taken from the network's dynamic half; otherwise it is not computed.
+    /// Returns true if anything is taken from the network's dynamic half; otherwise it is not computed.
     pub(crate) fn deforms(&self) -> bool {
         self.motion() == MotionFrom::Network || self.fade() == Fade::Network
     }
@@ -202,7 +202,7 @@ pub struct UnknownChoice {
 }
 
 named! {
-    /// What one key frame knows of those before.
+    /// Fusion of a key frame with those before.
     Fusion: "fusion" {
         /// Gaussians keep their identity from key frame to key frame; what no frame continues lives on and fades; crossing
         /// a key frame changes no bit of the image.
@@ -251,7 +251,7 @@ named! {
 }
 
 named! {
-    /// Whether depth maps are normalised here.
+    /// True if depth maps are normalised here.
     DepthRange: "depth range" {
         /// Each by its own minimum and maximum.
         #[default]
@@ -277,7 +277,7 @@ named! {
 pub enum Reuse {
     /// None.
     Off,
-    /// What was computed from the same bits before, and what adds nothing ([`streamsplat_model::silent`]). No output bit changes.
+    /// Results of the same input bits as before, and branches that add zero ([`streamsplat_model::silent`]). No output bit changes.
     #[default]
     Exact,
     /// Also what would be computed from tokens that moved by no more than this fraction of their length, from 0 to 1. See

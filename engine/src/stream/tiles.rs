@@ -180,7 +180,7 @@ impl Tiles {
 }
 
 impl Tile {
-    /// Whether what it sees is the same in both frames, whose planes are `[C, H, W]`.
+    /// Returns true if what it sees is the same in both frames, whose planes are `[C, H, W]`.
     pub(super) fn sees_the_same(&self, resolution: [usize; 2], a: &[f32], b: &[f32]) -> bool {
         let ([top, left], [rows, columns]) = (self.origin, self.size);
         let same = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());

@@ -30,7 +30,7 @@ pub struct Picked {
 pub struct TrackPoint {
     /// Seconds of the video.
     pub time: f64,
-    /// Whom it moves with.
+    /// Identity of the tracked Gaussian.
     pub identity: u64,
     /// World position.
     pub position: [f32; 3],
@@ -89,7 +89,7 @@ impl Interval {
         Ray { origin: [u as f32, v as f32, 0.0], direction: [0.0, 0.0, 1.0] }
     }
 
-    /// What the pixel grid adds to the variances: 0.3 px².
+    /// Low-pass of the pixel grid, added to the variances: 0.3 px².
     fn blur(&self) -> [f64; 3] {
         let [fx, fy] = self.focal();
         [0.3 / (fx * fx), 0.3 / (fy * fy), 0.0]
@@ -141,7 +141,7 @@ impl Track {
         Self { identity: picked.identity, position: picked.position, time }
     }
 
-    /// Whom it moves with.
+    /// Identity of the tracked Gaussian.
     pub fn identity(&self) -> u64 {
         self.identity
     }

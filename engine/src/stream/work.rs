@@ -14,7 +14,7 @@ pub struct StageWork {
     pub done: u64,
     /// Work that was not needed, in `unit`.
     pub avoided: u64,
-    /// What is counted.
+    /// Unit of the counts.
     pub unit: &'static str,
     /// Time spent in the stage; zero where it is another's part.
     pub time: Duration,

@@ -9,7 +9,7 @@ pub enum WgpuError {
         "expected a graphics card with a Vulkan driver, found none ({reason}); Mesa's software driver will do (Debian package mesa-vulkan-drivers)"
     )]
     NoAdapter {
-        /// What the search said.
+        /// Message of the search.
         reason: String,
     },
     /// The adapter gives no device.
@@ -17,7 +17,7 @@ pub enum WgpuError {
     NoDevice {
         /// The adapter's name.
         adapter: String,
-        /// What it said.
+        /// Its message.
         reason: String,
     },
     /// The scene or the image is more than the adapter holds in one buffer.
@@ -25,7 +25,7 @@ pub enum WgpuError {
     TooLarge {
         /// The adapter's name.
         adapter: String,
-        /// What is too large.
+        /// The part that is too large.
         what: &'static str,
         /// Bytes that one buffer holds.
         most: u64,
@@ -37,7 +37,7 @@ pub enum WgpuError {
     Failed {
         /// The adapter's name.
         adapter: String,
-        /// What it said.
+        /// Its message.
         reason: String,
     },
 }

@@ -102,7 +102,7 @@ impl WgpuRenderer {
         &self.gpu.name
     }
 
-    /// What the last image cost; `blend` is the time from the upload to the last plane's arrival.
+    /// Counts of the last image's work; `blend` is the time from the upload to the last plane's arrival.
     pub fn work(&self) -> Work {
         self.work
     }

@@ -1,4 +1,4 @@
-//! What goes wrong is one line with its cause, an exit code, and nothing half-written.
+//! Failures are one line with the cause, an exit code, and nothing half-written.
 
 use std::path::Path;
 

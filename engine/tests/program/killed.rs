@@ -37,7 +37,7 @@ fn run(out: &Path) -> Command {
     command
 }
 
-/// What a kill must leave: every interval of the index whole, every file under its own name readable. Gives their numbers.
+/// Checks what a kill must leave: every interval of the index whole, every file under its own name readable. Gives their numbers.
 fn check(out: &Path) -> (usize, usize) {
     let mut intervals = 0;
     if out.join("scene/scene.json").exists() {

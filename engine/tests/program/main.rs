@@ -1,6 +1,7 @@
 //! The `streamsplat` program as a user runs it: results, exit codes, messages.
 
 mod container;
+mod docs;
 mod errors;
 mod export;
 #[cfg(unix)]

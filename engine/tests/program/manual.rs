@@ -1,4 +1,4 @@
-//! What the program says of itself: version, completions, manual pages.
+//! Descriptions of the program: version, completions, manual pages.
 
 use crate::support::{Scratch, run};
 

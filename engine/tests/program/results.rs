@@ -1,4 +1,4 @@
-//! What the commands give.
+//! Results of the commands.
 
 use std::path::Path;
 use std::process::Stdio;

@@ -1,6 +1,6 @@
 //! `--trace`: trace events as Chrome and Perfetto read them, with a span for every call of every stage and operation.
 //!
-//! What must hold is in "Trace Event Format" (Chromium): an array of objects; `B` and `E` events that nest on their thread, with `ts` in
+//! The rules are those of "Trace Event Format" (Chromium): an array of objects; `B` and `E` events that nest on their thread, with `ts` in
 //! microseconds; `M` events that name the threads.
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -7,7 +7,7 @@ fn named(page: &str) -> Vec<(&str, &str)> {
     page.split('`').skip(1).step_by(2).filter_map(|code| code.split_once("::")).collect()
 }
 
-/// Whether the file holds the function.
+/// Returns true if the file holds the function.
 fn exists(root: &Path, file: &str, function: &str) -> bool {
     let text = std::fs::read_to_string(root.join(file)).unwrap_or_default();
     text.contains(&format!("fn {function}("))

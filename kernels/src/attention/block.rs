@@ -32,7 +32,7 @@ pub(super) struct Block<'a, A, M> {
     pub(super) q: Rows<'a>,
     pub(super) k: Rows<'a>,
     pub(super) v: Rows<'a>,
-    /// What is read in place of `k` and `v` in the lower modes.
+    /// Converted operands of the lower modes, read in place of `k` and `v`.
     pub(super) packed: Packed<'a>,
     pub(super) out: &'a Disjoint<'a, f32>,
     pub(super) forms: PhantomData<fn(A, M)>,
@@ -213,7 +213,7 @@ struct Keys<'a> {
     present: usize,
 }
 
-/// What a block of queries keeps while it passes over the keys. Everything comes in panels of 16 queries.
+/// State of a block of queries on its pass over the keys. Everything comes in panels of 16 queries.
 struct State<'a, A, M> {
     /// `[panels][words][16]`
     q: &'a [f32],

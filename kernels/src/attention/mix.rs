@@ -19,7 +19,7 @@ pub(super) struct Scores<'a, S: Simd> {
     pub(super) reference: S::F32,
 }
 
-/// What becomes of a block of scores.
+/// Result of weighing a block of scores.
 #[derive(Clone, Copy)]
 pub(super) struct Weighed<S: Simd> {
     /// The reference from now on, `M`.
@@ -45,7 +45,7 @@ pub(super) trait Mix: 'static {
     /// The product, with values as its rows and weights as its panels.
     type Product: Multiply;
 
-    /// Whether values have a scale per channel and block of keys.
+    /// True if values have a scale per channel and block of keys.
     const SCALED: bool;
 
     /// Keys of one word.

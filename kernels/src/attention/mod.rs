@@ -143,7 +143,7 @@ impl<'a> Rows<'a> {
         self.values.get(self.place(row, head, width)..)?.get(..(count - 1) * self.stride + width)
     }
 
-    /// Whether all heads lie inside.
+    /// Returns true if all heads lie inside.
     fn holds(&self, heads: usize, width: usize) -> bool {
         let (width_of_one, all) = match self.head {
             None => (width, self.stride),

@@ -38,7 +38,7 @@ pub(super) fn weight_low<S: Simd>(s: S, t: S::F32) -> S::F32 {
     s.from_bits(s.and_i32(rounded, s.splat_i32(0xffff_0000_u32.cast_signed())))
 }
 
-/// What [`numbered`] adds to a number: the bits of [`SHIFTER`].
+/// Offset that [`numbered`] adds to a number: the bits of [`SHIFTER`].
 pub(super) const NUMBERED: i32 = SHIFTER.to_bits().cast_signed();
 
 /// `255·2^t` for `t ≤ 0`, to the nearest integer (of a value within 7.5e-5; ties to even), [`NUMBERED`] added; 0 for what is below ½, and for NaN.

@@ -1,7 +1,7 @@
 use super::{Tolerance, moved, reference};
 use crate::testing::{noise, on_every_level_and_thread_count};
 
-/// What moved, as 0 and 1, after every level and thread count has said the same.
+/// Rows that moved, after every level and thread count has given the same.
 fn everywhere(tolerance: Tolerance, d: usize, x: &[f32], references: &[f32], at: Option<&[u32]>) -> Vec<bool> {
     let rows = x.len() / d;
     let out = on_every_level_and_thread_count(rows, |level, out| {

@@ -21,7 +21,7 @@ use crate::size::product;
 /// The layer.
 #[derive(Clone, Copy)]
 pub struct FeedForward<'a> {
-    /// What the input is normalised by.
+    /// Normalisation of the input.
     pub norm: Norm<'a>,
     /// `W₁`.
     pub expand: &'a Weights,

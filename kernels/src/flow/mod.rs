@@ -128,7 +128,7 @@ impl FlowError {
     /// Pixels of the largest frame.
     const MOST: usize = 1 << 28;
 
-    /// Whether a frame of this size has pixels, and not too many: every place in it is a binary32 number.
+    /// Returns true if a frame of this size has pixels, and not too many: every place in it is a binary32 number.
     const fn allows([h, w]: [usize; 2]) -> bool {
         h > 0 && w > 0 && h <= Self::LONGEST && w <= Self::LONGEST && h * w <= Self::MOST
     }

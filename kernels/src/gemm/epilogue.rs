@@ -1,4 +1,4 @@
-//! What follows a product before it is written.
+//! Epilogues: bias, activation, scale and residual, applied to a product before it is written.
 
 use std::ops::Range;
 
@@ -18,7 +18,7 @@ pub enum Activation {
     Gelu,
 }
 
-/// What follows a product `p`: `y = activation(p + bias)`, then `out = γ·y`, or, with a residual, `out += γ·y`.
+/// Epilogue of a product `p`: `y = activation(p + bias)`, then `out = γ·y`, or, with a residual, `out += γ·y`.
 ///
 /// Rows of `out` hold all columns, or lie otherwise: see [`Epilogue::in_groups_of`] and [`Epilogue::shuffled`].
 ///
@@ -141,7 +141,7 @@ impl<'a> Epilogue<'a> {
         }
     }
 
-    /// Whether no function stands between the product and what is added.
+    /// Returns true if no function stands between the product and what is added.
     pub(super) fn is_affine(&self) -> bool {
         self.activation == Activation::Identity
     }
@@ -218,7 +218,7 @@ impl<S: Simd> Affine<S> {
         self.finish(s, s.add(p, self.bias), before)
     }
 
-    /// What follows the function.
+    /// Scale and residual, which follow the function.
     #[inline(always)]
     pub(super) fn finish(&self, s: S, y: S::F32, before: S::F32) -> S::F32 {
         if self.residual { s.mul_add(self.gamma, y, before) } else { s.mul(self.gamma, y) }

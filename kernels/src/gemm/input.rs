@@ -1,4 +1,4 @@
-//! What a product's rows are made of.
+//! Rows of a product: as they are given, or normalised while they are packed.
 
 use crate::norm::Norm;
 use crate::size::product;

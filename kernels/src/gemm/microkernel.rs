@@ -7,7 +7,7 @@ use crate::simd::{LANES, Simd, prefetch, transpose2, transpose4};
 /// The sums of one register block.
 pub(crate) type Tile<S, const MR: usize, const NV: usize> = [[<S as Simd>::F32; NV]; MR];
 
-/// What happens between the steps of a product, such as asking for memory that is used soon: a request now and then costs nothing, many at once
+/// Hook between the steps of a product, for prefetches: one now and then costs nothing, many at once
 /// keep the steps from their own operands.
 pub(crate) trait Between {
     /// Called before every [`LEG`] steps.

@@ -9,7 +9,7 @@
 //! has no part in this, so the bits are the same on every level and for any number of threads.
 //!
 //! # Precision
-//! What [`Weights::pack_as`] was told decides how [`linear`] holds both operands; everything else is f32 in every mode, SiLU with fewer
+//! The precision given to [`Weights::pack_as`] decides how [`linear`] holds both operands; everything else is f32 in every mode, SiLU with fewer
 //! correct bits in the lower ones.
 //! - **f32**: as given.
 //! - **bf16**: weights and inputs are rounded to nearest even, magnitudes below 2⁻⁵⁶ become 0; the products are exact in f32

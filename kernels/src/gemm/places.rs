@@ -31,7 +31,7 @@ impl Places {
         }
     }
 
-    /// What a column adds to where its row begins.
+    /// Offset of a column from where its row begins.
     #[inline(always)]
     pub(super) fn of_column(&self, column: usize) -> usize {
         let group = column / self.width;

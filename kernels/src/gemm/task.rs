@@ -245,7 +245,7 @@ impl<F: Form> Task<'_, F> {
         self.product.epilogue.places(self.product.m, self.product.weights.n)
     }
 
-    /// What the epilogue and the form have for up to 16 columns that start a panel.
+    /// Vectors of the epilogue and of the form for up to 16 columns that start a panel.
     #[inline(always)]
     fn of_columns<S: Simd>(&self, s: S, columns: &Range<usize>) -> (Affine<S>, S::F32, S::I32) {
         let affine = self.product.epilogue.affine(s, columns);

@@ -55,7 +55,7 @@ impl Grid {
     }
 }
 
-/// What it takes to tell how far a footprint extends sideways over a strip of rows.
+/// Coefficients that tell how far a footprint extends sideways over a strip of rows.
 #[derive(Clone, Copy)]
 pub(super) struct Reach {
     /// The centre.

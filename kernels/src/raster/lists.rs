@@ -1,4 +1,4 @@
-//! What comes before the blend, for a blend that runs elsewhere: footprints, and each tile's list in drawing order.
+//! Passes before the blend, for a blend that runs elsewhere: footprints, and each tile's list in drawing order.
 
 use std::time::Instant;
 
@@ -82,7 +82,7 @@ impl Footprint {
 pub struct Lists {
     /// Tiles across and down, of [`TILE_PIXELS`] each.
     pub tiles: [usize; 2],
-    /// What can be seen, in the order of the Gaussians.
+    /// Footprints that can be seen, in the order of the Gaussians.
     pub footprints: Vec<Footprint>,
     /// Where each tile's list starts in `order`, row-major; one more than tiles.
     pub starts: Vec<u32>,

@@ -82,7 +82,7 @@ impl Gaussians<'_> {
         self.mean.len()
     }
 
-    /// Whether there are none.
+    /// Returns true if there are none.
     pub fn is_empty(&self) -> bool {
         self.mean.is_empty()
     }
@@ -159,7 +159,7 @@ pub enum Projection {
     },
 }
 
-/// What to draw.
+/// Size, projection and planes of an image to draw.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Request {
     /// Pixels per row.
@@ -168,11 +168,11 @@ pub struct Request {
     pub height: usize,
     /// Colour behind everything. A component that is not finite counts as zero.
     pub background: [f32; 3],
-    /// Whether `depth` is wanted.
+    /// True if `depth` is wanted.
     pub depth: bool,
-    /// Whether `alpha` is wanted.
+    /// True if `alpha` is wanted.
     pub alpha: bool,
-    /// Whether `final_t` and `blended` are wanted.
+    /// True if `final_t` and `blended` are wanted.
     pub statistics: bool,
 }
 
@@ -183,7 +183,7 @@ impl Request {
     }
 }
 
-/// What was drawn. Planes are row-major.
+/// Drawn image. Planes are row-major.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Image {
     /// Pixels per row.

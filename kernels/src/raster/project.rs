@@ -71,7 +71,7 @@ impl Splat {
         self.columns[0] > self.columns[1]
     }
 
-    /// Whether both records have the same bits.
+    /// Returns true if both records have the same bits.
     #[inline(always)]
     pub(super) fn same_bits(&self, other: &Splat) -> bool {
         let words = |s: &Splat| {

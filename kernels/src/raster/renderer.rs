@@ -53,7 +53,7 @@ pub struct Work {
 #[derive(Debug)]
 pub struct Renderer {
     level: Level,
-    /// What the last image was of; `None` before the first.
+    /// Scene and request of the last image; `None` before the first.
     last: Option<Last>,
     pub(super) splats: Vec<Splat>,
     /// Entries per chunk of Gaussians and tile; later where each chunk's entries of a tile start.
@@ -82,7 +82,7 @@ const CHUNK: usize = 2048;
 const _: () = assert!(CHUNK.is_multiple_of(LANES));
 const MOST_CHUNKS: usize = 64;
 
-/// Whether the rotation leaves everything in place.
+/// Returns true if the rotation leaves everything in place.
 fn is_identity(q: &[f32; 4]) -> bool {
     q[1] == 0.0 && q[2] == 0.0 && q[3] == 0.0
 }
@@ -111,7 +111,7 @@ impl Renderer {
         }
     }
 
-    /// What the last image cost and what was left out.
+    /// Counts of the last image's work, done and left out.
     pub fn work(&self) -> Work {
         self.work
     }

@@ -78,7 +78,7 @@ impl Dots {
 
 #[cfg(test)]
 thread_local! {
-    /// What a test asks for instead of what is found.
+    /// Set of dot products that a test asks for, in place of the detected one.
     pub(super) static ASKED: std::cell::Cell<Option<Dots>> = const { std::cell::Cell::new(None) };
 }
 

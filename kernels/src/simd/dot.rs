@@ -99,7 +99,7 @@ impl Operation for Answers {
     }
 }
 
-/// What [`Answers`] gives in plain operations.
+/// Result of [`Answers`] in plain operations.
 #[cfg(any(test, target_arch = "x86_64"))]
 pub(super) fn known_answers() -> Vec<i32> {
     super::dispatch(crate::Level::scalar(), Answers)

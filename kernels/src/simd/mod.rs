@@ -52,9 +52,9 @@ pub trait Simd: Copy + Send + Sync + 'static {
     /// Vectors of columns of the register block of a matrix product.
     const GEMM_PANELS: usize;
 
-    /// Whether [`Simd::dot_bf16`] is a single instruction. See [`dispatch_dot`].
+    /// True if [`Simd::dot_bf16`] is a single instruction. See [`dispatch_dot`].
     const BF16_DOT: bool = false;
-    /// Whether [`Simd::dot_bytes`] is a single instruction.
+    /// True if [`Simd::dot_bytes`] is a single instruction.
     const BYTE_DOT: bool = false;
 
     /// `acc + a₁b₁ + a₀b₀` in every lane for pairs of bf16: a fused step of the high halves, then one of the low halves.
@@ -87,7 +87,7 @@ pub trait Simd: Copy + Send + Sync + 'static {
     fn pairs_of_bf16(self, a: Self::F32, b: Self::F32) -> Self::I32 {
         dot::pairs_of_bf16(self, a, b)
     }
-    /// What 1.5·2²³ and an integer `n` add up to, as [`Simd::times_power`] takes `n`.
+    /// Integer `n` in the form that [`Simd::times_power`] takes, from `shifted`, the rounding constant of the shift trick (1.5·2²³) plus `n`.
     #[inline(always)]
     fn whole(self, shifted: Self::F32) -> Self::F32 {
         shifted
@@ -314,12 +314,12 @@ pub trait Simd: Copy + Send + Sync + 'static {
     fn bits(self, a: Self::Mask) -> u16;
     /// Lane `i` is bit `i`.
     fn mask_from_bits(self, bits: u16) -> Self::Mask;
-    /// Whether any lane is true.
+    /// Returns true if any lane is true.
     #[inline(always)]
     fn any(self, a: Self::Mask) -> bool {
         self.bits(a) != 0
     }
-    /// Whether all lanes are true.
+    /// Returns true if all lanes are true.
     #[inline(always)]
     fn all(self, a: Self::Mask) -> bool {
         self.bits(a) == u16::MAX
@@ -363,7 +363,7 @@ pub(crate) fn again<T>(mut at: *const T) -> *const T {
 ///
 /// `run` and everything it calls should be `#[inline(always)]`, so that all of it is compiled for the level.
 pub trait Operation {
-    /// What it gives.
+    /// Result of the computation.
     type Output;
     /// The computation.
     fn run<S: Simd>(self, s: S) -> Self::Output;

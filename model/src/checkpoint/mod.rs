@@ -99,7 +99,7 @@ impl Checkpoint {
         }
     }
 
-    /// Whether a tensor is there and all its values are zero, of either sign.
+    /// Returns true if a tensor is there and all its values are zero, of either sign.
     pub(crate) fn is_zero(&self, name: &str) -> bool {
         let Some(TensorInfo { dtype, range, .. }) = self.tensors.get(name) else { return false };
         let bytes = &self.storage.bytes()[self.data..][range.clone()];

@@ -26,12 +26,12 @@ impl<'a> Weights<'a> {
         Weights { compute_silent: true, ..self }
     }
 
-    /// Whether the residual branch whose last layer is `name`, with a bias or without, is to be left out: it adds zeros.
+    /// Returns true if the residual branch whose last layer is `name`, with a bias or without, is to be left out: it adds zeros.
     pub(crate) fn leaves_out(&self, name: &str) -> bool {
         !self.compute_silent && self.is_silent(name)
     }
 
-    /// Whether the layer `name` gives zeros, whatever its input.
+    /// Returns true if the layer `name` gives zeros, whatever its input.
     pub(crate) fn is_silent(&self, name: &str) -> bool {
         let zero = |tensor: &str| self.checkpoint.is_zero(&self.key(&format!("{name}.{tensor}")));
         zero("weight") && (self.shape(&format!("{name}.bias")).is_none() || zero("bias"))

@@ -9,7 +9,7 @@ use crate::keys;
 /// Resolution and window of the published checkpoint, which its shapes do not tell.
 const PUBLISHED_RESOLUTION: [usize; 2] = [288, 512];
 const PUBLISHED_WINDOW: usize = 2304;
-/// What DINOv2 sees in the published model.
+/// Input of DINOv2 in the published model.
 const PUBLISHED_DINO_INPUT: [usize; 2] = [252, 448];
 
 /// Patches along a side above which no vision transformer runs.
@@ -28,7 +28,7 @@ pub(crate) fn prefix(checkpoint: &Checkpoint) -> Result<&'static str, ModelError
     })
 }
 
-/// Whether the file has the keys of DINOv2.
+/// Returns true if the file has the keys of DINOv2.
 pub(crate) fn is_dino(checkpoint: &Checkpoint) -> bool {
     checkpoint.shape("patch_embed.proj.weight").is_some() && checkpoint.shape("cls_token").is_some()
 }

@@ -36,7 +36,7 @@ pub struct Config {
     pub upsampler_widths: [usize; 2],
     /// Tokens per window in the encoder's attention and the decoder's self-attention; `None` attends to everything.
     pub encoder_window: Option<usize>,
-    /// Whether frames are conditioned on the other frame's DINOv2 features; otherwise on its embedding.
+    /// True if frames are conditioned on the other frame's DINOv2 features; otherwise on its embedding.
     pub use_dino: bool,
     /// Channels of the condition.
     pub condition_dim: usize,

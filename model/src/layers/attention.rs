@@ -12,7 +12,7 @@ fn shape(d: usize, windows: Windows) -> Shape {
     Shape { heads: d / HEAD, width: HEAD, windows }
 }
 
-/// Whether an attention is silent and left out. Its tensors are checked all the same.
+/// Returns true if an attention is silent and left out. Its tensors are checked all the same.
 fn is_left_out(weights: &Weights<'_>, d: usize) -> Result<bool, ModelError> {
     if !weights.leaves_out("out_proj") {
         return Ok(false);

@@ -46,7 +46,7 @@ impl Block {
         self.feed_forward(level, x);
     }
 
-    /// What follows the attention.
+    /// Feed-forward layer, which follows the attention.
     fn feed_forward(&self, level: Level, x: &mut [f32]) {
         match &self.mlp {
             Some(mlp) => mlp.accumulate(level, self.attn.is_none(), x),
@@ -54,12 +54,12 @@ impl Block {
         }
     }
 
-    /// Whether nothing is left of it but `x += 0`.
+    /// Returns true if nothing is left of it but `x += 0`.
     pub(crate) fn is_silent(&self) -> bool {
         self.attn.is_none() && self.mlp.is_none()
     }
 
-    /// Whether a token's result depends on other tokens.
+    /// Returns true if a token's result depends on other tokens.
     pub(crate) fn mixes(&self) -> bool {
         self.attn.is_some()
     }

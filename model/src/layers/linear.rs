@@ -10,7 +10,7 @@ use super::HEAD;
 use crate::ModelError;
 use crate::checkpoint::Weights;
 
-/// Whether a layer has a bias.
+/// Presence of a layer's bias.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Bias {
     Yes,

@@ -10,7 +10,7 @@ use crate::Config;
 use crate::encoder::Encoder;
 use crate::layers::{Block, Workspace, windows};
 
-/// What a block keeps: its tokens as it last computed them, and their keys and values.
+/// Cache of a block: its tokens as it last computed them, and their keys and values.
 #[derive(Debug)]
 pub(super) struct BlockMemory {
     pub(super) gate: Gate,
@@ -78,7 +78,7 @@ pub(super) fn step(
     block.apply_some(level, windows, &rows.at, &mut rows.x, &mut memory.keys_values, work);
 }
 
-/// What the encoder keeps.
+/// Cache of the encoder.
 #[derive(Debug)]
 pub(crate) struct EncoderMemory {
     schedule: Schedule,
@@ -99,7 +99,7 @@ impl EncoderMemory {
         }
     }
 
-    /// Whether most of the picture changed since the frame before.
+    /// Returns true if most of the picture changed since the frame before.
     pub(crate) fn moves(&self) -> bool {
         self.schedule.moves()
     }

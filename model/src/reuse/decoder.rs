@@ -10,7 +10,7 @@ use crate::Config;
 use crate::decoder::Decoder;
 use crate::layers::{HEAD, Workspace, add_zero, windows};
 
-/// What the decoder keeps. Its tokens are those of both frames, the earlier one's first.
+/// Cache of the decoder. Its tokens are those of both frames, the earlier one's first.
 #[derive(Debug)]
 pub(crate) struct DecoderMemory {
     schedule: Schedule,
@@ -22,7 +22,7 @@ pub(crate) struct DecoderMemory {
     pub(crate) tokens: Tokens,
 }
 
-/// What one block keeps.
+/// Cache of one block.
 #[derive(Debug)]
 struct PairMemory {
     own: BlockMemory,

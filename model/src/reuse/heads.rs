@@ -9,7 +9,7 @@ use crate::deformation_head::DeformationHead;
 use crate::static_head::StaticHead;
 use crate::{Config, Sampling, StaticGaussians};
 
-/// What the static head keeps.
+/// Cache of the static head.
 #[derive(Debug)]
 pub(crate) struct StaticHeadMemory {
     /// Calls of the upsampler when it last gave something.
@@ -64,7 +64,7 @@ impl StaticHead {
     }
 }
 
-/// What the deformation head keeps of one frame of the pair.
+/// Cache of the deformation head for one frame of the pair.
 #[derive(Debug)]
 pub(crate) struct DeformationHeadMemory {
     calls: u64,

@@ -49,10 +49,10 @@ pub(crate) use upsampler::UpsamplerMemory;
 
 use crate::Config;
 
-/// What may be left out.
+/// Work that may be left out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Saving {
-    /// What was computed from the same bits before.
+    /// Results of the same input bits as before.
     Exact,
     /// Also what would be computed from inputs that moved by no more than this fraction of their length.
     Within(f32),
@@ -91,7 +91,7 @@ impl Tokens {
     }
 }
 
-/// What the parts of one network keep from key frame to key frame. It is bounded: see [`Memory::bytes`].
+/// Caches of the parts of one network, from key frame to key frame. It is bounded: see [`Memory::bytes`].
 ///
 /// One memory serves one stream: give it to the `*_keeping` methods of one [`crate::Network`], each frame in turn.
 #[derive(Debug)]
@@ -136,7 +136,7 @@ impl Memory {
         })
     }
 
-    /// What it may leave out.
+    /// Work that may be left out.
     pub fn saving(&self) -> Saving {
         self.saving
     }

@@ -2,23 +2,23 @@
 
 use super::{Memory, Saving};
 
-/// What a part does in a step.
+/// Extent of a part's computation in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Pass {
     /// Everything, and nothing is kept but the input.
     Plain,
     /// Everything, and all of it is kept.
     Refresh,
-    /// What changed.
+    /// Tokens that changed.
     Changed,
 }
 
 /// Decides between them.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Schedule {
-    /// Whether there is an input to compare with.
+    /// True if there is an input to compare with.
     seen: bool,
-    /// Whether everything is kept.
+    /// True if everything is kept.
     kept: bool,
     /// Steps since everything was computed.
     age: u32,
@@ -27,12 +27,12 @@ pub(super) struct Schedule {
 }
 
 impl Schedule {
-    /// Whether there is an input to compare with.
+    /// Returns true if there is an input to compare with.
     pub(super) fn has_seen(&self) -> bool {
         self.seen
     }
 
-    /// Whether too much changed for anything to be kept.
+    /// Returns true if too much changed for anything to be kept.
     pub(super) fn moves(&self) -> bool {
         self.seen && !self.kept
     }

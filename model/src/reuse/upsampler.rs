@@ -10,7 +10,7 @@ use crate::Config;
 use crate::layers::{Workspace, windows};
 use crate::upsampler::Upsampler;
 
-/// What an upsampler keeps.
+/// Cache of an upsampler.
 #[derive(Debug)]
 pub(crate) struct UpsamplerMemory {
     schedule: Schedule,

@@ -5,7 +5,7 @@
 //! begins with such branches, and keeps some of them, leaves checkpoints that have many.
 //!
 //! # What is left of it
-//! What a silent branch adds is +0 for every token. A product with zeros is a chain of fused multiply-adds that starts from +0 and, as `a·0 + 0` is +0 for every
+//! A silent branch adds +0 to every token. A product with zeros is a chain of fused multiply-adds that starts from +0 and, as `a·0 + 0` is +0 for every
 //! finite `a`, stays there, in f32 and in bf16; in 8-bit integers the sum is the integer 0, and its scales are not negative. A bias of −0 or none leaves +0 as it is.
 //! So norm, projections and attention of a silent branch are neither packed at load nor computed, and `x += 0` is what remains, on all levels, for any number of threads and
 //! in every precision: it turns −0 into +0, as the sum did, and changes no other bit.
@@ -86,7 +86,7 @@ pub(crate) fn silent(weights: &Weights<'_>, config: &Config) -> Vec<Silent> {
     vec![encoder.0, static_upsampler, decoder.0, deformation_upsampler]
 }
 
-/// Whether every attention of both upsamplers is silent.
+/// Returns true if every attention of both upsamplers is silent.
 pub(crate) fn upsamplers_are_local(weights: &Weights<'_>) -> bool {
     let blocks = [keys::STATIC_UPSAMPLER, keys::DEFORMATION_UPSAMPLER]
         .into_iter()

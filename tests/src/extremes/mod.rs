@@ -1,4 +1,4 @@
-//! What happens at the extremes: every case on every instruction-set level of the machine and with 1, 2, 3 and 8 threads, its error against
+//! Extremes: every case on every instruction-set level of the machine and with 1, 2, 3 and 8 threads, its error against
 //! binary64, and whether the bits agree.
 //!
 //! A [`Case`] computes values and judges them: the worst error, the value that has it, and properties that must hold whatever the
@@ -26,12 +26,12 @@ use crate::reference::ulps;
 /// Thread counts tried on every level.
 pub const THREADS: [usize; 4] = [1, 2, 3, 8];
 
-/// What a case computes.
+/// Result of a case's computation.
 #[derive(Clone, Debug, Default)]
 pub struct Computed {
     /// Values by which it is judged.
     pub values: Vec<f64>,
-    /// What else has to agree: counts, identities, messages.
+    /// Further results that have to agree: counts, identities, messages.
     pub rest: Vec<u64>,
 }
 
@@ -57,7 +57,7 @@ impl Computed {
     }
 }
 
-/// What an error is measured in.
+/// Unit of an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unit {
     /// |ours − exact|
@@ -88,16 +88,16 @@ impl Unit {
     }
 }
 
-/// What is to be said of what a case computed.
+/// Judgement of a case's result.
 #[derive(Clone, Debug)]
 pub struct Judged {
     /// The worst error.
     pub error: f64,
-    /// What it is measured in.
+    /// Its unit.
     pub unit: Unit,
     /// The value that has it.
     pub ours: f64,
-    /// What that should be.
+    /// The exact value.
     pub exact: f64,
     /// Properties that do not hold.
     pub broken: Vec<String>,
@@ -157,9 +157,9 @@ fn distance(unit: Unit, ours: f64, exact: f64) -> f64 {
 /// How much is drawn where much can be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
-    /// What every test run does.
+    /// Sizes of every test run.
     Short,
-    /// What the report shows.
+    /// Sizes of the report.
     Long,
 }
 
@@ -176,11 +176,11 @@ pub struct Place {
 
 /// One extreme.
 pub struct Case {
-    /// What it belongs to.
+    /// Its group.
     pub group: &'static str,
-    /// What it is; unique in its group.
+    /// Its name, unique in its group.
     pub name: String,
-    /// Whether the long form differs from the short one.
+    /// True if the long form differs from the short one.
     pub long: bool,
     compute: Box<dyn Fn(Place) -> Computed + Send + Sync>,
     judge: Box<dyn Fn(&Computed) -> Judged + Send + Sync>,

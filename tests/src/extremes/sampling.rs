@@ -93,7 +93,7 @@ fn quantiles(mean: f64, log_scale: f64, part: Part, label: &str) -> Case {
     Case { long: true, ..Case::new(GROUP, format!("quantile, m = {mean}, σ = e^{log_scale}{label}"), compute, judge) }
 }
 
-/// What the engine draws, in binary32, with the published choices: u clamped to [ε, 1−ε], the mean where s ≤ −5, the lower bound where
+/// Draws of the engine, in binary32, with the published choices: u clamped to [ε, 1−ε], the mean where s ≤ −5, the lower bound where
 /// the mass inside the bounds is at most ε.
 fn sampled(mean: f32, log_scale: f32) -> Case {
     let compute = move |place: super::Place| {
@@ -166,7 +166,7 @@ pub struct Collapse {
     pub formula: Held,
     /// The published implementation with them, u from ε to 1 − ε.
     pub published: Held,
-    /// What the engine draws, u from ε to 1 − ε.
+    /// Draws of the engine, u from ε to 1 − ε.
     pub sampled: Held,
     /// [`quantile`], all u, rounded to binary32.
     pub quantile: Held,

@@ -1,4 +1,4 @@
-//! What is done with hostile bytes: one function per reader, shared by libFuzzer (`tests/fuzz`) and by the tests, which replay
+//! Targets of hostile bytes: one function per reader, shared by libFuzzer (`tests/fuzz`) and by the tests, which replay
 //! seeds, what was found, and mutations of both.
 //!
 //! A function takes any bytes. An error from the reader is an answer; a panic, a wrong property of what was read, or memory that the

@@ -11,7 +11,7 @@ use streamsplat::stream::{Handover, Interval, Merge, Record, Reference, Workers}
 use streamsplat::{export, openexr};
 use streamsplat_kernels::Level;
 
-/// What the shapes of [`model`] cannot say.
+/// Configuration that the shapes of [`model`] leave open.
 pub(super) const CONFIG: &str =
     r#"{"resolution": [1, 1], "upsampler_window": 1, "use_dino": false, "resized_to": [1, 1]}"#;
 

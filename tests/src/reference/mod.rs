@@ -50,7 +50,7 @@ impl Tensors {
         &self.0.get(name).unwrap_or_else(|| panic!("tensor {name}")).0
     }
 
-    /// Whether a tensor is there.
+    /// Returns true if a tensor is there.
     pub fn has(&self, name: &str) -> bool {
         self.0.contains_key(name)
     }

@@ -24,7 +24,7 @@ use crate::machine::cpu;
 /// By how many dB a higher quality may be worse on a clip.
 const TOLERANCE: f64 = 0.05;
 
-/// What was measured.
+/// Measurements of a folder of clips.
 #[derive(Serialize, Deserialize)]
 struct Record {
     cpu: String,
@@ -68,7 +68,7 @@ struct Row {
     still: Option<f64>,
     /// In the engine, per input frame.
     seconds_per_frame: f64,
-    /// Whether nothing that sees as much takes less time and is as close to all frames.
+    /// True if nothing that sees as much takes less time and is as close to all frames.
     pareto: bool,
     by_clip: BTreeMap<String, Clip>,
 }
@@ -80,7 +80,7 @@ struct Clip {
     seconds_per_frame: f64,
 }
 
-/// Whether this is a folder of clips.
+/// Returns true if this is a folder of clips.
 pub(super) fn is_folder_of_clips(input: &Path) -> bool {
     input.is_dir() && folder::images(input).is_err()
 }

@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 
 use super::{Kind, Record, Row};
 
-/// What stands before and after the table.
+/// Markers before and after the table.
 const BEGIN: &str = "<!-- streamsplat bench tradeoff CLIPS writes from here -->";
 const END: &str = "<!-- to here -->";
 

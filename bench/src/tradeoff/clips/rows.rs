@@ -1,4 +1,4 @@
-//! What is run.
+//! Configurations to run.
 
 use super::Kind;
 

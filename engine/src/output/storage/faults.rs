@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// What happens.
+/// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// One operation fails: there is no room (ENOSPC).
@@ -25,7 +25,7 @@ pub enum Fault {
     LosesNames,
 }
 
-/// Whether a write takes all of its bytes.
+/// Room for a write: all of its bytes, or half of them.
 pub(super) enum Room {
     Enough,
     Half,

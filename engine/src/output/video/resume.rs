@@ -49,7 +49,7 @@ impl Video {
         Ok(video)
     }
 
-    /// Whether the y4m file `path` can be gone on with from `point`.
+    /// Returns true if the y4m file `path` can be gone on with from `point`.
     pub fn can_resume(path: &Path, point: &VideoPoint) -> bool {
         let partial = partial_name(path);
         let path = if partial.exists() { &partial } else { path };
@@ -64,7 +64,7 @@ impl Video {
     /// be gone on with (ffmpeg's, standard output).
     ///
     /// # Errors
-    /// What the system says.
+    /// Errors of the system.
     pub fn point(&mut self) -> Result<Option<VideoPoint>, OutputError> {
         let (Some(Sink::File { file, digest, bytes }), Some(size)) = (&mut self.sink, self.size) else {
             return Ok(None);

@@ -68,7 +68,7 @@ const MERGE: usize = 26;
 const MERGE_INTO: usize = 27;
 const _: () = assert!(FIRST + VALUES == MERGE);
 
-/// What both sides know of the records before.
+/// State of the predictions, which writer and reader build from the records before.
 #[derive(Default)]
 struct Memory {
     /// The last record of any kind.
@@ -104,7 +104,7 @@ impl Memory {
     }
 }
 
-/// What a following record's offset is expected to be, by where its tracked point is and by its own mean.
+/// Predicted offset of a following record, by where its tracked point is and by its own mean.
 fn following_offset(parent: &Quantised, mean: &[i64]) -> [i64; 3] {
     let point = parent.point_at_end();
     std::array::from_fn(|axis| (point[axis] - mean[axis]).clamp(-LIMIT, LIMIT))

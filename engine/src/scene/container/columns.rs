@@ -41,7 +41,7 @@ impl Column {
         self.push(fold(x));
     }
 
-    /// Whether every number is 0.
+    /// Returns true if every number is 0.
     pub(super) fn is_silent(&self) -> bool {
         self.0.iter().all(|byte| *byte == 0)
     }

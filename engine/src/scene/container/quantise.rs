@@ -128,7 +128,7 @@ impl Quantised {
         })
     }
 
-    /// Whether every whole number is one that [`Quantised::of`] gives.
+    /// Returns true if every whole number is one that [`Quantised::of`] gives.
     pub(super) fn is_allowed(&self) -> bool {
         let v = &self.values;
         v.iter().all(|v| v.unsigned_abs() <= LIMIT.unsigned_abs())

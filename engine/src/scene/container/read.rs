@@ -28,7 +28,7 @@ pub(in crate::scene) struct Container {
 }
 
 impl Container {
-    /// Whether a file that begins so is a container.
+    /// Returns true if a file that begins so is a container.
     pub(in crate::scene) fn begins(head: &[u8]) -> bool {
         head.starts_with(&MAGIC)
     }
@@ -128,7 +128,7 @@ fn locate(trailer: &[u8], size: u64) -> Result<(u64, u64), FormatError> {
 /// decaying unseen, and whoever has the bytes in memory vouches for them.
 ///
 /// # Errors
-/// What was expected and what was found.
+/// Expected and found values.
 pub fn intervals_from_container(bytes: &[u8], workers: &Workers) -> Result<Vec<Interval>, FormatError> {
     let size = bytes.len();
     let version = version(bytes)?;

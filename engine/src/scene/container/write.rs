@@ -56,7 +56,7 @@ impl ContainerWriter {
     /// Appends an interval. Records with numbers that are not finite are left out, and counted.
     ///
     /// # Errors
-    /// What cannot be written; arrays of different lengths; more than 2²⁴ records or merges; another placement than before; intervals that do
+    /// Files that cannot be written; arrays of different lengths; more than 2²⁴ records or merges; another placement than before; intervals that do
     /// not follow each other in time.
     pub fn push(&mut self, interval: &Interval) -> Result<(), SceneError> {
         let broken = |cause: String| SceneError::Broken { path: self.path.clone(), cause };
@@ -107,7 +107,7 @@ impl ContainerWriter {
     /// Writes the index and gives the file its name; `None`, and no file, when there was no interval.
     ///
     /// # Errors
-    /// What cannot be written.
+    /// Files that cannot be written.
     pub fn finish(mut self) -> Result<Option<Written>, OutputError> {
         let Some(table) = self.table.take() else { return Ok(None) };
         let (at, index) = (self.at, table.to_bytes());

@@ -121,12 +121,12 @@ impl Ffmpeg {
         }
     }
 
-    /// What the stream says about itself.
+    /// Parameters of the stream.
     pub fn header(&self) -> &Header {
         self.y4m.header()
     }
 
-    /// What was done to the pictures, and what of the file is left out, a line each.
+    /// Conversions of the pictures and parts of the file that are left out, a line each.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
@@ -178,7 +178,7 @@ fn first_line(text: &str, path: &Path) -> String {
     line.strip_prefix(&name).unwrap_or(line).to_owned()
 }
 
-/// Whether a file begins as text.
+/// Returns true if a file begins as text.
 fn is_text(path: &Path) -> bool {
     let mut start = Vec::new();
     let read = std::fs::File::open(path).and_then(|file| file.take(4096).read_to_end(&mut start));
@@ -226,7 +226,7 @@ fn pq(light: f64) -> f64 {
     ((c1 + c2 * y) / (1.0 + c3 * y)).powf(2523.0 / 32.0)
 }
 
-/// Whether more than one sample of luma in [`RARE`] is above `white`, 0 to 1 of the limited range.
+/// Returns true if more than one sample of luma in [`RARE`] is above `white`, 0 to 1 of the limited range.
 fn looks_brighter(path: &Path, white: f64) -> bool {
     let (frames, size) = LOOKED_AT;
     let answer = Command::new("ffmpeg")

@@ -1,4 +1,4 @@
-//! What a video file says of itself, as `ffprobe` reads it.
+//! Properties of a video file, as `ffprobe` reads them.
 
 use std::ffi::OsStr;
 use std::io::Read;
@@ -34,12 +34,12 @@ pub(super) struct Probe {
     pub(super) transfer: Transfer,
     /// A pixel's width to its height, where it is not square.
     pub(super) aspect: Option<(u32, u32)>,
-    /// Whether the stream names its matrix and its primaries.
+    /// True if the stream names its matrix and its primaries.
     pub(super) matrix: bool,
     pub(super) primaries: bool,
-    /// Whether there is sound.
+    /// True if there is sound.
     pub(super) sound: bool,
-    /// Whether the pictures have an alpha plane.
+    /// True if the pictures have an alpha plane.
     pub(super) alpha: bool,
     /// Seconds since the first frame, where frames do not follow each other at a constant rate.
     pub(super) times: Option<Vec<f64>>,
@@ -65,7 +65,7 @@ struct Stream {
 }
 
 impl Probe {
-    /// What is found in the file; nothing where ffprobe is not installed or cannot read it, which ffmpeg will say.
+    /// Properties found in the file; none where ffprobe is not installed or cannot read it, which ffmpeg will say.
     pub(super) fn of(path: &Path) -> Probe {
         let entries = "stream=codec_type,codec_name,pix_fmt,sample_aspect_ratio,color_transfer,color_space,color_primaries,r_frame_rate,avg_frame_rate";
         let answer = ask(path, ["-show_entries", entries, "-of", "json"]);
@@ -100,12 +100,12 @@ impl Probe {
     }
 }
 
-/// Whether pictures of this format, by ffmpeg's name, have an alpha plane.
+/// Returns true if pictures of this format, by ffmpeg's name, have an alpha plane.
 fn has_alpha(format: &str) -> bool {
     ["yuva", "rgba", "bgra", "argb", "abgr", "gbrap", "ya8", "ya16"].iter().any(|start| format.starts_with(start))
 }
 
-/// What ffprobe prints.
+/// Output of ffprobe.
 fn ask<const N: usize>(path: &Path, arguments: [&str; N]) -> Option<String> {
     let mut command = Command::new("ffprobe");
     command.args(["-v", "error", "-protocol_whitelist", "file"]).args(arguments).args([OsStr::new("-i"), &url(path)]);

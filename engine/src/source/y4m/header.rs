@@ -33,7 +33,7 @@ pub enum Siting {
     TopLeft,
 }
 
-/// What a stream says about itself.
+/// Parameters of a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
     /// Luma columns.
@@ -46,7 +46,7 @@ pub struct Header {
     pub chroma: Chroma,
     /// Bits per sample: 8 to 16. More than 8 are stored in two bytes, little end first.
     pub bits: u32,
-    /// Whether samples span the full range (`XCOLORRANGE=FULL`).
+    /// True if samples span the full range (`XCOLORRANGE=FULL`).
     pub full_range: bool,
 }
 
@@ -54,7 +54,7 @@ impl Header {
     /// Reads the header line (without its newline).
     ///
     /// # Errors
-    /// What was expected and what was found, for every parameter that is missing, malformed or not supported, and for sizes
+    /// Expected and found values, for every parameter that is missing, malformed or not supported, and for sizes
     /// that are refused.
     pub fn parse(line: &[u8]) -> Result<Header, String> {
         let line = std::str::from_utf8(line).map_err(|_| "the header line is not text".to_owned())?;

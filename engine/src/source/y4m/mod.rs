@@ -41,7 +41,7 @@ impl<R: BufRead> Y4m<R> {
         Ok(Y4m { input, path: path.to_owned(), header, bytes: Vec::new(), frames: 0 })
     }
 
-    /// What the stream says about itself.
+    /// Parameters of the stream.
     pub fn header(&self) -> &Header {
         &self.header
     }

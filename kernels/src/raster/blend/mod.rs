@@ -17,7 +17,7 @@ pub(super) use walk::{BLOCKS, Lanes, Sink, Transmittance, Walk, corner};
 /// Colour of 4×4 pixels.
 type Rgb = [Lanes; 3];
 
-/// What else is drawn of them.
+/// Further values drawn for a block's pixels.
 #[derive(Clone, Debug)]
 struct Extra {
     depth: Lanes,
@@ -25,7 +25,7 @@ struct Extra {
     count: Lanes,
 }
 
-/// What a thread needs to draw a tile.
+/// Buffers that a thread needs to draw a tile.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
     light: Transmittance,

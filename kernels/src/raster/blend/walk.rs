@@ -61,7 +61,7 @@ impl Transmittance {
         }
     }
 
-    /// What is left of the light behind all splats of the list; zero outside the image.
+    /// Transmittance behind all splats of the list; zero outside the image.
     #[inline(always)]
     pub(in super::super) fn last<S: Simd>(&self, s: S, block: usize) -> S::F32 {
         let done = s.mask_from_bits(self.done[block]);
@@ -77,7 +77,7 @@ pub(in super::super) fn corner([column, row]: [usize; 2], block: usize) -> [usiz
 
 /// Receiver of the weights of splats on the blocks of a tile, splat by splat.
 pub(in super::super) trait Sink<S: Simd> {
-    /// What is kept of a splat while its blocks are visited.
+    /// Values of a splat, kept while its blocks are visited.
     type Paint;
     /// A splat whose blocks are visited next.
     fn begin(&mut self, s: S, splat: &Splat) -> Self::Paint;

@@ -85,7 +85,7 @@ pub struct ColourMap {
 #[derive(Debug, Default)]
 struct Tile {
     record: Record,
-    /// Whether the record holds weights; otherwise they are made anew where they are needed.
+    /// True if the record holds weights; otherwise they are made anew where they are needed.
     kept: bool,
 }
 

@@ -1,4 +1,4 @@
-//! What is made once for a scene: the record of each tile, and where the sums of its splats go.
+//! Preparation, made once for a scene: the record of each tile, and where the sums of its splats go.
 
 use std::sync::PoisonError;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -58,7 +58,7 @@ pub struct ColourFit<'a> {
     starts: Vec<usize>,
 }
 
-/// What [`ColourFit::solve`] found.
+/// Result of [`ColourFit::solve`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solution {
     /// The change of each colour.

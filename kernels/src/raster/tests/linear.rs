@@ -355,7 +355,7 @@ impl Views {
         self.factor[k].get(at).map_or(1.0, |factor| *factor)
     }
 
-    /// What [`ColourFit`] documents, operation by operation.
+    /// Solution by the steps that [`ColourFit`] documents, operation by operation.
     fn plainly(&self, from: &[[f32; 3]], steps: u32) -> Vec<[f32; 3]> {
         let n = from.len();
         let add = |k: usize, sums: &[[f32; 3]], magnitude: bool, to: &mut [[f32; 3]]| {
