@@ -28,11 +28,12 @@
 //! ```
 //!
 //! Around it: [`source`] reads videos, [`gap`] chooses key frames, [`depth`] gives their depth maps, from files or a network ([`onnx`]), [`output`] and [`scene`] write and read results,
-//! [`export`] writes them for viewers, [`import`] reads the still scenes of others, [`view`] shows them in a browser, [`metrics`] and [`lpips`] measure them.
+//! [`export`] writes them for viewers, [`import`] reads the still scenes of others, [`view`] shows them in a browser, [`metrics`] and [`lpips`] measure them, [`difference`] says how far two pictures are apart and where.
 #![deny(unsafe_code)]
 
 pub mod camera;
 pub mod depth;
+pub mod difference;
 pub mod export;
 pub mod fit;
 pub mod gap;
@@ -57,3 +58,7 @@ pub mod wgpu;
 pub use camera::Camera;
 pub use render::{Image, RenderError, RenderOptions, Size};
 pub use stream::{Engine, EngineError, Frame, Interval, Settings};
+
+/// The version of the bit contract that this library keeps: the same model, frames and options give the same bytes wherever this
+/// number is the same. A release that changes an output bit changes this number (`docs/bit-contract.md`).
+pub const BIT_CONTRACT: u32 = 1;

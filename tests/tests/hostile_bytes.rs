@@ -93,7 +93,16 @@ fn seeds_are_read_as_what_they_are() {
     let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).expect("text");
     all("checkpoint", &|b| streamsplat_model::checkpoint::Checkpoint::from_storage(b.to_vec(), "seed").is_ok());
     all("scene_index", &|b| scene::Index::from_json(b).is_ok());
-    all("camera", &|b| camera::file::parse(&text(b)).is_ok());
+    all("camera", &|b| match b.windows(2).position(|part| part == b"%%") {
+        Some(at) => {
+            let (cameras, images) = (&b[..at], &b[at + 2..]);
+            camera::set::colmap::text(cameras, images).is_ok() || camera::set::colmap::binary(cameras, images).is_ok()
+        }
+        None => {
+            let others = camera::set::parse(&text(b), Some([8, 5]));
+            others.map_or_else(|| camera::file::parse(&text(b)).is_ok(), |set| set.is_ok())
+        }
+    });
     all("image", &|b| source::decode::decode(b, Path::new("seed.tga")).is_ok());
     all("depth_map", &|b| {
         let name = if b.starts_with(b"\x93NUMPY") { "seed.npy" } else { "seed.png" };

@@ -12,17 +12,20 @@
 //! pinhole:       u = (f_x·X/Z + c_x)·W − ½                   f and c in image widths (heights for v)
 //! ```
 //!
-//! with pixel centres at whole numbers. [`mod@file`] describes the JSON form, [`CameraPath`] cameras that move.
+//! with pixel centres at whole numbers. [`mod@file`] describes the JSON form, [`CameraPath`] cameras that move, [`mod@set`] the files of other
+//! programs.
 
 pub mod file;
 mod path;
 mod pose;
+pub mod set;
 
 use streamsplat_kernels::math::f64::sin_cos;
 
 pub use file::CameraError;
 pub use path::CameraPath;
 pub use pose::{Pose, Rotation};
+pub use set::{CameraFile, CameraFileError, CameraSet, NamedCamera};
 
 /// A view of the scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -27,7 +27,7 @@ impl Rotation {
     }
 
     /// The rotation whose matrix has these columns, which must be orthonormal and right-handed.
-    fn from_columns([x, y, z]: [[f64; 3]; 3]) -> Option<Self> {
+    pub(super) fn from_columns([x, y, z]: [[f64; 3]; 3]) -> Option<Self> {
         // Twice each quaternion component squared; the largest is computed by the root, the rest by division.
         let squares =
             [1.0 + x[0] + y[1] + z[2], 1.0 + x[0] - y[1] - z[2], 1.0 - x[0] + y[1] - z[2], 1.0 - x[0] - y[1] + z[2]];

@@ -234,6 +234,27 @@ pub fn picture_png(picture: &Picture) -> Vec<u8> {
     png(picture.width, picture.height, &picture.to_rgb8(), ExtendedColorType::Rgb8)
 }
 
+/// A picture that was drawn over black, and its alpha, as an 8-bit PNG file with alpha. PNG's colours are not multiplied by alpha, so
+/// they are divided by it before they are rounded.
+///
+/// # Panics
+/// When `alpha` does not hold `width · height` values.
+pub fn transparent_png(picture: &Picture, alpha: &[f32]) -> Vec<u8> {
+    let Picture { width, height, rgb } = picture;
+    let plane = width * height;
+    assert_eq!(alpha.len(), plane, "a plane of {width}×{height}");
+    let mut samples = Vec::with_capacity(4 * plane);
+    for (pixel, &alpha) in alpha.iter().enumerate() {
+        let opaque = to_u8(alpha);
+        for channel in 0..3 {
+            let colour = if opaque == 0 { 0.0 } else { rgb[channel * plane + pixel] / alpha.min(1.0) };
+            samples.push(to_u8(colour));
+        }
+        samples.push(opaque);
+    }
+    png(*width, *height, &samples, ExtendedColorType::Rgba8)
+}
+
 /// A plane with values in `[0, 1]` as an 8-bit grey PNG file.
 ///
 /// # Panics
@@ -267,6 +288,19 @@ pub fn depth_exr(width: usize, height: usize, depth: &[f32], alpha: Option<&[f32
 /// # Errors
 /// An image without depth or alpha, or planes whose length is not `width · height`.
 pub fn layered_exr(image: &Image) -> io::Result<Vec<u8>> {
+    layers(image, false)
+}
+
+/// As [`layered_exr`], of an image that was drawn over black: `colour` holds alpha as well (channels R, G, B and A), by which its
+/// colours are multiplied, as that format has it.
+///
+/// # Errors
+/// As there.
+pub fn transparent_exr(image: &Image) -> io::Result<Vec<u8>> {
+    layers(image, true)
+}
+
+fn layers(image: &Image, transparent: bool) -> io::Result<Vec<u8>> {
     let Image { width, height, .. } = *image;
     let wanted = |plane: &Option<Vec<f32>>, what: &str| {
         plane.clone().ok_or_else(|| io::Error::other(format!("expected an image with {what}, found none")))
@@ -282,8 +316,12 @@ pub fn layered_exr(image: &Image) -> io::Result<Vec<u8>> {
         comment,
         colour_space,
     };
+    let mut colours = vec![colour("B", 2), colour("G", 1), colour("R", 0)];
+    if transparent {
+        colours.insert(0, ("A".to_owned(), wanted(&image.alpha, "alpha")?));
+    }
     let layers = [
-        layer("colour", COLOUR_COMMENT, vec![colour("B", 2), colour("G", 1), colour("R", 0)], Some("sRGB")),
+        layer("colour", COLOUR_COMMENT, colours, Some("sRGB")),
         layer("depth", DEPTH_COMMENT, vec![("Z".to_owned(), wanted(&image.depth, "depth")?)], None),
         layer("alpha", ALPHA_COMMENT, vec![("A".to_owned(), wanted(&image.alpha, "alpha")?)], None),
     ];
@@ -317,6 +355,14 @@ mod tests {
         assert_eq!(names.len(), 2, "{names:?}");
         let error = write_file(&folder.path().join("no/such/c.bin"), b"x").expect_err("no folder").to_string();
         assert!(error.contains("c.bin: cannot write"), "{error}");
+    }
+
+    #[test]
+    fn a_transparent_png_holds_colours_that_are_not_multiplied_by_alpha() {
+        let picture = Picture { width: 2, height: 1, rgb: vec![0.25, 0.0, 0.5, 0.0, 0.0, 0.0] };
+        let bytes = transparent_png(&picture, &[0.5, 0.0]);
+        let image = image::load_from_memory(&bytes).expect("a PNG").into_rgba8();
+        assert_eq!(image.as_raw(), &[128, 255, 0, 128, 0, 0, 0, 0]);
     }
 
     #[test]

@@ -45,6 +45,10 @@ pub enum Command {
     },
     /// Repeat what DIR/run.json describes; exit code 1 where a digest differs
     Verify(VerifyArgs),
+    /// Whether two images, folders of images, videos or scenes are the same, and else how far apart and where; exit code 1 where they differ
+    Compare(CompareArgs),
+    /// Golden images: record a list of renders, and check them with zero tolerance
+    Golden(GoldenArgs),
     /// Print the completions of a shell
     Completions {
         /// Which shell
@@ -187,13 +191,18 @@ pub struct View {
     /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
     pub times: Option<String>,
-    /// Size of the images: model, source or WIDTHxHEIGHT
+    /// Size of the images: model, source or WIDTHxHEIGHT [of still scenes, where nothing is said: the camera's own, or 1280x720]
     #[arg(long, value_name = "SIZE", default_value = "model")]
     pub size: String,
-    /// Camera or camera path (JSON) [default: the source's own view]
+    /// Camera or camera path (JSON); for still scenes also cameras.json of 3D Gaussian splatting, transforms.json, or the folder of a
+    /// COLMAP model [default: the source's own view; for a still scene one from which it is seen whole]
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Colour behind everything: grey level or R,G,B, in [0,1]
+    /// Which camera of another program's file: its number from 0, or its image's name [default: all, one a second from 0]
+    #[arg(long, value_name = "N|NAME", requires = "camera")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub view: Option<String>,
+    /// Colour behind everything: grey level or R,G,B, in [0,1]; for render also transparent (PNG and EXR with alpha)
     #[arg(long, value_name = "COLOUR", default_value = "0.5", allow_hyphen_values = true)]
     pub background: String,
     /// What draws: cpu, or wgpu (a graphics card; images are then outside of the bit contract) [default: cpu]
@@ -249,7 +258,7 @@ pub struct RunOptions {
 pub struct RenderArgs {
     /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a PLY or SPZ file
     pub scene: PathBuf,
-    /// Folder for the images, or a video file, or - (y4m on standard output)
+    /// Folder for the images, or a video file, or - (y4m on standard output); for a single image a .png or .exr file
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     #[command(flatten)]
@@ -262,10 +271,13 @@ pub struct RenderArgs {
 }
 
 /// Everything of a rendering that reaches its output.
-#[derive(Args, Clone, Debug, Serialize, Deserialize)]
+#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct RenderOptions {
     #[command(flatten)]
     pub view: View,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub motion: Motion,
     /// Images per second of the scene, where no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
@@ -275,6 +287,23 @@ pub struct RenderOptions {
     #[command(flatten)]
     #[serde(flatten)]
     pub limit: Limit,
+    /// Whether there may be one image only.
+    #[arg(skip)]
+    #[serde(skip)]
+    pub single: bool,
+}
+
+/// A camera that moves around a still scene.
+#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Motion {
+    /// Of a still scene: move the camera by so many degrees around it, from left to right, in so many seconds [default: 4]
+    #[arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with_all = ["camera", "times"], allow_hyphen_values = true)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orbit: Option<String>,
+    /// Of a still scene: once around it in so many seconds; the last image goes on into the first
+    #[arg(long, value_name = "SECONDS", conflicts_with_all = ["camera", "times", "orbit"], allow_negative_numbers = true)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turntable: Option<f64>,
 }
 
 /// What input files may hold.
@@ -441,6 +470,75 @@ pub struct ViewArgs {
 pub struct VerifyArgs {
     /// Folder of a run (or its .run.json, for a run that wrote a video)
     pub dir: PathBuf,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct CompareArgs {
+    /// An image, a folder of images (or of a rendering), a video, or a scene
+    pub a: PathBuf,
+    /// Another of the same kind
+    pub b: PathBuf,
+    /// Pass where no sample differs by more than N steps of 8 bits (0 to 255; parts of a step are allowed)
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub max_abs: Option<f64>,
+    /// Pass where every picture has at least this PSNR, in dB; with --max-abs both must hold
+    #[arg(long, value_name = "DB", allow_negative_numbers = true)]
+    pub psnr: Option<f64>,
+    /// Write a PNG that shows where the two pictures that are farthest apart differ
+    #[arg(long, value_name = "FILE")]
+    pub heat: Option<PathBuf>,
+    /// Print JSON instead of text, or write it to FILE (--json=FILE) beside the text
+    #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true, default_missing_value = "-")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub limit: Limit,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct GoldenArgs {
+    #[command(subcommand)]
+    pub action: GoldenAction,
+}
+
+#[derive(Subcommand, Clone)]
+pub enum GoldenAction {
+    /// Draw everything in FILE.toml and record digests and previews in the folder FILE.golden beside it
+    Record(GoldenRecordArgs),
+    /// Draw everything again and compare with the record; exit code 1 where one bit differs
+    Check(GoldenCheckArgs),
+}
+
+#[derive(Args, Clone)]
+pub struct GoldenRecordArgs {
+    /// The list of renders (docs/golden.md)
+    #[arg(value_name = "FILE.toml")]
+    pub file: PathBuf,
+    #[command(flatten)]
+    pub limit: Limit,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct GoldenCheckArgs {
+    /// The list of renders (docs/golden.md)
+    #[arg(value_name = "FILE.toml")]
+    pub file: PathBuf,
+    /// Where images that differ are written, beside what was expected [default: FILE.failed]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Write the results as JUnit XML
+    #[arg(long, value_name = "FILE")]
+    pub junit: Option<PathBuf>,
+    /// Print JSON instead of the table, or write it to FILE (--json=FILE) beside the table
+    #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true, default_missing_value = "-")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub limit: Limit,
     #[command(flatten)]
     pub machine: Machine,
 }

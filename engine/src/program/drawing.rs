@@ -70,18 +70,10 @@ impl Drawing {
         self.drawn(turned, |painter| painter.draw(interval, time, &camera, &views.options))
     }
 
-    /// Draws a still scene from where the camera is at `time`, and writes it.
-    pub fn still(
-        &mut self,
-        outputs: &mut Outputs,
-        index: usize,
-        scene: &Drawable,
-        time: f64,
-        views: &Views,
-    ) -> Result<(), Failure> {
+    /// Draws a still scene from where the camera is at `time`.
+    pub fn still(&mut self, scene: &Drawable, time: f64, views: &Views) -> Result<Image, Failure> {
         // Its Gaussians have rotations of their own.
-        let image = self.drawn(true, |painter| painter.draw_still(scene, &views.camera.at(time), &views.options))?;
-        self.writing(|| outputs.image(index, image))
+        self.drawn(true, |painter| painter.draw_still(scene, &views.camera.at(time), &views.options))
     }
 
     /// Draws and counts; `turned`: whether the view needs splats that are turned.

@@ -51,6 +51,7 @@ macro_rules! work {
 work!(
     streamsplat::EngineError,
     streamsplat::RenderError,
+    streamsplat::camera::CameraFileError,
     streamsplat::depth::DepthError,
     streamsplat::lpips::LpipsError,
     streamsplat::onnx::OnnxError,

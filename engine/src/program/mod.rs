@@ -7,6 +7,7 @@ mod ahead;
 mod bench;
 mod cli;
 mod closeness;
+mod compare;
 mod destination;
 mod digest;
 mod drawing;
@@ -15,6 +16,7 @@ mod eval;
 mod export;
 mod failure;
 mod forward;
+mod golden;
 mod inspect;
 mod keydepth;
 mod keyframes;
@@ -78,6 +80,8 @@ pub fn main() -> ExitCode {
             return bench::command(arguments).unwrap_or_else(|failure| finish(Err(failure)));
         }
         Command::Verify(args) => verify::command(args, &cli.console),
+        Command::Compare(args) => compare::command(args, &cli.console),
+        Command::Golden(args) => golden::command(args, &cli.console),
         Command::Completions { shell } => manual::completions(*shell),
         Command::Man { out } => manual::man(out.as_deref()),
     })
@@ -102,8 +106,7 @@ fn one_line(error: &clap::Error) -> String {
         words.remove(0);
     }
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-        let commands =
-            "run, render, eval, forward, splat, inspect, export, track, view, bench, verify, completions, man";
+        let commands = "run, render, eval, forward, splat, inspect, export, track, view, bench, verify, compare, golden, completions, man";
         return format!("expected a command ({commands}); see streamsplat --help");
     }
     let tip = text.lines().find_map(|line| line.trim().strip_prefix("tip: "));

@@ -7,7 +7,7 @@ use streamsplat::Image;
 use streamsplat::export;
 use streamsplat::output::{
     OutputError, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, plane_png,
-    prepare_subfolder, storage, write_whole,
+    prepare_subfolder, storage, transparent_exr, transparent_png, write_whole,
 };
 use streamsplat::picture::Picture;
 use streamsplat::render::{Backend, Snapshot};
@@ -84,6 +84,8 @@ pub struct Outputs {
     intervals: Vec<IntervalEntry>,
     /// Whether images are outside of the bit contract.
     outside: bool,
+    /// Whether images keep their alpha.
+    alpha: bool,
 }
 
 impl Outputs {
@@ -111,7 +113,19 @@ impl Outputs {
 
     fn new(destination: Destination, emit: Emit) -> Outputs {
         let (written, intervals) = (BTreeMap::new(), Vec::new());
-        Outputs { destination, emit, video: None, scene: None, written, ledger: None, intervals, outside: false }
+        let (outside, alpha) = (false, false);
+        Outputs { destination, emit, video: None, scene: None, written, ledger: None, intervals, outside, alpha }
+    }
+
+    /// Says that there is nothing behind the scene: colour images are written with their alpha.
+    pub fn keep_alpha(&mut self, keep: bool) -> Result<(), Failure> {
+        if keep && matches!(self.destination, Destination::Video(..)) {
+            return Err(Failure::usage(
+                "--background transparent: a video has no alpha; give --out a folder or a .png or .exr file",
+            ));
+        }
+        self.alpha = keep;
+        Ok(())
     }
 
     /// Says what draws the images.
@@ -248,7 +262,8 @@ impl Outputs {
     /// Writes an image under the number `index`.
     pub fn image(&mut self, index: usize, image: Image) -> Result<(), Failure> {
         if self.emit.exr {
-            self.file(format!("exr/{index:06}.exr"), &layered_exr(&image).map_err(Failure::work)?)?;
+            let bytes = if self.alpha { transparent_exr(&image) } else { layered_exr(&image) };
+            self.file(format!("exr/{index:06}.exr"), &bytes.map_err(Failure::work)?)?;
         }
         let Image { width, height, rgb, depth, alpha, .. } = image;
         let picture = Picture { width, height, rgb };
@@ -257,7 +272,11 @@ impl Outputs {
         }
         let emit = self.emit;
         if emit.rgb {
-            self.file(format!("frames/{index:06}.png"), &picture_png(&picture))?;
+            let bytes = match alpha.as_deref().filter(|_| self.alpha) {
+                Some(alpha) => transparent_png(&picture, alpha),
+                None => picture_png(&picture),
+            };
+            self.file(format!("frames/{index:06}.png"), &bytes)?;
         }
         if emit.depth
             && let Some(depth) = &depth

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use streamsplat::import::{self, Opened};
+use streamsplat::output::{folder_of, storage, write_file};
 use streamsplat::stream::{Interval, Workers};
 
 use super::cli::{Console, Machine, RenderArgs, RenderOptions};
@@ -19,6 +20,9 @@ use super::{digest, report, say, still, stop, times};
 /// Renders, then writes the record and the report.
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     stop::listen();
+    if let Some(kind) = Single::of(&args.out) {
+        return single(args, kind, console);
+    }
     // Held until everything is written.
     let mut place = Place::new(Destination::asked(&args.out)?);
     let record = render(&args.scene, &mut place, &args.options, &args.machine, console)?;
@@ -27,6 +31,66 @@ pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
         say(report::summary(&record, &args.out))?;
     }
     if record.complete { Ok(()) } else { Err(stop::stopped(false)) }
+}
+
+/// The kinds of a file that is a single image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Single {
+    Png,
+    Exr,
+}
+
+impl Single {
+    fn of(out: &Path) -> Option<Single> {
+        let ending = out.extension().and_then(|ending| ending.to_str())?.to_ascii_lowercase();
+        match ending.as_str() {
+            _ if out.is_dir() => None,
+            "png" => Some(Single::Png),
+            "exr" => Some(Single::Exr),
+            _ => None,
+        }
+    }
+}
+
+/// Renders one image into a folder that goes away, and gives it the name that was asked for.
+fn single(args: &RenderArgs, kind: Single, console: &Console) -> Result<(), Failure> {
+    let (name, emit) = match kind {
+        Single::Png => ("frames/000000.png", "rgb"),
+        Single::Exr => ("exr/000000.exr", "exr"),
+    };
+    let mut options = args.options.clone();
+    if let Some(list) = options.emit.replace(emit.to_owned())
+        && list != emit
+    {
+        return Err(Failure::usage(format!("--emit {list}: expected {emit} or nothing, as --out is a single file")));
+    }
+    options.single = true;
+    let unwritable = |e| Failure::work(format!("{}: cannot write: {e}", args.out.display()));
+    let scratch =
+        tempfile::Builder::new().prefix(".streamsplat-").tempdir_in(folder_of(&args.out)).map_err(unwritable)?;
+    let mut place = Place::new(Destination::of(&scratch.path().join("out")));
+    let record = render(&args.scene, &mut place, &options, &args.machine, console)?;
+    if !record.complete {
+        return Err(stop::stopped(false));
+    }
+    storage::rename(&place.destination().path().join(name), &args.out).map_err(unwritable)?;
+    storage::sync_folder(folder_of(&args.out)).map_err(unwritable)?;
+    if let Some(path) = &args.json {
+        write_file(path, record.to_json()?.as_bytes())?;
+    }
+    if console.quiet { Ok(()) } else { say(report::summary(&record, &args.out)) }
+}
+
+impl RenderOptions {
+    /// Refuses more than one image where there is a single file for it.
+    pub(super) fn check_single(&self, images: usize) -> Result<(), Failure> {
+        if self.single && images != 1 {
+            return Err(Failure::usage(format!(
+                "--out: expected a folder or a video for {images} images, found a single file: give --times one time, or --view"
+            )));
+        }
+        Ok(())
+    }
 }
 
 /// Everything of a rendering but its record's files.
@@ -44,6 +108,7 @@ pub fn render(
         None => Emit { rgb: true, ..Emit::default() },
     };
     [views.options.depth, views.options.alpha] = emit.planes();
+    views.options.alpha |= views.transparent;
     times::check_rate(options.fps)?;
     let workers = machine.workers()?;
     let scene = match import::open(path, &options.limit.limits())? {
@@ -52,11 +117,14 @@ pub fn render(
             return still::render(file, place, options, &views, emit, &workers, console, start);
         }
     };
+    options.motion.refuse(&views)?;
     let fps = options.fps.unwrap_or(scene.index().fps);
     let due = times::of_scene(&scene, views.times.as_deref(), fps)?;
+    options.check_single(due.len())?;
     let mut drawing = Drawing::new(&workers, views.backend)?;
     let mut outputs = Outputs::create(place, emit)?;
     outputs.drawn_by(views.backend);
+    outputs.keep_alpha(views.transparent)?;
     outputs.start(fps)?;
 
     let mut progress = Progress::new("images", Some(due.len()), console.quiet);

@@ -98,6 +98,7 @@ fn run_from(
     let start = Instant::now();
     // What is wrong with the options is said before anything is touched.
     let mut views = options.view.resolve()?;
+    views.refuse_still()?;
     let gap = options.stream.gap()?;
     let depth = options.stream.depth_from()?;
     let settings = options.stream.settings(&options.fit, machine)?;

@@ -3,10 +3,9 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use streamsplat::camera::{self, CameraPath};
+use streamsplat::camera::{self, CameraFile, CameraPath};
 use streamsplat::depth::{NetworkOptions, Range};
 use streamsplat::gap::Gap;
-use streamsplat::import::read_text;
 use streamsplat::render::Backend;
 use streamsplat::stream::{DepthRange, Fade, FlowEffort, MaxAge, ModelSource, MotionFrom, Quality, Reuse, Settings};
 use streamsplat::{RenderOptions, Size};
@@ -156,31 +155,88 @@ pub struct Views {
     pub times: Option<Vec<f64>>,
     /// What draws.
     pub backend: Backend,
+    /// Width and height of the images of a camera file of another program, in whose path one follows the other each second.
+    pub own_sizes: Vec<[usize; 2]>,
+    /// Whether there is nothing behind the scene: it is drawn over black, and alpha is kept.
+    pub transparent: bool,
 }
 
-/// Longest camera file that is read, in bytes.
-const MAX_CAMERA: u64 = 1 << 26;
+impl Views {
+    /// Refuses what only a rendering of a still scene has: a path through another program's cameras, and, where frames are
+    /// written from a video, transparency.
+    pub fn refuse_still(&self) -> Result<(), Failure> {
+        self.refuse_cameras()?;
+        if self.transparent {
+            return Err(Failure::usage("--background transparent: expected one number or R,G,B; only render has it"));
+        }
+        Ok(())
+    }
+
+    /// Refuses several cameras of another program, which are no path through a scene in time.
+    pub fn refuse_cameras(&self) -> Result<(), Failure> {
+        match self.own_sizes.len() {
+            0 | 1 => Ok(()),
+            n => Err(Failure::usage(format!("--camera: expected one camera for a scene in time (--view), found {n}"))),
+        }
+    }
+}
 
 impl Views {
     /// The video's own, at the size at which the model sees frames.
     pub fn own() -> Views {
-        Views { options: RenderOptions::default(), camera: CameraPath::default(), times: None, backend: Backend::Cpu }
+        Views {
+            options: RenderOptions::default(),
+            camera: CameraPath::default(),
+            times: None,
+            backend: Backend::Cpu,
+            own_sizes: Vec::new(),
+            transparent: false,
+        }
     }
 }
 
 impl View {
     /// Checks everything that can be checked before work is spent.
     pub fn resolve(&self) -> Result<Views, Failure> {
-        let camera = match &self.camera {
-            None => CameraPath::default(),
-            Some(file) => {
-                let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", file.display()));
-                let text = read_text(file, MAX_CAMERA).map_err(|e| wrong(&e))?;
-                camera::file::parse(&text).map_err(|e| wrong(&e))?
+        let transparent = self.background == "transparent";
+        let background = if transparent { [0.0; 3] } else { self.background()? };
+        let size = self.size()?;
+        let (camera, own_sizes) = self.cameras(size)?;
+        let options = RenderOptions { size, background, ..RenderOptions::default() };
+        let times = self.times.as_deref().map(times).transpose()?;
+        Ok(Views { options, camera, times, backend: self.backend()?, own_sizes, transparent })
+    }
+
+    /// The camera's path, and the sizes of its images where another program's file says them.
+    fn cameras(&self, size: Size) -> Result<(CameraPath, Vec<[usize; 2]>), Failure> {
+        let Some(file) = &self.camera else { return Ok((CameraPath::default(), Vec::new())) };
+        let size = match size {
+            Size::Exact { width, height } => Some([width, height]),
+            _ => None,
+        };
+        let set = match (camera::set::open(file, size)?, &self.view) {
+            (CameraFile::Own(path), None) => return Ok((path, Vec::new())),
+            (CameraFile::Own(_), Some(view)) => {
+                let file = file.display();
+                let found = format!("{file}, which is this program's own: give --times");
+                return Err(Failure::usage(format!(
+                    "--view {view}: expected a camera file of another program, found {found}"
+                )));
+            }
+            (CameraFile::Set(set), _) => set,
+        };
+        let chosen = match &self.view {
+            None => set,
+            Some(text) => {
+                let camera =
+                    set.find(text).map_err(|e| Failure::usage(format!("--view: {}: {e}", file.display())))?.clone();
+                camera::CameraSet { format: set.format, cameras: vec![camera] }
             }
         };
-        let options = RenderOptions { size: self.size()?, background: self.background()?, ..RenderOptions::default() };
-        Ok(Views { options, camera, times: self.times.as_deref().map(times).transpose()?, backend: self.backend()? })
+        let sizes = chosen.cameras.iter().map(|camera| camera.size).collect();
+        let path =
+            chosen.path().ok_or_else(|| Failure::work(format!("{}: expected usable cameras", file.display())))?;
+        Ok((path, sizes))
     }
 
     fn backend(&self) -> Result<Backend, Failure> {

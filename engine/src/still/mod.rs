@@ -11,10 +11,12 @@
 //! (x right, y down, z forward), units the file's own. Such a scene has no time, no camera of its own, and no identities.
 
 mod draw;
+mod framing;
 #[cfg(test)]
 mod tests;
 
 pub use draw::Drawable;
+pub use framing::Framing;
 
 use streamsplat_kernels::harmonics;
 use streamsplat_kernels::math::f64::ln;

@@ -1,9 +1,13 @@
 //! The `streamsplat` program as a user runs it: results, exit codes, messages.
 
+mod cameras;
+mod compare;
 mod container;
 mod docs;
 mod errors;
 mod export;
+mod first_look;
+mod golden;
 #[cfg(unix)]
 mod hostile;
 #[cfg(unix)]

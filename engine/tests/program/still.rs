@@ -17,7 +17,7 @@ const CAMERA: &str =
     r#"{"type": "pinhole", "position": [0.3, -0.2, -3.0], "look_at": [0, 0, 0.5], "fov_y_degrees": 45, "aspect": 1.5}"#;
 
 /// A scene with harmonics of degree 3.
-fn still() -> Still {
+pub fn still() -> Still {
     let value = |i: usize, k: usize| ((i * 7919 + k * 104_729) % 1009) as f32 / 504.5 - 1.0;
     let count = 500;
     Still {
@@ -139,9 +139,9 @@ fn what_a_ply_file_does_not_have_is_said_and_nothing_written() {
     let out = scratch.path("out");
     let text = fails(&render(&scene, &camera, &out, &[]), 2);
     assert!(text.contains("--size model: expected WIDTHxHEIGHT") && text.contains("scene.ply"), "{text}");
-    let bare = command().arg("render").arg(&scene).arg("--out").arg(&out).args(["--size", "9x6"]).output();
-    let text = fails(&bare.expect("the program starts"), 2);
-    assert!(text.contains("--camera: expected a file, found none"), "{text}");
+    let source = command().arg("render").arg(&scene).arg("--out").arg(&out).args(["--size", "source"]).output();
+    let text = fails(&source.expect("the program starts"), 2);
+    assert!(text.contains("--size source: expected WIDTHxHEIGHT"), "{text}");
     std::fs::write(&camera, r#"{"type": "canonical"}"#).expect("writable");
     let text = fails(&render(&scene, &camera, &scratch.path("other"), &["--size", "9x6"]), 1);
     assert!(text.contains("found canonical"), "{text}");

@@ -25,6 +25,8 @@ REPLACED = {
 ELSEWHERE = {
     "tests/run": "it is what runs this",
     "tests/emulated/run.sh": ".ci/run",
+    "streamsplat golden": "tests/outside/golden/run",
+    "streamsplat compare": "engine/tests/program/compare.rs",
 }
 # Commands that go on until they are stopped.
 SERVES = re.compile(r"streamsplat view (?!.*--html)")
@@ -64,6 +66,7 @@ def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
         subprocess.run([program, "run", scratch / "FOLDER", "--frames", "2", "--out", folder, "--quiet"], check=True)
         subprocess.run([program, "export", folder, "--format", "ply", "--times", "0", "--out", scratch / "garden.ply"], check=True,
                        stdout=subprocess.DEVNULL)
+    cameras_of_others(scratch, root)
     tools = scratch / ".tools"
     tools.mkdir()
     (tools / "streamsplat").symlink_to(program)
@@ -74,6 +77,20 @@ def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
     (tools / "cargo").write_text(shim)
     (tools / "cargo").chmod(0o755)
     return {**os.environ, "PATH": f"{tools}:{os.environ['PATH']}"}
+
+
+def cameras_of_others(scratch: Path, root: Path) -> None:
+    """Camera files of other programs, and scenes by the names that these give them."""
+    for name in ("point_cloud.ply", "splat.ply"):
+        shutil.copy(scratch / "garden.ply", scratch / name)
+    shutil.copy(root / "examples/golden/cameras.json", scratch)
+    matrix = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, -1], [0, 0, 0, 1]]
+    frames = [{"file_path": f"images/{i}.png", "transform_matrix": matrix} for i in range(8)]
+    (scratch / "transforms.json").write_text(json.dumps({"w": 64, "h": 36, "fl_x": 60, "frames": frames}))
+    model = scratch / "project/sparse/0"
+    model.mkdir(parents=True)
+    (model / "cameras.txt").write_text("1 PINHOLE 64 36 60 60 32 18\n")
+    (model / "images.txt").write_text("1 1 0 0 0 0 0 1 1 IMG_0042.jpg\n\n")
 
 
 def serve(command: str, scratch: Path, environment: dict[str, str]) -> str | None:

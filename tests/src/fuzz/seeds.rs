@@ -119,9 +119,33 @@ pub(super) fn camera() -> Vec<Vec<u8>> {
         r#"{"type": "pinhole", "size": [20, 10], "fx": 20, "fy": 20, "cx": 9.5, "cy": 4.5}"#,
         r#"{"views": [{"time": 0, "type": "pinhole", "focal": [1, 2], "centre": [0.5, 0.5]},
             {"time": 1.5, "type": "pinhole", "focal": [1, 1], "position": [0.2, 0, -0.5]}]}"#,
+        r#"[{"id": 0, "img_name": "a", "width": 20, "height": 10, "position": [1, 2, 3],
+            "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 20, "fy": 21}]"#,
+        r#"{"camera_angle_x": 0.9, "frames": [{"file_path": "./a", "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]}]}"#,
+        r#"{"w": 20, "h": 10, "fl_x": 20, "cx": 9.5, "k1": 0, "frames": [{"file_path": "a", "fl_y": 19, "transform_matrix": [[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 2]]}]}"#,
+        "# cameras\n1 SIMPLE_PINHOLE 20 10 20 10 5\n2 PINHOLE 20 10 20 21 10 5\n%%# images\n1 1 0 0 0 0 0 2 1 a.png\n\n2 0.5 0.5 0.5 0.5 1 2 3 2 b.png\n1 2 -1\n",
     ]
+    .into_iter()
     .map(|text| text.as_bytes().to_vec())
-    .into()
+    .chain([colmap()])
+    .collect()
+}
+
+/// The binary files of a COLMAP model, with `%%` between them.
+fn colmap() -> Vec<u8> {
+    let mut bytes = 1_u64.to_le_bytes().to_vec();
+    [1_u32, 1].iter().for_each(|n| bytes.extend(n.to_le_bytes()));
+    [20_u64, 10].iter().for_each(|n| bytes.extend(n.to_le_bytes()));
+    [20.0_f64, 21.0, 10.0, 5.0].iter().for_each(|n| bytes.extend(n.to_le_bytes()));
+    bytes.extend(b"%%");
+    bytes.extend(1_u64.to_le_bytes());
+    bytes.extend(1_u32.to_le_bytes());
+    [1.0_f64, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0].iter().for_each(|n| bytes.extend(n.to_le_bytes()));
+    bytes.extend(1_u32.to_le_bytes());
+    bytes.extend(b"a.png\0");
+    bytes.extend(1_u64.to_le_bytes());
+    bytes.extend([7; 24]);
+    bytes
 }
 
 pub(super) fn y4m() -> Vec<Vec<u8>> {

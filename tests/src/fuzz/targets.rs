@@ -4,7 +4,7 @@ use std::io::Cursor;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use streamsplat::camera::{Pose, file};
+use streamsplat::camera::{CameraSet, Pose, file, set};
 use streamsplat::fit::Placement;
 use streamsplat::render::Painter;
 use streamsplat::scene::{Index, from_safetensors, intervals_from_container, to_safetensors};
@@ -80,9 +80,22 @@ pub(super) fn scene_index(bytes: &[u8]) {
     }
 }
 
-/// A camera or a path of cameras, and what they see of a scene.
+/// A camera or a path of cameras, and what they see of a scene; or cameras of another program: JSON, or the two files of a COLMAP
+/// model with `%%` between them.
 pub(super) fn camera(bytes: &[u8]) {
+    if let Some(at) = bytes.windows(2).position(|part| part == b"%%") {
+        let (cameras, images) = (&bytes[..at], &bytes[at + 2..]);
+        [set::colmap::text(cameras, images), set::colmap::binary(cameras, images)]
+            .iter()
+            .flatten()
+            .for_each(assert_usable);
+    }
     let Ok(text) = std::str::from_utf8(bytes) else { return };
+    for size in [None, Some([8, 5])] {
+        if let Some(Ok(found)) = set::parse(text, size) {
+            assert_usable(&found);
+        }
+    }
     let Ok(path) = file::parse(text) else { return };
     let placement = Placement { source: [9, 16], model: [18, 32], offset: [0, 0], content: [18, 32] };
     let [low, high] = &*WORKERS;
@@ -96,6 +109,16 @@ pub(super) fn camera(bytes: &[u8]) {
             assert_same_finite(a, b);
         }
     }
+}
+
+/// Cameras that were read can be drawn with, and found by their numbers.
+fn assert_usable(found: &CameraSet) {
+    assert!(!found.cameras.is_empty());
+    for (i, named) in found.cameras.iter().enumerate() {
+        assert!(named.camera.is_usable());
+        assert_eq!(found.find(&i.to_string()).map(|camera| &camera.name), Ok(&named.name));
+    }
+    assert!(found.path().is_some());
 }
 
 /// A y4m stream, to its end.

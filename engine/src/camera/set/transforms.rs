@@ -1,0 +1,160 @@
+//! `transforms.json` of nerfstudio and instant-ngp, and of the scenes made for NeRF with Blender.
+//!
+//! Each of `frames` has a `file_path` and a `transform_matrix` (camera to world, row by row; OpenGL's axes: x right, y up, z
+//! backward). The lens stands in the frame or beside `frames`, in pixels: `w`, `h`, `fl_x`, `fl_y`, `cx`, `cy`, or as angles in radians,
+//! `camera_angle_x` and `camera_angle_y`. What is left out: `fl_y` is `fl_x`, `cx` and `cy` are the middle, `w` and `h` the size that is
+//! asked for.
+//!
+//! The poses are taken as they stand: nerfstudio's `applied_transform` is in them already, and instant-ngp's `scale` and `offset` move
+//! them into its own unit cube, in which no file of Gaussians lies.
+
+use serde::Deserialize;
+use serde_json::Value;
+use streamsplat_kernels::math::f64::sin_cos;
+
+use super::{CameraSet, NamedCamera, pinhole, rotation};
+use crate::camera::Pose;
+use crate::import::FormatError;
+
+const FORMAT: &str = "transforms.json";
+
+#[derive(Deserialize)]
+struct Transforms {
+    frames: Vec<Frame>,
+    #[serde(flatten)]
+    lens: Lens,
+}
+
+#[derive(Deserialize)]
+struct Frame {
+    file_path: String,
+    transform_matrix: Vec<Vec<f64>>,
+    #[serde(flatten)]
+    lens: Lens,
+}
+
+#[derive(Clone, Default, Deserialize)]
+struct Lens {
+    camera_model: Option<String>,
+    w: Option<f64>,
+    h: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+/// Models that are a pinhole where their coefficients are 0.
+const MODELS: [&str; 6] = ["PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
+
+/// Reads the object; `size` is that of images of which it is not said.
+///
+/// # Errors
+/// Frames of another form, matrices that are no pose, lenses with distortion, lenses that are not said.
+pub(super) fn read(value: Value, size: Option<[usize; 2]>) -> Result<CameraSet, FormatError> {
+    let Transforms { frames, lens } = serde_json::from_value(value)
+        .map_err(|e| FormatError::new(FORMAT, "frames with file_path and transform_matrix", e.to_string()))?;
+    let cameras: Result<Vec<NamedCamera>, FormatError> =
+        frames.into_iter().map(|frame| camera(frame, &lens, size)).collect();
+    CameraSet::new(FORMAT, cameras?)
+}
+
+fn camera(frame: Frame, beside: &Lens, asked: Option<[usize; 2]>) -> Result<NamedCamera, FormatError> {
+    let Frame { file_path: name, transform_matrix: rows, lens } = frame;
+    let fail = |expected: &str, found: String| FormatError::new(name.clone(), expected, found);
+    if !(3..=4).contains(&rows.len()) || rows.iter().any(|row| row.len() != 4) {
+        return Err(fail("a transform_matrix of 4×4 or 3×4 numbers", "another".to_owned()));
+    }
+    let model = lens.camera_model.as_ref().or(beside.camera_model.as_ref());
+    if let Some(model) = model.filter(|model| !MODELS.contains(&model.as_str())) {
+        return Err(fail("the camera model PINHOLE or OPENCV without distortion", model.clone()));
+    }
+    let coefficients: [(&str, Option<f64>); 6] = [
+        ("k1", lens.k1.or(beside.k1)),
+        ("k2", lens.k2.or(beside.k2)),
+        ("k3", lens.k3.or(beside.k3)),
+        ("k4", lens.k4.or(beside.k4)),
+        ("p1", lens.p1.or(beside.p1)),
+        ("p2", lens.p2.or(beside.p2)),
+    ];
+    if let Some((key, value)) = coefficients.iter().find(|(_, value)| value.is_some_and(|value| value != 0.0)) {
+        let value = value.unwrap_or_default();
+        return Err(fail("a lens without distortion (undistort the images first)", format!("{key} = {value}")));
+    }
+    let asked = asked.map(|[w, h]| [w as f64, h as f64]);
+    let sides = [lens.w.or(beside.w).or(asked.map(|s| s[0])), lens.h.or(beside.h).or(asked.map(|s| s[1]))];
+    let [Some(w), Some(h)] = sides else {
+        return Err(fail("w and h, or a size that is asked for (--size)", "neither".to_owned()));
+    };
+    // Half of the side over the tangent of half of the angle.
+    let from_angle = |angle: f64, side: f64| {
+        let (sin, cos) = sin_cos(0.5 * angle.clamp(0.0, 3.2));
+        0.5 * side * cos / sin
+    };
+    let own = |focal: Option<f64>, angle: Option<f64>, side: f64| focal.or(angle.map(|angle| from_angle(angle, side)));
+    let across = own(lens.fl_x, lens.camera_angle_x, w).or(own(beside.fl_x, beside.camera_angle_x, w));
+    let along = own(lens.fl_y, lens.camera_angle_y, h).or(own(beside.fl_y, beside.camera_angle_y, h));
+    let Some((fx, fy)) = across.or(along).map(|one| (across.unwrap_or(one), along.unwrap_or(one))) else {
+        return Err(fail("fl_x or camera_angle_x", "neither".to_owned()));
+    };
+    let centre = [lens.cx.or(beside.cx).unwrap_or(0.5 * w), lens.cy.or(beside.cy).unwrap_or(0.5 * h)];
+    let column = |c: usize, sign: f64| -> [f64; 3] { std::array::from_fn(|r| sign * rows[r][c]) };
+    // OpenGL's up and backward are our −down and −forward.
+    let columns = [column(0, 1.0), column(1, -1.0), column(2, -1.0)];
+    let pose = Pose { position: column(3, 1.0), rotation: rotation(&name, columns)? };
+    pinhole(name, pose, [w, h], [fx, fy], centre)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::{self, Camera};
+
+    fn one(lens: &str, size: Option<[usize; 2]>) -> Result<NamedCamera, FormatError> {
+        let frame = r#"{"file_path": "a.png", "transform_matrix": [[1,0,0,0],[0,-1,0,0],[0,0,-1,-2],[0,0,0,1]]}"#;
+        let text = format!(r#"{{{lens} "frames": [{frame}]}}"#);
+        camera::set::parse(&text, size).expect("theirs").map(|set| set.cameras[0].clone())
+    }
+
+    #[test]
+    fn a_lens_may_be_given_by_angles_or_pixels() {
+        let angle = one(r#""camera_angle_x": 1.5707963267948966,"#, Some([400, 200])).expect("a camera");
+        let pixels = one(r#""w": 400, "h": 200, "fl_x": 200,"#, None).expect("a camera");
+        assert_eq!(angle.size, [400, 200]);
+        let focal = |named: &NamedCamera| match named.camera {
+            Camera::Posed { lens: camera::Lens::Pinhole { focal, centre }, pose } => {
+                assert_eq!((centre, pose.position), ([0.5; 2], [0.0, 0.0, -2.0]));
+                assert!(pose.rotation.is_identity());
+                focal
+            }
+            _ => panic!("a pinhole"),
+        };
+        for (a, b) in focal(&angle).iter().zip(focal(&pixels)) {
+            assert!((a - b).abs() < 1e-9, "{a} {b}");
+        }
+        assert_eq!(focal(&pixels), [0.5, 1.0]);
+    }
+
+    #[test]
+    fn distortion_is_refused_by_name() {
+        let pinhole = r#""w": 400, "h": 200, "fl_x": 200,"#;
+        assert!(one(&format!(r#"{pinhole} "camera_model": "OPENCV", "k1": 0.0, "p2": 0,"#), None).is_ok());
+        for (more, expected) in [
+            (r#""k1": 0.1,"#, "a.png: expected a lens without distortion (undistort the images first), found k1 = 0.1"),
+            (r#""camera_model": "OPENCV_FISHEYE","#, "found OPENCV_FISHEYE"),
+        ] {
+            let error = one(&format!("{pinhole} {more}"), None).expect_err("distorted").to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+        assert!(one(r#""fl_x": 200,"#, None).expect_err("no size").to_string().contains("--size"));
+        assert!(one("", Some([4, 3])).expect_err("no lens").to_string().contains("expected fl_x or camera_angle_x"));
+    }
+}

@@ -1,0 +1,164 @@
+//! Where to look at a still scene from, when nothing says it.
+
+use super::Still;
+use crate::camera::{Camera, Lens, Pose};
+use streamsplat_kernels::math::f64::sin_cos;
+
+/// Vertical field of view in degrees.
+const FIELD: f64 = 45.0;
+/// How high the camera stands above the middle, in degrees.
+const ELEVATION: f64 = 12.0;
+/// How much of the image's half the scene may fill.
+const FILL: f64 = 0.8;
+/// Logit of the least opacity that counts: 0.1.
+const OPAQUE: f32 = -2.2;
+/// Share of the centres beyond either end, along each axis, that may be floaters.
+const FLOATERS: f64 = 0.05;
+/// What is added at either end, in widths of what lies between these, as far as there are centres.
+const AROUND: f64 = 0.15;
+/// Directions in which a whole turn is tried.
+const DIRECTIONS: u32 = 24;
+
+/// The box that holds most of a scene, and cameras that see it. Up is −y, as in scenes trained from COLMAP's cameras.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Framing {
+    /// Least coordinates.
+    pub least: [f64; 3],
+    /// Greatest coordinates.
+    pub greatest: [f64; 3],
+}
+
+impl Still {
+    /// The box that holds most of the scene: along each axis what lies between the 5th and the 95th of a hundred centres, and
+    /// 15 % of that width at either end as far as there are centres. Gaussians with an opacity under 0.1 do not count, where others
+    /// are. `None` where no centre is finite.
+    pub fn framing(&self) -> Option<Framing> {
+        let finite = |m: &[f32; 3]| m.iter().all(|x| x.is_finite());
+        let solid = || self.mean.iter().zip(&self.logit).filter(|(m, logit)| finite(m) && **logit >= OPAQUE);
+        let mut centres: Vec<[f32; 3]> = solid().map(|(m, _)| *m).collect();
+        if centres.is_empty() {
+            centres = self.mean.iter().filter(|m| finite(m)).copied().collect();
+        }
+        let last = centres.len().checked_sub(1)?;
+        let (mut least, mut greatest) = ([0.0; 3], [0.0; 3]);
+        for axis in 0..3 {
+            let mut along: Vec<f32> = centres.iter().map(|m| m[axis]).collect();
+            along.sort_unstable_by(f32::total_cmp);
+            let at = |share: f64| f64::from(along[(share * last as f64).round() as usize]);
+            let (low, high) = (at(FLOATERS), at(1.0 - FLOATERS));
+            let around = AROUND * (high - low);
+            (least[axis], greatest[axis]) = (at(0.0).max(low - around), at(1.0).min(high + around));
+        }
+        Some(Framing { least, greatest })
+    }
+}
+
+impl Framing {
+    /// The camera at `degrees` around the scene (0: from the front, looking along +z; 90: from the right) that sees all of the box in
+    /// images of `aspect` = width / height.
+    pub fn camera(&self, degrees: f64, aspect: f64) -> Camera {
+        self.at(self.distance(degrees, aspect), degrees, aspect)
+    }
+
+    /// Cameras at several angles, all from one distance, from which the box is seen whole all around.
+    pub fn around(&self, degrees: &[f64], aspect: f64) -> Vec<Camera> {
+        let step = 360.0 / f64::from(DIRECTIONS);
+        let tried = (0..DIRECTIONS).map(|i| self.distance(step * f64::from(i), aspect));
+        let distance = tried.fold(0.0, f64::max);
+        degrees.iter().map(|degrees| self.at(distance, *degrees, aspect)).collect()
+    }
+
+    fn middle(&self) -> [f64; 3] {
+        std::array::from_fn(|i| 0.5 * (self.least[i] + self.greatest[i]))
+    }
+
+    /// The direction from the middle to the camera.
+    fn outwards(degrees: f64) -> [f64; 3] {
+        let radians = std::f64::consts::PI / 180.0;
+        let ((sin, cos), (up, along)) = (sin_cos(degrees * radians), sin_cos(ELEVATION * radians));
+        [sin * along, -up, -cos * along]
+    }
+
+    /// How far from the middle a camera has to be.
+    fn distance(&self, degrees: f64, aspect: f64) -> f64 {
+        let unit = self.at(1.0, degrees, aspect);
+        let Camera::Posed { pose, lens: Lens::Pinhole { focal, .. } } = unit else { return 1.0 };
+        let rows = pose.rotation.inverse().matrix();
+        let half: [f64; 3] = std::array::from_fn(|i| 0.5 * (self.greatest[i] - self.least[i]));
+        let mut distance = 0.0_f64;
+        for corner in 0..8 {
+            let d: [f64; 3] = std::array::from_fn(|i| if corner >> i & 1 == 0 { half[i] } else { -half[i] });
+            let [x, y, z] = rows.map(|row| row[0] * d[0] + row[1] * d[1] + row[2] * d[2]);
+            distance = distance.max(2.0 * focal[0] * x.abs() / FILL - z).max(2.0 * focal[1] * y.abs() / FILL - z);
+        }
+        // A scene of one point.
+        if distance > 1e-6 { distance } else { 1.0 }
+    }
+
+    fn at(&self, distance: f64, degrees: f64, aspect: f64) -> Camera {
+        let middle = self.middle();
+        let outwards = Self::outwards(degrees);
+        let eye = std::array::from_fn(|i| middle[i] + distance * outwards[i]);
+        let pose = Pose::look_at(eye, middle, [0.0, -1.0, 0.0]).unwrap_or_default();
+        Camera::pinhole(pose, FIELD, aspect).unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A cloud between −1 and 1 with floaters far away and an invisible one.
+    fn cloud(floaters: usize) -> Still {
+        let value = |i: usize, k: usize| ((i * 7919 + k * 104_729) % 1009) as f32 / 504.5 - 1.0;
+        let count = 1000;
+        let mut mean: Vec<[f32; 3]> = (0..count).map(|i| std::array::from_fn(|k| value(i, k))).collect();
+        for (i, m) in mean.iter_mut().take(floaters).enumerate() {
+            *m = [500.0 + i as f32, -900.0, 300.0];
+        }
+        mean.push([f32::NAN; 3]);
+        Still { mean, logit: vec![2.0; count + 1], ..Still::default() }
+    }
+
+    #[test]
+    fn floaters_do_not_move_the_box() {
+        let framing = cloud(20).framing().expect("a cloud");
+        for axis in 0..3 {
+            assert!((-1.3..=-0.9).contains(&framing.least[axis]), "{framing:?}");
+            assert!((0.9..=1.3).contains(&framing.greatest[axis]), "{framing:?}");
+        }
+        assert!(Still::default().framing().is_none());
+    }
+
+    #[test]
+    fn every_corner_of_the_box_is_seen_from_all_around() {
+        let framing = Framing { least: [-3.0, 0.0, 2.0], greatest: [5.0, 1.0, 2.5] };
+        let angles: Vec<f64> = (0..36).map(|i| f64::from(i) * 10.0).collect();
+        for aspect in [0.5, 16.0 / 9.0] {
+            let single = angles.iter().map(|degrees| framing.camera(*degrees, aspect));
+            for camera in single.chain(framing.around(&angles, aspect)) {
+                let Camera::Posed { pose, lens: Lens::Pinhole { focal, .. } } = camera else { panic!("a pinhole") };
+                let rows = pose.rotation.inverse().matrix();
+                for corner in 0..8 {
+                    let d: [f64; 3] = std::array::from_fn(|i| {
+                        let at = if corner >> i & 1 == 0 { framing.least[i] } else { framing.greatest[i] };
+                        at - pose.position[i]
+                    });
+                    let [x, y, z] = rows.map(|row| row[0] * d[0] + row[1] * d[1] + row[2] * d[2]);
+                    assert!(z > 0.0 && (focal[0] * x / z).abs() <= 0.5 && (focal[1] * y / z).abs() <= 0.5);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn up_is_against_y_and_the_front_looks_along_z() {
+        let framing = Framing { least: [-1.0; 3], greatest: [1.0; 3] };
+        let Camera::Posed { pose, .. } = framing.camera(0.0, 1.0) else { panic!("posed") };
+        assert!(pose.position[0].abs() < 1e-9 && pose.position[1] < 0.0 && pose.position[2] < -1.0, "{pose:?}");
+        let Camera::Posed { pose, .. } = framing.camera(90.0, 1.0) else { panic!("posed") };
+        assert!(pose.position[0] > 1.0 && pose.position[2].abs() < 1e-6, "{pose:?}");
+        let point = Framing { least: [4.0; 3], greatest: [4.0; 3] };
+        assert!(point.camera(0.0, 1.0).is_usable());
+    }
+}
