@@ -39,6 +39,17 @@ impl VideoFormat {
     }
 }
 
+/// Sound to go with a video.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sound {
+    /// The file that has it, of whose tracks the first is taken.
+    pub file: PathBuf,
+    /// Its codec, in ffmpeg's names.
+    pub codec: String,
+    /// Seconds of it that are taken; `None`: all.
+    pub seconds: Option<f64>,
+}
+
 /// A finished video.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finished {
@@ -55,6 +66,7 @@ pub struct Video {
     path: PathBuf,
     fps: f64,
     format: VideoFormat,
+    sound: Option<Sound>,
     sink: Option<Sink>,
     size: Option<(usize, usize)>,
     samples: blake3::Hasher,
@@ -83,7 +95,13 @@ impl Video {
 
     fn create_beside(path: &Path, format: VideoFormat, fps: f64) -> Video {
         let samples = blake3::Hasher::new();
-        Video { path: path.to_owned(), fps, format, sink: None, size: None, samples, frames: 0 }
+        Video { path: path.to_owned(), fps, format, sound: None, sink: None, size: None, samples, frames: 0 }
+    }
+
+    /// The same with sound, where files of this kind hold any ([`holds_sound`]): copied where such a file takes its codec, else encoded again.
+    pub fn with_sound(mut self, sound: Option<Sound>) -> Video {
+        self.sound = sound.filter(|_| holds_sound(&self.path));
+        self
     }
 
     fn open(&mut self, width: usize, height: usize) -> Result<&mut Sink, OutputError> {
@@ -112,12 +130,7 @@ impl Video {
     }
 
     fn start_ffmpeg(&self, width: usize, height: usize) -> Result<Sink, OutputError> {
-        let extension = self.path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-        let container = match extension.as_str() {
-            "mkv" => "matroska",
-            "m4v" => "mp4",
-            other => other,
-        };
+        let container = &container(&self.path)[..];
         // ffmpeg writes into the file that is there, which is no link then.
         storage::create(&partial_name(&self.path)).map_err(OutputError::write(&self.path))?;
         let mut url = std::ffi::OsString::from("file:");
@@ -137,11 +150,20 @@ impl Video {
             "avif" => [&["-vf", limited, "-pix_fmt", format, "-cpu-used", "8"][..], &video].concat(),
             _ => [&["-vf", limited, "-pix_fmt", format][..], &video].concat(),
         };
-        let child = Command::new("ffmpeg")
-            .args([
-                "-nostdin", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &size, "-r", &rate, "-i",
-                "-",
-            ])
+        let mut command = Command::new("ffmpeg");
+        command.args([
+            "-nostdin", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &size, "-r", &rate, "-i", "-",
+        ]);
+        if let Some(Sound { file, codec, seconds }) = &self.sound {
+            if let Some(seconds) = seconds {
+                command.args(["-t", &seconds.to_string()]);
+            }
+            let mut input = std::ffi::OsString::from("file:");
+            input.push(file);
+            command.args(["-protocol_whitelist", "file", "-i"]).arg(input);
+            command.args(["-map", "0:v:0", "-map", "1:a:0", "-c:a", encoder(container, codec)]);
+        }
+        let child = command
             .args(arguments)
             .args(["-f", container])
             .arg(url)
@@ -271,6 +293,31 @@ impl Sink {
                 None => Err(std::io::ErrorKind::BrokenPipe.into()),
             },
         }
+    }
+}
+
+/// ffmpeg's name of the kind of file that a path names.
+fn container(path: &Path) -> String {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    match extension.as_str() {
+        "mkv" => "matroska".to_owned(),
+        "m4v" => "mp4".to_owned(),
+        _ => extension,
+    }
+}
+
+/// Whether videos of this name are written with sound, if there is any.
+pub fn holds_sound(path: &Path) -> bool {
+    VideoFormat::of(path) == Some(VideoFormat::Ffmpeg) && !["gif", "webp", "avif"].contains(&&container(path)[..])
+}
+
+/// The encoder of sound for a kind of file: `copy` where the codec is one of its own.
+fn encoder(container: &str, codec: &str) -> &'static str {
+    match container {
+        "webm" if ["opus", "vorbis"].contains(&codec) => "copy",
+        "webm" => "libopus",
+        "mp4" | "mov" if !["aac", "mp3", "ac3", "eac3", "alac"].contains(&codec) => "aac",
+        _ => "copy",
     }
 }
 

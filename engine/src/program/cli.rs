@@ -215,9 +215,10 @@ pub struct View {
 pub struct RunArgs {
     /// Folder of images, .y4m file, - (y4m on standard input), or any video file ffmpeg reads
     pub input: PathBuf,
-    /// Folder for the results, or a video file (.y4m, .mp4, .webm, .mkv, .mov), or - (y4m on standard output)
+    /// Folder for the results, or a video file (.y4m, .mp4, .webm, .mkv, .mov), or - (y4m on standard output) [default: a folder here, named after
+    /// the input: clip.mp4 gives clip-scene]
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub out: Option<PathBuf>,
     #[command(flatten)]
     pub options: RunOptions,
     #[command(flatten)]
@@ -225,6 +226,9 @@ pub struct RunArgs {
     /// Go on with a run that was stopped, from its last whole interval; without one, start
     #[arg(long)]
     pub resume: bool,
+    /// Replace finished results of another input or other options
+    #[arg(long)]
+    pub overwrite: bool,
     /// Show the stream in a browser while it is processed [default port: 8707]
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8707")]
     pub serve: Option<u16>,
@@ -252,6 +256,10 @@ pub struct RunOptions {
     /// Stop after this many input frames
     #[arg(long, value_name = "N")]
     pub frames: Option<usize>,
+    /// Leave the input's sound out of an encoded video; it is taken along otherwise, but not with --times or --fps
+    #[arg(long)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub no_audio: bool,
 }
 
 #[derive(Args, Clone)]

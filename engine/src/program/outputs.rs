@@ -6,7 +6,7 @@ use std::path::{Component, Path, PathBuf};
 use streamsplat::Image;
 use streamsplat::export;
 use streamsplat::output::{
-    OutputError, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, plane_png,
+    OutputError, Sound, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, plane_png,
     prepare_subfolder, storage, transparent_exr, transparent_png, write_whole,
 };
 use streamsplat::picture::Picture;
@@ -86,6 +86,8 @@ pub struct Outputs {
     outside: bool,
     /// Whether images keep their alpha.
     alpha: bool,
+    /// Sound that goes with the video.
+    sound: Option<Sound>,
 }
 
 impl Outputs {
@@ -114,7 +116,13 @@ impl Outputs {
     fn new(destination: Destination, emit: Emit) -> Outputs {
         let (written, intervals) = (BTreeMap::new(), Vec::new());
         let (outside, alpha) = (false, false);
-        Outputs { destination, emit, video: None, scene: None, written, ledger: None, intervals, outside, alpha }
+        let (video, scene, ledger, sound) = (None, None, None, None);
+        Outputs { destination, emit, video, scene, written, ledger, intervals, outside, alpha, sound }
+    }
+
+    /// Takes sound for the video.
+    pub fn sound(&mut self, sound: Option<Sound>) {
+        self.sound = sound;
     }
 
     /// Says that there is nothing behind the scene: colour images are written with their alpha.
@@ -220,7 +228,9 @@ impl Outputs {
                 self.scene = Some(SceneWriter::create(&folder.join("scene"), fps)?);
             }
             Destination::Folder(_) => {}
-            Destination::Video(path, format) => self.video = Some(Video::create(path, *format, fps)?),
+            Destination::Video(path, format) => {
+                self.video = Some(Video::create(path, *format, fps)?.with_sound(self.sound.take()));
+            }
         }
         Ok(())
     }

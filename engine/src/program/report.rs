@@ -34,7 +34,13 @@ pub fn summary(record: &Record, out: &Path) -> String {
     let peak = record.timing.peak_resident_bytes.map(|b| format!(", {} MiB at most", b >> 20)).unwrap_or_default();
     let files = record.outputs.len();
     let (images, total) = (images(record), record.timing.total);
-    format!("{}: {images} images, {files} files, {total:.2} s{peak}{stopped}", out.display())
+    let bytes = record.outputs.values().map(|output| output.bytes).sum::<u64>() as f64 / 1e6;
+    let psnr = record.psnr.map(|psnr| format!(", {psnr:.1} dB")).unwrap_or_default();
+    let each = 1000.0 * total / record.input.count.max(1) as f64;
+    format!(
+        "{}: {images} images{psnr}, {files} files, {bytes:.1} MB, {total:.2} s, {each:.0} ms per frame{peak}{stopped}",
+        out.display()
+    )
 }
 
 fn markdown(record: &Record) -> String {

@@ -1,9 +1,10 @@
 //! `run`: video → scene, frames, report.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use streamsplat::Engine;
+use streamsplat::output::{Sound, holds_sound, storage};
 use streamsplat::render::Snapshot;
 use streamsplat::source::{self, Source};
 use streamsplat::stream::{Interval, Memory, MotionFrom, Reuse};
@@ -27,9 +28,10 @@ use super::{digest, report, say, stop};
 /// Runs, then writes the record and the report.
 pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     stop::listen();
+    let out = args.out.clone().map_or_else(|| named_after(&args.input), Ok)?;
     // Held until everything is written.
-    let mut place = Place::new(Destination::asked(&args.out)?);
-    let record = match resume_or_run(args, &mut place, console)? {
+    let mut place = Place::new(Destination::asked(&out)?);
+    let record = match resume_or_run(args, &out, &mut place, console)? {
         Some(record) => record,
         None => return Ok(()),
     };
@@ -40,10 +42,10 @@ pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     {
         resume::remove(&folder)?;
     }
-    if !console.quiet && args.out != Path::new("-") {
-        say(report::summary(&record, &args.out))?;
+    if !console.quiet && out != Path::new("-") {
+        say(report::summary(&record, &out))?;
         if record.complete && record.outputs.keys().any(|name| name.starts_with("scene/")) {
-            say(format!("Next: streamsplat view {}", args.out.display()))?;
+            say(format!("Next: streamsplat view {}", out.display()))?;
         }
     }
     let resumable = destination.resume().is_some();
@@ -51,7 +53,7 @@ pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
 }
 
 /// The run, from where it was stopped with `--resume`; `None` when it is complete already, which is said.
-fn resume_or_run(args: &RunArgs, place: &mut Place, console: &Console) -> Result<Option<Record>, Failure> {
+fn resume_or_run(args: &RunArgs, out: &Path, place: &mut Place, console: &Console) -> Result<Option<Record>, Failure> {
     if args.resume {
         place.hold_existing()?;
     }
@@ -67,11 +69,29 @@ fn resume_or_run(args: &RunArgs, place: &mut Place, console: &Console) -> Result
             streamsplat::output::write_file(path, record.to_json()?.as_bytes())?;
         }
         if !console.quiet {
-            say(format!("{}: complete already, nothing to resume", args.out.display()))?;
+            say(format!("{}: complete already, nothing to resume", out.display()))?;
         }
         return Ok(None);
     }
+    if !args.resume && !args.overwrite {
+        refuse_others(input, out, place.destination(), options)?;
+    }
     run_from(found, input, place, options, machine, args.serve, console).map(Some)
+}
+
+/// An error where the place holds the finished results of another input or of other options.
+fn refuse_others(input: &Path, out: &Path, destination: &Destination, options: &RunOptions) -> Result<(), Failure> {
+    let record = destination.record().filter(|path| storage::regular(path).is_ok());
+    // What is no record of a whole run is no result that anybody has.
+    let record = record.and_then(|path| Record::read(&path).ok()).filter(|record| record.complete);
+    let Some(record) = record else { return Ok(()) };
+    let given = Terms::given(options, &model_record(options)?)?;
+    resume::check_complete(&record, input, &given).map_err(|_| {
+        let (out, of) = (out.display(), record.input.path.display());
+        Failure::usage(format!(
+            "--out {out}: expected a free place, found the results of another run (of {of}); --overwrite replaces them"
+        ))
+    })
 }
 
 /// Everything of a run but its record's files.
@@ -113,6 +133,11 @@ fn run_from(
     }
     let source = Source::open(input, &source::Options { fps: options.fps })?;
     console.note(source.notes());
+    let sound = taken_along(&source, options, place.destination());
+    if source.sound().is_some() {
+        let found = if sound.is_some() { "sound is taken along" } else { "sound is left out" };
+        console.note(&[found.to_owned()]);
+    }
     let reuse = settings.reuse != Reuse::Off;
     let keep = if settings.motion() == MotionFrom::Between { Keep::Between } else { Keep::Nothing };
     if !views.backend.is_within_contract() {
@@ -129,6 +154,7 @@ fn run_from(
         _ => (Outputs::create(place, emit)?.with_ledger(), None),
     };
     outputs.drawn_by(views.backend);
+    outputs.sound(sound);
     // That nothing can be written is said before the model is loaded.
     let engine = Engine::new(settings)?;
     let mut drawing = Drawing::new(engine.workers(), views.backend)?;
@@ -322,6 +348,25 @@ impl Stream<'_> {
         let Stream { outputs, drawing, .. } = self;
         drawing.writing(|| outputs.commit(point, memory))
     }
+}
+
+/// The sound of the input, where the video that is written takes it along: at the times of the input's own frames alone.
+fn taken_along(source: &Source, options: &RunOptions, destination: &Destination) -> Option<Sound> {
+    let own_times = options.view.times.is_none() && options.fps.is_none();
+    let wanted = !options.no_audio && own_times && holds_sound(destination.path());
+    let sound = source.sound().filter(|_| wanted)?;
+    Some(Sound { seconds: options.frames.map(|frames| frames as f64 / source.fps()), ..sound })
+}
+
+/// A folder in the working directory, named after the input.
+fn named_after(input: &Path) -> Result<PathBuf, Failure> {
+    let stem = input.file_stem().filter(|_| input != Path::new("-"));
+    let Some(stem) = stem else {
+        return Err(Failure::usage("--out: expected, as the input has no name to make one of"));
+    };
+    let mut name = stem.to_owned();
+    name.push("-scene");
+    Ok(PathBuf::from(name))
 }
 
 /// Which model it was.

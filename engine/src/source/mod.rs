@@ -23,6 +23,7 @@ use std::fs::File;
 use std::io::{BufReader, Read, Stdin};
 use std::path::{Path, PathBuf};
 
+use crate::output::Sound;
 use crate::picture::Picture;
 pub use error::SourceError;
 use ffmpeg::Ffmpeg;
@@ -112,6 +113,14 @@ impl Source {
             (None, None, None) => (DEFAULT_FPS, 1.0),
         };
         Ok(Source { kind, path: input.to_owned(), rate, uneven: uneven.is_some(), next: 0, first: None })
+    }
+
+    /// The sound track of a video file, if it has one.
+    pub fn sound(&self) -> Option<Sound> {
+        match &self.kind {
+            Kind::Ffmpeg(video) => video.sound(),
+            _ => None,
+        }
     }
 
     /// Conversions of the pictures on the way in and parts of the input that are left out, a line each.

@@ -69,7 +69,7 @@ fn unknown_and_unavailable_values_are_wrong_use() {
         assert!(text.contains(expected), "{more:?}: {text}");
         nothing_written(&out);
     }
-    for arguments in [&["fly"][..], &["run"], &["run", "x"], &[]] {
+    for arguments in [&["fly"][..], &["run"], &["run", "-"], &[]] {
         let output = run(arguments);
         if arguments.is_empty() {
             // Without any word the help is shown.

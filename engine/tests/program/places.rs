@@ -35,6 +35,45 @@ fn waiting(out: &Path, lock: &Path) -> Child {
 }
 
 #[test]
+fn finished_results_of_another_run_are_replaced_only_when_asked() {
+    let scratch = Scratch::new();
+    let (clip, other) = (scratch.clip("clip", 3, 40, 24), scratch.clip("other", 2, 40, 24));
+    for out in [scratch.path("out"), scratch.path("out.y4m")] {
+        run_ok(&clip, &out, &["--quiet"]);
+        // The same again is what it was.
+        run_ok(&clip, &out, &["--quiet"]);
+        let record = std::fs::read(record_of(&out)).expect("readable");
+        for (input, options) in [(&other, &[][..]), (&clip, &["--gap", "2"][..])] {
+            let said = fails(&run(input, &out, options).output().expect("the program starts"), 2);
+            assert!(said.contains("--overwrite") && said.contains(clip.to_str().expect("UTF-8")), "{said}");
+            assert_eq!(std::fs::read(record_of(&out)).expect("readable"), record);
+        }
+        run_ok(&other, &out, &["--overwrite", "--quiet"]);
+        assert_ne!(std::fs::read(record_of(&out)).expect("readable"), record);
+    }
+}
+
+/// The record of a run to `out`.
+fn record_of(out: &Path) -> std::path::PathBuf {
+    if out.is_dir() { out.join("run.json") } else { out.with_extension("y4m.run.json") }
+}
+
+#[test]
+fn without_a_place_results_go_into_a_folder_named_after_the_input() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 40, 24);
+    let mut run = command();
+    run.arg("run").arg(&clip).arg("--model").arg(model()).current_dir(scratch.path(""));
+    let output = run.stdin(Stdio::null()).output().expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(scratch.path("clip-scene/run.json").is_file());
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(said.contains("Next: streamsplat view clip-scene"), "{said}");
+    let said = fails(&command().args(["run", "-"]).stdin(Stdio::null()).output().expect("the program starts"), 2);
+    assert!(said.contains("--out"), "{said}");
+}
+
+#[test]
 fn a_second_run_into_the_same_place_is_refused() {
     let scratch = Scratch::new();
     let clip = scratch.clip("clip", 3, 40, 24);
@@ -97,7 +136,7 @@ fn only_what_a_run_wrote_is_removed() {
     let out = scratch.path("out");
     run_ok(&clip, &out, &["--quiet"]);
     std::fs::write(out.join("frames/000002.png"), "edited by hand").expect("writable");
-    run_ok(&clip, &out, &["--quiet", "--frames", "1"]);
+    run_ok(&clip, &out, &["--quiet", "--frames", "1", "--overwrite"]);
     assert_eq!(std::fs::read(out.join("frames/000002.png")).expect("there"), b"edited by hand");
     assert!(!out.join("frames/000001.png").exists());
 }

@@ -60,7 +60,7 @@ fn an_earlier_run_in_the_same_folder_leaves_nothing_behind() {
     let scratch = Scratch::new();
     let out = scratch.path("out");
     run_ok(&scratch.clip("long", 4, 40, 24), &out, &["--quiet"]);
-    run_ok(&scratch.clip("short", 2, 40, 24), &out, &["--quiet"]);
+    run_ok(&scratch.clip("short", 2, 40, 24), &out, &["--quiet", "--overwrite"]);
     let names: Vec<String> = files(&out).into_keys().collect();
     let expected = [
         "frames/000000.png",

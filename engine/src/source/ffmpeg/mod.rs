@@ -16,6 +16,7 @@ use std::thread::JoinHandle;
 
 use super::SourceError;
 use super::y4m::{Header, Y4m};
+use crate::output::Sound;
 use crate::picture::Picture;
 use probe::{Probe, Transfer};
 
@@ -36,6 +37,7 @@ pub struct Ffmpeg {
     path: PathBuf,
     times: Option<Vec<f64>>,
     notes: Vec<String>,
+    sound: Option<String>,
 }
 
 /// The file as ffmpeg takes it: a name that starts with a dash or holds a colon must not be taken as an option or a protocol.
@@ -65,9 +67,6 @@ impl Ffmpeg {
         filters.push(FORMATS.to_owned());
         if probe.alpha {
             notes.push("the alpha plane is left out".to_owned());
-        }
-        if probe.sound {
-            notes.push("sound is left out".to_owned());
         }
         let times = probe.times.take();
         let passthrough: &[&str] = if times.is_some() { &["-fps_mode", "passthrough"] } else { &[] };
@@ -104,7 +103,10 @@ impl Ffmpeg {
             String::from_utf8_lossy(&text).into_owned()
         });
         match Y4m::new(BufReader::with_capacity(1 << 16, stdout), path) {
-            Ok(y4m) => Ok(Ffmpeg { child, y4m, messages: Some(messages), path: path.to_owned(), times, notes }),
+            Ok(y4m) => {
+                let (path, sound) = (path.to_owned(), probe.sound.take());
+                Ok(Ffmpeg { child, y4m, messages: Some(messages), path, times, notes, sound })
+            }
             Err(e) => {
                 let _ = child.kill();
                 let failed = child.wait().is_ok_and(|status| !status.success());
@@ -124,6 +126,12 @@ impl Ffmpeg {
     /// Parameters of the stream.
     pub fn header(&self) -> &Header {
         self.y4m.header()
+    }
+
+    /// The file's first sound track, if it has one.
+    pub fn sound(&self) -> Option<Sound> {
+        let codec = self.sound.clone()?;
+        Some(Sound { file: self.path.clone(), codec, seconds: None })
     }
 
     /// Conversions of the pictures and parts of the file that are left out, a line each.

@@ -37,8 +37,8 @@ pub(super) struct Probe {
     /// True if the stream names its matrix and its primaries.
     pub(super) matrix: bool,
     pub(super) primaries: bool,
-    /// True if there is sound.
-    pub(super) sound: bool,
+    /// Codec of the first sound track, in ffmpeg's names, if there is one.
+    pub(super) sound: Option<String>,
     /// True if the pictures have an alpha plane.
     pub(super) alpha: bool,
     /// Seconds since the first frame, where frames do not follow each other at a constant rate.
@@ -73,7 +73,8 @@ impl Probe {
             return Probe::default();
         };
         let is = |stream: &&Stream, kind: &str| stream.codec_type.as_deref() == Some(kind);
-        let sound = streams.iter().any(|stream| is(&stream, "audio"));
+        let sound = streams.iter().find(|stream| is(stream, "audio"));
+        let sound = sound.map(|stream| stream.codec_name.clone().unwrap_or_default());
         let Some(video) = streams.iter().find(|stream| is(stream, "video")) else { return Probe::default() };
         let transfer = match video.color_transfer.as_deref() {
             Some("arib-std-b67") => Transfer::Hlg,
