@@ -30,7 +30,7 @@ const HORIZON: f64 = 16.0;
 /// The most that is made up for, in dB.
 const MOST_MADE_UP: f64 = 4.0;
 /// The largest ratio of an interval's length to that of the one before.
-const GROWTH: usize = 2;
+const GROWTH: usize = 3;
 /// How much of a miss enters the next expectation.
 const RATE: f64 = 0.8;
 /// Intervals that may have been chosen before the first of them is known.
