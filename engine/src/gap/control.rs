@@ -13,8 +13,8 @@
 //! [1/4, 4]. Intervals of two frames and less, where that says little, move s towards 1 by a tenth. The two numbers are those of least squares
 //! on 748 intervals of 12 clips (n from 2 to 12, frames between given, 16 steps of colours).
 //!
-//! What earlier intervals had above or below what is asked for is made up for over [`HORIZON`] frames, by [`MOST_MADE_UP`] dB at most. An
-//! interval is at most [`GROWTH`] times as long as the latest one that no cut ended.
+//! What earlier intervals had above or below what is asked for is made up for over 16 frames, by 4 dB at most. An
+//! interval is at most three times as long as the latest one that no cut ended.
 
 use std::collections::VecDeque;
 
