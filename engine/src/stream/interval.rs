@@ -42,8 +42,39 @@ impl Interval {
         if self.end == self.start {
             return Some(0.0);
         }
-        // Halves, so that no span of finite times overflows.
-        let t = (0.5 * time - 0.5 * self.start) / (0.5 * self.end - 0.5 * self.start);
+        // Halves, so that no span of finite times overflows; but those of the smallest numbers are nothing.
+        let half = 0.5 * self.end - 0.5 * self.start;
+        let t = match half > 0.0 {
+            true => (0.5 * time - 0.5 * self.start) / half,
+            false => (time - self.start) / (self.end - self.start),
+        };
         Some(t as f32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use streamsplat_kernels::Level;
+
+    use super::*;
+
+    #[test]
+    fn every_time_of_an_interval_lies_between_its_ends_however_small_or_large_they_are() {
+        let tiny = f64::from_bits(1);
+        for (start, end) in [(0.0, tiny), (tiny, 2.0 * tiny), (-tiny, 7.0 * tiny), (f64::MIN, f64::MAX), (0.0, 0.2)] {
+            let interval = Interval {
+                index: 1,
+                start,
+                end,
+                gaussians: DynamicGaussians::default(),
+                placement: Placement { source: [1; 2], model: [1; 2], offset: [0; 2], content: [1; 2] },
+                merges: Vec::new(),
+                dropped: 0,
+                workers: Workers::new(Level::scalar(), 1).expect("a thread"),
+            };
+            assert_eq!([start, end].map(|time| interval.relative(time)), [Some(0.0), Some(1.0)], "{start} to {end}");
+            let middle = interval.relative(0.5 * start + 0.5 * end);
+            assert!(middle.is_none_or(|t| (0.0..=1.0).contains(&t)), "{start} to {end}: {middle:?}");
+        }
     }
 }

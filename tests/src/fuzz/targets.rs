@@ -64,7 +64,8 @@ pub(super) fn interval(bytes: &[u8]) {
         statistics: true,
         ..RenderOptions::default()
     };
-    let middle = 0.5 * interval.start + 0.5 * interval.end;
+    // Halves of the smallest numbers are nothing.
+    let middle = (0.5 * interval.start + 0.5 * interval.end).clamp(interval.start, interval.end);
     for time in [interval.start, middle, interval.end] {
         let a = interval.render(time, &Camera::Canonical, &options).expect("inside the interval");
         let b = other.render(time, &Camera::Canonical, &options).expect("inside the interval");
