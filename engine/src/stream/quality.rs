@@ -2,7 +2,7 @@
 
 use super::settings::named;
 use super::{Fade, FlowEffort, MotionFrom, Resolution, Reuse, Settings};
-use crate::gap::Gap;
+use crate::gap::{Auto, Gap};
 use streamsplat_model::Precision;
 
 named! {
@@ -48,7 +48,7 @@ impl Quality {
     ///
     /// | | `realtime` | `balanced` | `best` |
     /// |---|---|---|---|
-    /// | gap | 8 | 5 | 3 |
+    /// | gap | 8 | auto:3-8:40 | 2 |
     /// | resolution | auto | auto | auto |
     /// | motion | between | between | between |
     /// | flow | coarse | fine | fine |
@@ -59,7 +59,7 @@ impl Quality {
     /// | reuse | exact | exact | exact |
     pub fn preset(self) -> Preset {
         let balanced = Preset {
-            gap: Gap::Every(5),
+            gap: Gap::Auto(Auto { least: 3, most: 8, decibels: 40.0 }),
             resolution: Resolution::Auto,
             motion: MotionFrom::Between,
             flow: FlowEffort::Fine,
@@ -79,7 +79,7 @@ impl Quality {
                 ..balanced
             },
             Quality::Balanced => balanced,
-            Quality::Best => Preset { gap: Gap::Every(3), refine: 64, ..balanced },
+            Quality::Best => Preset { gap: Gap::Every(2), refine: 64, ..balanced },
         }
     }
 }
