@@ -1,4 +1,4 @@
-"""A first scene, cell by cell: python examples/first_scene.py VIDEO OUT
+"""A first scene, cell by cell: python examples/first_scene.py [VIDEO [OUT]]
 
 Every fourth frame of a video becomes a key frame; the scene is then drawn at its frames' times, between them, and from the side.
 """
@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import streamsplat
 
-video = Path(sys.argv[1] if len(sys.argv) > 1 else "fixtures/clips/moving.y4m")
+clip = Path(__file__).resolve().parents[1] / "fixtures" / "clips" / "moving.y4m"
+video = Path(sys.argv[1]) if len(sys.argv) > 1 else clip
 out = Path(sys.argv[2] if len(sys.argv) > 2 else "first-scene")
 (out / "frames").mkdir(parents=True, exist_ok=True)
 

@@ -29,6 +29,8 @@
 //!
 //! Around it: [`source`] reads videos, [`gap`] chooses key frames, [`depth`] gives their depth maps, from files or a network ([`onnx`]), [`output`] and [`scene`] write and read results,
 //! [`export`] writes them for viewers, [`import`] reads the still scenes of others, [`view`] shows them in a browser, [`metrics`] and [`lpips`] measure them, [`difference`] says how far two pictures are apart and where.
+//!
+//! Features: `onnx` ([`onnx`], [`lpips`], networks of [`depth`]) and `viewer` ([`view`]) are on unless turned off; `wgpu` draws on graphics cards, outside of the bit contract.
 #![deny(unsafe_code)]
 
 pub mod camera;
@@ -38,8 +40,10 @@ pub mod export;
 pub mod fit;
 pub mod gap;
 pub mod import;
+#[cfg(feature = "onnx")]
 pub mod lpips;
 pub mod metrics;
+#[cfg(feature = "onnx")]
 pub mod onnx;
 pub mod openexr;
 pub mod output;
@@ -51,6 +55,7 @@ pub mod space;
 pub mod splats;
 pub mod still;
 pub mod stream;
+#[cfg(feature = "viewer")]
 pub mod view;
 #[cfg(feature = "wgpu")]
 pub mod wgpu;

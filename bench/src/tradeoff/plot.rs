@@ -18,8 +18,13 @@ const HEAD: u32 = 64;
 const PANELS: u32 = 420;
 pub(super) const INK: RGBColor = RGBColor(34, 34, 34);
 pub(super) const FRONT: RGBColor = RGBColor(120, 120, 120);
-const COLOURS: [RGBColor; 4] =
-    [RGBColor(27, 94, 160), RGBColor(230, 126, 34), RGBColor(46, 139, 87), RGBColor(142, 68, 173)];
+const COLOURS: [RGBColor; 5] = [
+    RGBColor(27, 94, 160),
+    RGBColor(230, 126, 34),
+    RGBColor(46, 139, 87),
+    RGBColor(142, 68, 173),
+    RGBColor(196, 55, 72),
+];
 
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 /// Colour, kind of shape, and how full it is.

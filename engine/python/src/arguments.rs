@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use pyo3::prelude::*;
-use pyo3::types::{IntoPyDict, PyDict};
-use streamsplat::camera::{self, CameraPath};
+use pyo3::types::{IntoPyDict, PyDict, PyList, PyTuple};
+use streamsplat::camera::{self, Camera, CameraPath};
 use streamsplat::import::read_text;
 use streamsplat::{RenderOptions, Size};
 
@@ -36,6 +36,36 @@ pub fn camera(value: Option<&Bound<'_, PyAny>>) -> PyResult<CameraPath> {
         value.extract().map_err(|_| wrong("camera: expected None, a dictionary, or the path of a JSON file"))?;
     let text = read_text(&file, MAX_CAMERA).map_err(|e| system(format!("{}: {e}", file.display())))?;
     camera::file::parse(&text).map_err(|e| wrong(format!("{}: {e}", file.display())))
+}
+
+/// Times and cameras of images: `time` or `camera` or both may be lists, of equal lengths; true if one is.
+pub fn places(time: &Bound<'_, PyAny>, camera_at: Option<&Bound<'_, PyAny>>) -> PyResult<(Vec<(f64, Camera)>, bool)> {
+    let is_list = |value: &Bound<'_, PyAny>| value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>();
+    let cameras = match camera_at.filter(|value| is_list(value)) {
+        Some(list) => Some(list.try_iter()?.map(|one| camera(Some(&one?))).collect::<PyResult<Vec<_>>>()?),
+        None => None,
+    };
+    let times = match time.extract::<f64>() {
+        Ok(time) => Err(time),
+        Err(_) => Ok(time
+            .extract::<Vec<f64>>()
+            .map_err(|_| wrong(format!("time: expected seconds or a list of them, found {time}")))?),
+    };
+    match (times, cameras) {
+        (Err(time), None) => Ok((vec![(time, camera(camera_at)?.at(time))], false)),
+        (Err(time), Some(cameras)) => Ok((cameras.iter().map(|camera| (time, camera.at(time))).collect(), true)),
+        (Ok(times), None) => {
+            let camera = camera(camera_at)?;
+            Ok((times.into_iter().map(|time| (time, camera.at(time))).collect(), true))
+        }
+        (Ok(times), Some(cameras)) if times.len() == cameras.len() => {
+            Ok((times.into_iter().zip(cameras).map(|(time, camera)| (time, camera.at(time))).collect(), true))
+        }
+        (Ok(times), Some(cameras)) => {
+            let message = format!("camera: expected as many as times, {}, found {}", times.len(), cameras.len());
+            Err(wrong(message))
+        }
+    }
 }
 
 /// Options of an image, from `size` ("model", "source" or (width, height)) and `background` (grey, or red, green, blue).

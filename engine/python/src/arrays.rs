@@ -1,7 +1,7 @@
 //! NumPy arrays from the engine's memory, and frames from NumPy arrays.
 
 use numpy::ndarray::{ArrayView, ArrayView3, Dimension};
-use numpy::{Element, PyArray, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use numpy::{Element, PyArray, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use streamsplat::picture::{MAX_PIXELS, MAX_SIDE, size_is_allowed};
 
@@ -25,7 +25,21 @@ pub unsafe fn borrowed<'py, T: Element, D: Dimension>(
 const MOST_FLOAT: f32 = 2.0;
 
 /// A frame's pixels as planes `[3, H, W]`, with its height and width.
+///
+/// What is no NumPy array but makes one of itself is taken as that one: PIL's images, torch's tensors, also in torch's layout `[3, H, W]`.
 pub fn planes(frame: &Bound<'_, PyAny>) -> PyResult<(Vec<f32>, [usize; 2])> {
+    let makes_one = frame.hasattr("__array__")? || frame.hasattr("__array_interface__")?;
+    let made = if frame.is_instance_of::<PyUntypedArray>() || !makes_one {
+        frame.clone()
+    } else {
+        let array = frame.py().import("numpy")?.call_method1("asarray", (frame,))?;
+        let shape: Vec<usize> = array.getattr("shape")?.extract()?;
+        match shape[..] {
+            [3, _, width] if width != 3 => array.call_method1("transpose", (1, 2, 0))?,
+            _ => array,
+        }
+    };
+    let frame = &made;
     if let Ok(pixels) = frame.extract::<PyReadonlyArray3<'_, f32>>() {
         aligned("frame", frame)?;
         let (planes, size) = split(pixels.as_array(), |x| x)?;

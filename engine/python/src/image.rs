@@ -3,14 +3,17 @@
 use std::path::PathBuf;
 
 use numpy::ndarray::{ArrayView2, ArrayView3};
-use numpy::{PyArray2, PyArray3};
+use numpy::{IntoPyArray, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use streamsplat::output::{picture_png, write_file};
-use streamsplat::picture::Picture;
+use streamsplat::picture::{Picture, size_is_allowed};
 
 use crate::arrays::borrowed;
 use crate::failure::{failed, system, wrong};
+
+/// Width, height, colour, depth, alpha and what was left out.
+type Parts<'py> = (usize, usize, Bound<'py, PyBytes>, Option<Bound<'py, PyBytes>>, Option<Bound<'py, PyBytes>>, u64);
 
 /// A drawn image. Its arrays are read-only and show the engine's own memory.
 #[pyclass(frozen, module = "streamsplat")]
@@ -27,6 +30,27 @@ impl From<streamsplat::Image> for Image {
     fn from(image: streamsplat::Image) -> Self {
         let streamsplat::Image { width, height, rgb, depth, alpha, dropped, .. } = image;
         Self { picture: Picture { width, height, rgb }, depth, alpha, dropped }
+    }
+}
+
+/// One image, or a list.
+#[derive(IntoPyObject)]
+pub enum Drawn {
+    One(Image),
+    Many(Vec<Image>),
+}
+
+impl Drawn {
+    /// The first of the images, or all.
+    pub fn of(mut images: Vec<Image>, many: bool) -> PyResult<Drawn> {
+        match images.pop() {
+            Some(image) if !many => Ok(Drawn::One(image)),
+            Some(image) => {
+                images.push(image);
+                Ok(Drawn::Many(images))
+            }
+            None => Ok(Drawn::Many(images)),
+        }
     }
 }
 
@@ -81,12 +105,97 @@ impl Image {
         PyBytes::new(py, &bytes)
     }
 
-    /// Writes the PNG file: whole or not at all. The name ends in .png.
+    /// The PNG file, by which notebooks show the image.
+    fn _repr_png_<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
+        self.png(py)
+    }
+
+    /// The samples of the PNG file, uint8 [height, width, 3]: a copy.
+    fn rgb8<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let bytes = py.detach(|| self.picture.to_rgb8());
+        let samples = bytes.into_pyarray(py).reshape([self.picture.height, self.picture.width, 3])?;
+        Ok(samples.into_any())
+    }
+
+    /// NumPy's view of the image: `rgb8`, or `rgb` where float32 is asked for.
+    #[pyo3(signature = (dtype=None, copy=None))]
+    fn __array__<'py>(
+        this: &Bound<'py, Self>,
+        dtype: Option<Bound<'py, PyAny>>,
+        copy: Option<bool>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let py = this.py();
+        let float = match &dtype {
+            Some(dtype) => {
+                py.import("numpy")?.call_method1("dtype", (dtype,))?.getattr("kind")?.extract::<char>()? == 'f'
+            }
+            None => false,
+        };
+        let array = if float { Self::rgb(this)?.into_any() } else { this.get().rgb8(py)? };
+        let array = match dtype {
+            Some(dtype) => array.call_method1("astype", (dtype,))?,
+            None if copy == Some(true) => array.call_method0("copy")?,
+            None => array,
+        };
+        Ok(array)
+    }
+
+    /// Writes the image: whole or not at all. `.png` is written here, other endings (.jpg, .webp, …) by Pillow.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        if !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png")) {
-            return Err(wrong(format!("path: expected a name ending in .png, found {}", path.display())));
+        let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        if ending == "png" {
+            return py.detach(|| write_file(&path, &picture_png(&self.picture))).map(drop).map_err(system);
         }
-        py.detach(|| write_file(&path, &picture_png(&self.picture))).map(drop).map_err(system)
+        let found =
+            || format!("path: expected a name ending in .png, or one that Pillow writes, found {}", path.display());
+        let pillow = py.import("PIL.Image").map_err(|_| wrong(format!("{}; Pillow is not installed", found())))?;
+        let endings = pillow.call_method0("registered_extensions")?;
+        if ending.is_empty() || !endings.contains(format!(".{ending}"))? {
+            return Err(wrong(found()));
+        }
+        let image = pillow.call_method1("fromarray", (self.rgb8(py)?,))?;
+        let form = endings.get_item(format!(".{ending}"))?;
+        let memory = py.import("io")?.call_method0("BytesIO")?;
+        image.call_method1("save", (&memory, form)).map_err(|e| wrong(format!("{}: {e}", path.display())))?;
+        let bytes: Vec<u8> = memory.call_method0("getvalue")?.extract()?;
+        py.detach(|| write_file(&path, &bytes)).map(drop).map_err(system)
+    }
+
+    /// Parts of the image for pickling.
+    fn __reduce__<'py>(this: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Parts<'py>)> {
+        let image = this.get();
+        let bytes = |plane: &[f32]| PyBytes::new(this.py(), bytemuck::cast_slice(plane));
+        let planes = [&image.depth, &image.alpha].map(|plane| plane.as_deref().map(bytes));
+        let [depth, alpha] = planes;
+        let Picture { width, height, rgb } = &image.picture;
+        let make = this.get_type().getattr("_of_parts")?;
+        Ok((make, (*width, *height, bytes(rgb), depth, alpha, image.dropped)))
+    }
+
+    /// The image of these parts.
+    #[staticmethod]
+    fn _of_parts(
+        width: usize,
+        height: usize,
+        rgb: &[u8],
+        depth: Option<&[u8]>,
+        alpha: Option<&[u8]>,
+        dropped: u64,
+    ) -> PyResult<Self> {
+        let pixels = width.checked_mul(height).filter(|_| size_is_allowed(width, height));
+        let pixels = pixels.ok_or_else(|| wrong(format!("size: found {width}×{height}")))?;
+        let plane = |name: &str, bytes: &[u8], count: usize| -> PyResult<Vec<f32>> {
+            if bytes.len() != 4 * count {
+                return Err(wrong(format!("{name}: expected {} bytes, found {}", 4 * count, bytes.len())));
+            }
+            Ok(bytes.as_chunks::<4>().0.iter().map(|b| f32::from_ne_bytes(*b)).collect())
+        };
+        Ok(Self {
+            picture: Picture { width, height, rgb: plane("rgb", rgb, 3 * pixels)? },
+            depth: depth.map(|bytes| plane("depth", bytes, pixels)).transpose()?,
+            alpha: alpha.map(|bytes| plane("alpha", bytes, pixels)).transpose()?,
+            dropped,
+        })
     }
 
     fn __repr__(&self) -> String {

@@ -1,14 +1,24 @@
 //! Intervals and their Gaussians.
 
+use std::path::PathBuf;
+
 use numpy::ndarray::{ArrayView1, ArrayView2};
 use numpy::{Element, PyArray1, PyArray2};
 use pyo3::prelude::*;
-use streamsplat::stream::DynamicGaussians;
+use pyo3::types::PyBytes;
+use streamsplat::camera::Camera;
+use streamsplat::export;
+use streamsplat::fit::Placement;
+use streamsplat::output::write_file;
+use streamsplat::render::Snapshot;
+use streamsplat::scene::{from_safetensors, to_safetensors};
+use streamsplat::stream::{DynamicGaussians, Workers};
+use streamsplat_kernels::Level;
 
 use crate::arguments;
 use crate::arrays::borrowed;
-use crate::failure::{failed, not_drawn};
-use crate::image::Image;
+use crate::failure::{failed, not_drawn, system, wrong};
+use crate::image::{Drawn, Image};
 
 /// The scene from one key frame to the next, valid for good and independent of the engine that made it.
 #[pyclass(frozen, module = "streamsplat")]
@@ -69,7 +79,46 @@ impl Interval {
         format!("Interval(index={index}, start={start}, end={end}, gaussians={})", gaussians.len())
     }
 
-    /// The scene at `time` seconds.
+    /// Writes the Gaussians at `time`, the interval's end unless told, as a still scene: `.ply`, `.splat` or `.spz`.
+    #[pyo3(signature = (path, time=None))]
+    fn save(&self, py: Python<'_>, path: PathBuf, time: Option<f64>) -> PyResult<()> {
+        let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
+        let write = match ending.as_deref() {
+            Some("ply") => export::ply,
+            Some("splat") => export::splat,
+            Some("spz") => export::spz,
+            _ => {
+                let found = path.display();
+                return Err(wrong(format!("path: expected a name ending in .ply, .splat or .spz, found {found}")));
+            }
+        };
+        py.detach(|| {
+            let snapshot = Snapshot::exported(&self.inner, time.unwrap_or(self.inner.end)).map_err(failed)?;
+            write_file(&path, &write(&snapshot)).map(drop).map_err(system)
+        })
+    }
+
+    /// Parts of the interval for pickling.
+    fn __reduce__<'py>(
+        this: &Bound<'py, Self>,
+    ) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>, [[usize; 2]; 4]))> {
+        let interval = &this.get().inner;
+        let bytes = this.py().detach(|| to_safetensors(interval)).map_err(failed)?;
+        let Placement { source, model, offset, content } = interval.placement;
+        let make = this.get_type().getattr("_of_parts")?;
+        Ok((make, (PyBytes::new(this.py(), &bytes), [source, model, offset, content])))
+    }
+
+    /// The interval of these parts.
+    #[staticmethod]
+    fn _of_parts(py: Python<'_>, bytes: &[u8], placement: [[usize; 2]; 4]) -> PyResult<Self> {
+        let workers = Workers::new(Level::detect(), 0).map_err(failed)?;
+        let [source, model, offset, content] = placement;
+        let placement = Placement { source, model, offset, content };
+        py.detach(|| from_safetensors(bytes, placement, workers)).map(Self::from).map_err(failed)
+    }
+
+    /// The scene at `time` seconds: an image, or a list of them where `time` or `camera` is a list.
     ///
     /// `camera` is None (the source's own view), a dictionary in the JSON form of cameras, or the path of such a file; `size` is 'model', 'source' or
     /// (width, height); `background` is a grey or a colour in [0, 1].
@@ -77,16 +126,18 @@ impl Interval {
     pub fn render(
         &self,
         py: Python<'_>,
-        time: f64,
+        time: &Bound<'_, PyAny>,
         camera: Option<&Bound<'_, PyAny>>,
         size: Option<&Bound<'_, PyAny>>,
         background: Option<&Bound<'_, PyAny>>,
         depth: bool,
         alpha: bool,
-    ) -> PyResult<Image> {
-        let camera = arguments::camera(camera)?.at(time);
+    ) -> PyResult<Drawn> {
+        let (places, many) = arguments::places(time, camera)?;
         let options = arguments::options(size, background, depth, alpha)?;
-        py.detach(|| self.inner.render(time, &camera, &options)).map(Image::from).map_err(not_drawn)
+        let draw = |(time, camera): &(f64, Camera)| self.inner.render(*time, camera, &options).map(Image::from);
+        let images = py.detach(|| places.iter().map(draw).collect::<Result<Vec<_>, _>>()).map_err(not_drawn)?;
+        Drawn::of(images, many)
     }
 
     /// The Gaussian that shows most at a pixel (column, row) of the source's frame: (identity, index, weight, world position), or None where nothing is drawn.

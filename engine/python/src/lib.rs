@@ -9,6 +9,7 @@ mod engine;
 mod failure;
 mod image;
 mod interval;
+mod program;
 mod scene;
 mod source;
 
@@ -28,6 +29,8 @@ mod module {
     use super::image::Image;
     #[pymodule_export]
     use super::interval::{Gaussians, Interval};
+    #[pymodule_export]
+    use super::program::{main, run};
     #[pymodule_export]
     use super::scene::{Scene, SceneWriter};
     #[pymodule_export]

@@ -5,12 +5,14 @@ use std::sync::{Mutex, PoisonError};
 
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
+use streamsplat::camera::Camera;
 use streamsplat::scene;
 use streamsplat::stream::Workers;
 use streamsplat_kernels::Level;
 
-use crate::failure::{failed, system, wrong};
-use crate::image::Image;
+use crate::arguments;
+use crate::failure::{failed, not_drawn, system, wrong};
+use crate::image::{Drawn, Image};
 use crate::interval::Interval;
 
 /// A scene that the command line or a SceneWriter wrote. Its intervals are read when they are asked for.
@@ -73,14 +75,30 @@ impl Scene {
     fn render(
         &self,
         py: Python<'_>,
-        time: f64,
+        time: &Bound<'_, PyAny>,
         camera: Option<&Bound<'_, PyAny>>,
         size: Option<&Bound<'_, PyAny>>,
         background: Option<&Bound<'_, PyAny>>,
         depth: bool,
         alpha: bool,
-    ) -> PyResult<Image> {
-        self.at(py, time)?.render(py, time, camera, size, background, depth, alpha)
+    ) -> PyResult<Drawn> {
+        let (places, many) = arguments::places(time, camera)?;
+        let options = arguments::options(size, background, depth, alpha)?;
+        let images = py.detach(|| {
+            let mut current: Option<(usize, streamsplat::Interval)> = None;
+            let draw = |(time, camera): &(f64, Camera)| {
+                let place = self.inner.find(*time).map_err(failed)?;
+                let interval = match current.take().filter(|(at, _)| *at == place) {
+                    Some((_, interval)) => interval,
+                    None => self.inner.interval(place, &self.workers).map_err(failed)?,
+                };
+                let image = interval.render(*time, camera, &options).map(Image::from).map_err(not_drawn);
+                current = Some((place, interval));
+                image
+            };
+            places.iter().map(draw).collect::<PyResult<Vec<_>>>()
+        })?;
+        Drawn::of(images, many)
     }
 }
 

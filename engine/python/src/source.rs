@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
 use numpy::{IntoPyArray, PyArrayMethods};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use streamsplat::source::{Options, Source};
 
@@ -39,6 +40,10 @@ impl Frames {
     #[getter]
     fn count(&self) -> Option<usize> {
         self.count
+    }
+
+    fn __len__(&self) -> PyResult<usize> {
+        self.count.ok_or_else(|| PyTypeError::new_err("this video does not say how many frames it has"))
     }
 
     fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {

@@ -13,7 +13,7 @@ written an OSError, and everything else that fails a streamsplat.Error.
 """
 
 from ._streamsplat import Engine, Error, Frames, Gaussians, Image, Interval, Scene, SceneWriter, __version__
-from .clip import Reconstruction, reconstruct
+from .clip import Reconstructing, Reconstruction, reconstruct
 
 __all__ = [
     "Engine",
@@ -22,6 +22,7 @@ __all__ = [
     "Gaussians",
     "Image",
     "Interval",
+    "Reconstructing",
     "Reconstruction",
     "Scene",
     "SceneWriter",

@@ -1,20 +1,40 @@
 """Types of the extension module."""
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Any, Literal, Self, final
+from typing import Any, Literal, Protocol, Self, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 type _Camera = Mapping[str, Any] | str | os.PathLike[str] | None
+type _Cameras = list[_Camera] | tuple[_Camera, ...]
 type _Size = str | tuple[int, int]
 type _Background = float | tuple[float, float, float]
 
-__all__ = ["Engine", "Error", "Frames", "Gaussians", "Image", "Interval", "Scene", "SceneWriter", "__version__"]
+class _Array(Protocol):
+    """What makes a NumPy array of itself, such as torch's tensors."""
+
+    def __array__(self) -> NDArray[Any]: ...
+
+class _ArrayInterface(Protocol):
+    """What shows a NumPy array of itself, such as PIL's images."""
+
+    @property
+    def __array_interface__(self) -> dict[str, Any]: ...
+
+type _Frame = NDArray[np.uint8] | NDArray[np.float32] | _Array | _ArrayInterface
+
+__all__ = ["Engine", "Error", "Frames", "Gaussians", "Image", "Interval", "Scene", "SceneWriter", "__version__", "main", "run"]
 
 __version__: str
+
+def main(arguments: Sequence[str]) -> int:
+    """Runs the program with these arguments, the first of which is its name, and gives its exit code."""
+
+def run(arguments: Sequence[str], progress: Callable[[int, int | None], object] | None) -> str:
+    """Runs `streamsplat run` with these arguments and gives the record in JSON."""
 
 class Error(Exception):
     """What the engine cannot do; the message says what was expected and what was found."""
@@ -48,11 +68,11 @@ class Engine:
     ) -> Self: ...
     def push(
         self,
-        frame: NDArray[np.uint8] | NDArray[np.float32],
+        frame: _Frame,
         time: float,
         depth: NDArray[np.float32] | None = None,
         *,
-        between: Sequence[tuple[NDArray[np.uint8] | NDArray[np.float32], float]] | None = None,
+        between: Sequence[tuple[_Frame, float]] | None = None,
     ) -> Interval:
         """Takes the next key frame ([height, width, 3]) and gives the interval it ends; `between`: the frames since the one before, with their times."""
     @property
@@ -80,6 +100,7 @@ class Interval:
     @property
     def gaussians(self) -> Gaussians: ...
     def __len__(self) -> int: ...
+    @overload
     def render(
         self,
         time: float,
@@ -90,7 +111,31 @@ class Interval:
         depth: bool = False,
         alpha: bool = False,
     ) -> Image:
-        """The scene at `time` seconds."""
+        """The scene at `time` seconds; a list of images where `time` or `camera` is a list."""
+    @overload
+    def render(
+        self,
+        time: Sequence[float],
+        camera: _Camera | _Cameras = None,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+    ) -> list[Image]: ...
+    @overload
+    def render(
+        self,
+        time: float,
+        camera: _Cameras,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+    ) -> list[Image]: ...
+    def save(self, path: str | os.PathLike[str], time: float | None = None) -> None:
+        """Writes the Gaussians at `time`, the interval's end unless told, as a .ply, .splat or .spz file."""
     def pick(self, time: float, pixel: tuple[float, float]) -> tuple[int, int, float, list[float]] | None:
         """(identity, index, weight, world position) of what shows most at a pixel of the source's frame."""
 
@@ -143,7 +188,12 @@ class Image:
     @property
     def alpha(self) -> NDArray[np.float32] | None: ...
     def png(self) -> bytes: ...
-    def save(self, path: str | os.PathLike[str]) -> None: ...
+    def _repr_png_(self) -> bytes: ...
+    def rgb8(self) -> NDArray[np.uint8]:
+        """The samples of the PNG file, [height, width, 3]: a copy."""
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]: ...
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes a .png file, or by Pillow what else that writes."""
 
 @final
 class Frames:
@@ -154,6 +204,7 @@ class Frames:
     def fps(self) -> float: ...
     @property
     def count(self) -> int | None: ...
+    def __len__(self) -> int: ...
     def __iter__(self) -> Iterator[tuple[NDArray[np.float32], float]]: ...
     def __next__(self) -> tuple[NDArray[np.float32], float]: ...
 
@@ -171,6 +222,7 @@ class Scene:
     def __len__(self) -> int: ...
     def __getitem__(self, i: int, /) -> Interval: ...
     def at(self, time: float) -> Interval: ...
+    @overload
     def render(
         self,
         time: float,
@@ -181,6 +233,28 @@ class Scene:
         depth: bool = False,
         alpha: bool = False,
     ) -> Image: ...
+    @overload
+    def render(
+        self,
+        time: Sequence[float],
+        camera: _Camera | _Cameras = None,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+    ) -> list[Image]: ...
+    @overload
+    def render(
+        self,
+        time: float,
+        camera: _Cameras,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+    ) -> list[Image]: ...
 
 @final
 class SceneWriter:

@@ -1,94 +1,100 @@
-"""A whole clip: video in, scene and frames on disk."""
+"""A whole clip: video in, scene and images on disk."""
 
 from __future__ import annotations
 
+import json
 import os
-import shutil
+import queue
+import threading
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ._streamsplat import Engine, Error, Frames, SceneWriter
+from . import _streamsplat
 
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """What `reconstruct` wrote."""
+    """Results of `reconstruct`."""
 
     path: Path
     frames: int
     key_frames: int
     work: dict[str, dict[str, Any]]
+    record: dict[str, Any]
+    """The whole of `run.json`."""
+
+
+def _words(name: str, value: Any) -> list[str]:
+    """An option of the command line: `refine_every=2` is `--refine-every 2`."""
+    option = "--" + name.replace("_", "-")
+    if value is None or value is False:
+        return []
+    if value is True:
+        return [option]
+    if isinstance(value, (tuple, list)):
+        return [option, ("x" if name == "size" else ",").join(str(part) for part in value)]
+    return [option, os.fspath(value) if isinstance(value, os.PathLike) else str(value)]
 
 
 def reconstruct(
     input: str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
-    gap: int = 1,
-    fps: float | None = None,
-    size: str | tuple[int, int] = "model",
-    background: float | tuple[float, float, float] = 0.5,
-    **settings: Any,
+    progress: Callable[[int, int | None], object] | None = None,
+    **options: Any,
 ) -> Reconstruction:
-    """Reconstructs a video into the folder `out`: `scene/` and `frames/000000.png` and so on.
+    """Reconstructs a video as `streamsplat run INPUT --out OUT` does, with the same bytes.
 
-    Every `gap`-th frame and the last one are key frames; the others are drawn from the scene at their own times. `settings` are the
-    arguments of `Engine`. The files are those of `streamsplat run INPUT --gap GAP --out OUT`, byte for byte. `out` must not
-    exist or be empty; it appears when it is whole.
+    `options` are those of the command line: `gap="auto"`, `quality="realtime"`, `size=(640, 360)`, `emit="rgb,scene"`, `fps=12`,
+    `refine_every=2`, `overwrite=True`, `resume=True`, … An `out` that ends as a video does (`.mp4`, `.webm`, `.gif`, …) becomes one, any other is
+    a folder with `scene/`, `frames/` and `run.json`. `progress(done, total)` is called as frames are done; an exception in it, or Ctrl-C, ends the run after
+    the interval at hand, and `resume=True` goes on from there.
     """
-    if gap < 1:
-        raise ValueError(f"gap: expected a whole number from 1, found {gap}")
-    out = Path(out)
-    if out.exists() and any(out.iterdir()):
-        raise Error(f"{out}: expected a new or empty folder, found one with files")
-    frames = Frames(input, fps=fps)
-    engine = Engine(**settings)
-    partial = out.with_name(f".{out.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    (partial / "frames").mkdir(parents=True)
-    try:
-        count, keys = _stream(frames, engine, partial, gap, size, background)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
-    if out.exists():
-        out.rmdir()
-    partial.rename(out)
-    return Reconstruction(out, count, keys, engine.work)
+    words = [os.fspath(input), "--out", os.fspath(out)]
+    for name, value in options.items():
+        words += _words(name, value)
+    record = json.loads(_streamsplat.run(words, progress))
+    work = record["work"]
+    return Reconstruction(Path(out), record["input"]["count"], record["key_frames"], work, record)
 
 
-def _stream(
-    frames: Frames,
-    engine: Engine,
-    folder: Path,
-    gap: int,
-    size: str | tuple[int, int],
-    background: float | tuple[float, float, float],
-) -> tuple[int, int]:
-    """Writes scene and images; gives the number of frames and of key frames."""
-    count = keys = 0
-    waiting: list[tuple[int, float, Any]] = []
-    last = None
-    with SceneWriter(folder / "scene", frames.fps) as scene:
+class Reconstructing:
+    """A reconstruction under way: iterates over frames done, `(done, total)`, as `tqdm(..., total=…)` has it. Then `result` holds what `reconstruct` gives."""
 
-        def key_frame(frame: Any, time: float) -> None:
-            interval = engine.push(frame, time, between=[(seen, at) for _, at, seen in waiting[:-1]])
-            scene.push(interval)
-            for index, at, _ in waiting:
-                interval.render(at, size=size, background=background).save(folder / "frames" / f"{index:06}.png")
-            waiting.clear()
+    def __init__(self, input: str | os.PathLike[str], out: str | os.PathLike[str], **options: Any) -> None:
+        self.result: Reconstruction | None = None
+        self._steps: queue.Queue[tuple[int, int | None] | None] = queue.Queue()
+        self._error: BaseException | None = None
+        self._stop = False
 
-        for frame, time in frames:
-            waiting.append((count, time, frame))
-            if count % gap == 0:
-                key_frame(frame, time)
-                keys += 1
-            last = (frame, time)
-            count += 1
-        if last is None:
-            raise Error("the video has no frame")
-        if waiting:
-            key_frame(*last)
-            keys += 1
-    return count, keys
+        def step(done: int, total: int | None) -> None:
+            self._steps.put((done, total))
+            if self._stop:
+                raise _streamsplat.Error("stopped")
+
+        def work() -> None:
+            try:
+                self.result = reconstruct(input, out, progress=step, **options)
+            except BaseException as error:
+                self._error = error
+            finally:
+                self._steps.put(None)
+
+        self._thread = threading.Thread(target=work, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends the run after the interval at hand."""
+        self._stop = True
+
+    def __iter__(self) -> Iterator[tuple[int, int | None]]:
+        try:
+            while (step := self._steps.get()) is not None:
+                yield step
+        finally:
+            self.stop()
+            self._thread.join()
+        if self._error is not None:
+            raise self._error

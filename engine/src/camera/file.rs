@@ -19,6 +19,7 @@
 //! | `position` | the camera's centre in scene space (x right, y down, z forward) | `[0, 0, 0]` |
 //! | `rotation` | quaternion (w, x, y, z) that turns the camera's axes (right, down, forward) into scene space | none |
 //! | `look_at`, `up` | instead of `rotation`: the point looked at, and what is up in the image | `up` = `[0, -1, 0]` |
+//! | `camera_to_world` | instead of `position` and `rotation`: a matrix of 4×4 numbers, row by row, of a rotation and the camera's centre | none |
 //! | `half_extent` | orthographic: scene units from the centre of the view to its right and lower edge | `[1, 1]` |
 //! | `fov_y_degrees`, `aspect` | pinhole: vertical field of view, and width / height | – |
 //! | `focal`, `centre` | pinhole: in image widths and heights | `centre` = `[0.5, 0.5]` |
@@ -74,6 +75,7 @@ struct View {
     rotation: Option<[f64; 4]>,
     look_at: Option<[f64; 3]>,
     up: Option<[f64; 3]>,
+    camera_to_world: Option<[[f64; 4]; 4]>,
     half_extent: Option<[f64; 2]>,
     fov_y_degrees: Option<f64>,
     aspect: Option<f64>,
@@ -113,6 +115,13 @@ pub fn parse(json: &str) -> Result<CameraPath, CameraError> {
     CameraPath::new(path).ok_or_else(|| CameraError::Form("views: expected usable cameras".to_owned()))
 }
 
+/// The pose of a matrix of 4×4 numbers, row by row; `None` unless it is a rotation and a place.
+fn of_matrix(rows: &[[f64; 4]; 4]) -> Option<Pose> {
+    let column = |j: usize| [rows[0][j], rows[1][j], rows[2][j]];
+    let rotation = Rotation::from_columns([column(0), column(1), column(2)])?;
+    (rows[3] == [0.0, 0.0, 0.0, 1.0]).then_some(Pose { position: column(3), rotation })
+}
+
 impl View {
     fn camera(&self, index: usize) -> Result<Camera, CameraError> {
         let fail = |key, expected, found: String| CameraError::View { view: index, key, expected, found };
@@ -136,6 +145,7 @@ impl View {
             ("rotation", self.rotation.is_some()),
             ("look_at", self.look_at.is_some()),
             ("up", self.up.is_some()),
+            ("camera_to_world", self.camera_to_world.is_some()),
         ];
         let camera = match self.kind {
             Kind::Canonical => {
@@ -163,6 +173,13 @@ impl View {
 
     fn pose(&self, index: usize) -> Result<Pose, CameraError> {
         let fail = |key, expected, found: String| CameraError::View { view: index, key, expected, found };
+        if let Some(rows) = self.camera_to_world {
+            if self.position.is_some() || self.rotation.is_some() || self.look_at.is_some() || self.up.is_some() {
+                return Err(fail("camera_to_world", "no other pose beside it", "one".to_owned()));
+            }
+            let expected = "a rotation (orthonormal, right-handed), the camera's centre, and 0, 0, 0, 1 below";
+            return of_matrix(&rows).ok_or_else(|| fail("camera_to_world", expected, format!("{rows:?}")));
+        }
         let position = self.position.unwrap_or_default();
         match (self.rotation, self.look_at) {
             (Some(_), Some(_)) => Err(fail("look_at", "either rotation or look_at", "both".to_owned())),
@@ -231,6 +248,21 @@ mod tests {
             panic!("pinholes");
         };
         assert!((a[0] - b[0]).abs() < 1e-9 && (a[1] - b[1]).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_matrix_is_a_pose() {
+        let only = |json: &str| parse(json).unwrap().at(0.0);
+        let turned = r#"{"type": "orthographic", "camera_to_world": [[0,0,1,2],[0,1,0,3],[-1,0,0,4],[0,0,0,1]]}"#;
+        let looking = r#"{"type": "orthographic", "position": [2, 3, 4], "look_at": [3, 3, 4]}"#;
+        assert_eq!(only(turned), only(looking));
+        for wrong in [
+            r#"{"type": "orthographic", "camera_to_world": [[0,0,2,2],[0,1,0,3],[-1,0,0,4],[0,0,0,1]]}"#,
+            r#"{"type": "orthographic", "camera_to_world": [[0,0,1,2],[0,1,0,3],[-1,0,0,4],[0,0,1,1]]}"#,
+            r#"{"type": "orthographic", "position": [0,0,0], "camera_to_world": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}"#,
+        ] {
+            assert!(matches!(parse(wrong), Err(CameraError::View { key: "camera_to_world", .. })), "{wrong}");
+        }
     }
 
     #[test]

@@ -1,5 +1,8 @@
 //! Rigid poses in scene space.
 
+/// How far the rows of a rotation may be from orthonormal.
+const ORTHONORMAL: f64 = 1e-3;
+
 /// A rotation as a unit quaternion (w, x, y, z). Always normalised.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotation([f64; 4]);
@@ -26,8 +29,15 @@ impl Rotation {
         Some(Self(scaled.map(|c| c / norm)))
     }
 
-    /// The rotation whose matrix has these columns, which must be orthonormal and right-handed.
-    pub(super) fn from_columns([x, y, z]: [[f64; 3]; 3]) -> Option<Self> {
+    /// The rotation whose matrix has these columns; `None` unless they are orthonormal and right-handed.
+    pub fn from_columns([x, y, z]: [[f64; 3]; 3]) -> Option<Self> {
+        let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let cross = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]];
+        let products =
+            [dot(x, x) - 1.0, dot(y, y) - 1.0, dot(z, z) - 1.0, dot(x, y), dot(x, z), dot(y, z), dot(cross, z) - 1.0];
+        if !products.iter().all(|p| p.abs() < ORTHONORMAL) {
+            return None;
+        }
         // Twice each quaternion component squared; the largest is computed by the root, the rest by division.
         let squares =
             [1.0 + x[0] + y[1] + z[2], 1.0 + x[0] - y[1] - z[2], 1.0 - x[0] + y[1] - z[2], 1.0 - x[0] - y[1] + z[2]];

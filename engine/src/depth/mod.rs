@@ -1,19 +1,23 @@
-//! Inverse depth of frames: from files ([`DepthMaps`]) or from a network ([`DepthNetwork`]).
+//! Inverse depth of frames: from files ([`DepthMaps`]) or from a network (`DepthNetwork`, with the feature `onnx`).
 //!
 //! Either way a map has one value for each pixel of its frame, larger is nearer, in any scale: the engine normalises it.
 
 mod maps;
+#[cfg(feature = "onnx")]
 mod network;
 mod npy;
 mod options;
+#[cfg(feature = "onnx")]
 mod prepare;
 
 use std::path::PathBuf;
 
 pub use maps::{DepthMaps, EXTENSIONS, Map, Range, decode_map, read_map};
+#[cfg(feature = "onnx")]
 pub use network::DepthNetwork;
 pub use options::{NetworkOptions, NetworkSize, WrongOption};
 
+#[cfg(feature = "onnx")]
 use crate::onnx::OnnxError;
 use crate::source::SourceError;
 
@@ -22,6 +26,7 @@ use crate::source::SourceError;
 #[non_exhaustive]
 pub enum DepthError {
     /// The depth network cannot be loaded or run.
+    #[cfg(feature = "onnx")]
     #[error(transparent)]
     Onnx(#[from] OnnxError),
     /// The depth network's input would be larger than this program makes it.

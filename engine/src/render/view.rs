@@ -85,6 +85,21 @@ impl Snapshot {
         }
         Ok(interval.workers.install(|| Self::new(interval.workers.level(), &interval.gaussians, t)))
     }
+
+    /// Gaussians of an interval that can be seen at `time` seconds, for programs whose units are the same along every axis.
+    ///
+    /// Scene space has x and y in [−1, 1] over the model's input, whatever its shape. Here x and standard deviations along it are multiplied by its width over its height
+    /// (formed in binary64, rounded once), so that a unit is half of the picture's height along x and y.
+    ///
+    /// # Errors
+    /// As [`Snapshot::of`].
+    pub fn exported(interval: &Interval, time: f64) -> Result<Self, RenderError> {
+        let mut snapshot = Self::of(interval, time)?;
+        let [height, width] = interval.placement.model.map(|side| side.max(1) as f64);
+        let widen = |x: &mut f32| *x = (f64::from(*x) * (width / height)) as f32;
+        snapshot.mean.iter_mut().chain(&mut snapshot.scale).for_each(|[x, ..]| widen(x));
+        Ok(snapshot)
+    }
 }
 
 /// Visible Gaussians of one chunk, in order, and the number of records that were not sound.

@@ -29,6 +29,9 @@ pub use error::SourceError;
 use ffmpeg::Ffmpeg;
 use y4m::Y4m;
 
+/// The header of a y4m frame without parameters.
+const FRAME: &[u8] = b"FRAME\n";
+
 /// Frames per second where neither the user nor the stream gives a rate.
 pub const DEFAULT_FPS: f64 = 24.0;
 
@@ -69,6 +72,12 @@ enum Kind {
     File(Y4m<BufReader<File>>),
     Stdin(Y4m<BufReader<Stdin>>),
     Ffmpeg(Box<Ffmpeg>),
+}
+
+/// Returns true if `input` is a file that [`Source::open`] gives to ffmpeg: neither a folder, an image, y4m nor standard input.
+pub fn is_encoded(input: &Path) -> bool {
+    let is_file = input != Path::new("-") && input.is_file() && !folder::is_image(input);
+    is_file && starts_as_y4m(input).is_ok_and(|y4m| !y4m)
 }
 
 impl Source {
@@ -131,11 +140,25 @@ impl Source {
         }
     }
 
-    /// How many frames there are, where that is known beforehand (image files).
+    /// How many frames there are, where that is known beforehand: image files, and a y4m file of whole frames.
     pub fn frames(&self) -> Option<usize> {
         match &self.kind {
             Kind::Files(files) => Some(files.len()),
-            _ => None,
+            Kind::File(y4m) => {
+                let length = std::fs::metadata(&self.path).ok()?.len();
+                let each = (FRAME.len() + y4m.header().frame_bytes()) as u64;
+                let frames = length.checked_sub(y4m.header_bytes())?;
+                frames.is_multiple_of(each).then(|| usize::try_from(frames / each).ok()).flatten()
+            }
+            Kind::Stdin(_) | Kind::Ffmpeg(_) => None,
+        }
+    }
+
+    /// How many frames there may be, for telling how far the work is: [`Source::frames`], or what a video file says of itself.
+    pub fn expected_frames(&self) -> Option<usize> {
+        match &self.kind {
+            Kind::Ffmpeg(video) => video.expected_frames(),
+            _ => self.frames(),
         }
     }
 

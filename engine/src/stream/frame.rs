@@ -16,6 +16,11 @@ pub struct Frame {
     pub depth: Option<Vec<f32>>,
 }
 
+/// A time stamp in messages.
+fn seconds(time: Option<f64>) -> String {
+    time.map_or_else(|| "any".to_owned(), |time| time.to_string())
+}
+
 /// Why an engine could not be made, or a frame not be taken. The stream goes on as if the frame had not been pushed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -62,7 +67,8 @@ pub enum EngineError {
     },
     /// A frame in between has no time between the key frames around it, in ascending order.
     #[error(
-        "frame {index}: expected ascending times of the frames before it, after {after:?} s and before {before} s, found {found} s"
+        "frame {index}: expected ascending times of the frames before it, after {} s and before {before} s, found {found} s",
+        seconds(*.after)
     )]
     Between {
         /// The key frame's index.
@@ -115,7 +121,7 @@ pub enum EngineError {
         value: f32,
     },
     /// A time stamp is not a number, or not after the one before.
-    #[error("frame {index}: expected a time after {after:?} s, found {found} s")]
+    #[error("frame {index}: expected a time after {} s, found {found} s", seconds(*.after))]
     Time {
         /// The key frame's index.
         index: u64,

@@ -26,7 +26,7 @@ ELSEWHERE = {
     "tests/run": "it is what runs this",
     "tests/emulated/run.sh": ".ci/run",
     "streamsplat golden": "tests/outside/golden/run",
-    "streamsplat compare": "engine/tests/program/compare.rs",
+    "streamsplat compare": "engine/cli/tests/program/compare.rs",
 }
 # Commands that go on until they are stopped.
 SERVES = re.compile(r"streamsplat view (?!.*--html)")

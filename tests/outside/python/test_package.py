@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import subprocess
 import sys
 import threading
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import blake3
 import numpy as np
+import PIL.Image
 import pytest
 import streamsplat
 
@@ -45,13 +47,111 @@ def test_reconstruct_writes_the_command_lines_bytes_at_any_number_of_threads(by_
     digests = {name: output["blake3"] for name, output in json.loads((by_command_line / "run.json").read_text())["outputs"].items()}
     for threads in (1, 2):
         out = tmp_path / str(threads)
-        streamsplat.reconstruct(CLIP, out, gap=4, threads=threads)
-        written = files(out)
+        result = streamsplat.reconstruct(CLIP, out, gap=4, threads=threads)
+        written = {name: data for name, data in files(out).items() if name in digests}
         assert {name: blake3.blake3(data).hexdigest() for name, data in written.items()} == digests
+        assert (result.frames, result.key_frames, result.path) == (24, 7, out)
+        assert result.record == json.loads((out / "run.json").read_text())
+
+
+def test_a_video_comes_out_where_its_name_says_so_and_key_frames_are_chosen(tmp_path):
+    seen = []
+    result = streamsplat.reconstruct(CLIP, tmp_path / "out.y4m", gap="auto", size=(128, 72), progress=lambda *step: seen.append(step))
+    assert (tmp_path / "out.y4m").read_bytes().startswith(b"YUV4MPEG2 W128 H72") and result.record["options"]["stream"]["gap"] == "auto"
+    assert seen == [(i + 1, 24) for i in range(24)]
+
+
+def test_a_reconstruction_is_iterated_over_and_stopped(tmp_path):
+    steps = streamsplat.Reconstructing(CLIP, tmp_path / "all", gap=4, refine=0)
+    assert [done for done, _ in steps] == list(range(1, 25)) and steps.result.frames == 24
+    part = streamsplat.Reconstructing(CLIP, tmp_path / "part", gap=4, refine=0)
+    for done, _ in part:
+        if done == 1:
+            break
+    assert part.result is None and json.loads((tmp_path / "part/run.json").read_text())["complete"] is False
+    streamsplat.reconstruct(CLIP, tmp_path / "part", gap=4, refine=0, resume=True)
+    assert files(tmp_path / "part/frames") == files(tmp_path / "all/frames")
+
+    def fails(done, total):
+        raise KeyError(done)
+
+    with pytest.raises(KeyError):
+        streamsplat.reconstruct(CLIP, tmp_path / "failed", gap=4, refine=0, progress=fails)
+
+
+def test_the_wheel_holds_the_program(tmp_path):
+    program = Path(sys.executable).with_name("streamsplat")
+    by_module = subprocess.run([sys.executable, "-m", "streamsplat", "inspect", "--model", "none"], capture_output=True, text=True)
+    assert by_module.returncode == 2 and by_module.stderr.startswith("streamsplat: ")
+    assert subprocess.run([program, "--version"], capture_output=True, check=True).stdout.startswith(b"streamsplat ")
+    out = tmp_path / "out.y4m"
+    subprocess.run([program, "run", CLIP, "--frames", "5", "--gap", "4", "--out", out, "--quiet"], check=True)
+    expected = tmp_path / "expected.y4m"
+    subprocess.run([PROGRAM, "run", CLIP, "--frames", "5", "--gap", "4", "--out", expected, "--quiet"], check=True)
+    assert out.read_bytes() == expected.read_bytes()
+
+
+def test_images_and_intervals_are_pickled_shown_and_saved_by_ending(intervals, tmp_path):
+    interval = intervals[-1]
+    image = interval.render(interval.end, depth=True, alpha=True)
+    again = pickle.loads(pickle.dumps(image))
+    assert again.png() == image.png() == image._repr_png_() and (again.depth == image.depth).all() and (again.alpha == image.alpha).all()
+    copy = pickle.loads(pickle.dumps(interval))
+    assert copy.render(copy.end).png() == interval.render(interval.end).png() and copy.merges == interval.merges
+    assert np.asarray(image).dtype == np.uint8 and np.array_equal(np.asarray(image), image.rgb8())
+    assert np.array_equal(np.asarray(image, np.float32), image.rgb)
+    image.save(tmp_path / "a.png")
+    assert np.array_equal(np.asarray(PIL.Image.open(tmp_path / "a.png")), image.rgb8())
+    for ending, kind in (("jpg", "JPEG"), ("webp", "WEBP")):
+        image.save(tmp_path / f"a.{ending}")
+        assert PIL.Image.open(tmp_path / f"a.{ending}").format == kind
+    for ending, start in (("ply", b"ply\n"), ("spz", b"NGSP"), ("splat", b"")):
+        interval.save(tmp_path / f"a.{ending}")
+        assert (tmp_path / f"a.{ending}").read_bytes().startswith(start)
+    assert (tmp_path / "a.splat").stat().st_size % 32 == 0
+    with pytest.raises(ValueError, match="expected a name ending in .ply"):
+        interval.save(tmp_path / "a.obj")
+
+
+def test_times_and_cameras_come_in_lists_and_as_matrices(intervals, tmp_path):
+    interval = intervals[-1]
+    times = [interval.start, 0.5 * (interval.start + interval.end), interval.end]
+    one_by_one = [interval.render(time).png() for time in times]
+    assert [image.png() for image in interval.render(times)] == one_by_one
+    with streamsplat.SceneWriter(tmp_path / "scene", 24.0) as writer:
+        for one in intervals:
+            writer.push(one)
+    assert [image.png() for image in streamsplat.Scene(tmp_path / "scene").render(times)] == [
+        streamsplat.Scene(tmp_path / "scene").render(time).png() for time in times
+    ]
+    moved = {"type": "orthographic", "position": [0.2, 0, 0]}
+    matrix = np.eye(4)
+    matrix[0, 3] = 0.2
+    views = interval.render(interval.end, [moved, {"type": "orthographic", "camera_to_world": matrix}])
+    assert views[0].png() == views[1].png() != interval.render(interval.end).png()
+    with pytest.raises(ValueError, match="as many as times"):
+        interval.render(times, [moved])
+
+
+def test_pictures_and_tensors_go_in():
+    pixels = np.random.default_rng(5).integers(0, 256, (36, 64, 3), dtype=np.uint8)
+
+    class Tensor:
+        """As torch's: planes first."""
+
+        def __array__(self, dtype=None, copy=None):
+            return pixels.transpose(2, 0, 1)
+
+    kinds = [pixels, PIL.Image.fromarray(pixels), Tensor()]
+    assert len({streamsplat.Engine().push(kind, 0.0).render(0.0).png() for kind in kinds}) == 1
+    frames = streamsplat.Frames(CLIP)
+    assert len(frames) == frames.count == 24
 
 
 def test_the_example_draws_the_command_lines_frames(by_command_line, tmp_path):
-    subprocess.run([sys.executable, ROOT / "examples/first_scene.py", CLIP, tmp_path], check=True)
+    # It finds its clip wherever it is run.
+    subprocess.run([sys.executable, ROOT / "examples/first_scene.py"], check=True, cwd=tmp_path)
+    tmp_path = tmp_path / "first-scene"
     drawn = files(tmp_path / "frames")
     assert drawn, "the example drew nothing"
     expected = files(by_command_line / "frames")
@@ -160,7 +260,7 @@ def test_errors_are_exceptions_that_say_what_was_expected(intervals, tmp_path):
         (streamsplat.Error, "expected 64×36 pixels", lambda: engine.push(np.zeros((64, 36, 3), np.uint8), 2.0)),
         (streamsplat.Error, "expected one between", lambda: intervals[-1].render(-1.0)),
         (ValueError, "size", lambda: intervals[-1].render(intervals[-1].end, size="big")),
-        (ValueError, "expected a name ending in .png", lambda: intervals[-1].render(intervals[-1].end).save(tmp_path / "a.jpg")),
+        (ValueError, "expected a name ending in .png", lambda: intervals[-1].render(intervals[-1].end).save(tmp_path / "a.xyz")),
         (ValueError, "expected float32 in \\[0, 1\\] .* found 200", lambda: engine.push(np.full((36, 64, 3), 200, np.float32), 2.0)),
         (ValueError, "found 60000×60000", lambda: engine.push(np.broadcast_to(np.float32(0), (60000, 60000, 3)), 2.0)),
         (ValueError, "expected an aligned array", lambda: engine.push(unaligned((36, 64, 3)), 2.0)),
@@ -179,12 +279,13 @@ def test_errors_are_exceptions_that_say_what_was_expected(intervals, tmp_path):
     assert engine.push(frame, 2.0).index == 1
 
 
-def test_a_failed_reconstruction_leaves_nothing(tmp_path):
+def test_a_failed_reconstruction_leaves_no_record(tmp_path):
     broken = tmp_path / "broken.y4m"
     broken.write_bytes(CLIP.read_bytes()[:-100])
     with pytest.raises(streamsplat.Error, match="broken.y4m"):
         streamsplat.reconstruct(broken, tmp_path / "out", gap=4)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["broken.y4m"]
+    # What came before the damage is a valid scene, as on the command line.
+    assert "run.json" not in {p.name for p in (tmp_path / "out").iterdir()}
 
 
 def test_other_threads_run_while_the_engine_works():

@@ -38,6 +38,7 @@ pub struct Ffmpeg {
     times: Option<Vec<f64>>,
     notes: Vec<String>,
     sound: Option<String>,
+    frames: Option<usize>,
 }
 
 /// The file as ffmpeg takes it: a name that starts with a dash or holds a colon must not be taken as an option or a protocol.
@@ -105,7 +106,7 @@ impl Ffmpeg {
         match Y4m::new(BufReader::with_capacity(1 << 16, stdout), path) {
             Ok(y4m) => {
                 let (path, sound) = (path.to_owned(), probe.sound.take());
-                Ok(Ffmpeg { child, y4m, messages: Some(messages), path, times, notes, sound })
+                Ok(Ffmpeg { child, y4m, messages: Some(messages), path, times, notes, sound, frames: probe.frames })
             }
             Err(e) => {
                 let _ = child.kill();
@@ -132,6 +133,11 @@ impl Ffmpeg {
     pub fn sound(&self) -> Option<Sound> {
         let codec = self.sound.clone()?;
         Some(Sound { file: self.path.clone(), codec, seconds: None })
+    }
+
+    /// Frames there may be, as the file says.
+    pub fn expected_frames(&self) -> Option<usize> {
+        self.times.as_ref().map(Vec::len).or(self.frames)
     }
 
     /// Conversions of the pictures and parts of the file that are left out, a line each.

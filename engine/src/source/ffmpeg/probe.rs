@@ -13,6 +13,8 @@ use super::url;
 const MAX_ANSWER: u64 = 64 << 20;
 /// By how much two rates of a file may differ before its time stamps are looked at.
 const SAME_RATE: f64 = 0.01;
+/// Frames beyond which a file is not believed.
+const MOST_FRAMES: f64 = 1e9;
 /// How far from its place in a constant rate a frame may be shown, in frames.
 const JITTER: f64 = 0.2;
 
@@ -31,6 +33,8 @@ pub(super) enum Transfer {
 /// The video stream, and what is beside it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Probe {
+    /// Frames there may be, as the file says.
+    pub(super) frames: Option<usize>,
     pub(super) transfer: Transfer,
     /// A pixel's width to its height, where it is not square.
     pub(super) aspect: Option<(u32, u32)>,
@@ -49,6 +53,8 @@ pub(super) struct Probe {
 struct Answer {
     #[serde(default)]
     streams: Vec<Stream>,
+    #[serde(default)]
+    format: Format,
 }
 
 #[derive(Deserialize)]
@@ -62,14 +68,22 @@ struct Stream {
     color_primaries: Option<String>,
     r_frame_rate: Option<String>,
     avg_frame_rate: Option<String>,
+    nb_frames: Option<String>,
+    duration: Option<String>,
+}
+
+#[derive(Default, Deserialize)]
+struct Format {
+    duration: Option<String>,
 }
 
 impl Probe {
     /// Properties found in the file; none where ffprobe is not installed or cannot read it, which ffmpeg will say.
     pub(super) fn of(path: &Path) -> Probe {
-        let entries = "stream=codec_type,codec_name,pix_fmt,sample_aspect_ratio,color_transfer,color_space,color_primaries,r_frame_rate,avg_frame_rate";
+        let entries = "stream=codec_type,codec_name,pix_fmt,sample_aspect_ratio,color_transfer,color_space,color_primaries,r_frame_rate,avg_frame_rate,nb_frames,duration:format=duration";
         let answer = ask(path, ["-show_entries", entries, "-of", "json"]);
-        let Some(Answer { streams }) = answer.and_then(|text| serde_json::from_str(&text).ok()) else {
+        let Some(Answer { streams, format: container }) = answer.and_then(|text| serde_json::from_str(&text).ok())
+        else {
             return Probe::default();
         };
         let is = |stream: &&Stream, kind: &str| stream.codec_type.as_deref() == Some(kind);
@@ -88,7 +102,14 @@ impl Probe {
             [Some(a), Some(b)] if (quotient(a) / quotient(b) - 1.0).abs() > SAME_RATE => times(path),
             _ => None,
         };
+        // The stream's own count, or its length, or the file's, at the mean rate.
+        let count = video.nb_frames.as_deref().and_then(|count| count.parse::<usize>().ok()).filter(|count| *count > 0);
+        let seconds = video.duration.as_deref().or(container.duration.as_deref()).and_then(|text| text.parse().ok());
+        let by_length = seconds.zip(rates[1]).map(|(seconds, rate): (f64, _)| seconds * quotient(rate));
+        let by_length =
+            by_length.filter(|count| (1.0..MOST_FRAMES).contains(count)).map(|count| count.round() as usize);
         Probe {
+            frames: count.or(by_length),
             transfer,
             aspect: video.sample_aspect_ratio.as_deref().and_then(ratio).filter(|(w, h)| w != h),
             matrix: named(&video.color_space),

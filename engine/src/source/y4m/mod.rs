@@ -23,6 +23,7 @@ pub struct Y4m<R> {
     input: R,
     path: PathBuf,
     header: Header,
+    header_bytes: u64,
     bytes: Vec<u8>,
     frames: usize,
 }
@@ -38,12 +39,18 @@ impl<R: BufRead> Y4m<R> {
             return Err(y4m_error(path, "the stream is empty, expected a YUV4MPEG2 header"));
         };
         let header = Header::parse(&line).map_err(|cause| y4m_error(path, cause))?;
-        Ok(Y4m { input, path: path.to_owned(), header, bytes: Vec::new(), frames: 0 })
+        let header_bytes = line.len() as u64 + 1;
+        Ok(Y4m { input, path: path.to_owned(), header, header_bytes, bytes: Vec::new(), frames: 0 })
     }
 
     /// Parameters of the stream.
     pub fn header(&self) -> &Header {
         &self.header
+    }
+
+    /// Length of the header with its newline, in bytes.
+    pub fn header_bytes(&self) -> u64 {
+        self.header_bytes
     }
 
     /// The next frame; `None` at the end of the stream.

@@ -1,0 +1,147 @@
+//! `compare`: whether two images, folders of images, videos or scenes are the same, and else how far they are apart and where.
+
+mod pictures;
+mod scenes;
+
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+use streamsplat::import;
+use streamsplat::output::{picture_png, write_file};
+use streamsplat::picture::Picture;
+use streamsplat::scene::INDEX;
+use streamsplat::source::folder;
+
+use crate::console::failure::Failure;
+use crate::console::{Console, print, say};
+use crate::options::args::CompareArgs;
+
+/// What a path holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Kind {
+    /// An image or a video.
+    Pictures,
+    /// A folder of images, or of the `frames` of a rendering.
+    Folder(PathBuf),
+    /// A scene.
+    Scene,
+}
+
+impl Kind {
+    fn of(path: &Path) -> Result<Kind, Failure> {
+        let found = path.metadata().map_err(|e| Failure::usage(format!("{}: cannot be read: {e}", path.display())))?;
+        if !found.is_dir() {
+            let scene = path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path);
+            return Ok(if scene { Kind::Scene } else { Kind::Pictures });
+        }
+        if folder::images(path).is_ok() {
+            return Ok(Kind::Folder(path.to_owned()));
+        }
+        let frames = path.join("frames");
+        match [path.join(INDEX), path.join("scene").join(INDEX)].iter().any(|index| index.exists()) {
+            true => Ok(Kind::Scene),
+            false if frames.is_dir() => Ok(Kind::Folder(frames)),
+            false => Err(Failure::usage(format!(
+                "{}: expected an image, a video, a folder of images or a scene, found another folder",
+                path.display()
+            ))),
+        }
+    }
+
+    fn name(&self) -> &'static str {
+        match self {
+            Kind::Pictures => "an image or a video",
+            Kind::Folder(_) => "a folder of images",
+            Kind::Scene => "a scene",
+        }
+    }
+}
+
+/// How far pictures may be apart and still pass.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tolerance {
+    /// Greatest difference of a sample, in steps of 8 bits.
+    most: Option<f64>,
+    /// Least PSNR in dB.
+    psnr: Option<f64>,
+}
+
+impl Tolerance {
+    /// Whether a difference passes; without limits none does.
+    fn allows(self, largest: f64, psnr: f64) -> bool {
+        let given = self.most.is_some() || self.psnr.is_some();
+        given && self.most.is_none_or(|most| largest <= most) && self.psnr.is_none_or(|least| psnr >= least)
+    }
+}
+
+/// The result of a comparison.
+struct Outcome {
+    /// Whether all is equal or within the limits.
+    passed: bool,
+    /// One line.
+    summary: String,
+    /// Lines for a reader.
+    lines: Vec<String>,
+    /// The same for a program.
+    json: Value,
+    /// The two pictures that are farthest apart, where they have one size.
+    worst: Option<(Picture, Picture)>,
+}
+
+/// Compares, says how far apart both are, and fails where that is too far.
+pub fn command(args: &CompareArgs, console: &Console) -> Result<(), Failure> {
+    let CompareArgs { a, b, .. } = args;
+    let limit = |option: &str, value: Option<f64>| match value {
+        Some(value) if !(value.is_finite() && value >= 0.0) => {
+            Err(Failure::usage(format!("{option} {value}: expected a number from 0")))
+        }
+        value => Ok(value),
+    };
+    let tolerance = Tolerance { most: limit("--max-abs", args.max_abs)?, psnr: limit("--psnr", args.psnr)? };
+    let outcome = match (Kind::of(a)?, Kind::of(b)?) {
+        (Kind::Scene, Kind::Scene) => {
+            let given = [args.max_abs.is_some(), args.psnr.is_some(), args.heat.is_some()];
+            if given.contains(&true) {
+                return Err(Failure::usage("--max-abs, --psnr, --heat: expected images or videos, found scenes"));
+            }
+            scenes::compare(a, b, &args.limit.limits(), &args.machine.workers()?)?
+        }
+        (Kind::Folder(a), Kind::Folder(b)) => pictures::folders(&a, &b, tolerance)?,
+        (Kind::Pictures, Kind::Pictures) => pictures::files(a, b, tolerance)?,
+        (first, second) => {
+            let (first, second) = (first.name(), second.name());
+            return Err(Failure::usage(format!(
+                "{} and {}: expected two of a kind, found {first} and {second}",
+                a.display(),
+                b.display()
+            )));
+        }
+    };
+    if let (Some(path), Some((a, b))) = (&args.heat, &outcome.worst) {
+        write_file(path, &picture_png(&streamsplat::difference::heat(a, b)?))?;
+    }
+    let Outcome { passed, summary, lines, json, .. } = outcome;
+    let mut found = json!({ "a": a, "b": b, "passed": passed, "summary": summary });
+    if let (Value::Object(found), Value::Object(more)) = (&mut found, json) {
+        found.extend(more);
+    }
+    let text = serde_json::to_string_pretty(&found).map_err(Failure::work)? + "\n";
+    match args.json.as_deref() {
+        Some(path) if path == Path::new("-") => print(text.as_bytes())?,
+        other => {
+            if let Some(path) = other {
+                write_file(path, text.as_bytes())?;
+            }
+            if !console.quiet {
+                lines.iter().try_for_each(say)?;
+                if passed {
+                    say(&summary)?;
+                }
+            }
+        }
+    }
+    if passed {
+        return Ok(());
+    }
+    Err(Failure::work(format!("{} and {}: {summary}", a.display(), b.display())))
+}

@@ -1,0 +1,205 @@
+//! Scenes, number by number.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+use streamsplat::import::{self, Limits, Opened, StillFile};
+use streamsplat::scene::Scene;
+use streamsplat::still::Still;
+use streamsplat::stream::{Interval, Workers};
+
+use crate::command::compare::Outcome;
+use crate::console::failure::Failure;
+use crate::output::digest;
+
+/// A property of all Gaussians, as rows of numbers.
+struct Column<'a> {
+    name: &'static str,
+    width: usize,
+    values: Values<'a>,
+}
+
+enum Values<'a> {
+    Floats(&'a [f32]),
+    Whole(Vec<u64>),
+}
+
+/// How far two columns are apart.
+#[derive(Debug, PartialEq)]
+struct Apart {
+    /// Gaussians that differ.
+    count: usize,
+    /// Greatest difference; NaN counts as infinitely far from a number.
+    largest: f64,
+    /// The first Gaussian that has it.
+    place: usize,
+}
+
+/// Compares bits; `None` where all are equal.
+fn apart(a: &Values<'_>, b: &Values<'_>, width: usize) -> Option<Apart> {
+    let pairs: Vec<(usize, f64)> = match (a, b) {
+        (Values::Floats(a), Values::Floats(b)) => {
+            let differ = a.iter().zip(*b).enumerate().filter(|(_, (a, b))| a.to_bits() != b.to_bits());
+            let far = |a: f32, b: f32| {
+                let d = (f64::from(a) - f64::from(b)).abs();
+                if d.is_nan() { f64::INFINITY } else { d }
+            };
+            differ.map(|(i, (a, b))| (i, far(*a, *b))).collect()
+        }
+        (Values::Whole(a), Values::Whole(b)) => {
+            let differ = a.iter().zip(b).enumerate().filter(|(_, (a, b))| a != b);
+            differ.map(|(i, (a, b))| (i, a.abs_diff(*b) as f64)).collect()
+        }
+        _ => return None,
+    };
+    let &(first, _) = pairs.first()?;
+    let (mut largest, mut place, mut count, mut last) = (-1.0, first, 0, None);
+    for (i, far) in pairs {
+        if far > largest {
+            (largest, place) = (far, i);
+        }
+        if last != Some(i / width) {
+            (count, last) = (count + 1, Some(i / width));
+        }
+    }
+    Some(Apart { count, largest, place: place / width })
+}
+
+fn of_still(still: &Still) -> Vec<Column<'_>> {
+    let column = |name, width, values| Column { name, width, values: Values::Floats(values) };
+    vec![
+        column("position", 3, still.mean.as_flattened()),
+        column("log scale", 3, still.log_scale.as_flattened()),
+        column("rotation", 4, still.rotation.as_flattened()),
+        column("logit of opacity", 1, &still.logit),
+        column("colour", 3, still.base.as_flattened()),
+        column("harmonics", (3 * still.rest()).max(1), &still.higher),
+    ]
+}
+
+fn of_interval(interval: &Interval) -> Vec<Column<'_>> {
+    let g = &interval.gaussians;
+    let column = |name, width, values| Column { name, width, values: Values::Floats(values) };
+    let whole = |name, values: Vec<u64>| Column { name, width: 1, values: Values::Whole(values) };
+    vec![
+        column("position", 3, g.mean.as_flattened()),
+        column("velocity", 3, g.velocity.as_flattened()),
+        column("offset", 3, g.offset.as_flattened()),
+        column("scale", 2, g.scale.as_flattened()),
+        column("opacity", 1, &g.opacity),
+        column("gamma", 2, g.gamma.as_flattened()),
+        column("colour", 3, g.rgb.as_flattened()),
+        column("rate of colour", 3, g.rgb_rate.as_flattened()),
+        whole("identity", g.identity.clone()),
+        whole("birth", g.birth.clone()),
+        whole("frame", g.frame.clone()),
+        whole("reference", g.reference.iter().map(|r| *r as u64).collect()),
+        whole("handover", g.handover.iter().map(|h| *h as u64).collect()),
+    ]
+}
+
+/// Lines and JSON of the columns that differ; `part` says which interval.
+fn columns(part: &str, a: &[Column<'_>], b: &[Column<'_>], lines: &mut Vec<String>, found: &mut Vec<Value>) {
+    for (a, b) in a.iter().zip(b) {
+        let Some(Apart { count, largest, place }) = apart(&a.values, &b.values, a.width) else { continue };
+        let name = a.name;
+        lines.push(format!("{part}{name}: {count} Gaussians differ, by at most {largest:e} (Gaussian {place})"));
+        let largest = if largest.is_finite() { json!(largest) } else { json!("not finite") };
+        found.push(json!({ "part": part.trim_end_matches(": "), "property": name, "gaussians": count, "largest": largest, "gaussian": place }));
+    }
+}
+
+/// Compares two scenes.
+pub fn compare(a: &Path, b: &Path, limits: &Limits, workers: &Workers) -> Result<Outcome, Failure> {
+    match (import::open(a, limits)?, import::open(b, limits)?) {
+        (Opened::Still(a), Opened::Still(b)) => Ok(still(&a, &b)),
+        (Opened::Moving(a), Opened::Moving(b)) => moving(&a, &b, workers),
+        _ => Err(Failure::usage(format!(
+            "{} and {}: expected two of a kind, found a still scene and a scene in time",
+            a.display(),
+            b.display()
+        ))),
+    }
+}
+
+fn outcome(equal: bool, summary: String, lines: Vec<String>, found: Vec<Value>) -> Outcome {
+    let json = json!({ "kind": "scenes", "equal": equal, "differences": found });
+    Outcome { passed: equal, summary, lines, json, worst: None }
+}
+
+fn still(a: &StillFile, b: &StillFile) -> Outcome {
+    let (mut lines, mut found) = (Vec::new(), Vec::new());
+    let shape = |file: &StillFile| (file.still.len(), file.still.degree);
+    let (first, second) = (shape(a), shape(b));
+    if first != second {
+        let text = |(count, degree)| format!("{count} Gaussians with harmonics of degree {degree}");
+        let summary = format!("{} and {}", text(first), text(second));
+        return outcome(false, summary, lines, found);
+    }
+    columns("", &of_still(&a.still), &of_still(&b.still), &mut lines, &mut found);
+    let count = first.0;
+    let summary = match (lines.len(), a.blake3 == b.blake3) {
+        (0, true) => format!("equal ({count} Gaussians, every byte)"),
+        (0, false) => format!("equal ({count} Gaussians; other bytes of the files differ)"),
+        (n, _) => format!("{n} properties of {count} Gaussians differ"),
+    };
+    outcome(lines.is_empty(), summary, lines, found)
+}
+
+fn moving(a: &Scene, b: &Scene, workers: &Workers) -> Result<Outcome, Failure> {
+    let (mut lines, mut found) = (Vec::new(), Vec::new());
+    let (first, second) = (a.index(), b.index());
+    let count = first.intervals.len();
+    if digest::scene(a)? == digest::scene(b)? {
+        return Ok(outcome(true, format!("equal ({count} intervals, every byte)"), lines, found));
+    }
+    if count != second.intervals.len() {
+        let summary = format!("{count} and {} intervals", second.intervals.len());
+        return Ok(outcome(false, summary, lines, found));
+    }
+    if (first.fps, a.placement()) != (second.fps, b.placement()) {
+        lines.push("the scenes differ in frame rate or size".to_owned());
+        found.push(json!({ "part": "scene", "property": "frame rate or size" }));
+    }
+    for i in 0..count {
+        let (one, other) = (&first.intervals[i], &second.intervals[i]);
+        let part = format!("interval {i}: ");
+        if (one.start, one.end) != (other.start, other.end) {
+            lines.push(format!("{part}{} to {} s and {} to {} s", one.start, one.end, other.start, other.end));
+            found.push(json!({ "part": format!("interval {i}"), "property": "times" }));
+        }
+        if one.gaussians != other.gaussians {
+            lines.push(format!("{part}{} and {} Gaussians", one.gaussians, other.gaussians));
+            found.push(json!({ "part": format!("interval {i}"), "property": "count" }));
+            continue;
+        }
+        let (one, other) = (a.interval(i, workers)?, b.interval(i, workers)?);
+        columns(&part, &of_interval(&one), &of_interval(&other), &mut lines, &mut found);
+    }
+    let summary = match lines.len() {
+        0 => format!("equal ({count} intervals; other bytes of the files differ)"),
+        n => format!("{n} differences in {count} intervals"),
+    };
+    Ok(outcome(lines.is_empty(), summary, lines, found))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flipped_bit_is_found_with_its_gaussian() {
+        let a = [0.5_f32, 1.0, 2.0, 3.0, 4.0, 5.0];
+        let mut b = a;
+        b[4] = f32::from_bits(b[4].to_bits() ^ 1);
+        let found = apart(&Values::Floats(&a), &Values::Floats(&b), 3).expect("a difference");
+        assert_eq!((found.count, found.place), (1, 1));
+        assert_eq!(apart(&Values::Floats(&a), &Values::Floats(&a), 3), None);
+        b[0] = f32::NAN;
+        let found = apart(&Values::Floats(&a), &Values::Floats(&b), 3).expect("a difference");
+        assert_eq!((found.count, found.largest, found.place), (2, f64::INFINITY, 0));
+        // Zeros of either sign are different bits and equal numbers.
+        let found = apart(&Values::Floats(&[0.0]), &Values::Floats(&[-0.0]), 1).expect("a difference");
+        assert_eq!((found.count, found.largest), (1, 0.0));
+    }
+}

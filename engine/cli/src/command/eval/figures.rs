@@ -1,0 +1,265 @@
+//! What is measured: sums over frames, their means, and how they are written.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use streamsplat::gap::Gap;
+use streamsplat::lpips::Lpips;
+use streamsplat::metrics::{psnr, ssim};
+use streamsplat::picture::Picture;
+use streamsplat::stream::Fusion;
+
+use crate::console::failure::Failure;
+
+/// Means over frames, and how many there were.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub(super) struct Score {
+    pub(super) psnr: Option<f64>,
+    pub(super) ssim: Option<f64>,
+    /// With `--lpips-model`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) lpips: Option<f64>,
+    pub(super) frames: usize,
+}
+
+#[derive(Clone, Debug, Default)]
+pub(super) struct Sum {
+    pub(super) psnr: f64,
+    pub(super) ssim: f64,
+    pub(super) lpips: Option<f64>,
+    pub(super) frames: usize,
+}
+
+impl Sum {
+    pub(super) fn add(&mut self, a: &Picture, b: &Picture, lpips: Option<&mut Lpips>) -> Result<(), Failure> {
+        self.psnr += psnr(a, b)?;
+        self.ssim += ssim(a, b)?;
+        if let Some(lpips) = lpips {
+            *self.lpips.get_or_insert(0.0) += lpips.distance(a, b)?;
+        }
+        self.frames += 1;
+        Ok(())
+    }
+
+    pub(super) fn join(&mut self, other: &Sum) {
+        self.psnr += other.psnr;
+        self.ssim += other.ssim;
+        if let Some(lpips) = other.lpips {
+            *self.lpips.get_or_insert(0.0) += lpips;
+        }
+        self.frames += other.frames;
+    }
+
+    pub(super) fn score(&self) -> Score {
+        let mean = |sum: f64| (self.frames > 0).then(|| sum / self.frames as f64);
+        Score { psnr: mean(self.psnr), ssim: mean(self.ssim), lpips: self.lpips.and_then(mean), frames: self.frames }
+    }
+}
+
+/// How far images lie apart, as mean absolute differences of colour.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Pops {
+    /// At key frames, seen from the interval before and from the one after.
+    pub(super) jump: f64,
+    pub(super) jumps: usize,
+    /// From one frame to the next inside an interval.
+    pub(super) step: f64,
+    pub(super) steps: usize,
+}
+
+impl Pops {
+    pub(super) fn join(&mut self, other: &Pops) {
+        self.jump += other.jump;
+        self.jumps += other.jumps;
+        self.step += other.step;
+        self.steps += other.steps;
+    }
+
+    pub(super) fn pop(&self) -> Pop {
+        let mean = |sum: f64, count: usize| (count > 0).then(|| sum / count as f64);
+        let (jump, step) = (mean(self.jump, self.jumps), mean(self.step, self.steps));
+        let ratio = jump.zip(step).filter(|(_, step)| *step > 0.0).map(|(jump, step)| jump / step);
+        Pop { jump, step, ratio }
+    }
+}
+
+/// What a key frame does to the image, beside what a frame's time does.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(super) struct Pop {
+    /// Mean absolute difference of the images at a key frame seen from the intervals before and after.
+    pub(super) jump: Option<f64>,
+    /// That of neighbouring frames inside an interval.
+    pub(super) step: Option<f64>,
+    /// jump / step; 0 where nothing pops.
+    pub(super) ratio: Option<f64>,
+}
+
+#[derive(Clone, Debug, Default)]
+pub(super) struct Sums {
+    pub(super) key: Sum,
+    pub(super) middle: Sum,
+    pub(super) pops: Pops,
+    pub(super) crossfade: Sum,
+    pub(super) nearest: Sum,
+    pub(super) flow: Sum,
+    pub(super) intervals: Vec<IntervalFigures>,
+    /// In the engine.
+    pub(super) seconds: f64,
+    pub(super) clips: usize,
+}
+
+/// What an interval gives, beside what was to be expected of it.
+/// An interval: how close its images are to the frames, and how close they were said to be.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct IntervalFigures {
+    /// After its first key frame.
+    pub(super) frames: usize,
+    /// PSNR of its last frame, the key frame, in dB.
+    pub(super) key: f64,
+    /// Mean PSNR of the frames in between, in dB.
+    pub(super) between: Option<f64>,
+    /// Mean ratio, in dB, at which the frames in between follow from the key frames ([`streamsplat::gap::predicted`]).
+    pub(super) predicted: Option<f64>,
+    /// The least of these.
+    pub(super) worst: Option<f64>,
+}
+
+/// What one fusion mode gives.
+#[derive(Serialize)]
+pub(super) struct Mode {
+    pub(super) key: Score,
+    pub(super) middle: Score,
+    pub(super) pop: Pop,
+}
+
+#[derive(Serialize)]
+pub(super) struct Baselines {
+    pub(super) crossfade: Score,
+    pub(super) nearest: Score,
+    /// The key frames blended along the optical flow between them.
+    pub(super) flow: Score,
+}
+
+/// Input frames from key frame to key frame.
+#[derive(Clone, Copy, Serialize)]
+#[serde(untagged)]
+pub(super) enum Spacing {
+    Every(usize),
+    /// On average, where they were chosen.
+    Mean(f64),
+}
+
+/// One clip's figures, or the mean's.
+#[derive(Serialize)]
+pub(super) struct Row {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) name: Option<String>,
+    pub(super) gap: Spacing,
+    pub(super) key: Score,
+    pub(super) middle: Score,
+    /// Time in the engine per input frame, drawing and comparison apart.
+    pub(super) seconds_per_frame: f64,
+    pub(super) baselines: Baselines,
+    /// Interval by interval; of clips alone.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) intervals: Vec<IntervalFigures>,
+    /// The same under the fusion mode's name, with how the image jumps at key frames.
+    pub(super) fusion: BTreeMap<&'static str, Mode>,
+    /// Means over the clips whose cross-fade is under [`MOVING`] dB; of the mean alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) moving: Option<Group>,
+    /// Means over the other clips.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) still: Option<Group>,
+}
+
+/// Means over some clips, each of which counts once.
+#[derive(Debug, Serialize)]
+pub(super) struct Group {
+    pub(super) clips: usize,
+    pub(super) middle: GroupScore,
+    /// Decibels by which middle frames are better than the cross-fade.
+    pub(super) over_crossfade: Option<f64>,
+    /// The least of them.
+    pub(super) worst_over_crossfade: Option<f64>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct GroupScore {
+    pub(super) psnr: Option<f64>,
+}
+
+/// Cross-fade of clips that are called still, in dB, at least.
+pub(super) const MOVING: f64 = 26.0;
+
+impl Group {
+    /// The moving or the still ones of `clips`.
+    pub(super) fn of(clips: &[Row], moving: bool) -> Group {
+        let figures = clips.iter().filter_map(|row| row.middle.psnr.zip(row.baselines.crossfade.psnr));
+        let figures: Vec<_> = figures.filter(|(_, fade)| (*fade < MOVING) == moving).collect();
+        let mean = |sum: f64| (!figures.is_empty()).then(|| sum / figures.len() as f64);
+        let over = figures.iter().map(|(ours, fade)| ours - fade);
+        Group {
+            clips: figures.len(),
+            middle: GroupScore { psnr: mean(figures.iter().map(|(ours, _)| ours).sum()) },
+            over_crossfade: mean(over.clone().sum()),
+            worst_over_crossfade: over.min_by(f64::total_cmp),
+        }
+    }
+}
+
+impl Sums {
+    /// The gap, or the mean of those that were chosen.
+    pub(super) fn spacing(&self, gap: Gap) -> Spacing {
+        match gap {
+            Gap::Every(n) => Spacing::Every(n),
+            Gap::Auto(_) => {
+                let (keys, middles) = (self.key.frames, self.middle.frames);
+                // The first key frame of a clip ends no gap.
+                let ended = keys.saturating_sub(self.clips);
+                Spacing::Mean((ended + middles) as f64 / ended.max(1) as f64)
+            }
+        }
+    }
+
+    pub(super) fn row(&self, name: Option<String>, gap: Gap, chosen: Fusion) -> Row {
+        let baselines =
+            Baselines { crossfade: self.crossfade.score(), nearest: self.nearest.score(), flow: self.flow.score() };
+        let (key, middle) = (self.key.score(), self.middle.score());
+        let fusion = BTreeMap::from([(chosen.name(), Mode { key, middle, pop: self.pops.pop() })]);
+        let seconds_per_frame = self.seconds / (self.key.frames + self.middle.frames).max(1) as f64;
+        let gap = self.spacing(gap);
+        let intervals = self.intervals.clone();
+        Row { name, gap, key, middle, seconds_per_frame, baselines, intervals, fusion, moving: None, still: None }
+    }
+
+    pub(super) fn join(&mut self, other: &Sums) {
+        self.clips += other.clips;
+        self.key.join(&other.key);
+        self.middle.join(&other.middle);
+        self.crossfade.join(&other.crossfade);
+        self.nearest.join(&other.nearest);
+        self.flow.join(&other.flow);
+        self.seconds += other.seconds;
+        self.pops.join(&other.pops);
+    }
+}
+
+pub(super) fn line(row: &Row) -> String {
+    let show = |score: &Score| match (score.psnr, score.ssim) {
+        (Some(psnr), Some(ssim)) => {
+            let lpips = score.lpips.map(|lpips| format!(" / {lpips:.4}")).unwrap_or_default();
+            format!("{psnr:7.3} / {ssim:.4}{lpips}")
+        }
+        _ => "      – /      –".to_owned(),
+    };
+    format!(
+        "{:28} {}   {}   {}   {}   {}",
+        row.name.as_deref().unwrap_or("mean over frames"),
+        show(&row.key),
+        show(&row.middle),
+        show(&row.baselines.crossfade),
+        show(&row.baselines.nearest),
+        show(&row.baselines.flow)
+    )
+}

@@ -1,0 +1,280 @@
+//! `eval`: key frames in, the frames between held out; how close the scene comes to them, and simple baselines beside it.
+//!
+//! Every `gap`-th frame is a key frame, or what `--gap auto` chooses. The scene is drawn at every frame's time (at the model's own size unless told otherwise) and compared with the
+//! true frame, both brought to 256×256 bilinearly. *Key* frames were given, *middle* frames were not, unless `--seen` gives them too. Baselines for the middle
+//! frames: the cross-fade of the key frames around, the nearer one, and the key frames blended along the optical flow between them. Frames after the last whole interval are left out.
+//! Said beside it is how the image jumps at key frames, and how far it goes from frame to frame.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use serde::Serialize;
+use streamsplat::Engine;
+use streamsplat::gap::interpolation::Small;
+use streamsplat::gap::{Gap, predicted};
+use streamsplat::lpips::Lpips;
+use streamsplat::picture::Picture;
+use streamsplat::source::{self, Source, folder};
+use streamsplat::stream::{Interval, Reconstructor, Reuse, Settings};
+
+use crate::console::failure::Failure;
+use crate::console::progress::Progress;
+use crate::console::{Console, say};
+use crate::options::args::{EvalArgs, View};
+use crate::options::settings::{DepthFrom, Views};
+use crate::output::record::NetworkRecord;
+use crate::session::ahead::Ahead;
+use crate::session::closeness;
+use crate::session::closeness::Closeness;
+use crate::session::drawing::Drawing;
+use crate::session::keydepth::KeyDepth;
+use crate::session::keyframes::{Keep, KeyFrames};
+
+mod baselines;
+mod figures;
+
+use baselines::{FlowBlend, Placed, mix};
+use figures::{Group, IntervalFigures, Row, Sums, line};
+
+/// Side of the pictures that are compared.
+const SIDE: usize = closeness::SIDE;
+
+#[derive(Serialize)]
+struct Figures {
+    fusion: String,
+    fit: String,
+    precision: String,
+    renderer: &'static str,
+    /// Whether the middle frames were given, too.
+    seen: bool,
+    /// The quality asked for; what else is said here may differ from what it stands for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    quality: Option<String>,
+    motion: &'static str,
+    fade: &'static str,
+    refine: u32,
+    resolution: String,
+    /// What LPIPS was measured with.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lpips: Option<NetworkRecord>,
+    clips: Vec<Row>,
+    mean: Row,
+}
+
+/// Evaluates one clip or a folder of clips.
+pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
+    let stream = args.stream.resolved()?;
+    let gap = stream.gap()?;
+    let depth = stream.depth_from()?;
+    let settings = stream.settings(&args.fit, &args.machine)?;
+    let views = View {
+        size: Some(args.size.clone()),
+        background: "0.5".into(),
+        renderer: args.renderer.clone(),
+        ..View::default()
+    }
+    .resolve()?;
+    let clips = clips(&args.input)?;
+    let mut lpips = args.lpips_model.as_deref().map(Lpips::open).transpose()?;
+    if clips.len() > 1 && matches!(depth, DepthFrom::Folder(..)) {
+        return Err(Failure::usage("--depth: one folder of maps cannot serve several clips"));
+    }
+    let mut total = Sums::default();
+    let (mut rows, mut model) = (Vec::new(), None);
+    if !console.quiet {
+        say(
+            "clip                          key dB / SSIM   middle dB / SSIM   cross-fade         nearest           flow",
+        )?;
+    }
+    for clip in &clips {
+        if console.stop.asked() {
+            break;
+        }
+        let source = Source::open(clip, &source::Options { fps: args.fps })?;
+        let depth = KeyDepth::open(&depth, &source, args.machine.level()?, settings.reuse != Reuse::Off)?;
+        let keys = KeyFrames::new(source, depth, gap, Keep::Everything, None, &console.stop);
+        let sums = evaluate(keys, gap, &settings, &mut model, &views, args.seen, lpips.as_mut(), console)?;
+        let name = clip.file_name().unwrap_or(clip.as_os_str()).to_string_lossy().into_owned();
+        if sums.key.frames < 2 {
+            let least = if let Gap::Every(n) = gap { n + 1 } else { 2 };
+            let message = format!("{}: expected at least {least} frames for a gap of {gap}", clip.display());
+            return Err(Failure::work(message));
+        }
+        total.join(&sums);
+        let row = sums.row(Some(name), gap, settings.fusion);
+        if !console.quiet {
+            say(line(&row))?;
+        }
+        rows.push(row);
+    }
+    let mut mean = total.row(None, gap, settings.fusion);
+    (mean.moving, mean.still) = (Some(Group::of(&rows, true)), Some(Group::of(&rows, false)));
+    if !console.quiet {
+        say(line(&mean))?;
+        for (name, group) in [("moving", &mean.moving), ("still", &mean.still)] {
+            if let Some(Group { clips: clips @ 1.., middle, over_crossfade, worst_over_crossfade }) = group {
+                let [psnr, over, worst] =
+                    [middle.psnr, *over_crossfade, *worst_over_crossfade].map(Option::unwrap_or_default);
+                say(format!(
+                    "{name} clips ({clips}): middle {psnr:.2} dB, {over:+.2} over the cross-fade, least {worst:+.2}"
+                ))?;
+            }
+        }
+    }
+    if let Some(path) = &args.json {
+        let (fusion, precision) = (settings.fusion.to_string(), settings.precision.to_string());
+        let (motion, fade, refine) = (settings.motion().name(), settings.fade().name(), settings.refine());
+        let quality = stream.quality.clone();
+        let (seen, resolution) = (args.seen, settings.resolution().to_string());
+        let fit = args.fit.clone();
+        let measured = args.lpips_model.as_deref().zip(lpips.as_ref());
+        let lpips = measured.map(|(file, lpips)| NetworkRecord::of(file, lpips.runtime_version())).transpose()?;
+        let renderer = views.backend.name();
+        let figures = Figures {
+            fusion,
+            fit,
+            precision,
+            renderer,
+            seen,
+            quality,
+            motion,
+            fade,
+            refine,
+            resolution,
+            lpips,
+            clips: rows,
+            mean,
+        };
+        let text = serde_json::to_string_pretty(&figures).map_err(Failure::work)?;
+        streamsplat::output::write_file(path, (text + "\n").as_bytes())?;
+    }
+    Ok(())
+}
+
+/// The clip itself, or the clips of a folder of folders, in natural order.
+fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
+    if !input.is_dir() || folder::images(input).is_ok() {
+        return Ok(vec![input.to_owned()]);
+    }
+    let unreadable = |e: std::io::Error| Failure::work(format!("{}: {e}", input.display()));
+    let mut clips = Vec::new();
+    for entry in std::fs::read_dir(input).map_err(unreadable)? {
+        let entry = entry.map_err(unreadable)?;
+        let path = entry.path();
+        let hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
+        let video = path.extension().is_some_and(|e| e == "y4m");
+        if !hidden && (video || (path.is_dir() && folder::images(&path).is_ok())) {
+            clips.push(path);
+        }
+    }
+    let name = |path: &PathBuf| path.file_name().map(|n| n.as_encoded_bytes().to_vec()).unwrap_or_default();
+    clips.sort_by(|a, b| source::natural::compare(&name(a), &name(b)));
+    if clips.is_empty() {
+        return Err(Failure::work(format!("{}: the folder holds neither images nor clips", input.display())));
+    }
+    Ok(clips)
+}
+
+fn evaluate(
+    keys: KeyFrames,
+    gap: Gap,
+    settings: &Settings,
+    model: &mut Option<Arc<dyn Reconstructor>>,
+    views: &Views,
+    seen: bool,
+    mut lpips: Option<&mut Lpips>,
+    console: &Console,
+) -> Result<Sums, Failure> {
+    let mut sums = Sums { clips: 1, ..Sums::default() };
+    let mut engine = match model {
+        Some(model) => Engine::with_model(settings.clone(), model.clone())?,
+        None => Engine::new(settings.clone())?,
+    };
+    // Loaded once for all clips.
+    *model = Some(engine.model().clone());
+    let mut drawing = Drawing::new(engine.workers(), views.backend)?;
+    let mut shown = Vec::new();
+    let mut closeness = gap.depends_on_images().then(|| Closeness::new(engine.workers())).transpose()?;
+    let mut keys = Ahead::new(keys, engine.workers().threads());
+    let hidden = console.quiet || !std::io::IsTerminal::is_terminal(&std::io::stderr());
+    let console = Console { quiet: hidden, ..console.clone() };
+    let mut progress = Progress::new("frames", keys.total(), &console);
+    let mut before: Option<(Picture, Placed)> = None;
+    let mut last_small: Option<Small> = None;
+    while let Some(key) = keys.next()? {
+        let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
+        let truths: Vec<Picture> = key.shown.iter().map(|frame| frame.picture.resized(SIDE, SIDE)).collect();
+        let last = truths.len() - 1;
+        let picture = key.shown.last().map(|frame| frame.picture.clone());
+        let between = if seen { key.between() } else { Vec::new() };
+        let small: Vec<Small> =
+            last_small.take().into_iter().chain(key.shown.iter().map(|f| Small::of(&f.picture))).collect();
+        let given = [sums.key.psnr, sums.middle.psnr];
+        let start = Instant::now();
+        let interval: Interval = engine.push_with(between, key.frame, timestamp)?;
+        sums.seconds += start.elapsed().as_secs_f64();
+        if interval.start < interval.end {
+            let crossed = drawing.draw(&interval, interval.start, views)?.rgb;
+            sums.pops.jump += apart(&shown, &crossed);
+            sums.pops.jumps += 1;
+            shown = crossed;
+        }
+        for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate() {
+            let image = drawing.draw(&interval, frame.timestamp, views)?;
+            if !shown.is_empty() {
+                sums.pops.step += apart(&shown, &image.rgb);
+                sums.pops.steps += 1;
+            }
+            shown.clone_from(&image.rgb);
+            let ours = Picture { width: image.width, height: image.height, rgb: image.rgb }.resized(SIDE, SIDE);
+            let sum = if i == last { &mut sums.key } else { &mut sums.middle };
+            sum.add(&ours, truth, lpips.as_deref_mut())?;
+        }
+        let mean = |sum: f64| (last > 0).then(|| sum / last as f64);
+        let (reached, between) = (sums.key.psnr - given[0], mean(sums.middle.psnr - given[1]));
+        if let Some(closeness) = &mut closeness
+            && let Some(found) = closeness.of(&interval, &key.truths)?
+        {
+            keys.tell(&found, closeness);
+        }
+        if small.len() > truths.len() {
+            let predicted = predicted(&small);
+            sums.intervals.push(IntervalFigures {
+                frames: truths.len(),
+                key: reached,
+                between,
+                predicted: mean(predicted.iter().sum()),
+                worst: predicted.into_iter().reduce(f64::min),
+            });
+        }
+        last_small = small.into_iter().next_back();
+        let Some(picture) = picture else { continue };
+        let placed = Placed::new(&picture, interval.placement, engine.workers());
+        if let Some((_, earlier)) = &before
+            && last > 0
+        {
+            let flow = FlowBlend::new(engine.workers(), earlier, &placed)?;
+            for (i, truth) in truths[..last].iter().enumerate() {
+                let blend = flow.at((i + 1) as f32 / truths.len() as f32);
+                sums.flow.add(&blend.resized(SIDE, SIDE), truth, lpips.as_deref_mut())?;
+            }
+        }
+        if let Some((before, _)) = &before {
+            for (i, truth) in truths[..last].iter().enumerate() {
+                let t = (i + 1) as f32 / truths.len() as f32;
+                sums.crossfade.add(&mix(before, &truths[last], t), truth, lpips.as_deref_mut())?;
+                sums.nearest.add(if t <= 0.5 { before } else { &truths[last] }, truth, lpips.as_deref_mut())?;
+            }
+        }
+        truths.iter().for_each(|_| progress.step());
+        before = truths.into_iter().next_back().map(|truth| (truth, placed));
+    }
+    Ok(sums)
+}
+
+/// The mean absolute difference.
+fn apart(a: &[f32], b: &[f32]) -> f64 {
+    let sum: f64 = a.iter().zip(b).map(|(a, b)| f64::from((a - b).abs())).sum();
+    sum / a.len().max(1) as f64
+}

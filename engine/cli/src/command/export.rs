@@ -1,0 +1,171 @@
+//! `export`: a scene in a format that viewers read, one file per time, or as one compressed file.
+
+use std::path::{Path, PathBuf};
+
+use streamsplat::export;
+use streamsplat::import::{self, Opened};
+use streamsplat::output::{prepare_folder, write_file};
+use streamsplat::render::Snapshot;
+use streamsplat::scene::{ContainerWriter, Scene};
+use streamsplat::still::Drawable;
+use streamsplat::stream::{Interval, Workers};
+
+use crate::command::still;
+use crate::console::failure::Failure;
+use crate::console::progress::Progress;
+use crate::console::{Console, say};
+use crate::options::args::ExportArgs;
+use crate::options::{settings, times};
+
+/// A format of files.
+#[derive(Clone, Copy)]
+pub struct Format {
+    /// What the option calls it, and how its files' names end.
+    pub name: &'static str,
+    /// Of a scene in time.
+    kind: Kind,
+    /// Of a still scene.
+    pub still: Option<fn(&Drawable) -> Vec<u8>>,
+}
+
+/// How a scene in time becomes files.
+#[derive(Clone, Copy)]
+enum Kind {
+    /// One for each time.
+    Times(fn(&Snapshot) -> Vec<u8>),
+    /// One for all of it.
+    Container,
+}
+
+const FORMATS: [Format; 4] = [
+    Format { name: "ply", kind: Kind::Times(export::ply), still: Some(|scene| export::still::ply(scene.still())) },
+    Format { name: "splat", kind: Kind::Times(export::splat), still: Some(export::still::splat) },
+    Format { name: "spz", kind: Kind::Times(export::spz), still: Some(|scene| export::still::spz(scene.still())) },
+    Format { name: "ssz", kind: Kind::Container, still: None },
+];
+
+impl Format {
+    fn named(name: &str) -> Result<Format, Failure> {
+        FORMATS
+            .into_iter()
+            .find(|format| format.name == name)
+            .ok_or_else(|| Failure::usage(format!("--format {name}: expected ply, splat, spz or ssz")))
+    }
+
+    /// The name of the file with the number `index`.
+    pub fn file(self, index: usize) -> String {
+        format!("{index:06}.{}", self.name)
+    }
+
+    /// Whether `path` is meant as one file of this format.
+    pub fn is_file(self, path: &Path) -> bool {
+        path.extension().is_some_and(|end| end.eq_ignore_ascii_case(self.name)) && !path.is_dir()
+    }
+
+    /// The number of a file that an export into a folder has written.
+    fn index(self, name: &Path) -> Option<usize> {
+        let index = name.file_stem()?.to_str()?.parse().ok()?;
+        (name.to_str() == Some(&self.file(index))).then_some(index)
+    }
+}
+
+/// Writes one file per time, or one of the whole scene.
+pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
+    console.listen();
+    let format = Format::named(&args.format)?;
+    let asked = args.times.as_deref().map(settings::times).transpose()?;
+    times::check_rate(args.fps)?;
+    let workers = args.machine.workers()?;
+    let scene = match import::open(&args.scene, &args.limit.limits())? {
+        Opened::Moving(scene) => scene,
+        Opened::Still(file) => return still::export(file, format, args, &workers, console),
+    };
+    let Kind::Times(write) = format.kind else {
+        return container(&scene, args, &workers, console);
+    };
+    let due = times::of_scene(&scene, asked.as_deref(), args.fps.unwrap_or(scene.index().fps))?;
+    let paths: Vec<PathBuf> = if format.is_file(&args.out) {
+        if due.len() != 1 {
+            let (out, found) = (args.out.display(), due.len());
+            let message =
+                format!("--out {out}: expected one time for one file, found {found}; give --times or a folder");
+            return Err(Failure::usage(message));
+        }
+        vec![args.out.clone()]
+    } else {
+        prepare_folder(&args.out)?;
+        refuse_others(&args.out, format, due.len())?;
+        (0..due.len()).map(|index| args.out.join(format.file(index))).collect()
+    };
+
+    let mut progress = Progress::new("files", Some(paths.len()), console);
+    let mut current: Option<(usize, Interval)> = None;
+    let (mut files, mut bytes, mut dropped) = (0, 0, 0);
+    for (&(time, place), path) in due.iter().zip(&paths) {
+        if console.stop.asked() {
+            break;
+        }
+        let interval = match current.take().filter(|(at, _)| *at == place) {
+            Some((_, interval)) => interval,
+            None => scene.interval(place, &workers)?,
+        };
+        let snapshot = Snapshot::exported(&interval, time)?;
+        bytes += write_file(path, &write(&snapshot))?.bytes;
+        files += 1;
+        dropped += snapshot.dropped;
+        current = Some((place, interval));
+        progress.step();
+    }
+    progress.finish();
+    if !console.quiet {
+        let stopped = if files < due.len() { ", stopped by the user" } else { "" };
+        let left_out = match dropped {
+            0 => String::new(),
+            n => format!(", {n} Gaussians left out with numbers that are not finite"),
+        };
+        say(format!("{}: {files} files, {bytes} bytes{left_out}{stopped}", args.out.display()))?;
+    }
+    Ok(())
+}
+
+/// Writes a scene in time as one compressed file.
+fn container(scene: &Scene, args: &ExportArgs, workers: &Workers, console: &Console) -> Result<(), Failure> {
+    if args.times.is_some() || args.fps.is_some() {
+        return Err(Failure::usage("--times, --fps: expected neither, as --format ssz holds the whole scene"));
+    }
+    if args.out.is_dir() {
+        let message = format!("--out {}: expected a file's name, as --format ssz is one file", args.out.display());
+        return Err(Failure::usage(message));
+    }
+    let intervals = &scene.index().intervals;
+    let mut writer = ContainerWriter::create(&args.out, scene.index().fps)?;
+    let mut progress = Progress::new("intervals", Some(intervals.len()), console);
+    for i in 0..intervals.len() {
+        if console.stop.asked() {
+            return Err(Failure::work(format!("{}: stopped by the user; nothing was written", args.out.display())));
+        }
+        writer.push(&scene.interval(i, workers)?)?;
+        progress.step();
+    }
+    progress.finish();
+    let bytes = writer.finish()?.map_or(0, |written| written.bytes);
+    if !console.quiet {
+        let of: u64 = intervals.iter().map(|entry| entry.bytes).sum();
+        say(format!("{}: {} intervals, {bytes} bytes of {of}", args.out.display(), intervals.len()))?;
+    }
+    Ok(())
+}
+
+/// Files of a longer export in the same folder would pass for this one's.
+pub fn refuse_others(folder: &Path, format: Format, count: usize) -> Result<(), Failure> {
+    let unreadable = |e| Failure::work(format!("{}: {e}", folder.display()));
+    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
+        let name = entry.map_err(unreadable)?.file_name();
+        if format.index(Path::new(&name)).is_some_and(|index| index >= count) {
+            let file = folder.join(name);
+            let message = format!("{}: another export's file is in the way; give another --out", file.display());
+            return Err(Failure::work(message));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,158 @@
+//! The list of renders: FILE.toml.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use streamsplat::import::read_text;
+
+use crate::console::failure::Failure;
+use crate::options::args::{Motion, RenderOptions, View};
+
+/// Longest list that is read, in bytes.
+const MAX_LIST: u64 = 1 << 24;
+
+/// The whole file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct List {
+    #[serde(default)]
+    render: Vec<Entry>,
+}
+
+/// One render, with the words of the command line.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    name: String,
+    scene: PathBuf,
+    camera: Option<PathBuf>,
+    view: Option<Word>,
+    size: Option<String>,
+    times: Option<Word>,
+    fps: Option<f64>,
+    background: Option<Word>,
+    orbit: Option<Word>,
+    turntable: Option<f64>,
+}
+
+/// Text, a number, or numbers in a row.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Word {
+    Text(String),
+    Whole(i64),
+    Number(f64),
+    List(Vec<f64>),
+}
+
+impl Word {
+    fn text(self) -> String {
+        match self {
+            Word::Text(text) => text,
+            Word::Whole(number) => number.to_string(),
+            Word::Number(number) => number.to_string(),
+            Word::List(numbers) => numbers.iter().map(ToString::to_string).collect::<Vec<_>>().join(","),
+        }
+    }
+}
+
+/// A render to be drawn.
+pub struct Render {
+    /// Its name, which files can have.
+    pub name: String,
+    /// The scene.
+    pub scene: PathBuf,
+    /// Everything that reaches the image.
+    pub options: RenderOptions,
+}
+
+/// Reads a list. Paths in it are relative to its folder.
+pub fn read(file: &Path) -> Result<Vec<Render>, Failure> {
+    let wrong = |e: &dyn std::fmt::Display| Failure::usage(format!("{}: {e}", file.display()));
+    let text = read_text(file, MAX_LIST).map_err(|e| wrong(&e))?;
+    let folder = file.parent().unwrap_or(Path::new(""));
+    parse(&text, folder).map_err(|e| wrong(&e))
+}
+
+fn parse(text: &str, folder: &Path) -> Result<Vec<Render>, String> {
+    let List { render } = toml::from_str(text).map_err(|e| e.to_string())?;
+    if render.is_empty() {
+        return Err("expected at least one [[render]], found none".to_owned());
+    }
+    let mut names = BTreeSet::new();
+    let renders = render.into_iter().map(|entry| {
+        let allowed = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        let Entry { name, .. } = &entry;
+        if name.is_empty() || name.len() > 100 || name.starts_with('.') || !name.chars().all(allowed) {
+            return Err(format!("name {name:?}: expected 1 to 100 letters, digits, '-', '_' and '.', not first a '.'"));
+        }
+        if !names.insert(name.to_lowercase()) {
+            return Err(format!("name {name:?}: expected every name once, found it twice"));
+        }
+        Ok(entry.render(folder))
+    });
+    renders.collect()
+}
+
+impl Entry {
+    fn render(self, folder: &Path) -> Render {
+        let view = View {
+            times: self.times.map(Word::text),
+            size: self.size,
+            camera: self.camera.map(|camera| folder.join(camera)),
+            view: self.view.map(Word::text),
+            background: self.background.map_or_else(|| "0.5".to_owned(), Word::text),
+            renderer: None,
+        };
+        let motion = Motion { orbit: self.orbit.map(Word::text), turntable: self.turntable };
+        let options = RenderOptions { view, fps: self.fps, motion, ..RenderOptions::default() };
+        Render { name: self.name, scene: folder.join(self.scene), options }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_and_text_mean_what_they_mean_on_the_command_line() {
+        let text = r#"
+            [[render]]
+            name = "front"
+            scene = "a.ply"
+            camera = "cameras.json"
+            view = 3
+            size = "64x48"
+            times = [0, 0.5]
+            background = 0.25
+            [[render]]
+            name = "turn"
+            scene = "b.ply"
+            turntable = 2.0
+            background = "0,0.5,1"
+        "#;
+        let renders = parse(text, Path::new("dir")).expect("a list");
+        let RenderOptions { view, .. } = &renders[0].options;
+        assert_eq!((view.view.as_deref(), view.times.as_deref()), (Some("3"), Some("0,0.5")));
+        assert_eq!((view.background.as_str(), view.camera.as_deref()), ("0.25", Some(Path::new("dir/cameras.json"))));
+        assert_eq!(
+            (renders[1].options.motion.turntable, renders[1].scene.as_path()),
+            (Some(2.0), Path::new("dir/b.ply"))
+        );
+    }
+
+    #[test]
+    fn lists_that_are_wrong_say_why() {
+        for (text, expected) in [
+            ("", "expected at least one [[render]]"),
+            ("[[render]]\nname = 'a'\nscene = 'b'\ncolour = 1", "unknown field `colour`"),
+            ("[[render]]\nname = '../a'\nscene = 'b'", "expected 1 to 100 letters"),
+            ("[[render]]\nname = 'a'\nscene = 'b'\n[[render]]\nname = 'A'\nscene = 'b'", "found it twice"),
+            ("[[render]]\nname = 'a'", "missing field `scene`"),
+        ] {
+            let error = parse(text, Path::new("")).err().unwrap_or_default();
+            assert!(error.contains(expected), "{text}: {error}");
+        }
+    }
+}

@@ -1,0 +1,340 @@
+//! `golden`: a list of renders whose images are recorded once and compared with zero tolerance from then on.
+
+mod junit;
+mod list;
+mod record;
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde_json::{Value, json};
+use streamsplat::Image;
+use streamsplat::difference::{Difference, heat};
+use streamsplat::import::{self, Limits, Opened};
+use streamsplat::output::{picture_png, prepare_folder, storage, write_file};
+use streamsplat::picture::Picture;
+use streamsplat::source::decode::decode_file;
+use streamsplat::stream::{Interval, Workers};
+
+use self::junit::Case;
+use self::list::Render;
+use self::record::{Golden, GoldenImage, GoldenRender};
+use crate::command::still;
+use crate::console::failure::Failure;
+use crate::console::{Console, print, say};
+use crate::options::args::{GoldenAction, GoldenArgs, GoldenCheckArgs, GoldenRecordArgs};
+use crate::options::times;
+use crate::output::digest;
+use crate::session::drawing::Drawing;
+
+/// Records or checks.
+pub fn command(args: &GoldenArgs, console: &Console) -> Result<(), Failure> {
+    match &args.action {
+        GoldenAction::Record(args) => record(args, console),
+        GoldenAction::Check(args) => check(args, console),
+    }
+}
+
+/// Draws one render; gives the digest of its scene.
+fn draw(
+    render: &Render,
+    limits: &Limits,
+    workers: &Workers,
+    sink: &mut dyn FnMut(f64, Image) -> Result<(), Failure>,
+) -> Result<String, Failure> {
+    let Render { scene, options, .. } = render;
+    let mut views = options.view.resolve()?;
+    views.options.alpha = views.transparent;
+    times::check_rate(options.fps)?;
+    let mut drawing = Drawing::new(workers, views.backend)?;
+    let scene = match import::open(scene, limits)? {
+        Opened::Still(file) => {
+            let plan = still::Plan::new(&file, options, &views)?;
+            let blake3 = file.blake3.clone();
+            let scene = plan.prepare(file, workers)?;
+            for (time, views) in plan.images() {
+                sink(time, drawing.still(&scene, time, &views)?)?;
+            }
+            return Ok(blake3);
+        }
+        Opened::Moving(scene) => scene,
+    };
+    options.motion.refuse(&views)?;
+    let due = times::of_scene(&scene, views.times.as_deref(), options.fps.unwrap_or(scene.index().fps))?;
+    let mut current: Option<(usize, Interval)> = None;
+    for (time, place) in due {
+        let interval = match current.take().filter(|(at, _)| *at == place) {
+            Some((_, interval)) => interval,
+            None => scene.interval(place, workers)?,
+        };
+        sink(time, drawing.draw(&interval, time, &views)?)?;
+        current = Some((place, interval));
+    }
+    digest::scene(&scene)
+}
+
+fn picture(image: Image) -> Picture {
+    Picture { width: image.width, height: image.height, rgb: image.rgb }
+}
+
+fn record(args: &GoldenRecordArgs, console: &Console) -> Result<(), Failure> {
+    let renders = list::read(&args.file)?;
+    let workers = args.machine.workers()?;
+    let folder = record::folder(&args.file);
+    let earlier = Golden::read(&args.file).ok();
+    prepare_folder(&folder)?;
+    let mut golden = Golden::new();
+    for render in &renders {
+        let mut images = Vec::new();
+        let scene = draw(render, &args.limit.limits(), &workers, &mut |time, image| {
+            let preview = format!("{}-{:06}.png", render.name, images.len());
+            let (size, blake3) = ([image.width, image.height], record::digest(&image));
+            write_file(&folder.join(&preview), &picture_png(&record::preview(&picture(image))))?;
+            images.push(GoldenImage { time, size, blake3, preview });
+            Ok(())
+        })
+        .map_err(|e| named(&render.name, e))?;
+        if !console.quiet {
+            say(format!("{}: {} images", render.name, images.len()))?;
+        }
+        golden.renders.insert(render.name.clone(), GoldenRender { scene, images });
+    }
+    write_file(&record::path(&args.file), golden.to_json()?.as_bytes())?;
+    let previews = |golden: &Golden| -> BTreeSet<String> {
+        golden.renders.values().flat_map(|render| &render.images).map(|image| image.preview.clone()).collect()
+    };
+    for old in
+        earlier.iter().flat_map(|earlier| previews(earlier).difference(&previews(&golden)).cloned().collect::<Vec<_>>())
+    {
+        // A preview that is gone already is what is wanted.
+        let _ = storage::remove(&folder.join(old));
+    }
+    if !console.quiet {
+        say(format!("{}: {} renders, bit contract {}", folder.display(), renders.len(), golden.bit_contract))?;
+    }
+    Ok(())
+}
+
+fn named(name: &str, failure: Failure) -> Failure {
+    match failure {
+        Failure::Usage(text) => Failure::Usage(format!("{name}: {text}")),
+        Failure::Work(text) => Failure::Work(format!("{name}: {text}")),
+        stopped => stopped,
+    }
+}
+
+/// How one image came out.
+struct Row {
+    render: String,
+    /// `None` where nothing was drawn.
+    time: Option<f64>,
+    failure: Option<String>,
+    found: Value,
+    seconds: f64,
+}
+
+impl Row {
+    fn image(&self) -> String {
+        self.time.map_or_else(|| "render".to_owned(), |time| format!("{time} s"))
+    }
+
+    fn failed(render: &str, failure: String) -> Row {
+        Row { render: render.to_owned(), time: None, failure: Some(failure), found: json!({}), seconds: 0.0 }
+    }
+}
+
+/// Writes images that differ beside what was expected.
+struct Failures {
+    folder: PathBuf,
+    record: PathBuf,
+    prepared: bool,
+}
+
+impl Failures {
+    /// Writes `NAME.actual.png`, and where a preview was recorded `NAME.expected.png` and `NAME.heat.png`; says how far both are
+    /// apart.
+    fn write(
+        &mut self,
+        name: &str,
+        actual: &Picture,
+        expected: Option<&GoldenImage>,
+    ) -> Result<(String, Value), Failure> {
+        if !self.prepared {
+            prepare_folder(&self.folder)?;
+            self.prepared = true;
+        }
+        let path = |kind: &str| self.folder.join(format!("{name}.{kind}.png"));
+        write_file(&path("actual"), &picture_png(actual))?;
+        let preview = expected.map(|expected| decode_file(&self.record.join(&expected.preview)));
+        let Some(Ok(preview)) = preview else { return Ok((String::new(), Value::Null)) };
+        write_file(&path("expected"), &picture_png(&preview))?;
+        let small = record::preview(actual);
+        let Ok(found) = Difference::between(&preview, &small) else { return Ok((String::new(), Value::Null)) };
+        write_file(&path("heat"), &picture_png(&heat(&preview, &small)?))?;
+        let largest = f64::from(found.largest) * 255.0;
+        let value = json!({ "largest": largest, "psnr": found.psnr, "share": found.share });
+        Ok(match found.place {
+            None => ("by less than the preview shows".to_owned(), value),
+            Some([column, row, _]) => (
+                format!(
+                    "by {largest:.0}/255 at most, at {column},{row} of the preview; PSNR {:.1} dB, {:.2} % of its pixels",
+                    found.psnr,
+                    100.0 * found.share
+                ),
+                value,
+            ),
+        })
+    }
+}
+
+/// Compares one render with what was recorded of it.
+fn compare(
+    render: &Render,
+    expected: &GoldenRender,
+    limits: &Limits,
+    workers: &Workers,
+    failures: &mut Failures,
+) -> Vec<Row> {
+    let mut rows: Vec<Row> = Vec::new();
+    let mut begun = Instant::now();
+    let drawn = draw(render, limits, workers, &mut |time, image| {
+        let at = rows.len();
+        let (size, found) = ([image.width, image.height], record::digest(&image));
+        let wanted = expected.images.get(at);
+        let cause = match wanted {
+            None => Some("more images than were recorded".to_owned()),
+            Some(wanted) if wanted.size != size => {
+                let ([w, h], [x, y]) = (wanted.size, size);
+                Some(format!("expected {w}x{h} pixels, found {x}x{y}"))
+            }
+            Some(wanted) if wanted.time.to_bits() != time.to_bits() => {
+                Some(format!("expected the time {} s, found {time} s", wanted.time))
+            }
+            Some(wanted) if wanted.blake3 != found => Some("the image differs".to_owned()),
+            Some(_) => None,
+        };
+        let mut value = json!({ "size": size, "blake3": found, "expected": wanted.map(|wanted| &wanted.blake3) });
+        let failure = match cause {
+            None => None,
+            Some(cause) => {
+                let (far, preview) = failures.write(&format!("{}-{at:06}", render.name), &picture(image), wanted)?;
+                value["preview"] = preview;
+                Some(format!("{cause} {far}").trim_end().to_owned())
+            }
+        };
+        let seconds = begun.elapsed().as_secs_f64();
+        begun = Instant::now();
+        rows.push(Row { render: render.name.clone(), time: Some(time), failure, found: value, seconds });
+        Ok(())
+    });
+    match drawn {
+        Err(failure) => rows.push(Row::failed(&render.name, failure.message())),
+        Ok(scene) => {
+            let missing = expected.images.len().saturating_sub(rows.len());
+            if missing > 0 {
+                rows.push(Row::failed(&render.name, format!("{missing} recorded images are not drawn any more")));
+            }
+            if scene != expected.scene {
+                let differ = rows.iter().any(|row| row.failure.is_some());
+                let images = if differ { "" } else { ", and no bit of an image" };
+                rows.push(Row::failed(&render.name, format!("the scene changed{images}: {}", render.scene.display())));
+            }
+        }
+    }
+    rows
+}
+
+fn check(args: &GoldenCheckArgs, console: &Console) -> Result<(), Failure> {
+    let renders = list::read(&args.file)?;
+    let golden = Golden::read(&args.file)?;
+    let (workers, limits) = (args.machine.workers()?, args.limit.limits());
+    let folder = args.out.clone().unwrap_or_else(|| args.file.with_extension("failed"));
+    let mut failures = Failures { folder: folder.clone(), record: record::folder(&args.file), prepared: false };
+    let mut rows = Vec::new();
+    for render in &renders {
+        match golden.renders.get(&render.name) {
+            Some(expected) => rows.extend(compare(render, expected, &limits, &workers, &mut failures)),
+            None => rows.push(Row::failed(&render.name, "not recorded yet".to_owned())),
+        }
+    }
+    for name in golden.renders.keys().filter(|name| renders.iter().all(|render| render.name != **name)) {
+        rows.push(Row::failed(name, "recorded, but not in the list any more".to_owned()));
+    }
+    let failed = rows.iter().filter(|row| row.failure.is_some()).count();
+    let contract = (golden.bit_contract != streamsplat::BIT_CONTRACT).then(|| {
+        format!(
+            "the record was made under version {} of the bit contract by {PROGRAM} {}, this program keeps version {}: images may differ by right, and are to be recorded again",
+            golden.bit_contract,
+            golden.version,
+            streamsplat::BIT_CONTRACT,
+            PROGRAM = golden.program,
+        )
+    });
+    if let Some(path) = &args.junit {
+        let case = |row: &Row| {
+            let failure = row.failure.as_ref().map(|failure| match &contract {
+                Some(contract) => format!("{failure}; {contract}"),
+                None => failure.clone(),
+            });
+            Case { render: row.render.clone(), image: row.image(), failure, seconds: row.seconds }
+        };
+        let suite = args.file.file_stem().unwrap_or_default().to_string_lossy();
+        let xml = junit::xml(&suite, &rows.iter().map(case).collect::<Vec<_>>()).map_err(Failure::work)?;
+        write_file(path, &xml)?;
+    }
+    show(args, console, &golden, &rows, contract.as_deref())?;
+    if failed == 0 {
+        return Ok(());
+    }
+    let beside = if failures.prepared { format!("; see {}", folder.display()) } else { String::new() };
+    let contract = contract.map_or_else(String::new, |contract| format!("; {contract}"));
+    Err(Failure::work(format!("{}: {failed} of {} checks failed{beside}{contract}", args.file.display(), rows.len())))
+}
+
+/// The table, or JSON.
+fn show(
+    args: &GoldenCheckArgs,
+    console: &Console,
+    golden: &Golden,
+    rows: &[Row],
+    contract: Option<&str>,
+) -> Result<(), Failure> {
+    let passed = rows.iter().all(|row| row.failure.is_none());
+    let checks: Vec<Value> = rows
+        .iter()
+        .map(|row| {
+            let mut value = json!({ "render": row.render, "time": row.time, "passed": row.failure.is_none(), "failure": row.failure });
+            if let (Value::Object(value), Value::Object(found)) = (&mut value, &row.found) {
+                value.extend(found.clone());
+            }
+            value
+        })
+        .collect();
+    let found = json!({
+        "list": args.file,
+        "passed": passed,
+        "bit_contract": streamsplat::BIT_CONTRACT,
+        "recorded_bit_contract": golden.bit_contract,
+        "checks": checks,
+    });
+    let text = serde_json::to_string_pretty(&found).map_err(Failure::work)? + "\n";
+    if let Some(path) = &args.json {
+        if path == Path::new("-") {
+            return print(text.as_bytes());
+        }
+        write_file(path, text.as_bytes())?;
+    }
+    if console.quiet {
+        return Ok(());
+    }
+    contract.map_or(Ok(()), say)?;
+    let width = rows.iter().map(|row| row.render.len()).max().unwrap_or_default().max(6);
+    let column = rows.iter().map(|row| row.image().len()).max().unwrap_or_default().max(5);
+    say(format!("{:width$}  {:column$}  result", "render", "image"))?;
+    for row in rows {
+        let result = row.failure.as_deref().unwrap_or("equal");
+        say(format!("{:width$}  {:column$}  {result}", row.render, row.image()))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,192 @@
+//! `inspect`: what a model, a scene or an interval holds.
+
+use std::path::Path;
+
+use serde_json::{Map, Value, json};
+use streamsplat::import::{self, Opened};
+use streamsplat::output::write_file;
+use streamsplat::scene::{INDEX, Scene};
+use streamsplat_model::checkpoint::Checkpoint;
+use streamsplat_model::inspect::{Kind, inspect};
+use streamsplat_model::silent::gflop;
+
+use crate::command::still;
+use crate::console::failure::Failure;
+use crate::console::say;
+use crate::options::args::InspectArgs;
+use crate::output::digest;
+
+/// Tells what it is.
+pub fn command(args: &InspectArgs) -> Result<(), Failure> {
+    let path = &args.file;
+    let found = if path.is_dir() || path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path) {
+        match import::open(path, &args.limit.limits())? {
+            Opened::Moving(scene) => moving(&scene)?,
+            Opened::Still(file) => still::inspect(&file),
+        }
+    } else {
+        let checkpoint = Checkpoint::open(path)?;
+        let has = |name: &str| checkpoint.tensors().contains_key(name);
+        if ["mean", "velocity", "gamma", "identity"].into_iter().all(has) {
+            interval(path, &checkpoint)?
+        } else {
+            drop(checkpoint);
+            model(path)?
+        }
+    };
+    show(&found, 0)?;
+    if let Some(path) = &args.json {
+        let text = serde_json::to_string_pretty(&found).map_err(Failure::work)?;
+        write_file(path, (text + "\n").as_bytes())?;
+    }
+    Ok(())
+}
+
+fn moving(scene: &Scene) -> Result<Value, Failure> {
+    let index = scene.index();
+    let (start, end) = scene.span();
+    let placement = &index.placement;
+    let gaussians: Vec<usize> = index.intervals.iter().map(|entry| entry.gaussians).collect();
+    Ok(json!({
+        "kind": "scene",
+        "format": format!("{} version {}", index.format, index.version),
+        "blake3": digest::scene(scene)?,
+        "intervals": index.intervals.len(),
+        "seconds": [start, end],
+        "frames_per_second": index.fps,
+        "gaussians": {
+            "least": gaussians.iter().min(),
+            "most": gaussians.iter().max(),
+            "sum": gaussians.iter().sum::<usize>(),
+        },
+        "bytes": index.intervals.iter().map(|entry| entry.bytes).sum::<u64>(),
+        "source": placement.source,
+        "model_input": placement.model,
+        "content": placement.content,
+    }))
+}
+
+fn interval(path: &Path, checkpoint: &Checkpoint) -> Result<Value, Failure> {
+    let tensors: Map<String, Value> = checkpoint
+        .tensors()
+        .iter()
+        .map(|(name, info)| (name.clone(), json!({ "format": info.dtype.name(), "shape": info.shape })))
+        .collect();
+    Ok(json!({
+        "kind": "interval",
+        "bytes": checkpoint.size(),
+        "blake3": digest::file(path)?,
+        "gaussians": checkpoint.shape("mean").and_then(|shape| shape.first()),
+        "tensors": tensors,
+    }))
+}
+
+fn model(path: &Path) -> Result<Value, Failure> {
+    let report = inspect(path)?;
+    let (kind, configuration) = match &report.kind {
+        Kind::StreamSplat(config) => (
+            "StreamSplat model",
+            json!({
+                "hidden_dim": config.hidden_dim,
+                "encoder_layers": config.encoder_layers,
+                "decoder_layers": config.decoder_layers,
+                "resolution": config.resolution,
+                "patch_size": config.patch_size,
+                "upsampler_window": config.upsampler_window,
+                "upsampler_widths": config.upsampler_widths,
+                "encoder_window": config.encoder_window,
+                "use_dino": config.use_dino,
+                "gaussians_per_frame": config.gaussians(),
+            }),
+        ),
+        Kind::Dino(config) => (
+            "DINOv2 model",
+            json!({
+                "embed_dim": config.embed_dim,
+                "depth": config.depth,
+                "patch_size": config.patch_size,
+                "register_tokens": config.register_tokens,
+                "resized_to": config.resized_to,
+            }),
+        ),
+        _ => ("model", Value::Null),
+    };
+    let formats: Map<String, Value> = report.formats.iter().map(|(name, count)| (name.clone(), json!(count))).collect();
+    // Weights of a matrix take four, two or one byte each in the three modes; the little that always stays f32 is not told apart. Silent ones take none.
+    let held = report.parameters() - report.silent.iter().map(|part| part.parameters).sum::<usize>();
+    let memory = |bytes: usize| held * bytes;
+    let thousandths = |x: f64| (x * 1e3).round() / 1e3;
+    let silent: Map<String, Value> = report
+        .silent
+        .iter()
+        .map(|part| {
+            let account = json!({
+                "branches": part.silent,
+                "of": part.branches,
+                "parameters": part.parameters,
+                "gflop": thousandths(part.gflop),
+            });
+            (part.part.to_owned(), account)
+        })
+        .collect();
+    let stages: Map<String, Value> = report
+        .stages
+        .iter()
+        .map(|stage| {
+            let gflop = thousandths(stage.gflop);
+            (stage.stage.to_owned(), json!({ "gflop": gflop, "calls_per_key_frame": stage.calls }))
+        })
+        .collect();
+    let parts: Map<String, Value> = report
+        .parts
+        .iter()
+        .map(|part| {
+            let Value::Object(mut fields) = json!(part) else { return (part.name.clone(), Value::Null) };
+            fields.remove("name");
+            (part.name.clone(), Value::Object(fields))
+        })
+        .collect();
+    Ok(json!({
+        "kind": kind,
+        "file": report.file,
+        "bytes": report.bytes,
+        "blake3": digest::file(path)?,
+        "key_prefix": report.prefix,
+        "parameters": report.parameters(),
+        "tensor_formats": formats,
+        "configuration": configuration,
+        "parts": parts,
+        "weights_bytes": { "f32": memory(4), "bf16": memory(2), "int8": memory(1) },
+        "stages": stages,
+        "silent": silent,
+        "gflop_per_key_frame": thousandths(report.gflop() - gflop(&report.silent)),
+        "ignored": report.ignored,
+    }))
+}
+
+/// Prints a JSON object as indented lines; an object of plain values in one line.
+fn show(value: &Value, depth: usize) -> Result<(), Failure> {
+    let Value::Object(map) = value else { return Ok(()) };
+    let indent = "  ".repeat(depth);
+    for (key, value) in map {
+        match value {
+            Value::Object(inner) if depth > 0 && inner.values().all(|v| !v.is_object()) => {
+                let fields: Vec<String> = inner.iter().map(|(key, value)| format!("{key} {}", plain(value))).collect();
+                say(format!("{indent}{key}: {}", fields.join(", ")))?;
+            }
+            Value::Object(_) => {
+                say(format!("{indent}{key}:"))?;
+                show(value, depth + 1)?;
+            }
+            other => say(format!("{indent}{key}: {}", plain(other)))?,
+        }
+    }
+    Ok(())
+}
+
+fn plain(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        other => other.to_string(),
+    }
+}

@@ -1,0 +1,102 @@
+//! Power losses, full disks and failing devices at every operation of a short run: `--resume` always ends with the bytes of a run that nothing
+//! stopped.
+//!
+//! Every ninth operation by default; `STREAMSPLAT_EVERY=1 cargo test --release -p streamsplat-cli power` tries all.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use clap::Parser;
+use streamsplat::output::storage::faults::{Fault, inject};
+use streamsplat_fixtures as fixtures;
+
+use crate::command::run;
+use crate::console::failure::Failure;
+use crate::options::args::{Cli, Command};
+
+const FAULTS: [Fault; 5] = [Fault::LosesBytes, Fault::LosesNames, Fault::NoSpace, Fault::Device, Fault::ShortWrite];
+
+/// Five frames in which something moves.
+fn clip(folder: &Path) -> PathBuf {
+    let clip = folder.join("clip");
+    std::fs::create_dir(&clip).expect("writable");
+    for frame in 0..5_u32 {
+        let image = image::RgbImage::from_fn(40, 24, |x, y| {
+            let inside = x.abs_diff(10 + 3 * frame) < 5 && y.abs_diff(12) < 5;
+            if inside { image::Rgb([240, 80, 30]) } else { image::Rgb([(x * 3) as u8, (y * 5) as u8, (x ^ y) as u8]) }
+        });
+        image.save(clip.join(format!("{frame}.png"))).expect("writable");
+    }
+    clip
+}
+
+fn attempt(clip: &Path, out: &Path, more: &[&str], fault: Option<(Fault, u64)>) -> (Result<(), Failure>, u64) {
+    let model = fixtures::path("parity/tiny-nodino.safetensors");
+    let mut words: Vec<&std::ffi::OsStr> =
+        ["streamsplat", "run", "--quiet", "--threads", "1"].map(AsRef::as_ref).to_vec();
+    words.extend([clip.as_os_str(), "--out".as_ref(), out.as_os_str(), "--model".as_ref(), model.as_os_str()]);
+    words.extend(more.iter().map(|word| -> &std::ffi::OsStr { word.as_ref() }));
+    let cli = Cli::try_parse_from(words).expect("a command");
+    let Command::Run(args) = &cli.command else { panic!("not a run") };
+    inject(fault, || run::command(args, &cli.console))
+}
+
+/// All files in and beside a place but the input, and the outputs of records instead of these.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for entry in std::fs::read_dir(&next).expect("readable").flatten() {
+            let path = entry.path();
+            let name = path.strip_prefix(folder).expect("below").to_owned();
+            if path.is_dir() {
+                folders.push(path);
+            } else if name.ends_with("run.json") || name.to_string_lossy().ends_with(".run.json") {
+                let text = std::fs::read(&path).expect("readable");
+                let record: serde_json::Value = serde_json::from_slice(&text).expect("JSON");
+                assert_eq!(record["complete"], true);
+                found.insert(name, record["outputs"].to_string().into_bytes());
+            } else if !name.ends_with("report.md") {
+                found.insert(name, std::fs::read(&path).expect("readable"));
+            }
+        }
+    }
+    found
+}
+
+fn sweep(name: &str) {
+    let every = std::env::var("STREAMSPLAT_EVERY").map_or(9, |text| text.parse().expect("a number"));
+    let scratch = tempfile::tempdir().expect("a temporary folder");
+    let clip = clip(scratch.path());
+    let whole = scratch.path().join("whole");
+    std::fs::create_dir(&whole).expect("writable");
+    let (result, operations) = attempt(&clip, &whole.join(name), &[], None);
+    result.expect("nothing fails");
+    assert!(operations > 50, "{operations} operations");
+    let expected = files(&whole);
+    for (i, fault) in FAULTS.into_iter().enumerate() {
+        for at in (1 + i as u64..=operations).step_by(every) {
+            let folder = scratch.path().join(format!("{fault:?}-{at}"));
+            std::fs::create_dir(&folder).expect("writable");
+            let (_, _) = attempt(&clip, &folder.join(name), &[], Some((fault, at)));
+            let (result, _) = attempt(&clip, &folder.join(name), &["--resume"], None);
+            if let Err(failure) = result {
+                panic!("{fault:?} at {at} of {operations}: {}", failure.message());
+            }
+            let found = files(&folder);
+            assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>(), "{fault:?} at {at}");
+            assert!(found == expected, "{fault:?} at {at} of {operations}");
+            std::fs::remove_dir_all(&folder).expect("there");
+        }
+    }
+}
+
+#[test]
+fn a_folder_survives_every_fault() {
+    sweep("out");
+}
+
+#[test]
+fn a_y4m_file_survives_every_fault() {
+    sweep("v.y4m");
+}

@@ -1,0 +1,321 @@
+//! `run`: video → scene, frames, report.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use streamsplat::Engine;
+use streamsplat::output::{Sound, holds_sound, storage};
+use streamsplat::source::{self, Source};
+use streamsplat::stream::{MotionFrom, Reuse};
+
+use crate::console::failure::Failure;
+use crate::console::progress::Progress;
+use crate::console::{Console, say, stop};
+use crate::options::args::{Machine, RunArgs, RunOptions};
+use crate::output::checkpoint::Found;
+use crate::output::outputs::{Destination, Emit, Outputs};
+use crate::output::place::Place;
+use crate::output::record::{Account, ModelRecord, NetworkRecord, PROGRAM, Record, Task, Timing, WorkRecord};
+use crate::output::terms::{Terms, with_absolute_paths};
+use crate::output::{checkpoint, digest, report};
+use crate::session::ahead::Ahead;
+use crate::session::catch_up::catch_up;
+use crate::session::closeness::Closeness;
+use crate::session::drawing::Drawing;
+use crate::session::keydepth::KeyDepth;
+use crate::session::keyframes::{Keep, KeyFrames};
+use crate::session::serving::Serving;
+use crate::session::stream::{RunOrigin, Stream, Times};
+
+/// Runs, then writes the record and the report.
+pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
+    finished(args, console).map(|_| ())
+}
+
+/// Does the same and gives the record.
+pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
+    console.listen();
+    let out = args.out.clone().map_or_else(|| named_after(&args.input, args.options.emit.as_deref()), Ok)?;
+    // Held until everything is written.
+    let mut place = Place::new(Destination::asked(&out)?);
+    let mut args = args.clone();
+    if args.out.is_none() && place.destination().container().is_some() {
+        args.options.emit.get_or_insert_with(|| "rgb,scene".to_owned());
+        args.options.view.size.get_or_insert_with(|| "source".to_owned());
+    }
+    args.options.view.size.get_or_insert_with(|| "model".to_owned());
+    let args = &args;
+    let record = match resume_or_run(args, &out, &mut place, console)? {
+        (record, true) => record,
+        (record, false) => return Ok(record),
+    };
+    let destination = place.destination();
+    report::finish(&record, destination, args.json.as_deref())?;
+    if record.complete
+        && let Some(folder) = destination.resume()
+    {
+        checkpoint::remove(&folder)?;
+    }
+    if !console.quiet && out != Path::new("-") {
+        say(report::summary(&record, &out))?;
+        if record.complete && record.outputs.keys().any(|name| name.starts_with("scene/")) {
+            say(format!("Next: streamsplat view {}", out.display()))?;
+        }
+        let beside = destination.container().filter(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            record.complete && record.outputs.contains_key(&*name)
+        });
+        if let Some(path) = beside {
+            say(format!("Next: streamsplat view {}", path.display()))?;
+        }
+    }
+    let resumable = destination.resume().is_some();
+    if record.complete { Ok(record) } else { Err(stop::stopped(resumable)) }
+}
+
+/// The run, from where it was stopped with `--resume`, and true; false when it was complete already, which is said.
+fn resume_or_run(args: &RunArgs, out: &Path, place: &mut Place, console: &Console) -> Result<(Record, bool), Failure> {
+    if args.resume {
+        place.hold_existing()?;
+    }
+    let found = if args.resume { checkpoint::find(place.destination())? } else { Found::Nothing };
+    let RunArgs { input, machine, .. } = args;
+    let options = &RunOptions { stream: args.options.stream.resolved()?, ..args.options.clone() };
+    if let Found::Complete(record) = found {
+        checkpoint::check_complete(&record, input, &Terms::given(options, &model_record(options)?)?)?;
+        if let Some(folder) = place.destination().resume() {
+            checkpoint::remove(&folder)?;
+        }
+        if let Some(path) = &args.json {
+            streamsplat::output::write_file(path, record.to_json()?.as_bytes())?;
+        }
+        if !console.quiet {
+            say(format!("{}: complete already, nothing to resume", out.display()))?;
+        }
+        return Ok((*record, false));
+    }
+    if !args.resume && !args.overwrite {
+        refuse_others(input, out, place.destination(), options)?;
+    }
+    run_from(found, input, place, options, machine, args.serve, console).map(|record| (record, true))
+}
+
+/// An error where the place holds the finished results of another input or of other options.
+fn refuse_others(input: &Path, out: &Path, destination: &Destination, options: &RunOptions) -> Result<(), Failure> {
+    let record = destination.record().filter(|path| storage::regular(path).is_ok());
+    // What is no record of a whole run is no result that anybody has.
+    let record = record.and_then(|path| Record::read(&path).ok()).filter(|record| record.complete);
+    let Some(record) = record else { return Ok(()) };
+    let given = Terms::given(options, &model_record(options)?)?;
+    checkpoint::check_complete(&record, input, &given).map_err(|_| {
+        let (out, of) = (out.display(), record.input.path.display());
+        Failure::usage(format!(
+            "--out {out}: expected a free place, found the results of another run (of {of}); --overwrite replaces them"
+        ))
+    })
+}
+
+/// Everything of a run but its record's files.
+pub fn run(
+    input: &Path,
+    place: &mut Place,
+    options: &RunOptions,
+    machine: &Machine,
+    console: &Console,
+) -> Result<Record, Failure> {
+    run_from(Found::Nothing, input, place, options, machine, None, console)
+}
+
+/// The same from what was `found`, shown in a browser on the port `serve`, if there is one.
+fn run_from(
+    found: Found,
+    input: &Path,
+    place: &mut Place,
+    options: &RunOptions,
+    machine: &Machine,
+    serve: Option<u16>,
+    console: &Console,
+) -> Result<Record, Failure> {
+    let start = Instant::now();
+    // What is wrong with the options is said before anything is touched.
+    let mut views = options.view.resolve()?;
+    views.refuse_still()?;
+    let gap = options.stream.gap()?;
+    let depth = options.stream.depth_from()?;
+    let settings = options.stream.settings(&options.fit, machine)?;
+    let emit = match (&options.emit, place.destination()) {
+        (Some(list), _) => Emit::parse(list, &["rgb", "depth", "alpha", "exr", "scene", "ply", "tracks"])?,
+        (None, Destination::Folder(_)) => Emit { rgb: true, scene: true, ..Emit::default() },
+        (None, Destination::Video(..)) => Emit { rgb: true, ..Emit::default() },
+    };
+    [views.options.depth, views.options.alpha] = emit.planes();
+    if options.fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) || options.frames == Some(0) {
+        return Err(Failure::usage("--fps and --frames: expected numbers above 0"));
+    }
+    let source = Source::open(input, &source::Options { fps: options.fps })?;
+    console.note(source.notes());
+    let sound = taken_along(&source, options, place.destination());
+    if source.sound().is_some() {
+        let found = if sound.is_some() { "sound is taken along" } else { "sound is left out" };
+        console.note(&[found.to_owned()]);
+    }
+    let reuse = settings.reuse != Reuse::Off;
+    let keep = if settings.motion() == MotionFrom::Between { Keep::Between } else { Keep::Nothing };
+    if !views.backend.is_within_contract() {
+        // That there is no adapter is said before anything is touched.
+        Drawing::new(&machine.workers()?, views.backend)?;
+    }
+    let page = serve.map(|port| Serving::start(port, input, source.fps(), console)).transpose()?;
+    let (mut outputs, terms) = match (&found, place.destination().resume()) {
+        (Found::Under(point, _), Some(folder)) => {
+            let terms = Terms::given(options, &model_record(options)?)?;
+            point.terms.check(&terms)?;
+            (Outputs::resume(place.destination().clone(), emit, folder, point.ledger)?, Some(terms))
+        }
+        _ => (Outputs::create(place, emit)?.with_ledger(), None),
+    };
+    outputs.drawn_by(views.backend);
+    outputs.sound(sound);
+    // That nothing can be written is said before the model is loaded.
+    let engine = Engine::new(settings)?;
+    let mut drawing = Drawing::new(engine.workers(), views.backend)?;
+    let depth = KeyDepth::open(&depth, &source, machine.level()?, reuse)?;
+    let keys = KeyFrames::new(source, depth, gap, keep, options.frames, &console.stop);
+    let before = if let Found::Under(point, _) = &found { point.choices.as_ref() } else { None };
+    let keys = Ahead::resume(keys, engine.workers().threads(), before);
+    let mut closeness = gap.depends_on_images().then(|| Closeness::new(engine.workers())).transpose()?;
+    if let Some((closeness, choices)) = closeness.as_mut().zip(before) {
+        closeness.resume(choices);
+    }
+    let terms = terms.map_or_else(|| Terms::given(options, &model_record(options)?), Ok)?;
+
+    let mut times = Times { asked: views.times.as_deref(), next: 0 };
+    let progress = Progress::new("frames", keys.total(), console);
+    let account = Account::default();
+    let (drawing, span, stop) = (&mut drawing, None, console.stop.clone());
+    let mut stream = Stream {
+        keys,
+        engine,
+        outputs,
+        drawing,
+        closeness,
+        progress,
+        stop,
+        page,
+        account,
+        emit,
+        dropped: 0,
+        span,
+        key: 0,
+    };
+    let resumed = match &found {
+        Found::Under(point, memory) => {
+            if let Err(failure) = catch_up(&mut stream, &mut times, &views, point, memory.as_ref()) {
+                stream.outputs.abandon();
+                return Err(failure);
+            }
+            true
+        }
+        _ => {
+            stream.outputs.start(stream.keys.fps())?;
+            false
+        }
+    };
+    let complete = match stream.pass(&mut times, &views, &RunOrigin { terms: &terms, input, resumed }) {
+        Ok(complete) => complete,
+        Err(failure) => {
+            stream.outputs.abandon();
+            return Err(failure);
+        }
+    };
+    let Stream {
+        keys, engine, outputs, closeness, mut progress, page, account, dropped, span, key: key_frames, ..
+    } = stream;
+    let Some((first, last)) = span else {
+        return Err(Failure::work(format!("{}: the video has no frame", input.display())));
+    };
+    if complete
+        && (emit.draws() || emit.ply)
+        && let Some(time) = times.left()
+    {
+        outputs.abandon();
+        return Err(Failure::usage(format!("--times: {time} s lies outside the video ({first} s to {last} s)")));
+    }
+    progress.phase("frames; finishing the files");
+    let written = drawing.writing(|| outputs.finish())?;
+    progress.finish();
+    if let Some(page) = page {
+        page.finish();
+    }
+
+    let mut work = account.of(engine.work());
+    // The time of a stage's part is in the stage's.
+    let stages = engine.work().stages().iter().filter(|stage| !stage.stage.contains('.'));
+    let mut seconds = stages.map(|stage| (stage.stage.to_owned(), stage.time.as_secs_f64())).collect();
+    drawing.account(&mut work, &mut seconds);
+    if let Some(closeness) = &closeness {
+        closeness.account(&mut work, &mut seconds);
+    }
+    let read = keys.account();
+    seconds.insert("decode".into(), read.time.as_secs_f64());
+    if let Some(network) = &read.network {
+        let unit = "frames".to_owned();
+        work.insert("depth".into(), WorkRecord { done: network.done, avoided: network.avoided, unit });
+        seconds.insert("depth".into(), network.time.as_secs_f64());
+    }
+    let options = with_absolute_paths(options);
+    let network = options.stream.depth.strip_prefix("onnx:").zip(read.network.as_ref());
+    let depth = network.map(|(file, network)| NetworkRecord::of(Path::new(file), &network.runtime)).transpose()?;
+    Ok(Record {
+        program: PROGRAM.to_owned(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        seed: options.stream.seed,
+        model: Some(model_record(&options)?),
+        depth,
+        input: keys.input(input),
+        renderer: drawing.renderer(),
+        task: Task::Run(Box::new(options)),
+        complete,
+        outputs: written,
+        work,
+        dropped: dropped + drawing.counts.dropped,
+        key_frames: Some(key_frames),
+        psnr: closeness.as_ref().and_then(Closeness::mean),
+        timing: Timing::of(start, seconds, engine.workers()),
+    })
+}
+
+/// The sound of the input, where the video that is written takes it along: at the times of the input's own frames alone.
+fn taken_along(source: &Source, options: &RunOptions, destination: &Destination) -> Option<Sound> {
+    let own_times = options.view.times.is_none() && options.fps.is_none();
+    let wanted = !options.no_audio && own_times && holds_sound(destination.path());
+    let sound = source.sound().filter(|_| wanted)?;
+    Some(Sound { seconds: options.frames.map(|frames| frames as f64 / source.fps()), ..sound })
+}
+
+/// A place in the working directory, named after the input: a video where the input is an encoded one and images and scene are wanted alone, else a folder.
+fn named_after(input: &Path, emit: Option<&str>) -> Result<PathBuf, Failure> {
+    let stem = input.file_stem().filter(|_| input != Path::new("-"));
+    let Some(stem) = stem else {
+        return Err(Failure::usage("--out: expected, as the input has no name to make one of"));
+    };
+    let mut name = stem.to_owned();
+    name.push("-scene");
+    if emit.is_none() && source::is_encoded(input) {
+        name.push(".mp4");
+    }
+    Ok(PathBuf::from(name))
+}
+
+/// Which model it was.
+fn model_record(options: &RunOptions) -> Result<ModelRecord, Failure> {
+    let Some(path) = &options.stream.model.model else {
+        let blake3 =
+            digest::bytes(&[streamsplat::stream::EMBEDDED_CHECKPOINT, streamsplat::stream::EMBEDDED_CONFIG.as_bytes()]);
+        return Ok(ModelRecord { path: "embedded".into(), blake3 });
+    };
+    let mut files = vec![path.clone()];
+    files.extend(Some(path.with_extension("json")).filter(|config| config.exists()));
+    files.extend(options.stream.model.dinov2.clone());
+    Ok(ModelRecord { path: path.display().to_string(), blake3: digest::files(&files)? })
+}

@@ -1,0 +1,235 @@
+//! Still scenes, such as PLY files, in `render`, `export` and `inspect`.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use serde_json::{Value, json};
+use streamsplat::Size;
+use streamsplat::camera::CameraPath;
+use streamsplat::import::StillFile;
+use streamsplat::output::{prepare_folder, write_file};
+use streamsplat::still::Drawable;
+use streamsplat::stream::Workers;
+
+use crate::command::export::{Format, refuse_others};
+use crate::command::render::{Rendered, record};
+use crate::console::failure::Failure;
+use crate::console::progress::Progress;
+use crate::console::{Console, say};
+use crate::options::args::{ExportArgs, Motion, RenderOptions};
+use crate::options::settings::Views;
+use crate::output::outputs::{Emit, Outputs};
+use crate::output::place::Place;
+use crate::output::record::{InputRecord, Record, absolute};
+use crate::session::drawing::Drawing;
+
+/// Frames per second of a video of a scene that has no time.
+const FPS: f64 = 24.0;
+/// Images for which the scene's Gaussians are grouped. That takes about as long as an image, and saves more than half of each that shows a
+/// tenth of the scene (`streamsplat bench raster --only part`).
+const MANY: usize = 8;
+
+/// Size of images of which nothing says it.
+const SIZE: [usize; 2] = [1280, 720];
+/// Seconds of an orbit of which only the angle is said.
+const ORBIT: f64 = 4.0;
+/// Most images of a motion around a scene.
+const MOST: f64 = 1e6;
+
+/// The images of a still scene: from where, when, and how large.
+pub struct Plan {
+    views: Views,
+    times: Vec<f64>,
+    fps: f64,
+}
+
+impl Plan {
+    /// What the options say of `file`; what they leave out follows from the scene.
+    pub fn new(file: &StillFile, options: &RenderOptions, views: &Views) -> Result<Plan, Failure> {
+        let kind = format!("{} is a still scene ({})", file.path.display(), file.format);
+        let fps = options.fps.unwrap_or(FPS);
+        let mut views = views.clone();
+        if views.options.size == Size::Source {
+            return Err(Failure::usage(format!("--size source: expected WIDTHxHEIGHT; {kind}, which has no source")));
+        }
+        if options.view.camera.is_some() {
+            if views.options.size == Size::Model && views.own_sizes.is_empty() {
+                let size = options.view.size.as_deref().unwrap_or("model");
+                return Err(Failure::usage(format!(
+                    "--size {size}: expected WIDTHxHEIGHT; {kind}, and the camera file says no size either"
+                )));
+            }
+            let all = || (0..views.own_sizes.len().max(1)).map(|i| i as f64).collect();
+            let times = views.times.clone().unwrap_or_else(all);
+            return Ok(Plan { views, times, fps });
+        }
+        if views.options.size == Size::Model {
+            let [width, height] = SIZE;
+            views.options.size = Size::Exact { width, height };
+        }
+        let Size::Exact { width, height } = views.options.size else { return Err(Failure::work(kind)) };
+        let Some(framing) = file.still.framing() else {
+            return Err(Failure::work(format!("{kind}: expected Gaussians at finite places, found none to look at")));
+        };
+        let aspect = width as f64 / height as f64;
+        let Some((angles, fps)) = options.motion.angles(fps)? else {
+            views.camera = framing.camera(0.0, aspect).into();
+            let times = views.times.clone().unwrap_or_else(|| vec![0.0]);
+            return Ok(Plan { views, times, fps });
+        };
+        let times: Vec<f64> = (0..angles.len()).map(|i| i as f64 / fps).collect();
+        let path = times.iter().copied().zip(framing.around(&angles, aspect)).collect();
+        views.camera = CameraPath::new(path).ok_or_else(|| Failure::work(format!("{kind}: too large to look at")))?;
+        Ok(Plan { views, times, fps })
+    }
+
+    /// The scene, ready for so many images.
+    pub fn prepare(&self, file: StillFile, workers: &Workers) -> Result<Drawable, Failure> {
+        let scene = Drawable::new(file.still, workers)?;
+        Ok(if self.times.len() >= MANY { scene.grouped(workers) } else { scene })
+    }
+
+    /// How many images there are.
+    pub fn count(&self) -> usize {
+        self.times.len()
+    }
+
+    /// The time of every image, and what is drawn then.
+    pub fn images(&self) -> impl Iterator<Item = (f64, Views)> {
+        self.times.iter().map(|&time| {
+            let mut views = self.views.clone();
+            let last = views.own_sizes.len().saturating_sub(1);
+            // Negative times are before the first.
+            if let (Size::Model, Some(&[width, height])) =
+                (views.options.size, views.own_sizes.get((time as usize).min(last)))
+            {
+                views.options.size = Size::Exact { width, height };
+            }
+            (time, views)
+        })
+    }
+}
+
+impl Motion {
+    /// The angles at which images are drawn, and the images per second; `None` where nothing moves.
+    fn angles(&self, fps: f64) -> Result<Option<(Vec<f64>, f64)>, Failure> {
+        let count = |option: &str, seconds: f64| {
+            let count = (seconds * fps).round();
+            if !(seconds > 0.0 && (1.0..=MOST).contains(&count)) {
+                return Err(Failure::usage(format!(
+                    "{option}: expected at least one image and at most {MOST}, found {seconds} s at {fps} images per second"
+                )));
+            }
+            Ok(count as usize)
+        };
+        if let Some(seconds) = self.turntable {
+            let count = count("--turntable", seconds)?;
+            return Ok(Some(((0..count).map(|i| 360.0 * i as f64 / count as f64).collect(), fps)));
+        }
+        let Some(text) = &self.orbit else { return Ok(None) };
+        let (degrees, seconds) = text.split_once(':').map_or((text.as_str(), None), |(d, s)| (d, Some(s)));
+        let number = |text: &str| text.trim().parse::<f64>().ok().filter(|x| x.is_finite());
+        let (Some(degrees), Some(seconds)) = (number(degrees), seconds.map_or(Some(ORBIT), number)) else {
+            return Err(Failure::usage(format!("--orbit {text}: expected DEGREES or DEGREES:SECONDS")));
+        };
+        let count = count("--orbit", seconds)?;
+        let last = count.saturating_sub(1).max(1) as f64;
+        Ok(Some(((0..count).map(|i| degrees * (i as f64 / last - 0.5)).collect(), fps)))
+    }
+
+    /// Refuses what a scene in time does not have.
+    pub fn refuse(&self, views: &Views) -> Result<(), Failure> {
+        if self.orbit.is_some() || self.turntable.is_some() {
+            return Err(Failure::usage(
+                "--orbit, --turntable: expected a still scene, found one in time: give --camera",
+            ));
+        }
+        views.refuse_cameras()
+    }
+}
+
+/// Everything of a rendering but its record's files: one image, or as many as the camera has places.
+pub fn render(
+    file: StillFile,
+    place: &mut Place,
+    options: &RenderOptions,
+    views: &Views,
+    emit: Emit,
+    workers: &Workers,
+    console: &Console,
+    start: Instant,
+) -> Result<Record, Failure> {
+    let plan = Plan::new(&file, options, views)?;
+    options.check_single(plan.count())?;
+    let (path, blake3) = (absolute(&file.path), file.blake3.clone());
+    let read = start.elapsed();
+    let scene = plan.prepare(file, workers)?;
+    let mut drawing = Drawing::new(workers, views.backend)?;
+    let mut outputs = Outputs::create(place, emit)?;
+    outputs.drawn_by(views.backend);
+    outputs.keep_alpha(views.transparent)?;
+    outputs.start(plan.fps)?;
+    let mut progress = Progress::new("images", Some(plan.count()), console);
+    let (mut complete, mut size) = (true, None);
+    for (index, (time, views)) in plan.images().enumerate() {
+        if console.stop.asked() {
+            complete = false;
+            break;
+        }
+        let image = drawing.still(&scene, time, &views)?;
+        size.get_or_insert([image.width, image.height]);
+        drawing.writing(|| outputs.image(index, image))?;
+        progress.step();
+    }
+    progress.phase("images; finishing the files");
+    let written = drawing.writing(|| outputs.finish())?;
+    progress.finish();
+
+    let input = InputRecord { path, blake3, count: 1, size: size.unwrap_or(SIZE), fps: plan.fps };
+    Ok(record(options, input, &drawing, Rendered { outputs: written, complete, read, start }, workers))
+}
+
+/// Writes the one file that a still scene is.
+pub fn export(
+    file: StillFile,
+    format: Format,
+    args: &ExportArgs,
+    workers: &Workers,
+    console: &Console,
+) -> Result<(), Failure> {
+    let kind = format!("{} is a still scene ({})", file.path.display(), file.format);
+    if args.times.is_some() || args.fps.is_some() {
+        return Err(Failure::usage(format!("--times, --fps: expected neither; {kind}, which has no time")));
+    }
+    let Some(write) = format.still else {
+        return Err(Failure::usage(format!("--format {}: expected ply, splat or spz; {kind}", format.name)));
+    };
+    let path: PathBuf = if format.is_file(&args.out) {
+        args.out.clone()
+    } else {
+        prepare_folder(&args.out)?;
+        refuse_others(&args.out, format, 1)?;
+        args.out.join(format.file(0))
+    };
+    let bytes = write_file(&path, &write(&Drawable::new(file.still, workers)?))?.bytes;
+    if !console.quiet {
+        say(format!("{}: 1 file, {bytes} bytes", args.out.display()))?;
+    }
+    Ok(())
+}
+
+/// What a still scene holds.
+pub fn inspect(file: &StillFile) -> Value {
+    let still = &file.still;
+    let bounds = still.bounds();
+    json!({
+        "kind": "still scene",
+        "format": file.format,
+        "bytes": file.bytes,
+        "blake3": file.blake3,
+        "gaussians": still.len(),
+        "harmonics_degree": still.degree,
+        "least": bounds.map(|[least, _]| least),
+        "greatest": bounds.map(|[_, greatest]| greatest),
+    })
+}

@@ -1,0 +1,142 @@
+//! `verify`: repeats what a `run.json` describes and compares.
+
+use std::path::{Path, PathBuf};
+
+use crate::command::{render, run};
+use crate::console::failure::Failure;
+use crate::console::{Console, say};
+use crate::options::args::VerifyArgs;
+use crate::output::digest;
+use crate::output::outputs::{Destination, is_inside};
+use crate::output::place::Place;
+use crate::output::record::{Record, Task};
+
+/// Compares the files that are there with their digests, then repeats the work and compares again. Fails where one differs.
+pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
+    let (record_path, folder) = if args.dir.is_file() {
+        (args.dir.clone(), args.dir.parent().map(Path::to_owned).unwrap_or_default())
+    } else {
+        (args.dir.join("run.json"), args.dir.clone())
+    };
+    let record = Record::read(&record_path)?;
+    if record.input.path == Path::new("-") {
+        let message = format!("{}: the input was standard input, which cannot be read again", record_path.display());
+        return Err(Failure::work(message));
+    }
+
+    let mut differing: Vec<PathBuf> = Vec::new();
+    for (name, expected) in &record.outputs {
+        if !is_inside(name) {
+            let message = format!("{}: expected outputs inside its folder, found {name:?}", record_path.display());
+            return Err(Failure::work(message));
+        }
+        let path = folder.join(name);
+        // Nothing of standard output's stays on disk.
+        let found = if path.exists() { digest::file(&path)? } else { "none: the file is missing".to_owned() };
+        if found != expected.blake3 {
+            differ(console, &path.display().to_string(), &expected.blake3, &found)?;
+            differing.push(path);
+        }
+    }
+
+    let outside = record.outputs.values().filter(|output| output.outside_contract).count();
+    if outside > 0 && outside == record.outputs.len() {
+        let message = format!(
+            "{}: its images were drawn by {}, outside of the bit contract, and there is nothing else: a repetition gives other bytes",
+            record_path.display(),
+            record.renderer
+        );
+        return Err(Failure::work(message));
+    }
+    let scratch = tempfile::tempdir().map_err(|e| Failure::work(format!("cannot make a temporary folder: {e}")))?;
+    let video = record.outputs.iter().find(|(_, output)| output.samples.is_some() && !output.outside_contract);
+    let mut place = Place::new(Destination::of(&match video {
+        Some((name, _)) => scratch.path().join(name),
+        None => scratch.path().join("out"),
+    }));
+    let input = &record.input.path;
+    // The repetition itself says nothing.
+    let silent = Console { quiet: true, ..Console::default() };
+    let again = match &record.task {
+        Task::Run(options) => {
+            let mut options = options.clone();
+            if !record.complete {
+                options.frames = Some(record.input.count);
+            }
+            if outside > 0 {
+                // What a graphics card drew is left out.
+                let kinds = ["scene", "ply", "tracks"];
+                let has = |kind: &&str| record.outputs.keys().any(|name| name.starts_with(&format!("{kind}/")));
+                options.emit = Some(kinds.into_iter().filter(has).collect::<Vec<_>>().join(","));
+                options.view.renderer = None;
+            }
+            run::run(input, &mut place, &options, &args.machine, &silent)?
+        }
+        Task::Render(_) if !record.complete => {
+            return Err(Failure::work(format!("{}: the rendering was stopped; run it again", record_path.display())));
+        }
+        Task::Render(options) => render::render(input, &mut place, options, &args.machine, &silent)?,
+    };
+
+    let model = |record: &Record| record.model.as_ref().map_or_else(|| "none".to_owned(), |model| model.blake3.clone());
+    let network =
+        |record: &Record| record.depth.as_ref().map_or_else(|| "none".to_owned(), |network| network.blake3.clone());
+    for (what, expected, found) in [
+        ("the model", model(&record), model(&again)),
+        ("the depth network", network(&record), network(&again)),
+        ("the input", record.input.blake3.clone(), again.input.blake3.clone()),
+    ] {
+        if expected != found {
+            differ(console, what, &expected, &found)?;
+            differing.push(what.into());
+        }
+    }
+    let within = |record: &'_ Record| -> Vec<String> {
+        record.outputs.iter().filter(|(_, output)| !output.outside_contract).map(|(name, _)| name.clone()).collect()
+    };
+    let mut names = [within(&record), within(&again)].concat();
+    names.sort();
+    names.dedup();
+    for name in names {
+        // Videos are compared by what was encoded: their bytes depend on the version of ffmpeg.
+        let digest = |record: &Record| match record.outputs.get(&name) {
+            Some(output) => output.samples.clone().unwrap_or_else(|| output.blake3.clone()),
+            None => "none: the file is missing".to_owned(),
+        };
+        let (expected, found) = (digest(&record), digest(&again));
+        if expected != found {
+            let name = format!("{name}, repeated");
+            differ(console, &name, &expected, &found)?;
+            differing.push(name.into());
+        }
+    }
+    let runtime = |record: &Record| record.depth.as_ref().map_or_else(String::new, |network| network.runtime.clone());
+    if !differing.is_empty() && runtime(&record) != runtime(&again) {
+        // No difference in itself, but another runtime's arithmetic may be one.
+        differ(console, "what runs the depth network", &runtime(&record), &runtime(&again))?;
+    }
+    if let Some(first) = differing.first() {
+        let (count, of) = (differing.len(), record.outputs.len());
+        return Err(Failure::work(format!(
+            "{}: the digest differs ({count} differences, {of} files)",
+            first.display()
+        )));
+    }
+    if !console.quiet {
+        let (threads, isa) = (again.timing.threads, &again.timing.isa);
+        let files = record.outputs.len() - outside;
+        let images = match outside {
+            0 => String::new(),
+            n => format!(
+                "; {n} images drawn by {} are outside of the bit contract and were not repeated",
+                record.renderer
+            ),
+        };
+        say(format!("{}: {files} files, all digests equal ({threads} threads, {isa}){images}", record_path.display()))?;
+    }
+    Ok(())
+}
+
+fn differ(console: &Console, what: &str, expected: &str, found: &str) -> Result<(), Failure> {
+    if console.quiet { Ok(()) } else { say(format!("{what}: expected {expected}, found {found}")) }
+}

@@ -1,0 +1,60 @@
+//! `view`: a page that shows a scene in a browser, served or written as one file.
+
+use std::io::{BufWriter, Write};
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use streamsplat::import::open_moving;
+use streamsplat::output::Partial;
+use streamsplat::view::{PageError, Recorded, Server, write_page};
+
+use crate::console::failure::Failure;
+use crate::console::{Console, say};
+use crate::options::args::ViewArgs;
+use crate::session::serving::title;
+
+/// The port that is tried where none is given.
+pub const PORT: u16 = 8707;
+/// How often it is looked whether the user asked to stop.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Serves until Ctrl-C, or writes the file.
+pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
+    let workers = args.machine.workers()?;
+    let scene = open_moving(&args.scene, &args.limit.limits())?;
+    let source = Recorded::new(title(&args.scene), scene, workers);
+    if let Some(file) = &args.html {
+        let bytes = write_file(&source, file)?;
+        if !console.quiet {
+            say(format!("{}: {bytes} bytes", file.display()))?;
+        }
+        return Ok(());
+    }
+    console.listen();
+    let server =
+        Server::start(SocketAddr::new(args.host, args.port.unwrap_or(PORT)), &args.allow_host, Arc::new(source))?;
+    if !console.quiet {
+        say(format!("http://{}/ (Ctrl-C ends it)", server.address()))?;
+    }
+    while !console.stop.asked() {
+        std::thread::sleep(LOOK);
+    }
+    Ok(())
+}
+
+/// Writes the page with the scene in it: whole or not at all.
+fn write_file(source: &Recorded, file: &Path) -> Result<u64, Failure> {
+    let partial = Partial::create(file)?;
+    let failed = |e: std::io::Error| Failure::work(format!("{}: cannot write: {e}", file.display()));
+    let mut out = BufWriter::new(std::fs::File::create(partial.path()).map_err(failed)?);
+    let bytes = write_page(source, &mut out).map_err(|e| match e {
+        PageError::Write(e) => failed(e),
+        other => other.into(),
+    })?;
+    out.flush().map_err(failed)?;
+    drop(out);
+    partial.keep()?;
+    Ok(bytes)
+}

@@ -1,0 +1,106 @@
+//! The `streamsplat` program: commands, exit codes, messages.
+//!
+//! Exit codes: 0 done, 1 the work failed, 2 wrong use, 130 stopped by the user. An error is one line on standard error that names the file, the tensor
+//! or the option, what was expected and what was found.
+#![deny(unsafe_code)]
+
+mod command;
+mod console;
+mod options;
+mod output;
+mod session;
+
+use std::ffi::OsString;
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::Parser;
+use clap::error::ErrorKind;
+
+use command::{bench, compare, eval, export, forward, golden, inspect, manual, render, splat, track, verify, view};
+pub use console::Observer;
+pub use console::failure::Failure;
+use console::{Console, print, trace};
+use options::args::{Cli, Command};
+
+/// Runs the program with the process's arguments.
+pub fn main() -> ExitCode {
+    ExitCode::from(run(std::env::args_os()))
+}
+
+/// Runs the program with these arguments, the first of which is its name, and gives its exit code.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let cli = match Cli::try_parse_from(arguments) {
+        Ok(cli) => cli,
+        Err(e) if matches!(e.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
+            return finish(print(e.to_string().as_bytes()));
+        }
+        Err(e) => return finish(Err(Failure::Usage(one_line(&e)))),
+    };
+    let _trace = match trace::start(&cli.console) {
+        Ok(guard) => guard,
+        Err(failure) => return finish(Err(failure)),
+    };
+    finish(match &cli.command {
+        Command::Run(args) => command::run::command(args, &cli.console),
+        Command::Render(args) => render::command(args, &cli.console),
+        Command::Eval(args) => eval::command(args, &cli.console),
+        Command::Forward(args) => forward::command(args),
+        Command::Splat(args) => splat::command(args),
+        Command::Inspect(args) => inspect::command(args),
+        Command::Export(args) => export::command(args, &cli.console),
+        Command::Track(args) => track::command(args, &cli.console),
+        Command::View(args) => view::command(args, &cli.console),
+        Command::Bench { arguments } => {
+            return bench::command(arguments).unwrap_or_else(|failure| finish(Err(failure)));
+        }
+        Command::Verify(args) => verify::command(args, &cli.console),
+        Command::Compare(args) => compare::command(args, &cli.console),
+        Command::Golden(args) => golden::command(args, &cli.console),
+        Command::Completions { shell } => manual::completions(*shell),
+        Command::Man { out } => manual::man(out.as_deref()),
+    })
+}
+
+/// Runs `streamsplat run` with these arguments inside another program, which is told of progress and can stop it, and gives the run's record in JSON.
+///
+/// # Errors
+/// Those of the program. Nothing is said beside them.
+pub fn reconstruct(arguments: impl IntoIterator<Item = OsString>, observer: Observer) -> Result<String, Failure> {
+    let words = ["streamsplat", "run", "--quiet"].map(OsString::from);
+    let cli = Cli::try_parse_from(words.into_iter().chain(arguments)).map_err(|e| Failure::Usage(one_line(&e)))?;
+    let Command::Run(args) = &cli.command else { return Err(Failure::usage("expected the options of `run`")) };
+    let console = Console { observer: Some(observer), ..cli.console };
+    command::run::finished(args, &console)?.to_json()
+}
+
+fn finish(result: Result<(), Failure>) -> u8 {
+    match result {
+        Ok(()) => 0,
+        Err(failure) => {
+            let _ = writeln!(std::io::stderr(), "streamsplat: {}", failure.message());
+            failure.code()
+        }
+    }
+}
+
+/// What clap says, without usage and hints, in one line.
+fn one_line(error: &clap::Error) -> String {
+    let text = error.to_string();
+    let said = text.split("\n\n").next().unwrap_or(&text);
+    let mut words: Vec<&str> = said.split_whitespace().collect();
+    if words.first() == Some(&"error:") {
+        words.remove(0);
+    }
+    if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        let commands = "run, render, eval, forward, splat, inspect, export, track, view, bench, verify, compare, golden, completions, man";
+        return format!("expected a command ({commands}); see streamsplat --help");
+    }
+    let tip = text.lines().find_map(|line| line.trim().strip_prefix("tip: "));
+    words.extend(tip.filter(|tip| tip.contains("similar")).map(|_| ";"));
+    let said = words.join(" ").replace(" ;", ";");
+    match tip.filter(|tip| tip.contains("similar")) {
+        Some(tip) => format!("{said} {}", tip.trim()),
+        None => said,
+    }
+}

@@ -1,0 +1,5 @@
+//! The `streamsplat` program.
+
+fn main() -> std::process::ExitCode {
+    streamsplat_cli::main()
+}

@@ -1,0 +1,532 @@
+//! What can be said on the command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+use serde::{Deserialize, Serialize};
+use streamsplat::import::Limits;
+
+use crate::console::Console;
+
+/// Ordinary video in, a dynamic 3D Gaussian scene out, on CPUs, the same to the last bit everywhere.
+#[derive(Parser)]
+#[command(name = "streamsplat", version = crate::console::version::version(), arg_required_else_help = true)]
+pub struct Cli {
+    #[command(subcommand)]
+    pub command: Command,
+    #[command(flatten)]
+    pub console: Console,
+}
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Video → scene, frames, report
+    Run(RunArgs),
+    /// Scene → images at chosen times and cameras
+    Render(RenderArgs),
+    /// Key frames in, the frames between held out: PSNR and SSIM beside simple baselines
+    Eval(EvalArgs),
+    /// A model on tensors: every intermediate result of one pair of frames
+    Forward(ForwardArgs),
+    /// Draw the Gaussians of a safetensors file
+    Splat(SplatArgs),
+    /// A model or a scene: sizes, parts, digests, cost
+    Inspect(InspectArgs),
+    /// A scene in a format that viewers read, one file per time, or as one compressed file
+    Export(ExportArgs),
+    /// The identity under a pixel and its path through time
+    Track(TrackArgs),
+    /// A page that shows a scene in a browser
+    View(ViewArgs),
+    /// Measurements (runs the streamsplat-bench beside this program)
+    #[command(disable_help_flag = true)]
+    Bench {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<std::ffi::OsString>,
+    },
+    /// Repeat what DIR/run.json describes; exit code 1 where a digest differs
+    Verify(VerifyArgs),
+    /// Whether two images, folders of images, videos or scenes are the same, and else how far apart and where; exit code 1 where they differ
+    Compare(CompareArgs),
+    /// Golden images: record a list of renders, and check them with zero tolerance
+    Golden(GoldenArgs),
+    /// Print the completions of a shell
+    Completions {
+        /// Which shell
+        shell: clap_complete::Shell,
+    },
+    /// The manual page
+    Man {
+        /// Write streamsplat.1 and a page per command into this folder instead of printing the first
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+    },
+}
+
+/// What the work is done with. Changes no output bit.
+#[derive(Args, Clone, Debug, Default)]
+pub struct Machine {
+    /// Threads [default: one per processor]
+    #[arg(long, value_name = "N")]
+    pub threads: Option<String>,
+    /// Instruction set: scalar, avx2, avx512, neon or auto
+    #[arg(long, value_name = "NAME", default_value = "auto")]
+    pub isa: String,
+}
+
+/// The model and its arithmetic.
+#[derive(Args, Clone, Debug, Serialize, Deserialize)]
+pub struct Model {
+    /// Checkpoint (safetensors, official layout; FILE.json beside it for what shapes cannot say) [default: the small embedded one]
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// DINOv2's own weights, for models conditioned on them
+    #[arg(long, value_name = "FILE")]
+    pub dinov2: Option<PathBuf>,
+    /// Arithmetic of the large matrix products: f32, bf16 or int8 [default: f32]
+    #[arg(long, value_name = "MODE")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub precision: Option<String>,
+}
+
+/// How a video becomes a scene.
+#[derive(Args, Clone, Debug, Serialize, Deserialize)]
+pub struct Stream {
+    #[command(flatten)]
+    pub model: Model,
+    /// Trade of error for time: realtime, balanced or best; sets gap, resolution, motion, flow, fade, refine, refine-every, precision and reuse
+    /// where they are not given [default: balanced for the model inside the program; others run as the paper says]
+    #[arg(long, value_name = "NAME")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quality: Option<String>,
+    /// Inverse depth: none, a folder of EXR, 16-bit PNG or NPY files, one per frame, or onnx:FILE, a network that ONNX Runtime runs
+    #[arg(long, value_name = "DIR|onnx:FILE", default_value = "none")]
+    pub depth: String,
+    /// What the network's file does not say: size=N or WxH, multiple=N, mean=R/G/B, std=R/G/B, metric, output=NAME, separated by
+    /// commas [default: size=518,multiple=14 and ImageNet's mean and std]
+    #[arg(long, value_name = "LIST")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth_model: Option<String>,
+    /// Depth is normalised by each frame's own range (frame) or the range of all maps (clip)
+    #[arg(long, value_name = "RANGE", default_value = "frame")]
+    pub depth_range: String,
+    /// Every N-th frame is a key frame; or auto[:[LEAST-]MOST[:DB]]: as few as the images of all frames need for a mean PSNR of DB
+    /// decibels, LEAST to MOST frames apart; frames wait for at most MOST-1 later ones [auto: 3-12:38] [default: 5 for the model inside the program, 1 for others]
+    #[arg(long, value_name = "N")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gap: Option<String>,
+    /// Size at which the model sees frames: HEIGHTxWIDTH in whole patches (8 pixels), native (the model's own), or auto (four times its area in the
+    /// source's shape, never more than the source) [default: auto for the model inside the program, native for others]
+    #[arg(long, value_name = "SIZE")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resolution: Option<String>,
+    /// Motion between key frames: network (as the model predicts it), frames (optical flow between the key frames) or between (optical flow
+    /// through the frames in between) [default: between for the model inside the program, network for others]
+    #[arg(long, value_name = "FROM")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion: Option<String>,
+    /// Effort of optical flow: fine or coarse (a quarter of the resolution) [default: fine]
+    #[arg(long, value_name = "EFFORT")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flow: Option<String>,
+    /// How Gaussians fade in and out between key frames: network (each as the model predicts it) or fixed (all alike; where motion is not the
+    /// model's either, nothing of its prediction between key frames is computed) [default: fixed for the model inside the program, network for
+    /// others and for --motion network]
+    #[arg(long, value_name = "HOW")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fade: Option<String>,
+    /// Steps of conjugate gradients that fit colours to the frames; 0: colours as the model gives them [default: 16 for the model inside the
+    /// program, 0 for others]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refine: Option<u32>,
+    /// Fit colours to every K-th of the frames between key frames [default: 1]
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..))]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refine_every: Option<u32>,
+    /// What a key frame knows of those before: persistent or pairwise
+    #[arg(long, value_name = "MODE", default_value = "persistent")]
+    pub fusion: String,
+    /// Key frames after which a Gaussian that nothing continues is dropped at the latest [default: 8]
+    #[arg(long, value_name = "N")]
+    pub max_age: Option<u32>,
+    /// Positions that a model gives as a distribution: mean or sample
+    #[arg(long, value_name = "MODE", default_value = "mean")]
+    pub sampling: String,
+    /// Seed of everything drawn at random
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// Work left out: off, exact (what was computed from the same bits before or adds nothing; no output bit changes), or a tolerance from 0 to 1:
+    /// tokens that moved by less than this fraction keep what was computed for them [default: exact]
+    #[arg(long, value_name = "MODE", allow_negative_numbers = true)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reuse: Option<String>,
+}
+
+/// What is drawn.
+#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct View {
+    /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
+    #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
+    pub times: Option<String>,
+    /// Size of the images: model, source or WIDTHxHEIGHT [default: model; source where `run` names its video itself; of still scenes the
+    /// camera's own, or 1280x720]
+    #[arg(long, value_name = "SIZE")]
+    #[serde(default)]
+    pub size: Option<String>,
+    /// Camera or camera path (JSON); for still scenes also cameras.json of 3D Gaussian splatting, transforms.json, or the folder of a
+    /// COLMAP model [default: the source's own view; for a still scene one from which it is seen whole]
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
+    /// Which camera of another program's file: its number from 0, or its image's name [default: all, one a second from 0]
+    #[arg(long, value_name = "N|NAME", requires = "camera")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub view: Option<String>,
+    /// Colour behind everything: grey level or R,G,B, in [0,1]; for render also transparent (PNG and EXR with alpha)
+    #[arg(long, value_name = "COLOUR", default_value = "0.5", allow_hyphen_values = true)]
+    pub background: String,
+    /// What draws: cpu, or wgpu (a graphics card; images are then outside of the bit contract) [default: cpu]
+    #[arg(long, value_name = "NAME")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub renderer: Option<String>,
+}
+
+#[derive(Args, Clone)]
+pub struct RunArgs {
+    /// Folder of images, .y4m file, - (y4m on standard input), or any video file ffmpeg reads
+    pub input: PathBuf,
+    /// Folder for the results, or a video file (.y4m, .mp4, .webm, .mkv, .mov), or - (y4m on standard output) [default: here, named after the input: of
+    /// clip.mp4 the video clip-scene.mp4 with the scene clip-scene.ssz beside it, of images or y4m the folder clip-scene]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub options: RunOptions,
+    #[command(flatten)]
+    pub machine: Machine,
+    /// Go on with a run that was stopped, from its last whole interval; without one, start
+    #[arg(long)]
+    pub resume: bool,
+    /// Replace finished results of another input or other options
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Show the stream in a browser while it is processed [default port: 8707]
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8707")]
+    pub serve: Option<u16>,
+    /// Also write run.json here
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Everything of a run that reaches its output.
+#[derive(Args, Clone, Debug, Serialize, Deserialize)]
+pub struct RunOptions {
+    #[command(flatten)]
+    pub stream: Stream,
+    /// How frames fit the model's input: letterbox or stretch
+    #[arg(long, value_name = "MODE", default_value = "letterbox")]
+    pub fit: String,
+    /// Frames per second of the input [default: its own, or 24]
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    pub fps: Option<f64>,
+    #[command(flatten)]
+    pub view: View,
+    /// Outputs: rgb, depth, alpha, exr (these three as layers of one file), scene, ply, tracks [default: rgb,scene]
+    #[arg(long, value_name = "LIST")]
+    pub emit: Option<String>,
+    /// Stop after this many input frames
+    #[arg(long, value_name = "N")]
+    pub frames: Option<usize>,
+    /// Leave the input's sound out of an encoded video; it is taken along otherwise, but not with --times or --fps
+    #[arg(long)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub no_audio: bool,
+}
+
+#[derive(Args, Clone)]
+pub struct RenderArgs {
+    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a PLY or SPZ file
+    pub scene: PathBuf,
+    /// Folder for the images, or a video file, or - (y4m on standard output); for a single image a .png or .exr file
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub options: RenderOptions,
+    #[command(flatten)]
+    pub machine: Machine,
+    /// Also write run.json here
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Everything of a rendering that reaches its output.
+#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct RenderOptions {
+    #[command(flatten)]
+    pub view: View,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub motion: Motion,
+    /// Images per second of the scene, where no times are given [default: the source's frame rate]
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    pub fps: Option<f64>,
+    /// Outputs: rgb, depth, alpha, exr (these three as layers of one file) [default: rgb]
+    #[arg(long, value_name = "LIST")]
+    pub emit: Option<String>,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub limit: Limit,
+    /// Whether there may be one image only.
+    #[arg(skip)]
+    #[serde(skip)]
+    pub single: bool,
+}
+
+/// A camera that moves around a still scene.
+#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Motion {
+    /// Of a still scene: move the camera by so many degrees around it, from left to right, in so many seconds [default: 4]
+    #[arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with_all = ["camera", "times"], allow_hyphen_values = true)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orbit: Option<String>,
+    /// Of a still scene: once around it in so many seconds; the last image goes on into the first
+    #[arg(long, value_name = "SECONDS", conflicts_with_all = ["camera", "times", "orbit"], allow_negative_numbers = true)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turntable: Option<f64>,
+}
+
+/// What input files may hold.
+#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Limit {
+    /// Gaussians of an interval or of a still scene that are read at most [default: 16777216]
+    #[arg(long, value_name = "N")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limit_gaussians: Option<usize>,
+}
+
+impl Limit {
+    /// With the default where nothing is said.
+    pub fn limits(&self) -> Limits {
+        self.limit_gaussians.map_or_else(Limits::default, |gaussians| Limits { gaussians })
+    }
+}
+
+#[derive(Args, Clone)]
+pub struct EvalArgs {
+    /// A video as for run, or a folder of such folders
+    pub input: PathBuf,
+    #[command(flatten)]
+    pub stream: Stream,
+    /// Give the frames between key frames as well, and measure them as seen; without it nothing but the comparison reads them
+    #[arg(long)]
+    pub seen: bool,
+    /// How frames fit the model's input: stretch or letterbox
+    #[arg(long, value_name = "MODE", default_value = "stretch")]
+    pub fit: String,
+    /// Frames per second of the input [default: its own, or 24]
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    pub fps: Option<f64>,
+    /// Size of the images before they are compared at 256x256: model, source or WIDTHxHEIGHT
+    #[arg(long, value_name = "SIZE", default_value = "model")]
+    pub size: String,
+    /// LPIPS as well, by this ONNX file: two images in [-1,1] in, one number out; run by ONNX Runtime
+    #[arg(long, value_name = "FILE")]
+    pub lpips_model: Option<PathBuf>,
+    /// What draws: cpu, or wgpu (a graphics card) [default: cpu]
+    #[arg(long, value_name = "NAME")]
+    pub renderer: Option<String>,
+    #[command(flatten)]
+    pub machine: Machine,
+    /// Write the figures here
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+#[derive(Args, Clone)]
+pub struct ForwardArgs {
+    /// Checkpoint (a StreamSplat model or a DINOv2 file)
+    #[arg(long, value_name = "FILE")]
+    pub model: PathBuf,
+    /// Tensors in.frames, in.depths and in.condition; or in.frame for DINOv2
+    #[arg(long, value_name = "FILE")]
+    pub input: PathBuf,
+    /// Where the tensors out.* are written
+    #[arg(long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// Arithmetic of the large matrix products: f32, bf16 or int8
+    #[arg(long, value_name = "MODE", default_value = "f32")]
+    pub precision: String,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct SplatArgs {
+    /// Tensors mean, scale, quat, opacity, rgb in view space; size, background, and focal or intrinsics
+    pub scene: PathBuf,
+    /// Where rgb, depth, alpha, final_T and blended are written
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub limit: Limit,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct InspectArgs {
+    /// A checkpoint, a scene (folder, container, PLY or SPZ file), or an interval
+    pub file: PathBuf,
+    /// Write what is found here
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub limit: Limit,
+}
+
+#[derive(Args, Clone)]
+pub struct ExportArgs {
+    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a PLY or SPZ file
+    pub scene: PathBuf,
+    /// Format: ply (the layout of 3D Gaussian splatting), splat (32-byte records), spz, or ssz (the whole scene, compressed)
+    #[arg(long, value_name = "NAME")]
+    pub format: String,
+    /// Folder for 000000.ply and so on; for a single time, a file with the format's name as its ending; for ssz, a file
+    #[arg(long, value_name = "PATH")]
+    pub out: PathBuf,
+    /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
+    #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
+    pub times: Option<String>,
+    /// Files per second of the scene, where no times are given [default: the source's frame rate]
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    pub fps: Option<f64>,
+    #[command(flatten)]
+    pub limit: Limit,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct TrackArgs {
+    /// A scene's folder, its scene.json, the folder of a run, or a container (.ssz)
+    pub scene: PathBuf,
+    /// When the point is pointed at, in seconds
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    pub at: f64,
+    /// Column and row in the source's frame, pixel centres at whole numbers
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
+    pub point: String,
+    /// Times of the path in seconds: a list or START:END:COUNT [default: the input's own frame times, and T]
+    #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
+    pub times: Option<String>,
+    /// Points per second of the scene, where no times are given [default: the source's frame rate]
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    pub fps: Option<f64>,
+    /// Write the path (CSV) here instead of to standard output
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Also write what is found here
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub limit: Limit,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct ViewArgs {
+    /// A scene's folder, its scene.json, or the folder of a run
+    pub scene: PathBuf,
+    /// Port to serve on; 0 takes any free one [default: 8707]
+    #[arg(long, value_name = "N")]
+    pub port: Option<u16>,
+    /// Address to serve on
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    pub host: std::net::IpAddr,
+    /// A name that browsers may give this machine, beside addresses and localhost; can be repeated
+    #[arg(long, value_name = "NAME")]
+    pub allow_host: Vec<String>,
+    /// Serve nothing: write the page with the scene in it as this file, which opens by itself
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["port", "host", "allow_host"])]
+    pub html: Option<PathBuf>,
+    #[command(flatten)]
+    pub limit: Limit,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct VerifyArgs {
+    /// Folder of a run (or its .run.json, for a run that wrote a video)
+    pub dir: PathBuf,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct CompareArgs {
+    /// An image, a folder of images (or of a rendering), a video, or a scene
+    pub a: PathBuf,
+    /// Another of the same kind
+    pub b: PathBuf,
+    /// Pass where no sample differs by more than N steps of 8 bits (0 to 255; parts of a step are allowed)
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub max_abs: Option<f64>,
+    /// Pass where every picture has at least this PSNR, in dB; with --max-abs both must hold
+    #[arg(long, value_name = "DB", allow_negative_numbers = true)]
+    pub psnr: Option<f64>,
+    /// Write a PNG that shows where the two pictures that are farthest apart differ
+    #[arg(long, value_name = "FILE")]
+    pub heat: Option<PathBuf>,
+    /// Print JSON instead of text, or write it to FILE (--json=FILE) beside the text
+    #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true, default_missing_value = "-")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub limit: Limit,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct GoldenArgs {
+    #[command(subcommand)]
+    pub action: GoldenAction,
+}
+
+#[derive(Subcommand, Clone)]
+pub enum GoldenAction {
+    /// Draw everything in FILE.toml and record digests and previews in the folder FILE.golden beside it
+    Record(GoldenRecordArgs),
+    /// Draw everything again and compare with the record; exit code 1 where one bit differs
+    Check(GoldenCheckArgs),
+}
+
+#[derive(Args, Clone)]
+pub struct GoldenRecordArgs {
+    /// The list of renders (docs/golden.md)
+    #[arg(value_name = "FILE.toml")]
+    pub file: PathBuf,
+    #[command(flatten)]
+    pub limit: Limit,
+    #[command(flatten)]
+    pub machine: Machine,
+}
+
+#[derive(Args, Clone)]
+pub struct GoldenCheckArgs {
+    /// The list of renders (docs/golden.md)
+    #[arg(value_name = "FILE.toml")]
+    pub file: PathBuf,
+    /// Where images that differ are written, beside what was expected [default: FILE.failed]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Write the results as JUnit XML
+    #[arg(long, value_name = "FILE")]
+    pub junit: Option<PathBuf>,
+    /// Print JSON instead of the table, or write it to FILE (--json=FILE) beside the table
+    #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true, default_missing_value = "-")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub limit: Limit,
+    #[command(flatten)]
+    pub machine: Machine,
+}

@@ -1,0 +1,6 @@
+//! The command line, and the library's settings that it stands for.
+
+pub mod args;
+pub mod machine;
+pub mod settings;
+pub mod times;

@@ -1,0 +1,338 @@
+//! From options to the library's settings: every unknown or unavailable value is wrong use.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use streamsplat::camera::{self, CameraFile, CameraPath};
+use streamsplat::depth::{NetworkOptions, Range};
+use streamsplat::gap::Gap;
+use streamsplat::render::Backend;
+use streamsplat::stream::{DepthRange, Fade, FlowEffort, MaxAge, ModelSource, MotionFrom, Quality, Reuse, Settings};
+use streamsplat::{RenderOptions, Size};
+use streamsplat_kernels::raster;
+use streamsplat_model::Precision;
+
+use crate::console::failure::Failure;
+use crate::options::args::{Machine, Model, Stream, View};
+
+/// `text` as a `T`, or wrong use of `option`.
+pub fn choice<T: FromStr>(option: &str, text: &str) -> Result<T, Failure>
+where
+    T::Err: std::fmt::Display,
+{
+    text.parse().map_err(|e| Failure::usage(format!("{option}: {e}")))
+}
+
+/// Where depth comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum DepthFrom {
+    /// There is none.
+    None,
+    /// A folder of maps.
+    Folder(PathBuf, Range),
+    /// A network.
+    Network(PathBuf, NetworkOptions),
+}
+
+impl Model {
+    /// The model that is meant.
+    pub fn source(&self) -> ModelSource {
+        match &self.model {
+            None => ModelSource::Embedded,
+            Some(checkpoint) => ModelSource::File { checkpoint: checkpoint.clone(), dinov2: self.dinov2.clone() },
+        }
+    }
+
+    /// The arithmetic that is meant.
+    pub fn precision(&self) -> Result<Precision, Failure> {
+        self.precision.as_deref().map_or_else(|| Ok(Precision::default()), |text| choice("--precision", text))
+    }
+}
+
+impl Stream {
+    /// These options with what the quality stands for in place of those that are not given. The model inside the program has `balanced` unless
+    /// told otherwise; other models have none.
+    pub fn resolved(&self) -> Result<Stream, Failure> {
+        let mut stream = self.clone();
+        let quality = match (&self.quality, self.model.source()) {
+            (Some(name), _) => choice("--quality", name)?,
+            (None, ModelSource::Embedded) => Quality::default(),
+            (None, _) => {
+                stream.gap = Some(self.gap()?.to_string());
+                return Ok(stream);
+            }
+        };
+        let preset = quality.preset();
+        stream.quality = Some(quality.name().to_owned());
+        let fill = |option: &mut Option<String>, value: &dyn std::fmt::Display| {
+            option.get_or_insert_with(|| value.to_string());
+        };
+        fill(&mut stream.gap, &preset.gap);
+        fill(&mut stream.resolution, &preset.resolution);
+        fill(&mut stream.motion, &preset.motion);
+        fill(&mut stream.flow, &preset.flow);
+        // Who asks for the network's motion gets its fading with it.
+        let network = stream.motion.as_deref() == Some(MotionFrom::Network.name());
+        fill(&mut stream.fade, if network { &Fade::Network } else { &preset.fade });
+        fill(&mut stream.model.precision, &preset.precision);
+        fill(&mut stream.reuse, &preset.reuse);
+        stream.refine.get_or_insert(preset.refine);
+        stream.refine_every.get_or_insert(preset.refine_every);
+        Ok(stream)
+    }
+
+    /// How far key frames are apart.
+    pub fn gap(&self) -> Result<Gap, Failure> {
+        self.gap.as_deref().map_or(Ok(Gap::Every(1)), |text| choice("--gap", text))
+    }
+
+    /// Where depth comes from.
+    pub fn depth_from(&self) -> Result<DepthFrom, Failure> {
+        let range = match self.depth_range.as_str() {
+            "frame" => Range::Frame,
+            "clip" => Range::Clip,
+            other => return Err(Failure::usage(format!("--depth-range {other}: expected frame or clip"))),
+        };
+        let network = self.depth.strip_prefix("onnx:").map(PathBuf::from);
+        if self.depth_model.is_some() && network.is_none() {
+            return Err(Failure::usage("--depth-model: expected a network as well (--depth onnx:FILE)"));
+        }
+        if self.depth == "none" {
+            return Ok(DepthFrom::None);
+        }
+        if let Some(network) = network {
+            if range == Range::Clip {
+                return Err(Failure::usage("--depth-range clip: expected a folder of maps, found a network"));
+            }
+            let options = self.depth_model.as_deref().map(|text| choice("--depth-model", text)).transpose()?;
+            return Ok(DepthFrom::Network(network, options.unwrap_or_default()));
+        }
+        let folder = PathBuf::from(&self.depth);
+        if !folder.is_dir() {
+            return Err(Failure::usage(format!(
+                "--depth {}: expected none, a folder of depth maps, or onnx:FILE",
+                self.depth
+            )));
+        }
+        Ok(DepthFrom::Folder(folder, range))
+    }
+
+    /// What an engine is made with.
+    pub fn settings(&self, fit: &str, machine: &Machine) -> Result<Settings, Failure> {
+        let mut settings = Settings::with_model(self.model.source());
+        settings.fusion = choice("--fusion", &self.fusion)?;
+        settings.max_age = self.max_age.map_or_else(MaxAge::default, MaxAge);
+        settings.fit = choice("--fit", fit)?;
+        settings.resolution = self.resolution.as_deref().map(|text| choice("--resolution", text)).transpose()?;
+        settings.motion = self.motion.as_deref().map(|text| choice("--motion", text)).transpose()?;
+        settings.fade = self.fade.as_deref().map(|text| choice("--fade", text)).transpose()?;
+        settings.flow =
+            self.flow.as_deref().map_or_else(|| Ok(FlowEffort::default()), |text| choice("--flow", text))?;
+        settings.refine_every = self.refine_every;
+        settings.refine = self.refine;
+        settings.depth_range = match self.depth_from()? {
+            DepthFrom::Folder(_, Range::Clip) => DepthRange::Given,
+            _ => DepthRange::Frame,
+        };
+        settings.sampling = choice("--sampling", &self.sampling)?;
+        settings.seed = self.seed;
+        settings.reuse = self.reuse.as_deref().map_or_else(|| Ok(Reuse::default()), |text| choice("--reuse", text))?;
+        settings.precision = self.model.precision()?;
+        settings.level = Some(machine.level()?);
+        settings.threads = machine.threads()?;
+        Ok(settings)
+    }
+}
+
+/// What is drawn, when, and from where.
+#[derive(Clone, Debug)]
+pub struct Views {
+    /// Size, background, and which planes.
+    pub options: RenderOptions,
+    /// The camera at any time.
+    pub camera: CameraPath,
+    /// Times asked for, ascending.
+    pub times: Option<Vec<f64>>,
+    /// What draws.
+    pub backend: Backend,
+    /// Width and height of the images of a camera file of another program, in whose path one follows the other each second.
+    pub own_sizes: Vec<[usize; 2]>,
+    /// Whether there is nothing behind the scene: it is drawn over black, and alpha is kept.
+    pub transparent: bool,
+}
+
+impl Views {
+    /// Refuses what only a rendering of a still scene has: a path through another program's cameras, and, where frames are
+    /// written from a video, transparency.
+    pub fn refuse_still(&self) -> Result<(), Failure> {
+        self.refuse_cameras()?;
+        if self.transparent {
+            return Err(Failure::usage("--background transparent: expected one number or R,G,B; only render has it"));
+        }
+        Ok(())
+    }
+
+    /// Refuses several cameras of another program, which are no path through a scene in time.
+    pub fn refuse_cameras(&self) -> Result<(), Failure> {
+        match self.own_sizes.len() {
+            0 | 1 => Ok(()),
+            n => Err(Failure::usage(format!("--camera: expected one camera for a scene in time (--view), found {n}"))),
+        }
+    }
+}
+
+impl Views {
+    /// The video's own, at the size at which the model sees frames.
+    pub fn own() -> Views {
+        Views {
+            options: RenderOptions::default(),
+            camera: CameraPath::default(),
+            times: None,
+            backend: Backend::Cpu,
+            own_sizes: Vec::new(),
+            transparent: false,
+        }
+    }
+}
+
+impl View {
+    /// Checks everything that can be checked before work is spent.
+    pub fn resolve(&self) -> Result<Views, Failure> {
+        let transparent = self.background == "transparent";
+        let background = if transparent { [0.0; 3] } else { self.background()? };
+        let size = self.size()?;
+        let (camera, own_sizes) = self.cameras(size)?;
+        let options = RenderOptions { size, background, ..RenderOptions::default() };
+        let times = self.times.as_deref().map(times).transpose()?;
+        Ok(Views { options, camera, times, backend: self.backend()?, own_sizes, transparent })
+    }
+
+    /// The camera's path, and the sizes of its images where another program's file says them.
+    fn cameras(&self, size: Size) -> Result<(CameraPath, Vec<[usize; 2]>), Failure> {
+        let Some(file) = &self.camera else { return Ok((CameraPath::default(), Vec::new())) };
+        let size = match size {
+            Size::Exact { width, height } => Some([width, height]),
+            _ => None,
+        };
+        let set = match (camera::set::open(file, size)?, &self.view) {
+            (CameraFile::Own(path), None) => return Ok((path, Vec::new())),
+            (CameraFile::Own(_), Some(view)) => {
+                let file = file.display();
+                let found = format!("{file}, which is this program's own: give --times");
+                return Err(Failure::usage(format!(
+                    "--view {view}: expected a camera file of another program, found {found}"
+                )));
+            }
+            (CameraFile::Set(set), _) => set,
+        };
+        let chosen = match &self.view {
+            None => set,
+            Some(text) => {
+                let camera =
+                    set.find(text).map_err(|e| Failure::usage(format!("--view: {}: {e}", file.display())))?.clone();
+                camera::CameraSet { format: set.format, cameras: vec![camera] }
+            }
+        };
+        let sizes = chosen.cameras.iter().map(|camera| camera.size).collect();
+        let path =
+            chosen.path().ok_or_else(|| Failure::work(format!("{}: expected usable cameras", file.display())))?;
+        Ok((path, sizes))
+    }
+
+    fn backend(&self) -> Result<Backend, Failure> {
+        let Some(name) = &self.renderer else { return Ok(Backend::Cpu) };
+        let backend: Backend = choice("--renderer", name)?;
+        if !backend.is_built_in() {
+            return Err(Failure::usage(format!(
+                "--renderer {name}: expected a program built with the cargo feature {name} (cargo build --release --features {name}), found one without"
+            )));
+        }
+        Ok(backend)
+    }
+
+    fn size(&self) -> Result<Size, Failure> {
+        let text = self.size.as_deref().unwrap_or("model");
+        match text {
+            "model" => return Ok(Size::Model),
+            "source" => return Ok(Size::Source),
+            _ => {}
+        }
+        let side = |text: &str| text.parse().ok().filter(|side| (1..=raster::MAX_SIDE).contains(side));
+        let sides = text.split_once('x').and_then(|(w, h)| side(w).zip(side(h)));
+        sides.map(|(width, height)| Size::Exact { width, height }).ok_or_else(|| {
+            let most = raster::MAX_SIDE;
+            Failure::usage(format!("--size {text}: expected model, source or WIDTHxHEIGHT up to {most} a side"))
+        })
+    }
+
+    fn background(&self) -> Result<[f32; 3], Failure> {
+        let parts: Option<Vec<f32>> = self.background.split(',').map(|part| part.trim().parse().ok()).collect();
+        let inside = |v: &[f32]| v.iter().all(|c| (0.0..=1.0).contains(c));
+        match parts.as_deref() {
+            Some([grey]) if inside(&[*grey]) => Ok([*grey; 3]),
+            Some([r, g, b]) if inside(&[*r, *g, *b]) => Ok([*r, *g, *b]),
+            _ => Err(Failure::usage(format!(
+                "--background {}: expected one number or R,G,B, each from 0 to 1",
+                self.background
+            ))),
+        }
+    }
+}
+
+/// `a,b,c` or `start:end:count`, ascending seconds.
+pub fn times(text: &str) -> Result<Vec<f64>, Failure> {
+    let wrong = |what: &str| Failure::usage(format!("--times {text}: expected {what}"));
+    let number = |part: &str| part.trim().parse::<f64>().ok().filter(|t| t.is_finite());
+    if text.contains(':') {
+        let parts: Vec<&str> = text.split(':').collect();
+        let [start, end, count] = parts[..] else { return Err(wrong("START:END:COUNT")) };
+        let count: Option<usize> = count.trim().parse().ok().filter(|n| (1..=1_000_000).contains(n));
+        return match (number(start), number(end), count) {
+            (Some(start), Some(end), Some(1)) if start <= end => Ok(vec![start]),
+            (Some(start), Some(end), Some(n)) if start <= end => {
+                let step =
+                    |i: usize| if i + 1 == n { end } else { start + (end - start) * (i as f64 / (n - 1) as f64) };
+                Ok((0..n).map(step).collect())
+            }
+            _ => Err(wrong("START:END:COUNT with START ≤ END in seconds and COUNT from 1 to 1000000")),
+        };
+    }
+    let times: Option<Vec<f64>> = text.split(',').map(number).collect();
+    match times {
+        Some(times) if times.windows(2).all(|pair| pair[0] <= pair[1]) => Ok(times),
+        Some(_) => Err(wrong("ascending times")),
+        None => Err(wrong("seconds separated by commas, or START:END:COUNT")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_lists_or_ranges() {
+        assert_eq!(times("0,0.5,2").ok(), Some(vec![0.0, 0.5, 2.0]));
+        assert_eq!(times("0:1:3").ok(), Some(vec![0.0, 0.5, 1.0]));
+        assert_eq!(times("0:0.3:1").ok(), Some(vec![0.0]));
+        for wrong in ["", "1,0", "nan", "0:1", "1:0:4", "0:1:0", "0;1"] {
+            assert!(matches!(times(wrong), Err(Failure::Usage(_))), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn sizes_and_backgrounds_outside_their_range_are_wrong_use() {
+        let view = |size: &str, background: &str| View {
+            size: Some(size.into()),
+            background: background.into(),
+            ..View::default()
+        };
+        let views = view("640x360", "0,0.5,1").resolve().expect("valid");
+        assert_eq!(views.options.size, Size::Exact { width: 640, height: 360 });
+        assert_eq!(views.options.background, [0.0, 0.5, 1.0]);
+        for (size, background) in
+            [("0x4", "0"), ("big", "0"), ("4x", "0"), ("4x99999999", "0"), ("model", "2"), ("model", "0,1")]
+        {
+            assert!(matches!(view(size, background).resolve(), Err(Failure::Usage(_))), "{size} {background}");
+        }
+    }
+}

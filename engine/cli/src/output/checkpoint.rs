@@ -1,0 +1,232 @@
+//! What a run leaves while it is under way, so that it can go on after it was stopped: by the user, by a failure, or by the
+//! system at any moment.
+//!
+//! In the folder `resume` of the results (for a video `v.y4m`, `v.y4m.resume` beside it):
+//!
+//! - `written.jsonl`, the [ledger](crate::output::ledger): a line per file before the file gets its name;
+//! - `state.safetensors`, the [`Point`] and the stream's memory, replaced by renaming after each whole interval;
+//! - `state.before.safetensors`, the one of the interval before.
+//!
+//! After an interval its files, the folders they are in, the ledger and the video are synced, and then the state is written, so that whatever a
+//! state vouches for survives a power loss. Where a state or something it vouches for is damaged all the same, the one before
+//! is taken; where that is no better, the run starts again.
+//!
+//! The point is what counts: everything it vouches for was written before it, and what came after it is written again. Of the stream it
+//! holds the memory *before* the last whole interval. So `--resume` reads the input from its beginning (the digest of what was read must
+//! be the same), takes up the memory at the key frame before the last one, and computes the last whole interval again, which must come
+//! out as it was written; two key frames of work. Where the memory says too little ([`Reuse::forgets`](streamsplat::stream::Reuse)),
+//! the stream is computed from its start. When a run is complete the folder goes.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use streamsplat::import::read_file;
+use streamsplat::output::{OutputError, Video, VideoPoint, partial_name, storage};
+use streamsplat::scene::{memory_from_safetensors, memory_to_safetensors};
+use streamsplat::stream::Memory;
+
+use crate::console::failure::Failure;
+use crate::output::choices::Choices;
+use crate::output::earlier::is_as_written;
+use crate::output::ledger;
+use crate::output::outputs::Destination;
+use crate::output::record::{Counts, InputRecord, Record, Task, WorkRecord, absolute};
+use crate::output::terms::Terms;
+
+/// The point's file.
+const STATE: &str = "state.safetensors";
+/// The file of the point before.
+const BEFORE: &str = "state.before.safetensors";
+/// Largest one read, in bytes.
+const MAX_STATE: u64 = 1 << 32;
+
+/// How far a run has come.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Point {
+    /// What the run is a function of.
+    pub terms: Terms,
+    /// What was read.
+    pub input: InputRecord,
+    /// The last key frame whose interval is whole, with everything due in it.
+    pub key: u64,
+    /// First and last time of the scene so far, in seconds.
+    pub span: (f64, f64),
+    /// How many of the times asked for are done.
+    pub times: usize,
+    /// The key frames chosen, where they depend on how close images come to frames.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub choices: Option<Choices>,
+    /// The engine's account.
+    pub work: BTreeMap<String, WorkRecord>,
+    /// Gaussians left out by the engine.
+    pub dropped: u64,
+    /// The account of drawing.
+    pub drawn: Counts,
+    /// Bytes of the ledger that count.
+    pub ledger: u64,
+    /// The video, where the result is one.
+    pub video: Option<VideoPoint>,
+}
+
+/// What `--resume` finds.
+#[derive(Debug)]
+pub enum Found {
+    /// Nothing: the run starts.
+    Nothing,
+    /// A complete run.
+    Complete(Box<Record>),
+    /// A run to go on with.
+    Under(Box<Point>, Option<Memory>),
+}
+
+/// Looks for what a run to `destination` left.
+pub fn find(destination: &Destination) -> Result<Found, Failure> {
+    let Some(folder) = destination.resume() else {
+        let message = "--resume: expected a folder or a .y4m file as --out; standard output and encoded videos cannot be gone on with";
+        return Err(Failure::usage(message));
+    };
+    let record = destination.record().filter(|path| path.exists());
+    let record = record.as_deref().map(Record::read).transpose()?;
+    if let Some(record) = record.as_ref().filter(|record| record.complete) {
+        return Ok(match check_outputs(record, destination) {
+            Ok(()) => Found::Complete(Box::new(record.clone())),
+            Err(damage) => {
+                tell(&format!("{}; starting again", damage.message()));
+                Found::Nothing
+            }
+        });
+    }
+    let states = [STATE, BEFORE].map(|name| folder.join(name));
+    if !states.iter().any(|path| path.exists()) {
+        return match record {
+            None => Ok(Found::Nothing),
+            Some(_) => Err(Failure::work(format!(
+                "{}: not found, but there is the record of a stopped run; run again without --resume",
+                states[0].display()
+            ))),
+        };
+    }
+    let mut points =
+        states.iter().filter(|path| path.exists()).map(|path| point(path, &folder, destination)).peekable();
+    while let Some(found) = points.next() {
+        match found {
+            Ok((point, memory)) => return Ok(Found::Under(Box::new(point), memory)),
+            Err(damage) => {
+                let next = if points.peek().is_some() { "going back one interval" } else { "starting again" };
+                tell(&format!("{}; {next}", damage.message()));
+            }
+        }
+    }
+    Ok(Found::Nothing)
+}
+
+/// The point in the file `path`, if all that it vouches for is there.
+fn point(path: &Path, folder: &Path, destination: &Destination) -> Result<(Point, Option<Memory>), Failure> {
+    let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", path.display()));
+    storage::regular(path).map_err(|e| wrong(&e))?;
+    let bytes = read_file(path, MAX_STATE).map_err(|e| wrong(&e))?;
+    let (memory, note) = memory_from_safetensors(&bytes).map_err(|e| wrong(&e))?;
+    let point: Point = serde_json::from_str(&note).map_err(|e| wrong(&format!("not the state of a run: {e}")))?;
+    let lines = ledger::read(folder, point.ledger)?;
+    match (destination, &point.video) {
+        (Destination::Folder(folder), _) => drop(ledger::verified(folder, &lines)?),
+        (Destination::Video(path, _), Some(video)) if !Video::can_resume(path, video) => {
+            let VideoPoint { bytes, blake3, .. } = video;
+            let expected = format!("expected its first {bytes} bytes to have the digest {blake3}");
+            return Err(Failure::work(format!("{}: {expected}", path.display())));
+        }
+        (Destination::Video(..), _) => {}
+    }
+    Ok((point, memory))
+}
+
+/// Every file of a record must have the length and the digest that it names.
+fn check_outputs(record: &Record, destination: &Destination) -> Result<(), Failure> {
+    let folder = match destination {
+        Destination::Folder(folder) => folder,
+        Destination::Video(path, _) => streamsplat::output::folder_of(path),
+    };
+    for (name, output) in &record.outputs {
+        if !is_as_written(folder, name, output.bytes, &output.blake3)? {
+            let path = folder.join(name);
+            let (bytes, blake3) = (output.bytes, &output.blake3);
+            let expected = format!("expected the file as it was written, {bytes} bytes with the digest {blake3}");
+            return Err(Failure::work(format!("{}: {expected}", path.display())));
+        }
+    }
+    Ok(())
+}
+
+fn tell(message: &str) {
+    tracing::warn!("--resume: {message}");
+}
+
+/// Writes the point, with the stream's memory before its interval, when all that it vouches for is synced.
+pub fn commit(folder: &Path, point: &Point, memory: Option<&Memory>) -> Result<(), Failure> {
+    let note = serde_json::to_string(point).map_err(Failure::work)?;
+    let bytes = memory_to_safetensors(memory, &note).map_err(Failure::work)?;
+    let (state, before) = (folder.join(STATE), folder.join(BEFORE));
+    let partial = partial_name(&state);
+    let write = || {
+        let mut file = storage::create(&partial)?;
+        file.write_all(&bytes)?;
+        file.sync()?;
+        if state.exists() {
+            storage::rename(&state, &before)?;
+            // Until the next line has lasted as well, the state before is the one to go on from.
+            storage::sync_folder(folder)?;
+        }
+        storage::rename(&partial, &state)?;
+        storage::sync_folder(folder)
+    };
+    write().map_err(|cause| {
+        let _ = storage::remove(&partial);
+        Failure::from(OutputError::Write { path: state.clone(), cause })
+    })
+}
+
+/// Takes away what the run no longer needs; the point goes first.
+pub fn remove(folder: &Path) -> Result<(), OutputError> {
+    let done = |result: std::io::Result<()>| match result {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+            Err(OutputError::Write { path: folder.to_owned(), cause: e })
+        }
+        _ => Ok(()),
+    };
+    // Nothing below a link is the run's.
+    if std::fs::symlink_metadata(folder).is_ok_and(|found| !found.is_dir()) {
+        return Err(OutputError::Write {
+            path: folder.to_owned(),
+            cause: std::io::Error::other("expected a folder, found something else, such as a symbolic link"),
+        });
+    }
+    done(storage::remove(&folder.join(STATE)))?;
+    done(storage::remove(&folder.join(BEFORE)))?;
+    done(storage::remove(&partial_name(&folder.join(STATE))))?;
+    done(ledger::remove(folder))?;
+    if !folder.exists() {
+        return Ok(());
+    }
+    // Whatever else someone put there keeps it.
+    match storage::remove_folder(folder) {
+        Err(e) if e.kind() == std::io::ErrorKind::DirectoryNotEmpty => Ok(()),
+        other => done(other),
+    }
+}
+
+/// A complete run is only said to be one when it is the run asked for.
+pub fn check_complete(record: &Record, input: &Path, given: &Terms) -> Result<(), Failure> {
+    let Task::Run(options) = &record.task else {
+        return Err(Failure::usage("--resume: --out holds the results of render, not of run"));
+    };
+    let recorded = Terms::recorded(record, options)?;
+    recorded.check(given)?;
+    let input = absolute(input);
+    if record.input.path != input {
+        let (expected, found) = (record.input.path.display(), input.display());
+        return Err(Failure::work(format!("--resume: the input: recorded {expected}, given {found}")));
+    }
+    Ok(())
+}

@@ -1,0 +1,55 @@
+//! Key frames chosen by how close images come to frames, as a stopped run keeps them.
+
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+use streamsplat::gap::{ControlState, Found};
+
+/// What key frames were chosen so far, and what the next choices rest on.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Choices {
+    /// Frames from each key frame to the next.
+    pub gaps: Vec<usize>,
+    /// What was known when the last of them was chosen.
+    pub state: ControlState,
+    /// What has been found since: PSNR of the key frame and of those in between, as bits, and the number of frames.
+    recent: VecDeque<(u64, Option<u64>, usize)>,
+    /// The sum of PSNR over all frames compared, as bits, and their number.
+    compared: (u64, usize),
+}
+
+impl Choices {
+    /// The same before its choices are made again.
+    pub fn replayed(&self) -> Choices {
+        Choices { gaps: Vec::new(), ..self.clone() }
+    }
+
+    /// Another key frame was chosen, `gap` frames after the one before; `None` for the first.
+    pub fn add(&mut self, gap: Option<usize>, state: ControlState) {
+        self.gaps.extend(gap);
+        self.state = state;
+    }
+
+    /// What a choice may not know yet: the last two intervals. `sum` and `frames` are of PSNR over all frames compared so far.
+    pub fn found(&mut self, found: &Found, sum: f64, frames: usize) {
+        self.recent.push_back((found.key.to_bits(), found.between.map(f64::to_bits), found.frames));
+        if self.recent.len() > 2 {
+            self.recent.pop_front();
+        }
+        self.compared = (sum.to_bits(), frames);
+    }
+
+    /// What has been found since the last choice.
+    pub fn recent(&self) -> impl Iterator<Item = Found> {
+        self.recent.iter().map(|&(key, between, frames)| Found {
+            key: f64::from_bits(key),
+            between: between.map(f64::from_bits),
+            frames,
+        })
+    }
+
+    /// The sum of PSNR over all frames compared, in dB, and their number.
+    pub fn compared(&self) -> (f64, usize) {
+        (f64::from_bits(self.compared.0), self.compared.1)
+    }
+}

@@ -1,0 +1,105 @@
+//! Where `--out` points.
+
+use std::path::{Path, PathBuf};
+
+use streamsplat::output::{VIDEOS, VideoFormat};
+
+use crate::console::failure::Failure;
+
+/// Endings of files that nobody means as the name of a folder.
+const FOREIGN: [&str; 27] = [
+    "3gp", "asf", "avi", "flv", "m2ts", "mpeg", "mpg", "mts", "ogv", "ts", "vob", "wmv", "mp3", "wav", "bmp", "exr",
+    "jpeg", "jpg", "png", "tga", "tif", "tiff", "heic", "ply", "spz", "ssz", "zip",
+];
+
+/// Where `--out` points.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Destination {
+    /// A folder.
+    Folder(PathBuf),
+    /// A video file, or `-`.
+    Video(PathBuf, VideoFormat),
+}
+
+impl Destination {
+    /// As [`Destination::of`]; an error for the name of a file of a kind that is not written.
+    pub fn asked(out: &Path) -> Result<Destination, Failure> {
+        let destination = Destination::of(out);
+        let ending = out.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
+        match destination {
+            Destination::Folder(_) if FOREIGN.contains(&ending.as_str()) && !out.is_dir() => {
+                let found = out.display();
+                Err(Failure::usage(format!(
+                    "--out: expected a folder, - or a video (.{}), found {found}",
+                    VIDEOS.join(", .")
+                )))
+            }
+            destination => Ok(destination),
+        }
+    }
+
+    /// A path with a video's name is a video, `-` is y4m on standard output, anything else a folder.
+    pub fn of(out: &Path) -> Destination {
+        if out == Path::new("-") {
+            return Destination::Video(out.to_owned(), VideoFormat::Y4m);
+        }
+        match VideoFormat::of(out) {
+            Some(format) if !out.is_dir() => Destination::Video(out.to_owned(), format),
+            _ => Destination::Folder(out.to_owned()),
+        }
+    }
+
+    /// Where a run under way keeps what it needs to go on after it was stopped; `None` where it cannot.
+    pub fn resume(&self) -> Option<PathBuf> {
+        match self {
+            Destination::Folder(folder) => Some(folder.join("resume")),
+            Destination::Video(path, VideoFormat::Y4m) if path != Path::new("-") => {
+                let mut name = path.file_name().unwrap_or_default().to_owned();
+                name.push(".resume");
+                Some(path.with_file_name(name))
+            }
+            Destination::Video(..) => None,
+        }
+    }
+
+    /// The file of the scene beside an encoded video.
+    pub fn container(&self) -> Option<PathBuf> {
+        match self {
+            Destination::Video(path, format) if *format != VideoFormat::Y4m => Some(path.with_extension("ssz")),
+            _ => None,
+        }
+    }
+
+    /// The folder or the video's file.
+    pub fn path(&self) -> &Path {
+        let (Destination::Folder(path) | Destination::Video(path, _)) = self;
+        path
+    }
+
+    /// The file by which a process holds the place; `None` for standard output.
+    pub fn lock(&self) -> Option<PathBuf> {
+        match self {
+            Destination::Folder(folder) => Some(folder.join(".streamsplat.lock")),
+            Destination::Video(path, _) if path == Path::new("-") => None,
+            Destination::Video(path, _) => {
+                let mut name = std::ffi::OsString::from(".");
+                name.push(path.file_name().unwrap_or_default());
+                name.push(".lock");
+                Some(path.with_file_name(name))
+            }
+        }
+    }
+
+    /// Where the record of the run goes; `None` for standard output.
+    pub fn record(&self) -> Option<PathBuf> {
+        match self {
+            Destination::Folder(folder) => Some(folder.join("run.json")),
+            Destination::Video(path, _) if path == Path::new("-") => None,
+            Destination::Video(path, _) => {
+                let mut name = path.file_name().unwrap_or_default().to_owned();
+                name.push(".run.json");
+                Some(path.with_file_name(name))
+            }
+        }
+    }
+}

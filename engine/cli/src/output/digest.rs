@@ -1,0 +1,81 @@
+//! Digests of what goes in.
+
+use std::path::Path;
+
+use streamsplat::picture::Picture;
+
+use crate::console::failure::Failure;
+
+/// BLAKE3 over the frames as they are read: of each its index, its size, the bits of its time stamp, and its samples.
+#[derive(Default)]
+pub struct InputDigest {
+    hasher: blake3::Hasher,
+    frames: usize,
+}
+
+impl InputDigest {
+    /// Adds a frame and its depth map.
+    pub fn add(&mut self, picture: &Picture, timestamp: f64, depth: Option<&[f32]>) {
+        let sizes = [self.frames as u64, picture.width as u64, picture.height as u64, timestamp.to_bits()];
+        sizes.iter().for_each(|v| self.bytes_of(&v.to_le_bytes()));
+        for samples in [Some(picture.rgb.as_slice()), depth].into_iter().flatten() {
+            // In blocks, so that no copy of the whole frame is made.
+            for block in samples.chunks(1 << 14) {
+                let bytes: Vec<u8> = block.iter().flat_map(|v| v.to_le_bytes()).collect();
+                self.bytes_of(&bytes);
+            }
+        }
+        self.frames += 1;
+    }
+
+    fn bytes_of(&mut self, bytes: &[u8]) {
+        self.hasher.update(bytes);
+    }
+
+    /// Frames added.
+    pub fn frames(&self) -> usize {
+        self.frames
+    }
+
+    /// The digest in hexadecimal.
+    pub fn finish(&self) -> String {
+        self.hasher.finalize().to_hex().to_string()
+    }
+}
+
+/// BLAKE3 of a file's bytes.
+pub fn file(path: &Path) -> Result<String, Failure> {
+    let unreadable = |e| Failure::work(format!("{}: {e}", path.display()));
+    let file = std::fs::File::open(path).map_err(unreadable)?;
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(file).map_err(unreadable)?;
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
+/// BLAKE3 over parts in memory: of each its length, then its bytes.
+pub fn bytes(parts: &[&[u8]]) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for part in parts {
+        hasher.update(&(part.len() as u64).to_le_bytes());
+        hasher.update(part);
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+/// As [`bytes`], of files.
+pub fn files(paths: &[std::path::PathBuf]) -> Result<String, Failure> {
+    let mut hasher = blake3::Hasher::new();
+    for path in paths {
+        let unreadable = |e| Failure::work(format!("{}: {e}", path.display()));
+        let file = std::fs::File::open(path).map_err(unreadable)?;
+        hasher.update(&file.metadata().map_err(unreadable)?.len().to_le_bytes());
+        hasher.update_reader(file).map_err(unreadable)?;
+    }
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
+/// BLAKE3 over what a scene's index says of its intervals.
+pub fn scene(scene: &streamsplat::scene::Scene) -> Result<String, Failure> {
+    let text = serde_json::to_vec(scene.index()).map_err(Failure::work)?;
+    Ok(blake3::hash(&text).to_hex().to_string())
+}

@@ -1,0 +1,84 @@
+//! What an earlier run left in the same folder.
+
+use std::path::{Path, PathBuf};
+
+use streamsplat::output::{OutputError, partial_name, storage};
+
+use crate::console::failure::Failure;
+use crate::output::outputs::is_inside;
+use crate::output::record::Record;
+use crate::output::{checkpoint, digest, ledger};
+
+/// Removes the files that an earlier run in `folder` tells of, whole or stopped, and what tells of them, so that old and new results
+/// never mix. A file goes only if it is what was written, by length and digest; nothing is reached through a link.
+pub fn remove_earlier(folder: &Path) -> Result<(), Failure> {
+    let record = folder.join("run.json");
+    if storage::exists(&record) {
+        let earlier = Record::read(&record).map_err(|e| {
+            Failure::work(format!("{}; the folder holds something else, give another --out", e.message()))
+        })?;
+        for (name, output) in &earlier.outputs {
+            if is_as_written(folder, name, output.bytes, &output.blake3)? {
+                remove_file(&folder.join(name))?;
+            }
+        }
+    }
+    let resume = folder.join("resume");
+    let lines = ledger::all(&resume);
+    for line in &lines {
+        if is_as_written(folder, &line.file, line.bytes, &line.blake3)? {
+            remove_file(&folder.join(&line.file))?;
+        }
+    }
+    if !lines.is_empty() {
+        // The index and whatever was being written when the run was stopped have no line.
+        let index = Path::new("scene").join(streamsplat::scene::INDEX);
+        let names = lines.iter().map(|line| PathBuf::from(&line.file)).chain([index.clone()]);
+        let mut files: Vec<PathBuf> = names.map(|name| partial_name(&name)).collect();
+        files.push(index);
+        for file in files.iter().filter(|file| is_file_inside(folder, file)) {
+            remove_file(&folder.join(file))?;
+        }
+    }
+    checkpoint::remove(&resume)?;
+    // The record goes last: what is stopped halfway can be cleared later.
+    [folder.join("report.md"), record].iter().try_for_each(|file| remove_file(file))?;
+    storage::sync_folder(folder).map_err(|cause| OutputError::Write { path: folder.to_owned(), cause })?;
+    Ok(())
+}
+
+/// Whether the file `name` in `folder` has this length and this digest.
+pub fn is_as_written(folder: &Path, name: &str, bytes: u64, blake3: &str) -> Result<bool, Failure> {
+    if !is_file_inside(folder, Path::new(name)) {
+        return Ok(false);
+    }
+    let path = folder.join(name);
+    let length = storage::regular(&path).map_err(|e| Failure::work(format!("{}: {e}", path.display())))?.len();
+    Ok(length == bytes && digest::file(&path)? == blake3)
+}
+
+/// Whether `name` is a regular file in `folder` that no link leads to.
+fn is_file_inside(folder: &Path, name: &Path) -> bool {
+    let Some(parts) = name.to_str().filter(|name| is_inside(name)).map(|_| name.iter()) else { return false };
+    let mut path = folder.to_owned();
+    let mut parts = parts.peekable();
+    while let Some(part) = parts.next() {
+        path.push(part);
+        let Ok(found) = std::fs::symlink_metadata(&path) else { return false };
+        let fits = if parts.peek().is_some() { found.is_dir() } else { found.is_file() };
+        if !fits {
+            return false;
+        }
+    }
+    true
+}
+
+/// Removes a file, if it is there.
+pub fn remove_file(file: &Path) -> Result<(), Failure> {
+    match storage::remove(file) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+            Err(Failure::work(format!("{}: cannot remove: {e}", file.display())))
+        }
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,410 @@
+//! Where results go: a folder, a video file, or standard output.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Component, Path, PathBuf};
+
+use streamsplat::Image;
+use streamsplat::export;
+use streamsplat::output::{
+    OutputError, Sound, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, plane_png,
+    prepare_subfolder, storage, transparent_exr, transparent_png, write_whole,
+};
+use streamsplat::picture::Picture;
+use streamsplat::render::{Backend, Snapshot};
+use streamsplat::scene::{ContainerWriter, IntervalEntry, SceneWriter, to_safetensors};
+use streamsplat::stream::{Interval, Memory};
+
+use crate::console::failure::Failure;
+use crate::output::checkpoint::Point;
+pub use crate::output::destination::Destination;
+use crate::output::earlier::{remove_earlier, remove_file};
+use crate::output::ledger::Ledger;
+use crate::output::place::Place;
+use crate::output::record::OutputRecord;
+use crate::output::{checkpoint, ledger};
+
+/// Kinds of output that exist.
+const KINDS: [&str; 7] = ["rgb", "depth", "alpha", "exr", "scene", "ply", "tracks"];
+
+/// What `--emit` asks for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Emit {
+    /// Colour images or video.
+    pub rgb: bool,
+    /// Depth images.
+    pub depth: bool,
+    /// Alpha images.
+    pub alpha: bool,
+    /// Colour, depth and alpha as layers of one file.
+    pub exr: bool,
+    /// The scene.
+    pub scene: bool,
+    /// The Gaussians at each time as PLY files.
+    pub ply: bool,
+    /// Where every identity is at each key frame, as CSV.
+    pub tracks: bool,
+}
+
+impl Emit {
+    /// Reads a list; `allowed` are the kinds the command knows.
+    pub fn parse(list: &str, allowed: &[&str]) -> Result<Emit, Failure> {
+        let kinds: BTreeSet<&str> = list.split(',').map(str::trim).collect();
+        for kind in &kinds {
+            if !allowed.contains(kind) || !KINDS.contains(kind) {
+                return Err(Failure::usage(format!(
+                    "--emit {list}: expected a list of {}, found {kind:?}",
+                    allowed.join(", ")
+                )));
+            }
+        }
+        let has = |kind| kinds.contains(kind);
+        let [rgb, depth, alpha, exr, scene, ply, tracks] = KINDS.map(has);
+        Ok(Emit { rgb, depth, alpha, exr, scene, ply, tracks })
+    }
+
+    /// Whether anything is drawn.
+    pub fn draws(&self) -> bool {
+        self.rgb || self.depth || self.alpha || self.exr
+    }
+
+    /// The planes beside colour that must be drawn: depth and alpha.
+    pub fn planes(&self) -> [bool; 2] {
+        [self.depth || self.exr, self.depth || self.alpha || self.exr]
+    }
+}
+
+/// Writes results and remembers their digests.
+pub struct Outputs {
+    destination: Destination,
+    emit: Emit,
+    video: Option<Video>,
+    scene: Option<SceneWriter>,
+    /// The scene beside a video.
+    container: Option<ContainerWriter>,
+    written: BTreeMap<String, OutputRecord>,
+    ledger: Option<Ledger>,
+    /// The intervals of a scene that is gone on with.
+    intervals: Vec<IntervalEntry>,
+    /// Whether images are outside of the bit contract.
+    outside: bool,
+    /// Whether images keep their alpha.
+    alpha: bool,
+    /// Sound that goes with the video.
+    sound: Option<Sound>,
+}
+
+impl Outputs {
+    /// Prepares the place: what an earlier run wrote there is removed, and an unwritable place is an error before any work.
+    pub fn create(place: &mut Place, emit: Emit) -> Result<Outputs, Failure> {
+        place.hold()?;
+        let destination = place.destination().clone();
+        match &destination {
+            Destination::Folder(folder) => {
+                remove_earlier(folder)?;
+                prepare_kinds(folder, emit)?;
+            }
+            Destination::Video(path, format) => {
+                if emit.depth || emit.alpha || emit.exr || emit.ply || emit.tracks {
+                    return Err(Failure::usage(
+                        "--emit: a video holds rgb alone, and a scene lies beside it; give --out a folder for the rest",
+                    ));
+                }
+                if emit.scene && destination.container().is_none() {
+                    return Err(Failure::usage(format!(
+                        "--emit scene: expected a folder or an encoded video, beside which the scene lies, found --out {}",
+                        path.display()
+                    )));
+                }
+                drop(Video::create(path, *format, 1.0)?);
+                if let Some(folder) = destination.resume() {
+                    checkpoint::remove(&folder)?;
+                }
+            }
+        }
+        Ok(Outputs::new(destination, emit))
+    }
+
+    fn new(destination: Destination, emit: Emit) -> Outputs {
+        let (written, intervals) = (BTreeMap::new(), Vec::new());
+        let (outside, alpha) = (false, false);
+        let (video, scene, container, ledger, sound) = (None, None, None, None, None);
+        Outputs { destination, emit, video, scene, container, written, ledger, intervals, outside, alpha, sound }
+    }
+
+    /// Takes sound for the video.
+    pub fn sound(&mut self, sound: Option<Sound>) {
+        self.sound = sound;
+    }
+
+    /// Says that there is nothing behind the scene: colour images are written with their alpha.
+    pub fn keep_alpha(&mut self, keep: bool) -> Result<(), Failure> {
+        if keep && matches!(self.destination, Destination::Video(..)) {
+            return Err(Failure::usage(
+                "--background transparent: a video has no alpha; give --out a folder or a .png or .exr file",
+            ));
+        }
+        self.alpha = keep;
+        Ok(())
+    }
+
+    /// Says what draws the images.
+    pub fn drawn_by(&mut self, backend: Backend) {
+        self.outside = !backend.is_within_contract();
+    }
+
+    /// Keeps a ledger from now on, where the results can be gone on with.
+    pub fn with_ledger(mut self) -> Outputs {
+        self.ledger = self.destination.resume().map(Ledger::new);
+        self
+    }
+
+    /// Goes on with results of which the first `length` bytes of the ledger in `folder` tell; each file must be as it was written.
+    pub fn resume(destination: Destination, emit: Emit, folder: PathBuf, length: u64) -> Result<Outputs, Failure> {
+        let lines = ledger::read(&folder, length)?;
+        let mut outputs = Outputs::new(destination, emit);
+        if let Destination::Folder(folder) = &outputs.destination {
+            outputs.written = ledger::verified(folder, &lines)?;
+        }
+        outputs.intervals = lines.into_iter().filter_map(|line| line.interval).collect();
+        if length > 0 {
+            outputs.ledger = Some(Ledger::resume(folder, length)?);
+            return Ok(outputs);
+        }
+        Ok(outputs.with_ledger())
+    }
+
+    /// Opens what is gone on with, `last` being the last whole interval, computed again: it must have come out as it was written. The
+    /// record of the stopped run goes.
+    pub fn take_up(&mut self, fps: f64, last: &Interval, video: Option<&VideoPoint>) -> Result<(), Failure> {
+        let files = match (&self.destination, video) {
+            (Destination::Folder(folder), _) => {
+                prepare_kinds(folder, self.emit)?;
+                if self.emit.scene {
+                    check_again(&self.intervals, last)?;
+                    let intervals = std::mem::take(&mut self.intervals);
+                    self.scene = Some(SceneWriter::resume(&folder.join("scene"), fps, last.placement, intervals)?);
+                }
+                vec![folder.join("run.json"), folder.join("report.md")]
+            }
+            (Destination::Video(path, _), Some(point)) => {
+                self.video = Some(Video::resume(path, fps, point)?);
+                self.destination.record().into_iter().collect()
+            }
+            (Destination::Video(path, format), None) => {
+                self.video = Some(Video::create(path, *format, fps)?);
+                self.destination.record().into_iter().collect()
+            }
+        };
+        files.iter().try_for_each(|file| remove_file(file))
+    }
+
+    /// Makes the interval at hand one to go on from; `point` is completed with how far the files have come.
+    pub fn commit(&mut self, mut point: Point, memory: Option<&Memory>) -> Result<(), Failure> {
+        let Some(ledger) = &self.ledger else { return Ok(()) };
+        point.ledger = ledger.length();
+        if let Some(video) = &mut self.video {
+            point.video = video.point()?;
+        }
+        prepare_subfolder(ledger.folder())?;
+        ledger.sync()?;
+        self.sync_folders()?;
+        checkpoint::commit(ledger.folder(), &point, memory)
+    }
+
+    /// Waits until the names of all files would survive a power loss.
+    fn sync_folders(&self) -> Result<(), OutputError> {
+        let folders = match &self.destination {
+            Destination::Folder(folder) => {
+                let mut all: Vec<PathBuf> = kinds(self.emit).map(|name| folder.join(name)).collect();
+                all.push(folder.clone());
+                all
+            }
+            Destination::Video(path, _) if path == Path::new("-") => Vec::new(),
+            Destination::Video(path, _) => vec![folder_of(path).to_owned()],
+        };
+        folders
+            .into_iter()
+            .try_for_each(|path| storage::sync_folder(&path).map_err(|cause| OutputError::Write { path, cause }))
+    }
+
+    /// Whether a stopped run can be gone on with.
+    pub fn can_resume(&self) -> bool {
+        self.ledger.is_some()
+    }
+
+    /// Opens what needs the frame rate.
+    pub fn start(&mut self, fps: f64) -> Result<(), Failure> {
+        match &self.destination {
+            Destination::Folder(folder) if self.emit.scene => {
+                self.scene = Some(SceneWriter::create(&folder.join("scene"), fps)?);
+            }
+            Destination::Folder(_) => {}
+            Destination::Video(path, format) => {
+                self.video = Some(Video::create(path, *format, fps)?.with_sound(self.sound.take()));
+                if let Some(path) = self.destination.container().filter(|_| self.emit.scene) {
+                    self.container = Some(ContainerWriter::create(&path, fps)?);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn note(&mut self, name: String, written: Written) {
+        let Written { bytes, blake3 } = written;
+        self.written.insert(name, OutputRecord { bytes, blake3, samples: None, outside_contract: false });
+    }
+
+    /// Writes a file inside the folder.
+    fn file(&mut self, name: String, bytes: &[u8]) -> Result<(), OutputError> {
+        let Destination::Folder(folder) = &self.destination else { return Ok(()) };
+        let written = Written::of(bytes);
+        if let Some(ledger) = &mut self.ledger {
+            ledger.add(&name, &written, None)?;
+        }
+        write_whole(&folder.join(&name), bytes)?;
+        self.note(name, written);
+        Ok(())
+    }
+
+    /// Writes an interval of the scene, and where its identities are, if these are wanted.
+    pub fn interval(&mut self, interval: &Interval) -> Result<(), Failure> {
+        if self.emit.tracks {
+            self.file(format!("tracks/interval-{:06}.csv", interval.index), export::tracks(interval).as_bytes())?;
+        }
+        if let Some(container) = &mut self.container {
+            container.push(interval)?;
+        }
+        let Some(scene) = &mut self.scene else { return Ok(()) };
+        let ledger = &mut self.ledger;
+        let entry = scene.push_after(interval, |entry| {
+            let written = Written { bytes: entry.bytes, blake3: entry.blake3.clone() };
+            let name = format!("scene/{}", entry.file);
+            ledger.as_mut().map_or(Ok(()), |ledger| ledger.add(&name, &written, Some(entry)))
+        })?;
+        let IntervalEntry { file, bytes, blake3, .. } = entry;
+        self.note(format!("scene/{file}"), Written { bytes, blake3 });
+        Ok(())
+    }
+
+    /// Writes an image under the number `index`.
+    pub fn image(&mut self, index: usize, image: Image) -> Result<(), Failure> {
+        if self.emit.exr {
+            let bytes = if self.alpha { transparent_exr(&image) } else { layered_exr(&image) };
+            self.file(format!("exr/{index:06}.exr"), &bytes.map_err(Failure::work)?)?;
+        }
+        let Image { width, height, rgb, depth, alpha, .. } = image;
+        let picture = Picture { width, height, rgb };
+        if let Some(video) = &mut self.video {
+            return Ok(video.push(&picture)?);
+        }
+        let emit = self.emit;
+        if emit.rgb {
+            let bytes = match alpha.as_deref().filter(|_| self.alpha) {
+                Some(alpha) => transparent_png(&picture, alpha),
+                None => picture_png(&picture),
+            };
+            self.file(format!("frames/{index:06}.png"), &bytes)?;
+        }
+        if emit.depth
+            && let Some(depth) = &depth
+        {
+            let bytes = depth_exr(width, height, depth, alpha.as_deref()).map_err(Failure::work)?;
+            self.file(format!("depth/{index:06}.exr"), &bytes)?;
+        }
+        if emit.alpha
+            && let Some(alpha) = &alpha
+        {
+            self.file(format!("alpha/{index:06}.png"), &plane_png(width, height, alpha))?;
+        }
+        Ok(())
+    }
+
+    /// Writes the Gaussians of one time under the number `index`.
+    pub fn snapshot(&mut self, index: usize, snapshot: &Snapshot) -> Result<(), Failure> {
+        Ok(self.file(format!("ply/{index:06}.ply"), &export::ply(snapshot))?)
+    }
+
+    /// After a failure: completes the index of the intervals that were written. A y4m file stays under its temporary name where it
+    /// can be gone on with; any other video is not kept.
+    pub fn abandon(mut self) {
+        if let Some(scene) = self.scene.take() {
+            // The first failure is the one to tell.
+            let _ = scene.finish();
+        }
+        if let Some(video) = self.video.take_if(|_| self.ledger.is_some()) {
+            video.leave();
+        }
+    }
+
+    /// Completes scene and video; gives every file's record.
+    pub fn finish(mut self) -> Result<BTreeMap<String, OutputRecord>, Failure> {
+        if let Some(scene) = self.scene.take()
+            && let Some((name, written)) = scene.finish()?
+        {
+            self.note(format!("scene/{name}"), written);
+        }
+        if let Some(container) = self.container.take()
+            && let Some((path, written)) = self.destination.container().zip(container.finish()?)
+        {
+            self.note(path.file_name().unwrap_or_default().to_string_lossy().into_owned(), written);
+        }
+        if let Some(video) = self.video.take() {
+            let finished = video.finish()?;
+            let name = match &self.destination {
+                Destination::Video(path, _) => {
+                    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+                }
+                Destination::Folder(_) => String::new(),
+            };
+            let Written { bytes, blake3 } =
+                finished.file.unwrap_or(Written { bytes: 0, blake3: finished.samples.clone() });
+            self.written
+                .insert(name, OutputRecord { bytes, blake3, samples: Some(finished.samples), outside_contract: false });
+        }
+        let drawn = |name: &str| ["frames/", "depth/", "alpha/"].iter().any(|folder| name.starts_with(folder));
+        self.sync_folders()?;
+        for (name, record) in self.written.iter_mut().filter(|_| self.outside) {
+            record.outside_contract = record.samples.is_some() || drawn(name);
+        }
+        Ok(self.written)
+    }
+}
+
+/// Whether `name` stays inside the folder it is joined to.
+pub fn is_inside(name: &str) -> bool {
+    !name.is_empty() && Path::new(name).components().all(|c| matches!(c, Component::Normal(_)))
+}
+
+/// The folders of what is asked for, by their names.
+fn kinds(emit: Emit) -> impl Iterator<Item = &'static str> {
+    let kinds = [
+        (emit.rgb, "frames"),
+        (emit.depth, "depth"),
+        (emit.alpha, "alpha"),
+        (emit.exr, "exr"),
+        (emit.ply, "ply"),
+        (emit.tracks, "tracks"),
+        (emit.scene, "scene"),
+    ];
+    kinds.into_iter().filter(|(wanted, _)| *wanted).map(|(_, name)| name)
+}
+
+fn prepare_kinds(folder: &Path, emit: Emit) -> Result<(), OutputError> {
+    kinds(emit).try_for_each(|name| prepare_subfolder(&folder.join(name)))
+}
+
+/// An error unless `last` is the last of `intervals`, bit for bit.
+fn check_again(intervals: &[IntervalEntry], last: &Interval) -> Result<(), Failure> {
+    let bytes = to_safetensors(last).map_err(Failure::work)?;
+    let found = Written::of(&bytes).blake3;
+    match intervals.last() {
+        Some(entry) if entry.blake3 == found => Ok(()),
+        entry => {
+            let expected = entry.map_or("none", |entry| entry.blake3.as_str());
+            Err(Failure::work(format!(
+                "--resume: interval {} computed again: expected the digest {expected}, found {found}; run again without --resume",
+                last.index
+            )))
+        }
+    }
+}

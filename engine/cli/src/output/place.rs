@@ -1,0 +1,157 @@
+//! The place of a command's results, held by one process at a time.
+
+use std::fs::{File, TryLockError};
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use streamsplat::output::{OutputError, prepare_folder, storage};
+
+use crate::console::failure::Failure;
+use crate::output::destination::Destination;
+
+/// Longest text of a lock that is read.
+const MAX_TEXT: u64 = 64;
+
+/// A destination, and the lock on it once it is taken.
+#[derive(Debug)]
+pub struct Place {
+    destination: Destination,
+    lock: Option<Lock>,
+}
+
+impl Place {
+    /// One that nobody holds yet.
+    pub fn new(destination: Destination) -> Place {
+        Place { destination, lock: None }
+    }
+
+    /// Where it is.
+    pub fn destination(&self) -> &Destination {
+        &self.destination
+    }
+
+    /// Holds the place until this value goes; creates the folder, if there is none. Standard output is not held.
+    pub fn hold(&mut self) -> Result<(), Failure> {
+        let Some(path) = self.destination.lock().filter(|_| self.lock.is_none()) else { return Ok(()) };
+        if let Destination::Folder(folder) = &self.destination {
+            prepare_folder(folder)?;
+        }
+        self.lock = Some(Lock::take(path, self.destination.path())?);
+        Ok(())
+    }
+
+    /// As [`Place::hold`], where something is there to be held.
+    pub fn hold_existing(&mut self) -> Result<(), Failure> {
+        let there = match &self.destination {
+            Destination::Folder(folder) => folder.is_dir(),
+            Destination::Video(path, _) => {
+                storage::exists(path) || self.destination.resume().is_some_and(|r| r.exists())
+            }
+        };
+        if there { self.hold() } else { Ok(()) }
+    }
+}
+
+/// A locked file with the holder's process id in it. The lock goes with the process, however that ends; the file goes with this value.
+#[derive(Debug)]
+struct Lock {
+    path: PathBuf,
+    _file: File,
+}
+
+impl Lock {
+    fn take(path: PathBuf, out: &Path) -> Result<Lock, Failure> {
+        static COUNT: AtomicU64 = AtomicU64::new(0);
+        let write = |cause| Failure::from(OutputError::Write { path: path.clone(), cause });
+        loop {
+            if storage::exists(&path) {
+                storage::regular(&path).map_err(write)?;
+            }
+            // A lock that a killed process left is nobody's.
+            let opened = File::options().read(true).write(true).create(true).truncate(false).open(&path);
+            let mut file = opened.map_err(write)?;
+            match file.try_lock() {
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) => return Err(held(out, &path)),
+                // Some network file systems have no locks.
+                Err(TryLockError::Error(e)) if e.kind() == std::io::ErrorKind::Unsupported => {}
+                Err(TryLockError::Error(e)) => return Err(write(e)),
+            }
+            let text = format!("{} {}\n", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+            let written = file.set_len(0).and_then(|()| file.seek(SeekFrom::Start(0)));
+            written.and_then(|_| file.write_all(text.as_bytes())).map_err(write)?;
+            // Whoever held it before may have removed the file between its opening and its locking: then another has the name.
+            if read(&path).is_some_and(|found| found == text) {
+                return Ok(Lock { path, _file: file });
+            }
+        }
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // While it is still locked, so that nobody else's is removed.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+fn read(path: &Path) -> Option<String> {
+    let mut text = String::new();
+    File::open(path).ok()?.take(MAX_TEXT).read_to_string(&mut text).ok()?;
+    Some(text)
+}
+
+fn held(out: &Path, lock: &Path) -> Failure {
+    let text = read(lock).unwrap_or_default();
+    let process = match text.split(' ').next().and_then(|id| id.parse::<u32>().ok()) {
+        Some(id) => format!("process {id}"),
+        None => "another process".to_owned(),
+    };
+    Failure::usage(format!(
+        "--out {}: {process} is writing there; wait until it ends, or give another --out",
+        out.display()
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_at_a_time_holds_a_place() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let out = folder.path().join("out");
+        let mut first = Place::new(Destination::of(&out));
+        let mut second = Place::new(Destination::of(&out));
+        first.hold().expect("free");
+        first.hold().expect("its own");
+        let refused = second.hold().expect_err("held");
+        assert!(matches!(&refused, Failure::Usage(_)));
+        assert!(refused.message().contains(&format!("process {}", std::process::id())), "{}", refused.message());
+        drop(first);
+        second.hold().expect("free again");
+        drop(second);
+        assert_eq!(std::fs::read_dir(&out).expect("there").count(), 0, "a lock goes with its holder");
+    }
+
+    #[test]
+    fn what_a_killed_process_left_is_no_obstacle() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let mut place = Place::new(Destination::of(&folder.path().join("v.y4m")));
+        std::fs::write(folder.path().join(".v.y4m.lock"), "4194304 0\n").expect("writable");
+        place.hold().expect("nobody's");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_lock_is_not_written_through_a_link() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let (out, precious) = (folder.path().join("out"), folder.path().join("precious"));
+        std::fs::create_dir(&out).expect("writable");
+        std::fs::write(&precious, "text").expect("writable");
+        std::os::unix::fs::symlink(&precious, out.join(".streamsplat.lock")).expect("writable");
+        assert!(Place::new(Destination::of(&out)).hold().is_err_and(|e| e.message().contains("a symbolic link")));
+        assert_eq!(std::fs::read(&precious).expect("there"), b"text");
+    }
+}

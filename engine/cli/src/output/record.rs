@@ -1,0 +1,420 @@
+//! `run.json`: what was done, so that it can be done again and compared.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde::{Deserialize, Serialize};
+use streamsplat::import::read_text;
+use streamsplat::stream::{StageWork, Work, Workers};
+
+use crate::console::failure::Failure;
+use crate::options::args::{RenderOptions, RunOptions};
+use crate::options::machine;
+use crate::output::digest;
+
+/// Longest record read, in bytes.
+const MAX_RECORD: u64 = 1 << 28;
+
+/// What `program` says.
+pub const PROGRAM: &str = "streamsplat";
+
+/// The whole file. Everything but `timing` is a function of model, input, options and seed alone; where a graphics card drew, so is
+/// everything but `timing`, `renderer` and the outputs marked `outside_contract`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Record {
+    /// [`PROGRAM`].
+    pub program: String,
+    /// The program's version.
+    pub version: String,
+    /// What was done, with every option that reaches the output.
+    #[serde(flatten)]
+    pub task: Task,
+    /// The seed of everything drawn at random.
+    pub seed: u64,
+    /// The checkpoint.
+    pub model: Option<ModelRecord>,
+    /// The depth network, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth: Option<NetworkRecord>,
+    /// What was read.
+    pub input: InputRecord,
+    /// What drew.
+    #[serde(default)]
+    pub renderer: RendererRecord,
+    /// False when the user stopped it; what was written is valid.
+    pub complete: bool,
+    /// Every file written, by its path inside the folder.
+    pub outputs: BTreeMap<String, OutputRecord>,
+    /// Work done and work avoided.
+    pub work: BTreeMap<String, WorkRecord>,
+    /// Gaussians left out because a number of theirs was not finite.
+    pub dropped: u64,
+    /// Key frames of a run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub key_frames: Option<u64>,
+    /// Mean PSNR of the images of all frames at 256×256, in dB, where key frames depend on it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psnr: Option<f64>,
+    /// Differs from run to run.
+    pub timing: Timing,
+}
+
+/// The command and its options.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(tag = "command", content = "options", rename_all = "lowercase")]
+pub enum Task {
+    /// `run`.
+    Run(Box<RunOptions>),
+    /// `render`.
+    Render(Box<RenderOptions>),
+}
+
+/// The checkpoint that was used.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ModelRecord {
+    /// Its file, or `embedded`.
+    pub path: String,
+    /// BLAKE3 of the checkpoint and its configuration.
+    pub blake3: String,
+}
+
+/// A network that ONNX Runtime ran. Its arithmetic is the runtime's: another version may give other bits.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NetworkRecord {
+    /// Its file.
+    pub path: String,
+    /// BLAKE3 of the file, and of its weights where they lie beside it.
+    pub blake3: String,
+    /// What ran it, with its version.
+    pub runtime: String,
+}
+
+impl NetworkRecord {
+    /// Of the network in `file`, run by this version of the runtime.
+    pub fn of(file: &Path, runtime: &str) -> Result<NetworkRecord, Failure> {
+        let (path, blake3) = (absolute(file).display().to_string(), NetworkRecord::digest(file)?);
+        Ok(NetworkRecord { path, blake3, runtime: format!("ONNX Runtime {runtime}") })
+    }
+
+    /// BLAKE3 of a network, whose weights may lie in a file beside it.
+    pub fn digest(file: &Path) -> Result<String, Failure> {
+        let mut files = vec![file.to_owned()];
+        for ending in [".data", "_data"] {
+            let mut beside = file.as_os_str().to_owned();
+            beside.push(ending);
+            files.extend(Some(PathBuf::from(beside)).filter(|path| path.is_file()));
+        }
+        digest::files(&files)
+    }
+}
+
+/// What was drawn and what was not needed.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Counts {
+    /// Images.
+    pub images: u64,
+    /// Gaussians drawn and left out, tiles drawn and kept, list entries looked at and not, planes computed and not, images whose
+    /// splats are turned and images of which none is, Gaussians projected and left out before.
+    pub raster: [[u64; 2]; 6],
+    /// Gaussians left out because a number of theirs was not finite.
+    pub dropped: u64,
+}
+
+/// What drew the images.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RendererRecord {
+    /// `cpu` or `wgpu`.
+    pub name: String,
+    /// The graphics card.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<String>,
+    /// Whether the images are the same to the last bit everywhere.
+    pub bit_contract: bool,
+}
+
+impl Default for RendererRecord {
+    /// The CPU.
+    fn default() -> Self {
+        Self { name: "cpu".into(), adapter: None, bit_contract: true }
+    }
+}
+
+impl std::fmt::Display for RendererRecord {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.name)?;
+        self.adapter.as_ref().map_or(Ok(()), |adapter| write!(f, " on {adapter}"))
+    }
+}
+
+/// What was read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InputRecord {
+    /// The input as an absolute path, or `-`.
+    pub path: PathBuf,
+    /// BLAKE3 of the frames as they were decoded, or of the scene's index.
+    pub blake3: String,
+    /// Frames or intervals read.
+    pub count: usize,
+    /// Width and height of a frame.
+    pub size: [usize; 2],
+    /// Frames per second.
+    pub fps: f64,
+}
+
+/// A file that was written.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OutputRecord {
+    /// Its length.
+    pub bytes: u64,
+    /// BLAKE3 of the file.
+    pub blake3: String,
+    /// For a video: BLAKE3 of the samples that were encoded, which is what a repetition is compared by.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub samples: Option<String>,
+    /// A graphics card drew it: a repetition gives other bytes.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub outside_contract: bool,
+}
+
+/// One stage's account.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WorkRecord {
+    /// Work done.
+    pub done: u64,
+    /// Work that was not needed.
+    pub avoided: u64,
+    /// What is counted.
+    pub unit: String,
+}
+
+/// What differs from run to run.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Timing {
+    /// Seconds in all.
+    pub total: f64,
+    /// Seconds per stage.
+    pub seconds: BTreeMap<String, f64>,
+    /// The most memory held.
+    pub peak_resident_bytes: Option<u64>,
+    /// Threads.
+    pub threads: usize,
+    /// Instruction set.
+    pub isa: String,
+}
+
+impl Timing {
+    /// Of work that began at `start` and ends now.
+    pub fn of(start: Instant, seconds: BTreeMap<String, f64>, workers: &Workers) -> Timing {
+        Timing {
+            total: start.elapsed().as_secs_f64(),
+            seconds,
+            peak_resident_bytes: machine::peak_resident_bytes(),
+            threads: workers.threads(),
+            isa: workers.level().name().to_owned(),
+        }
+    }
+}
+
+/// The engine's account over a run, parts of which earlier processes may have done.
+#[derive(Default)]
+pub struct Account {
+    /// What was done before this process, by stage.
+    before: BTreeMap<String, WorkRecord>,
+    /// What this process did only to catch up.
+    caught_up: BTreeMap<String, WorkRecord>,
+}
+
+impl Account {
+    /// Counts from here on, `before` being done.
+    pub fn restart(&mut self, before: BTreeMap<String, WorkRecord>, now: &Work) {
+        self.before = before;
+        self.caught_up = records(now);
+    }
+
+    /// The whole run's.
+    pub fn of(&self, now: &Work) -> BTreeMap<String, WorkRecord> {
+        let mut all = records(now);
+        for (stage, work) in &mut all {
+            if let Some(less) = self.caught_up.get(stage) {
+                work.done -= less.done;
+                work.avoided -= less.avoided;
+            }
+            if let Some(more) = self.before.get(stage) {
+                work.done += more.done;
+                work.avoided += more.avoided;
+            }
+        }
+        all
+    }
+}
+
+fn records(work: &Work) -> BTreeMap<String, WorkRecord> {
+    let record = |s: &StageWork| WorkRecord { done: s.done, avoided: s.avoided, unit: s.unit.to_owned() };
+    work.stages().iter().map(|stage| (stage.stage.to_owned(), record(stage))).collect()
+}
+
+impl Record {
+    /// As text.
+    pub fn to_json(&self) -> Result<String, Failure> {
+        serde_json::to_string_pretty(self).map(|text| text + "\n").map_err(|e| Failure::work(format!("run.json: {e}")))
+    }
+
+    /// Reads a `run.json`.
+    pub fn read(path: &Path) -> Result<Record, Failure> {
+        let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", path.display()));
+        let text = read_text(path, MAX_RECORD).map_err(|e| wrong(&e))?;
+        Record::parse(&text).map_err(|e| wrong(&e))
+    }
+
+    /// Reads the text of a `run.json`.
+    fn parse(text: &str) -> Result<Record, String> {
+        let record: Record = serde_json::from_str(text).map_err(|e| format!("not the record of a run: {e}"))?;
+        if record.program != PROGRAM {
+            return Err(format!("expected a record of {PROGRAM}, found {:?}", record.program));
+        }
+        Ok(record)
+    }
+}
+
+/// `path` as it can be found from anywhere; `-` stays.
+pub fn absolute(path: &Path) -> PathBuf {
+    if path == Path::new("-") {
+        return path.to_owned();
+    }
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use proptest::prelude::*;
+    use proptest::sample::{Index, select};
+
+    use super::*;
+    use crate::options::args::{Cli, Command};
+
+    /// What the command line's words do.
+    fn task(words: &[&str]) -> Task {
+        match Cli::try_parse_from(words).expect("a command").command {
+            Command::Run(args) => Task::Run(Box::new(args.options)),
+            Command::Render(args) => Task::Render(Box::new(args.options)),
+            _ => panic!("{words:?} leave no record"),
+        }
+    }
+
+    /// Records with everything that one can hold.
+    fn texts() -> [String; 2] {
+        let output = |samples: Option<&str>, outside_contract| OutputRecord {
+            bytes: 900,
+            blake3: "cd".repeat(32),
+            samples: samples.map(str::to_owned),
+            outside_contract,
+        };
+        let record = Record {
+            program: PROGRAM.to_owned(),
+            version: "0.1.0".to_owned(),
+            task: task(&[
+                "streamsplat",
+                "run",
+                "in.y4m",
+                "--out",
+                "o",
+                "--gap",
+                "auto",
+                "--size",
+                "64x48",
+                "--frames",
+                "9",
+            ]),
+            seed: 7,
+            model: Some(ModelRecord { path: "embedded".into(), blake3: "ab".repeat(32) }),
+            depth: Some(NetworkRecord {
+                path: "d.onnx".into(),
+                blake3: "01".repeat(32),
+                runtime: "ONNX Runtime".into(),
+            }),
+            input: InputRecord { path: "/in.y4m".into(), blake3: String::new(), count: 9, size: [64, 48], fps: 23.976 },
+            renderer: RendererRecord { name: "wgpu".into(), adapter: Some("a card".into()), bit_contract: false },
+            complete: true,
+            outputs: [("frames/0.png", output(None, true)), ("v.mp4", output(Some("ef"), false))]
+                .map(|(name, output)| (name.to_owned(), output))
+                .into(),
+            work: [("encoder".to_owned(), WorkRecord { done: 9, avoided: 1, unit: "frames".into() })].into(),
+            dropped: 3,
+            key_frames: None,
+            psnr: None,
+            timing: Timing { total: 0.1, threads: 2, isa: "avx2".into(), ..Timing::default() },
+        };
+        let render = Record {
+            task: task(&["streamsplat", "render", "scene", "--out", "o"]),
+            model: None,
+            depth: None,
+            renderer: RendererRecord::default(),
+            ..record.clone()
+        };
+        [record, render].map(|record| record.to_json().expect("text"))
+    }
+
+    /// What is read is written and read as the same.
+    fn survives(record: &Record) {
+        let text = record.to_json().expect("text");
+        assert_eq!(Record::parse(&text).expect("what was written").to_json().expect("text"), text);
+    }
+
+    #[test]
+    fn records_are_read_as_they_were_written() {
+        for text in texts() {
+            let record = Record::parse(&text).expect("a record");
+            assert_eq!(record.to_json().expect("text"), text);
+            assert!(Record::parse(&text.replace(PROGRAM, "another")).is_err_and(|e| e.contains("found \"another\"")));
+        }
+    }
+
+    /// What may stand in a spoilt file.
+    const WORDS: [&str; 24] = [
+        "",
+        "0",
+        "-1",
+        "1e999",
+        "1e-999",
+        "18446744073709551616",
+        "0.5",
+        "null",
+        "true",
+        "[",
+        "]",
+        "{",
+        "}",
+        "{}",
+        "[]",
+        "\"",
+        "\\u",
+        ",",
+        ":",
+        "\"run\"",
+        "\"render\"",
+        "\"options\":",
+        "\"timing\":",
+        "\u{0}",
+    ];
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(4096))]
+
+        #[test]
+        fn no_text_panics(
+            which in 0_usize..2,
+            changes in proptest::collection::vec((any::<Index>(), 0_usize..24, select(&WORDS[..])), 1..4),
+        ) {
+            let mut text = texts()[which].clone();
+            for (at, length, word) in changes {
+                let at = at.index(text.len());
+                text.replace_range(at..(at + length).min(text.len()), word);
+            }
+            if let Ok(record) = Record::parse(&text) {
+                survives(&record);
+            }
+        }
+    }
+}

@@ -1,0 +1,109 @@
+//! What a run leaves to read: `run.json`, `report.md`, and a line.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use streamsplat::output::write_file;
+
+use crate::console::failure::Failure;
+use crate::output::outputs::Destination;
+use crate::output::record::{Record, Task};
+
+/// Writes the record (and, in a folder, the report). The record comes last: where it is, everything is.
+pub fn finish(record: &Record, destination: &Destination, json: Option<&Path>) -> Result<(), Failure> {
+    let text = record.to_json()?;
+    if let Some(path) = json {
+        write_file(path, text.as_bytes())?;
+    }
+    if let Destination::Folder(folder) = destination {
+        write_file(&folder.join("report.md"), markdown(record).as_bytes())?;
+    }
+    if let Some(path) = destination.record() {
+        write_file(&path, text.as_bytes())?;
+    }
+    Ok(())
+}
+
+fn images(record: &Record) -> u64 {
+    record.work.get("render").map_or(0, |work| work.done)
+}
+
+/// One line for the terminal.
+pub fn summary(record: &Record, out: &Path) -> String {
+    let stopped = if record.complete { "" } else { ", stopped by the user" };
+    let peak = record.timing.peak_resident_bytes.map(|b| format!(", {} MiB at most", b >> 20)).unwrap_or_default();
+    let files = record.outputs.len();
+    let (images, total) = (images(record), record.timing.total);
+    let bytes = record.outputs.values().map(|output| output.bytes).sum::<u64>() as f64 / 1e6;
+    let keys = record.key_frames.map(|keys| format!(", {keys} key frames")).unwrap_or_default();
+    let psnr = record.psnr.map(|psnr| format!(", {psnr:.1} dB")).unwrap_or_default();
+    let each = 1000.0 * total / record.input.count.max(1) as f64;
+    format!(
+        "{}: {images} images{keys}{psnr}, {files} files, {bytes:.1} MB, {total:.2} s, {each:.0} ms per frame{peak}{stopped}",
+        out.display()
+    )
+}
+
+fn markdown(record: &Record) -> String {
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    let _ = write_markdown(record, &mut text);
+    text
+}
+
+fn write_markdown(record: &Record, out: &mut String) -> std::fmt::Result {
+    let command = match &record.task {
+        Task::Run(_) => "run",
+        Task::Render(_) => "render",
+    };
+    let input = &record.input;
+    writeln!(out, "# streamsplat {command}\n")?;
+    if !record.complete {
+        writeln!(out, "Stopped by the user; what was written is valid.\n")?;
+    }
+    writeln!(out, "| | |\n|---|---|")?;
+    writeln!(out, "| program | {} {} |", record.program, record.version)?;
+    if let Some(model) = &record.model {
+        writeln!(out, "| model | {}, BLAKE3 `{}` |", model.path, model.blake3)?;
+    }
+    if let Some(depth) = &record.depth {
+        writeln!(out, "| depth | {}, BLAKE3 `{}`, {} |", depth.path, depth.blake3, depth.runtime)?;
+    }
+    writeln!(out, "| input | {}, BLAKE3 `{}` |", input.path.display(), input.blake3)?;
+    writeln!(
+        out,
+        "| | {} read, {}×{}, {:.3} frames per second |",
+        input.count, input.size[0], input.size[1], input.fps
+    )?;
+    if record.renderer.bit_contract {
+        writeln!(out, "| renderer | {} |", record.renderer)?;
+    } else {
+        writeln!(out, "| renderer | {}: its images are outside of the bit contract |", record.renderer)?;
+    }
+    writeln!(out, "| output | {} images, {} files |", images(record), record.outputs.len())?;
+    if let Some(psnr) = record.psnr {
+        writeln!(out, "| closeness | {psnr:.2} dB, mean PSNR of all frames at 256×256 |")?;
+    }
+    if record.dropped > 0 {
+        writeln!(out, "| left out | {} Gaussians with numbers that are not finite |", record.dropped)?;
+    }
+    let timing = &record.timing;
+    writeln!(out, "| machine | {} threads, {} |", timing.threads, timing.isa)?;
+    if let Some(peak) = timing.peak_resident_bytes {
+        writeln!(out, "| memory | {:.0} MiB at most |", peak as f64 / f64::from(1 << 20))?;
+    }
+    writeln!(out, "| time | {:.2} s |\n", timing.total)?;
+
+    writeln!(out, "## Work\n\n| stage | done | avoided | unit | seconds | per unit |\n|---|---:|---:|---|---:|---:|")?;
+    for (stage, work) in &record.work {
+        let seconds = timing.seconds.get(stage);
+        let shown = seconds.map(|s| format!("{s:.3}")).unwrap_or_default();
+        let each =
+            seconds.filter(|_| work.done > 0).map(|s| format!("{:.4}", s / work.done as f64)).unwrap_or_default();
+        writeln!(out, "| {stage} | {} | {} | {} | {shown} | {each} |", work.done, work.avoided, work.unit)?;
+    }
+    for (stage, seconds) in timing.seconds.iter().filter(|(stage, _)| !record.work.contains_key(*stage)) {
+        writeln!(out, "| {stage} | | | | {seconds:.3} | |")?;
+    }
+    writeln!(out, "\nThe digests of all files are in `run.json`; `streamsplat verify` repeats this and compares.")
+}

@@ -1,0 +1,130 @@
+//! What a run is a function of, besides its input.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::console::failure::Failure;
+use crate::options::args::RunOptions;
+use crate::output::digest;
+use crate::output::record::{ModelRecord, NetworkRecord, Record, absolute};
+
+/// Options whose files are compared by their content instead.
+const BY_CONTENT: [&str; 2] = ["model", "dinov2"];
+
+/// Program, options and model.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Terms {
+    version: String,
+    /// [`RunOptions`], with absolute paths.
+    options: Value,
+    model: ModelRecord,
+    /// Digest of the camera's file.
+    camera: Option<String>,
+    /// Digest of the depth network.
+    #[serde(default)]
+    network: Option<String>,
+}
+
+impl Terms {
+    /// The terms of a run with these options.
+    pub fn given(options: &RunOptions, model: &ModelRecord) -> Result<Terms, Failure> {
+        let network = options.stream.depth.strip_prefix("onnx:");
+        Ok(Terms {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            options: serde_json::to_value(with_absolute_paths(options)).map_err(Failure::work)?,
+            model: model.clone(),
+            camera: options.view.camera.as_deref().map(digest::file).transpose()?,
+            network: network.map(|file| NetworkRecord::digest(Path::new(file))).transpose()?,
+        })
+    }
+
+    /// The terms of a recorded run, which does not say what was in the camera's file.
+    pub fn recorded(record: &Record, options: &RunOptions) -> Result<Terms, Failure> {
+        let model = record.model.clone().ok_or_else(|| Failure::work("run.json: expected a model, found none"))?;
+        let options = serde_json::to_value(options).map_err(Failure::work)?;
+        let network = record.depth.as_ref().map(|network| network.blake3.clone());
+        Ok(Terms { version: record.version.clone(), options, model, camera: None, network })
+    }
+
+    /// An error that names what of `given` differs.
+    pub fn check(&self, given: &Terms) -> Result<(), Failure> {
+        let work = |what: &str, recorded: &str, given: &str| {
+            Err(Failure::work(format!("--resume: {what}: recorded {recorded}, given {given}")))
+        };
+        if self.version != given.version {
+            return work("the program's version", &self.version, &given.version);
+        }
+        if self.model.blake3 != given.model.blake3 {
+            let of = |model: &ModelRecord| format!("{} with the digest {}", model.path, model.blake3);
+            return work("the model", &of(&self.model), &of(&given.model));
+        }
+        // Defaults of options depend on the model, so that comes first.
+        if let Some((option, recorded, given)) = difference("", &self.options, &given.options) {
+            let message = format!("--resume: --{option}: the run was started with {recorded}, given {given}");
+            return Err(Failure::usage(message));
+        }
+        let files =
+            [("the camera's file", &self.camera, &given.camera), ("the depth network", &self.network, &given.network)];
+        for (what, recorded, given) in files {
+            if let (Some(recorded), Some(given)) = (recorded, given)
+                && recorded != given
+            {
+                return work(what, &format!("digest {recorded}"), &format!("digest {given}"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The options with paths that can be found from anywhere.
+pub fn with_absolute_paths(options: &RunOptions) -> RunOptions {
+    let mut options = options.clone();
+    for path in [&mut options.stream.model.model, &mut options.stream.model.dinov2, &mut options.view.camera] {
+        *path = path.as_deref().map(absolute);
+    }
+    if let Some(network) = options.stream.depth.strip_prefix("onnx:") {
+        options.stream.depth = format!("onnx:{}", absolute(Path::new(network)).display());
+    } else if options.stream.depth != "none" {
+        options.stream.depth = absolute(Path::new(&options.stream.depth)).display().to_string();
+    }
+    options
+}
+
+/// The first option that differs, with both its values.
+fn difference(name: &str, recorded: &Value, given: &Value) -> Option<(String, String, String)> {
+    if let (Value::Object(a), Value::Object(b)) = (recorded, given) {
+        let names = a.keys().chain(b.keys().filter(|key| !a.contains_key(*key)));
+        let side = |map: &serde_json::Map<String, Value>, key: &String| map.get(key).cloned().unwrap_or(Value::Null);
+        return names.filter_map(|key| difference(key, &side(a, key), &side(b, key))).next();
+    }
+    if recorded == given || BY_CONTENT.contains(&name) {
+        return None;
+    }
+    let said = |value: &Value| match value {
+        Value::Null => "its default".to_owned(),
+        Value::String(text) => text.clone(),
+        other => other.to_string(),
+    };
+    Some((name.replace('_', "-"), said(recorded), said(given)))
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn the_first_option_that_differs_is_named() {
+        let recorded = json!({"stream": {"gap": "4", "max_age": null, "model": {"model": "/a"}}, "fit": "letterbox"});
+        assert_eq!(difference("", &recorded, &recorded), None);
+        let mut given = recorded.clone();
+        given["stream"]["model"]["model"] = "/b".into();
+        assert_eq!(difference("", &recorded, &given), None, "models are compared by their digests");
+        given["stream"]["max_age"] = 3.into();
+        let found = difference("", &recorded, &given).expect("one differs");
+        assert_eq!((found.0.as_str(), found.1.as_str(), found.2.as_str()), ("max-age", "its default", "3"));
+    }
+}

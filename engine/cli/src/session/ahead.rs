@@ -1,0 +1,133 @@
+//! Key frames as they are wanted, or one ahead on a thread of its own.
+
+use std::path::Path;
+use std::sync::mpsc::{Receiver, Sender, channel, sync_channel};
+
+use streamsplat::gap::{ControlState, Found};
+
+use crate::console::failure::Failure;
+use crate::output::choices::Choices;
+use crate::output::record::{InputRecord, absolute};
+use crate::session::closeness::Closeness;
+use crate::session::keyframes::{KeyFrame, KeyFrames, Reading};
+
+type Message = Result<(Option<KeyFrame>, Reading, ControlState), Failure>;
+
+/// Gives the same key frames either way.
+pub struct Ahead {
+    from: From,
+    total: Option<usize>,
+    fps: f64,
+    account: Reading,
+    /// Where it is told how close images came to frames, and what was chosen, where key frames depend on that.
+    choices: Option<(Sender<Found>, Choices)>,
+    /// Whether there was a key frame.
+    started: bool,
+}
+
+enum From {
+    /// Read when asked for.
+    Here(Box<KeyFrames>),
+    /// The next one is read, and given its depth, while the one before is worked on.
+    Thread(Receiver<Message>),
+    /// There are no more.
+    Ended,
+}
+
+impl Ahead {
+    /// Frames whose depth takes a network are read ahead where there is more than one thread; what else there is to do for a frame is
+    /// too little to be worth it.
+    pub fn new(keys: KeyFrames, threads: usize) -> Ahead {
+        Ahead::resume(keys, threads, None)
+    }
+
+    /// The same after these choices, which are made again.
+    pub fn resume(mut keys: KeyFrames, threads: usize, choices: Option<&Choices>) -> Ahead {
+        let (total, fps, account) = (keys.total(), keys.fps(), keys.account());
+        let (teller, told) = channel();
+        if let Some(choices) = choices {
+            keys.replay(choices);
+            // The receiver is at hand.
+            choices.recent().for_each(|found| _ = teller.send(found));
+        }
+        let before = choices.map(Choices::replayed).unwrap_or_default();
+        let choices = keys.listen(told).then_some((teller, before));
+        let from = match keys.runs_a_network() && threads > 1 {
+            false => From::Here(Box::new(keys)),
+            true => From::Thread(start(keys)),
+        };
+        Ahead { from, total, fps, account, choices, started: false }
+    }
+
+    /// Tells how close the images of the latest key frame's interval came to its frames.
+    pub fn tell(&mut self, found: &Found, closeness: &Closeness) {
+        if let Some((teller, choices)) = &mut self.choices {
+            let (sum, frames) = closeness.compared();
+            choices.found(found, sum, frames);
+            // Where it has ended there is nothing left to choose.
+            let _ = teller.send(*found);
+        }
+    }
+
+    /// What was chosen so far, where key frames depend on how close images come to frames.
+    pub fn choices(&self) -> Option<&Choices> {
+        self.choices.as_ref().map(|(_, choices)| choices)
+    }
+
+    /// Frames there will be, where that is known.
+    pub fn total(&self) -> Option<usize> {
+        self.total
+    }
+
+    /// Frames per second.
+    pub fn fps(&self) -> f64 {
+        self.fps
+    }
+
+    /// What was read up to the latest key frame that was given.
+    pub fn account(&self) -> &Reading {
+        &self.account
+    }
+
+    /// The record of it, `path` being where it came from.
+    pub fn input(&self, path: &Path) -> InputRecord {
+        let Reading { frames, blake3, size, .. } = &self.account;
+        InputRecord { path: absolute(path), blake3: blake3.clone(), count: *frames, size: *size, fps: self.fps }
+    }
+
+    /// The next key frame.
+    pub fn next(&mut self) -> Result<Option<KeyFrame>, Failure> {
+        let message = match &mut self.from {
+            From::Here(keys) => keys.next().map(|key| (key, keys.account(), keys.state())),
+            From::Thread(receiver) => {
+                receiver.recv().unwrap_or_else(|_| Err(Failure::work("the thread that reads frames has ended early")))
+            }
+            From::Ended => return Ok(None),
+        };
+        let (key, account, state) = message?;
+        self.account = account;
+        if let (Some((_, choices)), Some(key)) = (&mut self.choices, &key) {
+            choices.add(self.started.then_some(key.shown.len()), state);
+            self.started = true;
+        }
+        if key.is_none() {
+            self.from = From::Ended;
+        }
+        Ok(key)
+    }
+}
+
+/// A thread that holds at most one key frame that nobody has taken. It ends with the frames, or when nobody asks any more.
+fn start(mut keys: KeyFrames) -> Receiver<Message> {
+    let (sender, receiver) = sync_channel(0);
+    std::thread::spawn(move || {
+        loop {
+            let message = keys.next().map(|key| (key, keys.account(), keys.state()));
+            let last = !matches!(message, Ok((Some(_), ..)));
+            if sender.send(message).is_err() || last {
+                return;
+            }
+        }
+    });
+    receiver
+}

@@ -1,0 +1,84 @@
+//! From the start of the input to where a run was stopped.
+
+use streamsplat::Frame;
+use streamsplat::stream::{Interval, Memory};
+
+use crate::console::failure::Failure;
+use crate::options::settings::Views;
+use crate::output::checkpoint::Point;
+use crate::output::record::InputRecord;
+use crate::session::stream::{Stream, Times};
+
+/// Brings a stream that has seen nothing to `point`: reads what was read, computes the last whole interval again, and draws its
+/// last image again, unwritten, so that what is drawn next finds the tiles it would have found.
+pub fn catch_up(
+    stream: &mut Stream<'_>,
+    times: &mut Times<'_>,
+    views: &Views,
+    point: &Point,
+    memory: Option<&Memory>,
+) -> Result<(), Failure> {
+    let mut before: Option<Frame> = None;
+    let mut last = None;
+    for index in 0..=point.key {
+        let Some(mut key) = stream.keys.next()? else {
+            let (expected, found) = (point.input.count, stream.keys.account().frames);
+            let name = point.input.path.display();
+            return Err(Failure::work(format!(
+                "--resume: the input: recorded {expected} frames of {name}, found {found}"
+            )));
+        };
+        key.shown.iter().for_each(|_| stream.progress.step());
+        let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
+        if index == point.key {
+            check_input(stream, point)?;
+        }
+        match memory {
+            Some(memory) if index < memory.frame => {}
+            Some(memory) if index == memory.frame => before = Some(key.frame),
+            _ => {
+                if let Some((memory, frame)) = memory.zip(before.take()) {
+                    stream.engine.recall(memory, frame)?;
+                }
+                let between = key.take_between();
+                last = Some((stream.engine.push_with(between, key.frame, timestamp)?, key.shown));
+            }
+        }
+    }
+    let Some((interval, shown)) = last else {
+        return Err(Failure::work("--resume: state.safetensors: expected a memory before the last whole interval"));
+    };
+    stream.outputs.take_up(stream.keys.fps(), &interval, point.video.as_ref())?;
+    times.next = point.times;
+    let drawn = match times.asked {
+        None => shown.last().map(|frame| frame.timestamp),
+        Some(asked) => point.times.checked_sub(1).and_then(|i| asked.get(i)).copied(),
+    };
+    if stream.emit.draws()
+        && let Some(time) = drawn.filter(|time| holds(&interval, *time))
+    {
+        stream.drawing.draw(&interval, time, views)?;
+    }
+    stream.drawing.counts = point.drawn.clone();
+    stream.account.restart(point.work.clone(), stream.engine.work());
+    stream.dropped = point.dropped;
+    stream.span = Some(point.span);
+    stream.key = point.key + 1;
+    Ok(())
+}
+
+fn holds(interval: &Interval, time: f64) -> bool {
+    interval.relative(time).is_some()
+}
+
+/// The frames read so far must be those that were read.
+fn check_input(stream: &Stream<'_>, point: &Point) -> Result<(), Failure> {
+    let (expected, found) = (&point.input, stream.keys.input(&point.input.path));
+    if expected.blake3 == found.blake3 && expected.count == found.count && expected.fps == found.fps {
+        return Ok(());
+    }
+    let of = |input: &InputRecord| format!("{} frames with the digest {}", input.count, input.blake3);
+    let name = point.input.path.display();
+    let message = format!("--resume: the input: recorded {} from {name}, found {}", of(expected), of(&found));
+    Err(Failure::work(message))
+}

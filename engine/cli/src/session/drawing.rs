@@ -1,0 +1,135 @@
+//! Images at times, of intervals as they come.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use streamsplat::render::{Backend, Painter, View};
+use streamsplat::still::Drawable;
+use streamsplat::stream::{Interval, Workers};
+use streamsplat::{Image, RenderError};
+use streamsplat_kernels::raster::Projection;
+
+use crate::console::failure::Failure;
+use crate::options::settings::Views;
+use crate::output::outputs::Outputs;
+use crate::output::record::{Counts, RendererRecord, WorkRecord};
+
+/// Colour, depth and alpha.
+const PLANES: u64 = 3;
+
+/// Draws and writes images; keeps the account.
+pub struct Drawing {
+    painter: Painter,
+    backend: Backend,
+    /// The account.
+    pub counts: Counts,
+    /// Time spent drawing.
+    pub render: Duration,
+    /// Time spent encoding and writing.
+    pub write: Duration,
+}
+
+impl Drawing {
+    /// Nothing drawn yet.
+    pub fn new(workers: &Workers, backend: Backend) -> Result<Drawing, Failure> {
+        Ok(Drawing {
+            painter: Painter::with(workers, backend)?,
+            backend,
+            counts: Counts::default(),
+            render: Duration::ZERO,
+            write: Duration::ZERO,
+        })
+    }
+
+    /// What draws, for the record.
+    pub fn renderer(&self) -> RendererRecord {
+        RendererRecord {
+            name: self.backend.to_string(),
+            adapter: self.painter.adapter().map(str::to_owned),
+            bit_contract: self.backend.is_within_contract(),
+        }
+    }
+
+    /// Draws the interval at `time` from where the camera is then.
+    pub fn draw(&mut self, interval: &Interval, time: f64, views: &Views) -> Result<Image, Failure> {
+        let camera = views.camera.at(time);
+        let view = View::new(&camera, &interval.placement, [1; 2]);
+        let turned = view.rotation().is_some() || !matches!(view.projection(), Projection::Orthographic { .. });
+        self.drawn(turned, |painter| painter.draw(interval, time, &camera, &views.options))
+    }
+
+    /// Draws a still scene from where the camera is at `time`.
+    pub fn still(&mut self, scene: &Drawable, time: f64, views: &Views) -> Result<Image, Failure> {
+        // Its Gaussians have rotations of their own.
+        self.drawn(true, |painter| painter.draw_still(scene, &views.camera.at(time), &views.options))
+    }
+
+    /// Draws and counts; `turned`: whether the view needs splats that are turned.
+    fn drawn(
+        &mut self,
+        turned: bool,
+        paint: impl FnOnce(&mut Painter) -> Result<&Image, RenderError>,
+    ) -> Result<Image, Failure> {
+        let _span = tracing::info_span!("render").entered();
+        let start = Instant::now();
+        let image = paint(&mut self.painter)?.clone();
+        self.render += start.elapsed();
+        self.counts.images += 1;
+        self.counts.dropped += image.dropped;
+        let (work, left_out) = (self.painter.work(), self.painter.left_out());
+        let planes = 1 + u64::from(image.depth.is_some()) + u64::from(image.alpha.is_some());
+        let counts = [
+            (work.gaussians.saturating_sub(work.culled), work.culled),
+            (work.tiles_drawn, work.tiles.saturating_sub(work.tiles_drawn)),
+            (work.entries.saturating_sub(work.entries_unseen), work.entries_unseen),
+            (planes, PLANES - planes),
+            (u64::from(turned), u64::from(!turned)),
+            (work.gaussians.saturating_sub(left_out), left_out),
+        ];
+        for (sum, (done, avoided)) in self.counts.raster.iter_mut().zip(counts) {
+            sum[0] += done;
+            sum[1] += avoided;
+        }
+        Ok(image)
+    }
+
+    /// Runs `work` as writing.
+    pub fn writing<R>(&mut self, work: impl FnOnce() -> Result<R, Failure>) -> Result<R, Failure> {
+        let _span = tracing::info_span!("write").entered();
+        let start = Instant::now();
+        let result = work();
+        self.write += start.elapsed();
+        result
+    }
+
+    /// Draws and writes the image with the number `index`.
+    pub fn image(
+        &mut self,
+        outputs: &mut Outputs,
+        index: usize,
+        interval: &Interval,
+        time: f64,
+        views: &Views,
+    ) -> Result<(), Failure> {
+        let image = self.draw(interval, time, views)?;
+        self.writing(|| outputs.image(index, image))
+    }
+
+    /// Adds what was drawn and what was not needed.
+    pub fn account(&self, work: &mut BTreeMap<String, WorkRecord>, seconds: &mut BTreeMap<String, f64>) {
+        let [gaussians, tiles, entries, planes, turned, projected] = self.counts.raster;
+        for (stage, [done, avoided], unit) in [
+            ("render", [self.counts.images, 0], "images"),
+            ("render.window", projected, "Gaussians"),
+            ("render.project", gaussians, "Gaussians"),
+            ("render.tiles", tiles, "tiles"),
+            ("render.blend", entries, "splats in tiles"),
+            ("render.planes", planes, "planes"),
+            ("render.turned", turned, "images"),
+        ] {
+            work.insert(stage.to_owned(), WorkRecord { done, avoided, unit: unit.to_owned() });
+        }
+        seconds.insert("render".to_owned(), self.render.as_secs_f64());
+        seconds.insert("write".to_owned(), self.write.as_secs_f64());
+    }
+}

@@ -1,0 +1,105 @@
+//! Depth of key frames, from files or from a network.
+
+use std::time::{Duration, Instant};
+
+use streamsplat::depth::{DepthMaps, DepthNetwork};
+use streamsplat::picture::Picture;
+use streamsplat::source::Source;
+use streamsplat::stream::Workers;
+use streamsplat_kernels::Level;
+
+use crate::console::failure::Failure;
+use crate::options::settings::DepthFrom;
+
+/// Where a frame's depth comes from.
+pub enum KeyDepth {
+    /// There is none.
+    None,
+    /// Every frame has a file, which belongs to the input.
+    Maps(DepthMaps),
+    /// A network looks at key frames.
+    Network(Box<Looker>),
+}
+
+/// A network, what it was shown last, and its account.
+pub struct Looker {
+    network: DepthNetwork,
+    /// The latest frame's samples and its map, where a repeated frame is not shown again.
+    latest: Option<(Vec<f32>, Vec<f32>)>,
+    reuse: bool,
+    account: NetworkAccount,
+}
+
+/// What a depth network has done.
+#[derive(Clone, Debug, Default)]
+pub struct NetworkAccount {
+    /// Version of the ONNX Runtime.
+    pub runtime: String,
+    /// Frames that it was shown.
+    pub done: u64,
+    /// Key frames that repeat the one before.
+    pub avoided: u64,
+    /// Time spent.
+    pub time: Duration,
+}
+
+impl KeyDepth {
+    /// Opens the folder or the network. With `reuse` a frame that repeats the key frame before has its map.
+    pub fn open(from: &DepthFrom, source: &Source, level: Level, reuse: bool) -> Result<KeyDepth, Failure> {
+        Ok(match from {
+            DepthFrom::None => KeyDepth::None,
+            DepthFrom::Folder(folder, range) => KeyDepth::Maps(DepthMaps::open(folder, source.files(), *range)?),
+            DepthFrom::Network(path, options) => {
+                // One thread, as the network itself: it works beside those of the engine.
+                let network = DepthNetwork::open(path, options.clone(), &Workers::new(level, 1)?)?;
+                let runtime = network.runtime_version().to_owned();
+                let account = NetworkAccount { runtime, ..NetworkAccount::default() };
+                KeyDepth::Network(Box::new(Looker { network, latest: None, reuse, account }))
+            }
+        })
+    }
+
+    /// The map in the frame's file.
+    pub fn of_file(&self, index: usize, picture: &Picture) -> Result<Option<Vec<f32>>, Failure> {
+        match self {
+            KeyDepth::Maps(maps) => Ok(Some(maps.map(index, picture.width, picture.height)?)),
+            KeyDepth::None | KeyDepth::Network(_) => Ok(None),
+        }
+    }
+
+    /// The network's map of a key frame.
+    pub fn of_network(&mut self, picture: &Picture) -> Result<Option<Vec<f32>>, Failure> {
+        match self {
+            KeyDepth::Network(looker) => looker.look(picture).map(Some),
+            KeyDepth::None | KeyDepth::Maps(_) => Ok(None),
+        }
+    }
+
+    /// What the network has done, if it is one.
+    pub fn account(&self) -> Option<NetworkAccount> {
+        match self {
+            KeyDepth::Network(looker) => Some(looker.account.clone()),
+            KeyDepth::None | KeyDepth::Maps(_) => None,
+        }
+    }
+}
+
+impl Looker {
+    fn look(&mut self, picture: &Picture) -> Result<Vec<f32>, Failure> {
+        let same_bits =
+            |a: &[f32], b: &[f32]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
+        if let Some((rgb, map)) = &self.latest
+            && same_bits(rgb, &picture.rgb)
+        {
+            self.account.avoided += 1;
+            return Ok(map.clone());
+        }
+        let _span = tracing::info_span!("depth").entered();
+        let start = Instant::now();
+        let map = self.network.map(&picture.rgb, picture.width, picture.height)?;
+        self.account.time += start.elapsed();
+        self.account.done += 1;
+        self.latest = self.reuse.then(|| (picture.rgb.clone(), map.clone()));
+        Ok(map)
+    }
+}

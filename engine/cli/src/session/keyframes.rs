@@ -1,0 +1,273 @@
+//! Input frames to key frames, with their depth maps, and the frames in between.
+
+use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant};
+
+use streamsplat::Frame;
+use streamsplat::gap::{Choice, Chooser, ControlState, Found, Gap};
+use streamsplat::picture::Picture;
+use streamsplat::source::{Source, SourceError, TimedPicture};
+
+use crate::console::failure::Failure;
+use crate::console::stop::Stop;
+use crate::output::choices::Choices;
+use crate::output::digest::InputDigest;
+use crate::session::closeness::{SIDE, Truth};
+use crate::session::keydepth::{KeyDepth, NetworkAccount};
+
+/// A key frame and what came since the one before.
+pub struct KeyFrame {
+    /// The key frame's picture and depth.
+    pub frame: Frame,
+    /// Input frames after the key frame before, this one last. Their pictures are empty unless they were asked for.
+    pub shown: Vec<TimedPicture>,
+    /// The same as they are compared, where key frames depend on that.
+    pub truths: Vec<Truth>,
+}
+
+/// What was read.
+#[derive(Clone, Debug)]
+pub struct Reading {
+    /// Frames.
+    pub frames: usize,
+    /// Their digest.
+    pub blake3: String,
+    /// Width and height of a frame.
+    pub size: [usize; 2],
+    /// Time spent reading.
+    pub time: Duration,
+    /// What the depth network has done, if there is one.
+    pub network: Option<NetworkAccount>,
+}
+
+impl KeyFrame {
+    /// The frames in between with their times, where their pictures were kept; they are taken out of `shown`.
+    pub fn take_between(&mut self) -> Vec<(Frame, f64)> {
+        let between = self.shown.len().saturating_sub(1);
+        let taken = self.shown[..between].iter_mut().map(|frame| {
+            let Picture { width, height, rgb } = std::mem::replace(&mut frame.picture, empty());
+            (Frame { width, height, rgb, depth: None }, frame.timestamp)
+        });
+        taken.filter(|(frame, _)| frame.width > 0).collect()
+    }
+
+    /// Copies of the frames in between with their times, where their pictures were kept.
+    pub fn between(&self) -> Vec<(Frame, f64)> {
+        let between = self.shown.len().saturating_sub(1);
+        let copy = |frame: &TimedPicture| {
+            let Picture { width, height, rgb } = frame.picture.clone();
+            (Frame { width, height, rgb, depth: None }, frame.timestamp)
+        };
+        self.shown[..between].iter().map(copy).collect()
+    }
+}
+
+/// Which pictures come with a key frame besides its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Keep {
+    /// None.
+    Nothing,
+    /// Those of the frames in between.
+    Between,
+    /// Those of the frames in between and of the key frame, and frames after the last whole fixed gap are left out: for comparisons.
+    Everything,
+}
+
+/// Reads key frames one at a time.
+pub struct KeyFrames {
+    source: Source,
+    depth: KeyDepth,
+    chooser: Chooser,
+    keep: Keep,
+    /// Whether frames after the last key frame are left out.
+    whole_gaps: bool,
+    limit: usize,
+    digest: InputDigest,
+    size: [usize; 2],
+    pending: Vec<TimedPicture>,
+    /// All frames since the key frame before as they are compared, where key frames depend on that.
+    truths: Option<Vec<Truth>>,
+    /// How close images came to frames.
+    told: Option<Receiver<Found>>,
+    /// Key frames given.
+    given: usize,
+    /// A frame whose arrival made the one before a key frame.
+    ahead: Option<TimedPicture>,
+    time: Duration,
+    ended: bool,
+    stop: Stop,
+}
+
+impl KeyFrames {
+    /// The key frames that `gap` chooses of `source`, at most `limit` frames in all. The last frame is a key frame, but with [`Keep::Everything`].
+    pub fn new(source: Source, depth: KeyDepth, gap: Gap, keep: Keep, limit: Option<usize>, stop: &Stop) -> Self {
+        let limit = limit.unwrap_or(usize::MAX);
+        KeyFrames {
+            source,
+            depth,
+            chooser: Chooser::new(gap),
+            keep,
+            whole_gaps: keep == Keep::Everything && matches!(gap, Gap::Every(_)),
+            limit,
+            digest: InputDigest::default(),
+            size: [0, 0],
+            pending: Vec::new(),
+            truths: gap.depends_on_images().then(Vec::new),
+            told: None,
+            given: 0,
+            ahead: None,
+            time: Duration::ZERO,
+            ended: false,
+            stop: stop.clone(),
+        }
+    }
+
+    /// Makes the choices of before again, then goes on.
+    pub fn replay(&mut self, choices: &Choices) {
+        self.chooser.replay(choices.gaps.iter().copied(), choices.state.clone());
+    }
+
+    /// Where it is told how close images came to frames, one message per key frame, if it wants to know. The choice of a key frame waits for what was found up to
+    /// the last key frame but one before it: whether frames are read ahead then makes no difference.
+    pub fn listen(&mut self, told: Receiver<Found>) -> bool {
+        let wanted = self.truths.is_some();
+        self.told = Some(told).filter(|_| wanted);
+        wanted
+    }
+
+    /// What the latest choice rested on.
+    pub fn state(&self) -> ControlState {
+        self.chooser.state()
+    }
+
+    /// Frames there may be, where that is known.
+    pub fn total(&self) -> Option<usize> {
+        match self.source.expected_frames() {
+            Some(frames) => Some(frames.min(self.limit)),
+            None => (self.limit != usize::MAX).then_some(self.limit),
+        }
+    }
+
+    /// Frames per second.
+    pub fn fps(&self) -> f64 {
+        self.source.fps()
+    }
+
+    /// Whether key frames are given their depth by a network.
+    pub fn runs_a_network(&self) -> bool {
+        matches!(self.depth, KeyDepth::Network(_))
+    }
+
+    /// What was read so far.
+    pub fn account(&self) -> Reading {
+        let network = self.depth.account();
+        let looking = network.as_ref().map_or(Duration::ZERO, |network| network.time);
+        Reading {
+            frames: self.digest.frames(),
+            blake3: self.digest.finish(),
+            size: self.size,
+            time: self.time.saturating_sub(looking),
+            network,
+        }
+    }
+
+    /// The next key frame.
+    pub fn next(&mut self) -> Result<Option<KeyFrame>, Failure> {
+        if let Some(told) = &self.told
+            && self.given >= 2
+            && !self.chooser.is_replaying()
+        {
+            // Nobody tells any more when nobody takes key frames any more.
+            told.recv().iter().for_each(|found| self.chooser.learn(found));
+        }
+        let start = Instant::now();
+        let _span = tracing::info_span!("decode").entered();
+        let result = self.read();
+        self.time += start.elapsed();
+        self.given += 1;
+        result
+    }
+
+    fn read(&mut self) -> Result<Option<KeyFrame>, Failure> {
+        while !self.ended && self.digest.frames() < self.limit {
+            let (frame, choice) = match self.ahead.take() {
+                Some(frame) => (frame, Choice::Wait),
+                None => {
+                    let Some(frame) = self.arrive()? else { break };
+                    let choice = self.chooser.next(&frame.picture);
+                    (frame, choice)
+                }
+            };
+            if choice == Choice::Before
+                && let Some(before) = self.pending.pop()
+            {
+                self.ahead = Some(frame);
+                return self.last(before).map(Some);
+            }
+            let (width, height) = (frame.picture.width, frame.picture.height);
+            self.size = [width, height];
+            let depth = self.depth.of_file(frame.index, &frame.picture)?;
+            self.digest.add(&frame.picture, frame.timestamp, depth.as_deref());
+            if let Some(truths) = &mut self.truths {
+                truths.push(Truth { time: frame.timestamp, picture: frame.picture.resized(SIDE, SIDE) });
+            }
+            if choice == Choice::This {
+                return self.key(frame, depth).map(Some);
+            }
+            // Only the last of them may still become a key frame.
+            if self.keep == Keep::Nothing
+                && let Some(before) = self.pending.last_mut()
+            {
+                before.picture = empty();
+            }
+            self.pending.push(frame);
+        }
+        self.ended = true;
+        if self.whole_gaps {
+            return Ok(None);
+        }
+        match self.pending.pop() {
+            Some(last) => self.last(last).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// The next frame of the source.
+    fn arrive(&mut self) -> Result<Option<TimedPicture>, Failure> {
+        match self.source.next_frame() {
+            Ok(next) => Ok(next),
+            // What feeds us is stopped by the same Ctrl-C; its stream may end anywhere.
+            Err(SourceError::Y4m { .. }) if self.stop.asked() => Ok(None),
+            Err(e) => Err(e.into()),
+        }
+    }
+
+    /// The last of the frames that wait, as a key frame.
+    fn last(&mut self, frame: TimedPicture) -> Result<KeyFrame, Failure> {
+        let depth = self.depth.of_file(frame.index, &frame.picture)?;
+        self.key(frame, depth)
+    }
+
+    fn key(&mut self, mut frame: TimedPicture, of_file: Option<Vec<f32>>) -> Result<KeyFrame, Failure> {
+        let (width, height) = (frame.picture.width, frame.picture.height);
+        let depth = match of_file {
+            Some(depth) => Some(depth),
+            None => self.depth.of_network(&frame.picture)?,
+        };
+        let mut shown = std::mem::take(&mut self.pending);
+        if self.keep == Keep::Nothing {
+            shown.iter_mut().for_each(|before| before.picture = empty());
+        }
+        let rgb = match self.keep {
+            Keep::Everything => frame.picture.rgb.clone(),
+            Keep::Nothing | Keep::Between => std::mem::replace(&mut frame.picture, empty()).rgb,
+        };
+        shown.push(frame);
+        let truths = self.truths.as_mut().map(std::mem::take).unwrap_or_default();
+        Ok(KeyFrame { frame: Frame { width, height, rgb, depth }, shown, truths })
+    }
+}
+
+fn empty() -> Picture {
+    Picture { width: 0, height: 0, rgb: Vec::new() }
+}

@@ -1,0 +1,84 @@
+//! `run --serve`: the stream in a browser while it is processed.
+
+use std::io::Write;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use streamsplat::stream::Interval;
+use streamsplat::view::{Live, Server};
+
+use crate::console::Console;
+use crate::console::failure::Failure;
+
+/// Bytes of packets kept for browsers, so that memory does not grow with the stream.
+const KEPT: usize = 512 << 20;
+/// At the end open pages get to hear of it: the program waits until none has asked for this long,
+const QUIET: Duration = Duration::from_millis(700);
+/// this many times at most.
+const PATIENCE: usize = 10;
+
+/// A page under way.
+pub struct Serving {
+    live: Arc<Live>,
+    server: Server,
+}
+
+impl Serving {
+    /// Serves on this machine alone.
+    pub fn start(port: u16, input: &Path, fps: f64, console: &Console) -> Result<Serving, Failure> {
+        let live = Arc::new(Live::new(title(input), fps, KEPT));
+        let server = Server::start(SocketAddr::from((Ipv4Addr::LOCALHOST, port)), &[], live.clone())?;
+        if !console.quiet {
+            // Standard output may carry the video.
+            let _ = writeln!(std::io::stderr(), "http://{}/", server.address());
+        }
+        Ok(Serving { live, server })
+    }
+
+    /// Shows one more interval.
+    pub fn push(&self, interval: &Interval) {
+        self.live.push(interval);
+    }
+
+    /// Says that the stream has ended, and ends once the pages that are open have all of it.
+    pub fn finish(self) {
+        self.live.complete();
+        for _ in 0..PATIENCE {
+            if !self.server.was_asked() {
+                break;
+            }
+            std::thread::sleep(QUIET);
+        }
+    }
+}
+
+/// What the page calls what is at `path`: the last name of it that says something.
+pub fn title(path: &Path) -> String {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let generic = ["scene", "scene.json"];
+    let names = path.iter().rev().map(|name| name.to_string_lossy().into_owned());
+    names
+        .clone()
+        .find(|name| !generic.contains(&name.as_str()) && name != "/")
+        .or(names.clone().next())
+        .unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_title_is_the_name_that_says_something() {
+        for (path, expected) in [
+            ("/a/b/out", "out"),
+            ("/a/out/scene", "out"),
+            ("/a/out/scene/scene.json", "out"),
+            ("/a/clip.mp4", "clip.mp4"),
+        ] {
+            assert_eq!(title(Path::new(path)), expected);
+        }
+    }
+}

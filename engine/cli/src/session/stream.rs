@@ -1,0 +1,156 @@
+//! A run under way: key frames through the engine, results to where they go.
+
+use std::path::Path;
+
+use streamsplat::Engine;
+use streamsplat::render::Snapshot;
+use streamsplat::stream::{Interval, Memory};
+
+use crate::console::failure::Failure;
+use crate::console::progress::Progress;
+use crate::console::stop::Stop;
+use crate::options::settings::Views;
+use crate::output::checkpoint::Point;
+use crate::output::outputs::{Emit, Outputs};
+use crate::output::record::Account;
+use crate::output::terms::Terms;
+
+use super::ahead::Ahead;
+use super::closeness::Closeness;
+use super::drawing::Drawing;
+use super::serving::Serving;
+
+/// A run under way.
+pub struct Stream<'a> {
+    pub keys: Ahead,
+    pub engine: Engine,
+    pub outputs: Outputs,
+    pub drawing: &'a mut Drawing,
+    /// Where key frames depend on it.
+    pub closeness: Option<Closeness>,
+    pub progress: Progress,
+    /// Whether it is to stop after the interval at hand.
+    pub stop: Stop,
+    pub page: Option<Serving>,
+    pub account: Account,
+    pub emit: Emit,
+    /// Gaussians left out by the engine.
+    pub dropped: u64,
+    /// First and last time seen.
+    pub span: Option<(f64, f64)>,
+    /// The next key frame.
+    pub key: u64,
+}
+
+/// Input and terms of a run under way.
+pub struct RunOrigin<'a> {
+    /// What it is a function of, besides its input.
+    pub terms: &'a Terms,
+    /// Where frames come from.
+    pub input: &'a Path,
+    /// Whether it has intervals from before.
+    pub resumed: bool,
+}
+
+impl Stream<'_> {
+    /// Takes the rest of the video through the engine; false when the user stopped it.
+    pub fn pass(&mut self, times: &mut Times<'_>, views: &Views, origin: &RunOrigin<'_>) -> Result<bool, Failure> {
+        if origin.resumed && self.stop.asked() {
+            return Ok(false);
+        }
+        while let Some(mut key) = self.keys.next()? {
+            let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
+            let memory = self.engine.memory().filter(|_| self.outputs.can_resume());
+            let interval = self.engine.push_with(key.take_between(), key.frame, timestamp)?;
+            self.dropped += interval.dropped;
+            self.span = Some((self.span.map_or(interval.start, |(first, _)| first), interval.end));
+            if let Some(page) = &self.page {
+                page.push(&interval);
+            }
+            let frames = key.shown.iter().map(|frame| (frame.index, frame.timestamp));
+            let due = if self.emit.draws() || self.emit.ply { times.of(&interval, frames) } else { Vec::new() };
+            self.write(&interval, &due, views)?;
+            if let Some(closeness) = &mut self.closeness
+                && let Some(found) = closeness.of(&interval, &key.truths)?
+            {
+                self.keys.tell(&found, closeness);
+            }
+            self.commit(origin, times.next, memory.as_ref())?;
+            self.key += 1;
+            key.shown.iter().for_each(|_| self.progress.step());
+            if self.stop.asked() {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Writes an interval and what is due in it.
+    fn write(&mut self, interval: &Interval, due: &[(usize, f64)], views: &Views) -> Result<(), Failure> {
+        let Stream { outputs, drawing, emit, .. } = self;
+        drawing.writing(|| outputs.interval(interval))?;
+        for &(index, time) in due {
+            if emit.draws() {
+                drawing.image(outputs, index, interval, time, views)?;
+            }
+            if emit.ply {
+                let snapshot = Snapshot::exported(interval, time)?;
+                // Where an image is drawn as well, they are counted with it.
+                drawing.counts.dropped += if emit.draws() { 0 } else { snapshot.dropped };
+                drawing.writing(|| outputs.snapshot(index, &snapshot))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes the interval just written one to go on from.
+    fn commit(&mut self, origin: &RunOrigin<'_>, times: usize, memory: Option<&Memory>) -> Result<(), Failure> {
+        if !self.outputs.can_resume() {
+            return Ok(());
+        }
+        let point = Point {
+            terms: origin.terms.clone(),
+            input: self.keys.input(origin.input),
+            key: self.key,
+            span: self.span.unwrap_or_default(),
+            times,
+            choices: self.keys.choices().cloned(),
+            work: self.account.of(self.engine.work()),
+            dropped: self.dropped,
+            drawn: self.drawing.counts.clone(),
+            ledger: 0,
+            video: None,
+        };
+        let Stream { outputs, drawing, .. } = self;
+        drawing.writing(|| outputs.commit(point, memory))
+    }
+}
+
+/// The times at which images are due.
+pub struct Times<'a> {
+    /// Those asked for.
+    pub asked: Option<&'a [f64]>,
+    /// The next of them.
+    pub next: usize,
+}
+
+impl Times<'_> {
+    /// Numbers and times of the images of `interval`: the input frames' own, or what of the times asked for it holds.
+    fn of(&mut self, interval: &Interval, frames: impl Iterator<Item = (usize, f64)>) -> Vec<(usize, f64)> {
+        let Some(asked) = self.asked else { return frames.collect() };
+        let mut due = Vec::new();
+        while let Some(&time) = asked.get(self.next).filter(|time| **time <= interval.end) {
+            if time < interval.start {
+                break;
+            }
+            due.push((self.next, time));
+            self.next += 1;
+        }
+        due
+    }
+
+    /// The first time asked for that no interval held.
+    pub fn left(&self) -> Option<f64> {
+        self.asked?.get(self.next).copied()
+    }
+}

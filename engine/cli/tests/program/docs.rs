@@ -1,0 +1,239 @@
+//! Pages under `docs/` and the README say what the program and the records say.
+//!
+//! `STORE_DOCS=1 cargo test --release -p streamsplat-cli --test program docs` writes the generated parts: `docs/cli.md`, and the tables of records in the README and
+//! `docs/performance.md`.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use crate::support::run;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("a workspace")
+}
+
+fn read(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+/// Compares a page with its generated text, or writes it where `STORE_DOCS` asks for it.
+fn assert_generated(page: &str, expected: &str) {
+    let path = root().join(page);
+    if std::env::var_os("STORE_DOCS").is_some() {
+        std::fs::write(&path, expected).expect("writable");
+    }
+    assert!(
+        std::fs::read_to_string(&path).unwrap_or_default() == expected,
+        "{page} is out of date: STORE_DOCS=1 cargo test --release -p streamsplat-cli --test program docs"
+    );
+}
+
+fn help(arguments: &[&str]) -> String {
+    let output = run(arguments);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).expect("text");
+    text.lines().map(str::trim_end).collect::<Vec<_>>().join("\n")
+}
+
+/// The subcommands that `--help` lists, without `help`.
+fn commands(help: &str) -> Vec<&str> {
+    let listed = help.lines().skip_while(|line| !line.starts_with("Commands:")).skip(1);
+    let lines = listed.take_while(|line| !line.is_empty()).filter(|line| !line.starts_with("   "));
+    lines.filter_map(|line| line.split_whitespace().next()).filter(|&name| name != "help").collect()
+}
+
+#[test]
+fn the_page_of_options_is_what_the_program_says() {
+    let whole = help(&["--help"]);
+    let mut page = format!(
+        "<!-- Written by a test: STORE_DOCS=1 cargo test --release -p streamsplat-cli --test program docs -->\n\
+         # Commands and options\n\n```text\n{whole}\n```\n"
+    );
+    let commands = commands(&whole);
+    assert!(commands.contains(&"run") && commands.len() > 10, "{commands:?}");
+    for command in commands {
+        // `bench` hands its arguments to another program, whose page is bench/README.md.
+        let text = if command == "bench" {
+            "Its options are those of [`streamsplat-bench`](../bench/README.md).".to_owned()
+        } else {
+            format!("```text\n{}\n```", help(&[command, "--help"]))
+        };
+        write!(page, "\n## {command}\n\n{text}\n").expect("a string");
+    }
+    assert_generated("docs/cli.md", &page);
+}
+
+const BEGIN: &str = "<!-- table of ";
+
+/// The page with the table of each record it names between `<!-- table of FILE -->` and `<!-- end -->`.
+fn with_tables(page: &str) -> String {
+    let mut parts = page.split(BEGIN);
+    let mut text = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let (name, rest) = part.split_once(" -->\n").expect("a record's name");
+        let (_, after) = rest.split_once("<!-- end -->").expect("an end");
+        let record = serde_json::from_str(&read(&root().join("bench/record").join(name))).expect("JSON");
+        write!(text, "{BEGIN}{name} -->\n{}<!-- end -->{after}", table(name, &record)).expect("a string");
+    }
+    text
+}
+
+fn table(name: &str, record: &Value) -> String {
+    match name.split('-').next() {
+        Some("peers") => peers(record),
+        Some("stages") => stages(record),
+        Some("raster") => raster(record),
+        _ => panic!("{name}: expected a record of peers, stages or raster"),
+    }
+}
+
+fn list(value: &Value) -> &[Value] {
+    value.as_array().expect("a list")
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().expect("a number")
+}
+
+fn text(value: &Value) -> &str {
+    value.as_str().expect("text")
+}
+
+/// A row per stage and precision: our seconds, and theirs with our time over theirs.
+fn peers(record: &Value) -> String {
+    let results = list(&record["results"]);
+    let version = |package: &str| {
+        let found = list(&record["peers"]).iter().find_map(|peer| text(peer).strip_prefix(package)?.strip_prefix("=="));
+        found.unwrap_or_default().to_owned()
+    };
+    let known = [("torch", "PyTorch"), ("onnxruntime", "ONNX Runtime"), ("openvino", "OpenVINO")];
+    let runners: Vec<_> =
+        known.into_iter().filter(|(name, _)| results.iter().any(|row| row["runner"] == *name)).collect();
+    let titles: Vec<_> = runners.iter().map(|(package, title)| format!("{title} {}", version(package))).collect();
+    let mut page = format!("| | streamsplat | {} |\n|---|---:|{}\n", titles.join(" | "), "---:|".repeat(runners.len()));
+    for ours in results.iter().filter(|row| row["runner"] == "streamsplat") {
+        let theirs = |runner: &str| {
+            let same = |row: &&Value| {
+                row["runner"] == runner && row["stage"] == ours["stage"] && row["precision"] == ours["precision"]
+            };
+            results.iter().find(same).map_or_else(String::new, |row| {
+                format!("{:.2} ({:.2})", number(&row["seconds"]["median"]), number(&row["ours_over_this"]["median"]))
+            })
+        };
+        let cells: Vec<_> = runners.iter().map(|(runner, _)| theirs(runner)).collect();
+        if cells.iter().all(String::is_empty) {
+            continue;
+        }
+        let (stage, precision) = (text(&ours["stage"]), text(&ours["precision"]));
+        let seconds = number(&ours["seconds"]["median"]);
+        writeln!(page, "| {stage}, {precision} | {seconds:.2} | {} |", cells.join(" | ")).expect("a string");
+    }
+    page
+}
+
+fn stages(record: &Value) -> String {
+    let mut page = "| | GFLOP | ms, least | median |\n|---|---:|---:|---:|\n".to_owned();
+    for stage in list(&record["stages"]) {
+        let name = match text(&stage["name"]) {
+            "step" => "whole key frame",
+            name => name,
+        };
+        let work = stage["gflop"].as_f64().map_or_else(String::new, |work| format!("{work:.1}"));
+        let milliseconds = |which: &str| 1e3 * number(&stage["seconds"][which]);
+        writeln!(page, "| {name} | {work} | {:.1} | {:.1} |", milliseconds("min"), milliseconds("median"))
+            .expect("a string");
+    }
+    page
+}
+
+fn raster(record: &Value) -> String {
+    let mut page = "| scene | Gaussians | size | ms, median | peak MiB |\n|---|---:|---|---:|---:|\n".to_owned();
+    for scene in list(&record["scenes"]) {
+        let (width, height) = (&scene["size"][0], &scene["size"][1]);
+        let (name, count, time) = (text(&scene["name"]), &scene["gaussians"], number(&scene["milliseconds"]["median"]));
+        writeln!(page, "| {name} | {count} | {width}×{height} | {time:.1} | |").expect("a string");
+    }
+    for row in list(&record["scaling"]) {
+        let (count, time) = (&row["gaussians"], number(&row["milliseconds"]));
+        let peak = number(&row["peak_rss_bytes"]) / f64::from(1 << 20);
+        writeln!(page, "| growth | {count} | 512×288 | {time:.1} | {peak:.0} |").expect("a string");
+    }
+    page
+}
+
+#[test]
+fn tables_of_measurements_are_those_of_the_records() {
+    for (page, least) in [("README.md", 1), ("docs/performance.md", 5)] {
+        let text = read(&root().join(page));
+        assert!(text.matches(BEGIN).count() >= least, "{page}: tables of records");
+        assert_generated(page, &with_tables(&text));
+    }
+    // Another figure is another page.
+    let page = read(&root().join("README.md"));
+    assert_ne!(
+        with_tables(&page.replacen("| encoder, f32 | ", "| encoder, f32 | 9", 1)),
+        page.replacen("| encoder, f32 | ", "| encoder, f32 | 9", 1)
+    );
+}
+
+#[test]
+fn the_readme_and_the_glossary_stay_short() {
+    let readme = read(&root().join("README.md"));
+    let words = readme.split_whitespace().count();
+    assert!(words <= 900, "README.md: {words} words");
+    assert_eq!(readme.lines().filter(|line| line.starts_with("|---")).count(), 1, "README.md: tables");
+    let lines = read(&root().join("docs/glossary.md")).lines().count();
+    assert!(lines <= 60, "docs/glossary.md: {lines} lines");
+}
+
+/// The files that a page links to, relative to its folder.
+fn links(page: &str) -> impl Iterator<Item = &str> {
+    let targets = page.split("](").skip(1).filter_map(|rest| rest.split([')', '#']).next());
+    targets.filter(|target| !target.is_empty() && !target.contains("://"))
+}
+
+#[test]
+fn links_between_pages_lead_to_files() {
+    let mut pages: Vec<PathBuf> =
+        ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "bench/README.md", "fixtures/lite/README.md"]
+            .into_iter()
+            .chain(["model/train/README.md", "model/train/HISTORY.md"])
+            .map(|page| root().join(page))
+            .collect();
+    let docs = std::fs::read_dir(root().join("docs")).expect("a folder");
+    pages.extend(
+        docs.map(|entry| entry.expect("an entry").path()).filter(|path| path.extension().is_some_and(|e| e == "md")),
+    );
+    let mut found = 0;
+    for page in pages {
+        let text = read(&page);
+        for link in links(&text) {
+            found += 1;
+            assert!(page.with_file_name(link).exists(), "{}: no file {link}", page.display());
+        }
+    }
+    assert!(found > 30, "{found} links");
+}
+
+/// Paths of this repository that a page names between backquotes.
+fn paths(page: &str) -> impl Iterator<Item = &str> {
+    let codes = page.split('`').skip(1).step_by(2);
+    codes.filter(|code| {
+        ["kernels/", "model/", "engine/", "bench/", "tests/", "fixtures/"].iter().any(|folder| code.starts_with(folder))
+            && code.chars().all(|c| c.is_ascii_alphanumeric() || "/._-".contains(c))
+    })
+}
+
+#[test]
+fn files_that_the_pages_on_the_code_name_exist() {
+    for page in ["docs/architecture.md", "docs/glossary.md", "CONTRIBUTING.md"] {
+        let text = read(&root().join(page));
+        let named: Vec<_> = paths(&text).collect();
+        assert!(named.len() > 5, "{page}: {named:?}");
+        for path in named {
+            assert!(root().join(path).exists(), "{page}: no file {path}");
+        }
+    }
+}

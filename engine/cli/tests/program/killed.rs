@@ -1,0 +1,157 @@
+//! Killed at any moment, or out of room: what is there is whole, and `--resume` ends with the same bytes.
+//!
+//! `STREAMSPLAT_KILLS=50 STREAMSPLAT_SEED=7 cargo test --release -p streamsplat-cli --test program killed -- --nocapture` kills oftener, at
+//! other moments.
+
+use std::io::Read;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use streamsplat::scene::Scene;
+use streamsplat::stream::Workers;
+use streamsplat_fixtures as fixtures;
+use streamsplat_kernels::Level;
+
+use crate::support::{Scratch, command, fails, files, model, record, run_ok};
+
+const OPTIONS: [&str; 5] = ["--emit", "rgb,depth,alpha,scene,ply", "--gap", "2", "--quiet"];
+
+fn number(name: &str, otherwise: u64) -> u64 {
+    std::env::var(name).map_or(otherwise, |text| text.parse().unwrap_or_else(|_| panic!("{name}={text}: a number")))
+}
+
+/// SplitMix64.
+fn random(state: &mut u64) -> u64 {
+    *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+    let mut z = *state;
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
+fn run(out: &Path) -> Command {
+    let mut command = command();
+    command.arg("run").arg(fixtures::path("clips/moving.y4m")).arg("--out").arg(out).arg("--model").arg(model());
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+/// Checks what a kill must leave: every interval of the index whole, every file under its own name readable. Gives their numbers.
+fn check(out: &Path) -> (usize, usize) {
+    let mut intervals = 0;
+    if out.join("scene/scene.json").exists() {
+        let scene = Scene::open(out).expect("a valid index");
+        let workers = Workers::new(Level::scalar(), 1).expect("one thread");
+        intervals = scene.index().intervals.len();
+        for i in 0..intervals {
+            scene.interval(i, &workers).expect("a whole interval");
+        }
+    }
+    let mut images = 0;
+    for (name, bytes) in if out.exists() { files(out) } else { Default::default() } {
+        let hidden = name.rsplit('/').next().is_some_and(|file| file.starts_with('.'));
+        if name.ends_with(".png") && !hidden {
+            image::load_from_memory(&bytes).unwrap_or_else(|e| panic!("{name}: {e}"));
+            images += 1;
+        }
+    }
+    assert!(!out.join("run.json").exists(), "a record means that the run ended");
+    (intervals, images)
+}
+
+fn assert_same(out: &Path, whole: &Path) {
+    let (found, expected) = (files(out), files(whole));
+    assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
+    assert!(found == expected);
+    assert_eq!(record(&out.join("run.json")), record(&whole.join("run.json")));
+}
+
+#[test]
+fn killed_at_random_moments_it_ends_with_the_same_bytes() {
+    let kills = number("STREAMSPLAT_KILLS", 8);
+    let mut seed = number("STREAMSPLAT_SEED", 1);
+    let scratch = Scratch::new();
+    let (whole, out) = (scratch.path("whole"), scratch.path("out"));
+    let start = Instant::now();
+    run_ok(&fixtures::path("clips/moving.y4m"), &whole, &OPTIONS);
+    let length = start.elapsed();
+    let (mut killed, mut ends) = (0, 0);
+    while killed < kills {
+        // Runs and resumed runs are killed alike, early more often than late, so that some are killed again and again.
+        let part = (random(&mut seed) % 1000) as f64 / 1000.0;
+        let moment = length.mul_f64(0.9 * part * part + 0.02);
+        let mut child = run(&out).args(OPTIONS).arg("--resume").spawn().expect("the program starts");
+        let start = Instant::now();
+        while start.elapsed() < moment && child.try_wait().expect("a child").is_none() {
+            std::thread::sleep(Duration::from_micros(200));
+        }
+        child.kill().expect("a child");
+        let output = child.wait_with_output().expect("it ends");
+        if output.status.success() {
+            assert_same(&out, &whole);
+            std::fs::remove_dir_all(&out).expect("there");
+            ends += 1;
+            continue;
+        }
+        assert_eq!(output.status.code(), None, "{}", String::from_utf8_lossy(&output.stderr));
+        killed += 1;
+        if !out.join("run.json").exists() {
+            let (intervals, images) = check(&out);
+            println!("kill {killed} after {moment:.1?} of {length:.1?}: {intervals} intervals, {images} images");
+        }
+    }
+    let output = run(&out).args(OPTIONS).arg("--resume").output().expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_same(&out, &whole);
+    println!("{killed} kills, {} complete runs with the same bytes", ends + 1);
+}
+
+/// The program under a limit of `kilobytes` on each file it writes, as on a disk that is full.
+fn limited(out: &Path, kilobytes: u32) -> Command {
+    let mut shell = Command::new("bash");
+    shell.args(["-c", &format!("trap '' XFSZ; ulimit -f {kilobytes}; exec \"$@\""), "bash"]);
+    let inner = run(out);
+    shell.arg(inner.get_program()).args(inner.get_args()).args(["--gap", "2", "--quiet"]);
+    shell
+}
+
+#[test]
+fn out_of_room_it_says_so_and_what_was_written_stays_valid() {
+    let scratch = Scratch::new();
+    // A first interval has 960 Gaussians, the next ones twice as many: 90 kB fit, 180 kB do not.
+    let (out, whole) = (scratch.path("out"), scratch.path("whole"));
+    let text = fails(&limited(&out, 150).output().expect("a shell"), 1);
+    assert!(text.contains("interval-000001.safetensors: cannot write: File too large"), "{text}");
+    assert_eq!(check(&out), (1, 1));
+    assert!(files(&out).keys().all(|name| !name.contains("partial")));
+    let options = ["--gap", "2", "--quiet"];
+    let output = run(&out).args(options).arg("--resume").output().expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    run_ok(&fixtures::path("clips/moving.y4m"), &whole, &options);
+    assert_same(&out, &whole);
+
+    // 24 frames of 10,806 bytes.
+    let (out, whole) = (scratch.path("out.y4m"), scratch.path("whole.y4m"));
+    let text = fails(&limited(&out, 150).output().expect("a shell"), 1);
+    // The video or what is kept to go on from: whichever grows beyond the limit first.
+    assert!(text.contains("cannot write: File too large"), "{text}");
+    assert!(!out.exists(), "it has no name before it is whole");
+    let output = run(&out).args(options).arg("--resume").output().expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    run_ok(&fixtures::path("clips/moving.y4m"), &whole, &options);
+    assert!(std::fs::read(&out).expect("readable") == std::fs::read(&whole).expect("readable"));
+}
+
+#[test]
+fn a_reader_that_takes_a_thousand_bytes_gets_the_right_ones() {
+    let scratch = Scratch::new();
+    let whole = scratch.path("whole.y4m");
+    run_ok(&fixtures::path("clips/moving.y4m"), &whole, &["--quiet", "--size", "640x384"]);
+    let mut child = run(Path::new("-")).args(["--quiet", "--size", "640x384"]).spawn().expect("the program starts");
+    let mut start = [0; 1000];
+    child.stdout.take().expect("a pipe").read_exact(&mut start).expect("a thousand bytes");
+    let text = fails(&child.wait_with_output().expect("it ends"), 1);
+    assert!(text.contains("-: cannot write: Broken pipe"), "{text}");
+    assert!(std::fs::read(&whole).expect("readable").starts_with(&start));
+}

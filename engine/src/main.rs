@@ -1,8 +1,0 @@
-//! The `streamsplat` program.
-#![deny(unsafe_code)]
-
-mod program;
-
-fn main() -> std::process::ExitCode {
-    program::main()
-}
