@@ -101,6 +101,23 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
+    unsafe fn load_u16(self, from: *const u16) -> F {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe {
+            let half = |at: *const u16| _mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128(at.cast())));
+            F(half(from), half(from.add(8)))
+        }
+    }
+    #[inline(always)]
+    unsafe fn store_u16(self, a: I, to: *mut u16) {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe {
+            // Packed within 128 bits each: the quarters in the order 0, 2, 1, 3.
+            let packed = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packus_epi32(a.0, a.1));
+            _mm256_storeu_si256(to.cast(), packed);
+        }
+    }
+    #[inline(always)]
     unsafe fn load_halves(self, low: *const f32, high: *const f32) -> F {
         // SAFETY: the caller's; the token proves AVX2.
         unsafe { F(_mm256_loadu_ps(low), _mm256_loadu_ps(high)) }

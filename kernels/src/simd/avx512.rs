@@ -171,6 +171,16 @@ impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
         unsafe { _mm512_storeu_ps(to, a) }
     }
     #[inline(always)]
+    unsafe fn load_u16(self, from: *const u16) -> F {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256(from.cast()))) }
+    }
+    #[inline(always)]
+    unsafe fn store_u16(self, a: I, to: *mut u16) {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe { _mm256_storeu_si256(to.cast(), _mm512_cvtepi32_epi16(a)) }
+    }
+    #[inline(always)]
     fn level(self) -> Level {
         Level(Kind::Avx512)
     }

@@ -147,6 +147,27 @@ pub trait Simd: Copy + Send + Sync + 'static {
     /// `to` is writable for 16 values; no alignment is needed.
     unsafe fn store_ptr(self, a: Self::F32, to: *mut f32);
 
+    /// Reads 16 halfwords as numbers from 0 to 65,535.
+    ///
+    /// # Safety
+    /// `from` is readable for 16 halfwords; no alignment is needed.
+    #[inline(always)]
+    unsafe fn load_u16(self, from: *const u16) -> Self::F32 {
+        // SAFETY: the caller's.
+        let halfwords = unsafe { from.cast::<[u16; LANES]>().read_unaligned() };
+        self.from_array(halfwords.map(f32::from))
+    }
+    /// Writes 16 integers as halfwords. Precondition: they are 0 to 65,535.
+    ///
+    /// # Safety
+    /// `to` is writable for 16 halfwords; no alignment is needed.
+    #[inline(always)]
+    unsafe fn store_u16(self, a: Self::I32, to: *mut u16) {
+        let halfwords = self.to_array_i32(a).map(|x| x as u16);
+        // SAFETY: the caller's.
+        unsafe { to.cast::<[u16; LANES]>().write_unaligned(halfwords) }
+    }
+
     /// The first 16 values of a slice. Panics on a shorter one.
     #[inline(always)]
     fn load(self, from: &[f32]) -> Self::F32 {

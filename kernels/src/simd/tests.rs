@@ -184,6 +184,30 @@ fn partial_loads_fill_and_partial_stores_stop() {
 }
 
 #[test]
+fn halfwords_are_stored_and_read_back_on_every_level() {
+    struct Both<'a>(&'a [u16; 16]);
+    impl Operation for Both<'_> {
+        type Output = ([f32; 16], [u16; 16]);
+        #[inline(always)]
+        fn run<S: Simd>(self, s: S) -> Self::Output {
+            let mut stored = [7; 16];
+            // SAFETY: 16 halfwords each.
+            unsafe {
+                let numbers = s.load_u16(self.0.as_ptr());
+                s.store_u16(s.to_i32(numbers), stored.as_mut_ptr());
+                (s.to_array(numbers), stored)
+            }
+        }
+    }
+    let halfwords = [0, 1, 2, 255, 256, 32_767, 32_768, 32_769, 65_535, 65_534, 3, 500, 40_000, 128, 7, 9];
+    for level in Level::available() {
+        let (numbers, stored) = dispatch(level, Both(&halfwords));
+        assert_eq!(numbers, halfwords.map(f32::from), "{}", level.name());
+        assert_eq!(stored, halfwords, "{}", level.name());
+    }
+}
+
+#[test]
 fn the_software_fused_multiply_add_rounds_once() {
     // A product whose low half decides a tie, a result that is denormal, and one that cancels to the product's error.
     let cases = [

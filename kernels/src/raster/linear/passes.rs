@@ -2,7 +2,7 @@
 
 use super::super::blend::{BLOCKS, Lanes, corner, put_block};
 use super::super::project::BLOCK;
-use super::record::Record;
+use super::record::{Record, UNIT, Weights};
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd};
 
@@ -51,6 +51,13 @@ impl<const C: usize> Paint<C> for &[[f32; C]] {
     fn prefetch<S: Simd>(&self, _: S, _: usize) {}
 }
 
+/// Weights in units of [`UNIT`].
+#[inline(always)]
+fn load<S: Simd>(s: S, weights: &Weights) -> S::F32 {
+    // SAFETY: 16 halfwords.
+    unsafe { s.load_u16(weights.0.as_ptr()) }
+}
+
 /// `pixels = Σ w·colour`, hit by hit, each a fused multiply-add.
 #[inline(always)]
 fn spread<S: Simd, const C: usize>(s: S, record: &Record, colours: &impl Paint<C>, pixels: &mut Pixels<C>) {
@@ -59,10 +66,10 @@ fn spread<S: Simd, const C: usize>(s: S, record: &Record, colours: &impl Paint<C
         colours.prefetch(s, at + AHEAD);
         let mut paint = [s.splat(0.0); C];
         for (paint, c) in paint.iter_mut().zip(colours.of(at, gaussian)) {
-            *paint = s.splat(if c.is_finite() { c } else { 0.0 });
+            *paint = s.splat(if c.is_finite() { c * UNIT } else { 0.0 });
         }
         for (&block, weight) in record.blocks[hits.clone()].iter().zip(&record.weights[hits]) {
-            let weight = s.load(&weight.0);
+            let weight = load(s, weight);
             let pixels = &mut pixels[usize::from(block) % BLOCKS];
             for c in 0..C {
                 s.store(s.mul_add(weight, paint[c], s.load(&pixels[c].0)), &mut pixels[c].0);
@@ -77,24 +84,24 @@ fn gather<S: Simd, const C: usize>(s: S, record: &Record, pixels: &Pixels<C>, to
     for (at, _, hits) in record.splats() {
         let mut sums = [s.splat(0.0); C];
         for (&block, weight) in record.blocks[hits.clone()].iter().zip(&record.weights[hits]) {
-            let weight = s.load(&weight.0);
+            let weight = load(s, weight);
             let pixels = &pixels[usize::from(block) % BLOCKS];
             for c in 0..C {
                 sums[c] = s.mul_add(weight, s.load(&pixels[c].0), sums[c]);
             }
         }
-        put::<S, C>(s, sums, at, to);
+        put::<S, C>(s, sums, [UNIT; C], at, to);
     }
 }
 
-/// Folds and stores the sums of a splat.
+/// Folds and stores the sums of a splat, each in its unit.
 #[inline(always)]
-fn put<S: Simd, const C: usize>(s: S, sums: [S::F32; C], at: usize, to: Slots<'_>) {
+fn put<S: Simd, const C: usize>(s: S, sums: [S::F32; C], units: [f32; C], at: usize, to: Slots<'_>) {
     let slot = to.slots[at] as usize * C;
     // SAFETY: every splat of every tile has a slot of its own.
     let partial = unsafe { to.partial.part(slot..slot + C) };
     for c in 0..C {
-        partial[c] = s.sum(sums[c]);
+        partial[c] = s.sum(sums[c]) * units[c];
     }
 }
 
@@ -273,10 +280,10 @@ impl Operation for Moments<'_> {
         for (at, _, hits) in self.record.splats() {
             let mut sums = [s.splat(0.0); 2];
             for weight in &self.record.weights[hits] {
-                let weight = s.load(&weight.0);
+                let weight = load(s, weight);
                 sums = [s.add(sums[0], weight), s.mul_add(weight, weight, sums[1])];
             }
-            put::<S, 2>(s, sums, at, self.to);
+            put::<S, 2>(s, sums, [UNIT, UNIT * UNIT], at, self.to);
         }
     }
 }

@@ -3,11 +3,19 @@
 use super::super::blend::{BLOCKS, Lanes, Sink, Transmittance, Walk};
 use super::super::project::Splat;
 use super::super::sort::Entry;
-use crate::simd::{Operation, Simd};
+use crate::simd::{LANES, Operation, Simd};
 
 const _: () = assert!(BLOCKS <= 1 << u8::BITS);
 
-/// Weights `α·T` of a tile. A *hit* is a splat and a block of 4×4 pixels on one of which its weight is not zero.
+/// Weights of one hit: `α·T` of 4×4 pixels in units of [`UNIT`].
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(32))]
+pub(super) struct Weights(pub [u16; LANES]);
+
+/// Unit of stored weights. An image of stored weights differs from that of the blend by half of it per Gaussian and pixel; half the memory is read in each step of a fit.
+pub(super) const UNIT: f32 = 1.0 / 65536.0;
+
+/// Weights `α·T` of a tile. A *hit* is a splat and a block of 4×4 pixels on one of which its stored weight is not zero.
 #[derive(Debug, Default)]
 pub(super) struct Record {
     /// Gaussian of each splat that has hits, in drawing order.
@@ -17,7 +25,7 @@ pub(super) struct Record {
     /// Block of each hit, ascending for each splat.
     pub blocks: Vec<u8>,
     /// Weights of each hit.
-    pub weights: Vec<Lanes>,
+    pub weights: Vec<Weights>,
     /// Transmittance behind all splats, one value per block; zero outside the image.
     pub light: Vec<Lanes>,
 }
@@ -89,13 +97,15 @@ impl<S: Simd> Sink<S> for Recorder<'_> {
     #[inline(always)]
     unsafe fn add(&mut self, s: S, at: usize, weight: S::F32, (): &()) {
         debug_assert!(self.hits < self.record.weights.capacity() && self.hits < self.record.blocks.capacity());
+        // At most 0.99 / UNIT; rounded half up.
+        let stored = s.to_i32(s.mul_add(weight, s.splat(1.0 / UNIT), s.splat(0.5)));
         // SAFETY: a splat visits each block at most once, and there was room for all of them when it began.
         unsafe {
             *self.record.blocks.as_mut_ptr().add(self.hits) = at as u8;
-            s.store_ptr(weight, self.record.weights.as_mut_ptr().add(self.hits).cast());
+            s.store_u16(stored, self.record.weights.as_mut_ptr().add(self.hits).cast());
         }
         // A block without a hit is written over by the next.
-        self.hits += usize::from(s.any(s.lt(s.splat(0.0), weight)));
+        self.hits += usize::from(s.any(s.gt_i32(stored, s.splat_i32(0))));
     }
 
     #[inline(always)]

@@ -77,7 +77,7 @@ fn scenes() -> Vec<OwnedGaussians> {
 }
 
 #[test]
-fn forward_has_the_bits_of_the_image_with_the_same_colours() {
+fn forward_is_the_image_with_the_same_colours_up_to_the_rounding_of_weights() {
     for size in [[131, 77], [1, 1], [64, 32]] {
         for projection in projections(size[0], size[1]) {
             for mut scene in scenes() {
@@ -87,7 +87,15 @@ fn forward_has_the_bits_of_the_image_with_the_same_colours() {
                 scene.rgb.clone_from(&colours);
                 let request = Request::colour(size[0], size[1], background);
                 let image = render(Level::detect(), &scene.gaussians(), &projection, &request);
-                assert_same(&forward(&map, &colours, background), &image.rgb, "the image differs");
+                // Half a unit for each Gaussian of a pixel, the colours being at most 1, and what binary32 rounds.
+                let (_, weights) = reference::weights(&scene.gaussians(), &projection, &request);
+                let mut many = vec![0_u32; size[0] * size[1]];
+                weights.iter().for_each(|w| many[w.pixel] += 1);
+                for (at, (found, expected)) in forward(&map, &colours, background).iter().zip(&image.rgb).enumerate() {
+                    let allowed = f64::from(many[at % many.len()] + 8) * (0.5 / 65536.0 + 1e-6);
+                    let error = f64::from((found - expected).abs());
+                    assert!(error <= allowed, "{at}: {found}, expected {expected}");
+                }
             }
         }
     }
