@@ -5,6 +5,9 @@ const BACKGROUNDS = [0.07, 0.5, 1];
 const SPEEDS = [...find("speed").options].map((option) => Number(option.value));
 /** How often a stream is asked for more, in milliseconds. */
 const POLL = 400;
+/** How long an interval that did not come is left alone, in milliseconds. */
+const RETRY = 2000;
+const GONE = "The server does not answer any more. What was loaded can still be looked at.";
 /** Key frames marked on the time line at most. */
 const MARKS = 160;
 const PLAY = "M5 3l12 7-12 7z";
@@ -117,6 +120,7 @@ function fit() {
 
 /** Lets the camera turn about the middle of the first interval, whichever is shown: an address is the same picture wherever one came from. */
 function place() {
+  if (performance.now() < again) return;
   placing ??= store.fetch(0).then(
     (first) => {
       camera.depth = depthOf(inverseDepths(first).middle);
@@ -124,7 +128,27 @@ function place() {
     },
     (e) => {
       placing = null;
-      say(`Interval 0: ${e.message}`);
+      again = performance.now() + RETRY;
+      say(e instanceof TypeError ? GONE : `Interval 0: ${e.message}`);
+    },
+  );
+}
+
+/** When an interval that did not come is asked for again, in milliseconds of the browser's clock. */
+let again = 0;
+
+/** Asks for an interval; where it does not come, not again for a while. */
+function load(interval) {
+  if (performance.now() < again) return;
+  store.fetch(interval).then(
+    () => {
+      say("");
+      stale = true;
+    },
+    (e) => {
+      again = performance.now() + RETRY;
+      // fetch() gives a TypeError where nobody answers.
+      say(e instanceof TypeError ? GONE : `Interval ${interval}: ${e.message}`);
     },
   );
 }
@@ -134,7 +158,7 @@ function picture() {
   const interval = store.find(state.time);
   const packet = store.held(interval);
   if (!packet) {
-    store.fetch(interval).then(() => (stale = true), (e) => say(`Interval ${interval}: ${e.message}`));
+    load(interval);
     return false;
   }
   if (interval + 1 < store.times.length) store.fetch(interval + 1).catch(() => {});
@@ -164,6 +188,8 @@ function describe() {
   const of = store.about.live && !store.about.complete ? "" : ` of ${store.times.length}`;
   write("facts", `${count(packet.count, "Gaussian")} · interval ${interval + 1}${of} · ${Number(store.about.fps.toFixed(3))} frames/s`);
   const slider = find("time");
+  const frame = Math.round((state.time - start) * store.about.fps) + 1;
+  slider.setAttribute("aria-valuetext", `${state.time.toFixed(digits)} seconds of ${end.toFixed(digits)}, frame ${frame}`);
   if (document.activeElement !== slider || Number(slider.value) !== state.time) slider.value = state.time;
   if (state.mode === 1) {
     const { far, near } = sorter.inverseDepths;
@@ -445,6 +471,7 @@ async function keepUp() {
       failures++;
     }
   }
+  if (!store.about.complete) say(GONE);
   store.about.complete = true;
   find("live").textContent = "Ended";
   find("live").disabled = true;
@@ -477,4 +504,7 @@ async function begin() {
   requestAnimationFrame(turn);
 }
 
-begin().catch((e) => say(e.message));
+begin().catch((e) => {
+  write("facts", "The scene cannot be shown");
+  say(e.message);
+});

@@ -4,8 +4,11 @@ use std::io::{self, Write};
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use flate2::Compression;
+use flate2::write::DeflateEncoder;
 
 use super::Source;
+use super::packet::by_columns;
 use crate::scene::SceneError;
 
 const TEMPLATE: &str = include_str!("page.html");
@@ -69,7 +72,7 @@ pub enum PageError {
 
 /// Writes the page with the whole of `source` in it: one file that needs nothing else. Returns the number of its bytes.
 ///
-/// The description goes into it as JSON, each interval as base64.
+/// The description goes into it as JSON, each interval's packet by bytes of equal weight ([`by_columns`]), deflated, as base64.
 ///
 /// # Errors
 /// A source that cannot be read, and what `out` says.
@@ -86,7 +89,10 @@ pub fn write_page(source: &dyn Source, out: &mut dyn Write) -> Result<u64, PageE
     let json = serde_json::to_string(&description)?.replace('<', "\\u003c");
     put(out, &format!("<script type=\"application/json\" id=\"scene\">{json}</script>\n"))?;
     for i in description.from..description.from + description.intervals.len() {
-        let text = STANDARD.encode(source.packet(i)?.ok_or(PageError::Gone(i))?);
+        let packet = source.packet(i)?.ok_or(PageError::Gone(i))?;
+        let mut deflated = DeflateEncoder::new(Vec::new(), Compression::best());
+        deflated.write_all(&by_columns(&packet))?;
+        let text = STANDARD.encode(deflated.finish()?);
         put(out, &format!("<script type=\"text/plain\" id=\"interval-{i}\">{text}</script>\n"))?;
     }
     put(out, &after)?;

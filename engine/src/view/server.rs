@@ -2,7 +2,6 @@
 
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::http::{Answer, Hosts, Listener, Request};
 use super::{Source, page};
@@ -26,7 +25,6 @@ pub struct ServeError {
 /// Anything else is not found. [`mod@super::http`] says what is refused, and what clients can take.
 pub struct Server {
     listener: Listener,
-    asked: Arc<AtomicBool>,
 }
 
 impl Server {
@@ -38,29 +36,19 @@ impl Server {
     pub fn start(address: SocketAddr, names: &[String], source: Arc<dyn Source>) -> Result<Server, ServeError> {
         let (before, after) = page::halves();
         let page: Arc<[u8]> = (before + &after).into_bytes().into();
-        let asked = Arc::new(AtomicBool::new(false));
-        let flag = asked.clone();
-        let answer = move |request: &Request| {
-            flag.store(true, Ordering::SeqCst);
-            match request.path.as_str() {
-                "/" => Answer { status: 200, media_type: "text/html; charset=utf-8", body: page.clone() },
-                "/scene.json" => description(&*source, &request.query),
-                path => interval(&*source, path),
-            }
+        let answer = move |request: &Request| match request.path.as_str() {
+            "/" => Answer { status: 200, media_type: "text/html; charset=utf-8", body: page.clone() },
+            "/scene.json" => description(&*source, &request.query),
+            path => interval(&*source, path),
         };
         let listener = Listener::start(address, Hosts::of(address.ip(), names), answer)
             .map_err(|cause| ServeError { address, cause })?;
-        Ok(Server { listener, asked })
+        Ok(Server { listener })
     }
 
     /// Where it listens.
     pub fn address(&self) -> SocketAddr {
         self.listener.address()
-    }
-
-    /// Whether anything was asked for since this was last called.
-    pub fn was_asked(&self) -> bool {
-        self.asked.swap(false, Ordering::SeqCst)
     }
 }
 
@@ -116,10 +104,8 @@ mod tests {
     #[test]
     fn the_page_the_scene_and_nothing_else_is_served() {
         let server = server();
-        assert!(!server.was_asked());
         let (status, page) = get(&server, "/", "localhost");
         assert!(status == 200 && page.contains("<!doctype html>") && page.contains("nosniff"));
-        assert!(server.was_asked() && !server.was_asked());
         let (status, json) = get(&server, "/scene.json?from=3", "127.0.0.1:80");
         assert!(status == 200 && json.contains(r#""title":"a \"stream\"""#) && json.contains(r#""from":3"#), "{json}");
         for (path, expected) in [

@@ -3,6 +3,26 @@
 /** The most bytes of packets kept. */
 const KEPT = 256 * 2 ** 20;
 
+/** Bytes of a packet's header; of its records, ages and rates. */
+const HEADER_BYTES = 96;
+const WIDTHS = [32, 2, 3];
+
+/** The bytes of a packet from those by columns: of each part the first byte of every entry, then the second, and so on. */
+function byRows(columns) {
+  const bytes = new Uint8Array(columns.length);
+  bytes.set(columns.subarray(0, HEADER_BYTES));
+  const count = new DataView(columns.buffer, columns.byteOffset).getUint32(32, true);
+  let start = HEADER_BYTES;
+  for (const width of WIDTHS) {
+    if (start + count * width > columns.length) break;
+    for (let byte = 0, from = start; byte < width; byte++) {
+      for (let to = start + byte, end = start + count * width; to < end; to += width) bytes[to] = columns[from++];
+    }
+    start += count * width;
+  }
+  return bytes;
+}
+
 /** A scene inside this file. */
 class Embedded {
   constructor(element) {
@@ -17,7 +37,8 @@ class Embedded {
     const text = atob(document.getElementById(`interval-${i}`).textContent);
     const bytes = new Uint8Array(text.length);
     for (let k = 0; k < text.length; k++) bytes[k] = text.charCodeAt(k);
-    return new Packet(bytes.buffer);
+    const inflated = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
+    return new Packet(byRows(new Uint8Array(await new Response(inflated).arrayBuffer())).buffer);
   }
 }
 

@@ -158,9 +158,14 @@ async function live() {
   await reaches(6 / 24);
   await watching.waitForFunction((end) => Number(document.getElementById("canvas").dataset.shown) === end, 6 / 24);
   child.stdin.end(bytes.subarray(header + 7 * frame, header + 9 * frame));
-  check((await ended) === 0, "the run ends well");
   await reaches(8 / 24);
   await watching.waitForFunction(() => document.getElementById("live").textContent === "Ended");
+  check(await watching.locator("#message").isHidden(), "a stream that ended is no server that has gone");
+  await watching.waitForFunction(() => document.getElementById("time").getAttribute("aria-valuetext")?.includes(" seconds of "));
+  // The page is served until Ctrl-C.
+  check(child.exitCode === null, "the run serves on");
+  child.kill("SIGINT");
+  check((await ended) === 0, "the run ends well");
   // What was shown stays on the page.
   await watching.locator("#time").fill("0.05");
   await shown(watching, 0.05);
@@ -172,14 +177,56 @@ async function live() {
   check(outputs(out) === outputs(again), "a stream that is watched gives the same digests");
 }
 
+/** On a telephone's screen everything that is touched is large enough, and none of it lies on the middle of the picture. */
+async function narrow(address) {
+  const phone = await open(browser, [390, 844], log);
+  await visit(phone, address, { t: 0.25 });
+  await phone.screenshot({ path: `${scratch}/390x844.png` });
+  const middle = 844 / 2;
+  for (const control of await phone.locator("button:visible, select:visible, #time").all()) {
+    const { x, y, width, height } = await control.boundingBox();
+    const name = await control.evaluate((element) => element.id || element.textContent);
+    check(height >= 44 && width >= 44, `${name}: expected 44 pixels a side, found ${width}×${height}`);
+    check(x >= 0 && x + width <= 390, `${name}: lies off the screen`);
+    check(y > middle + 150 || y + height < 120, `${name}: covers the picture at ${y}`);
+  }
+  await phone.close();
+}
+
+/** A page whose server has gone says so, without a rush of questions; one without WebGL2 says that. */
+async function nothing() {
+  const view = start(streamsplat, ["view", scene, "--port", "0"], "stdout");
+  const address = (await view.line).split(" ")[0];
+  const quiet = { said: [], asked: [] };
+  const left = await open(browser, SIZE, quiet);
+  await visit(left, address, { t: 0 });
+  view.child.kill("SIGINT");
+  await view.ended;
+  await left.locator("#time").fill("0.45");
+  await left.waitForFunction(() => document.getElementById("message").textContent.includes("does not answer"));
+  const before = quiet.asked.length;
+  await left.waitForTimeout(1500);
+  check(quiet.asked.length - before <= 2, `expected a question now and then, found ${quiet.asked.length - before} in 1.5 s`);
+  await left.close();
+
+  const without = await open(browser, SIZE, quiet);
+  await without.addInitScript(() => (HTMLCanvasElement.prototype.getContext = () => null));
+  await without.goto(`file://${scratch}/scene.html`);
+  await without.waitForFunction(() => document.getElementById("message").textContent.includes("WebGL2"));
+  check((await without.locator("#facts").textContent()) === "The scene cannot be shown", "nothing loads for ever");
+  await without.close();
+}
+
 const view = start(streamsplat, ["view", scene, "--port", "0"], "stdout");
 const address = (await view.line).split(" ")[0];
 await pictures(address);
+await narrow(address);
 await controls(address);
 await picking(address);
 await file(address);
 view.child.kill("SIGINT");
 check((await view.ended) === 0, "Ctrl-C ends the server well");
+await nothing();
 await changing();
 await live();
 await browser.close();

@@ -45,9 +45,9 @@ pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
     }
     args.options.view.size.get_or_insert_with(|| "model".to_owned());
     let args = &args;
-    let record = match resume_or_run(args, &out, &mut place, console)? {
-        (record, true) => record,
-        (record, false) => return Ok(record),
+    let (record, page) = match resume_or_run(args, &out, &mut place, console)? {
+        Done::Now(record, page) => (*record, page),
+        Done::Before(record) => return Ok(*record),
     };
     let destination = place.destination();
     report::finish(&record, destination, args.json.as_deref())?;
@@ -70,11 +70,27 @@ pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
         }
     }
     let resumable = destination.resume().is_some();
-    if record.complete { Ok(record) } else { Err(stop::stopped(resumable)) }
+    if !record.complete {
+        return Err(stop::stopped(resumable));
+    }
+    // Everything is written; the place is free again.
+    drop(place);
+    if let Some(page) = page {
+        page.linger(console);
+    }
+    Ok(record)
 }
 
-/// The run, from where it was stopped with `--resume`, and true; false when it was complete already, which is said.
-fn resume_or_run(args: &RunArgs, out: &Path, place: &mut Place, console: &Console) -> Result<(Record, bool), Failure> {
+/// A whole run.
+enum Done {
+    /// Done by this process, with its page.
+    Now(Box<Record>, Option<Serving>),
+    /// Done before.
+    Before(Box<Record>),
+}
+
+/// The run, from where it was stopped with `--resume`. Where it was complete already, that is said.
+fn resume_or_run(args: &RunArgs, out: &Path, place: &mut Place, console: &Console) -> Result<Done, Failure> {
     if args.resume {
         place.hold_existing()?;
     }
@@ -92,12 +108,13 @@ fn resume_or_run(args: &RunArgs, out: &Path, place: &mut Place, console: &Consol
         if !console.quiet {
             say(format!("{}: complete already, nothing to resume", out.display()))?;
         }
-        return Ok((*record, false));
+        return Ok(Done::Before(record));
     }
     if !args.resume && !args.overwrite {
         refuse_others(input, out, place.destination(), options)?;
     }
-    run_from(found, input, place, options, machine, args.serve, console).map(|record| (record, true))
+    let (record, page) = run_from(found, input, place, options, machine, args.serve, console)?;
+    Ok(Done::Now(Box::new(record), page))
 }
 
 /// An error where the place holds the finished results of another input or of other options.
@@ -123,7 +140,7 @@ pub fn run(
     machine: &Machine,
     console: &Console,
 ) -> Result<Record, Failure> {
-    run_from(Found::Nothing, input, place, options, machine, None, console)
+    run_from(Found::Nothing, input, place, options, machine, None, console).map(|(record, _)| record)
 }
 
 /// The same from what was `found`, shown in a browser on the port `serve`, if there is one.
@@ -135,7 +152,7 @@ fn run_from(
     machine: &Machine,
     serve: Option<u16>,
     console: &Console,
-) -> Result<Record, Failure> {
+) -> Result<(Record, Option<Serving>), Failure> {
     let start = Instant::now();
     // What is wrong with the options is said before anything is touched.
     let mut views = options.view.resolve()?;
@@ -244,8 +261,8 @@ fn run_from(
     progress.phase("frames; finishing the files");
     let written = drawing.writing(|| outputs.finish())?;
     progress.finish();
-    if let Some(page) = page {
-        page.finish();
+    if let Some(page) = &page {
+        page.complete();
     }
 
     let mut work = account.of(engine.work());
@@ -266,7 +283,7 @@ fn run_from(
     let options = with_absolute_paths(options);
     let network = options.stream.depth.strip_prefix("onnx:").zip(read.network.as_ref());
     let depth = network.map(|(file, network)| NetworkRecord::of(Path::new(file), &network.runtime)).transpose()?;
-    Ok(Record {
+    let record = Record {
         program: PROGRAM.to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         seed: options.stream.seed,
@@ -282,7 +299,8 @@ fn run_from(
         key_frames: Some(key_frames),
         psnr: closeness.as_ref().and_then(Closeness::mean),
         timing: Timing::of(start, seconds, engine.workers()),
-    })
+    };
+    Ok((record, page))
 }
 
 /// The sound of the input, where the video that is written takes it along: at the times of the input's own frames alone.

@@ -209,7 +209,7 @@ pub struct RunArgs {
     /// Replace finished results of another input or other options
     #[arg(long)]
     pub overwrite: bool,
-    /// Show the stream in a browser while it is processed [default port: 8707]
+    /// Show the stream in a browser while it is processed, and after that until Ctrl-C [default port: 8707]
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8707")]
     pub serve: Option<u16>,
     /// Also write run.json here

@@ -14,10 +14,8 @@ use crate::console::failure::Failure;
 
 /// Bytes of packets kept for browsers, so that memory does not grow with the stream.
 const KEPT: usize = 512 << 20;
-/// At the end open pages get to hear of it: the program waits until none has asked for this long,
-const QUIET: Duration = Duration::from_millis(700);
-/// this many times at most.
-const PATIENCE: usize = 10;
+/// How often it is looked whether the user asked to stop.
+const LOOK: Duration = Duration::from_millis(50);
 
 /// A page under way.
 pub struct Serving {
@@ -42,14 +40,16 @@ impl Serving {
         self.live.push(interval);
     }
 
-    /// Says that the stream has ended, and ends once the pages that are open have all of it.
-    pub fn finish(self) {
+    /// Says that the stream has ended.
+    pub fn complete(&self) {
         self.live.complete();
-        for _ in 0..PATIENCE {
-            if !self.server.was_asked() {
-                break;
-            }
-            std::thread::sleep(QUIET);
+    }
+
+    /// Shows what there is until the user asks to stop.
+    pub fn linger(self, console: &Console) {
+        console.note(&[format!("http://{}/ shows it until Ctrl-C", self.server.address())]);
+        while !console.stop.asked() {
+            std::thread::sleep(LOOK);
         }
     }
 }

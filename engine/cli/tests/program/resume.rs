@@ -111,12 +111,12 @@ fn it_goes_on_with_whatever_chooses_its_work() {
         let options = [options, &["--quiet"][..]].concat();
         run_ok(&clip(), &whole, &options);
         let second = out.join("scene/interval-000002.safetensors");
-        // Shown in a browser or not: the same.
+        // Shown in a browser at first, and then not: the same.
         let mut shown = run(&clip(), &out, &options);
         shown.arg("--serve=0");
         stop_when(shown, "KILL", || second.exists());
         assert!(!out.join("run.json").exists());
-        succeeds(&resume(&clip(), &out, &[&options[..], &["--serve=0"]].concat()));
+        succeeds(&resume(&clip(), &out, &options));
         assert_same(&out, &whole);
     }
 }

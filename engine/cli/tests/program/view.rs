@@ -74,7 +74,7 @@ fn a_run_that_is_watched_writes_the_same_bytes() {
     run.arg("run").arg(&clip).arg("--out").arg(&watched).arg("--model").arg(model()).args(["--gap", "2", "--serve=0"]);
     let mut run = Ending(run.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts"));
     let address = address(run.0.stderr.take().expect("piped"));
-    // Whoever asks hears of the end before the program ends.
+    // Whoever asks hears of the end, and the page stays until Ctrl-C.
     let end = std::time::Instant::now() + Duration::from_secs(60);
     loop {
         let scene: serde_json::Value = serde_json::from_slice(&get(&address, "/scene.json")).expect("JSON");
@@ -86,8 +86,21 @@ fn a_run_that_is_watched_writes_the_same_bytes() {
         assert!(std::time::Instant::now() < end, "it does not end");
         std::thread::sleep(Duration::from_millis(20));
     }
-    assert_eq!(run.0.wait().expect("it ends").code(), Some(0));
+    ends_when_interrupted(&mut run, &watched);
     assert!(files(&watched) == files(&alone));
+}
+
+/// Ctrl-C once everything is written, to a process that is still there: it ends well.
+fn ends_when_interrupted(run: &mut Ending, out: &std::path::Path) {
+    let end = std::time::Instant::now() + Duration::from_secs(120);
+    while !out.join("run.json").is_file() {
+        assert!(std::time::Instant::now() < end, "it does not end");
+        assert!(run.0.try_wait().expect("a process").is_none(), "it serves on");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let interrupt = Command::new("kill").args(["-INT", &run.0.id().to_string()]).status();
+    assert!(interrupt.expect("kill starts").success());
+    assert_eq!(run.0.wait().expect("it ends").code(), Some(0));
 }
 
 /// Connects and misbehaves until it is told to stop; `kind` says how.
@@ -152,7 +165,7 @@ fn a_run_under_attack_writes_the_same_bytes() {
                 })
             })
             .collect();
-        assert_eq!(run.0.wait().expect("it ends").code(), Some(0));
+        ends_when_interrupted(&mut run, &attacked);
         stop.store(true, Ordering::SeqCst);
         attackers.into_iter().map(|attacker| attacker.join().expect("no panic")).collect()
     });
