@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 import urllib.request
 from pathlib import Path
 
@@ -29,7 +30,7 @@ ELSEWHERE = {
     "streamsplat compare": "engine/cli/tests/program/compare.rs",
 }
 # Commands that go on until they are stopped.
-SERVES = re.compile(r"streamsplat view (?!.*--html)")
+SERVES = re.compile(r"streamsplat (view (?!.*--html)|run .*--serve)")
 
 
 def commands_of(page: Path) -> list[str]:
@@ -94,11 +95,18 @@ def cameras_of_others(scratch: Path, root: Path) -> None:
 
 
 def serve(command: str, scratch: Path, environment: dict[str, str]) -> str | None:
-    """Starts a command that serves a page, looks at the page, stops it with Ctrl-C; gives what went wrong."""
-    server = subprocess.Popen(command.split(), cwd=scratch, env=environment, stdout=subprocess.PIPE, text=True)
-    said = server.stdout.readline()
-    address = re.search(r"http://\S+", said)
+    """Starts a command that serves a page, looks at the page, stops it with Ctrl-C once its results are there; gives what went wrong."""
+    words = command.split()
+    server = subprocess.Popen(words, cwd=scratch, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    address, said = None, []
+    while address is None and (line := server.stdout.readline()):
+        said.append(line)
+        address = re.search(r"http://\S+", line)
     page = urllib.request.urlopen(address[0], timeout=20).read() if address else b""
+    if "--out" in words:
+        record = scratch / words[words.index("--out") + 1] / "run.json"
+        while server.poll() is None and not record.is_file():
+            time.sleep(0.1)
     server.send_signal(signal.SIGINT)
     code = server.wait(20)
     return None if b"<html" in page and code == 0 else f"said {said!r}, served {len(page)} bytes, exit code {code}"
