@@ -58,15 +58,12 @@ pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
     }
     if !console.quiet && out != Path::new("-") {
         say(report::summary(&record, &out))?;
-        if record.complete && record.outputs.keys().any(|name| name.starts_with("scene/")) {
-            say(format!("Next: streamsplat view {}", out.display()))?;
-        }
-        let beside = destination.container().filter(|path| {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            record.complete && record.outputs.contains_key(&*name)
-        });
-        if let Some(path) = beside {
-            say(format!("Next: streamsplat view {}", path.display()))?;
+        // The scene in the folder, or beside the video.
+        let scene = destination.container().unwrap_or_else(|| out.clone());
+        let name = scene.file_name().unwrap_or_default().to_string_lossy();
+        let written = |file: &String| file.starts_with("scene/") || **file == *name;
+        if record.complete && record.outputs.keys().any(written) {
+            say(format!("Next: streamsplat view {}", scene.display()))?;
         }
     }
     let resumable = destination.resume().is_some();
@@ -75,7 +72,8 @@ pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
     }
     // Everything is written; the place is free again.
     drop(place);
-    if let Some(page) = page {
+    // Inside another program nobody presses Ctrl-C here.
+    if let Some(page) = page.filter(|_| console.observer.is_none()) {
         page.linger(console);
     }
     Ok(record)

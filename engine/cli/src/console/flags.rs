@@ -23,7 +23,7 @@ pub struct Console {
     /// Write a trace for Chrome or Perfetto, one span per stage and operation
     #[arg(long, global = true, value_name = "FILE")]
     pub trace: Option<PathBuf>,
-    /// Whether the work at hand is to stop.
+    /// Request to stop the work at hand.
     #[arg(skip)]
     pub stop: Stop,
     /// Another program inside of which this one runs.

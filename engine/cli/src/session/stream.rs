@@ -29,7 +29,7 @@ pub struct Stream<'a> {
     /// Where key frames depend on it.
     pub closeness: Option<Closeness>,
     pub progress: Progress,
-    /// Whether it is to stop after the interval at hand.
+    /// Request to stop after the interval at hand.
     pub stop: Stop,
     pub page: Option<Serving>,
     pub account: Account,
