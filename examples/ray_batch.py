@@ -1,13 +1,15 @@
 """A folder of clips over a Ray cluster: python examples/ray_batch.py CLIPS OUT [--gap N] [--address ADDRESS | --plain]
 
 A clip is the unit of work. Each becomes a folder OUT/CLIP with `scene/` and `frames/`, which appears when it is whole. A worker that dies is replaced and its
-clip begun again; a run that was stopped goes on with the clips that are missing. The bytes are those of a plain loop on one machine (`--plain`), whatever the
-number of workers: results do not depend on threads, instruction sets or machines. CLIPS and OUT must mean the same folders on every machine of the cluster.
+clip resumed where it stood; a run that was stopped goes on with the clips that are missing. The bytes of scenes and images are those of a plain loop on one
+machine (`--plain`), whatever the number of workers: results do not depend on threads, instruction sets or machines. CLIPS and OUT must mean the same folders
+on every machine of the cluster.
 """
 
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 from pathlib import Path
 
@@ -19,12 +21,19 @@ def clips_in(folder: Path) -> list[Path]:
     return sorted(p for p in folder.iterdir() if not p.name.startswith(".") and (p.is_dir() or p.suffix in {".y4m", ".mp4", ".mkv", ".webm"}))
 
 
-def work_on(clip: Path, out: Path, gap: int, threads: int) -> str:
+def work_on(clip: Path, out: Path, gap: int, threads: int | None) -> str:
     """One clip, from its frames to its folder."""
     if out.exists():
         # A worker finished it and was lost before it could say so.
         return f"{clip.name}: there already"
-    done = streamsplat.reconstruct(clip, out, gap=gap, threads=threads)
+    partial = out.with_name(f".{out.name}.partial")
+    try:
+        # An earlier worker's intervals are kept.
+        done = streamsplat.reconstruct(clip, partial, gap=gap, threads=threads, resume=partial.exists())
+    except streamsplat.Error:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    partial.rename(out)
     return f"{clip.name}: {done.frames} frames, {done.key_frames} key frames"
 
 
@@ -55,7 +64,7 @@ def in_a_loop(todo: list[tuple[Path, Path]], gap: int) -> int:
     failed = 0
     for clip, out in todo:
         try:
-            print(work_on(clip, out, gap, 0), flush=True)
+            print(work_on(clip, out, gap, None), flush=True)
         except (streamsplat.Error, OSError) as error:
             failed += 1
             print(f"{clip}: {error}", file=sys.stderr, flush=True)
