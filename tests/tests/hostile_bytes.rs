@@ -58,6 +58,9 @@ targets! {
     no_bytes_break_the_reader_of_splats: "splat";
     no_bytes_break_the_reader_of_ply_files: "ply";
     no_bytes_break_the_reader_of_spz_files: "spz";
+    no_bytes_break_the_reader_of_splat_records: "splat_records";
+    no_bytes_break_the_reader_of_gltf_files: "gltf";
+    no_bytes_break_the_reader_of_sog_files: "sog";
     no_bytes_break_the_reader_of_library_headers: "library";
     no_bytes_break_the_reader_of_http_requests: "http";
     no_bytes_break_the_reader_of_containers: "container";

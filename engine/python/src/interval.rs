@@ -7,8 +7,8 @@ use numpy::{Element, PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use streamsplat::camera::Camera;
-use streamsplat::export;
 use streamsplat::fit::Placement;
+use streamsplat::import::{FORMATS, Format};
 use streamsplat::output::write_file;
 use streamsplat::render::Snapshot;
 use streamsplat::scene::{from_safetensors, to_safetensors};
@@ -79,22 +79,18 @@ impl Interval {
         format!("Interval(index={index}, start={start}, end={end}, gaussians={})", gaussians.len())
     }
 
-    /// Writes the Gaussians at `time`, the interval's end unless told, as a still scene: `.ply`, `.splat` or `.spz`.
+    /// Writes the Gaussians at `time`, the interval's end unless told, as a still scene, in the format that the name ends in: `.ply`, `.compressed.ply`,
+    /// `.spz`, `.sog`, `.glb` or `.splat`.
     #[pyo3(signature = (path, time=None))]
     fn save(&self, py: Python<'_>, path: PathBuf, time: Option<f64>) -> PyResult<()> {
-        let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
-        let write = match ending.as_deref() {
-            Some("ply") => export::ply,
-            Some("splat") => export::splat,
-            Some("spz") => export::spz,
-            _ => {
-                let found = path.display();
-                return Err(wrong(format!("path: expected a name ending in .ply, .splat or .spz, found {found}")));
-            }
+        let Some(format) = Format::of_name(&path) else {
+            let endings: Vec<String> = FORMATS.iter().map(|format| format!(".{}", format.ending)).collect();
+            let found = path.display();
+            return Err(wrong(format!("path: expected a name ending in {}, found {found}", endings.join(", "))));
         };
         py.detach(|| {
             let snapshot = Snapshot::exported(&self.inner, time.unwrap_or(self.inner.end)).map_err(failed)?;
-            write_file(&path, &write(&snapshot)).map(drop).map_err(system)
+            write_file(&path, &(format.snapshot)(&snapshot)).map(drop).map_err(system)
         })
     }
 

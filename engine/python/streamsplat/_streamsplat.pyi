@@ -135,7 +135,7 @@ class Interval:
         alpha: bool = False,
     ) -> list[Image]: ...
     def save(self, path: str | os.PathLike[str], time: float | None = None) -> None:
-        """Writes the Gaussians at `time`, the interval's end unless told, as a .ply, .splat or .spz file."""
+        """Writes the Gaussians at `time`, the interval's end unless told, as a .ply, .compressed.ply, .spz, .sog, .glb or .splat file."""
     def pick(self, time: float, pixel: tuple[float, float]) -> tuple[int, int, float, list[float]] | None:
         """(identity, index, weight, world position) of what shows most at a pixel of the source's frame."""
 

@@ -4,6 +4,7 @@ use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use streamsplat_kernels::harmonics::rest;
 use streamsplat_kernels::math::f64::exp;
 
+use super::Order;
 use crate::camera::Rotation;
 use crate::render::Snapshot;
 use crate::still::Still;
@@ -33,7 +34,7 @@ pub fn spz(snapshot: &Snapshot) -> Vec<u8> {
 /// When the arrays differ in length ([`Still::uneven`]), or there are 2³² Gaussians.
 pub fn of_still(still: &Still) -> Vec<u8> {
     let rest = 3 * rest(still.degree);
-    let sound: Vec<usize> = (0..still.len()).filter(|i| is_sound(still, *i, rest)).collect();
+    let sound = Order::own(still).places;
     let count = u32::try_from(sound.len()).unwrap_or_else(|_| panic!("{} Gaussians in one file", sound.len()));
     let most = sound.iter().flat_map(|i| still.mean[*i]).fold(0.0, |most: f64, x| most.max(f64::from(x).abs()));
     let fits = |bits: &u32| most * f64::from(1_u32 << bits) < 8_388_607.0;
@@ -61,17 +62,6 @@ pub fn of_still(still: &Still) -> Vec<u8> {
     }
     out.extend_from_slice(&frames.concat());
     out
-}
-
-fn is_sound(still: &Still, i: usize, rest: usize) -> bool {
-    let finite = |v: &[f32]| v.iter().all(|x| x.is_finite());
-    finite(&still.mean[i])
-        && finite(&still.log_scale[i])
-        && finite(&[still.logit[i]])
-        && finite(&still.base[i])
-        && finite(&still.higher[i * rest..(i + 1) * rest])
-        && finite(&still.rotation[i])
-        && still.rotation[i] != [0.0; 4]
 }
 
 /// The nearest byte, halves away from zero.

@@ -1,25 +1,37 @@
-//! Scenes of any kind this program reads, told apart by what they hold, not by their names.
+//! Scenes of any kind this program reads, told apart by what they hold.
 //!
 //! | input | begins with | becomes |
 //! |---|---|---|
 //! | the folder of a scene or of a run, a `scene.json` | `{` | a [`Scene`] |
 //! | a container (`.ssz`) | `ssplat` | a [`Scene`] |
-//! | PLY in the layout of 3D Gaussian splatting | `ply` and a new line | a [`Still`] |
-//! | SPZ, versions 2 to 4 | `NGSP`, or as gzip | a [`Still`] |
+//! | a still scene in one of the [`FORMATS`] | see there | a [`Still`] |
+//!
+//! `.splat` alone has no first bytes of its own and is known by its name.
 //!
 //! Nothing is allocated for what a header promises before the file is seen to be long enough to hold it, and before it is seen to be within the
 //! [`Limits`].
 
+mod beside;
+mod formats;
+pub(crate) mod gltf;
 mod limits;
 mod ply;
+pub(crate) mod sog;
+mod splat;
 mod spz;
 
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+pub(crate) use beside::Beside;
+pub use formats::{FORMATS, Format};
+pub use gltf::glb;
 pub use limits::{GAUSSIANS, Limits, read_file, read_text};
+pub(crate) use ply::packed;
 pub use ply::ply;
+pub use sog::sog;
+pub use splat::splat;
 pub use spz::spz;
 
 use crate::scene::{self, Scene, SceneError};
@@ -59,33 +71,30 @@ pub struct StillFile {
     pub path: PathBuf,
     /// Its format's name.
     pub format: &'static str,
-    /// Its length.
+    /// Its length, with those of the files beside it that it names.
     pub bytes: u64,
-    /// Its BLAKE3 digest in hexadecimal.
+    /// The BLAKE3 digest, in hexadecimal, of its bytes and of those of the files beside it, in the order in which they were read.
     pub blake3: String,
     /// What it holds.
     pub still: Still,
 }
 
-/// Reads the whole of a file.
-type Reader = fn(&[u8], &Limits) -> Result<Still, FormatError>;
-
 /// Longest still scene read, in bytes.
 const MAX_FILE: u64 = 16 << 30;
 
-/// The name and the reader of the format that begins so.
-fn format(head: &[u8]) -> Option<(&'static str, Reader)> {
-    if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") {
-        return Some(("PLY", ply::within));
-    }
-    (head.starts_with(&spz::MAGIC) || head.starts_with(&[0x1f, 0x8b])).then_some(("SPZ", spz::within as Reader))
+/// First bytes by which formats are told apart.
+const HEAD: u64 = 8;
+
+/// The format of a still scene that begins so.
+fn format(path: &Path, head: &[u8]) -> Option<&'static Format> {
+    FORMATS.iter().find(|format| (format.is)(path, head))
 }
 
-/// Whether a file begins as one of the formats that are a scene in one file.
+/// Returns true if a file begins as one of the formats that are a scene in one file.
 pub fn is_scene(path: &Path) -> bool {
     let mut head = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(8).read_to_end(&mut head));
-    read.is_ok() && (format(&head).is_some() || head.starts_with(&scene::MAGIC))
+    let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
+    read.is_ok() && (format(path, &head).is_some() || head.starts_with(&scene::MAGIC))
 }
 
 /// Opens a scene in time.
@@ -115,15 +124,16 @@ pub fn open(path: &Path, limits: &Limits) -> Result<Opened, SceneError> {
     }
     let read = |cause| SceneError::Read { path: path.to_owned(), cause };
     let mut head = Vec::new();
-    File::open(path).map_err(read)?.take(8).read_to_end(&mut head).map_err(read)?;
-    let Some((format, reader)) = format(&head) else {
+    File::open(path).map_err(read)?.take(HEAD).read_to_end(&mut head).map_err(read)?;
+    let Some(format) = format(path, &head) else {
         return Scene::open_within(path, limits).map(Opened::Moving);
     };
     let bytes = read_file(path, MAX_FILE).map_err(read)?;
-    let still =
-        reader(&bytes, limits).map_err(|e| SceneError::Broken { path: path.to_owned(), cause: e.to_string() })?;
-    let blake3 = blake3::hash(&bytes).to_hex().to_string();
-    Ok(Opened::Still(StillFile { path: path.to_owned(), format, bytes: bytes.len() as u64, blake3, still }))
+    let beside = Beside::of(path, &bytes);
+    let broken = |e: FormatError| SceneError::Broken { path: path.to_owned(), cause: e.to_string() };
+    let still = (format.read)(&bytes, &beside, limits).map_err(broken)?;
+    let (bytes, blake3) = beside.finish(bytes.len());
+    Ok(Opened::Still(StillFile { path: path.to_owned(), format: format.name, bytes, blake3, still }))
 }
 
 /// An error where a file holds more Gaussians than the limits allow.

@@ -126,6 +126,16 @@ fn place_on_curve(point: [f32; 3], least: [f32; 3], greatest: [f32; 3]) -> u64 {
     (0..3).map(|axis| spread(step(axis)) << axis).sum()
 }
 
+/// These places, ordered along the curve through the centres, which are finite; equal ones as they stand.
+pub(crate) fn along_curve(mean: &[[f32; 3]], mut places: Vec<usize>) -> Vec<usize> {
+    let bounds = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    let (least, greatest) = places.iter().fold(bounds, |(least, greatest), &i| {
+        (std::array::from_fn(|k| least[k].min(mean[i][k])), std::array::from_fn(|k| greatest[k].max(mean[i][k])))
+    });
+    places.sort_by_cached_key(|&i| (place_on_curve(mean[i], least, greatest), i));
+    places
+}
+
 /// A number of 21 bits with two zeros after each.
 fn spread(x: u64) -> u64 {
     let x = (x | x << 32) & 0x001f_0000_0000_ffff;

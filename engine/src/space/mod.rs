@@ -27,7 +27,7 @@ mod pick;
 mod tests;
 mod window;
 
-pub(crate) use groups::Groups;
+pub(crate) use groups::{Groups, along_curve};
 pub use pick::{Hit, Picker, Ray, most_visible};
 pub(crate) use window::Window;
 

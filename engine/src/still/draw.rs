@@ -94,7 +94,7 @@ fn unit(q: [f32; 4]) -> [f64; 4] {
 }
 
 /// The rotation `a` after `b`, sums from left to right.
-fn after([aw, ax, ay, az]: [f64; 4], [bw, bx, by, bz]: [f64; 4]) -> [f32; 4] {
+pub(crate) fn after([aw, ax, ay, az]: [f64; 4], [bw, bx, by, bz]: [f64; 4]) -> [f32; 4] {
     [
         aw * bw - ax * bx - ay * by - az * bz,
         aw * bx + ax * bw + ay * bz - az * by,

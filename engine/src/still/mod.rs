@@ -14,9 +14,12 @@ mod draw;
 mod framing;
 #[cfg(test)]
 mod tests;
+mod turn;
 
 pub use draw::Drawable;
+pub(crate) use draw::after;
 pub use framing::Framing;
+pub use turn::Similarity;
 
 use streamsplat_kernels::harmonics;
 use streamsplat_kernels::math::f64::ln;
@@ -24,7 +27,7 @@ use streamsplat_kernels::math::f64::ln;
 use crate::render::Snapshot;
 
 /// The least scale and the distance of opacities from 0 and 1 that survive a logarithm.
-const LEAST: f64 = 1e-12;
+pub(crate) const LEAST: f64 = 1e-12;
 
 /// Gaussians that do not move. All arrays are equally long.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -46,6 +49,19 @@ pub struct Still {
 }
 
 impl Still {
+    /// An empty scene with room for `count` Gaussians.
+    pub(crate) fn with_room(count: usize, degree: usize) -> Self {
+        let mut still = Still { degree, ..Still::default() };
+        let higher = count * 3 * still.rest();
+        still.mean.reserve_exact(count);
+        still.log_scale.reserve_exact(count);
+        still.rotation.reserve_exact(count);
+        still.logit.reserve_exact(count);
+        still.base.reserve_exact(count);
+        still.higher.reserve_exact(higher);
+        still
+    }
+
     /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.mean.len()

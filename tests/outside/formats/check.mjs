@@ -1,13 +1,19 @@
-// node check.mjs STREAMSPLAT FOLDER: a scene of our own making goes to SPZ and back through both programs.
+// node check.mjs STREAMSPLAT FOLDER: scenes of our own making go into each format and back, through this program and through those of others:
+// SPZ's reference implementation, and splat-transform for compressed PLY, SOG, glTF and .splat.
 import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
-import { readFileSync, writeFileSync } from 'node:fs';
+import { mkdirSync, readFileSync, writeFileSync } from 'node:fs';
+import { createRequire } from 'node:module';
+import { dirname } from 'node:path';
 import create from '@adobe/spz';
 
 const [streamsplat, folder] = process.argv.slice(2);
 const spz = await create();
 const file = (name) => `${folder}/${name}`;
 const run = (...words) => execFileSync(streamsplat, [...words, '--quiet'], { stdio: ['ignore', 'ignore', 'inherit'] });
+
+const transform = `${dirname(dirname(createRequire(import.meta.url).resolve('@playcanvas/splat-transform')))}/bin/cli.mjs`;
+const convert = (...words) => execFileSync(process.execPath, [transform, '--quiet', '--overwrite', '--gpu', 'cpu', ...words], { stdio: ['ignore', 'ignore', 'inherit'] });
 
 const COUNT = 3000;
 const names = (degree) => [
@@ -158,4 +164,84 @@ for (const degree of [0, 1, 2, 3]) {
     }
   }
   console.log(`degree ${degree}: ours ${readFileSync(file('ours.spz')).length} bytes, the reference's ${theirs.join(', ')} (versions 4, 3, 2)`);
+}
+
+/** The Gaussians of `found` in the order of `original`, by their nearest positions. */
+function inOrder(found, original) {
+  const places = Array.from({ length: COUNT }, (_, i) => {
+    let [best, least] = [-1, Infinity];
+    for (let j = 0; j < COUNT; j++) {
+      const distance = (found.x[j] - original.x[i]) ** 2 + (found.y[j] - original.y[i]) ** 2 + (found.z[j] - original.z[i]) ** 2;
+      if (distance < least) [best, least] = [j, distance];
+    }
+    return best;
+  });
+  assert.equal(new Set(places).size, COUNT, 'every Gaussian is nearest to one');
+  return Object.fromEntries(Object.entries(found).map(([name, values]) => [name, Float32Array.from(places, (j) => values[j])]));
+}
+
+const kinds = (table) => (name) => 1.01 * table[/^[xyz]$/.test(name) ? 'position' : name.replace(/_.*/, '')];
+/** Errors of each format at this scene: positions in ±4, logarithms of scales in −9 … 1, coefficients in ±1.5 and ±0.9. */
+const lossy = {
+  // A chunk of 256 of 3,000 in a cube of 8 is about half as wide as the cube.
+  'compressed.ply': kinds({ position: 4 / 1023, f: 8 / 256, scale: 5 / 1023, rot: 0.0025, opacity: 0.5 / 255, n: 0 }),
+  // Theirs rounds opacities and rotations down.
+  'sog': kinds({ position: 5e-4, f: 1, scale: 0.03, rot: 0.02, opacity: 1 / 255, n: 0 }),
+  'glb': kinds({ position: 0, f: 0, scale: 4e-6, rot: 2e-6, opacity: 2e-6, n: 0 }),
+  'splat': kinds({ position: 0, f: 0.5 / 255 / 0.282, scale: 4e-6, rot: 0.02, opacity: 0.5 / 255, n: 0 }),
+};
+/** Two readings of one file. */
+const alike = kinds({ position: 2e-5, f: 1e-5, scale: 2e-5, rot: 2e-5, opacity: 2e-5, n: 0 });
+/** Bytes of rotations are b / 127.5 − 1 to splat-transform, and (b − 128) / 128 to the viewer that the format is from, and to us. */
+const halves = (name) => (name.startsWith('rot') ? 0.01 : alike(name));
+const without = (columns) => Object.fromEntries(Object.entries(columns).filter(([name]) => !/^n[xyz]$/.test(name)));
+const low = (columns) => Object.fromEntries(Object.entries(columns).filter(([name]) => !/^f_rest/.test(name)));
+
+for (const degree of [0, 3]) {
+  const original = without(scene(degree));
+  writePly(file('scene.ply'), scene(degree));
+  for (const ending of ['compressed.ply', 'sog', 'glb', 'splat']) {
+    const step = lossy[ending];
+    const whole = ending === 'splat' ? low(original) : original;
+    const read = (path) => {
+      run('export', path, '--format', 'ply', '--out', file('read.ply'));
+      return without(readPly(file('read.ply')));
+    };
+    // What we write, they read as we do; and it is what went in.
+    run('export', file('scene.ply'), '--out', file(`ours.${ending}`));
+    const ours = read(file(`ours.${ending}`));
+    if (ending !== 'glb') {
+      convert(file(`ours.${ending}`), file('again.ply'));
+      compare(`${ending}: ours at degree ${degree}, by both`, ours, without(readPly(file('again.ply'))), ending === 'splat' ? halves : alike);
+    }
+    const sizes = [readFileSync(file(`ours.${ending}`)).length];
+    const coefficients = (columns) => (ending === 'sog' ? low(columns) : columns);
+    compare(`${ending}: ours at degree ${degree}`, inOrder(ours, whole), coefficients(whole), step);
+    if (ending === 'splat') { console.log(`splat at degree ${degree}: ours ${sizes[0]} bytes`); continue; }
+    // What they write, we read as they do.
+    convert(file('scene.ply'), file(`theirs.${ending}`));
+    const theirs = read(file(`theirs.${ending}`));
+    if (ending !== 'glb') {
+      convert(file(`theirs.${ending}`), file('again.ply'));
+      compare(`${ending}: theirs at degree ${degree}, by both`, theirs, without(readPly(file('again.ply'))), alike);
+    }
+    compare(`${ending}: theirs at degree ${degree}`, inOrder(theirs, whole), coefficients(whole), step);
+    sizes.push(readFileSync(file(`theirs.${ending}`)).length);
+    if (ending === 'sog' && degree > 0) {
+      // 3,000 rows of 45 have no shape that shared rows could use: ours, found without a graphics card, lose at most a quarter more.
+      const error = (columns) => {
+        const found = inOrder(columns, whole);
+        const names = Object.keys(whole).filter((name) => name.startsWith('f_rest'));
+        const squares = names.map((name) => whole[name].reduce((sum, x, i) => sum + (x - found[name][i]) ** 2, 0));
+        return Math.sqrt(squares.reduce((a, b) => a + b) / names.length / COUNT);
+      };
+      const errors = [ours, theirs].map(error);
+      console.log(`SOG, error of further coefficients: ours ${errors[0].toFixed(4)}, theirs ${errors[1].toFixed(4)}`);
+      assert(errors[0] <= 1.25 * errors[1], 'shared rows');
+      mkdirSync(file('apart'), { recursive: true });
+      convert(file('scene.ply'), file('apart/meta.json'));
+      compare('sog: images beside meta.json', inOrder(read(file('apart/meta.json')), whole), low(whole), step);
+    }
+    console.log(`${ending} at degree ${degree}: ours ${sizes[0]} bytes, theirs ${sizes[1]}`);
+  }
 }

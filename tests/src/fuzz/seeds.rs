@@ -309,7 +309,39 @@ pub(super) fn ply() -> Vec<Vec<u8>> {
     }
     let mut big = header.replace("little", "big").into_bytes();
     values.iter().for_each(|b| big.extend(b.iter().rev()));
-    [files, vec![text.into_bytes(), big]].concat()
+    let packed = [0, 2].map(|degree| export::still::packed(&still(degree))).to_vec();
+    [files, vec![text.into_bytes(), big], packed].concat()
+}
+
+pub(super) fn splat_records() -> Vec<Vec<u8>> {
+    vec![(0..96).map(|i| if i % 32 < 24 && i % 4 == 3 { 0x3e } else { (i * 53 % 251) as u8 }).collect(), vec![]]
+}
+
+pub(super) fn gltf() -> Vec<Vec<u8>> {
+    let file = export::still::glb(&still(1));
+    // Below a node that moves, turns and scales.
+    let plain = export::still::glb(&still(0));
+    let length = plain[12..].first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
+    let node = r#"{"mesh":0,"translation":[1,2,3],"rotation":[0,0.6,0,0.8],"scale":[2,2,2]}"#;
+    let mut text = String::from_utf8_lossy(&plain[20..20 + length]).replacen(r#"{"mesh":0}"#, node, 1);
+    text += &" ".repeat(text.len().next_multiple_of(4) - text.len());
+    let size = |n: usize| (n as u32).to_le_bytes();
+    let after = &plain[20 + length..];
+    let moved = [
+        b"glTF",
+        &2_u32.to_le_bytes()[..],
+        &size(20 + text.len() + after.len()),
+        &size(text.len()),
+        b"JSON",
+        text.as_bytes(),
+        after,
+    ]
+    .concat();
+    vec![file, moved]
+}
+
+pub(super) fn sog() -> Vec<Vec<u8>> {
+    [0, 1].map(|degree| export::still::sog(&still(degree))).to_vec()
 }
 
 pub(super) fn spz() -> Vec<Vec<u8>> {

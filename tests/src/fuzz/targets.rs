@@ -167,6 +167,8 @@ pub(super) fn ply(bytes: &[u8]) {
     let file = export::still::ply(&still);
     let again = import::ply(&file).expect("what was written can be read");
     assert!(export::still::ply(&again) == file);
+    let packed = import::ply(&export::still::packed(&still)).expect("what was written can be read");
+    assert!(packed.len() <= still.len() && packed.uneven().is_none());
     draw_still(still);
 }
 
@@ -174,6 +176,29 @@ pub(super) fn ply(bytes: &[u8]) {
 pub(super) fn spz(bytes: &[u8]) {
     let Ok(still) = import::spz(bytes) else { return };
     let again = import::spz(&export::still::spz(&still)).expect("what was written can be read");
+    assert!(again.len() <= still.len() && again.uneven().is_none());
+    draw_still(still);
+}
+
+/// Records of a `.splat` file.
+pub(super) fn splat_records(bytes: &[u8]) {
+    let Ok(still) = import::splat(bytes) else { return };
+    assert_eq!((still.len(), still.uneven()), (bytes.len() / 32, None));
+    draw_still(still);
+}
+
+/// A binary glTF file.
+pub(super) fn gltf(bytes: &[u8]) {
+    let Ok(still) = import::glb(bytes) else { return };
+    let again = import::glb(&export::still::glb(&still)).expect("what was written can be read");
+    assert!(again.len() <= still.len() && again.uneven().is_none());
+    draw_still(still);
+}
+
+/// A SOG file.
+pub(super) fn sog(bytes: &[u8]) {
+    let Ok(still) = import::sog(bytes) else { return };
+    let again = import::sog(&export::still::sog(&still)).expect("what was written can be read");
     assert!(again.len() <= still.len() && again.uneven().is_none());
     draw_still(still);
 }

@@ -2,12 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use streamsplat::export;
-use streamsplat::import::{self, Opened};
+use streamsplat::import::{self, FORMATS, Opened};
 use streamsplat::output::{prepare_folder, write_file};
 use streamsplat::render::Snapshot;
 use streamsplat::scene::{ContainerWriter, Scene};
-use streamsplat::still::Drawable;
 use streamsplat::stream::{Interval, Workers};
 
 use crate::command::still;
@@ -19,60 +17,66 @@ use crate::options::{settings, times};
 
 /// A format of files.
 #[derive(Clone, Copy)]
-pub struct Format {
-    /// What the option calls it, and how its files' names end.
-    pub name: &'static str,
-    /// Of a scene in time.
-    kind: Kind,
-    /// Of a still scene.
-    pub still: Option<fn(&Drawable) -> Vec<u8>>,
-}
-
-/// How a scene in time becomes files.
-#[derive(Clone, Copy)]
-enum Kind {
-    /// One for each time.
-    Times(fn(&Snapshot) -> Vec<u8>),
-    /// One for all of it.
+pub enum Format {
+    /// One file for each time.
+    Still(&'static import::Format),
+    /// One file for a whole scene in time.
     Container,
 }
 
-const FORMATS: [Format; 4] = [
-    Format { name: "ply", kind: Kind::Times(export::ply), still: Some(|scene| export::still::ply(scene.still())) },
-    Format { name: "splat", kind: Kind::Times(export::splat), still: Some(export::still::splat) },
-    Format { name: "spz", kind: Kind::Times(export::spz), still: Some(|scene| export::still::spz(scene.still())) },
-    Format { name: "ssz", kind: Kind::Container, still: None },
-];
-
 impl Format {
-    fn named(name: &str) -> Result<Format, Failure> {
-        FORMATS
-            .into_iter()
-            .find(|format| format.name == name)
-            .ok_or_else(|| Failure::usage(format!("--format {name}: expected ply, splat, spz or ssz")))
+    /// The format of this name; without one, that which the name of the output ends in.
+    fn asked(name: Option<&str>, out: &Path) -> Result<Format, Failure> {
+        let found = match name {
+            Some("ssz") => Some(Format::Container),
+            Some(name) => FORMATS.iter().find(|format| format.option == name).map(Format::Still),
+            None if Format::Container.is_file(out) => Some(Format::Container),
+            None => import::Format::of_name(out).map(Format::Still),
+        };
+        found.ok_or_else(|| {
+            let names: Vec<&str> = FORMATS.iter().map(|format| format.option).collect();
+            let expected = format!("expected {} or ssz", names.join(", "));
+            Failure::usage(match name {
+                Some(name) => format!("--format {name}: {expected}"),
+                None => format!("--format: {expected}, or --out as a file of one of them, found {}", out.display()),
+            })
+        })
+    }
+
+    /// The endings of its files' names.
+    fn ending(self) -> &'static str {
+        match self {
+            Format::Still(format) => format.ending,
+            Format::Container => "ssz",
+        }
     }
 
     /// The name of the file with the number `index`.
     pub fn file(self, index: usize) -> String {
-        format!("{index:06}.{}", self.name)
+        format!("{index:06}.{}", self.ending())
     }
 
-    /// Whether `path` is meant as one file of this format.
+    /// Returns true if `path` is meant as one file of this format.
     pub fn is_file(self, path: &Path) -> bool {
-        path.extension().is_some_and(|end| end.eq_ignore_ascii_case(self.name)) && !path.is_dir()
+        let named = match self {
+            Format::Still(format) => format.names(path),
+            Format::Container => path.extension().is_some_and(|end| end.eq_ignore_ascii_case("ssz")),
+        };
+        named && !path.is_dir()
     }
 
     /// The number of a file that an export into a folder has written.
     fn index(self, name: &Path) -> Option<usize> {
-        let index = name.file_stem()?.to_str()?.parse().ok()?;
-        (name.to_str() == Some(&self.file(index))).then_some(index)
+        let name = name.to_str()?;
+        let index = name.split('.').next()?.parse().ok()?;
+        (name == self.file(index)).then_some(index)
     }
 }
 
 /// Writes one file per time, or one of the whole scene.
 pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     console.listen();
-    let format = Format::named(&args.format)?;
+    let format = Format::asked(args.format.as_deref(), &args.out)?;
     let asked = args.times.as_deref().map(settings::times).transpose()?;
     times::check_rate(args.fps)?;
     let workers = args.machine.workers()?;
@@ -80,7 +84,7 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
         Opened::Moving(scene) => scene,
         Opened::Still(file) => return still::export(file, format, args, &workers, console),
     };
-    let Kind::Times(write) = format.kind else {
+    let Format::Still(of_time) = format else {
         return container(&scene, args, &workers, console);
     };
     let due = times::of_scene(&scene, asked.as_deref(), args.fps.unwrap_or(scene.index().fps))?;
@@ -110,7 +114,7 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
             None => scene.interval(place, &workers)?,
         };
         let snapshot = Snapshot::exported(&interval, time)?;
-        bytes += write_file(path, &write(&snapshot))?.bytes;
+        bytes += write_file(path, &(of_time.snapshot)(&snapshot))?.bytes;
         files += 1;
         dropped += snapshot.dropped;
         current = Some((place, interval));

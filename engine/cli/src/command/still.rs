@@ -201,8 +201,8 @@ pub fn export(
     if args.times.is_some() || args.fps.is_some() {
         return Err(Failure::usage(format!("--times, --fps: expected neither; {kind}, which has no time")));
     }
-    let Some(write) = format.still else {
-        return Err(Failure::usage(format!("--format {}: expected ply, splat or spz; {kind}", format.name)));
+    let Format::Still(of_scene) = format else {
+        return Err(Failure::usage(format!("--format ssz: expected the format of a still scene; {kind}")));
     };
     let path: PathBuf = if format.is_file(&args.out) {
         args.out.clone()
@@ -211,7 +211,7 @@ pub fn export(
         refuse_others(&args.out, format, 1)?;
         args.out.join(format.file(0))
     };
-    let bytes = write_file(&path, &write(&Drawable::new(file.still, workers)?))?.bytes;
+    let bytes = write_file(&path, &(of_scene.still)(&Drawable::new(file.still, workers)?))?.bytes;
     if !console.quiet {
         say(format!("{}: 1 file, {bytes} bytes", args.out.display()))?;
     }

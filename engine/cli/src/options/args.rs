@@ -244,7 +244,7 @@ pub struct RunOptions {
 
 #[derive(Args, Clone)]
 pub struct RenderArgs {
-    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a PLY or SPZ file
+    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG, glTF, .splat)
     pub scene: PathBuf,
     /// Folder for the images, or a video file, or - (y4m on standard output); for a single image a .png or .exr file
     #[arg(long, value_name = "DIR")]
@@ -373,7 +373,7 @@ pub struct SplatArgs {
 
 #[derive(Args, Clone)]
 pub struct InspectArgs {
-    /// A checkpoint, a scene (folder, container, PLY or SPZ file), or an interval
+    /// A checkpoint, a scene (folder, container, PLY, SPZ, SOG, glTF, .splat), or an interval
     pub file: PathBuf,
     /// Write what is found here
     #[arg(long, value_name = "FILE")]
@@ -384,11 +384,12 @@ pub struct InspectArgs {
 
 #[derive(Args, Clone)]
 pub struct ExportArgs {
-    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a PLY or SPZ file
+    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG, glTF, .splat)
     pub scene: PathBuf,
-    /// Format: ply (the layout of 3D Gaussian splatting), splat (32-byte records), spz, or ssz (the whole scene, compressed)
+    /// Format: ply (the layout of 3D Gaussian splatting), compressed-ply, spz, sog, glb, splat (32-byte records), or ssz (the whole scene,
+    /// compressed) [default: what the name of the output ends in]
     #[arg(long, value_name = "NAME")]
-    pub format: String,
+    pub format: Option<String>,
     /// Folder for 000000.ply and so on; for a single time, a file with the format's name as its ending; for ssz, a file
     #[arg(long, value_name = "PATH")]
     pub out: PathBuf,

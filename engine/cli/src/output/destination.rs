@@ -7,9 +7,9 @@ use streamsplat::output::{VIDEOS, VideoFormat};
 use crate::console::failure::Failure;
 
 /// Endings of files that nobody means as the name of a folder.
-const FOREIGN: [&str; 27] = [
+const FOREIGN: [&str; 31] = [
     "3gp", "asf", "avi", "flv", "m2ts", "mpeg", "mpg", "mts", "ogv", "ts", "vob", "wmv", "mp3", "wav", "bmp", "exr",
-    "jpeg", "jpg", "png", "tga", "tif", "tiff", "heic", "ply", "spz", "ssz", "zip",
+    "jpeg", "jpg", "png", "tga", "tif", "tiff", "heic", "ply", "spz", "ssz", "zip", "sog", "glb", "gltf", "splat",
 ];
 
 /// Where `--out` points.

@@ -7,6 +7,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
+use streamsplat::import::FORMATS;
 
 use crate::support::run;
 
@@ -74,8 +75,13 @@ fn with_tables(page: &str) -> String {
     for part in parts {
         let (name, rest) = part.split_once(" -->\n").expect("a record's name");
         let (_, after) = rest.split_once("<!-- end -->").expect("an end");
-        let record = serde_json::from_str(&read(&root().join("bench/record").join(name))).expect("JSON");
-        write!(text, "{BEGIN}{name} -->\n{}<!-- end -->{after}", table(name, &record)).expect("a string");
+        let table = if name == "formats" {
+            formats()
+        } else {
+            let record = serde_json::from_str(&read(&root().join("bench/record").join(name))).expect("JSON");
+            table(name, &record)
+        };
+        write!(text, "{BEGIN}{name} -->\n{table}<!-- end -->{after}").expect("a string");
     }
     text
 }
@@ -87,6 +93,17 @@ fn table(name: &str, record: &Value) -> String {
         Some("raster") => raster(record),
         _ => panic!("{name}: expected a record of peers, stages or raster"),
     }
+}
+
+/// A row per format of still scenes.
+fn formats() -> String {
+    let mut page = "| still scenes | `--format` | keeps | loses |\n|---|---|---|---|\n".to_owned();
+    for format in &FORMATS {
+        let (name, ending, option, keeps, loses) =
+            (format.name, format.ending, format.option, format.keeps, format.loses);
+        writeln!(page, "| {name}, `.{ending}` | `{option}` | {keeps} | {loses} |").expect("a string");
+    }
+    page
 }
 
 fn list(value: &Value) -> &[Value] {
@@ -165,7 +182,7 @@ fn raster(record: &Value) -> String {
 
 #[test]
 fn tables_of_measurements_are_those_of_the_records() {
-    for (page, least) in [("README.md", 1), ("docs/performance.md", 5)] {
+    for (page, least) in [("README.md", 1), ("docs/performance.md", 5), ("docs/formats.md", 1)] {
         let text = read(&root().join(page));
         assert!(text.matches(BEGIN).count() >= least, "{page}: tables of records");
         assert_generated(page, &with_tables(&text));

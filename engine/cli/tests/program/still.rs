@@ -152,7 +152,7 @@ fn what_a_ply_file_does_not_have_is_said_and_nothing_written() {
     assert!(text.contains("scene.ply: expected a scene in time, found a still one (PLY)"), "{text}");
     for (more, expected) in [
         (&["--format", "ply", "--times", "0"][..], "which has no time"),
-        (&["--format", "ssz"], "--format ssz: expected ply, splat or spz"),
+        (&["--format", "ssz"], "--format ssz: expected the format of a still scene"),
     ] {
         let output = command().arg("export").arg(&scene).arg("--out").arg(&out).args(more).output();
         let text = fails(&output.expect("the program starts"), 2);

@@ -1,4 +1,4 @@
-//! What a PLY file says of itself.
+//! Elements and properties that a PLY file declares.
 
 use crate::import::FormatError;
 
@@ -15,21 +15,30 @@ pub(super) enum Encoding {
 
 /// A scalar type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
-    Float,
-    Double,
-    /// An integer of so many bytes: skipped.
-    Whole(usize),
+pub(super) enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F16,
+    F32,
+    F64,
 }
 
-impl Kind {
-    fn named(name: &str) -> Option<Kind> {
+impl Scalar {
+    fn named(name: &str) -> Option<Scalar> {
         Some(match name {
-            "float" | "float32" => Kind::Float,
-            "double" | "float64" => Kind::Double,
-            "char" | "uchar" | "int8" | "uint8" => Kind::Whole(1),
-            "short" | "ushort" | "int16" | "uint16" => Kind::Whole(2),
-            "int" | "uint" | "int32" | "uint32" => Kind::Whole(4),
+            "char" | "int8" => Scalar::I8,
+            "uchar" | "uint8" => Scalar::U8,
+            "short" | "int16" => Scalar::I16,
+            "ushort" | "uint16" => Scalar::U16,
+            "int" | "int32" => Scalar::I32,
+            "uint" | "uint32" => Scalar::U32,
+            "half" | "float16" => Scalar::F16,
+            "float" | "float32" => Scalar::F32,
+            "double" | "float64" => Scalar::F64,
             _ => return None,
         })
     }
@@ -37,37 +46,98 @@ impl Kind {
     /// Bytes of one value.
     pub(super) fn bytes(self) -> usize {
         match self {
-            Kind::Float => 4,
-            Kind::Double => 8,
-            Kind::Whole(bytes) => bytes,
+            Scalar::I8 | Scalar::U8 => 1,
+            Scalar::I16 | Scalar::U16 | Scalar::F16 => 2,
+            Scalar::I32 | Scalar::U32 | Scalar::F32 => 4,
+            Scalar::F64 => 8,
+        }
+    }
+
+    /// Returns true for floating-point numbers.
+    pub(super) fn is_float(self) -> bool {
+        matches!(self, Scalar::F16 | Scalar::F32 | Scalar::F64)
+    }
+
+    /// The number that stands for 1 in a colour of this type.
+    pub(super) fn one(self) -> f64 {
+        match self {
+            Scalar::U8 => 255.0,
+            Scalar::U16 => 65535.0,
+            _ => 1.0,
+        }
+    }
+
+    /// The value at the beginning of `bytes`, of which there are [`Scalar::bytes`] at least.
+    pub(super) fn read(self, bytes: &[u8], big: bool) -> f64 {
+        macro_rules! number {
+            ($kind:ty) => {{
+                let bytes = bytes.first_chunk().copied().unwrap_or_default();
+                f64::from(if big { <$kind>::from_be_bytes(bytes) } else { <$kind>::from_le_bytes(bytes) })
+            }};
+        }
+        match self {
+            Scalar::I8 => number!(i8),
+            Scalar::U8 => number!(u8),
+            Scalar::I16 => number!(i16),
+            Scalar::U16 => number!(u16),
+            Scalar::I32 => number!(i32),
+            Scalar::U32 => number!(u32),
+            Scalar::F16 => number!(half::f16),
+            Scalar::F32 => number!(f32),
+            Scalar::F64 => number!(f64),
+        }
+    }
+
+    /// As [`Scalar::read`], in binary32; of a binary32 its bits.
+    pub(super) fn read_single(self, bytes: &[u8], big: bool) -> f32 {
+        match (self, bytes.first_chunk()) {
+            (Scalar::F32, Some(bytes)) if big => f32::from_be_bytes(*bytes),
+            (Scalar::F32, Some(bytes)) => f32::from_le_bytes(*bytes),
+            _ => self.read(bytes, big) as f32,
         }
     }
 }
 
-/// A property of a vertex.
+/// A property of an element.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Property {
     pub(super) name: String,
-    pub(super) kind: Kind,
+    pub(super) scalar: Scalar,
+    /// Bytes of the record before it.
+    pub(super) start: usize,
 }
 
-/// The header of a file of Gaussians.
+/// Records of equal properties.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Element {
+    pub(super) name: String,
+    pub(super) count: usize,
+    pub(super) properties: Vec<Property>,
+}
+
+impl Element {
+    /// The property of this name, and its place among the others.
+    pub(super) fn property(&self, name: &str) -> Option<(usize, &Property)> {
+        self.properties.iter().enumerate().find(|(_, property)| property.name == name)
+    }
+
+    /// Bytes of a record.
+    pub(super) fn stride(&self) -> usize {
+        self.properties.last().map_or(0, |last| last.start + last.scalar.bytes())
+    }
+
+    /// An error that names the element.
+    pub(super) fn wrong(&self, expected: impl Into<String>, found: impl Into<String>) -> FormatError {
+        FormatError::new(format!("element {}", self.name), expected, found)
+    }
+}
+
+/// The header of a file.
 #[derive(Debug)]
 pub(super) struct Header {
     pub(super) encoding: Encoding,
-    pub(super) count: usize,
-    pub(super) properties: Vec<Property>,
-    /// Degree of the harmonics.
-    pub(super) degree: usize,
-    /// Of each wanted value its place among the properties: x y z, f_dc, opacity, scale, rot, f_rest.
-    pub(super) places: Vec<usize>,
+    pub(super) elements: Vec<Element>,
 }
-
-/// What every file has.
-const WANTED: [&str; 14] = [
-    "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2",
-    "rot_3",
-];
 
 impl Header {
     /// The header of a file, and what comes after it.
@@ -78,42 +148,82 @@ impl Header {
             return Err(FormatError::new("first line", "ply", quoted(first)));
         }
         let mut encoding = None;
-        let mut element = None;
-        let mut properties: Vec<Property> = Vec::new();
+        let mut elements: Vec<Element> = Vec::new();
         loop {
             let line = lines.next()?;
             let words: Vec<&str> = line.split_ascii_whitespace().collect();
-            match words[..] {
-                ["end_header"] => break,
-                ["comment" | "obj_info", ..] => {}
-                ["format", name, version] if encoding.is_none() => encoding = Some(format(name, version)?),
-                ["element", "vertex", count] if element.is_none() => {
-                    let read = count
-                        .parse::<usize>()
-                        .map_err(|_| FormatError::new("element vertex", "a number of vertices", quoted(count)))?;
-                    element = Some(read);
-                }
-                ["element", name, ..] => {
-                    return Err(FormatError::new(format!("element {name}"), "one element, vertex", "another"));
-                }
-                ["property", "list", .., name] => {
+            match (&words[..], elements.last_mut()) {
+                (["end_header"], _) => break,
+                (["comment" | "obj_info", ..], _) => {}
+                (["format", name, version], _) if encoding.is_none() => encoding = Some(format(name, version)?),
+                (["element", name, count], _) => elements.push(element(name, count, &elements)?),
+                (["property", "list", .., name], _) => {
                     return Err(FormatError::new(format!("property {name}"), "a number", "a list"));
                 }
-                ["property", kind, name] if element.is_some() => {
-                    let kind = Kind::named(kind)
-                        .ok_or_else(|| FormatError::new(format!("property {name}"), "a scalar type", quoted(kind)))?;
-                    properties.push(Property { name: name.to_owned(), kind });
+                (["property", kind, name], Some(element)) => {
+                    let wrong = |expected, found| Err(FormatError::new(format!("property {name}"), expected, found));
+                    let Some(scalar) = Scalar::named(kind) else {
+                        return wrong("a scalar type", quoted(kind));
+                    };
+                    if element.property(name).is_some() {
+                        return wrong("it once", "it twice".into());
+                    }
+                    let start = element.stride();
+                    element.properties.push(Property { name: (*name).to_owned(), scalar, start });
                 }
                 _ => {
-                    let expected = "format, then element vertex, then its properties, then end_header";
+                    let expected = "format, then elements with their properties, then end_header";
                     return Err(FormatError::new("header", expected, quoted(line)));
                 }
             }
         }
         let encoding = encoding.ok_or_else(|| FormatError::new("format", "a line before end_header", "none"))?;
-        let count = element.ok_or_else(|| FormatError::new("element vertex", "a line before end_header", "none"))?;
-        let (degree, places) = places(&properties)?;
-        Ok((Header { encoding, count, properties, degree, places }, &bytes[lines.read..]))
+        let header = Header { encoding, elements };
+        header.vertices()?;
+        Ok((header, &bytes[lines.read..]))
+    }
+
+    /// The element that holds the Gaussians.
+    pub(super) fn vertices(&self) -> Result<&Element, FormatError> {
+        let missing = || FormatError::new("element vertex", "a line before end_header", "none");
+        self.element("vertex").ok_or_else(missing)
+    }
+
+    /// The element of this name.
+    pub(super) fn element(&self, name: &str) -> Option<&Element> {
+        self.elements.iter().find(|element| element.name == name)
+    }
+
+    /// The bytes of an element in a binary file whose length is as the header says.
+    pub(super) fn bytes<'a>(&self, name: &str, body: &'a [u8]) -> Result<&'a [u8], FormatError> {
+        let (mut at, mut found) = (0_usize, 0..0);
+        for element in &self.elements {
+            let end = element.count.checked_mul(element.stride()).and_then(|size| at.checked_add(size));
+            let Some(end) = end.filter(|end| *end <= body.len()) else {
+                let expected = format!("{} of {} bytes each", element.count, element.stride());
+                return Err(element.wrong(expected, format!("{} bytes", body.len() - at)));
+            };
+            if element.name == name {
+                found = at..end;
+            }
+            at = end;
+        }
+        if at < body.len() {
+            let more = format!("{} more bytes", body.len() - at);
+            return Err(FormatError::new("file", "its end after the last element", more));
+        }
+        Ok(&body[found])
+    }
+}
+
+fn element(name: &str, count: &str, before: &[Element]) -> Result<Element, FormatError> {
+    let wrong = |expected, found| Err(FormatError::new(format!("element {name}"), expected, found));
+    if before.iter().any(|element| element.name == name) {
+        return wrong("it once", "it twice".into());
+    }
+    match count.parse() {
+        Ok(count) => Ok(Element { name: name.to_owned(), count, properties: Vec::new() }),
+        Err(_) => wrong("how many there are", quoted(count)),
     }
 }
 
@@ -131,30 +241,6 @@ fn format(name: &str, version: &str) -> Result<Encoding, FormatError> {
         return Err(FormatError::new("format", "version 1.0", quoted(version)));
     }
     Ok(encoding)
-}
-
-/// Degree of the harmonics, and where the wanted values are.
-fn places(properties: &[Property]) -> Result<(usize, Vec<usize>), FormatError> {
-    for (i, property) in properties.iter().enumerate() {
-        if properties[..i].iter().any(|before| before.name == property.name) {
-            return Err(FormatError::new(format!("property {}", property.name), "it once", "it twice"));
-        }
-    }
-    let rest = properties.iter().filter(|p| p.name.starts_with("f_rest_")).count();
-    let degree = [0, 9, 24, 45]
-        .iter()
-        .position(|n| *n == rest)
-        .ok_or_else(|| FormatError::new("properties f_rest_*", "none, 9, 24 or 45 of them", rest.to_string()))?;
-    let others = (0..rest).map(|i| format!("f_rest_{i}"));
-    let places = WANTED.iter().map(|name| (*name).to_owned()).chain(others).map(|name| {
-        let wrong = |found: &str| FormatError::new(format!("property {name}"), "it as float or double", found);
-        let place = properties.iter().position(|p| p.name == name).ok_or_else(|| wrong("none"))?;
-        match properties[place].kind {
-            Kind::Whole(_) => Err(wrong("whole numbers")),
-            Kind::Float | Kind::Double => Ok(place),
-        }
-    });
-    Ok((degree, places.collect::<Result<_, _>>()?))
 }
 
 /// Lines of a header; they end with a line feed, before which a carriage return may stand.

@@ -1,8 +1,8 @@
 //! PLY in the layout of 3D Gaussian splatting.
 //!
-//! One element, `vertex`, with the scalar properties (of type `float` or `double`, in any order)
+//! An element `vertex` with the scalar properties, in any order,
 //!
-//! | property | what |
+//! | property | value |
 //! |---|---|
 //! | `x`, `y`, `z` | centre |
 //! | `f_dc_0` … `f_dc_2` | first coefficients of the harmonics, by channel |
@@ -11,14 +11,17 @@
 //! | `scale_0` … `scale_2` | natural logarithms of standard deviations |
 //! | `rot_0` … `rot_3` | quaternion, w first |
 //!
-//! Other scalar properties, normals among them, are left out. Binary of either byte order, or text with one vertex per line. Anything
-//! else is an error that names the property or the line: another element, a list, a property twice, a file that is shorter or longer
-//! than its header says. Numbers that are not finite are kept; what has one is left out where it is drawn.
+//! Floats have 16, 32 or 64 bits. Where `f_dc` is absent, `red`, `green` and `blue` take its place, as floats from 0 to 1 or as numbers of 8 or 16 bits
+//! without a sign: `(c − ½) / Y₀`. Other scalar properties, normals among them, and other elements of scalar properties are left out. Binary of
+//! either byte order, or text with one record per line. A file whose vertices are packed into chunks is read as [`packed`] says. Anything else is
+//! an error that names the element, the property or the line: a list, a property twice, a file that is shorter or longer than its header says.
+//! Numbers that are not finite are kept; a Gaussian that has one is left out where it is drawn.
 
-mod body;
 mod header;
+pub(crate) mod packed;
 #[cfg(test)]
 mod tests;
+mod vertices;
 
 use super::{FormatError, Limits};
 use crate::still::Still;
@@ -36,8 +39,8 @@ pub fn ply(bytes: &[u8]) -> Result<Still, FormatError> {
 pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let (header, body) = Header::read(bytes)?;
     match header.encoding {
-        Encoding::Text => body::text(&header, body, limits),
-        Encoding::Little => body::binary(&header, body, limits, f32::from_le_bytes, f64::from_le_bytes),
-        Encoding::Big => body::binary(&header, body, limits, f32::from_be_bytes, f64::from_be_bytes),
+        _ if packed::is_packed(&header) => packed::read(&header, body, limits),
+        Encoding::Text => vertices::text(&header, body, limits),
+        Encoding::Little | Encoding::Big => vertices::binary(&header, body, limits),
     }
 }

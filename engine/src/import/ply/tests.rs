@@ -65,6 +65,47 @@ fn properties_may_stand_in_any_order_and_beside_others() {
     assert!(found.log_scale[0][0].is_nan() && found.log_scale[0][1..] == [8.0, 9.0]);
 }
 
+/// A file of one vertex: properties `x` to `rot_3`, then `more`, with these bytes.
+fn vertex(kind: &str, more: &str, bytes: &[u8]) -> Vec<u8> {
+    let names = "x y z opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
+    let properties: String = names.split(' ').map(|name| format!("property {kind} {name}\n")).collect();
+    let header = "ply\nformat binary_little_endian 1.0\nelement camera 2\nproperty short a\nelement vertex 1\n";
+    let mut file = format!("{header}{properties}{more}element face 0\nend_header\n").into_bytes();
+    // Two cameras come first.
+    file.extend_from_slice(&[1, 2, 3, 4]);
+    file.extend_from_slice(bytes);
+    file
+}
+
+#[test]
+fn colours_stand_in_for_coefficients_and_elements_beside_vertices_are_passed_over() {
+    let single: Vec<u8> = (1..=11).flat_map(|i| (i as f32).to_le_bytes()).collect();
+    let names = ["red", "green", "blue"];
+    let colours = |kind: &str| names.map(|name| format!("property {kind} {name}\n")).concat();
+    for (kind, bytes) in [
+        ("uchar", vec![0, 51, 255]),
+        ("ushort", [0_u16, 13107, 65535].iter().flat_map(|c| c.to_le_bytes()).collect()),
+        ("float", [0.0_f32, 0.2, 1.0].iter().flat_map(|c| c.to_le_bytes()).collect()),
+        ("half", [0_u16, 0x3266, 0x3c00].iter().flat_map(|c| c.to_le_bytes()).collect()),
+    ] {
+        let found = ply(&vertex("float", &colours(kind), &[&single[..], &bytes].concat())).expect(kind);
+        assert_eq!((found.mean[0], found.logit[0], found.rotation[0]), ([1.0, 2.0, 3.0], 4.0, [8.0, 9.0, 10.0, 11.0]));
+        let seen = found.base[0].map(|c| 0.5 + f64::from(c) * streamsplat_kernels::harmonics::Y0);
+        for (seen, expected) in seen.into_iter().zip([0.0, 0.2, 1.0]) {
+            assert!((seen - expected).abs() < 1e-4, "{kind}: {seen}");
+        }
+    }
+    let error = ply(&vertex("float", &colours("int"), &[&single[..], &[0; 12]].concat())).expect_err("int").to_string();
+    assert!(
+        error.starts_with("property red: expected it as a float of 16, 32 or 64 bits, or a number of 8 or 16 bits"),
+        "{error}"
+    );
+    // Halves hold small whole numbers exactly.
+    let halves: Vec<u8> = (1..=11).flat_map(|i| half::f16::from_f32(i as f32).to_le_bytes()).collect();
+    let found = ply(&vertex("half", &colours("uchar"), &[&halves[..], &[0, 51, 255]].concat())).expect("halves");
+    assert_eq!((found.mean[0], found.log_scale[0]), ([1.0, 2.0, 3.0], [5.0, 6.0, 7.0]));
+}
+
 #[test]
 fn every_shorter_and_longer_file_is_an_error() {
     for degree in [0, 1] {
@@ -94,12 +135,18 @@ fn what_is_wrong_is_named() {
         ("ply\n", "plx\n", "first line: expected ply, found \"plx\""),
         ("ascii 1.0", "ascii 2.0", "format: expected version 1.0, found \"2.0\""),
         ("ascii", "utf16", "format: expected ascii, binary_little_endian or binary_big_endian"),
-        ("vertex 2", "vertex -2", "element vertex: expected a number of vertices, found \"-2\""),
-        ("vertex 2", "vertex 3", "vertices: expected 3 lines, found 2"),
-        ("vertex 2", "vertex 18446744073709551615", "vertices: expected 18446744073709551615 of 26 numbers each"),
-        ("vertex 2", "vertex 1", "vertices: expected nothing after the last"),
-        ("element vertex", "element face", "element face: expected one element, vertex"),
-        ("end_header", "element face 0\nend_header", "element face: expected one element, vertex"),
+        ("vertex 2", "vertex -2", "element vertex: expected how many there are, found \"-2\""),
+        ("vertex 2", "vertex 3", "element vertex: expected 3 lines, found 2"),
+        ("vertex 2", "vertex 18446744073709551615", "element vertex: expected 18446744073709551615 of 26 numbers each"),
+        ("vertex 2", "vertex 1", "file: expected nothing after the last element"),
+        ("element vertex", "element face", "element vertex: expected a line before end_header, found none"),
+        ("end_header", "element vertex 0\nend_header", "element vertex: expected it once, found it twice"),
+        ("end_header", "element face 1\nproperty int a\nend_header", "element face: expected 1 lines, found 0"),
+        (
+            "end_header",
+            "element face 1\nproperty list uchar int a\nend_header",
+            "property a: expected a number, found a list",
+        ),
         (
             "property float opacity",
             "property list uchar int opacity",
@@ -108,17 +155,17 @@ fn what_is_wrong_is_named() {
         (
             "property float opacity",
             "property float alpha",
-            "property opacity: expected it as float or double, found none",
+            "property opacity: expected it as a float of 16, 32 or 64 bits, found none",
         ),
         (
             "property float opacity",
             "property uchar opacity",
-            "property opacity: expected it as float or double, found whole",
+            "property opacity: expected it as a float of 16, 32 or 64 bits, found whole",
         ),
         ("property float opacity", "property quad opacity", "property opacity: expected a scalar type, found \"quad\""),
         ("property float nx", "property float x", "property x: expected it once, found it twice"),
         ("property float f_rest_8\n", "", "properties f_rest_*: expected none, 9, 24 or 45 of them, found 8"),
-        ("f_rest_8", "f_rest_9", "property f_rest_8: expected it as float or double, found none"),
+        ("f_rest_8", "f_rest_9", "property f_rest_8: expected it as a float of 16, 32 or 64 bits, found none"),
         ("-3.1 ", "abc ", "property x of vertex 0: expected a number, found \"abc\""),
         ("end_header\n", "", "header: expected"),
         ("format", "fromat", "header: expected"),
@@ -139,7 +186,7 @@ fn a_hostile_count_is_refused_before_memory_is_taken() {
             hostile.splice(at + 7..at + 8, count.bytes());
             let text = String::from_utf8_lossy(&hostile).replacen("binary_little_endian", format, 1);
             let error = ply(text.as_bytes()).expect_err("hostile").to_string();
-            assert!(error.contains("vertices") && error.contains(count), "{error}");
+            assert!(error.contains("element vertex") && error.contains(count), "{error}");
         }
     }
     // A header without end.
@@ -188,5 +235,67 @@ proptest! {
         if let Ok(still) = ply(&file) {
             prop_assert_eq!(still.uneven(), None);
         }
+    }
+}
+
+#[test]
+fn a_compressed_file_comes_back_within_its_precision() {
+    for degree in 0..=3 {
+        let original = still(600, degree);
+        let file = export::still::packed(&original);
+        let found = ply(&file).expect("just written");
+        assert_eq!((found.len(), found.degree, found.uneven()), (600, degree, None));
+        let width = 3 * original.rest();
+        for i in 0..found.len() {
+            // Scenes of `still` repeat after 101 Gaussians; the nearest is one of the same.
+            let distance =
+                |j: usize| (0..3).map(|k| (found.mean[i][k] - original.mean[j][k]).abs()).fold(0.0, f32::max);
+            let j = (0..original.len()).min_by(|a, b| distance(*a).total_cmp(&distance(*b))).expect("one");
+            let close = |a: &[f32], b: &[f32], step: f32| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= step);
+            assert!(distance(j) < 0.5 * 7.0 / 1023.0 + 1e-5);
+            assert!(close(&found.log_scale[i], &original.log_scale[j], 0.5 * 7.0 / 1023.0 + 1e-5));
+            assert!(close(&found.base[i], &original.base[j], 0.5 * 7.0 / 255.0 + 1e-5));
+            let cosine: f32 = {
+                let q = original.rotation[j];
+                let length = q.iter().map(|c| c * c).sum::<f32>().sqrt();
+                q.iter().zip(found.rotation[i]).map(|(a, b)| a / length * b).sum()
+            };
+            assert!(cosine.abs() > 0.999_99, "{cosine}");
+            assert!(degree > 0 || found.higher.is_empty());
+            if j == i {
+                assert!(close(
+                    &found.higher[i * width..][..width],
+                    &original.higher[j * width..][..width],
+                    8.0 / 256.0
+                ));
+            }
+        }
+    }
+    assert_eq!(ply(&export::still::packed(&Still::default())), Ok(Still::default()));
+}
+
+#[test]
+fn a_wrong_compressed_file_is_named() {
+    let file = export::still::packed(&still(300, 1));
+    let end = file.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
+    let header = std::str::from_utf8(&file[..end]).expect("text");
+    for (from, to, expected) in [
+        ("element chunk 2", "element chunk 1", "element chunk: expected 2 of them for 300 vertices, found 1"),
+        ("float min_y", "double min_y", "property min_y of chunk: expected it as F32, found F64"),
+        ("float max_scale_z", "float other", "property max_scale_z of chunk: expected it as F32, found none"),
+        ("uint packed_color", "int packed_color", "property packed_color of vertex: expected it as U32, found I32"),
+        ("element sh 300", "element sh 299", "element sh: expected 300, as of vertices, found 299"),
+        ("property uchar f_rest_8\n", "", "element sh: expected none, 9, 24 or 45 properties, found 8"),
+        ("uchar f_rest_3", "uchar g_rest_3", "element sh: expected f_rest_3 as U8, found g_rest_3 as U8"),
+        ("binary_little_endian", "ascii", "format: expected a binary one"),
+        ("element vertex 300", "element vertex 99999999999", "element chunk: expected 390625000 of them"),
+    ] {
+        assert!(header.contains(from), "{from}");
+        let changed = [header.replacen(from, to, 1).as_bytes(), &file[end..]].concat();
+        let error = ply(&changed).expect_err(to).to_string();
+        assert!(error.starts_with(expected), "{to}: {error}");
+    }
+    for end in (0..file.len()).step_by(13) {
+        assert!(ply(&file[..end]).is_err(), "{end}");
     }
 }

@@ -1,0 +1,69 @@
+//! Files that another names: the images of a SOG scene, the buffers of a glTF document.
+
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+
+use super::{FormatError, read_file};
+
+/// The folder of a file, from which those are read that it names, and the digest of all that was read.
+pub(crate) struct Beside {
+    folder: Option<PathBuf>,
+    read: RefCell<(blake3::Hasher, u64)>,
+}
+
+impl Beside {
+    /// Of bytes in memory: there are no files.
+    pub(crate) fn none() -> Beside {
+        Beside { folder: None, read: RefCell::default() }
+    }
+
+    /// Beside the file at `path`, which holds `bytes`.
+    pub(super) fn of(path: &Path, bytes: &[u8]) -> Beside {
+        let beside = Beside { folder: path.parent().map(Path::to_owned), ..Beside::none() };
+        beside.read.borrow_mut().0.update(bytes);
+        beside
+    }
+
+    /// The bytes of a file in the same folder, of which there are at most `most`. Names of other places are refused.
+    pub(crate) fn read(&self, name: &str, most: u64) -> Result<Vec<u8>, FormatError> {
+        let wrong = |found: String| FormatError::new(format!("file {name:?}"), "a file beside this one", found);
+        let Some(folder) = &self.folder else { return Err(wrong("none, as this one is in memory".into())) };
+        let plain = !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\', ':', '%', '\0']);
+        if !plain {
+            return Err(wrong("the name of another place".into()));
+        }
+        let bytes = read_file(&folder.join(name), most).map_err(|e| wrong(e.to_string()))?;
+        let (hasher, length) = &mut *self.read.borrow_mut();
+        hasher.update(&bytes);
+        *length += bytes.len() as u64;
+        Ok(bytes)
+    }
+
+    /// The length of a file of `own` bytes and of all that were read beside it, and their digest.
+    pub(super) fn finish(self, own: usize) -> (u64, String) {
+        let (hasher, length) = self.read.into_inner();
+        (own as u64 + length, hasher.finalize().to_hex().to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_files_of_the_same_folder_are_read() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let own = folder.path().join("in");
+        std::fs::create_dir(&own).expect("writable");
+        std::fs::write(folder.path().join("secret"), "no").expect("writable");
+        std::fs::write(own.join("a"), "yes").expect("writable");
+        let beside = Beside::of(&own.join("scene"), b"scene");
+        assert_eq!(beside.read("a", 3).expect("beside"), b"yes");
+        for name in ["../secret", "..", "", "/etc/passwd", "in\\a", "%2e%2e", "b"] {
+            assert!(beside.read(name, 100).is_err(), "{name}");
+        }
+        assert!(beside.read("a", 2).is_err());
+        assert_eq!(beside.finish(5), (8, blake3::hash(b"sceneyes").to_hex().to_string()));
+        assert!(Beside::none().read("a", 100).is_err());
+    }
+}

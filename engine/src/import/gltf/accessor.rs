@@ -1,0 +1,164 @@
+//! Numbers of a glTF document's buffers.
+
+use std::borrow::Cow;
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+
+use super::json::Document;
+use crate::import::{Beside, FormatError};
+
+/// The buffers of a document, read when they are asked for.
+pub(super) struct Buffers<'a> {
+    document: &'a Document,
+    read: Vec<Option<Cow<'a, [u8]>>>,
+    binary: Option<&'a [u8]>,
+    beside: &'a Beside,
+}
+
+/// Types of an accessor's components.
+#[derive(Clone, Copy)]
+enum Component {
+    I8,
+    U8,
+    I16,
+    U16,
+    F32,
+}
+
+impl Component {
+    fn numbered(number: u32) -> Option<Component> {
+        Some(match number {
+            5120 => Component::I8,
+            5121 => Component::U8,
+            5122 => Component::I16,
+            5123 => Component::U16,
+            5126 => Component::F32,
+            _ => return None,
+        })
+    }
+
+    fn bytes(self) -> usize {
+        match self {
+            Component::I8 | Component::U8 => 1,
+            Component::I16 | Component::U16 => 2,
+            Component::F32 => 4,
+        }
+    }
+
+    /// The value of so many bytes; a normalised one over the most of its type, −1 at least.
+    fn read(self, bytes: &[u8], normalized: bool) -> f64 {
+        macro_rules! number {
+            ($kind:ty) => {
+                f64::from(<$kind>::from_le_bytes(bytes.first_chunk().copied().unwrap_or_default()))
+            };
+        }
+        let (value, most) = match self {
+            Component::I8 => (number!(i8), 127.0),
+            Component::U8 => (number!(u8), 255.0),
+            Component::I16 => (number!(i16), 32767.0),
+            Component::U16 => (number!(u16), 65535.0),
+            Component::F32 => return number!(f32),
+        };
+        if normalized { (value / most).max(-1.0) } else { value }
+    }
+}
+
+impl<'a> Buffers<'a> {
+    pub(super) fn new(document: &'a Document, binary: Option<&'a [u8]>, beside: &'a Beside) -> Self {
+        Self { document, read: document.buffers.iter().map(|_| None).collect(), binary, beside }
+    }
+
+    /// Elements of an accessor.
+    pub(super) fn count(&self, accessor: usize) -> Result<usize, FormatError> {
+        self.accessor(accessor).map(|accessor| accessor.count)
+    }
+
+    fn accessor(&self, index: usize) -> Result<&'a super::json::Accessor, FormatError> {
+        let all = &self.document.accessors;
+        all.get(index).ok_or_else(|| missing(&format!("accessor {index}"), "accessors", all.len()))
+    }
+
+    /// The values of an accessor of `count` elements of N components.
+    pub(super) fn read<const N: usize>(&mut self, index: usize, count: usize) -> Result<Vec<[f64; N]>, FormatError> {
+        let part = || format!("accessor {index}");
+        let wrong = |expected: String, found: String| Err(FormatError::new(part(), expected, found));
+        let accessor = self.accessor(index)?;
+        let shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][N - 1];
+        if accessor.shape != shape || accessor.count != count {
+            return wrong(format!("{count} of {shape}"), format!("{} of {}", accessor.count, accessor.shape));
+        }
+        let Some(component) = Component::numbered(accessor.component_type) else {
+            let expected = "componentType 5120, 5121, 5122, 5123 or 5126";
+            return wrong(expected.into(), accessor.component_type.to_string());
+        };
+        let view = accessor.buffer_view.filter(|_| accessor.sparse.is_none());
+        let Some(view) = view else {
+            return wrong("a bufferView, and none of its elements sparse".into(), "another".into());
+        };
+        let size = N * component.bytes();
+        let stride = self.document.buffer_views.get(view).and_then(|view| view.byte_stride).unwrap_or(size);
+        let bytes = self.view(view)?;
+        // The last element ends where it does, and not with its stride.
+        let end = count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(size));
+        let end = end.and_then(|end| end.checked_add(accessor.byte_offset));
+        if stride < size || end.is_none_or(|end| end > bytes.len()) {
+            return wrong(
+                format!("{count} elements, each {stride} bytes after the one before"),
+                format!("{} bytes", bytes.len()),
+            );
+        }
+        let value = |i: usize, k: usize| {
+            component.read(&bytes[accessor.byte_offset + i * stride + k * component.bytes()..], accessor.normalized)
+        };
+        Ok((0..count).map(|i| std::array::from_fn(|k| value(i, k))).collect())
+    }
+
+    /// The bytes of a buffer view.
+    pub(super) fn view(&mut self, index: usize) -> Result<Cow<'_, [u8]>, FormatError> {
+        let all = &self.document.buffer_views;
+        let part = || format!("bufferView {index}");
+        let view = all.get(index).ok_or_else(|| missing(&part(), "bufferViews", all.len()))?;
+        if let Some((name, _)) = view.extensions.first_key_value() {
+            return Err(FormatError::new(part(), "no extensions", format!("{name:?}")));
+        }
+        let bytes = self.buffer(view.buffer)?;
+        let end = view.byte_offset.checked_add(view.byte_length);
+        match end.and_then(|end| bytes.get(view.byte_offset..end)) {
+            Some(bytes) => Ok(Cow::Borrowed(bytes)),
+            None => {
+                let expected = format!("{} bytes from byte {}", view.byte_length, view.byte_offset);
+                Err(FormatError::new(part(), expected, format!("{} bytes", bytes.len())))
+            }
+        }
+    }
+
+    fn buffer(&mut self, index: usize) -> Result<&[u8], FormatError> {
+        let all = &self.document.buffers;
+        let part = || format!("buffer {index}");
+        let buffer = all.get(index).ok_or_else(|| missing(&part(), "buffers", all.len()))?;
+        if self.read[index].is_none() {
+            let wrong = |expected: String, found: String| FormatError::new(part(), expected, found);
+            let bytes = match (&buffer.uri, self.binary) {
+                (None, Some(binary)) if index == 0 => Cow::Borrowed(binary),
+                (None, _) => return Err(wrong("a uri, or a binary chunk".into(), "neither".into())),
+                (Some(uri), _) => match uri.strip_prefix("data:").and_then(|uri| uri.split_once(";base64,")) {
+                    Some((_, text)) => {
+                        let bytes = STANDARD.decode(text).map_err(|e| wrong("base64".into(), e.to_string()))?;
+                        Cow::Owned(bytes)
+                    }
+                    None => Cow::Owned(self.beside.read(uri, buffer.byte_length as u64)?),
+                },
+            };
+            if bytes.len() < buffer.byte_length {
+                return Err(wrong(format!("{} bytes", buffer.byte_length), bytes.len().to_string()));
+            }
+            self.read[index] = Some(bytes);
+        }
+        Ok(self.read[index].as_deref().unwrap_or_default())
+    }
+}
+
+fn missing(part: &str, what: &str, count: usize) -> FormatError {
+    FormatError::new(part, format!("one of {count} {what}"), "none of this number")
+}

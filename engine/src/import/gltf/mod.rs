@@ -1,0 +1,304 @@
+//! glTF 2.0 with Gaussians: `.glb` and `.gltf` files, extension `KHR_gaussian_splatting`.
+//!
+//! Every point primitive with the extension in the default scene (in all meshes, where a file has no scene), with the transforms of its nodes:
+//!
+//! | attribute | type | value |
+//! |---|---|---|
+//! | `POSITION` | VEC3 | centre |
+//! | `KHR_gaussian_splatting:ROTATION` | VEC4 | quaternion, w last |
+//! | `KHR_gaussian_splatting:SCALE` | VEC3 | standard deviations |
+//! | `KHR_gaussian_splatting:OPACITY` | SCALAR | from 0 to 1 |
+//! | `KHR_gaussian_splatting:SH_DEGREE_l_COEF_n` | VEC3 | coefficients of the harmonics, degrees 0 to 3 |
+//!
+//! Numbers of 8 and 16 bits, normalised or not, and binary32. Where the primitive has `KHR_gaussian_splatting_compression_spz_2`, an SPZ file in a
+//! buffer view takes their place. glTF's axes are x left, y up, z forward: x and y change sign on the way into scene space, a half turn about z.
+//!
+//! Refused: other extensions that a file requires, kernels but `ellipse`, colours but `srgb_rec709_display`, sparse accessors, nodes that shear or
+//! stretch, negative scales (drafts of the extension stored logarithms).
+//!
+//! Source: Khronos, glTF 2.0 and `KHR_gaussian_splatting`.
+
+mod accessor;
+mod json;
+#[cfg(test)]
+mod tests;
+
+use glam::{DMat4, DQuat, DVec3};
+use streamsplat_kernels::harmonics::rest;
+use streamsplat_kernels::math::f64::ln;
+
+use super::{Beside, FormatError, Limits, check_count, spz};
+use crate::camera::Rotation;
+use crate::still::{LEAST, Similarity, Still};
+use accessor::Buffers;
+use json::{Document, Node, Primitive};
+
+/// First bytes of a binary file.
+pub(super) const MAGIC: [u8; 4] = *b"glTF";
+pub(crate) const EXTENSION: &str = "KHR_gaussian_splatting";
+const SPZ: &str = "KHR_gaussian_splatting_compression_spz_2";
+/// Extensions a file may require.
+const KNOWN: [&str; 3] = [EXTENSION, SPZ, "KHR_mesh_quantization"];
+/// Deepest nesting of nodes.
+const DEEPEST: usize = 64;
+
+/// The Gaussians of a whole binary file.
+///
+/// # Errors
+/// What was expected and what was found, with the part's name.
+pub fn glb(bytes: &[u8]) -> Result<Still, FormatError> {
+    within(bytes, &Beside::none(), &Limits::default())
+}
+
+/// As [`glb`], of text as well, whose buffers lie beside it.
+pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
+    let (text, binary) = if bytes.starts_with(&MAGIC) { chunks(bytes)? } else { (bytes, None) };
+    let document: Document =
+        serde_json::from_slice(text).map_err(|e| FormatError::new("JSON", "a glTF document", e.to_string()))?;
+    if document.asset.version != "2.0" {
+        return Err(FormatError::new("asset: version", "2.0", format!("{:?}", document.asset.version)));
+    }
+    if let Some(other) = document.extensions_required.iter().find(|name| !KNOWN.contains(&name.as_str())) {
+        return Err(FormatError::new("extensionsRequired", KNOWN.join(", "), format!("{other:?}")));
+    }
+    let mut scene = Reading {
+        document: &document,
+        buffers: Buffers::new(&document, binary, beside),
+        limits,
+        seen: vec![false; document.nodes.len()],
+        still: Still::default(),
+    };
+    match document.scenes.get(document.scene.unwrap_or(0)) {
+        Some(root) => {
+            for &node in &root.nodes {
+                scene.node(node, DMat4::IDENTITY, 0)?;
+            }
+        }
+        None => {
+            for mesh in 0..document.meshes.len() {
+                scene.mesh(mesh, DMat4::IDENTITY)?;
+            }
+        }
+    }
+    Ok(scene.still)
+}
+
+/// The text and the binary chunk of a `.glb` file.
+fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), FormatError> {
+    let word = |at: usize| bytes.get(at..at + 4).and_then(|b| b.first_chunk()).map(|b| u32::from_le_bytes(*b));
+    let wrong = |part: &str, expected: String, found: String| Err(FormatError::new(part, expected, found));
+    let (Some(version), Some(length)) = (word(4), word(8)) else {
+        return wrong("header", "12 bytes".into(), bytes.len().to_string());
+    };
+    if version != 2 {
+        return wrong("header: version", "2".into(), version.to_string());
+    }
+    if length as usize != bytes.len() {
+        return wrong("header: length", format!("{} bytes", bytes.len()), length.to_string());
+    }
+    let mut parts = [None, None];
+    let mut at = 12;
+    while at < bytes.len() {
+        let (Some(size), Some(kind)) = (word(at), word(at + 4)) else {
+            return wrong("chunk", "8 bytes of header".into(), format!("{} bytes", bytes.len() - at));
+        };
+        let Some(chunk) = bytes[at + 8..].get(..size as usize) else {
+            return wrong("chunk", format!("{size} bytes"), format!("{} bytes", bytes.len() - at - 8));
+        };
+        let place = [*b"JSON", *b"BIN\0"].iter().position(|name| u32::from_le_bytes(*name) == kind);
+        if let Some(part) = place.map(|place| &mut parts[place]).filter(|part| part.is_none()) {
+            *part = Some(chunk);
+        }
+        at += 8 + size as usize;
+    }
+    match parts {
+        [Some(text), binary] => Ok((text, binary)),
+        [None, _] => wrong("chunks", "one of JSON".into(), "none".into()),
+    }
+}
+
+/// A scene being read.
+struct Reading<'a> {
+    document: &'a Document,
+    buffers: Buffers<'a>,
+    limits: &'a Limits,
+    /// Nodes that were visited. They form trees: none is visited twice.
+    seen: Vec<bool>,
+    still: Still,
+}
+
+impl Reading<'_> {
+    fn node(&mut self, index: usize, above: DMat4, depth: usize) -> Result<(), FormatError> {
+        let document = self.document;
+        let part = || format!("node {index}");
+        let node = document.nodes.get(index);
+        let node = node.ok_or_else(|| FormatError::new(part(), format!("{} nodes", document.nodes.len()), "none"))?;
+        if depth > DEEPEST {
+            return Err(FormatError::new(part(), format!("nodes nested {DEEPEST} deep at most"), "more"));
+        }
+        if std::mem::replace(&mut self.seen[index], true) {
+            return Err(FormatError::new(part(), "one node above it", "two"));
+        }
+        let own = above * transform(node);
+        if let Some(mesh) = node.mesh {
+            self.mesh(mesh, own)?;
+        }
+        node.children.iter().try_for_each(|&child| self.node(child, own, depth + 1))
+    }
+
+    fn mesh(&mut self, index: usize, transform: DMat4) -> Result<(), FormatError> {
+        let meshes = &self.document.meshes;
+        let missing = || FormatError::new(format!("mesh {index}"), format!("{} meshes", meshes.len()), "none");
+        for (i, primitive) in meshes.get(index).ok_or_else(missing)?.primitives.iter().enumerate() {
+            let part = format!("mesh {index}, primitive {i}");
+            if primitive.extensions.contains_key(EXTENSION) {
+                let mut still = self.primitive(primitive, &part)?;
+                still.transform(&similarity(transform, &part)?);
+                self.append(still)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The Gaussians of a primitive, in glTF's axes.
+    fn primitive(&mut self, primitive: &Primitive, part: &str) -> Result<Still, FormatError> {
+        let wrong = |name: &str, expected: &str, found: String| {
+            Err(FormatError::new(format!("{part}: {name}"), expected, found))
+        };
+        if primitive.mode != Some(0) {
+            return wrong("mode", "0 (points)", primitive.mode.map_or("none".into(), |mode| mode.to_string()));
+        }
+        let extension = &primitive.extensions[EXTENSION];
+        for (name, expected) in [("kernel", "ellipse"), ("colorSpace", "srgb_rec709_display")] {
+            match extension.get(name) {
+                None => {}
+                Some(found) if found == expected => {}
+                Some(found) => return wrong(name, expected, found.to_string()),
+            }
+        }
+        if let Some(packed) = extension.get("extensions").and_then(|extensions| extensions.get(SPZ)) {
+            let Some(view) = packed.get("bufferView").and_then(serde_json::Value::as_u64) else {
+                return wrong(SPZ, "a bufferView", packed.to_string());
+            };
+            let bytes = self.buffers.view(usize::try_from(view).unwrap_or(usize::MAX))?;
+            let mut still = spz::within(&bytes, self.limits)?;
+            // SPZ's own axes, which are glTF's here, are a half turn about x away from scene space.
+            still.transform(&half_turn(1));
+            return Ok(still);
+        }
+        let attribute = |name: &str| primitive.attributes.get(name).copied();
+        let needed = |name: &str| {
+            attribute(name).ok_or_else(|| FormatError::new(format!("{part}: attribute {name}"), "an accessor", "none"))
+        };
+        let own = |name: &str| format!("{EXTENSION}:{name}");
+        let coefficient = |degree: usize, k: usize| own(&format!("SH_DEGREE_{degree}_COEF_{k}"));
+        let degree = (1..=3).rev().find(|degree| attribute(&coefficient(*degree, 0)).is_some()).unwrap_or(0);
+
+        let position = needed("POSITION")?;
+        let count = self.buffers.count(position)?;
+        check_count(part, count, self.limits)?;
+        let mut still = Still { degree, ..Still::default() };
+        let mean = self.buffers.read::<3>(position, count)?;
+        let rotation = self.buffers.read::<4>(needed(&own("ROTATION"))?, count)?;
+        let scale = self.buffers.read::<3>(needed(&own("SCALE"))?, count)?;
+        let opacity = self.buffers.read::<1>(needed(&own("OPACITY"))?, count)?;
+        if let Some(found) = scale.iter().flatten().find(|s| **s < 0.0) {
+            return wrong("SCALE", "standard deviations of 0 or more (drafts stored logarithms)", found.to_string());
+        }
+        still.mean = mean.into_iter().map(|m| m.map(|x| x as f32)).collect();
+        still.rotation = rotation.into_iter().map(|[x, y, z, w]| [w, x, y, z].map(|c| c as f32)).collect();
+        still.log_scale =
+            scale.into_iter().map(|s| s.map(|s| if s.is_nan() { f32::NAN } else { ln(s.max(LEAST)) as f32 })).collect();
+        let logit = |[opacity]: [f64; 1]| {
+            let opacity = opacity.clamp(LEAST, 1.0 - LEAST);
+            if opacity.is_nan() { f32::NAN } else { (ln(opacity) - ln(1.0 - opacity)) as f32 }
+        };
+        still.logit = opacity.into_iter().map(logit).collect();
+        let base = self.buffers.read::<3>(needed(&coefficient(0, 0))?, count)?;
+        still.base = base.into_iter().map(|c| c.map(|c| c as f32)).collect();
+        still.higher = vec![0.0; count * 3 * rest(degree)];
+        let mut before = 0;
+        for degree in 1..=degree {
+            for k in 0..2 * degree + 1 {
+                let values = self.buffers.read::<3>(needed(&coefficient(degree, k))?, count)?;
+                for (own, value) in still.higher.chunks_exact_mut(3 * rest(still.degree)).zip(values) {
+                    own[3 * (before + k)..][..3].copy_from_slice(&value.map(|c| c as f32));
+                }
+            }
+            before += 2 * degree + 1;
+        }
+        Ok(still)
+    }
+
+    /// Adds Gaussians to those that were read before. Degrees are made equal with coefficients of 0.
+    fn append(&mut self, mut more: Still) -> Result<(), FormatError> {
+        let still = &mut self.still;
+        check_count("primitives", still.len().saturating_add(more.len()), self.limits)?;
+        if still.is_empty() {
+            *still = more;
+            return Ok(());
+        }
+        let degree = still.degree.max(more.degree);
+        raise(still, degree);
+        raise(&mut more, degree);
+        still.mean.append(&mut more.mean);
+        still.log_scale.append(&mut more.log_scale);
+        still.rotation.append(&mut more.rotation);
+        still.logit.append(&mut more.logit);
+        still.base.append(&mut more.base);
+        still.higher.append(&mut more.higher);
+        Ok(())
+    }
+}
+
+/// Gives a scene a higher degree.
+fn raise(still: &mut Still, degree: usize) {
+    let (from, to) = (3 * rest(still.degree), 3 * rest(degree));
+    if to > from {
+        let mut higher = vec![0.0; still.len() * to];
+        for (i, own) in higher.chunks_exact_mut(to).enumerate() {
+            own[..from].copy_from_slice(&still.higher[i * from..][..from]);
+        }
+        (still.higher, still.degree) = (higher, degree);
+    }
+}
+
+/// A half turn about an axis, 1 to 3.
+pub(crate) fn half_turn(axis: usize) -> Similarity {
+    let quaternion = std::array::from_fn(|i| f64::from(u8::from(i == axis)));
+    Similarity { scale: 1.0, rotation: Rotation::from_quaternion(quaternion).unwrap_or_default(), offset: [0.0; 3] }
+}
+
+/// A node's own matrix.
+fn transform(node: &Node) -> DMat4 {
+    match node.matrix {
+        Some(matrix) => DMat4::from_cols_array(&matrix),
+        None => DMat4::from_scale_rotation_translation(
+            DVec3::from_array(node.scale.unwrap_or([1.0; 3])),
+            DQuat::from_array(node.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0])),
+            DVec3::from_array(node.translation.unwrap_or([0.0; 3])),
+        ),
+    }
+}
+
+/// A matrix as a similarity, and into scene space.
+fn similarity(matrix: DMat4, part: &str) -> Result<Similarity, FormatError> {
+    let columns: [[f64; 3]; 3] = std::array::from_fn(|i| matrix.col(i).truncate().to_array());
+    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let squares = [0, 1, 2].map(|i| dot(columns[i], columns[i]));
+    let scale = squares[0].sqrt();
+    let unit = columns.map(|column| column.map(|x| x / scale));
+    let even = squares.iter().all(|s| (s / squares[0] - 1.0).abs() < 1e-4);
+    let right = [(0, 1), (0, 2), (1, 2)].iter().all(|&(i, j)| dot(unit[i], unit[j]).abs() < 1e-4);
+    let upright = matrix.determinant() > 0.0;
+    let rotation = if even && right && upright { Rotation::from_columns(unit) } else { None };
+    let Some(rotation) = rotation else {
+        let expected = "nodes that move, turn and scale alike along all axes";
+        return Err(FormatError::new(part.to_owned(), expected, format!("the matrix {:?}", matrix.to_cols_array())));
+    };
+    let half = half_turn(3).rotation;
+    let [x, y, z] = matrix.w_axis.truncate().to_array();
+    let rotation = crate::still::after(half.quaternion(), rotation.quaternion());
+    let rotation = Rotation::from_quaternion(rotation.map(f64::from)).unwrap_or_default();
+    Ok(Similarity { scale, rotation, offset: [-x, -y, z] })
+}

@@ -1,0 +1,143 @@
+//! SOG, version 2: images that hold a value per Gaussian, and a `meta.json` that says what they mean, together in one zip file (`.sog`) or beside
+//! each other.
+//!
+//! The value of Gaussian i is in pixel i, row by row. n = N/255 stands for a byte, cb for a codebook of 256 values.
+//!
+//! | image | pixel | value |
+//! |---|---|---|
+//! | `means`: low bytes, high bytes | red, green, blue | `m = min + (max − min)·(256·high + low) / 65535`, the centre `sign(m)·(e^|m| − 1)` |
+//! | `scales` | red, green, blue | `cb[N]`, logarithms |
+//! | `quats` | red, green, blue | the three smallest of w, x, y, z in that order: `(n − ½)·√2` |
+//! | | alpha | 252 and which of them is the largest |
+//! | `sh0` | red, green, blue | `cb[N]`, the harmonics' first coefficients |
+//! | | alpha | n, the opacity |
+//! | `shN`: centroids, labels | labels: red, green | `256·green + red`, a row of coefficients |
+//! | | centroids: red, green, blue | `cb[N]`; coefficient k of row r in column `(r mod 64)·K + k` of line `⌊r / 64⌋`, for the K of the degree |
+//!
+//! Source: PlayCanvas, the SOG format's description.
+
+mod files;
+mod meta;
+#[cfg(test)]
+mod tests;
+
+use std::io::Cursor;
+
+use image::codecs::webp::WebPDecoder;
+use image::{DynamicImage, ImageDecoder, RgbaImage};
+use streamsplat_kernels::harmonics::rest;
+use streamsplat_kernels::math::f64::{exp, ln};
+
+use super::{Beside, FormatError, Limits, check_count};
+use crate::still::{LEAST, Still};
+use files::Files;
+use meta::Meta;
+
+/// First bytes of a zip file.
+pub(super) const MAGIC: [u8; 4] = *b"PK\x03\x04";
+/// Rows of coefficients in a line of the centroids' image.
+pub(crate) const ROWS: usize = 64;
+/// The alpha of a rotation whose first component is the largest.
+pub(crate) const LARGEST: u8 = 252;
+
+/// The Gaussians of a whole `.sog` file.
+///
+/// # Errors
+/// What was expected and what was found, with the part's name.
+pub fn sog(bytes: &[u8]) -> Result<Still, FormatError> {
+    within(bytes, &Beside::none(), &Limits::default())
+}
+
+/// As [`sog`], of a `meta.json` as well, whose images lie beside it.
+pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
+    let mut files = Files::new(bytes, beside)?;
+    let meta = Meta::read(&files.meta()?)?;
+    let (count, degree) = (meta.count, meta.degree()?);
+    check_count("meta.json: count", count, limits)?;
+    let mut image = |name: &str, least: usize| image(&files.read(name, 8 * most(least) as u64)?, name, least);
+    let [low, high] = [image(&meta.means.files[0], count)?, image(&meta.means.files[1], count)?];
+    let [scales, quats] = [image(&meta.scales.files[0], count)?, image(&meta.quats.files[0], count)?];
+    let sh0 = image(&meta.sh0.files[0], count)?;
+
+    let mut still = Still::with_room(count, degree);
+    let pixel = |image: &RgbaImage, i: usize| pixel(image, i % image.width() as usize, i / image.width() as usize);
+    for i in 0..count {
+        let (low, high) = (pixel(&low, i), pixel(&high, i));
+        still.mean.push(std::array::from_fn(|axis| {
+            let share = f64::from(u16::from_le_bytes([low[axis], high[axis]])) / 65535.0;
+            let (least, greatest) = (meta.means.mins[axis], meta.means.maxs[axis]);
+            let m = least + (greatest - least) * share;
+            // Beyond, a centre is infinite in binary32.
+            let size = exp(m.abs().min(100.0)) - 1.0;
+            (if m < 0.0 { -size } else { size }) as f32
+        }));
+        let scale = pixel(&scales, i);
+        still.log_scale.push(std::array::from_fn(|axis| meta.scales.codebook[usize::from(scale[axis])]));
+        still.rotation.push(rotation(pixel(&quats, i), i)?);
+        let [red, green, blue, alpha] = pixel(&sh0, i);
+        still.base.push([red, green, blue].map(|c| meta.sh0.codebook[usize::from(c)]));
+        let opacity = (f64::from(alpha) / 255.0).clamp(LEAST, 1.0 - LEAST);
+        still.logit.push((ln(opacity) - ln(1.0 - opacity)) as f32);
+    }
+    if let Some(harmonics) = &meta.harmonics {
+        let width = rest(degree);
+        let centroids = image(&harmonics.files[0], 0)?;
+        let lines = harmonics.count.div_ceil(ROWS);
+        if (centroids.width() as usize) < ROWS * width || (centroids.height() as usize) < lines {
+            let expected = format!("{}×{lines} pixels at least", ROWS * width);
+            let found = format!("{}×{}", centroids.width(), centroids.height());
+            return Err(FormatError::new(harmonics.files[0].clone(), expected, found));
+        }
+        let labels = image(&harmonics.files[1], count)?;
+        for i in 0..count {
+            let [low, high, ..] = pixel(&labels, i);
+            let row = usize::from(u16::from_le_bytes([low, high]));
+            if row >= harmonics.count {
+                let part = format!("{}: label {i}", harmonics.files[1]);
+                return Err(FormatError::new(part, format!("one of {} rows", harmonics.count), row.to_string()));
+            }
+            for k in 0..width {
+                let [red, green, blue, _] = self::pixel(&centroids, row % ROWS * width + k, row / ROWS);
+                still.higher.extend([red, green, blue].map(|c| harmonics.codebook[usize::from(c)]));
+            }
+        }
+    }
+    Ok(still)
+}
+
+fn pixel(image: &RgbaImage, column: usize, row: usize) -> [u8; 4] {
+    image.get_pixel(column as u32, row as u32).0
+}
+
+/// Most pixels of an image of which `least` are needed: twice as many. Of the centroids, whose number is not known before (0), there are at most
+/// 65,536 rows of 15.
+fn most(least: usize) -> usize {
+    if least == 0 { 1 << 20 } else { least.saturating_mul(2).max(1 << 16) }
+}
+
+/// An image of at least so many pixels, and of not many more.
+fn image(bytes: &[u8], name: &str, least: usize) -> Result<RgbaImage, FormatError> {
+    let broken = |e: image::ImageError| FormatError::new(name.to_owned(), "a WebP image", e.to_string());
+    let decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(broken)?;
+    let (width, height) = decoder.dimensions();
+    let pixels = width as usize * height as usize;
+    let most = most(least);
+    if pixels < least || pixels > most {
+        let expected = format!("an image of {least} to {most} pixels");
+        return Err(FormatError::new(name.to_owned(), expected, format!("{width}×{height}")));
+    }
+    Ok(DynamicImage::from_decoder(decoder).map_err(broken)?.into_rgba8())
+}
+
+fn rotation([a, b, c, which]: [u8; 4], i: usize) -> Result<[f32; 4], FormatError> {
+    let Some(largest) = which.checked_sub(LARGEST).map(usize::from) else {
+        return Err(FormatError::new(format!("quats: alpha of {i}"), "252 to 255", which.to_string()));
+    };
+    let (mut q, mut squares) = ([0.0; 4], 0.0);
+    for (place, byte) in (0..4).filter(|place| *place != largest).zip([a, b, c]) {
+        q[place] = (f64::from(byte) / 255.0 - 0.5) * std::f64::consts::SQRT_2;
+        squares += q[place] * q[place];
+    }
+    q[largest] = (1.0_f64 - squares).max(0.0).sqrt();
+    Ok(q.map(|c| c as f32))
+}

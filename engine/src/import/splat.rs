@@ -1,0 +1,89 @@
+//! The 32-byte records of web viewers (`.splat`), which have no header.
+//!
+//! | bytes | value |
+//! |---|---|
+//! | 12 | centre: three binary32, little-endian |
+//! | 12 | standard deviations, likewise |
+//! | 4 | red, green, blue and opacity, over 255 |
+//! | 4 | rotation, w first: `(b − 128) / 128` |
+//!
+//! Colours become `(c − ½) / Y₀`; opacities of 0 and 1 stay within 10⁻¹² of them, standard deviations above that.
+//!
+//! Source: antimatter15's viewer, which the format is from.
+
+use streamsplat_kernels::harmonics::Y0;
+use streamsplat_kernels::math::f64::ln;
+
+use super::{FormatError, Limits, check_count};
+use crate::still::{LEAST, Still};
+
+/// Bytes of a record.
+const RECORD: usize = 32;
+
+/// The Gaussians of a whole `.splat` file.
+///
+/// # Errors
+/// A length that is no multiple of 32 bytes, and a scale that is negative: files of another kind.
+pub fn splat(bytes: &[u8]) -> Result<Still, FormatError> {
+    within(bytes, &Limits::default())
+}
+
+/// As [`splat`], within other limits.
+pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
+    let (records, rest) = bytes.as_chunks::<RECORD>();
+    if !rest.is_empty() {
+        return Err(FormatError::new("file", format!("records of {RECORD} bytes"), format!("{} bytes", bytes.len())));
+    }
+    check_count("records", records.len(), limits)?;
+    let mut still = Still::with_room(records.len(), 0);
+    for (i, record) in records.iter().enumerate() {
+        let float = |k: usize| record[4 * k..].first_chunk().map_or(f32::NAN, |b| f32::from_le_bytes(*b));
+        let scale: [f32; 3] = std::array::from_fn(|axis| float(3 + axis));
+        if scale.iter().any(|s| *s < 0.0) {
+            let found = format!("{scale:?}");
+            return Err(FormatError::new(format!("record {i}"), "standard deviations of 0 or more", found));
+        }
+        still.mean.push(std::array::from_fn(float));
+        // NaN stays NaN, and is left out where it is drawn.
+        still.log_scale.push(scale.map(|s| if s.is_nan() { s } else { ln(f64::from(s).max(LEAST)) as f32 }));
+        let [red, green, blue, alpha] = std::array::from_fn(|k| f64::from(record[24 + k]) / 255.0);
+        still.base.push([red, green, blue].map(|c| ((c - 0.5) / Y0) as f32));
+        let opacity = alpha.clamp(LEAST, 1.0 - LEAST);
+        still.logit.push((ln(opacity) - ln(1.0 - opacity)) as f32);
+        still.rotation.push(std::array::from_fn(|k| (f32::from(record[28 + k]) - 128.0) / 128.0));
+    }
+    Ok(still)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_says_all_of_a_gaussian() {
+        let mut record: Vec<u8> =
+            [1.0_f32, -2.0, 3.0, 0.5, 1.0, 0.0].iter().flat_map(|x: &f32| x.to_le_bytes()).collect();
+        record.extend([0, 128, 255, 255, 255, 128, 64, 0]);
+        let found = splat(&record).expect("a record");
+        assert_eq!((found.mean[0], found.rotation[0]), ([1.0, -2.0, 3.0], [0.992_187_5, 0.0, -0.5, -1.0]));
+        assert!((found.log_scale[0][0] - 0.5_f32.ln()).abs() < 1e-7 && found.log_scale[0][1] == 0.0);
+        assert!(found.log_scale[0][2] < -27.0 && found.logit[0] > 27.0 && found.logit[0].is_finite());
+        let seen = found.base[0].map(|c| 255.0 * (0.5 + f64::from(c) * Y0));
+        assert!(seen.iter().zip([0.0, 128.0, 255.0]).all(|(a, b)| (a - b).abs() < 1e-3));
+        assert_eq!(splat(&[]), Ok(Still::default()));
+    }
+
+    #[test]
+    fn other_lengths_negative_scales_and_too_many_are_refused() {
+        for length in [1, 31, 33] {
+            let error = splat(&vec![0; length]).expect_err("uneven").to_string();
+            assert_eq!(error, format!("file: expected records of 32 bytes, found {length} bytes"));
+        }
+        let mut negative = vec![0; 64];
+        negative[32 + 12..32 + 16].copy_from_slice(&(-1.0_f32).to_le_bytes());
+        assert!(
+            splat(&negative).expect_err("negative").to_string().starts_with("record 1: expected standard deviations")
+        );
+        assert!(within(&[0; 96], &Limits { gaussians: 2 }).is_err());
+    }
+}
