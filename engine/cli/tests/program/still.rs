@@ -171,7 +171,7 @@ fn what_a_ply_file_does_not_have_is_said_and_nothing_written() {
             _ => &mut command,
         };
         let text = fails(&command.output().expect("the program starts"), 1);
-        assert!(text.contains("scene.ply: vertices: expected 500 of 248 bytes each"), "{name}: {text}");
+        assert!(text.contains("scene.ply: element vertex: expected 500 of 248 bytes each"), "{name}: {text}");
     }
     assert!(!out.exists());
 }
