@@ -3,8 +3,10 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
+
+use streamsplat_fixtures as fixtures;
 
 use crate::support::{Scratch, command, fails, files, model, run_ok};
 
@@ -103,13 +105,12 @@ fn ends_when_interrupted(run: &mut Ending, out: &std::path::Path) {
     assert_eq!(run.0.wait().expect("it ends").code(), Some(0));
 }
 
-/// Connects and misbehaves until it is told to stop; `kind` says how.
-fn attack(host: &str, kind: usize, stop: &AtomicBool) -> usize {
-    let mut attempts = 0;
+/// Connects and misbehaves until it is told to stop; `kind` says how. Every connection is counted.
+fn attack(host: &str, kind: usize, attempts: &AtomicUsize, stop: &AtomicBool) {
     let mut kept = Vec::new();
     while !stop.load(Ordering::SeqCst) {
         let Ok(mut stream) = TcpStream::connect(host) else { continue };
-        attempts += 1;
+        attempts.fetch_add(1, Ordering::SeqCst);
         let timeout = Some(Duration::from_millis(50));
         stream.set_read_timeout(timeout).and_then(|()| stream.set_write_timeout(timeout)).expect("a socket");
         let head = format!("Host: {host}\r\n");
@@ -141,37 +142,55 @@ fn attack(host: &str, kind: usize, stop: &AtomicBool) -> usize {
             }
         }
     }
-    attempts
 }
 
 #[test]
 fn a_run_under_attack_writes_the_same_bytes() {
     let scratch = Scratch::new();
-    let clip = scratch.clip("clip", 60, 96, 64);
+    let stream = std::fs::read(fixtures::path("clips/moving.y4m")).expect("readable");
     let (alone, attacked) = (scratch.path("alone"), scratch.path("attacked"));
-    run_ok(&clip, &alone, &["--quiet", "--gap", "2"]);
-    let mut run = command();
-    run.arg("run").arg(&clip).arg("--out").arg(&attacked).arg("--model").arg(model()).args(["--gap", "2", "--serve=0"]);
-    let mut run = Ending(run.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts"));
+    let piped = |out: &std::path::Path, more: &[&str]| {
+        let mut run = command();
+        run.args(["run", "-", "--out"]).arg(out).arg("--model").arg(model()).args(["--gap", "2"]).args(more);
+        Ending(
+            run.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts"),
+        )
+    };
+    let mut run = piped(&alone, &["--quiet"]);
+    run.0.stdin.take().expect("piped").write_all(&stream).expect("read to its end");
+    assert_eq!(run.0.wait().expect("it ends").code(), Some(0));
+
+    let mut run = piped(&attacked, &["--serve=0"]);
+    // The second half of the clip is held back until every kind of attack has had its turns.
+    let mut input = run.0.stdin.take().expect("piped");
+    let (first, second) = stream.split_at(stream.len() / 2);
+    input.write_all(first).expect("it reads");
     let address = address(run.0.stderr.take().expect("piped"));
     let host = address.trim_start_matches("http://").trim_end_matches('/').to_owned();
     let stop = AtomicBool::new(false);
-    let attempts: Vec<usize> = std::thread::scope(|scope| {
-        let attackers: Vec<_> = (0..6)
-            .map(|kind| {
-                scope.spawn({
-                    let (host, stop) = (&host, &stop);
-                    move || attack(host, kind, stop)
-                })
-            })
-            .collect();
-        ends_when_interrupted(&mut run, &attacked);
+    let attempts: [AtomicUsize; 6] = std::array::from_fn(|_| AtomicUsize::new(0));
+    std::thread::scope(|scope| {
+        for (kind, attempts) in attempts.iter().enumerate() {
+            scope.spawn({
+                let (host, stop) = (&host, &stop);
+                move || attack(host, kind, attempts, stop)
+            });
+        }
+        let ended = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            let end = std::time::Instant::now() + Duration::from_secs(120);
+            while attempts.iter().any(|n| n.load(Ordering::SeqCst) < 5) {
+                assert!(std::time::Instant::now() < end, "connections by kind of attack: {attempts:?}");
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            input.write_all(second).expect("it reads");
+            drop(input);
+            ends_when_interrupted(&mut run, &attacked);
+        }));
         stop.store(true, Ordering::SeqCst);
-        attackers.into_iter().map(|attacker| attacker.join().expect("no panic")).collect()
+        if let Err(panic) = ended {
+            std::panic::resume_unwind(panic);
+        }
     });
-    // A busy machine may give a thread no turn while the run lasts.
-    let kinds = attempts.iter().filter(|n| **n > 0).count();
-    assert!(kinds >= 4 && attempts.iter().sum::<usize>() > 20, "{attempts:?}");
     assert!(files(&attacked) == files(&alone));
 }
 
