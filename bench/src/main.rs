@@ -3,6 +3,7 @@
 //! Every measurement checks its answer before it is timed and reports the fraction of the machine's peak, which is measured
 //! in the same run.
 
+mod depth;
 mod fit;
 mod instructions;
 mod kernels;
@@ -38,6 +39,8 @@ struct Program {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Views of scenes of cards from cameras led around them, with and without true depth.
+    Depth(depth::Options),
     /// Optical flow, and steps of the fit of colours.
     Fit(fit::Options),
     /// Matrix products, attention and norms, as fractions of the measured peak.
@@ -96,6 +99,7 @@ fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
 
 fn main() -> std::process::ExitCode {
     let result = match Program::parse().command {
+        Command::Depth(options) => depth::run(&options),
         Command::Fit(options) => fit::run(&options),
         Command::Kernels(options) => kernels::run(&options),
         Command::Raster(options) => raster::run(&options),

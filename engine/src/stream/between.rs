@@ -7,6 +7,7 @@ use streamsplat_kernels::flow::{self, Blend, Field, Pyramid};
 
 use super::colours::Target;
 use super::keyframe::KeyView;
+use super::lift::{DepthMap, Link};
 use super::motion::{Step, along_flow};
 use super::reconstructor::Motion;
 use super::work::Stage;
@@ -15,6 +16,9 @@ use crate::fit::Placement;
 
 /// Times in an interval whose pictures are predicted from its key frames where no frame in between is seen.
 const PREDICTED: [f32; 4] = [0.2, 0.4, 0.6, 0.8];
+
+/// Pixels from one place at which depth is compared to the next, along rows and columns.
+const SPACING: usize = 4;
 
 /// A frame as flow sees it.
 pub(super) struct FlowView {
@@ -115,6 +119,32 @@ impl Flows {
         let forward: Vec<Step<'_>> = (0..count).map(|i| step(i, 0, self.times[i + 1])).collect();
         let backward: Vec<Step<'_>> = (0..count).rev().map(|i| step(i, 1, 1.0 - self.times[i])).collect();
         [along_flow(&a.gaussians, &network[0], &forward, 1.0), along_flow(&b.gaussians, &network[1], &backward, -1.0)]
+    }
+
+    /// Values of two depth maps, of the last and of the first key frame, at places that flow connects.
+    ///
+    /// From every [`SPACING`]-th pixel of the last key frame, both ways, the flow is followed back; a chain ends for nothing where it leaves the picture or where the flow forth does not undo it.
+    pub(super) fn links(&self, last: &DepthMap, first: &DepthMap) -> Vec<Link> {
+        let [height, width] = last.resolution;
+        if first.resolution != last.resolution {
+            return Vec::new();
+        }
+        let count = self.steps.len();
+        let mut links = Vec::with_capacity(height.div_ceil(SPACING) * width.div_ceil(SPACING));
+        for y in (SPACING / 2..height).step_by(SPACING) {
+            for x in (SPACING / 2..width).step_by(SPACING) {
+                let mut at = Some([x as f32, y as f32]);
+                for i in (0..count).rev() {
+                    let step = Step { there: &self.steps[i][1], back: &self.steps[i][0], distance: 0.0 };
+                    at = at.and_then(|at| step.from(at));
+                }
+                let Some([u, v]) = at else { continue };
+                let (column, row) = ((u + 0.5).max(0.0) as usize, (v + 0.5).max(0.0) as usize);
+                let there = row.min(height - 1) * width + column.min(width - 1);
+                links.push(Link { now: last.inverse[y * width + x], then: first.inverse[there] });
+            }
+        }
+        links
     }
 
     /// Pictures of the interval as flow predicts them from its key frames; none where there are frames in between.

@@ -38,6 +38,13 @@ pub(super) struct Step<'a> {
 }
 
 impl Step<'_> {
+    /// Where the step leads to from `at`; `None` where it strays.
+    pub(super) fn from(&self, at: [f32; 2]) -> Option<[f32; 2]> {
+        let [u, v] = self.there.at(at[0], at[1]);
+        let to = [at[0] + u, at[1] + v];
+        (!self.strays([u, v], to)).then_some(to)
+    }
+
     /// Returns true if the step by `[u, v]`, to `at`, leaves the picture or does not come back.
     fn strays(&self, [u, v]: [f32; 2], at: [f32; 2]) -> bool {
         let [height, width] = self.there.size.map(|side| side as f32);

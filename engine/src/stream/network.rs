@@ -78,6 +78,10 @@ impl Reconstructor for Conditioned {
         self.network.config().static_position == StaticPosition::TruncatedNormal
     }
 
+    fn ignores_depth(&self) -> bool {
+        self.network.config().ignores_depth
+    }
+
     fn reads_condition(&self) -> bool {
         self.dino.is_some()
     }

@@ -63,6 +63,11 @@ pub trait Reconstructor: Send + Sync {
     /// Returns true if [`Reconstructor::gaussians`] gives other Gaussians for another [`Sampling`].
     fn draws_positions(&self) -> bool;
 
+    /// Returns true if its Gaussians do not depend on [`FrameInput::depth`]. A depth map then does not reach it: the stream lifts the Gaussians to the map.
+    fn ignores_depth(&self) -> bool {
+        false
+    }
+
     /// Returns true if [`Reconstructor::condition`] gives anything; it is not called otherwise.
     fn reads_condition(&self) -> bool;
 

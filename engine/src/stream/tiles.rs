@@ -102,6 +102,11 @@ impl Tiles {
         Some(Self { resolution, tiles })
     }
 
+    /// Returns true if the model ignores depth.
+    pub(super) fn ignore_depth(&self) -> bool {
+        self.tiles.first().is_some_and(|tile| tile.model.ignores_depth())
+    }
+
     /// The frame's Gaussians from those of its tiles.
     pub(super) fn gaussians(&self, of_tiles: &[Arc<StaticGaussians>]) -> Arc<StaticGaussians> {
         if let [only] = of_tiles

@@ -103,7 +103,7 @@ pub struct Stream {
     #[arg(long, value_name = "DIR|onnx:FILE", default_value = "none")]
     pub depth: String,
     /// What the network's file does not say: size=N or WxH, multiple=N, mean=R/G/B, std=R/G/B, metric, output=NAME, separated by
-    /// commas [default: size=518,multiple=14 and ImageNet's mean and std]
+    /// commas; with a folder metric alone: its files hold depth, not inverse depth, and 0 where there is none [default: size=518,multiple=14 and ImageNet's mean and std]
     #[arg(long, value_name = "LIST")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth_model: Option<String>,

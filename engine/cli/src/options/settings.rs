@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use streamsplat::camera::{self, CameraFile, CameraPath};
-use streamsplat::depth::{NetworkOptions, Range};
+use streamsplat::depth::{NetworkOptions, Range, Values};
 use streamsplat::gap::Gap;
 use streamsplat::render::Backend;
 use streamsplat::stream::{DepthRange, Fade, FlowEffort, MaxAge, ModelSource, MotionFrom, Quality, Reuse, Settings};
@@ -29,7 +29,7 @@ pub enum DepthFrom {
     /// There is none.
     None,
     /// A folder of maps.
-    Folder(PathBuf, Range),
+    Folder(PathBuf, Range, Values),
     /// A network.
     Network(PathBuf, NetworkOptions),
 }
@@ -94,9 +94,14 @@ impl Stream {
             other => return Err(Failure::usage(format!("--depth-range {other}: expected frame or clip"))),
         };
         let network = self.depth.strip_prefix("onnx:").map(PathBuf::from);
-        if self.depth_model.is_some() && network.is_none() {
-            return Err(Failure::usage("--depth-model: expected a network as well (--depth onnx:FILE)"));
-        }
+        let values = match self.depth_model.as_deref() {
+            Some("metric") if network.is_none() && self.depth != "none" => Values::Depth,
+            Some(_) if network.is_none() => {
+                let expected = "expected a network as well (--depth onnx:FILE), or metric with a folder of depth maps";
+                return Err(Failure::usage(format!("--depth-model: {expected}")));
+            }
+            _ => Values::Inverse,
+        };
         if self.depth == "none" {
             return Ok(DepthFrom::None);
         }
@@ -114,7 +119,7 @@ impl Stream {
                 self.depth
             )));
         }
-        Ok(DepthFrom::Folder(folder, range))
+        Ok(DepthFrom::Folder(folder, range, values))
     }
 
     /// What an engine is made with.
@@ -131,7 +136,7 @@ impl Stream {
         settings.refine_every = self.refine_every;
         settings.refine = self.refine;
         settings.depth_range = match self.depth_from()? {
-            DepthFrom::Folder(_, Range::Clip) => DepthRange::Given,
+            DepthFrom::Folder(_, Range::Clip, _) => DepthRange::Given,
             _ => DepthRange::Frame,
         };
         settings.sampling = choice("--sampling", &self.sampling)?;

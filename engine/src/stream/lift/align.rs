@@ -1,0 +1,135 @@
+//! Scale and shift that bring a frame's depth map to the scale of the frames before.
+//!
+//! A map is known up to a scale and a shift, which flicker from frame to frame: every frame is normalised by its own nearest and farthest place, and a network has its moods. Of
+//! [`Link`]s, places that optical flow connects, with d now and D then, the line `D ≈ scale·d + shift` is found that most of them lie on:
+//!
+//! ```text
+//! weights   w = 1/(1 + (e/E)²)²      e: distance from the line of the round before, E: twice their median, not under 10⁻³
+//! scale     √(Σ w·(D − D̄)² / Σ w·(d − d̄)²)      with D̄, d̄ the weighted means
+//! shift     D̄ − scale·d̄
+//! ```
+//!
+//! in [`ROUNDS`] rounds, sums over links in their order, in binary64. The ratio of spreads has no side on which noise falls, so that scales do not shrink over a long stream as those of a regression
+//! would. The first round starts from the line of the frame before, and from the medians where that explains less. The result is pulled by [`PULL`] towards the map as it is given, so that a drift ends.
+
+/// Rounds of reweighting.
+const ROUNDS: usize = 12;
+/// Fewest links of which a line is found.
+const FEWEST: usize = 32;
+/// Part of the way back to the map as it is given.
+const PULL: f64 = 0.02;
+/// Least and largest scale.
+const SCALES: [f64; 2] = [0.25, 4.0];
+
+/// `scale·d + shift`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::stream) struct Alignment {
+    pub(in crate::stream) scale: f32,
+    pub(in crate::stream) shift: f32,
+}
+
+/// Depth of one place in a frame and in the one before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::stream) struct Link {
+    /// As the frame's map gives it.
+    pub(in crate::stream) now: f32,
+    /// As it was, in the scale of the stream.
+    pub(in crate::stream) then: f32,
+}
+
+impl Default for Alignment {
+    fn default() -> Self {
+        Self { scale: 1.0, shift: 0.0 }
+    }
+}
+
+impl From<Alignment> for [f32; 2] {
+    fn from(Alignment { scale, shift }: Alignment) -> Self {
+        [scale, shift]
+    }
+}
+
+impl From<Option<[f32; 2]>> for Alignment {
+    fn from(stored: Option<[f32; 2]>) -> Self {
+        stored.map_or_else(Self::default, |[scale, shift]| Self { scale, shift })
+    }
+}
+
+impl Alignment {
+    /// The map in the scale of the stream, held to [0, 1].
+    pub(in crate::stream) fn apply(self, mut map: super::DepthMap) -> super::DepthMap {
+        if self != Self::default() {
+            map.inverse.iter_mut().for_each(|d| *d = self.scale.mul_add(*d, self.shift).clamp(0.0, 1.0));
+        }
+        map
+    }
+}
+
+/// The alignment of a map, from its links with the one before, which had the alignment `last`.
+pub(in crate::stream) fn align(links: &[Link], last: Alignment) -> Alignment {
+    // What was held to the ends of the range says nothing of the scale.
+    let inner = |link: &&Link| link.then > 0.0 && link.then < 1.0 && link.now.is_finite();
+    let links: Vec<[f64; 2]> =
+        links.iter().filter(inner).map(|link| [f64::from(link.now), f64::from(link.then)]).collect();
+    if links.len() < FEWEST {
+        return last;
+    }
+    let start = [f64::from(last.scale), f64::from(last.shift)];
+    let by_medians = {
+        let middle = |side: usize| median(links.iter().map(|link| link[side]).collect());
+        let [now, then] = [middle(0), middle(1)];
+        let spread = |side: usize, at: f64| median(links.iter().map(|link| (link[side] - at).abs()).collect());
+        let [a, b] = [spread(0, now), spread(1, then)];
+        let scale = if a > 0.0 && b > 0.0 { (b / a).clamp(SCALES[0], SCALES[1]) } else { 1.0 };
+        [scale, then - scale * now]
+    };
+    let missed = |line: [f64; 2]| median(links.iter().map(|link| distance(line, *link)).collect());
+    let mut line = if missed(by_medians) < missed(start) { by_medians } else { start };
+    for _ in 0..ROUNDS {
+        let width = (2.0 * missed(line)).max(1e-3);
+        match round(&links, line, width) {
+            Some(next) => line = next,
+            None => break,
+        }
+    }
+    let [scale, shift] = line;
+    Alignment { scale: (scale + PULL * (1.0 - scale)) as f32, shift: (shift - PULL * shift) as f32 }
+}
+
+/// How far a link is from a line.
+fn distance([scale, shift]: [f64; 2], [now, then]: [f64; 2]) -> f64 {
+    (scale * now + shift - then).abs()
+}
+
+/// The line of the links weighted by their distance from `line`; `None` where those that count have no spread.
+fn round(links: &[[f64; 2]], line: [f64; 2], width: f64) -> Option<[f64; 2]> {
+    let (mut total, mut sums) = (0.0, [0.0; 2]);
+    let weight = |link: [f64; 2]| {
+        let e = distance(line, link) / width;
+        let base = 1.0 / (1.0 + e * e);
+        base * base
+    };
+    for &link in links {
+        let w = weight(link);
+        total += w;
+        sums = [0, 1].map(|side| sums[side] + w * link[side]);
+    }
+    let means = sums.map(|sum| sum / total);
+    let mut squares = [0.0; 2];
+    for &link in links {
+        let w = weight(link);
+        squares = [0, 1].map(|side| squares[side] + w * (link[side] - means[side]) * (link[side] - means[side]));
+    }
+    let ratio = (squares[1] / squares[0]).sqrt();
+    if !(ratio.is_finite() && squares[0] > 1e-8 * total) {
+        return None;
+    }
+    let scale = ratio.clamp(SCALES[0], SCALES[1]);
+    Some([scale, means[1] - scale * means[0]])
+}
+
+/// The upper median of some values, of which there is one.
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
