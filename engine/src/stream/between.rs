@@ -118,7 +118,7 @@ impl Flows {
         };
         let forward: Vec<Step<'_>> = (0..count).map(|i| step(i, 0, self.times[i + 1])).collect();
         let backward: Vec<Step<'_>> = (0..count).rev().map(|i| step(i, 1, 1.0 - self.times[i])).collect();
-        [along_flow(&a.gaussians, &network[0], &forward, 1.0), along_flow(&b.gaussians, &network[1], &backward, -1.0)]
+        [along_flow(&a.moving(), &network[0], &forward, 1.0), along_flow(&b.moving(), &network[1], &backward, -1.0)]
     }
 
     /// Values of two depth maps, of the last and of the first key frame, at places that flow connects.

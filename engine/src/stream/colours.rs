@@ -17,9 +17,8 @@ use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{ColourFit, ColourMap, FitView, Gaussians, Projection, Solution};
 use streamsplat_model::StaticGaussians;
 
-use super::lift::Turned;
 use super::{DynamicGaussians, Reference};
-use crate::render::{Snapshot, View, to_scene};
+use crate::render::{Snapshot, to_scene};
 
 /// Weight of the ridge, beside sums of squared weights over pixels.
 const RIDGE: f32 = 1e-3;
@@ -54,12 +53,12 @@ impl Fitter {
         Self { level, maps: Vec::new() }
     }
 
-    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. `turned` are pictures of the same time from other cameras, which count as much as the frame does.
+    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. Gaussians from `cells` on, which stand behind others, keep theirs.
     pub(super) fn key(
         &mut self,
         gaussians: &StaticGaussians,
+        cells: usize,
         frame: &[f32],
-        turned: &[Turned],
         resolution: [usize; 2],
         steps: u32,
     ) -> (Colours, u32) {
@@ -76,20 +75,18 @@ impl Fitter {
             seen.opacity.push(opacity);
             seen.rgb.push(rgb);
         }
-        let mut frames = vec![frame];
-        frames.extend(turned.iter().map(|turned| turned.rgb.as_slice()));
-        let mut views = vec![(seen, None)];
-        for turned in turned {
-            let view = View::new(&turned.camera, &turned.placement(resolution), resolution);
-            let mut seen = views[0].0.clone();
-            view.apply(&mut seen.mean);
-            views.push((seen, view.rotation()));
-        }
-        let factors = vec![Vec::new(); views.len()];
+        let factor = match cells < gaussians.position.len() {
+            true => seen
+                .index
+                .iter()
+                .map(|&i| if (i as usize) < cells { 1.0 } else { crate::stream::lift::knob(9) })
+                .collect(),
+            false => Vec::new(),
+        };
         let Solution { change, steps: taken } =
-            self.solve(&views, &factors, &frames, resolution, &gaussians.rgb, steps);
+            self.solve(&[seen], &[factor], &[frame], resolution, &gaussians.rgb, steps);
         let mut colours = gaussians.rgb.clone();
-        for (colour, change) in colours.iter_mut().zip(change) {
+        for (colour, change) in colours.iter_mut().zip(change).take(cells) {
             // What is not finite is dropped later; it is not made finite here.
             *colour = std::array::from_fn(|i| match change[i] == 0.0 {
                 true => colour[i],
@@ -108,14 +105,11 @@ impl Fitter {
         steps: u32,
     ) -> (Colours, u32) {
         let level = self.level;
-        let views: Vec<(Snapshot, _)> =
-            targets.iter().map(|target| (Snapshot::new(level, gaussians, target.t), None)).collect();
+        let views: Vec<Snapshot> = targets.iter().map(|target| Snapshot::new(level, gaussians, target.t)).collect();
         let factors: Vec<Vec<f32>> = targets
             .iter()
             .zip(&views)
-            .map(|(target, (view, _))| {
-                view.index.iter().map(|&i| gaussians.reference[i as usize].tau(target.t)).collect()
-            })
+            .map(|(target, view)| view.index.iter().map(|&i| gaussians.reference[i as usize].tau(target.t)).collect())
             .collect();
         let frames: Vec<&[f32]> = targets.iter().map(|target| target.rgb).collect();
         let Solution { change: mut rates, steps: taken } =
@@ -133,10 +127,10 @@ impl Fitter {
         (rates, taken)
     }
 
-    /// Maps of `views`, each with the rotation of its Gaussians, and what their fit gives from the colours `from`.
+    /// Maps of `views`, and what their fit gives from the colours `from`.
     fn solve(
         &mut self,
-        views: &[(Snapshot, Option<[f32; 4]>)],
+        views: &[Snapshot],
         factors: &[Vec<f32>],
         frames: &[&[f32]],
         [height, width]: [usize; 2],
@@ -146,14 +140,12 @@ impl Fitter {
         let level = self.level;
         self.maps.resize_with(views.len().max(self.maps.len()), || ColourMap::new(level));
         let projection = Projection::Orthographic { focal: [0.5 * width as f32, 0.5 * height as f32] };
-        for (map, (view, turned)) in self.maps.iter_mut().zip(views) {
+        for (map, view) in self.maps.iter_mut().zip(views) {
             let Snapshot { mean, scale, opacity, rgb, .. } = view;
-            let rotation = turned.map(|rotation| vec![rotation; mean.len()]);
-            let rotation = rotation.as_deref();
-            map.prepare(&Gaussians { mean, scale, rotation, opacity, rgb }, &projection, [width, height]);
+            map.prepare(&Gaussians { mean, scale, rotation: None, opacity, rgb }, &projection, [width, height]);
         }
         let each = self.maps.iter().zip(views).zip(factors);
-        let views = each.map(|((map, (view, _)), factor)| FitView { map, unknown: &view.index, factor }).collect();
+        let views = each.map(|((map, view), factor)| FitView { map, unknown: &view.index, factor }).collect();
         ColourFit::new(level, views, from.len(), RIDGE).solve(from, frames, BACKGROUND, steps, ENOUGH)
     }
 }

@@ -11,7 +11,7 @@ use super::canonical::{Advance, CanonicalSet, Step};
 use super::colours::{Fitter, Target};
 use super::keyframe::{AlignedMap, Context, KeyView};
 use super::lift::{Alignment, DepthMap, align};
-use super::motion::fixed;
+use super::motion::{completed, fixed};
 use super::pair::Pair;
 use super::tiles::Tiles;
 use super::work::Stage;
@@ -178,9 +178,17 @@ impl Engine {
                         Fade::Network => network = pair.motion.clone(),
                         Fade::Fixed => {
                             let of = &pair.motion;
-                            network = [0, 1].map(|side| Arc::new((of[side].0.clone(), network[side].1.clone())));
+                            network = [0, 1].map(|side| {
+                                let gamma = network[side].1[..of[side].0.len()].to_vec();
+                                Arc::new((of[side].0.clone(), gamma))
+                            });
                         }
                     }
+                    let [a, b] = network;
+                    network = [
+                        completed(a, views[0].gaussians.position.len()),
+                        completed(b, views[1].gaussians.position.len()),
+                    ];
                 } else {
                     Pair::leave_out(tiles, work);
                 }
@@ -191,6 +199,7 @@ impl Engine {
                 };
                 let step = Step {
                     gaussians: &view.gaussians,
+                    cells: view.cells(),
                     forward: &motion[0],
                     backward: &motion[1],
                     length,

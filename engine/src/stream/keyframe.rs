@@ -1,5 +1,6 @@
 //! A key frame by itself: its pixels through the static half of the network, tile by tile.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use streamsplat_model::reuse::Memory;
@@ -7,11 +8,11 @@ use streamsplat_model::{Embedding, FrameInput, Sampling, StaticGaussians};
 
 use super::between::FlowView;
 use super::colours::Fitter;
-use super::lift::{Alignment, DepthMap, Turned, lift, normalise_most, turned};
+use super::lift::{Alignment, DepthMap, lift, normalise_most};
 use super::reconstructor::Reconstructor;
 use super::tiles::{Tile, Tiles};
 use super::work::Stage;
-use super::{DepthRange, EngineError, Frame, MotionFrom, SamplingMode, Settings, Work};
+use super::{Behind, DepthRange, EngineError, Frame, MotionFrom, SamplingMode, Settings, Work};
 use crate::fit::{self, Placement};
 
 /// A key frame as the model sees it, and what the model makes of it.
@@ -23,6 +24,8 @@ pub(super) struct KeyView {
     pub(super) tiles: Vec<TileView>,
     /// The Gaussians of all tiles, in the frame's world; after [`Context::finish`] lifted to the frame's depth, and with colours that fit the frame where that is asked for.
     pub(super) gaussians: Arc<StaticGaussians>,
+    /// Of the last of these, which stand behind others, the places whose motion they have.
+    pub(super) behind: Vec<[f32; 3]>,
     /// The map that they are lifted to, in the scale of the frames before.
     pub(super) map: Option<AlignedMap>,
     /// Where motion is taken from frames.
@@ -31,6 +34,19 @@ pub(super) struct KeyView {
 }
 
 impl KeyView {
+    /// Number of the model's own Gaussians, which come first.
+    pub(super) fn cells(&self) -> usize {
+        self.gaussians.position.len() - self.behind.len()
+    }
+
+    /// Places at which the motion of each Gaussian is seen.
+    pub(super) fn moving(&self) -> Cow<'_, [[f32; 3]]> {
+        if self.behind.is_empty() {
+            return Cow::Borrowed(&self.gaussians.position);
+        }
+        Cow::Owned([&self.gaussians.position[..self.cells()], &self.behind].concat())
+    }
+
     /// Rows and columns of pixels.
     pub(super) fn resolution(&self) -> [usize; 2] {
         self.resolution
@@ -101,7 +117,7 @@ impl Context<'_> {
                 self.work.time(Stage::Flow, || FlowView::new(level, &rgb, resolution, index, self.settings.flow))?,
             ),
         };
-        Ok((KeyView { rgb, depth, tiles, gaussians, map: None, flow, resolution }, lost))
+        Ok((KeyView { rgb, depth, tiles, gaussians, behind: Vec::new(), map: None, flow, resolution }, lost))
     }
 
     /// Lifts the Gaussians of a frame to `map` and fits their colours, where either is asked for.
@@ -112,29 +128,29 @@ impl Context<'_> {
         };
         if let Some(before) = self.before.filter(unchanged) {
             view.gaussians = before.gaussians.clone();
+            view.behind = before.behind.clone();
             view.map = map;
             return;
         }
         if let Some(AlignedMap { map, .. }) = &map {
-            let level = self.level;
-            self.work.measure(Stage::Lift, || {
-                let gaussians = Arc::make_mut(&mut view.gaussians);
-                lift(level, gaussians, map, &view.rgb);
-            });
+            let behind = self.settings.behind == Behind::On;
+            let gaussians = Arc::make_mut(&mut view.gaussians);
+            view.behind = self.work.measure(Stage::Lift, || lift(gaussians, map, &view.rgb, behind));
+            self.work.count(Stage::Behind, view.behind.len() as u64, 0);
         }
-        let turned = map.as_ref().map_or_else(Vec::new, |AlignedMap { map, .. }| turned(map, &view.rgb));
         view.map = map;
-        view.gaussians = self.coloured(view.gaussians.clone(), &view.rgb, &turned);
+        let cells = view.cells();
+        view.gaussians = self.coloured(view.gaussians.clone(), cells, &view.rgb);
     }
 
     /// The Gaussians with colours that fit the frame, where that is asked for.
-    fn coloured(&mut self, gaussians: Arc<StaticGaussians>, frame: &[f32], turned: &[Turned]) -> Arc<StaticGaussians> {
+    fn coloured(&mut self, gaussians: Arc<StaticGaussians>, cells: usize, frame: &[f32]) -> Arc<StaticGaussians> {
         let steps = self.settings.refine();
         if steps == 0 {
             return gaussians;
         }
         let (fitter, resolution) = (&mut *self.fitter, self.tiles.resolution);
-        let (rgb, taken) = self.work.time(Stage::Colours, || fitter.key(&gaussians, frame, turned, resolution, steps));
+        let (rgb, taken) = self.work.time(Stage::Colours, || fitter.key(&gaussians, cells, frame, resolution, steps));
         self.work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
         Arc::new(StaticGaussians { rgb, ..Arc::unwrap_or_clone(gaussians) })
     }

@@ -49,7 +49,8 @@ pub use quality::{Preset, Quality};
 pub use reconstructor::{Motion, Reconstructor, Tiling};
 pub use resolution::Resolution;
 pub use settings::{
-    DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode, Settings, UnknownChoice,
+    Behind, DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode, Settings,
+    UnknownChoice,
 };
 pub use track::{Picked, Track, TrackPoint};
 pub use work::{StageWork, Work};

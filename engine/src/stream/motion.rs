@@ -17,7 +17,6 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use streamsplat_kernels::flow::Field;
-use streamsplat_model::StaticGaussians;
 
 use super::reconstructor::Motion;
 
@@ -64,18 +63,24 @@ pub(super) fn fixed(counts: [usize; 2]) -> [Arc<Motion>; 2] {
     [0, 1].map(|side| Arc::new((vec![[0.0; 3]; counts[side]], vec![FIXED; counts[side]])))
 }
 
-/// Velocities of a key frame's Gaussians along `steps`, whose first leaves from the key frame; `sign` is 1 for the interval's first key frame and −1 for its last. γ and the velocity
+/// The motion of all of `count` Gaussians of which the network gives that of the first: the others stand still and fade as [`fixed`] has it.
+pub(super) fn completed(motion: Arc<Motion>, count: usize) -> Arc<Motion> {
+    if motion.0.len() == count {
+        return motion;
+    }
+    let mut motion = Arc::unwrap_or_clone(motion);
+    motion.0.resize(count, [0.0; 3]);
+    motion.1.resize(count, FIXED);
+    Arc::new(motion)
+}
+
+/// Velocities of Gaussians at these places along `steps`, whose first leaves from the key frame; `sign` is 1 for the interval's first key frame and −1 for its last. γ and the velocity
 /// along the depth are those of `network`.
-pub(super) fn along_flow(
-    gaussians: &StaticGaussians,
-    network: &Arc<Motion>,
-    steps: &[Step<'_>],
-    sign: f32,
-) -> Arc<Motion> {
+pub(super) fn along_flow(positions: &[[f32; 3]], network: &Arc<Motion>, steps: &[Step<'_>], sign: f32) -> Arc<Motion> {
     let Some(first) = steps.first() else { return network.clone() };
     let [height, width] = first.there.size.map(|side| side as f32);
     let mut velocity = network.0.clone();
-    velocity.par_chunks_mut(CHUNK).zip(gaussians.position.par_chunks(CHUNK)).for_each(|(velocity, position)| {
+    velocity.par_chunks_mut(CHUNK).zip(positions.par_chunks(CHUNK)).for_each(|(velocity, position)| {
         for (v, &[x, _, z]) in velocity.iter_mut().zip(position) {
             let start = [((x + 1.0) * width - 1.0) * 0.5, ((1.0 - z) * height - 1.0) * 0.5];
             if !start.iter().all(|c| c.is_finite()) {

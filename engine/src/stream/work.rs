@@ -37,12 +37,13 @@ pub(crate) enum Stage {
     Decoder,
     Flow,
     Lift,
+    Behind,
     Fusion,
     Colours,
 }
 
 impl Stage {
-    const ALL: [(Stage, &'static str, &'static str); 10] = [
+    const ALL: [(Stage, &'static str, &'static str); 11] = [
         (Stage::Fit, "fit", "frames"),
         (Stage::Encoder, "encoder", "tiles"),
         (Stage::Upsampler, "upsampler", "tiles"),
@@ -51,6 +52,7 @@ impl Stage {
         (Stage::Decoder, "decoder", "pairs of tiles"),
         (Stage::Flow, "flow", "pairs of frames"),
         (Stage::Lift, "lift", "frames"),
+        (Stage::Behind, "behind", "Gaussians"),
         (Stage::Fusion, "fusion", "intervals"),
         (Stage::Colours, "colours", "steps"),
     ];

@@ -40,6 +40,8 @@ pub(super) struct Surfaces<'a> {
 pub(super) struct Place {
     /// A value of the map.
     pub(super) inverse: f32,
+    /// True if it is on the nearer side.
+    pub(super) near: bool,
     /// Pixels from the pixel's middle to the nearest edge along rows and columns; infinite where there is none in reach.
     pub(super) clear: [f32; 2],
 }
@@ -58,9 +60,30 @@ impl<'a> Surfaces<'a> {
         (a - b).abs() > self.tear
     }
 
+    /// Height and width.
+    pub(super) fn resolution(&self) -> [usize; 2] {
+        self.map.resolution
+    }
+
     /// z in the scene of each pixel.
     pub(super) fn z(&self) -> &[f32] {
         &self.z
+    }
+
+    /// Difference of z at an edge.
+    pub(super) fn tear(&self) -> f32 {
+        self.tear
+    }
+
+    /// The map's value of a pixel.
+    pub(super) fn inverse(&self, pixel: usize) -> f32 {
+        self.map.inverse[pixel]
+    }
+
+    /// The colour of a pixel.
+    pub(super) fn colour(&self, pixel: usize) -> [f32; 3] {
+        let area = self.z.len();
+        std::array::from_fn(|channel| self.frame[channel * area + pixel])
     }
 
     /// Depth at the pixel in this row and column.
@@ -76,18 +99,17 @@ impl<'a> Surfaces<'a> {
             }
         }
         if !self.edge(near, far) {
-            return Place { inverse: self.map.inverse[own], clear: [f32::INFINITY; 2] };
+            return Place { inverse: self.map.inverse[own], near: false, clear: [f32::INFINITY; 2] };
         }
         let middle = 0.5 * (near + far);
-        let colour = |at: usize| -> [f32; 3] { std::array::from_fn(|c| self.frame[c * height * width + at]) };
-        let c0 = colour(own);
+        let c0 = self.colour(own);
         let mut sides: [Vec<(f32, f32)>; 2] = Default::default();
         let mut weights = [0.0f32; 2];
         for y in rows {
             for x in columns.clone() {
                 let at = y * width + x;
                 let (dx, dy) = (x.abs_diff(column) as f32, y.abs_diff(row) as f32);
-                let c = colour(at);
+                let c = self.colour(at);
                 let apart = (0..3).fold(0.0f32, |sum, i| (c[i] - c0[i]).mul_add(c[i] - c0[i], sum));
                 let alike = 1.0 / (1.0 + apart / COLOUR);
                 let w = alike * alike / (1.0 + dx.mul_add(dx, dy * dy) / NEARBY);
@@ -101,7 +123,7 @@ impl<'a> Surfaces<'a> {
         let z = median(&mut sides[side], weights[side]);
         let inverse =
             if side == own_side && !self.edge(z, self.z[own]) { self.map.inverse[own] } else { super::map_value(z) };
-        Place { inverse, clear: self.clear(row, column, scene_depth(inverse)) }
+        Place { inverse, near: side == 0, clear: self.clear(row, column, scene_depth(inverse)) }
     }
 
     /// Pixels from a pixel's middle to the nearest one on another surface than z, less half a pixel, along rows and columns.

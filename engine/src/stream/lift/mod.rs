@@ -11,19 +11,17 @@
 //! with `slope` the steepness of `1 / (9.8·y + 0.2)`, so that the relief is the same length in the scene at any depth.
 
 use rayon::prelude::*;
-use streamsplat_kernels::Level;
 use streamsplat_model::StaticGaussians;
 
 use edges::Surfaces;
 
 mod align;
+mod behind;
 mod edges;
 mod fill;
-mod turned;
 
 pub(super) use align::{Alignment, Link, align};
 pub(super) use fill::normalise_most;
-pub(super) use turned::{Turned, turned};
 
 /// y of what a map calls farthest.
 pub const FAR: f32 = 0.1;
@@ -45,8 +43,8 @@ fn knobs() -> &'static [f32] {
     static K: std::sync::OnceLock<Vec<f32>> = std::sync::OnceLock::new();
     K.get_or_init(|| std::env::var("LIFT").unwrap_or_default().split(',').filter_map(|t| t.parse().ok()).collect())
 }
-pub(super) fn knob(i: usize) -> f32 {
-    let default = [0.02, 0.0, 0.0, 0.0, 1.0, 0.02, 0.0, 0.0, 0.0, 0.0];
+pub(in crate::stream) fn knob(i: usize) -> f32 {
+    let default = [0.37, 1.0, 0.4, 0.0, 0.9, 0.02, 0.5, 0.4, 0.0, 0.0];
     knobs().get(i).copied().unwrap_or(default[i])
 }
 
@@ -61,36 +59,33 @@ fn map_value(z: f32) -> f32 {
     ((1.0 / z - 0.2) / 9.8 - FAR) / (NEAR - FAR)
 }
 
-/// Lifts the Gaussians of a key frame to its map. Returns false, and leaves them as they are, where the map tells nothing: fewer than two values in it that differ.
-pub(super) fn lift(level: Level, gaussians: &mut StaticGaussians, map: &DepthMap, frame: &[f32]) -> bool {
-    let _ = level;
-    let Some(filled) = map.filled() else { return false };
+/// y of a map's value.
+fn depth_of(inverse: f32) -> f32 {
+    (NEAR - FAR).mul_add(inverse.clamp(0.0, 1.0), FAR)
+}
+
+/// Lifts the Gaussians of a key frame `[3, H, W]` to its map; with `behind`, adds [Gaussians behind](behind) its foreground. Gives the places whose motion these have. Where the map tells nothing,
+/// since no two of its values differ, the Gaussians stay as they are.
+pub(super) fn lift(gaussians: &mut StaticGaussians, map: &DepthMap, frame: &[f32], behind: bool) -> Vec<[f32; 3]> {
+    let Some(filled) = map.filled() else { return Vec::new() };
     let [height, width] = filled.resolution;
     let surfaces = Surfaces::new(&filled, frame);
-    let limit = knob(2);
     let each = gaussians.position.par_iter_mut().zip(&mut gaussians.scale);
     each.with_min_len(256).for_each(|(position, scale)| {
         let [x, y, z] = *position;
         let (Some(column), Some(row)) = (pixel(x, width), pixel(-z, height)) else { return };
-        let place = if knob(1) > 0.0 {
-            surfaces.at(row, column)
-        } else {
-            let mut p = surfaces.at(row, column);
-            p.inverse = filled.inverse[row * width + column];
-            p
-        };
-        let depth = (NEAR - FAR).mul_add(place.inverse.clamp(0.0, 1.0), FAR);
-        position[1] = with_relief(depth, y);
+        let place = surfaces.at(row, column);
+        position[1] = with_relief(depth_of(place.inverse), y);
         for axis in 0..2 {
             let unit = 2.0 / if axis == 0 { width } else { height } as f32;
             scale[axis] *= knob(4);
-            if limit > 0.0 {
-                let most = (limit * (place.clear[axis] + knob(6))).max(knob(7)) * unit;
+            if knob(8) == 0.0 || place.near {
+                let most = (knob(2) * (place.clear[axis] + knob(6))).max(knob(7)) * unit;
                 scale[axis] = scale[axis].min(most);
             }
         }
     });
-    true
+    if behind { behind::add(gaussians, &surfaces) } else { Vec::new() }
 }
 
 /// The depth with the model's own relief.
