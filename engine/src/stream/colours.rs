@@ -76,11 +76,7 @@ impl Fitter {
             seen.rgb.push(rgb);
         }
         let factor = match cells < gaussians.position.len() {
-            true => seen
-                .index
-                .iter()
-                .map(|&i| if (i as usize) < cells { 1.0 } else { crate::stream::lift::knob(9) })
-                .collect(),
+            true => seen.index.iter().map(|&i| if (i as usize) < cells { 1.0 } else { 0.0 }).collect(),
             false => Vec::new(),
         };
         let Solution { change, steps: taken } =

@@ -7,7 +7,9 @@ use streamsplat::camera::{self, CameraFile, CameraPath};
 use streamsplat::depth::{NetworkOptions, Range, Values};
 use streamsplat::gap::Gap;
 use streamsplat::render::Backend;
-use streamsplat::stream::{DepthRange, Fade, FlowEffort, MaxAge, ModelSource, MotionFrom, Quality, Reuse, Settings};
+use streamsplat::stream::{
+    Behind, DepthRange, Fade, FlowEffort, MaxAge, ModelSource, MotionFrom, Quality, Reuse, Settings,
+};
 use streamsplat::{RenderOptions, Size};
 use streamsplat_kernels::raster;
 use streamsplat_model::Precision;
@@ -139,6 +141,8 @@ impl Stream {
             DepthFrom::Folder(_, Range::Clip, _) => DepthRange::Given,
             _ => DepthRange::Frame,
         };
+        settings.behind =
+            self.behind.as_deref().map_or_else(|| Ok(Behind::default()), |text| choice("--behind", text))?;
         settings.sampling = choice("--sampling", &self.sampling)?;
         settings.seed = self.seed;
         settings.reuse = self.reuse.as_deref().map_or_else(|| Ok(Reuse::default()), |text| choice("--reuse", text))?;

@@ -133,3 +133,57 @@ fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Links of `count` places of which every fourth has gone its own way.
+    fn links(count: u32, scale: f32, shift: f32) -> Vec<Link> {
+        let place = |i: u32| (i.wrapping_mul(2_654_435_761) >> 8) as f32 / 16_777_216.0;
+        (0..count)
+            .map(|i| {
+                let now = place(i);
+                let then = if i % 4 == 0 { place(i + 9000) } else { scale.mul_add(now, shift) };
+                Link { now, then }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_scale_and_a_shift_are_found_among_places_that_move() {
+        for (scale, shift) in [(0.8, 0.1), (0.5, 0.3), (1.2, -0.1), (1.0, 0.0)] {
+            let found = align(&links(2000, scale, shift), Alignment::default());
+            // But for the pull.
+            let (expected, moved) = (scale + 0.02 * (1.0 - scale), 0.98 * shift);
+            assert!((found.scale - expected).abs() < 0.01 && (found.shift - moved).abs() < 0.01, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn few_links_equal_ones_and_bad_ones_leave_what_was() {
+        let last = Alignment { scale: 1.3, shift: -0.2 };
+        assert_eq!(align(&[], last), last);
+        assert_eq!(align(&links(FEWEST as u32 - 1, 0.5, 0.2), last), last);
+        let bad = vec![Link { now: f32::NAN, then: 0.5 }; 100];
+        assert_eq!(align(&bad, last), last);
+        let one = align(&vec![Link { now: 0.25, then: 0.5 }; 100], Alignment::default());
+        assert!(one.scale.is_finite() && one.shift.is_finite());
+    }
+
+    #[test]
+    fn noise_does_not_shrink_a_scale_over_a_long_stream() {
+        let mut alignment = Alignment::default();
+        for round in 0..60u32 {
+            let noise =
+                |i: usize, n: u32| ((i as u32 ^ (n << 12)).wrapping_mul(2_654_435_761) >> 8) as f32 / 1.7e8 - 0.05;
+            let mut found = links(2000, 1.0, 0.0);
+            for (i, link) in found.iter_mut().enumerate() {
+                link.then = alignment.scale.mul_add(link.now + noise(i, 2 * round), alignment.shift);
+                link.now += noise(i, 2 * round + 1);
+            }
+            alignment = align(&found, alignment);
+        }
+        assert!((0.9..1.1).contains(&alignment.scale) && alignment.shift.abs() < 0.05, "{alignment:?}");
+    }
+}

@@ -123,3 +123,54 @@ impl Layer {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn map(inverse: Vec<f32>, confidence: Option<Vec<f32>>) -> DepthMap {
+        let resolution = [inverse.len() / 6, 6];
+        DepthMap { inverse, confidence, resolution }
+    }
+
+    #[test]
+    fn holes_are_filled_from_around_them_and_what_is_known_stays() {
+        let inverse: Vec<f32> = (0..30).map(|i| if i % 7 == 3 { f32::NAN } else { (i / 6) as f32 / 5.0 }).collect();
+        let filled = map(inverse.clone(), None).filled().expect("a map");
+        for (at, (given, filled)) in inverse.iter().zip(&filled.inverse).enumerate() {
+            match given.is_finite() {
+                true => assert_eq!(given, filled),
+                false => assert!((filled - (at / 6) as f32 / 5.0).abs() < 0.25, "{at}: {filled}"),
+            }
+        }
+        let confidence = inverse.iter().map(|v| if v.is_finite() { 1.0 } else { 0.0 }).collect();
+        let wild = inverse.iter().map(|v| if v.is_finite() { *v } else { 7.0 }).collect();
+        assert_eq!(map(wild, Some(confidence)).filled(), Some(filled));
+    }
+
+    #[test]
+    fn maps_without_two_values_tell_nothing() {
+        for value in [0.5, f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            assert_eq!(map(vec![value; 30], None).filled(), None);
+        }
+        let mut one = vec![f32::NAN; 30];
+        one[4] = 0.5;
+        assert_eq!(map(one, None).filled(), None);
+        assert_eq!(map((0..30).map(|i| i as f32).collect(), Some(vec![0.0; 30])).filled(), None);
+    }
+
+    #[test]
+    fn a_range_leaves_out_what_is_far_from_everything() {
+        let mut depth: Vec<f32> = (0..1000).map(|i| i as f32 / 1000.0).collect();
+        depth[10] = 1e9;
+        depth[20] = f32::NAN;
+        depth[30] = f32::NEG_INFINITY;
+        normalise_most(&mut depth);
+        assert_eq!(depth[10], 1.0);
+        assert!(depth[900] > 0.8 && depth[900] < 0.95 && depth.iter().all(|d| (0.0..=1.0).contains(d)));
+        let mut same = vec![3.0; 9];
+        normalise_most(&mut same);
+        assert_eq!(same, [0.0; 9]);
+        normalise_most(&mut []);
+    }
+}

@@ -1,14 +1,26 @@
 //! Gaussians lifted to a depth map, for models whose own depth is little more than an order.
 //!
 //! A model that ignores depth ([`Reconstructor::ignores_depth`](super::Reconstructor::ignores_depth)) gives every Gaussian of a frame a place on a nearly flat card, in an
-//! order that makes the picture. Where the frame has a [`DepthMap`], each Gaussian takes the map's depth at its centre instead, and keeps of its own just so much
-//! relief that neighbours on one surface are still drawn in the model's order:
+//! order that makes the picture. Where the frame has a [`DepthMap`], each Gaussian takes the map's depth at its centre instead, on its own side of an [edge](edges), and keeps the model's
+//! relief, which orders neighbours on one surface:
 //!
 //! ```text
-//! y = FAR + (NEAR − FAR)·d + RELIEF·(y_model − ½)/slope        d: the map, 0 farthest to 1 nearest
+//! y = FAR + (NEAR − FAR)·d + RELIEF·(y_model − ½)·(9.8·y₀ + 0.2)²/9.8        d: the map, 0 farthest to 1 nearest; y₀: the first two terms
 //! ```
 //!
-//! with `slope` the steepness of `1 / (9.8·y + 0.2)`, so that the relief is the same length in the scene at any depth.
+//! so that the relief is the same length in the scene at any depth. Standard deviations become [`NARROWER`], and before an edge so narrow that little of a Gaussian reaches over it. Where nothing
+//! was seen behind an edge, Gaussians are [added](behind). Colours are fitted afterwards.
+//!
+//! # Maps that tell little
+//!
+//! | map | result |
+//! |---|---|
+//! | holes: NaN, infinities, a confidence of 0 | filled from around them ([`fill`]) |
+//! | no finite value, or one value alone | as if there were no map |
+//! | values beyond [0, 1], after normalisation | held to it |
+//! | inverted | taken at its word: the scene is inside out |
+//!
+//! Maps are [aligned](align) with those of the frames before, along optical flow; without flow (`--motion network`) each is taken as it is.
 
 use rayon::prelude::*;
 use streamsplat_model::StaticGaussians;
@@ -28,6 +40,17 @@ pub const FAR: f32 = 0.1;
 /// y of what a map calls nearest.
 pub const NEAR: f32 = 0.95;
 
+/// Length in scene units of the model's own relief, were it to fill the whole range of y.
+///
+/// It is what the relief has in the middle of that range as the model gives it: a camera that turns by 10° sorts neighbours on one surface by their place along the turn unless they are that far
+/// apart in depth, and in another order than the model's the picture comes apart.
+const RELIEF: f32 = 0.37;
+/// Factor on standard deviations: Gaussians that overlap less depend less on their order.
+const NARROWER: f32 = 0.9;
+/// Standard deviation of a Gaussian before an edge per pixel to the edge from its pixel's far side, and the least one in pixels.
+const TO_EDGE: f32 = 0.4;
+const LEAST: f32 = 0.4;
+
 /// Inverse depth of a key frame, at the size at which the model sees it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthMap {
@@ -37,15 +60,6 @@ pub struct DepthMap {
     pub confidence: Option<Vec<f32>>,
     /// Height and width.
     pub resolution: [usize; 2],
-}
-
-fn knobs() -> &'static [f32] {
-    static K: std::sync::OnceLock<Vec<f32>> = std::sync::OnceLock::new();
-    K.get_or_init(|| std::env::var("LIFT").unwrap_or_default().split(',').filter_map(|t| t.parse().ok()).collect())
-}
-pub(in crate::stream) fn knob(i: usize) -> f32 {
-    let default = [0.37, 1.0, 0.4, 0.0, 0.9, 0.02, 0.5, 0.4, 0.0, 0.0];
-    knobs().get(i).copied().unwrap_or(default[i])
 }
 
 /// z in the scene of a map's value.
@@ -77,11 +91,10 @@ pub(super) fn lift(gaussians: &mut StaticGaussians, map: &DepthMap, frame: &[f32
         let place = surfaces.at(row, column);
         position[1] = with_relief(depth_of(place.inverse), y);
         for axis in 0..2 {
-            let unit = 2.0 / if axis == 0 { width } else { height } as f32;
-            scale[axis] *= knob(4);
-            if knob(8) == 0.0 || place.near {
-                let most = (knob(2) * (place.clear[axis] + knob(6))).max(knob(7)) * unit;
-                scale[axis] = scale[axis].min(most);
+            scale[axis] *= NARROWER;
+            if place.near {
+                let unit = 2.0 / if axis == 0 { width } else { height } as f32;
+                scale[axis] = scale[axis].min((TO_EDGE * (place.clear[axis] + 0.5)).max(LEAST) * unit);
             }
         }
     });
@@ -92,7 +105,7 @@ pub(super) fn lift(gaussians: &mut StaticGaussians, map: &DepthMap, frame: &[f32
 fn with_relief(depth: f32, own: f32) -> f32 {
     // d(1 / (9.8·y + 0.2)) / dy = −9.8 / (9.8·y + 0.2)²
     let distance = 9.8f32.mul_add(depth, 0.2);
-    let step = distance * distance * (knob(0) / 9.8);
+    let step = distance * distance * (RELIEF / 9.8);
     (own - 0.5).mul_add(step, depth).clamp(0.0, 1.0)
 }
 
