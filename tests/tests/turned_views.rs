@@ -1,7 +1,7 @@
 //! Scenes with true depth seen from the side, and depth maps that tell little.
 
-use streamsplat::stream::{Behind, DepthRange, Interval};
-use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
+use streamsplat::stream::{Behind, DepthRange, Interval, Reuse};
+use streamsplat::{Engine, Frame, RenderOptions, Settings};
 use streamsplat_fixtures::clip::cards::Cards;
 use streamsplat_kernels::Level;
 use streamsplat_tests::turned::{around, reconstruct, score};
@@ -75,6 +75,35 @@ fn maps_that_tell_nothing_are_as_no_map() {
 }
 
 #[test]
+fn repeated_frames_and_resumed_streams_are_lifted_to_the_same_bits() {
+    let scene = Cards::new(1, 64, 40, 6.0);
+    let frame = |time: f64| {
+        let picture = scene.straight(time);
+        Frame { width: 64, height: 40, rgb: picture.rgb, depth: Some(picture.y) }
+    };
+    let times = [0.0, 0.5, 0.5, 1.0];
+    let run = |reuse: Reuse| -> Vec<Interval> {
+        let mut engine = Engine::new(Settings { reuse, ..Settings::default() }).expect("starts");
+        times.iter().zip(0u8..).map(|(t, key)| engine.push(frame(*t), f64::from(key)).expect("taken")).collect()
+    };
+    let whole = run(Reuse::Exact);
+    assert!(same(&whole, &run(Reuse::Off)));
+    let mut first = Engine::new(Settings::default()).expect("starts");
+    for (key, time) in times[..3].iter().enumerate() {
+        first.push(frame(*time), key as f64).expect("taken");
+    }
+    let memory = first.memory().expect("a memory");
+    assert!(memory.depth.is_some());
+    let bytes = streamsplat::scene::memory_to_safetensors(Some(&memory), "note").expect("written");
+    let (stored, _) = streamsplat::scene::memory_from_safetensors(&bytes).expect("read");
+    assert_eq!(stored.as_ref(), Some(&memory));
+    let mut second = Engine::new(Settings::default()).expect("starts");
+    second.recall(&memory, frame(times[2])).expect("recalled");
+    let last = second.push(frame(times[3]), 3.0).expect("taken");
+    assert!(same(&whole[3..], &[last]));
+}
+
+#[test]
 fn a_still_scene_does_not_breathe_when_its_maps_flicker() {
     let scene = Cards::new(2, SIZE[1], SIZE[0], 0.0);
     let straight = scene.straight(0.0);
@@ -97,7 +126,6 @@ fn a_still_scene_does_not_breathe_when_its_maps_flicker() {
         };
         let camera = around(10.0, 0.3);
         views.push(interval.render(f64::from(key), &camera, &RenderOptions::default()).expect("drawn").rgb);
-        interval.render(f64::from(key), &Camera::Canonical, &RenderOptions::default()).expect("drawn");
     }
     for (key, pair) in views.windows(2).enumerate() {
         let square = pair[0].iter().zip(&pair[1]).map(|(a, b)| f64::from((a - b) * (a - b))).sum::<f64>();

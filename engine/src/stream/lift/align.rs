@@ -4,20 +4,21 @@
 //! [`Link`]s, places that optical flow connects, with d now and D then, the line `D ≈ scale·d + shift` is found that most of them lie on:
 //!
 //! ```text
-//! weights   w = 1/(1 + (e/E)²)²      e: distance from the line of the round before, E: twice their median, not under 10⁻³
-//! scale     √(Σ w·(D − D̄)² / Σ w·(d − d̄)²)      with D̄, d̄ the weighted means
-//! shift     D̄ − scale·d̄
+//! forward   D ≈ a·d + b by least squares of weights w = 1/(1 + (e/E)²)²      e: distance from the line of the round before, E: twice their median, not under 10⁻³
+//! back      d ≈ a'·D + b' in the same way
+//! scale     √(a/a')
+//! shift     the median of D − scale·d
 //! ```
 //!
-//! in [`ROUNDS`] rounds, sums over links in their order, in binary64. The ratio of spreads has no side on which noise falls, so that scales do not shrink over a long stream as those of a regression
-//! would. The first round starts from the line of the frame before, and from the medians where that explains less. The result is pulled by [`PULL`] towards the map as it is given, so that a drift ends.
+//! in [`ROUNDS`] rounds each, sums over links in their order, in binary64. Noise makes the slope of a regression too small; of the two ways either falls on another side, so that scales do not shrink over a
+//! long stream. The first round starts from the medians of both sides and of the distances from them. The result is pulled by [`PULL`] towards the map as it is given, so that a drift ends.
 
 /// Rounds of reweighting.
 const ROUNDS: usize = 12;
 /// Fewest links of which a line is found.
 const FEWEST: usize = 32;
 /// Part of the way back to the map as it is given.
-const PULL: f64 = 0.02;
+const PULL: f64 = 0.05;
 /// Least and largest scale.
 const SCALES: [f64; 2] = [0.25, 4.0];
 
@@ -68,64 +69,59 @@ impl Alignment {
 /// The alignment of a map, from its links with the one before, which had the alignment `last`.
 pub(in crate::stream) fn align(links: &[Link], last: Alignment) -> Alignment {
     // What was held to the ends of the range says nothing of the scale.
-    let inner = |link: &&Link| link.then > 0.0 && link.then < 1.0 && link.now.is_finite();
-    let links: Vec<[f64; 2]> =
-        links.iter().filter(inner).map(|link| [f64::from(link.now), f64::from(link.then)]).collect();
+    let inner = |x: f32| x > 0.0 && x < 1.0;
+    let links: Vec<[f64; 2]> = links
+        .iter()
+        .filter(|link| inner(link.now) && inner(link.then))
+        .map(|link| [f64::from(link.now), f64::from(link.then)])
+        .collect();
     if links.len() < FEWEST {
         return last;
     }
-    let start = [f64::from(last.scale), f64::from(last.shift)];
-    let by_medians = {
-        let middle = |side: usize| median(links.iter().map(|link| link[side]).collect());
-        let [now, then] = [middle(0), middle(1)];
-        let spread = |side: usize, at: f64| median(links.iter().map(|link| (link[side] - at).abs()).collect());
-        let [a, b] = [spread(0, now), spread(1, then)];
-        let scale = if a > 0.0 && b > 0.0 { (b / a).clamp(SCALES[0], SCALES[1]) } else { 1.0 };
-        [scale, then - scale * now]
-    };
-    let missed = |line: [f64; 2]| median(links.iter().map(|link| distance(line, *link)).collect());
-    let mut line = if missed(by_medians) < missed(start) { by_medians } else { start };
-    for _ in 0..ROUNDS {
-        let width = (2.0 * missed(line)).max(1e-3);
-        match round(&links, line, width) {
-            Some(next) => line = next,
-            None => break,
-        }
-    }
-    let [scale, shift] = line;
+    let back: Vec<[f64; 2]> = links.iter().map(|[now, then]| [*then, *now]).collect();
+    let Some((forward, back)) = slope(&links).zip(slope(&back)) else { return last };
+    let scale = (forward / back).sqrt().clamp(SCALES[0], SCALES[1]);
+    let shift = median(links.iter().map(|[now, then]| then - scale * now).collect());
     Alignment { scale: (scale + PULL * (1.0 - scale)) as f32, shift: (shift - PULL * shift) as f32 }
 }
 
-/// How far a link is from a line.
-fn distance([scale, shift]: [f64; 2], [now, then]: [f64; 2]) -> f64 {
-    (scale * now + shift - then).abs()
-}
-
-/// The line of the links weighted by their distance from `line`; `None` where those that count have no spread.
-fn round(links: &[[f64; 2]], line: [f64; 2], width: f64) -> Option<[f64; 2]> {
-    let (mut total, mut sums) = (0.0, [0.0; 2]);
-    let weight = |link: [f64; 2]| {
-        let e = distance(line, link) / width;
-        let base = 1.0 / (1.0 + e * e);
-        base * base
-    };
-    for &link in links {
-        let w = weight(link);
-        total += w;
-        sums = [0, 1].map(|side| sums[side] + w * link[side]);
+/// Slope of the line on which most of the points lie; `None` where they have no spread or it does not ascend.
+fn slope(points: &[[f64; 2]]) -> Option<f64> {
+    let middle = |side: usize| median(points.iter().map(|point| point[side]).collect());
+    let middles = [middle(0), middle(1)];
+    let spread = |side: usize| median(points.iter().map(|point| (point[side] - middles[side]).abs()).collect());
+    let [a, b] = [spread(0), spread(1)];
+    let first = if a > 0.0 && b > 0.0 { b / a } else { 1.0 };
+    let mut line = [first, middles[1] - first * middles[0]];
+    for _ in 0..ROUNDS {
+        let distance = |[x, y]: [f64; 2]| (line[0] * x + line[1] - y).abs();
+        let width = (2.0 * median(points.iter().map(|point| distance(*point)).collect())).max(1e-3);
+        let weight = |point: [f64; 2]| {
+            let e = distance(point) / width;
+            let base = 1.0 / (1.0 + e * e);
+            base * base
+        };
+        let (mut total, mut sums) = (0.0, [0.0; 2]);
+        for &point in points {
+            let w = weight(point);
+            total += w;
+            sums = [0, 1].map(|side| sums[side] + w * point[side]);
+        }
+        let means = sums.map(|sum| sum / total);
+        let (mut square, mut product) = (0.0, 0.0);
+        for &point in points {
+            let w = weight(point);
+            let [x, y] = [0, 1].map(|side| point[side] - means[side]);
+            square += w * x * x;
+            product += w * x * y;
+        }
+        let steep = product / square;
+        if !(steep.is_finite() && steep > 0.0 && square > 1e-8 * total) {
+            return None;
+        }
+        line = [steep, means[1] - steep * means[0]];
     }
-    let means = sums.map(|sum| sum / total);
-    let mut squares = [0.0; 2];
-    for &link in links {
-        let w = weight(link);
-        squares = [0, 1].map(|side| squares[side] + w * (link[side] - means[side]) * (link[side] - means[side]));
-    }
-    let ratio = (squares[1] / squares[0]).sqrt();
-    if !(ratio.is_finite() && squares[0] > 1e-8 * total) {
-        return None;
-    }
-    let scale = ratio.clamp(SCALES[0], SCALES[1]);
-    Some([scale, means[1] - scale * means[0]])
+    Some(line[0])
 }
 
 /// The upper median of some values, of which there is one.
@@ -155,7 +151,7 @@ mod tests {
         for (scale, shift) in [(0.8, 0.1), (0.5, 0.3), (1.2, -0.1), (1.0, 0.0)] {
             let found = align(&links(2000, scale, shift), Alignment::default());
             // But for the pull.
-            let (expected, moved) = (scale + 0.02 * (1.0 - scale), 0.98 * shift);
+            let (expected, moved) = (scale + 0.05 * (1.0 - scale), 0.95 * shift);
             assert!((found.scale - expected).abs() < 0.01 && (found.shift - moved).abs() < 0.01, "{found:?}");
         }
     }
@@ -175,11 +171,14 @@ mod tests {
     fn noise_does_not_shrink_a_scale_over_a_long_stream() {
         let mut alignment = Alignment::default();
         for round in 0..60u32 {
-            let noise =
-                |i: usize, n: u32| ((i as u32 ^ (n << 12)).wrapping_mul(2_654_435_761) >> 8) as f32 / 1.7e8 - 0.05;
+            let noise = |i: usize, n: u32| {
+                let mixed = (i as u32 + 5000 * n).wrapping_mul(2_654_435_761);
+                ((mixed ^ (mixed >> 15)).wrapping_mul(2_246_822_519) >> 8) as f32 / 1.7e8 - 0.05
+            };
             let mut found = links(2000, 1.0, 0.0);
             for (i, link) in found.iter_mut().enumerate() {
-                link.then = alignment.scale.mul_add(link.now + noise(i, 2 * round), alignment.shift);
+                let noisy = link.now + noise(i, 2 * round);
+                link.then = alignment.scale.mul_add(noisy, alignment.shift).clamp(0.0, 1.0);
                 link.now += noise(i, 2 * round + 1);
             }
             alignment = align(&found, alignment);
