@@ -1,12 +1,14 @@
 //! Depth maps from files, one for each frame.
 //!
-//! A map holds *inverse* depth (larger is nearer) in any scale, or depth itself ([`Values::Depth`]), which is inverted; there values that are not above zero were not
-//! measured and become NaN. Files are EXR (channel `Y`, `Z`, `depth`, `R`, or the only one), PNG of 8 or 16 bits grey, or NPY (`f2`, `f4`, `f8`, `u1`, `u2`; `[H,W]`,
-//! `[1,H,W]` or `[H,W,1]`; C order). A map of another size than its frame is brought to the frame's size bilinearly (half-pixel centres).
+//! A map holds *inverse* depth (larger is nearer) in any scale, or depth itself ([`Values::Depth`]), which is inverted;
+//! there values that are not above zero were not measured and become NaN. Files are EXR (channel `Y`, `Z`, `depth`,
+//! `R`, or the only one), PNG of 8 or 16 bits grey, or NPY (`f2`, `f4`, `f8`, `u1`, `u2`; `[H,W]`, `[1,H,W]` or
+//! `[H,W,1]`; C order). A map of another size than its frame is brought to the frame's size bilinearly (half-pixel
+//! centres).
 //!
-//! Maps belong to frames by name where every frame is a file with a map of the same name (extensions aside), else by natural
-//! order. [`Range::Clip`] normalises all maps of the folder by the smallest and the largest value found in any of them;
-//! with [`Range::Frame`] the maps stay as they are and the engine normalises each by its own.
+//! Maps belong to frames by name where every frame is a file with a map of the same name (extensions aside), else by
+//! natural order. [`Range::Clip`] normalises all maps of the folder by the smallest and the largest value found in any
+//! of them; with [`Range::Frame`] the maps stay as they are and the engine normalises each by its own.
 
 use std::path::{Path, PathBuf};
 
@@ -73,8 +75,8 @@ pub struct DepthMaps {
 }
 
 impl DepthMaps {
-    /// Lists the maps of `folder` and pairs them with `frames` where the frames are files. With [`Range::Clip`] every map is
-    /// read once to find the range.
+    /// Lists the maps of `folder` and pairs them with `frames` where the frames are files. With [`Range::Clip`] every
+    /// map is read once to find the range.
     ///
     /// # Errors
     /// An unreadable or empty folder, another number of maps than of frames, an unreadable map where all are read.
@@ -124,7 +126,8 @@ impl DepthMaps {
         Ok(maps)
     }
 
-    /// The inverse depth of frame `index` at the frame's size, NaN where it was not measured; with [`Range::Clip`] normalised to `[0, 1]`.
+    /// The inverse depth of frame `index` at the frame's size, NaN where it was not measured; with [`Range::Clip`]
+    /// normalised to `[0, 1]`.
     ///
     /// # Errors
     /// No such map, or an unreadable one.

@@ -1,7 +1,8 @@
 //! Scale and shift that bring a frame's depth map to the scale of the frames before.
 //!
-//! A map is known up to a scale and a shift, which flicker from frame to frame: every frame is normalised by its own nearest and farthest place, and a network has its moods. Of
-//! [`Link`]s, places that optical flow connects, with d now and D then, the line `D ≈ scale·d + shift` is found that most of them lie on:
+//! A map is known up to a scale and a shift, which flicker from frame to frame: every frame is normalised by its own
+//! nearest and farthest place, and a network has its moods. Of [`Link`]s, places that optical flow connects, with d now
+//! and D then, the line `D ≈ scale·d + shift` is found that most of them lie on:
 //!
 //! ```text
 //! forward   D ≈ a·d + b by least squares of weights w = 1/(1 + (e/E)²)²      e: distance from the line of the round before, E: twice their median, not under 10⁻³
@@ -10,8 +11,10 @@
 //! shift     the median of D − scale·d
 //! ```
 //!
-//! in [`ROUNDS`] rounds each, sums over links in their order, in binary64. Noise makes the slope of a regression too small; of the two ways either falls on another side, so that scales do not shrink over a
-//! long stream. The first round starts from the medians of both sides and of the distances from them. The result is pulled by [`PULL`] towards the map as it is given, so that a drift ends.
+//! in [`ROUNDS`] rounds each, sums over links in their order, in binary64. Noise makes the slope of a regression too
+//! small; of the two ways either falls on another side, so that scales do not shrink over a long stream. The first
+//! round starts from the medians of both sides and of the distances from them. The result is pulled by [`PULL`] towards
+//! the map as it is given, so that a drift ends.
 
 /// Rounds of reweighting.
 const ROUNDS: usize = 12;

@@ -1,15 +1,17 @@
 //! Edges of depth, and which side of one a place belongs to.
 //!
-//! A map from a network or a sensor runs over its edges as a ramp, a few pixels beside the picture's own. A Gaussian on the ramp would stand in the air between two surfaces and tear when the view
-//! turns. So within [`REACH`] pixels of an edge the values around a place are divided in two, nearer and farther than the middle of their range, and weighed by how like the
-//! place's own colour theirs is:
+//! A map from a network or a sensor runs over its edges as a ramp, a few pixels beside the picture's own. A Gaussian on
+//! the ramp would stand in the air between two surfaces and tear when the view turns. So within [`REACH`] pixels of an
+//! edge the values around a place are divided in two, nearer and farther than the middle of their range, and weighed by
+//! how like the place's own colour theirs is:
 //!
 //! ```text
 //! w = 1/(1 + |c − c₀|²/C²)² · 1/(1 + r²/R²)        r: distance in pixels
 //! ```
 //!
-//! The place belongs to the side of its own value unless the other one weighs [`DECISIVE`] times as much. Its depth is its own value where that lies with its side, else the weighted median of
-//! the side. Sums run over the window row by row, in binary32.
+//! The place belongs to the side of its own value unless the other one weighs [`DECISIVE`] times as much. Its depth is
+//! its own value where that lies with its side, else the weighted median of the side. Sums run over the window row by
+//! row, in binary32.
 
 use super::{DepthMap, scene_depth};
 
@@ -21,7 +23,8 @@ const COLOUR: f32 = 0.08 * 0.08;
 const NEARBY: f32 = 2.0 * 2.0;
 /// How many times more the other side must weigh.
 const DECISIVE: f32 = 3.0;
-/// Difference of z at which two neighbours are of different surfaces, times pixels of a row: seen from 10° to the side they come apart by a pixel.
+/// Difference of z at which two neighbours are of different surfaces, times pixels of a row: seen from 10° to the side
+/// they come apart by a pixel.
 const TEAR: f32 = 11.5;
 
 /// A key frame's depth and colours.
@@ -42,7 +45,8 @@ pub(super) struct Place {
     pub(super) inverse: f32,
     /// True if it is on the nearer side.
     pub(super) near: bool,
-    /// Pixels from the pixel's middle to the nearest edge along rows and columns; infinite where there is none in reach.
+    /// Pixels from the pixel's middle to the nearest edge along rows and columns; infinite where there is none in
+    /// reach.
     pub(super) clear: [f32; 2],
 }
 
@@ -126,7 +130,8 @@ impl<'a> Surfaces<'a> {
         Place { inverse, near: side == 0, clear: self.clear(row, column, scene_depth(inverse)) }
     }
 
-    /// Pixels from a pixel's middle to the nearest one on another surface than z, less half a pixel, along rows and columns.
+    /// Pixels from a pixel's middle to the nearest one on another surface than z, less half a pixel, along rows and
+    /// columns.
     fn clear(&self, row: usize, column: usize, z: f32) -> [f32; 2] {
         let [height, width] = self.map.resolution;
         let other = |y: usize, x: usize| self.edge(z, self.z[y * width + x]);

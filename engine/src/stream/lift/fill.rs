@@ -1,7 +1,8 @@
 //! Holes of a depth map, filled from around them.
 //!
-//! Means weighted by confidence are pulled up a pyramid of halves, `v' = Σ w·v / Σ w` and `w' = min(1, Σ w)` over 2×2 values, and pushed down again where a value is not trusted:
-//! `v = w·v + (1 − w)·coarser`. Sums run along rows, in binary32.
+//! Means weighted by confidence are pulled up a pyramid of halves, `v' = Σ w·v / Σ w` and `w' = min(1, Σ w)` over 2×2
+//! values, and pushed down again where a value is not trusted: `v = w·v + (1 − w)·coarser`. Sums run along rows, in
+//! binary32.
 
 use super::DepthMap;
 
@@ -10,8 +11,9 @@ const OUTLIERS: usize = 200;
 /// Part of the range beyond that is left for them.
 const ROOM: f64 = 0.03;
 
-/// Brings a map into [0, 1] by the range of all but the nearest and the farthest 200th of its finite values, with a little room for these; by the range of all where it
-/// has none without them. A map of one value becomes 0. Formed in binary64, then rounded.
+/// Brings a map into [0, 1] by the range of all but the nearest and the farthest 200th of its finite values, with a
+/// little room for these; by the range of all where it has none without them. A map of one value becomes 0. Formed in
+/// binary64, then rounded.
 pub(in crate::stream) fn normalise_most(depth: &mut [f32]) {
     let mut known: Vec<f64> = depth.iter().filter(|d| d.is_finite()).map(|d| f64::from(*d)).collect();
     let Some(last) = known.len().checked_sub(1) else { return };

@@ -1,15 +1,17 @@
 //! Gaussians lifted to a depth map, for models whose own depth is little more than an order.
 //!
-//! A model that ignores depth ([`Reconstructor::ignores_depth`](super::Reconstructor::ignores_depth)) gives every Gaussian of a frame a place on a nearly flat card, in an
-//! order that makes the picture. Where the frame has a [`DepthMap`], each Gaussian takes the map's depth at its centre instead, on its own side of an [edge](edges), and keeps the model's
-//! relief, which orders neighbours on one surface:
+//! A model that ignores depth ([`Reconstructor::ignores_depth`](super::Reconstructor::ignores_depth)) gives every
+//! Gaussian of a frame a place on a nearly flat card, in an order that makes the picture. Where the frame has a
+//! [`DepthMap`], each Gaussian takes the map's depth at its centre instead, on its own side of an [edge](edges), and
+//! keeps the model's relief, which orders neighbours on one surface:
 //!
 //! ```text
 //! y = FAR + (NEAR − FAR)·d + RELIEF·(y_model − ½)·(9.8·y₀ + 0.2)²/9.8        d: the map, 0 farthest to 1 nearest; y₀: the first two terms
 //! ```
 //!
-//! so that the relief is the same length in the scene at any depth. Standard deviations become [`NARROWER`], and before an edge so narrow that little of a Gaussian reaches over it. Where nothing
-//! was seen behind an edge, Gaussians are [added](behind). Colours are fitted afterwards.
+//! so that the relief is the same length in the scene at any depth. Standard deviations become [`NARROWER`], and before
+//! an edge so narrow that little of a Gaussian reaches over it. Where nothing was seen behind an edge, Gaussians are
+//! [added](behind). Colours are fitted afterwards.
 //!
 //! # Maps that tell little
 //!
@@ -20,7 +22,8 @@
 //! | values beyond [0, 1], after normalisation | held to it |
 //! | inverted | taken at its word: the scene is inside out |
 //!
-//! Maps are [aligned](align) with those of the frames before, along optical flow; without flow (`--motion network`) each is taken as it is.
+//! Maps are [aligned](align) with those of the frames before, along optical flow; without flow (`--motion network`)
+//! each is taken as it is.
 
 use rayon::prelude::*;
 use streamsplat_model::StaticGaussians;
@@ -42,12 +45,14 @@ pub const NEAR: f32 = 0.95;
 
 /// Length in scene units of the model's own relief, were it to fill the whole range of y.
 ///
-/// It is what the relief has in the middle of that range as the model gives it: a camera that turns by 10° sorts neighbours on one surface by their place along the turn unless they are that far
-/// apart in depth, and in another order than the model's the picture comes apart.
+/// It is what the relief has in the middle of that range as the model gives it: a camera that turns by 10° sorts
+/// neighbours on one surface by their place along the turn unless they are that far apart in depth, and in another
+/// order than the model's the picture comes apart.
 const RELIEF: f32 = 0.37;
 /// Factor on standard deviations: Gaussians that overlap less depend less on their order.
 const NARROWER: f32 = 0.9;
-/// Standard deviation of a Gaussian before an edge per pixel to the edge from its pixel's far side, and the least one in pixels.
+/// Standard deviation of a Gaussian before an edge per pixel to the edge from its pixel's far side, and the least one
+/// in pixels.
 const TO_EDGE: f32 = 0.4;
 const LEAST: f32 = 0.4;
 
@@ -78,8 +83,9 @@ fn depth_of(inverse: f32) -> f32 {
     (NEAR - FAR).mul_add(inverse.clamp(0.0, 1.0), FAR)
 }
 
-/// Lifts the Gaussians of a key frame `[3, H, W]` to its map; with `behind`, adds [Gaussians behind](behind) its foreground. Gives the places whose motion these have. Where the map tells nothing,
-/// since no two of its values differ, the Gaussians stay as they are.
+/// Lifts the Gaussians of a key frame `[3, H, W]` to its map; with `behind`, adds [Gaussians behind](behind) its
+/// foreground. Gives the places whose motion these have. Where the map tells nothing, since no two of its values
+/// differ, the Gaussians stay as they are.
 pub(super) fn lift(gaussians: &mut StaticGaussians, map: &DepthMap, frame: &[f32], behind: bool) -> Vec<[f32; 3]> {
     let Some(filled) = map.filled() else { return Vec::new() };
     let [height, width] = filled.resolution;
