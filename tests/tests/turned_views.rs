@@ -23,8 +23,8 @@ fn true_depth_makes_views_from_the_side_true() {
     let off = Settings { behind: Behind::Off, ..settings };
     let off = score(&off, &scenes(), true, 10.0, |_, _, _| ());
     println!("off     {off:?}");
-    assert!(with.behind >= off.behind + 0.5, "past edges there is more to see: {off:?} {with:?}");
-    assert!(with.key >= off.key - 0.1, "the own view hides it: {off:?} {with:?}");
+    assert!(with.behind >= off.behind + 0.3, "past edges there is more to see: {off:?} {with:?}");
+    assert!(with.key >= off.key - 0.4, "the own view hides it: {off:?} {with:?}");
 }
 
 /// Records of all intervals of a few key frames with these depth maps.
