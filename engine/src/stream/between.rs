@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use streamsplat_kernels::Level;
-use streamsplat_kernels::flow::{self, Blend, Field, Pyramid};
+use streamsplat_kernels::flow::{self, Blend, Field, Pyramid, Step};
 
 use super::colours::Target;
 use super::keyframe::KeyView;
-use super::motion::{Step, along_flow};
+use super::motion::along_flow;
 use super::reconstructor::Motion;
 use super::work::Stage;
 use super::{EngineError, FlowEffort, Frame, Work};
@@ -105,7 +105,7 @@ impl Flows {
     }
 
     /// The motion of the Gaussians of both key frames; what flow does not tell is the network's.
-    pub(super) fn motion(&self, [a, b]: [&KeyView; 2], network: &[Arc<Motion>; 2]) -> [Arc<Motion>; 2] {
+    pub(super) fn motion(&self, level: Level, [a, b]: [&KeyView; 2], network: &[Arc<Motion>; 2]) -> [Arc<Motion>; 2] {
         let count = self.steps.len();
         let step = |i: usize, way: usize, distance: f32| Step {
             there: &self.steps[i][way],
@@ -114,7 +114,10 @@ impl Flows {
         };
         let forward: Vec<Step<'_>> = (0..count).map(|i| step(i, 0, self.times[i + 1])).collect();
         let backward: Vec<Step<'_>> = (0..count).rev().map(|i| step(i, 1, 1.0 - self.times[i])).collect();
-        [along_flow(&a.gaussians, &network[0], &forward, 1.0), along_flow(&b.gaussians, &network[1], &backward, -1.0)]
+        [
+            along_flow(level, &a.gaussians, &network[0], &forward, 1.0),
+            along_flow(level, &b.gaussians, &network[1], &backward, -1.0),
+        ]
     }
 
     /// Pictures of the interval as flow predicts them from its key frames; none where there are frames in between.

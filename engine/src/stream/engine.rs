@@ -184,7 +184,7 @@ impl Engine {
                     .collect::<Result<Vec<_>, _>>()?;
                 let flows = Flows::new(level, work, views, &seen, settings.flow);
                 let motion = match &flows {
-                    Some(flows) => work.time(Stage::Flow, || flows.motion(views, &network)),
+                    Some(flows) => work.time(Stage::Flow, || flows.motion(level, views, &network)),
                     None => network,
                 };
                 let step = Step {

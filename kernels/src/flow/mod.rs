@@ -39,6 +39,7 @@
 mod blend;
 mod densify;
 mod field;
+mod follow;
 mod pyramid;
 pub mod reference;
 mod refine;
@@ -53,6 +54,7 @@ use tracing::debug_span;
 
 pub use blend::Blend;
 pub use field::{Field, warp};
+pub use follow::{Step, follow};
 pub use pyramid::Pyramid;
 
 use crate::parallel::for_each_chunk;
