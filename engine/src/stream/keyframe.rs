@@ -2,12 +2,10 @@
 
 use std::sync::Arc;
 
-use streamsplat_model::reuse::Memory;
 use streamsplat_model::{Embedding, FrameInput, Sampling, StaticGaussians};
 
 use super::between::FlowView;
 use super::colours::Fitter;
-use super::reconstructor::Reconstructor;
 use super::tiles::{Tile, Tiles};
 use super::work::Stage;
 use super::{DepthRange, EngineError, Frame, MotionFrom, SamplingMode, Settings, Work};
@@ -133,13 +131,12 @@ impl Context<'_> {
             SamplingMode::Sample => Sampling::Sample { seed: self.settings.seed ^ (at as u64) << 40, frame: index },
         };
         let work = &mut *self.work;
-        let draws = |model: &dyn Reconstructor| sampling != Sampling::Mean && model.draws_positions();
         if let Some(before) = before {
             work.count(Stage::Encoder, 0, 1);
             work.count(Stage::Upsampler, 0, 1);
             work.count(Stage::Condition, 0, 1);
             let tile = &mut self.tiles.tiles[at];
-            if !draws(tile.model.as_ref()) {
+            if sampling == Sampling::Mean || !tile.session.draws_positions() {
                 work.count(Stage::Heads, 0, 1);
                 return Ok(before);
             }
@@ -152,18 +149,10 @@ impl Context<'_> {
         };
         let input = FrameInput { rgb: &rgb, depth: depth.as_deref() };
         let tile = &mut self.tiles.tiles[at];
-        let model = tile.model.clone();
-        let mut memory = tile.memory.as_mut();
-        let embedding = work.measure(Stage::Encoder, || match memory.as_deref_mut() {
-            Some(memory) => model.embed_keeping(&input, memory),
-            None => model.embed(&input),
-        })?;
-        let tokens = work.measure(Stage::Upsampler, || match memory {
-            Some(memory) => model.upsample_keeping(&embedding, memory),
-            None => model.upsample(&embedding),
-        })?;
-        let condition = match model.reads_condition() {
-            true => work.measure(Stage::Condition, || model.condition(&input))?,
+        let embedding = work.measure(Stage::Encoder, || tile.session.embed(&input))?;
+        let tokens = work.measure(Stage::Upsampler, || tile.session.upsample(&embedding))?;
+        let condition = match tile.session.reads_condition() {
+            true => work.measure(Stage::Condition, || tile.session.condition(&input))?,
             false => {
                 work.count(Stage::Condition, 0, 1);
                 None
@@ -183,20 +172,9 @@ fn gaussians(
     sampling: Sampling,
     index: u64,
 ) -> Result<StaticGaussians, EngineError> {
-    let Tile { model, memory, .. } = tile;
-    let gaussians = work.measure(Stage::Heads, || match memory.as_mut() {
-        Some(memory) => model.gaussians_keeping(tokens, &sampling, memory),
-        None => model.gaussians(tokens, &sampling),
-    })?;
+    let gaussians = work.measure(Stage::Heads, || tile.session.gaussians(tokens, &sampling))?;
     check_records(index, gaussians.position.len(), &gaussians)?;
     Ok(gaussians)
-}
-
-impl Tiles {
-    /// Caches of the tiles.
-    pub(super) fn memories(&mut self) -> impl Iterator<Item = &mut Memory> {
-        self.tiles.iter_mut().filter_map(|tile| tile.memory.as_mut())
-    }
 }
 
 impl DepthRange {

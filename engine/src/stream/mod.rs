@@ -23,13 +23,13 @@ mod identities;
 mod interval;
 mod keyframe;
 mod matching;
-mod memory;
 mod motion;
 mod network;
 mod pair;
 mod quality;
 mod reconstructor;
 mod resolution;
+mod resume;
 mod settings;
 mod tiles;
 mod track;
@@ -41,11 +41,11 @@ pub use engine::Engine;
 pub use frame::{EngineError, Frame};
 pub use gaussians::{DynamicGaussians, HANDOVER, Handover, Record, Reference};
 pub use interval::{Interval, Merge};
-pub use memory::Memory;
 pub use network::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
 pub use quality::{Preset, Quality};
-pub use reconstructor::{Motion, Reconstructor, Tiling};
+pub use reconstructor::{Motion, Reconstructor, Session, Tiling};
 pub use resolution::Resolution;
+pub use resume::ResumePoint;
 pub use settings::{
     DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode, Settings, UnknownChoice,
 };

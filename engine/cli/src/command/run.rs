@@ -224,8 +224,8 @@ fn run_from(
         key: 0,
     };
     let resumed = match &found {
-        Found::Under(point, memory) => {
-            if let Err(failure) = catch_up(&mut stream, &mut times, &views, point, memory.as_ref()) {
+        Found::Under(point, resume) => {
+            if let Err(failure) = catch_up(&mut stream, &mut times, &views, point, resume.as_ref()) {
                 stream.outputs.abandon();
                 return Err(failure);
             }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use streamsplat::Engine;
 use streamsplat::render::Snapshot;
-use streamsplat::stream::{Interval, Memory};
+use streamsplat::stream::{Interval, ResumePoint};
 
 use crate::console::failure::Failure;
 use crate::console::progress::Progress;
@@ -60,7 +60,7 @@ impl Stream<'_> {
         }
         while let Some(mut key) = self.keys.next()? {
             let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
-            let memory = self.engine.memory().filter(|_| self.outputs.can_resume());
+            let resume = self.engine.resume_point().filter(|_| self.outputs.can_resume());
             let interval = self.engine.push_with(key.take_between(), key.frame, timestamp)?;
             self.dropped += interval.dropped;
             self.span = Some((self.span.map_or(interval.start, |(first, _)| first), interval.end));
@@ -75,7 +75,7 @@ impl Stream<'_> {
             {
                 self.keys.tell(&found, closeness);
             }
-            self.commit(origin, times.next, memory.as_ref())?;
+            self.commit(origin, times.next, resume.as_ref())?;
             self.key += 1;
             key.shown.iter().for_each(|_| self.progress.step());
             if self.stop.asked() {
@@ -104,7 +104,7 @@ impl Stream<'_> {
     }
 
     /// Makes the interval just written one to go on from.
-    fn commit(&mut self, origin: &RunOrigin<'_>, times: usize, memory: Option<&Memory>) -> Result<(), Failure> {
+    fn commit(&mut self, origin: &RunOrigin<'_>, times: usize, resume: Option<&ResumePoint>) -> Result<(), Failure> {
         if !self.outputs.can_resume() {
             return Ok(());
         }
@@ -122,7 +122,7 @@ impl Stream<'_> {
             video: None,
         };
         let Stream { outputs, drawing, .. } = self;
-        drawing.writing(|| outputs.commit(point, memory))
+        drawing.writing(|| outputs.commit(point, resume))
     }
 }
 
