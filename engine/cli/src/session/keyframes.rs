@@ -153,11 +153,6 @@ impl KeyFrames {
         self.source.fps()
     }
 
-    /// Whether key frames are given their depth by a network.
-    pub fn runs_a_network(&self) -> bool {
-        matches!(self.depth, KeyDepth::Network(_))
-    }
-
     /// What was read so far.
     pub fn account(&self) -> Reading {
         let network = self.depth.account();

@@ -1,10 +1,12 @@
 //! A run under way: key frames through the engine, results to where they go.
 
 use std::path::Path;
+use std::sync::mpsc::sync_channel;
+use std::time::{Duration, Instant};
 
-use streamsplat::Engine;
 use streamsplat::render::Snapshot;
 use streamsplat::stream::{Interval, ResumePoint};
+use streamsplat::{Engine, Image};
 
 use crate::console::failure::Failure;
 use crate::console::progress::Progress;
@@ -87,20 +89,40 @@ impl Stream<'_> {
 
     /// Writes an interval and what is due in it.
     fn write(&mut self, interval: &Interval, due: &[(usize, f64)], views: &Views) -> Result<(), Failure> {
-        let Stream { outputs, drawing, emit, .. } = self;
+        let Stream { outputs, drawing, emit, engine, .. } = self;
         drawing.writing(|| outputs.interval(interval))?;
-        for &(index, time) in due {
-            if emit.draws() {
-                drawing.image(outputs, index, interval, time, views)?;
+        if engine.workers().threads() < 2 || due.len() < 2 {
+            for &(index, time) in due {
+                let drawn = Drawn::of(drawing, interval, time, *emit, views)?;
+                drawing.writing(|| drawn.write(outputs, index))?;
             }
-            if emit.ply {
-                let snapshot = Snapshot::exported(interval, time)?;
-                // Where an image is drawn as well, they are counted with it.
-                drawing.counts.dropped += if emit.draws() { 0 } else { snapshot.dropped };
-                drawing.writing(|| outputs.snapshot(index, &snapshot))?;
-            }
+            return Ok(());
         }
-        Ok(())
+        // An image is drawn while the one before is written, here and in order.
+        let mut seconds = Duration::ZERO;
+        let result = std::thread::scope(|scope| {
+            let (sender, receiver) = sync_channel(0);
+            let drawing = &mut *drawing;
+            let drawer = scope.spawn(move || {
+                for &(index, time) in due {
+                    let drawn = Drawn::of(drawing, interval, time, *emit, views)?;
+                    if sender.send((index, drawn)).is_err() {
+                        break;
+                    }
+                }
+                Ok(())
+            });
+            for (index, drawn) in &receiver {
+                let _span = tracing::info_span!("write").entered();
+                let start = Instant::now();
+                let written = drawn.write(outputs, index);
+                seconds += start.elapsed();
+                written?;
+            }
+            drawer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        });
+        drawing.write += seconds;
+        result
     }
 
     /// Makes the interval just written one to go on from.
@@ -123,6 +145,33 @@ impl Stream<'_> {
         };
         let Stream { outputs, drawing, .. } = self;
         drawing.writing(|| outputs.commit(point, resume))
+    }
+}
+
+/// Results at one time, not yet written.
+struct Drawn {
+    image: Option<Image>,
+    snapshot: Option<Snapshot>,
+}
+
+impl Drawn {
+    /// Those of `interval` at `time` that `emit` asks for.
+    fn of(drawing: &mut Drawing, interval: &Interval, time: f64, emit: Emit, views: &Views) -> Result<Self, Failure> {
+        let image = emit.draws().then(|| drawing.draw(interval, time, views)).transpose()?;
+        let snapshot = emit.ply.then(|| Snapshot::exported(interval, time)).transpose()?;
+        if let Some(snapshot) = &snapshot {
+            // Where an image is drawn as well, they are counted with it.
+            drawing.counts.dropped += if emit.draws() { 0 } else { snapshot.dropped };
+        }
+        Ok(Self { image, snapshot })
+    }
+
+    /// Writes them under the number `index`.
+    fn write(self, outputs: &mut Outputs, index: usize) -> Result<(), Failure> {
+        if let Some(image) = self.image {
+            outputs.image(index, image)?;
+        }
+        self.snapshot.map_or(Ok(()), |snapshot| outputs.snapshot(index, &snapshot))
     }
 }
 
