@@ -20,6 +20,7 @@
 
 pub mod checkpoint;
 mod config;
+pub mod cost;
 mod decoder;
 mod deformation_head;
 mod dino;
