@@ -1,4 +1,5 @@
-//! The cost of a network: operations per stage and per residual branch, a multiplication and an addition counted as two.
+//! The cost of a network: operations per stage and per residual branch, a multiplication and an addition counted as
+//! two.
 
 use serde::Serialize;
 

@@ -8,7 +8,8 @@ use crate::picture::Picture;
 
 /// Groups frames as they arrive: each group is what came since the key frame before, the next key frame last.
 ///
-/// A frame may be anything that shows a picture; pictures of frames that wait may be emptied by who takes them, but for the last one's.
+/// A frame may be anything that shows a picture; pictures of frames that wait may be emptied by who takes them, but for
+/// the last one's.
 pub struct KeyFrames<F> {
     chooser: Chooser,
     waiting: Vec<F>,
@@ -37,7 +38,8 @@ impl<F: AsRef<Picture>> KeyFrames<F> {
         &mut self.chooser
     }
 
-    /// The next group. `arrive` gives the input's next frame; `taken` is called with the frames that wait whenever one more belongs to the group, as the last of them.
+    /// The next group. `arrive` gives the input's next frame; `taken` is called with the frames that wait whenever one
+    /// more belongs to the group, as the last of them.
     ///
     /// # Errors
     /// Those of `arrive` and `taken`.
