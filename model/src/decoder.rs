@@ -14,6 +14,7 @@ use std::borrow::Cow;
 use streamsplat_kernels::Level;
 
 use crate::checkpoint::Weights;
+use crate::cost::USUAL_CONDITION;
 use crate::grid::rows_of;
 use crate::layers::{
     Bias, CrossAttention, FeedForward, HEAD, Linear, RmsNorm, SelfAttention, Workspace, add, add_zero, sinusoid, sized,
@@ -21,9 +22,6 @@ use crate::layers::{
 };
 use crate::reuse::{PartCache, Pass, Rows, gather, keep_heads};
 use crate::{Config, ModelError, Precision};
-
-/// Tokens of the published condition: the patches of DINOv2.
-const USUAL_CONDITION: usize = 576;
 
 #[derive(Clone)]
 pub(crate) struct Decoder {

@@ -41,8 +41,8 @@ impl std::fmt::Debug for Network {
 }
 
 impl Network {
-    /// Loads the checkpoint at `path` (safetensors, official layout); what shapes cannot say stands in the JSON file of the
-    /// same name beside it, or has the published values.
+    /// Loads the checkpoint at `path` (safetensors, official layout); what shapes cannot say stands in the JSON file of
+    /// the same name beside it, or has the published values.
     ///
     /// # Errors
     /// When a file cannot be read or is malformed, when a tensor is missing, has another shape than the others need or
@@ -109,7 +109,8 @@ impl Network {
         &self.options
     }
 
-    /// Its residual branches that add nothing, by part. They are left out unless [`LoadOptions::compute_silent`] says otherwise.
+    /// Its residual branches that add nothing, by part. They are left out unless [`LoadOptions::compute_silent`] says
+    /// otherwise.
     pub fn silent(&self) -> &[Silent] {
         &self.silent
     }
@@ -121,7 +122,8 @@ impl Network {
         self.encoder.bytes() + upsamplers + heads + self.decoder.bytes()
     }
 
-    /// A session without a stream behind it, or, with `saving`, one that keeps what the next frame may need. See [`crate::reuse`].
+    /// A session without a stream behind it, or, with `saving`, one that keeps what the next frame may need. See
+    /// [`crate::reuse`].
     pub fn session(&self, saving: Option<Saving>) -> Session<&Network> {
         Session::new(self, saving)
     }

@@ -13,8 +13,9 @@ use crate::{
 
 /// A way through a network, for single frames or, with a [`Cache`], for the frames of one stream, each in turn.
 ///
-/// Its methods run on the threads of the rayon pool they are called in; the results do not depend on how many there are.
-/// Between them they recompute nothing: a frame is embedded once, and a pair costs one decoder call and two upsamplings.
+/// Its methods run on the threads of the rayon pool they are called in; the results do not depend on how many there
+/// are. Between them they recompute nothing: a frame is embedded once, and a pair costs one decoder call and two
+/// upsamplings.
 #[derive(Debug)]
 pub struct Session<N> {
     network: N,
@@ -22,8 +23,8 @@ pub struct Session<N> {
 }
 
 impl<N: Borrow<Network>> Session<N> {
-    /// A session of `network` that keeps nothing yet. Without `saving` it never does, nor where this network has nothing to keep: where every token
-    /// sees all others, no part of a frame is exactly as it was.
+    /// A session of `network` that keeps nothing yet. Without `saving` it never does, nor where this network has
+    /// nothing to keep: where every token sees all others, no part of a frame is exactly as it was.
     pub fn new(network: N, saving: Option<Saving>) -> Session<N> {
         let cache = saving.and_then(|saving| Cache::new(saving, &network.borrow().config));
         Session { network, cache }
@@ -113,8 +114,8 @@ impl<N: Borrow<Network>> Session<N> {
         Ok(workspaces.lend(|work| static_upsampler.apply(options.level, config, h, (cache, moves), work)))
     }
 
-    /// The static head on upsampled tokens `[16N, d]`, with a cache the result of the last call of [`Session::upsample_static`]. Positions that are drawn
-    /// are all drawn anew.
+    /// The static head on upsampled tokens `[16N, d]`, with a cache the result of the last call of
+    /// [`Session::upsample_static`]. Positions that are drawn are all drawn anew.
     ///
     /// # Errors
     /// When `tokens` is not of that size, or not finite.
@@ -176,8 +177,9 @@ impl<N: Borrow<Network>> Session<N> {
         Ok(workspaces.lend(|work| deformation_upsampler.apply(options.level, config, d, (cache, moves), work)))
     }
 
-    /// The deformation head on static and deformation tokens of the earlier (0) or the later (1) frame, both `[16N, d]`: velocity and γ. With a cache,
-    /// `tokens` are the result of the last call of [`Session::upsample_deformation`] for that place.
+    /// The deformation head on static and deformation tokens of the earlier (0) or the later (1) frame, both `[16N,
+    /// d]`: velocity and γ. With a cache, `tokens` are the result of the last call of [`Session::upsample_deformation`]
+    /// for that place.
     ///
     /// # Errors
     /// When one is not of that size, or not finite.

@@ -32,7 +32,6 @@ mod resolution;
 mod resume;
 mod settings;
 mod tiles;
-mod track;
 mod work;
 mod workers;
 
@@ -49,7 +48,6 @@ pub use resume::ResumePoint;
 pub use settings::{
     DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode, Settings, UnknownChoice,
 };
-pub use track::{Picked, Track, TrackPoint};
 pub use work::{StageWork, Work};
 pub use workers::Workers;
 

@@ -22,7 +22,8 @@ pub struct Tiling {
 
 /// Turns frames into static Gaussians, and pairs of frames into motion, stage by stage.
 ///
-/// The results must be functions of the arguments alone (in a session that keeps results: of those of all calls): the stream keeps and reuses them.
+/// The results must be functions of the arguments alone (in a session that keeps results: of those of all calls): the
+/// stream keeps and reuses them.
 pub trait Reconstructor: Send + Sync {
     /// Height and width of the frames it takes.
     fn resolution(&self) -> [usize; 2];
@@ -47,7 +48,8 @@ pub trait Reconstructor: Send + Sync {
     fn session(self: Arc<Self>, saving: Option<Saving>) -> Box<dyn Session>;
 }
 
-/// The way of one stream's frames through a [`Reconstructor`]: its stages, which a stream calls in the order of its frames.
+/// The way of one stream's frames through a [`Reconstructor`]: its stages, which a stream calls in the order of its
+/// frames.
 ///
 /// Work is done on the calling thread and its rayon pool.
 pub trait Session: Send + Sync {
@@ -93,8 +95,8 @@ pub trait Session: Send + Sync {
     /// Whatever the reconstructor refuses.
     fn upsample_motion(&mut self, place: usize, d: &[f32]) -> Result<Vec<f32>, ModelError>;
 
-    /// The deformation head: the motion of the Gaussians of the pair's earlier (0) or later (1) frame, from both kinds of tokens, of which the latter are the
-    /// latest.
+    /// The deformation head: the motion of the Gaussians of the pair's earlier (0) or later (1) frame, from both kinds
+    /// of tokens, of which the latter are the latest.
     ///
     /// # Errors
     /// Whatever the reconstructor refuses.

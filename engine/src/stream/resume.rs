@@ -1,8 +1,8 @@
 //! State that a stream needs to resume.
 //!
-//! Embedding, tokens, condition and Gaussians of the last key frame are functions of that frame: they are computed again, to the
-//! same bits. What is not a function of it is the canonical set: who survives, and which identity each of the frame's
-//! Gaussians carries. That is a [`ResumePoint`]; it is small beside what it spares.
+//! Embedding, tokens, condition and Gaussians of the last key frame are functions of that frame: they are computed
+//! again, to the same bits. What is not a function of it is the canonical set: who survives, and which identity each of
+//! the frame's Gaussians carries. That is a [`ResumePoint`]; it is small beside what it spares.
 
 use std::sync::Arc;
 
@@ -45,8 +45,8 @@ impl Engine {
         })
     }
 
-    /// Goes on from `point`, whose key frame was `frame`: what is pushed next gives the intervals that the engine which gave
-    /// this point would have given, bit for bit, as long as settings and model are the same.
+    /// Goes on from `point`, whose key frame was `frame`: what is pushed next gives the intervals that the engine which
+    /// gave this point would have given, bit for bit, as long as settings and model are the same.
     ///
     /// # Errors
     /// As [`Engine::push`]; and a point that does not fit the frame's Gaussians. The stream is then as it was before.

@@ -52,8 +52,8 @@ impl SelfAttention {
         }))
     }
 
-    /// `x += attention(norm(x))`, where the rows of `x` are the tokens `at` (`None`: all). `kept` holds keys and values of all tokens,
-    /// `[2·heads][n][64]`, and gets theirs; without it, tokens see those of `x` alone.
+    /// `x += attention(norm(x))`, where the rows of `x` are the tokens `at` (`None`: all). `kept` holds keys and values
+    /// of all tokens, `[2·heads][n][64]`, and gets theirs; without it, tokens see those of `x` alone.
     pub(crate) fn accumulate(
         &self,
         level: Level,
@@ -89,8 +89,8 @@ impl SelfAttention {
     }
 }
 
-/// Attention of tokens to a condition, a residual branch. One packed tensor holds the projections of q, k and v; the first is applied to the
-/// tokens, the others to the condition.
+/// Attention of tokens to a condition, a residual branch. One packed tensor holds the projections of q, k and v; the
+/// first is applied to the tokens, the others to the condition.
 #[derive(Clone)]
 pub(crate) struct CrossAttention {
     norm: RmsNorm,

@@ -34,7 +34,8 @@ impl StaticHeadCache {
         self.gaussians.opacity.len() * 4 * (3 + 2 + 1 + 3)
     }
 
-    /// The Gaussians of `tokens`, `n` of them and the result of the last call of `upsampler`. `head` computes those of all cells, or of some.
+    /// The Gaussians of `tokens`, `n` of them and the result of the last call of `upsampler`. `head` computes those of
+    /// all cells, or of some.
     pub(crate) fn renew(
         &mut self,
         n: usize,
@@ -86,7 +87,8 @@ impl DeformationHeadCache {
         self.still.bytes() + 4 * (3 * self.motion.0.len() + 2 * self.motion.1.len())
     }
 
-    /// The motion of `tokens`, the result of the last call of `upsampler`. `head` computes that of some rows from both kinds of tokens.
+    /// The motion of `tokens`, the result of the last call of `upsampler`. `head` computes that of some rows from both
+    /// kinds of tokens.
     pub(crate) fn renew(
         &mut self,
         level: Level,

@@ -1,32 +1,36 @@
 //! Leaving out what did not change since the key frame before.
 //!
-//! A [`Session`](crate::Session) may keep, for every part of a network, what the part saw and gave last: its [`Cache`]. With it the part computes only rows
-//! (tokens) whose input changed, and takes the rest from there:
+//! A [`Session`](crate::Session) may keep, for every part of a network, what the part saw and gave last: its [`Cache`].
+//! With it the part computes only rows (tokens) whose input changed, and takes the rest from there:
 //!
-//! - [`Saving::Exact`]: no output bit changes. A block whose attention runs in windows computes the windows of which a token's
-//!   bits changed. Where attention sees every token every one depends on all others, and there is nothing to keep: this is for
-//!   models with `encoder_window`.
-//! - [`Saving::Within`]: a token is computed anew when its input moved by more than the tolerance (relative to its length, see
-//!   [`streamsplat_kernels::change`]) since it was last computed, block by block. Only such tokens are queried and only their keys
-//!   and values are replaced; every other keeps its last output. The decoder and the deformation upsampler tolerate
-//!   [`Cache::MOTION`] times as much: motion shows less of an error than colour does. A token that a block drops is dropped by all that follow.
-//!   Errors do not build up without bound: a part computes everything anew after [`Cache::REFRESH`] steps, or once
-//!   [`Cache::REPLACED`] times all its tokens have been computed one by one.
+//! - [`Saving::Exact`]: no output bit changes. A block whose attention runs in windows computes the windows of which a
+//!   token's bits changed. Where attention sees every token every one depends on all others, and there is nothing to
+//!   keep: this is for models with `encoder_window`.
+//! - [`Saving::Within`]: a token is computed anew when its input moved by more than the tolerance (relative to its
+//!   length, see [`streamsplat_kernels::change`]) since it was last computed, block by block. Only such tokens are
+//!   queried and only their keys and values are replaced; every other keeps its last output. The decoder and the
+//!   deformation upsampler tolerate [`Cache::MOTION`] times as much: motion shows less of an error than colour does. A
+//!   token that a block drops is dropped by all that follow. Errors do not build up without bound: a part computes
+//!   everything anew after [`Cache::REFRESH`] steps, or once [`Cache::REPLACED`] times all its tokens have been
+//!   computed one by one.
 //!
-//! A part more than [`Cache::MOST`] of whose tokens changed is computed as if there were no cache, and keeps nothing but its
-//! input: a moving camera pays for the comparison alone. It is computed and kept when that share falls again. Of the first frame everything
-//! is kept, of the first pair what gives motion only when the encoder's tokens did not change as much.
+//! A part more than [`Cache::MOST`] of whose tokens changed is computed as if there were no cache, and keeps nothing
+//! but its input: a moving camera pays for the comparison alone. It is computed and kept when that share falls again.
+//! Of the first frame everything is kept, of the first pair what gives motion only when the encoder's tokens did not
+//! change as much.
 //!
-//! The decoder's input is a pair of frames, and its cache belongs to the pair's places, not to the frames: `h` of frame k is compared in
-//! the place of the later frame with that of frame k−1, and a step later, in the place of the earlier frame, with it again. What
-//! appears changes one place only, but the motion in both: a token is computed in both places when it changed in either.
+//! The decoder's input is a pair of frames, and its cache belongs to the pair's places, not to the frames: `h` of frame
+//! k is compared in the place of the later frame with that of frame k−1, and a step later, in the place of the earlier
+//! frame, with it again. What appears changes one place only, but the motion in both: a token is computed in both
+//! places when it changed in either.
 //!
-//! DINOv2 is not gated: its features, of which every one depends on all others, are compared as the decoder's condition.
+//! DINOv2 is not gated: its features, of which every one depends on all others, are compared as the decoder's
+//! condition.
 //!
 //! # Order
-//! Which rows are computed follows from the comparison alone, whose order of operations is fixed; rows are gathered in ascending
-//! order of tokens (in the upsamplers: each token's four sub-tokens one after the other), and no row's bits depend on which others there
-//! are. So the results are the same on every level and for any number of threads.
+//! Which rows are computed follows from the comparison alone, whose order of operations is fixed; rows are gathered in
+//! ascending order of tokens (in the upsamplers: each token's four sub-tokens one after the other), and no row's bits
+//! depend on which others there are. So the results are the same on every level and for any number of threads.
 //!
 //! Source: Dutson, Li and Gupta, "Eventful Transformers" (ICCV 2023), with one gate per block.
 
@@ -114,8 +118,8 @@ impl Cache {
     /// The largest share of a part's tokens that are computed one by one.
     pub const MOST: f64 = 0.6;
 
-    /// An empty one; `None` when a network of this size has nothing to keep: where every token sees all others, no part of a frame is exactly as
-    /// it was.
+    /// An empty one; `None` when a network of this size has nothing to keep: where every token sees all others, no part
+    /// of a frame is exactly as it was.
     pub(crate) fn new(saving: Saving, config: &Config) -> Option<Cache> {
         if saving == Saving::Exact && config.encoder_window.is_none() {
             return None;

@@ -16,7 +16,8 @@ pub(crate) struct PartCache {
     schedule: Schedule,
     /// The part's input, where that of the first block is another.
     input: Option<Gate>,
-    /// The features that each frame of a pair is conditioned on. Where there are any, tokens are those of both frames, the earlier one's first.
+    /// The features that each frame of a pair is conditioned on. Where there are any, tokens are those of both frames,
+    /// the earlier one's first.
     conditions: Vec<Gate>,
     /// None where there is nothing to keep.
     blocks: Vec<BlockCache>,
@@ -102,8 +103,8 @@ pub(crate) struct Pass<'a> {
 }
 
 impl<'a> Pass<'a> {
-    /// Begins a call on `x [n, d]`, the input of the blocks (of an upsampler: of its first layer), and gives the rows of it that are to be computed. `moves`: see
-    /// [`Schedule::next`].
+    /// Begins a call on `x [n, d]`, the input of the blocks (of an upsampler: of its first layer), and gives the rows
+    /// of it that are to be computed. `moves`: see [`Schedule::next`].
     pub(crate) fn begin(
         level: Level,
         cache: Option<&'a mut PartCache>,
@@ -165,12 +166,13 @@ impl<'a> Pass<'a> {
         Some(at)
     }
 
-    /// Leaves in `rows` what block `index` has to compute, keeps its input, and gives its cache. `mixed` are the windows in which the block
-    /// mixes tokens, if it does.
+    /// Leaves in `rows` what block `index` has to compute, keeps its input, and gives its cache. `mixed` are the
+    /// windows in which the block mixes tokens, if it does.
     pub(crate) fn admit(&mut self, index: usize, mixed: Option<Windows>, rows: &mut Rows) -> Option<&mut BlockCache> {
         let cache = self.cache.as_deref_mut()?;
         let block = &mut cache.blocks[index];
-        // The first block's gate has seen its input already, and would drop a token whose partner in the other frame changed.
+        // The first block's gate has seen its input already, and would drop a token whose partner in the other frame
+        // changed.
         if index > 0 || cache.input.is_some() {
             block.gate.pass(self.level, cache.saving.tolerance(), rows);
         }

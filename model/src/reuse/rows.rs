@@ -56,7 +56,8 @@ pub(super) fn scatter(at: &[u32], x: &[f32], to: &mut [f32], d: usize) {
     }
 }
 
-/// Keeps the rows of every head of `x [heads][rows][width]` at their places of `kept [heads][n][width]`; all of them make it anew.
+/// Keeps the rows of every head of `x [heads][rows][width]` at their places of `kept [heads][n][width]`; all of them
+/// make it anew.
 pub(crate) fn keep_heads(at: Option<&[u32]>, x: &[f32], width: usize, kept: &mut Vec<f32>) {
     match at {
         None => {
