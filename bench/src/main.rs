@@ -59,7 +59,7 @@ enum Command {
 /// Options of every measurement.
 #[derive(Args, Clone)]
 pub(crate) struct Common {
-    /// Instruction set: scalar, avx2, avx512, neon or auto.
+    /// Instruction set: scalar, avx2, avx512, avx512vnni, avx512bf16, neon or auto.
     #[arg(long, default_value = "auto", value_parser = level)]
     isa: Level,
     /// Threads (0: one per core).

@@ -35,7 +35,7 @@ impl Encoder {
             })
             .collect::<Result<_, _>>()?;
         Ok(Encoder {
-            conv: Linear::new(weights.precision(), &conv, None, d, 4 * p * p),
+            conv: Linear::new(weights.level(), weights.precision(), &conv, None, d, 4 * p * p),
             position: if weights.shape(pe).is_some() { weights.vector(pe, &[n, d])? } else { sinusoid(n, d) },
             layernorm1: RmsNorm::load(weights, "layernorm1", d)?,
             blocks,

@@ -73,7 +73,7 @@ impl Network {
         options: &LoadOptions,
     ) -> Result<Network, ModelError> {
         let _span = info_span!("load").entered();
-        let mut weights = Weights::new(checkpoint, config::prefix(checkpoint)?);
+        let mut weights = Weights::new(checkpoint, config::prefix(checkpoint)?).on(options.level);
         let config = Config::derive(&weights, settings)?;
         let silent = silent(&weights, &config);
         let upsamplers_are_local = upsamplers_are_local(&weights);

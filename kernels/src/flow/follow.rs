@@ -2,7 +2,7 @@
 
 use tracing::debug_span;
 
-use super::Field;
+use super::field::Field;
 use super::sample::Sampler;
 use crate::Level;
 use crate::parallel::for_each_chunk;

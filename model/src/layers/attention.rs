@@ -118,8 +118,8 @@ impl CrossAttention {
         let (query, key_value) = weight.split_at(d * d);
         let layer = CrossAttention {
             norm,
-            query: Linear::new(weights.precision(), query, Some(query_bias), d, d),
-            key_value: Linear::new(weights.precision(), key_value, Some(key_value_bias), 2 * d, d),
+            query: Linear::new(weights.level(), weights.precision(), query, Some(query_bias), d, d),
+            key_value: Linear::new(weights.level(), weights.precision(), key_value, Some(key_value_bias), 2 * d, d),
             out_proj: Linear::load(weights, "out_proj", d, d, Bias::Yes)?,
         };
         drop(weight);

@@ -69,7 +69,7 @@ pub struct Machine {
     /// Threads [default: one per processor]
     #[arg(long, value_name = "N")]
     pub threads: Option<String>,
-    /// Instruction set: scalar, avx2, avx512, neon or auto
+    /// Instruction set: scalar, avx2, avx512, avx512vnni, avx512bf16, neon or auto
     #[arg(long, value_name = "NAME", default_value = "auto")]
     pub isa: String,
 }

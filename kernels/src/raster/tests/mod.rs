@@ -209,7 +209,7 @@ fn every_level_and_thread_count_gives_the_same_bits() {
             for scene in [ordinary(5000, false, 3), ordinary(5000, true, 4), extreme(900, 5)] {
                 let request = everything(width, height);
                 let expected = bits(&render(Level::scalar(), &scene.gaussians(), &projection, &request));
-                for level in Level::available() {
+                for level in crate::testing::levels() {
                     for threads in [1, 2, 3, 8] {
                         let draw = || render(level, &scene.gaussians(), &projection, &request);
                         let found = pool(threads).install(draw);
