@@ -197,7 +197,7 @@ impl Model {
         }
         let gaussians = Gaussians { mean: &mean, scale: &scale, rotation: None, opacity: &opacity, rgb: &rgb };
         let projection = Projection::Orthographic { focal: [width as f32 / 2.0, height as f32 / 2.0] };
-        let request = Request { width, height, background: [0.5; 3], depth: false, alpha: false, statistics: false };
+        let request = Request::colour(width, height, [0.5; 3]);
         render(self.level, &gaussians, &projection, &request).rgb
     }
 }

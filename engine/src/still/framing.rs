@@ -1,6 +1,7 @@
 //! Where to look at a still scene from, when nothing says it.
 
 use super::Still;
+use super::statistics::quantiles;
 use crate::camera::{Camera, Lens, Pose};
 use streamsplat_kernels::math::f64::sin_cos;
 
@@ -39,15 +40,12 @@ impl Still {
         if centres.is_empty() {
             centres = self.mean.iter().filter(|m| finite(m)).copied().collect();
         }
-        let last = centres.len().checked_sub(1)?;
         let (mut least, mut greatest) = ([0.0; 3], [0.0; 3]);
         for axis in 0..3 {
-            let mut along: Vec<f32> = centres.iter().map(|m| m[axis]).collect();
-            along.sort_unstable_by(f32::total_cmp);
-            let at = |share: f64| f64::from(along[(share * last as f64).round() as usize]);
-            let (low, high) = (at(FLOATERS), at(1.0 - FLOATERS));
+            let along = centres.iter().map(|m| m[axis]).collect();
+            let [first, low, high, last] = quantiles(along, [0.0, FLOATERS, 1.0 - FLOATERS, 1.0])?.map(f64::from);
             let around = AROUND * (high - low);
-            (least[axis], greatest[axis]) = (at(0.0).max(low - around), at(1.0).min(high + around));
+            (least[axis], greatest[axis]) = (first.max(low - around), last.min(high + around));
         }
         Some(Framing { least, greatest })
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use streamsplat::import::{self, Opened};
+use streamsplat::import::Opened;
 use streamsplat::output::{folder_of, storage, write_file};
 use streamsplat::stream::{Interval, Workers};
 
@@ -19,6 +19,7 @@ use crate::output::place::Place;
 use crate::output::record::{InputRecord, OutputRecord, PROGRAM, Record, Task, Timing, absolute};
 use crate::output::{digest, report};
 use crate::session::drawing::Drawing;
+use crate::session::opening::open;
 
 /// Renders, then writes the record and the report.
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
@@ -114,9 +115,10 @@ pub fn render(
     };
     [views.options.depth, views.options.alpha] = emit.planes();
     views.options.alpha |= views.transparent;
+    views.options.antialias = options.antialias;
     times::check_rate(options.fps)?;
     let workers = machine.workers()?;
-    let scene = match import::open(path, &options.limit.limits())? {
+    let scene = match open(path, &options.limit.limits(), Some(&workers), console)? {
         Opened::Moving(scene) => scene,
         Opened::Still(file) => {
             return still::render(file, place, options, &views, emit, &workers, console, start);

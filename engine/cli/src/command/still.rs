@@ -8,7 +8,7 @@ use streamsplat::Size;
 use streamsplat::camera::CameraPath;
 use streamsplat::import::StillFile;
 use streamsplat::output::{prepare_folder, write_file};
-use streamsplat::still::Drawable;
+use streamsplat::still::{Drawable, Spread};
 use streamsplat::stream::Workers;
 
 use crate::command::export::{Format, refuse_others};
@@ -221,7 +221,12 @@ pub fn export(
 /// What a still scene holds.
 pub fn inspect(file: &StillFile) -> Value {
     let still = &file.still;
-    let bounds = still.bounds();
+    let (bounds, framing, statistics) = (still.bounds(), still.framing(), still.statistics());
+    let spread = |spread: Option<Spread>| {
+        spread.map(|Spread([least, p5, median, p95, greatest])| {
+            json!({ "least": short(least), "p5": short(p5), "median": short(median), "p95": short(p95), "greatest": short(greatest) })
+        })
+    };
     json!({
         "kind": "still scene",
         "format": file.format,
@@ -231,5 +236,19 @@ pub fn inspect(file: &StillFile) -> Value {
         "harmonics_degree": still.degree,
         "least": bounds.map(|[least, _]| least),
         "greatest": bounds.map(|[_, greatest]| greatest),
+        "most_of_it": framing.map(|f| json!({ "least": f.least.map(short), "greatest": f.greatest.map(short) })),
+        "standard_deviation": spread(statistics.size),
+        "flatness": spread(statistics.flatness),
+        "opacity": spread(statistics.opacity),
+        "not_drawn": {
+            "not_finite": statistics.not_finite,
+            "no_rotation": statistics.no_rotation,
+            "opacity_under_1_255": statistics.faint,
+        },
     })
+}
+
+/// A number with five digits, for people.
+fn short(x: f64) -> f64 {
+    format!("{x:.4e}").parse().unwrap_or(x)
 }

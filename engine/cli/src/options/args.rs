@@ -197,7 +197,7 @@ pub struct RunArgs {
     pub input: PathBuf,
     /// Folder for the results, or a video file (.y4m, .mp4, .webm, .mkv, .mov), or - (y4m on standard output) [default: here, named after the input: of
     /// clip.mp4 the video clip-scene.mp4 with the scene clip-scene.ssz beside it, of images or y4m the folder clip-scene]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, short, value_name = "DIR")]
     pub out: Option<PathBuf>,
     #[command(flatten)]
     pub options: RunOptions,
@@ -247,7 +247,7 @@ pub struct RenderArgs {
     /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG, glTF, .splat)
     pub scene: PathBuf,
     /// Folder for the images, or a video file, or - (y4m on standard output); for a single image a .png or .exr file
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, short, value_name = "DIR")]
     pub out: PathBuf,
     #[command(flatten)]
     pub options: RenderOptions,
@@ -272,6 +272,11 @@ pub struct RenderOptions {
     /// Outputs: rgb, depth, alpha, exr (these three as layers of one file) [default: rgb]
     #[arg(long, value_name = "LIST")]
     pub emit: Option<String>,
+    /// Let what is smaller than a pixel get fainter in place of larger: for scenes that were trained with anti-aliasing (Mip-Splatting's 2D
+    /// filter, "antialiased" in gsplat)
+    #[arg(long)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub antialias: bool,
     #[command(flatten)]
     #[serde(flatten)]
     pub limit: Limit,
@@ -391,7 +396,7 @@ pub struct ExportArgs {
     #[arg(long, value_name = "NAME")]
     pub format: Option<String>,
     /// Folder for 000000.ply and so on; for a single time, a file with the format's name as its ending; for ssz, a file
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, short, value_name = "PATH")]
     pub out: PathBuf,
     /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]

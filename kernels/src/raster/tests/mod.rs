@@ -5,6 +5,8 @@ use proptest::test_runner::RngSeed;
 
 use super::*;
 
+mod antialias;
+mod bounded;
 mod edges;
 mod linear;
 mod lists;
@@ -93,7 +95,7 @@ fn extreme(count: usize, seed: u64) -> OwnedGaussians {
 const ALPHA_MIN: f32 = 1.0 / 255.0;
 
 fn everything(width: usize, height: usize) -> Request {
-    Request { width, height, background: [0.5, 0.25, 0.75], depth: true, alpha: true, statistics: true }
+    Request { depth: true, alpha: true, statistics: true, ..Request::colour(width, height, [0.5, 0.25, 0.75]) }
 }
 
 fn projections(width: usize, height: usize) -> [Projection; 2] {

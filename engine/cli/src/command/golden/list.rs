@@ -34,6 +34,8 @@ struct Entry {
     background: Option<Word>,
     orbit: Option<Word>,
     turntable: Option<f64>,
+    #[serde(default)]
+    antialias: bool,
 }
 
 /// Text, a number, or numbers in a row.
@@ -106,7 +108,8 @@ impl Entry {
             renderer: None,
         };
         let motion = Motion { orbit: self.orbit.map(Word::text), turntable: self.turntable };
-        let options = RenderOptions { view, fps: self.fps, motion, ..RenderOptions::default() };
+        let options =
+            RenderOptions { view, fps: self.fps, motion, antialias: self.antialias, ..RenderOptions::default() };
         Render { name: self.name, scene: folder.join(self.scene), options }
     }
 }
@@ -131,6 +134,7 @@ mod tests {
             scene = "b.ply"
             turntable = 2.0
             background = "0,0.5,1"
+            antialias = true
         "#;
         let renders = parse(text, Path::new("dir")).expect("a list");
         let RenderOptions { view, .. } = &renders[0].options;
@@ -140,6 +144,7 @@ mod tests {
             (renders[1].options.motion.turntable, renders[1].scene.as_path()),
             (Some(2.0), Path::new("dir/b.ply"))
         );
+        assert_eq!([0, 1].map(|i| renders[i].options.antialias), [false, true]);
     }
 
     #[test]

@@ -46,9 +46,10 @@ fn draw(
     let Render { scene, options, .. } = render;
     let mut views = options.view.resolve()?;
     views.options.alpha = views.transparent;
+    views.options.antialias = options.antialias;
     times::check_rate(options.fps)?;
     let mut drawing = Drawing::new(workers, views.backend)?;
-    let scene = match import::open(scene, limits)? {
+    let scene = match workers.install(|| import::open(scene, limits))? {
         Opened::Still(file) => {
             let plan = still::Plan::new(&file, options, &views)?;
             let blake3 = file.blake3.clone();
