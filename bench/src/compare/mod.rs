@@ -15,6 +15,7 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 
 use self::record::{Kind, Record, Row};
+use crate::timing::Seconds;
 
 /// Limit for instructions, in percent.
 const INSTRUCTIONS: f64 = 3.0;
@@ -66,8 +67,8 @@ enum Verdict {
 /// One row of a comparison.
 struct Change {
     name: String,
-    before: Option<Row>,
-    now: Option<Row>,
+    before: Option<Seconds>,
+    now: Option<Seconds>,
     percent: Option<f64>,
     verdict: Verdict,
 }
@@ -140,30 +141,32 @@ fn compare(before: &Record, now: &Record, limit: Option<f64>) -> Result<Comparis
         }
     }
     let limit = limit.unwrap_or(usual);
-    let find = |record: &Record, name: &str| record.rows.iter().find(|row| row.name == name).cloned();
     let mut changes: Vec<Change> = Vec::new();
     for row in &now.rows {
-        let before = find(before, &row.name);
-        let (percent, verdict) = match &before {
-            None => (None, Verdict::New),
-            Some(before) => {
-                let (percent, verdict) = judged(before, row, limit);
-                (Some(percent), verdict)
-            }
+        let name = row.name.clone();
+        let Some(earlier) = find(before, &name) else {
+            changes.push(Change { name, before: None, now: Some(row.value), percent: None, verdict: Verdict::New });
+            continue;
         };
-        changes.push(Change { name: row.name.clone(), before, now: Some(row.clone()), percent, verdict });
+        // The processor's time is less disturbed by what else runs.
+        let (before, now) = earlier.processor.zip(row.processor).unwrap_or((earlier.value, row.value));
+        let (percent, verdict) = judged(before, now, limit);
+        changes.push(Change { name, before: Some(before), now: Some(now), percent: Some(percent), verdict });
     }
     for row in before.rows.iter().filter(|row| find(now, &row.name).is_none()) {
-        let (name, before) = (row.name.clone(), Some(row.clone()));
-        changes.push(Change { name, before, now: None, percent: None, verdict: Verdict::Gone });
+        let name = row.name.clone();
+        changes.push(Change { name, before: Some(row.value), now: None, percent: None, verdict: Verdict::Gone });
     }
     ensure!(changes.iter().any(|change| change.percent.is_some()), "the records have no row in common");
     Ok(Comparison { kind: now.kind, limit, changes, conditions: format!("Measured with {}.", now.conditions), notes })
 }
 
+fn find<'a>(record: &'a Record, name: &str) -> Option<&'a Row> {
+    record.rows.iter().find(|row| row.name == name)
+}
+
 /// By how many percent a row's median grew, and what that means.
-fn judged(before: &Row, now: &Row, limit: f64) -> (f64, Verdict) {
-    let (before, now) = (before.value, now.value);
+fn judged(before: Seconds, now: Seconds, limit: f64) -> (f64, Verdict) {
     let percent = 100.0 * (now.median / before.median - 1.0);
     let verdict = if percent > limit {
         if now.min > before.median { Verdict::Worse } else { Verdict::Spread }
@@ -184,10 +187,9 @@ impl Comparison {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::timing::Seconds;
 
-    fn row([min, median, max]: [f64; 3]) -> Row {
-        Row { name: "a".to_owned(), value: Seconds { min, median, max } }
+    fn row([min, median, max]: [f64; 3]) -> Seconds {
+        Seconds { min, median, max }
     }
 
     #[test]
@@ -202,10 +204,10 @@ mod tests {
             ([0.85, 0.89, 0.95], Verdict::Better),
             ([0.5, 0.9, 0.95], Verdict::Equal),
         ] {
-            assert_eq!(judged(&row(before), &row(now), 10.0).1, expected, "{now:?}");
+            assert_eq!(judged(row(before), row(now), 10.0).1, expected, "{now:?}");
         }
         let slow = [0.85, 1.0, 1.4];
-        assert_eq!(judged(&row(slow), &row([0.8, 0.88, 0.9]), 10.0).1, Verdict::Spread);
+        assert_eq!(judged(row(slow), row([0.8, 0.88, 0.9]), 10.0).1, Verdict::Spread);
     }
 
     #[test]

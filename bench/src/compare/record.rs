@@ -24,8 +24,10 @@ pub(super) enum Kind {
 #[derive(Clone, Debug)]
 pub(super) struct Row {
     pub(super) name: String,
-    /// Instructions, all three alike; or seconds.
+    /// Instructions, all three alike; or seconds by the clock.
     pub(super) value: Seconds,
+    /// Seconds of the processor, where they were measured.
+    pub(super) processor: Option<Seconds>,
 }
 
 /// A record.
@@ -55,7 +57,7 @@ pub(super) fn parse(text: &str) -> Result<Record> {
         let rows = stages.iter().map(|stage| {
             let count = stage.get("instructions").and_then(Value::as_u64).context("expected instructions")? as f64;
             let value = Seconds { min: count, median: count, max: count };
-            Ok(Row { name: named(stage, &["stage", "precision"])?, value })
+            Ok(Row { name: named(stage, &["stage", "precision"])?, value, processor: None })
         });
         return Ok(Record {
             kind: Kind::Instructions,
@@ -86,8 +88,12 @@ pub(super) fn parse(text: &str) -> Result<Record> {
     } else {
         bail!("expected stages, kernels or scenes, found neither");
     };
-    let rows =
-        rows.iter().map(|row| Ok(Row { name: named(row, names)?, value: times(row)? })).collect::<Result<_>>()?;
+    let rows = rows.iter().map(|row| {
+        let value = times(row, "seconds", 1.0).or_else(|_| times(row, "milliseconds", 1e-3))?;
+        // A time too short for the processor's account is none.
+        Ok(Row { name: named(row, names)?, value, processor: times(row, "processor", 1.0).ok() })
+    });
+    let rows = rows.collect::<Result<_>>()?;
     Ok(Record { kind, rows, conditions, built: None, again })
 }
 
@@ -114,16 +120,12 @@ fn stages_again(rows: &[Value]) -> Option<Vec<String>> {
     Some(again)
 }
 
-/// The row's time: of the processor where it was measured, else of the clock.
-fn times(row: &Value) -> Result<Seconds> {
-    let found = [("processor", 1.0), ("seconds", 1.0), ("milliseconds", 1e-3)];
-    let (times, unit) = found
-        .iter()
-        .find_map(|(key, unit)| row.get(key).filter(|value| value.is_object()).map(|value| (value, *unit)))
-        .context("expected times")?;
-    let at = |key: &str| {
-        let time = times.get(key).and_then(Value::as_f64).filter(|time| *time > 0.0 && time.is_finite());
-        time.map(|time| unit * time).with_context(|| format!("{key}: expected a time above 0"))
+/// The times that a row has under `key`, in seconds.
+fn times(row: &Value, key: &str, unit: f64) -> Result<Seconds> {
+    let at = |which: &str| {
+        let time = row.get(key).and_then(|times| times.get(which)?.as_f64());
+        let time = time.filter(|time| *time > 0.0 && time.is_finite());
+        time.map(|time| unit * time).with_context(|| format!("{key}: {which}: expected a time above 0"))
     };
     Ok(Seconds { min: at("min")?, median: at("median")?, max: at("max")? })
 }

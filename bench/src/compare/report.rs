@@ -2,8 +2,9 @@
 
 use std::fmt::Write as _;
 
-use super::record::{Kind, Row};
+use super::record::Kind;
 use super::{Change, Comparison, Verdict};
+use crate::timing::Seconds;
 
 impl Verdict {
     fn word(self) -> &'static str {
@@ -45,8 +46,8 @@ impl Comparison {
     }
 
     /// The value of a row, with the spread of its runs.
-    fn value(&self, row: Option<&Row>) -> String {
-        let Some(Row { value, .. }) = row else { return "–".to_owned() };
+    fn value(&self, value: Option<Seconds>) -> String {
+        let Some(value) = value else { return "–".to_owned() };
         if self.kind == Kind::Instructions {
             return grouped(value.median as u64);
         }
@@ -111,7 +112,7 @@ impl Comparison {
 
     fn cells(&self, change: &Change) -> [String; 4] {
         let percent = change.percent.map_or_else(String::new, |percent| format!("{percent:+.2} %"));
-        [change.name.clone(), self.value(change.before.as_ref()), self.value(change.now.as_ref()), percent]
+        [change.name.clone(), self.value(change.before), self.value(change.now), percent]
     }
 }
 
