@@ -3,6 +3,7 @@
 //! Every measurement checks its answer before it is timed and reports the fraction of the machine's peak, which is measured
 //! in the same run.
 
+mod compare;
 mod fit;
 mod instructions;
 mod kernels;
@@ -30,10 +31,18 @@ static ALLOCATOR: live::Counting = live::Counting;
 
 /// Measure StreamSplat on this machine.
 #[derive(Parser)]
-#[command(name = "streamsplat-bench", version)]
+#[command(
+    name = "streamsplat-bench",
+    version,
+    arg_required_else_help = true,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true
+)]
 struct Program {
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
+    #[command(flatten)]
+    compare: compare::Options,
 }
 
 #[derive(Subcommand)]
@@ -95,7 +104,17 @@ fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
 }
 
 fn main() -> std::process::ExitCode {
-    let result = match Program::parse().command {
+    let Program { command, compare } = Program::parse();
+    let Some(command) = command else {
+        return match compare::run(&compare) {
+            Ok(worse) => std::process::ExitCode::from(u8::from(worse)),
+            Err(error) => {
+                eprintln!("error: {error:#}");
+                std::process::ExitCode::from(2)
+            }
+        };
+    };
+    let result = match command {
         Command::Fit(options) => fit::run(&options),
         Command::Kernels(options) => kernels::run(&options),
         Command::Raster(options) => raster::run(&options),

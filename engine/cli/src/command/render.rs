@@ -124,9 +124,9 @@ pub fn render(
             return still::render(file, place, options, &views, emit, &workers, console, start);
         }
     };
-    options.motion.refuse(&views)?;
     let fps = options.fps.unwrap_or(scene.index().fps);
-    let due = times::of_scene(&scene, views.times.as_deref(), fps)?;
+    let mut due = times::of_scene(&scene, views.times.as_deref(), fps)?;
+    options.motion.along(&mut views, &mut due, |(time, _)| time, fps)?;
     options.check_single(due.len())?;
     let mut drawing = Drawing::new(&workers, views.backend)?;
     let mut outputs = Outputs::create(place, emit)?;

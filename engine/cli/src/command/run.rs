@@ -168,6 +168,7 @@ fn run_from(
         return Err(Failure::usage("--fps and --frames: expected numbers above 0"));
     }
     let source = Source::open(input, &source::Options { fps: options.fps })?;
+    options.motion.follow(&mut views, source.fps())?;
     console.note(source.notes());
     let sound = taken_along(&source, options, place.destination());
     if source.sound().is_some() {

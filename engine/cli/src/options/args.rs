@@ -230,6 +230,9 @@ pub struct RunOptions {
     pub fps: Option<f64>,
     #[command(flatten)]
     pub view: View,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub motion: Motion,
     /// Outputs: rgb, depth, alpha, exr (these three as layers of one file), scene, ply, tracks [default: rgb,scene]
     #[arg(long, value_name = "LIST")]
     pub emit: Option<String>,
@@ -286,17 +289,31 @@ pub struct RenderOptions {
     pub single: bool,
 }
 
-/// A camera that moves around a still scene.
-#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
+/// A camera that moves around the middle of a scene, and its eyes.
+#[derive(Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Motion {
-    /// Of a still scene: move the camera by so many degrees around it, from left to right, in so many seconds [default: 4]
-    #[arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with_all = ["camera", "times"], allow_hyphen_values = true)]
+    /// Move the camera by so many degrees around the scene, from left to right, in so many seconds; where time runs on, then back, and so
+    /// on [default: 4 seconds; render of a scene in time: once in all of it]
+    #[arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with = "camera", allow_hyphen_values = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub orbit: Option<String>,
-    /// Of a still scene: once around it in so many seconds; the last image goes on into the first
-    #[arg(long, value_name = "SECONDS", conflicts_with_all = ["camera", "times", "orbit"], allow_negative_numbers = true)]
+    /// Move the camera on a circle, so many degrees from the middle, once in so many seconds; the last image goes on into the first
+    /// [default: 4 degrees, 4 seconds; render of a scene in time: about 4 seconds, so that whole circles fit]
+    #[arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with_all = ["camera", "orbit"], num_args = 0..=1, require_equals = true, default_missing_value = "4")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sway: Option<String>,
+    /// Once around the scene in so many seconds; the last image goes on into the first
+    #[arg(long, value_name = "SECONDS", conflicts_with_all = ["camera", "orbit", "sway"], allow_negative_numbers = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turntable: Option<f64>,
+    /// The views of a left and a right eye side by side, in images twice as wide
+    #[arg(long)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub stereo: bool,
+    /// Distance between the eyes, as a part of their distance from the scene's middle [default: 0.06]
+    #[arg(long, value_name = "PART", requires = "stereo", allow_negative_numbers = true)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub eye_distance: Option<f64>,
 }
 
 /// What input files may hold.

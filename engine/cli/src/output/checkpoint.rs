@@ -34,6 +34,7 @@ use crate::output::ledger;
 use crate::output::outputs::Destination;
 use crate::output::record::{Counts, InputRecord, Record, Task, WorkRecord, absolute};
 use crate::output::terms::Terms;
+use crate::session::drawing::Anchor;
 
 /// The point's file.
 const STATE: &str = "state.safetensors";
@@ -64,6 +65,9 @@ pub struct Point {
     pub dropped: u64,
     /// The account of drawing.
     pub drawn: Counts,
+    /// What a moving camera started from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub anchor: Option<Anchor>,
     /// Bytes of the ledger that count.
     pub ledger: u64,
     /// The video, where the result is one.

@@ -53,13 +53,14 @@ pub fn catch_up(
     stream.outputs.take_up(stream.keys.fps(), &interval, point.video.as_ref())?;
     times.next = point.times;
     let drawn = match times.asked {
-        None => shown.last().map(|frame| frame.timestamp),
-        Some(asked) => point.times.checked_sub(1).and_then(|i| asked.get(i)).copied(),
+        None => shown.last().map(|frame| (frame.index, frame.timestamp)),
+        Some(asked) => point.times.checked_sub(1).and_then(|i| Some((i, *asked.get(i)?))),
     };
+    stream.drawing.anchor = point.anchor;
     if stream.emit.draws()
-        && let Some(time) = drawn.filter(|time| holds(&interval, *time))
+        && let Some((index, time)) = drawn.filter(|(_, time)| holds(&interval, *time))
     {
-        stream.drawing.draw(&interval, time, views)?;
+        stream.drawing.draw(&interval, index, time, views)?;
     }
     stream.drawing.counts = point.drawn.clone();
     stream.account.restart(point.work.clone(), stream.engine.work());

@@ -140,6 +140,7 @@ impl Stream<'_> {
             work: self.account.of(self.engine.work()),
             dropped: self.dropped,
             drawn: self.drawing.counts.clone(),
+            anchor: self.drawing.anchor,
             ledger: 0,
             video: None,
         };
