@@ -9,6 +9,8 @@
 
 mod chunk;
 mod columns;
+#[cfg(feature = "viewer")]
+mod images;
 mod index;
 mod quantise;
 mod read;
@@ -17,6 +19,8 @@ mod tests;
 mod write;
 
 pub(super) use read::Container;
+#[cfg(feature = "viewer")]
+pub(crate) use images::{COARSENESS, ImageChunks};
 pub use read::intervals_from_container;
 pub use write::ContainerWriter;
 
