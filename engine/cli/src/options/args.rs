@@ -21,7 +21,7 @@ pub struct Cli {
 #[derive(Subcommand)]
 pub enum Command {
     /// Video → scene, frames, report
-    Run(RunArgs),
+    Run(Box<RunArgs>),
     /// Scene → images at chosen times and cameras
     Render(RenderArgs),
     /// Key frames in, the frames between held out: PSNR and SSIM beside simple baselines
