@@ -213,7 +213,8 @@ mod tests {
 
     #[test]
     fn a_link_is_described_whatever_the_title() {
-        let link = Link { title: "a \"b\" <c>".into(), url: Some("https://d.example/?e&f".into()), image: "g.png".into() };
+        let link =
+            Link { title: "a \"b\" <c>".into(), url: Some("https://d.example/?e&f".into()), image: "g.png".into() };
         let tags = link.tags([288, 512]);
         for expected in [
             r#""og:title" content="a &quot;b&quot; &lt;c>""#,

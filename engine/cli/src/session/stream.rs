@@ -93,7 +93,7 @@ impl Stream<'_> {
         drawing.writing(|| outputs.interval(interval))?;
         if engine.workers().threads() < 2 || due.len() < 2 {
             for &(index, time) in due {
-                let drawn = Drawn::of(drawing, interval, time, *emit, views)?;
+                let drawn = Drawn::of(drawing, interval, (index, time), *emit, views)?;
                 drawing.writing(|| drawn.write(outputs, index))?;
             }
             return Ok(());
@@ -105,7 +105,7 @@ impl Stream<'_> {
             let drawing = &mut *drawing;
             let drawer = scope.spawn(move || {
                 for &(index, time) in due {
-                    let drawn = Drawn::of(drawing, interval, time, *emit, views)?;
+                    let drawn = Drawn::of(drawing, interval, (index, time), *emit, views)?;
                     if sender.send((index, drawn)).is_err() {
                         break;
                     }
@@ -157,8 +157,14 @@ struct Drawn {
 
 impl Drawn {
     /// Those of `interval` at `time` that `emit` asks for.
-    fn of(drawing: &mut Drawing, interval: &Interval, time: f64, emit: Emit, views: &Views) -> Result<Self, Failure> {
-        let image = emit.draws().then(|| drawing.draw(interval, time, views)).transpose()?;
+    fn of(
+        drawing: &mut Drawing,
+        interval: &Interval,
+        (index, time): (usize, f64),
+        emit: Emit,
+        views: &Views,
+    ) -> Result<Self, Failure> {
+        let image = emit.draws().then(|| drawing.draw(interval, index, time, views)).transpose()?;
         let snapshot = emit.ply.then(|| Snapshot::exported(interval, time)).transpose()?;
         if let Some(snapshot) = &snapshot {
             // Where an image is drawn as well, they are counted with it.
