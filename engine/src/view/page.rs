@@ -22,7 +22,6 @@ const SCRIPT: &str = "/* scripts */";
 const SCENE: &str = "<!-- scene -->";
 const LINK: &str = "<!-- link -->";
 const INTERVALS: &str = "<!-- intervals -->";
-const MARKS: [&str; 7] = [STYLE, SHADERS, WORKER, SCRIPT, SCENE, LINK, INTERVALS];
 
 /// Programs of the graphics processor, by the names that the scripts use.
 const SHADER_FILES: [(&str, &str); 4] = [
@@ -188,6 +187,8 @@ pub fn write_page(source: &Recorded, link: &Link, out: &mut dyn Write) -> Result
 mod tests {
     use super::*;
 
+    const MARKS: [&str; 7] = [STYLE, SHADERS, WORKER, SCRIPT, SCENE, LINK, INTERVALS];
+
     #[test]
     fn every_part_has_its_place_and_ends_no_element_early() {
         for mark in MARKS {
@@ -213,7 +214,8 @@ mod tests {
 
     #[test]
     fn a_link_is_described_whatever_the_title() {
-        let link = Link { title: "a \"b\" <c>".into(), url: Some("https://d.example/?e&f".into()), image: "g.png".into() };
+        let link =
+            Link { title: "a \"b\" <c>".into(), url: Some("https://d.example/?e&f".into()), image: "g.png".into() };
         let tags = link.tags([288, 512]);
         for expected in [
             r#""og:title" content="a &quot;b&quot; &lt;c>""#,

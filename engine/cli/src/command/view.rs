@@ -52,7 +52,8 @@ pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
 fn link(title: String, url: Option<&str>, file: &Path, image: &Path) -> Link {
     let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let folder = url.map(|url| url.strip_suffix(&name(file)).unwrap_or(url));
-    let image = folder.map_or_else(|| name(image), |folder| format!("{}/{}", folder.trim_end_matches('/'), name(image)));
+    let image =
+        folder.map_or_else(|| name(image), |folder| format!("{}/{}", folder.trim_end_matches('/'), name(image)));
     Link { title, url: url.map(str::to_owned), image }
 }
 

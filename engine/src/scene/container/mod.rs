@@ -18,9 +18,9 @@ mod read;
 mod tests;
 mod write;
 
-pub(super) use read::Container;
 #[cfg(feature = "viewer")]
 pub(crate) use images::{COARSENESS, ImageChunks};
+pub(super) use read::Container;
 pub use read::intervals_from_container;
 pub use write::ContainerWriter;
 
