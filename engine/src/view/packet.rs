@@ -41,10 +41,6 @@ pub const VERSION: u32 = 2;
 pub const HEADER: usize = 96;
 /// Bytes of a record.
 pub const RECORD: usize = 32;
-/// Bytes of an age.
-const AGE: usize = 2;
-/// Bytes of a rate.
-const RATE: usize = 3;
 /// What is under it cannot be drawn.
 const VISIBLE: f32 = 1.0 / 255.0;
 /// Steps of the largest rate.

@@ -22,7 +22,6 @@ const SCRIPT: &str = "/* scripts */";
 const SCENE: &str = "<!-- scene -->";
 const LINK: &str = "<!-- link -->";
 const INTERVALS: &str = "<!-- intervals -->";
-const MARKS: [&str; 7] = [STYLE, SHADERS, WORKER, SCRIPT, SCENE, LINK, INTERVALS];
 
 /// Programs of the graphics processor, by the names that the scripts use.
 const SHADER_FILES: [(&str, &str); 4] = [
@@ -187,6 +186,8 @@ pub fn write_page(source: &Recorded, link: &Link, out: &mut dyn Write) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const MARKS: [&str; 7] = [STYLE, SHADERS, WORKER, SCRIPT, SCENE, LINK, INTERVALS];
 
     #[test]
     fn every_part_has_its_place_and_ends_no_element_early() {

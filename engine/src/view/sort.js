@@ -29,8 +29,7 @@ class Sorter {
   }
 
   /**
-   * The records that may be seen at t, nearest first, equal depths in drawing order (in a first sort equal to a 65,535th of
-   * their range); and how many were looked at and moved.
+   * The records that may be seen at t, nearest first, equal depths in drawing order; and how many were looked at and moved.
    */
   sort(t, view) {
     this.look(t, view);
@@ -75,6 +74,14 @@ class Sorter {
     for (let i = 0; i < count; i++) counts[(((depth[i] - low) * scale) | 0) + 1]++;
     for (let bin = 0; bin < BINS; bin++) counts[bin + 1] += counts[bin];
     for (let i = 0; i < count; i++) order[counts[((depth[i] - low) * scale) | 0]++] = i;
+    // Inside a bin by insertion, so that the next sort finds out of place only what moved; as long as that is little work.
+    for (let place = 1, left = 8 * count; place < count && left > 0; place++) {
+      const i = order[place];
+      let to = place;
+      for (; to > 0 && depth[order[to - 1]] > depth[i]; to--) order[to] = order[to - 1];
+      order[to] = i;
+      left -= place - to;
+    }
   }
 
   /** Takes out of the last order what is out of place, sorts that, and merges both; −1 where that is too much. */
