@@ -225,7 +225,7 @@ fn product(
     k: usize,
 ) -> Result<Case> {
     let (x, w) = (aligned_noise(m * k, 1), noise(n * k, 2));
-    let weights = Weights::pack_as(precision.1, &w, n, k);
+    let weights = Weights::pack_as(level, precision.1, &w, n, k);
     let mut out = zeros(m * n);
     linear(level, &x, m, &weights, &Epilogue::new(), &mut out);
     for i in 0..97 {

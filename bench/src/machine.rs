@@ -3,7 +3,7 @@
 use serde::Serialize;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::gemm::Precision;
-use streamsplat_kernels::simd::{Operation, Simd, dispatch_dot};
+use streamsplat_kernels::simd::{Operation, Registers, Simd, dispatch};
 
 use crate::timing::once;
 
@@ -57,13 +57,14 @@ pub(crate) fn cpu() -> String {
 struct Chains(Precision, usize);
 
 impl Operation for Chains {
+    const DOT_PRODUCTS: bool = true;
     type Output = f64;
     #[inline(always)]
     fn run<S: Simd>(self, s: S) -> f64 {
-        match (S::GEMM_ROWS, S::GEMM_PANELS) {
-            (12, 2) => chains::<S, 24>(s, self.0, self.1),
-            (6, 1) => chains::<S, 6>(s, self.0, self.1),
-            _ => chains::<S, 2>(s, self.0, self.1),
+        match S::REGISTERS {
+            Registers::Avx512 => chains::<S, 24>(s, self.0, self.1),
+            Registers::Avx2 | Registers::Neon => chains::<S, 6>(s, self.0, self.1),
+            Registers::Scalar => chains::<S, 2>(s, self.0, self.1),
         }
     }
 }
@@ -103,7 +104,7 @@ pub(crate) fn peak(level: Level, precision: Precision) -> f64 {
     let steps = if level == Level::scalar() { 10_000 } else { 200_000 };
     let mut done = 0.0;
     let seconds = once(|| {
-        let each = rayon::broadcast(|_| std::hint::black_box(dispatch_dot(level, Chains(precision, steps))));
+        let each = rayon::broadcast(|_| std::hint::black_box(dispatch(level, Chains(precision, steps))));
         done = each.iter().sum();
     });
     done / seconds / 1e9

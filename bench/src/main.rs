@@ -3,6 +3,7 @@
 //! Every measurement checks its answer before it is timed and reports the fraction of the machine's peak, which is measured
 //! in the same run.
 
+mod compare;
 mod depth;
 mod fit;
 mod instructions;
@@ -31,10 +32,18 @@ static ALLOCATOR: live::Counting = live::Counting;
 
 /// Measure StreamSplat on this machine.
 #[derive(Parser)]
-#[command(name = "streamsplat-bench", version)]
+#[command(
+    name = "streamsplat-bench",
+    version,
+    arg_required_else_help = true,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true
+)]
 struct Program {
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
+    #[command(flatten)]
+    compare: compare::Options,
 }
 
 #[derive(Subcommand)]
@@ -62,7 +71,7 @@ enum Command {
 /// Options of every measurement.
 #[derive(Args, Clone)]
 pub(crate) struct Common {
-    /// Instruction set: scalar, avx2, avx512, neon or auto.
+    /// Instruction set: scalar, avx2, avx512, avx512vnni, avx512bf16, neon or auto.
     #[arg(long, default_value = "auto", value_parser = level)]
     isa: Level,
     /// Threads (0: one per core).
@@ -98,7 +107,17 @@ fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
 }
 
 fn main() -> std::process::ExitCode {
-    let result = match Program::parse().command {
+    let Program { command, compare } = Program::parse();
+    let Some(command) = command else {
+        return match compare::run(&compare) {
+            Ok(worse) => std::process::ExitCode::from(u8::from(worse)),
+            Err(error) => {
+                eprintln!("error: {error:#}");
+                std::process::ExitCode::from(2)
+            }
+        };
+    };
+    let result = match command {
         Command::Depth(options) => depth::run(&options),
         Command::Fit(options) => fit::run(&options),
         Command::Kernels(options) => kernels::run(&options),

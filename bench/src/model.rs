@@ -117,7 +117,8 @@ impl Model {
         };
         let [height, width] = network.config().resolution;
         let rgb = frames([height, width])?;
-        let tokens = network.tokenize(&FrameInput { rgb: &rgb[1], depth: None })?;
+        let mut session = network.session(None);
+        let tokens = session.tokenize(&FrameInput { rgb: &rgb[1], depth: None })?;
         let features = |rgb: &[f32]| -> Result<Option<Vec<f32>>> {
             Ok(match &dino {
                 Some(dino) => Some(dino.features(rgb, [height, width])?.patch_tokens),
@@ -125,16 +126,16 @@ impl Model {
             })
         };
         let condition = [features(&rgb[0])?, features(&rgb[1])?];
-        let embed = |rgb: &[f32]| -> Result<_> {
-            let embedding = network.embed(&FrameInput { rgb, depth: None })?;
-            let still = network.static_gaussians(&embedding, &Sampling::Mean)?;
+        let mut embed = |rgb: &[f32]| -> Result<_> {
+            let embedding = session.embed(&FrameInput { rgb, depth: None })?;
+            let still = session.static_gaussians(&embedding, &Sampling::Mean)?;
             Ok((embedding.h, still))
         };
         let (h_a, a) = embed(&rgb[0])?;
         let (h_b, b) = embed(&rgb[1])?;
         let (h, static_tokens) = ([h_a, h_b], [a.tokens, b.tokens]);
         let side = |i: usize| Side { h: &h[i], static_tokens: &static_tokens[i], condition: condition[i].as_deref() };
-        let moving = network.deform(side(0), side(1))?;
+        let moving = session.deform(side(0), side(1))?;
         let (level, still) = (load.level, [a.gaussians, b.gaussians]);
         Ok(Model { network, dino, level, rgb, tokens, h, static_tokens, condition, still, moving })
     }
@@ -152,17 +153,17 @@ impl Model {
 
     /// Runs a stage once and gives what it computed. Its input is what the stages before gave at the same precision.
     pub(crate) fn stage(&self, name: &str) -> Result<Vec<f32>> {
-        let network = &self.network;
+        let mut session = self.network.session(None);
         Ok(match name {
-            "encoder" => network.encode(&self.tokens)?.h,
-            "upsampler" => network.upsample_static(&self.h[1])?,
-            "decoder" => network.decode(&self.side(0), &self.side(1))?.concat(),
+            "encoder" => session.encode(&self.tokens)?.h,
+            "upsampler" => session.upsample_static(&self.h[1])?,
+            "decoder" => session.decode(&self.side(0), &self.side(1))?.concat(),
             "dinov2" => self.features(1)?,
             "heads" => {
-                let still = network.static_head(&self.static_tokens[1], &Sampling::Mean)?;
+                let still = session.static_head(&self.static_tokens[1], &Sampling::Mean)?;
                 let mut out = still.position.into_flattened();
-                for (moving, tokens) in self.moving.iter().zip(&self.static_tokens) {
-                    out.extend(network.deformation_head(tokens, &moving.tokens)?.0.into_flattened());
+                for (place, (moving, tokens)) in self.moving.iter().zip(&self.static_tokens).enumerate() {
+                    out.extend(session.deformation_head(place, tokens, &moving.tokens)?.0.into_flattened());
                 }
                 out
             }
@@ -170,11 +171,11 @@ impl Model {
             // All that one more key frame costs.
             _ => {
                 let features = self.features(1)?;
-                let embedding = network.embed(&FrameInput { rgb: &self.rgb[1], depth: None })?;
-                let still = network.static_gaussians(&embedding, &Sampling::Mean)?;
+                let embedding = session.embed(&FrameInput { rgb: &self.rgb[1], depth: None })?;
+                let still = session.static_gaussians(&embedding, &Sampling::Mean)?;
                 let condition = self.dino.is_some().then_some(features.as_slice());
                 let new = Side { h: &embedding.h, static_tokens: &still.tokens, condition };
-                let [a, b] = network.deform(self.side(0), new)?;
+                let [a, b] = session.deform(self.side(0), new)?;
                 [a.velocity, b.velocity].concat().into_flattened()
             }
         })
@@ -196,7 +197,7 @@ impl Model {
         }
         let gaussians = Gaussians { mean: &mean, scale: &scale, rotation: None, opacity: &opacity, rgb: &rgb };
         let projection = Projection::Orthographic { focal: [width as f32 / 2.0, height as f32 / 2.0] };
-        let request = Request { width, height, background: [0.5; 3], depth: false, alpha: false, statistics: false };
+        let request = Request::colour(width, height, [0.5; 3]);
         render(self.level, &gaussians, &projection, &request).rgb
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
-use streamsplat::gap::{Auto, Choice, Chooser, Gap};
+use streamsplat::gap::{Auto, Gap, grouped};
 use streamsplat::metrics::psnr;
 use streamsplat::picture::Picture;
 use streamsplat::render::Painter;
@@ -43,21 +43,11 @@ pub(crate) fn read(input: &Path, frames: Option<usize>) -> Result<Vec<TimedPictu
 
 /// The clip's key frames; as in a run, the last frame is one.
 fn keys(gap: Gap, clip: &[TimedPicture]) -> Vec<usize> {
-    let mut chooser = Chooser::new(gap);
-    let mut keys = Vec::new();
-    for (index, frame) in clip.iter().enumerate() {
-        match chooser.next(&frame.picture) {
-            Choice::Wait => {}
-            Choice::This => keys.push(index),
-            Choice::Before => keys.push(index - 1),
-        }
-    }
-    if let Some(last) = clip.len().checked_sub(1)
-        && keys.last() != Some(&last)
-    {
-        keys.push(last);
-    }
-    keys
+    let ends = grouped(gap, clip).scan(0, |end, group| {
+        *end += group.frames.len();
+        Some(*end - 1)
+    });
+    ends.collect()
 }
 
 /// Time of a key frame.

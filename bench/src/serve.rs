@@ -144,13 +144,13 @@ impl Tensors {
 impl Inputs {
     fn run(&self, network: &Network, stage: &str) -> Result<Vec<f32>> {
         Ok(match stage {
-            "encoder" => network.encode(&self.encoder)?.h,
-            "upsampler" => network.upsample_static(&self.upsampler)?,
+            "encoder" => network.session(None).encode(&self.encoder)?.h,
+            "upsampler" => network.session(None).upsample_static(&self.upsampler)?,
             "decoder" => {
                 let (h_a, h_b) = self.decoder.split_at(self.decoder.len() / 2);
                 let (c_a, c_b) = self.condition.split_at(self.condition.len() / 2);
                 let side = |h, condition| Side { h, static_tokens: &[], condition: Some(condition) };
-                network.decode(&side(h_a, c_a), &side(h_b, c_b))?.concat()
+                network.session(None).decode(&side(h_a, c_a), &side(h_b, c_b))?.concat()
             }
             _ => bail!("unknown stage {stage:?}: expected encoder, upsampler or decoder"),
         })

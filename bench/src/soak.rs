@@ -50,7 +50,7 @@ pub(crate) struct Options {
     /// Checkpoint [default: a small one of seeded weights].
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// Instruction set: scalar, avx2, avx512, neon or auto.
+    /// Instruction set: scalar, avx2, avx512, avx512vnni, avx512bf16, neon or auto.
     #[arg(long, default_value = "auto", value_parser = super::level)]
     isa: Level,
     /// Threads (0: one per core).

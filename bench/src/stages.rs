@@ -9,7 +9,7 @@ use anyhow::{Result, ensure};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use streamsplat_kernels::gemm;
-use streamsplat_model::inspect::{dino_gflop, stages};
+use streamsplat_model::cost::{dino_gflop, stages};
 use streamsplat_model::{LoadOptions, Precision, silent};
 
 use crate::Common;

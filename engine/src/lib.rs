@@ -28,7 +28,7 @@
 //! ```
 //!
 //! Around it: [`source`] reads videos, [`gap`] chooses key frames, [`depth`] gives their depth maps, from files or a network ([`onnx`]), [`output`] and [`scene`] write and read results,
-//! [`export`] writes them for viewers, [`import`] reads the still scenes of others, [`view`] shows them in a browser, [`metrics`] and [`lpips`] measure them, [`difference`] says how far two pictures are apart and where.
+//! [`export`] writes them for viewers, [`import`] reads the still scenes of others, [`view`] shows them in a browser, [`metrics`] and [`lpips`] measure them, [`track`] follows points through time, [`difference`] says how far two pictures are apart and where.
 //!
 //! Features: `onnx` ([`onnx`], [`lpips`], networks of [`depth`]) and `viewer` ([`view`]) are on unless turned off; `wgpu` draws on graphics cards, outside of the bit contract.
 #![deny(unsafe_code)]
@@ -55,6 +55,7 @@ pub mod space;
 pub mod splats;
 pub mod still;
 pub mod stream;
+pub mod track;
 #[cfg(feature = "viewer")]
 pub mod view;
 #[cfg(feature = "wgpu")]

@@ -28,6 +28,12 @@ pub fn size_is_allowed(width: usize, height: usize) -> bool {
     (1..=MAX_SIDE).contains(&width) && (1..=MAX_SIDE).contains(&height) && width * height <= MAX_PIXELS
 }
 
+impl AsRef<Picture> for Picture {
+    fn as_ref(&self) -> &Picture {
+        self
+    }
+}
+
 impl Picture {
     /// A picture of the given planes; `None` unless `rgb` holds `3 · width · height` samples.
     pub fn new(width: usize, height: usize, rgb: Vec<f32>) -> Option<Picture> {

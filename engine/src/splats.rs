@@ -108,7 +108,12 @@ impl Splats {
         Ok(Splats {
             splats,
             projection,
-            request: Request { width, height, background, depth: true, alpha: true, statistics: true },
+            request: Request {
+                depth: true,
+                alpha: true,
+                statistics: true,
+                ..Request::colour(width, height, background)
+            },
         })
     }
 

@@ -136,7 +136,7 @@ proptest! {
     fn packed_weights_hold_n_times_k_values(sizes in wrapping_sizes(2)) {
         let [n, k] = sizes[..] else { unreachable!() };
         for precision in PRECISIONS {
-            check(&sizes, |weight| Weights::pack_as(precision, weight, n, k).bytes());
+            check(&sizes, |weight| Weights::pack_as(Level::detect(), precision, weight, n, k).bytes());
         }
         check(&sizes, |weight| pointwise::Layer::pack(weight, None, Activation::Identity, n, k).bytes());
     }
@@ -149,7 +149,7 @@ proptest! {
     ) {
         let (n, k) = (1_usize << bits, 1_usize << k_bits);
         for precision in PRECISIONS {
-            let weights = Weights::pack_as(precision, &vec![0.25; n * k], n, k);
+            let weights = Weights::pack_as(Level::detect(), precision, &vec![0.25; n * k], n, k);
             check(&[m, k], |x| {
                 linear(Level::detect(), &*x, m, &weights, &Epilogue::new(), &mut values(&[m, n]));
             });
@@ -373,7 +373,7 @@ proptest! {
         let fits = fits && b.len() == c.len();
         prop_assert_eq!(panics(|| layer_norm(Level::detect(), a, b, c, 1e-5, &mut out)), !fits);
         // A feed-forward layer whose parts have unequal widths.
-        let weights = |n: usize, k: usize| Weights::pack(&vec![0.1; n * k], n, k);
+        let weights = |n: usize, k: usize| Weights::pack(Level::detect(), &vec![0.1; n * k], n, k);
         let (expand, contract) = (weights(32, a.len()), weights(b.len(), d));
         let layer = FeedForward {
             norm: Norm::rms(c, 1e-5),
@@ -395,10 +395,10 @@ fn sizes_whose_products_wrap_to_zero_are_refused() {
     let half = 1_usize << 32;
     // 2³² rows of 2³² values are no values at all in 64 bits.
     assert!(panics(|| Rows::new(&[], half, half, 0)));
-    assert!(panics(|| Weights::pack(&[], 1 << 60, 16)));
+    assert!(panics(|| Weights::pack(Level::detect(), &[], 1 << 60, 16)));
     assert!(panics(|| pointwise::Layer::pack(&[], Some(&[]), Activation::Identity, 0, usize::MAX)));
     assert!(panics(|| bilinear(level, &[0.0; 4], 1, 2, 2, half, half, &mut [])));
-    let weights = Weights::pack(&[0.5; 256], 16, 16);
+    let weights = Weights::pack(Level::detect(), &[0.5; 256], 16, 16);
     assert!(panics(|| linear(level, &[], 1 << 60, &weights, &Epilogue::new(), &mut [])));
     let shape = Shape { heads: 1 << 60, width: 16, windows: Windows::Full };
     let rows = Rows::new(&[0.5; 16], 1, 16, 0);

@@ -54,7 +54,7 @@ fn products() {
         let (x, w, norm) = (noise(m * k, 1), noise(n * k, 2), noise(k, 3));
         let (bias, gamma) = (noise(n, 4), noise(n, 5));
         for precision in PRECISIONS {
-            let weights = Weights::pack_as(precision, &w, n, k);
+            let weights = Weights::pack_as(Level::detect(), precision, &w, n, k);
             everywhere("linear", |level| {
                 let mut all = Vec::new();
                 let plain = Epilogue::new();
@@ -79,7 +79,7 @@ fn products_in_other_layouts() {
     let (m, n, k) = (6, 64, 19);
     let (x, w) = (noise(m * k, 1), noise(n * k, 2));
     for precision in PRECISIONS {
-        let weights = Weights::pack_as(precision, &w, n, k);
+        let weights = Weights::pack_as(Level::detect(), precision, &w, n, k);
         everywhere("layouts", |level| {
             let mut all = Vec::new();
             for epilogue in
@@ -101,8 +101,10 @@ fn feed_forward_layers() {
         let (x, norm) = (noise(m * d, 1), noise(d, 2));
         let (first, second, bias) = (noise(h * d, 3), noise(d * h, 4), noise(h, 5));
         for precision in PRECISIONS {
-            let (expand, contract) =
-                (Weights::pack_as(precision, &first, h, d), Weights::pack_as(precision, &second, d, h));
+            let (expand, contract) = (
+                Weights::pack_as(Level::detect(), precision, &first, h, d),
+                Weights::pack_as(Level::detect(), precision, &second, d, h),
+            );
             everywhere("feed forward", |level| {
                 let mut out = x.clone();
                 let layer = FeedForward {

@@ -14,14 +14,14 @@ use std::borrow::Cow;
 use streamsplat_kernels::Level;
 
 use crate::checkpoint::Weights;
+use crate::cost::USUAL_CONDITION;
 use crate::grid::rows_of;
 use crate::layers::{
-    Bias, CrossAttention, FeedForward, Linear, RmsNorm, SelfAttention, Workspace, add, add_zero, sinusoid, windows,
+    Bias, CrossAttention, FeedForward, HEAD, Linear, RmsNorm, SelfAttention, Workspace, add, add_zero, sinusoid, sized,
+    windows,
 };
+use crate::reuse::{PartCache, Pass, Rows, gather, keep_heads};
 use crate::{Config, ModelError, Precision};
-
-/// Tokens of the published condition: the patches of DINOv2.
-const USUAL_CONDITION: usize = 576;
 
 #[derive(Clone)]
 pub(crate) struct Decoder {
@@ -31,8 +31,8 @@ pub(crate) struct Decoder {
     condition_position: Table,
     condition_ln: RmsNorm,
     layernorm1: RmsNorm,
-    pub(crate) blocks: Vec<PairBlock>,
-    pub(crate) layernorm2: RmsNorm,
+    blocks: Vec<PairBlock>,
+    layernorm2: RmsNorm,
 }
 
 /// Position code of the condition.
@@ -46,10 +46,10 @@ enum Table {
 
 /// A block; a branch that is silent is none.
 #[derive(Clone)]
-pub(crate) struct PairBlock {
-    pub(crate) self_attn: Option<SelfAttention>,
-    pub(crate) cross_attn: Option<CrossAttention>,
-    pub(crate) mlp: Option<FeedForward>,
+struct PairBlock {
+    self_attn: Option<SelfAttention>,
+    cross_attn: Option<CrossAttention>,
+    mlp: Option<FeedForward>,
 }
 
 impl Decoder {
@@ -111,24 +111,19 @@ impl Decoder {
         }
     }
 
-    /// `features [M, C]` of the other frame, ready to attend to.
-    fn condition(&self, level: Level, features: &[f32]) -> Vec<f32> {
+    /// The tokens `at` (`None`: all) of a condition of `m`, whose rows `features [_, C]` holds, ready to attend to.
+    fn condition(&self, level: Level, features: &[f32], at: Option<&[u32]>, m: usize) -> Vec<f32> {
         let d = self.condition_proj.n();
-        let m = features.len() / self.condition_proj.k();
-        let mut projected = vec![0.0; m * d];
-        self.condition_proj.apply(level, features, &mut projected);
-        add(&mut projected, &self.condition_positions(m)[..m * d]);
-        self.condition_ln.of(level, &projected)
-    }
-
-    /// [`Decoder::condition`] of the tokens `at`, of `m`, whose rows `features` holds.
-    pub(crate) fn condition_some(&self, level: Level, features: &[f32], at: &[u32], m: usize) -> Vec<f32> {
-        let d = self.condition_proj.n();
-        let mut projected = vec![0.0; at.len() * d];
+        let mut projected = vec![0.0; features.len() / self.condition_proj.k() * d];
         self.condition_proj.apply(level, features, &mut projected);
         let positions = self.condition_positions(m);
-        for (row, x) in at.iter().zip(projected.chunks_exact_mut(d)) {
-            x.iter_mut().zip(&positions[*row as usize * d..]).for_each(|(x, p)| *x += p);
+        match at {
+            None => add(&mut projected, &positions[..m * d]),
+            Some(at) => {
+                for (row, x) in at.iter().zip(projected.chunks_exact_mut(d)) {
+                    x.iter_mut().zip(&positions[*row as usize * d..]).for_each(|(x, p)| *x += p);
+                }
+            }
         }
         self.condition_ln.of(level, &projected)
     }
@@ -142,47 +137,72 @@ impl Decoder {
         }
     }
 
-    /// `[d_a, d_b]`, each `[N, D]`, from the embeddings and features of frames a and b.
+    /// `[d_a, d_b]`, each `[N, D]`, from the embeddings and features of frames a and b; `moves`: see [`Pass::begin`].
     pub(crate) fn apply(
         &self,
         level: Level,
         config: &Config,
-        h: [&[f32]; 2],
-        features: [&[f32]; 2],
+        (h, features): ([&[f32]; 2], [&[f32]; 2]),
+        (cache, moves): (Option<&mut PartCache>, bool),
         work: &mut Workspace,
     ) -> [Vec<f32>; 2] {
+        let (n, d) = (config.tokens(), config.hidden_dim);
+        let mut entered = h.concat();
+        add(&mut entered, &self.position);
+        let entered = self.layernorm1.of(level, &entered);
+        let (mut pass, mut rows) = Pass::begin(level, cache, moves, &entered, std::mem::take(&mut work.tokens));
         // Each frame is conditioned on the other.
-        let conditions = [self.condition(level, features[1]), self.condition(level, features[0])];
-        let half = h[0].len();
-        let entered = self.enter(level, h);
-        let mut first = work.with_tokens(&entered, |x, work| {
-            for (i, block) in self.blocks.iter().enumerate() {
-                let windows = windows(config.encoder_window, i);
-                match &block.self_attn {
-                    Some(self_attn) => self_attn.accumulate(level, windows, x, work),
-                    None => add_zero(x),
+        let conditions = [0, 1].map(|side| {
+            let (features, c) = (features[1 - side], config.condition_dim);
+            let at = pass.condition(side, features, &rows);
+            let m = features.len() / c;
+            let condition = match &at {
+                None => self.condition(level, features, None, m),
+                Some(at) => {
+                    let mut some = vec![0.0; at.len() * c];
+                    gather(at, features, c, &mut some);
+                    self.condition(level, &some, Some(at), m)
                 }
-                match &block.cross_attn {
-                    Some(cross_attn) => {
-                        for (x, condition) in x.chunks_exact_mut(half).zip(&conditions) {
-                            cross_attn.accumulate(level, condition, x, work);
-                        }
-                    }
-                    None => add_zero(x),
-                }
-                block.feed_forward(level, x);
-            }
-            self.layernorm2.of(level, x)
+            };
+            (at, condition)
         });
-        let second = first.split_off(half);
+        for (i, block) in self.blocks.iter().enumerate() {
+            let windows = windows(config.encoder_window, i);
+            let mut kept = pass.admit(i, block.self_attn.as_ref().map(|_| windows), &mut rows);
+            let Rows { at, x } = &mut rows;
+            let own = kept.as_deref_mut().map(|kept| &mut kept.own);
+            match &block.self_attn {
+                Some(self_attn) => self_attn.accumulate(level, windows, at.as_deref(), x, own, work),
+                None => add_zero(x),
+            }
+            match &block.cross_attn {
+                Some(cross_attn) => {
+                    let earlier = at.as_ref().map_or(n, |at| at.partition_point(|token| (*token as usize) < n));
+                    let (earlier, later) = x.split_at_mut(earlier * d);
+                    let mut memory = std::mem::take(&mut work.keys_values);
+                    for (side, x) in [earlier, later].into_iter().enumerate() {
+                        let (at, condition) = &conditions[side];
+                        let new = sized(&mut memory, 2 * condition.len());
+                        cross_attn.keys_values(level, condition, new);
+                        let keys_values = match kept.as_deref_mut() {
+                            None => new,
+                            Some(kept) => {
+                                keep_heads(at.as_deref(), new, HEAD, &mut kept.cross[side]);
+                                &mut kept.cross[side]
+                            }
+                        };
+                        cross_attn.accumulate(level, keys_values, x, work);
+                    }
+                    work.keys_values = memory;
+                }
+                None => add_zero(x),
+            }
+            block.feed_forward(level, x);
+        }
+        let mut first = pass.finish(rows.at, self.layernorm2.of(level, &rows.x));
+        work.tokens = rows.x;
+        let second = first.split_off(n * d);
         [first, second]
-    }
-
-    /// Input of the blocks, `[2N, D]`.
-    pub(crate) fn enter(&self, level: Level, h: [&[f32]; 2]) -> Vec<f32> {
-        let mut summed = h.concat();
-        add(&mut summed, &self.position);
-        self.layernorm1.of(level, &summed)
     }
 
     pub(crate) fn bytes(&self) -> usize {

@@ -74,7 +74,7 @@ impl Dino {
         options: &LoadOptions,
     ) -> Result<Dino, ModelError> {
         let _span = info_span!("load").entered();
-        let weights = &Weights::new(checkpoint, "");
+        let weights = &Weights::new(checkpoint, "").on(options.level);
         let config = DinoConfig::derive(weights, settings)?;
         let (d, p, side) = (config.embed_dim, config.patch_size, config.pos_embed_grid);
         let positions = weights.vector("pos_embed", &[1, 1 + side * side, d])?;
@@ -94,7 +94,7 @@ impl Dino {
             .map(|i| DinoBlock::load(&inner.at(format_args!("blocks.{i}")), &config))
             .collect::<Result<_, _>>()?;
         Ok(Dino {
-            patch_embed: Linear::new(Precision::F32, &kernel, Some(bias), d, 3 * p * p),
+            patch_embed: Linear::new(options.level, Precision::F32, &kernel, Some(bias), d, 3 * p * p),
             first,
             position,
             blocks,

@@ -11,6 +11,7 @@ use streamsplat_kernels::patches::patches;
 use crate::checkpoint::Weights;
 use crate::grid::rows_of;
 use crate::layers::{Block, Linear, RmsNorm, Workspace, add, sinusoid, windows};
+use crate::reuse::{PartCache, Pass};
 use crate::{Config, ModelError, Precision};
 
 #[derive(Clone)]
@@ -18,8 +19,8 @@ pub(crate) struct Encoder {
     conv: Linear,
     position: Vec<f32>,
     layernorm1: RmsNorm,
-    pub(crate) blocks: Vec<Block>,
-    pub(crate) layernorm2: RmsNorm,
+    blocks: Vec<Block>,
+    layernorm2: RmsNorm,
 }
 
 impl Encoder {
@@ -34,7 +35,7 @@ impl Encoder {
             })
             .collect::<Result<_, _>>()?;
         Ok(Encoder {
-            conv: Linear::new(weights.precision(), &conv, None, d, 4 * p * p),
+            conv: Linear::new(weights.level(), weights.precision(), &conv, None, d, 4 * p * p),
             position: if weights.shape(pe).is_some() { weights.vector(pe, &[n, d])? } else { sinusoid(n, d) },
             layernorm1: RmsNorm::load(weights, "layernorm1", d)?,
             blocks,
@@ -58,25 +59,27 @@ impl Encoder {
         tokens
     }
 
-    pub(crate) fn encode(&self, level: Level, config: &Config, tokens: &[f32], work: &mut Workspace) -> Vec<f32> {
-        self.run(level, config, self.enter(level, tokens), work)
-    }
-
-    /// Input of the blocks.
-    pub(crate) fn enter(&self, level: Level, tokens: &[f32]) -> Vec<f32> {
-        let mut summed = tokens.to_vec();
-        add(&mut summed, &self.position);
-        self.layernorm1.of(level, &summed)
-    }
-
-    /// The blocks and what follows.
-    pub(crate) fn run(&self, level: Level, config: &Config, entered: Vec<f32>, work: &mut Workspace) -> Vec<f32> {
-        work.with_tokens(&entered, |x, work| {
-            for (i, block) in self.blocks.iter().enumerate() {
-                block.apply(level, windows(config.encoder_window, i), x, work);
-            }
-            self.layernorm2.of(level, x)
-        })
+    /// `h [N, D]` of the tokens of a frame.
+    pub(crate) fn encode(
+        &self,
+        level: Level,
+        config: &Config,
+        tokens: &[f32],
+        cache: Option<&mut PartCache>,
+        work: &mut Workspace,
+    ) -> Vec<f32> {
+        let mut entered = tokens.to_vec();
+        add(&mut entered, &self.position);
+        let entered = self.layernorm1.of(level, &entered);
+        let (mut pass, mut rows) = Pass::begin(level, cache, false, &entered, std::mem::take(&mut work.tokens));
+        for (i, block) in self.blocks.iter().enumerate() {
+            let windows = windows(config.encoder_window, i);
+            let kept = pass.admit(i, block.mixed(windows), &mut rows);
+            block.apply(level, windows, &mut rows, kept, work);
+        }
+        let h = pass.finish(rows.at, self.layernorm2.of(level, &rows.x));
+        work.tokens = rows.x;
+        h
     }
 
     pub(crate) fn bytes(&self) -> usize {

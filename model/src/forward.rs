@@ -78,14 +78,15 @@ pub fn forward(network: &Network, input: &Checkpoint) -> Result<Vec<Tensor>, Mod
 
     let (n, d) = (config.tokens(), config.hidden_dim);
     let (gaussians, gaussian_dim) = (config.gaussians(), config.gaussian_dim());
+    let mut session = network.session(None);
     let mut out = Outputs::default();
     let (mut embeddings, mut statics) = (Vec::new(), Vec::new());
     for frame in 0..2 {
         let rgb = &frames[3 * area * frame..][..3 * area];
         let depth = depths.as_ref().map(|depths| &depths[area * frame..][..area]);
-        let tokens = network.tokenize(&FrameInput { rgb, depth })?;
-        let embedding = network.encode(&tokens)?;
-        let still = network.static_gaussians(&embedding, &Sampling::Mean)?;
+        let tokens = session.tokenize(&FrameInput { rgb, depth })?;
+        let embedding = session.encode(&tokens)?;
+        let still = session.static_gaussians(&embedding, &Sampling::Mean)?;
         out.push("out.tokens_conv", &[n, d], &tokens);
         out.push("out.h", &[n, d], &embedding.h);
         out.push("out.static_tokens", &[gaussians, gaussian_dim], &still.tokens);
@@ -101,7 +102,7 @@ pub fn forward(network: &Network, input: &Checkpoint) -> Result<Vec<Tensor>, Mod
         static_tokens: &statics[frame].tokens,
         condition: condition.as_ref().map(|c| &c[c.len() / 2 * frame..][..c.len() / 2]),
     };
-    for motion in network.deform(side(0), side(1))? {
+    for motion in session.deform(side(0), side(1))? {
         out.push("out.d", &[n, d], &motion.d);
         out.push("out.dynamic_tokens", &[gaussians, gaussian_dim], &motion.tokens);
         out.push("out.dynamic.velocity", &[gaussians, 3], motion.velocity.as_flattened());

@@ -6,8 +6,9 @@ use serde::Serialize;
 
 use crate::checkpoint::{Checkpoint, Weights};
 use crate::config::{self, Settings};
+use crate::cost::{self, StageCost};
 use crate::silent::{Silent, silent};
-use crate::{Config, DinoConfig, ModelError, StaticPosition, keys};
+use crate::{Config, DinoConfig, ModelError, keys};
 
 /// Kind and sizes of a model.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -30,17 +31,6 @@ pub struct Part {
     pub parameters: usize,
     /// Bytes in the file.
     pub bytes: usize,
-}
-
-/// The cost of one call of a stage, a multiplication and an addition counted as two operations.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct StageCost {
-    /// The stage's name.
-    pub stage: &'static str,
-    /// 10⁹ operations per call.
-    pub gflop: f64,
-    /// Calls per new key frame.
-    pub calls: usize,
 }
 
 /// Contents of a model file.
@@ -131,8 +121,8 @@ fn inspect_checkpoint(checkpoint: &Checkpoint, settings: &Settings) -> Result<Re
         parts.pop();
     }
     let stages = match &kind {
-        Kind::StreamSplat(config) => stages(config),
-        Kind::Dino(config) => vec![StageCost { stage: "dinov2", gflop: dino_gflop(config), calls: 1 }],
+        Kind::StreamSplat(config) => cost::stages(config),
+        Kind::Dino(config) => vec![StageCost { stage: "dinov2", gflop: cost::dino_gflop(config), calls: 1 }],
     };
     let silent = match &kind {
         Kind::StreamSplat(config) => silent(&Weights::new(checkpoint, prefix), config),
@@ -157,110 +147,3 @@ const DINO_PARTS: [(&str, &[&str]); 3] = [
     ("blocks", &["blocks."]),
     ("norm", &["norm."]),
 ];
-
-/// Cost per stage of a StreamSplat network.
-pub fn stages(config: &Config) -> Vec<StageCost> {
-    let (n, d) = (config.tokens() as f64, config.hidden_dim as f64);
-    let window = |tokens: f64, window: Option<usize>| window.map_or(tokens, |w| w as f64);
-    let patch = 4.0 * (config.patch_size * config.patch_size) as f64;
-    let own = window(n, config.encoder_window);
-    let encoder = linear(n, patch, d) + config.encoder_layers as f64 * block(n, d, own);
-
-    let [first, second] = config.upsampler_widths.map(|width| width as f64);
-    let run = config.upsampler_window as f64;
-    let upsampler = linear(n, d, 4.0 * first)
-        + 2.0 * block(4.0 * n, first, run)
-        + linear(4.0 * n, first, 4.0 * second)
-        + 2.0 * block(16.0 * n, second, run);
-
-    let m = if config.use_dino { 576.0 } else { n };
-    let pair = window(2.0 * n, config.encoder_window);
-    let cross = linear(2.0 * n, d, 2.0 * d) + linear(2.0 * m, d, 2.0 * d) + attention(2.0 * n, m, d);
-    let condition = linear(2.0 * m, config.condition_dim as f64, d);
-    let decoder = condition + config.decoder_layers as f64 * (block(2.0 * n, d, pair) + cross);
-
-    let static_columns = if config.static_position == StaticPosition::Tanh { 9.0 } else { 12.0 };
-    let static_head = linear(16.0 * n, second, static_columns);
-    let mlp = |out: f64| linear(16.0 * n, 2.0 * second, second) + linear(16.0 * n, second, second + out);
-    let deformation_head = linear(16.0 * n, second, second) + mlp(3.0) + mlp(2.0);
-    let stage = |stage: &'static str, flop: f64, calls: usize| StageCost { stage, gflop: flop / 1e9, calls };
-    vec![
-        stage("encoder", encoder, 1),
-        stage("upsampler", upsampler, 3),
-        stage("decoder", decoder, 1),
-        stage("heads", static_head + 2.0 * deformation_head, 1),
-    ]
-}
-
-/// 10⁹ operations of DINOv2 per frame.
-pub fn dino_gflop(config: &DinoConfig) -> f64 {
-    let patches = config.patches() as f64;
-    let n = patches + 1.0 + config.register_tokens as f64;
-    let (d, hidden) = (config.embed_dim as f64, config.mlp_dim as f64);
-    let embed = linear(patches, 3.0 * (config.patch_size * config.patch_size) as f64, d);
-    let block = linear(n, d, 4.0 * d) + attention(n, n, d) + 2.0 * linear(n, d, hidden);
-    (embed + config.depth as f64 * block) / 1e9
-}
-
-pub(crate) fn linear(rows: f64, from: f64, to: f64) -> f64 {
-    2.0 * rows * from * to
-}
-
-/// Queries against the keys each of them sees, and back.
-pub(crate) fn attention(queries: f64, keys: f64, d: f64) -> f64 {
-    4.0 * queries * keys * d
-}
-
-/// A block whose tokens see `keys` tokens.
-fn block(n: f64, d: f64, keys: f64) -> f64 {
-    own_attention(n, d, keys) + feed_forward(n, d)
-}
-
-/// Attention of tokens that see `keys` of their own kind, with its projections.
-pub(crate) fn own_attention(n: f64, d: f64, keys: f64) -> f64 {
-    linear(n, d, 4.0 * d) + attention(n, keys, d)
-}
-
-/// A feed-forward layer.
-pub(crate) fn feed_forward(n: f64, d: f64) -> f64 {
-    2.0 * linear(n, d, 4.0 * d)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The published model costs what the paper's description of it adds up to.
-    #[test]
-    fn costs_at_the_published_size() {
-        let config = Config {
-            hidden_dim: 768,
-            encoder_layers: 10,
-            decoder_layers: 10,
-            resolution: [288, 512],
-            patch_size: 8,
-            upsampler_window: 2304,
-            upsampler_widths: [384, 192],
-            encoder_window: None,
-            use_dino: true,
-            condition_dim: 768,
-            static_position: StaticPosition::Tanh,
-            ignores_depth: false,
-        };
-        let costs = stages(&config);
-        let gflop = |name: &str| costs.iter().find(|c| c.stage == name).expect("a stage").gflop;
-        for (name, expected) in [("encoder", 490.0), ("upsampler", 336.0), ("decoder", 1520.0)] {
-            assert!((gflop(name) / expected - 1.0).abs() < 0.01, "{name}: {} instead of {expected}", gflop(name));
-        }
-        let dino = DinoConfig {
-            embed_dim: 768,
-            depth: 12,
-            mlp_dim: 3072,
-            patch_size: 14,
-            register_tokens: 4,
-            pos_embed_grid: 37,
-            resized_to: [252, 448],
-        };
-        assert!((dino_gflop(&dino) / 111.7 - 1.0).abs() < 0.01, "{}", dino_gflop(&dino));
-    }
-}

@@ -8,7 +8,8 @@
 //! h_a, h_b, conditions ── decoder ──► d_a, d_b ── deformation upsampler ── deformation head ──► velocity, γ
 //! ```
 //!
-//! [`reuse`] leaves out what did not change between frames, [`silent`] what adds nothing.
+//! A [`Session`] takes frames through it. [`reuse`] leaves out what did not change between frames, [`silent`] what
+//! adds nothing.
 //!
 //! Arrays are row-major `f32`; a frame's tokens run over the patch grid row by row. World axes: x right, y away from the
 //! camera (0 near, 1 far: normalised inverse depth), z up. Every output obeys the bit contract of the kernels: it is the
@@ -20,6 +21,7 @@
 
 pub mod checkpoint;
 mod config;
+pub mod cost;
 mod decoder;
 mod deformation_head;
 mod dino;
@@ -35,6 +37,7 @@ pub mod motion;
 mod network;
 mod options;
 pub mod reuse;
+mod session;
 pub mod silent;
 mod static_head;
 mod upsampler;
@@ -45,3 +48,4 @@ pub use error::ModelError;
 pub use frame::{Deformation, DinoFeatures, Embedding, FrameInput, Sampling, Side, StaticFrame, StaticGaussians};
 pub use network::Network;
 pub use options::{LoadOptions, Precision, UnknownPrecision};
+pub use session::Session;

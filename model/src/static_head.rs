@@ -70,23 +70,14 @@ impl StaticHead {
         self.z_map = (0..rows * columns).map(|i| -centre(i / columns, rows) as f32).collect();
     }
 
-    pub(crate) fn apply(&self, level: Level, config: &Config, tokens: &[f32], sampling: Sampling) -> StaticGaussians {
-        self.apply_at(level, config, tokens, sampling, |i| i)
-    }
-
-    /// [`StaticHead::apply`] of the cells `at`, whose tokens these are, with the mean of a position's distribution.
-    pub(crate) fn apply_some(&self, level: Level, config: &Config, tokens: &[f32], at: &[u32]) -> StaticGaussians {
-        self.apply_at(level, config, tokens, Sampling::Mean, |i| at[i] as usize)
-    }
-
-    /// `cell(i)` is the cell of token `i`.
-    fn apply_at(
+    /// The Gaussians of the cells `at` (`None`: all), whose tokens these are.
+    pub(crate) fn apply(
         &self,
         level: Level,
         config: &Config,
         tokens: &[f32],
+        at: Option<&[u32]>,
         sampling: Sampling,
-        cell: impl Fn(usize) -> usize,
     ) -> StaticGaussians {
         let d = config.gaussian_dim();
         let n = tokens.len() / d;
@@ -132,7 +123,8 @@ impl StaticHead {
         }
         let [rows, columns] = config.gaussian_grid().map(|side| side as f32);
         for (i, o) in position.iter_mut().enumerate() {
-            let (x, z) = (self.x_map[cell(i)], self.z_map[cell(i)]);
+            let cell = at.map_or(i, |at| at[i] as usize);
+            let (x, z) = (self.x_map[cell], self.z_map[cell]);
             *o = [x + o[0] / columns, 0.5 + 0.5 * o[1], z + o[2] / rows];
         }
         activation::softplus(level, scale.as_flattened_mut());

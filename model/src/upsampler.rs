@@ -7,19 +7,20 @@ use streamsplat_kernels::Level;
 
 use crate::checkpoint::Weights;
 use crate::layers::{Block, Linear, RmsNorm, Workspace, sized, windows};
+use crate::reuse::{PartCache, Pass};
 use crate::{Config, ModelError, Precision};
 
 #[derive(Clone)]
 pub(crate) struct Upsampler {
-    pub(crate) stages: [Stage; 2],
-    pub(crate) layernorm2: RmsNorm,
+    stages: [Stage; 2],
+    layernorm2: RmsNorm,
 }
 
 #[derive(Clone)]
-pub(crate) struct Stage {
+struct Stage {
     /// Its columns are sub-token after sub-token.
-    pub(crate) residual_fc: Linear,
-    pub(crate) blocks: [Block; 2],
+    residual_fc: Linear,
+    blocks: [Block; 2],
 }
 
 impl Upsampler {
@@ -34,26 +35,42 @@ impl Upsampler {
         })
     }
 
-    /// `[N, D]` to `[16N, d]`.
-    pub(crate) fn apply(&self, level: Level, config: &Config, h: &[f32], work: &mut Workspace) -> Vec<f32> {
-        let (mut tokens, mut x) = (config.tokens(), std::mem::take(&mut work.tokens));
+    /// `[N, D]` to `[16N, d]`; `moves`: see [`Pass::begin`].
+    pub(crate) fn apply(
+        &self,
+        level: Level,
+        config: &Config,
+        h: &[f32],
+        (cache, moves): (Option<&mut PartCache>, bool),
+        work: &mut Workspace,
+    ) -> Vec<f32> {
+        let (mut pass, mut rows) = Pass::begin(level, cache, moves, h, std::mem::take(&mut work.tokens));
         let [_, mut columns] = config.grid();
         let mut from = std::mem::take(&mut work.wide);
         for (i, stage) in self.stages.iter().enumerate() {
-            std::mem::swap(&mut x, &mut from);
-            let fine = sized(&mut x, tokens * stage.residual_fc.n());
-            stage.residual_fc.shuffled(level, columns, if i == 0 { h } else { &from }, fine);
-            (tokens, columns) = (4 * tokens, 2 * columns);
+            std::mem::swap(&mut rows.x, &mut from);
+            let (n, k) = (stage.residual_fc.n(), stage.residual_fc.k());
+            let fine = sized(&mut rows.x, from.len() / k * n);
+            match &mut rows.at {
+                None => stage.residual_fc.shuffled(level, columns, &from, fine),
+                Some(at) => {
+                    stage.residual_fc.apply(level, &from, fine);
+                    *at = sub_tokens(at, columns);
+                }
+            }
+            columns *= 2;
             for (index, block) in stage.blocks.iter().enumerate() {
                 // To add zero again changes nothing.
-                if index > 0 && block.is_silent() && stage.blocks[index - 1].is_silent() {
+                if !pass.keeps() && index > 0 && block.is_silent() && stage.blocks[index - 1].is_silent() {
                     continue;
                 }
-                block.apply(level, windows(Some(config.upsampler_window), index), &mut x, work);
+                let windows = windows(Some(config.upsampler_window), index);
+                let kept = pass.admit(2 * i + index, block.mixed(windows), &mut rows);
+                block.apply(level, windows, &mut rows, kept, work);
             }
         }
-        let tokens = self.layernorm2.of(level, &x);
-        (work.tokens, work.wide) = (x, from);
+        let tokens = pass.finish(rows.at, self.layernorm2.of(level, &rows.x));
+        (work.tokens, work.wide) = (rows.x, from);
         tokens
     }
 
@@ -78,4 +95,13 @@ impl Stage {
             blocks: [block(0)?, block(1)?],
         })
     }
+}
+
+/// The places of the four sub-tokens of each token `at` of a grid of this width, row by row.
+fn sub_tokens(at: &[u32], width: usize) -> Vec<u32> {
+    let four = |&token: &u32| {
+        let (y, x) = (token as usize / width, token as usize % width);
+        [0, 1].map(|i| [0, 1].map(|j| ((2 * y + i) * 2 * width + 2 * x + j) as u32))
+    };
+    at.iter().flat_map(four).flatten().collect()
 }

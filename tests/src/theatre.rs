@@ -4,10 +4,12 @@
 //! and motion, on the same kind of lattice as the network does. Nothing is learned and nothing is slow, so that long streams can
 //! be tested.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use streamsplat::Frame;
-use streamsplat::stream::{Motion, Reconstructor};
+use streamsplat::stream::{Motion, Reconstructor, Session};
+use streamsplat_model::reuse::Saving;
 use streamsplat_model::{Embedding, FrameInput, ModelError, Sampling, Side, StaticGaussians};
 
 /// Inverse depth of the backdrop.
@@ -86,34 +88,43 @@ impl Reconstructor for Theatre {
         self.lattice.map(|side| 2 * side)
     }
 
-    fn embed(&self, frame: &FrameInput<'_>) -> Result<Embedding, ModelError> {
-        self.calls[0].fetch_add(1, Relaxed);
+    fn session(self: Arc<Self>, _: Option<Saving>) -> Box<dyn Session> {
+        Box::new(Performance(self))
+    }
+}
+
+/// A session of a [`Theatre`].
+struct Performance(Arc<Theatre>);
+
+impl Session for Performance {
+    fn embed(&mut self, frame: &FrameInput<'_>) -> Result<Embedding, ModelError> {
+        self.0.calls[0].fetch_add(1, Relaxed);
         Ok(Embedding { h: vec![frame.rgb[0]] })
     }
 
-    fn upsample(&self, embedding: &Embedding) -> Result<Vec<f32>, ModelError> {
+    fn upsample(&mut self, embedding: &Embedding) -> Result<Vec<f32>, ModelError> {
         Ok(embedding.h.clone())
     }
 
-    fn gaussians(&self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError> {
-        self.calls[1].fetch_add(1, Relaxed);
-        let sprite = Self::sprite(tokens[0]);
+    fn gaussians(&mut self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError> {
+        self.0.calls[1].fetch_add(1, Relaxed);
+        let sprite = Theatre::sprite(tokens[0]);
         let shift = match *sampling {
-            Sampling::Sample { seed, frame } if self.draws => ((seed + frame) % 7) as f32 * 1e-3,
+            Sampling::Sample { seed, frame } if self.0.draws => ((seed + frame) % 7) as f32 * 1e-3,
             _ => 0.0,
         };
         let mut g = StaticGaussians::default();
-        for cell in 0..self.lattice[0] * self.lattice[1] {
-            let [x, z] = self.cell(cell);
-            let (depth, colour) = if Self::covers(sprite, [x, z]) {
+        for cell in 0..self.0.lattice[0] * self.0.lattice[1] {
+            let [x, z] = self.0.cell(cell);
+            let (depth, colour) = if Theatre::covers(sprite, [x, z]) {
                 let (u, v) = ((x - sprite) / HALF[0], z / HALF[1]);
                 (SPRITE, [0.9, 0.5 + 0.4 * u, 0.5 + 0.4 * v])
             } else {
                 (BACKDROP, [0.1, 0.5 + 0.3 * x, 0.5 - 0.3 * z])
             };
-            let bad = self.poison == Some((cell, 0));
+            let bad = self.0.poison == Some((cell, 0));
             g.position.push([x + shift, depth, if bad { f32::NAN } else { z }]);
-            g.scale.push(self.lattice.map(|side| 0.7 / side as f32));
+            g.scale.push(self.0.lattice.map(|side| 0.7 / side as f32));
             g.scale.last_mut().expect("just pushed").reverse();
             g.opacity.push(0.95);
             g.rgb.push(colour);
@@ -122,28 +133,28 @@ impl Reconstructor for Theatre {
     }
 
     fn draws_positions(&self) -> bool {
-        self.draws
+        self.0.draws
     }
 
     fn reads_condition(&self) -> bool {
         false
     }
 
-    fn condition(&self, _: &FrameInput<'_>) -> Result<Option<Vec<f32>>, ModelError> {
+    fn condition(&mut self, _: &FrameInput<'_>) -> Result<Option<Vec<f32>>, ModelError> {
         Ok(None)
     }
 
-    fn decode(&self, a: &Side<'_>, b: &Side<'_>) -> Result<[Vec<f32>; 2], ModelError> {
-        self.calls[2].fetch_add(1, Relaxed);
-        let (start, end) = (Self::sprite(a.h[0]), Self::sprite(b.h[0]));
+    fn decode(&mut self, a: &Side<'_>, b: &Side<'_>) -> Result<[Vec<f32>; 2], ModelError> {
+        self.0.calls[2].fetch_add(1, Relaxed);
+        let (start, end) = (Theatre::sprite(a.h[0]), Theatre::sprite(b.h[0]));
         Ok([vec![start, end - start], vec![end, end - start]])
     }
 
-    fn upsample_motion(&self, d: &[f32]) -> Result<Vec<f32>, ModelError> {
+    fn upsample_motion(&mut self, _: usize, d: &[f32]) -> Result<Vec<f32>, ModelError> {
         Ok(d.to_vec())
     }
 
-    fn motion(&self, _: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError> {
-        Ok(self.moves(motion_tokens[0], motion_tokens[1]))
+    fn motion(&mut self, _: usize, _: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError> {
+        Ok(self.0.moves(motion_tokens[0], motion_tokens[1]))
     }
 }

@@ -6,7 +6,8 @@ use streamsplat::metrics::psnr;
 use streamsplat::picture::Picture;
 use streamsplat::scene::{ContainerWriter, Scene, to_safetensors};
 use streamsplat::source::{Options, Source};
-use streamsplat::stream::{Interval, Track, Workers};
+use streamsplat::stream::{Interval, Workers};
+use streamsplat::track::Track;
 use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
 use streamsplat_kernels::Level;
 

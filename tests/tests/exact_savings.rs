@@ -276,7 +276,7 @@ fn a_mapped_checkpoint_gives_the_bits_of_one_in_memory() {
     let [height, width] = mapped.config().resolution;
     let rgb: Vec<f32> = (0..3 * height * width).map(|i| (i % 251) as f32 / 251.0).collect();
     let input = FrameInput { rgb: &rgb, depth: None };
-    let [a, b] = [&mapped, &read].map(|network| network.embed(&input).expect("embeds").h);
+    let [a, b] = [&mapped, &read].map(|network| network.session(None).embed(&input).expect("embeds").h);
     assert!(a.iter().map(|x| x.to_bits()).eq(b.iter().map(|x| x.to_bits())));
 }
 

@@ -169,7 +169,8 @@ fn foreign_files_and_folders_are_errors() {
 fn frames_that_do_not_fit_are_errors() {
     let network = Model::new().load().expect("a model");
     let rgb = vec![0.5; 3 * 48 * 80];
-    let embed = |rgb: &[f32], depth: Option<&[f32]>| network.embed(&FrameInput { rgb, depth }).map(|_| ());
+    let embed =
+        |rgb: &[f32], depth: Option<&[f32]>| network.session(None).embed(&FrameInput { rgb, depth }).map(|_| ());
     embed(&rgb, None).expect("an embedding");
     says(&embed(&rgb[1..], None).expect_err("an error").to_string(), &["frame", "[3, 48, 80]", "11519"]);
     says(&embed(&rgb, Some(&rgb)).expect_err("an error").to_string(), &["depth", "[48, 80]"]);
@@ -197,8 +198,9 @@ fn samples_depend_on_seed_and_frame_alone() {
     let network = Network::open(parity::path("tiny-sampled.safetensors"), &options).expect("a model");
     let config: &Config = network.config();
     let rgb = vec![0.25; 3 * config.resolution[0] * config.resolution[1]];
-    let embedding = network.embed(&FrameInput { rgb: &rgb, depth: None }).expect("an embedding");
-    let position = |sampling| network.static_gaussians(&embedding, &sampling).expect("Gaussians").gaussians.position;
+    let embedding = network.session(None).embed(&FrameInput { rgb: &rgb, depth: None }).expect("an embedding");
+    let position =
+        |sampling| network.session(None).static_gaussians(&embedding, &sampling).expect("Gaussians").gaussians.position;
     let sample = |seed, frame| position(Sampling::Sample { seed, frame });
     assert_eq!(sample(1, 2), sample(1, 2));
     assert_ne!(sample(1, 2), sample(1, 3));

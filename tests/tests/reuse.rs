@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use streamsplat::stream::{ModelSource, Reuse};
 use streamsplat::{Engine, Frame, Interval, Settings};
 use streamsplat_kernels::Level;
-use streamsplat_model::reuse::{Memory, Saving};
-use streamsplat_model::{FrameInput, LoadOptions, Network, Sampling, Side};
+use streamsplat_model::reuse::{Cache, Saving};
+use streamsplat_model::{FrameInput, LoadOptions, Network, Sampling, Session, Side};
 
 fn checkpoint(name: &str) -> PathBuf {
     streamsplat_fixtures::path(&format!("parity/{name}.safetensors"))
@@ -31,45 +31,21 @@ fn bits(values: &[f32]) -> Vec<u32> {
     values.iter().map(|x| x.to_bits()).collect()
 }
 
-/// All the network gives of frames, pair by pair; with a memory or without.
-fn pass(network: &Network, mut memory: Option<&mut Memory>, pictures: &[Vec<f32>]) -> Vec<Vec<f32>> {
+/// All the network gives of frames, pair by pair.
+fn pass(session: &mut Session<&Network>, pictures: &[Vec<f32>]) -> Vec<Vec<f32>> {
     let mut results = Vec::new();
     let mut before: Option<(Vec<f32>, Vec<f32>)> = None;
     for rgb in pictures {
-        let tokens = network.tokenize(&FrameInput { rgb, depth: None }).expect("tokens");
-        let (h, still, gaussians) = match memory.as_deref_mut() {
-            Some(memory) => {
-                let h = network.encode_keeping(&tokens, memory).expect("h").h;
-                let still = network.upsample_static_keeping(&h, memory).expect("tokens");
-                let gaussians = network.static_head_keeping(&still, &Sampling::Mean, memory).expect("Gaussians");
-                (h, still, gaussians)
-            }
-            None => {
-                let embedding = network.encode(&tokens).expect("h");
-                let frame = network.static_gaussians(&embedding, &Sampling::Mean).expect("Gaussians");
-                (embedding.h, frame.tokens, frame.gaussians)
-            }
-        };
+        let embedding = session.embed(&FrameInput { rgb, depth: None }).expect("h");
+        let frame = session.static_gaussians(&embedding, &Sampling::Mean).expect("Gaussians");
+        let (h, still, gaussians) = (embedding.h, frame.tokens, frame.gaussians);
         results.extend([h.clone(), still.clone(), gaussians.position.concat(), gaussians.scale.concat()]);
         results.extend([gaussians.opacity, gaussians.rgb.concat()]);
         if let Some((h_a, still_a)) = &before {
             let a = Side { h: h_a, static_tokens: still_a, condition: None };
             let b = Side { h: &h, static_tokens: &still, condition: None };
-            match memory.as_deref_mut() {
-                Some(memory) => {
-                    let decoded = network.decode_keeping(&a, &b, memory).expect("d");
-                    for (place, (d, side)) in decoded.iter().zip([a, b]).enumerate() {
-                        let moving = network.upsample_deformation_keeping(place, d, memory).expect("tokens");
-                        let fields = network.deformation_head_keeping(place, side.static_tokens, &moving, memory);
-                        let (velocity, gamma) = fields.expect("motion");
-                        results.extend([d.clone(), moving, velocity.concat(), gamma.concat()]);
-                    }
-                }
-                None => {
-                    for m in network.deform(a, b).expect("motion") {
-                        results.extend([m.d, m.tokens, m.velocity.concat(), m.gamma.concat()]);
-                    }
-                }
+            for m in session.deform(a, b).expect("motion") {
+                results.extend([m.d, m.tokens, m.velocity.concat(), m.gamma.concat()]);
             }
         }
         before = Some((h, still));
@@ -77,8 +53,9 @@ fn pass(network: &Network, mut memory: Option<&mut Memory>, pictures: &[Vec<f32>
     results
 }
 
-fn avoided(memory: &Memory, part: &str) -> (u64, u64) {
-    let tokens = memory.tokens().into_iter().find(|(name, _)| *name == part).expect("a part").1;
+fn avoided(session: &Session<&Network>, part: &str) -> (u64, u64) {
+    let tokens =
+        session.cache().expect("a cache").tokens().into_iter().find(|(name, _)| *name == part).expect("a part").1;
     (tokens.done, tokens.avoided)
 }
 
@@ -94,15 +71,15 @@ fn windows_whose_tokens_kept_their_bits_are_not_computed_again_and_change_no_bit
         let network = open("tiny-window", level);
         let size = network.config().resolution;
         let pictures: Vec<_> = [0, 8, 8, 24].map(|x| picture(size, x)).to_vec();
-        let expected = pass(&network, None, &pictures);
+        let expected = pass(&mut network.session(None), &pictures);
         on_pools(|| {
-            let mut memory = network.memory(Saving::Exact).expect("windows can be kept");
-            let found = pass(&network, Some(&mut memory), &pictures);
+            let mut session = network.session(Some(Saving::Exact));
+            let found = pass(&mut session, &pictures);
             for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
                 assert!(bits(found) == bits(expected), "{level}: result {i}");
             }
             for part in ["encoder", "upsampler", "heads"] {
-                let (done, avoided) = avoided(&memory, part);
+                let (done, avoided) = avoided(&session, part);
                 assert!(done > 0 && avoided > 0, "{part}: {done} done, {avoided} avoided");
             }
         });
@@ -111,47 +88,48 @@ fn windows_whose_tokens_kept_their_bits_are_not_computed_again_and_change_no_bit
 
 #[test]
 fn a_network_in_which_every_token_sees_all_keeps_nothing_exactly() {
-    assert!(open("tiny-nodino", Level::detect()).memory(Saving::Exact).is_none());
+    assert!(open("tiny-nodino", Level::detect()).session(Some(Saving::Exact)).cache().is_none());
 }
 
 #[test]
-fn frames_that_change_everywhere_are_computed_as_without_a_memory() {
+fn frames_that_change_everywhere_are_computed_as_without_a_cache() {
     let network = open("tiny-nodino", Level::detect());
     let [height, width] = network.config().resolution;
     let noise = |k: usize| (0..3 * height * width).map(|i| ((i * 31 + k * 7919) % 1009) as f32 / 1009.0).collect();
     let pictures: Vec<Vec<f32>> = (1..6).map(noise).collect();
-    let mut memory = network.memory(Saving::Within(0.01)).expect("a memory");
-    let (found, expected) = (pass(&network, Some(&mut memory), &pictures), pass(&network, None, &pictures));
+    let mut session = network.session(Some(Saving::Within(0.01)));
+    let (found, expected) = (pass(&mut session, &pictures), pass(&mut network.session(None), &pictures));
     assert!(found.iter().zip(&expected).all(|(a, b)| bits(a) == bits(b)));
-    assert!(memory.tokens().iter().all(|(_, tokens)| tokens.avoided == 0));
+    assert!(session.cache().expect("a cache").tokens().iter().all(|(_, tokens)| tokens.avoided == 0));
 }
 
 #[test]
-fn a_refresh_gives_what_a_network_without_a_memory_gives() {
+fn a_refresh_gives_what_a_network_without_a_cache_gives() {
     let network = open("tiny-nodino", Level::detect());
     let size = network.config().resolution;
-    let steps = Memory::REFRESH as usize + 2;
+    let steps = Cache::REFRESH as usize + 2;
     let pictures: Vec<_> = (0..steps).map(|k| picture(size, k % 2)).collect();
-    let mut memory = network.memory(Saving::Within(0.5)).expect("a memory");
-    let (found, expected) = (pass(&network, Some(&mut memory), &pictures), pass(&network, None, &pictures));
+    let mut session = network.session(Some(Saving::Within(0.5)));
+    let (found, expected) = (pass(&mut session, &pictures), pass(&mut network.session(None), &pictures));
     // A frame gives 6 results, and 8 with the pair it ends.
     let h = |results: &[Vec<f32>], k: usize| bits(&results[if k == 0 { 0 } else { 6 + 14 * (k - 1) }]);
     let equal: Vec<usize> = (0..steps).filter(|k| h(&found, *k) == h(&expected, *k)).collect();
     // In between, the square that moves by a pixel is not looked at.
-    assert!(equal.contains(&0) && equal.contains(&(Memory::REFRESH as usize)) && !equal.contains(&1), "{equal:?}");
+    assert!(equal.contains(&0) && equal.contains(&(Cache::REFRESH as usize)) && !equal.contains(&1), "{equal:?}");
 }
 
 #[test]
-fn tokens_that_hardly_moved_keep_what_was_computed_and_the_memory_is_bounded() {
+fn tokens_that_hardly_moved_keep_what_was_computed_and_the_cache_is_bounded() {
     let network = open("tiny-nodino", Level::detect());
     let size = network.config().resolution;
     let pictures: Vec<_> = (0..12).map(|k| picture(size, 2 * k)).collect();
-    let mut memory = network.memory(Saving::Within(0.02)).expect("a memory");
-    pass(&network, Some(&mut memory), &pictures[..4]);
-    let bytes = memory.bytes();
-    pass(&network, Some(&mut memory), &pictures);
-    assert_eq!(memory.bytes(), bytes);
-    for (part, tokens) in memory.tokens() {
+    let mut session = network.session(Some(Saving::Within(0.02)));
+    pass(&mut session, &pictures[..4]);
+    let bytes = |session: &Session<&Network>| session.cache().expect("a cache").bytes();
+    let most = bytes(&session);
+    pass(&mut session, &pictures);
+    assert_eq!(bytes(&session), most);
+    for (part, tokens) in session.cache().expect("a cache").tokens() {
         assert!(tokens.avoided > tokens.done, "{part}: {tokens:?}");
     }
 }

@@ -96,11 +96,12 @@ fn pairwise_fusion_is_the_models_own_interval() {
         ..Settings::default()
     })
     .expect("starts");
+    let mut session = network.session(None);
     let parts: Vec<_> = frames
         .iter()
         .map(|f| {
-            let h = network.embed(&FrameInput { rgb: &f.rgb, depth: None }).expect("embeds");
-            let fixed = network.static_gaussians(&h, &Sampling::Mean).expect("reconstructs");
+            let h = session.embed(&FrameInput { rgb: &f.rgb, depth: None }).expect("embeds");
+            let fixed = session.static_gaussians(&h, &Sampling::Mean).expect("reconstructs");
             (h, fixed)
         })
         .collect();
@@ -110,7 +111,7 @@ fn pairwise_fusion_is_the_models_own_interval() {
             continue;
         }
         let side = |i: usize| Side { h: &parts[i].0.h, static_tokens: &parts[i].1.tokens, condition: None };
-        let fields = network.deform(side(k - 1), side(k)).expect("deforms");
+        let fields = session.deform(side(k - 1), side(k)).expect("deforms");
         for t in [0.0f32, 0.25, 0.5, 0.8125, 1.0] {
             let (mut mean, mut scale, mut opacity, mut rgb) = (vec![], vec![], vec![], vec![]);
             for (side, own) in [(0, 0.0), (1, 1.0)] {

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use streamsplat::camera::Pose;
-use streamsplat::stream::{Fusion, MaxAge, ModelSource, Reconstructor, Track};
+use streamsplat::stream::{Fusion, MaxAge, ModelSource, Reconstructor};
+use streamsplat::track::Track;
 use streamsplat::{Camera, Engine, Image, Interval, RenderOptions, Settings};
 use streamsplat_tests::theatre::{BACKDROP, SPRITE, Theatre};
 

@@ -4,7 +4,8 @@
 
 use std::sync::Arc;
 
-use streamsplat::stream::{Interval, ModelSource, MotionFrom, Reconstructor, Resolution, Track};
+use streamsplat::stream::{Interval, ModelSource, MotionFrom, Reconstructor, Resolution};
+use streamsplat::track::Track;
 use streamsplat::{Engine, Frame, Settings};
 use streamsplat_fixtures::clip::{self, Clip, Kind};
 use streamsplat_tests::theatre::{BACKDROP, HALF, Theatre};

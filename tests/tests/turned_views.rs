@@ -92,13 +92,13 @@ fn repeated_frames_and_resumed_streams_are_lifted_to_the_same_bits() {
     for (key, time) in times[..3].iter().enumerate() {
         first.push(frame(*time), key as f64).expect("taken");
     }
-    let memory = first.memory().expect("a memory");
-    assert!(memory.depth.is_some());
-    let bytes = streamsplat::scene::memory_to_safetensors(Some(&memory), "note").expect("written");
-    let (stored, _) = streamsplat::scene::memory_from_safetensors(&bytes).expect("read");
-    assert_eq!(stored.as_ref(), Some(&memory));
+    let point = first.resume_point().expect("a point");
+    assert!(point.depth.is_some());
+    let bytes = streamsplat::scene::resume_point_to_safetensors(Some(&point), "note").expect("written");
+    let (stored, _) = streamsplat::scene::resume_point_from_safetensors(&bytes).expect("read");
+    assert_eq!(stored.as_ref(), Some(&point));
     let mut second = Engine::new(Settings::default()).expect("starts");
-    second.recall(&memory, frame(times[2])).expect("recalled");
+    second.resume(&point, frame(times[2])).expect("resumed");
     let last = second.push(frame(times[3]), 3.0).expect("taken");
     assert!(same(&whole[3..], &[last]));
 }

@@ -4,6 +4,7 @@ use anyhow::{Context, Result};
 use streamsplat::render::{Snapshot, View};
 use streamsplat::{Camera, Engine, Frame, Settings};
 use streamsplat_fixtures::clip::{Clip, Kind};
+pub(crate) use streamsplat_fixtures::random::Random;
 use streamsplat_kernels::raster::{Gaussians, OwnedGaussians, Projection, Request};
 
 /// Gaussians with the view they are drawn in.
@@ -14,35 +15,9 @@ pub(crate) struct Scene {
     pub(crate) request: Request,
 }
 
-/// The sequence of SplitMix64.
-pub(crate) struct Random(u64);
-
-impl Random {
-    pub(crate) fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-
-    /// In [0, 1).
-    pub(crate) fn unit(&mut self) -> f32 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 40) as f32 / (1_u32 << 24) as f32
-    }
-
-    pub(crate) fn range(&mut self, from: f32, to: f32) -> f32 {
-        from + (to - from) * self.unit()
-    }
-
-    /// Its logarithm is uniform.
-    pub(crate) fn log_range(&mut self, from: f32, to: f32) -> f32 {
-        self.range(from.ln(), to.ln()).exp()
-    }
-
-    fn colour(&mut self) -> [f32; 3] {
-        std::array::from_fn(|_| self.unit())
-    }
+/// Uniform.
+fn colour(random: &mut Random) -> [f32; 3] {
+    std::array::from_fn(|_| random.unit())
 }
 
 const GREY: [f32; 3] = [0.5; 3];
@@ -72,7 +47,7 @@ impl Scene {
     fn push_ordinary(&mut self, random: &mut Random, centre: [f32; 2]) {
         let sigma = [random.log_range(0.5, 3.0), random.log_range(0.5, 3.0)];
         let (depth, opacity) = (random.range(0.1, 5.0), random.range(0.05, 1.0));
-        let rgb = random.colour();
+        let rgb = colour(random);
         self.push_pixels(centre, sigma, depth, opacity, rgb);
     }
 
@@ -119,7 +94,7 @@ impl Scene {
             let q: [f32; 4] = std::array::from_fn(|_| random.range(-1.0, 1.0));
             let norm = q.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-3);
             let opacity = random.range(0.05, 1.0);
-            let rgb = random.colour();
+            let rgb = colour(&mut random);
             scene.splats.push([u * z / focal, v * z / focal, z], scale, q.map(|v| v / norm), opacity, rgb);
         }
         scene
@@ -156,7 +131,7 @@ impl Scene {
             let centre = [random.range(-0.5, 511.5), random.range(-0.5, 287.5)];
             let sigma = [random.log_range(0.05, 0.5), random.log_range(0.05, 0.5)];
             let (depth, opacity) = (random.range(0.1, 5.0), random.range(0.05, 1.0));
-            let rgb = random.colour();
+            let rgb = colour(&mut random);
             scene.push_pixels(centre, sigma, depth, opacity, rgb);
         }
         scene

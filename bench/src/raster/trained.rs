@@ -1,25 +1,19 @@
-//! Scenes as training from many pictures makes them: anisotropic Gaussians with harmonics of degree 3, seen at 1920×1080.
-//!
-//! Nobody's scene is in the repository, so the statistics are: depths log-uniform from 1 to 30 over a frustum a fifth wider than the image; standard
-//! deviations log-normal, by a median of 1.5 pixels and a factor of e^0.8, one axis of three e^1.5 times thinner; opacities the logistic function of a normal variable of
-//! deviation 2 (a third below 0.3, a third above 0.7); rotations uniform; higher coefficients normal, of deviation 0.1. With these a pixel is
-//! covered by some tens of Gaussians before it is opaque.
+//! Scenes as training from many pictures makes them: anisotropic Gaussians with harmonics of degree 3, seen at 1920×1080
+//! ([`streamsplat_fixtures::trained`]).
 
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
+use streamsplat_fixtures::trained::{DEGREE, FOCAL, HIGHER, SIZE, gaussians};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::harmonics::{self, Eye};
 use streamsplat_kernels::raster::{ColourMap, OwnedGaussians, Projection, Renderer, Request, Work};
 
-use super::scenes::{Random, Scene};
+use super::scenes::Scene;
 use super::{Stages, check, peak_rss_bytes};
 use crate::timing::once;
 
 /// Gaussians.
 pub(super) const COUNTS: [usize; 2] = [1_000_000, 10_000_000];
-const SIZE: [usize; 2] = [1920, 1080];
-const FOCAL: f32 = 1600.0;
-const DEGREE: usize = 3;
 
 /// Milliseconds of the fastest run of each part.
 #[derive(Serialize, Deserialize)]
@@ -41,14 +35,6 @@ pub(super) struct Row {
     error: Option<f64>,
 }
 
-impl Random {
-    /// Of mean 0 and deviation 1 (Box and Muller).
-    fn normal(&mut self) -> f32 {
-        let (u, v) = (1.0 - self.unit(), self.unit());
-        (-2.0 * u.ln()).sqrt() * (std::f32::consts::TAU * v).cos()
-    }
-}
-
 struct Trained {
     scene: Scene,
     base: Vec<[f32; 3]>,
@@ -58,22 +44,13 @@ struct Trained {
 fn trained(count: usize) -> Trained {
     let [width, height] = SIZE;
     let centre = [0.5 * (width - 1) as f32, 0.5 * (height - 1) as f32];
-    let mut random = Random::new(6);
     let mut splats = OwnedGaussians { rotation: Some(Vec::with_capacity(count)), ..OwnedGaussians::default() };
-    let rest = 3 * harmonics::rest(DEGREE);
-    let (mut base, mut higher) = (Vec::with_capacity(count), Vec::with_capacity(count * rest));
-    for _ in 0..count {
-        let z = random.log_range(1.0, 30.0);
-        let u = random.range(-0.6, 0.6) * width as f32;
-        let v = random.range(-0.6, 0.6) * height as f32;
-        let mut scale: [f32; 3] = std::array::from_fn(|_| 1.5 * (0.8 * random.normal()).exp() * z / FOCAL);
-        scale[2] *= (-1.5_f32).exp();
-        let q: [f32; 4] = std::array::from_fn(|_| random.normal());
-        let norm = q.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-3);
-        let opacity = 1.0 / (1.0 + (-2.0 * random.normal()).exp());
-        splats.push([u * z / FOCAL, v * z / FOCAL, z], scale, q.map(|v| v / norm), opacity, [0.0; 3]);
-        base.push(std::array::from_fn(|_| random.range(-1.5, 1.5)));
-        higher.extend((0..rest).map(|_| 0.1 * random.normal()));
+    let (mut base, mut higher) = (Vec::with_capacity(count), Vec::with_capacity(count * HIGHER));
+    for gaussian in gaussians(count) {
+        let opacity = 1.0 / (1.0 + (-gaussian.logit).exp());
+        splats.push(gaussian.mean, gaussian.scale, gaussian.rotation, opacity, [0.0; 3]);
+        base.push(gaussian.base);
+        higher.extend(gaussian.higher);
     }
     let projection = Projection::Pinhole { focal: [FOCAL; 2], centre };
     let request = Request::colour(width, height, [0.0; 3]);

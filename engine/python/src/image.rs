@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use numpy::ndarray::{ArrayView2, ArrayView3};
 use numpy::{IntoPyArray, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
+use pyo3::types::{PyBytes, PyDict};
 use streamsplat::output::{picture_png, write_file};
 use streamsplat::picture::{Picture, size_is_allowed};
 
@@ -78,7 +78,7 @@ impl Image {
         self.picture.height
     }
 
-    /// Display-space colour, float32 [height, width, 3]: a view of three planes.
+    /// Display-space colour, float32 [height, width, 3]: a read-only view of three planes; `.copy()` gives an array that can be written to.
     #[getter]
     fn rgb<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray3<f32>>> {
         let Picture { width, height, rgb } = &this.get().picture;
@@ -117,7 +117,7 @@ impl Image {
         Ok(samples.into_any())
     }
 
-    /// NumPy's view of the image: `rgb8`, or `rgb` where float32 is asked for.
+    /// NumPy's view of the image: `rgb8`, or `rgb` where floats are asked for. Only float32 without a copy shows the engine's memory.
     #[pyo3(signature = (dtype=None, copy=None))]
     fn __array__<'py>(
         this: &Bound<'py, Self>,
@@ -125,19 +125,21 @@ impl Image {
         copy: Option<bool>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let py = this.py();
-        let float = match &dtype {
-            Some(dtype) => {
-                py.import("numpy")?.call_method1("dtype", (dtype,))?.getattr("kind")?.extract::<char>()? == 'f'
-            }
-            None => false,
+        let dtype = dtype.map(|dtype| py.import("numpy")?.call_method1("dtype", (dtype,))).transpose()?;
+        let (kind, size) = match &dtype {
+            Some(dtype) => (dtype.getattr("kind")?.extract::<char>()?, dtype.getattr("itemsize")?.extract::<usize>()?),
+            None => ('u', 1),
         };
-        let array = if float { Self::rgb(this)?.into_any() } else { this.get().rgb8(py)? };
-        let array = match dtype {
-            Some(dtype) => array.call_method1("astype", (dtype,))?,
-            None if copy == Some(true) => array.call_method0("copy")?,
-            None => array,
-        };
-        Ok(array)
+        if copy == Some(false) && (kind, size) != ('f', 4) {
+            return Err(wrong(
+                "copy: expected True or None, as only float32 shows the image without a copy, found False",
+            ));
+        }
+        let array = if kind == 'f' { Self::rgb(this)?.into_any() } else { this.get().rgb8(py)? };
+        let Some(dtype) = dtype else { return Ok(array) };
+        let options = PyDict::new(py);
+        options.set_item("copy", copy == Some(true))?;
+        array.call_method("astype", (dtype,), Some(&options))
     }
 
     /// Writes the image: whole or not at all. `.png` is written here, other endings (.jpg, .webp, …) by Pillow.

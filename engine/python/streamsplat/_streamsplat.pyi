@@ -3,10 +3,11 @@
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Any, Literal, Protocol, Self, final, overload
+from typing import Any, Literal, Protocol, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import Self
 
 type _Camera = Mapping[str, Any] | str | os.PathLike[str] | None
 type _Cameras = list[_Camera] | tuple[_Camera, ...]
@@ -182,7 +183,8 @@ class Image:
     @property
     def dropped(self) -> int: ...
     @property
-    def rgb(self) -> NDArray[np.float32]: ...
+    def rgb(self) -> NDArray[np.float32]:
+        """Display-space colour, [height, width, 3]: a read-only view; `.copy()` gives an array that can be written to."""
     @property
     def depth(self) -> NDArray[np.float32] | None: ...
     @property
@@ -191,7 +193,8 @@ class Image:
     def _repr_png_(self) -> bytes: ...
     def rgb8(self) -> NDArray[np.uint8]:
         """The samples of the PNG file, [height, width, 3]: a copy."""
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]: ...
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """The image as `rgb8`, a copy; as float32 a read-only view of it, as `rgb`."""
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a .png file, or by Pillow what else that writes."""
 

@@ -27,15 +27,15 @@ class Reconstruction:
 
 
 def _words(name: str, value: Any) -> list[str]:
-    """An option of the command line: `refine_every=2` is `--refine-every 2`."""
+    """An option of the command line: `refine_every=2` is `--refine-every=2`."""
     option = "--" + name.replace("_", "-")
     if value is None or value is False:
         return []
     if value is True:
         return [option]
     if isinstance(value, (tuple, list)):
-        return [option, ("x" if name == "size" else ",").join(str(part) for part in value)]
-    return [option, os.fspath(value) if isinstance(value, os.PathLike) else str(value)]
+        return [option + "=" + ("x" if name == "size" else ",").join(str(part) for part in value)]
+    return [f"{option}={os.fspath(value) if isinstance(value, os.PathLike) else value}"]
 
 
 def reconstruct(

@@ -13,12 +13,13 @@
 //! ```
 //!
 //! with pixel centres at whole numbers. [`mod@file`] describes the JSON form, [`CameraPath`] cameras that move, [`mod@set`] the files of other
-//! programs.
+//! programs, [`turn`] cameras around one point.
 
 pub mod file;
 mod path;
 mod pose;
 pub mod set;
+pub mod turn;
 
 use streamsplat_kernels::math::f64::sin_cos;
 

@@ -9,6 +9,7 @@
 
 pub mod control;
 pub mod interpolation;
+mod keyframes;
 #[cfg(test)]
 mod tests;
 
@@ -20,6 +21,7 @@ use streamsplat_kernels::math::f64::{exp, ln};
 
 use crate::picture::Picture;
 pub use control::{ControlState, Found};
+pub use keyframes::{Group, KeyFrames, grouped};
 
 use control::Control;
 use interpolation::Small;

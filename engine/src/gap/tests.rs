@@ -1,5 +1,5 @@
 use super::interpolation::{PEAK, Small, misses};
-use super::{Auto, Choice, Chooser, Found, Gap};
+use super::{Auto, Choice, Chooser, Found, Gap, KeyFrames, grouped};
 use crate::picture::Picture;
 
 /// A textured plane that has moved right by `shift` pixels, with a bright square where `square` says.
@@ -18,18 +18,13 @@ fn worst(frames: &[Small]) -> u64 {
     misses(frames).into_iter().max().unwrap_or(0)
 }
 
-/// Key frames of a clip: with the last frame, as a run has them.
+/// Key frames that are chosen of a clip.
 fn keys(gap: Gap, clip: &[Picture]) -> Vec<usize> {
-    let mut chooser = Chooser::new(gap);
-    let mut keys = Vec::new();
-    for (i, picture) in clip.iter().enumerate() {
-        match chooser.next(picture) {
-            Choice::Wait => {}
-            Choice::This => keys.push(i),
-            Choice::Before => keys.push(i - 1),
-        }
-    }
-    keys
+    let ends = grouped(gap, clip).filter(|group| group.whole).scan(0, |end, group| {
+        *end += group.frames.len();
+        Some(*end - 1)
+    });
+    ends.collect()
 }
 
 #[test]
@@ -188,4 +183,34 @@ fn gaps_are_found_by_their_names_and_others_are_refused() {
     ] {
         assert!(wrong.parse::<Gap>().is_err(), "{wrong}");
     }
+}
+
+#[test]
+fn groups_hold_every_frame_once_and_end_with_the_last() {
+    let cut = |i: usize| picture(i as i32, (i >= 5).then_some(10 * i));
+    let clip: Vec<Picture> = (0..11).map(cut).collect();
+    for gap in [Gap::Every(1), Gap::Every(4), Gap::Auto(Auto { least: 1, most: 8, decibels: 40.0 })] {
+        let mut keys = KeyFrames::new(gap);
+        let (mut arriving, mut taken, mut ends) = (0..clip.len(), 0, Vec::new());
+        loop {
+            let arrive = || Ok(arriving.next().map(|i| &clip[i]));
+            let group = keys.next(arrive, |waiting| {
+                // Every frame has its turn, in its order.
+                assert!(std::ptr::eq(*waiting.last().expect("a frame"), &clip[taken]));
+                taken += 1;
+                Ok::<_, String>(())
+            });
+            let Some(group) = group.expect("no error") else { break };
+            assert!(std::ptr::eq(*group.frames.last().expect("a frame"), &clip[taken - 1]));
+            ends.push((taken - 1, group.whole));
+        }
+        assert_eq!(taken, clip.len(), "{gap}");
+        assert!(ends[..ends.len() - 1].iter().all(|(_, whole)| *whole), "{gap}: {ends:?}");
+        assert_eq!(ends.last().map(|(end, _)| *end), Some(10), "{gap}");
+        if let Gap::Every(n) = gap {
+            assert_eq!(ends.last().map(|(_, whole)| *whole), Some(n == 1), "{gap}");
+        }
+    }
+    let mut keys = KeyFrames::<&Picture>::new(Gap::Every(2));
+    assert_eq!(keys.next(|| Err("lost"), |_| Ok(())), Err("lost"));
 }

@@ -2,10 +2,26 @@
 
 use std::path::Path;
 
+use super::blocks::{Blocks, ReadError};
 use super::{Beside, FormatError, Limits, gltf, ply, sog, splat, spz};
 use crate::export;
 use crate::render::Snapshot;
 use crate::still::{Drawable, Still};
+
+/// Reading files of one format.
+pub(super) trait Reader: Sync {
+    /// Returns true if a file of this name and first bytes is one.
+    fn is(&self, path: &Path, head: &[u8]) -> bool;
+
+    /// Reads the whole of a file.
+    fn read(&self, bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError>;
+
+    /// Reads a file of which no more than a block is in memory; `None`, and nothing taken of it, where this one has to be read as a
+    /// whole.
+    fn read_blocks(&self, _file: &mut Blocks<'_>, _limits: &Limits) -> Result<Option<Still>, ReadError> {
+        Ok(None)
+    }
+}
 
 /// A format of still scenes.
 #[non_exhaustive]
@@ -20,10 +36,8 @@ pub struct Format {
     pub keeps: &'static str,
     /// Of what `keeps` does not say.
     pub loses: &'static str,
-    /// Whether a file of this name and first bytes is one. Of several the first in [`FORMATS`] reads it.
-    pub(super) is: fn(&Path, &[u8]) -> bool,
-    /// Reads the whole of a file.
-    pub(super) read: fn(&[u8], &Beside, &Limits) -> Result<Still, FormatError>,
+    /// Of several that claim a file the first in [`FORMATS`] reads it.
+    pub(super) reader: &'static dyn Reader,
     /// The file of one time of a scene.
     pub snapshot: fn(&Snapshot) -> Vec<u8>,
     /// The file of a still scene.
@@ -38,8 +52,7 @@ pub const FORMATS: [Format; 6] = [
         ending: "ply",
         keeps: "every number bit for bit, harmonics up to degree 3",
         loses: "normals and other programs' properties and elements",
-        is: |_, head| head.starts_with(b"ply\n") || head.starts_with(b"ply\r"),
-        read: |bytes, _, limits| ply::within(bytes, limits),
+        reader: &ply::Ply,
         snapshot: export::ply,
         still: |scene| export::still::ply(scene.still()),
     },
@@ -49,9 +62,7 @@ pub const FORMATS: [Format; 6] = [
         ending: "compressed.ply",
         keeps: "16 bytes per Gaussian, and one per further coefficient of the harmonics",
         loses: "precision (positions and scales to 1/1023 of a group of 256 neighbours, 10 bits of rotations, 8 of colours), order",
-        // A PLY file, which tells by its header.
-        is: |_, _| false,
-        read: |bytes, _, limits| ply::within(bytes, limits),
+        reader: &ply::Packed,
         snapshot: export::packed,
         still: |scene| export::still::packed(scene.still()),
     },
@@ -61,8 +72,7 @@ pub const FORMATS: [Format; 6] = [
         ending: "spz",
         keeps: "20 bytes per Gaussian before compression, and the harmonics; versions 2 to 4 are read, 4 is written",
         loses: "precision (positions to 1/4096 unit, 8 bits and fewer for the rest), harmonics above degree 3",
-        is: |_, head| head.starts_with(&spz::MAGIC) || head.starts_with(&[0x1f, 0x8b]),
-        read: |bytes, _, limits| spz::within(bytes, limits),
+        reader: &spz::Spz,
         snapshot: export::spz,
         still: |scene| export::still::spz(scene.still()),
     },
@@ -72,11 +82,7 @@ pub const FORMATS: [Format; 6] = [
         ending: "sog",
         keeps: "7 images of a byte or two per value; a zip file, or `meta.json` with its images beside it",
         loses: "precision (positions to 1/65535 on a logarithmic scale, 256 values for scales and colours, rows of harmonics shared), order",
-        is: |path, head| {
-            let is_meta = path.file_name().is_some_and(|name| name == "meta.json");
-            head.starts_with(&sog::MAGIC) || is_meta && head.starts_with(b"{")
-        },
-        read: sog::within,
+        reader: &sog::Sog,
         snapshot: export::sog,
         still: |scene| export::still::sog(scene.still()),
     },
@@ -86,11 +92,7 @@ pub const FORMATS: [Format; 6] = [
         ending: "glb",
         keeps: "`KHR_gaussian_splatting` in binary32 with harmonics up to degree 3; `.gltf` and its SPZ extension are read",
         loses: "the last bits of scales and opacities, which it does not store as logarithms and logits",
-        is: |path, head| {
-            let is_text = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("gltf"));
-            head.starts_with(&gltf::MAGIC) || is_text && head.trim_ascii_start().starts_with(b"{")
-        },
-        read: gltf::within,
+        reader: &gltf::Gltf,
         snapshot: export::glb,
         still: |scene| export::still::glb(scene.still()),
     },
@@ -100,8 +102,7 @@ pub const FORMATS: [Format; 6] = [
         ending: "splat",
         keeps: "32 bytes per Gaussian, positions and sizes exact",
         loses: "harmonics, and precision (8 bits for colours, opacities and rotations)",
-        is: |path, _| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("splat")),
-        read: |bytes, _, limits| splat::within(bytes, limits),
+        reader: &splat::Splat,
         snapshot: export::splat,
         still: export::still::splat,
     },

@@ -12,6 +12,7 @@
 //! [`Limits`].
 
 mod beside;
+mod blocks;
 mod formats;
 pub(crate) mod gltf;
 mod limits;
@@ -25,6 +26,8 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 pub(crate) use beside::Beside;
+pub use blocks::Progress;
+use blocks::{Blocks, ReadError};
 pub use formats::{FORMATS, Format};
 pub use gltf::glb;
 pub use limits::{GAUSSIANS, Limits, read_file, read_text};
@@ -87,7 +90,7 @@ const HEAD: u64 = 8;
 
 /// The format of a still scene that begins so.
 fn format(path: &Path, head: &[u8]) -> Option<&'static Format> {
-    FORMATS.iter().find(|format| (format.is)(path, head))
+    FORMATS.iter().find(|format| format.reader.is(path, head))
 }
 
 /// Returns true if a file begins as one of the formats that are a scene in one file.
@@ -119,6 +122,17 @@ pub fn open_moving(path: &Path, limits: &Limits) -> Result<Scene, SceneError> {
 /// # Errors
 /// A file or a folder that cannot be read, or holds something else, something broken, or more than the limits allow.
 pub fn open(path: &Path, limits: &Limits) -> Result<Opened, SceneError> {
+    open_with(path, limits, &mut |_, _| {})
+}
+
+/// As [`open`], on the current rayon pool. `progress` is told how much of a long file has been read.
+///
+/// A binary PLY file is read in blocks of some megabytes: while one is taken apart the next is read, and neither the whole file nor any
+/// number of it is in memory twice.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_with(path: &Path, limits: &Limits, progress: Progress<'_>) -> Result<Opened, SceneError> {
     if path.is_dir() {
         return Scene::open_within(path, limits).map(Opened::Moving);
     }
@@ -128,12 +142,26 @@ pub fn open(path: &Path, limits: &Limits) -> Result<Opened, SceneError> {
     let Some(format) = format(path, &head) else {
         return Scene::open_within(path, limits).map(Opened::Moving);
     };
+    let broken = |e: FormatError| SceneError::Broken { path: path.to_owned(), cause: e.to_string() };
+    let opened = |still, (bytes, blake3)| {
+        Opened::Still(StillFile { path: path.to_owned(), format: format.name, bytes, blake3, still })
+    };
+    let file = File::open(path).map_err(read)?;
+    let about = file.metadata().map_err(read)?;
+    // Devices and pipes have no length.
+    if about.is_file() && about.len() <= MAX_FILE {
+        let mut blocks = Blocks::new(file, about.len(), progress);
+        match format.reader.read_blocks(&mut blocks, limits) {
+            Ok(Some(still)) => return Ok(opened(still, blocks.finish())),
+            Ok(None) => {}
+            Err(ReadError::File(e)) => return Err(read(e)),
+            Err(ReadError::Format(e)) => return Err(broken(e)),
+        }
+    }
     let bytes = read_file(path, MAX_FILE).map_err(read)?;
     let beside = Beside::of(path, &bytes);
-    let broken = |e: FormatError| SceneError::Broken { path: path.to_owned(), cause: e.to_string() };
-    let still = (format.read)(&bytes, &beside, limits).map_err(broken)?;
-    let (bytes, blake3) = beside.finish(bytes.len());
-    Ok(Opened::Still(StillFile { path: path.to_owned(), format: format.name, bytes, blake3, still }))
+    let still = format.reader.read(&bytes, &beside, limits).map_err(broken)?;
+    Ok(opened(still, beside.finish(bytes.len())))
 }
 
 /// An error where a file holds more Gaussians than the limits allow.

@@ -14,7 +14,10 @@
 use streamsplat_kernels::harmonics::Y0;
 use streamsplat_kernels::math::f64::ln;
 
-use super::{FormatError, Limits, check_count};
+use std::path::Path;
+
+use super::formats::Reader;
+use super::{Beside, FormatError, Limits, check_count};
 use crate::still::{LEAST, Still};
 
 /// Bytes of a record.
@@ -28,8 +31,20 @@ pub fn splat(bytes: &[u8]) -> Result<Still, FormatError> {
     within(bytes, &Limits::default())
 }
 
+pub(super) struct Splat;
+
+impl Reader for Splat {
+    fn is(&self, path: &Path, _head: &[u8]) -> bool {
+        path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("splat"))
+    }
+
+    fn read(&self, bytes: &[u8], _beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
+        within(bytes, limits)
+    }
+}
+
 /// As [`splat`], within other limits.
-pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
+fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let (records, rest) = bytes.as_chunks::<RECORD>();
     if !rest.is_empty() {
         return Err(FormatError::new("file", format!("records of {RECORD} bytes"), format!("{} bytes", bytes.len())));

@@ -18,12 +18,22 @@ pub struct RenderOptions {
     pub alpha: bool,
     /// True if the transmittance left and the number of splats per pixel are wanted.
     pub statistics: bool,
+    /// True if what is smaller than a pixel is to get fainter in place of larger, for scenes that were trained so
+    /// ([`raster::Request::antialias`]).
+    pub antialias: bool,
 }
 
 impl Default for RenderOptions {
     /// Colour at the model's own size, on grey.
     fn default() -> Self {
-        Self { size: Size::Model, background: [0.5; 3], depth: false, alpha: false, statistics: false }
+        Self {
+            size: Size::Model,
+            background: [0.5; 3],
+            depth: false,
+            alpha: false,
+            statistics: false,
+            antialias: false,
+        }
     }
 }
 
@@ -40,14 +50,14 @@ impl RenderOptions {
         if [height, width].iter().any(|side| !(1..=raster::MAX_SIDE).contains(side)) {
             return Err(RenderError::Size { most: raster::MAX_SIDE, width, height });
         }
-        let Self { background, depth, alpha, statistics, .. } = *self;
+        let Self { background, depth, alpha, statistics, antialias, .. } = *self;
         let planes = 3 + usize::from(depth) + usize::from(alpha) + 2 * usize::from(statistics);
         // At most 2^32 pixels.
         let bytes = width * height * (size_of::<f32>() * planes + BESIDE);
         if Vec::<u8>::new().try_reserve_exact(bytes).is_err() {
             return Err(RenderError::Memory { width, height, bytes });
         }
-        Ok(Request { width, height, background, depth, alpha, statistics })
+        Ok(Request { width, height, background, depth, alpha, statistics, antialias, bounded: false })
     }
 }
 

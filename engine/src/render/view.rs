@@ -35,15 +35,6 @@ pub struct Snapshot {
     pub dropped: u64,
 }
 
-/// One Gaussian of a snapshot.
-struct Seen {
-    index: u32,
-    mean: [f32; 3],
-    scale: [f32; 3],
-    opacity: f32,
-    rgb: [f32; 3],
-}
-
 /// The scene-space place of a world position (x right, y normalised inverse depth, z up); `None` outside 0 ≤ y ≤ 1.
 pub fn to_scene([x, y, z]: [f32; 3]) -> Option<[f32; 3]> {
     (0.0..=1.0).contains(&y).then(|| [x, -z, 1.0 / (9.8 * y + 0.2 + 1e-6)])
@@ -59,18 +50,27 @@ impl Snapshot {
     /// When the arrays differ in length ([`DynamicGaussians::uneven`]).
     pub fn new(level: Level, gaussians: &DynamicGaussians, t: f32) -> Self {
         let parts = map_indexed(gaussians.len().div_ceil(CHUNK), |chunk| seen(level, gaussians, t, chunk));
-        let mut out = Self::default();
-        for (seen, dropped) in parts {
-            out.dropped += dropped;
-            for s in seen {
-                out.index.push(s.index);
-                out.mean.push(s.mean);
-                out.scale.push(s.scale);
-                out.opacity.push(s.opacity);
-                out.rgb.push(s.rgb);
-            }
+        let mut out = Self::with_capacity(parts.iter().map(|part| part.index.len()).sum());
+        for part in parts {
+            out.index.extend_from_slice(&part.index);
+            out.mean.extend_from_slice(&part.mean);
+            out.scale.extend_from_slice(&part.scale);
+            out.opacity.extend_from_slice(&part.opacity);
+            out.rgb.extend_from_slice(&part.rgb);
+            out.dropped += part.dropped;
         }
         out
+    }
+
+    fn with_capacity(count: usize) -> Self {
+        Self {
+            index: Vec::with_capacity(count),
+            mean: Vec::with_capacity(count),
+            scale: Vec::with_capacity(count),
+            opacity: Vec::with_capacity(count),
+            rgb: Vec::with_capacity(count),
+            dropped: 0,
+        }
     }
 
     /// Gaussians of an interval that can be seen at `time` seconds.
@@ -102,8 +102,8 @@ impl Snapshot {
     }
 }
 
-/// Visible Gaussians of one chunk, in order, and the number of records that were not sound.
-fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> (Vec<Seen>, u64) {
+/// Visible Gaussians of one chunk, in order.
+fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Snapshot {
     let start = chunk * CHUNK;
     let end = gaussians.len().min(start + CHUNK);
     let mut opacity = vec![0.0; end - start];
@@ -115,12 +115,11 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> (Ve
         motion::opacity_at(level, &gaussians.opacity[part.clone()], &gaussians.gamma[part.clone()], tau, out);
         from = part.end;
     }
-    let mut seen = Vec::with_capacity(end - start);
-    let mut dropped = 0;
+    let mut seen = Snapshot::with_capacity(end - start);
     for (i, opacity) in (start..end).zip(opacity) {
         let record = gaussians.get(i);
         if !record.is_sound() {
-            dropped += 1;
+            seen.dropped += 1;
             continue;
         }
         let opacity = opacity * record.handover.factor(t);
@@ -129,9 +128,13 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> (Ve
         }
         let Some(mean) = to_scene(record.position_at(t)) else { continue };
         let [sx, sz] = record.scale;
-        seen.push(Seen { index: i as u32, mean, scale: [sx, sz, (sx + sz) * 0.5], opacity, rgb: record.rgb_at(t) });
+        seen.index.push(i as u32);
+        seen.mean.push(mean);
+        seen.scale.push([sx, sz, (sx + sz) * 0.5]);
+        seen.opacity.push(opacity);
+        seen.rgb.push(record.rgb_at(t));
     }
-    (seen, dropped)
+    seen
 }
 
 /// A camera's view of scene space, for one image size.

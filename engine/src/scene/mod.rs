@@ -22,9 +22,9 @@
 
 mod container;
 mod interval;
-mod memory;
 mod read;
 mod records;
+mod resume_point;
 mod write;
 
 use std::path::PathBuf;
@@ -33,10 +33,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::fit::Placement;
 use crate::output::OutputError;
+#[cfg(feature = "viewer")]
+pub(crate) use container::{COARSENESS, ImageChunks};
 pub use container::{CONTAINER_VERSION, ContainerWriter, MAGIC, intervals_from_container};
 pub use interval::{from_safetensors, to_safetensors};
-pub use memory::{memory_from_safetensors, memory_to_safetensors};
 pub use read::Scene;
+pub use resume_point::{resume_point_from_safetensors, resume_point_to_safetensors};
 pub use write::SceneWriter;
 
 /// The name of a scene's index.

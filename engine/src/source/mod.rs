@@ -55,6 +55,12 @@ pub struct TimedPicture {
     pub picture: Picture,
 }
 
+impl AsRef<Picture> for TimedPicture {
+    fn as_ref(&self) -> &Picture {
+        &self.picture
+    }
+}
+
 /// A video being read, frame by frame; holds one frame at a time.
 pub struct Source {
     kind: Kind,

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 use streamsplat_kernels::harmonics::{self, Eye};
 use streamsplat_kernels::math::f64::exp;
-use streamsplat_kernels::raster::{Gaussians, Image};
+use streamsplat_kernels::raster::{Gaussians, Image, Request};
 
 use super::Still;
 use crate::camera::{Camera, Lens, Pose, Rotation};
@@ -147,7 +147,7 @@ impl Painter {
             return Err(RenderError::Camera);
         }
         let Size::Exact { width, height } = options.size else { return Err(RenderError::NoOwnSize) };
-        let request = options.request([height, width])?;
+        let request = Request { bounded: true, ..options.request([height, width])? };
         let view = View::posed(pose, lens, [height, width]);
         let Drawable { still, scale, rotation, opacity, groups } = scene;
         let window = Window::new(&view, [height, width]);

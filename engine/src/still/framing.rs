@@ -1,6 +1,8 @@
 //! Where to look at a still scene from, when nothing says it.
 
 use super::Still;
+use super::statistics::quantiles;
+use crate::camera::turn::Angles;
 use crate::camera::{Camera, Lens, Pose};
 use streamsplat_kernels::math::f64::sin_cos;
 
@@ -39,15 +41,12 @@ impl Still {
         if centres.is_empty() {
             centres = self.mean.iter().filter(|m| finite(m)).copied().collect();
         }
-        let last = centres.len().checked_sub(1)?;
         let (mut least, mut greatest) = ([0.0; 3], [0.0; 3]);
         for axis in 0..3 {
-            let mut along: Vec<f32> = centres.iter().map(|m| m[axis]).collect();
-            along.sort_unstable_by(f32::total_cmp);
-            let at = |share: f64| f64::from(along[(share * last as f64).round() as usize]);
-            let (low, high) = (at(FLOATERS), at(1.0 - FLOATERS));
+            let along = centres.iter().map(|m| m[axis]).collect();
+            let [first, low, high, last] = quantiles(along, [0.0, FLOATERS, 1.0 - FLOATERS, 1.0])?.map(f64::from);
             let around = AROUND * (high - low);
-            (least[axis], greatest[axis]) = (at(0.0).max(low - around), at(1.0).min(high + around));
+            (least[axis], greatest[axis]) = (first.max(low - around), last.min(high + around));
         }
         Some(Framing { least, greatest })
     }
@@ -57,31 +56,33 @@ impl Framing {
     /// The camera at `degrees` around the scene (0: from the front, looking along +z; 90: from the right) that sees all of the box in
     /// images of `aspect` = width / height.
     pub fn camera(&self, degrees: f64, aspect: f64) -> Camera {
-        self.at(self.distance(degrees, aspect), degrees, aspect)
+        let angles = Angles { right: degrees, up: 0.0 };
+        self.at(self.distance(angles, aspect), angles, aspect)
     }
 
     /// Cameras at several angles, all from one distance, from which the box is seen whole all around.
-    pub fn around(&self, degrees: &[f64], aspect: f64) -> Vec<Camera> {
+    pub fn around(&self, angles: &[Angles], aspect: f64) -> Vec<Camera> {
         let step = 360.0 / f64::from(DIRECTIONS);
-        let tried = (0..DIRECTIONS).map(|i| self.distance(step * f64::from(i), aspect));
+        let tried = (0..DIRECTIONS).map(|i| self.distance(Angles { right: step * f64::from(i), up: 0.0 }, aspect));
         let distance = tried.fold(0.0, f64::max);
-        degrees.iter().map(|degrees| self.at(distance, *degrees, aspect)).collect()
+        angles.iter().map(|angles| self.at(distance, *angles, aspect)).collect()
     }
 
-    fn middle(&self) -> [f64; 3] {
+    /// The middle of the box.
+    pub fn middle(&self) -> [f64; 3] {
         std::array::from_fn(|i| 0.5 * (self.least[i] + self.greatest[i]))
     }
 
     /// The direction from the middle to the camera.
-    fn outwards(degrees: f64) -> [f64; 3] {
+    fn outwards(Angles { right, up }: Angles) -> [f64; 3] {
         let radians = std::f64::consts::PI / 180.0;
-        let ((sin, cos), (up, along)) = (sin_cos(degrees * radians), sin_cos(ELEVATION * radians));
+        let ((sin, cos), (up, along)) = (sin_cos(right * radians), sin_cos((ELEVATION + up) * radians));
         [sin * along, -up, -cos * along]
     }
 
     /// How far from the middle a camera has to be.
-    fn distance(&self, degrees: f64, aspect: f64) -> f64 {
-        let unit = self.at(1.0, degrees, aspect);
+    fn distance(&self, angles: Angles, aspect: f64) -> f64 {
+        let unit = self.at(1.0, angles, aspect);
         let Camera::Posed { pose, lens: Lens::Pinhole { focal, .. } } = unit else { return 1.0 };
         let rows = pose.rotation.inverse().matrix();
         let half: [f64; 3] = std::array::from_fn(|i| 0.5 * (self.greatest[i] - self.least[i]));
@@ -95,9 +96,9 @@ impl Framing {
         if distance > 1e-6 { distance } else { 1.0 }
     }
 
-    fn at(&self, distance: f64, degrees: f64, aspect: f64) -> Camera {
+    fn at(&self, distance: f64, angles: Angles, aspect: f64) -> Camera {
         let middle = self.middle();
-        let outwards = Self::outwards(degrees);
+        let outwards = Self::outwards(angles);
         let eye = std::array::from_fn(|i| middle[i] + distance * outwards[i]);
         let pose = Pose::look_at(eye, middle, [0.0, -1.0, 0.0]).unwrap_or_default();
         Camera::pinhole(pose, FIELD, aspect).unwrap_or_default()
@@ -133,9 +134,9 @@ mod tests {
     #[test]
     fn every_corner_of_the_box_is_seen_from_all_around() {
         let framing = Framing { least: [-3.0, 0.0, 2.0], greatest: [5.0, 1.0, 2.5] };
-        let angles: Vec<f64> = (0..36).map(|i| f64::from(i) * 10.0).collect();
+        let angles: Vec<Angles> = (0..36).map(|i| Angles { right: f64::from(i) * 10.0, up: 0.0 }).collect();
         for aspect in [0.5, 16.0 / 9.0] {
-            let single = angles.iter().map(|degrees| framing.camera(*degrees, aspect));
+            let single = angles.iter().map(|angles| framing.camera(angles.right, aspect));
             for camera in single.chain(framing.around(&angles, aspect)) {
                 let Camera::Posed { pose, lens: Lens::Pinhole { focal, .. } } = camera else { panic!("a pinhole") };
                 let rows = pose.rotation.inverse().matrix();

@@ -12,6 +12,7 @@
 
 mod draw;
 mod framing;
+mod statistics;
 #[cfg(test)]
 mod tests;
 mod turn;
@@ -19,6 +20,7 @@ mod turn;
 pub use draw::Drawable;
 pub(crate) use draw::after;
 pub use framing::Framing;
+pub use statistics::{Spread, Statistics};
 pub use turn::Similarity;
 
 use streamsplat_kernels::harmonics;
@@ -60,6 +62,19 @@ impl Still {
         still.base.reserve_exact(count);
         still.higher.reserve_exact(higher);
         still
+    }
+
+    /// A scene of `count` Gaussians of zeros. Memory is taken as they are filled.
+    pub(crate) fn zeros(count: usize, degree: usize) -> Self {
+        Still {
+            mean: vec![[0.0; 3]; count],
+            log_scale: vec![[0.0; 3]; count],
+            rotation: vec![[0.0; 4]; count],
+            logit: vec![0.0; count],
+            base: vec![[0.0; 3]; count],
+            degree,
+            higher: vec![0.0; count * 3 * harmonics::rest(degree)],
+        }
     }
 
     /// Number of Gaussians.

@@ -20,6 +20,8 @@
 
 use std::sync::Arc;
 
+use rayon::prelude::*;
+use streamsplat_kernels::parallel::map_indexed;
 use streamsplat_model::StaticGaussians;
 
 use super::fuse::fuse;
@@ -28,6 +30,8 @@ use super::matching::Lattice;
 use super::reconstructor::Motion;
 use super::{DynamicGaussians, Fusion, Merge, Record, Reference};
 
+/// Gaussians per task.
+pub(super) const CHUNK: usize = 2048;
 /// Least opacity that can be drawn.
 pub(crate) const VISIBLE: f32 = 1.0 / 255.0;
 
@@ -129,9 +133,10 @@ impl CanonicalSet {
             offset: a.record.offset,
         };
         let current = new.iter().map(current).collect();
-        let shown = new.iter().filter(|a| a.shown).map(|a| a.record);
-        out.gaussians = DynamicGaussians::with_capacity(old.len() + new.len());
-        old.into_iter().chain(shown).for_each(|record| out.gaussians.push(record));
+        let of_old = old.par_chunks(CHUNK).map(|records| records.iter().copied().collect());
+        let of_new =
+            new.par_chunks(CHUNK).map(|arrivals| arrivals.iter().filter(|a| a.shown).map(|a| a.record).collect());
+        out.gaussians = DynamicGaussians::concat(&of_old.chain(of_new).collect::<Vec<DynamicGaussians>>());
         let set =
             Self { frame, length: step.length, survivors, current, gaussians: step.gaussians.clone(), identities };
         (set, out)
@@ -161,19 +166,21 @@ impl CanonicalSet {
             let velocity = survivor.velocity.map(|v| (f64::from(v) * longer) as f32);
             old.push(Record { velocity, ..*survivor });
         }
-        for current in &self.current {
+        old.par_extend(self.current.par_iter().with_min_len(CHUNK).map(|current| {
             let cell = current.cell as usize;
-            old.push(Record {
+            Record {
                 velocity: step.forward.0[cell],
                 gamma: step.forward.1[cell],
                 identity: current.identity,
                 birth: current.birth,
                 offset: current.offset,
                 ..still(&self.gaussians, cell, self.frame)
-            });
-        }
+            }
+        }));
         let before = old.len();
-        old.retain(Record::is_sound);
+        if !old.par_iter().with_min_len(CHUNK).all(Record::is_sound) {
+            old.retain(Record::is_sound);
+        }
         *dropped += (before - old.len()) as u64;
         old
     }
@@ -190,21 +197,31 @@ pub(super) struct Arrival {
 
 /// The new frame's Gaussians with their backward field, without identities.
 fn arriving(step: &Step<'_>, frame: u64, dropped: &mut u64) -> Vec<Arrival> {
-    let mut new = Vec::with_capacity(step.gaussians.position.len());
-    for cell in 0..step.gaussians.position.len() {
-        let record = still(step.gaussians, cell, frame);
-        if !record.is_sound() {
-            *dropped += 1;
-            continue;
+    let count = step.gaussians.position.len();
+    let parts = map_indexed(count.div_ceil(CHUNK), |chunk| {
+        let mut lost = 0;
+        let mut new = Vec::with_capacity(CHUNK);
+        for cell in chunk * CHUNK..count.min((chunk + 1) * CHUNK) {
+            let record = still(step.gaussians, cell, frame);
+            if !record.is_sound() {
+                lost += 1;
+                continue;
+            }
+            if record.opacity < VISIBLE {
+                continue;
+            }
+            let (velocity, gamma) = (step.backward.0[cell], step.backward.1[cell]);
+            let moving = Record { velocity, gamma, reference: Reference::End, ..record };
+            let shown = moving.is_sound();
+            lost += u64::from(!shown);
+            new.push(Arrival { cell: cell as u32, record: if shown { moving } else { record }, shown });
         }
-        if record.opacity < VISIBLE {
-            continue;
-        }
-        let (velocity, gamma) = (step.backward.0[cell], step.backward.1[cell]);
-        let moving = Record { velocity, gamma, reference: Reference::End, ..record };
-        let shown = moving.is_sound();
-        *dropped += u64::from(!shown);
-        new.push(Arrival { cell: cell as u32, record: if shown { moving } else { record }, shown });
+        (new, lost)
+    });
+    let mut new = Vec::with_capacity(count);
+    for (part, lost) in parts {
+        new.extend(part);
+        *dropped += lost;
     }
     new
 }

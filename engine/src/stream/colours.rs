@@ -13,6 +13,7 @@
 //! The steps end early once one lowers the sum of squares by less than [`ENOUGH`] of what is left. Results are clamped: c₀ to [`RANGE`], c₁ so that the colour at the
 //! interval's other end, where little of the Gaussian is left to be seen, lies in [`FAR_RANGE`]. (Held to [`RANGE`] there, colours fit 3 dB worse in between.)
 
+use rayon::prelude::*;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{ColourFit, ColourMap, FitView, Gaussians, Projection, Solution};
 use streamsplat_model::StaticGaussians;
@@ -20,6 +21,8 @@ use streamsplat_model::StaticGaussians;
 use super::{DynamicGaussians, Reference};
 use crate::render::{Snapshot, to_scene};
 
+/// Gaussians per task.
+const CHUNK: usize = 4096;
 /// Weight of the ridge, beside sums of squared weights over pixels.
 const RIDGE: f32 = 1e-3;
 /// The share of the remaining sum of squares that a step must take away.
@@ -103,14 +106,14 @@ impl Fitter {
         let level = self.level;
         let views: Vec<Snapshot> = targets.iter().map(|target| Snapshot::new(level, gaussians, target.t)).collect();
         let factors: Vec<Vec<f32>> = targets
-            .iter()
+            .par_iter()
             .zip(&views)
             .map(|(target, view)| view.index.iter().map(|&i| gaussians.reference[i as usize].tau(target.t)).collect())
             .collect();
         let frames: Vec<&[f32]> = targets.iter().map(|target| target.rgb).collect();
         let Solution { change: mut rates, steps: taken } =
             self.solve(&views, &factors, &frames, resolution, &gaussians.rgb, steps);
-        for (i, rate) in rates.iter_mut().enumerate() {
+        rates.par_iter_mut().with_min_len(CHUNK).enumerate().for_each(|(i, rate)| {
             // At the other end of the interval the colour is rgb + rate or rgb − rate.
             let sign: f32 = if gaussians.reference[i] == Reference::Start { 1.0 } else { -1.0 };
             for (rate, rgb) in rate.iter_mut().zip(gaussians.rgb[i]) {
@@ -119,7 +122,7 @@ impl Fitter {
                     *rate = sign * (end.clamp(FAR_RANGE[0].min(rgb), FAR_RANGE[1].max(rgb)) - rgb);
                 }
             }
-        }
+        });
         (rates, taken)
     }
 

@@ -22,7 +22,7 @@ use crate::fit::Placement;
 ///
 /// State between key frames is bounded and independent of the stream's length: the last frame's input, embedding,
 /// tokens, condition and Gaussians, the last pair's motion, the survivors of at most `max_age` frames, and with some choices of
-/// [`Reuse`] the network's [`Memory`](streamsplat_model::reuse::Memory).
+/// [`Reuse`] the network's [`Cache`](streamsplat_model::reuse::Cache).
 pub struct Engine {
     settings: Settings,
     model: Arc<dyn Reconstructor>,
@@ -138,9 +138,9 @@ impl Engine {
         let mut tiles = self.tiles(placement)?;
         let interval = self.advance(&mut tiles, between, frame, index, timestamp, placement);
         if interval.is_err() {
-            tiles.memories().for_each(|memory| memory.forget());
+            tiles.tiles.iter_mut().for_each(|tile| tile.session.forget());
         }
-        self.work.tokens(&tokens(&mut tiles));
+        self.work.tokens(&tokens(&tiles));
         self.work.branches(self.model.silent());
         self.tiles = Some(tiles);
         interval
@@ -194,7 +194,7 @@ impl Engine {
                 }
                 let length = length(state.timestamp, timestamp);
                 let motion = match &flows {
-                    Some(flows) => work.time(Stage::Flow, || flows.motion(views, &network)),
+                    Some(flows) => work.time(Stage::Flow, || flows.motion(level, views, &network)),
                     None => network,
                 };
                 let step = Step {
@@ -369,17 +369,12 @@ fn aligned(map: DepthMap, view: &KeyView, state: Option<&State>, flows: Option<&
 }
 
 /// The tokens computed and kept by all tiles, part by part; nothing where no tile keeps any.
-fn tokens(tiles: &mut Tiles) -> Vec<(&'static str, Tokens)> {
+fn tokens(tiles: &Tiles) -> Vec<(&'static str, Tokens)> {
     let mut sums: Vec<(&'static str, Tokens)> = Vec::new();
-    for memory in tiles.memories() {
-        for (at, (part, tokens)) in memory.tokens().into_iter().enumerate() {
-            match sums.get_mut(at) {
-                Some((_, sum)) => {
-                    sum.done += tokens.done;
-                    sum.avoided += tokens.avoided;
-                }
-                None => sums.push((part, tokens)),
-            }
+    for part in tiles.tiles.iter().filter_map(|tile| tile.session.tokens()).flatten() {
+        match sums.iter_mut().find(|sum| sum.0 == part.0) {
+            Some(sum) => sum.1 = sum.1 + part.1,
+            None => sums.push(part),
         }
     }
     sums

@@ -130,9 +130,9 @@ pub enum EngineError {
         /// This one.
         found: f64,
     },
-    /// A memory that cannot be of this frame.
-    #[error("memory of frame {index}: {reason}")]
-    Memory {
+    /// A resume point that cannot be of this frame.
+    #[error("resume point of frame {index}: {reason}")]
+    ResumePoint {
         /// The key frame's index.
         index: u64,
         /// Expected and found values.

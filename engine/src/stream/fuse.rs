@@ -1,6 +1,8 @@
 //! Where two frames meet: identities pass on, the continued hand over, the rest survives for a while.
 
-use super::canonical::{Arrival, VISIBLE};
+use rayon::prelude::*;
+
+use super::canonical::{Arrival, CHUNK, VISIBLE};
 use super::identities::Identities;
 use super::matching::{Lattice, Probe, match_up};
 use super::{Handover, Merge, Record, Reference};
@@ -25,9 +27,10 @@ pub(super) fn fuse(
     new: &mut [Arrival],
     identities: &mut Identities,
 ) -> Fused {
-    let ends: Vec<[f32; 3]> = old.iter().map(|r| r.position_at(1.0)).collect();
+    let ends: Vec<[f32; 3]> = old.par_iter().with_min_len(CHUNK).map(|r| r.position_at(1.0)).collect();
     let probes: Vec<Probe> = old
-        .iter()
+        .par_iter()
+        .with_min_len(CHUNK)
         .zip(&ends)
         .map(|(r, end)| Probe {
             point: std::array::from_fn(|axis| end[axis] + r.offset[axis]),
@@ -35,52 +38,76 @@ pub(super) fn fuse(
             recent: r.frame + 1 == frame,
         })
         .collect();
-    let positions: Vec<[f32; 3]> = new.iter().map(|a| a.record.mean).collect();
+    let positions: Vec<[f32; 3]> = new.par_iter().with_min_len(CHUNK).map(|a| a.record.mean).collect();
     let matches = match_up(lattice, &probes, &positions);
 
     let mut passed_on = vec![false; old.len()];
-    for (arrival, parent) in new.iter_mut().zip(&matches.parent) {
+    let fresh: Vec<u64> = matches
+        .parent
+        .iter()
+        .map(|parent| match *parent {
+            None => identities.fresh(),
+            Some(parent) => {
+                passed_on[parent as usize] = true;
+                0
+            }
+        })
+        .collect();
+    new.par_iter_mut().with_min_len(CHUNK).zip(&matches.parent).zip(fresh).for_each(|((arrival, parent), fresh)| {
         let record = &mut arrival.record;
         record.handover = Handover::Arrives;
         match *parent {
-            None => record.identity = identities.fresh(),
+            None => record.identity = fresh,
             Some(parent) => {
                 let parent = parent as usize;
-                passed_on[parent] = true;
                 record.identity = old[parent].identity;
                 record.birth = old[parent].birth;
                 record.offset = std::array::from_fn(|axis| probes[parent].point[axis] - record.mean[axis]);
             }
         }
-    }
+    });
 
+    let new = &*new;
+    let parts: Vec<Fused> = old
+        .par_chunks_mut(CHUNK)
+        .enumerate()
+        .map(|(chunk, old)| {
+            let mut out = Fused::default();
+            for (i, record) in (chunk * CHUNK..).zip(old) {
+                match matches.host[i] {
+                    Some(host) => {
+                        record.handover = Handover::Leaves;
+                        if !passed_on[i] {
+                            let into = new[host as usize].record.identity;
+                            out.merges.push(Merge { identity: record.identity, into });
+                        }
+                    }
+                    None if frame - record.frame > u64::from(max_age) => record.handover = Handover::Leaves,
+                    None => out.survivors.extend(survivor(record, ends[i])),
+                }
+            }
+            out
+        })
+        .collect();
     let mut out = Fused::default();
-    for (i, record) in old.iter_mut().enumerate() {
-        match matches.host[i] {
-            Some(host) => {
-                record.handover = Handover::Leaves;
-                if !passed_on[i] {
-                    out.merges.push(Merge { identity: record.identity, into: new[host as usize].record.identity });
-                }
-            }
-            None if frame - record.frame > u64::from(max_age) => record.handover = Handover::Leaves,
-            None => {
-                let opacity = record.opacity_at(1.0);
-                if opacity >= VISIBLE {
-                    let gamma = [record.gamma[0].max(FADE), 0.0];
-                    out.survivors.push(Record {
-                        mean: ends[i],
-                        opacity,
-                        gamma,
-                        rgb: record.rgb_at(1.0),
-                        rgb_rate: [0.0; 3],
-                        reference: Reference::Start,
-                        handover: Handover::None,
-                        ..*record
-                    });
-                }
-            }
-        }
+    for part in parts {
+        out.merges.extend(part.merges);
+        out.survivors.extend(part.survivors);
     }
     out
+}
+
+/// A vanishing Gaussian as it is at the key frame, while it can be seen.
+fn survivor(record: &Record, end: [f32; 3]) -> Option<Record> {
+    let opacity = record.opacity_at(1.0);
+    (opacity >= VISIBLE).then(|| Record {
+        mean: end,
+        opacity,
+        gamma: [record.gamma[0].max(FADE), 0.0],
+        rgb: record.rgb_at(1.0),
+        rgb_rate: [0.0; 3],
+        reference: Reference::Start,
+        handover: Handover::None,
+        ..*record
+    })
 }

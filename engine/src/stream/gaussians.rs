@@ -128,19 +128,19 @@ impl Record {
     /// Returns true if every number is finite, as [`motion::opacity_factor`] needs, the colour throughout the interval, and no scale or
     /// opacity is negative.
     pub fn is_sound(&self) -> bool {
-        let finite = |v: &[f32]| v.iter().all(|x| x.is_finite());
-        let not_negative = |v: &[f32]| v.iter().all(|x| *x >= 0.0 && x.is_finite());
-        finite(&self.mean)
-            && finite(&self.velocity)
-            && finite(&self.rgb)
-            && finite(&self.rgb_rate)
-            // Between the ends every rounded value lies between theirs.
-            && finite(&self.rgb_at(0.0))
-            && finite(&self.rgb_at(1.0))
-            && finite(&self.offset)
-            && not_negative(&self.gamma)
-            && not_negative(&self.scale)
-            && not_negative(&[self.opacity])
+        // Between the ends every rounded colour lies between theirs.
+        let any_sign =
+            [self.mean, self.velocity, self.rgb, self.rgb_rate, self.rgb_at(0.0), self.rgb_at(1.0), self.offset];
+        let not_negative = [self.gamma[0], self.gamma[1], self.scale[0], self.scale[1], self.opacity];
+        // No branch for each number: a million records are asked for every image.
+        let mut sound = true;
+        for x in any_sign.as_flattened() {
+            sound &= x.is_finite();
+        }
+        for x in not_negative {
+            sound &= (0.0..f32::INFINITY).contains(&x);
+        }
+        sound
     }
 }
 
@@ -193,6 +193,33 @@ impl DynamicGaussians {
             offset: Vec::with_capacity(count),
             reference: Vec::with_capacity(count),
             handover: Vec::with_capacity(count),
+        }
+    }
+
+    /// The records of all `parts`, one part after the other.
+    pub(crate) fn concat(parts: &[Self]) -> Self {
+        fn all<'a, T: Copy + 'a>(
+            parts: &'a [DynamicGaussians],
+            array: impl Fn(&'a DynamicGaussians) -> &'a Vec<T>,
+        ) -> Vec<T> {
+            let mut out = Vec::with_capacity(parts.iter().map(|part| array(part).len()).sum());
+            parts.iter().for_each(|part| out.extend_from_slice(array(part)));
+            out
+        }
+        Self {
+            mean: all(parts, |part| &part.mean),
+            velocity: all(parts, |part| &part.velocity),
+            gamma: all(parts, |part| &part.gamma),
+            opacity: all(parts, |part| &part.opacity),
+            scale: all(parts, |part| &part.scale),
+            rgb: all(parts, |part| &part.rgb),
+            rgb_rate: all(parts, |part| &part.rgb_rate),
+            identity: all(parts, |part| &part.identity),
+            birth: all(parts, |part| &part.birth),
+            frame: all(parts, |part| &part.frame),
+            offset: all(parts, |part| &part.offset),
+            reference: all(parts, |part| &part.reference),
+            handover: all(parts, |part| &part.handover),
         }
     }
 

@@ -3,13 +3,11 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use streamsplat_model::reuse::Memory;
 use streamsplat_model::{Embedding, FrameInput, Sampling, StaticGaussians};
 
 use super::between::FlowView;
 use super::colours::Fitter;
 use super::lift::{Alignment, DepthMap, lift, normalise_most};
-use super::reconstructor::Reconstructor;
 use super::tiles::{Tile, Tiles};
 use super::work::Stage;
 use super::{Behind, DepthRange, EngineError, Frame, MotionFrom, SamplingMode, Settings, Work};
@@ -95,7 +93,7 @@ impl Context<'_> {
         placement: Placement,
     ) -> Result<(KeyView, u64), EngineError> {
         let Frame { mut rgb, mut depth, .. } = frame;
-        let (level, range, lifts) = (self.level, self.settings.depth_range, self.tiles.ignore_depth());
+        let (level, range, lifts) = (self.level, self.settings.depth_range, self.tiles.ignores_depth());
         let mut lost = 0;
         let (rgb, depth) = self.work.measure(Stage::Fit, || {
             rgb.iter_mut().for_each(|x| *x = x.clamp(0.0, 1.0));
@@ -161,7 +159,7 @@ impl Context<'_> {
         let same = |before: &&KeyView| {
             let tile = &self.tiles.tiles[at];
             tile.sees_the_same(resolution, &before.rgb, rgb)
-                && match (before.depth.as_deref().filter(|_| !self.tiles.ignore_depth()), depth) {
+                && match (before.depth.as_deref().filter(|_| !self.tiles.ignores_depth()), depth) {
                     (None, None) => true,
                     (Some(a), Some(b)) => tile.sees_the_same(resolution, a, b),
                     _ => false,
@@ -174,13 +172,12 @@ impl Context<'_> {
             SamplingMode::Sample => Sampling::Sample { seed: self.settings.seed ^ (at as u64) << 40, frame: index },
         };
         let work = &mut *self.work;
-        let draws = |model: &dyn Reconstructor| sampling != Sampling::Mean && model.draws_positions();
         if let Some(before) = before {
             work.count(Stage::Encoder, 0, 1);
             work.count(Stage::Upsampler, 0, 1);
             work.count(Stage::Condition, 0, 1);
             let tile = &mut self.tiles.tiles[at];
-            if !draws(tile.model.as_ref()) {
+            if sampling == Sampling::Mean || !tile.session.draws_positions() {
                 work.count(Stage::Heads, 0, 1);
                 return Ok(before);
             }
@@ -193,18 +190,10 @@ impl Context<'_> {
         };
         let input = FrameInput { rgb: &rgb, depth: depth.as_deref() };
         let tile = &mut self.tiles.tiles[at];
-        let model = tile.model.clone();
-        let mut memory = tile.memory.as_mut();
-        let embedding = work.measure(Stage::Encoder, || match memory.as_deref_mut() {
-            Some(memory) => model.embed_keeping(&input, memory),
-            None => model.embed(&input),
-        })?;
-        let tokens = work.measure(Stage::Upsampler, || match memory {
-            Some(memory) => model.upsample_keeping(&embedding, memory),
-            None => model.upsample(&embedding),
-        })?;
-        let condition = match model.reads_condition() {
-            true => work.measure(Stage::Condition, || model.condition(&input))?,
+        let embedding = work.measure(Stage::Encoder, || tile.session.embed(&input))?;
+        let tokens = work.measure(Stage::Upsampler, || tile.session.upsample(&embedding))?;
+        let condition = match tile.session.reads_condition() {
+            true => work.measure(Stage::Condition, || tile.session.condition(&input))?,
             false => {
                 work.count(Stage::Condition, 0, 1);
                 None
@@ -219,7 +208,7 @@ impl Context<'_> {
 impl KeyView {
     /// The frame's own depth map without holes, for a model that ignores depth; `None` where it has none or it tells nothing.
     pub(super) fn own_map(&self, tiles: &Tiles) -> Option<DepthMap> {
-        let inverse = self.depth.as_ref().filter(|_| tiles.ignore_depth())?.clone();
+        let inverse = self.depth.as_ref().filter(|_| tiles.ignores_depth())?.clone();
         DepthMap { inverse, confidence: None, resolution: self.resolution }.filled()
     }
 
@@ -244,20 +233,9 @@ fn gaussians(
     sampling: Sampling,
     index: u64,
 ) -> Result<StaticGaussians, EngineError> {
-    let Tile { model, memory, .. } = tile;
-    let gaussians = work.measure(Stage::Heads, || match memory.as_mut() {
-        Some(memory) => model.gaussians_keeping(tokens, &sampling, memory),
-        None => model.gaussians(tokens, &sampling),
-    })?;
+    let gaussians = work.measure(Stage::Heads, || tile.session.gaussians(tokens, &sampling))?;
     check_records(index, gaussians.position.len(), &gaussians)?;
     Ok(gaussians)
-}
-
-impl Tiles {
-    /// Caches of the tiles.
-    pub(super) fn memories(&mut self) -> impl Iterator<Item = &mut Memory> {
-        self.tiles.iter_mut().filter_map(|tile| tile.memory.as_mut())
-    }
 }
 
 impl DepthRange {

@@ -24,16 +24,15 @@ mod interval;
 mod keyframe;
 mod lift;
 mod matching;
-mod memory;
 mod motion;
 mod network;
 mod pair;
 mod quality;
 mod reconstructor;
 mod resolution;
+mod resume;
 mod settings;
 mod tiles;
-mod track;
 mod work;
 mod workers;
 
@@ -43,16 +42,15 @@ pub use frame::{EngineError, Frame};
 pub use gaussians::{DynamicGaussians, HANDOVER, Handover, Record, Reference};
 pub use interval::{Interval, Merge};
 pub use lift::{DepthMap, FAR, NEAR};
-pub use memory::Memory;
 pub use network::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
 pub use quality::{Preset, Quality};
-pub use reconstructor::{Motion, Reconstructor, Tiling};
+pub use reconstructor::{Motion, Reconstructor, Session, Tiling};
 pub use resolution::Resolution;
+pub use resume::ResumePoint;
 pub use settings::{
     Behind, DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode, Settings,
     UnknownChoice,
 };
-pub use track::{Picked, Track, TrackPoint};
 pub use work::{StageWork, Work};
 pub use workers::Workers;
 

@@ -3,13 +3,14 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use streamsplat_model::reuse::{Memory, Saving};
+use streamsplat_model::reuse::{Saving, Tokens};
 use streamsplat_model::silent::Silent;
 use streamsplat_model::{
-    Dino, Embedding, FrameInput, LoadOptions, ModelError, Network, Sampling, Side, StaticGaussians, StaticPosition,
+    self as model, Dino, Embedding, FrameInput, LoadOptions, ModelError, Network, Sampling, Side, StaticGaussians,
+    StaticPosition,
 };
 
-use super::reconstructor::{Motion, Tiling};
+use super::reconstructor::{Motion, Session, Tiling};
 use super::{EngineError, Reconstructor};
 
 /// The small checkpoint that is part of the library: a safetensors file in the official layout.
@@ -19,7 +20,7 @@ pub const EMBEDDED_CONFIG: &str = include_str!("../../../fixtures/lite/lite.json
 
 /// A network, with DINOv2 where it is conditioned on that, and without where its condition is the other frame's embedding.
 pub(super) struct Conditioned {
-    network: Network,
+    network: Arc<Network>,
     dino: Option<Arc<Dino>>,
 }
 
@@ -35,14 +36,14 @@ impl Conditioned {
             None => Network::from_parts(EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG, options)?,
         };
         if !network.config().use_dino {
-            return Ok(Self { network, dino: None });
+            return Ok(Self { network: Arc::new(network), dino: None });
         }
         let dino = Dino::open(dinov2.ok_or(EngineError::Condition)?, options)?;
         let (expected, found) = (network.config().condition_dim, dino.config().embed_dim);
         if expected != found {
             return Err(EngineError::ConditionChannels { expected, found });
         }
-        Ok(Self { network, dino: Some(Arc::new(dino)) })
+        Ok(Self { network: Arc::new(network), dino: Some(Arc::new(dino)) })
     }
 }
 
@@ -59,48 +60,11 @@ impl Reconstructor for Conditioned {
     fn at(&self, resolution: [usize; 2]) -> Option<Arc<dyn Reconstructor>> {
         let patch = self.network.config().patch_size;
         let network = self.network.on_grid(resolution.map(|side| side / patch))?;
-        Some(Arc::new(Self { network, dino: self.dino.clone() }))
-    }
-
-    fn embed(&self, frame: &FrameInput<'_>) -> Result<Embedding, ModelError> {
-        self.network.embed(frame)
-    }
-
-    fn upsample(&self, embedding: &Embedding) -> Result<Vec<f32>, ModelError> {
-        self.network.upsample_static(&embedding.h)
-    }
-
-    fn gaussians(&self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError> {
-        self.network.static_head(tokens, sampling)
-    }
-
-    fn draws_positions(&self) -> bool {
-        self.network.config().static_position == StaticPosition::TruncatedNormal
+        Some(Arc::new(Self { network: Arc::new(network), dino: self.dino.clone() }))
     }
 
     fn ignores_depth(&self) -> bool {
         self.network.config().ignores_depth
-    }
-
-    fn reads_condition(&self) -> bool {
-        self.dino.is_some()
-    }
-
-    fn condition(&self, frame: &FrameInput<'_>) -> Result<Option<Vec<f32>>, ModelError> {
-        let features = self.dino.as_ref().map(|dino| dino.features(frame.rgb, self.resolution()));
-        Ok(features.transpose()?.map(|f| f.patch_tokens))
-    }
-
-    fn decode(&self, a: &Side<'_>, b: &Side<'_>) -> Result<[Vec<f32>; 2], ModelError> {
-        self.network.decode(a, b)
-    }
-
-    fn upsample_motion(&self, d: &[f32]) -> Result<Vec<f32>, ModelError> {
-        self.network.upsample_deformation(d)
-    }
-
-    fn motion(&self, static_tokens: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError> {
-        self.network.deformation_head(static_tokens, motion_tokens)
     }
 
     fn silent(&self) -> &[Silent] {
@@ -110,42 +74,61 @@ impl Reconstructor for Conditioned {
         }
     }
 
-    fn memory(&self, saving: Saving) -> Option<Memory> {
-        self.network.memory(saving)
+    fn session(self: Arc<Self>, saving: Option<Saving>) -> Box<dyn Session> {
+        Box::new(Stages { network: model::Session::new(self.network.clone(), saving), dino: self.dino.clone() })
+    }
+}
+
+/// A session of the network, and DINOv2 beside it.
+struct Stages {
+    network: model::Session<Arc<Network>>,
+    dino: Option<Arc<Dino>>,
+}
+
+impl Session for Stages {
+    fn embed(&mut self, frame: &FrameInput<'_>) -> Result<Embedding, ModelError> {
+        self.network.embed(frame)
     }
 
-    fn embed_keeping(&self, frame: &FrameInput<'_>, memory: &mut Memory) -> Result<Embedding, ModelError> {
-        self.network.encode_keeping(&self.network.tokenize(frame)?, memory)
+    fn upsample(&mut self, embedding: &Embedding) -> Result<Vec<f32>, ModelError> {
+        self.network.upsample_static(&embedding.h)
     }
 
-    fn upsample_keeping(&self, embedding: &Embedding, memory: &mut Memory) -> Result<Vec<f32>, ModelError> {
-        self.network.upsample_static_keeping(&embedding.h, memory)
+    fn gaussians(&mut self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError> {
+        self.network.static_head(tokens, sampling)
     }
 
-    fn gaussians_keeping(
-        &self,
-        tokens: &[f32],
-        sampling: &Sampling,
-        memory: &mut Memory,
-    ) -> Result<StaticGaussians, ModelError> {
-        self.network.static_head_keeping(tokens, sampling, memory)
+    fn draws_positions(&self) -> bool {
+        self.network.network().config().static_position == StaticPosition::TruncatedNormal
     }
 
-    fn decode_keeping(&self, a: &Side<'_>, b: &Side<'_>, memory: &mut Memory) -> Result<[Vec<f32>; 2], ModelError> {
-        self.network.decode_keeping(a, b, memory)
+    fn reads_condition(&self) -> bool {
+        self.dino.is_some()
     }
 
-    fn upsample_motion_keeping(&self, place: usize, d: &[f32], memory: &mut Memory) -> Result<Vec<f32>, ModelError> {
-        self.network.upsample_deformation_keeping(place, d, memory)
+    fn condition(&mut self, frame: &FrameInput<'_>) -> Result<Option<Vec<f32>>, ModelError> {
+        let resolution = self.network.network().config().resolution;
+        let features = self.dino.as_ref().map(|dino| dino.features(frame.rgb, resolution));
+        Ok(features.transpose()?.map(|f| f.patch_tokens))
     }
 
-    fn motion_keeping(
-        &self,
-        place: usize,
-        static_tokens: &[f32],
-        motion_tokens: &[f32],
-        memory: &mut Memory,
-    ) -> Result<Motion, ModelError> {
-        self.network.deformation_head_keeping(place, static_tokens, motion_tokens, memory)
+    fn decode(&mut self, a: &Side<'_>, b: &Side<'_>) -> Result<[Vec<f32>; 2], ModelError> {
+        self.network.decode(a, b)
+    }
+
+    fn upsample_motion(&mut self, place: usize, d: &[f32]) -> Result<Vec<f32>, ModelError> {
+        self.network.upsample_deformation(place, d)
+    }
+
+    fn motion(&mut self, place: usize, static_tokens: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError> {
+        self.network.deformation_head(place, static_tokens, motion_tokens)
+    }
+
+    fn tokens(&self) -> Option<[(&'static str, Tokens); 4]> {
+        self.network.cache().map(|cache| cache.tokens())
+    }
+
+    fn forget(&mut self) {
+        self.network.forget();
     }
 }

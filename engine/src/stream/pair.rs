@@ -74,28 +74,17 @@ fn deform(
     expected: [usize; 2],
     index: u64,
 ) -> Result<[Arc<Motion>; 2], EngineError> {
-    let Tile { model, memory, .. } = tile;
-    let mut memory = memory.as_mut();
+    let session = &mut tile.session;
     let sides = [&frames[0], &frames[1]].map(|f| Side {
         h: &f.embedding.h,
         static_tokens: &f.tokens,
         condition: f.condition.as_deref(),
     });
-    let decoded = work.measure(Stage::Decoder, || match memory.as_deref_mut() {
-        Some(memory) => model.decode_keeping(&sides[0], &sides[1], memory),
-        None => model.decode(&sides[0], &sides[1]),
-    })?;
+    let decoded = work.measure(Stage::Decoder, || session.decode(&sides[0], &sides[1]))?;
     let mut motion: [Motion; 2] = Default::default();
     for (side, d) in decoded.iter().enumerate() {
-        let tokens = work.measure(Stage::Upsampler, || match memory.as_deref_mut() {
-            Some(memory) => model.upsample_motion_keeping(side, d, memory),
-            None => model.upsample_motion(d),
-        })?;
-        let static_tokens = sides[side].static_tokens;
-        motion[side] = work.measure(Stage::Heads, || match memory.as_deref_mut() {
-            Some(memory) => model.motion_keeping(side, static_tokens, &tokens, memory),
-            None => model.motion(static_tokens, &tokens),
-        })?;
+        let tokens = work.measure(Stage::Upsampler, || session.upsample_motion(side, d))?;
+        motion[side] = work.measure(Stage::Heads, || session.motion(side, sides[side].static_tokens, &tokens))?;
         let expected = expected[side];
         for (what, found) in [("velocity", motion[side].0.len()), ("gamma", motion[side].1.len())] {
             if found != expected {

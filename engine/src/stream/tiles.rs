@@ -19,17 +19,16 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use streamsplat_model::StaticGaussians;
-use streamsplat_model::reuse::{Memory, Saving};
+use streamsplat_model::reuse::Saving;
 
-use super::reconstructor::{Motion, Reconstructor, Tiling};
+use super::reconstructor::{Motion, Reconstructor, Session, Tiling};
 
 /// Patches that a tile sees beyond what it keeps.
 const HALO: usize = 1;
 
-/// A part of the frame, and the model for frames of its size.
+/// A part of the frame, and a session of the model for frames of its size.
 pub(super) struct Tile {
-    pub(super) model: Arc<dyn Reconstructor>,
-    pub(super) memory: Option<Memory>,
+    pub(super) session: Box<dyn Session>,
     /// First row and column of pixels.
     origin: [usize; 2],
     /// Rows and columns of pixels.
@@ -43,6 +42,7 @@ pub(super) struct Tiles {
     /// Rows and columns of pixels of a frame.
     pub(super) resolution: [usize; 2],
     pub(super) tiles: Vec<Tile>,
+    ignores_depth: bool,
 }
 
 /// One axis of a tile, in patches: what it sees, and what of it it keeps.
@@ -55,11 +55,10 @@ struct Span {
 impl Tiles {
     /// The tiles of frames of `resolution`; `None` where the model takes no part of such a frame.
     pub(super) fn new(model: &Arc<dyn Reconstructor>, resolution: [usize; 2], saving: Option<Saving>) -> Option<Self> {
-        let memory = |model: &Arc<dyn Reconstructor>| saving.and_then(|saving| model.memory(saving));
         if resolution == model.resolution() {
-            let whole =
-                Tile { model: model.clone(), memory: memory(model), origin: [0; 2], size: resolution, places: None };
-            return Some(Self { resolution, tiles: vec![whole] });
+            let session = model.clone().session(saving);
+            let whole = Tile { session, origin: [0; 2], size: resolution, places: None };
+            return Some(Self { resolution, tiles: vec![whole], ignores_depth: model.ignores_depth() });
         }
         let Tiling { patch, cells, partial } = model.tiling()?;
         if resolution.iter().any(|side| *side == 0 || side % patch != 0) {
@@ -91,20 +90,19 @@ impl Tiles {
                     })
                 });
                 tiles.push(Tile {
-                    memory: memory(&sized),
-                    model: sized,
+                    session: sized.session(saving),
                     origin: [row.seen.start * patch, column.seen.start * patch],
                     size,
                     places: Some(places.collect()),
                 });
             }
         }
-        Some(Self { resolution, tiles })
+        Some(Self { resolution, tiles, ignores_depth: model.ignores_depth() })
     }
 
     /// Returns true if the model ignores depth.
-    pub(super) fn ignore_depth(&self) -> bool {
-        self.tiles.first().is_some_and(|tile| tile.model.ignores_depth())
+    pub(super) fn ignores_depth(&self) -> bool {
+        self.ignores_depth
     }
 
     /// The frame's Gaussians from those of its tiles.

@@ -5,13 +5,13 @@
 use std::marker::PhantomData;
 
 use super::layout::{Layout, Task};
-use super::mix::{Mix, Scores, Weighed};
-use super::{KEY_BLOCK, LARGEST_SCALE, Rows};
+use super::rows::{KEY_BLOCK, LARGEST_SCALE, Rows, WHOLE};
+use super::weighted_sum::{Scores, Weighed, WeightedSum};
 use crate::gemm::form::{Form, Multiply, values_of_a_word};
-use crate::gemm::{self, Precision, deinterleave, interleave};
+use crate::gemm::{Precision, Strided, deinterleave, interleave};
 use crate::memory::Scratch;
 use crate::parallel::Disjoint;
-use crate::simd::{LANES, Operation, Simd};
+use crate::simd::{LANES, Operation, Registers, Simd};
 
 /// Channels of a head in all models so far.
 const USUAL_WIDTH: usize = 64;
@@ -25,8 +25,8 @@ pub(super) struct Packed<'a> {
     pub(super) value_scales: &'a [f32],
 }
 
-/// The work of one [`Task`], with the operands of `q·k` in the form `A` and `w·v` as `M` holds it.
-pub(super) struct Block<'a, A, M> {
+/// The work of one [`Task`], with the operands of `q·k` in the form `A` and `w·v` as `W` holds it.
+pub(super) struct Block<'a, A, W> {
     pub(super) layout: &'a Layout,
     pub(super) task: &'a Task,
     pub(super) q: Rows<'a>,
@@ -35,25 +35,34 @@ pub(super) struct Block<'a, A, M> {
     /// Converted operands of the lower modes, read in place of `k` and `v`.
     pub(super) packed: Packed<'a>,
     pub(super) out: &'a Disjoint<'a, f32>,
-    pub(super) forms: PhantomData<fn(A, M)>,
+    pub(super) forms: PhantomData<fn(A, W)>,
 }
 
-impl<A: Form, M: Mix> Operation for Block<'_, A, M> {
+impl<A: Form, W: WeightedSum> Operation for Block<'_, A, W> {
+    const DOT_PRODUCTS: bool = !matches!(A::PRECISION, Precision::F32);
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        // Rows of keys, rows of channels, panels of queries: what fills the registers of a level and divides its sizes.
-        match (S::GEMM_ROWS, S::GEMM_PANELS) {
-            (12, 2) => self.attend::<S, 12, 8, 2>(s),
-            (6, 1) => self.attend::<S, 6, 6, 1>(s),
-            _ => self.attend::<S, 4, 4, 1>(s),
+        // Rows of keys, rows of channels, panels of queries of the register blocks.
+        match S::REGISTERS {
+            Registers::Avx512 => self.attend::<S, 12, 8, 2>(s),
+            Registers::Avx2 | Registers::Neon => self.attend::<S, 6, 6, 1>(s),
+            Registers::Scalar => self.attend::<S, 4, 4, 1>(s),
         }
     }
 }
 
-impl<A: Form, M: Mix> Block<'_, A, M> {
+impl<A: Form, W: WeightedSum> Block<'_, A, W> {
     #[inline(always)]
     fn attend<S: Simd, const KR: usize, const CR: usize, const NV: usize>(&self, s: S) {
+        const {
+            assert!(
+                WHOLE.is_multiple_of(KR) && KEY_BLOCK.is_multiple_of(KR),
+                "blocks of keys are whole register blocks"
+            );
+            // Widths are multiples of 16: of the last channels there are none, two or four.
+            assert!(matches!(CR, 4 | 6 | 8), "the last channels have a register block of their own");
+        }
         let (heads, width) = (self.layout.shape.heads, self.layout.shape.width);
         let (window, head) = (self.task.window, self.task.head);
         let queries = self.task.queries.len();
@@ -87,7 +96,7 @@ impl<A: Form, M: Mix> Block<'_, A, M> {
         total.fill(0.0);
         sum.fill(0.0);
         reference.fill(f32::NEG_INFINITY);
-        let mut state = State::<A, M> {
+        let mut state = State::<A, W> {
             q,
             sum,
             scores,
@@ -138,7 +147,7 @@ impl<A: Form, M: Mix> Block<'_, A, M> {
     }
 }
 
-impl<'a, A: Form, M: Mix> Block<'a, A, M> {
+impl<'a, A: Form, W: WeightedSum> Block<'a, A, W> {
     /// The `present` keys from `start` on where they were written, with what follows them up to `rows`; or, where they do not follow one another
     /// or memory ends before, in `copy`.
     #[inline(always)]
@@ -181,7 +190,7 @@ impl<'a, A: Form, M: Mix> Block<'a, A, M> {
     fn converted<S: Simd>(&self, start: usize, present: usize, rows: usize) -> Keys<'a> {
         let (window, head, width) = (self.task.window, self.task.head, self.layout.shape.width);
         let (packed, stride) = (self.layout.packed(window, head), A::row_words::<S>(width));
-        let value_scales = if M::SCALED {
+        let value_scales = if W::SCALED {
             &self.packed.value_scales[self.layout.value_scales(window, head)][start / KEY_BLOCK * width..][..width]
         } else {
             &[]
@@ -214,7 +223,7 @@ struct Keys<'a> {
 }
 
 /// State of a block of queries on its pass over the keys. Everything comes in panels of 16 queries.
-struct State<'a, A, M> {
+struct State<'a, A, W> {
     /// `[panels][words][16]`
     q: &'a [f32],
     /// `[panels][width][16]`: weighted sums of values.
@@ -231,10 +240,10 @@ struct State<'a, A, M> {
     offsets: &'a [i32],
     width: usize,
     words: usize,
-    forms: PhantomData<fn(A, M)>,
+    forms: PhantomData<fn(A, W)>,
 }
 
-impl<A: Form, M: Mix> State<'_, A, M> {
+impl<A: Form, W: WeightedSum> State<'_, A, W> {
     /// `NV` panels of queries over one block of keys.
     #[inline(always)]
     fn pass<S: Simd, const KR: usize, const CR: usize, const NV: usize>(
@@ -248,12 +257,11 @@ impl<A: Form, M: Mix> State<'_, A, M> {
         for v in 0..NV {
             weighed[v] = self.weigh(s, panel, v, largest[v], keys.present);
         }
-        let words = keys.present.div_ceil(M::KEYS);
+        let words = keys.present.div_ceil(W::KEYS);
         let whole = self.width / CR * CR;
         for c in (0..whole).step_by(CR) {
             self.accumulate::<S, CR, NV>(s, panel, keys, c, words, &weighed);
         }
-        // Widths are multiples of 16, and the levels' blocks have 4, 6 or 8 rows.
         match self.width - whole {
             4 => self.accumulate::<S, 4, NV>(s, panel, keys, whole, words, &weighed),
             2 => self.accumulate::<S, 2, NV>(s, panel, keys, whole, words, &weighed),
@@ -281,7 +289,7 @@ impl<A: Form, M: Mix> State<'_, A, M> {
         for first in (0..keys.present).step_by(KR) {
             let scales = &keys.scales[first..][..KR];
             let at = &keys.words[first * keys.stride..][..(KR - 1) * keys.stride + row_words];
-            let along = |stride| gemm::Rows::along(at.as_ptr().cast(), stride);
+            let along = |stride| Strided::along(at.as_ptr().cast(), stride);
             // SAFETY: each pointer is that of a slice of the length read.
             let mut acc = unsafe {
                 // With a distance that the compiler knows, the addresses of all keys are one register's.
@@ -324,7 +332,7 @@ impl<A: Form, M: Mix> State<'_, A, M> {
             largest,
             reference: s.load(&self.reference[at..]),
         };
-        let weighed = M::weigh(s, scores);
+        let weighed = W::weigh(s, scores);
         s.store(weighed.reference, &mut self.reference[at..][..LANES]);
         let total = &mut self.total[at..][..LANES];
         s.store(s.mul_add(s.load(total), weighed.before, weighed.total), total);
@@ -342,18 +350,18 @@ impl<A: Form, M: Mix> State<'_, A, M> {
         words: usize,
         weighed: &[Weighed<S>; NV],
     ) {
-        let row_words = words * M::Product::row_words_of_a_word::<S>();
+        let row_words = words * W::Product::row_words_of_a_word::<S>();
         let from = std::array::from_fn(|v| self.scores[v * KEY_BLOCK * LANES..][..words * LANES].as_ptr().cast());
         let values = &keys.values[channel..][..(row_words - 1) * keys.value_stride + CR];
-        let values = gemm::Rows::across(values.as_ptr().cast(), keys.value_stride);
+        let values = Strided::across(values.as_ptr().cast(), keys.value_stride);
         // SAFETY: each pointer is that of a slice of the length read.
-        let acc = unsafe { M::Product::multiply::<S, CR, NV>(s, values, from, words, &mut ()) };
+        let acc = unsafe { W::Product::multiply::<S, CR, NV>(s, values, from, words, &mut ()) };
         for v in 0..NV {
             let sum = &mut self.sum[((panel + v) * self.width + channel) * LANES..][..CR * LANES];
             for r in 0..CR {
                 let at = &mut sum[r * LANES..][..LANES];
-                let scale = if M::SCALED { keys.value_scales[channel + r] } else { 1.0 };
-                s.store(M::add(s, s.load(at), acc[r][v], &weighed[v], scale), at);
+                let scale = if W::SCALED { keys.value_scales[channel + r] } else { 1.0 };
+                s.store(W::add(s, s.load(at), acc[r][v], &weighed[v], scale), at);
             }
         }
     }

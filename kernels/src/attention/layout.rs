@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::{KEY_BLOCK, QUERY_BLOCK, Shape, WHOLE, Windows};
+use super::rows::{KEY_BLOCK, QUERY_BLOCK, Shape, WHOLE, Windows};
 use crate::size::product;
 
 /// Where the tokens of windows lie, in the sequences and packed.

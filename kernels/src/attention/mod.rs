@@ -43,12 +43,16 @@
 
 mod block;
 mod layout;
-mod mix;
 mod pack;
 pub mod reference;
+mod rows;
 #[cfg(test)]
 mod tests;
+mod values;
 mod weight;
+mod weighted_sum;
+
+pub use rows::{KEY_BLOCK, Rows, Shape, Windows};
 
 use std::marker::PhantomData;
 
@@ -57,129 +61,15 @@ use tracing::debug_span;
 
 use crate::Level;
 use crate::gemm::Precision;
-use crate::gemm::form::{Brain, Bytes, Form, Single};
+use crate::gemm::form::{Bf16, F32, Form, Int8};
 use crate::memory::Scratch;
 use crate::parallel::Disjoint;
-use crate::simd::{LANES, Operation, dispatch, dispatch_dot};
-use crate::size::{checked_product, product};
+use crate::simd::{LANES, dispatch};
+use crate::size::product;
 use block::{Block, Packed};
 use layout::Layout;
-use mix::{InBytes, InPairs, Mix, Singly};
 use pack::Pack;
-
-/// Keys of a block: whole register blocks on every level.
-pub const KEY_BLOCK: usize = 192;
-
-/// Queries of a task: while they pass over a block of keys, it stays in the second-level cache.
-const QUERY_BLOCK: usize = 64;
-
-/// Converted keys take a multiple of this: whole register blocks on every level.
-const WHOLE: usize = 12;
-
-/// Scales of queries and keys are at most this, so that no logit is infinite.
-const LARGEST_SCALE: f32 = (1_u64 << 48) as f32;
-
-/// A matrix `[rows, heads·width]`: part of a wider one, or a matrix for each head.
-#[derive(Clone, Copy)]
-pub struct Rows<'a> {
-    values: &'a [f32],
-    rows: usize,
-    /// From a row to the next.
-    stride: usize,
-    /// From a head to the next; none: it follows.
-    head: Option<usize>,
-    first: usize,
-}
-
-impl<'a> Rows<'a> {
-    /// Columns `first..` of `values [rows, stride]`.
-    ///
-    /// # Panics
-    /// When `values` does not hold `rows · stride` values.
-    pub fn new(values: &'a [f32], rows: usize, stride: usize, first: usize) -> Self {
-        assert_eq!(
-            values.len(),
-            product([rows, stride]),
-            "{} values, expected rows·stride = {rows}·{stride}",
-            values.len()
-        );
-        Self { values, rows, stride, head: None, first }
-    }
-
-    /// The heads from `first` on of `values [heads][rows][width]`: as [`Epilogue::in_groups_of`](crate::gemm::Epilogue::in_groups_of) writes them.
-    ///
-    /// # Panics
-    /// When `values` holds no whole number of heads.
-    pub fn of_heads(values: &'a [f32], rows: usize, width: usize, first: usize) -> Self {
-        let head = product([rows, width]);
-        assert!(
-            values.is_empty() || values.len().is_multiple_of(head),
-            "{} values in heads of {rows}·{width}",
-            values.len()
-        );
-        Self { values, rows, stride: width, head: Some(head), first: product([first, head]) }
-    }
-
-    /// Rows of the matrix.
-    pub fn rows(&self) -> usize {
-        self.rows
-    }
-
-    /// Where the channels of a head begin in a row.
-    #[inline(always)]
-    fn place(&self, row: usize, head: usize, width: usize) -> usize {
-        self.first + row * self.stride + head * self.head.unwrap_or(width)
-    }
-
-    #[inline(always)]
-    fn head(&self, row: usize, head: usize, width: usize) -> &'a [f32] {
-        &self.values[self.place(row, head, width)..][..width]
-    }
-
-    /// A head's channels of `count` rows from `row` on, each `stride` after the one before, where `values` reaches so far: rows past the last
-    /// hold anything.
-    #[inline(always)]
-    fn lines(&self, row: usize, count: usize, head: usize, width: usize) -> Option<&'a [f32]> {
-        self.values.get(self.place(row, head, width)..)?.get(..(count - 1) * self.stride + width)
-    }
-
-    /// Returns true if all heads lie inside.
-    fn holds(&self, heads: usize, width: usize) -> bool {
-        let (width_of_one, all) = match self.head {
-            None => (width, self.stride),
-            Some(head) if self.stride == width => (head, self.values.len()),
-            Some(_) => return self.rows == 0,
-        };
-        let end = checked_product([heads, width_of_one]).and_then(|heads| heads.checked_add(self.first));
-        self.rows == 0 || end.is_some_and(|end| end <= all)
-    }
-}
-
-/// Which keys a query sees.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Windows {
-    /// All of them.
-    Full,
-    /// The keys of its own run: the sequence rolled forward by `roll` (the last `roll` tokens wrap to the front) is cut into
-    /// consecutive runs of `length`; the last may be shorter. Needs as many queries as keys.
-    Runs {
-        /// Tokens of a run.
-        length: usize,
-        /// Tokens by which the sequence is rolled forward before it is cut.
-        roll: usize,
-    },
-}
-
-/// Heads and windows of an attention.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Shape {
-    /// Heads.
-    pub heads: usize,
-    /// Channels of a head, a multiple of 16.
-    pub width: usize,
-    /// Which keys a query sees.
-    pub windows: Windows,
-}
+use weighted_sum::{Bf16Sum, F32Sum, Int8Sum, WeightedSum};
 
 /// `out [queries, heads·width]` = attention of `q` over `k` and `v`. See [the module](self).
 ///
@@ -269,14 +159,21 @@ fn run(
         return;
     }
     match precision {
-        Precision::F32 => compute::<Single, Singly>(level, &layout, q, k, v, out),
-        Precision::Bf16 => compute::<Brain, InPairs>(level, &layout, q, k, v, out),
-        Precision::Int8 => compute::<Bytes, InBytes>(level, &layout, q, k, v, out),
+        Precision::F32 => compute::<F32, F32Sum>(level, &layout, q, k, v, out),
+        Precision::Bf16 => compute::<Bf16, Bf16Sum>(level, &layout, q, k, v, out),
+        Precision::Int8 => compute::<Int8, Int8Sum>(level, &layout, q, k, v, out),
     }
 }
 
-/// The attention with the operands of `q·k` in the form `A` and `w·v` as `M` holds it.
-fn compute<A: Form, M: Mix>(level: Level, layout: &Layout, q: Rows<'_>, k: Rows<'_>, v: Rows<'_>, out: &mut [f32]) {
+/// The attention with the operands of `q·k` in the form `A` and `w·v` as `W` holds it.
+fn compute<A: Form, W: WeightedSum>(
+    level: Level,
+    layout: &Layout,
+    q: Rows<'_>,
+    k: Rows<'_>,
+    v: Rows<'_>,
+    out: &mut [f32],
+) {
     let sized = |len: usize| Scratch::take(if A::PRECISION == Precision::F32 { 0 } else { len });
     let (mut keys, mut values) = (sized(layout.packed_len()), sized(layout.packed_len()));
     let (mut scales, mut value_scales) = (sized(layout.packed_rows()), sized(layout.all_value_scales()));
@@ -288,20 +185,15 @@ fn compute<A: Form, M: Mix>(level: Level, layout: &Layout, q: Rows<'_>, k: Rows<
             let (window, head) = (index / layout.shape.heads, index % layout.shape.heads);
             if layout.queries(window) > 0 {
                 let pack =
-                    Pack::<A, M> { layout, k, v, window, head, keys, values, scales, value_scales, forms: PhantomData };
-                enter::<A, _>(level, pack);
+                    Pack::<A, W> { layout, k, v, window, head, keys, values, scales, value_scales, forms: PhantomData };
+                dispatch(level, pack);
             }
         });
     }
     let packed = Packed { keys: &keys, values: &values, scales: &scales, value_scales: &value_scales };
     let out = &Disjoint::new(out);
     layout.tasks().par_iter().with_max_len(1).for_each(|task| {
-        let block = Block::<A, M> { layout, task, q, k, v, packed, out, forms: PhantomData };
-        enter::<A, _>(level, block);
+        let block = Block::<A, W> { layout, task, q, k, v, packed, out, forms: PhantomData };
+        dispatch(level, block);
     });
-}
-
-/// Enters a level, with its dot products where the operands are for them.
-fn enter<A: Form, O: Operation>(level: Level, operation: O) -> O::Output {
-    if A::PRECISION == Precision::F32 { dispatch(level, operation) } else { dispatch_dot(level, operation) }
 }

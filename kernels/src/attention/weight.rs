@@ -19,12 +19,12 @@ const COEFFICIENTS: [f32; 6] =
 pub(super) fn weight<S: Simd>(s: S, t: S::F32) -> S::F32 {
     // NaN compares false and becomes the second operand.
     let t = s.min(s.max(t, s.splat(LOWEST)), s.splat(HIGHEST));
-    let (whole, part) = s.whole_and_part(t);
+    let (whole, part) = s.split_int_frac(t);
     let mut p = s.splat(COEFFICIENTS[5]);
     for i in (0..5).rev() {
         p = s.mul_add(p, part, s.splat(COEFFICIENTS[i]));
     }
-    s.times_power(s.mul_add(p, part, s.splat(1.0)), whole)
+    s.scale_by_pow2(s.mul_add(p, part, s.splat(1.0)), whole)
 }
 
 /// Weights of the lower precisions are never below `2^LOWEST_LOW`: there their products with values are far from the denormal numbers.
@@ -65,7 +65,7 @@ mod tests {
 
     #[test]
     fn weights_are_powers_of_two_on_every_level() {
-        for level in Level::available() {
+        for level in crate::testing::levels() {
             let mut worst = 0.0_f64;
             for i in 0..200_000 {
                 let t: [f32; LANES] = std::array::from_fn(|j| -((i * 16 + j) as f32) * (64.0 / 3_200_000.0));
@@ -90,7 +90,7 @@ mod tests {
 
     #[test]
     fn low_weights_are_the_nearest_bf16_on_every_level() {
-        for level in Level::available() {
+        for level in crate::testing::levels() {
             for i in 0..20_000 {
                 let t: [f32; LANES] = std::array::from_fn(|j| -((i * 16 + j) as f32) * (56.0 / 320_000.0));
                 let w = dispatch(level, LowWeights(t));
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn numbers_are_the_nearest_to_255_powers_of_two_on_every_level() {
-        for level in Level::available() {
+        for level in crate::testing::levels() {
             for i in 0..20_000 {
                 let t: [f32; LANES] = std::array::from_fn(|j| -((i * 16 + j) as f32) * (24.0 / 320_000.0));
                 let n = dispatch(level, Numbers(t)).map(|n| n - NUMBERED);
@@ -138,7 +138,7 @@ mod tests {
 
     #[test]
     fn the_largest_logit_weighs_one_and_what_cannot_count_weighs_the_least() {
-        for level in Level::available() {
+        for level in crate::testing::levels() {
             let mut t = [f32::NEG_INFINITY; LANES];
             (t[0], t[1], t[2], t[3], t[4]) = (0.0, -0.0, f32::NAN, -64.0, -1e30);
             let least = f32::from_bits((127 - 64) << 23);

@@ -12,7 +12,7 @@ mod tests;
 use tracing::debug_span;
 
 use crate::Level;
-use crate::gemm::{Epilogue, Input, Product, Weights, linear};
+use crate::gemm::{Epilogue, Input, Product, Weights, linear, run_here};
 use crate::memory::Scratch;
 use crate::norm::Norm;
 use crate::parallel::for_each_chunk;
@@ -63,9 +63,9 @@ impl FeedForward<'_> {
         for_each_chunk(x, rows * d, |_, x| {
             let m = x.len() / d;
             let mut hidden = Scratch::take(product([m, width]));
-            Product::new(Input::Normed(x, self.norm), m, self.expand, &self.hidden, hidden.len())
-                .run_here(level, &mut hidden);
-            Product::new(Input::Rows(&hidden), m, self.contract, &self.residual, x.len()).run_here(level, x);
+            let expand = Product::new(Input::Normed(x, self.norm), m, self.expand, &self.hidden, hidden.len());
+            run_here(level, expand, &mut hidden);
+            run_here(level, Product::new(Input::Rows(&hidden), m, self.contract, &self.residual, x.len()), x);
         });
     }
 }

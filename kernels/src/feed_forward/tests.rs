@@ -11,8 +11,8 @@ fn it_is_norm_and_two_products_to_the_bit() {
         let (x, w1, w2) = (noise(m * d, 1), noise(width * d, 2), noise(d * width, 3));
         let (scale, shift, b1, b2, gamma) = (noise(d, 4), noise(d, 5), noise(width, 6), noise(d, 7), noise(d, 8));
         for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
-            let expand = Weights::pack_as(precision, &w1, width, d);
-            let contract = Weights::pack_as(precision, &w2, d, width);
+            let expand = Weights::pack_as(Level::detect(), precision, &w1, width, d);
+            let contract = Weights::pack_as(Level::detect(), precision, &w2, d, width);
             for (norm, hidden, residual) in [
                 (Norm::rms(&scale, 1e-5), Epilogue::new().silu(), Epilogue::new().residual()),
                 (
@@ -46,7 +46,8 @@ fn the_sizes_of_the_test_take_both_ways() {
 #[test]
 #[should_panic(expected = "W₂ gives 3 values, expected d = 4")]
 fn weights_that_do_not_fit_are_refused() {
-    let (expand, contract) = (Weights::pack(&[0.0; 8], 2, 4), Weights::pack(&[0.0; 6], 3, 2));
+    let (expand, contract) =
+        (Weights::pack(Level::detect(), &[0.0; 8], 2, 4), Weights::pack(Level::detect(), &[0.0; 6], 3, 2));
     let (hidden, residual) = (Epilogue::new().silu(), Epilogue::new().residual());
     let layer =
         FeedForward { norm: Norm::rms(&[1.0; 4], 1e-5), expand: &expand, hidden, contract: &contract, residual };

@@ -1,6 +1,6 @@
 //! From patches to pixels.
 
-use super::PATCH;
+use super::options::PATCH;
 use super::pyramid::{Plane, ROWS};
 use super::search::{Found, Grid};
 use crate::Level;

@@ -4,7 +4,7 @@ use std::ops::{Deref, DerefMut};
 
 use tracing::debug_span;
 
-use super::{FlowError, Options, PATCH};
+use super::options::{FlowError, Options, PATCH};
 use crate::memory::Scratch;
 use crate::parallel::for_each_chunk;
 use crate::simd::{LANES, Operation, Simd, dispatch};

@@ -1,6 +1,6 @@
 //! Variational refinement: the linear systems of the fixed-point iterations. `relax.rs` solves them.
 
-use super::Options;
+use super::options::Options;
 use super::pyramid::{Plane, ROWS};
 use super::relax::{SYSTEM, relax};
 use super::sample::{Sampler, column};

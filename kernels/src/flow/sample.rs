@@ -20,8 +20,9 @@ pub(super) struct Sampler {
 }
 
 impl Sampler {
+    /// Coordinates `at` on an axis of `n` values.
     #[inline(always)]
-    fn axis<S: Simd>(s: S, at: S::F32, n: usize) -> Axis<S> {
+    pub fn axis<S: Simd>(s: S, at: S::F32, n: usize) -> Axis<S> {
         let last = s.splat((n - 1) as f32);
         // A comparison with NaN is false: it ends on the last value.
         let at = s.max(s.min(at, last), s.splat(0.0));

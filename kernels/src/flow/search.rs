@@ -1,7 +1,7 @@
 //! Inverse search: the displacement of every patch.
 
+use super::options::{Options, PATCH};
 use super::pyramid::{PAD, Plane, Scale};
-use super::{Options, PATCH};
 use crate::Level;
 use crate::parallel::for_each_chunk;
 use crate::simd::{Operation, Simd, dispatch};

@@ -363,8 +363,67 @@ proptest! {
         let (a, b) = (noise(h * w, seed), noise(h * w, seed ^ 1));
         let expected = pair(Level::scalar(), &a, &b, [h, w], &options);
         assert_bounded(&expected);
-        for level in Level::available() {
+        for level in crate::testing::levels() {
             prop_assert_eq!(&pair(level, &a, &b, [h, w], &options), &expected);
+        }
+    }
+}
+
+/// [`follow`] as its documentation says it, point by point.
+fn followed([x, y]: [f32; 2], steps: &[Step<'_>]) -> [f32; 2] {
+    let none = [f32::NAN; 2];
+    if !(x.is_finite() && y.is_finite()) {
+        return none;
+    }
+    let length = |x: f32, y: f32| x.mul_add(x, y * y).sqrt();
+    let (mut at, mut sums, mut squares) = ([x, y], [0.0_f32; 2], 0.0_f32);
+    for step in steps {
+        let [h, w] = step.there.size.map(|side| side as f32);
+        let [u, v] = step.there.at(at[0], at[1]);
+        at = [at[0] + u, at[1] + v];
+        let inside = (-0.5..=w - 0.5).contains(&at[0]) && (-0.5..=h - 0.5).contains(&at[1]);
+        let [back_u, back_v] = step.back.at(at[0], at[1]);
+        if steps.len() > 1 && (!inside || length(u + back_u, v + back_v) > 0.1_f32.mul_add(length(u, v), 2.0)) {
+            break;
+        }
+        sums = [0, 1].map(|k| step.distance.mul_add(at[k] - [x, y][k], sums[k]));
+        squares = step.distance.mul_add(step.distance, squares);
+    }
+    if squares == 0.0 { none } else { sums.map(|sum| sum / squares) }
+}
+
+#[test]
+fn points_follow_the_flow_as_in_the_reference_to_the_bit() {
+    for size @ [h, w] in [[1, 1], [1, 40], [9, 8], [61, 97]] {
+        let field = |seed: u32, long: f32| Field {
+            size,
+            u: noise(h * w, seed).iter().map(|x| x * long).collect(),
+            v: noise(h * w, seed + 1).iter().map(|x| x * long).collect(),
+        };
+        let fields: Vec<[Field; 2]> =
+            (0..4).map(|k| [field(10 * k, 1.0 + k as f32), field(10 * k + 5, 1.0 + k as f32)]).collect();
+        // Steps that come back, steps that do not, and steps that are long.
+        let steps: Vec<Step<'_>> = fields
+            .iter()
+            .zip([0.25, 0.5, 0.75, 1.0])
+            .map(|([there, back], distance)| Step { there, back, distance })
+            .collect();
+        let extremes = [f32::NAN, f32::INFINITY, -0.0, -1e30, 1e30, -0.5, w as f32 - 0.5];
+        let mut starts: Vec<[f32; 2]> = extremes.iter().flat_map(|&x| [[x, 0.0], [0.0, x]]).collect();
+        let places = noise(2 * 3001, 77);
+        starts.extend(places.as_chunks::<2>().0.iter().map(|[x, y]| [(x + 0.5) * w as f32, (y + 0.5) * h as f32]));
+        for steps in [&steps[..], &steps[..1], &steps[..0]] {
+            let expected: Vec<[f32; 2]> = starts.iter().map(|&start| followed(start, steps)).collect();
+            let found = on_every_level_and_thread_count(2 * starts.len(), |level, found| {
+                follow(level, &starts, steps, found.as_chunks_mut::<2>().0);
+            });
+            for (i, (found, expected)) in found.as_chunks::<2>().0.iter().zip(&expected).enumerate() {
+                let same = |k: usize| {
+                    found[k].to_bits() == expected[k].to_bits() || (found[k].is_nan() && expected[k].is_nan())
+                };
+                assert!(same(0) && same(1), "{h}×{w}, from {:?}: {found:?}, expected {expected:?}", starts[i]);
+            }
+            assert!(steps.is_empty() || expected.iter().any(|v| v[0].is_finite()), "some points are followed");
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::places::Places;
+use super::places::{Layout, Places};
 use crate::math;
 use crate::simd::{LANES, Simd};
 
@@ -26,7 +26,7 @@ pub enum Activation {
 ///
 /// ```
 /// use streamsplat_kernels::{Level, gemm::{Epilogue, Weights, linear}};
-/// let weights = Weights::pack(&[1.0, 2.0, 3.0, 4.0], 2, 2);
+/// let weights = Weights::pack(Level::detect(), &[1.0, 2.0, 3.0, 4.0], 2, 2);
 /// let mut out = [10.0, 20.0];
 /// linear(Level::detect(), &[1.0, 1.0], 1, &weights, &Epilogue::new().bias(&[0.5, 0.5]).residual(), &mut out);
 /// assert_eq!(out, [13.5, 27.5]);
@@ -38,18 +38,6 @@ pub struct Epilogue<'a> {
     gamma: Option<&'a [f32]>,
     residual: bool,
     layout: Layout,
-}
-
-/// Where rows and columns lie in the output.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-pub(super) enum Layout {
-    /// `[m][n]`
-    #[default]
-    Rows,
-    /// `[n/width][m][width]`
-    Groups(usize),
-    /// `[m/columns][2][columns][2][n/4]`
-    Shuffled(usize),
 }
 
 impl<'a> Epilogue<'a> {

@@ -3,29 +3,29 @@
 //! Operands are 32-bit words: a weight panel is `[words][16]`, a group of rows `[words][MR]`. A word is one f32, two bf16 (the
 //! earlier in the high half: the instruction takes that first) or four bytes. Levels without dot products of words widen the
 //! panels in registers, and hold each row's word as two: two f32, or two pairs of i16.
-//! [`Portions`] is not a form of inputs and weights but of attention's values and weights: there the panel's bytes have no sign.
+//! [`Uint8Weights`] is not a form of inputs and weights but of attention's values and weights: there the panel's bytes have no sign.
 
 #![expect(unsafe_code, reason = "register blocks read operands by pointer")]
 
-use super::microkernel::{self, Between, LEG, Rows, Tile};
-use super::precision::{Precision, largest_magnitude, round_bf16, scale_of};
-use crate::simd::{LANES, SHIFTER, Simd, again};
+use super::microkernel::{self, HOOK_STEPS, PrefetchHook, Strided, Tile};
+use super::precision::{K_BLOCK, K_BLOCK_LOW, Precision, scale_of};
+use crate::simd::{HIGH, LANES, SHIFTER, Simd, again, largest_magnitude, round_bf16};
 
 /// A product of words.
 pub(crate) trait Multiply: 'static {
     /// Row words that go with one word of a panel on a level.
     fn row_words_of_a_word<S: Simd>() -> usize;
 
-    /// The sums of one block of `words`, starting from nothing; `between` is told of every [`LEG`] of them.
+    /// The sums of one block of `words`, starting from nothing; `hook` is called before every [`HOOK_STEPS`] of them.
     ///
     /// # Safety
     /// `MR` rows are readable for the block's row words, every pointer of `panels` for `16 words`.
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
-        rows: Rows,
+        rows: Strided,
         panels: [*const u32; NV],
         words: usize,
-        between: &mut impl Between,
+        hook: &mut impl PrefetchHook,
     ) -> Tile<S, MR, NV>;
 }
 
@@ -67,19 +67,19 @@ pub(crate) const fn values_of_a_word(precision: Precision) -> usize {
     }
 }
 
-/// Words of a panel in one block: [`super::K_BLOCK`] or [`super::K_BLOCK_LOW`] values where the order of sums counts.
+/// Words of a panel in one block: [`K_BLOCK`] or [`K_BLOCK_LOW`] values where the order of sums counts.
 pub(super) const fn block_words(precision: Precision) -> usize {
     match precision {
-        Precision::F32 => super::K_BLOCK,
-        Precision::Bf16 => super::K_BLOCK_LOW / 2,
+        Precision::F32 => K_BLOCK,
+        Precision::Bf16 => K_BLOCK_LOW / 2,
         Precision::Int8 => 1024,
     }
 }
 
 /// f32 as it is.
-pub(crate) struct Single;
+pub(crate) struct F32;
 
-impl Multiply for Single {
+impl Multiply for F32 {
     #[inline(always)]
     fn row_words_of_a_word<S: Simd>() -> usize {
         1
@@ -87,17 +87,17 @@ impl Multiply for Single {
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
-        rows: Rows,
+        rows: Strided,
         panels: [*const u32; NV],
         words: usize,
-        between: &mut impl Between,
+        hook: &mut impl PrefetchHook,
     ) -> Tile<S, MR, NV> {
         // SAFETY: the caller's.
-        unsafe { microkernel::multiply(s, rows, panels.map(<*const u32>::cast), words, between) }
+        unsafe { microkernel::multiply(s, rows, panels.map(<*const u32>::cast), words, hook) }
     }
 }
 
-impl Form for Single {
+impl Form for F32 {
     const PRECISION: Precision = Precision::F32;
 
     #[inline(always)]
@@ -124,9 +124,9 @@ impl Form for Single {
 }
 
 /// bf16 operands, f32 sums.
-pub(crate) struct Brain;
+pub(crate) struct Bf16;
 
-impl Multiply for Brain {
+impl Multiply for Bf16 {
     #[inline(always)]
     fn row_words_of_a_word<S: Simd>() -> usize {
         if S::BF16_DOT { 1 } else { 2 }
@@ -134,34 +134,34 @@ impl Multiply for Brain {
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
-        mut rows: Rows,
+        mut rows: Strided,
         panels: [*const u32; NV],
         words: usize,
-        between: &mut impl Between,
+        hook: &mut impl PrefetchHook,
     ) -> Tile<S, MR, NV> {
         let mut acc = [[s.splat(0.0); NV]; MR];
         let mut i = 0;
         // SAFETY: i < words in every step.
         unsafe {
             while i + 2 <= words {
-                if i.is_multiple_of(LEG) {
-                    between.leg();
+                if i.is_multiple_of(HOOK_STEPS) {
+                    hook.prefetch();
                 }
                 let each = Self::row_words_of_a_word::<S>();
-                brain_step(s, &mut acc, rows, panels.map(|panel| panel.add(i * LANES)));
-                brain_step(s, &mut acc, rows.skip(each), panels.map(|panel| panel.add((i + 1) * LANES)));
+                bf16_step(s, &mut acc, rows, panels.map(|panel| panel.add(i * LANES)));
+                bf16_step(s, &mut acc, rows.skip(each), panels.map(|panel| panel.add((i + 1) * LANES)));
                 rows = rows.skip(2 * each);
                 i += 2;
             }
             if i < words {
-                brain_step(s, &mut acc, rows, panels.map(|panel| panel.add(i * LANES)));
+                bf16_step(s, &mut acc, rows, panels.map(|panel| panel.add(i * LANES)));
             }
         }
         acc
     }
 }
 
-impl Form for Brain {
+impl Form for Bf16 {
     const PRECISION: Precision = Precision::Bf16;
 
     #[inline(always)]
@@ -213,10 +213,10 @@ fn pair_row<S: Simd>(s: S, row: &[f32], words: &mut [u32]) {
 /// # Safety
 /// The row words that go with a word are readable, every pointer of `panels` for 16 words.
 #[inline(always)]
-unsafe fn brain_step<S: Simd, const MR: usize, const NV: usize>(
+unsafe fn bf16_step<S: Simd, const MR: usize, const NV: usize>(
     s: S,
     acc: &mut Tile<S, MR, NV>,
-    rows: Rows,
+    rows: Strided,
     panels: [*const u32; NV],
 ) {
     // SAFETY: the caller's.
@@ -235,7 +235,7 @@ unsafe fn brain_step<S: Simd, const MR: usize, const NV: usize>(
             return;
         }
         for v in 0..NV {
-            b[v] = s.and_i32(b[v], s.splat_i32(0xffff_0000_u32.cast_signed()));
+            b[v] = s.and_i32(b[v], s.splat_i32(HIGH));
         }
         for r in 0..MR {
             let a = s.splat(*rows.word(0, r).cast::<f32>());
@@ -256,15 +256,15 @@ unsafe fn brain_step<S: Simd, const MR: usize, const NV: usize>(
 }
 
 /// Four bytes to a word, i32 sums; the bytes of panels or else those of rows (as the instruction has them) are signed.
-pub(crate) struct Octets<const SIGNED: bool>;
+pub(crate) struct EightBit<const SIGNED: bool>;
 
 /// Inputs and weights, with scales.
-pub(crate) type Bytes = Octets<true>;
+pub(crate) type Int8 = EightBit<true>;
 
 /// Attention's values as rows, and its weights as panels.
-pub(crate) type Portions = Octets<false>;
+pub(crate) type Uint8Weights = EightBit<false>;
 
-impl<const SIGNED: bool> Multiply for Octets<SIGNED> {
+impl<const SIGNED: bool> Multiply for EightBit<SIGNED> {
     #[inline(always)]
     fn row_words_of_a_word<S: Simd>() -> usize {
         if S::BYTE_DOT { 1 } else { 2 }
@@ -272,15 +272,15 @@ impl<const SIGNED: bool> Multiply for Octets<SIGNED> {
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         s: S,
-        mut rows: Rows,
+        mut rows: Strided,
         panels: [*const u32; NV],
         words: usize,
-        between: &mut impl Between,
+        hook: &mut impl PrefetchHook,
     ) -> Tile<S, MR, NV> {
         let mut acc = [[s.splat_i32(0); NV]; MR];
         for i in 0..words {
-            if i.is_multiple_of(LEG) {
-                between.leg();
+            if i.is_multiple_of(HOOK_STEPS) {
+                hook.prefetch();
             }
             // SAFETY: the caller's; i < words.
             unsafe {
@@ -301,7 +301,7 @@ impl<const SIGNED: bool> Multiply for Octets<SIGNED> {
                     let mut b = [s.splat_i32(0); NV];
                     for v in 0..NV {
                         let word = s.to_bits(s.load_ptr(again(panels[v].add(i * LANES)).cast()));
-                        b[v] = if SIGNED { s.split_bytes(word)[half] } else { Portions::halves(s, word)[half] };
+                        b[v] = if SIGNED { s.split_bytes(word)[half] } else { Uint8Weights::halves(s, word)[half] };
                     }
                     for r in 0..MR {
                         let a = s.splat_i32((*rows.word(half, r)).cast_signed());
@@ -323,7 +323,7 @@ impl<const SIGNED: bool> Multiply for Octets<SIGNED> {
     }
 }
 
-impl Form for Bytes {
+impl Form for Int8 {
     const PRECISION: Precision = Precision::Int8;
 
     #[inline(always)]
@@ -362,8 +362,8 @@ impl Form for Bytes {
     }
 }
 
-impl Portions {
-    /// Bytes 0 and 2, and 1 and 3, of every lane as pairs of i16.
+impl Uint8Weights {
+    /// Int8 0 and 2, and 1 and 3, of every lane as pairs of i16.
     #[inline(always)]
     fn halves<S: Simd>(s: S, word: S::I32) -> [S::I32; 2] {
         let low = s.splat_i32(0x00ff_00ff);
@@ -384,7 +384,7 @@ impl Portions {
         })
     }
 
-    /// Adds a panel word's bytes to a count that [`Portions::counted`] reads, of at most 128 words.
+    /// Adds a panel word's bytes to a count that [`Uint8Weights::counted`] reads, of at most 128 words.
     #[inline(always)]
     pub(crate) fn count<S: Simd>(s: S, count: S::I32, word: S::I32) -> S::I32 {
         if S::BYTE_DOT {

@@ -2,36 +2,35 @@
 
 #![expect(unsafe_code, reason = "register blocks read operands by pointer")]
 
-use crate::simd::{LANES, Simd, prefetch, transpose2, transpose4};
+use crate::simd::{Elementwise, LANES, Simd, prefetch, transpose2, transpose4};
 
 /// The sums of one register block.
-pub(crate) type Tile<S, const MR: usize, const NV: usize> = [[<S as Simd>::F32; NV]; MR];
+pub(crate) type Tile<S, const MR: usize, const NV: usize> = [[<S as Elementwise>::F32; NV]; MR];
 
-/// Hook between the steps of a product, for prefetches: one now and then costs nothing, many at once
-/// keep the steps from their own operands.
-pub(crate) trait Between {
-    /// Called before every [`LEG`] steps.
-    fn leg(&mut self);
+/// A hook for prefetches, which are spread over the steps of a product: many at once would delay its own operands.
+pub(crate) trait PrefetchHook {
+    /// Called before every [`HOOK_STEPS`] steps.
+    fn prefetch(&mut self);
 }
 
-/// Steps of a leg.
-pub(crate) const LEG: usize = 16;
+/// Steps from one call of a [`PrefetchHook`] to the next.
+pub(crate) const HOOK_STEPS: usize = 16;
 
-impl Between for () {
+impl PrefetchHook for () {
     #[inline(always)]
-    fn leg(&mut self) {}
+    fn prefetch(&mut self) {}
 }
 
 /// The words of a register block's rows: that of row `r` in step `i` lies at `i·step + r·row`. Where a distance is known when this is compiled, so are
 /// its multiples.
 #[derive(Clone, Copy)]
-pub(crate) struct Rows {
+pub(crate) struct Strided {
     at: *const u32,
     step: usize,
     row: usize,
 }
 
-impl Rows {
+impl Strided {
     /// The words of a step one after the other, those of the next `stride` further; where rows are interleaved, as many as there are rows.
     #[inline(always)]
     pub(crate) fn across(at: *const u32, stride: usize) -> Self {
@@ -64,18 +63,18 @@ impl Rows {
 #[inline(always)]
 pub(crate) unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
     s: S,
-    mut rows: Rows,
+    mut rows: Strided,
     panels: [*const f32; NV],
     k: usize,
-    between: &mut impl Between,
+    hook: &mut impl PrefetchHook,
 ) -> Tile<S, MR, NV> {
     let mut acc = [[s.splat(0.0); NV]; MR];
     let mut i = 0;
     // SAFETY: i < k in every step.
     unsafe {
         while i + 4 <= k {
-            if i.is_multiple_of(LEG) {
-                between.leg();
+            if i.is_multiple_of(HOOK_STEPS) {
+                hook.prefetch();
             }
             for j in 0..4 {
                 step(s, &mut acc, rows, j, panels.map(|panel| panel.add((i + j) * LANES)));
@@ -98,7 +97,7 @@ pub(crate) unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
 unsafe fn step<S: Simd, const MR: usize, const NV: usize>(
     s: S,
     acc: &mut Tile<S, MR, NV>,
-    rows: Rows,
+    rows: Strided,
     j: usize,
     panels: [*const f32; NV],
 ) {
@@ -121,6 +120,7 @@ unsafe fn step<S: Simd, const MR: usize, const NV: usize>(
 /// zeros.
 #[inline(always)]
 pub(crate) fn interleave<'a, const MR: usize>(rows: usize, k: usize, row: impl Fn(usize) -> &'a [f32], to: &mut [f32]) {
+    const { assert!(MR.is_multiple_of(2), "rows are transposed in fours and twos") };
     if k == 0 {
         return;
     }
@@ -148,10 +148,8 @@ pub(crate) fn interleave<'a, const MR: usize>(rows: usize, k: usize, row: impl F
                     }
                     if r + 2 <= MR {
                         transpose2([from[r].add(i), from[r + 1].add(i)], at.map(|at| at.add(r)));
-                        r += 2;
                     }
                 }
-                debug_assert_eq!(r, MR, "register blocks have an even number of rows");
             }
             for i in k / 4 * 4..k {
                 for r in 0..MR {

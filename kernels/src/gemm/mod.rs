@@ -30,6 +30,7 @@ mod input;
 mod microkernel;
 mod places;
 mod precision;
+mod product;
 pub mod reference;
 mod task;
 #[cfg(test)]
@@ -38,25 +39,16 @@ mod weights;
 
 pub use epilogue::{Activation, Epilogue};
 pub use input::Input;
-pub(crate) use microkernel::{Rows, deinterleave, interleave};
-pub use precision::Precision;
-#[cfg(target_arch = "x86_64")]
-pub(crate) use precision::SMALLEST;
-#[cfg(test)]
-pub(crate) use precision::round_bf16_scalar;
-pub(crate) use precision::{larger, largest, pair, pair_bf16, round_bf16, scales_of};
+pub(crate) use microkernel::{Strided, deinterleave, interleave};
+pub(crate) use precision::scales_of;
+pub use precision::{K_BLOCK, K_BLOCK_LOW, Precision};
+pub(crate) use product::Product;
+pub(crate) use task::run_here;
 pub use weights::Weights;
 
 use tracing::debug_span;
 
 use crate::Level;
-use crate::size::product;
-
-/// Steps of `k` whose products are summed in one chain.
-pub const K_BLOCK: usize = 256;
-
-/// [`K_BLOCK`] where operands are bf16: the error of longer chains is far below that of the operands.
-pub const K_BLOCK_LOW: usize = 1024;
 
 /// `out[i,j] = epilogue(Σ_k x[i,k] · w[j,k])` for `x [m,k]`, `out [m,n]`. See [the module](self) for the order of accumulation,
 /// [`Input`] for rows that are normalised first, and [`Epilogue`] for what can follow the product and for how `out` lies. `m` may be 0.
@@ -73,43 +65,5 @@ pub fn linear<'a>(
 ) {
     let product = Product::new(x.into(), m, weights, epilogue, out.len());
     let _span = debug_span!("gemm", m, n = weights.n, k = weights.k, precision = ?weights.precision).entered();
-    product.run(level, out);
-}
-
-/// A product whose sizes have been checked.
-#[derive(Clone, Copy)]
-pub(crate) struct Product<'a> {
-    x: Input<'a>,
-    m: usize,
-    weights: &'a Weights,
-    epilogue: &'a Epilogue<'a>,
-}
-
-impl<'a> Product<'a> {
-    /// Checks the sizes, with `len` values to write.
-    pub(crate) fn new(x: Input<'a>, m: usize, weights: &'a Weights, epilogue: &'a Epilogue<'a>, len: usize) -> Self {
-        let (n, k) = (weights.n, weights.k);
-        x.check(m, k);
-        assert_eq!(len, product([m, n]), "output holds {len} values, expected m·n = {m}·{n}");
-        epilogue.check(m, n);
-        Self { x, m, weights, epilogue }
-    }
-
-    /// In tasks.
-    fn run(self, level: Level, out: &mut [f32]) {
-        match self.weights.precision {
-            Precision::F32 => task::run::<form::Single>(level, self, out),
-            Precision::Bf16 => task::run::<form::Brain>(level, self, out),
-            Precision::Int8 => task::run::<form::Bytes>(level, self, out),
-        }
-    }
-
-    /// On the calling thread, as part of a larger task.
-    pub(crate) fn run_here(self, level: Level, out: &mut [f32]) {
-        match self.weights.precision {
-            Precision::F32 => task::run_here::<form::Single>(level, self, out),
-            Precision::Bf16 => task::run_here::<form::Brain>(level, self, out),
-            Precision::Int8 => task::run_here::<form::Bytes>(level, self, out),
-        }
-    }
+    task::run(level, product, out);
 }

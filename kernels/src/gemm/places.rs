@@ -1,6 +1,16 @@
 //! Where the rows and columns of a product lie in its output.
 
-use super::epilogue::Layout;
+/// Where rows and columns lie in the output.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub(super) enum Layout {
+    /// `[m][n]`
+    #[default]
+    Rows,
+    /// `[n/width][m][width]`
+    Groups(usize),
+    /// `[m/columns][2][columns][2][n/4]`
+    Shuffled(usize),
+}
 
 /// Column `j` of row `i` lies at `of_column(j) + i·stride + ⌊i/run⌋·jump`.
 #[derive(Clone, Copy)]

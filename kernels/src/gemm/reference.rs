@@ -1,7 +1,6 @@
 //! The product in plain Rust: the same bits, one element at a time; and in binary64, for its error.
 
-use super::precision::{round_bf16_scalar, scale_of};
-use super::{K_BLOCK, K_BLOCK_LOW, Precision};
+use super::precision::{K_BLOCK, K_BLOCK_LOW, Precision, scale_of};
 use crate::simd::fused_mul_add;
 use crate::size;
 
@@ -43,7 +42,7 @@ pub fn product_as(precision: Precision, x: &[f32], w: &[f32], m: usize, n: usize
     match precision {
         Precision::F32 => product(x, w, m, n, k),
         Precision::Bf16 => {
-            let round = |x: &[f32]| -> Vec<f32> { x.iter().map(|&x| round_bf16_scalar(x)).collect() };
+            let round = |x: &[f32]| -> Vec<f32> { x.iter().map(|&x| round_bf16(x)).collect() };
             blockwise(K_BLOCK_LOW, &round(x), &round(w), m, n, k)
         }
         Precision::Int8 => {
@@ -67,4 +66,16 @@ fn integers(row: &[f32]) -> (f32, Vec<i64>) {
     let (scale, inverse) = scale_of(most);
     let unit = |&x: &f32| if scale > 0.0 { (x * inverse).round_ties_even() as i64 } else { 0 };
     (scale, row.iter().map(unit).collect())
+}
+
+/// The nearest bf16 (ties to even), as f32; NaN stays NaN, magnitudes below 2⁻⁵⁶ become 0.
+pub(crate) fn round_bf16(x: f32) -> f32 {
+    if x.is_nan() {
+        f32::NAN
+    } else if f64::from(x.abs()) < (-56.0_f64).exp2() {
+        0.0
+    } else {
+        let bits = x.to_bits();
+        f32::from_bits((bits + 0x7fff + (bits >> 16 & 1)) & 0xffff_0000)
+    }
 }

@@ -8,34 +8,40 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::epilogue::{Activation, Affine, Function, Gelu, Identity, Silu, SiluLow};
-use super::form::{Form, block_words};
-use super::microkernel::{Between, LEG, Rows, Tile};
+use super::form::{Bf16, F32, Form, Int8, block_words};
+use super::microkernel::{HOOK_STEPS, PrefetchHook, Strided, Tile};
 use super::places::{Places, Walk};
 use super::{Input, Precision, Product, interleave};
 use crate::Level;
 use crate::memory::Scratch;
 use crate::parallel::Disjoint;
-use crate::simd::{LANES, Operation, Simd, dispatch, dispatch_dot, prefetch};
+use crate::simd::{LANES, Operation, Registers, Simd, dispatch, prefetch};
 
-/// All tasks of a product.
-pub(super) fn run<F: Form>(level: Level, product: Product<'_>, out: &mut [f32]) {
+/// A product in tasks.
+pub(super) fn run(level: Level, product: Product<'_>, out: &mut [f32]) {
     let grid = Grid::new(product.m, product.weights.panel_count(), product.weights.words());
     let out = &Disjoint::new(out);
     (0..grid.tasks()).into_par_iter().with_max_len(1).for_each(|index| {
         let (rows, panels) = grid.task(index);
-        enter(level, Task { product, out, rows, panels, form: PhantomData::<fn(F)> });
+        enter(level, product, out, rows, panels);
     });
 }
 
-/// A product as one task.
-pub(super) fn run_here<F: Form>(level: Level, product: Product<'_>, out: &mut [f32]) {
-    let (rows, panels) = (0..product.m, 0..product.weights.panel_count());
-    enter(level, Task { product, out: &Disjoint::new(out), rows, panels, form: PhantomData::<fn(F)> });
+/// A product on the calling thread, as part of a larger task.
+pub(crate) fn run_here(level: Level, product: Product<'_>, out: &mut [f32]) {
+    enter(level, product, &Disjoint::new(out), 0..product.m, 0..product.weights.panel_count());
 }
 
-fn enter<F: Form>(level: Level, task: Task<'_, F>) {
-    if F::PRECISION == Precision::F32 { dispatch(level, task) } else { dispatch_dot(level, task) }
+fn enter(level: Level, product: Product<'_>, out: &Disjoint<'_, f32>, rows: Range<usize>, panels: Range<usize>) {
+    match product.weights.precision {
+        Precision::F32 => dispatch(level, Task { product, out, rows, panels, form: PhantomData::<fn(F32)> }),
+        Precision::Bf16 => dispatch(level, Task { product, out, rows, panels, form: PhantomData::<fn(Bf16)> }),
+        Precision::Int8 => dispatch(level, Task { product, out, rows, panels, form: PhantomData::<fn(Int8)> }),
+    }
 }
+
+/// Rows of a register block on any level divide this.
+const WHOLE: usize = 12;
 
 /// The fixed grid of tasks: blocks of rows, in each of them ranges of panels.
 struct Grid {
@@ -50,7 +56,6 @@ impl Grid {
     /// there are few rows, since each range interleaves its rows again.
     fn new(rows: usize, panels: usize, words: usize) -> Self {
         const TASKS: usize = 24;
-        const WHOLE: usize = 12;
         let most = if words <= 1024 { 96 } else { 48 };
         let row_block = rows.div_ceil(TASKS).next_multiple_of(WHOLE).clamp(WHOLE, most);
         let row_blocks = rows.div_ceil(row_block).max(1);
@@ -84,14 +89,15 @@ struct Task<'a, F> {
 }
 
 impl<F: Form> Operation for Task<'_, F> {
+    const DOT_PRODUCTS: bool = !matches!(F::PRECISION, Precision::F32);
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        // The constants of a level choose one of these; the others are not compiled for it.
-        match (S::GEMM_ROWS, S::GEMM_PANELS) {
-            (12, 2) => self.blocks::<S, 12, 2>(s),
-            (6, 1) => self.blocks::<S, 6, 1>(s),
-            _ => self.blocks::<S, 4, 1>(s),
+        // Rows and panels of the register block that fills the registers.
+        match S::REGISTERS {
+            Registers::Avx512 => self.blocks::<S, 12, 2>(s),
+            Registers::Avx2 | Registers::Neon => self.blocks::<S, 6, 1>(s),
+            Registers::Scalar => self.blocks::<S, 4, 1>(s),
         }
     }
 }
@@ -99,6 +105,7 @@ impl<F: Form> Operation for Task<'_, F> {
 impl<F: Form> Task<'_, F> {
     #[inline(always)]
     fn blocks<S: Simd, const MR: usize, const NV: usize>(&self, s: S) {
+        const { assert!(WHOLE.is_multiple_of(MR), "blocks of rows are whole register blocks") };
         let (k, rows) = (self.product.weights.k, self.rows.len());
         let row_words = F::row_words::<S>(k);
         let mut tile = Scratch::take(rows.next_multiple_of(MR) * NV * LANES);
@@ -191,7 +198,7 @@ impl<F: Form> Task<'_, F> {
             for v in 0..NV {
                 from[v] = self.product.weights.panels[((panel + v) * k + start) * LANES..][..length * LANES].as_ptr();
             }
-            let mut ahead = Ahead::new(length, rows.div_ceil(MR), MR, places.stride());
+            let mut ahead = Prefetches::new(length, rows.div_ceil(MR), MR, places.stride());
             if far {
                 ahead.weights_after(from, length, if last_block { (NV - 1) * k * LANES } else { 0 });
             }
@@ -208,7 +215,7 @@ impl<F: Form> Task<'_, F> {
                 }
                 // SAFETY: `at` holds `length` steps of MR rows' words, and each of `from` `length` vectors of weights.
                 let mut acc =
-                    unsafe { F::multiply::<S, MR, NV>(s, Rows::across(at.as_ptr(), MR), from, length, &mut ahead) };
+                    unsafe { F::multiply::<S, MR, NV>(s, Strided::across(at.as_ptr(), MR), from, length, &mut ahead) };
                 let tile = &mut tile[first * NV * LANES..][..MR * NV * LANES];
                 if !first_block {
                     for r in 0..MR {
@@ -346,7 +353,7 @@ const NEAR: usize = 1 << 16;
 
 /// Brings into the cache what is used next, a little in every leg of the register blocks: the weights of the next block, and the lines of the output
 /// that a register block is about to write.
-struct Ahead<const NV: usize> {
+struct Prefetches<const NV: usize> {
     weights: [*const u32; NV],
     /// Lines of each panel in a leg, where weights are asked for at all.
     lines: u32,
@@ -361,19 +368,19 @@ struct Ahead<const NV: usize> {
     each: u32,
 }
 
-impl<const NV: usize> Ahead<NV> {
+impl<const NV: usize> Prefetches<NV> {
     /// For `blocks` register blocks of `words`, which write `height` rows that lie `stride` values apart.
     #[inline(always)]
     fn new(words: usize, blocks: usize, height: usize, stride: usize) -> Self {
-        let legs = words.div_ceil(LEG) as u32;
+        let calls = words.div_ceil(HOOK_STEPS) as u32;
         Self {
             weights: [std::ptr::null(); NV],
             lines: 0,
-            share: (words as u32).div_ceil((blocks as u32).max(1) * legs),
+            share: (words as u32).div_ceil((blocks as u32).max(1) * calls),
             out: [std::ptr::null(); NV],
             stride,
             rows: 0,
-            each: (height as u32).div_ceil(legs),
+            each: (height as u32).div_ceil(calls),
         }
     }
 
@@ -391,9 +398,9 @@ impl<const NV: usize> Ahead<NV> {
     }
 }
 
-impl<const NV: usize> Between for Ahead<NV> {
+impl<const NV: usize> PrefetchHook for Prefetches<NV> {
     #[inline(always)]
-    fn leg(&mut self) {
+    fn prefetch(&mut self) {
         for _ in 0..self.lines {
             for at in &mut self.weights {
                 prefetch(*at);

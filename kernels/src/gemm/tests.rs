@@ -1,4 +1,5 @@
 use super::{Epilogue, Input, Precision, Weights, linear, reference};
+use crate::Level;
 use crate::norm::{self, Norm};
 use crate::testing::{bits, noise, on_every_level_and_thread_count};
 
@@ -18,7 +19,7 @@ const SIZES: [(usize, usize, usize); 9] = [
 fn every_level_and_thread_count_gives_the_defined_bits() {
     for (m, n, k) in SIZES {
         let (x, w) = (noise(m * k, 1), noise(n * k, 2));
-        let weights = Weights::pack(&w, n, k);
+        let weights = Weights::pack(Level::detect(), &w, n, k);
         let out = on_every_level_and_thread_count(m * n, |level, out| {
             linear(level, &x, m, &weights, &Epilogue::new(), out);
         });
@@ -39,7 +40,7 @@ fn lower_precisions_give_their_defined_bits_everywhere() {
                 }
             }
             w.iter_mut().step_by(11).for_each(|w| *w *= 1e-17);
-            let weights = Weights::pack_as(precision, &w, n, k);
+            let weights = Weights::pack_as(Level::detect(), precision, &w, n, k);
             let out = on_every_level_and_thread_count(m * n, |level, out| {
                 linear(level, &x, m, &weights, &Epilogue::new(), out);
             });
@@ -62,9 +63,9 @@ fn weights_are_packed_alike_on_every_level() {
             *w = f32::INFINITY;
         }
         for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
-            let expected = Weights::pack_on(crate::Level::scalar(), precision, &w, n, k);
-            for level in crate::Level::available() {
-                let packed = Weights::pack_on(level, precision, &w, n, k);
+            let expected = Weights::pack_as(Level::scalar(), precision, &w, n, k);
+            for level in crate::testing::levels() {
+                let packed = Weights::pack_as(level, precision, &w, n, k);
                 assert!(packed.panels[..] == expected.panels[..], "{level}, {precision:?}, {n}x{k}");
                 assert_eq!(packed.scales, expected.scales, "{level}, {precision:?}, {n}x{k}");
                 assert_eq!(packed.offsets, expected.offsets, "{level}, {precision:?}, {n}x{k}");
@@ -81,7 +82,14 @@ fn lower_precisions_stay_near_the_exact_product() {
     let size: f64 = exact.iter().map(|e| e * e).sum();
     for (precision, bound) in [(Precision::F32, 1e-6), (Precision::Bf16, 4e-3), (Precision::Int8, 8e-3)] {
         let mut out = vec![0.0; m * n];
-        linear(crate::Level::detect(), &x, m, &Weights::pack_as(precision, &w, n, k), &Epilogue::new(), &mut out);
+        linear(
+            Level::detect(),
+            &x,
+            m,
+            &Weights::pack_as(Level::detect(), precision, &w, n, k),
+            &Epilogue::new(),
+            &mut out,
+        );
         let error: f64 = out.iter().zip(&exact).map(|(o, e)| (f64::from(*o) - e).powi(2)).sum();
         assert!((error / size).sqrt() < bound, "{precision:?}: {:e}", (error / size).sqrt());
     }
@@ -92,7 +100,7 @@ fn the_error_stays_far_below_that_of_one_long_chain() {
     let (m, n, k) = (4, 19, 3000);
     let (x, w) = (noise(m * k, 3), noise(n * k, 4));
     let mut out = vec![0.0; m * n];
-    linear(crate::Level::detect(), &x, m, &Weights::pack(&w, n, k), &Epilogue::new(), &mut out);
+    linear(Level::detect(), &x, m, &Weights::pack(Level::detect(), &w, n, k), &Epilogue::new(), &mut out);
     let size = reference::product_f64(
         &x.iter().map(|x| x.abs()).collect::<Vec<_>>(),
         &w.iter().map(|w| w.abs()).collect::<Vec<_>>(),
@@ -113,7 +121,7 @@ fn sums_that_cancel_lose_only_their_own_rounding() {
     (x[0], x[1], x[2]) = (1e6, 0.25, -1e6);
     (x[260], x[299]) = (3e38, -3e38);
     let out = on_every_level_and_thread_count(1, |level, out| {
-        linear(level, &x, 1, &Weights::pack(&w, 1, 300), &Epilogue::new(), out);
+        linear(level, &x, 1, &Weights::pack(Level::detect(), &w, 1, 300), &Epilogue::new(), out);
     });
     assert_eq!(out[0], 0.25);
 }
@@ -123,7 +131,7 @@ fn epilogues_are_the_functions_they_name() {
     let (m, n, k) = (7, 37, 20);
     let (x, w, bias, gamma) = (noise(m * k, 5), noise(n * k, 6), noise(n, 7), noise(n, 8));
     let product = reference::product_f64(&x, &w, m, n, k);
-    let weights = Weights::pack(&w, n, k);
+    let weights = Weights::pack(Level::detect(), &w, n, k);
     let silu = |y: f64| y / (1.0 + (-y).exp());
     // Φ by its series: exact enough for a test.
     let gelu = |y: f64| {
@@ -147,7 +155,7 @@ fn epilogues_are_the_functions_they_name() {
     ];
     for (name, epilogue, _) in &cases {
         for precision in [Precision::Bf16, Precision::Int8] {
-            let weights = Weights::pack_as(precision, &w, n, k);
+            let weights = Weights::pack_as(Level::detect(), precision, &w, n, k);
             on_every_level_and_thread_count(m * n, |level, out| linear(level, &x, m, &weights, epilogue, out));
             assert!(weights.bytes() < n.next_multiple_of(16) * k * 3, "{name}");
         }
@@ -164,7 +172,14 @@ fn epilogues_are_the_functions_they_name() {
 #[test]
 #[should_panic(expected = "expected m·k")]
 fn a_short_input_is_refused() {
-    linear(crate::Level::detect(), &[0.0; 5], 2, &Weights::pack(&[0.0; 9], 3, 3), &Epilogue::new(), &mut [0.0; 6]);
+    linear(
+        Level::detect(),
+        &[0.0; 5],
+        2,
+        &Weights::pack(Level::detect(), &[0.0; 9], 3, 3),
+        &Epilogue::new(),
+        &mut [0.0; 6],
+    );
 }
 
 #[test]
@@ -172,12 +187,12 @@ fn rows_normalised_on_their_way_are_those_normalised_before() {
     for (m, n, k) in SIZES.into_iter().chain([(400, 40, 70)]) {
         let (x, w, scale, shift) = (noise(m * k, 1), noise(n * k, 2), noise(k, 3), noise(k, 4));
         for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
-            let weights = Weights::pack_as(precision, &w, n, k);
+            let weights = Weights::pack_as(Level::detect(), precision, &w, n, k);
             for norm in [Norm::rms(&scale, 1e-5), Norm::layer(&scale, &shift, 1e-6)] {
                 let out = on_every_level_and_thread_count(m * n, |level, out| {
                     linear(level, Input::Normed(&x, norm), m, &weights, &Epilogue::new(), out);
                 });
-                let (level, mut normed, mut expected) = (crate::Level::detect(), vec![0.0; m * k], vec![0.0; m * n]);
+                let (level, mut normed, mut expected) = (Level::detect(), vec![0.0; m * k], vec![0.0; m * n]);
                 norm::rows(level, &x, &mut normed, norm);
                 linear(level, &normed, m, &weights, &Epilogue::new(), &mut expected);
                 assert!(bits(&out) == bits(&expected), "{m}x{n}x{k}, {precision:?}");
@@ -190,7 +205,14 @@ fn rows_normalised_on_their_way_are_those_normalised_before() {
 #[should_panic(expected = "the norm is of 2 values, expected k = 3")]
 fn a_norm_of_another_width_is_refused() {
     let input = Input::Normed(&[0.0; 6], Norm::rms(&[1.0; 2], 1e-5));
-    linear(crate::Level::detect(), input, 2, &Weights::pack(&[0.0; 9], 3, 3), &Epilogue::new(), &mut [0.0; 6]);
+    linear(
+        Level::detect(),
+        input,
+        2,
+        &Weights::pack(Level::detect(), &[0.0; 9], 3, 3),
+        &Epilogue::new(),
+        &mut [0.0; 6],
+    );
 }
 
 #[test]
@@ -199,10 +221,10 @@ fn columns_in_groups_are_the_same_values_elsewhere() {
         let n = group * groups;
         let (x, w, bias) = (noise(m * k, 1), noise(n * k, 2), noise(n, 3));
         for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
-            let weights = Weights::pack_as(precision, &w, n, k);
+            let weights = Weights::pack_as(Level::detect(), precision, &w, n, k);
             for epilogue in [Epilogue::new().bias(&bias), Epilogue::new().silu().residual()] {
                 let mut rows = vec![0.5; m * n];
-                linear(crate::Level::detect(), &x, m, &weights, &epilogue, &mut rows);
+                linear(Level::detect(), &x, m, &weights, &epilogue, &mut rows);
                 let grouped = on_every_level_and_thread_count(m * n, |level, out| {
                     linear(level, &x, m, &weights, &epilogue.in_groups_of(group), out);
                 });
@@ -218,8 +240,8 @@ fn columns_in_groups_are_the_same_values_elsewhere() {
 #[test]
 #[should_panic(expected = "groups of 24 columns of 48")]
 fn groups_that_are_no_whole_vectors_are_refused() {
-    let weights = Weights::pack(&[0.0; 48], 48, 1);
-    linear(crate::Level::detect(), &[0.0], 1, &weights, &Epilogue::new().in_groups_of(24), &mut [0.0; 48]);
+    let weights = Weights::pack(Level::detect(), &[0.0; 48], 48, 1);
+    linear(Level::detect(), &[0.0], 1, &weights, &Epilogue::new().in_groups_of(24), &mut [0.0; 48]);
 }
 
 #[test]
@@ -230,10 +252,10 @@ fn shuffled_columns_land_where_the_formula_says() {
         let (m, n) = (height * width, 4 * channels);
         let (x, w, bias) = (noise(m * k, 1), noise(n * k, 2), noise(n, 3));
         for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
-            let weights = Weights::pack_as(precision, &w, n, k);
+            let weights = Weights::pack_as(Level::detect(), precision, &w, n, k);
             for epilogue in [Epilogue::new().bias(&bias), Epilogue::new().silu(), Epilogue::new().residual()] {
                 let mut rows = vec![0.5; m * n];
-                linear(crate::Level::detect(), &x, m, &weights, &epilogue, &mut rows);
+                linear(Level::detect(), &x, m, &weights, &epilogue, &mut rows);
                 let shuffled = on_every_level_and_thread_count(m * n, |level, out| {
                     linear(level, &x, m, &weights, &epilogue.shuffled(width), out);
                 });
@@ -256,13 +278,13 @@ fn shuffled_columns_land_where_the_formula_says() {
 #[test]
 #[should_panic(expected = "a shuffle of 64 columns and 5 tokens in lines of 2")]
 fn a_shuffle_of_broken_lines_is_refused() {
-    let weights = Weights::pack(&[0.0; 64], 64, 1);
-    linear(crate::Level::detect(), &[0.0; 5], 5, &weights, &Epilogue::new().shuffled(2), &mut [0.0; 5 * 64]);
+    let weights = Weights::pack(Level::detect(), &[0.0; 64], 64, 1);
+    linear(Level::detect(), &[0.0; 5], 5, &weights, &Epilogue::new().shuffled(2), &mut [0.0; 5 * 64]);
 }
 
 #[test]
 #[should_panic(expected = "a shuffle of 96 columns")]
 fn a_shuffle_of_no_whole_vectors_is_refused() {
-    let weights = Weights::pack(&[0.0; 96], 96, 1);
-    linear(crate::Level::detect(), &[0.0], 1, &weights, &Epilogue::new().shuffled(1), &mut [0.0; 96]);
+    let weights = Weights::pack(Level::detect(), &[0.0; 96], 96, 1);
+    linear(Level::detect(), &[0.0], 1, &weights, &Epilogue::new().shuffled(1), &mut [0.0; 96]);
 }

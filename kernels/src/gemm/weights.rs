@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use rayon::prelude::*;
 
 use super::Precision;
-use super::form::{Brain, Bytes, Form, Single, values_of_a_word};
+use super::form::{Bf16, F32, Form, Int8, values_of_a_word};
 use crate::Level;
 use crate::memory::{Aligned, Scratch};
 use crate::simd::{LANES, Operation, Simd, dispatch};
@@ -32,24 +32,19 @@ impl Weights {
     ///
     /// # Panics
     /// When `weight` does not hold `n · k` values.
-    pub fn pack(weight: &[f32], n: usize, k: usize) -> Self {
-        Self::pack_as(Precision::F32, weight, n, k)
+    pub fn pack(level: Level, weight: &[f32], n: usize, k: usize) -> Self {
+        Self::pack_as(level, Precision::F32, weight, n, k)
     }
 
     /// Packs `weight [n,k]` for products in `precision`: half of f32's memory in bf16, a quarter in 8-bit integers.
     ///
     /// # Panics
     /// When `weight` does not hold `n · k` values, or `k` is above 2¹⁶ (where sums of 8-bit products could overflow).
-    pub fn pack_as(precision: Precision, weight: &[f32], n: usize, k: usize) -> Self {
-        Self::pack_on(Level::detect(), precision, weight, n, k)
-    }
-
-    /// [`Weights::pack_as`] with a level's instructions.
-    pub(super) fn pack_on(level: Level, precision: Precision, weight: &[f32], n: usize, k: usize) -> Self {
+    pub fn pack_as(level: Level, precision: Precision, weight: &[f32], n: usize, k: usize) -> Self {
         match precision {
-            Precision::F32 => Self::pack_form::<Single>(level, weight, n, k),
-            Precision::Bf16 => Self::pack_form::<Brain>(level, weight, n, k),
-            Precision::Int8 => Self::pack_form::<Bytes>(level, weight, n, k),
+            Precision::F32 => Self::pack_form::<F32>(level, weight, n, k),
+            Precision::Bf16 => Self::pack_form::<Bf16>(level, weight, n, k),
+            Precision::Int8 => Self::pack_form::<Int8>(level, weight, n, k),
         }
     }
 

@@ -1,5 +1,4 @@
 use super::{Eye, MAX_DEGREE, colours, reference, rest};
-use crate::Level;
 use crate::testing::{noise, on_every_level_and_thread_count};
 
 fn triples(flat: &[f32]) -> Vec<[f32; 3]> {
@@ -57,7 +56,7 @@ fn colours_agree_with_their_formula_and_themselves_everywhere() {
 #[test]
 fn distances_do_not_matter() {
     let higher = noise(3 * rest(3), 4);
-    for level in Level::available() {
+    for level in crate::testing::levels() {
         let at = |distance: f32| {
             let mut out = [[0.0; 3]];
             let mean = [[0.36 * distance, 0.48 * distance, 0.8 * distance]];
@@ -79,7 +78,7 @@ fn a_bad_value_spoils_its_own_colour_only() {
     let clean = noise(3 * n * rest(2), 7);
     let mut higher = clean.clone();
     higher[3 * rest(2) * 17] = f32::NAN;
-    for level in Level::available() {
+    for level in crate::testing::levels() {
         let (mut out, mut expected) = (vec![[0.0; 3]; n], vec![[0.0; 3]; n]);
         colours(level, 2, &base, &higher, &mean, Eye::At([0.0; 3]), &mut out);
         colours(level, 2, &base, &clean, &mean, Eye::At([0.0; 3]), &mut expected);

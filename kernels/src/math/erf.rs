@@ -3,7 +3,7 @@
 use super::exp;
 use super::log::log;
 use super::polynomial;
-use crate::simd::Simd;
+use crate::simd::Elementwise;
 
 /// erf x = x + x·P(x²) on [0, 1]; 2^−29.3.
 const NEAR: [f32; 7] = [
@@ -77,9 +77,9 @@ struct Tail {
 }
 
 impl Tail {
-    /// The tail at a = |x|, as `v`·2ⁿ, with `n` as [`Simd::times_any_power`] takes it.
+    /// The tail at a = |x|, as `v`·2ⁿ, with `n` as [`Elementwise::scale_by_any_pow2`] takes it.
     #[inline(always)]
-    fn parts<S: Simd>(&self, s: S, x: S::F32) -> (S::F32, S::F32) {
+    fn parts<S: Elementwise>(&self, s: S, x: S::F32) -> (S::F32, S::F32) {
         let a = s.min(s.splat(self.last), s.abs(x));
         // t = 1/d, then moved by what the sum and the quotient lost: up to 3 ulp of the result near a = 0.
         let d = s.add(a, s.splat(self.pole));
@@ -100,7 +100,7 @@ impl Tail {
 
 /// erf x = 2/√π ∫₀ˣ e^(−t²) dt. Odd; ±1 from |x| = 3.92 on.
 #[inline(always)]
-pub fn erf<S: Simd>(s: S, x: S::F32) -> S::F32 {
+pub fn erf<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let a = s.abs(x);
     let near = s.mul_add(a, polynomial(s, s.mul(a, a), &NEAR), a);
     let g = polynomial(s, s.min(s.splat(3.95), a), &FAR);
@@ -112,29 +112,29 @@ pub fn erf<S: Simd>(s: S, x: S::F32) -> S::F32 {
 
 /// erfc x = 1 − erf x, with full relative accuracy in the tail, down to denormal results.
 #[inline(always)]
-pub fn erfc<S: Simd>(s: S, x: S::F32) -> S::F32 {
+pub fn erfc<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let (v, n) = ERFC.parts(s, x);
-    let tail = s.times_any_power(v, n);
+    let tail = s.scale_by_any_pow2(v, n);
     s.select(s.lt(x, s.splat(0.0)), s.sub(s.splat(2.0), tail), tail)
 }
 
 /// Φ(x), the distribution function of the standard normal, with full relative accuracy in the lower tail.
 #[inline(always)]
-pub fn normal_cdf<S: Simd>(s: S, x: S::F32) -> S::F32 {
+pub fn normal_cdf<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let (v, n) = NORMAL.parts(s, x);
-    let tail = s.times_any_power(v, n);
+    let tail = s.scale_by_any_pow2(v, n);
     s.select(s.lt(s.splat(0.0), x), s.sub(s.splat(1.0), tail), tail)
 }
 
 /// x·Φ(x), the Gaussian error linear unit in its exact form. −∞ gives −0.
 #[inline(always)]
-pub fn gelu<S: Simd>(s: S, x: S::F32) -> S::F32 {
+pub fn gelu<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     // From −14.9 down the result is −0.
     let x = s.max(s.splat(-14.9), x);
     let (v, n) = NORMAL.parts(s, x);
     // x·Φ(x) with x multiplied in before the tail could become denormal.
-    let lower = s.times_any_power(s.mul(x, v), n);
-    let upper = s.mul(x, s.sub(s.splat(1.0), s.times_any_power(v, n)));
+    let lower = s.scale_by_any_pow2(s.mul(x, v), n);
+    let upper = s.mul(x, s.sub(s.splat(1.0), s.scale_by_any_pow2(v, n)));
     s.select(s.lt(s.splat(0.0), x), upper, lower)
 }
 
@@ -168,7 +168,7 @@ const INVERSE_FAR: [f32; 10] = [
 
 /// The inverse of [`erf`]. ±1 give ±∞, beyond them NaN.
 #[inline(always)]
-pub fn erfinv<S: Simd>(s: S, x: S::F32) -> S::F32 {
+pub fn erfinv<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let one = s.splat(1.0);
     let w = s.neg(log(s, s.neg_mul_add(x, x, one)));
     let near = polynomial(s, s.sub(w, s.splat(2.5)), &INVERSE_NEAR);

@@ -1,7 +1,7 @@
 //! The exponential.
 
 use super::polynomial;
-use crate::simd::{SHIFTER, Simd};
+use crate::simd::{Elementwise, SHIFTER};
 
 /// ln 2 to 15 bits: its product with an integer of 8 bits is exact.
 pub(super) const LN2_HI: f32 = 45_426.0 / 65_536.0;
@@ -19,7 +19,7 @@ const Q: [f32; 5] = [
 
 /// `x = n·ln 2 + r` with n = `t` − (the constant that was added).
 #[inline(always)]
-fn reduce<S: Simd>(s: S, x: S::F32, to_integer: f32) -> (S::F32, S::F32) {
+fn reduce<S: Elementwise>(s: S, x: S::F32, to_integer: f32) -> (S::F32, S::F32) {
     let magic = s.splat(to_integer);
     let t = s.mul_add(x, s.splat(std::f32::consts::LOG2_E), magic);
     let n = s.sub(t, magic);
@@ -28,20 +28,20 @@ fn reduce<S: Simd>(s: S, x: S::F32, to_integer: f32) -> (S::F32, S::F32) {
     (t, r)
 }
 
-/// exp(x) = `p`·2ⁿ, with `n` as [`Simd::times_any_power`] takes it.
+/// exp(x) = `p`·2ⁿ, with `n` as [`Elementwise::scale_by_any_pow2`] takes it.
 ///
 /// `x` is not above 89 and not under −112 (or it is NaN, and so is `p`).
 #[inline(always)]
-pub(super) fn parts<S: Simd>(s: S, x: S::F32) -> (S::F32, S::F32) {
+pub(super) fn parts<S: Elementwise>(s: S, x: S::F32) -> (S::F32, S::F32) {
     let (t, r) = reduce(s, x, SHIFTER);
     let q = polynomial(s, r, &Q);
     let one = s.splat(1.0);
-    (s.mul_add(s.mul_add(q, r, one), r, one), s.whole(t))
+    (s.mul_add(s.mul_add(q, r, one), r, one), s.shifted_int(t))
 }
 
 /// exp(r) − 1 = `q` and 2ⁿ with x = n ln 2 + r; `x` between −87 and 88.
 #[inline(always)]
-pub(super) fn minus_one_parts<S: Simd>(s: S, x: S::F32) -> (S::F32, S::F32) {
+pub(super) fn minus_one_parts<S: Elementwise>(s: S, x: S::F32) -> (S::F32, S::F32) {
     let (t, r) = reduce(s, x, SHIFTER + 127.0);
     let q = polynomial(s, r, &Q);
     (s.mul_add(s.mul(r, r), q, r), s.from_bits(s.shl::<23>(s.to_bits(t))))
@@ -49,10 +49,10 @@ pub(super) fn minus_one_parts<S: Simd>(s: S, x: S::F32) -> (S::F32, S::F32) {
 
 /// eˣ. Overflows to ∞ above 88.72, underflows gradually to 0 below −103.97; NaN gives NaN.
 #[inline(always)]
-pub fn exp<S: Simd>(s: S, x: S::F32) -> S::F32 {
+pub fn exp<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let x = s.max(s.splat(-104.0), s.min(s.splat(89.0), x));
     let (p, n) = parts(s, x);
-    s.times_any_power(p, n)
+    s.scale_by_any_pow2(p, n)
 }
 
 /// eˣ for x ≤ 0, in 13 operations; same bits as [`exp`] where that is at least 2⁻¹²⁶.
@@ -60,7 +60,7 @@ pub fn exp<S: Simd>(s: S, x: S::F32) -> S::F32 {
 /// Below 2^−126.5 the result is +0 (from there to 2⁻¹²⁶ it is denormal, rounded once). −∞ gives 0, NaN gives NaN;
 /// positive x must not pass 88 (they give eˣ until then, and no promise after).
 #[inline(always)]
-pub fn exp_nonpositive<S: Simd>(s: S, x: S::F32) -> S::F32 {
+pub fn exp_nonpositive<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     // At this bound n = −127, and 2ⁿ is formed as +0.
     let x = s.max(s.splat(-88.0), x);
     let (t, r) = reduce(s, x, SHIFTER + 127.0);
@@ -76,7 +76,7 @@ const LOW: [f32; 4] = [0.055_171_67, 0.242_611_13, 0.693_260_97, 0.999_928_06];
 /// 2ˣ within 7.5e-5 of itself, for what is rounded to bf16 or 8 bits next. `x` is from −125 to 126 (others, and NaN, give any value, not the same
 /// on every level).
 #[inline(always)]
-pub fn exp2_low<S: Simd>(s: S, x: S::F32) -> S::F32 {
-    let (whole, part) = s.whole_and_part(x);
-    s.times_power(polynomial(s, part, &LOW), whole)
+pub fn exp2_low<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
+    let (whole, part) = s.split_int_frac(x);
+    s.scale_by_pow2(polynomial(s, part, &LOW), whole)
 }

@@ -2,7 +2,7 @@
 
 use super::exp::{self, LN2_HI, LN2_LO};
 use super::polynomial;
-use crate::simd::Simd;
+use crate::simd::Elementwise;
 
 /// log(1 + f) = f − f²/2 + f³ P(f) on [√½ − 1, √2 − 1]; minimax in relative error, 2^−30.2. Highest power first.
 const P: [f32; 9] = [
@@ -21,7 +21,7 @@ const SQRT_HALF: i32 = 0x3f35_04f3;
 
 /// log(1 + f) + k ln 2, `f` in [√½ − 1, √2 − 1], `k` an integer of up to 8 bits.
 #[inline(always)]
-fn log_1p_plus<S: Simd>(s: S, f: S::F32, k: S::F32) -> S::F32 {
+fn log_1p_plus<S: Elementwise>(s: S, f: S::F32, k: S::F32) -> S::F32 {
     let ff = s.mul(f, f);
     let tail = s.mul(s.mul(ff, f), polynomial(s, f, &P));
     let tail = s.mul_add(k, s.splat(LN2_LO), tail);
@@ -31,7 +31,7 @@ fn log_1p_plus<S: Simd>(s: S, f: S::F32, k: S::F32) -> S::F32 {
 
 /// ln x. ±0 give −∞, ∞ gives ∞; negative x and NaN give NaN. Denormal x are as accurate as others.
 #[inline(always)]
-pub fn log<S: Simd>(s: S, x: S::F32) -> S::F32 {
+pub fn log<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let denormal = s.lt(x, s.splat(f32::MIN_POSITIVE));
     let scaled = s.select(denormal, s.mul(x, s.splat(8_388_608.0)), x);
     let offset = s.sub_i32(s.to_bits(scaled), s.splat_i32(SQRT_HALF));
@@ -47,7 +47,7 @@ pub fn log<S: Simd>(s: S, x: S::F32) -> S::F32 {
 
 /// ln(1 + eˣ), as max(x, 0) + ln(1 + e^−|x|): never overflows, and keeps its relative accuracy down to denormal results.
 #[inline(always)]
-pub fn softplus<S: Simd>(s: S, x: S::F32) -> S::F32 {
+pub fn softplus<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let u = exp::exp(s, s.neg(s.abs(x)));
     // From u = √2 − 1 on, 1 + u = 2 (1 + f).
     let upper = s.lt(s.splat(std::f32::consts::SQRT_2 - 1.0), u);

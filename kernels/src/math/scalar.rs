@@ -1,6 +1,6 @@
 //! The functions of [`math`](super) on one value, with the bits of the vector functions.
 
-use super::one::One;
+use crate::simd::One;
 
 /// Defines a function of one value by the vector algorithm.
 macro_rules! twin {

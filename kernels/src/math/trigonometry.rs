@@ -1,7 +1,7 @@
 //! Sine and cosine.
 
 use super::{f64 as double, polynomial};
-use crate::simd::{LANES, SHIFTER, Simd};
+use crate::simd::{Elementwise, SHIFTER};
 
 /// Arguments up to here are reduced in vectors.
 const LAST: f32 = 8192.0;
@@ -19,7 +19,7 @@ const COS: [f32; 3] = [f32::from_bits(0x37cc_f482), f32::from_bits(0xbab6_0615),
 ///
 /// Lanes beyond ±8192 are computed one by one in binary64.
 #[inline(always)]
-pub fn sin_cos<S: Simd>(s: S, x: S::F32) -> (S::F32, S::F32) {
+pub fn sin_cos<S: Elementwise>(s: S, x: S::F32) -> (S::F32, S::F32) {
     let magic = s.splat(SHIFTER);
     let t = s.mul_add(x, s.splat(std::f32::consts::FRAC_2_PI), magic);
     let n = s.sub(t, magic);
@@ -41,13 +41,7 @@ pub fn sin_cos<S: Simd>(s: S, x: S::F32) -> (S::F32, S::F32) {
     if s.all(reduced) {
         return (sin_x, cos_x);
     }
-    let (mut sines, mut cosines) = (s.to_array(sin_x), s.to_array(cos_x));
-    let values = s.to_array(x);
-    for lane in 0..LANES {
-        if values[lane].abs() > LAST || values[lane].is_nan() {
-            let (sin, cos) = double::sin_cos(f64::from(values[lane]));
-            (sines[lane], cosines[lane]) = (sin as f32, cos as f32);
-        }
-    }
-    (s.from_array(sines), s.from_array(cosines))
+    let far_sin = s.map(x, |x| double::sin_cos(f64::from(x)).0 as f32);
+    let far_cos = s.map(x, |x| double::sin_cos(f64::from(x)).1 as f32);
+    (s.select(reduced, sin_x, far_sin), s.select(reduced, cos_x, far_cos))
 }

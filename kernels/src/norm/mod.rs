@@ -20,9 +20,8 @@ mod tests;
 use tracing::debug_span;
 
 use crate::Level;
-use crate::gemm::{larger, largest};
 use crate::parallel::for_each_chunk;
-use crate::simd::{LANES, Operation, Simd, dispatch};
+use crate::simd::{LANES, Operation, Simd, dispatch, larger, largest};
 
 /// Magnitudes above this are scaled before they are squared.
 const LARGE: f32 = (1_u64 << 48) as f32;

@@ -1,5 +1,4 @@
 use super::{layer_norm, reference, rms_norm};
-use crate::Level;
 use crate::testing::{noise, on_every_level_and_thread_count};
 
 #[test]
@@ -49,7 +48,7 @@ fn a_bad_value_spoils_its_own_row_only() {
     (x[20], x[45]) = (f32::NAN, f32::INFINITY);
     let w = noise(20, 7);
     let clean = noise(3 * 20, 6);
-    for level in Level::available() {
+    for level in crate::testing::levels() {
         let (mut out, mut expected) = (vec![0.0; 60], vec![0.0; 60]);
         rms_norm(level, &x, &w, 1e-5, &mut out);
         rms_norm(level, &clean, &w, 1e-5, &mut expected);

@@ -27,7 +27,7 @@ use crate::gemm::epilogue::{Function, Gelu, Identity, Silu};
 use crate::gemm::{Activation, K_BLOCK, interleave};
 use crate::memory::Aligned;
 use crate::parallel::for_each_chunk;
-use crate::simd::{LANES, Operation, Simd, dispatch};
+use crate::simd::{LANES, Operation, Registers, Simd, dispatch};
 use crate::size::product;
 
 /// Tokens of a block.
@@ -176,16 +176,17 @@ impl Operation for Apply<'_> {
 impl Apply<'_> {
     #[inline(always)]
     fn with<S: Simd, A: Function>(self, s: S) {
-        // The constants of a level choose one of these; the other is not compiled for it.
-        match (S::GEMM_ROWS, S::GEMM_PANELS) {
-            (12, 2) => self.blocks::<S, A, 8, 3>(s),
-            _ => self.blocks::<S, A, 4, 1>(s),
+        // Rows of weights and vectors of tokens of the register block.
+        match S::REGISTERS {
+            Registers::Avx512 => self.blocks::<S, A, 8, 3>(s),
+            Registers::Avx2 | Registers::Neon | Registers::Scalar => self.blocks::<S, A, 4, 1>(s),
         }
     }
 
     /// Register blocks of `MR` rows of weights and `NV` vectors of tokens.
     #[inline(always)]
     fn blocks<S: Simd, A: Function, const MR: usize, const NV: usize>(mut self, s: S) {
+        const { assert!(ROWS.is_multiple_of(MR) && TOKENS.is_multiple_of(NV * LANES), "register blocks fill groups") };
         for first in (0..self.layer.n).step_by(MR) {
             for token in (0..TOKENS).step_by(NV * LANES) {
                 self.block::<S, A, MR, NV>(s, first, token);

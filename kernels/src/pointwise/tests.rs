@@ -31,7 +31,7 @@ fn every_level_gives_the_bits_of_the_reference_and_of_gemm() {
             let expected = reference::layer(&x, &w, &bias, activation, m, k);
             assert!(bits(&out) == bits(&expected), "{m}x{n}x{k}, {activation:?}");
             let mut product = vec![0.0; m * n];
-            linear(Level::detect(), &x, m, &Weights::pack(&w, n, k), &epilogue, &mut product);
+            linear(Level::detect(), &x, m, &Weights::pack(Level::detect(), &w, n, k), &epilogue, &mut product);
             assert!(bits(&out) == bits(&product), "{m}x{n}x{k}, {activation:?}: gemm differs");
         }
     }
@@ -41,7 +41,7 @@ fn every_level_gives_the_bits_of_the_reference_and_of_gemm() {
 fn an_absent_bias_changes_no_bit() {
     // A negative product too small for any number is −0, which +0 added to it would turn.
     let layer = Layer::pack(&[1e-30; 9], None, Activation::Identity, 9, 1);
-    for level in Level::available() {
+    for level in crate::testing::levels() {
         let mut out = vec![1.0; 9 * TOKENS];
         layer.apply(level, &[-1e-30; TOKENS], &mut out);
         assert!(out.iter().all(|y| y.to_bits() == (-0.0_f32).to_bits()), "{level}: {}", out[0]);
@@ -55,7 +55,7 @@ fn a_bad_value_spoils_its_own_token_only() {
     let layer = Layer::pack(&w, Some(&bias), Activation::Silu, n, k);
     let mut x = clean.clone();
     (x[3 * TOKENS + 7], x[11 * TOKENS + 40]) = (f32::NAN, f32::INFINITY);
-    for level in Level::available() {
+    for level in crate::testing::levels() {
         let (mut out, mut expected) = (vec![0.0; n * TOKENS], vec![0.0; n * TOKENS]);
         layer.apply(level, &x, &mut out);
         layer.apply(level, &clean, &mut expected);

@@ -20,6 +20,13 @@
 //! rgb = C + T·background     depth = D     alpha = 1 − T
 //! ```
 //!
+//! With [`Request::antialias`], o is `o·√(det(J·R·S·Sᵀ·Rᵀ·Jᵀ) / det Σ)` throughout, so that what is smaller than a pixel gets fainter
+//! in place of larger (Mip-Splatting, CVPR 2024, the 2D filter with a variance of 0.3 px²).
+//!
+//! With [`Request::bounded`], x/z and y/z in a pinhole's J, not in u and v, are held between `(−½ − 0.15·W − c_x)/f_x` and
+//! `(1.15·W − ½ − c_x)/f_x`, and alike for y: the affine approximation of what is far beside the image and close to the eye would
+//! otherwise smear over the image (as the original 3D Gaussian splatting and gsplat do).
+//!
 //! (StreamSplat, ICLR 2026, section 3, with the affine approximation of EWA splatting.) A Gaussian reaches every pixel on
 //! which its α is at least 1/255: the image depends on no tile size and no cut at a multiple of σ.
 //!
@@ -174,12 +181,26 @@ pub struct Request {
     pub alpha: bool,
     /// True if `final_t` and `blended` are wanted.
     pub statistics: bool,
+    /// True if opacities are lowered by as much as the low-pass widens footprints, for scenes that were trained so.
+    pub antialias: bool,
+    /// True if a pinhole's footprints beside the image are shaped as if they were at most 15 % of its size beside it, for scenes that
+    /// were trained so.
+    pub bounded: bool,
 }
 
 impl Request {
     /// A request for colour alone.
     pub fn colour(width: usize, height: usize, background: [f32; 3]) -> Self {
-        Self { width, height, background, depth: false, alpha: false, statistics: false }
+        Self {
+            width,
+            height,
+            background,
+            depth: false,
+            alpha: false,
+            statistics: false,
+            antialias: false,
+            bounded: false,
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! From Gaussians in view space to what the blend needs of them, sixteen at a time.
 
-use super::{Gaussians, Projection};
+use super::{Gaussians, Projection, Request};
 use crate::simd::{LANES, Simd};
 
 /// Sides of the square blocks of pixels that the blend works on, aligned to the image's corner.
@@ -98,6 +98,25 @@ pub(super) struct View {
     pub height: usize,
     /// No Gaussian is rotated and the projection is orthographic: footprints are axis-aligned.
     pub separable: bool,
+    /// Opacities are lowered by what the low-pass widens footprints.
+    pub antialias: bool,
+    /// How far left and right, up and down of the axis a pinhole's footprints are formed as they are there: tangents.
+    pub bounds: [[f64; 2]; 2],
+}
+
+/// Share of the image's width and height beside it to which [`Request::bounded`](super::Request::bounded) goes.
+const BESIDE: f64 = 0.15;
+
+/// The tangents for an image of this size.
+pub(super) fn bounds(projection: &Projection, request: &Request) -> [[f64; 2]; 2] {
+    match *projection {
+        Projection::Pinhole { focal, centre } if request.bounded => std::array::from_fn(|axis| {
+            let (focal, centre) = (f64::from(focal[axis]), f64::from(centre[axis]));
+            let size = [request.width, request.height][axis] as f64;
+            [(-0.5 - BESIDE * size - centre) / focal, (size - 0.5 + BESIDE * size - centre) / focal]
+        }),
+        _ => [[f64::NEG_INFINITY, f64::INFINITY]; 2],
+    }
 }
 
 /// `x` in two parts that add up to it: a whole number (where |x| < 2²⁴; otherwise `x` rounded) and the rest.
@@ -137,6 +156,7 @@ pub(super) struct Batch {
     y: [Lanes; 2],
     p: Lanes,
     q: Lanes,
+    opacity: Lanes,
     reach: Lanes,
     columns: [[i32; LANES]; 2],
     rows: [[i32; LANES]; 2],
@@ -196,13 +216,24 @@ fn blocks<S: Simd>(s: S, centre: S::F32, radius: S::F32, size: usize) -> ([[i32;
     ([s.to_array_i32(from), s.to_array_i32(to)], some)
 }
 
-/// One axis of a separable footprint, in binary32: the centre `f·x + (size − 1)/2` in two parts by fused multiply-adds,
-/// `√(½log₂e) / √((f·s)² + 0.3)`, the blocks it can touch, and whether there are any.
+/// The standard deviation of a separable footprint along one axis, `√((f·s)² + 0.3)` in binary32, and the share `|f·s|` of it.
+#[inline(always)]
+fn deviation<S: Simd>(s: S, scale: &Lanes, focal: f32) -> (S::F32, S::F32) {
+    let sigma = s.mul(s.splat(focal), s.from_array(*scale));
+    let root = s.sqrt(s.mul_add(sigma, sigma, s.splat(LOW_PASS as f32)));
+    // The square of a very long axis may overflow.
+    let long = s.lt(s.splat(1e9), s.abs(sigma));
+    let share = s.select(long, s.splat(1.0), s.div(s.abs(sigma), root));
+    (s.select(long, s.abs(sigma), root), share)
+}
+
+/// One axis of a separable footprint with the standard deviation `root`, in binary32: the centre `f·x + (size − 1)/2` in two parts
+/// by fused multiply-adds, `√(½log₂e) / root`, the blocks it can touch, and whether there are any.
 #[inline(always)]
 fn along<S: Simd>(
     s: S,
     mean: &Lanes,
-    scale: &Lanes,
+    root: S::F32,
     focal: f32,
     radius: S::F32,
     size: usize,
@@ -211,11 +242,6 @@ fn along<S: Simd>(
     let centre = s.mul_add(f, mean, middle);
     let whole = s.round(centre);
     let rest = s.mul_add(f, mean, s.sub(middle, whole));
-    let sigma = s.mul(f, s.from_array(*scale));
-    let root = s.sqrt(s.mul_add(sigma, sigma, s.splat(LOW_PASS as f32)));
-    // The square of a very long axis may overflow.
-    let long = s.lt(s.splat(1e9), s.abs(sigma));
-    let root = s.select(long, s.abs(sigma), root);
     let p = s.div(s.splat(ROOT_HALF_LOG2_E), root);
     let (blocks, some) = blocks(s, centre, s.mul(radius, root), size);
     let seen = s.and(some, s.lt(s.abs(centre), s.splat(1e30)));
@@ -243,10 +269,13 @@ impl Batch {
             None => poisoned,
         };
         let finite = s.eq(finite, s.splat(0.0));
+        let (wide, share_x) = deviation(s, &scale[0], focal[0]);
+        let (high, share_y) = deviation(s, &scale[1], focal[1]);
+        let opacity = if view.antialias { s.mul(opacity, s.mul(share_x, share_y)) } else { opacity };
         let reach = reach(s, opacity);
         let radius = s.mul(s.sqrt(reach), s.splat(1.0 / ROOT_HALF_LOG2_E));
-        let (x, p, columns, seen_x) = along(s, &mean[0], &scale[0], focal[0], radius, view.width);
-        let (y, q, rows, seen_y) = along(s, &mean[1], &scale[1], focal[1], radius, view.height);
+        let (x, p, columns, seen_x) = along(s, &mean[0], wide, focal[0], radius, view.width);
+        let (y, q, rows, seen_y) = along(s, &mean[1], high, focal[1], radius, view.height);
         let ahead = s.lt(s.splat(0.0), s.from_array(mean[2]));
         let opaque = s.le(s.splat(ALPHA_MIN), opacity);
         let visible = s.and(s.and(finite, s.and(ahead, opaque)), s.and(seen_x, seen_y));
@@ -260,6 +289,7 @@ impl Batch {
             y,
             p,
             q,
+            opacity: s.to_array(opacity),
             reach: s.to_array(reach),
             columns,
             rows,
@@ -287,7 +317,8 @@ impl Batch {
         let poisoned = poison(s, poison(s, poison(s, s.sub(opacity, opacity), &mean), &scale), &rgb);
         let finite = s.eq(poison(s, poisoned, &turn), s.splat(0.0));
         let [fx, fy] = focal.map(f64::from);
-        let [mut u, mut v, mut k] = [[0.0_f64; LANES]; 3];
+        let [[x_least, x_most], [y_least, y_most]] = view.bounds;
+        let [mut u, mut v, mut k, mut own, mut widened] = [[0.0_f64; LANES]; 5];
         let [mut a, mut c, mut p, mut q, mut whole, mut middle, mut sound] = [[0.0_f32; LANES]; 7];
         for l in 0..LANES {
             let [x, y, z] = [f64::from(mean[0][l]), f64::from(mean[1][l]), f64::from(mean[2][l])];
@@ -304,6 +335,7 @@ impl Batch {
                 let (tx, ty, jx, jy) = (x * inverse, y * inverse, fx * inverse, fy * inverse);
                 u[l] = fx * tx + centre[0];
                 v[l] = fy * ty + centre[1];
+                let [tx, ty] = [tx.max(x_least).min(x_most), ty.max(y_least).min(y_most)];
                 m1 = [jx * (m[0][0] - tx * m[2][0]), jx * (m[0][1] - tx * m[2][1]), jx * (m[0][2] - tx * m[2][2])];
                 m2 = [jy * (m[1][0] - ty * m[2][0]), jy * (m[1][1] - ty * m[2][1]), jy * (m[1][2] - ty * m[2][2])];
             } else {
@@ -318,6 +350,7 @@ impl Batch {
             let cc = m2[0] * m2[0] + m2[1] * m2[1] + m2[2] * m2[2];
             let nn = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
             let det = nn + LOW_PASS * (aa + cc) + LOW_PASS * LOW_PASS;
+            (own[l], widened[l]) = (nn, det);
             let variance = [aa + LOW_PASS, cc + LOW_PASS];
             let inverse = 1.0 / variance[1];
             k[l] = bb * inverse;
@@ -335,6 +368,13 @@ impl Batch {
             u[l] /= far_x;
             v[l] /= far_y;
         }
+        let opacity = if view.antialias {
+            // NaN, which is not drawn, where a determinant overflows.
+            let share: Lanes = std::array::from_fn(|l| (own[l] / widened[l]).sqrt() as f32);
+            s.mul(opacity, s.from_array(share))
+        } else {
+            opacity
+        };
         let reach = reach(s, opacity);
         let radius = s.mul(s.sqrt(reach), s.splat(1.0 / ROOT_HALF_LOG2_E));
         let (columns, seen_x) = blocks(s, s.from_array(whole), s.mul(radius, s.sqrt(s.from_array(a))), view.width);
@@ -354,6 +394,7 @@ impl Batch {
             y: [[0.0; LANES]; 2],
             p,
             q,
+            opacity: s.to_array(opacity),
             reach: s.to_array(reach),
             columns,
             rows,
@@ -384,7 +425,7 @@ impl Batch {
             k: self.k[l],
             p: self.p[l],
             q: self.q[l],
-            opacity: gaussians.opacity[i],
+            opacity: self.opacity[l],
             reach: self.reach[l],
             rgb: gaussians.rgb[i],
             depth: gaussians.mean[i][2],

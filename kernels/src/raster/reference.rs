@@ -92,7 +92,16 @@ fn render_with(
                 if z <= 1e-6 {
                     continue;
                 }
-                let jacobian = [[fx / z, 0.0, -fx * x / (z * z)], [0.0, fy / z, -fy * y / (z * z)]];
+                let [tx, ty] = if request.bounded {
+                    let [w, h] = [width as f64, height as f64];
+                    let held = |t: f64, f: f64, c: f64, size: f64| {
+                        t.max((-0.5 - 0.15 * size - c) / f).min((1.15 * size - 0.5 - c) / f)
+                    };
+                    [held(x / z, fx, cx, w), held(y / z, fy, cy, h)]
+                } else {
+                    [x / z, y / z]
+                };
+                let jacobian = [[fx / z, 0.0, -fx / z * tx], [0.0, fy / z, -fy / z * ty]];
                 (fx * x / z + cx, fy * y / z + cy, jacobian)
             }
         };
@@ -112,8 +121,12 @@ fn render_with(
         let (aa, b, cc) = (dot(m[0], m[0]), dot(m[0], m[1]), dot(m[1], m[1]));
         let (a, c) = (aa + 0.3, cc + 0.3);
         let det = dot(normal, normal) + 0.3 * (aa + cc) + 0.09;
-        let opacity = f64::from(gaussians.opacity[i]);
-        if ![a, c, det, u, v].iter().all(|v| v.is_finite()) || opacity < 1.0 / 255.0 {
+        let mut opacity = f64::from(gaussians.opacity[i]);
+        if request.antialias {
+            opacity *= (dot(normal, normal) / det).sqrt();
+        }
+        // Near the threshold pixels count in `margin`.
+        if ![a, c, det, u, v].iter().all(|v| v.is_finite()) || opacity < (1.0 - 1e-4) / 255.0 {
             continue;
         }
         // A little more than the ellipse on which alpha is 1/255, so that near misses count in `margin`.

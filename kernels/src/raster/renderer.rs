@@ -10,7 +10,7 @@ use tracing::debug_span;
 
 use super::bin::Grid;
 use super::blend::{DrawTile, Planes, Scratch, Tally, Walk};
-use super::project::{Batch, Splat, View};
+use super::project::{Batch, Splat, View, bounds};
 use super::sort::{Entry, by_depth};
 use super::{Gaussians, Image, MAX_SIDE, Projection, Request};
 use crate::level::Level;
@@ -178,6 +178,8 @@ impl Renderer {
             height: request.height,
             separable: matches!(projection, Projection::Orthographic { .. })
                 && gaussians.rotation.is_none_or(|r| r.par_chunks(1 << 14).all(|r| r.iter().all(is_identity))),
+            antialias: request.antialias,
+            bounds: bounds(projection, &request),
         };
         let now = Last { view, request, gaussians: gaussians.len() };
         let grid = Grid::new(request.width, request.height);

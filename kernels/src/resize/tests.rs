@@ -122,7 +122,7 @@ fn bits_are_equal_on_every_level_and_for_any_number_of_threads() {
         for size in SIZES {
             let source = noise(3 * size.0 * size.1);
             let expected = every_way(Level::scalar(), &source, size);
-            for level in Level::available() {
+            for level in crate::testing::levels() {
                 let got = pool.install(|| every_way(level, &source, size));
                 assert_eq!(got, expected, "{size:?} on {level} with {threads} threads");
             }

@@ -2,8 +2,10 @@
 
 use core::arch::x86_64::*;
 
-use super::{LANES, Operation, Simd};
-use crate::level::{Kind, Level};
+use super::bf16;
+use super::elementwise::Elementwise;
+use super::scalar::Scalar;
+use super::vector::{LANES, Operation, Registers, Simd};
 
 /// # Safety
 /// The CPU has AVX2 and FMA.
@@ -49,102 +51,21 @@ macro_rules! fold {
 }
 pub(super) use fold;
 
-impl Simd for Avx2 {
+impl Elementwise for Avx2 {
     type F32 = F;
     type I32 = I;
     type Mask = I;
-    const GEMM_ROWS: usize = 6;
-    const GEMM_PANELS: usize = 1;
 
     #[inline(always)]
-    fn split_bytes(self, a: I) -> [I; 2] {
-        let high = both!(I, _mm256_slli_epi16::<8>, a);
-        [both!(I, _mm256_srai_epi16::<8>, high), both!(I, _mm256_srai_epi16::<8>, a)]
+    fn map(self, a: F, f: impl Fn(f32) -> f32) -> F {
+        self.from_array(self.to_array(a).map(f))
     }
-    #[inline(always)]
-    fn dot_i16(self, a: I, b: I) -> I {
-        both!(I, _mm256_madd_epi16, a, b)
-    }
-    #[inline(always)]
-    fn level(self) -> Level {
-        Level(Kind::Avx2)
-    }
+
     #[inline(always)]
     fn splat(self, x: f32) -> F {
         // SAFETY: the token proves AVX2.
         let v = unsafe { _mm256_set1_ps(x) };
         F(v, v)
-    }
-    #[inline(always)]
-    fn from_array(self, x: [f32; LANES]) -> F {
-        // SAFETY: an array of 16 values.
-        unsafe { self.load_ptr(x.as_ptr()) }
-    }
-    #[inline(always)]
-    fn to_array(self, a: F) -> [f32; LANES] {
-        let mut x = [0.0; LANES];
-        // SAFETY: an array of 16 values.
-        unsafe { self.store_ptr(a, x.as_mut_ptr()) };
-        x
-    }
-    #[inline(always)]
-    unsafe fn load_ptr(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves AVX2.
-        unsafe { F(_mm256_loadu_ps(from), _mm256_loadu_ps(from.add(8))) }
-    }
-    #[inline(always)]
-    unsafe fn store_ptr(self, a: F, to: *mut f32) {
-        // SAFETY: the caller's; the token proves AVX2.
-        unsafe {
-            _mm256_storeu_ps(to, a.0);
-            _mm256_storeu_ps(to.add(8), a.1);
-        }
-    }
-    #[inline(always)]
-    unsafe fn load_u16(self, from: *const u16) -> F {
-        // SAFETY: the caller's; the token proves AVX2.
-        unsafe {
-            let half = |at: *const u16| _mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128(at.cast())));
-            F(half(from), half(from.add(8)))
-        }
-    }
-    #[inline(always)]
-    unsafe fn store_u16(self, a: I, to: *mut u16) {
-        // SAFETY: the caller's; the token proves AVX2.
-        unsafe {
-            // Packed within 128 bits each: the quarters in the order 0, 2, 1, 3.
-            let packed = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packus_epi32(a.0, a.1));
-            _mm256_storeu_si256(to.cast(), packed);
-        }
-    }
-    #[inline(always)]
-    unsafe fn load_halves(self, low: *const f32, high: *const f32) -> F {
-        // SAFETY: the caller's; the token proves AVX2.
-        unsafe { F(_mm256_loadu_ps(low), _mm256_loadu_ps(high)) }
-    }
-    #[inline(always)]
-    unsafe fn repeat_four(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves AVX2.
-        unsafe {
-            let both = _mm256_broadcast_ps(&_mm_loadu_ps(from));
-            F(both, both)
-        }
-    }
-    #[inline(always)]
-    unsafe fn spread_four(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves AVX2.
-        unsafe {
-            let both = _mm256_broadcast_ps(&_mm_loadu_ps(from));
-            F(
-                _mm256_permutevar_ps(both, _mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1)),
-                _mm256_permutevar_ps(both, _mm256_setr_epi32(2, 2, 2, 2, 3, 3, 3, 3)),
-            )
-        }
-    }
-    #[inline(always)]
-    fn prefetch<T>(self, at: *const T) {
-        // SAFETY: a prefetch of any address is harmless.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(at.cast()) }
     }
     #[inline(always)]
     fn add(self, a: F, b: F) -> F {
@@ -230,21 +151,6 @@ impl Simd for Avx2 {
         I(v, v)
     }
     #[inline(always)]
-    fn from_array_i32(self, x: [i32; LANES]) -> I {
-        // SAFETY: an array of 16 values; the token proves AVX2.
-        unsafe { I(_mm256_loadu_si256(x.as_ptr().cast()), _mm256_loadu_si256(x.as_ptr().add(8).cast())) }
-    }
-    #[inline(always)]
-    fn to_array_i32(self, a: I) -> [i32; LANES] {
-        let mut x = [0; LANES];
-        // SAFETY: an array of 16 values; the token proves AVX2.
-        unsafe {
-            _mm256_storeu_si256(x.as_mut_ptr().cast(), a.0);
-            _mm256_storeu_si256(x.as_mut_ptr().add(8).cast(), a.1);
-        }
-        x
-    }
-    #[inline(always)]
     fn to_bits(self, a: F) -> I {
         both!(I, _mm256_castps_si256, a)
     }
@@ -321,6 +227,121 @@ impl Simd for Avx2 {
         self.xor_i32(a, self.splat_i32(-1))
     }
     #[inline(always)]
+    fn all(self, a: I) -> bool {
+        let m = self.from_bits(a);
+        // SAFETY: the token proves AVX2.
+        unsafe { _mm256_movemask_ps(_mm256_and_ps(m.0, m.1)) == 0xff }
+    }
+}
+
+impl Simd for Avx2 {
+    const REGISTERS: Registers = Registers::Avx2;
+
+    #[inline(always)]
+    fn dot_bf16(self, acc: F, a: I, b: I) -> F {
+        bf16::dot(self, acc, a, b)
+    }
+    #[inline(always)]
+    fn dot_bytes(self, acc: I, a: I, b: I) -> I {
+        let [acc, a, b] = [acc, a, b].map(|x| self.to_array_i32(x));
+        self.from_array_i32(Scalar.dot_bytes(acc, a, b))
+    }
+    #[inline(always)]
+    fn pairs_of_bf16(self, a: F, b: F) -> I {
+        bf16::pairs_of_neighbours(self, a, b)
+    }
+
+    #[inline(always)]
+    fn split_bytes(self, a: I) -> [I; 2] {
+        let high = both!(I, _mm256_slli_epi16::<8>, a);
+        [both!(I, _mm256_srai_epi16::<8>, high), both!(I, _mm256_srai_epi16::<8>, a)]
+    }
+    #[inline(always)]
+    fn dot_i16(self, a: I, b: I) -> I {
+        both!(I, _mm256_madd_epi16, a, b)
+    }
+    #[inline(always)]
+    fn from_array(self, x: [f32; LANES]) -> F {
+        // SAFETY: an array of 16 values.
+        unsafe { self.load_ptr(x.as_ptr()) }
+    }
+    #[inline(always)]
+    fn to_array(self, a: F) -> [f32; LANES] {
+        let mut x = [0.0; LANES];
+        // SAFETY: an array of 16 values.
+        unsafe { self.store_ptr(a, x.as_mut_ptr()) };
+        x
+    }
+    #[inline(always)]
+    unsafe fn load_ptr(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe { F(_mm256_loadu_ps(from), _mm256_loadu_ps(from.add(8))) }
+    }
+    #[inline(always)]
+    unsafe fn store_ptr(self, a: F, to: *mut f32) {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe {
+            _mm256_storeu_ps(to, a.0);
+            _mm256_storeu_ps(to.add(8), a.1);
+        }
+    }
+    #[inline(always)]
+    unsafe fn load_u16(self, from: *const u16) -> F {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe {
+            let half = |at: *const u16| _mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128(at.cast())));
+            F(half(from), half(from.add(8)))
+        }
+    }
+    #[inline(always)]
+    unsafe fn store_u16(self, a: I, to: *mut u16) {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe {
+            // Packed within 128 bits each: the quarters in the order 0, 2, 1, 3.
+            let packed = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packus_epi32(a.0, a.1));
+            _mm256_storeu_si256(to.cast(), packed);
+        }
+    }
+    #[inline(always)]
+    unsafe fn load_halves(self, low: *const f32, high: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe { F(_mm256_loadu_ps(low), _mm256_loadu_ps(high)) }
+    }
+    #[inline(always)]
+    unsafe fn repeat_four(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe {
+            let both = _mm256_broadcast_ps(&_mm_loadu_ps(from));
+            F(both, both)
+        }
+    }
+    #[inline(always)]
+    unsafe fn spread_four(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe {
+            let both = _mm256_broadcast_ps(&_mm_loadu_ps(from));
+            F(
+                _mm256_permutevar_ps(both, _mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1)),
+                _mm256_permutevar_ps(both, _mm256_setr_epi32(2, 2, 2, 2, 3, 3, 3, 3)),
+            )
+        }
+    }
+    #[inline(always)]
+    fn from_array_i32(self, x: [i32; LANES]) -> I {
+        // SAFETY: an array of 16 values; the token proves AVX2.
+        unsafe { I(_mm256_loadu_si256(x.as_ptr().cast()), _mm256_loadu_si256(x.as_ptr().add(8).cast())) }
+    }
+    #[inline(always)]
+    fn to_array_i32(self, a: I) -> [i32; LANES] {
+        let mut x = [0; LANES];
+        // SAFETY: an array of 16 values; the token proves AVX2.
+        unsafe {
+            _mm256_storeu_si256(x.as_mut_ptr().cast(), a.0);
+            _mm256_storeu_si256(x.as_mut_ptr().add(8).cast(), a.1);
+        }
+        x
+    }
+    #[inline(always)]
     fn bits(self, a: I) -> u16 {
         let m = self.from_bits(a);
         // SAFETY: the token proves AVX2.
@@ -332,12 +353,6 @@ impl Simd for Avx2 {
         let m = self.from_bits(a);
         // SAFETY: the token proves AVX2.
         unsafe { _mm256_movemask_ps(_mm256_or_ps(m.0, m.1)) != 0 }
-    }
-    #[inline(always)]
-    fn all(self, a: I) -> bool {
-        let m = self.from_bits(a);
-        // SAFETY: the token proves AVX2.
-        unsafe { _mm256_movemask_ps(_mm256_and_ps(m.0, m.1)) == 0xff }
     }
     #[inline(always)]
     fn mask_from_bits(self, bits: u16) -> I {

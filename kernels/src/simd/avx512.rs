@@ -1,12 +1,12 @@
 //! AVX-512 (F, BW, DQ, VL): a logical vector is one 512-bit register.
 
 use core::arch::x86_64::*;
-use std::sync::OnceLock;
 
 use super::avx2::fold;
-use super::{LANES, Operation, SHIFTER, Simd};
-use crate::gemm::round_bf16;
-use crate::level::{Kind, Level};
+use super::bf16::{self, SMALLEST, round_bf16};
+use super::elementwise::{Elementwise, SHIFTER};
+use super::scalar::Scalar;
+use super::vector::{LANES, Operation, Registers, Simd};
 
 /// # Safety
 /// The CPU has AVX2, FMA and AVX-512 F, BW, DQ and VL.
@@ -20,71 +20,17 @@ pub(super) unsafe fn enter<O: Operation>(operation: O) -> O::Output {
 /// # Safety
 /// As [`enter`], and the CPU has AVX-512 VNNI.
 #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni")]
-pub(super) unsafe fn enter_bytes<O: Operation>(operation: O) -> O::Output {
+pub(super) unsafe fn enter_vnni<O: Operation>(operation: O) -> O::Output {
     operation.run(Avx512::<false, true>(()))
 }
 
-/// [`enter`] with the dot products of bf16 pairs and of bytes.
+/// [`enter`] with the dot products of bytes and of bf16 pairs.
 ///
 /// # Safety
-/// As [`enter`], and the CPU has AVX-512 BF16 and VNNI.
+/// As [`enter`], and the CPU has AVX-512 VNNI and BF16.
 #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl,avx512bf16,avx512vnni")]
-pub(super) unsafe fn enter_dot<O: Operation>(operation: O) -> O::Output {
+pub(super) unsafe fn enter_bf16<O: Operation>(operation: O) -> O::Output {
     operation.run(Avx512::<true, true>(()))
-}
-
-/// Dot products that are instructions of this CPU, give the defined bits, and are worth their time.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum Dots {
-    None,
-    /// Of bytes.
-    Bytes,
-    /// Of bytes and of bf16 pairs.
-    All,
-}
-
-impl Dots {
-    /// Those that are instructions and give the defined bits, fewest first.
-    pub(super) fn available() -> Vec<Dots> {
-        let mut dots = vec![Dots::None];
-        if is_x86_feature_detected!("avx512vnni") {
-            let known = super::dot::known_answers();
-            // SAFETY: only evaluated where the CPU has the instructions.
-            if unsafe { enter_bytes(super::dot::Answers) } == known {
-                dots.push(Dots::Bytes);
-            }
-            // SAFETY: only evaluated where the CPU has the instructions.
-            if is_x86_feature_detected!("avx512bf16") && unsafe { enter_dot(super::dot::Answers) } == known {
-                dots.push(Dots::All);
-            }
-        }
-        dots
-    }
-
-    /// The most of those that is no loss: on Intel's cores (Emerald Rapids was measured) the instruction for bf16 pairs takes as long as four
-    /// fused multiply-adds, where two do as much.
-    pub(super) fn detect() -> Dots {
-        static DOTS: OnceLock<Dots> = OnceLock::new();
-        #[cfg(test)]
-        if let Some(dots) = ASKED.get() {
-            return dots;
-        }
-        *DOTS.get_or_init(|| {
-            let worth = |&dots: &Dots| dots != Dots::All || !is_intel();
-            Self::available().into_iter().rfind(worth).unwrap_or(Dots::None)
-        })
-    }
-}
-
-#[cfg(test)]
-thread_local! {
-    /// Set of dot products that a test asks for, in place of the detected one.
-    pub(super) static ASKED: std::cell::Cell<Option<Dots>> = const { std::cell::Cell::new(None) };
-}
-
-fn is_intel() -> bool {
-    let vendor = __cpuid(0);
-    [vendor.ebx, vendor.edx, vendor.ecx].map(u32::to_le_bytes).concat() == b"GenuineIntel"
 }
 
 /// With `BF16`, the CPU also has AVX-512 BF16, with `BYTES` AVX-512 VNNI.
@@ -103,123 +49,22 @@ macro_rules! op {
     };
 }
 
-impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
+impl<const BF16: bool, const BYTES: bool> Elementwise for Avx512<BF16, BYTES> {
     type F32 = F;
     type I32 = I;
     type Mask = M;
-    const GEMM_ROWS: usize = 12;
-    const GEMM_PANELS: usize = 2;
-    const BF16_DOT: bool = BF16;
-    const BYTE_DOT: bool = BYTES;
 
     #[inline(always)]
-    fn dot_bf16(self, acc: F, a: I, b: I) -> F {
-        if BF16 {
-            // SAFETY: the token proves AVX-512 BF16; both types are 512 bits without invalid values.
-            unsafe {
-                _mm512_dpbf16_ps(acc, std::mem::transmute::<I, __m512bh>(a), std::mem::transmute::<I, __m512bh>(b))
-            }
-        } else {
-            super::dot::bf16(self, acc, a, b)
-        }
+    fn map(self, a: F, f: impl Fn(f32) -> f32) -> F {
+        self.from_array(self.to_array(a).map(f))
     }
     #[inline(always)]
-    fn dot_bytes(self, acc: I, a: I, b: I) -> I {
-        if BYTES { op!(_mm512_dpbusd_epi32(acc, a, b)) } else { super::dot::bytes(self, acc, a, b) }
-    }
-    #[inline(always)]
-    fn pairs_of_bf16(self, a: F, b: F) -> I {
-        if !BF16 {
-            let (a, b) = (self.to_bits(round_bf16(self, a)), self.to_bits(round_bf16(self, b)));
-            return op!({
-                let even = _mm512_set_epi32(30, 28, 26, 24, 22, 20, 18, 16, 14, 12, 10, 8, 6, 4, 2, 0);
-                let odd = _mm512_add_epi32(even, _mm512_set1_epi32(1));
-                let (first, second) = (_mm512_permutex2var_epi32(a, even, b), _mm512_permutex2var_epi32(a, odd, b));
-                _mm512_or_epi32(first, _mm512_srli_epi32::<16>(second))
-            });
-        }
-        let least = self.splat(crate::gemm::SMALLEST);
-        // What is not below, so that NaN stays.
-        let (a, b) =
-            (self.keep(self.not(self.lt(self.abs(a), least)), a), self.keep(self.not(self.lt(self.abs(b), least)), b));
-        // SAFETY: the token proves AVX-512 BF16; both types are 512 bits without invalid values.
-        unsafe { _mm512_rol_epi32::<16>(std::mem::transmute::<__m512bh, I>(_mm512_cvtne2ps_pbh(b, a))) }
-    }
-    #[inline(always)]
-    fn low_bytes(self, a: I) -> [u8; LANES] {
-        let mut bytes = [0; LANES];
-        op!(_mm_storeu_si128(bytes.as_mut_ptr().cast(), _mm512_cvtepi32_epi8(a)));
-        bytes
-    }
-    #[inline(always)]
-    fn split_bytes(self, a: I) -> [I; 2] {
-        op!([_mm512_srai_epi16::<8>(_mm512_slli_epi16::<8>(a)), _mm512_srai_epi16::<8>(a)])
-    }
-    #[inline(always)]
-    fn dot_i16(self, a: I, b: I) -> I {
-        op!(_mm512_madd_epi16(a, b))
-    }
-
-    #[inline(always)]
-    unsafe fn load_ptr(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves AVX-512.
-        unsafe { _mm512_loadu_ps(from) }
-    }
-    #[inline(always)]
-    unsafe fn store_ptr(self, a: F, to: *mut f32) {
-        // SAFETY: the caller's; the token proves AVX-512.
-        unsafe { _mm512_storeu_ps(to, a) }
-    }
-    #[inline(always)]
-    unsafe fn load_u16(self, from: *const u16) -> F {
-        // SAFETY: the caller's; the token proves AVX-512.
-        unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256(from.cast()))) }
-    }
-    #[inline(always)]
-    unsafe fn store_u16(self, a: I, to: *mut u16) {
-        // SAFETY: the caller's; the token proves AVX-512.
-        unsafe { _mm256_storeu_si256(to.cast(), _mm512_cvtepi32_epi16(a)) }
-    }
-    #[inline(always)]
-    fn level(self) -> Level {
-        Level(Kind::Avx512)
+    fn all(self, a: M) -> bool {
+        a == u16::MAX
     }
     #[inline(always)]
     fn splat(self, x: f32) -> F {
         op!(_mm512_set1_ps(x))
-    }
-    #[inline(always)]
-    fn from_array(self, x: [f32; LANES]) -> F {
-        op!(_mm512_loadu_ps(x.as_ptr()))
-    }
-    #[inline(always)]
-    fn to_array(self, a: F) -> [f32; LANES] {
-        let mut x = [0.0; LANES];
-        op!(_mm512_storeu_ps(x.as_mut_ptr(), a));
-        x
-    }
-    #[inline(always)]
-    unsafe fn load_halves(self, low: *const f32, high: *const f32) -> F {
-        // SAFETY: the caller's; the token proves AVX-512.
-        unsafe { _mm512_insertf32x8::<1>(_mm512_castps256_ps512(_mm256_loadu_ps(low)), _mm256_loadu_ps(high)) }
-    }
-    #[inline(always)]
-    unsafe fn repeat_four(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves AVX-512.
-        unsafe { _mm512_broadcast_f32x4(_mm_loadu_ps(from)) }
-    }
-    #[inline(always)]
-    unsafe fn spread_four(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves AVX-512.
-        unsafe {
-            let lanes = _mm512_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
-            _mm512_permutexvar_ps(lanes, _mm512_castps128_ps512(_mm_loadu_ps(from)))
-        }
-    }
-    #[inline(always)]
-    fn prefetch<T>(self, at: *const T) {
-        // SAFETY: a prefetch of any address is harmless.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(at.cast()) }
     }
     #[inline(always)]
     fn add(self, a: F, b: F) -> F {
@@ -238,20 +83,20 @@ impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
         op!(_mm512_div_ps(a, b))
     }
     #[inline(always)]
-    fn whole(self, shifted: F) -> F {
+    fn shifted_int(self, shifted: F) -> F {
         self.sub(shifted, self.splat(SHIFTER))
     }
     #[inline(always)]
-    fn whole_and_part(self, t: F) -> (F, F) {
+    fn split_int_frac(self, t: F) -> (F, F) {
         let part = op!(_mm512_reduce_ps::<0>(t));
         (self.sub(t, part), part)
     }
     #[inline(always)]
-    fn times_power(self, p: F, whole: F) -> F {
+    fn scale_by_pow2(self, p: F, whole: F) -> F {
         op!(_mm512_scalef_ps(p, whole))
     }
     #[inline(always)]
-    fn times_any_power(self, p: F, whole: F) -> F {
+    fn scale_by_any_pow2(self, p: F, whole: F) -> F {
         op!(_mm512_scalef_ps(p, whole))
     }
     #[inline(always)]
@@ -313,16 +158,6 @@ impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
     #[inline(always)]
     fn splat_i32(self, x: i32) -> I {
         op!(_mm512_set1_epi32(x))
-    }
-    #[inline(always)]
-    fn from_array_i32(self, x: [i32; LANES]) -> I {
-        op!(_mm512_loadu_si512(x.as_ptr().cast()))
-    }
-    #[inline(always)]
-    fn to_array_i32(self, a: I) -> [i32; LANES] {
-        let mut x = [0; LANES];
-        op!(_mm512_storeu_si512(x.as_mut_ptr().cast(), a));
-        x
     }
     #[inline(always)]
     fn to_bits(self, a: F) -> I {
@@ -399,6 +234,123 @@ impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
     #[inline(always)]
     fn not(self, a: M) -> M {
         !a
+    }
+}
+
+impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
+    const REGISTERS: Registers = Registers::Avx512;
+    const BF16_DOT: bool = BF16;
+    const BYTE_DOT: bool = BYTES;
+
+    #[inline(always)]
+    fn dot_bf16(self, acc: F, a: I, b: I) -> F {
+        if BF16 {
+            // SAFETY: the token proves AVX-512 BF16; both types are 512 bits without invalid values.
+            unsafe {
+                _mm512_dpbf16_ps(acc, std::mem::transmute::<I, __m512bh>(a), std::mem::transmute::<I, __m512bh>(b))
+            }
+        } else {
+            bf16::dot(self, acc, a, b)
+        }
+    }
+    #[inline(always)]
+    fn dot_bytes(self, acc: I, a: I, b: I) -> I {
+        if BYTES {
+            op!(_mm512_dpbusd_epi32(acc, a, b))
+        } else {
+            let [acc, a, b] = [acc, a, b].map(|x| self.to_array_i32(x));
+            self.from_array_i32(Scalar.dot_bytes(acc, a, b))
+        }
+    }
+    #[inline(always)]
+    fn pairs_of_bf16(self, a: F, b: F) -> I {
+        if !BF16 {
+            let (a, b) = (self.to_bits(round_bf16(self, a)), self.to_bits(round_bf16(self, b)));
+            return op!({
+                let even = _mm512_set_epi32(30, 28, 26, 24, 22, 20, 18, 16, 14, 12, 10, 8, 6, 4, 2, 0);
+                let odd = _mm512_add_epi32(even, _mm512_set1_epi32(1));
+                let (first, second) = (_mm512_permutex2var_epi32(a, even, b), _mm512_permutex2var_epi32(a, odd, b));
+                _mm512_or_epi32(first, _mm512_srli_epi32::<16>(second))
+            });
+        }
+        let least = self.splat(SMALLEST);
+        // What is not below, so that NaN stays.
+        let (a, b) =
+            (self.keep(self.not(self.lt(self.abs(a), least)), a), self.keep(self.not(self.lt(self.abs(b), least)), b));
+        // SAFETY: the token proves AVX-512 BF16; both types are 512 bits without invalid values.
+        unsafe { _mm512_rol_epi32::<16>(std::mem::transmute::<__m512bh, I>(_mm512_cvtne2ps_pbh(b, a))) }
+    }
+    #[inline(always)]
+    fn low_bytes(self, a: I) -> [u8; LANES] {
+        let mut bytes = [0; LANES];
+        op!(_mm_storeu_si128(bytes.as_mut_ptr().cast(), _mm512_cvtepi32_epi8(a)));
+        bytes
+    }
+    #[inline(always)]
+    fn split_bytes(self, a: I) -> [I; 2] {
+        op!([_mm512_srai_epi16::<8>(_mm512_slli_epi16::<8>(a)), _mm512_srai_epi16::<8>(a)])
+    }
+    #[inline(always)]
+    fn dot_i16(self, a: I, b: I) -> I {
+        op!(_mm512_madd_epi16(a, b))
+    }
+    #[inline(always)]
+    unsafe fn load_ptr(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe { _mm512_loadu_ps(from) }
+    }
+    #[inline(always)]
+    unsafe fn store_ptr(self, a: F, to: *mut f32) {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe { _mm512_storeu_ps(to, a) }
+    }
+    #[inline(always)]
+    unsafe fn load_u16(self, from: *const u16) -> F {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256(from.cast()))) }
+    }
+    #[inline(always)]
+    unsafe fn store_u16(self, a: I, to: *mut u16) {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe { _mm256_storeu_si256(to.cast(), _mm512_cvtepi32_epi16(a)) }
+    }
+    #[inline(always)]
+    fn from_array(self, x: [f32; LANES]) -> F {
+        op!(_mm512_loadu_ps(x.as_ptr()))
+    }
+    #[inline(always)]
+    fn to_array(self, a: F) -> [f32; LANES] {
+        let mut x = [0.0; LANES];
+        op!(_mm512_storeu_ps(x.as_mut_ptr(), a));
+        x
+    }
+    #[inline(always)]
+    unsafe fn load_halves(self, low: *const f32, high: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe { _mm512_insertf32x8::<1>(_mm512_castps256_ps512(_mm256_loadu_ps(low)), _mm256_loadu_ps(high)) }
+    }
+    #[inline(always)]
+    unsafe fn repeat_four(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe { _mm512_broadcast_f32x4(_mm_loadu_ps(from)) }
+    }
+    #[inline(always)]
+    unsafe fn spread_four(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe {
+            let lanes = _mm512_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
+            _mm512_permutexvar_ps(lanes, _mm512_castps128_ps512(_mm_loadu_ps(from)))
+        }
+    }
+    #[inline(always)]
+    fn from_array_i32(self, x: [i32; LANES]) -> I {
+        op!(_mm512_loadu_si512(x.as_ptr().cast()))
+    }
+    #[inline(always)]
+    fn to_array_i32(self, a: I) -> [i32; LANES] {
+        let mut x = [0; LANES];
+        op!(_mm512_storeu_si512(x.as_mut_ptr().cast(), a));
+        x
     }
     #[inline(always)]
     fn bits(self, a: M) -> u16 {

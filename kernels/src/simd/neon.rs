@@ -2,8 +2,10 @@
 
 use core::arch::aarch64::*;
 
-use super::{LANES, Operation, Simd};
-use crate::level::{Kind, Level};
+use super::bf16;
+use super::elementwise::Elementwise;
+use super::scalar::Scalar;
+use super::vector::{LANES, Operation, Registers, Simd};
 
 /// # Safety
 /// The CPU has NEON.
@@ -43,66 +45,24 @@ macro_rules! fold {
     }};
 }
 
-impl Simd for Neon {
+impl Elementwise for Neon {
     type F32 = F;
     type I32 = I;
     type Mask = M;
-    const GEMM_ROWS: usize = 6;
-    const GEMM_PANELS: usize = 1;
 
     #[inline(always)]
-    unsafe fn load_ptr(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves NEON.
-        unsafe { F([vld1q_f32(from), vld1q_f32(from.add(4)), vld1q_f32(from.add(8)), vld1q_f32(from.add(12))]) }
+    fn map(self, a: F, f: impl Fn(f32) -> f32) -> F {
+        self.from_array(self.to_array(a).map(f))
     }
     #[inline(always)]
-    unsafe fn store_ptr(self, a: F, to: *mut f32) {
-        // SAFETY: the caller's; the token proves NEON.
-        unsafe {
-            vst1q_f32(to, a.0[0]);
-            vst1q_f32(to.add(4), a.0[1]);
-            vst1q_f32(to.add(8), a.0[2]);
-            vst1q_f32(to.add(12), a.0[3]);
-        }
+    fn all(self, a: M) -> bool {
+        self.bits(a) == u16::MAX
     }
-    #[inline(always)]
-    fn level(self) -> Level {
-        Level(Kind::Neon)
-    }
+
     #[inline(always)]
     fn splat(self, x: f32) -> F {
         // SAFETY: the token proves NEON.
         F([unsafe { vdupq_n_f32(x) }; 4])
-    }
-    #[inline(always)]
-    fn from_array(self, x: [f32; LANES]) -> F {
-        // SAFETY: an array of 16 values.
-        unsafe { self.load_ptr(x.as_ptr()) }
-    }
-    #[inline(always)]
-    fn to_array(self, a: F) -> [f32; LANES] {
-        let mut x = [0.0; LANES];
-        // SAFETY: an array of 16 values.
-        unsafe { self.store_ptr(a, x.as_mut_ptr()) };
-        x
-    }
-    #[inline(always)]
-    unsafe fn load_halves(self, low: *const f32, high: *const f32) -> F {
-        // SAFETY: the caller's; the token proves NEON.
-        unsafe { F([vld1q_f32(low), vld1q_f32(low.add(4)), vld1q_f32(high), vld1q_f32(high.add(4))]) }
-    }
-    #[inline(always)]
-    unsafe fn repeat_four(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves NEON.
-        F([unsafe { vld1q_f32(from) }; 4])
-    }
-    #[inline(always)]
-    unsafe fn spread_four(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves NEON.
-        unsafe {
-            let v = vld1q_f32(from);
-            F([vdupq_laneq_f32::<0>(v), vdupq_laneq_f32::<1>(v), vdupq_laneq_f32::<2>(v), vdupq_laneq_f32::<3>(v)])
-        }
     }
     #[inline(always)]
     fn add(self, a: F, b: F) -> F {
@@ -176,21 +136,6 @@ impl Simd for Neon {
     fn splat_i32(self, x: i32) -> I {
         // SAFETY: the token proves NEON.
         I([unsafe { vdupq_n_s32(x) }; 4])
-    }
-    #[inline(always)]
-    fn from_array_i32(self, x: [i32; LANES]) -> I {
-        let p = x.as_ptr();
-        // SAFETY: an array of 16 values; the token proves NEON.
-        unsafe { I([vld1q_s32(p), vld1q_s32(p.add(4)), vld1q_s32(p.add(8)), vld1q_s32(p.add(12))]) }
-    }
-    #[inline(always)]
-    fn to_array_i32(self, a: I) -> [i32; LANES] {
-        let mut x = [0; LANES];
-        for (i, v) in a.0.into_iter().enumerate() {
-            // SAFETY: an array of 16 values; the token proves NEON.
-            unsafe { vst1q_s32(x.as_mut_ptr().add(4 * i), v) };
-        }
-        x
     }
     #[inline(always)]
     fn to_bits(self, a: F) -> I {
@@ -273,6 +218,93 @@ impl Simd for Neon {
     #[inline(always)]
     fn not(self, a: M) -> M {
         four!(M, vmvnq_u32, a)
+    }
+}
+
+impl Simd for Neon {
+    const REGISTERS: Registers = Registers::Neon;
+
+    #[inline(always)]
+    fn dot_bf16(self, acc: F, a: I, b: I) -> F {
+        bf16::dot(self, acc, a, b)
+    }
+    #[inline(always)]
+    fn dot_bytes(self, acc: I, a: I, b: I) -> I {
+        let [acc, a, b] = [acc, a, b].map(|x| self.to_array_i32(x));
+        self.from_array_i32(Scalar.dot_bytes(acc, a, b))
+    }
+    #[inline(always)]
+    fn pairs_of_bf16(self, a: F, b: F) -> I {
+        bf16::pairs_of_neighbours(self, a, b)
+    }
+    #[inline(always)]
+    fn dot_i16(self, a: I, b: I) -> I {
+        self.from_array_i32(Scalar.dot_i16(self.to_array_i32(a), self.to_array_i32(b)))
+    }
+    #[inline(always)]
+    fn split_bytes(self, a: I) -> [I; 2] {
+        Scalar.split_bytes(self.to_array_i32(a)).map(|x| self.from_array_i32(x))
+    }
+
+    #[inline(always)]
+    unsafe fn load_ptr(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves NEON.
+        unsafe { F([vld1q_f32(from), vld1q_f32(from.add(4)), vld1q_f32(from.add(8)), vld1q_f32(from.add(12))]) }
+    }
+    #[inline(always)]
+    unsafe fn store_ptr(self, a: F, to: *mut f32) {
+        // SAFETY: the caller's; the token proves NEON.
+        unsafe {
+            vst1q_f32(to, a.0[0]);
+            vst1q_f32(to.add(4), a.0[1]);
+            vst1q_f32(to.add(8), a.0[2]);
+            vst1q_f32(to.add(12), a.0[3]);
+        }
+    }
+    #[inline(always)]
+    fn from_array(self, x: [f32; LANES]) -> F {
+        // SAFETY: an array of 16 values.
+        unsafe { self.load_ptr(x.as_ptr()) }
+    }
+    #[inline(always)]
+    fn to_array(self, a: F) -> [f32; LANES] {
+        let mut x = [0.0; LANES];
+        // SAFETY: an array of 16 values.
+        unsafe { self.store_ptr(a, x.as_mut_ptr()) };
+        x
+    }
+    #[inline(always)]
+    unsafe fn load_halves(self, low: *const f32, high: *const f32) -> F {
+        // SAFETY: the caller's; the token proves NEON.
+        unsafe { F([vld1q_f32(low), vld1q_f32(low.add(4)), vld1q_f32(high), vld1q_f32(high.add(4))]) }
+    }
+    #[inline(always)]
+    unsafe fn repeat_four(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves NEON.
+        F([unsafe { vld1q_f32(from) }; 4])
+    }
+    #[inline(always)]
+    unsafe fn spread_four(self, from: *const f32) -> F {
+        // SAFETY: the caller's; the token proves NEON.
+        unsafe {
+            let v = vld1q_f32(from);
+            F([vdupq_laneq_f32::<0>(v), vdupq_laneq_f32::<1>(v), vdupq_laneq_f32::<2>(v), vdupq_laneq_f32::<3>(v)])
+        }
+    }
+    #[inline(always)]
+    fn from_array_i32(self, x: [i32; LANES]) -> I {
+        let p = x.as_ptr();
+        // SAFETY: an array of 16 values; the token proves NEON.
+        unsafe { I([vld1q_s32(p), vld1q_s32(p.add(4)), vld1q_s32(p.add(8)), vld1q_s32(p.add(12))]) }
+    }
+    #[inline(always)]
+    fn to_array_i32(self, a: I) -> [i32; LANES] {
+        let mut x = [0; LANES];
+        for (i, v) in a.0.into_iter().enumerate() {
+            // SAFETY: an array of 16 values; the token proves NEON.
+            unsafe { vst1q_s32(x.as_mut_ptr().add(4 * i), v) };
+        }
+        x
     }
     #[inline(always)]
     fn bits(self, a: M) -> u16 {

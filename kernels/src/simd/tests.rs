@@ -2,6 +2,7 @@
 
 use super::{LANES, Operation, Simd, dispatch, fused_mul_add};
 use crate::level::Level;
+use crate::testing::levels;
 
 /// Ordinary values, and zeros, denormals, powers of two, ties, infinities, values near the limits.
 fn values() -> Vec<f32> {
@@ -149,7 +150,7 @@ fn every_level_agrees_with_plain_rust_and_with_the_scalar_level() {
             let expected = dispatch(Level::scalar(), AllOperations(&a, &b, &c));
             let reference = plain(&a, &b, &c);
             assert_eq!(expected[..reference.len()], reference, "{a:?} {b:?} {c:?}");
-            for level in Level::available() {
+            for level in levels() {
                 assert_eq!(dispatch(level, AllOperations(&a, &b, &c)), expected, "{level} {a:?} {b:?} {c:?}");
             }
         }
@@ -169,7 +170,7 @@ fn partial_loads_fill_and_partial_stores_stop() {
         }
     }
     let from: Vec<f32> = (0..20).map(|i| i as f32).collect();
-    for level in Level::available() {
+    for level in levels() {
         for len in 0..=20 {
             let mut to = vec![9.0; len];
             let all = dispatch(level, Partial(&from[..len], &mut to));
@@ -200,7 +201,7 @@ fn halfwords_are_stored_and_read_back_on_every_level() {
         }
     }
     let halfwords = [0, 1, 2, 255, 256, 32_767, 32_768, 32_769, 65_535, 65_534, 3, 500, 40_000, 128, 7, 9];
-    for level in Level::available() {
+    for level in levels() {
         let (numbers, stored) = dispatch(level, Both(&halfwords));
         assert_eq!(numbers, halfwords.map(f32::from), "{}", level.name());
         assert_eq!(stored, halfwords, "{}", level.name());
@@ -242,16 +243,16 @@ impl Operation for Powers {
     type Output = [[f32; LANES]; 3];
     #[inline(always)]
     fn run<S: Simd>(self, s: S) -> Self::Output {
-        let (whole, part) = s.whole_and_part(s.from_array(self.0));
+        let (whole, part) = s.split_int_frac(s.from_array(self.0));
         let p = s.from_array(self.1);
-        [part, s.times_power(p, whole), s.times_any_power(p, whole)].map(|v| s.to_array(v))
+        [part, s.scale_by_pow2(p, whole), s.scale_by_any_pow2(p, whole)].map(|v| s.to_array(v))
     }
 }
 
 #[test]
 fn powers_of_two_are_split_off_and_multiplied_back_on_every_level() {
     let exact = |p: f32, n: f64| (f64::from(p) * n.exp2()) as f32;
-    for level in Level::available() {
+    for level in levels() {
         for i in 0..40_000 {
             // Both signs, ties, whole numbers; results from the largest to the denormal numbers and zero.
             let t: [f32; LANES] = std::array::from_fn(|j| ((i * 16 + j) as f32 - 320_000.0) / 1280.0);

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use streamsplat_kernels::Level;
 use streamsplat_kernels::gemm::Precision;
 
 use super::Checkpoint;
@@ -12,13 +13,20 @@ use crate::ModelError;
 pub(crate) struct Weights<'a> {
     checkpoint: &'a Checkpoint,
     prefix: String,
+    level: Level,
     precision: Precision,
     compute_silent: bool,
 }
 
 impl<'a> Weights<'a> {
     pub(crate) fn new(checkpoint: &'a Checkpoint, prefix: impl Into<String>) -> Self {
-        Self { checkpoint, prefix: prefix.into(), precision: Precision::F32, compute_silent: false }
+        let (level, precision) = (Level::scalar(), Precision::F32);
+        Self { checkpoint, prefix: prefix.into(), level, precision, compute_silent: false }
+    }
+
+    /// The same keys, for layers that are packed on `level`.
+    pub(crate) fn on(self, level: Level) -> Weights<'a> {
+        Weights { level, ..self }
     }
 
     /// The same keys, for layers that are built even where they add nothing.
@@ -52,6 +60,11 @@ impl<'a> Weights<'a> {
     /// The same keys, for layers that multiply in `precision`.
     pub(crate) fn held_in(&self, precision: Precision) -> Weights<'a> {
         Weights { precision, ..self.clone() }
+    }
+
+    /// The level that packs layers, with the same result on any.
+    pub(crate) fn level(&self) -> Level {
+        self.level
     }
 
     /// The format in which layers hold the operands of their products: f32 where nothing else is said.

@@ -6,7 +6,7 @@ use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as, attend_som
 use super::{Bias, HEAD, Linear, RmsNorm, Workspace, sized};
 use crate::ModelError;
 use crate::checkpoint::Weights;
-use crate::reuse::scatter_heads;
+use crate::reuse::keep_heads;
 
 fn shape(d: usize, windows: Windows) -> Shape {
     Shape { heads: d / HEAD, width: HEAD, windows }
@@ -52,38 +52,35 @@ impl SelfAttention {
         }))
     }
 
-    /// `x += attention(norm(x))`
-    pub(crate) fn accumulate(&self, level: Level, windows: Windows, x: &mut [f32], work: &mut Workspace) {
-        let d = self.out_proj.k();
-        let n = x.len() / d;
-        let qkv = sized(&mut work.projected, 3 * x.len());
-        self.packed_proj.heads_of_normed(level, self.norm.norm(), x, qkv);
-        let mixed = sized(&mut work.mixed, x.len());
-        let [q, k, v] = [0, 1, 2].map(|part| Rows::of_heads(qkv, n, HEAD, part * d / HEAD));
-        attend_as(self.out_proj.precision(), level, shape(d, windows), q, k, v, mixed);
-        self.out_proj.accumulate(level, mixed, x);
-    }
-
-    /// [`SelfAttention::accumulate`] of the tokens `at` alone, whose rows `x` holds: `keys_values` holds keys and values of all tokens,
-    /// `[2·heads][n][64]`, and gets theirs.
-    pub(crate) fn accumulate_some(
+    /// `x += attention(norm(x))`, where the rows of `x` are the tokens `at` (`None`: all). `kept` holds keys and values
+    /// of all tokens, `[2·heads][n][64]`, and gets theirs; without it, tokens see those of `x` alone.
+    pub(crate) fn accumulate(
         &self,
         level: Level,
         windows: Windows,
-        at: &[u32],
+        at: Option<&[u32]>,
         x: &mut [f32],
-        keys_values: &mut [f32],
+        kept: Option<&mut Vec<f32>>,
         work: &mut Workspace,
     ) {
         let d = self.out_proj.k();
-        let n = keys_values.len() / (2 * d);
+        let rows = x.len() / d;
         let qkv = sized(&mut work.projected, 3 * x.len());
         self.packed_proj.heads_of_normed(level, self.norm.norm(), x, qkv);
-        scatter_heads(at, &qkv[x.len()..], HEAD, keys_values);
+        let (q, mut keys_values) = qkv.split_at(x.len());
+        if let Some(kept) = kept {
+            keep_heads(at, keys_values, HEAD, kept);
+            keys_values = kept;
+        }
         let mixed = sized(&mut work.mixed, x.len());
-        let q = Rows::of_heads(qkv, at.len(), HEAD, 0);
+        let q = Rows::of_heads(q, rows, HEAD, 0);
+        let n = keys_values.len() / (2 * d);
         let [k, v] = [0, 1].map(|part| Rows::of_heads(keys_values, n, HEAD, part * d / HEAD));
-        attend_some(self.out_proj.precision(), level, shape(d, windows), at, q, k, v, mixed);
+        let (precision, shape) = (self.out_proj.precision(), shape(d, windows));
+        match at {
+            None => attend_as(precision, level, shape, q, k, v, mixed),
+            Some(at) => attend_some(precision, level, shape, at, q, k, v, mixed),
+        }
         self.out_proj.accumulate(level, mixed, x);
     }
 
@@ -92,8 +89,8 @@ impl SelfAttention {
     }
 }
 
-/// Attention of tokens to a condition, a residual branch. One packed tensor holds the projections of q, k and v; the first is applied to the
-/// tokens, the others to the condition.
+/// Attention of tokens to a condition, a residual branch. One packed tensor holds the projections of q, k and v; the
+/// first is applied to the tokens, the others to the condition.
 #[derive(Clone)]
 pub(crate) struct CrossAttention {
     norm: RmsNorm,
@@ -121,8 +118,8 @@ impl CrossAttention {
         let (query, key_value) = weight.split_at(d * d);
         let layer = CrossAttention {
             norm,
-            query: Linear::new(weights.precision(), query, Some(query_bias), d, d),
-            key_value: Linear::new(weights.precision(), key_value, Some(key_value_bias), 2 * d, d),
+            query: Linear::new(weights.level(), weights.precision(), query, Some(query_bias), d, d),
+            key_value: Linear::new(weights.level(), weights.precision(), key_value, Some(key_value_bias), 2 * d, d),
             out_proj: Linear::load(weights, "out_proj", d, d, Bias::Yes)?,
         };
         drop(weight);
@@ -130,23 +127,13 @@ impl CrossAttention {
         Ok(Some(layer))
     }
 
-    /// `x += attention(norm(x), condition)`
-    pub(crate) fn accumulate(&self, level: Level, condition: &[f32], x: &mut [f32], work: &mut Workspace) {
-        let mut keys_values = std::mem::take(&mut work.keys_values);
-        self.key_value.heads(level, condition, sized(&mut keys_values, 2 * condition.len()));
-        self.accumulate_with(level, &keys_values, x, work);
-        work.keys_values = keys_values;
+    /// The keys and values of a condition `[m, d]`, `[2·heads][m][64]`.
+    pub(crate) fn keys_values(&self, level: Level, condition: &[f32], out: &mut [f32]) {
+        self.key_value.heads(level, condition, out);
     }
 
-    /// The keys and values of a condition, `[2·heads][m][64]`.
-    pub(crate) fn keys_values(&self, level: Level, condition: &[f32]) -> Vec<f32> {
-        let mut keys_values = vec![0.0; 2 * condition.len()];
-        self.key_value.heads(level, condition, &mut keys_values);
-        keys_values
-    }
-
-    /// [`CrossAttention::accumulate`] with the keys and values of the condition.
-    pub(crate) fn accumulate_with(&self, level: Level, keys_values: &[f32], x: &mut [f32], work: &mut Workspace) {
+    /// `x += attention(norm(x), condition)`, with the keys and values of the condition.
+    pub(crate) fn accumulate(&self, level: Level, keys_values: &[f32], x: &mut [f32], work: &mut Workspace) {
         let d = self.out_proj.k();
         let (n, m) = (x.len() / d, keys_values.len() / (2 * d));
         let q = sized(&mut work.projected, x.len());

@@ -6,6 +6,7 @@ use streamsplat_kernels::attention::Windows;
 use super::{FeedForward, SelfAttention, Workspace, add_zero};
 use crate::ModelError;
 use crate::checkpoint::Weights;
+use crate::reuse::{BlockCache, Rows};
 
 /// `x += attention(norm₁(x))`, `x += feed_forward(norm₂(x))`; a branch that is silent is none.
 #[derive(Clone)]
@@ -22,35 +23,21 @@ impl Block {
         })
     }
 
-    pub(crate) fn apply(&self, level: Level, windows: Windows, x: &mut [f32], work: &mut Workspace) {
-        if let Some(attn) = &self.attn {
-            attn.accumulate(level, windows, x, work);
-        }
-        self.feed_forward(level, x);
-    }
-
-    /// [`Block::apply`] of the tokens `at` alone, whose rows `x` holds; `keys_values [2·heads][n][64]` holds those of all tokens, and gets theirs. A block
-    /// that does not mix tokens leaves it as it is.
-    pub(crate) fn apply_some(
+    /// Takes `rows` through it. `kept` is the block's cache where something is kept.
+    pub(crate) fn apply(
         &self,
         level: Level,
         windows: Windows,
-        at: &[u32],
-        x: &mut [f32],
-        keys_values: &mut [f32],
+        rows: &mut Rows,
+        kept: Option<&mut BlockCache>,
         work: &mut Workspace,
     ) {
         if let Some(attn) = &self.attn {
-            attn.accumulate_some(level, windows, at, x, keys_values, work);
+            attn.accumulate(level, windows, rows.at.as_deref(), &mut rows.x, kept.map(|kept| &mut kept.own), work);
         }
-        self.feed_forward(level, x);
-    }
-
-    /// Feed-forward layer, which follows the attention.
-    fn feed_forward(&self, level: Level, x: &mut [f32]) {
         match &self.mlp {
-            Some(mlp) => mlp.accumulate(level, self.attn.is_none(), x),
-            None => add_zero(x),
+            Some(mlp) => mlp.accumulate(level, self.attn.is_none(), &mut rows.x),
+            None => add_zero(&mut rows.x),
         }
     }
 
@@ -59,9 +46,9 @@ impl Block {
         self.attn.is_none() && self.mlp.is_none()
     }
 
-    /// Returns true if a token's result depends on other tokens.
-    pub(crate) fn mixes(&self) -> bool {
-        self.attn.is_some()
+    /// The windows in which it mixes tokens, if it does.
+    pub(crate) fn mixed(&self, windows: Windows) -> Option<Windows> {
+        self.attn.as_ref().map(|_| windows)
     }
 
     pub(crate) fn bytes(&self) -> usize {

@@ -39,7 +39,7 @@ impl Linear {
             Bias::Yes => Some(weights.vector(&format!("{name}.bias"), &[n])?),
             Bias::No => None,
         };
-        let layer = Linear::new(weights.precision(), &weight, bias, n, k);
+        let layer = Linear::new(weights.level(), weights.precision(), &weight, bias, n, k);
         drop(weight);
         weights.release(&key);
         Ok(layer)
@@ -56,14 +56,21 @@ impl Linear {
         let (key, n) = (format!("{name}.weight"), 4 * width);
         let weight = sub_tokens(&weights.read(&key, &[n, k])?, k);
         let bias = sub_tokens(&weights.vector(&format!("{name}.bias"), &[n])?, 1);
-        let layer = Linear::new(weights.precision(), &weight, Some(bias), n, k);
+        let layer = Linear::new(weights.level(), weights.precision(), &weight, Some(bias), n, k);
         weights.release(&key);
         Ok(layer)
     }
 
     /// The layer of a weight in memory.
-    pub(crate) fn new(precision: Precision, weight: &[f32], bias: Option<Vec<f32>>, n: usize, k: usize) -> Linear {
-        Linear { weights: Arc::new(gemm::Weights::pack_as(precision, weight, n, k)), bias }
+    pub(crate) fn new(
+        level: Level,
+        precision: Precision,
+        weight: &[f32],
+        bias: Option<Vec<f32>>,
+        n: usize,
+        k: usize,
+    ) -> Linear {
+        Linear { weights: Arc::new(gemm::Weights::pack_as(level, precision, weight, n, k)), bias }
     }
 
     /// Output columns.

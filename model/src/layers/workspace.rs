@@ -14,18 +14,6 @@ pub(crate) struct Workspace {
     pub(crate) mixed: Aligned<f32>,
 }
 
-impl Workspace {
-    /// Calls `work` with a copy of `tokens` that starts on a cache line, as matrices do whose rows are read and written by vectors.
-    pub(crate) fn with_tokens<R>(&mut self, tokens: &[f32], work: impl FnOnce(&mut [f32], &mut Workspace) -> R) -> R {
-        let mut memory = std::mem::take(&mut self.tokens);
-        let x = sized(&mut memory, tokens.len());
-        x.copy_from_slice(tokens);
-        let result = work(x, self);
-        self.tokens = memory;
-        result
-    }
-}
-
 /// Workspaces that calls have given back: as many as there ever were calls at a time. Fresh memory is dear, as the system clears it page by page.
 #[derive(Default)]
 pub(crate) struct Workspaces(Mutex<Vec<Workspace>>);

@@ -3,134 +3,126 @@
 use streamsplat_kernels::Level;
 use streamsplat_kernels::change::Tolerance;
 
-use super::rows::{Gate, Rows};
-use super::{Tokens, UpsamplerMemory};
-use crate::deformation_head::DeformationHead;
-use crate::static_head::StaticHead;
-use crate::{Config, Sampling, StaticGaussians};
+use super::Tokens;
+use super::part::PartCache;
+use super::rows::{Gate, gather, places};
+use crate::{Config, StaticGaussians};
+
+/// Velocity and γ of every token.
+type Motion = (Vec<[f32; 3]>, Vec<[f32; 2]>);
+
+/// The rows `at` of `x`, which has `n`.
+fn some(at: &[u32], x: &[f32], n: usize) -> Vec<f32> {
+    let d = x.len() / n;
+    let mut rows = vec![0.0; at.len() * d];
+    gather(at, x, d, &mut rows);
+    rows
+}
 
 /// Cache of the static head.
-#[derive(Debug)]
-pub(crate) struct StaticHeadMemory {
+#[derive(Debug, Default)]
+pub(crate) struct StaticHeadCache {
     /// Calls of the upsampler when it last gave something.
     calls: u64,
     gaussians: StaticGaussians,
-    pub(crate) tokens: Tokens,
+    pub(super) tokens: Tokens,
 }
 
-impl StaticHeadMemory {
-    pub(crate) fn new(_: &Config) -> StaticHeadMemory {
-        StaticHeadMemory { calls: 0, gaussians: StaticGaussians::default(), tokens: Tokens::default() }
-    }
-
-    pub(crate) fn bytes(&self) -> usize {
+impl StaticHeadCache {
+    pub(super) fn bytes(&self) -> usize {
         // Position, scale, opacity and colour.
         self.gaussians.opacity.len() * 4 * (3 + 2 + 1 + 3)
     }
-}
 
-impl StaticHead {
-    /// [`StaticHead::apply`] with the mean positions of `tokens`, the result of the last call of `upsampler`.
-    pub(crate) fn apply_keeping(
-        &self,
-        level: Level,
-        config: &Config,
+    /// The Gaussians of `tokens`, `n` of them and the result of the last call of `upsampler`. `head` computes those of
+    /// all cells, or of some.
+    pub(crate) fn renew(
+        &mut self,
+        n: usize,
         tokens: &[f32],
-        upsampler: &UpsamplerMemory,
-        memory: &mut StaticHeadMemory,
+        upsampler: &PartCache,
+        head: impl Fn(&[f32], Option<&[u32]>) -> StaticGaussians,
     ) -> StaticGaussians {
-        let (n, d) = (config.gaussians(), config.gaussian_dim());
-        let follows = memory.calls > 0 && memory.calls + 1 == upsampler.calls;
-        memory.calls = upsampler.calls;
+        let follows = self.calls > 0 && self.calls + 1 == upsampler.calls;
+        self.calls = upsampler.calls;
         match &upsampler.latest {
             Some(changed) if follows => {
-                let rows = Rows::gather(changed.clone(), tokens, d);
-                let some = self.apply_some(level, config, &rows.x, &rows.at);
-                let kept = &mut memory.gaussians;
-                for (i, row) in rows.at.iter().map(|row| *row as usize).enumerate() {
+                let some = head(&some(changed, tokens, n), Some(changed));
+                let kept = &mut self.gaussians;
+                for (i, row) in changed.iter().map(|row| *row as usize).enumerate() {
                     kept.position[row] = some.position[i];
                     kept.scale[row] = some.scale[i];
                     kept.opacity[row] = some.opacity[i];
                     kept.rgb[row] = some.rgb[i];
                 }
-                memory.tokens.count(rows.at.len(), n);
+                self.tokens.count(changed.len(), n);
             }
             _ => {
-                memory.gaussians = self.apply(level, config, tokens, Sampling::Mean);
-                memory.tokens.count(n, n);
+                self.gaussians = head(tokens, None);
+                self.tokens.count(n, n);
             }
         }
-        memory.gaussians.clone()
+        self.gaussians.clone()
     }
 }
 
 /// Cache of the deformation head for one frame of the pair.
 #[derive(Debug)]
-pub(crate) struct DeformationHeadMemory {
+pub(crate) struct DeformationHeadCache {
     calls: u64,
     /// The static tokens; empty where nothing is kept.
     still: Gate,
     kept: bool,
-    velocity: Vec<[f32; 3]>,
-    gamma: Vec<[f32; 2]>,
-    pub(crate) tokens: Tokens,
+    motion: Motion,
+    pub(super) tokens: Tokens,
 }
 
-impl DeformationHeadMemory {
-    pub(crate) fn new(config: &Config) -> DeformationHeadMemory {
-        DeformationHeadMemory {
-            calls: 0,
-            still: Gate::new(config.gaussians(), config.gaussian_dim()),
-            kept: false,
-            velocity: Vec::new(),
-            gamma: Vec::new(),
-            tokens: Tokens::default(),
-        }
+impl DeformationHeadCache {
+    pub(super) fn new(config: &Config) -> DeformationHeadCache {
+        let still = Gate::new(config.gaussians(), config.gaussian_dim());
+        DeformationHeadCache { calls: 0, still, kept: false, motion: Motion::default(), tokens: Tokens::default() }
     }
 
-    pub(crate) fn bytes(&self) -> usize {
-        self.still.bytes() + 4 * (3 * self.velocity.len() + 2 * self.gamma.len())
+    pub(super) fn bytes(&self) -> usize {
+        self.still.bytes() + 4 * (3 * self.motion.0.len() + 2 * self.motion.1.len())
     }
-}
 
-impl DeformationHead {
-    /// [`DeformationHead::apply`] of `tokens`, the result of the last call of `upsampler`.
-    pub(crate) fn apply_keeping(
-        &self,
+    /// The motion of `tokens`, the result of the last call of `upsampler`. `head` computes that of some rows from both
+    /// kinds of tokens.
+    pub(crate) fn renew(
+        &mut self,
         level: Level,
         static_tokens: &[f32],
         tokens: &[f32],
-        upsampler: &UpsamplerMemory,
-        memory: &mut DeformationHeadMemory,
-    ) -> (Vec<[f32; 3]>, Vec<[f32; 2]>) {
-        let n = memory.still.rows();
-        let d = tokens.len() / n;
-        let follows = memory.kept && memory.calls + 1 == upsampler.calls;
-        memory.calls = upsampler.calls;
+        upsampler: &PartCache,
+        head: impl Fn(&[f32], &[f32]) -> Motion,
+    ) -> Motion {
+        let n = self.still.rows();
+        let follows = self.kept && self.calls + 1 == upsampler.calls;
+        self.calls = upsampler.calls;
         match &upsampler.latest {
             Some(changed) if follows => {
-                let mut marks = memory.still.moved(level, Tolerance::Bits, static_tokens);
+                let mut marks = self.still.moved(level, Tolerance::Bits, static_tokens);
                 changed.iter().for_each(|row| marks[*row as usize] = true);
-                let still = Rows::gather(super::rows::places(&marks), static_tokens, d);
-                memory.still.replace(&still);
-                let moving = Rows::gather(still.at, tokens, d);
-                let (velocity, gamma) = self.apply(level, &still.x, &moving.x);
-                for (i, row) in moving.at.iter().map(|row| *row as usize).enumerate() {
-                    memory.velocity[row] = velocity[i];
-                    memory.gamma[row] = gamma[i];
+                let at = places(&marks);
+                self.still.replace(&at, static_tokens);
+                let (velocity, gamma) = head(&some(&at, static_tokens, n), &some(&at, tokens, n));
+                for (i, row) in at.iter().map(|row| *row as usize).enumerate() {
+                    self.motion.0[row] = velocity[i];
+                    self.motion.1[row] = gamma[i];
                 }
-                memory.tokens.count(moving.at.len(), n);
+                self.tokens.count(at.len(), n);
             }
             latest => {
                 // Static tokens are kept once the upsampler has begun to leave something out.
-                memory.kept = latest.is_some();
-                if memory.kept {
-                    memory.still.keep(static_tokens);
+                self.kept = latest.is_some();
+                if self.kept {
+                    self.still.keep(static_tokens);
                 }
-                (memory.velocity, memory.gamma) = self.apply(level, static_tokens, tokens);
-                memory.tokens.count(n, n);
+                self.motion = head(static_tokens, tokens);
+                self.tokens.count(n, n);
             }
         }
-        (memory.velocity.clone(), memory.gamma.clone())
+        self.motion.clone()
     }
 }

@@ -1,51 +1,49 @@
 //! Leaving out what did not change since the key frame before.
 //!
-//! A [`Memory`] keeps, for every part of a [`Network`], what the part saw and gave last. With it the part computes only rows
-//! (tokens) whose input changed, and takes the rest from there:
+//! A [`Session`](crate::Session) may keep, for every part of a network, what the part saw and gave last: its [`Cache`].
+//! With it the part computes only rows (tokens) whose input changed, and takes the rest from there:
 //!
-//! - [`Saving::Exact`]: no output bit changes. A block whose attention runs in windows computes the windows of which a token's
-//!   bits changed. Where attention sees every token every one depends on all others, and there is nothing to keep: this is for
-//!   models with `encoder_window`.
-//! - [`Saving::Within`]: a token is computed anew when its input moved by more than the tolerance (relative to its length, see
-//!   [`streamsplat_kernels::change`]) since it was last computed, block by block. Only such tokens are queried and only their keys
-//!   and values are replaced; every other keeps its last output. The decoder and the deformation upsampler tolerate
-//!   [`Memory::MOTION`] times as much: motion shows less of an error than colour does. A token that a block drops is dropped by all that follow.
-//!   Errors do not build up without bound: a part computes everything anew after [`Memory::REFRESH`] steps, or once
-//!   [`Memory::REPLACED`] times all its tokens have been computed one by one.
+//! - [`Saving::Exact`]: no output bit changes. A block whose attention runs in windows computes the windows of which a
+//!   token's bits changed. Where attention sees every token every one depends on all others, and there is nothing to
+//!   keep: this is for models with `encoder_window`.
+//! - [`Saving::Within`]: a token is computed anew when its input moved by more than the tolerance (relative to its
+//!   length, see [`streamsplat_kernels::change`]) since it was last computed, block by block. Only such tokens are
+//!   queried and only their keys and values are replaced; every other keeps its last output. The decoder and the
+//!   deformation upsampler tolerate [`Cache::MOTION`] times as much: motion shows less of an error than colour does. A
+//!   token that a block drops is dropped by all that follow. Errors do not build up without bound: a part computes
+//!   everything anew after [`Cache::REFRESH`] steps, or once [`Cache::REPLACED`] times all its tokens have been
+//!   computed one by one.
 //!
-//! A part more than [`Memory::MOST`] of whose tokens changed is computed as if there were no memory, and keeps nothing but its
-//! input: a moving camera pays for the comparison alone. It is computed and kept when that share falls again. Of the first frame everything
-//! is kept, of the first pair what gives motion only when the encoder's tokens did not change as much.
+//! A part more than [`Cache::MOST`] of whose tokens changed is computed as if there were no cache, and keeps nothing
+//! but its input: a moving camera pays for the comparison alone. It is computed and kept when that share falls again.
+//! Of the first frame everything is kept, of the first pair what gives motion only when the encoder's tokens did not
+//! change as much.
 //!
-//! The decoder's input is a pair of frames, and its memory belongs to the pair's places, not to the frames: `h` of frame k is compared in
-//! the place of the later frame with that of frame k−1, and a step later, in the place of the earlier frame, with it again. What
-//! appears changes one place only, but the motion in both: a token is computed in both places when it changed in either.
+//! The decoder's input is a pair of frames, and its cache belongs to the pair's places, not to the frames: `h` of frame
+//! k is compared in the place of the later frame with that of frame k−1, and a step later, in the place of the earlier
+//! frame, with it again. What appears changes one place only, but the motion in both: a token is computed in both
+//! places when it changed in either.
 //!
-//! DINOv2 is not gated: its features, of which every one depends on all others, are compared as the decoder's condition.
+//! DINOv2 is not gated: its features, of which every one depends on all others, are compared as the decoder's
+//! condition.
 //!
 //! # Order
-//! Which rows are computed follows from the comparison alone, whose order of operations is fixed; rows are gathered in ascending
-//! order of tokens (in the upsamplers: each token's four sub-tokens one after the other), and no row's bits depend on which others there
-//! are. So the results are the same on every level and for any number of threads.
+//! Which rows are computed follows from the comparison alone, whose order of operations is fixed; rows are gathered in
+//! ascending order of tokens (in the upsamplers: each token's four sub-tokens one after the other), and no row's bits
+//! depend on which others there are. So the results are the same on every level and for any number of threads.
 //!
 //! Source: Dutson, Li and Gupta, "Eventful Transformers" (ICCV 2023), with one gate per block.
-//!
-//! [`Network`]: crate::Network
 
-mod blocks;
-mod decoder;
 mod heads;
+mod part;
 mod rows;
 mod schedule;
-mod upsampler;
 
 use streamsplat_kernels::change::Tolerance;
 
-pub(crate) use blocks::EncoderMemory;
-pub(crate) use decoder::DecoderMemory;
-pub(crate) use heads::{DeformationHeadMemory, StaticHeadMemory};
-pub(crate) use rows::scatter_heads;
-pub(crate) use upsampler::UpsamplerMemory;
+use heads::{DeformationHeadCache, StaticHeadCache};
+pub(crate) use part::{BlockCache, PartCache, Pass};
+pub(crate) use rows::{Rows, gather, keep_heads};
 
 use crate::Config;
 
@@ -66,11 +64,11 @@ impl Saving {
         }
     }
 
-    /// For the parts that give motion: the tolerance times [`Memory::MOTION`].
-    pub(crate) fn of_motion(self) -> Saving {
+    /// For the parts that give motion: the tolerance times [`Cache::MOTION`].
+    fn of_motion(self) -> Saving {
         match self {
             Saving::Exact => Saving::Exact,
-            Saving::Within(tau) => Saving::Within(Memory::MOTION * tau),
+            Saving::Within(tau) => Saving::Within(Cache::MOTION * tau),
         }
     }
 }
@@ -84,6 +82,13 @@ pub struct Tokens {
     pub avoided: u64,
 }
 
+impl std::ops::Add for Tokens {
+    type Output = Tokens;
+    fn add(self, other: Tokens) -> Tokens {
+        Tokens { done: self.done + other.done, avoided: self.avoided + other.avoided }
+    }
+}
+
 impl Tokens {
     fn count(&mut self, done: usize, of: usize) {
         self.done += done as u64;
@@ -91,24 +96,19 @@ impl Tokens {
     }
 }
 
-/// Caches of the parts of one network, from key frame to key frame. It is bounded: see [`Memory::bytes`].
-///
-/// One memory serves one stream: give it to the `*_keeping` methods of one [`crate::Network`], each frame in turn.
+/// Caches of the parts of one network, from key frame to key frame. It is bounded: see [`Cache::bytes`].
 #[derive(Debug)]
-pub struct Memory {
-    pub(crate) saving: Saving,
-    pub(crate) encoder: EncoderMemory,
-    pub(crate) static_upsampler: UpsamplerMemory,
-    pub(crate) static_head: StaticHeadMemory,
-    pub(crate) decoder: DecoderMemory,
+pub struct Cache {
+    saving: Saving,
+    pub(crate) encoder: PartCache,
+    pub(crate) static_upsampler: PartCache,
+    pub(crate) static_head: StaticHeadCache,
+    pub(crate) decoder: PartCache,
     /// Of the earlier and the later frame of a pair.
-    pub(crate) deformation: [(UpsamplerMemory, DeformationHeadMemory); 2],
-    position: u64,
-    stale: bool,
-    config: Config,
+    pub(crate) deformation: [(PartCache, DeformationHeadCache); 2],
 }
 
-impl Memory {
+impl Cache {
     /// Steps after which a part computes everything anew.
     pub const REFRESH: u32 = 48;
     /// How many times over a part's tokens are computed one by one before it computes all of them anew.
@@ -118,42 +118,32 @@ impl Memory {
     /// The largest share of a part's tokens that are computed one by one.
     pub const MOST: f64 = 0.6;
 
-    /// An empty one; `None` when a network of this size has nothing to keep.
-    pub(crate) fn new(saving: Saving, config: &Config) -> Option<Memory> {
+    /// An empty one; `None` when a network of this size has nothing to keep: where every token sees all others, no part
+    /// of a frame is exactly as it was.
+    pub(crate) fn new(saving: Saving, config: &Config) -> Option<Cache> {
         if saving == Saving::Exact && config.encoder_window.is_none() {
             return None;
         }
-        Some(Memory {
+        let of_motion = saving.of_motion();
+        let deformation = || (PartCache::upsampler(of_motion, config), DeformationHeadCache::new(config));
+        Some(Cache {
             saving,
-            encoder: EncoderMemory::new(config),
-            static_upsampler: UpsamplerMemory::new(config),
-            static_head: StaticHeadMemory::new(config),
-            decoder: DecoderMemory::new(config),
-            deformation: [0, 1].map(|_| (UpsamplerMemory::new(config), DeformationHeadMemory::new(config))),
-            position: 0,
-            stale: false,
-            config: config.clone(),
+            encoder: PartCache::encoder(saving, config),
+            static_upsampler: PartCache::upsampler(saving, config),
+            static_head: StaticHeadCache::default(),
+            decoder: PartCache::decoder(of_motion, config),
+            deformation: [deformation(), deformation()],
         })
-    }
-
-    /// Work that may be left out.
-    pub fn saving(&self) -> Saving {
-        self.saving
     }
 
     /// Tokens computed and kept, by part: `encoder`, `upsampler`, `decoder`, `heads`.
     pub fn tokens(&self) -> [(&'static str, Tokens); 4] {
-        let sum = |parts: &[Tokens]| {
-            parts
-                .iter()
-                .fold(Tokens::default(), |sum, t| Tokens { done: sum.done + t.done, avoided: sum.avoided + t.avoided })
-        };
         let [(up_a, head_a), (up_b, head_b)] = &self.deformation;
         [
             ("encoder", self.encoder.tokens),
-            ("upsampler", sum(&[self.static_upsampler.tokens, up_a.tokens, up_b.tokens])),
+            ("upsampler", self.static_upsampler.tokens + up_a.tokens + up_b.tokens),
             ("decoder", self.decoder.tokens),
-            ("heads", sum(&[self.static_head.tokens, head_a.tokens, head_b.tokens])),
+            ("heads", self.static_head.tokens + head_a.tokens + head_b.tokens),
         ]
     }
 
@@ -163,40 +153,16 @@ impl Memory {
         self.encoder.bytes() + self.static_upsampler.bytes() + self.static_head.bytes() + self.decoder.bytes() + pair
     }
 
-    /// Forgets everything but the counts: what comes next is computed in full.
-    pub fn forget(&mut self) {
-        let tokens = self.tokens();
-        let Some(empty) = Memory::new(self.saving, &self.config) else { return };
-        let position = self.position;
-        *self = Memory { position, ..empty };
-        let parts = [
-            &mut self.encoder.tokens,
-            &mut self.static_upsampler.tokens,
-            &mut self.decoder.tokens,
-            &mut self.static_head.tokens,
+    /// An empty one that goes on counting.
+    pub(crate) fn emptied(&self, config: &Config) -> Option<Cache> {
+        let mut empty = Cache::new(self.saving, config)?;
+        let counts = [
+            &mut empty.encoder.tokens,
+            &mut empty.static_upsampler.tokens,
+            &mut empty.decoder.tokens,
+            &mut empty.static_head.tokens,
         ];
-        for (part, (_, before)) in parts.into_iter().zip(tokens) {
-            *part = before;
-        }
-    }
-
-    /// How many calls it has been given to: the calls' results follow from their arguments, this number and the calls before.
-    pub fn position(&self) -> u64 {
-        self.position
-    }
-
-    /// Counts a call whose result is known from another memory that was given the same calls. The next call that is made
-    /// with this one computes in full.
-    pub fn skip(&mut self) {
-        self.position += 1;
-        self.stale = true;
-    }
-
-    /// Begins a call.
-    pub(crate) fn begin(&mut self) {
-        if self.stale {
-            self.forget();
-        }
-        self.position += 1;
+        counts.into_iter().zip(self.tokens()).for_each(|(count, (_, before))| *count = before);
+        Some(empty)
     }
 }

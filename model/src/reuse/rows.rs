@@ -1,71 +1,77 @@
-//! Some rows of a matrix, gathered; and the rows that are kept to compare them with.
+//! The tokens that a pass computes, as rows; and rows that are kept to compare them with.
 
 use streamsplat_kernels::Level;
 use streamsplat_kernels::change::{Tolerance, moved};
+use streamsplat_kernels::memory::Aligned;
+
+use crate::layers::sized;
 
 /// Rows of a matrix `[n, d]`: where they lie, and their values.
-#[derive(Clone, Debug, Default)]
 pub(crate) struct Rows {
-    /// Their places.
-    pub(crate) at: Vec<u32>,
-    /// `[at.len(), d]`
-    pub(crate) x: Vec<f32>,
+    /// Their places; `None`: all, in order.
+    pub(crate) at: Option<Vec<u32>>,
+    /// `[rows, d]`
+    pub(crate) x: Aligned<f32>,
 }
 
 impl Rows {
-    /// All rows of `x [n, d]`.
-    pub(crate) fn all(x: Vec<f32>, d: usize) -> Rows {
-        Rows { at: (0..(x.len() / d) as u32).collect(), x }
-    }
-
-    /// The rows `at` of `x [n, d]`.
-    pub(crate) fn gather(at: Vec<u32>, x: &[f32], d: usize) -> Rows {
-        let mut rows = Vec::with_capacity(at.len() * d);
-        at.iter().for_each(|&row| rows.extend_from_slice(&x[row as usize * d..][..d]));
-        Rows { at, x: rows }
-    }
-
-    /// Writes them to their places in `to [n, d]`.
-    pub(crate) fn scatter(&self, to: &mut [f32], d: usize) {
-        scatter(&self.at, &self.x, to, d);
+    /// The rows `at` of `x [n, d]`, in `memory`.
+    pub(super) fn gather(at: Option<Vec<u32>>, x: &[f32], d: usize, memory: Aligned<f32>) -> Rows {
+        let mut rows = Rows { at, x: memory };
+        match &rows.at {
+            None => sized(&mut rows.x, x.len()).copy_from_slice(x),
+            Some(at) => gather(at, x, d, sized(&mut rows.x, at.len() * d)),
+        }
+        rows
     }
 
     /// Keeps those that are `wanted`.
     fn retain(&mut self, wanted: &[bool], d: usize) {
         let mut kept = 0;
         for (row, _) in wanted.iter().enumerate().filter(|(_, wanted)| **wanted) {
-            self.at[kept] = self.at[row];
+            if let Some(at) = &mut self.at {
+                at[kept] = at[row];
+            }
             self.x.copy_within(row * d..(row + 1) * d, kept * d);
             kept += 1;
         }
-        self.at.truncate(kept);
-        self.x.truncate(kept * d);
+        if let Some(at) = &mut self.at {
+            at.truncate(kept);
+        }
+        self.x.resize(kept * d);
+    }
+}
+
+/// Copies the rows `at` of `x [n, d]` to `to`, one after the other.
+pub(crate) fn gather(at: &[u32], x: &[f32], d: usize, to: &mut [f32]) {
+    for (row, to) in at.iter().zip(to.chunks_exact_mut(d)) {
+        to.copy_from_slice(&x[*row as usize * d..][..d]);
     }
 }
 
 /// Writes the rows of `x` to the places `at` of `to [n, d]`.
-fn scatter(at: &[u32], x: &[f32], to: &mut [f32], d: usize) {
+pub(super) fn scatter(at: &[u32], x: &[f32], to: &mut [f32], d: usize) {
     for (row, x) in at.iter().zip(x.chunks_exact(d)) {
         to[*row as usize * d..][..d].copy_from_slice(x);
     }
 }
 
-/// Writes the rows of every head of `x [heads][at][width]` to the places `at` of `to [heads][n][width]`.
-pub(crate) fn scatter_heads(at: &[u32], x: &[f32], width: usize, to: &mut [f32]) {
-    if at.is_empty() {
-        return;
-    }
-    let heads = x.len() / (at.len() * width);
-    let n = to.len() / heads;
-    for (x, to) in x.chunks_exact(at.len() * width).zip(to.chunks_exact_mut(n)) {
-        scatter(at, x, to, width);
-    }
-}
-
-/// Makes `kept` hold `len` values. Those that are new are zeros of the system, which cost nothing until they are written.
-pub(super) fn sized(kept: &mut Vec<f32>, len: usize) {
-    if kept.len() != len {
-        *kept = vec![0.0; len];
+/// Keeps the rows of every head of `x [heads][rows][width]` at their places of `kept [heads][n][width]`; all of them
+/// make it anew.
+pub(crate) fn keep_heads(at: Option<&[u32]>, x: &[f32], width: usize, kept: &mut Vec<f32>) {
+    match at {
+        None => {
+            kept.clear();
+            kept.extend_from_slice(x);
+        }
+        Some([]) => {}
+        Some(at) => {
+            let heads = x.len() / (at.len() * width);
+            let n = kept.len() / heads;
+            for (x, to) in x.chunks_exact(at.len() * width).zip(kept.chunks_exact_mut(n)) {
+                scatter(at, x, to, width);
+            }
+        }
     }
 }
 
@@ -95,13 +101,6 @@ impl Gate {
         self.rows = x.len() / self.d;
     }
 
-    /// Keeps `rows`, which are all, in any order.
-    pub(super) fn keep_at(&mut self, rows: &Rows) {
-        self.rows = rows.at.len();
-        sized(&mut self.reference, rows.x.len());
-        self.replace(rows);
-    }
-
     /// Which rows of `x` moved; all, when nothing of this size was kept.
     pub(super) fn moved(&self, level: Level, tolerance: Tolerance, x: &[f32]) -> Vec<bool> {
         let mut marks = vec![true; x.len() / self.d];
@@ -111,17 +110,20 @@ impl Gate {
         marks
     }
 
-    /// Keeps the values of `rows`.
-    pub(super) fn replace(&mut self, rows: &Rows) {
-        rows.scatter(&mut self.reference, self.d);
+    /// Keeps the rows `at` of `x`, which are all.
+    pub(super) fn replace(&mut self, at: &[u32], x: &[f32]) {
+        for range in at.iter().map(|row| *row as usize * self.d..(*row as usize + 1) * self.d) {
+            self.reference[range.clone()].copy_from_slice(&x[range]);
+        }
     }
 
-    /// Drops the rows that did not move, and keeps the values of the others.
+    /// Drops the rows that did not move, and keeps the values of the others; keeps all where `rows` are all.
     pub(super) fn pass(&mut self, level: Level, tolerance: Tolerance, rows: &mut Rows) {
-        let mut marks = vec![false; rows.at.len()];
-        moved(level, tolerance, self.d, &rows.x, &self.reference, Some(&rows.at), &mut marks);
+        let Some(at) = &rows.at else { return self.keep(&rows.x) };
+        let mut marks = vec![false; at.len()];
+        moved(level, tolerance, self.d, &rows.x, &self.reference, Some(at), &mut marks);
         rows.retain(&marks, self.d);
-        self.replace(rows);
+        scatter(rows.at.as_deref().unwrap_or_default(), &rows.x, &mut self.reference, self.d);
     }
 
     /// All rows as they were kept.
@@ -132,6 +134,11 @@ impl Gate {
     /// Rows it was made for, or keeps.
     pub(super) fn rows(&self) -> usize {
         self.rows
+    }
+
+    /// Values in a row.
+    pub(super) fn width(&self) -> usize {
+        self.d
     }
 
     pub(super) fn bytes(&self) -> usize {
@@ -146,11 +153,13 @@ mod tests {
     #[test]
     fn rows_of_every_head_reach_their_places() {
         let (n, width) = (3, 2);
-        let mut to = vec![0.0; 2 * n * width];
+        let mut to = Vec::new();
+        keep_heads(None, &[0.0; 12], width, &mut to);
+        assert_eq!(to.len(), 2 * n * width);
         // Two rows of two heads; the last row first.
-        scatter_heads(&[2, 0], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0], width, &mut to);
+        keep_heads(Some(&[2, 0]), &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0], width, &mut to);
         assert_eq!(to, [3.0, 4.0, 0.0, 0.0, 1.0, 2.0, 7.0, 8.0, 0.0, 0.0, 5.0, 6.0]);
-        scatter_heads(&[], &[], width, &mut to);
+        keep_heads(Some(&[]), &[], width, &mut to);
         assert_eq!(to[..2], [3.0, 4.0]);
     }
 }

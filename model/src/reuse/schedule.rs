@@ -1,10 +1,10 @@
 //! When a part computes only what changed.
 
-use super::{Memory, Saving};
+use super::{Cache, Saving};
 
 /// Extent of a part's computation in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Pass {
+pub(super) enum Extent {
     /// Everything, and nothing is kept but the input.
     Plain,
     /// Everything, and all of it is kept.
@@ -37,30 +37,30 @@ impl Schedule {
         self.seen && !self.kept
     }
 
-    /// The step in which `changed` of `all` tokens changed since they were last kept. In the first one nothing is known of them but whether
-    /// the picture `moves`: then there is little hope.
-    pub(super) fn next(&mut self, saving: Saving, moves: bool, changed: usize, all: usize) -> Pass {
-        let pass = if !self.seen {
-            if moves { Pass::Plain } else { Pass::Refresh }
-        } else if changed as f64 > Memory::MOST * all as f64 {
-            Pass::Plain
+    /// The step in which `changed` of `all` tokens changed since they were last kept. In the first one nothing is known
+    /// of them but whether the picture `moves`: then there is little hope.
+    pub(super) fn next(&mut self, saving: Saving, moves: bool, changed: usize, all: usize) -> Extent {
+        let extent = if !self.seen {
+            if moves { Extent::Plain } else { Extent::Refresh }
+        } else if changed as f64 > Cache::MOST * all as f64 {
+            Extent::Plain
         } else if !self.kept {
-            Pass::Refresh
+            Extent::Refresh
         } else if saving == Saving::Exact {
             // Nothing wears off.
-            Pass::Changed
-        } else if self.age + 1 >= Memory::REFRESH || self.replaced + changed > Memory::REPLACED * all {
-            Pass::Refresh
+            Extent::Changed
+        } else if self.age + 1 >= Cache::REFRESH || self.replaced + changed > Cache::REPLACED * all {
+            Extent::Refresh
         } else {
-            Pass::Changed
+            Extent::Changed
         };
         self.seen = true;
-        self.kept = pass != Pass::Plain;
-        (self.age, self.replaced) = match pass {
-            Pass::Changed => (self.age + 1, self.replaced + changed),
+        self.kept = extent != Extent::Plain;
+        (self.age, self.replaced) = match extent {
+            Extent::Changed => (self.age + 1, self.replaced + changed),
             _ => (0, 0),
         };
-        pass
+        extent
     }
 }
 
@@ -72,24 +72,24 @@ mod tests {
     fn a_still_stream_is_refreshed_now_and_then_and_a_moving_one_keeps_nothing() {
         let within = Saving::Within(0.1);
         let mut still = Schedule::default();
-        let passes: Vec<Pass> = (0..100).map(|_| still.next(within, false, 1, 100)).collect();
-        let refreshes: Vec<usize> = (0..100).filter(|i| passes[*i] == Pass::Refresh).collect();
+        let extents: Vec<Extent> = (0..100).map(|_| still.next(within, false, 1, 100)).collect();
+        let refreshes: Vec<usize> = (0..100).filter(|i| extents[*i] == Extent::Refresh).collect();
         assert_eq!(refreshes, [0, 48, 96]);
         let mut busy = Schedule::default();
-        let passes: Vec<Pass> = (0..30).map(|_| busy.next(within, false, 50, 100)).collect();
-        let refreshes: Vec<usize> = (0..30).filter(|i| passes[*i] == Pass::Refresh).collect();
+        let extents: Vec<Extent> = (0..30).map(|_| busy.next(within, false, 50, 100)).collect();
+        let refreshes: Vec<usize> = (0..30).filter(|i| extents[*i] == Extent::Refresh).collect();
         assert_eq!(refreshes, [0, 13, 26]);
         let mut moving = Schedule::default();
         let shares = [100, 90, 70, 10, 10, 80, 10];
-        let passes: Vec<Pass> = shares.into_iter().map(|n| moving.next(within, false, n, 100)).collect();
-        use Pass::{Changed, Plain, Refresh};
-        assert_eq!(passes, [Refresh, Plain, Plain, Refresh, Changed, Plain, Refresh]);
+        let extents: Vec<Extent> = shares.into_iter().map(|n| moving.next(within, false, n, 100)).collect();
+        use Extent::{Changed, Plain, Refresh};
+        assert_eq!(extents, [Refresh, Plain, Plain, Refresh, Changed, Plain, Refresh]);
         assert!(!still.moves() && !moving.moves() && !Schedule::default().moves());
         let mut late = Schedule::default();
-        let passes: Vec<Pass> = [100, 70, 10, 10].map(|n| late.next(within, true, n, 100)).to_vec();
-        assert_eq!(passes, [Plain, Plain, Refresh, Changed]);
+        let extents: Vec<Extent> = [100, 70, 10, 10].map(|n| late.next(within, true, n, 100)).to_vec();
+        assert_eq!(extents, [Plain, Plain, Refresh, Changed]);
         let mut exact = Schedule::default();
-        let passes: Vec<Pass> = (0..100).map(|_| exact.next(Saving::Exact, false, 50, 100)).collect();
-        assert!(passes[1..].iter().all(|pass| *pass == Changed));
+        let extents: Vec<Extent> = (0..100).map(|_| exact.next(Saving::Exact, false, 50, 100)).collect();
+        assert!(extents[1..].iter().all(|extent| *extent == Changed));
     }
 }

@@ -18,7 +18,8 @@
 use serde::Serialize;
 
 use crate::checkpoint::Weights;
-use crate::inspect::{DEFORMATION_UPSAMPLER, attention, feed_forward, linear, own_attention};
+use crate::cost::BlockCost;
+use crate::inspect::DEFORMATION_UPSAMPLER;
 use crate::{Config, keys};
 
 /// The silent branches of a part of a network.
@@ -50,33 +51,30 @@ pub fn gflop(parts: &[Silent]) -> f64 {
 
 /// The silent branches of every part that has blocks, in the order of the computation.
 pub(crate) fn silent(weights: &Weights<'_>, config: &Config) -> Vec<Silent> {
-    let (n, d) = (config.tokens() as f64, config.hidden_dim as f64);
-    let window = |tokens: f64| config.encoder_window.map_or(tokens, |w| w as f64);
-    let square = (config.hidden_dim * config.hidden_dim) as f64;
-    let (attn, mlp) = (4.0 * square + 4.0 * d, 8.0 * square);
-    let mut encoder = Count::new("encoder");
+    // Values of a block's attention and of its feed-forward layer.
+    let values = |d: usize| [4 * (d * d + d), 8 * d * d];
+    let [attn, mlp] = values(config.hidden_dim);
+    let (mut encoder, cost) = (Count::new("encoder"), BlockCost::encoder(config));
     for i in 0..config.encoder_layers {
         let block = weights.at(keys::ENCODER).at(format_args!("transformer.resblocks.{i}"));
-        encoder.add(&block, "attn.out_proj", attn, own_attention(n, d, window(n)));
-        encoder.add(&block, "mlp.c_proj", mlp, feed_forward(n, d));
+        encoder.add(&block, "attn.out_proj", attn, cost.attention);
+        encoder.add(&block, "mlp.c_proj", mlp, cost.feed_forward);
     }
-    let m = if config.use_dino { 576.0 } else { n };
-    let cross = linear(2.0 * n, d, 2.0 * d) + linear(2.0 * m, d, 2.0 * d) + attention(2.0 * n, m, d);
-    let mut decoder = Count::new("decoder");
+    let (mut decoder, cost) = (Count::new("decoder"), BlockCost::decoder(config));
     for i in 0..config.decoder_layers {
         let block = weights.at(keys::DECODER).at(format_args!("transformer.resblocks.{i}"));
-        decoder.add(&block, "self_attn.out_proj", attn, own_attention(2.0 * n, d, window(2.0 * n)));
-        decoder.add(&block, "cross_attn.out_proj", attn, cross);
-        decoder.add(&block, "mlp.c_proj", mlp, feed_forward(2.0 * n, d));
+        decoder.add(&block, "self_attn.out_proj", attn, cost.attention);
+        decoder.add(&block, "cross_attn.out_proj", attn, cost.cross_attention);
+        decoder.add(&block, "mlp.c_proj", mlp, cost.feed_forward);
     }
     let upsampler = |part, key| {
         let mut upsampler = Count::new(part);
         for (stage, width) in config.upsampler_widths.into_iter().enumerate() {
-            let (tokens, d, run) = (n * [4.0, 16.0][stage], width as f64, config.upsampler_window as f64);
+            let ([attn, mlp], cost) = (values(width), BlockCost::upsampler(config, stage));
             for i in 0..2 {
                 let block = weights.at(key).at(format_args!("attention_{stage}.resblocks.{i}"));
-                upsampler.add(&block, "attn.out_proj", 4.0 * (d * d + d), own_attention(tokens, d, run));
-                upsampler.add(&block, "mlp.c_proj", 8.0 * d * d, feed_forward(tokens, d));
+                upsampler.add(&block, "attn.out_proj", attn, cost.attention);
+                upsampler.add(&block, "mlp.c_proj", mlp, cost.feed_forward);
             }
         }
         upsampler.0
@@ -104,11 +102,11 @@ impl Count {
     }
 
     /// Counts the branch of `block` that ends with the layer `last`.
-    fn add(&mut self, block: &Weights<'_>, last: &str, parameters: f64, flop: f64) {
+    fn add(&mut self, block: &Weights<'_>, last: &str, parameters: usize, flop: f64) {
         self.0.branches += 1;
         if block.is_silent(last) {
             self.0.silent += 1;
-            self.0.parameters += parameters as usize;
+            self.0.parameters += parameters;
             self.0.gflop += flop / 1e9;
         }
     }

@@ -1,8 +1,8 @@
 use streamsplat_fixtures::seeded::Sizes;
 use streamsplat_kernels::Level;
 
-use crate::reuse::{Memory, Saving};
-use crate::{FrameInput, LoadOptions, Network, Precision, Sampling, Side};
+use crate::reuse::Saving;
+use crate::{FrameInput, LoadOptions, Network, Precision, Sampling, Session, Side};
 
 const SIZES: Sizes = Sizes {
     hidden_dim: 128,
@@ -70,9 +70,9 @@ fn load(bytes: &[u8], sizes: &Sizes, level: Level, precision: Precision, compute
     Network::from_parts(bytes.to_vec(), &sizes.json().to_string(), &options).expect("a model")
 }
 
-/// The bits of all that the network gives of four frames in which a square moves, with the memory where there is one.
-fn pass(network: &Network, mut memory: Option<&mut Memory>) -> Vec<Vec<u32>> {
-    let [height, width] = network.config().resolution;
+/// The bits of all that the network gives of four frames in which a square moves.
+fn pass(session: &mut Session<&Network>) -> Vec<Vec<u32>> {
+    let [height, width] = session.network().config().resolution;
     let mut results: Vec<Vec<f32>> = Vec::new();
     let mut before: Option<(Vec<f32>, Vec<f32>)> = None;
     for column in [0, 8, 8, 24] {
@@ -81,32 +81,18 @@ fn pass(network: &Network, mut memory: Option<&mut Memory>) -> Vec<Vec<u32>> {
             false => (i * 7919 % 1013) as f32 / 2000.0,
         };
         let rgb: Vec<f32> = (0..3 * height * width).map(pixel).collect();
-        let tokens = network.tokenize(&FrameInput { rgb: &rgb, depth: None }).expect("tokens");
-        let (h, still) = match memory.as_deref_mut() {
-            Some(memory) => {
-                let h = network.encode_keeping(&tokens, memory).expect("h").h;
-                let still = network.upsample_static_keeping(&h, memory).expect("tokens");
-                (h, still)
-            }
-            None => {
-                let h = network.encode(&tokens).expect("h").h;
-                let still = network.upsample_static(&h).expect("tokens");
-                (h, still)
-            }
-        };
+        let tokens = session.tokenize(&FrameInput { rgb: &rgb, depth: None }).expect("tokens");
+        let h = session.encode(&tokens).expect("h").h;
+        let still = session.upsample_static(&h).expect("tokens");
         results.extend([h.clone(), still.clone()]);
-        results.push(network.static_head(&still, &Sampling::Mean).expect("Gaussians").position.concat());
+        results.push(
+            session.network().session(None).static_head(&still, &Sampling::Mean).expect("Gaussians").position.concat(),
+        );
         if let Some((h_a, still_a)) = &before {
             let a = Side { h: h_a, static_tokens: still_a, condition: None };
             let b = Side { h: &h, static_tokens: &still, condition: None };
-            match memory.as_deref_mut() {
-                Some(memory) => {
-                    for (place, d) in network.decode_keeping(&a, &b, memory).expect("d").into_iter().enumerate() {
-                        results.push(network.upsample_deformation_keeping(place, &d, memory).expect("tokens"));
-                        results.push(d);
-                    }
-                }
-                None => network.deform(a, b).expect("motion").into_iter().for_each(|m| results.extend([m.tokens, m.d])),
+            for m in session.deform(a, b).expect("motion") {
+                results.extend([m.tokens, m.d]);
             }
         }
         before = Some((h, still));
@@ -123,11 +109,12 @@ fn a_network_without_its_silent_branches_gives_the_bits_of_one_with_them() {
             for threads in [1, 3] {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
                 pool.install(|| {
-                    assert!(pass(&lean, None) == pass(&full, None), "{precision} {level} {threads}");
+                    let [found, expected] = [&lean, &full].map(|network| pass(&mut network.session(None)));
+                    assert!(found == expected, "{precision} {level} {threads}");
                     for saving in [Saving::Exact, Saving::Within(0.02)] {
                         let kept = |network: &Network| {
-                            let mut memory = network.memory(saving).expect("windows can be kept");
-                            (pass(network, Some(&mut memory)), memory.bytes())
+                            let mut session = network.session(Some(saving));
+                            (pass(&mut session), session.cache().expect("windows can be kept").bytes())
                         };
                         let ((found, less), (expected, more)) = (kept(&lean), kept(&full));
                         assert!(found == expected, "{precision} {level} {threads} {saving:?}");
@@ -173,7 +160,7 @@ fn a_silent_branch_turns_minus_zero_into_zero() {
     for precision in Precision::ALL {
         let h = [false, true].map(|all| {
             let network = load(&bytes, &sizes, Level::detect(), precision, all);
-            network.embed(&FrameInput { rgb: &black, depth: None }).expect("h").h
+            network.session(None).embed(&FrameInput { rgb: &black, depth: None }).expect("h").h
         });
         assert_eq!(h[0][0].to_bits(), 0);
         assert!(h[0].iter().zip(&h[1]).all(|(a, b)| a.to_bits() == b.to_bits()));
@@ -210,7 +197,7 @@ fn an_upsampler_of_silent_blocks_alone_gives_no_minus_zero() {
         let config = lean.config();
         let d: Vec<f32> = (0..config.tokens() * config.hidden_dim).map(|i| (i % 7) as f32 * 1e-20 - 3e-20).collect();
         let bits = |network: &Network| -> Vec<u32> {
-            network.upsample_deformation(&d).expect("tokens").iter().map(|x| x.to_bits()).collect()
+            network.session(None).upsample_deformation(0, &d).expect("tokens").iter().map(|x| x.to_bits()).collect()
         };
         assert!(bits(&lean).iter().all(|&bits| bits == 0), "{level}: something else than +0");
         assert!(bits(&full).iter().all(|&bits| bits == 0), "{level}, computed: something else than +0");

@@ -61,6 +61,15 @@ def test_a_video_comes_out_where_its_name_says_so_and_key_frames_are_chosen(tmp_
     assert seen == [(i + 1, 24) for i in range(24)]
 
 
+def test_options_with_values_of_their_own_reach_the_run(tmp_path):
+    streamsplat.reconstruct(CLIP, tmp_path / "out", gap=4, refine=0, frames=9, sway="5:0.25", stereo=True, background="0.2,0.3,0.4", times=[0, 0.25])
+    images = sorted((tmp_path / "out/frames").iterdir())
+    assert len(images) == 2 and PIL.Image.open(images[0]).size[0] > 2 * PIL.Image.open(images[0]).size[1]
+    subprocess.run([PROGRAM, "render", tmp_path / "out", "--out", tmp_path / "again", "--sway=5:0.25", "--stereo", "--background", "0.2,0.3,0.4", "--times", "0,0.25",
+                    "--quiet"], check=True)
+    assert files(tmp_path / "again/frames") == files(tmp_path / "out/frames")
+
+
 def test_a_reconstruction_is_iterated_over_and_stopped(tmp_path):
     steps = streamsplat.Reconstructing(CLIP, tmp_path / "all", gap=4, refine=0)
     assert [done for done, _ in steps] == list(range(1, 25)) and steps.result.frames == 24
@@ -99,7 +108,17 @@ def test_images_and_intervals_are_pickled_shown_and_saved_by_ending(intervals, t
     copy = pickle.loads(pickle.dumps(interval))
     assert copy.render(copy.end).png() == interval.render(interval.end).png() and copy.merges == interval.merges
     assert np.asarray(image).dtype == np.uint8 and np.array_equal(np.asarray(image), image.rgb8())
-    assert np.array_equal(np.asarray(image, np.float32), image.rgb)
+    assert np.array_equal(np.asarray(image, np.float32), image.rgb) and np.shares_memory(np.asarray(image, np.float32), image.rgb)
+    # 8-bit samples and copies belong to the caller, float32 without a copy shows the image.
+    for array in (np.asarray(image), np.array(image, np.float32), image.rgb.copy(), np.asarray(image, np.float64)):
+        array[0, 0] = 0
+    for array in (image.rgb, np.asarray(image, np.float32)):
+        with pytest.raises(ValueError):
+            array[0, 0] = 0
+    assert np.shares_memory(image.__array__(np.float32, copy=False), image.rgb)
+    with pytest.raises(ValueError, match="copy"):
+        image.__array__(copy=False)
+    assert np.array_equal(np.asarray(PIL.Image.fromarray(np.asarray(image))), image.rgb8())
     image.save(tmp_path / "a.png")
     assert np.array_equal(np.asarray(PIL.Image.open(tmp_path / "a.png")), image.rgb8())
     for ending, kind in (("jpg", "JPEG"), ("webp", "WEBP")):

@@ -178,7 +178,7 @@ pub(super) fn things() -> Vec<Thing> {
 fn gemm(precision: Precision, level: Level, digest: &mut Digest) {
     for (m, n, k) in [(1, 1, 1), (7, 33, 256), (13, 50, 259), (65, 129, 515), (3, 17, 0)] {
         let (x, w, bias) = (noise(m * k, 9), noise(n * k, 10), noise(n, 11));
-        let weights = Weights::pack_as(precision, &w, n, k);
+        let weights = Weights::pack_as(level, precision, &w, n, k);
         let mut out = noise(m * n, 12);
         for epilogue in [
             Epilogue::new(),

@@ -152,15 +152,16 @@ fn network(name: &str, rgb: [f32; 2], depth: f32) -> Case {
         move |place| {
             let options = LoadOptions { level: place.level, ..LoadOptions::default() };
             let network = Network::open(parity::path(&format!("{MODEL}.safetensors")), &options).expect("a model");
+            let mut session = network.session(None);
             let [h, w] = network.config().resolution;
             let depth = vec![depth; h * w];
             let parts = frames(h * w).map(|rgb| {
-                let embedding = network.embed(&FrameInput { rgb: &rgb, depth: Some(&depth) }).expect("an embedding");
-                let fixed = network.static_gaussians(&embedding, &Sampling::Mean).expect("Gaussians");
+                let embedding = session.embed(&FrameInput { rgb: &rgb, depth: Some(&depth) }).expect("an embedding");
+                let fixed = session.static_gaussians(&embedding, &Sampling::Mean).expect("Gaussians");
                 (embedding, fixed)
             });
             let [a, b] = parts.each_ref().map(|(h, s)| Side { h: &h.h, static_tokens: &s.tokens, condition: None });
-            let fields = network.deform(a, b).expect("a motion");
+            let fields = session.deform(a, b).expect("a motion");
             let mut values = parts.each_ref().map(|(embedding, _)| embedding.h.clone()).concat();
             values.extend(parts.iter().flat_map(|(_, fixed)| fixed.gaussians.opacity.iter()));
             values.extend(fields.iter().flat_map(|field| field.velocity.as_flattened()));

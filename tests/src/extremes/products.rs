@@ -23,7 +23,14 @@ fn case(name: &str, operands: impl Fn() -> Operands + Copy + Send + Sync + 'stat
             move |place| {
                 let Operands { k, x, w } = operands();
                 let mut out = vec![0.0; M * N];
-                linear(place.level, &x, M, &Weights::pack_as(precision, &w, N, k), &Epilogue::new(), &mut out);
+                linear(
+                    place.level,
+                    &x,
+                    M,
+                    &Weights::pack_as(place.level, precision, &w, N, k),
+                    &Epilogue::new(),
+                    &mut out,
+                );
                 Computed::new(&out)
             },
             move |found| {

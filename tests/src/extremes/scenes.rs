@@ -46,7 +46,7 @@ impl Scene {
 
     pub(super) fn request(&self) -> Request {
         let [width, height] = SIZE;
-        Request { width, height, background: [0.5; 3], depth: true, alpha: true, statistics: true }
+        Request { depth: true, alpha: true, statistics: true, ..Request::colour(width, height, [0.5; 3]) }
     }
 }
 

@@ -120,7 +120,7 @@ fn network() -> Case {
                 for depth_too in [false, true] {
                     let (mut rgb, mut depth) = (vec![0.5; 3 * h * w], vec![0.25; h * w]);
                     *(if depth_too { &mut depth[5] } else { &mut rgb[5] }) = value;
-                    let answer = network.embed(&FrameInput { rgb: &rgb, depth: Some(&depth) });
+                    let answer = network.session(None).embed(&FrameInput { rgb: &rgb, depth: Some(&depth) });
                     errors += u64::from(matches!(answer, Err(ModelError::InputNonFinite { index: 5, .. })));
                 }
             }

@@ -14,6 +14,7 @@ use crate::console::progress::Progress;
 use crate::console::{Console, say};
 use crate::options::args::ExportArgs;
 use crate::options::{settings, times};
+use crate::session::opening::open;
 
 /// A format of files.
 #[derive(Clone, Copy)]
@@ -80,7 +81,7 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     let asked = args.times.as_deref().map(settings::times).transpose()?;
     times::check_rate(args.fps)?;
     let workers = args.machine.workers()?;
-    let scene = match import::open(&args.scene, &args.limit.limits())? {
+    let scene = match open(&args.scene, &args.limit.limits(), Some(&workers), console)? {
         Opened::Moving(scene) => scene,
         Opened::Still(file) => return still::export(file, format, args, &workers, console),
     };

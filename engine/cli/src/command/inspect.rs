@@ -12,15 +12,16 @@ use streamsplat_model::silent::gflop;
 
 use crate::command::still;
 use crate::console::failure::Failure;
-use crate::console::say;
+use crate::console::{Console, say};
 use crate::options::args::InspectArgs;
 use crate::output::digest;
+use crate::session::opening::open;
 
 /// Tells what it is.
-pub fn command(args: &InspectArgs) -> Result<(), Failure> {
+pub fn command(args: &InspectArgs, console: &Console) -> Result<(), Failure> {
     let path = &args.file;
     let found = if path.is_dir() || path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path) {
-        match import::open(path, &args.limit.limits())? {
+        match open(path, &args.limit.limits(), None, console)? {
             Opened::Moving(scene) => moving(&scene)?,
             Opened::Still(file) => still::inspect(&file),
         }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use streamsplat::import::{self, Opened};
+use streamsplat::import::Opened;
 use streamsplat::output::{folder_of, storage, write_file};
 use streamsplat::stream::{Interval, Workers};
 
@@ -19,6 +19,7 @@ use crate::output::place::Place;
 use crate::output::record::{InputRecord, OutputRecord, PROGRAM, Record, Task, Timing, absolute};
 use crate::output::{digest, report};
 use crate::session::drawing::Drawing;
+use crate::session::opening::open;
 
 /// Renders, then writes the record and the report.
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
@@ -114,17 +115,18 @@ pub fn render(
     };
     [views.options.depth, views.options.alpha] = emit.planes();
     views.options.alpha |= views.transparent;
+    views.options.antialias = options.antialias;
     times::check_rate(options.fps)?;
     let workers = machine.workers()?;
-    let scene = match import::open(path, &options.limit.limits())? {
+    let scene = match open(path, &options.limit.limits(), Some(&workers), console)? {
         Opened::Moving(scene) => scene,
         Opened::Still(file) => {
             return still::render(file, place, options, &views, emit, &workers, console, start);
         }
     };
-    options.motion.refuse(&views)?;
     let fps = options.fps.unwrap_or(scene.index().fps);
-    let due = times::of_scene(&scene, views.times.as_deref(), fps)?;
+    let mut due = times::of_scene(&scene, views.times.as_deref(), fps)?;
+    options.motion.along(&mut views, &mut due, |(time, _)| time, fps)?;
     options.check_single(due.len())?;
     let mut drawing = Drawing::new(&workers, views.backend)?;
     let mut outputs = Outputs::create(place, emit)?;

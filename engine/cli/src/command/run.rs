@@ -168,6 +168,7 @@ fn run_from(
         return Err(Failure::usage("--fps and --frames: expected numbers above 0"));
     }
     let source = Source::open(input, &source::Options { fps: options.fps })?;
+    options.motion.follow(&mut views, source.fps())?;
     console.note(source.notes());
     let sound = taken_along(&source, options, place.destination());
     if source.sound().is_some() {
@@ -224,8 +225,8 @@ fn run_from(
         key: 0,
     };
     let resumed = match &found {
-        Found::Under(point, memory) => {
-            if let Err(failure) = catch_up(&mut stream, &mut times, &views, point, memory.as_ref()) {
+        Found::Under(point, resume) => {
+            if let Err(failure) = catch_up(&mut stream, &mut times, &views, point, resume.as_ref()) {
                 stream.outputs.abandon();
                 return Err(failure);
             }

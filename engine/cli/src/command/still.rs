@@ -8,7 +8,7 @@ use streamsplat::Size;
 use streamsplat::camera::CameraPath;
 use streamsplat::import::StillFile;
 use streamsplat::output::{prepare_folder, write_file};
-use streamsplat::still::Drawable;
+use streamsplat::still::{Drawable, Spread};
 use streamsplat::stream::Workers;
 
 use crate::command::export::{Format, refuse_others};
@@ -16,7 +16,7 @@ use crate::command::render::{Rendered, record};
 use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 use crate::console::{Console, say};
-use crate::options::args::{ExportArgs, Motion, RenderOptions};
+use crate::options::args::{ExportArgs, RenderOptions};
 use crate::options::settings::Views;
 use crate::output::outputs::{Emit, Outputs};
 use crate::output::place::Place;
@@ -31,10 +31,6 @@ const MANY: usize = 8;
 
 /// Size of images of which nothing says it.
 const SIZE: [usize; 2] = [1280, 720];
-/// Seconds of an orbit of which only the angle is said.
-const ORBIT: f64 = 4.0;
-/// Most images of a motion around a scene.
-const MOST: f64 = 1e6;
 
 /// The images of a still scene: from where, when, and how large.
 pub struct Plan {
@@ -49,6 +45,12 @@ impl Plan {
         let kind = format!("{} is a still scene ({})", file.path.display(), file.format);
         let fps = options.fps.unwrap_or(FPS);
         let mut views = views.clone();
+        let framing = file.still.framing();
+        views.eyes = options.motion.eyes()?;
+        views.pivot = framing.map(|framing| framing.middle());
+        if options.motion.moves() && views.times.is_some() {
+            return Err(Failure::usage(format!("--times: expected none beside a camera that moves; {kind}")));
+        }
         if views.options.size == Size::Source {
             return Err(Failure::usage(format!("--size source: expected WIDTHxHEIGHT; {kind}, which has no source")));
         }
@@ -68,11 +70,11 @@ impl Plan {
             views.options.size = Size::Exact { width, height };
         }
         let Size::Exact { width, height } = views.options.size else { return Err(Failure::work(kind)) };
-        let Some(framing) = file.still.framing() else {
+        let Some(framing) = framing else {
             return Err(Failure::work(format!("{kind}: expected Gaussians at finite places, found none to look at")));
         };
         let aspect = width as f64 / height as f64;
-        let Some((angles, fps)) = options.motion.angles(fps)? else {
+        let Some(angles) = options.motion.held(fps)? else {
             views.camera = framing.camera(0.0, aspect).into();
             let times = views.times.clone().unwrap_or_else(|| vec![0.0]);
             return Ok(Plan { views, times, fps });
@@ -107,44 +109,6 @@ impl Plan {
             }
             (time, views)
         })
-    }
-}
-
-impl Motion {
-    /// The angles at which images are drawn, and the images per second; `None` where nothing moves.
-    fn angles(&self, fps: f64) -> Result<Option<(Vec<f64>, f64)>, Failure> {
-        let count = |option: &str, seconds: f64| {
-            let count = (seconds * fps).round();
-            if !(seconds > 0.0 && (1.0..=MOST).contains(&count)) {
-                return Err(Failure::usage(format!(
-                    "{option}: expected at least one image and at most {MOST}, found {seconds} s at {fps} images per second"
-                )));
-            }
-            Ok(count as usize)
-        };
-        if let Some(seconds) = self.turntable {
-            let count = count("--turntable", seconds)?;
-            return Ok(Some(((0..count).map(|i| 360.0 * i as f64 / count as f64).collect(), fps)));
-        }
-        let Some(text) = &self.orbit else { return Ok(None) };
-        let (degrees, seconds) = text.split_once(':').map_or((text.as_str(), None), |(d, s)| (d, Some(s)));
-        let number = |text: &str| text.trim().parse::<f64>().ok().filter(|x| x.is_finite());
-        let (Some(degrees), Some(seconds)) = (number(degrees), seconds.map_or(Some(ORBIT), number)) else {
-            return Err(Failure::usage(format!("--orbit {text}: expected DEGREES or DEGREES:SECONDS")));
-        };
-        let count = count("--orbit", seconds)?;
-        let last = count.saturating_sub(1).max(1) as f64;
-        Ok(Some(((0..count).map(|i| degrees * (i as f64 / last - 0.5)).collect(), fps)))
-    }
-
-    /// Refuses what a scene in time does not have.
-    pub fn refuse(&self, views: &Views) -> Result<(), Failure> {
-        if self.orbit.is_some() || self.turntable.is_some() {
-            return Err(Failure::usage(
-                "--orbit, --turntable: expected a still scene, found one in time: give --camera",
-            ));
-        }
-        views.refuse_cameras()
     }
 }
 
@@ -221,7 +185,12 @@ pub fn export(
 /// What a still scene holds.
 pub fn inspect(file: &StillFile) -> Value {
     let still = &file.still;
-    let bounds = still.bounds();
+    let (bounds, framing, statistics) = (still.bounds(), still.framing(), still.statistics());
+    let spread = |spread: Option<Spread>| {
+        spread.map(|Spread([least, p5, median, p95, greatest])| {
+            json!({ "least": short(least), "p5": short(p5), "median": short(median), "p95": short(p95), "greatest": short(greatest) })
+        })
+    };
     json!({
         "kind": "still scene",
         "format": file.format,
@@ -231,5 +200,19 @@ pub fn inspect(file: &StillFile) -> Value {
         "harmonics_degree": still.degree,
         "least": bounds.map(|[least, _]| least),
         "greatest": bounds.map(|[_, greatest]| greatest),
+        "most_of_it": framing.map(|f| json!({ "least": f.least.map(short), "greatest": f.greatest.map(short) })),
+        "standard_deviation": spread(statistics.size),
+        "flatness": spread(statistics.flatness),
+        "opacity": spread(statistics.opacity),
+        "not_drawn": {
+            "not_finite": statistics.not_finite,
+            "no_rotation": statistics.no_rotation,
+            "opacity_under_1_255": statistics.faint,
+        },
     })
+}
+
+/// A number with five digits, for people.
+fn short(x: f64) -> f64 {
+    format!("{x:.4e}").parse().unwrap_or(x)
 }

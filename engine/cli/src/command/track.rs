@@ -6,7 +6,8 @@ use serde::Serialize;
 use streamsplat::import::open_moving;
 use streamsplat::output::write_file;
 use streamsplat::scene::Scene;
-use streamsplat::stream::{Track, TrackPoint, Workers};
+use streamsplat::stream::Workers;
+use streamsplat::track::{Track, TrackPoint};
 
 use crate::console::failure::Failure;
 use crate::console::{Console, print, say};

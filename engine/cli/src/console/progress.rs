@@ -38,6 +38,13 @@ struct State {
 impl Progress {
     /// Of `total` things called `what`, where the number is known.
     pub fn new(what: &'static str, total: Option<usize>, console: &Console) -> Progress {
+        let mut progress = Progress::shown(what, total, console);
+        progress.observer.clone_from(&console.observer);
+        progress
+    }
+
+    /// Of what comes before the work that is counted: it is shown, and no observer is told.
+    pub fn shown(what: &'static str, total: Option<usize>, console: &Console) -> Progress {
         let terminal = std::io::stderr().is_terminal();
         let state = Arc::new(Mutex::new(State { what, total, done: 0, start: Instant::now() }));
         let bar = (terminal && !console.quiet).then(|| {
@@ -67,7 +74,7 @@ impl Progress {
             });
             (end, writer)
         });
-        Progress { state, bar, lines, observer: console.observer.clone(), stop: console.stop.clone() }
+        Progress { state, bar, lines, observer: None, stop: console.stop.clone() }
     }
 
     /// One more is done.
@@ -83,6 +90,14 @@ impl Progress {
             && !observer(done, total)
         {
             self.stop.ask();
+        }
+    }
+
+    /// So many are done.
+    pub fn reach(&mut self, done: usize) {
+        lock(&self.state).done = done;
+        if let Some(bar) = &self.bar {
+            bar.set_position(done as u64);
         }
     }
 

@@ -21,7 +21,7 @@ pub struct Cli {
 #[derive(Subcommand)]
 pub enum Command {
     /// Video → scene, frames, report
-    Run(RunArgs),
+    Run(Box<RunArgs>),
     /// Scene → images at chosen times and cameras
     Render(RenderArgs),
     /// Key frames in, the frames between held out: PSNR and SSIM beside simple baselines
@@ -69,7 +69,7 @@ pub struct Machine {
     /// Threads [default: one per processor]
     #[arg(long, value_name = "N")]
     pub threads: Option<String>,
-    /// Instruction set: scalar, avx2, avx512, neon or auto
+    /// Instruction set: scalar, avx2, avx512, avx512vnni, avx512bf16, neon or auto
     #[arg(long, value_name = "NAME", default_value = "auto")]
     pub isa: String,
 }
@@ -201,7 +201,7 @@ pub struct RunArgs {
     pub input: PathBuf,
     /// Folder for the results, or a video file (.y4m, .mp4, .webm, .mkv, .mov), or - (y4m on standard output) [default: here, named after the input: of
     /// clip.mp4 the video clip-scene.mp4 with the scene clip-scene.ssz beside it, of images or y4m the folder clip-scene]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, short, value_name = "DIR")]
     pub out: Option<PathBuf>,
     #[command(flatten)]
     pub options: RunOptions,
@@ -234,6 +234,9 @@ pub struct RunOptions {
     pub fps: Option<f64>,
     #[command(flatten)]
     pub view: View,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub motion: Motion,
     /// Outputs: rgb, depth, alpha, exr (these three as layers of one file), scene, ply, tracks [default: rgb,scene]
     #[arg(long, value_name = "LIST")]
     pub emit: Option<String>,
@@ -251,7 +254,7 @@ pub struct RenderArgs {
     /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG, glTF, .splat)
     pub scene: PathBuf,
     /// Folder for the images, or a video file, or - (y4m on standard output); for a single image a .png or .exr file
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, short, value_name = "DIR")]
     pub out: PathBuf,
     #[command(flatten)]
     pub options: RenderOptions,
@@ -276,6 +279,11 @@ pub struct RenderOptions {
     /// Outputs: rgb, depth, alpha, exr (these three as layers of one file) [default: rgb]
     #[arg(long, value_name = "LIST")]
     pub emit: Option<String>,
+    /// Let what is smaller than a pixel get fainter in place of larger: for scenes that were trained with anti-aliasing (Mip-Splatting's 2D
+    /// filter, "antialiased" in gsplat)
+    #[arg(long)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub antialias: bool,
     #[command(flatten)]
     #[serde(flatten)]
     pub limit: Limit,
@@ -285,17 +293,31 @@ pub struct RenderOptions {
     pub single: bool,
 }
 
-/// A camera that moves around a still scene.
-#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
+/// A camera that moves around the middle of a scene, and its eyes.
+#[derive(Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Motion {
-    /// Of a still scene: move the camera by so many degrees around it, from left to right, in so many seconds [default: 4]
-    #[arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with_all = ["camera", "times"], allow_hyphen_values = true)]
+    /// Move the camera by so many degrees around the scene, from left to right, in so many seconds; where time runs on, then back, and so
+    /// on [default: 4 seconds; render of a scene in time: once in all of it]
+    #[arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with = "camera", allow_hyphen_values = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub orbit: Option<String>,
-    /// Of a still scene: once around it in so many seconds; the last image goes on into the first
-    #[arg(long, value_name = "SECONDS", conflicts_with_all = ["camera", "times", "orbit"], allow_negative_numbers = true)]
+    /// Move the camera on a circle, so many degrees from the middle, once in so many seconds; the last image goes on into the first
+    /// [default: 4 degrees, 4 seconds; render of a scene in time: about 4 seconds, so that whole circles fit]
+    #[arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with_all = ["camera", "orbit"], num_args = 0..=1, require_equals = true, default_missing_value = "4")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sway: Option<String>,
+    /// Once around the scene in so many seconds; the last image goes on into the first
+    #[arg(long, value_name = "SECONDS", conflicts_with_all = ["camera", "orbit", "sway"], allow_negative_numbers = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turntable: Option<f64>,
+    /// The views of a left and a right eye side by side, in images twice as wide
+    #[arg(long)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub stereo: bool,
+    /// Distance between the eyes, as a part of their distance from the scene's middle [default: 0.06]
+    #[arg(long, value_name = "PART", requires = "stereo", allow_negative_numbers = true)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub eye_distance: Option<f64>,
 }
 
 /// What input files may hold.
@@ -395,7 +417,7 @@ pub struct ExportArgs {
     #[arg(long, value_name = "NAME")]
     pub format: Option<String>,
     /// Folder for 000000.ply and so on; for a single time, a file with the format's name as its ending; for ssz, a file
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, short, value_name = "PATH")]
     pub out: PathBuf,
     /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
@@ -453,6 +475,9 @@ pub struct ViewArgs {
     /// Serve nothing: write the page with the scene in it as this file, which opens by itself
     #[arg(long, value_name = "FILE", conflicts_with_all = ["port", "host", "allow_host"])]
     pub html: Option<PathBuf>,
+    /// Where the page of --html will be on the web, for the tags that programs read which show links; its poster is FILE.png beside it
+    #[arg(long, value_name = "URL", requires = "html")]
+    pub url: Option<String>,
     #[command(flatten)]
     pub limit: Limit,
     #[command(flatten)]

@@ -2,5 +2,6 @@
 
 pub mod args;
 pub mod machine;
+pub mod motion;
 pub mod settings;
 pub mod times;

@@ -16,6 +16,7 @@ use streamsplat_model::Precision;
 
 use crate::console::failure::Failure;
 use crate::options::args::{Machine, Model, Stream, View};
+use crate::options::motion::Course;
 
 /// `text` as a `T`, or wrong use of `option`.
 pub fn choice<T: FromStr>(option: &str, text: &str) -> Result<T, Failure>
@@ -168,6 +169,12 @@ pub struct Views {
     pub own_sizes: Vec<[usize; 2]>,
     /// Whether there is nothing behind the scene: it is drawn over black, and alpha is kept.
     pub transparent: bool,
+    /// Where the camera stands around the middle of a scene in time, in place of `camera`.
+    pub course: Option<Course>,
+    /// Distance between the eyes, where there are two.
+    pub eyes: Option<f64>,
+    /// The middle of a still scene; that of a scene in time follows from its first image.
+    pub pivot: Option<[f64; 3]>,
 }
 
 impl Views {
@@ -200,6 +207,9 @@ impl Views {
             backend: Backend::Cpu,
             own_sizes: Vec::new(),
             transparent: false,
+            course: None,
+            eyes: None,
+            pivot: None,
         }
     }
 }
@@ -213,7 +223,8 @@ impl View {
         let (camera, own_sizes) = self.cameras(size)?;
         let options = RenderOptions { size, background, ..RenderOptions::default() };
         let times = self.times.as_deref().map(times).transpose()?;
-        Ok(Views { options, camera, times, backend: self.backend()?, own_sizes, transparent })
+        let backend = self.backend()?;
+        Ok(Views { options, camera, times, backend, own_sizes, transparent, ..Views::own() })
     }
 
     /// The camera's path, and the sizes of its images where another program's file says them.

@@ -4,7 +4,7 @@
 //! In the folder `resume` of the results (for a video `v.y4m`, `v.y4m.resume` beside it):
 //!
 //! - `written.jsonl`, the [ledger](crate::output::ledger): a line per file before the file gets its name;
-//! - `state.safetensors`, the [`Point`] and the stream's memory, replaced by renaming after each whole interval;
+//! - `state.safetensors`, the [`Point`] and the stream's resume point, replaced by renaming after each whole interval;
 //! - `state.before.safetensors`, the one of the interval before.
 //!
 //! After an interval its files, the folders they are in, the ledger and the video are synced, and then the state is written, so that whatever a
@@ -12,9 +12,9 @@
 //! is taken; where that is no better, the run starts again.
 //!
 //! The point is what counts: everything it vouches for was written before it, and what came after it is written again. Of the stream it
-//! holds the memory *before* the last whole interval. So `--resume` reads the input from its beginning (the digest of what was read must
-//! be the same), takes up the memory at the key frame before the last one, and computes the last whole interval again, which must come
-//! out as it was written; two key frames of work. Where the memory says too little ([`Reuse::forgets`](streamsplat::stream::Reuse)),
+//! holds the resume point *before* the last whole interval. So `--resume` reads the input from its beginning (the digest of what was read must
+//! be the same), takes up the resume point at the key frame before the last one, and computes the last whole interval again, which must come
+//! out as it was written; two key frames of work. Where the resume point says too little ([`Reuse::forgets`](streamsplat::stream::Reuse)),
 //! the stream is computed from its start. When a run is complete the folder goes.
 
 use std::collections::BTreeMap;
@@ -24,8 +24,8 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use streamsplat::import::read_file;
 use streamsplat::output::{OutputError, Video, VideoPoint, partial_name, storage};
-use streamsplat::scene::{memory_from_safetensors, memory_to_safetensors};
-use streamsplat::stream::Memory;
+use streamsplat::scene::{resume_point_from_safetensors, resume_point_to_safetensors};
+use streamsplat::stream::ResumePoint;
 
 use crate::console::failure::Failure;
 use crate::output::choices::Choices;
@@ -34,6 +34,7 @@ use crate::output::ledger;
 use crate::output::outputs::Destination;
 use crate::output::record::{Counts, InputRecord, Record, Task, WorkRecord, absolute};
 use crate::output::terms::Terms;
+use crate::session::drawing::Anchor;
 
 /// The point's file.
 const STATE: &str = "state.safetensors";
@@ -64,6 +65,9 @@ pub struct Point {
     pub dropped: u64,
     /// The account of drawing.
     pub drawn: Counts,
+    /// What a moving camera started from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub anchor: Option<Anchor>,
     /// Bytes of the ledger that count.
     pub ledger: u64,
     /// The video, where the result is one.
@@ -78,7 +82,7 @@ pub enum Found {
     /// A complete run.
     Complete(Box<Record>),
     /// A run to go on with.
-    Under(Box<Point>, Option<Memory>),
+    Under(Box<Point>, Option<ResumePoint>),
 }
 
 /// Looks for what a run to `destination` left.
@@ -112,7 +116,7 @@ pub fn find(destination: &Destination) -> Result<Found, Failure> {
         states.iter().filter(|path| path.exists()).map(|path| point(path, &folder, destination)).peekable();
     while let Some(found) = points.next() {
         match found {
-            Ok((point, memory)) => return Ok(Found::Under(Box::new(point), memory)),
+            Ok((point, resume)) => return Ok(Found::Under(Box::new(point), resume)),
             Err(damage) => {
                 let next = if points.peek().is_some() { "going back one interval" } else { "starting again" };
                 tell(&format!("{}; {next}", damage.message()));
@@ -123,11 +127,11 @@ pub fn find(destination: &Destination) -> Result<Found, Failure> {
 }
 
 /// The point in the file `path`, if all that it vouches for is there.
-fn point(path: &Path, folder: &Path, destination: &Destination) -> Result<(Point, Option<Memory>), Failure> {
+fn point(path: &Path, folder: &Path, destination: &Destination) -> Result<(Point, Option<ResumePoint>), Failure> {
     let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", path.display()));
     storage::regular(path).map_err(|e| wrong(&e))?;
     let bytes = read_file(path, MAX_STATE).map_err(|e| wrong(&e))?;
-    let (memory, note) = memory_from_safetensors(&bytes).map_err(|e| wrong(&e))?;
+    let (resume, note) = resume_point_from_safetensors(&bytes).map_err(|e| wrong(&e))?;
     let point: Point = serde_json::from_str(&note).map_err(|e| wrong(&format!("not the state of a run: {e}")))?;
     let lines = ledger::read(folder, point.ledger)?;
     match (destination, &point.video) {
@@ -139,7 +143,7 @@ fn point(path: &Path, folder: &Path, destination: &Destination) -> Result<(Point
         }
         (Destination::Video(..), _) => {}
     }
-    Ok((point, memory))
+    Ok((point, resume))
 }
 
 /// Every file of a record must have the length and the digest that it names.
@@ -163,10 +167,10 @@ fn tell(message: &str) {
     tracing::warn!("--resume: {message}");
 }
 
-/// Writes the point, with the stream's memory before its interval, when all that it vouches for is synced.
-pub fn commit(folder: &Path, point: &Point, memory: Option<&Memory>) -> Result<(), Failure> {
+/// Writes the point, with the stream's resume point before its interval, when all that it vouches for is synced.
+pub fn commit(folder: &Path, point: &Point, resume: Option<&ResumePoint>) -> Result<(), Failure> {
     let note = serde_json::to_string(point).map_err(Failure::work)?;
-    let bytes = memory_to_safetensors(memory, &note).map_err(Failure::work)?;
+    let bytes = resume_point_to_safetensors(resume, &note).map_err(Failure::work)?;
     let (state, before) = (folder.join(STATE), folder.join(BEFORE));
     let partial = partial_name(&state);
     let write = || {

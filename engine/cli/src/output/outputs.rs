@@ -12,7 +12,7 @@ use streamsplat::output::{
 use streamsplat::picture::Picture;
 use streamsplat::render::{Backend, Snapshot};
 use streamsplat::scene::{ContainerWriter, IntervalEntry, SceneWriter, to_safetensors};
-use streamsplat::stream::{Interval, Memory};
+use streamsplat::stream::{Interval, ResumePoint};
 
 use crate::console::failure::Failure;
 use crate::output::checkpoint::Point;
@@ -199,7 +199,7 @@ impl Outputs {
     }
 
     /// Makes the interval at hand one to go on from; `point` is completed with how far the files have come.
-    pub fn commit(&mut self, mut point: Point, memory: Option<&Memory>) -> Result<(), Failure> {
+    pub fn commit(&mut self, mut point: Point, resume: Option<&ResumePoint>) -> Result<(), Failure> {
         let Some(ledger) = &self.ledger else { return Ok(()) };
         point.ledger = ledger.length();
         if let Some(video) = &mut self.video {
@@ -208,7 +208,7 @@ impl Outputs {
         prepare_subfolder(ledger.folder())?;
         ledger.sync()?;
         self.sync_folders()?;
-        checkpoint::commit(ledger.folder(), &point, memory)
+        checkpoint::commit(ledger.folder(), &point, resume)
     }
 
     /// Waits until the names of all files would survive a power loss.

@@ -35,8 +35,7 @@ enum From {
 }
 
 impl Ahead {
-    /// Frames whose depth takes a network are read ahead where there is more than one thread; what else there is to do for a frame is
-    /// too little to be worth it.
+    /// Frames are read ahead where there is more than one thread.
     pub fn new(keys: KeyFrames, threads: usize) -> Ahead {
         Ahead::resume(keys, threads, None)
     }
@@ -52,7 +51,7 @@ impl Ahead {
         }
         let before = choices.map(Choices::replayed).unwrap_or_default();
         let choices = keys.listen(told).then_some((teller, before));
-        let from = match keys.runs_a_network() && threads > 1 {
+        let from = match threads > 1 {
             false => From::Here(Box::new(keys)),
             true => From::Thread(start(keys)),
         };

@@ -1,7 +1,7 @@
 //! From the start of the input to where a run was stopped.
 
 use streamsplat::Frame;
-use streamsplat::stream::{Interval, Memory};
+use streamsplat::stream::{Interval, ResumePoint};
 
 use crate::console::failure::Failure;
 use crate::options::settings::Views;
@@ -16,7 +16,7 @@ pub fn catch_up(
     times: &mut Times<'_>,
     views: &Views,
     point: &Point,
-    memory: Option<&Memory>,
+    resume: Option<&ResumePoint>,
 ) -> Result<(), Failure> {
     let mut before: Option<Frame> = None;
     let mut last = None;
@@ -33,12 +33,12 @@ pub fn catch_up(
         if index == point.key {
             check_input(stream, point)?;
         }
-        match memory {
-            Some(memory) if index < memory.frame => {}
-            Some(memory) if index == memory.frame => before = Some(key.frame),
+        match resume {
+            Some(resume) if index < resume.frame => {}
+            Some(resume) if index == resume.frame => before = Some(key.frame),
             _ => {
-                if let Some((memory, frame)) = memory.zip(before.take()) {
-                    stream.engine.recall(memory, frame)?;
+                if let Some((resume, frame)) = resume.zip(before.take()) {
+                    stream.engine.resume(resume, frame)?;
                 }
                 let between = key.take_between();
                 last = Some((stream.engine.push_with(between, key.frame, timestamp)?, key.shown));
@@ -46,18 +46,21 @@ pub fn catch_up(
         }
     }
     let Some((interval, shown)) = last else {
-        return Err(Failure::work("--resume: state.safetensors: expected a memory before the last whole interval"));
+        return Err(Failure::work(
+            "--resume: state.safetensors: expected a resume point before the last whole interval",
+        ));
     };
     stream.outputs.take_up(stream.keys.fps(), &interval, point.video.as_ref())?;
     times.next = point.times;
     let drawn = match times.asked {
-        None => shown.last().map(|frame| frame.timestamp),
-        Some(asked) => point.times.checked_sub(1).and_then(|i| asked.get(i)).copied(),
+        None => shown.last().map(|frame| (frame.index, frame.timestamp)),
+        Some(asked) => point.times.checked_sub(1).and_then(|i| Some((i, *asked.get(i)?))),
     };
+    stream.drawing.anchor = point.anchor;
     if stream.emit.draws()
-        && let Some(time) = drawn.filter(|time| holds(&interval, *time))
+        && let Some((index, time)) = drawn.filter(|(_, time)| holds(&interval, *time))
     {
-        stream.drawing.draw(&interval, time, views)?;
+        stream.drawing.draw(&interval, index, time, views)?;
     }
     stream.drawing.counts = point.drawn.clone();
     stream.account.restart(point.work.clone(), stream.engine.work());

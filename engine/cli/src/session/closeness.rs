@@ -48,7 +48,7 @@ impl Closeness {
         let start = Instant::now();
         let mut ratios = Vec::with_capacity(truths.len());
         for Truth { time, picture } in truths {
-            let image = self.drawing.draw(interval, *time, &self.views)?;
+            let image = self.drawing.draw(interval, 0, *time, &self.views)?;
             let image = Picture { width: image.width, height: image.height, rgb: image.rgb }.resized(SIDE, SIDE);
             ratios.push(psnr(&image, picture).map_err(Failure::work)?);
         }

@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
+use serde::{Deserialize, Serialize};
+use streamsplat::camera::{Camera, turn};
 use streamsplat::render::{Backend, Painter, View};
 use streamsplat::still::Drawable;
 use streamsplat::stream::{Interval, Workers};
@@ -10,6 +12,7 @@ use streamsplat::{Image, RenderError};
 use streamsplat_kernels::raster::Projection;
 
 use crate::console::failure::Failure;
+use crate::options::motion::Course;
 use crate::options::settings::Views;
 use crate::output::outputs::Outputs;
 use crate::output::record::{Counts, RendererRecord, WorkRecord};
@@ -17,10 +20,21 @@ use crate::output::record::{Counts, RendererRecord, WorkRecord};
 /// Colour, depth and alpha.
 const PLANES: u64 = 3;
 
+/// What a camera that moves around a scene in time starts from: its first image.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Anchor {
+    /// When that is.
+    pub time: f64,
+    /// The scene's middle then.
+    pub pivot: [f64; 3],
+}
+
 /// Draws and writes images; keeps the account.
 pub struct Drawing {
     painter: Painter,
     backend: Backend,
+    /// Known from the first image on that needs it.
+    pub anchor: Option<Anchor>,
     /// The account.
     pub counts: Counts,
     /// Time spent drawing.
@@ -35,6 +49,7 @@ impl Drawing {
         Ok(Drawing {
             painter: Painter::with(workers, backend)?,
             backend,
+            anchor: None,
             counts: Counts::default(),
             render: Duration::ZERO,
             write: Duration::ZERO,
@@ -50,18 +65,42 @@ impl Drawing {
         }
     }
 
-    /// Draws the interval at `time` from where the camera is then.
-    pub fn draw(&mut self, interval: &Interval, time: f64, views: &Views) -> Result<Image, Failure> {
-        let camera = views.camera.at(time);
-        let view = View::new(&camera, &interval.placement, [1; 2]);
+    /// Draws the interval at `time` from where the camera is then, as the image with the number `index`.
+    pub fn draw(&mut self, interval: &Interval, index: usize, time: f64, views: &Views) -> Result<Image, Failure> {
+        if views.course.is_none() && views.eyes.is_none() {
+            return self.seen(interval, time, &views.camera.at(time), views);
+        }
+        let placement = &interval.placement;
+        let anchor = match self.anchor {
+            Some(anchor) => anchor,
+            None => *self.anchor.insert(Anchor { time, pivot: turn::pivot(interval, time)? }),
+        };
+        let camera = match &views.course {
+            None => views.camera.at(time),
+            Some(course) => turn::turned(placement, anchor.pivot, course.at(index, time - anchor.time)),
+        };
+        let Some(apart) = views.eyes else { return self.seen(interval, time, &camera, views) };
+        let [left, right] = turn::eyes(&camera, Some(placement), anchor.pivot, apart).ok_or_else(behind)?;
+        Ok(beside(self.seen(interval, time, &left, views)?, self.seen(interval, time, &right, views)?))
+    }
+
+    fn seen(&mut self, interval: &Interval, time: f64, camera: &Camera, views: &Views) -> Result<Image, Failure> {
+        let view = View::new(camera, &interval.placement, [1; 2]);
         let turned = view.rotation().is_some() || !matches!(view.projection(), Projection::Orthographic { .. });
-        self.drawn(turned, |painter| painter.draw(interval, time, &camera, &views.options))
+        self.drawn(turned, |painter| painter.draw(interval, time, camera, &views.options))
     }
 
     /// Draws a still scene from where the camera is at `time`.
     pub fn still(&mut self, scene: &Drawable, time: f64, views: &Views) -> Result<Image, Failure> {
         // Its Gaussians have rotations of their own.
-        self.drawn(true, |painter| painter.draw_still(scene, &views.camera.at(time), &views.options))
+        let mut seen = |camera: &Camera| self.drawn(true, |painter| painter.draw_still(scene, camera, &views.options));
+        match (views.camera.at(time), views.eyes.zip(views.pivot)) {
+            (camera @ Camera::Canonical, _) | (camera, None) => seen(&camera),
+            (camera, Some((apart, pivot))) => {
+                let [left, right] = turn::eyes(&camera, None, pivot, apart).ok_or_else(behind)?;
+                Ok(beside(seen(&left)?, seen(&right)?))
+            }
+        }
     }
 
     /// Draws and counts; `turned`: whether the view needs splats that are turned.
@@ -111,7 +150,7 @@ impl Drawing {
         time: f64,
         views: &Views,
     ) -> Result<(), Failure> {
-        let image = self.draw(interval, time, views)?;
+        let image = self.draw(interval, index, time, views)?;
         self.writing(|| outputs.image(index, image))
     }
 
@@ -131,5 +170,40 @@ impl Drawing {
         }
         seconds.insert("render".to_owned(), self.render.as_secs_f64());
         seconds.insert("write".to_owned(), self.write.as_secs_f64());
+    }
+}
+
+impl Course {
+    /// Where the camera stands at the image with the number `index`, so many seconds after the first.
+    fn at(&self, index: usize, time: f64) -> turn::Angles {
+        match self {
+            Course::Held(angles) => angles.get(index).copied().unwrap_or_default(),
+            Course::Running(turn) => turn.at(time),
+        }
+    }
+}
+
+fn behind() -> Failure {
+    Failure::usage(
+        "--stereo: expected cameras that look towards the scene's middle, found one that has it behind itself",
+    )
+}
+
+/// The images of the left and of the right eye as one, twice as wide.
+fn beside(left: Image, right: Image) -> Image {
+    let (width, height) = (left.width, left.height);
+    let rows = |left: &[f32], right: &[f32]| -> Vec<f32> {
+        left.chunks_exact(width).zip(right.chunks_exact(width)).flat_map(|(a, b)| a.iter().chain(b)).copied().collect()
+    };
+    let plane = |a: &Option<Vec<f32>>, b: &Option<Vec<f32>>| a.as_ref().zip(b.as_ref()).map(|(a, b)| rows(a, b));
+    Image {
+        width: 2 * width,
+        height,
+        rgb: rows(&left.rgb, &right.rgb),
+        depth: plane(&left.depth, &right.depth),
+        alpha: plane(&left.alpha, &right.alpha),
+        final_t: plane(&left.final_t, &right.final_t),
+        blended: None,
+        dropped: left.dropped + right.dropped,
     }
 }

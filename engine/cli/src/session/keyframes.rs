@@ -4,7 +4,7 @@ use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use streamsplat::Frame;
-use streamsplat::gap::{Choice, Chooser, ControlState, Found, Gap};
+use streamsplat::gap::{self, ControlState, Found, Gap, Group};
 use streamsplat::picture::Picture;
 use streamsplat::source::{Source, SourceError, TimedPicture};
 
@@ -77,24 +77,24 @@ pub enum Keep {
 pub struct KeyFrames {
     source: Source,
     depth: KeyDepth,
-    chooser: Chooser,
+    groups: gap::KeyFrames<TimedPicture>,
     keep: Keep,
     /// Whether frames after the last key frame are left out.
     whole_gaps: bool,
     limit: usize,
     digest: InputDigest,
     size: [usize; 2],
-    pending: Vec<TimedPicture>,
+    /// Frames that arrived.
+    arrived: usize,
+    /// The latest frame's place and its map, where it has a file.
+    latest: (usize, Option<Vec<f32>>),
     /// All frames since the key frame before as they are compared, where key frames depend on that.
     truths: Option<Vec<Truth>>,
     /// How close images came to frames.
     told: Option<Receiver<Found>>,
     /// Key frames given.
     given: usize,
-    /// A frame whose arrival made the one before a key frame.
-    ahead: Option<TimedPicture>,
     time: Duration,
-    ended: bool,
     stop: Stop,
 }
 
@@ -105,26 +105,25 @@ impl KeyFrames {
         KeyFrames {
             source,
             depth,
-            chooser: Chooser::new(gap),
+            groups: gap::KeyFrames::new(gap),
             keep,
             whole_gaps: keep == Keep::Everything && matches!(gap, Gap::Every(_)),
             limit,
             digest: InputDigest::default(),
             size: [0, 0],
-            pending: Vec::new(),
+            arrived: 0,
+            latest: (0, None),
             truths: gap.depends_on_images().then(Vec::new),
             told: None,
             given: 0,
-            ahead: None,
             time: Duration::ZERO,
-            ended: false,
             stop: stop.clone(),
         }
     }
 
     /// Makes the choices of before again, then goes on.
     pub fn replay(&mut self, choices: &Choices) {
-        self.chooser.replay(choices.gaps.iter().copied(), choices.state.clone());
+        self.groups.chooser().replay(choices.gaps.iter().copied(), choices.state.clone());
     }
 
     /// Where it is told how close images came to frames, one message per key frame, if it wants to know. The choice of a key frame waits for what was found up to
@@ -136,8 +135,8 @@ impl KeyFrames {
     }
 
     /// What the latest choice rested on.
-    pub fn state(&self) -> ControlState {
-        self.chooser.state()
+    pub fn state(&mut self) -> ControlState {
+        self.groups.chooser().state()
     }
 
     /// Frames there may be, where that is known.
@@ -151,11 +150,6 @@ impl KeyFrames {
     /// Frames per second.
     pub fn fps(&self) -> f64 {
         self.source.fps()
-    }
-
-    /// Whether key frames are given their depth by a network.
-    pub fn runs_a_network(&self) -> bool {
-        matches!(self.depth, KeyDepth::Network(_))
     }
 
     /// What was read so far.
@@ -175,10 +169,10 @@ impl KeyFrames {
     pub fn next(&mut self) -> Result<Option<KeyFrame>, Failure> {
         if let Some(told) = &self.told
             && self.given >= 2
-            && !self.chooser.is_replaying()
+            && !self.groups.chooser().is_replaying()
         {
             // Nobody tells any more when nobody takes key frames any more.
-            told.recv().iter().for_each(|found| self.chooser.learn(found));
+            told.recv().iter().for_each(|found| self.groups.chooser().learn(found));
         }
         let start = Instant::now();
         let _span = tracing::info_span!("decode").entered();
@@ -189,82 +183,57 @@ impl KeyFrames {
     }
 
     fn read(&mut self) -> Result<Option<KeyFrame>, Failure> {
-        while !self.ended && self.digest.frames() < self.limit {
-            let (frame, choice) = match self.ahead.take() {
-                Some(frame) => (frame, Choice::Wait),
-                None => {
-                    let Some(frame) = self.arrive()? else { break };
-                    let choice = self.chooser.next(&frame.picture);
-                    (frame, choice)
-                }
-            };
-            if choice == Choice::Before
-                && let Some(before) = self.pending.pop()
-            {
-                self.ahead = Some(frame);
-                return self.last(before).map(Some);
+        let KeyFrames { source, depth, digest, size, truths, latest, arrived, keep, limit, stop, .. } = self;
+        let arrive = || {
+            if arrived == limit {
+                return Ok(None);
             }
-            let (width, height) = (frame.picture.width, frame.picture.height);
-            self.size = [width, height];
-            let depth = self.depth.of_file(frame.index, &frame.picture)?;
-            self.digest.add(&frame.picture, frame.timestamp, depth.as_deref());
-            if let Some(truths) = &mut self.truths {
+            *arrived += 1;
+            match source.next_frame() {
+                // What feeds us is stopped by the same Ctrl-C; its stream may end anywhere.
+                Err(SourceError::Y4m { .. }) if stop.asked() => Ok(None),
+                next => Ok(next?),
+            }
+        };
+        let taken = |waiting: &mut [TimedPicture]| {
+            let [before @ .., frame] = waiting else { return Ok(()) };
+            *size = [frame.picture.width, frame.picture.height];
+            *latest = (frame.index, depth.of_file(frame.index, &frame.picture)?);
+            digest.add(&frame.picture, frame.timestamp, latest.1.as_deref());
+            if let Some(truths) = truths {
                 truths.push(Truth { time: frame.timestamp, picture: frame.picture.resized(SIDE, SIDE) });
             }
-            if choice == Choice::This {
-                return self.key(frame, depth).map(Some);
-            }
             // Only the last of them may still become a key frame.
-            if self.keep == Keep::Nothing
-                && let Some(before) = self.pending.last_mut()
+            if *keep == Keep::Nothing
+                && let Some(before) = before.last_mut()
             {
                 before.picture = empty();
             }
-            self.pending.push(frame);
-        }
-        self.ended = true;
-        if self.whole_gaps {
-            return Ok(None);
-        }
-        match self.pending.pop() {
-            Some(last) => self.last(last).map(Some),
-            None => Ok(None),
+            Ok::<_, Failure>(())
+        };
+        match self.groups.next(arrive, taken)? {
+            Some(group) if group.whole || !self.whole_gaps => self.key(group),
+            _ => Ok(None),
         }
     }
 
-    /// The next frame of the source.
-    fn arrive(&mut self) -> Result<Option<TimedPicture>, Failure> {
-        match self.source.next_frame() {
-            Ok(next) => Ok(next),
-            // What feeds us is stopped by the same Ctrl-C; its stream may end anywhere.
-            Err(SourceError::Y4m { .. }) if self.stop.asked() => Ok(None),
-            Err(e) => Err(e.into()),
-        }
-    }
-
-    /// The last of the frames that wait, as a key frame.
-    fn last(&mut self, frame: TimedPicture) -> Result<KeyFrame, Failure> {
-        let depth = self.depth.of_file(frame.index, &frame.picture)?;
-        self.key(frame, depth)
-    }
-
-    fn key(&mut self, mut frame: TimedPicture, of_file: Option<Vec<f32>>) -> Result<KeyFrame, Failure> {
+    fn key(&mut self, Group { frames: mut shown, .. }: Group<TimedPicture>) -> Result<Option<KeyFrame>, Failure> {
+        let Some(frame) = shown.last_mut() else { return Ok(None) };
         let (width, height) = (frame.picture.width, frame.picture.height);
+        let of_file = match self.latest.1.take() {
+            Some(depth) if self.latest.0 == frame.index => Some(depth),
+            _ => self.depth.of_file(frame.index, &frame.picture)?,
+        };
         let depth = match of_file {
             Some(depth) => Some(depth),
             None => self.depth.of_network(&frame.picture)?,
         };
-        let mut shown = std::mem::take(&mut self.pending);
-        if self.keep == Keep::Nothing {
-            shown.iter_mut().for_each(|before| before.picture = empty());
-        }
         let rgb = match self.keep {
             Keep::Everything => frame.picture.rgb.clone(),
             Keep::Nothing | Keep::Between => std::mem::replace(&mut frame.picture, empty()).rgb,
         };
-        shown.push(frame);
         let truths = self.truths.as_mut().map(std::mem::take).unwrap_or_default();
-        Ok(KeyFrame { frame: Frame { width, height, rgb, depth }, shown, truths })
+        Ok(Some(KeyFrame { frame: Frame { width, height, rgb, depth }, shown, truths }))
     }
 }
 

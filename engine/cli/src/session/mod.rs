@@ -6,5 +6,6 @@ pub mod closeness;
 pub mod drawing;
 pub mod keydepth;
 pub mod keyframes;
+pub mod opening;
 pub mod serving;
 pub mod stream;

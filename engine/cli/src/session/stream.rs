@@ -1,10 +1,12 @@
 //! A run under way: key frames through the engine, results to where they go.
 
 use std::path::Path;
+use std::sync::mpsc::sync_channel;
+use std::time::{Duration, Instant};
 
-use streamsplat::Engine;
 use streamsplat::render::Snapshot;
-use streamsplat::stream::{Interval, Memory};
+use streamsplat::stream::{Interval, ResumePoint};
+use streamsplat::{Engine, Image};
 
 use crate::console::failure::Failure;
 use crate::console::progress::Progress;
@@ -60,7 +62,7 @@ impl Stream<'_> {
         }
         while let Some(mut key) = self.keys.next()? {
             let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
-            let memory = self.engine.memory().filter(|_| self.outputs.can_resume());
+            let resume = self.engine.resume_point().filter(|_| self.outputs.can_resume());
             let interval = self.engine.push_with(key.take_between(), key.frame, timestamp)?;
             self.dropped += interval.dropped;
             self.span = Some((self.span.map_or(interval.start, |(first, _)| first), interval.end));
@@ -75,7 +77,7 @@ impl Stream<'_> {
             {
                 self.keys.tell(&found, closeness);
             }
-            self.commit(origin, times.next, memory.as_ref())?;
+            self.commit(origin, times.next, resume.as_ref())?;
             self.key += 1;
             key.shown.iter().for_each(|_| self.progress.step());
             if self.stop.asked() {
@@ -87,24 +89,44 @@ impl Stream<'_> {
 
     /// Writes an interval and what is due in it.
     fn write(&mut self, interval: &Interval, due: &[(usize, f64)], views: &Views) -> Result<(), Failure> {
-        let Stream { outputs, drawing, emit, .. } = self;
+        let Stream { outputs, drawing, emit, engine, .. } = self;
         drawing.writing(|| outputs.interval(interval))?;
-        for &(index, time) in due {
-            if emit.draws() {
-                drawing.image(outputs, index, interval, time, views)?;
+        if engine.workers().threads() < 2 || due.len() < 2 {
+            for &(index, time) in due {
+                let drawn = Drawn::of(drawing, interval, (index, time), *emit, views)?;
+                drawing.writing(|| drawn.write(outputs, index))?;
             }
-            if emit.ply {
-                let snapshot = Snapshot::exported(interval, time)?;
-                // Where an image is drawn as well, they are counted with it.
-                drawing.counts.dropped += if emit.draws() { 0 } else { snapshot.dropped };
-                drawing.writing(|| outputs.snapshot(index, &snapshot))?;
-            }
+            return Ok(());
         }
-        Ok(())
+        // An image is drawn while the one before is written, here and in order.
+        let mut seconds = Duration::ZERO;
+        let result = std::thread::scope(|scope| {
+            let (sender, receiver) = sync_channel(0);
+            let drawing = &mut *drawing;
+            let drawer = scope.spawn(move || {
+                for &(index, time) in due {
+                    let drawn = Drawn::of(drawing, interval, (index, time), *emit, views)?;
+                    if sender.send((index, drawn)).is_err() {
+                        break;
+                    }
+                }
+                Ok(())
+            });
+            for (index, drawn) in &receiver {
+                let _span = tracing::info_span!("write").entered();
+                let start = Instant::now();
+                let written = drawn.write(outputs, index);
+                seconds += start.elapsed();
+                written?;
+            }
+            drawer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        });
+        drawing.write += seconds;
+        result
     }
 
     /// Makes the interval just written one to go on from.
-    fn commit(&mut self, origin: &RunOrigin<'_>, times: usize, memory: Option<&Memory>) -> Result<(), Failure> {
+    fn commit(&mut self, origin: &RunOrigin<'_>, times: usize, resume: Option<&ResumePoint>) -> Result<(), Failure> {
         if !self.outputs.can_resume() {
             return Ok(());
         }
@@ -118,11 +140,45 @@ impl Stream<'_> {
             work: self.account.of(self.engine.work()),
             dropped: self.dropped,
             drawn: self.drawing.counts.clone(),
+            anchor: self.drawing.anchor,
             ledger: 0,
             video: None,
         };
         let Stream { outputs, drawing, .. } = self;
-        drawing.writing(|| outputs.commit(point, memory))
+        drawing.writing(|| outputs.commit(point, resume))
+    }
+}
+
+/// Results at one time, not yet written.
+struct Drawn {
+    image: Option<Image>,
+    snapshot: Option<Snapshot>,
+}
+
+impl Drawn {
+    /// Those of `interval` at `time` that `emit` asks for.
+    fn of(
+        drawing: &mut Drawing,
+        interval: &Interval,
+        (index, time): (usize, f64),
+        emit: Emit,
+        views: &Views,
+    ) -> Result<Self, Failure> {
+        let image = emit.draws().then(|| drawing.draw(interval, index, time, views)).transpose()?;
+        let snapshot = emit.ply.then(|| Snapshot::exported(interval, time)).transpose()?;
+        if let Some(snapshot) = &snapshot {
+            // Where an image is drawn as well, they are counted with it.
+            drawing.counts.dropped += if emit.draws() { 0 } else { snapshot.dropped };
+        }
+        Ok(Self { image, snapshot })
+    }
+
+    /// Writes them under the number `index`.
+    fn write(self, outputs: &mut Outputs, index: usize) -> Result<(), Failure> {
+        if let Some(image) = self.image {
+            outputs.image(index, image)?;
+        }
+        self.snapshot.map_or(Ok(()), |snapshot| outputs.snapshot(index, &snapshot))
     }
 }
 

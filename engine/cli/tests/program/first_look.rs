@@ -5,7 +5,7 @@ use std::process::Output;
 
 use streamsplat::openexr;
 
-use crate::still::prepared;
+use crate::still::{prepared, still};
 use crate::support::{Scratch, command, fails, files, json};
 
 fn render(scene: &Path, out: &Path, more: &[&str]) -> Output {
@@ -107,4 +107,54 @@ fn a_transparent_background_keeps_alpha_in_png_and_exr() {
     run.arg("run").arg(&clip).arg("--out").arg(scratch.path("r")).args(["--background", "transparent"]);
     let text = fails(&run.output().expect("the program starts"), 2);
     assert!(text.contains("--background transparent"), "{text}");
+}
+
+#[test]
+fn antialiasing_makes_what_is_small_fainter_and_is_part_of_the_record() {
+    let scratch = Scratch::new();
+    let (scene, _) = prepared(&scratch);
+    let size = ["--size", "60x40"];
+    let of = |name: &str, more: &[&str]| {
+        let out = scratch.path(name);
+        ok(&command().arg("render").arg(&scene).arg("-o").arg(&out).args(size).args(more).output().expect("it starts"));
+        ok(&command().arg("verify").arg(&out).output().expect("the program starts"));
+        (files(&out)["frames/000000.png"].clone(), json(&out.join("run.json")))
+    };
+    let (plain, record) = of("plain", &[]);
+    assert!(record["options"].get("antialias").is_none(), "{record}");
+    let (lowered, record) = of("lowered", &["--antialias", "--isa", "scalar", "--threads", "1"]);
+    assert_eq!(record["options"]["antialias"], true, "{record}");
+    assert!(plain != lowered);
+    assert!(of("again", &["--antialias"]).0 == lowered);
+    // A list of golden images has it too.
+    let list = scratch.path("renders.toml");
+    let recorded = |more: &str| {
+        let text = format!("[[render]]\nname = 'a'\nscene = 'scene.ply'\nsize = '60x40'\n{more}");
+        std::fs::write(&list, text).expect("writable");
+        ok(&command().args(["golden", "record"]).arg(&list).output().expect("the program starts"));
+        json(&scratch.path("renders.golden/record.json"))["renders"]["a"]["images"][0]["blake3"].clone()
+    };
+    assert_ne!(recorded(""), recorded("antialias = true\n"));
+}
+
+#[test]
+fn inspect_says_what_a_scene_is_like_and_what_of_it_is_not_drawn() {
+    let scratch = Scratch::new();
+    let mut scene = still();
+    scene.mean[3][1] = f32::NAN;
+    scene.rotation[5] = [0.0; 4];
+    (scene.logit[7], scene.logit[8]) = (-9.0, -6.0);
+    let (file, out) = (scratch.path("scene.ply"), scratch.path("found.json"));
+    std::fs::write(&file, streamsplat::export::still::ply(&scene)).expect("writable");
+    let output = command().arg("inspect").arg(&file).arg("--json").arg(&out).output().expect("the program starts");
+    ok(&output);
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("not_drawn:"), "{text}");
+    let found = json(&out);
+    assert_eq!(found["not_drawn"], serde_json::json!({ "not_finite": 1, "no_rotation": 1, "opacity_under_1_255": 2 }));
+    let opacity = &found["opacity"];
+    let shares = ["least", "p5", "median", "p95", "greatest"].map(|name| opacity[name].as_f64().expect("a number"));
+    assert!(shares.is_sorted() && shares[0] < 0.001 && shares[4] > 0.9, "{opacity}");
+    assert!(found["standard_deviation"]["greatest"].as_f64().is_some_and(|x| x < 0.3), "{found}");
+    assert_eq!(found["most_of_it"]["least"].as_array().map(Vec::len), Some(3));
 }

@@ -22,5 +22,6 @@ mod support;
 mod trace;
 mod track;
 mod trust;
+mod turn;
 mod verify;
 mod view;

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use streamsplat::fit::Placement;
 use streamsplat::scene::{Scene, SceneWriter};
-use streamsplat::stream::{DynamicGaussians, Interval, Merge, Record, Reference, Track, Workers};
+use streamsplat::stream::{DynamicGaussians, Interval, Merge, Record, Reference, Workers};
+use streamsplat::track::{Picked, Track};
 use streamsplat_kernels::Level;
 
 use crate::support::{Scratch, command, fails, json, run_ok};
@@ -238,7 +239,7 @@ fn emitted_tracks_are_where_the_scenes_identities_are() {
         // And a pixel is where a track of that identity is.
         let record = next.gaussians.get(next.gaussians.len() / 3);
         let row = rows.iter().find(|row| row[0] as u64 == record.identity).expect("a line");
-        let picked = streamsplat::stream::Picked {
+        let picked = Picked {
             index: 0,
             identity: record.identity,
             weight: 1.0,

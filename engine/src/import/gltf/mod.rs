@@ -23,10 +23,13 @@ mod json;
 #[cfg(test)]
 mod tests;
 
+use std::path::Path;
+
 use glam::{DMat4, DQuat, DVec3};
 use streamsplat_kernels::harmonics::rest;
 use streamsplat_kernels::math::f64::ln;
 
+use super::formats::Reader;
 use super::{Beside, FormatError, Limits, check_count, spz};
 use crate::camera::Rotation;
 use crate::still::{LEAST, Similarity, Still};
@@ -50,8 +53,21 @@ pub fn glb(bytes: &[u8]) -> Result<Still, FormatError> {
     within(bytes, &Beside::none(), &Limits::default())
 }
 
+pub(super) struct Gltf;
+
+impl Reader for Gltf {
+    fn is(&self, path: &Path, head: &[u8]) -> bool {
+        let is_text = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("gltf"));
+        head.starts_with(&MAGIC) || is_text && head.trim_ascii_start().starts_with(b"{")
+    }
+
+    fn read(&self, bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
+        within(bytes, beside, limits)
+    }
+}
+
 /// As [`glb`], of text as well, whose buffers lie beside it.
-pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
+fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
     let (text, binary) = if bytes.starts_with(&MAGIC) { chunks(bytes)? } else { (bytes, None) };
     let document: Document =
         serde_json::from_slice(text).map_err(|e| FormatError::new("JSON", "a glTF document", e.to_string()))?;

@@ -1,9 +1,11 @@
 //! Elements and properties that a PLY file declares.
 
+use std::ops::Range;
+
 use crate::import::FormatError;
 
 /// Longest header read, in bytes.
-const MAX_HEADER: usize = 1 << 16;
+pub(super) const MAX_HEADER: usize = 1 << 16;
 
 /// How numbers are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -196,23 +198,29 @@ impl Header {
 
     /// The bytes of an element in a binary file whose length is as the header says.
     pub(super) fn bytes<'a>(&self, name: &str, body: &'a [u8]) -> Result<&'a [u8], FormatError> {
-        let (mut at, mut found) = (0_usize, 0..0);
+        let place = self.place(name, body.len() as u64)?;
+        Ok(&body[place.start as usize..place.end as usize])
+    }
+
+    /// Where they are after the header, in a file that has `length` bytes there.
+    pub(super) fn place(&self, name: &str, length: u64) -> Result<Range<u64>, FormatError> {
+        let (mut at, mut found) = (0_u64, 0..0);
         for element in &self.elements {
-            let end = element.count.checked_mul(element.stride()).and_then(|size| at.checked_add(size));
-            let Some(end) = end.filter(|end| *end <= body.len()) else {
+            let size = (element.count as u64).checked_mul(element.stride() as u64);
+            let Some(end) = size.and_then(|size| at.checked_add(size)).filter(|end| *end <= length) else {
                 let expected = format!("{} of {} bytes each", element.count, element.stride());
-                return Err(element.wrong(expected, format!("{} bytes", body.len() - at)));
+                return Err(element.wrong(expected, format!("{} bytes", length - at)));
             };
             if element.name == name {
                 found = at..end;
             }
             at = end;
         }
-        if at < body.len() {
-            let more = format!("{} more bytes", body.len() - at);
+        if at < length {
+            let more = format!("{} more bytes", length - at);
             return Err(FormatError::new("file", "its end after the last element", more));
         }
-        Ok(&body[found])
+        Ok(found)
     }
 }
 

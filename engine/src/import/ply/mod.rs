@@ -23,9 +23,13 @@ pub(crate) mod packed;
 mod tests;
 mod vertices;
 
-use super::{FormatError, Limits};
+use std::path::Path;
+
+use super::blocks::{Blocks, ReadError};
+use super::formats::Reader;
+use super::{Beside, FormatError, Limits};
 use crate::still::Still;
-use header::{Encoding, Header};
+use header::{Encoding, Header, MAX_HEADER};
 
 /// The Gaussians of a whole PLY file.
 ///
@@ -35,8 +39,43 @@ pub fn ply(bytes: &[u8]) -> Result<Still, FormatError> {
     within(bytes, &Limits::default())
 }
 
+pub(super) struct Ply;
+
+impl Reader for Ply {
+    fn is(&self, _path: &Path, head: &[u8]) -> bool {
+        head.starts_with(b"ply\n") || head.starts_with(b"ply\r")
+    }
+
+    fn read(&self, bytes: &[u8], _beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
+        within(bytes, limits)
+    }
+
+    fn read_blocks(&self, file: &mut Blocks<'_>, limits: &Limits) -> Result<Option<Still>, ReadError> {
+        let head = file.head(MAX_HEADER as u64)?;
+        let (header, body) = Header::read(head)?;
+        let start = head.len() - body.len();
+        if packed::is_packed(&header) || header.encoding == Encoding::Text {
+            return Ok(None);
+        }
+        vertices::blocks(&header, start as u64, file, limits).map(Some)
+    }
+}
+
+/// A PLY file, which tells by its header that it is compressed.
+pub(super) struct Packed;
+
+impl Reader for Packed {
+    fn is(&self, _path: &Path, _head: &[u8]) -> bool {
+        false
+    }
+
+    fn read(&self, bytes: &[u8], _beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
+        within(bytes, limits)
+    }
+}
+
 /// As [`ply`], within other limits.
-pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
+fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let (header, body) = Header::read(bytes)?;
     match header.encoding {
         _ if packed::is_packed(&header) => packed::read(&header, body, limits),

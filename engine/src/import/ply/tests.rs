@@ -4,6 +4,8 @@ use proptest::prelude::*;
 
 use super::ply;
 use crate::export;
+use crate::import::{Limits, Opened, StillFile, open_with};
+use crate::scene::SceneError;
 use crate::still::Still;
 
 fn still(count: usize, degree: usize) -> Still {
@@ -298,4 +300,61 @@ fn a_wrong_compressed_file_is_named() {
     for end in (0..file.len()).step_by(13) {
         assert!(ply(&file[..end]).is_err(), "{end}");
     }
+}
+
+/// A file on disk, read in blocks: the scene, and the progress that was told.
+fn from_disk(bytes: &[u8], limits: &Limits) -> (Result<StillFile, SceneError>, Vec<(u64, u64)>) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("scene.ply");
+    std::fs::write(&path, bytes).expect("writable");
+    let mut told = Vec::new();
+    let opened = open_with(&path, limits, &mut |done, total| told.push((done, total)));
+    let file = opened.map(|opened| match opened {
+        Opened::Still(file) => file,
+        Opened::Moving(_) => panic!("a still scene"),
+    });
+    (file, told)
+}
+
+#[test]
+fn a_file_read_in_blocks_is_the_one_read_as_a_whole() {
+    // Of degree 3 these are two blocks and a part of a third.
+    for (count, degree) in [(0, 0), (1, 1), (700, 2), (80_000, 3)] {
+        let still = still(count, degree);
+        let little = export::still::ply(&still);
+        for file in [rewritten(&little, "binary_big_endian"), little] {
+            let (found, told) = from_disk(&file, &Limits::default());
+            let found = found.expect("a scene");
+            assert!(found.still == still, "{count} of degree {degree}");
+            assert_eq!(found.blake3, blake3::hash(&file).to_hex().to_string());
+            assert_eq!(found.bytes, file.len() as u64);
+            assert!(told.is_sorted() && told.last() == Some(&(file.len() as u64, file.len() as u64)), "{told:?}");
+            assert!(count < 80_000 || told.len() > 3);
+        }
+    }
+    // Elements before and after the vertices are part of the digest, not of the scene.
+    let names = ["red", "green", "blue"].map(|name| format!("property half {name}\n")).concat();
+    let bytes: Vec<u8> = (0..50).collect();
+    let file = vertex("float", &names, &bytes);
+    let (found, _) = from_disk(&file, &Limits::default());
+    let found = found.expect("a scene");
+    assert_eq!((Ok(found.still), found.blake3), (ply(&file), blake3::hash(&file).to_hex().to_string()));
+}
+
+#[test]
+fn what_is_wrong_with_a_file_is_said_alike_in_blocks_and_as_a_whole() {
+    let file = export::still::ply(&still(3, 1));
+    for end in [10, 200, file.len() - 1] {
+        let (found, _) = from_disk(&file[..end], &Limits::default());
+        let (found, expected) = (found.expect_err("cut").to_string(), ply(&file[..end]).expect_err("cut").to_string());
+        assert!(found.ends_with(&expected), "{found}, {expected}");
+    }
+    let (found, _) = from_disk(&[&file[..], b"\n"].concat(), &Limits::default());
+    assert!(found.expect_err("longer").to_string().contains("its end after the last element"));
+    let (found, _) = from_disk(&file, &Limits { gaussians: 2 });
+    assert!(found.expect_err("too many").to_string().contains("at most 2 Gaussians"));
+    // A header that promises more than there is room for.
+    let text = String::from_utf8_lossy(&file).replace("vertex 3", "vertex 18446744073709551615");
+    let (found, _) = from_disk(text.as_bytes(), &Limits::default());
+    assert!(found.expect_err("too long").to_string().contains("element vertex"));
 }

@@ -1,8 +1,10 @@
 //! Gaussians of a PLY file in the layout of 3D Gaussian splatting.
 
+use rayon::prelude::*;
 use streamsplat_kernels::harmonics::Y0;
 
-use super::header::{Element, Encoding, Header, Property, Scalar, quoted};
+use super::header::{Element, Encoding, Header, Scalar, quoted};
+use crate::import::blocks::{Blocks, ReadError};
 use crate::import::{FormatError, Limits, check_count};
 use crate::still::Still;
 
@@ -12,6 +14,11 @@ const WANTED: [&str; 11] =
 /// Colours, as the harmonics' first coefficients or as they are seen.
 const COEFFICIENTS: [&str; 3] = ["f_dc_0", "f_dc_1", "f_dc_2"];
 const COLOURS: [&str; 3] = ["red", "green", "blue"];
+
+/// Bytes of a block.
+const BLOCK: usize = 8 << 20;
+/// Vertices of a task.
+const PIECE: usize = 1 << 12;
 
 /// Places of the wanted values among the properties.
 struct Layout {
@@ -56,13 +63,77 @@ pub(super) fn binary(header: &Header, body: &[u8], limits: &Limits) -> Result<St
     let vertices = header.vertices()?;
     let layout = Layout::of(vertices)?;
     let bytes = header.bytes(&vertices.name, body)?;
-    let big = header.encoding == Encoding::Big;
-    let wanted: Vec<&Property> = layout.places.iter().map(|&place| &vertices.properties[place]).collect();
-    let mut filling = Filling::new(&layout, vertices.count, limits)?;
-    for record in bytes.chunks_exact(vertices.stride()) {
-        filling.push(wanted.iter().map(|property| property.scalar.read_single(&record[property.start..], big)));
+    check_count("element vertex", vertices.count, limits)?;
+    let mut still = Still::zeros(vertices.count, layout.degree);
+    Records::new(&layout, header, vertices).read(bytes, Rows::of(&mut still));
+    Ok(still)
+}
+
+/// The same of a file of which the header, `start` bytes, has been looked at.
+pub(super) fn blocks(header: &Header, start: u64, file: &mut Blocks<'_>, limits: &Limits) -> Result<Still, ReadError> {
+    let vertices = header.vertices()?;
+    let layout = Layout::of(vertices)?;
+    let after = file.length().saturating_sub(start);
+    let place = header.place(&vertices.name, after)?;
+    check_count("element vertex", vertices.count, limits)?;
+    let records = Records::new(&layout, header, vertices);
+    let mut still = Still::zeros(vertices.count, layout.degree);
+    file.pass(start + place.start)?;
+    // Vertices of a block, and those that are not read yet.
+    let (most, mut left) = ((BLOCK / records.stride).max(1), vertices.count);
+    let mut next = |block: &mut Vec<u8>| {
+        let count = most.min(left);
+        left -= count;
+        block.resize(count * records.stride, 0);
+        file.fill(block)
+    };
+    let (mut block, mut ahead) = (Vec::new(), Vec::new());
+    next(&mut block)?;
+    let mut rows = Rows::of(&mut still);
+    while !block.is_empty() {
+        let own = rows.take(block.len() / records.stride);
+        let ((), read) = rayon::join(|| records.read(&block, own), || next(&mut ahead));
+        read?;
+        std::mem::swap(&mut block, &mut ahead);
     }
-    Ok(filling.still)
+    file.pass(after - place.end)?;
+    Ok(still)
+}
+
+/// How the records of a binary file are read.
+struct Records<'a> {
+    layout: &'a Layout,
+    /// Of the wanted values, in the order of [`Layout::places`]: where each starts in a record, and its type.
+    wanted: Vec<(usize, Scalar)>,
+    big: bool,
+    stride: usize,
+}
+
+impl<'a> Records<'a> {
+    fn new(layout: &'a Layout, header: &Header, vertices: &Element) -> Self {
+        let wanted = layout.places.iter().map(|&place| &vertices.properties[place]).map(|p| (p.start, p.scalar));
+        Self { layout, wanted: wanted.collect(), big: header.encoding == Encoding::Big, stride: vertices.stride() }
+    }
+
+    /// Reads records into as many rows.
+    fn read(&self, bytes: &[u8], mut rows: Rows<'_>) {
+        let pieces: Vec<_> =
+            bytes.chunks(PIECE * self.stride).map(|bytes| (bytes, rows.take(bytes.len() / self.stride))).collect();
+        let single = !self.big && self.wanted.iter().all(|(_, scalar)| *scalar == Scalar::F32);
+        pieces.into_par_iter().for_each(|(bytes, mut rows)| {
+            for (i, record) in bytes.chunks_exact(self.stride).enumerate() {
+                if single {
+                    let value = |start: usize| record[start..].first_chunk().map_or(0.0, |b| f32::from_le_bytes(*b));
+                    rows.set(i, self.layout, |k| value(self.wanted[k].0));
+                } else {
+                    rows.set(i, self.layout, |k| {
+                        let (start, scalar) = self.wanted[k];
+                        scalar.read_single(&record[start..], self.big)
+                    });
+                }
+            }
+        });
+    }
 }
 
 /// Elements as lines of numbers.
@@ -82,7 +153,9 @@ pub(super) fn text(header: &Header, body: &[u8], limits: &Limits) -> Result<Stil
     }
     let body = std::str::from_utf8(body).map_err(|_| FormatError::new("body", "text", "bytes that are none"))?;
     let mut lines = body.lines();
-    let mut filling = Filling::new(&layout, vertices.count, limits)?;
+    check_count("element vertex", vertices.count, limits)?;
+    let mut still = Still::zeros(vertices.count, layout.degree);
+    let mut rows = Rows::of(&mut still);
     for element in header.elements.iter().filter(|element| !element.properties.is_empty()) {
         let mut values = vec![0.0_f32; element.properties.len()];
         for i in 0..element.count {
@@ -98,47 +171,78 @@ pub(super) fn text(header: &Header, body: &[u8], limits: &Limits) -> Result<Stil
                 return Err(wrong(format!("{} {i}", element.name), "as many numbers as properties", word));
             }
             if element.name == vertices.name {
-                filling.push(layout.places.iter().map(|&place| values[place]));
+                rows.set(i, &layout, |k| values[layout.places[k]]);
             }
         }
     }
     match lines.find(|line| !line.trim().is_empty()) {
         Some(line) => Err(wrong("file".into(), "nothing after the last element", line)),
-        None => Ok(filling.still),
+        None => Ok(still),
     }
 }
 
-/// A scene being filled. Room is made at once: the file has been seen to be as long.
-struct Filling<'a> {
-    layout: &'a Layout,
-    still: Still,
+/// Gaussians of a scene that are being filled, one after another.
+struct Rows<'a> {
+    mean: &'a mut [[f32; 3]],
+    log_scale: &'a mut [[f32; 3]],
+    rotation: &'a mut [[f32; 4]],
+    logit: &'a mut [f32],
+    base: &'a mut [[f32; 3]],
+    higher: &'a mut [f32],
+    /// Coefficients above the first, per channel.
+    rest: usize,
 }
 
-impl<'a> Filling<'a> {
-    fn new(layout: &'a Layout, count: usize, limits: &Limits) -> Result<Self, FormatError> {
-        check_count("element vertex", count, limits)?;
-        Ok(Self { layout, still: Still::with_room(count, layout.degree) })
-    }
+/// The first `count` of some elements, which are taken off.
+fn first<'a, T>(all: &mut &'a mut [T], count: usize) -> &'a mut [T] {
+    let (first, rest) = std::mem::take(all).split_at_mut(count);
+    *all = rest;
+    first
+}
 
-    /// Takes a vertex: its values in the order of [`Layout::places`].
-    fn push(&mut self, mut values: impl Iterator<Item = f32>) {
-        // There are as many as are taken.
-        let mut next = || values.next().unwrap_or(f32::NAN);
-        let still = &mut self.still;
-        still.mean.push(std::array::from_fn(|_| next()));
-        still.logit.push(next());
-        still.log_scale.push(std::array::from_fn(|_| next()));
-        still.rotation.push(std::array::from_fn(|_| next()));
-        still.base.push(match self.layout.ones {
-            Some(ones) => ones.map(|one| ((f64::from(next()) / one - 0.5) / Y0) as f32),
-            None => std::array::from_fn(|_| next()),
-        });
+impl<'a> Rows<'a> {
+    fn of(still: &'a mut Still) -> Self {
         let rest = still.rest();
-        let from = still.higher.len();
-        still.higher.resize(from + 3 * rest, 0.0);
-        for channel in 0..3 {
-            for k in 0..rest {
-                still.higher[from + 3 * k + channel] = next();
+        Self {
+            mean: &mut still.mean,
+            log_scale: &mut still.log_scale,
+            rotation: &mut still.rotation,
+            logit: &mut still.logit,
+            base: &mut still.base,
+            higher: &mut still.higher,
+            rest,
+        }
+    }
+
+    /// Takes off the first `count` Gaussians.
+    fn take(&mut self, count: usize) -> Rows<'a> {
+        Rows {
+            mean: first(&mut self.mean, count),
+            log_scale: first(&mut self.log_scale, count),
+            rotation: first(&mut self.rotation, count),
+            logit: first(&mut self.logit, count),
+            base: first(&mut self.base, count),
+            higher: first(&mut self.higher, 3 * self.rest * count),
+            rest: self.rest,
+        }
+    }
+
+    /// Fills Gaussian `i` with values in the order of [`Layout::places`].
+    #[inline(always)]
+    fn set(&mut self, i: usize, layout: &Layout, value: impl Fn(usize) -> f32) {
+        self.mean[i] = [value(0), value(1), value(2)];
+        self.logit[i] = value(3);
+        self.log_scale[i] = [value(4), value(5), value(6)];
+        self.rotation[i] = [value(7), value(8), value(9), value(10)];
+        let colour = [value(11), value(12), value(13)];
+        self.base[i] = match layout.ones {
+            Some(ones) => std::array::from_fn(|c| ((f64::from(colour[c]) / ones[c] - 0.5) / Y0) as f32),
+            None => colour,
+        };
+        let rest = self.rest;
+        for (k, own) in self.higher[i * 3 * rest..][..3 * rest].chunks_exact_mut(3).enumerate() {
+            for (channel, own) in own.iter_mut().enumerate() {
+                *own = value(14 + channel * rest + k);
             }
         }
     }

@@ -22,12 +22,14 @@ mod meta;
 mod tests;
 
 use std::io::Cursor;
+use std::path::Path;
 
 use image::codecs::webp::WebPDecoder;
 use image::{DynamicImage, ImageDecoder, RgbaImage};
 use streamsplat_kernels::harmonics::rest;
 use streamsplat_kernels::math::f64::{exp, ln};
 
+use super::formats::Reader;
 use super::{Beside, FormatError, Limits, check_count};
 use crate::still::{LEAST, Still};
 use files::Files;
@@ -48,8 +50,21 @@ pub fn sog(bytes: &[u8]) -> Result<Still, FormatError> {
     within(bytes, &Beside::none(), &Limits::default())
 }
 
+pub(super) struct Sog;
+
+impl Reader for Sog {
+    fn is(&self, path: &Path, head: &[u8]) -> bool {
+        let is_meta = path.file_name().is_some_and(|name| name == "meta.json");
+        head.starts_with(&MAGIC) || is_meta && head.starts_with(b"{")
+    }
+
+    fn read(&self, bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
+        within(bytes, beside, limits)
+    }
+}
+
 /// As [`sog`], of a `meta.json` as well, whose images lie beside it.
-pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
+fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
     let mut files = Files::new(bytes, beside)?;
     let meta = Meta::read(&files.meta()?)?;
     let (count, degree) = (meta.count, meta.degree()?);

@@ -7,12 +7,12 @@
 //! | colours | 3 | `255·(0.15·c + ½)` of the harmonics' first coefficients |
 //! | scales | 3 | `16·(ln s + 10)` |
 //! | rotations | 4 (3 in version 2) | the three smallest components in ten bits each, and which is the largest (x, y and z in eight bits each) |
-//! | harmonics | 9, 24 or 45 | `128·(c + 1)`, coefficients outermost |
+//! | harmonics | 9, 24, 45 or 72 | `128·(c + 1)`, coefficients outermost; of degree 4 those up to degree 3 are kept |
 //!
 //! SPZ's axes are x right, y up, z back: y and z change sign on the way, with the rotations and harmonics that follow them. Opacities come back
 //! as logits of at least 1/255 and at most 254/255.
 //!
-//! Refused: version 1, harmonics above degree 3, extensions (they may change the axes), unknown flags, lengths that do not fit each other.
+//! Refused: version 1, harmonics above degree 4, extensions (they may change the axes), unknown flags, lengths that do not fit each other.
 //!
 //! Source: the format's description and its reference implementation, nianticlabs/spz.
 
@@ -22,7 +22,10 @@ mod unpack;
 #[cfg(test)]
 mod tests;
 
-use super::{FormatError, Limits, check_count};
+use std::path::Path;
+
+use super::formats::Reader;
+use super::{Beside, FormatError, Limits, check_count};
 use crate::still::Still;
 use inflate::{gunzip, zstd};
 
@@ -33,6 +36,8 @@ const OLD_HEADER: usize = 16;
 const HEADER: usize = 32;
 /// The flag of scenes trained with anti-aliasing, which are drawn as all others.
 const ANTIALIASED: u8 = 1;
+/// The highest degree of harmonics that a file may have.
+const MOST_DEGREE: u32 = 4;
 /// The most bytes that a byte of a file larger than [`SMALL`] may stand for. Files of real scenes have one to three; the reference
 /// implementation allows 1024, with which a file of a megabyte takes tens of gigabytes.
 const MOST_RATIO: u64 = 64;
@@ -75,8 +80,8 @@ impl Header {
             let expected = format!("{} to {} in a file of this kind", versions[0], versions[1]);
             return wrong("version", &expected, version);
         }
-        if degree > 3 {
-            return wrong("degree of the harmonics", "0 to 3", degree);
+        if degree > MOST_DEGREE {
+            return wrong("degree of the harmonics", "0 to 4", degree);
         }
         if fractional_bits > 23 {
             return wrong("fractional bits", "0 to 23", fractional_bits);
@@ -117,6 +122,18 @@ impl Header {
 /// What was expected and what was found, with the part's name.
 pub fn spz(bytes: &[u8]) -> Result<Still, FormatError> {
     within(bytes, &Limits::default())
+}
+
+pub(super) struct Spz;
+
+impl Reader for Spz {
+    fn is(&self, _path: &Path, head: &[u8]) -> bool {
+        head.starts_with(&MAGIC) || head.starts_with(&[0x1f, 0x8b])
+    }
+
+    fn read(&self, bytes: &[u8], _beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
+        within(bytes, limits)
+    }
 }
 
 /// As [`spz`], within other limits.

@@ -1,6 +1,6 @@
 //! SPZ files go out and come back, and what is none is named.
 
-use std::io::Write;
+use std::io::{Read, Write};
 
 use proptest::prelude::*;
 
@@ -45,6 +45,28 @@ fn old(still: &Still, version: u32) -> Vec<u8> {
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
     encoder.write_all(&bytes).expect("memory");
     encoder.finish().expect("memory")
+}
+
+/// A file of version 3 with coefficients of degree 4 behind those of degree 3.
+fn of_degree_4(still: &Still) -> Vec<u8> {
+    let mut plain = Vec::new();
+    flate2::read::GzDecoder::new(&old(still, 3)[..]).read_to_end(&mut plain).expect("just written");
+    let before = plain.len() - 45 * still.len();
+    let mut bytes = plain[..before].to_vec();
+    bytes[12] = 4;
+    for own in plain[before..].chunks_exact(45) {
+        bytes.extend_from_slice(own);
+        bytes.extend_from_slice(&[200; 27]);
+    }
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+    encoder.write_all(&bytes).expect("memory");
+    encoder.finish().expect("memory")
+}
+
+#[test]
+fn of_harmonics_of_degree_4_those_up_to_degree_3_are_kept() {
+    let still = still(40, 3);
+    assert!(spz(&of_degree_4(&still)) == spz(&old(&still, 3)));
 }
 
 fn assert_close(found: &Still, expected: &Still, turn: f64) {
@@ -107,7 +129,7 @@ fn what_is_wrong_is_named() {
         (4, 3, "header: version: expected 4 to 4 in a file of this kind, found 3"),
         (8, 6, "positions: expected 54 bytes, found 45"),
         (11, 200, "header: points: expected at most"),
-        (12, 4, "header: degree of the harmonics: expected 0 to 3, found 4"),
+        (12, 5, "header: degree of the harmonics: expected 0 to 4, found 5"),
         (12, 0, "header: streams: expected 5, found 6"),
         (12, 2, "harmonics: expected 120 bytes, found 45"),
         (13, 24, "header: fractional bits: expected 0 to 23, found 24"),

@@ -2,6 +2,7 @@
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
+use streamsplat_kernels::harmonics::{MAX_DEGREE, rest};
 use streamsplat_kernels::math::f64::ln;
 
 use super::{Header, Packed};
@@ -29,9 +30,11 @@ pub(super) fn unpack(packed: &Packed) -> Still {
     } else {
         packed.rotations.as_chunks::<4>().0.iter().map(|b| smallest_three(u32::from_le_bytes(*b))).collect()
     };
-    let rest = streamsplat_kernels::harmonics::rest(degree);
-    let sign = |i: usize| HARMONIC_SIGNS[i / 3 % rest];
-    let higher = packed.harmonics.iter().enumerate().map(|(i, b)| (f32::from(*b) - 128.0) / 128.0 * sign(i));
+    // Coefficients of higher degrees come last.
+    let (stored, degree) = (3 * rest(degree), degree.min(MAX_DEGREE));
+    let own = packed.harmonics.chunks_exact(stored.max(1)).flat_map(|own| &own[..3 * rest(degree)]);
+    let signs = HARMONIC_SIGNS[..rest(degree)].iter().flat_map(|sign| [sign; 3]).cycle();
+    let higher = own.zip(signs).map(|(b, sign)| (f32::from(*b) - 128.0) / 128.0 * sign);
     Still {
         mean: mean.collect(),
         log_scale: triples(&packed.scales, &|b| f32::from(b) / 16.0 - 10.0),

@@ -6,7 +6,7 @@ use super::super::bin::TILE;
 use super::super::project::{ALPHA_MAX, ALPHA_MIN, BLOCK, Splat, TRANSMITTANCE_MIN, split};
 use super::super::sort::Entry;
 use super::tables::{Tables, exp2_negative, factors, nearest, strips};
-use crate::simd::{LANES, Simd};
+use crate::simd::{LANES, Simd, prefetch_near};
 
 /// Blocks of a tile.
 pub(in super::super) const BLOCKS: usize = TILE[0] * TILE[1];
@@ -173,7 +173,7 @@ impl Walk<'_> {
             let count = self.fetch(at, &mut near);
             for (i, splat) in near[..count].iter().enumerate() {
                 if let Some(later) = self.list.get(at + TOGETHER + i) {
-                    s.prefetch(self.splats.as_ptr().wrapping_add(later.index as usize));
+                    prefetch_near(self.splats.as_ptr().wrapping_add(later.index as usize));
                 }
                 let bounds = Box4::new(splat, self.tile);
                 blocks += if SEPARABLE {

@@ -38,7 +38,7 @@ pub(super) trait Paint<const C: usize> {
     fn of(&self, at: usize, gaussian: u32) -> [f32; C];
 
     /// Asks for the colour of splat `at`, if there is one.
-    fn prefetch<S: Simd>(&self, s: S, at: usize);
+    fn prefetch(&self, at: usize);
 }
 
 impl<const C: usize> Paint<C> for &[[f32; C]] {
@@ -48,7 +48,7 @@ impl<const C: usize> Paint<C> for &[[f32; C]] {
     }
 
     #[inline(always)]
-    fn prefetch<S: Simd>(&self, _: S, _: usize) {}
+    fn prefetch(&self, _: usize) {}
 }
 
 /// Weights in units of [`UNIT`].
@@ -63,7 +63,7 @@ fn load<S: Simd>(s: S, weights: &Weights) -> S::F32 {
 fn spread<S: Simd, const C: usize>(s: S, record: &Record, colours: &impl Paint<C>, pixels: &mut Pixels<C>) {
     pixels.fill([Lanes::ZERO; C]);
     for (at, gaussian, hits) in record.splats() {
-        colours.prefetch(s, at + AHEAD);
+        colours.prefetch(at + AHEAD);
         let mut paint = [s.splat(0.0); C];
         for (paint, c) in paint.iter_mut().zip(colours.of(at, gaussian)) {
             *paint = s.splat(if c.is_finite() { c * UNIT } else { 0.0 });

@@ -27,7 +27,7 @@ use super::passes::{Normal, Paint, Residual, Slots};
 use super::{ColourMap, Thread};
 use crate::level::Level;
 use crate::parallel::{Disjoint, map_indexed};
-use crate::simd::{Operation, Simd, dispatch, fused_mul_add};
+use crate::simd::{Operation, Registers, Simd, dispatch, fused_mul_add, prefetch_near};
 
 /// Gaussians per task and per partial sum.
 const CHUNK: usize = 4096;
@@ -84,9 +84,9 @@ struct TileSplats<'a> {
 
 impl TileSplats<'_> {
     #[inline(always)]
-    fn prefetch<S: Simd, T>(&self, s: S, at: usize, of: &[T]) {
+    fn prefetch<T>(&self, at: usize, of: &[T]) {
         if let Some(&unknown) = self.unknown.get(at) {
-            s.prefetch(of.as_ptr().wrapping_add(unknown as usize));
+            prefetch_near(of.as_ptr().wrapping_add(unknown as usize));
         }
     }
 }
@@ -108,8 +108,8 @@ impl Paint<3> for Scaled<'_> {
     }
 
     #[inline(always)]
-    fn prefetch<S: Simd>(&self, s: S, at: usize) {
-        self.splats.prefetch(s, at, self.of);
+    fn prefetch(&self, at: usize) {
+        self.splats.prefetch(at, self.of);
     }
 }
 
@@ -126,8 +126,8 @@ impl Paint<3> for Given<'_> {
     }
 
     #[inline(always)]
-    fn prefetch<S: Simd>(&self, s: S, at: usize) {
-        self.splats.prefetch(s, at, self.of);
+    fn prefetch(&self, at: usize) {
+        self.splats.prefetch(at, self.of);
     }
 }
 
@@ -141,7 +141,7 @@ impl Paint<1> for Magnitudes<'_> {
     }
 
     #[inline(always)]
-    fn prefetch<S: Simd>(&self, _: S, _: usize) {}
+    fn prefetch(&self, _: usize) {}
 }
 
 /// Buffers of a solution.
@@ -403,8 +403,11 @@ fn sum(parts: &[[f64; 3]]) -> [f64; 3] {
 
 /// A fused multiply-add of one value: the instruction where the level has it.
 #[inline(always)]
-fn fused<S: Simd>(s: S, a: f32, b: f32, c: f32) -> f32 {
-    if s.level() == Level::scalar() { fused_mul_add(a, b, c) } else { a.mul_add(b, c) }
+fn fused<S: Simd>(_: S, a: f32, b: f32, c: f32) -> f32 {
+    match S::REGISTERS {
+        Registers::Scalar => fused_mul_add(a, b, c),
+        Registers::Avx2 | Registers::Avx512 | Registers::Neon => a.mul_add(b, c),
+    }
 }
 
 /// Adds `τ·Σ` of the unknowns from `first` on.

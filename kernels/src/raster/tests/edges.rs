@@ -55,7 +55,7 @@ fn opacities_around_the_threshold_are_drawn_where_alpha_reaches_it() {
         let mut scene = OwnedGaussians { rotation: Some(Vec::new()), ..OwnedGaussians::default() };
         let turn = [0.6_f32.cos(), 0.0, 0.0, 0.6_f32.sin()];
         scene.push([1.0 / 8.0, 1.0 / 8.0, 1.0], [0.1, 0.3, 0.2], turn, opacity, [1.0; 3]);
-        for level in Level::available() {
+        for level in crate::testing::levels() {
             for projection in [
                 Projection::Orthographic { focal: [4.0; 2] },
                 Projection::Pinhole { focal: [4.0; 2], centre: [3.5; 2] },
@@ -82,7 +82,7 @@ fn a_record_with_a_field_that_is_not_finite_is_dropped_and_changes_nothing() {
                     record[field] = bad;
                     let [x, y, z, sx, sy, sz, opacity, r, g, b, turn @ ..] = record;
                     spoiled.push([x, y, z], [sx, sy, sz], turn, opacity, [r, g, b]);
-                    for level in Level::available() {
+                    for level in crate::testing::levels() {
                         let image = render(level, &spoiled.gaussians(), &projection, &request);
                         assert_eq!(image.dropped, 1, "field {field}, {bad}");
                         assert!(bits(&image) == bits(&clean), "field {field}, {bad} reaches the image");

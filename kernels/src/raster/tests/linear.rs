@@ -109,7 +109,7 @@ fn every_level_thread_count_and_budget_gives_the_same_bits() {
             let (colours, target) = (colours(scene.mean.len(), 9), noise(3 * size[0] * size[1], 10));
             let run = |level, bytes| everything_of(&map(level, &scene, &projection, size, bytes), &colours, &target);
             let expected = run(Level::scalar(), WEIGHT_BYTES);
-            for level in Level::available() {
+            for level in crate::testing::levels() {
                 for threads in [1, 2, 3, 8] {
                     for bytes in [0, 100_000, WEIGHT_BYTES] {
                         let found = pool(threads).install(|| run(level, bytes));
@@ -443,7 +443,7 @@ fn a_fit_is_conjugate_gradients_step_by_step() {
 fn a_fit_has_the_same_bits_for_every_level_thread_count_and_budget() {
     let from = colours(9000, 20);
     let expected = Views::new(Level::scalar(), WEIGHT_BYTES).solve(Level::scalar(), &from, 3);
-    for level in Level::available() {
+    for level in crate::testing::levels() {
         for threads in [1, 3] {
             for bytes in [0, 100_000, WEIGHT_BYTES] {
                 let found = pool(threads).install(|| Views::new(level, bytes).solve(level, &from, 3));

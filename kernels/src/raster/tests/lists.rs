@@ -76,7 +76,7 @@ fn every_level_and_thread_count_gives_the_same_lists() {
             let (expected, work) = lists(Level::scalar(), &scene, &projection, &request);
             assert_eq!(expected.footprints.len() as u64, work.gaussians - work.culled - work.dropped);
             assert_eq!(expected.order.len() as u64, work.entries);
-            for level in Level::available() {
+            for level in crate::testing::levels() {
                 for threads in [1, 2, 3, 8] {
                     let (found, _) = pool(threads).install(|| lists(level, &scene, &projection, &request));
                     let same = bytemuck::cast_slice::<_, u32>(&found.footprints)

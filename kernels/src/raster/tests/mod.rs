@@ -5,6 +5,8 @@ use proptest::test_runner::RngSeed;
 
 use super::*;
 
+mod antialias;
+mod bounded;
 mod edges;
 mod linear;
 mod lists;
@@ -93,7 +95,7 @@ fn extreme(count: usize, seed: u64) -> OwnedGaussians {
 const ALPHA_MIN: f32 = 1.0 / 255.0;
 
 fn everything(width: usize, height: usize) -> Request {
-    Request { width, height, background: [0.5, 0.25, 0.75], depth: true, alpha: true, statistics: true }
+    Request { depth: true, alpha: true, statistics: true, ..Request::colour(width, height, [0.5, 0.25, 0.75]) }
 }
 
 fn projections(width: usize, height: usize) -> [Projection; 2] {
@@ -209,7 +211,7 @@ fn every_level_and_thread_count_gives_the_same_bits() {
             for scene in [ordinary(5000, false, 3), ordinary(5000, true, 4), extreme(900, 5)] {
                 let request = everything(width, height);
                 let expected = bits(&render(Level::scalar(), &scene.gaussians(), &projection, &request));
-                for level in Level::available() {
+                for level in crate::testing::levels() {
                     for threads in [1, 2, 3, 8] {
                         let draw = || render(level, &scene.gaussians(), &projection, &request);
                         let found = pool(threads).install(draw);

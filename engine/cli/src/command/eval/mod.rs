@@ -215,13 +215,13 @@ fn evaluate(
         let interval: Interval = engine.push_with(between, key.frame, timestamp)?;
         sums.seconds += start.elapsed().as_secs_f64();
         if interval.start < interval.end {
-            let crossed = drawing.draw(&interval, interval.start, views)?.rgb;
+            let crossed = drawing.draw(&interval, 0, interval.start, views)?.rgb;
             sums.pops.jump += apart(&shown, &crossed);
             sums.pops.jumps += 1;
             shown = crossed;
         }
         for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate() {
-            let image = drawing.draw(&interval, frame.timestamp, views)?;
+            let image = drawing.draw(&interval, 0, frame.timestamp, views)?;
             if !shown.is_empty() {
                 sums.pops.step += apart(&shown, &image.rgb);
                 sums.pops.steps += 1;

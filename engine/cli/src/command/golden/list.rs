@@ -33,7 +33,13 @@ struct Entry {
     fps: Option<f64>,
     background: Option<Word>,
     orbit: Option<Word>,
+    sway: Option<Word>,
     turntable: Option<f64>,
+    #[serde(default)]
+    antialias: bool,
+    #[serde(default)]
+    stereo: bool,
+    eye_distance: Option<f64>,
 }
 
 /// Text, a number, or numbers in a row.
@@ -105,14 +111,19 @@ impl Entry {
             background: self.background.map_or_else(|| "0.5".to_owned(), Word::text),
             renderer: None,
         };
-        let motion = Motion { orbit: self.orbit.map(Word::text), turntable: self.turntable };
-        let options = RenderOptions { view, fps: self.fps, motion, ..RenderOptions::default() };
+        let Entry { turntable, stereo, eye_distance, antialias, .. } = self;
+        let [orbit, sway] = [self.orbit, self.sway].map(|word| word.map(Word::text));
+        let motion = Motion { orbit, sway, turntable, stereo, eye_distance };
+        let options = RenderOptions { view, fps: self.fps, motion, antialias, ..RenderOptions::default() };
         Render { name: self.name, scene: folder.join(self.scene), options }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+    use proptest::sample::{Index, select};
+
     use super::*;
 
     #[test]
@@ -131,6 +142,7 @@ mod tests {
             scene = "b.ply"
             turntable = 2.0
             background = "0,0.5,1"
+            antialias = true
         "#;
         let renders = parse(text, Path::new("dir")).expect("a list");
         let RenderOptions { view, .. } = &renders[0].options;
@@ -140,6 +152,53 @@ mod tests {
             (renders[1].options.motion.turntable, renders[1].scene.as_path()),
             (Some(2.0), Path::new("dir/b.ply"))
         );
+        assert_eq!([0, 1].map(|i| renders[i].options.antialias), [false, true]);
+    }
+
+    #[test]
+    fn cameras_that_move_and_pairs_of_eyes_are_said_as_there() {
+        let text = "[[render]]\nname = 'a'\nscene = 'b'\nsway = 4\nstereo = true\neye_distance = 0.05";
+        let motion = Motion { sway: Some("4".to_owned()), stereo: true, eye_distance: Some(0.05), ..Motion::default() };
+        assert_eq!(parse(text, Path::new("")).expect("a list")[0].options.motion, motion);
+    }
+
+    /// A list with every key.
+    const WHOLE: &str = "[[render]]\nname = 'a'\nscene = 'b.ply'\ncamera = 'c.json'\nview = 3\nsize = '6x4'\ntimes = [0, 0.5]\n\
+                         fps = 12\nbackground = 0.25\norbit = '4:2'\nsway = 3\nturntable = 2.0\nstereo = true\neye_distance = 0.1\n";
+    /// What may stand in a spoilt list.
+    const WORDS: [&str; 16] = [
+        "",
+        "0",
+        "-1",
+        "1e999",
+        "99999999999999999999",
+        "nan",
+        "[[",
+        "]]",
+        "[",
+        "]",
+        "{}",
+        "'",
+        "\"",
+        "=",
+        "\n",
+        "\u{0}",
+    ];
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(4096))]
+
+        #[test]
+        fn no_text_panics(changes in proptest::collection::vec((any::<Index>(), 0_usize..16, select(&WORDS[..])), 1..4)) {
+            let mut text = WHOLE.to_owned();
+            for (at, length, word) in changes {
+                let at = at.index(text.len());
+                text.replace_range(at..(at + length).min(text.len()), word);
+            }
+            for render in parse(&text, Path::new("")).unwrap_or_default() {
+                assert!(!render.name.is_empty() && !render.name.contains('/'), "{}", render.name);
+            }
+        }
     }
 
     #[test]

@@ -24,6 +24,7 @@ use crate::command::still;
 use crate::console::failure::Failure;
 use crate::console::{Console, print, say};
 use crate::options::args::{GoldenAction, GoldenArgs, GoldenCheckArgs, GoldenRecordArgs};
+use crate::options::motion::Course;
 use crate::options::times;
 use crate::output::digest;
 use crate::session::drawing::Drawing;
@@ -46,9 +47,10 @@ fn draw(
     let Render { scene, options, .. } = render;
     let mut views = options.view.resolve()?;
     views.options.alpha = views.transparent;
+    views.options.antialias = options.antialias;
     times::check_rate(options.fps)?;
     let mut drawing = Drawing::new(workers, views.backend)?;
-    let scene = match import::open(scene, limits)? {
+    let scene = match workers.install(|| import::open(scene, limits))? {
         Opened::Still(file) => {
             let plan = still::Plan::new(&file, options, &views)?;
             let blake3 = file.blake3.clone();
@@ -60,15 +62,18 @@ fn draw(
         }
         Opened::Moving(scene) => scene,
     };
-    options.motion.refuse(&views)?;
-    let due = times::of_scene(&scene, views.times.as_deref(), options.fps.unwrap_or(scene.index().fps))?;
+    let fps = options.fps.unwrap_or(scene.index().fps);
+    let mut due = times::of_scene(&scene, views.times.as_deref(), fps)?;
+    options.motion.along(&mut views, &mut due, |(time, _)| time, fps)?;
     let mut current: Option<(usize, Interval)> = None;
-    for (time, place) in due {
+    for (index, (time, place)) in due.into_iter().enumerate() {
         let interval = match current.take().filter(|(at, _)| *at == place) {
             Some((_, interval)) => interval,
             None => scene.interval(place, workers)?,
         };
-        sink(time, drawing.draw(&interval, time, &views)?)?;
+        // Images of one instant are told apart by when they are shown.
+        let shown = if let Some(Course::Held(_)) = views.course { index as f64 / fps } else { time };
+        sink(shown, drawing.draw(&interval, index, time, &views)?)?;
         current = Some((place, interval));
     }
     digest::scene(&scene)

@@ -2,15 +2,15 @@
 //!
 //! [`Interval::pick`] finds the Gaussian that shows most at a pixel; a [`Track`] then moves with its identity: with the velocity
 //! of the identity's record inside an interval, with whatever carries the identity from one interval to the next, and with the
-//! identity it [merged](super::Merge) into where it ended in another. The point keeps its place relative to the motion, not
+//! identity it [merged](crate::stream::Merge) into where it ended in another. The point keeps its place relative to the motion, not
 //! to the Gaussians' lattice, so that motions smaller than a cell add up. A track is lost where the identity is gone.
 
 use streamsplat_kernels::raster::Projection;
 
-use super::{Interval, Record, Reference};
 use crate::camera::Camera;
 use crate::render::{RenderError, Snapshot, View};
 use crate::space::{Hit, Picker, Ray, most_visible};
+use crate::stream::{Interval, Record, Reference};
 
 /// A Gaussian at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,4 +1,4 @@
-//! A stream's memory as safetensors, so that a stopped stream can go on.
+//! A stream's resume point as safetensors, so that a stopped stream can go on.
 //!
 //! The survivors are the records of an interval; beside them:
 //!
@@ -17,45 +17,45 @@ use safetensors::SafeTensors;
 use safetensors::tensor::Dtype;
 
 use super::records::{self, float_bytes, floats, tensor, word_bytes, words};
-use crate::stream::{Current, Memory};
+use crate::stream::{Current, ResumePoint};
 
 /// The key under which the note is stored.
 const NOTE: &str = "note";
 
-/// A memory (where there is one) and a note in words as a safetensors file.
+/// A resume point (where there is one) and a note in words as a safetensors file.
 ///
 /// # Errors
-/// None for memories that an engine gave.
-pub fn memory_to_safetensors(memory: Option<&Memory>, note: &str) -> Result<Vec<u8>, String> {
+/// None for points that an engine gave.
+pub fn resume_point_to_safetensors(point: Option<&ResumePoint>, note: &str) -> Result<Vec<u8>, String> {
     let mut tensors = Vec::new();
-    if let Some(memory) = memory {
-        let m = memory.current.len();
-        let cells = memory.current.iter().flat_map(|c| c.cell.to_le_bytes()).collect();
-        let of = |word: fn(&Current) -> u64| word_bytes(&memory.current.iter().map(word).collect::<Vec<_>>());
-        let offsets: Vec<f32> = memory.current.iter().flat_map(|c| c.offset).collect();
-        let seconds = [memory.timestamp, memory.length].iter().flat_map(|v| v.to_le_bytes()).collect();
-        tensors = records::write(&memory.survivors.iter().copied().collect())?;
+    if let Some(point) = point {
+        let m = point.current.len();
+        let cells = point.current.iter().flat_map(|c| c.cell.to_le_bytes()).collect();
+        let of = |word: fn(&Current) -> u64| word_bytes(&point.current.iter().map(word).collect::<Vec<_>>());
+        let offsets: Vec<f32> = point.current.iter().flat_map(|c| c.offset).collect();
+        let seconds = [point.timestamp, point.length].iter().flat_map(|v| v.to_le_bytes()).collect();
+        tensors = records::write(&point.survivors.iter().copied().collect())?;
         tensors.extend([
             ("current_cell", Dtype::U32, vec![m], cells),
             ("current_identity", Dtype::U64, vec![m], of(|c| c.identity)),
             ("current_birth", Dtype::U64, vec![m], of(|c| c.birth)),
             ("current_offset", Dtype::F32, vec![m, 3], float_bytes(&offsets)),
-            ("key_frame", Dtype::U64, vec![1], word_bytes(&[memory.frame])),
-            ("next_identity", Dtype::U64, vec![1], word_bytes(&[memory.next_identity])),
+            ("key_frame", Dtype::U64, vec![1], word_bytes(&[point.frame])),
+            ("next_identity", Dtype::U64, vec![1], word_bytes(&[point.next_identity])),
             ("seconds", Dtype::F64, vec![2], seconds),
         ]);
-        if let Some(depth) = &memory.depth {
+        if let Some(depth) = &point.depth {
             tensors.push(("depth", Dtype::F32, vec![2], float_bytes(depth)));
         }
     }
     records::serialize(&tensors, Some(HashMap::from([(NOTE.to_owned(), note.to_owned())])))
 }
 
-/// The memory and the note of such a file.
+/// The resume point and the note of such a file.
 ///
 /// # Errors
 /// Expected and found values.
-pub fn memory_from_safetensors(bytes: &[u8]) -> Result<(Option<Memory>, String), String> {
+pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint>, String), String> {
     let unreadable = |e| format!("not a readable safetensors file: {e}");
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable)?;
     let note = header.metadata().as_ref().and_then(|m| m.get(NOTE)).cloned();
@@ -82,7 +82,7 @@ pub fn memory_from_safetensors(bytes: &[u8]) -> Result<(Option<Memory>, String),
         true => floats::<2>(tensor(&file, "depth", Dtype::F32, &[Some(2)])?).into_iter().next(),
         false => None,
     };
-    let memory = Memory {
+    let point = ResumePoint {
         frame: word("key_frame")?,
         timestamp: f64::from_le_bytes(seconds[0]),
         length: f64::from_le_bytes(seconds[1]),
@@ -91,5 +91,5 @@ pub fn memory_from_safetensors(bytes: &[u8]) -> Result<(Option<Memory>, String),
         next_identity: word("next_identity")?,
         depth,
     };
-    Ok((Some(memory), note))
+    Ok((Some(point), note))
 }

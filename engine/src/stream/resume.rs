@@ -1,8 +1,8 @@
 //! State that a stream needs to resume.
 //!
-//! Embedding, tokens, condition and Gaussians of the last key frame are functions of that frame: they are computed again, to the
-//! same bits. What is not a function of it is the canonical set: who survives, and which identity each of the frame's
-//! Gaussians carries. That is a [`Memory`]; it is small beside what it spares.
+//! Embedding, tokens, condition and Gaussians of the last key frame are functions of that frame: they are computed
+//! again, to the same bits. What is not a function of it is the canonical set: who survives, and which identity each of
+//! the frame's Gaussians carries. That is a [`ResumePoint`]; it is small beside what it spares.
 
 use std::sync::Arc;
 
@@ -11,9 +11,9 @@ use super::engine::State;
 use super::identities::Identities;
 use super::{Engine, EngineError, Frame, Record, Reuse};
 
-/// A stream's memory at a key frame: with that frame, enough to go on ([`Engine::recall`]).
+/// State of a stream at a key frame: with that frame, enough to go on ([`Engine::resume`]).
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Memory {
+pub struct ResumePoint {
     /// The key frame.
     pub frame: u64,
     /// Its time, in seconds.
@@ -33,10 +33,10 @@ pub struct Memory {
 impl Engine {
     /// State at the last key frame; `None` before the first one, and where what it computes next depends on more than
     /// that frame ([`Reuse::forgets`]).
-    pub fn memory(&self) -> Option<Memory> {
+    pub fn resume_point(&self) -> Option<ResumePoint> {
         self.state().filter(|_| self.settings().reuse.forgets()).map(|state| {
             let CanonicalSet { length, survivors, current, identities, .. } = &state.set;
-            Memory {
+            ResumePoint {
                 frame: state.frame,
                 timestamp: state.timestamp,
                 length: *length,
@@ -48,36 +48,36 @@ impl Engine {
         })
     }
 
-    /// Goes on from `memory`, whose key frame was `frame`: what is pushed next gives the intervals that the engine which had this
-    /// memory would have given, bit for bit, as long as settings and model are the same.
+    /// Goes on from `point`, whose key frame was `frame`: what is pushed next gives the intervals that the engine which
+    /// gave this point would have given, bit for bit, as long as settings and model are the same.
     ///
     /// # Errors
-    /// As [`Engine::push`]; and a memory that does not fit the frame's Gaussians. The stream is then as it was before.
-    pub fn recall(&mut self, memory: &Memory, frame: Frame) -> Result<(), EngineError> {
+    /// As [`Engine::push`]; and a point that does not fit the frame's Gaussians. The stream is then as it was before.
+    pub fn resume(&mut self, point: &ResumePoint, frame: Frame) -> Result<(), EngineError> {
         let workers = self.workers().clone();
         workers.install(|| {
-            let (placement, view) = self.see(frame, memory.frame, memory.timestamp, memory.depth.into())?;
+            let (placement, view) = self.see(frame, point.frame, point.timestamp, point.depth.into())?;
             let gaussians = Arc::clone(&view.gaussians);
-            if let Some(reason) = memory.contradiction(gaussians.position.len()) {
-                return Err(EngineError::Memory { index: memory.frame, reason });
+            if let Some(reason) = point.contradiction(gaussians.position.len()) {
+                return Err(EngineError::ResumePoint { index: point.frame, reason });
             }
             let set = CanonicalSet {
-                frame: memory.frame,
-                length: memory.length,
-                survivors: memory.survivors.clone(),
-                current: memory.current.clone(),
+                frame: point.frame,
+                length: point.length,
+                survivors: point.survivors.clone(),
+                current: point.current.clone(),
                 gaussians,
-                identities: Identities::from(memory.next_identity),
+                identities: Identities::from(point.next_identity),
             };
-            let (frame, timestamp) = (memory.frame, memory.timestamp);
+            let (frame, timestamp) = (point.frame, point.timestamp);
             self.set_state(State { frame, timestamp, placement, view, pair: None, set });
             Ok(())
         })
     }
 }
 
-impl Memory {
-    /// Why it cannot be the memory of a frame of so many Gaussians.
+impl ResumePoint {
+    /// Why it cannot be the state at a frame of so many Gaussians.
     fn contradiction(&self, gaussians: usize) -> Option<String> {
         if !(self.length.is_finite() && self.length >= 0.0) {
             return Some(format!("expected an interval of some length, found {} s", self.length));
@@ -102,7 +102,7 @@ impl Memory {
 }
 
 impl Reuse {
-    /// Returns true if what is computed from a key frame depends on nothing but that frame and a [`Memory`].
+    /// Returns true if what is computed from a key frame depends on nothing but that frame and a [`ResumePoint`].
     pub fn forgets(self) -> bool {
         match self {
             Reuse::Off | Reuse::Exact => true,

@@ -1,10 +1,9 @@
 //! The weighted sum of values, `Σ w v`, as each precision holds weights and values.
 
-use super::pack::Values;
+use super::values::Values;
 use super::weight::{NUMBERED, numbered, weight, weight_low};
-use crate::gemm::form::{Brain, Multiply, Portions, Single};
-use crate::gemm::{pair_bf16, round_bf16};
-use crate::simd::{LANES, SHIFTER, Simd};
+use crate::gemm::form::{Bf16, F32, Multiply, Uint8Weights};
+use crate::simd::{LANES, SHIFTER, Simd, pair_bf16, round_bf16};
 
 /// A block's scores of 16 queries.
 pub(super) struct Scores<'a, S: Simd> {
@@ -41,7 +40,7 @@ impl<S: Simd> Weighed<S> {
 }
 
 /// How weights and values are held. The weights of 16 queries are a panel of `[words][16]`, values are groups of rows.
-pub(super) trait Mix: 'static {
+pub(super) trait WeightedSum: 'static {
     /// The product, with values as its rows and weights as its panels.
     type Product: Multiply;
 
@@ -75,10 +74,10 @@ fn moved<S: Simd>(s: S, scores: &Scores<'_, S>) -> Weighed<S> {
 }
 
 /// Weights and values in f32.
-pub(super) struct Singly;
+pub(super) struct F32Sum;
 
-impl Mix for Singly {
-    type Product = Single;
+impl WeightedSum for F32Sum {
+    type Product = F32;
     const SCALED: bool = false;
     const KEYS: usize = 1;
 
@@ -106,10 +105,10 @@ impl Mix for Singly {
 }
 
 /// Weights and values in bf16.
-pub(super) struct InPairs;
+pub(super) struct Bf16Sum;
 
-impl Mix for InPairs {
-    type Product = Brain;
+impl WeightedSum for Bf16Sum {
+    type Product = Bf16;
     const SCALED: bool = false;
     const KEYS: usize = 2;
 
@@ -144,7 +143,7 @@ impl Mix for InPairs {
 
     #[inline(always)]
     fn row_word<S: Simd>(s: S, i: usize, values: &Values<'_>, c: usize, _: S::F32) -> S::F32 {
-        if Brain::row_words_of_a_word::<S>() == 2 {
+        if Bf16::row_words_of_a_word::<S>() == 2 {
             return round_bf16(s, values.value(s, i, c));
         }
         let (a, b) = (values.value(s, 2 * i, c), values.value(s, 2 * i + 1, c));
@@ -153,10 +152,10 @@ impl Mix for InPairs {
 }
 
 /// Weights as numbers from 0 to 255, values as 8-bit integers with a scale per channel of a block.
-pub(super) struct InBytes;
+pub(super) struct Int8Sum;
 
-impl Mix for InBytes {
-    type Product = Portions;
+impl WeightedSum for Int8Sum {
+    type Product = Uint8Weights;
     const SCALED: bool = true;
     const KEYS: usize = 4;
 
@@ -179,7 +178,7 @@ impl Mix for InBytes {
             }
             let low = s.add_i32(s.sub_i32(n[0], marks), s.shl::<8>(n[1]));
             let word = s.add_i32(low, s.add_i32(s.shl::<16>(n[2]), s.shl::<24>(n[3])));
-            total = Portions::count(s, total, word);
+            total = Uint8Weights::count(s, total, word);
             s.store(s.from_bits(word), &mut scores[i * LANES..]);
         }
         let block = weight(s, s.sub(own, now));
@@ -187,7 +186,7 @@ impl Mix for InBytes {
             reference: now,
             before: weight(s, s.sub(reference, now)),
             block,
-            total: s.mul(s.to_f32(Portions::counted(s, total)), block),
+            total: s.mul(s.to_f32(Uint8Weights::counted(s, total)), block),
         }
     }
 
@@ -199,13 +198,13 @@ impl Mix for InBytes {
 
     #[inline(always)]
     fn row_word<S: Simd>(s: S, i: usize, values: &Values<'_>, c: usize, inverse: S::F32) -> S::F32 {
-        let each = Portions::row_words_of_a_word::<S>();
+        let each = Uint8Weights::row_words_of_a_word::<S>();
         let mut integers = [s.splat_i32(0); 4];
         for j in 0..4 {
             // The nearest integer is in the low bits, its sign in those above.
             let x = s.mul(values.value(s, i / each * 4 + j, c), inverse);
             integers[j] = s.to_bits(s.add(x, s.splat(SHIFTER)));
         }
-        Portions::row_word(s, integers, i % each)
+        Uint8Weights::row_word(s, integers, i % each)
     }
 }

@@ -1,0 +1,130 @@
+//! A comparison as text, and as Markdown for a comment on a pull request.
+
+use std::fmt::Write as _;
+
+use super::record::Kind;
+use super::{Change, Comparison, Verdict};
+use crate::timing::Seconds;
+
+impl Verdict {
+    fn word(self) -> &'static str {
+        match self {
+            Verdict::Equal => "",
+            Verdict::Better => "better",
+            Verdict::Worse => "worse",
+            Verdict::Spread => "within the spread",
+            Verdict::New => "new",
+            Verdict::Gone => "gone",
+        }
+    }
+}
+
+impl Comparison {
+    /// One line: how many rows are worse, and by which limit.
+    pub(super) fn summary(&self) -> String {
+        let of = |verdict: Verdict| self.changes.iter().filter(|change| change.verdict == verdict).count();
+        let mut line = format!(
+            "{} of {} {} more than {} % worse",
+            of(Verdict::Worse),
+            self.changes.len(),
+            self.noun(),
+            self.limit
+        );
+        for (verdict, said) in [(Verdict::Better, "better"), (Verdict::Spread, "as much apart but within the spread")] {
+            if of(verdict) > 0 {
+                let _ = write!(line, ", {} {said}", of(verdict));
+            }
+        }
+        line
+    }
+
+    fn noun(&self) -> &'static str {
+        match self.kind {
+            Kind::Instructions => "counts of instructions",
+            Kind::Stages | Kind::Kernels | Kind::Raster => "times",
+        }
+    }
+
+    /// The value of a row, with the spread of its runs.
+    fn value(&self, value: Option<Seconds>) -> String {
+        let Some(value) = value else { return "–".to_owned() };
+        if self.kind == Kind::Instructions {
+            return grouped(value.median as u64);
+        }
+        let (unit, factor) = match value.median {
+            s if s >= 1.0 => ("s", 1.0),
+            s if s >= 1e-3 => ("ms", 1e3),
+            _ => ("µs", 1e6),
+        };
+        let [least, middle, most] = [value.min, value.median, value.max].map(|x| x * factor);
+        format!("{middle:.2} {unit} ({least:.2}–{most:.2})")
+    }
+
+    /// The table for a terminal.
+    pub(super) fn text(&self) -> String {
+        let wide = |cells: &mut dyn Iterator<Item = usize>| cells.max().unwrap_or(0);
+        let cells: Vec<[String; 4]> = self.changes.iter().map(|change| self.cells(change)).collect();
+        let width: Vec<usize> = (0..4).map(|i| wide(&mut cells.iter().map(|row| row[i].chars().count()))).collect();
+        let mut text = String::new();
+        for ([name, before, now, change], verdict) in cells.iter().zip(self.changes.iter().map(|c| c.verdict.word())) {
+            let line = format!(
+                "{name:<a$}  {before:>b$}  {now:>c$}  {change:>d$}  {verdict}",
+                a = width[0],
+                b = width[1],
+                c = width[2],
+                d = width[3]
+            );
+            let _ = writeln!(text, "{}", line.trim_end());
+        }
+        let _ = writeln!(text, "{}", self.summary());
+        for note in &self.notes {
+            let _ = writeln!(text, "{note}");
+        }
+        text
+    }
+
+    /// The same in Markdown: the summary, what changed, and the rest folded.
+    pub(super) fn markdown(&self) -> String {
+        let mark = if self.is_worse() { "❌" } else { "✅" };
+        let mut text = format!("**{mark} {}**\n", self.summary());
+        let head = "| | before | now | change | |\n|---|---:|---:|---:|---|\n";
+        let (rest, changed): (Vec<&Change>, Vec<&Change>) =
+            self.changes.iter().partition(|change| change.verdict == Verdict::Equal);
+        let mut table = |title: &str, changes: &[&Change], end: &str| {
+            if changes.is_empty() {
+                return;
+            }
+            let _ = write!(text, "{title}\n{head}");
+            for change in changes {
+                let [name, before, now, percent] = self.cells(change).map(|cell| cell.replace('|', "\\|"));
+                let _ = writeln!(text, "| {name} | {before} | {now} | {percent} | {} |", change.verdict.word());
+            }
+            text.push_str(end);
+        };
+        table("", &changed, "");
+        let title = format!("\n<details><summary>{} within {} %</summary>\n", rest.len(), self.limit);
+        table(&title, &rest, "\n</details>\n");
+        for note in [&self.conditions].into_iter().chain(&self.notes) {
+            let _ = write!(text, "\n{note}\n");
+        }
+        text
+    }
+
+    fn cells(&self, change: &Change) -> [String; 4] {
+        let percent = change.percent.map_or_else(String::new, |percent| format!("{percent:+.2} %"));
+        [change.name.clone(), self.value(change.before), self.value(change.now), percent]
+    }
+}
+
+/// Digits in groups of three.
+fn grouped(number: u64) -> String {
+    let digits = number.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}

@@ -1,0 +1,254 @@
+//! Cameras that move around a scene's middle, and pairs of eyes, from their options.
+
+use streamsplat::camera::turn::{Angles, Turn};
+
+use crate::console::failure::Failure;
+use crate::options::args::Motion;
+use crate::options::settings::Views;
+
+/// Seconds of a motion of which only the angle is said.
+const SECONDS: f64 = 4.0;
+/// Widest circle, in degrees from its middle.
+const WIDEST: f64 = 80.0;
+/// Distance between the eyes where none is said, as a part of their distance from the scene's middle.
+const EYE_DISTANCE: f64 = 0.06;
+/// Most images of a motion.
+const MOST: f64 = 1e6;
+
+/// Where the camera stands at each image.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Course {
+    /// One place per image, all at one instant of the scene.
+    Held(Vec<Angles>),
+    /// A place per time since the first image.
+    Running(Turn),
+}
+
+/// A motion as it was asked for, with the seconds if they were said.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Asked {
+    Orbit(f64, Option<f64>),
+    Sway(f64, Option<f64>),
+    Turntable(f64),
+}
+
+/// Seconds from the first image to the last, and how many there are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Whole {
+    span: f64,
+    images: usize,
+}
+
+impl Asked {
+    fn option(self) -> &'static str {
+        match self {
+            Asked::Orbit(..) => "--orbit",
+            Asked::Sway(..) => "--sway",
+            Asked::Turntable(_) => "--turntable",
+        }
+    }
+
+    /// Angles of the images of one instant, `fps` of them a second.
+    fn held(self, fps: f64) -> Result<Vec<Angles>, Failure> {
+        let (Asked::Orbit(_, seconds) | Asked::Sway(_, seconds)) = self else {
+            let Asked::Turntable(seconds) = self else { return Ok(Vec::new()) };
+            let count = self.count(seconds, fps)?;
+            let right = |i: usize| 360.0 * i as f64 / count as f64;
+            return Ok((0..count).map(|i| Angles { right: right(i), up: 0.0 }).collect());
+        };
+        let count = self.count(seconds.unwrap_or(SECONDS), fps)?;
+        let last = count.saturating_sub(1).max(1) as f64;
+        Ok((0..count)
+            .map(|i| match self {
+                Asked::Orbit(degrees, _) => Angles { right: degrees * (i as f64 / last - 0.5), up: 0.0 },
+                Asked::Sway(degrees, _) => Turn::Sway { degrees, seconds: count as f64 }.at(i as f64),
+                Asked::Turntable(_) => Angles::default(),
+            })
+            .collect())
+    }
+
+    fn count(self, seconds: f64, fps: f64) -> Result<usize, Failure> {
+        let count = (seconds * fps).round();
+        if !(seconds > 0.0 && (1.0..=MOST).contains(&count)) {
+            return Err(Failure::usage(format!(
+                "{}: expected at least one image and at most {MOST}, found {seconds} s at {fps} images per second",
+                self.option()
+            )));
+        }
+        Ok(count as usize)
+    }
+
+    /// The motion while time runs on, through all images where it is known how many there are.
+    fn running(self, whole: Option<Whole>) -> Result<Turn, Failure> {
+        let (said, turn): (Option<f64>, &dyn Fn(f64) -> Turn) = match self {
+            Asked::Orbit(degrees, seconds) => (seconds, &move |seconds| Turn::Orbit { degrees, seconds }),
+            Asked::Sway(degrees, seconds) => (seconds, &move |seconds| Turn::Sway { degrees, seconds }),
+            Asked::Turntable(seconds) => (Some(seconds), &move |seconds| Turn::Around { seconds }),
+        };
+        if let Some(seconds) = said {
+            if !(seconds > 0.0 && seconds.is_finite()) {
+                return Err(Failure::usage(format!("{}: expected seconds above 0, found {seconds} s", self.option())));
+            }
+            return Ok(turn(seconds));
+        }
+        let seconds = match (self, whole) {
+            (Asked::Orbit(..), Some(Whole { span, .. })) => span,
+            (Asked::Sway(..), Some(Whole { span, images })) => {
+                // The image that would follow the last is the first again.
+                let all = span * images as f64 / images.saturating_sub(1).max(1) as f64;
+                all / (all / SECONDS).round().max(1.0)
+            }
+            _ => SECONDS,
+        };
+        Ok(turn(if seconds > 0.0 { seconds } else { SECONDS }))
+    }
+}
+
+impl Motion {
+    fn asked(&self) -> Result<Option<Asked>, Failure> {
+        if let Some(text) = &self.orbit {
+            let (degrees, seconds) = angle("--orbit", text)?;
+            return Ok(Some(Asked::Orbit(degrees, seconds)));
+        }
+        if let Some(text) = &self.sway {
+            let (degrees, seconds) = angle("--sway", text)?;
+            if !(degrees > 0.0 && degrees <= WIDEST) {
+                return Err(Failure::usage(format!(
+                    "--sway {text}: expected more than 0 and at most {WIDEST} degrees"
+                )));
+            }
+            return Ok(Some(Asked::Sway(degrees, seconds)));
+        }
+        Ok(self.turntable.map(Asked::Turntable))
+    }
+
+    /// Whether the camera moves.
+    pub fn moves(&self) -> bool {
+        self.orbit.is_some() || self.sway.is_some() || self.turntable.is_some()
+    }
+
+    /// The places of the camera around a scene that stands still, `fps` of them a second; `None` where it does not move.
+    pub fn held(&self, fps: f64) -> Result<Option<Vec<Angles>>, Failure> {
+        self.asked()?.map(|asked| asked.held(fps)).transpose()
+    }
+
+    /// Distance between the eyes; `None` for a single one.
+    pub fn eyes(&self) -> Result<Option<f64>, Failure> {
+        let distance = self.eye_distance.unwrap_or(EYE_DISTANCE);
+        if !(distance > 0.0 && distance <= 1.0) {
+            return Err(Failure::usage(format!(
+                "--eye-distance {distance}: expected more than 0 and at most 1, as a part of the distance from the scene's middle"
+            )));
+        }
+        Ok(self.stereo.then_some(distance))
+    }
+
+    /// Gives `views` its motion for images at the times of `due`, which becomes as many as the motion has where it is a single one.
+    pub fn along<T: Copy>(
+        &self,
+        views: &mut Views,
+        due: &mut Vec<T>,
+        time: impl Fn(T) -> f64,
+        fps: f64,
+    ) -> Result<(), Failure> {
+        views.refuse_cameras()?;
+        views.eyes = self.eyes()?;
+        views.course = match (self.asked()?, &due[..]) {
+            (None, _) => None,
+            (Some(asked), &[only]) => {
+                let angles = asked.held(fps)?;
+                *due = vec![only; angles.len()];
+                Some(Course::Held(angles))
+            }
+            (Some(asked), due) => {
+                let span = due.first().zip(due.last()).map(|(first, last)| time(*last) - time(*first));
+                Some(Course::Running(asked.running(span.map(|span| Whole { span, images: due.len() }))?))
+            }
+        };
+        Ok(())
+    }
+
+    /// Gives `views` its motion for a video of `fps` frames a second whose end is not known.
+    pub fn follow(&self, views: &mut Views, fps: f64) -> Result<(), Failure> {
+        if let Some(mut times) = views.times.take() {
+            self.along(views, &mut times, |time| time, fps)?;
+            views.times = Some(times);
+            return Ok(());
+        }
+        views.eyes = self.eyes()?;
+        views.course = self.asked()?.map(|asked| asked.running(None)).transpose()?.map(Course::Running);
+        Ok(())
+    }
+}
+
+/// `DEGREES` or `DEGREES:SECONDS`.
+fn angle(option: &str, text: &str) -> Result<(f64, Option<f64>), Failure> {
+    let (degrees, seconds) = text.split_once(':').map_or((text, None), |(d, s)| (d, Some(s)));
+    let number = |text: &str| text.trim().parse::<f64>().ok().filter(|x| x.is_finite());
+    match (number(degrees), seconds.map(number)) {
+        (Some(degrees), None) => Ok((degrees, None)),
+        (Some(degrees), Some(Some(seconds))) => Ok((degrees, Some(seconds))),
+        _ => Err(Failure::usage(format!("{option} {text}: expected DEGREES or DEGREES:SECONDS"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sway(text: &str) -> Motion {
+        Motion { sway: Some(text.to_owned()), ..Motion::default() }
+    }
+
+    #[test]
+    fn one_instant_is_held_and_many_run_on() {
+        let mut views = Views::own();
+        let mut due = vec![1.5];
+        sway("3:2").along(&mut views, &mut due, |time| time, 4.0).expect("valid");
+        assert_eq!(due, [1.5; 8]);
+        assert!(matches!(&views.course, Some(Course::Held(angles)) if angles.len() == 8));
+        let mut due = vec![1.0, 1.5, 2.0];
+        sway("3:2").along(&mut views, &mut due, |time| time, 4.0).expect("valid");
+        assert_eq!(due, [1.0, 1.5, 2.0]);
+        assert_eq!(views.course, Some(Course::Running(Turn::Sway { degrees: 3.0, seconds: 2.0 })));
+    }
+
+    #[test]
+    fn without_seconds_an_orbit_takes_all_the_time_and_circles_close() {
+        let course = |motion: &Motion, images: usize| {
+            let (mut views, mut due) = (Views::own(), (0..images).map(|i| i as f64 / 8.0).collect());
+            motion.along(&mut views, &mut due, |time| time, 8.0).expect("valid");
+            views.course
+        };
+        let orbit = Motion { orbit: Some("20".to_owned()), ..Motion::default() };
+        assert_eq!(course(&orbit, 81), Some(Course::Running(Turn::Orbit { degrees: 20.0, seconds: 10.0 })));
+        // 80 images of an eighth of a second: ten seconds, in which two circles or three come nearest to 4 seconds each.
+        let Some(Course::Running(Turn::Sway { seconds, .. })) = course(&sway("4"), 80) else { panic!("a circle") };
+        assert!((seconds - 10.0 / 3.0).abs() < 1e-9, "{seconds}");
+        let Some(Course::Running(Turn::Sway { seconds, .. })) = course(&sway("4"), 8) else { panic!("a circle") };
+        assert!((seconds - 1.0).abs() < 1e-9, "{seconds}");
+    }
+
+    #[test]
+    fn a_video_without_an_end_has_four_seconds() {
+        let mut views = Views::own();
+        sway("4").follow(&mut views, 24.0).expect("valid");
+        assert_eq!(views.course, Some(Course::Running(Turn::Sway { degrees: 4.0, seconds: 4.0 })));
+        assert_eq!(views.times, None);
+        views.times = Some(vec![0.5]);
+        sway("4:0.5").follow(&mut views, 24.0).expect("valid");
+        assert_eq!(views.times, Some(vec![0.5; 12]));
+    }
+
+    #[test]
+    fn what_is_no_motion_is_wrong_use() {
+        let mut views = Views::own();
+        for text in ["", "a", "4:", "4:x", "nan", "0", "-3", "81", "4:0", "4:-1", "4:inf"] {
+            assert!(matches!(sway(text).follow(&mut views, 24.0), Err(Failure::Usage(_))), "{text}");
+        }
+        for distance in [0.0, -1.0, 1.5, f64::NAN] {
+            let motion = Motion { stereo: true, eye_distance: Some(distance), ..Motion::default() };
+            assert!(matches!(motion.follow(&mut views, 24.0), Err(Failure::Usage(_))), "{distance}");
+        }
+    }
+}

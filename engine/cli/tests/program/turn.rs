@@ -1,0 +1,182 @@
+//! Cameras that move around a scene while its time runs on or stands still, and pairs of eyes.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Output;
+
+use streamsplat_fixtures as fixtures;
+
+use crate::still::prepared;
+use crate::support::{Scratch, command, fails, files, json, run_ok};
+
+fn render(scene: &Path, out: &Path, more: &[&str]) -> Output {
+    command().arg("render").arg(scene).arg("--out").arg(out).args(more).output().expect("the program starts")
+}
+
+fn ok(output: &Output) {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// The images of a rendering that `verify` agrees with.
+fn drawn(scratch: &Scratch, scene: &Path, name: &str, more: &[&str]) -> BTreeMap<String, Vec<u8>> {
+    let out = scratch.path(name);
+    ok(&render(scene, &out, more));
+    ok(&command().arg("verify").arg(&out).output().expect("the program starts"));
+    files(&out)
+}
+
+/// A run of the clip's first second, with its scene.
+fn ran(scratch: &Scratch, name: &str, more: &[&str]) -> std::path::PathBuf {
+    let out = scratch.path(name);
+    run_ok(&fixtures::path("clips/moving.y4m"), &out, &[&["--frames", "13", "--gap", "4", "--quiet"], more].concat());
+    out
+}
+
+fn frames(all: &BTreeMap<String, Vec<u8>>) -> Vec<&Vec<u8>> {
+    all.iter().filter(|(name, _)| name.starts_with("frames/")).map(|(_, bytes)| bytes).collect()
+}
+
+#[test]
+fn a_run_that_turns_has_the_bytes_of_its_scene_turned_and_both_are_verified() {
+    let scratch = Scratch::new();
+    for (i, motion) in
+        [&["--orbit", "20:0.25"][..], &["--sway=5:0.5"], &["--turntable", "1", "--stereo"]].iter().enumerate()
+    {
+        let out = ran(&scratch, &format!("run{i}"), motion);
+        ok(&command().arg("verify").arg(&out).output().expect("the program starts"));
+        let images = drawn(&scratch, &out, &format!("render{i}"), motion);
+        let all = files(&out);
+        let found = frames(&all);
+        assert_eq!(found.len(), 13);
+        assert!(found == frames(&images), "{motion:?}");
+        let distinct: std::collections::BTreeSet<_> = found.iter().collect();
+        assert_eq!(distinct.len(), 13, "time runs on while the camera moves");
+    }
+}
+
+#[test]
+fn at_an_angle_of_zero_the_image_is_the_sources_own_view() {
+    let scratch = Scratch::new();
+    let scene = ran(&scratch, "run", &[]);
+    let own = drawn(&scratch, &scene, "own", &["--times", "0.25"]);
+    // One instant is held: five images from left to right, of which the third is from the front.
+    let held = drawn(&scratch, &scene, "held", &["--times", "0.25", "--fps", "10", "--orbit", "30:0.5"]);
+    let held = frames(&held);
+    assert_eq!(held.len(), 5);
+    assert!(held[2] == frames(&own)[0]);
+    for other in [0, 1, 3, 4] {
+        assert!(held[other] != held[2], "{other}");
+    }
+    // While time runs, an orbit without seconds goes once through all of it.
+    let running = drawn(&scratch, &scene, "running", &["--orbit", "30"]);
+    let whole = files(&scene);
+    let equal: Vec<usize> = (0..13).filter(|i| frames(&running)[*i] == frames(&whole)[*i]).collect();
+    assert_eq!(equal, [6]);
+}
+
+#[test]
+fn a_held_sway_is_a_loop_and_shows_what_is_near_and_far_move() {
+    let scratch = Scratch::new();
+    let scene = ran(&scratch, "run", &[]);
+    let out = scratch.path("sway.y4m");
+    ok(&render(&scene, &out, &["--times", "0.25", "--fps", "8", "--sway=6:1"]));
+    let mut video =
+        streamsplat::source::y4m::Y4m::new(std::io::BufReader::new(std::fs::File::open(&out).expect("written")), &out)
+            .expect("a video");
+    let mut pictures = Vec::new();
+    while let Some(picture) = video.next_picture().expect("whole") {
+        pictures.push(picture.rgb);
+    }
+    assert_eq!(pictures.len(), 8);
+    let apart = |a: usize, b: usize| -> f64 {
+        let pairs = pictures[a].iter().zip(&pictures[b]);
+        pairs.map(|(a, b)| f64::from((a - b).abs())).sum::<f64>() / pictures[a].len() as f64
+    };
+    let (step, across) = (apart(0, 1), apart(0, 4));
+    assert!(across > 0.0 && apart(7, 0) < 1.5 * step && apart(7, 0) < across, "{} {step} {across}", apart(7, 0));
+}
+
+#[test]
+fn stereo_images_are_twice_as_wide_and_differ_by_the_distance_of_the_eyes() {
+    let scratch = Scratch::new();
+    let scene = ran(&scratch, "run", &[]);
+    let halves = |name: &str, more: &[&str]| {
+        let options = [&["--times", "0.25", "--size", "64x36", "--emit", "rgb,depth,alpha"], more].concat();
+        let out = scratch.path(name);
+        drawn(&scratch, &scene, name, &options);
+        let image = image::open(out.join("frames/000000.png")).expect("an image").into_rgb8();
+        let alpha = image::open(out.join("alpha/000000.png")).expect("an image").into_luma8();
+        assert_eq!((image.dimensions(), alpha.dimensions()), ((128, 36), (128, 36)));
+        let half = |from: u32| -> Vec<u8> {
+            (0..36)
+                .flat_map(|y| (0..64).map(move |x| (from + x, y)))
+                .flat_map(|(x, y)| image.get_pixel(x, y).0)
+                .collect()
+        };
+        let (left, right) = (half(0), half(64));
+        let apart: u64 = left.iter().zip(&right).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+        (left, apart)
+    };
+    let (_, near) = halves("near", &["--stereo", "--eye-distance", "0.02"]);
+    let (left, far) = halves("far", &["--stereo", "--eye-distance", "0.2"]);
+    assert!(near > 0 && far > 2 * near, "{near} {far}");
+    // The left eye stands on the left, at atan(0.1) degrees.
+    let angle = -2.0 * 0.1f64.atan().to_degrees();
+    let orbit = ["--times", "0.25", "--size", "64x36", "--fps", "2", "--orbit", &format!("{}:1", -angle)];
+    let orbit = drawn(&scratch, &scene, "orbit", &orbit);
+    let image = image::load_from_memory(frames(&orbit)[0]).expect("an image").into_rgb8();
+    let most = image.as_raw().iter().zip(&left).map(|(a, b)| a.abs_diff(*b)).max();
+    assert!(most <= Some(2), "{most:?}");
+}
+
+#[test]
+fn still_scenes_sway_and_have_two_eyes() {
+    let scratch = Scratch::new();
+    let (scene, camera) = prepared(&scratch);
+    let size = ["--size", "48x32", "--fps", "8"];
+    let sway = drawn(&scratch, &scene, "sway", &[&size[..], &["--sway=8:1"]].concat());
+    let distinct: std::collections::BTreeSet<_> = sway.values().collect();
+    assert_eq!((sway.len(), distinct.len()), (8, 8));
+    for (name, more) in [("framed", &[][..]), ("camera", &["--camera", &camera.display().to_string(), "--times", "0"])]
+    {
+        let stereo = drawn(&scratch, &scene, name, &[&size[..], &["--stereo"], more].concat());
+        let image = image::load_from_memory(frames(&stereo)[0]).expect("an image").into_rgb8();
+        assert_eq!(image.dimensions(), (96, 32));
+        let half = |from: u32| (0..32).flat_map(move |y| (0..48).map(move |x| (from + x, y)));
+        assert!(half(0).zip(half(48)).any(|((x, y), (u, v))| image.get_pixel(x, y) != image.get_pixel(u, v)));
+    }
+    fails(&render(&scene, &scratch.path("wrong"), &["--sway", "--times", "0"]), 2);
+}
+
+#[test]
+fn motions_that_cannot_be_are_wrong_use() {
+    let scratch = Scratch::new();
+    let scene = ran(&scratch, "run", &[]);
+    let out = scratch.path("out");
+    let camera = scratch.path("camera.json");
+    std::fs::write(&camera, r#"{"type": "orthographic", "position": [0, 0, 9]}"#).expect("writable");
+    let camera = camera.display().to_string();
+    for wrong in [
+        &["--orbit", "a"][..],
+        &["--orbit", "9:0"],
+        &["--sway=-4"],
+        &["--sway=4:0"],
+        &["--sway=90"],
+        &["--turntable", "-1"],
+        &["--times", "0.25", "--turntable", "1e9"],
+        &["--stereo", "--eye-distance", "2"],
+        &["--stereo", "--eye-distance", "nan"],
+        &["--stereo", "--camera", &camera],
+    ] {
+        fails(&render(&scene, &out, wrong), 2);
+    }
+    for wrong in [&["--sway", "--orbit", "3"][..], &["--sway", "--camera", &camera], &["--eye-distance", "0.1"]] {
+        let output = render(&scene, &out, wrong);
+        assert_eq!(output.status.code(), Some(2), "{wrong:?}");
+    }
+    let png = scratch.path("x.png").display().to_string();
+    let text = fails(&render(&scene, Path::new(&png), &["--times", "0.25", "--sway"]), 2);
+    assert!(text.contains("found a single file"), "{text}");
+    let record = json(&scene.join("run.json"));
+    assert!(record["task"].to_string().find("orbit").is_none(), "nothing is said where nothing moves");
+}

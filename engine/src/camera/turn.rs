@@ -1,0 +1,229 @@
+//! Cameras around one point: turns in time, and the two views of a pair of eyes.
+//!
+//! The point, the *pivot*, stays where it is in the image. For a scene in time it is the middle of the source's picture at the median depth of
+//! the Gaussians that are seen at one instant ([`pivot`]). The source's own view is turned with parallel rays, so that at an angle of 0 it is
+//! [`Camera::Canonical`] itself.
+
+use streamsplat_kernels::math::f64::sin_cos;
+
+use super::{Camera, Lens, Pose, Rotation};
+use crate::fit::Placement;
+use crate::render::{RenderError, Snapshot, to_scene};
+use crate::stream::Interval;
+
+/// Distance of a turned camera from the pivot: depths end at 5, so that everything lies in front of it.
+const DISTANCE: f64 = 12.0;
+
+/// Where a camera stands around the pivot, in degrees.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Angles {
+    /// To the right of the source's own camera.
+    pub right: f64,
+    /// Above it.
+    pub up: f64,
+}
+
+/// How a camera moves around the pivot while time runs on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Turn {
+    /// From half of `degrees` on the left to as far on the right in so many seconds, then back in as many, and so on.
+    Orbit {
+        /// The whole angle.
+        degrees: f64,
+        /// Time from one end to the other.
+        seconds: f64,
+    },
+    /// A circle around the source's own view, `degrees` away from it, once in so many seconds. It starts above.
+    Sway {
+        /// Angle between the circle and the middle.
+        degrees: f64,
+        /// Time of one circle.
+        seconds: f64,
+    },
+    /// Once around in so many seconds, starting at the source's own view.
+    Around {
+        /// Time of one turn.
+        seconds: f64,
+    },
+}
+
+impl Turn {
+    /// Where the camera stands after `time` seconds.
+    pub fn at(self, time: f64) -> Angles {
+        // From 0 to 1 and over again.
+        let phase = |seconds: f64| (time / seconds).rem_euclid(1.0);
+        match self {
+            Turn::Orbit { degrees, seconds } => {
+                let there_and_back = 2.0 * phase(2.0 * seconds);
+                Angles { right: degrees * (there_and_back.min(2.0 - there_and_back) - 0.5), up: 0.0 }
+            }
+            Turn::Sway { degrees, seconds } => {
+                let (sin, cos) = sin_cos(2.0 * std::f64::consts::PI * phase(seconds));
+                Angles { right: degrees * sin, up: degrees * cos }
+            }
+            Turn::Around { seconds } => Angles { right: 360.0 * phase(seconds), up: 0.0 },
+        }
+    }
+}
+
+/// The middle of the source's picture, at the median depth of the Gaussians that are seen at `time`: of an even number the farther of the
+/// two in the middle. Where none is seen, at an inverse depth of one half.
+///
+/// # Errors
+/// As [`Interval::render`].
+pub fn pivot(interval: &Interval, time: f64) -> Result<[f64; 3], RenderError> {
+    let mut depths: Vec<f32> = Snapshot::of(interval, time)?.mean.iter().map(|mean| mean[2]).collect();
+    depths.sort_unstable_by(f32::total_cmp);
+    let middle = to_scene([0.0, 0.5, 0.0]).map_or(1.0, |[_, _, z]| z);
+    let depth = depths.get(depths.len() / 2).copied().unwrap_or(middle);
+    let [x, y] = extent(&interval.placement).0;
+    Ok([x, y, f64::from(depth)])
+}
+
+/// The source's own view, turned around `pivot`.
+pub fn turned(placement: &Placement, pivot: [f64; 3], angles: Angles) -> Camera {
+    if angles == Angles::default() {
+        return Camera::Canonical;
+    }
+    let Angles { right, up } = angles;
+    let radians = std::f64::consts::PI / 180.0;
+    let ((sin, cos), (sin_up, cos_up)) = (sin_cos(right * radians), sin_cos(up * radians));
+    let axes = [[cos, 0.0, sin], [sin * sin_up, cos_up, -cos * sin_up], [-sin * cos_up, sin_up, cos * cos_up]];
+    let Some(rotation) = Rotation::from_columns(axes) else { return Camera::Canonical };
+    let position = std::array::from_fn(|i| pivot[i] - DISTANCE * axes[2][i]);
+    let lens = Lens::Orthographic { half_extent: extent(placement).1 };
+    Camera::Posed { pose: Pose { position, rotation }, lens }
+}
+
+/// The views of a left and a right eye in place of `camera`, `apart` times as far from each other as they are from the plane through `pivot`
+/// that the camera faces. What lies in that plane is at the same place in both images.
+///
+/// Parallel rays are turned by half of the angle between the eyes; a pinhole moves sideways, and its principal point with it, so that nothing is
+/// shifted up or down. `None` where `pivot` is not in front of the camera, and for [`Camera::Canonical`] without a `placement`.
+pub fn eyes(camera: &Camera, placement: Option<&Placement>, pivot: [f64; 3], apart: f64) -> Option<[Camera; 2]> {
+    let (pose, lens) = match *camera {
+        Camera::Canonical => {
+            let [x, y, z] = pivot;
+            let lens = Lens::Orthographic { half_extent: extent(placement?).1 };
+            (Pose { position: [x, y, z - DISTANCE], rotation: Rotation::IDENTITY }, lens)
+        }
+        Camera::Posed { pose, lens } => (pose, lens),
+    };
+    let rows = pose.rotation.matrix();
+    let [right, down, forward] = [0, 1, 2].map(|axis| rows.map(|row| row[axis]));
+    let distance: f64 = (0..3).map(|i| forward[i] * (pivot[i] - pose.position[i])).sum();
+    if !(distance > 0.0 && distance.is_finite()) {
+        return None;
+    }
+    let half = 0.5 * apart;
+    let eye = |side: f64| {
+        Some(match lens {
+            Lens::Orthographic { .. } => {
+                let cos = 1.0 / (1.0 + half * half).sqrt();
+                let sin = -side * half * cos;
+                let across: [f64; 3] = std::array::from_fn(|i| cos * right[i] - sin * forward[i]);
+                let along: [f64; 3] = std::array::from_fn(|i| cos * forward[i] + sin * right[i]);
+                let position = std::array::from_fn(|i| pose.position[i] + distance * (forward[i] - along[i]));
+                let rotation = Rotation::from_columns([across, down, along])?;
+                Camera::Posed { pose: Pose { position, rotation }, lens }
+            }
+            Lens::Pinhole { focal, centre } => {
+                let position = std::array::from_fn(|i| pose.position[i] + side * half * distance * right[i]);
+                let centre = [centre[0] + side * half * focal[0], centre[1]];
+                Camera::Posed { pose: Pose { position, ..pose }, lens: Lens::Pinhole { focal, centre } }
+            }
+        })
+    };
+    Some([eye(-1.0)?, eye(1.0)?])
+}
+
+/// Middle and half extents of the source's picture in scene units.
+fn extent(placement: &Placement) -> ([f64; 2], [f64; 2]) {
+    let [rows, columns] = placement.content.map(|side| side as f64);
+    let [height, width] = placement.model.map(|side| side.max(1) as f64);
+    let [top, left] = placement.offset.map(|side| side as f64);
+    ([(2.0 * left + columns) / width - 1.0, (2.0 * top + rows) / height - 1.0], [columns / width, rows / height])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PLACEMENT: Placement = Placement { source: [9, 16], model: [20, 32], offset: [1, 0], content: [18, 32] };
+    const PIVOT: [f64; 3] = [0.0, 0.0, 0.6];
+
+    /// Where a camera shows a point, from the middle of the image, in image widths and heights.
+    fn seen(camera: &Camera, point: [f64; 3]) -> [f64; 2] {
+        let Camera::Posed { pose, lens } = *camera else { panic!("posed") };
+        let d: [f64; 3] = std::array::from_fn(|i| point[i] - pose.position[i]);
+        let [x, y, z] = pose.rotation.inverse().matrix().map(|row| row[0] * d[0] + row[1] * d[1] + row[2] * d[2]);
+        assert!(z > 0.0);
+        match lens {
+            Lens::Orthographic { half_extent: [w, h] } => [0.5 * x / w, 0.5 * y / h],
+            Lens::Pinhole { focal, centre } => [focal[0] * x / z + centre[0] - 0.5, focal[1] * y / z + centre[1] - 0.5],
+        }
+    }
+
+    #[test]
+    fn an_orbit_goes_from_left_to_right_and_back() {
+        let orbit = Turn::Orbit { degrees: 30.0, seconds: 2.0 };
+        for (time, right) in [(0.0, -15.0), (1.0, 0.0), (2.0, 15.0), (3.0, 0.0), (4.0, -15.0), (5.5, 7.5)] {
+            assert_eq!(orbit.at(time), Angles { right, up: 0.0 }, "{time}");
+        }
+        assert_eq!(Turn::Around { seconds: 4.0 }.at(5.0), Angles { right: 90.0, up: 0.0 });
+    }
+
+    #[test]
+    fn a_sway_is_a_circle_that_closes() {
+        let sway = Turn::Sway { degrees: 3.0, seconds: 4.0 };
+        let at = |time| {
+            let Angles { right, up } = sway.at(time);
+            [right, up]
+        };
+        assert_eq!(at(0.0), [0.0, 3.0]);
+        assert_eq!(at(0.0), at(4.0));
+        for i in 0..8 {
+            let [right, up] = at(0.5 * f64::from(i));
+            assert!((right.hypot(up) - 3.0).abs() < 1e-12);
+        }
+        assert!(at(1.0)[0] > 2.9, "then to the right");
+    }
+
+    #[test]
+    fn the_pivot_stays_and_what_is_behind_it_moves_with_the_camera() {
+        assert_eq!(turned(&PLACEMENT, PIVOT, Angles::default()), Camera::Canonical);
+        let right = turned(&PLACEMENT, PIVOT, Angles { right: 10.0, up: 0.0 });
+        assert!(seen(&right, PIVOT).iter().all(|x| x.abs() < 1e-12));
+        let behind = seen(&right, [0.0, 0.0, 1.6]);
+        let moved = 0.5 * 10f64.to_radians().sin();
+        assert!((behind[0] - moved).abs() < 1e-9 && behind[1].abs() < 1e-12, "{behind:?}");
+        let above = turned(&PLACEMENT, PIVOT, Angles { right: 0.0, up: 10.0 });
+        let behind = seen(&above, [0.0, 0.0, 1.6]);
+        // From above, what is behind is higher in the image, which is 18 of the model's 20 rows high.
+        assert!((behind[1] + moved / 0.9).abs() < 1e-9 && behind[0].abs() < 1e-12, "{behind:?}");
+    }
+
+    #[test]
+    fn eyes_see_the_plane_of_the_pivot_alike_and_the_rest_shifted() {
+        let pose = Pose::look_at([0.4, -0.2, -2.0], PIVOT, [0.0, -1.0, 0.0]).unwrap();
+        let pinhole = Camera::pinhole(pose, 45.0, 16.0 / 9.0).unwrap();
+        let turned = turned(&PLACEMENT, PIVOT, Angles { right: 7.0, up: -3.0 });
+        for camera in [Camera::Canonical, turned, pinhole, Camera::orthographic(pose)] {
+            let [left, right] = eyes(&camera, Some(&PLACEMENT), PIVOT, 0.1).expect("in front");
+            let apart = |point| {
+                let (a, b) = (seen(&left, point), seen(&right, point));
+                assert!((a[1] - b[1]).abs() < 1e-9, "nothing is shifted up or down");
+                a[0] - b[0]
+            };
+            assert!(apart(PIVOT).abs() < 1e-9);
+            let Camera::Posed { pose, .. } = left else { panic!("posed") };
+            let forward = pose.rotation.matrix().map(|row| row[2]);
+            let at = |along: f64| std::array::from_fn(|i| PIVOT[i] + along * forward[i]);
+            assert!(apart(at(-0.3)) > 0.005, "near things are farther right for the left eye");
+            assert!(apart(at(0.3)) < -0.005, "and far things farther left");
+        }
+        let away = Pose { position: [0.0, 0.0, 3.0], ..Pose::default() };
+        assert!(eyes(&Camera::orthographic(away), None, PIVOT, 0.1).is_none());
+        assert!(eyes(&Camera::Canonical, None, PIVOT, 0.1).is_none());
+    }
+}

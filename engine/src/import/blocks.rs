@@ -1,0 +1,88 @@
+//! Files that are read from beginning to end, a block at a time.
+
+use std::fs::File;
+use std::io::{self, Read};
+
+use super::FormatError;
+
+/// Called with the bytes read so far, and with those of the whole file.
+pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) + Send);
+
+/// What ends the reading of a file.
+#[derive(Debug)]
+pub(super) enum ReadError {
+    /// The system's answer.
+    File(io::Error),
+    /// What the file holds.
+    Format(FormatError),
+}
+
+impl From<io::Error> for ReadError {
+    fn from(cause: io::Error) -> Self {
+        ReadError::File(cause)
+    }
+}
+
+impl From<FormatError> for ReadError {
+    fn from(cause: FormatError) -> Self {
+        ReadError::Format(cause)
+    }
+}
+
+/// A file of a known length, of which no more is in memory than a block, with the digest of what was read.
+pub(super) struct Blocks<'a> {
+    file: File,
+    length: u64,
+    /// First bytes that were looked at and not taken yet.
+    ahead: Vec<u8>,
+    taken: u64,
+    hasher: blake3::Hasher,
+    progress: Progress<'a>,
+}
+
+impl<'a> Blocks<'a> {
+    pub(super) fn new(file: File, length: u64, progress: Progress<'a>) -> Self {
+        Self { file, length, ahead: Vec::new(), taken: 0, hasher: blake3::Hasher::new(), progress }
+    }
+
+    /// Bytes of the file.
+    pub(super) fn length(&self) -> u64 {
+        self.length
+    }
+
+    /// The first bytes, at most `most` of them, before any is taken.
+    pub(super) fn head(&mut self, most: u64) -> io::Result<&[u8]> {
+        let missing = most.min(self.length).saturating_sub(self.ahead.len() as u64);
+        (&mut self.file).take(missing).read_to_end(&mut self.ahead)?;
+        Ok(&self.ahead)
+    }
+
+    /// Takes the next bytes, as many as `block` holds.
+    pub(super) fn fill(&mut self, block: &mut [u8]) -> io::Result<()> {
+        let before = self.ahead.len().min(block.len());
+        let (first, rest) = block.split_at_mut(before);
+        first.copy_from_slice(&self.ahead[..before]);
+        self.ahead.drain(..before);
+        self.file.read_exact(rest)?;
+        self.hasher.update(block);
+        self.taken += block.len() as u64;
+        (self.progress)(self.taken, self.length);
+        Ok(())
+    }
+
+    /// Takes the next `count` bytes and leaves them out.
+    pub(super) fn pass(&mut self, mut count: u64) -> io::Result<()> {
+        let mut block = vec![0; count.min(1 << 16) as usize];
+        while count > 0 {
+            let next = count.min(block.len() as u64);
+            self.fill(&mut block[..next as usize])?;
+            count -= next;
+        }
+        Ok(())
+    }
+
+    /// The file's length and its digest, once all of it is taken.
+    pub(super) fn finish(self) -> (u64, String) {
+        (self.length, self.hasher.finalize().to_hex().to_string())
+    }
+}

@@ -1,0 +1,118 @@
+//! Numbers that say what a still scene holds.
+
+use rayon::prelude::*;
+use streamsplat_kernels::math::f64::exp;
+
+use super::Still;
+
+/// Logit of the opacity 1/255: −ln 254.
+const FAINTEST: f32 = -5.537_334;
+/// Shares of the values below which [`Spread`] gives one.
+const SHARES: [f64; 5] = [0.0, 0.05, 0.5, 0.95, 1.0];
+
+/// The least value, those at 5, 50 and 95 of a hundred, and the greatest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread(pub [f64; 5]);
+
+/// Sizes and opacities of a scene, and the Gaussians that no viewer shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Statistics {
+    /// The greatest of a Gaussian's three standard deviations, in the scene's unit.
+    pub size: Option<Spread>,
+    /// The least of them over the greatest.
+    pub flatness: Option<Spread>,
+    /// Opacities.
+    pub opacity: Option<Spread>,
+    /// Gaussians with a number that is not finite, which are not drawn.
+    pub not_finite: usize,
+    /// Others whose rotation is the quaternion 0, which are not drawn.
+    pub no_rotation: usize,
+    /// Others with an opacity under 1/255, which change no pixel.
+    pub faint: usize,
+}
+
+impl Still {
+    /// Sizes and opacities of the Gaussians whose numbers are finite.
+    pub fn statistics(&self) -> Statistics {
+        let width = 3 * self.rest();
+        let higher = |i: usize| &self.higher[i * width..(i + 1) * width];
+        let is_finite = |i: usize| {
+            let fields = [&self.mean[i][..], &self.log_scale[i], &self.rotation[i], &self.base[i], higher(i)];
+            self.logit[i].is_finite() && fields.iter().all(|field| field.iter().all(|x| x.is_finite()))
+        };
+        let (finite, not_finite): (Vec<u32>, Vec<u32>) =
+            (0..self.len() as u32).into_par_iter().partition(|&i| is_finite(i as usize));
+        let not_turned = |i: usize| self.rotation[i] == [0.0; 4];
+        let count =
+            |wanted: &(dyn Fn(usize) -> bool + Sync)| finite.par_iter().filter(|&&i| wanted(i as usize)).count();
+        let spread = |value: &(dyn Fn(usize) -> f32 + Sync), shown: fn(f64) -> f64| {
+            let values = finite.par_iter().map(|&i| value(i as usize)).collect();
+            quantiles(values, SHARES).map(|found| Spread(found.map(|x| shown(f64::from(x)))))
+        };
+        let longest = |i: usize| self.log_scale[i].into_iter().fold(f32::NEG_INFINITY, f32::max);
+        let shortest = |i: usize| self.log_scale[i].into_iter().fold(f32::INFINITY, f32::min);
+        Statistics {
+            size: spread(&longest, exp),
+            flatness: spread(&|i| shortest(i) - longest(i), exp),
+            opacity: spread(&|i| self.logit[i], |x| 1.0 / (1.0 + exp(-x))),
+            not_finite: not_finite.len(),
+            no_rotation: count(&not_turned),
+            faint: count(&|i| !not_turned(i) && self.logit[i] < FAINTEST),
+        }
+    }
+}
+
+/// The values below which these shares of all lie, each one of them; shares ascend. `None` where there are no values.
+pub(super) fn quantiles<const N: usize>(mut values: Vec<f32>, shares: [f64; N]) -> Option<[f32; N]> {
+    let last = values.len().checked_sub(1)?;
+    let (mut rest, mut from) = (values.as_mut_slice(), 0);
+    Some(shares.map(|share| {
+        let at = (share * last as f64).round() as usize - from;
+        // What is before a share's value is not above it, and the next share's is not before it.
+        let value = *rest.select_nth_unstable_by(at, f32::total_cmp).1;
+        rest = &mut std::mem::take(&mut rest)[at..];
+        from += at;
+        value
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_those_of_the_sorted_values() {
+        for count in [1_usize, 2, 3, 20, 101, 1000] {
+            let values: Vec<f32> = (0..count).map(|i| ((i * 7919) % 1009) as f32 * 0.5 - 100.0).collect();
+            let mut sorted = values.clone();
+            sorted.sort_by(f32::total_cmp);
+            let expected = SHARES.map(|share| sorted[(share * (count - 1) as f64).round() as usize]);
+            assert_eq!(quantiles(values, SHARES), Some(expected), "{count}");
+        }
+        assert_eq!(quantiles(Vec::new(), SHARES), None);
+    }
+
+    #[test]
+    fn what_is_not_drawn_is_counted_once_and_the_rest_is_measured() {
+        let count = 25;
+        let mut still = Still::zeros(count, 1);
+        for i in 0..count {
+            still.rotation[i] = [1.0, 0.0, 0.0, 0.0];
+            still.log_scale[i] = [(i as f32).max(1.0).ln(), -3.0, (0.5 * (i as f32).max(1.0)).ln()];
+        }
+        still.mean[1] = [f32::NAN, 0.0, 0.0];
+        still.higher[9 * 2 + 8] = f32::INFINITY;
+        still.rotation[3] = [0.0; 4];
+        still.logit[3] = -9.0;
+        (still.logit[4], still.logit[5]) = (-5.55, -5.53);
+        let found = still.statistics();
+        assert_eq!((found.not_finite, found.no_rotation, found.faint), (2, 1, 1));
+        let Spread(size) = found.size.expect("sizes");
+        assert!((size[0] - 1.0).abs() < 1e-6 && (size[4] - 24.0).abs() < 1e-4, "{size:?}");
+        let Spread(opacity) = found.opacity.expect("opacities");
+        assert_eq!(opacity[2..], [0.5; 3]);
+        let Spread(flatness) = found.flatness.expect("ratios");
+        assert!((flatness[0] - (-3.0_f64).exp() / 24.0).abs() < 1e-6, "{flatness:?}");
+        assert_eq!(Still::default().statistics().size, None);
+    }
+}
