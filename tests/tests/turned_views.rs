@@ -24,7 +24,7 @@ fn true_depth_makes_views_from_the_side_true() {
     let off = score(&off, &scenes(), true, 10.0, |_, _, _| ());
     println!("off     {off:?}");
     assert!(with.behind >= off.behind + 0.3, "past edges there is more to see: {off:?} {with:?}");
-    assert!(with.key >= off.key - 0.4, "the own view hides it: {off:?} {with:?}");
+    assert!(with.key >= off.key - 0.1, "the own view hides it: {off:?} {with:?}");
 }
 
 /// Records of all intervals of a few key frames with these depth maps.
@@ -131,6 +131,6 @@ fn a_still_scene_does_not_breathe_when_its_maps_flicker() {
         let square = pair[0].iter().zip(&pair[1]).map(|(a, b)| f64::from((a - b) * (a - b))).sum::<f64>();
         let decibels = -10.0 * (square / pair[0].len() as f64).log10();
         println!("views of key frames {key} and {}: {decibels:.2} dB", key + 1);
-        assert!(decibels > 27.0, "{decibels}");
+        assert!(decibels > 38.0, "{decibels}");
     }
 }

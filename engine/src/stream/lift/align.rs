@@ -21,7 +21,7 @@ const ROUNDS: usize = 12;
 /// Fewest links of which a line is found.
 const FEWEST: usize = 32;
 /// Part of the way back to the map as it is given.
-const PULL: f64 = 0.05;
+const PULL: f64 = 0.01;
 /// Least and largest scale.
 const SCALES: [f64; 2] = [0.25, 4.0];
 
@@ -154,7 +154,7 @@ mod tests {
         for (scale, shift) in [(0.8, 0.1), (0.5, 0.3), (1.2, -0.1), (1.0, 0.0)] {
             let found = align(&links(2000, scale, shift), Alignment::default());
             // But for the pull.
-            let (expected, moved) = (scale + 0.05 * (1.0 - scale), 0.95 * shift);
+            let (expected, moved) = (scale + 0.01 * (1.0 - scale), 0.99 * shift);
             assert!((found.scale - expected).abs() < 0.01 && (found.shift - moved).abs() < 0.01, "{found:?}");
         }
     }

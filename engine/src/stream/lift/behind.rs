@@ -1,15 +1,15 @@
 //! Gaussians behind the edges of near things, for views that look past them.
 //!
 //! A key frame shows nothing of what its foreground hides. So behind every Gaussian that lies within [`REACH`] of a
-//! row's length of an edge to something farther stands another one: at the farther depth, in the mean colour of the
-//! first three pixels beyond the edge, in the direction (left, right, up, down) in which the edge is nearest. From the
-//! frame's own camera it is hidden. It moves as what is seen beyond the edge does.
+//! row's length of an edge to something farther stands another one: a little behind the farther
+//! surface, in the mean colour of the first three pixels beyond the edge, in the direction (left, right, up, down) in
+//! which the edge is nearest. From the frame's own camera it is hidden. It moves as what is seen beyond the edge does.
 
 use rayon::prelude::*;
 use streamsplat_model::StaticGaussians;
 
 use super::edges::Surfaces;
-use super::{depth_of, pixel};
+use super::{depth_of, pixel, with_relief};
 
 /// Largest distance from an edge, as a part of a row: a row has so many of it.
 const REACH: usize = 32;
@@ -17,6 +17,9 @@ const REACH: usize = 32;
 const OPACITY: f32 = 0.95;
 /// Standard deviation in pixels.
 const SCALE: f32 = 1.2;
+/// Place within the relief of the farther surface, of which 0.5 is the middle: behind what that surface shows, so that
+/// it covers none of it where it reaches over the edge.
+const BACK: f32 = 0.35;
 
 /// Place and colour of a Gaussian behind another.
 struct Behind {
@@ -74,7 +77,7 @@ impl Surfaces<'_> {
         }
         let rgb = if count > 0.0 { sum.map(|s| s / count) } else { self.colour(beyond) };
         let middle = |i: usize, side: usize| (2.0 * i as f32 + 1.0) / side as f32 - 1.0;
-        let y = depth_of(self.inverse(beyond));
+        let y = with_relief(depth_of(self.inverse(beyond)), BACK);
         Some(Behind {
             position: [x, y, z],
             rgb,

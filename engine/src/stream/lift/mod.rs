@@ -53,7 +53,7 @@ const RELIEF: f32 = 0.37;
 const NARROWER: f32 = 0.9;
 /// Standard deviation of a Gaussian before an edge per pixel to the edge from its pixel's far side, and the least one
 /// in pixels.
-const TO_EDGE: f32 = 0.4;
+const TO_EDGE: f32 = 0.35;
 const LEAST: f32 = 0.4;
 
 /// Inverse depth of a key frame, at the size at which the model sees it.
