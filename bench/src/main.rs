@@ -4,6 +4,7 @@
 //! in the same run.
 
 mod compare;
+mod depth;
 mod fit;
 mod instructions;
 mod kernels;
@@ -47,6 +48,8 @@ struct Program {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Views of scenes of cards from cameras led around them, with and without true depth.
+    Depth(depth::Options),
     /// Optical flow, and steps of the fit of colours.
     Fit(fit::Options),
     /// Matrix products, attention and norms, as fractions of the measured peak.
@@ -115,6 +118,7 @@ fn main() -> std::process::ExitCode {
         };
     };
     let result = match command {
+        Command::Depth(options) => depth::run(&options),
         Command::Fit(options) => fit::run(&options),
         Command::Kernels(options) => kernels::run(&options),
         Command::Raster(options) => raster::run(&options),

@@ -131,6 +131,7 @@ mod tests {
             use_dino: true,
             condition_dim: 768,
             static_position: StaticPosition::Tanh,
+            ignores_depth: false,
         };
         let costs = stages(&config);
         let gflop = |name: &str| costs.iter().find(|c| c.stage == name).expect("a stage").gflop;

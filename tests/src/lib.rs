@@ -7,3 +7,4 @@ mod noise;
 pub mod parity;
 pub mod reference;
 pub mod theatre;
+pub mod turned;

@@ -102,6 +102,8 @@ fn a_configuration_that_contradicts_the_tensors_is_named() {
         ("hidden_dim", serde_json::json!(64), "128"),
         ("use_dino", serde_json::json!("yes"), "true or false"),
         ("static_position", serde_json::json!("truncated_normal"), "xyz_static"),
+        ("depth", serde_json::json!("sometimes"), r#""used" or "ignored""#),
+        ("depth", serde_json::json!(true), "a string"),
     ];
     for (key, value, expected) in cases {
         let mut model = Model::new();

@@ -1,12 +1,14 @@
 //! Depth maps from files, one for each frame.
 //!
-//! A map holds *inverse* depth (larger is nearer) in any scale: EXR (channel `Y`, `Z`, `depth`, `R`, or the only one), PNG of 8
-//! or 16 bits grey, or NPY (`f2`, `f4`, `f8`, `u1`, `u2`; `[H,W]`, `[1,H,W]` or `[H,W,1]`; C order). A map of another size
-//! than its frame is brought to the frame's size bilinearly (half-pixel centres).
+//! A map holds *inverse* depth (larger is nearer) in any scale, or depth itself ([`Values::Depth`]), which is inverted;
+//! there values that are not above zero were not measured and become NaN. Files are EXR (channel `Y`, `Z`, `depth`,
+//! `R`, or the only one), PNG of 8 or 16 bits grey, or NPY (`f2`, `f4`, `f8`, `u1`, `u2`; `[H,W]`, `[1,H,W]` or
+//! `[H,W,1]`; C order). A map of another size than its frame is brought to the frame's size bilinearly (half-pixel
+//! centres).
 //!
-//! Maps belong to frames by name where every frame is a file with a map of the same name (extensions aside), else by natural
-//! order. [`Range::Clip`] normalises all maps of the folder by the smallest and the largest value found in any of them;
-//! with [`Range::Frame`] the maps stay as they are and the engine normalises each by its own.
+//! Maps belong to frames by name where every frame is a file with a map of the same name (extensions aside), else by
+//! natural order. [`Range::Clip`] normalises all maps of the folder by the smallest and the largest value found in any
+//! of them; with [`Range::Frame`] the maps stay as they are and the engine normalises each by its own.
 
 use std::path::{Path, PathBuf};
 
@@ -30,6 +32,27 @@ pub enum Range {
     Clip,
 }
 
+/// Kind of the values that files hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Values {
+    /// Inverse depth.
+    #[default]
+    Inverse,
+    /// Depth in any unit; what is not above zero was not measured.
+    Depth,
+}
+
+impl Values {
+    /// Inverse depth of a value.
+    fn inverse(self, value: f32) -> f32 {
+        match self {
+            Values::Inverse => value,
+            Values::Depth if value > 0.0 => 1.0 / value,
+            Values::Depth => f32::NAN,
+        }
+    }
+}
+
 /// A depth map: `height · width` values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Map {
@@ -46,17 +69,31 @@ pub struct Map {
 pub struct DepthMaps {
     folder: PathBuf,
     files: Vec<PathBuf>,
+    kind: Values,
     /// Smallest and largest value of the clip, with [`Range::Clip`].
     range: Option<(f32, f32)>,
 }
 
 impl DepthMaps {
-    /// Lists the maps of `folder` and pairs them with `frames` where the frames are files. With [`Range::Clip`] every map is
-    /// read once to find the range.
+    /// Lists the maps of `folder` and pairs them with `frames` where the frames are files. With [`Range::Clip`] every
+    /// map is read once to find the range.
     ///
     /// # Errors
     /// An unreadable or empty folder, another number of maps than of frames, an unreadable map where all are read.
     pub fn open(folder: &Path, frames: Option<&[PathBuf]>, range: Range) -> Result<DepthMaps, DepthError> {
+        Self::open_as(folder, frames, range, Values::Inverse)
+    }
+
+    /// [`DepthMaps::open`] where the files hold values of this kind.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn open_as(
+        folder: &Path,
+        frames: Option<&[PathBuf]>,
+        range: Range,
+        kind: Values,
+    ) -> Result<DepthMaps, DepthError> {
         let mut files = folder::list(folder, &EXTENSIONS)?;
         if files.is_empty() {
             return Err(DepthError::Empty(folder.to_owned()));
@@ -75,11 +112,12 @@ impl DepthMaps {
                 }
             }
         }
-        let mut maps = DepthMaps { folder: folder.to_owned(), files, range: None };
+        let mut maps = DepthMaps { folder: folder.to_owned(), files, kind, range: None };
         if range == Range::Clip {
             let mut limits = (f32::INFINITY, f32::NEG_INFINITY);
             for file in &maps.files {
-                for value in read_map(file)?.values {
+                let inverse = read_map(file)?.values.into_iter().map(|value| kind.inverse(value));
+                for value in inverse.filter(|value| value.is_finite()) {
                     limits = (limits.0.min(value), limits.1.max(value));
                 }
             }
@@ -88,13 +126,15 @@ impl DepthMaps {
         Ok(maps)
     }
 
-    /// The map of frame `index` at the frame's size; with [`Range::Clip`] normalised to `[0, 1]`.
+    /// The inverse depth of frame `index` at the frame's size, NaN where it was not measured; with [`Range::Clip`]
+    /// normalised to `[0, 1]`.
     ///
     /// # Errors
     /// No such map, or an unreadable one.
     pub fn map(&self, index: usize, width: usize, height: usize) -> Result<Vec<f32>, DepthError> {
         let missing = || DepthError::Missing { folder: self.folder.clone(), frame: index, found: self.files.len() };
         let mut map = read_map(self.files.get(index).ok_or_else(missing)?)?;
+        map.values.iter_mut().for_each(|v| *v = self.kind.inverse(*v));
         if let Some((least, most)) = self.range {
             let span = most - least;
             // A constant clip gives 0, as a constant map does.
@@ -200,6 +240,20 @@ mod tests {
         assert_eq!(maps.map(0, 2, 1).expect("readable"), [0.0, 0.25]);
         assert_eq!(maps.map(1, 2, 1).expect("readable"), [0.25, 1.0]);
         assert!(matches!(maps.map(2, 2, 1), Err(DepthError::Missing { frame: 2, found: 2, .. })));
+    }
+
+    #[test]
+    fn depth_itself_is_inverted_and_what_was_not_measured_is_no_number() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        png16(&folder.path().join("1.png"), 4, vec![0, 500, 2000, 1000]);
+        let maps = DepthMaps::open_as(folder.path(), None, Range::Frame, Values::Depth).expect("a map");
+        let map = maps.map(0, 4, 1).expect("readable");
+        assert!(map[0].is_nan());
+        assert_eq!(map[1..], [0.002, 0.0005, 0.001]);
+        let maps = DepthMaps::open_as(folder.path(), None, Range::Clip, Values::Depth).expect("a map");
+        let map = maps.map(0, 4, 1).expect("readable");
+        assert!(map[0].is_nan());
+        assert_eq!((map[1], map[2]), (1.0, 0.0));
     }
 
     #[test]

@@ -12,7 +12,7 @@ mod prepare;
 
 use std::path::PathBuf;
 
-pub use maps::{DepthMaps, EXTENSIONS, Map, Range, decode_map, read_map};
+pub use maps::{DepthMaps, EXTENSIONS, Map, Range, Values, decode_map, read_map};
 #[cfg(feature = "onnx")]
 pub use network::DepthNetwork;
 pub use options::{NetworkOptions, NetworkSize, WrongOption};

@@ -8,6 +8,7 @@
 //! | `current_identity`, `current_birth` | U64 `[M]` | theirs |
 //! | `current_offset` | F32 `[M,3]` | theirs |
 //! | `key_frame`, `next_identity` | U64 `[1]` | the key frame; the first identity not given yet |
+//! | `depth` | F32 `[2]` | factor and offset of the key frame's depth map, where there is one |
 //! | `seconds` | F64 `[2]` | the key frame's time, the length of the interval before it |
 
 use std::collections::HashMap;
@@ -43,6 +44,9 @@ pub fn resume_point_to_safetensors(point: Option<&ResumePoint>, note: &str) -> R
             ("next_identity", Dtype::U64, vec![1], word_bytes(&[point.next_identity])),
             ("seconds", Dtype::F64, vec![2], seconds),
         ]);
+        if let Some(depth) = &point.depth {
+            tensors.push(("depth", Dtype::F32, vec![2], float_bytes(depth)));
+        }
     }
     records::serialize(&tensors, Some(HashMap::from([(NOTE.to_owned(), note.to_owned())])))
 }
@@ -74,6 +78,10 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
         .collect();
     let word = |name: &str| Ok::<u64, String>(words::<1>(tensor(&file, name, Dtype::U64, &[Some(1)])?)[0][0]);
     let seconds = tensor(&file, "seconds", Dtype::F64, &[Some(2)])?.as_chunks::<8>().0;
+    let depth = match file.names().contains(&"depth") {
+        true => floats::<2>(tensor(&file, "depth", Dtype::F32, &[Some(2)])?).into_iter().next(),
+        false => None,
+    };
     let point = ResumePoint {
         frame: word("key_frame")?,
         timestamp: f64::from_le_bytes(seconds[0]),
@@ -81,6 +89,7 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
         survivors,
         current,
         next_identity: word("next_identity")?,
+        depth,
     };
     Ok((Some(point), note))
 }

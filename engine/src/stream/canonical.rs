@@ -75,6 +75,8 @@ pub(crate) struct Advance {
 pub(crate) struct Step<'a> {
     /// The new key frame's Gaussians.
     pub(crate) gaussians: &'a Arc<StaticGaussians>,
+    /// How many of them lie on the model's lattice.
+    pub(crate) cells: usize,
     /// Motion of the frame before.
     pub(crate) forward: &'a Motion,
     /// Motion of the new frame.
@@ -118,7 +120,7 @@ impl CanonicalSet {
                 Vec::new()
             }
             Fusion::Persistent => {
-                let lattice = Lattice::new(step.gaussians.position.len(), step.image);
+                let lattice = Lattice::new(step.cells, step.image);
                 let fused = fuse(lattice, step.max_age, frame, &mut old, &mut new, &mut identities);
                 out.merges = fused.merges;
                 fused.survivors

@@ -56,10 +56,11 @@ impl Fitter {
         Self { level, maps: Vec::new() }
     }
 
-    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took.
+    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. Gaussians from `cells` on, which stand behind others, keep theirs.
     pub(super) fn key(
         &mut self,
         gaussians: &StaticGaussians,
+        cells: usize,
         frame: &[f32],
         resolution: [usize; 2],
         steps: u32,
@@ -77,10 +78,14 @@ impl Fitter {
             seen.opacity.push(opacity);
             seen.rgb.push(rgb);
         }
+        let factor = match cells < gaussians.position.len() {
+            true => seen.index.iter().map(|&i| if (i as usize) < cells { 1.0 } else { 0.0 }).collect(),
+            false => Vec::new(),
+        };
         let Solution { change, steps: taken } =
-            self.solve(&[seen], &[Vec::new()], &[frame], resolution, &gaussians.rgb, steps);
+            self.solve(&[seen], &[factor], &[frame], resolution, &gaussians.rgb, steps);
         let mut colours = gaussians.rgb.clone();
-        for (colour, change) in colours.iter_mut().zip(change) {
+        for (colour, change) in colours.iter_mut().zip(change).take(cells) {
             // What is not finite is dropped later; it is not made finite here.
             *colour = std::array::from_fn(|i| match change[i] == 0.0 {
                 true => colour[i],

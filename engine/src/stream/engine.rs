@@ -9,8 +9,9 @@ use streamsplat_model::reuse::{Saving, Tokens};
 use super::between::{Flows, Seen, targets};
 use super::canonical::{Advance, CanonicalSet, Step};
 use super::colours::{Fitter, Target};
-use super::keyframe::{Context, KeyView};
-use super::motion::fixed;
+use super::keyframe::{AlignedMap, Context, KeyView};
+use super::lift::{Alignment, DepthMap, align};
+use super::motion::{completed, fixed};
 use super::pair::Pair;
 use super::tiles::Tiles;
 use super::work::Stage;
@@ -155,9 +156,16 @@ impl Engine {
         timestamp: f64,
         placement: Placement,
     ) -> Result<Interval, EngineError> {
-        let (view, lost) = self.reconstruct(tiles, frame, index, placement)?;
-        let Self { settings, work, fitter, workers, state: before, .. } = self;
-        let level = workers.level();
+        let (mut view, lost) = self.reconstruct(tiles, frame, index, placement)?;
+        let seen = self.seen(between, index, timestamp, placement)?;
+        let level = self.workers.level();
+        let flows = match &self.state {
+            None => None,
+            Some(state) => Flows::new(level, &mut self.work, [&state.view, &view], &seen, self.settings.flow),
+        };
+        let map = view.own_map(tiles).map(|map| aligned(map, &view, self.state.as_ref(), flows.as_ref()));
+        self.context(tiles).finish(&mut view, map);
+        let Self { settings, work, fitter, state: before, .. } = self;
         let mut next_pair = None;
         let (set, advance) = match before {
             None => CanonicalSet::first(&view.gaussians),
@@ -170,25 +178,28 @@ impl Engine {
                         Fade::Network => network = pair.motion.clone(),
                         Fade::Fixed => {
                             let of = &pair.motion;
-                            network = [0, 1].map(|side| Arc::new((of[side].0.clone(), network[side].1.clone())));
+                            network = [0, 1].map(|side| {
+                                let gamma = network[side].1[..of[side].0.len()].to_vec();
+                                Arc::new((of[side].0.clone(), gamma))
+                            });
                         }
                     }
+                    let [a, b] = network;
+                    network = [
+                        completed(a, views[0].gaussians.position.len()),
+                        completed(b, views[1].gaussians.position.len()),
+                    ];
                 } else {
                     Pair::leave_out(tiles, work);
                 }
                 let length = length(state.timestamp, timestamp);
-                let relative = |time: f64| ((time - state.timestamp) / length) as f32;
-                let seen = between
-                    .into_iter()
-                    .map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement, index, settings.flow))
-                    .collect::<Result<Vec<_>, _>>()?;
-                let flows = Flows::new(level, work, views, &seen, settings.flow);
                 let motion = match &flows {
                     Some(flows) => work.time(Stage::Flow, || flows.motion(level, views, &network)),
                     None => network,
                 };
                 let step = Step {
                     gaussians: &view.gaussians,
+                    cells: view.cells(),
                     forward: &motion[0],
                     backward: &motion[1],
                     length,
@@ -219,6 +230,24 @@ impl Engine {
         Ok(Interval { index, start, end: timestamp, gaussians, placement, merges, dropped, workers })
     }
 
+    /// The frames in between as flow sees them.
+    fn seen(
+        &mut self,
+        between: Vec<(Frame, f64)>,
+        index: u64,
+        timestamp: f64,
+        placement: Placement,
+    ) -> Result<Vec<Seen>, EngineError> {
+        let Some(state) = &self.state else { return Ok(Vec::new()) };
+        let (level, work, effort) = (self.workers.level(), &mut self.work, self.settings.flow);
+        let length = length(state.timestamp, timestamp);
+        let relative = |time: f64| ((time - state.timestamp) / length) as f32;
+        between
+            .into_iter()
+            .map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement, index, effort))
+            .collect()
+    }
+
     /// State since the last key frame.
     pub(super) fn state(&self) -> Option<&State> {
         self.state.as_ref()
@@ -229,19 +258,24 @@ impl Engine {
         self.state = Some(state);
     }
 
-    /// The frame through its own part of the network, as if it were the first one.
+    /// The frame through its own part of the network, as if it were the first one, but for the `alignment` of its depth.
     pub(super) fn see(
         &mut self,
         frame: Frame,
         index: u64,
         timestamp: f64,
+        alignment: Alignment,
     ) -> Result<(Placement, KeyView), EngineError> {
         let before = self.state.take();
         let seen = self.check(&frame, index, timestamp).and_then(|placement| {
             let mut tiles = self.tiles(placement)?;
-            let view = self.reconstruct(&mut tiles, frame, index, placement);
+            let view = self.reconstruct(&mut tiles, frame, index, placement).map(|(mut view, _)| {
+                let map = view.own_map(&tiles).map(|map| AlignedMap { map: alignment.apply(map), alignment });
+                self.context(&mut tiles).finish(&mut view, map);
+                view
+            });
             self.tiles = Some(tiles);
-            view.map(|(view, _)| (placement, view))
+            view.map(|view| (placement, view))
         });
         self.state = before;
         seen
@@ -309,10 +343,29 @@ impl Engine {
         index: u64,
         placement: Placement,
     ) -> Result<(KeyView, u64), EngineError> {
+        self.context(tiles).reconstruct(frame, index, placement)
+    }
+
+    /// Context in which the next frame is reconstructed.
+    fn context<'a>(&'a mut self, tiles: &'a mut Tiles) -> Context<'a> {
         let Self { settings, workers, work, fitter, state, .. } = self;
         let before = state.as_ref().filter(|_| settings.reuse != Reuse::Off).map(|state| &state.view);
-        Context { settings, level: workers.level(), work, tiles, fitter, before }.reconstruct(frame, index, placement)
+        Context { settings, level: workers.level(), work, tiles, fitter, before }
     }
+}
+
+/// The map of a frame in the scale of the frame before, along the flow from it.
+fn aligned(map: DepthMap, view: &KeyView, state: Option<&State>, flows: Option<&Flows>) -> AlignedMap {
+    let before = state.and_then(|state| state.view.map.as_ref().map(|map| (&state.view, map)));
+    let alignment = match before {
+        None => Alignment::default(),
+        Some((before, then)) if view.repeats(before) => then.alignment,
+        Some((_, then)) => {
+            let links = flows.map_or_else(Vec::new, |flows| flows.links(&map, &then.map));
+            align(&links, then.alignment)
+        }
+    };
+    AlignedMap { map: alignment.apply(map), alignment }
 }
 
 /// The tokens computed and kept by all tiles, part by part; nothing where no tile keeps any.

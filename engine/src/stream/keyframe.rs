@@ -1,14 +1,16 @@
 //! A key frame by itself: its pixels through the static half of the network, tile by tile.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use streamsplat_model::{Embedding, FrameInput, Sampling, StaticGaussians};
 
 use super::between::FlowView;
 use super::colours::Fitter;
+use super::lift::{Alignment, DepthMap, lift, normalise_most};
 use super::tiles::{Tile, Tiles};
 use super::work::Stage;
-use super::{DepthRange, EngineError, Frame, MotionFrom, SamplingMode, Settings, Work};
+use super::{Behind, DepthRange, EngineError, Frame, MotionFrom, SamplingMode, Settings, Work};
 use crate::fit::{self, Placement};
 
 /// A key frame as the model sees it, and what the model makes of it.
@@ -18,18 +20,42 @@ pub(super) struct KeyView {
     /// `[H, W]`
     depth: Option<Vec<f32>>,
     pub(super) tiles: Vec<TileView>,
-    /// The Gaussians of all tiles, in the frame's world, with colours that fit the frame where that is asked for.
+    /// The Gaussians of all tiles, in the frame's world; after [`Context::finish`] lifted to the frame's depth, and with colours that fit the frame where that is asked for.
     pub(super) gaussians: Arc<StaticGaussians>,
+    /// Of the last of these, which stand behind others, the places whose motion they have.
+    pub(super) behind: Vec<[f32; 3]>,
+    /// The map that they are lifted to, in the scale of the frames before.
+    pub(super) map: Option<AlignedMap>,
     /// Where motion is taken from frames.
     pub(super) flow: Option<FlowView>,
     resolution: [usize; 2],
 }
 
 impl KeyView {
+    /// Number of the model's own Gaussians, which come first.
+    pub(super) fn cells(&self) -> usize {
+        self.gaussians.position.len() - self.behind.len()
+    }
+
+    /// Places at which the motion of each Gaussian is seen.
+    pub(super) fn moving(&self) -> Cow<'_, [[f32; 3]]> {
+        if self.behind.is_empty() {
+            return Cow::Borrowed(&self.gaussians.position);
+        }
+        Cow::Owned([&self.gaussians.position[..self.cells()], &self.behind].concat())
+    }
+
     /// Rows and columns of pixels.
     pub(super) fn resolution(&self) -> [usize; 2] {
         self.resolution
     }
+}
+
+/// A depth map without holes, and what brought it to the scale of the frames before.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct AlignedMap {
+    pub(super) map: DepthMap,
+    pub(super) alignment: Alignment,
 }
 
 /// A tile of it.
@@ -59,7 +85,7 @@ pub(super) struct Context<'a> {
 }
 
 impl Context<'_> {
-    /// Key frame `index` through its own part of the network, and the number of depth values that were not finite.
+    /// Key frame `index` through its own part of the network, not [finished](Self::finish), and the number of depth values that were not finite.
     pub(super) fn reconstruct(
         &mut self,
         frame: Frame,
@@ -67,29 +93,21 @@ impl Context<'_> {
         placement: Placement,
     ) -> Result<(KeyView, u64), EngineError> {
         let Frame { mut rgb, mut depth, .. } = frame;
-        let (level, range) = (self.level, self.settings.depth_range);
+        let (level, range, lifts) = (self.level, self.settings.depth_range, self.tiles.ignores_depth());
         let mut lost = 0;
         let (rgb, depth) = self.work.measure(Stage::Fit, || {
             rgb.iter_mut().for_each(|x| *x = x.clamp(0.0, 1.0));
             if let Some(depth) = &mut depth {
-                lost = range.apply(depth);
+                lost = range.apply(depth, lifts);
             }
             (placement.fit_in(level, &rgb), depth.map(|d| placement.fit_in(level, &d)))
         });
         let mut tiles = Vec::with_capacity(self.tiles.tiles.len());
         for at in 0..self.tiles.tiles.len() {
-            tiles.push(self.tile(at, &rgb, depth.as_deref(), index)?);
+            tiles.push(self.tile(at, &rgb, depth.as_deref().filter(|_| !lifts), index)?);
         }
-        let unchanged = |before: &&KeyView| {
-            before.tiles.iter().zip(&tiles).all(|(then, now)| Arc::ptr_eq(&then.gaussians, &now.gaussians))
-        };
-        let gaussians = match self.before.filter(unchanged) {
-            Some(before) => before.gaussians.clone(),
-            None => {
-                let of_tiles: Vec<_> = tiles.iter().map(|tile| tile.gaussians.clone()).collect();
-                self.coloured(self.tiles.gaussians(&of_tiles), &rgb)
-            }
-        };
+        let of_tiles: Vec<_> = tiles.iter().map(|tile| tile.gaussians.clone()).collect();
+        let gaussians = self.tiles.gaussians(&of_tiles);
         let resolution = self.tiles.resolution;
         let flow = match self.settings.motion() {
             MotionFrom::Network => None,
@@ -97,17 +115,40 @@ impl Context<'_> {
                 self.work.time(Stage::Flow, || FlowView::new(level, &rgb, resolution, index, self.settings.flow))?,
             ),
         };
-        Ok((KeyView { rgb, depth, tiles, gaussians, flow, resolution }, lost))
+        Ok((KeyView { rgb, depth, tiles, gaussians, behind: Vec::new(), map: None, flow, resolution }, lost))
+    }
+
+    /// Lifts the Gaussians of a frame to `map` and fits their colours, where either is asked for.
+    pub(super) fn finish(&mut self, view: &mut KeyView, map: Option<AlignedMap>) {
+        let unchanged = |before: &&KeyView| {
+            let same = |(then, now): (&TileView, &TileView)| Arc::ptr_eq(&then.gaussians, &now.gaussians);
+            before.map == map && before.tiles.iter().zip(&view.tiles).all(same)
+        };
+        if let Some(before) = self.before.filter(unchanged) {
+            view.gaussians = before.gaussians.clone();
+            view.behind = before.behind.clone();
+            view.map = map;
+            return;
+        }
+        if let Some(AlignedMap { map, .. }) = &map {
+            let behind = self.settings.behind == Behind::On;
+            let gaussians = Arc::make_mut(&mut view.gaussians);
+            view.behind = self.work.measure(Stage::Lift, || lift(gaussians, map, &view.rgb, behind));
+            self.work.count(Stage::Behind, view.behind.len() as u64, 0);
+        }
+        view.map = map;
+        let cells = view.cells();
+        view.gaussians = self.coloured(view.gaussians.clone(), cells, &view.rgb);
     }
 
     /// The Gaussians with colours that fit the frame, where that is asked for.
-    fn coloured(&mut self, gaussians: Arc<StaticGaussians>, frame: &[f32]) -> Arc<StaticGaussians> {
+    fn coloured(&mut self, gaussians: Arc<StaticGaussians>, cells: usize, frame: &[f32]) -> Arc<StaticGaussians> {
         let steps = self.settings.refine();
         if steps == 0 {
             return gaussians;
         }
         let (fitter, resolution) = (&mut *self.fitter, self.tiles.resolution);
-        let (rgb, taken) = self.work.time(Stage::Colours, || fitter.key(&gaussians, frame, resolution, steps));
+        let (rgb, taken) = self.work.time(Stage::Colours, || fitter.key(&gaussians, cells, frame, resolution, steps));
         self.work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
         Arc::new(StaticGaussians { rgb, ..Arc::unwrap_or_clone(gaussians) })
     }
@@ -118,7 +159,7 @@ impl Context<'_> {
         let same = |before: &&KeyView| {
             let tile = &self.tiles.tiles[at];
             tile.sees_the_same(resolution, &before.rgb, rgb)
-                && match (&before.depth, depth) {
+                && match (before.depth.as_deref().filter(|_| !self.tiles.ignores_depth()), depth) {
                     (None, None) => true,
                     (Some(a), Some(b)) => tile.sees_the_same(resolution, a, b),
                     _ => false,
@@ -164,6 +205,26 @@ impl Context<'_> {
     }
 }
 
+impl KeyView {
+    /// The frame's own depth map without holes, for a model that ignores depth; `None` where it has none or it tells nothing.
+    pub(super) fn own_map(&self, tiles: &Tiles) -> Option<DepthMap> {
+        let inverse = self.depth.as_ref().filter(|_| tiles.ignores_depth())?.clone();
+        DepthMap { inverse, confidence: None, resolution: self.resolution }.filled()
+    }
+
+    /// Returns true if both show the same pixels and have the same depth map, to the bit.
+    pub(super) fn repeats(&self, before: &KeyView) -> bool {
+        let same =
+            |a: &[f32], b: &[f32]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
+        same(&self.rgb, &before.rgb)
+            && match (&self.depth, &before.depth) {
+                (None, None) => true,
+                (Some(a), Some(b)) => same(a, b),
+                _ => false,
+            }
+    }
+}
+
 /// The static head on a tile's tokens.
 fn gaussians(
     tile: &mut Tile,
@@ -178,8 +239,17 @@ fn gaussians(
 }
 
 impl DepthRange {
-    /// Brings a depth map into [0, 1]; gives the number of values that were not finite.
-    fn apply(self, depth: &mut [f32]) -> u64 {
+    /// Brings a depth map into [0, 1]; gives the number of values that were not finite. With `holes` these stay as they are, and none is counted.
+    fn apply(self, depth: &mut [f32], holes: bool) -> u64 {
+        if holes {
+            let found: Vec<usize> = (0..depth.len()).filter(|&i| !depth[i].is_finite()).collect();
+            match self {
+                DepthRange::Frame => normalise_most(depth),
+                DepthRange::Given => drop(self.apply(depth, false)),
+            }
+            found.into_iter().for_each(|i| depth[i] = f32::NAN);
+            return 0;
+        }
         match self {
             DepthRange::Frame => fit::normalise_depth(depth),
             DepthRange::Given => {

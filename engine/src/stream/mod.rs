@@ -22,6 +22,7 @@ mod gaussians;
 mod identities;
 mod interval;
 mod keyframe;
+mod lift;
 mod matching;
 mod motion;
 mod network;
@@ -40,13 +41,15 @@ pub use engine::Engine;
 pub use frame::{EngineError, Frame};
 pub use gaussians::{DynamicGaussians, HANDOVER, Handover, Record, Reference};
 pub use interval::{Interval, Merge};
+pub use lift::{DepthMap, FAR, NEAR};
 pub use network::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
 pub use quality::{Preset, Quality};
 pub use reconstructor::{Motion, Reconstructor, Session, Tiling};
 pub use resolution::Resolution;
 pub use resume::ResumePoint;
 pub use settings::{
-    DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode, Settings, UnknownChoice,
+    Behind, DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode, Settings,
+    UnknownChoice,
 };
 pub use work::{StageWork, Work};
 pub use workers::Workers;

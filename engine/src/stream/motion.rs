@@ -12,7 +12,6 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::flow::{Step, follow};
-use streamsplat_model::StaticGaussians;
 
 use super::reconstructor::Motion;
 
@@ -28,11 +27,22 @@ pub(super) fn fixed(counts: [usize; 2]) -> [Arc<Motion>; 2] {
     [0, 1].map(|side| Arc::new((vec![[0.0; 3]; counts[side]], vec![FIXED; counts[side]])))
 }
 
-/// Velocities of a key frame's Gaussians along `steps`, whose first leaves from the key frame; `sign` is 1 for the interval's first key frame and −1 for its last. γ and the velocity
+/// The motion of all of `count` Gaussians of which the network gives that of the first: the others stand still and fade as [`fixed`] has it.
+pub(super) fn completed(motion: Arc<Motion>, count: usize) -> Arc<Motion> {
+    if motion.0.len() == count {
+        return motion;
+    }
+    let mut motion = Arc::unwrap_or_clone(motion);
+    motion.0.resize(count, [0.0; 3]);
+    motion.1.resize(count, FIXED);
+    Arc::new(motion)
+}
+
+/// Velocities of Gaussians at these places along `steps`, whose first leaves from the key frame; `sign` is 1 for the interval's first key frame and −1 for its last. γ and the velocity
 /// along the depth are those of `network`.
 pub(super) fn along_flow(
     level: Level,
-    gaussians: &StaticGaussians,
+    positions: &[[f32; 3]],
     network: &Arc<Motion>,
     steps: &[Step<'_>],
     sign: f32,
@@ -40,7 +50,7 @@ pub(super) fn along_flow(
     let Some(first) = steps.first() else { return network.clone() };
     let [height, width] = first.there.size.map(|side| side as f32);
     let place = |&[x, _, z]: &[f32; 3]| [((x + 1.0) * width - 1.0) * 0.5, ((1.0 - z) * height - 1.0) * 0.5];
-    let starts: Vec<[f32; 2]> = gaussians.position.par_iter().with_min_len(CHUNK).map(place).collect();
+    let starts: Vec<[f32; 2]> = positions.par_iter().with_min_len(CHUNK).map(place).collect();
     let mut pixels = vec![[0.0; 2]; starts.len()];
     follow(level, &starts, steps, &mut pixels);
     let mut velocity = network.0.clone();

@@ -63,6 +63,10 @@ impl Reconstructor for Conditioned {
         Some(Arc::new(Self { network: Arc::new(network), dino: self.dino.clone() }))
     }
 
+    fn ignores_depth(&self) -> bool {
+        self.network.config().ignores_depth
+    }
+
     fn silent(&self) -> &[Silent] {
         match self.network.options().compute_silent {
             true => &[],

@@ -26,6 +26,8 @@ pub struct ResumePoint {
     pub current: Vec<Current>,
     /// The next identity that nobody had before.
     pub next_identity: u64,
+    /// Factor and offset that bring the frame's depth map to the scale of the frames before; `None` where it is lifted to none.
+    pub depth: Option<[f32; 2]>,
 }
 
 impl Engine {
@@ -41,6 +43,7 @@ impl Engine {
                 survivors: survivors.clone(),
                 current: current.clone(),
                 next_identity: identities.next(),
+                depth: state.view.map.as_ref().map(|map| map.alignment.into()),
             }
         })
     }
@@ -53,7 +56,7 @@ impl Engine {
     pub fn resume(&mut self, point: &ResumePoint, frame: Frame) -> Result<(), EngineError> {
         let workers = self.workers().clone();
         workers.install(|| {
-            let (placement, view) = self.see(frame, point.frame, point.timestamp)?;
+            let (placement, view) = self.see(frame, point.frame, point.timestamp, point.depth.into())?;
             let gaussians = Arc::clone(&view.gaussians);
             if let Some(reason) = point.contradiction(gaussians.position.len()) {
                 return Err(EngineError::ResumePoint { index: point.frame, reason });
@@ -78,6 +81,9 @@ impl ResumePoint {
     fn contradiction(&self, gaussians: usize) -> Option<String> {
         if !(self.length.is_finite() && self.length >= 0.0) {
             return Some(format!("expected an interval of some length, found {} s", self.length));
+        }
+        if let Some(depth) = self.depth.filter(|depth| !depth.iter().all(|x| x.is_finite())) {
+            return Some(format!("expected a finite scale and shift of depth, found {depth:?}"));
         }
         if let Some(survivor) = self.survivors.iter().find(|r| !r.is_sound() || r.frame > self.frame) {
             return Some(format!("expected survivors with finite numbers from earlier frames, found {survivor:?}"));

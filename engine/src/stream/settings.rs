@@ -40,6 +40,8 @@ pub struct Settings {
     pub refine_every: Option<u32>,
     /// True if depth maps are normalised here.
     pub depth_range: DepthRange,
+    /// True if Gaussians are put behind what stands in front, where depth maps lift them.
+    pub behind: Behind,
     /// How positions that the model gives as a distribution are drawn.
     pub sampling: SamplingMode,
     /// The seed of everything drawn.
@@ -258,6 +260,17 @@ named! {
         Frame = "frame",
         /// Not at all: they are in [0, 1] already.
         Given = "given",
+    }
+}
+
+named! {
+    /// True if Gaussians are put behind what stands in front, where depth maps lift them.
+    Behind: "behind" {
+        /// They are.
+        #[default]
+        On = "on",
+        /// They are not: a turned view looks past an edge at nothing.
+        Off = "off",
     }
 }
 

@@ -45,6 +45,7 @@ impl Stream {
         let gaussians = frame(places);
         let step = Step {
             gaussians: &gaussians,
+            cells: places.len(),
             forward: &moving(forward),
             backward: &moving(&vec![[0.0; 3]; places.len()]),
             length,

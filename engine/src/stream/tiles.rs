@@ -42,6 +42,7 @@ pub(super) struct Tiles {
     /// Rows and columns of pixels of a frame.
     pub(super) resolution: [usize; 2],
     pub(super) tiles: Vec<Tile>,
+    ignores_depth: bool,
 }
 
 /// One axis of a tile, in patches: what it sees, and what of it it keeps.
@@ -57,7 +58,7 @@ impl Tiles {
         if resolution == model.resolution() {
             let session = model.clone().session(saving);
             let whole = Tile { session, origin: [0; 2], size: resolution, places: None };
-            return Some(Self { resolution, tiles: vec![whole] });
+            return Some(Self { resolution, tiles: vec![whole], ignores_depth: model.ignores_depth() });
         }
         let Tiling { patch, cells, partial } = model.tiling()?;
         if resolution.iter().any(|side| *side == 0 || side % patch != 0) {
@@ -96,7 +97,12 @@ impl Tiles {
                 });
             }
         }
-        Some(Self { resolution, tiles })
+        Some(Self { resolution, tiles, ignores_depth: model.ignores_depth() })
+    }
+
+    /// Returns true if the model ignores depth.
+    pub(super) fn ignores_depth(&self) -> bool {
+        self.ignores_depth
     }
 
     /// The frame's Gaussians from those of its tiles.

@@ -36,12 +36,14 @@ pub(crate) enum Stage {
     Condition,
     Decoder,
     Flow,
+    Lift,
+    Behind,
     Fusion,
     Colours,
 }
 
 impl Stage {
-    const ALL: [(Stage, &'static str, &'static str); 9] = [
+    const ALL: [(Stage, &'static str, &'static str); 11] = [
         (Stage::Fit, "fit", "frames"),
         (Stage::Encoder, "encoder", "tiles"),
         (Stage::Upsampler, "upsampler", "tiles"),
@@ -49,6 +51,8 @@ impl Stage {
         (Stage::Condition, "dinov2", "tiles"),
         (Stage::Decoder, "decoder", "pairs of tiles"),
         (Stage::Flow, "flow", "pairs of frames"),
+        (Stage::Lift, "lift", "frames"),
+        (Stage::Behind, "behind", "Gaussians"),
         (Stage::Fusion, "fusion", "intervals"),
         (Stage::Colours, "colours", "steps"),
     ];
@@ -61,6 +65,7 @@ impl Stage {
             Stage::Fit => tracing::info_span!("fit"),
             Stage::Fusion => tracing::info_span!("fusion"),
             Stage::Flow => tracing::info_span!("flow"),
+            Stage::Lift => tracing::info_span!("lift"),
             Stage::Colours => tracing::info_span!("colours"),
             _ => tracing::Span::none(),
         }

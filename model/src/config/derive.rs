@@ -92,6 +92,12 @@ impl Config {
             }
         }
 
+        let ignores_depth = match settings.text("depth")? {
+            None | Some("used") => false,
+            Some("ignored") => true,
+            Some(found) => return Err(settings.wrong("depth", r#""used" or "ignored""#, format!("{found:?}"))),
+        };
+
         let config = Config {
             hidden_dim,
             encoder_layers,
@@ -104,6 +110,7 @@ impl Config {
             use_dino: settings.flag("use_dino")?.unwrap_or(true),
             condition_dim,
             static_position,
+            ignores_depth,
         };
         settings.agrees("hidden_dim", hidden_dim)?;
         settings.agrees("encoder_layers", encoder_layers)?;

@@ -17,7 +17,7 @@ pub enum StaticPosition {
 
 /// The sizes of a StreamSplat network.
 ///
-/// Everything but `resolution`, `upsampler_window`, `encoder_window` and `use_dino` follows from the tensors' shapes.
+/// Everything but `resolution`, `upsampler_window`, `encoder_window`, `use_dino` and `ignores_depth` follows from the tensors' shapes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Config {
     /// Channels of a token, `D`: a multiple of 64.
@@ -42,6 +42,8 @@ pub struct Config {
     pub condition_dim: usize,
     /// Kind of the static head's position.
     pub static_position: StaticPosition,
+    /// True if the weights ignore the depth channel of the input: the same Gaussians come out whatever it holds.
+    pub ignores_depth: bool,
 }
 
 impl Config {

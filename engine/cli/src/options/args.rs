@@ -103,13 +103,17 @@ pub struct Stream {
     #[arg(long, value_name = "DIR|onnx:FILE", default_value = "none")]
     pub depth: String,
     /// What the network's file does not say: size=N or WxH, multiple=N, mean=R/G/B, std=R/G/B, metric, output=NAME, separated by
-    /// commas [default: size=518,multiple=14 and ImageNet's mean and std]
+    /// commas; with a folder metric alone: its files hold depth, not inverse depth, and 0 where there is none [default: size=518,multiple=14 and ImageNet's mean and std]
     #[arg(long, value_name = "LIST")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth_model: Option<String>,
     /// Depth is normalised by each frame's own range (frame) or the range of all maps (clip)
     #[arg(long, value_name = "RANGE", default_value = "frame")]
     pub depth_range: String,
+    /// Where depth maps lift Gaussians: on puts Gaussians behind what stands in front, off leaves nothing there [default: on]
+    #[arg(long, value_name = "on|off")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub behind: Option<String>,
     /// Every N-th frame is a key frame; or auto[:[LEAST-]MOST[:DB]]: as few as the images of all frames need for a mean PSNR of DB
     /// decibels, LEAST to MOST frames apart; frames wait for at most MOST-1 later ones [auto: 3-12:38] [default: 5 for the model inside the program, 1 for others]
     #[arg(long, value_name = "N")]

@@ -4,10 +4,12 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use streamsplat::camera::{self, CameraFile, CameraPath};
-use streamsplat::depth::{NetworkOptions, Range};
+use streamsplat::depth::{NetworkOptions, Range, Values};
 use streamsplat::gap::Gap;
 use streamsplat::render::Backend;
-use streamsplat::stream::{DepthRange, Fade, FlowEffort, MaxAge, ModelSource, MotionFrom, Quality, Reuse, Settings};
+use streamsplat::stream::{
+    Behind, DepthRange, Fade, FlowEffort, MaxAge, ModelSource, MotionFrom, Quality, Reuse, Settings,
+};
 use streamsplat::{RenderOptions, Size};
 use streamsplat_kernels::raster;
 use streamsplat_model::Precision;
@@ -30,7 +32,7 @@ pub enum DepthFrom {
     /// There is none.
     None,
     /// A folder of maps.
-    Folder(PathBuf, Range),
+    Folder(PathBuf, Range, Values),
     /// A network.
     Network(PathBuf, NetworkOptions),
 }
@@ -95,9 +97,14 @@ impl Stream {
             other => return Err(Failure::usage(format!("--depth-range {other}: expected frame or clip"))),
         };
         let network = self.depth.strip_prefix("onnx:").map(PathBuf::from);
-        if self.depth_model.is_some() && network.is_none() {
-            return Err(Failure::usage("--depth-model: expected a network as well (--depth onnx:FILE)"));
-        }
+        let values = match self.depth_model.as_deref() {
+            Some("metric") if network.is_none() && self.depth != "none" => Values::Depth,
+            Some(_) if network.is_none() => {
+                let expected = "expected a network as well (--depth onnx:FILE), or metric with a folder of depth maps";
+                return Err(Failure::usage(format!("--depth-model: {expected}")));
+            }
+            _ => Values::Inverse,
+        };
         if self.depth == "none" {
             return Ok(DepthFrom::None);
         }
@@ -115,7 +122,7 @@ impl Stream {
                 self.depth
             )));
         }
-        Ok(DepthFrom::Folder(folder, range))
+        Ok(DepthFrom::Folder(folder, range, values))
     }
 
     /// What an engine is made with.
@@ -132,9 +139,11 @@ impl Stream {
         settings.refine_every = self.refine_every;
         settings.refine = self.refine;
         settings.depth_range = match self.depth_from()? {
-            DepthFrom::Folder(_, Range::Clip) => DepthRange::Given,
+            DepthFrom::Folder(_, Range::Clip, _) => DepthRange::Given,
             _ => DepthRange::Frame,
         };
+        settings.behind =
+            self.behind.as_deref().map_or_else(|| Ok(Behind::default()), |text| choice("--behind", text))?;
         settings.sampling = choice("--sampling", &self.sampling)?;
         settings.seed = self.seed;
         settings.reuse = self.reuse.as_deref().map_or_else(|| Ok(Reuse::default()), |text| choice("--reuse", text))?;

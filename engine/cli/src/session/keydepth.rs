@@ -48,7 +48,9 @@ impl KeyDepth {
     pub fn open(from: &DepthFrom, source: &Source, level: Level, reuse: bool) -> Result<KeyDepth, Failure> {
         Ok(match from {
             DepthFrom::None => KeyDepth::None,
-            DepthFrom::Folder(folder, range) => KeyDepth::Maps(DepthMaps::open(folder, source.files(), *range)?),
+            DepthFrom::Folder(folder, range, values) => {
+                KeyDepth::Maps(DepthMaps::open_as(folder, source.files(), *range, *values)?)
+            }
             DepthFrom::Network(path, options) => {
                 // One thread, as the network itself: it works beside those of the engine.
                 let network = DepthNetwork::open(path, options.clone(), &Workers::new(level, 1)?)?;

@@ -1,0 +1,87 @@
+//! Gaussians behind the edges of near things, for views that look past them.
+//!
+//! A key frame shows nothing of what its foreground hides. So behind every Gaussian that lies within [`REACH`] of a
+//! row's length of an edge to something farther stands another one: a little behind the farther
+//! surface, in the mean colour of the first three pixels beyond the edge, in the direction (left, right, up, down) in
+//! which the edge is nearest. From the frame's own camera it is hidden. It moves as what is seen beyond the edge does.
+
+use rayon::prelude::*;
+use streamsplat_model::StaticGaussians;
+
+use super::edges::Surfaces;
+use super::{depth_of, pixel, with_relief};
+
+/// Largest distance from an edge, as a part of a row: a row has so many of it.
+const REACH: usize = 32;
+/// Opacity of a Gaussian behind.
+const OPACITY: f32 = 0.95;
+/// Standard deviation in pixels.
+const SCALE: f32 = 1.2;
+/// Place within the relief of the farther surface, of which 0.5 is the middle: behind what that surface shows, so that
+/// it covers none of it where it reaches over the edge.
+const BACK: f32 = 0.35;
+
+/// Place and colour of a Gaussian behind another.
+struct Behind {
+    position: [f32; 3],
+    rgb: [f32; 3],
+    /// Middle of the first pixel beyond the edge, in the world.
+    seen: [f32; 3],
+}
+
+/// Adds Gaussians behind those that stand before something; gives for each the place whose motion is its own.
+pub(super) fn add(gaussians: &mut StaticGaussians, surfaces: &Surfaces<'_>) -> Vec<[f32; 3]> {
+    let [height, width] = surfaces.resolution();
+    let found: Vec<Option<Behind>> =
+        gaussians.position.par_iter().with_min_len(256).map(|position| surfaces.behind(*position)).collect();
+    let mut seen = Vec::new();
+    for behind in found.into_iter().flatten() {
+        gaussians.position.push(behind.position);
+        gaussians.scale.push([SCALE * 2.0 / width as f32, SCALE * 2.0 / height as f32]);
+        gaussians.opacity.push(OPACITY);
+        gaussians.rgb.push(behind.rgb);
+        seen.push(behind.seen);
+    }
+    seen
+}
+
+impl Surfaces<'_> {
+    /// What stands behind the Gaussian at this place.
+    fn behind(&self, [x, y, z]: [f32; 3]) -> Option<Behind> {
+        let [height, width] = self.resolution();
+        let (column, row) = (pixel(x, width)?, pixel(-z, height)?);
+        let own = 1.0 / 9.8f32.mul_add(y, 0.2);
+        let at = |(dx, dy): (i64, i64), n: usize| {
+            let (x, y) = (column as i64 + dx * n as i64, row as i64 + dy * n as i64);
+            let inside = (0..width as i64).contains(&x) && (0..height as i64).contains(&y);
+            inside.then(|| y as usize * width + x as usize)
+        };
+        let ways = [(-1, 0), (1, 0), (0, -1), (0, 1)];
+        let (way, first) = (1..=(width / REACH).max(1)).find_map(|n| {
+            // One pixel beyond the edge, past its ramp.
+            let far = |way| at(way, n).filter(|at| self.z()[*at] - own > self.tear()).map(|_| way);
+            ways.into_iter().find_map(far).map(|way| (way, n + 1))
+        })?;
+        let beyond = at(way, first).or_else(|| at(way, first - 1))?;
+        let depth = self.z()[beyond];
+        if depth - own <= self.tear() {
+            return None;
+        }
+        let (mut sum, mut count) = ([0.0f32; 3], 0.0);
+        for pixel in (first..first + 3).filter_map(|n| at(way, n)) {
+            if (self.z()[pixel] - depth).abs() <= self.tear() {
+                let rgb = self.colour(pixel);
+                sum = std::array::from_fn(|c| sum[c] + rgb[c]);
+                count += 1.0;
+            }
+        }
+        let rgb = if count > 0.0 { sum.map(|s| s / count) } else { self.colour(beyond) };
+        let middle = |i: usize, side: usize| (2.0 * i as f32 + 1.0) / side as f32 - 1.0;
+        let y = with_relief(depth_of(self.inverse(beyond)), BACK);
+        Some(Behind {
+            position: [x, y, z],
+            rgb,
+            seen: [middle(beyond % width, width), y, -middle(beyond / width, height)],
+        })
+    }
+}
