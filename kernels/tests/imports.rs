@@ -23,7 +23,7 @@ fn read(dir: &Path, module: &[String], sources: &mut BTreeMap<Module, Source>) {
         if ["tests", "testing", "monotone"].contains(&name.as_str()) {
             continue;
         }
-        let inside = || [module, &[name.clone()]].concat();
+        let inside = || [module, std::slice::from_ref(&name)].concat();
         if entry.is_dir() {
             read(&entry, &inside(), sources);
         } else {
@@ -115,7 +115,7 @@ fn resolve(sources: &BTreeMap<Module, Source>, from: &[String], path: &[String])
         }
     }
     while let Some(name) = names.next() {
-        let child = [&module[..], &[name.clone()]].concat();
+        let child = [&module[..], std::slice::from_ref(name)].concat();
         if sources.contains_key(&child) {
             module = child;
         } else if let Some(passed) = sources.get(&module)?.passed_on.get(name) {

@@ -172,8 +172,8 @@ fn gaussians_beside_a_still_image_are_counted_and_change_no_bit() {
 
 #[test]
 fn a_gaussian_beside_the_frustum_whose_footprint_reaches_the_image_is_drawn() {
-    // Ten units aside and one ahead, with a deviation of ⅓: the ellipsoid begins 78° from the axis, but its affine footprint is
-    // 3.33/3·√(1 + 10²) = 11.2 tangents long.
+    // 1.4 units aside and one ahead, with a deviation of ⅓: its centre lies 54° from the axis of a camera that sees 20°, and its affine
+    // footprint, formed as if it were 15 % of the image beside it, is 3.33/3·√(1 + 0.42²) = 1.2 tangents long.
     let one = |mean: [f32; 3]| Still {
         mean: vec![mean],
         log_scale: vec![[(1.0_f32 / 3.0).ln(); 3]],
@@ -201,7 +201,7 @@ fn a_gaussian_beside_the_frustum_whose_footprint_reaches_the_image_is_drawn() {
         let seen = image.alpha.iter().flatten().any(|a| *a > 0.0);
         (seen, painter.left_out())
     };
-    assert_eq!(draw([10.0, 0.0, 1.0]), (true, 9));
+    assert_eq!(draw([1.4, 0.0, 1.0]), (true, 9));
     assert_eq!(draw([10.0, 0.0, 1.5]), (false, 10));
 }
 

@@ -9,7 +9,7 @@ use streamsplat_model::motion;
 use super::RenderError;
 use crate::camera::{Camera, Lens, Pose};
 use crate::fit::Placement;
-use crate::stream::{DynamicGaussians, Interval};
+use crate::stream::{DynamicGaussians, Interval, Record};
 
 /// Gaussians per task.
 const CHUNK: usize = 4096;
@@ -117,7 +117,20 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
     }
     let mut seen = Snapshot::with_capacity(end - start);
     for (i, opacity) in (start..end).zip(opacity) {
-        let record = gaussians.get(i);
+        // Nothing but what is drawn is read of a record.
+        let record = Record {
+            mean: gaussians.mean[i],
+            velocity: gaussians.velocity[i],
+            gamma: gaussians.gamma[i],
+            opacity: gaussians.opacity[i],
+            scale: gaussians.scale[i],
+            rgb: gaussians.rgb[i],
+            rgb_rate: gaussians.rgb_rate[i],
+            offset: gaussians.offset[i],
+            reference: gaussians.reference[i],
+            handover: gaussians.handover[i],
+            ..Record::default()
+        };
         if !record.is_sound() {
             seen.dropped += 1;
             continue;

@@ -7,7 +7,8 @@
 //!
 //! - The *host* of an old Gaussian is the coinciding new one of smallest q (ties: lower index).
 //! - Identities go one to one: all coinciding pairs in ascending q (ties: lower new, then lower old index), each taken when
-//!   neither side is taken yet. The frame before goes first; older survivors share what is left.
+//!   neither side is taken yet. The frame before goes first; older survivors share what is left. (Found by deferred acceptance: each old one offers itself to its
+//!   candidates in ascending order, a new one keeps the best offer; no pairs are sorted.)
 //!
 //! New Gaussians are binned over the image with one cell each on average, and a query visits at most six by six bins, so the
 //! whole is near-linear. To keep it so when positions pile up, a query reads at most [`PER_BIN`] records of a bin (the lowest
@@ -16,7 +17,6 @@
 //! The hierarchy of boxes of [`crate::space`] finds the same pairs (`by_tree.rs` tests it) but is several times slower to make and to
 //! search: positions on a lattice are binned for nothing, and a probe's footprint is a cell or two.
 
-use rayon::slice::ParallelSliceMut;
 use streamsplat_kernels::parallel::map_indexed;
 
 /// Old Gaussians per task.
@@ -92,42 +92,66 @@ pub(crate) fn match_up(lattice: Lattice, old: &[Probe], new: &[[f32; 3]]) -> Mat
     let parts = map_indexed(old.len().div_ceil(CHUNK), |chunk| {
         let start = chunk * CHUNK;
         let probes = &old[start..old.len().min(start + CHUNK)];
-        let mut host = Vec::with_capacity(probes.len());
-        let mut pairs = Vec::with_capacity(2 * probes.len());
+        let mut part = Candidates::default();
         let mut near = Vec::with_capacity(64);
-        for (index, probe) in (start..).zip(probes) {
+        for probe in probes {
             bins.coinciding(probe, new, &mut near);
             near.sort_unstable();
-            host.push(near.first().map(|&(_, new)| new));
-            pairs.extend(near.iter().take(CANDIDATES).map(|&(q, new)| pair(probe.recent, q, new, index as u32)));
+            part.of_all.extend(near.iter().take(CANDIDATES));
+            part.ends.push(part.of_all.len());
         }
-        (host, pairs)
+        part
     });
     let mut host = Vec::with_capacity(old.len());
-    let mut pairs = Vec::with_capacity(parts.iter().map(|(_, pairs)| pairs.len()).sum());
-    for (hosts, some) in parts {
-        host.extend(hosts);
-        pairs.extend(some);
+    for part in &parts {
+        host.extend((0..part.ends.len()).map(|at| part.of(at).first().map(|&(_, new)| new)));
     }
-    // All keys differ, so that the order is one, however it is found.
-    pairs.par_sort_unstable();
-    let mut parent = vec![None; new.len()];
-    let mut taken = vec![false; old.len()];
-    for key in pairs {
-        let (new, old) = ((key >> 32) as u32, key as u32);
-        let heir = &mut parent[new as usize];
-        if heir.is_none() && !taken[old as usize] {
-            *heir = Some(old);
-            taken[old as usize] = true;
+    // The keys of pairs differ and both sides prefer lower ones, so the only stable matching is that of taking pairs in ascending order.
+    let mut holder: Vec<Option<Holder>> = vec![None; new.len()];
+    for (chunk, part) in parts.iter().enumerate() {
+        for at in 0..part.ends.len() {
+            let mut offer = Some((chunk * CHUNK + at, 0));
+            while let Some((index, rank)) = offer {
+                let candidates = parts[index / CHUNK].of(index % CHUNK);
+                let Some(&(q, new)) = candidates.get(rank) else { break };
+                let mine = Holder { key: (!old[index].recent, q, index as u32), rank: rank as u32 };
+                let place = &mut holder[new as usize];
+                offer = match *place {
+                    Some(other) if other.key < mine.key => Some((index, rank + 1)),
+                    before => {
+                        *place = Some(mine);
+                        before.map(|before| (before.key.2 as usize, before.rank as usize + 1))
+                    }
+                };
+            }
         }
     }
-    Matches { host, parent }
+    Matches { host, parent: holder.into_iter().map(|holder| holder.map(|holder| holder.key.2)).collect() }
 }
 
-/// A pair as one number that orders pairs: the frame before first, then q (non-negative floats order as their bits do), then
-/// the new and the old index.
-fn pair(recent: bool, q: u32, new: u32, old: u32) -> u128 {
-    u128::from(!recent) << 96 | u128::from(q) << 64 | u128::from(new) << 32 | u128::from(old)
+/// Coinciding new Gaussians of some old ones, (bits of q, index), ascending for each.
+#[derive(Default)]
+struct Candidates {
+    of_all: Vec<(u32, u32)>,
+    /// End of each old one's.
+    ends: Vec<usize>,
+}
+
+impl Candidates {
+    /// Those of old Gaussian `at` of the chunk.
+    fn of(&self, at: usize) -> &[(u32, u32)] {
+        let start = if at == 0 { 0 } else { self.ends[at - 1] };
+        &self.of_all[start..self.ends[at]]
+    }
+}
+
+/// The old Gaussian to which a new one is given for now.
+#[derive(Clone, Copy)]
+struct Holder {
+    /// Order among those that coincide with the new one: the frame before first, then q (non-negative floats order as their bits do), then the index.
+    key: (bool, u32, u32),
+    /// Place of the new one among the old one's candidates.
+    rank: u32,
 }
 
 /// Indices of positions by lattice cell, ascending within a cell.

@@ -48,13 +48,13 @@ impl Quality {
     ///
     /// | | `realtime` | `balanced` | `best` |
     /// |---|---|---|---|
-    /// | gap | 8 | auto:3-8:40 | 2 |
+    /// | gap | 6 | auto:3-8:40 | 2 |
     /// | resolution | auto | auto | auto |
     /// | motion | between | between | between |
     /// | flow | coarse | fine | fine |
     /// | fade | fixed | fixed | fixed |
     /// | refine | 3 | 16 | 64 |
-    /// | refine every | 2 | 1 | 1 |
+    /// | refine every | 3 | 1 | 1 |
     /// | precision | int8 | f32 | f32 |
     /// | reuse | exact | exact | exact |
     pub fn preset(self) -> Preset {
@@ -71,10 +71,10 @@ impl Quality {
         };
         match self {
             Quality::Realtime => Preset {
-                gap: Gap::Every(8),
+                gap: Gap::Every(6),
                 flow: FlowEffort::Coarse,
                 refine: 3,
-                refine_every: 2,
+                refine_every: 3,
                 precision: Precision::Int8,
                 ..balanced
             },

@@ -38,7 +38,7 @@ mod tests {
         for length in [0, 1, 2, 12, 13, 14, 1000] {
             let bytes: Vec<u8> = (0..length).map(|i| (i * i * 7919 + i) as u8).collect();
             let text = text(&bytes);
-            assert_eq!(text.len(), (8 * length).div_ceil(13) * 2);
+            assert_eq!(text.len(), (8 * bytes.len()).div_ceil(13) * 2);
             let value = |c: u8| digits.iter().position(|digit| *digit == c).expect("a digit") as u64;
             let (mut again, mut word, mut bits) = (Vec::new(), 0_u64, 0);
             for pair in text.as_bytes().chunks(2) {

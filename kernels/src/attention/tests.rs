@@ -1,6 +1,6 @@
 use super::{KEY_BLOCK, Rows, Shape, Windows, attend, attend_as, attend_some, reference};
 use crate::gemm::Precision;
-use crate::testing::{noise, on_every_level_and_thread_count};
+use crate::testing::{bits, noise, on_every_level_and_thread_count};
 
 /// The largest error against binary64, relative to the largest value; equality over levels and threads on the way.
 fn error(shape: Shape, queries: usize, keys: usize, q: &[f32], k: &[f32], v: &[f32]) -> f64 {
@@ -327,6 +327,41 @@ fn logits_whose_rounding_is_more_than_one_give_equal_bits_and_means_of_values() 
             });
             let most = v.iter().fold(0.0_f32, |most, v| most.max(v.abs()));
             assert!(out.iter().all(|x| x.abs() <= 1.01 * most), "{precision:?}, {size:e}: no mean of the values");
+        }
+    }
+}
+
+#[test]
+fn every_level_gives_the_bits_of_the_defined_order() {
+    let runs = |length, roll| Windows::Runs { length, roll };
+    for (tokens, heads, width, windows) in [
+        (1, 1, 16, Windows::Full),
+        (50, 2, 80, Windows::Full),
+        (401, 1, 48, Windows::Full),
+        (131, 2, 64, runs(24, 12)),
+        (401, 1, 16, runs(200, 7)),
+    ] {
+        let d = heads * width;
+        // Magnitudes from those that are flushed to those whose logits leave one key.
+        for size in [1.0, 1e-17, 30.0, 1e12] {
+            let scaled = |seed| noise(tokens * d, seed).iter().map(|x| x * size).collect::<Vec<_>>();
+            let (mut q, mut k, v) = (scaled(1), scaled(2), noise(tokens * d, 3));
+            (q[0], k[tokens / 2 * d]) = (f32::NAN, 2e30);
+            let keys = |i: usize| match windows {
+                Windows::Full => (0..tokens).collect::<Vec<_>>(),
+                Windows::Runs { length, roll } => {
+                    let first = (i + roll) % tokens / length * length;
+                    (first..tokens.min(first + length)).map(|j| (j + tokens - roll) % tokens).collect()
+                }
+            };
+            for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
+                let out = on_every_level_and_thread_count(tokens * d, |level, out| {
+                    let rows = |x| Rows::new(x, tokens, d, 0);
+                    attend_as(precision, level, Shape { heads, width, windows }, rows(&q), rows(&k), rows(&v), out);
+                });
+                let expected = reference::attend_in_order(precision, &q, &k, &v, heads, width, keys);
+                assert!(bits(&out) == bits(&expected), "{precision:?}, {tokens} tokens of {heads}x{width}, {size:e}");
+            }
         }
     }
 }

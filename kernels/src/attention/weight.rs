@@ -11,7 +11,7 @@ const LOWEST: f32 = -64.0;
 const HIGHEST: f32 = 1.0;
 
 /// `(2^f − 1)/f` on [−½, ½], minimax in the relative error of `2^f` (2.2e-8), lowest power first.
-const COEFFICIENTS: [f32; 6] =
+pub(super) const COEFFICIENTS: [f32; 6] =
     [0.693_147_24, 0.240_226_52, 0.055_503_104, 0.009_617_693, 0.001_340_664_3, 0.000_155_946_78];
 
 /// `2^t` for `−64 ≤ t ≤ 1`, within 1.5 ulp; `2^−64` below, and for NaN; 2 above.

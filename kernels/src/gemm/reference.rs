@@ -61,7 +61,7 @@ pub fn product_as(precision: Precision, x: &[f32], w: &[f32], m: usize, n: usize
 }
 
 /// A row's scale and its values in units of that.
-fn integers(row: &[f32]) -> (f32, Vec<i64>) {
+pub(crate) fn integers(row: &[f32]) -> (f32, Vec<i64>) {
     let most = row.iter().fold(0.0, |most: f32, x| if x.is_nan() { f32::INFINITY } else { most.max(x.abs()) });
     let (scale, inverse) = scale_of(most);
     let unit = |&x: &f32| if scale > 0.0 { (x * inverse).round_ties_even() as i64 } else { 0 };

@@ -71,12 +71,12 @@ pub fn exp_nonpositive<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
 }
 
 /// 2^f on |f| ≤ ½; minimax in relative error, 2^−13.7. Highest power first.
-const LOW: [f32; 4] = [0.055_171_67, 0.242_611_13, 0.693_260_97, 0.999_928_06];
+pub(crate) const EXP2_LOW: [f32; 4] = [0.055_171_67, 0.242_611_13, 0.693_260_97, 0.999_928_06];
 
 /// 2ˣ within 7.5e-5 of itself, for what is rounded to bf16 or 8 bits next. `x` is from −125 to 126 (others, and NaN, give any value, not the same
 /// on every level).
 #[inline(always)]
 pub fn exp2_low<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let (whole, part) = s.split_int_frac(x);
-    s.scale_by_pow2(polynomial(s, part, &LOW), whole)
+    s.scale_by_pow2(polynomial(s, part, &EXP2_LOW), whole)
 }

@@ -47,6 +47,7 @@ mod monotone;
 mod tests;
 
 pub use erf::{erf, erfc, erfinv, gelu, normal_cdf};
+pub(crate) use exp::EXP2_LOW;
 pub use exp::{exp, exp_nonpositive, exp2_low};
 pub use log::{log, softplus};
 pub use sigmoid::{sigmoid, silu, silu_low, tanh};

@@ -1,5 +1,5 @@
 use super::{layer_norm, reference, rms_norm};
-use crate::testing::{noise, on_every_level_and_thread_count};
+use crate::testing::{bits, noise, on_every_level_and_thread_count};
 
 #[test]
 fn rms_norm_agrees_with_its_formula_and_itself_everywhere() {
@@ -54,5 +54,23 @@ fn a_bad_value_spoils_its_own_row_only() {
         rms_norm(level, &clean, &w, 1e-5, &mut expected);
         assert_eq!(out[..20], expected[..20]);
         assert!(out[20].is_nan() && out[45].is_nan());
+    }
+}
+
+#[test]
+fn every_level_gives_the_bits_of_the_defined_order() {
+    for (rows, d) in [(1, 1), (3, 5), (7, 16), (5, 33), (301, 67), (2, 768)] {
+        let (w, b) = (noise(d, 4), noise(d, 5));
+        for (scale, shift) in [(1.0, 0.0), (1.0, 100.0), (1e-20, 0.0), (1e18, 0.0), (1e37, 1e38)] {
+            let x: Vec<f32> = noise(rows * d, 3).iter().map(|x| x * scale + shift).collect();
+            for b in [None, Some(&b[..])] {
+                let out = on_every_level_and_thread_count(rows * d, |level, out| match b {
+                    None => rms_norm(level, &x, &w, 1e-5, out),
+                    Some(b) => layer_norm(level, &x, &w, b, 1e-5, out),
+                });
+                let expected = x.chunks(d).flat_map(|x| reference::norm_in_order(x, &w, b, 1e-5)).collect::<Vec<_>>();
+                assert!(bits(&out) == bits(&expected), "{rows}x{d} at {scale:e}+{shift:e}, biases {}", b.is_some());
+            }
+        }
     }
 }

@@ -19,10 +19,10 @@ const STEPS: [(&str, &str); 9] = [
 ];
 /// From the fastest to the closest.
 const QUALITIES: [(&str, &str); 3] =
-    [("realtime", "gap 8"), ("balanced", "gap auto:3-8:40, the default"), ("best", "gap 2")];
+    [("realtime", "gap 6"), ("balanced", "gap auto:3-8:40, the default"), ("best", "gap 2")];
 /// Gaps of the grid, and what is said beside them.
 const GAPS: [&str; 5] = ["2", "3", "5", "8", "auto:3-8:40"];
-const CHOICES: [&str; 3] = ["--flow coarse --refine 3 --refine-every 2", "--flow coarse --refine 6", "--refine 16"];
+const CHOICES: [&str; 3] = ["--flow coarse --refine 3 --refine-every 3", "--flow coarse --refine 6", "--refine 16"];
 const UNSEEN_GAPS: [usize; 2] = [5, 8];
 
 /// Names, kinds and arguments of all rows.

@@ -116,6 +116,7 @@ pub(super) fn encode(before: &[Quantised], records: &[Quantised], merges: &[Merg
 }
 
 /// The columns of [`encode`] that an image needs; those of tracked points and of merges are empty.
+#[cfg(feature = "viewer")]
 pub(super) fn encode_for_images(before: &[Quantised], records: &[Quantised]) -> Vec<u8> {
     let mut columns = columns(before, records, &[]);
     columns[FIRST + OFFSET..FIRST + OFFSET + 3].fill(Column::default());
