@@ -23,9 +23,9 @@ pub enum Command {
     /// Video → scene, frames, report
     Run(Box<RunArgs>),
     /// Scene → images at chosen times and cameras
-    Render(RenderArgs),
+    Render(Box<RenderArgs>),
     /// Key frames in, the frames between held out: PSNR and SSIM beside simple baselines
-    Eval(EvalArgs),
+    Eval(Box<EvalArgs>),
     /// A model on tensors: every intermediate result of one pair of frames
     Forward(ForwardArgs),
     /// Draw the Gaussians of a safetensors file
