@@ -297,16 +297,16 @@ impl<const SIGNED: bool> Multiply for EightBit<SIGNED> {
                     rows = rows.skip(1);
                     continue;
                 }
-                for half in 0..2 {
-                    let mut b = [s.splat_i32(0); NV];
-                    for v in 0..NV {
-                        let word = s.to_bits(s.load_ptr(again(panels[v].add(i * LANES)).cast()));
-                        b[v] = if SIGNED { s.split_bytes(word)[half] } else { Uint8Weights::halves(s, word)[half] };
-                    }
-                    for r in 0..MR {
+                let mut b = [[s.splat_i32(0); 2]; NV];
+                for v in 0..NV {
+                    let word = s.to_bits(s.load_ptr(panels[v].add(i * LANES).cast()));
+                    b[v] = if SIGNED { s.split_bytes(word) } else { Uint8Weights::halves(s, word) };
+                }
+                for r in 0..MR {
+                    for half in 0..2 {
                         let a = s.splat_i32((*rows.word(half, r)).cast_signed());
                         for v in 0..NV {
-                            acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, b[v]));
+                            acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, b[v][half]));
                         }
                     }
                 }
