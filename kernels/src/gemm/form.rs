@@ -297,16 +297,16 @@ impl<const SIGNED: bool> Multiply for EightBit<SIGNED> {
                     rows = rows.skip(1);
                     continue;
                 }
-                for half in 0..2 {
-                    let mut b = [s.splat_i32(0); NV];
-                    for v in 0..NV {
-                        let word = s.to_bits(s.load_ptr(again(panels[v].add(i * LANES)).cast()));
-                        b[v] = if SIGNED { s.split_bytes(word)[half] } else { Uint8Weights::halves(s, word)[half] };
-                    }
-                    for r in 0..MR {
+                let mut b = [[s.splat_i32(0); 2]; NV];
+                for v in 0..NV {
+                    let word = s.to_bits(s.load_ptr(panels[v].add(i * LANES).cast()));
+                    b[v] = if SIGNED { s.split_bytes(word) } else { Uint8Weights::halves(s, word) };
+                }
+                for r in 0..MR {
+                    for half in 0..2 {
                         let a = s.splat_i32((*rows.word(half, r)).cast_signed());
                         for v in 0..NV {
-                            acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, b[v]));
+                            acc[r][v] = s.add_i32(acc[r][v], s.dot_i16(a, b[v][half]));
                         }
                     }
                 }
@@ -332,7 +332,11 @@ impl Form for Int8 {
     }
     #[inline(always)]
     fn convert<S: Simd>(s: S, row: &[f32], largest: Option<f32>, values: &mut [f32], words: &mut [u32]) -> f32 {
-        let largest = largest.unwrap_or_else(|| largest_magnitude(s, row));
+        // No closure: what is handed to the standard library may leave the instruction-set context.
+        let largest = match largest {
+            Some(largest) => largest,
+            None => largest_magnitude(s, row),
+        };
         if S::BYTE_DOT {
             // The instruction takes these unsigned; the weights' offsets undo it.
             return quantise_row::<S, 128>(s, row, largest, words);
@@ -363,7 +367,7 @@ impl Form for Int8 {
 }
 
 impl Uint8Weights {
-    /// Int8 0 and 2, and 1 and 3, of every lane as pairs of i16.
+    /// Bytes 0 and 2, and 1 and 3, of every lane as pairs of i16.
     #[inline(always)]
     fn halves<S: Simd>(s: S, word: S::I32) -> [S::I32; 2] {
         let low = s.splat_i32(0x00ff_00ff);
