@@ -48,7 +48,7 @@ fn same(a: &[Interval], b: &[Interval]) -> bool {
 #[test]
 fn lifted_scenes_have_the_same_bits_on_every_level_and_thread_count() {
     let map = |key: usize, y: &[f32]| {
-        let holes = |(i, y): (usize, &f32)| if (i + key) % 11 == 0 { f32::NAN } else { *y };
+        let holes = |(i, y): (usize, &f32)| if (i + key).is_multiple_of(11) { f32::NAN } else { *y };
         Some(y.iter().enumerate().map(holes).collect())
     };
     let first = stream(Some(Level::scalar()), 1, map);
