@@ -16,7 +16,6 @@ class Drawing {
     this.splat = this.program("splat.vert", "splat.frag");
     this.resolve = this.program("resolve.vert", "resolve.frag");
     this.packet = null;
-    this.ordered = null;
     this.records = gl.createTexture();
     this.rates = gl.createTexture();
     this.order = gl.createBuffer();
@@ -132,8 +131,7 @@ class Drawing {
       gl.uniform1i(splat.at.mode, mode);
       gl.bindVertexArray(this.splats);
       gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-      if (this.ordered !== order) gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
-      this.ordered = order;
+      gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
       gl.enable(gl.BLEND);
       gl.blendFunc(gl.ONE_MINUS_DST_ALPHA, gl.ONE);
       gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, order.length);

@@ -23,9 +23,9 @@ pub enum Command {
     /// Video → scene, frames, report
     Run(Box<RunArgs>),
     /// Scene → images at chosen times and cameras
-    Render(RenderArgs),
+    Render(Box<RenderArgs>),
     /// Key frames in, the frames between held out: PSNR and SSIM beside simple baselines
-    Eval(EvalArgs),
+    Eval(Box<EvalArgs>),
     /// A model on tensors: every intermediate result of one pair of frames
     Forward(ForwardArgs),
     /// Draw the Gaussians of a safetensors file
@@ -475,9 +475,6 @@ pub struct ViewArgs {
     /// Serve nothing: write the page with the scene in it as this file, which opens by itself
     #[arg(long, value_name = "FILE", conflicts_with_all = ["port", "host", "allow_host"])]
     pub html: Option<PathBuf>,
-    /// Where the page of --html will be on the web, for the tags that programs read which show links; its poster is FILE.png beside it
-    #[arg(long, value_name = "URL", requires = "html")]
-    pub url: Option<String>,
     #[command(flatten)]
     pub limit: Limit,
     #[command(flatten)]

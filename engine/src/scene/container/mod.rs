@@ -9,8 +9,6 @@
 
 mod chunk;
 mod columns;
-#[cfg(feature = "viewer")]
-mod images;
 mod index;
 mod quantise;
 mod read;
@@ -18,8 +16,6 @@ mod read;
 mod tests;
 mod write;
 
-#[cfg(feature = "viewer")]
-pub(crate) use images::{COARSENESS, ImageChunks};
 pub(super) use read::Container;
 pub use read::intervals_from_container;
 pub use write::ContainerWriter;
