@@ -53,7 +53,7 @@ impl Difference {
         })
     }
 
-    /// Whether every sample is equal.
+    /// Returns true if all samples are equal.
     pub fn is_none(&self) -> bool {
         self.place.is_none()
     }

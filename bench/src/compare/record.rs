@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::timing::Seconds;
 
-/// What was measured.
+/// Kind of measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// `stages --instructions`.
@@ -35,7 +35,7 @@ pub(super) struct Row {
 pub(super) struct Record {
     pub(super) kind: Kind,
     pub(super) rows: Vec<Row>,
-    /// What two records must share to be comparable: the level, for times the processor and the threads.
+    /// Conditions that comparable records share: the level, for times also the processor and the threads.
     pub(super) conditions: String,
     /// The compiler, where instructions were counted.
     pub(super) built: Option<String>,

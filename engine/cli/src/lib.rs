@@ -84,7 +84,7 @@ fn finish(result: Result<(), Failure>) -> u8 {
     }
 }
 
-/// What clap says, without usage and hints, in one line.
+/// Error message of clap in one line, without usage and hints.
 fn one_line(error: &clap::Error) -> String {
     let text = error.to_string();
     let said = text.split("\n\n").next().unwrap_or(&text);

@@ -26,7 +26,8 @@ const MOST_FLOAT: f32 = 2.0;
 
 /// A frame's pixels as planes `[3, H, W]`, with its height and width.
 ///
-/// What is no NumPy array but makes one of itself is taken as that one: PIL's images, torch's tensors, also in torch's layout `[3, H, W]`.
+/// Other objects that convert to NumPy arrays, such as PIL images and torch tensors, are converted first; these may
+/// also have torch's layout `[3, H, W]`.
 pub fn planes(frame: &Bound<'_, PyAny>) -> PyResult<(Vec<f32>, [usize; 2])> {
     let makes_one = frame.hasattr("__array__")? || frame.hasattr("__array_interface__")?;
     let made = if frame.is_instance_of::<PyUntypedArray>() || !makes_one {

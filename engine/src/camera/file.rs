@@ -31,22 +31,22 @@ use serde::Deserialize;
 
 use super::{Camera, CameraPath, Lens, Pose, Rotation};
 
-/// What is wrong with a camera description.
+/// Error in a camera description.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CameraError {
     /// Not JSON of this form.
     #[error("camera: {0}")]
     Form(String),
-    /// A view says something that cannot be.
+    /// Invalid value in a view.
     #[error("camera view {view}: {key}: expected {expected}, found {found}")]
     View {
-        /// Which view, from 0.
+        /// Index of the view, from 0.
         view: usize,
         /// The key.
         key: &'static str,
-        /// What it can be.
+        /// Expected value.
         expected: &'static str,
-        /// What it is.
+        /// Value found.
         found: String,
     },
 }

@@ -76,7 +76,7 @@ impl Camera {
         Camera::Posed { pose, lens: Lens::Orthographic { half_extent: [1.0; 2] } }
     }
 
-    /// Whether every number of it is finite and its lens can see: positive extents or focal lengths.
+    /// Returns true if all numbers are finite and the lens is valid: positive extents or focal lengths.
     pub fn is_usable(&self) -> bool {
         match self {
             Camera::Canonical => true,

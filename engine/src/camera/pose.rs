@@ -62,7 +62,7 @@ impl Rotation {
         Self([w, -x, -y, -z])
     }
 
-    /// Whether it turns nothing.
+    /// Returns true if this is the identity rotation.
     pub fn is_identity(&self) -> bool {
         self.0[1..] == [0.0; 3]
     }

@@ -11,7 +11,7 @@ use crate::still::Still;
 
 /// Coefficients per byte of colour, over 255.
 pub(crate) const COLOUR: f64 = 0.15;
-/// What turning y and z round does to the harmonics above the first.
+/// Signs of the harmonics above degree 0 when the y and z axes are negated.
 pub(crate) const HARMONIC_SIGNS: [f32; 15] =
     [-1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0];
 /// Bits after the point, where the scene is not too wide for them.

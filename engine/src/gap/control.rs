@@ -1,20 +1,21 @@
-//! How close the next interval's images would come to its frames.
+//! Prediction of the PSNR that the next interval's images would have.
 //!
-//! Expected from how well its frames follow from its key frames in small luma, and from how close earlier intervals came. In dB, for an interval of
-//! n frames after its first key frame,
+//! It rests on how well the interval's frames are predicted from its key frames in low-resolution luma, and on the PSNR
+//! of earlier intervals. In dB, for an interval of n frames after its first key frame,
 //!
 //! ```text
 //! between  q = k − s·(0.86 + 0.41·max(k − p, 0))·ln(max(n, 2) / 1.85)        mean of its n − 1 frames in between
 //! all      ((n − 1)·q + k) / n
 //! ```
 //!
-//! p: the mean ratio at which the frames in between follow from the key frames ([`super::predicted`]); k: PSNR of the latest key frame that is
-//! known; s: 1 at first, then multiplied by the eight tenth power of what `k − q` turned out to be beside what it was expected to be, within
-//! [1/4, 4]. Intervals of two frames and less, where that says little, move s towards 1 by a tenth. The two numbers are those of least squares
-//! on 748 intervals of 12 clips (n from 2 to 12, frames between given, 16 steps of colours).
+//! p: mean PSNR at which the frames in between are predicted from the key frames ([`super::predicted`]); k: PSNR of the
+//! latest key frame that is known; s: a scale that starts at 1 and is multiplied after each interval by the 0.8th power
+//! of the ratio of measured to predicted `k − q`, within [1/4, 4]. Intervals of two frames or fewer, whose ratio says
+//! little, move s a tenth of the way towards 1 instead. The constants 0.86 and 0.41 are a least-squares fit to 748
+//! intervals of 12 clips (n from 2 to 12, frames between given, 16 steps of colours).
 //!
-//! What earlier intervals had above or below what is asked for is made up for over 16 frames, by 4 dB at most. An
-//! interval is at most three times as long as the latest one that no cut ended.
+//! A surplus or deficit of earlier intervals against the target PSNR is made up for over 16 frames, by 4 dB at most. An
+//! interval is at most three times as long as the latest one that did not end at a cut.
 
 use std::collections::VecDeque;
 
@@ -98,7 +99,7 @@ impl Control {
         Expected { frames, predicted, all }
     }
 
-    /// Whether an interval of `frames` frames would be too long, or further from its frames than is asked for.
+    /// Returns true if an interval of `frames` frames would be too long, or is predicted to miss the target PSNR.
     pub(super) fn is_too_long(&self, frames: usize, predicted: Option<f64>) -> bool {
         let waiting = self.waiting.iter().map(|e| e.frames as f64 * (e.all - self.asked)).sum::<f64>();
         let made_up = ((self.surplus + waiting) / HORIZON).clamp(-MOST_MADE_UP, MOST_MADE_UP);

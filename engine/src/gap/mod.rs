@@ -63,7 +63,7 @@ impl Default for Auto {
 }
 
 impl Gap {
-    /// Whether key frames depend on how close images come to frames.
+    /// Returns true if the choice of key frames depends on the PSNR of the images.
     pub fn depends_on_images(&self) -> bool {
         matches!(self, Gap::Auto(auto) if auto.least < auto.most)
     }
@@ -129,21 +129,22 @@ pub struct Chooser {
     gap: Gap,
     /// Frames since the last key frame; `None` before the first.
     since: Option<usize>,
-    /// The last key frame and what came since.
+    /// The last key frame and the frames since.
     seen: Vec<Small>,
-    /// Whether a cut lies among these.
+    /// True if there is a cut among these frames.
     cut: bool,
-    /// At which ratio, in the mean, the frames between the last key frame and the latest frame are predicted from these two.
+    /// Mean PSNR, in dB, at which the frames between the last key frame and the latest frame are predicted from those
+    /// two.
     predicted: Option<f64>,
     control: Control,
     replay: Option<Replay>,
 }
 
-/// Choices that were made before.
+/// Recorded choices to repeat.
 #[derive(Clone, Debug)]
 struct Replay {
     gaps: VecDeque<usize>,
-    /// What was known when the last of them was made.
+    /// State of the controller at the last of them.
     state: ControlState,
 }
 
@@ -154,12 +155,13 @@ impl Chooser {
         Chooser { gap, since: None, seen: Vec::new(), cut: false, predicted: None, control, replay: None }
     }
 
-    /// Makes the choices of before again, `gaps` after the first key frame, and goes on with what was known at the last of them.
+    /// Repeats recorded choices, `gaps` after the first key frame, then continues from `state`, recorded at the last of
+    /// them.
     pub fn replay(&mut self, gaps: impl IntoIterator<Item = usize>, state: ControlState) {
         self.replay = Some(Replay { gaps: gaps.into_iter().collect(), state });
     }
 
-    /// Whether the next choice is one of before.
+    /// Returns true if the next choice repeats a recorded one.
     pub fn is_replaying(&self) -> bool {
         self.replay.as_ref().is_some_and(|replay| !replay.gaps.is_empty())
     }
@@ -196,7 +198,7 @@ impl Chooser {
         self.control.learn(found);
     }
 
-    /// What is known, for [`Chooser::replay`].
+    /// State of the controller, for [`Chooser::replay`].
     pub fn state(&self) -> ControlState {
         self.control.state()
     }

@@ -8,12 +8,12 @@ use super::FormatError;
 /// Called with the bytes read so far, and with those of the whole file.
 pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) + Send);
 
-/// What ends the reading of a file.
+/// Error that ends the reading of a file.
 #[derive(Debug)]
 pub(super) enum ReadError {
-    /// The system's answer.
+    /// I/O error.
     File(io::Error),
-    /// What the file holds.
+    /// Invalid content.
     Format(FormatError),
 }
 

@@ -28,13 +28,13 @@ pub(super) trait Reader: Sync {
 pub struct Format {
     /// Its name, as in messages.
     pub name: &'static str,
-    /// What `--format` calls it.
+    /// Its name in `--format`.
     pub option: &'static str,
     /// How the names of its files end, without the first dot.
     pub ending: &'static str,
-    /// What of a scene it keeps, and what it loses.
+    /// Properties of a scene that the format keeps.
     pub keeps: &'static str,
-    /// Of what `keeps` does not say.
+    /// Properties and precision that it loses.
     pub loses: &'static str,
     /// Of several that claim a file the first in [`FORMATS`] reads it.
     pub(super) reader: &'static dyn Reader,

@@ -7,7 +7,7 @@ use std::path::Path;
 /// Gaussians of a scene that are read where nothing else is said.
 pub const GAUSSIANS: usize = 1 << 24;
 
-/// What files may hold. Files are small and what they hold may not be: compressed files, and files with holes.
+/// Limits on the content of files. Compressed and sparse files can expand to many times their size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Gaussians of an interval, or of a still scene.

@@ -40,15 +40,15 @@ pub use spz::spz;
 use crate::scene::{self, Scene, SceneError};
 use crate::still::Still;
 
-/// What is wrong with a file.
+/// Error in the content of a file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{part}: expected {expected}, found {found}")]
 pub struct FormatError {
     /// The property or the part of the file.
     pub part: String,
-    /// What it can be.
+    /// Expected value.
     pub expected: String,
-    /// What it is.
+    /// Value found.
     pub found: String,
 }
 
@@ -78,7 +78,7 @@ pub struct StillFile {
     pub bytes: u64,
     /// The BLAKE3 digest, in hexadecimal, of its bytes and of those of the files beside it, in the order in which they were read.
     pub blake3: String,
-    /// What it holds.
+    /// Its Gaussians.
     pub still: Still,
 }
 

@@ -306,7 +306,7 @@ fn container(path: &Path) -> String {
     }
 }
 
-/// Whether videos of this name are written with sound, if there is any.
+/// Returns true if video files of this name are written with the source's sound, where it has any.
 pub fn holds_sound(path: &Path) -> bool {
     VideoFormat::of(path) == Some(VideoFormat::Ffmpeg) && !["gif", "webp", "avif"].contains(&&container(path)[..])
 }

@@ -16,7 +16,8 @@ const FILL: f64 = 0.8;
 const OPAQUE: f32 = -2.2;
 /// Share of the centres beyond either end, along each axis, that may be floaters.
 const FLOATERS: f64 = 0.05;
-/// What is added at either end, in widths of what lies between these, as far as there are centres.
+/// Margin added at either end of each axis, as a fraction of the width without floaters; it ends at the outermost
+/// centre.
 const AROUND: f64 = 0.15;
 /// Directions in which a whole turn is tried.
 const DIRECTIONS: u32 = 24;

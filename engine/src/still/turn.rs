@@ -14,9 +14,9 @@ const DIRECTIONS: usize = 24;
 pub struct Similarity {
     /// Factor of lengths, above 0.
     pub scale: f64,
-    /// R.
+    /// Rotation R.
     pub rotation: Rotation,
-    /// What is added at last.
+    /// Translation, added last.
     pub offset: [f64; 3],
 }
 

@@ -99,7 +99,7 @@ pub struct Record {
     pub offset: [f32; 3],
     /// Which end of the interval `mean`, `opacity` and `rgb` belong to.
     pub reference: Reference,
-    /// True if it fades at an end of the interval.
+    /// Fade in or out at an end of the interval.
     pub handover: Handover,
 }
 

@@ -38,9 +38,9 @@ pub struct Settings {
     pub refine: Option<u32>,
     /// Every how many of the frames between key frames are looked at where colours are fitted, 1 for all; `None`: 1. 0 is 1.
     pub refine_every: Option<u32>,
-    /// True if depth maps are normalised here.
+    /// How depth maps are normalised.
     pub depth_range: DepthRange,
-    /// True if Gaussians are put behind what stands in front, where depth maps lift them.
+    /// Gaussians behind the foreground, where depth maps lift it.
     pub behind: Behind,
     /// How positions that the model gives as a distribution are drawn.
     pub sampling: SamplingMode,
@@ -253,23 +253,23 @@ named! {
 }
 
 named! {
-    /// True if depth maps are normalised here.
+    /// Normalisation of depth maps to [0, 1].
     DepthRange: "depth range" {
-        /// Each by its own minimum and maximum.
+        /// Normalises each map by its own minimum and maximum.
         #[default]
         Frame = "frame",
-        /// Not at all: they are in [0, 1] already.
+        /// Takes the maps as given: they are in [0, 1] already.
         Given = "given",
     }
 }
 
 named! {
-    /// True if Gaussians are put behind what stands in front, where depth maps lift them.
+    /// Gaussians behind the foreground, where depth maps lift it.
     Behind: "behind" {
-        /// They are.
+        /// Adds Gaussians behind the edges of the foreground, for views that look past them.
         #[default]
         On = "on",
-        /// They are not: a turned view looks past an edge at nothing.
+        /// Adds none: a turned view shows holes at the edges of the foreground.
         Off = "off",
     }
 }

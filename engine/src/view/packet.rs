@@ -45,7 +45,7 @@ pub const RECORD: usize = 32;
 const AGE: usize = 2;
 /// Bytes of a rate.
 const RATE: usize = 3;
-/// What is under it cannot be drawn.
+/// Smallest opacity that is drawn.
 const VISIBLE: f32 = 1.0 / 255.0;
 /// Steps of the largest rate.
 const RATE_STEPS: f32 = 127.0;
@@ -113,7 +113,7 @@ pub fn packet(interval: &Interval) -> Vec<u8> {
     out
 }
 
-/// Whether some image of the interval may show the record.
+/// Returns true if the record can be visible in an image of the interval.
 fn can_be_seen(r: &Record) -> bool {
     let (y, other) = (r.position_at(0.0)[1], r.position_at(1.0)[1]);
     r.is_sound() && r.opacity >= VISIBLE && y.max(other) >= 0.0 && y.min(other) <= 1.0

@@ -12,7 +12,7 @@ use super::packet::by_columns;
 use crate::scene::SceneError;
 
 const TEMPLATE: &str = include_str!("page.html");
-/// What stands in the template for each part.
+/// Placeholders in the template, one per part.
 const STYLE: &str = "/* page.css */";
 const SHADERS: &str = "<!-- shaders -->";
 const SCRIPT: &str = "/* scripts */";

@@ -10,20 +10,20 @@ use crate::fit::Placement;
 use crate::scene::{PlacementRecord, Scene, SceneError};
 use crate::stream::{Interval, Workers};
 
-/// What the page is told about a scene, as JSON.
+/// Description of a scene, sent to the page as JSON.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Description {
-    /// What the page calls the scene.
+    /// Title of the scene on the page.
     pub title: String,
     /// Frames per second of the source.
     pub fps: f64,
     /// Where the source's frame lies in the model's input; not known before a stream's first interval.
     pub placement: Option<PlacementRecord>,
-    /// Whether this is a stream rather than a recording.
+    /// True if this is a live stream, false if it is a recording.
     pub live: bool,
-    /// Whether no more intervals will come.
+    /// True if no more intervals will come.
     pub complete: bool,
-    /// The first interval that can still be had.
+    /// Number of the first interval that is still available.
     pub first: usize,
     /// The number of the first one listed.
     pub from: usize,
@@ -42,7 +42,7 @@ pub struct IntervalTimes {
     pub gaussians: usize,
 }
 
-/// What a page can show.
+/// Source of the scene that a page shows.
 pub trait Source: Send + Sync {
     /// The scene, with its intervals from number `from` on.
     fn describe(&self, from: usize) -> Description;
@@ -103,7 +103,7 @@ pub struct Live {
     state: Mutex<Stream>,
 }
 
-/// What of a stream has come so far.
+/// Part of a stream that has arrived so far.
 #[derive(Debug, Default)]
 struct Stream {
     placement: Option<Placement>,

@@ -6,7 +6,7 @@ use super::dispatch::dispatch;
 use super::vector::{LANES, Operation, Simd};
 use crate::level::{Kind, Level, LevelError};
 
-/// What is found out once.
+/// Levels of this machine, detected once.
 struct Machine {
     available: Vec<Level>,
     preferred: Level,

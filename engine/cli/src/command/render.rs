@@ -173,7 +173,7 @@ pub fn render(
     Ok(record(options, input, &drawing, Rendered { outputs: written, complete, read, start }, &workers))
 }
 
-/// What a rendering came to, beside what drew it.
+/// Result of a rendering, apart from the renderer.
 pub(super) struct Rendered {
     /// The files.
     pub outputs: BTreeMap<String, OutputRecord>,

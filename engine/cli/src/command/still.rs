@@ -40,7 +40,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// What the options say of `file`; what they leave out follows from the scene.
+    /// Plans the images of `file` by the options; values that they leave out follow from the scene.
     pub fn new(file: &StillFile, options: &RenderOptions, views: &Views) -> Result<Plan, Failure> {
         let kind = format!("{} is a still scene ({})", file.path.display(), file.format);
         let fps = options.fps.unwrap_or(FPS);
@@ -182,7 +182,7 @@ pub fn export(
     Ok(())
 }
 
-/// What a still scene holds.
+/// Summary of a still scene as JSON.
 pub fn inspect(file: &StillFile) -> Value {
     let still = &file.still;
     let (bounds, framing, statistics) = (still.bounds(), still.framing(), still.statistics());

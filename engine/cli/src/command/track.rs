@@ -14,7 +14,7 @@ use crate::console::{Console, print, say};
 use crate::options::args::TrackArgs;
 use crate::options::{settings, times};
 
-/// What is found, as JSON.
+/// Result, written as JSON.
 #[derive(Serialize)]
 struct Found {
     /// The time asked for, in seconds.

@@ -1,4 +1,4 @@
-//! What this program is: version, commit, instruction-set levels.
+//! Version, commit and instruction-set levels of this program.
 
 use std::sync::LazyLock;
 

@@ -1,4 +1,4 @@
-//! What can be said on the command line.
+//! Arguments of the command line.
 
 use std::path::PathBuf;
 
@@ -63,7 +63,7 @@ pub enum Command {
     },
 }
 
-/// What the work is done with. Changes no output bit.
+/// Threads and instruction set. They change no output bit.
 #[derive(Args, Clone, Debug, Default)]
 pub struct Machine {
     /// Threads [default: one per processor]
@@ -167,7 +167,7 @@ pub struct Stream {
     pub reuse: Option<String>,
 }
 
-/// What is drawn.
+/// Options of the images: times, size, camera, background and renderer.
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct View {
     /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
@@ -287,7 +287,7 @@ pub struct RenderOptions {
     #[command(flatten)]
     #[serde(flatten)]
     pub limit: Limit,
-    /// Whether there may be one image only.
+    /// True if exactly one image may be rendered.
     #[arg(skip)]
     #[serde(skip)]
     pub single: bool,
@@ -320,7 +320,7 @@ pub struct Motion {
     pub eye_distance: Option<f64>,
 }
 
-/// What input files may hold.
+/// Limits on the content of input files.
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Limit {
     /// Gaussians of an interval or of a still scene that are read at most [default: 16777216]

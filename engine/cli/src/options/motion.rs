@@ -122,7 +122,7 @@ impl Motion {
         Ok(self.turntable.map(Asked::Turntable))
     }
 
-    /// Whether the camera moves.
+    /// Returns true if the camera moves.
     pub fn moves(&self) -> bool {
         self.orbit.is_some() || self.sway.is_some() || self.turntable.is_some()
     }

@@ -125,7 +125,7 @@ impl Stream {
         Ok(DepthFrom::Folder(folder, range, values))
     }
 
-    /// What an engine is made with.
+    /// Settings of the engine for these options.
     pub fn settings(&self, fit: &str, machine: &Machine) -> Result<Settings, Failure> {
         let mut settings = Settings::with_model(self.model.source());
         settings.fusion = choice("--fusion", &self.fusion)?;
@@ -154,7 +154,7 @@ impl Stream {
     }
 }
 
-/// What is drawn, when, and from where.
+/// Options of the images, their times and their cameras.
 #[derive(Clone, Debug)]
 pub struct Views {
     /// Size, background, and which planes.
@@ -163,11 +163,11 @@ pub struct Views {
     pub camera: CameraPath,
     /// Times asked for, ascending.
     pub times: Option<Vec<f64>>,
-    /// What draws.
+    /// Backend that renders the images.
     pub backend: Backend,
     /// Width and height of the images of a camera file of another program, in whose path one follows the other each second.
     pub own_sizes: Vec<[usize; 2]>,
-    /// Whether there is nothing behind the scene: it is drawn over black, and alpha is kept.
+    /// True if the background is transparent: the scene is drawn over black, and alpha is kept.
     pub transparent: bool,
     /// Where the camera stands around the middle of a scene in time, in place of `camera`.
     pub course: Option<Course>,

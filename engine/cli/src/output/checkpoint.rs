@@ -1,5 +1,5 @@
-//! What a run leaves while it is under way, so that it can go on after it was stopped: by the user, by a failure, or by the
-//! system at any moment.
+//! Checkpoints of a run under way, from which it can be resumed after an interruption: by the user, by a failure, or by
+//! the system at any moment.
 //!
 //! In the folder `resume` of the results (for a video `v.y4m`, `v.y4m.resume` beside it):
 //!
@@ -15,7 +15,7 @@
 //! holds the resume point *before* the last whole interval. So `--resume` reads the input from its beginning (the digest of what was read must
 //! be the same), takes up the resume point at the key frame before the last one, and computes the last whole interval again, which must come
 //! out as it was written; two key frames of work. Where the resume point says too little ([`Reuse::forgets`](streamsplat::stream::Reuse)),
-//! the stream is computed from its start. When a run is complete the folder goes.
+//! the stream is computed from its start. When a run is complete, the folder is removed.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -43,12 +43,12 @@ const BEFORE: &str = "state.before.safetensors";
 /// Largest one read, in bytes.
 const MAX_STATE: u64 = 1 << 32;
 
-/// How far a run has come.
+/// Progress of a run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Point {
-    /// What the run is a function of.
+    /// Program version, options and model, which determine the output together with the input.
     pub terms: Terms,
-    /// What was read.
+    /// Input read so far.
     pub input: InputRecord,
     /// The last key frame whose interval is whole, with everything due in it.
     pub key: u64,
@@ -65,7 +65,7 @@ pub struct Point {
     pub dropped: u64,
     /// The account of drawing.
     pub drawn: Counts,
-    /// What a moving camera started from.
+    /// First image of a moving camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub anchor: Option<Anchor>,
     /// Bytes of the ledger that count.
@@ -74,14 +74,14 @@ pub struct Point {
     pub video: Option<VideoPoint>,
 }
 
-/// What `--resume` finds.
+/// State that `--resume` finds.
 #[derive(Debug)]
 pub enum Found {
     /// Nothing: the run starts.
     Nothing,
     /// A complete run.
     Complete(Box<Record>),
-    /// A run to go on with.
+    /// An interrupted run to resume.
     Under(Box<Point>, Option<ResumePoint>),
 }
 

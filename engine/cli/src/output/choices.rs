@@ -5,14 +5,14 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 use streamsplat::gap::{ControlState, Found};
 
-/// What key frames were chosen so far, and what the next choices rest on.
+/// Key frames chosen so far, and the state on which the next choices depend.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Choices {
     /// Frames from each key frame to the next.
     pub gaps: Vec<usize>,
-    /// What was known when the last of them was chosen.
+    /// State of the controller when the last of them was chosen.
     pub state: ControlState,
-    /// What has been found since: PSNR of the key frame and of those in between, as bits, and the number of frames.
+    /// Results since then: PSNR of the key frame and of the frames in between, as bits, and the number of frames.
     recent: VecDeque<(u64, Option<u64>, usize)>,
     /// The sum of PSNR over all frames compared, as bits, and their number.
     compared: (u64, usize),
@@ -30,7 +30,8 @@ impl Choices {
         self.state = state;
     }
 
-    /// What a choice may not know yet: the last two intervals. `sum` and `frames` are of PSNR over all frames compared so far.
+    /// Records the result of an interval; the last two are kept, since a choice may not know them yet. `sum` is the sum
+    /// of PSNR over all frames compared so far, `frames` their number.
     pub fn found(&mut self, found: &Found, sum: f64, frames: usize) {
         self.recent.push_back((found.key.to_bits(), found.between.map(f64::to_bits), found.frames));
         if self.recent.len() > 2 {
@@ -39,7 +40,7 @@ impl Choices {
         self.compared = (sum.to_bits(), frames);
     }
 
-    /// What has been found since the last choice.
+    /// Results since the last choice.
     pub fn recent(&self) -> impl Iterator<Item = Found> {
         self.recent.iter().map(|&(key, between, frames)| Found {
             key: f64::from_bits(key),

@@ -1,4 +1,4 @@
-//! What an earlier run left in the same folder.
+//! Files that an earlier run left in the same folder.
 
 use std::path::{Path, PathBuf};
 
@@ -47,7 +47,7 @@ pub fn remove_earlier(folder: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Whether the file `name` in `folder` has this length and this digest.
+/// Returns true if the file `name` in `folder` has this length and this digest.
 pub fn is_as_written(folder: &Path, name: &str, bytes: u64, blake3: &str) -> Result<bool, Failure> {
     if !is_file_inside(folder, Path::new(name)) {
         return Ok(false);
@@ -57,7 +57,7 @@ pub fn is_as_written(folder: &Path, name: &str, bytes: u64, blake3: &str) -> Res
     Ok(length == bytes && digest::file(&path)? == blake3)
 }
 
-/// Whether `name` is a regular file in `folder` that no link leads to.
+/// Returns true if `name` is a regular file in `folder` and no part of its path is a symbolic link.
 fn is_file_inside(folder: &Path, name: &Path) -> bool {
     let Some(parts) = name.to_str().filter(|name| is_inside(name)).map(|_| name.iter()) else { return false };
     let mut path = folder.to_owned();

@@ -28,7 +28,7 @@ pub struct Line {
     pub file: String,
     pub bytes: u64,
     pub blake3: String,
-    /// What the scene's index says of it, where it is an interval.
+    /// Its entry in the scene's index, where it is an interval.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub interval: Option<IntervalEntry>,
 }

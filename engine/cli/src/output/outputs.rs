@@ -26,7 +26,7 @@ use crate::output::{checkpoint, ledger};
 /// Kinds of output that exist.
 const KINDS: [&str; 7] = ["rgb", "depth", "alpha", "exr", "scene", "ply", "tracks"];
 
-/// What `--emit` asks for.
+/// Outputs selected by `--emit`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Emit {
     /// Colour images or video.
@@ -62,7 +62,7 @@ impl Emit {
         Ok(Emit { rgb, depth, alpha, exr, scene, ply, tracks })
     }
 
-    /// Whether anything is drawn.
+    /// Returns true if any images are drawn.
     pub fn draws(&self) -> bool {
         self.rgb || self.depth || self.alpha || self.exr
     }
@@ -83,11 +83,11 @@ pub struct Outputs {
     container: Option<ContainerWriter>,
     written: BTreeMap<String, OutputRecord>,
     ledger: Option<Ledger>,
-    /// The intervals of a scene that is gone on with.
+    /// Intervals of a scene that is resumed.
     intervals: Vec<IntervalEntry>,
-    /// Whether images are outside of the bit contract.
+    /// True if images are outside of the bit contract.
     outside: bool,
-    /// Whether images keep their alpha.
+    /// True if images keep their alpha.
     alpha: bool,
     /// Sound that goes with the video.
     sound: Option<Sound>,
@@ -227,7 +227,7 @@ impl Outputs {
             .try_for_each(|path| storage::sync_folder(&path).map_err(|cause| OutputError::Write { path, cause }))
     }
 
-    /// Whether a stopped run can be gone on with.
+    /// Returns true if the run can be resumed when it is interrupted.
     pub fn can_resume(&self) -> bool {
         self.ledger.is_some()
     }
@@ -370,7 +370,7 @@ impl Outputs {
     }
 }
 
-/// Whether `name` stays inside the folder it is joined to.
+/// Returns true if `name` stays inside the folder it is joined to.
 pub fn is_inside(name: &str) -> bool {
     !name.is_empty() && Path::new(name).components().all(|c| matches!(c, Component::Normal(_)))
 }

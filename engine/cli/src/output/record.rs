@@ -16,7 +16,7 @@ use crate::output::digest;
 /// Longest record read, in bytes.
 const MAX_RECORD: u64 = 1 << 28;
 
-/// What `program` says.
+/// Value of `program`.
 pub const PROGRAM: &str = "streamsplat";
 
 /// The whole file. Everything but `timing` is a function of model, input, options and seed alone; where a graphics card drew, so is
@@ -27,7 +27,7 @@ pub struct Record {
     pub program: String,
     /// The program's version.
     pub version: String,
-    /// What was done, with every option that reaches the output.
+    /// The command, with every option that affects the output.
     #[serde(flatten)]
     pub task: Task,
     /// The seed of everything drawn at random.
@@ -37,9 +37,9 @@ pub struct Record {
     /// The depth network, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth: Option<NetworkRecord>,
-    /// What was read.
+    /// Input of the run or rendering.
     pub input: InputRecord,
-    /// What drew.
+    /// Renderer of the images.
     #[serde(default)]
     pub renderer: RendererRecord,
     /// False when the user stopped it; what was written is valid.
@@ -86,7 +86,7 @@ pub struct NetworkRecord {
     pub path: String,
     /// BLAKE3 of the file, and of its weights where they lie beside it.
     pub blake3: String,
-    /// What ran it, with its version.
+    /// Name and version of the runtime.
     pub runtime: String,
 }
 
@@ -109,7 +109,7 @@ impl NetworkRecord {
     }
 }
 
-/// What was drawn and what was not needed.
+/// Counts of rendering work, done and avoided.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Counts {
     /// Images.
@@ -121,7 +121,7 @@ pub struct Counts {
     pub dropped: u64,
 }
 
-/// What drew the images.
+/// Renderer of the images.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RendererRecord {
     /// `cpu` or `wgpu`.
@@ -129,7 +129,7 @@ pub struct RendererRecord {
     /// The graphics card.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub adapter: Option<String>,
-    /// Whether the images are the same to the last bit everywhere.
+    /// True if the images are bit-identical on every machine.
     pub bit_contract: bool,
 }
 
@@ -147,7 +147,7 @@ impl std::fmt::Display for RendererRecord {
     }
 }
 
-/// What was read.
+/// Input of a run or rendering.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct InputRecord {
     /// The input as an absolute path, or `-`.
@@ -184,11 +184,11 @@ pub struct WorkRecord {
     pub done: u64,
     /// Work that was not needed.
     pub avoided: u64,
-    /// What is counted.
+    /// Unit of the counts.
     pub unit: String,
 }
 
-/// What differs from run to run.
+/// Measurements that differ from run to run.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Timing {
     /// Seconds in all.
@@ -219,9 +219,9 @@ impl Timing {
 /// The engine's account over a run, parts of which earlier processes may have done.
 #[derive(Default)]
 pub struct Account {
-    /// What was done before this process, by stage.
+    /// Work done by earlier processes, by stage.
     before: BTreeMap<String, WorkRecord>,
-    /// What this process did only to catch up.
+    /// Work that this process did only to reach the resume point, by stage.
     caught_up: BTreeMap<String, WorkRecord>,
 }
 
@@ -294,7 +294,7 @@ mod tests {
     use super::*;
     use crate::options::args::{Cli, Command};
 
-    /// What the command line's words do.
+    /// Parses a command line as a task.
     fn task(words: &[&str]) -> Task {
         match Cli::try_parse_from(words).expect("a command").command {
             Command::Run(args) => Task::Run(Box::new(args.options)),
@@ -356,7 +356,7 @@ mod tests {
         [record, render].map(|record| record.to_json().expect("text"))
     }
 
-    /// What is read is written and read as the same.
+    /// Checks that a record is the same after it is written and read.
     fn survives(record: &Record) {
         let text = record.to_json().expect("text");
         assert_eq!(Record::parse(&text).expect("what was written").to_json().expect("text"), text);
@@ -371,7 +371,7 @@ mod tests {
         }
     }
 
-    /// What may stand in a spoilt file.
+    /// Fragments inserted to corrupt a file.
     const WORDS: [&str; 24] = [
         "",
         "0",

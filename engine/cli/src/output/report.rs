@@ -1,4 +1,4 @@
-//! What a run leaves to read: `run.json`, `report.md`, and a line.
+//! Reports of a run: `run.json`, `report.md` and a summary line.
 
 use std::fmt::Write;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! What a run is a function of, besides its input.
+//! Terms of a run: program version, options and model, which determine its output together with the input.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ use crate::output::record::{ModelRecord, NetworkRecord, Record, absolute};
 /// Options whose files are compared by their content instead.
 const BY_CONTENT: [&str; 2] = ["model", "dinov2"];
 
-/// Program, options and model.
+/// Program version, options and model.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Terms {
     version: String,

@@ -21,7 +21,7 @@ pub struct Ahead {
     account: Reading,
     /// Where it is told how close images came to frames, and what was chosen, where key frames depend on that.
     choices: Option<(Sender<Found>, Choices)>,
-    /// Whether there was a key frame.
+    /// True if a key frame has been returned.
     started: bool,
 }
 
@@ -68,7 +68,7 @@ impl Ahead {
         }
     }
 
-    /// What was chosen so far, where key frames depend on how close images come to frames.
+    /// Key frames chosen so far, where the choice depends on the PSNR of the images.
     pub fn choices(&self) -> Option<&Choices> {
         self.choices.as_ref().map(|(_, choices)| choices)
     }
@@ -83,7 +83,7 @@ impl Ahead {
         self.fps
     }
 
-    /// What was read up to the latest key frame that was given.
+    /// Input read up to the latest key frame that was returned.
     pub fn account(&self) -> &Reading {
         &self.account
     }

@@ -20,12 +20,12 @@ use crate::output::record::{Counts, RendererRecord, WorkRecord};
 /// Colour, depth and alpha.
 const PLANES: u64 = 3;
 
-/// What a camera that moves around a scene in time starts from: its first image.
+/// First image of a camera that moves around a scene in time; the motion is relative to it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Anchor {
-    /// When that is.
+    /// Time of the image.
     pub time: f64,
-    /// The scene's middle then.
+    /// Middle of the scene at that time.
     pub pivot: [f64; 3],
 }
 
@@ -56,7 +56,7 @@ impl Drawing {
         })
     }
 
-    /// What draws, for the record.
+    /// Renderer, for the record.
     pub fn renderer(&self) -> RendererRecord {
         RendererRecord {
             name: self.backend.to_string(),

@@ -30,12 +30,12 @@ pub struct Looker {
     account: NetworkAccount,
 }
 
-/// What a depth network has done.
+/// Work done by a depth network.
 #[derive(Clone, Debug, Default)]
 pub struct NetworkAccount {
     /// Version of the ONNX Runtime.
     pub runtime: String,
-    /// Frames that it was shown.
+    /// Frames evaluated.
     pub done: u64,
     /// Key frames that repeat the one before.
     pub avoided: u64,
@@ -77,7 +77,7 @@ impl KeyDepth {
         }
     }
 
-    /// What the network has done, if it is one.
+    /// Work done by the network; `None` where depth does not come from a network.
     pub fn account(&self) -> Option<NetworkAccount> {
         match self {
             KeyDepth::Network(looker) => Some(looker.account.clone()),

@@ -25,7 +25,7 @@ pub struct KeyFrame {
     pub truths: Vec<Truth>,
 }
 
-/// What was read.
+/// Account of the input read.
 #[derive(Clone, Debug)]
 pub struct Reading {
     /// Frames.
@@ -36,7 +36,7 @@ pub struct Reading {
     pub size: [usize; 2],
     /// Time spent reading.
     pub time: Duration,
-    /// What the depth network has done, if there is one.
+    /// Work done by the depth network, if there is one.
     pub network: Option<NetworkAccount>,
 }
 
@@ -79,7 +79,7 @@ pub struct KeyFrames {
     depth: KeyDepth,
     groups: gap::KeyFrames<TimedPicture>,
     keep: Keep,
-    /// Whether frames after the last key frame are left out.
+    /// True if frames after the last key frame are left out.
     whole_gaps: bool,
     limit: usize,
     digest: InputDigest,
@@ -134,7 +134,7 @@ impl KeyFrames {
         wanted
     }
 
-    /// What the latest choice rested on.
+    /// State of the controller at the latest choice.
     pub fn state(&mut self) -> ControlState {
         self.groups.chooser().state()
     }
@@ -152,7 +152,7 @@ impl KeyFrames {
         self.source.fps()
     }
 
-    /// What was read so far.
+    /// Account of the input read so far.
     pub fn account(&self) -> Reading {
         let network = self.depth.account();
         let looking = network.as_ref().map_or(Duration::ZERO, |network| network.time);

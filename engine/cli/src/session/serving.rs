@@ -54,7 +54,7 @@ impl Serving {
     }
 }
 
-/// What the page calls what is at `path`: the last name of it that says something.
+/// Title of the page for a scene at `path`: the last component other than `scene` and `scene.json`.
 pub fn title(path: &Path) -> String {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let generic = ["scene", "scene.json"];

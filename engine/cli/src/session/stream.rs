@@ -46,11 +46,11 @@ pub struct Stream<'a> {
 
 /// Input and terms of a run under way.
 pub struct RunOrigin<'a> {
-    /// What it is a function of, besides its input.
+    /// Program version, options and model, which determine the output together with the input.
     pub terms: &'a Terms,
     /// Where frames come from.
     pub input: &'a Path,
-    /// Whether it has intervals from before.
+    /// True if the run was resumed and has intervals of an earlier process.
     pub resumed: bool,
 }
 

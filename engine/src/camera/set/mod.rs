@@ -119,20 +119,20 @@ pub enum CameraFileError {
         /// The system's answer.
         cause: std::io::Error,
     },
-    /// Something is wrong in a file of this program.
+    /// Error in a file in this program's own format.
     #[error("{}: {cause}", path.display())]
     Own {
         /// The file.
         path: PathBuf,
-        /// What it is.
+        /// The error.
         cause: CameraError,
     },
-    /// Something is wrong in a file of another program.
+    /// Error in a file of another program.
     #[error("{}: {cause}", path.display())]
     Format {
         /// The file or the folder.
         path: PathBuf,
-        /// What it is.
+        /// The error.
         cause: FormatError,
     },
 }

@@ -48,7 +48,7 @@ const DEEPEST: usize = 64;
 /// The Gaussians of a whole binary file.
 ///
 /// # Errors
-/// What was expected and what was found, with the part's name.
+/// Returns a [`FormatError`] with the name of the part and the expected and found values.
 pub fn glb(bytes: &[u8]) -> Result<Still, FormatError> {
     within(bytes, &Beside::none(), &Limits::default())
 }

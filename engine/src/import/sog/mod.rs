@@ -45,7 +45,7 @@ pub(crate) const LARGEST: u8 = 252;
 /// The Gaussians of a whole `.sog` file.
 ///
 /// # Errors
-/// What was expected and what was found, with the part's name.
+/// Returns a [`FormatError`] with the name of the part and the expected and found values.
 pub fn sog(bytes: &[u8]) -> Result<Still, FormatError> {
     within(bytes, &Beside::none(), &Limits::default())
 }

@@ -34,7 +34,7 @@ pub(super) fn gunzip<H>(
     }
 }
 
-/// What a zstd frame of `size` bytes holds.
+/// Decompresses a zstd frame whose content is exactly `size` bytes.
 pub(super) fn zstd(name: &str, frame: &[u8], size: usize) -> Result<Vec<u8>, FormatError> {
     let broken = |found: String| FormatError::new(name, format!("a zstd frame of {size} bytes"), found);
     let mut decoder = FrameDecoder::new();

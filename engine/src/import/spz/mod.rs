@@ -38,13 +38,14 @@ const HEADER: usize = 32;
 const ANTIALIASED: u8 = 1;
 /// The highest degree of harmonics that a file may have.
 const MOST_DEGREE: u32 = 4;
-/// The most bytes that a byte of a file larger than [`SMALL`] may stand for. Files of real scenes have one to three; the reference
-/// implementation allows 1024, with which a file of a megabyte takes tens of gigabytes.
+/// Largest ratio of the decompressed to the compressed size, where the decompressed size exceeds [`SMALL`]. Files of
+/// real scenes have one to three; the reference implementation allows 1024, with which a file of a megabyte takes tens
+/// of gigabytes.
 const MOST_RATIO: u64 = 64;
-/// What any file may stand for, in bytes.
+/// Decompressed size that is allowed for any file, in bytes.
 const SMALL: u64 = 1 << 20;
 
-/// What an SPZ file says of itself.
+/// Header of an SPZ file.
 #[derive(Clone, Copy, Debug)]
 struct Header {
     version: u32,
@@ -119,7 +120,7 @@ impl Header {
 /// The Gaussians of a whole SPZ file.
 ///
 /// # Errors
-/// What was expected and what was found, with the part's name.
+/// Returns a [`FormatError`] with the name of the part and the expected and found values.
 pub fn spz(bytes: &[u8]) -> Result<Still, FormatError> {
     within(bytes, &Limits::default())
 }

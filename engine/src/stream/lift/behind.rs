@@ -46,7 +46,7 @@ pub(super) fn add(gaussians: &mut StaticGaussians, surfaces: &Surfaces<'_>) -> V
 }
 
 impl Surfaces<'_> {
-    /// What stands behind the Gaussian at this place.
+    /// Returns the Gaussian to add behind the one at this position, or `None` where no edge is near.
     fn behind(&self, [x, y, z]: [f32; 3]) -> Option<Behind> {
         let [height, width] = self.resolution();
         let (column, row) = (pixel(x, width)?, pixel(-z, height)?);

@@ -9,7 +9,7 @@ use super::{ANSWER_RATE, ANSWER_TIME, Answer, HEAD_TIME, Hosts, MAX_HEAD, Refusa
 
 /// Bytes written at once.
 const PIECE: usize = 64 << 10;
-/// What a client may still be sending after its answer: how long, and how much.
+/// Time and bytes for which a client is still read after its answer.
 const LINGER: (Duration, usize) = (Duration::from_millis(500), 256 << 10);
 
 /// Reads one request and answers it. A client that has gone away is nobody's failure.
@@ -36,7 +36,7 @@ fn left(end: Instant) -> io::Result<Duration> {
     if left.is_zero() { Err(io::ErrorKind::TimedOut.into()) } else { Ok(left) }
 }
 
-/// Whether a reading or writing ended for want of time: systems differ in how they say it.
+/// Returns true if a read or write timed out; the error kind differs between systems.
 fn is_late(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock)
 }

@@ -20,7 +20,7 @@ impl Hosts {
         Hosts { loopback: address.is_loopback(), names: names.to_vec() }
     }
 
-    /// Whether requests may name this host, with a port or without.
+    /// Returns true if requests may name this host, with or without a port.
     pub fn contain(&self, host: &str) -> bool {
         let allowed = |address: IpAddr| !self.loopback || address.is_loopback();
         if let Ok(address) = host.parse::<SocketAddr>() {

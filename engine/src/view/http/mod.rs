@@ -42,7 +42,7 @@ const REST: Duration = Duration::from_millis(50);
 /// How long the listener is waited for when it ends.
 const LAST_CALL: Duration = Duration::from_millis(200);
 
-/// What a request is answered with.
+/// Response to a request.
 #[derive(Clone, Debug)]
 pub struct Answer {
     /// Its status code.

@@ -2,14 +2,14 @@
 
 use super::MAX_HEADERS;
 
-/// What is asked for.
+/// Parsed head of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Request {
-    /// Whether the body is wanted: GET, not HEAD.
+    /// True if the response has a body: GET, not HEAD.
     pub body: bool,
     /// The path of the target, as it was sent.
     pub path: String,
-    /// What followed a `?`.
+    /// Query string: the part of the target after `?`.
     pub query: String,
     /// The `Host` header.
     pub host: String,

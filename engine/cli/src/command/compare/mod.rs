@@ -16,7 +16,7 @@ use crate::console::failure::Failure;
 use crate::console::{Console, print, say};
 use crate::options::args::CompareArgs;
 
-/// What a path holds.
+/// Kind of content at a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Kind {
     /// An image or a video.
@@ -67,7 +67,7 @@ struct Tolerance {
 }
 
 impl Tolerance {
-    /// Whether a difference passes; without limits none does.
+    /// Returns true if a difference is within the limits; without limits no difference passes.
     fn allows(self, largest: f64, psnr: f64) -> bool {
         let given = self.most.is_some() || self.psnr.is_some();
         given && self.most.is_none_or(|most| largest <= most) && self.psnr.is_none_or(|least| psnr >= least)
@@ -76,7 +76,7 @@ impl Tolerance {
 
 /// The result of a comparison.
 struct Outcome {
-    /// Whether all is equal or within the limits.
+    /// True if everything is equal or within the limits.
     passed: bool,
     /// One line.
     summary: String,

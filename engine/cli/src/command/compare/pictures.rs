@@ -16,7 +16,7 @@ use crate::output::digest;
 /// Lines that are said of pictures that differ.
 const LINES: usize = 20;
 
-/// What was found of all pictures so far.
+/// Results of all pictures compared so far.
 struct Account {
     tolerance: Tolerance,
     pictures: Vec<Value>,

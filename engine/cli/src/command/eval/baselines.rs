@@ -1,4 +1,4 @@
-//! What the scene is compared with: pictures made of the two key frames around.
+//! Baselines for the comparison with the scene: pictures made from the two surrounding key frames.
 
 use streamsplat::fit::Placement;
 use streamsplat::picture::Picture;

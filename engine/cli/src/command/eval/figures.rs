@@ -1,4 +1,4 @@
-//! What is measured: sums over frames, their means, and how they are written.
+//! Measurements: sums over frames, their means, and how they are written.
 
 use std::collections::BTreeMap;
 
@@ -83,7 +83,7 @@ impl Pops {
     }
 }
 
-/// What a key frame does to the image, beside what a frame's time does.
+/// Change of the image at a key frame, compared with the change from frame to frame.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(super) struct Pop {
     /// Mean absolute difference of the images at a key frame seen from the intervals before and after.
@@ -108,8 +108,7 @@ pub(super) struct Sums {
     pub(super) clips: usize,
 }
 
-/// What an interval gives, beside what was to be expected of it.
-/// An interval: how close its images are to the frames, and how close they were said to be.
+/// Measured PSNR of an interval's images, and the PSNR at which its frames are predicted from its key frames.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct IntervalFigures {
     /// After its first key frame.
@@ -124,7 +123,7 @@ pub(super) struct IntervalFigures {
     pub(super) worst: Option<f64>,
 }
 
-/// What one fusion mode gives.
+/// Scores of one fusion mode.
 #[derive(Serialize)]
 pub(super) struct Mode {
     pub(super) key: Score,

@@ -46,7 +46,7 @@ struct Figures {
     fit: String,
     precision: String,
     renderer: &'static str,
-    /// Whether the middle frames were given, too.
+    /// True if the middle frames were given to the engine, too.
     seen: bool,
     /// The quality asked for; what else is said here may differ from what it stands for.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -55,7 +55,7 @@ struct Figures {
     fade: &'static str,
     refine: u32,
     resolution: String,
-    /// What LPIPS was measured with.
+    /// Network that measured LPIPS.
     #[serde(skip_serializing_if = "Option::is_none")]
     lpips: Option<NetworkRecord>,
     clips: Vec<Row>,

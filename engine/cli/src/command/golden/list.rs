@@ -165,7 +165,7 @@ mod tests {
     /// A list with every key.
     const WHOLE: &str = "[[render]]\nname = 'a'\nscene = 'b.ply'\ncamera = 'c.json'\nview = 3\nsize = '6x4'\ntimes = [0, 0.5]\n\
                          fps = 12\nbackground = 0.25\norbit = '4:2'\nsway = 3\nturntable = 2.0\nstereo = true\neye_distance = 0.1\n";
-    /// What may stand in a spoilt list.
+    /// Fragments inserted to corrupt a list.
     const WORDS: [&str; 16] = [
         "",
         "0",

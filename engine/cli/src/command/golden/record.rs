@@ -1,4 +1,4 @@
-//! What was recorded: FILE.golden/record.json and previews beside it.
+//! Record of golden images: FILE.golden/record.json and previews beside it.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
