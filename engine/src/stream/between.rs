@@ -19,8 +19,6 @@ const PREDICTED: [f32; 4] = [0.2, 0.4, 0.6, 0.8];
 
 /// Pixels from one place at which depth is compared to the next, along rows and columns.
 const SPACING: usize = 4;
-/// Pixels by which flow forth may miss a place from which flow back started, beside a tenth of the way.
-const ASTRAY: f32 = 2.0;
 
 /// A frame as flow sees it.
 pub(super) struct FlowView {
@@ -128,24 +126,29 @@ impl Flows {
 
     /// Values of two depth maps, of the last and of the first key frame, at places that flow connects.
     ///
-    /// From every [`SPACING`]-th pixel of the last key frame, along rows and columns, the flow is followed back; a place
-    /// counts for nothing where its chain leaves the picture or the flow forth does not undo it.
-    pub(super) fn links(&self, last: &DepthMap, first: &DepthMap) -> Vec<Link> {
+    /// From every [`SPACING`]-th pixel of the last key frame, along rows and columns, the flow is followed back ([`flow::trace`]); places
+    /// that stray on the way count for nothing.
+    pub(super) fn links(&self, level: Level, last: &DepthMap, first: &DepthMap) -> Vec<Link> {
         let [height, width] = last.resolution;
         if first.resolution != last.resolution {
             return Vec::new();
         }
-        let mut links = Vec::with_capacity(height.div_ceil(SPACING) * width.div_ceil(SPACING));
-        for y in (SPACING / 2..height).step_by(SPACING) {
-            for x in (SPACING / 2..width).step_by(SPACING) {
-                let mut back = self.steps.iter().rev();
-                let Some([u, v]) = back.try_fold([x as f32, y as f32], stepped_back) else { continue };
-                let (column, row) = ((u + 0.5).max(0.0) as usize, (v + 0.5).max(0.0) as usize);
-                let there = row.min(height - 1) * width + column.min(width - 1);
-                links.push(Link { now: last.inverse[y * width + x], then: first.inverse[there] });
-            }
-        }
-        links
+        let back: Vec<Step<'_>> =
+            self.steps.iter().rev().map(|[forth, back]| Step { there: back, back: forth, distance: 1.0 }).collect();
+        let places: Vec<[usize; 2]> = (SPACING / 2..height)
+            .step_by(SPACING)
+            .flat_map(|y| (SPACING / 2..width).step_by(SPACING).map(move |x| [x, y]))
+            .collect();
+        let starts: Vec<[f32; 2]> = places.iter().map(|place| place.map(|at| at as f32)).collect();
+        let mut ends = vec![[0.0; 2]; starts.len()];
+        flow::trace(level, &starts, &back, &mut ends);
+        let kept = places.iter().zip(ends).filter(|(_, [u, _])| !u.is_nan());
+        kept.map(|(&[x, y], [u, v])| {
+            let (column, row) = ((u + 0.5).max(0.0) as usize, (v + 0.5).max(0.0) as usize);
+            let there = row.min(height - 1) * width + column.min(width - 1);
+            Link { now: last.inverse[y * width + x], then: first.inverse[there] }
+        })
+        .collect()
     }
 
     /// Pictures of the interval as flow predicts them from its key frames; none where there are frames in between.
@@ -154,19 +157,6 @@ impl Flows {
         let blend = Blend::new(level, [&a.rgb, &b.rgb], [forward, backward]);
         PREDICTED.map(|t| (t, blend.at(t))).to_vec()
     }
-}
-
-/// Place in the earlier of two frames that flow connects with `at` of the later one; `None` where that lies outside the
-/// picture or the flow forth does not lead back to within [`ASTRAY`] pixels and a tenth of the way.
-fn stepped_back(at: [f32; 2], [forth, back]: &[Field; 2]) -> Option<[f32; 2]> {
-    let [height, width] = back.size.map(|side| side as f32);
-    let length = |x: f32, y: f32| x.mul_add(x, y * y).sqrt();
-    let [u, v] = back.at(at[0], at[1]);
-    let to = [at[0] + u, at[1] + v];
-    let inside = (-0.5..=width - 0.5).contains(&to[0]) && (-0.5..=height - 0.5).contains(&to[1]);
-    let [forth_u, forth_v] = forth.at(to[0], to[1]);
-    let missed = length(u + forth_u, v + forth_v);
-    (inside && missed <= 0.1f32.mul_add(length(u, v), ASTRAY)).then_some(to)
 }
 
 /// Parameters of the flow.

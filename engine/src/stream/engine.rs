@@ -163,7 +163,7 @@ impl Engine {
             None => None,
             Some(state) => Flows::new(level, &mut self.work, [&state.view, &view], &seen, self.settings.flow),
         };
-        let map = view.own_map(tiles).map(|map| aligned(map, &view, self.state.as_ref(), flows.as_ref()));
+        let map = view.own_map(tiles).map(|map| aligned(level, map, &view, self.state.as_ref(), flows.as_ref()));
         self.context(tiles).finish(&mut view, map);
         let Self { settings, work, fitter, state: before, .. } = self;
         let mut next_pair = None;
@@ -355,13 +355,13 @@ impl Engine {
 }
 
 /// The map of a frame in the scale of the frame before, along the flow from it.
-fn aligned(map: DepthMap, view: &KeyView, state: Option<&State>, flows: Option<&Flows>) -> AlignedMap {
+fn aligned(level: Level, map: DepthMap, view: &KeyView, state: Option<&State>, flows: Option<&Flows>) -> AlignedMap {
     let before = state.and_then(|state| state.view.map.as_ref().map(|map| (&state.view, map)));
     let alignment = match before {
         None => Alignment::default(),
         Some((before, then)) if view.repeats(before) => then.alignment,
         Some((_, then)) => {
-            let links = flows.map_or_else(Vec::new, |flows| flows.links(&map, &then.map));
+            let links = flows.map_or_else(Vec::new, |flows| flows.links(level, &map, &then.map));
             align(&links, then.alignment)
         }
     };

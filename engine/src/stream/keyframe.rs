@@ -20,7 +20,8 @@ pub(super) struct KeyView {
     /// `[H, W]`
     depth: Option<Vec<f32>>,
     pub(super) tiles: Vec<TileView>,
-    /// The Gaussians of all tiles, in the frame's world; after [`Context::finish`] lifted to the frame's depth, and with colours that fit the frame where that is asked for.
+    /// The Gaussians of all tiles, in the frame's world, lifted to the frame's depth and with colours that fit the frame where that is asked for; none before
+    /// [`Context::finish`].
     pub(super) gaussians: Arc<StaticGaussians>,
     /// Of the last of these, which stand behind others, the places whose motion they have.
     pub(super) behind: Vec<[f32; 3]>,
@@ -106,8 +107,6 @@ impl Context<'_> {
         for at in 0..self.tiles.tiles.len() {
             tiles.push(self.tile(at, &rgb, depth.as_deref().filter(|_| !lifts), index)?);
         }
-        let of_tiles: Vec<_> = tiles.iter().map(|tile| tile.gaussians.clone()).collect();
-        let gaussians = self.tiles.gaussians(&of_tiles);
         let resolution = self.tiles.resolution;
         let flow = match self.settings.motion() {
             MotionFrom::Network => None,
@@ -115,10 +114,11 @@ impl Context<'_> {
                 self.work.time(Stage::Flow, || FlowView::new(level, &rgb, resolution, index, self.settings.flow))?,
             ),
         };
+        let gaussians = Arc::default();
         Ok((KeyView { rgb, depth, tiles, gaussians, behind: Vec::new(), map: None, flow, resolution }, lost))
     }
 
-    /// Lifts the Gaussians of a frame to `map` and fits their colours, where either is asked for.
+    /// Puts the Gaussians of a frame's tiles together, lifts them to `map` and fits their colours, where either is asked for.
     pub(super) fn finish(&mut self, view: &mut KeyView, map: Option<AlignedMap>) {
         let unchanged = |before: &&KeyView| {
             let same = |(then, now): (&TileView, &TileView)| Arc::ptr_eq(&then.gaussians, &now.gaussians);
@@ -130,6 +130,8 @@ impl Context<'_> {
             view.map = map;
             return;
         }
+        let of_tiles: Vec<_> = view.tiles.iter().map(|tile| tile.gaussians.clone()).collect();
+        view.gaussians = self.tiles.gaussians(&of_tiles);
         if let Some(AlignedMap { map, .. }) = &map {
             let behind = self.settings.behind == Behind::On;
             let gaussians = Arc::make_mut(&mut view.gaussians);

@@ -132,9 +132,10 @@ fn split(t: f32, lowest: f32) -> (f32, f32) {
     (t.round_ties_even(), t - t.round_ties_even())
 }
 
-/// `p · 2ⁿ`, exact.
+/// `p · 2ⁿ`, exact, for a whole n from −1022 to 1023.
 fn scaled(p: f32, n: f32) -> f32 {
-    (f64::from(p) * f64::from(n).exp2()) as f32
+    let power = f64::from_bits(((n as i64 + 1023) as u64) << 52);
+    (f64::from(p) * power) as f32
 }
 
 /// `2^t`, not below 2⁻⁶⁴.

@@ -41,71 +41,128 @@ pub struct Step<'a> {
 /// # Panics
 /// When there is not one velocity per start, a field's buffers do not fit its size, or sizes differ.
 pub fn follow(level: Level, starts: &[[f32; 2]], steps: &[Step<'_>], velocities: &mut [[f32; 2]]) {
-    assert_eq!(starts.len(), velocities.len(), "one velocity per start");
+    each(level, starts, steps, velocities, "follow", Follow);
+}
+
+/// Places that points from `starts` have after all `steps`; both numbers are NaN where a point is not finite or a step, even a single one, leaves the picture
+/// or does not come back ([`follow`]). Distances are not looked at.
+///
+/// # Panics
+/// As [`follow`], `ends` for velocities.
+pub fn trace(level: Level, starts: &[[f32; 2]], steps: &[Step<'_>], ends: &mut [[f32; 2]]) {
+    each(level, starts, steps, ends, "trace", Trace);
+}
+
+/// Calls `walk` with vectors of starts, on all threads, and stores what it gives.
+fn each(
+    level: Level,
+    starts: &[[f32; 2]],
+    steps: &[Step<'_>],
+    out: &mut [[f32; 2]],
+    step: &'static str,
+    walk: impl Walk,
+) {
+    assert_eq!(starts.len(), out.len(), "a result for each start");
     for step in steps {
         for field in [step.there, step.back] {
             field.check();
             assert_eq!(field.size, steps[0].there.size, "fields of one size");
         }
     }
-    let _span = debug_span!("flow", step = "follow", points = starts.len(), steps = steps.len()).entered();
-    for_each_chunk(velocities, TASK, |index, velocities| {
-        let starts = &starts[index * TASK..][..velocities.len()];
-        dispatch(level, Follow { starts, steps, velocities });
+    let _span = debug_span!("flow", step, points = starts.len(), steps = steps.len()).entered();
+    for_each_chunk(out, TASK, |index, out| {
+        let starts = &starts[index * TASK..][..out.len()];
+        dispatch(level, Points { starts, steps, out, walk });
     });
 }
 
-struct Follow<'a> {
-    starts: &'a [[f32; 2]],
-    steps: &'a [Step<'a>],
-    velocities: &'a mut [[f32; 2]],
+/// A result for each point of a vector.
+trait Walk: Copy + Sync + Send {
+    /// Of the points that start here and take these steps.
+    fn lanes<S: Simd>(self, s: S, start: [S::F32; 2], steps: &[Step<'_>]) -> [S::F32; 2];
 }
 
-impl Operation for Follow<'_> {
+#[derive(Clone, Copy)]
+struct Follow;
+
+#[derive(Clone, Copy)]
+struct Trace;
+
+struct Points<'a, W> {
+    starts: &'a [[f32; 2]],
+    steps: &'a [Step<'a>],
+    out: &'a mut [[f32; 2]],
+    walk: W,
+}
+
+impl<W: Walk> Operation for Points<'_, W> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let Self { starts, steps, velocities } = self;
-        for (starts, velocities) in starts.chunks(LANES).zip(velocities.chunks_mut(LANES)) {
+        let Self { starts, steps, out, walk } = self;
+        for (starts, out) in starts.chunks(LANES).zip(out.chunks_mut(LANES)) {
             let [mut x, mut y] = [[f32::NAN; LANES]; 2];
             for (i, start) in starts.iter().enumerate() {
                 (x[i], y[i]) = (start[0], start[1]);
             }
-            let [u, v] = lanes(s, [s.from_array(x), s.from_array(y)], steps).map(|axis| s.to_array(axis));
-            for (i, velocity) in velocities.iter_mut().enumerate() {
-                *velocity = [u[i], v[i]];
+            let [u, v] = walk.lanes(s, [s.from_array(x), s.from_array(y)], steps).map(|axis| s.to_array(axis));
+            for (i, out) in out.iter_mut().enumerate() {
+                *out = [u[i], v[i]];
             }
         }
     }
 }
 
-/// Velocities of one vector of points.
-#[inline(always)]
-fn lanes<S: Simd>(s: S, start: [S::F32; 2], steps: &[Step<'_>]) -> [S::F32; 2] {
-    let zero = s.splat(0.0);
-    // x − x is 0 for finite numbers, NaN for others.
-    let finite = |x: S::F32| s.eq(s.sub(x, x), zero);
-    let mut alive = s.and(finite(start[0]), finite(start[1]));
-    let (mut at, mut sums, mut squares) = (start, [zero; 2], zero);
-    for step in steps {
-        if !s.any(alive) {
-            break;
+impl Walk for Follow {
+    #[inline(always)]
+    fn lanes<S: Simd>(self, s: S, start: [S::F32; 2], steps: &[Step<'_>]) -> [S::F32; 2] {
+        let zero = s.splat(0.0);
+        let mut alive = finite(s, start);
+        let (mut at, mut sums, mut squares) = (start, [zero; 2], zero);
+        for step in steps {
+            if !s.any(alive) {
+                break;
+            }
+            let moved = sample(s, step.there, at);
+            let next = [s.add(at[0], moved[0]), s.add(at[1], moved[1])];
+            if steps.len() > 1 {
+                alive = s.and(alive, s.not(strays(s, step.back, moved, next)));
+            }
+            let distance = s.splat(step.distance);
+            for axis in 0..2 {
+                let sum = s.mul_add(distance, s.sub(next[axis], start[axis]), sums[axis]);
+                sums[axis] = s.select(alive, sum, sums[axis]);
+            }
+            squares = s.select(alive, s.mul_add(distance, distance, squares), squares);
+            at = next;
         }
-        let moved = sample(s, step.there, at);
-        let next = [s.add(at[0], moved[0]), s.add(at[1], moved[1])];
-        if steps.len() > 1 {
-            alive = s.and(alive, s.not(strays(s, step.back, moved, next)));
-        }
-        let distance = s.splat(step.distance);
-        for axis in 0..2 {
-            let sum = s.mul_add(distance, s.sub(next[axis], start[axis]), sums[axis]);
-            sums[axis] = s.select(alive, sum, sums[axis]);
-        }
-        squares = s.select(alive, s.mul_add(distance, distance, squares), squares);
-        at = next;
+        let none = s.eq(squares, zero);
+        sums.map(|sum| s.select(none, s.splat(f32::NAN), s.div(sum, squares)))
     }
-    let none = s.eq(squares, zero);
-    sums.map(|sum| s.select(none, s.splat(f32::NAN), s.div(sum, squares)))
+}
+
+impl Walk for Trace {
+    #[inline(always)]
+    fn lanes<S: Simd>(self, s: S, start: [S::F32; 2], steps: &[Step<'_>]) -> [S::F32; 2] {
+        let (mut alive, mut at) = (finite(s, start), start);
+        for step in steps {
+            if !s.any(alive) {
+                break;
+            }
+            let moved = sample(s, step.there, at);
+            at = [s.add(at[0], moved[0]), s.add(at[1], moved[1])];
+            alive = s.and(alive, s.not(strays(s, step.back, moved, at)));
+        }
+        at.map(|axis| s.select(alive, axis, s.splat(f32::NAN)))
+    }
+}
+
+/// The lanes on which both coordinates are finite.
+#[inline(always)]
+fn finite<S: Simd>(s: S, at: [S::F32; 2]) -> S::Mask {
+    // x − x is 0 for finite numbers, NaN for others.
+    let [x, y] = at.map(|x| s.eq(s.sub(x, x), s.splat(0.0)));
+    s.and(x, y)
 }
 
 /// The lanes on which a step by `moved`, to `next`, leaves the picture or does not come back.

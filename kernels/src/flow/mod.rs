@@ -53,7 +53,7 @@ use tracing::debug_span;
 
 pub use blend::Blend;
 pub use field::{Field, warp};
-pub use follow::{Step, follow};
+pub use follow::{Step, follow, trace};
 pub use options::{FlowError, Options};
 pub use pyramid::Pyramid;
 

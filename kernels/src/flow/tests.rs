@@ -392,6 +392,21 @@ fn followed([x, y]: [f32; 2], steps: &[Step<'_>]) -> [f32; 2] {
     if squares == 0.0 { none } else { sums.map(|sum| sum / squares) }
 }
 
+/// [`trace`] point by point; `None` for a point that strays.
+fn traced(start: [f32; 2], steps: &[Step<'_>]) -> Option<[f32; 2]> {
+    let length = |x: f32, y: f32| x.mul_add(x, y * y).sqrt();
+    let from = Some(start).filter(|start| start.iter().all(|x| x.is_finite()))?;
+    steps.iter().try_fold(from, |at, step| {
+        let [h, w] = step.there.size.map(|side| side as f32);
+        let [u, v] = step.there.at(at[0], at[1]);
+        let to = [at[0] + u, at[1] + v];
+        let inside = (-0.5..=w - 0.5).contains(&to[0]) && (-0.5..=h - 0.5).contains(&to[1]);
+        let [back_u, back_v] = step.back.at(to[0], to[1]);
+        let astray = length(u + back_u, v + back_v) > 0.1_f32.mul_add(length(u, v), 2.0);
+        (inside && !astray).then_some(to)
+    })
+}
+
 #[test]
 fn points_follow_the_flow_as_in_the_reference_to_the_bit() {
     for size @ [h, w] in [[1, 1], [1, 40], [9, 8], [61, 97]] {
@@ -422,6 +437,15 @@ fn points_follow_the_flow_as_in_the_reference_to_the_bit() {
                     found[k].to_bits() == expected[k].to_bits() || (found[k].is_nan() && expected[k].is_nan())
                 };
                 assert!(same(0) && same(1), "{h}×{w}, from {:?}: {found:?}, expected {expected:?}", starts[i]);
+            }
+            let ends = on_every_level_and_thread_count(2 * starts.len(), |level, ends| {
+                trace(level, &starts, steps, ends.as_chunks_mut::<2>().0);
+            });
+            for (start, end) in starts.iter().zip(ends.as_chunks::<2>().0) {
+                let expected = traced(*start, steps).unwrap_or([f32::NAN; 2]);
+                let same =
+                    |k: usize| end[k].to_bits() == expected[k].to_bits() || (end[k].is_nan() && expected[k].is_nan());
+                assert!(same(0) && same(1), "{h}×{w}, from {start:?}: {end:?}, expected {expected:?}");
             }
             assert!(steps.is_empty() || expected.iter().any(|v| v[0].is_finite()), "some points are followed");
         }

@@ -21,6 +21,7 @@ from pathlib import Path
 # Text in a command → what stands for it here.
 REPLACED = {
     "-f v4l2 -i /dev/video0": "-i clip.mp4",
+    "trained 5000000 large.ply": "trained 5000 $PWD/large.ply",
 }
 # Beginnings of commands → what runs them.
 ELSEWHERE = {
