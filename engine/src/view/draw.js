@@ -16,6 +16,7 @@ class Drawing {
     this.splat = this.program("splat.vert", "splat.frag");
     this.resolve = this.program("resolve.vert", "resolve.frag");
     this.packet = null;
+    this.ordered = null;
     this.records = gl.createTexture();
     this.rates = gl.createTexture();
     this.order = gl.createBuffer();
@@ -131,7 +132,8 @@ class Drawing {
       gl.uniform1i(splat.at.mode, mode);
       gl.bindVertexArray(this.splats);
       gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-      gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
+      if (this.ordered !== order) gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
+      this.ordered = order;
       gl.enable(gl.BLEND);
       gl.blendFunc(gl.ONE_MINUS_DST_ALPHA, gl.ONE);
       gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, order.length);

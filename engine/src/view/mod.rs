@@ -12,7 +12,8 @@ pub mod packet;
 mod page;
 mod server;
 mod source;
+mod text;
 
-pub use page::{PageError, write_page};
+pub use page::{Link, PageError, poster, write_page};
 pub use server::{ServeError, Server};
 pub use source::{Description, IntervalTimes, Live, Recorded, Source};

@@ -21,6 +21,9 @@ function inverseDepths(packet) {
   return { far: low - wider, middle, near: high + wider };
 }
 
+/** The same, found once. */
+const depthsOf = (packet) => (packet.depths ??= inverseDepths(packet));
+
 /** The world position of record i at t in [0, 1] of its interval. */
 function worldAt(packet, i, t) {
   const tau = t - packet.reference(i);

@@ -41,10 +41,6 @@ pub const VERSION: u32 = 2;
 pub const HEADER: usize = 96;
 /// Bytes of a record.
 pub const RECORD: usize = 32;
-/// Bytes of an age.
-const AGE: usize = 2;
-/// Bytes of a rate.
-const RATE: usize = 3;
 /// Smallest opacity that is drawn.
 const VISIBLE: f32 = 1.0 / 255.0;
 /// Steps of the largest rate.
@@ -53,22 +49,6 @@ const RATE_STEPS: f32 = 127.0;
 const STEPS: f64 = 65535.0;
 /// The identity's part of a record's last word.
 const IDENTITY: u64 = (1 << 56) - 1;
-
-/// The bytes of a packet in an order that compresses well: the header, then the first byte of every record, the second of every one, and so on; likewise of the ages and
-/// of the rates, if there are any.
-pub fn by_columns(packet: &[u8]) -> Vec<u8> {
-    let (header, rest) = packet.split_at(HEADER.min(packet.len()));
-    let count = header.get(32..36).map_or(0, |bytes| bytes.iter().rev().fold(0, |sum, &b| sum << 8 | usize::from(b)));
-    let mut out = header.to_vec();
-    let mut rest = rest;
-    for width in [RECORD, AGE, RATE] {
-        let (part, after) = rest.split_at((count * width).min(rest.len()));
-        (0..width).for_each(|byte| out.extend(part.iter().skip(byte).step_by(width)));
-        rest = after;
-    }
-    out.extend_from_slice(rest);
-    out
-}
 
 /// The packet of an interval.
 ///
@@ -175,36 +155,6 @@ mod tests {
         let placement = Placement::new(Fit::Letterbox, [24, 40], [24, 40]).expect("sizes");
         let workers = Workers::new(Level::scalar(), 1).expect("a thread");
         Interval { index: 70_000, start: 0.25, end: 0.5, gaussians, placement, merges: Vec::new(), dropped: 0, workers }
-    }
-
-    #[test]
-    fn columns_hold_every_byte_once_and_short_packets_are_left_as_they_are() {
-        for rates in [false, true] {
-            let mut records = records();
-            if !rates {
-                records.iter_mut().for_each(|record| record.rgb_rate = [0.0; 3]);
-            }
-            let bytes = packet(&interval(records.into_iter().collect()));
-            let columns = by_columns(&bytes);
-            let count = (bytes.len() - HEADER) / (RECORD + AGE + if rates { RATE } else { 0 });
-            assert_eq!(bytes.len(), HEADER + count * (RECORD + AGE + if rates { RATE } else { 0 }));
-            let mut rows = columns[..HEADER].to_vec();
-            rows.resize(bytes.len(), 0);
-            let mut at = HEADER;
-            for width in [RECORD, AGE, RATE] {
-                if at + count * width > columns.len() {
-                    break;
-                }
-                for (k, byte) in columns[at..at + count * width].iter().enumerate() {
-                    rows[at + k % count * width + k / count] = *byte;
-                }
-                at += count * width;
-            }
-            assert!(rows == bytes, "rates: {rates}");
-        }
-        for length in [0, 10, HEADER] {
-            assert_eq!(by_columns(&vec![0; length]).len(), length);
-        }
     }
 
     fn records() -> Vec<Record> {

@@ -15,9 +15,12 @@ const PAUSE = "M5 3h3.5v14H5zM11.5 3H15v14h-3.5z";
 
 const canvas = find("canvas");
 const embedded = find("scene");
-const store = new Store(embedded ? new Embedded(embedded) : new Served());
+const helper = new Helper();
+const orders = new Orders(helper, () => (stale = true));
+const store = new Store(embedded ? new Embedded(embedded, helper) : new Served(helper), (interval) => orders.forget(interval));
 const camera = new Camera();
-const sorter = new Sorter();
+const sway = new Sway(camera);
+const pace = new Pace();
 let drawing = null;
 
 const state = {
@@ -110,7 +113,7 @@ function listTimes() {
 
 /** Makes the canvas as large as it is seen; a device may have several pixels to one of the page. */
 function fit() {
-  const scale = Math.min(window.devicePixelRatio || 1, 2);
+  const scale = Math.min(window.devicePixelRatio || 1, 2) * pace.detail;
   const [width, height] = [window.innerWidth, window.innerHeight].map((side) => Math.max(1, Math.round(side * scale)));
   if (canvas.width === width && canvas.height === height) return;
   canvas.width = width;
@@ -123,7 +126,7 @@ function place() {
   if (performance.now() < again) return;
   placing ??= store.fetch(0).then(
     (first) => {
-      camera.depth = depthOf(inverseDepths(first).middle);
+      camera.depth = depthOf(depthsOf(first).middle);
       placed = stale = true;
     },
     (e) => {
@@ -166,16 +169,23 @@ function picture() {
     place();
     return false;
   }
-  sorter.take(packet);
-  const { far, near } = sorter.inverseDepths;
+  const { far, near } = depthsOf(packet);
   const t = packet.end > packet.start ? clamp((state.time - packet.start) / (packet.end - packet.start), 0, 1) : 0;
   const view = camera.view(canvas.width, canvas.height);
-  const order = sorter.sort(packet, t, view);
+  const moving = state.playing || state.following;
+  orders.want(interval, t, view, moving && store.kept.has(interval + 1) ? interval + 1 : null);
+  const found = orders.of(interval, t, view);
+  if (!found) return false;
+  // The order of a moment ago serves while things move; where they rest, the picture is exact.
+  const { order, exact } = found;
   drawing.draw(packet, order, t, view, { mode: state.mode, background: state.background, range: [far, near] });
   state.shown = { packet, interval, order, t, view };
-  canvas.dataset.shown = String(state.time);
+  pace.drew();
+  find("poster")?.remove();
+  if (moving || (exact && pace.detail === 1)) canvas.dataset.shown = String(state.time);
   describe();
   mark();
+  // An order that is still to come makes it stale again.
   return true;
 }
 
@@ -192,7 +202,7 @@ function describe() {
   slider.setAttribute("aria-valuetext", `${state.time.toFixed(digits)} seconds of ${end.toFixed(digits)}, frame ${frame}`);
   if (document.activeElement !== slider || Number(slider.value) !== state.time) slider.value = state.time;
   if (state.mode === 1) {
-    const { far, near } = sorter.inverseDepths;
+    const { far, near } = depthsOf(packet);
     write("near", `near ${depthOf(clamp(near, 0, 1)).toPrecision(2)}`);
     write("far", `${depthOf(clamp(far, 0, 1)).toPrecision(2)} far`);
   }
@@ -220,6 +230,8 @@ let before = performance.now();
 function turn(now) {
   const seconds = Math.min(0.1, Math.max(0, (now - before) / 1000));
   before = now;
+  if (sway.advance(seconds)) stale = true;
+  if (pace.turn(now, state.playing || state.following || sway.on || stale)) stale = true;
   fit();
   if (store.times.length && drawing) {
     // Time waits for an interval that is still to come.
@@ -255,6 +267,9 @@ function choose(place) {
 
 /** Takes the view from the address (#t=0.5&yaw=20&…), so that a link shows what its sender saw. */
 function readAddress() {
+  // The picture there is shows another view.
+  delete canvas.dataset.shown;
+  stale = true;
   const said = new URLSearchParams(location.hash.slice(1));
   const number = (key, otherwise) => {
     const value = Number.parseFloat(said.get(key));
@@ -298,6 +313,7 @@ function writeAddress() {
 // ---- What the user does ---------------------------------------------------------------------------------------------------------
 
 function changed() {
+  sway.stop();
   stale = true;
   writeAddress();
 }
@@ -403,6 +419,7 @@ function listenToPointers() {
     return { middle: [0, 1].map((i) => (a[i] + b[i]) / 2), width: Math.hypot(a[0] - b[0], a[1] - b[1]) };
   };
   canvas.addEventListener("pointerdown", (e) => {
+    sway.stop();
     canvas.setPointerCapture(e.pointerId);
     canvas.focus({ preventScroll: true });
     if (!down.size) travelled = 0;
@@ -446,9 +463,11 @@ function listen() {
   listenToKeys();
   listenToButtons();
   listenToPointers();
-  window.addEventListener("hashchange", () => readAddress());
+  window.addEventListener("hashchange", () => (sway.stop(), readAddress()));
   canvas.addEventListener("webglcontextlost", (e) => (e.preventDefault(), (drawing = null)));
   canvas.addEventListener("webglcontextrestored", () => ((drawing = new Drawing(canvas)), (stale = true)));
+  // For measurements: what the worker did, and how many pictures were drawn.
+  canvas.work = () => ({ ...orders.work, pictures: pace.pictures });
 }
 
 // ---- Streams --------------------------------------------------------------------------------------------------------------------
@@ -500,6 +519,7 @@ async function begin() {
     keepUp();
   } else {
     play(!still);
+    if (!still && !location.hash) sway.start();
   }
   requestAnimationFrame(turn);
 }

@@ -4,19 +4,24 @@ use std::io::{self, Write};
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use flate2::Compression;
-use flate2::write::DeflateEncoder;
 
-use super::Source;
-use super::packet::by_columns;
-use crate::scene::SceneError;
+use super::text::text;
+use super::{Recorded, Source};
+use crate::camera::Camera;
+use crate::output::picture_png;
+use crate::picture::Picture;
+use crate::render::{RenderError, RenderOptions};
+use crate::scene::{COARSENESS, ImageChunks, SceneError};
 
 const TEMPLATE: &str = include_str!("page.html");
 /// Placeholders in the template, one per part.
 const STYLE: &str = "/* page.css */";
 const SHADERS: &str = "<!-- shaders -->";
+const WORKER: &str = "/* worker */";
 const SCRIPT: &str = "/* scripts */";
 const SCENE: &str = "<!-- scene -->";
+const LINK: &str = "<!-- link -->";
+const INTERVALS: &str = "<!-- intervals -->";
 
 /// Programs of the graphics processor, by the names that the scripts use.
 const SHADER_FILES: [(&str, &str); 4] = [
@@ -27,29 +32,47 @@ const SHADER_FILES: [(&str, &str); 4] = [
 ];
 
 /// The scripts, joined to one module in this order.
-const SCRIPT_FILES: [&str; 8] = [
+const SCRIPT_FILES: [&str; 11] = [
+    include_str!("text.js"),
     include_str!("packet.js"),
     include_str!("store.js"),
+    include_str!("helper.js"),
     include_str!("motion.js"),
     include_str!("camera.js"),
-    include_str!("sort.js"),
     include_str!("draw.js"),
     include_str!("pick.js"),
+    include_str!("sway.js"),
+    include_str!("pace.js"),
     include_str!("page.js"),
 ];
 
-/// The page without a scene, in two parts: a scene inside the page stands between them.
-pub(super) fn halves() -> (String, String) {
+/// The scripts of the worker, likewise.
+const WORKER_FILES: [&str; 7] = [
+    include_str!("text.js"),
+    include_str!("packet.js"),
+    include_str!("motion.js"),
+    include_str!("camera.js"),
+    include_str!("chunk.js"),
+    include_str!("sort.js"),
+    include_str!("worker.js"),
+];
+
+/// The page without a scene.
+pub(super) fn bare() -> String {
+    filled().replacen(SCENE, "", 1).replacen(LINK, "", 1).replacen(INTERVALS, "", 1)
+}
+
+/// The page with places for a scene.
+fn filled() -> String {
     let shaders: Vec<String> = SHADER_FILES
         .iter()
         .map(|(name, text)| format!("<script type=\"text/plain\" id=\"{name}\">{text}</script>"))
         .collect();
-    let page = TEMPLATE
+    TEMPLATE
         .replacen(STYLE, include_str!("page.css"), 1)
         .replacen(SHADERS, &shaders.join("\n"), 1)
-        .replacen(SCRIPT, &SCRIPT_FILES.join("\n"), 1);
-    let (before, after) = page.split_once(SCENE).unwrap_or((&page, ""));
-    (before.to_owned(), after.to_owned())
+        .replacen(WORKER, &WORKER_FILES.join("\n"), 1)
+        .replacen(SCRIPT, &SCRIPT_FILES.join("\n"), 1)
 }
 
 /// Why a page could not be written.
@@ -62,6 +85,9 @@ pub enum PageError {
     /// An interval of the list is not to be had any more.
     #[error("interval {0}: expected all that the scene lists, found it gone")]
     Gone(usize),
+    /// The poster cannot be drawn.
+    #[error(transparent)]
+    Poster(#[from] RenderError),
     /// The description has no JSON form.
     #[error("scene: {0}")]
     Description(#[from] serde_json::Error),
@@ -70,32 +96,90 @@ pub enum PageError {
     Write(#[from] io::Error),
 }
 
+/// Description of a page for programs that show links.
+#[derive(Clone, Debug)]
+pub struct Link {
+    /// The page's title.
+    pub title: String,
+    /// Where the page will be, where that is known.
+    pub url: Option<String>,
+    /// Where its poster will be: an address, or one relative to the page.
+    pub image: String,
+}
+
+impl Link {
+    /// The page's title, and the tags of Open Graph, which programs that show links read.
+    fn tags(&self, [height, width]: [usize; 2]) -> String {
+        let url = self.url.as_ref().map(|url| ("og:url", url.clone()));
+        let properties = [
+            ("og:type", "website".to_owned()),
+            ("og:title", self.title.clone()),
+            ("og:description", "A video as a scene that can be turned: dynamic 3D Gaussians".to_owned()),
+            ("og:image", self.image.clone()),
+            ("og:image:width", width.to_string()),
+            ("og:image:height", height.to_string()),
+        ];
+        let tags = properties.into_iter().chain(url);
+        let tags = tags.map(|(name, value)| format!("<meta property=\"{name}\" content=\"{}\">\n", escaped(&value)));
+        tags.chain(["<meta name=\"twitter:card\" content=\"summary_large_image\">".to_owned()]).collect()
+    }
+}
+
+/// Text as the value of an attribute.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
+}
+
+/// The scene's first picture, of the size that the model saw it in, as PNG.
+///
+/// # Errors
+/// A scene that cannot be read or drawn.
+pub fn poster(source: &Recorded) -> Result<(Vec<u8>, [usize; 2]), PageError> {
+    let interval = source.interval(0)?;
+    let options = RenderOptions::default();
+    let image = interval.render(interval.start, &Camera::Canonical, &options)?;
+    let (width, height) = (image.width, image.height);
+    Ok((picture_png(&Picture { width, height, rgb: image.rgb }), [height, width]))
+}
+
 /// Writes the page with the whole of `source` in it: one file that needs nothing else. Returns the number of its bytes.
 ///
-/// The description goes into it as JSON, each interval's packet by bytes of equal weight ([`by_columns`]), deflated, as base64.
+/// Everything that makes the page work comes first, then the intervals in order, so that the first ones can be seen while
+/// others are still to come. Each is a container's chunk without what images do not need (`docs/container.md`, "Inside a page"), as printable text.
 ///
 /// # Errors
 /// A source that cannot be read, and what `out` says.
-pub fn write_page(source: &dyn Source, out: &mut dyn Write) -> Result<u64, PageError> {
+pub fn write_page(source: &Recorded, link: &Link, out: &mut dyn Write) -> Result<u64, PageError> {
     let mut written = 0;
     let mut put = |out: &mut dyn Write, text: &str| -> io::Result<()> {
         written += text.len() as u64;
         out.write_all(text.as_bytes())
     };
-    let (before, after) = halves();
-    put(out, &before)?;
+    let (poster, size) = poster(source)?;
     let description = source.describe(0);
+    let mut json = serde_json::to_value(&description)?;
+    json["coarseness"] = COARSENESS.to_vec().into();
     // No text inside can end the element.
-    let json = serde_json::to_string(&description)?.replace('<', "\\u003c");
-    put(out, &format!("<script type=\"application/json\" id=\"scene\">{json}</script>\n"))?;
-    for i in description.from..description.from + description.intervals.len() {
-        let packet = source.packet(i)?.ok_or(PageError::Gone(i))?;
-        let mut deflated = DeflateEncoder::new(Vec::new(), Compression::best());
-        deflated.write_all(&by_columns(&packet))?;
-        let text = STANDARD.encode(deflated.finish()?);
+    let json = serde_json::to_string(&json)?.replace('<', "\\u003c");
+    let image = format!("<img id=\"poster\" alt=\"\" src=\"data:image/png;base64,{}\">\n", STANDARD.encode(poster));
+    let scene = format!("{image}<script type=\"application/json\" id=\"scene\">{json}</script>");
+    // The scene's own words are put in last, so that none of them is taken for a mark.
+    let page = filled();
+    let (head, rest) = page.split_once(LINK).unwrap_or((&page, ""));
+    let (body, rest) = rest.split_once(SCENE).unwrap_or((rest, ""));
+    let (scripts, after) = rest.split_once(INTERVALS).unwrap_or((rest, ""));
+    for part in [head, &link.tags(size), body, &scene, scripts] {
+        put(out, part)?;
+    }
+    let mut chunks = ImageChunks::default();
+    for i in 0..description.intervals.len() {
+        let interval = source.interval(i)?;
+        let (chunk, alone) = chunks.next(&interval);
+        let index = interval.index.to_le_bytes();
+        let text = text(&[&index[..], &[u8::from(alone)], &chunk].concat());
         put(out, &format!("<script type=\"text/plain\" id=\"interval-{i}\">{text}</script>\n"))?;
     }
-    put(out, &after)?;
+    put(out, after)?;
     Ok(written)
 }
 
@@ -103,27 +187,43 @@ pub fn write_page(source: &dyn Source, out: &mut dyn Write) -> Result<u64, PageE
 mod tests {
     use super::*;
 
+    const MARKS: [&str; 7] = [STYLE, SHADERS, WORKER, SCRIPT, SCENE, LINK, INTERVALS];
+
     #[test]
     fn every_part_has_its_place_and_ends_no_element_early() {
-        for mark in [STYLE, SHADERS, SCRIPT, SCENE] {
+        for mark in MARKS {
             assert_eq!(TEMPLATE.matches(mark).count(), 1, "{mark}");
         }
         let shaders = SHADER_FILES.iter().map(|(_, text)| *text);
-        for part in shaders.chain(SCRIPT_FILES).chain([include_str!("page.css")]) {
+        for part in shaders.chain(SCRIPT_FILES).chain(WORKER_FILES).chain([include_str!("page.css")]) {
             assert!(!part.contains("</script") && !part.contains("</style"));
-            assert!([STYLE, SHADERS, SCRIPT, SCENE].iter().all(|mark| !part.contains(mark)));
+            assert!(MARKS.iter().all(|mark| !part.contains(mark)));
         }
     }
 
     #[test]
     fn the_page_names_no_other_place() {
-        let (before, after) = halves();
-        let page = before + &after;
+        let page = bare();
         // Names of namespaces are no addresses.
         let page = page.replace("http://www.w3.org/2000/svg", "");
         for address in ["http:", "https:", "src=", "@import", "url(", "import("] {
             assert!(!page.contains(address), "{address}");
         }
         assert!(page.contains("default-src 'none'") && page.contains("connect-src 'self'"));
+    }
+
+    #[test]
+    fn a_link_is_described_whatever_the_title() {
+        let link =
+            Link { title: "a \"b\" <c>".into(), url: Some("https://d.example/?e&f".into()), image: "g.png".into() };
+        let tags = link.tags([288, 512]);
+        for expected in [
+            r#""og:title" content="a &quot;b&quot; &lt;c>""#,
+            r#""og:url" content="https://d.example/?e&amp;f""#,
+            r#""og:image" content="g.png""#,
+            r#""og:image:width" content="512""#,
+        ] {
+            assert!(tags.contains(expected), "{expected}: {tags}");
+        }
     }
 }

@@ -34,8 +34,7 @@ impl Server {
     /// # Errors
     /// An address that cannot be listened on.
     pub fn start(address: SocketAddr, names: &[String], source: Arc<dyn Source>) -> Result<Server, ServeError> {
-        let (before, after) = page::halves();
-        let page: Arc<[u8]> = (before + &after).into_bytes().into();
+        let page: Arc<[u8]> = page::bare().into_bytes().into();
         let answer = move |request: &Request| match request.path.as_str() {
             "/" => Answer { status: 200, media_type: "text/html; charset=utf-8", body: page.clone() },
             "/scene.json" => description(&*source, &request.query),

@@ -1,19 +1,14 @@
-// Front to back: a counting sort by depth.
+// Front to back: a counting sort by depth, and after it only what moved.
 
 const BINS = 1 << 16;
+/** The part of all records that is moved one by one at most; where more moved, all are sorted. */
+const FEW = 1 / 8;
 
-/** Sorts a packet's records; keeps its arrays from one sort to the next. */
+/** Keeps a packet's records in order, from one time and view to the next. */
 class Sorter {
-  constructor() {
-    this.packet = null;
-    this.counts = new Uint32Array(BINS + 1);
-  }
-
-  /** Positions and velocities as numbers, once per packet. */
-  take(packet) {
-    if (this.packet === packet) return;
-    this.packet = packet;
+  constructor(packet) {
     const { count, shorts, positionLow, positionStep, velocityLow, velocityStep } = packet;
+    this.count = count;
     this.position = new Float32Array(count * 3);
     this.velocity = new Float32Array(count * 3);
     this.reference = new Uint8Array(count);
@@ -24,45 +19,93 @@ class Sorter {
         this.velocity[3 * i + axis] = velocityLow[axis] + velocityStep[axis] * shorts[i * SHORTS + 3 + axis];
       }
     }
-    this.inverseDepths = inverseDepths(packet);
     this.depth = new Float32Array(count);
+    this.seen = new Uint8Array(count);
+    /** All records, nearest first; none before the first sort. */
     this.order = new Uint32Array(count);
+    this.spare = new Uint32Array(count);
+    this.moved = new Uint32Array(count);
+    this.sorted = false;
   }
 
   /**
-   * The records that may be seen at t, nearest first, equal depths (to a 65,535th of their range) in drawing order.
+   * The records that may be seen at t, nearest first, equal depths in drawing order; and how many were looked at and moved.
    */
-  sort(packet, t, { axes, eye, pinhole }) {
-    this.take(packet);
-    const { position, velocity, reference, depth, counts, order } = this;
+  sort(t, view) {
+    this.look(t, view);
+    let moved = this.sorted ? this.mend() : -1;
+    if (moved < 0) {
+      this.all();
+      moved = this.count;
+    }
+    this.sorted = true;
+    const shown = new Uint32Array(this.count);
+    let total = 0;
+    for (const i of this.order) if (this.seen[i]) shown[total++] = i;
+    return { order: shown.slice(0, total), work: { records: this.count, moved } };
+  }
+
+  /** Depths, and whether a record may be seen. */
+  look(t, { axes, eye, pinhole }) {
+    const { position, velocity, reference, depth, seen } = this;
     const [fx, fy, fz] = axes[2];
     const offset = dot(axes[2], eye);
     const nearest = pinhole ? 1e-3 : 0;
-    let [low, high] = [Infinity, -Infinity];
-    for (let i = 0; i < packet.count; i++) {
+    for (let i = 0; i < this.count; i++) {
       const tau = t - reference[i];
       const y = position[3 * i + 1] + velocity[3 * i + 1] * tau;
       const x = position[3 * i] + velocity[3 * i] * tau;
       const z = position[3 * i + 2] + velocity[3 * i + 2] * tau;
-      const d = fx * x - fy * z + fz * depthOf(y) - offset;
-      const seen = y >= 0 && y <= 1 && d > nearest;
-      depth[i] = seen ? d : Infinity;
-      if (seen) {
-        if (d < low) low = d;
-        if (d > high) high = d;
+      depth[i] = fx * x - fy * z + fz * depthOf(Math.min(1, Math.max(0, y))) - offset;
+      seen[i] = y >= 0 && y <= 1 && depth[i] > nearest ? 1 : 0;
+    }
+  }
+
+  /** Sorts everything by counting. */
+  all() {
+    const { depth, order, count } = this;
+    let [low, high] = [Infinity, -Infinity];
+    for (let i = 0; i < count; i++) {
+      if (depth[i] < low) low = depth[i];
+      if (depth[i] > high) high = depth[i];
+    }
+    const scale = high > low ? (BINS - 1) / (high - low) : 0;
+    const counts = new Uint32Array(BINS + 1);
+    for (let i = 0; i < count; i++) counts[(((depth[i] - low) * scale) | 0) + 1]++;
+    for (let bin = 0; bin < BINS; bin++) counts[bin + 1] += counts[bin];
+    for (let i = 0; i < count; i++) order[counts[((depth[i] - low) * scale) | 0]++] = i;
+    // Depths far apart leave many records in one bin: each bin is sorted by itself.
+    for (let bin = 0, from = 0; bin < BINS; from = counts[bin++]) {
+      if (counts[bin] - from > 1) order.subarray(from, counts[bin]).sort((a, b) => depth[a] - depth[b] || a - b);
+    }
+  }
+
+  /** Takes out of the last order what is out of place, sorts that, and merges both; −1 where that is too much. */
+  mend() {
+    const { depth, order, spare, moved, count } = this;
+    const most = count * FEW;
+    const before = (a, b) => depth[a] < depth[b] || (depth[a] === depth[b] && a < b);
+    let [kept, out] = [0, 0];
+    for (let place = 0; place < count; place++) {
+      const i = order[place];
+      if (kept && before(i, spare[kept - 1])) {
+        if (out >= most) return -1;
+        // Either of the two may be the one that moved: the last one, if what came before it is still in order.
+        if (kept === 1 || before(spare[kept - 2], i)) {
+          moved[out++] = spare[kept - 1];
+          spare[kept - 1] = i;
+        } else {
+          moved[out++] = i;
+        }
+      } else {
+        spare[kept++] = i;
       }
     }
-    if (low > high) return order.subarray(0, 0);
-    const scale = high > low ? (BINS - 1) / (high - low) : 0;
-    counts.fill(0);
-    for (let i = 0; i < packet.count; i++) {
-      if (depth[i] !== Infinity) counts[(((depth[i] - low) * scale) | 0) + 1]++;
+    if (!out) return 0;
+    const those = moved.subarray(0, out).sort((a, b) => (before(a, b) ? -1 : 1));
+    for (let place = 0, a = 0, b = 0; place < count; place++) {
+      order[place] = b === out || (a < kept && before(spare[a], those[b])) ? spare[a++] : those[b++];
     }
-    for (let bin = 0; bin < BINS; bin++) counts[bin + 1] += counts[bin];
-    const total = counts[BINS];
-    for (let i = 0; i < packet.count; i++) {
-      if (depth[i] !== Infinity) order[counts[((depth[i] - low) * scale) | 0]++] = i;
-    }
-    return order.subarray(0, total);
+    return out;
   }
 }

@@ -67,6 +67,11 @@ impl Recorded {
     pub fn new(title: impl Into<String>, scene: Scene, workers: Workers) -> Recorded {
         Recorded { title: title.into(), scene, workers }
     }
+
+    /// Interval `i`, of which there must be so many.
+    pub(super) fn interval(&self, i: usize) -> Result<Interval, SceneError> {
+        self.scene.interval(i, &self.workers)
+    }
 }
 
 impl Source for Recorded {

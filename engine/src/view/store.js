@@ -3,47 +3,75 @@
 /** The most bytes of packets kept. */
 const KEPT = 256 * 2 ** 20;
 
-/** Bytes of a packet's header; of its records, ages and rates. */
-const HEADER_BYTES = 96;
-const WIDTHS = [32, 2, 3];
-
-/** The bytes of a packet from those by columns: of each part the first byte of every entry, then the second, and so on. */
-function byRows(columns) {
-  const bytes = new Uint8Array(columns.length);
-  bytes.set(columns.subarray(0, HEADER_BYTES));
-  const count = new DataView(columns.buffer, columns.byteOffset).getUint32(32, true);
-  let start = HEADER_BYTES;
-  for (const width of WIDTHS) {
-    if (start + count * width > columns.length) break;
-    for (let byte = 0, from = start; byte < width; byte++) {
-      for (let to = start + byte, end = start + count * width; to < end; to += width) bytes[to] = columns[from++];
-    }
-    start += count * width;
-  }
-  return bytes;
-}
-
-/** A scene inside this file. */
+/** A scene inside this file: its intervals are texts that follow the scripts, and may be still to come. */
 class Embedded {
-  constructor(element) {
+  constructor(element, helper) {
     this.description = JSON.parse(element.textContent);
+    this.helper = helper;
+    /** The interval whose text the worker was given last, on from which it goes without those before. */
+    this.given = -1;
   }
 
   async describe(from) {
     return { ...this.description, from, intervals: this.description.intervals.slice(from) };
   }
 
-  async packet(i) {
-    const text = atob(document.getElementById(`interval-${i}`).textContent);
-    const bytes = new Uint8Array(text.length);
-    for (let k = 0; k < text.length; k++) bytes[k] = text.charCodeAt(k);
-    const inflated = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
-    return new Packet(byRows(new Uint8Array(await new Response(inflated).arrayBuffer())).buffer);
+  /** The text of interval i, once the browser has read it to its end. */
+  text(i) {
+    const whole = () => {
+      const element = document.getElementById(`interval-${i}`);
+      if (element && (element.nextSibling || document.readyState !== "loading")) return element.textContent;
+      if (document.readyState !== "loading") throw new Error("the file ends before it");
+      return null;
+    };
+    return new Promise((done, failed) => {
+      const look = () => {
+        try {
+          const text = whole();
+          if (text === null) setTimeout(look, 20);
+          else done(text);
+        } catch (e) {
+          failed(e);
+        }
+      };
+      look();
+    });
+  }
+
+  async packet(interval) {
+    await this.text(interval);
+    const texts = [];
+    for (let i = interval; ; i--) {
+      if (i === this.given) break;
+      texts.unshift(await this.text(i));
+      // The ninth byte says whether it needs the one before.
+      if (bytesOf(texts[0].slice(0, 12))[8]) break;
+    }
+    // Nothing is left to give where it is the last one again.
+    if (!texts.length) {
+      this.given = -1;
+      return this.packet(interval);
+    }
+    this.given = interval;
+    const { start, end } = this.description.intervals[interval];
+    const { coarseness } = this.description;
+    const place = interval - texts.length + 1;
+    try {
+      const { buffer } = await this.helper.ask({ kind: "texts", interval, place, texts, times: { start, end }, coarseness });
+      return new Packet(buffer);
+    } catch (e) {
+      this.given = -1;
+      throw e;
+    }
   }
 }
 
 /** A scene behind the server this page came from. */
 class Served {
+  constructor(helper) {
+    this.helper = helper;
+  }
+
   async get(path) {
     const response = await fetch(path);
     if (!response.ok) throw new Error((await response.text()).trim());
@@ -54,15 +82,19 @@ class Served {
     return (await this.get(`scene.json?from=${from}`)).json();
   }
 
-  async packet(i) {
-    return new Packet(await (await this.get(`interval/${i}`)).arrayBuffer());
+  async packet(interval) {
+    const bytes = await (await this.get(`interval/${interval}`)).arrayBuffer();
+    const { buffer } = await this.helper.ask({ kind: "packet", interval, buffer: bytes }, [bytes]);
+    return new Packet(buffer);
   }
 }
 
 /** The list of intervals, and the packets that were asked for last. */
 class Store {
-  constructor(source) {
+  /** `left`: what is done with an interval that is no longer kept. */
+  constructor(source, left) {
     this.source = source;
+    this.left = left;
     this.about = null;
     this.times = [];
     this.kept = new Map();
@@ -133,6 +165,7 @@ class Store {
     for (const [oldest, { size }] of this.kept) {
       if (this.bytes <= KEPT || oldest === i) break;
       this.kept.delete(oldest);
+      this.left(oldest);
       this.bytes -= size;
     }
     return packet;

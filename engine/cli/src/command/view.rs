@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use streamsplat::import::open_moving;
-use streamsplat::output::Partial;
-use streamsplat::view::{PageError, Recorded, Server, write_page};
+use streamsplat::output::{Partial, write_whole};
+use streamsplat::view::{Link, PageError, Recorded, Server, poster, write_page};
 
 use crate::console::failure::Failure;
 use crate::console::{Console, say};
@@ -26,9 +26,13 @@ pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     let scene = open_moving(&args.scene, &args.limit.limits())?;
     let source = Recorded::new(title(&args.scene), scene, workers);
     if let Some(file) = &args.html {
-        let bytes = write_file(&source, file)?;
+        let image = file.with_extension("png");
+        let link = link(title(&args.scene), args.url.as_deref(), file, &image);
+        let bytes = write_file(&source, &link, file)?;
+        write_whole(&image, &poster(&source)?.0)?;
         if !console.quiet {
-            say(format!("{}: {bytes} bytes", file.display()))?;
+            let (page, image) = (file.display(), image.display());
+            say(format!("{page}: {:.1} MB; {image}: what a link to it shows", bytes as f64 / 1e6))?;
         }
         return Ok(());
     }
@@ -44,12 +48,21 @@ pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     Ok(())
 }
 
+/// What a link to the page shows: the poster lies beside the page.
+fn link(title: String, url: Option<&str>, file: &Path, image: &Path) -> Link {
+    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let folder = url.map(|url| url.strip_suffix(&name(file)).unwrap_or(url));
+    let image =
+        folder.map_or_else(|| name(image), |folder| format!("{}/{}", folder.trim_end_matches('/'), name(image)));
+    Link { title, url: url.map(str::to_owned), image }
+}
+
 /// Writes the page with the scene in it: whole or not at all.
-fn write_file(source: &Recorded, file: &Path) -> Result<u64, Failure> {
+fn write_file(source: &Recorded, link: &Link, file: &Path) -> Result<u64, Failure> {
     let partial = Partial::create(file)?;
     let failed = |e: std::io::Error| Failure::work(format!("{}: cannot write: {e}", file.display()));
     let mut out = BufWriter::new(std::fs::File::create(partial.path()).map_err(failed)?);
-    let bytes = write_page(source, &mut out).map_err(|e| match e {
+    let bytes = write_page(source, link, &mut out).map_err(|e| match e {
         PageError::Write(e) => failed(e),
         other => other.into(),
     })?;

@@ -475,6 +475,9 @@ pub struct ViewArgs {
     /// Serve nothing: write the page with the scene in it as this file, which opens by itself
     #[arg(long, value_name = "FILE", conflicts_with_all = ["port", "host", "allow_host"])]
     pub html: Option<PathBuf>,
+    /// Where the page of --html will be on the web, for the tags that programs read which show links; its poster is FILE.png beside it
+    #[arg(long, value_name = "URL", requires = "html")]
+    pub url: Option<String>,
     #[command(flatten)]
     pub limit: Limit,
     #[command(flatten)]

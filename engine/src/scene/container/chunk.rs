@@ -112,6 +112,22 @@ fn following_offset(parent: &Quantised, mean: &[i64]) -> [i64; 3] {
 
 /// An interval's chunk. `before`: the records of the interval before, empty for a chunk that stands alone.
 pub(super) fn encode(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> Vec<u8> {
+    stored(&columns(before, records, merges))
+}
+
+/// The columns of [`encode`] that an image needs; those of tracked points and of merges are empty.
+#[cfg(feature = "viewer")]
+pub(super) fn encode_for_images(before: &[Quantised], records: &[Quantised]) -> Vec<u8> {
+    let mut columns = columns(before, records, &[]);
+    columns[FIRST + OFFSET..FIRST + OFFSET + 3].fill(Column::default());
+    stored(&columns)
+}
+
+fn stored(columns: &[Column]) -> Vec<u8> {
+    streamsplat_kernels::parallel::map_indexed(columns.len(), |i| columns[i].stored()).concat()
+}
+
+fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Column; COLUMNS.len()] {
     let mut columns: [Column; COLUMNS.len()] = std::array::from_fn(|_| Column::default());
     let carried: BTreeMap<(u64, u64), usize> =
         before.iter().enumerate().map(|(i, r)| ((r.identity, r.frame), i)).collect();
@@ -166,7 +182,7 @@ pub(super) fn encode(before: &[Quantised], records: &[Quantised], merges: &[Merg
             *column = Column::default();
         }
     }
-    streamsplat_kernels::parallel::map_indexed(columns.len(), |i| columns[i].stored()).concat()
+    columns
 }
 
 /// Records and merges of a chunk of `version`, of which there are `count` and `merges`.

@@ -9,6 +9,8 @@
 
 mod chunk;
 mod columns;
+#[cfg(feature = "viewer")]
+mod images;
 mod index;
 mod quantise;
 mod read;
@@ -16,6 +18,8 @@ mod read;
 mod tests;
 mod write;
 
+#[cfg(feature = "viewer")]
+pub(crate) use images::{COARSENESS, ImageChunks};
 pub(super) use read::Container;
 pub use read::intervals_from_container;
 pub use write::ContainerWriter;

@@ -1,0 +1,41 @@
+//! Chunks for a page that only draws: coarser numbers, and no columns that images do not need.
+
+use super::ALONE_EVERY;
+use super::chunk::encode_for_images;
+use super::quantise::{OFFSET, Quantised, VALUES};
+use crate::stream::Interval;
+
+/// Steps of a container's whole numbers to one of a page's, in the order of the columns from `mean_x` on: a sixteenth of a pixel of
+/// 512×288 along x and z, a sixteenth of an opacity, a fifth of an octave of scale, a 64th of a colour.
+pub(crate) const COARSENESS: [i64; VALUES] = [8, 64, 16, 1, 1, 1, 64, 16, 16, 8, 12, 12, 16, 16, 16, 1, 1, 24, 32, 32];
+
+/// Chunks of intervals one after another.
+#[derive(Debug, Default)]
+pub(crate) struct ImageChunks {
+    count: usize,
+    before: Vec<Quantised>,
+}
+
+impl ImageChunks {
+    /// The chunk of the next interval, and whether it stands alone.
+    pub(crate) fn next(&mut self, interval: &Interval) -> (Vec<u8>, bool) {
+        let sound = interval.gaussians.iter().filter(|record| record.is_sound());
+        let records: Vec<Quantised> = sound.map(|record| coarser(Quantised::of(&record))).collect();
+        let alone = self.count.is_multiple_of(ALONE_EVERY);
+        let before = if alone { &[] } else { self.before.as_slice() };
+        let bytes = interval.workers.install(|| encode_for_images(before, &records));
+        self.count += 1;
+        self.before = records;
+        (bytes, alone)
+    }
+}
+
+/// In a page's steps, rounded half up.
+fn coarser(mut record: Quantised) -> Quantised {
+    for (value, step) in record.values.iter_mut().zip(COARSENESS) {
+        *value = (2 * *value + step).div_euclid(2 * step);
+    }
+    // Nothing is predicted from a tracked point that no column holds.
+    record.values[OFFSET..OFFSET + 3].fill(0);
+    record
+}

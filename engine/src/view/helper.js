@@ -1,0 +1,85 @@
+// The page's side of the worker: questions with numbers, and the orders that came last.
+
+class Helper {
+  constructor() {
+    const source = new Blob([document.getElementById("worker").textContent], { type: "text/javascript" });
+    const address = URL.createObjectURL(source);
+    this.worker = new Worker(address);
+    this.asked = new Map();
+    this.last = 0;
+    this.worker.onmessage = ({ data: { ticket, error, ...answer } }) => {
+      const { done, failed } = this.asked.get(ticket);
+      this.asked.delete(ticket);
+      if (error === undefined) done(answer);
+      else failed(new Error(error));
+    };
+  }
+
+  ask(question, transferred = []) {
+    const ticket = ++this.last;
+    return new Promise((done, failed) => {
+      this.asked.set(ticket, { done, failed });
+      this.worker.postMessage({ ...question, ticket }, transferred);
+    });
+  }
+
+  forget(interval) {
+    this.worker.postMessage({ kind: "forget", interval });
+  }
+}
+
+const sameView = (a, b) => a.eye.every((x, i) => x === b.eye[i]) && a.axes.flat().every((x, i) => x === b.axes.flat()[i]) && a.pinhole === b.pinhole;
+
+/** Orders of records: one question is under way at a time, and the last one that was wanted comes next. */
+class Orders {
+  constructor(helper, came) {
+    this.helper = helper;
+    this.came = came;
+    this.known = new Map();
+    this.wanted = null;
+    this.next = null;
+    this.busy = false;
+    /** What the worker did: orders made, records looked at, and of these the ones that had to be moved. */
+    this.work = { orders: 0, records: 0, moved: 0 };
+  }
+
+  /** The order of an interval that was made last, and whether it is that of t and the view. */
+  of(interval, t, view) {
+    const last = this.known.get(interval);
+    return last ? { order: last.order, exact: last.t === t && sameView(last.view, view) } : null;
+  }
+
+  /** Asks for the order at t; and for the following interval's first one, if that has none. */
+  want(interval, t, view, following) {
+    const { eye, axes, pinhole } = view;
+    const seen = { eye, axes, pinhole };
+    if (!this.of(interval, t, view)?.exact) this.wanted = { interval, t, view: seen };
+    this.next = following === null || this.known.has(following) ? null : { interval: following, t: 0, view: seen };
+    this.go();
+  }
+
+  async go() {
+    if (this.busy) return;
+    const question = this.wanted ?? this.next;
+    if (!question) return;
+    this.wanted === question ? (this.wanted = null) : (this.next = null);
+    this.busy = true;
+    const { order, work } = await this.helper.ask({ kind: "sort", ...question }).catch(() => ({ order: null }));
+    this.busy = false;
+    if (order) {
+      this.work.orders++;
+      this.work.records += work.records;
+      this.work.moved += work.moved;
+      this.known.set(question.interval, { ...question, order });
+      // Of intervals left behind the order is of no use.
+      if (this.known.size > 4) this.known.delete(this.known.keys().next().value);
+      this.came();
+    }
+    this.go();
+  }
+
+  forget(interval) {
+    this.known.delete(interval);
+    this.helper.forget(interval);
+  }
+}

@@ -1,0 +1,47 @@
+// The worker: takes chunks apart and keeps records in order, so that the page only draws.
+
+const chunks = new Chunks();
+const sorters = new Map();
+/** Chunks are taken apart one after another. */
+let queue = Promise.resolve();
+
+function taken(ticket, interval, buffer) {
+  sorters.set(interval, new Sorter(new Packet(buffer)));
+  postMessage({ ticket, buffer }, [buffer]);
+}
+
+const WORK = {
+  /** A packet as it came from the server. */
+  packet({ ticket, interval, buffer }) {
+    taken(ticket, interval, buffer);
+  },
+
+  /** The texts of the intervals that end with this one. */
+  texts({ ticket, interval, ...rest }) {
+    queue = queue.then(async () => {
+      try {
+        taken(ticket, interval, await chunks.take(rest));
+      } catch (e) {
+        chunks.place = -1;
+        postMessage({ ticket, error: e.message });
+      }
+    });
+  },
+
+  sort({ ticket, interval, t, view }) {
+    const { order, work } = sorters.get(interval)?.sort(t, view) ?? { order: null };
+    postMessage({ ticket, order, work }, order ? [order.buffer] : []);
+  },
+
+  forget({ interval }) {
+    sorters.delete(interval);
+  },
+};
+
+onmessage = ({ data }) => {
+  try {
+    WORK[data.kind](data);
+  } catch (e) {
+    postMessage({ ticket: data.ticket, error: e.message });
+  }
+};
