@@ -2,7 +2,7 @@
 //!
 //! Embedding, tokens, condition and Gaussians of the last key frame are functions of that frame: they are computed again, to the
 //! same bits. What is not a function of it is the canonical set: who survives, and which identity each of the frame's
-//! Gaussians carries. That is a [`Memory`]; it is small beside what it spares.
+//! Gaussians carries, and the depth that earlier frames tell of it. That is a [`Memory`]; it is small beside what it spares.
 
 use std::sync::Arc;
 
@@ -10,6 +10,7 @@ use super::canonical::{CanonicalSet, Current};
 use super::engine::State;
 use super::identities::Identities;
 use super::{Engine, EngineError, Frame, Record, Reuse};
+use crate::parallax::Found;
 
 /// A stream's memory at a key frame: with that frame, enough to go on ([`Engine::recall`]).
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -28,6 +29,8 @@ pub struct Memory {
     pub next_identity: u64,
     /// Factor and offset that bring the frame's depth map to the scale of the frames before; `None` where it is lifted to none.
     pub depth: Option<[f32; 2]>,
+    /// Depth found by parallax for the frame; `None` where none was.
+    pub found: Option<Found>,
 }
 
 impl Engine {
@@ -44,6 +47,7 @@ impl Engine {
                 current: current.clone(),
                 next_identity: identities.next(),
                 depth: state.view.map.as_ref().map(|map| map.alignment.into()),
+                found: state.found.clone(),
             }
         })
     }
@@ -56,9 +60,11 @@ impl Engine {
     pub fn recall(&mut self, memory: &Memory, frame: Frame) -> Result<(), EngineError> {
         let workers = self.workers().clone();
         workers.install(|| {
-            let (placement, view) = self.see(frame, memory.frame, memory.timestamp, memory.depth.into())?;
+            let (placement, view) =
+                self.see(frame, memory.frame, memory.timestamp, memory.depth.into(), memory.found.as_ref())?;
             let gaussians = Arc::clone(&view.gaussians);
-            if let Some(reason) = memory.contradiction(gaussians.position.len()) {
+            let found = memory.found.as_ref().and_then(|found| found.contradiction(placement.model));
+            if let Some(reason) = found.or_else(|| memory.contradiction(gaussians.position.len())) {
                 return Err(EngineError::Memory { index: memory.frame, reason });
             }
             let set = CanonicalSet {
@@ -70,7 +76,7 @@ impl Engine {
                 identities: Identities::from(memory.next_identity),
             };
             let (frame, timestamp) = (memory.frame, memory.timestamp);
-            self.set_state(State { frame, timestamp, placement, view, pair: None, set });
+            self.set_state(State { frame, timestamp, placement, view, pair: None, set, found: memory.found.clone() });
             Ok(())
         })
     }

@@ -36,13 +36,14 @@ pub(crate) enum Stage {
     Condition,
     Decoder,
     Flow,
+    Parallax,
     Lift,
     Fusion,
     Colours,
 }
 
 impl Stage {
-    const ALL: [(Stage, &'static str, &'static str); 10] = [
+    const ALL: [(Stage, &'static str, &'static str); 11] = [
         (Stage::Fit, "fit", "frames"),
         (Stage::Encoder, "encoder", "tiles"),
         (Stage::Upsampler, "upsampler", "tiles"),
@@ -50,6 +51,7 @@ impl Stage {
         (Stage::Condition, "dinov2", "tiles"),
         (Stage::Decoder, "decoder", "pairs of tiles"),
         (Stage::Flow, "flow", "pairs of frames"),
+        (Stage::Parallax, "parallax", "intervals"),
         (Stage::Lift, "lift", "frames"),
         (Stage::Fusion, "fusion", "intervals"),
         (Stage::Colours, "colours", "steps"),
@@ -63,6 +65,7 @@ impl Stage {
             Stage::Fit => tracing::info_span!("fit"),
             Stage::Fusion => tracing::info_span!("fusion"),
             Stage::Flow => tracing::info_span!("flow"),
+            Stage::Parallax => tracing::info_span!("parallax"),
             Stage::Lift => tracing::info_span!("lift"),
             Stage::Colours => tracing::info_span!("colours"),
             _ => tracing::Span::none(),
