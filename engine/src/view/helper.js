@@ -28,6 +28,8 @@ class Helper {
   }
 }
 
+/** Whether two questions ask for the same order. */
+const sameOrder = (a, b) => a.interval === b.interval && a.t === b.t && sameView(a.view, b.view);
 const sameView = (a, b) => a.eye.every((x, i) => x === b.eye[i]) && a.axes.flat().every((x, i) => x === b.axes.flat()[i]) && a.pinhole === b.pinhole;
 
 /** Orders of records: one question is under way at a time, and the last one that was wanted comes next. */
@@ -38,7 +40,8 @@ class Orders {
     this.known = new Map();
     this.wanted = null;
     this.next = null;
-    this.busy = false;
+    /** The question under way. */
+    this.asking = null;
     /** What the worker did: orders made, records looked at, and of these the ones that had to be moved. */
     this.work = { orders: 0, records: 0, moved: 0 };
   }
@@ -53,19 +56,21 @@ class Orders {
   want(interval, t, view, following) {
     const { eye, axes, pinhole } = view;
     const seen = { eye, axes, pinhole };
-    if (!this.of(interval, t, view)?.exact) this.wanted = { interval, t, view: seen };
+    const question = { interval, t, view: seen };
+    const comes = this.of(interval, t, view)?.exact || (this.asking && sameOrder(this.asking, question));
+    this.wanted = comes ? null : question;
     this.next = following === null || this.known.has(following) ? null : { interval: following, t: 0, view: seen };
     this.go();
   }
 
   async go() {
-    if (this.busy) return;
+    if (this.asking) return;
     const question = this.wanted ?? this.next;
     if (!question) return;
     this.wanted === question ? (this.wanted = null) : (this.next = null);
-    this.busy = true;
+    this.asking = question;
     const { order, work } = await this.helper.ask({ kind: "sort", ...question }).catch(() => ({ order: null }));
-    this.busy = false;
+    this.asking = null;
     if (order) {
       this.work.orders++;
       this.work.records += work.records;

@@ -16,7 +16,7 @@ const PAUSE = "M5 3h3.5v14H5zM11.5 3H15v14h-3.5z";
 const canvas = find("canvas");
 const embedded = find("scene");
 const helper = new Helper();
-const orders = new Orders(helper, () => (stale = true));
+const orders = new Orders(helper, () => (due = true));
 const store = new Store(embedded ? new Embedded(embedded, helper) : new Served(helper), (interval) => orders.forget(interval));
 const camera = new Camera();
 const sway = new Sway(camera);
@@ -33,8 +33,10 @@ const state = {
   shown: null, // { packet, interval, order, t, view } of the picture on the screen
 };
 
-/** Whether the next frame must be drawn although nothing plays. */
+/** Whether the next frame must be drawn although nothing plays: something changed. */
 let stale = true;
+/** Whether a better order came for what is on the screen: it is drawn again, and nothing moved. */
+let due = false;
 let placed = false;
 let placing = null;
 
@@ -185,7 +187,7 @@ function picture() {
   if (moving || (exact && pace.detail === 1)) canvas.dataset.shown = String(state.time);
   describe();
   mark();
-  // An order that is still to come makes it stale again.
+  // An order that is still to come makes it due again.
   return true;
 }
 
@@ -236,7 +238,10 @@ function turn(now) {
   if (store.times.length && drawing) {
     // Time waits for an interval that is still to come.
     if (!state.shown || store.held(store.find(state.time))) advance(seconds);
-    if (stale) stale = !picture();
+    if (stale || due) {
+      due = false;
+      stale = !picture();
+    }
   }
   requestAnimationFrame(turn);
 }
