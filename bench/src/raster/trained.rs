@@ -10,6 +10,7 @@ use streamsplat_kernels::raster::{ColourMap, OwnedGaussians, Projection, Rendere
 
 use super::scenes::Scene;
 use super::{Stages, check, peak_rss_bytes};
+use crate::fit::ensure_near;
 use crate::timing::once;
 
 /// Gaussians.
@@ -94,7 +95,7 @@ pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<Row> 
         let prepare = fastest(repeat, || map.prepare(&gaussians, &scene.projection, SIZE));
         let mut linear = vec![0.0; 3 * SIZE[0] * SIZE[1]];
         map.forward(gaussians.rgb, scene.request.background, &mut linear);
-        ensure!(linear == renderer.image().rgb, "{count} Gaussians: the map's image is not the rasteriser's");
+        ensure_near(&linear, &renderer.image().rgb).with_context(|| format!("{count} Gaussians"))?;
         let mut sums = vec![[0.0; 3]; count];
         let adjoint = fastest(repeat, || map.adjoint(&linear, &mut sums));
         // ⟨A·c, A·c⟩ = ⟨c, Aᵀ·A·c⟩, on black.

@@ -282,8 +282,8 @@ impl ColourMap {
         assert_eq!(image.len(), 3 * width * height, "three planes of {width}×{height} pixels");
     }
 
-    /// `image = A·colours + T·background`, `[3, H, W]`: to the bit [`super::render`]'s image of the Gaussians with
-    /// these colours, when colours are finite.
+    /// `image = A·colours + T·background`, `[3, H, W]`: [`super::render`]'s image of the Gaussians with these colours but for the rounding
+    /// of the weights, when colours are finite.
     ///
     /// # Panics
     /// When there is not one colour per Gaussian, or `image` is not of the map's size.
