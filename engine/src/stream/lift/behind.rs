@@ -85,3 +85,36 @@ impl Surfaces<'_> {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::{DepthMap, FAR, NEAR};
+    use super::*;
+
+    #[test]
+    fn near_things_get_what_lies_beyond_their_edge_as_far_as_reach_and_no_further() {
+        const SIZE: [usize; 2] = [4, 64];
+        let near = |x: usize| (20..40).contains(&x) || (42..46).contains(&x);
+        let plane = |of: &dyn Fn(usize) -> f32| -> Vec<f32> { (0..4 * 64).map(|at| of(at % 64)).collect() };
+        let inverse = plane(&|x| f32::from(u8::from(near(x))));
+        let map = DepthMap { inverse: inverse.clone(), confidence: None, resolution: SIZE };
+        // Near things are red, the ground is green.
+        let frame = [inverse, plane(&|x| f32::from(u8::from(!near(x)))), plane(&|_| 0.0)].concat();
+        let surfaces = Surfaces::new(&map, &frame);
+        let middle = |x: usize| (2.0 * x as f32 + 1.0) / 64.0 - 1.0;
+        let at = |x: usize| surfaces.behind([middle(x), NEAR, 0.1]);
+        // 64 / REACH = 2 pixels.
+        for x in (22..38).chain((0..64).filter(|x| !near(*x))) {
+            let y = if near(x) { NEAR } else { FAR };
+            assert!(surfaces.behind([middle(x), y, 0.1]).is_none(), "column {x}");
+        }
+        for (x, seen) in [(20, 18), (21, 18), (38, 41), (39, 41), (42, 40), (45, 47)] {
+            let behind = at(x).unwrap_or_else(|| panic!("column {x}"));
+            assert_eq!(behind.rgb, [0.0, 1.0, 0.0], "column {x}");
+            let [there, y, z] = behind.position;
+            assert_eq!([there, z], [middle(x), 0.1]);
+            assert!(y < FAR && y > FAR - 0.1, "column {x}: {y}");
+            assert_eq!(behind.seen[0], middle(seen), "column {x}");
+        }
+    }
+}
