@@ -3,19 +3,31 @@
 const ALPHA_MIN = 1 / 255;
 const LOW_PASS = 0.3;
 
+/** The camera's axes in a Gaussian's own, times its standard deviations, widened as splat.vert says. */
+function rowsOf(packet, i, view, z) {
+  const unit = view.focal.map((f) => (view.pinhole ? f / z : f));
+  const [mx, my] = unit.map((f, axis) => LOW_PASS * Math.max(0, view.own[axis] ** -2 - f ** -2));
+  const deviation = packet.deviation(i).map((s, k) => Math.sqrt(s * s + [mx, my, 0.5 * (mx + my)][k]));
+  return view.axes.map((axis) => axis.map((a, k) => a * deviation[k]));
+}
+
+/** The same of a still scene. */
+function stillRows(packet, i, view) {
+  const [own, deviation] = [packet.axes(i), packet.deviation(i)];
+  return view.axes.map((axis) => own.map((mine, k) => dot(axis, mine) * deviation[k]));
+}
+
 /** α of record i on the pixel (x, y), as splat.vert and splat.frag have it; 0 where it does not reach. */
 function alphaOn(packet, i, t, view, x, y) {
   const point = sceneAt(packet, i, t);
   if (!point) return 0;
   const [u, v, z] = project(view, point);
-  if (z <= (view.pinhole ? 1e-3 : 0)) return 0;
-  const unit = view.focal.map((f) => (view.pinhole ? f / z : f));
-  const [mx, my] = unit.map((f, axis) => LOW_PASS * Math.max(0, view.own[axis] ** -2 - f ** -2));
-  const deviation = packet.deviation(i).map((s, k) => Math.sqrt(s * s + [mx, my, 0.5 * (mx + my)][k]));
-  const rows = view.axes.map((axis) => axis.map((a, k) => a * deviation[k]));
+  if (z <= nearest(view)) return 0;
+  const rows = packet.still ? stillRows(packet, i, view) : rowsOf(packet, i, view, z);
   const [right, down] = [[u - 0.5 * view.width, 0], [v - 0.5 * view.height, 1]].map(([offset, axis]) => {
     if (!view.pinhole) return rows[axis].map((m) => m * view.focal[axis]);
-    return rows[axis].map((m, k) => (m * view.focal[axis] - offset * rows[2][k]) / z);
+    const beside = packet.still ? 0.65 * [view.width, view.height][axis] : Infinity;
+    return rows[axis].map((m, k) => (m * view.focal[axis] - clamp(offset, -beside, beside) * rows[2][k]) / z);
   });
   const [a, b, c] = [dot(right, right) + LOW_PASS, dot(right, down), dot(down, down) + LOW_PASS];
   const [dx, dy] = [x - u, y - v];
@@ -37,11 +49,12 @@ function pick(packet, order, t, view, x, y) {
   }
   if (!best) return null;
   const identity = packet.identity(best.record);
-  return { ...best, identity, birth: packet.index - packet.ages[best.record], colour: colourAt(packet, best.record, t) };
+  return { ...best, identity, birth: packet.birth?.(best.record), colour: colourAt(packet, best.record, t, view) };
 }
 
 /** The record of an identity in a packet: the one that belongs to the end of the interval nearer to t. */
 function recordOf(packet, identity, t) {
+  if (packet.still) return packet.numbers.indexOf(Number(identity));
   const low = Number(identity & 0xffffffffn);
   const high = Number(identity >> 32n);
   let found = -1;
@@ -58,8 +71,9 @@ function whereIs(packet, identity, t) {
   return i < 0 ? null : sceneAt(packet, i, t);
 }
 
-/** An identity's way through the packets at hand around interval `from`, oldest first: scene-space points. */
+/** An identity's way through the packets at hand around interval `from`, oldest first: scene-space points; none where it stays. */
 function pathOf(store, from, identity) {
+  if (store.about.still) return [];
   const ends = (i) => {
     const packet = store.kept.get(i);
     const points = packet && [0, 1].map((t) => whereIs(packet, identity, t)).filter(Boolean);
