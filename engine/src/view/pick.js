@@ -37,11 +37,28 @@ function alphaOn(packet, i, t, view, x, y) {
   return alpha >= ALPHA_MIN ? alpha : 0;
 }
 
+/** False for a Gaussian of a still scene that does not reach a pixel. Millions are asked: nothing is allocated. */
+function mayReach(packet, i, view, x, y) {
+  const { axes: [right, down, ahead], eye, focal, pinhole } = view;
+  const { floats, shorts } = packet;
+  const [a, b] = [i * WORDS, i * SHORTS];
+  const [dx, dy, dz] = [floats[a] - eye[0], floats[a + 1] - eye[1], floats[a + 2] - eye[2]];
+  const z = ahead[0] * dx + ahead[1] * dy + ahead[2] * dz;
+  if (z <= nearest(view)) return false;
+  const unit = focal[0] * (pinhole ? 1 / z : 1);
+  const u = unit * (right[0] * dx + right[1] * dy + right[2] * dz) + 0.5 * view.width - x;
+  const v = unit * (down[0] * dx + down[1] * dy + down[2] * dz) + 0.5 * view.height - y;
+  const widest = unit * Math.exp((48 * Math.max(shorts[b + 6], shorts[b + 7], shorts[b + 8])) / 65535 - 24);
+  const slopes = pinhole ? (0.65 / focal[0]) ** 2 * (view.width ** 2 + view.height ** 2) : 0;
+  return u * u + v * v <= 12 * (widest * widest * (1 + slopes) + LOW_PASS);
+}
+
 /** The record that shows most at a pixel (the largest αT) among those in `order`, nearest first; null where nothing is drawn. */
 function pick(packet, order, t, view, x, y) {
   let left = 1;
   let best = null;
   for (const i of order) {
+    if (packet.still && !mayReach(packet, i, view, x, y)) continue;
     const alpha = alphaOn(packet, i, t, view, x, y);
     if (left * (1 - alpha) < 1e-4) break;
     if (alpha && (!best || alpha * left > best.weight)) best = { record: i, weight: alpha * left };
