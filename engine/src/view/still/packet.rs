@@ -258,12 +258,12 @@ mod tests {
 
     #[test]
     fn the_least_and_the_largest_harmonics_are_no_hazard() {
-        for (largest, expected) in [(0.0, 0), (1e-45, 1), (f32::MAX, 127), (-f32::MAX, -128)] {
+        for (largest, expected) in [(0.0, 0), (1e-45, 0), (f32::MAX, i8::MAX), (-f32::MAX, i8::MIN)] {
             let mut row = [0.0; 9];
             row[2] = largest;
             let mut out = [0; ROW];
             harmonics(&row, &mut out);
-            assert_eq!(i32::from(out[2].cast_signed()).clamp(-128, 127), if expected == 1 { 0 } else { expected });
+            assert_eq!(out[2].cast_signed(), expected);
             assert!(f16::from_bits(word(&out, ROW - 2)).is_finite());
         }
     }
