@@ -208,7 +208,10 @@ async function stills() {
 
   const html = `${scratch}/garden.html`;
   run(streamsplat, "view", source, "--html", html, "--quiet");
+  const before = log.asked.length;
   await visit(page, `file://${html}`, { t: 0, interface: "none", background: 0.5 });
+  const asked = log.asked.splice(before).filter((url) => !/^(file|data|blob):/.test(url));
+  check(asked.length === 0, `a still scene's file asked for ${asked}`);
   const like = await psnr(other, await page.screenshot(), first);
   check(like === Infinity, `a still scene's file: expected the picture of what is served, found ${like} dB from it`);
   view.child.kill("SIGINT");
