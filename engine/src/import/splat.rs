@@ -72,7 +72,13 @@ fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
 
 #[cfg(test)]
 mod tests {
+    use streamsplat_kernels::Level;
+
     use super::*;
+    use crate::camera::Rotation;
+    use crate::export;
+    use crate::still::Drawable;
+    use crate::stream::Workers;
 
     #[test]
     fn a_record_says_all_of_a_gaussian() {
@@ -89,6 +95,44 @@ mod tests {
     }
 
     #[test]
+    fn a_scene_comes_back_within_its_precision() {
+        let value = |i: usize, k: usize| ((i * 7919 + k * 104_729) % 1009) as f32 / 504.5 - 1.0;
+        let count = 300;
+        let still = Still {
+            mean: (0..count).map(|i| std::array::from_fn(|k| 100.0 * value(i, k))).collect(),
+            log_scale: (0..count).map(|i| std::array::from_fn(|k| -3.0 + 4.0 * value(i, 3 + k))).collect(),
+            rotation: (0..count).map(|i| std::array::from_fn(|k| 3.0 * value(i, 6 + k))).collect(),
+            logit: (0..count).map(|i| 5.0 * value(i, 10)).collect(),
+            base: (0..count).map(|i| std::array::from_fn(|k| 1.7 * value(i, 11 + k))).collect(),
+            degree: 1,
+            higher: vec![0.1; count * 9],
+        };
+        let workers = Workers::new(Level::scalar(), 1).expect("a thread");
+        let drawable = |still: &Still| Drawable::new(still.clone(), &workers).expect("even arrays");
+        let (whole, file) = (drawable(&still), export::still::splat(&drawable(&still)));
+        let found = splat(&file).expect("just written");
+        assert_eq!((found.len(), found.degree, found.uneven()), (count, 0, None));
+        let again = drawable(&found);
+        assert!(found.mean == still.mean, "positions are exact");
+        for i in 0..count {
+            for axis in 0..3 {
+                // Sizes are exact in the file; their logarithms are rounded once.
+                let (log, expected) = (found.log_scale[i][axis], still.log_scale[i][axis]);
+                assert!((log - expected).abs() <= 4.0 * f32::EPSILON * expected.abs().max(1.0), "{log} {expected}");
+                let colour = |still: &Still| 0.5 + still.base[i][axis] * Y0 as f32;
+                assert!((colour(&found) - colour(&still)).abs() <= 0.501 / 255.0);
+            }
+            assert!((again.opacity()[i] - whole.opacity()[i]).abs() <= 0.501 / 255.0);
+            let turn = |q: [f32; 4]| Rotation::from_quaternion(q.map(f64::from)).expect("a length").quaternion();
+            let (a, b) = (turn(found.rotation[i]), turn(still.rotation[i]));
+            let cosine: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+            assert!(cosine.abs() > 1.0 - 1e-4, "{cosine}");
+        }
+        // Bytes of what was read are those that were read.
+        assert!(export::still::splat(&again)[..28] == file[..28]);
+    }
+
+    #[test]
     fn other_lengths_negative_scales_and_too_many_are_refused() {
         for length in [1, 31, 33] {
             let error = splat(&vec![0; length]).expect_err("uneven").to_string();
@@ -99,6 +143,7 @@ mod tests {
         assert!(
             splat(&negative).expect_err("negative").to_string().starts_with("record 1: expected standard deviations")
         );
-        assert!(within(&[0; 96], &Limits { gaussians: 2 }).is_err());
+        let error = within(&[0; 96], &Limits { gaussians: 2 }).expect_err("too many").to_string();
+        assert!(error.starts_with("records: expected at most 2 Gaussians") && error.ends_with("found 3"), "{error}");
     }
 }

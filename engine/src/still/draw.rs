@@ -71,6 +71,12 @@ impl Drawable {
         &self.scale
     }
 
+    /// Rotations as quaternions (w, x, y, z) of length 1; NaN where the scene has none.
+    #[cfg(feature = "viewer")]
+    pub(crate) fn rotation(&self) -> &[[f64; 4]] {
+        &self.rotation
+    }
+
     /// Opacities.
     pub fn opacity(&self) -> &[f32] {
         &self.opacity

@@ -2,9 +2,13 @@
 //
 // Scene space is x right, y down, z forward. From straight ahead with parallel rays it is the source's own view: the content of the
 // model's input fills the image. With perspective what lies as far as the target keeps its size.
+//
+// A still scene has no such view: it is seen in perspective from where still/framing.rs puts the camera, in the file's own units.
 
 const TURN = Math.PI / 180;
 const STEEPEST = 85;
+/** Of still scenes, as still/framing.rs has them: half the vertical field of view, elevation, and the part of the image that is filled. */
+const FRAMING = { half: 22.5, elevation: 12, fill: 0.8 };
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
@@ -17,13 +21,16 @@ class Camera {
     this.aspect = 16 / 9; // of the source's frames
     this.depth = 0.5; // of the target
     this.perspective = false;
+    this.box = null; // of a still scene: its middle and half extents
+    this.unit = 1; // of shifts, in scene units
+    this.home = { yaw: 0, pitch: 0, lens: "parallel" };
     this.reset();
   }
 
-  /** Back to the source's view. */
+  /** Back to the source's view, or to where a still scene is seen whole from. */
   reset() {
-    this.yaw = 0;
-    this.pitch = 0;
+    this.yaw = this.home.yaw;
+    this.pitch = this.home.pitch;
     this.zoom = 1;
     this.shift = [0, 0, 0];
   }
@@ -36,7 +43,31 @@ class Camera {
     this.aspect = source[1] / source[0];
   }
 
+  /** Learns what box most of a still scene lies in. */
+  frame({ least, greatest }) {
+    const middle = least.map((low, i) => 0.5 * (low + greatest[i]));
+    const half = least.map((low, i) => 0.5 * (greatest[i] - low));
+    this.box = { middle, half };
+    this.unit = Math.hypot(...half) || 1;
+    this.home = { yaw: 0, pitch: FRAMING.elevation, lens: "perspective" };
+    this.reset();
+  }
+
+  /** From how far a still scene's box is seen whole from the front, with focal lengths in parts of the image. */
+  distance(focal) {
+    const [sin, cos] = [Math.sin(FRAMING.elevation * TURN), Math.cos(FRAMING.elevation * TURN)];
+    const axes = [[1, 0, 0], [0, cos, -sin], [0, sin, cos]];
+    let distance = 0;
+    for (let corner = 0; corner < 8; corner++) {
+      const d = this.box.half.map((h, i) => (corner & (1 << i) ? -h : h));
+      const [x, y, z] = axes.map((axis) => dot(axis, d));
+      distance = Math.max(distance, (2 * focal[0] * Math.abs(x)) / FRAMING.fill - z, (2 * focal[1] * Math.abs(y)) / FRAMING.fill - z);
+    }
+    return distance > 1e-6 ? distance : 1;
+  }
+
   get target() {
+    if (this.box) return this.box.middle.map((x, i) => x + this.unit * this.shift[i]);
     const [x, y] = this.middle;
     return [x + this.shift[0], y + this.shift[1], this.depth + this.shift[2]];
   }
@@ -50,6 +81,7 @@ class Camera {
 
   /** The view in an image of width × height pixels; `focal` as splat.vert wants it. */
   view(width, height) {
+    if (this.box) return this.stillView(width, height);
     const fitted = Math.min(width, height * this.aspect);
     const scale = [(0.5 * fitted) / this.half[0], (0.5 * fitted) / this.aspect / this.half[1]];
     const axes = this.axes;
@@ -60,6 +92,20 @@ class Camera {
     return { width, height, axes, eye, focal, own: this.own, pinhole: this.perspective, distance };
   }
 
+  /** The same of a still scene; `ends` are the depths of the scale's ends. */
+  stillView(width, height) {
+    const length = 0.5 / Math.tan(FRAMING.half * TURN);
+    const whole = this.distance([(length * height) / width, length]);
+    // Parallel rays start far before everything that is not a floater.
+    const distance = this.perspective ? whole / this.zoom : whole + 100 * this.unit;
+    const axes = this.axes;
+    const eye = this.target.map((x, i) => x - axes[2][i] * distance);
+    const pixels = length * height * (this.perspective ? 1 : this.zoom / whole);
+    const depth = dot(axes[2], this.box.middle.map((x, i) => x - eye[i]));
+    const ends = [Math.max(0, depth - this.unit), Math.max(depth, 0) + this.unit];
+    return { width, height, axes, eye, focal: [pixels, pixels], pinhole: this.perspective, distance, ends, still: true };
+  }
+
   turn(right, down) {
     this.yaw = ((this.yaw - right + 540) % 360) - 180;
     this.pitch = clamp(this.pitch - down, -STEEPEST, STEEPEST);
@@ -68,13 +114,16 @@ class Camera {
   /** Moves the target so that the image moves by this many of its pixels. */
   pan(right, down, { axes, focal, distance, pinhole }) {
     const unit = focal.map((f) => (pinhole ? distance : 1) / f);
-    this.shift = this.shift.map((x, i) => x - right * unit[0] * axes[0][i] - down * unit[1] * axes[1][i]);
+    this.shift = this.shift.map((x, i) => x - (right * unit[0] * axes[0][i] + down * unit[1] * axes[1][i]) / this.unit);
   }
 
   magnify(factor) {
     this.zoom = clamp(this.zoom * factor, 0.1, 50);
   }
 }
+
+/** The depth beyond which a view shows things. */
+const nearest = ({ pinhole, still }) => (!pinhole ? 0 : still ? 1e-6 : 1e-3);
 
 /** Where a view shows a scene-space point: pixels from the upper left corner, and depth. */
 function project({ width, height, axes, eye, focal, pinhole }, point) {

@@ -14,11 +14,13 @@ class Drawing {
     // Sums in 16-bit floats where they can be drawn into, else in bytes.
     this.deep = Boolean(gl.getExtension("EXT_color_buffer_float") ?? gl.getExtension("EXT_color_buffer_half_float"));
     this.splat = this.program("splat.vert", "splat.frag");
+    this.still = null; // its program, once there is a still scene
     this.resolve = this.program("resolve.vert", "resolve.frag");
     this.packet = null;
     this.ordered = null;
     this.records = gl.createTexture();
     this.rates = gl.createTexture();
+    this.rows = gl.createTexture();
     this.order = gl.createBuffer();
     this.splats = gl.createVertexArray();
     gl.bindVertexArray(this.splats);
@@ -69,14 +71,12 @@ class Drawing {
     const rows = Math.max(1, Math.ceil(packet.count / PER_ROW));
     if (rows > gl.getParameter(gl.MAX_TEXTURE_SIZE)) throw new Error(`${packet.count} Gaussians are more than this browser draws`);
     const whole = Math.floor(packet.count / PER_ROW);
-    this.bind(this.records, 0);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, 2 * PER_ROW, rows, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, null);
-    const put = (row, width, height, words) => {
-      if (width && height) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
-    };
-    const cut = whole * PER_ROW * WORDS;
-    put(0, 2 * PER_ROW, whole, packet.words.subarray(0, cut));
-    put(whole, 2 * (packet.count % PER_ROW), 1, packet.words.subarray(cut));
+    this.fill(this.records, 0, rows, 2, packet.words, packet.count);
+    this.packet = packet;
+    if (packet.still) {
+      this.fill(this.rows, 2, rows, packet.degree, packet.rows, packet.count);
+      return;
+    }
     this.bind(this.rates, 2);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     const [across, down] = packet.rates.length ? [PER_ROW, rows] : [1, 1];
@@ -87,7 +87,44 @@ class Drawing {
     paint(0, PER_ROW, whole, packet.rates.subarray(0, whole * PER_ROW * 3));
     paint(whole, packet.count % PER_ROW, 1, packet.rates.subarray(whole * PER_ROW * 3));
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
-    this.packet = packet;
+  }
+
+  /** Fills a texture of so many rows with texels of four words, `each` per record. */
+  fill(texture, unit, rows, each, words, count) {
+    const { gl } = this;
+    const whole = Math.floor(count / PER_ROW);
+    this.bind(texture, unit);
+    const [across, down] = each ? [each * PER_ROW, rows] : [1, 1];
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, across, down, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, null);
+    const put = (row, width, height, part) => {
+      if (width && height) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, part);
+    };
+    const cut = whole * PER_ROW * each * 4;
+    put(0, each * PER_ROW, whole, words.subarray(0, cut));
+    put(whole, each * (count % PER_ROW), 1, words.subarray(cut));
+  }
+
+  /** Chooses the program for a packet and gives it what it needs of that. */
+  choose(packet, t, view) {
+    const { gl } = this;
+    if (packet.still) {
+      const { program, at } = (this.still ??= this.program("still.vert", "splat.frag"));
+      gl.useProgram(program);
+      this.bind(this.rows, 2);
+      gl.uniform1i(at.rows, 2);
+      gl.uniform1i(at.degree, packet.degree);
+      gl.uniform2fv(at.ends, view.ends);
+      return at;
+    }
+    const { program, at } = this.splat;
+    gl.useProgram(program);
+    this.bind(this.rates, 2);
+    gl.uniform1i(at.rates, 2);
+    gl.uniform1f(at.rateStep, packet.rateStep);
+    for (const name of ["positionLow", "positionStep", "velocityLow", "velocityStep"]) gl.uniform3fv(at[name], packet[name]);
+    gl.uniform1f(at.t, t);
+    gl.uniform2fv(at.own, view.own);
+    return at;
   }
 
   /** Sums as large as the canvas. */
@@ -105,7 +142,7 @@ class Drawing {
 
   /** Draws a packet's records in `order` at t in [0, 1]; `range` are the ends of the scale of inverse depths. */
   draw(packet, order, t, view, { mode, background, range }) {
-    const { gl, splat, resolve, canvas } = this;
+    const { gl, resolve, canvas } = this;
     this.resize();
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
@@ -113,23 +150,15 @@ class Drawing {
     gl.clear(gl.COLOR_BUFFER_BIT);
     if (order.length) {
       this.upload(packet);
-      gl.useProgram(splat.program);
+      const at = this.choose(packet, t, view);
       this.bind(this.records, 0);
-      gl.uniform1i(splat.at.records, 0);
-      this.bind(this.rates, 2);
-      gl.uniform1i(splat.at.rates, 2);
-      gl.uniform1f(splat.at.rateStep, packet.rateStep);
-      for (const name of ["positionLow", "positionStep", "velocityLow", "velocityStep"]) {
-        gl.uniform3fv(splat.at[name], packet[name]);
-      }
-      gl.uniform1f(splat.at.t, t);
-      gl.uniform3fv(splat.at.eye, view.eye);
-      gl.uniformMatrix3fv(splat.at.turn, false, view.axes.flat());
-      gl.uniform2fv(splat.at.focal, view.focal);
-      gl.uniform2fv(splat.at.own, view.own);
-      gl.uniform1i(splat.at.pinhole, view.pinhole ? 1 : 0);
-      gl.uniform2f(splat.at.size, canvas.width, canvas.height);
-      gl.uniform1i(splat.at.mode, mode);
+      gl.uniform1i(at.records, 0);
+      gl.uniform3fv(at.eye, view.eye);
+      gl.uniformMatrix3fv(at.turn, false, view.axes.flat());
+      gl.uniform2fv(at.focal, view.focal);
+      gl.uniform1i(at.pinhole, view.pinhole ? 1 : 0);
+      gl.uniform2f(at.size, canvas.width, canvas.height);
+      gl.uniform1i(at.mode, mode);
       gl.bindVertexArray(this.splats);
       gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
       if (this.ordered !== order) gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);

@@ -1,8 +1,8 @@
 //! A page that shows a scene in a browser: splats drawn with WebGL2, at any time, from any side.
 //!
 //! [`Server`] serves the page and the scene's intervals on demand; [`write_page`] puts both into one file that opens by itself.
-//! The page asks nobody else for anything. What it shows comes from a [`Source`]: a scene on disk ([`Recorded`]) or a stream under
-//! way ([`Live`]). [`mod@packet`] is the form in which an interval travels.
+//! The page asks nobody else for anything. What it shows comes from a [`Source`]: a scene on disk ([`Recorded`]), a stream under
+//! way ([`Live`]) or a still scene ([`StillSource`]). [`mod@packet`] is the form in which an interval travels; a still scene has one of its own.
 //!
 //! The page draws in the browser's arithmetic: its image is close to [`Interval::render`](crate::stream::Interval::render)'s, and
 //! outside the contract of equal bits.
@@ -12,8 +12,10 @@ pub mod packet;
 mod page;
 mod server;
 mod source;
+mod still;
 mod text;
 
-pub use page::{Link, PageError, poster, write_page};
+pub use page::{Link, PageError, Whole, poster, write_page};
 pub use server::{ServeError, Server};
 pub use source::{Description, IntervalTimes, Live, Recorded, Source};
+pub use still::{StillDescription, StillError, StillSource};

@@ -36,12 +36,14 @@ function worldAt(packet, i, t) {
 
 /** The same in scene space; null where nothing is drawn. */
 function sceneAt(packet, i, t) {
+  if (packet.still) return packet.place(i);
   const [x, y, z] = worldAt(packet, i, t);
   return y >= 0 && y <= 1 ? [x, -z, depthOf(y)] : null;
 }
 
 /** o · (1 + e^(−γ₀γ₁)) / (1 + e^(γ₀(|τ| − γ₁))) · handover, at t in [0, 1]. */
 function opacityAt(packet, i, t) {
+  if (packet.still) return packet.opacity(i);
   const [steepness, width] = packet.gamma(i);
   const x = steepness * (Math.abs(t - packet.reference(i)) - width);
   const factor = Math.min(1, (1 + Math.exp(-steepness * width)) / (1 + Math.exp(x)));
@@ -50,8 +52,12 @@ function opacityAt(packet, i, t) {
   return packet.opacity(i) * factor * Math.min(1, ramp / HANDOVER);
 }
 
-/** Red, green and blue of record i at t in [0, 1] of its interval, whole numbers in [0, 255]. */
-function colourAt(packet, i, t) {
+/** Red, green and blue of record i at t in [0, 1] of its interval as a view shows it, whole numbers in [0, 255]. */
+function colourAt(packet, i, t, view) {
+  if (packet.still) {
+    const away = packet.place(i).map((x, axis) => x - view.eye[axis]);
+    return packet.colour(i, view.pinhole ? away.map((x) => x / Math.hypot(...away)) : view.axes[2]);
+  }
   const change = 255 * packet.rateStep * (t - packet.reference(i));
   const at = (value, channel) => value + change * (packet.rates[3 * i + channel] ?? 0);
   return Array.from(packet.colour(i), (value, channel) => Math.min(255, Math.max(0, Math.round(at(value, channel)))));

@@ -48,6 +48,11 @@ class Packet {
     return this.bytes[i * RECORD + 31] & 1;
   }
 
+  /** The key frame in which record i was first seen. */
+  birth(i) {
+    return this.index - this.ages[i];
+  }
+
   /** 0: stays; 1: fades in after the start; 2: fades out before the end. */
   handover(i) {
     return (this.bytes[i * RECORD + 31] >> 1) & 3;

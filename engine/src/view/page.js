@@ -71,7 +71,7 @@ function jump(time) {
 }
 
 function play(on) {
-  state.playing = on;
+  state.playing = on && !store.about?.still;
   find("play").setAttribute("aria-label", on ? "Pause" : "Play");
   find("symbol").setAttribute("d", on ? PAUSE : PLAY);
   stale = true;
@@ -171,7 +171,7 @@ function picture() {
     place();
     return false;
   }
-  const { far, near } = depthsOf(packet);
+  const { far, near } = packet.still ? { far: 0, near: 1 } : depthsOf(packet);
   const t = packet.end > packet.start ? clamp((state.time - packet.start) / (packet.end - packet.start), 0, 1) : 0;
   const view = camera.view(canvas.width, canvas.height);
   const moving = state.playing || state.following;
@@ -193,7 +193,13 @@ function picture() {
 
 /** What the panels say about the picture. */
 function describe() {
-  const { packet, interval } = state.shown;
+  const { packet, interval, view } = state.shown;
+  if (packet.still) {
+    write("facts", `${count(packet.count, "Gaussian")} · ${store.about.still.format} · harmonics of degree ${packet.degree}`);
+    write("near", `near ${view.ends[0].toPrecision(2)}`);
+    write("far", `${view.ends[1].toPrecision(2)} far`);
+    return;
+  }
   const [start, end] = store.span;
   const digits = end - start < 100 ? 2 : 1;
   write("clock", `${state.time.toFixed(digits)} / ${end.toFixed(digits)} s`);
@@ -215,7 +221,7 @@ function mark() {
   const { packet, interval, t, view } = state.shown;
   const scale = canvas.clientWidth / canvas.width;
   const onPage = (point) => project(view, point).slice(0, 2).map((x) => x * scale);
-  const visible = (point) => point && (!view.pinhole || project(view, point)[2] > 1e-3);
+  const visible = (point) => point && project(view, point)[2] > nearest(view);
   const path = state.picked ? pathOf(store, interval, state.picked.identity).filter(visible) : [];
   find("path").setAttribute("points", path.map((point) => onPage(point).join(",")).join(" "));
   const here = state.picked && whereIs(packet, state.picked.identity, t);
@@ -265,54 +271,8 @@ function choose(place) {
   for (let i = Math.max(store.first, interval - FOLLOWED); i <= interval + FOLLOWED && i < store.times.length; i++) {
     store.fetch(i).then(() => (stale = true), () => {});
   }
-  write("story", `first seen in key frame ${birth} · ${Math.round(100 * weight)} % of this pixel`);
-}
-
-// ---- What the view's address says -----------------------------------------------------------------------------------------------
-
-/** Takes the view from the address (#t=0.5&yaw=20&…), so that a link shows what its sender saw. */
-function readAddress() {
-  // The picture there is shows another view.
-  delete canvas.dataset.shown;
-  stale = true;
-  const said = new URLSearchParams(location.hash.slice(1));
-  const number = (key, otherwise) => {
-    const value = Number.parseFloat(said.get(key));
-    return Number.isFinite(value) ? value : otherwise;
-  };
-  camera.reset();
-  camera.yaw = number("yaw", 0);
-  camera.pitch = clamp(number("pitch", 0), -STEEPEST, STEEPEST);
-  camera.zoom = 1;
-  camera.magnify(number("zoom", 1));
-  camera.shift = ["x", "y", "z"].map((key) => number(key, 0));
-  look(said.get("lens") === "perspective");
-  show(Math.max(0, MODES.indexOf(said.get("mode"))));
-  const grey = number("background", BACKGROUNDS[0]);
-  state.background = [grey, grey, grey].map((level) => clamp(level, 0, 1));
-  find("interface").hidden = said.get("interface") === "none";
-  if (said.has("t")) jump(number("t", 0));
-  return said.has("t");
-}
-
-let writing = 0;
-/** Writes the view into the address, once nothing has changed for a while. */
-function writeAddress() {
-  clearTimeout(writing);
-  writing = setTimeout(() => {
-    const said = new URLSearchParams();
-    const put = (key, value, otherwise, digits) => value !== otherwise && said.set(key, digits ? String(Number(value.toFixed(digits))) : value);
-    if (!state.playing && !state.following) put("t", state.time, null, 4);
-    put("yaw", camera.yaw, 0, 2);
-    put("pitch", camera.pitch, 0, 2);
-    put("zoom", camera.zoom, 1, 4);
-    ["x", "y", "z"].forEach((key, i) => put(key, camera.shift[i], 0, 4));
-    put("lens", camera.perspective ? "perspective" : "parallel", "parallel");
-    put("mode", MODES[state.mode], MODES[0]);
-    put("background", state.background[0], BACKGROUNDS[0], 3);
-    if (find("interface").hidden) said.set("interface", "none");
-    history.replaceState(null, "", `#${said}`);
-  }, 500);
+  const story = packet.still ? "its number in the file" : `first seen in key frame ${birth}`;
+  write("story", `${story} · ${Math.round(100 * weight)} % of this pixel`);
 }
 
 // ---- What the user does ---------------------------------------------------------------------------------------------------------
@@ -505,26 +465,37 @@ async function keepUp() {
 
 // ---- The beginning --------------------------------------------------------------------------------------------------------------
 
+/** Makes the page that of a still scene: without time. */
+function stand(still) {
+  camera.frame(still);
+  placed = true;
+  document.documentElement.classList.add("still");
+  for (const element of document.querySelectorAll("[data-still]")) element.textContent = element.dataset.still;
+  find("home").title = "Back to where all of it is seen from (O)";
+  document.querySelector("[data-mode='2']").title = "Each Gaussian in a colour of its own (3)";
+}
+
 async function begin() {
   play(false);
   listen();
   drawing = new Drawing(canvas);
   await store.refresh();
-  const { title, placement, live } = store.about;
+  const { title, placement, live, still } = store.about;
   document.title = `${title} · streamsplat`;
   write("title", title);
   if (placement) camera.place(placement);
+  if (still) stand(still);
   listTimes();
   seek(store.span[0]);
-  const still = readAddress() || window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const rests = readAddress() || window.matchMedia("(prefers-reduced-motion: reduce)").matches;
   if (live) {
     find("live").hidden = false;
     write("facts", "Waiting for the first interval …");
-    follow(!still);
+    follow(!rests);
     keepUp();
   } else {
-    play(!still);
-    if (!still && !location.hash) sway.start();
+    play(!rests);
+    if (!rests && !location.hash) sway.start();
   }
   requestAnimationFrame(turn);
 }

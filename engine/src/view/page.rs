@@ -5,13 +5,12 @@ use std::io::{self, Write};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
+use super::Source;
 use super::text::text;
-use super::{Recorded, Source};
-use crate::camera::Camera;
 use crate::output::picture_png;
 use crate::picture::Picture;
-use crate::render::{RenderError, RenderOptions};
-use crate::scene::{COARSENESS, ImageChunks, SceneError};
+use crate::render::RenderError;
+use crate::scene::{COARSENESS, SceneError};
 
 const TEMPLATE: &str = include_str!("page.html");
 /// Placeholders in the template, one per part.
@@ -24,17 +23,19 @@ const LINK: &str = "<!-- link -->";
 const INTERVALS: &str = "<!-- intervals -->";
 
 /// Programs of the graphics processor, by the names that the scripts use.
-const SHADER_FILES: [(&str, &str); 4] = [
-    ("splat.vert", include_str!("shaders/splat.vert")),
+const SHADER_FILES: [(&str, &str); 5] = [
+    ("splat.vert", concat!(include_str!("shaders/splat.vert"), include_str!("shaders/footprint.vert"))),
+    ("still.vert", concat!(include_str!("shaders/still.vert"), include_str!("shaders/footprint.vert"))),
     ("splat.frag", include_str!("shaders/splat.frag")),
     ("resolve.vert", include_str!("shaders/resolve.vert")),
     ("resolve.frag", include_str!("shaders/resolve.frag")),
 ];
 
 /// The scripts, joined to one module in this order.
-const SCRIPT_FILES: [&str; 11] = [
+const SCRIPT_FILES: [&str; 13] = [
     include_str!("text.js"),
     include_str!("packet.js"),
+    include_str!("still.js"),
     include_str!("store.js"),
     include_str!("helper.js"),
     include_str!("motion.js"),
@@ -43,13 +44,15 @@ const SCRIPT_FILES: [&str; 11] = [
     include_str!("pick.js"),
     include_str!("sway.js"),
     include_str!("pace.js"),
+    include_str!("address.js"),
     include_str!("page.js"),
 ];
 
 /// The scripts of the worker, likewise.
-const WORKER_FILES: [&str; 7] = [
+const WORKER_FILES: [&str; 8] = [
     include_str!("text.js"),
     include_str!("packet.js"),
+    include_str!("still.js"),
     include_str!("motion.js"),
     include_str!("camera.js"),
     include_str!("chunk.js"),
@@ -85,6 +88,12 @@ pub enum PageError {
     /// An interval of the list is not to be had any more.
     #[error("interval {0}: expected all that the scene lists, found it gone")]
     Gone(usize),
+    /// A part has more characters than a browser's text can have.
+    #[error(
+        "--html: expected at most {LONGEST} characters of one part, found {0}: \
+         a scene as large is shown without --html, where the program serves it"
+    )]
+    TooLong(usize),
     /// The poster cannot be drawn.
     #[error(transparent)]
     Poster(#[from] RenderError),
@@ -94,6 +103,27 @@ pub enum PageError {
     /// The page cannot be written.
     #[error("cannot write: {0}")]
     Write(#[from] io::Error),
+}
+
+/// Characters of a text in a browser: 2²⁹ − 24 in Chromium, the fewest of all.
+const LONGEST: usize = (1 << 29) - 24;
+
+/// A source of which all there is goes into one file.
+pub trait Whole: Source {
+    /// What programs that show links say of it.
+    const ABOUT: &str;
+
+    /// Its first picture.
+    ///
+    /// # Errors
+    /// A scene that cannot be read or drawn.
+    fn poster(&self) -> Result<Picture, PageError>;
+
+    /// Gives its intervals to `put` one after another, as the scripts of the file take them apart.
+    ///
+    /// # Errors
+    /// A scene that cannot be read, and what `put` says.
+    fn parts(&self, put: &mut dyn FnMut(&[u8]) -> Result<(), PageError>) -> Result<(), PageError>;
 }
 
 /// Description of a page for programs that show links.
@@ -109,12 +139,12 @@ pub struct Link {
 
 impl Link {
     /// The page's title, and the tags of Open Graph, which programs that show links read.
-    fn tags(&self, [height, width]: [usize; 2]) -> String {
+    fn tags(&self, about: &str, [width, height]: [usize; 2]) -> String {
         let url = self.url.as_ref().map(|url| ("og:url", url.clone()));
         let properties = [
             ("og:type", "website".to_owned()),
             ("og:title", self.title.clone()),
-            ("og:description", "A video as a scene that can be turned: dynamic 3D Gaussians".to_owned()),
+            ("og:description", about.to_owned()),
             ("og:image", self.image.clone()),
             ("og:image:width", width.to_string()),
             ("og:image:height", height.to_string()),
@@ -130,34 +160,31 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
 }
 
-/// The scene's first picture, of the size that the model saw it in, as PNG.
+/// The scene's first picture as PNG, and its width and height.
 ///
 /// # Errors
 /// A scene that cannot be read or drawn.
-pub fn poster(source: &Recorded) -> Result<(Vec<u8>, [usize; 2]), PageError> {
-    let interval = source.interval(0)?;
-    let options = RenderOptions::default();
-    let image = interval.render(interval.start, &Camera::Canonical, &options)?;
-    let (width, height) = (image.width, image.height);
-    Ok((picture_png(&Picture { width, height, rgb: image.rgb }), [height, width]))
+pub fn poster(source: &impl Whole) -> Result<(Vec<u8>, [usize; 2]), PageError> {
+    let picture = source.poster()?;
+    Ok((picture_png(&picture), [picture.width, picture.height]))
 }
 
 /// Writes the page with the whole of `source` in it: one file that needs nothing else. Returns the number of its bytes.
 ///
 /// Everything that makes the page work comes first, then the intervals in order, so that the first ones can be seen while
-/// others are still to come. Each is a container's chunk without what images do not need (`docs/container.md`, "Inside a page"), as printable text.
+/// others are still to come. Each is a container's chunk without what images do not need (`docs/container.md`, "Inside a page"), a still
+/// scene its compressed packet, as printable text.
 ///
 /// # Errors
-/// A source that cannot be read, and what `out` says.
-pub fn write_page(source: &Recorded, link: &Link, out: &mut dyn Write) -> Result<u64, PageError> {
+/// A source that cannot be read, one that is too large for a browser's text, and what `out` says.
+pub fn write_page<S: Whole>(source: &S, link: &Link, out: &mut dyn Write) -> Result<u64, PageError> {
     let mut written = 0;
     let mut put = |out: &mut dyn Write, text: &str| -> io::Result<()> {
         written += text.len() as u64;
         out.write_all(text.as_bytes())
     };
     let (poster, size) = poster(source)?;
-    let description = source.describe(0);
-    let mut json = serde_json::to_value(&description)?;
+    let mut json = serde_json::to_value(source.describe(0))?;
     json["coarseness"] = COARSENESS.to_vec().into();
     // No text inside can end the element.
     let json = serde_json::to_string(&json)?.replace('<', "\\u003c");
@@ -168,17 +195,21 @@ pub fn write_page(source: &Recorded, link: &Link, out: &mut dyn Write) -> Result
     let (head, rest) = page.split_once(LINK).unwrap_or((&page, ""));
     let (body, rest) = rest.split_once(SCENE).unwrap_or((rest, ""));
     let (scripts, after) = rest.split_once(INTERVALS).unwrap_or((rest, ""));
-    for part in [head, &link.tags(size), body, &scene, scripts] {
+    for part in [head, &link.tags(S::ABOUT, size), body, &scene, scripts] {
         put(out, part)?;
     }
-    let mut chunks = ImageChunks::default();
-    for i in 0..description.intervals.len() {
-        let interval = source.interval(i)?;
-        let (chunk, alone) = chunks.next(&interval);
-        let index = interval.index.to_le_bytes();
-        let text = text(&[&index[..], &[u8::from(alone)], &chunk].concat());
-        put(out, &format!("<script type=\"text/plain\" id=\"interval-{i}\">{text}</script>\n"))?;
-    }
+    let mut count = 0;
+    source.parts(&mut |bytes| {
+        let text = text(bytes);
+        if text.len() > LONGEST {
+            return Err(PageError::TooLong(text.len()));
+        }
+        put(out, &format!("<script type=\"text/plain\" id=\"interval-{count}\">"))?;
+        put(out, &text)?;
+        put(out, "</script>\n")?;
+        count += 1;
+        Ok(())
+    })?;
     put(out, after)?;
     Ok(written)
 }
@@ -216,12 +247,13 @@ mod tests {
     fn a_link_is_described_whatever_the_title() {
         let link =
             Link { title: "a \"b\" <c>".into(), url: Some("https://d.example/?e&f".into()), image: "g.png".into() };
-        let tags = link.tags([288, 512]);
+        let tags = link.tags("h", [512, 288]);
         for expected in [
             r#""og:title" content="a &quot;b&quot; &lt;c>""#,
             r#""og:url" content="https://d.example/?e&amp;f""#,
             r#""og:image" content="g.png""#,
             r#""og:image:width" content="512""#,
+            r#""og:description" content="h""#,
         ] {
             assert!(tags.contains(expected), "{expected}: {tags}");
         }

@@ -9,10 +9,15 @@ class Sorter {
   constructor(packet) {
     const { count, shorts, positionLow, positionStep, velocityLow, velocityStep } = packet;
     this.count = count;
+    this.still = Boolean(packet.still);
     this.position = new Float32Array(count * 3);
-    this.velocity = new Float32Array(count * 3);
-    this.reference = new Uint8Array(count);
+    this.velocity = new Float32Array(this.still ? 0 : count * 3);
+    this.reference = new Uint8Array(this.still ? 0 : count);
     for (let i = 0; i < count; i++) {
+      if (this.still) {
+        this.position.set(packet.floats.subarray(i * WORDS, i * WORDS + 3), 3 * i);
+        continue;
+      }
       this.reference[i] = packet.reference(i);
       for (let axis = 0; axis < 3; axis++) {
         this.position[3 * i + axis] = positionLow[axis] + positionStep[axis] * shorts[i * SHORTS + axis];
@@ -46,18 +51,26 @@ class Sorter {
   }
 
   /** Depths, and whether a record may be seen. */
-  look(t, { axes, eye, pinhole }) {
+  look(t, view) {
+    const { axes, eye } = view;
     const { position, velocity, reference, depth, seen } = this;
     const [fx, fy, fz] = axes[2];
     const offset = dot(axes[2], eye);
-    const nearest = pinhole ? 1e-3 : 0;
+    const least = nearest(view);
+    if (this.still) {
+      for (let i = 0; i < this.count; i++) {
+        depth[i] = fx * position[3 * i] + fy * position[3 * i + 1] + fz * position[3 * i + 2] - offset;
+        seen[i] = depth[i] > least ? 1 : 0;
+      }
+      return;
+    }
     for (let i = 0; i < this.count; i++) {
       const tau = t - reference[i];
       const y = position[3 * i + 1] + velocity[3 * i + 1] * tau;
       const x = position[3 * i] + velocity[3 * i] * tau;
       const z = position[3 * i + 2] + velocity[3 * i + 2] * tau;
       depth[i] = fx * x - fy * z + fz * depthOf(Math.min(1, Math.max(0, y))) - offset;
-      seen[i] = y >= 0 && y <= 1 && depth[i] > nearest ? 1 : 0;
+      seen[i] = y >= 0 && y <= 1 && depth[i] > least ? 1 : 0;
     }
   }
 

@@ -6,8 +6,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use serde::Serialize;
 
 use super::packet::packet;
+use super::page::{PageError, Whole};
+use super::still::StillDescription;
+use crate::camera::Camera;
 use crate::fit::Placement;
-use crate::scene::{PlacementRecord, Scene, SceneError};
+use crate::picture::Picture;
+use crate::render::RenderOptions;
+use crate::scene::{ImageChunks, PlacementRecord, Scene, SceneError};
 use crate::stream::{Interval, Workers};
 
 /// Description of a scene, sent to the page as JSON.
@@ -19,6 +24,9 @@ pub struct Description {
     pub fps: f64,
     /// Where the source's frame lies in the model's input; not known before a stream's first interval.
     pub placement: Option<PlacementRecord>,
+    /// The scene's nature where it has no time: then its one interval is an instant.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub still: Option<StillDescription>,
     /// True if this is a live stream, false if it is a recording.
     pub live: bool,
     /// True if no more intervals will come.
@@ -69,7 +77,7 @@ impl Recorded {
     }
 
     /// Interval `i`, of which there must be so many.
-    pub(super) fn interval(&self, i: usize) -> Result<Interval, SceneError> {
+    fn interval(&self, i: usize) -> Result<Interval, SceneError> {
         self.scene.interval(i, &self.workers)
     }
 }
@@ -83,6 +91,7 @@ impl Source for Recorded {
             title: self.title.clone(),
             fps: index.fps,
             placement: Some(index.placement),
+            still: None,
             live: false,
             complete: true,
             first: 0,
@@ -96,6 +105,28 @@ impl Source for Recorded {
             return Ok(None);
         }
         Ok(Some(packet(&self.scene.interval(i, &self.workers)?).into()))
+    }
+}
+
+impl Whole for Recorded {
+    const ABOUT: &str = "A video as a scene that can be turned: dynamic 3D Gaussians";
+
+    /// Of the size that the model saw it in.
+    fn poster(&self) -> Result<Picture, PageError> {
+        let interval = self.interval(0)?;
+        let image = interval.render(interval.start, &Camera::Canonical, &RenderOptions::default())?;
+        Ok(Picture { width: image.width, height: image.height, rgb: image.rgb })
+    }
+
+    /// Each as the key frame at its end, a byte that is 1 where the chunk stands alone, and the chunk.
+    fn parts(&self, put: &mut dyn FnMut(&[u8]) -> Result<(), PageError>) -> Result<(), PageError> {
+        let mut chunks = ImageChunks::default();
+        for i in 0..self.scene.index().intervals.len() {
+            let interval = self.interval(i)?;
+            let (chunk, alone) = chunks.next(&interval);
+            put(&[&interval.index.to_le_bytes()[..], &[u8::from(alone)], &chunk].concat())?;
+        }
+        Ok(())
     }
 }
 
@@ -163,6 +194,7 @@ impl Source for Live {
             title: self.title.clone(),
             fps: self.fps,
             placement: stream.placement.map(PlacementRecord::from),
+            still: None,
             live: true,
             complete: stream.complete,
             first: stream.first,

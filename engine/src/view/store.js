@@ -40,6 +40,10 @@ class Embedded {
 
   async packet(interval) {
     await this.text(interval);
+    if (this.description.still) {
+      const { buffer } = await this.helper.ask({ kind: "still", interval, text: await this.text(interval) });
+      return packetIn(buffer);
+    }
     const texts = [];
     for (let i = interval; ; i--) {
       if (i === this.given) break;
@@ -58,7 +62,7 @@ class Embedded {
     const place = interval - texts.length + 1;
     try {
       const { buffer } = await this.helper.ask({ kind: "texts", interval, place, texts, times: { start, end }, coarseness });
-      return new Packet(buffer);
+      return packetIn(buffer);
     } catch (e) {
       this.given = -1;
       throw e;
@@ -85,7 +89,7 @@ class Served {
   async packet(interval) {
     const bytes = await (await this.get(`interval/${interval}`)).arrayBuffer();
     const { buffer } = await this.helper.ask({ kind: "packet", interval, buffer: bytes }, [bytes]);
-    return new Packet(buffer);
+    return packetIn(buffer);
   }
 }
 

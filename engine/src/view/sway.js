@@ -25,8 +25,9 @@ class Sway {
     if (!this.on) return false;
     this.seconds += seconds;
     const angle = (2 * Math.PI * this.seconds) / SWAY.seconds;
-    this.camera.yaw = SWAY.across * Math.sin(angle);
-    this.camera.pitch = SWAY.along * 0.5 * (1 - Math.cos(angle));
+    const { yaw, pitch } = this.camera.home;
+    this.camera.yaw = yaw + SWAY.across * Math.sin(angle);
+    this.camera.pitch = pitch + SWAY.along * 0.5 * (1 - Math.cos(angle));
     return true;
   }
 }

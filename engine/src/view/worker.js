@@ -6,7 +6,7 @@ const sorters = new Map();
 let queue = Promise.resolve();
 
 function taken(ticket, interval, buffer) {
-  sorters.set(interval, new Sorter(new Packet(buffer)));
+  sorters.set(interval, new Sorter(packetIn(buffer)));
   postMessage({ ticket, buffer }, [buffer]);
 }
 
@@ -14,6 +14,16 @@ const WORK = {
   /** A packet as it came from the server. */
   packet({ ticket, interval, buffer }) {
     taken(ticket, interval, buffer);
+  },
+
+  /** The text of a still scene: the length of what follows, and that, compressed. */
+  still({ ticket, interval, text }) {
+    const bytes = bytesOf(text);
+    const length = new DataView(bytes.buffer).getUint32(0, true);
+    inflated(bytes.subarray(4, 4 + length)).then(
+      (packet) => taken(ticket, interval, packet.buffer),
+      (e) => postMessage({ ticket, error: e.message }),
+    );
   },
 
   /** The texts of the intervals that end with this one. */

@@ -10,6 +10,8 @@ const CLIP = "fixtures/clips/moving.y4m"; // 256×144
 const SIZE = [640, 360];
 /** The page's own pictures beside ours: what is quantised for it, and 16-bit sums, leave more than 50 dB. */
 const ENOUGH = 45;
+/** Of still scenes, whose packets are finer. */
+const STILL = 50;
 
 const scene = `${scratch}/scene`;
 run(streamsplat, "run", CLIP, "--gap", "4", "--frames", "13", "--emit", "scene", "--quiet", "--out", scene);
@@ -158,6 +160,64 @@ async function file(address) {
   await alone.close();
 }
 
+/** A PLY file of needles, discs and balls with harmonics of degree 3, away from the origin, with floaters far from the rest. */
+function cloud(count = 4000) {
+  let seed = 1;
+  const next = () => (seed = (seed * 48271) % 2147483647) / 1073741823.5 - 1;
+  const some = (n, low, high) => Array.from({ length: n }, () => low + 0.5 * (high - low) * (next() + 1));
+  const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", ...Array.from({ length: 45 }, (_, i) => `f_rest_${i}`)];
+  names.push("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3");
+  const header = `ply\nformat binary_little_endian 1.0\nelement vertex ${count}\n${names.map((name) => `property float ${name}\n`).join("")}end_header\n`;
+  const rows = Array.from({ length: count }, (_, i) => {
+    const place = i % 200 ? [10 + 3 * next(), -20 + 2 * next(), 5 + 4 * next()] : some(3, -500, 500);
+    return [...place, ...some(3, -1.5, 1.5), ...some(45, -0.3, 0.3), ...some(1, -4, 4), ...some(3, -5, -1), ...some(4, -1, 1)];
+  });
+  return Buffer.concat([Buffer.from(header), Buffer.from(new Float32Array(rows.flat()).buffer)]);
+}
+
+/** A still scene: from where `render` looks by itself, from other sides, from within, by parallel rays; as a file; picked; without time. */
+async function stills() {
+  const source = `${scratch}/garden.ply`;
+  writeFileSync(source, cloud());
+  const view = start(streamsplat, ["view", source, "--port", "0"], "stdout");
+  const address = (await view.line).split(" ")[0];
+  const cameras = {
+    "where render looks from": { canonical: true },
+    "the side": { yaw: 70, pitch: -20, zoom: 1.6, x: 0.1 },
+    within: { yaw: 150, zoom: 6 },
+    "parallel rays": { yaw: 30, zoom: 1.3, lens: "parallel" },
+  };
+  let first = null;
+  for (const [name, camera] of Object.entries(cameras)) {
+    const { theirs, dB } = await compare(page, address, { t: 0, ...camera }, source);
+    console.log(`a still scene, ${name}: ${dB.toFixed(1)} dB`);
+    check(dB >= STILL, `a still scene, ${name}: expected ${STILL} dB beside our render, found ${dB}`);
+    first ??= theirs;
+  }
+  await visit(page, address, { t: 0, mode: "depth" });
+  check(await page.locator("#dock").isHidden(), "a still scene has no time line");
+  check((await page.locator("#facts").textContent()).includes("PLY · harmonics of degree 3"), "the page says what it shows");
+  check((await page.locator("#near").textContent()).startsWith("near "), "the depth has a legend");
+  await page.getByRole("button", { name: "Gaussians", exact: true }).click();
+  await page.mouse.click(SIZE[0] / 2, SIZE[1] / 2);
+  await page.waitForFunction(() => /^\d+$/.test(document.getElementById("identity").textContent));
+  check(Number(await page.locator("#identity").textContent()) < 4000, "a Gaussian has a number of the file");
+  await page.keyboard.press("Space");
+  await page.getByRole("button", { name: "Whole scene" }).click();
+  await page.waitForFunction(() => location.hash.includes("mode=identity") && !location.hash.includes("yaw="));
+
+  const html = `${scratch}/garden.html`;
+  run(streamsplat, "view", source, "--html", html, "--quiet");
+  const before = log.asked.length;
+  await visit(page, `file://${html}`, { t: 0, interface: "none", background: 0.5 });
+  const asked = log.asked.splice(before).filter((url) => !/^(file|data|blob):/.test(url));
+  check(asked.length === 0, `a still scene's file asked for ${asked}`);
+  const like = await psnr(other, await page.screenshot(), first);
+  check(like === Infinity, `a still scene's file: expected the picture of what is served, found ${like} dB from it`);
+  view.child.kill("SIGINT");
+  check((await view.ended) === 0, "Ctrl-C ends the server well");
+}
+
 /** The first picture comes while most of the file is still to come; time waits for the rest. */
 async function slowly() {
   const bytes = readFileSync(`${scratch}/scene.html`);
@@ -303,6 +363,7 @@ view.child.kill("SIGINT");
 check((await view.ended) === 0, "Ctrl-C ends the server well");
 await nothing();
 await changing();
+await stills();
 await live();
 await browser.close();
 check(log.said.length === 0, `the console is not clean: ${log.said.join("; ")}`);

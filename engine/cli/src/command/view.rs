@@ -1,4 +1,4 @@
-//! `view`: a page that shows a scene in a browser, served or written as one file.
+//! `view`: a page that shows a scene, in time or still, in a browser, served or written as one file.
 
 use std::io::{BufWriter, Write};
 use std::net::SocketAddr;
@@ -6,13 +6,14 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use streamsplat::import::open_moving;
+use streamsplat::import::Opened;
 use streamsplat::output::{Partial, write_whole};
-use streamsplat::view::{Link, PageError, Recorded, Server, poster, write_page};
+use streamsplat::view::{Link, PageError, Recorded, Server, StillSource, Whole, poster, write_page};
 
 use crate::console::failure::Failure;
 use crate::console::{Console, say};
 use crate::options::args::ViewArgs;
+use crate::session::opening::open;
 use crate::session::serving::title;
 
 /// The port that is tried where none is given.
@@ -20,11 +21,18 @@ pub const PORT: u16 = 8707;
 /// How often it is looked whether the user asked to stop.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Serves until Ctrl-C, or writes the file.
+/// Shows a scene of any kind.
 pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     let workers = args.machine.workers()?;
-    let scene = open_moving(&args.scene, &args.limit.limits())?;
-    let source = Recorded::new(title(&args.scene), scene, workers);
+    let name = title(&args.scene);
+    match open(&args.scene, &args.limit.limits(), Some(&workers), console)? {
+        Opened::Moving(scene) => show(Recorded::new(name, scene, workers), args, console),
+        Opened::Still(file) => show(StillSource::new(name, file, workers)?, args, console),
+    }
+}
+
+/// Serves until Ctrl-C, or writes the file.
+fn show(source: impl Whole + 'static, args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     if let Some(file) = &args.html {
         let image = file.with_extension("png");
         let link = link(title(&args.scene), args.url.as_deref(), file, &image);
@@ -58,7 +66,7 @@ fn link(title: String, url: Option<&str>, file: &Path, image: &Path) -> Link {
 }
 
 /// Writes the page with the scene in it: whole or not at all.
-fn write_file(source: &Recorded, link: &Link, file: &Path) -> Result<u64, Failure> {
+fn write_file(source: &impl Whole, link: &Link, file: &Path) -> Result<u64, Failure> {
     let partial = Partial::create(file)?;
     let failed = |e: std::io::Error| Failure::work(format!("{}: cannot write: {e}", file.display()));
     let mut out = BufWriter::new(std::fs::File::create(partial.path()).map_err(failed)?);

@@ -60,5 +60,6 @@ work!(
     streamsplat::metrics::MetricError,
     streamsplat::view::PageError,
     streamsplat::view::ServeError,
+    streamsplat::view::StillError,
     streamsplat_model::ModelError
 );

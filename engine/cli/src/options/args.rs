@@ -461,7 +461,8 @@ pub struct TrackArgs {
 
 #[derive(Args, Clone)]
 pub struct ViewArgs {
-    /// A scene's folder, its scene.json, or the folder of a run
+    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG, glTF, .splat), whose
+    /// colours depend on the view as in the file
     pub scene: PathBuf,
     /// Port to serve on; 0 takes any free one [default: 8707]
     #[arg(long, value_name = "N")]

@@ -7,6 +7,7 @@ mod docs;
 mod errors;
 mod export;
 mod first_look;
+mod formats;
 mod golden;
 #[cfg(unix)]
 mod hostile;

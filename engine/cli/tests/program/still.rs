@@ -148,8 +148,6 @@ fn what_a_ply_file_does_not_have_is_said_and_nothing_written() {
     let track = ["track", "--at", "0", "--point", "1,1"].map(std::ffi::OsStr::new);
     let text = fails(&run([&track[..], &[scene.as_os_str()]].concat()), 1);
     assert!(text.contains("expected a scene in time, found a still one (PLY)"), "{text}");
-    let text = fails(&command().arg("view").arg(&scene).output().expect("the program starts"), 1);
-    assert!(text.contains("scene.ply: expected a scene in time, found a still one (PLY)"), "{text}");
     for (more, expected) in [
         (&["--format", "ply", "--times", "0"][..], "which has no time"),
         (&["--format", "ssz"], "--format ssz: expected the format of a still scene"),

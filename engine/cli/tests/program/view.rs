@@ -67,6 +67,48 @@ fn a_scene_is_served_until_terminated_and_the_file_holds_the_same() {
 }
 
 #[test]
+fn a_still_scene_is_served_as_an_instant_without_time() {
+    let scratch = Scratch::new();
+    let (scene, _) = crate::still::prepared(&scratch);
+    let mut view = command();
+    view.arg("view").arg(&scene).args(["--port", "0"]).stdout(Stdio::piped());
+    let mut view = Ending(view.spawn().expect("the program starts"));
+    let address = address(view.0.stdout.take().expect("piped"));
+    let found: serde_json::Value = serde_json::from_slice(&get(&address, "/scene.json")).expect("JSON");
+    assert_eq!((&found["title"], &found["still"]["format"]), (&"scene.ply".into(), &"PLY".into()));
+    assert_eq!((&found["still"]["degree"], &found["complete"]), (&3.into(), &true.into()));
+    assert_eq!(found["intervals"], serde_json::json!([{ "start": 0.0, "end": 0.0, "gaussians": 500 }]));
+    let box_of = |name: &str| found["still"][name].as_array().expect("a corner").len();
+    assert_eq!((box_of("least"), box_of("greatest")), (3, 3));
+    let packet = get(&address, "/interval/0");
+    let count = u32::from_le_bytes(packet[8..12].try_into().expect("four bytes")) as usize;
+    // None has an opacity under 1/255.
+    assert_eq!((&packet[..4], count, packet.len()), (&b"ssst"[..], 500, 16 + 500 * 84));
+    if cfg!(unix) {
+        let interrupt = Command::new("kill").args(["-INT", &view.0.id().to_string()]).status();
+        assert!(interrupt.expect("kill starts").success());
+        assert_eq!(view.0.wait().expect("it ends").code(), Some(0));
+    }
+}
+
+#[test]
+fn a_still_scene_without_a_place_to_look_at_is_no_page() {
+    let scratch = Scratch::new();
+    let (scene, page) = (scratch.path("nowhere.splat"), scratch.path("nowhere.html"));
+    for bytes in [Vec::new(), f32::NAN.to_le_bytes().repeat(8)] {
+        std::fs::write(&scene, &bytes).expect("writable");
+        let output = command().arg("view").arg(&scene).arg("--html").arg(&page).output();
+        let text = fails(&output.expect("the program starts"), 1);
+        assert!(text.contains("nowhere.splat: expected Gaussians at finite places, found none"), "{text}");
+        assert!(!page.exists());
+    }
+    let (scene, _) = crate::still::prepared(&scratch);
+    let output = command().arg("view").arg(&scene).args(["--limit-gaussians", "9", "--html"]).arg(&page).output();
+    assert!(fails(&output.expect("the program starts"), 1).contains("expected at most 9 Gaussians"));
+    assert!(!page.exists());
+}
+
+#[test]
 fn a_run_that_is_watched_writes_the_same_bytes() {
     let scratch = Scratch::new();
     let clip = scratch.clip("clip", 4, 40, 24);

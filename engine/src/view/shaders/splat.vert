@@ -6,8 +6,6 @@
 //   colour   = rgb + rate·τ
 //   scene    = (x, −z, 1 / (9.8·y + 0.2 + 10⁻⁶)) for y in [0, 1]
 //   Σ        = J·R·S·Sᵀ·Rᵀ·Jᵀ + 0.3·I   (px²), with S widened where the image shows more pixels per unit than the model (render/view.rs)
-// With Σ = L·Lᵀ, L lower triangular, the place L·w has the exponent −½·|w|²: the square |w|∞ ≤ r, r = √(2·ln(255·o)), holds every
-// pixel on which α is at least 1/255.
 precision highp float;
 precision highp int;
 precision highp usampler2D;
@@ -31,8 +29,12 @@ layout(location = 0) in uint record;
 out vec2 w;
 flat out vec4 splat;  // what is blended, and the opacity
 
+// footprint.vert
 const float VISIBLE = 1.0 / 255.0;
 const float LOW_PASS = 0.3;
+void footprint(vec2 centre, vec3 m1, vec3 m2, vec3 value, float opacity);
+vec3 colourOf(uint number);
+
 const float VANISHED = 87.0;
 const float HANDOVER = 0.125;
 const uint PER_ROW = 1024u;
@@ -42,15 +44,6 @@ vec2 halves(uint word) { return vec2(word & 0xffffu, word >> 16); }
 float opacityFactor(vec2 gamma, float tau) {
   float x = gamma.x * (abs(tau) - gamma.y);
   return x > VANISHED ? 0.0 : min(1.0, (1.0 + exp(-gamma.x * gamma.y)) / (1.0 + exp(x)));
-}
-
-// A colour for an identity: hues a golden section apart, so that neighbours differ.
-vec3 colourOf(uint identity) {
-  uint h = identity * 2654435769u;
-  float hue = float(h >> 8) / 16777216.0;
-  float light = 0.62 + 0.3 * float((h >> 3) & 7u) / 7.0;
-  vec3 rgb = clamp(abs(fract(hue + vec3(0.0, 2.0, 1.0) / 3.0) * 6.0 - 3.0) - 1.0, 0.0, 1.0);
-  return light * mix(vec3(1.0), rgb, 0.62);
 }
 
 void main() {
@@ -95,15 +88,6 @@ void main() {
     m1 *= focal.x;
     m2 *= focal.y;
   }
-  vec3 n = cross(m1, m2);
-  float aa = dot(m1, m1) + LOW_PASS, cc = dot(m2, m2) + LOW_PASS, bb = dot(m1, m2);
-  float det = dot(n, n) + LOW_PASS * (aa + cc - LOW_PASS);
-  float l11 = sqrt(aa), l21 = bb / l11, l22 = sqrt(det / aa);
-
-  vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
-  w = corner * sqrt(2.0 * log(255.0 * opacity));
-  vec2 pixel = centre + vec2(l11 * w.x, l21 * w.x + l22 * w.y);
-
   vec3 rgb = vec3(b.x & 255u, (b.x >> 8) & 255u, (b.x >> 16) & 255u) / 255.0;
   if (rateStep > 0.0) {
     rgb += rateStep * tau * vec3(texelFetch(rates, ivec2(int(record % PER_ROW), int(record / PER_ROW)), 0).rgb);
@@ -111,6 +95,5 @@ void main() {
   vec3 value = mode == 0 ? rgb
              : mode == 1 ? vec3(world.y, 0.0, 0.0)
              : colourOf(b.z);
-  splat = vec4(value, opacity);
-  gl_Position = vec4(2.0 * pixel.x / size.x, -2.0 * pixel.y / size.y, 0.0, 1.0);
+  footprint(centre, m1, m2, value, opacity);
 }

@@ -1,0 +1,119 @@
+//! A still scene as a page shows it: one packet, looked at from where [`Framing`] puts the camera.
+
+mod packet;
+
+use std::io::Write;
+use std::sync::Arc;
+
+use flate2::Compression;
+use flate2::write::DeflateEncoder;
+use serde::Serialize;
+
+use super::page::{PageError, Whole};
+use super::source::{Description, IntervalTimes, Source};
+use crate::import::StillFile;
+use crate::picture::Picture;
+use crate::render::{Painter, RenderError, RenderOptions, Size};
+use crate::scene::SceneError;
+use crate::still::{Drawable, Framing};
+use crate::stream::Workers;
+
+/// Width and height of a poster.
+const POSTER: [usize; 2] = [1280, 720];
+/// Bytes of the length before what is compressed.
+const LENGTH: usize = 4;
+
+/// Description of a still scene, sent to the page.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StillDescription {
+    /// The name of the file's format.
+    pub format: &'static str,
+    /// Degree of its harmonics.
+    pub degree: usize,
+    /// The box that holds most of it ([`Framing`]).
+    pub least: [f64; 3],
+    /// Its other corner.
+    pub greatest: [f64; 3],
+}
+
+/// A still scene under a title.
+#[derive(Debug)]
+pub struct StillSource {
+    title: String,
+    format: &'static str,
+    framing: Framing,
+    scene: Drawable,
+    packet: Arc<[u8]>,
+    workers: Workers,
+}
+
+/// Why a still scene cannot be shown.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StillError {
+    /// No centre is finite.
+    #[error("{0}: expected Gaussians at finite places, found none to look at")]
+    Nowhere(String),
+    /// Its arrays do not fit each other.
+    #[error(transparent)]
+    Uneven(#[from] RenderError),
+}
+
+impl StillSource {
+    /// Prepares a scene for a page.
+    ///
+    /// # Errors
+    /// A scene of which no Gaussian has a finite centre; arrays that differ in length.
+    pub fn new(title: impl Into<String>, file: StillFile, workers: Workers) -> Result<StillSource, StillError> {
+        let framing = file.still.framing().ok_or_else(|| StillError::Nowhere(file.path.display().to_string()))?;
+        let scene = Drawable::new(file.still, &workers)?;
+        let packet = workers.install(|| packet::packet(&scene)).into();
+        Ok(StillSource { title: title.into(), format: file.format, framing, scene, packet, workers })
+    }
+}
+
+impl Source for StillSource {
+    fn describe(&self, from: usize) -> Description {
+        let Framing { least, greatest } = self.framing;
+        let instant = IntervalTimes { start: 0.0, end: 0.0, gaussians: self.scene.still().len() };
+        Description {
+            title: self.title.clone(),
+            fps: 0.0,
+            placement: None,
+            still: Some(StillDescription { format: self.format, degree: self.scene.still().degree, least, greatest }),
+            live: false,
+            complete: true,
+            first: 0,
+            from,
+            intervals: [instant].into_iter().skip(from).collect(),
+        }
+    }
+
+    fn packet(&self, i: usize) -> Result<Option<Arc<[u8]>>, SceneError> {
+        Ok((i == 0).then(|| self.packet.clone()))
+    }
+}
+
+impl Whole for StillSource {
+    const ABOUT: &str = "A scene that can be turned: 3D Gaussians";
+
+    fn poster(&self) -> Result<Picture, PageError> {
+        let [width, height] = POSTER;
+        let camera = self.framing.camera(0.0, width as f64 / height as f64);
+        let options = RenderOptions { size: Size::Exact { width, height }, ..RenderOptions::default() };
+        let mut painter = Painter::new(&self.workers);
+        let image = painter.draw_still(&self.scene, &camera, &options)?;
+        Ok(Picture { width: image.width, height: image.height, rgb: image.rgb.clone() })
+    }
+
+    /// The packet: its length when compressed (u32) and its bytes as a raw stream of deflate.
+    fn parts(&self, put: &mut dyn FnMut(&[u8]) -> Result<(), PageError>) -> Result<(), PageError> {
+        let mut deflated = DeflateEncoder::new(vec![0; LENGTH], Compression::default());
+        deflated.write_all(&self.packet)?;
+        let mut deflated = deflated.finish()?;
+        // What a text can hold is less than that: the page says so.
+        let length = u32::try_from(deflated.len() - LENGTH).unwrap_or(u32::MAX);
+        deflated[..LENGTH].copy_from_slice(&length.to_le_bytes());
+        put(&deflated)
+    }
+}
