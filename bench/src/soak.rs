@@ -19,7 +19,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, ensure};
 use serde::Serialize;
 use streamsplat::render::Painter;
-use streamsplat::stream::{Fusion, Interval, ModelSource};
+use streamsplat::stream::{Fusion, Interval, ModelSource, Workers};
 use streamsplat::{Camera, Engine, Frame, Image, RenderOptions, Settings};
 use streamsplat_fixtures::clip::{Clip, Kind};
 use streamsplat_fixtures::seeded::Sizes;
@@ -259,9 +259,9 @@ fn rank(values: &[f64], part: usize) -> f64 {
 }
 
 /// The images of an interval at its start, middle and end.
-fn images(interval: &Interval) -> Result<Vec<Image>> {
+fn images(interval: &Interval, workers: &Workers) -> Result<Vec<Image>> {
     let times = [interval.start, 0.5 * (interval.start + interval.end), interval.end];
-    let draw = |time| Ok(interval.render(time, &Camera::Canonical, &RenderOptions::default())?);
+    let draw = |time| Ok(interval.render(time, &Camera::Canonical, &RenderOptions::default(), workers)?);
     times.into_iter().map(draw).collect()
 }
 
@@ -362,7 +362,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     for k in count - 3..count {
         other = Some(fresh.push(film.frame(k), k as f64 / RATE)?);
     }
-    let same = images(&last.context("an interval")?)? == images(&other.context("an interval")?)?;
+    let workers = long.engine.workers();
+    let same = images(&last.context("an interval")?, workers)? == images(&other.context("an interval")?, workers)?;
     let [_, live_peaks] = live.ratios();
     let [resident, resident_peaks] = resident.ratios();
     let checks = vec![
@@ -427,12 +428,11 @@ mod tests {
     #[test]
     fn an_identity_that_comes_back_or_is_shared_is_seen() {
         let interval = |index: u64, identities: &[u64]| {
-            let workers = streamsplat::stream::Workers::new(Level::scalar(), 1).expect("one thread");
             let mut engine = Engine::new(Settings { threads: 1, ..Settings::default() }).expect("starts");
             let mut interval =
                 engine.push(Frame { width: 2, height: 1, rgb: vec![0.5; 6], depth: None }, 0.0).expect("taken");
             let record = |&identity| streamsplat::stream::Record { identity, frame: index, ..Default::default() };
-            (interval.index, interval.workers) = (index, workers);
+            interval.index = index;
             interval.gaussians = identities.iter().map(record).collect();
             interval
         };

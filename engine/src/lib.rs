@@ -21,7 +21,7 @@
 //! let interval = engine.push(frame(2), 0.2)?;
 //!
 //! // The scene between them, at any time, from any camera.
-//! let image = interval.render(0.1, &Camera::Canonical, &RenderOptions::default())?;
+//! let image = interval.render(0.1, &Camera::Canonical, &RenderOptions::default(), engine.workers())?;
 //! assert_eq!((image.width, image.height), (width, height));
 //! assert!(image.rgb.iter().all(|x| x.is_finite()));
 //! # Ok::<(), Box<dyn std::error::Error>>(())

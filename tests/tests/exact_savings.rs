@@ -340,6 +340,7 @@ fn depth_that_is_not_there_is_depth_of_zero() {
     let ((with, _), (without, engine)) = (stream(None, Some(0.7)), stream(None, None));
     assert_eq!(gaussians(&with), gaussians(&without));
     assert_eq!(engine.work().stage("encoder").map(|s| s.done), Some(3));
-    let draw = |i: &Interval| i.render(i.end, &Camera::Canonical, &RenderOptions::default()).expect("drawn");
+    let draw =
+        |i: &Interval| i.render(i.end, &Camera::Canonical, &RenderOptions::default(), engine.workers()).expect("drawn");
     assert_eq!(draw(&with[2]), draw(&without[2]));
 }

@@ -96,7 +96,9 @@ fn the_embedded_model_gives_its_golden_images_on_every_vector_level() {
         push(0.0);
         let interval = push(0.125);
         for (name, time) in [("embedded-key.png", 0.0), ("embedded-middle.png", 0.0625)] {
-            let image = interval.render(time, &Camera::Canonical, &RenderOptions::default()).expect("an image");
+            let image = interval
+                .render(time, &Camera::Canonical, &RenderOptions::default(), engine.workers())
+                .expect("an image");
             assert_golden(name, &image);
         }
     }

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use streamsplat::stream::{Quality, Reuse};
 use streamsplat::{Camera, Engine, Frame, Image, Interval, RenderOptions, Settings};
 use streamsplat_fixtures::clip::{Clip, Kind};
+use streamsplat_tests::workers;
 
 /// Frame `k` of a clip whose camera moves, and its time.
 fn frame(clip: &Clip, k: usize) -> (Frame, f64) {
@@ -14,7 +15,7 @@ fn frame(clip: &Clip, k: usize) -> (Frame, f64) {
 }
 
 fn draw(interval: &Interval, time: f64) -> Image {
-    interval.render(time, &Camera::Canonical, &RenderOptions::default()).expect("drawn")
+    interval.render(time, &Camera::Canonical, &RenderOptions::default(), workers()).expect("drawn")
 }
 
 /// Every number of an interval's Gaussians, as bits.

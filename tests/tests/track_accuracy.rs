@@ -9,6 +9,7 @@ use streamsplat::track::Track;
 use streamsplat::{Engine, Frame, Settings};
 use streamsplat_fixtures::clip::{self, Clip, Kind};
 use streamsplat_tests::theatre::{BACKDROP, HALF, Theatre};
+use streamsplat_tests::workers;
 
 /// Most median error in pixels and least share on the object, after this many key frames.
 type Bound = (usize, f64, f64);
@@ -106,7 +107,7 @@ fn theatre(what: &str, place: impl Fn(usize) -> f32, bounds: &[Bound]) {
             if inset(-0.05) != inset(0.05) {
                 continue;
             }
-            let picked = first.pick(0.0, pixel).expect("inside").expect("something");
+            let picked = first.pick(0.0, pixel, workers()).expect("inside").expect("something");
             assert_eq!(picked.position[1] == BACKDROP, !inset(0.0));
             points.push((pixel, inset(0.0)));
             tracks.push(Some(Track::new(&picked, 0.0)));
@@ -179,7 +180,9 @@ fn followed_by(settings: Settings, kind: Kind, bounds: &[Bound]) -> Vec<Score> {
     };
     let first = push(&mut engine, times[0]);
     let seen: Vec<_> = truths.iter().filter(|t| t.points[0].visible).collect();
-    let start = |t: &&clip::Track| first.pick(0.0, t.points[0].at).expect("inside").map(|p| Track::new(&p, 0.0));
+    let start = |t: &&clip::Track| {
+        first.pick(0.0, t.points[0].at, engine.workers()).expect("inside").map(|p| Track::new(&p, 0.0))
+    };
     let mut followed = Followed(seen.iter().map(start).collect());
     let mut scores: Vec<Score> = bounds.iter().map(|_| Score::default()).collect();
     for (k, &time) in times.iter().enumerate().skip(1) {

@@ -177,17 +177,8 @@ fn interval(workers: &Workers, repeat: usize) -> Result<Row> {
         })
         .collect();
     let placement = Placement::new(Fit::Stretch, [SIZE[1], SIZE[0]], [SIZE[1], SIZE[0]]).context("a placement")?;
-    let interval = Interval {
-        index: 1,
-        start: 0.0,
-        end: 1.0,
-        gaussians,
-        placement,
-        merges: Vec::new(),
-        dropped: 0,
-        workers: workers.clone(),
-    };
-    let middle = Snapshot::of(&interval, 0.5)?;
+    let interval = Interval { index: 1, start: 0.0, end: 1.0, gaussians, placement, merges: Vec::new(), dropped: 0 };
+    let middle = Snapshot::of(&interval, 0.5, workers)?;
     let count = middle.mean.len();
     let hierarchy =
         hierarchy((0..count).map(|i| Bounds::of_gaussian(middle.mean[i], middle.scale[i], middle.opacity[i])));

@@ -112,7 +112,7 @@ impl Scene {
             interval = Some(engine.push(frame, time)?);
         }
         let interval = interval.context("no interval")?;
-        let mut seen = Snapshot::of(&interval, 0.1)?;
+        let mut seen = Snapshot::of(&interval, 0.1, engine.workers())?;
         let view = View::new(&Camera::Canonical, &interval.placement, [288, 512]);
         view.apply(&mut seen.mean);
         let Snapshot { mean, scale, opacity, rgb, .. } = seen;

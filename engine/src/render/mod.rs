@@ -30,15 +30,21 @@ use crate::camera::Camera;
 use crate::stream::{Interval, Workers};
 
 impl Interval {
-    /// The scene at `time` seconds, seen by `camera`.
+    /// The scene at `time` seconds, seen by `camera`, drawn by `workers`.
     ///
     /// To draw many images use a [`Painter`].
     ///
     /// # Errors
     /// Times outside the interval, sizes that cannot be drawn, cameras that see nothing, and intervals whose arrays differ in
     /// length.
-    pub fn render(&self, time: f64, camera: &Camera, options: &RenderOptions) -> Result<Image, RenderError> {
-        let mut painter = Painter::new(&self.workers);
+    pub fn render(
+        &self,
+        time: f64,
+        camera: &Camera,
+        options: &RenderOptions,
+        workers: &Workers,
+    ) -> Result<Image, RenderError> {
+        let mut painter = Painter::new(workers);
         painter.draw(self, time, camera, options)?;
         Ok(painter.drawer.into_image())
     }
@@ -92,7 +98,7 @@ impl Painter {
         }
         let size = options.size.resolve(&interval.placement);
         let request = options.request(size)?;
-        let mut seen = Snapshot::of(interval, time)?;
+        let mut seen = Snapshot::of(interval, time, &self.workers)?;
         let view = View::new(camera, &interval.placement, size);
         self.left_out = 0;
         let drawer = &mut self.drawer;

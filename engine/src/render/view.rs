@@ -9,7 +9,7 @@ use streamsplat_model::motion;
 use super::RenderError;
 use crate::camera::{Camera, Lens, Pose};
 use crate::fit::Placement;
-use crate::stream::{DynamicGaussians, Interval, Record};
+use crate::stream::{DynamicGaussians, Interval, Record, Workers};
 
 /// Gaussians per task.
 const CHUNK: usize = 4096;
@@ -77,13 +77,13 @@ impl Snapshot {
     ///
     /// # Errors
     /// Times outside the interval, and intervals whose arrays differ in length.
-    pub fn of(interval: &Interval, time: f64) -> Result<Self, RenderError> {
+    pub fn of(interval: &Interval, time: f64, workers: &Workers) -> Result<Self, RenderError> {
         let (start, end) = (interval.start, interval.end);
         let t = interval.relative(time).ok_or(RenderError::Time { time, start, end })?;
         if let Some((array, found)) = interval.gaussians.uneven() {
             return Err(RenderError::Records { array, expected: interval.gaussians.len(), found });
         }
-        Ok(interval.workers.install(|| Self::new(interval.workers.level(), &interval.gaussians, t)))
+        Ok(workers.install(|| Self::new(workers.level(), &interval.gaussians, t)))
     }
 
     /// Gaussians of an interval that can be seen at `time` seconds, for programs whose units are the same along every axis.
@@ -93,8 +93,8 @@ impl Snapshot {
     ///
     /// # Errors
     /// As [`Snapshot::of`].
-    pub fn exported(interval: &Interval, time: f64) -> Result<Self, RenderError> {
-        let mut snapshot = Self::of(interval, time)?;
+    pub fn exported(interval: &Interval, time: f64, workers: &Workers) -> Result<Self, RenderError> {
+        let mut snapshot = Self::of(interval, time, workers)?;
         let [height, width] = interval.placement.model.map(|side| side.max(1) as f64);
         let widen = |x: &mut f32| *x = (f64::from(*x) * (width / height)) as f32;
         snapshot.mean.iter_mut().chain(&mut snapshot.scale).for_each(|[x, ..]| widen(x));

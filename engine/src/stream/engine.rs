@@ -226,8 +226,7 @@ impl Engine {
         self.state = Some(State { frame: index, timestamp, placement, view, pair: next_pair, set });
         let Advance { gaussians, merges, dropped } = advance;
         let dropped = dropped + lost;
-        let workers = self.workers.clone();
-        Ok(Interval { index, start, end: timestamp, gaussians, placement, merges, dropped, workers })
+        Ok(Interval { index, start, end: timestamp, gaussians, placement, merges, dropped })
     }
 
     /// The frames in between as flow sees them.

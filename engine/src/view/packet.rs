@@ -145,16 +145,13 @@ fn unit(value: f32, steps: f64) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use streamsplat_kernels::Level;
-
     use super::*;
     use crate::fit::{Fit, Placement};
-    use crate::stream::{DynamicGaussians, Handover, Reference, Workers};
+    use crate::stream::{DynamicGaussians, Handover, Reference};
 
     fn interval(gaussians: DynamicGaussians) -> Interval {
         let placement = Placement::new(Fit::Letterbox, [24, 40], [24, 40]).expect("sizes");
-        let workers = Workers::new(Level::scalar(), 1).expect("a thread");
-        Interval { index: 70_000, start: 0.25, end: 0.5, gaussians, placement, merges: Vec::new(), dropped: 0, workers }
+        Interval { index: 70_000, start: 0.25, end: 0.5, gaussians, placement, merges: Vec::new(), dropped: 0 }
     }
 
     fn records() -> Vec<Record> {

@@ -137,7 +137,7 @@ fn escaped(text: &str) -> String {
 pub fn poster(source: &Recorded) -> Result<(Vec<u8>, [usize; 2]), PageError> {
     let interval = source.interval(0)?;
     let options = RenderOptions::default();
-    let image = interval.render(interval.start, &Camera::Canonical, &options)?;
+    let image = interval.render(interval.start, &Camera::Canonical, &options, source.workers())?;
     let (width, height) = (image.width, image.height);
     Ok((picture_png(&Picture { width, height, rgb: image.rgb }), [height, width]))
 }
@@ -174,7 +174,7 @@ pub fn write_page(source: &Recorded, link: &Link, out: &mut dyn Write) -> Result
     let mut chunks = ImageChunks::default();
     for i in 0..description.intervals.len() {
         let interval = source.interval(i)?;
-        let (chunk, alone) = chunks.next(&interval);
+        let (chunk, alone) = chunks.next(&interval, source.workers());
         let index = interval.index.to_le_bytes();
         let text = text(&[&index[..], &[u8::from(alone)], &chunk].concat());
         put(out, &format!("<script type=\"text/plain\" id=\"interval-{i}\">{text}</script>\n"))?;

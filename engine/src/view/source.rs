@@ -68,9 +68,14 @@ impl Recorded {
         Recorded { title: title.into(), scene, workers }
     }
 
+    /// Threads that draw and encode it.
+    pub(super) fn workers(&self) -> &Workers {
+        &self.workers
+    }
+
     /// Interval `i`, of which there must be so many.
     pub(super) fn interval(&self, i: usize) -> Result<Interval, SceneError> {
-        self.scene.interval(i, &self.workers)
+        self.scene.interval(i)
     }
 }
 
@@ -95,7 +100,7 @@ impl Source for Recorded {
         if i >= self.scene.index().intervals.len() {
             return Ok(None);
         }
-        Ok(Some(packet(&self.scene.interval(i, &self.workers)?).into()))
+        Ok(Some(packet(&self.scene.interval(i)?).into()))
     }
 }
 
@@ -180,8 +185,6 @@ impl Source for Live {
 
 #[cfg(test)]
 mod tests {
-    use streamsplat_kernels::Level;
-
     use super::*;
     use crate::fit::Fit;
     use crate::stream::{DynamicGaussians, Record};
@@ -190,9 +193,8 @@ mod tests {
         let record = Record { mean: [0.0, 0.5, 0.0], opacity: 1.0, ..Record::default() };
         let gaussians: DynamicGaussians = (0..gaussians).map(|_| record).collect();
         let placement = Placement::new(Fit::Letterbox, [24, 40], [24, 40]).expect("sizes");
-        let workers = Workers::new(Level::scalar(), 1).expect("a thread");
         let (start, end) = (index as f64, index as f64 + 1.0);
-        Interval { index, start, end, gaussians, placement, merges: Vec::new(), dropped: 0, workers }
+        Interval { index, start, end, gaussians, placement, merges: Vec::new(), dropped: 0 }
     }
 
     #[test]

@@ -63,7 +63,12 @@ fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]:
         interval.gaussians.rgb_rate.iter().for_each(|rate| digest.floats(rate));
         for at in [0.0, 0.4] {
             let at = interval.start + (interval.end - interval.start) * at;
-            splats::add(digest, &interval.render(at, &Camera::Canonical, &RenderOptions::default()).expect("an image"));
+            splats::add(
+                digest,
+                &interval
+                    .render(at, &Camera::Canonical, &RenderOptions::default(), engine.workers())
+                    .expect("an image"),
+            );
         }
     }
 }
@@ -84,12 +89,12 @@ fn container(level: Level, digest: &mut Digest) {
     for time in [0.0, 0.125, 0.25] {
         let picture = clip.picture(time);
         let frame = Frame { width: picture.width, height: picture.height, rgb: picture.rgb, depth: None };
-        writer.push(&engine.push(frame, time).expect("an interval")).expect("writable");
+        writer.push(&engine.push(frame, time).expect("an interval"), engine.workers()).expect("writable");
     }
     writer.finish().expect("writable");
     let bytes = std::fs::read(&path).expect("just written");
     digest.integers(bytes.iter().map(|byte| u64::from(*byte)));
-    for interval in intervals_from_container(&bytes, engine.workers()).expect("a scene") {
+    for interval in intervals_from_container(&bytes).expect("a scene") {
         records(digest, &interval);
     }
 }
@@ -119,7 +124,7 @@ fn stream(level: Level, digest: &mut Digest, model: &str, settings: &Settings) {
         let options = RenderOptions { depth: true, alpha: true, statistics: true, ..RenderOptions::default() };
         for (at, camera) in [(0.0, Camera::Canonical), (0.4, Camera::Canonical), (1.0, pinhole)] {
             let at = interval.start + (interval.end - interval.start) * at;
-            splats::add(digest, &interval.render(at, &camera, &options).expect("an image"));
+            splats::add(digest, &interval.render(at, &camera, &options, engine.workers()).expect("an image"));
         }
     }
 }

@@ -148,7 +148,7 @@ pub fn render(
             Some((_, interval)) => interval,
             None => {
                 let begun = Instant::now();
-                let interval = scene.interval(place, &workers)?;
+                let interval = scene.interval(place)?;
                 read += begun.elapsed();
                 intervals += 1;
                 interval

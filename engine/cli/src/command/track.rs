@@ -6,7 +6,6 @@ use serde::Serialize;
 use streamsplat::import::open_moving;
 use streamsplat::output::write_file;
 use streamsplat::scene::Scene;
-use streamsplat::stream::Workers;
 use streamsplat::track::{Track, TrackPoint};
 
 use crate::console::failure::Failure;
@@ -69,13 +68,13 @@ pub fn command(args: &TrackArgs, console: &Console) -> Result<(), Failure> {
         due.insert(next, (args.at, place));
     }
 
-    let picked = scene.interval(place, &workers)?.pick(args.at, point)?.ok_or_else(|| {
+    let picked = scene.interval(place)?.pick(args.at, point, &workers)?.ok_or_else(|| {
         Failure::work(format!("{}: nothing is drawn at {} at {} s", args.scene.display(), args.point, args.at))
     })?;
     let track = Track::new(&picked, args.at);
     let (before, after): (Vec<_>, Vec<_>) = due.iter().copied().partition(|(time, _)| *time < args.at);
-    let mut path = follow(&scene, &workers, track, place, &before, Direction::Backward)?;
-    path.extend(follow(&scene, &workers, track, place, &after, Direction::Forward)?);
+    let mut path = follow(&scene, track, place, &before, Direction::Backward)?;
+    path.extend(follow(&scene, track, place, &after, Direction::Forward)?);
     let found = Found {
         at: args.at,
         point,
@@ -121,7 +120,6 @@ enum Direction {
 /// interval `from` shows. Ends where the track does, or with the last time wanted; reads no interval beyond.
 fn follow(
     scene: &Scene,
-    workers: &Workers,
     mut track: Track,
     from: usize,
     due: &[(f64, usize)],
@@ -133,7 +131,7 @@ fn follow(
     };
     let mut parts: Vec<Vec<Row>> = Vec::new();
     for i in intervals {
-        let interval = scene.interval(i, workers)?;
+        let interval = scene.interval(i)?;
         let times: Vec<f64> = due.iter().filter(|(_, place)| *place == i).map(|(time, _)| *time).collect();
         let step = match direction {
             Direction::Forward => track.forward(&interval, &times),

@@ -31,6 +31,7 @@ pub struct Anchor {
 
 /// Draws and writes images; keeps the account.
 pub struct Drawing {
+    workers: Workers,
     painter: Painter,
     backend: Backend,
     /// Known from the first image on that needs it.
@@ -47,6 +48,7 @@ impl Drawing {
     /// Nothing drawn yet.
     pub fn new(workers: &Workers, backend: Backend) -> Result<Drawing, Failure> {
         Ok(Drawing {
+            workers: workers.clone(),
             painter: Painter::with(workers, backend)?,
             backend,
             anchor: None,
@@ -54,6 +56,11 @@ impl Drawing {
             render: Duration::ZERO,
             write: Duration::ZERO,
         })
+    }
+
+    /// Its threads and level.
+    pub fn workers(&self) -> &Workers {
+        &self.workers
     }
 
     /// Renderer, for the record.
@@ -73,7 +80,7 @@ impl Drawing {
         let placement = &interval.placement;
         let anchor = match self.anchor {
             Some(anchor) => anchor,
-            None => *self.anchor.insert(Anchor { time, pivot: turn::pivot(interval, time)? }),
+            None => *self.anchor.insert(Anchor { time, pivot: turn::pivot(interval, time, &self.workers)? }),
         };
         let camera = match &views.course {
             None => views.camera.at(time),

@@ -90,7 +90,7 @@ impl Stream<'_> {
     /// Writes an interval and what is due in it.
     fn write(&mut self, interval: &Interval, due: &[(usize, f64)], views: &Views) -> Result<(), Failure> {
         let Stream { outputs, drawing, emit, engine, .. } = self;
-        drawing.writing(|| outputs.interval(interval))?;
+        drawing.writing(|| outputs.interval(interval, engine.workers()))?;
         if engine.workers().threads() < 2 || due.len() < 2 {
             for &(index, time) in due {
                 let drawn = Drawn::of(drawing, interval, (index, time), *emit, views)?;
@@ -165,7 +165,7 @@ impl Drawn {
         views: &Views,
     ) -> Result<Self, Failure> {
         let image = emit.draws().then(|| drawing.draw(interval, index, time, views)).transpose()?;
-        let snapshot = emit.ply.then(|| Snapshot::exported(interval, time)).transpose()?;
+        let snapshot = emit.ply.then(|| Snapshot::exported(interval, time, drawing.workers())).transpose()?;
         if let Some(snapshot) = &snapshot {
             // Where an image is drawn as well, they are counted with it.
             drawing.counts.dropped += if emit.draws() { 0 } else { snapshot.dropped };

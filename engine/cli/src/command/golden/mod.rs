@@ -69,7 +69,7 @@ fn draw(
     for (index, (time, place)) in due.into_iter().enumerate() {
         let interval = match current.take().filter(|(at, _)| *at == place) {
             Some((_, interval)) => interval,
-            None => scene.interval(place, workers)?,
+            None => scene.interval(place)?,
         };
         // Images of one instant are told apart by when they are shown.
         let shown = if let Some(Course::Held(_)) = views.course { index as f64 / fps } else { time };
