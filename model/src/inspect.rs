@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::checkpoint::{Checkpoint, Weights};
 use crate::config::{self, Settings};
 use crate::cost::{self, StageCost};
-use crate::silent::{Silent, silent};
+use crate::zero_output::{ZeroOutput, zero_output};
 use crate::{Config, DinoConfig, ModelError, keys};
 
 /// Kind and sizes of a model.
@@ -52,7 +52,7 @@ pub struct Report {
     /// Cost per stage, were all of it computed.
     pub stages: Vec<StageCost>,
     /// Residual branches that are left out because they add zero, by part.
-    pub silent: Vec<Silent>,
+    pub zero_output: Vec<ZeroOutput>,
     /// Tensors that are not read.
     pub ignored: Vec<String>,
 }
@@ -124,12 +124,12 @@ fn inspect_checkpoint(checkpoint: &Checkpoint, settings: &Settings) -> Result<Re
         Kind::StreamSplat(config) => cost::stages(config),
         Kind::Dino(config) => vec![StageCost { stage: "dinov2", gflop: cost::dino_gflop(config), calls: 1 }],
     };
-    let silent = match &kind {
-        Kind::StreamSplat(config) => silent(&Weights::new(checkpoint, prefix), config),
+    let zero_output = match &kind {
+        Kind::StreamSplat(config) => zero_output(&Weights::new(checkpoint, prefix), config),
         Kind::Dino(_) => Vec::new(),
     };
     let (file, bytes) = (checkpoint.file().to_owned(), checkpoint.size());
-    Ok(Report { file, bytes, prefix, kind, parts, formats, stages, silent, ignored })
+    Ok(Report { file, bytes, prefix, kind, parts, formats, stages, zero_output, ignored })
 }
 
 /// Parts of a StreamSplat checkpoint and the keys they start with. The first that fits counts.

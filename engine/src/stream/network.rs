@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use streamsplat_model::reuse::{Saving, Tokens};
-use streamsplat_model::silent::Silent;
+use streamsplat_model::zero_output::ZeroOutput;
 use streamsplat_model::{
     self as model, Dino, Embedding, FrameInput, LoadOptions, ModelError, Network, Sampling, Side, StaticGaussians,
     StaticPosition,
@@ -67,10 +67,10 @@ impl Reconstructor for Conditioned {
         self.network.config().ignores_depth
     }
 
-    fn silent(&self) -> &[Silent] {
-        match self.network.options().compute_silent {
+    fn zero_output(&self) -> &[ZeroOutput] {
+        match self.network.options().compute_zero_output {
             true => &[],
-            false => self.network.silent(),
+            false => self.network.zero_output(),
         }
     }
 

@@ -56,7 +56,7 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
     }));
     let input = &record.input.path;
     // The repetition itself says nothing.
-    let silent = Console { quiet: true, ..Console::default() };
+    let quiet = Console { quiet: true, ..Console::default() };
     let again = match &record.task {
         Task::Run(options) => {
             let mut options = options.clone();
@@ -70,12 +70,12 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
                 options.emit = Some(kinds.into_iter().filter(has).collect::<Vec<_>>().join(","));
                 options.view.renderer = None;
             }
-            run::run(input, &mut place, &options, &args.machine, &silent)?
+            run::run(input, &mut place, &options, &args.machine, &quiet)?
         }
         Task::Render(_) if !record.complete => {
             return Err(Failure::work(format!("{}: the rendering was stopped; run it again", record_path.display())));
         }
-        Task::Render(options) => render::render(input, &mut place, options, &args.machine, &silent)?,
+        Task::Render(options) => render::render(input, &mut place, options, &args.machine, &quiet)?,
     };
 
     let model = |record: &Record| record.model.as_ref().map_or_else(|| "none".to_owned(), |model| model.blake3.clone());

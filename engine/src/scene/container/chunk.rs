@@ -178,7 +178,7 @@ fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Co
     }
     // Differences of 0 throughout are numbers of 0 throughout: predictions begin with 0.
     for column in &mut columns[RATES] {
-        if column.is_silent() {
+        if column.is_zero() {
             *column = Column::default();
         }
     }
