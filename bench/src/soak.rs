@@ -18,7 +18,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use serde::Serialize;
-use streamsplat::render::Painter;
+use streamsplat::render::Renderer;
 use streamsplat::stream::{Fusion, Interval, ModelSource, Workers};
 use streamsplat::{Camera, Engine, Frame, Image, RenderOptions, Settings};
 use streamsplat_fixtures::clip::{Clip, Kind};
@@ -150,15 +150,15 @@ fn sizes() -> Sizes {
 /// A stream that is drawn, and the CPU time of its last steps.
 struct Measured {
     engine: Engine,
-    painter: Painter,
+    renderer: Renderer,
     /// At most a hundred: [`Measured::hundred`] empties it.
     seconds: Vec<f64>,
 }
 
 impl Measured {
     fn new(engine: Engine) -> Result<Measured> {
-        let painter = Painter::new(engine.workers());
-        Ok(Measured { engine, painter, seconds: Vec::with_capacity(HUNDRED as usize) })
+        let renderer = Renderer::new(engine.workers());
+        Ok(Measured { engine, renderer, seconds: Vec::with_capacity(HUNDRED as usize) })
     }
 
     /// Takes key frame `k` and draws the middle of its interval.
@@ -167,7 +167,7 @@ impl Measured {
         let start = process::cpu_seconds()?;
         let interval = self.engine.push(frame, k as f64 / RATE)?;
         let time = 0.5 * (interval.start + interval.end);
-        self.painter.draw(&interval, time, &Camera::Canonical, &RenderOptions::default())?;
+        self.renderer.render(&interval, time, &Camera::Canonical, &RenderOptions::default())?;
         self.seconds.push(process::cpu_seconds()? - start);
         Ok(interval)
     }

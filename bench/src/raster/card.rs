@@ -1,7 +1,7 @@
 //! The same scenes on a graphics card.
 
 use anyhow::{Result, ensure};
-use streamsplat::wgpu::WgpuRenderer;
+use streamsplat::wgpu::WgpuRasteriser;
 use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::raster::{Work, render};
 
@@ -17,7 +17,7 @@ const CLOSE: f32 = 2.0 / 255.0;
 /// Compares every scene's image with the CPU's, then measures. A row's `error` is the largest difference.
 pub(super) fn run(options: &Options) -> Result<()> {
     let level = options.common.isa;
-    let mut renderer = WgpuRenderer::new(level)?;
+    let mut renderer = WgpuRasteriser::new(level)?;
     println!("{}", renderer.adapter());
     heads();
     let mut rows = Vec::new();
@@ -38,7 +38,7 @@ pub(super) fn run(options: &Options) -> Result<()> {
     })
 }
 
-fn measure(renderer: &mut WgpuRenderer, options: &Options, name: &str, scene: &Scene) -> Result<Row> {
+fn measure(renderer: &mut WgpuRasteriser, options: &Options, name: &str, scene: &Scene) -> Result<Row> {
     let expected = render(options.common.isa, &scene.gaussians(), &scene.projection, &scene.request);
     let found = renderer.render(&scene.gaussians(), &scene.projection, &scene.request)?;
     ensure!(

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use streamsplat::render::Backend;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::gemm::Precision;
-use streamsplat_kernels::raster::{Renderer, Work, reference};
+use streamsplat_kernels::raster::{Rasteriser, Work, reference};
 
 use crate::Common;
 use crate::machine::Machine;
@@ -205,25 +205,25 @@ fn heads() {
 
 /// Draws the scenes in turn, `repeat` times over; from nothing each, or (`keep`) redrawing what changed from one to the next.
 fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize) -> Result<Row> {
-    let mut renderer = Renderer::new(level);
+    let mut rasteriser = Rasteriser::new(level);
     let mut error = 0.0_f64;
     for scene in scenes {
-        renderer.render(&scene.gaussians(), &scene.projection, &scene.request);
-        error = error.max(check(&renderer, scene).with_context(|| name.to_owned())?);
+        rasteriser.render(&scene.gaussians(), &scene.projection, &scene.request);
+        error = error.max(check(&rasteriser, scene).with_context(|| name.to_owned())?);
     }
     let mut times = Vec::new();
     let mut best: Option<(f64, Work)> = None;
     for _ in 0..repeat {
         for scene in scenes {
             if !keep {
-                renderer.forget();
+                rasteriser.forget();
             }
             let seconds = once(|| {
-                std::hint::black_box(renderer.render(&scene.gaussians(), &scene.projection, &scene.request));
+                std::hint::black_box(rasteriser.render(&scene.gaussians(), &scene.projection, &scene.request));
             });
             times.push(seconds);
             if best.is_none_or(|(least, _)| seconds < least) {
-                best = Some((seconds, renderer.work()));
+                best = Some((seconds, rasteriser.work()));
             }
         }
     }
@@ -266,11 +266,11 @@ impl Row {
     }
 }
 
-/// The largest error of the renderer's image against the binary64 reference, over pixels that no threshold decides.
-fn check(renderer: &Renderer, scene: &Scene) -> Result<f64> {
+/// The largest error of the rasteriser's image against the binary64 reference, over pixels that no threshold decides.
+fn check(rasteriser: &Rasteriser, scene: &Scene) -> Result<f64> {
     let expected = reference::render(&scene.gaussians(), &scene.projection, &scene.request);
     let pixels = scene.request.width * scene.request.height;
-    let found = &renderer.image().rgb;
+    let found = &rasteriser.image().rgb;
     ensure!(found.len() == expected.rgb.len(), "{} values, expected {}", found.len(), expected.rgb.len());
     let (mut worst, mut undecided) = (0.0_f64, 0);
     for (at, (&found, &expected_value)) in found.iter().zip(&expected.rgb).enumerate() {
@@ -336,15 +336,15 @@ fn growth(options: &Options) -> Result<Vec<Growth>> {
 
 fn growth_step(level: Level, count: usize, repeat: usize) -> Result<Growth> {
     let scene = Scene::scattered(count);
-    let mut renderer = Renderer::new(level);
+    let mut rasteriser = Rasteriser::new(level);
     let mut best = (f64::INFINITY, Work::default());
     for _ in 0..repeat.clamp(2, if count > 1_000_000 { 3 } else { 100 }) {
-        renderer.forget();
+        rasteriser.forget();
         let seconds = once(|| {
-            std::hint::black_box(renderer.render(&scene.gaussians(), &scene.projection, &scene.request));
+            std::hint::black_box(rasteriser.render(&scene.gaussians(), &scene.projection, &scene.request));
         });
         if seconds < best.0 {
-            best = (seconds, renderer.work());
+            best = (seconds, rasteriser.work());
         }
     }
     let (seconds, work) = best;

@@ -5,7 +5,7 @@ use rayon::current_num_threads;
 use serde::Serialize;
 use streamsplat::camera::Pose;
 use streamsplat::fit::{Fit, Placement};
-use streamsplat::render::{Painter, Snapshot};
+use streamsplat::render::{Renderer, Snapshot};
 use streamsplat::space::{Bounds, Tree};
 use streamsplat::still::{Drawable, Still};
 use streamsplat::stream::{DynamicGaussians, Record, Workers};
@@ -148,13 +148,13 @@ fn still(workers: &Workers, repeat: usize) -> Result<Row> {
             pinhole([0.0; 3], [angle.sin(), 0.1, angle.cos()], 40.0)
         })
         .collect::<Result<_>>()?;
-    let (mut whole, mut part) = (Painter::new(workers), Painter::new(workers));
+    let (mut whole, mut part) = (Renderer::new(workers), Renderer::new(workers));
     let sums = draw(
         &cameras,
         repeat,
-        |camera| Ok(whole.draw_still(&plain, camera, &options())?.clone()),
+        |camera| Ok(whole.render_still(&plain, camera, &options())?.clone()),
         |camera| {
-            let image = part.draw_still(&scene, camera, &options())?.clone();
+            let image = part.render_still(&scene, camera, &options())?.clone();
             Ok((image, part.left_out()))
         },
     )?;
@@ -184,16 +184,16 @@ fn interval(workers: &Workers, repeat: usize) -> Result<Row> {
         hierarchy((0..count).map(|i| Bounds::of_gaussian(middle.mean[i], middle.scale[i], middle.opacity[i])));
     let still = Drawable::new(Still::of(&middle), workers)?;
     let prepare = grouped(still, workers).1;
-    let mut painter = Painter::new(workers);
+    let mut renderer = Renderer::new(workers);
     let mut least = [f64::INFINITY; CAMERAS];
     for _ in 0..repeat {
         for (i, least) in least.iter_mut().enumerate() {
             let x = 0.2 * i as f64 - 0.7;
             let camera = pinhole([x, 0.1, -1.0], [x, 0.1, 0.5], 5.0)?;
             let watch = Stopwatch::start();
-            std::hint::black_box(painter.draw(&interval, 0.5, &camera, &options())?);
+            std::hint::black_box(renderer.render(&interval, 0.5, &camera, &options())?);
             *least = least.min(watch.stop().seconds());
-            let work = painter.work();
+            let work = renderer.work();
             ensure!(work.culled * 10 > work.gaussians * 9, "not a narrow camera: {work:?}");
         }
     }

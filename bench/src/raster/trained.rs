@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use streamsplat_fixtures::trained::{DEGREE, FOCAL, HIGHER, SIZE, gaussians};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::harmonics::{self, Eye};
-use streamsplat_kernels::raster::{ColourMap, OwnedGaussians, Projection, Renderer, Request, Work};
+use streamsplat_kernels::raster::{ColourMap, OwnedGaussians, Projection, Rasteriser, Request, Work};
 
 use super::scenes::Scene;
 use super::{Stages, check, peak_rss_bytes};
@@ -74,18 +74,18 @@ pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<Row> 
     drop((base, higher));
     scene.splats.rgb = rgb;
     let gaussians = scene.gaussians();
-    let mut renderer = Renderer::new(level);
-    renderer.render(&gaussians, &scene.projection, &scene.request);
+    let mut rasteriser = Rasteriser::new(level);
+    rasteriser.render(&gaussians, &scene.projection, &scene.request);
     let small = count <= COUNTS[0];
-    let error = small.then(|| check(&renderer, &scene)).transpose().with_context(|| format!("{count} Gaussians"))?;
+    let error = small.then(|| check(&rasteriser, &scene)).transpose().with_context(|| format!("{count} Gaussians"))?;
     let mut best = (f64::INFINITY, Work::default());
     for _ in 0..repeat {
-        renderer.forget();
+        rasteriser.forget();
         let milliseconds = fastest(1, || {
-            std::hint::black_box(renderer.render(&gaussians, &scene.projection, &scene.request));
+            std::hint::black_box(rasteriser.render(&gaussians, &scene.projection, &scene.request));
         });
         if milliseconds < best.0 {
-            best = (milliseconds, renderer.work());
+            best = (milliseconds, rasteriser.work());
         }
     }
     let (image, work) = best;
@@ -94,7 +94,7 @@ pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<Row> 
         let prepare = fastest(repeat, || map.prepare(&gaussians, &scene.projection, SIZE));
         let mut linear = vec![0.0; 3 * SIZE[0] * SIZE[1]];
         map.forward(gaussians.rgb, scene.request.background, &mut linear);
-        ensure!(linear == renderer.image().rgb, "{count} Gaussians: the map's image is not the rasteriser's");
+        ensure!(linear == rasteriser.image().rgb, "{count} Gaussians: the map's image is not the rasteriser's");
         let mut sums = vec![[0.0; 3]; count];
         let adjoint = fastest(repeat, || map.adjoint(&linear, &mut sums));
         // ⟨A·c, A·c⟩ = ⟨c, Aᵀ·A·c⟩, on black.

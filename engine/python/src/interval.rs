@@ -11,7 +11,7 @@ use streamsplat::camera::Camera;
 use streamsplat::fit::Placement;
 use streamsplat::import::{FORMATS, Format};
 use streamsplat::output::write_file;
-use streamsplat::render::{Painter, Snapshot};
+use streamsplat::render::{Renderer, Snapshot};
 use streamsplat::scene::{from_safetensors, to_safetensors};
 use streamsplat::stream::{DynamicGaussians, Workers};
 use streamsplat_kernels::Level;
@@ -145,9 +145,9 @@ impl Interval {
         let (places, many) = arguments::places(time, camera)?;
         let options = arguments::options(size, background, depth, alpha)?;
         let images = py.detach(|| {
-            let mut painter = Painter::new(self.workers()?);
+            let mut renderer = Renderer::new(self.workers()?);
             let mut draw = |(time, camera): &(f64, Camera)| {
-                let image = painter.draw(&self.inner, *time, camera, &options).map_err(not_drawn)?;
+                let image = renderer.render(&self.inner, *time, camera, &options).map_err(not_drawn)?;
                 Ok(Image::from(image.clone()))
             };
             places.iter().map(&mut draw).collect::<PyResult<Vec<_>>>()

@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use streamsplat::camera::Camera;
-use streamsplat::render::Painter;
+use streamsplat::render::Renderer;
 use streamsplat::scene;
 use streamsplat::stream::Workers;
 use streamsplat_kernels::Level;
@@ -94,14 +94,14 @@ impl Scene {
         let options = arguments::options(size, background, depth, alpha)?;
         let images = py.detach(|| {
             let mut current: Option<(usize, streamsplat::Interval)> = None;
-            let mut painter = Painter::new(&self.workers);
+            let mut renderer = Renderer::new(&self.workers);
             let draw = |(time, camera): &(f64, Camera)| {
                 let place = self.inner.find(*time).map_err(failed)?;
                 let interval = match current.take().filter(|(at, _)| *at == place) {
                     Some((_, interval)) => interval,
                     None => self.inner.interval(place).map_err(failed)?,
                 };
-                let image = painter.draw(&interval, *time, camera, &options).map_err(not_drawn);
+                let image = renderer.render(&interval, *time, camera, &options).map_err(not_drawn);
                 let image = image.map(|image| Image::from(image.clone()));
                 current = Some((place, interval));
                 image

@@ -192,7 +192,7 @@ fn times_outside_the_interval_are_refused() {
 }
 
 #[test]
-fn levels_threads_and_painters_draw_the_same_bits() {
+fn levels_threads_and_renderers_draw_the_same_bits() {
     let options = RenderOptions { depth: true, alpha: true, statistics: true, ..RenderOptions::default() };
     let pose = Pose::look_at([0.4, -0.3, -1.0], [0.0, 0.0, 0.4], [0.0, -1.0, 0.0]).unwrap();
     for camera in [Camera::Canonical, Camera::pinhole(pose, 70.0, 40.0 / 24.0).unwrap()] {
@@ -202,9 +202,9 @@ fn levels_threads_and_painters_draw_the_same_bits() {
         let expected: Vec<Image> = times.map(|time| interval.render(time, &camera, &options, &one).unwrap()).into();
         for level in Level::available() {
             for threads in [1, 2, 3, 8] {
-                let mut painter = Painter::new(&Workers::new(level, threads).unwrap());
+                let mut renderer = Renderer::new(&Workers::new(level, threads).unwrap());
                 for (time, expected) in times.into_iter().zip(&expected) {
-                    let found = painter.draw(&interval, time, &camera, &options).unwrap();
+                    let found = renderer.render(&interval, time, &camera, &options).unwrap();
                     assert!(found.rgb.iter().zip(&expected.rgb).all(|(a, b)| a.to_bits() == b.to_bits()));
                     assert_eq!(found, expected, "{level}, {threads} threads, {time} s");
                 }

@@ -18,7 +18,7 @@ use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd, dispatch};
 use crate::size::product;
 
-/// Work done and avoided by the last [`Renderer::render`].
+/// Work done and avoided by the last [`Rasteriser::render`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Work {
     /// Gaussians given.
@@ -51,7 +51,7 @@ pub struct Work {
 
 /// A rasteriser that keeps its buffers and its last image.
 #[derive(Debug)]
-pub struct Renderer {
+pub struct Rasteriser {
     level: Level,
     /// Scene and request of the last image; `None` before the first.
     last: Option<Last>,
@@ -92,8 +92,8 @@ pub(super) fn finite_background(background: [f32; 3]) -> [f32; 3] {
     background.map(|c| if c.is_finite() { c + 0.0 } else { 0.0 })
 }
 
-impl Renderer {
-    /// A renderer that runs on `level`.
+impl Rasteriser {
+    /// A rasteriser that runs on `level`.
     pub fn new(level: Level) -> Self {
         Self {
             level,

@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 
 use streamsplat::camera::{CameraSet, Pose, file, set};
 use streamsplat::fit::Placement;
-use streamsplat::render::Painter;
+use streamsplat::render::Renderer;
 use streamsplat::scene::{Index, from_safetensors, intervals_from_container, to_safetensors};
 use streamsplat::source::{decode, y4m::Y4m};
 use streamsplat::splats::Splats;
@@ -212,7 +212,7 @@ fn draw_still(still: Still) {
     };
     let [a, b] = WORKERS.each_ref().map(|workers| {
         let scene = Drawable::new(still.clone(), workers).expect("even arrays");
-        Painter::new(workers).draw_still(&scene, &camera, &options).expect("a camera").clone()
+        Renderer::new(workers).render_still(&scene, &camera, &options).expect("a camera").clone()
     });
     assert_same_finite(&a, &b);
 }

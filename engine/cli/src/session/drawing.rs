@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use streamsplat::camera::{Camera, turn};
-use streamsplat::render::{Backend, Painter, View};
+use streamsplat::render::{Backend, Renderer, View};
 use streamsplat::still::Drawable;
 use streamsplat::stream::{Interval, Workers};
 use streamsplat::{Image, RenderError};
@@ -32,7 +32,7 @@ pub struct Anchor {
 /// Draws and writes images; keeps the account.
 pub struct Drawing {
     workers: Workers,
-    painter: Painter,
+    renderer: Renderer,
     backend: Backend,
     /// Known from the first image on that needs it.
     pub anchor: Option<Anchor>,
@@ -49,7 +49,7 @@ impl Drawing {
     pub fn new(workers: &Workers, backend: Backend) -> Result<Drawing, Failure> {
         Ok(Drawing {
             workers: workers.clone(),
-            painter: Painter::with(workers, backend)?,
+            renderer: Renderer::with(workers, backend)?,
             backend,
             anchor: None,
             counts: Counts::default(),
@@ -67,7 +67,7 @@ impl Drawing {
     pub fn renderer(&self) -> RendererRecord {
         RendererRecord {
             name: self.backend.to_string(),
-            adapter: self.painter.adapter().map(str::to_owned),
+            adapter: self.renderer.adapter().map(str::to_owned),
             bit_contract: self.backend.is_within_contract(),
         }
     }
@@ -94,13 +94,14 @@ impl Drawing {
     fn seen(&mut self, interval: &Interval, time: f64, camera: &Camera, views: &Views) -> Result<Image, Failure> {
         let view = View::new(camera, &interval.placement, [1; 2]);
         let turned = view.rotation().is_some() || !matches!(view.projection(), Projection::Orthographic { .. });
-        self.drawn(turned, |painter| painter.draw(interval, time, camera, &views.options))
+        self.drawn(turned, |renderer| renderer.render(interval, time, camera, &views.options))
     }
 
     /// Draws a still scene from where the camera is at `time`.
     pub fn still(&mut self, scene: &Drawable, time: f64, views: &Views) -> Result<Image, Failure> {
         // Its Gaussians have rotations of their own.
-        let mut seen = |camera: &Camera| self.drawn(true, |painter| painter.draw_still(scene, camera, &views.options));
+        let mut seen =
+            |camera: &Camera| self.drawn(true, |renderer| renderer.render_still(scene, camera, &views.options));
         match (views.camera.at(time), views.eyes.zip(views.pivot)) {
             (camera @ Camera::Canonical, _) | (camera, None) => seen(&camera),
             (camera, Some((apart, pivot))) => {
@@ -114,15 +115,15 @@ impl Drawing {
     fn drawn(
         &mut self,
         turned: bool,
-        paint: impl FnOnce(&mut Painter) -> Result<&Image, RenderError>,
+        paint: impl FnOnce(&mut Renderer) -> Result<&Image, RenderError>,
     ) -> Result<Image, Failure> {
         let _span = tracing::info_span!("render").entered();
         let start = Instant::now();
-        let image = paint(&mut self.painter)?.clone();
+        let image = paint(&mut self.renderer)?.clone();
         self.render += start.elapsed();
         self.counts.images += 1;
         self.counts.dropped += image.dropped;
-        let (work, left_out) = (self.painter.work(), self.painter.left_out());
+        let (work, left_out) = (self.renderer.work(), self.renderer.left_out());
         let planes = 1 + u64::from(image.depth.is_some()) + u64::from(image.alpha.is_some());
         let counts = [
             (work.gaussians.saturating_sub(work.culled), work.culled),

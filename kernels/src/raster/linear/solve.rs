@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 use tracing::debug_span;
 
-use super::super::renderer::finite_background;
+use super::super::rasteriser::finite_background;
 use super::passes::{Normal, Paint, Residual, Slots};
 use super::{ColourMap, Thread};
 use crate::level::Level;
