@@ -35,7 +35,7 @@ pub(crate) struct Options {
 }
 
 #[derive(Serialize)]
-struct Row {
+struct DepthScore {
     depth: &'static str,
     #[serde(flatten)]
     score: Score,
@@ -78,7 +78,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             "{name:8} {views:6.2} {foreground:10.2} {behind:7.2} {key:6.2} {:6.2} {:15.2} {count:5}",
             card[0], card[1]
         );
-        rows.push(Row { depth: name, score });
+        rows.push(DepthScore { depth: name, score });
     }
     options.common.write(&rows)
 }

@@ -3,7 +3,7 @@
 use anyhow::{Result, ensure};
 use clap::Args;
 use serde::Serialize;
-use streamsplat_fixtures::clip::{Clip, Kind};
+use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_kernels::flow::{self, Blend, Options as FlowOptions, Pyramid};
 use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::raster::{ColourMap, render};
@@ -21,7 +21,7 @@ pub(crate) struct Options {
 }
 
 #[derive(Serialize)]
-struct Row {
+struct FitTiming {
     what: &'static str,
     milliseconds: Seconds,
 }
@@ -29,7 +29,7 @@ struct Row {
 #[derive(Serialize)]
 struct Report {
     machine: Machine,
-    rows: Vec<Row>,
+    rows: Vec<FitTiming>,
 }
 
 pub(crate) fn run(options: &Options) -> Result<()> {
@@ -39,22 +39,22 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         Ok((rows, Machine::new(options.common.isa, (Precision::F32, 0.0))))
     })?;
     println!("{:56} {:>9} {:>9} {:>9}", "milliseconds", "least", "median", "most");
-    for Row { what, milliseconds: Seconds { min, median, max } } in &rows {
+    for FitTiming { what, milliseconds: Seconds { min, median, max } } in &rows {
         println!("{what:56} {min:9.2} {median:9.2} {max:9.2}");
     }
     options.common.write(&Report { machine, rows })
 }
 
 /// Times of `work`, after one run that is not counted.
-fn measure(common: &Common, what: &'static str, mut work: impl FnMut()) -> Row {
+fn measure(common: &Common, what: &'static str, mut work: impl FnMut()) -> FitTiming {
     work();
     let times = (0..common.repeat.max(1)).map(|_| 1e3 * once(&mut work)).collect();
-    Row { what, milliseconds: Seconds::of(times) }
+    FitTiming { what, milliseconds: Seconds::of(times) }
 }
 
-fn flow_rows(common: &Common) -> Result<Vec<Row>> {
+fn flow_rows(common: &Common) -> Result<Vec<FitTiming>> {
     let (level, size, options) = (common.isa, [288, 512], FlowOptions::default());
-    let clip = Clip::new(Kind::Moving, 1, size[1], size[0]);
+    let clip = Clip::new(ClipKind::Moving, 1, size[1], size[0]);
     let [a, b] = [0.0, 0.1].map(|time| clip.picture(time).rgb);
     let pyramid = |rgb: &[f32]| Pyramid::new(level, &flow::luma(level, rgb), size, &options);
     let pyramids = [pyramid(&a)?, pyramid(&b)?];
@@ -76,7 +76,7 @@ fn flow_rows(common: &Common) -> Result<Vec<Row>> {
     ])
 }
 
-fn map_rows(common: &Common) -> Result<Vec<Row>> {
+fn map_rows(common: &Common) -> Result<Vec<FitTiming>> {
     let scene = Scene::paper_grid();
     let gaussians = scene.gaussians();
     let size @ [width, height] = [scene.request.width, scene.request.height];

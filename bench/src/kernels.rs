@@ -54,7 +54,7 @@ impl Format {
 }
 
 #[derive(Serialize)]
-struct Row {
+struct KernelTiming {
     kernel: String,
     model: &'static str,
     precision: &'static str,
@@ -68,7 +68,7 @@ struct Row {
 #[derive(Serialize)]
 struct Results {
     machine: Machine,
-    kernels: Vec<Row>,
+    kernels: Vec<KernelTiming>,
 }
 
 /// One kernel at one size, checked already.
@@ -122,7 +122,7 @@ fn measure(options: &Options) -> Result<()> {
         }
         let seconds = Seconds::of(times);
         let gflops = case.flop / seconds.min / 1e9;
-        let row = Row {
+        let row = KernelTiming {
             kernel: case.kernel,
             model: case.model,
             precision: case.precision.0,

@@ -21,7 +21,7 @@ use serde::Serialize;
 use streamsplat::render::Renderer;
 use streamsplat::stream::{Fusion, Interval, ModelSource, Workers};
 use streamsplat::{Camera, Engine, Frame, Image, RenderOptions, Settings};
-use streamsplat_fixtures::clip::{Clip, Kind};
+use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_fixtures::seeded::Sizes;
 use streamsplat_kernels::Level;
 
@@ -87,7 +87,7 @@ impl Check {
 
 /// The state after some key frames.
 #[derive(Serialize)]
-struct Row {
+struct StreamState {
     key_frame: u64,
     /// Most at any moment of the last period; none beside the young stream.
     live_bytes: Option<u64>,
@@ -111,7 +111,7 @@ struct Results {
     resident_peaks: f64,
     /// The hundred after / the second hundred of the young stream.
     beside_young: f64,
-    rows: Vec<Row>,
+    rows: Vec<StreamState>,
 }
 
 /// The endless clip.
@@ -121,7 +121,7 @@ struct Film {
 
 impl Film {
     fn new([height, width]: [usize; 2]) -> Film {
-        let clip = Clip::new(Kind::StaticCamera, 1, width, height);
+        let clip = Clip::new(ClipKind::StaticCamera, 1, width, height);
         // To and fro in quick steps: a second of the clip in a period.
         let frame = |i| Frame { width, height, rgb: clip.picture(4.0 * i as f64 / RATE).rgb, depth: None };
         Film { frames: (0..=PERIOD / 2).map(frame).collect() }
@@ -291,7 +291,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let film = Film::new(long.engine.model().resolution());
 
     let mut identities = Identities::default();
-    let mut rows: Vec<Row> = Vec::with_capacity(2 + (count / HUNDRED) as usize);
+    let mut rows: Vec<StreamState> = Vec::with_capacity(2 + (count / HUNDRED) as usize);
     let [mut live, mut resident] = [Growth::default(), Growth::default()];
     let mut last = None;
     let mut young = None;
@@ -336,7 +336,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             continue;
         }
         let identities = identities.newest.map_or(0, |newest| newest + 1);
-        rows.push(Row {
+        rows.push(StreamState {
             key_frame,
             live_bytes,
             resident_bytes,

@@ -54,7 +54,7 @@ enum Size {
 }
 
 #[derive(Serialize)]
-struct Row {
+struct StageTiming {
     name: &'static str,
     size: &'static str,
     precision: &'static str,
@@ -71,7 +71,7 @@ struct Row {
 #[derive(Serialize)]
 struct Results {
     machine: Machine,
-    stages: Vec<Row>,
+    stages: Vec<StageTiming>,
 }
 
 pub(crate) fn run(options: &Options) -> Result<()> {
@@ -129,7 +129,7 @@ fn measure(
     full: Option<&Model>,
     size: &'static str,
     options: &Options,
-    rows: &mut Vec<Row>,
+    rows: &mut Vec<StageTiming>,
     peak: &mut f64,
 ) -> Result<()> {
     let parts = model.network.zero_output();
@@ -190,7 +190,7 @@ fn measure(
             figure(processor_with_zero_output.map(|s| s.min * 1e3))
         );
         let precision = options.precision.name();
-        rows.push(Row {
+        rows.push(StageTiming {
             name,
             size,
             precision,

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::record::Kind;
+use super::record::Benchmark;
 use super::{Change, Comparison, Verdict};
 use crate::timing::Seconds;
 
@@ -40,15 +40,15 @@ impl Comparison {
 
     fn noun(&self) -> &'static str {
         match self.kind {
-            Kind::Instructions => "counts of instructions",
-            Kind::Stages | Kind::Kernels | Kind::Raster => "times",
+            Benchmark::Instructions => "counts of instructions",
+            Benchmark::Stages | Benchmark::Kernels | Benchmark::Raster => "times",
         }
     }
 
     /// The value of a row, with the spread of its runs.
     fn value(&self, value: Option<Seconds>) -> String {
         let Some(value) = value else { return "–".to_owned() };
-        if self.kind == Kind::Instructions {
+        if self.kind == Benchmark::Instructions {
             return grouped(value.median as u64);
         }
         let (unit, factor) = match value.median {

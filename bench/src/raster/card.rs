@@ -5,7 +5,7 @@ use streamsplat::wgpu::WgpuRasteriser;
 use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::raster::{Work, render};
 
-use super::{Options, Results, Row, Scene, WHOLE, heads};
+use super::{Options, Results, Scene, SceneTiming, WHOLE, heads};
 use crate::machine::Machine;
 use crate::timing::{Seconds, once};
 
@@ -38,7 +38,7 @@ pub(super) fn run(options: &Options) -> Result<()> {
     })
 }
 
-fn measure(renderer: &mut WgpuRasteriser, options: &Options, name: &str, scene: &Scene) -> Result<Row> {
+fn measure(renderer: &mut WgpuRasteriser, options: &Options, name: &str, scene: &Scene) -> Result<SceneTiming> {
     let expected = render(options.common.isa, &scene.gaussians(), &scene.projection, &scene.request);
     let found = renderer.render(&scene.gaussians(), &scene.projection, &scene.request)?;
     ensure!(
@@ -70,5 +70,5 @@ fn measure(renderer: &mut WgpuRasteriser, options: &Options, name: &str, scene: 
             best = (seconds, renderer.work());
         }
     }
-    Ok(Row::new(name, scene, Seconds::of(times), best.1, f64::from(worst)))
+    Ok(SceneTiming::new(name, scene, Seconds::of(times), best.1, f64::from(worst)))
 }

@@ -87,7 +87,7 @@ impl Stages {
 }
 
 #[derive(Serialize)]
-struct Row {
+struct SceneTiming {
     name: String,
     gaussians: usize,
     /// Width, height.
@@ -124,10 +124,10 @@ struct Results {
     machine: Machine,
     /// Renderer.
     renderer: String,
-    scenes: Vec<Row>,
-    parts: Vec<part::Row>,
+    scenes: Vec<SceneTiming>,
+    parts: Vec<part::PartTiming>,
     scaling: Vec<Growth>,
-    trained: Vec<trained::Row>,
+    trained: Vec<trained::TrainedTiming>,
 }
 
 /// Measures.
@@ -204,7 +204,7 @@ fn heads() {
 }
 
 /// Draws the scenes in turn, `repeat` times over; from nothing each, or (`keep`) redrawing what changed from one to the next.
-fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize) -> Result<Row> {
+fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize) -> Result<SceneTiming> {
     let mut rasteriser = Rasteriser::new(level);
     let mut error = 0.0_f64;
     for scene in scenes {
@@ -228,13 +228,13 @@ fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize
         }
     }
     let (_, work) = best.context("nothing was drawn")?;
-    Ok(Row::new(name, &scenes[0], Seconds::of(times), work, error))
+    Ok(SceneTiming::new(name, &scenes[0], Seconds::of(times), work, error))
 }
 
-impl Row {
+impl SceneTiming {
     /// The row, printed.
     fn new(name: &str, scene: &Scene, seconds: Seconds, work: Work, error: f64) -> Self {
-        let row = Row {
+        let row = SceneTiming {
             name: name.to_owned(),
             gaussians: scene.splats.mean.len(),
             size: [scene.request.width, scene.request.height],
@@ -288,11 +288,11 @@ fn check(rasteriser: &Rasteriser, scene: &Scene) -> Result<f64> {
 }
 
 /// Scenes with the statistics of trained ones, each in a process of its own.
-fn large(options: &Options) -> Result<Vec<trained::Row>> {
+fn large(options: &Options) -> Result<Vec<trained::TrainedTiming>> {
     let wanted = |count: &usize| *count <= options.largest && "trained".contains(&options.only);
     let mut rows = Vec::new();
     for count in trained::COUNTS.into_iter().filter(wanted) {
-        let row: trained::Row = alone(options, "--trained", count)?;
+        let row: trained::TrainedTiming = alone(options, "--trained", count)?;
         row.print();
         rows.push(row);
     }

@@ -24,7 +24,7 @@ const CAMERAS: usize = 8;
 
 /// Milliseconds of the processor per image, by the least of each camera's runs.
 #[derive(Serialize)]
-pub(super) struct Row {
+pub(super) struct PartTiming {
     name: String,
     gaussians: usize,
     /// Per image, before anything is projected.
@@ -39,7 +39,7 @@ pub(super) struct Row {
 }
 
 /// Measures both kinds of scenes; an image without what is left out is compared with that of the whole scene.
-pub(super) fn run(level: Level, repeat: usize) -> Result<Vec<Row>> {
+pub(super) fn run(level: Level, repeat: usize) -> Result<Vec<PartTiming>> {
     let workers = Workers::new(level, current_num_threads())?;
     Ok(vec![still(&workers, repeat)?, interval(&workers, repeat)?])
 }
@@ -76,11 +76,11 @@ fn draw(
     Ok(Sums { whole: sum(0), part: Some(sum(1)), left_out })
 }
 
-impl Row {
+impl PartTiming {
     /// The row, printed.
     fn new(name: &str, sums: &Sums, prepare: f64, hierarchy: f64) -> Self {
         let images = CAMERAS as f64;
-        let row = Row {
+        let row = PartTiming {
             name: name.to_owned(),
             gaussians: COUNT,
             left_out: sums.left_out as f64 / images,
@@ -124,7 +124,7 @@ fn grouped(scene: Drawable, workers: &Workers) -> (Drawable, f64) {
 }
 
 /// A still scene all around the camera, which turns: 40 degrees, harmonics of degree 3.
-fn still(workers: &Workers, repeat: usize) -> Result<Row> {
+fn still(workers: &Workers, repeat: usize) -> Result<PartTiming> {
     let mut random = Random::new(6);
     let mut still = Still { degree: 3, ..Still::default() };
     for _ in 0..COUNT {
@@ -158,12 +158,12 @@ fn still(workers: &Workers, repeat: usize) -> Result<Row> {
             Ok((image, part.left_out()))
         },
     )?;
-    Ok(Row::new("part-of-still", &sums, prepare, hierarchy))
+    Ok(PartTiming::new("part-of-still", &sums, prepare, hierarchy))
 }
 
 /// An interval in view of the canonical camera, of which cameras of 5 degrees see parts. It is drawn whole; what grouping it would take is
 /// measured on what it is at one time.
-fn interval(workers: &Workers, repeat: usize) -> Result<Row> {
+fn interval(workers: &Workers, repeat: usize) -> Result<PartTiming> {
     let mut random = Random::new(7);
     let gaussians: DynamicGaussians = (0..COUNT as u64)
         .map(|identity| Record {
@@ -198,5 +198,5 @@ fn interval(workers: &Workers, repeat: usize) -> Result<Row> {
         }
     }
     let whole = least.iter().sum::<f64>() * 1e3;
-    Ok(Row::new("part-of-interval", &Sums { whole, part: None, left_out: 0 }, prepare, hierarchy))
+    Ok(PartTiming::new("part-of-interval", &Sums { whole, part: None, left_out: 0 }, prepare, hierarchy))
 }

@@ -17,7 +17,7 @@ pub(super) const COUNTS: [usize; 2] = [1_000_000, 10_000_000];
 
 /// Milliseconds of the fastest run of each part.
 #[derive(Serialize, Deserialize)]
-pub(super) struct Row {
+pub(super) struct TrainedTiming {
     gaussians: usize,
     /// Colours of the harmonics as the camera sees them.
     colours: f64,
@@ -63,7 +63,7 @@ fn fastest(repeat: usize, mut work: impl FnMut()) -> f64 {
 }
 
 /// Measures a scene of `count` Gaussians: the image and the sums are checked first.
-pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<Row> {
+pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<TrainedTiming> {
     let Trained { mut scene, base, higher } = trained(count);
     let repeat = if count > 1_000_000 { repeat.min(3) } else { repeat };
     let mut rgb = vec![[0.0; 3]; count];
@@ -107,7 +107,7 @@ pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<Row> 
     };
     let (forward, entries) = (colours + image, work.entries);
     let peak_rss_bytes = peak_rss_bytes()?;
-    Ok(Row {
+    Ok(TrainedTiming {
         gaussians: count,
         colours,
         image,
@@ -121,7 +121,7 @@ pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<Row> 
     })
 }
 
-impl Row {
+impl TrainedTiming {
     pub(super) fn print(&self) {
         let shown = |ms: Option<f64>| ms.map_or_else(|| "–".to_owned(), |ms| format!("{ms:.1}"));
         println!(

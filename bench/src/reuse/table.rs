@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::{Results, Row};
+use super::{Results, VariantResult};
 
 /// The columns of [`line()`].
 pub(super) const HEAD: &str =
@@ -16,19 +16,19 @@ fn or_none(x: Option<f64>) -> String {
 }
 
 /// Work of a stage or of a part, done and in all.
-fn work(row: &Row, name: &str) -> Option<[u64; 2]> {
+fn work(row: &VariantResult, name: &str) -> Option<[u64; 2]> {
     row.work.iter().find(|(stage, ..)| stage == name).map(|(_, done, avoided)| [*done, done + avoided])
 }
 
 /// The share of a part's work that some rows did; `None` where nothing could have been left out.
-fn share(rows: &[&Row], name: &str) -> Option<f64> {
+fn share(rows: &[&VariantResult], name: &str) -> Option<f64> {
     let counts: Option<Vec<[u64; 2]>> = rows.iter().map(|row| work(row, name)).collect();
     let [done, all] = counts?.iter().fold([0; 2], |sum, w| [sum[0] + w[0], sum[1] + w[1]]);
     (all > 0).then(|| done as f64 / all as f64)
 }
 
 /// A row's measurements, in the order of both tables.
-fn figures(row: &Row) -> [String; 8] {
+fn figures(row: &VariantResult) -> [String; 8] {
     [
         format!("{:.1}", 1e3 * row.key_frame.seconds()),
         format!("{:.1}", 1e3 * row.frame.seconds()),
@@ -42,7 +42,7 @@ fn figures(row: &Row) -> [String; 8] {
 }
 
 /// One row for the terminal.
-pub(super) fn line(row: &Row) -> String {
+pub(super) fn line(row: &VariantResult) -> String {
     let mut text = format!("{:<24} {:>6} {:>4}", row.clip, row.reuse, row.gap);
     for (figure, width) in figures(row).iter().zip([8, 8, 6, 7, 7, 7, 7, 7]) {
         let _ = write!(text, " {figure:>width$}");
@@ -57,9 +57,9 @@ pub(super) fn line(row: &Row) -> String {
 }
 
 /// Rows of one kind of camera, reuse and gap, in the order they came.
-fn groups(rows: &[Row]) -> Vec<Vec<&Row>> {
-    let mut groups: Vec<Vec<&Row>> = Vec::new();
-    let key = |row: &Row| (row.still, row.reuse.clone(), row.gap.clone());
+fn groups(rows: &[VariantResult]) -> Vec<Vec<&VariantResult>> {
+    let mut groups: Vec<Vec<&VariantResult>> = Vec::new();
+    let key = |row: &VariantResult| (row.still, row.reuse.clone(), row.gap.clone());
     for row in rows {
         match groups.iter_mut().find(|group| key(group[0]) == key(row)) {
             Some(group) => group.push(row),
@@ -95,7 +95,7 @@ pub(super) fn markdown(results: &Results) -> String {
     let groups = groups(&results.rows);
     for group in &groups {
         let count = group.len() as f64;
-        let mean = |of: &dyn Fn(&Row) -> f64| group.iter().map(|row| of(row)).sum::<f64>() / count;
+        let mean = |of: &dyn Fn(&VariantResult) -> f64| group.iter().map(|row| of(row)).sum::<f64>() / count;
         let most = group.iter().map(|row| row.cost).fold(f64::NEG_INFINITY, f64::max);
         let least = group.iter().map(|row| row.gain).fold(f64::INFINITY, f64::min);
         let first = group[0];

@@ -62,7 +62,7 @@ mod rasteriser;
 pub mod reference;
 mod sort;
 
-pub use linear::{ColourFit, ColourMap, Solution, View as FitView, WEIGHT_BYTES};
+pub use linear::{ColourFit, ColourMap, FitView, Solution, WEIGHT_BYTES};
 pub use lists::{Footprint, Lists, TILE_PIXELS};
 pub use rasteriser::{Rasteriser, Work};
 

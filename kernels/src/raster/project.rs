@@ -92,7 +92,7 @@ impl Splat {
 
 /// The image that is projected onto.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct View {
+pub(super) struct Viewport {
     pub projection: Projection,
     pub width: usize,
     pub height: usize,
@@ -256,7 +256,7 @@ impl Batch {
         gaussians: &Gaussians<'_>,
         first: usize,
         focal: [f32; 2],
-        view: &View,
+        view: &Viewport,
     ) -> Self {
         let mean = transposed(gaussians.mean, first);
         let scale = transposed(gaussians.scale, first);
@@ -307,7 +307,7 @@ impl Batch {
         first: usize,
         focal: [f32; 2],
         centre: [f64; 2],
-        view: &View,
+        view: &Viewport,
     ) -> Self {
         let mean = transposed(gaussians.mean, first);
         let scale = transposed(gaussians.scale, first);

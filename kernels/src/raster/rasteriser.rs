@@ -10,7 +10,7 @@ use tracing::debug_span;
 
 use super::bin::Grid;
 use super::blend::{DrawTile, Planes, Scratch, Tally, Walk};
-use super::project::{Batch, Splat, View, bounds};
+use super::project::{Batch, Splat, Viewport, bounds};
 use super::sort::{Entry, by_depth};
 use super::{Gaussians, Image, MAX_SIDE, Projection, Request};
 use crate::level::Level;
@@ -72,7 +72,7 @@ pub struct Rasteriser {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Last {
-    pub(super) view: View,
+    pub(super) view: Viewport,
     request: Request,
     gaussians: usize,
 }
@@ -172,7 +172,7 @@ impl Rasteriser {
         );
         let mut request = *request;
         request.background = finite_background(request.background);
-        let view = View {
+        let view = Viewport {
             projection: *projection,
             width: request.width,
             height: request.height,
@@ -188,7 +188,7 @@ impl Rasteriser {
     }
 
     /// Projects and bins.
-    pub(super) fn coarse(&mut self, gaussians: &Gaussians<'_>, view: &View, grid: Grid, keep: bool) {
+    pub(super) fn coarse(&mut self, gaussians: &Gaussians<'_>, view: &Viewport, grid: Grid, keep: bool) {
         let start = Instant::now();
         self.project(gaussians, view, grid, keep);
         let projected = Instant::now();
@@ -202,7 +202,7 @@ impl Rasteriser {
     }
 
     /// Fills `splats`, `dirty` and, where everything is new, `counts`.
-    fn project(&mut self, gaussians: &Gaussians<'_>, view: &View, grid: Grid, keep: bool) {
+    fn project(&mut self, gaussians: &Gaussians<'_>, view: &Viewport, grid: Grid, keep: bool) {
         let _span = debug_span!("project", gaussians = gaussians.len(), keep).entered();
         self.splats.resize(gaussians.len(), Splat::HIDDEN);
         let chunk = self.chunk();
@@ -302,7 +302,7 @@ impl Rasteriser {
     }
 
     /// Sorts and draws the dirty tiles, longest lists first. Gives the fraction of the threads' time that went into sorting.
-    fn blend(&mut self, view: &View, request: &Request, grid: Grid) -> f64 {
+    fn blend(&mut self, view: &Viewport, request: &Request, grid: Grid) -> f64 {
         let _span = debug_span!("blend", width = request.width, height = request.height).entered();
         let starts = &self.starts;
         self.order.clear();
@@ -353,7 +353,7 @@ impl Rasteriser {
 /// Projects a chunk, counts entries per tile or marks the tiles that changed; gives dropped, culled, changed.
 struct ProjectChunk<'a> {
     gaussians: &'a Gaussians<'a>,
-    view: &'a View,
+    view: &'a Viewport,
     grid: Grid,
     first: usize,
     splats: &'a mut [Splat],

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 
-use super::{Kind, Record, Row};
+use super::{Configuration, Reason, Record};
 
 /// Markers before and after the table.
 const BEGIN: &str = "<!-- streamsplat bench tradeoff CLIPS writes from here -->";
@@ -25,15 +25,15 @@ pub(super) fn table(record: &Record) -> String {
          |---|---:|---:|---:|---:|---:|---:|\n",
         baselines.crossfade, baselines.flow
     );
-    for row in record.rows.iter().filter(|row| row.kind == Kind::Step || row.kind == Kind::Quality && row.seen) {
+    for row in record.rows.iter().filter(|row| row.kind == Reason::Step || row.kind == Reason::Quality && row.seen) {
         text += &line(row);
     }
     text
 }
 
-fn line(row: &Row) -> String {
+fn line(row: &Configuration) -> String {
     let signed = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |value| format!("{value:+.2}"));
-    let Row { row: name, key, between, all, moving, still, seconds_per_frame, .. } = row;
+    let Configuration { row: name, key, between, all, moving, still, seconds_per_frame, .. } = row;
     let (moving, still) = (signed(*moving), signed(*still));
     format!("| {name} | {key:.2} | {between:.2} | {all:.2} | {moving} | {still} | {:.0} |\n", 1e3 * seconds_per_frame)
 }

@@ -7,7 +7,7 @@ use streamsplat::import::{self, Opened};
 use streamsplat::output::write_file;
 use streamsplat::scene::{INDEX, Scene};
 use streamsplat_model::checkpoint::Checkpoint;
-use streamsplat_model::inspect::{Kind, inspect};
+use streamsplat_model::inspect::{Architecture, inspect};
 use streamsplat_model::zero_output::gflop;
 
 use crate::command::still;
@@ -85,7 +85,7 @@ fn interval(path: &Path, checkpoint: &Checkpoint) -> Result<Value, Failure> {
 fn model(path: &Path) -> Result<Value, Failure> {
     let report = inspect(path)?;
     let (kind, configuration) = match &report.kind {
-        Kind::StreamSplat(config) => (
+        Architecture::StreamSplat(config) => (
             "StreamSplat model",
             json!({
                 "hidden_dim": config.hidden_dim,
@@ -100,7 +100,7 @@ fn model(path: &Path) -> Result<Value, Failure> {
                 "gaussians_per_frame": config.gaussians(),
             }),
         ),
-        Kind::Dino(config) => (
+        Architecture::Dino(config) => (
             "DINOv2 model",
             json!({
                 "embed_dim": config.embed_dim,

@@ -16,7 +16,7 @@ use crate::options::args::{Machine, RenderArgs, RenderOptions};
 use crate::options::times;
 use crate::output::outputs::{Destination, Emit, Outputs};
 use crate::output::place::Place;
-use crate::output::record::{InputRecord, OutputRecord, PROGRAM, Record, Task, Timing, absolute};
+use crate::output::record::{InputRecord, Invocation, OutputRecord, PROGRAM, Record, Timing, absolute};
 use crate::output::{digest, report};
 use crate::session::drawing::Drawing;
 use crate::session::opening::open;
@@ -202,7 +202,7 @@ pub(super) fn record(
     Record {
         program: PROGRAM.to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        task: Task::Render(Box::new(options)),
+        task: Invocation::Render(Box::new(options)),
         seed: 0,
         model: None,
         depth: None,

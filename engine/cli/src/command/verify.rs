@@ -9,7 +9,7 @@ use crate::options::args::VerifyArgs;
 use crate::output::digest;
 use crate::output::outputs::{Destination, is_inside};
 use crate::output::place::Place;
-use crate::output::record::{Record, Task};
+use crate::output::record::{Invocation, Record};
 
 /// Compares the files that are there with their digests, then repeats the work and compares again. Fails where one differs.
 pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
@@ -58,7 +58,7 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
     // The repetition itself says nothing.
     let quiet = Console { quiet: true, ..Console::default() };
     let again = match &record.task {
-        Task::Run(options) => {
+        Invocation::Run(options) => {
             let mut options = options.clone();
             if !record.complete {
                 options.frames = Some(record.input.count);
@@ -72,10 +72,10 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
             }
             run::run(input, &mut place, &options, &args.machine, &quiet)?
         }
-        Task::Render(_) if !record.complete => {
+        Invocation::Render(_) if !record.complete => {
             return Err(Failure::work(format!("{}: the rendering was stopped; run it again", record_path.display())));
         }
-        Task::Render(options) => render::render(input, &mut place, options, &args.machine, &quiet)?,
+        Invocation::Render(options) => render::render(input, &mut place, options, &args.machine, &quiet)?,
     };
 
     let model = |record: &Record| record.model.as_ref().map_or_else(|| "none".to_owned(), |model| model.blake3.clone());

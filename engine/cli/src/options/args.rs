@@ -169,7 +169,7 @@ pub struct Stream {
 
 /// Options of the images: times, size, camera, background and renderer.
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
-pub struct View {
+pub struct ViewOptions {
     /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
     pub times: Option<String>,
@@ -233,7 +233,7 @@ pub struct RunOptions {
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
     #[command(flatten)]
-    pub view: View,
+    pub view: ViewOptions,
     #[command(flatten)]
     #[serde(flatten)]
     pub motion: Motion,
@@ -269,7 +269,7 @@ pub struct RenderArgs {
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct RenderOptions {
     #[command(flatten)]
-    pub view: View,
+    pub view: ViewOptions,
     #[command(flatten)]
     #[serde(flatten)]
     pub motion: Motion,

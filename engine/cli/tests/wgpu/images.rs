@@ -8,7 +8,7 @@ use streamsplat::splats::Splats;
 use streamsplat::stream::Workers;
 use streamsplat::wgpu::WgpuRasteriser;
 use streamsplat::{Engine, Frame, Image, RenderOptions, Settings, Size};
-use streamsplat_fixtures::clip::{Clip, Kind};
+use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Gaussians, Projection, Request, render};
 
@@ -74,7 +74,7 @@ fn the_oracles_scenes_are_drawn_as_on_the_cpu() {
 #[test]
 fn a_predicted_scene_is_drawn_as_on_the_cpu_from_any_camera() {
     let mut engine = Engine::new(Settings::default()).expect("the embedded model");
-    let clip = Clip::new(Kind::Moving, 3, 96, 54);
+    let clip = Clip::new(ClipKind::Moving, 3, 96, 54);
     let mut interval = None;
     for time in [0.0, 0.2] {
         let picture = clip.picture(time);

@@ -47,7 +47,7 @@ use crate::simd::dispatch;
 use passes::{Adjoint, Forward, Moments, Normal, Place, Residual, Slots};
 use record::{Record, RecordTile};
 
-pub use solve::{ColourFit, Solution, View};
+pub use solve::{ColourFit, FitView, Solution};
 
 /// Bytes of weights that a [`ColourMap`] keeps unless told otherwise.
 pub const WEIGHT_BYTES: usize = 256 << 20;
