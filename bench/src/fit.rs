@@ -11,6 +11,7 @@ use streamsplat_kernels::raster::{ColourMap, render};
 use crate::Common;
 use crate::machine::Machine;
 use crate::raster::scenes::Scene;
+use crate::table::{Column, Table};
 use crate::timing::{Seconds, once};
 
 /// Options of `fit`.
@@ -19,6 +20,13 @@ pub(crate) struct Options {
     #[command(flatten)]
     common: Common,
 }
+
+const TABLE: Table<'_> = Table(&[
+    Column::Text("milliseconds", 56),
+    Column::Number("least", 8),
+    Column::Number("median", 8),
+    Column::Number("most", 8),
+]);
 
 #[derive(Serialize)]
 struct FitTiming {
@@ -38,9 +46,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         rows.extend(map_rows(&options.common)?);
         Ok((rows, Machine::new(options.common.isa, (Precision::F32, 0.0))))
     })?;
-    println!("{:56} {:>9} {:>9} {:>9}", "milliseconds", "least", "median", "most");
+    println!("{}", TABLE.heads());
     for FitTiming { what, milliseconds: Seconds { min, median, max } } in &rows {
-        println!("{what:56} {min:9.2} {median:9.2} {max:9.2}");
+        let [least, median, most] = [min, median, max].map(|ms| format!("{ms:.2}"));
+        println!("{}", TABLE.line(&[what, least.as_str(), &median, &most]));
     }
     options.common.write(&Report { machine, rows })
 }

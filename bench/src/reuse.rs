@@ -195,7 +195,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         .flat_map(|gap| choices.iter().map(|reuse| Variant { precision: options.precision, reuse: *reuse, gap: *gap }))
         .collect();
     let mut rows = Vec::new();
-    println!("{}", table::HEAD);
+    println!("{}", table::TABLE.heads());
     for path in clips(&options.inputs)? {
         let clip = read(&path, options.frames)?;
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();

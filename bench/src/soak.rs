@@ -27,6 +27,7 @@ use streamsplat_kernels::Level;
 
 use super::{live, machine, process};
 use crate::model::Temporary;
+use crate::table::{Column, Table};
 
 /// Key frames after which the pictures are the same again, and after which memory must be flat.
 const PERIOD: u64 = 50;
@@ -80,6 +81,12 @@ struct Check {
 }
 
 impl Check {
+    fn cells(&self) -> [String; 4] {
+        let Check { what, found, at_most, holds } = self;
+        let verdict = if *holds { "holds" } else { "FAILS" };
+        [what.to_string(), format!("{found:.4}"), at_most.to_string(), verdict.to_owned()]
+    }
+
     fn new(what: &'static str, found: f64, at_most: f64) -> Check {
         Check { what, found, at_most, holds: found <= at_most }
     }
@@ -373,10 +380,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         Check::new("identities seen twice", identities.twice as f64, 0.0),
         Check::new("images unlike a stream started two frames earlier, pairwise", f64::from(u8::from(!same)), 0.0),
     ];
-    println!("\n| | found | at most | |\n|---|---:|---:|---|");
-    for Check { what, found, at_most, holds } in &checks {
-        println!("| {what} | {found:.4} | {at_most} | {} |", if *holds { "holds" } else { "FAILS" });
-    }
+    let columns = [Column::Text("", 0), Column::Number("found", 0), Column::Number("at most", 0), Column::Text("", 0)];
+    print!("\n{}", Table(&columns).markdown(checks.iter().map(Check::cells)));
     println!("\nMost resident memory at any one moment after the first 50 / until then: {resident_peaks:.4}");
     println!("The hundred after / the second hundred of a young stream beside it: {beside_young:.4}");
     let failed = checks.iter().filter(|check| !check.holds).count();

@@ -16,6 +16,7 @@ use crate::Common;
 use crate::instructions;
 use crate::machine::{self, Machine};
 use crate::model::{Model, Which, noise};
+use crate::table::{Column, Table};
 use crate::timing::{Seconds, Spent, Stopwatch};
 
 /// Options of `stages`.
@@ -53,6 +54,17 @@ enum Size {
     All,
 }
 
+const TABLE: Table<'_> = Table(&[
+    Column::Text("stage", 10),
+    Column::Text("size", 6),
+    Column::Number("GFLOP", 9),
+    Column::Number("ms (min)", 10),
+    Column::Number("GFLOP/s", 9),
+    Column::Number("% of peak", 9),
+    Column::Number("cpu ms (min)", 12),
+    Column::Number("all branches", 12),
+]);
+
 #[derive(Serialize)]
 struct StageTiming {
     name: &'static str,
@@ -82,10 +94,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         return instructions::run(options.recorded.as_deref(), options.common.json.as_deref());
     }
     let pool = options.common.pool()?;
-    println!(
-        "{:<10} {:<6} {:>10} {:>12} {:>10} {:>9} {:>13} {:>13}",
-        "stage", "size", "GFLOP", "ms (min)", "GFLOP/s", "of peak", "cpu ms (min)", "all branches"
-    );
+    println!("{}", TABLE.heads());
     let (mut rows, mut peak) = (Vec::new(), 0.0_f64);
     let load = LoadOptions { level: options.common.isa, precision: options.precision, ..LoadOptions::default() };
     let mut all = |which, name| -> Result<()> {
@@ -180,15 +189,17 @@ fn measure(
         let speed = gflop.map(|gflop| gflop / seconds.min);
         let fraction_of_peak = speed.map(|speed| speed / own_peak);
         let figure = |x: Option<f64>| x.map_or_else(|| "-".to_owned(), |x| format!("{x:.1}"));
-        println!(
-            "{name:<10} {size:<6} {:>10} {:>12.2} {:>10} {:>8}% {:>13.2} {:>13}",
+        let cells = [
+            name.to_owned(),
+            size.to_owned(),
             figure(gflop),
-            seconds.min * 1e3,
+            format!("{:.2}", seconds.min * 1e3),
             figure(speed),
             figure(fraction_of_peak.map(|f| 100.0 * f)),
-            processor.min * 1e3,
-            figure(processor_with_zero_output.map(|s| s.min * 1e3))
-        );
+            format!("{:.2}", processor.min * 1e3),
+            figure(processor_with_zero_output.map(|s| s.min * 1e3)),
+        ];
+        println!("{}", TABLE.line(&cells));
         let precision = options.precision.name();
         rows.push(StageTiming {
             name,

@@ -5,7 +5,7 @@ use streamsplat::wgpu::WgpuRasteriser;
 use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::raster::{Work, render};
 
-use super::{Options, Results, Scene, SceneTiming, WHOLE, heads};
+use super::{Options, Results, SCENES, Scene, SceneTiming, WHOLE};
 use crate::machine::Machine;
 use crate::timing::{Seconds, once};
 
@@ -19,7 +19,7 @@ pub(super) fn run(options: &Options) -> Result<()> {
     let level = options.common.isa;
     let mut renderer = WgpuRasteriser::new(level)?;
     println!("{}", renderer.adapter());
-    heads();
+    println!("{}", SCENES.heads());
     let mut rows = Vec::new();
     for (name, scene) in WHOLE {
         if name.contains(&options.only) {

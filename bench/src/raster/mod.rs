@@ -18,6 +18,7 @@ use streamsplat_kernels::raster::{Rasteriser, Work, reference};
 
 use crate::Common;
 use crate::machine::Machine;
+use crate::table::{Column, Table};
 use crate::timing::{Seconds, once};
 use scenes::Scene;
 
@@ -74,15 +75,10 @@ impl From<Work> for Stages {
 
 impl Stages {
     /// Time and share of each.
-    fn shown(&self) -> String {
+    fn cells(&self) -> [String; 4] {
         let all = [self.project, self.bin, self.sort, self.blend];
         let total = all.iter().sum::<f64>().max(1e-9);
-        all.map(|ms| format!("{ms:>8.2} {:>3.0}%", 100.0 * ms / total)).join(" ")
-    }
-
-    /// Column titles.
-    fn heads() -> String {
-        ["project", "bin", "sort", "blend"].map(|head| format!("{head:>13}")).join(" ")
+        all.map(|ms| format!("{ms:.2} {:>3.0}%", 100.0 * ms / total))
     }
 }
 
@@ -154,7 +150,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let wanted = |name: &str| name.contains(&options.only);
         let repeat = options.common.repeat.max(3);
         let mut rows = Vec::new();
-        heads();
+        println!("{}", SCENES.heads());
         for (name, scene) in WHOLE {
             if wanted(name) {
                 rows.push(measure(level, name, &[scene()?], false, repeat)?);
@@ -188,20 +184,30 @@ const WHOLE: [(&str, fn() -> Result<Scene>); 4] = [
     ("predicted", Scene::predicted),
 ];
 
-/// Prints the column titles.
-fn heads() {
-    println!(
-        "{:<20} {:>9}  {:>9}  {:>8} {:>8} {:>8}  {}  {:>7}",
-        "scene",
-        "gaussians",
-        "size",
-        "min ms",
-        "median",
-        "max",
-        Stages::heads(),
-        "error"
-    );
-}
+const SCENES: Table<'_> = Table(&[
+    Column::Text("scene", 20),
+    Column::Number("Gaussians", 9),
+    Column::Number("size", 9),
+    Column::Number("min ms", 7),
+    Column::Number("median", 7),
+    Column::Number("max", 7),
+    Column::Number("project", 11),
+    Column::Number("bin", 11),
+    Column::Number("sort", 11),
+    Column::Number("blend", 11),
+    Column::Number("error", 7),
+]);
+
+const GROWTH: Table<'_> = Table(&[
+    Column::Number("Gaussians", 20),
+    Column::Number("ms", 9),
+    Column::Number("ns each", 9),
+    Column::Number("peak MiB", 9),
+    Column::Number("project", 11),
+    Column::Number("bin", 11),
+    Column::Number("sort", 11),
+    Column::Number("blend", 11),
+]);
 
 /// Draws the scenes in turn, `repeat` times over; from nothing each, or (`keep`) redrawing what changed from one to the next.
 fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize) -> Result<SceneTiming> {
@@ -251,17 +257,11 @@ impl SceneTiming {
             },
             error,
         };
-        println!(
-            "{:<20} {:>9}  {:>9}  {:>8.2} {:>8.2} {:>8.2}  {}  {:>7.1e}",
-            row.name,
-            row.gaussians,
-            format!("{}×{}", row.size[0], row.size[1]),
-            row.milliseconds.min,
-            row.milliseconds.median,
-            row.milliseconds.max,
-            row.stages.shown(),
-            row.error,
-        );
+        let Milliseconds { min, median, max } = row.milliseconds;
+        let size = format!("{}×{}", row.size[0], row.size[1]);
+        let times = [min, median, max].map(|ms| format!("{ms:.2}"));
+        let cells = [&[row.name.clone(), row.gaussians.to_string(), size][..], &times, &row.stages.cells()].concat();
+        println!("{}", SCENES.line(&[cells, vec![format!("{:.1e}", row.error)]].concat()));
         row
     }
 }
@@ -293,7 +293,10 @@ fn large(options: &Options) -> Result<Vec<trained::TrainedTiming>> {
     let mut rows = Vec::new();
     for count in trained::COUNTS.into_iter().filter(wanted) {
         let row: trained::TrainedTiming = alone(options, "--trained", count)?;
-        row.print();
+        if rows.is_empty() {
+            println!("\n{}", trained::TABLE.heads());
+        }
+        println!("{}", row.line());
         rows.push(row);
     }
     Ok(rows)
@@ -320,14 +323,16 @@ fn growth(options: &Options) -> Result<Vec<Growth>> {
     let mut count = 10_000;
     while count <= options.largest && options.only.is_empty() {
         let row: Growth = alone(options, "--step", count)?;
-        println!(
-            "{:>10} Gaussians  {:>9.2} ms  {:>6.1} ns each  peak {:>5.0} MiB {}",
-            row.gaussians,
-            row.milliseconds,
-            row.milliseconds * 1e6 / row.gaussians as f64,
-            row.peak_rss_bytes as f64 / f64::from(1 << 20),
-            row.stages.shown(),
-        );
+        if rows.is_empty() {
+            println!("\n{}", GROWTH.heads());
+        }
+        let figures = [
+            row.gaussians.to_string(),
+            format!("{:.2}", row.milliseconds),
+            format!("{:.1}", row.milliseconds * 1e6 / row.gaussians as f64),
+            format!("{:.0}", row.peak_rss_bytes as f64 / f64::from(1 << 20)),
+        ];
+        println!("{}", GROWTH.line(&[figures, row.stages.cells()].concat()));
         rows.push(row);
         count *= 10;
     }

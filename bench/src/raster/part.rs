@@ -13,6 +13,7 @@ use streamsplat::{Camera, Image, Interval, RenderOptions, Size};
 use streamsplat_kernels::Level;
 
 use super::scenes::Random;
+use crate::table::{Column, Table};
 use crate::timing::Stopwatch;
 
 /// Gaussians of each scene.
@@ -21,6 +22,16 @@ const COUNT: usize = 500_000;
 const SIZE: [usize; 2] = [512, 288];
 /// Cameras of each scene.
 const CAMERAS: usize = 8;
+
+const TABLE: Table<'_> = Table(&[
+    Column::Text("part of a scene", 20),
+    Column::Number("Gaussians", 9),
+    Column::Number("left out", 9),
+    Column::Number("whole ms", 9),
+    Column::Number("without", 9),
+    Column::Number("groups ms", 9),
+    Column::Number("hierarchy ms", 12),
+]);
 
 /// Milliseconds of the processor per image, by the least of each camera's runs.
 #[derive(Serialize)]
@@ -41,6 +52,7 @@ pub(super) struct PartTiming {
 /// Measures both kinds of scenes; an image without what is left out is compared with that of the whole scene.
 pub(super) fn run(level: Level, repeat: usize) -> Result<Vec<PartTiming>> {
     let workers = Workers::new(level, current_num_threads())?;
+    println!("\n{}", TABLE.heads());
     Ok(vec![still(&workers, repeat)?, interval(&workers, repeat)?])
 }
 
@@ -89,11 +101,16 @@ impl PartTiming {
             prepare,
             hierarchy,
         };
-        let part = row.part.map_or_else(|| "all drawn".to_owned(), |part| format!("{part:.2} ms without them"));
-        println!(
-            "{:<20} {:>9}  {:>7.0} left out  {:>8.2} ms an image, {part}  groups {:.1} ms  a hierarchy {:.1} ms",
-            row.name, row.gaussians, row.left_out, row.whole, row.prepare, row.hierarchy
-        );
+        let cells = [
+            row.name.clone(),
+            row.gaussians.to_string(),
+            format!("{:.0}", row.left_out),
+            format!("{:.2}", row.whole),
+            row.part.map_or_else(|| "–".to_owned(), |part| format!("{part:.2}")),
+            format!("{:.1}", row.prepare),
+            format!("{:.1}", row.hierarchy),
+        ];
+        println!("{}", TABLE.line(&cells));
         row
     }
 }

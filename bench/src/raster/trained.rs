@@ -10,10 +10,26 @@ use streamsplat_kernels::raster::{ColourMap, OwnedGaussians, Projection, Rasteri
 
 use super::scenes::Scene;
 use super::{Stages, check, peak_rss_bytes};
+use crate::table::{Column, Table};
 use crate::timing::once;
 
 /// Gaussians.
 pub(super) const COUNTS: [usize; 2] = [1_000_000, 10_000_000];
+
+pub(super) const TABLE: Table<'_> = Table(&[
+    Column::Number("trained Gaussians", 20),
+    Column::Number("colours ms", 0),
+    Column::Number("image", 7),
+    Column::Number("both", 7),
+    Column::Number("map", 7),
+    Column::Number("adjoint", 7),
+    Column::Number("entries each", 0),
+    Column::Number("peak MiB", 0),
+    Column::Number("project", 11),
+    Column::Number("bin", 11),
+    Column::Number("sort", 11),
+    Column::Number("blend", 11),
+]);
 
 /// Milliseconds of the fastest run of each part.
 #[derive(Serialize, Deserialize)]
@@ -122,19 +138,12 @@ pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<Train
 }
 
 impl TrainedTiming {
-    pub(super) fn print(&self) {
+    /// Its line of [`TABLE`].
+    pub(super) fn line(&self) -> String {
         let shown = |ms: Option<f64>| ms.map_or_else(|| "–".to_owned(), |ms| format!("{ms:.1}"));
-        println!(
-            "{:>10} trained-like  colours {:.1} ms, image {:.1}, both {:.1}; map {}, adjoint {}; {:.1} entries each; peak {:.0} MiB; {}",
-            self.gaussians,
-            self.colours,
-            self.image,
-            self.forward,
-            shown(self.prepare),
-            shown(self.adjoint),
-            self.entries as f64 / self.gaussians as f64,
-            self.peak_rss_bytes as f64 / f64::from(1 << 20),
-            self.stages.shown(),
-        );
+        let times = [Some(self.colours), Some(self.image), Some(self.forward), self.prepare, self.adjoint].map(shown);
+        let entries = format!("{:.1}", self.entries as f64 / self.gaussians as f64);
+        let peak = format!("{:.0}", self.peak_rss_bytes as f64 / f64::from(1 << 20));
+        TABLE.line(&[&[self.gaussians.to_string()], &times[..], &[entries, peak], &self.stages.cells()].concat())
     }
 }
