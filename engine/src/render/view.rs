@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::parallel::map_indexed;
-use streamsplat_kernels::raster::Projection;
+use streamsplat_kernels::raster::{ALPHA_MIN, Projection};
 use streamsplat_model::motion;
 
 use super::RenderError;
@@ -15,8 +15,6 @@ use crate::stream::{DynamicGaussians, Interval, Record, Workers};
 const CHUNK: usize = 4096;
 /// Low-pass that the rasteriser adds to variances, in px².
 const LOW_PASS: f64 = 0.3;
-/// Least opacity that can be drawn.
-const VISIBLE: f32 = 1.0 / 255.0;
 
 /// The Gaussians of an interval that can be seen at one time, in scene space (x right, y down, z forward), unrotated.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -136,7 +134,7 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
             continue;
         }
         let opacity = opacity * record.handover.factor(t);
-        if opacity < VISIBLE {
+        if opacity < ALPHA_MIN {
             continue;
         }
         let Some(mean) = to_scene(record.position_at(t)) else { continue };

@@ -30,6 +30,7 @@
 //! number that is not finite. The order is the drawing order.
 
 use half::f16;
+use streamsplat_kernels::raster::ALPHA_MIN;
 
 use crate::stream::{Interval, Record};
 
@@ -41,8 +42,6 @@ pub const VERSION: u32 = 2;
 pub const HEADER: usize = 96;
 /// Bytes of a record.
 pub const RECORD: usize = 32;
-/// Smallest opacity that is drawn.
-const VISIBLE: f32 = 1.0 / 255.0;
 /// Steps of the largest rate.
 const RATE_STEPS: f32 = 127.0;
 /// Steps of a range.
@@ -96,7 +95,7 @@ pub fn packet(interval: &Interval) -> Vec<u8> {
 /// Returns true if the record can be visible in an image of the interval.
 fn can_be_seen(r: &Record) -> bool {
     let (y, other) = (r.position_at(0.0)[1], r.position_at(1.0)[1]);
-    r.is_sound() && r.opacity >= VISIBLE && y.max(other) >= 0.0 && y.min(other) <= 1.0
+    r.is_sound() && r.opacity >= ALPHA_MIN && y.max(other) >= 0.0 && y.min(other) <= 1.0
 }
 
 /// Evenly spaced values over a range, per axis.

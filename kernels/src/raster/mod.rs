@@ -51,10 +51,6 @@
 
 mod bin;
 mod blend;
-#[expect(
-    unsafe_code,
-    reason = "tiles are written by several tasks, and hits behind one another without a check for each"
-)]
 mod linear;
 mod lists;
 mod project;
@@ -64,6 +60,7 @@ mod sort;
 
 pub use linear::{ColourFit, ColourMap, FitView, Solution, WEIGHT_BYTES};
 pub use lists::{Footprint, Lists, TILE_PIXELS};
+pub use project::ALPHA_MIN;
 pub use rasteriser::{Rasteriser, Work};
 
 use crate::level::Level;

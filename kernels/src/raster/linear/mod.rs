@@ -25,6 +25,8 @@
 //! its sums. A component of a colour or of the background that is not finite counts as +0. So does a residual that is
 //! not finite, on its pixel and channel alone. Sums beyond the largest binary32 number are infinite or NaN.
 
+#![expect(unsafe_code, reason = "tasks write sums of tiles into one array")]
+
 mod passes;
 mod prepare;
 mod record;

@@ -1,5 +1,7 @@
 //! Preparation, made once for a scene: the record of each tile, and where the sums of its splats go.
 
+#![expect(unsafe_code, reason = "tasks sort lists of one array and fill records of another")]
+
 use std::sync::PoisonError;
 use std::sync::atomic::{AtomicUsize, Ordering};
 

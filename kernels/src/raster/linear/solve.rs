@@ -17,6 +17,8 @@
 //! [`ColourMap::normal`]. Steps along a direction are fused. Inner products are binary64, summed in chunks of [`CHUNK`] Gaussians, chunk after
 //! chunk.
 
+#![expect(unsafe_code, reason = "tasks write sums of tiles into one array")]
+
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;

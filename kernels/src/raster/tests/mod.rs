@@ -92,8 +92,6 @@ fn extreme(count: usize, seed: u64) -> OwnedGaussians {
     scene
 }
 
-const ALPHA_MIN: f32 = 1.0 / 255.0;
-
 fn everything(width: usize, height: usize) -> Request {
     Request { depth: true, alpha: true, statistics: true, ..Request::colour(width, height, [0.5, 0.25, 0.75]) }
 }
