@@ -206,7 +206,7 @@ def main():
     stale = False
     for package, name in CRATES.items():
         library = Library(described(package))
-        found = '\n'.join(sorted(library.lines, key=lambda line: line.split('::', 1)[-1] if '::' in line else line)) + '\n'
+        found = '\n'.join(sorted(library.lines, key=lambda line: (line.split('::', 1)[-1], line))) + '\n'
         file = ROOT / 'docs' / 'api' / f'{name}.txt'
         if '--store' in sys.argv[1:]:
             file.parent.mkdir(exist_ok=True)
