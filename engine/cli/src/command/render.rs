@@ -139,25 +139,33 @@ pub fn render(
     let mut read = Duration::ZERO;
     let mut intervals = 0;
     let mut complete = true;
-    for (index, &(time, place)) in due.iter().enumerate() {
-        if console.stop.asked() {
-            complete = false;
-            break;
-        }
-        let interval = match current.take().filter(|(at, _)| *at == place) {
-            Some((_, interval)) => interval,
-            None => {
-                let begun = Instant::now();
-                let interval = scene.interval(place)?;
-                read += begun.elapsed();
-                intervals += 1;
-                interval
+    drawing.pass(
+        due.iter().enumerate(),
+        |drawing, (index, &(time, place))| {
+            if console.stop.asked() {
+                complete = false;
+                return Ok(None);
             }
-        };
-        drawing.image(&mut outputs, index, &interval, time, &views)?;
-        current = Some((place, interval));
-        progress.step();
-    }
+            let interval = match current.take().filter(|(at, _)| *at == place) {
+                Some((_, interval)) => interval,
+                None => {
+                    let begun = Instant::now();
+                    let interval = scene.interval(place)?;
+                    read += begun.elapsed();
+                    intervals += 1;
+                    interval
+                }
+            };
+            let image = drawing.draw(&interval, index, time, &views)?;
+            current = Some((place, interval));
+            Ok(Some((index, image)))
+        },
+        |(index, image)| {
+            outputs.image(index, image)?;
+            progress.step();
+            Ok(())
+        },
+    )?;
     progress.phase("images; finishing the files");
     let written = drawing.writing(|| outputs.finish())?;
     progress.finish();

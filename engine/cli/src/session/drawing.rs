@@ -1,6 +1,7 @@
 //! Images at times, of intervals as they come.
 
 use std::collections::BTreeMap;
+use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
@@ -14,7 +15,6 @@ use streamsplat_kernels::raster::Projection;
 use crate::console::failure::Failure;
 use crate::options::motion::Course;
 use crate::options::settings::Views;
-use crate::output::outputs::Outputs;
 use crate::output::record::{Counts, RendererRecord, WorkRecord};
 
 /// Colour, depth and alpha.
@@ -149,17 +149,44 @@ impl Drawing {
         result
     }
 
-    /// Draws and writes the image with the number `index`.
-    pub fn image(
+    /// Draws what is due and writes it, in order. With two threads or more, one image is drawn while the one before is written.
+    pub fn pass<I, T: Send>(
         &mut self,
-        outputs: &mut Outputs,
-        index: usize,
-        interval: &Interval,
-        time: f64,
-        views: &Views,
+        due: impl ExactSizeIterator<Item = I> + Send,
+        mut draw: impl FnMut(&mut Drawing, I) -> Result<Option<T>, Failure> + Send,
+        mut write: impl FnMut(T) -> Result<(), Failure>,
     ) -> Result<(), Failure> {
-        let image = self.draw(interval, index, time, views)?;
-        self.writing(|| outputs.image(index, image))
+        if self.workers.threads() < 2 || due.len() < 2 {
+            for item in due {
+                let Some(drawn) = draw(self, item)? else { break };
+                self.writing(|| write(drawn))?;
+            }
+            return Ok(());
+        }
+        let mut seconds = Duration::ZERO;
+        let result = std::thread::scope(|scope| {
+            let (sender, receiver) = sync_channel(0);
+            let drawing = &mut *self;
+            let drawn = scope.spawn(move || {
+                for item in due {
+                    let Some(drawn) = draw(drawing, item)? else { break };
+                    if sender.send(drawn).is_err() {
+                        break;
+                    }
+                }
+                Ok(())
+            });
+            for drawn in &receiver {
+                let _span = tracing::info_span!("write").entered();
+                let start = Instant::now();
+                let written = write(drawn);
+                seconds += start.elapsed();
+                written?;
+            }
+            drawn.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        });
+        self.write += seconds;
+        result
     }
 
     /// Adds what was drawn and what was not needed.
