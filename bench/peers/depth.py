@@ -1,7 +1,7 @@
 """The backbone of a depth network, a DINOv2 ViT: ours against ONNX Runtime, on the same seeded weights, in one run.
 
 `python3 bench/peers/depth.py` builds the release program, writes the weights as a DINOv2 file and as ONNX graphs, checks that the patch
-tokens agree, then times all runners in turn, round after round, and writes bench/record/depth-DATE-CPU.{json,md}.
+tokens agree, then times all runners in turn, round after round, and writes bench/record/depth-DATE-CPU.json.
 
 `python3 bench/peers/depth.py --write FOLDER` only writes what a run of the paper's size takes, with seeded weights: model.safetensors (the
 official layout), dinov2.safetensors (ViT-B/14 with registers) and depth.onnx (a ViT-S for frames of 924×518, with one layer on top
@@ -273,7 +273,6 @@ def report(o, results):
     if not o.no_record:
         stem = ROOT / 'bench' / 'record' / f"depth-{date}-{re.sub(r'[^a-z0-9]+', '-', cpu.lower()).strip('-')}"
         stem.with_suffix('.json').write_text(json.dumps(dict(head, results=results), indent=1) + '\n')
-        stem.with_suffix('.md').write_text(text)
 
 
 def write(folder):

@@ -2,7 +2,7 @@
 
 `python3 bench/peers/peers.py` makes its own environment (bench/peers/.venv, pinned in requirements.txt), builds the release
 program, writes seeded weights, checks every runner's output against PyTorch in float64, then times all of them in turn,
-round after round, and writes bench/record/peers-DATE-CPU.{json,md}.
+round after round, and writes bench/record/peers-DATE-CPU.json.
 """
 import argparse
 import datetime
@@ -163,7 +163,6 @@ def report(o, results):
         machine = re.sub(r'[^a-z0-9]+', '-', f"{cpu} {'avx512' if 'avx512f' in isa else 'avx2'}".lower()).strip('-')
         stem = record / f'peers-{o.size}-{date}-{machine}'
         stem.with_suffix('.json').write_text(json.dumps(dict(head, results=results), indent=1) + '\n')
-        stem.with_suffix('.md').write_text(text)
 
 
 if __name__ == '__main__':

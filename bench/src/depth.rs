@@ -11,6 +11,7 @@ use streamsplat_fixtures::clip::cards::Cards;
 use streamsplat_tests::turned::{Score, score};
 
 use crate::Common;
+use crate::table::{Column, Table};
 
 /// Options of `depth`.
 #[derive(Args)]
@@ -34,8 +35,19 @@ pub(crate) struct Options {
     pictures: Option<PathBuf>,
 }
 
+const TABLE: Table<'_> = Table(&[
+    Column::Text("depth", 8),
+    Column::Number("views", 6),
+    Column::Number("foreground", 0),
+    Column::Number("behind", 0),
+    Column::Number("key", 6),
+    Column::Number("card", 6),
+    Column::Number("card foreground", 0),
+    Column::Number("views", 0),
+]);
+
 #[derive(Serialize)]
-struct Row {
+struct DepthScore {
     depth: &'static str,
     #[serde(flatten)]
     score: Score,
@@ -60,10 +72,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
     }
     let mut rows = Vec::new();
-    println!(
-        "{:8} {:>6} {:>10} {:>7} {:>6} {:>6} {:>15} {:>5}",
-        "depth", "views", "foreground", "behind", "key", "card", "card foreground", "views"
-    );
+    println!("{}", TABLE.heads());
     for (name, depth) in [("none", false), ("true", true)] {
         let mut failed = None;
         let score = score(&settings, &scenes, depth, options.degrees, |what, scene, rgb| {
@@ -74,11 +83,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         });
         failed.map_or(Ok(()), Err)?;
         let Score { views, foreground, behind, key, card, count } = score;
-        println!(
-            "{name:8} {views:6.2} {foreground:10.2} {behind:7.2} {key:6.2} {:6.2} {:15.2} {count:5}",
-            card[0], card[1]
-        );
-        rows.push(Row { depth: name, score });
+        let decibels = [views, foreground, behind, key, card[0], card[1]].map(|x| format!("{x:.2}"));
+        println!("{}", TABLE.line(&[&[name.to_owned()], &decibels[..], &[count.to_string()]].concat()));
+        rows.push(DepthScore { depth: name, score });
     }
     options.common.write(&rows)
 }

@@ -3,7 +3,7 @@
 use anyhow::{Result, ensure};
 use clap::Args;
 use serde::Serialize;
-use streamsplat_fixtures::clip::{Clip, Kind};
+use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_kernels::flow::{self, Blend, Options as FlowOptions, Pyramid};
 use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::raster::{ColourMap, render};
@@ -11,6 +11,7 @@ use streamsplat_kernels::raster::{ColourMap, render};
 use crate::Common;
 use crate::machine::Machine;
 use crate::raster::scenes::Scene;
+use crate::table::{Column, Table};
 use crate::timing::{Seconds, once};
 
 /// Options of `fit`.
@@ -20,8 +21,15 @@ pub(crate) struct Options {
     common: Common,
 }
 
+const TABLE: Table<'_> = Table(&[
+    Column::Text("milliseconds", 56),
+    Column::Number("least", 8),
+    Column::Number("median", 8),
+    Column::Number("most", 8),
+]);
+
 #[derive(Serialize)]
-struct Row {
+struct FitTiming {
     what: &'static str,
     milliseconds: Seconds,
 }
@@ -29,7 +37,7 @@ struct Row {
 #[derive(Serialize)]
 struct Report {
     machine: Machine,
-    rows: Vec<Row>,
+    rows: Vec<FitTiming>,
 }
 
 pub(crate) fn run(options: &Options) -> Result<()> {
@@ -38,23 +46,24 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         rows.extend(map_rows(&options.common)?);
         Ok((rows, Machine::new(options.common.isa, (Precision::F32, 0.0))))
     })?;
-    println!("{:56} {:>9} {:>9} {:>9}", "milliseconds", "least", "median", "most");
-    for Row { what, milliseconds: Seconds { min, median, max } } in &rows {
-        println!("{what:56} {min:9.2} {median:9.2} {max:9.2}");
+    println!("{}", TABLE.heads());
+    for FitTiming { what, milliseconds: Seconds { min, median, max } } in &rows {
+        let [least, median, most] = [min, median, max].map(|ms| format!("{ms:.2}"));
+        println!("{}", TABLE.line(&[what, least.as_str(), &median, &most]));
     }
     options.common.write(&Report { machine, rows })
 }
 
 /// Times of `work`, after one run that is not counted.
-fn measure(common: &Common, what: &'static str, mut work: impl FnMut()) -> Row {
+fn measure(common: &Common, what: &'static str, mut work: impl FnMut()) -> FitTiming {
     work();
     let times = (0..common.repeat.max(1)).map(|_| 1e3 * once(&mut work)).collect();
-    Row { what, milliseconds: Seconds::of(times) }
+    FitTiming { what, milliseconds: Seconds::of(times) }
 }
 
-fn flow_rows(common: &Common) -> Result<Vec<Row>> {
+fn flow_rows(common: &Common) -> Result<Vec<FitTiming>> {
     let (level, size, options) = (common.isa, [288, 512], FlowOptions::default());
-    let clip = Clip::new(Kind::Moving, 1, size[1], size[0]);
+    let clip = Clip::new(ClipKind::Moving, 1, size[1], size[0]);
     let [a, b] = [0.0, 0.1].map(|time| clip.picture(time).rgb);
     let pyramid = |rgb: &[f32]| Pyramid::new(level, &flow::luma(level, rgb), size, &options);
     let pyramids = [pyramid(&a)?, pyramid(&b)?];
@@ -87,7 +96,7 @@ pub(crate) fn ensure_near(linear: &[f32], drawn: &[f32]) -> Result<()> {
     Ok(())
 }
 
-fn map_rows(common: &Common) -> Result<Vec<Row>> {
+fn map_rows(common: &Common) -> Result<Vec<FitTiming>> {
     let scene = Scene::paper_grid();
     let gaussians = scene.gaussians();
     let size @ [width, height] = [scene.request.width, scene.request.height];

@@ -12,7 +12,14 @@ use streamsplat_kernels::Level;
 use streamsplat_model::{LoadOptions, Precision};
 
 use crate::model::{Model, Which, noise};
+use crate::table::{Column, Table};
 
+const TABLE: Table<'_> = Table(&[
+    Column::Text("stage", 10),
+    Column::Text("", 6),
+    Column::Number("instructions", 14),
+    Column::Number("recorded", 9),
+]);
 const PRECISIONS: [Precision; 3] = [Precision::F32, Precision::Bf16, Precision::Int8];
 /// How much more may be counted than was recorded.
 const LIMIT: f64 = 0.03;
@@ -81,13 +88,13 @@ fn level() -> Result<Level> {
 pub(crate) fn run(recorded: Option<&Path>, json: Option<&Path>) -> Result<()> {
     let recorded = recorded.map(read).transpose()?;
     let counts = count()?;
-    println!("{:<10} {:<6} {:>14} {:>9}", "stage", "", "instructions", "recorded");
+    println!("{}", TABLE.heads());
     for count in &counts.stages {
         let before = recorded.as_ref().and_then(|recorded| find(recorded, count));
         let change = before.map_or_else(String::new, |before| {
             format!("{:+.2} %", 100.0 * (count.instructions as f64 / before as f64 - 1.0))
         });
-        println!("{:<10} {:<6} {:>14} {change:>9}", count.stage, count.precision, count.instructions);
+        println!("{}", TABLE.line(&[&count.stage, &count.precision, &count.instructions.to_string(), &change]));
     }
     if let Some(path) = json {
         crate::write_json(path, &counts)?;

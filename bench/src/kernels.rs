@@ -11,6 +11,7 @@ use streamsplat_kernels::norm;
 
 use crate::Common;
 use crate::machine::{Machine, peak};
+use crate::table::{Column, Table};
 use crate::timing::{Seconds, once};
 
 /// Options of `kernels`.
@@ -53,8 +54,18 @@ impl Format {
     }
 }
 
+const TABLE: Table<'_> = Table(&[
+    Column::Text("kernel", 22),
+    Column::Text("model", 6),
+    Column::Text("type", 5),
+    Column::Number("size", 20),
+    Column::Number("ms (min)", 9),
+    Column::Number("GFLOP/s", 9),
+    Column::Number("of peak", 8),
+]);
+
 #[derive(Serialize)]
-struct Row {
+struct KernelTiming {
     kernel: String,
     model: &'static str,
     precision: &'static str,
@@ -68,7 +79,7 @@ struct Row {
 #[derive(Serialize)]
 struct Results {
     machine: Machine,
-    kernels: Vec<Row>,
+    kernels: Vec<KernelTiming>,
 }
 
 /// One kernel at one size, checked already.
@@ -108,10 +119,7 @@ fn measure(options: &Options) -> Result<()> {
     // The best of each precision so far: clocks move, and other work can only slow a loop down.
     let mut peaks = [0.0_f64; 3];
     let mut rows = Vec::new();
-    println!(
-        "{:<22} {:<6} {:<5} {:>20} {:>10} {:>10} {:>9}",
-        "kernel", "model", "type", "size", "ms (min)", "GFLOP/s", "of peak"
-    );
+    println!("{}", TABLE.heads());
     for mut case in cases {
         let mut times = Vec::new();
         for _ in 0..options.common.repeat.max(1) {
@@ -122,7 +130,7 @@ fn measure(options: &Options) -> Result<()> {
         }
         let seconds = Seconds::of(times);
         let gflops = case.flop / seconds.min / 1e9;
-        let row = Row {
+        let row = KernelTiming {
             kernel: case.kernel,
             model: case.model,
             precision: case.precision.0,
@@ -132,16 +140,10 @@ fn measure(options: &Options) -> Result<()> {
             gflops,
             fraction_of_peak: gflops / peaks[case.precision.1 as usize],
         };
-        println!(
-            "{:<22} {:<6} {:<5} {:>20} {:>10.3} {:>10.1} {:>8.1}%",
-            row.kernel,
-            row.model,
-            row.precision,
-            row.size,
-            seconds.min * 1e3,
-            gflops,
-            row.fraction_of_peak * 100.0
-        );
+        let [ms, peak] = [seconds.min * 1e3, row.fraction_of_peak * 100.0];
+        let figures = [format!("{ms:.3}"), format!("{gflops:.1}"), format!("{peak:.1}%")];
+        let [ms, gflops, peak] = &figures;
+        println!("{}", TABLE.line(&[&row.kernel, row.model, row.precision, &row.size, ms, gflops, peak]));
         rows.push(row);
     }
     let machine = Machine::new(level, (Precision::F32, peaks[0]));

@@ -18,6 +18,7 @@ mod reuse;
 mod serve;
 mod soak;
 mod stages;
+mod table;
 mod timing;
 mod tradeoff;
 

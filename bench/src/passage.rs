@@ -8,7 +8,7 @@ use anyhow::{Context, Result, ensure};
 use streamsplat::gap::{Auto, Gap, grouped};
 use streamsplat::metrics::psnr;
 use streamsplat::picture::Picture;
-use streamsplat::render::Painter;
+use streamsplat::render::Renderer;
 use streamsplat::source::{self, Source, TimedPicture, folder};
 use streamsplat::stream::{Reconstructor, Reuse};
 use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
@@ -63,7 +63,7 @@ pub(crate) struct Step {
 pub(crate) struct Runner {
     pub(crate) variant: Variant,
     pub(crate) engine: Engine,
-    painter: Painter,
+    renderer: Renderer,
     pub(crate) keys: Vec<usize>,
     chosen: Spent,
     pub(crate) steps: Vec<Step>,
@@ -101,9 +101,9 @@ impl Models {
         let watch = Stopwatch::start();
         let keys = keys(variant.gap, clip);
         let chosen = watch.stop();
-        let painter = Painter::new(engine.workers());
+        let renderer = Renderer::new(engine.workers());
         let variant = variant.clone();
-        Ok(Runner { variant, engine, painter, keys, chosen, steps: Vec::new(), images: Vec::new() })
+        Ok(Runner { variant, engine, renderer, keys, chosen, steps: Vec::new(), images: Vec::new() })
     }
 
     /// Takes a clip through every variant.
@@ -129,7 +129,8 @@ impl Runner {
         let mut step = Step { pushed: watch.stop(), drawn: Spent::default() };
         for frame in &clip[self.images.len()..=index] {
             let watch = Stopwatch::start();
-            let image = self.painter.draw(&interval, frame.timestamp, &Camera::Canonical, &RenderOptions::default())?;
+            let image =
+                self.renderer.render(&interval, frame.timestamp, &Camera::Canonical, &RenderOptions::default())?;
             step.drawn += watch.stop();
             self.images.push(Picture { width: image.width, height: image.height, rgb: image.rgb.clone() });
         }

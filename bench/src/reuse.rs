@@ -78,12 +78,12 @@ struct About {
 #[derive(Serialize)]
 struct Results {
     about: About,
-    rows: Vec<Row>,
+    rows: Vec<VariantResult>,
 }
 
 /// Cost and result of a variant on a clip.
 #[derive(Clone, Debug, Serialize)]
-struct Row {
+struct VariantResult {
     clip: String,
     /// True if the camera stands still, where the manifest tells.
     still: Option<bool>,
@@ -116,7 +116,7 @@ fn measure(
     variants: &[Variant],
     settings: &Settings,
     rounds: usize,
-) -> Result<Vec<Row>> {
+) -> Result<Vec<VariantResult>> {
     let mut models = Models::new(settings.clone());
     let mut runners = models.pass(clip, variants)?;
     for _ in 1..rounds {
@@ -126,7 +126,7 @@ fn measure(
         }
     }
     let truths = truths(clip);
-    let mut rows: Vec<Row> = Vec::new();
+    let mut rows: Vec<VariantResult> = Vec::new();
     for runner in &runners {
         let base =
             runners.iter().find(|base| base.variant.gap == runner.variant.gap).context("a variant without a first")?;
@@ -135,7 +135,7 @@ fn measure(
     Ok(rows)
 }
 
-fn row(runner: &Runner, name: &str, truths: &[Picture], base: &Runner) -> Result<Row> {
+fn row(runner: &Runner, name: &str, truths: &[Picture], base: &Runner) -> Result<VariantResult> {
     let frames = runner.images.len();
     let own = against(&runner.images, truths)?;
     let others = against(&base.images, truths)?;
@@ -145,7 +145,7 @@ fn row(runner: &Runner, name: &str, truths: &[Picture], base: &Runner) -> Result
     };
     let is_key = |i: &usize| runner.keys.contains(i);
     let error = mean_square_error(&runner.images, &base.images)?;
-    Ok(Row {
+    Ok(VariantResult {
         clip: name.to_owned(),
         still: None,
         reuse: runner.variant.reuse.to_string(),
@@ -195,13 +195,13 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         .flat_map(|gap| choices.iter().map(|reuse| Variant { precision: options.precision, reuse: *reuse, gap: *gap }))
         .collect();
     let mut rows = Vec::new();
-    println!("{}", table::HEAD);
+    println!("{}", table::TABLE.heads());
     for path in clips(&options.inputs)? {
         let clip = read(&path, options.frames)?;
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
         let still = cameras.iter().find(|(clip, _)| *clip == name).map(|(_, still)| *still);
         for row in measure(&name, &clip, &variants, &settings, options.rounds.max(1))? {
-            let row = Row { still, ..row };
+            let row = VariantResult { still, ..row };
             print!("{}", table::line(&row));
             rows.push(row);
         }

@@ -18,15 +18,16 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use serde::Serialize;
-use streamsplat::render::Painter;
-use streamsplat::stream::{Fusion, Interval, ModelSource};
+use streamsplat::render::Renderer;
+use streamsplat::stream::{Fusion, Interval, ModelSource, Workers};
 use streamsplat::{Camera, Engine, Frame, Image, RenderOptions, Settings};
-use streamsplat_fixtures::clip::{Clip, Kind};
+use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_fixtures::seeded::Sizes;
 use streamsplat_kernels::Level;
 
 use super::{live, machine, process};
 use crate::model::Temporary;
+use crate::table::{Column, Table};
 
 /// Key frames after which the pictures are the same again, and after which memory must be flat.
 const PERIOD: u64 = 50;
@@ -80,6 +81,12 @@ struct Check {
 }
 
 impl Check {
+    fn cells(&self) -> [String; 4] {
+        let Check { what, found, at_most, holds } = self;
+        let verdict = if *holds { "holds" } else { "FAILS" };
+        [what.to_string(), format!("{found:.4}"), at_most.to_string(), verdict.to_owned()]
+    }
+
     fn new(what: &'static str, found: f64, at_most: f64) -> Check {
         Check { what, found, at_most, holds: found <= at_most }
     }
@@ -87,7 +94,7 @@ impl Check {
 
 /// The state after some key frames.
 #[derive(Serialize)]
-struct Row {
+struct StreamState {
     key_frame: u64,
     /// Most at any moment of the last period; none beside the young stream.
     live_bytes: Option<u64>,
@@ -111,7 +118,7 @@ struct Results {
     resident_peaks: f64,
     /// The hundred after / the second hundred of the young stream.
     beside_young: f64,
-    rows: Vec<Row>,
+    rows: Vec<StreamState>,
 }
 
 /// The endless clip.
@@ -121,7 +128,7 @@ struct Film {
 
 impl Film {
     fn new([height, width]: [usize; 2]) -> Film {
-        let clip = Clip::new(Kind::StaticCamera, 1, width, height);
+        let clip = Clip::new(ClipKind::StaticCamera, 1, width, height);
         // To and fro in quick steps: a second of the clip in a period.
         let frame = |i| Frame { width, height, rgb: clip.picture(4.0 * i as f64 / RATE).rgb, depth: None };
         Film { frames: (0..=PERIOD / 2).map(frame).collect() }
@@ -150,15 +157,15 @@ fn sizes() -> Sizes {
 /// A stream that is drawn, and the CPU time of its last steps.
 struct Measured {
     engine: Engine,
-    painter: Painter,
+    renderer: Renderer,
     /// At most a hundred: [`Measured::hundred`] empties it.
     seconds: Vec<f64>,
 }
 
 impl Measured {
     fn new(engine: Engine) -> Result<Measured> {
-        let painter = Painter::new(engine.workers());
-        Ok(Measured { engine, painter, seconds: Vec::with_capacity(HUNDRED as usize) })
+        let renderer = Renderer::new(engine.workers());
+        Ok(Measured { engine, renderer, seconds: Vec::with_capacity(HUNDRED as usize) })
     }
 
     /// Takes key frame `k` and draws the middle of its interval.
@@ -167,7 +174,7 @@ impl Measured {
         let start = process::cpu_seconds()?;
         let interval = self.engine.push(frame, k as f64 / RATE)?;
         let time = 0.5 * (interval.start + interval.end);
-        self.painter.draw(&interval, time, &Camera::Canonical, &RenderOptions::default())?;
+        self.renderer.render(&interval, time, &Camera::Canonical, &RenderOptions::default())?;
         self.seconds.push(process::cpu_seconds()? - start);
         Ok(interval)
     }
@@ -259,9 +266,9 @@ fn rank(values: &[f64], part: usize) -> f64 {
 }
 
 /// The images of an interval at its start, middle and end.
-fn images(interval: &Interval) -> Result<Vec<Image>> {
+fn images(interval: &Interval, workers: &Workers) -> Result<Vec<Image>> {
     let times = [interval.start, 0.5 * (interval.start + interval.end), interval.end];
-    let draw = |time| Ok(interval.render(time, &Camera::Canonical, &RenderOptions::default())?);
+    let draw = |time| Ok(interval.render(time, &Camera::Canonical, &RenderOptions::default(), workers)?);
     times.into_iter().map(draw).collect()
 }
 
@@ -291,7 +298,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let film = Film::new(long.engine.model().resolution());
 
     let mut identities = Identities::default();
-    let mut rows: Vec<Row> = Vec::with_capacity(2 + (count / HUNDRED) as usize);
+    let mut rows: Vec<StreamState> = Vec::with_capacity(2 + (count / HUNDRED) as usize);
     let [mut live, mut resident] = [Growth::default(), Growth::default()];
     let mut last = None;
     let mut young = None;
@@ -336,7 +343,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             continue;
         }
         let identities = identities.newest.map_or(0, |newest| newest + 1);
-        rows.push(Row {
+        rows.push(StreamState {
             key_frame,
             live_bytes,
             resident_bytes,
@@ -362,7 +369,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     for k in count - 3..count {
         other = Some(fresh.push(film.frame(k), k as f64 / RATE)?);
     }
-    let same = images(&last.context("an interval")?)? == images(&other.context("an interval")?)?;
+    let workers = long.engine.workers();
+    let same = images(&last.context("an interval")?, workers)? == images(&other.context("an interval")?, workers)?;
     let [_, live_peaks] = live.ratios();
     let [resident, resident_peaks] = resident.ratios();
     let checks = vec![
@@ -372,10 +380,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         Check::new("identities seen twice", identities.twice as f64, 0.0),
         Check::new("images unlike a stream started two frames earlier, pairwise", f64::from(u8::from(!same)), 0.0),
     ];
-    println!("\n| | found | at most | |\n|---|---:|---:|---|");
-    for Check { what, found, at_most, holds } in &checks {
-        println!("| {what} | {found:.4} | {at_most} | {} |", if *holds { "holds" } else { "FAILS" });
-    }
+    let columns = [Column::Text("", 0), Column::Number("found", 0), Column::Number("at most", 0), Column::Text("", 0)];
+    print!("\n{}", Table(&columns).markdown(checks.iter().map(Check::cells)));
     println!("\nMost resident memory at any one moment after the first 50 / until then: {resident_peaks:.4}");
     println!("The hundred after / the second hundred of a young stream beside it: {beside_young:.4}");
     let failed = checks.iter().filter(|check| !check.holds).count();
@@ -427,12 +433,11 @@ mod tests {
     #[test]
     fn an_identity_that_comes_back_or_is_shared_is_seen() {
         let interval = |index: u64, identities: &[u64]| {
-            let workers = streamsplat::stream::Workers::new(Level::scalar(), 1).expect("one thread");
             let mut engine = Engine::new(Settings { threads: 1, ..Settings::default() }).expect("starts");
             let mut interval =
                 engine.push(Frame { width: 2, height: 1, rgb: vec![0.5; 6], depth: None }, 0.0).expect("taken");
             let record = |&identity| streamsplat::stream::Record { identity, frame: index, ..Default::default() };
-            (interval.index, interval.workers) = (index, workers);
+            interval.index = index;
             interval.gaussians = identities.iter().map(record).collect();
             interval
         };

@@ -10,12 +10,13 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use streamsplat_kernels::gemm;
 use streamsplat_model::cost::{dino_gflop, stages};
-use streamsplat_model::{LoadOptions, Precision, silent};
+use streamsplat_model::{LoadOptions, Precision, zero_output};
 
 use crate::Common;
 use crate::instructions;
 use crate::machine::{self, Machine};
 use crate::model::{Model, Which, noise};
+use crate::table::{Column, Table};
 use crate::timing::{Seconds, Spent, Stopwatch};
 
 /// Options of `stages`.
@@ -53,8 +54,19 @@ enum Size {
     All,
 }
 
+const TABLE: Table<'_> = Table(&[
+    Column::Text("stage", 10),
+    Column::Text("size", 6),
+    Column::Number("GFLOP", 9),
+    Column::Number("ms (min)", 10),
+    Column::Number("GFLOP/s", 9),
+    Column::Number("% of peak", 9),
+    Column::Number("cpu ms (min)", 12),
+    Column::Number("all branches", 12),
+]);
+
 #[derive(Serialize)]
-struct Row {
+struct StageTiming {
     name: &'static str,
     size: &'static str,
     precision: &'static str,
@@ -63,15 +75,15 @@ struct Row {
     seconds: Seconds,
     /// Of the processor.
     processor: Seconds,
-    /// The same of a network that computes its silent branches, run in turn with the other.
-    processor_with_silent: Option<Seconds>,
+    /// The same of a network that computes its zero-output branches, run in turn with the other.
+    processor_with_zero_output: Option<Seconds>,
     fraction_of_peak: Option<f64>,
 }
 
 #[derive(Serialize)]
 struct Results {
     machine: Machine,
-    stages: Vec<Row>,
+    stages: Vec<StageTiming>,
 }
 
 pub(crate) fn run(options: &Options) -> Result<()> {
@@ -82,17 +94,14 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         return instructions::run(options.recorded.as_deref(), options.common.json.as_deref());
     }
     let pool = options.common.pool()?;
-    println!(
-        "{:<10} {:<6} {:>10} {:>12} {:>10} {:>9} {:>13} {:>13}",
-        "stage", "size", "GFLOP", "ms (min)", "GFLOP/s", "of peak", "cpu ms (min)", "with silent"
-    );
+    println!("{}", TABLE.heads());
     let (mut rows, mut peak) = (Vec::new(), 0.0_f64);
     let load = LoadOptions { level: options.common.isa, precision: options.precision, ..LoadOptions::default() };
     let mut all = |which, name| -> Result<()> {
         let model = pool.install(|| Model::load(which, &load, &noise))?;
-        let full = match model.network.silent().iter().any(|part| part.silent > 0) {
+        let full = match model.network.zero_output().iter().any(|part| part.zero_output > 0) {
             true => {
-                let load = LoadOptions { compute_silent: true, ..load };
+                let load = LoadOptions { compute_zero_output: true, ..load };
                 Some(pool.install(|| Model::load(which, &load, &noise))?)
             }
             false => None,
@@ -123,16 +132,16 @@ fn operands(precision: Precision) -> gemm::Precision {
     }
 }
 
-/// Measures `model`, and beside it `full`, which computes the same and its silent branches too.
+/// Measures `model`, and beside it `full`, which computes the same and its zero-output branches too.
 fn measure(
     model: &Model,
     full: Option<&Model>,
     size: &'static str,
     options: &Options,
-    rows: &mut Vec<Row>,
+    rows: &mut Vec<StageTiming>,
     peak: &mut f64,
 ) -> Result<()> {
-    let parts = model.network.silent();
+    let parts = model.network.zero_output();
     // The stage that is called an upsampler here is the static one.
     let part = |stage| if stage == "upsampler" { "static upsampler" } else { stage };
     let left_out = |stage| parts.iter().filter(|s| s.part == part(stage)).map(|s| s.gflop).sum::<f64>();
@@ -141,7 +150,7 @@ fn measure(
         .map(|cost| (cost.stage, Some(cost.gflop - left_out(cost.stage))))
         .collect();
     let nominal: f64 = stages(model.network.config()).iter().map(|cost| cost.gflop * cost.calls as f64).sum();
-    let frame = nominal - silent::gflop(parts);
+    let frame = nominal - zero_output::gflop(parts);
     let dino = model.dino.as_ref().map(|dino| dino_gflop(dino.config()));
     costs.extend(dino.map(|gflop| ("dinov2", Some(gflop))));
     costs.extend([("raster", None), ("step", Some(frame + dino.unwrap_or(0.0)))]);
@@ -154,7 +163,7 @@ fn measure(
         ensure!(bits(&again) == bits(&expected), "{name}: another number of threads gives other bits");
         drop(other);
         if let Some(full) = full {
-            ensure!(bits(&full.stage(name)?) == bits(&expected), "{name}: silent branches change bits");
+            ensure!(bits(&full.stage(name)?) == bits(&expected), "{name}: zero-output branches change bits");
         }
 
         let (mut spent, mut spent_in_full, mut own_peak) = (Vec::new(), Vec::new(), 0.0_f64);
@@ -175,21 +184,33 @@ fn measure(
         *peak = peak.max(own_peak);
         let seconds = Seconds::of(spent.iter().map(Spent::clock).collect());
         let of_processor = |spent: &[Spent]| Seconds::of(spent.iter().map(Spent::seconds).collect());
-        let (processor, processor_with_silent) = (of_processor(&spent), full.map(|_| of_processor(&spent_in_full)));
+        let (processor, processor_with_zero_output) =
+            (of_processor(&spent), full.map(|_| of_processor(&spent_in_full)));
         let speed = gflop.map(|gflop| gflop / seconds.min);
         let fraction_of_peak = speed.map(|speed| speed / own_peak);
         let figure = |x: Option<f64>| x.map_or_else(|| "-".to_owned(), |x| format!("{x:.1}"));
-        println!(
-            "{name:<10} {size:<6} {:>10} {:>12.2} {:>10} {:>8}% {:>13.2} {:>13}",
+        let cells = [
+            name.to_owned(),
+            size.to_owned(),
             figure(gflop),
-            seconds.min * 1e3,
+            format!("{:.2}", seconds.min * 1e3),
             figure(speed),
             figure(fraction_of_peak.map(|f| 100.0 * f)),
-            processor.min * 1e3,
-            figure(processor_with_silent.map(|s| s.min * 1e3))
-        );
+            format!("{:.2}", processor.min * 1e3),
+            figure(processor_with_zero_output.map(|s| s.min * 1e3)),
+        ];
+        println!("{}", TABLE.line(&cells));
         let precision = options.precision.name();
-        rows.push(Row { name, size, precision, gflop, seconds, processor, processor_with_silent, fraction_of_peak });
+        rows.push(StageTiming {
+            name,
+            size,
+            precision,
+            gflop,
+            seconds,
+            processor,
+            processor_with_zero_output,
+            fraction_of_peak,
+        });
     }
     Ok(())
 }

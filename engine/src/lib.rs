@@ -21,7 +21,7 @@
 //! let interval = engine.push(frame(2), 0.2)?;
 //!
 //! // The scene between them, at any time, from any camera.
-//! let image = interval.render(0.1, &Camera::Canonical, &RenderOptions::default())?;
+//! let image = interval.render(0.1, &Camera::Canonical, &RenderOptions::default(), engine.workers())?;
 //! assert_eq!((image.width, image.height), (width, height));
 //! assert!(image.rgb.iter().all(|x| x.is_finite()));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -63,7 +63,10 @@ pub mod wgpu;
 
 pub use camera::Camera;
 pub use render::{Image, RenderError, RenderOptions, Size};
-pub use stream::{Engine, EngineError, Frame, Interval, Settings};
+pub use stream::{Engine, EngineError, Frame, Interval, Settings, Workers};
+pub use streamsplat_kernels::Level;
+/// The crates whose types appear in this one's functions, in the versions it was built with.
+pub use {streamsplat_kernels as kernels, streamsplat_model as model};
 
 /// The version of the bit contract that this library keeps: the same model, frames and options give the same bytes wherever this
 /// number is the same. A release that changes an output bit changes this number (`docs/bit-contract.md`).

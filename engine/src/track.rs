@@ -10,7 +10,7 @@ use streamsplat_kernels::raster::Projection;
 use crate::camera::Camera;
 use crate::render::{RenderError, Snapshot, View};
 use crate::space::{Hit, Picker, Ray, most_visible};
-use crate::stream::{Interval, Record, Reference};
+use crate::stream::{Interval, Record, Reference, Workers};
 
 /// A Gaussian at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,8 +55,8 @@ impl Interval {
     ///
     /// # Errors
     /// As [`Snapshot::of`].
-    pub fn pick(&self, time: f64, pixel: [f64; 2]) -> Result<Option<Picked>, RenderError> {
-        let seen = Snapshot::of(self, time)?;
+    pub fn pick(&self, time: f64, pixel: [f64; 2], workers: &Workers) -> Result<Option<Picked>, RenderError> {
+        let seen = Snapshot::of(self, time, workers)?;
         let hit = most_visible(&seen, self.blur(), &self.ray(pixel));
         Ok(hit.map(|hit| self.picked(&seen, time, pixel, hit)))
     }
@@ -65,8 +65,13 @@ impl Interval {
     ///
     /// # Errors
     /// As [`Snapshot::of`].
-    pub fn pick_all(&self, time: f64, pixels: &[[f64; 2]]) -> Result<Vec<Option<Picked>>, RenderError> {
-        let picker = Picker::new(Snapshot::of(self, time)?, self.blur());
+    pub fn pick_all(
+        &self,
+        time: f64,
+        pixels: &[[f64; 2]],
+        workers: &Workers,
+    ) -> Result<Vec<Option<Picked>>, RenderError> {
+        let picker = Picker::new(Snapshot::of(self, time, workers)?, self.blur());
         let pick = |&pixel: &[f64; 2]| {
             let hit = picker.pick(&self.ray(pixel));
             hit.map(|hit| self.picked(picker.snapshot(), time, pixel, hit))

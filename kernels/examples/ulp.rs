@@ -17,7 +17,7 @@ use streamsplat_kernels::{Level, math, parallel};
 /// Patterns in one task.
 const CHUNK: u64 = 1 << 18;
 
-struct Row {
+struct Function {
     name: &'static str,
     run: fn(Level, &[f32], &mut [f32]),
     exact: fn(f64) -> f64,
@@ -29,7 +29,7 @@ struct Row {
 
 macro_rules! row {
     ($name:literal, $f:expr, $exact:expr, $ends:expr, $domain:expr, $grows:expr) => {
-        Row {
+        Function {
             name: $name,
             run: |level, from, to| {
                 struct Apply<'a>(&'a [f32], &'a mut [f32]);
@@ -73,7 +73,7 @@ struct Ends {
     high: fn(f64) -> f64,
 }
 
-fn rows() -> Vec<Row> {
+fn rows() -> Vec<Function> {
     const SLOPE: f64 = std::f64::consts::FRAC_2_SQRT_PI;
     const LN_2: f64 = std::f64::consts::LN_2;
     let always: fn(f32) -> bool = |_| true;
@@ -112,7 +112,7 @@ fn rows() -> Vec<Row> {
     ]
 }
 
-impl Row {
+impl Function {
     fn reference(&self, x: f32) -> f64 {
         let wide = f64::from(x);
         if x.abs() < 9.313_226e-10 {
@@ -161,7 +161,7 @@ fn digest(digest: u64, y: f32) -> u64 {
     (digest ^ u64::from(bits)).wrapping_mul(0x100_0000_01b3)
 }
 
-fn measure(row: &Row, level: Level, step: u64) -> Part {
+fn measure(row: &Function, level: Level, step: u64) -> Part {
     let parts = parallel::map_indexed(((1 << 32) / CHUNK) as usize, |task| {
         let start = task as u64 * CHUNK;
         let first = start.next_multiple_of(step);

@@ -17,10 +17,10 @@ use std::fmt;
 /// bundle: the only ways to get one are [`Level::scalar`], [`Level::detect`], [`Level::available`] and [`Level::named`]. Every level gives the
 /// same bits.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct Level(pub(crate) Kind);
+pub struct Level(pub(crate) InstructionSet);
 
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Debug)]
-pub(crate) enum Kind {
+pub(crate) enum InstructionSet {
     Scalar,
     #[cfg(target_arch = "x86_64")]
     Avx2,
@@ -34,42 +34,46 @@ pub(crate) enum Kind {
     Neon,
 }
 
-impl Kind {
+impl InstructionSet {
     /// The levels of the architecture, lowest first.
-    pub(crate) const ALL: &[Kind] = &[
-        Kind::Scalar,
+    pub(crate) const ALL: &[InstructionSet] = &[
+        InstructionSet::Scalar,
         #[cfg(target_arch = "x86_64")]
-        Kind::Avx2,
+        InstructionSet::Avx2,
         #[cfg(target_arch = "x86_64")]
-        Kind::Avx512,
+        InstructionSet::Avx512,
         #[cfg(target_arch = "x86_64")]
-        Kind::Avx512Vnni,
+        InstructionSet::Avx512Vnni,
         #[cfg(target_arch = "x86_64")]
-        Kind::Avx512Bf16,
+        InstructionSet::Avx512Bf16,
         #[cfg(target_arch = "aarch64")]
-        Kind::Neon,
+        InstructionSet::Neon,
     ];
 
     /// Returns true if the CPU has the instructions.
     pub(crate) fn is_supported(self) -> bool {
         match self {
-            Kind::Scalar => true,
+            InstructionSet::Scalar => true,
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
+            InstructionSet::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => {
-                Kind::Avx2.is_supported()
+            InstructionSet::Avx512 => {
+                InstructionSet::Avx2.is_supported()
                     && is_x86_feature_detected!("avx512f")
                     && is_x86_feature_detected!("avx512bw")
                     && is_x86_feature_detected!("avx512dq")
                     && is_x86_feature_detected!("avx512vl")
             }
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512Vnni => Kind::Avx512.is_supported() && is_x86_feature_detected!("avx512vnni"),
+            InstructionSet::Avx512Vnni => {
+                InstructionSet::Avx512.is_supported() && is_x86_feature_detected!("avx512vnni")
+            }
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512Bf16 => Kind::Avx512Vnni.is_supported() && is_x86_feature_detected!("avx512bf16"),
+            InstructionSet::Avx512Bf16 => {
+                InstructionSet::Avx512Vnni.is_supported() && is_x86_feature_detected!("avx512bf16")
+            }
             #[cfg(target_arch = "aarch64")]
-            Kind::Neon => std::arch::is_aarch64_feature_detected!("neon"),
+            InstructionSet::Neon => std::arch::is_aarch64_feature_detected!("neon"),
         }
     }
 
@@ -77,7 +81,7 @@ impl Kind {
     pub(crate) fn has_dot_products(self) -> bool {
         match self {
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512Vnni | Kind::Avx512Bf16 => true,
+            InstructionSet::Avx512Vnni | InstructionSet::Avx512Bf16 => true,
             _ => false,
         }
     }
@@ -87,7 +91,7 @@ impl Kind {
     pub(crate) fn is_slow(self) -> bool {
         match self {
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512Bf16 => {
+            InstructionSet::Avx512Bf16 => {
                 let vendor = std::arch::x86_64::__cpuid(0);
                 [vendor.ebx, vendor.edx, vendor.ecx].map(u32::to_le_bytes).as_flattened() == b"GenuineIntel"
             }
@@ -144,23 +148,23 @@ impl Level {
 
     /// The level every machine has.
     pub const fn scalar() -> Level {
-        Level(Kind::Scalar)
+        Level(InstructionSet::Scalar)
     }
 
     /// The name by which [`Level::named`] finds it.
     pub const fn name(self) -> &'static str {
         match self.0 {
-            Kind::Scalar => "scalar",
+            InstructionSet::Scalar => "scalar",
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => "avx2",
+            InstructionSet::Avx2 => "avx2",
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => "avx512",
+            InstructionSet::Avx512 => "avx512",
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512Vnni => "avx512vnni",
+            InstructionSet::Avx512Vnni => "avx512vnni",
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512Bf16 => "avx512bf16",
+            InstructionSet::Avx512Bf16 => "avx512bf16",
             #[cfg(target_arch = "aarch64")]
-            Kind::Neon => "neon",
+            InstructionSet::Neon => "neon",
         }
     }
 }

@@ -20,7 +20,7 @@ use streamsplat_kernels::memory::{Aligned, Scratch};
 use streamsplat_kernels::norm::{Norm, layer_norm, rms_norm};
 use streamsplat_kernels::parallel::{for_each_chunk, map_indexed};
 use streamsplat_kernels::philox::Stream;
-use streamsplat_kernels::raster::{ColourMap, Gaussians, Lists, MAX_SIDE, Projection, Renderer, Request};
+use streamsplat_kernels::raster::{ColourMap, Gaussians, Lists, MAX_SIDE, Projection, Rasteriser, Request};
 use streamsplat_kernels::resize::{Filter, Grid, antialiased, bicubic_antialiased, bilinear, bilinear_antialiased};
 use streamsplat_kernels::{Level, patches, pointwise, truncated_normal};
 
@@ -319,9 +319,9 @@ proptest! {
         for projection in &projections {
             let mut request = Request::colour(width, height, [0.0; 3]);
             (request.depth, request.alpha, request.statistics) = (true, true, true);
-            let mut renderer = Renderer::new(Level::detect());
-            prop_assert_eq!(panics(|| renderer.render(&gaussians, projection, &request).width), !allowed);
-            prop_assert_eq!(panics(|| renderer.lists(&gaussians, projection, &request, &mut Lists::default())), !allowed);
+            let mut rasteriser = Rasteriser::new(Level::detect());
+            prop_assert_eq!(panics(|| rasteriser.render(&gaussians, projection, &request).width), !allowed);
+            prop_assert_eq!(panics(|| rasteriser.lists(&gaussians, projection, &request, &mut Lists::default())), !allowed);
             let mut map = ColourMap::with_budget(Level::detect(), width);
             prop_assert_eq!(panics(|| map.prepare(&gaussians, projection, [width, height])), !allowed);
             // Also one whose preparation was refused.

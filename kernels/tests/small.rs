@@ -14,7 +14,9 @@ use streamsplat_kernels::memory::{Aligned, Scratch};
 use streamsplat_kernels::norm::{Norm, layer_norm, rms_norm};
 use streamsplat_kernels::parallel::{for_each_chunk, map_indexed};
 use streamsplat_kernels::philox::Stream;
-use streamsplat_kernels::raster::{ColourMap, Gaussians, Lists, OwnedGaussians, Projection, Renderer, Request, render};
+use streamsplat_kernels::raster::{
+    ColourMap, Gaussians, Lists, OwnedGaussians, Projection, Rasteriser, Request, render,
+};
 use streamsplat_kernels::resize::{Grid, antialiased, bicubic_antialiased, bilinear, bilinear_antialiased};
 use streamsplat_kernels::{Level, activation, patches, pointwise, resize, truncated_normal};
 
@@ -346,17 +348,17 @@ fn images_of_gaussians() {
                     let mut request = Request::colour(width, height, [0.1, 0.2, 0.3]);
                     let mut all = planes(&render(level, &scene.gaussians(), &projection, &request));
                     (request.depth, request.alpha, request.statistics) = (true, true, true);
-                    let mut renderer = Renderer::new(level);
-                    all.extend(planes(renderer.render(&scene.gaussians(), &projection, &request)));
+                    let mut rasteriser = Rasteriser::new(level);
+                    all.extend(planes(rasteriser.render(&scene.gaussians(), &projection, &request)));
                     // The same again, and with a few of them changed: tiles are kept.
                     let mut changed = scene.clone();
                     for mean in changed.mean.iter_mut().take(2) {
                         mean[0] += 0.3;
                     }
-                    all.extend(planes(renderer.render(&scene.gaussians(), &projection, &request)));
-                    all.extend(planes(renderer.render(&changed.gaussians(), &projection, &request)));
+                    all.extend(planes(rasteriser.render(&scene.gaussians(), &projection, &request)));
+                    all.extend(planes(rasteriser.render(&changed.gaussians(), &projection, &request)));
                     let mut lists = Lists::default();
-                    renderer.lists(&changed.gaussians(), &projection, &request, &mut lists);
+                    rasteriser.lists(&changed.gaussians(), &projection, &request, &mut lists);
                     all.extend(lists.order.iter().map(|&at| at as f32));
                     all.extend(lists.footprints.iter().flat_map(|footprint| footprint.middle));
                     all

@@ -44,7 +44,7 @@ enum Table {
     Computed(Vec<f32>),
 }
 
-/// A block; a branch that is silent is none.
+/// A block; a branch that is zero-output is none.
 #[derive(Clone)]
 struct PairBlock {
     self_attn: Option<SelfAttention>,

@@ -41,7 +41,7 @@ impl Network {
         Some(Network {
             config,
             options: self.options,
-            silent: self.silent.clone(),
+            zero_output: self.zero_output.clone(),
             upsamplers_are_local: self.upsamplers_are_local,
             workspaces: Workspaces::default(),
             encoder,

@@ -7,13 +7,13 @@ use serde::Serialize;
 use crate::checkpoint::{Checkpoint, Weights};
 use crate::config::{self, Settings};
 use crate::cost::{self, StageCost};
-use crate::silent::{Silent, silent};
+use crate::zero_output::{ZeroOutput, zero_output};
 use crate::{Config, DinoConfig, ModelError, keys};
 
 /// Kind and sizes of a model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Kind {
+pub enum Architecture {
     /// StreamSplat.
     StreamSplat(Config),
     /// DINOv2 with registers.
@@ -44,7 +44,7 @@ pub struct Report {
     /// Prefix of its keys.
     pub prefix: &'static str,
     /// Kind and sizes.
-    pub kind: Kind,
+    pub kind: Architecture,
     /// Parts, in the order of the computation; what belongs to none of them comes last, as `ignored`.
     pub parts: Vec<Part>,
     /// Number formats of the tensors and how many have each.
@@ -52,7 +52,7 @@ pub struct Report {
     /// Cost per stage, were all of it computed.
     pub stages: Vec<StageCost>,
     /// Residual branches that are left out because they add zero, by part.
-    pub silent: Vec<Silent>,
+    pub zero_output: Vec<ZeroOutput>,
     /// Tensors that are not read.
     pub ignored: Vec<String>,
 }
@@ -92,11 +92,11 @@ pub fn inspect_parts(checkpoint: &Checkpoint, config_json: &str) -> Result<Repor
 fn inspect_checkpoint(checkpoint: &Checkpoint, settings: &Settings) -> Result<Report, ModelError> {
     let (prefix, kind, names): (_, _, &[(&'static str, &[&str])]) = if config::is_dino(checkpoint) {
         let config = DinoConfig::derive(&Weights::new(checkpoint, ""), settings)?;
-        ("", Kind::Dino(config), &DINO_PARTS)
+        ("", Architecture::Dino(config), &DINO_PARTS)
     } else {
         let prefix = config::prefix(checkpoint)?;
         let config = Config::derive(&Weights::new(checkpoint, prefix), settings)?;
-        (prefix, Kind::StreamSplat(config), &PARTS)
+        (prefix, Architecture::StreamSplat(config), &PARTS)
     };
     let empty = |name: &str| Part { name: name.to_owned(), tensors: 0, parameters: 0, bytes: 0 };
     let mut parts: Vec<Part> = names.iter().map(|(name, _)| empty(name)).collect();
@@ -121,15 +121,15 @@ fn inspect_checkpoint(checkpoint: &Checkpoint, settings: &Settings) -> Result<Re
         parts.pop();
     }
     let stages = match &kind {
-        Kind::StreamSplat(config) => cost::stages(config),
-        Kind::Dino(config) => vec![StageCost { stage: "dinov2", gflop: cost::dino_gflop(config), calls: 1 }],
+        Architecture::StreamSplat(config) => cost::stages(config),
+        Architecture::Dino(config) => vec![StageCost { stage: "dinov2", gflop: cost::dino_gflop(config), calls: 1 }],
     };
-    let silent = match &kind {
-        Kind::StreamSplat(config) => silent(&Weights::new(checkpoint, prefix), config),
-        Kind::Dino(_) => Vec::new(),
+    let zero_output = match &kind {
+        Architecture::StreamSplat(config) => zero_output(&Weights::new(checkpoint, prefix), config),
+        Architecture::Dino(_) => Vec::new(),
     };
     let (file, bytes) = (checkpoint.file().to_owned(), checkpoint.size());
-    Ok(Report { file, bytes, prefix, kind, parts, formats, stages, silent, ignored })
+    Ok(Report { file, bytes, prefix, kind, parts, formats, stages, zero_output, ignored })
 }
 
 /// Parts of a StreamSplat checkpoint and the keys they start with. The first that fits counts.

@@ -8,7 +8,7 @@
 //! h_a, h_b, conditions ── decoder ──► d_a, d_b ── deformation upsampler ── deformation head ──► velocity, γ
 //! ```
 //!
-//! A [`Session`] takes frames through it. [`reuse`] leaves out what did not change between frames, [`silent`] what
+//! A [`Session`] takes frames through it. [`reuse`] leaves out what did not change between frames, [`zero_output`] what
 //! adds nothing.
 //!
 //! Arrays are row-major `f32`; a frame's tokens run over the patch grid row by row. World axes: x right, y away from the
@@ -38,9 +38,9 @@ mod network;
 mod options;
 pub mod reuse;
 mod session;
-pub mod silent;
 mod static_head;
 mod upsampler;
+pub mod zero_output;
 
 pub use config::{Config, DinoConfig, StaticPosition};
 pub use dino::Dino;

@@ -11,9 +11,9 @@ use crate::deformation_head::DeformationHead;
 use crate::encoder::Encoder;
 use crate::layers::Workspaces;
 use crate::reuse::Saving;
-use crate::silent::{Silent, silent, upsamplers_are_local};
 use crate::static_head::StaticHead;
 use crate::upsampler::Upsampler;
+use crate::zero_output::{ZeroOutput, upsamplers_are_local, zero_output};
 use crate::{Config, LoadOptions, ModelError, Session, keys};
 
 /// A StreamSplat network with its weights.
@@ -22,7 +22,7 @@ use crate::{Config, LoadOptions, ModelError, Session, keys};
 pub struct Network {
     pub(crate) config: Config,
     pub(crate) options: LoadOptions,
-    pub(crate) silent: Vec<Silent>,
+    pub(crate) zero_output: Vec<ZeroOutput>,
     /// True if no block of an upsampler mixes tokens.
     pub(crate) upsamplers_are_local: bool,
     pub(crate) workspaces: Workspaces,
@@ -75,10 +75,10 @@ impl Network {
         let _span = info_span!("load").entered();
         let mut weights = Weights::new(checkpoint, config::prefix(checkpoint)?).on(options.level);
         let config = Config::derive(&weights, settings)?;
-        let silent = silent(&weights, &config);
+        let zero_output = zero_output(&weights, &config);
         let upsamplers_are_local = upsamplers_are_local(&weights);
-        if options.compute_silent {
-            weights = weights.with_silent();
+        if options.compute_zero_output {
+            weights = weights.with_zero_output();
         }
         Ok(Network {
             encoder: Encoder::load(&weights.at(keys::ENCODER), &config, options.precision)?,
@@ -93,7 +93,7 @@ impl Network {
             deformation_head: DeformationHead::load(&weights, &config)?,
             config,
             options: *options,
-            silent,
+            zero_output,
             upsamplers_are_local,
             workspaces: Workspaces::default(),
         })
@@ -109,10 +109,10 @@ impl Network {
         &self.options
     }
 
-    /// Its residual branches that add nothing, by part. They are left out unless [`LoadOptions::compute_silent`] says
+    /// Its residual branches that add nothing, by part. They are left out unless [`LoadOptions::compute_zero_output`] says
     /// otherwise.
-    pub fn silent(&self) -> &[Silent] {
-        &self.silent
+    pub fn zero_output(&self) -> &[ZeroOutput] {
+        &self.zero_output
     }
 
     /// Bytes its weights take in memory.

@@ -12,14 +12,14 @@ pub struct LoadOptions {
     pub level: Level,
     /// The arithmetic of the large matrix products.
     pub precision: Precision,
-    /// True if residual branches that add nothing are computed all the same. It changes no output bit: see [`crate::silent`].
-    pub compute_silent: bool,
+    /// True if residual branches that add nothing are computed all the same. It changes no output bit: see [`crate::zero_output`].
+    pub compute_zero_output: bool,
 }
 
 impl Default for LoadOptions {
     /// The machine's highest level, f32, nothing that adds nothing.
     fn default() -> Self {
-        Self { level: Level::detect(), precision: Precision::F32, compute_silent: false }
+        Self { level: Level::detect(), precision: Precision::F32, compute_zero_output: false }
     }
 }
 

@@ -61,7 +61,7 @@ impl Upsampler {
             columns *= 2;
             for (index, block) in stage.blocks.iter().enumerate() {
                 // To add zero again changes nothing.
-                if !pass.keeps() && index > 0 && block.is_silent() && stage.blocks[index - 1].is_silent() {
+                if !pass.keeps() && index > 0 && block.is_zero_output() && stage.blocks[index - 1].is_zero_output() {
                     continue;
                 }
                 let windows = windows(Some(config.upsampler_window), index);

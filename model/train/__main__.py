@@ -103,8 +103,8 @@ def pack(o):
 
 def export(o):
     _, net, _ = open_run(o)
-    if o.silence:
-        print('silenced:', *network.silence(net, o.silence))
+    if o.zero_below:
+        print('zeroed:', *network.zero_small_branches(net, o.zero_below))
     if o.forward:
         clips = load_clips(o, net.config.resolution)
         frames = torch.from_numpy(np.concatenate([c[[0, 5]] for c in clips[::6]])).permute(0, 3, 1, 2).float() / 255
@@ -192,7 +192,7 @@ def main(arguments=None):
         c.add_argument('--procedural', type=float, default=0.15, help='share of procedural scenes')
         c.add_argument('--gaps', type=int, nargs=2, default=(3, 8))
         c.add_argument('--middle', type=int, default=3)
-        c.add_argument('--keep-silent', action='store_true', help='leave residual branches that add nothing as they are (they cost nothing)')
+        c.add_argument('--keep-zero-output', action='store_true', help='leave residual branches that add nothing as they are (they cost nothing)')
         c.add_argument('--flow', type=float, default=0.05, help='weight of the end-point error in pixels beside the pictures')
 
     def one_way_option(c):
@@ -204,7 +204,7 @@ def main(arguments=None):
     def checkpoint_options(c):
         c.add_argument('--dtype', choices=('f16', 'bf16', 'f32'), default='f16')
         c.add_argument('--forward', action='store_true', help='with depth: the first frame keeps its depth and the second comes forward, so that followed points do not drift')
-        c.add_argument('--silence', type=float, default=0.0, metavar='LEAST', help='leave out residual branches whose output projection is smaller everywhere')
+        c.add_argument('--zero-below', type=float, default=0.0, metavar='LEAST', help='leave out residual branches whose output projection is smaller everywhere')
 
     def measuring_options(c):
         c.add_argument('--split', default='val')

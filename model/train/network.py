@@ -65,13 +65,13 @@ class Branch(nn.Module):
     """A residual branch; `last` is its output projection."""
 
     @property
-    def silent(self):
+    def zero_output(self):
         """Contributes exactly nothing and is not being trained: its product need not be computed."""
         if self.last.weight.requires_grad:
             return False
-        if not hasattr(self, '_silent'):
-            self._silent = not any(bool(p.any()) for p in self.last.parameters())
-        return self._silent
+        if not hasattr(self, '_zero_output'):
+            self._zero_output = not any(bool(p.any()) for p in self.last.parameters())
+        return self._zero_output
 
 
 class Attention(Branch):
@@ -131,9 +131,9 @@ class Block(nn.Module):
         self.window, self.rolled = window, rolled
 
     def forward(self, x):
-        if not self.attn.silent:
+        if not self.attn.zero_output:
             x = x + windowed(self.layernorm1(x), self.window, self.rolled, self.attn)
-        return x if self.mlp.silent else x + self.mlp(self.layernorm2(x))
+        return x if self.mlp.zero_output else x + self.mlp(self.layernorm2(x))
 
 
 class Stack(nn.Module):
@@ -282,13 +282,13 @@ class PairBlock(nn.Module):
         self.window, self.rolled = window, rolled
 
     def forward(self, x, condition):                     # x [B, 2N, d], condition [2B, M, d]
-        if not self.self_attn.silent:
+        if not self.self_attn.zero_output:
             x = x + windowed(self.self_attn_ln(x), self.window, self.rolled, self.self_attn)
         b, n, d = x.shape
         x = x.reshape(2 * b, n // 2, d)
-        if not self.cross_attn.silent:
+        if not self.cross_attn.zero_output:
             x = x + self.cross_attn(self.cross_attn_ln(x), condition)
-        if not self.mlp.silent:
+        if not self.mlp.zero_output:
             x = x + self.mlp(self.mlp_ln(x))
         return x.reshape(b, n, d)
 
@@ -391,7 +391,7 @@ def branches(net):
 
 
 @torch.no_grad()
-def silence(net, least):
+def zero_small_branches(net, least):
     """Zeroes the output projections of residual branches (weight and bias all smaller than `least`): they add next to nothing, and the
     engine leaves out a branch that adds nothing at all. Returns the names."""
     quiet = [(name, last) for name, last, size in branches(net) if size < least]

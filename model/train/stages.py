@@ -150,8 +150,8 @@ def flat_depth(net):
 
 def static_groups(net, attention=False, encoder=False, rate=1.0):
     up, head = net.gs_predictor.gaussian_upsampler, net.gs_predictor.predictor
-    silent = () if attention else ('.attn.', 'layernorm1')
-    groups = groups_of(up, 0.015 * rate, 3e-3 * rate, slow={'residual_fc': 0.0045 * rate}, skip=silent)
+    attention_names = () if attention else ('.attn.', 'layernorm1')
+    groups = groups_of(up, 0.015 * rate, 3e-3 * rate, slow={'residual_fc': 0.0045 * rate}, skip=attention_names)
     groups.append(dict(params=list(head.parameters()), lr=7.5e-3 * rate))
     if encoder:
         groups += groups_of(net.gs_predictor.encoder, 1.5e-3 * rate, 1.5e-4 * rate)
@@ -300,7 +300,7 @@ class Motion:
         self.net, self.o, self.device = net, o, next(net.parameters()).device
         self.source = data.Pairs(clips, o.seed, o.batch, middle=middle, procedural=o.procedural, gaps=tuple(o.gaps))
         frozen = ('positional_embedding', 'gs_predictor', 'opacity_dynamic', 'xyz_dynamic_scale')
-        frozen += tuple(f'{name}.' for name, _, size in network.branches(net) if not size) if o.keep_silent else ()
+        frozen += tuple(f'{name}.' for name, _, size in network.branches(net) if not size) if o.keep_zero_output else ()
         named = [(k, p) for k, p in net.named_parameters() if not any(s in k for s in frozen) and not ('gaussian_upsampler' in k and '.attn.' in k)]
         for k, p in net.named_parameters():
             p.requires_grad_(any(p is q for _, q in named))

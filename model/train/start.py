@@ -325,7 +325,7 @@ def write_static(net, readers, frames, spread=0.35, constant=6.0, sigma=0.6, opa
 
 @torch.no_grad()
 def quiet(module, gen):
-    """Usual random inputs, silent outputs: every residual branch starts at zero."""
+    """Usual random inputs, outputs of zero: every residual branch starts at zero."""
     for name, p in module.named_parameters():
         if p.dim() < 2:
             p.fill_(1.0 if name.endswith('weight') else 0.0)

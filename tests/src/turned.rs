@@ -8,6 +8,8 @@ use streamsplat::{Camera, Engine, EngineError, Frame, RenderOptions, Settings};
 use streamsplat_fixtures::clip::cards::{CardPicture, Cards};
 use streamsplat_kernels::math::f64::sin_cos;
 
+use crate::workers;
+
 /// Mean PSNR in dB over key frames and their views from both sides.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Score {
@@ -42,7 +44,7 @@ pub fn around(degrees: f64, pivot: f64) -> Camera {
 /// As [`Interval::render`].
 pub fn middle(interval: &Interval, time: f64) -> Result<f64, streamsplat::render::RenderError> {
     let options = RenderOptions { depth: true, alpha: true, ..RenderOptions::default() };
-    let image = interval.render(time, &Camera::Canonical, &options)?;
+    let image = interval.render(time, &Camera::Canonical, &options, workers())?;
     let planes = image.depth.iter().flatten().zip(image.alpha.iter().flatten());
     let (sum, count) = planes.fold((0.0, 0.0), |(sum, count), (depth, alpha)| {
         (sum + f64::from(*depth) / f64::from(*alpha).max(1e-6), count + 1.0)
@@ -89,13 +91,13 @@ pub fn score(
         let mut engine = Engine::with_model(settings.clone(), model.clone()).expect("starts");
         let interval = reconstruct(&mut engine, &straight, scene.size(), depth).expect("taken");
         let options = RenderOptions::default();
-        let own = interval.render(0.0, &Camera::Canonical, &options).expect("drawn").rgb;
+        let own = interval.render(0.0, &Camera::Canonical, &options, workers()).expect("drawn").rgb;
         show("key-true", index, &straight.rgb);
         show("key", index, &own);
         for degrees in [degrees, -degrees] {
             let (view, pivot) = scene.turned(0.0, degrees);
             let pivot = if depth { pivot } else { middle(&interval, 0.0).expect("drawn") };
-            let found = interval.render(0.0, &around(degrees, pivot), &options).expect("drawn").rgb;
+            let found = interval.render(0.0, &around(degrees, pivot), &options, workers()).expect("drawn").rgb;
             let side = if degrees > 0.0 { "right" } else { "left" };
             show(&format!("{side}-true"), index, &view.rgb);
             show(side, index, &found);

@@ -6,10 +6,10 @@ use streamsplat::metrics::psnr;
 use streamsplat::picture::Picture;
 use streamsplat::scene::{ContainerWriter, Scene, to_safetensors};
 use streamsplat::source::{Options, Source};
-use streamsplat::stream::{Interval, Workers};
+use streamsplat::stream::Interval;
 use streamsplat::track::Track;
 use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
-use streamsplat_kernels::Level;
+use streamsplat_tests::workers;
 
 /// The scene of the shipped clip, every fourth frame a key frame.
 fn scene() -> Vec<Interval> {
@@ -30,7 +30,7 @@ fn frames(path: &Path) -> Vec<Frame> {
 }
 
 fn picture(interval: &Interval, time: f64) -> Picture {
-    let image = interval.render(time, &Camera::Canonical, &RenderOptions::default()).expect("an image");
+    let image = interval.render(time, &Camera::Canonical, &RenderOptions::default(), workers()).expect("an image");
     Picture { width: image.width, height: image.height, rgb: image.rgb }
 }
 
@@ -51,13 +51,13 @@ fn recoloured(interval: &Interval) -> Interval {
 /// Bytes of the folder's intervals and of the container, and the worst of its images at five times of every interval.
 fn cost(raw: &[Interval], path: &Path) -> (usize, u64, f64) {
     let mut writer = ContainerWriter::create(path, 24.0).expect("writable");
-    raw.iter().for_each(|interval| writer.push(interval).expect("writable"));
+    raw.iter().for_each(|interval| writer.push(interval, workers()).expect("writable"));
     let bytes = writer.finish().expect("writable").expect("intervals").bytes;
     let before = raw.iter().map(|interval| to_safetensors(interval).expect("even arrays").len()).sum();
     let scene = Scene::open(path).expect("just written");
     let mut worst = f64::INFINITY;
     for (i, a) in raw.iter().enumerate() {
-        let b = scene.interval(i, &a.workers).expect("just written");
+        let b = scene.interval(i).expect("just written");
         for t in [0.0, 0.25, 0.5, 0.75, 1.0] {
             let time = a.start + t * (a.end - a.start);
             worst = worst.min(psnr(&picture(a, time), &picture(&b, time)).expect("equal sizes"));
@@ -81,13 +81,12 @@ fn colours_that_change_cost_little_and_keep_45_db() {
 /// The intervals of the stored container of version 1, with colours that change.
 fn version_2() -> Vec<Interval> {
     let scene = Scene::open(&streamsplat_fixtures::path("containers/version-1.ssz")).expect("a container");
-    let workers = Workers::new(Level::scalar(), 1).expect("a thread");
-    (0..2).map(|i| recoloured(&scene.interval(i, &workers).expect("sound"))).collect()
+    (0..2).map(|i| recoloured(&scene.interval(i).expect("sound"))).collect()
 }
 
 fn write_version_2(path: &Path) {
     let mut writer = ContainerWriter::create(path, 24.0).expect("writable");
-    version_2().iter().for_each(|interval| writer.push(interval).expect("writable"));
+    version_2().iter().for_each(|interval| writer.push(interval, workers()).expect("writable"));
     writer.finish().expect("writable").expect("intervals");
 }
 
@@ -100,7 +99,7 @@ fn the_stored_container_of_version_2_is_what_is_written_and_reads_back() {
     assert!(std::fs::read(&path).expect("just written") == std::fs::read(&stored).expect("stored"));
     let scene = Scene::open(&stored).expect("a container");
     for (i, expected) in version_2().iter().enumerate() {
-        let found = scene.interval(i, &expected.workers).expect("sound").gaussians;
+        let found = scene.interval(i).expect("sound").gaussians;
         assert_eq!((&found.mean, &found.rgb, &found.identity), {
             let g = &expected.gaussians;
             (&g.mean, &g.rgb, &g.identity)
@@ -123,14 +122,13 @@ fn the_shipped_clip_is_eight_times_smaller_at_45_db_and_keeps_its_tracks() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ssz");
     let mut writer = ContainerWriter::create(&path, 24.0).expect("writable");
-    raw.iter().for_each(|interval| writer.push(interval).expect("writable"));
+    raw.iter().for_each(|interval| writer.push(interval, workers()).expect("writable"));
     let bytes = writer.finish().expect("writable").expect("intervals").bytes;
     let before: usize = raw.iter().map(|interval| to_safetensors(interval).expect("even arrays").len()).sum();
     let ratio = before as f64 / bytes as f64;
 
     let scene = Scene::open(&path).expect("just written");
-    let read: Vec<Interval> =
-        (0..raw.len()).map(|i| scene.interval(i, &raw[0].workers).expect("just written")).collect();
+    let read: Vec<Interval> = (0..raw.len()).map(|i| scene.interval(i).expect("just written")).collect();
     let mut worst = f64::INFINITY;
     for (a, b) in raw.iter().zip(&read) {
         assert_eq!(a.gaussians.identity, b.gaussians.identity);
@@ -147,7 +145,7 @@ fn the_shipped_clip_is_eight_times_smaller_at_45_db_and_keeps_its_tracks() {
 
     for pixel in [[64.0, 40.0], [128.0, 72.0], [200.0, 100.0]] {
         let time = 0.5 * (raw[1].start + raw[1].end);
-        let picked = raw[1].pick(time, pixel).expect("inside").expect("something is drawn");
+        let picked = raw[1].pick(time, pixel, workers()).expect("inside").expect("something is drawn");
         let (mut a, mut b) = (Track::new(&picked, time), Track::new(&picked, time));
         for (raw, read) in raw.iter().zip(&read).skip(1) {
             let times = [0.5 * (raw.start + raw.end)];

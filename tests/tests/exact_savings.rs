@@ -15,12 +15,12 @@
 //! | turning splats in a view that turns none | `render.turned` | rotations by nothing: here |
 
 use streamsplat::camera::{Lens, Pose};
-use streamsplat::render::Painter;
+use streamsplat::render::Renderer;
 use streamsplat::still::{Drawable, Still};
 use streamsplat::stream::{DynamicGaussians, Fade, ModelSource, Reuse, Workers};
 use streamsplat::{Camera, Engine, Frame, Interval, RenderOptions, Settings, Size};
 use streamsplat_kernels::Level;
-use streamsplat_kernels::raster::{Gaussians, Image, OwnedGaussians, Projection, Renderer, Request, render};
+use streamsplat_kernels::raster::{Gaussians, Image, OwnedGaussians, Projection, Rasteriser, Request, render};
 use streamsplat_model::{FrameInput, LoadOptions, Network};
 
 fn checkpoint(name: &str) -> std::path::PathBuf {
@@ -66,9 +66,9 @@ fn gaussians_that_reach_no_pixel_are_counted_and_change_no_bit() {
         add(&mut more, [0.0, 0.1, 0.1], 0.1, 0.0039, [1.0; 3]);
     }
     let draw = |scene: &OwnedGaussians| {
-        let mut renderer = Renderer::new(Level::detect());
-        let found = bits(renderer.render(&scene.gaussians(), &VIEW, &request()));
-        (found, renderer.work().culled)
+        let mut rasteriser = Rasteriser::new(Level::detect());
+        let found = bits(rasteriser.render(&scene.gaussians(), &VIEW, &request()));
+        (found, rasteriser.work().culled)
     };
     let ((expected, before), (found, after)) = (draw(&scene), draw(&more));
     assert!(found == expected);
@@ -147,9 +147,9 @@ fn gaussians_beside_a_still_image_are_counted_and_change_no_bit() {
         let grouped = whole.clone().grouped(&workers);
         for (camera, size) in narrow(seed) {
             let draw = |scene: &Drawable, camera: &Camera| {
-                let mut painter = Painter::new(&workers);
-                let image = painter.draw_still(scene, camera, &sized(size)).expect("a camera").clone();
-                (image, painter.work(), painter.left_out())
+                let mut renderer = Renderer::new(&workers);
+                let image = renderer.render_still(scene, camera, &sized(size)).expect("a camera").clone();
+                (image, renderer.work(), renderer.left_out())
             };
             let ((expected, all, none), (found, work, some)) = (draw(&whole, &camera), draw(&grouped, &camera));
             assert!(bits(&expected) == bits(&found) && expected.blended == found.blended, "{seed}: {camera:?}");
@@ -196,10 +196,10 @@ fn a_gaussian_beside_the_frustum_whose_footprint_reaches_the_image_is_drawn() {
             scene.base.extend(behind.base);
         }
         let scene = Drawable::new(scene, &workers).expect("even arrays").grouped(&workers);
-        let mut painter = Painter::new(&workers);
-        let image = painter.draw_still(&scene, &camera, &sized([32, 32])).expect("a camera");
+        let mut renderer = Renderer::new(&workers);
+        let image = renderer.render_still(&scene, &camera, &sized([32, 32])).expect("a camera");
         let seen = image.alpha.iter().flatten().any(|a| *a > 0.0);
-        (seen, painter.left_out())
+        (seen, renderer.left_out())
     };
     assert_eq!(draw([1.4, 0.0, 1.0]), (true, 9));
     assert_eq!(draw([10.0, 0.0, 1.5]), (false, 10));
@@ -216,9 +216,9 @@ fn splats_behind_finished_pixels_are_counted_and_change_no_bit() {
         add(&mut more, [x, y, 1.0 + z], behind.scale[i][0], behind.opacity[i], behind.rgb[i]);
     }
     let draw = |scene: &OwnedGaussians| {
-        let mut renderer = Renderer::new(Level::detect());
-        let found = bits(renderer.render(&scene.gaussians(), &VIEW, &request()));
-        (found, renderer.work())
+        let mut rasteriser = Rasteriser::new(Level::detect());
+        let found = bits(rasteriser.render(&scene.gaussians(), &VIEW, &request()));
+        (found, rasteriser.work())
     };
     let ((expected, before), (found, after)) = (draw(&scene), draw(&more));
     assert!(found == expected);
@@ -229,16 +229,16 @@ fn splats_behind_finished_pixels_are_counted_and_change_no_bit() {
 #[test]
 fn tiles_that_did_not_change_are_counted_and_keep_their_bits() {
     let mut scene = scattered(800);
-    let mut renderer = Renderer::new(Level::detect());
-    renderer.render(&scene.gaussians(), &VIEW, &request());
+    let mut rasteriser = Rasteriser::new(Level::detect());
+    rasteriser.render(&scene.gaussians(), &VIEW, &request());
     add(&mut scene, [0.5, 0.5, 0.15], 0.02, 0.9, [1.0; 3]);
     // As many Gaussians as before: one takes another's place.
     for plane in [&mut scene.mean, &mut scene.scale, &mut scene.rgb] {
         plane.swap_remove(7);
     }
     scene.opacity.swap_remove(7);
-    let redrawn = bits(renderer.render(&scene.gaussians(), &VIEW, &request()));
-    let work = renderer.work();
+    let redrawn = bits(rasteriser.render(&scene.gaussians(), &VIEW, &request()));
+    let work = rasteriser.work();
     assert!(work.tiles_drawn > 0 && work.tiles_drawn < work.tiles, "{work:?}");
     assert!(redrawn == bits(&render(Level::detect(), &scene.gaussians(), &VIEW, &request())));
 }
@@ -340,6 +340,7 @@ fn depth_that_is_not_there_is_depth_of_zero() {
     let ((with, _), (without, engine)) = (stream(None, Some(0.7)), stream(None, None));
     assert_eq!(gaussians(&with), gaussians(&without));
     assert_eq!(engine.work().stage("encoder").map(|s| s.done), Some(3));
-    let draw = |i: &Interval| i.render(i.end, &Camera::Canonical, &RenderOptions::default()).expect("drawn");
+    let draw =
+        |i: &Interval| i.render(i.end, &Camera::Canonical, &RenderOptions::default(), engine.workers()).expect("drawn");
     assert_eq!(draw(&with[2]), draw(&without[2]));
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
-use streamsplat_fixtures::clip::{Clip, Kind, Picture, write};
+use streamsplat_fixtures::clip::{Clip, ClipKind, Picture, write};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Image, render};
 use streamsplat_tests::digest::{scene, things};
@@ -83,7 +83,7 @@ fn scenes_are_drawn_as_their_golden_images() {
 
 #[test]
 fn the_embedded_model_gives_its_golden_images_on_every_vector_level() {
-    let clip = Clip::new(Kind::Moving, 1, 256, 144);
+    let clip = Clip::new(ClipKind::Moving, 1, 256, 144);
     // The scalar level multiplies and adds in software where it must; the small models above try it.
     let vector = Level::available().into_iter().filter(|level| *level != Level::scalar());
     for (level, threads) in vector.flat_map(|level| [(level, 1), (level, 3)]) {
@@ -96,7 +96,9 @@ fn the_embedded_model_gives_its_golden_images_on_every_vector_level() {
         push(0.0);
         let interval = push(0.125);
         for (name, time) in [("embedded-key.png", 0.0), ("embedded-middle.png", 0.0625)] {
-            let image = interval.render(time, &Camera::Canonical, &RenderOptions::default()).expect("an image");
+            let image = interval
+                .render(time, &Camera::Canonical, &RenderOptions::default(), engine.workers())
+                .expect("an image");
             assert_golden(name, &image);
         }
     }

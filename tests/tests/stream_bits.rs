@@ -31,7 +31,7 @@ fn stream(settings: Settings) -> Vec<(Interval, Image)> {
         let interval = engine.push(frame(k), 0.5 * k as f64).expect("taken");
         let time = interval.start + 0.3 * (interval.end - interval.start);
         let options = RenderOptions { depth: true, alpha: true, ..RenderOptions::default() };
-        let image = interval.render(time, &Camera::Canonical, &options).expect("drawn");
+        let image = interval.render(time, &Camera::Canonical, &options, engine.workers()).expect("drawn");
         (interval, image)
     };
     (0..3).map(push).collect()
@@ -136,7 +136,8 @@ fn pairwise_fusion_is_the_models_own_interval() {
             let request = Request::colour(width, height, [0.5; 3]);
             let expected = raster::render(Level::detect(), &gaussians, &projection, &request);
             let time = (k - 1) as f64 + f64::from(t);
-            let found = interval.render(time, &Camera::Canonical, &RenderOptions::default()).expect("drawn");
+            let found =
+                interval.render(time, &Camera::Canonical, &RenderOptions::default(), engine.workers()).expect("drawn");
             let bits = |image: &Image| image.rgb.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
             assert!(bits(&expected) == bits(&found), "interval {k}, t = {t}");
         }

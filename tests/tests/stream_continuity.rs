@@ -7,6 +7,7 @@ use streamsplat::stream::{Fusion, MaxAge, ModelSource, Reconstructor};
 use streamsplat::track::Track;
 use streamsplat::{Camera, Engine, Image, Interval, RenderOptions, Settings};
 use streamsplat_tests::theatre::{BACKDROP, SPRITE, Theatre};
+use streamsplat_tests::workers;
 
 fn stream(fusion: Fusion, max_age: u32, gamma: [f32; 2], places: &[f32]) -> Vec<Interval> {
     let theatre = Arc::new(Theatre { gamma, ..Theatre::new([18, 32]) });
@@ -28,7 +29,7 @@ fn cameras() -> [Camera; 2] {
 
 fn draw(interval: &Interval, time: f64, camera: &Camera) -> Image {
     let options = RenderOptions { depth: true, alpha: true, ..RenderOptions::default() };
-    interval.render(time, camera, &options).expect("drawn")
+    interval.render(time, camera, &options, workers()).expect("drawn")
 }
 
 fn jump(a: &Image, b: &Image) -> f32 {
@@ -103,7 +104,7 @@ fn a_point_on_the_sprite_stays_on_the_sprite() {
     for row in [12.0, 18.0, 24.0] {
         for column in [7.0, 10.0, 14.0] {
             let first = &intervals[0];
-            let picked = first.pick(first.start, [column, row]).expect("inside").expect("something");
+            let picked = first.pick(first.start, [column, row], workers()).expect("inside").expect("something");
             let origin = picked.position;
             assert_eq!(origin[1], SPRITE, "a point of the sprite");
             let mut track = Some(Track::new(&picked, first.start));
@@ -133,7 +134,7 @@ fn a_point_on_the_backdrop_does_not_go_with_the_sprite() {
     let intervals = stream(Fusion::Persistent, 8, [3.0, 0.4], &places);
     let first = &intervals[0];
     for pixel in [[60.0, 3.0], [2.0, 33.0], [62.0, 30.0]] {
-        let picked = first.pick(first.start, pixel).expect("inside").expect("something");
+        let picked = first.pick(first.start, pixel, workers()).expect("inside").expect("something");
         assert_eq!(picked.position[1], BACKDROP);
         let mut track = Track::new(&picked, first.start);
         for interval in &intervals {
@@ -158,7 +159,7 @@ fn an_identity_survives_while_it_is_hidden() {
     let places: Vec<f32> = (0..12).map(|k| -0.7 + 0.15 * k as f32).collect();
     let intervals = stream(Fusion::Persistent, 8, [0.0, 0.5], &places);
     let first = &intervals[0];
-    let picked = first.pick(first.start, [40.0, 18.0]).expect("inside").expect("something");
+    let picked = first.pick(first.start, [40.0, 18.0], workers()).expect("inside").expect("something");
     assert_eq!(picked.position[1], BACKDROP);
     let mut track = Track::new(&picked, first.start);
     for interval in &intervals {

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use streamsplat::stream::{Fusion, ModelSource, Reconstructor};
 use streamsplat::{Camera, Engine, Frame, Interval, RenderOptions, Settings};
 use streamsplat_tests::theatre::Theatre;
+use streamsplat_tests::workers;
 
 /// A sprite that wanders back and forth at changing speed.
 fn wander(k: u64) -> f32 {
@@ -78,7 +79,8 @@ fn pairwise_key_frame_ten_thousand_equals_a_fresh_stream() {
     );
     assert_eq!((last.start, last.end), (other.start, other.end));
     for time in [last.start, 0.5 * (last.start + last.end), last.end] {
-        let draw = |i: &Interval| i.render(time, &Camera::Canonical, &RenderOptions::default()).expect("drawn");
+        let draw =
+            |i: &Interval| i.render(time, &Camera::Canonical, &RenderOptions::default(), workers()).expect("drawn");
         assert_eq!(draw(&last), draw(&other));
     }
 }

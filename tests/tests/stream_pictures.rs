@@ -4,7 +4,8 @@ use std::time::{Duration, Instant};
 
 use streamsplat::stream::{Quality, Reuse};
 use streamsplat::{Camera, Engine, Frame, Image, Interval, RenderOptions, Settings};
-use streamsplat_fixtures::clip::{Clip, Kind};
+use streamsplat_fixtures::clip::{Clip, ClipKind};
+use streamsplat_tests::workers;
 
 /// Frame `k` of a clip whose camera moves, and its time.
 fn frame(clip: &Clip, k: usize) -> (Frame, f64) {
@@ -14,7 +15,7 @@ fn frame(clip: &Clip, k: usize) -> (Frame, f64) {
 }
 
 fn draw(interval: &Interval, time: f64) -> Image {
-    interval.render(time, &Camera::Canonical, &RenderOptions::default()).expect("drawn")
+    interval.render(time, &Camera::Canonical, &RenderOptions::default(), workers()).expect("drawn")
 }
 
 /// Every number of an interval's Gaussians, as bits.
@@ -29,7 +30,7 @@ fn bits(interval: &Interval) -> Vec<u32> {
 
 /// Key frames 0, 3, 6, 6 again and 9 of a clip with the frames in between.
 fn stream(quality: Quality, reuse: Reuse) -> (Vec<Interval>, Engine) {
-    let clip = Clip::new(Kind::StaticCamera, 3, 320, 176);
+    let clip = Clip::new(ClipKind::StaticCamera, 3, 320, 176);
     let mut engine = Engine::new(Settings { reuse, ..Settings::of_quality(quality) }).expect("starts");
     let mut intervals = Vec::new();
     for (place, k) in [0_usize, 3, 6, 6, 9].into_iter().enumerate() {

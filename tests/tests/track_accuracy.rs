@@ -7,8 +7,9 @@ use std::sync::Arc;
 use streamsplat::stream::{Interval, ModelSource, MotionFrom, Reconstructor, Resolution};
 use streamsplat::track::Track;
 use streamsplat::{Engine, Frame, Settings};
-use streamsplat_fixtures::clip::{self, Clip, Kind};
+use streamsplat_fixtures::clip::{self, Clip, ClipKind};
 use streamsplat_tests::theatre::{BACKDROP, HALF, Theatre};
+use streamsplat_tests::workers;
 
 /// Most median error in pixels and least share on the object, after this many key frames.
 type Bound = (usize, f64, f64);
@@ -106,7 +107,7 @@ fn theatre(what: &str, place: impl Fn(usize) -> f32, bounds: &[Bound]) {
             if inset(-0.05) != inset(0.05) {
                 continue;
             }
-            let picked = first.pick(0.0, pixel).expect("inside").expect("something");
+            let picked = first.pick(0.0, pixel, workers()).expect("inside").expect("something");
             assert_eq!(picked.position[1] == BACKDROP, !inset(0.0));
             points.push((pixel, inset(0.0)));
             tracks.push(Some(Track::new(&picked, 0.0)));
@@ -151,7 +152,7 @@ fn the_engine_alone_keeps_points_on_a_fast_sprite_that_turns() {
 }
 
 /// With the embedded model as it runs by default, which is held to `bounds`, and to half of the median error of the network's own motion.
-fn embedded(kind: Kind, what: &str, bounds: &[Bound]) {
+fn embedded(kind: ClipKind, what: &str, bounds: &[Bound]) {
     let mut ours = followed_by(Settings::default(), kind, bounds);
     let network = Settings {
         resolution: Some(Resolution::Native),
@@ -167,7 +168,7 @@ fn embedded(kind: Kind, what: &str, bounds: &[Bound]) {
     report(what, &mut ours, bounds);
 }
 
-fn followed_by(settings: Settings, kind: Kind, bounds: &[Bound]) -> Vec<Score> {
+fn followed_by(settings: Settings, kind: ClipKind, bounds: &[Bound]) -> Vec<Score> {
     let (width, height) = (256, 144);
     let clip = Clip::new(kind, 1, width, height);
     let times = clip::times(frames(bounds) + 1, 48.0);
@@ -179,7 +180,9 @@ fn followed_by(settings: Settings, kind: Kind, bounds: &[Bound]) -> Vec<Score> {
     };
     let first = push(&mut engine, times[0]);
     let seen: Vec<_> = truths.iter().filter(|t| t.points[0].visible).collect();
-    let start = |t: &&clip::Track| first.pick(0.0, t.points[0].at).expect("inside").map(|p| Track::new(&p, 0.0));
+    let start = |t: &&clip::Track| {
+        first.pick(0.0, t.points[0].at, engine.workers()).expect("inside").map(|p| Track::new(&p, 0.0))
+    };
     let mut followed = Followed(seen.iter().map(start).collect());
     let mut scores: Vec<Score> = bounds.iter().map(|_| Score::default()).collect();
     for (k, &time) in times.iter().enumerate().skip(1) {
@@ -206,17 +209,17 @@ const MOVING: [Bound; 3] = [(10, 3.5, 0.7), (30, 7.5, 0.55), (100, 240.0, 0.0)];
 
 #[test]
 fn points_before_a_standing_camera_are_followed_by_the_embedded_model() {
-    embedded(Kind::StaticCamera, "embedded model, standing camera", &STANDING[..2]);
+    embedded(ClipKind::StaticCamera, "embedded model, standing camera", &STANDING[..2]);
 }
 
 #[test]
 fn points_before_a_moving_camera_are_followed_by_the_embedded_model() {
-    embedded(Kind::Moving, "embedded model, moving camera", &MOVING[..2]);
+    embedded(ClipKind::Moving, "embedded model, moving camera", &MOVING[..2]);
 }
 
 #[test]
 #[ignore = "a hundred key frames: minutes"]
 fn points_are_followed_by_the_embedded_model_for_a_hundred_key_frames() {
-    embedded(Kind::StaticCamera, "embedded model, standing camera", &STANDING);
-    embedded(Kind::Moving, "embedded model, moving camera", &MOVING);
+    embedded(ClipKind::StaticCamera, "embedded model, standing camera", &STANDING);
+    embedded(ClipKind::Moving, "embedded model, moving camera", &MOVING);
 }

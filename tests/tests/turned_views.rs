@@ -125,7 +125,9 @@ fn a_still_scene_does_not_breathe_when_its_maps_flicker() {
             }
         };
         let camera = around(10.0, 0.3);
-        views.push(interval.render(f64::from(key), &camera, &RenderOptions::default()).expect("drawn").rgb);
+        views.push(
+            interval.render(f64::from(key), &camera, &RenderOptions::default(), engine.workers()).expect("drawn").rgb,
+        );
     }
     for (key, pair) in views.windows(2).enumerate() {
         let square = pair[0].iter().zip(&pair[1]).map(|(a, b)| f64::from((a - b) * (a - b))).sum::<f64>();

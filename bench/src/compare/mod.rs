@@ -14,7 +14,7 @@ use std::process::Command;
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 
-use self::record::{Kind, Record, Row};
+use self::record::{Benchmark, Measured, Record};
 use crate::timing::Seconds;
 
 /// Limit for instructions, in percent.
@@ -75,7 +75,7 @@ struct Change {
 
 /// All of it.
 struct Comparison {
-    kind: Kind,
+    kind: Benchmark,
     limit: f64,
     changes: Vec<Change>,
     conditions: String,
@@ -109,7 +109,7 @@ fn measure(before: &Record, options: &Options) -> Result<Record> {
     let json = options.json.clone().unwrap_or_else(|| folder.clone());
     let mut command = Command::new(std::env::current_exe()?);
     command.args(again).arg("--json").arg(&json);
-    if let Some(repeat) = options.repeat.filter(|_| before.kind != Kind::Instructions) {
+    if let Some(repeat) = options.repeat.filter(|_| before.kind != Benchmark::Instructions) {
         command.arg("--repeat").arg(repeat.to_string());
     }
     // Tables of the measurement itself would stand before that of the comparison.
@@ -132,7 +132,7 @@ fn compare(before: &Record, now: &Record, limit: Option<f64>) -> Result<Comparis
         now.conditions
     );
     let (mut usual, mut notes) = (TIMES, Vec::new());
-    if now.kind == Kind::Instructions {
+    if now.kind == Benchmark::Instructions {
         usual = INSTRUCTIONS;
         if before.built != now.built {
             usual = INSTRUCTIONS_OF_OTHERS;
@@ -161,7 +161,7 @@ fn compare(before: &Record, now: &Record, limit: Option<f64>) -> Result<Comparis
     Ok(Comparison { kind: now.kind, limit, changes, conditions: format!("Measured with {}.", now.conditions), notes })
 }
 
-fn find<'a>(record: &'a Record, name: &str) -> Option<&'a Row> {
+fn find<'a>(record: &'a Record, name: &str) -> Option<&'a Measured> {
     record.rows.iter().find(|row| row.name == name)
 }
 
@@ -225,7 +225,7 @@ mod tests {
                 kinds.push(record.kind);
             }
         }
-        for kind in [Kind::Instructions, Kind::Stages, Kind::Kernels, Kind::Raster] {
+        for kind in [Benchmark::Instructions, Benchmark::Stages, Benchmark::Kernels, Benchmark::Raster] {
             assert!(kinds.contains(&kind), "{kind:?}");
         }
     }

@@ -9,7 +9,7 @@ use crate::timing::Seconds;
 
 /// Kind of measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum Benchmark {
     /// `stages --instructions`.
     Instructions,
     /// `stages`.
@@ -22,7 +22,7 @@ pub(super) enum Kind {
 
 /// One thing that was measured.
 #[derive(Clone, Debug)]
-pub(super) struct Row {
+pub(super) struct Measured {
     pub(super) name: String,
     /// Instructions, all three alike; or seconds by the clock.
     pub(super) value: Seconds,
@@ -33,8 +33,8 @@ pub(super) struct Row {
 /// A record.
 #[derive(Clone, Debug)]
 pub(super) struct Record {
-    pub(super) kind: Kind,
-    pub(super) rows: Vec<Row>,
+    pub(super) kind: Benchmark,
+    pub(super) rows: Vec<Measured>,
     /// Conditions that comparable records share: the level, for times also the processor and the threads.
     pub(super) conditions: String,
     /// The compiler, where instructions were counted.
@@ -57,10 +57,10 @@ pub(super) fn parse(text: &str) -> Result<Record> {
         let rows = stages.iter().map(|stage| {
             let count = stage.get("instructions").and_then(Value::as_u64).context("expected instructions")? as f64;
             let value = Seconds { min: count, median: count, max: count };
-            Ok(Row { name: named(stage, &["stage", "precision"])?, value, processor: None })
+            Ok(Measured { name: named(stage, &["stage", "precision"])?, value, processor: None })
         });
         return Ok(Record {
-            kind: Kind::Instructions,
+            kind: Benchmark::Instructions,
             rows: rows.collect::<Result<_>>()?,
             conditions: text_at(&value, "isa")?.to_owned(),
             built: Some(built.to_owned()),
@@ -78,20 +78,20 @@ pub(super) fn parse(text: &str) -> Result<Record> {
         [[command, "--threads", &threads, "--isa", isa].map(String::from).to_vec(), more].concat()
     };
     let (kind, names, rows, again): (_, &[&str], _, _) = if let Some(rows) = list("stages") {
-        (Kind::Stages, &["name", "size", "precision"], rows, stages_again(rows).map(|more| with("stages", more)))
+        (Benchmark::Stages, &["name", "size", "precision"], rows, stages_again(rows).map(|more| with("stages", more)))
     } else if let Some(rows) = list("kernels") {
-        (Kind::Kernels, &["kernel", "model", "precision", "size"], rows, Some(with("kernels", Vec::new())))
+        (Benchmark::Kernels, &["kernel", "model", "precision", "size"], rows, Some(with("kernels", Vec::new())))
     } else if let Some(rows) = list("scenes") {
         let renderer = value.get("renderer").and_then(Value::as_str).unwrap_or("cpu");
         let more = ["--largest", "0", "--renderer", renderer].map(String::from).to_vec();
-        (Kind::Raster, &["name"], rows, Some(with("raster", more)))
+        (Benchmark::Raster, &["name"], rows, Some(with("raster", more)))
     } else {
         bail!("expected stages, kernels or scenes, found neither");
     };
     let rows = rows.iter().map(|row| {
         let value = times(row, "seconds", 1.0).or_else(|_| times(row, "milliseconds", 1e-3))?;
         // A time too short for the processor's account is none.
-        Ok(Row { name: named(row, names)?, value, processor: times(row, "processor", 1.0).ok() })
+        Ok(Measured { name: named(row, names)?, value, processor: times(row, "processor", 1.0).ok() })
     });
     let rows = rows.collect::<Result<_>>()?;
     Ok(Record { kind, rows, conditions, built: None, again })

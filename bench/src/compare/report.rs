@@ -2,8 +2,9 @@
 
 use std::fmt::Write as _;
 
-use super::record::Kind;
+use super::record::Benchmark;
 use super::{Change, Comparison, Verdict};
+use crate::table::{Column, Table};
 use crate::timing::Seconds;
 
 impl Verdict {
@@ -40,15 +41,15 @@ impl Comparison {
 
     fn noun(&self) -> &'static str {
         match self.kind {
-            Kind::Instructions => "counts of instructions",
-            Kind::Stages | Kind::Kernels | Kind::Raster => "times",
+            Benchmark::Instructions => "counts of instructions",
+            Benchmark::Stages | Benchmark::Kernels | Benchmark::Raster => "times",
         }
     }
 
     /// The value of a row, with the spread of its runs.
     fn value(&self, value: Option<Seconds>) -> String {
         let Some(value) = value else { return "–".to_owned() };
-        if self.kind == Kind::Instructions {
+        if self.kind == Benchmark::Instructions {
             return grouped(value.median as u64);
         }
         let (unit, factor) = match value.median {
@@ -62,19 +63,12 @@ impl Comparison {
 
     /// The table for a terminal.
     pub(super) fn text(&self) -> String {
-        let wide = |cells: &mut dyn Iterator<Item = usize>| cells.max().unwrap_or(0);
-        let cells: Vec<[String; 4]> = self.changes.iter().map(|change| self.cells(change)).collect();
-        let width: Vec<usize> = (0..4).map(|i| wide(&mut cells.iter().map(|row| row[i].chars().count()))).collect();
+        let cells: Vec<[String; 5]> = self.changes.iter().map(|change| self.cells(change)).collect();
+        let wide = |i: usize| cells.iter().map(|row| row[i].chars().count()).max().unwrap_or(0);
+        let columns = columns([0, 1, 2, 3].map(wide));
         let mut text = String::new();
-        for ([name, before, now, change], verdict) in cells.iter().zip(self.changes.iter().map(|c| c.verdict.word())) {
-            let line = format!(
-                "{name:<a$}  {before:>b$}  {now:>c$}  {change:>d$}  {verdict}",
-                a = width[0],
-                b = width[1],
-                c = width[2],
-                d = width[3]
-            );
-            let _ = writeln!(text, "{}", line.trim_end());
+        for row in &cells {
+            let _ = writeln!(text, "{}", Table(&columns).line(row));
         }
         let _ = writeln!(text, "{}", self.summary());
         for note in &self.notes {
@@ -87,19 +81,14 @@ impl Comparison {
     pub(super) fn markdown(&self) -> String {
         let mark = if self.is_worse() { "❌" } else { "✅" };
         let mut text = format!("**{mark} {}**\n", self.summary());
-        let head = "| | before | now | change | |\n|---|---:|---:|---:|---|\n";
         let (rest, changed): (Vec<&Change>, Vec<&Change>) =
             self.changes.iter().partition(|change| change.verdict == Verdict::Equal);
         let mut table = |title: &str, changes: &[&Change], end: &str| {
             if changes.is_empty() {
                 return;
             }
-            let _ = write!(text, "{title}\n{head}");
-            for change in changes {
-                let [name, before, now, percent] = self.cells(change).map(|cell| cell.replace('|', "\\|"));
-                let _ = writeln!(text, "| {name} | {before} | {now} | {percent} | {} |", change.verdict.word());
-            }
-            text.push_str(end);
+            let rows = changes.iter().map(|change| self.cells(change));
+            let _ = write!(text, "{title}\n{}{end}", Table(&columns([0; 4])).markdown(rows));
         };
         table("", &changed, "");
         let title = format!("\n<details><summary>{} within {} %</summary>\n", rest.len(), self.limit);
@@ -110,10 +99,21 @@ impl Comparison {
         text
     }
 
-    fn cells(&self, change: &Change) -> [String; 4] {
+    fn cells(&self, change: &Change) -> [String; 5] {
         let percent = change.percent.map_or_else(String::new, |percent| format!("{percent:+.2} %"));
-        [change.name.clone(), self.value(change.before), self.value(change.now), percent]
+        let verdict = change.verdict.word().to_owned();
+        [change.name.clone(), self.value(change.before), self.value(change.now), percent, verdict]
     }
+}
+
+fn columns([name, before, now, change]: [usize; 4]) -> [Column; 5] {
+    [
+        Column::Text("", name),
+        Column::Number("before", before),
+        Column::Number("now", now),
+        Column::Number("change", change),
+        Column::Text("", 0),
+    ]
 }
 
 /// Digits in groups of three.

@@ -1,11 +1,11 @@
 //! The same scenes on a graphics card.
 
 use anyhow::{Result, ensure};
-use streamsplat::wgpu::WgpuRenderer;
+use streamsplat::wgpu::WgpuRasteriser;
 use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::raster::{Work, render};
 
-use super::{Options, Results, Row, Scene, WHOLE, heads};
+use super::{Options, Results, SCENES, Scene, SceneTiming, WHOLE};
 use crate::machine::Machine;
 use crate::timing::{Seconds, once};
 
@@ -17,9 +17,9 @@ const CLOSE: f32 = 2.0 / 255.0;
 /// Compares every scene's image with the CPU's, then measures. A row's `error` is the largest difference.
 pub(super) fn run(options: &Options) -> Result<()> {
     let level = options.common.isa;
-    let mut renderer = WgpuRenderer::new(level)?;
+    let mut renderer = WgpuRasteriser::new(level)?;
     println!("{}", renderer.adapter());
-    heads();
+    println!("{}", SCENES.heads());
     let mut rows = Vec::new();
     for (name, scene) in WHOLE {
         if name.contains(&options.only) {
@@ -38,7 +38,7 @@ pub(super) fn run(options: &Options) -> Result<()> {
     })
 }
 
-fn measure(renderer: &mut WgpuRenderer, options: &Options, name: &str, scene: &Scene) -> Result<Row> {
+fn measure(renderer: &mut WgpuRasteriser, options: &Options, name: &str, scene: &Scene) -> Result<SceneTiming> {
     let expected = render(options.common.isa, &scene.gaussians(), &scene.projection, &scene.request);
     let found = renderer.render(&scene.gaussians(), &scene.projection, &scene.request)?;
     ensure!(
@@ -70,5 +70,5 @@ fn measure(renderer: &mut WgpuRenderer, options: &Options, name: &str, scene: &S
             best = (seconds, renderer.work());
         }
     }
-    Ok(Row::new(name, scene, Seconds::of(times), best.1, f64::from(worst)))
+    Ok(SceneTiming::new(name, scene, Seconds::of(times), best.1, f64::from(worst)))
 }

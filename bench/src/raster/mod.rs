@@ -14,10 +14,11 @@ use serde::{Deserialize, Serialize};
 use streamsplat::render::Backend;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::gemm::Precision;
-use streamsplat_kernels::raster::{Renderer, Work, reference};
+use streamsplat_kernels::raster::{Rasteriser, Work, reference};
 
 use crate::Common;
 use crate::machine::Machine;
+use crate::table::{Column, Table};
 use crate::timing::{Seconds, once};
 use scenes::Scene;
 
@@ -74,20 +75,15 @@ impl From<Work> for Stages {
 
 impl Stages {
     /// Time and share of each.
-    fn shown(&self) -> String {
+    fn cells(&self) -> [String; 4] {
         let all = [self.project, self.bin, self.sort, self.blend];
         let total = all.iter().sum::<f64>().max(1e-9);
-        all.map(|ms| format!("{ms:>8.2} {:>3.0}%", 100.0 * ms / total)).join(" ")
-    }
-
-    /// Column titles.
-    fn heads() -> String {
-        ["project", "bin", "sort", "blend"].map(|head| format!("{head:>13}")).join(" ")
+        all.map(|ms| format!("{ms:.2} {:>3.0}%", 100.0 * ms / total))
     }
 }
 
 #[derive(Serialize)]
-struct Row {
+struct SceneTiming {
     name: String,
     gaussians: usize,
     /// Width, height.
@@ -124,10 +120,10 @@ struct Results {
     machine: Machine,
     /// Renderer.
     renderer: String,
-    scenes: Vec<Row>,
-    parts: Vec<part::Row>,
+    scenes: Vec<SceneTiming>,
+    parts: Vec<part::PartTiming>,
     scaling: Vec<Growth>,
-    trained: Vec<trained::Row>,
+    trained: Vec<trained::TrainedTiming>,
 }
 
 /// Measures.
@@ -154,7 +150,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let wanted = |name: &str| name.contains(&options.only);
         let repeat = options.common.repeat.max(3);
         let mut rows = Vec::new();
-        heads();
+        println!("{}", SCENES.heads());
         for (name, scene) in WHOLE {
             if wanted(name) {
                 rows.push(measure(level, name, &[scene()?], false, repeat)?);
@@ -188,53 +184,63 @@ const WHOLE: [(&str, fn() -> Result<Scene>); 4] = [
     ("predicted", Scene::predicted),
 ];
 
-/// Prints the column titles.
-fn heads() {
-    println!(
-        "{:<20} {:>9}  {:>9}  {:>8} {:>8} {:>8}  {}  {:>7}",
-        "scene",
-        "gaussians",
-        "size",
-        "min ms",
-        "median",
-        "max",
-        Stages::heads(),
-        "error"
-    );
-}
+const SCENES: Table<'_> = Table(&[
+    Column::Text("scene", 20),
+    Column::Number("Gaussians", 9),
+    Column::Number("size", 9),
+    Column::Number("min ms", 7),
+    Column::Number("median", 7),
+    Column::Number("max", 7),
+    Column::Number("project", 11),
+    Column::Number("bin", 11),
+    Column::Number("sort", 11),
+    Column::Number("blend", 11),
+    Column::Number("error", 7),
+]);
+
+const GROWTH: Table<'_> = Table(&[
+    Column::Number("Gaussians", 20),
+    Column::Number("ms", 9),
+    Column::Number("ns each", 9),
+    Column::Number("peak MiB", 9),
+    Column::Number("project", 11),
+    Column::Number("bin", 11),
+    Column::Number("sort", 11),
+    Column::Number("blend", 11),
+]);
 
 /// Draws the scenes in turn, `repeat` times over; from nothing each, or (`keep`) redrawing what changed from one to the next.
-fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize) -> Result<Row> {
-    let mut renderer = Renderer::new(level);
+fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize) -> Result<SceneTiming> {
+    let mut rasteriser = Rasteriser::new(level);
     let mut error = 0.0_f64;
     for scene in scenes {
-        renderer.render(&scene.gaussians(), &scene.projection, &scene.request);
-        error = error.max(check(&renderer, scene).with_context(|| name.to_owned())?);
+        rasteriser.render(&scene.gaussians(), &scene.projection, &scene.request);
+        error = error.max(check(&rasteriser, scene).with_context(|| name.to_owned())?);
     }
     let mut times = Vec::new();
     let mut best: Option<(f64, Work)> = None;
     for _ in 0..repeat {
         for scene in scenes {
             if !keep {
-                renderer.forget();
+                rasteriser.forget();
             }
             let seconds = once(|| {
-                std::hint::black_box(renderer.render(&scene.gaussians(), &scene.projection, &scene.request));
+                std::hint::black_box(rasteriser.render(&scene.gaussians(), &scene.projection, &scene.request));
             });
             times.push(seconds);
             if best.is_none_or(|(least, _)| seconds < least) {
-                best = Some((seconds, renderer.work()));
+                best = Some((seconds, rasteriser.work()));
             }
         }
     }
     let (_, work) = best.context("nothing was drawn")?;
-    Ok(Row::new(name, &scenes[0], Seconds::of(times), work, error))
+    Ok(SceneTiming::new(name, &scenes[0], Seconds::of(times), work, error))
 }
 
-impl Row {
+impl SceneTiming {
     /// The row, printed.
     fn new(name: &str, scene: &Scene, seconds: Seconds, work: Work, error: f64) -> Self {
-        let row = Row {
+        let row = SceneTiming {
             name: name.to_owned(),
             gaussians: scene.splats.mean.len(),
             size: [scene.request.width, scene.request.height],
@@ -251,26 +257,20 @@ impl Row {
             },
             error,
         };
-        println!(
-            "{:<20} {:>9}  {:>9}  {:>8.2} {:>8.2} {:>8.2}  {}  {:>7.1e}",
-            row.name,
-            row.gaussians,
-            format!("{}×{}", row.size[0], row.size[1]),
-            row.milliseconds.min,
-            row.milliseconds.median,
-            row.milliseconds.max,
-            row.stages.shown(),
-            row.error,
-        );
+        let Milliseconds { min, median, max } = row.milliseconds;
+        let size = format!("{}×{}", row.size[0], row.size[1]);
+        let times = [min, median, max].map(|ms| format!("{ms:.2}"));
+        let cells = [&[row.name.clone(), row.gaussians.to_string(), size][..], &times, &row.stages.cells()].concat();
+        println!("{}", SCENES.line(&[cells, vec![format!("{:.1e}", row.error)]].concat()));
         row
     }
 }
 
-/// The largest error of the renderer's image against the binary64 reference, over pixels that no threshold decides.
-fn check(renderer: &Renderer, scene: &Scene) -> Result<f64> {
+/// The largest error of the rasteriser's image against the binary64 reference, over pixels that no threshold decides.
+fn check(rasteriser: &Rasteriser, scene: &Scene) -> Result<f64> {
     let expected = reference::render(&scene.gaussians(), &scene.projection, &scene.request);
     let pixels = scene.request.width * scene.request.height;
-    let found = &renderer.image().rgb;
+    let found = &rasteriser.image().rgb;
     ensure!(found.len() == expected.rgb.len(), "{} values, expected {}", found.len(), expected.rgb.len());
     let (mut worst, mut undecided) = (0.0_f64, 0);
     for (at, (&found, &expected_value)) in found.iter().zip(&expected.rgb).enumerate() {
@@ -288,12 +288,15 @@ fn check(renderer: &Renderer, scene: &Scene) -> Result<f64> {
 }
 
 /// Scenes with the statistics of trained ones, each in a process of its own.
-fn large(options: &Options) -> Result<Vec<trained::Row>> {
+fn large(options: &Options) -> Result<Vec<trained::TrainedTiming>> {
     let wanted = |count: &usize| *count <= options.largest && "trained".contains(&options.only);
     let mut rows = Vec::new();
     for count in trained::COUNTS.into_iter().filter(wanted) {
-        let row: trained::Row = alone(options, "--trained", count)?;
-        row.print();
+        let row: trained::TrainedTiming = alone(options, "--trained", count)?;
+        if rows.is_empty() {
+            println!("\n{}", trained::TABLE.heads());
+        }
+        println!("{}", row.line());
         rows.push(row);
     }
     Ok(rows)
@@ -320,14 +323,16 @@ fn growth(options: &Options) -> Result<Vec<Growth>> {
     let mut count = 10_000;
     while count <= options.largest && options.only.is_empty() {
         let row: Growth = alone(options, "--step", count)?;
-        println!(
-            "{:>10} Gaussians  {:>9.2} ms  {:>6.1} ns each  peak {:>5.0} MiB {}",
-            row.gaussians,
-            row.milliseconds,
-            row.milliseconds * 1e6 / row.gaussians as f64,
-            row.peak_rss_bytes as f64 / f64::from(1 << 20),
-            row.stages.shown(),
-        );
+        if rows.is_empty() {
+            println!("\n{}", GROWTH.heads());
+        }
+        let figures = [
+            row.gaussians.to_string(),
+            format!("{:.2}", row.milliseconds),
+            format!("{:.1}", row.milliseconds * 1e6 / row.gaussians as f64),
+            format!("{:.0}", row.peak_rss_bytes as f64 / f64::from(1 << 20)),
+        ];
+        println!("{}", GROWTH.line(&[figures, row.stages.cells()].concat()));
         rows.push(row);
         count *= 10;
     }
@@ -336,15 +341,15 @@ fn growth(options: &Options) -> Result<Vec<Growth>> {
 
 fn growth_step(level: Level, count: usize, repeat: usize) -> Result<Growth> {
     let scene = Scene::scattered(count);
-    let mut renderer = Renderer::new(level);
+    let mut rasteriser = Rasteriser::new(level);
     let mut best = (f64::INFINITY, Work::default());
     for _ in 0..repeat.clamp(2, if count > 1_000_000 { 3 } else { 100 }) {
-        renderer.forget();
+        rasteriser.forget();
         let seconds = once(|| {
-            std::hint::black_box(renderer.render(&scene.gaussians(), &scene.projection, &scene.request));
+            std::hint::black_box(rasteriser.render(&scene.gaussians(), &scene.projection, &scene.request));
         });
         if seconds < best.0 {
-            best = (seconds, renderer.work());
+            best = (seconds, rasteriser.work());
         }
     }
     let (seconds, work) = best;

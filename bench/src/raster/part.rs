@@ -5,7 +5,7 @@ use rayon::current_num_threads;
 use serde::Serialize;
 use streamsplat::camera::Pose;
 use streamsplat::fit::{Fit, Placement};
-use streamsplat::render::{Painter, Snapshot};
+use streamsplat::render::{Renderer, Snapshot};
 use streamsplat::space::{Bounds, Tree};
 use streamsplat::still::{Drawable, Still};
 use streamsplat::stream::{DynamicGaussians, Record, Workers};
@@ -13,6 +13,7 @@ use streamsplat::{Camera, Image, Interval, RenderOptions, Size};
 use streamsplat_kernels::Level;
 
 use super::scenes::Random;
+use crate::table::{Column, Table};
 use crate::timing::Stopwatch;
 
 /// Gaussians of each scene.
@@ -22,9 +23,19 @@ const SIZE: [usize; 2] = [512, 288];
 /// Cameras of each scene.
 const CAMERAS: usize = 8;
 
+const TABLE: Table<'_> = Table(&[
+    Column::Text("part of a scene", 20),
+    Column::Number("Gaussians", 9),
+    Column::Number("left out", 9),
+    Column::Number("whole ms", 9),
+    Column::Number("without", 9),
+    Column::Number("groups ms", 9),
+    Column::Number("hierarchy ms", 12),
+]);
+
 /// Milliseconds of the processor per image, by the least of each camera's runs.
 #[derive(Serialize)]
-pub(super) struct Row {
+pub(super) struct PartTiming {
     name: String,
     gaussians: usize,
     /// Per image, before anything is projected.
@@ -39,8 +50,9 @@ pub(super) struct Row {
 }
 
 /// Measures both kinds of scenes; an image without what is left out is compared with that of the whole scene.
-pub(super) fn run(level: Level, repeat: usize) -> Result<Vec<Row>> {
+pub(super) fn run(level: Level, repeat: usize) -> Result<Vec<PartTiming>> {
     let workers = Workers::new(level, current_num_threads())?;
+    println!("\n{}", TABLE.heads());
     Ok(vec![still(&workers, repeat)?, interval(&workers, repeat)?])
 }
 
@@ -76,11 +88,11 @@ fn draw(
     Ok(Sums { whole: sum(0), part: Some(sum(1)), left_out })
 }
 
-impl Row {
+impl PartTiming {
     /// The row, printed.
     fn new(name: &str, sums: &Sums, prepare: f64, hierarchy: f64) -> Self {
         let images = CAMERAS as f64;
-        let row = Row {
+        let row = PartTiming {
             name: name.to_owned(),
             gaussians: COUNT,
             left_out: sums.left_out as f64 / images,
@@ -89,11 +101,16 @@ impl Row {
             prepare,
             hierarchy,
         };
-        let part = row.part.map_or_else(|| "all drawn".to_owned(), |part| format!("{part:.2} ms without them"));
-        println!(
-            "{:<20} {:>9}  {:>7.0} left out  {:>8.2} ms an image, {part}  groups {:.1} ms  a hierarchy {:.1} ms",
-            row.name, row.gaussians, row.left_out, row.whole, row.prepare, row.hierarchy
-        );
+        let cells = [
+            row.name.clone(),
+            row.gaussians.to_string(),
+            format!("{:.0}", row.left_out),
+            format!("{:.2}", row.whole),
+            row.part.map_or_else(|| "–".to_owned(), |part| format!("{part:.2}")),
+            format!("{:.1}", row.prepare),
+            format!("{:.1}", row.hierarchy),
+        ];
+        println!("{}", TABLE.line(&cells));
         row
     }
 }
@@ -124,7 +141,7 @@ fn grouped(scene: Drawable, workers: &Workers) -> (Drawable, f64) {
 }
 
 /// A still scene all around the camera, which turns: 40 degrees, harmonics of degree 3.
-fn still(workers: &Workers, repeat: usize) -> Result<Row> {
+fn still(workers: &Workers, repeat: usize) -> Result<PartTiming> {
     let mut random = Random::new(6);
     let mut still = Still { degree: 3, ..Still::default() };
     for _ in 0..COUNT {
@@ -148,22 +165,22 @@ fn still(workers: &Workers, repeat: usize) -> Result<Row> {
             pinhole([0.0; 3], [angle.sin(), 0.1, angle.cos()], 40.0)
         })
         .collect::<Result<_>>()?;
-    let (mut whole, mut part) = (Painter::new(workers), Painter::new(workers));
+    let (mut whole, mut part) = (Renderer::new(workers), Renderer::new(workers));
     let sums = draw(
         &cameras,
         repeat,
-        |camera| Ok(whole.draw_still(&plain, camera, &options())?.clone()),
+        |camera| Ok(whole.render_still(&plain, camera, &options())?.clone()),
         |camera| {
-            let image = part.draw_still(&scene, camera, &options())?.clone();
+            let image = part.render_still(&scene, camera, &options())?.clone();
             Ok((image, part.left_out()))
         },
     )?;
-    Ok(Row::new("part-of-still", &sums, prepare, hierarchy))
+    Ok(PartTiming::new("part-of-still", &sums, prepare, hierarchy))
 }
 
 /// An interval in view of the canonical camera, of which cameras of 5 degrees see parts. It is drawn whole; what grouping it would take is
 /// measured on what it is at one time.
-fn interval(workers: &Workers, repeat: usize) -> Result<Row> {
+fn interval(workers: &Workers, repeat: usize) -> Result<PartTiming> {
     let mut random = Random::new(7);
     let gaussians: DynamicGaussians = (0..COUNT as u64)
         .map(|identity| Record {
@@ -177,35 +194,26 @@ fn interval(workers: &Workers, repeat: usize) -> Result<Row> {
         })
         .collect();
     let placement = Placement::new(Fit::Stretch, [SIZE[1], SIZE[0]], [SIZE[1], SIZE[0]]).context("a placement")?;
-    let interval = Interval {
-        index: 1,
-        start: 0.0,
-        end: 1.0,
-        gaussians,
-        placement,
-        merges: Vec::new(),
-        dropped: 0,
-        workers: workers.clone(),
-    };
-    let middle = Snapshot::of(&interval, 0.5)?;
+    let interval = Interval { index: 1, start: 0.0, end: 1.0, gaussians, placement, merges: Vec::new(), dropped: 0 };
+    let middle = Snapshot::of(&interval, 0.5, workers)?;
     let count = middle.mean.len();
     let hierarchy =
         hierarchy((0..count).map(|i| Bounds::of_gaussian(middle.mean[i], middle.scale[i], middle.opacity[i])));
     let still = Drawable::new(Still::of(&middle), workers)?;
     let prepare = grouped(still, workers).1;
-    let mut painter = Painter::new(workers);
+    let mut renderer = Renderer::new(workers);
     let mut least = [f64::INFINITY; CAMERAS];
     for _ in 0..repeat {
         for (i, least) in least.iter_mut().enumerate() {
             let x = 0.2 * i as f64 - 0.7;
             let camera = pinhole([x, 0.1, -1.0], [x, 0.1, 0.5], 5.0)?;
             let watch = Stopwatch::start();
-            std::hint::black_box(painter.draw(&interval, 0.5, &camera, &options())?);
+            std::hint::black_box(renderer.render(&interval, 0.5, &camera, &options())?);
             *least = least.min(watch.stop().seconds());
-            let work = painter.work();
+            let work = renderer.work();
             ensure!(work.culled * 10 > work.gaussians * 9, "not a narrow camera: {work:?}");
         }
     }
     let whole = least.iter().sum::<f64>() * 1e3;
-    Ok(Row::new("part-of-interval", &Sums { whole, part: None, left_out: 0 }, prepare, hierarchy))
+    Ok(PartTiming::new("part-of-interval", &Sums { whole, part: None, left_out: 0 }, prepare, hierarchy))
 }

@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use streamsplat::render::{Snapshot, View};
 use streamsplat::{Camera, Engine, Frame, Settings};
-use streamsplat_fixtures::clip::{Clip, Kind};
+use streamsplat_fixtures::clip::{Clip, ClipKind};
 pub(crate) use streamsplat_fixtures::random::Random;
 use streamsplat_kernels::raster::{Gaussians, OwnedGaussians, Projection, Request};
 
@@ -103,7 +103,7 @@ impl Scene {
     /// Prediction of the model inside the library for two frames of a procedural clip, halfway between them, drawn at twice
     /// the model's size in each direction.
     pub(crate) fn predicted() -> Result<Self> {
-        let clip = Clip::new(Kind::Moving, 1, 512, 288);
+        let clip = Clip::new(ClipKind::Moving, 1, 512, 288);
         let mut engine = Engine::new(Settings::default())?;
         let mut interval = None;
         for time in [0.0, 0.2] {
@@ -112,7 +112,7 @@ impl Scene {
             interval = Some(engine.push(frame, time)?);
         }
         let interval = interval.context("no interval")?;
-        let mut seen = Snapshot::of(&interval, 0.1)?;
+        let mut seen = Snapshot::of(&interval, 0.1, engine.workers())?;
         let view = View::new(&Camera::Canonical, &interval.placement, [288, 512]);
         view.apply(&mut seen.mean);
         let Snapshot { mean, scale, opacity, rgb, .. } = seen;

@@ -6,19 +6,35 @@ use serde::{Deserialize, Serialize};
 use streamsplat_fixtures::trained::{DEGREE, FOCAL, HIGHER, SIZE, gaussians};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::harmonics::{self, Eye};
-use streamsplat_kernels::raster::{ColourMap, OwnedGaussians, Projection, Renderer, Request, Work};
+use streamsplat_kernels::raster::{ColourMap, OwnedGaussians, Projection, Rasteriser, Request, Work};
 
 use super::scenes::Scene;
 use super::{Stages, check, peak_rss_bytes};
 use crate::fit::ensure_near;
+use crate::table::{Column, Table};
 use crate::timing::once;
 
 /// Gaussians.
 pub(super) const COUNTS: [usize; 2] = [1_000_000, 10_000_000];
 
+pub(super) const TABLE: Table<'_> = Table(&[
+    Column::Number("trained Gaussians", 20),
+    Column::Number("colours ms", 0),
+    Column::Number("image", 7),
+    Column::Number("both", 7),
+    Column::Number("map", 7),
+    Column::Number("adjoint", 7),
+    Column::Number("entries each", 0),
+    Column::Number("peak MiB", 0),
+    Column::Number("project", 11),
+    Column::Number("bin", 11),
+    Column::Number("sort", 11),
+    Column::Number("blend", 11),
+]);
+
 /// Milliseconds of the fastest run of each part.
 #[derive(Serialize, Deserialize)]
-pub(super) struct Row {
+pub(super) struct TrainedTiming {
     gaussians: usize,
     /// Colours of the harmonics as the camera sees them.
     colours: f64,
@@ -64,7 +80,7 @@ fn fastest(repeat: usize, mut work: impl FnMut()) -> f64 {
 }
 
 /// Measures a scene of `count` Gaussians: the image and the sums are checked first.
-pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<Row> {
+pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<TrainedTiming> {
     let Trained { mut scene, base, higher } = trained(count);
     let repeat = if count > 1_000_000 { repeat.min(3) } else { repeat };
     let mut rgb = vec![[0.0; 3]; count];
@@ -75,18 +91,18 @@ pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<Row> 
     drop((base, higher));
     scene.splats.rgb = rgb;
     let gaussians = scene.gaussians();
-    let mut renderer = Renderer::new(level);
-    renderer.render(&gaussians, &scene.projection, &scene.request);
+    let mut rasteriser = Rasteriser::new(level);
+    rasteriser.render(&gaussians, &scene.projection, &scene.request);
     let small = count <= COUNTS[0];
-    let error = small.then(|| check(&renderer, &scene)).transpose().with_context(|| format!("{count} Gaussians"))?;
+    let error = small.then(|| check(&rasteriser, &scene)).transpose().with_context(|| format!("{count} Gaussians"))?;
     let mut best = (f64::INFINITY, Work::default());
     for _ in 0..repeat {
-        renderer.forget();
+        rasteriser.forget();
         let milliseconds = fastest(1, || {
-            std::hint::black_box(renderer.render(&gaussians, &scene.projection, &scene.request));
+            std::hint::black_box(rasteriser.render(&gaussians, &scene.projection, &scene.request));
         });
         if milliseconds < best.0 {
-            best = (milliseconds, renderer.work());
+            best = (milliseconds, rasteriser.work());
         }
     }
     let (image, work) = best;
@@ -95,7 +111,7 @@ pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<Row> 
         let prepare = fastest(repeat, || map.prepare(&gaussians, &scene.projection, SIZE));
         let mut linear = vec![0.0; 3 * SIZE[0] * SIZE[1]];
         map.forward(gaussians.rgb, scene.request.background, &mut linear);
-        ensure_near(&linear, &renderer.image().rgb).with_context(|| format!("{count} Gaussians"))?;
+        ensure_near(&linear, &rasteriser.image().rgb).with_context(|| format!("{count} Gaussians"))?;
         let mut sums = vec![[0.0; 3]; count];
         let adjoint = fastest(repeat, || map.adjoint(&linear, &mut sums));
         // ⟨A·c, A·c⟩ = ⟨c, Aᵀ·A·c⟩, on black.
@@ -108,7 +124,7 @@ pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<Row> 
     };
     let (forward, entries) = (colours + image, work.entries);
     let peak_rss_bytes = peak_rss_bytes()?;
-    Ok(Row {
+    Ok(TrainedTiming {
         gaussians: count,
         colours,
         image,
@@ -122,20 +138,13 @@ pub(super) fn measure(level: Level, count: usize, repeat: usize) -> Result<Row> 
     })
 }
 
-impl Row {
-    pub(super) fn print(&self) {
+impl TrainedTiming {
+    /// Its line of [`TABLE`].
+    pub(super) fn line(&self) -> String {
         let shown = |ms: Option<f64>| ms.map_or_else(|| "–".to_owned(), |ms| format!("{ms:.1}"));
-        println!(
-            "{:>10} trained-like  colours {:.1} ms, image {:.1}, both {:.1}; map {}, adjoint {}; {:.1} entries each; peak {:.0} MiB; {}",
-            self.gaussians,
-            self.colours,
-            self.image,
-            self.forward,
-            shown(self.prepare),
-            shown(self.adjoint),
-            self.entries as f64 / self.gaussians as f64,
-            self.peak_rss_bytes as f64 / f64::from(1 << 20),
-            self.stages.shown(),
-        );
+        let times = [Some(self.colours), Some(self.image), Some(self.forward), self.prepare, self.adjoint].map(shown);
+        let entries = format!("{:.1}", self.entries as f64 / self.gaussians as f64);
+        let peak = format!("{:.0}", self.peak_rss_bytes as f64 / f64::from(1 << 20));
+        TABLE.line(&[&[self.gaussians.to_string()], &times[..], &[entries, peak], &self.stages.cells()].concat())
     }
 }

@@ -29,7 +29,7 @@ pub(super) struct Choices<'a> {
 
 /// A configuration on the clip.
 #[derive(Clone, Debug, Serialize)]
-pub(crate) struct Row {
+pub(crate) struct GridPoint {
     pub(super) precision: &'static str,
     pub(super) reuse: String,
     pub(super) gap: String,
@@ -109,7 +109,7 @@ pub(super) fn measure(
     settings: Settings,
     rounds: usize,
     clock: Clock,
-) -> Result<Vec<Row>> {
+) -> Result<Vec<GridPoint>> {
     check(choices.precisions, clip, &settings)?;
     let variants = choices.variants();
     let mut models = Models::new(settings);
@@ -137,7 +137,7 @@ pub(super) fn measure(
     rows(&outcomes, clip, clock)
 }
 
-fn rows(outcomes: &[Outcome], clip: &[TimedPicture], clock: Clock) -> Result<Vec<Row>> {
+fn rows(outcomes: &[Outcome], clip: &[TimedPicture], clock: Clock) -> Result<Vec<GridPoint>> {
     let truths = truths(clip);
     let mut bases: BTreeMap<String, &Outcome> = BTreeMap::new();
     let mut rows = Vec::new();
@@ -162,7 +162,7 @@ fn rows(outcomes: &[Outcome], clip: &[TimedPicture], clock: Clock) -> Result<Vec
         };
         let [height, width] = outcome.resolution;
         let psnr = against(&outcome.images, &truths)?;
-        rows.push(Row {
+        rows.push(GridPoint {
             precision: outcome.variant.precision.name(),
             reuse: outcome.variant.reuse.to_string(),
             gap,

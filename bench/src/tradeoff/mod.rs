@@ -141,8 +141,8 @@ struct About {
 #[derive(Serialize)]
 struct Results {
     about: About,
-    rows: Vec<grid::Row>,
-    stages: Vec<stages::Row>,
+    rows: Vec<grid::GridPoint>,
+    stages: Vec<stages::StageError>,
 }
 
 impl Options {
@@ -202,7 +202,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let against = if options.size == Size::Paper { Yardstick::F32 } else { options.against };
     // f32 is what the others are compared with.
     let precisions = once_each(Precision::F32, &options.precision);
-    let task = stages::Task {
+    let task = stages::StageRun {
         which: options.which(),
         precisions: &precisions,
         level: options.common.isa,

@@ -10,7 +10,7 @@ use plotters::coord::ranged1d::{KeyPointHint, Ranged, ValueFormatter};
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
-use super::grid::Row;
+use super::grid::GridPoint;
 use super::{Clock, Results, stages, table};
 
 const WIDTH: u32 = 1120;
@@ -90,7 +90,7 @@ struct Key {
 }
 
 impl Key {
-    fn mark(&self, row: &Row) -> Mark {
+    fn mark(&self, row: &GridPoint) -> Mark {
         let place = |names: &[String], name: &str| names.iter().position(|n| n == name).unwrap_or(0);
         let colour = colour(place(&self.precisions, row.precision));
         (colour, place(&self.gaps, &row.gap), self.fill(place(&self.reuse, &row.reuse)))
@@ -165,14 +165,14 @@ fn clear(points: &[(i32, i32)], all: &[(i32, i32)]) -> Vec<(i32, i32)> {
 /// One panel, with the front's members in the order of time.
 fn panel(
     area: &Area<'_>,
-    rows: &[Row],
+    rows: &[GridPoint],
     key: &Key,
     (title, unit): (&str, &str),
     time: &str,
-    value: &dyn Fn(&Row) -> f64,
-    front: &[&Row],
+    value: &dyn Fn(&GridPoint) -> f64,
+    front: &[&GridPoint],
 ) -> Result<()> {
-    let milliseconds = |row: &Row| row.seconds_per_frame * 1e3;
+    let milliseconds = |row: &GridPoint| row.seconds_per_frame * 1e3;
     let least = rows.iter().map(milliseconds).fold(f64::INFINITY, f64::min);
     let most = rows.iter().map(milliseconds).fold(0.0, f64::max);
     let (low, high) = around(rows.iter().map(value), 0.12);
@@ -200,7 +200,7 @@ fn panel(
     chart.draw_series(std::iter::once(PathElement::new(steps, FRONT.stroke_width(2)))).map_err(fail)?;
     // The chart speaks in pixels of the whole picture.
     let (left, top) = area.get_base_pixel();
-    let at = |row: &Row| {
+    let at = |row: &GridPoint| {
         let (x, y) = chart.backend_coord(&(milliseconds(row), value(row)));
         (x - left, y - top)
     };
@@ -259,7 +259,7 @@ pub(super) fn svg(results: &Results) -> Result<String> {
         gaps: names(rows, |row| &row.gap),
         reuse: names(rows, |row| &row.reuse),
     };
-    let mut front: Vec<&Row> = rows.iter().filter(|row| row.pareto).collect();
+    let mut front: Vec<&GridPoint> = rows.iter().filter(|row| row.pareto).collect();
     front.sort_by(|a, b| a.seconds_per_frame.total_cmp(&b.seconds_per_frame));
     let lines = front.len().div_ceil(2) as u32;
     let size = (WIDTH, HEAD + PANELS + (44 + 22 * lines).max(96));
@@ -309,7 +309,7 @@ pub(super) fn svg(results: &Results) -> Result<String> {
 /// The stages as SVG. What does not differ at all lies on the lower edge.
 pub(super) fn stages_svg(results: &Results) -> Result<String> {
     let (rows, about) = (&results.stages, &results.about);
-    let milliseconds = |row: &stages::Row| {
+    let milliseconds = |row: &stages::StageError| {
         let seconds = match about.clock {
             Clock::Wall => Some(row.wall),
             Clock::Processor => row.processor,

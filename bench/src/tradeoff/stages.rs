@@ -16,13 +16,13 @@ use crate::timing::{Seconds, Spent, Stopwatch};
 
 /// Frames between the two that are looked at, where the clip has as many.
 const APART: usize = 4;
-/// Values below this fraction of the largest are left out of [`Row::worst_ulp`]: their rounding is that of the larger terms they are sums of.
+/// Values below this fraction of the largest are left out of [`StageError::worst_ulp`]: their rounding is that of the larger terms they are sums of.
 const COUNTED: f64 = 0.01;
 /// Stages, in the order of the computation.
 const STAGES: [&str; 4] = ["encoder", "upsampler", "decoder", "heads"];
 
 /// Stages to measure.
-pub(super) struct Task<'a> {
+pub(super) struct StageRun<'a> {
     pub(super) which: Which<'a>,
     pub(super) precisions: &'a [Precision],
     pub(super) level: Level,
@@ -32,7 +32,7 @@ pub(super) struct Task<'a> {
 
 /// A stage at a precision. Its input is what the stages before gave at the same precision, so that errors add up as in a stream.
 #[derive(Clone, Debug, Serialize)]
-pub(crate) struct Row {
+pub(crate) struct StageError {
     pub(super) precision: &'static str,
     pub(super) stage: &'static str,
     /// ‖found − expected‖ / ‖expected‖
@@ -48,7 +48,7 @@ pub(crate) struct Row {
 }
 
 /// The model's resolution (width × height) and the rows.
-pub(super) fn measure(task: &Task<'_>, clip: &[TimedPicture]) -> Result<(String, Vec<Row>)> {
+pub(super) fn measure(task: &StageRun<'_>, clip: &[TimedPicture]) -> Result<(String, Vec<StageError>)> {
     let frames = |size: [usize; 2]| fitted(clip, size, task.level);
     let load = |precision| {
         let options = LoadOptions { level: task.level, precision, ..LoadOptions::default() };
@@ -95,7 +95,7 @@ fn row(
     expected: &[f64],
     in_ulp: bool,
     spent: &[Spent],
-) -> Result<Row> {
+) -> Result<StageError> {
     ensure!(found.len() == expected.len(), "{stage}: {} values, expected {}", found.len(), expected.len());
     ensure!(found.iter().all(|x| x.is_finite()), "{stage}: a result is not finite");
     let found = widen(found);
@@ -104,7 +104,7 @@ fn row(
     let counted = found.iter().zip(expected).filter(|(_, b)| b.abs() >= COUNTED * largest);
     let worst_ulp = in_ulp.then(|| counted.fold(0.0, |worst: f64, (a, b)| worst.max(reference::ulps(*a, *b))));
     let processor: Option<Vec<f64>> = spent.iter().map(Spent::processor).collect();
-    Ok(Row {
+    Ok(StageError {
         precision,
         stage,
         relative_l2: reference::relative_l2(found.iter().copied(), expected.iter().copied()),

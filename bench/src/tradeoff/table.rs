@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::{Results, Yardstick};
+use crate::table::{Column, Table};
 use crate::timing::Seconds;
 
 const HEAD: &str = "precision,reuse,gap,resolution,keys,seconds_per_frame,wall_min,wall_median,wall_max,processor_min,processor_median,\
@@ -91,29 +92,39 @@ fn configurations(results: &Results, text: &mut String) {
     let _ = write!(
         text,
         "\n## Configurations\n\nMilliseconds per input frame: median (least–most) of {} rounds. `L2` and `vs f32` compare all images with those of \
-        f32 without reuse at the same gap (100 dB: equal), `vs truth` with the true frames at 256×256. ● is on the Pareto front of {} and `vs truth`.\n\n\
-        | | precision | reuse | gap | key frames | ms, processor | ms, wall | L2 | worst sample | vs f32, dB | vs truth, dB |\n\
-        |---|---|---|---|---|---|---|---|---|---|---|\n",
+        f32 without reuse at the same gap (100 dB: equal), `vs truth` with the true frames at 256×256. ● is on the Pareto front of {} and `vs truth`.\n\n",
         results.about.rounds,
         results.about.clock.name()
     );
-    for row in &results.rows {
-        let _ = writeln!(
-            text,
-            "| {} | {} | {} | {} | {} | {} | {} | {:.1e} | {:.1e} | {:.1} | {:.2} |",
-            if row.pareto { "●" } else { "" },
-            row.precision,
-            row.reuse,
-            row.gap,
-            row.keys,
+    let columns = [
+        Column::Text("", 0),
+        Column::Text("precision", 0),
+        Column::Text("reuse", 0),
+        Column::Text("gap", 0),
+        Column::Number("key frames", 0),
+        Column::Number("ms, processor", 0),
+        Column::Number("ms, wall", 0),
+        Column::Number("L2", 0),
+        Column::Number("worst sample", 0),
+        Column::Number("vs f32, dB", 0),
+        Column::Number("vs truth, dB", 0),
+    ];
+    let rows = results.rows.iter().map(|row| {
+        [
+            if row.pareto { "●" } else { "" }.to_owned(),
+            row.precision.to_owned(),
+            row.reuse.clone(),
+            row.gap.clone(),
+            row.keys.to_string(),
             spread(row.processor),
             spread(Some(row.wall)),
-            row.relative_l2,
-            row.worst,
-            row.psnr_vs_f32,
-            row.psnr_vs_truth
-        );
-    }
+            format!("{:.1e}", row.relative_l2),
+            format!("{:.1e}", row.worst),
+            format!("{:.1}", row.psnr_vs_f32),
+            format!("{:.2}", row.psnr_vs_truth),
+        ]
+    });
+    text.push_str(&Table(&columns).markdown(rows));
 }
 
 fn stages(results: &Results, text: &mut String) {
@@ -121,22 +132,29 @@ fn stages(results: &Results, text: &mut String) {
         text,
         "\n## Stages\n\nOn two frames of the clip, each stage fed by those before it at its own precision, against {}. `worst`: largest difference over \
         largest value; `ulp`: largest difference in units in the last place of f32 at the value, over values of a hundredth of the largest \
-        or more. Milliseconds of a call: median (least–most) of {}.\n\n\
-        | precision | stage | L2 | worst | ulp | ms, processor | ms, wall |\n|---|---|---|---|---|---|---|\n",
+        or more. Milliseconds of a call: median (least–most) of {}.\n\n",
         name(results.about.against),
         results.about.repeat
     );
-    for row in &results.stages {
-        let _ = writeln!(
-            text,
-            "| {} | {} | {:.1e} | {:.1e} | {} | {} | {} |",
-            row.precision,
-            row.stage,
-            row.relative_l2,
-            row.worst,
+    let columns = [
+        Column::Text("precision", 0),
+        Column::Text("stage", 0),
+        Column::Number("L2", 0),
+        Column::Number("worst", 0),
+        Column::Number("ulp", 0),
+        Column::Number("ms, processor", 0),
+        Column::Number("ms, wall", 0),
+    ];
+    let rows = results.stages.iter().map(|row| {
+        [
+            row.precision.to_owned(),
+            row.stage.to_owned(),
+            format!("{:.1e}", row.relative_l2),
+            format!("{:.1e}", row.worst),
             row.worst_ulp.map_or_else(|| "-".to_owned(), |ulp| format!("{ulp:.1}")),
             spread(row.processor),
-            spread(Some(row.wall))
-        );
-    }
+            spread(Some(row.wall)),
+        ]
+    });
+    text.push_str(&Table(&columns).markdown(rows));
 }

@@ -131,8 +131,11 @@ impl Engine {
             Ok((Frame { width, height, rgb, depth: None }, *time))
         });
         let seen = seen.collect::<PyResult<Vec<_>>>()?;
-        let interval = py.detach(|| self.lock().push_with(seen, frame, time)).map_err(failed)?;
-        Ok(Interval::from(interval))
+        py.detach(|| {
+            let mut engine = self.lock();
+            let interval = engine.push_with(seen, frame, time).map_err(failed)?;
+            Ok(Interval::new(interval, engine.workers()))
+        })
     }
 
     /// Work done and work avoided so far: `{stage: {"done", "avoided", "unit", "seconds"}}`.

@@ -1,6 +1,7 @@
 //! Intervals and their Gaussians.
 
 use std::path::PathBuf;
+use std::sync::OnceLock;
 
 use numpy::ndarray::{ArrayView1, ArrayView2};
 use numpy::{Element, PyArray1, PyArray2};
@@ -10,7 +11,7 @@ use streamsplat::camera::Camera;
 use streamsplat::fit::Placement;
 use streamsplat::import::{FORMATS, Format};
 use streamsplat::output::write_file;
-use streamsplat::render::Snapshot;
+use streamsplat::render::{Renderer, Snapshot};
 use streamsplat::scene::{from_safetensors, to_safetensors};
 use streamsplat::stream::{DynamicGaussians, Workers};
 use streamsplat_kernels::Level;
@@ -24,11 +25,22 @@ use crate::image::{Drawn, Image};
 #[pyclass(frozen, module = "streamsplat")]
 pub struct Interval {
     pub inner: streamsplat::Interval,
+    /// Threads that draw it: those of the engine or the scene that gave it; of a copy, its own from its first image on.
+    workers: OnceLock<Workers>,
 }
 
-impl From<streamsplat::Interval> for Interval {
-    fn from(inner: streamsplat::Interval) -> Self {
-        Self { inner }
+impl Interval {
+    /// An interval that `workers` draw.
+    pub fn new(inner: streamsplat::Interval, workers: &Workers) -> Self {
+        Self { inner, workers: OnceLock::from(workers.clone()) }
+    }
+
+    fn workers(&self) -> PyResult<&Workers> {
+        if let Some(workers) = self.workers.get() {
+            return Ok(workers);
+        }
+        let workers = Workers::new(Level::detect(), 0).map_err(failed)?;
+        Ok(self.workers.get_or_init(|| workers))
     }
 }
 
@@ -89,7 +101,8 @@ impl Interval {
             return Err(wrong(format!("path: expected a name ending in {}, found {found}", endings.join(", "))));
         };
         py.detach(|| {
-            let snapshot = Snapshot::exported(&self.inner, time.unwrap_or(self.inner.end)).map_err(failed)?;
+            let time = time.unwrap_or(self.inner.end);
+            let snapshot = Snapshot::exported(&self.inner, time, self.workers()?).map_err(failed)?;
             write_file(&path, &(format.snapshot)(&snapshot)).map(drop).map_err(system)
         })
     }
@@ -108,10 +121,10 @@ impl Interval {
     /// The interval of these parts.
     #[staticmethod]
     fn _of_parts(py: Python<'_>, bytes: &[u8], placement: [[usize; 2]; 4]) -> PyResult<Self> {
-        let workers = Workers::new(Level::detect(), 0).map_err(failed)?;
         let [source, model, offset, content] = placement;
         let placement = Placement { source, model, offset, content };
-        py.detach(|| from_safetensors(bytes, placement, workers)).map(Self::from).map_err(failed)
+        let inner = py.detach(|| from_safetensors(bytes, placement)).map_err(failed)?;
+        Ok(Self { inner, workers: OnceLock::new() })
     }
 
     /// The scene at `time` seconds: an image, or a list of them where `time` or `camera` is a list.
@@ -131,14 +144,20 @@ impl Interval {
     ) -> PyResult<Drawn> {
         let (places, many) = arguments::places(time, camera)?;
         let options = arguments::options(size, background, depth, alpha)?;
-        let draw = |(time, camera): &(f64, Camera)| self.inner.render(*time, camera, &options).map(Image::from);
-        let images = py.detach(|| places.iter().map(draw).collect::<Result<Vec<_>, _>>()).map_err(not_drawn)?;
+        let images = py.detach(|| {
+            let mut renderer = Renderer::new(self.workers()?);
+            let mut draw = |(time, camera): &(f64, Camera)| {
+                let image = renderer.render(&self.inner, *time, camera, &options).map_err(not_drawn)?;
+                Ok(Image::from(image.clone()))
+            };
+            places.iter().map(&mut draw).collect::<PyResult<Vec<_>>>()
+        })?;
         Drawn::of(images, many)
     }
 
     /// The Gaussian that shows most at a pixel (column, row) of the source's frame: (identity, index, weight, world position), or None where nothing is drawn.
     fn pick(&self, py: Python<'_>, time: f64, pixel: [f64; 2]) -> PyResult<Option<(u64, usize, f64, [f32; 3])>> {
-        let picked = py.detach(|| self.inner.pick(time, pixel)).map_err(failed)?;
+        let picked = py.detach(|| self.inner.pick(time, pixel, self.workers()?).map_err(failed))?;
         Ok(picked.map(|p| (p.identity, p.index, p.weight, p.position)))
     }
 }

@@ -6,6 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use streamsplat::camera::Camera;
+use streamsplat::render::Renderer;
 use streamsplat::scene;
 use streamsplat::stream::Workers;
 use streamsplat_kernels::Level;
@@ -20,6 +21,13 @@ use crate::interval::Interval;
 pub struct Scene {
     inner: scene::Scene,
     workers: Workers,
+}
+
+impl Scene {
+    fn interval(&self, py: Python<'_>, place: usize) -> PyResult<Interval> {
+        let inner = py.detach(|| self.inner.interval(place)).map_err(failed)?;
+        Ok(Interval::new(inner, &self.workers))
+    }
 }
 
 #[pymethods]
@@ -61,13 +69,13 @@ impl Scene {
         let Some(place) = place.and_then(|i| usize::try_from(i).ok()).filter(|i| *i < count) else {
             return Err(PyIndexError::new_err(format!("interval {i}: the scene has {count}")));
         };
-        py.detach(|| self.inner.interval(place, &self.workers)).map(Interval::from).map_err(failed)
+        self.interval(py, place)
     }
 
     /// The interval that shows `time`.
     fn at(&self, py: Python<'_>, time: f64) -> PyResult<Interval> {
         let place = self.inner.find(time).map_err(failed)?;
-        py.detach(|| self.inner.interval(place, &self.workers)).map(Interval::from).map_err(failed)
+        self.interval(py, place)
     }
 
     /// The scene at `time` seconds; arguments as Interval.render.
@@ -86,13 +94,15 @@ impl Scene {
         let options = arguments::options(size, background, depth, alpha)?;
         let images = py.detach(|| {
             let mut current: Option<(usize, streamsplat::Interval)> = None;
+            let mut renderer = Renderer::new(&self.workers);
             let draw = |(time, camera): &(f64, Camera)| {
                 let place = self.inner.find(*time).map_err(failed)?;
                 let interval = match current.take().filter(|(at, _)| *at == place) {
                     Some((_, interval)) => interval,
-                    None => self.inner.interval(place, &self.workers).map_err(failed)?,
+                    None => self.inner.interval(place).map_err(failed)?,
                 };
-                let image = interval.render(*time, camera, &options).map(Image::from).map_err(not_drawn);
+                let image = renderer.render(&interval, *time, camera, &options).map_err(not_drawn);
+                let image = image.map(|image| Image::from(image.clone()));
                 current = Some((place, interval));
                 image
             };

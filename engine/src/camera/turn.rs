@@ -9,7 +9,7 @@ use streamsplat_kernels::math::f64::sin_cos;
 use super::{Camera, Lens, Pose, Rotation};
 use crate::fit::Placement;
 use crate::render::{RenderError, Snapshot, to_scene};
-use crate::stream::Interval;
+use crate::stream::{Interval, Workers};
 
 /// Distance of a turned camera from the pivot: depths end at 5, so that everything lies in front of it.
 const DISTANCE: f64 = 12.0;
@@ -71,8 +71,8 @@ impl Turn {
 ///
 /// # Errors
 /// As [`Interval::render`].
-pub fn pivot(interval: &Interval, time: f64) -> Result<[f64; 3], RenderError> {
-    let mut depths: Vec<f32> = Snapshot::of(interval, time)?.mean.iter().map(|mean| mean[2]).collect();
+pub fn pivot(interval: &Interval, time: f64, workers: &Workers) -> Result<[f64; 3], RenderError> {
+    let mut depths: Vec<f32> = Snapshot::of(interval, time, workers)?.mean.iter().map(|mean| mean[2]).collect();
     depths.sort_unstable_by(f32::total_cmp);
     let middle = to_scene([0.0, 0.5, 0.0]).map_or(1.0, |[_, _, z]| z);
     let depth = depths.get(depths.len() / 2).copied().unwrap_or(middle);

@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use streamsplat_kernels::raster::ALPHA_MIN;
+
 use crate::stream::{Handover, Interval, Record, Reference};
 
 /// The first line.
@@ -19,7 +21,7 @@ pub fn tracks(interval: &Interval) -> String {
     let into = |identity| merges.binary_search_by_key(&identity, |m| m.0).ok().map(|i| merges[i].1);
     let here = |r: &Record| {
         let own = interval.index == 0 || r.reference == Reference::End;
-        let survives = r.handover == Handover::None && r.opacity_at(1.0) >= 1.0 / 255.0;
+        let survives = r.handover == Handover::None && r.opacity_at(1.0) >= ALPHA_MIN;
         r.is_sound() && (own || survives || into(r.identity).is_some())
     };
     let mut records: Vec<Record> = interval.gaussians.iter().filter(here).collect();

@@ -4,11 +4,11 @@ use std::fmt;
 use std::str::FromStr;
 
 use streamsplat_kernels::Level;
-use streamsplat_kernels::raster::{Gaussians, Image, Projection, Renderer, Request, Work};
+use streamsplat_kernels::raster::{self, Gaussians, Image, Projection, Request, Work};
 
 use super::RenderError;
 #[cfg(feature = "wgpu")]
-use crate::wgpu::WgpuRenderer;
+use crate::wgpu::WgpuRasteriser;
 
 /// A drawing backend.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -62,18 +62,18 @@ impl FromStr for Backend {
 }
 
 /// A drawing backend with its buffers.
-pub(crate) enum Drawer {
-    Cpu(Box<Renderer>),
+pub(crate) enum Rasteriser {
+    Cpu(Box<raster::Rasteriser>),
     #[cfg(feature = "wgpu")]
-    Wgpu(Box<WgpuRenderer>),
+    Wgpu(Box<WgpuRasteriser>),
 }
 
-impl Drawer {
+impl Rasteriser {
     pub(crate) fn new(backend: Backend, level: Level) -> Result<Self, RenderError> {
         match backend {
-            Backend::Cpu => Ok(Drawer::Cpu(Box::new(Renderer::new(level)))),
+            Backend::Cpu => Ok(Rasteriser::Cpu(Box::new(raster::Rasteriser::new(level)))),
             #[cfg(feature = "wgpu")]
-            Backend::Wgpu => Ok(Drawer::Wgpu(Box::new(WgpuRenderer::new(level)?))),
+            Backend::Wgpu => Ok(Rasteriser::Wgpu(Box::new(WgpuRasteriser::new(level)?))),
             #[cfg(not(feature = "wgpu"))]
             Backend::Wgpu => Err(RenderError::NotBuiltIn { backend }),
         }
@@ -82,25 +82,25 @@ impl Drawer {
     /// The graphics card's name.
     pub(crate) fn adapter(&self) -> Option<&str> {
         match self {
-            Drawer::Cpu(_) => None,
+            Rasteriser::Cpu(_) => None,
             #[cfg(feature = "wgpu")]
-            Drawer::Wgpu(renderer) => Some(renderer.adapter()),
+            Rasteriser::Wgpu(rasteriser) => Some(rasteriser.adapter()),
         }
     }
 
     pub(crate) fn work(&self) -> Work {
         match self {
-            Drawer::Cpu(renderer) => renderer.work(),
+            Rasteriser::Cpu(rasteriser) => rasteriser.work(),
             #[cfg(feature = "wgpu")]
-            Drawer::Wgpu(renderer) => renderer.work(),
+            Rasteriser::Wgpu(rasteriser) => rasteriser.work(),
         }
     }
 
     pub(crate) fn into_image(self) -> Image {
         match self {
-            Drawer::Cpu(renderer) => renderer.into_image(),
+            Rasteriser::Cpu(rasteriser) => rasteriser.into_image(),
             #[cfg(feature = "wgpu")]
-            Drawer::Wgpu(renderer) => renderer.into_image(),
+            Rasteriser::Wgpu(rasteriser) => rasteriser.into_image(),
         }
     }
 
@@ -111,9 +111,9 @@ impl Drawer {
         request: &Request,
     ) -> Result<&Image, RenderError> {
         match self {
-            Drawer::Cpu(renderer) => Ok(renderer.render(gaussians, projection, request)),
+            Rasteriser::Cpu(rasteriser) => Ok(rasteriser.render(gaussians, projection, request)),
             #[cfg(feature = "wgpu")]
-            Drawer::Wgpu(renderer) => Ok(renderer.render(gaussians, projection, request)?),
+            Rasteriser::Wgpu(rasteriser) => Ok(rasteriser.render(gaussians, projection, request)?),
         }
     }
 }

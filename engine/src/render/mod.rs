@@ -23,64 +23,70 @@ pub use options::{RenderError, RenderOptions, Size};
 pub use streamsplat_kernels::raster::Image;
 pub use view::{Snapshot, View, to_scene};
 
-use backend::Drawer;
-use streamsplat_kernels::raster::{self, Gaussians, Renderer};
+use backend::Rasteriser;
+use streamsplat_kernels::raster::{self, Gaussians};
 
 use crate::camera::Camera;
 use crate::stream::{Interval, Workers};
 
 impl Interval {
-    /// The scene at `time` seconds, seen by `camera`.
+    /// The scene at `time` seconds, seen by `camera`, drawn by `workers`.
     ///
-    /// To draw many images use a [`Painter`].
+    /// To draw many images use a [`Renderer`].
     ///
     /// # Errors
     /// Times outside the interval, sizes that cannot be drawn, cameras that see nothing, and intervals whose arrays differ in
     /// length.
-    pub fn render(&self, time: f64, camera: &Camera, options: &RenderOptions) -> Result<Image, RenderError> {
-        let mut painter = Painter::new(&self.workers);
-        painter.draw(self, time, camera, options)?;
-        Ok(painter.drawer.into_image())
+    pub fn render(
+        &self,
+        time: f64,
+        camera: &Camera,
+        options: &RenderOptions,
+        workers: &Workers,
+    ) -> Result<Image, RenderError> {
+        let mut renderer = Renderer::new(workers);
+        renderer.render(self, time, camera, options)?;
+        Ok(renderer.rasteriser.into_image())
     }
 }
 
 /// Draws one image after another; on the CPU only what changed between them. The images are those of [`Interval::render`], to the
 /// last bit on the CPU and nearly so on a graphics card ([`Backend`]).
-pub struct Painter {
+pub struct Renderer {
     workers: Workers,
-    drawer: Drawer,
+    rasteriser: Rasteriser,
     /// Gaussians left out of the last image before anything of them was projected.
     left_out: u64,
 }
 
-impl Painter {
-    /// A painter that works with `workers`, on the CPU.
+impl Renderer {
+    /// A renderer that works with `workers`, on the CPU.
     pub fn new(workers: &Workers) -> Self {
-        Self::from(workers, Drawer::Cpu(Box::new(Renderer::new(workers.level()))))
+        Self::from(workers, Rasteriser::Cpu(Box::new(raster::Rasteriser::new(workers.level()))))
     }
 
-    /// A painter that draws with `backend`.
+    /// A renderer that draws with `backend`.
     ///
     /// # Errors
     /// When the library was built without it, or there is no graphics card to draw with.
     pub fn with(workers: &Workers, backend: Backend) -> Result<Self, RenderError> {
-        Ok(Self::from(workers, Drawer::new(backend, workers.level())?))
+        Ok(Self::from(workers, Rasteriser::new(backend, workers.level())?))
     }
 
-    fn from(workers: &Workers, drawer: Drawer) -> Self {
-        Self { workers: workers.clone(), drawer, left_out: 0 }
+    fn from(workers: &Workers, rasteriser: Rasteriser) -> Self {
+        Self { workers: workers.clone(), rasteriser, left_out: 0 }
     }
 
     /// The graphics card that draws; `None` on the CPU.
     pub fn adapter(&self) -> Option<&str> {
-        self.drawer.adapter()
+        self.rasteriser.adapter()
     }
 
     /// The scene at `time` seconds, seen by `camera`.
     ///
     /// # Errors
     /// As [`Interval::render`]; and where the graphics card fails.
-    pub fn draw(
+    pub fn render(
         &mut self,
         interval: &Interval,
         time: f64,
@@ -92,10 +98,10 @@ impl Painter {
         }
         let size = options.size.resolve(&interval.placement);
         let request = options.request(size)?;
-        let mut seen = Snapshot::of(interval, time)?;
+        let mut seen = Snapshot::of(interval, time, &self.workers)?;
         let view = View::new(camera, &interval.placement, size);
         self.left_out = 0;
-        let drawer = &mut self.drawer;
+        let rasteriser = &mut self.rasteriser;
         self.workers.install(|| {
             view.apply(&mut seen.mean);
             view.widen(&interval.placement, &seen.mean, &mut seen.scale);
@@ -107,7 +113,7 @@ impl Painter {
                 opacity: &seen.opacity,
                 rgb: &seen.rgb,
             };
-            drawer.render(&gaussians, view.projection(), &request)
+            rasteriser.render(&gaussians, view.projection(), &request)
         })
     }
 
@@ -116,16 +122,16 @@ impl Painter {
         &self.workers
     }
 
-    /// Threads, level and drawer of an image from which so many Gaussians have been left out.
-    pub(crate) fn parts(&mut self, left_out: u64) -> (&Workers, &mut Drawer) {
+    /// Threads, level and rasteriser of an image from which so many Gaussians have been left out.
+    pub(crate) fn parts(&mut self, left_out: u64) -> (&Workers, &mut Rasteriser) {
         self.left_out = left_out;
-        (&self.workers, &mut self.drawer)
+        (&self.workers, &mut self.rasteriser)
     }
 
     /// Work done and work avoided by the last image. Gaussians that were [left out](Self::left_out) count as any others that reach no
     /// pixel.
     pub fn work(&self) -> raster::Work {
-        let mut work = self.drawer.work();
+        let mut work = self.rasteriser.work();
         work.gaussians += self.left_out;
         work.culled += self.left_out;
         work

@@ -28,8 +28,11 @@ fn interval(source: [usize; 2]) -> Interval {
         })
         .collect();
     let placement = Placement::new(Fit::Letterbox, source, [24, 40]).unwrap();
-    let workers = Workers::new(Level::detect(), 2).unwrap();
-    Interval { index: 1, start: 2.0, end: 4.0, gaussians, placement, merges: Vec::new(), dropped: 0, workers }
+    Interval { index: 1, start: 2.0, end: 4.0, gaussians, placement, merges: Vec::new(), dropped: 0 }
+}
+
+fn workers() -> Workers {
+    Workers::new(Level::detect(), 2).unwrap()
 }
 
 fn difference(a: &[f32], b: &[f32]) -> f32 {
@@ -43,8 +46,8 @@ fn a_letterboxed_image_is_the_cut_of_the_whole_one() {
         let boxed = interval(source);
         let whole = interval([24, 40]);
         let options = RenderOptions { depth: true, alpha: true, ..RenderOptions::default() };
-        let a = boxed.render(3.0, &Camera::Canonical, &options).unwrap();
-        let b = whole.render(3.0, &Camera::Canonical, &options).unwrap();
+        let a = boxed.render(3.0, &Camera::Canonical, &options, &workers()).unwrap();
+        let b = whole.render(3.0, &Camera::Canonical, &options, &workers()).unwrap();
         assert_eq!([a.height, a.width], boxed.placement.content);
         assert!(difference(&a.rgb, &boxed.placement.crop(&b.rgb)) < 2e-5, "{source:?}");
         assert!(difference(a.alpha.as_ref().unwrap(), &boxed.placement.crop(b.alpha.as_ref().unwrap())) < 2e-5);
@@ -60,7 +63,7 @@ fn an_enlarged_image_shows_the_models_own_pixels_between_which_it_is_closed() {
         let draw = |zoom: usize| {
             let size = Size::Exact { width: zoom * width, height: zoom * height };
             let options = RenderOptions { size, alpha: true, ..RenderOptions::default() };
-            interval.render(3.0, &Camera::Canonical, &options).expect("a size")
+            interval.render(3.0, &Camera::Canonical, &options, &workers()).expect("a size")
         };
         let (own, large) = (draw(1), draw(3));
         // The middle of each 3×3 pixels is where the model's pixel was: the same Gaussians, equally wide.
@@ -82,7 +85,7 @@ fn every_size_can_be_drawn_and_impossible_ones_are_refused() {
     let interval = interval([30, 100]);
     let sized = |width, height| {
         let options = RenderOptions { size: Size::Exact { width, height }, ..RenderOptions::default() };
-        interval.render(2.5, &Camera::Canonical, &options)
+        interval.render(2.5, &Camera::Canonical, &options, &workers())
     };
     for [width, height] in [[1, 1], [1, 77], [333, 10], [100, 30]] {
         let image = sized(width, height).unwrap();
@@ -90,7 +93,7 @@ fn every_size_can_be_drawn_and_impossible_ones_are_refused() {
         assert!(image.rgb.iter().all(|x| (0.0..=1.0).contains(x)));
     }
     let source = RenderOptions { size: Size::Source, ..RenderOptions::default() };
-    assert_eq!(interval.render(2.5, &Camera::Canonical, &source).unwrap(), sized(100, 30).unwrap());
+    assert_eq!(interval.render(2.5, &Camera::Canonical, &source, &workers()).unwrap(), sized(100, 30).unwrap());
     assert!(matches!(sized(0, 5), Err(RenderError::Size { width: 0, .. })));
     assert!(matches!(sized(5, usize::MAX), Err(RenderError::Size { .. })));
 }
@@ -99,12 +102,12 @@ fn every_size_can_be_drawn_and_impossible_ones_are_refused() {
 fn the_canonical_camera_is_the_orthographic_one_at_the_origin() {
     let interval = interval([24, 40]);
     let options = RenderOptions::default();
-    let canonical = interval.render(3.5, &Camera::Canonical, &options).unwrap();
-    assert_eq!(interval.render(3.5, &Camera::orthographic(Pose::default()), &options).unwrap(), canonical);
+    let canonical = interval.render(3.5, &Camera::Canonical, &options, &workers()).unwrap();
+    assert_eq!(interval.render(3.5, &Camera::orthographic(Pose::default()), &options, &workers()).unwrap(), canonical);
     // A rotation of nothing but rounding takes the general path to almost the same image.
     let nearly = Rotation::from_quaternion([1.0, 0.0, 0.0, 1e-12]).unwrap();
     let turned = Camera::orthographic(Pose { rotation: nearly, ..Pose::default() });
-    let turned = interval.render(3.5, &turned, &options).unwrap();
+    let turned = interval.render(3.5, &turned, &options, &workers()).unwrap();
     assert!(difference(&turned.rgb, &canonical.rgb) < 5e-3);
 }
 
@@ -116,9 +119,10 @@ fn turning_the_camera_by_a_right_angle_turns_the_image() {
     let rotation = Rotation::from_quaternion([half, 0.0, 0.0, half]).unwrap();
     let lens = Lens::Orthographic { half_extent: [1.0; 2] };
     let side = RenderOptions { size: Size::Exact { width: 32, height: 32 }, ..RenderOptions::default() };
-    let upright = interval.render(3.0, &Camera::Posed { pose: Pose::default(), lens }, &side).unwrap();
-    let turned =
-        interval.render(3.0, &Camera::Posed { pose: Pose { rotation, ..Pose::default() }, lens }, &side).unwrap();
+    let upright = interval.render(3.0, &Camera::Posed { pose: Pose::default(), lens }, &side, &workers()).unwrap();
+    let turned = interval
+        .render(3.0, &Camera::Posed { pose: Pose { rotation, ..Pose::default() }, lens }, &side, &workers())
+        .unwrap();
     let mut expected = Vec::new();
     for plane in upright.rgb.chunks(32 * 32) {
         for y in 0..32 {
@@ -138,8 +142,8 @@ fn a_pinhole_far_away_sees_what_the_orthographic_camera_sees() {
     let pose = Pose { position: [0.0, 0.0, -distance], ..Pose::default() };
     let lens = Lens::Pinhole { focal: [0.5 * distance, 0.5 * distance], centre: [0.5; 2] };
     let options = RenderOptions::default();
-    let far = interval.render(2.2, &Camera::Posed { pose, lens }, &options).unwrap();
-    let canonical = interval.render(2.2, &Camera::Canonical, &options).unwrap();
+    let far = interval.render(2.2, &Camera::Posed { pose, lens }, &options, &workers()).unwrap();
+    let canonical = interval.render(2.2, &Camera::Canonical, &options, &workers()).unwrap();
     assert!(difference(&far.rgb, &canonical.rgb) < 0.02);
 }
 
@@ -167,14 +171,14 @@ fn what_lies_outside_the_depth_range_or_is_not_finite_is_not_drawn() {
     broken.gaussians.mean[3][0] = f32::NAN;
     broken.gaussians.gamma[4][1] = f32::INFINITY;
     broken.gaussians.opacity[5] = -1.0;
-    let seen = Snapshot::of(&broken, 3.0).unwrap();
+    let seen = Snapshot::of(&broken, 3.0, &workers()).unwrap();
     assert_eq!(seen.dropped, 3);
     assert!(!seen.index.iter().any(|i| (3..=5).contains(i)));
-    let image = broken.render(3.0, &Camera::Canonical, &RenderOptions::default()).unwrap();
+    let image = broken.render(3.0, &Camera::Canonical, &RenderOptions::default(), &workers()).unwrap();
     assert!(image.rgb.iter().all(|x| x.is_finite()));
 
     broken.gaussians.rgb.pop();
-    let error = Snapshot::of(&broken, 3.0).unwrap_err();
+    let error = Snapshot::of(&broken, 3.0, &workers()).unwrap_err();
     assert_eq!(error, RenderError::Records { array: "rgb", expected: 240, found: 239 });
 }
 
@@ -182,27 +186,25 @@ fn what_lies_outside_the_depth_range_or_is_not_finite_is_not_drawn() {
 fn times_outside_the_interval_are_refused() {
     let interval = interval([24, 40]);
     for time in [1.999, 4.001, f64::NAN, f64::INFINITY] {
-        let found = interval.render(time, &Camera::Canonical, &RenderOptions::default());
+        let found = interval.render(time, &Camera::Canonical, &RenderOptions::default(), &workers());
         assert!(matches!(found, Err(RenderError::Time { start: 2.0, end: 4.0, .. })));
     }
 }
 
 #[test]
-fn levels_threads_and_painters_draw_the_same_bits() {
+fn levels_threads_and_renderers_draw_the_same_bits() {
     let options = RenderOptions { depth: true, alpha: true, statistics: true, ..RenderOptions::default() };
     let pose = Pose::look_at([0.4, -0.3, -1.0], [0.0, 0.0, 0.4], [0.0, -1.0, 0.0]).unwrap();
     for camera in [Camera::Canonical, Camera::pinhole(pose, 70.0, 40.0 / 24.0).unwrap()] {
-        let mut reference = interval([24, 37]);
-        reference.workers = Workers::new(Level::scalar(), 1).unwrap();
-        let expected: Vec<Image> =
-            [2.0, 2.01, 3.3, 4.0].map(|time| reference.render(time, &camera, &options).unwrap()).into();
+        let interval = interval([24, 37]);
+        let one = Workers::new(Level::scalar(), 1).unwrap();
+        let times = [2.0, 2.01, 3.3, 4.0];
+        let expected: Vec<Image> = times.map(|time| interval.render(time, &camera, &options, &one).unwrap()).into();
         for level in Level::available() {
             for threads in [1, 2, 3, 8] {
-                let mut other = interval([24, 37]);
-                other.workers = Workers::new(level, threads).unwrap();
-                let mut painter = Painter::new(&other.workers);
-                for (time, expected) in [2.0, 2.01, 3.3, 4.0].into_iter().zip(&expected) {
-                    let found = painter.draw(&other, time, &camera, &options).unwrap();
+                let mut renderer = Renderer::new(&Workers::new(level, threads).unwrap());
+                for (time, expected) in times.into_iter().zip(&expected) {
+                    let found = renderer.render(&interval, time, &camera, &options).unwrap();
                     assert!(found.rgb.iter().zip(&expected.rgb).all(|(a, b)| a.to_bits() == b.to_bits()));
                     assert_eq!(found, expected, "{level}, {threads} threads, {time} s");
                 }
@@ -219,7 +221,7 @@ fn a_colour_that_changes_is_halfway_there_at_half_time() {
     changing.gaussians.rgb.fill(now);
     changing.gaussians.rgb_rate.fill([0.5, -0.25, 0.0]);
     let draw = |interval: &Interval, time| {
-        interval.render(time, &Camera::Canonical, &RenderOptions::default()).expect("inside").rgb
+        interval.render(time, &Camera::Canonical, &RenderOptions::default(), &workers()).expect("inside").rgb
     };
     let painted = |rgb| {
         let mut painted = moving.clone();
@@ -227,11 +229,11 @@ fn a_colour_that_changes_is_halfway_there_at_half_time() {
         painted
     };
     for (time, rgb) in [(2.0, now), (3.0, [0.5, 0.375, 0.75]), (4.0, then)] {
-        let snapshot = Snapshot::of(&changing, time).expect("inside");
+        let snapshot = Snapshot::of(&changing, time, &workers()).expect("inside");
         assert!(snapshot.rgb.iter().all(|found| *found == rgb), "{time}");
         assert!(draw(&changing, time) == draw(&painted(rgb), time), "{time}");
         // Files of one time hold what is seen then.
-        let expected = Snapshot::of(&painted(rgb), time).expect("inside");
+        let expected = Snapshot::of(&painted(rgb), time, &workers()).expect("inside");
         for write in [crate::export::ply, crate::export::splat, crate::export::spz] {
             assert!(write(&snapshot) == write(&expected), "{time}");
         }

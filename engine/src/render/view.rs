@@ -3,20 +3,18 @@
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::parallel::map_indexed;
-use streamsplat_kernels::raster::Projection;
+use streamsplat_kernels::raster::{ALPHA_MIN, Projection};
 use streamsplat_model::motion;
 
 use super::RenderError;
 use crate::camera::{Camera, Lens, Pose};
 use crate::fit::Placement;
-use crate::stream::{DynamicGaussians, Interval, Record};
+use crate::stream::{DynamicGaussians, Interval, Record, Workers};
 
 /// Gaussians per task.
 const CHUNK: usize = 4096;
 /// Low-pass that the rasteriser adds to variances, in px².
 const LOW_PASS: f64 = 0.3;
-/// Least opacity that can be drawn.
-const VISIBLE: f32 = 1.0 / 255.0;
 
 /// The Gaussians of an interval that can be seen at one time, in scene space (x right, y down, z forward), unrotated.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -77,13 +75,13 @@ impl Snapshot {
     ///
     /// # Errors
     /// Times outside the interval, and intervals whose arrays differ in length.
-    pub fn of(interval: &Interval, time: f64) -> Result<Self, RenderError> {
+    pub fn of(interval: &Interval, time: f64, workers: &Workers) -> Result<Self, RenderError> {
         let (start, end) = (interval.start, interval.end);
         let t = interval.relative(time).ok_or(RenderError::Time { time, start, end })?;
         if let Some((array, found)) = interval.gaussians.uneven() {
             return Err(RenderError::Records { array, expected: interval.gaussians.len(), found });
         }
-        Ok(interval.workers.install(|| Self::new(interval.workers.level(), &interval.gaussians, t)))
+        Ok(workers.install(|| Self::new(workers.level(), &interval.gaussians, t)))
     }
 
     /// Gaussians of an interval that can be seen at `time` seconds, for programs whose units are the same along every axis.
@@ -93,8 +91,8 @@ impl Snapshot {
     ///
     /// # Errors
     /// As [`Snapshot::of`].
-    pub fn exported(interval: &Interval, time: f64) -> Result<Self, RenderError> {
-        let mut snapshot = Self::of(interval, time)?;
+    pub fn exported(interval: &Interval, time: f64, workers: &Workers) -> Result<Self, RenderError> {
+        let mut snapshot = Self::of(interval, time, workers)?;
         let [height, width] = interval.placement.model.map(|side| side.max(1) as f64);
         let widen = |x: &mut f32| *x = (f64::from(*x) * (width / height)) as f32;
         snapshot.mean.iter_mut().chain(&mut snapshot.scale).for_each(|[x, ..]| widen(x));
@@ -136,7 +134,7 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
             continue;
         }
         let opacity = opacity * record.handover.factor(t);
-        if opacity < VISIBLE {
+        if opacity < ALPHA_MIN {
             continue;
         }
         let Some(mean) = to_scene(record.position_at(t)) else { continue };

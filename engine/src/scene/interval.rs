@@ -4,7 +4,7 @@ use safetensors::tensor::{Dtype, SafeTensors};
 
 use super::records::{self, tensor, word_bytes, words};
 use crate::fit::Placement;
-use crate::stream::{Interval, Merge, Workers};
+use crate::stream::{Interval, Merge};
 
 /// The interval as a safetensors file.
 ///
@@ -28,7 +28,7 @@ pub fn to_safetensors(interval: &Interval) -> Result<Vec<u8>, String> {
 ///
 /// # Errors
 /// Expected and found values, with the tensor's name.
-pub fn from_safetensors(bytes: &[u8], placement: Placement, workers: Workers) -> Result<Interval, String> {
+pub fn from_safetensors(bytes: &[u8], placement: Placement) -> Result<Interval, String> {
     let file = SafeTensors::deserialize(bytes).map_err(|e| format!("not a readable safetensors file: {e}"))?;
     let gaussians = records::read(&file)?;
     let word = |name: &str| Ok::<u64, String>(words::<1>(tensor(&file, name, Dtype::U64, &[Some(1)])?)[0][0]);
@@ -51,6 +51,5 @@ pub fn from_safetensors(bytes: &[u8], placement: Placement, workers: Workers) ->
         placement,
         merges: merges.into_iter().map(|[identity, into]| Merge { identity, into }).collect(),
         dropped: word("dropped")?,
-        workers,
     })
 }

@@ -8,7 +8,7 @@ use super::container::Container;
 use super::{FORMAT, INDEX, Index, IntervalEntry, SceneError, VERSION, from_safetensors};
 use crate::fit::Placement;
 use crate::import::{Limits, check_count, read_file};
-use crate::stream::{Interval, Workers};
+use crate::stream::Interval;
 
 /// Largest index read, in bytes.
 const MAX_INDEX: u64 = 1 << 26;
@@ -101,17 +101,17 @@ impl Scene {
         found.ok_or(SceneError::Time { time, start, end })
     }
 
-    /// Reads interval `i` of the index; `workers` draw it.
+    /// Reads interval `i` of the index.
     ///
     /// # Errors
     /// A file that cannot be read, has another digest than the index says, or is no interval.
     ///
     /// # Panics
     /// When there are not so many intervals.
-    pub fn interval(&self, i: usize, workers: &Workers) -> Result<Interval, SceneError> {
+    pub fn interval(&self, i: usize) -> Result<Interval, SceneError> {
         let entry = &self.index.intervals[i];
         let path = match &self.place {
-            Place::Container(container) => return container.interval(i, self.placement, workers),
+            Place::Container(container) => return container.interval(i, self.placement),
             Place::Folder(folder) => folder.join(&entry.file),
         };
         let broken = |cause: String| SceneError::Broken { path: path.clone(), cause };
@@ -126,7 +126,7 @@ impl Scene {
         if found.as_str() != entry.blake3 {
             return Err(broken(format!("expected the digest {} as {INDEX} says, found {found}", entry.blake3)));
         }
-        let interval = from_safetensors(&bytes, self.placement, workers.clone()).map_err(broken)?;
+        let interval = from_safetensors(&bytes, self.placement).map_err(broken)?;
         if interval.gaussians.len() != entry.gaussians || (interval.start, interval.end) != (entry.start, entry.end) {
             return Err(broken(format!("the file does not hold the interval that {INDEX} names")));
         }

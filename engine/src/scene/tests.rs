@@ -2,14 +2,8 @@
 
 use std::path::Path;
 
-use streamsplat_kernels::Level;
-
 use super::*;
-use crate::stream::{Handover, Interval, Merge, Record, Reference, Workers};
-
-fn workers() -> Workers {
-    Workers::new(Level::scalar(), 1).expect("one thread")
-}
+use crate::stream::{Handover, Interval, Merge, Record, Reference};
 
 fn interval(index: u64, start: f64, end: f64, count: u64) -> Interval {
     let record = |i: u64| Record {
@@ -35,7 +29,6 @@ fn interval(index: u64, start: f64, end: f64, count: u64) -> Interval {
         placement: Placement { source: [90, 160], model: [64, 96], offset: [5, 0], content: [54, 96] },
         merges: vec![Merge { identity: 3, into: 4 }],
         dropped: 2,
-        workers: workers(),
     }
 }
 
@@ -57,7 +50,7 @@ fn intervals_come_back_bit_for_bit() {
     assert_eq!(scene.span(), (0.0, 1.0 / 3.0));
     assert_eq!(scene.placement(), intervals[0].placement);
     for (i, expected) in intervals.iter().enumerate() {
-        let found = scene.interval(i, &workers()).expect("just written");
+        let found = scene.interval(i).expect("just written");
         assert_eq!(found.gaussians, expected.gaussians);
         assert_eq!((found.index, found.start, found.end), (expected.index, expected.start, expected.end));
         assert_eq!((&found.merges, found.dropped), (&expected.merges, expected.dropped));
@@ -88,23 +81,23 @@ fn a_flipped_byte_a_short_file_and_a_missing_one_are_named() {
     flipped[bytes.len() / 2] ^= 1;
     for (content, expected) in [(&flipped[..], "digest"), (&bytes[..50], "bytes")] {
         std::fs::write(&file, content).expect("writable");
-        let error = scene.interval(1, &workers()).expect_err("broken").to_string();
+        let error = scene.interval(1).expect_err("broken").to_string();
         assert!(error.contains("interval-000001.safetensors") && error.contains(expected), "{error}");
     }
     std::fs::remove_file(&file).expect("there");
-    assert!(matches!(scene.interval(1, &workers()), Err(SceneError::Read { .. })));
+    assert!(matches!(scene.interval(1), Err(SceneError::Read { .. })));
 }
 
 #[test]
 fn broken_tensors_and_indices_are_errors() {
     let placement = interval(0, 0.0, 0.0, 0).placement;
     let bytes = to_safetensors(&interval(1, 0.0, 1.0, 4)).expect("even arrays");
-    assert!(from_safetensors(&bytes, placement, workers()).is_ok());
+    assert!(from_safetensors(&bytes, placement).is_ok());
     for end in [0, 7, 8, 100, bytes.len() - 1] {
-        assert!(from_safetensors(&bytes[..end], placement, workers()).is_err(), "{end}");
+        assert!(from_safetensors(&bytes[..end], placement).is_err(), "{end}");
     }
     let backwards = to_safetensors(&interval(1, 2.0, 1.0, 1)).expect("even arrays");
-    assert!(from_safetensors(&backwards, placement, workers()).is_err_and(|e| e.contains("time")));
+    assert!(from_safetensors(&backwards, placement).is_err_and(|e| e.contains("time")));
 
     let folder = tempfile::tempdir().expect("a temporary folder");
     written(folder.path());
@@ -132,12 +125,12 @@ fn a_change_of_colour_comes_back_bit_for_bit_and_is_not_there_where_there_is_non
     let placement = changing.placement;
     let plain = to_safetensors(&changing).expect("even arrays");
     assert!(!plain.windows(8).any(|w| w == b"rgb_rate"));
-    let found = from_safetensors(&plain, placement, workers()).expect("just written");
+    let found = from_safetensors(&plain, placement).expect("just written");
     assert_eq!(found.gaussians.rgb_rate, vec![[0.0; 3]; 7]);
     changing.gaussians.rgb_rate[3] = [0.1, -0.0, f32::from_bits(1)];
     changing.gaussians.rgb_rate[6] = [-1.0 / 3.0, 2.5, 1e-9];
     let bytes = to_safetensors(&changing).expect("even arrays");
-    let found = from_safetensors(&bytes, placement, workers()).expect("just written");
+    let found = from_safetensors(&bytes, placement).expect("just written");
     let bits =
         |g: &crate::stream::DynamicGaussians| g.rgb_rate.as_flattened().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&found.gaussians), bits(&changing.gaussians));

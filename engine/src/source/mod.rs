@@ -63,7 +63,7 @@ impl AsRef<Picture> for TimedPicture {
 
 /// A video being read, frame by frame; holds one frame at a time.
 pub struct Source {
-    kind: Kind,
+    kind: Input,
     path: PathBuf,
     /// Frames per second as a fraction.
     rate: (f64, f64),
@@ -73,7 +73,7 @@ pub struct Source {
     first: Option<(PathBuf, (usize, usize))>,
 }
 
-enum Kind {
+enum Input {
     Files(Vec<PathBuf>),
     File(Y4m<BufReader<File>>),
     Stdin(Y4m<BufReader<Stdin>>),
@@ -99,26 +99,26 @@ impl Source {
             return Err(SourceError::FrameRate(fps));
         }
         let kind = if input == Path::new("-") {
-            Kind::Stdin(Y4m::new(BufReader::with_capacity(1 << 16, std::io::stdin()), input)?)
+            Input::Stdin(Y4m::new(BufReader::with_capacity(1 << 16, std::io::stdin()), input)?)
         } else if std::fs::metadata(input).map_err(SourceError::read(input))?.is_dir() {
-            Kind::Files(folder::images(input)?)
+            Input::Files(folder::images(input)?)
         } else if folder::is_image(input) {
-            Kind::Files(vec![input.to_owned()])
+            Input::Files(vec![input.to_owned()])
         } else if starts_as_y4m(input)? {
             let file = File::open(input).map_err(SourceError::read(input))?;
-            Kind::File(Y4m::new(BufReader::with_capacity(1 << 16, file), input)?)
+            Input::File(Y4m::new(BufReader::with_capacity(1 << 16, file), input)?)
         } else {
-            Kind::Ffmpeg(Box::new(Ffmpeg::open(input)?))
+            Input::Ffmpeg(Box::new(Ffmpeg::open(input)?))
         };
         let own = match &kind {
-            Kind::Files(_) => None,
-            Kind::File(y4m) => y4m.header().rate,
-            Kind::Stdin(y4m) => y4m.header().rate,
-            Kind::Ffmpeg(video) => video.header().rate,
+            Input::Files(_) => None,
+            Input::File(y4m) => y4m.header().rate,
+            Input::Stdin(y4m) => y4m.header().rate,
+            Input::Ffmpeg(video) => video.header().rate,
         };
         // A rate that was asked for goes before the file's own times.
         let uneven = match &kind {
-            Kind::Ffmpeg(video) if options.fps.is_none() => video.uneven(),
+            Input::Ffmpeg(video) if options.fps.is_none() => video.uneven(),
             _ => None,
         };
         let rate = match (options.fps, uneven, own) {
@@ -133,7 +133,7 @@ impl Source {
     /// The sound track of a video file, if it has one.
     pub fn sound(&self) -> Option<Sound> {
         match &self.kind {
-            Kind::Ffmpeg(video) => video.sound(),
+            Input::Ffmpeg(video) => video.sound(),
             _ => None,
         }
     }
@@ -141,7 +141,7 @@ impl Source {
     /// Conversions of the pictures on the way in and parts of the input that are left out, a line each.
     pub fn notes(&self) -> &[String] {
         match &self.kind {
-            Kind::Ffmpeg(video) => video.notes(),
+            Input::Ffmpeg(video) => video.notes(),
             _ => &[],
         }
     }
@@ -149,21 +149,21 @@ impl Source {
     /// How many frames there are, where that is known beforehand: image files, and a y4m file of whole frames.
     pub fn frames(&self) -> Option<usize> {
         match &self.kind {
-            Kind::Files(files) => Some(files.len()),
-            Kind::File(y4m) => {
+            Input::Files(files) => Some(files.len()),
+            Input::File(y4m) => {
                 let length = std::fs::metadata(&self.path).ok()?.len();
                 let each = (FRAME.len() + y4m.header().frame_bytes()) as u64;
                 let frames = length.checked_sub(y4m.header_bytes())?;
                 frames.is_multiple_of(each).then(|| usize::try_from(frames / each).ok()).flatten()
             }
-            Kind::Stdin(_) | Kind::Ffmpeg(_) => None,
+            Input::Stdin(_) | Input::Ffmpeg(_) => None,
         }
     }
 
     /// How many frames there may be, for telling how far the work is: [`Source::frames`], or what a video file says of itself.
     pub fn expected_frames(&self) -> Option<usize> {
         match &self.kind {
-            Kind::Ffmpeg(video) => video.expected_frames(),
+            Input::Ffmpeg(video) => video.expected_frames(),
             _ => self.frames(),
         }
     }
@@ -171,7 +171,7 @@ impl Source {
     /// The image files, where the frames are files.
     pub fn files(&self) -> Option<&[PathBuf]> {
         match &self.kind {
-            Kind::Files(files) => Some(files),
+            Input::Files(files) => Some(files),
             _ => None,
         }
     }
@@ -187,13 +187,13 @@ impl Source {
     /// A frame that cannot be read or has another size than the first.
     pub fn next_frame(&mut self) -> Result<Option<TimedPicture>, SourceError> {
         let (path, picture) = match &mut self.kind {
-            Kind::Files(files) => match files.get(self.next) {
+            Input::Files(files) => match files.get(self.next) {
                 Some(file) => (file.clone(), Some(decode::decode_file(file)?)),
                 None => return Ok(None),
             },
-            Kind::File(y4m) => (self.path.clone(), y4m.next_picture()?),
-            Kind::Stdin(y4m) => (self.path.clone(), y4m.next_picture()?),
-            Kind::Ffmpeg(video) => (self.path.clone(), video.next_picture()?),
+            Input::File(y4m) => (self.path.clone(), y4m.next_picture()?),
+            Input::Stdin(y4m) => (self.path.clone(), y4m.next_picture()?),
+            Input::Ffmpeg(video) => (self.path.clone(), video.next_picture()?),
         };
         let Some(picture) = picture else { return Ok(None) };
         let found = (picture.width, picture.height);
@@ -204,7 +204,7 @@ impl Source {
         let index = self.next;
         self.next += 1;
         let own = match &self.kind {
-            Kind::Ffmpeg(video) if self.uneven => video.time(index),
+            Input::Ffmpeg(video) if self.uneven => video.time(index),
             _ => None,
         };
         let timestamp = own.unwrap_or(index as f64 * self.rate.1 / self.rate.0);

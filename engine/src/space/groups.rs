@@ -1,13 +1,12 @@
 //! Gaussians in groups of neighbours, for many images of a scene of which each shows a part.
 
 use rayon::prelude::*;
+use streamsplat_kernels::raster::ALPHA_MIN;
 
 use super::window::{LARGEST, Window, reach};
 
 /// Gaussians of a group.
 const GROUP: usize = 64;
-/// Least opacity that can be drawn.
-const VISIBLE: f32 = 1.0 / 255.0;
 /// Steps of the lattice along each axis on which neighbours are found, as a power of two.
 const STEPS: u32 = 21;
 
@@ -54,7 +53,7 @@ impl Groups {
         let (all, others): (Vec<u32>, Vec<u32>) =
             (0..mean.len() as u32).into_par_iter().partition(|&i| known(i as usize));
         // What is too faint to be seen is in no group: no image shows it.
-        let all: Vec<u32> = all.into_par_iter().filter(|&i| opacity[i as usize] >= VISIBLE).collect();
+        let all: Vec<u32> = all.into_par_iter().filter(|&i| opacity[i as usize] >= ALPHA_MIN).collect();
         let (least, greatest) = all.par_iter().map(|&i| (mean[i as usize], mean[i as usize])).reduce(
             || ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]),
             |(a, b), (c, d)| (std::array::from_fn(|k| a[k].min(c[k])), std::array::from_fn(|k| b[k].max(d[k]))),

@@ -13,7 +13,7 @@
 //! A frustum cannot tell what an image shows: the affine footprint of a Gaussian beside a pinhole can reach into the image where the
 //! Gaussian itself is outside. `Window` bounds the rasteriser's footprints instead, of one Gaussian or of a box of centres. What it
 //! misses, where that is more than half of a scene, is left out before anything of it is computed. The image keeps its bits;
-//! [`Painter::left_out`](crate::render::Painter::left_out) counts.
+//! [`Renderer::left_out`](crate::render::Renderer::left_out) counts.
 //!
 //! Still scenes are drawn so ([`Drawable::grouped`](crate::still::Drawable::grouped)), for a camera path shows many images of one:
 //! their Gaussians are asked in groups of 64 neighbours along a Z-order curve. Intervals are not: each shows a few images, and grouping

@@ -9,7 +9,7 @@ use streamsplat_kernels::raster::{Gaussians, Image, Request};
 
 use super::Still;
 use crate::camera::{Camera, Lens, Pose, Rotation};
-use crate::render::{Painter, RenderError, RenderOptions, Size, View};
+use crate::render::{RenderError, RenderOptions, Renderer, Size, View};
 use crate::space::{Groups, Window};
 use crate::stream::Workers;
 
@@ -136,13 +136,13 @@ pub(super) fn eye(pose: &Pose, lens: &Lens) -> Eye {
     }
 }
 
-impl Painter {
+impl Renderer {
     /// A still scene, seen by `camera`.
     ///
     /// # Errors
     /// The canonical camera and sizes that need a source, neither of which such a scene has; sizes that cannot be drawn; cameras that
     /// see nothing.
-    pub fn draw_still(
+    pub fn render_still(
         &mut self,
         scene: &Drawable,
         camera: &Camera,
@@ -160,7 +160,7 @@ impl Painter {
         let places = groups.as_ref().zip(window);
         let places = places.and_then(|(groups, window)| self.workers().install(|| groups.seen(&window)));
         let places = places.as_deref();
-        let (workers, drawer) = self.parts(places.map_or(0, |places| (still.len() - places.len()) as u64));
+        let (workers, rasteriser) = self.parts(places.map_or(0, |places| (still.len() - places.len()) as u64));
         workers.install(|| {
             let mut mean = chosen(&still.mean, places).into_owned();
             let (scale, opacity) = (chosen(scale, places), chosen(opacity, places));
@@ -175,7 +175,7 @@ impl Painter {
                 rotation.par_iter().with_min_len(CHUNK).map(|own| after(turn, *own)).collect();
             let gaussians =
                 Gaussians { mean: &mean, scale: &scale, rotation: Some(&rotation), opacity: &opacity, rgb: &rgb };
-            drawer.render(&gaussians, view.projection(), &request)
+            rasteriser.render(&gaussians, view.projection(), &request)
         })
     }
 }

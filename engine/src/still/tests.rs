@@ -5,7 +5,7 @@ use streamsplat_kernels::raster::reference;
 
 use super::{Drawable, Still};
 use crate::camera::{Camera, Lens, Pose, Rotation};
-use crate::render::{Painter, RenderError, RenderOptions, Size};
+use crate::render::{RenderError, RenderOptions, Renderer, Size};
 use crate::stream::Workers;
 
 fn still(count: usize, degree: usize) -> Still {
@@ -42,7 +42,7 @@ fn images_are_the_same_on_every_level_and_for_any_number_of_threads() {
     let draw = |level: Level, threads: usize, camera: &Camera| {
         let workers = Workers::new(level, threads).expect("threads start");
         let drawable = Drawable::new(scene.clone(), &workers).expect("even arrays");
-        Painter::new(&workers).draw_still(&drawable, camera, &options(96, 64)).expect("a camera").clone()
+        Renderer::new(&workers).render_still(&drawable, camera, &options(96, 64)).expect("a camera").clone()
     };
     for camera in cameras() {
         let expected = draw(Level::scalar(), 1, &camera);
@@ -62,7 +62,8 @@ fn an_image_is_what_its_formulas_say() {
     let drawable = Drawable::new(scene.clone(), &workers).expect("even arrays");
     for camera in cameras() {
         let Camera::Posed { pose, lens } = camera else { panic!("posed") };
-        let image = Painter::new(&workers).draw_still(&drawable, &camera, &options(60, 40)).expect("a camera").clone();
+        let image =
+            Renderer::new(&workers).render_still(&drawable, &camera, &options(60, 40)).expect("a camera").clone();
         // The same in binary64 with the C library's functions, through the rasteriser's reference.
         let eye = super::draw::eye(&pose, &lens);
         let (mut mean, mut scale, mut rotation, mut opacity, mut rgb) = (vec![], vec![], vec![], vec![], vec![]);
@@ -108,15 +109,15 @@ fn product([aw, ax, ay, az]: [f64; 4], [bw, bx, by, bz]: [f64; 4]) -> [f32; 4] {
 fn what_a_still_scene_does_not_have_is_said() {
     let workers = Workers::new(Level::scalar(), 1).expect("one thread");
     let drawable = Drawable::new(still(3, 0), &workers).expect("even arrays");
-    let mut painter = Painter::new(&workers);
+    let mut renderer = Renderer::new(&workers);
     let [camera, ..] = cameras();
-    let of = |camera: &Camera, size: Size, painter: &mut Painter| {
-        painter.draw_still(&drawable, camera, &RenderOptions { size, ..RenderOptions::default() }).err()
+    let of = |camera: &Camera, size: Size, renderer: &mut Renderer| {
+        renderer.render_still(&drawable, camera, &RenderOptions { size, ..RenderOptions::default() }).err()
     };
     let exact = Size::Exact { width: 4, height: 4 };
-    assert_eq!(of(&Camera::Canonical, exact, &mut painter), Some(RenderError::NoOwnCamera));
-    assert_eq!(of(&camera, Size::Model, &mut painter), Some(RenderError::NoOwnSize));
-    assert_eq!(of(&camera, exact, &mut painter), None);
+    assert_eq!(of(&Camera::Canonical, exact, &mut renderer), Some(RenderError::NoOwnCamera));
+    assert_eq!(of(&camera, Size::Model, &mut renderer), Some(RenderError::NoOwnSize));
+    assert_eq!(of(&camera, exact, &mut renderer), None);
     let mut uneven = still(3, 1);
     uneven.higher.pop();
     assert!(matches!(Drawable::new(uneven, &workers), Err(RenderError::Records { array: "higher", .. })));
@@ -137,7 +138,7 @@ fn bad_numbers_are_dropped_and_counted() {
     for camera in cameras() {
         let draw = |still: &Still| {
             let drawable = Drawable::new(still.clone(), &workers).expect("even arrays");
-            Painter::new(&workers).draw_still(&drawable, &camera, &options(48, 32)).expect("a camera").clone()
+            Renderer::new(&workers).render_still(&drawable, &camera, &options(48, 32)).expect("a camera").clone()
         };
         let (found, expected) = (draw(&spoiled), draw(&hidden));
         assert_eq!((found.dropped, expected.dropped), (5, 0));

@@ -22,6 +22,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use streamsplat_kernels::parallel::map_indexed;
+use streamsplat_kernels::raster::ALPHA_MIN;
 use streamsplat_model::StaticGaussians;
 
 use super::fuse::fuse;
@@ -32,8 +33,6 @@ use super::{DynamicGaussians, Fusion, Merge, Record, Reference};
 
 /// Gaussians per task.
 pub(super) const CHUNK: usize = 2048;
-/// Least opacity that can be drawn.
-pub(crate) const VISIBLE: f32 = 1.0 / 255.0;
 
 /// One Gaussian of the last key frame, as a stream remembers it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -98,7 +97,7 @@ impl CanonicalSet {
             let mut record = still(gaussians, cell, 0);
             if !record.is_sound() {
                 out.dropped += 1;
-            } else if record.opacity >= VISIBLE {
+            } else if record.opacity >= ALPHA_MIN {
                 record.identity = set.identities.fresh();
                 set.current.push(Current { cell: cell as u32, identity: record.identity, birth: 0, offset: [0.0; 3] });
                 out.gaussians.push(record);
@@ -207,7 +206,7 @@ fn arriving(step: &Step<'_>, frame: u64, dropped: &mut u64) -> Vec<Arrival> {
                 lost += 1;
                 continue;
             }
-            if record.opacity < VISIBLE {
+            if record.opacity < ALPHA_MIN {
                 continue;
             }
             let (velocity, gamma) = (step.backward.0[cell], step.backward.1[cell]);

@@ -53,7 +53,7 @@ impl Engine {
         let options = LoadOptions {
             level: workers.level(),
             precision: settings.precision,
-            compute_silent: settings.reuse == Reuse::Off,
+            compute_zero_output: settings.reuse == Reuse::Off,
         };
         let model = workers.install(|| settings.model.load(&options))?;
         Ok(Self::from_parts(settings, workers, model))
@@ -141,7 +141,7 @@ impl Engine {
             tiles.tiles.iter_mut().for_each(|tile| tile.session.forget());
         }
         self.work.tokens(&tokens(&tiles));
-        self.work.branches(self.model.silent());
+        self.work.branches(self.model.zero_output());
         self.tiles = Some(tiles);
         interval
     }
@@ -226,8 +226,7 @@ impl Engine {
         self.state = Some(State { frame: index, timestamp, placement, view, pair: next_pair, set });
         let Advance { gaussians, merges, dropped } = advance;
         let dropped = dropped + lost;
-        let workers = self.workers.clone();
-        Ok(Interval { index, start, end: timestamp, gaussians, placement, merges, dropped, workers })
+        Ok(Interval { index, start, end: timestamp, gaussians, placement, merges, dropped })
     }
 
     /// The frames in between as flow sees them.

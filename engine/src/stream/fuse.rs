@@ -1,8 +1,9 @@
 //! Where two frames meet: identities pass on, the continued hand over, the rest survives for a while.
 
 use rayon::prelude::*;
+use streamsplat_kernels::raster::ALPHA_MIN;
 
-use super::canonical::{Arrival, CHUNK, VISIBLE};
+use super::canonical::{Arrival, CHUNK};
 use super::identities::Identities;
 use super::matching::{Lattice, Probe, match_up};
 use super::{Handover, Merge, Record, Reference};
@@ -100,7 +101,7 @@ pub(super) fn fuse(
 /// A vanishing Gaussian as it is at the key frame, while it can be seen.
 fn survivor(record: &Record, end: [f32; 3]) -> Option<Record> {
     let opacity = record.opacity_at(1.0);
-    (opacity >= VISIBLE).then(|| Record {
+    (opacity >= ALPHA_MIN).then(|| Record {
         mean: end,
         opacity,
         gamma: [record.gamma[0].max(FADE), 0.0],

@@ -1,6 +1,6 @@
 //! Intervals, one per key frame: the Gaussians between the key frame before and this one.
 
-use super::{DynamicGaussians, Workers};
+use super::DynamicGaussians;
 use crate::fit::Placement;
 
 /// An identity that ended at an interval's end because another Gaussian shows the same place.
@@ -29,8 +29,6 @@ pub struct Interval {
     pub merges: Vec<Merge>,
     /// Gaussians left out because a number of theirs was not finite.
     pub dropped: u64,
-    /// Threads and level that draw it.
-    pub workers: Workers,
 }
 
 impl Interval {
@@ -54,8 +52,6 @@ impl Interval {
 
 #[cfg(test)]
 mod tests {
-    use streamsplat_kernels::Level;
-
     use super::*;
 
     #[test]
@@ -70,7 +66,6 @@ mod tests {
                 placement: Placement { source: [1; 2], model: [1; 2], offset: [0; 2], content: [1; 2] },
                 merges: Vec::new(),
                 dropped: 0,
-                workers: Workers::new(Level::scalar(), 1).expect("a thread"),
             };
             assert_eq!([start, end].map(|time| interval.relative(time)), [Some(0.0), Some(1.0)], "{start} to {end}");
             let middle = interval.relative(0.5 * start + 0.5 * end);

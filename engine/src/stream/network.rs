@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use streamsplat_model::reuse::{Saving, Tokens};
-use streamsplat_model::silent::Silent;
+use streamsplat_model::zero_output::ZeroOutput;
 use streamsplat_model::{
     self as model, Dino, Embedding, FrameInput, LoadOptions, ModelError, Network, Sampling, Side, StaticGaussians,
     StaticPosition,
@@ -14,9 +14,9 @@ use super::reconstructor::{Motion, Session, Tiling};
 use super::{EngineError, Reconstructor};
 
 /// The small checkpoint that is part of the library: a safetensors file in the official layout.
-pub static EMBEDDED_CHECKPOINT: &[u8] = include_bytes!("../../../fixtures/lite/lite.safetensors");
+pub static EMBEDDED_CHECKPOINT: &[u8] = include_bytes!("../../lite/lite.safetensors");
 /// The configuration of [`EMBEDDED_CHECKPOINT`]: what shapes cannot say.
-pub const EMBEDDED_CONFIG: &str = include_str!("../../../fixtures/lite/lite.json");
+pub const EMBEDDED_CONFIG: &str = include_str!("../../lite/lite.json");
 
 /// A network, with DINOv2 where it is conditioned on that, and without where its condition is the other frame's embedding.
 pub(super) struct Conditioned {
@@ -67,10 +67,10 @@ impl Reconstructor for Conditioned {
         self.network.config().ignores_depth
     }
 
-    fn silent(&self) -> &[Silent] {
-        match self.network.options().compute_silent {
+    fn zero_output(&self) -> &[ZeroOutput] {
+        match self.network.options().compute_zero_output {
             true => &[],
-            false => self.network.silent(),
+            false => self.network.zero_output(),
         }
     }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use streamsplat_model::reuse::{Saving, Tokens};
-use streamsplat_model::silent::Silent;
+use streamsplat_model::zero_output::ZeroOutput;
 use streamsplat_model::{Embedding, FrameInput, ModelError, Sampling, Side, StaticGaussians};
 
 /// Velocity (world units per interval) and (γ₀, γ₁) of each of a frame's Gaussians.
@@ -46,7 +46,7 @@ pub trait Reconstructor: Send + Sync {
     }
 
     /// Residual branches that add nothing and are left out, by part.
-    fn silent(&self) -> &[Silent] {
+    fn zero_output(&self) -> &[ZeroOutput] {
         &[]
     }
 

@@ -290,7 +290,7 @@ named! {
 pub enum Reuse {
     /// None.
     Off,
-    /// Results of the same input bits as before, and branches that add zero ([`streamsplat_model::silent`]). No output bit changes.
+    /// Results of the same input bits as before, and branches that add zero ([`streamsplat_model::zero_output`]). No output bit changes.
     #[default]
     Exact,
     /// Also what would be computed from tokens that moved by no more than this fraction of their length, from 0 to 1. See

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use streamsplat_model::reuse::Tokens;
-use streamsplat_model::silent::Silent;
+use streamsplat_model::zero_output::ZeroOutput;
 
 /// One stage's account.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -105,10 +105,10 @@ impl Work {
         }
     }
 
-    /// The accounts of the network's residual branches, those left out being `silent`: one for every call of a part so far, each under its stage's name and
-    /// `.branches`. None where nothing is silent.
-    pub(crate) fn branches(&mut self, silent: &[Silent]) {
-        if silent.iter().all(|part| part.silent == 0) {
+    /// The accounts of the network's residual branches, `zero_output` telling which are left out: one for every call of a part so far, each under its stage's name and
+    /// `.branches`. None where none is left out.
+    pub(crate) fn branches(&mut self, zero_output: &[ZeroOutput]) {
+        if zero_output.iter().all(|part| part.zero_output == 0) {
             return;
         }
         let calls = |stage: Stage| self.stages[stage as usize].done;
@@ -123,10 +123,10 @@ impl Work {
         ];
         for (stage, parts) in accounts {
             let (mut done, mut avoided) = (0, 0);
-            for part in silent {
+            for part in zero_output {
                 let calls: u64 = parts.iter().filter(|(name, _)| *name == part.part).map(|(_, calls)| calls).sum();
-                done += calls * (part.branches - part.silent) as u64;
-                avoided += calls * part.silent as u64;
+                done += calls * (part.branches - part.zero_output) as u64;
+                avoided += calls * part.zero_output as u64;
             }
             self.replace(StageWork { stage, done, avoided, unit: "branches", time: Duration::ZERO });
         }

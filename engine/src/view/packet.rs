@@ -30,6 +30,7 @@
 //! number that is not finite. The order is the drawing order.
 
 use half::f16;
+use streamsplat_kernels::raster::ALPHA_MIN;
 
 use crate::stream::{Interval, Record};
 
@@ -41,8 +42,6 @@ pub const VERSION: u32 = 2;
 pub const HEADER: usize = 96;
 /// Bytes of a record.
 pub const RECORD: usize = 32;
-/// Smallest opacity that is drawn.
-const VISIBLE: f32 = 1.0 / 255.0;
 /// Steps of the largest rate.
 const RATE_STEPS: f32 = 127.0;
 /// Steps of a range.
@@ -96,7 +95,7 @@ pub fn packet(interval: &Interval) -> Vec<u8> {
 /// Returns true if the record can be visible in an image of the interval.
 fn can_be_seen(r: &Record) -> bool {
     let (y, other) = (r.position_at(0.0)[1], r.position_at(1.0)[1]);
-    r.is_sound() && r.opacity >= VISIBLE && y.max(other) >= 0.0 && y.min(other) <= 1.0
+    r.is_sound() && r.opacity >= ALPHA_MIN && y.max(other) >= 0.0 && y.min(other) <= 1.0
 }
 
 /// Evenly spaced values over a range, per axis.
@@ -145,16 +144,13 @@ fn unit(value: f32, steps: f64) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use streamsplat_kernels::Level;
-
     use super::*;
     use crate::fit::{Fit, Placement};
-    use crate::stream::{DynamicGaussians, Handover, Reference, Workers};
+    use crate::stream::{DynamicGaussians, Handover, Reference};
 
     fn interval(gaussians: DynamicGaussians) -> Interval {
         let placement = Placement::new(Fit::Letterbox, [24, 40], [24, 40]).expect("sizes");
-        let workers = Workers::new(Level::scalar(), 1).expect("a thread");
-        Interval { index: 70_000, start: 0.25, end: 0.5, gaussians, placement, merges: Vec::new(), dropped: 0, workers }
+        Interval { index: 70_000, start: 0.25, end: 0.5, gaussians, placement, merges: Vec::new(), dropped: 0 }
     }
 
     fn records() -> Vec<Record> {

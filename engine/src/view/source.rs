@@ -78,7 +78,7 @@ impl Recorded {
 
     /// Interval `i`, of which there must be so many.
     fn interval(&self, i: usize) -> Result<Interval, SceneError> {
-        self.scene.interval(i, &self.workers)
+        self.scene.interval(i)
     }
 }
 
@@ -104,7 +104,7 @@ impl Source for Recorded {
         if i >= self.scene.index().intervals.len() {
             return Ok(None);
         }
-        Ok(Some(packet(&self.scene.interval(i, &self.workers)?).into()))
+        Ok(Some(packet(&self.scene.interval(i)?).into()))
     }
 }
 
@@ -114,7 +114,7 @@ impl Whole for Recorded {
     /// Of the size that the model saw it in.
     fn poster(&self) -> Result<Picture, PageError> {
         let interval = self.interval(0)?;
-        let image = interval.render(interval.start, &Camera::Canonical, &RenderOptions::default())?;
+        let image = interval.render(interval.start, &Camera::Canonical, &RenderOptions::default(), &self.workers)?;
         Ok(Picture { width: image.width, height: image.height, rgb: image.rgb })
     }
 
@@ -123,7 +123,7 @@ impl Whole for Recorded {
         let mut chunks = ImageChunks::default();
         for i in 0..self.scene.index().intervals.len() {
             let interval = self.interval(i)?;
-            let (chunk, alone) = chunks.next(&interval);
+            let (chunk, alone) = chunks.next(&interval, &self.workers);
             put(&[&interval.index.to_le_bytes()[..], &[u8::from(alone)], &chunk].concat())?;
         }
         Ok(())
@@ -212,8 +212,6 @@ impl Source for Live {
 
 #[cfg(test)]
 mod tests {
-    use streamsplat_kernels::Level;
-
     use super::*;
     use crate::fit::Fit;
     use crate::stream::{DynamicGaussians, Record};
@@ -222,9 +220,8 @@ mod tests {
         let record = Record { mean: [0.0, 0.5, 0.0], opacity: 1.0, ..Record::default() };
         let gaussians: DynamicGaussians = (0..gaussians).map(|_| record).collect();
         let placement = Placement::new(Fit::Letterbox, [24, 40], [24, 40]).expect("sizes");
-        let workers = Workers::new(Level::scalar(), 1).expect("a thread");
         let (start, end) = (index as f64, index as f64 + 1.0);
-        Interval { index, start, end, gaussians, placement, merges: Vec::new(), dropped: 0, workers }
+        Interval { index, start, end, gaussians, placement, merges: Vec::new(), dropped: 0 }
     }
 
     #[test]

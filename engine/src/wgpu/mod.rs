@@ -1,7 +1,7 @@
 //! Drawing with a graphics card, through `wgpu` and Vulkan. Outside of the bit contract.
 //!
 //! The Gaussians are projected, binned and sorted on the CPU by the code of the contract
-//! ([`streamsplat_kernels::raster::Renderer::lists`]); footprints and lists go to the device, where a compute shader
+//! ([`streamsplat_kernels::raster::Rasteriser::lists`]); footprints and lists go to the device, where a compute shader
 //! (`blend.wgsl`) blends every pixel; the planes that were asked for come back.
 //!
 //! # Outside of the bit contract
@@ -25,7 +25,7 @@ use std::time::Instant;
 
 use bytemuck::{Pod, Zeroable};
 use streamsplat_kernels::Level;
-use streamsplat_kernels::raster::{Gaussians, Image, Lists, Projection, Renderer, Request, TILE_PIXELS, Work};
+use streamsplat_kernels::raster::{Gaussians, Image, Lists, Projection, Rasteriser, Request, TILE_PIXELS, Work};
 use wgpu::{Buffer, BufferUsages};
 
 use device::Gpu;
@@ -37,9 +37,9 @@ const _: () = assert!(TILE_PIXELS[0] == 64 && TILE_PIXELS[1] == 32);
 
 /// A renderer that blends on a graphics card.
 #[derive(Debug)]
-pub struct WgpuRenderer {
+pub struct WgpuRasteriser {
     gpu: Gpu,
-    coarse: Renderer,
+    coarse: Rasteriser,
     lists: Lists,
     buffers: Buffers,
     image: Image,
@@ -81,7 +81,7 @@ fn planes(request: &Request) -> ([u32; 4], u32) {
     (planes, next)
 }
 
-impl WgpuRenderer {
+impl WgpuRasteriser {
     /// A renderer on the strongest adapter there is, which may be a software one. What stays on the CPU runs on `level`.
     ///
     /// # Errors
@@ -89,7 +89,7 @@ impl WgpuRenderer {
     pub fn new(level: Level) -> Result<Self, WgpuError> {
         Ok(Self {
             gpu: Gpu::new()?,
-            coarse: Renderer::new(level),
+            coarse: Rasteriser::new(level),
             lists: Lists::default(),
             buffers: Buffers::default(),
             image: Image::default(),

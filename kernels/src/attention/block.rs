@@ -4,7 +4,7 @@
 
 use std::marker::PhantomData;
 
-use super::layout::{Layout, Task};
+use super::layout::{Layout, QueryBlock};
 use super::rows::{KEY_BLOCK, LARGEST_SCALE, Rows, WHOLE};
 use super::weighted_sum::{Scores, Weighed, WeightedSum};
 use crate::gemm::form::{Form, Multiply, values_of_a_word};
@@ -25,10 +25,10 @@ pub(super) struct Packed<'a> {
     pub(super) value_scales: &'a [f32],
 }
 
-/// The work of one [`Task`], with the operands of `q·k` in the form `A` and `w·v` as `W` holds it.
+/// The work of one [`QueryBlock`], with the operands of `q·k` in the form `A` and `w·v` as `W` holds it.
 pub(super) struct Block<'a, A, W> {
     pub(super) layout: &'a Layout,
-    pub(super) task: &'a Task,
+    pub(super) task: &'a QueryBlock,
     pub(super) q: Rows<'a>,
     pub(super) k: Rows<'a>,
     pub(super) v: Rows<'a>,

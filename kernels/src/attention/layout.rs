@@ -23,7 +23,7 @@ struct Gathered {
 }
 
 /// A block of queries of one head and window.
-pub(super) struct Task {
+pub(super) struct QueryBlock {
     pub(super) window: usize,
     pub(super) head: usize,
     pub(super) queries: Range<usize>,
@@ -167,13 +167,13 @@ impl Layout {
         start..start + self.head_len()
     }
 
-    pub(super) fn tasks(&self) -> Vec<Task> {
+    pub(super) fn tasks(&self) -> Vec<QueryBlock> {
         let mut tasks = Vec::new();
         for window in 0..self.windows() {
             let count = self.queries(window);
             for head in 0..self.shape.heads {
                 for start in (0..count).step_by(QUERY_BLOCK) {
-                    tasks.push(Task { window, head, queries: start..(start + QUERY_BLOCK).min(count) });
+                    tasks.push(QueryBlock { window, head, queries: start..(start + QUERY_BLOCK).min(count) });
                 }
             }
         }

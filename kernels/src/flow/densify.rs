@@ -1,5 +1,7 @@
 //! From patches to pixels.
 
+#![expect(unsafe_code, reason = "tasks write rows of one field")]
+
 use super::options::PATCH;
 use super::pyramid::{Plane, ROWS};
 use super::search::{Found, Grid};

@@ -1,5 +1,7 @@
 //! Fields of displacements, and pictures displaced by them.
 
+#![expect(unsafe_code, reason = "tasks write rows of one field")]
+
 use tracing::debug_span;
 
 use super::FlowError;

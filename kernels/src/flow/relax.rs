@@ -4,6 +4,8 @@
 //! neither their order nor the tasks they are cut into change a bit. The half-steps of a solve are done in bands of rows that stay in the cache: first
 //! a trapezoid of every band that shrinks by a row on either side a half-step, then the gaps between the bands, which grow likewise.
 
+#![expect(unsafe_code, reason = "tasks update rows of one field, whose neighbours are read by pointer")]
+
 use super::split::{Columns, Places, Split};
 use crate::Level;
 use crate::parallel::{Disjoint, map_indexed};

@@ -1,5 +1,7 @@
 //! Pictures and fields between their pixels: bilinear, the border repeated.
 
+#![expect(unsafe_code, reason = "taps are read without a check for each")]
+
 use crate::simd::{LANES, Simd};
 
 /// Coordinates on one axis, for every lane: the lower of two taps, the step to the upper one, the upper one's weight.

@@ -1,5 +1,7 @@
 //! Inverse search: the displacement of every patch.
 
+#![expect(unsafe_code, reason = "rows of patches are read by pointer")]
+
 use super::options::{Options, PATCH};
 use super::pyramid::{PAD, Plane, Scale};
 use crate::Level;

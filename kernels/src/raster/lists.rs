@@ -8,7 +8,7 @@ use tracing::debug_span;
 
 use super::bin::{Grid, TILE};
 use super::project::{BLOCK, Splat, split};
-use super::renderer::Renderer;
+use super::rasteriser::Rasteriser;
 use super::sort::by_depth;
 use super::{Gaussians, Projection, Request};
 
@@ -90,9 +90,9 @@ pub struct Lists {
     pub order: Vec<u32>,
 }
 
-impl Renderer {
-    /// Projects, bins and sorts `gaussians` as [`Renderer::render`] does and leaves the blend to the caller; `to` is filled anew.
-    /// The next image starts from nothing. [`Renderer::work`] tells what this cost; nothing counts as drawn.
+impl Rasteriser {
+    /// Projects, bins and sorts `gaussians` as [`Rasteriser::render`] does and leaves the blend to the caller; `to` is filled anew.
+    /// The next image starts from nothing. [`Rasteriser::work`] tells what this cost; nothing counts as drawn.
     ///
     /// The lists are the same for every level and number of threads.
     ///

@@ -51,20 +51,17 @@
 
 mod bin;
 mod blend;
-#[expect(
-    unsafe_code,
-    reason = "tiles are written by several tasks, and hits behind one another without a check for each"
-)]
 mod linear;
 mod lists;
 mod project;
+mod rasteriser;
 pub mod reference;
-mod renderer;
 mod sort;
 
-pub use linear::{ColourFit, ColourMap, Solution, View as FitView, WEIGHT_BYTES};
+pub use linear::{ColourFit, ColourMap, FitView, Solution, WEIGHT_BYTES};
 pub use lists::{Footprint, Lists, TILE_PIXELS};
-pub use renderer::{Renderer, Work};
+pub use project::ALPHA_MIN;
+pub use rasteriser::{Rasteriser, Work};
 
 use crate::level::Level;
 
@@ -228,15 +225,15 @@ pub struct Image {
 /// Draws `gaussians`.
 ///
 /// Runs on the current rayon pool. The result is the same for every level and number of threads.
-/// To draw a scene again and again use a [`Renderer`]: it keeps its buffers and redraws only what changed.
+/// To draw a scene again and again use a [`Rasteriser`]: it keeps its buffers and redraws only what changed.
 ///
 /// # Panics
 /// When the slices of `gaussians` differ in length, when there are 2³² Gaussians or more, or when a side of the image is longer than
 /// [`MAX_SIDE`].
 pub fn render(level: Level, gaussians: &Gaussians<'_>, projection: &Projection, request: &Request) -> Image {
-    let mut renderer = Renderer::new(level);
-    renderer.render(gaussians, projection, request);
-    renderer.into_image()
+    let mut rasteriser = Rasteriser::new(level);
+    rasteriser.render(gaussians, projection, request);
+    rasteriser.into_image()
 }
 
 /// The longest side of an image.

@@ -7,8 +7,8 @@ use crate::simd::{LANES, Simd};
 pub(super) const BLOCK: usize = 4;
 /// Added to both variances of a footprint, px² (the low-pass filter of EWA splatting).
 const LOW_PASS: f64 = 0.3;
-/// An alpha below this is skipped.
-pub(super) const ALPHA_MIN: f32 = 1.0 / 255.0;
+/// Least α that is drawn; a Gaussian of a lower opacity reaches no pixel.
+pub const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// An alpha above this is lowered to it.
 pub(super) const ALPHA_MAX: f32 = 0.99;
 /// A pixel is finished when the next splat would take its transmittance below this.
@@ -92,7 +92,7 @@ impl Splat {
 
 /// The image that is projected onto.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct View {
+pub(super) struct Viewport {
     pub projection: Projection,
     pub width: usize,
     pub height: usize,
@@ -256,7 +256,7 @@ impl Batch {
         gaussians: &Gaussians<'_>,
         first: usize,
         focal: [f32; 2],
-        view: &View,
+        view: &Viewport,
     ) -> Self {
         let mean = transposed(gaussians.mean, first);
         let scale = transposed(gaussians.scale, first);
@@ -307,7 +307,7 @@ impl Batch {
         first: usize,
         focal: [f32; 2],
         centre: [f64; 2],
-        view: &View,
+        view: &Viewport,
     ) -> Self {
         let mean = transposed(gaussians.mean, first);
         let scale = transposed(gaussians.scale, first);

@@ -286,20 +286,20 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    unsafe fn load_u16(self, from: *const u16) -> F {
-        // SAFETY: the caller's; the token proves AVX2.
+    fn load_u16(self, from: &[u16; LANES]) -> F {
+        // SAFETY: an array of that many values; the token proves AVX2.
         unsafe {
             let half = |at: *const u16| _mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128(at.cast())));
-            F(half(from), half(from.add(8)))
+            F(half(from.as_ptr()), half(from.as_ptr().add(8)))
         }
     }
     #[inline(always)]
-    unsafe fn store_u16(self, a: I, to: *mut u16) {
-        // SAFETY: the caller's; the token proves AVX2.
+    fn store_u16(self, a: I, to: &mut [u16; LANES]) {
+        // SAFETY: an array of 16 halfwords; the token proves AVX2.
         unsafe {
             // Packed within 128 bits each: the quarters in the order 0, 2, 1, 3.
             let packed = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packus_epi32(a.0, a.1));
-            _mm256_storeu_si256(to.cast(), packed);
+            _mm256_storeu_si256(to.as_mut_ptr().cast(), packed);
         }
     }
     #[inline(always)]
@@ -308,18 +308,18 @@ impl Simd for Avx2 {
         unsafe { F(_mm256_loadu_ps(low), _mm256_loadu_ps(high)) }
     }
     #[inline(always)]
-    unsafe fn repeat_four(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves AVX2.
+    fn repeat_four(self, from: &[f32; 4]) -> F {
+        // SAFETY: an array of that many values; the token proves AVX2.
         unsafe {
-            let both = _mm256_broadcast_ps(&_mm_loadu_ps(from));
+            let both = _mm256_broadcast_ps(&_mm_loadu_ps(from.as_ptr()));
             F(both, both)
         }
     }
     #[inline(always)]
-    unsafe fn spread_four(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves AVX2.
+    fn spread_four(self, from: &[f32; 4]) -> F {
+        // SAFETY: an array of that many values; the token proves AVX2.
         unsafe {
-            let both = _mm256_broadcast_ps(&_mm_loadu_ps(from));
+            let both = _mm256_broadcast_ps(&_mm_loadu_ps(from.as_ptr()));
             F(
                 _mm256_permutevar_ps(both, _mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1)),
                 _mm256_permutevar_ps(both, _mm256_setr_epi32(2, 2, 2, 2, 3, 3, 3, 3)),

@@ -305,14 +305,14 @@ impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
         unsafe { _mm512_storeu_ps(to, a) }
     }
     #[inline(always)]
-    unsafe fn load_u16(self, from: *const u16) -> F {
-        // SAFETY: the caller's; the token proves AVX-512.
-        unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256(from.cast()))) }
+    fn load_u16(self, from: &[u16; LANES]) -> F {
+        // SAFETY: an array of that many values; the token proves AVX-512.
+        unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256(from.as_ptr().cast()))) }
     }
     #[inline(always)]
-    unsafe fn store_u16(self, a: I, to: *mut u16) {
-        // SAFETY: the caller's; the token proves AVX-512.
-        unsafe { _mm256_storeu_si256(to.cast(), _mm512_cvtepi32_epi16(a)) }
+    fn store_u16(self, a: I, to: &mut [u16; LANES]) {
+        // SAFETY: an array of 16 halfwords; the token proves AVX-512.
+        unsafe { _mm256_storeu_si256(to.as_mut_ptr().cast(), _mm512_cvtepi32_epi16(a)) }
     }
     #[inline(always)]
     fn from_array(self, x: [f32; LANES]) -> F {
@@ -330,16 +330,16 @@ impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
         unsafe { _mm512_insertf32x8::<1>(_mm512_castps256_ps512(_mm256_loadu_ps(low)), _mm256_loadu_ps(high)) }
     }
     #[inline(always)]
-    unsafe fn repeat_four(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves AVX-512.
-        unsafe { _mm512_broadcast_f32x4(_mm_loadu_ps(from)) }
+    fn repeat_four(self, from: &[f32; 4]) -> F {
+        // SAFETY: an array of that many values; the token proves AVX-512.
+        unsafe { _mm512_broadcast_f32x4(_mm_loadu_ps(from.as_ptr())) }
     }
     #[inline(always)]
-    unsafe fn spread_four(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves AVX-512.
+    fn spread_four(self, from: &[f32; 4]) -> F {
+        // SAFETY: an array of that many values; the token proves AVX-512.
         unsafe {
             let lanes = _mm512_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
-            _mm512_permutexvar_ps(lanes, _mm512_castps128_ps512(_mm_loadu_ps(from)))
+            _mm512_permutexvar_ps(lanes, _mm512_castps128_ps512(_mm_loadu_ps(from.as_ptr())))
         }
     }
     #[inline(always)]

@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use super::dispatch::dispatch;
 use super::vector::{LANES, Operation, Simd};
-use crate::level::{Kind, Level, LevelError};
+use crate::level::{InstructionSet, Level, LevelError};
 
 /// Levels of this machine, detected once.
 struct Machine {
@@ -17,7 +17,7 @@ fn machine() -> &'static Machine {
     MACHINE.get_or_init(|| {
         let known = dispatch(Level::scalar(), Answers);
         let gives_known_answers = |level: &Level| !level.0.has_dot_products() || dispatch(*level, Answers) == known;
-        let available: Vec<_> = Kind::ALL
+        let available: Vec<_> = InstructionSet::ALL
             .iter()
             .filter(|kind| kind.is_supported())
             .map(|&kind| Level(kind))
@@ -126,7 +126,7 @@ mod tests {
     #[test]
     fn dot_products_have_their_known_answers_on_every_level() {
         let expected = dispatch(Level::scalar(), Answers);
-        for kind in Kind::ALL.iter().filter(|kind| kind.is_supported()) {
+        for kind in InstructionSet::ALL.iter().filter(|kind| kind.is_supported()) {
             assert!(dispatch(Level(*kind), Answers) == expected, "{}", Level(*kind));
         }
     }

@@ -279,15 +279,15 @@ impl Simd for Neon {
         unsafe { F([vld1q_f32(low), vld1q_f32(low.add(4)), vld1q_f32(high), vld1q_f32(high.add(4))]) }
     }
     #[inline(always)]
-    unsafe fn repeat_four(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves NEON.
-        F([unsafe { vld1q_f32(from) }; 4])
+    fn repeat_four(self, from: &[f32; 4]) -> F {
+        // SAFETY: an array of that many values; the token proves NEON.
+        F([unsafe { vld1q_f32(from.as_ptr()) }; 4])
     }
     #[inline(always)]
-    unsafe fn spread_four(self, from: *const f32) -> F {
-        // SAFETY: the caller's; the token proves NEON.
+    fn spread_four(self, from: &[f32; 4]) -> F {
+        // SAFETY: an array of that many values; the token proves NEON.
         unsafe {
-            let v = vld1q_f32(from);
+            let v = vld1q_f32(from.as_ptr());
             F([vdupq_laneq_f32::<0>(v), vdupq_laneq_f32::<1>(v), vdupq_laneq_f32::<2>(v), vdupq_laneq_f32::<3>(v)])
         }
     }

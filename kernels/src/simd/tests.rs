@@ -77,10 +77,11 @@ impl Operation for AllOperations<'_> {
         f(s.select(s.not(s.or(s.lt(a, b), s.and(s.lt(b, c), s.lt(a, c)))), c, a));
         f(s.select(s.mask_from_bits(0x9a53), c, a));
         f(s.keep(s.lt(a, b), c));
+        let four = self.0[4..].first_chunk().expect("sixteen values");
+        f(s.repeat_four(four));
+        f(s.spread_four(four));
         // SAFETY: slices of sixteen values.
         unsafe {
-            f(s.repeat_four(self.0[4..].as_ptr()));
-            f(s.spread_four(self.0[4..].as_ptr()));
             f(s.load_halves(self.0[3..].as_ptr(), self.1[5..].as_ptr()));
         }
         f(s.splat(s.sum(a)));
@@ -192,12 +193,9 @@ fn halfwords_are_stored_and_read_back_on_every_level() {
         #[inline(always)]
         fn run<S: Simd>(self, s: S) -> Self::Output {
             let mut stored = [7; 16];
-            // SAFETY: 16 halfwords each.
-            unsafe {
-                let numbers = s.load_u16(self.0.as_ptr());
-                s.store_u16(s.to_i32(numbers), stored.as_mut_ptr());
-                (s.to_array(numbers), stored)
-            }
+            let numbers = s.load_u16(self.0);
+            s.store_u16(s.to_i32(numbers), &mut stored);
+            (s.to_array(numbers), stored)
         }
     }
     let halfwords = [0, 1, 2, 255, 256, 32_767, 32_768, 32_769, 65_535, 65_534, 3, 500, 40_000, 128, 7, 9];

@@ -87,25 +87,15 @@ pub trait Simd: Elementwise {
     /// `to` is writable for 16 values; no alignment is needed.
     unsafe fn store_ptr(self, a: Self::F32, to: *mut f32);
 
-    /// Reads 16 halfwords as numbers from 0 to 65,535.
-    ///
-    /// # Safety
-    /// `from` is readable for 16 halfwords; no alignment is needed.
+    /// Halfwords as numbers from 0 to 65,535.
     #[inline(always)]
-    unsafe fn load_u16(self, from: *const u16) -> Self::F32 {
-        // SAFETY: the caller's.
-        let halfwords = unsafe { from.cast::<[u16; LANES]>().read_unaligned() };
-        self.from_array(halfwords.map(f32::from))
+    fn load_u16(self, from: &[u16; LANES]) -> Self::F32 {
+        self.from_array(from.map(f32::from))
     }
     /// Writes 16 integers as halfwords. Precondition: they are 0 to 65,535.
-    ///
-    /// # Safety
-    /// `to` is writable for 16 halfwords; no alignment is needed.
     #[inline(always)]
-    unsafe fn store_u16(self, a: Self::I32, to: *mut u16) {
-        let halfwords = self.to_array_i32(a).map(|x| x as u16);
-        // SAFETY: the caller's.
-        unsafe { to.cast::<[u16; LANES]>().write_unaligned(halfwords) }
+    fn store_u16(self, a: Self::I32, to: &mut [u16; LANES]) {
+        *to = self.to_array_i32(a).map(|x| x as u16);
     }
 
     /// The first 16 values of a slice. Panics on a shorter one.
@@ -143,24 +133,14 @@ pub trait Simd: Elementwise {
     }
 
     /// Four values, four times over: lane `i` is value `i mod 4`.
-    ///
-    /// # Safety
-    /// `from` is readable for four values.
     #[inline(always)]
-    unsafe fn repeat_four(self, from: *const f32) -> Self::F32 {
-        // SAFETY: the caller's.
-        let four = unsafe { from.cast::<[f32; 4]>().read_unaligned() };
-        self.from_array(std::array::from_fn(|i| four[i % 4]))
+    fn repeat_four(self, from: &[f32; 4]) -> Self::F32 {
+        self.from_array(std::array::from_fn(|i| from[i % 4]))
     }
     /// Each of four values on four lanes: lane `i` is value `i / 4`.
-    ///
-    /// # Safety
-    /// `from` is readable for four values.
     #[inline(always)]
-    unsafe fn spread_four(self, from: *const f32) -> Self::F32 {
-        // SAFETY: the caller's.
-        let four = unsafe { from.cast::<[f32; 4]>().read_unaligned() };
-        self.from_array(std::array::from_fn(|i| four[i / 4]))
+    fn spread_four(self, from: &[f32; 4]) -> Self::F32 {
+        self.from_array(std::array::from_fn(|i| from[i / 4]))
     }
     /// Eight values on lanes 0–7, eight others on lanes 8–15.
     ///

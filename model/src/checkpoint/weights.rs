@@ -15,13 +15,13 @@ pub(crate) struct Weights<'a> {
     prefix: String,
     level: Level,
     precision: Precision,
-    compute_silent: bool,
+    compute_zero_output: bool,
 }
 
 impl<'a> Weights<'a> {
     pub(crate) fn new(checkpoint: &'a Checkpoint, prefix: impl Into<String>) -> Self {
         let (level, precision) = (Level::scalar(), Precision::F32);
-        Self { checkpoint, prefix: prefix.into(), level, precision, compute_silent: false }
+        Self { checkpoint, prefix: prefix.into(), level, precision, compute_zero_output: false }
     }
 
     /// The same keys, for layers that are packed on `level`.
@@ -30,17 +30,17 @@ impl<'a> Weights<'a> {
     }
 
     /// The same keys, for layers that are built even where they add nothing.
-    pub(crate) fn with_silent(self) -> Weights<'a> {
-        Weights { compute_silent: true, ..self }
+    pub(crate) fn with_zero_output(self) -> Weights<'a> {
+        Weights { compute_zero_output: true, ..self }
     }
 
     /// Returns true if the residual branch whose last layer is `name`, with a bias or without, is to be left out: it adds zeros.
     pub(crate) fn leaves_out(&self, name: &str) -> bool {
-        !self.compute_silent && self.is_silent(name)
+        !self.compute_zero_output && self.is_zero_output(name)
     }
 
     /// Returns true if the layer `name` gives zeros, whatever its input.
-    pub(crate) fn is_silent(&self, name: &str) -> bool {
+    pub(crate) fn is_zero_output(&self, name: &str) -> bool {
         let zero = |tensor: &str| self.checkpoint.is_zero(&self.key(&format!("{name}.{tensor}")));
         zero("weight") && (self.shape(&format!("{name}.bias")).is_none() || zero("bias"))
     }

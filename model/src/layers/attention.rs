@@ -12,7 +12,7 @@ fn shape(d: usize, windows: Windows) -> Shape {
     Shape { heads: d / HEAD, width: HEAD, windows }
 }
 
-/// Returns true if an attention is silent and left out. Its tensors are checked all the same.
+/// Returns true if an attention is zero-output and left out. Its tensors are checked all the same.
 fn is_left_out(weights: &Weights<'_>, d: usize) -> Result<bool, ModelError> {
     if !weights.leaves_out("out_proj") {
         return Ok(false);
@@ -33,7 +33,7 @@ pub(crate) struct SelfAttention {
 }
 
 impl SelfAttention {
-    /// The attention `name` of a block with its norm; none where it is silent.
+    /// The attention `name` of a block with its norm; none where it is zero-output.
     pub(crate) fn load(
         weights: &Weights<'_>,
         norm: &str,
@@ -100,7 +100,7 @@ pub(crate) struct CrossAttention {
 }
 
 impl CrossAttention {
-    /// The attention `name` of a block with its norm; none where it is silent.
+    /// The attention `name` of a block with its norm; none where it is zero-output.
     pub(crate) fn load(
         weights: &Weights<'_>,
         norm: &str,

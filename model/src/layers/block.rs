@@ -8,7 +8,7 @@ use crate::ModelError;
 use crate::checkpoint::Weights;
 use crate::reuse::{BlockCache, Rows};
 
-/// `x += attention(norm₁(x))`, `x += feed_forward(norm₂(x))`; a branch that is silent is none.
+/// `x += attention(norm₁(x))`, `x += feed_forward(norm₂(x))`; a branch that is zero-output is none.
 #[derive(Clone)]
 pub(crate) struct Block {
     attn: Option<SelfAttention>,
@@ -42,7 +42,7 @@ impl Block {
     }
 
     /// Returns true if nothing is left of it but `x += 0`.
-    pub(crate) fn is_silent(&self) -> bool {
+    pub(crate) fn is_zero_output(&self) -> bool {
         self.attn.is_none() && self.mlp.is_none()
     }
 

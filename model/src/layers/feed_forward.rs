@@ -15,7 +15,7 @@ pub(crate) struct FeedForward {
 }
 
 impl FeedForward {
-    /// The layer `name` of a block with its norm; none where it is silent.
+    /// The layer `name` of a block with its norm; none where it is zero-output.
     pub(crate) fn load(
         weights: &Weights<'_>,
         norm: &str,
@@ -36,9 +36,9 @@ impl FeedForward {
         }))
     }
 
-    /// `x += feed_forward(norm(x))`; `after_silence`: to what a silent branch before it left to be done, `x += 0`.
-    pub(crate) fn accumulate(&self, level: Level, after_silence: bool, x: &mut [f32]) {
-        if after_silence {
+    /// `x += feed_forward(norm(x))`; `after_zero_output`: to what a zero-output branch before it left to be done, `x += 0`.
+    pub(crate) fn accumulate(&self, level: Level, after_zero_output: bool, x: &mut [f32]) {
+        if after_zero_output {
             add_zero(x);
         }
         let layer = feed_forward::FeedForward {

@@ -88,13 +88,13 @@ def test_a_limit_that_cannot_be_kept_writes_nothing(folder, tmp_path):
     assert not (tmp_path / 'packed').exists()
 
 
-def test_a_branch_that_adds_next_to_nothing_is_silenced_and_no_other(folder, tmp_path):
+def test_a_branch_that_adds_next_to_nothing_is_zeroed_and_no_other(folder, tmp_path):
     run = tmp_path / 'run'
     whole(folder, run, tmp_path / 'a.safetensors', '--intervals', '-1', '--dtype', 'f32')
     before = network.open_official(tmp_path / 'a.safetensors')
     sizes = {k: max(float(p.abs().max()) for p in m.parameters()) for k, m in before.named_modules() if k.endswith(('out_proj', 'c_proj'))}
     least = sorted(v for v in sizes.values() if v > 0)[1] * 1.0001          # the two smallest that add anything
-    main(['export', '--clips', str(folder), '--run', str(run), '--out', str(tmp_path / 'b.safetensors'), '--dtype', 'f32', '--silence', str(least)])
+    main(['export', '--clips', str(folder), '--run', str(run), '--out', str(tmp_path / 'b.safetensors'), '--dtype', 'f32', '--zero-below', str(least)])
     after = network.open_official(tmp_path / 'b.safetensors')
     for k, v in after.state_dict().items():
         name = k.rsplit('.', 1)[0]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import FIXTURES
+from conftest import HERE
 from train import data, depth, network
 from train.rasteriser import render_pair, render_static
 
@@ -77,7 +77,7 @@ def test_the_second_frame_lies_behind_the_first_at_every_time(net):
 
 @torch.no_grad()
 def test_what_ships_keeps_the_first_frames_depth_and_brings_the_second_forward():
-    net = network.open_official(FIXTURES / 'lite' / 'lite.safetensors')
+    net = network.open_official(HERE.parents[3] / 'engine' / 'lite' / 'lite.safetensors')
     frames = torch.nn.functional.interpolate(torch.rand(4, 3, 18, 32, generator=torch.Generator().manual_seed(0)), size=net.config.resolution, mode='bicubic').clamp(0, 1)
     before = net(frames)
     assert not before['velocity'][:, 0, :, 1].any()

@@ -89,11 +89,11 @@ def test_a_gaussian_wider_than_the_limit_is_drawn_at_it_and_pulled_back():
 def options(**more):
     return types.SimpleNamespace(**dict(dict(seed=3, batch=1, steps=6, minutes=0, until=None, crop=None, encoder=False, attention=False, depth=0.0, gradient=0.01,
                                              mean_positions=False, procedural=0.5, gaps=(2, 6), middle=1, flow=0.05, one_way=False, rate=0.5,
-                                             mixed=False, rasteriser=None, pairs=2, keep_silent=False), **more))
+                                             mixed=False, rasteriser=None, pairs=2, keep_zero_output=False), **more))
 
 
 @pytest.mark.parametrize('stage, more', (('static', {}), ('static', dict(mixed=True)), ('static', dict(depth=1.0)), ('heads', {}), ('flow', {}), ('dynamic', {}),
-                                         ('dynamic', dict(mixed=True)), ('dynamic', dict(keep_silent=True))))
+                                         ('dynamic', dict(mixed=True)), ('dynamic', dict(keep_zero_output=True))))
 def test_half_a_run_and_its_continuation_are_the_whole_run_to_the_bit(stage, more, begun, clips_module, tmp_path):
     net, _, _, _ = begun
     first = {k: v.clone() for k, v in net.state_dict().items()}
@@ -132,23 +132,23 @@ def test_depth_moves_where_it_is_trained_and_nowhere_else(begun, clips_module, t
         assert float(deep(begun[2][:2])['velocity'][..., 1].unique()) == pytest.approx(depth.APART, abs=4e-4)      # the frames are kept apart
 
 
-def test_silent_branches_stay_silent_where_that_is_asked(begun, clips_module, tmp_path):
-    silent = [name for name, _, size in network.branches(begun[0]) if not size and name.startswith(('decoder', 'gaussian_upsampler'))]
-    kept, grown = (trained(begun, clips_module, 'dynamic', tmp_path / str(keep), keep_silent=keep) for keep in (True, False))
+def test_zero_output_branches_stay_so_where_that_is_asked(begun, clips_module, tmp_path):
+    zero_output = [name for name, _, size in network.branches(begun[0]) if not size and name.startswith(('decoder', 'gaussian_upsampler'))]
+    kept, grown = (trained(begun, clips_module, 'dynamic', tmp_path / str(keep), keep_zero_output=keep) for keep in (True, False))
     sizes = lambda n: {name: size for name, _, size in network.branches(n)}
-    assert silent and not any(sizes(kept)[name] for name in silent) and any(sizes(grown)[name] for name in silent)
+    assert zero_output and not any(sizes(kept)[name] for name in zero_output) and any(sizes(grown)[name] for name in zero_output)
     velocity = 'gs_dynamic_predictor.gs_layer.xyz_dynamic.layers.7.weight'
     assert not torch.equal(kept.state_dict()[velocity], begun[0].state_dict()[velocity])
 
 
 @torch.no_grad()
-def test_a_silent_branch_that_is_left_out_changes_nothing(begun):
+def test_a_zero_output_branch_that_is_left_out_changes_nothing(begun):
     net, _, frames, _ = begun
     computed, left_out = (network.StreamSplat(network.Config(**CONFIG)).requires_grad_(grad) for grad in (True, False))
     for n in (computed, left_out):
         n.load_state_dict(net.state_dict())
     a, b = computed(frames[:2]), left_out(frames[:2])
-    assert left_out.gaussian_upsampler.attention_0.resblocks[0].mlp.silent and not computed.gaussian_upsampler.attention_0.resblocks[0].mlp.silent
+    assert left_out.gaussian_upsampler.attention_0.resblocks[0].mlp.zero_output and not computed.gaussian_upsampler.attention_0.resblocks[0].mlp.zero_output
     assert all(torch.equal(a[k], b[k]) for k in a)
 
 

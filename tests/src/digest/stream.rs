@@ -4,7 +4,7 @@ use streamsplat::camera::{Camera, Pose, Rotation};
 use streamsplat::scene::{ContainerWriter, intervals_from_container};
 use streamsplat::stream::{Fusion, ModelSource, MotionFrom, Quality, Resolution, SamplingMode};
 use streamsplat::{Engine, Frame, Interval, RenderOptions, Settings};
-use streamsplat_fixtures::clip::{Clip, Kind};
+use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_kernels::Level;
 
 use super::{Digest, Thing, splats};
@@ -49,7 +49,7 @@ pub(super) fn things() -> Vec<Thing> {
 fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]: [usize; 2]) {
     let settings = Settings { level: Some(level), threads: rayon::current_num_threads(), ..settings.clone() };
     let mut engine = Engine::new(settings).expect("an engine");
-    let clip = Clip::new(Kind::Moving, 4, width, height);
+    let clip = Clip::new(ClipKind::Moving, 4, width, height);
     let frame = |k: usize| {
         let time = 0.05 * k as f64;
         let picture = clip.picture(time);
@@ -63,7 +63,12 @@ fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]:
         interval.gaussians.rgb_rate.iter().for_each(|rate| digest.floats(rate));
         for at in [0.0, 0.4] {
             let at = interval.start + (interval.end - interval.start) * at;
-            splats::add(digest, &interval.render(at, &Camera::Canonical, &RenderOptions::default()).expect("an image"));
+            splats::add(
+                digest,
+                &interval
+                    .render(at, &Camera::Canonical, &RenderOptions::default(), engine.workers())
+                    .expect("an image"),
+            );
         }
     }
 }
@@ -80,16 +85,16 @@ fn container(level: Level, digest: &mut Digest) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ssz");
     let mut writer = ContainerWriter::create(&path, 8.0).expect("writable");
-    let clip = Clip::new(Kind::Moving, 4, 40, 24);
+    let clip = Clip::new(ClipKind::Moving, 4, 40, 24);
     for time in [0.0, 0.125, 0.25] {
         let picture = clip.picture(time);
         let frame = Frame { width: picture.width, height: picture.height, rgb: picture.rgb, depth: None };
-        writer.push(&engine.push(frame, time).expect("an interval")).expect("writable");
+        writer.push(&engine.push(frame, time).expect("an interval"), engine.workers()).expect("writable");
     }
     writer.finish().expect("writable");
     let bytes = std::fs::read(&path).expect("just written");
     digest.integers(bytes.iter().map(|byte| u64::from(*byte)));
-    for interval in intervals_from_container(&bytes, engine.workers()).expect("a scene") {
+    for interval in intervals_from_container(&bytes).expect("a scene") {
         records(digest, &interval);
     }
 }
@@ -104,7 +109,7 @@ fn stream(level: Level, digest: &mut Digest, model: &str, settings: &Settings) {
         ..settings.clone()
     };
     let mut engine = Engine::new(settings).expect("an engine");
-    let clip = Clip::new(Kind::Moving, 4, 61, 53);
+    let clip = Clip::new(ClipKind::Moving, 4, 61, 53);
     for time in [0.0, 0.3, 0.5] {
         let picture = clip.picture(time);
         let depth = Some(picture.inverse_depth);
@@ -119,7 +124,7 @@ fn stream(level: Level, digest: &mut Digest, model: &str, settings: &Settings) {
         let options = RenderOptions { depth: true, alpha: true, statistics: true, ..RenderOptions::default() };
         for (at, camera) in [(0.0, Camera::Canonical), (0.4, Camera::Canonical), (1.0, pinhole)] {
             let at = interval.start + (interval.end - interval.start) * at;
-            splats::add(digest, &interval.render(at, &camera, &options).expect("an image"));
+            splats::add(digest, &interval.render(at, &camera, &options, engine.workers()).expect("an image"));
         }
     }
 }

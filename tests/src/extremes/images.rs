@@ -80,7 +80,7 @@ fn stream(place: Place, [width, height]: [usize; 2], pixel: impl Fn(usize, usize
     };
     engine.push(frame(0), 0.0).expect("taken");
     let interval = engine.push(frame(1), 1.0).expect("taken");
-    let image = interval.render(0.5, &Camera::Canonical, &RenderOptions::default()).expect("drawn");
+    let image = interval.render(0.5, &Camera::Canonical, &RenderOptions::default(), engine.workers()).expect("drawn");
     Computed::with(&[image.rgb, interval.gaussians.mean.concat()].concat(), [interval.dropped])
 }
 

@@ -36,6 +36,7 @@ fn stream(place: Place, fusion: Fusion, times: &[f64]) -> Computed {
                 time.clamp(interval.start, interval.end),
                 &Camera::Canonical,
                 &RenderOptions::default(),
+                engine.workers(),
             );
             values.extend(image.expect("inside the interval").rgb);
         }

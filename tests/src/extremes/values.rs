@@ -150,7 +150,8 @@ fn stream(field: usize, name: &str, expected: u64) -> Case {
                 let interval = engine.push(theatre.frame(0.1), f64::from(k)).expect("taken");
                 assert!(interval.gaussians.iter().all(|r| r.is_sound()));
                 dropped += interval.dropped;
-                let image = interval.render(interval.end, &Camera::Canonical, &RenderOptions::default());
+                let image =
+                    interval.render(interval.end, &Camera::Canonical, &RenderOptions::default(), engine.workers());
                 values = image.expect("drawn").rgb;
             }
             (dropped, values)

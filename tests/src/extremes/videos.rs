@@ -48,7 +48,9 @@ fn stream(place: Place, pixel: Pixel) -> Computed {
         let between = (k.saturating_sub(GAP - 1)..k).map(at).collect();
         let (key, time) = at(k);
         let interval = engine.push_with(between, key, time).expect("taken");
-        images.extend(interval.render(time, &Camera::Canonical, &RenderOptions::default()).expect("drawn").rgb);
+        images.extend(
+            interval.render(time, &Camera::Canonical, &RenderOptions::default(), engine.workers()).expect("drawn").rgb,
+        );
         colours.extend(interval.gaussians.iter().flat_map(|r| [r.rgb_at(0.0), r.rgb_at(1.0)]).flatten());
         dropped += interval.dropped;
     }

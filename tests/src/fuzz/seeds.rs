@@ -94,7 +94,6 @@ pub(super) fn interval() -> Vec<Vec<u8>> {
         placement: Placement { source: [9, 16], model: [18, 32], offset: [0, 0], content: [18, 32] },
         merges: vec![Merge { identity: 3, into: 4 }],
         dropped: 0,
-        workers: Workers::new(Level::scalar(), 1).expect("a thread starts"),
     };
     let mut changing = interval.clone();
     for (i, rate) in changing.gaussians.rgb_rate.iter_mut().enumerate() {
@@ -391,11 +390,11 @@ pub(super) fn container() -> Vec<Vec<u8>> {
     let path = folder.path().join("seed.ssz");
     let mut writer = ContainerWriter::create(&path, 24.0).expect("writable");
     for (k, bytes) in interval().iter().enumerate() {
-        let mut interval = from_safetensors(bytes, placement, workers.clone()).expect("a seed");
+        let mut interval = from_safetensors(bytes, placement).expect("a seed");
         (interval.start, interval.end) = (k as f64, k as f64 + 1.0);
-        writer.push(&interval).expect("writable");
+        writer.push(&interval, &workers).expect("writable");
         (interval.start, interval.end) = (k as f64 + 1.0, k as f64 + 1.0);
-        writer.push(&interval).expect("writable");
+        writer.push(&interval, &workers).expect("writable");
     }
     writer.finish().expect("writable").expect("intervals");
     vec![std::fs::read(&path).expect("just written")]

@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 
 use streamsplat::camera::{CameraSet, Pose, file, set};
 use streamsplat::fit::Placement;
-use streamsplat::render::Painter;
+use streamsplat::render::Renderer;
 use streamsplat::scene::{Index, from_safetensors, intervals_from_container, to_safetensors};
 use streamsplat::source::{decode, y4m::Y4m};
 use streamsplat::splats::Splats;
@@ -52,11 +52,10 @@ pub(super) fn model_config(bytes: &[u8]) {
 pub(super) fn interval(bytes: &[u8]) {
     let placement = Placement { source: [9, 16], model: [18, 32], offset: [0, 0], content: [18, 32] };
     let [low, high] = &*WORKERS;
-    let Ok(interval) = from_safetensors(bytes, placement, low.clone()) else { return };
+    let Ok(interval) = from_safetensors(bytes, placement) else { return };
     let again = to_safetensors(&interval).expect("what was read can be written");
-    let mut other = from_safetensors(&again, placement, high.clone()).expect("what was written can be read");
+    let other = from_safetensors(&again, placement).expect("what was written can be read");
     assert_eq!(other.gaussians.len(), interval.gaussians.len());
-    other.workers = high.clone();
     let options = RenderOptions {
         size: Size::Exact { width: 13, height: 9 },
         depth: true,
@@ -67,8 +66,8 @@ pub(super) fn interval(bytes: &[u8]) {
     // Halves of the smallest numbers are nothing.
     let middle = (0.5 * interval.start + 0.5 * interval.end).clamp(interval.start, interval.end);
     for time in [interval.start, middle, interval.end] {
-        let a = interval.render(time, &Camera::Canonical, &options).expect("inside the interval");
-        let b = other.render(time, &Camera::Canonical, &options).expect("inside the interval");
+        let a = interval.render(time, &Camera::Canonical, &options, low).expect("inside the interval");
+        let b = other.render(time, &Camera::Canonical, &options, high).expect("inside the interval");
         assert_same_finite(&a, &b);
     }
 }
@@ -99,13 +98,11 @@ pub(super) fn camera(bytes: &[u8]) {
     }
     let Ok(path) = file::parse(text) else { return };
     let placement = Placement { source: [9, 16], model: [18, 32], offset: [0, 0], content: [18, 32] };
-    let [low, high] = &*WORKERS;
-    let seed = seeds::interval().remove(0);
-    let [a, b] = [low, high].map(|w| from_safetensors(&seed, placement, w.clone()).expect("a seed"));
+    let interval = from_safetensors(&seeds::interval()[0], placement).expect("a seed");
     let options = RenderOptions { size: Size::Exact { width: 8, height: 5 }, ..RenderOptions::default() };
     for time in [-1e300, 0.0, 0.5, 1e9] {
         let camera = path.at(time);
-        let images = [&a, &b].map(|interval| interval.render(interval.start, &camera, &options));
+        let images = WORKERS.each_ref().map(|workers| interval.render(interval.start, &camera, &options, workers));
         if let [Ok(a), Ok(b)] = &images {
             assert_same_finite(a, b);
         }
@@ -215,7 +212,7 @@ fn draw_still(still: Still) {
     };
     let [a, b] = WORKERS.each_ref().map(|workers| {
         let scene = Drawable::new(still.clone(), workers).expect("even arrays");
-        Painter::new(workers).draw_still(&scene, &camera, &options).expect("a camera").clone()
+        Renderer::new(workers).render_still(&scene, &camera, &options).expect("a camera").clone()
     });
     assert_same_finite(&a, &b);
 }
@@ -229,12 +226,13 @@ pub(super) fn library(bytes: &[u8]) {
 
 /// A compressed scene: every interval drawn on two levels.
 pub(super) fn container(bytes: &[u8]) {
-    let [a, b] = WORKERS.each_ref().map(|workers| intervals_from_container(bytes, workers));
-    let (Ok(a), Ok(b)) = (a, b) else { return };
+    let Ok(intervals) = intervals_from_container(bytes) else { return };
     let options = RenderOptions { size: Size::Exact { width: 13, height: 9 }, ..RenderOptions::default() };
-    for (a, b) in a.iter().zip(&b) {
-        assert!(a.gaussians.iter().all(|record| record.is_sound()));
-        let [a, b] = [a, b].map(|i| i.render(i.end, &Camera::Canonical, &options).expect("inside the interval"));
+    for interval in &intervals {
+        assert!(interval.gaussians.iter().all(|record| record.is_sound()));
+        let [a, b] = WORKERS.each_ref().map(|workers| {
+            interval.render(interval.end, &Camera::Canonical, &options, workers).expect("inside the interval")
+        });
         assert_same_finite(&a, &b);
     }
 }

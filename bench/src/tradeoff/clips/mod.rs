@@ -33,7 +33,7 @@ struct Record {
     clips: usize,
     note: String,
     baselines: Baselines,
-    rows: Vec<Row>,
+    rows: Vec<Configuration>,
 }
 
 /// Frames between key frames, in dB, at the gap of the steps.
@@ -46,7 +46,7 @@ struct Baselines {
 /// Why a row is there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum Kind {
+enum Reason {
     /// One option after the other, each on top of those before.
     Step,
     Quality,
@@ -54,9 +54,9 @@ enum Kind {
 }
 
 #[derive(Serialize, Deserialize)]
-struct Row {
+struct Configuration {
     row: String,
-    kind: Kind,
+    kind: Reason,
     seen: bool,
     arguments: Vec<String>,
     /// PSNR in dB at key frames, between them, and of all frames; means over frames.
@@ -127,10 +127,10 @@ fn measure(options: &Options, clips: &Path) -> Result<Record> {
         ensure!(command.status().context("starting the program")?.success(), "eval {}: failed", arguments.join(" "));
         let text = std::fs::read(&figures).context("the figures of eval")?;
         let figures: Value = serde_json::from_slice(&text).context("the figures of eval")?;
-        let row = Row::read(name, kind, arguments, &figures).context("the figures of eval")?;
+        let row = Configuration::read(name, kind, arguments, &figures).context("the figures of eval")?;
         println!("{:>7.1} ms  {:.2} dB  {}", 1e3 * row.seconds_per_frame, row.all, row.row);
         // Flow is that of the model's input, so its blend depends on the resolution.
-        if kind == Kind::Step && !row.arguments.iter().any(|word| word == "native") {
+        if kind == Reason::Step && !row.arguments.iter().any(|word| word == "native") {
             let mean = |name: &str| figures["mean"]["baselines"][name]["psnr"].as_f64();
             baselines = mean("crossfade").zip(mean("flow")).map(|(crossfade, flow)| Baselines { crossfade, flow });
         }
@@ -155,9 +155,9 @@ fn measure(options: &Options, clips: &Path) -> Result<Record> {
     })
 }
 
-impl Row {
+impl Configuration {
     /// From what `eval` says.
-    fn read(row: String, kind: Kind, arguments: Vec<String>, figures: &Value) -> Option<Row> {
+    fn read(row: String, kind: Reason, arguments: Vec<String>, figures: &Value) -> Option<Configuration> {
         let score = |value: &Value| Some((value["psnr"].as_f64()?, value["frames"].as_f64()?));
         let all = |row: &Value| {
             let ((key, keys), (between, betweens)) = (score(&row["key"])?, score(&row["middle"])?);
@@ -171,7 +171,7 @@ impl Row {
             let figures = Clip { all: all(clip)?, over_crossfade, seconds_per_frame };
             by_clip.insert(clip["name"].as_str()?.to_owned(), figures);
         }
-        Some(Row {
+        Some(Configuration {
             row,
             kind,
             seen: figures["seen"].as_bool()?,
@@ -190,8 +190,8 @@ impl Row {
 
 impl Record {
     /// The qualities that see the frames between, from the fastest on.
-    fn qualities(&self) -> Vec<&Row> {
-        self.rows.iter().filter(|row| row.kind == Kind::Quality && row.seen).collect()
+    fn qualities(&self) -> Vec<&Configuration> {
+        self.rows.iter().filter(|row| row.kind == Reason::Quality && row.seen).collect()
     }
 
     /// Clips on which a higher quality is worse than the one before, with both names.

@@ -2,7 +2,8 @@
 
 use anyhow::{Context, Result};
 
-use super::{Kind, Record, Row};
+use super::{Configuration, Reason, Record};
+use crate::table::{Column, Table};
 
 /// Markers before and after the table.
 const BEGIN: &str = "<!-- streamsplat bench tradeoff CLIPS writes from here -->";
@@ -20,22 +21,28 @@ pub(super) fn table(record: &Record) -> String {
     };
     let mut text = format!(
         "{clips} clips, gap 5 where nothing else is said, {threads} threads of {cpu} ({isa}).{note} Beside these, between key frames: cross-fade \
-         {:.2} dB, flow's blend {:.2} dB. {dial}\n\n\
-         | | key frames, dB | between, dB | all, dB | moving clips over the cross-fade | still ones | ms per input frame |\n\
-         |---|---:|---:|---:|---:|---:|---:|\n",
+         {:.2} dB, flow's blend {:.2} dB. {dial}\n\n",
         baselines.crossfade, baselines.flow
     );
-    for row in record.rows.iter().filter(|row| row.kind == Kind::Step || row.kind == Kind::Quality && row.seen) {
-        text += &line(row);
-    }
+    let columns = [
+        Column::Text("", 0),
+        Column::Number("key frames, dB", 0),
+        Column::Number("between, dB", 0),
+        Column::Number("all, dB", 0),
+        Column::Number("moving clips over the cross-fade", 0),
+        Column::Number("still ones", 0),
+        Column::Number("ms per input frame", 0),
+    ];
+    let shown = |row: &&Configuration| row.kind == Reason::Step || row.kind == Reason::Quality && row.seen;
+    text += &Table(&columns).markdown(record.rows.iter().filter(shown).map(cells));
     text
 }
 
-fn line(row: &Row) -> String {
+fn cells(row: &Configuration) -> [String; 7] {
     let signed = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |value| format!("{value:+.2}"));
-    let Row { row: name, key, between, all, moving, still, seconds_per_frame, .. } = row;
-    let (moving, still) = (signed(*moving), signed(*still));
-    format!("| {name} | {key:.2} | {between:.2} | {all:.2} | {moving} | {still} | {:.0} |\n", 1e3 * seconds_per_frame)
+    let Configuration { row: name, key, between, all, moving, still, seconds_per_frame, .. } = row;
+    let [key, between, all] = [key, between, all].map(|decibels| format!("{decibels:.2}"));
+    [name.clone(), key, between, all, signed(*moving), signed(*still), format!("{:.0}", 1e3 * seconds_per_frame)]
 }
 
 /// The page with the table in its place.

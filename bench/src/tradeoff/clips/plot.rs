@@ -4,29 +4,29 @@ use anyhow::Result;
 use plotters::prelude::*;
 
 use super::super::plot::{Area, FRONT, INK, Logarithmic, Mark, around, colour, fail, legend, plain, shape, text};
-use super::{Kind, Record, Row};
+use super::{Configuration, Reason, Record};
 
 const SIZE: (u32, u32) = (1120, 540);
 const HEAD: u32 = 64;
 const BELOW: u32 = 56;
 
 /// The gap that a row says, of those in `gaps`; a quality has its own shape.
-fn mark(row: &Row, gaps: &[String]) -> Mark {
+fn mark(row: &Configuration, gaps: &[String]) -> Mark {
     let place = gap(row).and_then(|gap| gaps.iter().position(|known| *known == gap)).unwrap_or(gaps.len());
     match row.kind {
-        Kind::Quality => (INK, 3, 1.0),
-        Kind::Step => (colour(place), 1, 0.0),
-        Kind::Grid => (colour(place), 0, 0.6),
+        Reason::Quality => (INK, 3, 1.0),
+        Reason::Step => (colour(place), 1, 0.0),
+        Reason::Grid => (colour(place), 0, 0.6),
     }
 }
 
-fn gap(row: &Row) -> Option<String> {
+fn gap(row: &Configuration) -> Option<String> {
     let at = row.arguments.iter().position(|word| word == "--gap")?;
     row.arguments.get(at + 1).cloned()
 }
 
-fn panel(area: &Area<'_>, rows: &[&Row], gaps: &[String], title: &str) -> Result<()> {
-    let milliseconds = |row: &Row| 1e3 * row.seconds_per_frame;
+fn panel(area: &Area<'_>, rows: &[&Configuration], gaps: &[String], title: &str) -> Result<()> {
+    let milliseconds = |row: &Configuration| 1e3 * row.seconds_per_frame;
     let least = rows.iter().map(|row| milliseconds(row)).fold(f64::INFINITY, f64::min);
     let most = rows.iter().map(|row| milliseconds(row)).fold(0.0, f64::max);
     let (low, high) = around(rows.iter().map(|row| row.all), 0.12);
@@ -43,7 +43,7 @@ fn panel(area: &Area<'_>, rows: &[&Row], gaps: &[String], title: &str) -> Result
         .y_label_formatter(&|y| format!("{y:.0}"))
         .draw()
         .map_err(fail)?;
-    let mut front: Vec<&&Row> = rows.iter().filter(|row| row.pareto).collect();
+    let mut front: Vec<&&Configuration> = rows.iter().filter(|row| row.pareto).collect();
     front.sort_by(|a, b| a.seconds_per_frame.total_cmp(&b.seconds_per_frame));
     let steps = front.windows(2).flat_map(|pair| {
         let (a, b) = (pair[0], pair[1]);
@@ -58,7 +58,7 @@ fn panel(area: &Area<'_>, rows: &[&Row], gaps: &[String], title: &str) -> Result
         let (x, y) = chart.backend_coord(&(milliseconds(row), row.all));
         let at = (x - left, y - top);
         shape(area, at, mark(row, gaps))?;
-        if row.kind == Kind::Quality {
+        if row.kind == Reason::Quality {
             let name = row.arguments.last().map_or("", String::as_str);
             text(area, name, (at.0 - 24, at.1 - 28), 15)?;
         }

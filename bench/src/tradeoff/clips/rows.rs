@@ -1,6 +1,6 @@
 //! Configurations to run.
 
-use super::Kind;
+use super::Reason;
 
 /// The paper's way: one pass of the network at its own size.
 const PAPER: &str = "--resolution native --motion network --refine 0";
@@ -26,20 +26,20 @@ const CHOICES: [&str; 3] = ["--flow coarse --refine 3 --refine-every 3", "--flow
 const UNSEEN_GAPS: [usize; 2] = [5, 8];
 
 /// Names, kinds and arguments of all rows.
-pub(super) fn all() -> Vec<(String, Kind, Vec<String>)> {
+pub(super) fn all() -> Vec<(String, Reason, Vec<String>)> {
     let words = |text: &str| -> Vec<String> { text.split_whitespace().map(str::to_owned).collect() };
     let mut rows = Vec::new();
     for (name, arguments) in STEPS {
-        rows.push((name.to_owned(), Kind::Step, words(&format!("{arguments} --gap 5"))));
+        rows.push((name.to_owned(), Reason::Step, words(&format!("{arguments} --gap 5"))));
     }
     for (name, gap) in QUALITIES {
         let row = format!("seen, `--quality {name}`: {gap}");
-        rows.push((row, Kind::Quality, words(&format!("--seen --quality {name}"))));
+        rows.push((row, Reason::Quality, words(&format!("--seen --quality {name}"))));
     }
     for (name, gap) in QUALITIES {
-        rows.push((format!("`--quality {name}`: {gap}"), Kind::Quality, words(&format!("--quality {name}"))));
+        rows.push((format!("`--quality {name}`: {gap}"), Reason::Quality, words(&format!("--quality {name}"))));
     }
-    let grid = |rows: &mut Vec<_>, arguments: String| rows.push((arguments.clone(), Kind::Grid, words(&arguments)));
+    let grid = |rows: &mut Vec<_>, arguments: String| rows.push((arguments.clone(), Reason::Grid, words(&arguments)));
     for gap in GAPS {
         for choice in CHOICES {
             grid(&mut rows, format!("--seen --gap {gap} {choice}"));

@@ -112,9 +112,9 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
         }
         let interval = match current.take().filter(|(at, _)| *at == place) {
             Some((_, interval)) => interval,
-            None => scene.interval(place, &workers)?,
+            None => scene.interval(place)?,
         };
-        let snapshot = Snapshot::exported(&interval, time)?;
+        let snapshot = Snapshot::exported(&interval, time, &workers)?;
         bytes += write_file(path, &(of_time.snapshot)(&snapshot))?.bytes;
         files += 1;
         dropped += snapshot.dropped;
@@ -149,7 +149,7 @@ fn container(scene: &Scene, args: &ExportArgs, workers: &Workers, console: &Cons
         if console.stop.asked() {
             return Err(Failure::work(format!("{}: stopped by the user; nothing was written", args.out.display())));
         }
-        writer.push(&scene.interval(i, workers)?)?;
+        writer.push(&scene.interval(i)?, workers)?;
         progress.step();
     }
     progress.finish();

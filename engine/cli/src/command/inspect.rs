@@ -7,8 +7,8 @@ use streamsplat::import::{self, Opened};
 use streamsplat::output::write_file;
 use streamsplat::scene::{INDEX, Scene};
 use streamsplat_model::checkpoint::Checkpoint;
-use streamsplat_model::inspect::{Kind, inspect};
-use streamsplat_model::silent::gflop;
+use streamsplat_model::inspect::{Architecture, inspect};
+use streamsplat_model::zero_output::gflop;
 
 use crate::command::still;
 use crate::console::failure::Failure;
@@ -85,7 +85,7 @@ fn interval(path: &Path, checkpoint: &Checkpoint) -> Result<Value, Failure> {
 fn model(path: &Path) -> Result<Value, Failure> {
     let report = inspect(path)?;
     let (kind, configuration) = match &report.kind {
-        Kind::StreamSplat(config) => (
+        Architecture::StreamSplat(config) => (
             "StreamSplat model",
             json!({
                 "hidden_dim": config.hidden_dim,
@@ -100,7 +100,7 @@ fn model(path: &Path) -> Result<Value, Failure> {
                 "gaussians_per_frame": config.gaussians(),
             }),
         ),
-        Kind::Dino(config) => (
+        Architecture::Dino(config) => (
             "DINOv2 model",
             json!({
                 "embed_dim": config.embed_dim,
@@ -113,16 +113,16 @@ fn model(path: &Path) -> Result<Value, Failure> {
         _ => ("model", Value::Null),
     };
     let formats: Map<String, Value> = report.formats.iter().map(|(name, count)| (name.clone(), json!(count))).collect();
-    // Weights of a matrix take four, two or one byte each in the three modes; the little that always stays f32 is not told apart. Silent ones take none.
-    let held = report.parameters() - report.silent.iter().map(|part| part.parameters).sum::<usize>();
+    // Weights of a matrix take four, two or one byte each in the three modes; the little that always stays f32 is not told apart. Zero-output ones take none.
+    let held = report.parameters() - report.zero_output.iter().map(|part| part.parameters).sum::<usize>();
     let memory = |bytes: usize| held * bytes;
     let thousandths = |x: f64| (x * 1e3).round() / 1e3;
-    let silent: Map<String, Value> = report
-        .silent
+    let zero_output: Map<String, Value> = report
+        .zero_output
         .iter()
         .map(|part| {
             let account = json!({
-                "branches": part.silent,
+                "branches": part.zero_output,
                 "of": part.branches,
                 "parameters": part.parameters,
                 "gflop": thousandths(part.gflop),
@@ -159,8 +159,8 @@ fn model(path: &Path) -> Result<Value, Failure> {
         "parts": parts,
         "weights_bytes": { "f32": memory(4), "bf16": memory(2), "int8": memory(1) },
         "stages": stages,
-        "silent": silent,
-        "gflop_per_key_frame": thousandths(report.gflop() - gflop(&report.silent)),
+        "zero_output": zero_output,
+        "gflop_per_key_frame": thousandths(report.gflop() - gflop(&report.zero_output)),
         "ignored": report.ignored,
     }))
 }

@@ -16,7 +16,7 @@ use crate::options::args::{Machine, RenderArgs, RenderOptions};
 use crate::options::times;
 use crate::output::outputs::{Destination, Emit, Outputs};
 use crate::output::place::Place;
-use crate::output::record::{InputRecord, OutputRecord, PROGRAM, Record, Task, Timing, absolute};
+use crate::output::record::{InputRecord, Invocation, OutputRecord, PROGRAM, Record, Timing, absolute};
 use crate::output::{digest, report};
 use crate::session::drawing::Drawing;
 use crate::session::opening::open;
@@ -139,25 +139,33 @@ pub fn render(
     let mut read = Duration::ZERO;
     let mut intervals = 0;
     let mut complete = true;
-    for (index, &(time, place)) in due.iter().enumerate() {
-        if console.stop.asked() {
-            complete = false;
-            break;
-        }
-        let interval = match current.take().filter(|(at, _)| *at == place) {
-            Some((_, interval)) => interval,
-            None => {
-                let begun = Instant::now();
-                let interval = scene.interval(place, &workers)?;
-                read += begun.elapsed();
-                intervals += 1;
-                interval
+    drawing.pass(
+        due.iter().enumerate(),
+        |drawing, (index, &(time, place))| {
+            if console.stop.asked() {
+                complete = false;
+                return Ok(None);
             }
-        };
-        drawing.image(&mut outputs, index, &interval, time, &views)?;
-        current = Some((place, interval));
-        progress.step();
-    }
+            let interval = match current.take().filter(|(at, _)| *at == place) {
+                Some((_, interval)) => interval,
+                None => {
+                    let begun = Instant::now();
+                    let interval = scene.interval(place)?;
+                    read += begun.elapsed();
+                    intervals += 1;
+                    interval
+                }
+            };
+            let image = drawing.draw(&interval, index, time, &views)?;
+            current = Some((place, interval));
+            Ok(Some((index, image)))
+        },
+        |(index, image)| {
+            outputs.image(index, image)?;
+            progress.step();
+            Ok(())
+        },
+    )?;
     progress.phase("images; finishing the files");
     let written = drawing.writing(|| outputs.finish())?;
     progress.finish();
@@ -202,7 +210,7 @@ pub(super) fn record(
     Record {
         program: PROGRAM.to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        task: Task::Render(Box::new(options)),
+        task: Invocation::Render(Box::new(options)),
         seed: 0,
         model: None,
         depth: None,

@@ -15,7 +15,7 @@ use crate::options::args::{Machine, RunArgs, RunOptions};
 use crate::output::checkpoint::Found;
 use crate::output::outputs::{Destination, Emit, Outputs};
 use crate::output::place::Place;
-use crate::output::record::{Account, ModelRecord, NetworkRecord, PROGRAM, Record, Task, Timing, WorkRecord};
+use crate::output::record::{Account, Invocation, ModelRecord, NetworkRecord, PROGRAM, Record, Timing, WorkRecord};
 use crate::output::terms::{Terms, with_absolute_paths};
 use crate::output::{checkpoint, digest, report};
 use crate::session::ahead::Ahead;
@@ -290,7 +290,7 @@ fn run_from(
         depth,
         input: keys.input(input),
         renderer: drawing.renderer(),
-        task: Task::Run(Box::new(options)),
+        task: Invocation::Run(Box::new(options)),
         complete,
         outputs: written,
         work,

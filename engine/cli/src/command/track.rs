@@ -6,7 +6,6 @@ use serde::Serialize;
 use streamsplat::import::open_moving;
 use streamsplat::output::write_file;
 use streamsplat::scene::Scene;
-use streamsplat::stream::Workers;
 use streamsplat::track::{Track, TrackPoint};
 
 use crate::console::failure::Failure;
@@ -30,12 +29,12 @@ struct Found {
     /// Times asked for at which it is not in the scene.
     missing: usize,
     /// Where it is, ascending in time.
-    path: Vec<Row>,
+    path: Vec<PathPoint>,
 }
 
 /// One point of the path.
 #[derive(Serialize)]
-struct Row {
+struct PathPoint {
     time: f64,
     identity: u64,
     pixel: [f64; 2],
@@ -43,9 +42,9 @@ struct Row {
     opacity: f32,
 }
 
-impl From<TrackPoint> for Row {
-    fn from(p: TrackPoint) -> Row {
-        Row { time: p.time, identity: p.identity, pixel: p.pixel, world: p.position, opacity: p.opacity }
+impl From<TrackPoint> for PathPoint {
+    fn from(p: TrackPoint) -> PathPoint {
+        PathPoint { time: p.time, identity: p.identity, pixel: p.pixel, world: p.position, opacity: p.opacity }
     }
 }
 
@@ -69,13 +68,13 @@ pub fn command(args: &TrackArgs, console: &Console) -> Result<(), Failure> {
         due.insert(next, (args.at, place));
     }
 
-    let picked = scene.interval(place, &workers)?.pick(args.at, point)?.ok_or_else(|| {
+    let picked = scene.interval(place)?.pick(args.at, point, &workers)?.ok_or_else(|| {
         Failure::work(format!("{}: nothing is drawn at {} at {} s", args.scene.display(), args.point, args.at))
     })?;
     let track = Track::new(&picked, args.at);
     let (before, after): (Vec<_>, Vec<_>) = due.iter().copied().partition(|(time, _)| *time < args.at);
-    let mut path = follow(&scene, &workers, track, place, &before, Direction::Backward)?;
-    path.extend(follow(&scene, &workers, track, place, &after, Direction::Forward)?);
+    let mut path = follow(&scene, track, place, &before, Direction::Backward)?;
+    path.extend(follow(&scene, track, place, &after, Direction::Forward)?);
     let found = Found {
         at: args.at,
         point,
@@ -121,26 +120,25 @@ enum Direction {
 /// interval `from` shows. Ends where the track does, or with the last time wanted; reads no interval beyond.
 fn follow(
     scene: &Scene,
-    workers: &Workers,
     mut track: Track,
     from: usize,
     due: &[(f64, usize)],
     direction: Direction,
-) -> Result<Vec<Row>, Failure> {
+) -> Result<Vec<PathPoint>, Failure> {
     let intervals: Vec<usize> = match direction {
         Direction::Forward => due.last().map(|last| (from..=last.1).collect()).unwrap_or_default(),
         Direction::Backward => due.first().map(|first| (first.1..=from).rev().collect()).unwrap_or_default(),
     };
-    let mut parts: Vec<Vec<Row>> = Vec::new();
+    let mut parts: Vec<Vec<PathPoint>> = Vec::new();
     for i in intervals {
-        let interval = scene.interval(i, workers)?;
+        let interval = scene.interval(i)?;
         let times: Vec<f64> = due.iter().filter(|(_, place)| *place == i).map(|(time, _)| *time).collect();
         let step = match direction {
             Direction::Forward => track.forward(&interval, &times),
             Direction::Backward => track.backward(&interval, &times),
         };
         let Some((points, next)) = step else { break };
-        parts.push(points.into_iter().map(Row::from).collect());
+        parts.push(points.into_iter().map(PathPoint::from).collect());
         track = next;
     }
     if direction == Direction::Backward {
@@ -150,9 +148,9 @@ fn follow(
 }
 
 /// A line per point. Numbers are the shortest that read back as the same bits.
-fn csv(path: &[Row]) -> String {
+fn csv(path: &[PathPoint]) -> String {
     let mut text = String::from("time,identity,x,y,world_x,world_y,world_z,opacity\n");
-    for Row { time, identity, pixel: [x, y], world: [wx, wy, wz], opacity } in path {
+    for PathPoint { time, identity, pixel: [x, y], world: [wx, wy, wz], opacity } in path {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "{time},{identity},{x},{y},{wx},{wy},{wz},{opacity}");
     }

@@ -9,7 +9,7 @@ use crate::options::args::VerifyArgs;
 use crate::output::digest;
 use crate::output::outputs::{Destination, is_inside};
 use crate::output::place::Place;
-use crate::output::record::{Record, Task};
+use crate::output::record::{Invocation, Record};
 
 /// Compares the files that are there with their digests, then repeats the work and compares again. Fails where one differs.
 pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
@@ -56,9 +56,9 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
     }));
     let input = &record.input.path;
     // The repetition itself says nothing.
-    let silent = Console { quiet: true, ..Console::default() };
+    let quiet = Console { quiet: true, ..Console::default() };
     let again = match &record.task {
-        Task::Run(options) => {
+        Invocation::Run(options) => {
             let mut options = options.clone();
             if !record.complete {
                 options.frames = Some(record.input.count);
@@ -70,12 +70,12 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
                 options.emit = Some(kinds.into_iter().filter(has).collect::<Vec<_>>().join(","));
                 options.view.renderer = None;
             }
-            run::run(input, &mut place, &options, &args.machine, &silent)?
+            run::run(input, &mut place, &options, &args.machine, &quiet)?
         }
-        Task::Render(_) if !record.complete => {
+        Invocation::Render(_) if !record.complete => {
             return Err(Failure::work(format!("{}: the rendering was stopped; run it again", record_path.display())));
         }
-        Task::Render(options) => render::render(input, &mut place, options, &args.machine, &silent)?,
+        Invocation::Render(options) => render::render(input, &mut place, options, &args.machine, &quiet)?,
     };
 
     let model = |record: &Record| record.model.as_ref().map_or_else(|| "none".to_owned(), |model| model.blake3.clone());

@@ -46,13 +46,13 @@ pub enum Command {
     },
     /// Repeat what DIR/run.json describes; exit code 1 where a digest differs
     Verify(VerifyArgs),
-    /// Whether two images, folders of images, videos or scenes are the same, and else how far apart and where; exit code 1 where they differ
+    /// Difference of two images, folders of images, videos or scenes: none, or how far apart and where; exit code 1 where they differ
     Compare(CompareArgs),
     /// Golden images: record a list of renders, and check them with zero tolerance
     Golden(GoldenArgs),
     /// Print the completions of a shell
     Completions {
-        /// Which shell
+        /// Shell to complete for
         shell: clap_complete::Shell,
     },
     /// The manual page
@@ -89,12 +89,12 @@ pub struct Model {
     pub precision: Option<String>,
 }
 
-/// How a video becomes a scene.
+/// Options of the way from a video to a scene.
 #[derive(Args, Clone, Debug, Serialize, Deserialize)]
 pub struct Stream {
     #[command(flatten)]
     pub model: Model,
-    /// Trade of error for time: realtime, balanced or best; sets gap, resolution, motion, flow, fade, refine, refine-every, precision and reuse
+    /// Trade-off of error and time: realtime, balanced or best; sets gap, resolution, motion, flow, fade, refine, refine-every, precision and reuse
     /// where they are not given [default: balanced for the model inside the program; others run as the paper says]
     #[arg(long, value_name = "NAME")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -102,7 +102,7 @@ pub struct Stream {
     /// Inverse depth: none, a folder of EXR, 16-bit PNG or NPY files, one per frame, or onnx:FILE, a network that ONNX Runtime runs
     #[arg(long, value_name = "DIR|onnx:FILE", default_value = "none")]
     pub depth: String,
-    /// What the network's file does not say: size=N or WxH, multiple=N, mean=R/G/B, std=R/G/B, metric, output=NAME, separated by
+    /// Properties of the depth network that its file does not give: size=N or WxH, multiple=N, mean=R/G/B, std=R/G/B, metric, output=NAME, separated by
     /// commas; with a folder metric alone: its files hold depth, not inverse depth, and 0 where there is none [default: size=518,multiple=14 and ImageNet's mean and std]
     #[arg(long, value_name = "LIST")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -110,7 +110,7 @@ pub struct Stream {
     /// Depth is normalised by each frame's own range (frame) or the range of all maps (clip)
     #[arg(long, value_name = "RANGE", default_value = "frame")]
     pub depth_range: String,
-    /// Where depth maps lift Gaussians: on puts Gaussians behind what stands in front, off leaves nothing there [default: on]
+    /// Gaussians behind what stands in front, where depth maps lift Gaussians: on adds them, off leaves nothing there [default: on]
     #[arg(long, value_name = "on|off")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub behind: Option<String>,
@@ -133,7 +133,7 @@ pub struct Stream {
     #[arg(long, value_name = "EFFORT")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub flow: Option<String>,
-    /// How Gaussians fade in and out between key frames: network (each as the model predicts it) or fixed (all alike; where motion is not the
+    /// Fading of Gaussians between key frames: network (each as the model predicts it) or fixed (all alike; where motion is not the
     /// model's either, nothing of its prediction between key frames is computed) [default: fixed for the model inside the program, network for
     /// others and for --motion network]
     #[arg(long, value_name = "HOW")]
@@ -148,7 +148,7 @@ pub struct Stream {
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..))]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refine_every: Option<u32>,
-    /// What a key frame knows of those before: persistent or pairwise
+    /// Gaussians carried over a key frame: persistent (identities go on and survivors fade) or pairwise (each interval by itself)
     #[arg(long, value_name = "MODE", default_value = "persistent")]
     pub fusion: String,
     /// Key frames after which a Gaussian that nothing continues is dropped at the latest [default: 8]
@@ -169,7 +169,7 @@ pub struct Stream {
 
 /// Options of the images: times, size, camera, background and renderer.
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
-pub struct View {
+pub struct ViewOptions {
     /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
     pub times: Option<String>,
@@ -182,14 +182,14 @@ pub struct View {
     /// COLMAP model [default: the source's own view; for a still scene one from which it is seen whole]
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Which camera of another program's file: its number from 0, or its image's name [default: all, one a second from 0]
+    /// Camera of another program's file: its number from 0, or its image's name [default: all, one a second from 0]
     #[arg(long, value_name = "N|NAME", requires = "camera")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub view: Option<String>,
     /// Colour behind everything: grey level or R,G,B, in [0,1]; for render also transparent (PNG and EXR with alpha)
     #[arg(long, value_name = "COLOUR", default_value = "0.5", allow_hyphen_values = true)]
     pub background: String,
-    /// What draws: cpu, or wgpu (a graphics card; images are then outside of the bit contract) [default: cpu]
+    /// Renderer: cpu, or wgpu (a graphics card; images are then outside of the bit contract) [default: cpu]
     #[arg(long, value_name = "NAME")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub renderer: Option<String>,
@@ -207,7 +207,7 @@ pub struct RunArgs {
     pub options: RunOptions,
     #[command(flatten)]
     pub machine: Machine,
-    /// Go on with a run that was stopped, from its last whole interval; without one, start
+    /// Resume an interrupted run from its last whole interval; start a new one if none exists
     #[arg(long)]
     pub resume: bool,
     /// Replace finished results of another input or other options
@@ -226,14 +226,14 @@ pub struct RunArgs {
 pub struct RunOptions {
     #[command(flatten)]
     pub stream: Stream,
-    /// How frames fit the model's input: letterbox or stretch
+    /// Fit of frames into the model's input: letterbox or stretch
     #[arg(long, value_name = "MODE", default_value = "letterbox")]
     pub fit: String,
     /// Frames per second of the input [default: its own, or 24]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
     #[command(flatten)]
-    pub view: View,
+    pub view: ViewOptions,
     #[command(flatten)]
     #[serde(flatten)]
     pub motion: Motion,
@@ -269,7 +269,7 @@ pub struct RenderArgs {
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct RenderOptions {
     #[command(flatten)]
-    pub view: View,
+    pub view: ViewOptions,
     #[command(flatten)]
     #[serde(flatten)]
     pub motion: Motion,
@@ -345,7 +345,7 @@ pub struct EvalArgs {
     /// Give the frames between key frames as well, and measure them as seen; without it nothing but the comparison reads them
     #[arg(long)]
     pub seen: bool,
-    /// How frames fit the model's input: stretch or letterbox
+    /// Fit of frames into the model's input: stretch or letterbox
     #[arg(long, value_name = "MODE", default_value = "stretch")]
     pub fit: String,
     /// Frames per second of the input [default: its own, or 24]
@@ -357,7 +357,7 @@ pub struct EvalArgs {
     /// LPIPS as well, by this ONNX file: two images in [-1,1] in, one number out; run by ONNX Runtime
     #[arg(long, value_name = "FILE")]
     pub lpips_model: Option<PathBuf>,
-    /// What draws: cpu, or wgpu (a graphics card) [default: cpu]
+    /// Renderer: cpu, or wgpu (a graphics card) [default: cpu]
     #[arg(long, value_name = "NAME")]
     pub renderer: Option<String>,
     #[command(flatten)]
@@ -375,7 +375,7 @@ pub struct ForwardArgs {
     /// Tensors in.frames, in.depths and in.condition; or in.frame for DINOv2
     #[arg(long, value_name = "FILE")]
     pub input: PathBuf,
-    /// Where the tensors out.* are written
+    /// File for the tensors out.*
     #[arg(long, value_name = "FILE")]
     pub output: PathBuf,
     /// Arithmetic of the large matrix products: f32, bf16 or int8
@@ -389,7 +389,7 @@ pub struct ForwardArgs {
 pub struct SplatArgs {
     /// Tensors mean, scale, quat, opacity, rgb in view space; size, background, and focal or intrinsics
     pub scene: PathBuf,
-    /// Where rgb, depth, alpha, final_T and blended are written
+    /// File for rgb, depth, alpha, final_T and blended
     pub out: PathBuf,
     #[command(flatten)]
     pub limit: Limit,
@@ -435,7 +435,7 @@ pub struct ExportArgs {
 pub struct TrackArgs {
     /// A scene's folder, its scene.json, the folder of a run, or a container (.ssz)
     pub scene: PathBuf,
-    /// When the point is pointed at, in seconds
+    /// Time of the point, in seconds
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     pub at: f64,
     /// Column and row in the source's frame, pixel centres at whole numbers
@@ -476,7 +476,7 @@ pub struct ViewArgs {
     /// Serve nothing: write the page with the scene in it as this file, which opens by itself
     #[arg(long, value_name = "FILE", conflicts_with_all = ["port", "host", "allow_host"])]
     pub html: Option<PathBuf>,
-    /// Where the page of --html will be on the web, for the tags that programs read which show links; its poster is FILE.png beside it
+    /// Address of the page of --html on the web, for the tags that programs read which show links; its poster is FILE.png beside it
     #[arg(long, value_name = "URL", requires = "html")]
     pub url: Option<String>,
     #[command(flatten)]
@@ -547,7 +547,7 @@ pub struct GoldenCheckArgs {
     /// The list of renders (docs/golden.md)
     #[arg(value_name = "FILE.toml")]
     pub file: PathBuf,
-    /// Where images that differ are written, beside what was expected [default: FILE.failed]
+    /// Folder for images that differ, beside what was expected [default: FILE.failed]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Write the results as JUnit XML

@@ -15,7 +15,7 @@ use streamsplat_kernels::raster;
 use streamsplat_model::Precision;
 
 use crate::console::failure::Failure;
-use crate::options::args::{Machine, Model, Stream, View};
+use crate::options::args::{Machine, Model, Stream, ViewOptions};
 use crate::options::motion::Course;
 
 /// `text` as a `T`, or wrong use of `option`.
@@ -214,7 +214,7 @@ impl Views {
     }
 }
 
-impl View {
+impl ViewOptions {
     /// Checks everything that can be checked before work is spent.
     pub fn resolve(&self) -> Result<Views, Failure> {
         let transparent = self.background == "transparent";
@@ -341,10 +341,10 @@ mod tests {
 
     #[test]
     fn sizes_and_backgrounds_outside_their_range_are_wrong_use() {
-        let view = |size: &str, background: &str| View {
+        let view = |size: &str, background: &str| ViewOptions {
             size: Some(size.into()),
             background: background.into(),
-            ..View::default()
+            ..ViewOptions::default()
         };
         let views = view("640x360", "0,0.5,1").resolve().expect("valid");
         assert_eq!(views.options.size, Size::Exact { width: 640, height: 360 });

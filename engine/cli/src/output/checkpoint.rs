@@ -32,7 +32,7 @@ use crate::output::choices::Choices;
 use crate::output::earlier::is_as_written;
 use crate::output::ledger;
 use crate::output::outputs::Destination;
-use crate::output::record::{Counts, InputRecord, Record, Task, WorkRecord, absolute};
+use crate::output::record::{Counts, InputRecord, Invocation, Record, WorkRecord, absolute};
 use crate::output::terms::Terms;
 use crate::session::drawing::Anchor;
 
@@ -222,7 +222,7 @@ pub fn remove(folder: &Path) -> Result<(), OutputError> {
 
 /// A complete run is only said to be one when it is the run asked for.
 pub fn check_complete(record: &Record, input: &Path, given: &Terms) -> Result<(), Failure> {
-    let Task::Run(options) = &record.task else {
+    let Invocation::Run(options) = &record.task else {
         return Err(Failure::usage("--resume: --out holds the results of render, not of run"));
     };
     let recorded = Terms::recorded(record, options)?;

@@ -12,7 +12,7 @@ use streamsplat::output::{
 use streamsplat::picture::Picture;
 use streamsplat::render::{Backend, Snapshot};
 use streamsplat::scene::{ContainerWriter, IntervalEntry, SceneWriter, to_safetensors};
-use streamsplat::stream::{Interval, ResumePoint};
+use streamsplat::stream::{Interval, ResumePoint, Workers};
 
 use crate::console::failure::Failure;
 use crate::output::checkpoint::Point;
@@ -266,13 +266,13 @@ impl Outputs {
         Ok(())
     }
 
-    /// Writes an interval of the scene, and where its identities are, if these are wanted.
-    pub fn interval(&mut self, interval: &Interval) -> Result<(), Failure> {
+    /// Writes an interval of the scene, and where its identities are, if these are wanted; `workers` code a container.
+    pub fn interval(&mut self, interval: &Interval, workers: &Workers) -> Result<(), Failure> {
         if self.emit.tracks {
             self.file(format!("tracks/interval-{:06}.csv", interval.index), export::tracks(interval).as_bytes())?;
         }
         if let Some(container) = &mut self.container {
-            container.push(interval)?;
+            container.push(interval, workers)?;
         }
         let Some(scene) = &mut self.scene else { return Ok(()) };
         let ledger = &mut self.ledger;

@@ -29,7 +29,7 @@ pub struct Record {
     pub version: String,
     /// The command, with every option that affects the output.
     #[serde(flatten)]
-    pub task: Task,
+    pub task: Invocation,
     /// The seed of everything drawn at random.
     pub seed: u64,
     /// The checkpoint.
@@ -63,7 +63,7 @@ pub struct Record {
 /// The command and its options.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "command", content = "options", rename_all = "lowercase")]
-pub enum Task {
+pub enum Invocation {
     /// `run`.
     Run(Box<RunOptions>),
     /// `render`.
@@ -295,10 +295,10 @@ mod tests {
     use crate::options::args::{Cli, Command};
 
     /// Parses a command line as a task.
-    fn task(words: &[&str]) -> Task {
+    fn task(words: &[&str]) -> Invocation {
         match Cli::try_parse_from(words).expect("a command").command {
-            Command::Run(args) => Task::Run(Box::new(args.options)),
-            Command::Render(args) => Task::Render(Box::new(args.options)),
+            Command::Run(args) => Invocation::Run(Box::new(args.options)),
+            Command::Render(args) => Invocation::Render(Box::new(args.options)),
             _ => panic!("{words:?} leave no record"),
         }
     }

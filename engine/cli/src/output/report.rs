@@ -7,7 +7,7 @@ use streamsplat::output::write_file;
 
 use crate::console::failure::Failure;
 use crate::output::outputs::Destination;
-use crate::output::record::{Record, Task};
+use crate::output::record::{Invocation, Record};
 
 /// Writes the record (and, in a folder, the report). The record comes last: where it is, everything is.
 pub fn finish(record: &Record, destination: &Destination, json: Option<&Path>) -> Result<(), Failure> {
@@ -53,8 +53,8 @@ fn markdown(record: &Record) -> String {
 
 fn write_markdown(record: &Record, out: &mut String) -> std::fmt::Result {
     let command = match &record.task {
-        Task::Run(_) => "run",
-        Task::Render(_) => "render",
+        Invocation::Run(_) => "run",
+        Invocation::Render(_) => "render",
     };
     let input = &record.input;
     writeln!(out, "# streamsplat {command}\n")?;

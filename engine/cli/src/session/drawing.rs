@@ -1,11 +1,12 @@
 //! Images at times, of intervals as they come.
 
 use std::collections::BTreeMap;
+use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use streamsplat::camera::{Camera, turn};
-use streamsplat::render::{Backend, Painter, View};
+use streamsplat::render::{Backend, Renderer, View};
 use streamsplat::still::Drawable;
 use streamsplat::stream::{Interval, Workers};
 use streamsplat::{Image, RenderError};
@@ -14,7 +15,6 @@ use streamsplat_kernels::raster::Projection;
 use crate::console::failure::Failure;
 use crate::options::motion::Course;
 use crate::options::settings::Views;
-use crate::output::outputs::Outputs;
 use crate::output::record::{Counts, RendererRecord, WorkRecord};
 
 /// Colour, depth and alpha.
@@ -31,7 +31,8 @@ pub struct Anchor {
 
 /// Draws and writes images; keeps the account.
 pub struct Drawing {
-    painter: Painter,
+    workers: Workers,
+    renderer: Renderer,
     backend: Backend,
     /// Known from the first image on that needs it.
     pub anchor: Option<Anchor>,
@@ -47,7 +48,8 @@ impl Drawing {
     /// Nothing drawn yet.
     pub fn new(workers: &Workers, backend: Backend) -> Result<Drawing, Failure> {
         Ok(Drawing {
-            painter: Painter::with(workers, backend)?,
+            workers: workers.clone(),
+            renderer: Renderer::with(workers, backend)?,
             backend,
             anchor: None,
             counts: Counts::default(),
@@ -56,11 +58,16 @@ impl Drawing {
         })
     }
 
+    /// Its threads and level.
+    pub fn workers(&self) -> &Workers {
+        &self.workers
+    }
+
     /// Renderer, for the record.
     pub fn renderer(&self) -> RendererRecord {
         RendererRecord {
             name: self.backend.to_string(),
-            adapter: self.painter.adapter().map(str::to_owned),
+            adapter: self.renderer.adapter().map(str::to_owned),
             bit_contract: self.backend.is_within_contract(),
         }
     }
@@ -73,7 +80,7 @@ impl Drawing {
         let placement = &interval.placement;
         let anchor = match self.anchor {
             Some(anchor) => anchor,
-            None => *self.anchor.insert(Anchor { time, pivot: turn::pivot(interval, time)? }),
+            None => *self.anchor.insert(Anchor { time, pivot: turn::pivot(interval, time, &self.workers)? }),
         };
         let camera = match &views.course {
             None => views.camera.at(time),
@@ -87,13 +94,14 @@ impl Drawing {
     fn seen(&mut self, interval: &Interval, time: f64, camera: &Camera, views: &Views) -> Result<Image, Failure> {
         let view = View::new(camera, &interval.placement, [1; 2]);
         let turned = view.rotation().is_some() || !matches!(view.projection(), Projection::Orthographic { .. });
-        self.drawn(turned, |painter| painter.draw(interval, time, camera, &views.options))
+        self.drawn(turned, |renderer| renderer.render(interval, time, camera, &views.options))
     }
 
     /// Draws a still scene from where the camera is at `time`.
     pub fn still(&mut self, scene: &Drawable, time: f64, views: &Views) -> Result<Image, Failure> {
         // Its Gaussians have rotations of their own.
-        let mut seen = |camera: &Camera| self.drawn(true, |painter| painter.draw_still(scene, camera, &views.options));
+        let mut seen =
+            |camera: &Camera| self.drawn(true, |renderer| renderer.render_still(scene, camera, &views.options));
         match (views.camera.at(time), views.eyes.zip(views.pivot)) {
             (camera @ Camera::Canonical, _) | (camera, None) => seen(&camera),
             (camera, Some((apart, pivot))) => {
@@ -107,15 +115,15 @@ impl Drawing {
     fn drawn(
         &mut self,
         turned: bool,
-        paint: impl FnOnce(&mut Painter) -> Result<&Image, RenderError>,
+        paint: impl FnOnce(&mut Renderer) -> Result<&Image, RenderError>,
     ) -> Result<Image, Failure> {
         let _span = tracing::info_span!("render").entered();
         let start = Instant::now();
-        let image = paint(&mut self.painter)?.clone();
+        let image = paint(&mut self.renderer)?.clone();
         self.render += start.elapsed();
         self.counts.images += 1;
         self.counts.dropped += image.dropped;
-        let (work, left_out) = (self.painter.work(), self.painter.left_out());
+        let (work, left_out) = (self.renderer.work(), self.renderer.left_out());
         let planes = 1 + u64::from(image.depth.is_some()) + u64::from(image.alpha.is_some());
         let counts = [
             (work.gaussians.saturating_sub(work.culled), work.culled),
@@ -141,17 +149,44 @@ impl Drawing {
         result
     }
 
-    /// Draws and writes the image with the number `index`.
-    pub fn image(
+    /// Draws what is due and writes it, in order. With two threads or more, one image is drawn while the one before is written.
+    pub fn pass<I, T: Send>(
         &mut self,
-        outputs: &mut Outputs,
-        index: usize,
-        interval: &Interval,
-        time: f64,
-        views: &Views,
+        due: impl ExactSizeIterator<Item = I> + Send,
+        mut draw: impl FnMut(&mut Drawing, I) -> Result<Option<T>, Failure> + Send,
+        mut write: impl FnMut(T) -> Result<(), Failure>,
     ) -> Result<(), Failure> {
-        let image = self.draw(interval, index, time, views)?;
-        self.writing(|| outputs.image(index, image))
+        if self.workers.threads() < 2 || due.len() < 2 {
+            for item in due {
+                let Some(drawn) = draw(self, item)? else { break };
+                self.writing(|| write(drawn))?;
+            }
+            return Ok(());
+        }
+        let mut seconds = Duration::ZERO;
+        let result = std::thread::scope(|scope| {
+            let (sender, receiver) = sync_channel(0);
+            let drawing = &mut *self;
+            let drawn = scope.spawn(move || {
+                for item in due {
+                    let Some(drawn) = draw(drawing, item)? else { break };
+                    if sender.send(drawn).is_err() {
+                        break;
+                    }
+                }
+                Ok(())
+            });
+            for drawn in &receiver {
+                let _span = tracing::info_span!("write").entered();
+                let start = Instant::now();
+                let written = write(drawn);
+                seconds += start.elapsed();
+                written?;
+            }
+            drawn.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        });
+        self.write += seconds;
+        result
     }
 
     /// Adds what was drawn and what was not needed.

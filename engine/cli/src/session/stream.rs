@@ -1,8 +1,6 @@
 //! A run under way: key frames through the engine, results to where they go.
 
 use std::path::Path;
-use std::sync::mpsc::sync_channel;
-use std::time::{Duration, Instant};
 
 use streamsplat::render::Snapshot;
 use streamsplat::stream::{Interval, ResumePoint};
@@ -90,39 +88,13 @@ impl Stream<'_> {
     /// Writes an interval and what is due in it.
     fn write(&mut self, interval: &Interval, due: &[(usize, f64)], views: &Views) -> Result<(), Failure> {
         let Stream { outputs, drawing, emit, engine, .. } = self;
-        drawing.writing(|| outputs.interval(interval))?;
-        if engine.workers().threads() < 2 || due.len() < 2 {
-            for &(index, time) in due {
-                let drawn = Drawn::of(drawing, interval, (index, time), *emit, views)?;
-                drawing.writing(|| drawn.write(outputs, index))?;
-            }
-            return Ok(());
-        }
-        // An image is drawn while the one before is written, here and in order.
-        let mut seconds = Duration::ZERO;
-        let result = std::thread::scope(|scope| {
-            let (sender, receiver) = sync_channel(0);
-            let drawing = &mut *drawing;
-            let drawer = scope.spawn(move || {
-                for &(index, time) in due {
-                    let drawn = Drawn::of(drawing, interval, (index, time), *emit, views)?;
-                    if sender.send((index, drawn)).is_err() {
-                        break;
-                    }
-                }
-                Ok(())
-            });
-            for (index, drawn) in &receiver {
-                let _span = tracing::info_span!("write").entered();
-                let start = Instant::now();
-                let written = drawn.write(outputs, index);
-                seconds += start.elapsed();
-                written?;
-            }
-            drawer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-        });
-        drawing.write += seconds;
-        result
+        drawing.writing(|| outputs.interval(interval, engine.workers()))?;
+        let emit = *emit;
+        drawing.pass(
+            due.iter(),
+            |drawing, &(index, time)| Ok(Some((index, Drawn::of(drawing, interval, (index, time), emit, views)?))),
+            |(index, drawn)| drawn.write(outputs, index),
+        )
     }
 
     /// Makes the interval just written one to go on from.
@@ -165,7 +137,7 @@ impl Drawn {
         views: &Views,
     ) -> Result<Self, Failure> {
         let image = emit.draws().then(|| drawing.draw(interval, index, time, views)).transpose()?;
-        let snapshot = emit.ply.then(|| Snapshot::exported(interval, time)).transpose()?;
+        let snapshot = emit.ply.then(|| Snapshot::exported(interval, time, drawing.workers())).transpose()?;
         if let Some(snapshot) = &snapshot {
             // Where an image is drawn as well, they are counted with it.
             drawing.counts.dropped += if emit.draws() { 0 } else { snapshot.dropped };

@@ -214,7 +214,7 @@ fn links(page: &str) -> impl Iterator<Item = &str> {
 #[test]
 fn links_between_pages_lead_to_files() {
     let mut pages: Vec<PathBuf> =
-        ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "bench/README.md", "fixtures/lite/README.md"]
+        ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "bench/README.md", "engine/lite/README.md"]
             .into_iter()
             .chain(["model/train/README.md", "model/train/HISTORY.md"])
             .map(|page| root().join(page))

@@ -5,7 +5,7 @@ use std::path::Path;
 use streamsplat::export;
 use streamsplat::render::Snapshot;
 use streamsplat::scene::{Scene, SceneWriter};
-use streamsplat::stream::{Interval, ModelSource};
+use streamsplat::stream::{Interval, ModelSource, Workers};
 use streamsplat::{Engine, Frame, Settings};
 
 use crate::support::{Scratch, command, fails, files, model, run_ok};
@@ -20,7 +20,7 @@ fn export_ok(scene: &Path, out: &Path, more: &[&str]) {
 }
 
 /// A short stream, as it comes out of the engine.
-fn live() -> Vec<Interval> {
+fn live() -> (Vec<Interval>, Workers) {
     let settings = Settings::with_model(ModelSource::File { checkpoint: model(), dinov2: None });
     let mut engine = Engine::new(settings).expect("the small model");
     let (width, height) = (40, 24);
@@ -28,13 +28,14 @@ fn live() -> Vec<Interval> {
         let pixel = |i: usize| ((i % width + 3 * shift) / 7 % 2) as f32 * 0.75 + (i / width) as f32 / 100.0;
         Frame { width, height, rgb: (0..3 * width * height).map(pixel).collect(), depth: None }
     };
-    (0..4).map(|k| engine.push(frame(k), k as f64 / 10.0).expect("a sound frame")).collect()
+    let intervals = (0..4).map(|k| engine.push(frame(k), k as f64 / 10.0).expect("a sound frame")).collect();
+    (intervals, engine.workers().clone())
 }
 
 #[test]
 fn a_scene_read_back_exports_what_the_live_one_shows() {
     let scratch = Scratch::new();
-    let intervals = live();
+    let (intervals, workers) = live();
     let folder = scratch.path("scene");
     let mut writer = SceneWriter::create(&folder, 10.0).expect("writable");
     for interval in &intervals {
@@ -47,11 +48,11 @@ fn a_scene_read_back_exports_what_the_live_one_shows() {
     let mut expected = Vec::new();
     for time in times {
         let place = scene.find(time).expect("inside");
-        let snapshot = Snapshot::of(&intervals[place], time).expect("inside");
-        let read = scene.interval(place, &intervals[place].workers).expect("just written");
-        assert_eq!(Snapshot::of(&read, time).expect("inside"), snapshot, "{time}");
+        let snapshot = Snapshot::of(&intervals[place], time, &workers).expect("inside");
+        let read = scene.interval(place).expect("just written");
+        assert_eq!(Snapshot::of(&read, time, &workers).expect("inside"), snapshot, "{time}");
         assert!(!snapshot.mean.is_empty(), "{time}");
-        let exported = Snapshot::exported(&read, time).expect("inside");
+        let exported = Snapshot::exported(&read, time, &workers).expect("inside");
         assert!(exported.mean.iter().zip(&snapshot.mean).all(|(a, b)| a[1..] == b[1..]));
         // The picture's shape: 80 by 48.
         let wide = |of: &Snapshot| of.mean.iter().map(|m| m[0].abs()).fold(0.0, f32::max);

@@ -9,9 +9,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use streamsplat::scene::Scene;
-use streamsplat::stream::Workers;
 use streamsplat_fixtures as fixtures;
-use streamsplat_kernels::Level;
 
 use crate::support::{Scratch, command, fails, files, model, record, run_ok};
 
@@ -42,10 +40,9 @@ fn check(out: &Path) -> (usize, usize) {
     let mut intervals = 0;
     if out.join("scene/scene.json").exists() {
         let scene = Scene::open(out).expect("a valid index");
-        let workers = Workers::new(Level::scalar(), 1).expect("one thread");
         intervals = scene.index().intervals.len();
         for i in 0..intervals {
-            scene.interval(i, &workers).expect("a whole interval");
+            scene.interval(i).expect("a whole interval");
         }
     }
     let mut images = 0;

@@ -341,7 +341,10 @@ fn inspect_tells_sizes_of_models_and_scenes() {
     );
     assert!(found["parameters"].as_u64().is_some_and(|n| n > 1_000_000));
     assert!(found["gflop_per_key_frame"].as_f64().is_some_and(|g| g > 0.1));
-    assert_eq!((&found["silent"]["decoder"]["branches"], &found["silent"]["decoder"]["of"]), (&0.into(), &3.into()));
+    assert_eq!(
+        (&found["zero_output"]["decoder"]["branches"], &found["zero_output"]["decoder"]["of"]),
+        (&0.into(), &3.into())
+    );
     let out = scratch.path("out");
     run_ok(&scratch.clip("clip", 2, 40, 24), &out, &["--quiet"]);
     assert_eq!(inspect(&out)["intervals"], 2);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use streamsplat::camera::file;
 use streamsplat::export;
 use streamsplat::picture::{Picture, to_u8};
-use streamsplat::render::Painter;
+use streamsplat::render::Renderer;
 use streamsplat::still::{Drawable, Still};
 use streamsplat::stream::Workers;
 use streamsplat::{RenderOptions, Size};
@@ -53,7 +53,7 @@ fn a_ply_file_is_drawn_as_the_library_draws_it_whatever_the_threads_and_verified
     let drawable = Drawable::new(still(), &workers).expect("even arrays");
     let view = file::parse(CAMERA).expect("a camera").at(0.0);
     let options = RenderOptions { size: Size::Exact { width: 90, height: 60 }, ..RenderOptions::default() };
-    let image = Painter::new(&workers).draw_still(&drawable, &view, &options).expect("a camera").clone();
+    let image = Renderer::new(&workers).render_still(&drawable, &view, &options).expect("a camera").clone();
     let picture = Picture { width: image.width, height: image.height, rgb: image.rgb };
     let mut outputs = Vec::new();
     for more in [&["--threads", "1", "--isa", "scalar"][..], &["--threads", "3"]] {

@@ -66,7 +66,6 @@ fn scene(scratch: &Scratch, name: &str, last: &[&[Record]]) -> PathBuf {
             placement: Placement { source: [48, 80], model: [48, 80], offset: [0, 0], content: [48, 80] },
             merges,
             dropped: 0,
-            workers: workers(),
         };
         writer.push(&interval).expect("writable");
     }
@@ -139,8 +138,8 @@ fn the_program_gives_the_librarys_track_of_a_run() {
     run_ok(&clip, &out, &["--quiet", "--fps", "10", "--gap", "3"]);
     let found = rows(&track(&out, "0.1", "20,15", &["--threads", "2"]));
     let scene = Scene::open(&out).expect("just written");
-    let interval = scene.interval(scene.find(0.1).expect("inside"), &workers()).expect("just written");
-    let picked = interval.pick(0.1, [20.0, 15.0]).expect("inside").expect("something");
+    let interval = scene.interval(scene.find(0.1).expect("inside")).expect("just written");
+    let picked = interval.pick(0.1, [20.0, 15.0], &workers()).expect("inside").expect("something");
     let track = Track::new(&picked, 0.1);
     let (mut expected, _) = track.backward(&interval, &[0.0]).expect("it was there");
     // Frame times are multiples of a tenth, in the arithmetic of a grid.
@@ -160,12 +159,12 @@ fn many_points_picked_at_once_are_what_each_is_alone() {
     let out = scratch.path("out");
     run_ok(&scratch.clip("clip", 3, 60, 30), &out, &["--quiet", "--fps", "10", "--gap", "2"]);
     let scene = Scene::open(&out).expect("just written");
-    let interval = scene.interval(1, &workers()).expect("just written");
+    let interval = scene.interval(1).expect("just written");
     let pixels: Vec<[f64; 2]> = (0..200).map(|i| [f64::from(i % 20) * 3.3 - 1.0, f64::from(i / 20) * 3.1]).collect();
-    let all = interval.pick_all(0.13, &pixels).expect("inside");
+    let all = interval.pick_all(0.13, &pixels, &workers()).expect("inside");
     assert!(all.iter().flatten().count() > 100);
     for (pixel, picked) in pixels.iter().zip(all) {
-        assert_eq!(interval.pick(0.13, *pixel).expect("inside"), picked, "{pixel:?}");
+        assert_eq!(interval.pick(0.13, *pixel, &workers()).expect("inside"), picked, "{pixel:?}");
     }
 }
 
@@ -218,14 +217,14 @@ fn emitted_tracks_are_where_the_scenes_identities_are() {
         let name = format!("tracks/interval-{i:06}.csv");
         assert!(record["outputs"][&name]["blake3"].is_string(), "{name} is recorded");
         let rows = tracks(&out.join(&name));
-        let interval = scene.interval(i, &workers()).expect("just written");
+        let interval = scene.interval(i).expect("just written");
         assert!(rows.windows(2).all(|pair| pair[0][0] < pair[1][0]), "a line per identity, ascending");
         merged += rows.iter().filter(|row| row[9].is_finite()).count();
         for merge in &interval.merges {
             let row = rows.iter().find(|row| row[0] as u64 == merge.identity).expect("what ends is said");
             assert_eq!(row[9] as u64, merge.into);
         }
-        let Some(next) = (i < 3).then(|| scene.interval(i + 1, &workers()).expect("just written")) else { continue };
+        let Some(next) = (i < 3).then(|| scene.interval(i + 1).expect("just written")) else { continue };
         // The next interval starts with exactly these, at these places.
         let mut compared = 0;
         for record in next.gaussians.iter().filter(|r| r.reference == Reference::Start) {

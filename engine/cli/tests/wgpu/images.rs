@@ -3,20 +3,20 @@
 use std::sync::{Mutex, OnceLock};
 
 use streamsplat::camera::{Camera, Pose};
-use streamsplat::render::{Backend, Painter};
+use streamsplat::render::{Backend, Renderer};
 use streamsplat::splats::Splats;
 use streamsplat::stream::Workers;
-use streamsplat::wgpu::WgpuRenderer;
+use streamsplat::wgpu::WgpuRasteriser;
 use streamsplat::{Engine, Frame, Image, RenderOptions, Settings, Size};
-use streamsplat_fixtures::clip::{Clip, Kind};
+use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Gaussians, Projection, Request, render};
 
 /// One device for all tests.
-fn device() -> &'static Mutex<WgpuRenderer> {
-    static DEVICE: OnceLock<Mutex<WgpuRenderer>> = OnceLock::new();
+fn device() -> &'static Mutex<WgpuRasteriser> {
+    static DEVICE: OnceLock<Mutex<WgpuRasteriser>> = OnceLock::new();
     DEVICE.get_or_init(|| {
-        let renderer = WgpuRenderer::new(Level::detect()).unwrap_or_else(|e| panic!("{e}"));
+        let renderer = WgpuRasteriser::new(Level::detect()).unwrap_or_else(|e| panic!("{e}"));
         println!("adapter: {}", renderer.adapter());
         Mutex::new(renderer)
     })
@@ -74,7 +74,7 @@ fn the_oracles_scenes_are_drawn_as_on_the_cpu() {
 #[test]
 fn a_predicted_scene_is_drawn_as_on_the_cpu_from_any_camera() {
     let mut engine = Engine::new(Settings::default()).expect("the embedded model");
-    let clip = Clip::new(Kind::Moving, 3, 96, 54);
+    let clip = Clip::new(ClipKind::Moving, 3, 96, 54);
     let mut interval = None;
     for time in [0.0, 0.2] {
         let picture = clip.picture(time);
@@ -83,9 +83,9 @@ fn a_predicted_scene_is_drawn_as_on_the_cpu_from_any_camera() {
     }
     let interval = interval.expect("two frames");
     let workers = Workers::new(Level::detect(), 2).expect("threads");
-    let mut card = Painter::with(&workers, Backend::Wgpu).unwrap_or_else(|e| panic!("{e}"));
+    let mut card = Renderer::with(&workers, Backend::Wgpu).unwrap_or_else(|e| panic!("{e}"));
     assert!(card.adapter().is_some_and(|name| !name.is_empty()));
-    let mut cpu = Painter::new(&workers);
+    let mut cpu = Renderer::new(&workers);
     assert_eq!(cpu.adapter(), None);
     let aside = Pose::look_at([0.3, -0.2, -0.8], [0.0, 0.0, 0.6], [0.0, -1.0, 0.0]).expect("a pose");
     let pinhole = Camera::pinhole(aside, 60.0, 16.0 / 9.0).expect("a camera");

@@ -70,7 +70,7 @@ const _: () = assert!(FIRST + VALUES == MERGE);
 
 /// State of the predictions, which writer and reader build from the records before.
 #[derive(Default)]
-struct Memory {
+struct Predictor {
     /// The last record of any kind.
     last: Quantised,
     /// The last one that was not carried.
@@ -81,7 +81,7 @@ struct Memory {
     next: [u64; 2],
 }
 
-impl Memory {
+impl Predictor {
     /// The prediction of the quantised numbers, from the record that is linked to.
     fn prediction(&self, kind: u64, linked: &Quantised) -> [i64; VALUES] {
         let mut p = if kind == CARRIED { linked.values } else { self.own.values };
@@ -132,7 +132,7 @@ fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Co
     let carried: BTreeMap<(u64, u64), usize> =
         before.iter().enumerate().map(|(i, r)| ((r.identity, r.frame), i)).collect();
     let mut seen: BTreeMap<u64, usize> = BTreeMap::new();
-    let mut memory = Memory::default();
+    let mut predictor = Predictor::default();
     for (i, record) in records.iter().enumerate() {
         let from = carried.get(&(record.identity, record.frame)).filter(|j| before[**j].birth == record.birth);
         let parent = seen.get(&record.identity).filter(|j| records[**j].birth == record.birth);
@@ -145,21 +145,21 @@ fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Co
         let code = record.reference as u64 | (record.handover as u64) << 1;
         columns[CODE].push(code);
         if kind != CARRIED {
-            columns[FRAME].push_signed(record.frame.wrapping_sub(memory.own.frame).cast_signed());
+            columns[FRAME].push_signed(record.frame.wrapping_sub(predictor.own.frame).cast_signed());
         }
         match linked {
             Some((j, _)) => {
-                let next = &mut memory.next[kind as usize - 1];
+                let next = &mut predictor.next[kind as usize - 1];
                 columns[LINK].push_signed((j as u64).wrapping_sub(*next).cast_signed());
                 *next = j as u64 + 1;
             }
             None => {
-                columns[IDENTITY].push_signed(record.identity.wrapping_sub(memory.fresh).cast_signed());
+                columns[IDENTITY].push_signed(record.identity.wrapping_sub(predictor.fresh).cast_signed());
                 columns[BIRTH].push_signed(record.frame.wrapping_sub(record.birth).cast_signed());
             }
         }
         let linked = linked.map(|(_, r)| r).unwrap_or_default();
-        let mut prediction = memory.prediction(kind, &linked);
+        let mut prediction = predictor.prediction(kind, &linked);
         if kind == FOLLOWING {
             let offset = following_offset(&linked, &record.values[MEAN..MEAN + 3]);
             prediction[OFFSET..OFFSET + 3].copy_from_slice(&offset);
@@ -167,7 +167,7 @@ fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Co
         for (k, (value, expected)) in record.values.iter().zip(prediction).enumerate() {
             columns[FIRST + k].push_signed(value - expected);
         }
-        memory.remember(kind, record);
+        predictor.remember(kind, record);
         seen.insert(record.identity, i);
     }
     let mut last = [0, 0];
@@ -178,7 +178,7 @@ fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Co
     }
     // Differences of 0 throughout are numbers of 0 throughout: predictions begin with 0.
     for column in &mut columns[RATES] {
-        if column.is_silent() {
+        if column.is_zero() {
             *column = Column::default();
         }
     }
@@ -218,9 +218,9 @@ pub(super) fn decode(
         }
     }
     let mut records: Vec<Quantised> = Vec::with_capacity(count);
-    let mut memory = Memory::default();
+    let mut predictor = Predictor::default();
     for _ in 0..count {
-        let record = next(&mut columns, &written, before, &records, &mut memory)?;
+        let record = next(&mut columns, &written, before, &records, &mut predictor)?;
         records.push(record);
     }
     let mut found = Vec::with_capacity(merges);
@@ -240,7 +240,7 @@ fn next(
     written: &[bool; VALUES],
     before: &[Quantised],
     records: &[Quantised],
-    memory: &mut Memory,
+    predictor: &mut Predictor,
 ) -> Result<Quantised, FormatError> {
     let wrong = |part: &str, expected: &str, found: u64| FormatError::new(part, expected, found.to_string());
     let kind = columns[KIND].next()?;
@@ -258,14 +258,14 @@ fn next(
         ..Quantised::default()
     };
     if kind != CARRIED {
-        record.frame = memory.own.frame.wrapping_add_signed(columns[FRAME].next_signed()?);
+        record.frame = predictor.own.frame.wrapping_add_signed(columns[FRAME].next_signed()?);
     }
     let mut linked = Quantised::default();
     if kind == FRESH {
-        record.identity = memory.fresh.wrapping_add_signed(columns[IDENTITY].next_signed()?);
+        record.identity = predictor.fresh.wrapping_add_signed(columns[IDENTITY].next_signed()?);
         record.birth = record.frame.wrapping_sub(columns[BIRTH].next_signed()?.cast_unsigned());
     } else {
-        let next = &mut memory.next[kind as usize - 1];
+        let next = &mut predictor.next[kind as usize - 1];
         let link = next.wrapping_add_signed(columns[LINK].next_signed()?);
         linked = *usize::try_from(link)
             .ok()
@@ -277,7 +277,7 @@ fn next(
             record.frame = linked.frame;
         }
     }
-    let mut prediction = memory.prediction(kind, &linked);
+    let mut prediction = predictor.prediction(kind, &linked);
     for k in 0..VALUES {
         if k == OFFSET && kind == FOLLOWING {
             let offset = following_offset(&linked, &record.values[MEAN..MEAN + 3]);
@@ -297,7 +297,7 @@ fn next(
     if !record.is_allowed() {
         return Err(FormatError::new("record", "opacity, scale and gamma in their ranges", "others"));
     }
-    memory.remember(kind, &record);
+    predictor.remember(kind, &record);
     Ok(record)
 }
 

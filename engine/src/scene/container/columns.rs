@@ -42,7 +42,7 @@ impl Column {
     }
 
     /// Returns true if every number is 0.
-    pub(super) fn is_silent(&self) -> bool {
+    pub(super) fn is_zero(&self) -> bool {
         self.0.iter().all(|byte| *byte == 0)
     }
 

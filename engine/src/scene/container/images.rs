@@ -3,7 +3,7 @@
 use super::ALONE_EVERY;
 use super::chunk::encode_for_images;
 use super::quantise::{OFFSET, Quantised, VALUES};
-use crate::stream::Interval;
+use crate::stream::{Interval, Workers};
 
 /// Steps of a container's whole numbers to one of a page's, in the order of the columns from `mean_x` on: a sixteenth of a pixel of
 /// 512×288 along x and z, a sixteenth of an opacity, a fifth of an octave of scale, a 64th of a colour.
@@ -17,13 +17,13 @@ pub(crate) struct ImageChunks {
 }
 
 impl ImageChunks {
-    /// The chunk of the next interval, and whether it stands alone.
-    pub(crate) fn next(&mut self, interval: &Interval) -> (Vec<u8>, bool) {
+    /// The chunk of the next interval, coded by `workers`, and whether it stands alone.
+    pub(crate) fn next(&mut self, interval: &Interval, workers: &Workers) -> (Vec<u8>, bool) {
         let sound = interval.gaussians.iter().filter(|record| record.is_sound());
         let records: Vec<Quantised> = sound.map(|record| coarser(Quantised::of(&record))).collect();
         let alone = self.count.is_multiple_of(ALONE_EVERY);
         let before = if alone { &[] } else { self.before.as_slice() };
-        let bytes = interval.workers.install(|| encode_for_images(before, &records));
+        let bytes = workers.install(|| encode_for_images(before, &records));
         self.count += 1;
         self.before = records;
         (bytes, alone)

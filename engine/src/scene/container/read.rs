@@ -12,7 +12,7 @@ use super::quantise::Quantised;
 use crate::fit::Placement;
 use crate::import::FormatError;
 use crate::scene::{FORMAT, Index, IntervalEntry, SceneError};
-use crate::stream::{DynamicGaussians, Interval, Merge, Workers};
+use crate::stream::{DynamicGaussians, Interval, Merge};
 
 /// Largest index read, in bytes.
 const MAX_INDEX: u64 = 1 << 26;
@@ -75,12 +75,7 @@ impl Container {
     }
 
     /// Reads interval `i`, and those before it that it is coded against, unless the last one read is among them.
-    pub(in crate::scene) fn interval(
-        &self,
-        i: usize,
-        placement: Placement,
-        workers: &Workers,
-    ) -> Result<Interval, SceneError> {
+    pub(in crate::scene) fn interval(&self, i: usize, placement: Placement) -> Result<Interval, SceneError> {
         let alone = i - self.entries[i].back;
         // A thread that panicked while it held this left it whole: it is only ever replaced.
         let kept = self.last.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
@@ -92,7 +87,7 @@ impl Container {
         for j in from..=i {
             (records, merges) = self.chunk(j, if j == alone { &[] } else { &records })?;
         }
-        let interval = self.entries[i].interval(&records, merges, placement, workers);
+        let interval = self.entries[i].interval(&records, merges, placement);
         *self.last.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some((i, records));
         Ok(interval)
     }
@@ -124,12 +119,12 @@ fn locate(trailer: &[u8], size: u64) -> Result<(u64, u64), FormatError> {
     Ok((at, length))
 }
 
-/// All intervals of a container in memory; `workers` draw them. Digests are not compared: they keep files from
+/// All intervals of a container in memory. Digests are not compared: they keep files from
 /// decaying unseen, and whoever has the bytes in memory vouches for them.
 ///
 /// # Errors
 /// Expected and found values.
-pub fn intervals_from_container(bytes: &[u8], workers: &Workers) -> Result<Vec<Interval>, FormatError> {
+pub fn intervals_from_container(bytes: &[u8]) -> Result<Vec<Interval>, FormatError> {
     let size = bytes.len();
     let version = version(bytes)?;
     let (at, length) =
@@ -142,7 +137,7 @@ pub fn intervals_from_container(bytes: &[u8], workers: &Workers) -> Result<Vec<I
         let known: &[Quantised] = if entry.back == 0 { &[] } else { &before };
         let chunk = &bytes[entry.at as usize..(entry.at + entry.bytes) as usize];
         let (records, merges) = decode(version, known, chunk, entry.gaussians, entry.merges)?;
-        intervals.push(entry.interval(&records, merges, placement, workers));
+        intervals.push(entry.interval(&records, merges, placement));
         before = records;
     }
     Ok(intervals)
@@ -150,9 +145,9 @@ pub fn intervals_from_container(bytes: &[u8], workers: &Workers) -> Result<Vec<I
 
 impl Entry {
     /// Its interval, of these records.
-    fn interval(&self, records: &[Quantised], merges: Vec<Merge>, placement: Placement, workers: &Workers) -> Interval {
+    fn interval(&self, records: &[Quantised], merges: Vec<Merge>, placement: Placement) -> Interval {
         let gaussians: DynamicGaussians = records.iter().map(Quantised::record).collect();
         let Entry { index, start, end, dropped, .. } = *self;
-        Interval { index, start, end, gaussians, placement, merges, dropped, workers: workers.clone() }
+        Interval { index, start, end, gaussians, placement, merges, dropped }
     }
 }

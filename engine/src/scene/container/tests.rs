@@ -19,7 +19,7 @@ fn workers(threads: usize) -> Workers {
 }
 
 /// A scene whose records carry over, follow and begin as an engine's do.
-fn intervals(count: u64, workers: &Workers) -> Vec<Interval> {
+fn intervals(count: u64) -> Vec<Interval> {
     let noise = |seed: u64| (seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f32 / (1 << 24) as f32;
     let record = |frame: u64, cell: u64| {
         let seed = frame * 1000 + cell;
@@ -56,16 +56,19 @@ fn intervals(count: u64, workers: &Workers) -> Vec<Interval> {
             placement: PLACEMENT,
             merges: (0..k % 3).map(|m| Merge { identity: 100 * k + m, into: m }).collect(),
             dropped: k,
-            workers: workers.clone(),
         }
     };
     (0..count).map(interval).collect()
 }
 
 fn written(path: &Path, intervals: &[Interval]) -> Vec<u8> {
+    written_by(&workers(1), path, intervals)
+}
+
+fn written_by(workers: &Workers, path: &Path, intervals: &[Interval]) -> Vec<u8> {
     let mut writer = ContainerWriter::create(path, 24.0).expect("writable");
     for interval in intervals {
-        writer.push(interval).expect("writable");
+        writer.push(interval, workers).expect("writable");
     }
     let written = writer.finish().expect("writable").expect("intervals");
     let bytes = std::fs::read(path).expect("readable");
@@ -81,15 +84,14 @@ fn close(a: &[f32], b: &[f32], most: f32) -> bool {
 fn intervals_come_back_in_any_order_as_closely_as_is_said() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ssz");
-    let workers = workers(2);
-    let intervals = intervals(19, &workers);
+    let intervals = intervals(19);
     written(&path, &intervals);
     let scene = Scene::open(&path).expect("just written");
     assert_eq!((scene.placement(), scene.span()), (PLACEMENT, (0.0, 18.0 / 7.0)));
     assert_eq!(scene.index().fps, 24.0);
     let mut kept = Vec::new();
     for i in [0, 1, 2, 18, 17, 5, 9, 8, 7, 16, 0, 10, 11] {
-        let (found, expected) = (scene.interval(i, &workers).expect("just written"), &intervals[i]);
+        let (found, expected) = (scene.interval(i).expect("just written"), &intervals[i]);
         assert_eq!((found.index, found.start, found.end), (expected.index, expected.start, expected.end));
         assert_eq!((&found.merges, found.dropped), (&expected.merges, expected.dropped));
         assert_eq!(found.gaussians.len(), expected.gaussians.len());
@@ -108,7 +110,7 @@ fn intervals_come_back_in_any_order_as_closely_as_is_said() {
         kept.push((i, found.gaussians));
     }
     for (i, gaussians) in kept {
-        let fresh = Scene::open(&path).expect("just written").interval(i, &workers).expect("just written");
+        let fresh = Scene::open(&path).expect("just written").interval(i).expect("just written");
         assert!(fresh.gaussians == gaussians, "{i}: whatever was read before");
     }
 }
@@ -119,33 +121,33 @@ fn a_container_of_version_1_is_read_as_it_was() {
     let scene = Scene::open(&path).expect("a container");
     assert_eq!((scene.index().version, scene.index().intervals.len()), (1, 2));
     for (i, count) in [(1, 1920), (0, 960)] {
-        let interval = scene.interval(i, &workers(1)).expect("sound");
+        let interval = scene.interval(i).expect("sound");
         assert_eq!((interval.gaussians.len(), interval.dropped), (count, 0));
         assert!(interval.gaussians.rgb_rate.iter().all(|rate| *rate == [0.0; 3]));
     }
     let bytes = std::fs::read(&path).expect("readable");
-    let intervals = intervals_from_container(&bytes, &workers(1)).expect("sound");
+    let intervals = intervals_from_container(&bytes).expect("sound");
     // What the program that wrote it exports from it.
-    let snapshot = crate::render::Snapshot::of(&intervals[1], 0.02).expect("inside");
+    let snapshot = crate::render::Snapshot::of(&intervals[1], 0.02, &workers(1)).expect("inside");
     let digest = blake3::hash(&crate::export::ply(&snapshot)).to_hex();
     assert_eq!(digest.as_str(), "6698c4d4cec34629b96221bcd90d85bc07e801dcd367fd30a83886b8b2880eed");
     // Written anew it is one of version 2 with the same records, and three empty columns more in each chunk.
     let folder = tempfile::tempdir().expect("a temporary folder");
     let anew = written(&folder.path().join("scene.ssz"), &intervals);
     assert_eq!(anew.len(), bytes.len() + 2 * 3 * 10);
-    let again = intervals_from_container(&anew, &workers(1)).expect("just written");
+    let again = intervals_from_container(&anew).expect("just written");
     assert!(again.iter().zip(&intervals).all(|(a, b)| a.gaussians == b.gaussians && a.merges == b.merges));
     // Either's chunks under the other's version are refused, and so are versions that there are not.
     for (bytes, version) in [(&bytes, 2), (&anew, 1), (&bytes, 0), (&bytes, 3)] {
         let mut other = bytes.clone();
         other[8] = version;
-        assert!(intervals_from_container(&other, &workers(1)).is_err(), "{version}");
+        assert!(intervals_from_container(&other).is_err(), "{version}");
     }
 }
 
 #[test]
 fn columns_of_rates_of_another_length_are_refused() {
-    let interval = &intervals(2, &workers(1))[1];
+    let interval = &intervals(2)[1];
     let records: Vec<Quantised> = interval.gaussians.iter().map(|r| Quantised::of(&r)).collect();
     let still: Vec<Quantised> =
         records.iter().map(|r| Quantised::of(&Record { rgb_rate: [0.0; 3], ..r.record() })).collect();
@@ -188,17 +190,17 @@ fn columns_of_rates_of_another_length_are_refused() {
 fn the_bytes_do_not_depend_on_threads_and_a_second_passage_changes_nothing() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let [a, b, c] = ["a", "b", "c"].map(|name| folder.path().join(name));
-    let bytes = written(&a, &intervals(11, &workers(1)));
-    assert!(written(&b, &intervals(11, &workers(3))) == bytes);
+    let bytes = written(&a, &intervals(11));
+    assert!(written_by(&workers(3), &b, &intervals(11)) == bytes);
     let scene = Scene::open(&a).expect("just written");
-    let again: Vec<Interval> = (0..11).map(|i| scene.interval(i, &workers(1)).expect("just written")).collect();
+    let again: Vec<Interval> = (0..11).map(|i| scene.interval(i).expect("just written")).collect();
     let same = Scene::open(&{
         written(&c, &again);
         c
     })
     .expect("just written");
     for (i, interval) in again.iter().enumerate() {
-        assert!(same.interval(i, &workers(1)).expect("just written").gaussians == interval.gaussians, "{i}");
+        assert!(same.interval(i).expect("just written").gaussians == interval.gaussians, "{i}");
     }
 }
 
@@ -218,14 +220,14 @@ fn extreme_records_stay_sound_and_unsound_ones_are_counted() {
         ..Record::default()
     };
     let values = [0.0, 1e-45, 1e-30, 1.0, 1e9, 1e30, f32::MAX, -f32::MAX, f32::NAN, f32::INFINITY];
-    let mut interval = intervals(1, &workers(1)).remove(0);
+    let mut interval = intervals(1).remove(0);
     interval.gaussians = values.into_iter().map(extreme).collect();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("x.ssz");
     written(&path, &[interval.clone(), Interval { start: 0.0, end: 1.0, ..interval }]);
     let scene = Scene::open(&path).expect("just written");
     for i in 0..2 {
-        let found = scene.interval(i, &workers(1)).expect("just written");
+        let found = scene.interval(i).expect("just written");
         assert_eq!((found.gaussians.len(), found.dropped), (8, 2));
         assert!(found.gaussians.iter().all(|r| r.is_sound()), "{:?}", found.gaussians);
         assert_eq!(found.gaussians.scale[0], [0.0; 2]);
@@ -238,12 +240,12 @@ fn extreme_records_stay_sound_and_unsound_ones_are_counted() {
 fn every_truncated_file_and_every_changed_byte_is_refused() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ssz");
-    let bytes = written(&path, &intervals(2, &workers(1)));
+    let bytes = written(&path, &intervals(2));
     let broken = folder.path().join("broken.ssz");
     let whole = |content: &[u8]| -> Result<(), SceneError> {
         std::fs::write(&broken, content).expect("writable");
         let scene = Scene::open(&broken)?;
-        (0..scene.index().intervals.len()).try_for_each(|i| scene.interval(i, &workers(1)).map(drop))
+        (0..scene.index().intervals.len()).try_for_each(|i| scene.interval(i).map(drop))
     };
     assert!(whole(&bytes).is_ok());
     for end in 0..bytes.len() {
@@ -262,7 +264,7 @@ fn every_truncated_file_and_every_changed_byte_is_refused() {
 fn a_hostile_index_is_refused_though_its_digest_is_right() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ssz");
-    let bytes = written(&path, &intervals(2, &workers(1)));
+    let bytes = written(&path, &intervals(2));
     let end = bytes.len() - index::TRAILER;
     let at = u64::from_le_bytes(bytes[end..end + 8].try_into().expect("eight bytes")) as usize;
     // Offsets inside the index, what is written there, and what is said.
@@ -287,8 +289,7 @@ fn a_hostile_index_is_refused_though_its_digest_is_right() {
         let digest = blake3::hash(&[&hostile[..index::HEADER], &hostile[at..end]].concat());
         hostile[end + 16..].copy_from_slice(digest.as_bytes());
         std::fs::write(&path, &hostile).expect("writable");
-        let error =
-            Scene::open(&path).and_then(|scene| scene.interval(1, &workers(1))).expect_err("hostile").to_string();
+        let error = Scene::open(&path).and_then(|scene| scene.interval(1)).expect_err("hostile").to_string();
         assert!(error.contains(expected), "{offset}: {error}");
     }
 }
@@ -297,15 +298,15 @@ fn a_hostile_index_is_refused_though_its_digest_is_right() {
 fn what_does_not_belong_in_one_container_is_refused_and_nothing_left() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ssz");
-    let [first, second] = <[Interval; 2]>::try_from(intervals(2, &workers(1))).expect("two");
+    let [first, second] = <[Interval; 2]>::try_from(intervals(2)).expect("two");
     let mut writer = ContainerWriter::create(&path, 24.0).expect("writable");
-    writer.push(&second).expect("writable");
+    writer.push(&second, &workers(1)).expect("writable");
     let elsewhere =
         Interval { placement: Placement { offset: [0, 0], ..PLACEMENT }, start: 5.0, end: 6.0, ..second.clone() };
     let mut uneven = Interval { start: 5.0, end: 6.0, ..second };
     uneven.gaussians.rgb.pop();
     for (wrong, expected) in [(&first, "ascending times"), (&elsewhere, "one placement"), (&uneven, "rgb: expected")] {
-        let error = writer.push(wrong).expect_err(expected).to_string();
+        let error = writer.push(wrong, &workers(1)).expect_err(expected).to_string();
         assert!(error.contains(expected), "{error}");
     }
     drop(writer);
@@ -353,7 +354,7 @@ proptest! {
     fn any_chunk_is_an_error_or_sound_records(
         changes in proptest::collection::vec((any::<proptest::sample::Index>(), any::<u8>()), 1..8),
     ) {
-        let interval = &intervals(2, &workers(1))[1];
+        let interval = &intervals(2)[1];
         let records: Vec<Quantised> = interval.gaussians.iter().map(|r| Quantised::of(&r)).collect();
         let mut bytes = encode(&[], &records, &interval.merges);
         for (index, byte) in changes {

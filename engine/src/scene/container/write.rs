@@ -10,7 +10,7 @@ use super::quantise::Quantised;
 use super::{ALONE_EVERY, MOST};
 use crate::output::{OutputError, Partial, Written};
 use crate::scene::{PlacementRecord, SceneError};
-use crate::stream::Interval;
+use crate::stream::{Interval, Workers};
 
 /// A container being filled. It holds two intervals at most, however long the scene.
 pub struct ContainerWriter {
@@ -53,12 +53,12 @@ impl ContainerWriter {
         self.file.write_all(bytes).map_err(OutputError::write(&self.path))
     }
 
-    /// Appends an interval. Records with numbers that are not finite are left out, and counted.
+    /// Appends an interval, coded by `workers`. Records with numbers that are not finite are left out, and counted.
     ///
     /// # Errors
     /// Files that cannot be written; arrays of different lengths; more than 2²⁴ records or merges; another placement than before; intervals that do
     /// not follow each other in time.
-    pub fn push(&mut self, interval: &Interval) -> Result<(), SceneError> {
+    pub fn push(&mut self, interval: &Interval, workers: &Workers) -> Result<(), SceneError> {
         let broken = |cause: String| SceneError::Broken { path: self.path.clone(), cause };
         let g = &interval.gaussians;
         if let Some((array, found)) = g.uneven() {
@@ -79,7 +79,7 @@ impl ContainerWriter {
             let (start, end) = (interval.start, interval.end);
             return Err(broken(format!("expected ascending times, found {start} to {end} after {last}")));
         }
-        let (records, bytes) = interval.workers.install(|| {
+        let (records, bytes) = workers.install(|| {
             let records: Vec<Quantised> = g.iter().filter(|r| r.is_sound()).map(|r| Quantised::of(&r)).collect();
             let before = if count.is_multiple_of(ALONE_EVERY) { &[] } else { self.before.as_slice() };
             let bytes = encode(before, &records, &interval.merges);

@@ -13,7 +13,7 @@ use super::page::{PageError, Whole};
 use super::source::{Description, IntervalTimes, Source};
 use crate::import::StillFile;
 use crate::picture::Picture;
-use crate::render::{Painter, RenderError, RenderOptions, Size};
+use crate::render::{RenderError, RenderOptions, Renderer, Size};
 use crate::scene::SceneError;
 use crate::still::{Drawable, Framing};
 use crate::stream::Workers;
@@ -101,8 +101,8 @@ impl Whole for StillSource {
         let [width, height] = POSTER;
         let camera = self.framing.camera(0.0, width as f64 / height as f64);
         let options = RenderOptions { size: Size::Exact { width, height }, ..RenderOptions::default() };
-        let mut painter = Painter::new(&self.workers);
-        let image = painter.draw_still(&self.scene, &camera, &options)?;
+        let mut renderer = Renderer::new(&self.workers);
+        let image = renderer.render_still(&self.scene, &camera, &options)?;
         Ok(Picture { width: image.width, height: image.height, rgb: image.rgb.clone() })
     }
 

@@ -1,6 +1,6 @@
 //! One tile: its list, front to back, onto its blocks of 4×4 pixels.
 
-#![expect(unsafe_code, reason = "tasks write tiles of one image; blocks are found without a check for each")]
+#![expect(unsafe_code, reason = "tasks write tiles of one image")]
 
 mod tables;
 mod walk;
@@ -12,7 +12,7 @@ use super::sort::Entry;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd};
 
-pub(super) use walk::{BLOCKS, Lanes, Sink, Transmittance, Walk, corner};
+pub(super) use walk::{BLOCKS, Block, Lanes, Sink, Transmittance, Walk, corner};
 
 /// Colour of 4×4 pixels.
 type Rgb = [Lanes; 3];
@@ -106,18 +106,15 @@ impl<S: Simd, const EXTRAS: usize> Sink<S> for Picture<'_, EXTRAS> {
     }
 
     #[inline(always)]
-    unsafe fn add(&mut self, s: S, at: usize, weight: S::F32, paint: &Paint<S>) {
+    fn add(&mut self, s: S, at: Block, weight: S::F32, paint: &Paint<S>) {
         const { assert!(EXTRAS == 0 || EXTRAS == BLOCKS) };
-        debug_assert!(at < BLOCKS);
-        // SAFETY: at < BLOCKS by the caller's promise.
-        let rgb = unsafe { self.rgb.get_unchecked_mut(at) };
+        let rgb = &mut self.rgb[at.index()];
         for channel in 0..3 {
             let values = &mut rgb[channel].0;
             s.store(s.mul_add(weight, paint.rgb[channel], s.load(values)), values);
         }
         if EXTRAS > 0 {
-            // SAFETY: as above; there are as many extras.
-            let Extra { depth, count } = unsafe { self.extras.get_unchecked_mut(at) };
+            let Extra { depth, count } = &mut self.extras[at.index()];
             s.store(s.mul_add(weight, paint.depth, s.load(&depth.0)), &mut depth.0);
             let one = s.keep(s.lt(s.splat(0.0), weight), s.splat(1.0));
             s.store(s.add(s.load(&count.0), one), &mut count.0);

@@ -1,7 +1,5 @@
 //! Factors of α by column and by row of a tile's pixels, and the blocks that a footprint reaches.
 
-#![expect(unsafe_code, reason = "vectors of a table are read and written by pointer")]
-
 use super::super::bin::{Reach, TILE};
 use super::super::project::{BLOCK, Splat};
 use crate::simd::{LANES, SHIFTER, Simd};
@@ -12,6 +10,13 @@ const PIXELS: usize = (if TILE[0] > TILE[1] { TILE[0] } else { TILE[1] }) * BLOC
 const COUNTING: [f32; LANES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 
 const _: () = assert!(TILE[0] <= LANES && TILE[1] <= LANES && BLOCK * BLOCK == LANES);
+const _: () = assert!((PIXELS - LANES).is_power_of_two());
+
+/// The values of each block's columns or rows of pixels.
+#[inline(always)]
+pub(super) fn fours(pixels: &Pixels) -> &[[f32; BLOCK]] {
+    pixels.as_chunks().0
+}
 
 /// 2^−q for q ≥ 0, at most 4 units in the last place off; exactly 1 for 0; 2^−125 for q ≥ 125 and for NaN.
 ///
@@ -40,12 +45,10 @@ pub(super) fn nearest<S: Simd>(s: S, centre: [f32; 2], scale: f32, pixels: &Pixe
     s.mul(t, t)
 }
 
-/// `factor·2^−(scale·d)²` for every pixel of the blocks `span`, with d its distance from the centre along one axis.
-///
-/// # Safety
-/// `span[1]` is at most the blocks of the tile on this axis.
+/// `factor·2^−(scale·d)²` for every pixel of the blocks `span`, with d its distance from the centre along one axis. `span[1]` is at most the
+/// blocks of the tile on this axis.
 #[inline(always)]
-pub(super) unsafe fn factors<S: Simd>(
+pub(super) fn factors<S: Simd>(
     s: S,
     centre: [f32; 2],
     scale: f32,
@@ -58,12 +61,10 @@ pub(super) unsafe fn factors<S: Simd>(
     let (whole, rest, scale) = (s.splat(centre[0]), s.splat(centre[1]), s.splat(scale));
     let mut at = span[0] * BLOCK;
     while at < span[1] * BLOCK {
-        // SAFETY: at < span[1]·BLOCK, which is at most PIXELS − LANES by the caller's promise: a vector from there on ends in the arrays.
-        unsafe {
-            let x = s.load_ptr(pixels.as_ptr().add(at));
-            let t = s.mul(scale, s.sub(s.sub(x, whole), rest));
-            s.store_ptr(s.mul(s.splat(factor), exp2_negative(s, s.mul(t, t))), to.as_mut_ptr().add(at));
-        }
+        // Changes nothing, but tells the compiler that a vector from there on ends in the arrays.
+        let from = at & (PIXELS - LANES - 1);
+        let t = s.mul(scale, s.sub(s.sub(s.load(&pixels[from..]), whole), rest));
+        s.store(s.mul(s.splat(factor), exp2_negative(s, s.mul(t, t))), &mut to[from..]);
         at += LANES;
     }
 }

@@ -1,15 +1,14 @@
 //! The weights `α·T` of a tile's splats, front to back, and what takes them.
 
-#![expect(unsafe_code, reason = "blocks are found without a check for each")]
-
 use super::super::bin::TILE;
 use super::super::project::{ALPHA_MAX, ALPHA_MIN, BLOCK, Splat, TRANSMITTANCE_MIN, split};
 use super::super::sort::Entry;
-use super::tables::{Tables, exp2_negative, factors, nearest, strips};
+use super::tables::{Tables, exp2_negative, factors, fours, nearest, strips};
 use crate::simd::{LANES, Simd, prefetch_near};
 
 /// Blocks of a tile.
 pub(in super::super) const BLOCKS: usize = TILE[0] * TILE[1];
+const _: () = assert!(BLOCKS.is_power_of_two());
 /// Records that are fetched together: their cache misses overlap.
 const TOGETHER: usize = 32;
 /// A box of at most this many blocks is drawn whole: to tell which of them the footprint misses would cost more.
@@ -24,6 +23,24 @@ pub(in super::super) struct Lanes(pub [f32; LANES]);
 
 impl Lanes {
     pub(in super::super) const ZERO: Self = Self([0.0; LANES]);
+}
+
+/// A block of a tile, counted row by row. An index of it lies in an array of [`BLOCKS`] values by the mask, so that the compiler leaves
+/// out the check.
+#[derive(Clone, Copy, Debug)]
+pub(in super::super) struct Block(usize);
+
+impl Block {
+    #[inline(always)]
+    fn new(row: usize, column: usize) -> Self {
+        debug_assert!(row < TILE[1] && column < TILE[0]);
+        Self(row * TILE[0] + column)
+    }
+
+    #[inline(always)]
+    pub(in super::super) fn index(self) -> usize {
+        self.0 & (BLOCKS - 1)
+    }
 }
 
 /// Transmittance of a tile's pixels.
@@ -81,11 +98,9 @@ pub(in super::super) trait Sink<S: Simd> {
     type Paint;
     /// A splat whose blocks are visited next.
     fn begin(&mut self, s: S, splat: &Splat) -> Self::Paint;
-    /// Weights of the splat on the block `at`: `α·T`, zero where it is not drawn.
-    ///
-    /// # Safety
-    /// `at < BLOCKS`, and it is given once at most between [`Sink::begin`] and [`Sink::end`], which alternate.
-    unsafe fn add(&mut self, s: S, at: usize, weight: S::F32, paint: &Self::Paint);
+    /// Weights of the splat on the block `at`: `α·T`, zero where it is not drawn. A block comes once at most between [`Sink::begin`] and
+    /// [`Sink::end`], which alternate.
+    fn add(&mut self, s: S, at: Block, weight: S::F32, paint: &Self::Paint);
     /// The splat has no other blocks; `entry` is its place in the list.
     fn end(&mut self, entry: &Entry) {
         let _ = entry;
@@ -116,15 +131,14 @@ pub(in super::super) struct Walked {
 
 /// The blocks of a footprint's box that lie in a tile, first and end, counted from the tile's first.
 ///
-/// [`Box4::new`] keeps `first ≤ end ≤ TILE` on both axes whatever the footprint's record and the tile are, so that
-/// `row·TILE[0] + column < BLOCKS` for every block of a box: unsafe code indexes by that.
+/// [`BlockBox::new`] keeps `first ≤ end ≤ TILE` on both axes whatever the footprint's record and the tile are.
 #[derive(Clone, Copy)]
-struct Box4 {
+struct BlockBox {
     columns: [usize; 2],
     rows: [usize; 2],
 }
 
-impl Box4 {
+impl BlockBox {
     /// The blocks of `splat` in the tile of this column and row.
     #[inline(always)]
     fn new(splat: &Splat, tile: [usize; 2]) -> Self {
@@ -175,7 +189,7 @@ impl Walk<'_> {
                 if let Some(later) = self.list.get(at + TOGETHER + i) {
                     prefetch_near(self.splats.as_ptr().wrapping_add(later.index as usize));
                 }
-                let bounds = Box4::new(splat, self.tile);
+                let bounds = BlockBox::new(splat, self.tile);
                 blocks += if SEPARABLE {
                     canvas.separable(s, splat, bounds, &mut tables, sink)
                 } else {
@@ -216,21 +230,17 @@ impl<'a> Canvas<'a> {
         &mut self,
         s: S,
         splat: &Splat,
-        Box4 { columns, rows }: Box4,
+        BlockBox { columns, rows }: BlockBox,
         tables: &mut Tables,
         sink: &mut K,
     ) -> usize {
         let paint = sink.begin(s, splat);
-        // SAFETY: a box ends with the tile.
-        unsafe {
-            factors(s, splat.x, splat.p, 1.0, columns, &tables.columns, &mut tables.across);
-            factors(s, splat.y, splat.q, splat.opacity, rows, &tables.rows, &mut tables.down);
-        }
+        factors(s, splat.x, splat.p, 1.0, columns, &tables.columns, &mut tables.across);
+        factors(s, splat.y, splat.q, splat.opacity, rows, &tables.rows, &mut tables.down);
         let count = (columns[1] - columns[0]) * (rows[1] - rows[0]);
         if count <= WHOLE_BOX {
             for row in rows[0]..rows[1] {
-                // SAFETY: rows and columns of the box, each row once.
-                unsafe { self.walk_row(s, tables, row, columns, sink, &paint) };
+                self.walk_row(s, tables, row, columns, sink, &paint);
             }
             return count;
         }
@@ -245,8 +255,7 @@ impl<'a> Canvas<'a> {
             if reached != 0 {
                 let columns = [reached.trailing_zeros() as usize, 32 - reached.leading_zeros() as usize];
                 count += columns[1] - columns[0];
-                // SAFETY: a row of the box, once, and columns whose bits are among those of `inside`: the box's.
-                unsafe { self.walk_row(s, tables, row, columns, sink, &paint) };
+                self.walk_row(s, tables, row, columns, sink, &paint);
             }
         }
         count
@@ -258,7 +267,7 @@ impl<'a> Canvas<'a> {
         &mut self,
         s: S,
         splat: &Splat,
-        Box4 { columns, rows }: Box4,
+        BlockBox { columns, rows }: BlockBox,
         tables: &mut Tables,
         sink: &mut K,
     ) -> usize {
@@ -290,47 +299,35 @@ impl<'a> Canvas<'a> {
         }
         let mut count = 0;
         for row in rows[0]..rows[1] {
-            // SAFETY: row < TILE[1], as a row of the box, and the arrays have BLOCK = 4 values for each row of the tile.
-            let (along_y, whole, rest) = unsafe {
-                (
-                    s.spread_four(tables.down.as_ptr().add(row * BLOCK)),
-                    s.spread_four(tables.middle.as_ptr().add(row * BLOCK)),
-                    s.spread_four(tables.rest.as_ptr().add(row * BLOCK)),
-                )
-            };
+            let along_y = s.spread_four(&fours(&tables.down)[row]);
+            let whole = s.spread_four(&fours(&tables.middle)[row]);
+            let rest = s.spread_four(&fours(&tables.rest)[row]);
             let (from, to) = (from[row] as usize, (to[row] + 1) as usize);
             count += to.saturating_sub(from);
-            for column in from..to {
-                // SAFETY: `strips` gives columns of the box, so column < TILE[0], and row < TILE[1] as above: at < BLOCKS, each once, and
-                // the columns' array has BLOCK = 4 values for each column of the tile.
-                unsafe {
-                    if !self.is_finished(row * TILE[0] + column) {
-                        let x = s.repeat_four(tables.columns.as_ptr().add(column * BLOCK));
-                        let t = s.mul(p, s.sub(s.sub(x, whole), rest));
-                        let alpha = s.mul(opacity, exp2_negative(s, s.mul_add(t, t, along_y)));
-                        self.composite(s, alpha, row * TILE[0] + column, sink, &paint);
-                    }
+            if from >= to {
+                continue;
+            }
+            for (column, x) in (from..).zip(&fours(&tables.columns)[from..to]) {
+                let at = Block::new(row, column);
+                if !self.is_finished(at) {
+                    let t = s.mul(p, s.sub(s.sub(s.repeat_four(x), whole), rest));
+                    let alpha = s.mul(opacity, exp2_negative(s, s.mul_add(t, t, along_y)));
+                    self.composite(s, alpha, at, sink, &paint);
                 }
             }
         }
         count
     }
 
-    /// # Safety
-    /// `at < BLOCKS`.
     #[inline(always)]
-    unsafe fn is_finished(&self, at: usize) -> bool {
-        debug_assert!(at < BLOCKS);
-        // SAFETY: the caller's.
-        unsafe { *self.done.get_unchecked(at) == ALL }
+    fn is_finished(&self, at: Block) -> bool {
+        self.done[at.index()] == ALL
     }
 
-    /// Weights of one splat on the blocks `columns` (first and end) of a row, separably.
-    ///
-    /// # Safety
-    /// `row < TILE[1]`, `columns[1] ≤ TILE[0]`, and no row comes twice between [`Sink::begin`] and [`Sink::end`].
+    /// Weights of one splat on the blocks `columns` (first and end) of a row, separably. No row comes twice between [`Sink::begin`] and
+    /// [`Sink::end`].
     #[inline(always)]
-    unsafe fn walk_row<S: Simd, K: Sink<S>>(
+    fn walk_row<S: Simd, K: Sink<S>>(
         &mut self,
         s: S,
         tables: &Tables,
@@ -339,38 +336,19 @@ impl<'a> Canvas<'a> {
         sink: &mut K,
         paint: &K::Paint,
     ) {
-        debug_assert!(row < TILE[1] && columns[1] <= TILE[0]);
-        // SAFETY: row < TILE[1] by the caller's promise; the array has BLOCK = 4 values for each row of the tile.
-        let along_y = unsafe { s.spread_four(tables.down.as_ptr().add(row * BLOCK)) };
-        for column in columns[0]..columns[1] {
-            // SAFETY: column < TILE[0] and row < TILE[1] by the caller's promise, so at < BLOCKS, each once; the array has BLOCK = 4 values
-            // for each column of the tile.
-            unsafe {
-                let at = row * TILE[0] + column;
-                if !self.is_finished(at) {
-                    let alpha = s.mul(along_y, s.repeat_four(tables.across.as_ptr().add(column * BLOCK)));
-                    self.composite(s, alpha, at, sink, paint);
-                }
+        let along_y = s.spread_four(&fours(&tables.down)[row]);
+        for (column, across) in (columns[0]..).zip(&fours(&tables.across)[columns[0]..columns[1]]) {
+            let at = Block::new(row, column);
+            if !self.is_finished(at) {
+                self.composite(s, s.mul(along_y, s.repeat_four(across)), at, sink, paint);
             }
         }
     }
 
     /// Weights of one splat on one block, and what it leaves of the light.
-    ///
-    /// # Safety
-    /// That of [`Sink::add`].
     #[inline(always)]
-    unsafe fn composite<S: Simd, K: Sink<S>>(
-        &mut self,
-        s: S,
-        alpha: S::F32,
-        at: usize,
-        sink: &mut K,
-        paint: &K::Paint,
-    ) {
-        debug_assert!(at < BLOCKS);
-        // SAFETY: at < BLOCKS by the caller's promise.
-        let light = unsafe { &mut self.left.get_unchecked_mut(at).0 };
+    fn composite<S: Simd, K: Sink<S>>(&mut self, s: S, alpha: S::F32, at: Block, sink: &mut K, paint: &K::Paint) {
+        let light = &mut self.left[at.index()].0;
         let alpha = s.min(alpha, s.splat(ALPHA_MAX));
         let hit = s.le(s.splat(ALPHA_MIN), alpha);
         let transmittance = s.load(light);
@@ -380,16 +358,13 @@ impl<'a> Canvas<'a> {
         let below = s.lt(left, s.min(transmittance, s.splat(TRANSMITTANCE_MIN)));
         if s.any(below) {
             let mut weights = s.to_array(weight);
-            // SAFETY: at < BLOCKS by the caller's promise.
-            let (finished, done) =
-                unsafe { (&mut self.finished.get_unchecked_mut(at).0, self.done.get_unchecked_mut(at)) };
+            let (finished, done) = (&mut self.finished[at.index()].0, &mut self.done[at.index()]);
             self.open -= usize::from(finish(s.bits(below), light, finished, done, &mut weights));
             weight = s.from_array(weights);
             left = s.sub(s.load(light), weight);
         }
         s.store(left, light);
-        // SAFETY: the caller's.
-        unsafe { sink.add(s, at, weight, paint) };
+        sink.add(s, at, weight, paint);
     }
 }
 

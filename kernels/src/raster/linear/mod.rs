@@ -25,6 +25,8 @@
 //! its sums. A component of a colour or of the background that is not finite counts as +0. So does a residual that is
 //! not finite, on its pixel and channel alone. Sums beyond the largest binary32 number are infinite or NaN.
 
+#![expect(unsafe_code, reason = "tasks write sums of tiles into one array")]
+
 mod passes;
 mod prepare;
 mod record;
@@ -38,7 +40,7 @@ use tracing::debug_span;
 
 use super::bin::Grid;
 use super::blend::{BLOCKS, Lanes, Transmittance, Walk};
-use super::renderer::{Renderer, finite_background};
+use super::rasteriser::{Rasteriser, finite_background};
 use super::sort::Entry;
 use super::{Gaussians, Projection, Request};
 use crate::level::Level;
@@ -47,7 +49,7 @@ use crate::simd::dispatch;
 use passes::{Adjoint, Forward, Moments, Normal, Place, Residual, Slots};
 use record::{Record, RecordTile};
 
-pub use solve::{ColourFit, Solution, View};
+pub use solve::{ColourFit, FitView, Solution};
 
 /// Bytes of weights that a [`ColourMap`] keeps unless told otherwise.
 pub const WEIGHT_BYTES: usize = 256 << 20;
@@ -64,7 +66,7 @@ const MERGED: usize = 4096;
 pub struct ColourMap {
     level: Level,
     budget: usize,
-    renderer: Renderer,
+    rasteriser: Rasteriser,
     separable: bool,
     /// Width, height.
     size: [usize; 2],
@@ -125,7 +127,7 @@ impl ColourMap {
         Self {
             level,
             budget: bytes,
-            renderer: Renderer::new(level),
+            rasteriser: Rasteriser::new(level),
             separable: false,
             size: [0; 2],
             grid: Grid::new(0, 0),
@@ -162,10 +164,10 @@ impl ColourMap {
         let _span = debug_span!("colour_map", gaussians = gaussians.len(), width = size[0], height = size[1]).entered();
         // Means stand in for colours: where they are not finite the Gaussian is dropped in any case.
         let gaussians = Gaussians { rgb: gaussians.mean, ..*gaussians };
-        self.renderer.forget();
+        self.rasteriser.forget();
         let request = Request::colour(size[0], size[1], [0.0; 3]);
-        let (now, grid) = self.renderer.begin(&gaussians, projection, &request);
-        self.renderer.coarse(&gaussians, &now.view, grid, false);
+        let (now, grid) = self.rasteriser.begin(&gaussians, projection, &request);
+        self.rasteriser.coarse(&gaussians, &now.view, grid, false);
         (self.separable, self.size, self.grid) = (now.view.separable, size, grid);
         self.order.clear();
         self.order.extend((0..grid.len() as u32).filter(|&tile| wanted(tile as usize)));
@@ -220,7 +222,7 @@ impl ColourMap {
         let record = if self.tiles[index].kept {
             &self.tiles[index].record
         } else {
-            let Renderer { splats, entries, starts, .. } = &self.renderer;
+            let Rasteriser { splats, entries, starts, .. } = &self.rasteriser;
             let list = &entries[starts[index] as usize..starts[index + 1] as usize];
             let walk = Walk { splats, list, separable: self.separable, tile, size: self.size };
             dispatch(self.level, RecordTile { walk, light, record: &mut *spare });

@@ -1,5 +1,7 @@
 //! Passes over the record of one tile: colours to pixels, pixels to sums.
 
+#![expect(unsafe_code, reason = "tasks write sums of splats into one array")]
+
 use super::super::blend::{BLOCKS, Lanes, corner, put_block};
 use super::super::project::BLOCK;
 use super::record::{Record, UNIT, Weights};
@@ -54,8 +56,7 @@ impl<const C: usize> Paint<C> for &[[f32; C]] {
 /// Weights in units of [`UNIT`].
 #[inline(always)]
 fn load<S: Simd>(s: S, weights: &Weights) -> S::F32 {
-    // SAFETY: 16 halfwords.
-    unsafe { s.load_u16(weights.0.as_ptr()) }
+    s.load_u16(&weights.0)
 }
 
 /// `pixels = Σ w·colour`, hit by hit, each a fused multiply-add.

@@ -1,5 +1,7 @@
 //! Preparation, made once for a scene: the record of each tile, and where the sums of its splats go.
 
+#![expect(unsafe_code, reason = "tasks sort lists of one array and fill records of another")]
+
 use std::sync::PoisonError;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -18,7 +20,7 @@ impl ColourMap {
     pub(super) fn record(&mut self) {
         let tiles = self.grid.len();
         let _span = debug_span!("record", tiles).entered();
-        let starts = &self.renderer.starts;
+        let starts = &self.rasteriser.starts;
         let length = |tile: u32| starts[tile as usize + 1] - starts[tile as usize];
         self.order.sort_unstable_by_key(|&tile| (std::cmp::Reverse(length(tile)), tile));
         self.tiles.resize_with(tiles, Tile::default);
@@ -27,11 +29,11 @@ impl ColourMap {
             tile.record.gaussians.clear();
         }
         let (next, used) = (AtomicUsize::new(0), AtomicUsize::new(0));
-        let entries = Disjoint::new(&mut self.renderer.entries);
+        let entries = Disjoint::new(&mut self.rasteriser.entries);
         let slots = Disjoint::new(&mut self.tiles);
         let spare = self.spare.get_mut().unwrap_or_else(PoisonError::into_inner);
         spare.threads.resize_with(rayon::current_num_threads(), Thread::default);
-        let (order, splats, level, budget) = (&self.order, &self.renderer.splats, self.level, self.budget);
+        let (order, splats, level, budget) = (&self.order, &self.rasteriser.splats, self.level, self.budget);
         let (separable, size, columns) = (self.separable, self.size, self.grid.columns);
         spare.threads.par_iter_mut().with_max_len(1).for_each(|thread| {
             while let Some(&tile) = order.get(next.fetch_add(1, Ordering::Relaxed)) {

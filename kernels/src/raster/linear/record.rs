@@ -1,6 +1,6 @@
 //! The weights of a tile, stored: its splats front to back, and for each the blocks on which it is drawn.
 
-use super::super::blend::{BLOCKS, Lanes, Sink, Transmittance, Walk};
+use super::super::blend::{BLOCKS, Block, Lanes, Sink, Transmittance, Walk};
 use super::super::project::Splat;
 use super::super::sort::Entry;
 use crate::simd::{LANES, Operation, Simd};
@@ -68,7 +68,8 @@ impl Operation for RecordTile<'_> {
         record.ends.clear();
         record.blocks.clear();
         record.weights.clear();
-        self.walk.run(s, self.light, &mut Recorder { record, hits: 0 });
+        let mut recorder = Recorder { record, blocks: [0; BLOCKS], weights: [Weights([0; LANES]); BLOCKS], hits: 0 };
+        self.walk.run(s, self.light, &mut recorder);
         record.light.clear();
         record.light.resize(BLOCKS, Lanes::ZERO);
         for (block, light) in record.light.iter_mut().enumerate() {
@@ -78,10 +79,12 @@ impl Operation for RecordTile<'_> {
     }
 }
 
-/// Writes hits behind one another. `blocks` and `weights` have room for a splat's worth of them from `begin` to `end`.
+/// Collects the hits of a splat and appends them to the record.
 struct Recorder<'a> {
     record: &'a mut Record,
-    /// Hits so far.
+    blocks: [u8; BLOCKS],
+    weights: [Weights; BLOCKS],
+    /// Hits of the splat so far.
     hits: usize,
 }
 
@@ -90,35 +93,29 @@ impl<S: Simd> Sink<S> for Recorder<'_> {
 
     #[inline(always)]
     fn begin(&mut self, _: S, _: &Splat) {
-        self.record.blocks.reserve(BLOCKS);
-        self.record.weights.reserve(BLOCKS);
+        self.hits = 0;
     }
 
     #[inline(always)]
-    unsafe fn add(&mut self, s: S, at: usize, weight: S::F32, (): &()) {
-        debug_assert!(self.hits < self.record.weights.capacity() && self.hits < self.record.blocks.capacity());
+    fn add(&mut self, s: S, at: Block, weight: S::F32, (): &()) {
+        debug_assert!(self.hits < BLOCKS, "a splat visits each block at most once");
         // At most 0.99 / UNIT; rounded half up.
         let stored = s.to_i32(s.mul_add(weight, s.splat(1.0 / UNIT), s.splat(0.5)));
-        // SAFETY: a splat visits each block at most once, and there was room for all of them when it began.
-        unsafe {
-            *self.record.blocks.as_mut_ptr().add(self.hits) = at as u8;
-            s.store_u16(stored, self.record.weights.as_mut_ptr().add(self.hits).cast());
-        }
+        let place = self.hits & (BLOCKS - 1);
+        self.blocks[place] = at.index() as u8;
+        s.store_u16(stored, &mut self.weights[place].0);
         // A block without a hit is written over by the next.
         self.hits += usize::from(s.any(s.gt_i32(stored, s.splat_i32(0))));
     }
 
     #[inline(always)]
     fn end(&mut self, entry: &Entry) {
-        let record = &mut *self.record;
-        if self.hits > record.blocks.len() {
-            // SAFETY: as many were written.
-            unsafe {
-                record.blocks.set_len(self.hits);
-                record.weights.set_len(self.hits);
-            }
+        let Self { record, blocks, weights, hits } = self;
+        if *hits > 0 {
+            record.blocks.extend_from_slice(&blocks[..*hits]);
+            record.weights.extend_from_slice(&weights[..*hits]);
             record.gaussians.push(entry.index);
-            record.ends.push(u32::try_from(self.hits).expect("fewer than 2³² hits in a tile"));
+            record.ends.push(u32::try_from(record.blocks.len()).expect("fewer than 2³² hits in a tile"));
         }
     }
 }

@@ -17,12 +17,14 @@
 //! [`ColourMap::normal`]. Steps along a direction are fused. Inner products are binary64, summed in chunks of [`CHUNK`] Gaussians, chunk after
 //! chunk.
 
+#![expect(unsafe_code, reason = "tasks write sums of tiles into one array")]
+
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 use tracing::debug_span;
 
-use super::super::renderer::finite_background;
+use super::super::rasteriser::finite_background;
 use super::passes::{Normal, Paint, Residual, Slots};
 use super::{ColourMap, Thread};
 use crate::level::Level;
@@ -34,7 +36,7 @@ const CHUNK: usize = 4096;
 
 /// One view in a [`ColourFit`].
 #[derive(Clone, Copy, Debug)]
-pub struct View<'a> {
+pub struct FitView<'a> {
     /// The map from colours to its image.
     pub map: &'a ColourMap,
     /// The unknown of each of the map's Gaussians, strictly ascending.
@@ -47,7 +49,7 @@ pub struct View<'a> {
 #[derive(Debug)]
 pub struct ColourFit<'a> {
     level: Level,
-    views: Vec<View<'a>>,
+    views: Vec<FitView<'a>>,
     unknowns: usize,
     ridge: f32,
     /// Of each view.
@@ -152,7 +154,7 @@ struct Buffers {
 }
 
 impl Splats {
-    fn of(View { map, unknown, factor }: &View<'_>) -> Self {
+    fn of(FitView { map, unknown, factor }: &FitView<'_>) -> Self {
         let gaussians: Vec<u32> = map.tiles.iter().flat_map(|tile| tile.record.gaussians.iter().copied()).collect();
         Self {
             unknown: gaussians.iter().map(|&i| unknown[i as usize]).collect(),
@@ -170,9 +172,9 @@ impl<'a> ColourFit<'a> {
     ///
     /// # Panics
     /// When a view has not one unknown per Gaussian of its map, or neither none nor one factor; when unknowns do not ascend to less than `unknowns`.
-    pub fn new(level: Level, views: Vec<View<'a>>, unknowns: usize, ridge: f32) -> Self {
+    pub fn new(level: Level, views: Vec<FitView<'a>>, unknowns: usize, ridge: f32) -> Self {
         let mut starts = vec![0];
-        for View { map, unknown, factor } in &views {
+        for FitView { map, unknown, factor } in &views {
             assert_eq!(unknown.len(), map.gaussians(), "one unknown per Gaussian of the view");
             assert!(factor.is_empty() || factor.len() == unknown.len(), "one factor per Gaussian of the view, or none");
             assert!(unknown.is_sorted_by(|a, b| a < b), "unknowns ascend");
@@ -412,7 +414,7 @@ fn fused<S: Simd>(_: S, a: f32, b: f32, c: f32) -> f32 {
 
 /// Adds `τ·Σ` of the unknowns from `first` on.
 struct Sums<'a, const C: usize> {
-    view: View<'a>,
+    view: FitView<'a>,
     first: usize,
     partial: &'a [[f32; C]],
     magnitudes: bool,
@@ -423,7 +425,7 @@ impl<const C: usize> Operation for Sums<'_, C> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let Self { view: View { map, unknown, factor }, first, partial, magnitudes, out } = self;
+        let Self { view: FitView { map, unknown, factor }, first, partial, magnitudes, out } = self;
         let from = unknown.partition_point(|&i| (i as usize) < first);
         let to = from + unknown[from..].partition_point(|&i| (i as usize) < first + out.len());
         for at in from..to {

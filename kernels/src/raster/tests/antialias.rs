@@ -76,9 +76,9 @@ fn a_flat_gaussian_seen_from_its_side_is_not_drawn() {
 fn a_renderer_draws_anew_when_it_changes() {
     let scene = ordinary(500, true, 12);
     let projection = projections(80, 60)[1];
-    let mut renderer = Renderer::new(Level::detect());
-    let plain = bits(renderer.render(&scene.gaussians(), &projection, &everything(80, 60)));
-    let lowered = bits(renderer.render(&scene.gaussians(), &projection, &request(80, 60)));
+    let mut rasteriser = Rasteriser::new(Level::detect());
+    let plain = bits(rasteriser.render(&scene.gaussians(), &projection, &everything(80, 60)));
+    let lowered = bits(rasteriser.render(&scene.gaussians(), &projection, &request(80, 60)));
     assert!(plain != lowered);
     assert!(lowered == bits(&render(Level::scalar(), &scene.gaussians(), &projection, &request(80, 60))));
 }

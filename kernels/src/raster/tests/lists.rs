@@ -3,9 +3,9 @@
 use super::*;
 
 fn lists(level: Level, scene: &OwnedGaussians, projection: &Projection, request: &Request) -> (Lists, Work) {
-    let (mut renderer, mut lists) = (Renderer::new(level), Lists::default());
-    renderer.lists(&scene.gaussians(), projection, request, &mut lists);
-    (lists, renderer.work())
+    let (mut rasteriser, mut lists) = (Rasteriser::new(level), Lists::default());
+    rasteriser.lists(&scene.gaussians(), projection, request, &mut lists);
+    (lists, rasteriser.work())
 }
 
 /// Blends the lists as [`Footprint`] says, in binary32, without fused operations.
@@ -92,8 +92,8 @@ fn every_level_and_thread_count_gives_the_same_lists() {
 #[test]
 fn an_image_after_lists_is_drawn_anew() {
     let (scene, projection, request) = (ordinary(500, true, 8), projections(80, 50)[1], everything(80, 50));
-    let mut renderer = Renderer::new(Level::detect());
-    let expected = bits(renderer.render(&scene.gaussians(), &projection, &request));
-    renderer.lists(&scene.gaussians(), &projection, &request, &mut Lists::default());
-    assert_eq!(bits(renderer.render(&scene.gaussians(), &projection, &request)), expected);
+    let mut rasteriser = Rasteriser::new(Level::detect());
+    let expected = bits(rasteriser.render(&scene.gaussians(), &projection, &request));
+    rasteriser.lists(&scene.gaussians(), &projection, &request, &mut Lists::default());
+    assert_eq!(bits(rasteriser.render(&scene.gaussians(), &projection, &request)), expected);
 }

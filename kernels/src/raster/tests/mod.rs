@@ -92,8 +92,6 @@ fn extreme(count: usize, seed: u64) -> OwnedGaussians {
     scene
 }
 
-const ALPHA_MIN: f32 = 1.0 / 255.0;
-
 fn everything(width: usize, height: usize) -> Request {
     Request { depth: true, alpha: true, statistics: true, ..Request::colour(width, height, [0.5, 0.25, 0.75]) }
 }
@@ -188,10 +186,10 @@ proptest! {
         let mut scene = ordinary(count, rotated, seed);
         let mut random = Random(seed ^ 0x5eed);
         for projection in projections(width, height) {
-            let mut renderer = Renderer::new(Level::detect());
+            let mut rasteriser = Rasteriser::new(Level::detect());
             for _ in 0..3 {
                 let request = everything(width, height);
-                let redrawn = bits(renderer.render(&scene.gaussians(), &projection, &request));
+                let redrawn = bits(rasteriser.render(&scene.gaussians(), &projection, &request));
                 prop_assert_eq!(redrawn, bits(&render(Level::scalar(), &scene.gaussians(), &projection, &request)));
                 for i in 0..count {
                     if random.unit() < moved {
@@ -262,16 +260,16 @@ fn only_tiles_touched_by_changed_splats_are_drawn_again() {
     let mut scene = ordinary(3000, false, 11);
     let projection = projections(256, 256)[0];
     let request = everything(256, 256);
-    let mut renderer = Renderer::new(Level::detect());
-    renderer.render(&scene.gaussians(), &projection, &request);
-    assert_eq!(renderer.work().tiles_drawn, renderer.work().tiles);
-    renderer.render(&scene.gaussians(), &projection, &request);
-    assert_eq!((renderer.work().tiles_drawn, renderer.work().changed), (0, 0));
+    let mut rasteriser = Rasteriser::new(Level::detect());
+    rasteriser.render(&scene.gaussians(), &projection, &request);
+    assert_eq!(rasteriser.work().tiles_drawn, rasteriser.work().tiles);
+    rasteriser.render(&scene.gaussians(), &projection, &request);
+    assert_eq!((rasteriser.work().tiles_drawn, rasteriser.work().changed), (0, 0));
     let still =
         (0..scene.mean.len()).find(|&i| scene.opacity[i] > 0.5 && scene.scale[i][0].max(scene.scale[i][1]) < 0.02);
     scene.mean[still.unwrap()] = [0.1, 0.1, 1.0];
-    let redrawn = bits(renderer.render(&scene.gaussians(), &projection, &request));
-    let work = renderer.work();
+    let redrawn = bits(rasteriser.render(&scene.gaussians(), &projection, &request));
+    let work = rasteriser.work();
     assert!(work.changed == 1 && work.tiles_drawn > 0 && work.tiles_drawn < work.tiles / 2, "{work:?}");
     assert_eq!(redrawn, bits(&render(Level::detect(), &scene.gaussians(), &projection, &request)));
 }

@@ -18,7 +18,7 @@ use crate::options::args::CompareArgs;
 
 /// Kind of content at a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum Kind {
+enum Content {
     /// An image or a video.
     Pictures,
     /// A folder of images, or of the `frames` of a rendering.
@@ -27,20 +27,20 @@ enum Kind {
     Scene,
 }
 
-impl Kind {
-    fn of(path: &Path) -> Result<Kind, Failure> {
+impl Content {
+    fn of(path: &Path) -> Result<Content, Failure> {
         let found = path.metadata().map_err(|e| Failure::usage(format!("{}: cannot be read: {e}", path.display())))?;
         if !found.is_dir() {
             let scene = path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path);
-            return Ok(if scene { Kind::Scene } else { Kind::Pictures });
+            return Ok(if scene { Content::Scene } else { Content::Pictures });
         }
         if folder::images(path).is_ok() {
-            return Ok(Kind::Folder(path.to_owned()));
+            return Ok(Content::Folder(path.to_owned()));
         }
         let frames = path.join("frames");
         match [path.join(INDEX), path.join("scene").join(INDEX)].iter().any(|index| index.exists()) {
-            true => Ok(Kind::Scene),
-            false if frames.is_dir() => Ok(Kind::Folder(frames)),
+            true => Ok(Content::Scene),
+            false if frames.is_dir() => Ok(Content::Folder(frames)),
             false => Err(Failure::usage(format!(
                 "{}: expected an image, a video, a folder of images or a scene, found another folder",
                 path.display()
@@ -50,9 +50,9 @@ impl Kind {
 
     fn name(&self) -> &'static str {
         match self {
-            Kind::Pictures => "an image or a video",
-            Kind::Folder(_) => "a folder of images",
-            Kind::Scene => "a scene",
+            Content::Pictures => "an image or a video",
+            Content::Folder(_) => "a folder of images",
+            Content::Scene => "a scene",
         }
     }
 }
@@ -98,16 +98,16 @@ pub fn command(args: &CompareArgs, console: &Console) -> Result<(), Failure> {
         value => Ok(value),
     };
     let tolerance = Tolerance { most: limit("--max-abs", args.max_abs)?, psnr: limit("--psnr", args.psnr)? };
-    let outcome = match (Kind::of(a)?, Kind::of(b)?) {
-        (Kind::Scene, Kind::Scene) => {
+    let outcome = match (Content::of(a)?, Content::of(b)?) {
+        (Content::Scene, Content::Scene) => {
             let given = [args.max_abs.is_some(), args.psnr.is_some(), args.heat.is_some()];
             if given.contains(&true) {
                 return Err(Failure::usage("--max-abs, --psnr, --heat: expected images or videos, found scenes"));
             }
             scenes::compare(a, b, &args.limit.limits(), &args.machine.workers()?)?
         }
-        (Kind::Folder(a), Kind::Folder(b)) => pictures::folders(&a, &b, tolerance)?,
-        (Kind::Pictures, Kind::Pictures) => pictures::files(a, b, tolerance)?,
+        (Content::Folder(a), Content::Folder(b)) => pictures::folders(&a, &b, tolerance)?,
+        (Content::Pictures, Content::Pictures) => pictures::files(a, b, tolerance)?,
         (first, second) => {
             let (first, second) = (first.name(), second.name());
             return Err(Failure::usage(format!(

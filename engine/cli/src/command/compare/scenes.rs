@@ -111,9 +111,10 @@ fn columns(part: &str, a: &[Column<'_>], b: &[Column<'_>], lines: &mut Vec<Strin
 
 /// Compares two scenes.
 pub fn compare(a: &Path, b: &Path, limits: &Limits, workers: &Workers) -> Result<Outcome, Failure> {
-    match (import::open(a, limits)?, import::open(b, limits)?) {
+    let read = |path| workers.install(|| import::open(path, limits));
+    match (read(a)?, read(b)?) {
         (Opened::Still(a), Opened::Still(b)) => Ok(still(&a, &b)),
-        (Opened::Moving(a), Opened::Moving(b)) => moving(&a, &b, workers),
+        (Opened::Moving(a), Opened::Moving(b)) => moving(&a, &b),
         _ => Err(Failure::usage(format!(
             "{} and {}: expected two of a kind, found a still scene and a scene in time",
             a.display(),
@@ -146,7 +147,7 @@ fn still(a: &StillFile, b: &StillFile) -> Outcome {
     outcome(lines.is_empty(), summary, lines, found)
 }
 
-fn moving(a: &Scene, b: &Scene, workers: &Workers) -> Result<Outcome, Failure> {
+fn moving(a: &Scene, b: &Scene) -> Result<Outcome, Failure> {
     let (mut lines, mut found) = (Vec::new(), Vec::new());
     let (first, second) = (a.index(), b.index());
     let count = first.intervals.len();
@@ -173,7 +174,7 @@ fn moving(a: &Scene, b: &Scene, workers: &Workers) -> Result<Outcome, Failure> {
             found.push(json!({ "part": format!("interval {i}"), "property": "count" }));
             continue;
         }
-        let (one, other) = (a.interval(i, workers)?, b.interval(i, workers)?);
+        let (one, other) = (a.interval(i)?, b.interval(i)?);
         columns(&part, &of_interval(&one), &of_interval(&other), &mut lines, &mut found);
     }
     let summary = match lines.len() {

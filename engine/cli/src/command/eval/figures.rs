@@ -150,7 +150,7 @@ pub(super) enum Spacing {
 
 /// One clip's figures, or the mean's.
 #[derive(Serialize)]
-pub(super) struct Row {
+pub(super) struct ClipFigures {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) name: Option<String>,
     pub(super) gap: Spacing,
@@ -193,7 +193,7 @@ pub(super) const MOVING: f64 = 26.0;
 
 impl Group {
     /// The moving or the still ones of `clips`.
-    pub(super) fn of(clips: &[Row], moving: bool) -> Group {
+    pub(super) fn of(clips: &[ClipFigures], moving: bool) -> Group {
         let figures = clips.iter().filter_map(|row| row.middle.psnr.zip(row.baselines.crossfade.psnr));
         let figures: Vec<_> = figures.filter(|(_, fade)| (*fade < MOVING) == moving).collect();
         let mean = |sum: f64| (!figures.is_empty()).then(|| sum / figures.len() as f64);
@@ -221,7 +221,7 @@ impl Sums {
         }
     }
 
-    pub(super) fn row(&self, name: Option<String>, gap: Gap, chosen: Fusion) -> Row {
+    pub(super) fn row(&self, name: Option<String>, gap: Gap, chosen: Fusion) -> ClipFigures {
         let baselines =
             Baselines { crossfade: self.crossfade.score(), nearest: self.nearest.score(), flow: self.flow.score() };
         let (key, middle) = (self.key.score(), self.middle.score());
@@ -229,7 +229,18 @@ impl Sums {
         let seconds_per_frame = self.seconds / (self.key.frames + self.middle.frames).max(1) as f64;
         let gap = self.spacing(gap);
         let intervals = self.intervals.clone();
-        Row { name, gap, key, middle, seconds_per_frame, baselines, intervals, fusion, moving: None, still: None }
+        ClipFigures {
+            name,
+            gap,
+            key,
+            middle,
+            seconds_per_frame,
+            baselines,
+            intervals,
+            fusion,
+            moving: None,
+            still: None,
+        }
     }
 
     pub(super) fn join(&mut self, other: &Sums) {
@@ -244,7 +255,7 @@ impl Sums {
     }
 }
 
-pub(super) fn line(row: &Row) -> String {
+pub(super) fn line(row: &ClipFigures) -> String {
     let show = |score: &Score| match (score.psnr, score.ssim) {
         (Some(psnr), Some(ssim)) => {
             let lpips = score.lpips.map(|lpips| format!(" / {lpips:.4}")).unwrap_or_default();

@@ -21,7 +21,7 @@ use streamsplat::stream::{Interval, Reconstructor, Reuse, Settings};
 use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 use crate::console::{Console, say};
-use crate::options::args::{EvalArgs, View};
+use crate::options::args::{EvalArgs, ViewOptions};
 use crate::options::settings::{DepthFrom, Views};
 use crate::output::record::NetworkRecord;
 use crate::session::ahead::Ahead;
@@ -35,7 +35,7 @@ mod baselines;
 mod figures;
 
 use baselines::{FlowBlend, Placed, mix};
-use figures::{Group, IntervalFigures, Row, Sums, line};
+use figures::{ClipFigures, Group, IntervalFigures, Sums, line};
 
 /// Side of the pictures that are compared.
 const SIDE: usize = closeness::SIDE;
@@ -58,8 +58,8 @@ struct Figures {
     /// Network that measured LPIPS.
     #[serde(skip_serializing_if = "Option::is_none")]
     lpips: Option<NetworkRecord>,
-    clips: Vec<Row>,
-    mean: Row,
+    clips: Vec<ClipFigures>,
+    mean: ClipFigures,
 }
 
 /// Evaluates one clip or a folder of clips.
@@ -68,11 +68,11 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let gap = stream.gap()?;
     let depth = stream.depth_from()?;
     let settings = stream.settings(&args.fit, &args.machine)?;
-    let views = View {
+    let views = ViewOptions {
         size: Some(args.size.clone()),
         background: "0.5".into(),
         renderer: args.renderer.clone(),
-        ..View::default()
+        ..ViewOptions::default()
     }
     .resolve()?;
     let clips = clips(&args.input)?;

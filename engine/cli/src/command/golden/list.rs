@@ -7,7 +7,7 @@ use serde::Deserialize;
 use streamsplat::import::read_text;
 
 use crate::console::failure::Failure;
-use crate::options::args::{Motion, RenderOptions, View};
+use crate::options::args::{Motion, RenderOptions, ViewOptions};
 
 /// Longest list that is read, in bytes.
 const MAX_LIST: u64 = 1 << 24;
@@ -103,7 +103,7 @@ fn parse(text: &str, folder: &Path) -> Result<Vec<Render>, String> {
 
 impl Entry {
     fn render(self, folder: &Path) -> Render {
-        let view = View {
+        let view = ViewOptions {
             times: self.times.map(Word::text),
             size: self.size,
             camera: self.camera.map(|camera| folder.join(camera)),

@@ -69,7 +69,7 @@ fn draw(
     for (index, (time, place)) in due.into_iter().enumerate() {
         let interval = match current.take().filter(|(at, _)| *at == place) {
             Some((_, interval)) => interval,
-            None => scene.interval(place, workers)?,
+            None => scene.interval(place)?,
         };
         // Images of one instant are told apart by when they are shown.
         let shown = if let Some(Course::Held(_)) = views.course { index as f64 / fps } else { time };
@@ -130,7 +130,7 @@ fn named(name: &str, failure: Failure) -> Failure {
 }
 
 /// How one image came out.
-struct Row {
+struct Check {
     render: String,
     /// `None` where nothing was drawn.
     time: Option<f64>,
@@ -139,13 +139,13 @@ struct Row {
     seconds: f64,
 }
 
-impl Row {
+impl Check {
     fn image(&self) -> String {
         self.time.map_or_else(|| "render".to_owned(), |time| format!("{time} s"))
     }
 
-    fn failed(render: &str, failure: String) -> Row {
-        Row { render: render.to_owned(), time: None, failure: Some(failure), found: json!({}), seconds: 0.0 }
+    fn failed(render: &str, failure: String) -> Check {
+        Check { render: render.to_owned(), time: None, failure: Some(failure), found: json!({}), seconds: 0.0 }
     }
 }
 
@@ -200,8 +200,8 @@ fn compare(
     limits: &Limits,
     workers: &Workers,
     failures: &mut Failures,
-) -> Vec<Row> {
-    let mut rows: Vec<Row> = Vec::new();
+) -> Vec<Check> {
+    let mut rows: Vec<Check> = Vec::new();
     let mut begun = Instant::now();
     let drawn = draw(render, limits, workers, &mut |time, image| {
         let at = rows.len();
@@ -230,20 +230,23 @@ fn compare(
         };
         let seconds = begun.elapsed().as_secs_f64();
         begun = Instant::now();
-        rows.push(Row { render: render.name.clone(), time: Some(time), failure, found: value, seconds });
+        rows.push(Check { render: render.name.clone(), time: Some(time), failure, found: value, seconds });
         Ok(())
     });
     match drawn {
-        Err(failure) => rows.push(Row::failed(&render.name, failure.message())),
+        Err(failure) => rows.push(Check::failed(&render.name, failure.message())),
         Ok(scene) => {
             let missing = expected.images.len().saturating_sub(rows.len());
             if missing > 0 {
-                rows.push(Row::failed(&render.name, format!("{missing} recorded images are not drawn any more")));
+                rows.push(Check::failed(&render.name, format!("{missing} recorded images are not drawn any more")));
             }
             if scene != expected.scene {
                 let differ = rows.iter().any(|row| row.failure.is_some());
                 let images = if differ { "" } else { ", and no bit of an image" };
-                rows.push(Row::failed(&render.name, format!("the scene changed{images}: {}", render.scene.display())));
+                rows.push(Check::failed(
+                    &render.name,
+                    format!("the scene changed{images}: {}", render.scene.display()),
+                ));
             }
         }
     }
@@ -260,11 +263,11 @@ fn check(args: &GoldenCheckArgs, console: &Console) -> Result<(), Failure> {
     for render in &renders {
         match golden.renders.get(&render.name) {
             Some(expected) => rows.extend(compare(render, expected, &limits, &workers, &mut failures)),
-            None => rows.push(Row::failed(&render.name, "not recorded yet".to_owned())),
+            None => rows.push(Check::failed(&render.name, "not recorded yet".to_owned())),
         }
     }
     for name in golden.renders.keys().filter(|name| renders.iter().all(|render| render.name != **name)) {
-        rows.push(Row::failed(name, "recorded, but not in the list any more".to_owned()));
+        rows.push(Check::failed(name, "recorded, but not in the list any more".to_owned()));
     }
     let failed = rows.iter().filter(|row| row.failure.is_some()).count();
     let contract = (golden.bit_contract != streamsplat::BIT_CONTRACT).then(|| {
@@ -277,7 +280,7 @@ fn check(args: &GoldenCheckArgs, console: &Console) -> Result<(), Failure> {
         )
     });
     if let Some(path) = &args.junit {
-        let case = |row: &Row| {
+        let case = |row: &Check| {
             let failure = row.failure.as_ref().map(|failure| match &contract {
                 Some(contract) => format!("{failure}; {contract}"),
                 None => failure.clone(),
@@ -302,7 +305,7 @@ fn show(
     args: &GoldenCheckArgs,
     console: &Console,
     golden: &Golden,
-    rows: &[Row],
+    rows: &[Check],
     contract: Option<&str>,
 ) -> Result<(), Failure> {
     let passed = rows.iter().all(|row| row.failure.is_none());

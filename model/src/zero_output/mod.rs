@@ -1,19 +1,19 @@
 //! Residual branches that add nothing, and are left out.
 //!
 //! Every block is made of residual branches, `x += project(inner(norm(x)))`: attention with the projection `out_proj`, the feed-forward layer with
-//! `c_proj`. A branch is *silent* when the checkpoint holds nothing but zeros there, of either sign: the weight, and the bias where there is one. Training that
+//! `c_proj`. A branch is *zero-output* when the checkpoint holds nothing but zeros there, of either sign: the weight, and the bias where there is one. Training that
 //! begins with such branches, and keeps some of them, leaves checkpoints that have many.
 //!
 //! # What is left of it
-//! A silent branch adds +0 to every token. A product with zeros is a chain of fused multiply-adds that starts from +0 and, as `a·0 + 0` is +0 for every
+//! A zero-output branch adds +0 to every token. A product with zeros is a chain of fused multiply-adds that starts from +0 and, as `a·0 + 0` is +0 for every
 //! finite `a`, stays there, in f32 and in bf16; in 8-bit integers the sum is the integer 0, and its scales are not negative. A bias of −0 or none leaves +0 as it is.
-//! So norm, projections and attention of a silent branch are neither packed at load nor computed, and `x += 0` is what remains, on all levels, for any number of threads and
+//! So norm, projections and attention of a zero-output branch are neither packed at load nor computed, and `x += 0` is what remains, on all levels, for any number of threads and
 //! in every precision: it turns −0 into +0, as the sum did, and changes no other bit.
 //!
 //! Where it can be told from the full computation: when a sum *inside* the branch is not finite. `∞·0` is NaN, and the full computation spreads that in f32 and
 //! bf16; here the token stays finite. Inputs and weights are finite, so this takes sums beyond 3.4·10³⁸. The branch's tensors are checked at load as all others are.
 //!
-//! [`LoadOptions::compute_silent`](crate::LoadOptions::compute_silent) computes them.
+//! [`LoadOptions::compute_zero_output`](crate::LoadOptions::compute_zero_output) computes them.
 
 use serde::Serialize;
 
@@ -22,35 +22,35 @@ use crate::cost::BlockCost;
 use crate::inspect::DEFORMATION_UPSAMPLER;
 use crate::{Config, keys};
 
-/// The silent branches of a part of a network.
+/// The zero-output branches of a part of a network.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Silent {
+pub struct ZeroOutput {
     /// The part's name, as in [`crate::inspect::Report::parts`].
     pub part: &'static str,
     /// Its residual branches, all of them.
     pub branches: usize,
-    /// How many of them are silent.
-    pub silent: usize,
-    /// Values of the silent ones' layers.
+    /// How many of them are zero-output.
+    pub zero_output: usize,
+    /// Values of the zero-output ones' layers.
     pub parameters: usize,
-    /// 10⁹ operations of the silent ones per call of the part.
+    /// 10⁹ operations of the zero-output ones per call of the part.
     pub gflop: f64,
 }
 
-impl Silent {
+impl ZeroOutput {
     /// Calls of the part per new key frame: the deformation of both frames of a pair is upsampled.
     pub fn calls(&self) -> usize {
         if self.part == DEFORMATION_UPSAMPLER { 2 } else { 1 }
     }
 }
 
-/// 10⁹ operations per new key frame that the silent branches would take.
-pub fn gflop(parts: &[Silent]) -> f64 {
+/// 10⁹ operations per new key frame that the zero-output branches would take.
+pub fn gflop(parts: &[ZeroOutput]) -> f64 {
     parts.iter().map(|part| part.gflop * part.calls() as f64).sum()
 }
 
-/// The silent branches of every part that has blocks, in the order of the computation.
-pub(crate) fn silent(weights: &Weights<'_>, config: &Config) -> Vec<Silent> {
+/// The zero-output branches of every part that has blocks, in the order of the computation.
+pub(crate) fn zero_output(weights: &Weights<'_>, config: &Config) -> Vec<ZeroOutput> {
     // Values of a block's attention and of its feed-forward layer.
     let values = |d: usize| [4 * (d * d + d), 8 * d * d];
     let [attn, mlp] = values(config.hidden_dim);
@@ -84,28 +84,28 @@ pub(crate) fn silent(weights: &Weights<'_>, config: &Config) -> Vec<Silent> {
     vec![encoder.0, static_upsampler, decoder.0, deformation_upsampler]
 }
 
-/// Returns true if every attention of both upsamplers is silent.
+/// Returns true if every attention of both upsamplers is zero-output.
 pub(crate) fn upsamplers_are_local(weights: &Weights<'_>) -> bool {
     let blocks = [keys::STATIC_UPSAMPLER, keys::DEFORMATION_UPSAMPLER]
         .into_iter()
         .flat_map(|key| (0..4).map(move |i| (key, i / 2, i % 2)));
     blocks.into_iter().all(|(key, stage, block)| {
-        weights.at(key).at(format_args!("attention_{stage}.resblocks.{block}")).is_silent("attn.out_proj")
+        weights.at(key).at(format_args!("attention_{stage}.resblocks.{block}")).is_zero_output("attn.out_proj")
     })
 }
 
-struct Count(Silent);
+struct Count(ZeroOutput);
 
 impl Count {
     fn new(part: &'static str) -> Count {
-        Count(Silent { part, branches: 0, silent: 0, parameters: 0, gflop: 0.0 })
+        Count(ZeroOutput { part, branches: 0, zero_output: 0, parameters: 0, gflop: 0.0 })
     }
 
     /// Counts the branch of `block` that ends with the layer `last`.
     fn add(&mut self, block: &Weights<'_>, last: &str, parameters: usize, flop: f64) {
         self.0.branches += 1;
-        if block.is_silent(last) {
-            self.0.silent += 1;
+        if block.is_zero_output(last) {
+            self.0.zero_output += 1;
             self.0.parameters += parameters;
             self.0.gflop += flop / 1e9;
         }

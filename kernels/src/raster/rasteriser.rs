@@ -10,7 +10,7 @@ use tracing::debug_span;
 
 use super::bin::Grid;
 use super::blend::{DrawTile, Planes, Scratch, Tally, Walk};
-use super::project::{Batch, Splat, View, bounds};
+use super::project::{Batch, Splat, Viewport, bounds};
 use super::sort::{Entry, by_depth};
 use super::{Gaussians, Image, MAX_SIDE, Projection, Request};
 use crate::level::Level;
@@ -18,7 +18,7 @@ use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd, dispatch};
 use crate::size::product;
 
-/// Work done and avoided by the last [`Renderer::render`].
+/// Work done and avoided by the last [`Rasteriser::render`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Work {
     /// Gaussians given.
@@ -51,7 +51,7 @@ pub struct Work {
 
 /// A rasteriser that keeps its buffers and its last image.
 #[derive(Debug)]
-pub struct Renderer {
+pub struct Rasteriser {
     level: Level,
     /// Scene and request of the last image; `None` before the first.
     last: Option<Last>,
@@ -72,7 +72,7 @@ pub struct Renderer {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Last {
-    pub(super) view: View,
+    pub(super) view: Viewport,
     request: Request,
     gaussians: usize,
 }
@@ -92,8 +92,8 @@ pub(super) fn finite_background(background: [f32; 3]) -> [f32; 3] {
     background.map(|c| if c.is_finite() { c + 0.0 } else { 0.0 })
 }
 
-impl Renderer {
-    /// A renderer that runs on `level`.
+impl Rasteriser {
+    /// A rasteriser that runs on `level`.
     pub fn new(level: Level) -> Self {
         Self {
             level,
@@ -172,7 +172,7 @@ impl Renderer {
         );
         let mut request = *request;
         request.background = finite_background(request.background);
-        let view = View {
+        let view = Viewport {
             projection: *projection,
             width: request.width,
             height: request.height,
@@ -188,7 +188,7 @@ impl Renderer {
     }
 
     /// Projects and bins.
-    pub(super) fn coarse(&mut self, gaussians: &Gaussians<'_>, view: &View, grid: Grid, keep: bool) {
+    pub(super) fn coarse(&mut self, gaussians: &Gaussians<'_>, view: &Viewport, grid: Grid, keep: bool) {
         let start = Instant::now();
         self.project(gaussians, view, grid, keep);
         let projected = Instant::now();
@@ -202,7 +202,7 @@ impl Renderer {
     }
 
     /// Fills `splats`, `dirty` and, where everything is new, `counts`.
-    fn project(&mut self, gaussians: &Gaussians<'_>, view: &View, grid: Grid, keep: bool) {
+    fn project(&mut self, gaussians: &Gaussians<'_>, view: &Viewport, grid: Grid, keep: bool) {
         let _span = debug_span!("project", gaussians = gaussians.len(), keep).entered();
         self.splats.resize(gaussians.len(), Splat::HIDDEN);
         let chunk = self.chunk();
@@ -302,7 +302,7 @@ impl Renderer {
     }
 
     /// Sorts and draws the dirty tiles, longest lists first. Gives the fraction of the threads' time that went into sorting.
-    fn blend(&mut self, view: &View, request: &Request, grid: Grid) -> f64 {
+    fn blend(&mut self, view: &Viewport, request: &Request, grid: Grid) -> f64 {
         let _span = debug_span!("blend", width = request.width, height = request.height).entered();
         let starts = &self.starts;
         self.order.clear();
@@ -353,7 +353,7 @@ impl Renderer {
 /// Projects a chunk, counts entries per tile or marks the tiles that changed; gives dropped, culled, changed.
 struct ProjectChunk<'a> {
     gaussians: &'a Gaussians<'a>,
-    view: &'a View,
+    view: &'a Viewport,
     grid: Grid,
     first: usize,
     splats: &'a mut [Splat],

@@ -15,8 +15,8 @@ const SIZES: Sizes = Sizes {
     truncated_normal: false,
 };
 
-/// Silent branches of every kind, in blocks with others and alone.
-const SILENT: [&str; 12] = [
+/// Zero-output branches of every kind, in blocks with others and alone.
+const ZERO_OUTPUT: [&str; 12] = [
     "gs_predictor.encoder.transformer_encoder.transformer.resblocks.0.attn.out_proj",
     "gs_predictor.encoder.transformer_encoder.transformer.resblocks.1.mlp.c_proj",
     "gs_predictor.gaussian_upsampler.attention_0.resblocks.0.attn.out_proj",
@@ -54,7 +54,7 @@ fn seeded(sizes: &Sizes) -> Vec<u8> {
 
 fn checkpoint() -> Vec<u8> {
     let mut bytes = seeded(&SIZES);
-    for name in SILENT {
+    for name in ZERO_OUTPUT {
         silence(&mut bytes, &format!("{name}.weight"));
         if name.ends_with("out_proj") {
             silence(&mut bytes, &format!("{name}.bias"));
@@ -65,8 +65,8 @@ fn checkpoint() -> Vec<u8> {
     bytes
 }
 
-fn load(bytes: &[u8], sizes: &Sizes, level: Level, precision: Precision, compute_silent: bool) -> Network {
-    let options = LoadOptions { level, precision, compute_silent };
+fn load(bytes: &[u8], sizes: &Sizes, level: Level, precision: Precision, compute_zero_output: bool) -> Network {
+    let options = LoadOptions { level, precision, compute_zero_output };
     Network::from_parts(bytes.to_vec(), &sizes.json().to_string(), &options).expect("a model")
 }
 
@@ -101,7 +101,7 @@ fn pass(session: &mut Session<&Network>) -> Vec<Vec<u32>> {
 }
 
 #[test]
-fn a_network_without_its_silent_branches_gives_the_bits_of_one_with_them() {
+fn a_network_without_its_zero_output_branches_gives_the_bits_of_one_with_them() {
     let bytes = checkpoint();
     for precision in Precision::ALL {
         for level in Level::available() {
@@ -118,7 +118,7 @@ fn a_network_without_its_silent_branches_gives_the_bits_of_one_with_them() {
                         };
                         let ((found, less), (expected, more)) = (kept(&lean), kept(&full));
                         assert!(found == expected, "{precision} {level} {threads} {saving:?}");
-                        assert!(less < more, "no keys and values of silent attention: {less} of {more} bytes");
+                        assert!(less < more, "no keys and values of zero-output attention: {less} of {more} bytes");
                     }
                 });
             }
@@ -127,25 +127,28 @@ fn a_network_without_its_silent_branches_gives_the_bits_of_one_with_them() {
 }
 
 #[test]
-fn silent_branches_are_counted_and_take_no_memory() {
+fn zero_output_branches_are_counted_and_take_no_memory() {
     let bytes = checkpoint();
     let [lean, full] = [false, true].map(|all| load(&bytes, &SIZES, Level::scalar(), Precision::F32, all));
-    let counts: Vec<_> = lean.silent().iter().map(|s| (s.part, s.branches, s.silent)).collect();
+    let counts: Vec<_> = lean.zero_output().iter().map(|s| (s.part, s.branches, s.zero_output)).collect();
     let expected = [("encoder", 4, 2), ("static upsampler", 8, 3), ("decoder", 6, 3), ("deformation upsampler", 8, 4)];
     assert_eq!(counts, expected);
-    assert!(lean.silent().iter().all(|s| s.gflop > 0.0));
-    assert_eq!(full.silent(), lean.silent());
-    let parameters: usize = lean.silent().iter().map(|s| s.parameters).sum();
+    assert!(lean.zero_output().iter().all(|s| s.gflop > 0.0));
+    assert_eq!(full.zero_output(), lean.zero_output());
+    let parameters: usize = lean.zero_output().iter().map(|s| s.parameters).sum();
     // And the norms before them.
     let norms = 2 * 128 + (64 + 2 * 64) + 3 * 128 + (3 * 64 + 64);
     assert_eq!(full.bytes() - lean.bytes(), 4 * (parameters + norms));
     assert!(
-        load(&seeded(&SIZES), &SIZES, Level::scalar(), Precision::F32, false).silent().iter().all(|s| s.silent == 0)
+        load(&seeded(&SIZES), &SIZES, Level::scalar(), Precision::F32, false)
+            .zero_output()
+            .iter()
+            .all(|s| s.zero_output == 0)
     );
 }
 
 #[test]
-fn a_silent_branch_turns_minus_zero_into_zero() {
+fn a_zero_output_branch_turns_minus_zero_into_zero() {
     let sizes = Sizes { encoder_layers: 1, ..SIZES };
     let mut bytes = seeded(&sizes);
     let encoder = "gs_predictor.encoder.transformer_encoder";
@@ -168,16 +171,16 @@ fn a_silent_branch_turns_minus_zero_into_zero() {
 }
 
 #[test]
-fn tensors_of_silent_branches_are_checked() {
+fn tensors_of_zero_output_branches_are_checked() {
     let mut bytes = checkpoint();
-    let name = format!("{}.packed_proj.weight", SILENT[0].trim_end_matches(".out_proj"));
+    let name = format!("{}.packed_proj.weight", ZERO_OUTPUT[0].trim_end_matches(".out_proj"));
     values(&mut bytes, &name).nth(5).expect("a value").copy_from_slice(&f32::NAN.to_le_bytes());
     let error = Network::from_parts(bytes, &SIZES.json().to_string(), &LoadOptions::default()).expect_err("NaN");
     assert!(error.to_string().contains(&name), "{error}");
 }
 
 #[test]
-fn an_upsampler_of_silent_blocks_alone_gives_no_minus_zero() {
+fn an_upsampler_of_zero_output_blocks_alone_gives_no_minus_zero() {
     let mut bytes = seeded(&SIZES);
     for (stage, block) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
         for branch in ["attn.out_proj.weight", "attn.out_proj.bias", "mlp.c_proj.weight"] {
