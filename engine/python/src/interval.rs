@@ -89,7 +89,7 @@ impl Interval {
             return Err(wrong(format!("path: expected a name ending in {}, found {found}", endings.join(", "))));
         };
         py.detach(|| {
-            let snapshot = Snapshot::exported(&self.inner, time.unwrap_or(self.inner.end)).map_err(failed)?;
+            let snapshot = Snapshot::square(&self.inner, time.unwrap_or(self.inner.end)).map_err(failed)?;
             write_file(&path, &(format.snapshot)(&snapshot)).map(drop).map_err(system)
         })
     }

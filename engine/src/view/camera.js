@@ -1,21 +1,27 @@
 // The camera: it looks at a target from some side.
 //
-// Scene space is x right, y down, z forward. From straight ahead with parallel rays it is the source's own view: the content of the
-// model's input fills the image. With perspective what lies as far as the target keeps its size.
+// Scene space is x right, y down, z forward. Cameras live in its square units: x and z times the aspect of the model's input, so that a unit is
+// half the input's height. From straight ahead with parallel rays it is the source's own view: the content of the input fills the image. With
+// perspective what lies as far as the target keeps its size.
 
 const TURN = Math.PI / 180;
 const STEEPEST = 85;
+/** Distance of parallel rays' start, in half widths: behind everything, as depths end at 5. */
+const BEHIND = 12;
+/** Distance of a perspective camera, in half longer sides: they fill 45 degrees. */
+const AWAY = 2.4;
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
 
 class Camera {
   constructor() {
-    this.half = [1, 1]; // half extents of the content in scene units
+    this.half = [16 / 9, 1]; // half extents of the content, in square units
     this.own = [1, 1];
     this.middle = [0, 0]; // its middle
     this.aspect = 16 / 9; // of the source's frames
-    this.depth = 0.5; // of the target
+    this.units = 16 / 9; // square units along x and z per unit of scene space
+    this.depth = 0.5; // of the target, in scene space
     this.perspective = false;
     this.reset();
   }
@@ -30,18 +36,19 @@ class Camera {
 
   /** Learns where the content lies in the model's input. */
   place({ source, model, offset, content }) {
-    this.half = [content[1] / model[1], content[0] / model[0]];
-    this.own = [model[1] / 2, model[0] / 2]; // the model's pixels per scene unit
-    this.middle = [(2 * offset[1] + content[1]) / model[1] - 1, (2 * offset[0] + content[0]) / model[0] - 1];
     this.aspect = source[1] / source[0];
+    this.units = (this.aspect * content[0] * model[1]) / (content[1] * model[0]);
+    this.half = [(this.units * content[1]) / model[1], content[0] / model[0]];
+    this.own = [model[1] / 2 / this.units, model[0] / 2]; // the model's pixels per unit
+    this.middle = [this.units * ((2 * offset[1] + content[1]) / model[1] - 1), (2 * offset[0] + content[0]) / model[0] - 1];
   }
 
   get target() {
     const [x, y] = this.middle;
-    return [x + this.shift[0], y + this.shift[1], this.depth + this.shift[2]];
+    return [x + this.shift[0], y + this.shift[1], this.units * this.depth + this.shift[2]];
   }
 
-  /** The camera's right, down and forward in scene space. */
+  /** The camera's right, down and forward. */
   get axes() {
     const [sy, cy] = [Math.sin(this.yaw * TURN), Math.cos(this.yaw * TURN)];
     const [sp, cp] = [Math.sin(this.pitch * TURN), Math.cos(this.pitch * TURN)];
@@ -53,11 +60,11 @@ class Camera {
     const fitted = Math.min(width, height * this.aspect);
     const scale = [(0.5 * fitted) / this.half[0], (0.5 * fitted) / this.aspect / this.half[1]];
     const axes = this.axes;
-    // Parallel rays start behind everything: depths end at 5.
-    const distance = this.perspective ? 2.4 / this.zoom : 12;
+    const away = AWAY * Math.max(this.units, 1);
+    const distance = this.perspective ? away / this.zoom : BEHIND * this.units;
     const eye = this.target.map((x, i) => x - axes[2][i] * distance);
-    const focal = scale.map((s) => s * (this.perspective ? 2.4 : this.zoom));
-    return { width, height, axes, eye, focal, own: this.own, pinhole: this.perspective, distance };
+    const focal = scale.map((s) => s * (this.perspective ? away : this.zoom));
+    return { width, height, axes, eye, focal, own: this.own, units: this.units, pinhole: this.perspective, distance };
   }
 
   turn(right, down) {
@@ -77,8 +84,8 @@ class Camera {
 }
 
 /** Where a view shows a scene-space point: pixels from the upper left corner, and depth. */
-function project({ width, height, axes, eye, focal, pinhole }, point) {
-  const away = point.map((x, i) => x - eye[i]);
+function project({ width, height, axes, eye, focal, units, pinhole }, [right, down, forward]) {
+  const away = [units * right - eye[0], down - eye[1], units * forward - eye[2]];
   const [x, y, z] = axes.map((axis) => dot(axis, away));
   const near = pinhole ? 1 / z : 1;
   return [focal[0] * x * near + 0.5 * width, focal[1] * y * near + 0.5 * height, z];
@@ -87,7 +94,7 @@ function project({ width, height, axes, eye, focal, pinhole }, point) {
 /** The view as `streamsplat render --camera` reads it. */
 function cameraFile({ width, height, axes, eye, focal, pinhole }) {
   const numbers = (list) => list.map((x) => Number(x.toPrecision(12)) + 0);
-  const pose = { position: numbers(eye), look_at: numbers(eye.map((x, i) => x + axes[2][i])) };
+  const pose = { units: "square", position: numbers(eye), look_at: numbers(eye.map((x, i) => x + axes[2][i])) };
   return pinhole
     ? { type: "pinhole", ...pose, focal: numbers([focal[0] / width, focal[1] / height]) }
     : { type: "orthographic", ...pose, half_extent: numbers([(0.5 * width) / focal[0], (0.5 * height) / focal[1]]) };

@@ -127,6 +127,7 @@ class Drawing {
       gl.uniformMatrix3fv(splat.at.turn, false, view.axes.flat());
       gl.uniform2fv(splat.at.focal, view.focal);
       gl.uniform2fv(splat.at.own, view.own);
+      gl.uniform1f(splat.at.units, view.units);
       gl.uniform1i(splat.at.pinhole, view.pinhole ? 1 : 0);
       gl.uniform2f(splat.at.size, canvas.width, canvas.height);
       gl.uniform1i(splat.at.mode, mode);

@@ -54,8 +54,8 @@ class Orders {
 
   /** Asks for the order at t; and for the following interval's first one, if that has none. */
   want(interval, t, view, following) {
-    const { eye, axes, pinhole } = view;
-    const seen = { eye, axes, pinhole };
+    const { eye, axes, units, pinhole } = view;
+    const seen = { eye, axes, units, pinhole };
     const question = { interval, t, view: seen };
     const comes = this.of(interval, t, view)?.exact || (this.asking && sameOrder(this.asking, question));
     this.wanted = comes ? null : question;

@@ -11,7 +11,9 @@ function alphaOn(packet, i, t, view, x, y) {
   if (z <= (view.pinhole ? 1e-3 : 0)) return 0;
   const unit = view.focal.map((f) => (view.pinhole ? f / z : f));
   const [mx, my] = unit.map((f, axis) => LOW_PASS * Math.max(0, view.own[axis] ** -2 - f ** -2));
-  const deviation = packet.deviation(i).map((s, k) => Math.sqrt(s * s + [mx, my, 0.5 * (mx + my)][k]));
+  const [sx, sy, sz] = packet.deviation(i);
+  const square = [view.units * sx, sy, view.units * sz];
+  const deviation = [mx, my, 0.5 * (mx + my)].map((more, k) => Math.sqrt(square[k] * square[k] + more));
   const rows = view.axes.map((axis) => axis.map((a, k) => a * deviation[k]));
   const [right, down] = [[u - 0.5 * view.width, 0], [v - 0.5 * view.height, 1]].map(([offset, axis]) => {
     if (!view.pinhole) return rows[axis].map((m) => m * view.focal[axis]);

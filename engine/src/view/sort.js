@@ -46,9 +46,10 @@ class Sorter {
   }
 
   /** Depths, and whether a record may be seen. */
-  look(t, { axes, eye, pinhole }) {
+  look(t, { axes, eye, units, pinhole }) {
     const { position, velocity, reference, depth, seen } = this;
-    const [fx, fy, fz] = axes[2];
+    // In square units.
+    const [fx, fy, fz] = [units * axes[2][0], axes[2][1], units * axes[2][2]];
     const offset = dot(axes[2], eye);
     const nearest = pinhole ? 1e-3 : 0;
     for (let i = 0; i < this.count; i++) {

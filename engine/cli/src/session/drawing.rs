@@ -151,6 +151,7 @@ impl Drawing {
         views: &Views,
     ) -> Result<(), Failure> {
         let image = self.draw(interval, index, time, views)?;
+        self.counts.size = Some([image.width, image.height]);
         self.writing(|| outputs.image(index, image))
     }
 

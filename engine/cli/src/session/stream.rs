@@ -165,7 +165,10 @@ impl Drawn {
         views: &Views,
     ) -> Result<Self, Failure> {
         let image = emit.draws().then(|| drawing.draw(interval, index, time, views)).transpose()?;
-        let snapshot = emit.ply.then(|| Snapshot::exported(interval, time)).transpose()?;
+        if let Some(image) = &image {
+            drawing.counts.size = Some([image.width, image.height]);
+        }
+        let snapshot = emit.ply.then(|| Snapshot::square(interval, time)).transpose()?;
         if let Some(snapshot) = &snapshot {
             // Where an image is drawn as well, they are counted with it.
             drawing.counts.dropped += if emit.draws() { 0 } else { snapshot.dropped };
