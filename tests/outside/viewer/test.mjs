@@ -18,7 +18,7 @@ const CAMERAS = {
   "from the lower right": { position: [1.4, 1.2, -2.4], look_at: [0.1, 0, 0.3] },
 };
 /** From the front, where nothing is drawn larger than the model had it: the scene, its file, and the file in the viewer are one picture. */
-const FRONT = { position: [0, 0, -2.8], look_at: [0, 0, 0.3] };
+const FRONT = { position: [0, 0, -5.8], look_at: [0, 0, 0.3] };
 /** The embedded model's Gaussians are many and nearly in one plane; those of a small model with seeded weights few, large, and at all depths. */
 const CLIP = "fixtures/clips/moving.y4m"; // 256×144
 const SCENES = {
@@ -108,7 +108,7 @@ for (const [scene, { clip, shape, model = [] }] of Object.entries(SCENES)) {
     const [width, height] = await extent(other, theirs);
     console.log(`${scene} ${name}: ${same.toFixed(1)} dB beside the scene, ${width}×${height} pixels for a picture of ${shape.toFixed(3)}`);
     check(same >= ENOUGH, `${scene} ${name}: expected ${ENOUGH} dB beside our render of the scene, found ${same}`);
-    check(Math.abs(width / height / shape - 1) < 0.03, `${scene}: expected the proportions ${shape}, found ${width}×${height}`);
+    check(Math.abs(width / height / shape - 1) < 0.1, `${scene}: expected the proportions ${shape}, found ${width}×${height}`);
   }
 }
 await browser.close();
