@@ -27,15 +27,16 @@ pub struct Score {
     pub count: usize,
 }
 
-/// A camera turned by `degrees` about a vertical axis at the distance `pivot`.
+/// A camera turned by `degrees` about a vertical axis at the distance `pivot`, in half widths of a picture of `aspect` = width / height.
 ///
 /// # Panics
 /// Never: a turn about an axis is a rotation.
-pub fn around(degrees: f64, pivot: f64) -> Camera {
+pub fn around(degrees: f64, pivot: f64, aspect: f64) -> Camera {
     let (sin, cos) = sin_cos(degrees.to_radians());
     let rotation = Rotation::from_columns([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]]).expect("orthonormal");
     let back = pivot + 1.0;
-    Camera::orthographic(Pose { position: [-back * sin, 0.0, pivot - back * cos], rotation })
+    let position = [-back * sin, 0.0, pivot - back * cos].map(|x| aspect * x);
+    Camera::orthographic(Pose { position, rotation })
 }
 
 /// Mean distance of what the interval shows at `time` from its own camera.
@@ -97,7 +98,8 @@ pub fn score(
         for degrees in [degrees, -degrees] {
             let (view, pivot) = scene.turned(0.0, degrees);
             let pivot = if depth { pivot } else { middle(&interval, 0.0).expect("drawn") };
-            let found = interval.render(0.0, &around(degrees, pivot), &options, workers()).expect("drawn").rgb;
+            let camera = around(degrees, pivot, interval.placement.aspect());
+            let found = interval.render(0.0, &camera, &options, workers()).expect("drawn").rgb;
             let side = if degrees > 0.0 { "right" } else { "left" };
             show(&format!("{side}-true"), index, &view.rgb);
             show(side, index, &found);

@@ -159,7 +159,7 @@ fn gaussians_beside_a_still_image_are_counted_and_change_no_bit() {
             culled[usize::from(wild)] += work.culled;
             // Whether an orthographic image is separable is a question about all Gaussians.
             let Camera::Posed { pose, .. } = camera else { panic!("posed") };
-            let lens = Lens::Orthographic { half_extent: [0.1; 2] };
+            let lens = Lens::Orthographic { half_extent: Some([0.1; 2]) };
             let camera = Camera::Posed { pose, lens };
             let ((expected, ..), (found, _, some)) = (draw(&whole, &camera), draw(&grouped, &camera));
             assert!(bits(&expected) == bits(&found) && some == 0);

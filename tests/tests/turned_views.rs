@@ -124,7 +124,7 @@ fn a_still_scene_does_not_breathe_when_its_maps_flicker() {
                 engine.push(frame, f64::from(key)).expect("taken")
             }
         };
-        let camera = around(10.0, 0.3);
+        let camera = around(10.0, 0.3, interval.placement.aspect());
         views.push(
             interval.render(f64::from(key), &camera, &RenderOptions::default(), engine.workers()).expect("drawn").rgb,
         );

@@ -102,7 +102,7 @@ impl Interval {
         };
         py.detach(|| {
             let time = time.unwrap_or(self.inner.end);
-            let snapshot = Snapshot::exported(&self.inner, time, self.workers()?).map_err(failed)?;
+            let snapshot = Snapshot::square(&self.inner, time, self.workers()?).map_err(failed)?;
             write_file(&path, &(format.snapshot)(&snapshot)).map(drop).map_err(system)
         })
     }

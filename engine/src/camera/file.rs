@@ -8,7 +8,7 @@
 //! ```json
 //! {"views": [
 //!   {"time": 0.0, "type": "orthographic"},
-//!   {"time": 2.5, "type": "orthographic", "position": [0.2, 0, 0], "look_at": [0, 0, 0.5], "half_extent": [1.2, 1.2]}
+//!   {"time": 2.5, "type": "orthographic", "position": [0.2, 0, 0], "look_at": [0, 0, 0.5], "half_extent": [2.1, 1.2]}
 //! ]}
 //! ```
 //!
@@ -16,16 +16,20 @@
 //! |---|---|---|
 //! | `type` | `canonical` (no other key but `time`), `orthographic` or `pinhole` | required |
 //! | `time` | seconds of the video; required in `views`, strictly increasing | – |
-//! | `position` | the camera's centre in scene space (x right, y down, z forward) | `[0, 0, 0]` |
+//! | `units` | `square`: what every number below is in, whether it is said or not |  |
+//! | `position` | the camera's centre in square units (x right, y down, z forward) | `[0, 0, 0]` |
 //! | `rotation` | quaternion (w, x, y, z) that turns the camera's axes (right, down, forward) into scene space | none |
 //! | `look_at`, `up` | instead of `rotation`: the point looked at, and what is up in the image | `up` = `[0, -1, 0]` |
 //! | `camera_to_world` | instead of `position` and `rotation`: a matrix of 4×4 numbers, row by row, of a rotation and the camera's centre | none |
-//! | `half_extent` | orthographic: scene units from the centre of the view to its right and lower edge | `[1, 1]` |
+//! | `half_extent` | orthographic: units from the centre of the view to its right and lower edge | `[width / height, 1]` of the image |
 //! | `fov_y_degrees`, `aspect` | pinhole: vertical field of view, and width / height | – |
 //! | `focal`, `centre` | pinhole: in image widths and heights | `centre` = `[0.5, 0.5]` |
 //! | `size`, `fx`, `fy`, `cx`, `cy` | pinhole: in pixels of an image of `size` = [width, height], pixel centres at whole numbers | – |
 //!
 //! A pinhole view has exactly one of the last three. Unknown keys are errors.
+//!
+//! Units are those of exported files: half the height of the picture, along every axis (of a still scene: its own). The page of `streamsplat view`
+//! writes `"units": "square"`; files that it wrote before it did so had x in half widths and are read as if they had not.
 
 use serde::Deserialize;
 
@@ -65,10 +69,18 @@ enum Kind {
     Pinhole,
 }
 
+#[derive(Deserialize, Clone, Copy)]
+#[serde(rename_all = "lowercase")]
+enum Units {
+    Square,
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct View {
     time: Option<f64>,
+    #[serde(rename = "units")]
+    _units: Option<Units>,
     #[serde(rename = "type")]
     kind: Kind,
     position: Option<[f64; 3]>,
@@ -156,7 +168,7 @@ impl View {
             }
             Kind::Orthographic => {
                 extra(&pinhole_keys)?;
-                let lens = Lens::Orthographic { half_extent: self.half_extent.unwrap_or([1.0; 2]) };
+                let lens = Lens::Orthographic { half_extent: self.half_extent };
                 Camera::Posed { pose: self.pose(index)?, lens }
             }
             Kind::Pinhole => {
@@ -236,6 +248,7 @@ mod tests {
         let only = |json: &str| parse(json).unwrap().at(0.0);
         assert_eq!(only(r#"{"type": "canonical"}"#), Camera::Canonical);
         assert_eq!(only(r#"{"type": "orthographic"}"#), Camera::orthographic(Pose::default()));
+        assert_eq!(only(r#"{"type": "orthographic", "units": "square"}"#), Camera::orthographic(Pose::default()));
         let parts = only(r#"{"type": "pinhole", "focal": [1.0, 2.0]}"#);
         let pixels = only(r#"{"type": "pinhole", "size": [200, 100], "fx": 200, "fy": 200, "cx": 99.5, "cy": 49.5}"#);
         let angle = only(r#"{"type": "pinhole", "fov_y_degrees": 28.072486935852957, "aspect": 2}"#);
@@ -293,9 +306,15 @@ mod tests {
         assert_eq!(key(r#"{"type": "pinhole", "fov_y_degrees": 180, "aspect": 1}"#), "fov_y_degrees");
         assert_eq!(key(r#"{"views": [{"type": "canonical"}]}"#), "time");
         assert_eq!(key(r#"{"views": [{"type": "canonical", "time": 1}, {"type": "canonical", "time": 1}]}"#), "time");
-        for json in
-            ["", "[]", "{}", r#"{"type": "fisheye"}"#, r#"{"type": "canonical", "colour": 1}"#, r#"{"views": []}"#]
-        {
+        for json in [
+            "",
+            "[]",
+            "{}",
+            r#"{"type": "fisheye"}"#,
+            r#"{"type": "canonical", "colour": 1}"#,
+            r#"{"views": []}"#,
+            r#"{"type": "orthographic", "units": "pixels"}"#,
+        ] {
             assert!(matches!(parse(json), Err(CameraError::Form(_))), "{json}");
         }
     }

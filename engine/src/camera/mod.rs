@@ -2,13 +2,14 @@
 //!
 //! *Scene space* is what the canonical camera sees (StreamSplat (ICLR 2026), camera and image): x right, y down, z forward,
 //! with x and y in [−1, 1] over the model's input and `z = 1 / (9.8·y_w + 0.2 + 10⁻⁶)` of a Gaussian's normalised inverse
-//! depth `y_w` in [0, 1] (z from 0.1 to 5). Other cameras are rigid poses in scene space. A camera at the origin with no
-//! rotation looks along +z with +x right and +y down, as the canonical one does.
+//! depth `y_w` in [0, 1] (z from 0.1 to 5). Other cameras are rigid poses in *square units*, in which x and z are multiplied by the
+//! input's [aspect](crate::fit::Placement::aspect), as in exported files: a unit is half the input's height along every axis. The units of a
+//! still scene are its own. A camera at the origin with no rotation looks along +z with +x right and +y down, as the canonical one does.
 //!
 //! Lenses are measured in parts of the image, not pixels, so that one camera serves every size:
 //!
 //! ```text
-//! orthographic:  u = (X / (2·e_x) + ½)·W − ½                 e = half extents of the view, in scene units
+//! orthographic:  u = (X / (2·e_x) + ½)·W − ½                 e = half extents of the view; [W/H, 1] where none are given
 //! pinhole:       u = (f_x·X/Z + c_x)·W − ½                   f and c in image widths (heights for v)
 //! ```
 //!
@@ -34,7 +35,7 @@ pub enum Camera {
     /// The view of the source's own camera: orthographic, axis-aligned, cropped to the source's content.
     #[default]
     Canonical,
-    /// A camera anywhere in scene space.
+    /// A camera anywhere in the scene, in square units.
     Posed {
         /// Where it is and how it is turned.
         pose: Pose,
@@ -48,8 +49,8 @@ pub enum Camera {
 pub enum Lens {
     /// Parallel rays.
     Orthographic {
-        /// Scene units from the centre of the view to its right and to its lower edge.
-        half_extent: [f64; 2],
+        /// Units from the centre of the view to its right and to its lower edge; `None`: 1 to the lower edge, and pixels are square.
+        half_extent: Option<[f64; 2]>,
     },
     /// Rays through one point.
     Pinhole {
@@ -71,9 +72,9 @@ impl Camera {
         })
     }
 
-    /// The orthographic camera with half extents of 1: the canonical view without its crop, anywhere.
+    /// The orthographic camera that sees one unit up and down: the canonical view without its crop, anywhere.
     pub fn orthographic(pose: Pose) -> Self {
-        Camera::Posed { pose, lens: Lens::Orthographic { half_extent: [1.0; 2] } }
+        Camera::Posed { pose, lens: Lens::Orthographic { half_extent: None } }
     }
 
     /// Returns true if all numbers are finite and the lens is valid: positive extents or focal lengths.
@@ -84,7 +85,7 @@ impl Camera {
                 let positive = |v: &[f64; 2]| v.iter().all(|x| *x > 0.0 && x.is_finite());
                 pose.position.iter().all(|x| x.is_finite())
                     && match lens {
-                        Lens::Orthographic { half_extent } => positive(half_extent),
+                        Lens::Orthographic { half_extent } => half_extent.as_ref().is_none_or(positive),
                         Lens::Pinhole { focal, centre } => positive(focal) && centre.iter().all(|c| c.is_finite()),
                     }
             }
@@ -123,7 +124,7 @@ mod tests {
         assert!(Camera::Canonical.is_usable());
         assert!(Camera::orthographic(Pose::default()).is_usable());
         let with = |lens| Camera::Posed { pose: Pose::default(), lens };
-        assert!(!with(Lens::Orthographic { half_extent: [1.0, 0.0] }).is_usable());
+        assert!(!with(Lens::Orthographic { half_extent: Some([1.0, 0.0]) }).is_usable());
         assert!(!with(Lens::Pinhole { focal: [1.0, f64::NAN], centre: [0.5; 2] }).is_usable());
         assert!(!with(Lens::Pinhole { focal: [1.0; 2], centre: [f64::INFINITY, 0.5] }).is_usable());
         let far = Pose { position: [f64::INFINITY, 0.0, 0.0], ..Pose::default() };

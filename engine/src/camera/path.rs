@@ -5,7 +5,7 @@ use super::{Camera, Lens};
 /// Views at increasing times, in seconds of the video.
 ///
 /// Between two views of the same kind position, lens and (on the shorter way) orientation are interpolated linearly; between
-/// different kinds the earlier one holds. Before the first and after the last view those hold.
+/// different kinds (with given half extents and without, too) the earlier one holds. Before the first and after the last view those hold.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraPath {
     views: Vec<(f64, Camera)>,
@@ -58,8 +58,9 @@ fn between(a: Camera, b: Camera, t: f64) -> Camera {
         return a;
     };
     let lens = match (lens_a, lens_b) {
-        (Lens::Orthographic { half_extent: a }, Lens::Orthographic { half_extent: b }) => {
-            Lens::Orthographic { half_extent: mix(a, b) }
+        (Lens::Orthographic { half_extent: None }, Lens::Orthographic { half_extent: None }) => lens_a,
+        (Lens::Orthographic { half_extent: Some(a) }, Lens::Orthographic { half_extent: Some(b) }) => {
+            Lens::Orthographic { half_extent: Some(mix(a, b)) }
         }
         (Lens::Pinhole { focal: fa, centre: ca }, Lens::Pinhole { focal: fb, centre: cb }) => {
             Lens::Pinhole { focal: mix(fa, fb), centre: mix(ca, cb) }

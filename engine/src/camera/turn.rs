@@ -11,7 +11,7 @@ use crate::fit::Placement;
 use crate::render::{RenderError, Snapshot, to_scene};
 use crate::stream::{Interval, Workers};
 
-/// Distance of a turned camera from the pivot: depths end at 5, so that everything lies in front of it.
+/// Distance of a turned camera from the pivot in half widths of the model's input: depths end at 5, so that everything lies in front of it.
 const DISTANCE: f64 = 12.0;
 
 /// Where a camera stands around the pivot, in degrees.
@@ -66,21 +66,21 @@ impl Turn {
     }
 }
 
-/// The middle of the source's picture, at the median depth of the Gaussians that are seen at `time`: of an even number the farther of the
+/// The middle of the source's picture in square units, at the median depth of the Gaussians that are seen at `time`: of an even number the farther of the
 /// two in the middle. Where none is seen, at an inverse depth of one half.
 ///
 /// # Errors
 /// As [`Interval::render`].
 pub fn pivot(interval: &Interval, time: f64, workers: &Workers) -> Result<[f64; 3], RenderError> {
-    let mut depths: Vec<f32> = Snapshot::of(interval, time, workers)?.mean.iter().map(|mean| mean[2]).collect();
+    let mut depths: Vec<f32> = Snapshot::square(interval, time, workers)?.mean.iter().map(|mean| mean[2]).collect();
     depths.sort_unstable_by(f32::total_cmp);
-    let middle = to_scene([0.0, 0.5, 0.0]).map_or(1.0, |[_, _, z]| z);
-    let depth = depths.get(depths.len() / 2).copied().unwrap_or(middle);
+    let middle = || to_scene([0.0, 0.5, 0.0]).map_or(1.0, |[_, _, z]| f64::from(z)) * interval.placement.aspect();
+    let depth = depths.get(depths.len() / 2).map_or_else(middle, |depth| f64::from(*depth));
     let [x, y] = extent(&interval.placement).0;
-    Ok([x, y, f64::from(depth)])
+    Ok([x, y, depth])
 }
 
-/// The source's own view, turned around `pivot`.
+/// The source's own view, turned around `pivot` (in square units).
 pub fn turned(placement: &Placement, pivot: [f64; 3], angles: Angles) -> Camera {
     if angles == Angles::default() {
         return Camera::Canonical;
@@ -90,8 +90,9 @@ pub fn turned(placement: &Placement, pivot: [f64; 3], angles: Angles) -> Camera 
     let ((sin, cos), (sin_up, cos_up)) = (sin_cos(right * radians), sin_cos(up * radians));
     let axes = [[cos, 0.0, sin], [sin * sin_up, cos_up, -cos * sin_up], [-sin * cos_up, sin_up, cos * cos_up]];
     let Some(rotation) = Rotation::from_columns(axes) else { return Camera::Canonical };
-    let position = std::array::from_fn(|i| pivot[i] - DISTANCE * axes[2][i]);
-    let lens = Lens::Orthographic { half_extent: extent(placement).1 };
+    let distance = DISTANCE * placement.aspect();
+    let position = std::array::from_fn(|i| pivot[i] - distance * axes[2][i]);
+    let lens = Lens::Orthographic { half_extent: Some(extent(placement).1) };
     Camera::Posed { pose: Pose { position, rotation }, lens }
 }
 
@@ -103,9 +104,9 @@ pub fn turned(placement: &Placement, pivot: [f64; 3], angles: Angles) -> Camera 
 pub fn eyes(camera: &Camera, placement: Option<&Placement>, pivot: [f64; 3], apart: f64) -> Option<[Camera; 2]> {
     let (pose, lens) = match *camera {
         Camera::Canonical => {
-            let [x, y, z] = pivot;
-            let lens = Lens::Orthographic { half_extent: extent(placement?).1 };
-            (Pose { position: [x, y, z - DISTANCE], rotation: Rotation::IDENTITY }, lens)
+            let ([x, y, z], placement) = (pivot, placement?);
+            let lens = Lens::Orthographic { half_extent: Some(extent(placement).1) };
+            (Pose { position: [x, y, z - DISTANCE * placement.aspect()], rotation: Rotation::IDENTITY }, lens)
         }
         Camera::Posed { pose, lens } => (pose, lens),
     };
@@ -137,12 +138,14 @@ pub fn eyes(camera: &Camera, placement: Option<&Placement>, pivot: [f64; 3], apa
     Some([eye(-1.0)?, eye(1.0)?])
 }
 
-/// Middle and half extents of the source's picture in scene units.
+/// Middle and half extents of the source's picture in square units.
 fn extent(placement: &Placement) -> ([f64; 2], [f64; 2]) {
     let [rows, columns] = placement.content.map(|side| side as f64);
     let [height, width] = placement.model.map(|side| side.max(1) as f64);
     let [top, left] = placement.offset.map(|side| side as f64);
-    ([(2.0 * left + columns) / width - 1.0, (2.0 * top + rows) / height - 1.0], [columns / width, rows / height])
+    let aspect = placement.aspect();
+    let middle = [aspect * ((2.0 * left + columns) / width - 1.0), (2.0 * top + rows) / height - 1.0];
+    (middle, [aspect * (columns / width), rows / height])
 }
 
 #[cfg(test)]
@@ -159,7 +162,10 @@ mod tests {
         let [x, y, z] = pose.rotation.inverse().matrix().map(|row| row[0] * d[0] + row[1] * d[1] + row[2] * d[2]);
         assert!(z > 0.0);
         match lens {
-            Lens::Orthographic { half_extent: [w, h] } => [0.5 * x / w, 0.5 * y / h],
+            Lens::Orthographic { half_extent } => {
+                let [w, h] = half_extent.unwrap_or([16.0 / 9.0, 1.0]);
+                [0.5 * x / w, 0.5 * y / h]
+            }
             Lens::Pinhole { focal, centre } => [focal[0] * x / z + centre[0] - 0.5, focal[1] * y / z + centre[1] - 0.5],
         }
     }
@@ -196,7 +202,8 @@ mod tests {
         assert!(seen(&right, PIVOT).iter().all(|x| x.abs() < 1e-12));
         let behind = seen(&right, [0.0, 0.0, 1.6]);
         let moved = 0.5 * 10f64.to_radians().sin();
-        assert!((behind[0] - moved).abs() < 1e-9 && behind[1].abs() < 1e-12, "{behind:?}");
+        // The image is as wide as the model's input, 1.6 times its height.
+        assert!((behind[0] - moved / 1.6).abs() < 1e-9 && behind[1].abs() < 1e-12, "{behind:?}");
         let above = turned(&PLACEMENT, PIVOT, Angles { right: 0.0, up: 10.0 });
         let behind = seen(&above, [0.0, 0.0, 1.6]);
         // From above, what is behind is higher in the image, which is 18 of the model's 20 rows high.

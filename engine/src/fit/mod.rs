@@ -87,6 +87,16 @@ impl Placement {
         self.content == self.model
     }
 
+    /// Width over height of the model's input as the source shows it, whose pixels are square: `w·H_c·W / (h·W_c·H)` of the source `h×w`, the
+    /// content `H_c×W_c` and the input `H×W`, formed in binary64.
+    ///
+    /// Scene space has x and y in [−1, 1] over the input; x times this, y as it is and z times this are *square units*, of half the input's height.
+    pub fn aspect(&self) -> f64 {
+        let [[h, w], [content_h, content_w], [model_h, model_w]] =
+            [self.source, self.content, self.model].map(|size| size.map(|side| side.max(1) as f64));
+        (w * content_h * model_w) / (h * content_w * model_h)
+    }
+
     /// Brings planes of the source's size to the model's: `[channels, h, w]` → `[channels, H, W]`.
     ///
     /// # Panics

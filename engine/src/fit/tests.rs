@@ -20,6 +20,17 @@ fn degenerate_shapes_keep_one_pixel_and_empty_ones_are_refused() {
 }
 
 #[test]
+fn the_inputs_aspect_is_that_of_square_pixels_of_the_source() {
+    let aspect = |fit, source, model| Placement::new(fit, source, model).unwrap().aspect();
+    assert_eq!(aspect(Fit::Letterbox, [144, 256], [288, 512]), 16.0 / 9.0);
+    // A border belongs to the input: the content keeps the source's shape in it.
+    assert_eq!(aspect(Fit::Letterbox, [256, 144], [144, 256]), 16.0 / 9.0);
+    // What is stretched is stretched back.
+    assert_eq!(aspect(Fit::Stretch, [256, 144], [144, 256]), 9.0 / 16.0);
+    assert_eq!(aspect(Fit::Stretch, [101, 77], [40, 32]), 77.0 / 101.0);
+}
+
+#[test]
 fn the_border_repeats_the_edge_and_the_crop_gives_the_content_back() {
     let p = Placement::new(Fit::Letterbox, [2, 4], [6, 4]).unwrap();
     assert_eq!((p.content, p.offset), ([2, 4], [2, 0]));

@@ -2,14 +2,15 @@
 //!
 //! The Gaussians are taken to the time ([`Record::position_at`](crate::stream::Record::position_at) and
 //! [`opacity_at`](crate::stream::Record::opacity_at)), into scene space, and into the camera's view, which the kernels rasterise.
-//! Scene space is x right, y down, z forward with
+//! Scene space is x right, y down, z forward, with x and y in [−1, 1] over the model's input and
 //!
 //! ```text
 //! z = 1 / (9.8·y + 0.2 + 10⁻⁶)   for normalised inverse depths y in [0, 1]; Gaussians outside are not drawn
 //! ```
 //!
 //! and standard deviations (s_x, s_z, s_y) along these axes (StreamSplat (ICLR 2026), camera and image). The canonical camera is
-//! axis-aligned, so its splats need no rotation; other cameras turn every Gaussian by the opposite of their own rotation.
+//! axis-aligned, so its splats need no rotation; other cameras see the scene in [square units](Snapshot::square) and turn every Gaussian by the
+//! opposite of their own rotation.
 //!
 //! A canonical image shows the content of the model's input, without the border that the frame's shape left. Its Gaussians
 //! are drawn at the size asked for, not scaled from an image.
@@ -98,7 +99,10 @@ impl Renderer {
         }
         let size = options.size.resolve(&interval.placement);
         let request = options.request(size)?;
-        let mut seen = Snapshot::of(interval, time, &self.workers)?;
+        let mut seen = match camera {
+            Camera::Canonical => Snapshot::of(interval, time, &self.workers)?,
+            Camera::Posed { .. } => Snapshot::square(interval, time, &self.workers)?,
+        };
         let view = View::new(camera, &interval.placement, size);
         self.left_out = 0;
         let rasteriser = &mut self.rasteriser;

@@ -103,7 +103,8 @@ fn the_canonical_camera_is_the_orthographic_one_at_the_origin() {
     let interval = interval([24, 40]);
     let options = RenderOptions::default();
     let canonical = interval.render(3.5, &Camera::Canonical, &options, &workers()).unwrap();
-    assert_eq!(interval.render(3.5, &Camera::orthographic(Pose::default()), &options, &workers()).unwrap(), canonical);
+    let origin = interval.render(3.5, &Camera::orthographic(Pose::default()), &options, &workers()).unwrap();
+    assert!(difference(&origin.rgb, &canonical.rgb) < 1e-4);
     // A rotation of nothing but rounding takes the general path to almost the same image.
     let nearly = Rotation::from_quaternion([1.0, 0.0, 0.0, 1e-12]).unwrap();
     let turned = Camera::orthographic(Pose { rotation: nearly, ..Pose::default() });
@@ -117,7 +118,7 @@ fn turning_the_camera_by_a_right_angle_turns_the_image() {
     let half = 0.5f64.sqrt();
     // Right becomes down: the camera's own right axis is scene-space down.
     let rotation = Rotation::from_quaternion([half, 0.0, 0.0, half]).unwrap();
-    let lens = Lens::Orthographic { half_extent: [1.0; 2] };
+    let lens = Lens::Orthographic { half_extent: None };
     let side = RenderOptions { size: Size::Exact { width: 32, height: 32 }, ..RenderOptions::default() };
     let upright = interval.render(3.0, &Camera::Posed { pose: Pose::default(), lens }, &side, &workers()).unwrap();
     let turned = interval
@@ -140,7 +141,7 @@ fn a_pinhole_far_away_sees_what_the_orthographic_camera_sees() {
     let interval = interval([24, 40]);
     let distance = 3000.0;
     let pose = Pose { position: [0.0, 0.0, -distance], ..Pose::default() };
-    let lens = Lens::Pinhole { focal: [0.5 * distance, 0.5 * distance], centre: [0.5; 2] };
+    let lens = Lens::Pinhole { focal: [0.5 * distance * 24.0 / 40.0, 0.5 * distance], centre: [0.5; 2] };
     let options = RenderOptions::default();
     let far = interval.render(2.2, &Camera::Posed { pose, lens }, &options, &workers()).unwrap();
     let canonical = interval.render(2.2, &Camera::Canonical, &options, &workers()).unwrap();

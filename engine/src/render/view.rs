@@ -16,7 +16,8 @@ const CHUNK: usize = 4096;
 /// Low-pass that the rasteriser adds to variances, in px².
 const LOW_PASS: f64 = 0.3;
 
-/// The Gaussians of an interval that can be seen at one time, in scene space (x right, y down, z forward), unrotated.
+/// The Gaussians of an interval that can be seen at one time, in scene space (x right, y down, z forward), unrotated. Units are those of
+/// the model's input or [square](Snapshot::square).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Snapshot {
     /// Their places in the interval, ascending.
@@ -84,18 +85,22 @@ impl Snapshot {
         Ok(workers.install(|| Self::new(workers.level(), &interval.gaussians, t)))
     }
 
-    /// Gaussians of an interval that can be seen at `time` seconds, for programs whose units are the same along every axis.
+    /// Gaussians of an interval that can be seen at `time` seconds, in square units: what posed cameras see, and what other programs are given.
     ///
-    /// Scene space has x and y in [−1, 1] over the model's input, whatever its shape. Here x and standard deviations along it are multiplied by its width over its height
-    /// (formed in binary64, rounded once), so that a unit is half of the picture's height along x and y.
+    /// Scene space has x and y in [−1, 1] over the model's input, whatever its shape. Here x and z, and standard deviations along them, are multiplied by
+    /// [the input's width over its height](crate::fit::Placement::aspect) (in binary64, rounded once), so that a unit is half of its height along every axis.
+    /// A pinhole at the origin with a focal length of half the input's width shows what lies at z = 1 of scene space as large as the source's own view.
     ///
     /// # Errors
     /// As [`Snapshot::of`].
-    pub fn exported(interval: &Interval, time: f64, workers: &Workers) -> Result<Self, RenderError> {
+    pub fn square(interval: &Interval, time: f64, workers: &Workers) -> Result<Self, RenderError> {
         let mut snapshot = Self::of(interval, time, workers)?;
-        let [height, width] = interval.placement.model.map(|side| side.max(1) as f64);
-        let widen = |x: &mut f32| *x = (f64::from(*x) * (width / height)) as f32;
-        snapshot.mean.iter_mut().chain(&mut snapshot.scale).for_each(|[x, ..]| widen(x));
+        let aspect = interval.placement.aspect();
+        let times = |x: &mut f32| *x = (f64::from(*x) * aspect) as f32;
+        snapshot.mean.iter_mut().chain(&mut snapshot.scale).for_each(|[x, _, z]| {
+            times(x);
+            times(z);
+        });
         Ok(snapshot)
     }
 }
@@ -148,13 +153,15 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
     seen
 }
 
-/// A camera's view of scene space, for one image size.
+/// A camera's view of scene space, for one image size: in the units of the model's input for the canonical camera, in square ones for others.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// Where the view's origin lies in scene space, and how it is turned.
     pose: Pose,
     /// How view space meets the image.
     projection: Projection,
+    /// Units along x, and along z, per unit of the model's input.
+    units: f64,
 }
 
 impl View {
@@ -171,9 +178,11 @@ impl View {
                 let y = (2.0 * top + rows) / model_h - 1.0;
                 let focal = [0.5 * sides[0] * model_w / columns, 0.5 * sides[1] * model_h / rows];
                 let pose = Pose { position: [x, y, 0.0], ..Pose::default() };
-                Self { pose, projection: Projection::Orthographic { focal: focal.map(|f| f as f32) } }
+                Self { pose, projection: Projection::Orthographic { focal: focal.map(|f| f as f32) }, units: 1.0 }
             }
-            Camera::Posed { ref pose, ref lens } => Self::posed(pose, lens, [height, width]),
+            Camera::Posed { ref pose, ref lens } => {
+                Self { units: placement.aspect(), ..Self::posed(pose, lens, [height, width]) }
+            }
         }
     }
 
@@ -182,6 +191,7 @@ impl View {
         let sides = [width as f64, height as f64];
         let projection = match *lens {
             Lens::Orthographic { half_extent } => {
+                let half_extent = half_extent.unwrap_or([sides[0] / sides[1], 1.0]);
                 Projection::Orthographic { focal: std::array::from_fn(|i| (0.5 * sides[i] / half_extent[i]) as f32) }
             }
             Lens::Pinhole { focal, centre } => Projection::Pinhole {
@@ -189,7 +199,7 @@ impl View {
                 centre: std::array::from_fn(|i| (centre[i] * sides[i] - 0.5) as f32),
             },
         };
-        Self { pose: *pose, projection }
+        Self { pose: *pose, projection, units: 1.0 }
     }
 
     /// Where the view's origin lies in scene space, and how it is turned.
@@ -223,7 +233,7 @@ impl View {
     /// Widens Gaussians in view space that this view shows larger than the model's own pixels show them.
     ///
     /// The rasteriser adds 0.3 px² to every projected variance. Gaussians were trained, and their colours fitted, where a pixel is one of the model's, of which a unit of the
-    /// scene has `m = side / 2` along an axis; where it has `f > m` pixels, that addition is too small and gaps open between Gaussians. So that it stays what it was in the scene,
+    /// input has `m = side / 2` along an axis (in square units along x `m = width / 2` over the input's aspect); where it has `f > m` pixels, that addition is too small and gaps open between Gaussians. So that it stays what it was in the scene,
     ///
     /// ```text
     /// s' = √(s² + a)      a = 0.3·(m⁻² − f⁻²), 0 where that is not above 10⁻⁶·0.3·m⁻²      f: the focal length, for a pinhole over the Gaussian's z
@@ -236,7 +246,8 @@ impl View {
             Projection::Orthographic { focal } => (focal, false),
             Projection::Pinhole { focal, .. } => (focal, true),
         };
-        let own = [placement.model[1], placement.model[0]].map(|side| 0.5 * side.max(1) as f64);
+        let [height, width] = placement.model.map(|side| 0.5 * side.max(1) as f64);
+        let own = [width / self.units, height];
         let most = own.map(|m| (LOW_PASS / (m * m)) as f32);
         let inverse = focal.map(|f| (LOW_PASS.sqrt() / f64::from(f)) as f32);
         let added = |z: f32| -> [f32; 2] {

@@ -15,7 +15,7 @@ use std::io::{Cursor, Read};
 use std::path::Path;
 
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageFormat, ImageReader, Limits, RgbImage};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits, RgbImage};
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
@@ -79,6 +79,18 @@ fn is_animated_webp(bytes: &[u8]) -> bool {
 
 pub(super) fn decode_error(path: &Path, cause: impl Into<String>) -> SourceError {
     SourceError::Decode { path: path.to_owned(), cause: cause.into() }
+}
+
+/// Returns true if an image says in its header that it has alpha. Of TIFF and OpenEXR nothing is known before they are decoded.
+pub(crate) fn has_alpha(path: &Path) -> bool {
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+    let decoder = reader.map(|mut reader| {
+        let mut limits = Limits::default();
+        limits.max_alloc = Some(MAX_ALLOC);
+        reader.limits(limits);
+        reader.into_decoder()
+    });
+    matches!(decoder, Ok(Ok(decoder)) if decoder.color_type().has_alpha())
 }
 
 /// PNG, BMP, WebP, PNM, QOI by their content; TGA, which has no signature, by its name.

@@ -17,6 +17,14 @@ pub enum SourceError {
         /// The system's answer.
         cause: io::Error,
     },
+    /// An address where a file was expected.
+    #[error(
+        "{address}: expected a file or a folder, found an address: download it, or run ffmpeg -i {address} -f yuv4mpegpipe - | streamsplat run - --out OUT"
+    )]
+    Address {
+        /// The address.
+        address: String,
+    },
     /// A folder without a single image.
     #[error("{}: the folder holds no image (expected files ending in {})", path.display(), super::folder::EXTENSIONS.join(", "))]
     EmptyFolder {

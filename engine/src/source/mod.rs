@@ -71,6 +71,8 @@ pub struct Source {
     uneven: bool,
     next: usize,
     first: Option<(PathBuf, (usize, usize))>,
+    /// Conversions and parts left out.
+    notes: Vec<String>,
 }
 
 enum Input {
@@ -78,6 +80,14 @@ enum Input {
     File(Y4m<BufReader<File>>),
     Stdin(Y4m<BufReader<Stdin>>),
     Ffmpeg(Box<Ffmpeg>),
+}
+
+/// The error of an input that is not there.
+fn missing(input: &Path, cause: std::io::Error) -> SourceError {
+    match input.to_str().filter(|text| text.contains("://")) {
+        Some(address) => SourceError::Address { address: address.to_owned() },
+        None => SourceError::read(input)(cause),
+    }
 }
 
 /// Returns true if `input` is a file that [`Source::open`] gives to ffmpeg: neither a folder, an image, y4m nor standard input.
@@ -100,7 +110,7 @@ impl Source {
         }
         let kind = if input == Path::new("-") {
             Input::Stdin(Y4m::new(BufReader::with_capacity(1 << 16, std::io::stdin()), input)?)
-        } else if std::fs::metadata(input).map_err(SourceError::read(input))?.is_dir() {
+        } else if std::fs::metadata(input).map_err(|cause| missing(input, cause))?.is_dir() {
             Input::Files(folder::images(input)?)
         } else if folder::is_image(input) {
             Input::Files(vec![input.to_owned()])
@@ -127,7 +137,14 @@ impl Source {
             (None, None, Some((numerator, denominator))) => (numerator as f64, denominator as f64),
             (None, None, None) => (DEFAULT_FPS, 1.0),
         };
-        Ok(Source { kind, path: input.to_owned(), rate, uneven: uneven.is_some(), next: 0, first: None })
+        let notes = match &kind {
+            Input::Files(files) if files.first().is_some_and(|file| decode::has_alpha(file)) => {
+                vec!["transparent parts are laid over mid grey".to_owned()]
+            }
+            Input::Ffmpeg(video) => video.notes().to_vec(),
+            _ => Vec::new(),
+        };
+        Ok(Source { kind, path: input.to_owned(), rate, uneven: uneven.is_some(), next: 0, first: None, notes })
     }
 
     /// The sound track of a video file, if it has one.
@@ -140,10 +157,7 @@ impl Source {
 
     /// Conversions of the pictures on the way in and parts of the input that are left out, a line each.
     pub fn notes(&self) -> &[String] {
-        match &self.kind {
-            Input::Ffmpeg(video) => video.notes(),
-            _ => &[],
-        }
+        &self.notes
     }
 
     /// How many frames there are, where that is known beforehand: image files, and a y4m file of whole frames.
@@ -268,6 +282,29 @@ mod tests {
         assert_eq!(times(Options::default()), [0.0, 1001.0 / 30000.0, 2.0 * 1001.0 / 30000.0]);
         assert_eq!(times(Options { fps: Some(2.0) }), [0.0, 0.5, 1.0]);
         assert!(Source::open(&path, &Options { fps: Some(f64::NAN) }).is_err());
+    }
+
+    #[test]
+    fn an_address_says_how_to_read_it() {
+        let address = "https://example.org/clip.mp4";
+        let error = Source::open(Path::new(address), &Options::default()).err().map(|e| e.to_string());
+        let expected = format!(
+            "{address}: expected a file or a folder, found an address: download it, or run ffmpeg -i {address} "
+        );
+        assert!(error.is_some_and(|e| e.starts_with(&expected)));
+    }
+
+    #[test]
+    fn transparency_that_is_laid_over_grey_is_said() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let notes = |name: &str, image: image::DynamicImage| {
+            let path = folder.path().join(name);
+            image.save(&path).expect("writable");
+            Source::open(&path, &Options::default()).expect("an image").notes().len()
+        };
+        assert_eq!(notes("alpha.png", image::DynamicImage::new_rgba8(3, 2)), 1);
+        assert_eq!(notes("alpha.webp", image::DynamicImage::new_rgba8(3, 2)), 1);
+        assert_eq!(notes("colour.png", image::DynamicImage::new_rgb8(3, 2)), 0);
     }
 
     #[test]

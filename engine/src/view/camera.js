@@ -1,12 +1,17 @@
 // The camera: it looks at a target from some side.
 //
-// Scene space is x right, y down, z forward. From straight ahead with parallel rays it is the source's own view: the content of the
-// model's input fills the image. With perspective what lies as far as the target keeps its size.
+// Scene space is x right, y down, z forward. Cameras live in its square units: x and z times the aspect of the model's input, so that a unit is
+// half the input's height. From straight ahead with parallel rays it is the source's own view: the content of the input fills the image. With
+// perspective what lies as far as the target keeps its size.
 //
 // A still scene has no such view: it is seen in perspective from where still/framing.rs puts the camera, in the file's own units.
 
 const TURN = Math.PI / 180;
 const STEEPEST = 85;
+/** Distance of parallel rays' start, in half widths: behind everything, as depths end at 5. */
+const BEHIND = 12;
+/** Distance of a perspective camera, in half longer sides: they fill 45 degrees. */
+const AWAY = 2.4;
 /** Of still scenes, as still/framing.rs has them: half the vertical field of view, elevation, and the part of the image that is filled. */
 const FRAMING = { half: 22.5, elevation: 12, fill: 0.8 };
 
@@ -15,11 +20,12 @@ const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
 
 class Camera {
   constructor() {
-    this.half = [1, 1]; // half extents of the content in scene units
+    this.half = [16 / 9, 1]; // half extents of the content, in square units
     this.own = [1, 1];
     this.middle = [0, 0]; // its middle
     this.aspect = 16 / 9; // of the source's frames
-    this.depth = 0.5; // of the target
+    this.units = 16 / 9; // square units along x and z per unit of scene space
+    this.depth = 0.5; // of the target, in scene space
     this.perspective = false;
     this.box = null; // of a still scene: its middle and half extents
     this.unit = 1; // of shifts, in scene units
@@ -37,10 +43,11 @@ class Camera {
 
   /** Learns where the content lies in the model's input. */
   place({ source, model, offset, content }) {
-    this.half = [content[1] / model[1], content[0] / model[0]];
-    this.own = [model[1] / 2, model[0] / 2]; // the model's pixels per scene unit
-    this.middle = [(2 * offset[1] + content[1]) / model[1] - 1, (2 * offset[0] + content[0]) / model[0] - 1];
     this.aspect = source[1] / source[0];
+    this.units = (this.aspect * content[0] * model[1]) / (content[1] * model[0]);
+    this.half = [(this.units * content[1]) / model[1], content[0] / model[0]];
+    this.own = [model[1] / 2 / this.units, model[0] / 2]; // the model's pixels per unit
+    this.middle = [this.units * ((2 * offset[1] + content[1]) / model[1] - 1), (2 * offset[0] + content[0]) / model[0] - 1];
   }
 
   /** Learns what box most of a still scene lies in. */
@@ -69,10 +76,10 @@ class Camera {
   get target() {
     if (this.box) return this.box.middle.map((x, i) => x + this.unit * this.shift[i]);
     const [x, y] = this.middle;
-    return [x + this.shift[0], y + this.shift[1], this.depth + this.shift[2]];
+    return [x + this.shift[0], y + this.shift[1], this.units * this.depth + this.shift[2]];
   }
 
-  /** The camera's right, down and forward in scene space. */
+  /** The camera's right, down and forward. */
   get axes() {
     const [sy, cy] = [Math.sin(this.yaw * TURN), Math.cos(this.yaw * TURN)];
     const [sp, cp] = [Math.sin(this.pitch * TURN), Math.cos(this.pitch * TURN)];
@@ -85,11 +92,11 @@ class Camera {
     const fitted = Math.min(width, height * this.aspect);
     const scale = [(0.5 * fitted) / this.half[0], (0.5 * fitted) / this.aspect / this.half[1]];
     const axes = this.axes;
-    // Parallel rays start behind everything: depths end at 5.
-    const distance = this.perspective ? 2.4 / this.zoom : 12;
+    const away = AWAY * Math.max(this.units, 1);
+    const distance = this.perspective ? away / this.zoom : BEHIND * this.units;
     const eye = this.target.map((x, i) => x - axes[2][i] * distance);
-    const focal = scale.map((s) => s * (this.perspective ? 2.4 : this.zoom));
-    return { width, height, axes, eye, focal, own: this.own, pinhole: this.perspective, distance };
+    const focal = scale.map((s) => s * (this.perspective ? away : this.zoom));
+    return { width, height, axes, eye, focal, own: this.own, units: this.units, pinhole: this.perspective, distance };
   }
 
   /** The same of a still scene; `ends` are the depths of the scale's ends. */
@@ -103,7 +110,7 @@ class Camera {
     const pixels = length * height * (this.perspective ? 1 : this.zoom / whole);
     const depth = dot(axes[2], this.box.middle.map((x, i) => x - eye[i]));
     const ends = [Math.max(0, depth - this.unit), Math.max(depth, 0) + this.unit];
-    return { width, height, axes, eye, focal: [pixels, pixels], pinhole: this.perspective, distance, ends, still: true };
+    return { width, height, axes, eye, focal: [pixels, pixels], units: 1, pinhole: this.perspective, distance, ends, still: true };
   }
 
   turn(right, down) {
@@ -126,8 +133,8 @@ class Camera {
 const nearest = ({ pinhole, still }) => (!pinhole ? 0 : still ? 1e-6 : 1e-3);
 
 /** Where a view shows a scene-space point: pixels from the upper left corner, and depth. */
-function project({ width, height, axes, eye, focal, pinhole }, point) {
-  const away = point.map((x, i) => x - eye[i]);
+function project({ width, height, axes, eye, focal, units, pinhole }, [right, down, forward]) {
+  const away = [units * right - eye[0], down - eye[1], units * forward - eye[2]];
   const [x, y, z] = axes.map((axis) => dot(axis, away));
   const near = pinhole ? 1 / z : 1;
   return [focal[0] * x * near + 0.5 * width, focal[1] * y * near + 0.5 * height, z];
@@ -136,7 +143,7 @@ function project({ width, height, axes, eye, focal, pinhole }, point) {
 /** The view as `streamsplat render --camera` reads it. */
 function cameraFile({ width, height, axes, eye, focal, pinhole }) {
   const numbers = (list) => list.map((x) => Number(x.toPrecision(12)) + 0);
-  const pose = { position: numbers(eye), look_at: numbers(eye.map((x, i) => x + axes[2][i])) };
+  const pose = { units: "square", position: numbers(eye), look_at: numbers(eye.map((x, i) => x + axes[2][i])) };
   return pinhole
     ? { type: "pinhole", ...pose, focal: numbers([focal[0] / width, focal[1] / height]) }
     : { type: "orthographic", ...pose, half_extent: numbers([(0.5 * width) / focal[0], (0.5 * height) / focal[1]]) };

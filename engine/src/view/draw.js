@@ -124,6 +124,7 @@ class Drawing {
     for (const name of ["positionLow", "positionStep", "velocityLow", "velocityStep"]) gl.uniform3fv(at[name], packet[name]);
     gl.uniform1f(at.t, t);
     gl.uniform2fv(at.own, view.own);
+    gl.uniform1f(at.units, view.units);
     return at;
   }
 

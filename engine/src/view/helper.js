@@ -54,8 +54,8 @@ class Orders {
 
   /** Asks for the order at t; and for the following interval's first one, if that has none. */
   want(interval, t, view, following) {
-    const { eye, axes, pinhole, still } = view;
-    const seen = { eye, axes, pinhole, still };
+    const { eye, axes, units, pinhole, still } = view;
+    const seen = { eye, axes, units, pinhole, still };
     const question = { interval, t, view: seen };
     const comes = this.of(interval, t, view)?.exact || (this.asking && sameOrder(this.asking, question));
     this.wanted = comes ? null : question;

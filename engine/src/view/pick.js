@@ -7,7 +7,9 @@ const LOW_PASS = 0.3;
 function rowsOf(packet, i, view, z) {
   const unit = view.focal.map((f) => (view.pinhole ? f / z : f));
   const [mx, my] = unit.map((f, axis) => LOW_PASS * Math.max(0, view.own[axis] ** -2 - f ** -2));
-  const deviation = packet.deviation(i).map((s, k) => Math.sqrt(s * s + [mx, my, 0.5 * (mx + my)][k]));
+  const [sx, sy, sz] = packet.deviation(i);
+  const square = [view.units * sx, sy, view.units * sz];
+  const deviation = [mx, my, 0.5 * (mx + my)].map((more, k) => Math.sqrt(square[k] * square[k] + more));
   return view.axes.map((axis) => axis.map((a, k) => a * deviation[k]));
 }
 

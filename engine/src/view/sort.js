@@ -52,9 +52,10 @@ class Sorter {
 
   /** Depths, and whether a record may be seen. */
   look(t, view) {
-    const { axes, eye } = view;
+    const { axes, eye, units } = view;
     const { position, velocity, reference, depth, seen } = this;
-    const [fx, fy, fz] = axes[2];
+    // In square units.
+    const [fx, fy, fz] = [units * axes[2][0], axes[2][1], units * axes[2][2]];
     const offset = dot(axes[2], eye);
     const least = nearest(view);
     if (this.still) {

@@ -114,7 +114,7 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
             Some((_, interval)) => interval,
             None => scene.interval(place)?,
         };
-        let snapshot = Snapshot::exported(&interval, time, &workers)?;
+        let snapshot = Snapshot::square(&interval, time, &workers)?;
         bytes += write_file(path, &(of_time.snapshot)(&snapshot))?.bytes;
         files += 1;
         dropped += snapshot.dropped;

@@ -220,6 +220,7 @@ pub(super) fn record(
         outputs,
         work,
         dropped: drawing.counts.dropped,
+        image_size: drawing.counts.size,
         key_frames: None,
         psnr: None,
         timing: Timing::of(start, seconds, workers),

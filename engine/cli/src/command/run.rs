@@ -295,6 +295,7 @@ fn run_from(
         outputs: written,
         work,
         dropped: dropped + drawing.counts.dropped,
+        image_size: drawing.counts.size,
         key_frames: Some(key_frames),
         psnr: closeness.as_ref().and_then(Closeness::mean),
         timing: Timing::of(start, seconds, engine.workers()),

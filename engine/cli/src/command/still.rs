@@ -141,6 +141,7 @@ pub fn render(
             break;
         }
         let image = drawing.still(&scene, time, &views)?;
+        drawing.counts.size = Some([image.width, image.height]);
         size.get_or_insert([image.width, image.height]);
         drawing.writing(|| outputs.image(index, image))?;
         progress.step();

@@ -199,7 +199,7 @@ pub struct ViewOptions {
 pub struct RunArgs {
     /// Folder of images, .y4m file, - (y4m on standard input), or any video file ffmpeg reads
     pub input: PathBuf,
-    /// Folder for the results, or a video file (.y4m, .mp4, .webm, .mkv, .mov), or - (y4m on standard output) [default: here, named after the input: of
+    /// Folder for the results, or a video file (.y4m, .mp4, .webm, .mkv, .mov, .m4v, .gif, .webp, .avif), or - (y4m on standard output) [default: here, named after the input: of
     /// clip.mp4 the video clip-scene.mp4 with the scene clip-scene.ssz beside it, of images or y4m the folder clip-scene]
     #[arg(long, short, value_name = "DIR")]
     pub out: Option<PathBuf>,

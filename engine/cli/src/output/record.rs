@@ -50,6 +50,9 @@ pub struct Record {
     pub work: BTreeMap<String, WorkRecord>,
     /// Gaussians left out because a number of theirs was not finite.
     pub dropped: u64,
+    /// Width and height of the images.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub image_size: Option<[usize; 2]>,
     /// Key frames of a run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub key_frames: Option<u64>,
@@ -114,6 +117,9 @@ impl NetworkRecord {
 pub struct Counts {
     /// Images.
     pub images: u64,
+    /// Width and height of the last one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<[usize; 2]>,
     /// Gaussians drawn and left out, tiles drawn and kept, list entries looked at and not, planes computed and not, images whose
     /// splats are turned and images of which none is, Gaussians projected and left out before.
     pub raster: [[u64; 2]; 6],
@@ -342,6 +348,7 @@ mod tests {
                 .into(),
             work: [("encoder".to_owned(), WorkRecord { done: 9, avoided: 1, unit: "frames".into() })].into(),
             dropped: 3,
+            image_size: Some([640, 480]),
             key_frames: None,
             psnr: None,
             timing: Timing { total: 0.1, threads: 2, isa: "avx2".into(), ..Timing::default() },

@@ -33,13 +33,19 @@ pub fn summary(record: &Record, out: &Path) -> String {
     let stopped = if record.complete { "" } else { ", stopped by the user" };
     let peak = record.timing.peak_resident_bytes.map(|b| format!(", {} MiB at most", b >> 20)).unwrap_or_default();
     let files = record.outputs.len();
+    let plural = if files == 1 { "" } else { "s" };
     let (images, total) = (images(record), record.timing.total);
     let bytes = record.outputs.values().map(|output| output.bytes).sum::<u64>() as f64 / 1e6;
+    let size = record.image_size.map(|[width, height]| format!(" of {width}×{height}")).unwrap_or_default();
+    let rate = match record.task {
+        Invocation::Run(_) if images > 0 => format!(", {} a second", (record.input.fps * 1000.0).round() / 1000.0),
+        _ => String::new(),
+    };
     let keys = record.key_frames.map(|keys| format!(", {keys} key frames")).unwrap_or_default();
-    let psnr = record.psnr.map(|psnr| format!(", {psnr:.1} dB")).unwrap_or_default();
+    let psnr = record.psnr.map(|psnr| format!(", {psnr:.1} dB over all frames")).unwrap_or_default();
     let each = 1000.0 * total / record.input.count.max(1) as f64;
     format!(
-        "{}: {images} images{keys}{psnr}, {files} files, {bytes:.1} MB, {total:.2} s, {each:.0} ms per frame{peak}{stopped}",
+        "{}: {images} images{size}{rate}{keys}{psnr}, {files} file{plural}, {bytes:.1} MB, {total:.2} s, {each:.0} ms per frame{peak}{stopped}",
         out.display()
     )
 }

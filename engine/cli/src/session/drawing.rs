@@ -74,6 +74,12 @@ impl Drawing {
 
     /// Draws the interval at `time` from where the camera is then, as the image with the number `index`.
     pub fn draw(&mut self, interval: &Interval, index: usize, time: f64, views: &Views) -> Result<Image, Failure> {
+        let image = self.view(interval, index, time, views)?;
+        self.counts.size = Some([image.width, image.height]);
+        Ok(image)
+    }
+
+    fn view(&mut self, interval: &Interval, index: usize, time: f64, views: &Views) -> Result<Image, Failure> {
         if views.course.is_none() && views.eyes.is_none() {
             return self.seen(interval, time, &views.camera.at(time), views);
         }

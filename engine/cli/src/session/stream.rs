@@ -137,7 +137,7 @@ impl Drawn {
         views: &Views,
     ) -> Result<Self, Failure> {
         let image = emit.draws().then(|| drawing.draw(interval, index, time, views)).transpose()?;
-        let snapshot = emit.ply.then(|| Snapshot::exported(interval, time, drawing.workers())).transpose()?;
+        let snapshot = emit.ply.then(|| Snapshot::square(interval, time, drawing.workers())).transpose()?;
         if let Some(snapshot) = &snapshot {
             // Where an image is drawn as well, they are counted with it.
             drawing.counts.dropped += if emit.draws() { 0 } else { snapshot.dropped };

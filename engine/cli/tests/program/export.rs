@@ -52,11 +52,13 @@ fn a_scene_read_back_exports_what_the_live_one_shows() {
         let read = scene.interval(place).expect("just written");
         assert_eq!(Snapshot::of(&read, time, &workers).expect("inside"), snapshot, "{time}");
         assert!(!snapshot.mean.is_empty(), "{time}");
-        let exported = Snapshot::exported(&read, time, &workers).expect("inside");
-        assert!(exported.mean.iter().zip(&snapshot.mean).all(|(a, b)| a[1..] == b[1..]));
+        let exported = Snapshot::square(&read, time, &workers).expect("inside");
+        assert!(exported.mean.iter().zip(&snapshot.mean).all(|(a, b)| a[1] == b[1]));
         // The picture's shape: 80 by 48.
-        let wide = |of: &Snapshot| of.mean.iter().map(|m| m[0].abs()).fold(0.0, f32::max);
-        assert!((wide(&exported) / wide(&snapshot) - 5.0 / 3.0).abs() < 1e-6, "{time}");
+        let wide = |of: &Snapshot, axis: usize| of.mean.iter().map(move |m| m[axis].abs()).fold(0.0, f32::max);
+        for axis in [0, 2] {
+            assert!((wide(&exported, axis) / wide(&snapshot, axis) - 5.0 / 3.0).abs() < 1e-6, "{time}");
+        }
         expected.push(exported);
     }
     assert_ne!(expected[1], expected[3]);
@@ -124,4 +126,54 @@ fn what_cannot_be_exported_is_said_and_nothing_written() {
     export_ok(&scene, &out, &["--format", "ply"]);
     let text = fails(&export(&scene, &out, &["--format", "ply", "--times", "0,0.01"]), 1);
     assert!(text.contains("000002.ply: another export's file is in the way"), "{text}");
+}
+
+#[test]
+fn a_camera_sees_an_exported_file_as_it_sees_the_scene() {
+    let scratch = Scratch::new();
+    let camera = scratch.path("camera.json");
+    // Wide, upright, and as the model has it. The last camera is turned, with parallel rays.
+    for (width, height) in [(80, 34), (30, 54), (80, 48)] {
+        let clip = scratch.clip(&format!("clip{width}"), 2, width, height);
+        let (out, files) = (scratch.path(&format!("out{width}")), scratch.path(&format!("ply{width}")));
+        run_ok(&clip, &out, &["--quiet", "--gap", "1", "--emit", "scene"]);
+        export_ok(&out, &files, &["--format", "ply", "--times", "0.02"]);
+        // So small that nothing of the scene is drawn larger than the model had it, and widened.
+        let size = format!("{}x{}", width / 2, height / 2);
+        let aspect = f64::from(width) / f64::from(height);
+        for (name, view) in [
+            (
+                "front",
+                format!(r#"{{"type": "pinhole", "position": [0, 0, -4], "fov_y_degrees": 40, "aspect": {aspect}}}"#),
+            ),
+            (
+                "side",
+                format!(
+                    r#"{{"type": "pinhole", "position": [-2.1, -0.9, -3], "look_at": [0, 0, 1], "fov_y_degrees": 45, "aspect": {aspect}, "units": "square"}}"#
+                ),
+            ),
+            (
+                "parallel",
+                r#"{"type": "orthographic", "position": [6, 3, -9], "look_at": [0, 0, 1], "half_extent": [2.4, 2.4]}"#
+                    .to_owned(),
+            ),
+        ] {
+            std::fs::write(&camera, view).expect("writable");
+            let drawn = |scene: &Path, name: String, more: &[&str]| {
+                let image = scratch.path(&name);
+                let mut command = command();
+                command.arg("render").arg(scene).arg("--camera").arg(&camera).arg("--out").arg(&image);
+                let output = command.args(["--size", &size]).args(more).output().expect("the program starts");
+                assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+                image::open(image).expect("an image").into_rgb8().into_raw()
+            };
+            let scene = drawn(&out, format!("{name}{width}-scene.png"), &["--times", "0.02"]);
+            let file = drawn(&files.join("000000.ply"), format!("{name}{width}-file.png"), &[]);
+            let square: f64 = scene.iter().zip(&file).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2)).sum();
+            let decibels = 20.0 * 255f64.log10() - 10.0 * (square / scene.len() as f64).max(1e-9).log10();
+            println!("{width}x{height} {name}: {decibels:.1} dB");
+            assert!(decibels > 50.0, "{width}x{height} {name}: {decibels:.1} dB");
+            assert!(scene.iter().max() > scene.iter().min(), "something is seen");
+        }
+    }
 }

@@ -5,6 +5,7 @@
 //   position = mean + velocity·τ,   opacity = o · (1 + e^(−γ₀γ₁)) / (1 + e^(γ₀(|τ| − γ₁))) · handover,   τ = t − t₀
 //   colour   = rgb + rate·τ
 //   scene    = (x, −z, 1 / (9.8·y + 0.2 + 10⁻⁶)) for y in [0, 1]
+//   square   = scene with x and z, and deviations along them, times `units`: what the camera sees
 //   Σ        = J·R·S·Sᵀ·Rᵀ·Jᵀ + 0.3·I   (px²), with S widened where the image shows more pixels per unit than the model (render/view.rs)
 precision highp float;
 precision highp int;
@@ -18,9 +19,10 @@ uniform vec3 positionLow, positionStep, velocityLow, velocityStep;
 uniform float t;
 uniform vec3 eye;
 uniform mat3 turn;    // columns: the camera's right, down and forward
-uniform vec2 focal;   // pixels per scene unit, or, for a pinhole, focal lengths in pixels
+uniform vec2 focal;   // pixels per unit, or, for a pinhole, focal lengths in pixels
+uniform float units;  // square units along x and z per unit of scene space
 uniform bool pinhole;
-uniform vec2 own;     // the model's pixels per scene unit
+uniform vec2 own;     // the model's pixels per square unit
 uniform vec2 size;    // pixels
 uniform int mode;     // 0 colour, 1 inverse depth, 2 identity
 
@@ -69,11 +71,12 @@ void main() {
   if (opacity < VISIBLE) return;
 
   vec3 scene = vec3(world.x, -world.z, 1.0 / (9.8 * world.y + 0.200001));
-  vec3 view = (scene - eye) * turn;
+  vec3 square = vec3(units, 1.0, units);
+  vec3 view = (square * scene - eye) * turn;
   if (view.z <= (pinhole ? 1e-3 : 0.0)) return;
 
   vec2 s = unpackHalf2x16(b.y);
-  vec3 sigma = vec3(s, 0.5 * (s.x + s.y));
+  vec3 sigma = square * vec3(s, 0.5 * (s.x + s.y));
   vec2 unit = pinhole ? focal / view.z : focal;
   vec2 more = LOW_PASS * max(vec2(0.0), 1.0 / (own * own) - 1.0 / (unit * unit));
   sigma = sqrt(sigma * sigma + vec3(more, 0.5 * (more.x + more.y)));
