@@ -139,7 +139,7 @@ pub(super) fn join(
         }
     };
     let mean = cells.iter().map(|c| c.confidence).sum::<f32>() / cells.len() as f32;
-    if !(mean >= LEAST) {
+    if mean.is_nan() || mean < LEAST {
         return None;
     }
     cells.iter_mut().filter(|c| c.confidence <= 0.0).for_each(|c| *c = Cell::default());

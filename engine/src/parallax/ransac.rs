@@ -31,7 +31,7 @@ pub(super) fn motion(matches: &[Match], fits: f64, stream: Stream) -> Option<Mot
             let side = |word: u32| f64::from(word) / f64::from(u32::MAX) * 2.0 - 1.0;
             let translation = DVec3::new(side(words[0]), side(words[1]), side(words[2])).try_normalize()?;
             let sample: Vec<&Match> = (1..=SAMPLE as u64)
-                .map(|k| &matches[(u64::from(stream.words(first + k)[0]) * matches.len() as u64 >> 32) as usize])
+                .map(|k| &matches[((u64::from(stream.words(first + k)[0]) * matches.len() as u64) >> 32) as usize])
                 .collect();
             let start = Motion { rotation: turn, translation };
             let rough = refine(start, sample.iter().copied(), 4.0 * fits, 4)?;
