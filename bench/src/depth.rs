@@ -1,4 +1,7 @@
-//! `depth`: how scenes of cards look from cameras led around them, with and without their true depth.
+//! `depth`: how scenes of cards look from cameras led around them, without depth, with their true depth, and with depth
+//! found by parallax; and how depth found in clips compares with a sensor's.
+
+mod sensor;
 
 use std::path::PathBuf;
 
@@ -8,7 +11,7 @@ use serde::Serialize;
 use streamsplat::picture::Picture;
 use streamsplat::{Settings, source};
 use streamsplat_fixtures::clip::cards::Cards;
-use streamsplat_tests::turned::{Score, score};
+use streamsplat_tests::turned::{Depth, Score, score};
 
 use crate::Common;
 use crate::table::{Column, Table};
@@ -27,6 +30,19 @@ pub(crate) struct Options {
     /// Degrees by which views are turned to both sides.
     #[arg(long, default_value_t = 10.0)]
     degrees: f64,
+    /// Pixels, of a picture 256 wide, that the camera moves sideways before the nearest things until the views are taken; depth is then also
+    /// found by parallax.
+    #[arg(long, default_value_t = 0.0)]
+    travel: f64,
+    /// Key frames on the way.
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(2..=64))]
+    key_frames: u32,
+    /// Clips with a sensor's depth, folders with rgb/ and depth/ (16-bit PNG, millimetres): compare found depth with it instead.
+    #[arg(long, value_name = "DIR", num_args = 1..)]
+    sensor: Vec<PathBuf>,
+    /// Frames from one key frame of these clips to the next.
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=64))]
+    gap: u32,
     /// Folders of images that textures are taken from; painted textures otherwise.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     textures: Vec<PathBuf>,
@@ -36,7 +52,7 @@ pub(crate) struct Options {
 }
 
 const TABLE: Table<'_> = Table(&[
-    Column::Text("depth", 8),
+    Column::Text("depth", 14),
     Column::Number("views", 6),
     Column::Number("foreground", 0),
     Column::Number("behind", 0),
@@ -44,6 +60,7 @@ const TABLE: Table<'_> = Table(&[
     Column::Number("card", 6),
     Column::Number("card foreground", 0),
     Column::Number("views", 0),
+    Column::Number("found", 7),
 ]);
 
 #[derive(Serialize)]
@@ -60,31 +77,50 @@ fn size(text: &str) -> Result<[usize; 2], String> {
 }
 
 pub(crate) fn run(options: &Options) -> Result<()> {
+    let settings = Settings { level: Some(options.common.isa), threads: options.common.threads, ..Settings::default() };
+    if !options.sensor.is_empty() {
+        println!("{}", sensor::Row::head());
+        let mut rows = Vec::new();
+        for folder in &options.sensor {
+            let row = sensor::clip(&settings, folder, options.gap as usize)?;
+            println!("{}", row.line());
+            rows.push(row);
+        }
+        return options.common.write(&rows);
+    }
     let [width, height] = options.size;
     let mut textures = Vec::new();
     for folder in &options.textures {
         textures.extend(first_picture(folder, [width, height])?);
     }
+    let follow = options.travel * width as f64 / 256.0;
     let scenes: Vec<Cards> =
-        (0..options.scenes).map(|seed| Cards::textured(seed, width, height, 0.0, &textures)).collect();
-    let settings = Settings { level: Some(options.common.isa), threads: options.common.threads, ..Settings::default() };
+        (0..options.scenes).map(|seed| Cards::textured(seed, width, height, follow, &textures)).collect();
     if let Some(folder) = &options.pictures {
         std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
     }
     let mut rows = Vec::new();
     println!("{}", TABLE.heads());
-    for (name, depth) in [("none", false), ("true", true)] {
+    let last = f64::from(options.key_frames - 1);
+    let times: Vec<f64> = match follow {
+        0.0 => vec![0.0],
+        _ => (0..options.key_frames).map(|key| f64::from(key) / last).collect(),
+    };
+    let all =
+        [("none", Depth::None), ("true", Depth::True), ("found", Depth::Found), ("found, scaled", Depth::FoundInScale)];
+    for (name, depth) in &all[..if follow == 0.0 { 2 } else { 4 }] {
         let mut failed = None;
-        let score = score(&settings, &scenes, depth, options.degrees, |what, scene, rgb| {
+        let score = score(&settings, &scenes, *depth, &times, options.degrees, |what, scene, rgb| {
             if let Some(folder) = &options.pictures {
-                let path = folder.join(format!("{scene:02}-{name}-{what}.ppm"));
+                let path = folder.join(format!("{scene:02}-{}-{what}.ppm", name.replace(", ", "-")));
                 failed = failed.take().or(std::fs::write(path, ppm(rgb, [width, height])).err());
             }
         });
         failed.map_or(Ok(()), Err)?;
-        let Score { views, foreground, behind, key, card, count } = score;
+        let Score { views, foreground, behind, key, card, count, scenes, found } = score;
         let decibels = [views, foreground, behind, key, card[0], card[1]].map(|x| format!("{x:.2}"));
-        println!("{}", TABLE.line(&[&[name.to_owned()], &decibels[..], &[count.to_string()]].concat()));
+        let counts = [count.to_string(), format!("{found}/{scenes}")];
+        println!("{}", TABLE.line(&[&[(*name).to_owned()], &decibels[..], &counts].concat()));
         rows.push(DepthScore { depth: name, score });
     }
     options.common.write(&rows)

@@ -47,6 +47,7 @@ pub mod metrics;
 pub mod onnx;
 pub mod openexr;
 pub mod output;
+pub mod parallax;
 pub mod picture;
 pub mod render;
 pub mod scene;

@@ -6,6 +6,7 @@ use streamsplat::camera::{Pose, Rotation};
 use streamsplat::stream::{DepthRange, FAR, Interval, NEAR};
 use streamsplat::{Camera, Engine, EngineError, Frame, RenderOptions, Settings};
 use streamsplat_fixtures::clip::cards::{CardPicture, Cards};
+use streamsplat_kernels::Level;
 use streamsplat_kernels::math::f64::sin_cos;
 
 use crate::workers;
@@ -25,6 +26,10 @@ pub struct Score {
     pub card: [f64; 2],
     /// Views.
     pub count: usize,
+    /// Scenes.
+    pub scenes: usize,
+    /// Scenes whose depth was found by parallax.
+    pub found: usize,
 }
 
 /// A camera turned by `degrees` about a vertical axis at the distance `pivot`, in half widths of a picture of `aspect` = width / height.
@@ -53,53 +58,100 @@ pub fn middle(interval: &Interval, time: f64) -> Result<f64, streamsplat::render
     Ok(sum / count)
 }
 
-/// The key frame of a scene, with its true depth where `depth` is true, through an engine of these settings.
+/// The depth that scenes are lifted to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Depth {
+    /// None: the model's own.
+    None,
+    /// The true one.
+    True,
+    /// The one found by parallax, in the engine's scale.
+    Found,
+    /// The one found by parallax, in the true scale by least squares; none where none was found.
+    FoundInScale,
+}
+
+/// The last of these pictures of a scene, which were taken a second apart, through an engine of these settings; and the
+/// inverse depth found for it.
 ///
 /// # Errors
 /// As [`Engine::push`].
 pub fn reconstruct(
     engine: &mut Engine,
-    straight: &CardPicture,
+    pictures: &[CardPicture],
     size: [usize; 2],
     depth: bool,
-) -> Result<Interval, EngineError> {
-    let [height, width] = size;
-    let map = || straight.y.iter().map(|y| (y - FAR) / (NEAR - FAR)).collect();
-    let frame = Frame { width, height, rgb: straight.rgb.clone(), depth: depth.then(map) };
-    engine.push(frame, 0.0)
+) -> Result<(Interval, Option<Vec<f32>>), EngineError> {
+    let mut last = None;
+    for (picture, second) in pictures.iter().zip(0u32..) {
+        let map = || picture.y.iter().map(|y| (y - FAR) / (NEAR - FAR)).collect();
+        last = Some(engine.push(frame(picture, size, depth.then(map)), f64::from(second))?);
+    }
+    let found = engine.resume_point().and_then(|point| point.found);
+    let map = found.zip(pictures.last()).map(|(found, picture)| found.map(Level::detect(), &picture.rgb, size));
+    Ok((last.expect("a picture"), map))
 }
 
-/// The score of single key frames of `scenes`, views at ±`degrees`. Each image, with its name, goes to `show`.
+fn frame(picture: &CardPicture, [height, width]: [usize; 2], depth: Option<Vec<f32>>) -> Frame {
+    Frame { width, height, rgb: picture.rgb.clone(), depth }
+}
+
+/// y of a map's values, with inverse distances `9.8·y + 0.2` brought to those of the true `y` by one factor, by least
+/// squares.
+fn in_scale(map: &[f32], truth: &[f32]) -> Vec<f32> {
+    let inverse = |y: f32| 9.8 * f64::from(y) + 0.2;
+    let found = |d: f32| inverse((NEAR - FAR).mul_add(d, FAR));
+    let (mut product, mut square) = (0.0, 0.0);
+    for (d, y) in map.iter().zip(truth) {
+        product += found(*d) * inverse(*y);
+        square += found(*d) * found(*d);
+    }
+    map.iter().map(|d| ((found(*d) * product / square - 0.2) / 9.8) as f32).collect()
+}
+
+/// The score of the last key frames of `scenes`, which are seen at `times`, views at ±`degrees`. Each image, with its
+/// name, goes to `show`.
 ///
 /// # Panics
 /// When the engine refuses what it should take.
 pub fn score(
     settings: &Settings,
     scenes: &[Cards],
-    depth: bool,
+    depth: Depth,
+    times: &[f64],
     degrees: f64,
     mut show: impl FnMut(&str, usize, &[f32]),
 ) -> Score {
-    let settings = Settings { depth_range: DepthRange::Given, ..settings.clone() };
+    let finds = matches!(depth, Depth::Found | Depth::FoundInScale);
+    let settings = Settings { depth_range: DepthRange::Given, find_depth: finds, ..settings.clone() };
     let model = Arc::clone(Engine::new(settings.clone()).expect("starts").model());
-    let mut sum = Score::default();
-    let mut hidden = 0;
+    let (mut sum, mut hidden) = (Score::default(), 0);
     for (index, scene) in scenes.iter().enumerate() {
-        let straight = scene.straight(0.0);
+        let pictures: Vec<CardPicture> = times.iter().map(|time| scene.straight(*time)).collect();
+        let (straight, time) = (pictures.last().expect("a time"), times[times.len() - 1]);
         if straight.foreground.iter().filter(|front| **front).count() < 50 {
             continue;
         }
-        let mut engine = Engine::with_model(settings.clone(), model.clone()).expect("starts");
-        let interval = reconstruct(&mut engine, &straight, scene.size(), depth).expect("taken");
+        let start = || Engine::with_model(settings.clone(), model.clone()).expect("starts");
+        let (mut interval, found) =
+            reconstruct(&mut start(), &pictures, scene.size(), depth == Depth::True).expect("taken");
+        sum.found += usize::from(found.is_some());
+        sum.scenes += 1;
+        let mut true_scale = depth == Depth::True;
+        if let (Depth::FoundInScale, Some(found)) = (depth, &found) {
+            let map = in_scale(found, &straight.y).iter().map(|y| (y - FAR) / (NEAR - FAR)).collect();
+            interval = start().push(frame(straight, scene.size(), Some(map)), 0.0).expect("taken");
+            true_scale = true;
+        }
         let options = RenderOptions::default();
-        let own = interval.render(0.0, &Camera::Canonical, &options, workers()).expect("drawn").rgb;
+        let own = interval.render(interval.end, &Camera::Canonical, &options, workers()).expect("drawn").rgb;
         show("key-true", index, &straight.rgb);
         show("key", index, &own);
         for degrees in [degrees, -degrees] {
-            let (view, pivot) = scene.turned(0.0, degrees);
-            let pivot = if depth { pivot } else { middle(&interval, 0.0).expect("drawn") };
+            let (view, pivot) = scene.turned(time, degrees);
+            let pivot = if true_scale { pivot } else { middle(&interval, interval.end).expect("drawn") };
             let camera = around(degrees, pivot, interval.placement.aspect());
-            let found = interval.render(0.0, &camera, &options, workers()).expect("drawn").rgb;
+            let found = interval.render(interval.end, &camera, &options, workers()).expect("drawn").rgb;
             let side = if degrees > 0.0 { "right" } else { "left" };
             show(&format!("{side}-true"), index, &view.rgb);
             show(side, index, &found);
@@ -125,7 +177,7 @@ pub fn score(
         behind: sum.behind / f64::from(hidden),
         key: mean(sum.key),
         card: sum.card.map(mean),
-        count: sum.count,
+        ..sum
     }
 }
 

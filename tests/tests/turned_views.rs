@@ -4,7 +4,7 @@ use streamsplat::stream::{Behind, DepthRange, Interval, Reuse};
 use streamsplat::{Engine, Frame, RenderOptions, Settings};
 use streamsplat_fixtures::clip::cards::Cards;
 use streamsplat_kernels::Level;
-use streamsplat_tests::turned::{around, reconstruct, score};
+use streamsplat_tests::turned::{Depth, around, reconstruct, score};
 
 const SIZE: [usize; 2] = [144, 256];
 
@@ -15,13 +15,14 @@ fn scenes() -> Vec<Cards> {
 #[test]
 fn true_depth_makes_views_from_the_side_true() {
     let settings = Settings::default();
-    let [without, with] = [false, true].map(|depth| score(&settings, &scenes(), depth, 10.0, |_, _, _| ()));
+    let [without, with] =
+        [Depth::None, Depth::True].map(|depth| score(&settings, &scenes(), depth, &[0.0], 10.0, |_, _, _| ()));
     println!("without {without:?}\nwith    {with:?}");
     assert!(with.views >= 29.0 && with.foreground >= 28.0, "{with:?}");
     assert!(with.views >= without.views + 3.0 && with.foreground >= without.foreground + 3.0, "{without:?} {with:?}");
     assert!(with.key >= without.key - 2.0, "{without:?} {with:?}");
     let off = Settings { behind: Behind::Off, ..settings };
-    let off = score(&off, &scenes(), true, 10.0, |_, _, _| ());
+    let off = score(&off, &scenes(), Depth::True, &[0.0], 10.0, |_, _, _| ());
     println!("off     {off:?}");
     assert!(with.behind >= off.behind + 0.3, "past edges there is more to see: {off:?} {with:?}");
     assert!(with.key >= off.key - 0.1, "the own view hides it: {off:?} {with:?}");
@@ -117,7 +118,7 @@ fn a_still_scene_does_not_breathe_when_its_maps_flicker() {
         // One level of eight bits: another picture, though nothing moves.
         picture.rgb.iter_mut().for_each(|c| *c = (*c + f32::from(key) / 255.0).min(1.0));
         let interval = match key {
-            0 => reconstruct(&mut engine, &picture, SIZE, true).expect("taken"),
+            0 => reconstruct(&mut engine, &[picture], SIZE, true).expect("taken").0,
             _ => {
                 let depth = picture.y.iter().map(|y| (y - 0.1) / 0.85).collect();
                 let frame = Frame { width: SIZE[1], height: SIZE[0], rgb: picture.rgb, depth: Some(depth) };

@@ -9,6 +9,8 @@
 //! | `current_offset` | F32 `[M,3]` | theirs |
 //! | `key_frame`, `next_identity` | U64 `[1]` | the key frame; the first identity not given yet |
 //! | `depth` | F32 `[2]` | factor and offset of the key frame's depth map, where there is one |
+//! | `found_inverse`, `found_confidence` | F32 `[R,C]` | depth found by parallax for the key frame's cells, where there is any |
+//! | `found_nearest` | F32 `[1]` | inverse depth that counts as nearest |
 //! | `seconds` | F64 `[2]` | the key frame's time, the length of the interval before it |
 
 use std::collections::HashMap;
@@ -17,6 +19,7 @@ use safetensors::SafeTensors;
 use safetensors::tensor::Dtype;
 
 use super::records::{self, float_bytes, floats, tensor, word_bytes, words};
+use crate::parallax::Found;
 use crate::stream::{Current, ResumePoint};
 
 /// The key under which the note is stored.
@@ -47,6 +50,14 @@ pub fn resume_point_to_safetensors(point: Option<&ResumePoint>, note: &str) -> R
         if let Some(depth) = &point.depth {
             tensors.push(("depth", Dtype::F32, vec![2], float_bytes(depth)));
         }
+    }
+    if let Some(found) = point.and_then(|point| point.found.as_ref()) {
+        let shape = found.grid.to_vec();
+        tensors.extend([
+            ("found_inverse", Dtype::F32, shape.clone(), float_bytes(&found.inverse)),
+            ("found_confidence", Dtype::F32, shape, float_bytes(&found.confidence)),
+            ("found_nearest", Dtype::F32, vec![1], float_bytes(&[found.nearest])),
+        ]);
     }
     records::serialize(&tensors, Some(HashMap::from([(NOTE.to_owned(), note.to_owned())])))
 }
@@ -82,6 +93,26 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
         true => floats::<2>(tensor(&file, "depth", Dtype::F32, &[Some(2)])?).into_iter().next(),
         false => None,
     };
+    let found = match file.tensor("found_inverse") {
+        Err(_) => None,
+        Ok(view) => {
+            let &[rows, columns] = view.shape() else {
+                return Err(format!("found_inverse: expected rows and columns, found shape {:?}", view.shape()));
+            };
+            let shape = [Some(rows), Some(columns)];
+            let plane = |name: &str| {
+                let values = floats::<1>(tensor(&file, name, Dtype::F32, &shape)?);
+                Ok::<Vec<f32>, String>(values.into_iter().flatten().collect())
+            };
+            let nearest = floats::<1>(tensor(&file, "found_nearest", Dtype::F32, &[Some(1)])?);
+            Some(Found {
+                grid: [rows, columns],
+                inverse: plane("found_inverse")?,
+                confidence: plane("found_confidence")?,
+                nearest: nearest[0][0],
+            })
+        }
+    };
     let point = ResumePoint {
         frame: word("key_frame")?,
         timestamp: f64::from_le_bytes(seconds[0]),
@@ -90,6 +121,7 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
         current,
         next_identity: word("next_identity")?,
         depth,
+        found,
     };
     Ok((Some(point), note))
 }

@@ -1,5 +1,6 @@
 //! Evidence between two key frames: the frames in between where they are seen, optical flow, and what both say of the motion and the colours of the interval.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use streamsplat_kernels::Level;
@@ -149,6 +150,22 @@ impl Flows {
             Link { now: last.inverse[y * width + x], then: first.inverse[there] }
         })
         .collect()
+    }
+
+    /// Flow from the first key frame to the last and back, in one step.
+    pub(super) fn whole(
+        &self,
+        level: Level,
+        work: &mut Work,
+        [a, b]: [&KeyView; 2],
+        effort: FlowEffort,
+    ) -> Option<Cow<'_, [Field; 2]>> {
+        if let [only] = &self.steps[..] {
+            return Some(Cow::Borrowed(only));
+        }
+        let [one, other] = [&a.flow.as_ref()?.pyramid, &b.flow.as_ref()?.pyramid];
+        let options = options(effort);
+        Some(Cow::Owned(work.measure(Stage::Flow, || flow::both(level, one, other, [None; 2], &options))))
     }
 
     /// Pictures of the interval as flow predicts them from its key frames; none where there are frames in between.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use streamsplat_kernels::Level;
+use streamsplat_kernels::philox::Stream;
 use streamsplat_model::LoadOptions;
 use streamsplat_model::reuse::{Saving, Tokens};
 
@@ -17,11 +18,12 @@ use super::tiles::Tiles;
 use super::work::Stage;
 use super::{EngineError, Fade, Frame, Interval, MotionFrom, Reconstructor, Reuse, Settings, Work, Workers};
 use crate::fit::Placement;
+use crate::parallax::{self, Evidence, Found};
 
 /// Turns key frames into a dynamic scene, one interval per key frame.
 ///
 /// State between key frames is bounded and independent of the stream's length: the last frame's input, embedding,
-/// tokens, condition and Gaussians, the last pair's motion, the survivors of at most `max_age` frames, and with some choices of
+/// tokens, condition, Gaussians and found depth, the last pair's motion, the survivors of at most `max_age` frames, and with some choices of
 /// [`Reuse`] the network's [`Cache`](streamsplat_model::reuse::Cache).
 pub struct Engine {
     settings: Settings,
@@ -41,6 +43,8 @@ pub(super) struct State {
     pub(super) view: KeyView,
     pub(super) pair: Option<Pair>,
     pub(super) set: CanonicalSet,
+    /// Depth found by parallax.
+    pub(super) found: Option<Found>,
 }
 
 impl Engine {
@@ -163,7 +167,9 @@ impl Engine {
             None => None,
             Some(state) => Flows::new(level, &mut self.work, [&state.view, &view], &seen, self.settings.flow),
         };
-        let map = view.own_map(tiles).map(|map| aligned(level, map, &view, self.state.as_ref(), flows.as_ref()));
+        let found = self.found(tiles, &view, flows.as_ref(), index);
+        let map = view.own_map(tiles).or_else(|| found.as_ref().and_then(|found| view.found_map(level, found)));
+        let map = map.map(|map| aligned(level, map, &view, self.state.as_ref(), flows.as_ref()));
         self.context(tiles).finish(&mut view, map);
         let Self { settings, work, fitter, state: before, .. } = self;
         let mut next_pair = None;
@@ -223,7 +229,7 @@ impl Engine {
             }
         };
         let start = before.as_ref().map_or(timestamp, |s| s.timestamp);
-        self.state = Some(State { frame: index, timestamp, placement, view, pair: next_pair, set });
+        self.state = Some(State { frame: index, timestamp, placement, view, pair: next_pair, set, found });
         let Advance { gaussians, merges, dropped } = advance;
         let dropped = dropped + lost;
         Ok(Interval { index, start, end: timestamp, gaussians, placement, merges, dropped })
@@ -247,6 +253,24 @@ impl Engine {
             .collect()
     }
 
+    /// Depth found by parallax for key frame `index`, where that is asked for and the frame has no map of its own.
+    fn found(&mut self, tiles: &Tiles, view: &KeyView, flows: Option<&Flows>, index: u64) -> Option<Found> {
+        let Self { settings, work, workers, state, .. } = self;
+        let wanted = settings.find_depth && tiles.ignores_depth() && !view.has_depth();
+        let (state, flows) = (state.as_ref().filter(|_| wanted)?, flows?);
+        if view.repeats(&state.view) {
+            work.count(Stage::Parallax, 0, 1);
+            return state.found.clone();
+        }
+        let level = workers.level();
+        let flow = flows.whole(level, work, [&state.view, view], settings.flow)?;
+        // From the key frame before and back.
+        let [back, there] = &*flow;
+        let evidence = Evidence { rgb: &view.rgb, there, back };
+        let stream = Stream { seed: settings.seed, frame: index };
+        work.measure(Stage::Parallax, || parallax::find(level, evidence, state.found.as_ref(), stream))
+    }
+
     /// State since the last key frame.
     pub(super) fn state(&self) -> Option<&State> {
         self.state.as_ref()
@@ -257,19 +281,23 @@ impl Engine {
         self.state = Some(state);
     }
 
-    /// The frame through its own part of the network, as if it were the first one, but for the `alignment` of its depth.
+    /// The frame through its own part of the network, as if it were the first one, but for the `alignment` of its depth and the depth that was `found` for it.
     pub(super) fn see(
         &mut self,
         frame: Frame,
         index: u64,
         timestamp: f64,
         alignment: Alignment,
+        found: Option<&Found>,
     ) -> Result<(Placement, KeyView), EngineError> {
         let before = self.state.take();
         let seen = self.check(&frame, index, timestamp).and_then(|placement| {
             let mut tiles = self.tiles(placement)?;
             let view = self.reconstruct(&mut tiles, frame, index, placement).map(|(mut view, _)| {
-                let map = view.own_map(&tiles).map(|map| AlignedMap { map: alignment.apply(map), alignment });
+                let level = self.workers.level();
+                let found = found.filter(|found| found.contradiction(placement.model).is_none());
+                let map = view.own_map(&tiles).or_else(|| found.and_then(|found| view.found_map(level, found)));
+                let map = map.map(|map| AlignedMap { map: alignment.apply(map), alignment });
                 self.context(&mut tiles).finish(&mut view, map);
                 view
             });

@@ -12,6 +12,7 @@ use super::tiles::{Tile, Tiles};
 use super::work::Stage;
 use super::{Behind, DepthRange, EngineError, Frame, MotionFrom, SamplingMode, Settings, Work};
 use crate::fit::{self, Placement};
+use crate::parallax::Found;
 
 /// A key frame as the model sees it, and what the model makes of it.
 pub(super) struct KeyView {
@@ -208,6 +209,17 @@ impl Context<'_> {
 }
 
 impl KeyView {
+    /// Returns true if the frame has a depth map of its own.
+    pub(super) fn has_depth(&self) -> bool {
+        self.depth.is_some()
+    }
+
+    /// The map that `found` gives for the frame; `None` where it tells nothing.
+    pub(super) fn found_map(&self, level: streamsplat_kernels::Level, found: &Found) -> Option<DepthMap> {
+        let inverse = found.map(level, &self.rgb, self.resolution);
+        DepthMap { inverse, confidence: None, resolution: self.resolution }.filled()
+    }
+
     /// The frame's own depth map without holes, for a model that ignores depth; `None` where it has none or it tells nothing.
     pub(super) fn own_map(&self, tiles: &Tiles) -> Option<DepthMap> {
         let inverse = self.depth.as_ref().filter(|_| tiles.ignores_depth())?.clone();

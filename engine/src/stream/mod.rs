@@ -42,6 +42,7 @@ pub use frame::{EngineError, Frame};
 pub use gaussians::{DynamicGaussians, HANDOVER, Handover, Record, Reference};
 pub use interval::{Interval, Merge};
 pub use lift::{DepthMap, FAR, NEAR};
+pub(crate) use lift::{map_value, scene_depth};
 pub use network::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
 pub use quality::{Preset, Quality};
 pub use reconstructor::{Motion, Reconstructor, Session, Tiling};

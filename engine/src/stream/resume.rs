@@ -2,7 +2,7 @@
 //!
 //! Embedding, tokens, condition and Gaussians of the last key frame are functions of that frame: they are computed
 //! again, to the same bits. What is not a function of it is the canonical set: who survives, and which identity each of
-//! the frame's Gaussians carries. That is a [`ResumePoint`]; it is small beside what it spares.
+//! the frame's Gaussians carries, and the depth that frames before tell of it. That is a [`ResumePoint`]; it is small beside what it spares.
 
 use std::sync::Arc;
 
@@ -10,6 +10,7 @@ use super::canonical::{CanonicalSet, Current};
 use super::engine::State;
 use super::identities::Identities;
 use super::{Engine, EngineError, Frame, Record, Reuse};
+use crate::parallax::Found;
 
 /// State of a stream at a key frame: with that frame, enough to go on ([`Engine::resume`]).
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -28,6 +29,8 @@ pub struct ResumePoint {
     pub next_identity: u64,
     /// Factor and offset that bring the frame's depth map to the scale of the frames before; `None` where it is lifted to none.
     pub depth: Option<[f32; 2]>,
+    /// Depth found by parallax for the frame; `None` where none was.
+    pub found: Option<Found>,
 }
 
 impl Engine {
@@ -44,6 +47,7 @@ impl Engine {
                 current: current.clone(),
                 next_identity: identities.next(),
                 depth: state.view.map.as_ref().map(|map| map.alignment.into()),
+                found: state.found.clone(),
             }
         })
     }
@@ -56,9 +60,11 @@ impl Engine {
     pub fn resume(&mut self, point: &ResumePoint, frame: Frame) -> Result<(), EngineError> {
         let workers = self.workers().clone();
         workers.install(|| {
-            let (placement, view) = self.see(frame, point.frame, point.timestamp, point.depth.into())?;
+            let (placement, view) =
+                self.see(frame, point.frame, point.timestamp, point.depth.into(), point.found.as_ref())?;
             let gaussians = Arc::clone(&view.gaussians);
-            if let Some(reason) = point.contradiction(gaussians.position.len()) {
+            let found = point.found.as_ref().and_then(|found| found.contradiction(placement.model));
+            if let Some(reason) = found.or_else(|| point.contradiction(gaussians.position.len())) {
                 return Err(EngineError::ResumePoint { index: point.frame, reason });
             }
             let set = CanonicalSet {
@@ -70,7 +76,7 @@ impl Engine {
                 identities: Identities::from(point.next_identity),
             };
             let (frame, timestamp) = (point.frame, point.timestamp);
-            self.set_state(State { frame, timestamp, placement, view, pair: None, set });
+            self.set_state(State { frame, timestamp, placement, view, pair: None, set, found: point.found.clone() });
             Ok(())
         })
     }

@@ -38,6 +38,9 @@ pub struct Settings {
     pub refine: Option<u32>,
     /// Every how many of the frames between key frames are looked at where colours are fitted, 1 for all; `None`: 1. 0 is 1.
     pub refine_every: Option<u32>,
+    /// True if depth is found by parallax ([`crate::parallax`]) for frames that have no map of their own, where the model ignores depth
+    /// ([`Reconstructor::ignores_depth`]) and motion is taken from the frames.
+    pub find_depth: bool,
     /// How depth maps are normalised.
     pub depth_range: DepthRange,
     /// Gaussians behind the foreground, where depth maps lift it.

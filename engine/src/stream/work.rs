@@ -36,6 +36,7 @@ pub(crate) enum Stage {
     Condition,
     Decoder,
     Flow,
+    Parallax,
     Lift,
     Behind,
     Fusion,
@@ -43,7 +44,7 @@ pub(crate) enum Stage {
 }
 
 impl Stage {
-    const ALL: [(Stage, &'static str, &'static str); 11] = [
+    const ALL: [(Stage, &'static str, &'static str); 12] = [
         (Stage::Fit, "fit", "frames"),
         (Stage::Encoder, "encoder", "tiles"),
         (Stage::Upsampler, "upsampler", "tiles"),
@@ -51,6 +52,7 @@ impl Stage {
         (Stage::Condition, "dinov2", "tiles"),
         (Stage::Decoder, "decoder", "pairs of tiles"),
         (Stage::Flow, "flow", "pairs of frames"),
+        (Stage::Parallax, "parallax", "intervals"),
         (Stage::Lift, "lift", "frames"),
         (Stage::Behind, "behind", "Gaussians"),
         (Stage::Fusion, "fusion", "intervals"),
@@ -65,6 +67,7 @@ impl Stage {
             Stage::Fit => tracing::info_span!("fit"),
             Stage::Fusion => tracing::info_span!("fusion"),
             Stage::Flow => tracing::info_span!("flow"),
+            Stage::Parallax => tracing::info_span!("parallax"),
             Stage::Lift => tracing::info_span!("lift"),
             Stage::Colours => tracing::info_span!("colours"),
             _ => tracing::Span::none(),

@@ -31,6 +31,8 @@ where
 pub enum DepthFrom {
     /// There is none.
     None,
+    /// Parallax, where the camera moves.
+    Found,
     /// A folder of maps.
     Folder(PathBuf, Range, Values),
     /// A network.
@@ -98,7 +100,7 @@ impl Stream {
         };
         let network = self.depth.strip_prefix("onnx:").map(PathBuf::from);
         let values = match self.depth_model.as_deref() {
-            Some("metric") if network.is_none() && self.depth != "none" => Values::Depth,
+            Some("metric") if network.is_none() && !["none", "auto"].contains(&self.depth.as_str()) => Values::Depth,
             Some(_) if network.is_none() => {
                 let expected = "expected a network as well (--depth onnx:FILE), or metric with a folder of depth maps";
                 return Err(Failure::usage(format!("--depth-model: {expected}")));
@@ -107,6 +109,9 @@ impl Stream {
         };
         if self.depth == "none" {
             return Ok(DepthFrom::None);
+        }
+        if self.depth == "auto" {
+            return Ok(DepthFrom::Found);
         }
         if let Some(network) = network {
             if range == Range::Clip {
@@ -118,7 +123,7 @@ impl Stream {
         let folder = PathBuf::from(&self.depth);
         if !folder.is_dir() {
             return Err(Failure::usage(format!(
-                "--depth {}: expected none, a folder of depth maps, or onnx:FILE",
+                "--depth {}: expected none, auto, a folder of depth maps, or onnx:FILE",
                 self.depth
             )));
         }
@@ -138,6 +143,7 @@ impl Stream {
             self.flow.as_deref().map_or_else(|| Ok(FlowEffort::default()), |text| choice("--flow", text))?;
         settings.refine_every = self.refine_every;
         settings.refine = self.refine;
+        settings.find_depth = self.depth_from()? == DepthFrom::Found;
         settings.depth_range = match self.depth_from()? {
             DepthFrom::Folder(_, Range::Clip, _) => DepthRange::Given,
             _ => DepthRange::Frame,

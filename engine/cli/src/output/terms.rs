@@ -86,7 +86,7 @@ pub fn with_absolute_paths(options: &RunOptions) -> RunOptions {
     }
     if let Some(network) = options.stream.depth.strip_prefix("onnx:") {
         options.stream.depth = format!("onnx:{}", absolute(Path::new(network)).display());
-    } else if options.stream.depth != "none" {
+    } else if !["none", "auto"].contains(&options.stream.depth.as_str()) {
         options.stream.depth = absolute(Path::new(&options.stream.depth)).display().to_string();
     }
     options

@@ -47,7 +47,7 @@ impl KeyDepth {
     /// Opens the folder or the network. With `reuse` a frame that repeats the key frame before has its map.
     pub fn open(from: &DepthFrom, source: &Source, level: Level, reuse: bool) -> Result<KeyDepth, Failure> {
         Ok(match from {
-            DepthFrom::None => KeyDepth::None,
+            DepthFrom::None | DepthFrom::Found => KeyDepth::None,
             DepthFrom::Folder(folder, range, values) => {
                 KeyDepth::Maps(DepthMaps::open_as(folder, source.files(), *range, *values)?)
             }

@@ -98,13 +98,14 @@ fn it_goes_on_with_whatever_chooses_its_work() {
         plane.save(depth.join(format!("{i:02}.png"))).expect("writable");
     }
     let depth = depth.to_str().expect("UTF-8");
-    let each: [&[&str]; 7] = [
+    let each: [&[&str]; 8] = [
         &["--gap", "3", "--motion", "between", "--refine", "2", "--resolution", "72x120"],
         &["--reuse", "0.1", "--gap", "2"],
         &["--reuse", "off", "--fusion", "pairwise"],
         &["--gap", "auto:4", "--reuse", "0.1"],
         &["--gap", "auto:1-6:34", "--motion", "between", "--refine", "2"],
         &["--depth", depth, "--gap", "2"],
+        &["--depth", "auto", "--gap", "2"],
         &["--sway=5:0.5", "--stereo", "--gap", "2"],
     ];
     for (i, options) in each.iter().enumerate() {

@@ -41,6 +41,17 @@ fn one_flipped_byte_of_an_output_or_of_the_input_is_found_and_named() {
 }
 
 #[test]
+fn a_run_that_finds_depth_is_repeated_from_any_folder() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 3, 40, 24);
+    let out = scratch.path("out");
+    run_ok(&clip, &out, &["--depth", "auto"]);
+    assert_eq!(json(&out.join("run.json"))["options"]["stream"]["depth"], "auto");
+    let output = verify(&out);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
 fn what_is_left_out_and_which_frames_are_key_frames_is_repeated() {
     let scratch = Scratch::new();
     let clip = scratch.clip("clip", 11, 80, 48);

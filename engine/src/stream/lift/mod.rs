@@ -68,13 +68,13 @@ pub struct DepthMap {
 }
 
 /// z in the scene of a map's value.
-fn scene_depth(d: f32) -> f32 {
+pub(crate) fn scene_depth(d: f32) -> f32 {
     let y = (NEAR - FAR).mul_add(d.clamp(0.0, 1.0), FAR);
     1.0 / 9.8f32.mul_add(y, 0.2)
 }
 
 /// The map's value of a z in the scene.
-fn map_value(z: f32) -> f32 {
+pub(crate) fn map_value(z: f32) -> f32 {
     ((1.0 / z - 0.2) / 9.8 - FAR) / (NEAR - FAR)
 }
 

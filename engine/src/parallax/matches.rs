@@ -1,0 +1,102 @@
+//! Matches between the two pictures, and how well each is known.
+
+use glam::DVec3;
+
+use super::Sight;
+
+/// Pixels between matches.
+const STEP: usize = 8;
+/// Least share of the grid that must have a match.
+const LEAST: f64 = 0.25;
+/// Eigenvalue of the structure tensor, in (grey levels per pixel)², of a texture that is half trusted.
+const HALF: f32 = 2.0;
+/// Pixels to either side over which the structure tensor is averaged.
+const RADIUS: usize = 4;
+
+/// A direction in one picture and in the other, third component 1.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Match {
+    pub(super) one: DVec3,
+    pub(super) other: DVec3,
+    pub(super) weight: f64,
+}
+
+/// Matches of every [`STEP`]-th pixel where the flow back undoes the flow; `None` where these are few.
+pub(super) fn of(sight: &Sight<'_>) -> Option<Vec<Match>> {
+    let field = sight.evidence.there;
+    let [height, width] = field.size;
+    let (mut matches, mut all) = (Vec::new(), 0_usize);
+    for row in (STEP / 2..height).step_by(STEP) {
+        for column in (STEP / 2..width).step_by(STEP) {
+            all += 1;
+            let at = row * width + column;
+            let (u, v) = (field.u[at], field.v[at]);
+            let limit = 0.05f32.mul_add((u * u + v * v).sqrt(), sight.unit as f32);
+            if sight.astray[at] < limit {
+                let (x, y) = (column as f32, row as f32);
+                matches.push(Match {
+                    one: sight.direction([x, y]),
+                    other: sight.direction([x + u, y + v]),
+                    weight: f64::from(sight.texture[at]) + 1e-3,
+                });
+            }
+        }
+    }
+    (matches.len() >= 32 && matches.len() as f64 >= LEAST * all as f64).then_some(matches)
+}
+
+/// The median length of the flow, in units of the focal length.
+pub(super) fn median_length(matches: &[Match]) -> f64 {
+    let mut lengths: Vec<f64> = matches.iter().map(|m| (m.other - m.one).length()).collect();
+    lengths.sort_by(f64::total_cmp);
+    lengths[lengths.len() / 2]
+}
+
+/// `λ / (λ + 2)` of each pixel, λ the lesser eigenvalue of the structure tensor around it.
+pub(super) fn texture(rgb: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
+    let area = height * width;
+    let (red, rest) = rgb.split_at(area);
+    let (green, blue) = rest.split_at(area);
+    let luma: Vec<f32> =
+        (0..area).map(|i| 255.0 * 0.299f32.mul_add(red[i], 0.587f32.mul_add(green[i], 0.114 * blue[i]))).collect();
+    let mut products = [vec![0.0; area], vec![0.0; area], vec![0.0; area]];
+    for row in 0..height {
+        let (above, below) = (row.saturating_sub(1), (row + 1).min(height - 1));
+        for column in 0..width {
+            let (left, right) = (column.saturating_sub(1), (column + 1).min(width - 1));
+            let x = 0.5 * (luma[row * width + right] - luma[row * width + left]);
+            let y = 0.5 * (luma[below * width + column] - luma[above * width + column]);
+            let at = row * width + column;
+            (products[0][at], products[1][at], products[2][at]) = (x * x, y * y, x * y);
+        }
+    }
+    let [xx, yy, xy] = products.map(|plane| mean(&plane, [height, width]));
+    let of = |i: usize| {
+        let (half, difference) = (0.5 * (xx[i] + yy[i]), 0.5 * (xx[i] - yy[i]));
+        let lesser = (half - (difference * difference + xy[i] * xy[i]).sqrt()).max(0.0);
+        let trust = lesser / (lesser + HALF);
+        if trust.is_finite() { trust } else { 0.0 }
+    };
+    (0..area).map(of).collect()
+}
+
+/// Means over squares, the border left out.
+fn mean(plane: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
+    let span = |i: usize, side: usize| i.saturating_sub(RADIUS)..(i + RADIUS + 1).min(side);
+    let mut across = vec![0.0; plane.len()];
+    for (out, row) in across.chunks_mut(width).zip(plane.chunks(width)) {
+        for (column, out) in out.iter_mut().enumerate() {
+            let span = span(column, width);
+            *out = row[span.clone()].iter().sum::<f32>() / span.len() as f32;
+        }
+    }
+    let mut out = vec![0.0; plane.len()];
+    for (row, line) in out.chunks_mut(width).enumerate() {
+        let span = span(row, height);
+        let share = 1.0 / span.len() as f32;
+        for from in span {
+            line.iter_mut().zip(&across[from * width..]).for_each(|(out, x)| *out += x * share);
+        }
+    }
+    out
+}

@@ -1,0 +1,63 @@
+//! The camera's motion by random samples: a fixed number of draws, the same for every machine.
+
+use glam::DVec3;
+use streamsplat_kernels::philox::Stream;
+
+use super::Motion;
+use super::epipolar::{cost, refine, rotation};
+use super::matches::Match;
+use super::triangulate::inverse_depth;
+
+/// Samples drawn.
+const DRAWS: usize = 48;
+/// Matches of a sample.
+const SAMPLE: usize = 40;
+/// Matches on which motions are compared, at most.
+const JURY: usize = 400;
+/// Motions that are refined on all matches.
+const BEST: usize = 3;
+/// Elements of the random stream that a draw has to itself.
+const ELEMENTS: u64 = 64;
+
+/// The motion that most matches fit. Each draw starts from the turn that explains all matches best and a random direction, and is refined on a sample.
+pub(super) fn motion(matches: &[Match], fits: f64, stream: Stream) -> Option<Motion> {
+    let turn = rotation(matches, 4.0 * fits)?;
+    let every = matches.len().div_ceil(JURY);
+    let jury = || matches.iter().step_by(every);
+    let mut drawn: Vec<(f64, Motion)> = (0..DRAWS as u64)
+        .filter_map(|draw| {
+            let first = draw * ELEMENTS;
+            let words = stream.words(first);
+            let side = |word: u32| f64::from(word) / f64::from(u32::MAX) * 2.0 - 1.0;
+            let translation = DVec3::new(side(words[0]), side(words[1]), side(words[2])).try_normalize()?;
+            let sample: Vec<&Match> = (1..=SAMPLE as u64)
+                .map(|k| &matches[((u64::from(stream.words(first + k)[0]) * matches.len() as u64) >> 32) as usize])
+                .collect();
+            let start = Motion { rotation: turn, translation };
+            let rough = refine(start, sample.iter().copied(), 4.0 * fits, 4)?;
+            let motion = refine(rough, jury(), 2.0 * fits, 3)?;
+            Some((cost(&motion, jury(), fits), motion))
+        })
+        .collect();
+    drawn.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut refined: Vec<(f64, Motion)> = drawn
+        .iter()
+        .take(BEST)
+        .filter_map(|(_, motion)| {
+            let motion = refine(*motion, matches.iter(), fits, 8)?;
+            Some((cost(&motion, matches.iter(), fits), motion))
+        })
+        .collect();
+    refined.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (_, motion) = refined.first()?;
+    Some(before_the_camera(*motion, matches))
+}
+
+/// The motion with the sign of its translation by which most matches lie before the camera.
+fn before_the_camera(motion: Motion, matches: &[Match]) -> Motion {
+    let sides = matches.iter().fold(0.0, |sum, m| {
+        let (inverse, ..) = inverse_depth(&motion, m.one, m.other);
+        sum + if inverse > 0.0 { m.weight } else { -m.weight }
+    });
+    Motion { translation: if sides < 0.0 { -motion.translation } else { motion.translation }, ..motion }
+}

@@ -1,0 +1,192 @@
+//! Scenes whose depth is known: planes at their own distances, seen through exact flow.
+
+use glam::DVec3;
+use streamsplat_kernels::Level;
+use streamsplat_kernels::flow::Field;
+use streamsplat_kernels::philox::Stream;
+
+use super::*;
+
+const SIZE: [usize; 2] = [96, 160];
+const STREAM: Stream = Stream { seed: 7, frame: 3 };
+
+/// Inverse depth, and displacement of the thing itself in pixels, at a place in pixels.
+type Scene = fn(f64, f64) -> (f64, [f64; 2]);
+
+/// A near plane before a far one that recedes to the right.
+fn planes(x: f64, y: f64) -> (f64, [f64; 2]) {
+    if (30.0..110.0).contains(&x) && y > 20.0 { (0.9, [0.0; 2]) } else { (0.3 - 0.001 * x, [0.0; 2]) }
+}
+
+/// A picture with texture everywhere.
+fn picture() -> Vec<f32> {
+    let [height, width] = SIZE;
+    (0..3 * height * width).map(|i| Stream { seed: 1, frame: 1 }.uniform((i % (height * width)) as u64)).collect()
+}
+
+/// Exact flow of a scene under a motion of the camera, and what undoes it.
+fn flow(scene: Scene, motion: Motion, length: f64) -> [Field; 2] {
+    let [height, width] = SIZE;
+    let focal = FOCAL * width as f64;
+    let middle = [(width as f64 - 1.0) * 0.5, (height as f64 - 1.0) * 0.5];
+    let (mut there, mut back) = (Field::zero(SIZE), Field::zero(SIZE));
+    let mut nearest = vec![f64::NEG_INFINITY; height * width];
+    for row in 0..height {
+        for column in 0..width {
+            let (x, y) = (column as f64, row as f64);
+            let (inverse, own) = scene(x, y);
+            let ray = DVec3::new((x - middle[0]) / focal, (y - middle[1]) / focal, 1.0);
+            let to = motion.rotation * ray + length * inverse * motion.translation;
+            let u = to.x / to.z * focal + middle[0] - x + own[0];
+            let v = to.y / to.z * focal + middle[1] - y + own[1];
+            let at = row * width + column;
+            (there.u[at], there.v[at]) = (u as f32, v as f32);
+            for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                let (cx, cy) = ((x + u).floor() as i64 + dx, (y + v).floor() as i64 + dy);
+                if (0..width as i64).contains(&cx) && (0..height as i64).contains(&cy) {
+                    let into = cy as usize * width + cx as usize;
+                    if inverse > nearest[into] {
+                        nearest[into] = inverse;
+                        (back.u[into], back.v[into]) = (-u as f32, -v as f32);
+                    }
+                }
+            }
+        }
+    }
+    [there, back]
+}
+
+fn motion(turn: [f64; 3], translation: [f64; 3]) -> Motion {
+    let translation = DVec3::from_array(translation);
+    Motion { rotation: epipolar::turn(DVec3::from_array(turn)), translation: translation.normalize_or(DVec3::X) }
+}
+
+fn found(scene: Scene, motion: Motion, length: f64, before: Option<&Found>) -> Option<Found> {
+    let [there, back] = flow(scene, motion, length);
+    let rgb = picture();
+    find(Level::scalar(), Evidence { rgb: &rgb, there: &there, back: &back }, before, STREAM)
+}
+
+fn reason(scene: Scene, motion: Motion, length: f64) -> Option<NoParallax> {
+    let [there, back] = flow(scene, motion, length);
+    camera(Level::scalar(), Evidence { rgb: &picture(), there: &there, back: &back }, STREAM).err()
+}
+
+/// The share of pairs of cells that a map and the truth order alike.
+fn order(map: &[f32], scene: Scene) -> f64 {
+    let width = SIZE[1];
+    let truth: Vec<f64> = (0..map.len()).map(|i| scene((i % width) as f64, (i / width) as f64).0).collect();
+    let (mut alike, mut all) = (0.0, 0.0);
+    for k in 0..20_000_u64 {
+        let [a, b, ..] = Stream { seed: 5, frame: 5 }.words(k).map(|word| word as usize % map.len());
+        if (truth[a] - truth[b]).abs() > 0.02 {
+            all += 1.0;
+            alike += f64::from(u8::from((map[a] > map[b]) == (truth[a] > truth[b])));
+        }
+    }
+    alike / all
+}
+
+#[test]
+fn depth_is_found_whichever_way_the_camera_goes() {
+    for (turn, translation) in [
+        ([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]),
+        ([0.01, -0.03, 0.01], [0.6, -0.7, 0.2]),
+        ([-0.02, 0.02, 0.0], [-0.3, 0.9, -0.3]),
+    ] {
+        let found = found(planes, motion(turn, translation), 0.1, None).expect("parallax");
+        let map = found.map(Level::scalar(), &picture(), SIZE);
+        assert!(map.iter().all(|v| (0.0..=1.0).contains(v)));
+        let order = order(&map, planes);
+        assert!(order > 0.9, "{translation:?}: {order}");
+    }
+}
+
+#[test]
+fn the_camera_is_the_one_that_made_the_flow() {
+    let true_motion = motion([0.01, -0.03, 0.01], [0.6, -0.7, 0.2]);
+    let [there, back] = flow(planes, true_motion, 0.1);
+    let found = camera(Level::scalar(), Evidence { rgb: &picture(), there: &there, back: &back }, STREAM);
+    let translation = found.expect("parallax").translation;
+    assert!(translation.dot(true_motion.translation) > 0.99, "{translation}");
+}
+
+#[test]
+fn what_shows_no_parallax_is_told_from_what_does() {
+    let (none, right) = (motion([0.0; 3], [1.0, 0.0, 0.0]), motion([0.0; 3], [1.0, 0.0, 0.0]));
+    assert_eq!(reason(planes, none, 0.0), Some(NoParallax::Still));
+    assert_eq!(reason(planes, motion([0.01, 0.05, 0.02], [1.0, 0.0, 0.0]), 0.0), Some(NoParallax::Flat));
+    assert_eq!(reason(|x, _| (0.5 - 0.001 * x, [0.0; 2]), right, 0.1), Some(NoParallax::Flat));
+    // Everything goes its own way.
+    let restless: Scene = |x, y| {
+        let word = |k: u64| f64::from(Stream { seed: k, frame: 0 }.uniform((x / 12.0) as u64 + 64 * (y / 12.0) as u64));
+        (0.3, [24.0 * (word(1) - 0.5), 24.0 * (word(2) - 0.5)])
+    };
+    assert!(reason(restless, right, 0.1).is_some());
+    assert_eq!(found(planes, none, 0.0, None), None);
+}
+
+#[test]
+fn flow_that_is_no_number_gives_no_depth() {
+    let rgb = picture();
+    let nowhere = Field { size: SIZE, u: vec![f32::NAN; SIZE[0] * SIZE[1]], v: vec![f32::NAN; SIZE[0] * SIZE[1]] };
+    let evidence = Evidence { rgb: &rgb, there: &nowhere, back: &nowhere };
+    assert_eq!(camera(Level::scalar(), evidence, STREAM), Err(NoParallax::Inconsistent));
+    assert_eq!(find(Level::scalar(), evidence, None, STREAM), None);
+}
+
+#[test]
+fn what_moves_by_itself_takes_the_depth_of_the_ground_under_it() {
+    // A thing in the middle that slides across the epipolar lines, over ground that comes nearer downwards.
+    let scene: Scene = |x, y| {
+        let own = if (60.0..100.0).contains(&x) && (30.0..60.0).contains(&y) { [0.0, 5.0] } else { [0.0; 2] };
+        let wall = if x < 50.0 { 0.3 } else { 0.0 };
+        (0.2 + 0.006 * y + wall, own)
+    };
+    let found = found(scene, motion([0.0; 3], [1.0, 0.0, 0.0]), 0.12, None).expect("parallax");
+    let map = found.map(Level::scalar(), &picture(), SIZE);
+    let at = |x: usize, y: usize| map[y * SIZE[1] + x];
+    let (thing, ground, above) = (at(80, 42), at(80, 66), at(80, 20));
+    assert!((thing - ground).abs() < (thing - above).abs(), "{thing}, ground {ground}, above {above}");
+}
+
+#[test]
+fn what_was_found_is_carried_on_while_the_camera_rests() {
+    let first = found(planes, motion([0.0; 3], [1.0, 0.0, 0.0]), 0.1, None).expect("parallax");
+    let resting = motion([0.0; 3], [1.0, 0.0, 0.0]);
+    let then = found(planes, resting, 0.0, Some(&first)).expect("carried");
+    assert_eq!(then.inverse.len(), first.inverse.len());
+    assert!(order(&then.map(Level::scalar(), &picture(), SIZE), planes) > 0.9);
+    // Not for ever.
+    let mut last = Some(then);
+    for _ in 0..64 {
+        last = found(planes, resting, 0.0, last.as_ref());
+    }
+    assert_eq!(last, None);
+}
+
+#[test]
+fn a_scene_keeps_its_scale_from_key_frame_to_key_frame() {
+    let right = motion([0.0; 3], [1.0, 0.0, 0.0]);
+    let first = found(planes, right, 0.1, None).expect("parallax");
+    // Half as far: the parallax is half as long, and what was found says so.
+    let second = found(planes, right, 0.05, Some(&first)).expect("parallax");
+    let near = |found: &Found| {
+        let cell = 30 * found.grid[1] + 32;
+        found.inverse[cell]
+    };
+    assert!((near(&second) / near(&first) - 1.0).abs() < 0.1, "{} then {}", near(&first), near(&second));
+}
+
+#[test]
+fn the_bits_are_the_same_every_time_and_another_seed_finds_the_same_camera() {
+    let moved = motion([0.01, -0.03, 0.01], [0.6, -0.7, 0.2]);
+    let [there, back] = flow(planes, moved, 0.1);
+    let rgb = picture();
+    let evidence = Evidence { rgb: &rgb, there: &there, back: &back };
+    let once = find(Level::scalar(), evidence, None, STREAM);
+    assert_eq!(once, find(Level::detect(), evidence, None, STREAM));
+    let other = camera(Level::scalar(), evidence, Stream { seed: 8, ..STREAM }).expect("parallax");
+    let one = camera(Level::scalar(), evidence, STREAM).expect("parallax");
+    assert!(one.translation.dot(other.translation) > 0.999);
+}

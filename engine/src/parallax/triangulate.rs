@@ -1,0 +1,64 @@
+//! Inverse depth of single matches and of all cells.
+
+use glam::DVec3;
+
+use super::matches::Match;
+use super::{Motion, Sight};
+
+/// Inverse depth and confidence of a cell.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Cell {
+    pub(super) inverse: f32,
+    pub(super) confidence: f32,
+    /// True if a well-seen match fits no place of a thing that stands.
+    pub(super) moves: bool,
+}
+
+/// Of a match: ρ by least squares, the length of parallax that a ρ of 1 makes, and the distance from the epipolar line.
+///
+/// From `x₂·(y₃ + ρ·t₃) = (y + ρ·t)₁₂` with `y = R·x₁`: `ρ·a = b`, `a = t₁₂ − x₂·t₃`, `b = x₂·y₃ − y₁₂`.
+pub(super) fn inverse_depth(motion: &Motion, one: DVec3, other: DVec3) -> (f64, f64, f64) {
+    let (y, t) = (motion.rotation * one, motion.translation);
+    let (ax, ay) = (t.x - other.x * t.z, t.y - other.y * t.z);
+    let (bx, by) = (other.x * y.z - y.x, other.y * y.z - y.y);
+    let square = ax * ax + ay * ay + 1e-18;
+    let length = square.sqrt();
+    ((ax * bx + ay * by) / square, length / y.z, (ax * by - ay * bx).abs() / (length * y.z))
+}
+
+/// All cells of the picture; inverse depth in units of the median of what is well known.
+pub(super) fn cells(sight: &Sight<'_>, motion: &Motion) -> Vec<Cell> {
+    let pixels = sight.focal / sight.unit;
+    let count = sight.grid[0] * sight.grid[1];
+    let mut lengths = Vec::with_capacity(count);
+    let mut cells: Vec<(Cell, f64)> = (0..count)
+        .map(|cell| {
+            let at = sight.middle(cell);
+            let [u, v] = sight.evidence.there.at(at[0], at[1]);
+            let m = Match { one: sight.direction(at), other: sight.direction([at[0] + u, at[1] + v]), weight: 1.0 };
+            let (inverse, length, beside) = inverse_depth(motion, m.one, m.other);
+            let pixel = sight.pixel(cell);
+            let (astray, texture) = (f64::from(sight.astray[pixel]) / sight.unit, f64::from(sight.texture[pixel]));
+            let (beside, length) = (beside * pixels, length * pixels);
+            lengths.push(length);
+            let moves = astray < 1.0 && texture > 0.3 && (beside > 3.0 || inverse * length < -2.0);
+            let soft = 1.0 + beside * beside;
+            let trust = texture / (soft * soft * (1.0 + astray * astray));
+            let known = inverse > 0.0 && inverse.is_finite() && trust.is_finite() && astray < 4.0 && !moves;
+            let confidence = if known { trust as f32 } else { 0.0 };
+            (Cell { inverse: if known { inverse as f32 } else { 0.0 }, confidence, moves }, length)
+        })
+        .collect();
+    lengths.sort_by(f64::total_cmp);
+    let middle = lengths[count / 2].max(1e-12);
+    for (cell, length) in &mut cells {
+        // The parallax of what lies about the epipole is short, and its depth uncertain.
+        cell.confidence *= ((*length / middle) * (*length / middle)).min(16.0) as f32;
+    }
+    let mut cells: Vec<Cell> = cells.into_iter().map(|(cell, _)| cell).collect();
+    let scale = super::filter::weighted_median(cells.iter().map(|c| (c.inverse, c.confidence))).unwrap_or(1.0);
+    for cell in &mut cells {
+        cell.inverse = (cell.inverse / scale).min(super::filter::NEAREST);
+    }
+    cells
+}

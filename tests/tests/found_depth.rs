@@ -1,0 +1,151 @@
+//! Depth found by parallax, through the engine.
+
+use streamsplat::scene::{resume_point_from_safetensors, resume_point_to_safetensors};
+use streamsplat::stream::{FlowEffort, Interval, Reuse};
+use streamsplat::{Engine, Frame, Settings};
+use streamsplat_fixtures::clip::cards::Cards;
+use streamsplat_kernels::Level;
+use streamsplat_tests::turned::{Depth, score};
+
+const SIZE: [usize; 2] = [72, 128];
+
+fn finding() -> Settings {
+    Settings { find_depth: true, ..Settings::default() }
+}
+
+/// Pixels that the camera moves by from time 0 to time 1 at y = 1.
+const TRAVEL: f64 = 16.0;
+
+fn frame(rgb: Vec<f32>) -> Frame {
+    Frame { width: SIZE[1], height: SIZE[0], rgb, depth: None }
+}
+
+/// Three key frames of a camera that moves before cards.
+fn moving() -> Vec<Frame> {
+    moving_at(1)
+}
+
+/// The same, so many times larger.
+fn moving_at(factor: usize) -> Vec<Frame> {
+    let [height, width] = SIZE.map(|side| factor * side);
+    let scene = Cards::new(11, width, height, TRAVEL * factor as f64);
+    let rgb = |time| scene.straight(time).rgb;
+    [0.0, 0.5, 1.0].into_iter().map(|time| Frame { width, height, rgb: rgb(time), depth: None }).collect()
+}
+
+fn run(settings: &Settings, frames: &[Frame]) -> (Vec<Interval>, Engine) {
+    let mut engine = Engine::new(settings.clone()).expect("starts");
+    let intervals =
+        frames.iter().zip(0u32..).map(|(frame, second)| engine.push(frame.clone(), f64::from(second)).expect("taken"));
+    (intervals.collect(), engine)
+}
+
+fn found(engine: &Engine) -> bool {
+    engine.resume_point().is_some_and(|point| point.found.is_some())
+}
+
+fn same(a: &[Interval], b: &[Interval]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| format!("{:?}", a.gaussians) == format!("{:?}", b.gaussians))
+}
+
+#[test]
+fn views_from_the_side_are_truer_with_found_depth() {
+    let scenes: Vec<Cards> = (0..6).map(|seed| Cards::new(seed, 256, 144, TRAVEL)).collect();
+    let [without, with] = [Depth::None, Depth::FoundInScale]
+        .map(|depth| score(&Settings::default(), &scenes, depth, &[0.0, 1.0], 10.0, |_, _, _| ()));
+    println!("without {without:?}\nfound   {with:?}");
+    assert!(with.found > 0 && with.views > without.views && with.foreground > without.foreground);
+}
+
+#[test]
+fn found_depth_has_the_same_bits_on_every_level_and_thread_count() {
+    // Coarse flow is too inexact for parallax in small pictures.
+    for (flow, factor) in [(FlowEffort::Fine, 1), (FlowEffort::Coarse, 2)] {
+        let frames = moving_at(factor);
+        let settings = |level, threads| Settings { level: Some(level), threads, flow, ..finding() };
+        let (first, engine) = run(&settings(Level::scalar(), 1), &frames);
+        assert!(found(&engine), "{flow:?}");
+        for level in Level::available() {
+            for threads in [1, 3] {
+                assert!(same(&first, &run(&settings(level, threads), &frames).0), "{level:?} {threads} {flow:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn without_parallax_scenes_are_as_without_depth() {
+    let scene = Cards::new(4, SIZE[1], 2 * SIZE[0], 0.0).straight(0.0).rgb;
+    // Rows of one picture from `top` on: one plane, or a camera that turns.
+    let window = |top: usize, gain: f32| {
+        let area = SIZE[0] * SIZE[1];
+        let rows = |c: usize| &scene[(2 * c * SIZE[0] + top) * SIZE[1]..][..area];
+        frame((0..3).flat_map(rows).map(|x| x * gain).collect())
+    };
+    let still = vec![window(0, 1.0), window(0, 1.0), window(0, 0.995)];
+    let turning = vec![window(0, 1.0), window(3, 1.0), window(6, 1.0)];
+    for frames in [still, turning] {
+        let (with, engine) = run(&finding(), &frames);
+        assert!(!found(&engine));
+        assert!(same(&run(&Settings::default(), &frames).0, &with));
+    }
+}
+
+#[test]
+fn the_first_interval_is_lifted_at_its_end_and_a_given_map_goes_first() {
+    let mut frames = moving();
+    let (without, _) = run(&Settings::default(), &frames);
+    let (with, engine) = run(&finding(), &frames);
+    assert!(found(&engine));
+    assert!(same(&without[..1], &with[..1]), "the first key frame has seen no motion");
+    assert!(!same(&without[1..2], &with[1..2]));
+    for (frame, sign) in frames.iter_mut().zip([1.0, 0.5, 0.25]) {
+        frame.depth = Some((0..SIZE[0] * SIZE[1]).map(|i| sign * (i % SIZE[1]) as f32).collect());
+    }
+    let (given, engine) = run(&finding(), &frames);
+    assert!(!found(&engine));
+    assert!(same(&given, &run(&Settings::default(), &frames).0));
+}
+
+#[test]
+fn repeated_frames_and_resumed_streams_find_the_same_depth() {
+    let mut frames = moving();
+    frames.insert(2, frames[1].clone());
+    let (whole, engine) = run(&finding(), &frames);
+    assert!(found(&engine));
+    assert!(same(&whole, &run(&Settings { reuse: Reuse::Off, ..finding() }, &frames).0));
+    for cut in [2, 3] {
+        let (_, first) = run(&finding(), &frames[..cut]);
+        let point = first.resume_point().expect("a point");
+        assert!(point.found.is_some(), "{cut}");
+        let bytes = resume_point_to_safetensors(Some(&point), "note").expect("written");
+        let (stored, _) = resume_point_from_safetensors(&bytes).expect("read");
+        assert_eq!(stored.as_ref(), Some(&point));
+        let mut second = Engine::new(finding()).expect("starts");
+        second.resume(&point, frames[cut - 1].clone()).expect("resumed");
+        let rest: Vec<Interval> =
+            (cut..4).map(|at| second.push(frames[at].clone(), at as f64).expect("taken")).collect();
+        assert!(same(&whole[cut..], &rest), "{cut}");
+    }
+}
+
+#[test]
+fn found_depth_that_does_not_fit_the_frame_is_refused() {
+    let frames = moving();
+    let (_, engine) = run(&finding(), &frames);
+    let point = engine.resume_point().expect("a point");
+    type Change = fn(&mut streamsplat::parallax::Found);
+    let changes: [Change; 4] = [
+        |found| found.grid[0] += 1,
+        |found| found.inverse.truncate(7),
+        |found| found.confidence[3] = f32::NAN,
+        |found| found.nearest = -1.0,
+    ];
+    for change in changes {
+        let mut wrong = point.clone();
+        change(wrong.found.as_mut().expect("found"));
+        let mut other = Engine::new(finding()).expect("starts");
+        let error = other.resume(&wrong, frames[2].clone()).expect_err("refused");
+        assert!(error.to_string().contains("inverse depth"), "{error}");
+    }
+}
