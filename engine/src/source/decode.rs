@@ -90,9 +90,7 @@ pub(crate) fn has_alpha(path: &Path) -> bool {
         reader.limits(limits);
         reader.into_decoder()
     });
-    let Ok(Ok(decoder)) = decoder else { return false };
-    let (width, height) = decoder.dimensions();
-    decoder.color_type().has_alpha() && size_is_allowed(width as usize, height as usize)
+    matches!(decoder, Ok(Ok(decoder)) if decoder.color_type().has_alpha()) && decode_file(path).is_ok()
 }
 
 /// PNG, BMP, WebP, PNM, QOI by their content; TGA, which has no signature, by its name.
