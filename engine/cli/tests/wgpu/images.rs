@@ -94,8 +94,8 @@ fn a_predicted_scene_is_drawn_as_on_the_cpu_from_any_camera() {
             for all in [false, true] {
                 let options =
                     RenderOptions { size, depth: all, alpha: all, statistics: all, ..RenderOptions::default() };
-                let found = card.draw(&interval, time, &camera, &options).unwrap_or_else(|e| panic!("{e}")).clone();
-                let expected = cpu.draw(&interval, time, &camera, &options).expect("an image");
+                let found = card.render(&interval, time, &camera, &options).unwrap_or_else(|e| panic!("{e}")).clone();
+                let expected = cpu.render(&interval, time, &camera, &options).expect("an image");
                 assert_same(&format!("{name} at {time} s"), &found, expected);
             }
         }
