@@ -57,7 +57,7 @@ class Engine:
         seed: int = 0,
         reuse: str | None = None,
         precision: Literal["f32", "bf16", "int8"] | None = None,
-        isa: Literal["auto", "scalar", "avx2", "avx512", "neon"] = "auto",
+        isa: Literal["auto", "scalar", "avx2", "avx512", "avx512vnni", "avx512bf16", "neon"] = "auto",
         threads: int = 0,
         resolution: str | None = None,
         motion: Literal["network", "frames", "between"] | None = None,
