@@ -19,7 +19,7 @@ CRATES = {'streamsplat-kernels': 'kernels', 'streamsplat-model': 'model', 'strea
 
 
 def described(package):
-    """What rustdoc says of a library."""
+    """A library as rustdoc describes it."""
     with tempfile.TemporaryDirectory() as folder:
         rustdoc = pathlib.Path(folder) / 'rustdoc'
         rustdoc.write_text('#!/bin/sh\nRUSTC_BOOTSTRAP=1 exec rustdoc "$@"\n')

@@ -15,12 +15,12 @@ type _Size = str | tuple[int, int]
 type _Background = float | tuple[float, float, float]
 
 class _Array(Protocol):
-    """What makes a NumPy array of itself, such as torch's tensors."""
+    """Objects that make a NumPy array of themselves, such as torch's tensors."""
 
     def __array__(self) -> NDArray[Any]: ...
 
 class _ArrayInterface(Protocol):
-    """What shows a NumPy array of itself, such as PIL's images."""
+    """Objects that show a NumPy array of themselves, such as PIL's images."""
 
     @property
     def __array_interface__(self) -> dict[str, Any]: ...
@@ -38,7 +38,7 @@ def run(arguments: Sequence[str], progress: Callable[[int, int | None], object] 
     """Runs `streamsplat run` with these arguments and gives the record in JSON."""
 
 class Error(Exception):
-    """What the engine cannot do; the message says what was expected and what was found."""
+    """Something that the engine cannot do; the message says what was expected and what was found."""
 
 @final
 class Engine:

@@ -161,11 +161,13 @@ impl Sight<'_> {
         }
         let motion = ransac::motion(&matches, fits, stream).ok_or(NoParallax::Inconsistent)?;
         let (share, ahead) = epipolar::share(&motion, &matches, fits);
-        match () {
-            () if share < 0.5 || ahead < 0.75 => Err(NoParallax::Inconsistent),
-            () if share < flat + 0.1 => Err(NoParallax::Flat),
-            () => Ok(motion),
+        if share < 0.5 || ahead < 0.75 {
+            return Err(NoParallax::Inconsistent);
         }
+        if share < flat + 0.1 {
+            return Err(NoParallax::Flat);
+        }
+        Ok(motion)
     }
 
     /// Column and row of a cell's middle, in pixels.

@@ -81,7 +81,7 @@ pub(super) fn decode_error(path: &Path, cause: impl Into<String>) -> SourceError
     SourceError::Decode { path: path.to_owned(), cause: cause.into() }
 }
 
-/// Returns true if an image that can be decoded says in its header that it has alpha. Of TIFF and OpenEXR nothing is known before they are decoded.
+/// Returns true if an image says in its header that it has alpha. Of TIFF and OpenEXR nothing is known before they are decoded.
 pub(crate) fn has_alpha(path: &Path) -> bool {
     let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
     let decoder = reader.map(|mut reader| {
@@ -90,7 +90,7 @@ pub(crate) fn has_alpha(path: &Path) -> bool {
         reader.limits(limits);
         reader.into_decoder()
     });
-    matches!(decoder, Ok(Ok(decoder)) if decoder.color_type().has_alpha()) && decode_file(path).is_ok()
+    matches!(decoder, Ok(Ok(decoder)) if decoder.color_type().has_alpha())
 }
 
 /// PNG, BMP, WebP, PNM, QOI by their content; TGA, which has no signature, by its name.

@@ -73,6 +73,8 @@ pub struct Source {
     first: Option<(PathBuf, (usize, usize))>,
     /// Conversions and parts left out.
     notes: Vec<String>,
+    /// The first frame, where it had to be looked at before it was asked for.
+    ahead: Option<Picture>,
 }
 
 enum Input {
@@ -137,14 +139,19 @@ impl Source {
             (None, None, Some((numerator, denominator))) => (numerator as f64, denominator as f64),
             (None, None, None) => (DEFAULT_FPS, 1.0),
         };
-        let notes = match &kind {
-            Input::Files(files) if files.first().is_some_and(|file| decode::has_alpha(file)) => {
-                vec!["transparent parts are laid over mid grey".to_owned()]
+        let (mut notes, mut ahead) = (Vec::new(), None);
+        match &kind {
+            Input::Files(files) => {
+                if let Some(file) = files.first().filter(|file| decode::has_alpha(file)) {
+                    // An image that is refused has nothing laid over anything.
+                    ahead = Some(decode::decode_file(file)?);
+                    notes.push("transparent parts are laid over mid grey".to_owned());
+                }
             }
-            Input::Ffmpeg(video) => video.notes().to_vec(),
-            _ => Vec::new(),
-        };
-        Ok(Source { kind, path: input.to_owned(), rate, uneven: uneven.is_some(), next: 0, first: None, notes })
+            Input::Ffmpeg(video) => notes.extend_from_slice(video.notes()),
+            Input::File(_) | Input::Stdin(_) => (),
+        }
+        Ok(Source { kind, path: input.to_owned(), rate, uneven: uneven.is_some(), next: 0, first: None, notes, ahead })
     }
 
     /// The sound track of a video file, if it has one.
@@ -202,7 +209,10 @@ impl Source {
     pub fn next_frame(&mut self) -> Result<Option<TimedPicture>, SourceError> {
         let (path, picture) = match &mut self.kind {
             Input::Files(files) => match files.get(self.next) {
-                Some(file) => (file.clone(), Some(decode::decode_file(file)?)),
+                Some(file) => match self.ahead.take() {
+                    Some(picture) => (file.clone(), Some(picture)),
+                    None => (file.clone(), Some(decode::decode_file(file)?)),
+                },
                 None => return Ok(None),
             },
             Input::File(y4m) => (self.path.clone(), y4m.next_picture()?),

@@ -28,7 +28,7 @@ class Helper {
   }
 }
 
-/** Whether two questions ask for the same order. */
+/** True if two questions ask for the same order. */
 const sameOrder = (a, b) => a.interval === b.interval && a.t === b.t && sameView(a.view, b.view);
 const sameView = (a, b) => a.eye.every((x, i) => x === b.eye[i]) && a.axes.flat().every((x, i) => x === b.axes.flat()[i]) && a.pinhole === b.pinhole;
 
@@ -42,7 +42,7 @@ class Orders {
     this.next = null;
     /** The question under way. */
     this.asking = null;
-    /** What the worker did: orders made, records looked at, and of these the ones that had to be moved. */
+    /** The worker's account: orders made, records looked at, and of these the ones that had to be moved. */
     this.work = { orders: 0, records: 0, moved: 0 };
   }
 

@@ -6,7 +6,7 @@ const HANDOVER = 0.125;
 const depthOf = (y) => 1 / (9.8 * y + 0.200001);
 
 /**
- * What normalised inverse depths a packet has (of 4096 records at most): `middle`, and the ends of a scale, `far` and `near`, between
+ * Normalised inverse depths of a packet (of 4096 records at most): `middle`, and the ends of a scale, `far` and `near`, between
  * which 98 % of them lie. A flat scene's scale is not narrower than a tenth.
  */
 function inverseDepths(packet) {

@@ -9,7 +9,7 @@ const REST = 400;
 class Pace {
   constructor() {
     this.detail = 1;
-    /** What was found to be quick enough. */
+    /** The detail that was found to be quick enough. */
     this.quick = 1;
     this.pictures = 0;
     this.drawn = false;

@@ -33,9 +33,9 @@ const state = {
   shown: null, // { packet, interval, order, t, view } of the picture on the screen
 };
 
-/** Whether the next frame must be drawn although nothing plays: something changed. */
+/** True if the next frame must be drawn although nothing plays: something changed. */
 let stale = true;
-/** Whether a better order came for what is on the screen: it is drawn again, and nothing moved. */
+/** True if a better order came for what is on the screen: it is drawn again, and nothing moved. */
 let due = false;
 let placed = false;
 let placing = null;

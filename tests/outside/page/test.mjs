@@ -160,6 +160,34 @@ async function file(address) {
   await alone.close();
 }
 
+/** A picture at rest keeps all its pixels in a slow browser, however late the orders come. */
+async function resting(address) {
+  const slow = await open(browser, SIZE, log);
+  await visit(slow, address, { t: 0.1 });
+  await slow.evaluate(() => {
+    const [turn, post] = [window.requestAnimationFrame, Worker.prototype.postMessage];
+    window.requestAnimationFrame = (work) => setTimeout(() => turn(work), 50);
+    Worker.prototype.postMessage = function (...question) {
+      setTimeout(() => post.apply(this, question), 1500);
+    };
+  });
+  await slow.locator("#play").click();
+  await slow.waitForFunction((width) => document.getElementById("canvas").width < width, SIZE[0]);
+  await slow.locator("#play").click();
+  await visit(slow, address, { t: 0.3, yaw: 20 });
+  const fewest = await slow.evaluate(async () => {
+    const canvas = document.getElementById("canvas");
+    let fewest = canvas.width;
+    for (const end = performance.now() + 2500; performance.now() < end; ) {
+      await new Promise(requestAnimationFrame);
+      fewest = Math.min(fewest, canvas.width);
+    }
+    return fewest;
+  });
+  check(fewest === SIZE[0], `expected ${SIZE[0]} pixels across at rest, found ${fewest}`);
+  await slow.close();
+}
+
 /** A PLY file of needles, discs and balls with harmonics of degree 3, away from the origin, with floaters far from the rest. */
 function cloud(count = 4000) {
   let seed = 1;
@@ -356,6 +384,7 @@ await pictures(address);
 await narrow(address);
 await controls(address);
 await picking(address);
+await resting(address);
 await file(address);
 await slowly();
 await work(address);

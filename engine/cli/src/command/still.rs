@@ -97,7 +97,7 @@ impl Plan {
     }
 
     /// The time of every image, and what is drawn then.
-    pub fn images(&self) -> impl Iterator<Item = (f64, Views)> {
+    pub fn images(&self) -> impl ExactSizeIterator<Item = (f64, Views)> {
         self.times.iter().map(|&time| {
             let mut views = self.views.clone();
             let last = views.own_sizes.len().saturating_sub(1);
@@ -135,17 +135,23 @@ pub fn render(
     outputs.start(plan.fps)?;
     let mut progress = Progress::new("images", Some(plan.count()), console);
     let (mut complete, mut size) = (true, None);
-    for (index, (time, views)) in plan.images().enumerate() {
-        if console.stop.asked() {
-            complete = false;
-            break;
-        }
-        let image = drawing.still(&scene, time, &views)?;
-        drawing.counts.size = Some([image.width, image.height]);
-        size.get_or_insert([image.width, image.height]);
-        drawing.writing(|| outputs.image(index, image))?;
-        progress.step();
-    }
+    drawing.pass(
+        plan.images().enumerate(),
+        |drawing, (index, (time, views))| {
+            if console.stop.asked() {
+                complete = false;
+                return Ok(None);
+            }
+            let image = drawing.still(&scene, time, &views)?;
+            size.get_or_insert([image.width, image.height]);
+            Ok(Some((index, image)))
+        },
+        |(index, image)| {
+            outputs.image(index, image)?;
+            progress.step();
+            Ok(())
+        },
+    )?;
     progress.phase("images; finishing the files");
     let written = drawing.writing(|| outputs.finish())?;
     progress.finish();

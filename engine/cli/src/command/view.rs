@@ -56,7 +56,7 @@ fn show(source: impl Whole + 'static, args: &ViewArgs, console: &Console) -> Res
     Ok(())
 }
 
-/// What a link to the page shows: the poster lies beside the page.
+/// Tags by which a link to the page shows something: the poster lies beside the page.
 fn link(title: String, url: Option<&str>, file: &Path, image: &Path) -> Link {
     let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let folder = url.map(|url| url.strip_suffix(&name(file)).unwrap_or(url));

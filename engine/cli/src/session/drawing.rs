@@ -74,12 +74,6 @@ impl Drawing {
 
     /// Draws the interval at `time` from where the camera is then, as the image with the number `index`.
     pub fn draw(&mut self, interval: &Interval, index: usize, time: f64, views: &Views) -> Result<Image, Failure> {
-        let image = self.view(interval, index, time, views)?;
-        self.counts.size = Some([image.width, image.height]);
-        Ok(image)
-    }
-
-    fn view(&mut self, interval: &Interval, index: usize, time: f64, views: &Views) -> Result<Image, Failure> {
         if views.course.is_none() && views.eyes.is_none() {
             return self.seen(interval, time, &views.camera.at(time), views);
         }
@@ -94,7 +88,8 @@ impl Drawing {
         };
         let Some(apart) = views.eyes else { return self.seen(interval, time, &camera, views) };
         let [left, right] = turn::eyes(&camera, Some(placement), anchor.pivot, apart).ok_or_else(behind)?;
-        Ok(beside(self.seen(interval, time, &left, views)?, self.seen(interval, time, &right, views)?))
+        let [left, right] = [self.seen(interval, time, &left, views)?, self.seen(interval, time, &right, views)?];
+        Ok(self.beside(left, right))
     }
 
     fn seen(&mut self, interval: &Interval, time: f64, camera: &Camera, views: &Views) -> Result<Image, Failure> {
@@ -112,7 +107,8 @@ impl Drawing {
             (camera @ Camera::Canonical, _) | (camera, None) => seen(&camera),
             (camera, Some((apart, pivot))) => {
                 let [left, right] = turn::eyes(&camera, None, pivot, apart).ok_or_else(behind)?;
-                Ok(beside(seen(&left)?, seen(&right)?))
+                let [left, right] = [seen(&left)?, seen(&right)?];
+                Ok(self.beside(left, right))
             }
         }
     }
@@ -128,6 +124,7 @@ impl Drawing {
         let image = paint(&mut self.renderer)?.clone();
         self.render += start.elapsed();
         self.counts.images += 1;
+        self.counts.size = Some([image.width, image.height]);
         self.counts.dropped += image.dropped;
         let (work, left_out) = (self.renderer.work(), self.renderer.left_out());
         let planes = 1 + u64::from(image.depth.is_some()) + u64::from(image.alpha.is_some());
@@ -144,6 +141,13 @@ impl Drawing {
             sum[1] += avoided;
         }
         Ok(image)
+    }
+
+    /// The images of two eyes as one.
+    fn beside(&mut self, left: Image, right: Image) -> Image {
+        let image = beside(left, right);
+        self.counts.size = Some([image.width, image.height]);
+        image
     }
 
     /// Runs `work` as writing.
