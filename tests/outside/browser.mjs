@@ -26,6 +26,24 @@ export async function open(browser, [width, height], log) {
   return page;
 }
 
+/**
+ * The picture of a page at rest, as PNG bytes. What a canvas drew reaches the screen some frames later, in a slow browser after the next
+ * screenshot: pictures are taken until two in a row are the same.
+ */
+export async function picture(page) {
+  let last = null;
+  for (let i = 0; i < 50; i++) {
+    const now = await page.screenshot();
+    if (last?.equals(now)) return now;
+    last = now;
+    await page.evaluate(() => {
+      document.querySelector("canvas")?.getContext("webgl2")?.finish();
+      return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+    });
+  }
+  throw new Error("expected a page at rest, found another picture each time");
+}
+
 /** Runs a program to its end; its standard output. */
 export function run(program, ...args) {
   const { status, stdout, stderr, error } = spawnSync(program, args, { encoding: "utf8" });

@@ -3,7 +3,7 @@
 import { once } from "node:events";
 import { readFileSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
-import { check, chromium, open, psnr, run, start } from "../browser.mjs";
+import { check, chromium, open, picture, psnr, run, start } from "../browser.mjs";
 
 const [modules, streamsplat, scratch] = process.argv.slice(2);
 const CLIP = "fixtures/clips/moving.y4m"; // 256×144
@@ -34,7 +34,7 @@ async function visit(page, address, said) {
 /** The picture on the page, and ours at the same time from the same camera. */
 async function compare(page, address, said, source = scene) {
   await visit(page, address, { interface: "none", background: 0.5, ...said });
-  const theirs = await page.screenshot();
+  const theirs = await picture(page);
   await page.keyboard.press("?");
   const camera = await page.locator("#camera").inputValue();
   await page.keyboard.press("Escape");
@@ -80,7 +80,7 @@ async function changing() {
 async function controls(address) {
   await visit(page, address, { t: 0.1 });
   const time = () => page.locator("#canvas").getAttribute("data-shown").then(Number);
-  const still = await page.screenshot();
+  const still = await picture(page);
 
   await page.locator("#time").fill("0.3");
   await shown(page, 0.3);
@@ -101,8 +101,7 @@ async function controls(address) {
   for (const mode of ["Depth", "Identity", "Colour"]) {
     await page.getByRole("button", { name: mode, exact: true }).click();
     check((await page.locator("#legend").isVisible()) === (mode === "Depth"), "the depth has a legend");
-    await page.waitForTimeout(300);
-    pictures.push(await page.screenshot());
+    pictures.push(await picture(page));
   }
   for (const [a, b] of [[1, 2], [2, 3], [1, 3]]) check((await psnr(other, pictures[a], pictures[b])) < 25, "modes differ");
 
@@ -139,7 +138,7 @@ async function file(address) {
   const before = log.asked.length;
   const alone = await open(browser, SIZE, log);
   await visit(alone, `file://${html}`, { t: 0.2, yaw: 10, zoom: 0.8, interface: "none", background: 0.5 });
-  const like = await psnr(other, await alone.screenshot(), theirs);
+  const like = await psnr(other, await picture(alone), theirs);
   console.log(`a file beside what is served: ${like.toFixed(1)} dB`);
   check(like >= 34, `expected a file to show what is served, found ${like} dB`);
   check((await alone.locator("#poster").count()) === 0, "the picture takes the poster's place");
@@ -154,7 +153,7 @@ async function file(address) {
     }, String(t));
     await shown(alone, t);
   }
-  check((await psnr(other, await alone.screenshot(), theirs)) >= 34, "a file shows the same again after others");
+  check((await psnr(other, await picture(alone), theirs)) >= 34, "a file shows the same again after others");
   const asked = log.asked.splice(before).filter((url) => !/^(file|data|blob):/.test(url));
   check(asked.length === 0, `the file asked for ${asked}`);
   await alone.close();
@@ -240,7 +239,7 @@ async function stills() {
   await visit(page, `file://${html}`, { t: 0, interface: "none", background: 0.5 });
   const asked = log.asked.splice(before).filter((url) => !/^(file|data|blob):/.test(url));
   check(asked.length === 0, `a still scene's file asked for ${asked}`);
-  const like = await psnr(other, await page.screenshot(), first);
+  const like = await psnr(other, await picture(page), first);
   check(like === Infinity, `a still scene's file: expected the picture of what is served, found ${like} dB from it`);
   view.child.kill("SIGINT");
   check((await view.ended) === 0, "Ctrl-C ends the server well");

@@ -7,7 +7,7 @@
 import { createReadStream, readFileSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { resolve } from "node:path";
-import { check, chromium, open, psnr, run } from "../browser.mjs";
+import { check, chromium, open, picture, psnr, run } from "../browser.mjs";
 
 const [modules, streamsplat, scratch] = process.argv.slice(2);
 const SIZE = [640, 360];
@@ -96,7 +96,7 @@ for (const [scene, { clip, shape, model = [] }] of Object.entries(SCENES)) {
     await page.goto(address);
     await page.waitForFunction(() => document.body.dataset.splats);
     const splats = Number(await page.evaluate(() => document.body.dataset.splats));
-    const theirs = await page.screenshot();
+    const theirs = await picture(page);
     await page.close();
     check(splats === wanted, `expected ${wanted} Gaussians, the viewer has ${splats}: ${log.said.join("; ")}`);
     const dB = await psnr(other, theirs, `${scratch}/ours/frames/000000.png`);
