@@ -1,9 +1,10 @@
 //! A stream of thousands of key frames: bounded memory, no slowdown, no identity twice, no drift.
 //!
 //! The input is a procedural clip, forward and backward without end: it repeats itself every [`PERIOD`] key frames, so that what is compared
-//! saw the same pictures. The network is a small one of seeded weights.
+//! saw the same pictures. The network is a small one of seeded weights. As in a run, motion and colours are taken from the frames between key
+//! frames as well.
 //!
-//! Memory is looked at in two ways, over whole periods. *Live* bytes are those the process holds on the heap, the most at any moment: they
+//! Memory is looked at in two ways, over whole periods: what there was in the first tenth of the stream is compared with what came after. *Live* bytes are those the process holds on the heap, the most at any moment: they
 //! depend on nothing but the program. *Resident* ones are those the system has given, after each step, the median of a period: to these the
 //! system's allocator adds what it keeps for later, now and then half a mebibyte more for some steps.
 //!
@@ -19,7 +20,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, ensure};
 use serde::Serialize;
 use streamsplat::render::Renderer;
-use streamsplat::stream::{Fusion, Interval, ModelSource, Workers};
+use streamsplat::stream::{Fade, Fusion, Interval, ModelSource, MotionFrom, Workers};
 use streamsplat::{Camera, Engine, Frame, Image, RenderOptions, Settings};
 use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_fixtures::seeded::Sizes;
@@ -29,7 +30,7 @@ use super::{live, machine, process};
 use crate::model::Temporary;
 use crate::table::{Column, Table};
 
-/// Key frames after which the pictures are the same again, and after which memory must be flat.
+/// Key frames after which the pictures are the same again.
 const PERIOD: u64 = 50;
 /// Frames per second.
 const RATE: f64 = 24.0;
@@ -39,7 +40,7 @@ const HUNDRED: u64 = 100;
 const YOUNG: u64 = 200;
 /// The second hundred, and then the young stream's.
 const FEWEST: u64 = 200 + YOUNG;
-/// Most that live memory may grow after the first period.
+/// Most that live memory may grow after the first tenth.
 const LIVE: f64 = 1.02;
 
 /// A long stream.
@@ -48,6 +49,9 @@ pub(crate) struct Options {
     /// Key frames: hundreds, at least 400.
     #[arg(long, default_value_t = 10_000)]
     key_frames: u64,
+    /// Frames between two key frames, from which motion and colours are taken as a run takes them; 0: the network's own motion and colours.
+    #[arg(long, default_value_t = 3)]
+    between: u64,
     /// Checkpoint [default: a small one of seeded weights].
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -57,7 +61,7 @@ pub(crate) struct Options {
     /// Threads (0: one per core).
     #[arg(long, default_value_t = 1)]
     threads: usize,
-    /// Most that resident memory may be after the first 50 key frames, of what it was until then.
+    /// Most that resident memory may be after the first tenth of the key frames, of what it was until then.
     #[arg(long, default_value_t = 1.02)]
     resident: f64,
     /// Most that the last hundred may take of the second hundred's time.
@@ -112,9 +116,10 @@ struct Results {
     isa: String,
     threads: usize,
     key_frames: u64,
+    between: u64,
     model: String,
     checks: Vec<Check>,
-    /// Resident memory at any one moment after the first period, over its most until then.
+    /// Resident memory at any one moment after the first tenth, over its most until then.
     resident_peaks: f64,
     /// The hundred after / the second hundred of the young stream.
     beside_young: f64,
@@ -124,19 +129,32 @@ struct Results {
 /// The endless clip.
 struct Film {
     frames: Vec<Frame>,
+    /// Frames from one key frame to the next.
+    gap: u64,
 }
 
 impl Film {
-    fn new([height, width]: [usize; 2]) -> Film {
+    fn new([height, width]: [usize; 2], gap: u64) -> Film {
         let clip = Clip::new(ClipKind::StaticCamera, 1, width, height);
         // To and fro in quick steps: a second of the clip in a period.
-        let frame = |i| Frame { width, height, rgb: clip.picture(4.0 * i as f64 / RATE).rgb, depth: None };
-        Film { frames: (0..=PERIOD / 2).map(frame).collect() }
+        let time = |i| 4.0 * i as f64 / (gap as f64 * RATE);
+        let frame = |i| Frame { width, height, rgb: clip.picture(time(i)).rgb, depth: None };
+        Film { frames: (0..=PERIOD / 2 * gap).map(frame).collect(), gap }
     }
 
-    fn frame(&self, k: u64) -> Frame {
-        let phase = k % PERIOD;
-        self.frames[phase.min(PERIOD - phase) as usize].clone()
+    /// Frame `i` of the stream; key frames are those of every whole gap.
+    fn frame(&self, i: u64) -> (Frame, f64) {
+        let period = PERIOD * self.gap;
+        let phase = i % period;
+        (self.frames[phase.min(period - phase) as usize].clone(), i as f64 / (self.gap as f64 * RATE))
+    }
+
+    /// Gives key frame `k` to an engine, with the frames since the one before.
+    fn push(&self, engine: &mut Engine, k: u64) -> Result<Interval> {
+        let key = k * self.gap;
+        let between = (key.saturating_sub(self.gap - 1)..key).map(|i| self.frame(i)).collect();
+        let (frame, time) = self.frame(key);
+        Ok(engine.push_with(between, frame, time)?)
     }
 }
 
@@ -170,9 +188,8 @@ impl Measured {
 
     /// Takes key frame `k` and draws the middle of its interval.
     fn step(&mut self, film: &Film, k: u64) -> Result<Interval> {
-        let frame = film.frame(k);
         let start = process::cpu_seconds()?;
-        let interval = self.engine.push(frame, k as f64 / RATE)?;
+        let interval = film.push(&mut self.engine, k)?;
         let time = 0.5 * (interval.start + interval.end);
         self.renderer.render(&interval, time, &Camera::Canonical, &RenderOptions::default())?;
         self.seconds.push(process::cpu_seconds()? - start);
@@ -185,17 +202,24 @@ impl Measured {
     }
 }
 
-/// Bytes in periods: how the first compares with the most of all that follow.
-#[derive(Default)]
+/// Bytes in periods: how those of the first tenth of a stream compare with the most of all that follow.
 struct Growth {
     /// Of this period.
     seen: Vec<u64>,
-    /// Median and most, of the first period and of all later ones.
-    first: Option<[u64; 2]>,
+    /// Periods of the first tenth that are still to come.
+    settling: u64,
+    /// Median and most, of the first tenth and of all later periods.
+    first: [u64; 2],
     later: [u64; 2],
 }
 
 impl Growth {
+    /// In a stream of so many key frames.
+    fn of(key_frames: u64) -> Growth {
+        let settling = (key_frames / 10).div_ceil(PERIOD).max(1);
+        Growth { seen: Vec::new(), settling, first: [0; 2], later: [0; 2] }
+    }
+
     fn see(&mut self, bytes: u64) {
         self.seen.push(bytes);
     }
@@ -206,17 +230,15 @@ impl Growth {
         let found =
             [self.seen.get(self.seen.len() / 2), self.seen.last()].map(|bytes| bytes.copied().unwrap_or_default());
         self.seen.clear();
-        match self.first {
-            None => self.first = Some(found),
-            Some(_) => self.later = [0, 1].map(|i| self.later[i].max(found[i])),
-        }
+        let most = if self.settling > 0 { &mut self.first } else { &mut self.later };
+        *most = [0, 1].map(|i| most[i].max(found[i]));
+        self.settling = self.settling.saturating_sub(1);
         found
     }
 
-    /// The largest median and the most after the first period, relative to those of the first.
+    /// The largest median and the most after the first tenth, relative to those until then.
     fn ratios(&self) -> [f64; 2] {
-        let first = self.first.unwrap_or_default();
-        [0, 1].map(|i| self.later[i] as f64 / first[i] as f64)
+        [0, 1].map(|i| self.later[i] as f64 / self.first[i] as f64)
     }
 }
 
@@ -288,18 +310,26 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         }
     };
     let source = ModelSource::File { checkpoint, dinov2: None };
-    let settings = Settings { level: Some(options.isa), threads: options.threads, ..Settings::with_model(source) };
+    let seen = (options.between > 0).then_some((MotionFrom::Between, Fade::Fixed, Settings::REFINE));
+    let settings = Settings {
+        level: Some(options.isa),
+        threads: options.threads,
+        motion: seen.map(|(motion, ..)| motion),
+        fade: seen.map(|(_, fade, _)| fade),
+        refine: seen.map(|(.., refine)| refine),
+        ..Settings::with_model(source)
+    };
     let mut long = Measured::new(Engine::new(settings.clone())?)?;
     drop(seeded);
     // One network for all streams.
     let model = long.engine.model().clone();
     let pairwise = Settings { fusion: Fusion::Pairwise, ..settings.clone() };
     let mut pairs = Engine::with_model(pairwise.clone(), model.clone())?;
-    let film = Film::new(long.engine.model().resolution());
+    let film = Film::new(long.engine.model().resolution(), options.between + 1);
 
     let mut identities = Identities::default();
     let mut rows: Vec<StreamState> = Vec::with_capacity(2 + (count / HUNDRED) as usize);
-    let [mut live, mut resident] = [Growth::default(), Growth::default()];
+    let [mut live, mut resident] = [Growth::of(count), Growth::of(count)];
     let mut last = None;
     let mut young = None;
     let mut beside = None;
@@ -317,7 +347,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                 young.step(&film, k)?;
             }
         }
-        last = Some(pairs.push(film.frame(k), k as f64 / RATE)?);
+        last = Some(film.push(&mut pairs, k)?);
         let interval = interval.context("a step")?;
         identities.see(&interval);
         std::mem::forget(std::hint::black_box(vec![1u8; options.leak]));
@@ -367,22 +397,22 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut fresh = Engine::with_model(pairwise, model.clone())?;
     let mut other = None;
     for k in count - 3..count {
-        other = Some(fresh.push(film.frame(k), k as f64 / RATE)?);
+        other = Some(film.push(&mut fresh, k)?);
     }
     let workers = long.engine.workers();
     let same = images(&last.context("an interval")?, workers)? == images(&other.context("an interval")?, workers)?;
     let [_, live_peaks] = live.ratios();
     let [resident, resident_peaks] = resident.ratios();
     let checks = vec![
-        Check::new("most live memory after the first 50 / until then", live_peaks, LIVE),
-        Check::new("resident memory after the first 50 / until then", resident, options.resident),
+        Check::new("most live memory after the first tenth / until then", live_peaks, LIVE),
+        Check::new("resident memory after the first tenth / until then", resident, options.resident),
         Check::new("CPU time, last hundred / second hundred", alone, options.slowdown),
         Check::new("identities seen twice", identities.twice as f64, 0.0),
         Check::new("images unlike a stream started two frames earlier, pairwise", f64::from(u8::from(!same)), 0.0),
     ];
     let columns = [Column::Text("", 0), Column::Number("found", 0), Column::Number("at most", 0), Column::Text("", 0)];
     print!("\n{}", Table(&columns).markdown(checks.iter().map(Check::cells)));
-    println!("\nMost resident memory at any one moment after the first 50 / until then: {resident_peaks:.4}");
+    println!("\nMost resident memory at any one moment after the first tenth / until then: {resident_peaks:.4}");
     println!("The hundred after / the second hundred of a young stream beside it: {beside_young:.4}");
     let failed = checks.iter().filter(|check| !check.holds).count();
     let results = Results {
@@ -390,6 +420,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         isa: long.engine.workers().level().name().to_owned(),
         threads: long.engine.workers().threads(),
         key_frames: count,
+        between: options.between,
         model: name,
         checks,
         resident_peaks,
@@ -406,9 +437,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn growth_is_that_of_whole_periods_after_the_first() {
-        let growth = |periods: &[[u64; 3]]| {
-            let mut growth = Growth::default();
+    fn growth_is_that_of_whole_periods_after_the_first_tenth() {
+        let growth = |key_frames, periods: &[[u64; 3]]| {
+            let mut growth = Growth::of(key_frames);
             for period in periods {
                 period.iter().for_each(|bytes| growth.see(*bytes));
                 let mut sorted = *period;
@@ -417,9 +448,10 @@ mod tests {
             }
             growth.ratios()
         };
-        assert_eq!(growth(&[[50, 100, 80], [100, 80, 50], [60, 70, 90]]), [1.0, 1.0]);
-        assert_eq!(growth(&[[50, 100, 80], [110, 80, 50], [60, 88, 90]]), [1.1, 1.1]);
-        assert_eq!(growth(&[[50, 100, 80], [110, 80, 50], [60, 70, 90]]), [1.0, 1.1]);
+        assert_eq!(growth(500, &[[50, 100, 80], [100, 80, 50], [60, 70, 90]]), [1.0, 1.0]);
+        assert_eq!(growth(500, &[[50, 100, 80], [110, 80, 50], [60, 88, 90]]), [1.1, 1.1]);
+        assert_eq!(growth(500, &[[50, 100, 80], [110, 80, 50], [60, 70, 90]]), [1.0, 1.1]);
+        assert_eq!(growth(600, &[[50, 100, 80], [110, 80, 50], [60, 88, 90]]), [1.1, 90.0 / 110.0]);
     }
 
     #[test]
