@@ -12,12 +12,12 @@ use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 use crate::console::{Console, say, stop};
 use crate::options::args::{Machine, RunArgs, RunOptions};
-use crate::output::checkpoint::Found;
 use crate::output::outputs::{Destination, Emit, Outputs};
 use crate::output::place::Place;
 use crate::output::record::{Account, Invocation, ModelRecord, NetworkRecord, PROGRAM, Record, Timing, WorkRecord};
+use crate::output::resume_state::Found;
 use crate::output::terms::{Terms, with_absolute_paths};
-use crate::output::{checkpoint, digest, report};
+use crate::output::{digest, report, resume_state};
 use crate::session::ahead::Ahead;
 use crate::session::catch_up::catch_up;
 use crate::session::closeness::Closeness;
@@ -54,7 +54,7 @@ pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
     if record.complete
         && let Some(folder) = destination.resume()
     {
-        checkpoint::remove(&folder)?;
+        resume_state::remove(&folder)?;
     }
     if !console.quiet && out != Path::new("-") {
         say(report::summary(&record, &out))?;
@@ -92,13 +92,13 @@ fn resume_or_run(args: &RunArgs, out: &Path, place: &mut Place, console: &Consol
     if args.resume {
         place.hold_existing()?;
     }
-    let found = if args.resume { checkpoint::find(place.destination())? } else { Found::Nothing };
+    let found = if args.resume { resume_state::find(place.destination())? } else { Found::Nothing };
     let RunArgs { input, machine, .. } = args;
     let options = &RunOptions { stream: args.options.stream.resolved()?, ..args.options.clone() };
     if let Found::Complete(record) = found {
-        checkpoint::check_complete(&record, input, &Terms::given(options, &model_record(options)?)?)?;
+        resume_state::check_complete(&record, input, &Terms::given(options, &model_record(options)?)?)?;
         if let Some(folder) = place.destination().resume() {
-            checkpoint::remove(&folder)?;
+            resume_state::remove(&folder)?;
         }
         if let Some(path) = &args.json {
             streamsplat::output::write_file(path, record.to_json()?.as_bytes())?;
@@ -122,7 +122,7 @@ fn refuse_others(input: &Path, out: &Path, destination: &Destination, options: &
     let record = record.and_then(|path| Record::read(&path).ok()).filter(|record| record.complete);
     let Some(record) = record else { return Ok(()) };
     let given = Terms::given(options, &model_record(options)?)?;
-    checkpoint::check_complete(&record, input, &given).map_err(|_| {
+    resume_state::check_complete(&record, input, &given).map_err(|_| {
         let (out, of) = (out.display(), record.input.path.display());
         Failure::usage(format!(
             "--out {out}: expected a free place, found the results of another run (of {of}); --overwrite replaces them"

@@ -7,7 +7,7 @@ use streamsplat::output::{OutputError, partial_name, storage};
 use crate::console::failure::Failure;
 use crate::output::outputs::is_inside;
 use crate::output::record::Record;
-use crate::output::{checkpoint, digest, ledger};
+use crate::output::{digest, ledger, resume_state};
 
 /// Removes the files that an earlier run in `folder` tells of, whole or stopped, and what tells of them, so that old and new results
 /// never mix. A file goes only if it is what was written, by length and digest; nothing is reached through a link.
@@ -40,7 +40,7 @@ pub fn remove_earlier(folder: &Path) -> Result<(), Failure> {
             remove_file(&folder.join(file))?;
         }
     }
-    checkpoint::remove(&resume)?;
+    resume_state::remove(&resume)?;
     // The record goes last: what is stopped halfway can be cleared later.
     [folder.join("report.md"), record].iter().try_for_each(|file| remove_file(file))?;
     storage::sync_folder(folder).map_err(|cause| OutputError::Write { path: folder.to_owned(), cause })?;

@@ -15,13 +15,13 @@ use streamsplat::scene::{ContainerWriter, IntervalEntry, SceneWriter, to_safeten
 use streamsplat::stream::{Interval, ResumePoint, Workers};
 
 use crate::console::failure::Failure;
-use crate::output::checkpoint::Point;
 pub use crate::output::destination::Destination;
 use crate::output::earlier::{remove_earlier, remove_file};
 use crate::output::ledger::Ledger;
 use crate::output::place::Place;
 use crate::output::record::OutputRecord;
-use crate::output::{checkpoint, ledger};
+use crate::output::resume_state::Point;
+use crate::output::{ledger, resume_state};
 
 /// Kinds of output that exist.
 const KINDS: [&str; 7] = ["rgb", "depth", "alpha", "exr", "scene", "ply", "tracks"];
@@ -117,7 +117,7 @@ impl Outputs {
                 }
                 drop(Video::create(path, *format, 1.0)?);
                 if let Some(folder) = destination.resume() {
-                    checkpoint::remove(&folder)?;
+                    resume_state::remove(&folder)?;
                 }
             }
         }
@@ -208,7 +208,7 @@ impl Outputs {
         prepare_subfolder(ledger.folder())?;
         ledger.sync()?;
         self.sync_folders()?;
-        checkpoint::commit(ledger.folder(), &point, resume)
+        resume_state::commit(ledger.folder(), &point, resume)
     }
 
     /// Waits until the names of all files would survive a power loss.

@@ -5,8 +5,8 @@ use streamsplat::stream::{Interval, ResumePoint};
 
 use crate::console::failure::Failure;
 use crate::options::settings::Views;
-use crate::output::checkpoint::Point;
 use crate::output::record::InputRecord;
+use crate::output::resume_state::Point;
 use crate::session::stream::{Stream, Times};
 
 /// Brings a stream that has seen nothing to `point`: reads what was read, computes the last whole interval again, and draws its

@@ -10,9 +10,9 @@ use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 use crate::console::stop::Stop;
 use crate::options::settings::Views;
-use crate::output::checkpoint::Point;
 use crate::output::outputs::{Emit, Outputs};
 use crate::output::record::Account;
+use crate::output::resume_state::Point;
 use crate::output::terms::Terms;
 
 use super::ahead::Ahead;

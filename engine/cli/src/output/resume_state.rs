@@ -1,5 +1,5 @@
-//! Checkpoints of a run under way, from which it can be resumed after an interruption: by the user, by a failure, or by
-//! the system at any moment.
+//! State of a run under way, from which it resumes after an interruption: by the user, by a failure, or by the system at any
+//! moment.
 //!
 //! In the folder `resume` of the results (for a video `v.y4m`, `v.y4m.resume` beside it):
 //!
