@@ -286,20 +286,11 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    fn load_u16(self, from: &[u16; LANES]) -> F {
+    fn load_u8(self, from: &[u8; LANES]) -> F {
         // SAFETY: an array of that many values; the token proves AVX2.
         unsafe {
-            let half = |at: *const u16| _mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128(at.cast())));
+            let half = |at: *const u8| _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64(at.cast())));
             F(half(from.as_ptr()), half(from.as_ptr().add(8)))
-        }
-    }
-    #[inline(always)]
-    fn store_u16(self, a: I, to: &mut [u16; LANES]) {
-        // SAFETY: an array of 16 halfwords; the token proves AVX2.
-        unsafe {
-            // Packed within 128 bits each: the quarters in the order 0, 2, 1, 3.
-            let packed = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packus_epi32(a.0, a.1));
-            _mm256_storeu_si256(to.as_mut_ptr().cast(), packed);
         }
     }
     #[inline(always)]

@@ -305,14 +305,9 @@ impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
         unsafe { _mm512_storeu_ps(to, a) }
     }
     #[inline(always)]
-    fn load_u16(self, from: &[u16; LANES]) -> F {
+    fn load_u8(self, from: &[u8; LANES]) -> F {
         // SAFETY: an array of that many values; the token proves AVX-512.
-        unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256(from.as_ptr().cast()))) }
-    }
-    #[inline(always)]
-    fn store_u16(self, a: I, to: &mut [u16; LANES]) {
-        // SAFETY: an array of 16 halfwords; the token proves AVX-512.
-        unsafe { _mm256_storeu_si256(to.as_mut_ptr().cast(), _mm512_cvtepi32_epi16(a)) }
+        unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128(from.as_ptr().cast()))) }
     }
     #[inline(always)]
     fn from_array(self, x: [f32; LANES]) -> F {

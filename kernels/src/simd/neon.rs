@@ -279,6 +279,21 @@ impl Simd for Neon {
         unsafe { F([vld1q_f32(low), vld1q_f32(low.add(4)), vld1q_f32(high), vld1q_f32(high.add(4))]) }
     }
     #[inline(always)]
+    fn load_u8(self, from: &[u8; LANES]) -> F {
+        // SAFETY: an array of that many values; the token proves NEON.
+        unsafe {
+            let bytes = vld1q_u8(from.as_ptr());
+            let [low, high] = [vmovl_u8(vget_low_u8(bytes)), vmovl_u8(vget_high_u8(bytes))];
+            let numbers = |half| vcvtq_f32_u32(vmovl_u16(half));
+            F([
+                numbers(vget_low_u16(low)),
+                numbers(vget_high_u16(low)),
+                numbers(vget_low_u16(high)),
+                numbers(vget_high_u16(high)),
+            ])
+        }
+    }
+    #[inline(always)]
     fn repeat_four(self, from: &[f32; 4]) -> F {
         // SAFETY: an array of that many values; the token proves NEON.
         F([unsafe { vld1q_f32(from.as_ptr()) }; 4])

@@ -87,15 +87,10 @@ pub trait Simd: Elementwise {
     /// `to` is writable for 16 values; no alignment is needed.
     unsafe fn store_ptr(self, a: Self::F32, to: *mut f32);
 
-    /// Halfwords as numbers from 0 to 65,535.
+    /// Bytes as numbers from 0 to 255.
     #[inline(always)]
-    fn load_u16(self, from: &[u16; LANES]) -> Self::F32 {
+    fn load_u8(self, from: &[u8; LANES]) -> Self::F32 {
         self.from_array(from.map(f32::from))
-    }
-    /// Writes 16 integers as halfwords. Precondition: they are 0 to 65,535.
-    #[inline(always)]
-    fn store_u16(self, a: Self::I32, to: &mut [u16; LANES]) {
-        *to = self.to_array_i32(a).map(|x| x as u16);
     }
 
     /// The first 16 values of a slice. Panics on a shorter one.

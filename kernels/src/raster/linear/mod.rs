@@ -6,17 +6,19 @@
 //! image = A·c + T·background      A[p, i] = α_ip·T_ip      T[p] = light left behind all Gaussians
 //! ```
 //!
-//! The weights A are those of the blend, by the same code, rounded to 16 bits: `⌊2¹⁶·α·T + ½⌋ / 2¹⁶` (the product and sum fused). Where α is below 1/255, and behind a
-//! finished pixel, a Gaussian has weight 0. An image of the map is therefore within `2⁻¹⁷·Σ|c|` over a pixel's Gaussians of the rasteriser's.
+//! The weights A are those of the blend, by the same code, rounded to 8 bits: for each Gaussian and block of 4×4 pixels there is a unit u, the
+//! smallest power of two of which its largest weight there is less than 256 (at least 2⁻¹⁶), and A is `min(⌊α·T / u + ½⌋, 255)·u` (the quotient and
+//! sum fused). Where α is below 1/255, and behind a finished pixel, a Gaussian has weight 0. An image of the map is therefore within `½·Σ u·|c|`
+//! over a pixel's Gaussians of the rasteriser's (`u` instead of `½·u` where a weight comes to 255 units).
 //!
 //! # Order of operations
 //!
-//! Everything is binary32. A pixel of `A·c` is summed front to back, one fused multiply-add per Gaussian, of 2¹⁶·A and 2⁻¹⁶·c. A sum over
+//! Everything is binary32. A pixel of `A·c` is summed front to back, one fused multiply-add per Gaussian. A sum over
 //! pixels (the adjoint) is made in three steps:
 //!
 //! 1. on each of the 16 lanes of a block of 4×4 pixels, over those blocks of a tile on which the Gaussian has a weight,
 //!    row-major, a fused multiply-add each, from +0;
-//! 2. the lanes, folded as [`Simd::sum`](crate::simd::Simd::sum) does, times the unit of the weights (2⁻¹⁶; of squares 2⁻³²);
+//! 2. the lanes, folded as [`Simd::sum`](crate::simd::Simd::sum) does;
 //! 3. the tiles of [`TILE_PIXELS`](super::TILE_PIXELS), added in ascending order, row-major, from +0.
 //!
 //! # Values that are not finite
@@ -121,7 +123,7 @@ impl ColourMap {
         Self::with_budget(level, WEIGHT_BYTES)
     }
 
-    /// A map that keeps about `bytes` of weights (32 for a Gaussian and a block of 4×4 pixels) between calls; the
+    /// A map that keeps about `bytes` of weights (18 for a Gaussian and a block of 4×4 pixels) between calls; the
     /// others are made anew in every call, to the same bits.
     pub fn with_budget(level: Level, bytes: usize) -> Self {
         Self {

@@ -4,7 +4,7 @@
 
 use super::super::blend::{BLOCKS, Lanes, corner, put_block};
 use super::super::project::BLOCK;
-use super::record::{Record, UNIT, Weights};
+use super::record::{Record, Unit, Weights};
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd};
 
@@ -53,10 +53,10 @@ impl<const C: usize> Paint<C> for &[[f32; C]] {
     fn prefetch(&self, _: usize) {}
 }
 
-/// Weights in units of [`UNIT`].
+/// The weights of a hit.
 #[inline(always)]
-fn load<S: Simd>(s: S, weights: &Weights) -> S::F32 {
-    s.load_u16(&weights.0)
+fn load<S: Simd>(s: S, (weights, unit): (&Weights, &Unit)) -> S::F32 {
+    s.mul(s.load_u8(&weights.0), s.splat(unit.value()))
 }
 
 /// `pixels = Σ w·colour`, hit by hit, each a fused multiply-add.
@@ -67,9 +67,9 @@ fn spread<S: Simd, const C: usize>(s: S, record: &Record, colours: &impl Paint<C
         colours.prefetch(at + AHEAD);
         let mut paint = [s.splat(0.0); C];
         for (paint, c) in paint.iter_mut().zip(colours.of(at, gaussian)) {
-            *paint = s.splat(if c.is_finite() { c * UNIT } else { 0.0 });
+            *paint = s.splat(if c.is_finite() { c } else { 0.0 });
         }
-        for (&block, weight) in record.blocks[hits.clone()].iter().zip(&record.weights[hits]) {
+        for (&block, weight) in record.hits(hits) {
             let weight = load(s, weight);
             let pixels = &mut pixels[usize::from(block) % BLOCKS];
             for c in 0..C {
@@ -84,25 +84,25 @@ fn spread<S: Simd, const C: usize>(s: S, record: &Record, colours: &impl Paint<C
 fn gather<S: Simd, const C: usize>(s: S, record: &Record, pixels: &Pixels<C>, to: Slots<'_>) {
     for (at, _, hits) in record.splats() {
         let mut sums = [s.splat(0.0); C];
-        for (&block, weight) in record.blocks[hits.clone()].iter().zip(&record.weights[hits]) {
+        for (&block, weight) in record.hits(hits) {
             let weight = load(s, weight);
             let pixels = &pixels[usize::from(block) % BLOCKS];
             for c in 0..C {
                 sums[c] = s.mul_add(weight, s.load(&pixels[c].0), sums[c]);
             }
         }
-        put::<S, C>(s, sums, [UNIT; C], at, to);
+        put::<S, C>(s, sums, at, to);
     }
 }
 
-/// Folds and stores the sums of a splat, each in its unit.
+/// Folds and stores the sums of a splat.
 #[inline(always)]
-fn put<S: Simd, const C: usize>(s: S, sums: [S::F32; C], units: [f32; C], at: usize, to: Slots<'_>) {
+fn put<S: Simd, const C: usize>(s: S, sums: [S::F32; C], at: usize, to: Slots<'_>) {
     let slot = to.slots[at] as usize * C;
     // SAFETY: every splat of every tile has a slot of its own.
     let partial = unsafe { to.partial.part(slot..slot + C) };
     for c in 0..C {
-        partial[c] = s.sum(sums[c]) * units[c];
+        partial[c] = s.sum(sums[c]);
     }
 }
 
@@ -280,11 +280,11 @@ impl Operation for Moments<'_> {
     fn run<S: Simd>(self, s: S) {
         for (at, _, hits) in self.record.splats() {
             let mut sums = [s.splat(0.0); 2];
-            for weight in &self.record.weights[hits] {
+            for (_, weight) in self.record.hits(hits) {
                 let weight = load(s, weight);
                 sums = [s.add(sums[0], weight), s.mul_add(weight, weight, sums[1])];
             }
-            put::<S, 2>(s, sums, [UNIT, UNIT * UNIT], at, self.to);
+            put::<S, 2>(s, sums, at, self.to);
         }
     }
 }

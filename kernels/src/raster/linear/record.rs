@@ -7,13 +7,37 @@ use crate::simd::{LANES, Operation, Simd};
 
 const _: () = assert!(BLOCKS <= 1 << u8::BITS);
 
-/// Weights of one hit: `α·T` of 4×4 pixels in units of [`UNIT`].
+/// Weights of one hit: `α·T` of 4×4 pixels in units of [`Unit::value`], at most [`MOST`].
 #[derive(Clone, Copy, Debug)]
-#[repr(C, align(32))]
-pub(super) struct Weights(pub [u16; LANES]);
+#[repr(C, align(16))]
+pub(super) struct Weights(pub [u8; LANES]);
 
-/// Unit of stored weights. An image of stored weights differs from that of the blend by half of it per Gaussian and pixel; half the memory is read in each step of a fit.
-pub(super) const UNIT: f32 = 1.0 / 65536.0;
+/// Largest stored weight.
+const MOST: f32 = 255.0;
+
+/// Unit of the stored weights of a hit, a power of two: the biased exponent of its binary32.
+///
+/// An image of stored weights differs from that of the blend by half a unit per Gaussian and pixel (a whole one where a weight would be 256
+/// units); little more than a quarter of the memory of binary32 is read in each step of a fit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Unit(u8);
+
+impl Unit {
+    /// 2⁻¹⁶
+    const LEAST: Unit = Unit(127 - 16);
+
+    /// The smallest unit, at least 2⁻¹⁶, of which a hit's largest weight, below 1, is less than 256.
+    #[inline(always)]
+    fn of(most: f32) -> Unit {
+        // 2⁸ units are the power of two above a weight: its exponent and one more.
+        Unit(((most.to_bits() >> 23) as u8).saturating_sub(7).max(Self::LEAST.0))
+    }
+
+    #[inline(always)]
+    pub(super) fn value(self) -> f32 {
+        f32::from_bits(u32::from(self.0) << 23)
+    }
+}
 
 /// Weights `α·T` of a tile. A *hit* is a splat and a block of 4×4 pixels on one of which its stored weight is not zero.
 #[derive(Debug, Default)]
@@ -26,6 +50,8 @@ pub(super) struct Record {
     pub blocks: Vec<u8>,
     /// Weights of each hit.
     pub weights: Vec<Weights>,
+    /// Unit of each hit's weights.
+    pub units: Vec<Unit>,
     /// Transmittance behind all splats, one value per block; zero outside the image.
     pub light: Vec<Lanes>,
 }
@@ -37,6 +63,7 @@ impl Record {
             + size_of_val(&*self.ends)
             + size_of_val(&*self.blocks)
             + size_of_val(&*self.weights)
+            + size_of_val(&*self.units)
             + size_of_val(&*self.light)
     }
 
@@ -49,6 +76,12 @@ impl Record {
             from = hits.end;
             (at, gaussian, hits)
         })
+    }
+
+    /// Block, weights and unit of some hits.
+    #[inline(always)]
+    pub(super) fn hits(&self, hits: std::ops::Range<usize>) -> impl Iterator<Item = (&u8, (&Weights, &Unit))> + '_ {
+        self.blocks[hits.clone()].iter().zip(self.weights[hits.clone()].iter().zip(&self.units[hits]))
     }
 }
 
@@ -68,7 +101,14 @@ impl Operation for RecordTile<'_> {
         record.ends.clear();
         record.blocks.clear();
         record.weights.clear();
-        let mut recorder = Recorder { record, blocks: [0; BLOCKS], weights: [Weights([0; LANES]); BLOCKS], hits: 0 };
+        record.units.clear();
+        let mut recorder = Recorder {
+            record,
+            blocks: [0; BLOCKS],
+            weights: [Weights([0; LANES]); BLOCKS],
+            units: [Unit::LEAST; BLOCKS],
+            hits: 0,
+        };
         self.walk.run(s, self.light, &mut recorder);
         record.light.clear();
         record.light.resize(BLOCKS, Lanes::ZERO);
@@ -84,6 +124,7 @@ struct Recorder<'a> {
     record: &'a mut Record,
     blocks: [u8; BLOCKS],
     weights: [Weights; BLOCKS],
+    units: [Unit; BLOCKS],
     /// Hits of the splat so far.
     hits: usize,
 }
@@ -99,23 +140,45 @@ impl<S: Simd> Sink<S> for Recorder<'_> {
     #[inline(always)]
     fn add(&mut self, s: S, at: Block, weight: S::F32, (): &()) {
         debug_assert!(self.hits < BLOCKS, "a splat visits each block at most once");
-        // At most 0.99 / UNIT; rounded half up.
-        let stored = s.to_i32(s.mul_add(weight, s.splat(1.0 / UNIT), s.splat(0.5)));
+        let unit = Unit::of(s.max_lane(weight));
+        // Rounded half up; the unit's inverse is exact.
+        let stored = s.mul_add(weight, s.splat(1.0 / unit.value()), s.splat(0.5));
+        let stored = s.to_i32(s.min(stored, s.splat(MOST)));
         let place = self.hits & (BLOCKS - 1);
         self.blocks[place] = at.index() as u8;
-        s.store_u16(stored, &mut self.weights[place].0);
+        self.weights[place] = Weights(s.low_bytes(stored));
+        self.units[place] = unit;
         // A block without a hit is written over by the next.
         self.hits += usize::from(s.any(s.gt_i32(stored, s.splat_i32(0))));
     }
 
     #[inline(always)]
     fn end(&mut self, entry: &Entry) {
-        let Self { record, blocks, weights, hits } = self;
+        let Self { record, blocks, weights, units, hits } = self;
         if *hits > 0 {
             record.blocks.extend_from_slice(&blocks[..*hits]);
             record.weights.extend_from_slice(&weights[..*hits]);
+            record.units.extend_from_slice(&units[..*hits]);
             record.gaussians.push(entry.index);
             record.ends.push(u32::try_from(record.blocks.len()).expect("fewer than 2³² hits in a tile"));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_unit_is_the_smallest_power_of_two_that_holds_the_largest_weight() {
+        let mut weights = vec![0.99, 0.5, 0.25, 0.3, f32::MIN_POSITIVE, 1e-40, 0.0];
+        weights.extend((1..30).flat_map(|i| [0.5_f32.powi(i).next_down(), 0.5_f32.powi(i), 0.5_f32.powi(i).next_up()]));
+        for most in weights {
+            let unit = Unit::of(most);
+            let found = unit.value();
+            assert_eq!(found.to_bits() & 0x007f_ffff, 0, "{most}: {found} is no power of two");
+            assert!(most < 256.0 * found, "{most}: {found}");
+            assert!(unit == Unit::LEAST || most >= 128.0 * found, "{most}: {found}");
         }
     }
 }
