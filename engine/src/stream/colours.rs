@@ -15,7 +15,7 @@
 
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
-use streamsplat_kernels::raster::{ColourFit, ColourMap, FitView, Gaussians, Projection, Solution};
+use streamsplat_kernels::raster::{ColourFit, ColourMap, FitView, Gaussians, Preparation, Projection, Solution};
 use streamsplat_model::StaticGaussians;
 
 use super::{DynamicGaussians, Reference};
@@ -40,6 +40,13 @@ type Colours = Vec<[f32; 3]>;
 pub(super) struct Fitter {
     level: Level,
     maps: Vec<ColourMap>,
+    preparation: Preparation,
+}
+
+/// What is fitted of a view: the unknown of each Gaussian that is seen, and its factor there ([`FitView`]).
+struct Fitted {
+    unknown: Vec<u32>,
+    factor: Vec<f32>,
 }
 
 /// A frame to come near to.
@@ -53,7 +60,7 @@ pub(super) struct Target<'a> {
 impl Fitter {
     /// A fitter that has no memory yet.
     pub(super) fn new(level: Level) -> Self {
-        Self { level, maps: Vec::new() }
+        Self { level, maps: Vec::new(), preparation: Preparation::new(level) }
     }
 
     /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. Gaussians from `cells` on, which stand behind others, keep theirs.
@@ -82,8 +89,8 @@ impl Fitter {
             true => seen.index.iter().map(|&i| if (i as usize) < cells { 1.0 } else { 0.0 }).collect(),
             false => Vec::new(),
         };
-        let Solution { change, steps: taken } =
-            self.solve(&[seen], &[factor], &[frame], resolution, &gaussians.rgb, steps);
+        let fitted = vec![self.prepare(0, seen, factor, resolution)];
+        let Solution { change, steps: taken } = self.solve(&fitted, &[frame], &gaussians.rgb, steps);
         let mut colours = gaussians.rgb.clone();
         for (colour, change) in colours.iter_mut().zip(change).take(cells) {
             // What is not finite is dropped later; it is not made finite here.
@@ -103,16 +110,18 @@ impl Fitter {
         resolution: [usize; 2],
         steps: u32,
     ) -> (Colours, u32) {
-        let level = self.level;
-        let views: Vec<Snapshot> = targets.iter().map(|target| Snapshot::new(level, gaussians, target.t)).collect();
-        let factors: Vec<Vec<f32>> = targets
-            .par_iter()
-            .zip(&views)
-            .map(|(target, view)| view.index.iter().map(|&i| gaussians.reference[i as usize].tau(target.t)).collect())
+        // One after another: only the weights of a view are kept.
+        let fitted: Vec<Fitted> = targets
+            .iter()
+            .enumerate()
+            .map(|(place, target)| {
+                let view = Snapshot::new(self.level, gaussians, target.t);
+                let factor = view.index.par_iter().map(|&i| gaussians.reference[i as usize].tau(target.t)).collect();
+                self.prepare(place, view, factor, resolution)
+            })
             .collect();
         let frames: Vec<&[f32]> = targets.iter().map(|target| target.rgb).collect();
-        let Solution { change: mut rates, steps: taken } =
-            self.solve(&views, &factors, &frames, resolution, &gaussians.rgb, steps);
+        let Solution { change: mut rates, steps: taken } = self.solve(&fitted, &frames, &gaussians.rgb, steps);
         rates.par_iter_mut().with_min_len(CHUNK).enumerate().for_each(|(i, rate)| {
             // At the other end of the interval the colour is rgb + rate or rgb − rate.
             let sign: f32 = if gaussians.reference[i] == Reference::Start { 1.0 } else { -1.0 };
@@ -126,25 +135,22 @@ impl Fitter {
         (rates, taken)
     }
 
-    /// Maps of `views`, and what their fit gives from the colours `from`.
-    fn solve(
-        &mut self,
-        views: &[Snapshot],
-        factors: &[Vec<f32>],
-        frames: &[&[f32]],
-        [height, width]: [usize; 2],
-        from: &[[f32; 3]],
-        steps: u32,
-    ) -> Solution {
-        let level = self.level;
-        self.maps.resize_with(views.len().max(self.maps.len()), || ColourMap::new(level));
+    /// Makes the map at a place that of a view.
+    fn prepare(&mut self, place: usize, view: Snapshot, factor: Vec<f32>, [height, width]: [usize; 2]) -> Fitted {
+        let Self { level, maps, preparation } = self;
+        maps.resize_with(maps.len().max(place + 1), || ColourMap::new(*level));
         let projection = Projection::Orthographic { focal: [0.5 * width as f32, 0.5 * height as f32] };
-        for (map, view) in self.maps.iter_mut().zip(views) {
-            let Snapshot { mean, scale, opacity, rgb, .. } = view;
-            map.prepare(&Gaussians { mean, scale, rotation: None, opacity, rgb }, &projection, [width, height]);
-        }
-        let each = self.maps.iter().zip(views).zip(factors);
-        let views = each.map(|((map, view), factor)| FitView { map, unknown: &view.index, factor }).collect();
-        ColourFit::new(level, views, from.len(), RIDGE).solve(from, frames, BACKGROUND, steps, ENOUGH)
+        let Snapshot { index, mean, scale, opacity, rgb, .. } = view;
+        let gaussians = Gaussians { mean: &mean, scale: &scale, rotation: None, opacity: &opacity, rgb: &rgb };
+        maps[place].prepare_in(preparation, &gaussians, &projection, [width, height]);
+        Fitted { unknown: index, factor }
+    }
+
+    /// The fit of the first maps, as many as are `fitted`, to `frames`, from the colours `from`.
+    fn solve(&self, fitted: &[Fitted], frames: &[&[f32]], from: &[[f32; 3]], steps: u32) -> Solution {
+        let views =
+            self.maps.iter().zip(fitted).map(|(map, of)| FitView { map, unknown: &of.unknown, factor: &of.factor });
+        let views = views.collect();
+        ColourFit::new(self.level, views, from.len(), RIDGE).solve(from, frames, BACKGROUND, steps, ENOUGH)
     }
 }

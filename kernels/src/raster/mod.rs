@@ -58,7 +58,7 @@ mod rasteriser;
 pub mod reference;
 mod sort;
 
-pub use linear::{ColourFit, ColourMap, FitView, Solution, WEIGHT_BYTES};
+pub use linear::{ColourFit, ColourMap, FitView, Preparation, Solution, WEIGHT_BYTES};
 pub use lists::{Footprint, Lists, TILE_PIXELS};
 pub use project::ALPHA_MIN;
 pub use rasteriser::{Rasteriser, Work};

@@ -85,6 +85,18 @@ pub struct ColourMap {
     spare: Mutex<Spare>,
 }
 
+/// Memory in which maps are prepared one after another: projected Gaussians and the tiles' lists, which a map that keeps all its weights needs no
+/// longer.
+#[derive(Debug)]
+pub struct Preparation(Rasteriser);
+
+impl Preparation {
+    /// Memory that holds nothing yet, for maps on `level`.
+    pub fn new(level: Level) -> Self {
+        Self(Rasteriser::new(level))
+    }
+}
+
 /// The record of a tile.
 #[derive(Debug, Default)]
 struct Tile {
@@ -149,6 +161,25 @@ impl ColourMap {
     /// As [`super::render`], colours aside.
     pub fn prepare(&mut self, gaussians: &Gaussians<'_>, projection: &Projection, size: [usize; 2]) {
         self.prepare_tiles(gaussians, projection, size, |_| true);
+    }
+
+    /// [`ColourMap::prepare`] in memory that other maps are prepared in as well, to the same bits. A map that cannot keep all its weights keeps the
+    /// memory.
+    ///
+    /// # Panics
+    /// As [`ColourMap::prepare`].
+    pub fn prepare_in(
+        &mut self,
+        memory: &mut Preparation,
+        gaussians: &Gaussians<'_>,
+        projection: &Projection,
+        size: [usize; 2],
+    ) {
+        std::mem::swap(&mut self.rasteriser, &mut memory.0);
+        self.prepare(gaussians, projection, size);
+        if self.order.iter().all(|&tile| self.tiles[tile as usize].kept) {
+            std::mem::swap(&mut self.rasteriser, &mut memory.0);
+        }
     }
 
     /// [`ColourMap::prepare`] for the pixels of the tiles that are `wanted`, by row-major index. Pixels of the others

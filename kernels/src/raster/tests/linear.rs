@@ -146,6 +146,30 @@ fn every_level_thread_count_and_budget_gives_the_same_bits() {
 }
 
 #[test]
+fn maps_prepared_in_the_same_memory_have_their_own_bits() {
+    let size = [131, 77];
+    let projection = projections(size[0], size[1])[0];
+    let scenes = scenes();
+    for bytes in [0, 100_000, WEIGHT_BYTES] {
+        let mut memory = Preparation::new(Level::detect());
+        let maps: Vec<ColourMap> = scenes
+            .iter()
+            .map(|scene| {
+                let mut map = ColourMap::with_budget(Level::detect(), bytes);
+                map.prepare_in(&mut memory, &scene.gaussians(), &projection, size);
+                map
+            })
+            .collect();
+        for (found, scene) in maps.iter().zip(&scenes) {
+            let (colours, target) = (colours(scene.mean.len(), 9), noise(3 * size[0] * size[1], 10));
+            let expected = map(Level::detect(), scene, &projection, size, bytes);
+            let [found, expected] = [found, &expected].map(|map| everything_of(map, &colours, &target));
+            assert!(found == expected, "{bytes} bytes");
+        }
+    }
+}
+
+#[test]
 fn the_adjoint_is_one() {
     for size in [[131, 77], [33, 65], [1, 1]] {
         for projection in projections(size[0], size[1]) {
