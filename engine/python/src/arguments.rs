@@ -32,8 +32,13 @@ pub fn camera(value: Option<&Bound<'_, PyAny>>) -> PyResult<CameraPath> {
         let text: String = value.py().import("json")?.call_method("dumps", (dictionary,), Some(&named))?.extract()?;
         return camera::file::parse(&text).map_err(wrong);
     }
-    let file: PathBuf =
-        value.extract().map_err(|_| wrong("camera: expected None, a dictionary, or the path of a JSON file"))?;
+    let file: PathBuf = value.extract().map_err(|_| {
+        let kind = value.get_type();
+        wrong(format!(
+            "camera: expected None, a dictionary, or the path of a JSON file, found {kind}; a 4×4 matrix M is written {{'type': 'pinhole', \
+             'camera_to_world': M, 'fov_y_degrees': 45, 'aspect': width / height}}"
+        ))
+    })?;
     let text = read_text(&file, MAX_CAMERA).map_err(|e| system(format!("{}: {e}", file.display())))?;
     camera::file::parse(&text).map_err(|e| wrong(format!("{}: {e}", file.display())))
 }

@@ -43,7 +43,9 @@ impl Frames {
     }
 
     fn __len__(&self) -> PyResult<usize> {
-        self.count.ok_or_else(|| PyTypeError::new_err("this video does not say how many frames it has"))
+        self.count.ok_or_else(|| {
+            PyTypeError::new_err("len(): expected a video that says how many frames it has, found one that ends where it ends; `count` is None")
+        })
     }
 
     fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {

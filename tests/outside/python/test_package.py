@@ -150,6 +150,10 @@ def test_times_and_cameras_come_in_lists_and_as_matrices(intervals, tmp_path):
     assert views[0].png() == views[1].png() != interval.render(interval.end).png()
     with pytest.raises(ValueError, match="as many as times"):
         interval.render(times, [moved])
+    # What to write instead, which works.
+    with pytest.raises(ValueError, match="found <class 'numpy.ndarray'>; a 4×4 matrix M is written {'type': 'pinhole'"):
+        interval.render(interval.end, matrix)
+    interval.render(interval.end, {"type": "pinhole", "camera_to_world": matrix, "fov_y_degrees": 45, "aspect": 16 / 9})
 
 
 def test_pictures_and_tensors_go_in():

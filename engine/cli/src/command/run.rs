@@ -41,9 +41,9 @@ pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
     let mut args = args.clone();
     if args.out.is_none() && place.destination().container().is_some() {
         args.options.emit.get_or_insert_with(|| "rgb,scene".to_owned());
-        args.options.view.size.get_or_insert_with(|| "source".to_owned());
     }
-    args.options.view.size.get_or_insert_with(|| "model".to_owned());
+    let size = if place.destination().is_video() { "source" } else { "model" };
+    args.options.view.size.get_or_insert_with(|| size.to_owned());
     let args = &args;
     let (record, page) = match resume_or_run(args, &out, &mut place, console)? {
         Done::Now(record, page) => (*record, page),

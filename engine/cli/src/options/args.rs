@@ -174,7 +174,7 @@ pub struct ViewOptions {
     /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
     pub times: Option<String>,
-    /// Size of the images: model, source or WIDTHxHEIGHT [default: model; source where `run` names its video itself; of still scenes the
+    /// Size of the images: model, source or WIDTHxHEIGHT [default: model; source where `run` writes a video; of still scenes the
     /// camera's own, or 1280x720]
     #[arg(long, value_name = "SIZE")]
     #[serde(default)]

@@ -62,6 +62,11 @@ impl Destination {
         }
     }
 
+    /// Returns true for a video, written or encoded.
+    pub fn is_video(&self) -> bool {
+        matches!(self, Destination::Video(..))
+    }
+
     /// The file of the scene beside an encoded video.
     pub fn container(&self) -> Option<PathBuf> {
         match self {

@@ -149,15 +149,32 @@ fn y4m_flows_from_standard_input_to_standard_output() {
         .output()
         .expect("the program starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // A 16:9 source in an input of 80×48: letterboxed to 80×45.
-    assert!(output.stdout.starts_with(b"YUV4MPEG2 W80 H45 F24:1 "), "{:?}", &output.stdout[..40]);
+    // A video has the source's size, whatever the model's.
+    assert!(output.stdout.starts_with(b"YUV4MPEG2 W256 H144 F24:1 "), "{:?}", &output.stdout[..40]);
     assert_eq!(
         output.stdout.len() - output.stdout.iter().position(|&c| c == b'\n').expect("a header") - 1,
-        3 * (6 + 3 * 80 * 45)
+        3 * (6 + 3 * 256 * 144)
     );
     let out = scratch.path("v.y4m");
     run_ok(&clip, &out, &["--frames", "3", "--quiet"]);
     assert!(std::fs::read(&out).expect("readable") == output.stdout);
+    // A 16:9 source in an input of 80×48: letterboxed to 80×45.
+    run_ok(&clip, &out, &["--frames", "3", "--quiet", "--overwrite", "--size", "model"]);
+    assert!(std::fs::read(&out).expect("readable").starts_with(b"YUV4MPEG2 W80 H45 F24:1 "));
+}
+
+#[test]
+fn frames_between_key_frames_are_measured_where_there_are_some() {
+    let clip = fixtures::path("clips/moving.y4m");
+    let eval = |more: &[&str]| {
+        let output = command().arg("eval").arg(&clip).arg("--model").arg(model()).args(more).output();
+        output.expect("the program starts")
+    };
+    let output = eval(&[]);
+    assert_eq!(output.status.code(), Some(2));
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(said.starts_with("streamsplat: --gap: expected") && said.lines().count() == 1, "{said}");
+    assert!(eval(&["--gap", "1", "--quiet"]).status.success());
 }
 
 #[test]

@@ -66,6 +66,12 @@ struct Figures {
 pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let stream = args.stream.resolved()?;
     let gap = stream.gap()?;
+    if gap == Gap::Every(1) && args.stream.gap.is_none() {
+        return Err(Failure::usage(
+            "--gap: expected how many frames apart key frames are, as frames between them are measured; found none, and this model takes every \
+             frame as one (--gap 1 measures key frames alone)",
+        ));
+    }
     let depth = stream.depth_from()?;
     let settings = stream.settings(&args.fit, &args.machine)?;
     let views = ViewOptions {
