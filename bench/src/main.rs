@@ -5,6 +5,7 @@
 
 mod compare;
 mod depth;
+mod enlarging;
 mod fit;
 mod instructions;
 mod kernels;
@@ -51,6 +52,8 @@ struct Program {
 enum Command {
     /// Views of scenes of cards from cameras led around them, with and without true depth.
     Depth(depth::Options),
+    /// Images of the source's size beside the model-size image enlarged, on given clips.
+    Enlarging(enlarging::Options),
     /// Optical flow, and steps of the fit of colours.
     Fit(fit::Options),
     /// Matrix products, attention and norms, as fractions of the measured peak.
@@ -120,6 +123,7 @@ fn main() -> std::process::ExitCode {
     };
     let result = match command {
         Command::Depth(options) => depth::run(&options),
+        Command::Enlarging(options) => enlarging::run(&options),
         Command::Fit(options) => fit::run(&options),
         Command::Kernels(options) => kernels::run(&options),
         Command::Raster(options) => raster::run(&options),

@@ -1,6 +1,7 @@
 //! Contracts across crates: helpers of the integration tests.
 
 pub mod digest;
+pub mod enlarging;
 pub mod extremes;
 pub mod fuzz;
 mod noise;
