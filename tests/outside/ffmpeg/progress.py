@@ -1,6 +1,7 @@
-"""progress.py PROGRAM ARGUMENT…: runs the program on a terminal and holds what it says of its progress to the promise.
+"""progress.py SECONDS PROGRAM ARGUMENT…: runs the program on a terminal and checks its progress bar.
 
-Total, percentage and time left are shown; nothing is silent for long. A second is promised; a busy machine gets three.
+The bar shows percentage, total and time left, and is written anew at least once a second; a busy machine gets three. The run must take at
+least SECONDS, so that a bar that is not written anew while the program waits cannot pass.
 """
 import os
 import pty
@@ -16,8 +17,9 @@ def main():
     process, terminal = pty.fork()
     if process == 0:
         os.environ.update(TERM='xterm', COLUMNS='120')
-        os.execv(sys.argv[1], sys.argv[1:])
-    said, gaps, last = b'', [], time.monotonic()
+        os.execv(sys.argv[2], sys.argv[2:])
+    start = last = time.monotonic()
+    said, gaps = b'', []
     while True:
         select.select([terminal], [], [])
         try:
@@ -33,6 +35,8 @@ def main():
     text = said.decode(errors='replace')
     if os.waitstatus_to_exitcode(status) != 0:
         sys.exit(f'the program failed:\n{text}')
+    if last - start < float(sys.argv[1]):
+        sys.exit(f'the run took {last - start:.1f} s, expected at least {sys.argv[1]}')
     longest, before = max(gaps)
     if longest > SILENT:
         sys.exit(f'silent for {longest:.1f} s, expected at most {SILENT}; before: {before}')
