@@ -250,7 +250,20 @@ impl Simd for Avx2 {
     fn pairs_of_bf16(self, a: F, b: F) -> I {
         bf16::pairs_of_neighbours(self, a, b)
     }
-
+    #[inline(always)]
+    fn low_bytes(self, a: I) -> [u8; LANES] {
+        let mut bytes = [0; LANES];
+        // SAFETY: the token proves AVX2; the array holds the 16 bytes that are stored.
+        unsafe {
+            let low = _mm256_set1_epi32(0xff);
+            // Packed are the halves of either register in turn.
+            let pairs = _mm256_packus_epi32(_mm256_and_si256(a.0, low), _mm256_and_si256(a.1, low));
+            let words = _mm256_permute4x64_epi64::<0b11_01_10_00>(pairs);
+            let packed = _mm_packus_epi16(_mm256_castsi256_si128(words), _mm256_extracti128_si256::<1>(words));
+            _mm_storeu_si128(bytes.as_mut_ptr().cast(), packed);
+        }
+        bytes
+    }
     #[inline(always)]
     fn split_bytes(self, a: I) -> [I; 2] {
         let high = both!(I, _mm256_slli_epi16::<8>, a);
