@@ -87,13 +87,11 @@ fn flow_rows(common: &Common) -> Result<Vec<FitTiming>> {
 
 /// Checks an image of a map, whose weights are rounded to 8 bits, against the rasteriser's: 2/255 at most, and a thousandth in the mean.
 pub(crate) fn ensure_near(linear: &[f32], drawn: &[f32]) -> Result<()> {
-    let apart = |(a, b): (&f32, &f32)| (a - b).abs();
-    let most = linear.iter().zip(drawn).map(apart).fold(0.0, f32::max);
-    let mean = linear.iter().zip(drawn).map(|pair| f64::from(apart(pair))).sum::<f64>() / linear.len() as f64;
-    ensure!(
-        linear.len() == drawn.len() && linear.iter().zip(drawn).map(apart).all(|apart| apart <= 2.0 / 255.0),
-        "the map's image: expected at most 2/255 from the rasteriser's, found {most}"
-    );
+    ensure!(linear.len() == drawn.len(), "the map's image: expected {} samples, found {}", drawn.len(), linear.len());
+    let apart: Vec<f64> = linear.iter().zip(drawn).map(|(a, b)| f64::from((a - b).abs())).collect();
+    let most = apart.iter().copied().max_by(f64::total_cmp).unwrap_or_default();
+    let mean = apart.iter().sum::<f64>() / apart.len() as f64;
+    ensure!(most <= 2.0 / 255.0, "the map's image: expected at most 2/255 from the rasteriser's, found {most}");
     ensure!(mean <= 1e-3, "the map's image: expected 0.001 from the rasteriser's in the mean, found {mean}");
     Ok(())
 }

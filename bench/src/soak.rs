@@ -4,9 +4,10 @@
 //! saw the same pictures. The network is a small one of seeded weights. As in a run, motion and colours are taken from the frames between key
 //! frames as well.
 //!
-//! Memory is looked at in two ways, over whole periods: what there was in the first tenth of the stream is compared with what came after. *Live* bytes are those the process holds on the heap, the most at any moment: they
-//! depend on nothing but the program. *Resident* ones are those the system has given, after each step, the median of a period: to these the
-//! system's allocator adds what it keeps for later, now and then half a mebibyte more for some steps.
+//! Memory is looked at in two ways, over whole periods: the first tenth of the stream is compared with the rest. *Live* bytes are those the
+//! process holds on the heap, the most at any moment: they depend on nothing but the program. *Resident* ones are those the system has
+//! given, after each step, the median of a period: to these the system's allocator adds what it keeps for later, now and then half a
+//! mebibyte more for some steps.
 //!
 //! Time is the time that all threads of this process spent on a CPU. Because that, too, depends on what else the machine does, the
 //! long stream is compared twice: its last hundred steps alone with its second hundred, by their lower quartiles; and the hundred after with the

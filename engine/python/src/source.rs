@@ -44,7 +44,7 @@ impl Frames {
 
     fn __len__(&self) -> PyResult<usize> {
         self.count.ok_or_else(|| {
-            PyTypeError::new_err("len(): expected a video that says how many frames it has, found one that ends where it ends; `count` is None")
+            PyTypeError::new_err("len(): expected a video whose number of frames is known beforehand, found one whose is not (`count` is None)")
         })
     }
 

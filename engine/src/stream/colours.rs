@@ -43,7 +43,7 @@ pub(super) struct Fitter {
     preparation: Preparation,
 }
 
-/// What is fitted of a view: the unknown of each Gaussian that is seen, and its factor there ([`FitView`]).
+/// The unknowns of one view: which of them each Gaussian that is seen there has, and its factor ([`FitView`]).
 struct Fitted {
     unknown: Vec<u32>,
     factor: Vec<f32>,

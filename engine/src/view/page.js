@@ -191,7 +191,7 @@ function picture() {
   return true;
 }
 
-/** What the panels say about the picture. */
+/** Writes the panels' texts about the picture. */
 function describe() {
   const { packet, interval, view } = state.shown;
   if (packet.still) {

@@ -110,7 +110,7 @@ const LONGEST: usize = (1 << 29) - 24;
 
 /// A source of which all there is goes into one file.
 pub trait Whole: Source {
-    /// What programs that show links say of it.
+    /// Description for programs that show links.
     const ABOUT: &str;
 
     /// Its first picture.

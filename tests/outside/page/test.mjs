@@ -268,7 +268,7 @@ async function slowly() {
   server.close();
 }
 
-/** What a picture costs while the scene plays and while it is turned; and that the page sways until it is touched. */
+/** Counts the work of a picture while the scene plays and while it is turned; checks that the page sways until it is touched. */
 async function work(address) {
   const swaying = await browser.newPage({ viewport: { width: 1280, height: 720 }, reducedMotion: "no-preference" });
   await swaying.goto(address);
