@@ -82,15 +82,6 @@ async function decode(chunk, before) {
   return { count, code: columns[CODE], identity, birth, frame, values };
 }
 
-/** The bits of the binary16 number nearest to a positive one, at most the largest. */
-function halfBits(value) {
-  if (value >= 65504) return 0x7bff;
-  if (value < 2 ** -14) return Math.round(value * 2 ** 24);
-  const exponent = Math.floor(Math.log2(value));
-  const fraction = Math.round((value / 2 ** exponent - 1) * 1024);
-  return ((exponent + 15) << 10) + fraction;
-}
-
 /** A binary16 number for each whole number that a column holds: there are few of them. */
 function halves(column, value) {
   const known = new Map();

@@ -16,6 +16,8 @@ class Drawing {
     this.splat = this.program("splat.vert", "splat.frag");
     this.still = null; // its program, once there is a still scene
     this.resolve = this.program("resolve.vert", "resolve.frag");
+    /** Gaussians of a packet at most. */
+    this.room = PER_ROW * gl.getParameter(gl.MAX_TEXTURE_SIZE);
     this.packet = null;
     this.ordered = null;
     this.records = gl.createTexture();
@@ -69,14 +71,18 @@ class Drawing {
     if (this.packet === packet) return;
     const { gl } = this;
     const rows = Math.max(1, Math.ceil(packet.count / PER_ROW));
-    if (rows > gl.getParameter(gl.MAX_TEXTURE_SIZE)) throw new Error(`${packet.count} Gaussians are more than this browser draws`);
+    const tooMany = (what) => new Error(`${packet.count} Gaussians are more than ${what}`);
+    if (packet.count > this.room) throw tooMany("this browser draws");
+    this.packet = null;
     const whole = Math.floor(packet.count / PER_ROW);
     this.fill(this.records, 0, rows, 2, packet.words, packet.count);
-    this.packet = packet;
     if (packet.still) {
       this.fill(this.rows, 2, rows, packet.degree, packet.rows, packet.count);
+      if (gl.getError() === gl.OUT_OF_MEMORY) throw tooMany("the graphics processor has memory for");
+      this.packet = packet;
       return;
     }
+    this.packet = packet;
     this.bind(this.rates, 2);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     const [across, down] = packet.rates.length ? [PER_ROW, rows] : [1, 1];

@@ -23,6 +23,11 @@ class Helper {
     });
   }
 
+  /** Ends the worker; questions stay without an answer. */
+  end() {
+    this.worker.terminate();
+  }
+
   forget(interval) {
     this.worker.postMessage({ kind: "forget", interval });
   }

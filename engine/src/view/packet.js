@@ -15,6 +15,14 @@ function half(bits) {
   return sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
 }
 
+/** The bits of the binary16 number nearest to one, halves to even, at most the largest. */
+function halfBits(value) {
+  const size = Math.min(Math.abs(value), 65504);
+  const exponent = Math.max(-14, Math.floor(Math.log2(size)));
+  const steps = size / 2 ** (exponent - 10) + 2 ** 52 - 2 ** 52;
+  return (value < 0 ? 0x8000 : 0) + ((exponent + 14) << 10) + steps;
+}
+
 /** One interval. `words`, `shorts` and `bytes` look at the same records. */
 class Packet {
   constructor(buffer) {

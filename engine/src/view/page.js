@@ -15,13 +15,18 @@ const PAUSE = "M5 3h3.5v14H5zM11.5 3H15v14h-3.5z";
 
 const canvas = find("canvas");
 const embedded = find("scene");
-const helper = new Helper();
-const orders = new Orders(helper, () => (due = true));
-const store = new Store(embedded ? new Embedded(embedded, helper) : new Served(helper), (interval) => orders.forget(interval));
 const camera = new Camera();
 const sway = new Sway(camera);
 const pace = new Pace();
 let drawing = null;
+let [orders, store] = [null, null];
+
+/** Takes a source of intervals and its worker into use, in place of those before. */
+function use(helper, source) {
+  orders?.helper.end();
+  const own = (orders = new Orders(helper, () => (due = true)));
+  store = new Store(source, (interval) => own.forget(interval));
+}
 
 const state = {
   time: 0,
@@ -126,12 +131,14 @@ function fit() {
 /** Lets the camera turn about the middle of the first interval, whichever is shown: an address is the same picture wherever one came from. */
 function place() {
   if (performance.now() < again) return;
+  const own = store;
   placing ??= store.fetch(0).then(
     (first) => {
       camera.depth = depthOf(depthsOf(first).middle);
       placed = stale = true;
     },
     (e) => {
+      if (own !== store) return;
       placing = null;
       again = performance.now() + RETRY;
       say(e instanceof TypeError ? GONE : `Interval 0: ${e.message}`);
@@ -145,12 +152,14 @@ let again = 0;
 /** Asks for an interval; where it does not come, not again for a while. */
 function load(interval) {
   if (performance.now() < again) return;
+  const own = store;
   store.fetch(interval).then(
     () => {
-      say("");
+      if (own === store) say("");
       stale = true;
     },
     (e) => {
+      if (own !== store) return;
       again = performance.now() + RETRY;
       // fetch() gives a TypeError where nobody answers.
       say(e instanceof TypeError ? GONE : `Interval ${interval}: ${e.message}`);
@@ -246,7 +255,12 @@ function turn(now) {
     if (!state.shown || store.held(store.find(state.time))) advance(seconds);
     if (stale || due) {
       due = false;
-      stale = !picture();
+      try {
+        stale = !picture();
+      } catch (e) {
+        stale = false;
+        say(e.message);
+      }
     }
   }
   requestAnimationFrame(turn);
@@ -341,6 +355,7 @@ const KEYS = {
   p: () => look(!camera.perspective),
   o: () => camera.reset(),
   b: nextBackground,
+  f: () => find("file").click(),
   h: () => (find("interface").hidden = !find("interface").hidden),
   l: () => follow(!state.following),
   "?": openKeys,
@@ -428,6 +443,7 @@ function listen() {
   listenToKeys();
   listenToButtons();
   listenToPointers();
+  listenToFiles();
   window.addEventListener("hashchange", () => (sway.stop(), readAddress()));
   canvas.addEventListener("webglcontextlost", (e) => (e.preventDefault(), (drawing = null)));
   canvas.addEventListener("webglcontextrestored", () => ((drawing = new Drawing(canvas)), (stale = true)));
@@ -441,22 +457,24 @@ const wait = (milliseconds) => new Promise((done) => setTimeout(done, millisecon
 
 /** Asks for what is new until the stream ends; keeps what comes, as far as there is room. */
 async function keepUp() {
+  const own = store;
   let failures = 0;
-  while (!store.about.complete && failures < 5) {
+  while (own === store && !own.about.complete && failures < 5) {
     await wait(POLL);
     try {
-      const from = store.times.length;
-      const more = await store.refresh();
-      if (store.about.placement) camera.place(store.about.placement);
-      for (let i = from; i < from + more; i++) if (store.times[i]) await store.fetch(i).catch(() => {});
+      const from = own.times.length;
+      const more = await own.refresh();
+      if (own.about.placement) camera.place(own.about.placement);
+      for (let i = from; i < from + more; i++) if (own.times[i]) await own.fetch(i).catch(() => {});
       if (more) listTimes();
       failures = 0;
     } catch {
       failures++;
     }
   }
-  if (!store.about.complete) say(GONE);
-  store.about.complete = true;
+  if (own !== store) return;
+  if (!own.about.complete) say(GONE);
+  own.about.complete = true;
   find("live").textContent = "Ended";
   find("live").disabled = true;
   follow(false);
@@ -475,11 +493,19 @@ function stand(still) {
   document.querySelector("[data-mode='2']").title = "Each Gaussian in a colour of its own (3)";
 }
 
-async function begin() {
-  play(false);
-  listen();
-  drawing = new Drawing(canvas);
-  await store.refresh();
+/** Lets go of the scene and of everything about it. */
+function leave() {
+  sway.stop();
+  follow(false);
+  choose(null);
+  state.shown = null;
+  pace.quick = 1;
+  again = 0;
+  history.replaceState(null, "", "#");
+}
+
+/** Shows the store's scene from its beginning, or as the address says. */
+function enter() {
   const { title, placement, live, still } = store.about;
   document.title = `${title} · streamsplat`;
   write("title", title);
@@ -497,10 +523,20 @@ async function begin() {
     play(!rests);
     if (!rests && !location.hash) sway.start();
   }
-  requestAnimationFrame(turn);
 }
 
-begin().catch((e) => {
+async function begin() {
+  const helper = new Helper();
+  use(helper, embedded ? new Embedded(embedded, helper) : new Served(helper));
+  play(false);
+  listen();
+  drawing = new Drawing(canvas);
+  requestAnimationFrame(turn);
+  await store.refresh();
+  enter();
+}
+
+const begun = begin().catch((e) => {
   write("facts", "The scene cannot be shown");
   say(e.message);
 });

@@ -32,7 +32,7 @@ const SHADER_FILES: [(&str, &str); 5] = [
 ];
 
 /// The scripts, joined to one module in this order.
-const SCRIPT_FILES: [&str; 13] = [
+const SCRIPT_FILES: [&str; 14] = [
     include_str!("text.js"),
     include_str!("packet.js"),
     include_str!("still.js"),
@@ -45,11 +45,12 @@ const SCRIPT_FILES: [&str; 13] = [
     include_str!("sway.js"),
     include_str!("pace.js"),
     include_str!("address.js"),
+    include_str!("opening.js"),
     include_str!("page.js"),
 ];
 
 /// The scripts of the worker, likewise.
-const WORKER_FILES: [&str; 8] = [
+const WORKER_FILES: [&str; 15] = [
     include_str!("text.js"),
     include_str!("packet.js"),
     include_str!("still.js"),
@@ -57,6 +58,13 @@ const WORKER_FILES: [&str; 8] = [
     include_str!("camera.js"),
     include_str!("chunk.js"),
     include_str!("sort.js"),
+    include_str!("dropped/file.js"),
+    include_str!("dropped/writer.js"),
+    include_str!("dropped/ply.js"),
+    include_str!("dropped/packed.js"),
+    include_str!("dropped/splat.js"),
+    include_str!("dropped/spz.js"),
+    include_str!("dropped/formats.js"),
     include_str!("worker.js"),
 ];
 

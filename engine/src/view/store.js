@@ -93,6 +93,22 @@ class Served {
   }
 }
 
+/** A still scene from a file that was opened on the page: its packet is at hand. */
+class Local {
+  constructor(title, packet, still) {
+    this.description = { title, fps: 0, still, live: false, complete: true, first: 0, intervals: [{ start: 0, end: 0, gaussians: packet.count }] };
+    this.whole = packet;
+  }
+
+  async describe(from) {
+    return { ...this.description, from, intervals: this.description.intervals.slice(from) };
+  }
+
+  async packet() {
+    return this.whole;
+  }
+}
+
 /** The list of intervals, and the packets that were asked for last. */
 class Store {
   /** `left`: what is done with an interval that is no longer kept. */

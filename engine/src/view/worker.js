@@ -5,9 +5,9 @@ const sorters = new Map();
 /** Chunks are taken apart one after another. */
 let queue = Promise.resolve();
 
-function taken(ticket, interval, buffer) {
+function taken(ticket, interval, buffer, more = {}) {
   sorters.set(interval, new Sorter(packetIn(buffer)));
-  postMessage({ ticket, buffer }, [buffer]);
+  postMessage({ ticket, buffer, ...more }, [buffer]);
 }
 
 const WORK = {
@@ -22,6 +22,14 @@ const WORK = {
     const length = new DataView(bytes.buffer).getUint32(0, true);
     inflated(bytes.subarray(4, 4 + length)).then(
       (packet) => taken(ticket, interval, packet.buffer),
+      (e) => postMessage({ ticket, error: e.message }),
+    );
+  },
+
+  /** A file that was opened on the page. */
+  file({ ticket, file, most }) {
+    opened(file, most).then(
+      ({ buffer, ...still }) => taken(ticket, 0, buffer, { still }),
       (e) => postMessage({ ticket, error: e.message }),
     );
   },

@@ -3,6 +3,8 @@
 import { once } from "node:events";
 import { readFileSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
+import { basename } from "node:path";
+import { gzipSync } from "node:zlib";
 import { check, chromium, open, picture, psnr, run, start } from "../browser.mjs";
 
 const [modules, streamsplat, scratch] = process.argv.slice(2);
@@ -245,6 +247,167 @@ async function stills() {
   check((await view.ended) === 0, "Ctrl-C ends the server well");
 }
 
+/** An SPZ file of version 2 or 3, which no program of ours writes: `plain` changes the bytes before they are compressed. */
+function spz(version, degree, plain = (bytes) => bytes) {
+  const count = 3000;
+  let seed = 7;
+  const bytes = (each, low, high) => Buffer.from(Array.from({ length: each * count }, () => low + ((seed = (seed * 48271) % 2147483647) % (high - low))));
+  const header = Buffer.alloc(16);
+  header.write("NGSP");
+  [version, count].forEach((value, k) => header.writeUInt32LE(value, 4 + 4 * k));
+  header[12] = degree;
+  header[13] = 12;
+  const positions = Buffer.from(bytes(9, 0, 256).map((byte, k) => (k % 3 < 2 ? byte : byte & 1 ? 255 : 0)));
+  const attributes = [positions, bytes(1, 0, 256), bytes(3, 60, 200), bytes(3, 80, 144), bytes(version + 1, 0, 256), bytes(3 * ((degree + 1) ** 2 - 1), 100, 156)];
+  return gzipSync(plain(Buffer.concat([header, ...attributes])));
+}
+
+/** Drops files on the page, given by their names and bytes. */
+async function drop(page, ...files) {
+  const parts = files.map(([name, bytes]) => [name, Buffer.from(bytes).toString("base64")]);
+  await page.evaluate((parts) => {
+    const dataTransfer = new DataTransfer();
+    for (const [name, bytes] of parts) dataTransfer.items.add(new File([Uint8Array.from(atob(bytes), (c) => c.charCodeAt(0))], name));
+    for (const kind of ["dragover", "drop"]) document.getElementById("canvas").dispatchEvent(new DragEvent(kind, { dataTransfer, bubbles: true, cancelable: true }));
+  }, parts);
+}
+
+/** The picture of an opened file, once the page shows it, from where `view` shows it. */
+async function opened(page, name) {
+  const title = page.locator("#title");
+  await page.waitForFunction((name) => document.getElementById("title").textContent === name && document.getElementById("canvas").dataset.shown === "0", name);
+  check((await title.textContent()) === name && (await page.locator("#message").isHidden()), `${name} is shown without a message`);
+  await page.evaluate((said) => (location.hash = said), `${new URLSearchParams({ interface: "none", background: 0.5 })}`);
+  await shown(page, 0);
+  return picture(page);
+}
+
+/** The packet that the page's worker makes of a file, beside the one that is served: the number of bytes that differ. */
+const differing = (page, path) =>
+  page.evaluate(async ([name, bytes]) => {
+    const file = new File([Uint8Array.from(atob(bytes), (c) => c.charCodeAt(0))], name);
+    const worker = new Worker(URL.createObjectURL(new Blob([document.getElementById("worker").textContent])));
+    const { buffer, still, error } = await new Promise((done) => {
+      worker.onmessage = ({ data }) => done(data);
+      worker.postMessage({ kind: "file", file, most: 1e6, ticket: 1 });
+    });
+    worker.terminate();
+    if (error) throw new Error(error);
+    const served = new Uint8Array(await (await fetch("interval/0")).arrayBuffer());
+    const about = (await (await fetch("scene.json?from=0")).json()).still;
+    const own = new Uint8Array(buffer);
+    const same = Object.keys(about).every((key) => JSON.stringify(about[key]) === JSON.stringify(still[key]));
+    if (!same || own.length !== served.length) throw new Error(`${JSON.stringify(still)} beside ${JSON.stringify(about)}`);
+    return own.reduce((sum, byte, i) => sum + (byte === served[i] ? 0 : 1), 0);
+  }, [basename(path), readFileSync(path).toString("base64")]);
+
+/** Files that are dropped on the page or chosen: each as `view` shows it, to the byte; those that are none leave the scene as it is. */
+async function files(address) {
+  const source = `${scratch}/cloud.ply`;
+  writeFileSync(source, cloud());
+  const paths = [source];
+  for (const name of ["cloud.compressed.ply", "cloud.splat"]) {
+    paths.push(`${scratch}/${name}`);
+    run(streamsplat, "export", source, "--out", paths.at(-1), "--quiet");
+  }
+  for (const [version, degree] of [[2, 0], [3, 3], [3, 4]]) {
+    paths.push(`${scratch}/version-${version}-${degree}.spz`);
+    writeFileSync(paths.at(-1), spz(version, degree));
+  }
+  const before = log.asked.length;
+  const own = await open(browser, SIZE, log);
+  await visit(own, address, { t: 0.1 });
+  for (const path of paths) {
+    const view = start(streamsplat, ["view", path, "--port", "0"], "stdout");
+    await visit(page, (await view.line).split(" ")[0], { t: 0, interface: "none", background: 0.5 });
+    const expected = await picture(page);
+    const name = basename(path);
+    await drop(own, [name, readFileSync(path)]);
+    const dB = await psnr(other, await opened(own, name), expected);
+    check(dB === Infinity, `${name}, dropped: expected the picture of what is served, found ${dB} dB from it`);
+    const facts = (page) => page.locator("#facts").textContent();
+    check((await facts(own)) === (await facts(page)), `${name}: expected ${await facts(page)}, found ${await facts(own)}`);
+    const bytes = await differing(page, path);
+    console.log(`${name}, dropped: the picture of what is served, ${bytes} bytes of its packet differ`);
+    check(bytes === 0, `${name}: expected the packet that is served, found ${bytes} other bytes`);
+    view.child.kill("SIGINT");
+    await view.ended;
+  }
+  // By key and by button, and of two the later.
+  for (const ask of [() => own.keyboard.press("f"), () => own.locator("#open").click()]) {
+    await own.evaluate(() => (document.getElementById("interface").hidden = false));
+    const [chooser] = await Promise.all([own.waitForEvent("filechooser"), ask()]);
+    await drop(own, ["earlier.splat", readFileSync(paths[2])]);
+    await chooser.setFiles(paths[0]);
+    await opened(own, "cloud.ply");
+  }
+  const last = await picture(own);
+  await refused(own, paths);
+  check((await psnr(other, await picture(own), last)) === Infinity, "what is refused leaves the scene as it is");
+  await own.mouse.click(SIZE[0] / 2, SIZE[1] / 2);
+  check(/^\d+$/.test(await own.locator("#identity").textContent()), "a Gaussian of an opened file is picked");
+  const asked = log.asked.slice(before).filter((url) => url.includes(".ply") || url.includes(".splat"));
+  check(asked.length === 0, `opened files were asked for: ${asked}`);
+  await own.close();
+
+  const alone = await open(browser, SIZE, log);
+  await visit(alone, `file://${scratch}/scene.html`, { t: 0.2 });
+  await drop(alone, ["cloud.ply", readFileSync(source)]);
+  check((await psnr(other, await opened(alone, "cloud.ply"), last)) === Infinity, "a page that is a file opens one too");
+  await alone.close();
+}
+
+/** Files that are not what they say, one message each. */
+async function refused(page, [ply, packed, splat]) {
+  const [whole, compressed, records] = [ply, packed, splat].map((path) => readFileSync(path));
+  const changed = (bytes, from, to) => Buffer.from(bytes.toString("latin1").replace(from, to), "latin1");
+  const header = (at, value) => (bytes) => (bytes.writeUInt32LE(value, at), bytes);
+  const negative = Buffer.from(records);
+  negative.writeFloatLE(-1, 32 + 12);
+  const bomb = Buffer.concat([Buffer.from("NGSP"), Buffer.from([3, 0, 0, 0, 0x40, 0x42, 0x0f, 0, 0, 12, 0, 0]), Buffer.alloc(20_000_000)]);
+  const view = "(`streamsplat view FILE` reads it)";
+  const all = [
+    ["cut.ply", whole.subarray(0, -5), "element vertex: expected 4000 of 236 bytes each, found 943995 bytes"],
+    ["long.ply", Buffer.concat([whole, records]), "file: expected its end after the last element, found"],
+    ["many.ply", changed(whole, "vertex 4000", "vertex 99999999999999999999"), "element vertex: expected 100000000000000000000 of 236 bytes each, found"],
+    ["types.ply", changed(whole, "float x", "int x"), "property x of vertex: expected float, found int"],
+    ["list.ply", changed(whole, "float x", "list uchar int x"), 'expected a number of an element, once, found "list"'],
+    ["text.ply", Buffer.from("ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"), `format: expected binary_little_endian, found "ascii" ${view}`],
+    ["endless.ply", Buffer.concat([Buffer.from("ply\n"), Buffer.alloc(70_000, 32)]), "header: expected end_header within the first 65536 bytes"],
+    ["cut.compressed.ply", compressed.subarray(0, -5), "element sh: expected 4000 of 45 bytes each"],
+    ["many.compressed.ply", changed(compressed, "chunk 16", "chunk 99"), "element vertex: expected"],
+    ["magic.compressed.ply", changed(compressed, "ply", "plx"), 'format: expected PLY, compressed PLY, SPZ of version 2 or 3, or splat, found a file that begins with "plx\\nform"'],
+    ["cut.splat", records.subarray(0, -5), `file: expected records of 32 bytes, found ${records.length - 5} bytes`],
+    ["negative.splat", negative, "record 1: expected standard deviations of 0 or more, found -1"],
+    ["nowhere.splat", Buffer.alloc(32, 255), "centres: expected Gaussians at finite places, found none to look at"],
+    ["cut.spz", spz(3, 1).subarray(0, -9), "gzip stream: expected a whole one, found "],
+    ["more.spz", spz(3, 1, (bytes) => Buffer.concat([bytes, Buffer.from([0])])), "attributes: expected 87000 bytes, found more"],
+    ["fewer.spz", spz(3, 1, (bytes) => bytes.subarray(0, -1)), "attributes: expected 87000 bytes, found 86999"],
+    ["many.spz", spz(2, 0, header(8, 99_999_999)), "header: points: expected at most"],
+    ["bomb.spz", gzipSync(bomb), "header: points: expected at most"],
+    ["version.spz", spz(3, 0, header(4, 1)), "header: version: expected 2 or 3 in a gzip stream, found 1"],
+    ["magic.spz", spz(3, 0, header(0, 0x20202020)), 'header: first word: expected NGSP, found "    "'],
+    ["new.spz", Buffer.from("NGSP\x04\x00\x00\x00"), `found SPZ of version 4 ${view}`],
+    ["a.sog", Buffer.from("PK\x03\x04aaaa"), `found a zip file, as SOG is ${view}`],
+    ["a.glb", Buffer.from("glTF\x02\x00\x00\x00"), `found glTF ${view}`],
+    ["scene.json", Buffer.from("{}"), `found JSON that names other files ${view}`],
+    ["a.mp4", Buffer.from("\x00\x00\x00\x20ftypisom"), "found a video (`streamsplat run FILE` reads it)"],
+    ["empty", Buffer.alloc(0), "found an empty file"],
+  ];
+  const message = page.locator("#message");
+  for (const [name, bytes, expected] of all) {
+    await drop(page, [name, bytes]);
+    await page.waitForFunction((name) => new RegExp(`^${name}: (?!reading)`).test(document.getElementById("message").textContent), name);
+    const found = await message.textContent();
+    check(found.includes(expected) && !found.includes("\n"), `${name}: expected "${expected}", found "${found}"`);
+    check((await page.locator("#title").textContent()) === "cloud.ply", `${name} leaves the title`);
+  }
+  await drop(page, ["a.ply", whole], ["b.ply", whole]);
+  check((await message.textContent()).includes("expected one file, found 2"), "one file is opened at a time");
+  await page.keyboard.press("Escape");
+  check(await message.isHidden(), "a message goes with what is done next");
+}
+
 /** The first picture comes while most of the file is still to come; time waits for the rest. */
 async function slowly() {
   const bytes = readFileSync(`${scratch}/scene.html`);
@@ -385,6 +548,7 @@ await controls(address);
 await picking(address);
 await resting(address);
 await file(address);
+await files(address);
 await slowly();
 await work(address);
 view.child.kill("SIGINT");

@@ -1,0 +1,43 @@
+// Files of still scenes read by the page itself. engine/src/import says what their numbers mean and what is refused.
+
+/** Bytes of a block. */
+const BLOCK = 4 * 2 ** 20;
+const Y0 = 0.28209479177387814;
+
+/** An error that names the part of the file. */
+const wrong = (part, expected, found) => new Error(`${part}: expected ${expected}, found ${found}`);
+
+/** Text as it can be shown in a message of one line. */
+const quoted = (text) => JSON.stringify(text.slice(0, 40));
+
+/** A hint at the program, where that reads more than the page does. */
+const program = (command = "view") => `\`streamsplat ${command} FILE\` reads it`;
+
+/** A table of numbers by bytes. */
+const byByte = (value) => Float32Array.from({ length: 256 }, (_, byte) => value(byte));
+const logitOf = (opacity) => Math.log(opacity) - Math.log(1 - opacity);
+const LOGITS = byByte((byte) => logitOf(clamp(byte / 255, 1e-12, 1 - 1e-12)));
+
+/** The first coefficient of a colour from 0 to 1. */
+const coefficientOf = (colour) => (colour - 0.5) / Y0;
+
+function checkCount(part, count, most) {
+  if (count > most) throw wrong(part, `at most ${most} Gaussians in this browser`, count);
+}
+
+/** `length` bytes of a file. */
+async function viewOf(file, start, length) {
+  const buffer = await file.slice(start, start + length).arrayBuffer();
+  if (buffer.byteLength !== length) throw wrong("file", `${length} bytes from byte ${start} on`, buffer.byteLength);
+  return new DataView(buffer);
+}
+
+/** Calls `take(i, views, k)` for each of `count` rows: row i of each part, { start, width }, is row k of its view. */
+async function eachRow(file, parts, count, take) {
+  const most = Math.max(1, Math.floor(BLOCK / parts[0].width));
+  for (let from = 0; from < count; from += most) {
+    const rows = Math.min(most, count - from);
+    const views = await Promise.all(parts.map(({ start, width }) => viewOf(file, start + from * width, rows * width)));
+    for (let k = 0; k < rows; k++) take(from + k, views, k);
+  }
+}

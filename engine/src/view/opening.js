@@ -1,0 +1,66 @@
+// Files that are dropped on the page or chosen: read by a worker of their own, which takes the place of the scene's once it has read all.
+
+/** Gaussians that are read at most, as engine/src/import/limits.rs has it. */
+const MOST = 2 ** 24;
+/** The worker that reads a file. */
+let reading = null;
+
+/** Shows a file in place of the scene; where that cannot be, says why, and the scene stays. */
+async function openFile(file) {
+  reading?.end();
+  const own = (reading = new Helper());
+  say(`${file.name}: reading …`);
+  try {
+    await begun;
+    if (!drawing) throw new Error("this browser offers no WebGL2");
+    const { buffer, still } = await own.ask({ kind: "file", file, most: Math.min(MOST, drawing.room) });
+    if (reading !== own) return;
+    const packet = packetIn(buffer);
+    drawing.upload(packet);
+    reading = null;
+    say("");
+    leave();
+    use(own, new Local(file.name, packet, still));
+    await store.refresh();
+    enter();
+  } catch (e) {
+    own.end();
+    if (reading === own) reading = null;
+    refuse(`${file.name}: ${e.message}`);
+  }
+}
+
+/** Says why nothing was opened, until the user does something else. */
+function refuse(text) {
+  say(text);
+  for (const act of ["pointerdown", "keydown"]) window.addEventListener(act, () => say(""), { once: true });
+}
+
+/** The one file among what was dropped. */
+function openDropped({ files, items }) {
+  if (!files.length) return;
+  const { name } = files[0];
+  if (files.length > 1) refuse(`${name}: expected one file, found ${files.length}`);
+  else if (items[0]?.webkitGetAsEntry?.()?.isDirectory) refuse(`${name}: expected a file, found a folder (\`streamsplat view FOLDER\` reads scenes)`);
+  else openFile(files[0]);
+}
+
+function listenToFiles() {
+  const over = (on) => document.documentElement.classList.toggle("over", on);
+  window.addEventListener("dragover", (e) => {
+    e.preventDefault();
+    over(true);
+  });
+  window.addEventListener("dragleave", (e) => e.relatedTarget || over(false));
+  window.addEventListener("drop", (e) => {
+    e.preventDefault();
+    over(false);
+    openDropped(e.dataTransfer);
+  });
+  find("open").addEventListener("click", () => find("file").click());
+  find("file").addEventListener("change", ({ target }) => {
+    if (target.files.length) openFile(target.files[0]);
+    // The same file can be chosen again.
+    target.value = "";
+  });
+}
