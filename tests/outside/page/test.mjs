@@ -334,11 +334,11 @@ async function files(address) {
     await view.ended;
   }
   // By key and by button, and of two the later.
+  own.on("filechooser", (chooser) => chooser.setFiles(source));
   for (const ask of [() => own.keyboard.press("f"), () => own.locator("#open").click()]) {
     await own.evaluate(() => (document.getElementById("interface").hidden = false));
-    const [chooser] = await Promise.all([own.waitForEvent("filechooser"), ask()]);
     await drop(own, ["earlier.splat", readFileSync(paths[2])]);
-    await chooser.setFiles(paths[0]);
+    await ask();
     await opened(own, "cloud.ply");
   }
   const last = await picture(own);
