@@ -41,7 +41,7 @@ function openDropped({ files, items }) {
   if (!files.length) return;
   const { name } = files[0];
   if (files.length > 1) refuse(`${name}: expected one file, found ${files.length}`);
-  else if (items[0]?.webkitGetAsEntry?.()?.isDirectory) refuse(`${name}: expected a file, found a folder (\`streamsplat view FOLDER\` reads scenes)`);
+  else if (items[0]?.webkitGetAsEntry?.()?.isDirectory) refuse(`${name}: expected a file, found a folder (open it with: streamsplat view FOLDER)`);
   else openFile(files[0]);
 }
 

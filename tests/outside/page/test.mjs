@@ -366,7 +366,7 @@ async function refused(page, [ply, packed, splat]) {
   const negative = Buffer.from(records);
   negative.writeFloatLE(-1, 32 + 12);
   const bomb = Buffer.concat([Buffer.from("NGSP"), Buffer.from([3, 0, 0, 0, 0x40, 0x42, 0x0f, 0, 0, 12, 0, 0]), Buffer.alloc(20_000_000)]);
-  const view = "(`streamsplat view FILE` reads it)";
+  const view = "(open it with: streamsplat view FILE)";
   const all = [
     ["cut.ply", whole.subarray(0, -5), "element vertex: expected 4000 of 236 bytes each, found 943995 bytes"],
     ["long.ply", Buffer.concat([whole, records]), "file: expected its end after the last element, found"],
@@ -392,7 +392,7 @@ async function refused(page, [ply, packed, splat]) {
     ["a.sog", Buffer.from("PK\x03\x04aaaa"), `found a zip file, as SOG is ${view}`],
     ["a.glb", Buffer.from("glTF\x02\x00\x00\x00"), `found glTF ${view}`],
     ["scene.json", Buffer.from("{}"), `found JSON that names other files ${view}`],
-    ["a.mp4", Buffer.from("\x00\x00\x00\x20ftypisom"), "found a video (`streamsplat run FILE` reads it)"],
+    ["a.mp4", Buffer.from("\x00\x00\x00\x20ftypisom"), "found a video (make a scene of it with: streamsplat run FILE)"],
     ["empty", Buffer.alloc(0), "found an empty file"],
   ];
   const message = page.locator("#message");
@@ -511,6 +511,7 @@ async function narrow(address) {
     const { x, y, width, height } = await control.boundingBox();
     const name = await control.evaluate((element) => element.id || element.textContent);
     check(height >= 44 && width >= 44, `${name}: expected 44 pixels a side, found ${width}×${height}`);
+    check(await control.evaluate((element) => element.scrollWidth <= element.clientWidth), `${name}: expected room for its text`);
     check(x >= 0 && x + width <= 390, `${name}: lies off the screen`);
     check(y > middle + 150 || y + height < 120, `${name}: covers the picture at ${y}`);
   }

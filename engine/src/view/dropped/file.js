@@ -11,7 +11,7 @@ const wrong = (part, expected, found) => new Error(`${part}: expected ${expected
 const quoted = (text) => JSON.stringify(text.slice(0, 40));
 
 /** A hint at the program, where that reads more than the page does. */
-const program = (command = "view") => `\`streamsplat ${command} FILE\` reads it`;
+const program = (command = "view") => `(${command === "view" ? "open it" : "make a scene of it"} with: streamsplat ${command} FILE)`;
 
 /** A table of numbers by bytes. */
 const byByte = (value) => Float32Array.from({ length: 256 }, (_, byte) => value(byte));

@@ -27,7 +27,7 @@ function elementsOf(bytes, size) {
   const elements = new Map();
   let last = null;
   for (const [key, a, b] of lines.slice(1)) {
-    if (key === "format" && a !== "binary_little_endian") throw wrong("format", "binary_little_endian", `${quoted(a ?? "")} (${program()})`);
+    if (key === "format" && a !== "binary_little_endian") throw wrong("format", "binary_little_endian", `${quoted(a ?? "")} ${program()}`);
     if (key === "element") {
       if (elements.has(a) || !/^\d+$/.test(b)) throw wrong(`element ${a}`, "it once, and how many there are", elements.has(a) ? "it twice" : quoted(b ?? ""));
       last = { name: a, count: Number(b), width: 0, properties: new Map() };
