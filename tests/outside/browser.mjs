@@ -61,7 +61,9 @@ export function start(program, args, stream) {
     child.on("exit", () => failed(new Error(`${args.join(" ")}: ended before it said anything`)));
   });
   child[stream === "stdout" ? "stderr" : "stdout"].resume();
-  process.on("exit", () => child.kill());
+  const end = () => child.kill();
+  process.on("exit", end);
+  child.on("exit", () => process.off("exit", end));
   return { child, line, ended };
 }
 
