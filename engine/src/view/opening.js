@@ -33,7 +33,9 @@ async function openFile(file) {
 /** Says why nothing was opened, until the user does something else. */
 function refuse(text) {
   say(text);
-  for (const act of ["pointerdown", "keydown"]) window.addEventListener(act, () => say(""), { once: true });
+  const until = new AbortController();
+  const end = () => (say(""), until.abort());
+  for (const act of ["pointerdown", "keydown"]) window.addEventListener(act, end, { signal: until.signal });
 }
 
 /** The one file among what was dropped. */
