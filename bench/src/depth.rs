@@ -1,6 +1,7 @@
 //! `depth`: how scenes of cards look from cameras led around them, without depth, with their true depth, and with depth
 //! found by parallax; and how depth found in clips compares with a sensor's.
 
+mod registration;
 mod sensor;
 
 use std::path::PathBuf;
@@ -15,6 +16,7 @@ use streamsplat_tests::turned::{Depth, Score, score};
 
 use crate::Common;
 use crate::table::{Column, Table};
+use registration::Registration;
 
 /// Options of `depth`.
 #[derive(Args)]
@@ -40,6 +42,9 @@ pub(crate) struct Options {
     /// Clips with a sensor's depth, folders with rgb/ and depth/ (16-bit PNG, millimetres): compare found depth with it instead.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     sensor: Vec<PathBuf>,
+    /// Where the colour camera of that sensor stands, for depth that is not registered (sensors/seven-scenes.json).
+    #[arg(long, value_name = "FILE", requires = "sensor")]
+    registration: Option<PathBuf>,
     /// Frames from one key frame of these clips to the next.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=64))]
     gap: u32,
@@ -79,10 +84,11 @@ fn size(text: &str) -> Result<[usize; 2], String> {
 pub(crate) fn run(options: &Options) -> Result<()> {
     let settings = Settings { level: Some(options.common.isa), threads: options.common.threads, ..Settings::default() };
     if !options.sensor.is_empty() {
+        let registration = options.registration.as_deref().map(Registration::read).transpose()?;
         println!("{}", sensor::Row::head());
         let mut rows = Vec::new();
         for folder in &options.sensor {
-            let row = sensor::clip(&settings, folder, options.gap as usize)?;
+            let row = sensor::clip(&settings, folder, registration.as_ref(), options.gap as usize)?;
             println!("{}", row.line());
             rows.push(row);
         }

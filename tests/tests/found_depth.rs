@@ -51,10 +51,12 @@ fn same(a: &[Interval], b: &[Interval]) -> bool {
 #[test]
 fn views_from_the_side_are_truer_with_found_depth() {
     let scenes: Vec<Cards> = (0..6).map(|seed| Cards::new(seed, 256, 144, TRAVEL)).collect();
-    let [without, with] = [Depth::None, Depth::FoundInScale]
+    let [without, with] = [Depth::None, Depth::Found]
         .map(|depth| score(&Settings::default(), &scenes, depth, &[0.0, 1.0], 10.0, |_, _, _| ()));
     println!("without {without:?}\nfound   {with:?}");
-    assert!(with.found > 0 && with.views > without.views && with.foreground > without.foreground);
+    assert!(with.found >= 4, "found in {} of 6 scenes", with.found);
+    assert!(with.views > without.views.max(with.card[0]) + 1.5, "{} dB", with.views);
+    assert!(with.foreground > without.foreground.max(with.card[1]) + 1.5, "{} dB", with.foreground);
 }
 
 #[test]

@@ -11,6 +11,8 @@ use streamsplat::depth::{DepthMaps, Range, Values};
 use streamsplat::{Engine, Frame, Settings, source};
 use streamsplat_kernels::Level;
 
+use super::registration::Registration;
+
 /// Rank correlations of a clip.
 #[derive(Serialize)]
 pub(super) struct Row {
@@ -22,7 +24,7 @@ pub(super) struct Row {
 }
 
 /// The clip in `folder`, which has the folders `rgb` and `depth` (millimetres, 0: not measured).
-pub(super) fn clip(settings: &Settings, folder: &Path, gap: usize) -> Result<Row> {
+pub(super) fn clip(settings: &Settings, folder: &Path, registration: Option<&Registration>, gap: usize) -> Result<Row> {
     let settings = Settings { find_depth: true, ..settings.clone() };
     let mut source = source::Source::open(&folder.join("rgb"), &source::Options::default())?;
     let maps = DepthMaps::open_as(&folder.join("depth"), source.files(), Range::Frame, Values::Depth)?;
@@ -44,6 +46,7 @@ pub(super) fn clip(settings: &Settings, folder: &Path, gap: usize) -> Result<Row
                 let [rows, columns] = placement.model;
                 let map = found.map(level, &placement.fit_in(level, &picture.rgb), [rows, columns]);
                 let sensor = maps.map(index, width, height)?;
+                let sensor = registration.map_or_else(|| sensor.clone(), |r| r.apply(&sensor, [height, width]));
                 // The pixel in the middle of each of the model's.
                 let at = |i: usize, side: usize, of: usize| (2 * i + 1) * of / (2 * side);
                 let pairs: Vec<(f32, f32)> = (0..rows * columns)

@@ -111,16 +111,30 @@ pub(super) fn rotation(matches: &[Match], fits: f64) -> Option<DMat3> {
     Some(rotation)
 }
 
-/// The share of the matches, by weight, that fit, and the share of those that lie before the camera.
-pub(super) fn share(motion: &Motion, matches: &[Match], fits: f64) -> (f64, f64) {
+/// How well a motion explains all matches.
+pub(super) struct Fit {
+    /// Share of the matches, by weight, that fit.
+    pub(super) share: f64,
+    /// Share of those that lie before the camera.
+    pub(super) ahead: f64,
+    /// The median length of their parallax, in units of the focal length.
+    pub(super) parallax: f64,
+}
+
+/// Measures how well a motion explains the matches.
+pub(super) fn fit(motion: &Motion, matches: &[Match], fits: f64) -> Fit {
     let (mut all, mut fit, mut ahead) = (0.0, 0.0, 0.0);
+    let mut lengths = Vec::with_capacity(matches.len());
     for m in matches {
         all += m.weight;
         if distance(motion, m).abs() < fits {
             fit += m.weight;
             let (inverse, length, _) = super::triangulate::inverse_depth(motion, m.one, m.other);
             ahead += if inverse * length > -fits { m.weight } else { 0.0 };
+            lengths.push((inverse * length).abs());
         }
     }
-    (fit / all, ahead / (fit + 1e-12))
+    lengths.sort_by(f64::total_cmp);
+    let parallax = lengths.get(lengths.len() / 2).copied().unwrap_or(0.0);
+    Fit { share: fit / all, ahead: ahead / (fit + 1e-12), parallax }
 }

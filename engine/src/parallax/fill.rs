@@ -6,7 +6,7 @@
 use streamsplat_kernels::math::scalar::exp_nonpositive;
 
 /// Width of the filter, in cells.
-const SPACE: f32 = 10.0;
+const SPACE: f32 = 20.0;
 /// Width of the filter, in sums of the colours' differences.
 const RANGE: f32 = 0.3;
 /// Widths of the passes in units of σ, `√3·2^(n−i−1) / √(4ⁿ−1)` with n = 3.

@@ -9,7 +9,8 @@
 //! in the other, `R` and `t` being the camera's motion. [`find`] goes these steps, each in a module of its own:
 //!
 //! 1. Matches of a sparse grid, weighted by texture, where the flow back undoes the flow.
-//! 2. Model selection. A camera that stands, one that only turns, or one plane show no parallax (Hartley & Zisserman, *Multiple View Geometry*, 13.1): `homography`.
+//! 2. Model selection. A camera that stands, one that only turns, or one plane show no parallax (Hartley & Zisserman, *Multiple View Geometry*, 13.1): `homography`. What moves by
+//!    itself before a camera that only turns looks like parallax; where most matches fit a homography that no turn explains the camera moves, and what is left is parallax: `turning`.
 //! 3. The camera's motion by a search of random samples with a fixed number of draws, refined on all matches with robust weights (ibid. 11.4.3, 11.6): `ransac`, `epipolar`.
 //! 4. Inverse depth of every cell of a grid of 2×2 pixels, linear in `ρ` (ibid. 12.2), with a confidence: texture, length of the parallax, distance from the epipolar line, and how
 //!    well the flow back undoes the flow: `triangulate`.
@@ -21,7 +22,7 @@
 //!
 //! | interval | result |
 //! |---|---|
-//! | a camera that stands, one that only turns, one plane, no one motion that half of the matches fit | the inverse depth of the frame before, carried along the flow; its confidence falls from key frame to key frame |
+//! | a camera that stands, one that only turns, one plane, no one motion that half of the matches fit, a median parallax of less than 0.4 pixels of 512 | the inverse depth of the frame before, carried along the flow; its confidence falls from key frame to key frame |
 //! | nothing to carry, or nothing left of its confidence | none: the frame is as without a map |
 //! | flow that is no number | none |
 //! | one inverse depth all over | none |
@@ -40,6 +41,7 @@ mod matches;
 mod moving;
 mod ransac;
 mod triangulate;
+mod turning;
 
 #[cfg(test)]
 mod tests;
@@ -52,13 +54,22 @@ use streamsplat_kernels::philox::Stream;
 pub use filter::Found;
 
 /// Focal length in longer sides of the picture.
-pub const FOCAL: f64 = 0.914;
+pub const FOCAL: f64 = 0.82;
 /// Pixels of a cell's side.
 pub const CELL: usize = 2;
 /// Distance in pixels, of a picture 512 pixels wide, within which a match fits a model.
 const FITS: f64 = 1.0;
-/// Share of the matches that fit a homography from which on the rest is not taken for parallax: it may as well move by itself.
+/// Median length of the flow, in the same pixels, below which the picture stands still.
+const STILL: f64 = 1.0;
+/// Share of the matches that fit a homography from which on the rest is not taken for parallax where a turn may explain
+/// the homography: it may as well move by itself.
 const FLAT: f64 = 0.8;
+/// A turn explains a homography if so large a part of the matches that fit it fit the turn.
+const TURNS: f64 = 0.8;
+/// Share of the matches that a motion must explain beyond those that fit a homography.
+const BEYOND: f64 = 0.05;
+/// Median length of the parallax, in the same pixels, from which on it tells more than the flow's errors do.
+const LEAST_LENGTH: f64 = 0.4;
 
 /// A picture, and the flow that leads from it to an earlier one.
 #[derive(Clone, Copy)]
@@ -76,7 +87,7 @@ pub struct Evidence<'a> {
 pub enum NoParallax {
     /// Most of the picture stands still.
     Still,
-    /// The camera turns, or there is one plane: a homography explains the flow.
+    /// The camera turns, there is one plane, or the parallax is too short: a homography explains the flow.
     Flat,
     /// Too few matches fit any motion of a camera.
     Inconsistent,
@@ -151,20 +162,20 @@ impl Sight<'_> {
 
     fn camera(&self, stream: Stream) -> Result<Motion, NoParallax> {
         let matches = matches::of(self).ok_or(NoParallax::Inconsistent)?;
-        if matches::median_length(&matches) * self.focal < 0.5 * self.unit {
+        if matches::median_length(&matches) * self.focal < STILL * self.unit {
             return Err(NoParallax::Still);
         }
         let fits = FITS * self.unit / self.focal;
         let flat = homography::share(&matches, fits);
-        if flat > FLAT {
+        if flat > FLAT && turning::share(&matches, fits) >= TURNS * flat {
             return Err(NoParallax::Flat);
         }
         let motion = ransac::motion(&matches, fits, stream).ok_or(NoParallax::Inconsistent)?;
-        let (share, ahead) = epipolar::share(&motion, &matches, fits);
-        if share < 0.5 || ahead < 0.75 {
+        let fit = epipolar::fit(&motion, &matches, fits);
+        if fit.share < 0.5 || fit.ahead < 0.75 {
             return Err(NoParallax::Inconsistent);
         }
-        if share < flat + 0.1 {
+        if fit.share < flat + BEYOND || fit.parallax * self.focal < LEAST_LENGTH * self.unit {
             return Err(NoParallax::Flat);
         }
         Ok(motion)

@@ -16,6 +16,9 @@ const SAMPLE: usize = 40;
 const JURY: usize = 400;
 /// Motions that are refined on all matches.
 const BEST: usize = 3;
+/// Distance within which a match counts in that, in those within which it fits. Flow's errors reach over whole regions: of
+/// a short parallax a narrow distance keeps those regions that agree by chance.
+const WITHIN: f64 = 2.0;
 /// Elements of the random stream that a draw has to itself.
 const ELEMENTS: u64 = 64;
 
@@ -44,7 +47,7 @@ pub(super) fn motion(matches: &[Match], fits: f64, stream: Stream) -> Option<Mot
         .iter()
         .take(BEST)
         .filter_map(|(_, motion)| {
-            let motion = refine(*motion, matches.iter(), fits, 8)?;
+            let motion = refine(*motion, matches.iter(), WITHIN * fits, 8)?;
             Some((cost(&motion, matches.iter(), fits), motion))
         })
         .collect();

@@ -127,6 +127,20 @@ fn what_shows_no_parallax_is_told_from_what_does() {
 }
 
 #[test]
+fn a_small_thing_before_one_plane_is_parallax_unless_the_camera_may_only_turn() {
+    // 14 % of the picture stand before a wall, or move before it.
+    let standing: Scene =
+        |x, y| if (60.0..100.0).contains(&x) && (30.0..84.0).contains(&y) { (0.9, [0.0; 2]) } else { (0.4, [0.0; 2]) };
+    let moving: Scene = |x, y| {
+        if (60.0..100.0).contains(&x) && (30.0..84.0).contains(&y) { (0.4, [8.0, 0.0]) } else { (0.4, [0.0; 2]) }
+    };
+    assert_eq!(reason(standing, motion([0.0; 3], [1.0, 0.0, 0.0]), 0.4), None);
+    assert_eq!(reason(moving, motion([0.0, 0.1, 0.02], [1.0, 0.0, 0.0]), 0.0), Some(NoParallax::Flat));
+    // Parallax of less than 0.4 pixels of 512 is none.
+    assert_eq!(reason(planes, motion([0.0, 0.1, 0.02], [1.0, 0.0, 0.0]), 0.001), Some(NoParallax::Flat));
+}
+
+#[test]
 fn flow_that_is_no_number_gives_no_depth() {
     let rgb = picture();
     let nowhere = Field { size: SIZE, u: vec![f32::NAN; SIZE[0] * SIZE[1]], v: vec![f32::NAN; SIZE[0] * SIZE[1]] };

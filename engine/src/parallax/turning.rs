@@ -1,0 +1,30 @@
+//! Cameras that only turn.
+
+use glam::DVec3;
+
+use super::epipolar::rotation;
+use super::matches::Match;
+
+/// Focal lengths that are tried, in parts of the one that is taken: from wide angle to short telephoto.
+const FOCALS: [f64; 3] = [0.8, 1.0, 1.25];
+
+/// The largest share of the matches, by weight, that a turn brings to within `fits`, whatever the focal length.
+pub(super) fn share(matches: &[Match], fits: f64) -> f64 {
+    FOCALS.into_iter().map(|focal| share_at(focal, matches, fits)).fold(0.0, f64::max)
+}
+
+fn share_at(focal: f64, matches: &[Match], fits: f64) -> f64 {
+    let at = |d: DVec3| DVec3::new(d.x / focal, d.y / focal, 1.0);
+    let matches: Vec<Match> =
+        matches.iter().map(|m| Match { one: at(m.one), other: at(m.other), weight: m.weight }).collect();
+    let fits = fits / focal;
+    let Some(turn) = rotation(&matches, fits) else { return 0.0 };
+    let (mut all, mut fit) = (0.0, 0.0);
+    for m in &matches {
+        let y = turn * m.one;
+        let (du, dv) = (y.x / y.z - m.other.x, y.y / y.z - m.other.y);
+        all += m.weight;
+        fit += if (du * du + dv * dv).sqrt() < fits { m.weight } else { 0.0 };
+    }
+    fit / all
+}
