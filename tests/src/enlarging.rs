@@ -34,10 +34,7 @@ pub fn enlarging(interval: &Interval, time: f64, truth: &Picture) -> Result<Enla
     };
     let score = |image: &Picture| psnr(image, truth).expect("the source's size");
     let small = draw(Size::Model)?;
-    Ok(Enlarging {
-        drawn: score(&draw(Size::Source)?),
-        enlarged: score(&bicubic(&small, truth.width, truth.height)),
-    })
+    Ok(Enlarging { drawn: score(&draw(Size::Source)?), enlarged: score(&bicubic(&small, truth.width, truth.height)) })
 }
 
 fn bicubic(small: &Picture, width: usize, height: usize) -> Picture {
