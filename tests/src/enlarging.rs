@@ -27,7 +27,7 @@ pub struct Enlarging {
 /// # Panics
 /// Where `truth` is not of the source's size.
 pub fn enlarging(interval: &Interval, time: f64, truth: &Picture) -> Result<Enlarging, RenderError> {
-    let draw = |size| {
+    let draw = |size| -> Result<Picture, RenderError> {
         let options = RenderOptions { size, ..RenderOptions::default() };
         let image = interval.render(time, &Camera::Canonical, &options, workers())?;
         Ok(Picture { width: image.width, height: image.height, rgb: image.rgb })

@@ -45,6 +45,15 @@ impl Score {
         self.on_object += usize::from((truth.on_object)(found));
     }
 
+    fn extend(&mut self, others: Vec<Self>) {
+        for other in others {
+            self.points += other.points;
+            self.lost += other.lost;
+            self.errors.extend(other.errors);
+            self.on_object += other.on_object;
+        }
+    }
+
     /// Median end-point error in pixels.
     fn median(&mut self) -> f64 {
         self.errors.sort_by(f64::total_cmp);
@@ -153,14 +162,15 @@ fn the_engine_alone_keeps_points_on_a_fast_sprite_that_turns() {
 
 /// With the embedded model as it runs by default, which is held to `bounds`, and to half of the median error of the network's own motion.
 fn embedded(kind: ClipKind, what: &str, bounds: &[Bound]) {
-    let mut ours = followed_by(Settings::default(), kind, bounds);
+    let clip = Clip::new(kind, 1, WIDTH, HEIGHT);
+    let mut ours = followed_by(Settings::default(), &clip, FPS, bounds).0;
     let network = Settings {
         resolution: Some(Resolution::Native),
         motion: Some(MotionFrom::Network),
         refine: Some(0),
         ..Settings::default()
     };
-    for (ours, network) in ours.iter_mut().zip(&mut followed_by(network, kind, &bounds[..1])) {
+    for (ours, network) in ours.iter_mut().zip(&mut followed_by(network, &clip, FPS, &bounds[..1]).0) {
         let (ours, network) = (ours.median(), network.median());
         println!("{what}, {} key frames: {ours:.3} pixels, by the network's motion {network:.3}", bounds[0].0);
         assert!(ours <= 0.5 * network, "{what}: {ours:.3} pixels, by the network's motion {network:.3}");
@@ -168,15 +178,14 @@ fn embedded(kind: ClipKind, what: &str, bounds: &[Bound]) {
     report(what, &mut ours, bounds);
 }
 
-fn followed_by(settings: Settings, kind: ClipKind, bounds: &[Bound]) -> Vec<Score> {
-    let (width, height) = (256, 144);
-    let clip = Clip::new(kind, 1, width, height);
-    let times = clip::times(frames(bounds) + 1, 48.0);
+/// Scores at the bounds' key frames, and the number of key frames whose depth was found.
+fn followed_by(settings: Settings, clip: &Clip, fps: f64, bounds: &[Bound]) -> (Vec<Score>, usize) {
+    let times = clip::times(frames(bounds) + 1, fps);
     let truths = clip.tracks(&times);
     let mut engine = Engine::new(settings).expect("starts");
     let push = |engine: &mut Engine, time: f64| {
         let rgb = clip.picture(time).rgb;
-        engine.push(Frame { width, height, rgb, depth: None }, time).expect("taken")
+        engine.push(Frame { width: WIDTH, height: HEIGHT, rgb, depth: None }, time).expect("taken")
     };
     let first = push(&mut engine, times[0]);
     let seen: Vec<_> = truths.iter().filter(|t| t.points[0].visible).collect();
@@ -185,8 +194,10 @@ fn followed_by(settings: Settings, kind: ClipKind, bounds: &[Bound]) -> Vec<Scor
     };
     let mut followed = Followed(seen.iter().map(start).collect());
     let mut scores: Vec<Score> = bounds.iter().map(|_| Score::default()).collect();
+    let mut with_depth = 0;
     for (k, &time) in times.iter().enumerate().skip(1) {
         let interval = push(&mut engine, time);
+        with_depth += usize::from(engine.resume_point().is_some_and(|point| point.found.is_some()));
         let found = followed.through(&interval);
         let Some(which) = bounds.iter().position(|bound| bound.0 == k) else { continue };
         let surfaces = clip.picture(time).surface;
@@ -194,14 +205,21 @@ fn followed_by(settings: Settings, kind: ClipKind, bounds: &[Bound]) -> Vec<Scor
             let point = truth.points[k];
             let on_object = |[x, y]: [f64; 2]| {
                 let inside = |v: f64, side: usize| (v > -0.5 && v < side as f64 - 0.5).then(|| v.round() as usize);
-                let pixel = inside(x, width).zip(inside(y, height));
-                pixel.is_some_and(|(x, y)| surfaces[y * width + x] == truth.surface)
+                let pixel = inside(x, WIDTH).zip(inside(y, HEIGHT));
+                pixel.is_some_and(|(x, y)| surfaces[y * WIDTH + x] == truth.surface)
             };
             scores[which].add(found, &Truth { at: point.at, visible: point.visible, on_object: &on_object });
         }
     }
-    scores
+    (scores, with_depth)
 }
+
+const WIDTH: usize = 256;
+const HEIGHT: usize = 144;
+/// Key frames a second.
+const FPS: f64 = 48.0;
+/// The same where the camera has to move far enough between them for depth to be found.
+const FPS_OF_PARALLAX: f64 = 12.0;
 
 // Twice what is found: a track that is lost at once or goes its own way does not stay within them.
 const STANDING: [Bound; 3] = [(10, 3.0, 0.9), (30, 7.0, 0.6), (100, 150.0, 0.0)];
@@ -215,6 +233,27 @@ fn points_before_a_standing_camera_are_followed_by_the_embedded_model() {
 #[test]
 fn points_before_a_moving_camera_are_followed_by_the_embedded_model() {
     embedded(ClipKind::Moving, "embedded model, moving camera", &MOVING[..2]);
+}
+
+#[test]
+fn found_depth_leaves_points_where_they_are_followed_to() {
+    let bounds = &MOVING[..1];
+    let (mut with, mut without) = (Score::default(), Score::default());
+    for seed in 1..=4 {
+        let clip = Clip::new(ClipKind::Moving, seed, WIDTH, HEIGHT);
+        let followed = |find_depth| {
+            followed_by(Settings { find_depth, ..Settings::default() }, &clip, FPS_OF_PARALLAX, bounds)
+        };
+        let ((a, found), (b, none)) = (followed(true), followed(false));
+        println!("scene {seed}: depth found for {found} of {} key frames", bounds[0].0);
+        assert!(found > 0 && none == 0, "scene {seed}: depth found for {found} key frames, and for {none} without --depth auto");
+        with.extend(a);
+        without.extend(b);
+    }
+    let [(with, kept), (without, before)] = [with, without].map(|mut score| (score.median(), score.share()));
+    println!("found depth: {with:.3} pixels and {kept:.3} on their objects, without {without:.3} and {before:.3}");
+    assert!(with < 1.1 * without + 0.1, "{with:.3} pixels, without depth {without:.3}");
+    assert!(kept > before - 0.05, "{kept:.3} on their objects, without depth {before:.3}");
 }
 
 #[test]

@@ -25,7 +25,7 @@ use streamsplat_kernels::parallel::map_indexed;
 use streamsplat_kernels::raster::ALPHA_MIN;
 use streamsplat_model::StaticGaussians;
 
-use super::fuse::fuse;
+use super::fuse::{Meeting, fuse};
 use super::identities::Identities;
 use super::matching::Lattice;
 use super::reconstructor::Motion;
@@ -82,6 +82,8 @@ pub(crate) struct Step<'a> {
     pub(crate) backward: &'a Motion,
     /// Seconds between the two.
     pub(crate) length: f64,
+    /// Whether a depth map lifts the Gaussians of either frame: a frame's map says nothing about another's, so depth does not tell them apart.
+    pub(crate) lifted: bool,
     /// Height and width of the image the Gaussians lie on.
     pub(crate) image: [usize; 2],
     pub(crate) fusion: Fusion,
@@ -119,8 +121,13 @@ impl CanonicalSet {
                 Vec::new()
             }
             Fusion::Persistent => {
-                let lattice = Lattice::new(step.cells, step.image);
-                let fused = fuse(lattice, step.max_age, frame, &mut old, &mut new, &mut identities);
+                let meeting = Meeting {
+                    frame,
+                    lattice: Lattice::new(step.cells, step.image),
+                    lifted: step.lifted,
+                    max_age: step.max_age,
+                };
+                let fused = fuse(meeting, &mut old, &mut new, &mut identities);
                 out.merges = fused.merges;
                 fused.survivors
             }

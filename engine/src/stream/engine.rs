@@ -209,6 +209,7 @@ impl Engine {
                     forward: &motion[0],
                     backward: &motion[1],
                     length,
+                    lifted: state.view.map.is_some() || view.map.is_some(),
                     image: placement.model,
                     fusion: settings.fusion,
                     max_age: settings.max_age.0,

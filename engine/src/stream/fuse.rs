@@ -19,23 +19,36 @@ pub(super) struct Fused {
     pub(super) survivors: Vec<Record>,
 }
 
-/// Matches old and new Gaussians at key frame `frame`; gives the new ones their identities and both their handovers.
+/// Where and how frames meet.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Meeting {
+    /// Index of the new key frame.
+    pub(super) frame: u64,
+    pub(super) lattice: Lattice,
+    /// As [`Step::lifted`](super::canonical::Step): depth does not tell Gaussians apart, and a tracked point takes the new one's.
+    pub(super) lifted: bool,
+    pub(super) max_age: u32,
+}
+
+/// Matches old and new Gaussians at a key frame; gives the new ones their identities and both their handovers.
 pub(super) fn fuse(
-    lattice: Lattice,
-    max_age: u32,
-    frame: u64,
+    Meeting { frame, lattice, lifted, max_age }: Meeting,
     old: &mut [Record],
     new: &mut [Arrival],
     identities: &mut Identities,
 ) -> Fused {
     let ends: Vec<[f32; 3]> = old.par_iter().with_min_len(CHUNK).map(|r| r.position_at(1.0)).collect();
+    let radii = |scale| {
+        let [x, y, z] = lattice.radii(scale);
+        [x, if lifted { f32::INFINITY } else { y }, z]
+    };
     let probes: Vec<Probe> = old
         .par_iter()
         .with_min_len(CHUNK)
         .zip(&ends)
         .map(|(r, end)| Probe {
             point: std::array::from_fn(|axis| end[axis] + r.offset[axis]),
-            radii: lattice.radii(r.scale),
+            radii: radii(r.scale),
             recent: r.frame + 1 == frame,
         })
         .collect();
@@ -64,6 +77,9 @@ pub(super) fn fuse(
                 record.identity = old[parent].identity;
                 record.birth = old[parent].birth;
                 record.offset = std::array::from_fn(|axis| probes[parent].point[axis] - record.mean[axis]);
+                if lifted {
+                    record.offset[1] = 0.0;
+                }
             }
         }
     });

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use streamsplat_model::StaticGaussians;
 
 use super::canonical::{Advance, CanonicalSet, Step};
-use super::fuse::fuse;
+use super::fuse::{Meeting, fuse};
 use super::identities::Identities;
 use super::matching::Lattice;
 use super::reconstructor::Motion;
@@ -30,13 +30,14 @@ struct Stream {
     set: CanonicalSet,
     gaussians: Arc<StaticGaussians>,
     max_age: u32,
+    lifted: bool,
 }
 
 impl Stream {
     fn new(places: &[[f32; 3]], max_age: u32) -> (Self, Advance) {
         let gaussians = frame(places);
         let (set, advance) = CanonicalSet::first(&gaussians);
-        (Self { set, gaussians, max_age }, advance)
+        (Self { set, gaussians, max_age, lifted: false }, advance)
     }
 
     /// The next frame, with the velocities of the Gaussians of the one before.
@@ -49,6 +50,7 @@ impl Stream {
             forward: &moving(forward),
             backward: &moving(&vec![[0.0; 3]; places.len()]),
             length,
+            lifted: self.lifted,
             image: [100, 100],
             fusion: Fusion::Persistent,
             max_age: self.max_age,
@@ -105,8 +107,8 @@ fn what_nothing_continues_keeps_its_pace_and_halves_in_every_interval() {
 fn a_survivor_keeps_the_colour_it_had_at_the_key_frame() {
     let rate = [0.3, -0.2, 0.0];
     let mut old = [Record { rgb: [0.1, 0.7, 0.5], rgb_rate: rate, opacity: 0.8, ..Record::default() }];
-    let lattice = Lattice::new(0, [100, 100]);
-    let fused = fuse(lattice, 8, 1, &mut old, &mut [], &mut Identities::from(1));
+    let meeting = Meeting { frame: 1, lattice: Lattice::new(0, [100, 100]), lifted: false, max_age: 8 };
+    let fused = fuse(meeting, &mut old, &mut [], &mut Identities::from(1));
     let [survivor] = fused.survivors[..] else { panic!("expected one survivor, found {}", fused.survivors.len()) };
     assert_eq!(survivor.rgb_rate, [0.0; 3]);
     for t in [0.0, 0.5, 1.0] {
@@ -160,4 +162,19 @@ fn identities_pass_on_emerge_and_merge() {
     // The tracked point stays where the motion took it, not where the lattice put the Gaussian.
     let carried = ends[100].mean[0] + ends[100].offset[0];
     assert!((carried + 0.4).abs() < 1e-6, "{carried}");
+}
+
+#[test]
+fn identities_pass_on_to_a_frame_that_is_lifted_and_take_its_depth() {
+    let start = floor();
+    let far: Vec<[f32; 3]> = start.iter().map(|[x, _, z]| [*x, 0.1, *z]).collect();
+    for lifted in [false, true] {
+        let (stream, first) = Stream::new(&start, 8);
+        let mut stream = Stream { lifted, ..stream };
+        let advance = stream.push(&far, &vec![STILL; start.len()], 1.0);
+        let ends: Vec<Record> = advance.gaussians.iter().filter(|r| r.reference == Reference::End).collect();
+        let passed_on = ends.iter().zip(&first.gaussians.identity).filter(|(r, i)| r.identity == **i).count();
+        assert_eq!(passed_on, if lifted { start.len() } else { 0 });
+        assert!(ends.iter().all(|r| r.offset == [0.0; 3]));
+    }
 }
