@@ -220,8 +220,9 @@ impl Engine {
                     let predicted = work.time(Stage::Flow, || flows.predicted(level, views));
                     let mut targets = targets(&seen, settings.refine_every() as usize);
                     targets.extend(predicted.iter().map(|(t, rgb)| Target { t: *t, rgb }));
-                    let (rates, taken) = work
-                        .time(Stage::Colours, || fitter.rates(&advance.gaussians, &targets, placement.model, steps));
+                    let (rates, taken) = work.time(Stage::Colours, || {
+                        fitter.rates(&advance.gaussians, &targets, placement.model, step.lifted, steps)
+                    });
                     work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
                     advance.gaussians.rgb_rate = rates;
                     set.recolour_survivors(&advance.gaussians);
