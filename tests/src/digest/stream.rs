@@ -31,34 +31,54 @@ pub(super) fn things() -> Vec<Thing> {
                 refine: Some(3),
                 ..Settings::with_model(ModelSource::File { checkpoint, dinov2: None })
             };
-            seen(level, digest, &settings, [120, 72]);
+            seen(level, digest, &settings, [120, 72], None);
         }),
         // A grid of the source's shape, smaller than the model's.
         Thing::new("stream/embedded-frames", |level, digest| {
             let settings = Settings { motion: Some(MotionFrom::Frames), refine: Some(2), ..Settings::default() };
-            seen(level, digest, &settings, [80, 48]);
+            seen(level, digest, &settings, [80, 48], None);
+        }),
+        // Lifted to the depth of the clip, and to the depth that is found in it.
+        Thing::new("stream/embedded-given-depth", |level, digest| {
+            let settings = Settings { motion: Some(MotionFrom::Frames), refine: Some(2), ..Settings::default() };
+            seen(level, digest, &settings, [80, 48], Some(Depth::Given));
+        }),
+        Thing::new("stream/embedded-found-depth", |level, digest| {
+            let settings =
+                Settings { motion: Some(MotionFrom::Frames), refine: Some(2), find_depth: true, ..Settings::default() };
+            seen(level, digest, &settings, [160, 96], Some(Depth::Found));
         }),
         // Without the dynamic half, colours fitted to every second frame, products of bytes.
         Thing::new("stream/embedded-realtime", |level, digest| {
-            seen(level, digest, &Settings::of_quality(Quality::Realtime), [80, 48]);
+            seen(level, digest, &Settings::of_quality(Quality::Realtime), [80, 48], None);
         }),
     ]
 }
 
+/// What Gaussians are lifted to.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Depth {
+    Given,
+    Found,
+}
+
 /// Three key frames with two frames between each two, which the engine is given.
-fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]: [usize; 2]) {
+fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]: [usize; 2], depth: Option<Depth>) {
     let settings = Settings { level: Some(level), threads: rayon::current_num_threads(), ..settings.clone() };
     let mut engine = Engine::new(settings).expect("an engine");
     let clip = Clip::new(ClipKind::Moving, 4, width, height);
     let frame = |k: usize| {
         let time = 0.05 * k as f64;
         let picture = clip.picture(time);
-        (Frame { width: picture.width, height: picture.height, rgb: picture.rgb, depth: None }, time)
+        let given = (depth == Some(Depth::Given)).then_some(picture.inverse_depth);
+        (Frame { width: picture.width, height: picture.height, rgb: picture.rgb, depth: given }, time)
     };
     for k in [0, 3, 6] {
         let (key, time) = frame(k);
         let between = (k.saturating_sub(2)..k).map(frame).collect();
         let interval = engine.push_with(between, key, time).expect("an interval");
+        let found = engine.resume_point().is_some_and(|point| point.found.is_some());
+        assert_eq!(found, depth == Some(Depth::Found) && k > 0, "depth found for key frame {k}");
         records(digest, &interval);
         interval.gaussians.rgb_rate.iter().for_each(|rate| digest.floats(rate));
         for at in [0.0, 0.4] {
