@@ -168,8 +168,13 @@ impl Engine {
             Some(state) => Flows::new(level, &mut self.work, [&state.view, &view], &seen, self.settings.flow),
         };
         let found = self.found(tiles, &view, flows.as_ref(), index);
-        let map = view.own_map(tiles).or_else(|| found.as_ref().and_then(|found| view.found_map(level, found)));
-        let map = map.map(|map| aligned(level, map, &view, self.state.as_ref(), flows.as_ref()));
+        let own = view.own_map(tiles);
+        let own = own.map(|map| aligned(level, map, &view, self.state.as_ref(), flows.as_ref()));
+        // What is found has one scale already.
+        let map = own.or_else(|| {
+            let map = view.found_map(level, found.as_ref()?)?;
+            Some(AlignedMap { map, alignment: Alignment::default() })
+        });
         self.context(tiles).finish(&mut view, map);
         let Self { settings, work, fitter, state: before, .. } = self;
         let mut next_pair = None;
