@@ -9,7 +9,8 @@
 //!   survivors, keep their velocity in the scene's own time, the colour they had at the key frame, and fade: [`FADE`](super::fuse::FADE) as γ₀ at least,
 //!   γ₁ = 0, opacity counted from what it was there.
 //! - **Fuse.** Frame k+1's Gaussians join with their backward field. Identities pass on one to one; old Gaussians that coincide with
-//!   a new one but pass on nothing end as [merged](Merge) into it. What coincides with nothing is vanishing.
+//!   a new one but pass on nothing end as [merged](Merge) into it. What coincides with nothing is vanishing. Where a depth map lifts either frame, depth counts for nothing here,
+//!   a tracked point takes the new Gaussian's, and those that only stand behind others meet their like and never become survivors.
 //! - **Hand over.** Old Gaussians that are continued fade out over the last eighth of the interval, new ones fade in over the
 //!   first. So at a key frame the image holds the frame's own Gaussians and the vanishing ones, whichever interval it is seen from,
 //!   and crossing it changes no bit.
@@ -59,6 +60,8 @@ pub(crate) struct CanonicalSet {
     pub(super) current: Vec<Current>,
     /// The frame's arrays.
     pub(super) gaussians: Arc<StaticGaussians>,
+    /// How many of them lie on the model's lattice; the others stand [behind](super::lift) these.
+    pub(super) cells: usize,
     pub(super) identities: Identities,
 }
 
@@ -92,8 +95,8 @@ pub(crate) struct Step<'a> {
 
 impl CanonicalSet {
     /// The set after the first frame, and its static scene.
-    pub(crate) fn first(gaussians: &Arc<StaticGaussians>) -> (Self, Advance) {
-        let mut set = Self { gaussians: gaussians.clone(), ..Self::default() };
+    pub(crate) fn first(gaussians: &Arc<StaticGaussians>, cells: usize) -> (Self, Advance) {
+        let mut set = Self { gaussians: gaussians.clone(), cells, ..Self::default() };
         let mut out = Advance::default();
         for cell in 0..gaussians.position.len() {
             let mut record = still(gaussians, cell, 0);
@@ -112,7 +115,7 @@ impl CanonicalSet {
     pub(crate) fn advance(&self, step: &Step<'_>) -> (Self, Advance) {
         let frame = self.frame + 1;
         let mut out = Advance::default();
-        let mut old = self.updated(step, &mut out.dropped);
+        let (mut old, seen) = self.updated(step, &mut out.dropped);
         let mut new = arriving(step, frame, &mut out.dropped);
         let mut identities = self.identities.clone();
         let survivors = match step.fusion {
@@ -124,6 +127,7 @@ impl CanonicalSet {
                 let meeting = Meeting {
                     frame,
                     lattice: Lattice::new(step.cells, step.image),
+                    seen: [seen, new.partition_point(|arrival| (arrival.cell as usize) < step.cells)],
                     lifted: step.lifted,
                     max_age: step.max_age,
                 };
@@ -143,8 +147,15 @@ impl CanonicalSet {
         let of_new =
             new.par_chunks(CHUNK).map(|arrivals| arrivals.iter().filter(|a| a.shown).map(|a| a.record).collect());
         out.gaussians = DynamicGaussians::concat(&of_old.chain(of_new).collect::<Vec<DynamicGaussians>>());
-        let set =
-            Self { frame, length: step.length, survivors, current, gaussians: step.gaussians.clone(), identities };
+        let set = Self {
+            frame,
+            length: step.length,
+            survivors,
+            current,
+            gaussians: step.gaussians.clone(),
+            cells: step.cells,
+            identities,
+        };
         (set, out)
     }
 
@@ -163,8 +174,8 @@ impl CanonicalSet {
         }
     }
 
-    /// The old Gaussians over the new interval: survivors, then the frame at its start.
-    fn updated(&self, step: &Step<'_>, dropped: &mut u64) -> Vec<Record> {
+    /// The old Gaussians over the new interval: survivors, then the frame at its start; and how many come before those that stand behind others.
+    fn updated(&self, step: &Step<'_>, dropped: &mut u64) -> (Vec<Record>, usize) {
         let mut old = Vec::with_capacity(self.survivors.len() + self.current.len());
         // The same velocity in the scene's own time.
         let longer = step.length / self.length;
@@ -183,12 +194,15 @@ impl CanonicalSet {
                 ..still(&self.gaussians, cell, self.frame)
             }
         }));
+        let lattice = self.current.partition_point(|current| (current.cell as usize) < self.cells);
+        let mut seen = self.survivors.len() + lattice;
         let before = old.len();
         if !old.par_iter().with_min_len(CHUNK).all(Record::is_sound) {
+            seen = old[..seen].iter().filter(|record| record.is_sound()).count();
             old.retain(Record::is_sound);
         }
         *dropped += (before - old.len()) as u64;
-        old
+        (old, seen)
     }
 }
 

@@ -179,7 +179,7 @@ impl Engine {
         let Self { settings, work, fitter, state: before, .. } = self;
         let mut next_pair = None;
         let (set, advance) = match before {
-            None => CanonicalSet::first(&view.gaussians),
+            None => CanonicalSet::first(&view.gaussians, view.cells()),
             Some(state) => {
                 let views = [&state.view, &view];
                 let mut network = fixed(views.map(|view| view.gaussians.position.len()));

@@ -25,34 +25,36 @@ pub(super) struct Meeting {
     /// Index of the new key frame.
     pub(super) frame: u64,
     pub(super) lattice: Lattice,
-    /// As [`Step::lifted`](super::canonical::Step): depth does not tell Gaussians apart, and a tracked point takes the new one's.
+    /// How many old and new Gaussians come before those that stand [behind](super::lift) others, which are not kept.
+    pub(super) seen: [usize; 2],
+    /// As [`Step::lifted`](super::canonical::Step): depth does not tell Gaussians apart, but those that stand behind others meet their like; a tracked point takes the new one's depth.
     pub(super) lifted: bool,
     pub(super) max_age: u32,
 }
 
 /// Matches old and new Gaussians at a key frame; gives the new ones their identities and both their handovers.
 pub(super) fn fuse(
-    Meeting { frame, lattice, lifted, max_age }: Meeting,
+    Meeting { frame, lattice, seen, lifted, max_age }: Meeting,
     old: &mut [Record],
     new: &mut [Arrival],
     identities: &mut Identities,
 ) -> Fused {
     let ends: Vec<[f32; 3]> = old.par_iter().with_min_len(CHUNK).map(|r| r.position_at(1.0)).collect();
-    let radii = |scale| {
-        let [x, y, z] = lattice.radii(scale);
-        [x, if lifted { f32::INFINITY } else { y }, z]
+    let layer = |behind: bool| if behind { 1.0 } else { 0.0 };
+    let probe = |(i, (r, end)): (usize, (&Record, &[f32; 3]))| {
+        let mut point = std::array::from_fn(|axis| end[axis] + r.offset[axis]);
+        let mut radii = lattice.radii(r.scale);
+        if lifted {
+            (point[1], radii[1]) = (layer(i >= seen[0]), 0.5);
+        }
+        Probe { point, radii, recent: r.frame + 1 == frame }
     };
-    let probes: Vec<Probe> = old
-        .par_iter()
-        .with_min_len(CHUNK)
-        .zip(&ends)
-        .map(|(r, end)| Probe {
-            point: std::array::from_fn(|axis| end[axis] + r.offset[axis]),
-            radii: radii(r.scale),
-            recent: r.frame + 1 == frame,
-        })
-        .collect();
-    let positions: Vec<[f32; 3]> = new.par_iter().with_min_len(CHUNK).map(|a| a.record.mean).collect();
+    let probes: Vec<Probe> = old.par_iter().zip(&ends).enumerate().with_min_len(CHUNK).map(probe).collect();
+    let position = |(i, arrival): (usize, &Arrival)| {
+        let [x, y, z] = arrival.record.mean;
+        [x, if lifted { layer(i >= seen[1]) } else { y }, z]
+    };
+    let positions: Vec<[f32; 3]> = new.par_iter().enumerate().with_min_len(CHUNK).map(position).collect();
     let matches = match_up(lattice, &probes, &positions);
 
     let mut passed_on = vec![false; old.len()];
@@ -99,7 +101,9 @@ pub(super) fn fuse(
                             out.merges.push(Merge { identity: record.identity, into });
                         }
                     }
-                    None if frame - record.frame > u64::from(max_age) => record.handover = Handover::Leaves,
+                    None if i >= seen[0] || frame - record.frame > u64::from(max_age) => {
+                        record.handover = Handover::Leaves
+                    }
                     None => out.survivors.extend(survivor(record, ends[i])),
                 }
             }

@@ -31,13 +31,15 @@ struct Stream {
     gaussians: Arc<StaticGaussians>,
     max_age: u32,
     lifted: bool,
+    /// How many of a frame's Gaussians, the last, stand behind others.
+    behind: usize,
 }
 
 impl Stream {
     fn new(places: &[[f32; 3]], max_age: u32) -> (Self, Advance) {
         let gaussians = frame(places);
-        let (set, advance) = CanonicalSet::first(&gaussians);
-        (Self { set, gaussians, max_age, lifted: false }, advance)
+        let (set, advance) = CanonicalSet::first(&gaussians, places.len());
+        (Self { set, gaussians, max_age, lifted: false, behind: 0 }, advance)
     }
 
     /// The next frame, with the velocities of the Gaussians of the one before.
@@ -46,7 +48,7 @@ impl Stream {
         let gaussians = frame(places);
         let step = Step {
             gaussians: &gaussians,
-            cells: places.len(),
+            cells: places.len() - self.behind,
             forward: &moving(forward),
             backward: &moving(&vec![[0.0; 3]; places.len()]),
             length,
@@ -107,7 +109,7 @@ fn what_nothing_continues_keeps_its_pace_and_halves_in_every_interval() {
 fn a_survivor_keeps_the_colour_it_had_at_the_key_frame() {
     let rate = [0.3, -0.2, 0.0];
     let mut old = [Record { rgb: [0.1, 0.7, 0.5], rgb_rate: rate, opacity: 0.8, ..Record::default() }];
-    let meeting = Meeting { frame: 1, lattice: Lattice::new(0, [100, 100]), lifted: false, max_age: 8 };
+    let meeting = Meeting { frame: 1, lattice: Lattice::new(0, [100, 100]), seen: [1, 0], lifted: false, max_age: 8 };
     let fused = fuse(meeting, &mut old, &mut [], &mut Identities::from(1));
     let [survivor] = fused.survivors[..] else { panic!("expected one survivor, found {}", fused.survivors.len()) };
     assert_eq!(survivor.rgb_rate, [0.0; 3]);
@@ -177,4 +179,23 @@ fn identities_pass_on_to_a_frame_that_is_lifted_and_take_its_depth() {
         assert_eq!(passed_on, if lifted { start.len() } else { 0 });
         assert!(ends.iter().all(|r| r.offset == [0.0; 3]));
     }
+}
+
+#[test]
+fn what_stands_behind_others_meets_its_like_and_is_not_kept() {
+    // Ten of the floor, and as many behind these; behind the last one there is nothing any more.
+    let front = floor();
+    let places = |behind: usize| -> Vec<[f32; 3]> {
+        front.iter().copied().chain(front[..behind].iter().map(|[x, _, z]| [*x, 0.2, *z])).collect()
+    };
+    let (set, first) = CanonicalSet::first(&frame(&places(10)), front.len());
+    let gaussians = frame(&places(10));
+    let mut stream = Stream { set, gaussians, max_age: 8, lifted: true, behind: 9 };
+    let advance = stream.push(&places(9), &[STILL; 110], 1.0);
+    let ends: Vec<Record> = advance.gaussians.iter().filter(|r| r.reference == Reference::End).collect();
+    let identities: Vec<u64> = ends.iter().map(|r| r.identity).collect();
+    assert_eq!(identities, first.gaussians.identity[..109]);
+    let lonely = advance.gaussians.iter().find(|r| r.identity == first.gaussians.identity[109]).expect("it lives");
+    assert_eq!(lonely.handover, Handover::Leaves);
+    assert!(advance.merges.is_empty() && stream.set.survivors.is_empty());
 }
