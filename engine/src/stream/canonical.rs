@@ -85,7 +85,7 @@ pub(crate) struct Step<'a> {
     pub(crate) backward: &'a Motion,
     /// Seconds between the two.
     pub(crate) length: f64,
-    /// Whether a depth map lifts the Gaussians of either frame: a frame's map says nothing about another's, so depth does not tell them apart.
+    /// True if a depth map lifts the Gaussians of either frame: a frame's map says nothing about another's, so depth does not tell them apart.
     pub(crate) lifted: bool,
     /// Height and width of the image the Gaussians lie on.
     pub(crate) image: [usize; 2],

@@ -55,7 +55,7 @@ pub(super) fn things() -> Vec<Thing> {
     ]
 }
 
-/// What Gaussians are lifted to.
+/// Depth that Gaussians are lifted to.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Depth {
     Given,

@@ -22,8 +22,8 @@
 //! | values beyond [0, 1], after normalisation | held to it |
 //! | inverted | taken at its word: the scene is inside out |
 //!
-//! Maps are [aligned](align) with those of the frames before, along optical flow; without flow (`--motion network`)
-//! each is taken as it is.
+//! Maps that are given are [aligned](align) with those of the frames before, along optical flow; without flow
+//! (`--motion network`) each is taken as it is. Depth [found](crate::parallax) in the stream has one scale already.
 
 use rayon::prelude::*;
 use streamsplat_model::StaticGaussians;
