@@ -60,9 +60,27 @@ pub(crate) struct CanonicalSet {
     pub(super) current: Vec<Current>,
     /// The frame's arrays.
     pub(super) gaussians: Arc<StaticGaussians>,
-    /// How many of them lie on the model's lattice; the others stand [behind](super::lift) these.
-    pub(super) cells: usize,
+    /// In which layers they lie.
+    pub(super) layers: Layers,
     pub(super) identities: Identities,
+}
+
+/// Layers of a frame's Gaussians, one after another: the model's own; those that a [lift](super::lift) adds along edges;
+/// those that it adds behind others.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Layers {
+    /// How many are the model's own, on its lattice.
+    pub(crate) cells: usize,
+    /// How many do not stand behind others.
+    pub(crate) seen: usize,
+}
+
+impl Layers {
+    /// Layers of a frame that only has Gaussians of the model.
+    #[cfg(test)]
+    pub(crate) fn of_cells(cells: usize) -> Self {
+        Self { cells, seen: cells }
+    }
 }
 
 /// The content of an interval.
@@ -77,8 +95,8 @@ pub(crate) struct Advance {
 pub(crate) struct Step<'a> {
     /// The new key frame's Gaussians.
     pub(crate) gaussians: &'a Arc<StaticGaussians>,
-    /// How many of them lie on the model's lattice.
-    pub(crate) cells: usize,
+    /// In which layers they lie.
+    pub(crate) layers: Layers,
     /// Motion of the frame before.
     pub(crate) forward: &'a Motion,
     /// Motion of the new frame.
@@ -95,8 +113,8 @@ pub(crate) struct Step<'a> {
 
 impl CanonicalSet {
     /// The set after the first frame, and its static scene.
-    pub(crate) fn first(gaussians: &Arc<StaticGaussians>, cells: usize) -> (Self, Advance) {
-        let mut set = Self { gaussians: gaussians.clone(), cells, ..Self::default() };
+    pub(crate) fn first(gaussians: &Arc<StaticGaussians>, layers: Layers) -> (Self, Advance) {
+        let mut set = Self { gaussians: gaussians.clone(), layers, ..Self::default() };
         let mut out = Advance::default();
         for cell in 0..gaussians.position.len() {
             let mut record = still(gaussians, cell, 0);
@@ -115,7 +133,7 @@ impl CanonicalSet {
     pub(crate) fn advance(&self, step: &Step<'_>) -> (Self, Advance) {
         let frame = self.frame + 1;
         let mut out = Advance::default();
-        let (mut old, seen) = self.updated(step, &mut out.dropped);
+        let (mut old, of_old) = self.updated(step, &mut out.dropped);
         let mut new = arriving(step, frame, &mut out.dropped);
         let mut identities = self.identities.clone();
         let survivors = match step.fusion {
@@ -126,8 +144,9 @@ impl CanonicalSet {
             Fusion::Persistent => {
                 let meeting = Meeting {
                     frame,
-                    lattice: Lattice::new(step.cells, step.image),
-                    seen: [seen, new.partition_point(|arrival| (arrival.cell as usize) < step.cells)],
+                    lattice: Lattice::new(step.layers.cells, step.image),
+                    lasting: of_old.cells,
+                    seen: [of_old.seen, new.partition_point(|arrival| (arrival.cell as usize) < step.layers.seen)],
                     lifted: step.lifted,
                     max_age: step.max_age,
                 };
@@ -153,7 +172,7 @@ impl CanonicalSet {
             survivors,
             current,
             gaussians: step.gaussians.clone(),
-            cells: step.cells,
+            layers: step.layers,
             identities,
         };
         (set, out)
@@ -174,8 +193,8 @@ impl CanonicalSet {
         }
     }
 
-    /// The old Gaussians over the new interval: survivors, then the frame at its start; and how many come before those that stand behind others.
-    fn updated(&self, step: &Step<'_>, dropped: &mut u64) -> (Vec<Record>, usize) {
+    /// The old Gaussians over the new interval: survivors, then the frame at its start; and their layers, survivors among the first.
+    fn updated(&self, step: &Step<'_>, dropped: &mut u64) -> (Vec<Record>, Layers) {
         let mut old = Vec::with_capacity(self.survivors.len() + self.current.len());
         // The same velocity in the scene's own time.
         let longer = step.length / self.length;
@@ -194,15 +213,15 @@ impl CanonicalSet {
                 ..still(&self.gaussians, cell, self.frame)
             }
         }));
-        let lattice = self.current.partition_point(|current| (current.cell as usize) < self.cells);
-        let mut seen = self.survivors.len() + lattice;
-        let before = old.len();
+        let before = |end: usize| self.current.partition_point(|current| (current.cell as usize) < end);
+        let mut ends = [self.layers.cells, self.layers.seen].map(|end| self.survivors.len() + before(end));
+        let all = old.len();
         if !old.par_iter().with_min_len(CHUNK).all(Record::is_sound) {
-            seen = old[..seen].iter().filter(|record| record.is_sound()).count();
+            ends = ends.map(|end| old[..end].iter().filter(|record| record.is_sound()).count());
             old.retain(Record::is_sound);
         }
-        *dropped += (before - old.len()) as u64;
-        (old, seen)
+        *dropped += (all - old.len()) as u64;
+        (old, Layers { cells: ends[0], seen: ends[1] })
     }
 }
 

@@ -66,36 +66,36 @@ impl Fitter {
         Self { level, maps: Vec::new(), preparation: Preparation::new(level) }
     }
 
-    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. Gaussians from `cells` on, which stand behind others, keep theirs.
+    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. Gaussians from `seen` on, which stand behind others, keep theirs.
     pub(super) fn key(
         &mut self,
         gaussians: &StaticGaussians,
-        cells: usize,
+        seen: usize,
         frame: &[f32],
         resolution: [usize; 2],
         steps: u32,
     ) -> (Colours, u32) {
-        let mut seen = Snapshot::default();
+        let mut view = Snapshot::default();
         for (i, &position) in gaussians.position.iter().enumerate() {
             let ([sx, sz], opacity, rgb) = (gaussians.scale[i], gaussians.opacity[i], gaussians.rgb[i]);
             let sound = [sx, sz, opacity].iter().chain(&rgb).all(|x| x.is_finite()) && sx >= 0.0 && sz >= 0.0;
             let Some(mean) = to_scene(position).filter(|mean| sound && mean.iter().all(|x| x.is_finite())) else {
                 continue;
             };
-            seen.index.push(i as u32);
-            seen.mean.push(mean);
-            seen.scale.push([sx, sz, (sx + sz) * 0.5]);
-            seen.opacity.push(opacity);
-            seen.rgb.push(rgb);
+            view.index.push(i as u32);
+            view.mean.push(mean);
+            view.scale.push([sx, sz, (sx + sz) * 0.5]);
+            view.opacity.push(opacity);
+            view.rgb.push(rgb);
         }
-        let factor = match cells < gaussians.position.len() {
-            true => seen.index.iter().map(|&i| if (i as usize) < cells { 1.0 } else { 0.0 }).collect(),
+        let factor = match seen < gaussians.position.len() {
+            true => view.index.iter().map(|&i| if (i as usize) < seen { 1.0 } else { 0.0 }).collect(),
             false => Vec::new(),
         };
-        let fitted = vec![self.prepare(0, seen, factor, resolution)];
+        let fitted = vec![self.prepare(0, view, factor, resolution)];
         let Solution { change, steps: taken } = self.solve(&fitted, &[frame], &gaussians.rgb, RIDGE, steps);
         let mut colours = gaussians.rgb.clone();
-        for (colour, change) in colours.iter_mut().zip(change).take(cells) {
+        for (colour, change) in colours.iter_mut().zip(change).take(seen) {
             // What is not finite is dropped later; it is not made finite here.
             *colour = std::array::from_fn(|i| match change[i] == 0.0 {
                 true => colour[i],

@@ -179,7 +179,7 @@ impl Engine {
         let Self { settings, work, fitter, state: before, .. } = self;
         let mut next_pair = None;
         let (set, advance) = match before {
-            None => CanonicalSet::first(&view.gaussians, view.cells()),
+            None => CanonicalSet::first(&view.gaussians, view.layers()),
             Some(state) => {
                 let views = [&state.view, &view];
                 let mut network = fixed(views.map(|view| view.gaussians.position.len()));
@@ -210,7 +210,7 @@ impl Engine {
                 };
                 let step = Step {
                     gaussians: &view.gaussians,
-                    cells: view.cells(),
+                    layers: view.layers(),
                     forward: &motion[0],
                     backward: &motion[1],
                     length,

@@ -25,7 +25,9 @@ pub(super) struct Meeting {
     /// Index of the new key frame.
     pub(super) frame: u64,
     pub(super) lattice: Lattice,
-    /// How many old and new Gaussians come before those that stand [behind](super::lift) others, which are not kept.
+    /// How many old Gaussians are the model's own: what a [lift](super::lift) adds is not kept.
+    pub(super) lasting: usize,
+    /// How many old and new Gaussians come before those that stand behind others.
     pub(super) seen: [usize; 2],
     /// As [`Step::lifted`](super::canonical::Step): depth does not tell Gaussians apart, but those that stand behind others meet their like; a tracked point takes the new one's depth.
     pub(super) lifted: bool,
@@ -34,7 +36,7 @@ pub(super) struct Meeting {
 
 /// Matches old and new Gaussians at a key frame; gives the new ones their identities and both their handovers.
 pub(super) fn fuse(
-    Meeting { frame, lattice, seen, lifted, max_age }: Meeting,
+    Meeting { frame, lattice, lasting, seen, lifted, max_age }: Meeting,
     old: &mut [Record],
     new: &mut [Arrival],
     identities: &mut Identities,
@@ -101,7 +103,7 @@ pub(super) fn fuse(
                             out.merges.push(Merge { identity: record.identity, into });
                         }
                     }
-                    None if i >= seen[0] || frame - record.frame > u64::from(max_age) => {
+                    None if i >= lasting || frame - record.frame > u64::from(max_age) => {
                         record.handover = Handover::Leaves
                     }
                     None => out.survivors.extend(survivor(record, ends[i])),

@@ -6,8 +6,9 @@ use std::sync::Arc;
 use streamsplat_model::{Embedding, FrameInput, Sampling, StaticGaussians};
 
 use super::between::FlowView;
+use super::canonical::Layers;
 use super::colours::Fitter;
-use super::lift::{Alignment, DepthMap, lift, normalise_most};
+use super::lift::{Added, Alignment, DepthMap, lift, normalise_most};
 use super::tiles::{Tile, Tiles};
 use super::work::Stage;
 use super::{Behind, DepthRange, EngineError, Frame, MotionFrom, SamplingMode, Settings, Work};
@@ -24,8 +25,8 @@ pub(super) struct KeyView {
     /// The Gaussians of all tiles, in the frame's world, lifted to the frame's depth and with colours that fit the frame where that is asked for; none before
     /// [`Context::finish`].
     pub(super) gaussians: Arc<StaticGaussians>,
-    /// Of the last of these, which stand behind others, the places whose motion they have.
-    pub(super) behind: Vec<[f32; 3]>,
+    /// The last of these, which the lift added.
+    pub(super) added: Added,
     /// The map that they are lifted to, in the scale of the frames before.
     pub(super) map: Option<AlignedMap>,
     /// Where motion is taken from frames.
@@ -34,17 +35,18 @@ pub(super) struct KeyView {
 }
 
 impl KeyView {
-    /// Number of the model's own Gaussians, which come first.
-    pub(super) fn cells(&self) -> usize {
-        self.gaussians.position.len() - self.behind.len()
+    /// Numbers of the model's own Gaussians and of those that are seen.
+    pub(super) fn layers(&self) -> Layers {
+        let cells = self.gaussians.position.len() - self.added.moving.len();
+        Layers { cells, seen: cells + self.added.outline }
     }
 
     /// Places at which the motion of each Gaussian is seen.
     pub(super) fn moving(&self) -> Cow<'_, [[f32; 3]]> {
-        if self.behind.is_empty() {
+        if self.added.moving.is_empty() {
             return Cow::Borrowed(&self.gaussians.position);
         }
-        Cow::Owned([&self.gaussians.position[..self.cells()], &self.behind].concat())
+        Cow::Owned([&self.gaussians.position[..self.layers().cells], &self.added.moving].concat())
     }
 
     /// Rows and columns of pixels.
@@ -116,7 +118,7 @@ impl Context<'_> {
             ),
         };
         let gaussians = Arc::default();
-        Ok((KeyView { rgb, depth, tiles, gaussians, behind: Vec::new(), map: None, flow, resolution }, lost))
+        Ok((KeyView { rgb, depth, tiles, gaussians, added: Added::default(), map: None, flow, resolution }, lost))
     }
 
     /// Puts the Gaussians of a frame's tiles together, lifts them to `map` and fits their colours, where either is asked for.
@@ -127,7 +129,7 @@ impl Context<'_> {
         };
         if let Some(before) = self.before.filter(unchanged) {
             view.gaussians = before.gaussians.clone();
-            view.behind = before.behind.clone();
+            view.added = before.added.clone();
             view.map = map;
             return;
         }
@@ -136,22 +138,24 @@ impl Context<'_> {
         if let Some(AlignedMap { map, .. }) = &map {
             let behind = self.settings.behind == Behind::On;
             let gaussians = Arc::make_mut(&mut view.gaussians);
-            view.behind = self.work.measure(Stage::Lift, || lift(gaussians, map, &view.rgb, behind));
-            self.work.count(Stage::Behind, view.behind.len() as u64, 0);
+            view.added = self.work.measure(Stage::Lift, || lift(gaussians, map, &view.rgb, behind));
+            let Added { outline, moving } = &view.added;
+            self.work.count(Stage::Outline, *outline as u64, 0);
+            self.work.count(Stage::Behind, (moving.len() - outline) as u64, 0);
         }
         view.map = map;
-        let cells = view.cells();
-        view.gaussians = self.coloured(view.gaussians.clone(), cells, &view.rgb);
+        let seen = view.layers().seen;
+        view.gaussians = self.coloured(view.gaussians.clone(), seen, &view.rgb);
     }
 
     /// The Gaussians with colours that fit the frame, where that is asked for.
-    fn coloured(&mut self, gaussians: Arc<StaticGaussians>, cells: usize, frame: &[f32]) -> Arc<StaticGaussians> {
+    fn coloured(&mut self, gaussians: Arc<StaticGaussians>, seen: usize, frame: &[f32]) -> Arc<StaticGaussians> {
         let steps = self.settings.refine();
         if steps == 0 {
             return gaussians;
         }
         let (fitter, resolution) = (&mut *self.fitter, self.tiles.resolution);
-        let (rgb, taken) = self.work.time(Stage::Colours, || fitter.key(&gaussians, cells, frame, resolution, steps));
+        let (rgb, taken) = self.work.time(Stage::Colours, || fitter.key(&gaussians, seen, frame, resolution, steps));
         self.work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
         Arc::new(StaticGaussians { rgb, ..Arc::unwrap_or_clone(gaussians) })
     }

@@ -62,7 +62,7 @@ impl Engine {
         workers.install(|| {
             let (placement, view) =
                 self.see(frame, point.frame, point.timestamp, point.depth.into(), point.found.as_ref())?;
-            let (gaussians, cells) = (Arc::clone(&view.gaussians), view.cells());
+            let (gaussians, layers) = (Arc::clone(&view.gaussians), view.layers());
             let found = point.found.as_ref().and_then(|found| found.contradiction(placement.model));
             if let Some(reason) = found.or_else(|| point.contradiction(gaussians.position.len())) {
                 return Err(EngineError::ResumePoint { index: point.frame, reason });
@@ -73,7 +73,7 @@ impl Engine {
                 survivors: point.survivors.clone(),
                 current: point.current.clone(),
                 gaussians,
-                cells,
+                layers,
                 identities: Identities::from(point.next_identity),
             };
             let (frame, timestamp) = (point.frame, point.timestamp);

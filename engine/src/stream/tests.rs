@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use streamsplat_model::StaticGaussians;
 
-use super::canonical::{Advance, CanonicalSet, Step};
+use super::canonical::{Advance, CanonicalSet, Layers, Step};
 use super::fuse::{Meeting, fuse};
 use super::identities::Identities;
 use super::matching::Lattice;
@@ -31,15 +31,17 @@ struct Stream {
     gaussians: Arc<StaticGaussians>,
     max_age: u32,
     lifted: bool,
-    /// How many of a frame's Gaussians, the last, stand behind others.
+    /// How many of a frame's Gaussians, after the model's own, are seen along edges.
+    outline: usize,
+    /// How many, the last, stand behind others.
     behind: usize,
 }
 
 impl Stream {
     fn new(places: &[[f32; 3]], max_age: u32) -> (Self, Advance) {
         let gaussians = frame(places);
-        let (set, advance) = CanonicalSet::first(&gaussians, places.len());
-        (Self { set, gaussians, max_age, lifted: false, behind: 0 }, advance)
+        let (set, advance) = CanonicalSet::first(&gaussians, Layers::of_cells(places.len()));
+        (Self { set, gaussians, max_age, lifted: false, outline: 0, behind: 0 }, advance)
     }
 
     /// The next frame, with the velocities of the Gaussians of the one before.
@@ -48,7 +50,7 @@ impl Stream {
         let gaussians = frame(places);
         let step = Step {
             gaussians: &gaussians,
-            cells: places.len() - self.behind,
+            layers: Layers { cells: places.len() - self.outline - self.behind, seen: places.len() - self.behind },
             forward: &moving(forward),
             backward: &moving(&vec![[0.0; 3]; places.len()]),
             length,
@@ -109,7 +111,8 @@ fn what_nothing_continues_keeps_its_pace_and_halves_in_every_interval() {
 fn a_survivor_keeps_the_colour_it_had_at_the_key_frame() {
     let rate = [0.3, -0.2, 0.0];
     let mut old = [Record { rgb: [0.1, 0.7, 0.5], rgb_rate: rate, opacity: 0.8, ..Record::default() }];
-    let meeting = Meeting { frame: 1, lattice: Lattice::new(0, [100, 100]), seen: [1, 0], lifted: false, max_age: 8 };
+    let lattice = Lattice::new(0, [100, 100]);
+    let meeting = Meeting { frame: 1, lattice, lasting: 1, seen: [1, 0], lifted: false, max_age: 8 };
     let fused = fuse(meeting, &mut old, &mut [], &mut Identities::from(1));
     let [survivor] = fused.survivors[..] else { panic!("expected one survivor, found {}", fused.survivors.len()) };
     assert_eq!(survivor.rgb_rate, [0.0; 3]);
@@ -188,9 +191,9 @@ fn what_stands_behind_others_meets_its_like_and_is_not_kept() {
     let places = |behind: usize| -> Vec<[f32; 3]> {
         front.iter().copied().chain(front[..behind].iter().map(|[x, _, z]| [*x, 0.2, *z])).collect()
     };
-    let (set, first) = CanonicalSet::first(&frame(&places(10)), front.len());
+    let (set, first) = CanonicalSet::first(&frame(&places(10)), Layers::of_cells(front.len()));
     let gaussians = frame(&places(10));
-    let mut stream = Stream { set, gaussians, max_age: 8, lifted: true, behind: 9 };
+    let mut stream = Stream { set, gaussians, max_age: 8, lifted: true, outline: 0, behind: 9 };
     let advance = stream.push(&places(9), &[STILL; 110], 1.0);
     let ends: Vec<Record> = advance.gaussians.iter().filter(|r| r.reference == Reference::End).collect();
     let identities: Vec<u64> = ends.iter().map(|r| r.identity).collect();
@@ -198,4 +201,21 @@ fn what_stands_behind_others_meets_its_like_and_is_not_kept() {
     let lonely = advance.gaussians.iter().find(|r| r.identity == first.gaussians.identity[109]).expect("it lives");
     assert_eq!(lonely.handover, Handover::Leaves);
     assert!(advance.merges.is_empty() && stream.set.survivors.is_empty());
+}
+
+#[test]
+fn what_is_seen_along_edges_meets_what_is_seen_and_is_not_kept() {
+    // One of the floor is followed by one along an edge; another one along an edge goes away.
+    let front = floor();
+    let [last, away] = [front[front.len() - 1], [0.0, 0.5, 5.0]];
+    let start: Vec<[f32; 3]> = front.iter().copied().chain([away]).collect();
+    let layers = Layers { cells: front.len(), seen: front.len() + 1 };
+    let (set, first) = CanonicalSet::first(&frame(&start), layers);
+    let mut stream = Stream { set, gaussians: frame(&start), max_age: 8, lifted: true, outline: 1, behind: 0 };
+    let end: Vec<[f32; 3]> = front[..front.len() - 1].iter().copied().chain([last]).collect();
+    let advance = stream.push(&end, &vec![STILL; start.len()], 1.0);
+    let ends: Vec<u64> =
+        advance.gaussians.iter().filter(|r| r.reference == Reference::End).map(|r| r.identity).collect();
+    assert_eq!(ends, first.gaussians.identity[..front.len()]);
+    assert!(stream.set.survivors.is_empty());
 }

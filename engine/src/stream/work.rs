@@ -38,13 +38,14 @@ pub(crate) enum Stage {
     Flow,
     Parallax,
     Lift,
+    Outline,
     Behind,
     Fusion,
     Colours,
 }
 
 impl Stage {
-    const ALL: [(Stage, &'static str, &'static str); 12] = [
+    const ALL: [(Stage, &'static str, &'static str); 13] = [
         (Stage::Fit, "fit", "frames"),
         (Stage::Encoder, "encoder", "tiles"),
         (Stage::Upsampler, "upsampler", "tiles"),
@@ -54,6 +55,7 @@ impl Stage {
         (Stage::Flow, "flow", "pairs of frames"),
         (Stage::Parallax, "parallax", "intervals"),
         (Stage::Lift, "lift", "frames"),
+        (Stage::Outline, "outline", "Gaussians"),
         (Stage::Behind, "behind", "Gaussians"),
         (Stage::Fusion, "fusion", "intervals"),
         (Stage::Colours, "colours", "steps"),

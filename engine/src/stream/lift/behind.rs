@@ -1,15 +1,16 @@
 //! Gaussians behind the edges of near things, for views that look past them.
 //!
 //! A key frame shows nothing of what its foreground hides. So behind every Gaussian that lies within [`REACH`] of a
-//! row's length of an edge to something farther stands another one: a little behind the farther
-//! surface, in the mean colour of the first three pixels beyond the edge, in the direction (left, right, up, down) in
-//! which the edge is nearest. From the frame's own camera it is hidden. It moves as what is seen beyond the edge does.
+//! row's length of an edge to something farther stands another one: [`BACK`] behind the farthest of what is seen within
+//! [`AROUND`] pixels of it and of the farther surface, in the mean colour of the first three pixels beyond the edge, in
+//! the direction (left, right, up, down) in which the edge is nearest. From the frame's own camera it is hidden. It moves
+//! as what is seen beyond the edge does.
 
 use rayon::prelude::*;
 use streamsplat_model::StaticGaussians;
 
 use super::edges::Surfaces;
-use super::{depth_of, pixel, with_relief};
+use super::{pixel, y_at};
 
 /// Largest distance from an edge, as a part of a row: a row has so many of it.
 const REACH: usize = 32;
@@ -17,9 +18,10 @@ const REACH: usize = 32;
 const OPACITY: f32 = 0.95;
 /// Standard deviation in pixels.
 const SCALE: f32 = 1.2;
-/// Place within the relief of the farther surface, of which 0.5 is the middle: behind what that surface shows, so that
-/// it covers none of it where it reaches over the edge.
-const BACK: f32 = 0.35;
+/// Pixels around a Gaussian that may be seen beside the one before it.
+const AROUND: usize = 4;
+/// Distance behind what is seen there, in pixels: more than the model's Gaussians are [moved](super::order).
+const BACK: f32 = 10.0;
 
 /// Place and colour of a Gaussian behind another.
 struct Behind {
@@ -29,11 +31,11 @@ struct Behind {
     seen: [f32; 3],
 }
 
-/// Adds Gaussians behind those that stand before something; gives for each the place whose motion is its own.
-pub(super) fn add(gaussians: &mut StaticGaussians, surfaces: &Surfaces<'_>) -> Vec<[f32; 3]> {
+/// Adds Gaussians behind the first `count` where these stand before something; gives for each the place whose motion is its own.
+pub(super) fn add(gaussians: &mut StaticGaussians, count: usize, surfaces: &Surfaces<'_>) -> Vec<[f32; 3]> {
     let [height, width] = surfaces.resolution();
     let found: Vec<Option<Behind>> =
-        gaussians.position.par_iter().with_min_len(256).map(|position| surfaces.behind(*position)).collect();
+        gaussians.position[..count].par_iter().with_min_len(256).map(|position| surfaces.behind(*position)).collect();
     let mut seen = Vec::new();
     for behind in found.into_iter().flatten() {
         gaussians.position.push(behind.position);
@@ -77,11 +79,16 @@ impl Surfaces<'_> {
         }
         let rgb = if count > 0.0 { sum.map(|s| s / count) } else { self.colour(beyond) };
         let middle = |i: usize, side: usize| (2.0 * i as f32 + 1.0) / side as f32 - 1.0;
-        let y = with_relief(depth_of(self.inverse(beyond)), BACK);
+        let mut farthest = depth;
+        for y in row.saturating_sub(AROUND)..(row + AROUND + 1).min(height) {
+            let columns = column.saturating_sub(AROUND)..(column + AROUND + 1).min(width);
+            farthest = self.z()[y * width..][columns].iter().fold(farthest, |a, b| a.max(*b));
+        }
+        let y = y_at(farthest + BACK * 2.0 / width as f32);
         Some(Behind {
             position: [x, y, z],
             rgb,
-            seen: [middle(beyond % width, width), y, -middle(beyond / width, height)],
+            seen: [middle(beyond % width, width), y_at(depth), -middle(beyond / width, height)],
         })
     }
 }

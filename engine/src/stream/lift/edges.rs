@@ -13,10 +13,14 @@
 //! its own value where that lies with its side, else the weighted median of the side. Sums run over the window row by
 //! row, in binary32.
 
+use rayon::prelude::*;
+
 use super::{DepthMap, scene_depth};
 
 /// Pixels around a place that are looked at, along rows and columns.
 const REACH: usize = 4;
+/// Pixels in reach, and the place itself.
+const WINDOW: usize = (2 * REACH + 1) * (2 * REACH + 1);
 /// C².
 const COLOUR: f32 = 0.08 * 0.08;
 /// R².
@@ -32,10 +36,11 @@ pub(super) struct Surfaces<'a> {
     map: &'a DepthMap,
     /// z in the scene of each pixel.
     z: Vec<f32>,
+    /// The least and the greatest z within [`REACH`] of each pixel.
+    around: Vec<[f32; 2]>,
     /// Difference of z at an edge.
     tear: f32,
-    /// `[3, H, W]`
-    frame: &'a [f32],
+    colours: Vec<[f32; 3]>,
 }
 
 /// Depth of one place.
@@ -56,8 +61,12 @@ pub(super) fn tear(width: usize) -> f32 {
 }
 
 impl<'a> Surfaces<'a> {
-    pub(super) fn new(map: &'a DepthMap, frame: &'a [f32]) -> Self {
-        Self { map, z: map.inverse.iter().map(|d| scene_depth(*d)).collect(), tear: tear(map.resolution[1]), frame }
+    /// The surfaces of a frame `[3, H, W]` with this map.
+    pub(super) fn new(map: &'a DepthMap, frame: &[f32]) -> Self {
+        let z: Vec<f32> = map.inverse.iter().map(|d| scene_depth(*d)).collect();
+        let area = z.len();
+        let colours = (0..area).map(|at| std::array::from_fn(|channel| frame[channel * area + at])).collect();
+        Self { map, around: around(&z, map.resolution), z, tear: tear(map.resolution[1]), colours }
     }
 
     fn edge(&self, a: f32, b: f32) -> bool {
@@ -79,15 +88,20 @@ impl<'a> Surfaces<'a> {
         self.tear
     }
 
-    /// The map's value of a pixel.
-    pub(super) fn inverse(&self, pixel: usize) -> f32 {
-        self.map.inverse[pixel]
-    }
-
     /// The colour of a pixel.
     pub(super) fn colour(&self, pixel: usize) -> [f32; 3] {
-        let area = self.z.len();
-        std::array::from_fn(|channel| self.frame[channel * area + pixel])
+        self.colours[pixel]
+    }
+
+    /// Returns true if an edge lies within so many pixels along the row or the column.
+    pub(super) fn edge_within(&self, row: usize, column: usize, pixels: f32) -> bool {
+        let at = row * self.map.resolution[1] + column;
+        let [near, far] = self.around[at];
+        let [along_row, along_column] = match self.edge(near, far) {
+            true => self.clear(row, column, self.z[at]),
+            false => return false,
+        };
+        along_row.min(along_column) < pixels
     }
 
     /// Depth at the pixel in this row and column.
@@ -96,19 +110,14 @@ impl<'a> Surfaces<'a> {
         let rows = row.saturating_sub(REACH)..(row + REACH + 1).min(height);
         let columns = column.saturating_sub(REACH)..(column + REACH + 1).min(width);
         let own = row * width + column;
-        let (mut near, mut far) = (f32::INFINITY, f32::NEG_INFINITY);
-        for y in rows.clone() {
-            for z in &self.z[y * width + columns.start..y * width + columns.end] {
-                (near, far) = (near.min(*z), far.max(*z));
-            }
-        }
+        let [near, far] = self.around[own];
         if !self.edge(near, far) {
             return Place { inverse: self.map.inverse[own], near: false, clear: [f32::INFINITY; 2] };
         }
         let middle = 0.5 * (near + far);
         let c0 = self.colour(own);
-        let mut sides: [Vec<(f32, f32)>; 2] = Default::default();
-        let mut weights = [0.0f32; 2];
+        let mut sides = [[(0.0f32, 0.0f32); WINDOW]; 2];
+        let (mut counts, mut weights) = ([0; 2], [0.0f32; 2]);
         for y in rows {
             for x in columns.clone() {
                 let at = y * width + x;
@@ -119,12 +128,13 @@ impl<'a> Surfaces<'a> {
                 let w = alike * alike / (1.0 + dx.mul_add(dx, dy * dy) / NEARBY);
                 let side = usize::from(self.z[at] > middle);
                 weights[side] += w;
-                sides[side].push((self.z[at], w));
+                sides[side][counts[side]] = (self.z[at], w);
+                counts[side] += 1;
             }
         }
         let own_side = usize::from(self.z[own] > middle);
         let side = if weights[1 - own_side] > DECISIVE * weights[own_side] { 1 - own_side } else { own_side };
-        let z = median(&mut sides[side], weights[side]);
+        let z = median(&mut sides[side][..counts[side]], weights[side]);
         let inverse =
             if side == own_side && !self.edge(z, self.z[own]) { self.map.inverse[own] } else { super::map_value(z) };
         Place { inverse, near: side == 0, clear: self.clear(row, column, scene_depth(inverse)) }
@@ -146,9 +156,29 @@ impl<'a> Surfaces<'a> {
     }
 }
 
-/// The value at which half of the weight is reached, ascending; values by their order among equals.
+/// The least and the greatest z within [`REACH`] of each pixel, along rows and then along columns.
+fn around(z: &[f32], [height, width]: [usize; 2]) -> Vec<[f32; 2]> {
+    let join = |[a, b]: [f32; 2], [c, d]: [f32; 2]| [a.min(c), b.max(d)];
+    let near = |at: usize, side: usize| at.saturating_sub(REACH)..(at + REACH + 1).min(side);
+    let all = |values: &[[f32; 2]]| values.iter().copied().fold([f32::INFINITY, f32::NEG_INFINITY], join);
+    let own: Vec<[f32; 2]> = z.iter().map(|z| [*z; 2]).collect();
+    let rows = own.par_chunks(width);
+    let along_rows: Vec<[f32; 2]> =
+        rows.flat_map_iter(|row| (0..width).map(move |x| all(&row[near(x, width)]))).collect();
+    let row = |y: usize| {
+        let mut joined = vec![[f32::INFINITY, f32::NEG_INFINITY]; width];
+        for other in near(y, height) {
+            let other = &along_rows[other * width..][..width];
+            joined.iter_mut().zip(other).for_each(|(joined, other)| *joined = join(*joined, *other));
+        }
+        joined
+    };
+    (0..height).into_par_iter().flat_map_iter(row).collect()
+}
+
+/// The value at which half of the weight is reached, ascending; equal values by their weights.
 fn median(values: &mut [(f32, f32)], total: f32) -> f32 {
-    values.sort_by(|a, b| a.0.total_cmp(&b.0));
+    values.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let mut sum = 0.0;
     for (value, weight) in values.iter() {
         sum += weight;

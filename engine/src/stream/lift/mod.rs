@@ -2,16 +2,16 @@
 //!
 //! A model that ignores depth ([`Reconstructor::ignores_depth`](super::Reconstructor::ignores_depth)) gives every
 //! Gaussian of a frame a place on a nearly flat card, in an order that makes the picture. Where the frame has a
-//! [`DepthMap`], each Gaussian takes the map's depth at its centre instead, on its own side of an [edge](edges), and
-//! keeps the model's relief, which orders neighbours on one surface:
+//! [`DepthMap`], each Gaussian takes the map's depth at its centre instead, on its own side of an [edge](edges), moved
+//! by what it takes to keep that [order] among its neighbours on one surface:
 //!
 //! ```text
-//! y = FAR + (NEAR − FAR)·d + RELIEF·(y_model − ½)·(9.8·y₀ + 0.2)²/9.8        d: the map, 0 farthest to 1 nearest; y₀: the first two terms
+//! y = FAR + (NEAR − FAR)·d        d: the map, 0 farthest to 1 nearest
 //! ```
 //!
-//! so that the relief is the same length in the scene at any depth. Standard deviations become [`NARROWER`], and before
-//! an edge so narrow that little of a Gaussian reaches over it. Where nothing was seen behind an edge, Gaussians are
-//! [added](behind). Colours are fitted afterwards.
+//! Standard deviations become [`NARROWER`], and before an edge so narrow that little of a Gaussian reaches over it; what
+//! the picture loses by that Gaussians of a pixel's size along its [outline] give back. Where nothing was seen behind an
+//! edge, Gaussians are [added](behind). Colours are fitted afterwards.
 //!
 //! # Maps that tell little
 //!
@@ -34,6 +34,8 @@ mod align;
 mod behind;
 mod edges;
 mod fill;
+mod order;
+mod outline;
 
 pub(super) use align::{Alignment, Link, align};
 pub(super) use fill::normalise_most;
@@ -43,14 +45,8 @@ pub const FAR: f32 = 0.1;
 /// y of what a map calls nearest.
 pub const NEAR: f32 = 0.95;
 
-/// Length in scene units of the model's own relief, were it to fill the whole range of y.
-///
-/// It is what the relief has in the middle of that range as the model gives it: a camera that turns by 10° sorts
-/// neighbours on one surface by their place along the turn unless they are that far apart in depth, and in another
-/// order than the model's the picture comes apart.
-const RELIEF: f32 = 0.37;
 /// Factor on standard deviations: Gaussians that overlap less depend less on their order.
-const NARROWER: f32 = 0.9;
+const NARROWER: f32 = 0.95;
 /// Standard deviation of a Gaussian before an edge per pixel to the edge from its pixel's far side, and the least one
 /// in pixels.
 const TO_EDGE: f32 = 0.35;
@@ -78,24 +74,30 @@ pub(crate) fn map_value(z: f32) -> f32 {
     ((1.0 / z - 0.2) / 9.8 - FAR) / (NEAR - FAR)
 }
 
-/// y of a map's value.
-fn depth_of(inverse: f32) -> f32 {
-    (NEAR - FAR).mul_add(inverse.clamp(0.0, 1.0), FAR)
+/// y of a z in the scene, held to [0, 1].
+fn y_at(z: f32) -> f32 {
+    ((1.0 / z - 0.2) / 9.8).clamp(0.0, 1.0)
 }
 
-/// Lifts the Gaussians of a key frame `[3, H, W]` to its map; with `behind`, adds [Gaussians behind](behind) its
-/// foreground. Gives the places whose motion these have. Where the map tells nothing, since no two of its values
-/// differ, the Gaussians stay as they are.
-pub(super) fn lift(gaussians: &mut StaticGaussians, map: &DepthMap, frame: &[f32], behind: bool) -> Vec<[f32; 3]> {
-    let Some(filled) = map.filled() else { return Vec::new() };
+/// Gaussians that a lift adds after the model's own.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Added {
+    /// How many are seen along edges; the others stand behind these and the model's own.
+    pub(super) outline: usize,
+    /// The places whose motion they have.
+    pub(super) moving: Vec<[f32; 3]>,
+}
+
+/// Lifts the Gaussians of a key frame `[3, H, W]` to its map and makes its [outline] sharp; with `behind`, adds
+/// [Gaussians behind](behind) its foreground. Where the map tells nothing, since no two of its values differ, the
+/// Gaussians stay as they are.
+pub(super) fn lift(gaussians: &mut StaticGaussians, map: &DepthMap, frame: &[f32], behind: bool) -> Added {
+    let Some(filled) = map.filled() else { return Added::default() };
     let [height, width] = filled.resolution;
     let surfaces = Surfaces::new(&filled, frame);
-    let each = gaussians.position.par_iter_mut().zip(&mut gaussians.scale);
-    each.with_min_len(256).for_each(|(position, scale)| {
-        let [x, y, z] = *position;
-        let (Some(column), Some(row)) = (pixel(x, width), pixel(-z, height)) else { return };
-        let place = surfaces.at(row, column);
-        position[1] = with_relief(depth_of(place.inverse), y);
+    let each = gaussians.position.par_iter_mut().zip(&mut gaussians.scale).enumerate();
+    let on_surfaces = each.with_min_len(256).filter_map(|(i, (&mut [x, y, z], scale))| {
+        let place = surfaces.at(pixel(-z, height)?, pixel(x, width)?);
         for axis in 0..2 {
             scale[axis] *= NARROWER;
             if place.near {
@@ -103,16 +105,23 @@ pub(super) fn lift(gaussians: &mut StaticGaussians, map: &DepthMap, frame: &[f32
                 scale[axis] = scale[axis].min((TO_EDGE * (place.clear[axis] + 0.5)).max(LEAST) * unit);
             }
         }
+        let at = [(x + 1.0) * 0.5 * width as f32, (1.0 - z) * 0.5 * height as f32];
+        let sigma = (0.5 * scale[0] * width as f32).max(0.5 * scale[1] * height as f32);
+        let own = order::Lifted { at, sigma, z: scene_depth(place.inverse), rank: y };
+        (y.is_finite() && scale.iter().all(|s| s.is_finite())).then_some((i, own))
     });
-    if behind { behind::add(gaussians, &surfaces) } else { Vec::new() }
-}
-
-/// The depth with the model's own relief.
-fn with_relief(depth: f32, own: f32) -> f32 {
-    // d(1 / (9.8·y + 0.2)) / dy = −9.8 / (9.8·y + 0.2)²
-    let distance = 9.8f32.mul_add(depth, 0.2);
-    let step = distance * distance * (RELIEF / 9.8);
-    (own - 0.5).mul_add(step, depth).clamp(0.0, 1.0)
+    let (indices, lifted): (Vec<usize>, Vec<order::Lifted>) = on_surfaces.unzip();
+    let z = order::keep(&lifted, filled.resolution, surfaces.tear());
+    for (i, z) in indices.into_iter().zip(z) {
+        gaussians.position[i][1] = y_at(z);
+    }
+    let own = gaussians.position.len();
+    let outline = outline::add(gaussians, &surfaces);
+    let mut moving = gaussians.position[own..].to_vec();
+    if behind {
+        moving.extend(behind::add(gaussians, own, &surfaces));
+    }
+    Added { outline, moving }
 }
 
 /// The pixel of a coordinate in [−1, 1] along a side; the nearest one outside, `None` where it is not finite.

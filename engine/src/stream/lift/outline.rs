@@ -1,0 +1,85 @@
+//! Gaussians of a pixel's size along edges of depth.
+//!
+//! Where the model puts Gaussians across an edge, the picture needs them in an order in which near and far ones mix;
+//! lifted, all near ones cover the far ones. So along edges each pixel gets a Gaussian of its own, on its own side, in
+//! its own colour, within [`BAND`] pixels of the edge and where the picture has some contrast. Their colours are fitted
+//! with all others.
+
+use rayon::prelude::*;
+use streamsplat_model::StaticGaussians;
+
+use super::edges::Surfaces;
+use super::{scene_depth, y_at};
+
+/// Pixels from an edge.
+const BAND: f32 = 3.0;
+/// Range of a channel over 3×3 pixels from which on a pixel is not left to the model's Gaussians.
+const CONTRAST: f32 = 0.1;
+/// Standard deviation in pixels.
+const SCALE: f32 = 0.42;
+const OPACITY: f32 = 0.5;
+
+/// Adds the Gaussians of all pixels along edges, row by row; gives how many.
+pub(super) fn add(gaussians: &mut StaticGaussians, surfaces: &Surfaces<'_>) -> usize {
+    let [height, width] = surfaces.resolution();
+    let y = |pixel: usize| {
+        let (row, column) = (pixel / width, pixel % width);
+        let own = surfaces.edge_within(row, column, BAND) && surfaces.contrast(row, column) >= CONTRAST;
+        own.then(|| (pixel, y_at(scene_depth(surfaces.at(row, column).inverse))))
+    };
+    let found: Vec<(usize, f32)> = (0..height * width).into_par_iter().with_min_len(256).filter_map(y).collect();
+    let middle = |i: usize, side: usize| (2.0 * i as f32 + 1.0) / side as f32 - 1.0;
+    for (pixel, y) in &found {
+        gaussians.position.push([middle(pixel % width, width), *y, -middle(pixel / width, height)]);
+        gaussians.scale.push([SCALE * 2.0 / width as f32, SCALE * 2.0 / height as f32]);
+        gaussians.opacity.push(OPACITY);
+        gaussians.rgb.push(surfaces.colour(*pixel));
+    }
+    found.len()
+}
+
+impl Surfaces<'_> {
+    /// The largest range of a channel over the pixels around one and itself.
+    fn contrast(&self, row: usize, column: usize) -> f32 {
+        let [height, width] = self.resolution();
+        let (mut least, mut most) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+        for y in row.saturating_sub(1)..(row + 2).min(height) {
+            for x in column.saturating_sub(1)..(column + 2).min(width) {
+                let rgb = self.colour(y * width + x);
+                for channel in 0..3 {
+                    least[channel] = least[channel].min(rgb[channel]);
+                    most[channel] = most[channel].max(rgb[channel]);
+                }
+            }
+        }
+        (0..3).map(|channel| most[channel] - least[channel]).fold(0.0, f32::max)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{DepthMap, FAR, NEAR};
+    use super::*;
+
+    #[test]
+    fn pixels_along_edges_of_depth_and_colour_get_their_own_on_their_side() {
+        const SIZE: [usize; 2] = [6, 32];
+        let near = |at: usize| at % 32 >= 16;
+        let inverse: Vec<f32> = (0..6 * 32).map(|at| f32::from(u8::from(near(at)))).collect();
+        let map = DepthMap { inverse: inverse.clone(), confidence: None, resolution: SIZE };
+        let rest = vec![0.25; 2 * 6 * 32];
+        for (red, columns) in [(inverse.clone(), 15..17), (vec![0.5; 6 * 32], 0..0)] {
+            let frame = [red, rest.clone()].concat();
+            let mut gaussians = StaticGaussians::default();
+            let added = add(&mut gaussians, &Surfaces::new(&map, &frame));
+            assert_eq!(added, 6 * columns.len(), "where colours differ, within a pixel");
+            assert_eq!(added, gaussians.position.len());
+            for (i, [x, y, _]) in gaussians.position.iter().enumerate() {
+                let column = columns.start + i % columns.len();
+                assert!((x - ((2 * column + 1) as f32 / 32.0 - 1.0)).abs() < 1e-6);
+                assert!((y - if column >= 16 { NEAR } else { FAR }).abs() < 1e-3, "{column}: {y}");
+                assert_eq!(gaussians.rgb[i], [f32::from(u8::from(column >= 16)), 0.25, 0.25]);
+            }
+        }
+    }
+}
