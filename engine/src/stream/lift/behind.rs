@@ -124,4 +124,20 @@ mod tests {
             assert_eq!(behind.seen[0], middle(seen), "column {x}");
         }
     }
+
+    #[test]
+    fn what_stands_behind_stands_behind_all_that_is_seen_beside_it() {
+        // A narrow thing in the middle between a near one and the ground.
+        const SIZE: [usize; 2] = [4, 64];
+        let inverse = |at: usize| match at % 64 {
+            20..40 => 1.0,
+            17..20 => 0.3,
+            _ => 0.0,
+        };
+        let map = DepthMap { inverse: (0..4 * 64).map(inverse).collect(), confidence: None, resolution: SIZE };
+        let frame = vec![0.5; 3 * 4 * 64];
+        let surfaces = Surfaces::new(&map, &frame);
+        let behind = surfaces.behind([41.0 / 64.0 - 1.0, NEAR, 0.1]).expect("an edge is near");
+        assert!(behind.position[1] < FAR, "{}", behind.position[1]);
+    }
 }

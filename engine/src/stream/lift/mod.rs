@@ -71,12 +71,17 @@ pub(crate) fn scene_depth(d: f32) -> f32 {
 
 /// The map's value of a z in the scene.
 pub(crate) fn map_value(z: f32) -> f32 {
-    ((1.0 / z - 0.2) / 9.8 - FAR) / (NEAR - FAR)
+    (y_of(z) - FAR) / (NEAR - FAR)
 }
 
-/// y of a z in the scene, held to [0, 1].
+/// y of a z in the scene.
+fn y_of(z: f32) -> f32 {
+    (1.0 / z - 0.2) / 9.8
+}
+
+/// The same held to [0, 1].
 fn y_at(z: f32) -> f32 {
-    ((1.0 / z - 0.2) / 9.8).clamp(0.0, 1.0)
+    y_of(z).clamp(0.0, 1.0)
 }
 
 /// Gaussians that a lift adds after the model's own.

@@ -1,9 +1,9 @@
 //! Depths at which neighbours on one surface keep the model's order.
 //!
 //! A key frame's picture is made of Gaussians that overlap, drawn in the order of the model's own y. On a surface that
-//! slopes their depths are in another order, and a camera that turns sorts them anew. So each keeps as much room to its
-//! neighbours as it takes that they are drawn in the model's order up to [`SLOPE`] of turn or slope, and moves as
-//! little as that needs:
+//! slopes their depths are in another order, and a camera that turns sorts them anew. So neighbours are moved until there
+//! is as much room between them in depth as it takes that a camera turned by up to [`SLOPE`] draws them in the model's
+//! order:
 //!
 //! ```text
 //! z_j − z_i ≥ SLOPE·|p_i − p_j|        for i before j in the model's order, |p_i − p_j| ≤ WIDE·(σ_i + σ_j),
