@@ -127,11 +127,11 @@ mod tests {
 
     #[test]
     fn what_stands_behind_stands_behind_all_that_is_seen_beside_it() {
-        // A narrow thing in the middle between a near one and the ground.
+        // Something narrow stands between a near thing and the ground.
         const SIZE: [usize; 2] = [4, 64];
         let inverse = |at: usize| match at % 64 {
             20..40 => 1.0,
-            17..20 => 0.3,
+            17..20 => 0.15,
             _ => 0.0,
         };
         let map = DepthMap { inverse: (0..4 * 64).map(inverse).collect(), confidence: None, resolution: SIZE };
