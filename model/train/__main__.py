@@ -181,12 +181,18 @@ def main(arguments=None):
         c.add_argument('--depth', type=float, default=0.0, metavar='WEIGHT', help='let depth move; in `static`, by this weight of the depth loss on procedural scenes (README: what it costs)')
         c.add_argument('--mixed', action='store_true', help='bfloat16 products in upsamplers and heads')
         c.add_argument('--rasteriser', choices=('cpu', 'triton'), help='default: what the device asks for')
+        c.add_argument('--workers', type=int, default=0, help='processes that make batches ahead of time (the batches are the same)')
+        c.add_argument('--tf32', action='store_true', help='products of 10 bits of mantissa, on CUDA')
         c.add_argument('--mean-positions', action='store_true', help='do not sample positions')
 
     def static_options(c):
         c.add_argument('--crop', type=int, nargs=2, help='rows and columns in patches of 8; keep the full width when attention is trained')
         c.add_argument('--attention', action='store_true', help='train the upsampler\'s attention too')
         c.add_argument('--encoder', action='store_true', help='train the encoder too')
+        c.add_argument('--magnified', type=float, default=0.0, metavar='SHARE', help='share of the frames of which a part is shown, 1.1 to 1.9 times larger: what tiles of larger frames look like')
+        c.add_argument('--fit', type=float, default=0.0, metavar='WEIGHT', help='weight of the picture with fitted colours beside that of the network\'s')
+        c.add_argument('--fit-steps', type=int, default=4, help='conjugate gradients of that fit')
+        c.add_argument('--scenes', type=int, default=1, help='procedural scenes of a step, with --depth')
 
     def dynamic_options(c):
         c.add_argument('--procedural', type=float, default=0.15, help='share of procedural scenes')
@@ -269,6 +275,7 @@ def main(arguments=None):
     if o.device == 'cuda' and not torch.cuda.is_available():
         raise SystemExit('--device cuda: this machine has no CUDA device that PyTorch can use')
     torch.set_num_threads(o.threads)
+    torch.backends.cuda.matmul.allow_tf32 = getattr(o, 'tf32', False)
     o.function(o)
 
 

@@ -110,7 +110,13 @@ def keep_frames_apart(net, step=APART):
     """One depth velocity for all Gaussians: the second frame lies `step` behind the first at every time of the interval.
 
     At time t the first frame has moved by step * t and the second by step * (t - 1). Order inside a frame stays as it is. Where depths differ by
-    less than `step` the pair is composited as with equal depths: the first frame in front."""
+    less than `step` the pair is composited as with equal depths: the first frame in front. What `come_forward` wrote is taken out."""
+    one, two, out = (net.gs_dynamic_predictor.gs_layer['xyz_dynamic'].layers[k] for k in '147')
+    v = int(out.weight[1].abs().argmax())
+    if out.weight[1].count_nonzero() == 1 and two.weight[v].count_nonzero() == 1:
+        u = int(two.weight[v].abs().argmax())
+        for p in (one.weight[u], one.bias[u:u + 1], two.weight[v], two.bias[v:v + 1], two.weight[:, u], out.weight[:, v]):
+            p.zero_()
     last = net.gs_dynamic_predictor.gs_layer['xyz_dynamic'].layers['7']
     last.weight[1] = 0
     last.bias[1] = 20                              # tanh is 1 to the last bit

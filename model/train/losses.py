@@ -10,6 +10,9 @@ def log_error(image, truth, floor=1e-4):
     return torch.log((image - truth).pow(2).mean((-3, -2, -1)) + floor).mean()
 
 
+FITTED_FLOOR = 1e-5    # of `log_error` for pictures of fitted colours (50 dB)
+
+
 def psnr(image, truth):
     return -10 * torch.log10((image - truth).pow(2).mean((-3, -2, -1)) + 1e-10)
 

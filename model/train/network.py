@@ -27,6 +27,7 @@ class Config:
     use_dino: bool = False
     encoder_window: int = 0               # 0: full attention
     static_position: str = 'tanh'         # or 'truncated_normal'
+    depth: str = ''                       # 'ignored': the weights ignore the depth channel, so the engine lifts Gaussians by maps instead
 
     @property
     def grid(self):
@@ -406,7 +407,7 @@ def save_official(net, path, dtype=torch.float16):
     from safetensors.torch import save_file
     c = net.config
     save_file({'model.' + k: v.detach().cpu().to(dtype).contiguous() for k, v in net.state_dict().items()}, str(path))
-    entries = {k: v for k, v in asdict(c).items() if k not in ('condition_dim',) and not (k == 'encoder_window' and not v)}
+    entries = {k: v for k, v in asdict(c).items() if k != 'condition_dim' and not (k in ('encoder_window', 'depth') and not v)}
     entries['resolution'] = list(c.resolution)
     with open(str(path).removesuffix('.safetensors') + '.json', 'w') as f:
         json.dump(entries, f, indent=1)

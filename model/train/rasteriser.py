@@ -39,32 +39,69 @@ class Splat(torch.autograd.Function):
     """P [M,N,5] = u, v, var_x, var_y, opacity in pixels; values [M,N,4]; depth key [M,N]; background [M,4] -> image [M,4,H,W], T [M,H,W]."""
 
     @staticmethod
-    def forward(ctx, P, values, key, background, H, W):
-        P, values, key, background = (t.detach().contiguous().float() for t in (P, values, key, background))
+    def paint(P, values, key, background, H, W, _=None):
+        """(image, T, last, the order of the splats): without gradients."""
         M, N = key.shape
         image, T = torch.empty(M, 4, H, W), torch.empty(M, H, W)
         last, order = torch.empty(M, H, W, dtype=torch.int32), torch.empty(M, N, dtype=torch.int32)
         _call('splat_forward', M, N, H, W, P, values, key, background, image, T, last, order)
+        return image, T, last, order
+
+    @staticmethod
+    def pull(P, values, background, T, last, order, G, geometry=True):
+        """The gradients (of P, of values) under G [M,4,H,W]; `geometry`: whether that of P is needed."""
+        gP, gV, G = torch.zeros_like(P), torch.zeros_like(values), G.contiguous().float()
+        _call('splat_backward', *order.shape, *T.shape[1:], P, values, background, T, last, order, G, gP, gV)
+        return gP, gV
+
+    @staticmethod
+    def forward(ctx, P, values, key, background, H, W):
+        P, values, key, background = (t.detach().contiguous().float() for t in (P, values, key, background))
+        image, T, last, order = Splat.paint(P, values, key, background, H, W)
         ctx.save_for_backward(P, values, background, T, last, order)
         ctx.mark_non_differentiable(T)
         return image, T
 
     @staticmethod
     def backward(ctx, G, _):
-        P, values, background, T, last, order = ctx.saved_tensors
-        M, N = order.shape
-        H, W = T.shape[1:]
-        gP, gV, G = torch.zeros_like(P), torch.zeros_like(values), G.contiguous().float()
-        _call('splat_backward', M, N, H, W, P, values, background, T, last, order, G, gP, gV)
-        return gP, gV, None, None, None, None
+        return *Splat.pull(*ctx.saved_tensors, G), None, None, None, None
+
+
+def _splat_class(P, kernels):
+    """`kernels`: 'cpu' or 'triton'; by default what the tensors' device asks for."""
+    if (kernels or ('triton' if P.is_cuda else 'cpu')) == 'cpu':
+        return Splat
+    from .rasteriser_triton import SplatTriton
+    return SplatTriton
 
 
 def splat(P, values, key, background, H, W, kernels=None):
-    """`kernels`: 'cpu' or 'triton'; by default what the tensors' device asks for."""
-    if (kernels or ('triton' if P.is_cuda else 'cpu')) == 'cpu':
-        return Splat.apply(P, values, key, background, H, W)
-    from .rasteriser_triton import SplatTriton
-    return SplatTriton.apply(P, values, key, background, H, W)
+    return _splat_class(P, kernels).apply(P, values, key, background, H, W)
+
+
+@torch.no_grad()
+def fitted_colours(P, rgb, key, background, target, steps, ridge=1e-3, limits=(-0.2, 1.2), kernels=None):
+    """Colours [M,N,3] whose image comes nearest to `target` [M,3,H,W], geometry and order fixed: the fit that the engine makes of a key frame.
+
+    `steps` conjugate gradients from `rgb`, which the ridge keeps them near to, preconditioned by the row sums of the matrix."""
+    kind, (H, W) = _splat_class(P, kernels), target.shape[-2:]
+    P, key, zero = P.contiguous().float(), key.contiguous().float(), torch.zeros_like(background)
+    wide = lambda c, last: torch.cat([c, torch.full_like(c[..., :1], last)], -1).contiguous()
+    image, T, last, lists = kind.paint(P, wide(rgb, 1.0), key, wide(background, 0.0), H, W)
+    zero = wide(zero, 0.0)
+    normal = lambda image: kind.pull(P, wide(rgb, 0.0), zero, T, last, lists, image, False)[1]
+    rest = normal(torch.cat([target - image[:, :3], image[:, 3:]], 1))
+    r, scale = rest[..., :3], 1 / (rest[..., 3:] + ridge)
+    x, p = torch.zeros_like(r), r * scale
+    rz = (r * p).sum(1, keepdim=True)
+    for _ in range(steps):
+        q = normal(kind.paint(P, wide(p, 0.0), key, zero, H, W, lists)[0])[..., :3] + ridge * p
+        a = rz / (p * q).sum(1, keepdim=True).clamp_min(1e-20)
+        x, r = x + a * p, r - a * q
+        z = r * scale
+        after = (r * z).sum(1, keepdim=True)
+        p, rz = z + after / rz.clamp_min(1e-20) * p, after
+    return (rgb + x).clamp(*limits)
 
 
 def opacity_at(gamma, dt):
@@ -73,25 +110,40 @@ def opacity_at(gamma, dt):
     return torch.sigmoid(-g0 * (dt.abs() - g1)) / torch.sigmoid(g0 * g1)
 
 
+def projected(xyz, scale, opacity, H, W, offset=(0, 0)):
+    """World-space Gaussians [M,N,.] in the canonical camera of an H x W image -> P [M,N,5], depth [M,N]."""
+    y = xyz[..., 1]
+    depth = 1.0 / (9.8 * y.clamp(0, 1) + 0.2 + 1e-6)
+    u = ((xyz[..., 0] + 1) * W - 1) * 0.5 - offset[1]
+    v = ((1 - xyz[..., 2]) * H - 1) * 0.5 - offset[0]
+    variance = lambda s, focal: (s * focal) ** 2 + 0.3
+    visible = ((y >= 0) & (y <= 1)).to(y.dtype)
+    return torch.stack([u, v, variance(scale[..., 0], W / 2), variance(scale[..., 1], H / 2), opacity * visible], -1), depth
+
+
 def render(xyz, scale, opacity, rgb, H, W, background, full=None, offset=(0, 0), kernels=None, order=None):
     """World-space Gaussians [M,N,.] in the canonical camera -> image [M,4,H,W] (r, g, b, depth), transmittance [M,H,W].
 
     `full` (rows, columns) and `offset` (row, column) cut a window out of a larger image; y is normalised inverse depth. `order` [M,N]
     takes the place of depth as what Gaussians are sorted by."""
-    full_h, full_w = full or (H, W)
-    y = xyz[..., 1]
-    depth = 1.0 / (9.8 * y.clamp(0, 1) + 0.2 + 1e-6)
-    u = ((xyz[..., 0] + 1) * full_w - 1) * 0.5 - offset[1]
-    v = ((1 - xyz[..., 2]) * full_h - 1) * 0.5 - offset[0]
-    variance = lambda s, focal: (s * focal) ** 2 + 0.3
-    visible = ((y >= 0) & (y <= 1)).to(y.dtype)
-    P = torch.stack([u, v, variance(scale[..., 0], full_w / 2), variance(scale[..., 1], full_h / 2), opacity * visible], -1)
+    P, depth = projected(xyz, scale, opacity, *(full or (H, W)), offset)
     values = torch.cat([rgb, depth[..., None]], -1)
     return splat(P, values, depth.detach() if order is None else order, torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W, kernels)
 
 
 def render_static(g, H, W, background, full=None, offset=(0, 0), kernels=None):
     return render(g['xyz'], g['scale'], g['opacity'][..., 0], g['rgb'], H, W, background, full, offset, kernels)
+
+
+def render_fitted(g, target, background, steps, kernels=None):
+    """Whole frames with colours fitted to `target` [M,3,H,W] (`fitted_colours`) -> image [M,3,H,W].
+
+    The fitted colours are constants: where the squared error is least in them, their own change adds nothing to its gradient."""
+    H, W = target.shape[-2:]
+    P, depth = projected(g['xyz'], g['scale'], g['opacity'][..., 0], H, W)
+    rgb = fitted_colours(P, g['rgb'].detach(), depth, background, target, steps, kernels=kernels)
+    image, _ = splat(P, torch.cat([rgb, torch.zeros_like(rgb[..., :1])], -1), depth.detach(), torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W, kernels)
+    return image[:, :3]
 
 
 def at_times(g, times):

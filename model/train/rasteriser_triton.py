@@ -8,6 +8,7 @@ import triton.language as tl
 
 TILE = 16
 SPLATS = 64                                # per program of the last kernel
+WARPS = 1                                  # per program of the others
 SUMS = 9                                   # per splat and tile: u, v, var_x, var_y, opacity, r, g, b, depth
 
 
@@ -95,7 +96,7 @@ def _forward(P, V, background, entries, starts, image, T_end, last, H, W, column
 
 
 @triton.jit
-def _backward(P, V, background, entries, slots, starts, T_end, last, G, sums, H, W, columns, rows, TILE: tl.constexpr):
+def _backward(P, V, background, entries, slots, starts, T_end, last, G, sums, H, W, columns, rows, TILE: tl.constexpr, GEOMETRY: tl.constexpr):
     k, m, x, y, inside = _place(H, W, columns, rows, TILE)
     at = m * H * W + y * W + x
     T = tl.load(T_end + at, inside, 1.0)
@@ -110,30 +111,31 @@ def _backward(P, V, background, entries, slots, starts, T_end, last, G, sums, H,
         e = stop - 1 - i
         s = tl.load(entries + e)
         raw, a, dx, dy = _alpha(P, s, x, y)
-        f0, f1, f2, f3 = tl.load(V + 4 * s), tl.load(V + 4 * s + 1), tl.load(V + 4 * s + 2), tl.load(V + 4 * s + 3)
         use = (a >= 1 / 255) & (e < end) & inside
         T = tl.where(use, T / (1 - a), T)
         w = tl.where(use, a * T, 0.0)
-        behind = (f0 - b0) * g0 + (f1 - b1) * g1 + (f2 - b2) * g2 + (f3 - b3) * g3
-        q = tl.where(use & (raw <= 0.99), T * behind * raw, 0.0)
         out = sums + 9 * tl.load(slots + e)
-        tl.store(out, tl.sum(q * dx))
-        tl.store(out + 1, tl.sum(q * dy))
-        tl.store(out + 2, tl.sum(q * dx * dx))
-        tl.store(out + 3, tl.sum(q * dy * dy))
-        tl.store(out + 4, tl.sum(q))
         tl.store(out + 5, tl.sum(w * g0))
         tl.store(out + 6, tl.sum(w * g1))
         tl.store(out + 7, tl.sum(w * g2))
         tl.store(out + 8, tl.sum(w * g3))
-        b0 = tl.where(use, a * f0 + (1 - a) * b0, b0)
-        b1 = tl.where(use, a * f1 + (1 - a) * b1, b1)
-        b2 = tl.where(use, a * f2 + (1 - a) * b2, b2)
-        b3 = tl.where(use, a * f3 + (1 - a) * b3, b3)
+        if GEOMETRY:
+            f0, f1, f2, f3 = tl.load(V + 4 * s), tl.load(V + 4 * s + 1), tl.load(V + 4 * s + 2), tl.load(V + 4 * s + 3)
+            behind = (f0 - b0) * g0 + (f1 - b1) * g1 + (f2 - b2) * g2 + (f3 - b3) * g3
+            q = tl.where(use & (raw <= 0.99), T * behind * raw, 0.0)
+            tl.store(out, tl.sum(q * dx))
+            tl.store(out + 1, tl.sum(q * dy))
+            tl.store(out + 2, tl.sum(q * dx * dx))
+            tl.store(out + 3, tl.sum(q * dy * dy))
+            tl.store(out + 4, tl.sum(q))
+            b0 = tl.where(use, a * f0 + (1 - a) * b0, b0)
+            b1 = tl.where(use, a * f1 + (1 - a) * b1, b1)
+            b2 = tl.where(use, a * f2 + (1 - a) * b2, b2)
+            b3 = tl.where(use, a * f3 + (1 - a) * b3, b3)
 
 
 @triton.jit
-def _gather(P, first, count, sums, gP, gV, total, most, SPLATS: tl.constexpr):
+def _gather(P, first, count, sums, gP, gV, total, most, SPLATS: tl.constexpr, GEOMETRY: tl.constexpr):
     """Adds up what the tiles found of each splat, always in the same order."""
     s = tl.program_id(0) * SPLATS + tl.arange(0, SPLATS)
     real = s < total
@@ -144,22 +146,24 @@ def _gather(P, first, count, sums, gP, gV, total, most, SPLATS: tl.constexpr):
     for i in range(0, most):
         more = i < n
         p = sums + 9 * (at + i)
-        x += tl.load(p, more, 0.0)
-        y += tl.load(p + 1, more, 0.0)
-        xx += tl.load(p + 2, more, 0.0)
-        yy += tl.load(p + 3, more, 0.0)
-        o += tl.load(p + 4, more, 0.0)
+        if GEOMETRY:
+            x += tl.load(p, more, 0.0)
+            y += tl.load(p + 1, more, 0.0)
+            xx += tl.load(p + 2, more, 0.0)
+            yy += tl.load(p + 3, more, 0.0)
+            o += tl.load(p + 4, more, 0.0)
         h0 += tl.load(p + 5, more, 0.0)
         h1 += tl.load(p + 6, more, 0.0)
         h2 += tl.load(p + 7, more, 0.0)
         h3 += tl.load(p + 8, more, 0.0)
-    var_x, var_y = tl.load(P + 5 * s + 2, real, 1.0), tl.load(P + 5 * s + 3, real, 1.0)
-    opacity = tl.load(P + 5 * s + 4, real, 1.0)
-    tl.store(gP + 5 * s, -x / var_x, real)
-    tl.store(gP + 5 * s + 1, -y / var_y, real)
-    tl.store(gP + 5 * s + 2, 0.5 * xx / (var_x * var_x), real)
-    tl.store(gP + 5 * s + 3, 0.5 * yy / (var_y * var_y), real)
-    tl.store(gP + 5 * s + 4, tl.where(n > 0, o / tl.where(n > 0, opacity, 1.0), 0.0), real)
+    if GEOMETRY:
+        var_x, var_y = tl.load(P + 5 * s + 2, real, 1.0), tl.load(P + 5 * s + 3, real, 1.0)
+        opacity = tl.load(P + 5 * s + 4, real, 1.0)
+        tl.store(gP + 5 * s, -x / var_x, real)
+        tl.store(gP + 5 * s + 1, -y / var_y, real)
+        tl.store(gP + 5 * s + 2, 0.5 * xx / (var_x * var_x), real)
+        tl.store(gP + 5 * s + 3, 0.5 * yy / (var_y * var_y), real)
+        tl.store(gP + 5 * s + 4, tl.where(n > 0, o / tl.where(n > 0, opacity, 1.0), 0.0), real)
     tl.store(gV + 4 * s, h0, real)
     tl.store(gV + 4 * s + 1, h1, real)
     tl.store(gV + 4 * s + 2, h2, real)
@@ -170,28 +174,39 @@ class SplatTriton(torch.autograd.Function):
     """As rasteriser.Splat."""
 
     @staticmethod
-    def forward(ctx, P, values, key, background, H, W):
-        P, values, key, background = (t.detach().contiguous().float() for t in (P, values, key, background))
-        M = len(key)
-        lists = tile_lists(P, key, H, W)
-        entries, _, starts, _, _ = lists
+    def paint(P, values, key, background, H, W, lists=None):
+        """(image, T, last, lists): without gradients; `lists` of an earlier call with the same P and key spare their making."""
+        M, columns, rows = len(key), -(-W // TILE), -(-H // TILE)
+        if lists is None:
+            lists = tile_lists(P, key, H, W)
+            lists = (*lists, int(lists[-1].max()) if lists[-1].numel() else 0)
         image, T = P.new_empty(M, 4, H, W), P.new_empty(M, H, W)
         last = torch.empty(M, H, W, dtype=torch.int32, device=P.device)
+        _forward[(M * rows * columns,)](P, values, background, lists[0], lists[2], image, T, last, H, W, columns, rows, TILE, num_warps=WARPS)
+        return image, T, last, lists
+
+    @staticmethod
+    def pull(P, values, background, T, last, lists, G, geometry=True):
+        """The gradients (of P, of values) under G [M,4,H,W]; without `geometry` the first is not worked out."""
+        entries, slots, starts, first, count, most = lists
+        (M, N), (H, W) = P.shape[:2], T.shape[1:]
         columns, rows = -(-W // TILE), -(-H // TILE)
-        _forward[(M * rows * columns,)](P, values, background, entries, starts, image, T, last, H, W, columns, rows, TILE)
+        sums = P.new_empty(len(entries), SUMS)
+        gP, gV = torch.empty_like(P), torch.empty_like(values)
+        _backward[(M * rows * columns,)](P, values, background, entries, slots, starts, T, last, G.contiguous().float(), sums, H, W, columns, rows, TILE, geometry,
+                                         num_warps=WARPS)
+        _gather[(-(-M * N // SPLATS),)](P, first, count, sums, gP, gV, M * N, most, SPLATS, geometry)
+        return gP, gV
+
+    @staticmethod
+    def forward(ctx, P, values, key, background, H, W):
+        P, values, key, background = (t.detach().contiguous().float() for t in (P, values, key, background))
+        image, T, last, (*lists, ctx.most) = SplatTriton.paint(P, values, key, background, H, W)
         ctx.save_for_backward(P, values, background, T, last, *lists)
         ctx.mark_non_differentiable(T)
         return image, T
 
     @staticmethod
     def backward(ctx, G, _):
-        P, values, background, T, last, entries, slots, starts, first, count = ctx.saved_tensors
-        M, N = P.shape[:2]
-        H, W = T.shape[1:]
-        columns, rows = -(-W // TILE), -(-H // TILE)
-        sums = P.new_empty(len(entries), SUMS)
-        gP, gV = torch.empty_like(P), torch.empty_like(values)
-        _backward[(M * rows * columns,)](P, values, background, entries, slots, starts, T, last, G.contiguous().float(), sums, H, W, columns, rows, TILE)
-        most = int(count.max()) if count.numel() else 0
-        _gather[(-(-M * N // SPLATS),)](P, first, count, sums, gP, gV, M * N, most, SPLATS)
-        return gP, gV, None, None, None, None
+        P, values, background, T, last, *lists = ctx.saved_tensors
+        return *SplatTriton.pull(P, values, background, T, last, (*lists, ctx.most), G), None, None, None, None

@@ -5,6 +5,7 @@ heads     the deformation heads alone, on tokens of pairs that are worked out on
 flow      decoder, deformation upsampler and velocity head against flow alone, each tensor at a rate from its sensitivity; nothing is rendered
 dynamic   the same tensors and rates, and the opacity head, rendered at both key times and at times between
 """
+import itertools
 import math
 import signal
 import time
@@ -14,7 +15,7 @@ import torch
 
 from . import data, depth, losses, network
 from .optimiser import Mixed, groups_of
-from .rasteriser import render_pair, render_static
+from .rasteriser import render_fitted, render_pair, render_static
 
 
 class Progress:
@@ -42,6 +43,21 @@ class Progress:
 def tensors(batch, device):
     """A batch of numpy arrays where the network is."""
     return {k: torch.from_numpy(v).to(device) for k, v in batch.items()}
+
+
+class _Made(torch.utils.data.Dataset):
+    def __init__(self, make):
+        self.make = make
+
+    def __getitem__(self, step):
+        return self.make(step)
+
+
+def ahead(make, first, workers, device):
+    """make(first), make(first + 1), … as tensors: `workers` processes make them ahead of time; without any, here and when they are asked for."""
+    loader = torch.utils.data.DataLoader(_Made(make), batch_size=None, sampler=itertools.count(first), num_workers=workers, pin_memory=device.type == 'cuda',
+                                         prefetch_factor=4 if workers else None, multiprocessing_context='fork' if workers else None)
+    return iter(loader)
 
 
 def half(o, device):
@@ -110,11 +126,11 @@ class Stage:
             with torch.no_grad():
                 for p in self.trained:
                     self.average[self.names[id(p)]].lerp_(p.detach(), 1 - k)
-            figures.append(dict(figure, loss=float(loss.detach()), gradient=float(norm)))
+            figures.append(dict(figure, loss=loss.detach(), gradient=norm))
             if self.step % self.every == 0:
                 self.progress.tick()
                 row = dict(stage=self.name, step=self.step, minutes=round(self.progress.spent, 3), total_minutes=round(self.before + self.progress.spent, 3))
-                row.update({k: round(float(np.mean([q[k] for q in figures if k in q])), 4) for k in sorted({k for q in figures for k in q})})
+                row.update({k: round(float(np.mean([float(q[k]) for q in figures if k in q])), 4) for k in sorted({k for q in figures for k in q})})
                 self.run.log(row)
                 print(row, flush=True)
                 figures = []
@@ -176,17 +192,25 @@ def static(net, o, run, clips, state=None):
 
 def _static(stage, net, o, clips, encoder):
     h, w = net.config.resolution
-    source = data.Frames(clips, o.seed, o.batch, None if not o.crop else tuple(o.crop))
+    if o.fit and o.crop:
+        raise ValueError('--fit takes whole frames: no --crop')
+    source = data.Frames(clips, o.seed, o.batch, None if not o.crop else tuple(o.crop), o.magnified)
     scenes = data.Pairs(clips, o.seed, 1, middle=0) if o.depth else None
     hooks = depth.kept_lean(net) if o.depth else flat_depth(net)
     sampled = net.gs_predictor.predictor.sampled
 
-    def loss_of(step, f):
+    def batch(step):
         x, place = source.batch(step)
-        if scenes:                                # the last one of the batch is a scene whose depth is known
-            scene, front = scenes.still(step)
-            x = np.concatenate([x, scene])
-        x = torch.from_numpy(x).to(stage.device)
+        if not scenes:
+            return x, place, np.zeros(0, np.float32)
+        of, fronts = zip(*(scenes.still(step, k) for k in range(o.scenes)))       # the last ones of the batch are scenes whose depth is known
+        return np.concatenate([x, *of]), place, np.concatenate(fronts)
+
+    batches = ahead(batch, stage.step, o.workers, stage.device)
+
+    def loss_of(step, f):
+        x, place, front = next(batches)
+        x, place = x.to(stage.device, non_blocking=True), tuple(int(k) for k in place)
         grid = (x.shape[2] // 8, x.shape[3] // 8)
         gen = torch.Generator().manual_seed(o.seed * 1_000_003 + step)
         with torch.set_grad_enabled(encoder):
@@ -200,15 +224,19 @@ def _static(stage, net, o, clips, encoder):
         image, T = render_static(g, x.shape[2], x.shape[3], background, (h, w), (place[0] * 8, place[1] * 8), o.rasteriser)
         # a crop's rim lacks the neighbours that the full frame has
         m = 8 if grid != net.config.grid else 0
-        depths = {}
+        more = {}
         inner = (slice(None), slice(None), slice(m, x.shape[2] - m), slice(m, x.shape[3] - m))
         a, b = image[:, :3][inner], x[inner]
         loss = losses.log_error(a, b) + o.gradient * losses.gradient_l1(a, b) + wide
+        if o.fit:
+            fitted = render_fitted(g, x, background, o.fit_steps, o.rasteriser)
+            loss = loss + o.fit * losses.log_error(fitted, x, losses.FITTED_FLOOR)
+            more['fitted'] = losses.psnr(fitted.detach(), x).mean()
         if scenes:
-            uneven, misplaced = depth.lean_loss(g['xyz'][..., 1], net.config.splat_grid, torch.from_numpy(front).to(stage.device))
+            uneven, misplaced = depth.lean_loss(g['xyz'][..., 1], net.config.splat_grid, front.to(stage.device))
             loss = loss + o.depth * (depth.UNEVEN * uneven + misplaced)
-            depths = dict(uneven=float(uneven.detach()), misplaced=float(misplaced.detach()))
-        return loss, dict(depths, wide=float(wide.detach()), key=float(losses.psnr(a.detach(), b).mean()), transmittance=float(T.mean()))
+            more.update(uneven=uneven.detach(), misplaced=misplaced.detach())
+        return loss, dict(more, wide=wide.detach(), key=losses.psnr(a.detach(), b).mean(), transmittance=T.mean())
 
     stage.go(loss_of, o.until)
     for hook in hooks:
@@ -309,6 +337,10 @@ class Motion:
     def batch(self, step):
         return tensors(self.source.batch(step), self.device)
 
+    def batches(self, first):
+        for b in ahead(self.source.batch, first, self.o.workers, self.device):
+            yield {k: v.to(self.device, non_blocking=True) for k, v in b.items()}
+
     def of(self, b):
         """(end-point error, that of no motion, all Gaussians [2B, N, .])"""
         net = self.net
@@ -328,9 +360,10 @@ def flow(net, o, run, clips, state=None):
     motion = Motion(net, o, clips, 1, 0.05)
     stage = Stage('flow', net, motion.groups, run, o.steps, o.minutes)
     stage.resume(state)
+    batches = motion.batches(stage.step)
 
     def loss_of(step, f):
-        error, still, _ = motion.of(motion.batch(step))
+        error, still, _ = motion.of(next(batches))
         return error, dict(epe=float(error.detach()), epe_zero=float(still))
 
     stage.go(loss_of, o.until)
@@ -343,9 +376,10 @@ def dynamic(net, o, run, clips, state=None):
     stage = Stage('dynamic', net, motion.groups + groups_of(head, 0.0125 * o.rate, 3.75e-3 * o.rate, output=('layers.7',)), run, o.steps, o.minutes)
     stage.resume(state)
     hooks = [] if o.depth else flat_depth(net)
+    batches = motion.batches(stage.step)
 
     def loss_of(step, f):
-        b = motion.batch(step)
+        b = next(batches)
         error, still, g = motion.of(b)
         gen = torch.Generator().manual_seed(o.seed * 1_000_003 + step)
         B, K = b['time'].shape

@@ -55,3 +55,13 @@ def test_a_scene_from_where_it_is_seen_is_the_scene_and_a_plane_from_the_side_is
         else:                                          # what is hidden from here and seen from there does not count
             assert (s['both'][:, 1, :, 2:-2] == 0).any() or not (s['foreground'][:2] > 0.99).any()
     assert planes
+
+
+def test_a_magnified_part_is_softer_and_what_is_not_magnified_stays_as_it_is(clips):
+    plain, all_of_it = (data.Frames(clips, 1, 8, magnified=share).batch(3)[0] for share in (0.0, 1.0))
+    assert plain.shape == all_of_it.shape
+    fine = lambda x: np.abs(np.diff(x, axis=-1)).mean()
+    assert fine(all_of_it) < 0.9 * fine(plain)
+    r = np.random.default_rng(0)
+    flat = data.magnify(r, np.full((48, 64, 3), 77, np.uint8))
+    assert flat.shape == (48, 64, 3) and (flat == 77).all()

@@ -56,6 +56,15 @@ def test_a_checkpoint_survives_saving_and_opening(tmp_path):
         assert torch.equal(a, b), k
 
 
+@pytest.mark.parametrize('more', ({}, dict(depth='ignored')))
+def test_what_is_said_of_depth_is_kept_and_nothing_said_where_nothing_was(more, tmp_path):
+    net = network.StreamSplat(network.Config(hidden_dim=64, resolution=(16, 32), condition_len=8, **more))
+    network.save_official(net, tmp_path / 'a.safetensors')
+    network.save_official(network.open_official(tmp_path / 'a.safetensors'), tmp_path / 'b.safetensors')
+    assert (tmp_path / 'a.json').read_bytes() == (tmp_path / 'b.json').read_bytes()
+    assert json.loads((tmp_path / 'b.json').read_text()).get('depth') == more.get('depth')
+
+
 def test_a_missing_key_is_an_error():
     net = network.StreamSplat(network.Config(hidden_dim=128, resolution=(32, 64), condition_len=32, decoder_layers=1, upsampler_window=32))
     entries = {'model.' + k: v for k, v in net.state_dict().items()}

@@ -4,7 +4,7 @@ import torch
 from conftest import FIXTURES
 from safetensors.torch import load_file
 
-from train.rasteriser import Splat, opacity_at, render, render_pair
+from train.rasteriser import Splat, fitted_colours, opacity_at, render, render_fitted, render_pair
 
 
 def plain(P, values, key, background, H, W):
@@ -97,3 +97,33 @@ def test_the_first_frame_alone_is_the_pair_with_a_second_one_that_cannot_be_seen
     both, alone = render_pair(g, times, 16, 24, background), render_pair({k: t[:, :1] for k, t in g.items()}, times, 16, 24, background)
     torch.testing.assert_close(alone, both)
     assert float((alone[0][:, 0] - alone[0][:, 2]).abs().max()) > 0.01
+
+
+def test_fitted_colours_are_those_of_least_squares(scene):
+    P, values, key, _, H, W = scene
+    P = P[:, :20].contiguous()
+    key, rgb, background, target = key[:, :20].contiguous(), values[:, :20, :3].contiguous(), torch.full((3, 3), 0.5), torch.rand(3, 3, H, W)
+    got = fitted_colours(P, rgb, key, background, target, 60, limits=(-1e9, 1e9))
+    for m in range(3):
+        column = lambda i: plain(P[m].double(), torch.eye(20, dtype=torch.float64)[:, i:i + 1].expand(20, 4), key[m], torch.zeros(4, dtype=torch.float64), H, W)[0].flatten()
+        A = torch.stack([column(i) for i in range(20)], 1)
+        rest = target[m].double() - plain(P[m].double(), torch.cat([rgb[m], rgb[m, :, :1]], 1).double(), key[m], torch.full((4,), 0.5, dtype=torch.float64), H, W)[:3]
+        change = torch.linalg.solve(A.T @ A + 1e-3 * torch.eye(20, dtype=torch.float64), A.T @ rest.flatten(1).T)
+        assert float((got[m].double() - rgb[m].double() - change).abs().max()) < 1e-3 * float(change.abs().max())
+
+
+def test_a_picture_of_fitted_colours_is_nearer_and_its_gradient_is_that_of_the_least_squares():
+    torch.manual_seed(2)
+    n, H, W = 60, 16, 24
+    g = dict(xyz=torch.rand(1, n, 3) * torch.tensor([2.0, 1.0, 2.0]) - torch.tensor([1.0, 0.0, 1.0]), scale=0.05 + 0.1 * torch.rand(1, n, 2), opacity=0.2 + 0.6 * torch.rand(1, n, 1), rgb=torch.rand(1, n, 3))
+    target, background = 0.4 + 0.2 * torch.rand(1, 3, H, W), torch.full((1, 3), 0.5)
+    error = lambda scale: (render_fitted(dict(g, scale=scale), target, background, 60) - target).pow(2).sum()
+    own = (render(g['xyz'], g['scale'], g['opacity'][..., 0], g['rgb'], H, W, background)[0][:, :3] - target).pow(2).sum()
+    scale = g['scale'].clone().requires_grad_()
+    least = error(scale)
+    least.backward()
+    assert float(least.detach()) < 0.9 * float(own)
+    along = torch.randn_like(scale)
+    with torch.no_grad():
+        slope = (error(scale + 2e-4 * along) - error(scale - 2e-4 * along)) / 4e-4
+    assert float(slope) == pytest.approx(float((scale.grad * along).sum()), rel=0.1)

@@ -2,7 +2,7 @@
 import pytest
 import torch
 
-from train.rasteriser import render_pair, splat
+from train.rasteriser import fitted_colours, render_pair, splat
 
 DEVICE = 'cuda' if torch.cuda.is_available() else 'cpu'
 
@@ -71,3 +71,10 @@ def test_a_pair_in_time_and_its_gradient_repeat_to_the_bit():
     assert all(torch.equal(a, b) for a, b in zip(runs[0], runs[1]))
     for a, b in zip(runs[0], runs[2]):
         assert float((a - b).norm() / b.norm()) < 1e-3
+
+
+def test_fitted_colours_are_those_of_the_cpu():
+    P, values, key, background, H, W = scene(M=1, N=30, H=16, W=20)
+    args = P, values[..., :3].contiguous(), key, background[:, :3].contiguous(), torch.rand(1, 3, H, W, generator=torch.Generator().manual_seed(7)), 3
+    a, b = fitted_colours(*args, kernels='cpu'), fitted_colours(*(t.to(DEVICE) if torch.is_tensor(t) else t for t in args), kernels='triton').cpu()
+    assert float((a - b).abs().max()) < 1e-4

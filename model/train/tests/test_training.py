@@ -89,10 +89,12 @@ def test_a_gaussian_wider_than_the_limit_is_drawn_at_it_and_pulled_back():
 def options(**more):
     return types.SimpleNamespace(**dict(dict(seed=3, batch=1, steps=6, minutes=0, until=None, crop=None, encoder=False, attention=False, depth=0.0, gradient=0.01,
                                              mean_positions=False, procedural=0.5, gaps=(2, 6), middle=1, flow=0.05, one_way=False, rate=0.5,
-                                             mixed=False, rasteriser=None, pairs=2, keep_zero_output=False), **more))
+                                             mixed=False, rasteriser=None, pairs=2, keep_zero_output=False,
+                                             magnified=0.0, fit=0.0, fit_steps=2, scenes=1, workers=0), **more))
 
 
-@pytest.mark.parametrize('stage, more', (('static', {}), ('static', dict(mixed=True)), ('static', dict(depth=1.0)), ('heads', {}), ('flow', {}), ('dynamic', {}),
+@pytest.mark.parametrize('stage, more', (('static', {}), ('static', dict(mixed=True)), ('static', dict(depth=1.0)),
+                                         ('static', dict(depth=1.0, magnified=0.5, fit=1.0, scenes=2, workers=1)), ('heads', {}), ('flow', {}), ('dynamic', {}),
                                          ('dynamic', dict(mixed=True)), ('dynamic', dict(keep_zero_output=True))))
 def test_half_a_run_and_its_continuation_are_the_whole_run_to_the_bit(stage, more, begun, clips_module, tmp_path):
     net, _, _, _ = begun
@@ -130,6 +132,33 @@ def test_depth_moves_where_it_is_trained_and_nowhere_else(begun, clips_module, t
     assert not row(flat).any() and row(deep).any()
     with torch.no_grad():
         assert float(deep(begun[2][:2])['velocity'][..., 1].unique()) == pytest.approx(depth.APART, abs=4e-4)      # the frames are kept apart
+
+
+def test_fitting_colours_trains_the_geometry_for_pictures_of_fitted_colours(begun, clips_module, tmp_path):
+    """What is trained with the fit has better pictures with fitted colours than what is trained without it."""
+    from train.rasteriser import render_fitted
+    got = []
+    for weight in (0.0, 1.0):
+        n = trained(begun, clips_module, 'static', tmp_path / str(weight), steps=40, batch=2, fit=weight, fit_steps=4)
+        with torch.no_grad():
+            g, _ = n.static(n.encode(begun[2]))
+            got.append(float(losses.psnr(render_fitted(g, begun[2], torch.full((len(begun[2]), 3), 0.5), 4), begun[2]).mean()))
+    assert got[1] > got[0]
+
+
+@torch.no_grad()
+def test_a_gate_that_brings_the_second_frame_forward_is_taken_out_again_when_frames_are_kept_apart(begun):
+    net, _, frames, _ = begun
+    n = network.StreamSplat(network.Config(**CONFIG))
+    n.load_state_dict(net.state_dict())
+    depth.keep_frames_apart(n)
+    assert depth.come_forward(n, frames, margin=1e-9) > 0
+    assert n.gs_dynamic_predictor.gs_layer['xyz_dynamic'].layers['7'].weight[1].any()
+    depth.keep_frames_apart(n)
+    again = {k: v.clone() for k, v in n.state_dict().items()}
+    depth.come_forward(n, frames, margin=1e-9)
+    depth.keep_frames_apart(n)
+    assert all(torch.equal(v, again[k]) for k, v in n.state_dict().items())
 
 
 def test_zero_output_branches_stay_so_where_that_is_asked(begun, clips_module, tmp_path):
