@@ -20,6 +20,8 @@ pub struct Score {
     pub foreground: f64,
     /// Views where they show what the key frame hides.
     pub behind: f64,
+    /// Views where they show what the key frame hides and one before it showed.
+    pub covered: f64,
     /// Key frames from their own camera.
     pub key: f64,
     /// The true key frame turned as a card, as `views` and `foreground`.
@@ -125,7 +127,7 @@ pub fn score(
     let finds = matches!(depth, Depth::Found | Depth::FoundInScale);
     let settings = Settings { depth_range: DepthRange::Given, find_depth: finds, ..settings.clone() };
     let model = Arc::clone(Engine::new(settings.clone()).expect("starts").model());
-    let (mut sum, mut hidden) = (Score::default(), 0);
+    let (mut sum, mut hidden, mut covered) = (Score::default(), 0, 0);
     for (index, scene) in scenes.iter().enumerate() {
         let pictures: Vec<CardPicture> = times.iter().map(|time| scene.straight(*time)).collect();
         let (straight, time) = (pictures.last().expect("a time"), times[times.len() - 1]);
@@ -148,8 +150,8 @@ pub fn score(
         show("key-true", index, &straight.rgb);
         show("key", index, &own);
         for degrees in [degrees, -degrees] {
-            let (view, pivot) = scene.turned(time, degrees);
-            let pivot = if true_scale { pivot } else { middle(&interval, interval.end).expect("drawn") };
+            let (view, turned) = scene.turned(time, degrees);
+            let pivot = if true_scale { turned } else { middle(&interval, interval.end).expect("drawn") };
             let camera = around(degrees, pivot, interval.placement.aspect());
             let found = interval.render(interval.end, &camera, &options, workers()).expect("drawn").rgb;
             let side = if degrees > 0.0 { "right" } else { "left" };
@@ -164,6 +166,13 @@ pub fn score(
                 sum.behind += psnr(&found, &view.rgb, |i| behind[i]);
                 hidden += 1;
             }
+            let earlier: Vec<Vec<bool>> =
+                times[..times.len() - 1].iter().map(|earlier| scene.shown(time, degrees, turned, *earlier)).collect();
+            let remembered = |i: usize| behind[i] && earlier.iter().any(|shown| shown[i]);
+            if (0..behind.len()).any(remembered) {
+                sum.covered += psnr(&found, &view.rgb, remembered);
+                covered += 1;
+            }
             sum.key += psnr(&own, &straight.rgb, |_| true);
             sum.card[0] += psnr(&card, &view.rgb, |i| view.known[i]);
             sum.card[1] += psnr(&card, &view.rgb, |i| front[i]);
@@ -175,6 +184,7 @@ pub fn score(
         views: mean(sum.views),
         foreground: mean(sum.foreground),
         behind: sum.behind / f64::from(hidden),
+        covered: if covered > 0 { sum.covered / f64::from(covered) } else { 0.0 },
         key: mean(sum.key),
         card: sum.card.map(mean),
         ..sum

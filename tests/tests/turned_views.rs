@@ -1,6 +1,6 @@
 //! Scenes with true depth seen from the side, and depth maps that tell little.
 
-use streamsplat::stream::{Behind, DepthRange, Interval, Reuse};
+use streamsplat::stream::{Behind, DepthRange, Interval, MotionFrom, Reuse};
 use streamsplat::{Engine, Frame, RenderOptions, Settings};
 use streamsplat_fixtures::clip::cards::Cards;
 use streamsplat_kernels::Level;
@@ -26,6 +26,19 @@ fn true_depth_makes_views_from_the_side_true() {
     println!("off     {off:?}");
     assert!(with.behind >= off.behind + 0.2, "past edges there is more to see: {off:?} {with:?}");
     assert!(with.key >= off.key - 0.1, "the own view hides it: {off:?} {with:?}");
+}
+
+#[test]
+fn views_past_edges_show_what_earlier_frames_saw_there() {
+    let scenes: Vec<Cards> = (0..6).map(|seed| Cards::new(seed, SIZE[1], SIZE[0], 40.0)).collect();
+    let times = [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0];
+    let with = score(&Settings::default(), &scenes, Depth::True, &times, 10.0, |_, _, _| ());
+    // The same without flow, along which it is remembered.
+    let network = Settings { motion: Some(MotionFrom::Network), ..Settings::default() };
+    let without = score(&network, &scenes, Depth::True, &times, 10.0, |_, _, _| ());
+    println!("with    {with:?}\nwithout {without:?}");
+    assert!(with.covered >= without.covered + 0.2, "{} dB, {} dB without", with.covered, without.covered);
+    assert!(with.views >= without.views - 0.1 && with.key >= without.key - 0.1, "nothing else is worse for it");
 }
 
 /// Records of all intervals of a few key frames with these depth maps.

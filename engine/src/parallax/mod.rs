@@ -27,7 +27,7 @@
 //! | flow that is no number | none |
 //! | one inverse depth all over | none |
 //!
-//! A stream's first key frame has no flow and no map.
+//! A stream's first key frame has no flow. Its depth is found with the second one's, along the flow to it, and joined with that.
 //!
 //! The focal length is unknown; [`FOCAL`] of the picture's longer side is taken. Where it is wrong depth is bent but keeps its order.
 //! All arithmetic is in binary64 or binary32 in one order on one thread, with +, −, ×, / and √ and the exponential of [`streamsplat_kernels::math`].

@@ -11,6 +11,8 @@
 //! | `depth` | F32 `[2]` | factor and offset of the key frame's depth map, where there is one |
 //! | `found_inverse`, `found_confidence` | F32 `[R,C]` | depth found by parallax for the key frame's cells, where there is any |
 //! | `found_nearest` | F32 `[1]` | inverse depth that counts as nearest |
+//! | `covered_cell` | U32 `[C]` | cells of the key frame whose foreground hides what earlier frames saw, where there are any |
+//! | `covered_at`, `covered_rgb` | F32 `[C,2]`, `[C,3]` | its place in pixels and its colour |
 //! | `seconds` | F64 `[2]` | the key frame's time, the length of the interval before it |
 
 use std::collections::HashMap;
@@ -20,7 +22,7 @@ use safetensors::tensor::Dtype;
 
 use super::records::{self, float_bytes, floats, tensor, word_bytes, words};
 use crate::parallax::Found;
-use crate::stream::{Current, ResumePoint};
+use crate::stream::{Covered, Current, ResumePoint};
 
 /// The key under which the note is stored.
 const NOTE: &str = "note";
@@ -49,6 +51,17 @@ pub fn resume_point_to_safetensors(point: Option<&ResumePoint>, note: &str) -> R
         ]);
         if let Some(depth) = &point.depth {
             tensors.push(("depth", Dtype::F32, vec![2], float_bytes(depth)));
+        }
+        if !point.covered.is_empty() {
+            let c = point.covered.len();
+            let cells = point.covered.iter().flat_map(|c| c.cell.to_le_bytes()).collect();
+            let places: Vec<f32> = point.covered.iter().flat_map(|c| c.at).collect();
+            let colours: Vec<f32> = point.covered.iter().flat_map(|c| c.rgb).collect();
+            tensors.extend([
+                ("covered_cell", Dtype::U32, vec![c], cells),
+                ("covered_at", Dtype::F32, vec![c, 2], float_bytes(&places)),
+                ("covered_rgb", Dtype::F32, vec![c, 3], float_bytes(&colours)),
+            ]);
         }
     }
     if let Some(found) = point.and_then(|point| point.found.as_ref()) {
@@ -87,6 +100,17 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
         .zip(births.into_iter().zip(offsets))
         .map(|((cell, [identity]), ([birth], offset))| Current { cell, identity, birth, offset })
         .collect();
+    let covered = match file.tensor("covered_cell") {
+        Err(_) => Vec::new(),
+        Ok(_) => {
+            let cells = tensor(&file, "covered_cell", Dtype::U32, &[None])?.as_chunks::<4>().0;
+            let c = Some(cells.len());
+            let places = floats::<2>(tensor(&file, "covered_at", Dtype::F32, &[c, Some(2)])?);
+            let colours = floats::<3>(tensor(&file, "covered_rgb", Dtype::F32, &[c, Some(3)])?);
+            let all = cells.iter().zip(places).zip(colours);
+            all.map(|((cell, at), rgb)| Covered { cell: u32::from_le_bytes(*cell), at, rgb }).collect()
+        }
+    };
     let word = |name: &str| Ok::<u64, String>(words::<1>(tensor(&file, name, Dtype::U64, &[Some(1)])?)[0][0]);
     let seconds = tensor(&file, "seconds", Dtype::F64, &[Some(2)])?.as_chunks::<8>().0;
     let depth = match file.names().contains(&"depth") {
@@ -122,6 +146,7 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
         next_identity: word("next_identity")?,
         depth,
         found,
+        covered,
     };
     Ok((Some(point), note))
 }

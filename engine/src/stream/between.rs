@@ -134,8 +134,7 @@ impl Flows {
         if first.resolution != last.resolution {
             return Vec::new();
         }
-        let back: Vec<Step<'_>> =
-            self.steps.iter().rev().map(|[forth, back]| Step { there: back, back: forth, distance: 1.0 }).collect();
+        let back = self.back();
         let places: Vec<[usize; 2]> = (SPACING / 2..height)
             .step_by(SPACING)
             .flat_map(|y| (SPACING / 2..width).step_by(SPACING).map(move |x| [x, y]))
@@ -150,6 +149,11 @@ impl Flows {
             Link { now: last.inverse[y * width + x], then: first.inverse[there] }
         })
         .collect()
+    }
+
+    /// Steps from the last key frame to the first.
+    pub(super) fn back(&self) -> Vec<Step<'_>> {
+        self.steps.iter().rev().map(|[forth, back]| Step { there: back, back: forth, distance: 1.0 }).collect()
     }
 
     /// Flow from the first key frame to the last and back, in one step.

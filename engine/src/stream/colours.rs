@@ -66,11 +66,13 @@ impl Fitter {
         Self { level, maps: Vec::new(), preparation: Preparation::new(level) }
     }
 
-    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. Gaussians from `seen` on, which stand behind others, keep theirs.
+    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. Gaussians from `seen` on, which stand behind others, keep theirs; those before take
+    /// a [`held`](super::lift) share of their change, where any are held.
     pub(super) fn key(
         &mut self,
         gaussians: &StaticGaussians,
         seen: usize,
+        held: &[f32],
         frame: &[f32],
         resolution: [usize; 2],
         steps: u32,
@@ -88,14 +90,16 @@ impl Fitter {
             view.opacity.push(opacity);
             view.rgb.push(rgb);
         }
-        let factor = match seen < gaussians.position.len() {
-            true => view.index.iter().map(|&i| if (i as usize) < seen { 1.0 } else { 0.0 }).collect(),
+        let share = |i: usize| if i < seen { held.get(i).copied().unwrap_or(1.0) } else { 0.0 };
+        let factor = match seen < gaussians.position.len() || !held.is_empty() {
+            true => view.index.iter().map(|&i| share(i as usize)).collect(),
             false => Vec::new(),
         };
         let fitted = vec![self.prepare(0, view, factor, resolution)];
         let Solution { change, steps: taken } = self.solve(&fitted, &[frame], &gaussians.rgb, RIDGE, steps);
         let mut colours = gaussians.rgb.clone();
-        for (colour, change) in colours.iter_mut().zip(change).take(seen) {
+        for (i, (colour, change)) in colours.iter_mut().zip(change).enumerate().take(seen) {
+            let change = change.map(|c| c * share(i));
             // What is not finite is dropped later; it is not made finite here.
             *colour = std::array::from_fn(|i| match change[i] == 0.0 {
                 true => colour[i],

@@ -11,12 +11,14 @@ use super::between::{Flows, Seen, targets};
 use super::canonical::{Advance, CanonicalSet, Step};
 use super::colours::{Fitter, Target};
 use super::keyframe::{AlignedMap, Context, KeyView};
-use super::lift::{Alignment, DepthMap, align};
+use super::lift::{Alignment, DepthMap, Memory, Past, align, contradiction};
 use super::motion::{completed, fixed};
 use super::pair::Pair;
 use super::tiles::Tiles;
 use super::work::Stage;
-use super::{EngineError, Fade, Frame, Interval, MotionFrom, Reconstructor, Reuse, Settings, Work, Workers};
+use super::{
+    EngineError, Fade, Frame, Interval, MotionFrom, Reconstructor, ResumePoint, Reuse, Settings, Work, Workers,
+};
 use crate::fit::Placement;
 use crate::parallax::{self, Evidence, Found};
 
@@ -98,7 +100,7 @@ impl Engine {
     }
 
     /// Takes the next key frame, `timestamp` seconds into the video, and gives the interval it ends. The first frame gives its static
-    /// scene, an interval of no length.
+    /// scene, an interval of no length; where depth is found ([`Settings::find_depth`]), its Gaussians are lifted from the next interval on.
     ///
     /// # Errors
     /// Frames without pixels, of another size than the first one, with buffers of the wrong length or pixels that are not
@@ -167,24 +169,41 @@ impl Engine {
             None => None,
             Some(state) => Flows::new(level, &mut self.work, [&state.view, &view], &seen, self.settings.flow),
         };
-        let found = self.found(tiles, &view, flows.as_ref(), index);
+        // All that can be refused comes before the state changes.
+        let next_pair = match &self.state {
+            Some(state) if self.settings.deforms() => {
+                let views = [&state.view, &view];
+                Some(Pair::new(tiles, &mut self.work, state.pair.as_ref(), views, index)?)
+            }
+            Some(_) => {
+                Pair::leave_out(tiles, &mut self.work);
+                None
+            }
+            None => None,
+        };
+        let Depths { found, first } = self.found(tiles, &view, flows.as_ref(), index);
+        if let Some(first) = first {
+            self.lift_first(tiles, first);
+        }
         let own = view.own_map(tiles);
         let own = own.map(|map| aligned(level, map, &view, self.state.as_ref(), flows.as_ref()));
-        // What is found has one scale already.
-        let map = own.or_else(|| {
-            let map = view.found_map(level, found.as_ref()?)?;
-            Some(AlignedMap { map, alignment: Alignment::default() })
+        let map = own.or_else(|| view.found_map(level, found.as_ref()?));
+        // For a moment, so that the engine can be asked for the rest of it.
+        let before = self.state.take();
+        let past = before.as_ref().zip(flows.as_ref()).and_then(|(state, flows)| {
+            let KeyView { rgb, added, .. } = &state.view;
+            let map = &state.view.map.as_ref()?.map;
+            Some(Past { level, map, rgb, covered: &added.covered, back: flows.back() })
         });
-        self.context(tiles).finish(&mut view, map);
+        self.context(tiles, before.as_ref()).finish(&mut view, map, &past.map_or(Memory::None, Memory::Past));
+        self.state = before;
         let Self { settings, work, fitter, state: before, .. } = self;
-        let mut next_pair = None;
         let (set, advance) = match before {
             None => CanonicalSet::first(&view.gaussians, view.layers()),
             Some(state) => {
                 let views = [&state.view, &view];
                 let mut network = fixed(views.map(|view| view.gaussians.position.len()));
-                if settings.deforms() {
-                    let pair = next_pair.insert(Pair::new(tiles, work, state.pair.as_ref(), views, index)?);
+                if let Some(pair) = &next_pair {
                     match settings.fade() {
                         Fade::Network => network = pair.motion.clone(),
                         Fade::Fixed => {
@@ -200,8 +219,6 @@ impl Engine {
                         completed(a, views[0].gaussians.position.len()),
                         completed(b, views[1].gaussians.position.len()),
                     ];
-                } else {
-                    Pair::leave_out(tiles, work);
                 }
                 let length = length(state.timestamp, timestamp);
                 let motion = match &flows {
@@ -261,21 +278,38 @@ impl Engine {
     }
 
     /// Depth found by parallax for key frame `index`, where that is asked for and the frame has no map of its own.
-    fn found(&mut self, tiles: &Tiles, view: &KeyView, flows: Option<&Flows>, index: u64) -> Option<Found> {
+    fn found(&mut self, tiles: &Tiles, view: &KeyView, flows: Option<&Flows>, index: u64) -> Depths {
         let Self { settings, work, workers, state, .. } = self;
         let wanted = settings.find_depth && tiles.ignores_depth() && !view.has_depth();
-        let (state, flows) = (state.as_ref().filter(|_| wanted)?, flows?);
+        let Some((state, flows)) = state.as_ref().filter(|_| wanted).zip(flows) else { return Depths::default() };
         if view.repeats(&state.view) {
             work.count(Stage::Parallax, 0, 1);
-            return state.found.clone();
+            return Depths { found: state.found.clone(), first: None };
         }
         let level = workers.level();
-        let flow = flows.whole(level, work, [&state.view, view], settings.flow)?;
+        let Some(flow) = flows.whole(level, work, [&state.view, view], settings.flow) else { return Depths::default() };
         // From the key frame before and back.
-        let [back, there] = &*flow;
-        let evidence = Evidence { rgb: &view.rgb, there, back };
-        let stream = Stream { seed: settings.seed, frame: index };
-        work.measure(Stage::Parallax, || parallax::find(level, evidence, state.found.as_ref(), stream))
+        let [forth, back] = &*flow;
+        let evidence = Evidence { rgb: &view.rgb, there: back, back: forth };
+        let stream = |frame: u64| Stream { seed: settings.seed, frame };
+        let found =
+            work.measure(Stage::Parallax, || parallax::find(level, evidence, state.found.as_ref(), stream(index)));
+        let first = found.as_ref().filter(|_| index == 1 && state.view.map.is_none()).and_then(|found| {
+            let evidence = Evidence { rgb: &state.view.rgb, there: forth, back };
+            work.measure(Stage::Parallax, || parallax::find(level, evidence, Some(found), stream(0)))
+        });
+        Depths { found, first }
+    }
+
+    /// Lifts the stream's first key frame, which nothing was found for when it came.
+    fn lift_first(&mut self, tiles: &mut Tiles, found: Found) {
+        let Some(mut state) = self.state.take() else { return };
+        if let Some(map) = state.view.found_map(self.workers.level(), &found) {
+            self.context(tiles, None).finish(&mut state.view, Some(map), &Memory::None);
+            (state.set, _) = CanonicalSet::first(&state.view.gaussians, state.view.layers());
+            state.found = Some(found);
+        }
+        self.state = Some(state);
     }
 
     /// State since the last key frame.
@@ -288,24 +322,20 @@ impl Engine {
         self.state = Some(state);
     }
 
-    /// The frame through its own part of the network, as if it were the first one, but for the `alignment` of its depth and the depth that was `found` for it.
-    pub(super) fn see(
-        &mut self,
-        frame: Frame,
-        index: u64,
-        timestamp: f64,
-        alignment: Alignment,
-        found: Option<&Found>,
-    ) -> Result<(Placement, KeyView), EngineError> {
+    /// The frame of `point` through its own part of the network, as if it were the first one, but for what `point` says of its depth.
+    pub(super) fn see(&mut self, frame: Frame, point: &ResumePoint) -> Result<(Placement, KeyView), EngineError> {
         let before = self.state.take();
-        let seen = self.check(&frame, index, timestamp).and_then(|placement| {
+        let seen = self.check(&frame, point.frame, point.timestamp).and_then(|placement| {
             let mut tiles = self.tiles(placement)?;
-            let view = self.reconstruct(&mut tiles, frame, index, placement).map(|(mut view, _)| {
+            let view = self.reconstruct(&mut tiles, frame, point.frame, placement).map(|(mut view, _)| {
                 let level = self.workers.level();
-                let found = found.filter(|found| found.contradiction(placement.model).is_none());
-                let map = view.own_map(&tiles).or_else(|| found.and_then(|found| view.found_map(level, found)));
-                let map = map.map(|map| AlignedMap { map: alignment.apply(map), alignment });
-                self.context(&mut tiles).finish(&mut view, map);
+                let alignment = Alignment::from(point.depth);
+                let found = point.found.as_ref().filter(|found| found.contradiction(placement.model).is_none());
+                let own = view.own_map(&tiles).map(|map| AlignedMap { map: alignment.apply(map), alignment });
+                let map = own.or_else(|| view.found_map(level, found?));
+                let sound = contradiction(&point.covered, placement.model).is_none();
+                let covered = if sound { &point.covered[..] } else { &[] };
+                self.context(&mut tiles, None).finish(&mut view, map, &Memory::Known(covered));
                 view
             });
             self.tiles = Some(tiles);
@@ -377,15 +407,27 @@ impl Engine {
         index: u64,
         placement: Placement,
     ) -> Result<(KeyView, u64), EngineError> {
-        self.context(tiles).reconstruct(frame, index, placement)
+        let before = self.state.take();
+        let view = self.context(tiles, before.as_ref()).reconstruct(frame, index, placement);
+        self.state = before;
+        view
     }
 
-    /// Context in which the next frame is reconstructed.
-    fn context<'a>(&'a mut self, tiles: &'a mut Tiles) -> Context<'a> {
-        let Self { settings, workers, work, fitter, state, .. } = self;
-        let before = state.as_ref().filter(|_| settings.reuse != Reuse::Off).map(|state| &state.view);
+    /// Context in which the frame after `before` is reconstructed.
+    fn context<'a>(&'a mut self, tiles: &'a mut Tiles, before: Option<&'a State>) -> Context<'a> {
+        let Self { settings, workers, work, fitter, .. } = self;
+        let before = before.filter(|_| settings.reuse != Reuse::Off).map(|state| &state.view);
         Context { settings, level: workers.level(), work, tiles, fitter, before }
     }
+}
+
+/// Depth found by parallax.
+#[derive(Default)]
+struct Depths {
+    /// For the key frame.
+    found: Option<Found>,
+    /// For the stream's first key frame, where this is the second.
+    first: Option<Found>,
 }
 
 /// The map of a frame in the scale of the frame before, along the flow from it.

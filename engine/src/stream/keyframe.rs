@@ -8,7 +8,7 @@ use streamsplat_model::{Embedding, FrameInput, Sampling, StaticGaussians};
 use super::between::FlowView;
 use super::canonical::Layers;
 use super::colours::Fitter;
-use super::lift::{Added, Alignment, DepthMap, lift, normalise_most};
+use super::lift::{Added, Alignment, DepthMap, Memory, lift, normalise_most};
 use super::tiles::{Tile, Tiles};
 use super::work::Stage;
 use super::{Behind, DepthRange, EngineError, Frame, MotionFrom, SamplingMode, Settings, Work};
@@ -121,8 +121,9 @@ impl Context<'_> {
         Ok((KeyView { rgb, depth, tiles, gaussians, added: Added::default(), map: None, flow, resolution }, lost))
     }
 
-    /// Puts the Gaussians of a frame's tiles together, lifts them to `map` and fits their colours, where either is asked for.
-    pub(super) fn finish(&mut self, view: &mut KeyView, map: Option<AlignedMap>) {
+    /// Puts the Gaussians of a frame's tiles together, lifts them to `map` and fits their colours, where either is asked for. `memory`: of what
+    /// the frame's foreground hides.
+    pub(super) fn finish(&mut self, view: &mut KeyView, map: Option<AlignedMap>, memory: &Memory<'_>) {
         let unchanged = |before: &&KeyView| {
             let same = |(then, now): (&TileView, &TileView)| Arc::ptr_eq(&then.gaussians, &now.gaussians);
             before.map == map && before.tiles.iter().zip(&view.tiles).all(same)
@@ -136,26 +137,34 @@ impl Context<'_> {
         let of_tiles: Vec<_> = view.tiles.iter().map(|tile| tile.gaussians.clone()).collect();
         view.gaussians = self.tiles.gaussians(&of_tiles);
         if let Some(AlignedMap { map, .. }) = &map {
-            let behind = self.settings.behind == Behind::On;
+            let memory = (self.settings.behind == Behind::On).then_some(memory);
             let gaussians = Arc::make_mut(&mut view.gaussians);
-            view.added = self.work.measure(Stage::Lift, || lift(gaussians, map, &view.rgb, behind));
-            let Added { outline, moving } = &view.added;
+            view.added = self.work.measure(Stage::Lift, || lift(gaussians, map, &view.rgb, memory));
+            let Added { outline, moving, known, .. } = &view.added;
             self.work.count(Stage::Outline, *outline as u64, 0);
             self.work.count(Stage::Behind, (moving.len() - outline) as u64, 0);
+            self.work.count(Stage::Covered, *known as u64, 0);
         }
         view.map = map;
         let seen = view.layers().seen;
-        view.gaussians = self.coloured(view.gaussians.clone(), seen, &view.rgb);
+        view.gaussians = self.coloured(view.gaussians.clone(), seen, &view.added.held, &view.rgb);
     }
 
     /// The Gaussians with colours that fit the frame, where that is asked for.
-    fn coloured(&mut self, gaussians: Arc<StaticGaussians>, seen: usize, frame: &[f32]) -> Arc<StaticGaussians> {
+    fn coloured(
+        &mut self,
+        gaussians: Arc<StaticGaussians>,
+        seen: usize,
+        held: &[f32],
+        frame: &[f32],
+    ) -> Arc<StaticGaussians> {
         let steps = self.settings.refine();
         if steps == 0 {
             return gaussians;
         }
         let (fitter, resolution) = (&mut *self.fitter, self.tiles.resolution);
-        let (rgb, taken) = self.work.time(Stage::Colours, || fitter.key(&gaussians, seen, frame, resolution, steps));
+        let (rgb, taken) =
+            self.work.time(Stage::Colours, || fitter.key(&gaussians, seen, held, frame, resolution, steps));
         self.work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
         Arc::new(StaticGaussians { rgb, ..Arc::unwrap_or_clone(gaussians) })
     }
@@ -218,10 +227,11 @@ impl KeyView {
         self.depth.is_some()
     }
 
-    /// The map that `found` gives for the frame; `None` where it tells nothing.
-    pub(super) fn found_map(&self, level: streamsplat_kernels::Level, found: &Found) -> Option<DepthMap> {
+    /// The map that `found`, which has one scale in the whole stream, gives for the frame; `None` where it tells nothing.
+    pub(super) fn found_map(&self, level: streamsplat_kernels::Level, found: &Found) -> Option<AlignedMap> {
         let inverse = found.map(level, &self.rgb, self.resolution);
-        DepthMap { inverse, confidence: None, resolution: self.resolution }.filled()
+        let map = DepthMap { inverse, confidence: None, resolution: self.resolution }.filled()?;
+        Some(AlignedMap { map, alignment: Alignment::default() })
     }
 
     /// The frame's own depth map without holes, for a model that ignores depth; `None` where it has none or it tells nothing.

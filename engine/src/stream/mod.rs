@@ -41,7 +41,7 @@ pub use engine::Engine;
 pub use frame::{EngineError, Frame};
 pub use gaussians::{DynamicGaussians, HANDOVER, Handover, Record, Reference};
 pub use interval::{Interval, Merge};
-pub use lift::{DepthMap, FAR, NEAR};
+pub use lift::{Covered, DepthMap, FAR, NEAR};
 pub(crate) use lift::{map_value, scene_depth};
 pub use network::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
 pub use quality::{Preset, Quality};

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use super::canonical::{CanonicalSet, Current};
 use super::engine::State;
 use super::identities::Identities;
+use super::lift::{Covered, contradiction};
 use super::{Engine, EngineError, Frame, Record, Reuse};
 use crate::parallax::Found;
 
@@ -31,6 +32,8 @@ pub struct ResumePoint {
     pub depth: Option<[f32; 2]>,
     /// Depth found by parallax for the frame; `None` where none was.
     pub found: Option<Found>,
+    /// What earlier frames saw where something now stands in front, ascending in `cell`.
+    pub covered: Vec<Covered>,
 }
 
 impl Engine {
@@ -48,6 +51,7 @@ impl Engine {
                 next_identity: identities.next(),
                 depth: state.view.map.as_ref().map(|map| map.alignment.into()),
                 found: state.found.clone(),
+                covered: state.view.added.covered.clone(),
             }
         })
     }
@@ -60,11 +64,11 @@ impl Engine {
     pub fn resume(&mut self, point: &ResumePoint, frame: Frame) -> Result<(), EngineError> {
         let workers = self.workers().clone();
         workers.install(|| {
-            let (placement, view) =
-                self.see(frame, point.frame, point.timestamp, point.depth.into(), point.found.as_ref())?;
+            let (placement, view) = self.see(frame, point)?;
             let (gaussians, layers) = (Arc::clone(&view.gaussians), view.layers());
             let found = point.found.as_ref().and_then(|found| found.contradiction(placement.model));
-            if let Some(reason) = found.or_else(|| point.contradiction(gaussians.position.len())) {
+            let covered = contradiction(&point.covered, placement.model);
+            if let Some(reason) = found.or(covered).or_else(|| point.contradiction(gaussians.position.len())) {
                 return Err(EngineError::ResumePoint { index: point.frame, reason });
             }
             let set = CanonicalSet {

@@ -40,12 +40,13 @@ pub(crate) enum Stage {
     Lift,
     Outline,
     Behind,
+    Covered,
     Fusion,
     Colours,
 }
 
 impl Stage {
-    const ALL: [(Stage, &'static str, &'static str); 13] = [
+    const ALL: [(Stage, &'static str, &'static str); 14] = [
         (Stage::Fit, "fit", "frames"),
         (Stage::Encoder, "encoder", "tiles"),
         (Stage::Upsampler, "upsampler", "tiles"),
@@ -57,6 +58,7 @@ impl Stage {
         (Stage::Lift, "lift", "frames"),
         (Stage::Outline, "outline", "Gaussians"),
         (Stage::Behind, "behind", "Gaussians"),
+        (Stage::Covered, "covered", "Gaussians"),
         (Stage::Fusion, "fusion", "intervals"),
         (Stage::Colours, "colours", "steps"),
     ];

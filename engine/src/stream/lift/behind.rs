@@ -1,19 +1,24 @@
 //! Gaussians behind the edges of near things, for views that look past them.
 //!
-//! A key frame shows nothing of what its foreground hides. So behind every Gaussian that lies within [`REACH`] of a
-//! row's length of an edge to something farther stands another one: [`BACK`] behind the farthest of what is seen within
-//! [`AROUND`] pixels of it and of the farther surface, in the mean colour of the first three pixels beyond the edge, in
-//! the direction (left, right, up, down) in which the edge is nearest. From the frame's own camera it is hidden. It moves
-//! as what is seen beyond the edge does.
+//! A key frame shows nothing of what its foreground hides. So behind every [cell](super::beyond) that a view turned by
+//! [`SLOPE`] would look past, since an edge to something farther is no more than
+//!
+//! ```text
+//! SLOPE·(z_farther − z_own)        in half widths of the picture
+//! ```
+//!
+//! away, stands another Gaussian: [`BACK`] behind the farthest of what is seen within [`AROUND`] pixels of it and of the
+//! farther surface. Its colour is what earlier frames [saw there](super::covered); where they saw nothing, the mean of the first
+//! three pixels beyond the edge. From the frame's own camera it is hidden. It moves as what is seen beyond the edge does.
 
-use rayon::prelude::*;
 use streamsplat_model::StaticGaussians;
 
+use super::beyond::{Beyond, middle};
+use super::covered::Covered;
 use super::edges::Surfaces;
-use super::{pixel, y_at};
+use super::order::SLOPE;
+use super::y_at;
 
-/// Largest distance from an edge, as a part of a row: a row has so many of it.
-const REACH: usize = 32;
 /// Opacity of a Gaussian behind.
 const OPACITY: f32 = 0.95;
 /// Standard deviation in pixels.
@@ -22,122 +27,138 @@ const SCALE: f32 = 1.2;
 const AROUND: usize = 4;
 /// Distance behind what is seen there, in pixels: more than the model's Gaussians are [moved](super::order).
 const BACK: f32 = 10.0;
+/// Pixels by which views look farther past an edge than its middle.
+const MARGIN: f32 = 1.5;
 
-/// Place and colour of a Gaussian behind another.
-struct Behind {
-    position: [f32; 3],
-    rgb: [f32; 3],
-    /// Middle of the first pixel beyond the edge, in the world.
-    seen: [f32; 3],
-}
-
-/// Adds Gaussians behind the first `count` where these stand before something; gives for each the place whose motion is its own.
-pub(super) fn add(gaussians: &mut StaticGaussians, count: usize, surfaces: &Surfaces<'_>) -> Vec<[f32; 3]> {
+/// Adds Gaussians behind what stands before something, in the colours that are `covered` there where they are known;
+/// gives for each the place whose motion is its own, and how many are known.
+pub(super) fn add(
+    gaussians: &mut StaticGaussians,
+    surfaces: &Surfaces<'_>,
+    beyond: &[Option<Beyond>],
+    covered: &[Covered],
+) -> (Vec<[f32; 3]>, usize) {
     let [height, width] = surfaces.resolution();
-    let found: Vec<Option<Behind>> =
-        gaussians.position[..count].par_iter().with_min_len(256).map(|position| surfaces.behind(*position)).collect();
-    let mut seen = Vec::new();
-    for behind in found.into_iter().flatten() {
-        gaussians.position.push(behind.position);
+    let place = |[x, y]: [f32; 2], depth: f32| {
+        [(2.0 * x + 1.0) / width as f32 - 1.0, depth, 1.0 - (2.0 * y + 1.0) / height as f32]
+    };
+    let (mut moving, mut known) = (Vec::new(), 0);
+    let mut covered = covered.iter().peekable();
+    for (cell, beyond) in beyond.iter().enumerate() {
+        let remembered = covered.next_if(|covered| covered.cell as usize == cell);
+        let Some(beyond) = beyond.as_ref().filter(|beyond| beyond.is_looked_past(width)) else { continue };
+        known += usize::from(remembered.is_some());
+        let rgb = remembered.map_or_else(|| surfaces.extended(beyond), |covered| covered.rgb);
+        gaussians.position.push(place(middle(beyond.own), surfaces.behind(beyond)));
         gaussians.scale.push([SCALE * 2.0 / width as f32, SCALE * 2.0 / height as f32]);
         gaussians.opacity.push(OPACITY);
-        gaussians.rgb.push(behind.rgb);
-        seen.push(behind.seen);
+        gaussians.rgb.push(rgb);
+        let away = [(beyond.away % width) as f32, (beyond.away / width) as f32];
+        moving.push(place(away, y_at(beyond.farther)));
     }
-    seen
+    (moving, known)
+}
+
+impl Beyond {
+    /// Returns true if a turned view of a picture of this width looks past the edge as far as here.
+    fn is_looked_past(&self, width: usize) -> bool {
+        self.distance as f32 <= (0.5 * width as f32 * SLOPE).mul_add(self.farther - self.z, MARGIN)
+    }
 }
 
 impl Surfaces<'_> {
-    /// Returns the Gaussian to add behind the one at this position, or `None` where no edge is near.
-    fn behind(&self, [x, y, z]: [f32; 3]) -> Option<Behind> {
+    /// y of a Gaussian behind all that is seen around it.
+    fn behind(&self, beyond: &Beyond) -> f32 {
         let [height, width] = self.resolution();
-        let (column, row) = (pixel(x, width)?, pixel(-z, height)?);
-        let own = 1.0 / 9.8f32.mul_add(y, 0.2);
-        let at = |(dx, dy): (i64, i64), n: usize| {
-            let (x, y) = (column as i64 + dx * n as i64, row as i64 + dy * n as i64);
-            let inside = (0..width as i64).contains(&x) && (0..height as i64).contains(&y);
-            inside.then(|| y as usize * width + x as usize)
-        };
-        let ways = [(-1, 0), (1, 0), (0, -1), (0, 1)];
-        let (way, first) = (1..=(width / REACH).max(1)).find_map(|n| {
-            // One pixel beyond the edge, past its ramp.
-            let far = |way| at(way, n).filter(|at| self.z()[*at] - own > self.tear()).map(|_| way);
-            ways.into_iter().find_map(far).map(|way| (way, n + 1))
-        })?;
-        let beyond = at(way, first).or_else(|| at(way, first - 1))?;
-        let depth = self.z()[beyond];
-        if depth - own <= self.tear() {
-            return None;
-        }
-        let (mut sum, mut count) = ([0.0f32; 3], 0.0);
-        for pixel in (first..first + 3).filter_map(|n| at(way, n)) {
-            if (self.z()[pixel] - depth).abs() <= self.tear() {
-                let rgb = self.colour(pixel);
-                sum = std::array::from_fn(|c| sum[c] + rgb[c]);
-                count += 1.0;
-            }
-        }
-        let rgb = if count > 0.0 { sum.map(|s| s / count) } else { self.colour(beyond) };
-        let middle = |i: usize, side: usize| (2.0 * i as f32 + 1.0) / side as f32 - 1.0;
-        let mut farthest = depth;
+        let [row, column] = beyond.own;
+        let mut farthest = beyond.farther;
         for y in row.saturating_sub(AROUND)..(row + AROUND + 1).min(height) {
             let columns = column.saturating_sub(AROUND)..(column + AROUND + 1).min(width);
             farthest = self.z()[y * width..][columns].iter().fold(farthest, |a, b| a.max(*b));
         }
-        let y = y_at(farthest + BACK * 2.0 / width as f32);
-        Some(Behind {
-            position: [x, y, z],
-            rgb,
-            seen: [middle(beyond % width, width), y_at(depth), -middle(beyond / width, height)],
-        })
+        y_at(farthest + BACK * 2.0 / width as f32)
+    }
+
+    /// The mean colour of the first pixels beyond the edge.
+    fn extended(&self, beyond: &Beyond) -> [f32; 3] {
+        let (mut sum, mut count) = ([0.0f32; 3], 0.0);
+        for pixel in beyond.pixels.into_iter().flatten() {
+            let rgb = self.colour(pixel);
+            sum = std::array::from_fn(|c| sum[c] + rgb[c]);
+            count += 1.0;
+        }
+        sum.map(|sum| sum / count)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{DepthMap, FAR, NEAR};
+    use super::super::beyond::grid;
+    use super::super::{DepthMap, FAR, NEAR, scene_depth};
     use super::*;
 
-    #[test]
-    fn near_things_get_what_lies_beyond_their_edge_as_far_as_reach_and_no_further() {
-        const SIZE: [usize; 2] = [4, 64];
-        let near = |x: usize| (20..40).contains(&x) || (42..46).contains(&x);
-        let plane = |of: &dyn Fn(usize) -> f32| -> Vec<f32> { (0..4 * 64).map(|at| of(at % 64)).collect() };
-        let inverse = plane(&|x| f32::from(u8::from(near(x))));
-        let map = DepthMap { inverse: inverse.clone(), confidence: None, resolution: SIZE };
-        // Near things are red, the ground is green.
-        let frame = [inverse, plane(&|x| f32::from(u8::from(!near(x)))), plane(&|_| 0.0)].concat();
+    const SIZE: [usize; 2] = [4, 128];
+
+    /// What is added behind rows that are all alike, near things red before green; in columns of cells.
+    fn added(inverse: impl Fn(usize) -> f32, covered: &[Covered]) -> Vec<(usize, f32, [f32; 3], f32)> {
+        let plane = |of: &dyn Fn(usize) -> f32| -> Vec<f32> { (0..4 * 128).map(|at| of(at % 128)).collect() };
+        let map = DepthMap { inverse: plane(&inverse), confidence: None, resolution: SIZE };
+        let red = |x: usize| f32::from(u8::from(inverse(x) > 0.5));
+        let frame = [plane(&red), plane(&|x| 1.0 - red(x)), plane(&|_| 0.0)].concat();
         let surfaces = Surfaces::new(&map, &frame);
-        let middle = |x: usize| (2.0 * x as f32 + 1.0) / 64.0 - 1.0;
-        let at = |x: usize| surfaces.behind([middle(x), NEAR, 0.1]);
-        // 64 / REACH = 2 pixels.
-        for x in (22..38).chain((0..64).filter(|x| !near(*x))) {
-            let y = if near(x) { NEAR } else { FAR };
-            assert!(surfaces.behind([middle(x), y, 0.1]).is_none(), "column {x}");
+        let mut gaussians = StaticGaussians::default();
+        let (moving, known) = add(&mut gaussians, &surfaces, &surfaces.beyond(), covered);
+        assert_eq!(known, covered.len());
+        assert_eq!(moving.len(), gaussians.position.len());
+        let column = |x: f32| (x + 1.0) * 0.5 * 128.0;
+        let each = gaussians.position.iter().zip(&gaussians.rgb).zip(&moving);
+        let first = each.filter(|((position, _), _)| position[2] > 0.0);
+        first.map(|(([x, y, _], rgb), moving)| ((column(*x) / 2.0) as usize * 2, *y, *rgb, column(moving[0]))).collect()
+    }
+
+    #[test]
+    fn near_things_get_what_lies_beyond_their_edge_as_far_as_a_turned_view_looks() {
+        let near = |x: usize| (20..80).contains(&x);
+        let found = added(|x| f32::from(u8::from(near(x))), &[]);
+        let looks = 64.0 * SLOPE * (scene_depth(0.0) - scene_depth(1.0)) + MARGIN;
+        let expected = |x: &usize| near(*x) && ((x - 19) as f32 <= looks || (80 - x) as f32 <= looks);
+        let columns: Vec<usize> = found.iter().map(|(column, ..)| *column).collect();
+        assert_eq!(columns, (0..128).step_by(2).filter(expected).collect::<Vec<_>>());
+        assert!(columns.len() > 6 && columns.len() < 30, "not behind all of it: {columns:?}");
+        for (column, y, rgb, moving) in found {
+            assert_eq!(rgb, [0.0, 1.0, 0.0], "column {column}");
+            assert!(y < FAR && y > FAR - 0.1, "column {column}: {y}");
+            assert!(
+                !near(moving as usize) && (moving - column as f32).abs() < looks + 8.0,
+                "column {column}: {moving}"
+            );
         }
-        for (x, seen) in [(20, 18), (21, 18), (38, 41), (39, 41), (42, 40), (45, 47)] {
-            let behind = at(x).unwrap_or_else(|| panic!("column {x}"));
-            assert_eq!(behind.rgb, [0.0, 1.0, 0.0], "column {x}");
-            let [there, y, z] = behind.position;
-            assert_eq!([there, z], [middle(x), 0.1]);
-            assert!(y < FAR && y > FAR - 0.1, "column {x}: {y}");
-            assert_eq!(behind.seen[0], middle(seen), "column {x}");
-        }
+        assert!(added(|x| if near(x) { 0.2 } else { 0.0 }, &[]).len() < columns.len(), "less far, less of it");
     }
 
     #[test]
     fn what_stands_behind_stands_behind_all_that_is_seen_beside_it() {
         // Something narrow stands between a near thing and the ground.
-        const SIZE: [usize; 2] = [4, 64];
-        let inverse = |at: usize| match at % 64 {
+        let inverse = |x: usize| match x {
             20..40 => 1.0,
             17..20 => 0.15,
             _ => 0.0,
         };
-        let map = DepthMap { inverse: (0..4 * 64).map(inverse).collect(), confidence: None, resolution: SIZE };
-        let frame = vec![0.5; 3 * 4 * 64];
-        let surfaces = Surfaces::new(&map, &frame);
-        let behind = surfaces.behind([41.0 / 64.0 - 1.0, NEAR, 0.1]).expect("an edge is near");
-        assert!(behind.position[1] < FAR, "{}", behind.position[1]);
+        let found = added(inverse, &[]);
+        let first = found.iter().find(|(column, ..)| *column == 20).expect("behind the near thing's edge");
+        assert!(first.1 < FAR, "{first:?}");
+        assert!(found.iter().all(|(_, y, ..)| *y < (NEAR - FAR).mul_add(0.15, FAR)), "{found:?}");
+    }
+
+    #[test]
+    fn what_is_remembered_there_gives_its_colour() {
+        let columns = grid(SIZE)[1] as u32;
+        let rgb = [0.0, 0.0, 1.0];
+        let covered = [10, 38].map(|cell| Covered { cell, at: [2.0 * cell as f32, 0.0], rgb });
+        let found = added(|x| f32::from(u8::from((20..80).contains(&x))), &covered);
+        for (column, _, colour, _) in found {
+            let known = [20, 76].contains(&column);
+            assert_eq!(colour, if known { rgb } else { [0.0, 1.0, 0.0] }, "column {column} of {columns} cells");
+        }
     }
 }

@@ -93,6 +93,12 @@ impl<'a> Surfaces<'a> {
         self.colours[pixel]
     }
 
+    /// Returns true if an edge lies within [`REACH`] of a pixel.
+    pub(super) fn edge_around(&self, pixel: usize) -> bool {
+        let [near, far] = self.around[pixel];
+        self.edge(near, far)
+    }
+
     /// Returns true if an edge lies within so many pixels along the row or the column.
     pub(super) fn edge_within(&self, row: usize, column: usize, pixels: f32) -> bool {
         let at = row * self.map.resolution[1] + column;

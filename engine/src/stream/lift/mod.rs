@@ -10,8 +10,9 @@
 //! ```
 //!
 //! Standard deviations become [`NARROWER`], and before an edge so narrow that little of a Gaussian reaches over it; what
-//! the picture loses by that Gaussians of a pixel's size along its [outline] give back. Where nothing was seen behind an
-//! edge, Gaussians are [added](behind). Colours are fitted afterwards.
+//! the picture loses by that Gaussians of a pixel's size along its [outline] give back. Where a turned view looks past an
+//! edge, Gaussians are added [behind] it, in the colours that earlier frames [saw](covered) there. Colours of what is
+//! seen are fitted afterwards; beside edges they start from the picture's and are [held](HELD) to it.
 //!
 //! # Maps that tell little
 //!
@@ -32,12 +33,16 @@ use edges::Surfaces;
 
 mod align;
 mod behind;
+mod beyond;
+mod covered;
 mod edges;
 mod fill;
 mod order;
 mod outline;
 
 pub(super) use align::{Alignment, Link, align};
+pub use covered::Covered;
+pub(super) use covered::{Memory, Past, contradiction};
 pub(super) use fill::normalise_most;
 
 /// y of what a map calls farthest.
@@ -49,8 +54,14 @@ pub const NEAR: f32 = 0.95;
 const NARROWER: f32 = 0.95;
 /// Standard deviation of a Gaussian before an edge per pixel to the edge from its pixel's far side, and the least one
 /// in pixels.
-const TO_EDGE: f32 = 0.35;
-const LEAST: f32 = 0.4;
+const TO_EDGE: f32 = 0.3;
+const LEAST: f32 = 0.3;
+/// Pixels from an edge within which colours are held.
+const BESIDE: f32 = 3.0;
+/// Factors on the unknowns of the fit for colours beside an edge, on its farther and on its nearer side: the ridge holds
+/// them as many times as strongly as the square's inverse. Free, they would undo what reaches over the edge, and a view
+/// that turns shows them without it.
+const HELD: [f32; 2] = [0.1, 0.8];
 
 /// Inverse depth of a key frame, at the size at which the model sees it.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,18 +102,33 @@ pub(super) struct Added {
     pub(super) outline: usize,
     /// The places whose motion they have.
     pub(super) moving: Vec<[f32; 3]>,
+    /// What is remembered of what the foreground hides.
+    pub(super) covered: Vec<Covered>,
+    /// For each Gaussian that is seen, the [share](HELD) of a fit's change of its colour that it takes.
+    pub(super) held: Vec<f32>,
+    /// How many of those behind others have colours from there.
+    pub(super) known: usize,
 }
 
-/// Lifts the Gaussians of a key frame `[3, H, W]` to its map and makes its [outline] sharp; with `behind`, adds
+/// Lifts the Gaussians of a key frame `[3, H, W]` to its map and makes its [outline] sharp; with a `memory`, adds
 /// [Gaussians behind](behind) its foreground. Where the map tells nothing, since no two of its values differ, the
 /// Gaussians stay as they are.
-pub(super) fn lift(gaussians: &mut StaticGaussians, map: &DepthMap, frame: &[f32], behind: bool) -> Added {
+pub(super) fn lift(
+    gaussians: &mut StaticGaussians,
+    map: &DepthMap,
+    frame: &[f32],
+    memory: Option<&Memory<'_>>,
+) -> Added {
     let Some(filled) = map.filled() else { return Added::default() };
     let [height, width] = filled.resolution;
     let surfaces = Surfaces::new(&filled, frame);
-    let each = gaussians.position.par_iter_mut().zip(&mut gaussians.scale).enumerate();
-    let on_surfaces = each.with_min_len(256).filter_map(|(i, (&mut [x, y, z], scale))| {
-        let place = surfaces.at(pixel(-z, height)?, pixel(x, width)?);
+    let each = gaussians.position.par_iter_mut().zip(&mut gaussians.scale).zip(&mut gaussians.rgb).enumerate();
+    let on_surfaces = each.with_min_len(256).filter_map(|(i, ((&mut [x, y, z], scale), rgb))| {
+        let (row, column) = (pixel(-z, height)?, pixel(x, width)?);
+        let place = surfaces.at(row, column);
+        if place.is_held() {
+            *rgb = surfaces.colour(row * width + column);
+        }
         for axis in 0..2 {
             scale[axis] *= NARROWER;
             if place.near {
@@ -113,20 +139,41 @@ pub(super) fn lift(gaussians: &mut StaticGaussians, map: &DepthMap, frame: &[f32
         let at = [(x + 1.0) * 0.5 * width as f32, (1.0 - z) * 0.5 * height as f32];
         let sigma = (0.5 * scale[0] * width as f32).max(0.5 * scale[1] * height as f32);
         let own = order::Lifted { at, sigma, z: scene_depth(place.inverse), rank: y };
-        (y.is_finite() && scale.iter().all(|s| s.is_finite())).then_some((i, own))
+        (y.is_finite() && scale.iter().all(|s| s.is_finite())).then_some(((i, place.held()), own))
     });
-    let (indices, lifted): (Vec<usize>, Vec<order::Lifted>) = on_surfaces.unzip();
+    let (indices, lifted): (Vec<(usize, f32)>, Vec<order::Lifted>) = on_surfaces.unzip();
+    let mut held = vec![1.0; gaussians.position.len()];
     let z = order::keep(&lifted, filled.resolution, surfaces.tear());
-    for (i, z) in indices.into_iter().zip(z) {
+    for ((i, share), z) in indices.into_iter().zip(z) {
         gaussians.position[i][1] = y_at(z);
+        held[i] = share;
     }
     let own = gaussians.position.len();
     let outline = outline::add(gaussians, &surfaces);
-    let mut moving = gaussians.position[own..].to_vec();
-    if behind {
-        moving.extend(behind::add(gaussians, own, &surfaces));
+    held.extend(&outline);
+    let outline = outline.len();
+    let moving = gaussians.position[own..].to_vec();
+    let mut added = Added { outline, moving, held, ..Added::default() };
+    if let Some(memory) = memory {
+        let beyond = surfaces.beyond();
+        added.covered = memory.recall(&surfaces, &beyond);
+        let (moving, known) = behind::add(gaussians, &surfaces, &beyond, &added.covered);
+        added.moving.extend(moving);
+        added.known = known;
     }
-    Added { outline, moving }
+    added
+}
+
+impl edges::Place {
+    /// Returns true beside an edge.
+    fn is_held(&self) -> bool {
+        self.clear[0].min(self.clear[1]) < BESIDE
+    }
+
+    /// The factor on the unknowns of a colour here.
+    fn held(&self) -> f32 {
+        if self.is_held() { HELD[usize::from(self.near)] } else { 1.0 }
+    }
 }
 
 /// The pixel of a coordinate in [−1, 1] along a side; the nearest one outside, `None` where it is not finite.

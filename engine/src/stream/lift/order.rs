@@ -20,7 +20,7 @@
 use streamsplat_kernels::parallel::map_indexed;
 
 /// Change of depth per distance in the picture: the tangent of 10°.
-const SLOPE: f32 = 0.18;
+pub(super) const SLOPE: f32 = 0.18;
 /// Gaussians are neighbours where their centres are no more than so many of their standard deviations apart.
 const WIDE: f32 = 2.0;
 /// Differences of depth within one surface, in those of an edge.

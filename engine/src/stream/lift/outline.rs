@@ -8,34 +8,35 @@
 use rayon::prelude::*;
 use streamsplat_model::StaticGaussians;
 
-use super::edges::Surfaces;
+use super::edges::{Place, Surfaces};
 use super::{scene_depth, y_at};
 
 /// Pixels from an edge.
 const BAND: f32 = 3.0;
 /// Range of a channel over 3×3 pixels from which on a pixel is not left to the model's Gaussians.
-const CONTRAST: f32 = 0.1;
+const CONTRAST: f32 = 0.05;
 /// Standard deviation in pixels.
-const SCALE: f32 = 0.42;
+const SCALE: f32 = 0.35;
 const OPACITY: f32 = 0.5;
 
-/// Adds the Gaussians of all pixels along edges, row by row; gives how many.
-pub(super) fn add(gaussians: &mut StaticGaussians, surfaces: &Surfaces<'_>) -> usize {
+/// Adds the Gaussians of all pixels along edges, row by row; gives for each how its colour is [held](super::HELD).
+pub(super) fn add(gaussians: &mut StaticGaussians, surfaces: &Surfaces<'_>) -> Vec<f32> {
     let [height, width] = surfaces.resolution();
-    let y = |pixel: usize| {
+    let along = |pixel: usize| {
         let (row, column) = (pixel / width, pixel % width);
         let own = surfaces.edge_within(row, column, BAND) && surfaces.contrast(row, column) >= CONTRAST;
-        own.then(|| (pixel, y_at(scene_depth(surfaces.at(row, column).inverse))))
+        own.then(|| (pixel, surfaces.at(row, column)))
     };
-    let found: Vec<(usize, f32)> = (0..height * width).into_par_iter().with_min_len(256).filter_map(y).collect();
+    let found: Vec<(usize, Place)> = (0..height * width).into_par_iter().with_min_len(256).filter_map(along).collect();
     let middle = |i: usize, side: usize| (2.0 * i as f32 + 1.0) / side as f32 - 1.0;
-    for (pixel, y) in &found {
-        gaussians.position.push([middle(pixel % width, width), *y, -middle(pixel / width, height)]);
+    for (pixel, place) in &found {
+        let y = y_at(scene_depth(place.inverse));
+        gaussians.position.push([middle(pixel % width, width), y, -middle(pixel / width, height)]);
         gaussians.scale.push([SCALE * 2.0 / width as f32, SCALE * 2.0 / height as f32]);
         gaussians.opacity.push(OPACITY);
         gaussians.rgb.push(surfaces.colour(*pixel));
     }
-    found.len()
+    found.iter().map(|(_, place)| place.held()).collect()
 }
 
 impl Surfaces<'_> {
@@ -71,7 +72,7 @@ mod tests {
         for (red, columns) in [(inverse.clone(), 15..17), (vec![0.5; 6 * 32], 0..0)] {
             let frame = [red, rest.clone()].concat();
             let mut gaussians = StaticGaussians::default();
-            let added = add(&mut gaussians, &Surfaces::new(&map, &frame));
+            let added = add(&mut gaussians, &Surfaces::new(&map, &frame)).len();
             assert_eq!(added, 6 * columns.len(), "where colours differ, within a pixel");
             assert_eq!(added, gaussians.position.len());
             for (i, [x, y, _]) in gaussians.position.iter().enumerate() {
