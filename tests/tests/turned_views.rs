@@ -43,16 +43,21 @@ fn views_past_edges_show_what_earlier_frames_saw_there() {
 
 /// Records of all intervals of a few key frames with these depth maps.
 fn stream(level: Option<Level>, threads: usize, depth: impl Fn(usize, &[f32]) -> Option<Vec<f32>>) -> Vec<Interval> {
-    let scene = Cards::new(1, 64, 40, 6.0);
+    let scene = covering();
     let settings = Settings { level, threads, ..Settings::default() };
     let mut engine = Engine::new(settings).expect("starts");
     (0..3)
         .map(|key| {
             let picture = scene.straight(0.5 * key as f64);
             let depth = depth(key, &picture.y);
-            engine.push(Frame { width: 64, height: 40, rgb: picture.rgb, depth }, key as f64).expect("taken")
+            engine.push(Frame { width: 128, height: 80, rgb: picture.rgb, depth }, key as f64).expect("taken")
         })
         .collect()
+}
+
+/// A scene in which near things cover what was in sight a key frame ago.
+fn covering() -> Cards {
+    Cards::new(4, 128, 80, 30.0)
 }
 
 fn same(a: &[Interval], b: &[Interval]) -> bool {
@@ -90,10 +95,10 @@ fn maps_that_tell_nothing_are_as_no_map() {
 
 #[test]
 fn repeated_frames_and_resumed_streams_are_lifted_to_the_same_bits() {
-    let scene = Cards::new(1, 64, 40, 6.0);
+    let scene = covering();
     let frame = |time: f64| {
         let picture = scene.straight(time);
-        Frame { width: 64, height: 40, rgb: picture.rgb, depth: Some(picture.y) }
+        Frame { width: 128, height: 80, rgb: picture.rgb, depth: Some(picture.y) }
     };
     let times = [0.0, 0.5, 0.5, 1.0];
     let run = |reuse: Reuse| -> Vec<Interval> {
@@ -107,7 +112,7 @@ fn repeated_frames_and_resumed_streams_are_lifted_to_the_same_bits() {
         first.push(frame(*time), key as f64).expect("taken");
     }
     let point = first.resume_point().expect("a point");
-    assert!(point.depth.is_some());
+    assert!(point.depth.is_some() && point.covered.len() > 50, "{} covered places", point.covered.len());
     let bytes = streamsplat::scene::resume_point_to_safetensors(Some(&point), "note").expect("written");
     let (stored, _) = streamsplat::scene::resume_point_from_safetensors(&bytes).expect("read");
     assert_eq!(stored.as_ref(), Some(&point));

@@ -66,12 +66,11 @@ impl Fitter {
         Self { level, maps: Vec::new(), preparation: Preparation::new(level) }
     }
 
-    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. Gaussians from `seen` on, which stand behind others, keep theirs; those before take
-    /// a [`held`](super::lift) share of their change, where any are held.
+    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. `held`: the factor on each Gaussian's unknowns
+    /// ([`FitView`]), 0 for one that keeps its colour; none where all are free.
     pub(super) fn key(
         &mut self,
         gaussians: &StaticGaussians,
-        seen: usize,
         held: &[f32],
         frame: &[f32],
         resolution: [usize; 2],
@@ -90,16 +89,15 @@ impl Fitter {
             view.opacity.push(opacity);
             view.rgb.push(rgb);
         }
-        let share = |i: usize| if i < seen { held.get(i).copied().unwrap_or(1.0) } else { 0.0 };
-        let factor = match seen < gaussians.position.len() || !held.is_empty() {
-            true => view.index.iter().map(|&i| share(i as usize)).collect(),
-            false => Vec::new(),
+        let factor = match held.is_empty() {
+            true => Vec::new(),
+            false => view.index.iter().map(|&i| held[i as usize]).collect(),
         };
         let fitted = vec![self.prepare(0, view, factor, resolution)];
         let Solution { change, steps: taken } = self.solve(&fitted, &[frame], &gaussians.rgb, RIDGE, steps);
         let mut colours = gaussians.rgb.clone();
-        for (i, (colour, change)) in colours.iter_mut().zip(change).enumerate().take(seen) {
-            let change = change.map(|c| c * share(i));
+        for (i, (colour, change)) in colours.iter_mut().zip(change).enumerate() {
+            let change = held.get(i).map_or(change, |held| change.map(|c| c * held));
             // What is not finite is dropped later; it is not made finite here.
             *colour = std::array::from_fn(|i| match change[i] == 0.0 {
                 true => colour[i],

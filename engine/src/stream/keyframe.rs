@@ -146,25 +146,17 @@ impl Context<'_> {
             self.work.count(Stage::Covered, *known as u64, 0);
         }
         view.map = map;
-        let seen = view.layers().seen;
-        view.gaussians = self.coloured(view.gaussians.clone(), seen, &view.added.held, &view.rgb);
+        view.gaussians = self.coloured(view.gaussians.clone(), &view.added.held, &view.rgb);
     }
 
     /// The Gaussians with colours that fit the frame, where that is asked for.
-    fn coloured(
-        &mut self,
-        gaussians: Arc<StaticGaussians>,
-        seen: usize,
-        held: &[f32],
-        frame: &[f32],
-    ) -> Arc<StaticGaussians> {
+    fn coloured(&mut self, gaussians: Arc<StaticGaussians>, held: &[f32], frame: &[f32]) -> Arc<StaticGaussians> {
         let steps = self.settings.refine();
         if steps == 0 {
             return gaussians;
         }
         let (fitter, resolution) = (&mut *self.fitter, self.tiles.resolution);
-        let (rgb, taken) =
-            self.work.time(Stage::Colours, || fitter.key(&gaussians, seen, held, frame, resolution, steps));
+        let (rgb, taken) = self.work.time(Stage::Colours, || fitter.key(&gaussians, held, frame, resolution, steps));
         self.work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
         Arc::new(StaticGaussians { rgb, ..Arc::unwrap_or_clone(gaussians) })
     }

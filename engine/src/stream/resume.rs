@@ -32,7 +32,7 @@ pub struct ResumePoint {
     pub depth: Option<[f32; 2]>,
     /// Depth found by parallax for the frame; `None` where none was.
     pub found: Option<Found>,
-    /// What earlier frames saw where something now stands in front, ascending in `cell`.
+    /// Colours that earlier frames saw where something now stands in front, ascending in `cell`.
     pub covered: Vec<Covered>,
 }
 

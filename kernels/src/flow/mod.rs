@@ -62,7 +62,7 @@ use crate::simd::{Operation, Simd, dispatch};
 use crate::{Level, resize};
 
 use options::PATCH;
-use sample::sample_one;
+pub use sample::sample_one;
 use search::{Grid, Guess};
 
 /// Luma `[h, w]` of `rgb` `[3, h, w]`: 0.299 R + 0.587 G + 0.114 B (BT.601).

@@ -121,8 +121,11 @@ pub(super) fn column<S: Simd>(s: S, x: usize) -> S::F32 {
     s.add(s.splat(x as f32), s.from_array(COUNT))
 }
 
-/// [`Taps::take`] for one value of a plane `[h, w]`.
-pub(super) fn sample_one(plane: &[f32], [h, w]: [usize; 2], x: f32, y: f32) -> f32 {
+/// The value of a plane `[h, w]` at column `x`, row `y`: bilinear, the border repeated.
+///
+/// # Panics
+/// On a plane without pixels, or of another length.
+pub fn sample_one(plane: &[f32], [h, w]: [usize; 2], x: f32, y: f32) -> f32 {
     let axis = |at: f32, n: usize| {
         let last = (n - 1) as f32;
         let at = if at < last { at } else { last };

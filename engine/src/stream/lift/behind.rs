@@ -99,7 +99,7 @@ mod tests {
 
     const SIZE: [usize; 2] = [4, 128];
 
-    /// What is added behind rows that are all alike, near things red before green; in columns of cells.
+    /// Gaussians added behind rows that are all alike, near things red before green: column, y, colour and where they move from.
     fn added(inverse: impl Fn(usize) -> f32, covered: &[Covered]) -> Vec<(usize, f32, [f32; 3], f32)> {
         let plane = |of: &dyn Fn(usize) -> f32| -> Vec<f32> { (0..4 * 128).map(|at| of(at % 128)).collect() };
         let map = DepthMap { inverse: plane(&inverse), confidence: None, resolution: SIZE };

@@ -1,4 +1,4 @@
-//! What lies beyond the edges of near things.
+//! Surfaces beyond the edges of near things.
 //!
 //! The picture is divided in cells of [`CELL`]×[`CELL`] pixels. From a cell's first pixel the nearest edge to something
 //! farther is looked for to the left, to the right, up and down, up to [`REACH`] of a row's length away.
@@ -44,7 +44,7 @@ pub(super) fn middle([row, column]: [usize; 2]) -> [f32; 2] {
 }
 
 impl Surfaces<'_> {
-    /// What lies beyond the edges of each cell, row by row.
+    /// The surface beyond the edges of each cell, row by row.
     pub(super) fn beyond(&self) -> Vec<Option<Beyond>> {
         let [height, width] = self.resolution();
         let [rows, columns] = grid([height, width]);
@@ -64,7 +64,7 @@ impl Surfaces<'_> {
         (0..rows * columns).into_par_iter().with_min_len(256).map(cell).collect()
     }
 
-    /// What lies past the nearest edge to something farther than `own`.
+    /// The surface past the nearest edge to something farther than `own`.
     fn past_edge(&self, row: usize, column: usize, own: f32) -> Option<Beyond> {
         let [height, width] = self.resolution();
         let z = self.z();

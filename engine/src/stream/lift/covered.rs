@@ -1,4 +1,4 @@
-//! What earlier frames saw where something now stands in front.
+//! Colours that earlier frames saw where something now stands in front.
 //!
 //! A thing that moves, or a camera that does, covers what was in sight a key frame ago. Each [cell](super::beyond) before an edge
 //! asks the key frame before for what lies behind it: the place is moved as the surface beyond the edge moves, along the
@@ -38,7 +38,7 @@ pub(in crate::stream) struct Past<'a> {
     pub(in crate::stream) back: Vec<Step<'a>>,
 }
 
-/// What is remembered at a key frame.
+/// The memory that a key frame has of surfaces it hides.
 pub(in crate::stream) enum Memory<'a> {
     /// Nothing: there is no frame before.
     None,
@@ -60,7 +60,7 @@ pub(in crate::stream) fn contradiction(covered: &[Covered], resolution: [usize; 
 }
 
 impl Memory<'_> {
-    /// What is remembered behind the cells that have something `beyond` them, ascending in cells.
+    /// Covered places of the cells that have something `beyond` them, ascending in cells.
     pub(super) fn recall(&self, surfaces: &Surfaces<'_>, beyond: &[Option<Beyond>]) -> Vec<Covered> {
         match self {
             Memory::None => Vec::new(),
@@ -121,17 +121,8 @@ impl Past<'_> {
                 }
             }
         }
-        let corner = |at: f32, side: usize| {
-            let first = at.max(0.0).min((side - 1) as f32);
-            (first as usize, (first as usize + 1).min(side - 1), first.fract())
-        };
-        let ((left, right, fx), (top, bottom, fy)) = (corner(x, width), corner(y, height));
-        let area = height * width;
-        Some(std::array::from_fn(|channel| {
-            let value = |row: usize, column: usize| self.rgb[channel * area + row * width + column];
-            let between = |row: usize| (value(row, right) - value(row, left)).mul_add(fx, value(row, left));
-            (between(bottom) - between(top)).mul_add(fy, between(top))
-        }))
+        let plane = |channel: usize| &self.rgb[channel * height * width..][..height * width];
+        Some(std::array::from_fn(|channel| flow::sample_one(plane(channel), [height, width], x, y)))
     }
 }
 

@@ -102,9 +102,9 @@ pub(super) struct Added {
     pub(super) outline: usize,
     /// The places whose motion they have.
     pub(super) moving: Vec<[f32; 3]>,
-    /// What is remembered of what the foreground hides.
+    /// Colours remembered of surfaces that the foreground hides.
     pub(super) covered: Vec<Covered>,
-    /// For each Gaussian that is seen, the [share](HELD) of a fit's change of its colour that it takes.
+    /// For each Gaussian of the frame the factor on the unknowns of its colour, as [`HELD`]; 0 for those behind others.
     pub(super) held: Vec<f32>,
     /// How many of those behind others have colours from there.
     pub(super) known: usize,
@@ -158,6 +158,7 @@ pub(super) fn lift(
         let beyond = surfaces.beyond();
         added.covered = memory.recall(&surfaces, &beyond);
         let (moving, known) = behind::add(gaussians, &surfaces, &beyond, &added.covered);
+        added.held.resize(gaussians.position.len(), 0.0);
         added.moving.extend(moving);
         added.known = known;
     }
@@ -179,4 +180,37 @@ impl edges::Place {
 /// The pixel of a coordinate in [−1, 1] along a side; the nearest one outside, `None` where it is not finite.
 fn pixel(x: f32, side: usize) -> Option<usize> {
     x.is_finite().then(|| (((x + 1.0) * 0.5 * side as f32).max(0.0) as usize).min(side - 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_beside_an_edge_start_from_the_picture_and_are_held_to_it() {
+        const SIZE: [usize; 2] = [8, 64];
+        let near = |x: usize| x >= 32;
+        let inverse = (0..8 * 64).map(|at| f32::from(u8::from(near(at % 64)))).collect();
+        let map = DepthMap { inverse, confidence: None, resolution: SIZE };
+        let mut gaussians = StaticGaussians::default();
+        for at in 0..8 * 64 {
+            gaussians.position.push([(at % 64) as f32 / 32.0 - 63.0 / 64.0, 0.5, 7.0 / 8.0 - (at / 64) as f32 / 4.0]);
+            gaussians.scale.push([1.0 / 32.0; 2]);
+            gaussians.opacity.push(0.9);
+            gaussians.rgb.push([0.9; 3]);
+        }
+        let added = lift(&mut gaussians, &map, &[0.3; 3 * 8 * 64], Some(&Memory::None));
+        assert_eq!(added.held.len(), gaussians.position.len());
+        for at in 0..8 * 64 {
+            let x = at % 64;
+            let (rgb, held) = match x {
+                29..32 => (0.3, HELD[0]),
+                32..35 => (0.3, HELD[1]),
+                _ => (0.9, 1.0),
+            };
+            assert_eq!((gaussians.rgb[at], added.held[at]), ([rgb; 3], held), "column {x}");
+        }
+        let behind = &added.held[8 * 64 + added.outline..];
+        assert!(!behind.is_empty() && behind.iter().all(|held| *held == 0.0), "those behind keep their colours");
+    }
 }
