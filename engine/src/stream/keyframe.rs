@@ -138,8 +138,8 @@ impl Context<'_> {
         view.gaussians = self.tiles.gaussians(&of_tiles);
         if let Some(AlignedMap { map, .. }) = &map {
             let memory = (self.settings.behind == Behind::On).then_some(memory);
-            let gaussians = Arc::make_mut(&mut view.gaussians);
-            view.added = self.work.measure(Stage::Lift, || lift(gaussians, map, &view.rgb, memory));
+            let (level, gaussians) = (self.level, Arc::make_mut(&mut view.gaussians));
+            view.added = self.work.measure(Stage::Lift, || lift(level, gaussians, map, &view.rgb, memory));
             let Added { outline, moving, known, .. } = &view.added;
             self.work.count(Stage::Outline, *outline as u64, 0);
             self.work.count(Stage::Behind, (moving.len() - outline) as u64, 0);

@@ -93,6 +93,8 @@ impl Surfaces<'_> {
 
 #[cfg(test)]
 mod tests {
+    use streamsplat_kernels::Level;
+
     use super::super::beyond::grid;
     use super::super::{DepthMap, FAR, NEAR, scene_depth};
     use super::*;
@@ -105,7 +107,7 @@ mod tests {
         let map = DepthMap { inverse: plane(&inverse), confidence: None, resolution: SIZE };
         let red = |x: usize| f32::from(u8::from(inverse(x) > 0.5));
         let frame = [plane(&red), plane(&|x| 1.0 - red(x)), plane(&|_| 0.0)].concat();
-        let surfaces = Surfaces::new(&map, &frame);
+        let surfaces = Surfaces::new(Level::scalar(), &map, &frame);
         let mut gaussians = StaticGaussians::default();
         let (moving, known) = add(&mut gaussians, &surfaces, &surfaces.beyond(), covered);
         assert_eq!(known, covered.len());

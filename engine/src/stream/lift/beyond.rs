@@ -96,6 +96,8 @@ impl Surfaces<'_> {
 
 #[cfg(test)]
 mod tests {
+    use streamsplat_kernels::Level;
+
     use super::super::{DepthMap, FAR, NEAR};
     use super::*;
 
@@ -106,7 +108,7 @@ mod tests {
             confidence: None,
             resolution: [4, 64],
         };
-        see(&Surfaces::new(&map, &vec![0.5; 3 * 4 * 64]));
+        see(&Surfaces::new(Level::scalar(), &map, &vec![0.5; 3 * 4 * 64]));
     }
 
     #[test]

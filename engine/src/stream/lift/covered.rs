@@ -156,7 +156,7 @@ mod tests {
         let back = vec![Step { there: &back, back: &forth, distance: 1.0 }];
         let (map, rgb, covered) = before;
         let past = Past { level: Level::scalar(), map, rgb, covered, back };
-        let surfaces = Surfaces::new(now.0, now.1);
+        let surfaces = Surfaces::new(Level::scalar(), now.0, now.1);
         Memory::Past(past).recall(&surfaces, &surfaces.beyond())
     }
 

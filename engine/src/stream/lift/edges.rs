@@ -2,7 +2,7 @@
 //!
 //! A map from a network or a sensor runs over its edges as a ramp, a few pixels beside the picture's own. A Gaussian on
 //! the ramp would stand in the air between two surfaces and tear when the view turns. So within [`REACH`] pixels of an
-//! edge the values around a place are divided in two, nearer and farther than the middle of their range, and weighed by
+//! edge the values around a place are divided in two, nearer and farther than the middle of their range, and [weighed](super::sides) by
 //! how like the place's own colour theirs is:
 //!
 //! ```text
@@ -10,23 +10,22 @@
 //! ```
 //!
 //! The place belongs to the side of its own value unless the other one weighs [`DECISIVE`] times as much. Its depth is
-//! its own value where that lies with its side, else the weighted median of the side. Sums run over the window row by
-//! row, in binary32.
+//! its own value where that is no edge away from the weighted median of its side, else that median. Sums run over the
+//! window row by row, those of the median over ascending values, in binary32.
 
 use rayon::prelude::*;
+use streamsplat_kernels::Level;
 
+use super::sides::{Picture, Weights};
 use super::{DepthMap, scene_depth};
 
 /// Pixels around a place that are looked at, along rows and columns.
-const REACH: usize = 4;
-/// Pixels in reach, and the place itself.
-const WINDOW: usize = (2 * REACH + 1) * (2 * REACH + 1);
-/// C².
-const COLOUR: f32 = 0.08 * 0.08;
-/// R².
-const NEARBY: f32 = 2.0 * 2.0;
+pub(super) const REACH: usize = 4;
 /// How many times more the other side must weigh.
 const DECISIVE: f32 = 3.0;
+/// Part of a side's weight beyond which what is close to a place holds the median: half, and room for the rounding of
+/// sums in any order.
+const MOST: f32 = 0.501;
 /// Difference of z at which two neighbours are of different surfaces, times pixels of a row: seen from 10° to the side
 /// they come apart by a pixel.
 const TEAR: f32 = 11.5;
@@ -40,7 +39,11 @@ pub(super) struct Surfaces<'a> {
     around: Vec<[f32; 2]>,
     /// Difference of z at an edge.
     tear: f32,
-    colours: Vec<[f32; 3]>,
+    /// `[3, H, W]`
+    frame: &'a [f32],
+    picture: Picture,
+    /// Around each pixel with an edge in reach.
+    weights: Vec<Weights>,
 }
 
 /// Depth of one place.
@@ -62,11 +65,13 @@ pub(super) fn tear(width: usize) -> f32 {
 
 impl<'a> Surfaces<'a> {
     /// The surfaces of a frame `[3, H, W]` with this map.
-    pub(super) fn new(map: &'a DepthMap, frame: &[f32]) -> Self {
+    pub(super) fn new(level: Level, map: &'a DepthMap, frame: &'a [f32]) -> Self {
         let z: Vec<f32> = map.inverse.iter().map(|d| scene_depth(*d)).collect();
-        let area = z.len();
-        let colours = (0..area).map(|at| std::array::from_fn(|channel| frame[channel * area + at])).collect();
-        Self { map, around: around(&z, map.resolution), z, tear: tear(map.resolution[1]), colours }
+        let tear = tear(map.resolution[1]);
+        let around = around(&z, map.resolution);
+        let picture = Picture::new(level, frame, &z, map.resolution);
+        let weights = picture.weights(&around, tear);
+        Self { map, z, around, tear, frame, picture, weights }
     }
 
     fn edge(&self, a: f32, b: f32) -> bool {
@@ -90,7 +95,7 @@ impl<'a> Surfaces<'a> {
 
     /// The colour of a pixel.
     pub(super) fn colour(&self, pixel: usize) -> [f32; 3] {
-        self.colours[pixel]
+        std::array::from_fn(|channel| self.frame[channel * self.z.len() + pixel])
     }
 
     /// Returns true if an edge lies within [`REACH`] of a pixel.
@@ -112,37 +117,25 @@ impl<'a> Surfaces<'a> {
 
     /// Depth at the pixel in this row and column.
     pub(super) fn at(&self, row: usize, column: usize) -> Place {
-        let [height, width] = self.map.resolution;
-        let rows = row.saturating_sub(REACH)..(row + REACH + 1).min(height);
-        let columns = column.saturating_sub(REACH)..(column + REACH + 1).min(width);
-        let own = row * width + column;
+        let own = row * self.map.resolution[1] + column;
         let [near, far] = self.around[own];
         if !self.edge(near, far) {
             return Place { inverse: self.map.inverse[own], near: false, clear: [f32::INFINITY; 2] };
         }
         let middle = 0.5 * (near + far);
-        let c0 = self.colour(own);
-        let mut sides = [[(0.0f32, 0.0f32); WINDOW]; 2];
-        let (mut counts, mut weights) = ([0; 2], [0.0f32; 2]);
-        for y in rows {
-            for x in columns.clone() {
-                let at = y * width + x;
-                let (dx, dy) = (x.abs_diff(column) as f32, y.abs_diff(row) as f32);
-                let c = self.colour(at);
-                let apart = (0..3).fold(0.0f32, |sum, i| (c[i] - c0[i]).mul_add(c[i] - c0[i], sum));
-                let alike = 1.0 / (1.0 + apart / COLOUR);
-                let w = alike * alike / (1.0 + dx.mul_add(dx, dy * dy) / NEARBY);
-                let side = usize::from(self.z[at] > middle);
-                weights[side] += w;
-                sides[side][counts[side]] = (self.z[at], w);
-                counts[side] += 1;
-            }
-        }
+        let weights = &self.weights[own];
         let own_side = usize::from(self.z[own] > middle);
-        let side = if weights[1 - own_side] > DECISIVE * weights[own_side] { 1 - own_side } else { own_side };
-        let z = median(&mut sides[side][..counts[side]], weights[side]);
-        let inverse =
-            if side == own_side && !self.edge(z, self.z[own]) { self.map.inverse[own] } else { super::map_value(z) };
+        let other_weighs_more = weights.sides[1 - own_side] > DECISIVE * weights.sides[own_side];
+        let side = if other_weighs_more { 1 - own_side } else { own_side };
+        let total = weights.sides[side];
+        let inverse = if side == own_side && weights.own > MOST * total {
+            // The median, whatever it is, is no edge away.
+            self.map.inverse[own]
+        } else {
+            let z = self.picture.on_side([row, column], side, middle).median(total);
+            let keeps = side == own_side && !self.edge(z, self.z[own]);
+            if keeps { self.map.inverse[own] } else { super::map_value(z) }
+        };
         Place { inverse, near: side == 0, clear: self.clear(row, column, scene_depth(inverse)) }
     }
 
@@ -182,15 +175,77 @@ fn around(z: &[f32], [height, width]: [usize; 2]) -> Vec<[f32; 2]> {
     (0..height).into_par_iter().flat_map_iter(row).collect()
 }
 
-/// The value at which half of the weight is reached, ascending; equal values by their weights.
-fn median(values: &mut [(f32, f32)], total: f32) -> f32 {
-    values.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let mut sum = 0.0;
-    for (value, weight) in values.iter() {
-        sum += weight;
-        if sum >= 0.5 * total {
-            return *value;
+#[cfg(test)]
+mod tests {
+    use super::super::map_value;
+    use super::*;
+
+    const SIZE: [usize; 2] = [21, 149];
+
+    /// The value at a place by the definition.
+    fn plainly(surfaces: &Surfaces<'_>, row: usize, column: usize) -> (f32, bool) {
+        let [height, width] = SIZE;
+        let own = row * width + column;
+        let window = || {
+            let rows = row.saturating_sub(REACH)..(row + REACH + 1).min(height);
+            let columns = column.saturating_sub(REACH)..(column + REACH + 1).min(width);
+            rows.flat_map(move |y| columns.clone().map(move |x| (y, x)))
+        };
+        let range = window().map(|(y, x)| surfaces.z[y * width + x]);
+        let [near, far] = range.fold([f32::INFINITY, 0.0], |[near, far], z| [z.min(near), z.max(far)]);
+        if !surfaces.edge(near, far) {
+            return (surfaces.map.inverse[own], false);
+        }
+        let middle = 0.5 * (near + far);
+        let c0 = surfaces.colour(own);
+        let (mut sides, mut weights) = ([Vec::new(), Vec::new()], [0.0f32; 2]);
+        for (y, x) in window() {
+            let at = y * width + x;
+            let c = surfaces.colour(at);
+            let apart = (0..3).fold(0.0f32, |sum, i| (c[i] - c0[i]).mul_add(c[i] - c0[i], sum));
+            let alike = 1.0 / (1.0 + apart / (0.08 * 0.08));
+            let [dx, dy] = [x.abs_diff(column) as f32, y.abs_diff(row) as f32];
+            let w = alike * alike / (1.0 + (dx * dx + dy * dy) / 4.0);
+            let side = usize::from(surfaces.z[at] > middle);
+            weights[side] += w;
+            sides[side].push((surfaces.z[at], w));
+        }
+        let own_side = usize::from(surfaces.z[own] > middle);
+        let side = if weights[1 - own_side] > DECISIVE * weights[own_side] { 1 - own_side } else { own_side };
+        sides[side].sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let mut sum = 0.0;
+        let reached = |(_, w): &&(f32, f32)| {
+            sum += w;
+            sum >= 0.5 * weights[side]
+        };
+        let z = sides[side].iter().find(reached).or(sides[side].last()).expect("a side").0;
+        let keeps = side == own_side && !surfaces.edge(z, surfaces.z[own]);
+        (if keeps { surfaces.map.inverse[own] } else { map_value(z) }, side == 0)
+    }
+
+    #[test]
+    fn every_level_gives_the_bits_of_the_definition() {
+        let [height, width] = SIZE;
+        let noise = |i: usize| ((i as u32 + 1).wrapping_mul(2_654_435_761) >> 8) as f32 / 16_777_216.0;
+        // Things with a ramp around them, bumps, and colours whose edge lies beside the ramp.
+        let distance = |at: usize, x0: f32| ((at % width % 37) as f32 - x0).hypot((at / width) as f32 - 9.0);
+        let inverse = |at: usize| (0.12 * (9.0 - distance(at, 15.0))).clamp(0.0, 0.6) + 0.35 * noise(at).powi(3);
+        let map = DepthMap { inverse: (0..height * width).map(inverse).collect(), confidence: None, resolution: SIZE };
+        let colour = |i: usize| {
+            let thing = if distance(i % (height * width), 16.0) < 6.0 { 0.7 } else { 0.4 };
+            thing + 0.2 * noise(i + 7000)
+        };
+        let frame: Vec<f32> = (0..3 * height * width).map(colour).collect();
+        for level in Level::available() {
+            let surfaces = Surfaces::new(level, &map, &frame);
+            let mut kept = 0;
+            for at in 0..height * width {
+                let place = surfaces.at(at / width, at % width);
+                assert_eq!((place.inverse, place.near), plainly(&surfaces, at / width, at % width), "{level}: {at}");
+                kept += usize::from(place.inverse == map.inverse[at]);
+            }
+            let moved = height * width - kept;
+            assert!((50..height * width / 2).contains(&moved), "{moved} take another value");
         }
     }
-    values.last().map_or(0.0, |last| last.0)
 }

@@ -27,6 +27,7 @@
 //! (`--motion network`) each is taken as it is. Depth [found](crate::parallax) in the stream has one scale already.
 
 use rayon::prelude::*;
+use streamsplat_kernels::Level;
 use streamsplat_model::StaticGaussians;
 
 use edges::Surfaces;
@@ -39,6 +40,7 @@ mod edges;
 mod fill;
 mod order;
 mod outline;
+mod sides;
 
 pub(super) use align::{Alignment, Link, align};
 pub use covered::Covered;
@@ -114,6 +116,7 @@ pub(super) struct Added {
 /// [Gaussians behind](behind) its foreground. Where the map tells nothing, since no two of its values differ, the
 /// Gaussians stay as they are.
 pub(super) fn lift(
+    level: Level,
     gaussians: &mut StaticGaussians,
     map: &DepthMap,
     frame: &[f32],
@@ -121,7 +124,7 @@ pub(super) fn lift(
 ) -> Added {
     let Some(filled) = map.filled() else { return Added::default() };
     let [height, width] = filled.resolution;
-    let surfaces = Surfaces::new(&filled, frame);
+    let surfaces = Surfaces::new(level, &filled, frame);
     let each = gaussians.position.par_iter_mut().zip(&mut gaussians.scale).zip(&mut gaussians.rgb).enumerate();
     let on_surfaces = each.with_min_len(256).filter_map(|(i, ((&mut [x, y, z], scale), rgb))| {
         let (row, column) = (pixel(-z, height)?, pixel(x, width)?);
@@ -199,7 +202,7 @@ mod tests {
             gaussians.opacity.push(0.9);
             gaussians.rgb.push([0.9; 3]);
         }
-        let added = lift(&mut gaussians, &map, &[0.3; 3 * 8 * 64], Some(&Memory::None));
+        let added = lift(Level::scalar(), &mut gaussians, &map, &[0.3; 3 * 8 * 64], Some(&Memory::None));
         assert_eq!(added.held.len(), gaussians.position.len());
         for at in 0..8 * 64 {
             let x = at % 64;

@@ -59,6 +59,8 @@ impl Surfaces<'_> {
 
 #[cfg(test)]
 mod tests {
+    use streamsplat_kernels::Level;
+
     use super::super::{DepthMap, FAR, NEAR};
     use super::*;
 
@@ -72,7 +74,7 @@ mod tests {
         for (red, columns) in [(inverse.clone(), 15..17), (vec![0.5; 6 * 32], 0..0)] {
             let frame = [red, rest.clone()].concat();
             let mut gaussians = StaticGaussians::default();
-            let added = add(&mut gaussians, &Surfaces::new(&map, &frame)).len();
+            let added = add(&mut gaussians, &Surfaces::new(Level::scalar(), &map, &frame)).len();
             assert_eq!(added, 6 * columns.len(), "where colours differ, within a pixel");
             assert_eq!(added, gaussians.position.len());
             for (i, [x, y, _]) in gaussians.position.iter().enumerate() {
