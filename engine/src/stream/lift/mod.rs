@@ -146,7 +146,7 @@ pub(super) fn lift(
     });
     let (indices, lifted): (Vec<(usize, f32)>, Vec<order::Lifted>) = on_surfaces.unzip();
     let mut held = vec![1.0; gaussians.position.len()];
-    let z = order::keep(&lifted, filled.resolution, surfaces.tear());
+    let z = order::keep(level, &lifted, filled.resolution, surfaces.tear());
     for ((i, share), z) in indices.into_iter().zip(z) {
         gaussians.position[i][1] = y_at(z);
         held[i] = share;

@@ -17,7 +17,11 @@
 //!
 //! Sums run over bins of [`BIN`] pixels row by row, in a bin by index, in binary32.
 
+use std::ops::Range;
+
+use streamsplat_kernels::Level;
 use streamsplat_kernels::parallel::map_indexed;
+use streamsplat_kernels::simd::{LANES, Operation, Simd, dispatch};
 
 /// Change of depth per distance in the picture: the tangent of 10°.
 pub(super) const SLOPE: f32 = 0.18;
@@ -32,7 +36,7 @@ const BIN: usize = 4;
 const CROWD: usize = 32;
 /// Largest standard deviation that counts, in pixels.
 const LARGEST: f32 = 4.0;
-/// Gaussians per task.
+/// Gaussians per task, whole vectors of them.
 const CHUNK: usize = 1024;
 
 /// A Gaussian on its surface.
@@ -48,68 +52,153 @@ pub(super) struct Lifted {
     pub(super) rank: f32,
 }
 
-/// A neighbour of a Gaussian.
-struct Neighbour {
-    index: u32,
-    /// Least distance in depth; negative, at least −0, where the neighbour is in front.
-    room: f32,
+impl Lifted {
+    /// The standard deviation that counts.
+    fn sigma(&self) -> f32 {
+        self.sigma.clamp(0.0, LARGEST)
+    }
 }
 
-/// The neighbours of some Gaussians, one after another.
-#[derive(Default)]
+/// A neighbour of each Gaussian of a vector.
+#[derive(Clone, Copy)]
 struct Neighbours {
-    all: Vec<Neighbour>,
-    /// Where those of each end.
+    index: [u32; LANES],
+    /// Least distance in depth; negative, at least −0, where the neighbour is in front. A Gaussian with fewer neighbours
+    /// than others of the vector has itself as one, at 0: there nothing is lacking. Lanes past the last Gaussian are
+    /// not read.
+    room: [f32; LANES],
+}
+
+/// The neighbours of the Gaussians of a task, one vector after another.
+#[derive(Default)]
+struct Part {
+    all: Vec<Neighbours>,
+    /// Where those of each vector end.
     ends: Vec<usize>,
 }
 
 /// z of each Gaussian of a picture of this height and width, of which all numbers are finite; `edge`: difference of z
 /// at an edge.
-pub(super) fn keep(lifted: &[Lifted], [height, width]: [usize; 2], edge: f32) -> Vec<f32> {
+pub(super) fn keep(level: Level, lifted: &[Lifted], [height, width]: [usize; 2], edge: f32) -> Vec<f32> {
     let bins = Bins::new(lifted, [height, width]);
     let (unit, surface) = (2.0 / width as f32, SURFACE * edge);
-    let sigma = |of: &Lifted| of.sigma.clamp(0.0, LARGEST);
-    let parts = map_indexed(lifted.len().div_ceil(CHUNK), |chunk| {
-        let mut part = Neighbours::default();
-        for (i, own) in lifted.iter().enumerate().skip(chunk * CHUNK).take(CHUNK) {
-            bins.visit(own.at, WIDE * (sigma(own) + bins.largest), |index| {
-                let other = &lifted[index as usize];
-                let [dx, dy] = [other.at[0] - own.at[0], other.at[1] - own.at[1]];
-                let distance = dx.mul_add(dx, dy * dy).sqrt();
-                let near = distance <= WIDE * (sigma(own) + sigma(other)) && (own.z - other.z).abs() <= surface;
-                if near && index as usize != i {
-                    let first = own.rank.total_cmp(&other.rank).then(index.cmp(&(i as u32)));
-                    let side = if first.is_gt() { 1.0f32 } else { -1.0 };
-                    part.all.push(Neighbour { index, room: (SLOPE * distance * unit).copysign(side) });
-                }
-            });
-            part.ends.push(part.all.len());
-        }
-        part
-    });
+    let count = lifted.len().div_ceil(CHUNK);
+    let start = |chunk: usize| chunk * CHUNK;
+    let parts =
+        map_indexed(count, |chunk| dispatch(level, Search { lifted, bins: &bins, start: start(chunk), unit, surface }));
     let mut z: Vec<f32> = lifted.iter().map(|own| own.z).collect();
     for _ in 0..ROUNDS {
-        let moved = map_indexed(parts.len(), |chunk| {
-            let part = &parts[chunk];
-            let mut start = 0;
-            let each = part.ends.iter().zip(&z[chunk * CHUNK..]).map(|(end, own)| {
-                let neighbours = &part.all[start..*end];
-                start = *end;
-                let (mut sum, mut count) = (0.0f32, 0.0f32);
-                // Without a branch: what is lacking is as good as random.
-                for Neighbour { index, room } in neighbours {
-                    let side = 1.0f32.copysign(*room);
-                    let lacking = room.abs() - side * (z[*index as usize] - own);
-                    sum -= side * lacking.max(0.0);
-                    count += f32::from(u8::from(lacking > 0.0));
-                }
-                if count > 0.0 { own + sum / count } else { *own }
-            });
-            each.collect::<Vec<f32>>()
-        });
+        let moved =
+            map_indexed(count, |chunk| dispatch(level, Round { part: &parts[chunk], z: &z, start: start(chunk) }));
         z = moved.concat();
     }
     z
+}
+
+/// The search for the neighbours of a task's Gaussians.
+struct Search<'a> {
+    lifted: &'a [Lifted],
+    bins: &'a Bins,
+    start: usize,
+    unit: f32,
+    surface: f32,
+}
+
+impl Operation for Search<'_> {
+    type Output = Part;
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) -> Part {
+        let mut part = Part::default();
+        let end = (self.start + CHUNK).min(self.lifted.len());
+        for first in (self.start..end).step_by(LANES) {
+            let begin = part.all.len();
+            let own = |lane: usize| (first + lane).min(end - 1) as u32;
+            let themselves = Neighbours { index: std::array::from_fn(own), room: [0.0; LANES] };
+            for i in first..(first + LANES).min(end) {
+                let mut found = begin;
+                self.each(s, i, |index, room| {
+                    if found == part.all.len() {
+                        part.all.push(themselves);
+                    }
+                    let neighbours = &mut part.all[found];
+                    (neighbours.index[i - first], neighbours.room[i - first]) = (index, room);
+                    found += 1;
+                });
+            }
+            part.ends.push(part.all.len());
+        }
+        part
+    }
+}
+
+impl Search<'_> {
+    /// Visits the neighbours of a Gaussian.
+    #[inline(always)]
+    fn each<S: Simd>(&self, s: S, i: usize, mut visitor: impl FnMut(u32, f32)) {
+        let (own, bins) = (&self.lifted[i], self.bins);
+        let (x, y, sigma, z) = (s.splat(own.at[0]), s.splat(own.at[1]), s.splat(own.sigma()), s.splat(own.z));
+        for members in bins.around(own.at, WIDE * (own.sigma() + bins.largest)) {
+            for start in members.clone().step_by(LANES) {
+                let other = |value: usize| s.load(&bins.values[value][start..]);
+                let (dx, dy) = (s.sub(other(0), x), s.sub(other(1), y));
+                let distance = s.sqrt(s.mul_add(dx, dx, s.mul(dy, dy)));
+                let wide = s.mul(s.splat(WIDE), s.add(sigma, other(2)));
+                let same = s.le(s.abs(s.sub(z, other(3))), s.splat(self.surface));
+                let mut near = s.bits(s.and(s.le(distance, wide), same));
+                if members.end - start < LANES {
+                    near &= (1 << (members.end - start)) - 1;
+                }
+                let room = s.to_array(s.mul(s.mul(s.splat(SLOPE), distance), s.splat(self.unit)));
+                while near != 0 {
+                    let lane = near.trailing_zeros() as usize;
+                    near &= near - 1;
+                    let index = bins.members[start + lane];
+                    if index as usize != i {
+                        let rank = bins.values[4][start + lane];
+                        let first = own.rank.total_cmp(&rank).then(index.cmp(&(i as u32)));
+                        visitor(index, room[lane].copysign(if first.is_gt() { 1.0 } else { -1.0 }));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A round for the Gaussians of a task.
+struct Round<'a> {
+    part: &'a Part,
+    z: &'a [f32],
+    start: usize,
+}
+
+impl Operation for Round<'_> {
+    type Output = Vec<f32>;
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) -> Vec<f32> {
+        let z = &self.z[self.start..];
+        let mut moved = vec![0.0; z.len().min(CHUNK)];
+        let mut start = 0;
+        for ((out, own), end) in moved.chunks_mut(LANES).zip(z.chunks(LANES)).zip(&self.part.ends) {
+            let own = s.load_partial(own, 0.0);
+            let (mut sum, mut count) = (s.splat(0.0), s.splat(0.0));
+            for Neighbours { index, room } in &self.part.all[start..*end] {
+                let room = s.from_array(*room);
+                let front = s.and_i32(s.to_bits(room), s.splat_i32(i32::MIN));
+                let signed = |x: S::F32| s.from_bits(s.xor_i32(s.to_bits(x), front));
+                let mut other = [0.0; LANES];
+                for lane in 0..LANES {
+                    other[lane] = self.z[index[lane] as usize];
+                }
+                let other = s.from_array(other);
+                let lacking = s.sub(s.abs(room), signed(s.sub(other, own)));
+                sum = s.sub(sum, signed(s.max(lacking, s.splat(0.0))));
+                count = s.add(count, s.keep(s.lt(s.splat(0.0), lacking), s.splat(1.0)));
+            }
+            start = *end;
+            s.store_partial(s.select(s.lt(s.splat(0.0), count), s.add(own, s.div(sum, count)), own), out);
+        }
+        moved
+    }
 }
 
 /// Gaussians by the bin that their centre lies in.
@@ -118,6 +207,8 @@ struct Bins {
     columns: usize,
     starts: Vec<u32>,
     members: Vec<u32>,
+    /// Column, row, standard deviation, z and rank of the members, with room for a vector after the last.
+    values: [Vec<f32>; 5],
     /// Largest standard deviation of them.
     largest: f32,
 }
@@ -125,7 +216,8 @@ struct Bins {
 impl Bins {
     fn new(lifted: &[Lifted], [height, width]: [usize; 2]) -> Self {
         let [rows, columns] = [height, width].map(|side| side.div_ceil(BIN).max(1));
-        let mut bins = Self { rows, columns, starts: Vec::new(), members: Vec::new(), largest: 0.0 };
+        let mut bins =
+            Self { rows, columns, starts: Vec::new(), members: Vec::new(), values: Default::default(), largest: 0.0 };
         let mut of_bins: Vec<Vec<u32>> = vec![Vec::new(); rows * columns];
         for (i, own) in lifted.iter().enumerate() {
             let bin = &mut of_bins[bins.row(own.at[1]) * columns + bins.column(own.at[0])];
@@ -139,6 +231,12 @@ impl Bins {
             bins.members.extend(bin);
             bins.starts.push(bins.members.len() as u32);
         }
+        let value = |of: fn(&Lifted) -> f32| -> Vec<f32> {
+            let members = bins.members.iter().map(|member| of(&lifted[*member as usize]));
+            members.chain([0.0; LANES]).collect()
+        };
+        let [x, y] = [value(|of| of.at[0]), value(|of| of.at[1])];
+        bins.values = [x, y, value(Lifted::sigma), value(|of| of.z), value(|of| of.rank)];
         bins
     }
 
@@ -151,14 +249,11 @@ impl Bins {
         (y as usize / BIN).min(self.rows - 1)
     }
 
-    /// Visits the members of all bins that the square around a place meets.
-    fn visit(&self, [x, y]: [f32; 2], reach: f32, mut visitor: impl FnMut(u32)) {
-        for row in self.row(y - reach)..=self.row(y + reach) {
-            let bin = |column: usize| self.starts[row * self.columns + column] as usize;
-            for &member in &self.members[bin(self.column(x - reach))..bin(self.column(x + reach) + 1)] {
-                visitor(member);
-            }
-        }
+    /// The members of all bins that the square around a place meets, row by row.
+    fn around(&self, [x, y]: [f32; 2], reach: f32) -> impl Iterator<Item = Range<usize>> {
+        let columns = [self.column(x - reach), self.column(x + reach) + 1];
+        let bin = move |row: usize, column: usize| self.starts[row * self.columns + column] as usize;
+        (self.row(y - reach)..=self.row(y + reach)).map(move |row| bin(row, columns[0])..bin(row, columns[1]))
     }
 }
 
@@ -199,7 +294,7 @@ mod tests {
         let unit = 2.0 / 64.0;
         for of in [0.0, 0.2 * unit, -0.5 * unit] {
             let lifted = slope(of);
-            let z = keep(&lifted, SIZE, 5.0);
+            let z = keep(Level::scalar(), &lifted, SIZE, 5.0);
             let before: Vec<f32> = lifted.iter().map(|own| own.z).collect();
             assert!(wrong(&lifted, &before) > 0.4 && wrong(&lifted, &z) < 0.05, "{of}: {}", wrong(&lifted, &z));
             // In pixels.
@@ -207,6 +302,51 @@ mod tests {
             let mean = (0..z.len()).map(moved).sum::<f32>() / z.len() as f32;
             let most = (0..z.len()).map(|i| moved(i).abs()).fold(0.0, f32::max);
             assert!(mean.abs() < 0.2 && most < 6.0, "{of}: mean {mean}, most {most}");
+        }
+    }
+
+    /// z by the definition, one neighbour after another; no bin is crowded.
+    fn plainly(lifted: &[Lifted], edge: f32) -> Vec<f32> {
+        let unit = 2.0 / SIZE[1] as f32;
+        let bin = |own: &Lifted| [own.at[1], own.at[0]].map(|x| x as usize / BIN);
+        let mut order: Vec<usize> = (0..lifted.len()).collect();
+        order.sort_by_key(|i| bin(&lifted[*i]));
+        let mut z: Vec<f32> = lifted.iter().map(|own| own.z).collect();
+        for _ in 0..ROUNDS {
+            let moved = |(i, own): (usize, &Lifted)| {
+                let (mut sum, mut count) = (0.0f32, 0.0f32);
+                for &j in order.iter().filter(|j| **j != i) {
+                    let other = &lifted[j];
+                    let [dx, dy] = [0, 1].map(|axis| other.at[axis] - own.at[axis]);
+                    let distance = dx.mul_add(dx, dy * dy).sqrt();
+                    if distance <= WIDE * (own.sigma + other.sigma) && (own.z - other.z).abs() <= SURFACE * edge {
+                        let side = if (own.rank, j) > (other.rank, i) { 1.0 } else { -1.0 };
+                        let lacking = SLOPE * distance * unit - side * (z[j] - z[i]);
+                        if lacking > 0.0 {
+                            (sum, count) = (sum - side * lacking, count + 1.0);
+                        }
+                    }
+                }
+                if count > 0.0 { z[i] + sum / count } else { z[i] }
+            };
+            z = lifted.iter().enumerate().map(moved).collect();
+        }
+        z
+    }
+
+    #[test]
+    fn every_level_gives_the_bits_of_the_definition() {
+        let mut lifted = slope(0.01);
+        // Not whole vectors of them, of several sizes, some of one rank.
+        lifted.truncate(16 * 32 - 5);
+        for (i, own) in lifted.iter_mut().enumerate() {
+            own.sigma = 0.3 + (i % 7) as f32 * 0.2;
+            own.rank = (own.rank * 64.0).floor();
+        }
+        let expected = plainly(&lifted, 0.05);
+        assert!(wrong(&lifted, &expected) < wrong(&lifted, &lifted.iter().map(|own| own.z).collect::<Vec<_>>()));
+        for level in Level::available() {
+            assert_eq!(keep(level, &lifted, SIZE, 0.05), expected, "{level}");
         }
     }
 
@@ -218,7 +358,7 @@ mod tests {
             // In front the order says otherwise.
             (own.z, own.rank) = if i % 2 == 0 { (0.2, 0.0) } else { (0.5, 1.0) };
         }
-        let z = keep(&lifted, SIZE, edge);
+        let z = keep(Level::scalar(), &lifted, SIZE, edge);
         assert!(z.iter().enumerate().all(|(i, z)| (z - if i % 2 == 0 { 0.2 } else { 0.5 }).abs() < 0.15));
     }
 
@@ -228,8 +368,8 @@ mod tests {
         let mut lifted = vec![one; 100_000];
         lifted[1].at = [-1e30, 1e30];
         lifted[2].at = [f32::MAX, f32::MIN];
-        let z = keep(&lifted, SIZE, 0.1);
+        let z = keep(Level::scalar(), &lifted, SIZE, 0.1);
         assert!(z.len() == lifted.len() && z.iter().all(|z| z.is_finite()));
-        assert!(keep(&[], [1, 1], 0.1).is_empty());
+        assert!(keep(Level::scalar(), &[], [1, 1], 0.1).is_empty());
     }
 }
