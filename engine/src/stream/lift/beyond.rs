@@ -68,16 +68,17 @@ impl Surfaces<'_> {
     fn past_edge(&self, row: usize, column: usize, own: f32) -> Option<Beyond> {
         let [height, width] = self.resolution();
         let z = self.z();
-        let at = |(dx, dy): (i64, i64), n: usize| {
-            let (x, y) = (column as i64 + dx * n as i64, row as i64 + dy * n as i64);
-            let inside = (0..width as i64).contains(&x) && (0..height as i64).contains(&y);
-            inside.then(|| y as usize * width + x as usize)
+        let start = row * width + column;
+        // Places from one pixel to the next, and how many pixels there are.
+        let ways =
+            [(-1, column), (1, width - 1 - column), (-(width as isize), row), (width as isize, height - 1 - row)];
+        let at = |(step, count): (isize, usize), n: usize| {
+            (n <= count).then(|| start.wrapping_add_signed(step * n as isize))
         };
         let farther = |at: usize| z[at] - own > self.tear();
-        let ways = [(-1, 0), (1, 0), (0, -1), (0, 1)];
         let (way, distance) = (1..=(width / REACH).max(1)).find_map(|n| {
-            let past = |way| at(way, n).filter(|at| farther(*at) && self.edge_around(*at)).map(|_| way);
-            ways.into_iter().find_map(past).map(|way| (way, n))
+            let past = |way: &(isize, usize)| at(*way, n).is_some_and(|at| farther(at) && self.edge_around(at));
+            ways.into_iter().find(past).map(|way| (way, n))
         })?;
         // One pixel beyond the edge, past its ramp.
         let first = if at(way, distance + 1).is_some() { distance + 1 } else { distance };

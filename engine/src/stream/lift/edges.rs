@@ -157,22 +157,28 @@ impl<'a> Surfaces<'a> {
 
 /// The least and the greatest z within [`REACH`] of each pixel, along rows and then along columns.
 fn around(z: &[f32], [height, width]: [usize; 2]) -> Vec<[f32; 2]> {
-    let join = |[a, b]: [f32; 2], [c, d]: [f32; 2]| [a.min(c), b.max(d)];
-    let near = |at: usize, side: usize| at.saturating_sub(REACH)..(at + REACH + 1).min(side);
-    let all = |values: &[[f32; 2]]| values.iter().copied().fold([f32::INFINITY, f32::NEG_INFINITY], join);
-    let own: Vec<[f32; 2]> = z.iter().map(|z| [*z; 2]).collect();
-    let rows = own.par_chunks(width);
-    let along_rows: Vec<[f32; 2]> =
-        rows.flat_map_iter(|row| (0..width).map(move |x| all(&row[near(x, width)]))).collect();
-    let row = |y: usize| {
-        let mut joined = vec![[f32::INFINITY, f32::NEG_INFINITY]; width];
-        for other in near(y, height) {
-            let other = &along_rows[other * width..][..width];
-            joined.iter_mut().zip(other).for_each(|(joined, other)| *joined = join(*joined, *other));
+    fn join(joined: &mut [[f32; 2]], others: impl IntoIterator<Item = [f32; 2]>) {
+        for ([near, far], [a, b]) in joined.iter_mut().zip(others) {
+            (*near, *far) = (near.min(a), far.max(b));
         }
+    }
+    let of_rows = |fill: &(dyn Fn(usize, &mut [[f32; 2]]) + Sync)| {
+        let mut joined = vec![[f32::INFINITY, f32::NEG_INFINITY]; z.len()];
+        joined.par_chunks_mut(width).enumerate().for_each(|(y, joined)| fill(y, joined));
         joined
     };
-    (0..height).into_par_iter().flat_map_iter(row).collect()
+    let along_rows = of_rows(&|y, joined| {
+        let row = &z[y * width..][..width];
+        for shift in 0..(REACH + 1).min(width) {
+            join(joined, row[shift..].iter().map(|z| [*z; 2]));
+            join(&mut joined[shift..], row.iter().map(|z| [*z; 2]));
+        }
+    });
+    of_rows(&|y, joined| {
+        for other in y.saturating_sub(REACH)..(y + REACH + 1).min(height) {
+            join(joined, along_rows[other * width..][..width].iter().copied());
+        }
+    })
 }
 
 #[cfg(test)]
