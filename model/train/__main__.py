@@ -192,6 +192,7 @@ def main(arguments=None):
         c.add_argument('--magnified', type=float, default=0.0, metavar='SHARE', help='share of the frames of which a part is shown, 1.1 to 1.9 times larger: what tiles of larger frames look like')
         c.add_argument('--fit', type=float, default=0.0, metavar='WEIGHT', help='weight of the picture with fitted colours beside that of the network\'s')
         c.add_argument('--fit-steps', type=int, default=4, help='conjugate gradients of that fit')
+        c.add_argument('--turned', type=float, default=0.0, metavar='WEIGHT', help='with --depth: weight of procedural scenes lifted to their depth, from their camera and from the side')
         c.add_argument('--scenes', type=int, default=1, help='procedural scenes of a step, with --depth')
 
     def dynamic_options(c):

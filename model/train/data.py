@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 cv2.setNumThreads(1)
+AROUND = np.ones((7, 7), np.uint8)     # pixels around one that `inner` of a scene from the side asks for
 _local = threading.local()
 
 
@@ -163,8 +164,8 @@ class Pairs:
         """Textured layers at different depths under affine motion: a background wider than the picture and blobs before it.
 
         Motion is a camera's (in proportion to inverse depth) plus each layer's own; nearer layers hide farther ones. `turned` are the key
-        frames [2, len(turns), H, W, 3] as a camera sees them that has been led around the mean distance of what is seen by `turns` degrees, and `both` is 1 where
-        such a picture shows what the key frame shows too."""
+        frames [2, len(turns), H, W, 3] as a camera sees them that has been led around the mean distance of what is seen by `turns` degrees, `both` is 1 where
+        such a picture shows what the key frame shows too, and `inner` where it does so around a pixel, all of it on one layer."""
         h, w = self.clips[0].shape[1:3]
         times = np.concatenate([[0, 1], np.sort(r.uniform(0.1, 0.9, self.middle))]).astype(np.float32)
         large = r.random() < 0.35
@@ -205,7 +206,7 @@ class Pairs:
             return np.clip(image, 0, 1), front, nearest
 
         straight = [np.eye(3)] * len(layers)
-        frames, flows, depths, foregrounds, turned, both = [], [], [], [], [], []
+        frames, flows, depths, foregrounds, turned, both, inner = [], [], [], [], [], [], []
         for k, t in enumerate(times):
             image, front, nearest = drawn(t, straight)
             frames.append(image); foregrounds.append(front)
@@ -226,7 +227,10 @@ class Pairs:
                     x = np.round(np.stack([(gx - v[0, 2]) / c for v in views])[seen, np.arange(h)[:, None], np.arange(w)]).astype(np.int64)
                     before = nearest[np.arange(h)[:, None], np.clip(x, 0, w - 1)]
                     turned.append(image); both.append(((x >= 0) & (x < w) & (before == seen)).astype(np.float32))
-        views = dict(turned=np.stack(turned).reshape(2, len(turns), h, w, 3), both=np.stack(both).reshape(2, len(turns), h, w)) if turns else {}
+                    same = both[-1] * (cv2.erode(seen.astype(np.uint8), AROUND) == cv2.dilate(seen.astype(np.uint8), AROUND))
+                    inner.append(cv2.erode(same, AROUND))
+        each = lambda images: np.stack(images).reshape(2, len(turns), *images[0].shape)
+        views = dict(turned=each(turned), both=each(both), inner=each(inner)) if turns else {}
         return dict(rgb=np.stack(frames), time=times, flow=np.stack(flows).astype(np.float32), sure=np.ones((2, h, w), np.float32),
                     depth=np.stack(depths).astype(np.float32), has_depth=np.float32(1), foreground=np.stack(foregrounds), **views)
 
@@ -236,6 +240,13 @@ class Pairs:
         s, key = self.scene(r), int(r.integers(2))
         rgb = colour_jitter(r, s['rgb'][key]).transpose(2, 0, 1)
         return np.ascontiguousarray(rgb[None], dtype=np.float32), s['foreground'][None, key]
+
+    def turned(self, step, k, degrees):
+        """As `still`, with its inverse depth [1,H,W], the frame as a camera sees it that is led around it by `degrees`, and `inner` of `scene` there."""
+        r = np.random.default_rng([self.seed, step, (1 << 23) + k])
+        s, key = self.scene(r, (degrees,)), int(r.integers(2))
+        rgb = np.ascontiguousarray(colour_jitter(r, np.stack([s['rgb'][key], s['turned'][key, 0]])).transpose(0, 3, 1, 2), dtype=np.float32)
+        return rgb[:1], s['foreground'][None, key], s['depth'][None, key], rgb[1:], s['inner'][key]
 
     def sample(self, r):
         s = self.scene(r) if r.random() < self.procedural else self.real(r)

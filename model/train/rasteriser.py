@@ -165,7 +165,7 @@ def render_pair(g, times, H, W, background, kernels=None):
     return image.view(B, K, 4, H, W), T.view(B, K, H, W)
 
 
-def render_turned(xyz, scale, opacity, rgb, H, W, background, degrees, pivot):
+def render_turned(xyz, scale, opacity, rgb, H, W, background, degrees, pivot, kernels=None):
     """As `render`, by an orthographic camera that is led around the vertical line through the optical axis at distance `pivot` [M]; the scale
     along the optical axis is the mean of the two others."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
@@ -176,4 +176,4 @@ def render_turned(xyz, scale, opacity, rgb, H, W, background, degrees, pivot):
     variance_x = (c * scale[..., 0]) ** 2 + (s * scale.mean(-1)) ** 2
     visible = ((y >= 0) & (y <= 1) & (distance > 0)).to(y.dtype)
     P = torch.stack([u, v, variance_x * (W / 2) ** 2 + 0.3, (scale[..., 1] * H / 2) ** 2 + 0.3, opacity * visible], -1)
-    return splat(P, torch.cat([rgb, distance[..., None]], -1), distance, torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W)
+    return splat(P, torch.cat([rgb, distance[..., None]], -1), distance.detach(), torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W, kernels)

@@ -13,7 +13,7 @@ import time
 import numpy as np
 import torch
 
-from . import data, depth, losses, network
+from . import data, depth, lifted, losses, network
 from .optimiser import Mixed, groups_of
 from .rasteriser import render_fitted, render_pair, render_static
 
@@ -194,22 +194,29 @@ def _static(stage, net, o, clips, encoder):
     h, w = net.config.resolution
     if o.fit and o.crop:
         raise ValueError('--fit takes whole frames: no --crop')
+    if o.turned and not o.depth:
+        raise ValueError('--turned needs scenes whose depth is known: --depth')
     source = data.Frames(clips, o.seed, o.batch, None if not o.crop else tuple(o.crop), o.magnified)
     scenes = data.Pairs(clips, o.seed, 1, middle=0) if o.depth else None
     hooks = depth.kept_lean(net) if o.depth else flat_depth(net)
     sampled = net.gs_predictor.predictor.sampled
 
+    def turn(step):
+        return float(np.random.default_rng([o.seed, step, 1 << 24]).uniform(4, 12)) * (-1) ** step
+
     def batch(step):
         x, place = source.batch(step)
         if not scenes:
             return x, place, np.zeros(0, np.float32)
-        of, fronts = zip(*(scenes.still(step, k) for k in range(o.scenes)))       # the last ones of the batch are scenes whose depth is known
-        return np.concatenate([x, *of]), place, np.concatenate(fronts)
+        # the last ones of the batch are scenes whose depth is known
+        made = [scenes.turned(step, k, turn(step)) if o.turned else scenes.still(step, k) for k in range(o.scenes)]
+        of, *known = (np.concatenate(each) for each in zip(*made))
+        return np.concatenate([x, of]), place, *known
 
     batches = ahead(batch, stage.step, o.workers, stage.device)
 
     def loss_of(step, f):
-        x, place, front = next(batches)
+        x, place, front, *known = next(batches)
         x, place = x.to(stage.device, non_blocking=True), tuple(int(k) for k in place)
         grid = (x.shape[2] // 8, x.shape[3] // 8)
         gen = torch.Generator().manual_seed(o.seed * 1_000_003 + step)
@@ -236,6 +243,13 @@ def _static(stage, net, o, clips, encoder):
             uneven, misplaced = depth.lean_loss(g['xyz'][..., 1], net.config.splat_grid, front.to(stage.device))
             loss = loss + o.depth * (depth.UNEVEN * uneven + misplaced)
             more.update(uneven=uneven.detach(), misplaced=misplaced.detach())
+        if o.turned:
+            last = slice(len(x) - len(front), None)
+            y, turned, inside = (t.to(stage.device, non_blocking=True) for t in known)
+            aside, figures = lifted.lifted_loss({k: t[last] for k, t in g.items()}, y, x[last], turned, inside, background[last], turn(step), net.config.splat_grid,
+                                                o.fit_steps, o.rasteriser)
+            loss = loss + o.turned * aside
+            more.update(figures)
         return loss, dict(more, wide=wide.detach(), key=losses.psnr(a.detach(), b).mean(), transmittance=T.mean())
 
     stage.go(loss_of, o.until)
