@@ -2,8 +2,8 @@
 //!
 //! A map from a network or a sensor runs over its edges as a ramp, a few pixels beside the picture's own. A Gaussian on
 //! the ramp would stand in the air between two surfaces and tear when the view turns. So within [`REACH`] pixels of an
-//! edge the values around a place are divided in two, nearer and farther than the middle of their range, and [weighed](super::sides) by
-//! how like the place's own colour theirs is:
+//! edge the values around a place are divided in two, nearer and farther than the middle of their range, and
+//! [weighed](super::sides) by how like the place's own colour theirs is:
 //!
 //! ```text
 //! w = 1/(1 + |c − c₀|²/C²)² · 1/(1 + r²/R²)        r: distance in pixels

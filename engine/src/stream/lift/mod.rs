@@ -56,14 +56,14 @@ pub const NEAR: f32 = 0.95;
 const NARROWER: f32 = 0.95;
 /// Standard deviation of a Gaussian before an edge per pixel to the edge from its pixel's far side, and the least one
 /// in pixels.
-const TO_EDGE: f32 = 0.3;
+const TO_EDGE: f32 = 0.4;
 const LEAST: f32 = 0.3;
 /// Pixels from an edge within which colours are held.
 const BESIDE: f32 = 3.0;
 /// Factors on the unknowns of the fit for colours beside an edge, on its farther and on its nearer side: the ridge holds
 /// them as many times as strongly as the square's inverse. Free, they would undo what reaches over the edge, and a view
 /// that turns shows them without it.
-const HELD: [f32; 2] = [0.1, 0.8];
+const HELD: [f32; 2] = [0.3, 0.8];
 
 /// Inverse depth of a key frame, at the size at which the model sees it.
 #[derive(Clone, Debug, PartialEq)]
