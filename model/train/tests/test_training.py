@@ -90,7 +90,7 @@ def options(**more):
     return types.SimpleNamespace(**dict(dict(seed=3, batch=1, steps=6, minutes=0, until=None, crop=None, encoder=False, attention=False, depth=0.0, gradient=0.01,
                                              mean_positions=False, procedural=0.5, gaps=(2, 6), middle=1, flow=0.05, one_way=False, rate=0.5,
                                              mixed=False, rasteriser=None, pairs=2, keep_zero_output=False,
-                                             magnified=0.0, fit=0.0, fit_steps=2, scenes=1, workers=0), **more))
+                                             magnified=0.0, fit=0.0, fit_steps=2, turned=0.0, scenes=1, workers=0), **more))
 
 
 @pytest.mark.parametrize('stage, more', (('static', {}), ('static', dict(mixed=True)), ('static', dict(depth=1.0)),
