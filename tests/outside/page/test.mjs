@@ -435,6 +435,7 @@ async function slowly() {
 /** Counts the work of a picture while the scene plays and while it is turned; checks that the page sways until it is touched. */
 async function work(address) {
   const swaying = await browser.newPage({ viewport: { width: 1280, height: 720 }, reducedMotion: "no-preference" });
+  swaying.setDefaultTimeout(60_000);
   await swaying.goto(address);
   await swaying.waitForFunction(() => document.getElementById("canvas").work?.().pictures > 20);
   const rate = async (name) => {
