@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 
 from .losses import FITTED_FLOOR, log_error, psnr
-from .rasteriser import fitted_colours, projected, render_turned, splat
+from .rasteriser import render_fitted, render_turned
 
 SLOPE, WIDE, SURFACE, ROUNDS = 0.18, 2.0, 2.0, 16      # of the engine's lift/order.rs
 TEAR = 11.5                                            # of lift/edges.rs: z apart at an edge, times pixels of a row
@@ -68,12 +68,9 @@ def lifted_loss(g, depth, key, turned, inner, background, degrees, splat_grid, s
     side, where `inner` [B,H,W] says that `turned` shows one surface that the key frame shows too. Fitted colours are constants."""
     H, W = key.shape[-2:]
     g = lifted(g, depth, splat_grid)
-    opacity = g['opacity'][..., 0]
-    P, z = projected(g['xyz'], g['scale'], opacity, H, W)
-    rgb = fitted_colours(P, g['rgb'].detach(), z.detach(), background, key, steps, kernels=kernels)
-    front, _ = splat(P, torch.cat([rgb, torch.zeros_like(rgb[..., :1])], -1), z.detach(), torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W, kernels)
-    side, _ = render_turned(g['xyz'], g['scale'], opacity, rgb, H, W, background, degrees, depth_of(depth).mean((1, 2)), kernels)
+    front, rgb = render_fitted(g, key, background, steps, kernels)
+    side, _ = render_turned(g['xyz'], g['scale'], g['opacity'][..., 0], rgb, H, W, background, degrees, depth_of(depth).mean((1, 2)), kernels)
     share = inner.mean((1, 2)).clamp_min(1e-3)
     error = ((side[:, :3] - turned).square().mean(1) * inner).mean((1, 2)) / share
-    loss = log_error(front[:, :3], key, FITTED_FLOOR) + torch.log(error + FITTED_FLOOR).mean()
-    return loss, dict(lifted=psnr(front[:, :3].detach(), key).mean(), turned=(-10 * torch.log10(error.detach() + 1e-10)).mean())
+    loss = log_error(front, key, FITTED_FLOOR) + torch.log(error + FITTED_FLOOR).mean()
+    return loss, dict(lifted=psnr(front.detach(), key).mean(), turned=(-10 * torch.log10(error.detach() + 1e-10)).mean())

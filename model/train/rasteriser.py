@@ -136,14 +136,14 @@ def render_static(g, H, W, background, full=None, offset=(0, 0), kernels=None):
 
 
 def render_fitted(g, target, background, steps, kernels=None):
-    """Whole frames with colours fitted to `target` [M,3,H,W] (`fitted_colours`) -> image [M,3,H,W].
+    """Whole frames with colours fitted to `target` [M,3,H,W] (`fitted_colours`) -> image [M,3,H,W], the colours [M,N,3].
 
     The fitted colours are constants: where the squared error is least in them, their own change adds nothing to its gradient."""
     H, W = target.shape[-2:]
     P, depth = projected(g['xyz'], g['scale'], g['opacity'][..., 0], H, W)
     rgb = fitted_colours(P, g['rgb'].detach(), depth, background, target, steps, kernels=kernels)
     image, _ = splat(P, torch.cat([rgb, torch.zeros_like(rgb[..., :1])], -1), depth.detach(), torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W, kernels)
-    return image[:, :3]
+    return image[:, :3], rgb
 
 
 def at_times(g, times):

@@ -236,7 +236,7 @@ def _static(stage, net, o, clips, encoder):
         a, b = image[:, :3][inner], x[inner]
         loss = losses.log_error(a, b) + o.gradient * losses.gradient_l1(a, b) + wide
         if o.fit:
-            fitted = render_fitted(g, x, background, o.fit_steps, o.rasteriser)
+            fitted, _ = render_fitted(g, x, background, o.fit_steps, o.rasteriser)
             loss = loss + o.fit * losses.log_error(fitted, x, losses.FITTED_FLOOR)
             more['fitted'] = losses.psnr(fitted.detach(), x).mean()
         if scenes:

@@ -117,7 +117,7 @@ def test_a_picture_of_fitted_colours_is_nearer_and_its_gradient_is_that_of_the_l
     n, H, W = 60, 16, 24
     g = dict(xyz=torch.rand(1, n, 3) * torch.tensor([2.0, 1.0, 2.0]) - torch.tensor([1.0, 0.0, 1.0]), scale=0.05 + 0.1 * torch.rand(1, n, 2), opacity=0.2 + 0.6 * torch.rand(1, n, 1), rgb=torch.rand(1, n, 3))
     target, background = 0.4 + 0.2 * torch.rand(1, 3, H, W), torch.full((1, 3), 0.5)
-    error = lambda scale: (render_fitted(dict(g, scale=scale), target, background, 60) - target).pow(2).sum()
+    error = lambda scale: (render_fitted(dict(g, scale=scale), target, background, 60)[0] - target).pow(2).sum()
     own = (render(g['xyz'], g['scale'], g['opacity'][..., 0], g['rgb'], H, W, background)[0][:, :3] - target).pow(2).sum()
     scale = g['scale'].clone().requires_grad_()
     least = error(scale)
