@@ -306,8 +306,8 @@ mod tests {
     }
 
     /// z by the definition, one neighbour after another; no bin is crowded.
-    fn plainly(lifted: &[Lifted], edge: f32) -> Vec<f32> {
-        let unit = 2.0 / SIZE[1] as f32;
+    fn plainly(lifted: &[Lifted], width: usize, edge: f32) -> Vec<f32> {
+        let unit = 2.0 / width as f32;
         let bin = |own: &Lifted| [own.at[1], own.at[0]].map(|x| x as usize / BIN);
         let mut order: Vec<usize> = (0..lifted.len()).collect();
         order.sort_by_key(|i| bin(&lifted[*i]));
@@ -336,17 +336,25 @@ mod tests {
 
     #[test]
     fn every_level_gives_the_bits_of_the_definition() {
-        let mut lifted = slope(0.01);
-        // Not whole vectors of them, of several sizes, some of one rank.
-        lifted.truncate(16 * 32 - 5);
-        for (i, own) in lifted.iter_mut().enumerate() {
-            own.sigma = 0.3 + (i % 7) as f32 * 0.2;
-            own.rank = (own.rank * 64.0).floor();
-        }
-        let expected = plainly(&lifted, 0.05);
-        assert!(wrong(&lifted, &expected) < wrong(&lifted, &lifted.iter().map(|own| own.z).collect::<Vec<_>>()));
-        for level in Level::available() {
-            assert_eq!(keep(level, &lifted, SIZE, 0.05), expected, "{level}");
+        // In the narrow picture neighbours lie at the end of one row of bins and at the start of the next.
+        for (width, largest) in [(SIZE[1], 1.5), (SIZE[1] / 4, LARGEST)] {
+            let mut lifted = slope(0.01);
+            // Not whole vectors of them, in all and in a row of bins; of several sizes, some of one rank.
+            let mut count = 0;
+            lifted.retain(|_| {
+                count += 1;
+                count % 11 != 3
+            });
+            for (i, own) in lifted.iter_mut().enumerate() {
+                own.at[0] *= width as f32 / SIZE[1] as f32;
+                own.sigma = (i % 7 + 1) as f32 / 7.0 * largest;
+                own.rank = (own.rank * 64.0).floor();
+            }
+            let expected = plainly(&lifted, width, 0.05);
+            assert!(wrong(&lifted, &expected) < wrong(&lifted, &lifted.iter().map(|own| own.z).collect::<Vec<_>>()));
+            for level in Level::available() {
+                assert_eq!(keep(level, &lifted, [SIZE[0], width], 0.05), expected, "{level}, {width} pixels wide");
+            }
         }
     }
 
