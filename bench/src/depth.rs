@@ -32,6 +32,9 @@ pub(crate) struct Options {
     /// Degrees by which views are turned to both sides.
     #[arg(long, default_value_t = 10.0)]
     degrees: f64,
+    /// Let surfaces lean: distances change over each.
+    #[arg(long, conflicts_with = "travel")]
+    leaning: bool,
     /// Pixels, of a picture 256 wide, that the camera moves sideways before the nearest things until the views are taken; depth is then also
     /// found by parallax.
     #[arg(long, default_value_t = 0.0)]
@@ -101,8 +104,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         textures.extend(first_picture(folder, [width, height])?);
     }
     let follow = options.travel * width as f64 / 256.0;
-    let scenes: Vec<Cards> =
-        (0..options.scenes).map(|seed| Cards::textured(seed, width, height, follow, &textures)).collect();
+    let scene = |seed| {
+        let cards = Cards::textured(seed, width, height, follow, &textures);
+        if options.leaning { cards.leaning(seed) } else { cards }
+    };
+    let scenes: Vec<Cards> = (0..options.scenes).map(scene).collect();
     if let Some(folder) = &options.pictures {
         std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
     }
