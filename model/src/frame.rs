@@ -35,13 +35,15 @@ pub enum Sampling {
 
 /// The Gaussians of one frame at the frame's own time, one per 2×2 pixels, row by row.
 ///
-/// There is no rotation; the third scale, along y, is the mean of the two.
+/// There is no rotation; the third standard deviation, along y, is the mean of the two.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StaticGaussians {
     /// World position (x, y, z): x in [−1, 1] left to right, y normalised inverse depth, z in [1, −1] top to bottom.
     pub position: Vec<[f32; 3]>,
     /// Standard deviations (s_x, s_z).
     pub scale: Vec<[f32; 2]>,
+    /// Standard deviation along y over the mean of the other two: 1 as the model gives them.
+    pub thickness: Vec<f32>,
     /// In [0.05, 1].
     pub opacity: Vec<f32>,
     /// In [0, 1].

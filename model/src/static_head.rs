@@ -135,7 +135,7 @@ impl StaticHead {
         activation::sigmoid(level, &mut opacity);
         opacity.iter_mut().for_each(|o| *o = 0.05 + 0.95 * *o);
         activation::sigmoid(level, rgb.as_flattened_mut());
-        StaticGaussians { position, scale, opacity, rgb }
+        StaticGaussians { thickness: vec![1.0; opacity.len()], position, scale, opacity, rgb }
     }
 
     pub(crate) fn bytes(&self) -> usize {

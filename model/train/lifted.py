@@ -14,7 +14,7 @@ from .rasteriser import render_fitted, render_turned
 SLOPE, WIDE, SURFACE, ROUNDS = 0.18, 2.0, 2.0, 16      # of the engine's lift/order.rs
 TEAR = 11.5                                            # of lift/edges.rs: z apart at an edge, times pixels of a row
 LARGEST = 4.0                                          # standard deviation in pixels
-NARROWER = 0.95                                        # of lift/mod.rs
+NARROWER, THIN = 0.95, 0.5                             # of lift/mod.rs
 NEIGHBOURS = 3                                         # cells of the splat grid around a Gaussian that are looked at
 
 
@@ -69,7 +69,7 @@ def lifted_loss(g, depth, key, turned, inner, background, degrees, splat_grid, s
     H, W = key.shape[-2:]
     g = lifted(g, depth, splat_grid)
     front, rgb = render_fitted(g, key, background, steps, kernels)
-    side, _ = render_turned(g['xyz'], g['scale'], g['opacity'][..., 0], rgb, H, W, background, degrees, depth_of(depth).mean((1, 2)), kernels)
+    side, _ = render_turned(g['xyz'], g['scale'], g['opacity'][..., 0], rgb, H, W, background, degrees, depth_of(depth).mean((1, 2)), THIN, kernels)
     share = inner.mean((1, 2)).clamp_min(1e-3)
     error = ((side[:, :3] - turned).square().mean(1) * inner).mean((1, 2)) / share
     loss = log_error(front, key, FITTED_FLOOR) + torch.log(error + FITTED_FLOOR).mean()

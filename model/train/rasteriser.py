@@ -165,15 +165,15 @@ def render_pair(g, times, H, W, background, kernels=None):
     return image.view(B, K, 4, H, W), T.view(B, K, H, W)
 
 
-def render_turned(xyz, scale, opacity, rgb, H, W, background, degrees, pivot, kernels=None):
+def render_turned(xyz, scale, opacity, rgb, H, W, background, degrees, pivot, thickness=1.0, kernels=None):
     """As `render`, by an orthographic camera that is led around the vertical line through the optical axis at distance `pivot` [M]; the scale
-    along the optical axis is the mean of the two others."""
+    along the optical axis is `thickness` times the mean of the two others."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     y = xyz[..., 1]
     behind = 1.0 / (9.8 * y.clamp(0, 1) + 0.2 + 1e-6) - pivot[:, None]
     x, distance = c * xyz[..., 0] - s * behind, pivot[:, None] + s * xyz[..., 0] + c * behind
     u, v = ((x + 1) * W - 1) * 0.5, ((1 - xyz[..., 2]) * H - 1) * 0.5
-    variance_x = (c * scale[..., 0]) ** 2 + (s * scale.mean(-1)) ** 2
+    variance_x = (c * scale[..., 0]) ** 2 + (s * thickness * scale.mean(-1)) ** 2
     visible = ((y >= 0) & (y <= 1) & (distance > 0)).to(y.dtype)
     P = torch.stack([u, v, variance_x * (W / 2) ** 2 + 0.3, (scale[..., 1] * H / 2) ** 2 + 0.3, opacity * visible], -1)
     return splat(P, torch.cat([rgb, distance[..., None]], -1), distance.detach(), torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W, kernels)

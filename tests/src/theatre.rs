@@ -126,6 +126,7 @@ impl Session for Performance {
             g.position.push([x + shift, depth, if bad { f32::NAN } else { z }]);
             g.scale.push(self.0.lattice.map(|side| 0.7 / side as f32));
             g.scale.last_mut().expect("just pushed").reverse();
+            g.thickness.push(1.0);
             g.opacity.push(0.95);
             g.rgb.push(colour);
         }

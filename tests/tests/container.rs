@@ -84,36 +84,58 @@ fn version_2() -> Vec<Interval> {
     (0..2).map(|i| recoloured(&scene.interval(i).expect("sound"))).collect()
 }
 
-fn write_version_2(path: &Path) {
+/// The same, some of them thinner or thicker.
+fn version_3() -> Vec<Interval> {
+    let mut intervals = version_2();
+    for gaussians in intervals.iter_mut().map(|interval| &mut interval.gaussians) {
+        for (thickness, identity) in gaussians.thickness.iter_mut().zip(&gaussians.identity) {
+            *thickness = 0.5 + (identity % 5) as f32 * 0.25;
+        }
+    }
+    intervals
+}
+
+fn write_version_3(path: &Path) {
     let mut writer = ContainerWriter::create(path, 24.0).expect("writable");
-    version_2().iter().for_each(|interval| writer.push(interval, workers()).expect("writable"));
+    version_3().iter().for_each(|interval| writer.push(interval, workers()).expect("writable"));
     writer.finish().expect("writable").expect("intervals");
 }
 
 #[test]
-fn the_stored_container_of_version_2_is_what_is_written_and_reads_back() {
-    let stored = streamsplat_fixtures::path("containers/version-2.ssz");
+fn the_stored_container_of_version_3_is_what_is_written() {
+    let stored = streamsplat_fixtures::path("containers/version-3.ssz");
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ssz");
-    write_version_2(&path);
+    write_version_3(&path);
     assert!(std::fs::read(&path).expect("just written") == std::fs::read(&stored).expect("stored"));
-    let scene = Scene::open(&stored).expect("a container");
-    for (i, expected) in version_2().iter().enumerate() {
-        let found = scene.interval(i).expect("sound").gaussians;
-        assert_eq!((&found.mean, &found.rgb, &found.identity), {
-            let g = &expected.gaussians;
-            (&g.mean, &g.rgb, &g.identity)
-        });
-        let rates = found.rgb_rate.as_flattened().iter().zip(expected.gaussians.rgb_rate.as_flattened());
-        let furthest = rates.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        assert!((1e-4..0.501 / 255.0).contains(&furthest), "{furthest}");
+}
+
+#[test]
+fn stored_containers_read_back() {
+    for (version, intervals) in [(2, version_2()), (3, version_3())] {
+        let stored = streamsplat_fixtures::path(&format!("containers/version-{version}.ssz"));
+        let scene = Scene::open(&stored).expect("a container");
+        assert_eq!(scene.index().version, version);
+        for (i, expected) in intervals.iter().enumerate() {
+            let found = scene.interval(i).expect("sound").gaussians;
+            assert_eq!((&found.mean, &found.rgb, &found.identity), {
+                let g = &expected.gaussians;
+                (&g.mean, &g.rgb, &g.identity)
+            });
+            let rates = found.rgb_rate.as_flattened().iter().zip(expected.gaussians.rgb_rate.as_flattened());
+            let furthest = rates.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!((1e-4..0.501 / 255.0).contains(&furthest), "{furthest}");
+            let thickness = found.thickness.iter().zip(&expected.gaussians.thickness);
+            let furthest = thickness.map(|(a, b)| (a.log2() - b.log2()).abs()).fold(0.0, f32::max);
+            assert!(furthest < 0.501 / 64.0, "{furthest}");
+        }
     }
 }
 
 #[test]
 #[ignore = "writes the stored container: cargo test --release -p streamsplat-tests --test container -- --ignored"]
-fn store_the_container_of_version_2() {
-    write_version_2(&streamsplat_fixtures::path("containers/version-2.ssz"));
+fn store_the_container_of_version_3() {
+    write_version_3(&streamsplat_fixtures::path("containers/version-3.ssz"));
 }
 
 #[test]

@@ -74,8 +74,8 @@ fn pairwise_key_frame_ten_thousand_equals_a_fresh_stream() {
     let (a, b) = (&last.gaussians, &other.gaussians);
     assert_eq!(a.len(), b.len());
     assert_eq!(
-        (&a.mean, &a.velocity, &a.gamma, &a.opacity, &a.scale, &a.rgb, &a.rgb_rate, &a.reference),
-        (&b.mean, &b.velocity, &b.gamma, &b.opacity, &b.scale, &b.rgb, &b.rgb_rate, &b.reference)
+        (&a.mean, &a.velocity, &a.gamma, &a.opacity, &a.scale, &a.thickness, &a.rgb, &a.rgb_rate, &a.reference),
+        (&b.mean, &b.velocity, &b.gamma, &b.opacity, &b.scale, &b.thickness, &b.rgb, &b.rgb_rate, &b.reference)
     );
     assert_eq!((last.start, last.end), (other.start, other.end));
     for time in [last.start, 0.5 * (last.start + last.end), last.end] {

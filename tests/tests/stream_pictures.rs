@@ -21,7 +21,7 @@ fn draw(interval: &Interval, time: f64) -> Image {
 /// Every number of an interval's Gaussians, as bits.
 fn bits(interval: &Interval) -> Vec<u32> {
     let of = |r: streamsplat::stream::Record| {
-        let scalars = [r.opacity, r.gamma[0], r.gamma[1], r.scale[0], r.scale[1]];
+        let scalars = [r.opacity, r.gamma[0], r.gamma[1], r.scale[0], r.scale[1], r.thickness];
         let vectors = [r.mean, r.velocity, r.rgb, r.rgb_rate, r.offset].concat();
         scalars.into_iter().chain(vectors).map(f32::to_bits).collect::<Vec<_>>()
     };

@@ -227,8 +227,10 @@ arrays! {
     gamma: table -> PyArray2<f32>;
     /// Opacity at the reference time, float32 [N].
     opacity: column -> PyArray1<f32>;
-    /// Standard deviations along x and z, float32 [N, 2]; along y it is their mean.
+    /// Standard deviations along x and z, float32 [N, 2].
     scale: table -> PyArray2<f32>;
+    /// That along y, in scene space, over the mean of the two, float32 [N].
+    thickness: column -> PyArray1<f32>;
     /// Display-space colour at the reference time, float32 [N, 3].
     rgb: table -> PyArray2<f32>;
     /// Change of colour per interval, float32 [N, 3].

@@ -247,3 +247,22 @@ fn a_colour_that_changes_is_halfway_there_at_half_time() {
     end(&mut middle.gaussians);
     assert!(draw(&changing, 3.0) == draw(&middle, 3.0));
 }
+
+#[test]
+fn thickness_shows_from_the_side_and_not_from_the_front() {
+    let network = interval([24, 40]);
+    let mut thin = network.clone();
+    thin.gaussians.thickness.fill(0.25);
+    let snapshots = [&network, &thin].map(|interval| Snapshot::of(interval, 2.0, &workers()).expect("inside"));
+    for (a, b) in snapshots[0].scale.iter().zip(&snapshots[1].scale) {
+        assert_eq!(*a, [a[0], a[1], 0.5 * (a[0] + a[1])]);
+        assert_eq!(*b, [a[0], a[1], 0.25 * a[2]]);
+    }
+    let draw = |interval: &Interval, camera: &Camera| {
+        interval.render(2.0, camera, &RenderOptions::default(), &workers()).expect("inside").rgb
+    };
+    assert!(draw(&network, &Camera::Canonical) == draw(&thin, &Camera::Canonical));
+    let rotation = Rotation::from_columns([[0.8, 0.0, -0.6], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]]).expect("orthonormal");
+    let side = Camera::orthographic(Pose { position: [0.0; 3], rotation });
+    assert!(draw(&network, &side) != draw(&thin, &side));
+}

@@ -127,6 +127,7 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
             gamma: gaussians.gamma[i],
             opacity: gaussians.opacity[i],
             scale: gaussians.scale[i],
+            thickness: gaussians.thickness[i],
             rgb: gaussians.rgb[i],
             rgb_rate: gaussians.rgb_rate[i],
             offset: gaussians.offset[i],
@@ -143,10 +144,9 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
             continue;
         }
         let Some(mean) = to_scene(record.position_at(t)) else { continue };
-        let [sx, sz] = record.scale;
         seen.index.push(i as u32);
         seen.mean.push(mean);
-        seen.scale.push([sx, sz, (sx + sz) * 0.5]);
+        seen.scale.push(record.deviations());
         seen.opacity.push(opacity);
         seen.rgb.push(record.rgb_at(t));
     }

@@ -9,7 +9,8 @@
 //! | `mean`, `velocity` | F32 `[N,3]` | world position at the reference time; world units per interval |
 //! | `gamma` | F32 `[N,2]` | the opacity's window in time |
 //! | `opacity` | F32 `[N]` | at the reference time |
-//! | `scale` | F32 `[N,2]` | standard deviations along x and z; along y their mean |
+//! | `scale` | F32 `[N,2]` | standard deviations along x and z |
+//! | `thickness` | F32 `[N]` | that along y, in scene space, over the mean of the two; only where one is not 1 |
 //! | `rgb` | F32 `[N,3]` | display-space colour at the reference time |
 //! | `rgb_rate` | F32 `[N,3]` | change of colour per interval; only where one is not zero |
 //! | `identity`, `birth`, `frame` | U64 `[N]` | who it is; the key frame it was first seen in; the one that reconstructed this record |

@@ -15,7 +15,7 @@ const MAX_INDEX: u64 = 1 << 26;
 /// Bytes that an interval's file needs beyond those of its records.
 const MAX_OVERHEAD: u64 = 1 << 20;
 /// Bytes of one Gaussian's record.
-const RECORD: u64 = 106;
+const RECORD: u64 = 110;
 /// Bytes of one merge.
 const MERGE: u64 = 16;
 

@@ -9,11 +9,14 @@ pub(super) type Tensor = (&'static str, Dtype, Vec<usize>, Vec<u8>);
 
 /// The name of the tensor that is there only where some colour changes.
 const RGB_RATE: &str = "rgb_rate";
+/// The name of the tensor that is there only where some Gaussian is lifted to a depth map.
+const THICKNESS: &str = "thickness";
 
-/// The arrays of `g`, one tensor each; [`RGB_RATE`] only where one of its numbers is not zero.
+/// The arrays of `g`, one tensor each; [`RGB_RATE`] only where one of its numbers is not zero, [`THICKNESS`] where one is
+/// not 1.
 ///
 /// # Errors
-/// Arrays of different lengths, and rates of colour that are not finite.
+/// Arrays of different lengths, and rates of colour and thicknesses that are not finite.
 pub(super) fn write(g: &DynamicGaussians) -> Result<Vec<Tensor>, String> {
     if let Some((array, found)) = g.uneven() {
         return Err(format!("{array}: expected {} records, found {found}", g.len()));
@@ -21,6 +24,7 @@ pub(super) fn write(g: &DynamicGaussians) -> Result<Vec<Tensor>, String> {
     let n = g.len();
     let rates = g.rgb_rate.as_flattened();
     finite(RGB_RATE, rates)?;
+    finite(THICKNESS, &g.thickness)?;
     let mut tensors = vec![
         ("mean", Dtype::F32, vec![n, 3], float_bytes(g.mean.as_flattened())),
         ("velocity", Dtype::F32, vec![n, 3], float_bytes(g.velocity.as_flattened())),
@@ -38,6 +42,9 @@ pub(super) fn write(g: &DynamicGaussians) -> Result<Vec<Tensor>, String> {
     if rates.iter().any(|rate| *rate != 0.0) {
         tensors.push((RGB_RATE, Dtype::F32, vec![n, 3], float_bytes(rates)));
     }
+    if g.thickness.iter().any(|thickness| *thickness != 1.0) {
+        tensors.push((THICKNESS, Dtype::F32, vec![n], float_bytes(&g.thickness)));
+    }
     Ok(tensors)
 }
 
@@ -49,8 +56,8 @@ fn finite(name: &str, values: &[f32]) -> Result<(), String> {
     }
 }
 
-/// The records of a file. Lengths, kinds and codes are checked; of the numbers, only those of [`RGB_RATE`]. Where it is missing,
-/// colours stay.
+/// The records of a file. Lengths, kinds and codes are checked; of the numbers, only those of [`RGB_RATE`] and [`THICKNESS`]. Where the
+/// first is missing, colours stay; where the second is, thickness is 1.
 ///
 /// # Errors
 /// Expected and found values, with the tensor's name.
@@ -65,6 +72,11 @@ pub(super) fn read(file: &SafeTensors<'_>) -> Result<DynamicGaussians, String> {
         Err(_) => vec![[0.0; 3]; mean.len() / 12],
     };
     finite(RGB_RATE, rgb_rate.as_flattened())?;
+    let thickness = match file.tensor(THICKNESS) {
+        Ok(_) => floats::<1>(tensor(THICKNESS, Dtype::F32, &[n])?).into_iter().flatten().collect(),
+        Err(_) => vec![1.0; mean.len() / 12],
+    };
+    finite(THICKNESS, &thickness)?;
     Ok(DynamicGaussians {
         mean: floats::<3>(mean),
         velocity: floats::<3>(tensor("velocity", Dtype::F32, &[n, Some(3)])?),
@@ -73,6 +85,7 @@ pub(super) fn read(file: &SafeTensors<'_>) -> Result<DynamicGaussians, String> {
         scale: floats::<2>(tensor("scale", Dtype::F32, &[n, Some(2)])?),
         rgb: floats::<3>(tensor("rgb", Dtype::F32, &[n, Some(3)])?),
         rgb_rate,
+        thickness,
         identity: words::<1>(tensor("identity", Dtype::U64, &[n])?).into_iter().flatten().collect(),
         birth: words::<1>(tensor("birth", Dtype::U64, &[n])?).into_iter().flatten().collect(),
         frame: words::<1>(tensor("frame", Dtype::U64, &[n])?).into_iter().flatten().collect(),

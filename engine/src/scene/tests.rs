@@ -12,6 +12,7 @@ fn interval(index: u64, start: f64, end: f64, count: u64) -> Interval {
         gamma: [i as f32, 0.5],
         opacity: 0.7,
         scale: [0.01, 0.02],
+        thickness: 1.0,
         rgb: [0.1, 0.2, i as f32 * 0.05],
         rgb_rate: [0.0; 3],
         identity: u64::MAX - i,
@@ -138,7 +139,25 @@ fn a_change_of_colour_comes_back_bit_for_bit_and_is_not_there_where_there_is_non
 }
 
 #[test]
-fn rates_of_another_kind_shape_or_without_a_value_are_refused() {
+fn thickness_comes_back_bit_for_bit_and_is_not_there_where_all_are_1() {
+    let mut lifted = interval(1, 0.0, 1.0, 7);
+    let placement = lifted.placement;
+    let plain = to_safetensors(&lifted).expect("even arrays");
+    assert!(!plain.windows(9).any(|w| w == b"thickness"));
+    assert_eq!(from_safetensors(&plain, placement).expect("just written").gaussians.thickness, vec![1.0; 7]);
+    (lifted.gaussians.thickness[3], lifted.gaussians.thickness[6]) = (0.1, 0.0);
+    let found = from_safetensors(&to_safetensors(&lifted).expect("even arrays"), placement).expect("just written");
+    assert_eq!(found.gaussians, lifted.gaussians);
+    lifted.gaussians.thickness[2] = f32::INFINITY;
+    assert!(
+        to_safetensors(&lifted).is_err_and(|e| e.contains("tensor thickness: expected finite numbers, found inf at 2"))
+    );
+    lifted.gaussians.thickness.pop();
+    assert!(to_safetensors(&lifted).is_err_and(|e| e.contains("thickness: expected 7 records, found 6")));
+}
+
+#[test]
+fn rates_and_thicknesses_of_another_kind_shape_or_without_a_value_are_refused() {
     use records::{float_bytes, serialize};
     use safetensors::tensor::Dtype;
 
@@ -150,6 +169,16 @@ fn rates_of_another_kind_shape_or_without_a_value_are_refused() {
         records::read(&safetensors::SafeTensors::deserialize(&bytes).expect("just written"))
     };
     let rates = |shape: Vec<usize>, values: &[f32]| ("rgb_rate", Dtype::F32, shape, float_bytes(values));
+    let thickness = |shape: Vec<usize>, values: &[f32]| ("thickness", Dtype::F32, shape, float_bytes(values));
+    assert!(read(thickness(vec![4], &[0.5; 4])).is_ok());
+    for (wrong, expected) in [
+        (thickness(vec![3], &[0.5; 3]), "expected F32 [4], found F32 [3]"),
+        (thickness(vec![4, 1], &[0.5; 4]), "expected F32 [4], found F32 [4, 1]"),
+        (thickness(vec![4], &[0.5, 0.5, 0.5, f32::NAN]), "expected finite numbers, found NaN at 3"),
+    ] {
+        let error = read(wrong).expect_err(expected);
+        assert!(error.contains("tensor thickness") && error.contains(expected), "{error}");
+    }
     assert!(read(rates(vec![4, 3], &[0.5; 12])).is_ok());
     for (wrong, expected) in [
         (rates(vec![3, 3], &[0.5; 9]), "expected F32 [4, 3], found F32 [3, 3]"),

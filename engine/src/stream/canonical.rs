@@ -271,6 +271,7 @@ fn still(gaussians: &StaticGaussians, cell: usize, frame: u64) -> Record {
         mean: gaussians.position[cell],
         opacity: gaussians.opacity[cell],
         scale: gaussians.scale[cell],
+        thickness: gaussians.thickness[cell],
         rgb: gaussians.rgb[cell],
         birth: frame,
         frame,

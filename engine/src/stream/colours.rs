@@ -85,7 +85,7 @@ impl Fitter {
             };
             view.index.push(i as u32);
             view.mean.push(mean);
-            view.scale.push([sx, sz, (sx + sz) * 0.5]);
+            view.scale.push([sx, sz, (sx + sz) * 0.5 * gaussians.thickness[i]]);
             view.opacity.push(opacity);
             view.rgb.push(rgb);
         }

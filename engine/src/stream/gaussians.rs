@@ -73,7 +73,7 @@ impl Reference {
 }
 
 /// The record of one Gaussian over one interval.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Record {
     /// Position at the reference time, world axes (x right, y normalised inverse depth, z up).
     pub mean: [f32; 3],
@@ -83,8 +83,11 @@ pub struct Record {
     pub gamma: [f32; 2],
     /// Opacity at the reference time.
     pub opacity: f32,
-    /// Standard deviations (s_x, s_z); along y it is their mean.
+    /// Standard deviations (s_x, s_z).
     pub scale: [f32; 2],
+    /// The standard deviation along the axis of view, in scene space, over the mean of the other two: 1 as the network
+    /// gives it.
+    pub thickness: f32,
     /// Display-space colour at the reference time.
     pub rgb: [f32; 3],
     /// Change of colour per interval; the network itself gives zero.
@@ -103,7 +106,35 @@ pub struct Record {
     pub handover: Handover,
 }
 
+impl Default for Record {
+    /// A record of zeros, as thick as the network's.
+    fn default() -> Self {
+        Self {
+            mean: [0.0; 3],
+            velocity: [0.0; 3],
+            gamma: [0.0; 2],
+            opacity: 0.0,
+            scale: [0.0; 2],
+            thickness: 1.0,
+            rgb: [0.0; 3],
+            rgb_rate: [0.0; 3],
+            identity: 0,
+            birth: 0,
+            frame: 0,
+            offset: [0.0; 3],
+            reference: Reference::default(),
+            handover: Handover::default(),
+        }
+    }
+}
+
 impl Record {
+    /// Standard deviations along x, y and z of scene space.
+    pub fn deviations(&self) -> [f32; 3] {
+        let [sx, sz] = self.scale;
+        [sx, sz, (sx + sz) * 0.5 * self.thickness]
+    }
+
     /// Position at `t` in [0, 1].
     pub fn position_at(&self, t: f32) -> [f32; 3] {
         let tau = self.reference.tau(t);
@@ -125,13 +156,14 @@ impl Record {
         self.opacity * motion::opacity_factor(self.gamma, self.reference.tau(t)) * self.handover.factor(t)
     }
 
-    /// Returns true if every number is finite, as [`motion::opacity_factor`] needs, the colour throughout the interval, and no scale or
-    /// opacity is negative.
+    /// Returns true if every number is finite, as [`motion::opacity_factor`] needs, the colour throughout the interval, and no scale,
+    /// thickness or opacity is negative.
     pub fn is_sound(&self) -> bool {
         // Between the ends every rounded colour lies between theirs.
         let any_sign =
             [self.mean, self.velocity, self.rgb, self.rgb_rate, self.rgb_at(0.0), self.rgb_at(1.0), self.offset];
-        let not_negative = [self.gamma[0], self.gamma[1], self.scale[0], self.scale[1], self.opacity];
+        let [sx, sz] = self.scale;
+        let not_negative = [self.gamma[0], self.gamma[1], sx, sz, self.thickness, self.opacity];
         // 0·x is 0 for finite numbers and NaN for others; no branch for each number.
         let undefined: f32 = any_sign.as_flattened().iter().chain(&not_negative).map(|x| 0.0 * x).sum();
         undefined == 0.0 && not_negative.iter().all(|x| *x >= 0.0)
@@ -152,6 +184,8 @@ pub struct DynamicGaussians {
     pub opacity: Vec<f32>,
     /// See [`Record::scale`].
     pub scale: Vec<[f32; 2]>,
+    /// See [`Record::thickness`].
+    pub thickness: Vec<f32>,
     /// See [`Record::rgb`].
     pub rgb: Vec<[f32; 3]>,
     /// See [`Record::rgb_rate`].
@@ -179,6 +213,7 @@ impl DynamicGaussians {
             gamma: Vec::with_capacity(count),
             opacity: Vec::with_capacity(count),
             scale: Vec::with_capacity(count),
+            thickness: Vec::with_capacity(count),
             rgb: Vec::with_capacity(count),
             rgb_rate: Vec::with_capacity(count),
             identity: Vec::with_capacity(count),
@@ -206,6 +241,7 @@ impl DynamicGaussians {
             gamma: all(parts, |part| &part.gamma),
             opacity: all(parts, |part| &part.opacity),
             scale: all(parts, |part| &part.scale),
+            thickness: all(parts, |part| &part.thickness),
             rgb: all(parts, |part| &part.rgb),
             rgb_rate: all(parts, |part| &part.rgb_rate),
             identity: all(parts, |part| &part.identity),
@@ -234,6 +270,7 @@ impl DynamicGaussians {
         self.gamma.push(r.gamma);
         self.opacity.push(r.opacity);
         self.scale.push(r.scale);
+        self.thickness.push(r.thickness);
         self.rgb.push(r.rgb);
         self.rgb_rate.push(r.rgb_rate);
         self.identity.push(r.identity);
@@ -252,6 +289,7 @@ impl DynamicGaussians {
             gamma: self.gamma[i],
             opacity: self.opacity[i],
             scale: self.scale[i],
+            thickness: self.thickness[i],
             rgb: self.rgb[i],
             rgb_rate: self.rgb_rate[i],
             identity: self.identity[i],
@@ -275,6 +313,7 @@ impl DynamicGaussians {
             ("gamma", self.gamma.len()),
             ("opacity", self.opacity.len()),
             ("scale", self.scale.len()),
+            ("thickness", self.thickness.len()),
             ("rgb", self.rgb.len()),
             ("rgb_rate", self.rgb_rate.len()),
             ("identity", self.identity.len()),

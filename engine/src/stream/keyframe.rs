@@ -286,7 +286,13 @@ impl DepthRange {
 
 /// An error unless every array has one record per Gaussian.
 fn check_records(index: u64, expected: usize, g: &StaticGaussians) -> Result<(), EngineError> {
-    for (what, found) in [("scale", g.scale.len()), ("opacity", g.opacity.len()), ("rgb", g.rgb.len())] {
+    let lengths = [
+        ("scale", g.scale.len()),
+        ("thickness", g.thickness.len()),
+        ("opacity", g.opacity.len()),
+        ("rgb", g.rgb.len()),
+    ];
+    for (what, found) in lengths {
         if found != expected {
             return Err(EngineError::Records { index, what, expected, found });
         }

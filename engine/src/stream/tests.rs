@@ -17,6 +17,7 @@ fn frame(places: &[[f32; 3]]) -> Arc<StaticGaussians> {
     Arc::new(StaticGaussians {
         position: places.to_vec(),
         scale: vec![[0.01; 2]; n],
+        thickness: vec![1.0; n],
         opacity: vec![0.8; n],
         rgb: vec![[0.5; 3]; n],
     })

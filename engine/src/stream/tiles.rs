@@ -116,6 +116,7 @@ impl Tiles {
         let mut frame = StaticGaussians {
             position: vec![[0.0; 3]; count],
             scale: vec![[0.0; 2]; count],
+            thickness: vec![0.0; count],
             opacity: vec![0.0; count],
             rgb: vec![[0.0; 3]; count],
         };
@@ -126,6 +127,7 @@ impl Tiles {
                 let ([x, y, z], [sx, sz]) = (own.position[from], own.scale[from]);
                 frame.position[to] = [x.mul_add(fx, ox), y, z.mul_add(fz, oz)];
                 frame.scale[to] = [sx * fx, sz * fz];
+                frame.thickness[to] = own.thickness[from];
                 frame.opacity[to] = own.opacity[from];
                 frame.rgb[to] = own.rgb[from];
             }

@@ -1,15 +1,15 @@
 // Chunks of a container, as a page holds them, made into packets. docs/container.md gives the columns; container/images.rs what a page's differ in.
 
-const COLUMNS = 28;
+const COLUMNS = 29;
 const [KIND, LINK, CODE, IDENTITY, BIRTH, FRAME, FIRST] = [0, 1, 2, 3, 4, 5, 6];
 const FRESH = 0;
 const CARRIED = 1;
 /** Numbers per record, and where they are. */
-const VALUES = 20;
-const [OPACITY_AT, SCALE_AT, GREEN_AT, VELOCITY_AT, GAMMA_AT, RATE_AT] = [6, 7, 9, 12, 15, 17];
+const VALUES = 21;
+const [OPACITY_AT, SCALE_AT, GREEN_AT, VELOCITY_AT, GAMMA_AT, RATE_AT, THICKNESS_AT] = [6, 7, 9, 12, 15, 17, 20];
 /** Those that the record before predicts, and those that a record of the interval before does. */
-const SINCE_LAST = Array.from({ length: VALUES - VELOCITY_AT }, (_, k) => VELOCITY_AT + k);
-const SINCE_LINK = [0, 1, 2, 6, 7, 8, 9, 10, 11];
+const SINCE_LAST = Array.from({ length: THICKNESS_AT - VELOCITY_AT }, (_, k) => VELOCITY_AT + k);
+const SINCE_LINK = [0, 1, 2, 6, 7, 8, 9, 10, 11, THICKNESS_AT];
 /** World units, scales and the others to their whole numbers. */
 const LENGTH = 8192;
 
@@ -70,7 +70,7 @@ async function decode(chunk, before) {
       birth[i] = from.birth[linked];
     }
     for (const k of SINCE_LINK) {
-      const difference = columns[FIRST + k][i];
+      const difference = columns[FIRST + k][i] ?? 0; // thickness may have no numbers
       values[k][i] = kind === CARRIED ? before.values[k][linked] + difference : (own[k] += difference);
     }
   }
@@ -112,7 +112,7 @@ function packetOf({ count, code, identity, birth, values }, { index, start, end,
   const buffer = new ArrayBuffer(HEADER + count * (RECORD + 2 + (most ? 3 : 0)));
   const view = new DataView(buffer);
   view.setUint32(0, 0x7373706b);
-  view.setUint32(4, 2, true);
+  view.setUint32(4, 3, true);
   view.setBigUint64(8, BigInt(index), true);
   view.setFloat64(16, start, true);
   view.setFloat64(24, end, true);
@@ -144,7 +144,8 @@ function packetOf({ count, code, identity, birth, values }, { index, start, end,
     shorts[short + 10] = scales[0](i);
     shorts[short + 11] = scales[1](i);
     words[i * WORDS + 6] = identity[i] % 2 ** 32;
-    words[i * WORDS + 7] = (Math.floor(identity[i] / 2 ** 32) & 0xffffff) | (code[i] << 24);
+    const quarters = Math.min(15, Math.max(-16, Math.round((values[THICKNESS_AT][i] * coarseness[THICKNESS_AT]) / 16)));
+    words[i * WORDS + 7] = (Math.floor(identity[i] / 2 ** 32) & 0xffffff) | (code[i] << 24) | (quarters << 27);
     ages[i] = Math.min(65535, Math.max(0, index - birth[i]));
   }
   if (most) new Int8Array(buffer, HEADER + count * (RECORD + 2)).set(rates.map((rate) => Math.round((rate * 127) / most)));

@@ -28,7 +28,7 @@ class Packet {
   constructor(buffer) {
     const view = new DataView(buffer);
     const magic = buffer.byteLength >= HEADER ? view.getUint32(0) : 0;
-    if (magic !== 0x7373706b || view.getUint32(4, true) !== 2) throw new Error("not an interval of a version this page reads");
+    if (magic !== 0x7373706b || view.getUint32(4, true) !== 3) throw new Error("not an interval of a version this page reads");
     const count = view.getUint32(32, true);
     this.rateStep = view.getFloat32(88, true);
     const rates = this.rateStep > 0 ? count : 0;
@@ -85,10 +85,15 @@ class Packet {
     return [half(this.shorts[i * SHORTS + 6]), this.shorts[i * SHORTS + 7] / 65535];
   }
 
+  /** The standard deviation along scene-space z over the mean of the other two. */
+  thickness(i) {
+    return 2 ** (((this.words[i * WORDS + 7] | 0) >> 27) / 4);
+  }
+
   /** Standard deviations along scene-space x, y and z. */
   deviation(i) {
     const x = half(this.shorts[i * SHORTS + 10]);
     const y = half(this.shorts[i * SHORTS + 11]);
-    return [x, y, 0.5 * (x + y)];
+    return [x, y, 0.5 * (x + y) * this.thickness(i)];
   }
 }

@@ -6,7 +6,7 @@
 //! | header | | |
 //! |---|---|---|
 //! | 0 | 4 bytes | `sspk` |
-//! | 4 | u32 | version, 2 |
+//! | 4 | u32 | version, 3 |
 //! | 8 | u64 | the key frame at the interval's end |
 //! | 16 | f64, f64 | start and end in seconds |
 //! | 32 | u32, u32 | count; zero |
@@ -22,6 +22,7 @@
 //! | 16 | 4 × u8 | red, green, blue, opacity, each times 255 | 1 / 510 |
 //! | 20 | 2 × f16 | standard deviations along x and z, at most 65,504 | 2⁻¹¹ of it, 2⁻²⁵ |
 //! | 24 | u64 | identity in the low 56 bits; bit 56 reference; bits 57 and 58 handover | none below 2⁵⁶ |
+//! | | | thickness in bits 59 to 63: 2^(q/4), q a signed number | from 2⁻⁴ to 2^(15/4) an eighth of an octave |
 //!
 //! A rate is the change of red, green and blue per interval, 3 × i8: `step·q`, half a step off at most, which is a 254th of the largest.
 //!
@@ -30,6 +31,7 @@
 //! number that is not finite. The order is the drawing order.
 
 use half::f16;
+use streamsplat_kernels::math::f64::ln;
 use streamsplat_kernels::raster::ALPHA_MIN;
 
 use crate::stream::{Interval, Record};
@@ -37,7 +39,7 @@ use crate::stream::{Interval, Record};
 /// The first bytes.
 pub const MAGIC: [u8; 4] = *b"sspk";
 /// The version this program writes, and its page reads.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 /// Bytes before the records.
 pub const HEADER: usize = 96;
 /// Bytes of a record.
@@ -77,7 +79,7 @@ pub fn packet(interval: &Interval) -> Vec<u8> {
         let [red, green, blue] = r.rgb;
         out.extend([red, green, blue, r.opacity].map(|v| unit(v, 255.0) as u8));
         r.scale.iter().for_each(|s| out.extend_from_slice(&half(*s).to_le_bytes()));
-        let flags = r.reference as u64 | (r.handover as u64) << 1;
+        let flags = r.reference as u64 | (r.handover as u64) << 1 | thickness(r.thickness) << 3;
         out.extend_from_slice(&(r.identity & IDENTITY | flags << 56).to_le_bytes());
     }
     for r in &shown {
@@ -137,6 +139,13 @@ fn half(value: f32) -> u16 {
     f16::from_f32(value.min(f16::MAX.to_f32())).to_bits()
 }
 
+/// Thickness in quarters of an octave, the lowest five bits of a signed number.
+fn thickness(thickness: f32) -> u64 {
+    let octaves = ln(f64::from(thickness)) * std::f64::consts::LOG2_E;
+    // A conversion saturates.
+    ((4.0 * octaves).round() as i64).clamp(-16, 15).cast_unsigned() & 31
+}
+
 /// A value of [0, 1] in steps, rounded half up; values outside are moved to the end.
 fn unit(value: f32, steps: f64) -> u32 {
     (f64::from(value.clamp(0.0, 1.0)) * steps + 0.5) as u32
@@ -163,6 +172,7 @@ mod tests {
                     gamma: [1e6 * grain * grain * grain, grain],
                     opacity: 0.004 + 0.99 * grain,
                     scale: [1e-3 + grain, 0.07 * grain],
+                    thickness: 12.0 * grain * grain,
                     rgb: [grain, 1.0 - grain, 0.5],
                     rgb_rate: [0.3 * grain, -0.2, grain * grain - 0.5],
                     identity: (1 << 40) + i as u64,
@@ -210,7 +220,9 @@ mod tests {
             }
             let last = u64::from_le_bytes(bytes[at + 24..at + 32].try_into().expect("eight bytes"));
             assert_eq!(last & IDENTITY, r.identity);
-            assert_eq!(last >> 56, r.reference as u64 + 2 * r.handover as u64);
+            assert_eq!(last >> 56 & 7, r.reference as u64 + 2 * r.handover as u64);
+            let quarters = (last.cast_signed() >> 59) as f32;
+            assert!((quarters / 4.0 - r.thickness.log2().max(-4.0)).abs() <= 0.125001, "{i}: {quarters}");
             let step = float(&bytes, 88);
             for channel in 0..3 {
                 let found = step * f32::from(bytes[HEADER + records.len() * 34 + 3 * i + channel].cast_signed());

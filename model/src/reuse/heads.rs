@@ -30,8 +30,8 @@ pub(crate) struct StaticHeadCache {
 
 impl StaticHeadCache {
     pub(super) fn bytes(&self) -> usize {
-        // Position, scale, opacity and colour.
-        self.gaussians.opacity.len() * 4 * (3 + 2 + 1 + 3)
+        // Position, scale, thickness, opacity and colour.
+        self.gaussians.opacity.len() * 4 * (3 + 2 + 1 + 1 + 3)
     }
 
     /// The Gaussians of `tokens`, `n` of them and the result of the last call of `upsampler`. `head` computes those of

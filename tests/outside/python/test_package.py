@@ -195,7 +195,8 @@ def test_arrays_show_the_engines_memory_and_cannot_be_written(intervals):
     interval = intervals[-1]
     gaussians = interval.gaussians
     assert len(gaussians) == len(interval) == len(gaussians.mean)
-    shapes = {"mean": (3,), "velocity": (3,), "gamma": (2,), "opacity": (), "scale": (2,), "rgb": (3,), "rgb_rate": (3,),
+    shapes = {"mean": (3,), "velocity": (3,), "gamma": (2,), "opacity": (), "scale": (2,), "thickness": (),
+              "rgb": (3,), "rgb_rate": (3,),
               "identity": (), "birth": (), "frame": (), "offset": (3,)}
     for name, rest in shapes.items():
         array = getattr(gaussians, name)
@@ -204,6 +205,7 @@ def test_arrays_show_the_engines_memory_and_cannot_be_written(intervals):
             array[0] = 0
         with pytest.raises(ValueError):
             array.setflags(write=True)
+    assert (gaussians.thickness == 1).all(), "no depth lifts them"
     assert not gaussians.rgb_rate.any(), "the network's own colours stay"
     image = interval.render(interval.end, depth=True)
     assert image.rgb.shape == (image.height, image.width, 3) and np.shares_memory(image.rgb, image.rgb)

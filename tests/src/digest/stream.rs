@@ -157,6 +157,9 @@ fn records(digest: &mut Digest, interval: &Interval) {
         digest.floats(r.velocity.as_slice());
         digest.floats(&[r.gamma[0], r.gamma[1], r.opacity, r.scale[0], r.scale[1]]);
         digest.floats(r.rgb.as_slice());
+        if r.thickness != 1.0 {
+            digest.floats(&[r.thickness]);
+        }
         if r.rgb_rate != [0.0; 3] {
             digest.floats(r.rgb_rate.as_slice());
         }

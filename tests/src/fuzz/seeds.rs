@@ -76,6 +76,7 @@ pub(super) fn interval() -> Vec<Vec<u8>> {
             gamma: [3.0 * x, 0.5],
             opacity: 0.9,
             scale: [0.2, 0.1],
+            thickness: 1.0,
             rgb: [0.2 * x, 0.5, 1.0],
             rgb_rate: [0.0; 3],
             identity: u64::from(i),
@@ -99,6 +100,7 @@ pub(super) fn interval() -> Vec<Vec<u8>> {
     for (i, rate) in changing.gaussians.rgb_rate.iter_mut().enumerate() {
         *rate = [0.1 * i as f32, -0.25, 0.0];
     }
+    changing.gaussians.thickness.fill(0.5);
     [interval, changing].iter().map(|interval| to_safetensors(interval).expect("even arrays")).collect()
 }
 

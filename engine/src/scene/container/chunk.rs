@@ -2,18 +2,18 @@
 //!
 //! A record is of one of three kinds:
 //!
-//! - *carried*: the interval before holds a record of the same identity, key frame and birth, which predicts mean, offset, opacity, scale and
-//!   colour;
+//! - *carried*: the interval before holds a record of the same identity, key frame and birth, which predicts mean, offset, opacity, scale,
+//!   thickness and colour;
 //! - *following*: an earlier record of this interval has the same identity and birth. Where its tracked point is at the interval's end predicts
 //!   this one's; the rest as for a fresh one;
-//! - *fresh*: the last record that is not carried predicts mean, opacity, scale and colour (zeros before the first); nothing predicts
+//! - *fresh*: the last record that is not carried predicts mean, opacity, scale, thickness and colour (zeros before the first); nothing predicts
 //!   the offset; the identity is expected to be the last fresh one's plus one, the birth the key frame.
 //!
 //! The last record of any kind predicts velocity, γ and change of colour; the last one that is not carried the key frame.
 
 use super::MOST;
 use super::columns::{Column, Values};
-use super::quantise::{COLOUR_AT, GAMMA, LIMIT, MEAN, OFFSET, Quantised, RATE_AT, VALUES, VELOCITY};
+use super::quantise::{COLOUR_AT, GAMMA, LIMIT, MEAN, OFFSET, Quantised, RATE_AT, THICKNESS_AT, VALUES, VELOCITY};
 use crate::import::FormatError;
 use crate::stream::{Handover, Merge, Reference};
 use std::collections::BTreeMap;
@@ -24,7 +24,7 @@ const CARRIED: u64 = 1;
 const FOLLOWING: u64 = 2;
 
 /// The columns, in the order they are stored in.
-pub(super) const COLUMNS: [&str; 28] = [
+pub(super) const COLUMNS: [&str; 29] = [
     "kind",
     "link",
     "code",
@@ -51,6 +51,7 @@ pub(super) const COLUMNS: [&str; 28] = [
     "green_rate",
     "red_rate",
     "blue_rate",
+    "thickness",
     "merge",
     "merge_into",
 ];
@@ -62,10 +63,12 @@ const BIRTH: usize = 4;
 const FRAME: usize = 5;
 /// The first column of the quantised numbers.
 const FIRST: usize = 6;
-/// The columns of the change of colour: not there in version 1; empty where no number in them differs from 0.
-const RATES: std::ops::Range<usize> = FIRST + RATE_AT..MERGE;
-const MERGE: usize = 26;
-const MERGE_INTO: usize = 27;
+/// The columns that are empty where no number in them differs from 0: those of the change of colour, not there in version
+/// 1, and that of thickness, not there before version 3.
+const RARE: std::ops::Range<usize> = FIRST + RATE_AT..MERGE;
+const THICKNESS: usize = FIRST + THICKNESS_AT;
+const MERGE: usize = 27;
+const MERGE_INTO: usize = 28;
 const _: () = assert!(FIRST + VALUES == MERGE);
 
 /// State of the predictions, which writer and reader build from the records before.
@@ -85,7 +88,7 @@ impl Predictor {
     /// The prediction of the quantised numbers, from the record that is linked to.
     fn prediction(&self, kind: u64, linked: &Quantised) -> [i64; VALUES] {
         let mut p = if kind == CARRIED { linked.values } else { self.own.values };
-        p[VELOCITY..].copy_from_slice(&self.last.values[VELOCITY..]);
+        p[VELOCITY..THICKNESS_AT].copy_from_slice(&self.last.values[VELOCITY..THICKNESS_AT]);
         if kind != CARRIED {
             p[OFFSET..OFFSET + 3].fill(0);
         }
@@ -176,8 +179,7 @@ fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Co
         columns[MERGE_INTO].push_signed(merge.into.wrapping_sub(last[1]).cast_signed());
         last = [merge.identity, merge.into];
     }
-    // Differences of 0 throughout are numbers of 0 throughout: predictions begin with 0.
-    for column in &mut columns[RATES] {
+    for column in &mut columns[RARE] {
         if column.is_zero() {
             *column = Column::default();
         }
@@ -196,16 +198,21 @@ pub(super) fn decode(
     let mut rest = bytes;
     let mut columns = Vec::with_capacity(COLUMNS.len());
     for (at, name) in COLUMNS.into_iter().enumerate() {
-        let stored = version > 1 || !RATES.contains(&at);
+        let stored = match version {
+            1 => !RARE.contains(&at),
+            2 => at != THICKNESS,
+            _ => true,
+        };
         columns.push(if stored {
             Values::read(name, if at < MERGE { count } else { merges }, &mut rest)?
         } else {
             Values::none(name)
         });
     }
-    let rates = RATES.map(|at| columns[at].remaining() > 0);
     let mut written = [true; VALUES];
-    written[RATE_AT..].iter_mut().zip(rates).for_each(|(written, found)| *written = found);
+    for at in RARE {
+        written[at - FIRST] = columns[at].remaining() > 0;
+    }
     if !rest.is_empty() {
         return Err(FormatError::new("chunk", "its end after the last column", format!("{} more bytes", rest.len())));
     }
@@ -295,10 +302,10 @@ fn next(
         }
     }
     if !record.is_allowed() {
-        return Err(FormatError::new("record", "opacity, scale and gamma in their ranges", "others"));
+        return Err(FormatError::new("record", "opacity, scale, thickness and gamma in their ranges", "others"));
     }
     predictor.remember(kind, &record);
     Ok(record)
 }
 
-const _: () = assert!(COLOUR_AT + 3 == VELOCITY && GAMMA + 2 == RATE_AT && RATE_AT + 3 == VALUES);
+const _: () = assert!(COLOUR_AT + 3 == VELOCITY && GAMMA + 2 == RATE_AT && RATE_AT + 3 == THICKNESS_AT);

@@ -26,8 +26,9 @@ pub use write::ContainerWriter;
 
 /// The first bytes of a container.
 pub const MAGIC: [u8; 8] = *b"ssplat\x1a\n";
-/// The version this program writes. It reads that one and version 1, in which colours do not change.
-pub const CONTAINER_VERSION: u32 = 2;
+/// The version this program writes. It also reads version 2, in which every record's thickness is 1, and version 1, in which
+/// colours do not change either.
+pub const CONTAINER_VERSION: u32 = 3;
 
 /// Every chunk whose place is a multiple of this stands alone.
 const ALONE_EVERY: usize = 8;

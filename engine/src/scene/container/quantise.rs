@@ -6,7 +6,7 @@
 //! | γ₀ | `32·log₂(1 + γ₀)`, at most 4092 |
 //! | γ₁ | `256·γ₁` |
 //! | opacity | `1023·o` |
-//! | scale | `64·log₂ s`, from −9664 (which comes back as 0) to 8128 |
+//! | scale, thickness | `64·log₂ s`, from −9664 (which comes back as 0) to 8128 |
 //! | rgb | `511·c` |
 //! | change of rgb | `255·c` |
 //!
@@ -31,9 +31,9 @@ const MOST_SCALE: i64 = 8128;
 const MOST_GAMMA0: i64 = 4092;
 
 /// Numbers per record that are quantised.
-pub(super) const VALUES: usize = 20;
+pub(super) const VALUES: usize = 21;
 /// Where they are: mean, offset, opacity, scale, and colour as green, red − green, blue − green; then velocity, γ, and the change of
-/// colour in the same three parts.
+/// colour in the same three parts; then thickness.
 pub(super) const MEAN: usize = 0;
 pub(super) const OFFSET: usize = 3;
 pub(super) const OPACITY_AT: usize = 6;
@@ -42,6 +42,7 @@ pub(super) const COLOUR_AT: usize = 9;
 pub(super) const VELOCITY: usize = 12;
 pub(super) const GAMMA: usize = 15;
 pub(super) const RATE_AT: usize = 17;
+pub(super) const THICKNESS_AT: usize = 20;
 
 /// A record in whole numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -87,7 +88,8 @@ impl Quantised {
         values[OPACITY_AT] = whole(f64::from(r.opacity) * OPACITY);
         values[SCALE_AT..COLOUR_AT].copy_from_slice(&r.scale.map(scale));
         values[COLOUR_AT..VELOCITY].copy_from_slice(&parts(r.rgb, COLOUR));
-        values[RATE_AT..].copy_from_slice(&parts(r.rgb_rate, RATE));
+        values[RATE_AT..THICKNESS_AT].copy_from_slice(&parts(r.rgb_rate, RATE));
+        values[THICKNESS_AT] = scale(r.thickness);
         values[GAMMA..RATE_AT].copy_from_slice(&[gamma0, whole(f64::from(r.gamma[1]) * GAMMA1)]);
         let Record { identity, birth, frame, reference, handover, .. } = *r;
         Self { values, identity, birth, frame, reference, handover }
@@ -109,6 +111,7 @@ impl Quantised {
             gamma: [gamma0, (v(GAMMA + 1) / GAMMA1) as f32],
             opacity: (v(OPACITY_AT) / OPACITY) as f32,
             scale: [scale(SCALE_AT), scale(SCALE_AT + 1)],
+            thickness: scale(THICKNESS_AT),
             rgb: colour(COLOUR_AT, COLOUR),
             rgb_rate: colour(RATE_AT, RATE),
             identity: self.identity,
@@ -133,7 +136,7 @@ impl Quantised {
         let v = &self.values;
         v.iter().all(|v| v.unsigned_abs() <= LIMIT.unsigned_abs())
             && v[OPACITY_AT] >= 0
-            && v[SCALE_AT..COLOUR_AT].iter().all(|s| (LEAST_SCALE..=MOST_SCALE).contains(s))
+            && [v[SCALE_AT], v[SCALE_AT + 1], v[THICKNESS_AT]].iter().all(|s| (LEAST_SCALE..=MOST_SCALE).contains(s))
             && (0..=MOST_GAMMA0).contains(&v[GAMMA])
             && v[GAMMA + 1] >= 0
     }

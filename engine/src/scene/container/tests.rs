@@ -29,6 +29,8 @@ fn intervals(count: u64) -> Vec<Interval> {
             gamma: [5.0 * noise(seed + 3), noise(seed + 4)],
             opacity: noise(seed + 5),
             scale: [0.01 + 0.1 * noise(seed + 6), 0.02],
+            // Every second key frame is lifted to no map.
+            thickness: if frame.is_multiple_of(2) { 1.0 } else { 0.5 + noise(seed + 11) },
             rgb: [noise(seed + 7), noise(seed + 8), 0.3],
             // Every third key frame's colours stay.
             rgb_rate: [noise(seed + 10) - 0.5, 0.1, -0.3].map(|c| c * (frame % 3) as f32),
@@ -103,7 +105,8 @@ fn intervals_come_back_in_any_order_as_closely_as_is_said() {
             assert!(close(&a.offset, &b.offset, half) && close(&a.rgb, &b.rgb, 0.501 / 511.0));
             assert!(close(&a.rgb_rate, &b.rgb_rate, 0.501 / 255.0));
             assert!((a.opacity - b.opacity).abs() < 0.501 / 1023.0);
-            assert!(close(&a.scale.map(f32::log2), &b.scale.map(f32::log2), 0.501 / 64.0));
+            let widths = |r: &Record| [r.scale[0], r.scale[1], r.thickness].map(f32::log2);
+            assert!(close(&widths(&a), &widths(&b), 0.501 / 64.0));
             assert!(((1.0 + a.gamma[0]).log2() - (1.0 + b.gamma[0]).log2()).abs() < 0.501 / 32.0);
             assert!((a.gamma[1] - b.gamma[1]).abs() < 0.501 / 256.0);
         }
@@ -124,6 +127,7 @@ fn a_container_of_version_1_is_read_as_it_was() {
         let interval = scene.interval(i).expect("sound");
         assert_eq!((interval.gaussians.len(), interval.dropped), (count, 0));
         assert!(interval.gaussians.rgb_rate.iter().all(|rate| *rate == [0.0; 3]));
+        assert!(interval.gaussians.thickness.iter().all(|thickness| *thickness == 1.0));
     }
     let bytes = std::fs::read(&path).expect("readable");
     let intervals = intervals_from_container(&bytes).expect("sound");
@@ -131,14 +135,14 @@ fn a_container_of_version_1_is_read_as_it_was() {
     let snapshot = crate::render::Snapshot::of(&intervals[1], 0.02, &workers(1)).expect("inside");
     let digest = blake3::hash(&crate::export::ply(&snapshot)).to_hex();
     assert_eq!(digest.as_str(), "6698c4d4cec34629b96221bcd90d85bc07e801dcd367fd30a83886b8b2880eed");
-    // Written anew it is one of version 2 with the same records, and three empty columns more in each chunk.
+    // Written anew it is one of version 3 with the same records, and four empty columns more in each chunk.
     let folder = tempfile::tempdir().expect("a temporary folder");
     let anew = written(&folder.path().join("scene.ssz"), &intervals);
-    assert_eq!(anew.len(), bytes.len() + 2 * 3 * 10);
+    assert_eq!(anew.len(), bytes.len() + 2 * 4 * 10);
     let again = intervals_from_container(&anew).expect("just written");
     assert!(again.iter().zip(&intervals).all(|(a, b)| a.gaussians == b.gaussians && a.merges == b.merges));
     // Either's chunks under the other's version are refused, and so are versions that there are not.
-    for (bytes, version) in [(&bytes, 2), (&anew, 1), (&bytes, 0), (&bytes, 3)] {
+    for (bytes, version) in [(&bytes, 2), (&bytes, 3), (&anew, 1), (&anew, 2), (&bytes, 0), (&bytes, 4)] {
         let mut other = bytes.clone();
         other[8] = version;
         assert!(intervals_from_container(&other).is_err(), "{version}");
@@ -146,11 +150,11 @@ fn a_container_of_version_1_is_read_as_it_was() {
 }
 
 #[test]
-fn columns_of_rates_of_another_length_are_refused() {
+fn columns_of_rates_and_thickness_of_another_length_are_refused() {
     let interval = &intervals(2)[1];
     let records: Vec<Quantised> = interval.gaussians.iter().map(|r| Quantised::of(&r)).collect();
     let still: Vec<Quantised> =
-        records.iter().map(|r| Quantised::of(&Record { rgb_rate: [0.0; 3], ..r.record() })).collect();
+        records.iter().map(|r| Quantised::of(&Record { rgb_rate: [0.0; 3], thickness: 1.0, ..r.record() })).collect();
     let (bytes, plain) = (encode(&[], &records, &interval.merges), encode(&[], &still, &interval.merges));
     let columns = |bytes: &[u8]| {
         let (mut rest, mut all) = (bytes, Vec::new());
@@ -165,10 +169,10 @@ fn columns_of_rates_of_another_length_are_refused() {
     let (full, empty) = (columns(&bytes), columns(&plain));
     let (many, merges) = (records.len(), interval.merges.len());
     assert_eq!(
-        (full.len(), empty[23].len(), decode(2, &[], &plain, many, merges).map(|(found, _)| found)),
-        (28, 10, Ok(still))
+        (full.len(), empty[23].len(), decode(CONTAINER_VERSION, &[], &plain, many, merges).map(|(found, _)| found)),
+        (29, 10, Ok(still))
     );
-    for rate in 23..26 {
+    for rare in 23..27 {
         // Fewer numbers than records, more, and ones beyond the limit.
         let mut column = super::columns::Column::default();
         (1..many).for_each(|_| column.push_signed(1));
@@ -179,9 +183,10 @@ fn columns_of_rates_of_another_length_are_refused() {
         (0..many).for_each(|_| vast.push_signed(1 << 45));
         for wrong in [fewer, more, vast.stored()] {
             let mut hostile = full.clone();
-            hostile[rate] = wrong;
-            let error = decode(2, &[], &hostile.concat(), many, merges).expect_err("hostile").to_string();
-            assert!(error.contains("_rate: expected"), "{error}");
+            hostile[rare] = wrong;
+            let error =
+                decode(CONTAINER_VERSION, &[], &hostile.concat(), many, merges).expect_err("hostile").to_string();
+            assert!(error.contains("_rate: expected") || error.contains("thickness"), "{error}");
         }
     }
 }
@@ -212,6 +217,7 @@ fn extreme_records_stay_sound_and_unsound_ones_are_counted() {
         gamma: [x.abs(), 1.0],
         opacity: x.abs().min(1.0),
         scale: [x.abs(), 0.0],
+        thickness: x.abs(),
         rgb: [x, -x, x],
         rgb_rate: [-0.5 * x, x, 0.0],
         offset: [-x; 3],
@@ -232,6 +238,7 @@ fn extreme_records_stay_sound_and_unsound_ones_are_counted() {
         assert!(found.gaussians.iter().all(|r| r.is_sound()), "{:?}", found.gaussians);
         assert_eq!(found.gaussians.scale[0], [0.0; 2]);
         assert_eq!(found.gaussians.scale[3][0], 1.0);
+        assert_eq!((found.gaussians.thickness[0], found.gaussians.thickness[3]), (0.0, 1.0));
         assert_eq!(found.gaussians.gamma[0][0], 0.0);
     }
 }
@@ -320,7 +327,7 @@ proptest! {
     #[test]
     fn any_records_come_back(
         records in proptest::collection::vec(
-            (proptest::array::uniform20(-(1_i64 << 40)..1 << 40), 0_u64..6, 0_u64..3, 0_u64..3, 0_u8..6), 0..60,
+            (proptest::array::uniform21(-(1_i64 << 40)..1 << 40), 0_u64..6, 0_u64..3, 0_u64..3, 0_u8..6), 0..60,
         ),
         split in any::<proptest::sample::Index>(),
         merges in proptest::collection::vec((any::<u64>(), any::<u64>()), 0..5),
@@ -328,7 +335,7 @@ proptest! {
         let all: Vec<Quantised> = records
             .into_iter()
             .map(|(mut values, identity, birth, frame, code)| {
-                for i in [6, 7, 8, 15, 16] {
+                for i in [6, 7, 8, 15, 16, 20] {
                     values[i] = values[i].rem_euclid(4000);
                 }
                 Quantised {

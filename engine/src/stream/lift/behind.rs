@@ -51,6 +51,7 @@ pub(super) fn add(
         let rgb = remembered.map_or_else(|| surfaces.extended(beyond), |covered| covered.rgb);
         gaussians.position.push(place(middle(beyond.own), surfaces.behind(beyond)));
         gaussians.scale.push([SCALE * 2.0 / width as f32, SCALE * 2.0 / height as f32]);
+        gaussians.thickness.push(1.0);
         gaussians.opacity.push(OPACITY);
         gaussians.rgb.push(rgb);
         let away = [(beyond.away % width) as f32, (beyond.away / width) as f32];

@@ -10,7 +10,8 @@
 //! ```
 //!
 //! The place belongs to the side of its own value unless the other one weighs [`DECISIVE`] times as much. Its depth is
-//! its own value where that is no edge away from the weighted median of its side, else that median. Sums run over the
+//! its own value where that is no edge away from the weighted median of its side, else that median. Its slope is the line
+//! of least squares through it and up to [`ALONG`] pixels before and behind, as far as there is no edge. Sums run over the
 //! window row by row, those of the median over ascending values, in binary32.
 
 use rayon::prelude::*;
@@ -21,6 +22,10 @@ use super::{DepthMap, scene_depth};
 
 /// Pixels around a place that are looked at, along rows and columns.
 pub(super) const REACH: usize = 4;
+/// Pixels along a row or a column through which a slope is laid, to both sides.
+const ALONG: isize = 3;
+/// The steepest slope.
+const STEEPEST: f32 = 3.0;
 /// How many times more the other side must weigh.
 const DECISIVE: f32 = 3.0;
 /// Part of a side's weight beyond which what is close to a place holds the median: half, and room for the rounding of
@@ -139,6 +144,35 @@ impl<'a> Surfaces<'a> {
         Place { inverse, near: side == 0, clear: self.clear(row, column, scene_depth(inverse)) }
     }
 
+    /// Slope of a surface of this z at the pixel in this row and column: change of z per unit rightwards and per unit
+    /// downwards; 0 where the pixel shows another surface.
+    pub(super) fn slope(&self, row: usize, column: usize, z: f32) -> [f32; 2] {
+        let [height, width] = self.map.resolution;
+        let own = self.z[row * width + column];
+        if self.edge(own, z) {
+            return [0.0; 2];
+        }
+        let along = |side: usize, at: &dyn Fn(isize) -> Option<f32>| {
+            let (mut product, mut square) = (0.0f32, 0.0f32);
+            for step in [-1, 1] {
+                let mut last = own;
+                for n in (1..=ALONG).map(|n| step * n) {
+                    let Some(z) = at(n).filter(|z| !self.edge(*z, last)) else { break };
+                    product = (n as f32).mul_add(z - own, product);
+                    square += (n * n) as f32;
+                    last = z;
+                }
+            }
+            let per_pixel = if square > 0.0 { product / square } else { 0.0 };
+            (per_pixel * 0.5 * side as f32).clamp(-STEEPEST, STEEPEST)
+        };
+        let inside = |at: usize, n: isize, side: usize| at.checked_add_signed(n).filter(|at| *at < side);
+        [
+            along(width, &|n| inside(column, n, width).map(|x| self.z[row * width + x])),
+            along(height, &|n| inside(row, n, height).map(|y| self.z[y * width + column])),
+        ]
+    }
+
     /// Pixels from a pixel's middle to the nearest one on another surface than z, less half a pixel, along rows and
     /// columns.
     fn clear(&self, row: usize, column: usize, z: f32) -> [f32; 2] {
@@ -253,5 +287,35 @@ mod tests {
             let moved = height * width - kept;
             assert!((50..height * width / 2).contains(&moved), "{moved} take another value");
         }
+    }
+
+    #[test]
+    fn slopes_are_those_of_the_surface_up_to_its_edge() {
+        let [height, width] = SIZE;
+        // A plane, and one that stands before it from column 80 on and falls away steeply.
+        let z = |at: usize| {
+            let [x, y] = [(at % width) as f32 * 2.0 / width as f32, (at / width) as f32 * 2.0 / height as f32];
+            if at % width < 80 { 0.2f32.mul_add(x, 0.5) - 0.1 * y } else { 2.5f32.mul_add(x - 1.07, 0.15) }
+        };
+        let inverse = (0..height * width).map(|at| map_value(z(at))).collect();
+        let map = DepthMap { inverse, confidence: None, resolution: SIZE };
+        let surfaces = Surfaces::new(Level::scalar(), &map, &[0.5; 3 * SIZE[0] * SIZE[1]]);
+        let close = |[a, b]: [f32; 2], [c, d]: [f32; 2]| (a - c).abs() < 2e-3 && (b - d).abs() < 2e-3;
+        for column in [0, 40, 78, 79, 80, 81, 90] {
+            let expected = if column < 80 { [0.2, -0.1] } else { [2.5, 0.0] };
+            for row in [0, 10, 20] {
+                let z = surfaces.z()[row * width + column];
+                let found = surfaces.slope(row, column, z);
+                assert!(close(found, expected), "{row}, {column}: {found:?}");
+                assert_eq!(surfaces.slope(row, column, z + 0.2), [0.0; 2], "another surface");
+            }
+        }
+        // As steep as is told apart from an edge, and no neighbour at all.
+        let steep = (0..4 * 64).map(|at| map_value(0.1 + 0.3 * TEAR / 64.0 * (at % 64).min(12) as f32)).collect();
+        let steep = DepthMap { inverse: steep, confidence: None, resolution: [4, 64] };
+        let surfaces = Surfaces::new(Level::scalar(), &steep, &[0.5; 3 * 4 * 64]);
+        assert!(close(surfaces.slope(1, 5, surfaces.z()[64 + 5]), [0.3 * TEAR / 2.0, 0.0]));
+        let one = DepthMap { inverse: vec![0.5], confidence: None, resolution: [1, 1] };
+        assert_eq!(Surfaces::new(Level::scalar(), &one, &[0.5; 3]).slope(0, 0, scene_depth(0.5)), [0.0; 2]);
     }
 }

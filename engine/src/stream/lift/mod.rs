@@ -9,8 +9,15 @@
 //! y = FAR + (NEAR − FAR)·d        d: the map, 0 farthest to 1 nearest
 //! ```
 //!
-//! Standard deviations become [`NARROWER`], and before an edge so narrow that little of a Gaussian reaches over it; what
-//! the picture loses by that Gaussians of a pixel's size along its [outline] give back. Where a turned view looks past an
+//! Standard deviations s_x and s_z become [`NARROWER`], and before an edge so narrow that little of a Gaussian reaches over it; what
+//! the picture loses by that Gaussians of a pixel's size along its [outline] give back. Along the axis of view they become
+//!
+//! ```text
+//! √((THIN·(s_x + s_z)/2)² + (a·s_x)² + (b·s_z)²)
+//! ```
+//!
+//! with the [slopes](Surfaces::slope) a and b of the map: a surface is thinner than its Gaussians are wide, except where
+//! it falls away. Where a turned view looks past an
 //! edge, Gaussians are added [behind] it, in the colours that earlier frames [saw](covered) there. Colours of what is
 //! seen are fitted afterwards; beside edges they start from the picture's and are [held](HELD) to it.
 //!
@@ -58,6 +65,8 @@ const NARROWER: f32 = 0.95;
 /// in pixels.
 const TO_EDGE: f32 = 0.4;
 const LEAST: f32 = 0.3;
+/// Standard deviation across a surface over the mean of those along it.
+const THIN: f32 = 0.5;
 /// Pixels from an edge within which colours are held.
 const BESIDE: f32 = 3.0;
 /// Factors on the unknowns of the fit for colours beside an edge, on its farther and on its nearer side: the ridge holds
@@ -125,8 +134,9 @@ pub(super) fn lift(
     let Some(filled) = map.filled() else { return Added::default() };
     let [height, width] = filled.resolution;
     let surfaces = Surfaces::new(level, &filled, frame);
-    let each = gaussians.position.par_iter_mut().zip(&mut gaussians.scale).zip(&mut gaussians.rgb).enumerate();
-    let on_surfaces = each.with_min_len(256).filter_map(|(i, ((&mut [x, y, z], scale), rgb))| {
+    let each = gaussians.position.par_iter_mut().zip(&mut gaussians.scale).zip(&mut gaussians.thickness);
+    let each = each.zip(&mut gaussians.rgb).enumerate();
+    let on_surfaces = each.with_min_len(256).filter_map(|(i, (((&mut [x, y, z], scale), thickness), rgb))| {
         let (row, column) = (pixel(-z, height)?, pixel(x, width)?);
         let place = surfaces.at(row, column);
         if place.is_held() {
@@ -139,6 +149,7 @@ pub(super) fn lift(
                 scale[axis] = scale[axis].min((TO_EDGE * (place.clear[axis] + 0.5)).max(LEAST) * unit);
             }
         }
+        *thickness = across(*scale, surfaces.slope(row, column, scene_depth(place.inverse)));
         let at = [(x + 1.0) * 0.5 * width as f32, (1.0 - z) * 0.5 * height as f32];
         let sigma = (0.5 * scale[0] * width as f32).max(0.5 * scale[1] * height as f32);
         let own = order::Lifted { at, sigma, z: scene_depth(place.inverse), rank: y };
@@ -166,6 +177,14 @@ pub(super) fn lift(
         added.known = known;
     }
     added
+}
+
+/// Thickness of a Gaussian of these standard deviations on a surface that has these slopes; [`THIN`] where it has no width.
+fn across([sx, sz]: [f32; 2], [a, b]: [f32; 2]) -> f32 {
+    let mean = 0.5 * (sx + sz);
+    let falls = (a * sx / mean).mul_add(a * sx / mean, (b * sz / mean) * (b * sz / mean));
+    let thickness = THIN.mul_add(THIN, falls).sqrt();
+    if thickness.is_finite() { thickness } else { THIN }
 }
 
 impl edges::Place {
@@ -199,6 +218,7 @@ mod tests {
         for at in 0..8 * 64 {
             gaussians.position.push([(at % 64) as f32 / 32.0 - 63.0 / 64.0, 0.5, 7.0 / 8.0 - (at / 64) as f32 / 4.0]);
             gaussians.scale.push([1.0 / 32.0; 2]);
+            gaussians.thickness.push(1.0);
             gaussians.opacity.push(0.9);
             gaussians.rgb.push([0.9; 3]);
         }
@@ -215,5 +235,41 @@ mod tests {
         }
         let behind = &added.held[8 * 64 + added.outline..];
         assert!(!behind.is_empty() && behind.iter().all(|held| *held == 0.0), "those behind keep their colours");
+    }
+
+    #[test]
+    fn thickness_is_that_of_a_thin_surface_with_the_depth_that_it_falls_through() {
+        assert_eq!(across([0.02, 0.01], [0.0, 0.0]), THIN);
+        let expected = |s: [f32; 2], a: f32, b: f32| {
+            let mean = 0.5 * (s[0] + s[1]);
+            ((THIN * mean).powi(2) + (a * s[0]).powi(2) + (b * s[1]).powi(2)).sqrt() / mean
+        };
+        for (s, a, b) in [([0.02, 0.01], 1.5, 0.0), ([0.02, 0.01], 0.0, -2.0), ([0.0, 0.3], 3.0, 3.0)] {
+            assert!((across(s, [a, b]) - expected(s, a, b)).abs() < 1e-5, "{s:?} {a} {b}");
+        }
+        for none in [[0.0; 2], [1e-45, 0.0], [f32::NAN, 0.1], [f32::INFINITY; 2], [f32::MAX; 2]] {
+            let found = across(none, [3.0, -3.0]);
+            assert!(found.is_finite() && found >= THIN, "{none:?}: {found}");
+        }
+    }
+
+    #[test]
+    fn what_is_seen_gets_thin_and_what_stands_behind_does_not() {
+        const SIZE: [usize; 2] = [16, 64];
+        let inverse = (0..16 * 64).map(|at| f32::from(u8::from(at % 64 >= 32))).collect();
+        let map = DepthMap { inverse, confidence: None, resolution: SIZE };
+        let frame: Vec<f32> = (0..3 * 16 * 64).map(|at| f32::from(u8::from(at % 64 >= 32))).collect();
+        let mut gaussians = StaticGaussians {
+            position: (0..64).map(|at| [at as f32 / 32.0 - 63.0 / 64.0, 0.5, 0.1]).collect(),
+            scale: vec![[1.0 / 32.0; 2]; 64],
+            thickness: vec![1.0; 64],
+            opacity: vec![0.9; 64],
+            rgb: vec![[0.9; 3]; 64],
+        };
+        let added = lift(Level::scalar(), &mut gaussians, &map, &frame, Some(&Memory::None));
+        assert_eq!(gaussians.thickness.len(), gaussians.position.len());
+        let (seen, behind) = gaussians.thickness.split_at(64 + added.outline);
+        assert!(added.outline > 0 && !behind.is_empty());
+        assert!(seen.iter().all(|t| *t == THIN) && behind.iter().all(|t| *t == 1.0), "{:?}", gaussians.thickness);
     }
 }

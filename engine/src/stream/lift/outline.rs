@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use streamsplat_model::StaticGaussians;
 
 use super::edges::{Place, Surfaces};
-use super::{scene_depth, y_at};
+use super::{THIN, scene_depth, y_at};
 
 /// Pixels from an edge.
 const BAND: f32 = 3.0;
@@ -33,6 +33,7 @@ pub(super) fn add(gaussians: &mut StaticGaussians, surfaces: &Surfaces<'_>) -> V
         let y = y_at(scene_depth(place.inverse));
         gaussians.position.push([middle(pixel % width, width), y, -middle(pixel / width, height)]);
         gaussians.scale.push([SCALE * 2.0 / width as f32, SCALE * 2.0 / height as f32]);
+        gaussians.thickness.push(THIN);
         gaussians.opacity.push(OPACITY);
         gaussians.rgb.push(surfaces.colour(*pixel));
     }

@@ -76,7 +76,8 @@ void main() {
   if (view.z <= (pinhole ? 1e-3 : 0.0)) return;
 
   vec2 s = unpackHalf2x16(b.y);
-  vec3 sigma = square * vec3(s, 0.5 * (s.x + s.y));
+  float thickness = exp2(0.25 * float(int(b.w) >> 27));
+  vec3 sigma = square * vec3(s, 0.5 * (s.x + s.y) * thickness);
   vec2 unit = pinhole ? focal / view.z : focal;
   vec2 more = LOW_PASS * max(vec2(0.0), 1.0 / (own * own) - 1.0 / (unit * unit));
   sigma = sqrt(sigma * sigma + vec3(more, 0.5 * (more.x + more.y)));

@@ -86,6 +86,7 @@ fn of_interval(interval: &Interval) -> Vec<Column<'_>> {
         column("velocity", 3, g.velocity.as_flattened()),
         column("offset", 3, g.offset.as_flattened()),
         column("scale", 2, g.scale.as_flattened()),
+        column("thickness", 1, &g.thickness),
         column("opacity", 1, &g.opacity),
         column("gamma", 2, g.gamma.as_flattened()),
         column("colour", 3, g.rgb.as_flattened()),
