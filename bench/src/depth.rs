@@ -65,6 +65,7 @@ const TABLE: Table<'_> = Table(&[
     Column::Number("foreground", 0),
     Column::Number("behind", 0),
     Column::Number("covered", 0),
+    Column::Number("middle", 6),
     Column::Number("key", 6),
     Column::Number("card", 6),
     Column::Number("card foreground", 0),
@@ -130,8 +131,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             }
         });
         failed.map_or(Ok(()), Err)?;
-        let Score { views, foreground, behind, covered, key, card, count, scenes, found } = score;
-        let decibels = [views, foreground, behind, covered, key, card[0], card[1]].map(|x| format!("{x:.2}"));
+        let Score { views, foreground, behind, covered, middle, key, card, count, scenes, found } = score;
+        let decibels = [views, foreground, behind, covered, middle, key, card[0], card[1]].map(|x| format!("{x:.2}"));
         let counts = [count.to_string(), format!("{found}/{scenes}")];
         println!("{}", TABLE.line(&[&[(*name).to_owned()], &decibels[..], &counts].concat()));
         rows.push(DepthScore { depth: name, score });

@@ -22,6 +22,9 @@ pub struct Score {
     pub behind: f64,
     /// Views where they show what the key frame hides and one before it showed.
     pub covered: f64,
+    /// Views halfway between the last two key frames, with frames between them seen, where they show what the straight
+    /// picture then shows; with true depth alone.
+    pub middle: f64,
     /// Key frames from their own camera.
     pub key: f64,
     /// The true key frame turned as a card, as `views` and `foreground`.
@@ -94,6 +97,24 @@ pub fn reconstruct(
     Ok((last.expect("a picture"), map))
 }
 
+/// The last interval of a scene at these times with true depth, frames at three times between key frames seen.
+fn seen_between(engine: &mut Engine, scene: &Cards, times: &[f64]) -> Result<Interval, EngineError> {
+    let size = scene.size();
+    let with_map = |time: f64| {
+        let picture = scene.straight(time);
+        let map = picture.y.iter().map(|y| (y - FAR) / (NEAR - FAR)).collect();
+        frame(&picture, size, Some(map))
+    };
+    let mut last = engine.push(with_map(times[0]), 0.0)?;
+    for (pair, second) in times.windows(2).zip(0u32..) {
+        let part = |share: f64| (pair[0] + share * (pair[1] - pair[0]), f64::from(second) + share);
+        let between =
+            [0.25, 0.5, 0.75].map(part).map(|(time, second)| (frame(&scene.straight(time), size, None), second));
+        last = engine.push_with(between.into(), with_map(pair[1]), f64::from(second) + 1.0)?;
+    }
+    Ok(last)
+}
+
 fn frame(picture: &CardPicture, [height, width]: [usize; 2], depth: Option<Vec<f32>>) -> Frame {
     Frame { width, height, rgb: picture.rgb.clone(), depth }
 }
@@ -127,7 +148,7 @@ pub fn score(
     let finds = matches!(depth, Depth::Found | Depth::FoundInScale);
     let settings = Settings { depth_range: DepthRange::Given, find_depth: finds, ..settings.clone() };
     let model = Arc::clone(Engine::new(settings.clone()).expect("starts").model());
-    let (mut sum, mut hidden, mut covered) = (Score::default(), 0, 0);
+    let (mut sum, mut hidden, mut covered, mut halfway) = (Score::default(), 0, 0, 0);
     for (index, scene) in scenes.iter().enumerate() {
         let pictures: Vec<CardPicture> = times.iter().map(|time| scene.straight(*time)).collect();
         let (straight, time) = (pictures.last().expect("a time"), times[times.len() - 1]);
@@ -146,6 +167,18 @@ pub fn score(
             true_scale = true;
         }
         let options = RenderOptions::default();
+        if depth == Depth::True && times.len() > 1 {
+            let half = 0.5 * (times[times.len() - 2] + time);
+            let seen = seen_between(&mut start(), scene, times).expect("taken");
+            for degrees in [degrees, -degrees] {
+                let (view, pivot) = scene.turned(half, degrees);
+                let camera = around(degrees, pivot, seen.placement.aspect());
+                let shown =
+                    seen.render(0.5 * (seen.start + seen.end), &camera, &options, workers()).expect("drawn").rgb;
+                sum.middle += psnr(&shown, &view.rgb, |i| view.known[i]);
+                halfway += 1;
+            }
+        }
         let own = interval.render(interval.end, &Camera::Canonical, &options, workers()).expect("drawn").rgb;
         show("key-true", index, &straight.rgb);
         show("key", index, &own);
@@ -185,6 +218,7 @@ pub fn score(
         foreground: mean(sum.foreground),
         behind: sum.behind / f64::from(hidden),
         covered: if covered > 0 { sum.covered / f64::from(covered) } else { 0.0 },
+        middle: if halfway > 0 { sum.middle / f64::from(halfway) } else { 0.0 },
         key: mean(sum.key),
         card: sum.card.map(mean),
         ..sum
