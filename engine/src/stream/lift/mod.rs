@@ -72,7 +72,7 @@ const BESIDE: f32 = 3.0;
 /// Factors on the unknowns of the fit for colours beside an edge, on its farther and on its nearer side: the ridge holds
 /// them as many times as strongly as the square's inverse. Free, they would undo what reaches over the edge, and a view
 /// that turns shows them without it.
-const HELD: [f32; 2] = [0.3, 0.8];
+const HELD: [f32; 2] = [0.6, 0.8];
 
 /// Inverse depth of a key frame, at the size at which the model sees it.
 #[derive(Clone, Debug, PartialEq)]
