@@ -35,7 +35,7 @@ pub enum Sampling {
 
 /// The Gaussians of one frame at the frame's own time, one per 2×2 pixels, row by row.
 ///
-/// There is no rotation; the third standard deviation, along y, is the mean of the two.
+/// There is no rotation; the third standard deviation, along y, is the mean of the two times the thickness.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StaticGaussians {
     /// World position (x, y, z): x in [−1, 1] left to right, y normalised inverse depth, z in [1, −1] top to bottom.

@@ -63,7 +63,7 @@ const BIRTH: usize = 4;
 const FRAME: usize = 5;
 /// The first column of the quantised numbers.
 const FIRST: usize = 6;
-/// The columns that are empty where no number in them differs from 0: those of the change of colour, not there in version
+/// The columns that are empty where no difference in them differs from 0: those of the change of colour, not there in version
 /// 1, and that of thickness, not there before version 3.
 const RARE: std::ops::Range<usize> = FIRST + RATE_AT..MERGE;
 const THICKNESS: usize = FIRST + THICKNESS_AT;
