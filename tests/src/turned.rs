@@ -89,7 +89,7 @@ pub fn reconstruct(
 ) -> Result<(Interval, Option<Vec<f32>>), EngineError> {
     let mut last = None;
     for (picture, second) in pictures.iter().zip(0u32..) {
-        let map = || picture.y.iter().map(|y| (y - FAR) / (NEAR - FAR)).collect();
+        let map = || map_of(&picture.y);
         last = Some(engine.push(frame(picture, size, depth.then(map)), f64::from(second))?);
     }
     let found = engine.resume_point().and_then(|point| point.found);
@@ -102,8 +102,7 @@ fn seen_between(engine: &mut Engine, scene: &Cards, times: &[f64]) -> Result<Int
     let size = scene.size();
     let with_map = |time: f64| {
         let picture = scene.straight(time);
-        let map = picture.y.iter().map(|y| (y - FAR) / (NEAR - FAR)).collect();
-        frame(&picture, size, Some(map))
+        frame(&picture, size, Some(map_of(&picture.y)))
     };
     let mut last = engine.push(with_map(times[0]), 0.0)?;
     for (pair, second) in times.windows(2).zip(0u32..) {
@@ -113,6 +112,11 @@ fn seen_between(engine: &mut Engine, scene: &Cards, times: &[f64]) -> Result<Int
         last = engine.push_with(between.into(), with_map(pair[1]), f64::from(second) + 1.0)?;
     }
     Ok(last)
+}
+
+/// The values of a depth map for these y.
+fn map_of(y: &[f32]) -> Vec<f32> {
+    y.iter().map(|y| (y - FAR) / (NEAR - FAR)).collect()
 }
 
 fn frame(picture: &CardPicture, [height, width]: [usize; 2], depth: Option<Vec<f32>>) -> Frame {
@@ -162,7 +166,7 @@ pub fn score(
         sum.scenes += 1;
         let mut true_scale = depth == Depth::True;
         if let (Depth::FoundInScale, Some(found)) = (depth, &found) {
-            let map = in_scale(found, &straight.y).iter().map(|y| (y - FAR) / (NEAR - FAR)).collect();
+            let map = map_of(&in_scale(found, &straight.y));
             interval = start().push(frame(straight, scene.size(), Some(map)), 0.0).expect("taken");
             true_scale = true;
         }

@@ -18,6 +18,7 @@ use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{ColourFit, ColourMap, FitView, Gaussians, Preparation, Projection, Solution};
 use streamsplat_model::StaticGaussians;
 
+use super::gaussians::deviations;
 use super::{DynamicGaussians, Reference};
 use crate::render::{Snapshot, to_scene};
 
@@ -86,7 +87,7 @@ impl Fitter {
             };
             view.index.push(i as u32);
             view.mean.push(mean);
-            view.scale.push([sx, sz, (sx + sz) * 0.5 * gaussians.thickness[i]]);
+            view.scale.push(deviations([sx, sz], gaussians.thickness[i]));
             view.opacity.push(opacity);
             view.rgb.push(rgb);
         }

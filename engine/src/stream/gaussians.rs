@@ -72,6 +72,11 @@ impl Reference {
     }
 }
 
+/// Standard deviations along x, y and z of scene space: s_x, s_z, and their mean times the thickness.
+pub(super) fn deviations([sx, sz]: [f32; 2], thickness: f32) -> [f32; 3] {
+    [sx, sz, (sx + sz) * 0.5 * thickness]
+}
+
 /// The record of one Gaussian over one interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Record {
@@ -131,8 +136,7 @@ impl Default for Record {
 impl Record {
     /// Standard deviations along x, y and z of scene space.
     pub fn deviations(&self) -> [f32; 3] {
-        let [sx, sz] = self.scale;
-        [sx, sz, (sx + sz) * 0.5 * self.thickness]
+        deviations(self.scale, self.thickness)
     }
 
     /// Position at `t` in [0, 1].

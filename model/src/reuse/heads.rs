@@ -52,6 +52,7 @@ impl StaticHeadCache {
                 for (i, row) in changed.iter().map(|row| *row as usize).enumerate() {
                     kept.position[row] = some.position[i];
                     kept.scale[row] = some.scale[i];
+                    kept.thickness[row] = some.thickness[i];
                     kept.opacity[row] = some.opacity[i];
                     kept.rgb[row] = some.rgb[i];
                 }

@@ -315,6 +315,11 @@ mod tests {
         let steep = DepthMap { inverse: steep, confidence: None, resolution: [4, 64] };
         let surfaces = Surfaces::new(Level::scalar(), &steep, &[0.5; 3 * 4 * 64]);
         assert!(close(surfaces.slope(1, 5, surfaces.z()[64 + 5]), [0.3 * TEAR / 2.0, 0.0]));
+        // Steeper than that counts as STEEPEST.
+        let wall = (0..4 * 64).map(|at| map_value(0.1 + 0.8 * TEAR / 64.0 * (at % 64).min(4) as f32)).collect();
+        let wall = DepthMap { inverse: wall, confidence: None, resolution: [4, 64] };
+        let surfaces = Surfaces::new(Level::scalar(), &wall, &[0.5; 3 * 4 * 64]);
+        assert_eq!(surfaces.slope(1, 2, surfaces.z()[64 + 2]), [STEEPEST, 0.0]);
         let one = DepthMap { inverse: vec![0.5], confidence: None, resolution: [1, 1] };
         assert_eq!(Surfaces::new(Level::scalar(), &one, &[0.5; 3]).slope(0, 0, scene_depth(0.5)), [0.0; 2]);
     }
