@@ -150,7 +150,7 @@ pub fn score(
     mut show: impl FnMut(&str, usize, &[f32]),
 ) -> Score {
     let finds = matches!(depth, Depth::Found | Depth::FoundInScale);
-    let settings = Settings { depth_range: DepthRange::Given, find_depth: finds, ..settings.clone() };
+    let settings = Settings { depth_range: DepthRange::Given, find_depth: Some(finds), ..settings.clone() };
     let model = Arc::clone(Engine::new(settings.clone()).expect("starts").model());
     let (mut sum, mut hidden, mut covered, mut halfway) = (Score::default(), 0, 0, 0);
     for (index, scene) in scenes.iter().enumerate() {

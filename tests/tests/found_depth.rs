@@ -1,7 +1,7 @@
 //! Depth found by parallax, through the engine.
 
 use streamsplat::scene::{resume_point_from_safetensors, resume_point_to_safetensors};
-use streamsplat::stream::{FlowEffort, Interval, Reference, Reuse};
+use streamsplat::stream::{FlowEffort, Interval, ModelSource, MotionFrom, Quality, Reference, Reuse};
 use streamsplat::{Engine, Frame, Settings};
 use streamsplat_fixtures::clip::cards::Cards;
 use streamsplat_kernels::Level;
@@ -10,7 +10,11 @@ use streamsplat_tests::turned::{Depth, score};
 const SIZE: [usize; 2] = [72, 128];
 
 fn finding() -> Settings {
-    Settings { find_depth: true, ..Settings::default() }
+    Settings { find_depth: Some(true), ..Settings::default() }
+}
+
+fn flat() -> Settings {
+    Settings { find_depth: Some(false), ..Settings::default() }
 }
 
 /// Pixels that the camera moves by from time 0 to time 1 at y = 1.
@@ -46,6 +50,22 @@ fn found(engine: &Engine) -> bool {
 
 fn same(a: &[Interval], b: &[Interval]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| format!("{:?}", a.gaussians) == format!("{:?}", b.gaussians))
+}
+
+#[test]
+fn depth_is_found_by_default_where_time_is_not_all() {
+    let frames = moving();
+    let (by_default, engine) = run(&Settings::default(), &frames);
+    assert!(engine.finds_depth() && found(&engine));
+    assert!(same(&by_default, &run(&finding(), &frames).0));
+    let network = Settings { motion: Some(MotionFrom::Network), ..finding() };
+    let best = Settings::of_quality(Quality::Best);
+    for (settings, finds) in [(network, false), (Settings::of_quality(Quality::Realtime), false), (best, true)] {
+        assert_eq!(Engine::new(settings).expect("starts").finds_depth(), finds);
+    }
+    let tiny = streamsplat_fixtures::path("parity/tiny-nodino.safetensors");
+    let tiny = Settings::with_model(ModelSource::File { checkpoint: tiny, dinov2: None });
+    assert!(!Engine::new(tiny).expect("starts").finds_depth(), "another model");
 }
 
 #[test]
@@ -89,14 +109,14 @@ fn without_parallax_scenes_are_as_without_depth() {
     for frames in [still, turning] {
         let (with, engine) = run(&finding(), &frames);
         assert!(!found(&engine));
-        assert!(same(&run(&Settings::default(), &frames).0, &with));
+        assert!(same(&run(&flat(), &frames).0, &with));
     }
 }
 
 #[test]
 fn the_first_interval_is_lifted_at_both_ends_and_a_given_map_goes_first() {
     let mut frames = moving();
-    let (without, _) = run(&Settings::default(), &frames);
+    let (without, _) = run(&flat(), &frames);
     let (with, engine) = run(&finding(), &frames);
     assert!(found(&engine));
     assert!(same(&without[..1], &with[..1]), "the first key frame has seen no motion");
@@ -113,7 +133,7 @@ fn the_first_interval_is_lifted_at_both_ends_and_a_given_map_goes_first() {
     }
     let (given, engine) = run(&finding(), &frames);
     assert!(!found(&engine));
-    assert!(same(&given, &run(&Settings::default(), &frames).0));
+    assert!(same(&given, &run(&flat(), &frames).0));
 }
 
 #[test]

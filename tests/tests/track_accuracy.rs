@@ -241,8 +241,14 @@ fn found_depth_leaves_points_where_they_are_followed_to() {
     let (mut with, mut without) = (Score::default(), Score::default());
     for seed in 1..=8 {
         let clip = Clip::new(ClipKind::Moving, seed, WIDTH, HEIGHT);
-        let followed =
-            |find_depth| followed_by(Settings { find_depth, ..Settings::default() }, &clip, FPS_OF_PARALLAX, bounds);
+        let followed = |find_depth| {
+            followed_by(
+                Settings { find_depth: Some(find_depth), ..Settings::default() },
+                &clip,
+                FPS_OF_PARALLAX,
+                bounds,
+            )
+        };
         let ((a, found), (b, none)) = (followed(true), followed(false));
         println!("scene {seed}: depth found for {found} of {} key frames", bounds[0].0);
         assert!(

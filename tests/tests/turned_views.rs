@@ -44,7 +44,7 @@ fn views_past_edges_show_what_earlier_frames_saw_there() {
 /// Records of all intervals of a few key frames with these depth maps.
 fn stream(level: Option<Level>, threads: usize, depth: impl Fn(usize, &[f32]) -> Option<Vec<f32>>) -> Vec<Interval> {
     let scene = covering();
-    let settings = Settings { level, threads, ..Settings::default() };
+    let settings = Settings { level, threads, find_depth: Some(false), ..Settings::default() };
     let mut engine = Engine::new(settings).expect("starts");
     (0..3)
         .map(|key| {

@@ -25,7 +25,7 @@ pub(super) struct Row {
 
 /// The clip in `folder`, which has the folders `rgb` and `depth` (millimetres, 0: not measured).
 pub(super) fn clip(settings: &Settings, folder: &Path, registration: Option<&Registration>, gap: usize) -> Result<Row> {
-    let settings = Settings { find_depth: true, ..settings.clone() };
+    let settings = Settings { find_depth: Some(true), ..settings.clone() };
     let mut source = source::Source::open(&folder.join("rgb"), &source::Options::default())?;
     let maps = DepthMaps::open_as(&folder.join("depth"), source.files(), Range::Frame, Values::Depth)?;
     let mut engine = Engine::new(settings)?;

@@ -35,7 +35,7 @@ impl Engine {
     #[new]
     #[pyo3(signature = (model=None, *, dinov2=None, fusion="persistent", max_age=None, fit="letterbox", depth_range="frame",
         sampling="mean", seed=0, reuse=None, precision=None, isa="auto", threads=0, resolution=None, motion=None, refine=None, flow=None,
-        fade=None, refine_every=None, quality=None))]
+        fade=None, refine_every=None, quality=None, find_depth=None))]
     fn new(
         py: Python<'_>,
         model: Option<PathBuf>,
@@ -57,6 +57,7 @@ impl Engine {
         fade: Option<&str>,
         refine_every: Option<u32>,
         quality: Option<&str>,
+        find_depth: Option<bool>,
     ) -> PyResult<Self> {
         let model = match (model, dinov2) {
             (Some(checkpoint), dinov2) => ModelSource::File { checkpoint, dinov2 },
@@ -100,6 +101,7 @@ impl Engine {
         if refine_every == Some(0) {
             return Err(wrong("refine_every: expected a whole number from 1 on, found 0"));
         }
+        settings.find_depth = find_depth.or(settings.find_depth);
         settings.refine = refine.or(settings.refine);
         settings.refine_every = refine_every.or(settings.refine_every);
         let engine = py.detach(|| streamsplat::Engine::new(settings)).map_err(failed)?;

@@ -66,6 +66,7 @@ class Engine:
         fade: Literal["network", "fixed"] | None = None,
         refine_every: int | None = None,
         quality: Literal["realtime", "balanced", "best"] | None = None,
+        find_depth: bool | None = None,
     ) -> Self: ...
     def push(
         self,

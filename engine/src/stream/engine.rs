@@ -94,13 +94,19 @@ impl Engine {
         &self.workers
     }
 
+    /// Returns true if depth is found for frames without a map of their own ([`Settings::find_depth`], and the model ignores depth). The first
+    /// key frame is then shown with depth by the interval after it alone.
+    pub fn finds_depth(&self) -> bool {
+        self.settings.find_depth() && self.model.ignores_depth()
+    }
+
     /// Work done and work avoided since it was made.
     pub fn work(&self) -> &Work {
         &self.work
     }
 
     /// Takes the next key frame, `timestamp` seconds into the video, and gives the interval it ends. The first frame gives its static
-    /// scene, an interval of no length; where depth is found ([`Settings::find_depth`]), its Gaussians are lifted from the next interval on.
+    /// scene, an interval of no length; where depth is found ([`Engine::finds_depth`]), its Gaussians are lifted from the next interval on.
     ///
     /// # Errors
     /// Frames without pixels, of another size than the first one, with buffers of the wrong length or pixels that are not
@@ -280,7 +286,7 @@ impl Engine {
     /// Depth found by parallax for key frame `index`, where that is asked for and the frame has no map of its own.
     fn found(&mut self, tiles: &Tiles, view: &KeyView, flows: Option<&Flows>, index: u64) -> Depths {
         let Self { settings, work, workers, state, .. } = self;
-        let wanted = settings.find_depth && tiles.ignores_depth() && !view.has_depth();
+        let wanted = settings.find_depth() && tiles.ignores_depth() && !view.has_depth();
         let Some((state, flows)) = state.as_ref().filter(|_| wanted).zip(flows) else { return Depths::default() };
         if view.repeats(&state.view) {
             work.count(Stage::Parallax, 0, 1);

@@ -33,6 +33,8 @@ pub struct Preset {
     pub flow: FlowEffort,
     /// [`Settings::fade`]
     pub fade: Fade,
+    /// [`Settings::find_depth`]
+    pub find_depth: bool,
     /// [`Settings::refine`]
     pub refine: u32,
     /// [`Settings::refine_every`]
@@ -53,6 +55,7 @@ impl Quality {
     /// | motion | between | between | between |
     /// | flow | coarse | fine | fine |
     /// | fade | fixed | fixed | fixed |
+    /// | find depth | no | yes | yes |
     /// | refine | 3 | 16 | 64 |
     /// | refine every | 3 | 1 | 1 |
     /// | precision | int8 | f32 | f32 |
@@ -64,6 +67,7 @@ impl Quality {
             motion: MotionFrom::Between,
             flow: FlowEffort::Fine,
             fade: Fade::Fixed,
+            find_depth: true,
             refine: Settings::REFINE,
             refine_every: 1,
             precision: Precision::F32,
@@ -73,6 +77,7 @@ impl Quality {
             Quality::Realtime => Preset {
                 gap: Gap::Every(6),
                 flow: FlowEffort::Coarse,
+                find_depth: false,
                 refine: 3,
                 refine_every: 3,
                 precision: Precision::Int8,
@@ -87,13 +92,14 @@ impl Quality {
 impl Settings {
     /// The settings of the model inside the library for a [`Quality`]; which frames are key frames is for the caller to choose ([`Preset::gap`]).
     pub fn of_quality(quality: Quality) -> Self {
-        let Preset { gap: _, resolution, motion, flow, fade, refine, refine_every, precision, reuse } =
+        let Preset { gap: _, resolution, motion, flow, fade, find_depth, refine, refine_every, precision, reuse } =
             quality.preset();
         Self {
             resolution: Some(resolution),
             motion: Some(motion),
             flow,
             fade: Some(fade),
+            find_depth: Some(find_depth),
             refine: Some(refine),
             refine_every: Some(refine_every),
             precision,
@@ -114,6 +120,7 @@ mod tests {
         assert_eq!(balanced.motion(), default.motion());
         assert_eq!(balanced.flow, default.flow);
         assert_eq!(balanced.fade(), default.fade());
+        assert_eq!(balanced.find_depth(), default.find_depth());
         assert_eq!(balanced.refine(), default.refine());
         assert_eq!(balanced.refine_every(), default.refine_every());
         assert_eq!(balanced.precision, default.precision);

@@ -39,8 +39,8 @@ pub struct Settings {
     /// Every how many of the frames between key frames are looked at where colours are fitted, 1 for all; `None`: 1. 0 is 1.
     pub refine_every: Option<u32>,
     /// True if depth is found by parallax ([`crate::parallax`]) for frames that have no map of their own, where the model ignores depth
-    /// ([`Reconstructor::ignores_depth`]) and motion is taken from the frames.
-    pub find_depth: bool,
+    /// ([`Reconstructor::ignores_depth`]) and motion is taken from the frames; `None`: true for the model inside the library, false for any other.
+    pub find_depth: Option<bool>,
     /// How depth maps are normalised.
     pub depth_range: DepthRange,
     /// Gaussians behind the foreground, where depth maps lift it.
@@ -127,6 +127,12 @@ impl Settings {
     /// Every how many of the frames between key frames are looked at where colours are fitted.
     pub fn refine_every(&self) -> u32 {
         self.refine_every.unwrap_or(1).max(1)
+    }
+
+    /// Returns true if depth is found by parallax where the model ignores depth.
+    pub fn find_depth(&self) -> bool {
+        let wanted = self.find_depth.unwrap_or(matches!(self.model, ModelSource::Embedded));
+        wanted && self.motion() != MotionFrom::Network
     }
 
     /// Returns true if anything is taken from the network's dynamic half; otherwise it is not computed.

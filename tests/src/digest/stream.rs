@@ -44,8 +44,7 @@ pub(super) fn things() -> Vec<Thing> {
             seen(level, digest, &settings, [80, 48], Some(Depth::Given));
         }),
         Thing::new("stream/embedded-found-depth", |level, digest| {
-            let settings =
-                Settings { motion: Some(MotionFrom::Frames), refine: Some(2), find_depth: true, ..Settings::default() };
+            let settings = Settings { motion: Some(MotionFrom::Frames), refine: Some(2), ..Settings::default() };
             seen(level, digest, &settings, [160, 96], Some(Depth::Found));
         }),
         // Without the dynamic half, colours fitted to every second frame, products of bytes.
@@ -64,7 +63,12 @@ enum Depth {
 
 /// Three key frames with two frames between each two, which the engine is given.
 fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]: [usize; 2], depth: Option<Depth>) {
-    let settings = Settings { level: Some(level), threads: rayon::current_num_threads(), ..settings.clone() };
+    let settings = Settings {
+        level: Some(level),
+        threads: rayon::current_num_threads(),
+        find_depth: Some(depth == Some(Depth::Found)),
+        ..settings.clone()
+    };
     let mut engine = Engine::new(settings).expect("an engine");
     let clip = Clip::new(ClipKind::Moving, 4, width, height);
     let frame = |k: usize| {

@@ -6,23 +6,26 @@ use super::Reason;
 const PAPER: &str = "--resolution native --motion network --refine 0";
 
 /// One option after the other.
-const STEPS: [(&str, &str); 9] = [
+const STEPS: [(&str, &str); 11] = [
     ("the paper's way: one pass at the model's own size, the network's motion and colours", PAPER),
     ("+ resolution: four times the area, in tiles", "--motion network --refine 0"),
-    ("+ motion: optical flow between the key frames", "--motion frames --refine 0 --fade network"),
-    ("+ fading: all alike, nothing of the dynamic half is computed", "--motion frames --refine 0"),
-    ("+ colours: 4 steps", "--motion frames --refine 4"),
-    ("+ colours: 16 steps at most", "--motion frames"),
-    ("seen, motion through the frames between, no colours", "--seen --refine 0"),
-    ("seen, + colours: 4 steps", "--seen --refine 4"),
-    ("seen, + colours: 16 steps at most", "--seen"),
+    ("+ motion: optical flow between the key frames", "--motion frames --refine 0 --fade network --depth none"),
+    ("+ fading: all alike, nothing of the dynamic half is computed", "--motion frames --refine 0 --depth none"),
+    ("+ colours: 4 steps", "--motion frames --refine 4 --depth none"),
+    ("+ colours: 16 steps at most", "--motion frames --depth none"),
+    ("+ depth: found by parallax", "--motion frames"),
+    ("seen, motion through the frames between, no colours", "--seen --refine 0 --depth none"),
+    ("seen, + colours: 4 steps", "--seen --refine 4 --depth none"),
+    ("seen, + colours: 16 steps at most", "--seen --depth none"),
+    ("seen, + depth: found by parallax", "--seen"),
 ];
 /// From the fastest to the closest.
 const QUALITIES: [(&str, &str); 3] =
     [("realtime", "gap 6"), ("balanced", "gap auto:3-8:40, the default"), ("best", "gap 2")];
 /// Gaps of the grid, and what is said beside them.
 const GAPS: [&str; 5] = ["2", "3", "5", "8", "auto:3-8:40"];
-const CHOICES: [&str; 3] = ["--flow coarse --refine 3 --refine-every 3", "--flow coarse --refine 6", "--refine 16"];
+const CHOICES: [&str; 3] =
+    ["--flow coarse --refine 3 --refine-every 3 --depth none", "--flow coarse --refine 6 --depth none", "--refine 16"];
 const UNSEEN_GAPS: [usize; 2] = [5, 8];
 
 /// Names, kinds and arguments of all rows.

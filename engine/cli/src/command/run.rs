@@ -280,7 +280,7 @@ fn run_from(
         seconds.insert("depth".into(), network.time.as_secs_f64());
     }
     let options = with_absolute_paths(options);
-    let network = options.stream.depth.strip_prefix("onnx:").zip(read.network.as_ref());
+    let network = options.stream.depth_network().zip(read.network.as_ref());
     let depth = network.map(|(file, network)| NetworkRecord::of(Path::new(file), &network.runtime)).transpose()?;
     let record = Record {
         program: PROGRAM.to_owned(),

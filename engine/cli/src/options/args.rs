@@ -94,15 +94,17 @@ pub struct Model {
 pub struct Stream {
     #[command(flatten)]
     pub model: Model,
-    /// Trade-off of error and time: realtime, balanced or best; sets gap, resolution, motion, flow, fade, refine, refine-every, precision and reuse
-    /// where they are not given [default: balanced for the model inside the program; others run as the paper says]
+    /// Trade-off of error and time: realtime, balanced or best; sets depth, gap, resolution, motion, flow, fade, refine, refine-every, precision and
+    /// reuse where they are not given [default: balanced for the model inside the program; others run as the paper says]
     #[arg(long, value_name = "NAME")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quality: Option<String>,
     /// Inverse depth: none, auto (found by parallax where the camera moves, for models that ignore depth), a folder of EXR, 16-bit PNG or NPY
-    /// files, one per frame, or onnx:FILE, a network that ONNX Runtime runs
-    #[arg(long, value_name = "auto|DIR|onnx:FILE", default_value = "none")]
-    pub depth: String,
+    /// files, one per frame, or onnx:FILE, a network that ONNX Runtime runs [default: auto for balanced and best, none for realtime and where
+    /// motion is the network's]
+    #[arg(long, value_name = "auto|DIR|onnx:FILE")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth: Option<String>,
     /// Properties of the depth network that its file does not give: size=N or WxH, multiple=N, mean=R/G/B, std=R/G/B, metric, output=NAME, separated by
     /// commas; with a folder metric alone: its files hold depth, not inverse depth, and 0 where there is none [default: size=518,multiple=14 and ImageNet's mean and std]
     #[arg(long, value_name = "LIST")]

@@ -64,6 +64,7 @@ impl Stream {
             (None, ModelSource::Embedded) => Quality::default(),
             (None, _) => {
                 stream.gap = Some(self.gap()?.to_string());
+                stream.depth.get_or_insert_with(|| "none".to_owned());
                 return Ok(stream);
             }
         };
@@ -79,6 +80,7 @@ impl Stream {
         // Who asks for the network's motion gets its fading with it.
         let network = stream.motion.as_deref() == Some(MotionFrom::Network.name());
         fill(&mut stream.fade, if network { &Fade::Network } else { &preset.fade });
+        fill(&mut stream.depth, &if preset.find_depth && !network { "auto" } else { "none" });
         fill(&mut stream.model.precision, &preset.precision);
         fill(&mut stream.reuse, &preset.reuse);
         stream.refine.get_or_insert(preset.refine);
@@ -91,6 +93,11 @@ impl Stream {
         self.gap.as_deref().map_or(Ok(Gap::Every(1)), |text| choice("--gap", text))
     }
 
+    /// The file of the depth network, where there is one.
+    pub fn depth_network(&self) -> Option<&str> {
+        self.depth.as_deref()?.strip_prefix("onnx:")
+    }
+
     /// Where depth comes from.
     pub fn depth_from(&self) -> Result<DepthFrom, Failure> {
         let range = match self.depth_range.as_str() {
@@ -98,19 +105,20 @@ impl Stream {
             "clip" => Range::Clip,
             other => return Err(Failure::usage(format!("--depth-range {other}: expected frame or clip"))),
         };
-        let network = self.depth.strip_prefix("onnx:").map(PathBuf::from);
+        let depth = self.depth.as_deref().unwrap_or("none");
+        let network = depth.strip_prefix("onnx:").map(PathBuf::from);
         let values = match self.depth_model.as_deref() {
-            Some("metric") if network.is_none() && !["none", "auto"].contains(&self.depth.as_str()) => Values::Depth,
+            Some("metric") if network.is_none() && !["none", "auto"].contains(&depth) => Values::Depth,
             Some(_) if network.is_none() => {
                 let expected = "expected a network as well (--depth onnx:FILE), or metric with a folder of depth maps";
                 return Err(Failure::usage(format!("--depth-model: {expected}")));
             }
             _ => Values::Inverse,
         };
-        if self.depth == "none" {
+        if depth == "none" {
             return Ok(DepthFrom::None);
         }
-        if self.depth == "auto" {
+        if depth == "auto" {
             return Ok(DepthFrom::Found);
         }
         if let Some(network) = network {
@@ -120,11 +128,10 @@ impl Stream {
             let options = self.depth_model.as_deref().map(|text| choice("--depth-model", text)).transpose()?;
             return Ok(DepthFrom::Network(network, options.unwrap_or_default()));
         }
-        let folder = PathBuf::from(&self.depth);
+        let folder = PathBuf::from(depth);
         if !folder.is_dir() {
             return Err(Failure::usage(format!(
-                "--depth {}: expected none, auto, a folder of depth maps, or onnx:FILE",
-                self.depth
+                "--depth {depth}: expected none, auto, a folder of depth maps, or onnx:FILE"
             )));
         }
         Ok(DepthFrom::Folder(folder, range, values))
@@ -143,7 +150,7 @@ impl Stream {
             self.flow.as_deref().map_or_else(|| Ok(FlowEffort::default()), |text| choice("--flow", text))?;
         settings.refine_every = self.refine_every;
         settings.refine = self.refine;
-        settings.find_depth = self.depth_from()? == DepthFrom::Found;
+        settings.find_depth = Some(self.depth_from()? == DepthFrom::Found);
         settings.depth_range = match self.depth_from()? {
             DepthFrom::Folder(_, Range::Clip, _) => DepthRange::Given,
             _ => DepthRange::Frame,

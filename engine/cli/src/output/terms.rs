@@ -30,7 +30,7 @@ pub struct Terms {
 impl Terms {
     /// The terms of a run with these options.
     pub fn given(options: &RunOptions, model: &ModelRecord) -> Result<Terms, Failure> {
-        let network = options.stream.depth.strip_prefix("onnx:");
+        let network = options.stream.depth_network();
         Ok(Terms {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             options: serde_json::to_value(with_absolute_paths(options)).map_err(Failure::work)?,
@@ -84,11 +84,11 @@ pub fn with_absolute_paths(options: &RunOptions) -> RunOptions {
     for path in [&mut options.stream.model.model, &mut options.stream.model.dinov2, &mut options.view.camera] {
         *path = path.as_deref().map(absolute);
     }
-    if let Some(network) = options.stream.depth.strip_prefix("onnx:") {
-        options.stream.depth = format!("onnx:{}", absolute(Path::new(network)).display());
-    } else if !["none", "auto"].contains(&options.stream.depth.as_str()) {
-        options.stream.depth = absolute(Path::new(&options.stream.depth)).display().to_string();
-    }
+    options.stream.depth = options.stream.depth.map(|depth| match depth.strip_prefix("onnx:") {
+        Some(network) => format!("onnx:{}", absolute(Path::new(network)).display()),
+        None if ["none", "auto"].contains(&depth.as_str()) => depth,
+        None => absolute(Path::new(&depth)).display().to_string(),
+    });
     options
 }
 

@@ -53,11 +53,13 @@ pub struct RunOrigin<'a> {
 }
 
 impl Stream<'_> {
-    /// Takes the rest of the video through the engine; false when the user stopped it.
+    /// Takes the rest of the video through the engine; false when the user stopped it. Where depth is found, the first key frame's results are
+    /// drawn from the interval after it, as from the scene; until then there is nothing to resume from.
     pub fn pass(&mut self, times: &mut Times<'_>, views: &Views, origin: &RunOrigin<'_>) -> Result<bool, Failure> {
         if origin.resumed && self.stop.asked() {
             return Ok(false);
         }
+        let mut first = None;
         while let Some(mut key) = self.keys.next()? {
             let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
             let resume = self.engine.resume_point().filter(|_| self.outputs.can_resume());
@@ -68,27 +70,40 @@ impl Stream<'_> {
                 page.push(&interval);
             }
             let frames = key.shown.iter().map(|frame| (frame.index, frame.timestamp));
-            let due = if self.emit.draws() || self.emit.ply { times.of(&interval, frames) } else { Vec::new() };
-            self.write(&interval, &due, views)?;
+            let mut due = if self.emit.draws() || self.emit.ply { times.of(&interval, frames) } else { Vec::new() };
+            let waits = interval.index == 0 && self.engine.finds_depth() && !due.is_empty();
+            self.drawing.writing(|| self.outputs.interval(&interval, self.engine.workers()))?;
+            if !waits {
+                if let Some((_, of_first)) = first.take() {
+                    due.splice(0..0, of_first);
+                }
+                self.draw(&interval, &due, views)?;
+            }
             if let Some(closeness) = &mut self.closeness
                 && let Some(found) = closeness.of(&interval, &key.truths)?
             {
                 self.keys.tell(&found, closeness);
             }
-            self.commit(origin, times.next, resume.as_ref())?;
+            if waits {
+                first = Some((interval, due));
+            } else {
+                self.commit(origin, times.next, resume.as_ref())?;
+            }
             self.key += 1;
             key.shown.iter().for_each(|_| self.progress.step());
             if self.stop.asked() {
                 return Ok(false);
             }
         }
+        if let Some((interval, due)) = first {
+            self.draw(&interval, &due, views)?;
+        }
         Ok(true)
     }
 
-    /// Writes an interval and what is due in it.
-    fn write(&mut self, interval: &Interval, due: &[(usize, f64)], views: &Views) -> Result<(), Failure> {
-        let Stream { outputs, drawing, emit, engine, .. } = self;
-        drawing.writing(|| outputs.interval(interval, engine.workers()))?;
+    /// Draws and writes what is due in an interval.
+    fn draw(&mut self, interval: &Interval, due: &[(usize, f64)], views: &Views) -> Result<(), Failure> {
+        let Stream { outputs, drawing, emit, .. } = self;
         let emit = *emit;
         drawing.pass(
             due.iter(),

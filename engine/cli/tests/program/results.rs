@@ -104,6 +104,40 @@ fn rendering_a_scene_gives_the_images_of_the_run() {
 }
 
 #[test]
+fn where_depth_is_found_the_first_image_has_it_too() {
+    let scratch = Scratch::new();
+    let clip = fixtures::path("clips/moving.y4m");
+    let run = |name: &str, more: &[&str]| {
+        let out = scratch.path(name);
+        let mut run = command();
+        run.arg("run").arg(&clip).arg("--out").arg(&out).args(["--gap", "4", "--quiet"]).args(more);
+        let output = run.output().expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let lifted = json(&out.join("run.json"))["work"]["lift"]["done"].as_u64();
+        (files(&out), lifted, out)
+    };
+    let (found, lifted, out) = run("found", &["--frames", "5"]);
+    assert_eq!(lifted, Some(2));
+    let again = scratch.path("again");
+    let output = command().arg("render").arg(&out).arg("--out").arg(&again).output().expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let rendered = files(&again);
+    let (flat, none, _) = run("flat", &["--frames", "5", "--depth", "none"]);
+    assert_eq!(none, Some(0));
+    for frame in 0..5 {
+        let name = format!("frames/{frame:06}.png");
+        assert!(found[&name] == rendered[&name], "{name}");
+        assert!(found[&name] != flat[&name], "{name}");
+    }
+    let (alone, ..) = run("alone", &["--frames", "1"]);
+    assert!(alone["frames/000000.png"] == flat["frames/000000.png"], "one frame tells no depth");
+    for more in [["--quality", "realtime"], ["--motion", "network"]] {
+        let (.., out) = run(more[1], &[&more[..], &["--frames", "1"]].concat());
+        assert_eq!(json(&out.join("run.json"))["options"]["stream"]["depth"], "none", "{more:?}");
+    }
+}
+
+#[test]
 fn the_camera_path_of_the_fixtures_moves_through_a_scene() {
     let scratch = Scratch::new();
     let out = scratch.path("out");

@@ -124,6 +124,26 @@ fn it_goes_on_with_whatever_chooses_its_work() {
 }
 
 #[test]
+fn the_first_image_waits_for_its_depth_however_often_the_run_is_stopped() {
+    let scratch = Scratch::new();
+    let run = |out: &Path| {
+        let mut command = command();
+        command.arg("run").arg(clip()).arg("--out").arg(out).args(["--frames", "13", "--gap", "4", "--quiet"]);
+        command
+    };
+    let whole = scratch.path("whole");
+    succeeds(&run(&whole).output().expect("the program starts"));
+    assert!(json(&whole.join("run.json"))["work"]["lift"]["done"].as_u64() > Some(2));
+    for (stopped, signal) in [(0, "KILL"), (0, "INT"), (1, "KILL"), (2, "INT")] {
+        let out = scratch.path(&format!("{stopped}-{signal}"));
+        let interval = out.join(format!("scene/interval-{stopped:06}.safetensors"));
+        stop_when(run(&out), signal, || interval.exists());
+        succeeds(&run(&out).arg("--resume").output().expect("the program starts"));
+        assert_same(&out, &whole);
+    }
+}
+
+#[test]
 fn frames_that_are_whole_are_not_drawn_again() {
     let scratch = Scratch::new();
     let out = scratch.path("out");

@@ -14,10 +14,10 @@ use super::{THIN, scene_depth, y_at};
 /// Pixels from an edge.
 const BAND: f32 = 3.0;
 /// Range of a channel over 3×3 pixels from which on a pixel is not left to the model's Gaussians.
-const CONTRAST: f32 = 0.05;
+const CONTRAST: f32 = 0.02;
 /// Standard deviation in pixels.
-const SCALE: f32 = 0.35;
-const OPACITY: f32 = 0.5;
+const SCALE: f32 = 0.3;
+const OPACITY: f32 = 0.3;
 
 /// Adds the Gaussians of all pixels along edges, row by row; gives for each how its colour is [held](super::HELD).
 pub(super) fn add(gaussians: &mut StaticGaussians, surfaces: &Surfaces<'_>) -> Vec<f32> {

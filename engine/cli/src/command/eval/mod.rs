@@ -10,13 +10,13 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use serde::Serialize;
-use streamsplat::Engine;
 use streamsplat::gap::interpolation::Small;
 use streamsplat::gap::{Gap, predicted};
 use streamsplat::lpips::Lpips;
 use streamsplat::picture::Picture;
 use streamsplat::source::{self, Source, folder};
 use streamsplat::stream::{Interval, Reconstructor, Reuse, Settings};
+use streamsplat::{Engine, Image};
 
 use crate::console::failure::Failure;
 use crate::console::progress::Progress;
@@ -208,6 +208,8 @@ fn evaluate(
     let mut progress = Progress::new("frames", keys.total(), &console);
     let mut before: Option<(Picture, Placed)> = None;
     let mut last_small: Option<Small> = None;
+    // The first key frame where depth is found: as with run, the interval after it shows it.
+    let mut first: Option<Picture> = None;
     while let Some(key) = keys.next()? {
         let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
         let truths: Vec<Picture> = key.shown.iter().map(|frame| frame.picture.resized(SIDE, SIDE)).collect();
@@ -216,26 +218,33 @@ fn evaluate(
         let between = if seen { key.between() } else { Vec::new() };
         let small: Vec<Small> =
             last_small.take().into_iter().chain(key.shown.iter().map(|f| Small::of(&f.picture))).collect();
-        let given = [sums.key.psnr, sums.middle.psnr];
         let start = Instant::now();
         let interval: Interval = engine.push_with(between, key.frame, timestamp)?;
         sums.seconds += start.elapsed().as_secs_f64();
         if interval.start < interval.end {
-            let crossed = drawing.draw(&interval, 0, interval.start, views)?.rgb;
-            sums.pops.jump += apart(&shown, &crossed);
-            sums.pops.jumps += 1;
-            shown = crossed;
+            let crossed = drawing.draw(&interval, 0, interval.start, views)?;
+            if let Some(truth) = first.take() {
+                sums.key.add(&compared(&crossed), &truth, lpips.as_deref_mut())?;
+            } else {
+                sums.pops.jump += apart(&shown, &crossed.rgb);
+                sums.pops.jumps += 1;
+            }
+            shown = crossed.rgb;
         }
-        for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate() {
+        let waits = interval.index == 0 && engine.finds_depth();
+        if waits {
+            first = truths.last().cloned();
+        }
+        let given = [sums.key.psnr, sums.middle.psnr];
+        for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate().filter(|_| !waits) {
             let image = drawing.draw(&interval, 0, frame.timestamp, views)?;
             if !shown.is_empty() {
                 sums.pops.step += apart(&shown, &image.rgb);
                 sums.pops.steps += 1;
             }
             shown.clone_from(&image.rgb);
-            let ours = Picture { width: image.width, height: image.height, rgb: image.rgb }.resized(SIDE, SIDE);
             let sum = if i == last { &mut sums.key } else { &mut sums.middle };
-            sum.add(&ours, truth, lpips.as_deref_mut())?;
+            sum.add(&compared(&image), truth, lpips.as_deref_mut())?;
         }
         let mean = |sum: f64| (last > 0).then(|| sum / last as f64);
         let (reached, between) = (sums.key.psnr - given[0], mean(sums.middle.psnr - given[1]));
@@ -277,6 +286,11 @@ fn evaluate(
         before = truths.into_iter().next_back().map(|truth| (truth, placed));
     }
     Ok(sums)
+}
+
+/// An image at the size at which it is compared.
+fn compared(image: &Image) -> Picture {
+    Picture { width: image.width, height: image.height, rgb: image.rgb.clone() }.resized(SIDE, SIDE)
 }
 
 /// The mean absolute difference.
