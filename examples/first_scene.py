@@ -34,10 +34,11 @@ speed = np.linalg.norm(gaussians.velocity[:, [0, 2]], axis=1)
 lasting = np.isin(gaussians.identity, intervals[-2].gaussians.identity).mean()
 print(f"{len(gaussians)} Gaussians in the last interval, {lasting:.0%} of them known from the one before, median speed {np.median(speed):.4f}")
 
-# %% Drawn at the frames' own times: the files of `streamsplat run VIDEO --gap 4`
-for interval in intervals:
+# %% Drawn at the frames' own times: the files of `streamsplat run VIDEO --gap 4`. The first key frame is in the second interval, too, which
+# has seen the camera move and knows its depth
+for interval in intervals[1:]:
     for number, time in enumerate(times):
-        if interval.start < time <= interval.end or time == interval.start == interval.end:
+        if interval.start < time <= interval.end or time == interval.start == times[0]:
             interval.render(time).save(out / "frames" / f"{number:06}.png")
 
 # %% … and from the side, with depth

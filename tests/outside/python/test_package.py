@@ -29,7 +29,7 @@ def by_command_line(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def intervals():
-    engine = streamsplat.Engine(refine=0)
+    engine = streamsplat.Engine(refine=0, find_depth=False)
     return [engine.push(frame, time) for i, (frame, time) in enumerate(streamsplat.Frames(CLIP)) if i % 4 == 0]
 
 
@@ -189,6 +189,18 @@ def test_the_readmes_example_runs(tmp_path):
     code = text.split("```python\n", 1)[1].split("```", 1)[0]
     (tmp_path / "clip.y4m").write_bytes(CLIP.read_bytes())
     subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path)
+
+
+def test_depth_is_found_unless_it_is_not_wanted():
+    keys = [pair for i, pair in enumerate(streamsplat.Frames(CLIP)) if i in (0, 4)]
+
+    def thickness(**options):
+        engine = streamsplat.Engine(refine=0, **options)
+        return [engine.push(frame, time) for frame, time in keys][-1].gaussians.thickness
+
+    assert (thickness() != 1).any() and (thickness(find_depth=True) != 1).any()
+    for options in [{"find_depth": False}, {"quality": "realtime"}, {"motion": "network"}]:
+        assert (thickness(**options) == 1).all(), options
 
 
 def test_arrays_show_the_engines_memory_and_cannot_be_written(intervals):
