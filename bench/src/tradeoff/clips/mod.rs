@@ -102,6 +102,7 @@ pub(super) fn run(options: &Options, clips: &Path) -> Result<()> {
     if options.record.is_none() {
         crate::write_json(&options.out.join("tradeoff-clips.json"), &record)?;
     }
+    options.common.write(&record)?;
     let svg = plot::svg(&record)?;
     match &options.page {
         Some(file) => {

@@ -54,7 +54,7 @@ pub struct RunOrigin<'a> {
 
 impl Stream<'_> {
     /// Takes the rest of the video through the engine; false when the user stopped it. Where depth is found, the first key frame's results are
-    /// drawn from the interval after it, as from the scene; until then there is nothing to resume from.
+    /// drawn from the interval after it, as from the scene; until then there is nothing to resume from, and the run does not stop.
     pub fn pass(&mut self, times: &mut Times<'_>, views: &Views, origin: &RunOrigin<'_>) -> Result<bool, Failure> {
         if origin.resumed && self.stop.asked() {
             return Ok(false);
@@ -91,10 +91,11 @@ impl Stream<'_> {
             }
             self.key += 1;
             key.shown.iter().for_each(|_| self.progress.step());
-            if self.stop.asked() {
+            if self.stop.asked() && first.is_none() {
                 return Ok(false);
             }
         }
+        // It was the only one.
         if let Some((interval, due)) = first {
             self.draw(&interval, &due, views)?;
         }

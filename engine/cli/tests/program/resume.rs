@@ -141,6 +141,12 @@ fn the_first_image_waits_for_its_depth_however_often_the_run_is_stopped() {
         succeeds(&run(&out).arg("--resume").output().expect("the program starts"));
         assert_same(&out, &whole);
     }
+    let (whole, out) = (scratch.path("whole.y4m"), scratch.path("out.y4m"));
+    succeeds(&run(&whole).output().expect("the program starts"));
+    let begun = scratch.path(".out.y4m.partial");
+    stop_when(run(&out), "INT", || begun.exists());
+    succeeds(&run(&out).arg("--resume").output().expect("the program starts"));
+    assert!(std::fs::read(&out).expect("readable") == std::fs::read(&whole).expect("readable"));
 }
 
 #[test]
