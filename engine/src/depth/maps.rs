@@ -1,12 +1,13 @@
 //! Depth maps from files, one for each frame.
 //!
 //! A map holds *inverse* depth (larger is nearer) in any scale, or depth itself ([`Values::Depth`]), which is inverted;
-//! there values that are not above zero were not measured and become NaN. Files are EXR (channel `Y`, `Z`, `depth`,
-//! `R`, or the only one), PNG of 8 or 16 bits grey, or NPY (`f2`, `f4`, `f8`, `u1`, `u2`; `[H,W]`, `[1,H,W]` or
-//! `[H,W,1]`; C order). A map of another size than its frame is brought to the frame's size bilinearly (half-pixel
+//! there values that are not above zero, not finite or no numbers were not measured and become NaN. Files are EXR (the channel of depth by its name),
+//! PNG of 8 or 16 bits grey, TIFF of one sample a pixel, whole or float, or NPY (any plain number; `[H,W]` with any axes of length 1; either order).
+//! Numbers are taken as they are stored. A map of another size than its frame is brought to the frame's size bilinearly (half-pixel
 //! centres).
 //!
-//! Maps belong to frames by name where every frame is a file with a map of the same name (extensions aside), else by
+//! Where files of several kinds have the same names, as maps beside their previews, those of one kind that there is for every name are taken: NPY, else EXR,
+//! else TIFF, else PNG. Maps belong to frames by name where every frame is a file with a map of the same name (extensions aside), else by
 //! natural order. [`Range::Clip`] normalises all maps of the folder by the smallest and the largest value found in any
 //! of them; with [`Range::Frame`] the maps stay as they are and the engine normalises each by its own.
 
@@ -14,13 +15,14 @@ use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
 
-use super::{DepthError, npy};
-use crate::openexr;
-use crate::picture::{resize_planes, size_is_allowed};
+use super::{DepthError, exr, npy};
+use crate::picture::resize_planes;
 use crate::source::{decode, folder};
 
 /// File name endings taken as depth maps.
-pub const EXTENSIONS: [&str; 3] = ["exr", "png", "npy"];
+pub const EXTENSIONS: [&str; 5] = ["exr", "png", "npy", "tif", "tiff"];
+/// Kinds of files in the order in which they are taken where several have the same names.
+const KINDS: [&[&str]; 4] = [&["npy"], &["exr"], &["tif", "tiff"], &["png"]];
 
 /// Range by which the values of a map are normalised.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -38,7 +40,7 @@ pub enum Values {
     /// Inverse depth.
     #[default]
     Inverse,
-    /// Depth in any unit; what is not above zero was not measured.
+    /// Depth in any unit; what is not above zero, or not finite, was not measured.
     Depth,
 }
 
@@ -47,7 +49,7 @@ impl Values {
     fn inverse(self, value: f32) -> f32 {
         match self {
             Values::Inverse => value,
-            Values::Depth if value > 0.0 => 1.0 / value,
+            Values::Depth if value > 0.0 && value.is_finite() => 1.0 / value,
             Values::Depth => f32::NAN,
         }
     }
@@ -72,6 +74,8 @@ pub struct DepthMaps {
     kind: Values,
     /// Smallest and largest value of the clip, with [`Range::Clip`].
     range: Option<(f32, f32)>,
+    /// Files that are left out, a line.
+    notes: Vec<String>,
 }
 
 impl DepthMaps {
@@ -79,7 +83,8 @@ impl DepthMaps {
     /// map is read once to find the range.
     ///
     /// # Errors
-    /// An unreadable or empty folder, another number of maps than of frames, an unreadable map where all are read.
+    /// An unreadable or empty folder, files of several kinds of which none has every name, another number of maps than of frames, an unreadable map where
+    /// all are read.
     pub fn open(folder: &Path, frames: Option<&[PathBuf]>, range: Range) -> Result<DepthMaps, DepthError> {
         Self::open_as(folder, frames, range, Values::Inverse)
     }
@@ -94,10 +99,11 @@ impl DepthMaps {
         range: Range,
         kind: Values,
     ) -> Result<DepthMaps, DepthError> {
-        let mut files = folder::list(folder, &EXTENSIONS)?;
-        if files.is_empty() {
+        let listed = folder::list(folder, &EXTENSIONS)?;
+        if listed.is_empty() {
             return Err(DepthError::Empty(folder.to_owned()));
         }
+        let (mut files, notes) = of_one_kind(folder, listed)?;
         if let Some(frames) = frames {
             let by_name: Option<Vec<PathBuf>> = frames
                 .iter()
@@ -112,11 +118,11 @@ impl DepthMaps {
                 }
             }
         }
-        let mut maps = DepthMaps { folder: folder.to_owned(), files, kind, range: None };
+        let mut maps = DepthMaps { folder: folder.to_owned(), files, kind, range: None, notes };
         if range == Range::Clip {
             let mut limits = (f32::INFINITY, f32::NEG_INFINITY);
             for file in &maps.files {
-                let inverse = read_map(file)?.values.into_iter().map(|value| kind.inverse(value));
+                let inverse = measured(file, kind)?.values.into_iter().map(|value| kind.inverse(value));
                 for value in inverse.filter(|value| value.is_finite()) {
                     limits = (limits.0.min(value), limits.1.max(value));
                 }
@@ -126,6 +132,35 @@ impl DepthMaps {
         Ok(maps)
     }
 
+    /// Files that are left out, a line.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    /// Checks that there is a map for every frame that is read, and none besides: as many maps as frames, or as the `limit` of them.
+    ///
+    /// # Errors
+    /// Another number of maps.
+    pub fn check(&self, frames: usize, limit: Option<usize>) -> Result<(), DepthError> {
+        let expected = limit.map_or(frames, |limit| limit.min(frames));
+        let found = self.files.len();
+        if found == frames || found == expected {
+            return Ok(());
+        }
+        Err(DepthError::Count { folder: self.folder.clone(), expected, found })
+    }
+
+    /// As [`DepthMaps::check`] where the number of frames is an estimate: a few more or fewer may be right.
+    ///
+    /// # Errors
+    /// A number of maps that cannot be that of the frames.
+    pub fn check_about(&self, frames: usize, limit: Option<usize>) -> Result<(), DepthError> {
+        match self.files.len().abs_diff(frames) > (frames / 50).max(2) {
+            true => self.check(frames, limit),
+            false => Ok(()),
+        }
+    }
+
     /// The inverse depth of frame `index` at the frame's size, NaN where it was not measured; with [`Range::Clip`]
     /// normalised to `[0, 1]`.
     ///
@@ -133,7 +168,7 @@ impl DepthMaps {
     /// No such map, or an unreadable one.
     pub fn map(&self, index: usize, width: usize, height: usize) -> Result<Vec<f32>, DepthError> {
         let missing = || DepthError::Missing { folder: self.folder.clone(), frame: index, found: self.files.len() };
-        let mut map = read_map(self.files.get(index).ok_or_else(missing)?)?;
+        let mut map = measured(self.files.get(index).ok_or_else(missing)?, self.kind)?;
         map.values.iter_mut().for_each(|v| *v = self.kind.inverse(*v));
         if let Some((least, most)) = self.range {
             let span = most - least;
@@ -147,10 +182,34 @@ impl DepthMaps {
     }
 }
 
-/// Reads one map.
+/// The files of one kind, where files of several have the same names; and what is left out.
+fn of_one_kind(folder: &Path, files: Vec<PathBuf>) -> Result<(Vec<PathBuf>, Vec<String>), DepthError> {
+    let mut names: Vec<_> = files.iter().map(|file| file.file_stem()).collect();
+    names.sort_unstable();
+    names.dedup();
+    if names.len() == files.len() {
+        return Ok((files, Vec::new()));
+    }
+    let count = |kind: &&[&str]| files.iter().filter(|file| folder::ends_in(file, kind)).count();
+    let Some(kind) = KINDS.into_iter().find(|kind| count(kind) == names.len()) else {
+        let counts: Vec<String> =
+            KINDS.iter().filter(|kind| count(kind) > 0).map(|kind| format!("{} .{}", count(kind), kind[0])).collect();
+        return Err(DepthError::Kinds { folder: folder.to_owned(), names: names.len(), found: counts.join(", ") });
+    };
+    let (taken, left): (Vec<PathBuf>, Vec<PathBuf>) = files.into_iter().partition(|file| folder::ends_in(file, kind));
+    let line = format!(
+        "depth is taken from {} .{} files, {} other files of the same names are left out",
+        taken.len(),
+        kind[0],
+        left.len()
+    );
+    Ok((taken, vec![line]))
+}
+
+/// Reads one map, whose values may be no numbers where they were not measured.
 ///
 /// # Errors
-/// Unreadable, broken, oversized or many-channelled files, and values that are not finite.
+/// Unreadable, broken, oversized or many-channelled files.
 pub fn read_map(path: &Path) -> Result<Map, DepthError> {
     decode_map(&decode::read_file(path)?, path)
 }
@@ -161,53 +220,50 @@ pub fn read_map(path: &Path) -> Result<Map, DepthError> {
 /// As [`read_map`], but for the reading.
 pub fn decode_map(bytes: &[u8], path: &Path) -> Result<Map, DepthError> {
     let wrong = |cause: String| DepthError::Map { path: path.to_owned(), cause };
-    let map = if folder::ends_in(path, &["npy"]) {
-        npy::read(bytes).map_err(wrong)?
-    } else if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-        from_exr(bytes).map_err(wrong)?
-    } else {
-        match decode::decode_dynamic(bytes, path)? {
-            DynamicImage::ImageLuma8(i) => Map {
-                width: i.width() as usize,
-                height: i.height() as usize,
-                values: i.as_raw().iter().map(|&v| f32::from(v)).collect(),
-            },
-            DynamicImage::ImageLuma16(i) => Map {
-                width: i.width() as usize,
-                height: i.height() as usize,
-                values: i.as_raw().iter().map(|&v| f32::from(v)).collect(),
-            },
-            other => return Err(wrong(format!("expected a grey PNG of 8 or 16 bits, found {:?}", other.color()))),
-        }
-    };
-    if let Some(position) = map.values.iter().position(|v| !v.is_finite()) {
-        let (x, y) = (position % map.width, position / map.width);
-        return Err(wrong(format!("the depth at x={x}, y={y} is {}, expected a finite number", map.values[position])));
+    if folder::ends_in(path, &["npy"]) {
+        return npy::read(bytes).map_err(wrong);
     }
-    Ok(map)
+    if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+        return exr::read(bytes).map_err(wrong);
+    }
+    if decode::is_tiff(bytes) {
+        let (width, height, values) = decode::tiff_grey(bytes, path)?;
+        return Ok(Map { width, height, values });
+    }
+    match decode::decode_dynamic(bytes, path)? {
+        DynamicImage::ImageLuma8(i) => Ok(Map {
+            width: i.width() as usize,
+            height: i.height() as usize,
+            values: i.as_raw().iter().map(|&v| f32::from(v)).collect(),
+        }),
+        DynamicImage::ImageLuma16(i) => Ok(Map {
+            width: i.width() as usize,
+            height: i.height() as usize,
+            values: i.as_raw().iter().map(|&v| f32::from(v)).collect(),
+        }),
+        other => Err(wrong(format!("expected a grey PNG of 8 or 16 bits, found {:?}", other.color()))),
+    }
 }
 
-fn from_exr(bytes: &[u8]) -> Result<Map, String> {
-    let planes = openexr::read(bytes).map_err(|e| e.to_string())?;
-    let (width, height) = (planes.width, planes.height);
-    let named = ["Y", "Z", "depth", "R"].iter().find_map(|name| planes.channel(name));
-    let values = match (named, planes.channels.as_slice()) {
-        (Some(values), _) => values.to_vec(),
-        (None, [(_, only)]) => only.clone(),
-        (None, several) => {
-            let names: Vec<_> = several.iter().map(|(name, _)| name.as_str()).collect();
-            return Err(format!("expected an EXR channel Y, Z, depth or R, found {}", names.join(", ")));
-        }
-    };
-    if !size_is_allowed(width, height) {
-        return Err(format!("the map is {width}×{height}, larger than this program reads"));
+/// Reads one map. Depth may be no number or infinite where it was not measured; inverse depth may not, where nothing says so.
+fn measured(path: &Path, kind: Values) -> Result<Map, DepthError> {
+    let map = read_map(path)?;
+    if kind == Values::Inverse
+        && let Some(position) = map.values.iter().position(|v| !v.is_finite())
+    {
+        let (x, y, value) = (position % map.width, position / map.width, map.values[position]);
+        let cause = format!(
+            "the inverse depth at x={x}, y={y} is {value}, expected a finite number (with --depth-model metric, which takes files as depth, it would be one that was not measured)"
+        );
+        return Err(DepthError::Map { path: path.to_owned(), cause });
     }
-    Ok(Map { width, height, values })
+    Ok(map)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::openexr;
 
     fn png16(path: &Path, width: u32, values: Vec<u16>) {
         let height = values.len() as u32 / width;
@@ -271,5 +327,64 @@ mod tests {
         for name in ["m.png", "m.exr", "m.npy"] {
             assert_eq!(read_map(&folder.path().join(name)).expect(name), expected, "{name}");
         }
+    }
+
+    #[test]
+    fn depth_that_was_not_measured_is_no_number() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let values = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, -1.0, 4.0];
+        std::fs::write(folder.path().join("1.npy"), npy::tests::encode("<f4", "(2, 3)", &values)).expect("writable");
+        let maps = DepthMaps::open_as(folder.path(), None, Range::Frame, Values::Depth).expect("a map");
+        let map = maps.map(0, 3, 2).expect("readable");
+        assert!(map[..5].iter().all(|v| v.is_nan()) && map[5] == 0.25, "{map:?}");
+        let maps = DepthMaps::open(folder.path(), None, Range::Frame).expect("a map");
+        let error = maps.map(0, 3, 2).expect_err("inverse depth").to_string();
+        assert!(error.contains("the inverse depth at x=0, y=0 is NaN, expected a finite number"), "{error}");
+    }
+
+    #[test]
+    fn maps_beside_their_previews_are_told_apart() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        for name in ["1", "2"] {
+            png16(&folder.path().join(format!("{name}.png")), 2, vec![7, 7]);
+            let bytes = npy::tests::encode("<f4", "(1, 2)", &[1.0, 2.0]);
+            std::fs::write(folder.path().join(format!("{name}.npy")), bytes).expect("writable");
+        }
+        let maps = DepthMaps::open(folder.path(), None, Range::Frame).expect("two maps");
+        assert_eq!(maps.map(1, 2, 1).expect("readable"), [1.0, 2.0]);
+        assert_eq!(maps.notes(), ["depth is taken from 2 .npy files, 2 other files of the same names are left out"]);
+        assert!(maps.check(2, None).is_ok() && maps.check(5, Some(2)).is_ok() && maps.check(2, Some(1)).is_ok());
+        for (frames, limit) in [(1, None), (3, None), (9, Some(3)), (9, Some(1))] {
+            let error = maps.check(frames, limit).expect_err("another number").to_string();
+            assert!(error.contains("one for each frame, found 2"), "{error}");
+        }
+        // By name as well.
+        let frames = [PathBuf::from("x/2.jpg")];
+        let maps = DepthMaps::open(folder.path(), Some(&frames), Range::Frame).expect("one map");
+        assert_eq!(maps.map(0, 2, 1).expect("readable"), [1.0, 2.0]);
+        std::fs::remove_file(folder.path().join("1.npy")).expect("there");
+        std::fs::rename(folder.path().join("2.png"), folder.path().join("2.tif")).expect("there");
+        let error = DepthMaps::open(folder.path(), None, Range::Frame).expect_err("mixed").to_string();
+        assert!(error.contains("2 names, found 1 .npy, 1 .tif, 1 .png"), "{error}");
+    }
+
+    #[test]
+    fn tiff_maps_are_taken_as_they_are_stored() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        type Encoder<'a> = tiff::encoder::TiffEncoder<&'a mut std::io::Cursor<Vec<u8>>>;
+        let write = |name: &str, write: &dyn Fn(&mut Encoder<'_>)| {
+            let mut bytes = std::io::Cursor::new(Vec::new());
+            write(&mut tiff::encoder::TiffEncoder::new(&mut bytes).expect("memory"));
+            std::fs::write(folder.path().join(name), bytes.into_inner()).expect("writable");
+            read_map(&folder.path().join(name))
+        };
+        use tiff::encoder::colortype::{Gray16, Gray32Float, RGB8};
+        let whole = write("1.tif", &|e| e.write_image::<Gray16>(2, 1, &[7, 40_000]).expect("memory"));
+        assert_eq!(whole.expect("grey").values, [7.0, 40_000.0]);
+        let float = write("2.tiff", &|e| e.write_image::<Gray32Float>(2, 1, &[0.5, f32::NAN]).expect("memory"));
+        let float = float.expect("grey").values;
+        assert!(float[0] == 0.5 && float[1].is_nan());
+        let colour = write("3.tif", &|e| e.write_image::<RGB8>(1, 1, &[1, 2, 3]).expect("memory"));
+        assert!(colour.expect_err("colour").to_string().contains("expected a grey TIFF of one sample a pixel"));
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! Either way a map has one value for each pixel of its frame, larger is nearer, in any scale: the engine normalises it.
 
+mod exr;
 mod maps;
 #[cfg(feature = "onnx")]
 mod network;
@@ -55,6 +56,16 @@ pub enum DepthError {
         expected: usize,
         /// Maps.
         found: usize,
+    },
+    /// Files of several kinds with the same names, of which no kind has every name.
+    #[error("{}: expected depth maps of one kind for all {names} names, found {found}", folder.display())]
+    Kinds {
+        /// The folder of maps.
+        folder: PathBuf,
+        /// Different names.
+        names: usize,
+        /// Files of each kind.
+        found: String,
     },
     /// A frame without a map.
     #[error("{}: no depth map for frame {frame}, found {found} maps", folder.display())]

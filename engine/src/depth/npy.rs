@@ -3,7 +3,7 @@
 use super::Map;
 use crate::picture::size_is_allowed;
 
-/// Reads a two-dimensional array (axes of length 1 in front or behind are dropped).
+/// Reads a two-dimensional array (axes of length 1 in front or behind are dropped), whatever its numbers and its order.
 ///
 /// # Errors
 /// Expected and found values.
@@ -23,14 +23,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<Map, String> {
     let header = bytes.get(start..end).ok_or_else(short)?;
     let header = std::str::from_utf8(header).map_err(|_| "the NPY header is not text".to_owned())?;
     let kind = quoted(header, "descr").ok_or("the NPY header gives no descr")?;
-    if after(header, "fortran_order").is_some_and(|rest| rest.starts_with("True")) {
-        return Err("expected an NPY array in C order, found Fortran order".into());
-    }
+    let fortran = after(header, "fortran_order").is_some_and(|rest| rest.starts_with("True"));
     let shape = shape(header).ok_or("the NPY header gives no shape")?;
-    let (height, width) = match shape.as_slice() {
-        [h, w] | [1, h, w] | [h, w, 1] => (*h, *w),
-        _ => return Err(format!("expected an NPY array [H,W], found {shape:?}")),
-    };
+    let (height, width) = plane(&shape).ok_or_else(|| format!("expected an NPY array [H,W], found {shape:?}"))?;
     if !size_is_allowed(width, height) {
         return Err(format!("the map is {width}×{height}, expected at least 1×1 and no more than this program reads"));
     }
@@ -60,9 +55,27 @@ pub(super) fn read(bytes: &[u8]) -> Result<Map, String> {
         "f2" => values!(half::f16, half::f16::to_f32),
         "u1" => values!(u8, f32::from),
         "u2" => values!(u16, f32::from),
-        _ => return Err(format!("expected NPY values f2, f4, f8, u1 or u2, found {kind:?}")),
+        "u4" => values!(u32, |v| v as f32),
+        "u8" => values!(u64, |v| v as f32),
+        "i1" => values!(i8, f32::from),
+        "i2" => values!(i16, f32::from),
+        "i4" => values!(i32, |v| v as f32),
+        "i8" => values!(i64, |v| v as f32),
+        _ => return Err(format!("expected NPY values f2 to f8, u1 to u8 or i1 to i8, found {kind:?}")),
     };
+    // In Fortran's order the first axis is the fastest: columns follow each other.
+    let values = if fortran { (0..count).map(|at| values[at % width * height + at / width]).collect() } else { values };
     Ok(Map { width, height, values })
+}
+
+/// The two axes of a plane. Of three and more the first or the last may be 1; where both sides of an array are, as in `[1, 1, W]`, those behind count.
+fn plane(shape: &[usize]) -> Option<(usize, usize)> {
+    match shape {
+        [h, w] => Some((*h, *w)),
+        [1, rest @ ..] if rest.len() >= 2 => plane(rest),
+        [rest @ .., 1] if rest.len() >= 2 => plane(rest),
+        _ => None,
+    }
 }
 
 fn after<'a>(header: &'a str, key: &str) -> Option<&'a str> {
@@ -99,7 +112,13 @@ pub(super) mod tests {
 
     #[test]
     fn both_byte_orders_and_axes_of_one_are_read() {
-        for (kind, shape) in [("<f4", "(2, 3)"), (">f4", "(1, 2, 3)"), ("<f4", "(2, 3, 1)")] {
+        for (kind, shape) in [
+            ("<f4", "(2, 3)"),
+            (">f4", "(1, 2, 3)"),
+            ("<f4", "(2, 3, 1)"),
+            ("<f4", "(1, 1, 2, 3)"),
+            ("<f4", "(1, 2, 3, 1)"),
+        ] {
             let map = read(&encode(kind, shape, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.5])).expect("valid");
             assert_eq!((map.width, map.height, map.values[5]), (3, 2, 6.5));
         }
@@ -109,12 +128,39 @@ pub(super) mod tests {
     fn wrong_shapes_kinds_and_lengths_are_errors() {
         let values = [0.0; 6];
         for (kind, shape) in
-            [("<f4", "(6,)"), ("<f4", "(3, 3)"), ("<i4", "(2, 3)"), ("<f4", "(0, 3)"), ("<f4", "(99999999, 99999999)")]
+            [("<f4", "(6,)"), ("<f4", "(3, 3)"), ("<c8", "(2, 3)"), ("<f4", "(0, 3)"), ("<f4", "(99999999, 99999999)")]
         {
             assert!(read(&encode(kind, shape, &values)).is_err(), "{kind} {shape}");
         }
-        let fortran = String::from_utf8_lossy(&encode("<f4", "(2, 3)", &[])).replace("False", "True ");
-        assert!(read(fortran.as_bytes()).is_err());
+        assert!(read(&encode("<f4", "(2, 3, 2)", &[0.0; 12])).is_err());
+    }
+
+    /// A file with these bytes.
+    fn file(kind: &str, fortran: &str, data: &[u8]) -> Vec<u8> {
+        let mut bytes = encode(kind, "(2, 3)", &[]);
+        bytes = String::from_utf8_lossy(&bytes[10..]).replace("False", fortran).into_bytes();
+        [&b"\x93NUMPY\x01\x00"[..], &(bytes.len() as u16).to_le_bytes(), &bytes, data].concat()
+    }
+
+    #[test]
+    fn every_kind_of_number_and_either_order_is_read() {
+        let expected = [0.0, 1.0, 2.0, 3.0, 4.0, 100.0];
+        macro_rules! holds {
+            ($($kind:ty: $name:literal),*) => {$(
+                let little: Vec<u8> = expected.iter().flat_map(|&v| (v as $kind).to_le_bytes()).collect();
+                let big: Vec<u8> = expected.iter().flat_map(|&v| (v as $kind).to_be_bytes()).collect();
+                for (order, data) in [("<", little), (">", big)] {
+                    let map = read(&file(&format!("{order}{}", $name), "False", &data)).expect($name);
+                    assert_eq!(map.values, expected, "{order}{}", $name);
+                }
+            )*};
+        }
+        holds!(f64: "f8", u8: "u1", u16: "u2", u32: "u4", u64: "u8", i8: "i1", i16: "i2", i32: "i4", i64: "i8");
+        let negative = read(&file("<i2", "False", &[0xff, 0xff, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0])).expect("whole numbers");
+        assert_eq!(negative.values[..2], [-1.0, 1.0]);
+        // Columns first.
+        let map = read(&file("|u1", "True ", &[0, 3, 1, 4, 2, 100])).expect("Fortran's order");
+        assert_eq!((map.width, map.height, map.values), (3, 2, expected.to_vec()));
     }
 
     proptest! {

@@ -3,20 +3,20 @@
 //! | input | what it is |
 //! |---|---|
 //! | a folder | its images ([`folder::EXTENSIONS`]) in natural order; hidden and other files are ignored |
-//! | an image file | a video of one frame |
+//! | an image file | a video of one frame; of all its frames where it is an animated PNG or WebP, of its pages where it is a TIFF |
 //! | `*.y4m`, or a file that starts as one | read by [`y4m`] |
 //! | `-` | y4m on standard input |
 //! | any other file | decoded by an installed [`ffmpeg`] program |
 //!
 //! Frame i has the timestamp `i / fps`: the rate is [`Options::fps`] when set, else the stream's own, else
-//! [`DEFAULT_FPS`]. Frames of video files that do not follow each other at a constant rate have their own times where no rate is set. All frames of a source have one size; a frame that differs is an error naming it and both sizes.
+//! [`DEFAULT_FPS`]. Frames of video files and animations that do not follow each other at a constant rate have their own times where no rate is set. All frames of a source have one size; a frame that differs is an error naming it and both sizes.
 
 pub mod decode;
 mod error;
 pub mod ffmpeg;
 pub mod folder;
+mod images;
 pub mod natural;
-mod tiff;
 pub mod y4m;
 
 use std::fs::File;
@@ -27,6 +27,7 @@ use crate::output::Sound;
 use crate::picture::Picture;
 pub use error::SourceError;
 use ffmpeg::Ffmpeg;
+use images::Images;
 use y4m::Y4m;
 
 /// The header of a y4m frame without parameters.
@@ -73,12 +74,10 @@ pub struct Source {
     first: Option<(PathBuf, (usize, usize))>,
     /// Conversions and parts left out.
     notes: Vec<String>,
-    /// The first frame, where it had to be looked at before it was asked for.
-    ahead: Option<Picture>,
 }
 
 enum Input {
-    Files(Vec<PathBuf>),
+    Images(Box<Images>),
     File(Y4m<BufReader<File>>),
     Stdin(Y4m<BufReader<Stdin>>),
     Ffmpeg(Box<Ffmpeg>),
@@ -113,9 +112,9 @@ impl Source {
         let kind = if input == Path::new("-") {
             Input::Stdin(Y4m::new(BufReader::with_capacity(1 << 16, std::io::stdin()), input)?)
         } else if std::fs::metadata(input).map_err(|cause| missing(input, cause))?.is_dir() {
-            Input::Files(folder::images(input)?)
+            Input::Images(Box::new(Images::folder(input)?))
         } else if folder::is_image(input) {
-            Input::Files(vec![input.to_owned()])
+            Input::Images(Box::new(Images::file(input)?))
         } else if starts_as_y4m(input)? {
             let file = File::open(input).map_err(SourceError::read(input))?;
             Input::File(Y4m::new(BufReader::with_capacity(1 << 16, file), input)?)
@@ -123,7 +122,7 @@ impl Source {
             Input::Ffmpeg(Box::new(Ffmpeg::open(input)?))
         };
         let own = match &kind {
-            Input::Files(_) => None,
+            Input::Images(images) => images.rate(),
             Input::File(y4m) => y4m.header().rate,
             Input::Stdin(y4m) => y4m.header().rate,
             Input::Ffmpeg(video) => video.header().rate,
@@ -131,6 +130,7 @@ impl Source {
         // A rate that was asked for goes before the file's own times.
         let uneven = match &kind {
             Input::Ffmpeg(video) if options.fps.is_none() => video.uneven(),
+            Input::Images(images) if options.fps.is_none() => images.uneven(),
             _ => None,
         };
         let rate = match (options.fps, uneven, own) {
@@ -139,19 +139,11 @@ impl Source {
             (None, None, Some((numerator, denominator))) => (numerator as f64, denominator as f64),
             (None, None, None) => (DEFAULT_FPS, 1.0),
         };
-        let (mut notes, mut ahead) = (Vec::new(), None);
-        match &kind {
-            Input::Files(files) => {
-                if let Some(file) = files.first().filter(|file| decode::has_alpha(file)) {
-                    // An image that is refused has nothing laid over anything.
-                    ahead = Some(decode::decode_file(file)?);
-                    notes.push("transparent parts are laid over mid grey".to_owned());
-                }
-            }
-            Input::Ffmpeg(video) => notes.extend_from_slice(video.notes()),
-            Input::File(_) | Input::Stdin(_) => (),
-        }
-        Ok(Source { kind, path: input.to_owned(), rate, uneven: uneven.is_some(), next: 0, first: None, notes, ahead })
+        let notes = match &kind {
+            Input::Ffmpeg(video) => video.notes().to_vec(),
+            Input::Images(_) | Input::File(_) | Input::Stdin(_) => Vec::new(),
+        };
+        Ok(Source { kind, path: input.to_owned(), rate, uneven: uneven.is_some(), next: 0, first: None, notes })
     }
 
     /// The sound track of a video file, if it has one.
@@ -162,15 +154,19 @@ impl Source {
         }
     }
 
-    /// Conversions of the pictures on the way in and parts of the input that are left out, a line each.
+    /// Conversions of the pictures on the way in and parts of the input that are left out, a line each. Of image files what is
+    /// known of those read so far: lines are added as others are read.
     pub fn notes(&self) -> &[String] {
-        &self.notes
+        match &self.kind {
+            Input::Images(images) => images.notes(),
+            _ => &self.notes,
+        }
     }
 
     /// How many frames there are, where that is known beforehand: image files, and a y4m file of whole frames.
     pub fn frames(&self) -> Option<usize> {
         match &self.kind {
-            Input::Files(files) => Some(files.len()),
+            Input::Images(images) => Some(images.frames()),
             Input::File(y4m) => {
                 let length = std::fs::metadata(&self.path).ok()?.len();
                 let each = (FRAME.len() + y4m.header().frame_bytes()) as u64;
@@ -192,7 +188,7 @@ impl Source {
     /// The image files, where the frames are files.
     pub fn files(&self) -> Option<&[PathBuf]> {
         match &self.kind {
-            Input::Files(files) => Some(files),
+            Input::Images(images) => images.files(),
             _ => None,
         }
     }
@@ -208,11 +204,8 @@ impl Source {
     /// A frame that cannot be read or has another size than the first.
     pub fn next_frame(&mut self) -> Result<Option<TimedPicture>, SourceError> {
         let (path, picture) = match &mut self.kind {
-            Input::Files(files) => match files.get(self.next) {
-                Some(file) => match self.ahead.take() {
-                    Some(picture) => (file.clone(), Some(picture)),
-                    None => (file.clone(), Some(decode::decode_file(file)?)),
-                },
+            Input::Images(images) => match images.next()? {
+                Some((file, picture)) => (file, Some(picture)),
                 None => return Ok(None),
             },
             Input::File(y4m) => (self.path.clone(), y4m.next_picture()?),
@@ -229,6 +222,7 @@ impl Source {
         self.next += 1;
         let own = match &self.kind {
             Input::Ffmpeg(video) if self.uneven => video.time(index),
+            Input::Images(images) if self.uneven => images.time(index),
             _ => None,
         };
         let timestamp = own.unwrap_or(index as f64 * self.rate.1 / self.rate.0);
@@ -315,6 +309,72 @@ mod tests {
         assert_eq!(notes("alpha.png", image::DynamicImage::new_rgba8(3, 2)), 1);
         assert_eq!(notes("alpha.webp", image::DynamicImage::new_rgba8(3, 2)), 1);
         assert_eq!(notes("colour.png", image::DynamicImage::new_rgb8(3, 2)), 0);
+    }
+
+    /// Red and time of every frame of a file.
+    fn frames(path: &Path, bytes: &[u8], options: Options) -> Vec<(f32, f64)> {
+        std::fs::write(path, bytes).expect("writable");
+        let mut source = Source::open(path, &options).expect("an image");
+        let count = source.frames();
+        let mut frames = Vec::new();
+        while let Some(frame) = source.next_frame().expect("valid") {
+            frames.push((frame.picture.rgb[0], frame.timestamp));
+        }
+        assert_eq!(count, Some(frames.len()));
+        frames
+    }
+
+    #[test]
+    fn every_frame_of_an_animation_comes_at_its_time() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let (png, webp) = (folder.path().join("a.png"), folder.path().join("a.webp"));
+        let rgba = |level: u8| image::RgbaImage::from_pixel(3, 2, image::Rgba([level, 0, 0, 255]));
+        let rgb = |level: u8| image::RgbImage::from_pixel(3, 2, image::Rgb([level, 0, 0]));
+        let even = decode::tests::apng(&[(rgba(0), [1, 8]), (rgba(51), [2, 16]), (rgba(255), [3, 4])]);
+        assert_eq!(frames(&png, &even, Options::default()), [(0.0, 0.0), (0.2, 0.125), (1.0, 0.25)]);
+        assert_eq!(frames(&png, &even, Options { fps: Some(2.0) }), [(0.0, 0.0), (0.2, 0.5), (1.0, 1.0)]);
+        let uneven =
+            decode::tests::apng(&[(rgba(0), [1, 4]), (rgba(51), [1, 0]), (rgba(102), [0, 1]), (rgba(255), [1, 2])]);
+        let times: Vec<f64> = frames(&png, &uneven, Options::default()).iter().map(|frame| frame.1).collect();
+        assert_eq!(times, [0.0, 0.25, 0.26, 0.36]);
+        let even = decode::tests::animated_webp(&[(rgb(0), 250), (rgb(255), 250), (rgb(51), 70)]);
+        assert_eq!(frames(&webp, &even, Options::default()), [(0.0, 0.0), (1.0, 0.25), (0.2, 0.5)]);
+        let uneven = decode::tests::animated_webp(&[(rgb(0), 500), (rgb(255), 250), (rgb(51), 70)]);
+        assert_eq!(frames(&webp, &uneven, Options::default()), [(0.0, 0.0), (1.0, 0.5), (0.2, 0.75)]);
+        // A frame that is not there is an error, not an end.
+        let cut = uneven.len() - 40;
+        std::fs::write(&webp, &uneven[..cut]).expect("writable");
+        let mut source = Source::open(&webp, &Options::default());
+        let error = match &mut source {
+            Ok(source) => (0..4).find_map(|_| source.next_frame().err()).map(|e| e.to_string()),
+            Err(e) => Some(e.to_string()),
+        };
+        assert!(error.is_some_and(|e| e.contains("cut off: expected")));
+        // In a folder a file is a frame.
+        let error =
+            Source::open(folder.path(), &Options::default()).expect("a folder").next_frame().expect_err("refused");
+        assert!(
+            error.to_string().contains("a.png: expected one picture, found an animated PNG of 4 frames"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn every_page_of_a_tiff_is_a_frame_and_that_is_said() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("a.tif");
+        let mut pages = std::io::Cursor::new(Vec::new());
+        let mut encoder = tiff::encoder::TiffEncoder::new(&mut pages).expect("memory");
+        for (level, kind) in [(0, 0), (51, 1), (255, 2)] {
+            let mut image = encoder.new_image::<tiff::encoder::colortype::Gray8>(1, 1).expect("memory");
+            // A reduced copy is no page.
+            image.encoder().write_tag(tiff::tags::Tag::NewSubfileType, kind as u32).expect("memory");
+            image.write_data(&[level]).expect("memory");
+        }
+        let found = frames(&path, pages.get_ref(), Options { fps: Some(4.0) });
+        assert_eq!(found, [(0.0, 0.0), (1.0, 0.25)]);
+        let source = Source::open(&path, &Options::default()).expect("pages");
+        assert_eq!(source.notes(), ["2 pages of a TIFF are 2 frames"]);
     }
 
     #[test]

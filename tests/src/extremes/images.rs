@@ -57,7 +57,9 @@ fn floats() -> Case {
             let planes =
                 openexr::Planes { width: FLOATS.len(), height: 1, channels: vec![("Y".into(), FLOATS.to_vec())] };
             let mut file = Vec::new();
-            openexr::write(&planes, "", &mut file).expect("memory");
+            let colour_space = Some("sRGB");
+            let layer = openexr::NamedLayer { name: "grey", planes, comment: "", colour_space };
+            openexr::write_layers(&[layer], &mut file).expect("memory");
             Computed::new(&decode(&file, Path::new("floats.exr")).expect("an image").rgb[..FLOATS.len()])
         },
         |found| Judged::of(Unit::Absolute, &found.values, FLOATS.map(|v| f64::from(v.clamp(0.0, 1.0)))),

@@ -255,7 +255,18 @@ pub(super) fn depth_map() -> Vec<Vec<u8>> {
     };
     let grey = pictures().into_iter().filter(|p| p.color().channel_count() == 1);
     let mut seeds: Vec<Vec<u8>> = grey.filter_map(|p| encoded(&p, ImageFormat::Png)).collect();
-    seeds.extend([npy("<f4", 4), npy(">f2", 2), npy("<f8", 8), npy("|u1", 1), npy("<u2", 2), exr(&["Z"])]);
+    seeds.extend([
+        npy("<f4", 4),
+        npy(">f2", 2),
+        npy("<f8", 8),
+        npy("|u1", 1),
+        npy("<u2", 2),
+        npy(">i2", 2),
+        npy("<i8", 8),
+        exr(&["Z"]),
+        exr(&["depth.Z", "R"]),
+        tiff(16),
+    ]);
     seeds
 }
 

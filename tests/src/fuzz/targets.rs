@@ -141,7 +141,6 @@ pub(super) fn depth_map(bytes: &[u8]) {
     let name = if bytes.starts_with(b"\x93NUMPY") { "fuzz.npy" } else { "fuzz.png" };
     if let Ok(map) = depth::decode_map(bytes, Path::new(name)) {
         assert_eq!(map.values.len(), map.width * map.height);
-        assert!(map.values.iter().all(|x| x.is_finite()));
     }
 }
 

@@ -1,14 +1,17 @@
 //! OpenEXR files: planes of float samples in and out.
 //!
-//! Reading takes the first layer's channels at full resolution as f32, whatever they are stored as. Writing makes layers of
-//! f32 channels, ZIP compressed in single lines, always by one thread: the bytes are a function of the samples.
+//! Reading takes channels at full resolution as f32, whatever they are stored as, in the display window: that is the picture, wherever the file has
+//! samples. Writing makes layers of f32 channels, ZIP compressed in single lines, always by one thread: the bytes are a function of the samples.
+
+mod file;
 
 use std::io::{Cursor, Write};
 
 use exr::image::write::layers::WritableLayers;
 use exr::prelude::*;
 
-use crate::picture::{MAX_PIXELS, size_is_allowed};
+use crate::picture::MAX_PIXELS;
+pub(crate) use file::{Chromaticities, File, Part};
 
 /// Most samples of all channels of a layer: those of four at the largest size, colour and alpha.
 const MAX_SAMPLES: usize = 4 * MAX_PIXELS;
@@ -37,6 +40,11 @@ pub enum ExrError {
     /// Not an EXR file, or a broken one.
     #[error("not a readable EXR file: {0}")]
     Broken(String),
+    /// Compressed by a codec that this program does not have.
+    #[error(
+        "expected EXR compression none, RLE, ZIP, PIZ, PXR24, B44 or DWA, found {0}; oiiotool IN --compression zip -o OUT converts it"
+    )]
+    Compression(String),
     /// Larger than this program decodes.
     #[error("the picture is {0}×{1}, larger than this program decodes")]
     TooLarge(usize, usize),
@@ -52,45 +60,31 @@ pub enum ExrError {
     },
 }
 
-/// Decodes an EXR file from memory. The size is checked before memory is taken.
+impl From<exr::error::Error> for ExrError {
+    fn from(error: exr::error::Error) -> Self {
+        ExrError::Broken(error.to_string())
+    }
+}
+
+/// Decodes the first part of an EXR file that is not deep from memory, in its display window; samples outside of the data window are 0. The size is
+/// checked before memory is taken.
 ///
 /// # Errors
 /// Broken, deep or oversized files.
 pub fn read(bytes: &[u8]) -> std::result::Result<Planes, ExrError> {
-    let broken = |e: exr::error::Error| ExrError::Broken(e.to_string());
-    let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(broken)?;
-    for header in &meta.headers {
-        let Vec2(width, height) = header.layer_size;
-        if !size_is_allowed(width, height) {
-            return Err(ExrError::TooLarge(width, height));
-        }
-        let channels = header.channels.list.len();
-        if channels.saturating_mul(width * height) > MAX_SAMPLES {
-            return Err(ExrError::Channels { width, height, channels });
-        }
-    }
-    let image = exr::prelude::read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .all_channels()
-        .first_valid_layer()
-        .all_attributes()
-        .non_parallel()
-        .from_buffered(Cursor::new(bytes))
-        .map_err(broken)?;
-    let Vec2(width, height) = image.layer_data.size;
-    let mut channels = Vec::new();
-    for channel in image.layer_data.channel_data.list {
-        let samples: Vec<f32> = channel.sample_data.values_as_f32().collect();
-        if samples.len() == width * height {
-            channels.push((channel.name.to_string(), samples));
-        }
-    }
-    channels.sort_by(|a, b| a.0.cmp(&b.0));
-    if channels.is_empty() {
+    let file = File::open(bytes)?;
+    let Some(part) = file.parts().find(|part| !part.is_deep()) else {
+        return Err(ExrError::Broken("its samples are deep".into()));
+    };
+    let mut names: Vec<String> = part.channels().filter(|(_, full)| *full).map(|(name, _)| name).collect();
+    names.sort();
+    if names.is_empty() {
         return Err(ExrError::Broken("no channel at full resolution".into()));
     }
-    Ok(Planes { width, height, channels })
+    let all: Vec<&str> = names.iter().map(String::as_str).collect();
+    let planes = file.read(part, &all, 0.0)?;
+    let window = part.display();
+    Ok(Planes { width: window.width, height: window.height, channels: names.into_iter().zip(planes).collect() })
 }
 
 /// Encodes planes as an EXR file, `comment` in its attributes.

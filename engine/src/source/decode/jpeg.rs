@@ -1,0 +1,73 @@
+//! JPEG, by integer arithmetic without vector instructions: every CPU has the same bytes.
+//!
+//! Headers are read leniently, picture data strictly: codes that do not exist are an error, as is a file without its end-of-image marker. What the decoder
+//! cannot tell is damage after which there are codes for the whole picture, or for a part of it and then that marker. CMYK is converted without a colour
+//! profile, `(1 − ink)·(1 − black)`.
+
+use std::path::Path;
+
+use image::metadata::Orientation;
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::zune_core::bytestream::ZCursor;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
+
+use super::{Still, check_size, decode_error, icc, orientation};
+use crate::picture::{MAX_SIDE, Picture};
+use crate::source::SourceError;
+
+pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Still, SourceError> {
+    let explain = |e: &dyn std::fmt::Debug| decode_error(path, format!("broken or unsupported JPEG image: {e:?}"));
+    let options = DecoderOptions::default()
+        .set_strict_mode(false)
+        .set_max_width(MAX_SIDE)
+        .set_max_height(MAX_SIDE)
+        .jpeg_set_out_colorspace(ColorSpace::RGB);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers().map_err(|e| explain(&e))?;
+    let (width, height) = decoder.dimensions().ok_or_else(|| decode_error(path, "JPEG image without a size"))?;
+    check_size(path, width, height)?;
+    if !has_end(bytes) {
+        let found = bytes.len();
+        return Err(decode_error(
+            path,
+            format!("the JPEG image is cut off: expected an end-of-image marker, found none in {found} bytes"),
+        ));
+    }
+    let inks = matches!(decoder.input_colorspace(), Some(ColorSpace::CMYK | ColorSpace::YCCK));
+    decoder.set_options(options.set_strict_mode(true));
+    let pixels = decoder.decode().map_err(|e| explain(&e))?;
+    let turned = decoder.exif().and_then(|chunk| Orientation::from_exif_chunk(chunk));
+    let Some(picture) = Picture::from_rgb8(width, height, &pixels) else {
+        let found = pixels.len();
+        return Err(decode_error(path, format!("expected {width}×{height} RGB pixels, found {found} bytes")));
+    };
+    let mut notes: Vec<String> = decoder.icc_profile().and_then(|profile| icc::note(&profile)).into_iter().collect();
+    if inks {
+        notes = vec![super::INKS.to_owned()];
+    }
+    Ok(Still { picture: orientation::apply(picture, turned.unwrap_or(Orientation::NoTransforms)), notes })
+}
+
+/// Returns true if the markers of a file lead to the one that ends its first image.
+fn has_end(bytes: &[u8]) -> bool {
+    let mut at = 2;
+    loop {
+        let Some(skipped) = bytes.get(at..).and_then(|rest| rest.iter().position(|&b| b == 0xff)) else { return false };
+        at += skipped;
+        // Any number of fill bytes stands before a marker.
+        while bytes.get(at) == Some(&0xff) {
+            at += 1;
+        }
+        match bytes.get(at) {
+            None => return false,
+            Some(0xd9) => return true,
+            // A stuffed 0xff of the data, TEM, RSTn and SOI have no length.
+            Some(0x00 | 0x01 | 0xd0..=0xd8) => at += 1,
+            Some(_) => {
+                let length = bytes.get(at + 1..at + 3).map_or(2, |b| usize::from(u16::from_be_bytes([b[0], b[1]])));
+                at += 1 + length.max(2);
+            }
+        }
+    }
+}
