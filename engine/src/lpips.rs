@@ -45,7 +45,13 @@ impl Lpips {
             );
         };
         let (first, second) = (model.image(a)?, model.image(b)?);
-        if first.1 != second.1 {
+        for (port, layout) in [(a, first), (b, second)] {
+            if layout.colours_last {
+                let expected = "two images, float [1, 3, height, width]";
+                return Err(form(&model, "its inputs", expected, format!("{} {}", port.name, port.kind)).into());
+            }
+        }
+        if first.sides != second.sides {
             return Err(
                 form(&model, "its inputs", "two images of one size", format!("{} and {}", a.kind, b.kind)).into()
             );
@@ -53,7 +59,7 @@ impl Lpips {
         if model.outputs().len() != 1 {
             return Err(form(&model, "its outputs", "one number", model.outputs().len()).into());
         }
-        Ok(Lpips { leading: [first.0, second.0], axes: first.1, model })
+        Ok(Lpips { leading: [first.leading, second.leading], axes: first.sides, model })
     }
 
     /// The version of the ONNX Runtime that runs it.

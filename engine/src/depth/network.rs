@@ -1,13 +1,14 @@
 //! Depth maps from a network.
 //!
-//! Any network with one image in, float `[1, 3, height, width]` (more axes of length 1 may stand in front, and each side may be left
-//! open), and one map out, float `[1, height, width]` with any axes of length 1 in front, of any size: Depth Anything and its like.
+//! Any network with one image in, float `[1, 3, height, width]` or, colours last, `[1, height, width, 3]` (more axes of length 1 may stand in front, and
+//! each side may be left open), and one map out, float `[1, height, width]` with any axes of length 1 in front, or one behind, of any size: Depth Anything and
+//! its like.
 //! The map is inverse depth, or depth with [`NetworkOptions::metric`]. Which arithmetic is whose stands in [`crate::onnx`].
 
 use std::path::Path;
 
 use super::{DepthError, NetworkOptions, NetworkSize, prepare};
-use crate::onnx::{Model, OnnxError, Port};
+use crate::onnx::{Layout, Model, OnnxError, Port};
 use crate::picture::size_is_allowed;
 use crate::stream::Workers;
 
@@ -17,10 +18,8 @@ pub struct DepthNetwork {
     model: Model,
     options: NetworkOptions,
     workers: Workers,
-    /// Axes before the three of the image.
-    leading: usize,
-    /// Height and width, where the network fixes them.
-    axes: [Option<usize>; 2],
+    /// The input's axes.
+    layout: Layout,
     output: usize,
 }
 
@@ -42,7 +41,8 @@ impl DepthNetwork {
                 form("its inputs", "one image, float [1, 3, height, width]".to_owned(), names(model.inputs())).into()
             );
         };
-        let (leading, axes) = model.image(input)?;
+        let layout = model.image(input)?;
+        let axes = layout.sides;
         if let Some(side) = axes.iter().flatten().find(|side| !(1..=8192).contains(*side)) {
             return Err(form("its input", "sides from 1 to 8192".to_owned(), side.to_string()).into());
         }
@@ -54,7 +54,7 @@ impl DepthNetwork {
             return Err(form("its input", format!("the {}x{} asked for", asked[1], asked[0]), found).into());
         }
         let output = map_output(&model, options.output.as_deref())?;
-        Ok(DepthNetwork { model, options, workers: workers.clone(), leading, axes, output })
+        Ok(DepthNetwork { model, options, workers: workers.clone(), layout, output })
     }
 
     /// The version of the ONNX Runtime that runs it.
@@ -71,18 +71,27 @@ impl DepthNetwork {
     /// When `rgb` does not hold three planes of that size, or a side is zero.
     pub fn map(&mut self, rgb: &[f32], width: usize, height: usize) -> Result<Vec<f32>, DepthError> {
         let frame = [height, width];
-        let size = prepare::input_size(frame, self.axes, &self.options);
+        let size = prepare::input_size(frame, self.layout.sides, &self.options);
         if !prepare::is_allowed(size) {
             return Err(DepthError::Input { path: self.model.path().to_owned(), frame, input: size });
         }
-        let DepthNetwork { model, options, workers, leading, output, .. } = self;
+        let DepthNetwork { model, options, workers, layout, output } = self;
         let level = workers.level();
         let input = workers.install(|| prepare::image(level, rgb, frame, size, options));
-        let mut shape = vec![1; *leading];
-        shape.extend([3, size[0], size[1]]);
+        let mut shape = vec![1; layout.leading];
+        let input = if layout.colours_last {
+            shape.extend([size[0], size[1], 3]);
+            let area = size[0] * size[1];
+            (0..3 * area).map(|at| input[at % 3 * area + at / 3]).collect()
+        } else {
+            shape.extend([3, size[0], size[1]]);
+            input
+        };
         let (shape, answer) = model.run(&[(&shape, &input)], *output)?;
+        let ones = |axes: &[usize]| axes.iter().all(|&n| n == 1);
         let from = match shape[..] {
-            [ref ones @ .., h, w] if ones.iter().all(|&n| n == 1) && size_is_allowed(w, h) => [h, w],
+            [ref leading @ .., h, w] if ones(leading) && size_is_allowed(w, h) => [h, w],
+            [ref leading @ .., h, w, 1] if ones(leading) && size_is_allowed(w, h) => [h, w],
             _ => {
                 return Err(OnnxError::Form {
                     path: model.path().to_owned(),
@@ -117,8 +126,9 @@ fn map_output(model: &Model, asked: Option<&str>) -> Result<usize, OnnxError> {
     let output = &outputs[number];
     // A shape that is not known before it runs has no axes.
     let is_map = output.axes.as_deref().is_some_and(|axes| {
-        let ones = axes.len().saturating_sub(2);
-        axes.is_empty() || (axes.len() >= 2 && axes[..ones].iter().all(|n| matches!(n, Some(1) | None)))
+        let ones = |axes: &[Option<usize>]| axes.iter().all(|n| matches!(n, Some(1) | None));
+        let last = |behind: usize| axes.len() >= 2 + behind && ones(&axes[..axes.len() - 2 - behind]);
+        axes.is_empty() || last(0) || (axes.last() == Some(&Some(1)) && last(1))
     });
     match is_map {
         true => Ok(number),

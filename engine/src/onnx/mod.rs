@@ -26,7 +26,7 @@ use ort::environment::Environment;
 use ort::logging::LogLevel;
 
 pub use elf::announced_length;
-pub use model::{Model, Port};
+pub use model::{Layout, Model, Port};
 
 /// The oldest version of ONNX Runtime that can be loaded, as major and minor number.
 pub const OLDEST: (u32, u32) = (1, ort::MINOR_VERSION);

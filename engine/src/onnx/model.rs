@@ -32,6 +32,31 @@ impl Port {
     }
 }
 
+/// Axes of an image that goes into a network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Layout {
+    /// How many axes of length 1 stand before the three of the image.
+    pub leading: usize,
+    /// True for height, width, colours; false for colours, height, width.
+    pub colours_last: bool,
+    /// Height and width, where they are fixed.
+    pub sides: [Option<usize>; 2],
+}
+
+impl Layout {
+    fn of(axes: &[Option<usize>]) -> Option<Layout> {
+        let [ones @ .., first, second, third] = axes else { return None };
+        let (colours_last, sides) = match (first, third) {
+            (Some(3), _) => (false, [*second, *third]),
+            (_, Some(3)) => (true, [*first, *second]),
+            (None, _) => (false, [*second, *third]),
+            _ => return None,
+        };
+        let leading = ones.len();
+        ones.iter().all(|n| matches!(n, Some(1) | None)).then_some(Layout { leading, colours_last, sides })
+    }
+}
+
 /// A network in memory, ready to run.
 #[derive(Debug)]
 pub struct Model {
@@ -83,22 +108,17 @@ impl Model {
         &self.outputs
     }
 
-    /// The number of axes before the three of an image, and its height and width where they are fixed.
+    /// The axes of an image. Where the last one is 3 and that of the colours is not, the colours are last.
     ///
     /// # Errors
-    /// A port that is not one image, float `[1, 3, height, width]` with any axes of length 1 in front.
-    pub fn image(&self, port: &Port) -> Result<(usize, [Option<usize>; 2]), OnnxError> {
-        match port.axes.as_deref() {
-            Some([ones @ .., Some(3) | None, height, width]) if ones.iter().all(|n| matches!(n, Some(1) | None)) => {
-                Ok((ones.len(), [*height, *width]))
-            }
-            _ => Err(OnnxError::Form {
-                path: self.path.clone(),
-                what: format!("its input {}", port.name),
-                expected: "one image, float [1, 3, height, width]".to_owned(),
-                found: port.kind.clone(),
-            }),
-        }
+    /// A port that is not one image, float `[1, 3, height, width]` or `[1, height, width, 3]` with any axes of length 1 in front.
+    pub fn image(&self, port: &Port) -> Result<Layout, OnnxError> {
+        port.axes.as_deref().and_then(Layout::of).ok_or_else(|| OnnxError::Form {
+            path: self.path.clone(),
+            what: format!("its input {}", port.name),
+            expected: "one image, float [1, 3, height, width] or [1, height, width, 3]".to_owned(),
+            found: port.kind.clone(),
+        })
     }
 
     /// Runs the network on a shape and row-major values for each input; gives shape and values of the output number `output`.
@@ -136,4 +156,24 @@ fn commit(runtime: &Runtime, path: &Path) -> ort::Result<Session> {
         .with_deterministic_compute(true)?
         .with_optimization_level(GraphOptimizationLevel::All)?
         .commit_from_file(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_are_the_axis_that_is_three() {
+        let open = None;
+        let of =
+            |axes: &[Option<usize>]| Layout::of(axes).map(|layout| (layout.leading, layout.colours_last, layout.sides));
+        assert_eq!(of(&[Some(1), Some(3), open, open]), Some((1, false, [open, open])));
+        assert_eq!(of(&[Some(1), open, open, Some(3)]), Some((1, true, [open, open])));
+        assert_eq!(of(&[open, Some(518), Some(924), Some(3)]), Some((1, true, [Some(518), Some(924)])));
+        assert_eq!(of(&[Some(3), Some(8), Some(3)]), Some((0, false, [Some(8), Some(3)])));
+        assert_eq!(of(&[open, open, open, open]), Some((1, false, [open, open])));
+        assert_eq!(of(&[Some(2), Some(3), open, open]), None);
+        assert_eq!(of(&[Some(1), Some(4), open, open]), None);
+        assert_eq!(of(&[Some(1), Some(3)]), None);
+    }
 }
