@@ -170,6 +170,7 @@ fn run_from(
     let source = Source::open(input, &source::Options { fps: options.fps })?;
     options.motion.follow(&mut views, source.fps())?;
     console.note(source.notes());
+    let said = source.notes().len();
     let sound = taken_along(&source, options, place.destination());
     if source.sound().is_some() {
         let found = if sound.is_some() { "sound is taken along" } else { "sound is left out" };
@@ -195,7 +196,8 @@ fn run_from(
     // That nothing can be written is said before the model is loaded.
     let engine = Engine::new(settings)?;
     let mut drawing = Drawing::new(engine.workers(), views.backend)?;
-    let depth = KeyDepth::open(&depth, &source, machine.level()?, reuse)?;
+    let depth = KeyDepth::open(&depth, &source, machine.level()?, reuse, options.frames)?;
+    console.note(depth.notes());
     let keys = KeyFrames::new(source, depth, gap, keep, options.frames, &console.stop);
     let before = if let Found::Under(point, _) = &found { point.choices.as_ref() } else { None };
     let keys = Ahead::resume(keys, engine.workers().threads(), before);
@@ -273,6 +275,8 @@ fn run_from(
         closeness.account(&mut work, &mut seconds);
     }
     let read = keys.account();
+    // Of images after the first.
+    console.note(read.notes.get(said..).unwrap_or_default());
     seconds.insert("decode".into(), read.time.as_secs_f64());
     if let Some(network) = &read.network {
         let unit = "frames".to_owned();

@@ -99,14 +99,14 @@ pub struct Stream {
     #[arg(long, value_name = "NAME")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quality: Option<String>,
-    /// Inverse depth: none, auto (found by parallax where the camera moves, for models that ignore depth), a folder of EXR, 16-bit PNG or NPY
-    /// files, one per frame, or onnx:FILE, a network that ONNX Runtime runs [default: auto for balanced and best, none for realtime and where
+    /// Inverse depth: none, auto (found by parallax where the camera moves, for models that ignore depth), a folder of EXR, TIFF, 16-bit PNG or
+    /// NPY files, one per frame, or onnx:FILE, a network that ONNX Runtime runs [default: auto for balanced and best, none for realtime and where
     /// motion is the network's]
     #[arg(long, value_name = "auto|DIR|onnx:FILE")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth: Option<String>,
     /// Properties of the depth network that its file does not give: size=N or WxH, multiple=N, mean=R/G/B, std=R/G/B, metric, output=NAME, separated by
-    /// commas; with a folder metric alone: its files hold depth, not inverse depth, and 0 where there is none [default: size=518,multiple=14 and ImageNet's mean and std]
+    /// commas; with a folder metric alone: its files hold depth, not inverse depth, and 0, infinity or no number where there is none [default: size=518,multiple=14 and ImageNet's mean and std]
     #[arg(long, value_name = "LIST")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth_model: Option<String>,

@@ -44,12 +44,26 @@ pub struct NetworkAccount {
 }
 
 impl KeyDepth {
-    /// Opens the folder or the network. With `reuse` a frame that repeats the key frame before has its map.
-    pub fn open(from: &DepthFrom, source: &Source, level: Level, reuse: bool) -> Result<KeyDepth, Failure> {
+    /// Opens the folder or the network. With `reuse` a frame that repeats the key frame before has its map. Maps are counted, at most `limit` of the frames
+    /// being read.
+    pub fn open(
+        from: &DepthFrom,
+        source: &Source,
+        level: Level,
+        reuse: bool,
+        limit: Option<usize>,
+    ) -> Result<KeyDepth, Failure> {
         Ok(match from {
             DepthFrom::None | DepthFrom::Found => KeyDepth::None,
             DepthFrom::Folder(folder, range, values) => {
-                KeyDepth::Maps(DepthMaps::open_as(folder, source.files(), *range, *values)?)
+                let maps = DepthMaps::open_as(folder, source.files(), *range, *values)?;
+                // Maps of image files were paired with them by name.
+                match (source.files(), source.frames(), source.expected_frames()) {
+                    (Some(_), ..) | (None, None, None) => {}
+                    (None, Some(frames), _) => maps.check(frames, limit)?,
+                    (None, None, Some(frames)) => maps.check_about(frames, limit)?,
+                }
+                KeyDepth::Maps(maps)
             }
             DepthFrom::Network(path, options) => {
                 // One thread, as the network itself: it works beside those of the engine.
@@ -59,6 +73,22 @@ impl KeyDepth {
                 KeyDepth::Network(Box::new(Looker { network, latest: None, reuse, account }))
             }
         })
+    }
+
+    /// Files that are left out, a line.
+    pub fn notes(&self) -> &[String] {
+        match self {
+            KeyDepth::Maps(maps) => maps.notes(),
+            KeyDepth::None | KeyDepth::Network(_) => &[],
+        }
+    }
+
+    /// Checks that no map is left when the input has ended after so many frames.
+    pub fn ended(&self, source: &Source, frames: usize) -> Result<(), Failure> {
+        match self {
+            KeyDepth::Maps(maps) if source.files().is_none() => Ok(maps.check(frames, None)?),
+            _ => Ok(()),
+        }
     }
 
     /// The map in the frame's file.

@@ -38,6 +38,8 @@ pub struct Reading {
     pub time: Duration,
     /// Work done by the depth network, if there is one.
     pub network: Option<NetworkAccount>,
+    /// What was done to the pictures and left out, a line each: those known when the source was opened, then others.
+    pub notes: Vec<String>,
 }
 
 impl KeyFrame {
@@ -162,6 +164,7 @@ impl KeyFrames {
             size: self.size,
             time: self.time.saturating_sub(looking),
             network,
+            notes: self.source.notes().to_vec(),
         }
     }
 
@@ -192,6 +195,7 @@ impl KeyFrames {
             match source.next_frame() {
                 // What feeds us is stopped by the same Ctrl-C; its stream may end anywhere.
                 Err(SourceError::Y4m { .. }) if stop.asked() => Ok(None),
+                Ok(None) if !stop.asked() => depth.ended(source, *arrived - 1).map(|()| None),
                 next => Ok(next?),
             }
         };

@@ -11,6 +11,7 @@ mod formats;
 mod golden;
 #[cfg(unix)]
 mod hostile;
+mod images;
 #[cfg(unix)]
 mod killed;
 mod manual;

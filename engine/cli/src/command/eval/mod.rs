@@ -98,7 +98,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
             break;
         }
         let source = Source::open(clip, &source::Options { fps: args.fps })?;
-        let depth = KeyDepth::open(&depth, &source, args.machine.level()?, settings.reuse != Reuse::Off)?;
+        let depth = KeyDepth::open(&depth, &source, args.machine.level()?, settings.reuse != Reuse::Off, None)?;
         let keys = KeyFrames::new(source, depth, gap, Keep::Everything, None, &console.stop);
         let sums = evaluate(keys, gap, &settings, &mut model, &views, args.seen, lpips.as_mut(), console)?;
         let name = clip.file_name().unwrap_or(clip.as_os_str()).to_string_lossy().into_owned();
