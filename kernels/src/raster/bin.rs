@@ -13,11 +13,20 @@ const TEST_ABOVE: usize = 4;
 pub(super) struct Grid {
     pub columns: usize,
     pub rows: usize,
+    /// Blocks in a row of the image.
+    pub blocks: usize,
+    /// The last column's neighbour is the first.
+    pub around: bool,
 }
 
 impl Grid {
     pub(super) fn new(width: usize, height: usize) -> Self {
-        Self { columns: width.div_ceil(BLOCK * TILE[0]), rows: height.div_ceil(BLOCK * TILE[1]) }
+        Self {
+            columns: width.div_ceil(BLOCK * TILE[0]),
+            rows: height.div_ceil(BLOCK * TILE[1]),
+            blocks: width.div_ceil(BLOCK),
+            around: false,
+        }
     }
 
     pub(super) fn len(self) -> usize {
@@ -30,8 +39,11 @@ impl Grid {
         if splat.is_hidden() {
             return;
         }
-        let [left, right] = splat.columns.map(|c| usize::from(c) / TILE[0]);
         let [top, bottom] = splat.rows.map(|r| usize::from(r) / TILE[1]);
+        if self.around {
+            return self.for_each_around(splat, [top, bottom], visit);
+        }
+        let [left, right] = splat.columns.map(|c| usize::from(c) / TILE[0]);
         if (right - left + 1) * (bottom - top + 1) <= TEST_ABOVE {
             for row in top..=bottom {
                 for column in left..=right {
@@ -53,6 +65,26 @@ impl Grid {
             }
         }
     }
+
+    /// The same where columns go on at the other edge.
+    fn for_each_around(self, splat: &Splat, [top, bottom]: [usize; 2], mut visit: impl FnMut(usize)) {
+        let [own, beyond] = around(splat.columns, self.blocks).map(|ends| ends.map(|column| column / TILE[0]));
+        // A tile at which both meet comes once.
+        let beyond = if splat.columns[1] as usize >= self.blocks { 0..(beyond[1] + 1).min(own[0]) } else { 0..0 };
+        for row in top..=bottom {
+            for column in beyond.clone().chain(own[0]..own[1] + 1) {
+                visit(row * self.columns + column);
+            }
+        }
+    }
+}
+
+/// Columns of blocks, of the `blocks` that an image has, whose last one's neighbour is its first: those up to the right edge, and those from the left
+/// one on, which may be none (first past last).
+#[inline(always)]
+pub(super) fn around([first, last]: [u16; 2], blocks: usize) -> [[usize; 2]; 2] {
+    let (first, last) = (usize::from(first), usize::from(last));
+    if last < blocks { [[first, last], [1, 0]] } else { [[first, blocks - 1], [0, last - blocks]] }
 }
 
 /// Coefficients that tell how far a footprint extends sideways over a strip of rows.

@@ -97,8 +97,13 @@ impl Rasteriser {
     /// The lists are the same for every level and number of threads.
     ///
     /// # Panics
-    /// As [`super::render`].
+    /// As [`super::render`], and for equirectangular images. [`Request::falloff`] and [`Request::defocus`] shape the lists; how α falls in a footprint, and
+    /// the least that is drawn, is up to the blend.
     pub fn lists(&mut self, gaussians: &Gaussians<'_>, projection: &Projection, request: &Request, to: &mut Lists) {
+        assert!(
+            *projection != Projection::Equirectangular,
+            "lists of footprints in a plane, found an equirectangular image"
+        );
         self.forget();
         let (now, grid) = self.begin(gaussians, projection, request);
         self.coarse(gaussians, &now.view, grid, false);

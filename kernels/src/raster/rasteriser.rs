@@ -9,8 +9,9 @@ use rayon::prelude::*;
 use tracing::debug_span;
 
 use super::bin::Grid;
-use super::blend::{DrawTile, Planes, Scratch, Tally, Walk};
-use super::project::{Batch, Splat, Viewport, bounds};
+use super::blend::{DrawTile, Planes, Scratch, Shape, Tally, Walk};
+use super::falloff::Cut;
+use super::project::{Batch, Blur, Form, Splat, Viewport, bounds};
 use super::sort::{Entry, by_depth};
 use super::{Gaussians, Image, MAX_SIDE, Projection, Request};
 use crate::level::Level;
@@ -85,6 +86,16 @@ const MOST_CHUNKS: usize = 64;
 /// Returns true if the rotation leaves everything in place.
 fn is_identity(q: &[f32; 4]) -> bool {
     q[1] == 0.0 && q[2] == 0.0 && q[3] == 0.0
+}
+
+/// How α follows from the footprints of a scene.
+fn form(gaussians: &Gaussians<'_>, projection: &Projection) -> Form {
+    let upright = || gaussians.rotation.is_none_or(|r| r.par_chunks(1 << 14).all(|r| r.iter().all(is_identity)));
+    match projection {
+        Projection::Equirectangular => Form::Spherical,
+        Projection::Orthographic { .. } if upright() => Form::Separable,
+        _ => Form::General,
+    }
 }
 
 /// Background of which a component that is not finite, or −0, is +0.
@@ -172,17 +183,19 @@ impl Rasteriser {
         );
         let mut request = *request;
         request.background = finite_background(request.background);
+        let blur = Blur::new(projection, request.defocus);
         let view = Viewport {
             projection: *projection,
             width: request.width,
             height: request.height,
-            separable: matches!(projection, Projection::Orthographic { .. })
-                && gaussians.rotation.is_none_or(|r| r.par_chunks(1 << 14).all(|r| r.iter().all(is_identity))),
+            form: form(gaussians, projection),
             antialias: request.antialias,
             bounds: bounds(projection, &request),
+            cut: Cut::new(request.falloff, blur.is_some()),
+            blur,
         };
         let now = Last { view, request, gaussians: gaussians.len() };
-        let grid = Grid::new(request.width, request.height);
+        let grid = Grid { around: view.form == Form::Spherical, ..Grid::new(request.width, request.height) };
         self.work = Work { gaussians: gaussians.len() as u64, tiles: grid.len() as u64, ..Work::default() };
         (now, grid)
     }
@@ -332,8 +345,8 @@ impl Rasteriser {
                 let start = Instant::now();
                 by_depth(list, &mut scratch.spare);
                 let sorted = Instant::now();
-                let (separable, tile) = (view.separable, [tile % grid.columns, tile / grid.columns]);
-                let walk = Walk { splats, list, separable, tile, size: [request.width, request.height] };
+                let tile = [tile % grid.columns, tile / grid.columns];
+                let walk = Walk { splats, list, shape: Shape::of(view), tile, size: [request.width, request.height] };
                 dispatch(level, DrawTile { walk, planes: &planes, scratch });
                 scratch.tally.sort += sorted - start;
                 scratch.tally.blend += sorted.elapsed();
@@ -372,16 +385,26 @@ impl Operation for ProjectChunk<'_> {
         for start in (0..self.splats.len()).step_by(LANES) {
             let first = self.first + start;
             match view.projection {
-                Projection::Orthographic { focal } if view.separable => {
+                Projection::Equirectangular => {
+                    let batch = Batch::spherical(s, gaussians, first, view);
+                    self.take::<true>(&batch, start, &mut tally);
+                }
+                Projection::Orthographic { focal } if view.form == Form::Separable => {
                     let batch = Batch::separable(s, gaussians, first, focal, view);
                     self.take::<true>(&batch, start, &mut tally);
                 }
                 Projection::Orthographic { focal } => {
-                    let batch = Batch::general::<S, false>(s, gaussians, first, focal, middle, view);
+                    let batch = Batch::general::<S, false, false>(s, gaussians, first, focal, middle, view);
+                    self.take::<false>(&batch, start, &mut tally);
+                }
+                Projection::Pinhole { focal, centre } if view.blur.is_some() => {
+                    let centre = centre.map(f64::from);
+                    let batch = Batch::general::<S, true, true>(s, gaussians, first, focal, centre, view);
                     self.take::<false>(&batch, start, &mut tally);
                 }
                 Projection::Pinhole { focal, centre } => {
-                    let batch = Batch::general::<S, true>(s, gaussians, first, focal, centre.map(f64::from), view);
+                    let centre = centre.map(f64::from);
+                    let batch = Batch::general::<S, true, false>(s, gaussians, first, focal, centre, view);
                     self.take::<false>(&batch, start, &mut tally);
                 }
             }
@@ -392,13 +415,13 @@ impl Operation for ProjectChunk<'_> {
 
 impl ProjectChunk<'_> {
     #[inline(always)]
-    fn take<const SEPARABLE: bool>(&mut self, batch: &Batch, start: usize, tally: &mut [u64; 3]) {
+    fn take<const PARTS: bool>(&mut self, batch: &Batch, start: usize, tally: &mut [u64; 3]) {
         let lanes = LANES.min(self.splats.len() - start);
         let dropped = batch.dropped.count_ones();
         tally[0] += u64::from(dropped);
         tally[1] += lanes as u64 - u64::from(dropped + batch.visible.count_ones());
         for l in 0..lanes {
-            let splat = batch.splat::<SEPARABLE>(self.gaussians, l, self.first + start + l);
+            let splat = batch.splat::<PARTS>(self.gaussians, l, self.first + start + l);
             let old = &mut self.splats[start + l];
             if !self.keep {
                 self.grid.for_each_tile(&splat, |tile| self.counts[tile] += 1);

@@ -1,7 +1,8 @@
 //! The plain version: binary64, no tiles, no vectors, every pixel against every Gaussian that may reach it.
 
-use super::project::rotation;
-use super::{Gaussians, Projection, Request};
+use super::falloff::BLURRED_ALPHA_MIN;
+use super::project::{POLE, rotation};
+use super::{Defocus, Gaussians, Projection, Request};
 
 /// An image in binary64, and how far each pixel was from being decided otherwise.
 #[derive(Clone, Debug)]
@@ -48,6 +49,16 @@ pub fn weights(gaussians: &Gaussians<'_>, projection: &Projection, request: &Req
     (image, all)
 }
 
+/// The direction of a place, and east and south there.
+fn sphere_axes(place: [f64; 3]) -> [[f64; 3]; 3] {
+    let length = place.iter().map(|c| c * c).sum::<f64>().sqrt();
+    // The direction is rounded to binary32 by definition.
+    let n = place.map(|c| f64::from((c / length) as f32));
+    let level = n[0].hypot(n[2]);
+    let (sin, cos) = if level > 0.0 { (n[0] / level, n[2] / level) } else { (0.0, 1.0) };
+    [n, [cos, 0.0, -sin], [-n[1] * sin, level, -n[1] * cos]]
+}
+
 /// [`render`], calling `visit(gaussian, pixel, weight)` where a Gaussian is drawn.
 fn render_with(
     gaussians: &Gaussians<'_>,
@@ -67,8 +78,17 @@ fn render_with(
         dropped: 0,
     };
     let mut finished = vec![false; pixels];
+    let [gain, floor] = request.falloff.gain_and_floor();
+    let blurred = matches!(projection, Projection::Pinhole { .. });
+    let lens = request.defocus.filter(|lens| blurred && lens.is_usable() && lens.aperture > 0.0);
+    let least = if lens.is_some() { BLURRED_ALPHA_MIN.into() } else { 1.0 / 255.0 };
     let mut order: Vec<usize> = (0..gaussians.mean.len()).collect();
-    order.sort_by(|&i, &j| gaussians.mean[i][2].total_cmp(&gaussians.mean[j][2]));
+    let around = *projection == Projection::Equirectangular;
+    let depth_of = |i: usize| match gaussians.mean[i].map(f64::from) {
+        [x, y, z] if around => (x * x + y * y + z * z).sqrt() as f32,
+        [_, _, z] => z as f32,
+    };
+    order.sort_by(|&i, &j| depth_of(i).total_cmp(&depth_of(j)));
     for i in order {
         let turn = gaussians.rotation.map_or([1.0, 0.0, 0.0, 0.0], |r| r[i]);
         let fields = [&gaussians.mean[i][..], &gaussians.scale[i], &gaussians.rgb[i], &turn, &[gaussians.opacity[i]]];
@@ -76,7 +96,8 @@ fn render_with(
             image.dropped += 1;
             continue;
         }
-        let [x, y, z] = gaussians.mean[i].map(f64::from);
+        let [x, y, mut z] = gaussians.mean[i].map(f64::from);
+        let (mut low_pass, mut sphere) = ([0.3; 2], None);
         let (u, v, jacobian) = match *projection {
             Projection::Orthographic { focal } => {
                 let [fx, fy] = focal.map(f64::from);
@@ -86,6 +107,18 @@ fn render_with(
                 let u = fx * x + (width as f64 - 1.0) / 2.0;
                 let v = fy * y + (height as f64 - 1.0) / 2.0;
                 (u, v, [[fx, 0.0, 0.0], [0.0, fy, 0.0]])
+            }
+            Projection::Equirectangular => {
+                z = (x * x + y * y + z * z).sqrt();
+                if z <= 1e-6 || !(z as f32).is_finite() {
+                    continue;
+                }
+                let [n, east, south] = sphere_axes([x, y, gaussians.mean[i][2].into()]);
+                let k = height as f64 / std::f64::consts::PI;
+                let pixel = south[1].max(POLE) * 2.0 * height as f64 / width as f64;
+                low_pass = [0.3 * pixel * pixel, 0.3];
+                sphere = Some([n, east, south]);
+                (0.0, 0.0, [east.map(|e| e * k / z), south.map(|s| s * k / z)])
             }
             Projection::Pinhole { focal, centre } => {
                 let ([fx, fy], [cx, cy]) = (focal.map(f64::from), centre.map(f64::from));
@@ -119,36 +152,67 @@ fn render_with(
             m[0][0] * m[1][1] - m[0][1] * m[1][0],
         ];
         let (aa, b, cc) = (dot(m[0], m[0]), dot(m[0], m[1]), dot(m[1], m[1]));
-        let (a, c) = (aa + 0.3, cc + 0.3);
-        let det = dot(normal, normal) + 0.3 * (aa + cc) + 0.09;
+        let [low_x, low_y] = low_pass;
+        let (a, c) = (aa + low_x, cc + low_y);
+        let det = dot(normal, normal) + (low_x * cc + low_y * aa) + low_x * low_y;
         let mut opacity = f64::from(gaussians.opacity[i]);
         if request.antialias {
             opacity *= (dot(normal, normal) / det).sqrt();
         }
+        let (a, c, det) = match (lens, projection) {
+            (Some(Defocus { aperture, focus }), Projection::Pinhole { focal, .. }) => {
+                let disc = 0.5 * f64::from(aperture) * (1.0 / z - 1.0 / f64::from(focus));
+                let [bx, by] = focal.map(|f| (0.5 * f64::from(f) * disc).powi(2));
+                let wider = dot(normal, normal) + (0.3 + bx) * cc + (0.3 + by) * aa + (0.3 + bx) * (0.3 + by);
+                opacity *= (det / wider).sqrt();
+                (a + bx, c + by, wider)
+            }
+            _ => (a, c, det),
+        };
+        let own = if lens.is_some() && gaussians.opacity[i] < 1.0 / 255.0 { 0.0 } else { opacity };
+        opacity *= gain;
         // Near the threshold pixels count in `margin`.
-        if ![a, c, det, u, v].iter().all(|v| v.is_finite()) || opacity < (1.0 - 1e-4) / 255.0 {
+        if ![a, c, det, u, v].iter().all(|v| v.is_finite()) || own < (1.0 - 1e-4) * least {
             continue;
         }
         // A little more than the ellipse on which alpha is 1/255, so that near misses count in `margin`.
-        let radius = 2.0 * (opacity * 255.0).ln() + 0.01;
+        let radius = -2.0 * (least / opacity + floor).min(1.0).ln() + 0.01;
         let span = |centre: f64, variance: f64, size: usize| {
             let reach = (radius * variance).sqrt();
             let first = (centre - reach).floor().clamp(0.0, size as f64) as usize;
             first..((centre + reach).ceil() + 1.0).clamp(0.0, size as f64) as usize
         };
-        for py in span(v, c, height) {
-            for px in span(u, a, width) {
+        let (rows, columns) = match sphere {
+            Some(_) => (0..height, 0..width),
+            None => (span(v, c, height), span(u, a, width)),
+        };
+        for py in rows {
+            for px in columns.clone() {
                 let at = py * width + px;
                 if finished[at] {
                     continue;
                 }
-                let (dx, dy) = (px as f64 - u, py as f64 - v);
+                let (dx, dy) = match sphere {
+                    None => (px as f64 - u, py as f64 - v),
+                    Some([n, east, south]) => {
+                        let longitude = ((px as f64 + 0.5) / width as f64 - 0.5) * std::f64::consts::TAU;
+                        let latitude = ((py as f64 + 0.5) / height as f64 - 0.5) * std::f64::consts::PI;
+                        let level = latitude.cos();
+                        let q = [level * longitude.sin(), latitude.sin(), level * longitude.cos()];
+                        let ahead = dot(n, q);
+                        if ahead <= 0.0 {
+                            continue;
+                        }
+                        let k = height as f64 / std::f64::consts::PI;
+                        (k * dot(east, q) / ahead, k * dot(south, q) / ahead)
+                    }
+                };
                 let skewed = dx - b / c * dy;
                 let power = -0.5 * (c / det * skewed * skewed + dy * dy / c);
-                let alpha = (opacity * power.exp()).min(0.99);
+                let alpha = (opacity * (power.exp() - floor)).min(0.99);
                 let transmittance = image.final_t[at];
-                image.margin[at] = image.margin[at].min((alpha * 255.0 - 1.0).abs());
-                if alpha < 1.0 / 255.0 {
+                image.margin[at] = image.margin[at].min((alpha / least - 1.0).abs());
+                if alpha < least {
                     continue;
                 }
                 let left = transmittance * (1.0 - alpha);

@@ -2,6 +2,7 @@
 
 #![expect(unsafe_code, reason = "tasks write tiles of one image")]
 
+mod sphere;
 mod tables;
 mod walk;
 
@@ -12,7 +13,7 @@ use super::sort::Entry;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd};
 
-pub(super) use walk::{BLOCKS, Block, Lanes, Sink, Transmittance, Walk, corner};
+pub(super) use walk::{BLOCKS, Block, Lanes, Shape, Sink, Transmittance, Walk, corner};
 
 /// Colour of 4×4 pixels.
 type Rgb = [Lanes; 3];

@@ -1,8 +1,10 @@
 //! The weights `α·T` of a tile's splats, front to back, and what takes them.
 
-use super::super::bin::TILE;
-use super::super::project::{ALPHA_MAX, ALPHA_MIN, BLOCK, Splat, TRANSMITTANCE_MIN, split};
+use super::super::bin::{TILE, around};
+use super::super::falloff::Cut;
+use super::super::project::{ALPHA_MAX, BLOCK, Form, Splat, TRANSMITTANCE_MIN, Viewport, split};
 use super::super::sort::Entry;
+use super::sphere::Sphere;
 use super::tables::{Tables, exp2_negative, factors, fours, nearest, strips};
 use crate::simd::{LANES, Simd, prefetch_near};
 
@@ -107,13 +109,30 @@ pub(in super::super) trait Sink<S: Simd> {
     }
 }
 
+/// How α follows from a footprint's record.
+#[derive(Clone, Copy, Debug)]
+pub(in super::super) struct Shape {
+    pub form: Form,
+    /// Where they end.
+    pub cut: Cut,
+}
+
+impl Shape {
+    /// That of general Gaussians.
+    pub(in super::super) const GENERAL: Shape = Shape { form: Form::General, cut: Cut::GAUSSIAN };
+
+    pub(in super::super) fn of(view: &Viewport) -> Self {
+        Self { form: view.form, cut: view.cut }
+    }
+}
+
 /// A tile's list and where it lies.
 #[derive(Clone, Copy)]
 pub(in super::super) struct Walk<'a> {
     pub splats: &'a [Splat],
     /// In drawing order.
     pub list: &'a [Entry],
-    pub separable: bool,
+    pub shape: Shape,
     /// Column and row of the tile in the grid.
     pub tile: [usize; 2],
     /// Width and height of the image.
@@ -153,12 +172,35 @@ impl BlockBox {
     }
 }
 
+impl BlockBox {
+    /// The blocks of `splat` in the tile of this column and row, in an image of so many blocks across whose edges meet.
+    #[inline(always)]
+    fn around(splat: &Splat, tile: [usize; 2], blocks: usize) -> Self {
+        let Self { columns: _, rows } = Self::new(splat, tile);
+        let start = tile[0] * TILE[0];
+        let inside = |[first, last]: [usize; 2]| {
+            let end = (last + 1).saturating_sub(start).min(TILE[0]);
+            [first.saturating_sub(start).min(end), end]
+        };
+        let columns = match around(splat.columns, blocks).map(inside) {
+            [own, beyond] if beyond[0] >= beyond[1] => own,
+            [own, beyond] if own[0] >= own[1] => beyond,
+            [own, beyond] => [own[0].min(beyond[0]), own[1].max(beyond[1])],
+        };
+        Self { columns, rows }
+    }
+}
+
 impl Walk<'_> {
     /// Gives `sink` the weights of the list, front to back, until all pixels are finished.
     #[inline(always)]
     pub(in super::super) fn run<S: Simd, K: Sink<S>>(&self, s: S, light: &mut Transmittance, sink: &mut K) -> Walked {
         light.clear(self.tile, self.size);
-        if self.separable { self.walk::<S, K, true>(s, light, sink) } else { self.walk::<S, K, false>(s, light, sink) }
+        match self.shape.form {
+            Form::Separable => self.walk::<S, K, true>(s, light, sink),
+            Form::General => self.walk::<S, K, false>(s, light, sink),
+            Form::Spherical => self.walk_around(s, light, sink),
+        }
     }
 
     /// Copies the records of the entries from `at` on; gives how many there were.
@@ -171,6 +213,22 @@ impl Walk<'_> {
         entries.len().min(TOGETHER)
     }
 
+    /// [`Self::walk`] on the sphere.
+    #[inline(always)]
+    fn walk_around<S: Simd, K: Sink<S>>(&self, s: S, light: &mut Transmittance, sink: &mut K) -> Walked {
+        let mut canvas = Canvas::new(light, self.shape.cut);
+        let mut sphere = Sphere::new(self.tile, self.size);
+        let (mut at, mut blocks) = (0, 0);
+        while at < self.list.len() && canvas.open > 0 {
+            let splat = &self.splats[self.list[at].index as usize];
+            let bounds = BlockBox::around(splat, self.tile, self.size[0].div_ceil(BLOCK));
+            blocks += canvas.spherical(s, splat, bounds, &mut sphere, sink);
+            sink.end(&self.list[at]);
+            at += 1;
+        }
+        Walked { blocks: blocks as u64, unseen: (self.list.len() - at) as u64 }
+    }
+
     /// As many records at a time as are fetched together.
     #[inline(always)]
     fn walk<S: Simd, K: Sink<S>, const SEPARABLE: bool>(
@@ -179,7 +237,7 @@ impl Walk<'_> {
         light: &mut Transmittance,
         sink: &mut K,
     ) -> Walked {
-        let mut canvas = Canvas::new(light);
+        let mut canvas = Canvas::new(light, self.shape.cut);
         let mut tables = Tables::new(self.tile[0], self.tile[1]);
         let mut near = [Splat::HIDDEN; TOGETHER];
         let (mut at, mut blocks) = (0, 0);
@@ -210,21 +268,25 @@ struct Canvas<'a> {
     done: &'a mut [u16; BLOCKS],
     /// Blocks with a pixel that is not finished.
     open: usize,
+    /// Least α that is drawn.
+    least: f32,
+    /// What is added to 2^−e before the opacity multiplies it.
+    dip: f32,
 }
 
 impl<'a> Canvas<'a> {
     /// `light` was cleared for a tile.
     #[inline(always)]
-    fn new(light: &'a mut Transmittance) -> Self {
+    fn new(light: &'a mut Transmittance, cut: Cut) -> Self {
         let open = light.done.iter().filter(|&&done| done != ALL).count();
         let Transmittance { left, finished, done } = light;
         let arrays =
             (left.as_mut_slice().try_into(), finished.as_mut_slice().try_into(), done.as_mut_slice().try_into());
         let (Ok(left), Ok(finished), Ok(done)) = arrays else { unreachable!("a value for each block of a tile") };
-        Self { left, finished, done, open }
+        Self { left, finished, done, open, least: cut.least, dip: cut.dip() }
     }
 
-    /// Weights of a splat on its box, with `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)²)`. Gives the number of blocks.
+    /// Weights of a splat on its box, with `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)² − o·f)`, fused. Gives the number of blocks.
     #[inline(always)]
     fn separable<S: Simd, K: Sink<S>>(
         &mut self,
@@ -235,12 +297,13 @@ impl<'a> Canvas<'a> {
         sink: &mut K,
     ) -> usize {
         let paint = sink.begin(s, splat);
+        let offset = s.splat(splat.opacity * self.dip);
         factors(s, splat.x, splat.p, 1.0, columns, &tables.columns, &mut tables.across);
         factors(s, splat.y, splat.q, splat.opacity, rows, &tables.rows, &mut tables.down);
         let count = (columns[1] - columns[0]) * (rows[1] - rows[0]);
         if count <= WHOLE_BOX {
             for row in rows[0]..rows[1] {
-                self.walk_row(s, tables, row, columns, sink, &paint);
+                self.walk_row(s, tables, offset, row, columns, sink, &paint);
             }
             return count;
         }
@@ -255,13 +318,13 @@ impl<'a> Canvas<'a> {
             if reached != 0 {
                 let columns = [reached.trailing_zeros() as usize, 32 - reached.leading_zeros() as usize];
                 count += columns[1] - columns[0];
-                self.walk_row(s, tables, row, columns, sink, &paint);
+                self.walk_row(s, tables, offset, row, columns, sink, &paint);
             }
         }
         count
     }
 
-    /// Weights of a splat on its box, with `α = min(0.99, o·2^−((p·(x − m(y)))² + (q·dy)²))`. Gives the number of blocks.
+    /// Weights of a splat on its box, with `α = min(0.99, o·2^−((p·(x − m(y)))² + (q·dy)²) − o·f)`, fused. Gives the number of blocks.
     #[inline(always)]
     fn general<S: Simd, K: Sink<S>>(
         &mut self,
@@ -273,6 +336,7 @@ impl<'a> Canvas<'a> {
     ) -> usize {
         let (from, to) = strips(s, splat, [tables.columns[0], tables.rows[0]], columns);
         let (p, opacity) = (s.splat(splat.p), s.splat(splat.opacity));
+        let offset = s.splat(splat.opacity * self.dip);
         let paint = sink.begin(s, splat);
         let (u, v) = (f64::from(splat.x[0]) + f64::from(splat.x[1]), f64::from(splat.y[0]) + f64::from(splat.y[1]));
         let span = rows[0] * BLOCK..rows[1] * BLOCK;
@@ -311,12 +375,39 @@ impl<'a> Canvas<'a> {
                 let at = Block::new(row, column);
                 if !self.is_finished(at) {
                     let t = s.mul(p, s.sub(s.sub(s.repeat_four(x), whole), rest));
-                    let alpha = s.mul(opacity, exp2_negative(s, s.mul_add(t, t, along_y)));
+                    let alpha = s.mul_add(opacity, exp2_negative(s, s.mul_add(t, t, along_y)), offset);
                     self.composite(s, alpha, at, sink, &paint);
                 }
             }
         }
         count
+    }
+
+    /// Weights of a splat on its box, with `α = min(0.99, o·2^−e − o·f)`, fused, where [`Sphere`] has the exponent e. Gives the number of blocks.
+    #[inline(always)]
+    fn spherical<S: Simd, K: Sink<S>>(
+        &mut self,
+        s: S,
+        splat: &Splat,
+        BlockBox { columns, rows }: BlockBox,
+        sphere: &mut Sphere,
+        sink: &mut K,
+    ) -> usize {
+        let paint = sink.begin(s, splat);
+        let (opacity, offset) = (s.splat(splat.opacity), s.splat(splat.opacity * self.dip));
+        sphere.aim(s, splat, columns, rows);
+        for row in rows[0]..rows[1] {
+            let line = sphere.line(s, row);
+            for column in columns[0]..columns[1] {
+                let at = Block::new(row, column);
+                if !self.is_finished(at) {
+                    let (exponent, ahead) = sphere.exponent(s, &line, column);
+                    let alpha = s.mul_add(opacity, exp2_negative(s, exponent), offset);
+                    self.composite(s, s.keep(ahead, alpha), at, sink, &paint);
+                }
+            }
+        }
+        (columns[1] - columns[0]) * (rows[1] - rows[0])
     }
 
     #[inline(always)]
@@ -331,6 +422,7 @@ impl<'a> Canvas<'a> {
         &mut self,
         s: S,
         tables: &Tables,
+        offset: S::F32,
         row: usize,
         columns: [usize; 2],
         sink: &mut K,
@@ -340,7 +432,7 @@ impl<'a> Canvas<'a> {
         for (column, across) in (columns[0]..).zip(&fours(&tables.across)[columns[0]..columns[1]]) {
             let at = Block::new(row, column);
             if !self.is_finished(at) {
-                self.composite(s, s.mul(along_y, s.repeat_four(across)), at, sink, paint);
+                self.composite(s, s.mul_add(along_y, s.repeat_four(across), offset), at, sink, paint);
             }
         }
     }
@@ -350,7 +442,7 @@ impl<'a> Canvas<'a> {
     fn composite<S: Simd, K: Sink<S>>(&mut self, s: S, alpha: S::F32, at: Block, sink: &mut K, paint: &K::Paint) {
         let light = &mut self.left[at.index()].0;
         let alpha = s.min(alpha, s.splat(ALPHA_MAX));
-        let hit = s.le(s.splat(ALPHA_MIN), alpha);
+        let hit = s.le(s.splat(self.least), alpha);
         let transmittance = s.load(light);
         let mut weight = s.mul(s.keep(hit, alpha), transmittance);
         let mut left = s.sub(transmittance, weight);

@@ -41,7 +41,7 @@ use rayon::prelude::*;
 use tracing::debug_span;
 
 use super::bin::Grid;
-use super::blend::{BLOCKS, Lanes, Transmittance, Walk};
+use super::blend::{BLOCKS, Lanes, Shape, Transmittance, Walk};
 use super::rasteriser::{Rasteriser, finite_background};
 use super::sort::Entry;
 use super::{Gaussians, Projection, Request};
@@ -69,7 +69,7 @@ pub struct ColourMap {
     level: Level,
     budget: usize,
     rasteriser: Rasteriser,
-    separable: bool,
+    shape: Shape,
     /// Width, height.
     size: [usize; 2],
     grid: Grid,
@@ -142,7 +142,7 @@ impl ColourMap {
             level,
             budget: bytes,
             rasteriser: Rasteriser::new(level),
-            separable: false,
+            shape: Shape::GENERAL,
             size: [0; 2],
             grid: Grid::new(0, 0),
             tiles: Vec::new(),
@@ -201,7 +201,7 @@ impl ColourMap {
         let request = Request::colour(size[0], size[1], [0.0; 3]);
         let (now, grid) = self.rasteriser.begin(&gaussians, projection, &request);
         self.rasteriser.coarse(&gaussians, &now.view, grid, false);
-        (self.separable, self.size, self.grid) = (now.view.separable, size, grid);
+        (self.shape, self.size, self.grid) = (Shape::of(&now.view), size, grid);
         self.order.clear();
         self.order.extend((0..grid.len() as u32).filter(|&tile| wanted(tile as usize)));
         self.record();
@@ -257,7 +257,7 @@ impl ColourMap {
         } else {
             let Rasteriser { splats, entries, starts, .. } = &self.rasteriser;
             let list = &entries[starts[index] as usize..starts[index + 1] as usize];
-            let walk = Walk { splats, list, separable: self.separable, tile, size: self.size };
+            let walk = Walk { splats, list, shape: self.shape, tile, size: self.size };
             dispatch(self.level, RecordTile { walk, light, record: &mut *spare });
             &*spare
         };

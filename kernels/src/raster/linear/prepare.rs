@@ -34,7 +34,7 @@ impl ColourMap {
         let spare = self.spare.get_mut().unwrap_or_else(PoisonError::into_inner);
         spare.threads.resize_with(rayon::current_num_threads(), Thread::default);
         let (order, splats, level, budget) = (&self.order, &self.rasteriser.splats, self.level, self.budget);
-        let (separable, size, columns) = (self.separable, self.size, self.grid.columns);
+        let (shape, size, columns) = (self.shape, self.size, self.grid.columns);
         spare.threads.par_iter_mut().with_max_len(1).for_each(|thread| {
             while let Some(&tile) = order.get(next.fetch_add(1, Ordering::Relaxed)) {
                 let tile = tile as usize;
@@ -43,7 +43,7 @@ impl ColourMap {
                 by_depth(list, &mut thread.spare);
                 // SAFETY: a tile is taken once.
                 let slot = unsafe { &mut slots.part(tile..tile + 1)[0] };
-                let walk = Walk { splats, list, separable, tile: [tile % columns, tile / columns], size };
+                let walk = Walk { splats, list, shape, tile: [tile % columns, tile / columns], size };
                 // No bit depends on which tiles are kept.
                 slot.kept = used.load(Ordering::Relaxed) < budget;
                 let record = if slot.kept { &mut slot.record } else { &mut thread.record };

@@ -7,9 +7,12 @@ use super::*;
 
 mod antialias;
 mod bounded;
+mod defocus;
 mod edges;
+mod falloff;
 mod linear;
 mod lists;
+mod sphere;
 
 /// A generator of test values; the quality of its bits does not matter.
 struct Random(u64);

@@ -1,6 +1,11 @@
 //! From Gaussians in view space to what the blend needs of them, sixteen at a time.
 
-use super::{Gaussians, Projection, Request};
+mod sphere;
+
+pub(super) use sphere::{POLE, frame};
+
+use super::falloff::Cut;
+use super::{Defocus, Gaussians, Projection, Request};
 use crate::simd::{LANES, Simd};
 
 /// Sides of the square blocks of pixels that the blend works on, aligned to the image's corner.
@@ -17,8 +22,6 @@ pub(super) const TRANSMITTANCE_MIN: f32 = 1e-4;
 /// `½·log₂e`: the footprint is kept so that α = opacity · 2^−(t² + s²), without a factor.
 const HALF_LOG2_E: f64 = 0.721_347_520_444_481_7;
 const ROOT_HALF_LOG2_E: f32 = 0.849_321_8;
-/// Added to the exponent at which a footprint ends, so that no rounding in the blend reaches beyond it.
-const EXPONENT_MARGIN: f32 = 0.02;
 /// Centres farther out than this many pixels are brought in to it, together with their footprints: seen from the image, which
 /// is at most 2¹⁶ pixels wide, that changes the distance measured in standard deviations by less than one part in 10⁴, and
 /// far less where images are smaller. It keeps binary32 from overflowing.
@@ -32,9 +35,9 @@ const FARTHEST: f64 = 1_073_741_824.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct Splat {
-    /// The centre's u as a whole number and the rest.
+    /// The centre's u as a whole number and the rest; on the sphere the first two components of its direction.
     pub x: [f32; 2],
-    /// The centre's v as a whole number and the rest.
+    /// The centre's v as a whole number and the rest; on the sphere the third, and 0.
     pub y: [f32; 2],
     pub k: f64,
     pub p: f32,
@@ -44,7 +47,8 @@ pub(super) struct Splat {
     pub reach: f32,
     pub rgb: [f32; 3],
     pub depth: f32,
-    /// Blocks that the footprint can touch, first and last, by column and by row; empty when the first is past the last.
+    /// Blocks that the footprint can touch, first and last, by column and by row; empty when the first is past the last. On the sphere columns past
+    /// the image's last go on at its first.
     pub columns: [u16; 2],
     pub rows: [u16; 2],
 }
@@ -96,12 +100,51 @@ pub(super) struct Viewport {
     pub projection: Projection,
     pub width: usize,
     pub height: usize,
-    /// No Gaussian is rotated and the projection is orthographic: footprints are axis-aligned.
-    pub separable: bool,
+    /// How α follows from a footprint.
+    pub form: Form,
     /// Opacities are lowered by what the low-pass widens footprints.
     pub antialias: bool,
     /// How far left and right, up and down of the axis a pinhole's footprints are formed as they are there: tangents.
     pub bounds: [[f64; 2]; 2],
+    /// Where footprints end.
+    pub cut: Cut,
+    /// What a lens with a width blurs.
+    pub blur: Option<Blur>,
+}
+
+/// How α follows from a footprint's record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Form {
+    /// No Gaussian is rotated and the projection is orthographic: footprints are axis-aligned.
+    Separable,
+    /// Any other footprint in a plane.
+    General,
+    /// A footprint on the sphere around the eye.
+    Spherical,
+}
+
+/// A lens with a width: σ = f·share·|1/z − nearness| pixels of blur.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Blur {
+    /// A quarter of its diameter: the disc of the blur has half of that as its radius, and half of its radius as its standard deviation along an axis.
+    share: f64,
+    /// One over the depth in focus.
+    nearness: f64,
+}
+
+impl Blur {
+    /// `None` where nothing is blurred.
+    pub(super) fn new(projection: &Projection, defocus: Option<Defocus>) -> Option<Self> {
+        let Projection::Pinhole { .. } = projection else { return None };
+        let Defocus { aperture, focus } = defocus.filter(|lens| lens.is_usable() && lens.aperture > 0.0)?;
+        Some(Self { share: 0.25 * f64::from(aperture), nearness: 1.0 / f64::from(focus) })
+    }
+
+    /// The standard deviation in focal lengths of what has this over its depth.
+    #[inline(always)]
+    fn deviation(&self, inverse: f64) -> f64 {
+        self.share * (inverse - self.nearness)
+    }
 }
 
 /// Share of the image's width and height beside it to which [`Request::bounded`](super::Request::bounded) goes.
@@ -158,6 +201,7 @@ pub(super) struct Batch {
     q: Lanes,
     opacity: Lanes,
     reach: Lanes,
+    depth: Lanes,
     columns: [[i32; LANES]; 2],
     rows: [[i32; LANES]; 2],
 }
@@ -183,19 +227,6 @@ fn poison<S: Simd, const N: usize>(s: S, mut sum: S::F32, values: &[Lanes; N]) -
         sum = s.add(sum, s.sub(v, v));
     }
     sum
-}
-
-/// `log₂ 255`, the largest excess of log₂(1 + m) over m, and the margin.
-const REACH: f32 = 7.994_354 + 0.0861 + EXPONENT_MARGIN;
-
-/// At least `log₂(255·opacity)`, at most 0.11 above it, for opacities from 1/255.
-#[inline(always)]
-fn reach<S: Simd>(s: S, opacity: S::F32) -> S::F32 {
-    let bits = s.to_bits(opacity);
-    let exponent = s.to_f32(s.sub_i32(s.shr::<23>(bits), s.splat_i32(127)));
-    let fraction = s.or_i32(s.and_i32(bits, s.splat_i32(0x007f_ffff)), s.splat_i32(0x3f80_0000));
-    let mantissa = s.sub(s.from_bits(fraction), s.splat(1.0));
-    s.add(s.add(exponent, mantissa), s.splat(REACH))
 }
 
 /// First and last block of the pixels within `radius` of `centre` in an image of `size` pixels, and whether there are any.
@@ -272,12 +303,11 @@ impl Batch {
         let (wide, share_x) = deviation(s, &scale[0], focal[0]);
         let (high, share_y) = deviation(s, &scale[1], focal[1]);
         let opacity = if view.antialias { s.mul(opacity, s.mul(share_x, share_y)) } else { opacity };
-        let reach = reach(s, opacity);
+        let (opacity, reach, opaque) = view.cut.apply(s, opacity);
         let radius = s.mul(s.sqrt(reach), s.splat(1.0 / ROOT_HALF_LOG2_E));
         let (x, p, columns, seen_x) = along(s, &mean[0], wide, focal[0], radius, view.width);
         let (y, q, rows, seen_y) = along(s, &mean[1], high, focal[1], radius, view.height);
         let ahead = s.lt(s.splat(0.0), s.from_array(mean[2]));
-        let opaque = s.le(s.splat(ALPHA_MIN), opacity);
         let visible = s.and(s.and(finite, s.and(ahead, opaque)), s.and(seen_x, seen_y));
         Self {
             visible: s.bits(visible),
@@ -291,6 +321,7 @@ impl Batch {
             q,
             opacity: s.to_array(opacity),
             reach: s.to_array(reach),
+            depth: mean[2],
             columns,
             rows,
         }
@@ -301,7 +332,7 @@ impl Batch {
     /// Binary64 in the order written here. The determinant of the footprint's covariance is a sum of squares,
     /// `|m₁ × m₂|² + 0.3(|m₁|² + |m₂|²) + 0.09` with `m₁, m₂` the rows of `J·R·S`, so needles do not cancel.
     #[inline(always)]
-    pub(super) fn general<S: Simd, const PINHOLE: bool>(
+    pub(super) fn general<S: Simd, const PINHOLE: bool, const BLURRED: bool>(
         s: S,
         gaussians: &Gaussians<'_>,
         first: usize,
@@ -351,7 +382,18 @@ impl Batch {
             let nn = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
             let det = nn + LOW_PASS * (aa + cc) + LOW_PASS * LOW_PASS;
             (own[l], widened[l]) = (nn, det);
-            let variance = [aa + LOW_PASS, cc + LOW_PASS];
+            let (variance, det) = if BLURRED {
+                let blur = view.blur.map_or(0.0, |blur| blur.deviation(1.0 / z));
+                let (blur_x, blur_y) = (fx * blur, fy * blur);
+                let (x, y) = (LOW_PASS + blur_x * blur_x, LOW_PASS + blur_y * blur_y);
+                if !view.antialias {
+                    own[l] = det;
+                }
+                widened[l] = (nn + (x * cc + y * aa)) + x * y;
+                ([aa + x, cc + y], widened[l])
+            } else {
+                ([aa + LOW_PASS, cc + LOW_PASS], det)
+            };
             let inverse = 1.0 / variance[1];
             k[l] = bb * inverse;
             // Far centres are brought in, and their footprints with them.
@@ -368,21 +410,23 @@ impl Batch {
             u[l] /= far_x;
             v[l] /= far_y;
         }
-        let opacity = if view.antialias {
+        let drawn = s.le(s.splat(ALPHA_MIN), opacity);
+        let opacity = if view.antialias || BLURRED {
             // NaN, which is not drawn, where a determinant overflows.
             let share: Lanes = std::array::from_fn(|l| (own[l] / widened[l]).sqrt() as f32);
             s.mul(opacity, s.from_array(share))
         } else {
             opacity
         };
-        let reach = reach(s, opacity);
+        let (opacity, reach, opaque) = view.cut.apply(s, opacity);
         let radius = s.mul(s.sqrt(reach), s.splat(1.0 / ROOT_HALF_LOG2_E));
         let (columns, seen_x) = blocks(s, s.from_array(whole), s.mul(radius, s.sqrt(s.from_array(a))), view.width);
         let (rows, seen_y) = blocks(s, s.from_array(middle), s.mul(radius, s.sqrt(s.from_array(c))), view.height);
         let nearest = if PINHOLE { 1e-6 } else { 0.0 };
         let ahead = s.lt(s.splat(nearest), s.from_array(mean[2]));
-        let opaque = s.le(s.splat(ALPHA_MIN), opacity);
         let sound = s.eq(s.from_array(sound), s.splat(0.0));
+        // A blur spreads what is drawn without it.
+        let opaque = if BLURRED { s.and(opaque, drawn) } else { opaque };
         let visible = s.and(s.and(finite, s.and(ahead, opaque)), s.and(sound, s.and(seen_x, seen_y)));
         Self {
             visible: s.bits(visible),
@@ -396,6 +440,7 @@ impl Batch {
             q,
             opacity: s.to_array(opacity),
             reach: s.to_array(reach),
+            depth: mean[2],
             columns,
             rows,
         }
@@ -407,13 +452,13 @@ impl Batch {
         ((1_u32 << (gaussians.len() - first).min(LANES)) - 1) as u16
     }
 
-    /// The record of lane `l`, Gaussian `i`.
+    /// The record of lane `l`, Gaussian `i`; `PARTS`: the centre is in `x` and `y` already.
     #[inline(always)]
-    pub(super) fn splat<const SEPARABLE: bool>(&self, gaussians: &Gaussians<'_>, l: usize, i: usize) -> Splat {
+    pub(super) fn splat<const PARTS: bool>(&self, gaussians: &Gaussians<'_>, l: usize, i: usize) -> Splat {
         if self.visible >> l & 1 == 0 {
             return Splat::HIDDEN;
         }
-        let (x, y) = if SEPARABLE {
+        let (x, y) = if PARTS {
             ([self.x[0][l], self.x[1][l]], [self.y[0][l], self.y[1][l]])
         } else {
             let (x, y) = (split(self.u[l]), split(self.v[l]));
@@ -428,7 +473,7 @@ impl Batch {
             opacity: self.opacity[l],
             reach: self.reach[l],
             rgb: gaussians.rgb[i],
-            depth: gaussians.mean[i][2],
+            depth: self.depth[l],
             columns: [self.columns[0][l] as u16, self.columns[1][l] as u16],
             rows: [self.rows[0][l] as u16, self.rows[1][l] as u16],
         }
