@@ -14,6 +14,7 @@
 pub mod activation;
 pub mod attention;
 pub mod change;
+pub mod exposure;
 pub mod feed_forward;
 pub mod flow;
 pub mod gemm;

@@ -12,6 +12,7 @@ use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as, attend_some};
 use streamsplat_kernels::change::{Tolerance, moved};
+use streamsplat_kernels::exposure::Exposure;
 use streamsplat_kernels::feed_forward::FeedForward;
 use streamsplat_kernels::flow::{self, Blend, Field, Options, Pyramid};
 use streamsplat_kernels::gemm::{Activation, Epilogue, Input, Precision, Weights, linear};
@@ -20,7 +21,7 @@ use streamsplat_kernels::memory::{Aligned, Scratch};
 use streamsplat_kernels::norm::{Norm, layer_norm, rms_norm};
 use streamsplat_kernels::parallel::{for_each_chunk, map_indexed};
 use streamsplat_kernels::philox::Stream;
-use streamsplat_kernels::raster::{ColourMap, Gaussians, Lists, MAX_SIDE, Projection, Rasteriser, Request};
+use streamsplat_kernels::raster::{ColourMap, Gaussians, Image, Lists, MAX_SIDE, Projection, Rasteriser, Request};
 use streamsplat_kernels::resize::{Filter, Grid, antialiased, bicubic_antialiased, bilinear, bilinear_antialiased};
 use streamsplat_kernels::{Level, patches, pointwise, truncated_normal};
 
@@ -336,6 +337,15 @@ proptest! {
             prop_assert!(panics(|| map.adjoint(&image, &mut sums)));
             prop_assert!(panics(|| map.residual_adjoint(&colours, [0.0; 3], &image, &mut sums)));
         }
+    }
+
+    #[test]
+    fn exposures_take_images_of_their_size(width in any_size(), height in any_size(), transparent: bool) {
+        let mut exposure = Exposure::new(Level::detect(), transparent);
+        let image = Image { width, height, rgb: vec![0.5; 12], alpha: Some(vec![1.0; 4]), ..Image::default() };
+        let fits = width.checked_mul(height) == Some(4);
+        prop_assert_eq!(panics(|| exposure.add(&image)), !fits);
+        prop_assert_eq!(exposure.mean().rgb.len(), if fits { 12 } else { 0 });
     }
 
     #[test]

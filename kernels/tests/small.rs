@@ -6,6 +6,7 @@
 
 use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as, attend_some};
 use streamsplat_kernels::change::{Tolerance, moved};
+use streamsplat_kernels::exposure::Exposure;
 use streamsplat_kernels::feed_forward::FeedForward;
 use streamsplat_kernels::flow::{self, Blend, Field, Options, Pyramid};
 use streamsplat_kernels::gemm::{Activation, Epilogue, Input, Precision, Weights, linear};
@@ -15,7 +16,7 @@ use streamsplat_kernels::norm::{Norm, layer_norm, rms_norm};
 use streamsplat_kernels::parallel::{for_each_chunk, map_indexed};
 use streamsplat_kernels::philox::Stream;
 use streamsplat_kernels::raster::{
-    ColourMap, Gaussians, Lists, OwnedGaussians, Projection, Rasteriser, Request, render,
+    ColourMap, Defocus, Falloff, Gaussians, Lists, OwnedGaussians, Projection, Rasteriser, Request, render,
 };
 use streamsplat_kernels::resize::{Grid, antialiased, bicubic_antialiased, bilinear, bilinear_antialiased};
 use streamsplat_kernels::{Level, activation, patches, pointwise, resize, truncated_normal};
@@ -361,6 +362,30 @@ fn images_of_gaussians() {
                     rasteriser.lists(&changed.gaussians(), &projection, &request, &mut lists);
                     all.extend(lists.order.iter().map(|&at| at as f32));
                     all.extend(lists.footprints.iter().flat_map(|footprint| footprint.middle));
+                    all
+                });
+            }
+        }
+    }
+}
+
+#[test]
+fn images_all_around_through_lenses_and_with_other_footprints() {
+    let lens = Some(Defocus { aperture: 0.4, focus: 1.5 });
+    for &(n, width, height) in some(&[(12, 21, 9), (40, 130, 70), (0, 5, 5)]) {
+        let scene = scene(n, true);
+        for falloff in [Falloff::Gaussian, Falloff::SplatTransform] {
+            for (projection, defocus) in
+                [(Projection::Equirectangular, None), (PROJECTIONS[0], None), (PROJECTIONS[1], lens)]
+            {
+                everywhere("raster", |level| {
+                    let request = Request { falloff, defocus, ..Request::colour(width, height, [0.1, 0.2, 0.3]) };
+                    let image = render(level, &scene.gaussians(), &projection, &request);
+                    let mut exposure = Exposure::new(level, false);
+                    exposure.add(&image);
+                    exposure.add(&image);
+                    let mut all = planes(&exposure.mean());
+                    all.extend(planes(&image));
                     all
                 });
             }
