@@ -104,6 +104,8 @@ impl Interval {
     fn focal(&self) -> [f64; 2] {
         match View::new(&Camera::Canonical, &self.placement, self.placement.source).projection() {
             Projection::Orthographic { focal } | Projection::Pinhole { focal, .. } => focal.map(f64::from),
+            // The canonical camera is orthographic.
+            Projection::Equirectangular => [1.0; 2],
         }
     }
 

@@ -14,7 +14,7 @@
 //!
 //! | key | meaning | default |
 //! |---|---|---|
-//! | `type` | `canonical` (no other key but `time`), `orthographic` or `pinhole` | required |
+//! | `type` | `canonical` (no other key but `time`), `orthographic`, `pinhole` or `equirectangular` (all around; it has a pose alone) | required |
 //! | `time` | seconds of the video; required in `views`, strictly increasing | – |
 //! | `units` | `square`: what every number below is in, whether it is said or not |  |
 //! | `position` | the camera's centre in square units (x right, y down, z forward) | `[0, 0, 0]` |
@@ -67,6 +67,7 @@ enum Kind {
     Canonical,
     Orthographic,
     Pinhole,
+    Equirectangular,
 }
 
 #[derive(Deserialize, Clone, Copy)]
@@ -170,6 +171,11 @@ impl View {
                 extra(&pinhole_keys)?;
                 let lens = Lens::Orthographic { half_extent: self.half_extent };
                 Camera::Posed { pose: self.pose(index)?, lens }
+            }
+            Kind::Equirectangular => {
+                extra(&pinhole_keys)?;
+                extra(&[("half_extent", self.half_extent.is_some())])?;
+                Camera::Posed { pose: self.pose(index)?, lens: Lens::Equirectangular }
             }
             Kind::Pinhole => {
                 extra(&[("half_extent", self.half_extent.is_some())])?;

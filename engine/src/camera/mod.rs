@@ -1,4 +1,4 @@
-//! Cameras: the canonical orthographic one, and any rigid pose, orthographic or pinhole.
+//! Cameras: the canonical orthographic one, and any rigid pose, orthographic, pinhole or all around.
 //!
 //! *Scene space* is what the canonical camera sees (StreamSplat (ICLR 2026), camera and image): x right, y down, z forward,
 //! with x and y in [−1, 1] over the model's input and `z = 1 / (9.8·y_w + 0.2 + 10⁻⁶)` of a Gaussian's normalised inverse
@@ -11,6 +11,7 @@
 //! ```text
 //! orthographic:  u = (X / (2·e_x) + ½)·W − ½                 e = half extents of the view; [W/H, 1] where none are given
 //! pinhole:       u = (f_x·X/Z + c_x)·W − ½                   f and c in image widths (heights for v)
+//! all around:    u = (λ/2π + ½)·W − ½   v = (φ/π + ½)·H − ½  longitude λ = atan2(X, Z), latitude φ = asin(Y/√(X² + Y² + Z²))
 //! ```
 //!
 //! with pixel centres at whole numbers. [`mod@file`] describes the JSON form, [`CameraPath`] cameras that move, [`mod@set`] the files of other
@@ -59,6 +60,8 @@ pub enum Lens {
         /// The principal point in image widths and heights from the upper left corner.
         centre: [f64; 2],
     },
+    /// All around the camera: longitudes across the image, latitudes down, what lies ahead in the middle.
+    Equirectangular,
 }
 
 impl Camera {
@@ -87,6 +90,7 @@ impl Camera {
                     && match lens {
                         Lens::Orthographic { half_extent } => half_extent.as_ref().is_none_or(positive),
                         Lens::Pinhole { focal, centre } => positive(focal) && centre.iter().all(|c| c.is_finite()),
+                        Lens::Equirectangular => true,
                     }
             }
         }

@@ -65,6 +65,7 @@ fn between(a: Camera, b: Camera, t: f64) -> Camera {
         (Lens::Pinhole { focal: fa, centre: ca }, Lens::Pinhole { focal: fb, centre: cb }) => {
             Lens::Pinhole { focal: mix(fa, fb), centre: mix(ca, cb) }
         }
+        (Lens::Equirectangular, Lens::Equirectangular) => lens_a,
         _ => return a,
     };
     Camera::Posed { pose: pose_a.towards(&pose_b, t), lens }

@@ -100,7 +100,7 @@ pub fn turned(placement: &Placement, pivot: [f64; 3], angles: Angles) -> Camera 
 /// that the camera faces. What lies in that plane is at the same place in both images.
 ///
 /// Parallel rays are turned by half of the angle between the eyes; a pinhole moves sideways, and its principal point with it, so that nothing is
-/// shifted up or down. `None` where `pivot` is not in front of the camera, and for [`Camera::Canonical`] without a `placement`.
+/// shifted up or down. `None` where `pivot` is not in front of the camera, for images all around, and for [`Camera::Canonical`] without a `placement`.
 pub fn eyes(camera: &Camera, placement: Option<&Placement>, pivot: [f64; 3], apart: f64) -> Option<[Camera; 2]> {
     let (pose, lens) = match *camera {
         Camera::Canonical => {
@@ -128,6 +128,8 @@ pub fn eyes(camera: &Camera, placement: Option<&Placement>, pivot: [f64; 3], apa
                 let rotation = Rotation::from_columns([across, down, along])?;
                 Camera::Posed { pose: Pose { position, rotation }, lens }
             }
+            // Two places show nothing right all around.
+            Lens::Equirectangular => return None,
             Lens::Pinhole { focal, centre } => {
                 let position = std::array::from_fn(|i| pose.position[i] + side * half * distance * right[i]);
                 let centre = [centre[0] + side * half * focal[0], centre[1]];
@@ -166,6 +168,7 @@ mod tests {
                 let [w, h] = half_extent.unwrap_or([16.0 / 9.0, 1.0]);
                 [0.5 * x / w, 0.5 * y / h]
             }
+            Lens::Equirectangular => panic!("a view ahead"),
             Lens::Pinhole { focal, centre } => [focal[0] * x / z + centre[0] - 0.5, focal[1] * y / z + centre[1] - 0.5],
         }
     }

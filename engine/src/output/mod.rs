@@ -1,7 +1,7 @@
 //! Files: pictures, depth maps, video. Nothing is seen under its own name before it is whole.
 //!
 //! A file is written under a temporary name beside its own (`.NAME.partial`), synced, and renamed; no symbolic link is written through
-//! ([`storage`]). Every file's BLAKE3 digest is taken on the way. PNG is written with fixed encoder settings by pure-Rust code, so its bytes are a function of the pixels.
+//! ([`storage`]). Every file's BLAKE3 digest is taken on the way. PNG and WebP are written with fixed encoder settings by pure-Rust code, so their bytes are a function of the pixels.
 
 pub mod storage;
 mod video;
@@ -10,6 +10,7 @@ use std::io::{self, Cursor, Write};
 use std::path::{Path, PathBuf};
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::codecs::webp::WebPEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
 use crate::openexr::{self, NamedLayer, Planes};
@@ -240,9 +241,16 @@ pub fn picture_png(picture: &Picture) -> Vec<u8> {
 /// # Panics
 /// When `alpha` does not hold `width · height` values.
 pub fn transparent_png(picture: &Picture, alpha: &[f32]) -> Vec<u8> {
-    let Picture { width, height, rgb } = picture;
+    let Picture { width, height, .. } = picture;
     let plane = width * height;
     assert_eq!(alpha.len(), plane, "a plane of {width}×{height}");
+    png(*width, *height, &straight(picture, alpha), ExtendedColorType::Rgba8)
+}
+
+/// Colours that were multiplied by their alpha, divided by it and rounded, and alpha.
+fn straight(picture: &Picture, alpha: &[f32]) -> Vec<u8> {
+    let Picture { width, height, rgb } = picture;
+    let plane = width * height;
     let mut samples = Vec::with_capacity(4 * plane);
     for (pixel, &alpha) in alpha.iter().enumerate() {
         let opaque = to_u8(alpha);
@@ -252,7 +260,36 @@ pub fn transparent_png(picture: &Picture, alpha: &[f32]) -> Vec<u8> {
         }
         samples.push(opaque);
     }
-    png(*width, *height, &samples, ExtendedColorType::Rgba8)
+    samples
+}
+
+/// Longest side of a WebP file.
+pub const WEBP_SIDE: usize = 16_383;
+
+/// The picture as a WebP file without loss; where it was drawn over black, with its alpha, as [`transparent_png`].
+///
+/// # Errors
+/// Sides that WebP has no number for.
+///
+/// # Panics
+/// When `alpha` does not hold `width · height` values.
+pub fn picture_webp(picture: &Picture, alpha: Option<&[f32]>) -> io::Result<Vec<u8>> {
+    let &Picture { width, height, .. } = picture;
+    if ![width, height].iter().all(|side| (1..=WEBP_SIDE).contains(side)) {
+        let found = format!("WebP: expected sides of 1 to {WEBP_SIDE} pixels, found {width}×{height}");
+        return Err(io::Error::other(found));
+    }
+    let (samples, colour) = match alpha {
+        None => (picture.to_rgb8(), ExtendedColorType::Rgb8),
+        Some(alpha) => {
+            assert_eq!(alpha.len(), width * height, "a plane of {width}×{height}");
+            (straight(picture, alpha), ExtendedColorType::Rgba8)
+        }
+    };
+    let mut bytes = Vec::new();
+    let encoder = WebPEncoder::new_lossless(&mut bytes);
+    encoder.write_image(&samples, width as u32, height as u32, colour).map_err(io::Error::other)?;
+    Ok(bytes)
 }
 
 /// A plane with values in `[0, 1]` as an 8-bit grey PNG file.
@@ -363,6 +400,19 @@ mod tests {
         let bytes = transparent_png(&picture, &[0.5, 0.0]);
         let image = image::load_from_memory(&bytes).expect("a PNG").into_rgba8();
         assert_eq!(image.as_raw(), &[128, 255, 0, 128, 0, 0, 0, 0]);
+    }
+
+    #[test]
+    fn a_webp_holds_the_samples_of_the_png() {
+        let rgb: Vec<f32> = (0..3 * 35).map(|i| (i * 37 % 101) as f32 / 100.0).collect();
+        let picture = Picture { width: 7, height: 5, rgb };
+        let alpha: Vec<f32> = (0..35).map(|i| (i % 5) as f32 / 4.0).collect();
+        let read = |bytes: &[u8]| image::load_from_memory(bytes).expect("an image").into_rgba8();
+        let webp = |alpha: Option<&[f32]>| picture_webp(&picture, alpha).expect("small");
+        assert_eq!(read(&webp(None)), read(&picture_png(&picture)));
+        assert_eq!(read(&webp(Some(&alpha))), read(&transparent_png(&picture, &alpha)));
+        let wide = Picture { width: WEBP_SIDE + 1, height: 1, rgb: vec![0.0; 3 * (WEBP_SIDE + 1)] };
+        assert!(picture_webp(&wide, None).expect_err("too wide").to_string().contains("expected sides of 1 to 16383"));
     }
 
     #[test]

@@ -61,6 +61,17 @@ impl FromStr for Backend {
     }
 }
 
+/// What a graphics card does not draw.
+#[cfg(feature = "wgpu")]
+fn cpu_alone(projection: &Projection, request: &Request) -> Option<&'static str> {
+    let alone = [
+        (*projection == Projection::Equirectangular, "panorama"),
+        (request.falloff != raster::Falloff::Gaussian, "footprint other than gaussian"),
+        (request.defocus.is_some(), "aperture"),
+    ];
+    alone.into_iter().find(|(asked, _)| *asked).map(|(_, what)| what)
+}
+
 /// A drawing backend with its buffers.
 pub(crate) enum Rasteriser {
     Cpu(Box<raster::Rasteriser>),
@@ -113,7 +124,10 @@ impl Rasteriser {
         match self {
             Rasteriser::Cpu(rasteriser) => Ok(rasteriser.render(gaussians, projection, request)),
             #[cfg(feature = "wgpu")]
-            Rasteriser::Wgpu(rasteriser) => Ok(rasteriser.render(gaussians, projection, request)?),
+            Rasteriser::Wgpu(rasteriser) => match cpu_alone(projection, request) {
+                Some(what) => Err(RenderError::CpuAlone { what }),
+                None => Ok(rasteriser.render(gaussians, projection, request)?),
+            },
         }
     }
 }

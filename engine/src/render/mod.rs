@@ -16,12 +16,15 @@
 //! are drawn at the size asked for, not scaled from an image.
 
 mod backend;
+mod optics;
 mod options;
 mod view;
 
 pub use backend::Backend;
+pub use optics::{Aperture, Focus, SENSOR_HEIGHT};
 pub use options::{RenderError, RenderOptions, Size};
-pub use streamsplat_kernels::raster::Image;
+pub use streamsplat_kernels::exposure::Exposure;
+pub use streamsplat_kernels::raster::{Falloff, Image};
 pub use view::{Snapshot, View, to_scene};
 
 use backend::Rasteriser;
@@ -98,7 +101,7 @@ impl Renderer {
             return Err(RenderError::Camera);
         }
         let size = options.size.resolve(&interval.placement);
-        let request = options.request(size)?;
+        let request = options.seen_by(camera, size)?;
         let mut seen = match camera {
             Camera::Canonical => Snapshot::of(interval, time, &self.workers)?,
             Camera::Posed { .. } => Snapshot::square(interval, time, &self.workers)?,

@@ -2,7 +2,8 @@
 
 use streamsplat_kernels::raster::{self, Request};
 
-use super::Backend;
+use super::{Aperture, Backend, Falloff};
+use crate::camera::Camera;
 use crate::fit::Placement;
 
 /// Options of an image: planes besides colour, size, background.
@@ -21,6 +22,10 @@ pub struct RenderOptions {
     /// True if what is smaller than a pixel is to get fainter in place of larger, for scenes that were trained so
     /// ([`raster::Request::antialias`]).
     pub antialias: bool,
+    /// How α falls from a Gaussian's centre to its edge.
+    pub falloff: Falloff,
+    /// The lens of a pinhole camera, where it has a width.
+    pub aperture: Option<Aperture>,
 }
 
 impl Default for RenderOptions {
@@ -33,6 +38,8 @@ impl Default for RenderOptions {
             alpha: false,
             statistics: false,
             antialias: false,
+            falloff: Falloff::Gaussian,
+            aperture: None,
         }
     }
 }
@@ -50,14 +57,24 @@ impl RenderOptions {
         if [height, width].iter().any(|side| !(1..=raster::MAX_SIDE).contains(side)) {
             return Err(RenderError::Size { most: raster::MAX_SIDE, width, height });
         }
-        let Self { background, depth, alpha, statistics, antialias, .. } = *self;
+        let Self { background, depth, alpha, statistics, antialias, falloff, .. } = *self;
         let planes = 3 + usize::from(depth) + usize::from(alpha) + 2 * usize::from(statistics);
         // At most 2^32 pixels.
         let bytes = width * height * (size_of::<f32>() * planes + BESIDE);
         if Vec::<u8>::new().try_reserve_exact(bytes).is_err() {
             return Err(RenderError::Memory { width, height, bytes });
         }
-        Ok(Request { width, height, background, depth, alpha, statistics, antialias, bounded: false })
+        let planes = Request { depth, alpha, statistics, ..Request::colour(width, height, background) };
+        Ok(Request { antialias, falloff, ..planes })
+    }
+
+    /// [`Self::request`] for an image that `camera` sees.
+    ///
+    /// # Errors
+    /// As there, and an aperture of a camera that has none.
+    pub(crate) fn seen_by(&self, camera: &Camera, size: [usize; 2]) -> Result<Request, RenderError> {
+        let defocus = self.aperture.map(|aperture| aperture.of(camera)).transpose()?;
+        Ok(Request { defocus, ..self.request(size)? })
     }
 }
 
@@ -129,6 +146,23 @@ pub enum RenderError {
     /// The canonical camera of a scene that has none.
     #[error("camera: expected an orthographic or pinhole one, found canonical: a still scene has no camera of its own")]
     NoOwnCamera,
+    /// The aperture of a camera that is no pinhole.
+    #[error("aperture: expected a pinhole camera, found one without a lens (orthographic or all around)")]
+    NoLens,
+    /// Numbers of which there is no lens.
+    #[error("aperture: {what}: expected more than 0, found {found}")]
+    Aperture {
+        /// Which number.
+        what: &'static str,
+        /// Its value.
+        found: f64,
+    },
+    /// What a graphics card does not draw.
+    #[error("renderer wgpu: expected no {what}, which the CPU alone draws (--renderer cpu)")]
+    CpuAlone {
+        /// What was asked for.
+        what: &'static str,
+    },
     /// A size taken from a source that a scene does not have.
     #[error("image size: expected WIDTHxHEIGHT: a still scene has no size of its own")]
     NoOwnSize,

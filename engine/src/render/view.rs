@@ -1,5 +1,7 @@
 //! Gaussians at one time, and as a camera sees them.
 
+use std::f64::consts::PI;
+
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::parallel::map_indexed;
@@ -162,6 +164,8 @@ pub struct View {
     projection: Projection,
     /// Units along x, and along z, per unit of the model's input.
     units: f64,
+    /// Width and height of the image.
+    sides: [f64; 2],
 }
 
 impl View {
@@ -178,7 +182,12 @@ impl View {
                 let y = (2.0 * top + rows) / model_h - 1.0;
                 let focal = [0.5 * sides[0] * model_w / columns, 0.5 * sides[1] * model_h / rows];
                 let pose = Pose { position: [x, y, 0.0], ..Pose::default() };
-                Self { pose, projection: Projection::Orthographic { focal: focal.map(|f| f as f32) }, units: 1.0 }
+                Self {
+                    pose,
+                    projection: Projection::Orthographic { focal: focal.map(|f| f as f32) },
+                    units: 1.0,
+                    sides,
+                }
             }
             Camera::Posed { ref pose, ref lens } => {
                 Self { units: placement.aspect(), ..Self::posed(pose, lens, [height, width]) }
@@ -198,8 +207,9 @@ impl View {
                 focal: std::array::from_fn(|i| (focal[i] * sides[i]) as f32),
                 centre: std::array::from_fn(|i| (centre[i] * sides[i] - 0.5) as f32),
             },
+            Lens::Equirectangular => Projection::Equirectangular,
         };
-        Self { pose: *pose, projection, units: 1.0 }
+        Self { pose: *pose, projection, units: 1.0, sides }
     }
 
     /// Where the view's origin lies in scene space, and how it is turned.
@@ -236,16 +246,19 @@ impl View {
     /// input has `m = side / 2` along an axis (in square units along x `m = width / 2` over the input's aspect); where it has `f > m` pixels, that addition is too small and gaps open between Gaussians. So that it stays what it was in the scene,
     ///
     /// ```text
-    /// s' = √(s² + a)      a = 0.3·(m⁻² − f⁻²), 0 where that is not above 10⁻⁶·0.3·m⁻²      f: the focal length, for a pinhole over the Gaussian's z
+    /// s' = √(s² + a)      a = 0.3·(m⁻² − f⁻²), 0 where that is not above 10⁻⁶·0.3·m⁻²      f: the focal length, for a pinhole over the Gaussian's z, all around H/π over its distance
     /// ```
     ///
     /// along x and y, with the mean of both along z. The variance in the image is then `(f·s)² + 0.3·(f/m)²` px². `m` and `f` are formed in binary64, what follows them in
     /// binary32. At the model's own size no bit changes.
     pub fn widen(&self, placement: &Placement, mean: &[[f32; 3]], scale: &mut [[f32; 3]]) {
-        let (focal, pinhole) = match self.projection {
-            Projection::Orthographic { focal } => (focal, false),
-            Projection::Pinhole { focal, .. } => (focal, true),
+        let (focal, around) = match self.projection {
+            Projection::Orthographic { focal } | Projection::Pinhole { focal, .. } => (focal, false),
+            // Pixels of a radian.
+            Projection::Equirectangular => ([self.sides[1] / PI; 2].map(|f| f as f32), true),
         };
+        let pinhole = !matches!(self.projection, Projection::Orthographic { .. });
+        let depth = |[x, y, z]: [f32; 3]| if around { (x * x + y * y + z * z).sqrt() } else { z };
         let [height, width] = placement.model.map(|side| 0.5 * side.max(1) as f64);
         let own = [width / self.units, height];
         let most = own.map(|m| (LOW_PASS / (m * m)) as f32);
@@ -261,7 +274,7 @@ impl View {
             return;
         }
         scale.par_iter_mut().with_min_len(CHUNK).zip(mean).for_each(|(s, mean)| {
-            let [x, y] = added(mean[2]);
+            let [x, y] = added(depth(*mean));
             if x + y > 0.0 {
                 let added = [x, y, 0.5 * (x + y)];
                 *s = std::array::from_fn(|i| (s[i] * s[i] + added[i]).sqrt());

@@ -131,7 +131,7 @@ fn chosen_rows<'a>(all: &'a [f32], width: usize, places: Option<&[u32]>) -> Cow<
 /// Where a camera sees colours from.
 pub(super) fn eye(pose: &Pose, lens: &Lens) -> Eye {
     match lens {
-        Lens::Pinhole { .. } => Eye::At(pose.position.map(|x| x as f32)),
+        Lens::Pinhole { .. } | Lens::Equirectangular => Eye::At(pose.position.map(|x| x as f32)),
         Lens::Orthographic { .. } => Eye::Along(pose.rotation.matrix().map(|row| row[2] as f32)),
     }
 }
@@ -153,11 +153,13 @@ impl Renderer {
             return Err(RenderError::Camera);
         }
         let Size::Exact { width, height } = options.size else { return Err(RenderError::NoOwnSize) };
-        let request = Request { bounded: true, ..options.request([height, width])? };
+        let request = Request { bounded: true, ..options.seen_by(camera, [height, width])? };
         let view = View::posed(pose, lens, [height, width]);
         let Drawable { still, scale, rotation, opacity, groups } = scene;
         let window = Window::new(&view, [height, width]);
-        let places = groups.as_ref().zip(window);
+        // A blur reaches farther than what the window knows of.
+        let sharp = request.defocus.is_none();
+        let places = groups.as_ref().filter(|_| sharp).zip(window);
         let places = places.and_then(|(groups, window)| self.workers().install(|| groups.seen(&window)));
         let places = places.as_deref();
         let (workers, rasteriser) = self.parts(places.map_or(0, |places| (still.len() - places.len()) as u64));

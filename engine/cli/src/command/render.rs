@@ -1,18 +1,22 @@
 //! `render`: a scene → images at chosen times and cameras.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use streamsplat::import::Opened;
-use streamsplat::output::{folder_of, storage, write_file};
+use streamsplat::output::{WEBP_SIDE, folder_of, storage, write_file};
+use streamsplat::scene::Scene;
 use streamsplat::stream::{Interval, Workers};
+use streamsplat::{Image, Size};
 
 use crate::command::still;
 use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 use crate::console::{Console, say, stop};
 use crate::options::args::{Machine, RenderArgs, RenderOptions};
+use crate::options::motion::Course;
+use crate::options::settings::Views;
 use crate::options::times;
 use crate::output::outputs::{Destination, Emit, Outputs};
 use crate::output::place::Place;
@@ -24,8 +28,11 @@ use crate::session::opening::open;
 /// Renders, then writes the record and the report.
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     console.listen();
-    if let Some(kind) = Single::of(&args.out) {
-        return single(args, kind, console);
+    match Single::of(&args.out) {
+        // Of several images a WebP file is a video.
+        Some(Single::WebP) if several(args, console)? => {}
+        Some(kind) => return single(args, kind, console),
+        None => {}
     }
     // Held until everything is written.
     let mut place = Place::new(Destination::asked(&args.out)?);
@@ -39,11 +46,15 @@ pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     if record.complete { Ok(()) } else { Err(stop::stopped(false)) }
 }
 
+/// Size of a panorama of which nothing says it.
+const PANORAMA: [usize; 2] = [2048, 1024];
+
 /// The kinds of a file that is a single image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Single {
     Png,
     Exr,
+    WebP,
 }
 
 impl Single {
@@ -53,9 +64,25 @@ impl Single {
             _ if out.is_dir() => None,
             "png" => Some(Single::Png),
             "exr" => Some(Single::Exr),
+            "webp" => Some(Single::WebP),
             _ => None,
         }
     }
+}
+
+/// Returns true if there is more than one image to render.
+fn several(args: &RenderArgs, console: &Console) -> Result<bool, Failure> {
+    let options = &args.options;
+    let mut views = options.views()?;
+    times::check_rate(options.fps)?;
+    let workers = args.machine.workers()?;
+    Ok(match open(&args.scene, &options.limit.limits(), Some(&workers), console)? {
+        Opened::Moving(scene) => {
+            let fps = options.fps.unwrap_or(scene.index().fps);
+            options.due(&scene, &mut views, fps)?.len() != 1
+        }
+        Opened::Still(file) => still::Plan::new(&file, options, &views)?.count() != 1,
+    })
 }
 
 /// Renders one image into a folder that goes away, and gives it the name that was asked for.
@@ -63,6 +90,7 @@ fn single(args: &RenderArgs, kind: Single, console: &Console) -> Result<(), Fail
     let (name, emit) = match kind {
         Single::Png => ("frames/000000.png", "rgb"),
         Single::Exr => ("exr/000000.exr", "exr"),
+        Single::WebP => ("frames/000000.webp", "webp"),
     };
     let mut options = args.options.clone();
     if let Some(list) = options.emit.replace(emit.to_owned())
@@ -88,6 +116,27 @@ fn single(args: &RenderArgs, kind: Single, console: &Console) -> Result<(), Fail
 }
 
 impl RenderOptions {
+    /// What the images show, and how.
+    pub(super) fn views(&self) -> Result<Views, Failure> {
+        let mut views = self.view.resolve()?;
+        if self.optics.panorama && views.options.size == Size::Model {
+            let [width, height] = PANORAMA;
+            views.options.size = Size::Exact { width, height };
+        }
+        views.options.antialias = self.antialias;
+        self.optics.apply(&mut views)?;
+        Ok(views)
+    }
+
+    /// The times of a scene's images, each with the interval that shows it; gives `views` the camera's motion.
+    pub(super) fn due(&self, scene: &Scene, views: &mut Views, fps: f64) -> Result<Vec<(f64, usize)>, Failure> {
+        views.camera = self.optics.around(std::mem::take(&mut views.camera))?;
+        self.optics.needs_focus()?;
+        let mut due = times::of_scene(scene, views.times.as_deref(), fps)?;
+        self.motion.along(views, &mut due, |(time, _)| time, fps)?;
+        Ok(due)
+    }
+
     /// Refuses more than one image where there is a single file for it.
     pub(super) fn check_single(&self, images: usize) -> Result<(), Failure> {
         if self.single && images != 1 {
@@ -108,14 +157,19 @@ pub fn render(
     console: &Console,
 ) -> Result<Record, Failure> {
     let start = Instant::now();
-    let mut views = options.view.resolve()?;
+    let mut views = options.views()?;
     let emit = match &options.emit {
-        Some(list) => Emit::parse(list, &["rgb", "depth", "alpha", "exr"])?,
+        Some(list) => Emit::parse(list, &["rgb", "webp", "depth", "alpha", "exr"])?,
         None => Emit { rgb: true, ..Emit::default() },
     };
     [views.options.depth, views.options.alpha] = emit.planes();
     views.options.alpha |= views.transparent;
-    views.options.antialias = options.antialias;
+    if let Size::Exact { width, height } = views.options.size
+        && emit.webp
+        && width.max(height) > WEBP_SIDE
+    {
+        return Err(Failure::usage(format!("--size {width}x{height}: expected at most {WEBP_SIDE} a side for WebP")));
+    }
     times::check_rate(options.fps)?;
     let workers = machine.workers()?;
     let scene = match open(path, &options.limit.limits(), Some(&workers), console)? {
@@ -125,8 +179,7 @@ pub fn render(
         }
     };
     let fps = options.fps.unwrap_or(scene.index().fps);
-    let mut due = times::of_scene(&scene, views.times.as_deref(), fps)?;
-    options.motion.along(&mut views, &mut due, |(time, _)| time, fps)?;
+    let due = options.due(&scene, &mut views, fps)?;
     options.check_single(due.len())?;
     let mut drawing = Drawing::new(&workers, views.backend)?;
     let mut outputs = Outputs::create(place, emit)?;
@@ -135,9 +188,7 @@ pub fn render(
     outputs.start(fps)?;
 
     let mut progress = Progress::new("images", Some(due.len()), console);
-    let mut current: Option<(usize, Interval)> = None;
-    let mut read = Duration::ZERO;
-    let mut intervals = 0;
+    let mut stretch = Stretch::of(&scene);
     let mut complete = true;
     drawing.pass(
         due.iter().enumerate(),
@@ -146,19 +197,7 @@ pub fn render(
                 complete = false;
                 return Ok(None);
             }
-            let interval = match current.take().filter(|(at, _)| *at == place) {
-                Some((_, interval)) => interval,
-                None => {
-                    let begun = Instant::now();
-                    let interval = scene.interval(place)?;
-                    read += begun.elapsed();
-                    intervals += 1;
-                    interval
-                }
-            };
-            let image = drawing.draw(&interval, index, time, &views)?;
-            current = Some((place, interval));
-            Ok(Some((index, image)))
+            Ok(Some((index, stretch.image(drawing, index, (time, place), &views, fps)?)))
         },
         |(index, image)| {
             outputs.image(index, image)?;
@@ -174,11 +213,65 @@ pub fn render(
     let input = InputRecord {
         path: absolute(path),
         blake3: digest::scene(&scene)?,
-        count: intervals,
+        count: stretch.seen.len(),
         size: [width, height],
         fps: scene.index().fps,
     };
-    Ok(record(options, input, &drawing, Rendered { outputs: written, complete, read, start }, &workers))
+    Ok(record(options, input, &drawing, Rendered { outputs: written, complete, read: stretch.read, start }, &workers))
+}
+
+/// The part of a scene that is being drawn.
+pub(super) struct Stretch<'a> {
+    scene: &'a Scene,
+    current: Option<(usize, Interval)>,
+    /// Time spent reading.
+    read: Duration,
+    /// Places of the intervals that were read.
+    seen: BTreeSet<usize>,
+}
+
+impl<'a> Stretch<'a> {
+    /// Nothing of `scene` yet.
+    pub(super) fn of(scene: &'a Scene) -> Self {
+        Stretch { scene, current: None, read: Duration::ZERO, seen: BTreeSet::new() }
+    }
+
+    /// The image with the number `index`, at a time that the interval at a place shows; of `fps` a second.
+    pub(super) fn image(
+        &mut self,
+        drawing: &mut Drawing,
+        index: usize,
+        (time, place): (f64, usize),
+        views: &Views,
+        fps: f64,
+    ) -> Result<Image, Failure> {
+        if views.shutter.is_some() && (views.course.is_some() || views.eyes.is_some()) {
+            drawing.anchored(self.at(place)?, time)?;
+        }
+        drawing.exposed(views, |drawing, part| {
+            if part == 0.0 {
+                return drawing.draw(self.at(place)?, index, time, views);
+            }
+            if matches!(views.course, Some(Course::Held(_))) {
+                return drawing.draw_at(self.at(place)?, index as f64 + part, time, views);
+            }
+            let (first, last) = self.scene.span();
+            let time = (time + part / fps).clamp(first, last);
+            drawing.draw(self.at(self.scene.find(time)?)?, index, time, views)
+        })
+    }
+
+    /// The interval at a place; the one before it is forgotten.
+    fn at(&mut self, place: usize) -> Result<&Interval, Failure> {
+        if self.current.as_ref().is_none_or(|(at, _)| *at != place) {
+            let begun = Instant::now();
+            self.current = None;
+            self.current = Some((place, self.scene.interval(place)?));
+            self.read += begun.elapsed();
+            self.seen.insert(place);
+        }
+        self.current.as_ref().map(|(_, interval)| interval).ok_or_else(|| Failure::work("an interval that was read"))
+    }
 }
 
 /// Result of a rendering, apart from the renderer.

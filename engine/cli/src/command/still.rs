@@ -4,12 +4,12 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use serde_json::{Value, json};
-use streamsplat::Size;
-use streamsplat::camera::CameraPath;
+use streamsplat::camera::{Camera, CameraPath, Lens, Pose};
 use streamsplat::import::StillFile;
 use streamsplat::output::{prepare_folder, write_file};
 use streamsplat::still::{Drawable, Spread};
 use streamsplat::stream::Workers;
+use streamsplat::{Image, Size};
 
 use crate::command::export::{Format, refuse_others};
 use crate::command::render::{Rendered, record};
@@ -46,6 +46,10 @@ impl Plan {
         let fps = options.fps.unwrap_or(FPS);
         let mut views = views.clone();
         let framing = file.still.framing();
+        let optics = &options.optics;
+        if let Some(framing) = framing {
+            optics.focus_on(&mut views, framing.middle());
+        }
         views.eyes = options.motion.eyes()?;
         views.pivot = framing.map(|framing| framing.middle());
         if options.motion.moves() && views.times.is_some() {
@@ -63,6 +67,7 @@ impl Plan {
             }
             let all = || (0..views.own_sizes.len().max(1)).map(|i| i as f64).collect();
             let times = views.times.clone().unwrap_or_else(all);
+            views.camera = optics.around(views.camera)?;
             return Ok(Plan { views, times, fps });
         }
         if views.options.size == Size::Model {
@@ -75,20 +80,42 @@ impl Plan {
         };
         let aspect = width as f64 / height as f64;
         let Some(angles) = options.motion.held(fps)? else {
-            views.camera = framing.camera(0.0, aspect).into();
+            views.camera = if optics.panorama {
+                let pose = Pose { position: framing.middle(), ..Pose::default() };
+                Camera::Posed { pose, lens: Lens::Equirectangular }.into()
+            } else {
+                framing.camera(0.0, aspect).into()
+            };
             let times = views.times.clone().unwrap_or_else(|| vec![0.0]);
             return Ok(Plan { views, times, fps });
         };
         let times: Vec<f64> = (0..angles.len()).map(|i| i as f64 / fps).collect();
         let path = times.iter().copied().zip(framing.around(&angles, aspect)).collect();
-        views.camera = CameraPath::new(path).ok_or_else(|| Failure::work(format!("{kind}: too large to look at")))?;
+        let path = CameraPath::new(path).ok_or_else(|| Failure::work(format!("{kind}: too large to look at")))?;
+        views.camera = optics.around(path)?;
         Ok(Plan { views, times, fps })
+    }
+
+    /// Refuses a shutter where nothing moves.
+    pub fn check_shutter(&self, file: &StillFile) -> Result<(), Failure> {
+        if self.views.shutter.is_none() || self.views.camera.views().len() > 1 {
+            return Ok(());
+        }
+        let path = file.path.display();
+        Err(Failure::usage(format!(
+            "--shutter: expected a camera that moves, found one place; {path} is a still scene"
+        )))
     }
 
     /// The scene, ready for so many images.
     pub fn prepare(&self, file: StillFile, workers: &Workers) -> Result<Drawable, Failure> {
         let scene = Drawable::new(file.still, workers)?;
         Ok(if self.times.len() >= MANY { scene.grouped(workers) } else { scene })
+    }
+
+    /// One of the images.
+    pub fn image(&self, drawing: &mut Drawing, scene: &Drawable, time: f64, views: &Views) -> Result<Image, Failure> {
+        drawing.exposed(views, |drawing, part| drawing.still(scene, time + part / self.fps, views))
     }
 
     /// How many images there are.
@@ -124,6 +151,7 @@ pub fn render(
     start: Instant,
 ) -> Result<Record, Failure> {
     let plan = Plan::new(&file, options, views)?;
+    plan.check_shutter(&file)?;
     options.check_single(plan.count())?;
     let (path, blake3) = (absolute(&file.path), file.blake3.clone());
     let read = start.elapsed();
@@ -142,7 +170,7 @@ pub fn render(
                 complete = false;
                 return Ok(None);
             }
-            let image = drawing.still(&scene, time, &views)?;
+            let image = plan.image(drawing, &scene, time, &views)?;
             size.get_or_insert([image.width, image.height]);
             Ok(Some((index, image)))
         },

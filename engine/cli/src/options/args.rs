@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use streamsplat::import::Limits;
 
 use crate::console::Console;
+use crate::options::optics::Optics;
 
 /// Ordinary video in, a dynamic 3D Gaussian scene out, on CPUs, the same to the last bit everywhere.
 #[derive(Parser)]
@@ -256,7 +257,7 @@ pub struct RunOptions {
 pub struct RenderArgs {
     /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG, glTF, .splat)
     pub scene: PathBuf,
-    /// Folder for the images, or a video file, or - (y4m on standard output); for a single image a .png or .exr file
+    /// Folder for the images, or a video file, or - (y4m on standard output); for a single image a .png, .exr or .webp file (WebP without loss; of several images a video)
     #[arg(long, short, value_name = "DIR")]
     pub out: PathBuf,
     #[command(flatten)]
@@ -279,7 +280,7 @@ pub struct RenderOptions {
     /// Images per second of the scene, where no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
-    /// Outputs: rgb, depth, alpha, exr (these three as layers of one file) [default: rgb]
+    /// Outputs: rgb, webp (colours without loss), depth, alpha, exr (colour, depth and alpha as layers of one file) [default: rgb]
     #[arg(long, value_name = "LIST")]
     pub emit: Option<String>,
     /// Let what is smaller than a pixel get fainter in place of larger: for scenes that were trained with anti-aliasing (Mip-Splatting's 2D
@@ -287,6 +288,9 @@ pub struct RenderOptions {
     #[arg(long)]
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub antialias: bool,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub optics: Optics,
     #[command(flatten)]
     #[serde(flatten)]
     pub limit: Limit,

@@ -3,5 +3,6 @@
 pub mod args;
 pub mod machine;
 pub mod motion;
+pub mod optics;
 pub mod settings;
 pub mod times;

@@ -17,6 +17,7 @@ use streamsplat_model::Precision;
 use crate::console::failure::Failure;
 use crate::options::args::{Machine, Model, Stream, ViewOptions};
 use crate::options::motion::Course;
+use crate::options::optics::Shutter;
 
 /// `text` as a `T`, or wrong use of `option`.
 pub fn choice<T: FromStr>(option: &str, text: &str) -> Result<T, Failure>
@@ -188,6 +189,8 @@ pub struct Views {
     pub eyes: Option<f64>,
     /// The middle of a still scene; that of a scene in time follows from its first image.
     pub pivot: Option<[f64; 3]>,
+    /// When the images are taken of which each is the mean.
+    pub shutter: Option<Shutter>,
 }
 
 impl Views {
@@ -223,6 +226,7 @@ impl Views {
             course: None,
             eyes: None,
             pivot: None,
+            shutter: None,
         }
     }
 }

@@ -6,8 +6,8 @@ use std::path::{Component, Path, PathBuf};
 use streamsplat::Image;
 use streamsplat::export;
 use streamsplat::output::{
-    OutputError, Sound, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, plane_png,
-    prepare_subfolder, storage, transparent_exr, transparent_png, write_whole,
+    OutputError, Sound, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, picture_webp,
+    plane_png, prepare_subfolder, storage, transparent_exr, transparent_png, write_whole,
 };
 use streamsplat::picture::Picture;
 use streamsplat::render::{Backend, Snapshot};
@@ -24,13 +24,15 @@ use crate::output::resume_state::Point;
 use crate::output::{ledger, resume_state};
 
 /// Kinds of output that exist.
-const KINDS: [&str; 7] = ["rgb", "depth", "alpha", "exr", "scene", "ply", "tracks"];
+const KINDS: [&str; 8] = ["rgb", "webp", "depth", "alpha", "exr", "scene", "ply", "tracks"];
 
 /// Outputs selected by `--emit`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Emit {
     /// Colour images or video.
     pub rgb: bool,
+    /// Colour images as WebP without loss.
+    pub webp: bool,
     /// Depth images.
     pub depth: bool,
     /// Alpha images.
@@ -58,13 +60,13 @@ impl Emit {
             }
         }
         let has = |kind| kinds.contains(kind);
-        let [rgb, depth, alpha, exr, scene, ply, tracks] = KINDS.map(has);
-        Ok(Emit { rgb, depth, alpha, exr, scene, ply, tracks })
+        let [rgb, webp, depth, alpha, exr, scene, ply, tracks] = KINDS.map(has);
+        Ok(Emit { rgb, webp, depth, alpha, exr, scene, ply, tracks })
     }
 
     /// Returns true if any images are drawn.
     pub fn draws(&self) -> bool {
-        self.rgb || self.depth || self.alpha || self.exr
+        self.rgb || self.webp || self.depth || self.alpha || self.exr
     }
 
     /// The planes beside colour that must be drawn: depth and alpha.
@@ -104,7 +106,7 @@ impl Outputs {
                 prepare_kinds(folder, emit)?;
             }
             Destination::Video(path, format) => {
-                if emit.depth || emit.alpha || emit.exr || emit.ply || emit.tracks {
+                if emit.webp || emit.depth || emit.alpha || emit.exr || emit.ply || emit.tracks {
                     return Err(Failure::usage(
                         "--emit: a video holds rgb alone, and a scene lies beside it; give --out a folder for the rest",
                     ));
@@ -140,7 +142,7 @@ impl Outputs {
     pub fn keep_alpha(&mut self, keep: bool) -> Result<(), Failure> {
         if keep && matches!(self.destination, Destination::Video(..)) {
             return Err(Failure::usage(
-                "--background transparent: a video has no alpha; give --out a folder or a .png or .exr file",
+                "--background transparent: a video has no alpha; give --out a folder or a .png, .webp or .exr file",
             ));
         }
         self.alpha = keep;
@@ -305,6 +307,10 @@ impl Outputs {
             };
             self.file(format!("frames/{index:06}.png"), &bytes)?;
         }
+        if emit.webp {
+            let bytes = picture_webp(&picture, alpha.as_deref().filter(|_| self.alpha)).map_err(Failure::work)?;
+            self.file(format!("frames/{index:06}.webp"), &bytes)?;
+        }
         if emit.depth
             && let Some(depth) = &depth
         {
@@ -378,7 +384,7 @@ pub fn is_inside(name: &str) -> bool {
 /// The folders of what is asked for, by their names.
 fn kinds(emit: Emit) -> impl Iterator<Item = &'static str> {
     let kinds = [
-        (emit.rgb, "frames"),
+        (emit.rgb || emit.webp, "frames"),
         (emit.depth, "depth"),
         (emit.alpha, "alpha"),
         (emit.exr, "exr"),

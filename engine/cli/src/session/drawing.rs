@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use streamsplat::camera::{Camera, turn};
-use streamsplat::render::{Backend, Renderer, View};
+use streamsplat::render::{Backend, Exposure, Renderer, View};
 use streamsplat::still::Drawable;
 use streamsplat::stream::{Interval, Workers};
 use streamsplat::{Image, RenderError};
@@ -74,14 +74,16 @@ impl Drawing {
 
     /// Draws the interval at `time` from where the camera is then, as the image with the number `index`.
     pub fn draw(&mut self, interval: &Interval, index: usize, time: f64, views: &Views) -> Result<Image, Failure> {
+        self.draw_at(interval, index as f64, time, views)
+    }
+
+    /// [`Self::draw`], between two images where `index` has a part.
+    pub fn draw_at(&mut self, interval: &Interval, index: f64, time: f64, views: &Views) -> Result<Image, Failure> {
         if views.course.is_none() && views.eyes.is_none() {
             return self.seen(interval, time, &views.camera.at(time), views);
         }
         let placement = &interval.placement;
-        let anchor = match self.anchor {
-            Some(anchor) => anchor,
-            None => *self.anchor.insert(Anchor { time, pivot: turn::pivot(interval, time, &self.workers)? }),
-        };
+        let anchor = self.anchored(interval, time)?;
         let camera = match &views.course {
             None => views.camera.at(time),
             Some(course) => turn::turned(placement, anchor.pivot, course.at(index, time - anchor.time)),
@@ -90,6 +92,14 @@ impl Drawing {
         let [left, right] = turn::eyes(&camera, Some(placement), anchor.pivot, apart).ok_or_else(behind)?;
         let [left, right] = [self.seen(interval, time, &left, views)?, self.seen(interval, time, &right, views)?];
         Ok(self.beside(left, right))
+    }
+
+    /// The first image's time, and the scene's middle then; `time` is the first's where none was drawn.
+    pub fn anchored(&mut self, interval: &Interval, time: f64) -> Result<Anchor, Failure> {
+        Ok(match self.anchor {
+            Some(anchor) => anchor,
+            None => *self.anchor.insert(Anchor { time, pivot: turn::pivot(interval, time, &self.workers)? }),
+        })
     }
 
     fn seen(&mut self, interval: &Interval, time: f64, camera: &Camera, views: &Views) -> Result<Image, Failure> {
@@ -111,6 +121,26 @@ impl Drawing {
                 Ok(self.beside(left, right))
             }
         }
+    }
+
+    /// The mean of what `draw` draws at each part of the shutter; what it draws at 0 where there is no shutter.
+    pub fn exposed(
+        &mut self,
+        views: &Views,
+        mut draw: impl FnMut(&mut Drawing, f64) -> Result<Image, Failure>,
+    ) -> Result<Image, Failure> {
+        let Some(shutter) = &views.shutter else { return draw(self, 0.0) };
+        let mut exposure = Exposure::new(self.workers.level(), views.transparent);
+        for &part in shutter.parts() {
+            let image = draw(self, part)?;
+            let start = Instant::now();
+            self.workers.install(|| exposure.add(&image));
+            self.render += start.elapsed();
+        }
+        let start = Instant::now();
+        let image = self.workers.install(|| exposure.mean());
+        self.render += start.elapsed();
+        Ok(image)
     }
 
     /// Draws and counts; `turned`: whether the view needs splats that are turned.
@@ -220,12 +250,25 @@ impl Drawing {
 
 impl Course {
     /// Where the camera stands at the image with the number `index`, so many seconds after the first.
-    fn at(&self, index: usize, time: f64) -> turn::Angles {
+    fn at(&self, index: f64, time: f64) -> turn::Angles {
         match self {
-            Course::Held(angles) => angles.get(index).copied().unwrap_or_default(),
+            Course::Held(angles) => between(angles, index),
             Course::Running(turn) => turn.at(time),
         }
     }
+}
+
+/// The angles at a place among them, of which parts are between two; the first and the last hold outside.
+fn between(angles: &[turn::Angles], index: f64) -> turn::Angles {
+    let place = index.clamp(0.0, angles.len().saturating_sub(1) as f64);
+    let (whole, part) = (place.floor(), place - place.floor());
+    let at = |i: usize| angles.get(i).or(angles.last()).copied().unwrap_or_default();
+    let (before, after) = (at(whole as usize), at(whole as usize + 1));
+    if part == 0.0 {
+        return before;
+    }
+    let mix = |a: f64, b: f64| a * (1.0 - part) + b * part;
+    turn::Angles { right: mix(before.right, after.right), up: mix(before.up, after.up) }
 }
 
 fn behind() -> Failure {

@@ -8,6 +8,7 @@ use streamsplat::import::read_text;
 
 use crate::console::failure::Failure;
 use crate::options::args::{Motion, RenderOptions, ViewOptions};
+use crate::options::optics::Optics;
 
 /// Longest list that is read, in bytes.
 const MAX_LIST: u64 = 1 << 24;
@@ -40,6 +41,14 @@ struct Entry {
     #[serde(default)]
     stereo: bool,
     eye_distance: Option<f64>,
+    footprint: Option<String>,
+    #[serde(default)]
+    panorama: bool,
+    f_stop: Option<f64>,
+    focus: Option<Word>,
+    sensor_height: Option<f64>,
+    shutter: Option<f64>,
+    shutter_samples: Option<u32>,
 }
 
 /// Text, a number, or numbers in a row.
@@ -111,10 +120,19 @@ impl Entry {
             background: self.background.map_or_else(|| "0.5".to_owned(), Word::text),
             renderer: None,
         };
+        let optics = Optics {
+            footprint: self.footprint,
+            panorama: self.panorama,
+            f_stop: self.f_stop,
+            focus: self.focus.map(Word::text),
+            sensor_height: self.sensor_height,
+            shutter: self.shutter,
+            shutter_samples: self.shutter_samples,
+        };
         let Entry { turntable, stereo, eye_distance, antialias, .. } = self;
         let [orbit, sway] = [self.orbit, self.sway].map(|word| word.map(Word::text));
         let motion = Motion { orbit, sway, turntable, stereo, eye_distance };
-        let options = RenderOptions { view, fps: self.fps, motion, antialias, ..RenderOptions::default() };
+        let options = RenderOptions { view, fps: self.fps, motion, antialias, optics, ..RenderOptions::default() };
         Render { name: self.name, scene: folder.join(self.scene), options }
     }
 }

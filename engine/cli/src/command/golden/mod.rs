@@ -15,11 +15,12 @@ use streamsplat::import::{self, Limits, Opened};
 use streamsplat::output::{picture_png, prepare_folder, storage, write_file};
 use streamsplat::picture::Picture;
 use streamsplat::source::decode::decode_file;
-use streamsplat::stream::{Interval, Workers};
+use streamsplat::stream::Workers;
 
 use self::junit::Case;
 use self::list::Render;
 use self::record::{Golden, GoldenImage, GoldenRender};
+use crate::command::render::Stretch;
 use crate::command::still;
 use crate::console::failure::Failure;
 use crate::console::{Console, print, say};
@@ -45,36 +46,30 @@ fn draw(
     sink: &mut dyn FnMut(f64, Image) -> Result<(), Failure>,
 ) -> Result<String, Failure> {
     let Render { scene, options, .. } = render;
-    let mut views = options.view.resolve()?;
+    let mut views = options.views()?;
     views.options.alpha = views.transparent;
-    views.options.antialias = options.antialias;
     times::check_rate(options.fps)?;
     let mut drawing = Drawing::new(workers, views.backend)?;
     let scene = match workers.install(|| import::open(scene, limits))? {
         Opened::Still(file) => {
             let plan = still::Plan::new(&file, options, &views)?;
             let blake3 = file.blake3.clone();
+            plan.check_shutter(&file)?;
             let scene = plan.prepare(file, workers)?;
             for (time, views) in plan.images() {
-                sink(time, drawing.still(&scene, time, &views)?)?;
+                sink(time, plan.image(&mut drawing, &scene, time, &views)?)?;
             }
             return Ok(blake3);
         }
         Opened::Moving(scene) => scene,
     };
     let fps = options.fps.unwrap_or(scene.index().fps);
-    let mut due = times::of_scene(&scene, views.times.as_deref(), fps)?;
-    options.motion.along(&mut views, &mut due, |(time, _)| time, fps)?;
-    let mut current: Option<(usize, Interval)> = None;
-    for (index, (time, place)) in due.into_iter().enumerate() {
-        let interval = match current.take().filter(|(at, _)| *at == place) {
-            Some((_, interval)) => interval,
-            None => scene.interval(place)?,
-        };
+    let due = options.due(&scene, &mut views, fps)?;
+    let mut stretch = Stretch::of(&scene);
+    for (index, due) in due.into_iter().enumerate() {
         // Images of one instant are told apart by when they are shown.
-        let shown = if let Some(Course::Held(_)) = views.course { index as f64 / fps } else { time };
-        sink(shown, drawing.draw(&interval, index, time, &views)?)?;
-        current = Some((place, interval));
+        let shown = if let Some(Course::Held(_)) = views.course { index as f64 / fps } else { due.0 };
+        sink(shown, stretch.image(&mut drawing, index, due, &views, fps)?)?;
     }
     digest::scene(&scene)
 }
