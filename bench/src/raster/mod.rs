@@ -151,7 +151,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let repeat = options.common.repeat.max(3);
         let mut rows = Vec::new();
         println!("{}", SCENES.heads());
-        for (name, scene) in WHOLE {
+        for (name, scene) in WHOLE.into_iter().chain(OPTICS) {
             if wanted(name) {
                 rows.push(measure(level, name, &[scene()?], false, repeat)?);
             }
@@ -182,6 +182,13 @@ const WHOLE: [(&str, fn() -> Result<Scene>); 4] = [
     ("anisotropic-720p", || Ok(Scene::anisotropic_720p())),
     ("one-over-all", || Ok(Scene::one_over_all())),
     ("predicted", Scene::predicted),
+];
+
+/// The turned Gaussians in ways that the CPU alone draws.
+const OPTICS: [(&str, fn() -> Result<Scene>); 3] = [
+    ("footprint-720p", || Ok(Scene::anisotropic_720p().ending())),
+    ("lens-720p", || Ok(Scene::anisotropic_720p().blurred())),
+    ("panorama-2048", || Ok(Scene::anisotropic_720p().around())),
 ];
 
 const SCENES: Table<'_> = Table(&[

@@ -5,7 +5,7 @@ use streamsplat::render::{Snapshot, View};
 use streamsplat::{Camera, Engine, Frame, Settings};
 use streamsplat_fixtures::clip::{Clip, ClipKind};
 pub(crate) use streamsplat_fixtures::random::Random;
-use streamsplat_kernels::raster::{Gaussians, OwnedGaussians, Projection, Request};
+use streamsplat_kernels::raster::{Defocus, Falloff, Gaussians, OwnedGaussians, Projection, Request};
 
 /// Gaussians with the view they are drawn in.
 #[derive(Clone)]
@@ -98,6 +98,32 @@ impl Scene {
             scene.splats.push([u * z / focal, v * z / focal, z], scale, q.map(|v| v / norm), opacity, rgb);
         }
         scene
+    }
+
+    /// The scene with footprints that end.
+    pub(crate) fn ending(mut self) -> Self {
+        self.request.falloff = Falloff::SplatTransform;
+        self
+    }
+
+    /// The scene through a lens that blurs what is farthest by discs of 10 px.
+    pub(crate) fn blurred(mut self) -> Self {
+        self.request.defocus = Some(Defocus { aperture: 0.08, focus: 4.0 });
+        self
+    }
+
+    /// Its Gaussians in directions all around, in 2048×1024 pixels, where they are about as large.
+    pub(crate) fn around(mut self) -> Self {
+        let mut random = Random::new(5);
+        for mean in &mut self.splats.mean {
+            let distance = 0.33 * mean[2];
+            // Uniform on the sphere.
+            let (height, angle) = (random.range(-1.0, 1.0), random.range(-std::f32::consts::PI, std::f32::consts::PI));
+            let level = (1.0 - height * height).sqrt();
+            *mean = [level * angle.sin(), height, level * angle.cos()].map(|c| distance * c);
+        }
+        (self.projection, self.request.width, self.request.height) = (Projection::Equirectangular, 2048, 1024);
+        self
     }
 
     /// Prediction of the model inside the library for two frames of a procedural clip, halfway between them, drawn at twice

@@ -49,6 +49,25 @@ pub fn weights(gaussians: &Gaussians<'_>, projection: &Projection, request: &Req
     (image, all)
 }
 
+/// Rows and columns of an equirectangular image that see a part of the cone around n whose tangent is given; some more.
+fn cone(n: [f64; 3], tangent: f64, [width, height]: [usize; 2]) -> (std::ops::Range<usize>, Vec<usize>) {
+    use std::f64::consts::{FRAC_PI_2, PI, TAU};
+    let (latitude, reach) = (n[1].atan2(n[0].hypot(n[2])), tangent.atan() + 1e-3);
+    let row = |latitude: f64| (latitude / PI + 0.5) * height as f64;
+    let rows =
+        (row(latitude - reach).floor().max(0.0) as usize)..(row(latitude + reach).ceil().max(0.0) as usize).min(height);
+    if latitude.abs() + reach >= FRAC_PI_2 {
+        return (rows, (0..width).collect());
+    }
+    let beside = (reach.sin() / latitude.cos()).min(1.0).asin() * width as f64 / TAU + 1.0;
+    let middle = (n[0].atan2(n[2]) / TAU + 0.5) * width as f64;
+    if 2.0 * beside + 2.0 >= width as f64 {
+        return (rows, (0..width).collect());
+    }
+    let (first, last) = ((middle - beside).floor() as isize, (middle + beside).ceil() as isize);
+    (rows, (first..=last).map(|column| column.rem_euclid(width as isize) as usize).collect())
+}
+
 /// The direction of a place, and east and south there.
 fn sphere_axes(place: [f64; 3]) -> [[f64; 3]; 3] {
     let length = place.iter().map(|c| c * c).sum::<f64>().sqrt();
@@ -183,11 +202,16 @@ fn render_with(
             first..((centre + reach).ceil() + 1.0).clamp(0.0, size as f64) as usize
         };
         let (rows, columns) = match sphere {
-            Some(_) => (0..height, 0..width),
-            None => (span(v, c, height), span(u, a, width)),
+            Some([n, ..]) => {
+                // The cone around all of the ellipse.
+                let k = height as f64 / std::f64::consts::PI;
+                let longest = 0.5 * (a + c) + (0.25 * (a - c) * (a - c) + b * b).sqrt();
+                cone(n, (radius * longest).sqrt() / k, [width, height])
+            }
+            None => (span(v, c, height), span(u, a, width).collect()),
         };
         for py in rows {
-            for px in columns.clone() {
+            for &px in &columns {
                 let at = py * width + px;
                 if finished[at] {
                     continue;

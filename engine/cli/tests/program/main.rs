@@ -15,6 +15,7 @@ mod images;
 #[cfg(unix)]
 mod killed;
 mod manual;
+mod optics;
 #[cfg(unix)]
 mod places;
 mod results;
