@@ -11,7 +11,7 @@ fn images(count: u32) -> Vec<Image> {
     (0..count)
         .map(|seed| {
             let alpha: Vec<f32> = noise(PIXELS, seed + 50).iter().map(|x| (x * 0.7 + 0.5).clamp(0.0, 1.0)).collect();
-            let rgb = noise(3 * PIXELS, seed).iter().enumerate().map(|(i, x)| match i % 11 {
+            let rgb = noise(3 * PIXELS, seed).into_iter().enumerate().map(|(i, x)| match i % 11 {
                 0 => special[(i / 11 + seed as usize) % special.len()],
                 _ => x * 0.8 + 0.5,
             });
