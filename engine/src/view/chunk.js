@@ -40,10 +40,11 @@ async function columnsOf(chunk) {
   const columns = [];
   for (let at = 0; columns.length < COLUMNS; ) {
     const [whole, stored] = [view.getUint32(at, true), view.getUint32(at + 4, true)];
-    columns.push(whole ? inflated(chunk.subarray(at + 8, at + 8 + stored)) : new Uint8Array(0));
+    columns.push(whole ? chunk.subarray(at + 8, at + 8 + stored) : null);
     at += 8 + stored;
   }
-  return (await Promise.all(columns)).map((bytes, column) => numbersOf(bytes, column !== KIND && column !== CODE));
+  const bytes = columns.map((stored) => (stored ? inflated(stored) : new Uint8Array(0)));
+  return (await Promise.all(bytes)).map((bytes, column) => numbersOf(bytes, column !== KIND && column !== CODE));
 }
 
 /** The records of a chunk, as columns of numbers; `before` are those of the interval before. */

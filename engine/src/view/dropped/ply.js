@@ -33,7 +33,7 @@ function elementsOf(bytes, size) {
       last = { name: a, count: Number(b), width: 0, properties: new Map() };
       elements.set(a, last);
     } else if (key === "property") {
-      if (!last || !Object.hasOwn(TYPES, a) || last.properties.has(b)) throw wrong(`property ${b}`, "a number of an element, once", quoted(a ?? ""));
+      if (!last || b === undefined || !Object.hasOwn(TYPES, a) || last.properties.has(b)) throw wrong(`property ${b ?? a}`, "a number of an element, once", quoted(a ?? ""));
       last.properties.set(b, { type: SAME[a] ?? a, start: last.width });
       last.width += TYPES[a];
     } else if (!["format", "comment", "obj_info"].includes(key)) {

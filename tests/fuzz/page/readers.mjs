@@ -1,0 +1,170 @@
+// The readers of the page, as the worker has them: for each its seeds, a function that reads bytes and checks what came of them, and which of its
+// errors are refusals.
+
+import { readFileSync } from "node:fs";
+import { deflateRawSync, gzipSync } from "node:zlib";
+
+const VIEW = "engine/src/view";
+/** The most Gaussians of a file that the page is told to take. */
+const MOST = 1 << 20;
+
+/** What the worker's scripts define, in the order in which page.rs joins them. */
+function scripts() {
+  const list = /const WORKER_FILES[^=]*= \[(.*?)\];/s.exec(readFileSync(`${VIEW}/page.rs`, "utf8"))[1];
+  const files = [...list.matchAll(/include_str!\("(.*?)"\)/g)].map(([, name]) => name).filter((name) => name !== "worker.js");
+  const text = files.map((name) => readFileSync(`${VIEW}/${name}`, "utf8")).join("\n");
+  return new Function(`"use strict";\n${text}\nreturn { opened, Packet, packetIn, decode, packetOf, HEADER, RECORD };`)();
+}
+
+/** A file in memory, as the page's readers see one. */
+class Bytes {
+  constructor(bytes, name) {
+    [this.bytes, this.name, this.size] = [bytes, name, bytes.length];
+  }
+
+  slice(from, to) {
+    const part = this.bytes.subarray(from, Math.min(to, this.size));
+    return { arrayBuffer: async () => new Uint8Array(part).buffer };
+  }
+
+  stream() {
+    return new ReadableStream({
+      start: (controller) => {
+        if (this.size) controller.enqueue(new Uint8Array(this.bytes));
+        controller.close();
+      },
+    });
+  }
+}
+
+const check = (holds, what) => {
+  if (!holds) throw new TypeError(`finding: ${what}`);
+};
+
+const floats = (count, value) => Buffer.from(Float32Array.from({ length: count }, (_, i) => value(i)).buffer);
+const value = (i) => ((i * 7919) % 1009) / 504.5 - 1;
+
+/** A PLY file of elements: [name, count, [[type, property]…], bytes]. */
+function ply(elements) {
+  const lines = elements.flatMap(([name, count, properties]) => [`element ${name} ${count}`, ...properties.map((property) => `property ${property.join(" ")}`)]);
+  return Buffer.concat([Buffer.from(`ply\nformat binary_little_endian 1.0\n${lines.join("\n")}\nend_header\n`), ...elements.map((element) => element[3])]);
+}
+
+const PLAIN = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+const all = (type, names) => names.map((name) => [type, name]);
+const numbered = (count) => Array.from({ length: count }, (_, i) => `f_rest_${i}`);
+
+function plain(count, rest) {
+  const names = [...PLAIN, ...numbered(rest)];
+  return ply([["vertex", count, all("float", names), floats(count * names.length, value)]]);
+}
+
+function packed(count, rest) {
+  const ends = ["min_x", "min_y", "min_z", "max_x", "max_y", "max_z", "min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z"];
+  const words = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
+  const bytes = (length) => Buffer.from(Uint8Array.from({ length }, (_, i) => (i * 101) & 255));
+  const chunks = Math.ceil(count / 256);
+  const parts = [
+    ["chunk", chunks, all("float", ends), floats(12 * chunks, value)],
+    ["vertex", count, all("uint", words), bytes(16 * count)],
+  ];
+  return ply(rest ? [...parts, ["sh", count, all("uchar", numbered(rest)), bytes(rest * count)]] : parts);
+}
+
+function splat(count) {
+  const records = Buffer.from(Uint8Array.from({ length: 32 * count }, (_, i) => (i * 37) & 255));
+  for (let i = 0; i < count; i++) for (let k = 0; k < 6; k++) records.writeFloatLE(Math.abs(value(6 * i + k)), 32 * i + 4 * k);
+  return records;
+}
+
+/** What is in an SPZ file's gzip stream. */
+function spz(version, count, degree) {
+  const head = Buffer.alloc(16);
+  head.write("NGSP");
+  [version, count].forEach((word, k) => head.writeUInt32LE(word, 4 + 4 * k));
+  head.set([degree, 12, 0, 0], 12);
+  const each = 16 + version + 1 + 3 * ((degree + 1) ** 2 - 1);
+  return Buffer.concat([head, Buffer.from(Uint8Array.from({ length: count * each }, (_, i) => (i * 73) & 255))]);
+}
+
+/** A chunk of a page's container: records that are fresh, all differences small. */
+function chunk(count) {
+  return Buffer.concat(
+    Array.from({ length: 29 }, (_, column) => {
+      const empty = column === 1 || column > 25;
+      const values = Uint8Array.from({ length: empty ? 0 : count }, (_, i) => (column < 6 ? 0 : (i * 5 + column) & 15));
+      const lengths = Buffer.alloc(8);
+      const deflated = empty ? Buffer.alloc(0) : deflateRawSync(values);
+      [values.length, deflated.length].forEach((length, k) => lengths.writeUInt32LE(length, 4 * k));
+      return Buffer.concat([lengths, deflated]);
+    }),
+  );
+}
+
+const ONES = new Array(21).fill(1);
+const PLACE = { index: 3, start: 0, end: 1, coarseness: ONES };
+const whole = (bytes) => new Uint8Array(bytes).buffer;
+
+/** All readers by name. */
+export function readers() {
+  const { opened, Packet, packetIn, decode, packetOf, HEADER, RECORD } = scripts();
+  /** One error of one line that says what was expected and found. */
+  const own = (error) => error.constructor === Error && /^[^\n]+: expected [^\n]*, found [^\n]*$/.test(error.message);
+  const file = (name, seeds, wrapped = (bytes) => bytes) => ({
+    seeds,
+    refusal: own,
+    async read(bytes, chance) {
+      const { buffer, degree, least, greatest } = await opened(new Bytes(wrapped(bytes, chance), name), MOST);
+      const packet = packetIn(buffer);
+      check(packet.count >= 0 && packet.count <= MOST && degree <= 3, `${packet.count} of degree ${degree}`);
+      check([...least, ...greatest].every(Number.isFinite), `a box of ${least} and ${greatest}`);
+      check(least.every((low, axis) => low <= greatest[axis]), `a box of ${least} and ${greatest}`);
+    },
+  });
+  const zipped = (bytes, chance) => {
+    // Now and then the stream itself is changed.
+    const stream = gzipSync(bytes, { level: 1 });
+    if (chance(8) === 0) stream[chance(stream.length)] ^= 1 << chance(8);
+    return stream;
+  };
+  const first = decode(chunk(40), null);
+  return {
+    ply: file("a.ply", [plain(3, 0), plain(2, 9), plain(2, 24), plain(2, 45)]),
+    packed: file("a.ply", [packed(3, 0), packed(300, 0), packed(2, 9), packed(2, 45)]),
+    splat: file("a.splat", [splat(1), splat(20)]),
+    spz: file("a.spz", [spz(2, 3, 0), spz(3, 3, 0), spz(3, 2, 1), spz(2, 2, 3), spz(3, 2, 4)], zipped),
+    others: file("a.bin", [plain(1, 0), ...[spz(2, 1, 0)].map((bytes) => gzipSync(bytes))]),
+    // Chunks and packets come from the program itself: any error will do that ends soon, and no packet may hold together only in part.
+    chunk: {
+      seeds: [chunk(1), chunk(40)],
+      refusal: () => true,
+      async read(bytes, chance) {
+        const records = await decode(bytes, chance(2) ? await first : null);
+        new Packet(packetOf(records, PLACE));
+      },
+    },
+    packet: {
+      seeds: [],
+      refusal: (error) => error.constructor === Error && /interval/.test(error.message),
+      async read(bytes) {
+        const packet = new Packet(whole(bytes));
+        check(packet.size === HEADER + packet.count * (RECORD + 2) + packet.rates.length, `${packet.count} records in ${packet.size} bytes`);
+        for (let i = 0; i < packet.count; i++) {
+          check(packet.identity(i) >= 0n && packet.handover(i) <= 3 && packet.reference(i) <= 1, `record ${i}`);
+          packet.gamma(i).concat(packet.deviation(i), [...packet.colour(i)]);
+        }
+      },
+    },
+  };
+}
+
+/** Seeds that take a while to make. */
+export async function prepared(name) {
+  const all = readers();
+  if (name === "packet") {
+    const { decode, packetOf } = scripts();
+    for (const count of [1, 5]) all.packet.seeds.push(Buffer.from(packetOf(await decode(chunk(count), null), PLACE)));
+  }
+  return all[name];
+}
+
