@@ -1,6 +1,7 @@
 //! Files that another names: the images of a SOG scene, the buffers of a glTF document.
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::{FormatError, read_file};
@@ -24,15 +25,22 @@ impl Beside {
         beside
     }
 
-    /// The bytes of a file in the same folder, of which there are at most `most`. Names of other places are refused.
-    pub(crate) fn read(&self, name: &str, most: u64) -> Result<Vec<u8>, FormatError> {
-        let wrong = |found: String| FormatError::new(format!("file {name:?}"), "a file beside this one", found);
-        let Some(folder) = &self.folder else { return Err(wrong("none, as this one is in memory".into())) };
+    /// The path of a file in the same folder. Names of other places are refused.
+    fn path(&self, name: &str) -> Result<PathBuf, FormatError> {
+        let Some(folder) = &self.folder else { return Err(wrong(name, "none, as this one is in memory".into())) };
         let plain = !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\', ':', '%', '\0']);
-        if !plain {
-            return Err(wrong("the name of another place".into()));
-        }
-        let bytes = read_file(&folder.join(name), most).map_err(|e| wrong(e.to_string()))?;
+        if plain { Ok(folder.join(name)) } else { Err(wrong(name, "the name of another place".into())) }
+    }
+
+    /// Bytes of a file of `own` and of those that it names, each once. Files that cannot be read have none: [`Self::read`] has the reason.
+    pub(crate) fn size<'n>(&self, own: u64, names: impl Iterator<Item = &'n str>) -> u64 {
+        let length = |name| std::fs::metadata(self.path(name).ok()?).ok().map(|about| about.len());
+        names.collect::<BTreeSet<_>>().into_iter().filter_map(length).fold(own, u64::saturating_add)
+    }
+
+    /// The bytes of a file in the same folder, of which there are at most `most`.
+    pub(crate) fn read(&self, name: &str, most: u64) -> Result<Vec<u8>, FormatError> {
+        let bytes = read_file(&self.path(name)?, most).map_err(|e| wrong(name, e.to_string()))?;
         let (hasher, length) = &mut *self.read.borrow_mut();
         hasher.update(&bytes);
         *length += bytes.len() as u64;
@@ -44,6 +52,10 @@ impl Beside {
         let (hasher, length) = self.read.into_inner();
         (own as u64 + length, hasher.finalize().to_hex().to_string())
     }
+}
+
+fn wrong(name: &str, found: String) -> FormatError {
+    FormatError::new(format!("file {name:?}"), "a file beside this one", found)
 }
 
 #[cfg(test)]
@@ -59,6 +71,7 @@ mod tests {
         std::fs::write(own.join("a"), "yes").expect("writable");
         let beside = Beside::of(&own.join("scene"), b"scene");
         assert_eq!(beside.read("a", 3).expect("beside"), b"yes");
+        assert_eq!(beside.size(5, ["a", "b", "a", "../secret"].into_iter()), 8);
         for name in ["../secret", "..", "", "/etc/passwd", "in\\a", "%2e%2e", "b"] {
             assert!(beside.read(name, 100).is_err(), "{name}");
         }

@@ -1,22 +1,77 @@
 //! How much of a file is read.
+//!
+//! A file of N bytes may hold Gaussians that take [`RATIO`]·N bytes in memory, or [`SMALL`] where that is more. What counts is the scene as it
+//! is read, all intervals of a container and all instances of a mesh together; readers need a few times that while they unpack. Measured, in
+//! bytes per byte of the file:
+//!
+//! | file | ratio |
+//! |---|---|
+//! | one time of a scene from a video: SPZ, SOG | 5, 8 |
+//! | a million equal Gaussians in a regular plane: SPZ, SOG | 22, 13 |
+//! | 90,000 of them with harmonics of degree 3, all 0: SPZ, SOG | 94, 47 |
+//! | a container of a still video, and of a still video of one colour | 14, 95 |
+//! | a million equal Gaussians in one place: SPZ, SOG | 4800, 9500 |
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
+use super::FormatError;
+use crate::still::Still;
+
 /// Gaussians of a scene that are read where nothing else is said.
 pub const GAUSSIANS: usize = 1 << 24;
+/// Bytes in memory for each byte of a file, where nothing else is said.
+pub const RATIO: u64 = 256;
+/// Bytes in memory that any file may take.
+pub const SMALL: u64 = 16 << 20;
 
 /// Limits on the content of files. Compressed and sparse files can expand to many times their size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Gaussians of an interval, or of a still scene.
     pub gaussians: usize,
+    /// Bytes that the scene takes in memory for each byte of its file; [`SMALL`] are always allowed.
+    pub ratio: u64,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Limits { gaussians: GAUSSIANS }
+        Limits { gaussians: GAUSSIANS, ratio: RATIO }
+    }
+}
+
+impl Limits {
+    /// An error where there are more Gaussians than allowed.
+    pub(crate) fn check_count(&self, part: &str, count: usize) -> Result<(), FormatError> {
+        if count <= self.gaussians {
+            return Ok(());
+        }
+        let expected = format!("at most {} Gaussians (the limit can be raised)", self.gaussians);
+        Err(FormatError::new(part, expected, count.to_string()))
+    }
+
+    /// An error where `count` things of `each` bytes are more than a file of `size` bytes may stand for.
+    pub(crate) fn check_memory(
+        &self,
+        part: &str,
+        what: &str,
+        count: u64,
+        each: u64,
+        size: u64,
+    ) -> Result<(), FormatError> {
+        let most = size.saturating_mul(self.ratio).max(SMALL);
+        if count.saturating_mul(each) <= most {
+            return Ok(());
+        }
+        let expected = format!("at most {} {what} in a file of {size} bytes (the ratio can be raised)", most / each);
+        Err(FormatError::new(part, expected, count.to_string()))
+    }
+
+    /// Both, of `count` Gaussians of a still scene whose harmonics have this degree.
+    pub(crate) fn check_still(&self, part: &str, count: usize, degree: usize, size: u64) -> Result<(), FormatError> {
+        self.check_count(part, count)?;
+        self.check_memory(part, "Gaussians", count as u64, Still::bytes_each(degree), size)
     }
 }
 
@@ -53,6 +108,25 @@ pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_stands_for_so_many_times_its_length() {
+        let limits = Limits::default();
+        let most = 256 * 1_000_000 / 56;
+        limits.check_still("a", most, 0, 1_000_000).expect("as many as fit");
+        let error = limits.check_still("a", most + 1, 0, 1_000_000).expect_err("more").to_string();
+        let start = format!("a: expected at most {most} Gaussians in a file of 1000000 bytes");
+        assert!(error.starts_with(&start) && error.ends_with(&format!("found {}", most + 1)), "{error}");
+        // Harmonics count.
+        assert!(limits.check_still("a", 256 * 1_000_000 / 236, 3, 1_000_000).is_ok());
+        assert!(limits.check_still("a", 256 * 1_000_000 / 236 + 1, 3, 1_000_000).is_err());
+        // Small scenes are read from any file, and no product wraps around.
+        assert!(limits.check_still("a", (16 << 20) / 56, 0, 1).is_ok());
+        assert!(limits.check_still("a", (16 << 20) / 56 + 1, 0, 1).is_err());
+        assert!(limits.check_memory("a", "bytes", u64::MAX, u64::MAX, 1).is_err());
+        assert!(Limits { ratio: u64::MAX, ..limits }.check_still("a", GAUSSIANS, 3, 2).is_ok());
+        assert!(Limits { ratio: u64::MAX, ..limits }.check_still("a", GAUSSIANS + 1, 3, 2).is_err());
+    }
 
     #[test]
     fn no_more_is_read_than_allowed() {

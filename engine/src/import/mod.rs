@@ -9,7 +9,7 @@
 //! `.splat` alone has no first bytes of its own and is known by its name.
 //!
 //! Nothing is allocated for what a header promises before the file is seen to be long enough to hold it, and before it is seen to be within the
-//! [`Limits`].
+//! [`Limits`]: so many Gaussians, and so many bytes in memory for each byte of the file.
 
 mod beside;
 mod blocks;
@@ -30,7 +30,7 @@ pub use blocks::Progress;
 use blocks::{Blocks, ReadError};
 pub use formats::{FORMATS, Format};
 pub use gltf::glb;
-pub use limits::{GAUSSIANS, Limits, read_file, read_text};
+pub use limits::{GAUSSIANS, Limits, RATIO, SMALL, read_file, read_text};
 pub(crate) use ply::packed;
 pub use ply::ply;
 pub use sog::sog;
@@ -162,13 +162,4 @@ pub fn open_with(path: &Path, limits: &Limits, progress: Progress<'_>) -> Result
     let beside = Beside::of(path, &bytes);
     let still = format.reader.read(&bytes, &beside, limits).map_err(broken)?;
     Ok(opened(still, beside.finish(bytes.len())))
-}
-
-/// An error where a file holds more Gaussians than the limits allow.
-pub(crate) fn check_count(part: &str, count: usize, limits: &Limits) -> Result<(), FormatError> {
-    if count <= limits.gaussians {
-        return Ok(());
-    }
-    let expected = format!("at most {} Gaussians (the limit can be raised)", limits.gaussians);
-    Err(FormatError::new(part, expected, count.to_string()))
 }

@@ -17,7 +17,7 @@ use streamsplat_kernels::math::f64::ln;
 use std::path::Path;
 
 use super::formats::Reader;
-use super::{Beside, FormatError, Limits, check_count};
+use super::{Beside, FormatError, Limits};
 use crate::still::{LEAST, Still};
 
 /// Bytes of a record.
@@ -49,7 +49,7 @@ fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     if !rest.is_empty() {
         return Err(FormatError::new("file", format!("records of {RECORD} bytes"), format!("{} bytes", bytes.len())));
     }
-    check_count("records", records.len(), limits)?;
+    limits.check_still("records", records.len(), 0, bytes.len() as u64)?;
     let mut still = Still::with_room(records.len(), 0);
     for (i, record) in records.iter().enumerate() {
         let float = |k: usize| record[4 * k..].first_chunk().map_or(f32::NAN, |b| f32::from_le_bytes(*b));
@@ -143,7 +143,7 @@ mod tests {
         assert!(
             splat(&negative).expect_err("negative").to_string().starts_with("record 1: expected standard deviations")
         );
-        let error = within(&[0; 96], &Limits { gaussians: 2 }).expect_err("too many").to_string();
+        let error = within(&[0; 96], &Limits { gaussians: 2, ..Limits::default() }).expect_err("too many").to_string();
         assert!(error.starts_with("records: expected at most 2 Gaussians") && error.ends_with("found 3"), "{error}");
     }
 }

@@ -1,5 +1,6 @@
 //! Reading a scene.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -7,7 +8,7 @@ use std::path::{Path, PathBuf};
 use super::container::Container;
 use super::{FORMAT, INDEX, Index, IntervalEntry, SceneError, VERSION, from_safetensors};
 use crate::fit::Placement;
-use crate::import::{Limits, check_count, read_file};
+use crate::import::{Limits, read_file};
 use crate::stream::Interval;
 
 /// Largest index read, in bytes.
@@ -15,9 +16,9 @@ const MAX_INDEX: u64 = 1 << 26;
 /// Bytes that an interval's file needs beyond those of its records.
 const MAX_OVERHEAD: u64 = 1 << 20;
 /// Bytes of one Gaussian's record.
-const RECORD: u64 = 110;
+pub(super) const RECORD: u64 = 110;
 /// Bytes of one merge.
-const MERGE: u64 = 16;
+pub(super) const MERGE: u64 = 16;
 
 /// A scene on disk: its index in memory, its intervals read when asked for.
 #[derive(Clone, Debug)]
@@ -57,8 +58,7 @@ impl Scene {
         };
         let broken = |cause: String| SceneError::Broken { path: file.clone(), cause };
         if begins_as_container(&file)? {
-            let (container, index) = Container::open(&file)?;
-            index.check_counts(limits).map_err(broken)?;
+            let (container, index) = Container::open(&file, limits)?;
             let placement = index.placement.placement().ok_or_else(|| broken("placement".into()))?;
             return Ok(Scene { place: Place::Container(container), index, placement });
         }
@@ -157,9 +157,16 @@ impl Index {
             return Err("the scene has no interval".into());
         }
         let mut before = f64::NEG_INFINITY;
+        let mut files = BTreeMap::new();
         for (i, entry) in index.intervals.iter().enumerate() {
             entry.check(before).map_err(|cause| format!("interval {i}: {cause}"))?;
             before = entry.end;
+            if let Some(first) = files.insert(entry.file.as_str(), i) {
+                return Err(format!(
+                    "interval {i}: expected a file of its own, found {:?} of interval {first}",
+                    entry.file
+                ));
+            }
         }
         Ok(index)
     }
@@ -168,8 +175,7 @@ impl Index {
 impl Index {
     /// An error where an interval has more Gaussians than allowed.
     fn check_counts(&self, limits: &Limits) -> Result<(), String> {
-        let check =
-            |(i, entry): (usize, &IntervalEntry)| check_count(&format!("interval {i}"), entry.gaussians, limits);
+        let check = |(i, entry): (usize, &IntervalEntry)| limits.check_count(&format!("interval {i}"), entry.gaussians);
         self.intervals.iter().enumerate().try_for_each(check).map_err(|e| e.to_string())
     }
 }

@@ -64,6 +64,11 @@ impl Still {
         still
     }
 
+    /// Bytes in memory of a Gaussian whose harmonics have this degree.
+    pub(crate) fn bytes_each(degree: usize) -> u64 {
+        4 * (3 + 3 + 4 + 1 + 3 + 3 * harmonics::rest(degree)) as u64
+    }
+
     /// A scene of `count` Gaussians of zeros. Memory is taken as they are filled.
     pub(crate) fn zeros(count: usize, degree: usize) -> Self {
         Still {

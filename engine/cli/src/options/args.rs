@@ -334,12 +334,17 @@ pub struct Limit {
     #[arg(long, value_name = "N")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit_gaussians: Option<usize>,
+    /// Bytes that a scene takes in memory at most for each byte of its file; 16 MiB are always allowed [default: 256]
+    #[arg(long, value_name = "N")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limit_ratio: Option<u64>,
 }
 
 impl Limit {
     /// With the default where nothing is said.
     pub fn limits(&self) -> Limits {
-        self.limit_gaussians.map_or_else(Limits::default, |gaussians| Limits { gaussians })
+        let Limits { gaussians, ratio } = Limits::default();
+        Limits { gaussians: self.limit_gaussians.unwrap_or(gaussians), ratio: self.limit_ratio.unwrap_or(ratio) }
     }
 }
 

@@ -22,7 +22,7 @@ fn confined<I: AsRef<OsStr>>(arguments: impl IntoIterator<Item = I>) -> Output {
         .expect("a shell starts")
 }
 
-fn write(path: PathBuf, bytes: &[u8]) -> PathBuf {
+pub(crate) fn write(path: PathBuf, bytes: &[u8]) -> PathBuf {
     std::fs::write(&path, bytes).expect("writable");
     path
 }
@@ -223,7 +223,7 @@ fn a_spoilt_record_of_a_run_is_an_error_in_one_line() {
 
 /// As [`confined`], and the most that was resident at any time, in KiB.
 #[cfg(target_os = "linux")]
-fn measured<I: AsRef<OsStr>>(arguments: impl IntoIterator<Item = I>) -> (Output, u64) {
+pub(crate) fn measured<I: AsRef<OsStr>>(arguments: impl IntoIterator<Item = I>) -> (Output, u64) {
     let mut child = Command::new("sh");
     child.arg("-c").arg(format!("ulimit -v {ADDRESS_SPACE}; exec \"$0\" \"$@\""));
     child

@@ -5,6 +5,8 @@ mod compare;
 mod container;
 mod docs;
 mod errors;
+#[cfg(target_os = "linux")]
+mod expanding;
 mod export;
 mod first_look;
 mod formats;

@@ -69,6 +69,12 @@ impl<'a> Buffers<'a> {
         Self { document, read: document.buffers.iter().map(|_| None).collect(), binary, beside }
     }
 
+    /// Bytes of a document that has `own`, and of the files that its buffers name.
+    pub(super) fn size(&self, own: u64) -> u64 {
+        let names = self.document.buffers.iter().filter_map(|buffer| buffer.uri.as_deref());
+        self.beside.size(own, names.filter(|name| !name.starts_with("data:")))
+    }
+
     /// Elements of an accessor.
     pub(super) fn count(&self, accessor: usize) -> Result<usize, FormatError> {
         self.accessor(accessor).map(|accessor| accessor.count)
@@ -137,6 +143,8 @@ impl<'a> Buffers<'a> {
         let all = &self.document.buffers;
         let part = || format!("buffer {index}");
         let buffer = all.get(index).ok_or_else(|| missing(&part(), "buffers", all.len()))?;
+        // Buffers that name one file share its bytes.
+        let index = all.iter().position(|other| other.uri.is_some() && other.uri == buffer.uri).unwrap_or(index);
         if self.read[index].is_none() {
             let wrong = |expected: String, found: String| FormatError::new(part(), expected, found);
             let bytes = match (&buffer.uri, self.binary) {

@@ -30,7 +30,7 @@ use streamsplat_kernels::harmonics::rest;
 use streamsplat_kernels::math::f64::ln;
 
 use super::formats::Reader;
-use super::{Beside, FormatError, Limits, check_count, spz};
+use super::{Beside, FormatError, Limits, spz};
 use crate::camera::Rotation;
 use crate::still::{LEAST, Similarity, Still};
 use accessor::Buffers;
@@ -77,11 +77,14 @@ fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, Forma
     if let Some(other) = document.extensions_required.iter().find(|name| !KNOWN.contains(&name.as_str())) {
         return Err(FormatError::new("extensionsRequired", KNOWN.join(", "), format!("{other:?}")));
     }
+    let buffers = Buffers::new(&document, binary, beside);
     let mut scene = Reading {
         document: &document,
-        buffers: Buffers::new(&document, binary, beside),
+        size: buffers.size(bytes.len() as u64),
+        buffers,
         limits,
         seen: vec![false; document.nodes.len()],
+        instances: Vec::new(),
         still: Still::default(),
     };
     match document.scenes.get(document.scene.unwrap_or(0)) {
@@ -90,11 +93,11 @@ fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, Forma
                 scene.node(node, DMat4::IDENTITY, 0)?;
             }
         }
-        None => {
-            for mesh in 0..document.meshes.len() {
-                scene.mesh(mesh, DMat4::IDENTITY)?;
-            }
-        }
+        None => scene.instances.extend((0..document.meshes.len()).map(|mesh| (mesh, DMat4::IDENTITY))),
+    }
+    scene.check()?;
+    for (mesh, transform) in std::mem::take(&mut scene.instances) {
+        scene.mesh(mesh, transform)?;
     }
     Ok(scene.still)
 }
@@ -138,8 +141,12 @@ struct Reading<'a> {
     document: &'a Document,
     buffers: Buffers<'a>,
     limits: &'a Limits,
+    /// Bytes of the file, and of the buffers beside it.
+    size: u64,
     /// Nodes that were visited. They form trees: none is visited twice.
     seen: Vec<bool>,
+    /// Meshes that nodes show, and their transforms.
+    instances: Vec<(usize, DMat4)>,
     still: Still,
 }
 
@@ -157,9 +164,26 @@ impl Reading<'_> {
         }
         let own = above * transform(node);
         if let Some(mesh) = node.mesh {
-            self.mesh(mesh, own)?;
+            self.instances.push((mesh, own));
         }
         node.children.iter().try_for_each(|&child| self.node(child, own, depth + 1))
+    }
+
+    /// An error where the instances of all meshes, each of which has Gaussians of its own, are more than the file may stand for. What cannot be
+    /// read counts nothing here: reading it has the reason.
+    fn check(&mut self) -> Result<(), FormatError> {
+        let (meshes, mut known) = (&self.document.meshes, vec![None; self.document.meshes.len()]);
+        let (mut count, mut degree) = (0_usize, 0);
+        for (index, _) in &self.instances {
+            let Some(known) = known.get_mut(*index) else { continue };
+            let (own, highest) = *known.get_or_insert_with(|| {
+                let primitives = meshes[*index].primitives.iter();
+                let gaussians = primitives.map(|primitive| gaussians(&mut self.buffers, primitive));
+                gaussians.fold((0, 0), |(count, degree), own| (own.0.saturating_add(count), own.1.max(degree)))
+            });
+            (count, degree) = (own.saturating_add(count), highest.max(degree));
+        }
+        self.limits.check_still("meshes of all nodes", count, degree, self.size)
     }
 
     fn mesh(&mut self, index: usize, transform: DMat4) -> Result<(), FormatError> {
@@ -192,7 +216,7 @@ impl Reading<'_> {
                 Some(found) => return wrong(name, expected, found.to_string()),
             }
         }
-        if let Some(packed) = extension.get("extensions").and_then(|extensions| extensions.get(SPZ)) {
+        if let Some(packed) = packed(primitive) {
             let Some(view) = packed.get("bufferView").and_then(serde_json::Value::as_u64) else {
                 return wrong(SPZ, "a bufferView", packed.to_string());
             };
@@ -202,17 +226,18 @@ impl Reading<'_> {
             still.transform(&half_turn(1));
             return Ok(still);
         }
-        let attribute = |name: &str| primitive.attributes.get(name).copied();
         let needed = |name: &str| {
-            attribute(name).ok_or_else(|| FormatError::new(format!("{part}: attribute {name}"), "an accessor", "none"))
+            primitive
+                .attributes
+                .get(name)
+                .copied()
+                .ok_or_else(|| FormatError::new(format!("{part}: attribute {name}"), "an accessor", "none"))
         };
         let own = |name: &str| format!("{EXTENSION}:{name}");
-        let coefficient = |degree: usize, k: usize| own(&format!("SH_DEGREE_{degree}_COEF_{k}"));
-        let degree = (1..=3).rev().find(|degree| attribute(&coefficient(*degree, 0)).is_some()).unwrap_or(0);
+        let degree = degree(primitive);
 
         let position = needed("POSITION")?;
         let count = self.buffers.count(position)?;
-        check_count(part, count, self.limits)?;
         let mut still = Still { degree, ..Still::default() };
         let mean = self.buffers.read::<3>(position, count)?;
         let rotation = self.buffers.read::<4>(needed(&own("ROTATION"))?, count)?;
@@ -249,7 +274,6 @@ impl Reading<'_> {
     /// Adds Gaussians to those that were read before. Degrees are made equal with coefficients of 0.
     fn append(&mut self, mut more: Still) -> Result<(), FormatError> {
         let still = &mut self.still;
-        check_count("primitives", still.len().saturating_add(more.len()), self.limits)?;
         if still.is_empty() {
             *still = more;
             return Ok(());
@@ -265,6 +289,35 @@ impl Reading<'_> {
         still.higher.append(&mut more.higher);
         Ok(())
     }
+}
+
+/// How many Gaussians a primitive has, and the degree of their harmonics.
+fn gaussians(buffers: &mut Buffers<'_>, primitive: &Primitive) -> (usize, usize) {
+    if !primitive.extensions.contains_key(EXTENSION) {
+        return (0, 0);
+    }
+    let Some(packed) = packed(primitive) else {
+        let position = primitive.attributes.get("POSITION");
+        return (position.and_then(|position| buffers.count(*position).ok()).unwrap_or(0), degree(primitive));
+    };
+    let view = packed.get("bufferView").and_then(serde_json::Value::as_u64);
+    let bytes = view.and_then(|view| buffers.view(usize::try_from(view).ok()?).ok());
+    bytes.and_then(|bytes| spz::gaussians(&bytes)).unwrap_or((0, 0))
+}
+
+/// The attribute of a coefficient of the harmonics.
+fn coefficient(degree: usize, k: usize) -> String {
+    format!("{EXTENSION}:SH_DEGREE_{degree}_COEF_{k}")
+}
+
+/// The degree of a primitive's harmonics.
+fn degree(primitive: &Primitive) -> usize {
+    (1..=3).rev().find(|degree| primitive.attributes.contains_key(&coefficient(*degree, 0))).unwrap_or(0)
+}
+
+/// The compressed scene that takes the place of a primitive's attributes.
+fn packed(primitive: &Primitive) -> Option<&serde_json::Value> {
+    primitive.extensions.get(EXTENSION)?.get("extensions")?.get(SPZ)
 }
 
 /// Gives a scene a higher degree.

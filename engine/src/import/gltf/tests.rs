@@ -153,7 +153,7 @@ fn what_is_wrong_is_named() {
         (splats("SCALE"), json!(0), "mesh 0, primitive 0: SCALE: expected standard deviations of 0 or more"),
         (splats("OPACITY"), json!(0), "accessor 0: expected 2 of SCALAR, found 2 of VEC3"),
         ("/accessors/0/count".into(), json!(3), "accessor 0: expected 3 elements"),
-        ("/accessors/0/count".into(), json!(1_u64 << 60), "mesh 0, primitive 0: expected at most 16777216 Gaussians"),
+        ("/accessors/0/count".into(), json!(1_u64 << 60), "meshes of all nodes: expected at most 16777216 Gaussians"),
         ("/accessors/0/componentType".into(), json!(5125), "accessor 0: expected componentType"),
         ("/accessors/0/sparse".into(), json!({}), "accessor 0: expected a bufferView"),
         ("/accessors/0/byteOffset".into(), json!(u64::MAX), "accessor 0: expected 2 elements"),

@@ -16,7 +16,7 @@ use streamsplat_kernels::harmonics::Y0;
 use streamsplat_kernels::math::f64::ln;
 
 use super::header::{Element, Encoding, Header, Scalar};
-use crate::import::{FormatError, Limits, check_count};
+use crate::import::{FormatError, Limits};
 use crate::still::{LEAST, Still};
 
 /// Vertices of a chunk.
@@ -59,7 +59,6 @@ pub(super) fn read(header: &Header, body: &[u8], limits: &Limits) -> Result<Stil
         let expected = format!("{} of them for {} vertices", vertices.count.div_ceil(CHUNK), vertices.count);
         return Err(chunks.wrong(expected, chunks.count.to_string()));
     }
-    check_count("element vertex", vertices.count, limits)?;
     let coloured = chunks.property(BOUNDS[2][0][0]).is_some();
     let mut bounds = Vec::new();
     for name in BOUNDS[..if coloured { 3 } else { 2 }].as_flattened().as_flattened() {
@@ -70,6 +69,7 @@ pub(super) fn read(header: &Header, body: &[u8], limits: &Limits) -> Result<Stil
     let words = [position?, rotation?, scale?, colour?];
     let (degree, harmonics) = harmonics(header, body)?;
     let (chunk_bytes, bytes) = (header.bytes("chunk", body)?, header.bytes("vertex", body)?);
+    limits.check_still("element vertex", vertices.count, degree, body.len() as u64)?;
 
     let mut still = Still::with_room(vertices.count, degree);
     let (width, rest) = (chunks.stride(), still.rest());

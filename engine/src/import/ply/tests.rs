@@ -351,7 +351,7 @@ fn what_is_wrong_with_a_file_is_said_alike_in_blocks_and_as_a_whole() {
     }
     let (found, _) = from_disk(&[&file[..], b"\n"].concat(), &Limits::default());
     assert!(found.expect_err("longer").to_string().contains("its end after the last element"));
-    let (found, _) = from_disk(&file, &Limits { gaussians: 2 });
+    let (found, _) = from_disk(&file, &Limits { gaussians: 2, ..Limits::default() });
     assert!(found.expect_err("too many").to_string().contains("at most 2 Gaussians"));
     // A header that promises more than there is room for.
     let text = String::from_utf8_lossy(&file).replace("vertex 3", "vertex 18446744073709551615");

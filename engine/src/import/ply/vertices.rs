@@ -5,7 +5,7 @@ use streamsplat_kernels::harmonics::Y0;
 
 use super::header::{Element, Encoding, Header, Scalar, quoted};
 use crate::import::blocks::{Blocks, ReadError};
-use crate::import::{FormatError, Limits, check_count};
+use crate::import::{FormatError, Limits};
 use crate::still::Still;
 
 /// Properties of every file, without its colours.
@@ -63,7 +63,7 @@ pub(super) fn binary(header: &Header, body: &[u8], limits: &Limits) -> Result<St
     let vertices = header.vertices()?;
     let layout = Layout::of(vertices)?;
     let bytes = header.bytes(&vertices.name, body)?;
-    check_count("element vertex", vertices.count, limits)?;
+    limits.check_still("element vertex", vertices.count, layout.degree, body.len() as u64)?;
     let mut still = Still::zeros(vertices.count, layout.degree);
     Records::new(&layout, header, vertices).read(bytes, Rows::of(&mut still));
     Ok(still)
@@ -75,7 +75,7 @@ pub(super) fn blocks(header: &Header, start: u64, file: &mut Blocks<'_>, limits:
     let layout = Layout::of(vertices)?;
     let after = file.length().saturating_sub(start);
     let place = header.place(&vertices.name, after)?;
-    check_count("element vertex", vertices.count, limits)?;
+    limits.check_still("element vertex", vertices.count, layout.degree, file.length())?;
     let records = Records::new(&layout, header, vertices);
     let mut still = Still::zeros(vertices.count, layout.degree);
     file.pass(start + place.start)?;
@@ -153,7 +153,7 @@ pub(super) fn text(header: &Header, body: &[u8], limits: &Limits) -> Result<Stil
     }
     let body = std::str::from_utf8(body).map_err(|_| FormatError::new("body", "text", "bytes that are none"))?;
     let mut lines = body.lines();
-    check_count("element vertex", vertices.count, limits)?;
+    limits.check_still("element vertex", vertices.count, layout.degree, body.len() as u64)?;
     let mut still = Still::zeros(vertices.count, layout.degree);
     let mut rows = Rows::of(&mut still);
     for element in header.elements.iter().filter(|element| !element.properties.is_empty()) {

@@ -13,7 +13,7 @@ use crate::import::{Beside, FormatError};
 const MAX_META: u64 = 1 << 20;
 
 pub(super) enum Files<'a> {
-    Zip(ZipArchive<Cursor<&'a [u8]>>),
+    Zip(ZipArchive<Cursor<&'a [u8]>>, u64),
     Beside(&'a [u8], &'a Beside),
 }
 
@@ -23,13 +23,21 @@ impl<'a> Files<'a> {
             return Ok(Files::Beside(bytes, beside));
         }
         let broken = |e: ZipError| FormatError::new("zip file", "a whole one", e.to_string());
-        ZipArchive::new(Cursor::new(bytes)).map(Files::Zip).map_err(broken)
+        ZipArchive::new(Cursor::new(bytes)).map(|archive| Files::Zip(archive, bytes.len() as u64)).map_err(broken)
     }
 
     pub(super) fn meta(&mut self) -> Result<Cow<'a, [u8]>, FormatError> {
         match self {
-            Files::Zip(_) => self.read("meta.json", MAX_META).map(Cow::Owned),
+            Files::Zip(..) => self.read("meta.json", MAX_META).map(Cow::Owned),
             Files::Beside(bytes, _) => Ok(Cow::Borrowed(bytes)),
+        }
+    }
+
+    /// Bytes of the scene: of the zip file, or of `meta.json` and of the images beside it.
+    pub(super) fn size<'n>(&self, images: impl Iterator<Item = &'n str>) -> u64 {
+        match self {
+            Files::Zip(_, size) => *size,
+            Files::Beside(bytes, beside) => beside.size(bytes.len() as u64, images),
         }
     }
 
@@ -37,7 +45,7 @@ impl<'a> Files<'a> {
     pub(super) fn read(&mut self, name: &str, most: u64) -> Result<Vec<u8>, FormatError> {
         match self {
             Files::Beside(_, beside) => beside.read(name, most),
-            Files::Zip(archive) => {
+            Files::Zip(archive, _) => {
                 let broken = |e: String| FormatError::new(name.to_owned(), "a file in the zip file", e);
                 let file = archive.by_name(name).map_err(|e| broken(e.to_string()))?;
                 let mut bytes = Vec::new();

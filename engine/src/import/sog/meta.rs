@@ -82,6 +82,13 @@ impl Meta {
         Ok(meta)
     }
 
+    /// The names of all images.
+    pub(super) fn images(&self) -> impl Iterator<Item = &str> {
+        let harmonics = self.harmonics.iter().flat_map(|harmonics| &harmonics.files);
+        let others = [&self.scales.files[0], &self.quats.files[0], &self.sh0.files[0]];
+        self.means.files.iter().chain(others).chain(harmonics).map(String::as_str)
+    }
+
     /// Degree of the harmonics.
     pub(super) fn degree(&self) -> Result<usize, FormatError> {
         match self.harmonics.as_ref().map_or(0, |harmonics| harmonics.bands) {

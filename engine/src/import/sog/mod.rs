@@ -30,7 +30,7 @@ use streamsplat_kernels::harmonics::rest;
 use streamsplat_kernels::math::f64::{exp, ln};
 
 use super::formats::Reader;
-use super::{Beside, FormatError, Limits, check_count};
+use super::{Beside, FormatError, Limits};
 use crate::still::{LEAST, Still};
 use files::Files;
 use meta::Meta;
@@ -68,7 +68,7 @@ fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, Forma
     let mut files = Files::new(bytes, beside)?;
     let meta = Meta::read(&files.meta()?)?;
     let (count, degree) = (meta.count, meta.degree()?);
-    check_count("meta.json: count", count, limits)?;
+    limits.check_still("meta.json: count", count, degree, files.size(meta.images()))?;
     let mut image = |name: &str, least: usize| image(&files.read(name, 8 * most(least) as u64)?, name, least);
     let [low, high] = [image(&meta.means.files[0], count)?, image(&meta.means.files[1], count)?];
     let [scales, quats] = [image(&meta.scales.files[0], count)?, image(&meta.quats.files[0], count)?];

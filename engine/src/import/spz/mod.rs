@@ -22,10 +22,14 @@ mod unpack;
 #[cfg(test)]
 mod tests;
 
+use std::io::Read;
 use std::path::Path;
 
+use flate2::bufread::GzDecoder;
+use streamsplat_kernels::harmonics::MAX_DEGREE;
+
 use super::formats::Reader;
-use super::{Beside, FormatError, Limits, check_count};
+use super::{Beside, FormatError, Limits};
 use crate::still::Still;
 use inflate::{gunzip, zstd};
 
@@ -38,13 +42,6 @@ const HEADER: usize = 32;
 const ANTIALIASED: u8 = 1;
 /// The highest degree of harmonics that a file may have.
 const MOST_DEGREE: u32 = 4;
-/// Largest ratio of the decompressed to the compressed size, where the decompressed size exceeds [`SMALL`]. Files of
-/// real scenes have one to three; the reference implementation allows 1024, with which a file of a megabyte takes tens
-/// of gigabytes.
-const MOST_RATIO: u64 = 64;
-/// Decompressed size that is allowed for any file, in bytes.
-const SMALL: u64 = 1 << 20;
-
 /// Header of an SPZ file.
 #[derive(Clone, Copy, Debug)]
 struct Header {
@@ -91,13 +88,8 @@ impl Header {
             return wrong("flags", "none but anti-aliasing: no extensions", flags);
         }
         let header = Header { version, count: count as usize, degree: degree as usize, fractional_bits };
-        check_count("header: points", header.count, limits)?;
-        let whole: u64 = header.sizes().iter().map(|(_, size)| *size as u64).sum();
-        let most = (size as u64).saturating_mul(MOST_RATIO).max(SMALL);
-        if whole > most {
-            let fit = most * u64::from(count) / whole;
-            return wrong("points", &format!("at most {fit} in {size} bytes"), count);
-        }
+        // Of degree 4 the last coefficients are left out.
+        limits.check_still("header: points", header.count, header.degree.min(MAX_DEGREE), size as u64)?;
         Ok(header)
     }
 
@@ -141,6 +133,16 @@ impl Reader for Spz {
 pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let packed = if bytes.starts_with(&[0x1f, 0x8b]) { old(bytes, limits)? } else { current(bytes, limits)? };
     Ok(unpack::unpack(&packed))
+}
+
+/// How many Gaussians a file promises, and the degree of their harmonics as they are read.
+pub(super) fn gaussians(bytes: &[u8]) -> Option<(usize, usize)> {
+    let mut head = [0; OLD_HEADER];
+    let mut unzipped = GzDecoder::new(bytes);
+    let from: &mut dyn Read = if bytes.starts_with(&[0x1f, 0x8b]) { &mut unzipped } else { &mut { bytes } };
+    from.read_exact(&mut head).ok()?;
+    let count = head[8..].first_chunk().map_or(0, |b| u32::from_le_bytes(*b));
+    Some((count as usize, usize::from(head[12]).min(MAX_DEGREE)))
 }
 
 /// Versions 2 and 3.

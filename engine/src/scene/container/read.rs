@@ -10,7 +10,8 @@ use super::chunk::decode;
 use super::index::{Entry, HEADER, TRAILER, Table, version};
 use super::quantise::Quantised;
 use crate::fit::Placement;
-use crate::import::FormatError;
+use crate::import::{FormatError, Limits};
+use crate::scene::read::{MERGE, RECORD};
 use crate::scene::{FORMAT, Index, IntervalEntry, SceneError};
 use crate::stream::{DynamicGaussians, Interval, Merge};
 
@@ -34,7 +35,7 @@ impl Container {
     }
 
     /// Opens a container, and says what a scene's index would.
-    pub(in crate::scene) fn open(path: &Path) -> Result<(Container, Index), SceneError> {
+    pub(in crate::scene) fn open(path: &Path, limits: &Limits) -> Result<(Container, Index), SceneError> {
         let read = |cause| SceneError::Read { path: path.to_owned(), cause };
         let broken = |e: FormatError| SceneError::Broken { path: path.to_owned(), cause: e.to_string() };
         let mut file = File::open(path).map_err(read)?;
@@ -56,6 +57,7 @@ impl Container {
             return Err(broken(FormatError::new("index", "the digest that the trailer says", "another")));
         }
         let table = Table::from_bytes(&index, at).map_err(broken)?;
+        table.check(size, limits).map_err(broken)?;
         let intervals = table.entries.iter().enumerate().map(|(i, e)| IntervalEntry {
             file: i.to_string(),
             start: e.start,
@@ -130,6 +132,7 @@ pub fn intervals_from_container(bytes: &[u8]) -> Result<Vec<Interval>, FormatErr
     let (at, length) =
         locate(size.checked_sub(TRAILER).and_then(|from| bytes.get(from..)).unwrap_or(&[0; 16]), size as u64)?;
     let table = Table::from_bytes(&bytes[at as usize..(at + length) as usize], at)?;
+    table.check(size as u64, &Limits::default())?;
     let placement = table.placement.placement().ok_or_else(|| FormatError::new("index", "a placement", "none"))?;
     let mut before = Vec::new();
     let mut intervals = Vec::with_capacity(table.entries.len());
@@ -141,6 +144,19 @@ pub fn intervals_from_container(bytes: &[u8]) -> Result<Vec<Interval>, FormatErr
         before = records;
     }
     Ok(intervals)
+}
+
+impl Table {
+    /// An error where the intervals of a file of `size` bytes hold more Gaussians than allowed, or stand for more memory.
+    fn check(&self, size: u64, limits: &Limits) -> Result<(), FormatError> {
+        for (i, entry) in self.entries.iter().enumerate() {
+            limits.check_count(&format!("interval {i}"), entry.gaussians)?;
+        }
+        let records: u64 = self.entries.iter().map(|entry| entry.gaussians as u64).sum();
+        let merges: u64 = self.entries.iter().map(|entry| entry.merges as u64).sum();
+        limits.check_memory("intervals", "Gaussians", records, RECORD, size)?;
+        limits.check_memory("intervals", "merges", merges, MERGE, size)
+    }
 }
 
 impl Entry {
