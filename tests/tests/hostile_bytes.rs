@@ -4,7 +4,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::LazyLock;
 
-use streamsplat_tests::fuzz::{Mutations, TARGETS, Target};
+use streamsplat_tests::fuzz::{Mutations, TARGETS, Target, colmap};
 
 /// Mutations of one input: 400, or as many as `HOSTILE_TRIES` says.
 static TRIES: LazyLock<usize> = LazyLock::new(|| match std::env::var("HOSTILE_TRIES") {
@@ -96,11 +96,8 @@ fn seeds_are_read_as_what_they_are() {
     let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).expect("text");
     all("checkpoint", &|b| streamsplat_model::checkpoint::Checkpoint::from_storage(b.to_vec(), "seed").is_ok());
     all("scene_index", &|b| scene::Index::from_json(b).is_ok());
-    all("camera", &|b| match b.windows(2).position(|part| part == b"%%") {
-        Some(at) => {
-            let (cameras, images) = (&b[..at], &b[at + 2..]);
-            camera::set::colmap::text(cameras, images).is_ok() || camera::set::colmap::binary(cameras, images).is_ok()
-        }
+    all("camera", &|b| match colmap(b) {
+        Some(files) => camera::set::colmap::text(&files).is_ok() || camera::set::colmap::binary(&files).is_ok(),
         None => {
             let others = camera::set::parse(&text(b), Some([8, 5]));
             others.map_or_else(|| camera::file::parse(&text(b)).is_ok(), |set| set.is_ok())

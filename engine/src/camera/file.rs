@@ -106,8 +106,13 @@ struct View {
 /// # Errors
 /// Text that is not JSON of this form, and views that say something impossible, with the view and the key.
 pub fn parse(json: &str) -> Result<CameraPath, CameraError> {
+    let form = |[expected, found]: [String; 2]| CameraError::Form(format!("expected {expected}, found {found}"));
+    from_value(super::set::json::value(json.as_bytes()).map_err(form)?)
+}
+
+/// As [`parse`], of what the text holds.
+pub(super) fn from_value(value: serde_json::Value) -> Result<CameraPath, CameraError> {
     let form = |e: serde_json::Error| CameraError::Form(e.to_string());
-    let value: serde_json::Value = serde_json::from_str(json).map_err(form)?;
     if value.get("views").is_none() {
         let view: View = serde_json::from_value(value).map_err(form)?;
         return Ok(view.camera(0)?.into());

@@ -98,7 +98,7 @@ impl Camera {
 }
 
 /// `tan(degrees / 2)` for an angle in (0°, 180°), the same on every machine.
-fn half_angle_tangent(degrees: f64) -> f64 {
+pub(crate) fn half_angle_tangent(degrees: f64) -> f64 {
     let (sin, cos) = sin_cos(degrees * (std::f64::consts::PI / 360.0));
     sin / cos
 }

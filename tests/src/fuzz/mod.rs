@@ -14,6 +14,7 @@ mod targets;
 use std::path::PathBuf;
 
 pub use mutate::Mutations;
+pub use targets::colmap;
 
 /// A reader of bytes from outside.
 pub struct Target {

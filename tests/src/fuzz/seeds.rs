@@ -125,6 +125,10 @@ pub(super) fn camera() -> Vec<Vec<u8>> {
         r#"{"camera_angle_x": 0.9, "frames": [{"file_path": "./a", "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]}]}"#,
         r#"{"w": 20, "h": 10, "fl_x": 20, "cx": 9.5, "k1": 0, "frames": [{"file_path": "a", "fl_y": 19, "transform_matrix": [[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 2]]}]}"#,
         "# cameras\n1 SIMPLE_PINHOLE 20 10 20 10 5\n2 PINHOLE 20 10 20 21 10 5\n%%# images\n1 1 0 0 0 0 0 2 1 a.png\n\n2 0.5 0.5 0.5 0.5 1 2 3 2 b.png\n1 2 -1\n",
+        "1 PINHOLE 20 10 20 21 10 5\n2 EUCM 20 10 20 21 10 5 0 0%%1 1 0 0 0 0 0 2 1 a\n\n2 1 0 0 0 0 0 2 2 b\n\n%%1 2 CAMERA 1 CAMERA 2 1 1 0 0 0 1 0 0%%1 1 1 0 0 0 0 0 2 2 CAMERA 1 1 CAMERA 2 2",
+        r#"{"render_width": 20, "render_height": 10, "fps": 24, "camera_path": [{"camera_to_world": [1,0,0,0, 0,1,0,0, 0,0,1,2, 0,0,0,1], "fov": 50}]}"#,
+        r#"{"camera": {"fov": 50, "position": [0, 0, -3], "target": [0, 0, 0]}, "animTracks": [{"duration": 1, "keyframes": {"times": [0, 1], "values": {"position": [0,0,1, 1,0,1], "target": [0,0,0, 0,0,0]}}}]}"#,
+        r#"{"version": 2, "cameras": [{"initial": {"fov": 50, "position": [0, 0, -3], "target": [0, 0, 0]}}], "annotations": [{"title": "a", "camera": {"initial": {"position": [0, 1, -3], "target": [0, 0, 0]}}}]}"#,
     ]
     .into_iter()
     .map(|text| text.as_bytes().to_vec())

@@ -6,6 +6,7 @@ use std::str::FromStr;
 use streamsplat::camera::{self, CameraFile, CameraPath};
 use streamsplat::depth::{NetworkOptions, Range, Values};
 use streamsplat::gap::Gap;
+use streamsplat::import::FormatError;
 use streamsplat::render::Backend;
 use streamsplat::stream::{
     Behind, DepthRange, Fade, FlowEffort, MaxAge, ModelSource, MotionFrom, Quality, Reuse, Settings,
@@ -179,8 +180,10 @@ pub struct Views {
     pub times: Option<Vec<f64>>,
     /// Backend that renders the images.
     pub backend: Backend,
-    /// Width and height of the images of a camera file of another program, in whose path one follows the other each second.
+    /// Width and height of the images of a camera file of another program.
     pub own_sizes: Vec<[usize; 2]>,
+    /// Images of a second where such a file is a video's; else one follows the other each second.
+    pub own_rate: Option<f64>,
     /// True if the background is transparent: the scene is drawn over black, and alpha is kept.
     pub transparent: bool,
     /// Where the camera stands around the middle of a scene in time, in place of `camera`.
@@ -222,6 +225,7 @@ impl Views {
             times: None,
             backend: Backend::Cpu,
             own_sizes: Vec::new(),
+            own_rate: None,
             transparent: false,
             course: None,
             eyes: None,
@@ -231,28 +235,38 @@ impl Views {
     }
 }
 
+/// The cameras of a file.
+#[derive(Default)]
+struct Cameras {
+    path: CameraPath,
+    /// Width and height of each one's image, where the file is another program's.
+    sizes: Vec<[usize; 2]>,
+    /// Images of a second, where they are a video's.
+    rate: Option<f64>,
+}
+
 impl ViewOptions {
     /// Checks everything that can be checked before work is spent.
     pub fn resolve(&self) -> Result<Views, Failure> {
         let transparent = self.background == "transparent";
         let background = if transparent { [0.0; 3] } else { self.background()? };
         let size = self.size()?;
-        let (camera, own_sizes) = self.cameras(size)?;
+        let Cameras { path: camera, sizes: own_sizes, rate: own_rate } = self.cameras(size)?;
         let options = RenderOptions { size, background, ..RenderOptions::default() };
         let times = self.times.as_deref().map(times).transpose()?;
         let backend = self.backend()?;
-        Ok(Views { options, camera, times, backend, own_sizes, transparent, ..Views::own() })
+        Ok(Views { options, camera, times, backend, own_sizes, own_rate, transparent, ..Views::own() })
     }
 
-    /// The camera's path, and the sizes of its images where another program's file says them.
-    fn cameras(&self, size: Size) -> Result<(CameraPath, Vec<[usize; 2]>), Failure> {
-        let Some(file) = &self.camera else { return Ok((CameraPath::default(), Vec::new())) };
+    /// The camera's path, and what another program's file tells of its images.
+    fn cameras(&self, size: Size) -> Result<Cameras, Failure> {
+        let Some(file) = &self.camera else { return Ok(Cameras::default()) };
         let size = match size {
             Size::Exact { width, height } => Some([width, height]),
             _ => None,
         };
         let set = match (camera::set::open(file, size)?, &self.view) {
-            (CameraFile::Own(path), None) => return Ok((path, Vec::new())),
+            (CameraFile::Own(path), None) => return Ok(Cameras { path, ..Cameras::default() }),
             (CameraFile::Own(_), Some(view)) => {
                 let file = file.display();
                 let found = format!("{file}, which is this program's own: give --times");
@@ -262,18 +276,24 @@ impl ViewOptions {
             }
             (CameraFile::Set(set), _) => set,
         };
+        let drawable = set.cameras.iter().find(|named| named.camera.is_ok()).map(|named| named.name.clone());
         let chosen = match &self.view {
             None => set,
             Some(text) => {
                 let camera =
                     set.find(text).map_err(|e| Failure::usage(format!("--view: {}: {e}", file.display())))?.clone();
-                camera::CameraSet { format: set.format, cameras: vec![camera] }
+                camera::CameraSet { cameras: vec![camera], aside: Vec::new(), rate: None, ..set }
             }
         };
-        let sizes = chosen.cameras.iter().map(|camera| camera.size).collect();
-        let path =
-            chosen.path().ok_or_else(|| Failure::work(format!("{}: expected usable cameras", file.display())))?;
-        Ok((path, sizes))
+        let refused = |e: FormatError| {
+            let others = drawable.as_ref().filter(|_| self.view.is_none());
+            let others = others.map_or_else(String::new, |name| {
+                format!("; others can be drawn, each by its name or number: --view {name}")
+            });
+            Failure::work(format!("{}: {e}{others}", file.display()))
+        };
+        let sizes = chosen.usable().map_err(refused)?.iter().map(|sized| sized.size).collect();
+        Ok(Cameras { path: chosen.path().map_err(refused)?, sizes, rate: chosen.rate })
     }
 
     fn backend(&self) -> Result<Backend, Failure> {

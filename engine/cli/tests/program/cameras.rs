@@ -44,8 +44,8 @@ fn own(scratch: &Scratch, centre: [f64; 2]) -> PathBuf {
     path
 }
 
-fn inria(scratch: &Scratch) -> PathBuf {
-    let [w, h] = SIZE;
+fn inria(scratch: &Scratch, centre: [f64; 2]) -> PathBuf {
+    let ([w, h], [cx, cy]) = (SIZE, centre);
     let [fx, fy] = FOCAL;
     let entries: Vec<String> = IMAGES
         .iter()
@@ -54,7 +54,7 @@ fn inria(scratch: &Scratch) -> PathBuf {
             let (rows, position) = pose(*q, *t);
             let name = name.trim_end_matches(".png");
             format!(
-                r#"{{"id": {id}, "img_name": "{name}", "width": {w}, "height": {h}, "position": {position:?}, "rotation": {rows:?}, "fy": {fy}, "fx": {fx}}}"#
+                r#"{{"id": {id}, "img_name": "{name}", "width": {w}, "height": {h}, "position": {position:?}, "rotation": {rows:?}, "fy": {fy}, "fx": {fx}, "cx": {cx}, "cy": {cy}}}"#
             )
         })
         .collect();
@@ -95,6 +95,21 @@ fn colmap_text(scratch: &Scratch, centre: [f64; 2]) -> PathBuf {
         .collect();
     std::fs::write(folder.join("images.txt"), lines).expect("writable");
     folder
+}
+
+/// A model whose images say nothing true: rigs and frames do.
+fn colmap_rigs(scratch: &Scratch, centre: [f64; 2]) -> PathBuf {
+    let folder = colmap_text(scratch, centre);
+    let (model, [a, b]) = (scratch.path("rigs"), IMAGES);
+    std::fs::create_dir_all(&model).expect("writable");
+    let write = |name: &str, text: String| std::fs::write(model.join(name), text).expect("writable");
+    std::fs::copy(folder.join("cameras.txt"), model.join("cameras.txt")).expect("writable");
+    write("images.txt", format!("1 1 0 0 0 9 9 9 4 {}\n\n2 1 0 0 0 9 9 9 4 {}\n\n", a.0, b.0));
+    write("rigs.txt", "# rigs\n3 1 CAMERA 4\n".to_owned());
+    let frames =
+        [a, b].map(|(_, q, t)| [&q[..], &t[..]].concat().iter().map(f64::to_string).collect::<Vec<_>>().join(" "));
+    write("frames.txt", format!("1 3 {} 1 CAMERA 4 1\n2 3 {} 1 CAMERA 4 2\n", frames[0], frames[1]));
+    model
 }
 
 fn colmap_binary(scratch: &Scratch, centre: [f64; 2]) -> PathBuf {
@@ -140,14 +155,14 @@ fn a_scene_through_every_camera_file_has_the_same_bytes() {
         let expected = drawn(&scratch, &format!("{kind}-own"), &scene, &own, &["--size", "90x60", "--times", "0,1"]);
         assert_eq!(expected.len(), 2);
         assert!(expected["frames/000000.png"] != expected["frames/000001.png"]);
-        let mut others = vec![
+        let others = vec![
+            ("inria", inria(&scratch, centre)),
+            ("rigs", colmap_rigs(&scratch, centre)),
             ("transforms", transforms(&scratch, centre)),
             ("text", colmap_text(&scratch, centre)),
             ("binary", colmap_binary(&scratch, centre)),
             ("one-file", colmap_text(&scratch, centre).join("images.txt")),
         ];
-        // Its principal point is always in the middle.
-        others.extend((kind == "middle").then(|| ("inria", inria(&scratch))));
         for (name, camera) in others {
             // Without a size: the cameras' own.
             let found = drawn(&scratch, &format!("{kind}-{name}"), &scene, &camera, &[]);
@@ -178,7 +193,7 @@ fn cameras_that_cannot_be_used_are_named() {
     let scratch = Scratch::new();
     let (scene, own) = prepared(&scratch);
     let out = scratch.path("out");
-    let inria = inria(&scratch);
+    let inria = inria(&scratch, CENTRE);
     let text = fails(&render(&scene, &inria, &out, &["--view", "9"]), 2);
     assert!(text.contains("expected a number from 0 to 1 or a name such as left, found 9"), "{text}");
     let text = fails(&render(&scene, &own, &out, &["--view", "0", "--size", "9x6"]), 2);
@@ -193,4 +208,94 @@ fn cameras_that_cannot_be_used_are_named() {
     std::fs::write(&inria, "[]").expect("writable");
     assert!(fails(&render(&scene, &inria, &out, &[]), 1).contains("expected at least one camera, found none"));
     assert!(!out.exists());
+}
+
+#[test]
+fn a_distorted_camera_refuses_only_the_views_through_it() {
+    let scratch = Scratch::new();
+    let (scene, _) = prepared(&scratch);
+    let folder = colmap_text(&scratch, CENTRE);
+    let expected = drawn(&scratch, "all", &scene, &folder, &["--view", "left"]);
+    let cameras = std::fs::read_to_string(folder.join("cameras.txt")).expect("just written");
+    std::fs::write(folder.join("cameras.txt"), cameras + "5 EUCM 90 60 88 88 45 30 0.1 0\n").expect("writable");
+    let images = std::fs::read_to_string(folder.join("images.txt")).expect("just written");
+    std::fs::write(folder.join("images.txt"), images.replace("4 right.png", "5 right.png")).expect("writable");
+    assert!(drawn(&scratch, "one", &scene, &folder, &["--view", "left"]) == expected);
+    for (more, code) in [(&["--view", "right"][..], 1), (&[], 1)] {
+        let text = fails(&render(&scene, &folder, &scratch.path("none"), more), code);
+        assert!(text.contains("camera 5: expected SIMPLE_PINHOLE or PINHOLE") && text.contains("found EUCM"), "{text}");
+        assert_eq!(text.contains("--view left.png"), more.is_empty(), "{text}");
+    }
+}
+
+#[test]
+fn cameras_of_viewers_are_read_with_their_fields_of_view() {
+    let scratch = Scratch::new();
+    let (scene, _) = prepared(&scratch);
+    let write = |name: &str, text: &str| {
+        let path = scratch.path(name);
+        std::fs::write(&path, text).expect("writable");
+        path
+    };
+    // The same view three times: at (1, −2, −4), looking along +z, with 60° from top to bottom of 90×60 pixels.
+    let own =
+        write("own.json", r#"{"type": "pinhole", "position": [0.1, -0.2, -4], "fov_y_degrees": 60, "aspect": 1.5}"#);
+    let nerfstudio = write(
+        "camera_path.json",
+        r#"{"camera_type": "perspective", "render_width": 90, "render_height": 60, "fps": 10, "seconds": 1, "camera_path": [
+            {"camera_to_world": [1,0,0,0.1, 0,-1,0,-0.2, 0,0,-1,-4, 0,0,0,1], "fov": 60, "aspect": 7},
+            {"camera_to_world": [1,0,0,0.1, 0,-1,0,-0.2, 0,0,-1,-4, 0,0,0,1], "fov": 60, "aspect": 7}]}"#,
+    );
+    let across = 2.0 * (1.5 * 30.0_f64.to_radians().tan()).atan().to_degrees();
+    let supersplat = write(
+        "settings.json",
+        &format!(
+            r#"{{"version": 2, "cameras": [{{"initial": {{"position": [-0.1, 0.2, -4], "target": [-0.1, 0.2, 0], "fov": {across}}}}}], "animTracks": [], "annotations": []}}"#
+        ),
+    );
+    let picture = |name: &str, camera: &Path, more: &[&str]| {
+        image::load_from_memory(&drawn(&scratch, name, &scene, camera, more)["frames/000000.png"])
+            .expect("a picture")
+            .into_rgb8()
+    };
+    let expected = picture("own", &own, &["--size", "90x60"]);
+    for (name, camera, more) in [("path", &nerfstudio, &[][..]), ("settings", &supersplat, &["--size", "90x60"])] {
+        let found = picture(name, camera, more);
+        let far = found.as_raw().iter().zip(expected.as_raw()).map(|(a, b)| a.abs_diff(*b)).max();
+        // Fields of view are angles, and so no numbers of binary64 alone.
+        assert!(far <= Some(1), "{name}: {far:?}");
+    }
+    assert_eq!(drawn(&scratch, "both", &scene, &nerfstudio, &[]).len(), 2);
+}
+
+#[test]
+fn what_is_no_camera_is_told_what_is_read() {
+    let scratch = Scratch::new();
+    let (scene, own) = prepared(&scratch);
+    let path = scratch.path("camera.json");
+    let text = |content: &[u8]| {
+        std::fs::write(&path, content).expect("writable");
+        fails(&render(&scene, &path, &scratch.path("none"), &["--size", "9x6"]), 1)
+    };
+    for content in [&b"{\"cameras\": 3, \"b\": 4}"[..], b"\x80\x02 pickled", b"", b"hello", b"7"] {
+        let text = text(content);
+        for read in [
+            "expected a camera of this program",
+            "cameras.json",
+            "transforms.json",
+            "camera_path.json",
+            "settings.json",
+            "COLMAP",
+        ] {
+            assert!(text.contains(read), "{text}");
+        }
+    }
+    let keys = text(b"{\"cameras\": 3, \"b\": 4}");
+    assert!(keys.contains("found an object with") && keys.contains("cameras") && keys.contains("b"), "{keys}");
+    let nan = text(br#"{"w": 9, "h": 6, "fl_x": 9, "k1": NaN, "frames": []}"#);
+    assert!(nan.contains("expected a finite number for k1, found NaN, which Python's json module writes"), "{nan}");
+    let content = std::fs::read(&own).expect("a camera");
+    let plain = drawn(&scratch, "plain", &scene, &own, &["--size", "9x6"]);
+    std::fs::write(&path, [&b"\xef\xbb\xbf"[..], &content].concat()).expect("writable");
+    assert!(drawn(&scratch, "marked", &scene, &path, &["--size", "9x6"]) == plain);
 }

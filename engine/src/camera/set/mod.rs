@@ -2,17 +2,23 @@
 //!
 //! | input | is | axes of a camera | what is read |
 //! |---|---|---|---|
-//! | a JSON array | `cameras.json` of 3D Gaussian splatting ([`inria`]) | x right, y down, z forward | position, rotation, focal lengths; the principal point is in the middle |
+//! | a JSON array | `cameras.json` of 3D Gaussian splatting ([`inria`]) | x right, y down, z forward | position, rotation, focal lengths, principal point |
 //! | a JSON object with `frames` | `transforms.json` of nerfstudio and instant-ngp ([`transforms`]) | OpenGL: x right, y up, z backward | poses, focal lengths or angles, principal point |
-//! | a folder, or a file in it, with `cameras` and `images` as `.bin` or `.txt` | a COLMAP model ([`colmap`]) | x right, y down, z forward | poses, cameras `SIMPLE_PINHOLE` and `PINHOLE` |
-//! | any other JSON object | this program's own ([`super::file`]) | x right, y down, z forward | a camera or a path |
+//! | a JSON object with `camera_path` | the camera path of nerfstudio's viewer ([`camera_path`]) | OpenGL | poses, fields of view, images a second |
+//! | a JSON object with `cameras`, `animTracks`, or `camera` | `settings.json` of SuperSplat ([`supersplat`]) | a point looked at | the first camera, or the animation |
+//! | a folder, or a file in it, with `cameras` and `images` as `.bin` or `.txt` | a COLMAP model ([`colmap`]) | x right, y down, z forward | poses, rigs, cameras `SIMPLE_PINHOLE` and `PINHOLE` |
+//! | a JSON object with `type` or `views` | this program's own ([`super::file`]) | x right, y down, z forward | a camera or a path |
 //!
-//! World axes and units are those of the file, which are those of a scene that was trained with it: nothing is turned or scaled.
-//! Lenses with distortion are refused by name. Where other programs count pixels from the corner of the first pixel, so does
+//! World axes and units are those of the file, which are those of a scene that was trained with it: nothing is turned or scaled, but
+//! SuperSplat's, which shows scenes turned. A view through a lens with distortion is refused by name, and the others are drawn.
+//! Where other programs count pixels from the corner of the first pixel, so does
 //! [`Lens::Pinhole`]: the middle of the first pixel is at half a pixel.
 
+pub mod camera_path;
 pub mod colmap;
 pub mod inria;
+pub(crate) mod json;
+pub mod supersplat;
 pub mod transforms;
 
 use std::path::{Path, PathBuf};
@@ -20,23 +26,34 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::{Camera, CameraError, CameraPath, Lens, Pose, Rotation, file};
-use crate::import::{FormatError, read_file, read_text};
+use crate::import::{FormatError, read_file};
 use crate::picture::MAX_SIDE;
 
 /// Longest JSON file that is read, in bytes.
 const MAX_JSON: u64 = 1 << 26;
 /// Longest file of a COLMAP model that is read, in bytes: `images.bin` also holds what was matched in the images.
 const MAX_COLMAP: u64 = 1 << 30;
+/// What is read, for messages.
+const READ: &str = "a camera of this program (an object with type or views), cameras.json of 3D Gaussian splatting (an array), \
+    transforms.json (frames), nerfstudio's camera_path.json (camera_path), SuperSplat's settings.json (cameras or animTracks), \
+    or a COLMAP model (a folder)";
+
+/// A camera with the size of its image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SizedCamera {
+    /// The camera.
+    pub camera: Camera,
+    /// Width and height of its image, in pixels.
+    pub size: [usize; 2],
+}
 
 /// A camera of a set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NamedCamera {
     /// Its image's name.
     pub name: String,
-    /// The camera.
-    pub camera: Camera,
-    /// Width and height of its image, in pixels.
-    pub size: [usize; 2],
+    /// The camera, or why it cannot be drawn with.
+    pub camera: Result<SizedCamera, FormatError>,
 }
 
 /// The cameras of a file of another program.
@@ -46,6 +63,10 @@ pub struct CameraSet {
     pub format: &'static str,
     /// The cameras in the file's order; those of a COLMAP model by their names.
     pub cameras: Vec<NamedCamera>,
+    /// Cameras that are found by their names and are no part of the path.
+    pub aside: Vec<NamedCamera>,
+    /// Cameras of a second, where they are images of a video.
+    pub rate: Option<f64>,
 }
 
 impl CameraSet {
@@ -53,7 +74,7 @@ impl CameraSet {
         if cameras.is_empty() {
             return Err(FormatError::new(format, "at least one camera", "none"));
         }
-        Ok(Self { format, cameras })
+        Ok(Self { format, cameras, aside: Vec::new(), rate: None })
     }
 
     /// The camera that `text` means: its number from 0, its image's name, or that without folders or ending.
@@ -75,7 +96,8 @@ impl CameraSet {
             },
         ];
         for test in tests {
-            let mut found = self.cameras.iter().filter(|camera| test(&camera.name) == text);
+            let all = self.cameras.iter().chain(&self.aside);
+            let mut found = all.filter(|camera| test(&camera.name) == text);
             match (found.next(), found.next()) {
                 (Some(camera), None) => return Ok(camera),
                 (Some(_), Some(_)) => {
@@ -92,9 +114,26 @@ impl CameraSet {
         Err(FormatError::new("view", format!("a number from 0 to {} or a name such as {first}", count - 1), text))
     }
 
-    /// A path through all cameras, one a second from 0.
-    pub fn path(&self) -> Option<CameraPath> {
-        CameraPath::new(self.cameras.iter().enumerate().map(|(i, named)| (i as f64, named.camera)).collect())
+    /// The cameras as they are drawn with, in their order.
+    ///
+    /// # Errors
+    /// That of the first which cannot be.
+    pub fn usable(&self) -> Result<Vec<SizedCamera>, FormatError> {
+        self.cameras.iter().map(|named| named.camera.clone()).collect()
+    }
+
+    /// The time of the camera with the number `index`, in seconds: one a second, unless the file says how many.
+    pub fn time(&self, index: usize) -> f64 {
+        index as f64 / self.rate.unwrap_or(1.0)
+    }
+
+    /// A path through all cameras, at their times.
+    ///
+    /// # Errors
+    /// As [`CameraSet::usable`].
+    pub fn path(&self) -> Result<CameraPath, FormatError> {
+        let views = self.usable()?.into_iter().enumerate().map(|(i, sized)| (self.time(i), sized.camera)).collect();
+        CameraPath::new(views).ok_or_else(|| FormatError::new(self.format, "cameras at times that ascend", "others"))
     }
 }
 
@@ -140,60 +179,92 @@ pub enum CameraFileError {
 /// Opens a file or a folder of cameras. `size` (width and height) is that of images of which the file does not say it.
 ///
 /// # Errors
-/// Files that cannot be read, hold something else, or cameras with distortion.
+/// Files that cannot be read or hold something else.
 pub fn open(path: &Path, size: Option<[usize; 2]>) -> Result<CameraFile, CameraFileError> {
     let format = |cause| CameraFileError::Format { path: path.to_owned(), cause };
     if path.is_dir() {
-        return of_colmap(path);
+        return of_colmap(path, &["bin", "txt"]);
     }
-    let part = |name: &str| path.file_name().is_some_and(|found| found == name);
-    if ["cameras.txt", "images.txt", "cameras.bin", "images.bin"].into_iter().any(part) {
-        return of_colmap(path.parent().unwrap_or(Path::new("")));
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    if let Some((stem, ending @ ("bin" | "txt"))) = name.rsplit_once('.')
+        && ["cameras", "images", "rigs", "frames", "points3D"].contains(&stem)
+    {
+        return of_colmap(path.parent().unwrap_or(Path::new("")), &[ending]);
     }
     let read = |cause| CameraFileError::Read { path: path.to_owned(), cause };
-    let text = read_text(path, MAX_JSON).map_err(read)?;
-    match parse(&text, size) {
+    let bytes = read_file(path, MAX_JSON).map_err(read)?;
+    let value = json::value(&bytes).map_err(|[expected, found]| {
+        let cause = match expected.as_str() {
+            "JSON" => FormatError::new("file", READ, found),
+            _ => FormatError::new("JSON", expected, found),
+        };
+        format(cause)
+    })?;
+    match of_value(&value, size) {
         Some(set) => set.map(CameraFile::Set).map_err(format),
-        None => file::parse(&text)
+        None if value.get("type").is_some() || value.get("views").is_some() => file::from_value(value)
             .map(CameraFile::Own)
             .map_err(|cause| CameraFileError::Own { path: path.to_owned(), cause }),
+        None => Err(format(FormatError::new("file", READ, json::keys(&value)))),
     }
 }
 
 /// The cameras of another program's JSON; `None` where the text is none of theirs.
 pub fn parse(json: &str, size: Option<[usize; 2]>) -> Option<Result<CameraSet, FormatError>> {
-    let value: Value = serde_json::from_str(json).ok()?;
+    of_value(&json::value(json.as_bytes()).ok()?, size)
+}
+
+fn of_value(value: &Value, size: Option<[usize; 2]>) -> Option<Result<CameraSet, FormatError>> {
+    let has = |key: &str| value.get(key).is_some();
     if value.is_array() {
         return Some(inria::read(value));
     }
-    value.get("frames").is_some().then(|| transforms::read(value, size))
+    if has("type") || has("views") {
+        return None;
+    }
+    if has("frames") {
+        return Some(transforms::read(value, size));
+    }
+    if has("camera_path") {
+        return Some(camera_path::read(value, size));
+    }
+    let placed = value.pointer("/camera/position").or(value.pointer("/cameras/0/initial"));
+    let supersplat = has("animTracks") || placed.is_some();
+    supersplat.then(|| supersplat::read(value, size))
 }
 
-fn of_colmap(folder: &Path) -> Result<CameraFile, CameraFileError> {
+fn of_colmap(folder: &Path, endings: &[&str]) -> Result<CameraFile, CameraFileError> {
     let format = |cause| CameraFileError::Format { path: folder.to_owned(), cause };
-    for folder in [folder.to_owned(), folder.join("sparse/0"), folder.join("sparse"), folder.join("0")] {
-        for (ending, reader) in [("bin", colmap::binary as fn(&[u8], &[u8]) -> _), ("txt", colmap::text)] {
-            let paths = ["cameras", "images"].map(|name| folder.join(format!("{name}.{ending}")));
-            if paths.iter().all(|path| path.is_file()) {
-                let read = |path: &PathBuf| {
-                    read_file(path, MAX_COLMAP).map_err(|cause| CameraFileError::Read { path: path.clone(), cause })
-                };
-                return reader(&read(&paths[0])?, &read(&paths[1])?).map(CameraFile::Set).map_err(format);
+    for folder in ["", "sparse/0", "sparse", "0"].map(|inner| folder.join(inner)) {
+        for ending in endings {
+            let path = |name: &str| folder.join(format!("{name}.{ending}"));
+            let [cameras, images, rigs, frames] = ["cameras", "images", "rigs", "frames"].map(path);
+            if !(cameras.is_file() && images.is_file()) {
+                continue;
             }
+            let read = |path: &PathBuf| {
+                read_file(path, MAX_COLMAP).map_err(|cause| CameraFileError::Read { path: path.clone(), cause })
+            };
+            let (cameras, images) = (read(&cameras)?, read(&images)?);
+            let rigs = if rigs.is_file() && frames.is_file() { Some([read(&rigs)?, read(&frames)?]) } else { None };
+            let rigs = rigs.as_ref().map(|files| files.each_ref().map(Vec::as_slice));
+            let files = colmap::Files { cameras: &cameras, images: &images, rigs };
+            let set = if *ending == "bin" { colmap::binary(&files) } else { colmap::text(&files) };
+            return set.map(CameraFile::Set).map_err(format);
         }
     }
-    let expected = "cameras and images as .bin or .txt (a COLMAP model), here or in sparse/0";
+    let expected = format!("cameras and images as .{} (a COLMAP model), here or in sparse/0", endings.join(" or ."));
     Err(format(FormatError::new("folder", expected, "neither")))
 }
 
 /// A pinhole camera from pixels, counted from the corner of the first one.
 fn pinhole(
-    name: String,
+    name: &str,
     pose: Pose,
     size: [f64; 2],
     focal: [f64; 2],
     centre: [f64; 2],
-) -> Result<NamedCamera, FormatError> {
+) -> Result<SizedCamera, FormatError> {
     let whole = |side: f64| side.fract() == 0.0 && (1.0..=MAX_SIDE as f64).contains(&side);
     if !size.iter().all(|side| whole(*side)) {
         let [w, h] = size;
@@ -207,7 +278,7 @@ fn pinhole(
     if !camera.is_usable() {
         return Err(FormatError::new(name, "finite numbers and focal lengths above 0", "others"));
     }
-    Ok(NamedCamera { name, camera, size: size.map(|side| side as usize) })
+    Ok(SizedCamera { camera, size: size.map(|side| side as usize) })
 }
 
 /// The rotation whose matrix has these columns; an error unless they are orthonormal and right-handed.
@@ -222,8 +293,9 @@ mod tests {
 
     /// Four names, all at the origin.
     fn set() -> CameraSet {
-        let camera = |name: &str| NamedCamera { name: name.into(), camera: Camera::default(), size: [4, 3] };
-        CameraSet { format: "test", cameras: ["images/a.png", "b.png", "b.jpg", "7"].map(camera).into() }
+        let sized = SizedCamera { camera: Camera::default(), size: [4, 3] };
+        let camera = |name: &str| NamedCamera { name: name.into(), camera: Ok(sized) };
+        CameraSet::new("test", ["images/a.png", "b.png", "b.jpg", "7"].map(camera).into()).expect("cameras")
     }
 
     #[test]

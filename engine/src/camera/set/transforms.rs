@@ -3,7 +3,8 @@
 //! Each of `frames` has a `file_path` and a `transform_matrix` (camera to world, row by row; OpenGL's axes: x right, y up, z
 //! backward). The lens stands in the frame or beside `frames`, in pixels: `w`, `h`, `fl_x`, `fl_y`, `cx`, `cy`, or as angles in radians,
 //! `camera_angle_x` and `camera_angle_y`. What is left out: `fl_y` is `fl_x`, `cx` and `cy` are the middle, `w` and `h` the size that is
-//! asked for.
+//! asked for. Distortion is refused by name, whether as `k1` … `k4`, `p1`, `p2` or as `distortion_params`, and so are `is_fisheye` and
+//! instant-ngp's marks of other lenses; where all of it is 0 or false it is nothing.
 //!
 //! The poses are taken as they stand: nerfstudio's `applied_transform` is in them already, and instant-ngp's `scale` and `offset` move
 //! them into its own unit cube, in which no file of Gaussians lies.
@@ -12,7 +13,7 @@ use serde::Deserialize;
 use serde_json::Value;
 use streamsplat_kernels::math::f64::sin_cos;
 
-use super::{CameraSet, NamedCamera, pinhole, rotation};
+use super::{CameraSet, NamedCamera, SizedCamera, pinhole, rotation};
 use crate::camera::Pose;
 use crate::import::FormatError;
 
@@ -20,14 +21,13 @@ const FORMAT: &str = "transforms.json";
 
 #[derive(Deserialize)]
 struct Transforms {
-    frames: Vec<Frame>,
+    frames: Vec<Value>,
     #[serde(flatten)]
     lens: Lens,
 }
 
 #[derive(Deserialize)]
 struct Frame {
-    file_path: String,
     transform_matrix: Vec<Vec<f64>>,
     #[serde(flatten)]
     lens: Lens,
@@ -50,6 +50,60 @@ struct Lens {
     k4: Option<f64>,
     p1: Option<f64>,
     p2: Option<f64>,
+    distortion_params: Option<Vec<f64>>,
+    is_fisheye: Option<Value>,
+    latlong: Option<Value>,
+    equirectangular: Option<Value>,
+    orthographic: Option<Value>,
+    ftheta_p0: Option<Value>,
+}
+
+impl Lens {
+    /// The first mark of a lens that is no pinhole, and its value.
+    fn other_than_pinhole(&self) -> Option<(&'static str, String)> {
+        let is_set = |value: &Value| match value {
+            Value::Null | Value::Bool(false) => false,
+            Value::Number(number) => number.as_f64() != Some(0.0),
+            _ => true,
+        };
+        let coefficients =
+            [("k1", self.k1), ("k2", self.k2), ("k3", self.k3), ("k4", self.k4), ("p1", self.p1), ("p2", self.p2)];
+        let marks = [
+            ("is_fisheye", &self.is_fisheye),
+            ("latlong", &self.latlong),
+            ("equirectangular", &self.equirectangular),
+            ("orthographic", &self.orthographic),
+            ("ftheta_p0", &self.ftheta_p0),
+        ];
+        let numbers = coefficients
+            .iter()
+            .find_map(|(key, value)| value.filter(|value| *value != 0.0).map(|value| (*key, value.to_string())));
+        let list = self.distortion_params.as_ref().filter(|list| list.iter().any(|value| *value != 0.0));
+        let list = list.map(|list| ("distortion_params", format!("{list:?}")));
+        let mark = marks.into_iter().find_map(|(key, value)| {
+            value.as_ref().filter(|value| is_set(value)).map(|value| (key, value.to_string()))
+        });
+        numbers.or(list).or(mark)
+    }
+
+    /// What is said of the whole file, where a frame does not say it.
+    fn or(self, beside: &Lens) -> Lens {
+        Lens {
+            k1: self.k1.or(beside.k1),
+            k2: self.k2.or(beside.k2),
+            k3: self.k3.or(beside.k3),
+            k4: self.k4.or(beside.k4),
+            p1: self.p1.or(beside.p1),
+            p2: self.p2.or(beside.p2),
+            distortion_params: self.distortion_params.or(beside.distortion_params.clone()),
+            is_fisheye: self.is_fisheye.or(beside.is_fisheye.clone()),
+            latlong: self.latlong.or(beside.latlong.clone()),
+            equirectangular: self.equirectangular.or(beside.equirectangular.clone()),
+            orthographic: self.orthographic.or(beside.orthographic.clone()),
+            ftheta_p0: self.ftheta_p0.or(beside.ftheta_p0.clone()),
+            ..self
+        }
+    }
 }
 
 /// Models that are a pinhole where their coefficients are 0.
@@ -58,18 +112,24 @@ const MODELS: [&str; 6] = ["PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV",
 /// Reads the object; `size` is that of images of which it is not said.
 ///
 /// # Errors
-/// Frames of another form, matrices that are no pose, lenses with distortion, lenses that are not said.
-pub(super) fn read(value: Value, size: Option<[usize; 2]>) -> Result<CameraSet, FormatError> {
-    let Transforms { frames, lens } = serde_json::from_value(value)
+/// An object of another form. A frame that cannot be drawn is an error of its own in the set.
+pub(super) fn read(value: &Value, size: Option<[usize; 2]>) -> Result<CameraSet, FormatError> {
+    let Transforms { frames, lens } = Transforms::deserialize(value)
         .map_err(|e| FormatError::new(FORMAT, "frames with file_path and transform_matrix", e.to_string()))?;
-    let cameras: Result<Vec<NamedCamera>, FormatError> =
-        frames.into_iter().map(|frame| camera(frame, &lens, size)).collect();
-    CameraSet::new(FORMAT, cameras?)
+    let cameras = frames.iter().enumerate().map(|(index, frame)| {
+        let name = match frame.get("file_path") {
+            Some(Value::String(name)) if !name.is_empty() => name.clone(),
+            _ => index.to_string(),
+        };
+        NamedCamera { camera: camera(&name, frame, &lens, size), name }
+    });
+    CameraSet::new(FORMAT, cameras.collect())
 }
 
-fn camera(frame: Frame, beside: &Lens, asked: Option<[usize; 2]>) -> Result<NamedCamera, FormatError> {
-    let Frame { file_path: name, transform_matrix: rows, lens } = frame;
-    let fail = |expected: &str, found: String| FormatError::new(name.clone(), expected, found);
+fn camera(name: &str, frame: &Value, beside: &Lens, asked: Option<[usize; 2]>) -> Result<SizedCamera, FormatError> {
+    let fail = |expected: &str, found: String| FormatError::new(name, expected, found);
+    let Frame { transform_matrix: rows, lens } = Frame::deserialize(frame)
+        .map_err(|e| fail("a frame with a transform_matrix and, in numbers, its lens", e.to_string()))?;
     if !(3..=4).contains(&rows.len()) || rows.iter().any(|row| row.len() != 4) {
         return Err(fail("a transform_matrix of 4×4 or 3×4 numbers", "another".to_owned()));
     }
@@ -77,16 +137,8 @@ fn camera(frame: Frame, beside: &Lens, asked: Option<[usize; 2]>) -> Result<Name
     if let Some(model) = model.filter(|model| !MODELS.contains(&model.as_str())) {
         return Err(fail("the camera model PINHOLE or OPENCV without distortion", model.clone()));
     }
-    let coefficients: [(&str, Option<f64>); 6] = [
-        ("k1", lens.k1.or(beside.k1)),
-        ("k2", lens.k2.or(beside.k2)),
-        ("k3", lens.k3.or(beside.k3)),
-        ("k4", lens.k4.or(beside.k4)),
-        ("p1", lens.p1.or(beside.p1)),
-        ("p2", lens.p2.or(beside.p2)),
-    ];
-    if let Some((key, value)) = coefficients.iter().find(|(_, value)| value.is_some_and(|value| value != 0.0)) {
-        let value = value.unwrap_or_default();
+    let lens = lens.or(beside);
+    if let Some((key, value)) = lens.other_than_pinhole() {
         return Err(fail("a lens without distortion (undistort the images first)", format!("{key} = {value}")));
     }
     let asked = asked.map(|[w, h]| [w as f64, h as f64]);
@@ -109,7 +161,7 @@ fn camera(frame: Frame, beside: &Lens, asked: Option<[usize; 2]>) -> Result<Name
     let column = |c: usize, sign: f64| -> [f64; 3] { std::array::from_fn(|r| sign * rows[r][c]) };
     // OpenGL's up and backward are our −down and −forward.
     let columns = [column(0, 1.0), column(1, -1.0), column(2, -1.0)];
-    let pose = Pose { position: column(3, 1.0), rotation: rotation(&name, columns)? };
+    let pose = Pose { position: column(3, 1.0), rotation: rotation(name, columns)? };
     pinhole(name, pose, [w, h], [fx, fy], centre)
 }
 
@@ -118,10 +170,10 @@ mod tests {
     use super::*;
     use crate::camera::{self, Camera};
 
-    fn one(lens: &str, size: Option<[usize; 2]>) -> Result<NamedCamera, FormatError> {
+    fn one(lens: &str, size: Option<[usize; 2]>) -> Result<SizedCamera, FormatError> {
         let frame = r#"{"file_path": "a.png", "transform_matrix": [[1,0,0,0],[0,-1,0,0],[0,0,-1,-2],[0,0,0,1]]}"#;
         let text = format!(r#"{{{lens} "frames": [{frame}]}}"#);
-        camera::set::parse(&text, size).expect("theirs").map(|set| set.cameras[0].clone())
+        camera::set::parse(&text, size).expect("theirs")?.cameras[0].camera.clone()
     }
 
     #[test]
@@ -129,7 +181,7 @@ mod tests {
         let angle = one(r#""camera_angle_x": 1.5707963267948966,"#, Some([400, 200])).expect("a camera");
         let pixels = one(r#""w": 400, "h": 200, "fl_x": 200,"#, None).expect("a camera");
         assert_eq!(angle.size, [400, 200]);
-        let focal = |named: &NamedCamera| match named.camera {
+        let focal = |sized: &SizedCamera| match sized.camera {
             Camera::Posed { lens: camera::Lens::Pinhole { focal, centre }, pose } => {
                 assert_eq!((centre, pose.position), ([0.5; 2], [0.0, 0.0, -2.0]));
                 assert!(pose.rotation.is_identity());
@@ -150,10 +202,15 @@ mod tests {
         for (more, expected) in [
             (r#""k1": 0.1,"#, "a.png: expected a lens without distortion (undistort the images first), found k1 = 0.1"),
             (r#""camera_model": "OPENCV_FISHEYE","#, "found OPENCV_FISHEYE"),
+            (r#""is_fisheye": true,"#, "found is_fisheye = true"),
+            (r#""distortion_params": [0, 0.1, 0, 0, 0, 0],"#, "found distortion_params = [0.0, 0.1"),
+            (r#""ftheta_p0": 0.1,"#, "found ftheta_p0 = 0.1"),
         ] {
             let error = one(&format!("{pinhole} {more}"), None).expect_err("distorted").to_string();
             assert!(error.contains(expected), "{error}");
         }
+        let nothing = r#""is_fisheye": false, "distortion_params": [0, 0, 0, 0, 0, 0], "latlong": null,"#;
+        assert_eq!(one(&format!("{pinhole} {nothing}"), None), one(pinhole, None));
         assert!(one(r#""fl_x": 200,"#, None).expect_err("no size").to_string().contains("--size"));
         assert!(one("", Some([4, 3])).expect_err("no lens").to_string().contains("expected fl_x or camera_angle_x"));
     }
