@@ -49,6 +49,7 @@ pub mod openexr;
 pub mod output;
 pub mod parallax;
 pub mod picture;
+pub mod recognise;
 pub mod render;
 pub mod scene;
 pub mod source;

@@ -61,6 +61,9 @@ targets! {
     no_bytes_break_the_reader_of_splat_records: "splat_records";
     no_bytes_break_the_reader_of_gltf_files: "gltf";
     no_bytes_break_the_reader_of_sog_files: "sog";
+    no_bytes_break_the_reader_of_ksplat_files: "ksplat";
+    no_bytes_break_the_reader_of_streamed_sog_scenes: "streamed_sog";
+    no_bytes_break_the_reader_of_gaussians_in_time: "spacetime";
     no_bytes_break_the_reader_of_library_headers: "library";
     no_bytes_break_the_reader_of_http_requests: "http";
     no_bytes_break_the_reader_of_containers: "container";
@@ -86,7 +89,7 @@ fn every_target_has_its_fuzzer_and_no_other_folder_holds_regressions() {
 #[test]
 fn seeds_are_read_as_what_they_are() {
     use std::path::Path;
-    use streamsplat::{camera, depth, scene, source, splats};
+    use streamsplat::{camera, depth, import, scene, source, splats};
     let all = |name: &str, good: &dyn Fn(&[u8]) -> bool| {
         let target = Target::named(name).expect("a target");
         for (i, seed) in (target.seeds)().iter().enumerate() {
@@ -108,6 +111,10 @@ fn seeds_are_read_as_what_they_are() {
         let name = if b.starts_with(b"\x93NUMPY") { "seed.npy" } else { "seed.png" };
         depth::decode_map(b, Path::new(name)).is_ok()
     });
+    let limits = import::Limits::default();
+    all("ksplat", &|b| import::ksplat(b).is_ok());
+    all("streamed_sog", &|b| import::level_plan(b, &limits, 1).is_ok());
+    all("spacetime", &|b| import::spacetime(b, &limits).is_ok());
     all("splat", &|b| splats::Splats::from_safetensors(b).is_ok());
     all("y4m", &|b| {
         let mut stream = source::y4m::Y4m::new(b, Path::new("seed.y4m")).expect("a header");

@@ -3,19 +3,20 @@
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use super::{FormatError, read_file};
 
 /// The folder of a file, from which those are read that it names, and the digest of all that was read.
 pub(crate) struct Beside {
     folder: Option<PathBuf>,
-    read: RefCell<(blake3::Hasher, u64)>,
+    read: Rc<RefCell<(blake3::Hasher, u64)>>,
 }
 
 impl Beside {
     /// Of bytes in memory: there are no files.
     pub(crate) fn none() -> Beside {
-        Beside { folder: None, read: RefCell::default() }
+        Beside { folder: None, read: Rc::default() }
     }
 
     /// Beside the file at `path`, which holds `bytes`.
@@ -28,8 +29,7 @@ impl Beside {
     /// The path of a file in the same folder. Names of other places are refused.
     fn path(&self, name: &str) -> Result<PathBuf, FormatError> {
         let Some(folder) = &self.folder else { return Err(wrong(name, "none, as this one is in memory".into())) };
-        let plain = !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\', ':', '%', '\0']);
-        if plain { Ok(folder.join(name)) } else { Err(wrong(name, "the name of another place".into())) }
+        if plain(name) { Ok(folder.join(name)) } else { Err(wrong(name, "the name of another place".into())) }
     }
 
     /// Bytes of a file of `own` and of those that it names, each once. Files that cannot be read have none: [`Self::read`] has the reason.
@@ -47,15 +47,34 @@ impl Beside {
         Ok(bytes)
     }
 
+    /// As [`Beside::read`], of a file in a folder of this one, with those beside it.
+    pub(super) fn inner(&self, name: &str, most: u64) -> Result<(Vec<u8>, Beside), FormatError> {
+        let mut parts: Vec<&str> = name.split('/').collect();
+        let own = parts.pop().unwrap_or_default();
+        let folder = self.folder.as_ref().filter(|_| parts.iter().all(|part| plain(part)));
+        let folder = folder.map(|folder| parts.iter().fold(folder.clone(), |folder, part| folder.join(part)));
+        if folder.is_none() && self.folder.is_some() {
+            let expected = "a file in a folder beside this one";
+            return Err(FormatError::new(format!("file {name:?}"), expected, "the name of another place"));
+        }
+        let inner = Beside { folder, read: self.read.clone() };
+        Ok((inner.read(own, most)?, inner))
+    }
+
     /// The length of a file of `own` bytes and of all that were read beside it, and their digest.
     pub(super) fn finish(self, own: usize) -> (u64, String) {
-        let (hasher, length) = self.read.into_inner();
+        let (hasher, length) = &*self.read.borrow();
         (own as u64 + length, hasher.finalize().to_hex().to_string())
     }
 }
 
 fn wrong(name: &str, found: String) -> FormatError {
     FormatError::new(format!("file {name:?}"), "a file beside this one", found)
+}
+
+/// Returns true for the name of a file or a folder that leads nowhere else.
+fn plain(name: &str) -> bool {
+    !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\', ':', '%', '\0'])
 }
 
 #[cfg(test)]
@@ -76,6 +95,13 @@ mod tests {
             assert!(beside.read(name, 100).is_err(), "{name}");
         }
         assert!(beside.read("a", 2).is_err());
+        let outer = Beside::of(&folder.path().join("scene"), b"scene");
+        let (bytes, inner) = outer.inner("in/a", 3).expect("in a folder");
+        assert_eq!((bytes, inner.read("a", 3).expect("beside")), (b"yes".to_vec(), b"yes".to_vec()));
+        for name in ["../in/a", "/in/a", "in/../in/a", "in//a", "in/", "in\\a", "in/b"] {
+            assert!(outer.inner(name, 100).is_err(), "{name}");
+        }
+        assert_eq!(outer.finish(5), (11, blake3::hash(b"sceneyesyes").to_hex().to_string()));
         assert_eq!(beside.finish(5), (8, blake3::hash(b"sceneyes").to_hex().to_string()));
         assert!(Beside::none().read("a", 100).is_err());
     }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::blocks::{Blocks, ReadError};
-use super::{Beside, FormatError, Limits, gltf, ply, sog, splat, spz};
+use super::{Beside, FormatError, Limits, gltf, ksplat, lod, ply, sog, splat, spz};
 use crate::export;
 use crate::render::Snapshot;
 use crate::still::{Drawable, Still};
@@ -105,6 +105,35 @@ pub const FORMATS: [Format; 6] = [
         reader: &splat::Splat,
         snapshot: export::splat,
         still: export::still::splat,
+    },
+];
+
+/// A format of still scenes that is read and not written.
+#[non_exhaustive]
+pub struct ReadOnly {
+    /// Its name, as in messages.
+    pub name: &'static str,
+    /// How the names of its files end.
+    pub ending: &'static str,
+    /// Content that is read, and what is left out.
+    pub reads: &'static str,
+    /// As that of a [`Format`], before which this one is asked.
+    pub(super) reader: &'static dyn Reader,
+}
+
+/// All of them.
+pub const READ_ONLY: [ReadOnly; 2] = [
+    ReadOnly {
+        name: "ksplat",
+        ending: ".ksplat",
+        reads: "GaussianSplats3D's files, version 0.1, compression levels 0 to 2 with harmonics up to degree 2",
+        reader: &ksplat::Ksplat,
+    },
+    ReadOnly {
+        name: lod::NAME,
+        ending: "lod-meta.json",
+        reads: "the union of a level of detail (`--lod N`, the finest without), and the environment",
+        reader: &lod::Lod,
     },
 ];
 

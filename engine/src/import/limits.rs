@@ -26,18 +26,20 @@ pub const RATIO: u64 = 256;
 /// Bytes in memory that any file may take.
 pub const SMALL: u64 = 16 << 20;
 
-/// Limits on the content of files. Compressed and sparse files can expand to many times their size.
+/// How much of a file is read: limits on its content, and its level of detail. Compressed and sparse files can expand to many times their size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Gaussians of an interval, or of a still scene.
     pub gaussians: usize,
     /// Bytes that the scene takes in memory for each byte of its file; [`SMALL`] are always allowed.
     pub ratio: u64,
+    /// Level of detail of a file that has several; 0 is the finest.
+    pub level: usize,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Limits { gaussians: GAUSSIANS, ratio: RATIO }
+        Limits { gaussians: GAUSSIANS, ratio: RATIO, level: 0 }
     }
 }
 

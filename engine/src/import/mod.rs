@@ -4,9 +4,11 @@
 //! |---|---|---|
 //! | the folder of a scene or of a run, a `scene.json` | `{` | a [`Scene`] |
 //! | a container (`.ssz`) | `ssplat` | a [`Scene`] |
-//! | a still scene in one of the [`FORMATS`] | see there | a [`Still`] |
+//! | a still scene in one of the [`FORMATS`], or one that is [`READ_ONLY`] | see there | a [`Still`] |
+//! | a PLY file of SpacetimeGaussians | `ply`, and its columns | a [`Spacetime`], which is a [`Still`] at any time |
 //!
-//! `.splat` alone has no first bytes of its own and is known by its name.
+//! `.splat` and `.ksplat` have no first bytes of their own and are known by their names. What is none of these is told what it is by
+//! [`crate::recognise`].
 //!
 //! Nothing is allocated for what a header promises before the file is seen to be long enough to hold it, and before it is seen to be within the
 //! [`Limits`]: so many Gaussians, and so many bytes in memory for each byte of the file.
@@ -15,12 +17,16 @@ mod beside;
 mod blocks;
 mod formats;
 pub(crate) mod gltf;
+mod ksplat;
 mod limits;
+mod lod;
 mod ply;
 pub(crate) mod sog;
+mod spacetime;
 mod splat;
 mod spz;
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -28,15 +34,21 @@ use std::path::{Path, PathBuf};
 pub(crate) use beside::Beside;
 pub use blocks::Progress;
 use blocks::{Blocks, ReadError};
-pub use formats::{FORMATS, Format};
+use formats::Reader;
+pub use formats::{FORMATS, Format, READ_ONLY, ReadOnly};
 pub use gltf::glb;
+pub use ksplat::ksplat;
 pub use limits::{GAUSSIANS, Limits, RATIO, SMALL, read_file, read_text};
+pub use lod::{Plan as LevelPlan, plan as level_plan};
+use ply::MAX_HEADER;
 pub(crate) use ply::packed;
 pub use ply::ply;
 pub use sog::sog;
+pub use spacetime::{Spacetime, spacetime};
 pub use splat::splat;
 pub use spz::spz;
 
+use crate::recognise;
 use crate::scene::{self, Scene, SceneError};
 use crate::still::Still;
 
@@ -78,19 +90,33 @@ pub struct StillFile {
     pub bytes: u64,
     /// The BLAKE3 digest, in hexadecimal, of its bytes and of those of the files beside it, in the order in which they were read.
     pub blake3: String,
-    /// Its Gaussians.
+    /// Its Gaussians; at the time 0 where they change in time.
     pub still: Still,
+    /// Its Gaussians at every time, where they change.
+    pub in_time: Option<Spacetime>,
+    /// Lines about what of the file is left out or assumed.
+    pub notes: Vec<String>,
+}
+
+impl StillFile {
+    /// The Gaussians at a time.
+    pub fn at(&self, time: f64) -> Cow<'_, Still> {
+        self.in_time.as_ref().map_or(Cow::Borrowed(&self.still), |scene| Cow::Owned(scene.at(time)))
+    }
 }
 
 /// Longest still scene read, in bytes.
-const MAX_FILE: u64 = 16 << 30;
+pub(crate) const MAX_FILE: u64 = 16 << 30;
 
 /// First bytes by which formats are told apart.
 const HEAD: u64 = 8;
 
-/// The format of a still scene that begins so.
-fn format(path: &Path, head: &[u8]) -> Option<&'static Format> {
-    FORMATS.iter().find(|format| format.reader.is(path, head))
+/// The name and the reader of a still scene that begins so.
+fn format(path: &Path, head: &[u8]) -> Option<(&'static str, &'static dyn Reader)> {
+    let only = READ_ONLY.iter().find(|format| format.reader.is(path, head)).map(|format| (format.name, format.reader));
+    only.or_else(|| {
+        FORMATS.iter().find(|format| format.reader.is(path, head)).map(|format| (format.name, format.reader))
+    })
 }
 
 /// Returns true if a file begins as one of the formats that are a scene in one file.
@@ -133,26 +159,43 @@ pub fn open(path: &Path, limits: &Limits) -> Result<Opened, SceneError> {
 /// # Errors
 /// As [`open`].
 pub fn open_with(path: &Path, limits: &Limits, progress: Progress<'_>) -> Result<Opened, SceneError> {
+    // The images of a SOG scene and the levels of a streamed one are named by their folder, too.
+    let index = recognise::index(path).filter(|_| path.is_dir() && !path.join(scene::INDEX).exists());
+    let path = index.as_deref().unwrap_or(path);
+    if let Some(wrong) = recognise::not_a_scene(path) {
+        return Err(SceneError::Broken { path: path.to_owned(), cause: wrong.to_string() });
+    }
     if path.is_dir() {
         return Scene::open_within(path, limits).map(Opened::Moving);
     }
     let read = |cause| SceneError::Read { path: path.to_owned(), cause };
     let mut head = Vec::new();
-    File::open(path).map_err(read)?.take(HEAD).read_to_end(&mut head).map_err(read)?;
-    let Some(format) = format(path, &head) else {
+    File::open(path).map_err(read)?.take(MAX_HEADER as u64).read_to_end(&mut head).map_err(read)?;
+    let Some((name, reader)) = format(path, &head[..head.len().min(HEAD as usize)]) else {
         return Scene::open_within(path, limits).map(Opened::Moving);
     };
     let broken = |e: FormatError| SceneError::Broken { path: path.to_owned(), cause: e.to_string() };
+    if limits.level > 0 && name != lod::NAME {
+        return Err(broken(FormatError::new("level of detail", "a streamed SOG scene, for a level above 0", name)));
+    }
     let opened = |still, (bytes, blake3)| {
-        Opened::Still(StillFile { path: path.to_owned(), format: format.name, bytes, blake3, still })
+        let notes = ply::left_out(&head).into_iter().collect();
+        StillFile { path: path.to_owned(), format: name, bytes, blake3, still, in_time: None, notes }
     };
+    if spacetime::is(&head) {
+        let bytes = read_file(path, MAX_FILE).map_err(read)?;
+        let scene = spacetime(&bytes, limits).map_err(broken)?;
+        let file = opened(scene.at(0.0), Beside::of(path, &bytes).finish(bytes.len()));
+        let notes = [vec![scene.about()], scene.notes().to_vec()].concat();
+        return Ok(Opened::Still(StillFile { format: spacetime::NAME, in_time: Some(scene), notes, ..file }));
+    }
     let file = File::open(path).map_err(read)?;
     let about = file.metadata().map_err(read)?;
     // Devices and pipes have no length.
     if about.is_file() && about.len() <= MAX_FILE {
         let mut blocks = Blocks::new(file, about.len(), progress);
-        match format.reader.read_blocks(&mut blocks, limits) {
-            Ok(Some(still)) => return Ok(opened(still, blocks.finish())),
+        match reader.read_blocks(&mut blocks, limits) {
+            Ok(Some(still)) => return Ok(Opened::Still(opened(still, blocks.finish()))),
             Ok(None) => {}
             Err(ReadError::File(e)) => return Err(read(e)),
             Err(ReadError::Format(e)) => return Err(broken(e)),
@@ -160,6 +203,6 @@ pub fn open_with(path: &Path, limits: &Limits, progress: Progress<'_>) -> Result
     }
     let bytes = read_file(path, MAX_FILE).map_err(read)?;
     let beside = Beside::of(path, &bytes);
-    let still = format.reader.read(&bytes, &beside, limits).map_err(broken)?;
-    Ok(opened(still, beside.finish(bytes.len())))
+    let still = reader.read(&bytes, &beside, limits).map_err(broken)?;
+    Ok(Opened::Still(opened(still, beside.finish(bytes.len()))))
 }

@@ -59,15 +59,25 @@ fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
             return Err(FormatError::new(format!("record {i}"), "standard deviations of 0 or more", found));
         }
         still.mean.push(std::array::from_fn(float));
-        // NaN stays NaN, and is left out where it is drawn.
-        still.log_scale.push(scale.map(|s| if s.is_nan() { s } else { ln(f64::from(s).max(LEAST)) as f32 }));
-        let [red, green, blue, alpha] = std::array::from_fn(|k| f64::from(record[24 + k]) / 255.0);
-        still.base.push([red, green, blue].map(|c| ((c - 0.5) / Y0) as f32));
-        let opacity = alpha.clamp(LEAST, 1.0 - LEAST);
-        still.logit.push((ln(opacity) - ln(1.0 - opacity)) as f32);
+        still.log_scale.push(scale.map(deviation));
+        let (base, logit) = colour(std::array::from_fn(|k| record[24 + k]));
+        still.base.push(base);
+        still.logit.push(logit);
         still.rotation.push(std::array::from_fn(|k| (f32::from(record[28 + k]) - 128.0) / 128.0));
     }
     Ok(still)
+}
+
+/// The logarithm of a standard deviation. NaN stays NaN, and is left out where it is drawn.
+pub(super) fn deviation(scale: f32) -> f32 {
+    if scale.is_nan() { scale } else { ln(f64::from(scale).max(LEAST)) as f32 }
+}
+
+/// The harmonics' first coefficients and the opacity's logit of red, green, blue and opacity over 255.
+pub(super) fn colour(rgba: [u8; 4]) -> ([f32; 3], f32) {
+    let [red, green, blue, alpha] = rgba.map(|byte| f64::from(byte) / 255.0);
+    let opacity = alpha.clamp(LEAST, 1.0 - LEAST);
+    ([red, green, blue].map(|c| ((c - 0.5) / Y0) as f32), (ln(opacity) - ln(1.0 - opacity)) as f32)
 }
 
 #[cfg(test)]

@@ -25,6 +25,7 @@ use std::path::{Path, PathBuf};
 
 use crate::output::Sound;
 use crate::picture::Picture;
+use crate::recognise;
 pub use error::SourceError;
 use ffmpeg::Ffmpeg;
 use images::Images;
@@ -108,6 +109,11 @@ impl Source {
             && !(fps.is_finite() && fps > 0.0)
         {
             return Err(SourceError::FrameRate(fps));
+        }
+        if input != Path::new("-")
+            && let Some(wrong) = recognise::not_a_video(input)
+        {
+            return Err(SourceError::Decode { path: input.to_owned(), cause: wrong.to_string() });
         }
         let kind = if input == Path::new("-") {
             Input::Stdin(Y4m::new(BufReader::with_capacity(1 << 16, std::io::stdin()), input)?)

@@ -89,6 +89,16 @@ def cameras_of_others(scratch: Path, root: Path) -> None:
     matrix = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, -1], [0, 0, 0, 1]]
     frames = [{"file_path": f"images/{i}.png", "transform_matrix": matrix} for i in range(8)]
     (scratch / "transforms.json").write_text(json.dumps({"w": 64, "h": 36, "fl_x": 60, "frames": frames}))
+    flight = [{"camera_to_world": sum(matrix, []), "fov": 50}] * 2
+    (scratch / "camera_path.json").write_text(json.dumps({"render_width": 64, "render_height": 36, "fps": 2, "camera_path": flight}))
+    values = {"position": [0, 0, -2, 1, 0, -2], "target": [0] * 6}
+    track = {"duration": 1, "frameRate": 2, "keyframes": {"times": [0, 2], "values": values}}
+    (scratch / "settings.json").write_text(json.dumps({"camera": {"fov": 50}, "animTracks": [track]}))
+    own = ["trbf_center", "trbf_scale", *(f"motion_{k}" for k in range(9)), *(f"omega_{k}" for k in range(4))]
+    names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split() + own
+    row = "0 0 0 1 0.5 0 3 -2 -2 -2 1 0 0 0 0.5 0 1 " + "0 " * (len(names) - 17)
+    header = "".join(f"property float {name}\n" for name in names)
+    (scratch / "flames.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 1\n{header}end_header\n{row}\n")
     model = scratch / "project/sparse/0"
     model.mkdir(parents=True)
     (model / "cameras.txt").write_text("1 PINHOLE 64 36 60 60 32 18\n")

@@ -29,7 +29,7 @@ pub struct Target {
 }
 
 /// All of them.
-pub const TARGETS: [Target; 17] = [
+pub const TARGETS: [Target; 20] = [
     Target { name: "checkpoint", run: targets::checkpoint, seeds: seeds::checkpoint, longest: 32 << 10 },
     Target { name: "model_config", run: targets::model_config, seeds: seeds::model_config, longest: 1 << 10 },
     Target { name: "interval", run: targets::interval, seeds: seeds::interval, longest: 4 << 10 },
@@ -44,6 +44,9 @@ pub const TARGETS: [Target; 17] = [
     Target { name: "splat_records", run: targets::splat_records, seeds: seeds::splat_records, longest: 1 << 10 },
     Target { name: "gltf", run: targets::gltf, seeds: seeds::gltf, longest: 4 << 10 },
     Target { name: "sog", run: targets::sog, seeds: seeds::sog, longest: 8 << 10 },
+    Target { name: "ksplat", run: targets::ksplat, seeds: seeds::ksplat, longest: 6 << 10 },
+    Target { name: "streamed_sog", run: targets::streamed_sog, seeds: seeds::streamed_sog, longest: 1 << 10 },
+    Target { name: "spacetime", run: targets::spacetime, seeds: seeds::spacetime, longest: 2 << 10 },
     Target { name: "library", run: targets::library, seeds: seeds::library, longest: 1 << 10 },
     Target { name: "http", run: targets::http, seeds: seeds::http, longest: 1 << 10 },
     Target { name: "container", run: targets::container, seeds: seeds::container, longest: 4 << 10 },

@@ -333,6 +333,59 @@ pub(super) fn splat_records() -> Vec<Vec<u8>> {
     vec![(0..96).map(|i| if i % 32 < 24 && i % 4 == 3 { 0x3e } else { (i * 53 % 251) as u8 }).collect(), vec![]]
 }
 
+/// Two Gaussians at each level of compression, in two buckets.
+pub(super) fn ksplat() -> Vec<Vec<u8>> {
+    let of = |level: u16, degree: u16| {
+        let mut bytes = vec![0; 4096 + 1024];
+        let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
+        put(1, &[1]);
+        let buckets = if level == 0 { 0 } else { 2 };
+        let numbers =
+            [(4, 1), (8, 1), (12, 2), (16, 2), (4096, 2), (4100, 2), (4104, 1), (4108, buckets), (4128, buckets / 2)];
+        numbers.iter().for_each(|(at, value)| put(*at, &u32::to_le_bytes(*value)));
+        put(4132, &u32::to_le_bytes(buckets / 2));
+        put(20, &level.to_le_bytes());
+        put(4112, &5.0_f32.to_le_bytes());
+        put(4116, &12_u16.to_le_bytes());
+        put(4136, &degree.to_le_bytes());
+        if level > 0 {
+            bytes.extend(1_u32.to_le_bytes());
+            [0.5_f32, -0.5, 1.0, 0.0, 0.0, 2.0].iter().for_each(|x| bytes.extend(x.to_le_bytes()));
+        }
+        let harmonics = [0, 9, 24][usize::from(degree)];
+        let record = [44 + 4 * harmonics, 24 + 2 * harmonics, 24 + harmonics][usize::from(level)];
+        // Halves and floats of this byte are small and positive.
+        bytes.extend(vec![0x2f; 2 * record]);
+        bytes
+    };
+    vec![of(0, 0), of(0, 2), of(1, 1), of(2, 2)]
+}
+
+pub(super) fn streamed_sog() -> Vec<Vec<u8>> {
+    let text = r#"{"version": 1, "lodLevels": 2, "count": 9, "counts": [6, 3], "filenames": ["0_0/meta.json", "1_0/meta.json"],
+        "environment": "env/meta.json", "tree": {"bound": {}, "children": [
+        {"lods": {"0": {"file": 0, "offset": 2, "count": 4}, "1": {"file": 1, "offset": 0, "count": 3}}},
+        {"children": [{"lods": {"0": {"file": 0, "offset": 0, "count": 2}}}]}]}}"#;
+    vec![text.as_bytes().to_vec()]
+}
+
+/// Text of two Gaussians in time, with features and without turns.
+pub(super) fn spacetime() -> Vec<Vec<u8>> {
+    let still =
+        "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3 trbf_center trbf_scale";
+    let motion = (0..9).map(|k| format!("motion_{k}"));
+    let of = |more: &[&str]| {
+        let names =
+            still.split(' ').map(str::to_owned).chain(motion.clone()).chain(more.iter().map(|name| (*name).to_owned()));
+        let names: Vec<String> = names.collect();
+        let header: String = names.iter().map(|name| format!("property float {name}\n")).collect();
+        let row =
+            |i: usize| names.iter().enumerate().map(|(k, _)| format!("0.{} ", (i + 3 * k) % 10)).collect::<String>();
+        format!("ply\nformat ascii 1.0\nelement vertex 2\n{header}end_header\n{}\n{}\n", row(1), row(2)).into_bytes()
+    };
+    vec![of(&["omega_0", "omega_1", "omega_2", "omega_3"]), of(&["f_dc_3", "f_t_0"])]
+}
+
 pub(super) fn gltf() -> Vec<Vec<u8>> {
     let file = export::still::glb(&still(1));
     // Below a node that moves, turns and scales.

@@ -211,6 +211,35 @@ pub(super) fn sog(bytes: &[u8]) {
     draw_still(still);
 }
 
+/// A `.ksplat` file.
+pub(super) fn ksplat(bytes: &[u8]) {
+    let Ok(still) = import::ksplat(bytes) else { return };
+    assert!(still.uneven().is_none() && still.len() * 24 <= bytes.len());
+    draw_still(still);
+}
+
+/// The index of a streamed SOG scene: no level is of more Gaussians than the limits allow.
+pub(super) fn streamed_sog(bytes: &[u8]) {
+    let limits = import::Limits::default();
+    for level in 0..3 {
+        if let Ok(plan) = import::level_plan(bytes, &limits, level) {
+            assert!(plan.count <= limits.gaussians);
+            let ranges = plan.files.iter().flat_map(|(_, ranges)| ranges);
+            assert_eq!(ranges.map(|[_, count]| count).sum::<usize>(), plan.count);
+        }
+    }
+}
+
+/// A PLY file of Gaussians in time, at several of them.
+pub(super) fn spacetime(bytes: &[u8]) {
+    let Ok(scene) = import::spacetime(bytes, &import::Limits::default()) else { return };
+    for time in [-1e300, 0.0, 0.5] {
+        let still = scene.at(time);
+        assert_eq!((still.len(), still.uneven()), (scene.len(), None));
+        draw_still(still);
+    }
+}
+
 /// A still scene, on two levels.
 fn draw_still(still: Still) {
     let camera = Camera::pinhole(Pose::default(), 60.0, 1.5).expect("a lens");

@@ -5,6 +5,7 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 use streamsplat::import::{self, Opened};
 use streamsplat::output::write_file;
+use streamsplat::recognise::{self, Kind};
 use streamsplat::scene::{INDEX, Scene};
 use streamsplat_model::checkpoint::Checkpoint;
 use streamsplat_model::inspect::{Architecture, inspect};
@@ -20,6 +21,10 @@ use crate::session::opening::open;
 /// Tells what it is.
 pub fn command(args: &InspectArgs, console: &Console) -> Result<(), Failure> {
     let path = &args.file;
+    if let Some(wrong) = recognise::not_a_scene(path).filter(|_| recognise::kind(path) != Some(Kind::Checkpoint)) {
+        let wrong = wrong.expecting("a model, a scene or an interval");
+        return Err(Failure::work(format!("{}: {wrong}", path.display())));
+    }
     let found = if path.is_dir() || path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path) {
         match open(path, &args.limit.limits(), None, console)? {
             Opened::Moving(scene) => moving(&scene)?,

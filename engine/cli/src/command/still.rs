@@ -1,5 +1,6 @@
 //! Still scenes, such as PLY files, in `render`, `export` and `inspect`.
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -17,7 +18,7 @@ use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 use crate::console::{Console, say};
 use crate::options::args::{ExportArgs, RenderOptions};
-use crate::options::settings::Views;
+use crate::options::settings::{self, Views};
 use crate::output::outputs::{Emit, Outputs};
 use crate::output::place::Place;
 use crate::output::record::{InputRecord, Record, absolute};
@@ -37,13 +38,34 @@ pub struct Plan {
     views: Views,
     times: Vec<f64>,
     fps: f64,
+    /// True if the times were asked for, and are the scene's too where it changes in time.
+    of_scene: bool,
+}
+
+/// A scene that is ready to be drawn.
+pub enum Prepared {
+    /// One that is the same at all times.
+    Still(Drawable),
+    /// One that changes.
+    InTime(Box<StillFile>),
+}
+
+impl Prepared {
+    /// The Gaussians of an image.
+    fn at(&self, time: f64, workers: &Workers) -> Result<Cow<'_, Drawable>, Failure> {
+        Ok(match self {
+            Prepared::Still(scene) => Cow::Borrowed(scene),
+            Prepared::InTime(file) => Cow::Owned(Drawable::new(file.at(time).into_owned(), workers)?),
+        })
+    }
 }
 
 impl Plan {
     /// Plans the images of `file` by the options; values that they leave out follow from the scene.
     pub fn new(file: &StillFile, options: &RenderOptions, views: &Views) -> Result<Plan, Failure> {
         let kind = format!("{} is a still scene ({})", file.path.display(), file.format);
-        let fps = options.fps.unwrap_or(FPS);
+        let fps = options.fps.or(views.own_rate).unwrap_or(FPS);
+        let of_scene = views.times.is_some();
         let mut views = views.clone();
         let framing = file.still.framing();
         let optics = &options.optics;
@@ -65,10 +87,11 @@ impl Plan {
                     "--size {size}: expected WIDTHxHEIGHT; {kind}, and the camera file says no size either"
                 )));
             }
-            let all = || (0..views.own_sizes.len().max(1)).map(|i| i as f64).collect();
+            let rate = views.own_rate.unwrap_or(1.0);
+            let all = || (0..views.own_sizes.len().max(1)).map(|i| i as f64 / rate).collect();
             let times = views.times.clone().unwrap_or_else(all);
             views.camera = optics.around(views.camera)?;
-            return Ok(Plan { views, times, fps });
+            return Ok(Plan { views, times, fps, of_scene });
         }
         if views.options.size == Size::Model {
             let [width, height] = SIZE;
@@ -87,13 +110,13 @@ impl Plan {
                 framing.camera(0.0, aspect).into()
             };
             let times = views.times.clone().unwrap_or_else(|| vec![0.0]);
-            return Ok(Plan { views, times, fps });
+            return Ok(Plan { views, times, fps, of_scene });
         };
         let times: Vec<f64> = (0..angles.len()).map(|i| i as f64 / fps).collect();
         let path = times.iter().copied().zip(framing.around(&angles, aspect)).collect();
         let path = CameraPath::new(path).ok_or_else(|| Failure::work(format!("{kind}: too large to look at")))?;
         views.camera = optics.around(path)?;
-        Ok(Plan { views, times, fps })
+        Ok(Plan { views, times, fps, of_scene })
     }
 
     /// Refuses a shutter where nothing moves.
@@ -108,14 +131,25 @@ impl Plan {
     }
 
     /// The scene, ready for so many images.
-    pub fn prepare(&self, file: StillFile, workers: &Workers) -> Result<Drawable, Failure> {
+    pub fn prepare(&self, file: StillFile, workers: &Workers) -> Result<Prepared, Failure> {
+        if file.in_time.is_some() && self.of_scene {
+            return Ok(Prepared::InTime(Box::new(file)));
+        }
         let scene = Drawable::new(file.still, workers)?;
-        Ok(if self.times.len() >= MANY { scene.grouped(workers) } else { scene })
+        Ok(Prepared::Still(if self.times.len() >= MANY { scene.grouped(workers) } else { scene }))
     }
 
     /// One of the images.
-    pub fn image(&self, drawing: &mut Drawing, scene: &Drawable, time: f64, views: &Views) -> Result<Image, Failure> {
-        drawing.exposed(views, |drawing, part| drawing.still(scene, time + part / self.fps, views))
+    pub fn image(
+        &self,
+        drawing: &mut Drawing,
+        scene: &Prepared,
+        time: f64,
+        views: &Views,
+        workers: &Workers,
+    ) -> Result<Image, Failure> {
+        let scene = scene.at(time, workers)?;
+        drawing.exposed(views, |drawing, part| drawing.still(&scene, time + part / self.fps, views))
     }
 
     /// How many images there are.
@@ -170,7 +204,7 @@ pub fn render(
                 complete = false;
                 return Ok(None);
             }
-            let image = plan.image(drawing, &scene, time, &views)?;
+            let image = plan.image(drawing, &scene, time, &views, workers)?;
             size.get_or_insert([image.width, image.height]);
             Ok(Some((index, image)))
         },
@@ -197,22 +231,33 @@ pub fn export(
     console: &Console,
 ) -> Result<(), Failure> {
     let kind = format!("{} is a still scene ({})", file.path.display(), file.format);
-    if args.times.is_some() || args.fps.is_some() {
+    let asked = args.times.as_deref().map(settings::times).transpose()?;
+    if args.fps.is_some() || asked.is_some() && file.in_time.is_none() {
         return Err(Failure::usage(format!("--times, --fps: expected neither; {kind}, which has no time")));
     }
     let Format::Still(of_scene) = format else {
         return Err(Failure::usage(format!("--format ssz: expected the format of a still scene; {kind}")));
     };
-    let path: PathBuf = if format.is_file(&args.out) {
-        args.out.clone()
+    let times = asked.unwrap_or_else(|| vec![0.0]);
+    let paths: Vec<PathBuf> = if format.is_file(&args.out) {
+        if times.len() != 1 {
+            let (out, found) = (args.out.display(), times.len());
+            return Err(Failure::usage(format!("--out {out}: expected one time for one file, found {found}")));
+        }
+        vec![args.out.clone()]
     } else {
         prepare_folder(&args.out)?;
-        refuse_others(&args.out, format, 1)?;
-        args.out.join(format.file(0))
+        refuse_others(&args.out, format, times.len())?;
+        (0..times.len()).map(|index| args.out.join(format.file(index))).collect()
     };
-    let bytes = write_file(&path, &(of_scene.still)(&Drawable::new(file.still, workers)?))?.bytes;
+    let (mut bytes, StillFile { mut still, in_time, .. }) = (0, file);
+    for (time, path) in times.iter().zip(&paths) {
+        let still = in_time.as_ref().map_or_else(|| std::mem::take(&mut still), |scene| scene.at(*time));
+        bytes += write_file(path, &(of_scene.still)(&Drawable::new(still, workers)?))?.bytes;
+    }
     if !console.quiet {
-        say(format!("{}: 1 file, {bytes} bytes", args.out.display()))?;
+        let files = if paths.len() == 1 { "1 file".to_owned() } else { format!("{} files", paths.len()) };
+        say(format!("{}: {files}, {bytes} bytes", args.out.display()))?;
     }
     Ok(())
 }
@@ -226,7 +271,7 @@ pub fn inspect(file: &StillFile) -> Value {
             json!({ "least": short(least), "p5": short(p5), "median": short(median), "p95": short(p95), "greatest": short(greatest) })
         })
     };
-    json!({
+    let mut found = json!({
         "kind": "still scene",
         "format": file.format,
         "bytes": file.bytes,
@@ -244,7 +289,14 @@ pub fn inspect(file: &StillFile) -> Value {
             "no_rotation": statistics.no_rotation,
             "opacity_under_1_255": statistics.faint,
         },
-    })
+    });
+    if let Some(scene) = &file.in_time {
+        found["in_time"] = json!({ "span": scene.span() });
+    }
+    if !file.notes.is_empty() {
+        found["notes"] = json!(file.notes);
+    }
+    found
 }
 
 /// A number with five digits, for people.

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use streamsplat::recognise;
+
 use crate::command::{render, run};
 use crate::console::failure::Failure;
 use crate::console::{Console, say};
@@ -13,6 +15,9 @@ use crate::output::record::{Invocation, Record};
 
 /// Compares the files that are there with their digests, then repeats the work and compares again. Fails where one differs.
 pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
+    if let Some(wrong) = recognise::not_a_record(&args.dir) {
+        return Err(Failure::work(format!("{}: {wrong}", args.dir.display())));
+    }
     let (record_path, folder) = if args.dir.is_file() {
         (args.dir.clone(), args.dir.parent().map(Path::to_owned).unwrap_or_default())
     } else {

@@ -338,13 +338,21 @@ pub struct Limit {
     #[arg(long, value_name = "N")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit_ratio: Option<u64>,
+    /// Level of detail of a streamed SOG scene (lod-meta.json); 0 is the finest [default: 0]
+    #[arg(long, value_name = "N")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lod: Option<usize>,
 }
 
 impl Limit {
     /// With the default where nothing is said.
     pub fn limits(&self) -> Limits {
-        let Limits { gaussians, ratio } = Limits::default();
-        Limits { gaussians: self.limit_gaussians.unwrap_or(gaussians), ratio: self.limit_ratio.unwrap_or(ratio) }
+        let Limits { gaussians, ratio, level } = Limits::default();
+        Limits {
+            gaussians: self.limit_gaussians.unwrap_or(gaussians),
+            ratio: self.limit_ratio.unwrap_or(ratio),
+            level: self.lod.unwrap_or(level),
+        }
     }
 }
 

@@ -24,8 +24,13 @@ pub fn open(path: &Path, limits: &Limits, workers: Option<&Workers>, console: &C
             progress.reach(done.div_ceil(MEGABYTE) as usize);
         }
     };
-    Ok(match workers {
+    let opened = match workers {
         Some(workers) => workers.install(|| import::open_with(path, limits, &mut show)),
         None => import::open_with(path, limits, &mut show),
-    }?)
+    }?;
+    if let Opened::Still(file) = &opened {
+        let lines: Vec<String> = file.notes.iter().map(|line| format!("{}: {line}", path.display())).collect();
+        console.note(&lines);
+    }
+    Ok(opened)
 }

@@ -7,7 +7,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use streamsplat::import::FORMATS;
+use streamsplat::import::{FORMATS, READ_ONLY};
 
 use crate::support::run;
 
@@ -102,6 +102,9 @@ fn formats() -> String {
         let (name, ending, option, keeps, loses) =
             (format.name, format.ending, format.option, format.keeps, format.loses);
         writeln!(page, "| {name}, `.{ending}` | `{option}` | {keeps} | {loses} |").expect("a string");
+    }
+    for format in &READ_ONLY {
+        writeln!(page, "| {}, `{}` | read only | {} | |", format.name, format.ending, format.reads).expect("a string");
     }
     page
 }

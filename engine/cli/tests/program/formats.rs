@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use streamsplat::import::{FORMATS, Format};
+use streamsplat::import::{FORMATS, Format, READ_ONLY};
 use streamsplat::still::Drawable;
 use streamsplat::stream::Workers;
 use streamsplat_kernels::Level;
@@ -99,15 +99,71 @@ fn hostile(format: &Format) -> Vec<(&'static str, Vec<u8>, &'static str)> {
     }
 }
 
+/// A `.ksplat` file of 16-bit numbers: two Gaussians in one bucket.
+fn ksplat() -> Vec<u8> {
+    let mut bytes = vec![0; 4096 + 1024];
+    let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
+    put(1, &[1]);
+    for (at, value) in [(4, 1), (8, 1), (12, 2), (16, 2), (4096, 2), (4100, 2), (4104, 256), (4108, 1), (4132, 1)] {
+        put(at, &u32::to_le_bytes(value));
+    }
+    put(20, &1_u16.to_le_bytes());
+    put(4112, &5.0_f32.to_le_bytes());
+    put(4116, &12_u16.to_le_bytes());
+    bytes.extend(2_u32.to_le_bytes());
+    [0.5_f32, -0.5, 0.0].iter().for_each(|x| bytes.extend(x.to_le_bytes()));
+    for i in 0..2_u16 {
+        [32767 + 4000 * i, 32767, 32767].iter().for_each(|n| bytes.extend(n.to_le_bytes()));
+        let numbers = [0.3, 0.3, 0.3, 1.0, 0.0, 0.0, 0.0].map(half::f16::from_f32);
+        numbers.iter().for_each(|n| bytes.extend(n.to_le_bytes()));
+        bytes.extend([255, 128, 0, 255]);
+    }
+    bytes
+}
+
+/// The index of a streamed SOG scene of one chunk.
+fn lod(version: u32, file: &str, count: usize) -> Vec<u8> {
+    format!(
+        r#"{{"version": {version}, "lodLevels": 1, "counts": [{count}], "filenames": ["{file}"],
+        "tree": {{"lods": {{"0": {{"file": 0, "offset": 0, "count": {count}}}}}}}}}"#
+    )
+    .into_bytes()
+}
+
+/// As [`hostile`], of a format that is only read.
+fn hostile_read_only(name: &str) -> Vec<(&'static str, Vec<u8>, &'static str)> {
+    let good = ksplat();
+    match name {
+        "ksplat" => vec![
+            ("a.ksplat", shorter(&good, 1), "section 0: splats: expected 48 bytes, found 47"),
+            ("a.ksplat", changed(&good, 15, 200), "header: splats: expected at most 16777216 Gaussians"),
+            ("a.ksplat", changed(&good, 20, 9), "header: compression level: expected 0 to 2, found 9"),
+            ("a.ksplat", changed(&good, 4120 + 16, 3), "section 0: degree of the harmonics: expected 0 to 2, found 3"),
+        ],
+        "streamed SOG" => vec![
+            ("lod-meta.json", lod(2, "0_0/meta.json", 5), "lod-meta.json: version: expected 1, found 2"),
+            ("lod-meta.json", lod(1, "0_0/meta.json", 1 << 40), "lod-meta.json: level 0: expected at most 16777216"),
+            (
+                "lod-meta.json",
+                lod(1, "../a/meta.json", 5),
+                "file \"../a/meta.json\": expected a file in a folder beside",
+            ),
+            ("lod-meta.json", lod(1, "0_0/meta.json", 5), "file \"meta.json\": expected a file beside this one"),
+        ],
+        other => panic!("{other}: a format without hostile files"),
+    }
+}
+
 #[test]
 fn hostile_files_of_every_format_are_refused_in_one_line() {
     let scratch = Scratch::new();
     let page = scratch.path("page.html");
-    for format in &FORMATS {
-        let files = hostile(format);
-        assert!(files.len() >= 3, "{}", format.name);
+    let written = FORMATS.iter().map(|format| (format.name, format.option, hostile(format)));
+    let read = READ_ONLY.iter().map(|format| (format.name, format.name, hostile_read_only(format.name)));
+    for (format, option, files) in written.chain(read) {
+        assert!(files.len() >= 3, "{format}");
         for (k, (name, bytes, expected)) in files.into_iter().enumerate() {
-            let folder = scratch.path(&format!("{}-{k}", format.option));
+            let folder = scratch.path(&format!("{option}-{k}"));
             std::fs::create_dir(&folder).expect("writable");
             let path = folder.join(name);
             std::fs::write(&path, bytes).expect("writable");
@@ -118,7 +174,7 @@ fn hostile_files_of_every_format_are_refused_in_one_line() {
             for mut command in [view, inspect] {
                 let text = fails(&command.output().expect("the program starts"), 1);
                 let start = format!("streamsplat: {}: {expected}", path.display());
-                assert!(text.starts_with(&start), "{}: {text}", format.name);
+                assert!(text.starts_with(&start), "{format}: {text}");
                 assert!(text.contains(", found "), "{text}");
             }
             assert!(!page.exists() && !page.with_extension("png").exists());
@@ -152,4 +208,115 @@ fn a_scene_of_every_format_has_a_first_picture_which_its_page_shows_as_its_poste
         let name = json(&found)["format"].as_str().expect("a name").to_owned();
         assert!(text.contains(&format!("\"format\":\"{name}\"")), "{name}");
     }
+}
+
+#[test]
+fn a_ksplat_file_is_drawn_as_the_gaussians_that_it_holds() {
+    let scratch = Scratch::new();
+    let (file, ply) = (scratch.path("a.ksplat"), scratch.path("a.ply"));
+    std::fs::write(&file, ksplat()).expect("writable");
+    let output = command().arg("export").arg(&file).arg("--out").arg(&ply).output().expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let found = streamsplat::import::ply(&std::fs::read(&ply).expect("a file")).expect("a scene");
+    assert_eq!(found.mean[0], [0.5, -0.5, 0.0]);
+    assert!((found.mean[1][0] - (0.5 + 4000.0 * 2.5 / 32767.0)).abs() < 1e-6, "{:?}", found.mean);
+    let expected = f64::from(half::f16::from_f32(0.3)).ln();
+    assert!((f64::from(found.log_scale[1][2]) - expected).abs() < 1e-6);
+}
+
+#[test]
+fn a_streamed_sog_scene_is_the_union_of_its_chunks_also_by_its_folder() {
+    let scratch = Scratch::new();
+    let folder = scratch.path("streamed");
+    let sog = FORMATS.iter().find(|format| format.option == "sog").expect("SOG");
+    let unpack = |name: &str| {
+        let mut archive = zip::ZipArchive::new(std::io::Cursor::new(written(sog))).expect("a SOG file");
+        archive.extract(folder.join(name)).expect("writable");
+    };
+    ["0_0", "0_1", "env"].into_iter().for_each(unpack);
+    let index = r#"{"version": 1, "lodLevels": 1, "counts": [503], "filenames": ["0_0/meta.json", "0_1/meta.json"], "environment": "env/meta.json",
+        "tree": {"children": [{"lods": {"0": {"file": 1, "offset": 497, "count": 3}}}, {"lods": {"0": {"file": 0, "offset": 0, "count": 500}}}]}}"#;
+    std::fs::write(folder.join("lod-meta.json"), index).expect("writable");
+    let whole = streamsplat::import::sog(&written(sog)).expect("a SOG file");
+    for path in [folder.join("lod-meta.json"), folder.clone()] {
+        let ply = scratch.path("a.ply");
+        let output = command().arg("export").arg(&path).arg("--out").arg(&ply).output().expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let found = streamsplat::import::ply(&std::fs::read(&ply).expect("a file")).expect("a scene");
+        assert_eq!((found.len(), found.degree), (1003, whole.degree));
+        let expected = [&whole.mean[..], &whole.mean[497..], &whole.mean[..]].concat();
+        assert!(found.mean == expected && found.higher[500 * 45..503 * 45] == whole.higher[497 * 45..]);
+    }
+    // A level that is there, one that is not, and a file that has none.
+    let two = index.replace(r#""lodLevels": 1, "counts": [503]"#, r#""lodLevels": 2, "counts": [503, 4]"#);
+    let two = two.replace(
+        r#"{"lods": {"0": {"file": 1,"#,
+        r#"{"lods": {"1": {"file": 0, "offset": 9, "count": 4}, "0": {"file": 1,"#,
+    );
+    std::fs::write(folder.join("lod-meta.json"), two).expect("writable");
+    let export = |path: &std::path::Path, level: &str| {
+        let mut export = command();
+        export.arg("export").arg(path).args(["--lod", level, "--out"]).arg(scratch.path("b.ply"));
+        export.output().expect("the program starts")
+    };
+    let output = export(&folder, "1");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let found = streamsplat::import::ply(&std::fs::read(scratch.path("b.ply")).expect("a file")).expect("a scene");
+    assert!(found.mean == [&whole.mean[9..13], &whole.mean[..]].concat());
+    assert!(fails(&export(&folder, "2"), 1).contains("lodLevels: expected more than 2"));
+    assert!(
+        fails(&export(&scratch.path("a.ply"), "1"), 1)
+            .contains("expected a streamed SOG scene, for a level above 0, found PLY")
+    );
+}
+
+/// A text file of SpacetimeGaussians: one Gaussian that moves along x, and fades.
+const SPACETIME: &str = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3 trbf_center trbf_scale motion_0 motion_1 motion_2 motion_3 motion_4 motion_5 motion_6 motion_7 motion_8 omega_0 omega_1 omega_2 omega_3";
+
+#[test]
+fn a_file_of_spacetime_gaussians_is_drawn_at_each_time() {
+    let scratch = Scratch::new();
+    let header: String = SPACETIME.split(' ').map(|name| format!("property float {name}\n")).collect();
+    let row = "0 0 0 1 0.5 0 3 -2 -2 -2 1 0 0 0  0 0  1 0 0 2 0 0 0 0 0  0 0 0 0";
+    let file = scratch.path("moving.ply");
+    std::fs::write(&file, format!("ply\nformat ascii 1.0\nelement vertex 1\n{header}end_header\n{row}\n"))
+        .expect("writable");
+    let out = scratch.path("plies");
+    let output = command()
+        .arg("export")
+        .arg(&file)
+        .args(["--format", "ply", "--times", "0,0.5"])
+        .arg("--out")
+        .arg(&out)
+        .output();
+    let output = output.expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(String::from_utf8_lossy(&output.stderr).contains(": Gaussians in time, most opaque from 0 to 0"));
+    let at = |name: &str| streamsplat::import::ply(&std::fs::read(out.join(name)).expect("a file")).expect("a scene");
+    assert_eq!((at("000000.ply").mean[0], at("000001.ply").mean[0]), ([0.0; 3], [1.0, 0.0, 0.0]));
+    assert!(at("000001.ply").logit[0] < at("000000.ply").logit[0]);
+    // A render of the file at a time is that of the still scene of the time.
+    let camera = scratch.path("camera.json");
+    std::fs::write(&camera, r#"{"type": "pinhole", "position": [0, 0, -4], "fov_y_degrees": 45, "aspect": 1.5}"#)
+        .expect("writable");
+    let mut pictures = Vec::new();
+    for (name, path, times) in [("moving", file.clone(), "0.5"), ("still", out.join("000001.ply"), "0")] {
+        let image = scratch.path(&format!("{name}.png"));
+        let mut render = command();
+        render
+            .arg("render")
+            .arg(path)
+            .arg("--camera")
+            .arg(&camera)
+            .args(["--size", "90x60", "--times", times])
+            .arg("-o")
+            .arg(&image);
+        let output = render.output().expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        pictures.push(std::fs::read(&image).expect("an image"));
+    }
+    assert!(pictures[0] == pictures[1]);
+    let found = scratch.path("found.json");
+    let output = command().arg("inspect").arg(&file).arg("--json").arg(&found).output().expect("the program starts");
+    assert!(output.status.success() && json(&found)["in_time"]["span"][0] == 0.0);
 }

@@ -30,3 +30,4 @@ mod trust;
 mod turn;
 mod verify;
 mod view;
+mod wrong_files;

@@ -5,7 +5,7 @@ use std::ops::Range;
 use crate::import::FormatError;
 
 /// Longest header read, in bytes.
-pub(super) const MAX_HEADER: usize = 1 << 16;
+pub(in crate::import) const MAX_HEADER: usize = 1 << 16;
 
 /// How numbers are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

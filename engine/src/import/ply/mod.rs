@@ -17,6 +17,7 @@
 //! an error that names the element, the property or the line: a list, a property twice, a file that is shorter or longer than its header says.
 //! Numbers that are not finite are kept; a Gaussian that has one is left out where it is drawn.
 
+mod columns;
 mod header;
 pub(crate) mod packed;
 #[cfg(test)]
@@ -29,7 +30,9 @@ use super::blocks::{Blocks, ReadError};
 use super::formats::Reader;
 use super::{Beside, FormatError, Limits};
 use crate::still::Still;
-use header::{Encoding, Header, MAX_HEADER};
+pub(super) use columns::{Column, columns, left_out};
+pub(super) use header::MAX_HEADER;
+use header::{Encoding, Header};
 
 /// The Gaussians of a whole PLY file.
 ///
@@ -75,7 +78,7 @@ impl Reader for Packed {
 }
 
 /// As [`ply`], within other limits.
-fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
+pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let (header, body) = Header::read(bytes)?;
     match header.encoding {
         _ if packed::is_packed(&header) => packed::read(&header, body, limits),

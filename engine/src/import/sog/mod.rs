@@ -64,7 +64,7 @@ impl Reader for Sog {
 }
 
 /// As [`sog`], of a `meta.json` as well, whose images lie beside it.
-fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
+pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
     let mut files = Files::new(bytes, beside)?;
     let meta = Meta::read(&files.meta()?)?;
     let (count, degree) = (meta.count, meta.degree()?);

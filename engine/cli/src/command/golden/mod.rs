@@ -57,7 +57,7 @@ fn draw(
             plan.check_shutter(&file)?;
             let scene = plan.prepare(file, workers)?;
             for (time, views) in plan.images() {
-                sink(time, plan.image(&mut drawing, &scene, time, &views)?)?;
+                sink(time, plan.image(&mut drawing, &scene, time, &views, workers)?)?;
             }
             return Ok(blake3);
         }

@@ -1,0 +1,216 @@
+//! What a file is that is given in the wrong place, told by what it holds before a reader sees it.
+//!
+//! One sentence for each kind: what was expected, what was found, and what to do with it. Commands that take scenes, videos, and records
+//! of runs ask here, so that all of them answer alike. A kind is told by its first bytes, not by its name; a name counts where several
+//! kinds begin alike, or where a format has no first bytes of its own.
+//!
+//! | found | told by | what to do |
+//! |---|---|---|
+//! | a video, a sound, an image | first bytes ([`media`]) | `streamsplat run` makes a scene of a video |
+//! | a web page, a Git LFS pointer | first words | download the file itself |
+//! | an archive, a compressed file | first bytes, and the names in a zip file ([`archive`]) | unpack it |
+//! | an array of NumPy, a checkpoint of PyTorch, a point cloud or mesh | first bytes, a PLY or glTF header ([`geometry`]) | the tool that makes Gaussians of it |
+//! | a folder | the names in it ([`folder`]) | name the file in it |
+
+mod archive;
+mod folder;
+mod geometry;
+mod media;
+#[cfg(test)]
+mod tests;
+
+use std::fmt;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use crate::scene;
+pub(crate) use folder::index;
+pub use media::Media;
+
+/// First bytes that are looked at.
+const HEAD: u64 = 1 << 16;
+
+/// What a file or a folder holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A picture, a video or a sound, with its format's name.
+    Media(Media, &'static str),
+    /// A folder of images.
+    Images,
+    /// A scene that this program reads, with its format's name.
+    Scene(&'static str),
+    /// A checkpoint of PyTorch.
+    Checkpoint,
+    /// Something else: what it is, and what to do with it.
+    Other(String, String),
+}
+
+/// A path that is given where something else is expected, as one line without the path.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Wrong {
+    expected: &'static str,
+    found: String,
+    advice: String,
+}
+
+impl Wrong {
+    /// The same where something else is expected.
+    pub fn expecting(self, expected: &'static str) -> Wrong {
+        Wrong { expected, ..self }
+    }
+
+    fn checkpoint(expected: &'static str) -> Wrong {
+        let advice =
+            "export its Gaussians as PLY with the program that trained it (nerfstudio: ns-export gaussian-splat)";
+        Wrong { expected, found: "a checkpoint of PyTorch".to_owned(), advice: advice.to_owned() }
+    }
+}
+
+impl fmt::Display for Wrong {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "expected {}, found {}: {}", self.expected, self.found, self.advice)
+    }
+}
+
+/// The first bytes of a file, and what is known of it from outside.
+struct Head<'a> {
+    path: &'a Path,
+    bytes: &'a [u8],
+    length: u64,
+}
+
+impl Head<'_> {
+    fn starts(&self, magic: &[u8]) -> bool {
+        self.bytes.starts_with(magic)
+    }
+
+    fn holds(&self, at: usize, magic: &[u8]) -> bool {
+        self.bytes.get(at..).is_some_and(|rest| rest.starts_with(magic))
+    }
+
+    /// True if the file's name ends so.
+    fn named(&self, endings: &[&str]) -> bool {
+        crate::source::folder::ends_in(self.path, endings)
+    }
+}
+
+/// Describes a path; `None` for what is not recognised, and for what cannot be read.
+pub fn kind(path: &Path) -> Option<Kind> {
+    if path.is_dir() {
+        return folder::kind(path);
+    }
+    let about = path.metadata().ok().filter(|about| about.is_file())?;
+    // No records at all are a scene without Gaussians.
+    if about.len() == 0 && !crate::source::folder::ends_in(path, &["splat"]) {
+        return Some(Kind::Other("an empty file (0 bytes)".into(), "it was not written or not copied".into()));
+    }
+    let mut bytes = Vec::new();
+    File::open(path).ok()?.take(HEAD).read_to_end(&mut bytes).ok()?;
+    let head = Head { path, bytes: &bytes, length: about.len() };
+    // Records without a header can begin with anything.
+    let any = head.named(&["splat", "ksplat"]);
+    let other = words(&head).or_else(|| archive::kind(&head));
+    if any {
+        return other.or(Some(Kind::Scene("splats")));
+    }
+    let index = |name: &str| path.file_name().is_some_and(|found| found == name);
+    if index(scene::INDEX) {
+        return Some(Kind::Scene("folder"));
+    }
+    other.or_else(|| geometry::kind(&head)).or_else(|| media::kind(&head))
+}
+
+/// Why a path is no scene; `None` where it may be one.
+pub fn not_a_scene(path: &Path) -> Option<Wrong> {
+    let wrong = |found, advice| Some(Wrong { expected: "a scene", found, advice });
+    match kind(path)? {
+        Kind::Scene(_) => None,
+        Kind::Checkpoint => Some(Wrong::checkpoint("a scene")),
+        Kind::Other(found, advice) => wrong(found, advice),
+        Kind::Media(Media::Video, name) => {
+            let own = scene_of(path).filter(|scene| scene.is_file());
+            let beside = own.map_or_else(String::new, |scene| format!("; {} is one", scene.display()));
+            wrong(format!("a video ({name})"), format!("streamsplat run makes a scene of it{beside}"))
+        }
+        Kind::Media(Media::Image, name) => wrong(
+            format!("an image ({name})"),
+            "streamsplat run makes a scene of a video, or of a folder of images".to_owned(),
+        ),
+        Kind::Media(Media::Sound, name) => wrong(format!("sound alone ({name})"), "there is no picture in it".into()),
+        Kind::Images => wrong("a folder of images".to_owned(), "streamsplat run makes a scene of it".to_owned()),
+    }
+}
+
+/// Why a path is no video; `None` where it may be one.
+pub fn not_a_video(path: &Path) -> Option<Wrong> {
+    let wrong = |found, advice| Some(Wrong { expected: "a video or images", found, advice });
+    // An empty file's own reader says what was expected of it.
+    if path.metadata().is_ok_and(|about| about.is_file() && about.len() == 0) {
+        return None;
+    }
+    // Images beside other things are a video all the same.
+    if path.is_dir() && crate::source::folder::images(path).is_ok() {
+        return None;
+    }
+    match kind(path)? {
+        Kind::Media(Media::Video | Media::Image, _) | Kind::Images => None,
+        Kind::Media(Media::Sound, name) => wrong(format!("sound alone ({name})"), "there is no picture in it".into()),
+        Kind::Scene(name) => wrong(
+            format!("a scene ({name})"),
+            "streamsplat view shows it, streamsplat render makes images of it".to_owned(),
+        ),
+        Kind::Checkpoint => Some(Wrong::checkpoint("a video or images")),
+        Kind::Other(found, advice) => wrong(found, advice),
+    }
+}
+
+/// Why a path holds no record of a run; `None` where it may hold one.
+pub fn not_a_record(path: &Path) -> Option<Wrong> {
+    let expected = "the folder of a run, or its run.json";
+    let wrong = |found, advice| Some(Wrong { expected, found, advice });
+    let beside = || {
+        let mut name = path.file_name()?.to_owned();
+        name.push(".run.json");
+        let record = path.with_file_name(name);
+        Some(if record.is_file() {
+            format!("{} is the record of the run that wrote it", record.display())
+        } else {
+            format!("the record of a run that wrote it would be {}", record.display())
+        })
+    };
+    if path.is_dir() {
+        return None;
+    }
+    match kind(path)? {
+        Kind::Images => None,
+        Kind::Checkpoint => Some(Wrong::checkpoint(expected)),
+        Kind::Media(kind, name) => wrong(format!("{} ({name})", kind.article()), beside()?),
+        Kind::Scene(name) => wrong(format!("a scene ({name})"), beside()?),
+        Kind::Other(found, advice) => wrong(found, advice),
+    }
+}
+
+/// The scene that a run of the video at `path` writes where nothing else is asked for.
+pub fn scene_of(path: &Path) -> Option<PathBuf> {
+    let mut name = path.file_stem()?.to_owned();
+    name.push("-scene.ssz");
+    Some(path.with_file_name(name))
+}
+
+/// Text that stands in a file's place.
+fn words(head: &Head<'_>) -> Option<Kind> {
+    let other = |found: &str, advice: &str| Some(Kind::Other(found.into(), advice.into()));
+    if head.starts(b"version https://git-lfs") {
+        return other("a pointer of Git LFS", "git lfs pull fetches the file that it stands for");
+    }
+    let text = head.bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head.bytes).trim_ascii_start();
+    let begins = |word: &[u8]| text.get(..word.len()).is_some_and(|start| start.eq_ignore_ascii_case(word));
+    if begins(b"<!doctype html") || begins(b"<html") || begins(b"<head") {
+        return other("a web page (HTML)", "it came in place of the file; download the file itself");
+    }
+    if begins(b"<?xml") {
+        return other("a text in XML", "it came in place of the file, or is another program's");
+    }
+    None
+}

@@ -1,0 +1,3 @@
+#![no_main]
+
+streamsplat_fuzz::target!("ksplat");
