@@ -150,7 +150,7 @@ pub enum RenderError {
     #[error("aperture: expected a pinhole camera, found one without a lens (orthographic or all around)")]
     NoLens,
     /// Numbers of which there is no lens.
-    #[error("aperture: {what}: expected more than 0, found {found}")]
+    #[error("aperture: {what}: expected more than 0, and a lens of finite width, found {found:?}")]
     Aperture {
         /// Which number.
         what: &'static str,
