@@ -40,7 +40,7 @@ impl Aperture {
         };
         let Self { f_stop, focus, sensor_height } = *self;
         let fail = |what, found| RenderError::Aperture { what, found };
-        if !(f_stop > 0.0) {
+        if f_stop.is_nan() || f_stop <= 0.0 {
             return Err(fail("f-number", f_stop));
         }
         if !(sensor_height > 0.0 && sensor_height.is_finite()) {
@@ -54,7 +54,7 @@ impl Aperture {
             }
         };
         // What binary32 rounds to 0 is none.
-        if !(distance as f32 > 0.0) {
+        if distance.is_nan() || distance as f32 <= 0.0 {
             return Err(fail("distance of the focus", distance));
         }
         let aperture = sensor_height * focal[1] / f_stop;

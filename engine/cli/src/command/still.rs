@@ -113,7 +113,12 @@ impl Plan {
             return Ok(Plan { views, times, fps, of_scene });
         };
         let times: Vec<f64> = (0..angles.len()).map(|i| i as f64 / fps).collect();
-        let path = times.iter().copied().zip(framing.around(&angles, aspect)).collect();
+        let mut path: Vec<(f64, Camera)> = times.iter().copied().zip(framing.around(&angles, aspect)).collect();
+        if let (true, true, [first, .., last]) = (views.shutter.is_some(), options.motion.closes(), &path[..]) {
+            let (before, after) = ((-1.0 / fps, last.1), (times.len() as f64 / fps, first.1));
+            path.insert(0, before);
+            path.push(after);
+        }
         let path = CameraPath::new(path).ok_or_else(|| Failure::work(format!("{kind}: too large to look at")))?;
         views.camera = optics.around(path)?;
         Ok(Plan { views, times, fps, of_scene })

@@ -127,6 +127,11 @@ impl Motion {
         self.orbit.is_some() || self.sway.is_some() || self.turntable.is_some()
     }
 
+    /// Returns true if the last image goes on into the first.
+    pub fn closes(&self) -> bool {
+        self.sway.is_some() || self.turntable.is_some()
+    }
+
     /// The places of the camera around a scene that stands still, `fps` of them a second; `None` where it does not move.
     pub fn held(&self, fps: f64) -> Result<Option<Vec<Angles>>, Failure> {
         self.asked()?.map(|asked| asked.held(fps)).transpose()

@@ -105,7 +105,7 @@ impl Optics {
 
     fn aperture(&self) -> Result<Option<Aperture>, Failure> {
         let Some(f_stop) = self.f_stop else { return Ok(None) };
-        if !(f_stop > 0.0) {
+        if f_stop.is_nan() || f_stop <= 0.0 {
             return Err(Failure::usage(format!("--f-stop {f_stop}: expected a number above 0")));
         }
         let sensor_height = self.sensor_height.unwrap_or(SENSOR_HEIGHT);

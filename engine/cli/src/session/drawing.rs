@@ -273,7 +273,7 @@ fn between(angles: &[turn::Angles], index: f64) -> turn::Angles {
 
 fn behind() -> Failure {
     Failure::usage(
-        "--stereo: expected cameras that look towards the scene's middle, found one that has it behind itself",
+        "--stereo: expected cameras that look towards the scene's middle, found one that has it behind itself or sees all around",
     )
 }
 
