@@ -126,7 +126,8 @@ impl Plan {
 
     /// Refuses a shutter where nothing moves.
     pub fn check_shutter(&self, file: &StillFile) -> Result<(), Failure> {
-        if self.views.shutter.is_none() || self.views.camera.views().len() > 1 {
+        let changes = file.in_time.is_some() && self.of_scene;
+        if self.views.shutter.is_none() || self.views.camera.views().len() > 1 || changes {
             return Ok(());
         }
         let path = file.path.display();
@@ -153,8 +154,11 @@ impl Plan {
         views: &Views,
         workers: &Workers,
     ) -> Result<Image, Failure> {
-        let scene = scene.at(time, workers)?;
-        drawing.exposed(views, |drawing, part| drawing.still(&scene, time + part / self.fps, views))
+        drawing.exposed(views, |drawing, part| {
+            let time = time + part / self.fps;
+            let scene = scene.at(time, workers)?;
+            drawing.still(&scene, time, views)
+        })
     }
 
     /// How many images there are.
