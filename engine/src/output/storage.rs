@@ -90,6 +90,19 @@ pub fn reopen(path: &Path) -> io::Result<Output> {
     Ok(Output { file, path: path.to_owned() })
 }
 
+/// Takes note of a file that another program has written since it was [created](create). A fault leaves of it what such a program leaves that
+/// does not notice: half.
+///
+/// # Errors
+/// The system's.
+pub fn foreign(path: &Path) -> io::Result<()> {
+    if let faults::Room::Half = faults::foreign_step()? {
+        let file = File::options().write(true).open(path)?;
+        file.set_len(file.metadata()?.len() / 2)?;
+    }
+    Ok(())
+}
+
 /// Gives the file `from` the name `to`, in the same folder.
 ///
 /// # Errors

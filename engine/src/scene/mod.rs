@@ -22,6 +22,7 @@
 //! | `index`, `dropped` | U64 `[1]` | the key frame at the end; Gaussians left out for numbers that are not finite |
 
 mod container;
+mod frames;
 mod interval;
 mod read;
 mod records;
@@ -127,6 +128,9 @@ pub struct IntervalEntry {
     pub bytes: u64,
     /// BLAKE3 digest of the file.
     pub blake3: String,
+    /// Times of the source's frames after the interval before, in seconds, the key frame last; empty where they follow from the rate.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub frames: Vec<f64>,
 }
 
 impl From<Placement> for PlacementRecord {

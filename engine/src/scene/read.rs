@@ -183,10 +183,11 @@ impl Index {
 impl IntervalEntry {
     /// An error unless it follows the time `before`, names a file in the scene's folder, and counts what can be read.
     fn check(&self, before: f64) -> Result<(), String> {
-        let Self { file, start, end, gaussians, .. } = self;
+        let Self { file, start, end, gaussians, frames, .. } = self;
         if !(start.is_finite() && end.is_finite() && before <= *start && start <= end) {
             return Err(format!("expected ascending times, found {start} to {end} after {before}"));
         }
+        super::frames::check(frames, *start, *end)?;
         if file.contains(['/', '\\']) || file.starts_with('.') {
             return Err(format!("expected a file name without a folder, found {file:?}"));
         }

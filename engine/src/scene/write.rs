@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use super::frames::listed;
 use super::{FORMAT, INDEX, Index, IntervalEntry, SceneError, VERSION, to_safetensors};
 use crate::fit::Placement;
 use crate::output::{OutputError, Written, prepare_folder, storage, write_file, write_whole};
@@ -16,6 +17,8 @@ pub struct SceneWriter {
     folder: PathBuf,
     fps: f64,
     index: Option<Index>,
+    /// Frames of the intervals so far.
+    frames: usize,
     indexed: Option<Instant>,
 }
 
@@ -32,7 +35,7 @@ impl SceneWriter {
             }
             _ => {}
         }
-        Ok(SceneWriter { folder: folder.to_owned(), fps, index: None, indexed: None })
+        Ok(SceneWriter { folder: folder.to_owned(), fps, index: None, frames: 0, indexed: None })
     }
 
     /// Goes on with the scene in `folder`, of which `intervals` are kept.
@@ -48,25 +51,27 @@ impl SceneWriter {
         prepare_folder(folder)?;
         let placement = placement.into();
         let index = Index { format: FORMAT.to_owned(), version: VERSION, fps, placement, intervals };
-        Ok(SceneWriter { folder: folder.to_owned(), fps, index: Some(index), indexed: None })
+        let frames = index.frames().map_or(0, |frames| frames.len());
+        Ok(SceneWriter { folder: folder.to_owned(), fps, index: Some(index), frames, indexed: None })
     }
 
-    /// Writes an interval: first its file, then (at most once a second) the index that names it.
+    /// Writes an interval: first its file, then (at most once a second) the index that names it. The source's frames are taken to follow at the scene's rate.
     ///
     /// # Errors
     /// Files that cannot be written.
     pub fn push(&mut self, interval: &Interval) -> Result<(String, Written), SceneError> {
-        let entry = self.push_after(interval, |_| Ok(()))?;
+        let entry = self.push_after(interval, &[], |_| Ok(()))?;
         Ok((entry.file, Written { bytes: entry.bytes, blake3: entry.blake3 }))
     }
 
-    /// As [`SceneWriter::push`]; `announce` is told what the index will say before the file gets its name.
+    /// As [`SceneWriter::push`], of an interval with these times of `frames` after the interval before, in seconds, or with none; `announce` is told what the index will say before the file gets its name.
     ///
     /// # Errors
     /// Files that cannot be written, and errors of `announce`; nothing is written then.
     pub fn push_after(
         &mut self,
         interval: &Interval,
+        frames: &[f64],
         announce: impl FnOnce(&IntervalEntry) -> Result<(), OutputError>,
     ) -> Result<IntervalEntry, SceneError> {
         let index = self.index.get_or_insert_with(|| Index {
@@ -81,7 +86,9 @@ impl SceneWriter {
         let bytes = to_safetensors(interval).map_err(|cause| SceneError::Broken { path: path.clone(), cause })?;
         let Written { bytes: length, blake3 } = Written::of(&bytes);
         let (start, end, gaussians) = (interval.start, interval.end, interval.gaussians.len());
-        let entry = IntervalEntry { file, start, end, gaussians, bytes: length, blake3 };
+        let first = index.intervals.first().map_or(start, |first| first.start);
+        let frames = listed(first, self.fps, &mut self.frames, end, frames);
+        let entry = IntervalEntry { file, start, end, gaussians, bytes: length, blake3, frames };
         announce(&entry)?;
         write_whole(&path, &bytes)?;
         index.intervals.push(entry.clone());

@@ -204,6 +204,11 @@ impl Source {
         self.rate.0 / self.rate.1
     }
 
+    /// Returns true if frames do not follow each other at a constant rate.
+    pub fn is_uneven(&self) -> bool {
+        self.uneven
+    }
+
     /// The next frame; `None` at the end.
     ///
     /// # Errors

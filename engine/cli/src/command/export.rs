@@ -88,7 +88,7 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     let Format::Still(of_time) = format else {
         return container(&scene, args, &workers, console);
     };
-    let due = times::of_scene(&scene, asked.as_deref(), args.fps.unwrap_or(scene.index().fps))?;
+    let due = times::of_scene(&scene, asked.as_deref(), args.fps)?;
     let paths: Vec<PathBuf> = if format.is_file(&args.out) {
         if due.len() != 1 {
             let (out, found) = (args.out.display(), due.len());
@@ -149,7 +149,7 @@ fn container(scene: &Scene, args: &ExportArgs, workers: &Workers, console: &Cons
         if console.stop.asked() {
             return Err(Failure::work(format!("{}: stopped by the user; nothing was written", args.out.display())));
         }
-        writer.push(&scene.interval(i)?, workers)?;
+        writer.push_with(&scene.interval(i)?, &intervals[i].frames, workers)?;
         progress.step();
     }
     progress.finish();

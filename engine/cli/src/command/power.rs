@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
-use streamsplat::output::storage::faults::{Fault, inject};
+use streamsplat::output::storage::faults::{Fault, inject, inject_with};
 use streamsplat_fixtures as fixtures;
 
 use crate::command::run;
@@ -89,6 +89,73 @@ fn sweep(name: &str) {
             std::fs::remove_dir_all(&folder).expect("there");
         }
     }
+}
+
+/// Stands in ffmpeg's place: writes what it gets and an end, exit code 0 whatever becomes of the file; counts the frames of a file with its end.
+const ENCODER: &str = r#"#!/bin/sh
+case $* in
+*framecrc*)
+  while [ "$1" != -i ]; do shift; done
+  file=${2#file:}
+  [ "$(tail -c 3 "$file")" = END ] || { echo "moov atom not found" >&2; exit 1; }
+  LC_ALL=C grep -a -o "$(printf '\037C\266u')" "$file" | sed 's/.*/0, 0/'
+  ;;
+*)
+  for last; do :; done
+  { cat; printf END; } >"${last#file:}"
+  ;;
+esac
+"#;
+
+/// Runs to `video`, where another file is, with this encoder.
+fn encoded(clip: &Path, video: &Path, encoder: &Path, fault: Option<(Fault, u64)>) -> (Result<(), Failure>, u64) {
+    std::fs::write(video, "another").expect("writable");
+    let model = fixtures::path("parity/tiny-nodino.safetensors");
+    let mut words: Vec<&std::ffi::OsStr> =
+        ["streamsplat", "run", "--quiet", "--threads", "1", "--emit", "rgb"].map(AsRef::as_ref).to_vec();
+    words.extend([clip.as_os_str(), "--out".as_ref(), video.as_os_str(), "--model".as_ref(), model.as_os_str()]);
+    let cli = Cli::try_parse_from(words).expect("a command");
+    let Command::Run(args) = &cli.command else { panic!("not a run") };
+    inject_with(fault, Some(encoder.to_owned()), || run::command(args, &cli.console))
+}
+
+#[cfg(unix)]
+#[test]
+fn an_encoded_video_replaces_another_whole_or_not_at_all() {
+    let scratch = tempfile::tempdir().expect("a temporary folder");
+    let clip = clip(scratch.path());
+    // Another process writes it: this one would hold it open while threads beside start programs.
+    let encoder = scratch.path().join("encoder");
+    let mut writer = std::process::Command::new("sh")
+        .args(["-c", "cat >\"$0\" && chmod +x \"$0\""])
+        .arg(&encoder)
+        .stdin(std::process::Stdio::piped())
+        .spawn()
+        .expect("a shell");
+    std::io::Write::write_all(&mut writer.stdin.take().expect("a pipe"), ENCODER.as_bytes()).expect("writable");
+    assert!(writer.wait().expect("a shell").success());
+    let whole = scratch.path().join("whole.mp4");
+    let (result, operations) = encoded(&clip, &whole, &encoder, None);
+    result.unwrap_or_else(|failure| panic!("{}", failure.message()));
+    let expected = std::fs::read(&whole).expect("there");
+    assert!(expected.len() > 5 * 3 * 40 * 24, "{}", expected.len());
+    let mut cut = 0;
+    for fault in FAULTS {
+        for at in 1..=operations {
+            let folder = scratch.path().join(format!("{fault:?}-{at}"));
+            std::fs::create_dir(&folder).expect("writable");
+            let video = folder.join("v.mp4");
+            let (result, _) = encoded(&clip, &video, &encoder, Some((fault, at)));
+            let found = std::fs::read(&video).expect("one or the other");
+            assert!(found == b"another" || found == expected, "{fault:?} at {at} of {operations}: neither");
+            match result {
+                Ok(()) => assert!(found == expected, "{fault:?} at {at} of {operations}: said to be done"),
+                Err(failure) => cut += u32::from(failure.message().contains("moov atom not found")),
+            }
+            std::fs::remove_dir_all(&folder).expect("there");
+        }
+    }
+    assert_eq!(cut, 3, "no room, a failing device and a short write under the encoder");
 }
 
 #[test]

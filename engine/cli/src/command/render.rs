@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use streamsplat::import::Opened;
-use streamsplat::output::{WEBP_SIDE, folder_of, storage, write_file};
+use streamsplat::output::{Pace, WEBP_SIDE, folder_of, storage, write_file};
 use streamsplat::scene::Scene;
 use streamsplat::stream::{Interval, Workers};
 use streamsplat::{Image, Size};
@@ -18,9 +18,9 @@ use crate::options::args::{Machine, RenderArgs, RenderOptions};
 use crate::options::motion::Course;
 use crate::options::settings::Views;
 use crate::options::times;
-use crate::output::outputs::{Destination, Emit, Outputs};
+use crate::output::outputs::{Destination, Emit, Finished, Outputs};
 use crate::output::place::Place;
-use crate::output::record::{InputRecord, Invocation, OutputRecord, PROGRAM, Record, Timing, absolute};
+use crate::output::record::{InputRecord, Invocation, OutputRecord, PROGRAM, Record, Timing, absolute, check_name};
 use crate::output::{digest, report};
 use crate::session::drawing::Drawing;
 use crate::session::opening::open;
@@ -28,6 +28,9 @@ use crate::session::opening::open;
 /// Renders, then writes the record and the report.
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     console.listen();
+    for path in [&args.out, &args.scene].into_iter().chain(&args.options.view.camera) {
+        check_name(path)?;
+    }
     match Single::of(&args.out) {
         // Of several images a WebP file is a video.
         Some(Single::WebP) if several(args, console)? => {}
@@ -132,7 +135,7 @@ impl RenderOptions {
     pub(super) fn due(&self, scene: &Scene, views: &mut Views, fps: f64) -> Result<Vec<(f64, usize)>, Failure> {
         views.camera = self.optics.around(std::mem::take(&mut views.camera))?;
         self.optics.needs_focus()?;
-        let mut due = times::of_scene(scene, views.times.as_deref(), fps)?;
+        let mut due = times::of_scene(scene, views.times.as_deref(), self.fps)?;
         self.motion.along(views, &mut due, |(time, _)| time, fps)?;
         Ok(due)
     }
@@ -171,6 +174,7 @@ pub fn render(
         return Err(Failure::usage(format!("--size {width}x{height}: expected at most {WEBP_SIDE} a side for WebP")));
     }
     times::check_rate(options.fps)?;
+    place.destination().check_crf(options.crf)?;
     let workers = machine.workers()?;
     let scene = match open(path, &options.limit.limits(), Some(&workers), console)? {
         Opened::Moving(scene) => scene,
@@ -179,13 +183,17 @@ pub fn render(
         }
     };
     let fps = options.fps.unwrap_or(scene.index().fps);
+    // Of the source's own frames; images of other times, or of one, follow each other at a rate.
+    let own = options.fps.is_none() && views.times.is_none();
     let due = options.due(&scene, &mut views, fps)?;
     options.check_single(due.len())?;
     let mut drawing = Drawing::new(&workers, views.backend)?;
     let mut outputs = Outputs::create(place, emit)?;
     outputs.drawn_by(views.backend);
     outputs.keep_alpha(views.transparent)?;
-    outputs.start(fps)?;
+    let own = own && !matches!(views.course, Some(Course::Held(_)));
+    outputs.quality(options.crf);
+    outputs.start(fps, Pace { fps, uneven: own && scene.index().is_uneven() })?;
 
     let mut progress = Progress::new("images", Some(due.len()), console);
     let mut stretch = Stretch::of(&scene);
@@ -197,17 +205,18 @@ pub fn render(
                 complete = false;
                 return Ok(None);
             }
-            Ok(Some((index, stretch.image(drawing, index, (time, place), &views, fps)?)))
+            Ok(Some((index, time, stretch.image(drawing, index, (time, place), &views, fps)?)))
         },
-        |(index, image)| {
-            outputs.image(index, image)?;
+        |(index, time, image)| {
+            outputs.image(index, if own { time } else { index as f64 / fps }, image)?;
             progress.step();
             Ok(())
         },
     )?;
     progress.phase("images; finishing the files");
-    let written = drawing.writing(|| outputs.finish())?;
+    let Finished { outputs, notes } = drawing.writing(|| outputs.finish())?;
     progress.finish();
+    console.note(&notes);
 
     let [height, width] = scene.placement().source;
     let input = InputRecord {
@@ -217,7 +226,7 @@ pub fn render(
         size: [width, height],
         fps: scene.index().fps,
     };
-    Ok(record(options, input, &drawing, Rendered { outputs: written, complete, read: stretch.read, start }, &workers))
+    Ok(record(options, input, &drawing, Rendered { outputs, complete, read: stretch.read, start }, &workers))
 }
 
 /// The part of a scene that is being drawn.

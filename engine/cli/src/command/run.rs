@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use streamsplat::Engine;
-use streamsplat::output::{Sound, holds_sound, storage};
+use streamsplat::output::{Pace, Sound, VideoFormat, holds_sound, storage};
 use streamsplat::source::{self, Source};
 use streamsplat::stream::{MotionFrom, Reuse};
 
@@ -12,9 +12,11 @@ use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 use crate::console::{Console, say, stop};
 use crate::options::args::{Machine, RunArgs, RunOptions};
-use crate::output::outputs::{Destination, Emit, Outputs};
+use crate::output::outputs::{Destination, Emit, Finished, Outputs};
 use crate::output::place::Place;
-use crate::output::record::{Account, Invocation, ModelRecord, NetworkRecord, PROGRAM, Record, Timing, WorkRecord};
+use crate::output::record::{
+    Account, Invocation, ModelRecord, NetworkRecord, PROGRAM, Record, Timing, WorkRecord, check_name,
+};
 use crate::output::resume_state::Found;
 use crate::output::terms::{Terms, with_absolute_paths};
 use crate::output::{digest, report, resume_state};
@@ -35,11 +37,16 @@ pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
 /// Does the same and gives the record.
 pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
     console.listen();
+    for path in
+        args.out.iter().chain([&args.input]).chain(&args.options.view.camera).chain(&args.options.stream.model.model)
+    {
+        check_name(path)?;
+    }
     let out = args.out.clone().map_or_else(|| named_after(&args.input, args.options.emit.as_deref()), Ok)?;
     // Held until everything is written.
     let mut place = Place::new(Destination::asked(&out)?);
     let mut args = args.clone();
-    if args.out.is_none() && place.destination().container().is_some() {
+    if place.destination().container().is_some() {
         args.options.emit.get_or_insert_with(|| "rgb,scene".to_owned());
     }
     let size = if place.destination().is_video() { "source" } else { "model" };
@@ -118,6 +125,18 @@ fn resume_or_run(args: &RunArgs, out: &Path, place: &mut Place, console: &Consol
 /// An error where the place holds the finished results of another input or of other options.
 fn refuse_others(input: &Path, out: &Path, destination: &Destination, options: &RunOptions) -> Result<(), Failure> {
     let record = destination.record().filter(|path| storage::regular(path).is_ok());
+    let wants_scene = options.emit.as_deref().is_some_and(|list| list.split(',').any(|kind| kind.trim() == "scene"));
+    if let Some(scene) = destination.container().filter(|scene| wants_scene && storage::exists(scene)) {
+        let name = scene.file_name().unwrap_or_default().to_string_lossy();
+        let record = record.as_ref().and_then(|path| Record::read(path).ok());
+        if record.is_none_or(|record| !record.outputs.contains_key(&*name)) {
+            return Err(Failure::usage(format!(
+                "{}: expected a free place for the scene, found a file that no run to {} wrote; --overwrite replaces it, --emit rgb leaves it",
+                scene.display(),
+                out.display()
+            )));
+        }
+    }
     // What is no record of a whole run is no result that anybody has.
     let record = record.and_then(|path| Record::read(&path).ok()).filter(|record| record.complete);
     let Some(record) = record else { return Ok(()) };
@@ -153,6 +172,7 @@ fn run_from(
 ) -> Result<(Record, Option<Serving>), Failure> {
     let start = Instant::now();
     // What is wrong with the options is said before anything is touched.
+    place.destination().check_crf(options.crf)?;
     let mut views = options.view.resolve()?;
     views.refuse_still()?;
     let gap = options.stream.gap()?;
@@ -171,6 +191,13 @@ fn run_from(
     options.motion.follow(&mut views, source.fps())?;
     console.note(source.notes());
     let said = source.notes().len();
+    let pace = Pace { fps: source.fps(), uneven: source.is_uneven() && views.times.is_none() };
+    if pace.uneven && matches!(place.destination(), Destination::Video(_, VideoFormat::Y4m)) {
+        console.note(&[format!(
+            "y4m holds no times: images follow each other at {:.3} a second, unlike the frames",
+            pace.fps
+        )]);
+    }
     let sound = taken_along(&source, options, place.destination());
     if source.sound().is_some() {
         let found = if sound.is_some() { "sound is taken along" } else { "sound is left out" };
@@ -193,6 +220,7 @@ fn run_from(
     };
     outputs.drawn_by(views.backend);
     outputs.sound(sound);
+    outputs.quality(options.crf);
     // That nothing can be written is said before the model is loaded.
     let engine = Engine::new(settings)?;
     let mut drawing = Drawing::new(engine.workers(), views.backend)?;
@@ -235,7 +263,7 @@ fn run_from(
             true
         }
         _ => {
-            stream.outputs.start(stream.keys.fps())?;
+            stream.outputs.start(stream.keys.fps(), pace)?;
             false
         }
     };
@@ -260,8 +288,9 @@ fn run_from(
         return Err(Failure::usage(format!("--times: {time} s lies outside the video ({first} s to {last} s)")));
     }
     progress.phase("frames; finishing the files");
-    let written = drawing.writing(|| outputs.finish())?;
+    let Finished { outputs: written, notes } = drawing.writing(|| outputs.finish())?;
     progress.finish();
+    console.note(&notes);
     if let Some(page) = &page {
         page.complete();
     }
@@ -311,8 +340,7 @@ fn run_from(
 fn taken_along(source: &Source, options: &RunOptions, destination: &Destination) -> Option<Sound> {
     let own_times = options.view.times.is_none() && options.fps.is_none();
     let wanted = !options.no_audio && own_times && holds_sound(destination.path());
-    let sound = source.sound().filter(|_| wanted)?;
-    Some(Sound { seconds: options.frames.map(|frames| frames as f64 / source.fps()), ..sound })
+    source.sound().filter(|_| wanted)
 }
 
 /// A place in the working directory, named after the input: a video where the input is an encoded one and images and scene are wanted alone, else a folder.

@@ -7,7 +7,7 @@ use std::time::Instant;
 use serde_json::{Value, json};
 use streamsplat::camera::{Camera, CameraPath, Lens, Pose};
 use streamsplat::import::StillFile;
-use streamsplat::output::{prepare_folder, write_file};
+use streamsplat::output::{Pace, prepare_folder, write_file};
 use streamsplat::still::{Drawable, Spread};
 use streamsplat::stream::Workers;
 use streamsplat::{Image, Size};
@@ -19,7 +19,7 @@ use crate::console::progress::Progress;
 use crate::console::{Console, say};
 use crate::options::args::{ExportArgs, RenderOptions};
 use crate::options::settings::{self, Views};
-use crate::output::outputs::{Emit, Outputs};
+use crate::output::outputs::{Emit, Finished, Outputs};
 use crate::output::place::Place;
 use crate::output::record::{InputRecord, Record, absolute};
 use crate::session::drawing::Drawing;
@@ -203,7 +203,8 @@ pub fn render(
     let mut outputs = Outputs::create(place, emit)?;
     outputs.drawn_by(views.backend);
     outputs.keep_alpha(views.transparent)?;
-    outputs.start(plan.fps)?;
+    outputs.quality(options.crf);
+    outputs.start(plan.fps, Pace::even(plan.fps))?;
     let mut progress = Progress::new("images", Some(plan.count()), console);
     let (mut complete, mut size) = (true, None);
     drawing.pass(
@@ -218,17 +219,18 @@ pub fn render(
             Ok(Some((index, image)))
         },
         |(index, image)| {
-            outputs.image(index, image)?;
+            outputs.image(index, index as f64 / plan.fps, image)?;
             progress.step();
             Ok(())
         },
     )?;
     progress.phase("images; finishing the files");
-    let written = drawing.writing(|| outputs.finish())?;
+    let Finished { outputs, notes } = drawing.writing(|| outputs.finish())?;
     progress.finish();
+    console.note(&notes);
 
     let input = InputRecord { path, blake3, count: 1, size: size.unwrap_or(SIZE), fps: plan.fps };
-    Ok(record(options, input, &drawing, Rendered { outputs: written, complete, read, start }, workers))
+    Ok(record(options, input, &drawing, Rendered { outputs, complete, read, start }, workers))
 }
 
 /// Writes the one file that a still scene is.

@@ -62,7 +62,7 @@ pub fn command(args: &TrackArgs, console: &Console) -> Result<(), Failure> {
         let message = format!("--point {}: expected a pixel of a frame of {width}×{height}", args.point);
         return Err(Failure::usage(message));
     }
-    let mut due = times::of_scene(&scene, asked.as_deref(), args.fps.unwrap_or(scene.index().fps))?;
+    let mut due = times::of_scene(&scene, asked.as_deref(), args.fps)?;
     if asked.is_none() && due.iter().all(|(time, _)| *time != args.at) {
         let next = due.partition_point(|(time, _)| *time < args.at);
         due.insert(next, (args.at, place));

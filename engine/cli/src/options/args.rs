@@ -247,6 +247,11 @@ pub struct RunOptions {
     /// Stop after this many input frames
     #[arg(long, value_name = "N")]
     pub frames: Option<usize>,
+    /// Quality of an encoded video, as ffmpeg's -crf: less is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to 63 for .webm and .avif [default: 10;
+    /// 18 for .webm and .avif]
+    #[arg(long, value_name = "N")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crf: Option<u8>,
     /// Leave the input's sound out of an encoded video; it is taken along otherwise, but not with --times or --fps
     #[arg(long)]
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -280,6 +285,11 @@ pub struct RenderOptions {
     /// Images per second of the scene, where no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
+    /// Quality of an encoded video, as ffmpeg's -crf: less is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to 63 for .webm and .avif [default: 10;
+    /// 18 for .webm and .avif]
+    #[arg(long, value_name = "N")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crf: Option<u8>,
     /// Outputs: rgb, webp (colours without loss), depth, alpha, exr (colour, depth and alpha as layers of one file) [default: rgb]
     #[arg(long, value_name = "LIST")]
     pub emit: Option<String>,

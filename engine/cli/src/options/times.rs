@@ -4,12 +4,13 @@ use streamsplat::scene::{Scene, SceneError};
 
 use crate::console::failure::Failure;
 
-/// The times asked for, or else the scene's own at `fps`, each with the interval that shows it. A time outside the scene is
-/// wrong use, said before any work.
-pub fn of_scene(scene: &Scene, asked: Option<&[f64]>, fps: f64) -> Result<Vec<(f64, usize)>, Failure> {
-    let times = match asked {
-        Some(times) => times.to_vec(),
-        None => grid(scene.span(), fps)?,
+/// The times asked for, or else so many a second, or else those of the source's frames, each with the interval that shows it. A time outside the
+/// scene is wrong use, said before any work.
+pub fn of_scene(scene: &Scene, asked: Option<&[f64]>, fps: Option<f64>) -> Result<Vec<(f64, usize)>, Failure> {
+    let times = match (asked, fps, scene.index().frames()) {
+        (Some(times), ..) => times.to_vec(),
+        (None, None, Some(frames)) => frames,
+        (None, fps, _) => grid(scene.span(), fps.unwrap_or(scene.index().fps))?,
     };
     times.into_iter().map(|time| Ok((time, find(scene, "--times", time)?))).collect()
 }

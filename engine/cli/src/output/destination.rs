@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use streamsplat::output::{VIDEOS, VideoFormat};
+use streamsplat::output::{VIDEOS, VideoFormat, qualities};
 
 use crate::console::failure::Failure;
 
@@ -59,6 +59,25 @@ impl Destination {
                 Some(path.with_file_name(name))
             }
             Destination::Video(..) => None,
+        }
+    }
+
+    /// Refuses a rate factor where there is no such thing, or none like this.
+    pub fn check_crf(&self, crf: Option<u8>) -> Result<(), Failure> {
+        let Some(crf) = crf else { return Ok(()) };
+        let allowed = if self.is_video() { qualities(self.path()) } else { None };
+        match allowed {
+            Some(range) if range.contains(&crf) => Ok(()),
+            Some(range) => {
+                let (least, most, out) = (range.start(), range.end(), self.path().display());
+                Err(Failure::usage(format!("--crf: expected {least} to {most} for {out}, found {crf}")))
+            }
+            None => {
+                let out = self.path().display();
+                Err(Failure::usage(format!(
+                    "--crf: expected a .mp4, .m4v, .mov, .mkv, .webm or .avif file as --out, found {out}"
+                )))
+            }
         }
     }
 

@@ -6,7 +6,7 @@ use std::path::{Component, Path, PathBuf};
 use streamsplat::Image;
 use streamsplat::export;
 use streamsplat::output::{
-    OutputError, Sound, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, picture_webp,
+    OutputError, Pace, Sound, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, picture_webp,
     plane_png, prepare_subfolder, storage, transparent_exr, transparent_png, write_whole,
 };
 use streamsplat::picture::Picture;
@@ -93,6 +93,16 @@ pub struct Outputs {
     alpha: bool,
     /// Sound that goes with the video.
     sound: Option<Sound>,
+    /// The video's rate factor, where it has another than the default.
+    quality: Option<u8>,
+}
+
+/// What was written.
+pub struct Finished {
+    /// The files, by their names.
+    pub outputs: BTreeMap<String, OutputRecord>,
+    /// How a video differs from what went in, a line each.
+    pub notes: Vec<String>,
 }
 
 impl Outputs {
@@ -117,7 +127,7 @@ impl Outputs {
                         path.display()
                     )));
                 }
-                drop(Video::create(path, *format, 1.0)?);
+                drop(Video::create(path, *format, Pace::even(1.0))?);
                 if let Some(folder) = destination.resume() {
                     resume_state::remove(&folder)?;
                 }
@@ -129,13 +139,31 @@ impl Outputs {
     fn new(destination: Destination, emit: Emit) -> Outputs {
         let (written, intervals) = (BTreeMap::new(), Vec::new());
         let (outside, alpha) = (false, false);
-        let (video, scene, container, ledger, sound) = (None, None, None, None, None);
-        Outputs { destination, emit, video, scene, container, written, ledger, intervals, outside, alpha, sound }
+        let (video, scene, container, ledger, sound, quality) = (None, None, None, None, None, None);
+        Outputs {
+            destination,
+            emit,
+            video,
+            scene,
+            container,
+            written,
+            ledger,
+            intervals,
+            outside,
+            alpha,
+            sound,
+            quality,
+        }
     }
 
     /// Takes sound for the video.
     pub fn sound(&mut self, sound: Option<Sound>) {
         self.sound = sound;
+    }
+
+    /// Takes the rate factor of an encoded video.
+    pub fn quality(&mut self, crf: Option<u8>) {
+        self.quality = crf;
     }
 
     /// Says that there is nothing behind the scene: colour images are written with their alpha.
@@ -193,7 +221,7 @@ impl Outputs {
                 self.destination.record().into_iter().collect()
             }
             (Destination::Video(path, format), None) => {
-                self.video = Some(Video::create(path, *format, fps)?);
+                self.video = Some(Video::create(path, *format, Pace::even(fps))?);
                 self.destination.record().into_iter().collect()
             }
         };
@@ -234,15 +262,16 @@ impl Outputs {
         self.ledger.is_some()
     }
 
-    /// Opens what needs the frame rate.
-    pub fn start(&mut self, fps: f64) -> Result<(), Failure> {
+    /// Opens what needs the frame rate: that of the scene, and how images follow each other.
+    pub fn start(&mut self, fps: f64, pace: Pace) -> Result<(), Failure> {
         match &self.destination {
             Destination::Folder(folder) if self.emit.scene => {
                 self.scene = Some(SceneWriter::create(&folder.join("scene"), fps)?);
             }
             Destination::Folder(_) => {}
             Destination::Video(path, format) => {
-                self.video = Some(Video::create(path, *format, fps)?.with_sound(self.sound.take()));
+                let video = Video::create(path, *format, pace)?;
+                self.video = Some(video.with_quality(self.quality).with_sound(self.sound.take()));
                 if let Some(path) = self.destination.container().filter(|_| self.emit.scene) {
                     self.container = Some(ContainerWriter::create(&path, fps)?);
                 }
@@ -268,17 +297,18 @@ impl Outputs {
         Ok(())
     }
 
-    /// Writes an interval of the scene, and where its identities are, if these are wanted; `workers` code a container.
-    pub fn interval(&mut self, interval: &Interval, workers: &Workers) -> Result<(), Failure> {
+    /// Writes an interval of the scene with the times of its `frames`, and where its identities are, if these are wanted; `workers` code a
+    /// container.
+    pub fn interval(&mut self, interval: &Interval, frames: &[f64], workers: &Workers) -> Result<(), Failure> {
         if self.emit.tracks {
             self.file(format!("tracks/interval-{:06}.csv", interval.index), export::tracks(interval).as_bytes())?;
         }
         if let Some(container) = &mut self.container {
-            container.push(interval, workers)?;
+            container.push_with(interval, frames, workers)?;
         }
         let Some(scene) = &mut self.scene else { return Ok(()) };
         let ledger = &mut self.ledger;
-        let entry = scene.push_after(interval, |entry| {
+        let entry = scene.push_after(interval, frames, |entry| {
             let written = Written { bytes: entry.bytes, blake3: entry.blake3.clone() };
             let name = format!("scene/{}", entry.file);
             ledger.as_mut().map_or(Ok(()), |ledger| ledger.add(&name, &written, Some(entry)))
@@ -288,8 +318,8 @@ impl Outputs {
         Ok(())
     }
 
-    /// Writes an image under the number `index`.
-    pub fn image(&mut self, index: usize, image: Image) -> Result<(), Failure> {
+    /// Writes an image under the number `index`, shown at `time` where that is a video's.
+    pub fn image(&mut self, index: usize, time: f64, image: Image) -> Result<(), Failure> {
         if self.emit.exr {
             let bytes = if self.alpha { transparent_exr(&image) } else { layered_exr(&image) };
             self.file(format!("exr/{index:06}.exr"), &bytes.map_err(Failure::work)?)?;
@@ -297,7 +327,7 @@ impl Outputs {
         let Image { width, height, rgb, depth, alpha, .. } = image;
         let picture = Picture { width, height, rgb };
         if let Some(video) = &mut self.video {
-            return Ok(video.push(&picture)?);
+            return Ok(video.push(&picture, time)?);
         }
         let emit = self.emit;
         if emit.rgb {
@@ -342,8 +372,9 @@ impl Outputs {
         }
     }
 
-    /// Completes scene and video; gives every file's record.
-    pub fn finish(mut self) -> Result<BTreeMap<String, OutputRecord>, Failure> {
+    /// Completes scene and video.
+    pub fn finish(mut self) -> Result<Finished, Failure> {
+        let mut notes = Vec::new();
         if let Some(scene) = self.scene.take()
             && let Some((name, written)) = scene.finish()?
         {
@@ -356,6 +387,7 @@ impl Outputs {
         }
         if let Some(video) = self.video.take() {
             let finished = video.finish()?;
+            notes = finished.notes;
             let name = match &self.destination {
                 Destination::Video(path, _) => {
                     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
@@ -372,7 +404,7 @@ impl Outputs {
         for (name, record) in self.written.iter_mut().filter(|_| self.outside) {
             record.outside_contract = record.samples.is_some() || drawn(name);
         }
-        Ok(self.written)
+        Ok(Finished { outputs: self.written, notes })
     }
 }
 

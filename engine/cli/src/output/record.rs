@@ -283,6 +283,14 @@ impl Record {
     }
 }
 
+/// Refuses a path that a record, which is JSON, cannot hold.
+pub fn check_name(path: &Path) -> Result<(), Failure> {
+    match absolute(path).to_str() {
+        Some(_) => Ok(()),
+        None => Err(Failure::usage(format!("{}: expected a name in UTF-8, as run.json holds it", path.display()))),
+    }
+}
+
 /// `path` as it can be found from anywhere; `-` stays.
 pub fn absolute(path: &Path) -> PathBuf {
     if path == Path::new("-") {

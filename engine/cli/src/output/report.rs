@@ -43,9 +43,14 @@ pub fn summary(record: &Record, out: &Path) -> String {
     };
     let keys = record.key_frames.map(|keys| format!(", {keys} key frames")).unwrap_or_default();
     let psnr = record.psnr.map(|psnr| format!(", {psnr:.1} dB over all frames")).unwrap_or_default();
-    let each = 1000.0 * total / record.input.count.max(1) as f64;
+    // A rendering's input is counted in intervals.
+    let (each, what) = match record.task {
+        Invocation::Run(_) => (total / record.input.count.max(1) as f64, "frame"),
+        Invocation::Render(_) => (total / images.max(1) as f64, "image"),
+    };
+    let each = 1000.0 * each;
     format!(
-        "{}: {images} images{size}{rate}{keys}{psnr}, {files} file{plural}, {bytes:.1} MB, {total:.2} s, {each:.0} ms per frame{peak}{stopped}",
+        "{}: {images} images{size}{rate}{keys}{psnr}, {files} file{plural}, {bytes:.1} MB, {total:.2} s, {each:.0} ms per {what}{peak}{stopped}",
         out.display()
     )
 }

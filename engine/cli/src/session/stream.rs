@@ -69,10 +69,11 @@ impl Stream<'_> {
             if let Some(page) = &self.page {
                 page.push(&interval);
             }
+            let shown: Vec<f64> = key.shown.iter().map(|frame| frame.timestamp).collect();
             let frames = key.shown.iter().map(|frame| (frame.index, frame.timestamp));
             let mut due = if self.emit.draws() || self.emit.ply { times.of(&interval, frames) } else { Vec::new() };
             let waits = interval.index == 0 && self.engine.finds_depth() && !due.is_empty();
-            self.drawing.writing(|| self.outputs.interval(&interval, self.engine.workers()))?;
+            self.drawing.writing(|| self.outputs.interval(&interval, &shown, self.engine.workers()))?;
             if !waits {
                 if let Some((_, of_first)) = first.take() {
                     due.splice(0..0, of_first);
@@ -104,12 +105,16 @@ impl Stream<'_> {
 
     /// Draws and writes what is due in an interval.
     fn draw(&mut self, interval: &Interval, due: &[(usize, f64)], views: &Views) -> Result<(), Failure> {
-        let Stream { outputs, drawing, emit, .. } = self;
+        let Stream { outputs, drawing, emit, keys, .. } = self;
         let emit = *emit;
+        // Times that were asked for are images one after another.
+        let rate = views.times.as_ref().map(|_| keys.fps());
         drawing.pass(
             due.iter(),
-            |drawing, &(index, time)| Ok(Some((index, Drawn::of(drawing, interval, (index, time), emit, views)?))),
-            |(index, drawn)| drawn.write(outputs, index),
+            |drawing, &(index, time)| {
+                Ok(Some((index, time, Drawn::of(drawing, interval, (index, time), emit, views)?)))
+            },
+            |(index, time, drawn)| drawn.write(outputs, index, rate.map_or(time, |fps| index as f64 / fps)),
         )
     }
 
@@ -161,10 +166,10 @@ impl Drawn {
         Ok(Self { image, snapshot })
     }
 
-    /// Writes them under the number `index`.
-    fn write(self, outputs: &mut Outputs, index: usize) -> Result<(), Failure> {
+    /// Writes them under the number `index`; a video shows the image at `time`.
+    fn write(self, outputs: &mut Outputs, index: usize, time: f64) -> Result<(), Failure> {
         if let Some(image) = self.image {
-            outputs.image(index, image)?;
+            outputs.image(index, time, image)?;
         }
         self.snapshot.map_or(Ok(()), |snapshot| outputs.snapshot(index, &snapshot))
     }

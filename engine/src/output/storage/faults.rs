@@ -76,6 +76,8 @@ impl Change {
 #[derive(Debug)]
 struct Plan {
     fault: Option<(Fault, u64)>,
+    /// What is run as ffmpeg.
+    ffmpeg: Option<PathBuf>,
     operations: u64,
     /// Operations fail from now on.
     dead: bool,
@@ -97,7 +99,13 @@ fn with<T>(f: impl FnOnce(&mut Plan) -> T) -> Option<T> {
 /// Does `work` with `fault` at this operation of the thread, counted from 1; gives what it gives and how many operations there were. After a
 /// power loss, what it loses is lost by then.
 pub fn inject<T>(fault: Option<(Fault, u64)>, work: impl FnOnce() -> T) -> (T, u64) {
-    let plan = Plan { fault, operations: 0, dead: false, short: false, files: BTreeMap::new(), changes: Vec::new() };
+    inject_with(fault, None, work)
+}
+
+/// As [`inject`], with another program in ffmpeg's place.
+pub fn inject_with<T>(fault: Option<(Fault, u64)>, ffmpeg: Option<PathBuf>, work: impl FnOnce() -> T) -> (T, u64) {
+    let plan =
+        Plan { fault, ffmpeg, operations: 0, dead: false, short: false, files: BTreeMap::new(), changes: Vec::new() };
     PLAN.set(Some(plan));
     let result = work();
     let Some(plan) = PLAN.take() else { return (result, 0) };
@@ -154,6 +162,24 @@ pub(super) fn step() -> io::Result<()> {
 /// As [`step`], of a write.
 pub(super) fn write_step() -> io::Result<Room> {
     with(|plan| plan.step(true)).unwrap_or(Ok(Room::Enough))
+}
+
+/// As [`step`], of all that another program wrote: it does not notice when there is no room, or the device fails.
+pub(super) fn foreign_step() -> io::Result<Room> {
+    with(|plan| match plan.step(true) {
+        Err(_) if !plan.dead => Ok(Room::Half),
+        // Half of it is lost, and nobody was told.
+        room => {
+            plan.short = false;
+            room
+        }
+    })
+    .unwrap_or(Ok(Room::Enough))
+}
+
+/// The program that encodes videos.
+pub fn ffmpeg() -> PathBuf {
+    with(|plan| plan.ffmpeg.clone()).flatten().unwrap_or_else(|| PathBuf::from("ffmpeg"))
 }
 
 /// A change about to be made, where one is to be kept.

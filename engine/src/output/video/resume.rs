@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Sink, Video, VideoFormat};
+use super::{Pace, Sink, Video, VideoFormat};
 use crate::output::storage::{self};
 use crate::output::{OutputError, partial_name};
 
@@ -29,7 +29,7 @@ impl Video {
     /// # Errors
     /// A file that cannot be read and written, or holds something else up to `point`.
     pub fn resume(path: &Path, fps: f64, point: &VideoPoint) -> Result<Video, OutputError> {
-        let mut video = Video::create_beside(path, VideoFormat::Y4m, fps);
+        let mut video = Video::create_beside(path, VideoFormat::Y4m, Pace::even(fps));
         let partial = partial_name(path);
         if !partial.exists() {
             storage::rename(path, &partial).map_err(OutputError::write(path))?;

@@ -1,8 +1,9 @@
 //! The index: where each interval's chunk is, and what it holds.
 
-use super::{ALONE_EVERY, CONTAINER_VERSION, MAGIC, MOST};
+use super::{ALONE_EVERY, CONTAINER_VERSION, MAGIC, MOST, WITHOUT_FRAMES};
 use crate::import::FormatError;
 use crate::scene::PlacementRecord;
+use crate::scene::frames::check;
 
 /// Bytes before the first chunk.
 pub(super) const HEADER: usize = 16;
@@ -13,11 +14,11 @@ const BEFORE_ENTRIES: usize = 44;
 /// Bytes of an entry.
 const ENTRY: usize = 96;
 
-/// The first bytes of a container of this version.
-pub(super) fn header() -> [u8; HEADER] {
+/// The first bytes of a container of this `version`.
+pub(super) fn header(version: u32) -> [u8; HEADER] {
     let mut out = [0; HEADER];
     out[..8].copy_from_slice(&MAGIC);
-    out[8..12].copy_from_slice(&CONTAINER_VERSION.to_le_bytes());
+    out[8..12].copy_from_slice(&version.to_le_bytes());
     out
 }
 
@@ -52,6 +53,8 @@ pub(super) struct Entry {
     /// Chunks back to the one that stands alone.
     pub(super) back: usize,
     pub(super) blake3: [u8; 32],
+    /// Times of the source's frames in it, where it lists them.
+    pub(super) frames: Vec<f64>,
 }
 
 /// The whole index.
@@ -63,6 +66,11 @@ pub(super) struct Table {
 }
 
 impl Table {
+    /// The version of a container with this index.
+    pub(super) fn version(&self) -> u32 {
+        if self.entries.iter().any(|e| !e.frames.is_empty()) { CONTAINER_VERSION } else { WITHOUT_FRAMES }
+    }
+
     /// The index as bytes.
     pub(super) fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(BEFORE_ENTRIES + ENTRY * self.entries.len());
@@ -75,15 +83,17 @@ impl Table {
         for e in &self.entries {
             let words = [e.at, e.bytes, e.start.to_bits(), e.end.to_bits(), e.index, e.dropped];
             words.iter().for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
-            let counts = [e.gaussians as u32, e.merges as u32, e.back as u32, 0];
+            let counts = [e.gaussians as u32, e.merges as u32, e.back as u32, e.frames.len() as u32];
             counts.iter().for_each(|count| out.extend_from_slice(&count.to_le_bytes()));
             out.extend_from_slice(&e.blake3);
         }
+        let times = self.entries.iter().flat_map(|e| &e.frames);
+        times.for_each(|time| out.extend_from_slice(&time.to_le_bytes()));
         out
     }
 
-    /// The index of a container of which the chunks end at `end`.
-    pub(super) fn from_bytes(bytes: &[u8], end: u64) -> Result<Table, FormatError> {
+    /// The index of a container of this `version` of which the chunks end at `end`.
+    pub(super) fn from_bytes(version: u32, bytes: &[u8], end: u64) -> Result<Table, FormatError> {
         let wrong = |what: String, expected: &str, found: String| Err(FormatError::new(what, expected, found));
         let mut fields = Fields(bytes);
         let short = || FormatError::new("index", "44 bytes and 96 for each interval", format!("{} bytes", bytes.len()));
@@ -101,7 +111,9 @@ impl Table {
             return wrong("index: frames per second".into(), "a number above 0", fps.to_string());
         }
         let count = fields.half().ok_or_else(short)? as usize;
-        if bytes.len() != BEFORE_ENTRIES + ENTRY.saturating_mul(count) || count == 0 {
+        let entries_end = BEFORE_ENTRIES.saturating_add(ENTRY.saturating_mul(count));
+        let fits = if version > WITHOUT_FRAMES { bytes.len() >= entries_end } else { bytes.len() == entries_end };
+        if !fits || count == 0 {
             return wrong(
                 "index".into(),
                 "44 bytes and 96 for each of at least one interval",
@@ -109,9 +121,10 @@ impl Table {
             );
         }
         let mut entries: Vec<Entry> = Vec::with_capacity(count);
+        let mut listed = Vec::with_capacity(count);
         let mut next = HEADER as u64;
         for i in 0..count {
-            let entry = fields.entry().ok_or_else(short)?;
+            let (entry, frames) = fields.entry().ok_or_else(short)?;
             let name = |what: &str| format!("index: interval {i}: {what}");
             let after = entry.at.checked_add(entry.bytes).filter(|after| *after <= end);
             if entry.at != next || after.is_none() {
@@ -142,7 +155,20 @@ impl Table {
                     entry.back.to_string(),
                 );
             }
+            if version <= WITHOUT_FRAMES && frames != 0 {
+                return wrong(name("times of frames"), "none before version 4", frames.to_string());
+            }
+            listed.push(frames);
             entries.push(entry);
+        }
+        let all: usize = listed.iter().sum();
+        if fields.0.len() != all.saturating_mul(8) {
+            return wrong("index: times of frames".into(), "8 bytes for each", format!("{} for {all}", fields.0.len()));
+        }
+        for (i, (entry, count)) in entries.iter_mut().zip(listed).enumerate() {
+            entry.frames = (0..count).map_while(|_| fields.word().map(f64::from_bits)).collect();
+            check(&entry.frames, entry.start, entry.end)
+                .map_err(|cause| FormatError::new(format!("index: interval {i}"), "times of frames in order", cause))?;
         }
         if next != end {
             return wrong("index".into(), "chunks up to the index", format!("their end at {next} of {end}"));
@@ -169,12 +195,13 @@ impl Fields<'_> {
         self.take().map(u32::from_le_bytes)
     }
 
-    fn entry(&mut self) -> Option<Entry> {
+    /// An entry, and how many times of frames it has.
+    fn entry(&mut self) -> Option<(Entry, usize)> {
         let [at, bytes, start, end, index, dropped] =
             [self.word()?, self.word()?, self.word()?, self.word()?, self.word()?, self.word()?];
-        let [gaussians, merges, back, zero] = [self.half()?, self.half()?, self.half()?, self.half()?];
+        let [gaussians, merges, back, frames] = [self.half()?, self.half()?, self.half()?, self.half()?];
         let blake3 = self.take()?;
-        (zero == 0).then_some(Entry {
+        let entry = Entry {
             at,
             bytes,
             start: f64::from_bits(start),
@@ -185,6 +212,8 @@ impl Fields<'_> {
             merges: merges as usize,
             back: back as usize,
             blake3,
-        })
+            frames: Vec::new(),
+        };
+        Some((entry, frames as usize))
     }
 }

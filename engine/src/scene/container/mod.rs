@@ -26,9 +26,11 @@ pub use write::ContainerWriter;
 
 /// The first bytes of a container.
 pub const MAGIC: [u8; 8] = *b"ssplat\x1a\n";
-/// The version this program writes. It also reads version 2, in which every record's thickness is 1, and version 1, in which
+/// The latest version. This program writes it where a scene lists times of frames, else version 3, which is the same without them. It also reads version 2, in which every record's thickness is 1, and version 1, in which
 /// colours do not change either.
-pub const CONTAINER_VERSION: u32 = 3;
+pub const CONTAINER_VERSION: u32 = 4;
+/// The version of a container without times of frames.
+const WITHOUT_FRAMES: u32 = 3;
 
 /// Every chunk whose place is a multiple of this stands alone.
 const ALONE_EVERY: usize = 8;

@@ -56,7 +56,7 @@ impl Container {
         if blake3::hash(&[&header[..], &index].concat()).as_bytes()[..] != trailer[16..] {
             return Err(broken(FormatError::new("index", "the digest that the trailer says", "another")));
         }
-        let table = Table::from_bytes(&index, at).map_err(broken)?;
+        let table = Table::from_bytes(version, &index, at).map_err(broken)?;
         table.check(size, limits).map_err(broken)?;
         let intervals = table.entries.iter().enumerate().map(|(i, e)| IntervalEntry {
             file: i.to_string(),
@@ -65,6 +65,7 @@ impl Container {
             gaussians: e.gaussians,
             bytes: e.bytes,
             blake3: blake3::Hash::from_bytes(e.blake3).to_hex().to_string(),
+            frames: e.frames.clone(),
         });
         let index = Index {
             format: format!("{FORMAT}-container"),
@@ -131,7 +132,7 @@ pub fn intervals_from_container(bytes: &[u8]) -> Result<Vec<Interval>, FormatErr
     let version = version(bytes)?;
     let (at, length) =
         locate(size.checked_sub(TRAILER).and_then(|from| bytes.get(from..)).unwrap_or(&[0; 16]), size as u64)?;
-    let table = Table::from_bytes(&bytes[at as usize..(at + length) as usize], at)?;
+    let table = Table::from_bytes(version, &bytes[at as usize..(at + length) as usize], at)?;
     table.check(size as u64, &Limits::default())?;
     let placement = table.placement.placement().ok_or_else(|| FormatError::new("index", "a placement", "none"))?;
     let mut before = Vec::new();

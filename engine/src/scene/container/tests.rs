@@ -321,6 +321,36 @@ fn what_does_not_belong_in_one_container_is_refused_and_nothing_left() {
     assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 0);
 }
 
+#[test]
+fn times_of_frames_come_back_in_a_file_of_version_4() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("scene.ssz");
+    let intervals = intervals(3);
+    let even = written(&path, &intervals);
+    assert_eq!(even[8], 3);
+    let frames: [&[f64]; 3] = [&[0.0], &[0.1, 1.0 / 7.0], &[2.0 / 7.0]];
+    let mut writer = ContainerWriter::create(&path, 9.0).expect("writable");
+    for (interval, frames) in intervals.iter().zip(frames) {
+        writer.push_with(interval, frames, &workers(1)).expect("writable");
+    }
+    let written = writer.finish().expect("writable").expect("intervals");
+    let bytes = std::fs::read(&path).expect("readable");
+    assert_eq!((written, bytes[8]), (crate::output::Written::of(&bytes), 4));
+    let scene = Scene::open(&path).expect("just written");
+    assert_eq!(scene.index().frames(), Some(frames.concat()));
+    assert!(scene.index().is_uneven());
+    // Chunks are the same: three times of frames more, where the first follows from the rate.
+    assert_eq!(bytes.len(), even.len() + 3 * 8);
+    assert_eq!(intervals_from_container(&bytes).expect("valid").len(), 3);
+    // One of version 3 lists none, and one of version 4 as many as it says.
+    for (at, value) in [(8, 3), (bytes.len() - 48 - 3 * 8 - 2 * 96 + 60, 1)] {
+        let mut wrong = bytes.clone();
+        wrong[at] = value;
+        let error = intervals_from_container(&wrong).expect_err("impossible").to_string();
+        assert!(error.contains("index"), "{error}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 

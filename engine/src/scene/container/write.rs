@@ -1,14 +1,15 @@
 //! Writing a container, interval by interval.
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use super::chunk::encode;
 use super::index::{Entry, Table, header};
 use super::quantise::Quantised;
-use super::{ALONE_EVERY, MOST};
+use super::{ALONE_EVERY, MOST, WITHOUT_FRAMES};
 use crate::output::{OutputError, Partial, Written};
+use crate::scene::frames::listed;
 use crate::scene::{PlacementRecord, SceneError};
 use crate::stream::{Interval, Workers};
 
@@ -21,6 +22,8 @@ pub struct ContainerWriter {
     at: u64,
     fps: f64,
     table: Option<Table>,
+    /// Frames of the intervals so far.
+    frames: usize,
     /// The records of the last interval.
     before: Vec<Quantised>,
 }
@@ -41,9 +44,10 @@ impl ContainerWriter {
             at: 0,
             fps,
             table: None,
+            frames: 0,
             before: Vec::new(),
         };
-        writer.write(&header())?;
+        writer.write(&header(WITHOUT_FRAMES))?;
         Ok(writer)
     }
 
@@ -53,12 +57,20 @@ impl ContainerWriter {
         self.file.write_all(bytes).map_err(OutputError::write(&self.path))
     }
 
-    /// Appends an interval, coded by `workers`. Records with numbers that are not finite are left out, and counted.
+    /// Appends an interval, coded by `workers`, whose frames follow at the scene's rate. Records with numbers that are not finite are left out, and counted.
     ///
     /// # Errors
     /// Files that cannot be written; arrays of different lengths; more than 2²⁴ records or merges; another placement than before; intervals that do
     /// not follow each other in time.
     pub fn push(&mut self, interval: &Interval, workers: &Workers) -> Result<(), SceneError> {
+        self.push_with(interval, &[], workers)
+    }
+
+    /// The same of an interval with these times of `frames` after the interval before, in seconds, or with none.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn push_with(&mut self, interval: &Interval, frames: &[f64], workers: &Workers) -> Result<(), SceneError> {
         let broken = |cause: String| SceneError::Broken { path: self.path.clone(), cause };
         let g = &interval.gaussians;
         if let Some((array, found)) = g.uneven() {
@@ -85,6 +97,7 @@ impl ContainerWriter {
             let bytes = encode(before, &records, &interval.merges);
             (records, bytes)
         });
+        let first = self.table.as_ref().and_then(|table| table.entries.first()).map_or(interval.start, |e| e.start);
         let entry = Entry {
             at: self.at,
             bytes: bytes.len() as u64,
@@ -96,6 +109,7 @@ impl ContainerWriter {
             merges: interval.merges.len(),
             back: count % ALONE_EVERY,
             blake3: *blake3::hash(&bytes).as_bytes(),
+            frames: listed(first, self.fps, &mut self.frames, interval.end, frames),
         };
         self.write(&bytes)?;
         let fps = self.fps;
@@ -111,13 +125,24 @@ impl ContainerWriter {
     pub fn finish(mut self) -> Result<Option<Written>, OutputError> {
         let Some(table) = self.table.take() else { return Ok(None) };
         let (at, index) = (self.at, table.to_bytes());
-        let digest = blake3::hash(&[&header()[..], &index].concat());
+        let version = table.version();
+        let digest = blake3::hash(&[&header(version)[..], &index].concat());
         self.write(&index)?;
         self.write(&at.to_le_bytes())?;
         self.write(&(index.len() as u64).to_le_bytes())?;
         self.write(digest.as_bytes())?;
+        if version != WITHOUT_FRAMES {
+            // Whether times have to be listed is known at the end; the digest is that of the file with the other head.
+            let again = self.file.flush().and_then(|()| self.file.seek(SeekFrom::Start(0)));
+            again.and_then(|_| self.file.write_all(&header(version))).map_err(OutputError::write(&self.path))?;
+        }
         self.file.flush().map_err(OutputError::write(&self.path))?;
         drop(self.file);
+        if version != WITHOUT_FRAMES {
+            self.hasher.reset();
+            let read = File::open(self.partial.path()).and_then(|file| self.hasher.update_reader(file).map(drop));
+            read.map_err(OutputError::write(&self.path))?;
+        }
         self.partial.keep()?;
         Ok(Some(Written { bytes: self.at, blake3: self.hasher.finalize().to_hex().to_string() }))
     }

@@ -132,7 +132,7 @@ impl Ffmpeg {
     /// The file's first sound track, if it has one.
     pub fn sound(&self) -> Option<Sound> {
         let codec = self.sound.clone()?;
-        Some(Sound { file: self.path.clone(), codec, seconds: None })
+        Some(Sound { file: self.path.clone(), codec, start: 0.0 })
     }
 
     /// Frames there may be, as the file says.

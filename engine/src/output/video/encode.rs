@@ -1,0 +1,283 @@
+//! ffmpeg as the encoder of pictures: what it is told for each kind of file.
+//!
+//! | file | codec | colours | quality |
+//! |---|---|---|---|
+//! | mp4, m4v, mov, mkv | H.264 | 4:2:0, BT.709, limited range, tagged; odd sides get one more row or column like their last | `-crf` [`H264_QUALITY`] |
+//! | webm | VP9 | 4:2:0, BT.709, limited range, tagged | `-crf` [`VP9_QUALITY`] |
+//! | avif | AV1 | 4:2:0, BT.601, full range, tagged: readers of still images compute these right, and not all of them BT.709 | `-crf` [`AV1_QUALITY`] |
+//! | webp | VP8 | 4:2:0, BT.601, limited range: the format has no other | 90 of 100 |
+//! | gif | GIF | 256 colours of each frame's own | |
+//!
+//! Frames that do not follow at a constant rate are encoded in the order in which they are shown: reordered ones have the length of their
+//! neighbours in an mp4, which makes it too short.
+
+use std::ffi::OsString;
+use std::io::{self, Read, Write};
+use std::ops::RangeInclusive;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread::JoinHandle;
+
+use super::y4m::fraction;
+use super::{Pace, VideoFormat, matroska};
+use crate::output::{OutputError, partial_name, storage};
+
+/// Default rate factors. That of H.264 is chosen so that the decoded video is as close to the source's frames as the images that went in but for
+/// half a decibel, by the mean squared error over all frames of a clip.
+const H264_QUALITY: u8 = 10;
+const VP9_QUALITY: u8 = 18;
+const AV1_QUALITY: u8 = 18;
+/// Least ticks a second.
+const TICKS: u64 = 90_000;
+/// Most bytes of messages that are kept.
+const MESSAGES: u64 = 1 << 16;
+
+/// ffmpeg's name of the kind of file that a path names.
+pub(super) fn container(path: &Path) -> String {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    match extension.as_str() {
+        "mkv" => "matroska".to_owned(),
+        "m4v" => "mp4".to_owned(),
+        _ => extension,
+    }
+}
+
+/// The constant rate factors at which a file of this name can be encoded, the best first; `None` where there is no such thing. H.264's 0 is
+/// another profile, which few players know.
+pub fn qualities(path: &Path) -> Option<RangeInclusive<u8>> {
+    match &container(path)[..] {
+        "mp4" | "mov" | "matroska" => Some(1..=51),
+        "webm" | "avif" => Some(0..=63),
+        _ => None,
+    }
+}
+
+/// The file as ffmpeg takes it: a name that starts with a dash or holds a colon must not be taken as an option or a protocol.
+pub(super) fn url(path: &Path) -> OsString {
+    let mut url = OsString::from("file:");
+    url.push(path);
+    url
+}
+
+/// An ffmpeg that will not hear the Ctrl-C of the terminal: what is under way is finished when we say so.
+pub(super) fn ffmpeg() -> Command {
+    let mut command = Command::new(storage::faults::ffmpeg());
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    command.args(["-nostdin", "-v", "error"]);
+    command
+}
+
+/// An encoder under way.
+pub(super) struct Encoder {
+    child: Child,
+    messages: Option<JoinHandle<String>>,
+    size: (usize, usize),
+    /// Width and height of the pictures in the file.
+    even: (usize, usize),
+    /// Nanoseconds of the last frame.
+    last: Option<u64>,
+    name: String,
+}
+
+impl Encoder {
+    /// Starts ffmpeg on the temporary file of `path`.
+    pub(super) fn start(
+        path: &Path,
+        size: (usize, usize),
+        pace: Pace,
+        quality: Option<u8>,
+    ) -> Result<Encoder, OutputError> {
+        let failed = |cause: String| OutputError::Ffmpeg { path: path.to_owned(), cause };
+        let kind = &container(path)[..];
+        // ffmpeg writes into the file that is there, which is no link then.
+        storage::create(&partial_name(path)).map_err(OutputError::write(path))?;
+        let halved = ["mp4", "mov", "matroska"].contains(&kind);
+        let (width, height) = size;
+        let even = if halved { (width.next_multiple_of(2), height.next_multiple_of(2)) } else { size };
+        let child = ffmpeg()
+            // Everything about the stream is in its head; nothing is to be guessed from the first frames.
+            .args(["-y", "-f", "matroska", "-probesize", "32", "-fpsprobesize", "0", "-i", "-"])
+            .args([
+                "-fps_mode",
+                "passthrough",
+                "-enc_time_base",
+                &format!("1:{}", if pace.uneven { TICKS } else { ticks(pace.fps) }),
+            ])
+            .args(arguments(kind, pace.uneven, quality))
+            .args(["-f", kind])
+            .arg(url(&partial_name(path)))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn();
+        let mut child = match child {
+            Ok(child) => child,
+            Err(e) if e.kind() == io::ErrorKind::NotFound => return Err(OutputError::NoFfmpeg(path.to_owned())),
+            Err(e) => return Err(failed(e.to_string())),
+        };
+        let Some(mut stderr) = child.stderr.take() else { return Err(failed("no pipe to it".into())) };
+        let messages = std::thread::spawn(move || {
+            let mut text = Vec::new();
+            let _ = stderr.by_ref().take(MESSAGES).read_to_end(&mut text);
+            let _ = io::copy(&mut stderr, &mut io::sink());
+            String::from_utf8_lossy(&text).into_owned()
+        });
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let mut encoder = Encoder { child, messages: Some(messages), size, even, last: None, name };
+        if let Err(e) = encoder.write(&matroska::head(even.0, even.1, pace.fps)) {
+            return Err(failed(encoder.finish().err().unwrap_or_else(|| e.to_string())));
+        }
+        Ok(encoder)
+    }
+
+    /// Appends a frame that is shown so many seconds after the first.
+    pub(super) fn push(&mut self, samples: Vec<u8>, seconds: f64) -> io::Result<()> {
+        let samples = evened(samples, self.size, self.even);
+        // `as` saturates.
+        let wanted = (seconds * 1e9).round() as u64;
+        let time = self.last.map_or(wanted, |last| wanted.max(last + 1_000_000));
+        self.last = Some(time);
+        self.write(&matroska::frame(time, samples.len()))?;
+        self.write(&samples)
+    }
+
+    /// Writes to ffmpeg.
+    pub(super) fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        match self.child.stdin.as_mut() {
+            Some(pipe) => pipe.write_all(bytes),
+            None => Err(io::ErrorKind::BrokenPipe.into()),
+        }
+    }
+
+    /// How pictures in the file differ from those that went in.
+    pub(super) fn note(&self) -> Option<String> {
+        let ((width, height), (wide, high)) = (self.size, self.even);
+        let name = &self.name;
+        (self.size != self.even).then(|| {
+            format!(
+                "{name}: {width}×{height} became {wide}×{high}, its edge repeated, as players of H.264 need even sides"
+            )
+        })
+    }
+
+    /// Waits until ffmpeg has ended; an error is what it said, or that it failed. What it gets is ours and in order, so that whatever it
+    /// complains of is a failure.
+    pub(super) fn finish(mut self) -> Result<(), String> {
+        drop(self.child.stdin.take());
+        let status = self.child.wait().map_err(|e| e.to_string())?;
+        let text = self.messages.take().map(|thread| thread.join().unwrap_or_default()).unwrap_or_default();
+        match first_line(&text) {
+            Some(line) => Err(line),
+            None if !status.success() => Err("it gives no reason".into()),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Drop for Encoder {
+    fn drop(&mut self) {
+        // Of no effect on one that has ended.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The first line of ffmpeg's messages that says something.
+pub(super) fn first_line(text: &str) -> Option<String> {
+    text.lines().map(str::trim).find(|line| !line.is_empty()).map(str::to_owned)
+}
+
+/// Ticks a second that places of frames at a rate of `fps` are whole numbers of.
+fn ticks(fps: f64) -> u64 {
+    let (numerator, denominator) = fraction(fps);
+    let (mut divisor, mut rest) = (numerator, denominator);
+    while rest > 0 {
+        (divisor, rest) = (rest, divisor % rest);
+    }
+    let numerator = numerator / divisor.max(1);
+    let ticks = numerator * TICKS.div_ceil(numerator.max(1));
+    // ffmpeg's fractions have 31 bits.
+    if ticks < 1 << 31 { ticks } else { 1_000_000 }
+}
+
+fn arguments(kind: &str, uneven: bool, quality: Option<u8>) -> Vec<String> {
+    const EXACT: &str = "flags=bicubic+accurate_rnd+full_chroma_int+full_chroma_inp";
+    let scale = |matrix: &str, range: &str| {
+        format!("-vf scale=out_color_matrix={matrix}:out_range={range}:{EXACT} -pix_fmt yuv420p")
+    };
+    let tags = |matrix: &str, range: &str| {
+        format!(" -color_range {range} -colorspace {matrix} -color_primaries bt709 -color_trc bt709 ")
+    };
+    let quality = |default: u8| format!("-crf {}", quality.unwrap_or(default));
+    let how = match kind {
+        // 256 colours of each frame's own.
+        "gif" => "-vf split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1".to_owned(),
+        "webp" => scale("bt601", "limited") + " -c:v libwebp_anim -quality 90 -loop 0",
+        // Without a rate of bits, quality alone decides.
+        "avif" => scale("bt601", "full") + &tags("smpte170m", "pc") + &quality(AV1_QUALITY) + " -b:v 0 -cpu-used 8",
+        "webm" => scale("bt709", "limited") + &tags("bt709", "tv") + &quality(VP9_QUALITY) + " -b:v 0 -row-mt 1",
+        _ => {
+            let order = if uneven { " -bf 0" } else { "" };
+            scale("bt709", "limited") + &tags("bt709", "tv") + &quality(H264_QUALITY) + order
+        }
+    };
+    how.split(' ').map(str::to_owned).collect()
+}
+
+/// 8-bit RGB of width and height `size` with its last column and row once more where `even` is larger.
+fn evened(samples: Vec<u8>, size: (usize, usize), even: (usize, usize)) -> Vec<u8> {
+    if size == even || size.0 == 0 {
+        return samples;
+    }
+    let mut out = Vec::with_capacity(3 * even.0 * even.1);
+    for row in samples.chunks_exact(3 * size.0) {
+        out.extend_from_slice(row);
+        if even.0 > size.0 {
+            out.extend_from_slice(&row[row.len() - 3..]);
+        }
+    }
+    if even.1 > size.1 {
+        out.extend_from_within(out.len() - 3 * even.0..);
+    }
+    out
+}
+
+/// Returns true for a video that ffmpeg writes.
+pub(super) fn is_encoded(path: &Path) -> bool {
+    VideoFormat::of(path) == Some(VideoFormat::Ffmpeg)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_of_frames_are_whole_ticks() {
+        for (fps, expected) in
+            [(24.0, 90_000), (25.0, 90_000), (24000.0 / 1001.0, 96_000), (30000.0 / 1001.0, 90_000), (12.5, 90_000)]
+        {
+            assert_eq!(ticks(fps), expected, "{fps}");
+        }
+        assert!(ticks(1e-9) < 1 << 31 && ticks(3999.999_999) < 1 << 31);
+    }
+
+    #[test]
+    fn odd_sides_get_their_edge_once_more() {
+        let samples: Vec<u8> = (0..9).collect();
+        assert_eq!(evened(samples.clone(), (3, 1), (3, 1)), samples);
+        let row = [0, 1, 2, 3, 4, 5, 6, 7, 8, 6, 7, 8];
+        assert_eq!(evened(samples, (3, 1), (4, 2)), [row, row].concat());
+    }
+
+    #[test]
+    fn kinds_of_files_have_the_matrix_that_they_can_say() {
+        let of = |name: &str| arguments(&container(Path::new(name)), false, None).join(" ");
+        assert!(of("a.webp").contains("out_color_matrix=bt601") && !of("a.webp").contains("709"));
+        assert!(of("a.avif").contains("out_color_matrix=bt601:out_range=full"));
+        assert!(of("a.avif").contains("-color_range pc -colorspace smpte170m"));
+        for name in ["a.mp4", "a.mkv", "a.mov", "a.m4v", "a.webm"] {
+            assert!(of(name).contains("out_color_matrix=bt709") && of(name).contains("-colorspace bt709"), "{name}");
+        }
+    }
+}

@@ -1,0 +1,63 @@
+//! The source's sound beside the pictures.
+
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+
+use super::encode::{container, ffmpeg, first_line, is_encoded, url};
+use crate::output::storage;
+
+/// Sound to go with a video.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sound {
+    /// The file that has it, of whose tracks the first is taken.
+    pub file: PathBuf,
+    /// Its codec, in ffmpeg's names.
+    pub codec: String,
+    /// Where in the file the first picture is shown, in seconds after the file's beginning.
+    pub start: f64,
+}
+
+/// Returns true if video files of this name are written with the source's sound, where it has any.
+pub fn holds_sound(path: &Path) -> bool {
+    is_encoded(path) && !["gif", "webp", "avif"].contains(&&container(path)[..])
+}
+
+/// The encoder of sound for a kind of file: `copy` where the codec is one of its own.
+fn encoder(kind: &str, codec: &str) -> &'static str {
+    match kind {
+        "webm" if ["opus", "vorbis"].contains(&codec) => "copy",
+        "webm" => "libopus",
+        "mp4" | "mov" if !["aac", "mp3", "ac3", "eac3", "alac"].contains(&codec) => "aac",
+        _ => "copy",
+    }
+}
+
+impl Sound {
+    /// Replaces the file `pictures` of this kind by one with `seconds` of the sound as well. What ffmpeg complains of, where the file is
+    /// there all the same, is the sound's own faults.
+    pub(super) fn join(&self, pictures: &Path, kind: &str, seconds: f64) -> Result<Option<String>, String> {
+        let joined = pictures.with_extension("sound.partial");
+        storage::create(&joined).map_err(|e| e.to_string())?;
+        let mut command = ffmpeg();
+        command.args(["-y", "-i"]).arg(url(pictures));
+        if self.start > 0.0 {
+            command.args(["-ss", &self.start.to_string()]);
+        }
+        command.args(["-t", &seconds.to_string(), "-protocol_whitelist", "file", "-i"]).arg(url(&self.file));
+        command.args(["-map", "0:v:0", "-map", "1:a:0", "-c:v", "copy", "-c:a", encoder(kind, &self.codec)]);
+        let ended = command.args(["-f", kind]).arg(url(&joined)).stdin(Stdio::null()).stdout(Stdio::null()).output();
+        let named = ended.map_err(|e| e.to_string()).and_then(|ended| {
+            let said = first_line(&String::from_utf8_lossy(&ended.stderr));
+            if !ended.status.success() {
+                let said = said.unwrap_or_else(|| "it gives no reason".into());
+                return Err(format!("{said} (the sound; --no-audio leaves it out)"));
+            }
+            storage::foreign(&joined).and_then(|()| storage::rename(&joined, pictures)).map_err(|e| e.to_string())?;
+            Ok(said.map(|said| format!("the sound: {said}")))
+        });
+        if named.is_err() {
+            let _ = storage::remove(&joined);
+        }
+        named
+    }
+}
