@@ -25,7 +25,7 @@ impl Frames {
     #[new]
     #[pyo3(signature = (input, *, fps=None))]
     fn new(py: Python<'_>, input: PathBuf, fps: Option<f64>) -> PyResult<Self> {
-        let source = py.detach(|| Source::open(&input, &Options { fps })).map_err(failed)?;
+        let source = py.detach(|| Source::open(&input, &Options { fps, ..Options::default() })).map_err(failed)?;
         let (fps, count) = (source.fps(), source.frames());
         Ok(Self { source: Mutex::new(source), fps, count })
     }

@@ -1,7 +1,7 @@
 //! Errors of reading frames.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::picture::{MAX_PIXELS, MAX_SIDE};
 
@@ -111,9 +111,30 @@ pub enum SourceError {
         /// The message of ffmpeg.
         cause: String,
     },
+    /// Frames of a video were read, but not all that the file should hold, or not as they were.
+    #[error("{}", damage(path, *announced, *read, *complaints, cause))]
+    Damaged {
+        /// The video file or stream.
+        path: PathBuf,
+        /// Frames the file announces, about.
+        announced: Option<usize>,
+        /// Frames read.
+        read: usize,
+        /// How often its decoder complained.
+        complaints: usize,
+        /// The first complaint.
+        cause: String,
+    },
     /// A frame rate that is no positive number.
     #[error("frame rate {0}: expected a positive, finite number of frames per second")]
     FrameRate(f64),
+}
+
+/// The line of a damaged file.
+fn damage(path: &Path, announced: Option<usize>, read: usize, complaints: usize, cause: &str) -> String {
+    let announced = announced.map_or_else(String::new, |frames| format!(" of about {frames} announced"));
+    let more = if complaints > 1 { format!(" (first of {complaints} complaints)") } else { String::new() };
+    format!("{}: damaged: {read} frames{announced} were read: {cause}{more}", path.display())
 }
 
 impl SourceError {

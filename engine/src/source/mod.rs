@@ -9,8 +9,11 @@
 //! | any other file | decoded by an installed [`ffmpeg`] program |
 //!
 //! Frame i has the timestamp `i / fps`: the rate is [`Options::fps`] when set, else the stream's own, else
-//! [`DEFAULT_FPS`]. Frames of video files and animations that do not follow each other at a constant rate have their own times where no rate is set. All frames of a source have one size; a frame that differs is an error naming it and both sizes.
+//! [`DEFAULT_FPS`]. Frames of video files and animations have their own times where no rate is set; where those of a video are those of its rate, they
+//! are `i / fps`, too. All frames of a source have one size; a frame that differs is an error naming it and both sizes. What colours mean is decided
+//! in [`colour`].
 
+pub mod colour;
 pub mod decode;
 mod error;
 pub mod ffmpeg;
@@ -24,8 +27,9 @@ use std::io::{BufReader, Read, Stdin};
 use std::path::{Path, PathBuf};
 
 use crate::output::Sound;
-use crate::picture::Picture;
+use crate::picture::{Picture, size_is_allowed};
 use crate::recognise;
+use colour::Matrix;
 pub use error::SourceError;
 use ffmpeg::Ffmpeg;
 use images::Images;
@@ -42,6 +46,8 @@ pub const DEFAULT_FPS: f64 = 24.0;
 pub struct Options {
     /// Frames per second, in place of the stream's own.
     pub fps: Option<f64>,
+    /// The matrix of Y'CbCr, in place of the stream's own or of that of its size.
+    pub matrix: Option<Matrix>,
 }
 
 /// A frame with its place in time.
@@ -69,8 +75,10 @@ pub struct Source {
     path: PathBuf,
     /// Frames per second as a fraction.
     rate: (f64, f64),
-    /// True if frames have times of their own.
-    uneven: bool,
+    /// True if the times of a video file's frames are taken.
+    own_times: bool,
+    /// Width and height of pictures whose pixels are made square.
+    square: Option<(usize, usize)>,
     next: usize,
     first: Option<(PathBuf, (usize, usize))>,
     /// Conversions and parts left out.
@@ -115,7 +123,7 @@ impl Source {
         {
             return Err(SourceError::Decode { path: input.to_owned(), cause: wrong.to_string() });
         }
-        let kind = if input == Path::new("-") {
+        let mut kind = if input == Path::new("-") {
             Input::Stdin(Y4m::new(BufReader::with_capacity(1 << 16, std::io::stdin()), input)?)
         } else if std::fs::metadata(input).map_err(|cause| missing(input, cause))?.is_dir() {
             Input::Images(Box::new(Images::folder(input)?))
@@ -125,31 +133,60 @@ impl Source {
             let file = File::open(input).map_err(SourceError::read(input))?;
             Input::File(Y4m::new(BufReader::with_capacity(1 << 16, file), input)?)
         } else {
-            Input::Ffmpeg(Box::new(Ffmpeg::open(input)?))
+            Input::Ffmpeg(Box::new(Ffmpeg::open(input, options.matrix)?))
         };
+        let whole =
+            |rate: Option<(u64, u64)>| rate.map(|(numerator, denominator)| (numerator as f64, denominator as f64));
         let own = match &kind {
-            Input::Images(images) => images.rate(),
-            Input::File(y4m) => y4m.header().rate,
-            Input::Stdin(y4m) => y4m.header().rate,
-            Input::Ffmpeg(video) => video.header().rate,
+            Input::Images(images) => whole(images.rate()),
+            Input::File(y4m) => whole(y4m.header().rate),
+            Input::Stdin(y4m) => whole(y4m.header().rate),
+            Input::Ffmpeg(video) => video.rate(),
         };
-        // A rate that was asked for goes before the file's own times.
+        // A rate that is given goes before the file's own times.
         let uneven = match &kind {
-            Input::Ffmpeg(video) if options.fps.is_none() => video.uneven(),
             Input::Images(images) if options.fps.is_none() => images.uneven(),
             _ => None,
         };
         let rate = match (options.fps, uneven, own) {
             (Some(fps), ..) => (fps, 1.0),
             (None, Some((seconds, frames)), _) => ((frames - 1) as f64, seconds),
-            (None, None, Some((numerator, denominator))) => (numerator as f64, denominator as f64),
-            (None, None, None) => (DEFAULT_FPS, 1.0),
+            (None, None, own) => own.unwrap_or((DEFAULT_FPS, 1.0)),
         };
-        let notes = match &kind {
-            Input::Ffmpeg(video) => video.notes().to_vec(),
-            Input::Images(_) | Input::File(_) | Input::Stdin(_) => Vec::new(),
+        let notes = match &mut kind {
+            Input::File(y4m) => y4m.take_in(options.matrix),
+            Input::Stdin(y4m) => y4m.take_in(options.matrix),
+            Input::Images(_) | Input::Ffmpeg(_) => Vec::new(),
         };
-        Ok(Source { kind, path: input.to_owned(), rate, uneven: uneven.is_some(), next: 0, first: None, notes })
+        let square = match &kind {
+            Input::Images(_) => None,
+            Input::File(y4m) => y4m.header().square_size(),
+            Input::Stdin(y4m) => y4m.header().square_size(),
+            Input::Ffmpeg(video) => video.header().square_size(),
+        };
+        if let Some((width, height)) = square.filter(|&(width, height)| !size_is_allowed(width, height)) {
+            return Err(SourceError::TooLarge { path: input.to_owned(), width, height });
+        }
+        let path = input.to_owned();
+        let own_times = options.fps.is_none() && (uneven.is_some() || matches!(kind, Input::Ffmpeg(_)));
+        Ok(Source { kind, path, rate, own_times, square, next: 0, first: None, notes })
+    }
+
+    /// Seconds from the beginning of a video file, which may be that of its sound, to its first frame.
+    pub fn start(&self) -> f64 {
+        match &self.kind {
+            Input::Ffmpeg(video) => video.start(),
+            _ => 0.0,
+        }
+    }
+
+    /// How many frames there are, where that is found without decoding them: [`Source::frames`], or those of a video file, counted, where some may turn
+    /// out not to be shown.
+    pub fn counted_frames(&self) -> Option<usize> {
+        match &self.kind {
+            Input::Ffmpeg(video) => video.counted_frames(),
+            _ => self.frames(),
+        }
     }
 
     /// The sound track of a video file, if it has one.
@@ -160,11 +197,12 @@ impl Source {
         }
     }
 
-    /// Conversions of the pictures on the way in and parts of the input that are left out, a line each. Of image files what is
-    /// known of those read so far: lines are added as others are read.
+    /// Conversions of the pictures on the way in and parts of the input that are left out, a line each. Of image files and video files what is
+    /// known so far: lines are added as frames are read.
     pub fn notes(&self) -> &[String] {
         match &self.kind {
             Input::Images(images) => images.notes(),
+            Input::Ffmpeg(video) => video.notes(),
             _ => &self.notes,
         }
     }
@@ -204,9 +242,13 @@ impl Source {
         self.rate.0 / self.rate.1
     }
 
-    /// Returns true if frames do not follow each other at a constant rate.
+    /// Returns true if it is known that frames do not follow each other at a constant rate.
     pub fn is_uneven(&self) -> bool {
-        self.uneven
+        let known = match &self.kind {
+            Input::Ffmpeg(video) => video.is_uneven(),
+            _ => true,
+        };
+        self.own_times && known
     }
 
     /// The next frame; `None` at the end.
@@ -214,6 +256,7 @@ impl Source {
     /// # Errors
     /// A frame that cannot be read or has another size than the first.
     pub fn next_frame(&mut self) -> Result<Option<TimedPicture>, SourceError> {
+        let mut own = None;
         let (path, picture) = match &mut self.kind {
             Input::Images(images) => match images.next()? {
                 Some((file, picture)) => (file, Some(picture)),
@@ -221,7 +264,15 @@ impl Source {
             },
             Input::File(y4m) => (self.path.clone(), y4m.next_picture()?),
             Input::Stdin(y4m) => (self.path.clone(), y4m.next_picture()?),
-            Input::Ffmpeg(video) => (self.path.clone(), video.next_picture()?),
+            Input::Ffmpeg(video) => {
+                let (picture, time) = video.next_frame()?.unzip();
+                own = time.filter(|_| self.own_times);
+                (self.path.clone(), picture)
+            }
+        };
+        let picture = match (picture, self.square) {
+            (Some(picture), Some((width, height))) => Some(picture.resized(width, height)),
+            (picture, _) => picture,
         };
         let Some(picture) = picture else { return Ok(None) };
         let found = (picture.width, picture.height);
@@ -232,9 +283,8 @@ impl Source {
         let index = self.next;
         self.next += 1;
         let own = match &self.kind {
-            Input::Ffmpeg(video) if self.uneven => video.time(index),
-            Input::Images(images) if self.uneven => images.time(index),
-            _ => None,
+            Input::Images(images) if self.own_times => images.time(index),
+            _ => own,
         };
         let timestamp = own.unwrap_or(index as f64 * self.rate.1 / self.rate.0);
         Ok(Some(TimedPicture { index, timestamp, path, picture }))
@@ -295,8 +345,35 @@ mod tests {
             times
         };
         assert_eq!(times(Options::default()), [0.0, 1001.0 / 30000.0, 2.0 * 1001.0 / 30000.0]);
-        assert_eq!(times(Options { fps: Some(2.0) }), [0.0, 0.5, 1.0]);
-        assert!(Source::open(&path, &Options { fps: Some(f64::NAN) }).is_err());
+        assert_eq!(times(Options { fps: Some(2.0), ..Options::default() }), [0.0, 0.5, 1.0]);
+        assert!(Source::open(&path, &Options { fps: Some(f64::NAN), ..Options::default() }).is_err());
+    }
+
+    #[test]
+    fn the_matrix_and_the_pixels_of_y4m_are_taken_in() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("v.y4m");
+        // (200, 40, 40) in BT.709 of full range; pixels of 4:3.
+        let [y, b, r] = Matrix::BT709.ycbcr([200.0, 40.0, 40.0].map(|v| v / 255.0));
+        let sample =
+            |value: f32| [(value * 65535.0).round().clamp(0.0, 65535.0) as u16; 6].map(u16::to_le_bytes).concat();
+        let frame = [
+            &b"YUV4MPEG2 W3 H2 A4:3 C444p16 XCOLORRANGE=FULL\nFRAME\n"[..],
+            &sample(y),
+            &sample(b + 32768.0 / 65535.0),
+        ]
+        .concat();
+        std::fs::write(&path, [frame, sample(r + 32768.0 / 65535.0)].concat()).expect("writable");
+        let read = |matrix| {
+            let mut source = Source::open(&path, &Options { matrix, ..Options::default() }).expect("valid");
+            assert_eq!(source.notes(), ["pixels of 4:3 were made square"]);
+            let picture = source.next_frame().expect("valid").expect("a frame").picture;
+            assert_eq!((picture.width, picture.height), (4, 2));
+            picture.to_rgb8()[..3].to_vec()
+        };
+        assert_eq!(read(Some(Matrix::BT709)), [200, 40, 40]);
+        // By its size it is BT.601.
+        assert_ne!(read(None), [200, 40, 40]);
     }
 
     #[test]
@@ -343,7 +420,10 @@ mod tests {
         let rgb = |level: u8| image::RgbImage::from_pixel(3, 2, image::Rgb([level, 0, 0]));
         let even = decode::tests::apng(&[(rgba(0), [1, 8]), (rgba(51), [2, 16]), (rgba(255), [3, 4])]);
         assert_eq!(frames(&png, &even, Options::default()), [(0.0, 0.0), (0.2, 0.125), (1.0, 0.25)]);
-        assert_eq!(frames(&png, &even, Options { fps: Some(2.0) }), [(0.0, 0.0), (0.2, 0.5), (1.0, 1.0)]);
+        assert_eq!(
+            frames(&png, &even, Options { fps: Some(2.0), ..Options::default() }),
+            [(0.0, 0.0), (0.2, 0.5), (1.0, 1.0)]
+        );
         let uneven =
             decode::tests::apng(&[(rgba(0), [1, 4]), (rgba(51), [1, 0]), (rgba(102), [0, 1]), (rgba(255), [1, 2])]);
         let times: Vec<f64> = frames(&png, &uneven, Options::default()).iter().map(|frame| frame.1).collect();
@@ -382,7 +462,7 @@ mod tests {
             image.encoder().write_tag(tiff::tags::Tag::NewSubfileType, kind as u32).expect("memory");
             image.write_data(&[level]).expect("memory");
         }
-        let found = frames(&path, pages.get_ref(), Options { fps: Some(4.0) });
+        let found = frames(&path, pages.get_ref(), Options { fps: Some(4.0), ..Options::default() });
         assert_eq!(found, [(0.0, 0.0), (1.0, 0.25)]);
         let source = Source::open(&path, &Options::default()).expect("pages");
         assert_eq!(source.notes(), ["2 pages of a TIFF are 2 frames"]);

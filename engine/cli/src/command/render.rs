@@ -225,6 +225,7 @@ pub fn render(
         count: stretch.seen.len(),
         size: [width, height],
         fps: scene.index().fps,
+        damage: None,
     };
     Ok(record(options, input, &drawing, Rendered { outputs, complete, read: stretch.read, start }, &workers))
 }

@@ -54,7 +54,10 @@ pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
     let args = &args;
     let (record, page) = match resume_or_run(args, &out, &mut place, console)? {
         Done::Now(record, page) => (*record, page),
-        Done::Before(record) => return Ok(*record),
+        Done::Before(record) => {
+            whole(&record)?;
+            return Ok(*record);
+        }
     };
     let destination = place.destination();
     report::finish(&record, destination, args.json.as_deref())?;
@@ -77,6 +80,7 @@ pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
     if !record.complete {
         return Err(stop::stopped(resumable));
     }
+    whole(&record)?;
     // Everything is written; the place is free again.
     drop(place);
     // Inside another program nobody presses Ctrl-C here.
@@ -84,6 +88,11 @@ pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
         page.linger(console);
     }
     Ok(record)
+}
+
+/// A failure where the input was damaged: everything of what came before is written.
+fn whole(record: &Record) -> Result<(), Failure> {
+    record.input.damage.clone().map_or(Ok(()), |damage| Err(Failure::work(damage)))
 }
 
 /// A whole run.
@@ -187,7 +196,7 @@ fn run_from(
     if options.fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) || options.frames == Some(0) {
         return Err(Failure::usage("--fps and --frames: expected numbers above 0"));
     }
-    let source = Source::open(input, &source::Options { fps: options.fps })?;
+    let source = Source::open(input, &source::Options { fps: options.fps, matrix: options.matrix()? })?;
     options.motion.follow(&mut views, source.fps())?;
     console.note(source.notes());
     let said = source.notes().len();
@@ -304,7 +313,7 @@ fn run_from(
         closeness.account(&mut work, &mut seconds);
     }
     let read = keys.account();
-    // Of images after the first.
+    // What was found on the way.
     console.note(read.notes.get(said..).unwrap_or_default());
     seconds.insert("decode".into(), read.time.as_secs_f64());
     if let Some(network) = &read.network {

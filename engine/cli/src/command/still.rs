@@ -229,7 +229,7 @@ pub fn render(
     progress.finish();
     console.note(&notes);
 
-    let input = InputRecord { path, blake3, count: 1, size: size.unwrap_or(SIZE), fps: plan.fps };
+    let input = InputRecord { path, blake3, count: 1, size: size.unwrap_or(SIZE), fps: plan.fps, damage: None };
     Ok(record(options, input, &drawing, Rendered { outputs, complete, read, start }, workers))
 }
 

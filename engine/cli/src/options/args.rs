@@ -236,6 +236,11 @@ pub struct RunOptions {
     /// Frames per second of the input [default: its own, or 24]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
+    /// Matrix of the input's luma and chroma: bt709, bt601, bt2020, fcc or smpte240m [default: what the file names, else bt709 above 1024x576, bt601
+    /// below]
+    #[arg(long, value_name = "NAME")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub matrix: Option<String>,
     #[command(flatten)]
     pub view: ViewOptions,
     #[command(flatten)]
@@ -381,6 +386,9 @@ pub struct EvalArgs {
     /// Frames per second of the input [default: its own, or 24]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
+    /// Matrix of the input's luma and chroma, as for run
+    #[arg(long, value_name = "NAME")]
+    pub matrix: Option<String>,
     /// Size of the images before they are compared at 256x256: model, source or WIDTHxHEIGHT
     #[arg(long, value_name = "SIZE", default_value = "model")]
     pub size: String,

@@ -8,6 +8,7 @@ use streamsplat::depth::{NetworkOptions, Range, Values};
 use streamsplat::gap::Gap;
 use streamsplat::import::FormatError;
 use streamsplat::render::Backend;
+use streamsplat::source::colour::Matrix;
 use streamsplat::stream::{
     Behind, DepthRange, Fade, FlowEffort, MaxAge, ModelSource, MotionFrom, Quality, Reuse, Settings,
 };
@@ -16,7 +17,7 @@ use streamsplat_kernels::raster;
 use streamsplat_model::Precision;
 
 use crate::console::failure::Failure;
-use crate::options::args::{Machine, Model, Stream, ViewOptions};
+use crate::options::args::{EvalArgs, Machine, Model, RunOptions, Stream, ViewOptions};
 use crate::options::motion::Course;
 use crate::options::optics::Shutter;
 
@@ -53,6 +54,29 @@ impl Model {
     /// The arithmetic that is meant.
     pub fn precision(&self) -> Result<Precision, Failure> {
         self.precision.as_deref().map_or_else(|| Ok(Precision::default()), |text| choice("--precision", text))
+    }
+}
+
+/// The matrix of this name.
+fn matrix(name: Option<&str>) -> Result<Option<Matrix>, Failure> {
+    let named = |name: &str| {
+        Matrix::named(name)
+            .ok_or_else(|| Failure::usage(format!("--matrix: expected {}, found {name:?}", Matrix::NAMES.join(", "))))
+    };
+    name.map(named).transpose()
+}
+
+impl RunOptions {
+    /// The matrix of the input, in place of its own.
+    pub fn matrix(&self) -> Result<Option<Matrix>, Failure> {
+        matrix(self.matrix.as_deref())
+    }
+}
+
+impl EvalArgs {
+    /// The same.
+    pub fn matrix(&self) -> Result<Option<Matrix>, Failure> {
+        matrix(self.matrix.as_deref())
     }
 }
 

@@ -166,6 +166,9 @@ pub struct InputRecord {
     pub size: [usize; 2],
     /// Frames per second.
     pub fps: f64,
+    /// What ended it early, or was not as it should be; what came before was used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub damage: Option<String>,
 }
 
 /// A file that was written.
@@ -348,7 +351,14 @@ mod tests {
                 blake3: "01".repeat(32),
                 runtime: "ONNX Runtime".into(),
             }),
-            input: InputRecord { path: "/in.y4m".into(), blake3: String::new(), count: 9, size: [64, 48], fps: 23.976 },
+            input: InputRecord {
+                path: "/in.y4m".into(),
+                blake3: String::new(),
+                count: 9,
+                size: [64, 48],
+                fps: 23.976,
+                damage: Some("cut".into()),
+            },
             renderer: RendererRecord { name: "wgpu".into(), adapter: Some("a card".into()), bit_contract: false },
             complete: true,
             outputs: [("frames/0.png", output(None, true)), ("v.mp4", output(Some("ef"), false))]

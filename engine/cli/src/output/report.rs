@@ -86,6 +86,9 @@ fn write_markdown(record: &Record, out: &mut String) -> std::fmt::Result {
         "| | {} read, {}×{}, {:.3} frames per second |",
         input.count, input.size[0], input.size[1], input.fps
     )?;
+    if let Some(damage) = &input.damage {
+        writeln!(out, "| damage | {damage} |")?;
+    }
     if record.renderer.bit_contract {
         writeln!(out, "| renderer | {} |", record.renderer)?;
     } else {

@@ -90,8 +90,9 @@ impl Ahead {
 
     /// The record of it, `path` being where it came from.
     pub fn input(&self, path: &Path) -> InputRecord {
-        let Reading { frames, blake3, size, .. } = &self.account;
-        InputRecord { path: absolute(path), blake3: blake3.clone(), count: *frames, size: *size, fps: self.fps }
+        let Reading { frames, blake3, size, damage, .. } = &self.account;
+        let (path, blake3, damage) = (absolute(path), blake3.clone(), damage.clone());
+        InputRecord { path, blake3, count: *frames, size: *size, fps: self.fps, damage }
     }
 
     /// The next key frame.

@@ -58,10 +58,11 @@ impl KeyDepth {
             DepthFrom::Folder(folder, range, values) => {
                 let maps = DepthMaps::open_as(folder, source.files(), *range, *values)?;
                 // Maps of image files were paired with them by name.
-                match (source.files(), source.frames(), source.expected_frames()) {
-                    (Some(_), ..) | (None, None, None) => {}
-                    (None, Some(frames), _) => maps.check(frames, limit)?,
-                    (None, None, Some(frames)) => maps.check_about(frames, limit)?,
+                match (source.files(), source.frames()) {
+                    (Some(_), _) => {}
+                    (None, Some(frames)) => maps.check(frames, limit)?,
+                    // What a file says of its length may be that of its sound.
+                    (None, None) => source.counted_frames().map_or(Ok(()), |frames| maps.check_about(frames, limit))?,
                 }
                 KeyDepth::Maps(maps)
             }

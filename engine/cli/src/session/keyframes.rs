@@ -38,6 +38,8 @@ pub struct Reading {
     pub time: Duration,
     /// Work done by the depth network, if there is one.
     pub network: Option<NetworkAccount>,
+    /// What ended it early or was not as it should be; what came before is kept.
+    pub damage: Option<String>,
     /// What was done to the pictures and left out, a line each: those known when the source was opened, then others.
     pub notes: Vec<String>,
 }
@@ -94,6 +96,8 @@ pub struct KeyFrames {
     truths: Option<Vec<Truth>>,
     /// How close images came to frames.
     told: Option<Receiver<Found>>,
+    /// What ended the input early.
+    damage: Option<String>,
     /// Key frames given.
     given: usize,
     time: Duration,
@@ -106,6 +110,7 @@ impl KeyFrames {
         let limit = limit.unwrap_or(usize::MAX);
         KeyFrames {
             source,
+            damage: None,
             depth,
             groups: gap::KeyFrames::new(gap),
             keep,
@@ -164,6 +169,7 @@ impl KeyFrames {
             size: self.size,
             time: self.time.saturating_sub(looking),
             network,
+            damage: self.damage.clone(),
             notes: self.source.notes().to_vec(),
         }
     }
@@ -186,15 +192,22 @@ impl KeyFrames {
     }
 
     fn read(&mut self) -> Result<Option<KeyFrame>, Failure> {
-        let KeyFrames { source, depth, digest, size, truths, latest, arrived, keep, limit, stop, .. } = self;
+        let KeyFrames { source, depth, digest, size, truths, latest, arrived, keep, limit, stop, damage, .. } = self;
         let arrive = || {
-            if arrived == limit {
+            if arrived == limit || damage.is_some() {
                 return Ok(None);
             }
             *arrived += 1;
             match source.next_frame() {
                 // What feeds us is stopped by the same Ctrl-C; its stream may end anywhere.
                 Err(SourceError::Y4m { .. }) if stop.asked() => Ok(None),
+                // What came before is whole; what is compared is refused.
+                Err(e @ (SourceError::Y4m { .. } | SourceError::Damaged { .. }))
+                    if *arrived > 1 && *keep != Keep::Everything =>
+                {
+                    *damage = Some(e.to_string());
+                    Ok(None)
+                }
                 Ok(None) if !stop.asked() => depth.ended(source, *arrived - 1).map(|()| None),
                 next => Ok(next?),
             }

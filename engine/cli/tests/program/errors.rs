@@ -64,6 +64,7 @@ fn unknown_and_unavailable_values_are_wrong_use() {
         (&["--background", "red"], "--background red: expected"),
         (&["--fps", "-3"], "--fps"),
         (&["--log", "loud"], "--log loud: expected"),
+        (&["--matrix", "bt1886"], "--matrix: expected bt709, bt601,"),
     ] {
         let text = fails(&attempt(&clip, &out, more), 2);
         assert!(text.contains(expected), "{more:?}: {text}");
@@ -128,6 +129,42 @@ fn what_was_written_before_a_broken_frame_is_a_valid_scene() {
     assert_eq!(scene.index().intervals.len(), 3);
     for name in crate::support::files(&out).keys() {
         assert!(!name.contains("partial"), "{name}");
+    }
+}
+
+#[test]
+fn what_came_before_the_cut_of_a_stream_is_kept() {
+    let scratch = Scratch::new();
+    let (cut, whole) = (scratch.path("cut.y4m"), scratch.path("whole.y4m"));
+    let frame = |luma: u8| [&b"FRAME\n"[..], &[luma; 40 * 24], &[128; 2 * 20 * 12]].concat();
+    let frames = [&b"YUV4MPEG2 W40 H24 F24:1 C420jpeg\n"[..], &frame(60), &frame(90), &frame(120)].concat();
+    std::fs::write(&whole, &frames).expect("writable");
+    std::fs::write(&cut, [&frames[..], &frame(150)[..99]].concat()).expect("writable");
+    let model = model();
+    let model = ["--model", model.to_str().expect("UTF-8")];
+    for name in ["folder", "video.y4m"] {
+        let (out, expected) = (scratch.path(&format!("cut-{name}")), scratch.path(&format!("whole-{name}")));
+        let text = fails(&attempt(&cut, &out, &[&model[..], &["--quiet"]].concat()), 1);
+        assert!(text.contains("cut.y4m: frame 3 ends early"), "{text}");
+        assert!(attempt(&whole, &expected, &model).status.success());
+        // What is written is that of the three frames, and the record tells of the cut.
+        let record = |out: &Path| match out.is_dir() {
+            true => crate::support::record(&out.join("run.json")),
+            false => crate::support::record(
+                &out.with_file_name(format!("{}.run.json", out.file_name().and_then(|n| n.to_str()).expect("UTF-8"))),
+            ),
+        };
+        let (found, whole) = (record(&out), record(&expected));
+        assert!(
+            found["input"]["damage"].as_str().is_some_and(|damage| damage.contains("frame 3 ends early")),
+            "{found}"
+        );
+        assert_eq!((&found["complete"], &found["input"]["count"]), (&true.into(), &3.into()));
+        let digests = |record: &serde_json::Value| -> Vec<serde_json::Value> {
+            record["outputs"].as_object().expect("files").values().map(|file| file["blake3"].clone()).collect()
+        };
+        assert_eq!(digests(&found), digests(&whole));
+        assert_eq!(whole["input"]["damage"], serde_json::Value::Null);
     }
 }
 

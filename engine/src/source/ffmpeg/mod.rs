@@ -1,130 +1,150 @@
-//! Any video file, through an installed `ffmpeg` program that writes y4m into a pipe.
+//! Any video file, through an installed `ffmpeg` program that writes y4m into a pipe; ffprobe is not needed.
 //!
-//! ffmpeg decodes and applies the file's rotation. Frames that do not follow each other at a constant rate keep their own times. Pixels that are
-//! not square are made so, by enlarging. High dynamic range (HLG, PQ) becomes BT.709 of standard range: display light of 203 cd/m² is white
-//! (ITU-R BT.2408) and what is brighter is rolled off, or 100 cd/m² where a video has hardly anything brighter. What was done to the
-//! pictures, and what is left out of the file, [`Ffmpeg::notes`] says. Conversion to RGB is ours ([`super::y4m::convert`]). Decoders differ between versions
-//! of ffmpeg, so equal digests of a run need equal ffmpeg output; the input digest in `run.json` tells.
+//! - **Which stream**: the one that moves ([`streams`]); covers and stills are left out with a line.
+//! - **Times**: every frame comes once, at its own time ([`times`]); none is made up or dropped.
+//! - **Colour**: planes are passed as they are, and [`super::colour`] decides what their tags mean.
+//! - **Shape**: ffmpeg applies the file's rotation. Pixels that are not square are made so by [`super::Source`]. Interlaced frames are deinterlaced.
+//! - **High dynamic range** (HLG, PQ) becomes BT.709 of standard range: display light of 203 cd/m² is white (ITU-R BT.2408) and what is brighter is
+//!   rolled off, or 100 cd/m² where a video has hardly anything brighter.
+//! - **Damage**: what can be decoded is read; what ffmpeg complained of is an error after the last frame, whatever its exit status.
+//!
+//! What was done to the pictures, and what is left out of the file, [`Ffmpeg::notes`] says. Decoders differ between versions of ffmpeg, so equal
+//! digests of a run need equal ffmpeg output; the input digest in `run.json` tells.
+//!
+//! Opening costs two starts of ffmpeg: one that lists the streams, one that decodes. Where the first frame turns out to be other than the list made
+//! believe there is a third. Packets are counted, without decoding, only where there are several streams to choose from or the mean rate is not
+//! told.
 
-mod probe;
+mod bright;
+mod chain;
+mod program;
+mod running;
+mod shown;
+mod streams;
+mod times;
 
-use std::ffi::OsString;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, Stdio};
-use std::thread::JoinHandle;
+use std::process::ChildStdout;
 
 use super::SourceError;
+use super::colour::Matrix;
 use super::y4m::{Header, Y4m};
 use crate::output::Sound;
 use crate::picture::Picture;
-use probe::{Probe, Transfer};
-
-/// Formats of pictures that [`Y4m`] reads, in ffmpeg's names; it takes the one nearest to the file's own.
-const FORMATS: &str = "format=pix_fmts=yuv420p|yuv422p|yuv444p|yuvj420p|yuvj422p|yuvj444p|yuv411p|gray|yuv420p10|yuv422p10|yuv444p10|yuv420p12|yuv422p12|yuv444p12";
-/// Light of white in standard range where a video goes beyond it, and where it does not, in cd/m².
-const WHITE: [u32; 2] = [203, 100];
-/// Samples of which one may be brighter than [`WHITE`]'s second.
-const RARE: usize = 500;
-/// Frames that are looked at for it, one a second, and their size.
-const LOOKED_AT: (usize, usize) = (20, 64 * 36);
+use chain::{Chain, Samples};
+use program::Decoding;
+use running::{Complaints, First, Running};
+use streams::Listing;
+use times::Clock;
 
 /// A video file being decoded by ffmpeg.
 pub struct Ffmpeg {
-    child: Child,
+    running: Running,
     y4m: Y4m<BufReader<ChildStdout>>,
-    messages: Option<JoinHandle<String>>,
     path: PathBuf,
-    times: Option<Vec<f64>>,
+    clock: Clock,
+    /// The first frame's time stamp and size.
+    first: (Option<i64>, (usize, usize)),
     notes: Vec<String>,
     sound: Option<String>,
-    frames: Option<usize>,
-}
-
-/// The file as ffmpeg takes it: a name that starts with a dash or holds a colon must not be taken as an option or a protocol.
-fn url(path: &Path) -> OsString {
-    let mut url = OsString::from("file:");
-    url.push(path);
-    url
+    /// The stream's number.
+    stream: usize,
+    /// Frames, where they were counted.
+    counted: Option<usize>,
+    /// Frames the file announces.
+    announced: Option<usize>,
+    rate: Option<(f64, f64)>,
+    read: usize,
+    /// The first frame of another size than the first.
+    resized: Option<usize>,
 }
 
 impl Ffmpeg {
-    /// Starts ffmpeg on the file and reads the stream's header.
+    /// Starts ffmpeg on the file and reads the stream's header. `matrix` goes before the file's own.
     ///
     /// # Errors
-    /// ffmpeg is not installed, or cannot read the file.
-    pub fn open(path: &Path) -> Result<Self, SourceError> {
-        let mut probe = Probe::of(path);
-        let mut notes = Vec::new();
-        let mut filters = Vec::new();
-        if let Some((width, height)) = probe.aspect {
-            filters.push("scale=if(gt(sar\\,1)\\,round(iw*sar)\\,iw):if(gt(sar\\,1)\\,ih\\,round(ih/sar)):flags=bicubic+accurate_rnd,setsar=1".to_owned());
-            notes.push(format!("pixels of {width}:{height} were made square"));
+    /// ffmpeg is not installed, or cannot read the file; nothing in it moves.
+    pub fn open(path: &Path, matrix: Option<Matrix>) -> Result<Self, SourceError> {
+        let listing = Listing::of(path).map_err(|e| not_started(e, path))?;
+        if let Some(cause) = listing.refusal() {
+            return Err(SourceError::Decode { path: path.to_owned(), cause: cause.to_owned() });
         }
-        if let Some((filter, note)) = to_standard(path, &probe) {
-            filters.push(filter);
-            notes.push(note);
-        }
-        filters.push(FORMATS.to_owned());
-        if probe.alpha {
-            notes.push("the alpha plane is left out".to_owned());
-        }
-        let times = probe.times.take();
-        let passthrough: &[&str] = if times.is_some() { &["-fps_mode", "passthrough"] } else { &[] };
-        let child = Command::new("ffmpeg")
-            // A playlist may name other files, but nothing on a network.
-            .args(["-nostdin", "-v", "error", "-protocol_whitelist", "file", "-i"])
-            .arg(url(path))
-            .args(["-map", "0:v:0", "-vf", &filters.join(","), "-sws_flags", "+accurate_rnd+bitexact"])
-            .args(passthrough)
-            .args(["-strict", "-1", "-f", "yuv4mpegpipe", "-"])
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn();
-        let mut child = match child {
-            Ok(child) => child,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-                return Err(SourceError::NoFfmpeg { path: path.to_owned() });
-            }
-            Err(e) => return Err(SourceError::Ffmpeg { path: path.to_owned(), cause: e.to_string() }),
+        let count = |streams: &[usize]| program::count(path, streams);
+        let all: Vec<usize> = listing.videos.iter().map(|stream| stream.index).collect();
+        let (stream, mut notes) = match listing.choose(|| count(&all)) {
+            Some((stream, lines)) => (stream.clone(), lines),
+            // ffmpeg will say why.
+            None => Default::default(),
         };
-        let pipe_error = || SourceError::Ffmpeg { path: path.to_owned(), cause: "no pipe to it".into() };
-        let stdout = child.stdout.take().ok_or_else(pipe_error)?;
-        let mut stderr = child.stderr.take().ok_or_else(pipe_error)?;
-        // Read beside the frames, or a full pipe of messages would stop both.
-        let messages = std::thread::spawn(move || {
-            let mut text = Vec::new();
-            let mut block = [0; 4096];
-            while let Ok(n @ 1..) = stderr.read(&mut block) {
-                if text.len() < 16 * block.len() {
-                    text.extend_from_slice(&block[..n]);
-                }
+        let map = if listing.videos.is_empty() { "0:v:0".to_owned() } else { format!("0:{}", stream.index) };
+        let chain = |first: &First| Chain::of(&first.look, first.size, matrix, stream.codec == "gif", path, &map);
+        let mut listed = chain(&First { look: stream.look.clone(), size: stream.size, ..First::default() });
+        let mut decoding =
+            Decoding { stream: map.clone(), filters: listed.filters.clone(), parts: listing.joined, old: false };
+        let start = |decoding: &Decoding| Running::start(decoding, path).map_err(|e| not_started(e, path));
+        let (mut running, mut stdout, mut first) = start(&decoding)?;
+        if first.is_none() {
+            let (_, complaints) = running.end().map_err(SourceError::read(path))?;
+            decoding.old = complaints.first.iter().any(|text| text.contains("fps_mode"));
+            if !decoding.old {
+                return Err(unreadable(path, &complaints));
             }
-            String::from_utf8_lossy(&text).into_owned()
-        });
-        match Y4m::new(BufReader::with_capacity(1 << 16, stdout), path) {
-            Ok(y4m) => {
-                let (path, sound) = (path.to_owned(), probe.sound.take());
-                Ok(Ffmpeg { child, y4m, messages: Some(messages), path, times, notes, sound, frames: probe.frames })
-            }
-            Err(e) => {
-                let _ = child.kill();
-                let failed = child.wait().is_ok_and(|status| !status.success());
-                let text = messages.join().unwrap_or_default();
-                if is_text(path) {
-                    let cause = "expected a video, found a text file".to_owned();
-                    Err(SourceError::Decode { path: path.to_owned(), cause })
-                } else if !text.trim().is_empty() || failed {
-                    Err(SourceError::Ffmpeg { path: path.to_owned(), cause: first_line(&text, path) })
-                } else {
-                    Err(e)
-                }
-            }
+            (running, stdout, first) = start(&decoding)?;
         }
+        if let Some(found) = &first
+            && found.look != stream.look
+        {
+            // The frames are the truth, the list was a guess.
+            let shown = chain(found);
+            if shown.filters != listed.filters {
+                decoding.filters.clone_from(&shown.filters);
+                drop(running);
+                (running, stdout, first) = start(&decoding)?;
+            }
+            listed = shown;
+        }
+        let Some(First { tick: Some(tick), rate, time, size, look }) = first else {
+            running.kill();
+            let (_, complaints) = running.end().map_err(SourceError::read(path))?;
+            return Err(unreadable(path, &complaints));
+        };
+        let mut y4m = match Y4m::new(BufReader::with_capacity(1 << 16, stdout), path) {
+            Ok(y4m) => y4m,
+            Err(e) => {
+                running.kill();
+                let (_, complaints) = running.end().map_err(SourceError::read(path))?;
+                return Err(if complaints.count > 0 { unreadable(path, &complaints) } else { e });
+            }
+        };
+        notes.append(&mut listed.notes);
+        y4m.set_aspect(look.aspect);
+        match listed.samples {
+            Samples::Rgb => y4m.set_matrix(None),
+            Samples::Matrix(matrix) => y4m.set_matrix(Some(matrix)),
+            Samples::Guessed => notes.extend(y4m.header().matrix.map(Chain::guess)),
+        }
+        let counted = stream.rate_is_open().then(|| count(&[stream.index])).and_then(|counts| counts.first().copied());
+        let counted = counted.map(|(_, count)| count).filter(|count| count.frames > 1 && count.seconds > 0.0);
+        let nominal = rate.map(|(numerator, denominator)| (f64::from(numerator), f64::from(denominator)));
+        Ok(Ffmpeg {
+            running,
+            y4m,
+            path: path.to_owned(),
+            clock: Clock::new(tick, rate),
+            first: (time, size),
+            notes,
+            announced: counted.map(|count| count.frames).or_else(|| listing.frames(&stream)),
+            stream: stream.index,
+            counted: counted.map(|count| count.frames),
+            sound: listing.sound,
+            rate: counted.map(|count| ((count.frames - 1) as f64, count.seconds)).or(nominal),
+            read: 0,
+            resized: None,
+        })
     }
 
-    /// Parameters of the stream.
+    /// Parameters of the stream of pictures.
     pub fn header(&self) -> &Header {
         self.y4m.header()
     }
@@ -132,63 +152,124 @@ impl Ffmpeg {
     /// The file's first sound track, if it has one.
     pub fn sound(&self) -> Option<Sound> {
         let codec = self.sound.clone()?;
-        Some(Sound { file: self.path.clone(), codec, start: 0.0 })
+        Some(Sound { file: self.path.clone(), codec, start: self.start().max(0.0) })
     }
 
     /// Frames there may be, as the file says.
     pub fn expected_frames(&self) -> Option<usize> {
-        self.times.as_ref().map(Vec::len).or(self.frames)
+        self.announced
     }
 
-    /// Conversions of the pictures and parts of the file that are left out, a line each.
+    /// Frames counted without decoding them.
+    pub(super) fn counted_frames(&self) -> Option<usize> {
+        let counts = || program::count(&self.path, &[self.stream]);
+        self.counted.or_else(|| counts().first().map(|(_, count)| count.frames)).filter(|frames| *frames > 0)
+    }
+
+    /// Frames per second as a fraction: the nominal rate of the stream, or, where frames have another one in the mean, that.
+    pub fn rate(&self) -> Option<(f64, f64)> {
+        self.rate
+    }
+
+    /// Returns true if the file's nominal rate is not the mean rate of its frames.
+    pub fn is_uneven(&self) -> bool {
+        self.counted.is_some()
+    }
+
+    /// Seconds from the beginning of the file, which may be that of its sound, to the first frame.
+    pub fn start(&self) -> f64 {
+        self.first.0.map_or(0.0, |time| self.clock.seconds(time))
+    }
+
+    /// Conversions of the pictures and parts of the file that are left out, a line each. What is found on the way is added at the end.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// Seconds from the first frame to the last and the number of frames, where they do not follow each other at a constant rate.
-    pub fn uneven(&self) -> Option<(f64, usize)> {
-        self.times.as_ref().and_then(|times| Some((*times.last()?, times.len())))
-    }
-
-    /// When frame `index` is shown, in seconds since the first, where frames do not follow each other at a constant rate.
-    pub fn time(&self, index: usize) -> Option<f64> {
-        let times = self.times.as_ref()?;
-        let (last, before) = (times[times.len() - 1], times[times.len() - 2]);
-        // A frame that the file did not announce follows as the last one did.
-        let after = |past: usize| last + (past + 1) as f64 * (last - before);
-        Some(times.get(index).copied().unwrap_or_else(|| after(index - times.len())))
-    }
-
-    /// The next frame; `None` at the end of the video.
+    /// The next frame with its time in seconds since the first; `None` at the end of the video.
     ///
     /// # Errors
-    /// A frame that cannot be read, or a failure ffmpeg reports at the end.
-    pub fn next_picture(&mut self) -> Result<Option<Picture>, SourceError> {
-        if let Some(picture) = self.y4m.next_picture()? {
-            return Ok(Some(picture));
+    /// A frame that cannot be read; at the end, [`SourceError::Damaged`] where ffmpeg complained of the file.
+    pub fn next_frame(&mut self) -> Result<Option<(Picture, f64)>, SourceError> {
+        let picture = match self.y4m.next_picture() {
+            Ok(Some(picture)) => picture,
+            Ok(None) => return self.end(None).map(|()| None),
+            Err(SourceError::Y4m { cause, .. }) => {
+                // It ended in the middle of a frame, or is not to be trusted any more.
+                self.running.kill();
+                return self.end(Some(cause)).map(|()| None);
+            }
+            Err(e) => return Err(e),
+        };
+        let (time, size) = match self.read {
+            0 => self.first,
+            // Of a frame that nothing was told of, nothing has changed.
+            _ => self.running.frame().unwrap_or((None, self.first.1)),
+        };
+        if size != self.first.1 {
+            self.resized.get_or_insert(self.read);
         }
-        let status = self.child.wait().map_err(SourceError::read(&self.path))?;
-        let text = self.messages.take().map(|thread| thread.join().unwrap_or_default()).unwrap_or_default();
-        if status.success() {
-            Ok(None)
-        } else {
-            Err(SourceError::Ffmpeg { path: self.path.clone(), cause: first_line(&text, &self.path) })
+        self.read += 1;
+        Ok(Some((picture, self.clock.next(time))))
+    }
+
+    /// Looks at what was complained of, and at what `broke` the stream of pictures.
+    fn end(&mut self, broke: Option<String>) -> Result<(), SourceError> {
+        let moved = self.clock.moved;
+        if moved > 0 {
+            self.notes.push(format!(
+                "frames whose time is not after that of the frame before: {moved}; each was put right after it"
+            ));
         }
+        if let Some(frame) = self.resized {
+            self.notes.push(format!(
+                "frames have another size from frame {frame} on; they were brought to that of the first"
+            ));
+        }
+        let (succeeded, mut complaints) = self.running.end().map_err(SourceError::read(&self.path))?;
+        (self.clock.moved, self.resized) = (0, None);
+        if let Some(cause) = broke {
+            complaints.first.push(cause);
+            complaints.count += 1;
+        } else if succeeded && complaints.count == 0 {
+            return Ok(());
+        }
+        let cause = one_line(&complaints, &self.path);
+        Err(SourceError::Damaged {
+            path: self.path.clone(),
+            announced: self.announced,
+            read: self.read,
+            complaints: complaints.count,
+            cause,
+        })
     }
 }
 
-impl Drop for Ffmpeg {
-    fn drop(&mut self) {
-        // Stopped early, it would wait for ever on a full pipe.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+fn not_started(e: std::io::Error, path: &Path) -> SourceError {
+    match e.kind() {
+        std::io::ErrorKind::NotFound => SourceError::NoFfmpeg { path: path.to_owned() },
+        _ => SourceError::Ffmpeg { path: path.to_owned(), cause: e.to_string() },
     }
 }
 
-/// The first line of ffmpeg's messages that says something, without the file's name in front.
-fn first_line(text: &str, path: &Path) -> String {
+/// Why there is not one frame.
+fn unreadable(path: &Path, complaints: &Complaints) -> SourceError {
+    let path = path.to_owned();
+    if is_text(&path) {
+        return SourceError::Decode { path, cause: "expected a video, found a text file".to_owned() };
+    }
+    let missing = complaints.first.iter().find_map(|text| text.split_once("No such filter: ")).map(|(_, name)| name);
+    let cause = match missing.map(|name| name.trim_matches('\'')) {
+        Some(name) => format!("its colours or shape need the filter {name}, which this ffmpeg was built without"),
+        None => one_line(complaints, &path),
+    };
+    SourceError::Ffmpeg { path, cause }
+}
+
+/// The first complaint, without the file's name in front.
+fn one_line(complaints: &Complaints, path: &Path) -> String {
     let name = format!("file:{}: ", path.display());
-    let line = text.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or("no reason given");
+    let line = complaints.first.first().map_or("no reason given", String::as_str);
     line.strip_prefix(&name).unwrap_or(line).to_owned()
 }
 
@@ -205,76 +286,9 @@ fn is_text(path: &Path) -> bool {
     read.is_ok() && !text.is_empty() && !text.chars().any(|c| c.is_control() && !c.is_whitespace())
 }
 
-/// The filter that brings high dynamic range to BT.709, and what it did.
-fn to_standard(path: &Path, probe: &Probe) -> Option<(String, String)> {
-    let (name, curve, white) = match probe.transfer {
-        Transfer::Standard => return None,
-        Transfer::Hlg => ("HLG", "arib-std-b67", hlg(f64::from(WHITE[1]))),
-        Transfer::Pq => ("PQ", "smpte2084", pq(f64::from(WHITE[1]))),
-    };
-    let bright = looks_brighter(path, white);
-    let light = WHITE[usize::from(!bright)];
-    let matrix = if probe.matrix { "" } else { ":min=2020_ncl" };
-    let primaries = if probe.primaries { "" } else { ":pin=2020" };
-    let roll = if bright { format!("tonemap=mobius:param=0.8:desat=0:peak={},", 1000 / light) } else { String::new() };
-    let filter = format!(
-        "zscale=tin={curve}{matrix}{primaries}:t=linear:npl={light},format=gbrpf32le,zscale=p=bt709,{roll}zscale=t=bt709:m=bt709:r=tv,format=yuv444p10"
-    );
-    Some((filter, format!("{name} was converted to BT.709 of standard range, white at {light} cd/m²")))
-}
-
-/// The sample of HLG, 0 to 1, that a display of 1000 cd/m² shows as grey of `light` cd/m².
-fn hlg(light: f64) -> f64 {
-    let scene = (light / 1000.0).powf(1.0 / 1.2);
-    if scene <= 1.0 / 12.0 {
-        (3.0 * scene).sqrt()
-    } else {
-        0.178_832_77 * (12.0 * scene - 0.284_668_92).ln() + 0.559_910_73
-    }
-}
-
-/// The sample of PQ, 0 to 1, of `light` cd/m².
-fn pq(light: f64) -> f64 {
-    let y = (light / 10_000.0).powf(2610.0 / 16384.0);
-    let (c1, c2, c3) = (3424.0 / 4096.0, 2413.0 / 128.0, 2392.0 / 128.0);
-    ((c1 + c2 * y) / (1.0 + c3 * y)).powf(2523.0 / 32.0)
-}
-
-/// Returns true if more than one sample of luma in [`RARE`] is above `white`, 0 to 1 of the limited range.
-fn looks_brighter(path: &Path, white: f64) -> bool {
-    let (frames, size) = LOOKED_AT;
-    let answer = Command::new("ffmpeg")
-        .args(["-nostdin", "-v", "error", "-protocol_whitelist", "file", "-i"])
-        .arg(url(path))
-        .args([
-            "-map",
-            "0:v:0",
-            "-vf",
-            "fps=1:round=up,scale=64:36:flags=area:in_range=tv:out_range=tv,format=gray16le",
-        ])
-        .args(["-frames:v", &frames.to_string(), "-f", "rawvideo", "-"])
-        .stdin(Stdio::null())
-        .stderr(Stdio::null())
-        .output();
-    let samples = answer.map(|answer| answer.stdout).unwrap_or_default();
-    let most = 2 * size * frames;
-    // Limited range, 16 to 235 of 255, three hundredths above white for rounding and ringing.
-    let threshold = (16.0 + 219.0 * (1.03 * white)) * 256.0;
-    let (words, _) = samples[..samples.len().min(most)].as_chunks::<2>();
-    let bright = words.iter().filter(|word| f64::from(u16::from_le_bytes(**word)) > threshold).count();
-    bright * RARE > words.len()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn curves_of_high_dynamic_range_have_the_values_of_their_standards() {
-        // ITU-R BT.2408, table 1: white of 203 cd/m² is 75 % of HLG and 58 % of PQ.
-        assert!((hlg(203.0) - 0.75).abs() < 0.005 && (pq(203.0) - 0.58).abs() < 0.005, "{} {}", hlg(203.0), pq(203.0));
-        assert!((hlg(1000.0) - 1.0).abs() < 1e-6 && (pq(10_000.0) - 1.0).abs() < 1e-6);
-    }
 
     #[test]
     fn text_is_told_from_other_bytes() {
@@ -289,5 +303,16 @@ mod tests {
             std::fs::write(&path, bytes).expect("writable");
             assert_eq!(is_text(&path), expected, "{bytes:?}");
         }
+    }
+
+    #[test]
+    fn a_filter_that_is_missing_is_named() {
+        let complaints = |first: &str| Complaints { first: vec![first.to_owned()], count: 1 };
+        let of = |first| unreadable(Path::new("a.mp4"), &complaints(first)).to_string();
+        assert_eq!(
+            of("No such filter: 'zscale'"),
+            "a.mp4: ffmpeg cannot read it: its colours or shape need the filter zscale, which this ffmpeg was built without"
+        );
+        assert_eq!(of("file:a.mp4: Invalid data found"), "a.mp4: ffmpeg cannot read it: Invalid data found");
     }
 }

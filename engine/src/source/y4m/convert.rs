@@ -6,14 +6,15 @@
 //!   `b = (Cb − 128 s) / m`.
 //! - `R = y + 2(1−Kr) r`, `B = y + 2(1−Kb) b`, `G = (y − cg_b b) − cg_r r` with `cg_b = 2(1−Kb) Kb / Kg`,
 //!   `cg_r = 2(1−Kr) Kr / Kg`, `Kg = 1 − Kr − Kb`; each clamped to `[0, 1]`.
-//! - y4m does not say which matrix was used. Pictures of more than 576 rows or 1024 columns are taken as BT.709 (Kr 0.2126,
-//!   Kb 0.0722), smaller ones as BT.601 (0.299, 0.114), as video of those sizes is made.
+//! - y4m cannot name its matrix: [`Header::matrix`] is that of the picture's size ([`Matrix::of_size`]) unless the caller knows better.
+//!   Without one, the planes are green, blue and red.
 //! - Chroma is interpolated linearly between its sample positions (first along x, then along y), held at the borders.
 //!
 //! Every step is one IEEE operation in the order written, so the bits are the same on every machine.
 
 use super::header::{Chroma, Header, Siting};
 use crate::picture::Picture;
+pub use crate::source::colour::Matrix;
 
 /// Where each luma position falls between chroma samples: first sample, second sample, weight of the second.
 fn positions(count: usize, samples: usize, step: f32, offset: f32) -> Vec<(usize, usize, f32)> {
@@ -82,11 +83,18 @@ pub fn to_picture(bytes: &[u8], header: &Header) -> Picture {
         (0..3).for_each(|_| rgb.extend_from_slice(&y));
         return Picture { width, height, rgb };
     }
+    let Some(matrix) = header.matrix else {
+        let (blue, red) = rest.split_at(plane * header.sample_bytes());
+        let mut rgb = samples(&red[..plane * header.sample_bytes()], header, black, luma_span);
+        rgb.append(&mut y);
+        rgb.extend(samples(blue, header, black, luma_span));
+        rgb.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+        return Picture { width, height, rgb };
+    };
     let (cb, rest) = rest.split_at(cw * ch * header.sample_bytes());
     let (cr, alpha) = rest.split_at(cw * ch * header.sample_bytes());
     let chroma = |bytes| upsample(&samples(bytes, header, 128.0 * scale, chroma_span), (cw, ch), header);
     let (b, r) = (chroma(cb), chroma(cr));
-    let matrix = Matrix::of_size(width, height);
     let mut rgb = vec![0.0; 3 * plane];
     for i in 0..plane {
         let pixel = matrix.rgb(y[i], b[i], r[i]);
@@ -104,36 +112,6 @@ pub fn to_picture(bytes: &[u8], header: &Header) -> Picture {
         }
     }
     Picture { width, height, rgb }
-}
-
-/// The factors of one Y'CbCr matrix.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Matrix {
-    /// Luma weight of red.
-    pub kr: f32,
-    /// Luma weight of blue.
-    pub kb: f32,
-}
-
-impl Matrix {
-    /// The matrix taken for pictures of this size.
-    pub fn of_size(width: usize, height: usize) -> Matrix {
-        if width > 1024 || height > 576 { Matrix { kr: 0.2126, kb: 0.0722 } } else { Matrix { kr: 0.299, kb: 0.114 } }
-    }
-
-    /// Red, green and blue of luma `y` in `[0, 1]` and chroma `b`, `r` in [−½,½].
-    pub fn rgb(self, y: f32, b: f32, r: f32) -> [f32; 3] {
-        let kg = 1.0 - self.kr - self.kb;
-        let (to_r, to_b) = (2.0 * (1.0 - self.kr), 2.0 * (1.0 - self.kb));
-        [y + to_r * r, (y - to_b * self.kb / kg * b) - to_r * self.kr / kg * r, y + to_b * b]
-    }
-
-    /// Luma in `[0, 1]` and chroma in [−½,½] of a colour: the inverse of [`Matrix::rgb`].
-    pub fn ycbcr(self, [red, green, blue]: [f32; 3]) -> [f32; 3] {
-        let kg = 1.0 - self.kr - self.kb;
-        let y = self.kr * red + kg * green + self.kb * blue;
-        [y, (blue - y) / (2.0 * (1.0 - self.kb)), (red - y) / (2.0 * (1.0 - self.kr))]
-    }
 }
 
 #[cfg(test)]
@@ -161,15 +139,12 @@ mod tests {
     }
 
     #[test]
-    fn the_matrix_and_its_inverse_agree() {
-        for matrix in [Matrix::of_size(640, 480), Matrix::of_size(1920, 1080)] {
-            for colour in [[1.0, 0.0, 0.0], [0.2, 0.7, 0.4], [1.0, 1.0, 1.0]] {
-                let [y, b, r] = matrix.ycbcr(colour);
-                for (found, expected) in matrix.rgb(y, b, r).iter().zip(colour) {
-                    assert!((found - expected).abs() < 1e-6);
-                }
-            }
-        }
+    fn planes_without_a_matrix_are_green_blue_and_red() {
+        let mut header = header("YUV4MPEG2 W2 H1 C444");
+        (header.matrix, header.full_range) = (None, true);
+        let picture = to_picture(&[40, 0, 30, 1, 200, 255], &header);
+        let expected: Vec<f32> = [200u8, 255, 40, 0, 30, 1].iter().map(|&v| f32::from(v) / 255.0).collect();
+        assert_eq!(picture.rgb, expected);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The header line of a y4m stream.
 
 use crate::picture::size_is_allowed;
+use crate::source::colour::Matrix;
 
 /// Longest header line accepted, in bytes.
 pub const MAX_LINE: usize = 4096;
@@ -46,8 +47,16 @@ pub struct Header {
     pub chroma: Chroma,
     /// Bits per sample: 8 to 16. More than 8 are stored in two bytes, little end first.
     pub bits: u32,
-    /// True if samples span the full range (`XCOLORRANGE=FULL`).
+    /// True if samples span the full range (`XCOLORRANGE=FULL`). Luma alone does where the header does not say: so ffmpeg writes it.
     pub full_range: bool,
+    /// True if the header states the range.
+    pub range_stated: bool,
+    /// The matrix of the planes; none where they are green, blue and red, which is never so by the header alone.
+    pub matrix: Option<Matrix>,
+    /// A pixel's width to its height (`A`), where that is stated and not square.
+    pub aspect: Option<(u32, u32)>,
+    /// True if frames are two fields (`It`, `Ib`) or may be (`Im`).
+    pub interlaced: bool,
 }
 
 impl Header {
@@ -63,7 +72,8 @@ impl Header {
         if magic != "YUV4MPEG2" {
             return Err(format!("expected a header starting with YUV4MPEG2, found {:?}", shorten(magic)));
         }
-        let (mut width, mut height, mut rate, mut full_range) = (None, None, None, false);
+        let (mut width, mut height, mut rate, mut range) = (None, None, None, None);
+        let (mut aspect, mut interlaced) = (None, false);
         let (mut chroma, mut bits) = (Chroma::C420(Siting::Centre), 8);
         for word in words {
             let Some((tag, value)) = word.split_at_checked(1) else {
@@ -72,14 +82,15 @@ impl Header {
             match tag {
                 "W" => width = Some(number(word, value)?),
                 "H" => height = Some(number(word, value)?),
-                "F" => rate = fraction(word, value)?,
+                "F" => rate = fraction(word, value, "a frame rate like F30000:1001")?,
+                "A" => aspect = fraction(word, value, "a pixel aspect like A4:3")?.filter(|(w, h)| w != h),
+                "I" => interlaced = ["t", "b", "m"].contains(&value),
                 "C" => (chroma, bits) = colour(value)?,
                 "X" => match value.split_once('=') {
-                    Some(("COLORRANGE", "FULL")) => full_range = true,
-                    Some(("COLORRANGE", "LIMITED")) => full_range = false,
+                    Some(("COLORRANGE", "FULL")) => range = Some(true),
+                    Some(("COLORRANGE", "LIMITED")) => range = Some(false),
                     _ => {}
                 },
-                // Interlacing and pixel aspect: every frame is taken as a whole picture of square pixels.
                 _ => {}
             }
         }
@@ -92,7 +103,10 @@ impl Header {
                 crate::picture::MAX_PIXELS
             ));
         }
-        Ok(Header { width, height, rate, chroma, bits, full_range })
+        let rate = rate.map(|(numerator, denominator)| (u64::from(numerator), u64::from(denominator)));
+        let (full_range, range_stated) = (range.unwrap_or(chroma == Chroma::Mono), range.is_some());
+        let matrix = Some(Matrix::of_size(width, height));
+        Ok(Header { width, height, rate, chroma, bits, full_range, range_stated, matrix, aspect, interlaced })
     }
 
     /// Columns and rows of a chroma plane.
@@ -104,6 +118,13 @@ impl Header {
             Chroma::C411 => (self.width.div_ceil(4), self.height),
             Chroma::C444 | Chroma::C444Alpha => (self.width, self.height),
         }
+    }
+
+    /// Width and height of its pictures with square pixels, where its own are not: by enlarging, whichever side is longer.
+    pub fn square_size(&self) -> Option<(usize, usize)> {
+        let (a, b) = self.aspect?;
+        let longer = |side: usize, a: u32, b: u32| (side as f64 * f64::from(a) / f64::from(b)).round() as usize;
+        Some(if a > b { (longer(self.width, a, b), self.height) } else { (self.width, longer(self.height, b, a)) })
     }
 
     /// Bytes of one frame.
@@ -119,6 +140,11 @@ impl Header {
     }
 }
 
+/// The line on pixels of this aspect.
+pub(in crate::source) fn made_square((width, height): (u32, u32)) -> String {
+    format!("pixels of {width}:{height} were made square")
+}
+
 fn shorten(text: &str) -> String {
     text.chars().take(40).collect()
 }
@@ -127,10 +153,10 @@ fn number(word: &str, value: &str) -> Result<u32, String> {
     value.parse().map_err(|_| format!("header parameter {:?}: expected a whole number", shorten(word)))
 }
 
-fn fraction(word: &str, value: &str) -> Result<Option<(u64, u64)>, String> {
-    let malformed = || format!("header parameter {:?}: expected a frame rate like F30000:1001", shorten(word));
+fn fraction(word: &str, value: &str, what: &str) -> Result<Option<(u32, u32)>, String> {
+    let malformed = || format!("header parameter {:?}: expected {what}", shorten(word));
     let (numerator, denominator) = value.split_once(':').ok_or_else(malformed)?;
-    let parse = |text: &str| text.parse::<u32>().map(u64::from).map_err(|_| malformed());
+    let parse = |text: &str| text.parse::<u32>().map_err(|_| malformed());
     Ok(match (parse(numerator)?, parse(denominator)?) {
         (0, _) | (_, 0) => None,
         rate => Some(rate),
@@ -193,6 +219,28 @@ mod tests {
     }
 
     #[test]
+    fn aspect_fields_and_ranges_are_understood() {
+        let of = |text: &str| Header::parse(format!("YUV4MPEG2 W32 H18 {text}").as_bytes()).expect("valid");
+        assert_eq!(
+            [of("A4:3").aspect, of("A1:1").aspect, of("A0:0").aspect, of("").aspect],
+            [Some((4, 3)), None, None, None]
+        );
+        assert_eq!(
+            [of("It").interlaced, of("Ib").interlaced, of("Im").interlaced, of("Ip").interlaced, of("I?").interlaced],
+            [true, true, true, false, false]
+        );
+        assert_eq!(
+            [of("A4:3"), of("A3:4"), of("A1:1")].map(|header| header.square_size()),
+            [Some((43, 18)), Some((32, 24)), None]
+        );
+        // ffmpeg 5.1 writes grey of full range without a tag.
+        assert_eq!(
+            [of("Cmono").full_range, of("Cmono XCOLORRANGE=LIMITED").full_range, of("C420jpeg").full_range],
+            [true, false, false]
+        );
+    }
+
+    #[test]
     fn hostile_headers_are_errors() {
         for line in [
             "RIFF W1 H1",
@@ -203,6 +251,8 @@ mod tests {
             "YUV4MPEG2 W99999999999 H1",
             "YUV4MPEG2 W-4 H4",
             "YUV4MPEG2 W4 H4 F25",
+            "YUV4MPEG2 W4 H4 A4",
+            "YUV4MPEG2 W4 H4 A-4:3",
             "YUV4MPEG2 W4 H4 C420p99",
             "YUV4MPEG2 W4 H4 C500",
             "YUV4MPEG2 W4 H4 Cmono7",

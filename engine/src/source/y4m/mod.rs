@@ -15,6 +15,7 @@ use std::io::{BufRead, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use super::SourceError;
+use super::colour::Matrix;
 use crate::picture::Picture;
 pub use header::Header;
 
@@ -46,6 +47,37 @@ impl<R: BufRead> Y4m<R> {
     /// Parameters of the stream.
     pub fn header(&self) -> &Header {
         &self.header
+    }
+
+    /// Takes this matrix, or planes of green, blue and red of full range.
+    pub(super) fn set_matrix(&mut self, matrix: Option<Matrix>) {
+        self.header.matrix = matrix;
+        self.header.full_range |= matrix.is_none();
+    }
+
+    /// Takes this pixel aspect.
+    pub(super) fn set_aspect(&mut self, aspect: Option<(u32, u32)>) {
+        self.header.aspect = aspect;
+    }
+
+    /// What a stream's header alone decides, with `matrix` in place of that of its size if there is one: a line on everything that is done or taken as
+    /// such.
+    pub(super) fn take_in(&mut self, matrix: Option<Matrix>) -> Vec<String> {
+        if matrix.is_some() {
+            self.set_matrix(matrix);
+        }
+        let mut notes = Vec::new();
+        if self.header.interlaced {
+            notes.push(
+                "the stream is interlaced, and its frames are taken as they are (ffmpeg's filter bwdif deinterlaces)"
+                    .to_owned(),
+            );
+        }
+        if self.header.chroma == header::Chroma::Mono && !self.header.range_stated {
+            notes.push("the range of grey is not stated: full range was taken".to_owned());
+        }
+        notes.extend(self.header.aspect.map(header::made_square));
+        notes
     }
 
     /// Length of the header with its newline, in bytes.

@@ -93,11 +93,12 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
             "clip                          key dB / SSIM   middle dB / SSIM   cross-fade         nearest           flow",
         )?;
     }
+    let matrix = args.matrix()?;
     for clip in &clips {
         if console.stop.asked() {
             break;
         }
-        let source = Source::open(clip, &source::Options { fps: args.fps })?;
+        let source = Source::open(clip, &source::Options { fps: args.fps, matrix })?;
         let depth = KeyDepth::open(&depth, &source, args.machine.level()?, settings.reuse != Reuse::Off, None)?;
         let keys = KeyFrames::new(source, depth, gap, Keep::Everything, None, &console.stop);
         let sums = evaluate(keys, gap, &settings, &mut model, &views, args.seen, lpips.as_mut(), console)?;

@@ -1,0 +1,110 @@
+//! How the `ffmpeg` program is called: on local files alone, with answers that are bounded.
+
+use std::ffi::OsString;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use super::streams::{Count, Counter};
+
+/// Most bytes that are read of the list of a file's streams.
+const MAX_LIST: u64 = 1 << 20;
+
+/// The file as ffmpeg takes it: a name that starts with a dash or holds a colon must not be taken as an option or a protocol.
+pub(super) fn url(path: &Path) -> OsString {
+    let mut url = OsString::from("file:");
+    url.push(path);
+    url
+}
+
+/// ffmpeg with this verbosity and the file as its input. A playlist may name other files, but nothing on a network.
+fn ffmpeg(path: &Path, verbosity: &str, options: &[&str]) -> Command {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-nostdin", "-nostats", "-hide_banner", "-v", verbosity, "-protocol_whitelist", "file"]);
+    command.args(options).arg("-i").arg(url(path)).stdin(Stdio::null());
+    command
+}
+
+/// What ffmpeg prints of a file that it is to do nothing with.
+pub(super) fn list(path: &Path) -> std::io::Result<String> {
+    let mut child = ffmpeg(path, "info", &[]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn()?;
+    let mut bytes = Vec::new();
+    let read = child.stderr.take().map(|err| err.take(MAX_LIST).read_to_end(&mut bytes));
+    // One that has more to say than is read would wait for ever.
+    let _ = child.kill();
+    let _ = child.wait();
+    read.transpose()?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+/// Frames of these streams, counted without decoding them.
+pub(super) fn count(path: &Path, streams: &[usize]) -> Vec<(usize, Count)> {
+    let mut command = ffmpeg(path, "quiet", &[]);
+    streams.iter().for_each(|stream| _ = command.args(["-map", &format!("0:{stream}")]));
+    let child =
+        command.args(["-c", "copy", "-f", "framecrc", "-"]).stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
+    let Ok(mut child) = child else { return Vec::new() };
+    let mut counter = Counter::default();
+    if let Some(out) = child.stdout.take() {
+        let mut out = BufReader::new(out);
+        let mut line = Vec::new();
+        while let Ok(1..) = Read::by_ref(&mut out).take(4096).read_until(b'\n', &mut line) {
+            counter.add(String::from_utf8_lossy(&line).trim_end());
+            line.clear();
+        }
+    }
+    let _ = child.wait();
+    streams.iter().copied().zip(counter.counts()).collect()
+}
+
+/// How a stream is decoded.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Decoding {
+    /// The stream, as `-map` takes it.
+    pub(super) stream: String,
+    pub(super) filters: Vec<String>,
+    /// True if packets that are there in part, or not as they were sent, are decoded nonetheless.
+    pub(super) parts: bool,
+    /// True for versions before 5.1, where options have other names.
+    pub(super) old: bool,
+}
+
+impl Decoding {
+    /// ffmpeg that decodes to y4m on its standard output, with messages that [`super::shown::Message`] reads on its standard error: every frame once,
+    /// whatever its time, which the first filter tells.
+    pub(super) fn start(&self, path: &Path) -> std::io::Result<Child> {
+        let parts: &[&str] = if self.parts { &[] } else { &["-fflags", "+discardcorrupt"] };
+        let sync = if self.old { "-vsync" } else { "-fps_mode" };
+        ffmpeg(path, "repeat+level+info", parts)
+            .args(["-map", &self.stream, "-vf", &format!("showinfo=checksum=0,{}", self.filters.join(","))])
+            .args([
+                "-sws_flags",
+                "+accurate_rnd+bitexact",
+                sync,
+                "passthrough",
+                "-strict",
+                "-1",
+                "-f",
+                "yuv4mpegpipe",
+                "-",
+            ])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+    }
+}
+
+/// At most `most` bytes that ffmpeg makes of a stream with a filter, as raw video; none where it cannot.
+pub(super) fn samples(path: &Path, stream: &str, filter: &str, frames: usize, most: usize) -> Vec<u8> {
+    let child = ffmpeg(path, "quiet", &[])
+        .args(["-map", stream, "-vf", filter, "-frames:v", &frames.to_string(), "-f", "rawvideo", "-"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn();
+    let Ok(mut child) = child else { return Vec::new() };
+    let mut bytes = Vec::new();
+    let read = child.stdout.take().map(|out| out.take(most as u64).read_to_end(&mut bytes));
+    let _ = child.kill();
+    let _ = child.wait();
+    if let Some(Ok(_)) = read { bytes } else { Vec::new() }
+}

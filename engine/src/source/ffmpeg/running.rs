@@ -1,0 +1,135 @@
+//! A running ffmpeg: pictures from its standard output, what it tells of them from its standard error.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, ChildStderr, ChildStdout};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use super::program::Decoding;
+use super::shown::{Look, Message};
+
+/// Longest line of messages read, in bytes.
+const MAX_LINE: u64 = 1 << 16;
+/// Complaints that are kept.
+const KEPT: usize = 16;
+/// How long the colours of a frame are waited for, which versions before 4.1 do not tell.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// The process and its messages.
+pub(super) struct Running {
+    child: Child,
+    messages: Receiver<Message>,
+    complaints: Option<JoinHandle<Complaints>>,
+}
+
+/// What was wrong.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Complaints {
+    /// The first of them.
+    pub(super) first: Vec<String>,
+    pub(super) count: usize,
+}
+
+/// What is known once the first frame is there.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct First {
+    /// Seconds of a tick, and frames per second.
+    pub(super) tick: Option<(u32, u32)>,
+    pub(super) rate: Option<(u32, u32)>,
+    /// The first frame's time stamp, if it has one.
+    pub(super) time: Option<i64>,
+    pub(super) size: (usize, usize),
+    pub(super) look: Look,
+}
+
+impl Running {
+    /// Starts it; the first frame is awaited. Its pictures come out of the pipe.
+    pub(super) fn start(decoding: &Decoding, path: &Path) -> std::io::Result<(Running, ChildStdout, Option<First>)> {
+        let mut child = decoding.start(path)?;
+        let no_pipe = || std::io::Error::other("no pipe to it");
+        let stdout = child.stdout.take().ok_or_else(no_pipe)?;
+        let stderr = child.stderr.take().ok_or_else(no_pipe)?;
+        let (sender, messages) = channel();
+        // Read beside the frames, or a full pipe of messages would stop both.
+        let complaints = Some(std::thread::spawn(move || listen(stderr, &sender)));
+        let mut running = Running { child, messages, complaints };
+        let first = running.first();
+        Ok((running, stdout, first))
+    }
+
+    /// What the first frame is; none where there is none.
+    fn first(&mut self) -> Option<First> {
+        let mut first = First::default();
+        loop {
+            match self.messages.recv().ok()? {
+                Message::Config { tick, rate } => (first.tick, first.rate) = (Some(tick), rate),
+                Message::Frame { time, size, look } => {
+                    (first.time, first.size, first.look) = (time, size, look);
+                    break;
+                }
+                _ => {}
+            }
+        }
+        if let Ok(Message::Colours(tags)) = self.messages.recv_timeout(PATIENCE) {
+            first.look.tags = tags;
+        }
+        Some(first)
+    }
+
+    /// Time stamp and size of the next frame, whose picture has been read; none where nothing was told of it.
+    pub(super) fn frame(&mut self) -> Option<(Option<i64>, (usize, usize))> {
+        loop {
+            if let Message::Frame { time, size, .. } = self.messages.recv().ok()? {
+                return Some((time, size));
+            }
+        }
+    }
+
+    /// Waits for its end: true if it succeeded, and what it complained of.
+    pub(super) fn end(&mut self) -> std::io::Result<(bool, Complaints)> {
+        let status = self.child.wait()?;
+        let complaints = self.complaints.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
+        Ok((status.success(), complaints))
+    }
+
+    /// Stops it.
+    pub(super) fn kill(&mut self) {
+        let _ = self.child.kill();
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Stopped early, it would wait for ever on a full pipe.
+        self.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Passes on what is told of frames and keeps complaints.
+fn listen(stderr: ChildStderr, sender: &Sender<Message>) -> Complaints {
+    let mut found = Complaints::default();
+    let mut input = BufReader::new(stderr);
+    let mut line = Vec::new();
+    let mut coloured = false;
+    while let Ok(1..) = Read::by_ref(&mut input).take(MAX_LINE).read_until(b'\n', &mut line) {
+        let message = Message::parse(String::from_utf8_lossy(&line).trim_end());
+        line.clear();
+        match message {
+            Message::Complaint(text) => {
+                found.count += 1;
+                if found.first.len() < KEPT {
+                    found.first.push(text);
+                }
+            }
+            Message::Other => {}
+            // Those of the first frame are enough.
+            Message::Colours(_) if std::mem::replace(&mut coloured, true) => {}
+            // Where nobody listens any more, complaints still count.
+            message => _ = sender.send(message),
+        }
+    }
+    found
+}

@@ -1,0 +1,170 @@
+//! What ffmpeg's `showinfo` filter tells of the frames it passes on: their times and what they are.
+
+use crate::source::colour::Tags;
+
+/// What a frame is.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Look {
+    /// ffmpeg's name of the samples' format.
+    pub(super) format: String,
+    /// A pixel's width to its height, where it is not square.
+    pub(super) aspect: Option<(u32, u32)>,
+    /// True if it is two fields.
+    pub(super) interlaced: bool,
+    pub(super) tags: Tags,
+}
+
+/// A line of messages, as `-v repeat+level+info` writes them.
+#[derive(Debug, PartialEq)]
+pub(super) enum Message {
+    /// Seconds of a tick of the frames' times, and frames per second where they follow each other evenly; as fractions.
+    Config { tick: (u32, u32), rate: Option<(u32, u32)> },
+    /// The next frame, at this tick.
+    Frame { time: Option<i64>, size: (usize, usize), look: Look },
+    /// Colours of the frame before.
+    Colours(Tags),
+    /// What is wrong with the file, or with how it is read.
+    Complaint(String),
+    /// Anything else.
+    Other,
+}
+
+/// What H.264 decoders say of streams whose pictures are whole: that references which are to be let go are gone already.
+const HARMLESS: [&str; 1] = ["mmco: unref short failure"];
+
+/// Warnings that something is missing.
+const LOST: [&str; 2] = ["dropping it", "corrupt decoded frame"];
+
+impl Message {
+    pub(super) fn parse(line: &str) -> Message {
+        let (context, level, text) = split(line);
+        let lost = || LOST.iter().any(|lost| text.contains(lost));
+        if matches!(level, "error" | "fatal" | "panic") || (level == "warning" && lost()) {
+            let harmless = HARMLESS.iter().any(|harmless| text.starts_with(harmless));
+            return if harmless || text.is_empty() { Message::Other } else { Message::Complaint(text.to_owned()) };
+        }
+        if !context.contains("showinfo") {
+            return Message::Other;
+        }
+        if let Some(rest) = text.strip_prefix("config in ") {
+            let tick = value(rest, "time_base:").and_then(ratio);
+            let rate = value(rest, "frame_rate:").and_then(ratio);
+            return tick.map_or(Message::Other, |tick| Message::Config { tick, rate });
+        }
+        if text.starts_with("n:") && text.contains("pts:") {
+            let size = value(text, " s:").and_then(|size| size.split_once('x'));
+            let size = size.and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?))).unwrap_or_default();
+            let look = Look {
+                format: value(text, "fmt:").unwrap_or_default().to_owned(),
+                aspect: value(text, "sar:").and_then(ratio).filter(|(w, h)| w != h),
+                interlaced: matches!(value(text, " i:"), Some("T" | "B")),
+                tags: Tags::default(),
+            };
+            return Message::Frame { time: value(text, "pts:").and_then(|time| time.parse().ok()), size, look };
+        }
+        if text.starts_with("color_range:") {
+            let [matrix, primaries, transfer] =
+                ["color_space:", "color_primaries:", "color_trc:"].map(|key| value(text, key));
+            return Message::Colours(Tags::of(matrix, primaries, transfer));
+        }
+        Message::Other
+    }
+}
+
+/// `[context @ 0x55] [level] text` in its parts; there may be any number of contexts.
+fn split(line: &str) -> (&str, &str, &str) {
+    let mut rest = line.trim();
+    let (mut context, mut level) = ("", "");
+    while let Some((inside, after)) = rest.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
+        if level.is_empty() && inside.contains(" @ ") {
+            context = inside;
+        } else if level.is_empty() && inside.bytes().all(|b| b.is_ascii_lowercase()) {
+            level = inside;
+        } else {
+            break;
+        }
+        rest = after.trim_start();
+    }
+    (context, level, rest)
+}
+
+/// The word after `key`, which may stand apart from it.
+fn value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
+    let (_, rest) = text.split_once(key)?;
+    rest.split_whitespace().next()
+}
+
+/// Of a text such as `30000/1001` or `4:3`; none where a part is 0.
+pub(super) fn ratio(text: &str) -> Option<(u32, u32)> {
+    let (a, b) = text.split_once(['/', ':'])?;
+    let (a, b) = (a.trim_end_matches(',').parse().ok()?, b.trim_end_matches([',', ']']).parse().ok()?);
+    (a > 0 && b > 0).then_some((a, b))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_of_two_versions_are_read() {
+        for line in [
+            "[Parsed_showinfo_0 @ 0x5561b5149a80] [info] n:   1 pts:  93600 pts_time:1.04    pos:      245 fmt:yuv420p sar:4/3 s:160x96 i:T iskey:1 type:I ",
+            "[Parsed_showinfo_0 @ 0x7f0e58002540] [info] n:   1 pts:  93600 pts_time:1.04    duration:   3600 duration_time:0.04    fmt:yuv420p cl:left sar:4/3 s:160x96 i:T iskey:1 type:I",
+        ] {
+            let look = Look { format: "yuv420p".into(), aspect: Some((4, 3)), interlaced: true, tags: Tags::default() };
+            assert_eq!(Message::parse(line), Message::Frame { time: Some(93600), size: (160, 96), look });
+        }
+        let config = "[Parsed_showinfo_1 @ 0x1] [info] config in time_base: 1001/30000, frame_rate: 30000/1001";
+        assert_eq!(Message::parse(config), Message::Config { tick: (1001, 30000), rate: Some((30000, 1001)) });
+        let open = "[Parsed_showinfo_1 @ 0x1] [info] config in time_base: 1/1000, frame_rate: 1/0";
+        assert_eq!(Message::parse(open), Message::Config { tick: (1, 1000), rate: None });
+        let none = "[Parsed_showinfo_0 @ 0x1] [info] n:   0 pts:NOPTS pts_time:NOPTS fmt:gray sar:0/1 s:8x6 i:P";
+        assert!(
+            matches!(Message::parse(none), Message::Frame { time: None, size: (8, 6), look } if look.aspect.is_none())
+        );
+        let colours = "[Parsed_showinfo_0 @ 0x1] [info] color_range:tv color_space:bt470bg color_primaries:unknown color_trc:unknown";
+        assert_eq!(Message::parse(colours), Message::Colours(Tags::of(Some("bt470bg"), None, None)));
+    }
+
+    #[test]
+    fn complaints_are_told_from_information() {
+        let complaint = |line| match Message::parse(line) {
+            Message::Complaint(text) => Some(text),
+            _ => None,
+        };
+        for (line, expected) in [
+            ("[h264 @ 0x55a6] [error] Invalid NAL unit size (2 > 1).", Some("Invalid NAL unit size (2 > 1).")),
+            ("[vist#0:0/h264 @ 0x1] [dec:h264 @ 0x2] [error] Error submitting packet", Some("Error submitting packet")),
+            ("[error] file:a.mp4: No such file", Some("file:a.mp4: No such file")),
+            (
+                "[avi @ 0x1] [warning] Packet corrupt (stream = 0, dts = 81), dropping it.",
+                Some("Packet corrupt (stream = 0, dts = 81), dropping it."),
+            ),
+            // Where streams were joined a counter is out of step, and nothing is lost.
+            ("[mpegts @ 0x1] [warning] Packet corrupt (stream = 0, dts = 297000).", None),
+            ("[h264 @ 0x1] [error] mmco: unref short failure", None),
+            ("[swscaler @ 0x1] [warning] deprecated pixel format used", None),
+            ("[h264 @ 0x1] [info] concealing 34 DC, 34 AC, 34 MV errors in B frame", None),
+            ("  title: [error] nothing", None),
+            ("", None),
+        ] {
+            assert_eq!(complaint(line).as_deref(), expected, "{line}");
+        }
+    }
+
+    #[test]
+    fn ratios_are_read_and_zeros_are_none() {
+        assert_eq!(
+            [ratio("30000/1001"), ratio("4:3"), ratio("0:1"), ratio("0/0"), ratio("N/A")],
+            [Some((30000, 1001)), Some((4, 3)), None, None, None]
+        );
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_line_panics(line in ".{0,80}") {
+            let _ = Message::parse(&line);
+            let _ = Message::parse(&format!("[Parsed_showinfo_0 @ 0x1] [info] n: {line}"));
+        }
+    }
+}

@@ -1,0 +1,424 @@
+//! Streams of a file, as ffmpeg lists them, and which of them is the video.
+//!
+//! `ffmpeg -i FILE` is all that this needs, so installations without ffprobe read the same frames. Its list is meant for people, but its lines have
+//! kept their form for many versions; what a frame's format and colours are is taken from the first decoded frame
+//! ([`super::shown`]), the list's words only being a guess that spares a second start.
+
+use std::path::Path;
+
+use super::program;
+use super::shown::Look;
+use crate::source::colour::Tags;
+
+/// Frames beyond which a file is not believed.
+const MOST_FRAMES: f64 = 1e9;
+/// By how much the mean rate and the nominal rate of a stream may differ before its frames are counted.
+const SAME_RATE: f64 = 0.01;
+/// Part of the longest stream's length that a stream must have to be as long.
+const AS_LONG: f64 = 0.5;
+
+/// Names that are a matrix, primaries and a transfer, of which a list names one where all three are the same.
+const SHARED: [&str; 4] = ["bt709", "bt470bg", "smpte170m", "smpte240m"];
+
+/// A video stream.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Stream {
+    /// Its number in the file.
+    pub(super) index: usize,
+    /// ffmpeg's name of its codec.
+    pub(super) codec: String,
+    pub(super) size: (usize, usize),
+    /// What its frames probably are.
+    pub(super) look: Look,
+    /// Frames per second in the mean, and nominal.
+    mean: Option<f64>,
+    nominal: Option<f64>,
+    /// Seconds, counted as the file's [`Listing::start`].
+    start: Option<f64>,
+    default: bool,
+    /// A cover, or another picture that does not move.
+    pub(super) cover: bool,
+    /// Declared to be a still.
+    still: bool,
+    /// A part of another stream's pictures.
+    dependent: bool,
+}
+
+/// What is in a file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Listing {
+    pub(super) videos: Vec<Stream>,
+    /// Codec of the first sound track, in ffmpeg's names.
+    pub(super) sound: Option<String>,
+    /// Seconds of the longest stream, and when the first one starts.
+    duration: Option<f64>,
+    start: Option<f64>,
+    /// True if pictures are put together of tiles.
+    tiles: bool,
+    /// True of transport streams, whose packets are marked as broken where two streams were joined.
+    pub(super) joined: bool,
+}
+
+/// Frames of a stream, counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Count {
+    pub(super) frames: usize,
+    /// Seconds from the first frame to the last.
+    pub(super) seconds: f64,
+}
+
+impl Listing {
+    /// Streams of the file; none where ffmpeg cannot read it, which it will say when it decodes.
+    pub(super) fn of(path: &Path) -> std::io::Result<Listing> {
+        Ok(Listing::parse(&program::list(path)?))
+    }
+
+    fn parse(text: &str) -> Listing {
+        let mut found = Listing::default();
+        // Titles and the like follow after four blanks or more, which streams of a group do, too.
+        let mut deepest = 2;
+        for line in text.lines() {
+            let depth = line.len() - line.trim_start().len();
+            let line = line.trim_start();
+            if depth > deepest {
+                continue;
+            }
+            if let Some(format) = line.strip_prefix("Input #0, ") {
+                found.joined = format.starts_with("mpegts");
+            } else if let Some(rest) = line.strip_prefix("Duration: ") {
+                found.duration = rest.split(',').next().and_then(clock);
+                found.start = after(rest, "start: ");
+            } else if line.starts_with("Stream group #0:") {
+                let tiles = line.contains("Tile Grid");
+                found.tiles |= tiles;
+                deepest = if tiles { 2 } else { 4 };
+            } else if let Some((index, kind, rest)) = stream(line) {
+                match kind {
+                    "Video" => found.videos.extend(video(index, rest)),
+                    "Audio" => _ = found.sound.get_or_insert_with(|| first_word(rest).to_owned()),
+                    _ => {}
+                }
+            }
+        }
+        found
+    }
+
+    /// Why none of the streams is a video, in words; none where one is.
+    pub(super) fn refusal(&self) -> Option<&'static str> {
+        match (self.videos.iter().any(Stream::may_move), &self.sound) {
+            (true, _) => None,
+            (false, _) if self.tiles => Some("expected a video, found a picture put together of tiles (HEIC)"),
+            (false, None) if self.videos.is_empty() => None,
+            (false, None) => Some("expected a video, found a cover picture alone"),
+            (false, Some(_)) if self.videos.is_empty() => Some("expected a video, found sound alone"),
+            (false, Some(_)) => Some("expected a video, found sound with a cover picture"),
+        }
+    }
+
+    /// The stream to read, and a line for each that is left out. `count` counts frames, stream by stream, which is done where there is a choice.
+    pub(super) fn choose(&self, count: impl FnOnce() -> Vec<(usize, Count)>) -> Option<(&Stream, Vec<String>)> {
+        let candidates: Vec<&Stream> = self.videos.iter().filter(|stream| stream.may_move()).collect();
+        let counts = if candidates.len() > 1 { count() } else { Vec::new() };
+        let of = |stream: &Stream| {
+            counts.iter().find(|(index, _)| *index == stream.index).map(|(_, count)| *count).unwrap_or_default()
+        };
+        let longest = candidates.iter().map(|stream| of(stream).seconds).fold(0.0, f64::max);
+        let score = |stream: &Stream| {
+            let Count { frames, seconds } = of(stream);
+            let long = seconds >= AS_LONG * longest;
+            (frames > 1, !stream.still, stream.default, long, stream.size.0.saturating_mul(stream.size.1))
+        };
+        // Of equals the first.
+        let chosen = candidates.iter().rev().max_by_key(|stream| score(stream))?;
+        let left_out =
+            self.videos.iter().filter(|stream| stream.index != chosen.index && !stream.dependent).map(|stream| {
+                let kind = match of(stream).frames {
+                    _ if stream.cover => "cover picture",
+                    1 => "still picture",
+                    _ => "video stream",
+                };
+                let (width, height) = stream.size;
+                format!("the {kind} 0:{} ({}, {width}×{height}) is left out", stream.index, stream.codec)
+            });
+        Some((chosen, left_out.collect()))
+    }
+
+    /// Frames there may be in a stream, as the file says.
+    pub(super) fn frames(&self, stream: &Stream) -> Option<usize> {
+        let late = stream.start.zip(self.start).map_or(0.0, |(own, file)| (own - file).max(0.0));
+        let frames = (self.duration? - late) * stream.mean?;
+        (1.0..MOST_FRAMES).contains(&frames).then(|| frames.round() as usize)
+    }
+}
+
+impl Stream {
+    fn may_move(&self) -> bool {
+        !self.cover && !self.dependent
+    }
+
+    /// True if the file does not tell its mean rate, or another than the nominal one: only counting its frames does.
+    pub(super) fn rate_is_open(&self) -> bool {
+        match self.mean.zip(self.nominal) {
+            Some((mean, nominal)) => (mean / nominal - 1.0).abs() > SAME_RATE,
+            None => true,
+        }
+    }
+}
+
+/// `Stream #0:1[0x2](und): Video: h264 …` in its number, kind and the rest.
+fn stream(line: &str) -> Option<(usize, &str, &str)> {
+    let rest = line.strip_prefix("Stream #0:")?;
+    let digits = rest.find(|c: char| !c.is_ascii_digit())?;
+    let index = rest[..digits].parse().ok()?;
+    let (_, rest) = rest[digits..].split_once(": ")?;
+    let (kind, rest) = rest.split_once(": ")?;
+    Some((index, kind, rest))
+}
+
+fn first_word(text: &str) -> &str {
+    text.split([' ', ',']).next().unwrap_or_default()
+}
+
+/// The number after `key`.
+fn after(text: &str, key: &str) -> Option<f64> {
+    let (_, rest) = text.split_once(key)?;
+    first_word(rest).parse().ok()
+}
+
+/// Seconds of `00:01:02.50`.
+fn clock(text: &str) -> Option<f64> {
+    let mut seconds = 0.0;
+    for part in text.trim().split(':') {
+        seconds = 60.0 * seconds + part.parse::<f64>().ok().filter(|part| *part >= 0.0)?;
+    }
+    Some(seconds)
+}
+
+/// The parts of a line between its commas, those in brackets left whole.
+fn parts(text: &str) -> Vec<&str> {
+    let (mut parts, mut depth, mut from) = (Vec::new(), 0usize, 0);
+    for (at, c) in text.char_indices() {
+        match c {
+            '(' | '[' => depth += 1,
+            ')' | ']' => depth = depth.saturating_sub(1),
+            ',' if depth == 0 => {
+                parts.push(text[from..at].trim());
+                from = at + 1;
+            }
+            _ => {}
+        }
+    }
+    parts.push(text[from..].trim());
+    parts
+}
+
+/// A rate of the list: `29.97`, `90k`.
+fn rate(part: &str, unit: &str) -> Option<f64> {
+    let number = part.strip_suffix(unit)?.trim_end();
+    let (number, times) = number.strip_suffix('k').map_or((number, 1.0), |number| (number, 1000.0));
+    number.parse::<f64>().ok().map(|rate| rate * times).filter(|rate| *rate > 0.0)
+}
+
+/// `320x180 [SAR 4:3 DAR 64:27]` in columns and rows.
+fn size(part: &str) -> Option<(usize, usize)> {
+    let (width, height) = first_word(part).split_once('x')?;
+    Some((width.parse().ok()?, height.parse().ok()?))
+}
+
+/// What stands after `Video: `.
+fn video(index: usize, text: &str) -> Option<Stream> {
+    let mut parts = parts(text);
+    let mut found = Stream { index, codec: first_word(text).to_owned(), ..Stream::default() };
+    // What the stream is stands in brackets behind its last part.
+    let last = parts.pop()?;
+    let (last, words) = last.find(" (").map_or((last, ""), |at| last.split_at(at));
+    parts.push(last);
+    let is = |word: &str| words.contains(&format!("({word})"));
+    found.default = is("default");
+    found.cover = is("attached pic") || is("timed thumbnails");
+    found.still = is("still image") || is("still");
+    found.dependent = is("dependent");
+    let mut format = "";
+    for (at, part) in parts.iter().enumerate().skip(1) {
+        if at == 1 {
+            format = part;
+        } else if let Some(size) = size(part).filter(|_| found.size == (0, 0)) {
+            found.size = size;
+        }
+        if let Some((_, aspect)) = part.split_once("SAR ") {
+            // The container's, which comes later, goes before the codec's.
+            found.look.aspect = super::shown::ratio(first_word(aspect)).filter(|(w, h)| w != h);
+        }
+        found.mean = found.mean.or_else(|| rate(part, " fps"));
+        found.nominal = found.nominal.or_else(|| rate(part, " tbr"));
+        found.start = found.start.or_else(|| after(part, "start "));
+    }
+    let (name, inside) = format.split_once('(').unwrap_or((format, ""));
+    found.look.format = name.to_owned();
+    for word in inside.trim_end_matches(')').split(", ") {
+        match word {
+            _ if word.starts_with("top ") || word.starts_with("bottom ") => found.look.interlaced = true,
+            _ => {
+                let mut names = word.split('/');
+                let (matrix, primaries, transfer) = (names.next(), names.next(), names.next());
+                if primaries.is_some() || matrix.is_some_and(|name| SHARED.contains(&name)) {
+                    // One name stands for all three where they have the same.
+                    found.look.tags = Tags::of(matrix, primaries.or(matrix), transfer.or(matrix));
+                }
+            }
+        }
+    }
+    Some(found)
+}
+
+/// ffmpeg's flag of packets whose frames are not shown.
+const DISCARD: u32 = 4;
+
+/// Frames of streams, as the lines of the `framecrc` muxer count them: `0, DTS, PTS, DURATION, SIZE, CRC` after `#tb 0: 1/1000`.
+#[derive(Debug, Default)]
+pub(super) struct Counter {
+    /// Seconds of a tick, frames, first and last time in ticks.
+    streams: Vec<(f64, usize, i64, i64)>,
+}
+
+impl Counter {
+    pub(super) fn add(&mut self, line: &str) {
+        if let Some(rest) = line.strip_prefix("#tb ") {
+            if let Some((_, base)) = rest.split_once(": ")
+                && let Some((a, b)) = super::shown::ratio(base.trim())
+            {
+                self.streams.push((f64::from(a) / f64::from(b), 0, i64::MAX, i64::MIN));
+            }
+            return;
+        }
+        // Of packets that are decoded for the sake of others and not shown.
+        let flags = line.split_once("F=0x").and_then(|(_, flags)| u32::from_str_radix(first_word(flags), 16).ok());
+        if flags.is_some_and(|flags| flags & DISCARD != 0) {
+            return;
+        }
+        let mut numbers = line.split(',').map(|number| number.trim().parse::<i64>());
+        let (Some(Ok(stream)), Some(_), Some(Ok(time))) = (numbers.next(), numbers.next(), numbers.next()) else {
+            return;
+        };
+        let Some((_, frames, first, last)) = usize::try_from(stream).ok().and_then(|at| self.streams.get_mut(at))
+        else {
+            return;
+        };
+        *frames += 1;
+        // A packet without a time.
+        if time == i64::MIN {
+            return;
+        }
+        (*first, *last) = ((*first).min(time), (*last).max(time));
+    }
+
+    /// What was counted, stream by stream.
+    pub(super) fn counts(&self) -> Vec<Count> {
+        let count = |&(tick, frames, first, last): &(f64, usize, i64, i64)| {
+            let ticks = if last > first { last.saturating_sub(first) } else { 0 };
+            Count { frames, seconds: ticks as f64 * tick }
+        };
+        self.streams.iter().map(count).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What two versions print of files of several kinds.
+    const COVER: &str = "Input #0, mov,mp4,m4a,3gp,3g2,mj2, from 'covfirst.mp4':
+  Metadata:
+    title           : Stream #0:7: Video: h264, yuv420p, 8x8, 25 fps
+  Duration: 00:00:01.20, start: 0.000000, bitrate: 88 kb/s
+  Stream #0:0[0x0]: Video: png, rgb24(pc, gbr/unknown/unknown), 64x64 [SAR 1:1 DAR 1:1], 90k tbr, 90k tbn (attached pic)
+  Stream #0:1[0x1](und): Video: h264 (High 4:4:4 Predictive) (avc1 / 0x31637661), yuv444p(tv, bt709, top coded first (swapped)), 320x180 [SAR 4:3 DAR 64:27], 45 kb/s, SAR 3:2 DAR 8:3, 29.97 fps, 29.97 tbr, 12800 tbn, start 0.200000 (default)
+    Metadata:
+      handler_name    : VideoHandler
+  Stream #0:2(eng): Audio: aac (LC) (mp4a / 0x6134706D), 48000 Hz, mono, fltp, 1 kb/s (default)
+At least one output file must be specified
+";
+    const AVIF: &str = "  Duration: 00:00:00.90, start: 0.000000, bitrate: 18 kb/s
+  Stream #0:0[0x1]: Video: av1 (libdav1d) (High) (av01 / 0x31307661), gbrp(pc, gbr/unknown/unknown), 64x48 [SAR 1:1 DAR 4:3], 1 fps, 1 tbr, 1 tbn (default)
+  Stream #0:1[0x1](und): Video: av1 (libdav1d) (High) (av01 / 0x31307661), gbrp(pc, gbr/bt709/iec61966-2-1, progressive), 64x48 [SAR 1:1 DAR 4:3], 9 kb/s, 10 fps, 10 tbr, 10240 tbn (default)
+";
+    const RECORDER: &str = "  Duration: N/A, start: 0.000000, bitrate: N/A
+  Stream #0:0: Video: vp8, yuv420p(progressive), 160x96, SAR 1:1 DAR 5:3, 1k tbr, 1k tbn
+";
+
+    #[test]
+    fn a_list_is_read_whatever_its_titles_hold() {
+        let listing = Listing::parse(COVER);
+        assert_eq!((listing.videos.len(), listing.sound.as_deref()), (2, Some("aac")));
+        let video = &listing.videos[1];
+        let tags = Tags::of(Some("bt709"), Some("bt709"), Some("bt709"));
+        let look = Look { format: "yuv444p".into(), aspect: Some((3, 2)), interlaced: true, tags };
+        assert_eq!((video.index, &video.codec[..], video.size, &video.look), (1, "h264", (320, 180), &look));
+        assert!(video.default && !video.cover && listing.videos[0].cover && !video.rate_is_open());
+        assert_eq!(listing.frames(video), Some(30));
+        let recorder = Listing::parse(RECORDER);
+        assert!(recorder.videos[0].rate_is_open() && recorder.frames(&recorder.videos[0]).is_none());
+        assert_eq!(recorder.videos[0].nominal, Some(1000.0));
+    }
+
+    #[test]
+    fn the_moving_stream_is_chosen_and_the_others_are_named() {
+        let listing = Listing::parse(COVER);
+        let (stream, lines) = listing.choose(|| unreachable!("one candidate")).expect("a video");
+        assert_eq!((stream.index, &lines[..]), (1, &["the cover picture 0:0 (png, 64×64) is left out".to_owned()][..]));
+        let listing = Listing::parse(AVIF);
+        let counts = |frames: [usize; 2], seconds: [f64; 2]| {
+            (0..2).map(move |i| (i, Count { frames: frames[i], seconds: seconds[i] })).collect::<Vec<_>>()
+        };
+        let (stream, lines) = listing.choose(|| counts([1, 9], [0.0, 0.8])).expect("a video");
+        assert_eq!((stream.index, &lines[..]), (1, &["the still picture 0:0 (av1, 64×48) is left out".to_owned()][..]));
+        // Of two that move: the default, then the longer, then the larger, then the first.
+        let mut two = listing;
+        let mut chosen = |default: [bool; 2], wide: [usize; 2], seconds: [f64; 2]| {
+            for i in 0..2 {
+                (two.videos[i].default, two.videos[i].size.0) = (default[i], wide[i]);
+            }
+            two.choose(|| counts([9, 9], seconds)).expect("a video").0.index
+        };
+        assert_eq!(chosen([true, true], [64, 64], [1.0, 1.0]), 0);
+        assert_eq!(chosen([true, true], [64, 96], [1.0, 1.0]), 1);
+        assert_eq!(chosen([true, true], [64, 96], [1.0, 0.2]), 0);
+        assert_eq!(chosen([false, true], [96, 64], [1.0, 0.2]), 1);
+    }
+
+    #[test]
+    fn files_without_a_video_are_refused_in_words() {
+        let sound = "  Stream #0:0: Audio: mp3 (mp3float), 44100 Hz, mono, fltp, 64 kb/s\n";
+        let cover = "  Stream #0:1: Video: png, rgb24(pc), 320x180, 90k tbr, 90k tbn (attached pic)\n";
+        let tiles = "  Stream group #0:0[0x31]: Tile Grid: hevc (Main), yuvj420p(pc), 4032x3024 (default)\n    Stream #0:0[0x1]: Video: hevc (Main), yuvj420p(pc), 512x512, 1 fps, 1 tbr, 1 tbn (dependent)\n";
+        for (text, expected) in [
+            (sound.to_owned(), Some("expected a video, found sound alone")),
+            (format!("{sound}{cover}"), Some("expected a video, found sound with a cover picture")),
+            (cover.to_owned(), Some("expected a video, found a cover picture alone")),
+            (tiles.to_owned(), Some("expected a video, found a picture put together of tiles (HEIC)")),
+            // What ffmpeg cannot list it explains when it decodes.
+            (String::new(), None),
+            (RECORDER.to_owned(), None),
+        ] {
+            assert_eq!(Listing::parse(&text).refusal(), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn packets_are_counted_stream_by_stream() {
+        let mut counter = Counter::default();
+        let lines = "#software: Lavf59\n#tb 0: 1/1000\n#media_type 0: video\n#tb 1: 1/10\n0, 0, 40, 0, 61, 0xd, S=1\n0, 3, 0, 0, 5, 0x1, F=0x0, S=1\n0, -3, -40, 0, 5, 0x1, F=0x5\n1, 0, 0, 1, 9, 0x2\nrubbish\n1, 0, x\n7, 0, 0\n";
+        lines.lines().for_each(|line| counter.add(line));
+        let counts = counter.counts();
+        assert_eq!((counts[0].frames, counts[1], counts.len()), (2, Count { frames: 1, seconds: 0.0 }, 2));
+        assert!((counts[0].seconds - 0.04).abs() < 1e-12);
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_list_panics(text in "(  (Stream #0:|Duration: |start: |Video: |[0-9x():,\\[\\] ]|[a-z/]|\\PC){0,30}\n){0,4}") {
+            let listing = Listing::parse(&text);
+            let _ = (listing.refusal(), listing.choose(Vec::new).map(|(stream, _)| listing.frames(stream)));
+        }
+    }
+}
