@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use super::{SourceError, natural};
 
 /// File name endings taken as images, whatever their case.
-pub const EXTENSIONS: [&str; 12] =
-    ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "webp", "exr", "ppm", "pgm", "tga", "qoi"];
+pub const EXTENSIONS: [&str; 14] =
+    ["png", "apng", "jpg", "jpeg", "jfif", "bmp", "tif", "tiff", "webp", "exr", "ppm", "pgm", "tga", "qoi"];
 
 /// Returns true if the name ends like an image's.
 pub fn is_image(path: &Path) -> bool {

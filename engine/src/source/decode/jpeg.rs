@@ -17,7 +17,12 @@ use crate::picture::{MAX_SIDE, Picture};
 use crate::source::SourceError;
 
 pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Still, SourceError> {
-    let explain = |e: &dyn std::fmt::Debug| decode_error(path, format!("broken or unsupported JPEG image: {e:?}"));
+    let explain = |e: &dyn std::fmt::Debug| {
+        // Some of the decoder's messages end with a line's end.
+        let text = format!("{e:?}");
+        let words: Vec<&str> = text.split_whitespace().collect();
+        decode_error(path, format!("broken or unsupported JPEG image: {}", words.join(" ")))
+    };
     let options = DecoderOptions::default()
         .set_strict_mode(false)
         .set_max_width(MAX_SIDE)

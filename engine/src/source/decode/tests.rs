@@ -173,6 +173,9 @@ fn a_jpeg_that_is_cut_or_damaged_is_refused() {
     for end in [start + 1, (start + whole.len()) / 2, whole.len() - 2] {
         assert!(error(&whole[..end]).contains("cut off: expected an end-of-image marker"), "{end} bytes");
     }
+    for end in [4, 30, start - 30] {
+        assert!(!error(&whole[..end]).contains('\n'), "{end} bytes");
+    }
     let mut damaged = whole.clone();
     damaged[start + 20..start + 60].fill(0xc3);
     assert!(error(&damaged).contains("a.jpg: broken"), "{}", error(&damaged));
