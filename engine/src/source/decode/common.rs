@@ -75,7 +75,7 @@ pub(super) fn check_length(
         )),
         ImageFormat::Png if !png::has_end(bytes) => Err(decode_error(
             path,
-            format!("the PNG image is cut off: expected its IEND chunk, found none in {found} bytes"),
+            format!("broken or unsupported Png image: cut off, expected its IEND chunk, found none in {found} bytes"),
         )),
         ImageFormat::WebP if webp::promised(bytes) > found as u64 => Err(decode_error(
             path,

@@ -352,14 +352,20 @@ fn unpack(bytes: &[u8], width: usize, height: usize, depth: u16) -> Samples {
     Samples::Whole(samples, most)
 }
 
-/// The colours of a palette: 16 bits each, or 8 where no number is above 255, as some programs write them.
+/// The colours of a palette: 16 bits each, or 8, as some programs write them, above a byte of zeros or alone.
 fn palette(decoder: &mut TiffDecoder<'_>, depth: u16, path: &Path) -> Result<Vec<[f32; 3]>, SourceError> {
     let numbers = decoder.find_tag_unsigned_vec::<u16>(Tag::ColorMap).map_err(explain(path))?.unwrap_or_default();
     if depth > 8 || numbers.len() != 3 << depth {
         let found = format!("{} numbers for {depth} bits", numbers.len());
         return Err(decode_error(path, format!("expected a TIFF palette of three numbers a colour, found {found}")));
     }
-    let most = if numbers.iter().all(|&v| v < 256) { 255.0 } else { 65535.0 };
+    let most = if numbers.iter().all(|&v| v < 256) {
+        255.0
+    } else if numbers.iter().all(|&v| v % 256 == 0) {
+        255.0 * 256.0
+    } else {
+        65535.0
+    };
     let colours = numbers.len() / 3;
     Ok((0..colours).map(|i| [0, 1, 2].map(|c| f32::from(numbers[c * colours + i]) / most)).collect())
 }
@@ -484,6 +490,11 @@ mod tests {
         }
         let tags: [(u16, u16, &[u32]); 3] = [(258, 3, &[4]), (262, 3, &[3]), (320, 3, &palette)];
         assert_eq!(rgb(&file(false, [3, 1], &tags, &[&[0x10, 0x10]])), [1.0, 0.0, 1.0, 0.4, 0.2, 0.4, 0.0, 1.0, 0.0]);
+        // Eight bits above a byte of zeros.
+        let mut bytes = vec![0; 3 * 16];
+        (bytes[1], bytes[17], bytes[33]) = (255 << 8, 51 << 8, 0);
+        let tags: [(u16, u16, &[u32]); 3] = [(258, 3, &[4]), (262, 3, &[3]), (320, 3, &bytes)];
+        assert_eq!(rgb(&file(false, [1, 1], &tags, &[&[0x10]])), [1.0, 0.2, 0.0]);
         let bits: [(u16, u16, &[u32]); 2] = [(258, 3, &[1]), (262, 3, &[1])];
         assert_eq!(
             rgb(&file(false, [3, 2], &bits, &[&[0b0100_0000, 0b1010_0000]]))[..6],
