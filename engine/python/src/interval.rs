@@ -5,9 +5,11 @@ use std::sync::OnceLock;
 
 use numpy::ndarray::{ArrayView1, ArrayView2};
 use numpy::{Element, PyArray1, PyArray2};
+use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use streamsplat::camera::Camera;
+use streamsplat::export::Options;
 use streamsplat::fit::Placement;
 use streamsplat::import::{FORMATS, Format};
 use streamsplat::output::write_file;
@@ -103,7 +105,17 @@ impl Interval {
         py.detach(|| {
             let time = time.unwrap_or(self.inner.end);
             let snapshot = Snapshot::square(&self.inner, time, self.workers()?).map_err(failed)?;
-            write_file(&path, &(format.snapshot)(&snapshot)).map(drop).map_err(system)
+            let written = (format.snapshot)(&snapshot, &Options::default());
+            write_file(&path, &written.bytes).map_err(system)?;
+            Ok(written.notes)
+        })
+        .and_then(|notes: Vec<String>| {
+            let category = py.get_type::<PyUserWarning>();
+            let warn = |note: &String| {
+                let text = std::ffi::CString::new(note.as_str()).unwrap_or_default();
+                PyErr::warn(py, &category, &text, 1)
+            };
+            notes.iter().try_for_each(warn)
         })
     }
 

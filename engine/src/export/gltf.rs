@@ -3,25 +3,39 @@
 use serde_json::{Value, json};
 use streamsplat_kernels::math::f64::exp;
 
-use super::Order;
+use super::notes::Notes;
+use super::{Order, Written};
+use crate::import::gltf::colour::linear_of_srgb;
 use crate::import::gltf::{EXTENSION, half_turn};
 use crate::render::Snapshot;
-use crate::still::Still;
+use crate::still::{Still, grown};
 
 /// The Gaussians of one time as a binary glTF file: [`of_still`] of what [`Still::of`] makes of them.
 pub fn glb(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
 
-/// A still scene as a binary glTF file: one point primitive with all attributes in binary32, and `COLOR_0` for programs that draw points.
+/// A still scene as a binary glTF file: the bytes of [`written`].
 ///
-/// In glTF's axes, x left, y up, z forward. In the scene's order; Gaussians with a number that is not finite, or without a rotation, are left
-/// out. [`import`](mod@crate::import) reads it.
+/// # Panics
+/// As there.
+pub fn of_still(still: &Still) -> Vec<u8> {
+    written(still).bytes
+}
+
+/// A still scene as a binary glTF file: one point primitive with all attributes in binary32, and `COLOR_0`, linear as glTF has it, for programs
+/// that draw points.
+///
+/// In glTF's axes, x left, y up, z forward; the scene's offset is its node's translation. In the scene's order; Gaussians that cannot be drawn
+/// ([`Still::defect`]) are left out. [`import`](mod@crate::import) reads it.
 ///
 /// # Panics
 /// When the arrays differ in length ([`Still::uneven`]), or the file would be longer than 4 GiB, which its header cannot say.
-pub fn of_still(still: &Still) -> Vec<u8> {
-    let order = Order::own(still).places;
+pub fn written(still: &Still) -> Written {
+    let kept = Order::own(still);
+    let mut notes = Notes::of(still, &kept);
+    notes.without_mark(still, "glTF");
+    let order = kept.places;
     let mut turned = still.clone();
     turned.transform(&half_turn(3));
     let opacity = |i: usize| 1.0 / (1.0 + exp(-f64::from(still.logit[i]).clamp(-200.0, 200.0)));
@@ -32,7 +46,8 @@ pub fn of_still(still: &Still) -> Vec<u8> {
     };
     add("POSITION", parts.floats("VEC3", true, |i| turned.mean[i]));
     let colour = |i: usize| {
-        let [red, green, blue] = still.base[i].map(|c| 0.5 + f64::from(c) * streamsplat_kernels::harmonics::Y0);
+        let seen = |c: f32| 0.5 + f64::from(c) * streamsplat_kernels::harmonics::Y0;
+        let [red, green, blue] = still.base[i].map(|c| linear_of_srgb(seen(c).clamp(0.0, 1.0)));
         [red, green, blue, opacity(i)].map(|c| (255.0 * c).round().clamp(0.0, 255.0) as u8)
     };
     add("COLOR_0", parts.colours(colour));
@@ -44,8 +59,7 @@ pub fn of_still(still: &Still) -> Vec<u8> {
         [x, y, z, w]
     };
     add(&own("ROTATION"), parts.floats("VEC4", false, unit));
-    let grown = |i: usize| still.log_scale[i].map(|s| exp(f64::from(s).min(88.0)) as f32);
-    add(&own("SCALE"), parts.floats("VEC3", false, grown));
+    add(&own("SCALE"), parts.floats("VEC3", false, |i| still.log_scale[i].map(grown)));
     add(&own("OPACITY"), parts.floats("SCALAR", false, |i| [opacity(i) as f32]));
     add(&own("SH_DEGREE_0_COEF_0"), parts.floats("VEC3", false, |i| still.base[i]));
     let mut place = 0;
@@ -57,7 +71,7 @@ pub fn of_still(still: &Still) -> Vec<u8> {
             place += 1;
         }
     }
-    parts.file(attributes)
+    Written { bytes: parts.file(attributes, turned.about.offset), notes: notes.0 }
 }
 
 /// The binary chunk and what describes it.
@@ -106,7 +120,7 @@ impl Parts<'_> {
         self.accessors.len() - 1
     }
 
-    fn file(self, attributes: serde_json::Map<String, Value>) -> Vec<u8> {
+    fn file(self, attributes: serde_json::Map<String, Value>, offset: [f64; 3]) -> Vec<u8> {
         let extension = json!({
             "kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective", "sortingMethod": "cameraDistance",
         });
@@ -115,6 +129,9 @@ impl Parts<'_> {
             "asset": { "version": "2.0", "generator": concat!("streamsplat ", env!("CARGO_PKG_VERSION")) },
             "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
         });
+        if offset != [0.0; 3] {
+            document["nodes"][0]["translation"] = json!(offset);
+        }
         if self.order.is_empty() {
             // A mesh has at least one primitive, and that at least one point.
             document["nodes"] = json!([{}]);

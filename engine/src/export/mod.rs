@@ -5,15 +5,19 @@
 //! [`Snapshot`]: crate::render::Snapshot
 
 mod gltf;
+mod notes;
 mod order;
 mod packed;
 mod ply;
 mod sog;
 mod splat;
 pub(crate) mod spz;
+#[cfg(test)]
+mod tests;
 mod tracks;
 
 pub use gltf::glb;
+pub use notes::{Options, SpzVersion, Written};
 pub use packed::packed;
 pub use ply::ply;
 pub use sog::sog;
@@ -31,4 +35,14 @@ pub mod still {
     pub use super::sog::of_still as sog;
     pub use super::splat::of_still as splat;
     pub use super::spz::of_still as spz;
+}
+
+/// Still scenes as files, with lines about what of the scene those do not hold.
+pub mod written {
+    pub use super::gltf::written as glb;
+    pub use super::packed::written as packed;
+    pub use super::ply::written as ply;
+    pub use super::sog::written as sog;
+    pub use super::splat::of_scene as splat;
+    pub use super::spz::written as spz;
 }

@@ -3,7 +3,7 @@
 use crate::space::along_curve;
 use crate::still::Still;
 
-/// The Gaussians without a number that is not finite and with a rotation.
+/// The Gaussians that can be drawn ([`Still::defect`]).
 pub(super) struct Order {
     /// Their places in the scene.
     pub(super) places: Vec<usize>,
@@ -12,23 +12,11 @@ pub(super) struct Order {
 impl Order {
     /// As they stand in the scene.
     pub(super) fn own(still: &Still) -> Order {
-        Order { places: (0..still.len()).filter(|i| is_sound(still, *i)).collect() }
+        Order { places: (0..still.len()).filter(|i| still.defect(*i).is_none()).collect() }
     }
 
     /// Along a Z-order curve through their centres: neighbours in space are neighbours in the file.
     pub(super) fn along_curve(still: &Still) -> Order {
         Order { places: along_curve(&still.mean, Self::own(still).places) }
     }
-}
-
-fn is_sound(still: &Still, i: usize) -> bool {
-    let finite = |v: &[f32]| v.iter().all(|x| x.is_finite());
-    let width = 3 * still.rest();
-    finite(&still.mean[i])
-        && finite(&still.log_scale[i])
-        && finite(&[still.logit[i]])
-        && finite(&still.base[i])
-        && finite(&still.higher[i * width..(i + 1) * width])
-        && finite(&still.rotation[i])
-        && still.rotation[i] != [0.0; 4]
 }

@@ -3,9 +3,11 @@
 use streamsplat_kernels::harmonics::Y0;
 use streamsplat_kernels::math::f64::exp;
 
-use super::Order;
+use super::notes::Notes;
+use super::{Order, Written};
 use crate::camera::Rotation;
 use crate::import::packed::{BOUNDS, CHUNK, WORDS};
+use crate::import::ply::comments;
 use crate::render::Snapshot;
 use crate::still::Still;
 
@@ -17,17 +19,37 @@ pub fn packed(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
 
+/// A still scene as a compressed PLY file: the bytes of [`written`].
+///
+/// # Panics
+/// As there.
+pub fn of_still(still: &Still) -> Vec<u8> {
+    written(still).bytes
+}
+
 /// A still scene as a compressed PLY file, in 16 bytes per Gaussian and one per further coefficient of its harmonics.
 ///
-/// Along a Z-order curve, so that the 256 Gaussians of a chunk lie together and their bounds are narrow. Gaussians with a number that is not finite, or
-/// without a rotation, are left out; logarithms of scales stay within ±20.
+/// Along a Z-order curve, so that the 256 Gaussians of a chunk lie together and their bounds are narrow. Gaussians that cannot be drawn
+/// ([`Still::defect`]) are left out; logarithms of scales stay within ±20. Comments of the header say what [`About`](crate::still::About) does.
 ///
 /// # Panics
 /// When the arrays differ in length ([`Still::uneven`]).
-pub fn of_still(still: &Still) -> Vec<u8> {
-    let order = Order::along_curve(still).places;
+pub fn written(still: &Still) -> Written {
+    let kept = Order::along_curve(still);
+    let mut notes = Notes::of(still, &kept);
+    notes.offset(still.about.offset, "which only streamsplat reads from a compressed PLY file");
+    let order = kept.places;
+    let width = 3 * still.rest();
+    let beyond = |i: &&usize| still.higher[**i * width..(**i + 1) * width].iter().any(|c| c.abs() > 4.02);
+    notes.changed(
+        order.iter().filter(beyond).count(),
+        order.len(),
+        "with a further coefficient beyond ±4, moved there",
+    );
     let rest = still.rest();
-    let mut header = format!("ply\nformat binary_little_endian 1.0\nelement chunk {}\n", order.len().div_ceil(CHUNK));
+    let mut header = "ply\nformat binary_little_endian 1.0\n".to_owned();
+    comments(&still.about).iter().for_each(|line| header.push_str(line));
+    header.push_str(&format!("element chunk {}\n", order.len().div_ceil(CHUNK)));
     let mut property = |kind: &str, name: &str| header.push_str(&format!("property {kind} {name}\n"));
     BOUNDS.as_flattened().as_flattened().iter().for_each(|name| property("float", name));
     header.push_str(&format!("element vertex {}\n", order.len()));
@@ -40,12 +62,17 @@ pub fn of_still(still: &Still) -> Vec<u8> {
     header.push_str("end_header\n");
 
     let (mut chunks, mut words, mut harmonics) = (Vec::new(), Vec::new(), Vec::new());
+    let mut coarse = 0;
     for chunk in order.chunks(CHUNK) {
         let bounds = [
             bounds(chunk, |i| still.mean[i]),
             bounds(chunk, |i| still.log_scale[i].map(clamped)),
             bounds(chunk, |i| still.base[i].map(seen)),
         ];
+        let [least, greatest] = bounds[0];
+        let half_step = (0..3).map(|k| (f64::from(greatest[k]) - f64::from(least[k])) / 2046.0).fold(0.0, f64::max);
+        let widest = |i: &usize| still.log_scale[*i].into_iter().fold(f32::NEG_INFINITY, f32::max);
+        coarse += chunk.iter().filter(|i| half_step > exp(f64::from(clamped(widest(i))))).count();
         bounds.as_flattened().as_flattened().iter().for_each(|x| chunks.extend_from_slice(&x.to_le_bytes()));
         for &i in chunk {
             let share = |group: usize, value: [f32; 3]| -> [f64; 3] {
@@ -71,7 +98,9 @@ pub fn of_still(still: &Still) -> Vec<u8> {
             harmonics.extend(by_channel.map(|c| ((f64::from(*c) / 8.0 + 0.5) * 256.0).clamp(0.0, 255.0) as u8));
         }
     }
-    [header.into_bytes(), chunks, words, harmonics].concat()
+    let why = "placed more coarsely than they are wide, as their 256 neighbours reach far";
+    notes.changed(coarse, order.len(), why);
+    Written { bytes: [header.into_bytes(), chunks, words, harmonics].concat(), notes: notes.0 }
 }
 
 /// Least and greatest values by axis.

@@ -1,7 +1,9 @@
 //! PLY in the layout of the original 3D Gaussian splatting release.
 
+use super::Written;
+use crate::import::ply::comments;
 use crate::render::Snapshot;
-use crate::still::Still;
+use crate::still::{About, Still};
 
 /// Properties before the harmonics' higher coefficients, and after them.
 const BEFORE: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"];
@@ -12,31 +14,53 @@ pub fn ply(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
 
+/// A still scene as a binary PLY file: the bytes of [`written`].
+///
+/// # Panics
+/// As there.
+pub fn of_still(still: &Still) -> Vec<u8> {
+    written(still).bytes
+}
+
 /// A still scene as a binary PLY file.
 ///
-/// Positions in scene space (x right, y down, z forward; scene units); normals 0; `f_dc`, `f_rest` (all of the first channel, then the
-/// second, then the third; none at degree 0), `opacity` as a logit, `scale` as logarithms, and `rot` (w first) with the scene's own bits.
-/// Records in its order.
+/// Positions in scene space (x right, y down, z forward; scene units), as doubles where the scene has an offset; normals 0; `f_dc`, `f_rest` (all
+/// of the first channel, then the second, then the third; none at degree 0), `opacity` as a logit, `scale` as logarithms, and `rot` (w first) with
+/// the scene's own bits. Records in its order. `comment SplatRenderMode: mip` where the scene was trained with anti-aliasing.
 ///
 /// # Panics
 /// When the arrays differ in length ([`Still::uneven`]).
-pub fn of_still(still: &Still) -> Vec<u8> {
+pub fn written(still: &Still) -> Written {
     let (count, rest) = (still.len(), still.rest());
-    let mut out = format!("ply\nformat binary_little_endian 1.0\nelement vertex {count}\n").into_bytes();
+    let (offset, far) = (still.about.offset, still.about.offset != [0.0; 3]);
+    let mut out = b"ply\nformat binary_little_endian 1.0\n".to_vec();
+    // The offset is in the coordinates.
+    let about = About { offset: [0.0; 3], ..still.about.clone() };
+    comments(&about).iter().for_each(|line| out.extend_from_slice(line.as_bytes()));
+    out.extend_from_slice(format!("element vertex {count}\n").as_bytes());
     let higher = (0..3 * rest).map(|i| format!("f_rest_{i}"));
-    for name in BEFORE.map(str::to_owned).into_iter().chain(higher).chain(AFTER.map(str::to_owned)) {
-        out.extend_from_slice(format!("property float {name}\n").as_bytes());
+    let names = BEFORE.map(str::to_owned).into_iter().chain(higher).chain(AFTER.map(str::to_owned));
+    for (k, name) in names.enumerate() {
+        let kind = if far && k < 3 { "double" } else { "float" };
+        out.extend_from_slice(format!("property {kind} {name}\n").as_bytes());
     }
     out.extend_from_slice(b"end_header\n");
-    out.reserve(count * (BEFORE.len() + 3 * rest + AFTER.len()) * 4);
+    let places = if far { 24 } else { 12 };
+    out.reserve(count * (places + (BEFORE.len() - 3 + 3 * rest + AFTER.len()) * 4));
     for i in 0..count {
         let higher = &still.higher[i * 3 * rest..(i + 1) * 3 * rest];
         let by_channel = (0..3).flat_map(|channel| higher.iter().skip(channel).step_by(3));
-        let fields = still.mean[i].iter().chain(&[0.0; 3]).chain(&still.base[i]).chain(by_channel);
+        if far {
+            let place = |k: usize| f64::from(still.mean[i][k]) + offset[k];
+            (0..3).for_each(|k| out.extend_from_slice(&place(k).to_le_bytes()));
+        } else {
+            still.mean[i].iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
+        }
+        let fields = [0.0; 3].iter().chain(&still.base[i]).chain(by_channel);
         let fields = fields.chain([&still.logit[i]]).chain(&still.log_scale[i]).chain(&still.rotation[i]);
         fields.for_each(|x: &f32| out.extend_from_slice(&x.to_le_bytes()));
     }
-    out
+    Written::of(out)
 }
 
 #[cfg(test)]

@@ -2,6 +2,8 @@
 
 use streamsplat_kernels::harmonics::Y0;
 
+use super::notes::Notes;
+use super::{Order, Written};
 use crate::camera::Rotation;
 use crate::picture::to_u8;
 use crate::render::Snapshot;
@@ -21,17 +23,36 @@ pub fn splat(snapshot: &Snapshot) -> Vec<u8> {
     written(records)
 }
 
-/// A still scene as `.splat` records, as [`splat`] says. The harmonics' higher coefficients are lost.
+/// A still scene as `.splat` records: the bytes of [`of_scene`].
 pub fn of_still(scene: &Drawable) -> Vec<u8> {
+    of_scene(scene).bytes
+}
+
+/// A still scene as `.splat` records, as [`splat`] says. The harmonics' higher coefficients are lost; Gaussians that cannot be drawn
+/// ([`Still::defect`](crate::still::Still::defect)) are left out.
+pub fn of_scene(scene: &Drawable) -> Written {
     let still = scene.still();
+    let order = Order::own(still);
+    let mut notes = Notes::of(still, &order);
+    notes.without_mark(still, ".splat");
+    notes.offset(still.about.offset, "for which a .splat file has no place");
+    if still.degree > 0 {
+        notes.0.push(format!(".splat has no harmonics: those of degree 1 to {} left out", still.degree));
+    }
     let colour = |base: [f32; 3]| base.map(|c| (0.5 + f64::from(c) * Y0) as f32);
     let byte = |c: f64| (128.0 * c + 128.0).round_ties_even().clamp(0.0, 255.0) as u8;
-    let records = (0..still.len()).map(|i| {
+    let beyond = |i: &&usize| colour(still.base[**i]).iter().any(|c| *c < -0.5 / 255.0 || *c > 1.0 + 0.5 / 255.0);
+    notes.changed(
+        order.places.iter().filter(beyond).count(),
+        still.len(),
+        "with a colour outside of 0 to 1, moved there",
+    );
+    let records = order.places.iter().map(|&i| {
         let turn = Rotation::from_quaternion(still.rotation[i].map(f64::from));
         let turn = turn.map_or(UNTURNED, |turn| turn.quaternion().map(byte));
         (still.mean[i], scene.scale()[i], colour(still.base[i]), scene.opacity()[i], turn)
     });
-    written(records)
+    Written { bytes: written(records), notes: notes.0 }
 }
 
 type Record = ([f32; 3], [f32; 3], [f32; 3], f32, [u8; 4]);

@@ -6,30 +6,35 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use super::{FormatError, read_file};
+use crate::still::Axes;
 
 /// The folder of a file, from which those are read that it names, and the digest of all that was read.
 pub(crate) struct Beside {
     folder: Option<PathBuf>,
+    /// The user's word for the axes of the numbers.
+    pub(super) axes: Option<Axes>,
     read: Rc<RefCell<(blake3::Hasher, u64)>>,
 }
 
 impl Beside {
     /// Of bytes in memory: there are no files.
     pub(crate) fn none() -> Beside {
-        Beside { folder: None, read: Rc::default() }
+        Beside { folder: None, axes: None, read: Rc::default() }
     }
 
     /// Beside the file at `path`, which holds `bytes`.
-    pub(super) fn of(path: &Path, bytes: &[u8]) -> Beside {
-        let beside = Beside { folder: path.parent().map(Path::to_owned), ..Beside::none() };
+    pub(super) fn of(path: &Path, bytes: &[u8], axes: Option<Axes>) -> Beside {
+        let beside = Beside { folder: path.parent().map(Path::to_owned), axes, ..Beside::none() };
         beside.read.borrow_mut().0.update(bytes);
         beside
     }
 
-    /// The path of a file in the same folder. Names of other places are refused.
+    /// The path of a file in the same folder, or in one below it. Names of other places are refused.
     fn path(&self, name: &str) -> Result<PathBuf, FormatError> {
         let Some(folder) = &self.folder else { return Err(wrong(name, "none, as this one is in memory".into())) };
-        if plain(name) { Ok(folder.join(name)) } else { Err(wrong(name, "the name of another place".into())) }
+        let own = name.strip_prefix("./").unwrap_or(name);
+        let below = own.split('/').all(plain);
+        if below { Ok(folder.join(own)) } else { Err(wrong(name, "the name of another place".into())) }
     }
 
     /// Bytes of a file of `own` and of those that it names, each once. Files that cannot be read have none: [`Self::read`] has the reason.
@@ -57,7 +62,7 @@ impl Beside {
             let expected = "a file in a folder beside this one";
             return Err(FormatError::new(format!("file {name:?}"), expected, "the name of another place"));
         }
-        let inner = Beside { folder, read: self.read.clone() };
+        let inner = Beside { folder, axes: self.axes, read: self.read.clone() };
         Ok((inner.read(own, most)?, inner))
     }
 
@@ -74,7 +79,7 @@ fn wrong(name: &str, found: String) -> FormatError {
 
 /// Returns true for the name of a file or a folder that leads nowhere else.
 fn plain(name: &str) -> bool {
-    !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\', ':', '%', '\0'])
+    !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\', ':', '\0'])
 }
 
 #[cfg(test)]
@@ -82,27 +87,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_files_of_the_same_folder_are_read() {
+    fn only_files_of_the_same_folder_and_below_are_read() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let own = folder.path().join("in");
         std::fs::create_dir(&own).expect("writable");
         std::fs::write(folder.path().join("secret"), "no").expect("writable");
+        std::fs::create_dir(own.join("parts")).expect("writable");
         std::fs::write(own.join("a"), "yes").expect("writable");
-        let beside = Beside::of(&own.join("scene"), b"scene");
+        std::fs::write(own.join("parts/a b%"), "also").expect("writable");
+        let beside = Beside::of(&own.join("scene"), b"scene", None);
         assert_eq!(beside.read("a", 3).expect("beside"), b"yes");
         assert_eq!(beside.size(5, ["a", "b", "a", "../secret"].into_iter()), 8);
-        for name in ["../secret", "..", "", "/etc/passwd", "in\\a", "%2e%2e", "b"] {
+        for name in ["../secret", "..", "", "/etc/passwd", "in\\a", "parts/../../secret", "parts//a", "./", "b"] {
             assert!(beside.read(name, 100).is_err(), "{name}");
         }
         assert!(beside.read("a", 2).is_err());
-        let outer = Beside::of(&folder.path().join("scene"), b"scene");
+        let outer = Beside::of(&folder.path().join("scene"), b"scene", None);
         let (bytes, inner) = outer.inner("in/a", 3).expect("in a folder");
         assert_eq!((bytes, inner.read("a", 3).expect("beside")), (b"yes".to_vec(), b"yes".to_vec()));
         for name in ["../in/a", "/in/a", "in/../in/a", "in//a", "in/", "in\\a", "in/b"] {
             assert!(outer.inner(name, 100).is_err(), "{name}");
         }
         assert_eq!(outer.finish(5), (11, blake3::hash(b"sceneyesyes").to_hex().to_string()));
-        assert_eq!(beside.finish(5), (8, blake3::hash(b"sceneyes").to_hex().to_string()));
+        assert_eq!(beside.read("parts/a b%", 9).expect("below"), b"also");
+        assert_eq!(beside.read("./a", 9).expect("beside"), b"yes");
+        assert_eq!(beside.finish(5), (15, blake3::hash(b"sceneyesalsoyes").to_hex().to_string()));
         assert!(Beside::none().read("a", 100).is_err());
     }
 }

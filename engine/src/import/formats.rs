@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::blocks::{Blocks, ReadError};
 use super::{Beside, FormatError, Limits, gltf, ksplat, lod, ply, sog, splat, spz};
-use crate::export;
+use crate::export::{self, Options, Written};
 use crate::render::Snapshot;
 use crate::still::{Drawable, Still};
 
@@ -39,9 +39,9 @@ pub struct Format {
     /// Of several that claim a file the first in [`FORMATS`] reads it.
     pub(super) reader: &'static dyn Reader,
     /// The file of one time of a scene.
-    pub snapshot: fn(&Snapshot) -> Vec<u8>,
+    pub snapshot: fn(&Snapshot, &Options) -> Written,
     /// The file of a still scene.
-    pub still: fn(&Drawable) -> Vec<u8>,
+    pub still: fn(&Drawable, &Options) -> Written,
 }
 
 /// All of them.
@@ -50,61 +50,61 @@ pub const FORMATS: [Format; 6] = [
         name: "PLY",
         option: "ply",
         ending: "ply",
-        keeps: "every number bit for bit, harmonics up to degree 3",
-        loses: "normals and other programs' properties and elements",
+        keeps: "every number bit for bit, harmonics up to degree 3, the mark of anti-aliased training, an offset (in doubles)",
+        loses: "normals and other programs' properties and elements, harmonics of degree 4",
         reader: &ply::Ply,
-        snapshot: export::ply,
-        still: |scene| export::still::ply(scene.still()),
+        snapshot: |snapshot, _| export::written::ply(&Still::of(snapshot)),
+        still: |scene, _| export::written::ply(scene.still()),
     },
     Format {
         name: "compressed PLY",
         option: "compressed-ply",
         ending: "compressed.ply",
-        keeps: "16 bytes per Gaussian, and one per further coefficient of the harmonics",
+        keeps: "16 bytes per Gaussian, and one per further coefficient of the harmonics; the mark of anti-aliased training",
         loses: "precision (positions and scales to 1/1023 of a group of 256 neighbours, 10 bits of rotations, 8 of colours), order",
         reader: &ply::Packed,
-        snapshot: export::packed,
-        still: |scene| export::still::packed(scene.still()),
+        snapshot: |snapshot, _| export::written::packed(&Still::of(snapshot)),
+        still: |scene, _| export::written::packed(scene.still()),
     },
     Format {
         name: "SPZ",
         option: "spz",
         ending: "spz",
-        keeps: "20 bytes per Gaussian before compression, and the harmonics; versions 2 to 4 are read, 4 is written",
-        loses: "precision (positions to 1/4096 unit, 8 bits and fewer for the rest), harmonics above degree 3",
+        keeps: "20 bytes per Gaussian before compression, and the harmonics; the mark of anti-aliased training; versions 1 to 4 are read, 3 or 4 is written",
+        loses: "precision (positions to 1/4096 unit, or what a line says; 8 bits and fewer for the rest), harmonics above degree 3",
         reader: &spz::Spz,
-        snapshot: export::spz,
-        still: |scene| export::still::spz(scene.still()),
+        snapshot: |snapshot, options| export::written::spz(&Still::of(snapshot), options.spz),
+        still: |scene, options| export::written::spz(scene.still(), options.spz),
     },
     Format {
         name: "SOG",
         option: "sog",
         ending: "sog",
-        keeps: "7 images of a byte or two per value; a zip file, or `meta.json` with its images beside it",
+        keeps: "7 images of a byte or two per value; a zip file, or `meta.json` with its images beside it; the mark of anti-aliased training; versions 1 and 2 are read, 2 is written",
         loses: "precision (positions to 1/65535 on a logarithmic scale, 256 values for scales and colours, rows of harmonics shared), order",
         reader: &sog::Sog,
-        snapshot: export::sog,
-        still: |scene| export::still::sog(scene.still()),
+        snapshot: |snapshot, _| export::written::sog(&Still::of(snapshot)),
+        still: |scene, _| export::written::sog(scene.still()),
     },
     Format {
         name: "glTF",
         option: "glb",
         ending: "glb",
-        keeps: "`KHR_gaussian_splatting` in binary32 with harmonics up to degree 3; `.gltf` and its SPZ extension are read",
-        loses: "the last bits of scales and opacities, which it does not store as logarithms and logits",
+        keeps: "`KHR_gaussian_splatting` in binary32 with harmonics up to degree 3; an offset (a node's translation); `.gltf` and its SPZ extension are read",
+        loses: "the last bits of scales and opacities, which it does not store as logarithms and logits; the mark of anti-aliased training",
         reader: &gltf::Gltf,
-        snapshot: export::glb,
-        still: |scene| export::still::glb(scene.still()),
+        snapshot: |snapshot, _| export::written::glb(&Still::of(snapshot)),
+        still: |scene, _| export::written::glb(scene.still()),
     },
     Format {
         name: "splat",
         option: "splat",
         ending: "splat",
         keeps: "32 bytes per Gaussian, positions and sizes exact",
-        loses: "harmonics, and precision (8 bits for colours, opacities and rotations)",
+        loses: "harmonics, the mark of anti-aliased training, and precision (8 bits for colours, opacities and rotations)",
         reader: &splat::Splat,
-        snapshot: export::splat,
-        still: export::still::splat,
+        snapshot: |snapshot, _| Written { bytes: export::splat(snapshot), notes: Vec::new() },
+        still: |scene, _| export::written::splat(scene),
     },
 ];
 

@@ -20,11 +20,11 @@ pub(crate) mod gltf;
 mod ksplat;
 mod limits;
 mod lod;
-mod ply;
+pub(crate) mod ply;
 pub(crate) mod sog;
 mod spacetime;
 mod splat;
-mod spz;
+pub(crate) mod spz;
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -50,7 +50,7 @@ pub use spz::spz;
 
 use crate::recognise;
 use crate::scene::{self, Scene, SceneError};
-use crate::still::Still;
+use crate::still::{Axes, Still};
 
 /// Error in the content of a file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -151,14 +151,23 @@ pub fn open(path: &Path, limits: &Limits) -> Result<Opened, SceneError> {
     open_with(path, limits, &mut |_, _| {})
 }
 
-/// As [`open`], on the current rayon pool. `progress` is told how much of a long file has been read.
+/// As [`open_as`], along the axes that the file says or its format has.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_with(path: &Path, limits: &Limits, progress: Progress<'_>) -> Result<Opened, SceneError> {
+    open_as(path, limits, None, progress)
+}
+
+/// As [`open`], on the current rayon pool. `progress` is told how much of a long file has been read. A still scene's numbers are taken along `axes`
+/// where those are given, whatever the file says.
 ///
 /// A binary PLY file is read in blocks of some megabytes: while one is taken apart the next is read, and neither the whole file nor any
 /// number of it is in memory twice.
 ///
 /// # Errors
 /// As [`open`].
-pub fn open_with(path: &Path, limits: &Limits, progress: Progress<'_>) -> Result<Opened, SceneError> {
+pub fn open_as(path: &Path, limits: &Limits, axes: Option<Axes>, progress: Progress<'_>) -> Result<Opened, SceneError> {
     // The images of a SOG scene and the levels of a streamed one are named by their folder, too.
     let index = recognise::index(path).filter(|_| path.is_dir() && !path.join(scene::INDEX).exists());
     let path = index.as_deref().unwrap_or(path);
@@ -178,14 +187,18 @@ pub fn open_with(path: &Path, limits: &Limits, progress: Progress<'_>) -> Result
     if limits.level > 0 && name != lod::NAME {
         return Err(broken(FormatError::new("level of detail", "a streamed SOG scene, for a level above 0", name)));
     }
-    let opened = |still, (bytes, blake3)| {
+    let opened = |mut still: Still, (bytes, blake3)| {
+        // Numbers inside of others have been taken so.
+        if let Some(axes) = axes.filter(|axes| still.about.axes_assumed || still.about.axes != *axes) {
+            still.taken_along(axes);
+        }
         let notes = ply::left_out(&head).into_iter().collect();
         StillFile { path: path.to_owned(), format: name, bytes, blake3, still, in_time: None, notes }
     };
     if spacetime::is(&head) {
         let bytes = read_file(path, MAX_FILE).map_err(read)?;
         let scene = spacetime(&bytes, limits).map_err(broken)?;
-        let file = opened(scene.at(0.0), Beside::of(path, &bytes).finish(bytes.len()));
+        let file = opened(scene.at(0.0), Beside::of(path, &bytes, axes).finish(bytes.len()));
         let notes = [vec![scene.about()], scene.notes().to_vec()].concat();
         return Ok(Opened::Still(StillFile { format: spacetime::NAME, in_time: Some(scene), notes, ..file }));
     }
@@ -202,7 +215,7 @@ pub fn open_with(path: &Path, limits: &Limits, progress: Progress<'_>) -> Result
         }
     }
     let bytes = read_file(path, MAX_FILE).map_err(read)?;
-    let beside = Beside::of(path, &bytes);
+    let beside = Beside::of(path, &bytes, axes);
     let still = reader.read(&bytes, &beside, limits).map_err(broken)?;
     Ok(Opened::Still(opened(still, beside.finish(bytes.len()))))
 }

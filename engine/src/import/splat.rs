@@ -116,6 +116,7 @@ mod tests {
             base: (0..count).map(|i| std::array::from_fn(|k| 1.7 * value(i, 11 + k))).collect(),
             degree: 1,
             higher: vec![0.1; count * 9],
+            ..Still::default()
         };
         let workers = Workers::new(Level::scalar(), 1).expect("a thread");
         let drawable = |still: &Still| Drawable::new(still.clone(), &workers).expect("even arrays");

@@ -84,12 +84,16 @@ impl Drawable {
 }
 
 /// e^x, rounded once.
-fn grown(x: f32) -> f32 {
-    if x.is_finite() { exp(f64::from(x)) as f32 } else { f32::NAN }
+pub(crate) fn grown(x: f32) -> f32 {
+    match x {
+        f32::NEG_INFINITY => 0.0,
+        x if x.is_finite() => exp(f64::from(x)) as f32,
+        _ => f32::NAN,
+    }
 }
 
 /// 1 / (1 + e^−x), rounded once.
-fn sigmoid(x: f32) -> f32 {
+pub(super) fn sigmoid(x: f32) -> f32 {
     // Beyond, the result is 0 or 1 in binary32, whatever the exponential.
     let x = f64::from(x);
     if x.is_nan() { f32::NAN } else { (1.0 / (1.0 + exp(-x.clamp(-200.0, 200.0)))) as f32 }
@@ -154,8 +158,11 @@ impl Renderer {
         }
         let Size::Exact { width, height } = options.size else { return Err(RenderError::NoOwnSize) };
         let request = Request { bounded: true, ..options.seen_by(camera, [height, width])? };
-        let view = View::posed(pose, lens, [height, width]);
         let Drawable { still, scale, rotation, opacity, groups } = scene;
+        // Cameras are in the scene's coordinates, centres relative to its offset.
+        let position = std::array::from_fn(|k| pose.position[k] - still.about.offset[k]);
+        let pose = &Pose { position, ..*pose };
+        let view = View::posed(pose, lens, [height, width]);
         let window = Window::new(&view, [height, width]);
         // A blur reaches farther than what the window knows of.
         let sharp = request.defocus.is_none();

@@ -1,7 +1,7 @@
 //! Where to look at a still scene from, when nothing says it.
 
-use super::Still;
 use super::statistics::quantiles;
+use super::{Orbit, Still};
 use crate::camera::turn::Angles;
 use crate::camera::{Camera, Lens, Pose};
 use streamsplat_kernels::math::f64::sin_cos;
@@ -29,12 +29,14 @@ pub struct Framing {
     pub least: [f64; 3],
     /// Greatest coordinates.
     pub greatest: [f64; 3],
+    /// Limits that the file sets to cameras around the scene.
+    pub orbit: Option<Orbit>,
 }
 
 impl Still {
     /// The box that holds most of the scene: along each axis what lies between the 5th and the 95th of a hundred centres, and
     /// 15 % of that width at either end as far as there are centres. Gaussians with an opacity under 0.1 do not count, where others
-    /// are. `None` where no centre is finite.
+    /// are. With the scene's offset. `None` where no centre is finite.
     pub fn framing(&self) -> Option<Framing> {
         let finite = |m: &[f32; 3]| m.iter().all(|x| x.is_finite());
         let solid = || self.mean.iter().zip(&self.logit).filter(|(m, logit)| finite(m) && **logit >= OPAQUE);
@@ -47,9 +49,10 @@ impl Still {
             let along = centres.iter().map(|m| m[axis]).collect();
             let [first, low, high, last] = quantiles(along, [0.0, FLOATERS, 1.0 - FLOATERS, 1.0])?.map(f64::from);
             let around = AROUND * (high - low);
-            (least[axis], greatest[axis]) = (first.max(low - around), last.min(high + around));
+            let offset = self.about.offset[axis];
+            (least[axis], greatest[axis]) = (first.max(low - around) + offset, last.min(high + around) + offset);
         }
-        Some(Framing { least, greatest })
+        Some(Framing { least, greatest, orbit: self.about.orbit.filter(Orbit::is_set) })
     }
 }
 
@@ -75,9 +78,13 @@ impl Framing {
     }
 
     /// The direction from the middle to the camera.
-    fn outwards(Angles { right, up }: Angles) -> [f64; 3] {
+    fn outwards(&self, Angles { right, up }: Angles) -> [f64; 3] {
         let radians = std::f64::consts::PI / 180.0;
-        let ((sin, cos), (up, along)) = (sin_cos(right * radians), sin_cos((ELEVATION + up) * radians));
+        let mut elevation = (ELEVATION + up) * radians;
+        if let Some(Orbit { elevation: [least, most], .. }) = self.orbit {
+            elevation = elevation.max(least.into()).min(most.into());
+        }
+        let ((sin, cos), (up, along)) = (sin_cos(right * radians), sin_cos(elevation));
         [sin * along, -up, -cos * along]
     }
 
@@ -94,12 +101,13 @@ impl Framing {
             distance = distance.max(2.0 * focal[0] * x.abs() / FILL - z).max(2.0 * focal[1] * y.abs() / FILL - z);
         }
         // A scene of one point.
-        if distance > 1e-6 { distance } else { 1.0 }
+        let distance = if distance > 1e-6 { distance } else { 1.0 };
+        self.orbit.map_or(distance, |orbit| distance.max(orbit.radius.into()))
     }
 
     fn at(&self, distance: f64, angles: Angles, aspect: f64) -> Camera {
         let middle = self.middle();
-        let outwards = Self::outwards(angles);
+        let outwards = self.outwards(angles);
         let eye = std::array::from_fn(|i| middle[i] + distance * outwards[i]);
         let pose = Pose::look_at(eye, middle, [0.0, -1.0, 0.0]).unwrap_or_default();
         Camera::pinhole(pose, FIELD, aspect).unwrap_or_default()
@@ -133,8 +141,28 @@ mod tests {
     }
 
     #[test]
+    fn a_camera_keeps_to_the_files_limits_and_to_the_scenes_offset() {
+        let mut still = cloud(0);
+        still.about.offset = [431_250.0, 5_411_800.0, 312.0];
+        let plain = still.framing().expect("a cloud");
+        assert!((plain.middle()[1] - 5_411_800.0).abs() < 1.0, "{plain:?}");
+        let height = |framing: &Framing| {
+            let Camera::Posed { pose, .. } = framing.camera(30.0, 1.0) else { panic!("posed") };
+            let d: [f64; 3] = std::array::from_fn(|k| pose.position[k] - framing.middle()[k]);
+            let length = d.iter().map(|x| x * x).sum::<f64>().sqrt();
+            ((-d[1] / length).asin(), length)
+        };
+        assert!((height(&plain).0.to_degrees() - ELEVATION).abs() < 1e-6);
+        still.about.orbit = Some(Orbit { elevation: [0.5, 0.6], radius: 50.0 });
+        let (elevation, radius) = height(&still.framing().expect("a cloud"));
+        assert!((elevation - 0.5).abs() < 1e-6 && (radius - 50.0).abs() < 1e-6, "{elevation} {radius}");
+        still.about.orbit = Some(Orbit { elevation: [0.0, 0.0], radius: f32::NAN });
+        assert_eq!(still.framing(), Some(plain));
+    }
+
+    #[test]
     fn every_corner_of_the_box_is_seen_from_all_around() {
-        let framing = Framing { least: [-3.0, 0.0, 2.0], greatest: [5.0, 1.0, 2.5] };
+        let framing = Framing { least: [-3.0, 0.0, 2.0], greatest: [5.0, 1.0, 2.5], orbit: None };
         let angles: Vec<Angles> = (0..36).map(|i| Angles { right: f64::from(i) * 10.0, up: 0.0 }).collect();
         for aspect in [0.5, 16.0 / 9.0] {
             let single = angles.iter().map(|angles| framing.camera(angles.right, aspect));
@@ -155,12 +183,12 @@ mod tests {
 
     #[test]
     fn up_is_against_y_and_the_front_looks_along_z() {
-        let framing = Framing { least: [-1.0; 3], greatest: [1.0; 3] };
+        let framing = Framing { least: [-1.0; 3], greatest: [1.0; 3], orbit: None };
         let Camera::Posed { pose, .. } = framing.camera(0.0, 1.0) else { panic!("posed") };
         assert!(pose.position[0].abs() < 1e-9 && pose.position[1] < 0.0 && pose.position[2] < -1.0, "{pose:?}");
         let Camera::Posed { pose, .. } = framing.camera(90.0, 1.0) else { panic!("posed") };
         assert!(pose.position[0] > 1.0 && pose.position[2].abs() < 1e-6, "{pose:?}");
-        let point = Framing { least: [4.0; 3], greatest: [4.0; 3] };
+        let point = Framing { least: [4.0; 3], greatest: [4.0; 3], orbit: None };
         assert!(point.camera(0.0, 1.0).is_usable());
     }
 }

@@ -10,16 +10,23 @@
 //! formed in binary64 and rounded once, the harmonics as [`streamsplat_kernels::harmonics`] says. Axes are those of scene space
 //! (x right, y down, z forward), units the file's own. Such a scene has no time, no camera of its own, and no identities.
 
+mod about;
+mod axes;
 mod draw;
 mod framing;
+mod sound;
 mod statistics;
 #[cfg(test)]
 mod tests;
 mod turn;
 
+pub use about::{About, Orbit};
+pub use axes::Axes;
 pub use draw::Drawable;
-pub(crate) use draw::after;
+pub(crate) use draw::{after, grown};
 pub use framing::Framing;
+pub use sound::Defect;
+pub(crate) use statistics::middle;
 pub use statistics::{Spread, Statistics};
 pub use turn::Similarity;
 
@@ -38,7 +45,7 @@ pub struct Still {
     pub mean: Vec<[f32; 3]>,
     /// Natural logarithms of the standard deviations along the Gaussian's own axes.
     pub log_scale: Vec<[f32; 3]>,
-    /// Quaternions (w, x, y, z) of any length; zero draws nothing.
+    /// Quaternions (w, x, y, z) of any length; zero draws nothing ([`Still::defect`]).
     pub rotation: Vec<[f32; 4]>,
     /// ln(o / (1 − o)) of the opacities.
     pub logit: Vec<f32>,
@@ -48,6 +55,8 @@ pub struct Still {
     pub degree: usize,
     /// The other coefficients: `[N, (degree + 1)² − 1, 3]`.
     pub higher: Vec<f32>,
+    /// What the file says of the scene.
+    pub about: About,
 }
 
 impl Still {
@@ -79,6 +88,7 @@ impl Still {
             base: vec![[0.0; 3]; count],
             degree,
             higher: vec![0.0; count * 3 * harmonics::rest(degree)],
+            about: About::default(),
         }
     }
 
@@ -127,15 +137,17 @@ impl Still {
             base: snapshot.rgb.iter().map(|rgb| rgb.map(first)).collect(),
             degree: 0,
             higher: Vec::new(),
+            about: About::default(),
         }
     }
 
-    /// Least and greatest coordinates of the centres that are finite.
-    pub fn bounds(&self) -> Option<[[f32; 3]; 2]> {
+    /// Least and greatest coordinates of the centres that are finite, with the scene's offset.
+    pub fn bounds(&self) -> Option<[[f64; 3]; 2]> {
         let finite = self.mean.iter().filter(|m| m.iter().all(|x| x.is_finite()));
-        finite.fold(None, |bounds, m| {
+        let bounds = finite.fold(None, |bounds: Option<[[f32; 3]; 2]>, m| {
             let [least, greatest] = bounds.unwrap_or([*m, *m]);
             Some([std::array::from_fn(|i| least[i].min(m[i])), std::array::from_fn(|i| greatest[i].max(m[i]))])
-        })
+        });
+        bounds.map(|bounds| bounds.map(|corner| std::array::from_fn(|i| f64::from(corner[i]) + self.about.offset[i])))
     }
 }

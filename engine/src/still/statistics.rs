@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use streamsplat_kernels::math::f64::exp;
 
-use super::Still;
+use super::{Defect, Still};
 
 /// Logit of the opacity 1/255: −ln 254.
 const FAINTEST: f32 = -5.537_334;
@@ -23,25 +23,19 @@ pub struct Statistics {
     pub flatness: Option<Spread>,
     /// Opacities.
     pub opacity: Option<Spread>,
-    /// Gaussians with a number that is not finite, which are not drawn.
+    /// Gaussians with a number that is not finite where it is drawn ([`Still::defect`]).
     pub not_finite: usize,
-    /// Others whose rotation is the quaternion 0, which are not drawn.
+    /// Others whose rotation is the quaternion 0 ([`Still::defect`]).
     pub no_rotation: usize,
     /// Others with an opacity under 1/255, which change no pixel.
     pub faint: usize,
 }
 
 impl Still {
-    /// Sizes and opacities of the Gaussians whose numbers are finite.
+    /// Sizes and opacities of the Gaussians whose numbers are finite where they are drawn.
     pub fn statistics(&self) -> Statistics {
-        let width = 3 * self.rest();
-        let higher = |i: usize| &self.higher[i * width..(i + 1) * width];
-        let is_finite = |i: usize| {
-            let fields = [&self.mean[i][..], &self.log_scale[i], &self.rotation[i], &self.base[i], higher(i)];
-            self.logit[i].is_finite() && fields.iter().all(|field| field.iter().all(|x| x.is_finite()))
-        };
         let (finite, not_finite): (Vec<u32>, Vec<u32>) =
-            (0..self.len() as u32).into_par_iter().partition(|&i| is_finite(i as usize));
+            (0..self.len() as u32).into_par_iter().partition(|&i| self.defect(i as usize) != Some(Defect::NotFinite));
         let not_turned = |i: usize| self.rotation[i] == [0.0; 4];
         let count =
             |wanted: &(dyn Fn(usize) -> bool + Sync)| finite.par_iter().filter(|&&i| wanted(i as usize)).count();
@@ -51,15 +45,32 @@ impl Still {
         };
         let longest = |i: usize| self.log_scale[i].into_iter().fold(f32::NEG_INFINITY, f32::max);
         let shortest = |i: usize| self.log_scale[i].into_iter().fold(f32::INFINITY, f32::min);
+        // A point is as thick as it is wide.
+        let ratio = |i: usize| if longest(i) == f32::NEG_INFINITY { 0.0 } else { shortest(i) - longest(i) };
         Statistics {
-            size: spread(&longest, exp),
-            flatness: spread(&|i| shortest(i) - longest(i), exp),
-            opacity: spread(&|i| self.logit[i], |x| 1.0 / (1.0 + exp(-x))),
+            size: spread(&longest, length),
+            flatness: spread(&ratio, length),
+            opacity: spread(&|i| self.logit[i], |x| 1.0 / (1.0 + exp(-x.clamp(-700.0, 700.0)))),
             not_finite: not_finite.len(),
             no_rotation: count(&not_turned),
             faint: count(&|i| !not_turned(i) && self.logit[i] < FAINTEST),
         }
     }
+}
+
+/// The median of each axis, in whole numbers; `None` of no places.
+pub(crate) fn middle(along: [Vec<f32>; 3]) -> Option<[f64; 3]> {
+    let mut middle = [0.0; 3];
+    for (middle, along) in middle.iter_mut().zip(along) {
+        let [median] = quantiles(along, [0.5])?;
+        *middle = f64::from(median).round();
+    }
+    Some(middle)
+}
+
+/// e^x, also of a thickness of 0.
+fn length(x: f64) -> f64 {
+    if x == f64::NEG_INFINITY { 0.0 } else { exp(x) }
 }
 
 /// The values below which these shares of all lie, each one of them; shares ascend. `None` where there are no values.

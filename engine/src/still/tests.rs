@@ -19,6 +19,7 @@ fn still(count: usize, degree: usize) -> Still {
         base: (0..count).map(|i| std::array::from_fn(|k| value(i, 11 + k))).collect(),
         degree,
         higher: (0..count * 3 * rest).map(|i| 0.4 * value(i, 14)).collect(),
+        ..Still::default()
     }
 }
 

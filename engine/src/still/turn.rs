@@ -36,6 +36,10 @@ impl Still {
                 });
             }
         }
+        if self.about.offset != [0.0; 3] {
+            let (offset, matrix) = (self.about.offset, rotation.matrix());
+            self.about.offset = matrix.map(|[a, b, c]| scale * (a * offset[0] + b * offset[1] + c * offset[2]));
+        }
         if scale != 1.0 {
             let by = ln(scale);
             self.log_scale.iter_mut().flatten().for_each(|s| *s = (f64::from(*s) + by) as f32);
@@ -122,6 +126,7 @@ mod tests {
             base: vec![[0.9, 1.1, 1.0]; 2],
             degree: 3,
             higher: (0..90).map(|i| 0.1 * value(i)).collect(),
+            ..Still::default()
         }
     }
 

@@ -42,6 +42,7 @@ function writeAddress() {
     put("mode", MODES[state.mode], MODES[0]);
     put("background", state.background[0], BACKGROUNDS[0], 3);
     if (find("interface").hidden) said.set("interface", "none");
+    if (saidAxes()) said.set("axes", saidAxes().toLowerCase());
     history.replaceState(null, "", `#${said}`);
   }, 500);
 }

@@ -13,7 +13,7 @@ async function openFile(file) {
   try {
     await begun;
     if (!drawing) throw new Error("this browser offers no WebGL2");
-    const { buffer, still } = await own.ask({ kind: "file", file, most: Math.min(MOST, drawing.room) });
+    const { buffer, still } = await own.ask({ kind: "file", file, most: Math.min(MOST, drawing.room), axes: saidAxes() });
     if (reading !== own) return;
     const packet = packetIn(buffer);
     drawing.upload(packet);
@@ -23,6 +23,7 @@ async function openFile(file) {
     use(own, new Local(file.name, packet, still));
     await store.refresh();
     enter();
+    if (still.note) refuse(`${file.name}: ${still.note}`);
   } catch (e) {
     own.end();
     if (reading === own) reading = null;
@@ -30,7 +31,10 @@ async function openFile(file) {
   }
 }
 
-/** Says why nothing was opened, until the user does something else. */
+/** Axes of a file's numbers, as the address says them (#axes=rdf). */
+const saidAxes = () => new URLSearchParams(location.hash.slice(1)).get("axes")?.toUpperCase();
+
+/** Says why nothing was opened, or what was assumed, until the user does something else. */
 function refuse(text) {
   say(text);
   const until = new AbortController();

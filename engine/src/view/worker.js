@@ -27,8 +27,8 @@ const WORK = {
   },
 
   /** A file that was opened on the page. */
-  file({ ticket, file, most }) {
-    opened(file, most).then(
+  file({ ticket, file, most, axes }) {
+    opened(file, most, axes).then(
       ({ buffer, ...still }) => taken(ticket, 0, buffer, { still }),
       (e) => postMessage({ ticket, error: e.message }),
     );

@@ -139,9 +139,15 @@ for (const degree of [0, 1, 2, 3]) {
   assert(readFileSync(file('again.ply')).equals(readFileSync(file('scene.ply'))), 'PLY to PLY');
 
   // What we write, the reference reads.
-  run('export', file('scene.ply'), '--format', 'spz', '--out', file('ours.spz'));
+  run('export', file('scene.ply'), '--format', 'spz', '--spz-version', '4', '--out', file('ours.spz'));
   const read = columns(spz.loadSpzFromBuffer(readFileSync(file('ours.spz')), rdf));
   compare(`ours at degree ${degree}`, read, original, format(4));
+  // Version 3 holds PLY's numbers as they are, for viewers; to the reference, which knows no comments, they are along its own axes.
+  run('export', file('scene.ply'), '--format', 'spz', '--out', file('viewers.spz'));
+  const raw = columns(spz.loadSpzFromBuffer(readFileSync(file('viewers.spz')), { to: spz.CoordinateSystem.RUB }));
+  compare(`version 3 of ours at degree ${degree}`, raw, original, format(3));
+  run('export', file('viewers.spz'), '--format', 'ply', '--out', file('again.ply'));
+  compare(`version 3 of ours at degree ${degree}, by us`, readPly(file('again.ply')), original, format(3));
   // And we read it as the reference does.
   run('export', file('ours.spz'), '--format', 'ply', '--out', file('ours.ply'));
   compare(`ours at degree ${degree}, by both`, readPly(file('ours.ply')), read, same(4));

@@ -309,6 +309,7 @@ fn still(degree: usize) -> Still {
         base: (0..count).map(|i| std::array::from_fn(|k| value(i, 11 + k))).collect(),
         degree,
         higher: (0..count * 3 * rest).map(|i| value(i, 14) - 0.5).collect(),
+        ..Still::default()
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use streamsplat::export::{Options, SpzVersion};
 use streamsplat::import::{self, FORMATS, Opened};
 use streamsplat::output::{prepare_folder, write_file};
 use streamsplat::render::Snapshot;
@@ -14,7 +15,7 @@ use crate::console::progress::Progress;
 use crate::console::{Console, say};
 use crate::options::args::ExportArgs;
 use crate::options::{settings, times};
-use crate::session::opening::open;
+use crate::session::opening::{open_along, say_of};
 
 /// A format of files.
 #[derive(Clone, Copy)]
@@ -74,16 +75,32 @@ impl Format {
     }
 }
 
+/// What the format's writer is told.
+fn options(args: &ExportArgs, format: Format) -> Result<Options, Failure> {
+    let Some(version) = args.spz_version else { return Ok(Options::default()) };
+    if !matches!(format, Format::Still(import::Format { option: "spz", .. })) {
+        return Err(Failure::usage(format!("--spz-version {version}: expected --format spz")));
+    }
+    let spz = match version {
+        3 => SpzVersion::V3,
+        4 => SpzVersion::V4,
+        found => return Err(Failure::usage(format!("--spz-version: expected 3 or 4, found {found}"))),
+    };
+    Ok(Options { spz })
+}
+
 /// Writes one file per time, or one of the whole scene.
 pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     console.listen();
     let format = Format::asked(args.format.as_deref(), &args.out)?;
     let asked = args.times.as_deref().map(settings::times).transpose()?;
     times::check_rate(args.fps)?;
+    let options = options(args, format)?;
     let workers = args.machine.workers()?;
-    let scene = match open(&args.scene, &args.limit.limits(), Some(&workers), console)? {
+    let axes = args.reading.axes()?;
+    let scene = match open_along(&args.scene, &args.limit.limits(), axes, Some(&workers), console)? {
         Opened::Moving(scene) => scene,
-        Opened::Still(file) => return still::export(file, format, args, &workers, console),
+        Opened::Still(file) => return still::export(file, format, args, &options, &workers, console),
     };
     let Format::Still(of_time) = format else {
         return container(&scene, args, &workers, console);
@@ -105,7 +122,7 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
 
     let mut progress = Progress::new("files", Some(paths.len()), console);
     let mut current: Option<(usize, Interval)> = None;
-    let (mut files, mut bytes, mut dropped) = (0, 0, 0);
+    let (mut files, mut bytes, mut dropped, mut noted) = (0, 0, 0, 0);
     for (&(time, place), path) in due.iter().zip(&paths) {
         if console.stop.asked() {
             break;
@@ -115,13 +132,24 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
             None => scene.interval(place)?,
         };
         let snapshot = Snapshot::square(&interval, time, &workers)?;
-        bytes += write_file(path, &(of_time.snapshot)(&snapshot))?.bytes;
+        let written = (of_time.snapshot)(&snapshot, &options);
+        bytes += write_file(path, &written.bytes)?.bytes;
+        if !written.notes.is_empty() {
+            // Those of the first file stand for all.
+            if noted == 0 {
+                say_of(path, &written.notes, console);
+            }
+            noted += 1;
+        }
         files += 1;
         dropped += snapshot.dropped;
         current = Some((place, interval));
         progress.step();
     }
     progress.finish();
+    if noted > 1 {
+        console.note(&[format!("{}: the like of {} more files", args.out.display(), noted - 1)]);
+    }
     if !console.quiet {
         let stopped = if files < due.len() { ", stopped by the user" } else { "" };
         let left_out = match dropped {

@@ -16,7 +16,7 @@ use crate::console::failure::Failure;
 use crate::console::{Console, say};
 use crate::options::args::InspectArgs;
 use crate::output::digest;
-use crate::session::opening::open;
+use crate::session::opening::open_along;
 
 /// Tells what it is.
 pub fn command(args: &InspectArgs, console: &Console) -> Result<(), Failure> {
@@ -26,7 +26,7 @@ pub fn command(args: &InspectArgs, console: &Console) -> Result<(), Failure> {
         return Err(Failure::work(format!("{}: {wrong}", path.display())));
     }
     let found = if path.is_dir() || path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path) {
-        match open(path, &args.limit.limits(), None, console)? {
+        match open_along(path, &args.limit.limits(), args.reading.axes()?, None, console)? {
             Opened::Moving(scene) => moving(&scene)?,
             Opened::Still(file) => still::inspect(&file),
         }

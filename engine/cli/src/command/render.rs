@@ -14,6 +14,7 @@ use crate::command::still;
 use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 use crate::console::{Console, say, stop};
+use crate::options::antialias::Antialias;
 use crate::options::args::{Machine, RenderArgs, RenderOptions};
 use crate::options::motion::Course;
 use crate::options::settings::Views;
@@ -23,7 +24,7 @@ use crate::output::place::Place;
 use crate::output::record::{InputRecord, Invocation, OutputRecord, PROGRAM, Record, Timing, absolute, check_name};
 use crate::output::{digest, report};
 use crate::session::drawing::Drawing;
-use crate::session::opening::open;
+use crate::session::opening::open_along;
 
 /// Renders, then writes the record and the report.
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
@@ -79,7 +80,10 @@ fn several(args: &RenderArgs, console: &Console) -> Result<bool, Failure> {
     let mut views = options.views()?;
     times::check_rate(options.fps)?;
     let workers = args.machine.workers()?;
-    Ok(match open(&args.scene, &options.limit.limits(), Some(&workers), console)? {
+    // It is opened again, and what there is to say is said then.
+    let quiet = Console { quiet: true, ..console.clone() };
+    let axes = options.reading.axes()?;
+    Ok(match open_along(&args.scene, &options.limit.limits(), axes, Some(&workers), &quiet)? {
         Opened::Moving(scene) => {
             let fps = options.fps.unwrap_or(scene.index().fps);
             options.due(&scene, &mut views, fps)?.len() != 1
@@ -126,7 +130,8 @@ impl RenderOptions {
             let [width, height] = PANORAMA;
             views.options.size = Size::Exact { width, height };
         }
-        views.options.antialias = self.antialias;
+        // A still scene may say it for itself.
+        views.options.antialias = self.antialias == Antialias::On;
         self.optics.apply(&mut views)?;
         Ok(views)
     }
@@ -176,7 +181,7 @@ pub fn render(
     times::check_rate(options.fps)?;
     place.destination().check_crf(options.crf)?;
     let workers = machine.workers()?;
-    let scene = match open(path, &options.limit.limits(), Some(&workers), console)? {
+    let scene = match open_along(path, &options.limit.limits(), options.reading.axes()?, Some(&workers), console)? {
         Opened::Moving(scene) => scene,
         Opened::Still(file) => {
             return still::render(file, place, options, &views, emit, &workers, console, start);

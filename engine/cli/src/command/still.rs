@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 use streamsplat::camera::{Camera, CameraPath, Lens, Pose};
+use streamsplat::export::Options;
 use streamsplat::import::StillFile;
 use streamsplat::output::{Pace, prepare_folder, write_file};
 use streamsplat::still::{Drawable, Spread};
@@ -23,6 +24,7 @@ use crate::output::outputs::{Emit, Finished, Outputs};
 use crate::output::place::Place;
 use crate::output::record::{InputRecord, Record, absolute};
 use crate::session::drawing::Drawing;
+use crate::session::opening::say_of;
 
 /// Frames per second of a video of a scene that has no time.
 const FPS: f64 = 24.0;
@@ -67,6 +69,7 @@ impl Plan {
         let fps = options.fps.or(views.own_rate).unwrap_or(FPS);
         let of_scene = views.times.is_some();
         let mut views = views.clone();
+        views.options.antialias = options.antialias.of_still(&file.still);
         let framing = file.still.framing();
         let optics = &options.optics;
         if let Some(framing) = framing {
@@ -198,6 +201,7 @@ pub fn render(
     options.check_single(plan.count())?;
     let (path, blake3) = (absolute(&file.path), file.blake3.clone());
     let read = start.elapsed();
+    let count = file.still.len();
     let scene = plan.prepare(file, workers)?;
     let mut drawing = Drawing::new(workers, views.backend)?;
     let mut outputs = Outputs::create(place, emit)?;
@@ -206,7 +210,7 @@ pub fn render(
     outputs.quality(options.crf);
     outputs.start(plan.fps, Pace::even(plan.fps))?;
     let mut progress = Progress::new("images", Some(plan.count()), console);
-    let (mut complete, mut size) = (true, None);
+    let (mut complete, mut size, mut dropped) = (true, None, 0);
     drawing.pass(
         plan.images().enumerate(),
         |drawing, (index, (time, views))| {
@@ -216,6 +220,7 @@ pub fn render(
             }
             let image = plan.image(drawing, &scene, time, &views, workers)?;
             size.get_or_insert([image.width, image.height]);
+            dropped = dropped.max(image.dropped);
             Ok(Some((index, image)))
         },
         |(index, image)| {
@@ -224,6 +229,15 @@ pub fn render(
             Ok(())
         },
     )?;
+    let shown = drawing.has_drawn();
+    let mut lines = Vec::new();
+    if dropped > 0 {
+        lines.push(format!("{dropped} of {count} Gaussians not drawn: numbers that are not finite, or no rotation"));
+    }
+    if complete && !shown {
+        lines.push(format!("nothing drawn: the camera sees none of {count} Gaussians"));
+    }
+    say_of(&path, &lines, console);
     progress.phase("images; finishing the files");
     let Finished { outputs, notes } = drawing.writing(|| outputs.finish())?;
     progress.finish();
@@ -238,6 +252,7 @@ pub fn export(
     file: StillFile,
     format: Format,
     args: &ExportArgs,
+    options: &Options,
     workers: &Workers,
     console: &Console,
 ) -> Result<(), Failure> {
@@ -264,7 +279,9 @@ pub fn export(
     let (mut bytes, StillFile { mut still, in_time, .. }) = (0, file);
     for (time, path) in times.iter().zip(&paths) {
         let still = in_time.as_ref().map_or_else(|| std::mem::take(&mut still), |scene| scene.at(*time));
-        bytes += write_file(path, &(of_scene.still)(&Drawable::new(still, workers)?))?.bytes;
+        let written = (of_scene.still)(&Drawable::new(still, workers)?, options);
+        bytes += write_file(path, &written.bytes)?.bytes;
+        say_of(path, &written.notes, console);
     }
     if !console.quiet {
         let files = if paths.len() == 1 { "1 file".to_owned() } else { format!("{} files", paths.len()) };
@@ -289,6 +306,12 @@ pub fn inspect(file: &StillFile) -> Value {
         "blake3": file.blake3,
         "gaussians": still.len(),
         "harmonics_degree": still.degree,
+        "axes": still.about.axes.to_string(),
+        "axes_assumed": still.about.axes_assumed,
+        "trained_with_antialiasing": still.about.antialiased,
+        "offset": still.about.offset,
+        "orbit": still.about.orbit.map(|orbit| json!({ "elevation_radians": orbit.elevation, "radius": orbit.radius })),
+        "notes": still.about.notes,
         "least": bounds.map(|[least, _]| least),
         "greatest": bounds.map(|[_, greatest]| greatest),
         "most_of_it": framing.map(|f| json!({ "least": f.least.map(short), "greatest": f.greatest.map(short) })),

@@ -13,7 +13,7 @@ use streamsplat::view::{Link, PageError, Recorded, Server, StillSource, Whole, p
 use crate::console::failure::Failure;
 use crate::console::{Console, say};
 use crate::options::args::ViewArgs;
-use crate::session::opening::open;
+use crate::session::opening::open_along;
 use crate::session::serving::title;
 
 /// The port that is tried where none is given.
@@ -25,7 +25,7 @@ const LOOK: Duration = Duration::from_millis(50);
 pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     let workers = args.machine.workers()?;
     let name = title(&args.scene);
-    match open(&args.scene, &args.limit.limits(), Some(&workers), console)? {
+    match open_along(&args.scene, &args.limit.limits(), args.reading.axes()?, Some(&workers), console)? {
         Opened::Moving(scene) => show(Recorded::new(name, scene, workers), args, console),
         Opened::Still(file) => show(StillSource::new(name, file, workers)?, args, console),
     }

@@ -5,8 +5,11 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand};
 use serde::{Deserialize, Serialize};
 use streamsplat::import::Limits;
+use streamsplat::still::Axes;
 
 use crate::console::Console;
+use crate::console::failure::Failure;
+use crate::options::antialias::Antialias;
 use crate::options::optics::Optics;
 
 /// Ordinary video in, a dynamic 3D Gaussian scene out, on CPUs, the same to the last bit everywhere.
@@ -298,11 +301,14 @@ pub struct RenderOptions {
     /// Outputs: rgb, webp (colours without loss), depth, alpha, exr (colour, depth and alpha as layers of one file) [default: rgb]
     #[arg(long, value_name = "LIST")]
     pub emit: Option<String>,
-    /// Let what is smaller than a pixel get fainter in place of larger: for scenes that were trained with anti-aliasing (Mip-Splatting's 2D
-    /// filter, "antialiased" in gsplat)
-    #[arg(long)]
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub antialias: bool,
+    /// Let what is smaller than a pixel get fainter in place of larger, as scenes that were trained with anti-aliasing ask for (Mip-Splatting's
+    /// 2D filter, "antialiased" in gsplat): on, off, or auto, where the file has a mark of such training [default: auto; on without a MODE]
+    #[arg(long, value_name = "MODE", num_args = 0..=1, default_value = "auto", default_missing_value = "on", hide_default_value = true)]
+    #[serde(default, skip_serializing_if = "Antialias::is_auto")]
+    pub antialias: Antialias,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub reading: Reading,
     #[command(flatten)]
     #[serde(flatten)]
     pub optics: Optics,
@@ -340,6 +346,24 @@ pub struct Motion {
     #[arg(long, value_name = "PART", requires = "stereo", allow_negative_numbers = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub eye_distance: Option<f64>,
+}
+
+/// How the numbers of a still scene are taken.
+#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Reading {
+    /// Axes along which a still scene's numbers are, whatever its file says: three letters for x, y and z, of Right or Left, Down or Up, Front
+    /// or Back, as in rdf (PLY) and rub (SPZ by its description) [default: the file's, or its format's]
+    #[arg(long, value_name = "AXES")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub axes: Option<String>,
+}
+
+impl Reading {
+    /// The axes, where some are given.
+    pub fn axes(&self) -> Result<Option<Axes>, Failure> {
+        let parsed = self.axes.as_deref().map(|text| text.parse().map_err(|e| Failure::usage(format!("--axes: {e}"))));
+        parsed.transpose()
+    }
 }
 
 /// Limits on the content of input files.
@@ -443,6 +467,8 @@ pub struct InspectArgs {
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
     #[command(flatten)]
+    pub reading: Reading,
+    #[command(flatten)]
     pub limit: Limit,
 }
 
@@ -463,6 +489,11 @@ pub struct ExportArgs {
     /// Files per second of the scene, where no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
+    /// Version of SPZ files: 3, which viewers open, or 4 [default: 3]
+    #[arg(long, value_name = "N")]
+    pub spz_version: Option<u32>,
+    #[command(flatten)]
+    pub reading: Reading,
     #[command(flatten)]
     pub limit: Limit,
     #[command(flatten)]
@@ -517,6 +548,8 @@ pub struct ViewArgs {
     /// Address of the page of --html on the web, for the tags that programs read which show links; its poster is FILE.png beside it
     #[arg(long, value_name = "URL", requires = "html")]
     pub url: Option<String>,
+    #[command(flatten)]
+    pub reading: Reading,
     #[command(flatten)]
     pub limit: Limit,
     #[command(flatten)]

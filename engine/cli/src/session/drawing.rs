@@ -173,6 +173,11 @@ impl Drawing {
         Ok(image)
     }
 
+    /// Returns true if a Gaussian has touched an image.
+    pub fn has_drawn(&self) -> bool {
+        self.counts.raster[2] != [0; 2]
+    }
+
     /// The images of two eyes as one.
     fn beside(&mut self, left: Image, right: Image) -> Image {
         let image = beside(left, right);

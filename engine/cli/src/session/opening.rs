@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use streamsplat::import::{self, Limits, Opened};
+use streamsplat::still::Axes;
 use streamsplat::stream::Workers;
 
 use crate::console::Console;
@@ -14,8 +15,15 @@ const LONG: u64 = 1 << 26;
 /// Bytes of what is counted.
 const MEGABYTE: u64 = 1_000_000;
 
-/// A scene of any kind, read by `workers`; without them, by a thread per processor.
-pub fn open(path: &Path, limits: &Limits, workers: Option<&Workers>, console: &Console) -> Result<Opened, Failure> {
+/// A scene of any kind, read by `workers`; without them, by a thread per processor. A still scene's numbers are taken along `axes` where those are
+/// given. What was left out or assumed is said.
+pub fn open_along(
+    path: &Path,
+    limits: &Limits,
+    axes: Option<Axes>,
+    workers: Option<&Workers>,
+    console: &Console,
+) -> Result<Opened, Failure> {
     let mut progress = None;
     let mut show = |done: u64, total: u64| {
         if total >= LONG {
@@ -25,12 +33,29 @@ pub fn open(path: &Path, limits: &Limits, workers: Option<&Workers>, console: &C
         }
     };
     let opened = match workers {
-        Some(workers) => workers.install(|| import::open_with(path, limits, &mut show)),
-        None => import::open_with(path, limits, &mut show),
+        Some(workers) => workers.install(|| import::open_as(path, limits, axes, &mut show)),
+        None => import::open_as(path, limits, axes, &mut show),
     }?;
-    if let Opened::Still(file) = &opened {
-        let lines: Vec<String> = file.notes.iter().map(|line| format!("{}: {line}", path.display())).collect();
-        console.note(&lines);
+    match &opened {
+        Opened::Still(file) => {
+            let about = &file.still.about;
+            say_of(path, &file.notes, console);
+            say_of(path, &about.lines(), console);
+            if about.offset != [0.0; 3] {
+                let [x, y, z] = about.offset;
+                say_of(path, &[format!("coordinates are kept relative to ({x}, {y}, {z})")], console);
+            }
+        }
+        Opened::Moving(_) if axes.is_some() => {
+            return Err(Failure::usage(format!("--axes: expected none, as {} is a scene in time", path.display())));
+        }
+        Opened::Moving(_) => {}
     }
     Ok(opened)
+}
+
+/// Says lines about a file.
+pub fn say_of(path: &Path, lines: &[String], console: &Console) {
+    let lines: Vec<String> = lines.iter().map(|line| format!("{}: {line}", path.display())).collect();
+    console.note(&lines);
 }

@@ -114,7 +114,11 @@ fn nodes_that_share_a_mesh_are_counted_each() {
     let scratch = Scratch::new();
     let format = FORMATS.iter().find(|format| format.option == "glb").expect("glTF");
     let workers = Workers::new(Level::scalar(), 1).expect("one thread");
-    let good = (format.still)(&Drawable::new(still(), &workers).expect("even arrays"));
+    let good = (format.still)(
+        &Drawable::new(still(), &workers).expect("even arrays"),
+        &streamsplat::export::Options::default(),
+    )
+    .bytes;
     let length = good[12..].first_chunk().map(|b| u32::from_le_bytes(*b) as usize).expect("a length");
     let mut document: Value = serde_json::from_slice(&good[20..20 + length]).expect("JSON");
     let binary = &good[20 + length + 8..];

@@ -22,6 +22,7 @@ mod optics;
 mod places;
 mod results;
 mod resume;
+mod splats;
 mod still;
 mod support;
 mod trace;

@@ -28,6 +28,7 @@ pub fn still() -> Still {
         base: (0..count).map(|i| std::array::from_fn(|k| value(i, 11 + k))).collect(),
         degree: 3,
         higher: (0..count * 45).map(|i| 0.3 * value(i, 14)).collect(),
+        ..Still::default()
     }
 }
 

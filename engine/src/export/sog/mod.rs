@@ -12,11 +12,12 @@ use streamsplat_kernels::math::f64::{exp, ln};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use super::Order;
+use super::notes::Notes;
+use super::{Order, Written};
 use crate::camera::Rotation;
-use crate::import::sog::{LARGEST, ROWS};
+use crate::import::sog::{LARGEST, MODEL, ROWS};
 use crate::render::Snapshot;
-use crate::still::Still;
+use crate::still::{LEAST, Still};
 use codebook::Codebook;
 use palette::Palette;
 
@@ -25,17 +26,28 @@ pub fn sog(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
 
+/// A still scene as a SOG file: the bytes of [`written`].
+///
+/// # Panics
+/// As there.
+pub fn of_still(still: &Still) -> Vec<u8> {
+    written(still).bytes
+}
+
 /// A still scene as a SOG file.
 ///
 /// Along a Z-order curve, so that neighbouring pixels are alike. Centres have 16 bits per axis on a logarithmic scale, scales and first coefficients one of 256 values, rotations 8 bits per
 /// component, opacities 8 bits; the further coefficients of a Gaussian are one of 1,024 to 65,536 rows, found by splitting
-/// the Gaussians in two at the mean of the coefficient that varies most, where that lowers the error most. Gaussians with a number that is not
-/// finite, or without a rotation, are left out. The bytes are a function of the scene alone.
+/// the Gaussians in two at the mean of the coefficient that varies most, where that lowers the error most. Gaussians that cannot be drawn
+/// ([`Still::defect`]) are left out. `"model": "antialiased"` where the scene was trained so. The bytes are a function of the scene alone.
 ///
 /// # Panics
 /// When the arrays differ in length ([`Still::uneven`]).
-pub fn of_still(still: &Still) -> Vec<u8> {
-    let order = Order::along_curve(still).places;
+pub fn written(still: &Still) -> Written {
+    let kept = Order::along_curve(still);
+    let mut notes = Notes::of(still, &kept);
+    notes.offset(still.about.offset, "which only streamsplat reads from a SOG file");
+    let order = kept.places;
     let mut files: Vec<(&str, Vec<u8>)> = Vec::new();
     let side = |count: usize| {
         let width = ((count as f64).sqrt() / 4.0).ceil().max(1.0) as usize * 4;
@@ -68,9 +80,11 @@ pub fn of_still(still: &Still) -> Vec<u8> {
         add("means_l.webp", &mut order.iter().map(|&i| byte(0)(fixed(i)))),
         add("means_u.webp", &mut order.iter().map(|&i| byte(1)(fixed(i)))),
     ];
-    let scales = Codebook::of(order.iter().flat_map(|&i| still.log_scale[i]));
+    // A thickness of 0 is the least that others keep.
+    let log_scale = |i: usize| still.log_scale[i].map(|s| if s == f32::NEG_INFINITY { ln(LEAST) as f32 } else { s });
+    let scales = Codebook::of(order.iter().flat_map(|&i| log_scale(i)));
     let [x, y, z] = [0, 1, 2];
-    let scale = |i: usize| still.log_scale[i].map(|s| scales.nearest(s));
+    let scale = |i: usize| log_scale(i).map(|s| scales.nearest(s));
     add("scales.webp", &mut order.iter().map(|&i| [scale(i)[x], scale(i)[y], scale(i)[z], 255]));
     add("quats.webp", &mut order.iter().map(|&i| rotation(still.rotation[i])));
     let sh0 = Codebook::of(order.iter().flat_map(|&i| still.base[i]));
@@ -91,11 +105,17 @@ pub fn of_still(still: &Still) -> Vec<u8> {
         "quats": { "files": ["quats.webp"] },
         "sh0": { "codebook": sh0.json(), "files": ["sh0.webp"] },
     });
+    if still.about.antialiased {
+        meta["model"] = MODEL.into();
+    }
+    if still.about.offset != [0.0; 3] {
+        meta["offset"] = json!(still.about.offset);
+    }
     if still.degree > 0 && !order.is_empty() {
         meta["shN"] = harmonics(still, &order, size, &mut files);
     }
     files.push(("meta.json", meta.to_string().into_bytes()));
-    zip(&files)
+    Written { bytes: zip(&files), notes: notes.0 }
 }
 
 /// Writes the images of the further coefficients; what `meta.json` says of them.

@@ -72,12 +72,18 @@ impl<'a> Buffers<'a> {
     /// Bytes of a document that has `own`, and of the files that its buffers name.
     pub(super) fn size(&self, own: u64) -> u64 {
         let names = self.document.buffers.iter().filter_map(|buffer| buffer.uri.as_deref());
-        self.beside.size(own, names.filter(|name| !name.starts_with("data:")))
+        let names: Vec<Cow<'_, str>> = names.filter(|name| !name.starts_with("data:")).map(decoded).collect();
+        self.beside.size(own, names.iter().map(Cow::as_ref))
     }
 
     /// Elements of an accessor.
     pub(super) fn count(&self, accessor: usize) -> Result<usize, FormatError> {
         self.accessor(accessor).map(|accessor| accessor.count)
+    }
+
+    /// The shape of an accessor's elements.
+    fn shape(&self, accessor: usize) -> Result<&'a str, FormatError> {
+        self.accessor(accessor).map(|accessor| accessor.shape.as_str())
     }
 
     fn accessor(&self, index: usize) -> Result<&'a super::json::Accessor, FormatError> {
@@ -120,6 +126,14 @@ impl<'a> Buffers<'a> {
         Ok((0..count).map(|i| std::array::from_fn(|k| value(i, k))).collect())
     }
 
+    /// Colours of three components or four; an alpha that is missing is 1.
+    pub(super) fn colours(&mut self, index: usize, count: usize) -> Result<Vec<[f64; 4]>, FormatError> {
+        if self.shape(index)? == "VEC4" {
+            return self.read::<4>(index, count);
+        }
+        Ok(self.read::<3>(index, count)?.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect())
+    }
+
     /// The bytes of a buffer view.
     pub(super) fn view(&mut self, index: usize) -> Result<Cow<'_, [u8]>, FormatError> {
         let all = &self.document.buffer_views;
@@ -155,7 +169,7 @@ impl<'a> Buffers<'a> {
                         let bytes = STANDARD.decode(text).map_err(|e| wrong("base64".into(), e.to_string()))?;
                         Cow::Owned(bytes)
                     }
-                    None => Cow::Owned(self.beside.read(uri, buffer.byte_length as u64)?),
+                    None => Cow::Owned(self.beside.read(&decoded(uri), buffer.byte_length as u64)?),
                 },
             };
             if bytes.len() < buffer.byte_length {
@@ -165,6 +179,17 @@ impl<'a> Buffers<'a> {
         }
         Ok(self.read[index].as_deref().unwrap_or_default())
     }
+}
+
+/// A relative reference with its percent-encoded bytes as they are; as it is where they are no text.
+fn decoded(uri: &str) -> Cow<'_, str> {
+    let (bytes, mut out, mut at) = (uri.as_bytes(), Vec::with_capacity(uri.len()), 0);
+    while let Some(&byte) = bytes.get(at) {
+        let code = uri.get(at + 1..at + 3).filter(|_| byte == b'%').and_then(|code| u8::from_str_radix(code, 16).ok());
+        out.push(code.unwrap_or(byte));
+        at += if code.is_some() { 3 } else { 1 };
+    }
+    String::from_utf8(out).map_or(Cow::Borrowed(uri), Cow::Owned)
 }
 
 fn missing(part: &str, what: &str, count: usize) -> FormatError {

@@ -10,15 +10,21 @@
 //! | `KHR_gaussian_splatting:OPACITY` | SCALAR | from 0 to 1 |
 //! | `KHR_gaussian_splatting:SH_DEGREE_l_COEF_n` | VEC3 | coefficients of the harmonics, degrees 0 to 3 |
 //!
-//! Numbers of 8 and 16 bits, normalised or not, and binary32. Where the primitive has `KHR_gaussian_splatting_compression_spz_2`, an SPZ file in a
-//! buffer view takes their place. glTF's axes are x left, y up, z forward: x and y change sign on the way into scene space, a half turn about z.
+//! Numbers of 8 and 16 bits, normalised or not, and binary32. Where degree 0 of the harmonics is missing, `COLOR_0` takes its place, linear as glTF
+//! has it. A primitive of `lin_rec709_display` has its colours brought to sRGB, Gaussian by Gaussian ([`colour`]). Kernels that are not known are
+//! drawn as ellipses, as the extension says. Where the primitive has `KHR_gaussian_splatting_compression_spz_2`, an SPZ file in a buffer view takes the
+//! attributes' place: along the axes that SPZ files have ([`spz`]), which the draft of that extension brings to glTF's with the tools of SPZ.
 //!
-//! Refused: other extensions that a file requires, kernels but `ellipse`, colours but `srgb_rec709_display`, sparse accessors, nodes that shear or
-//! stretch, negative scales (drafts of the extension stored logarithms).
+//! glTF's axes are x left, y up, z forward: x and y change sign on the way into scene space, a half turn about z. Translations of nodes that binary32
+//! would not keep to 1/4096 become the scene's offset. Buffers are in the file, in `data:`, or in files beside it and in folders below.
+//!
+//! Refused: other extensions that a file requires, but those of materials, textures, lights and metadata, which do not matter here; other colour spaces,
+//! sparse accessors, nodes that shear or stretch, negative scales (drafts of the extension stored logarithms).
 //!
 //! Source: Khronos, glTF 2.0 and `KHR_gaussian_splatting`.
 
 mod accessor;
+pub(crate) mod colour;
 mod json;
 #[cfg(test)]
 mod tests;
@@ -32,7 +38,7 @@ use streamsplat_kernels::math::f64::ln;
 use super::formats::Reader;
 use super::{Beside, FormatError, Limits, spz};
 use crate::camera::Rotation;
-use crate::still::{LEAST, Similarity, Still};
+use crate::still::{About, Axes, LEAST, Similarity, Still};
 use accessor::Buffers;
 use json::{Document, Node, Primitive};
 
@@ -42,6 +48,10 @@ pub(crate) const EXTENSION: &str = "KHR_gaussian_splatting";
 const SPZ: &str = "KHR_gaussian_splatting_compression_spz_2";
 /// Extensions a file may require.
 const KNOWN: [&str; 3] = [EXTENSION, SPZ, "KHR_mesh_quantization"];
+/// Beginnings of names of extensions that do not change a scene of Gaussians.
+const WITHOUT_EFFECT: [&str; 5] = ["KHR_materials_", "EXT_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp"];
+/// Translations from here on are not kept to 1/4096 by binary32.
+const NEAR: f64 = 4096.0;
 /// Deepest nesting of nodes.
 const DEEPEST: usize = 64;
 
@@ -74,7 +84,10 @@ fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, Forma
     if document.asset.version != "2.0" {
         return Err(FormatError::new("asset: version", "2.0", format!("{:?}", document.asset.version)));
     }
-    if let Some(other) = document.extensions_required.iter().find(|name| !KNOWN.contains(&name.as_str())) {
+    let known = |name: &String| {
+        KNOWN.contains(&name.as_str()) || WITHOUT_EFFECT.iter().any(|beginning| name.starts_with(beginning))
+    };
+    if let Some(other) = document.extensions_required.iter().find(|name| !known(name)) {
         return Err(FormatError::new("extensionsRequired", KNOWN.join(", "), format!("{other:?}")));
     }
     let buffers = Buffers::new(&document, binary, beside);
@@ -83,9 +96,11 @@ fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, Forma
         size: buffers.size(bytes.len() as u64),
         buffers,
         limits,
+        axes: beside.axes,
         seen: vec![false; document.nodes.len()],
         instances: Vec::new(),
-        still: Still::default(),
+        offset: None,
+        still: Still { about: About { axes: Axes::LUF, ..About::default() }, ..Still::default() },
     };
     match document.scenes.get(document.scene.unwrap_or(0)) {
         Some(root) => {
@@ -99,7 +114,9 @@ fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, Forma
     for (mesh, transform) in std::mem::take(&mut scene.instances) {
         scene.mesh(mesh, transform)?;
     }
-    Ok(scene.still)
+    let mut still = scene.still;
+    still.about.offset = scene.offset.unwrap_or_default();
+    Ok(still)
 }
 
 /// The text and the binary chunk of a `.glb` file.
@@ -147,6 +164,10 @@ struct Reading<'a> {
     seen: Vec<bool>,
     /// Meshes that nodes show, and their transforms.
     instances: Vec<(usize, DMat4)>,
+    /// The user's word for the axes of numbers.
+    axes: Option<Axes>,
+    /// Offset of the scene, in scene space: that of the first primitive.
+    offset: Option<[f64; 3]>,
     still: Still,
 }
 
@@ -193,7 +214,15 @@ impl Reading<'_> {
             let part = format!("mesh {index}, primitive {i}");
             if primitive.extensions.contains_key(EXTENSION) {
                 let mut still = self.primitive(primitive, &part)?;
-                still.transform(&similarity(transform, &part)?);
+                let mut by = similarity(transform, &part)?;
+                // Of an SPZ file inside.
+                let own = std::mem::take(&mut still.about.offset);
+                let turned = by.rotation.matrix().map(|[a, b, c]| by.scale * (a * own[0] + b * own[1] + c * own[2]));
+                let far: [f64; 3] = std::array::from_fn(|k| by.offset[k] + turned[k]);
+                let is_far = far.iter().any(|x| x.abs() >= NEAR);
+                let offset = *self.offset.get_or_insert(if is_far { far.map(f64::round) } else { [0.0; 3] });
+                by.offset = std::array::from_fn(|k| far[k] - offset[k]);
+                still.transform(&by);
                 self.append(still)?;
             }
         }
@@ -209,21 +238,50 @@ impl Reading<'_> {
             return wrong("mode", "0 (points)", primitive.mode.map_or("none".into(), |mode| mode.to_string()));
         }
         let extension = &primitive.extensions[EXTENSION];
-        for (name, expected) in [("kernel", "ellipse"), ("colorSpace", "srgb_rec709_display")] {
-            match extension.get(name) {
-                None => {}
-                Some(found) if found == expected => {}
-                Some(found) => return wrong(name, expected, found.to_string()),
-            }
+        let mut notes = Vec::new();
+        if let Some(kernel) = extension.get("kernel").filter(|kernel| *kernel != "ellipse") {
+            notes.push(format!("{part}: kernel {kernel} is not known: drawn as ellipse"));
         }
+        let linear = match extension.get("colorSpace").and_then(serde_json::Value::as_str) {
+            None if extension.get("colorSpace").is_none() => false,
+            Some("srgb_rec709_display") => false,
+            Some("lin_rec709_display") => true,
+            _ => {
+                return wrong(
+                    "colorSpace",
+                    "srgb_rec709_display or lin_rec709_display",
+                    extension["colorSpace"].to_string(),
+                );
+            }
+        };
+        let mut still = self.gaussians(primitive, part)?;
+        if linear {
+            colour::to_srgb(&mut still);
+            notes.push(format!("{part}: linear colours brought to sRGB Gaussian by Gaussian, and blended so"));
+        }
+        still.about.notes.splice(0..0, notes);
+        Ok(still)
+    }
+
+    /// The same, in the primitive's colour space.
+    fn gaussians(&mut self, primitive: &Primitive, part: &str) -> Result<Still, FormatError> {
+        let wrong = |name: &str, expected: &str, found: String| {
+            Err(FormatError::new(format!("{part}: {name}"), expected, found))
+        };
+        let extension = &primitive.extensions[EXTENSION];
         if let Some(packed) = packed(primitive) {
             let Some(view) = packed.get("bufferView").and_then(serde_json::Value::as_u64) else {
                 return wrong(SPZ, "a bufferView", packed.to_string());
             };
             let bytes = self.buffers.view(usize::try_from(view).unwrap_or(usize::MAX))?;
             let mut still = spz::within(&bytes, self.limits)?;
-            // SPZ's own axes, which are glTF's here, are a half turn about x away from scene space.
-            still.transform(&half_turn(1));
+            if let Some(axes) = self.axes {
+                still.taken_along(axes);
+            }
+            let (axes, axes_assumed) = (still.about.axes, still.about.axes_assumed);
+            // What follows turns from glTF's axes into scene space.
+            still.bring_to(Axes::LUF);
+            (still.about.axes, still.about.axes_assumed) = (axes, axes_assumed);
             return Ok(still);
         }
         let needed = |name: &str| {
@@ -239,10 +297,18 @@ impl Reading<'_> {
         let position = needed("POSITION")?;
         let count = self.buffers.count(position)?;
         let mut still = Still { degree, ..Still::default() };
+        still.about.axes = Axes::LUF;
         let mean = self.buffers.read::<3>(position, count)?;
         let rotation = self.buffers.read::<4>(needed(&own("ROTATION"))?, count)?;
         let scale = self.buffers.read::<3>(needed(&own("SCALE"))?, count)?;
-        let opacity = self.buffers.read::<1>(needed(&own("OPACITY"))?, count)?;
+        let attribute = |name: &str| primitive.attributes.get(name).copied();
+        let base = attribute(&coefficient(0, 0));
+        let fallback = if base.is_none() { attribute("COLOR_0") } else { None };
+        let fallback = fallback.map(|accessor| self.buffers.colours(accessor, count)).transpose()?;
+        let opacity = match (attribute(&own("OPACITY")), &fallback) {
+            (None, Some(colours)) => colours.iter().map(|[.., alpha]| [*alpha]).collect(),
+            _ => self.buffers.read::<1>(needed(&own("OPACITY"))?, count)?,
+        };
         if let Some(found) = scale.iter().flatten().find(|s| **s < 0.0) {
             return wrong("SCALE", "standard deviations of 0 or more (drafts stored logarithms)", found.to_string());
         }
@@ -255,8 +321,20 @@ impl Reading<'_> {
             if opacity.is_nan() { f32::NAN } else { (ln(opacity) - ln(1.0 - opacity)) as f32 }
         };
         still.logit = opacity.into_iter().map(logit).collect();
-        let base = self.buffers.read::<3>(needed(&coefficient(0, 0))?, count)?;
-        still.base = base.into_iter().map(|c| c.map(|c| c as f32)).collect();
+        still.base = match fallback {
+            Some(colours) => {
+                still
+                    .about
+                    .notes
+                    .push(format!("{part}: colours from COLOR_0, as there are no coefficients of degree 0"));
+                let is_linear = extension.get("colorSpace").is_some_and(|space| space == "lin_rec709_display");
+                colours.iter().map(|[r, g, b, _]| [*r, *g, *b].map(|c| colour::coefficient(c, !is_linear))).collect()
+            }
+            None => {
+                let base = self.buffers.read::<3>(needed(&coefficient(0, 0))?, count)?;
+                base.into_iter().map(|c| c.map(|c| c as f32)).collect()
+            }
+        };
         still.higher = vec![0.0; count * 3 * rest(degree)];
         let mut before = 0;
         for degree in 1..=degree {
@@ -274,8 +352,17 @@ impl Reading<'_> {
     /// Adds Gaussians to those that were read before. Degrees are made equal with coefficients of 0.
     fn append(&mut self, mut more: Still) -> Result<(), FormatError> {
         let still = &mut self.still;
+        let about = &mut more.about;
+        about.notes.splice(0..0, std::mem::take(&mut still.about.notes));
+        if !still.is_empty() && still.about.antialiased != about.antialiased {
+            about.antialiased = false;
+            about
+                .notes
+                .push("some primitives were trained with anti-aliasing and some without: taken as without".to_owned());
+        }
+        still.about = std::mem::take(about);
         if still.is_empty() {
-            *still = more;
+            *still = Still { about: std::mem::take(&mut still.about), ..more };
             return Ok(());
         }
         let degree = still.degree.max(more.degree);

@@ -5,7 +5,11 @@ use std::ops::Range;
 use crate::import::FormatError;
 
 /// Longest header read, in bytes.
-pub(in crate::import) const MAX_HEADER: usize = 1 << 16;
+pub(in crate::import) const MAX_HEADER: usize = 1 << 22;
+/// Most properties of an element.
+const MAX_PROPERTIES: usize = 1 << 12;
+/// Most bytes after the last element that are passed over: line ends and zeros.
+const MAX_AFTER: u64 = 16;
 
 /// How numbers are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -139,6 +143,8 @@ impl Element {
 pub(super) struct Header {
     pub(super) encoding: Encoding,
     pub(super) elements: Vec<Element>,
+    /// What follows `comment` and `obj_info`.
+    pub(super) comments: Vec<String>,
 }
 
 impl Header {
@@ -146,19 +152,28 @@ impl Header {
     pub(super) fn read(bytes: &[u8]) -> Result<(Header, &[u8]), FormatError> {
         let mut lines = Lines { rest: &bytes[..bytes.len().min(MAX_HEADER)], read: 0 };
         let first = lines.next()?;
-        if first != "ply" {
-            return Err(FormatError::new("first line", "ply", quoted(first)));
+        if first != b"ply" {
+            return Err(FormatError::new("first line", "ply", quoted(&String::from_utf8_lossy(first))));
         }
-        let mut encoding = None;
+        let (mut encoding, mut comments) = (None, Vec::new());
         let mut elements: Vec<Element> = Vec::new();
         loop {
             let line = lines.next()?;
+            // Comments are in any encoding.
+            let comment = [&b"comment"[..], b"obj_info"].iter().find_map(|key| line.strip_prefix(*key));
+            if let Some(text) = comment.filter(|text| text.first().is_none_or(u8::is_ascii_whitespace)) {
+                comments.push(String::from_utf8_lossy(text).trim().to_owned());
+                continue;
+            }
+            let line = std::str::from_utf8(line)
+                .map_err(|_| FormatError::new("header", "text", quoted(&String::from_utf8_lossy(line))))?;
             let words: Vec<&str> = line.split_ascii_whitespace().collect();
             match (&words[..], elements.last_mut()) {
                 (["end_header"], _) => break,
-                (["comment" | "obj_info", ..], _) => {}
                 (["format", name, version], _) if encoding.is_none() => encoding = Some(format(name, version)?),
                 (["element", name, count], _) => elements.push(element(name, count, &elements)?),
+                // Of no records there are no lists.
+                (["property", "list", ..], Some(element)) if element.count == 0 => {}
                 (["property", "list", .., name], _) => {
                     return Err(FormatError::new(format!("property {name}"), "a number", "a list"));
                 }
@@ -167,6 +182,10 @@ impl Header {
                     let Some(scalar) = Scalar::named(kind) else {
                         return wrong("a scalar type", quoted(kind));
                     };
+                    if element.properties.len() == MAX_PROPERTIES {
+                        let expected = format!("at most {MAX_PROPERTIES} properties of an element");
+                        return Err(element.wrong(expected, "more"));
+                    }
                     if element.property(name).is_some() {
                         return wrong("it once", "it twice".into());
                     }
@@ -180,7 +199,7 @@ impl Header {
             }
         }
         let encoding = encoding.ok_or_else(|| FormatError::new("format", "a line before end_header", "none"))?;
-        let header = Header { encoding, elements };
+        let header = Header { encoding, elements, comments };
         header.vertices()?;
         Ok((header, &bytes[lines.read..]))
     }
@@ -198,12 +217,13 @@ impl Header {
 
     /// The bytes of an element in a binary file whose length is as the header says.
     pub(super) fn bytes<'a>(&self, name: &str, body: &'a [u8]) -> Result<&'a [u8], FormatError> {
-        let place = self.place(name, body.len() as u64)?;
+        let (place, after) = self.place(name, body.len() as u64)?;
+        check_after(&body[body.len() - after..])?;
         Ok(&body[place.start as usize..place.end as usize])
     }
 
-    /// Where they are after the header, in a file that has `length` bytes there.
-    pub(super) fn place(&self, name: &str, length: u64) -> Result<Range<u64>, FormatError> {
+    /// Where they are after the header, in a file that has `length` bytes there; and how many follow the last element, for [`check_after`].
+    pub(super) fn place(&self, name: &str, length: u64) -> Result<(Range<u64>, usize), FormatError> {
         let (mut at, mut found) = (0_u64, 0..0);
         for element in &self.elements {
             let size = (element.count as u64).checked_mul(element.stride() as u64);
@@ -216,12 +236,21 @@ impl Header {
             }
             at = end;
         }
-        if at < length {
-            let more = format!("{} more bytes", length - at);
-            return Err(FormatError::new("file", "its end after the last element", more));
+        if length - at > MAX_AFTER {
+            return Err(more(length - at));
         }
-        Ok(found)
+        Ok((found, (length - at) as usize))
     }
+}
+
+fn more(count: u64) -> FormatError {
+    FormatError::new("file", "its end after the last element", format!("{count} more bytes"))
+}
+
+/// An error where bytes after the last element are not line ends or zeros, which editors and copying leave.
+pub(super) fn check_after(bytes: &[u8]) -> Result<(), FormatError> {
+    let blank = bytes.iter().all(|b| matches!(b, b'\n' | b'\r' | b' ' | 0));
+    if blank { Ok(()) } else { Err(more(bytes.len() as u64)) }
 }
 
 fn element(name: &str, count: &str, before: &[Element]) -> Result<Element, FormatError> {
@@ -258,15 +287,14 @@ struct Lines<'a> {
 }
 
 impl<'a> Lines<'a> {
-    fn next(&mut self) -> Result<&'a str, FormatError> {
+    fn next(&mut self) -> Result<&'a [u8], FormatError> {
         let end = self.rest.iter().position(|b| *b == b'\n').ok_or_else(|| {
             let expected = format!("end_header within the first {MAX_HEADER} bytes");
             FormatError::new("header", expected, "none")
         })?;
         let (line, rest) = (&self.rest[..end], &self.rest[end + 1..]);
         (self.rest, self.read) = (rest, self.read + end + 1);
-        let line = line.strip_suffix(b"\r").unwrap_or(line);
-        std::str::from_utf8(line).map_err(|_| FormatError::new("header", "text", "bytes that are none"))
+        Ok(line.strip_suffix(b"\r").unwrap_or(line))
     }
 }
 

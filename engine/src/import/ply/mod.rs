@@ -6,18 +6,21 @@
 //! |---|---|
 //! | `x`, `y`, `z` | centre |
 //! | `f_dc_0` … `f_dc_2` | first coefficients of the harmonics, by channel |
-//! | `f_rest_0` … | the other coefficients: none, 9, 24 or 45 of them for degrees 0 to 3, all of the first channel, then the second, then the third |
+//! | `f_rest_0` … | the other coefficients: none, 9, 24, 45 or 72 of them for degrees 0 to 4, all of the first channel, then the second, then the third; those of degree 4 are left out |
 //! | `opacity` | logit |
-//! | `scale_0` … `scale_2` | natural logarithms of standard deviations |
+//! | `scale_0` … `scale_2` | natural logarithms of standard deviations; without `scale_2`, as of 2D Gaussian splatting, the thickness is 0 |
 //! | `rot_0` … `rot_3` | quaternion, w first |
 //!
-//! Floats have 16, 32 or 64 bits. Where `f_dc` is absent, `red`, `green` and `blue` take its place, as floats from 0 to 1 or as numbers of 8 or 16 bits
-//! without a sign: `(c − ½) / Y₀`. Other scalar properties, normals among them, and other elements of scalar properties are left out. Binary of
-//! either byte order, or text with one record per line. A file whose vertices are packed into chunks is read as [`packed`] says. Anything else is
-//! an error that names the element, the property or the line: a list, a property twice, a file that is shorter or longer than its header says.
-//! Numbers that are not finite are kept; a Gaussian that has one is left out where it is drawn.
+//! Floats have 16, 32 or 64 bits. Centres that are doubles and so far from zero that binary32 would not keep them to 1/4096 are read relative to a
+//! whole number, the scene's offset. Where `f_dc` is absent, `red`, `green` and `blue` take its place, as floats from 0 to 1 or as numbers of 8 or
+//! 16 bits without a sign: `(c − ½) / Y₀`. Other scalar properties, normals among them, and other elements of scalar properties are left out, as are
+//! lists of elements without records, and up to 16 line ends or zeros after the last element. Comments may be in any encoding; [`comments`] says which
+//! are read. Binary of either byte order, or text with one record per line. A file whose vertices are packed into chunks is read as [`packed`]
+//! says. Anything else is an error that names the element, the property or the line: a list, a property twice, a file that is shorter or longer than
+//! its header says. Numbers that are not finite are kept; [`Still::defect`] says which Gaussians are then not drawn.
 
 mod columns;
+mod comments;
 mod header;
 pub(crate) mod packed;
 #[cfg(test)]
@@ -31,6 +34,7 @@ use super::formats::Reader;
 use super::{Beside, FormatError, Limits};
 use crate::still::Still;
 pub(super) use columns::{Column, columns, left_out};
+pub(crate) use comments::written as comments;
 pub(super) use header::MAX_HEADER;
 use header::{Encoding, Header};
 

@@ -72,6 +72,7 @@ pub(super) fn read(header: &Header, body: &[u8], limits: &Limits) -> Result<Stil
     limits.check_still("element vertex", vertices.count, degree, body.len() as u64)?;
 
     let mut still = Still::with_room(vertices.count, degree);
+    super::comments::read(&header.comments, &mut still.about);
     let (width, rest) = (chunks.stride(), still.rest());
     for (i, record) in bytes.chunks_exact(vertices.stride()).enumerate() {
         let chunk = &chunk_bytes[i / CHUNK * width..][..width];

@@ -20,6 +20,7 @@ fn still(count: usize, degree: usize) -> Still {
         base: (0..count).map(|i| triple(i, 11)).collect(),
         degree,
         higher: (0..count * 3 * rest).map(|i| value(i, 14)).collect(),
+        ..Still::default()
     }
 }
 
@@ -117,7 +118,18 @@ fn every_shorter_and_longer_file_is_an_error() {
             for end in 0..file.len() {
                 assert!(ply(&file[..end]).is_err(), "{format} {end}");
             }
-            assert!(ply(&[&file[..], b"\n"].concat()).is_err());
+            // Line ends and zeros may follow, and nothing else.
+            let whole = ply(&file);
+            for after in [&b"\n"[..], b"\r\n", &[0; 16]] {
+                assert!(ply(&[&file[..], after].concat()) == whole, "{after:?}");
+            }
+            for after in [&b"x"[..], b"\n1", &[0; 17]] {
+                let error = ply(&[&file[..], after].concat()).expect_err("longer").to_string();
+                assert_eq!(
+                    error,
+                    format!("file: expected its end after the last element, found {} more bytes", after.len())
+                );
+            }
         }
         let text = rewritten(&file, "ascii");
         // Without its last digits and line feed the last number may still be one.
@@ -166,7 +178,7 @@ fn what_is_wrong_is_named() {
         ),
         ("property float opacity", "property quad opacity", "property opacity: expected a scalar type, found \"quad\""),
         ("property float nx", "property float x", "property x: expected it once, found it twice"),
-        ("property float f_rest_8\n", "", "properties f_rest_*: expected none, 9, 24 or 45 of them, found 8"),
+        ("property float f_rest_8\n", "", "properties f_rest_*: expected none, 9, 24, 45 or 72 of them, found 8"),
         ("f_rest_8", "f_rest_9", "property f_rest_8: expected it as a float of 16, 32 or 64 bits, found none"),
         ("-3.1 ", "abc ", "property x of vertex 0: expected a number, found \"abc\""),
         ("end_header\n", "", "header: expected"),
@@ -192,8 +204,11 @@ fn a_hostile_count_is_refused_before_memory_is_taken() {
         }
     }
     // A header without end.
-    let endless = [b"ply\n".as_slice(), &b"comment x\n".repeat(100_000)].concat();
+    let endless = [b"ply\n".as_slice(), &b"comment x\n".repeat(500_000)].concat();
     assert!(ply(&endless).is_err());
+    let wide: String = (0..4097).map(|i| format!("property float p{i}\n")).collect();
+    let error = ply(format!("ply\nelement vertex 1\n{wide}").as_bytes()).expect_err("wide").to_string();
+    assert_eq!(error, "element vertex: expected at most 4096 properties of an element, found more");
 }
 
 proptest! {
@@ -350,6 +365,8 @@ fn what_is_wrong_with_a_file_is_said_alike_in_blocks_and_as_a_whole() {
         assert!(found.ends_with(&expected), "{found}, {expected}");
     }
     let (found, _) = from_disk(&[&file[..], b"\n"].concat(), &Limits::default());
+    assert_eq!(found.expect("a line feed").still, still(3, 1));
+    let (found, _) = from_disk(&[&file[..], b"\n2"].concat(), &Limits::default());
     assert!(found.expect_err("longer").to_string().contains("its end after the last element"));
     let (found, _) = from_disk(&file, &Limits { gaussians: 2, ..Limits::default() });
     assert!(found.expect_err("too many").to_string().contains("at most 2 Gaussians"));
@@ -357,4 +374,144 @@ fn what_is_wrong_with_a_file_is_said_alike_in_blocks_and_as_a_whole() {
     let text = String::from_utf8_lossy(&file).replace("vertex 3", "vertex 18446744073709551615");
     let (found, _) = from_disk(text.as_bytes(), &Limits::default());
     assert!(found.expect_err("too long").to_string().contains("element vertex"));
+}
+
+/// A header and body with other text in the header.
+fn with_header(file: &[u8], from: &str, to: &[u8]) -> Vec<u8> {
+    let at = file.windows(from.len()).position(|w| w == from.as_bytes()).expect(from);
+    [&file[..at], to, &file[at + from.len()..]].concat()
+}
+
+#[test]
+fn headers_of_other_programs_are_read() {
+    let file = export::still::ply(&still(3, 1));
+    let whole = ply(&file);
+    let long = [&b"comment "[..], &b"x".repeat(100_000), b"\nelement vertex"].concat();
+    for to in [
+        // A comment in GBK, a list of no records, a long header.
+        &b"comment \xd6\xd0\xce\xc4\nobj_info \xff\nelement vertex"[..],
+        b"element face 0\nproperty list uchar int vertex_indices\nelement vertex",
+        &long,
+    ] {
+        let changed = with_header(&file, "element vertex", to);
+        assert!(ply(&changed) == whole, "{:?}", String::from_utf8_lossy(&to[..20]));
+        assert!(from_disk(&changed, &Limits::default()).0.expect("a scene").still == still(3, 1));
+    }
+    let changed = with_header(&file, "property float x", b"property float \xd6\xd0");
+    let error = ply(&changed).expect_err("a name").to_string();
+    assert!(error.starts_with("header: expected text"), "{error}");
+}
+
+#[test]
+fn marks_of_antialiased_training_are_read_and_written() {
+    let file = export::still::ply(&still(2, 0));
+    let of = |comments: &str| {
+        let to = format!("{comments}element vertex");
+        ply(&with_header(&file, "element vertex", to.as_bytes())).expect("comments").about.antialiased
+    };
+    for (comments, expected) in [
+        ("comment SplatRenderMode: mip\n", true),
+        ("comment splatrendermode:  MIP\n", true),
+        ("comment antialiased 1\n", true),
+        ("obj_info antialiased 1\n", true),
+        ("comment antialiased 1\ncomment SplatRenderMode: default\n", false),
+        ("comment SplatRenderMode: 2dgs\n", false),
+        ("comment antialiased 0\n", false),
+        ("comment not antialiased 1\n", false),
+        ("", false),
+    ] {
+        assert_eq!(of(comments), expected, "{comments}");
+    }
+    let mut marked = still(300, 1);
+    marked.about.antialiased = true;
+    marked.about.offset = [1e6, 0.5, -3.0];
+    let packed = ply(&export::still::packed(&marked)).expect("just written");
+    assert_eq!(packed.about, marked.about);
+    let plain = ply(&export::still::ply(&marked)).expect("just written");
+    assert!(plain.about.antialiased);
+}
+
+#[test]
+fn harmonics_of_degree_4_are_read_to_degree_3() {
+    let still = still(2, 3);
+    let file = export::still::ply(&still);
+    let end = file.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
+    // f_rest_i of 24 per channel, of which the last nine are those of degree 4.
+    let header = String::from_utf8(file[..end].to_vec()).expect("text");
+    let names: String = (45..72).map(|i| format!("property float f_rest_{i}\n")).collect();
+    let header = header.replace("property float f_rest_44\n", &format!("property float f_rest_44\n{names}"));
+    let mut body = Vec::new();
+    for record in file[end..].chunks_exact(62 * 4) {
+        body.extend_from_slice(&record[..9 * 4]);
+        for channel in record[9 * 4..54 * 4].chunks_exact(15 * 4) {
+            body.extend_from_slice(channel);
+            body.extend_from_slice(&7.0_f32.to_le_bytes().repeat(9));
+        }
+        body.extend_from_slice(&record[54 * 4..]);
+    }
+    let mut found = ply(&[header.as_bytes(), &body].concat()).expect("degree 4");
+    assert_eq!(std::mem::take(&mut found.about.notes), ["harmonics of degree 4 read to degree 3"]);
+    assert!(found == still);
+}
+
+#[test]
+fn gaussians_without_a_third_scale_have_no_thickness() {
+    let still = still(3, 1);
+    let file = rewritten(&export::still::ply(&still), "ascii");
+    let text = String::from_utf8(file).expect("text");
+    let (header, body) = text.split_once("end_header\n").expect("a header");
+    let without: Vec<String> = body
+        .lines()
+        .map(|line| {
+            let mut words: Vec<&str> = line.split(' ').collect();
+            words.remove(words.len() - 5);
+            words.join(" ")
+        })
+        .collect();
+    let file = format!("{}end_header\n{}\n", header.replace("property float scale_2\n", ""), without.join("\n"));
+    let found = ply(file.as_bytes()).expect("2D Gaussians");
+    assert_eq!(found.log_scale[1], [still.log_scale[1][0], still.log_scale[1][1], f32::NEG_INFINITY]);
+    assert_eq!((found.rotation[1], found.defect(1)), (still.rotation[1], None));
+    assert_eq!(found.about.notes, ["no scale_2: Gaussians without thickness, as of 2D Gaussian splatting"]);
+}
+
+#[test]
+fn doubles_far_from_zero_are_kept_relative_to_an_offset() {
+    let mut far = still(5000, 0);
+    far.about.offset = [431_250.0, 5_411_800.0, 312.0];
+    let file = export::still::ply(&far);
+    assert!(String::from_utf8_lossy(&file).contains("property double x\nproperty double y\nproperty double z\n"));
+    let found = ply(&file).expect("doubles");
+    // Whole numbers near the middle.
+    let place = |still: &Still, i: usize, k: usize| f64::from(still.mean[i][k]) + still.about.offset[k];
+    for i in 0..far.len() {
+        assert!((0..3).all(|k| (place(&found, i, k) - place(&far, i, k)).abs() < 1e-6), "{i}");
+    }
+    assert!(found.about.offset.iter().all(|x| x.fract() == 0.0 && *x != 0.0), "{:?}", found.about.offset);
+    // The other encodings: three doubles and fourteen floats.
+    let end = file.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
+    let header = String::from_utf8(file[..end].to_vec()).expect("text");
+    let (mut big, mut text) = (Vec::new(), String::new());
+    for record in file[end..].chunks_exact(24 + 56) {
+        for x in record[..24].as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)) {
+            big.extend_from_slice(&x.to_be_bytes());
+            text.push_str(&format!("{x} "));
+        }
+        for x in record[24..].as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)) {
+            big.extend_from_slice(&x.to_be_bytes());
+            text.push_str(&format!("{x} "));
+        }
+        text.push('\n');
+    }
+    for (format, body) in [("binary_big_endian", big), ("ascii", text.into_bytes())] {
+        let other = [header.replace("binary_little_endian", format).as_bytes(), &body].concat();
+        assert!(ply(&other) == Ok(found.clone()), "{format}");
+    }
+    assert!(from_disk(&file, &Limits::default()).0.expect("in blocks").still == found);
+    // It goes out as it came in.
+    assert!(export::still::ply(&found) == file);
+    // Doubles near zero are numbers as all others.
+    far.about.offset = [1.0, 0.0, 0.0];
+    let near = ply(&export::still::ply(&far)).expect("doubles");
+    assert_eq!((near.about.offset, near.mean[7][0]), ([0.0; 3], (f64::from(far.mean[7][0]) + 1.0) as f32));
 }

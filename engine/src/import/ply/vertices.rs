@@ -1,12 +1,12 @@
 //! Gaussians of a PLY file in the layout of 3D Gaussian splatting.
 
 use rayon::prelude::*;
-use streamsplat_kernels::harmonics::Y0;
+use streamsplat_kernels::harmonics::{MAX_DEGREE, Y0};
 
-use super::header::{Element, Encoding, Header, Scalar, quoted};
+use super::header::{Element, Encoding, Header, Scalar, check_after, quoted};
 use crate::import::blocks::{Blocks, ReadError};
 use crate::import::{FormatError, Limits};
-use crate::still::Still;
+use crate::still::{Still, middle};
 
 /// Properties of every file, without its colours.
 const WANTED: [&str; 11] =
@@ -15,6 +15,8 @@ const WANTED: [&str; 11] =
 const COEFFICIENTS: [&str; 3] = ["f_dc_0", "f_dc_1", "f_dc_2"];
 const COLOURS: [&str; 3] = ["red", "green", "blue"];
 
+/// Centres from here on are not kept to 1/4096 by binary32.
+const NEAR: f64 = 4096.0;
 /// Bytes of a block.
 const BLOCK: usize = 8 << 20;
 /// Vertices of a task.
@@ -26,21 +28,33 @@ struct Layout {
     places: Vec<usize>,
     /// Where colours stand in place of coefficients: the numbers that stand for 1.
     ones: Option<[f64; 3]>,
-    /// Degree of the harmonics.
+    /// Degree of the harmonics that are kept.
     degree: usize,
+    /// Degree of those in the file.
+    stored: usize,
+    /// True for Gaussians without a third scale, which have no thickness.
+    flat: bool,
+    /// True where centres are doubles.
+    doubles: bool,
 }
 
 impl Layout {
     fn of(vertices: &Element) -> Result<Layout, FormatError> {
         let rest = vertices.properties.iter().filter(|p| p.name.starts_with("f_rest_")).count();
-        let degree = [0, 9, 24, 45]
-            .iter()
-            .position(|n| *n == rest)
-            .ok_or_else(|| FormatError::new("properties f_rest_*", "none, 9, 24 or 45 of them", rest.to_string()))?;
+        let stored = [0, 9, 24, 45, 72].iter().position(|n| *n == rest).ok_or_else(|| {
+            FormatError::new("properties f_rest_*", "none, 9, 24, 45 or 72 of them", rest.to_string())
+        })?;
+        let degree = stored.min(MAX_DEGREE);
+        let kept = streamsplat_kernels::harmonics::rest(degree);
+        let flat = vertices.property("scale_2").is_none() && vertices.property("scale_1").is_some();
         let seen = vertices.property(COEFFICIENTS[0]).is_none() && vertices.property(COLOURS[0]).is_some();
         let colours = if seen { COLOURS } else { COEFFICIENTS };
-        let names = WANTED.iter().chain(&colours).map(|name| (*name).to_owned());
-        let names = names.chain((0..rest).map(|i| format!("f_rest_{i}")));
+        let names = WANTED.iter().chain(&colours).map(|name| match *name {
+            // Any number: it is not used.
+            "scale_2" if flat => "scale_1".to_owned(),
+            name => name.to_owned(),
+        });
+        let names = names.chain((0..3 * kept).map(|i| format!("f_rest_{}", i / kept * (rest / 3) + i % kept)));
         let is_colour = |name: &str| COLOURS.contains(&name);
         let place = |name: String| {
             let wrong = |found: &str| {
@@ -54,8 +68,31 @@ impl Layout {
         };
         let places = names.map(place).collect::<Result<Vec<usize>, _>>()?;
         let one = |k: usize| vertices.properties[places[WANTED.len() + k]].scalar.one();
-        Ok(Layout { ones: seen.then(|| std::array::from_fn(one)), degree, places })
+        let doubles = places[..3].iter().all(|place| vertices.properties[*place].scalar == Scalar::F64);
+        Ok(Layout { ones: seen.then(|| std::array::from_fn(one)), degree, stored, flat, doubles, places })
     }
+
+    /// An empty scene of `count` Gaussians, with what the header says of it.
+    fn scene(&self, header: &Header, count: usize) -> Still {
+        let mut still = Still::zeros(count, self.degree);
+        super::comments::read(&header.comments, &mut still.about);
+        still.about.offset = [0.0; 3];
+        if self.stored > self.degree {
+            still.about.notes.push(format!("harmonics of degree {} read to degree {}", self.stored, self.degree));
+        }
+        if self.flat {
+            still.about.notes.push("no scale_2: Gaussians without thickness, as of 2D Gaussian splatting".to_owned());
+        }
+        still
+    }
+}
+
+/// Whole numbers to take off doubles so that binary32 keeps them to 1/4096; zeros where it does so anyway. The median of some centres.
+fn offset_of(centres: &[[f64; 3]]) -> [f64; 3] {
+    let along =
+        |axis: usize| centres.iter().filter(|m| m.iter().all(|x| x.is_finite())).map(|m| m[axis] as f32).collect();
+    let Some(offset) = middle([along(0), along(1), along(2)]) else { return [0.0; 3] };
+    if offset.iter().any(|x| x.abs() >= NEAR) { offset } else { [0.0; 3] }
 }
 
 /// Vertices as bytes, one after another.
@@ -64,8 +101,10 @@ pub(super) fn binary(header: &Header, body: &[u8], limits: &Limits) -> Result<St
     let layout = Layout::of(vertices)?;
     let bytes = header.bytes(&vertices.name, body)?;
     limits.check_still("element vertex", vertices.count, layout.degree, body.len() as u64)?;
-    let mut still = Still::zeros(vertices.count, layout.degree);
-    Records::new(&layout, header, vertices).read(bytes, Rows::of(&mut still));
+    let mut still = layout.scene(header, vertices.count);
+    let records = Records::new(&layout, header, vertices, bytes);
+    records.read(bytes, Rows::of(&mut still));
+    still.about.offset = records.offset;
     Ok(still)
 }
 
@@ -74,21 +113,22 @@ pub(super) fn blocks(header: &Header, start: u64, file: &mut Blocks<'_>, limits:
     let vertices = header.vertices()?;
     let layout = Layout::of(vertices)?;
     let after = file.length().saturating_sub(start);
-    let place = header.place(&vertices.name, after)?;
+    let (place, more) = header.place(&vertices.name, after)?;
     limits.check_still("element vertex", vertices.count, layout.degree, file.length())?;
-    let records = Records::new(&layout, header, vertices);
-    let mut still = Still::zeros(vertices.count, layout.degree);
+    let mut still = layout.scene(header, vertices.count);
     file.pass(start + place.start)?;
     // Vertices of a block, and those that are not read yet.
-    let (most, mut left) = ((BLOCK / records.stride).max(1), vertices.count);
+    let stride = vertices.stride();
+    let (most, mut left) = ((BLOCK / stride).max(PIECE), vertices.count);
     let mut next = |block: &mut Vec<u8>| {
         let count = most.min(left);
         left -= count;
-        block.resize(count * records.stride, 0);
+        block.resize(count * stride, 0);
         file.fill(block)
     };
     let (mut block, mut ahead) = (Vec::new(), Vec::new());
     next(&mut block)?;
+    let records = Records::new(&layout, header, vertices, &block);
     let mut rows = Rows::of(&mut still);
     while !block.is_empty() {
         let own = rows.take(block.len() / records.stride);
@@ -96,7 +136,11 @@ pub(super) fn blocks(header: &Header, start: u64, file: &mut Blocks<'_>, limits:
         read?;
         std::mem::swap(&mut block, &mut ahead);
     }
-    file.pass(after - place.end)?;
+    file.pass(after - place.end - more as u64)?;
+    let mut end = vec![0; more];
+    file.fill(&mut end)?;
+    check_after(&end)?;
+    still.about.offset = records.offset;
     Ok(still)
 }
 
@@ -107,12 +151,23 @@ struct Records<'a> {
     wanted: Vec<(usize, Scalar)>,
     big: bool,
     stride: usize,
+    /// Taken off the centres.
+    offset: [f64; 3],
 }
 
 impl<'a> Records<'a> {
-    fn new(layout: &'a Layout, header: &Header, vertices: &Element) -> Self {
+    /// For a file whose vertices begin with those of `first`.
+    fn new(layout: &'a Layout, header: &Header, vertices: &Element, first: &[u8]) -> Self {
         let wanted = layout.places.iter().map(|&place| &vertices.properties[place]).map(|p| (p.start, p.scalar));
-        Self { layout, wanted: wanted.collect(), big: header.encoding == Encoding::Big, stride: vertices.stride() }
+        let (wanted, big): (Vec<_>, bool) = (wanted.collect(), header.encoding == Encoding::Big);
+        let stride = vertices.stride();
+        let mut offset = [0.0; 3];
+        if layout.doubles {
+            let place = |record: &[u8]| std::array::from_fn(|k| Scalar::F64.read(&record[wanted[k].0..], big));
+            let centres: Vec<[f64; 3]> = first.chunks_exact(stride).take(PIECE).map(place).collect();
+            offset = offset_of(&centres);
+        }
+        Self { layout, wanted, big, stride, offset }
     }
 
     /// Reads records into as many rows.
@@ -128,7 +183,10 @@ impl<'a> Records<'a> {
                 } else {
                     rows.set(i, self.layout, |k| {
                         let (start, scalar) = self.wanted[k];
-                        scalar.read_single(&record[start..], self.big)
+                        match self.offset.get(k) {
+                            Some(&off) if off != 0.0 => (scalar.read(&record[start..], self.big) - off) as f32,
+                            _ => scalar.read_single(&record[start..], self.big),
+                        }
                     });
                 }
             }
@@ -154,8 +212,9 @@ pub(super) fn text(header: &Header, body: &[u8], limits: &Limits) -> Result<Stil
     let body = std::str::from_utf8(body).map_err(|_| FormatError::new("body", "text", "bytes that are none"))?;
     let mut lines = body.lines();
     limits.check_still("element vertex", vertices.count, layout.degree, body.len() as u64)?;
-    let mut still = Still::zeros(vertices.count, layout.degree);
+    let mut still = layout.scene(header, vertices.count);
     let mut rows = Rows::of(&mut still);
+    let mut centres = Vec::new();
     for element in header.elements.iter().filter(|element| !element.properties.is_empty()) {
         let mut values = vec![0.0_f32; element.properties.len()];
         for i in 0..element.count {
@@ -167,6 +226,12 @@ pub(super) fn text(header: &Header, body: &[u8], limits: &Limits) -> Result<Stil
                 let word = words.next().ok_or_else(|| wrong(part(), "a number", line))?;
                 *value = word.parse().map_err(|_| wrong(part(), "a number", word))?;
             }
+            if layout.doubles && element.name == vertices.name {
+                // Numbers they are; these as doubles.
+                let double =
+                    |k: usize| line.split_ascii_whitespace().nth(layout.places[k]).and_then(|word| word.parse().ok());
+                centres.push(std::array::from_fn(|k| double(k).unwrap_or(f64::NAN)));
+            }
             if let Some(word) = words.next() {
                 return Err(wrong(format!("{} {i}", element.name), "as many numbers as properties", word));
             }
@@ -174,6 +239,13 @@ pub(super) fn text(header: &Header, body: &[u8], limits: &Limits) -> Result<Stil
                 rows.set(i, &layout, |k| values[layout.places[k]]);
             }
         }
+    }
+    let offset = offset_of(&centres[..centres.len().min(PIECE)]);
+    if offset != [0.0; 3] {
+        for (mean, centre) in still.mean.iter_mut().zip(&centres) {
+            *mean = std::array::from_fn(|k| (centre[k] - offset[k]) as f32);
+        }
+        still.about.offset = offset;
     }
     match lines.find(|line| !line.trim().is_empty()) {
         Some(line) => Err(wrong("file".into(), "nothing after the last element", line)),
@@ -232,7 +304,7 @@ impl<'a> Rows<'a> {
     fn set(&mut self, i: usize, layout: &Layout, value: impl Fn(usize) -> f32) {
         self.mean[i] = [value(0), value(1), value(2)];
         self.logit[i] = value(3);
-        self.log_scale[i] = [value(4), value(5), value(6)];
+        self.log_scale[i] = [value(4), value(5), if layout.flat { f32::NEG_INFINITY } else { value(6) }];
         self.rotation[i] = [value(7), value(8), value(9), value(10)];
         let colour = [value(11), value(12), value(13)];
         self.base[i] = match layout.ones {

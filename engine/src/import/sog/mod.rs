@@ -1,4 +1,4 @@
-//! SOG, version 2: images that hold a value per Gaussian, and a `meta.json` that says what they mean, together in one zip file (`.sog`) or beside
+//! SOG, versions 1 and 2: images that hold a value per Gaussian, and a `meta.json` that says what they mean, together in one zip file (`.sog`) or beside
 //! each other.
 //!
 //! The value of Gaussian i is in pixel i, row by row. n = N/255 stands for a byte, cb for a codebook of 256 values.
@@ -13,6 +13,9 @@
 //! | | alpha | n, the opacity |
 //! | `shN`: centroids, labels | labels: red, green | `256·green + red`, a row of coefficients |
 //! | | centroids: red, green, blue | `cb[N]`; coefficient k of row r in column `(r mod 64)·K + k` of line `⌊r / 64⌋`, for the K of the degree |
+//!
+//! `"model": "antialiased"` in `meta.json` marks scenes trained with anti-aliasing; this program adds the scene's `offset`. Version 1 has no number, and a
+//! least and a greatest value per channel instead of codebooks, between which bytes lie evenly; its opacities are logits.
 //!
 //! Source: PlayCanvas, the SOG format's description.
 
@@ -42,6 +45,9 @@ pub(crate) const ROWS: usize = 64;
 /// The alpha of a rotation whose first component is the largest.
 pub(crate) const LARGEST: u8 = 252;
 
+/// The model of scenes trained with anti-aliasing.
+pub(crate) const MODEL: &str = "antialiased";
+
 /// The Gaussians of a whole `.sog` file.
 ///
 /// # Errors
@@ -67,14 +73,22 @@ impl Reader for Sog {
 pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
     let mut files = Files::new(bytes, beside)?;
     let meta = Meta::read(&files.meta()?)?;
-    let (count, degree) = (meta.count, meta.degree()?);
-    limits.check_still("meta.json: count", count, degree, files.size(meta.images()))?;
+    let count = meta.count;
+    limits.check_still("meta.json: count", count, meta.most_degree(), files.size(meta.images()))?;
     let mut image = |name: &str, least: usize| image(&files.read(name, 8 * most(least) as u64)?, name, least);
     let [low, high] = [image(&meta.means.files[0], count)?, image(&meta.means.files[1], count)?];
     let [scales, quats] = [image(&meta.scales.files[0], count)?, image(&meta.quats.files[0], count)?];
     let sh0 = image(&meta.sh0.files[0], count)?;
+    let harmonics =
+        meta.harmonics.as_ref().map(|own| Ok::<_, FormatError>((own, image(&own.files[0], 0)?))).transpose()?;
+    let degree = match &harmonics {
+        None => 0,
+        Some((own, image)) if own.bands == 0 => degree_of_width(image, &own.files[0])?,
+        Some((own, _)) => own.bands,
+    };
 
     let mut still = Still::with_room(count, degree);
+    still.about = meta.about();
     let pixel = |image: &RgbaImage, i: usize| pixel(image, i % image.width() as usize, i / image.width() as usize);
     for i in 0..count {
         let (low, high) = (pixel(&low, i), pixel(&high, i));
@@ -87,17 +101,19 @@ pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<S
             (if m < 0.0 { -size } else { size }) as f32
         }));
         let scale = pixel(&scales, i);
-        still.log_scale.push(std::array::from_fn(|axis| meta.scales.codebook[usize::from(scale[axis])]));
+        still.log_scale.push(std::array::from_fn(|axis| meta.scales.value(axis, scale[axis])));
         still.rotation.push(rotation(pixel(&quats, i), i)?);
         let [red, green, blue, alpha] = pixel(&sh0, i);
-        still.base.push([red, green, blue].map(|c| meta.sh0.codebook[usize::from(c)]));
+        let colour = [red, green, blue];
+        still.base.push(std::array::from_fn(|channel| meta.sh0.value(channel, colour[channel])));
         let opacity = (f64::from(alpha) / 255.0).clamp(LEAST, 1.0 - LEAST);
-        still.logit.push((ln(opacity) - ln(1.0 - opacity)) as f32);
+        // Version 1 has logits in a table.
+        still.logit.push(meta.sh0.alpha(alpha).unwrap_or((ln(opacity) - ln(1.0 - opacity)) as f32));
     }
-    if let Some(harmonics) = &meta.harmonics {
+    if let Some((harmonics, centroids)) = harmonics {
         let width = rest(degree);
-        let centroids = image(&harmonics.files[0], 0)?;
-        let lines = harmonics.count.div_ceil(ROWS);
+        let rows = if harmonics.count == 0 { ROWS * centroids.height() as usize } else { harmonics.count };
+        let lines = rows.div_ceil(ROWS);
         if (centroids.width() as usize) < ROWS * width || (centroids.height() as usize) < lines {
             let expected = format!("{}×{lines} pixels at least", ROWS * width);
             let found = format!("{}×{}", centroids.width(), centroids.height());
@@ -107,17 +123,24 @@ pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<S
         for i in 0..count {
             let [low, high, ..] = pixel(&labels, i);
             let row = usize::from(u16::from_le_bytes([low, high]));
-            if row >= harmonics.count {
+            if row >= rows {
                 let part = format!("{}: label {i}", harmonics.files[1]);
-                return Err(FormatError::new(part, format!("one of {} rows", harmonics.count), row.to_string()));
+                return Err(FormatError::new(part, format!("one of {rows} rows"), row.to_string()));
             }
             for k in 0..width {
                 let [red, green, blue, _] = self::pixel(&centroids, row % ROWS * width + k, row / ROWS);
-                still.higher.extend([red, green, blue].map(|c| harmonics.codebook[usize::from(c)]));
+                still.higher.extend([red, green, blue].map(|c| harmonics.value(c)));
             }
         }
     }
     Ok(still)
+}
+
+/// The degree of version 1, which the width of the centroids' image says.
+fn degree_of_width(image: &RgbaImage, name: &str) -> Result<usize, FormatError> {
+    (1..=3).find(|degree| image.width() as usize == ROWS * rest(*degree)).ok_or_else(|| {
+        FormatError::new(name.to_owned(), "an image 192, 512 or 960 pixels wide", image.width().to_string())
+    })
 }
 
 fn pixel(image: &RgbaImage, column: usize, row: usize) -> [u8; 4] {

@@ -19,6 +19,7 @@ fn still(count: usize, degree: usize) -> Still {
         base: (0..count).map(|i| triple(i, 11)).collect(),
         degree,
         higher: (0..count * 3 * rest(degree)).map(|i| value(i, 14)).collect(),
+        ..Still::default()
     }
 }
 
@@ -110,7 +111,7 @@ fn what_is_wrong_is_named() {
         together(&files)
     };
     for (place, value, expected) in [
-        ("/version", json!(1), "meta.json: version: expected 2, found 1"),
+        ("/version", json!(1), "meta.json: version: expected 2, or none beside means.shape, found 1"),
         ("/count", json!(1_u64 << 40), "meta.json: count: expected at most 16777216 Gaussians"),
         ("/count", json!(100_000), "means_l.webp: expected an image of 100000 to 200000 pixels, found 20×"),
         ("/count", json!(-1), "meta.json: expected a SOG scene's"),
@@ -151,4 +152,43 @@ fn an_image_that_swells_is_refused() {
     assert!(file.len() < 1 << 20, "deflated");
     let error = sog(&file).expect_err("a bomb").to_string();
     assert_eq!(error, "sh0.webp: expected a file in the zip file, found one of more than 524288 bytes");
+}
+
+#[test]
+fn the_mark_of_antialiased_training_and_the_offset_come_back() {
+    let mut marked = still(20, 1);
+    marked.about.antialiased = true;
+    marked.about.offset = [431_250.0, 5_411_800.0, 312.0];
+    let file = export::still::sog(&marked);
+    assert_eq!(sog(&file).expect("just written").about, marked.about);
+    let mut own = files(&file);
+    let meta = own.iter_mut().find(|(name, _)| name == "meta.json").expect("there");
+    let mut text: Value = serde_json::from_slice(&meta.1).expect("JSON");
+    assert_eq!(text["model"], "antialiased");
+    text["model"] = json!("hexagons");
+    meta.1 = text.to_string().into_bytes();
+    let about = sog(&together(&own)).expect("an unknown model").about;
+    assert!(!about.antialiased && about.notes[0].contains("\"hexagons\" is not known"), "{about:?}");
+}
+
+#[test]
+fn version_1_has_least_and_greatest_values() {
+    let mut own = files(&export::still::sog(&still(70, 1)));
+    let meta = own.iter_mut().find(|(name, _)| name == "meta.json").expect("there");
+    let text: Value = serde_json::from_slice(&meta.1).expect("JSON");
+    let first = json!({
+        "means": { "shape": [70, 3], "dtype": "float32", "mins": text["means"]["mins"], "maxs": text["means"]["maxs"], "files": text["means"]["files"] },
+        "scales": { "mins": [-8.0, -7.0, -6.0], "maxs": [0.0, 1.0, 2.0], "files": ["scales.webp"] },
+        "quats": { "files": ["quats.webp"], "encoding": "quaternion_packed" },
+        "sh0": { "mins": [-2.0, -2.0, -2.0, -5.0], "maxs": [2.0, 2.0, 2.0, 5.0], "files": ["sh0.webp"] },
+        "shN": { "mins": -1.0, "maxs": 1.0, "files": ["shN_centroids.webp", "shN_labels.webp"] },
+    });
+    meta.1 = first.to_string().into_bytes();
+    let found = sog(&together(&own)).expect("version 1");
+    let second = sog(&export::still::sog(&still(70, 1))).expect("version 2");
+    assert_eq!((found.len(), found.degree, &found.mean), (70, 1, &second.mean));
+    let scales: Vec<f32> = (0..=255).map(|b| (-7.0 + 8.0 * (f64::from(b) / 255.0)) as f32).collect();
+    assert!(found.log_scale.iter().all(|s| scales.contains(&s[1]) && (-8.0..=0.0).contains(&s[0])));
+    assert!(found.logit.iter().all(|x| (-5.0..=5.0).contains(x)) && found.logit != second.logit);
+    assert!(found.higher.iter().all(|c| c.abs() <= 1.0));
 }

@@ -5,26 +5,32 @@ use std::io::Read;
 use flate2::bufread::GzDecoder;
 use ruzstd::decoding::FrameDecoder;
 
+use super::records::Stated;
 use crate::import::FormatError;
 
 /// The largest window of a zstd frame that holds less.
 const WINDOW: u64 = 1 << 23;
 
-/// A gzip stream's first `head` bytes, which say what `read` takes from them and how many follow, and those.
+/// A gzip stream's first `head` bytes, which say what `read` takes from them, how many follow, and how many more may; and what follows. The
+/// stream's comment goes to `stated`.
 pub(super) fn gunzip<H>(
     bytes: &[u8],
     head: usize,
-    read: impl FnOnce(&[u8]) -> Result<(H, usize), FormatError>,
+    stated: &mut Stated,
+    read: impl FnOnce(&[u8]) -> Result<(H, usize, usize), FormatError>,
 ) -> Result<(H, Vec<u8>), FormatError> {
     let broken = |e: std::io::Error| FormatError::new("gzip stream", "a whole one", e.to_string());
     let mut decoder = GzDecoder::new(bytes);
     let mut first = vec![0; head];
     decoder.read_exact(&mut first).map_err(broken)?;
-    let (header, size) = read(&first)?;
+    if let Some(comment) = decoder.header().and_then(|header| header.comment()) {
+        stated.comment(comment);
+    }
+    let (header, size, more) = read(&first)?;
     let mut rest = Vec::new();
     // Grows with what comes, so that a length that is only promised takes no memory.
-    decoder.by_ref().take(size as u64 + 1).read_to_end(&mut rest).map_err(broken)?;
-    if rest.len() != size {
+    decoder.by_ref().take((size + more) as u64 + 1).read_to_end(&mut rest).map_err(broken)?;
+    if rest.len() < size || rest.len() > size + more {
         let found = if rest.len() > size { "more".to_owned() } else { rest.len().to_string() };
         return Err(FormatError::new("attributes", format!("{size} bytes"), found));
     }

@@ -1,22 +1,25 @@
-//! SPZ, version 4 (a plain header and one zstd frame per attribute) and versions 2 and 3 (everything in one gzip stream).
+//! SPZ, version 4 (a plain header and one zstd frame per attribute) and versions 1 to 3 (everything in one gzip stream).
 //!
 //! | attribute | bytes per Gaussian | value |
 //! |---|---|---|
-//! | positions | 9 | 24-bit fixed point, little-endian, `fractionalBits` after the point |
+//! | positions | 9 (6 in version 1) | 24-bit fixed point, little-endian, `fractionalBits` after the point |
 //! | alphas | 1 | 255 times the opacity |
 //! | colours | 3 | `255·(0.15·c + ½)` of the harmonics' first coefficients |
 //! | scales | 3 | `16·(ln s + 10)` |
-//! | rotations | 4 (3 in version 2) | the three smallest components in ten bits each, and which is the largest (x, y and z in eight bits each) |
+//! | rotations | 4 (3 before version 3) | the three smallest components in ten bits each, and which is the largest (x, y and z in eight bits each) |
 //! | harmonics | 9, 24, 45 or 72 | `128·(c + 1)`, coefficients outermost; of degree 4 those up to degree 3 are kept |
 //!
-//! SPZ's axes are x right, y up, z back: y and z change sign on the way, with the rotations and harmonics that follow them. Opacities come back
-//! as logits of at least 1/255 and at most 254/255.
+//! Opacities of 0 and 255 stay within 10⁻¹² of 0 and 1. Version 1 has positions of three binary16 and the rotations of version 2.
 //!
-//! Refused: version 1, harmonics above degree 4, extensions (they may change the axes), unknown flags, lengths that do not fit each other.
+//! [`records`] say along which axes the numbers are. Without them they are taken as RUB (x right, y up, z back), as the format's description has
+//! it; programs that store PLY's numbers as they are write RDF. [`Still::taken_along`] takes them otherwise.
+//!
+//! Refused: harmonics above degree 4, flags but those of anti-aliasing and of extensions, lengths that do not fit each other.
 //!
 //! Source: the format's description and its reference implementation, nianticlabs/spz.
 
 mod inflate;
+pub(crate) mod records;
 mod unpack;
 
 #[cfg(test)]
@@ -30,16 +33,21 @@ use streamsplat_kernels::harmonics::MAX_DEGREE;
 
 use super::formats::Reader;
 use super::{Beside, FormatError, Limits};
-use crate::still::Still;
+use crate::still::{Axes, Still};
 use inflate::{gunzip, zstd};
+use records::Stated;
 
 /// "NGSP"
 pub(crate) const MAGIC: [u8; 4] = *b"NGSP";
-/// Bytes of the header in versions 2 and 3, and in version 4.
+/// Bytes of the header before version 4, and in it.
 const OLD_HEADER: usize = 16;
-const HEADER: usize = 32;
-/// The flag of scenes trained with anti-aliasing, which are drawn as all others.
-const ANTIALIASED: u8 = 1;
+pub(crate) const HEADER: usize = 32;
+/// The flag of scenes trained with anti-aliasing.
+pub(crate) const ANTIALIASED: u8 = 1;
+/// The flag of files with extension records.
+pub(crate) const EXTENDED: u8 = 2;
+/// Most bytes of extension records that are read from a gzip stream.
+const MAX_RECORDS: usize = 1 << 20;
 /// The highest degree of harmonics that a file may have.
 const MOST_DEGREE: u32 = 4;
 /// Header of an SPZ file.
@@ -49,11 +57,13 @@ struct Header {
     count: usize,
     degree: usize,
     fractional_bits: u32,
+    flags: u8,
 }
 
 /// The attributes of a file, as bytes.
 struct Packed {
     header: Header,
+    stated: Stated,
     positions: Vec<u8>,
     alphas: Vec<u8>,
     colours: Vec<u8>,
@@ -73,7 +83,8 @@ impl Header {
             return wrong("first word", "NGSP", word(0));
         }
         let (version, count) = (word(4), word(8));
-        let [degree, fractional_bits, flags] = [bytes[12], bytes[13], bytes[14]].map(u32::from);
+        let [degree, fractional_bits] = [bytes[12], bytes[13]].map(u32::from);
+        let flags = bytes[14];
         if !(versions[0]..=versions[1]).contains(&version) {
             let expected = format!("{} to {} in a file of this kind", versions[0], versions[1]);
             return wrong("version", &expected, version);
@@ -84,10 +95,10 @@ impl Header {
         if fractional_bits > 23 {
             return wrong("fractional bits", "0 to 23", fractional_bits);
         }
-        if flags & !u32::from(ANTIALIASED) != 0 {
-            return wrong("flags", "none but anti-aliasing: no extensions", flags);
+        if flags & !(ANTIALIASED | EXTENDED) != 0 {
+            return wrong("flags", "none but those of anti-aliasing (1) and of extensions (2)", flags.into());
         }
-        let header = Header { version, count: count as usize, degree: degree as usize, fractional_bits };
+        let header = Header { version, count: count as usize, degree: degree as usize, fractional_bits, flags };
         // Of degree 4 the last coefficients are left out.
         limits.check_still("header: points", header.count, header.degree.min(MAX_DEGREE), size as u64)?;
         Ok(header)
@@ -95,10 +106,10 @@ impl Header {
 
     /// Bytes of each attribute, in the order they are stored in.
     fn sizes(&self) -> [(&'static str, usize); 6] {
-        let rotation = if self.version == 2 { 3 } else { 4 };
+        let rotation = if self.version < 3 { 3 } else { 4 };
         let harmonics = 3 * streamsplat_kernels::harmonics::rest(self.degree);
         [
-            ("positions", 9),
+            ("positions", if self.version == 1 { 6 } else { 9 }),
             ("alphas", 1),
             ("colours", 3),
             ("scales", 3),
@@ -132,7 +143,16 @@ impl Reader for Spz {
 /// As [`spz`], within other limits.
 pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let packed = if bytes.starts_with(&[0x1f, 0x8b]) { old(bytes, limits)? } else { current(bytes, limits)? };
-    Ok(unpack::unpack(&packed))
+    let mut still = unpack::unpack(&packed);
+    still.bring_from(packed.stated.axes.unwrap_or(Axes::RUB));
+    let about = &mut still.about;
+    about.axes_assumed = packed.stated.axes.is_none();
+    about.antialiased = packed.header.flags & ANTIALIASED != 0;
+    (about.offset, about.orbit, about.notes) = (packed.stated.offset, packed.stated.orbit, packed.stated.notes);
+    if packed.header.degree > streamsplat_kernels::harmonics::MAX_DEGREE {
+        about.notes.push(format!("harmonics of degree {} read to degree 3", packed.header.degree));
+    }
+    Ok(still)
 }
 
 /// How many Gaussians a file promises, and the degree of their harmonics as they are read.
@@ -145,23 +165,26 @@ pub(super) fn gaussians(bytes: &[u8]) -> Option<(usize, usize)> {
     Some((count as usize, usize::from(head[12]).min(MAX_DEGREE)))
 }
 
-/// Versions 2 and 3.
+/// Versions 1 to 3.
 fn old(bytes: &[u8], limits: &Limits) -> Result<Packed, FormatError> {
-    let (header, rest) = gunzip(bytes, OLD_HEADER, |head| {
-        let header = Header::read(head, [2, 3], bytes.len(), limits)?;
+    let mut stated = Stated::default();
+    let (header, rest) = gunzip(bytes, OLD_HEADER, &mut stated, |head| {
+        let header = Header::read(head, [1, 3], bytes.len(), limits)?;
         if head[15] != 0 {
             return Err(FormatError::new("header: reserved byte", "0", head[15].to_string()));
         }
-        Ok((header, header.sizes().iter().map(|(_, size)| size).sum()))
+        let more = if header.flags & EXTENDED != 0 { MAX_RECORDS } else { 0 };
+        Ok((header, header.sizes().iter().map(|(_, size)| size).sum(), more))
     })?;
     let mut rest = rest.as_slice();
     let attributes = header.sizes().map(|(_, size)| {
-        // As long as their sum.
+        // Not longer than their sum.
         let (attribute, after) = rest.split_at(size);
         rest = after;
         attribute.to_vec()
     });
-    Ok(Packed::of(header, attributes))
+    stated.records(rest)?;
+    Ok(Packed::of(header, stated, attributes))
 }
 
 /// Version 4.
@@ -172,16 +195,26 @@ fn current(bytes: &[u8], limits: &Limits) -> Result<Packed, FormatError> {
     }
     let header = Header::read(bytes, [4, 4], bytes.len(), limits)?;
     let table = bytes[16..].first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
-    if table != HEADER || bytes[20..HEADER] != [0; 12] {
+    let extended = header.flags & EXTENDED != 0;
+    if bytes[20..HEADER] != [0; 12] || !extended && table != HEADER {
         return wrong("header: table", "it at byte 32, and zeros between".into(), format!("it at {table}"));
     }
+    let Some(records) = bytes.get(HEADER..table) else {
+        return wrong(
+            "header: table",
+            format!("it from byte 32 on, within {} bytes", bytes.len()),
+            format!("it at {table}"),
+        );
+    };
+    let mut stated = Stated::default();
+    stated.records(records)?;
     let sizes = header.sizes();
     let streams = sizes.iter().filter(|(_, size)| *size > 0).count();
     if usize::from(bytes[15]) != streams {
         return wrong("header: streams", streams.to_string(), bytes[15].to_string());
     }
-    let Some((table, mut rest)) = bytes[HEADER..].split_at_checked(16 * streams) else {
-        return wrong("table", format!("{streams} entries of 16 bytes"), format!("{} bytes", bytes.len() - HEADER));
+    let Some((table, mut rest)) = bytes[table..].split_at_checked(16 * streams) else {
+        return wrong("table", format!("{streams} entries of 16 bytes"), format!("{} bytes", bytes.len() - table));
     };
     let mut entries = table.chunks_exact(16);
     let mut attributes: [Vec<u8>; 6] = Default::default();
@@ -202,12 +235,12 @@ fn current(bytes: &[u8], limits: &Limits) -> Result<Packed, FormatError> {
     if !rest.is_empty() {
         return wrong("file", "its end after the last stream".into(), format!("{} more bytes", rest.len()));
     }
-    Ok(Packed::of(header, attributes))
+    Ok(Packed::of(header, stated, attributes))
 }
 
 impl Packed {
-    fn of(header: Header, attributes: [Vec<u8>; 6]) -> Packed {
+    fn of(header: Header, stated: Stated, attributes: [Vec<u8>; 6]) -> Packed {
         let [positions, alphas, colours, scales, rotations, harmonics] = attributes;
-        Packed { header, positions, alphas, colours, scales, rotations, harmonics }
+        Packed { header, stated, positions, alphas, colours, scales, rotations, harmonics }
     }
 }

@@ -12,13 +12,13 @@ const OTHERS = [
   ["YUV4MPEG2", 0, "a video", "run"],
 ];
 
-/** The packet of a file of at most `most` Gaussians: { buffer, format, degree, least, greatest }. */
-async function opened(file, most) {
+/** The packet of a file of at most `most` Gaussians: { buffer, format, degree, least, greatest, note }. `axes`: those that the user says it has. */
+async function opened(file, most, axes) {
   const head = String.fromCharCode(...new Uint8Array(await file.slice(0, 16).arrayBuffer()));
   if (/^ply[\r\n]/.test(head)) return { format: "PLY", ...(await plyFile(file, most)) };
-  if (head.startsWith("\x1f\x8b")) return { format: "SPZ", ...(await spzFile(file, most)) };
+  if (head.startsWith("\x1f\x8b")) return { format: "SPZ", ...(await spzFile(file, most, axes)) };
   const other = OTHERS.find(([text, at]) => head.startsWith(text, at));
   if (!other && /\.splat$/i.test(file.name)) return { format: "splat", ...(await splatFile(file, most)) };
   const found = other ? `${other[2]} ${program(other[3])}` : head ? `a file that begins with ${quoted(head.slice(0, 8))}` : "an empty file";
-  throw wrong("format", "PLY, compressed PLY, SPZ of version 2 or 3, or splat", found);
+  throw wrong("format", "PLY, compressed PLY, SPZ of versions 1 to 3, or splat", found);
 }

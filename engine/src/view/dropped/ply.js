@@ -1,6 +1,8 @@
 // Binary PLY files of floats, as engine/src/import/ply reads them.
 
-const MAX_HEADER = 1 << 16;
+const MAX_HEADER = 1 << 22;
+/** Bytes after the last element that are passed over at most: line ends and zeros. */
+const MAX_AFTER = 16;
 /** Bytes of the scalar types. */
 const TYPES = { char: 1, int8: 1, uchar: 1, uint8: 1, short: 2, int16: 2, ushort: 2, uint16: 2, half: 2, float16: 2, int: 4, int32: 4, uint: 4, uint32: 4, float: 4, float32: 4, double: 8, float64: 8 };
 /** Types that are read, by their other names. */
@@ -17,7 +19,8 @@ function linesOf(bytes) {
     const words = String.fromCharCode(...bytes.subarray(at, Math.min(end, at + 200))).trim().split(/\s+/);
     at = end + 1;
     if (words[0] === "end_header") return { lines, end: at };
-    lines.push(words);
+    // Comments are in any encoding, and there may be many.
+    if (words[0] !== "comment" && words[0] !== "obj_info") lines.push(words);
   }
 }
 
@@ -33,10 +36,12 @@ function elementsOf(bytes, size) {
       last = { name: a, count: Number(b), width: 0, properties: new Map() };
       elements.set(a, last);
     } else if (key === "property") {
+      // Of no rows there are no lists.
+      if (a === "list" && last?.count === 0) continue;
       if (!last || b === undefined || !Object.hasOwn(TYPES, a) || last.properties.has(b)) throw wrong(`property ${b ?? a}`, "a number of an element, once", quoted(a ?? ""));
       last.properties.set(b, { type: SAME[a] ?? a, start: last.width });
       last.width += TYPES[a];
-    } else if (!["format", "comment", "obj_info"].includes(key)) {
+    } else if (key !== "format") {
       throw wrong("header", "format, then elements with their properties, then end_header", quoted(key));
     }
   }
@@ -48,8 +53,8 @@ function elementsOf(bytes, size) {
     at += element.count * element.width;
     if (at > size) throw wrong(`element ${element.name}`, `${element.count} of ${element.width} bytes each`, `${size - element.start} bytes`);
   }
-  if (at < size) throw wrong("file", "its end after the last element", `${size - at} more bytes`);
-  return elements;
+  if (size - at > MAX_AFTER) throw wrong("file", "its end after the last element", `${size - at} more bytes`);
+  return { elements, end: at };
 }
 
 /** Where a property of one type stands in a row of an element. */
@@ -59,28 +64,39 @@ function startOf({ name, properties }, property, type) {
   return start;
 }
 
-/** Degree of the harmonics that so many coefficients above the first are. */
+/** An error where bytes after the last element are not line ends or zeros. */
+async function checkAfter(file, end) {
+  const after = new Uint8Array(await file.slice(end).arrayBuffer());
+  if (after.some((byte) => ![0, 10, 13, 32].includes(byte))) throw wrong("file", "its end after the last element", `${after.length} more bytes`);
+}
+
+/** Degree of the harmonics that so many coefficients above the first are; of degree 4 those up to degree 3 are read. */
 function degreeOf(rest) {
-  const degree = [0, 9, 24, 45].indexOf(rest);
-  if (degree < 0) throw wrong("properties f_rest_*", "none, 9, 24 or 45 of them", rest);
-  return degree;
+  const degree = [0, 9, 24, 45, 72].indexOf(rest);
+  if (degree < 0) throw wrong("properties f_rest_*", "none, 9, 24, 45 or 72 of them", rest);
+  return Math.min(degree, 3);
 }
 
 /** Number k of a row's higher coefficients in a file, where channels are outermost. */
 const placeOf = (k, rest) => (k % 3) * (rest / 3) + Math.floor(k / 3);
 
 async function plyFile(file, most) {
-  const elements = elementsOf(new Uint8Array(await file.slice(0, MAX_HEADER).arrayBuffer()), file.size);
+  const { elements, end } = elementsOf(new Uint8Array(await file.slice(0, MAX_HEADER).arrayBuffer()), file.size);
+  await checkAfter(file, end);
   const vertices = elements.get("vertex");
   if (elements.has("chunk") && vertices.properties.has("packed_position")) return packedFile(file, elements, most);
   const rest = [...vertices.properties.keys()].filter((name) => name.startsWith("f_rest_")).length;
   const degree = degreeOf(rest);
-  const names = [...WANTED, ...Array.from({ length: rest }, (_, k) => `f_rest_${placeOf(k, rest)}`)];
+  // Without a third scale, as of 2D Gaussian splatting, Gaussians have no thickness.
+  const flat = vertices.properties.has("scale_1") && !vertices.properties.has("scale_2");
+  const wanted = WANTED.map((name) => (flat && name === "scale_2" ? "scale_1" : name));
+  const names = [...wanted, ...Array.from({ length: 3 * restOf(degree) }, (_, k) => `f_rest_${placeOf(k, rest)}`)];
   const starts = names.map((name) => startOf(vertices, name, "float"));
   checkCount("element vertex", vertices.count, most);
   const writer = new StillWriter(vertices.count, degree);
   await eachRow(file, [vertices], vertices.count, (i, [view], k) => {
     for (let n = 0; n < starts.length; n++) writer.row[n] = view.getFloat32(k * vertices.width + starts[n], true);
+    if (flat) writer.row[DEVIATIONS + 2] = -Infinity;
     writer.put(i);
   });
   return writer.finish();

@@ -45,11 +45,13 @@ class StillWriter {
       const at = row[LOGIT] >= OPAQUE ? this.solid++ : --this.faint;
       for (let axis = 0; axis < 3; axis++) this.centres[axis][at] = row[axis];
     }
-    for (let k = 0; k < row.length; k++) if (!Number.isFinite(row[k])) return;
+    // As still/sound.rs has it: of what is drawn. A logit may be infinite, and so may be the logarithm of a thickness of 0.
+    if (Number.isNaN(row[LOGIT])) return;
+    for (let k = DEVIATIONS; k < QUATERNION; k++) if (!(Math.fround(Math.exp(row[k])) < Infinity)) return;
+    for (let k = 0; k < row.length; k++) if (!Number.isFinite(row[k]) && (k < LOGIT || k >= QUATERNION)) return;
     const opacity = Math.fround(1 / (1 + Math.exp(-clamp(row[LOGIT], -200, 200))));
-    const widest = Math.exp(Math.max(row[DEVIATIONS], row[DEVIATIONS + 1], row[DEVIATIONS + 2]));
     const at = (STILL_HEADER + this.count * RECORD) / 2;
-    if (opacity < VISIBLE || Math.fround(widest) === Infinity || !this.turn(at + 13)) return;
+    if (opacity < VISIBLE || !this.turn(at + 13)) return;
     for (let axis = 0; axis < 3; axis++) {
       this.floats[at / 2 + axis] = row[axis];
       shorts[at + 6 + axis] = whole(65535 * clamp((row[DEVIATIONS + axis] / 24 + 1) / 2, 0, 1), 0, 65535);

@@ -74,7 +74,10 @@ impl StillSource {
 
 impl Source for StillSource {
     fn describe(&self, from: usize) -> Description {
-        let Framing { least, greatest } = self.framing;
+        let Framing { least, greatest, .. } = self.framing;
+        // The page's centres are relative to the offset.
+        let offset = self.scene.still().about.offset;
+        let [least, greatest] = [least, greatest].map(|corner| std::array::from_fn(|k| corner[k] - offset[k]));
         let instant = IntervalTimes { start: 0.0, end: 0.0, gaussians: self.scene.still().len() };
         Description {
             title: self.title.clone(),
@@ -100,7 +103,8 @@ impl Whole for StillSource {
     fn poster(&self) -> Result<Picture, PageError> {
         let [width, height] = POSTER;
         let camera = self.framing.camera(0.0, width as f64 / height as f64);
-        let options = RenderOptions { size: Size::Exact { width, height }, ..RenderOptions::default() };
+        let antialias = self.scene.still().about.antialiased;
+        let options = RenderOptions { size: Size::Exact { width, height }, antialias, ..RenderOptions::default() };
         let mut renderer = Renderer::new(&self.workers);
         let image = renderer.render_still(&self.scene, &camera, &options)?;
         Ok(Picture { width: image.width, height: image.height, rgb: image.rgb.clone() })

@@ -24,7 +24,7 @@
 //! A row of harmonics is the coefficients above the first, channels innermost, in i8: `step·q`, half a step off at most, where `step`, an
 //! f16 in the row's last two bytes, is at least a 127th of the row's largest. A number is a Gaussian's place in its file.
 //!
-//! Left out is what no image shows: opacities under 1/255, rotations of no length, and what is not finite.
+//! Left out is what no image shows: opacities under 1/255, and what [`Still::defect`](crate::still::Still::defect) names.
 
 use half::f16;
 use rayon::prelude::*;
@@ -88,11 +88,7 @@ pub(super) fn packet(scene: &Drawable) -> Vec<u8> {
 
 /// Returns true if an image can show Gaussian `i`.
 fn can_be_seen(scene: &Drawable, i: usize) -> bool {
-    let still = scene.still();
-    let width = 3 * still.rest();
-    let mut numbers = still.mean[i].iter().chain(&scene.scale()[i]).chain(&still.base[i]);
-    let finite = numbers.all(|x| x.is_finite()) && scene.rotation()[i].iter().all(|x| x.is_finite());
-    finite && scene.opacity()[i] >= VISIBLE && still.higher[i * width..(i + 1) * width].iter().all(|x| x.is_finite())
+    scene.still().defect(i).is_none() && scene.opacity()[i] >= VISIBLE
 }
 
 fn record(scene: &Drawable, i: usize) -> [u8; RECORD] {
@@ -174,6 +170,7 @@ mod tests {
             base: (0..count).map(|i| std::array::from_fn(|k| 9.0 * value(i, 11 + k))).collect(),
             degree,
             higher: (0..count * width).map(|i| 0.4 * value(i, 14) * value(i / width, 15)).collect(),
+            ..Still::default()
         }
     }
 

@@ -138,6 +138,16 @@ fn still(a: &StillFile, b: &StillFile) -> Outcome {
         let summary = format!("{} and {}", text(first), text(second));
         return outcome(false, summary, lines, found);
     }
+    let [one, other] = [a, b].map(|file| &file.still.about);
+    for (name, differ) in [
+        ("offset", one.offset != other.offset),
+        ("mark of anti-aliased training", one.antialiased != other.antialiased),
+    ] {
+        if differ {
+            lines.push(format!("the scenes differ in their {name}"));
+            found.push(json!({ "part": "scene", "property": name }));
+        }
+    }
     columns("", &of_still(&a.still), &of_still(&b.still), &mut lines, &mut found);
     let count = first.0;
     let summary = match (lines.len(), a.blake3 == b.blake3) {

@@ -36,8 +36,7 @@ struct Entry {
     orbit: Option<Word>,
     sway: Option<Word>,
     turntable: Option<f64>,
-    #[serde(default)]
-    antialias: bool,
+    antialias: Option<bool>,
     #[serde(default)]
     stereo: bool,
     eye_distance: Option<f64>,
@@ -132,6 +131,7 @@ impl Entry {
         let Entry { turntable, stereo, eye_distance, antialias, .. } = self;
         let [orbit, sway] = [self.orbit, self.sway].map(|word| word.map(Word::text));
         let motion = Motion { orbit, sway, turntable, stereo, eye_distance };
+        let antialias = antialias.into();
         let options = RenderOptions { view, fps: self.fps, motion, antialias, optics, ..RenderOptions::default() };
         Render { name: self.name, scene: folder.join(self.scene), options }
     }
@@ -143,6 +143,7 @@ mod tests {
     use proptest::sample::{Index, select};
 
     use super::*;
+    use crate::options::antialias::Antialias;
 
     #[test]
     fn numbers_and_text_mean_what_they_mean_on_the_command_line() {
@@ -170,7 +171,7 @@ mod tests {
             (renders[1].options.motion.turntable, renders[1].scene.as_path()),
             (Some(2.0), Path::new("dir/b.ply"))
         );
-        assert_eq!([0, 1].map(|i| renders[i].options.antialias), [false, true]);
+        assert_eq!([0, 1].map(|i| renders[i].options.antialias), [Antialias::Auto, Antialias::On]);
     }
 
     #[test]

@@ -1,0 +1,78 @@
+//! Files that were written, and what of a scene they do not hold.
+
+use super::Order;
+use crate::still::{Defect, Still};
+
+/// Choices that a format leaves to its writer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Options {
+    /// Version of SPZ files.
+    pub spz: SpzVersion,
+}
+
+/// Versions of SPZ that are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SpzVersion {
+    /// One gzip stream: what viewers open.
+    #[default]
+    V3,
+    /// A zstd frame for each attribute, with extension records.
+    V4,
+}
+
+/// A file, and lines about what of the scene it does not hold.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Written {
+    /// Its bytes.
+    pub bytes: Vec<u8>,
+    /// What was left out, moved or lost beyond the precision that the format always has, a line each.
+    pub notes: Vec<String>,
+}
+
+impl Written {
+    /// A file that holds everything that its format can.
+    pub(super) fn of(bytes: Vec<u8>) -> Written {
+        Written { bytes, notes: Vec::new() }
+    }
+}
+
+/// Lines about what a file does not hold.
+pub(super) struct Notes(pub(super) Vec<String>);
+
+impl Notes {
+    /// Says which Gaussians are left out of a file that holds those of `order`.
+    pub(super) fn of(still: &Still, order: &Order) -> Notes {
+        let mut notes = Notes(Vec::new());
+        let left = still.len() - order.places.len();
+        if left > 0 {
+            let not_turned = (0..still.len()).filter(|i| still.defect(*i) == Some(Defect::NoRotation)).count();
+            let why = [(left - not_turned, "with numbers that are not finite"), (not_turned, "without a rotation")];
+            let why: Vec<String> =
+                why.iter().filter(|(count, _)| *count > 0).map(|(count, why)| format!("{count} {why}")).collect();
+            notes.0.push(format!("{left} of {} Gaussians left out: {}", still.len(), why.join(", ")));
+        }
+        notes
+    }
+
+    /// Says that so many of `all` were changed, if any were.
+    pub(super) fn changed(&mut self, count: usize, all: usize, what: &str) {
+        if count > 0 {
+            self.0.push(format!("{count} of {all} Gaussians {what}"));
+        }
+    }
+
+    /// Says that the mark of anti-aliased training is lost, where there is one.
+    pub(super) fn without_mark(&mut self, still: &Still, format: &str) {
+        if still.about.antialiased {
+            self.0.push(format!("{format} has no mark for scenes trained with anti-aliasing: draw this one with it"));
+        }
+    }
+
+    /// Says what became of the scene's offset, where there is one.
+    pub(super) fn offset(&mut self, offset: [f64; 3], what: &str) {
+        if offset != [0.0; 3] {
+            let [x, y, z] = offset;
+            self.0.push(format!("coordinates are relative to ({x}, {y}, {z}), {what}"));
+        }
+    }
+}

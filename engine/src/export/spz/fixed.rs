@@ -1,0 +1,106 @@
+//! Centres in fixed point: how many bits go after the point.
+//!
+//! A centre has 24 bits. The more of them are after the point, the finer it is, and the nearer is the end of the range. For each number of bits,
+//! a Gaussian costs 1 where it would be cut off, and else `min(1, (ε/σ)²)`, with ε half a step and σ the largest standard deviation: what is
+//! rounded by as much as it is wide is as good as lost. The number of least cost is taken, of equal ones the one that cuts off least. So a few
+//! floaters cost no one else's precision, and a wide scene is not cut off.
+
+use super::Notes;
+use crate::still::{Still, middle};
+
+/// Bits after the point at most.
+const MOST_BITS: u32 = 12;
+/// One above the largest fixed-point number.
+const END: f64 = 8_388_608.0;
+/// Cost per Gaussian from which on an offset is taken out of the coordinates.
+const FAR: f64 = 0.01;
+
+/// A fixed point, and what is taken off before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Fixed {
+    pub(super) bits: u32,
+    /// Whole numbers taken off the centres.
+    off: [f64; 3],
+}
+
+impl Fixed {
+    /// The best one for the Gaussians at `places`.
+    pub(super) fn of(still: &Still, places: &[usize]) -> Fixed {
+        let (plain, cost) = Fixed::best(still, places, [0.0; 3]);
+        if cost <= FAR * places.len() as f64 {
+            return plain;
+        }
+        // As maps have it: far from zero, and not wide.
+        let along = |axis: usize| places.iter().map(|&i| still.mean[i][axis]).collect();
+        let Some(off) = middle([along(0), along(1), along(2)]) else { return plain };
+        let (near, less) = Fixed::best(still, places, off);
+        if less < 0.5 * cost { near } else { plain }
+    }
+
+    /// The best one with this offset, and what it costs.
+    fn best(still: &Still, places: &[usize], off: [f64; 3]) -> (Fixed, f64) {
+        let at = |bits| Fixed { bits, off };
+        if places.iter().all(|&i| at(MOST_BITS).holds(still.mean[i])) {
+            return (at(MOST_BITS), at(MOST_BITS).cost(still, places));
+        }
+        (0..=MOST_BITS).map(|bits| (at(bits), at(bits).cost(still, places))).fold(
+            (at(0), f64::INFINITY),
+            // Fewer bits cut off less.
+            |best, next| if next.1 < best.1 { next } else { best },
+        )
+    }
+
+    fn cost(self, still: &Still, places: &[usize]) -> f64 {
+        let half = 0.5 / self.scale();
+        let one = |&i: &usize| {
+            if !self.holds(still.mean[i]) {
+                return 1.0;
+            }
+            let widest = still.log_scale[i].into_iter().fold(f32::NEG_INFINITY, f32::max);
+            // Beyond the format's least it is as wide as that.
+            let share = half / streamsplat_kernels::math::f64::exp(f64::from(widest.max(-10.0)));
+            (share * share).min(1.0)
+        };
+        places.iter().map(one).sum()
+    }
+
+    fn scale(self) -> f64 {
+        f64::from(1_u32 << self.bits)
+    }
+
+    fn parts(self, mean: [f32; 3]) -> [f64; 3] {
+        std::array::from_fn(|k| ((f64::from(mean[k]) - self.off[k]) * self.scale()).round())
+    }
+
+    fn holds(self, mean: [f32; 3]) -> bool {
+        self.parts(mean).iter().all(|x| (-END..END).contains(x))
+    }
+
+    /// Nine bytes of a centre.
+    pub(super) fn bytes(self, mean: [f32; 3]) -> impl Iterator<Item = u8> {
+        self.parts(mean).into_iter().flat_map(|x| {
+            let [a, b, c, _] = (x.clamp(-END, END - 1.0) as i32).to_le_bytes();
+            [a, b, c]
+        })
+    }
+
+    /// The offset of the coordinates in the file.
+    pub(super) fn offset(self, still: &Still) -> [f64; 3] {
+        std::array::from_fn(|k| still.about.offset[k] + self.off[k])
+    }
+
+    /// Says what is moved, and where positions are coarser than the format's usual.
+    pub(super) fn notes(self, still: &Still, places: &[usize], notes: &mut Notes) {
+        let far = places.iter().filter(|i| !self.holds(still.mean[**i])).count();
+        let reach = END / self.scale();
+        notes.changed(
+            far,
+            places.len(),
+            &format!("moved to {reach} units, the farthest that keeps the others' precision"),
+        );
+        if self.bits < MOST_BITS {
+            let all = 1_u32 << self.bits;
+            notes.0.push(format!("positions to 1/{all} unit, as the scene reaches farther than 2048 units"));
+        }
+    }
+}

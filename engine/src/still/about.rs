@@ -1,0 +1,54 @@
+//! Facts about a still scene that are not numbers of its Gaussians.
+
+use super::Axes;
+
+/// Statements of a file about its scene, and remarks on how it was read.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct About {
+    /// Trained with anti-aliasing: what is smaller than a pixel is to be drawn fainter, not wider.
+    pub antialiased: bool,
+    /// Origin of the scene's coordinates: a Gaussian's place is its centre plus this. Not zero where coordinates are so large that binary32
+    /// would round them, as those of maps are.
+    pub offset: [f64; 3],
+    /// Axes in which the file's numbers were taken.
+    pub axes: Axes,
+    /// True if those are assumed: the format has several, and the file does not say which.
+    pub axes_assumed: bool,
+    /// Limits of a camera that orbits the scene.
+    pub orbit: Option<Orbit>,
+    /// Lines about what of the file was left out or assumed.
+    pub notes: Vec<String>,
+}
+
+impl About {
+    /// Everything that a user should know of how a file was read, a line each.
+    pub fn lines(&self) -> Vec<String> {
+        let mut lines = self.notes.clone();
+        if self.axes_assumed {
+            let axes = self.axes;
+            lines.push(format!(
+                "the file does not say its axes: taken as {axes}, as its format's description has it; --axes rdf where another program \
+                 stored PLY's numbers as they are"
+            ));
+        }
+        lines
+    }
+}
+
+/// Limits of a camera that orbits a scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Orbit {
+    /// Least and greatest angle above the horizon, in radians.
+    pub elevation: [f32; 2],
+    /// Least distance from the middle.
+    pub radius: f32,
+}
+
+impl Orbit {
+    /// Returns true if the limits are ones: a range of elevations below the zenith, and a distance. Programs write zeros for none.
+    pub(super) fn is_set(&self) -> bool {
+        let [least, most] = self.elevation;
+        let steepest = 0.49 * std::f32::consts::PI;
+        -steepest <= least && least < most && most <= steepest && (0.0..1e9).contains(&self.radius)
+    }
+}
