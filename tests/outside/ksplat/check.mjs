@@ -66,7 +66,10 @@ for (let degree = 0; degree <= 2; degree++) {
     assert.equal(count, COUNT);
     const rest = (degree + 1) ** 2 - 1;
     const harmonics = new Float32Array(count * 3 * rest);
+    // Bytes are left as they are: its shader makes numbers of them, between the least and the greatest.
     if (rest > 0) packed.fillSphericalHarmonicsArray(harmonics, degree, undefined, undefined, undefined, undefined, 0);
+    const [least, greatest] = [packed.minSphericalHarmonicsCoeff, packed.maxSphericalHarmonicsCoeff];
+    if (level === 2) harmonics.forEach((byte, i) => { harmonics[i] = least + (byte / 255) * (greatest - least); });
     const near = (a, b, what, least = 1e-6) => {
       assert.ok(Math.abs(a - b) <= least * Math.max(1, Math.abs(b)), `level ${level}, degree ${degree}, ${what}: ${a} and ${b}`);
       checked += 1;
