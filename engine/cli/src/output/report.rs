@@ -42,7 +42,7 @@ pub fn summary(record: &Record, out: &Path) -> String {
         _ => String::new(),
     };
     let keys = record.key_frames.map(|keys| format!(", {keys} key frames")).unwrap_or_default();
-    let psnr = record.psnr.map(|psnr| format!(", {psnr:.1} dB over all frames")).unwrap_or_default();
+    let psnr = record.psnr.map(|psnr| format!(", {psnr:.1} dB at 256×256 over all frames")).unwrap_or_default();
     // A rendering's input is counted in intervals.
     let (each, what) = match record.task {
         Invocation::Run(_) => (total / record.input.count.max(1) as f64, "frame"),
