@@ -2,8 +2,11 @@
 
 use std::sync::Arc;
 
-use streamsplat::stream::{DepthRange, Fusion, ModelSource, Reconstructor};
+use streamsplat::stream::{DepthRange, Fusion, ModelSource, Motion, Reconstructor, Session};
 use streamsplat::{Engine, EngineError, Frame, Settings};
+use streamsplat_model::reuse::{Saving, Tokens};
+use streamsplat_model::zero_output::ZeroOutput;
+use streamsplat_model::{Embedding, FrameInput, ModelError, Sampling, Side, StaticGaussians};
 use streamsplat_tests::theatre::Theatre;
 
 fn engine(theatre: Theatre) -> (Engine, Arc<Theatre>) {
@@ -106,5 +109,109 @@ fn depth_is_normalised_and_its_bad_values_are_counted() {
         (depth[0], depth[1], depth[2]) = (f32::NAN, f32::INFINITY, f32::NEG_INFINITY);
         frame.depth = Some(depth);
         assert_eq!(engine.push(frame, 0.0).expect("taken").dropped, 3);
+    }
+}
+
+/// The calls of a reconstructor and its session, in which [`Failing`] panics.
+const CALLS: [&str; 9] =
+    ["embed", "upsample", "gaussians", "condition", "decode", "upsample_motion", "motion", "tokens", "zero_output"];
+
+/// A theatre of which one call panics, once it is told to.
+struct Failing(Arc<Theatre>, Arc<std::sync::Mutex<Option<&'static str>>>);
+
+struct FailingSession(Box<dyn Session>, Arc<std::sync::Mutex<Option<&'static str>>>);
+
+fn fail(told: &std::sync::Mutex<Option<&'static str>>, call: &str) {
+    let now = told.lock().expect("unpoisoned").take_if(|told| *told == call).is_some();
+    assert!(!now, "told to panic in {call}");
+}
+
+impl Reconstructor for Failing {
+    fn resolution(&self) -> [usize; 2] {
+        self.0.resolution()
+    }
+
+    fn zero_output(&self) -> &[ZeroOutput] {
+        fail(&self.1, "zero_output");
+        &[]
+    }
+
+    fn session(self: Arc<Self>, saving: Option<Saving>) -> Box<dyn Session> {
+        Box::new(FailingSession(self.0.clone().session(saving), self.1.clone()))
+    }
+}
+
+impl Session for FailingSession {
+    fn embed(&mut self, frame: &FrameInput<'_>) -> Result<Embedding, ModelError> {
+        fail(&self.1, "embed");
+        self.0.embed(frame)
+    }
+
+    fn upsample(&mut self, embedding: &Embedding) -> Result<Vec<f32>, ModelError> {
+        fail(&self.1, "upsample");
+        self.0.upsample(embedding)
+    }
+
+    fn gaussians(&mut self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError> {
+        fail(&self.1, "gaussians");
+        self.0.gaussians(tokens, sampling)
+    }
+
+    fn draws_positions(&self) -> bool {
+        self.0.draws_positions()
+    }
+
+    fn reads_condition(&self) -> bool {
+        true
+    }
+
+    fn condition(&mut self, frame: &FrameInput<'_>) -> Result<Option<Vec<f32>>, ModelError> {
+        fail(&self.1, "condition");
+        self.0.condition(frame)
+    }
+
+    fn decode(&mut self, a: &Side<'_>, b: &Side<'_>) -> Result<[Vec<f32>; 2], ModelError> {
+        fail(&self.1, "decode");
+        self.0.decode(a, b)
+    }
+
+    fn upsample_motion(&mut self, place: usize, d: &[f32]) -> Result<Vec<f32>, ModelError> {
+        fail(&self.1, "upsample_motion");
+        self.0.upsample_motion(place, d)
+    }
+
+    fn motion(&mut self, place: usize, static_tokens: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError> {
+        fail(&self.1, "motion");
+        self.0.motion(place, static_tokens, motion_tokens)
+    }
+
+    fn tokens(&self) -> Option<[(&'static str, Tokens); 4]> {
+        fail(&self.1, "tokens");
+        self.0.tokens()
+    }
+}
+
+#[test]
+fn a_panic_in_any_call_of_a_reconstructor_leaves_the_stream_as_it_was() {
+    let theatre = Arc::new(Theatre::new([6, 10]));
+    for call in CALLS {
+        let told = Arc::new(std::sync::Mutex::new(None));
+        let engine = || {
+            let model: Arc<dyn Reconstructor> = Arc::new(Failing(theatre.clone(), told.clone()));
+            Engine::new(Settings { threads: 1, ..Settings::with_model(ModelSource::Shared(model)) }).expect("starts")
+        };
+        let (mut struck, mut untouched) = (engine(), engine());
+        for k in 0..4_u8 {
+            let frame = theatre.frame(0.1 * f32::from(k));
+            let expected = untouched.push(frame.clone(), f64::from(k)).expect("taken");
+            if k == 2 {
+                *told.lock().expect("unpoisoned") = Some(call);
+                let struck = std::panic::AssertUnwindSafe(|| struck.push(frame.clone(), f64::from(k)));
+                assert!(std::panic::catch_unwind(struck).is_err(), "{call} was not called");
+            }
+            let found = struck.push(frame, f64::from(k)).expect("taken");
+            assert_eq!((found.index, found.start, found.end), (expected.index, expected.start, expected.end), "{call}");
+            assert_eq!(found.gaussians, expected.gaussians, "{call}");
+        }
     }
 }

@@ -111,7 +111,7 @@ impl Engine {
     /// # Errors
     /// Frames without pixels, of another size than the first one, with buffers of the wrong length or pixels that are not
     /// finite; time stamps that are not after the one before; what the model refuses. The stream is then as it was before, but that
-    /// after the model has refused something the next frame is computed in full.
+    /// after the model has refused something the next frame is computed in full. So it is after a panic of a [`Reconstructor`].
     pub fn push(&mut self, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
         self.push_with(Vec::new(), frame, timestamp)
     }
@@ -134,7 +134,7 @@ impl Engine {
     /// [`Engine::push_with`] on the engine's own threads.
     fn take(&mut self, between: Vec<(Frame, f64)>, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
         let index = self.state.as_ref().map_or(0, |s| s.frame + 1);
-        let placement = self.check(&frame, index, timestamp)?;
+        let placement = self.check(self.state.as_ref(), &frame, index, timestamp)?;
         let between = match self.settings.motion() {
             MotionFrom::Between if self.state.is_some() => between,
             _ => Vec::new(),
@@ -144,21 +144,25 @@ impl Engine {
             if !(time.is_finite() && after.is_none_or(|after| after < *time) && *time < timestamp) {
                 return Err(EngineError::Between { index, after, before: timestamp, found: *time });
             }
-            self.check(seen, index, *time)?;
+            self.check(self.state.as_ref(), seen, index, *time)?;
             after = Some(*time);
         }
         let mut tiles = self.tiles(placement)?;
-        let interval = self.advance(&mut tiles, between, frame, index, timestamp, placement);
-        if interval.is_err() {
+        let advanced = self.advance(&mut tiles, between, frame, index, timestamp, placement);
+        if advanced.is_err() {
             tiles.tiles.iter_mut().for_each(|tile| tile.session.forget());
         }
         self.work.tokens(&tokens(&tiles));
         self.work.branches(self.model.zero_output());
         self.tiles = Some(tiles);
-        interval
+        // Nothing of the reconstructor's is called from here on: where it panicked, the stream is as it was, and the next frame is computed in
+        // full.
+        let (state, interval) = advanced?;
+        self.state = Some(state);
+        Ok(interval)
     }
 
-    /// Takes a frame that was found good.
+    /// Takes a frame that was found good; returns the state after it.
     fn advance(
         &mut self,
         tiles: &mut Tiles,
@@ -167,8 +171,10 @@ impl Engine {
         index: u64,
         timestamp: f64,
         placement: Placement,
-    ) -> Result<Interval, EngineError> {
-        let (mut view, lost) = self.reconstruct(tiles, frame, index, placement)?;
+    ) -> Result<(State, Interval), EngineError> {
+        let Self { settings, workers, work, fitter, state, .. } = self;
+        let mut context = Context::new(settings, workers, work, fitter, tiles, state.as_ref());
+        let (mut view, lost) = context.reconstruct(frame, index, placement)?;
         let seen = self.seen(between, index, timestamp, placement)?;
         let level = self.workers.level();
         let flows = match &self.state {
@@ -194,16 +200,14 @@ impl Engine {
         let own = view.own_map(tiles);
         let own = own.map(|map| aligned(level, map, &view, self.state.as_ref(), flows.as_ref()));
         let map = own.or_else(|| view.found_map(level, found.as_ref()?));
-        // For a moment, so that the engine can be asked for the rest of it.
-        let before = self.state.take();
+        let Self { settings, workers, work, fitter, state: before, .. } = self;
         let past = before.as_ref().zip(flows.as_ref()).and_then(|(state, flows)| {
             let KeyView { rgb, added, .. } = &state.view;
             let map = &state.view.map.as_ref()?.map;
             Some(Past { level, map, rgb, covered: &added.covered, back: flows.back() })
         });
-        self.context(tiles, before.as_ref()).finish(&mut view, map, &past.map_or(Memory::None, Memory::Past));
-        self.state = before;
-        let Self { settings, work, fitter, state: before, .. } = self;
+        let mut context = Context::new(settings, workers, work, fitter, tiles, before.as_ref());
+        context.finish(&mut view, map, &past.map_or(Memory::None, Memory::Past));
         let (set, advance) = match before {
             None => CanonicalSet::first(&view.gaussians, view.layers()),
             Some(state) => {
@@ -259,10 +263,10 @@ impl Engine {
             }
         };
         let start = before.as_ref().map_or(timestamp, |s| s.timestamp);
-        self.state = Some(State { frame: index, timestamp, placement, view, pair: next_pair, set, found });
+        let state = State { frame: index, timestamp, placement, view, pair: next_pair, set, found };
         let Advance { gaussians, merges, dropped } = advance;
         let dropped = dropped + lost;
-        Ok(Interval { index, start, end: timestamp, gaussians, placement, merges, dropped })
+        Ok((state, Interval { index, start, end: timestamp, gaussians, placement, merges, dropped }))
     }
 
     /// The frames in between as flow sees them.
@@ -309,13 +313,14 @@ impl Engine {
 
     /// Lifts the stream's first key frame, which nothing was found for when it came.
     fn lift_first(&mut self, tiles: &mut Tiles, found: Found) {
-        let Some(mut state) = self.state.take() else { return };
-        if let Some(map) = state.view.found_map(self.workers.level(), &found) {
-            self.context(tiles, None).finish(&mut state.view, Some(map), &Memory::None);
+        let Self { settings, workers, work, fitter, state, .. } = self;
+        let Some(state) = state else { return };
+        if let Some(map) = state.view.found_map(workers.level(), &found) {
+            let mut context = Context::new(settings, workers, work, fitter, tiles, None);
+            context.finish(&mut state.view, Some(map), &Memory::None);
             (state.set, _) = CanonicalSet::first(&state.view.gaussians, state.view.layers());
             state.found = Some(found);
         }
-        self.state = Some(state);
     }
 
     /// State since the last key frame.
@@ -330,35 +335,39 @@ impl Engine {
 
     /// The frame of `point` through its own part of the network, as if it were the first one, but for what `point` says of its depth.
     pub(super) fn see(&mut self, frame: Frame, point: &ResumePoint) -> Result<(Placement, KeyView), EngineError> {
-        let before = self.state.take();
-        let seen = self.check(&frame, point.frame, point.timestamp).and_then(|placement| {
-            let mut tiles = self.tiles(placement)?;
-            let view = self.reconstruct(&mut tiles, frame, point.frame, placement).map(|(mut view, _)| {
-                let level = self.workers.level();
-                let alignment = Alignment::from(point.depth);
-                let found = point.found.as_ref().filter(|found| found.contradiction(placement.model).is_none());
-                let own = view.own_map(&tiles).map(|map| AlignedMap { map: alignment.apply(map), alignment });
-                let map = own.or_else(|| view.found_map(level, found?));
-                let sound = contradiction(&point.covered, placement.model).is_none();
-                let covered = if sound { &point.covered[..] } else { &[] };
-                self.context(&mut tiles, None).finish(&mut view, map, &Memory::Known(covered));
-                view
-            });
-            self.tiles = Some(tiles);
-            view.map(|view| (placement, view))
+        let placement = self.check(None, &frame, point.frame, point.timestamp)?;
+        let mut tiles = self.tiles(placement)?;
+        let Self { settings, workers, work, fitter, .. } = self;
+        let mut context = Context::new(settings, workers, work, fitter, &mut tiles, None);
+        let view = context.reconstruct(frame, point.frame, placement).map(|(mut view, _)| {
+            let level = workers.level();
+            let alignment = Alignment::from(point.depth);
+            let found = point.found.as_ref().filter(|found| found.contradiction(placement.model).is_none());
+            let own = view.own_map(context.tiles).map(|map| AlignedMap { map: alignment.apply(map), alignment });
+            let map = own.or_else(|| view.found_map(level, found?));
+            let sound = contradiction(&point.covered, placement.model).is_none();
+            let covered = if sound { &point.covered[..] } else { &[] };
+            context.finish(&mut view, map, &Memory::Known(covered));
+            view
         });
-        self.state = before;
-        seen
+        self.tiles = Some(tiles);
+        view.map(|view| (placement, view))
     }
 
     /// The frame's placement, when frame and time stamp can be taken.
-    fn check(&self, frame: &Frame, index: u64, timestamp: f64) -> Result<Placement, EngineError> {
-        let after = self.state.as_ref().map(|s| s.timestamp);
+    fn check(
+        &self,
+        state: Option<&State>,
+        frame: &Frame,
+        index: u64,
+        timestamp: f64,
+    ) -> Result<Placement, EngineError> {
+        let after = state.map(|s| s.timestamp);
         if !(timestamp.is_finite() && after.is_none_or(|after| after < timestamp)) {
             return Err(EngineError::Time { index, after, found: timestamp });
         }
         let size = [frame.height, frame.width];
-        let placement = match &self.state {
+        let placement = match state {
             Some(state) if state.placement.source != size => {
                 return Err(EngineError::Size { index, expected: state.placement.source, found: size });
             }
@@ -404,24 +413,18 @@ impl Engine {
             EngineError::Resolution { expected, found }
         })
     }
+}
 
-    /// A frame through its own part of the network.
-    fn reconstruct(
-        &mut self,
-        tiles: &mut Tiles,
-        frame: Frame,
-        index: u64,
-        placement: Placement,
-    ) -> Result<(KeyView, u64), EngineError> {
-        let before = self.state.take();
-        let view = self.context(tiles, before.as_ref()).reconstruct(frame, index, placement);
-        self.state = before;
-        view
-    }
-
+impl<'a> Context<'a> {
     /// Context in which the frame after `before` is reconstructed.
-    fn context<'a>(&'a mut self, tiles: &'a mut Tiles, before: Option<&'a State>) -> Context<'a> {
-        let Self { settings, workers, work, fitter, .. } = self;
+    fn new(
+        settings: &'a Settings,
+        workers: &Workers,
+        work: &'a mut Work,
+        fitter: &'a mut Fitter,
+        tiles: &'a mut Tiles,
+        before: Option<&'a State>,
+    ) -> Self {
         let before = before.filter(|_| settings.reuse != Reuse::Off).map(|state| &state.view);
         Context { settings, level: workers.level(), work, tiles, fitter, before }
     }
