@@ -23,12 +23,23 @@ const LOOK: Duration = Duration::from_millis(50);
 
 /// Shows a scene of any kind.
 pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
+    if let Some(url) = args.url.as_deref().filter(|url| !is_address(url)) {
+        let found = url.escape_debug();
+        return Err(Failure::usage(format!("--url {found}: expected an address that begins with https:// or http://")));
+    }
     let workers = args.machine.workers()?;
     let name = title(&args.scene);
     match open_along(&args.scene, &args.limit.limits(), args.reading.axes()?, Some(&workers), console)? {
         Opened::Moving(scene) => show(Recorded::new(name, scene, workers), args, console),
         Opened::Still(file) => show(StillSource::new(name, file, workers)?, args, console),
     }
+}
+
+/// Returns true for the address of a page, which a browser opens as one: a script, say, is none.
+fn is_address(url: &str) -> bool {
+    let lower = url.to_ascii_lowercase();
+    let rest = lower.strip_prefix("https://").or_else(|| lower.strip_prefix("http://"));
+    rest.is_some_and(|rest| !rest.is_empty()) && !url.chars().any(|c| c.is_control() || c.is_whitespace())
 }
 
 /// Serves until Ctrl-C, or writes the file.
@@ -78,4 +89,21 @@ fn write_file(source: &impl Whole, link: &Link, file: &Path) -> Result<u64, Fail
     drop(out);
     partial.keep()?;
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_addresses_of_pages_are_taken() {
+        for url in ["https://example.org/a.html", "http://localhost:1/", "HTTPS://example.org"] {
+            assert!(is_address(url), "{url}");
+        }
+        for url in
+            ["javascript:alert(1)", "data:text/html,x", "https://", "//example.org", "https://a b", "https://a\n"]
+        {
+            assert!(!is_address(url), "{url}");
+        }
+    }
 }

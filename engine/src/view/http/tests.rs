@@ -36,6 +36,16 @@ fn ask(listener: &Listener, request: &[u8]) -> String {
 const GET: &[u8] = b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n";
 
 #[test]
+fn no_other_site_may_frame_or_embed_an_answer() {
+    let answer = ask(&start(hello), GET);
+    for header in
+        ["Cross-Origin-Resource-Policy: same-origin\r\n", "Content-Security-Policy: frame-ancestors 'none'\r\n"]
+    {
+        assert!(answer.contains(header), "{answer}");
+    }
+}
+
+#[test]
 fn bodies_are_neither_read_nor_allocated() {
     let listener = start(hello);
     for length in ["0", "1000000000000000", "18446744073709551615", "-1", "x"] {
