@@ -27,7 +27,7 @@ impl Failure {
     /// One line.
     pub fn message(&self) -> String {
         let (Failure::Usage(text) | Failure::Work(text) | Failure::Stopped(text)) = self;
-        text.split_whitespace().collect::<Vec<_>>().join(" ")
+        super::visible(&text.split_whitespace().collect::<Vec<_>>().join(" "))
     }
 
     /// 1, 2 or 130.

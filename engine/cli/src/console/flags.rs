@@ -35,7 +35,7 @@ impl Console {
     /// Says lines beside the results: on standard error, because standard output may carry a video.
     pub fn note(&self, lines: &[String]) {
         for line in lines.iter().filter(|_| !self.quiet) {
-            let _ = writeln!(std::io::stderr(), "{line}");
+            let _ = writeln!(std::io::stderr(), "{}", super::visible(line));
         }
     }
 

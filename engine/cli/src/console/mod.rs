@@ -9,4 +9,4 @@ pub mod trace;
 pub mod version;
 
 pub use flags::{Console, Observer};
-pub use print::{print, say};
+pub use print::{print, say, visible};
