@@ -1,56 +1,90 @@
 //! How far two pictures are apart, and where.
 //!
 //! Samples are compared in one order, in binary64 where they are added, so the figures are the same on every machine.
+//!
+//! Distances are in one scale for every type ([`Samples::values`]): 1 is the full range of whole numbers (255, 65535, 2³²−1), and 1 for floats and
+//! for whole numbers without a range. A sample that is no number is infinitely far from one that is.
 
-use crate::metrics::{self, MetricError};
+use crate::metrics;
 use crate::picture::Picture;
+use crate::samples::{Channel, Part, Samples};
 
-/// Names of the planes.
-pub const CHANNELS: [&str; 3] = ["red", "green", "blue"];
+/// A place at which two pictures differ.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Place {
+    /// Column of the sample in its channel.
+    pub column: usize,
+    /// Row of the sample in its channel.
+    pub row: usize,
+    /// The channel's name.
+    pub channel: String,
+    /// Both samples as they are stored.
+    pub samples: [String; 2],
+}
 
-/// How far two pictures of one size are apart.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// How far two pictures with the same channels are apart.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
-    /// Greatest absolute difference of two samples; 1 is from black to white. NaN counts as 1 beside a number.
-    pub largest: f32,
-    /// The first place that has it: column, row, and channel (0 red, 1 green, 2 blue). `None` where all samples are equal.
-    pub place: Option<[usize; 3]>,
+    /// Greatest distance of two samples.
+    pub largest: f64,
+    /// The first place that has it. `None` where all samples are equal: bit for bit where both are of one type, and as numbers where not.
+    pub place: Option<Place>,
     /// Share of pixels of which a sample differs, from 0 to 1.
     pub share: f64,
-    /// Peak signal-to-noise ratio in dB ([`metrics::psnr`]).
+    /// Mean square of the distances of all samples.
+    pub error: f64,
+    /// Peak signal-to-noise ratio in dB, peak 1 ([`metrics::psnr_of`]).
     pub psnr: f64,
-    /// Structural similarity ([`metrics::ssim`]); `None` under 11 pixels a side.
+    /// Structural similarity ([`metrics::ssim`]), mean over the channels; `None` under 11 samples a side or where one is not finite.
     pub ssim: Option<f64>,
 }
 
 impl Difference {
-    /// Compares two pictures.
+    /// Compares two parts of one size with the same channels ([`crate::samples::pair`]).
     ///
-    /// # Errors
-    /// Different sizes.
-    pub fn between(a: &Picture, b: &Picture) -> Result<Self, MetricError> {
-        metrics::check_sizes(a, b)?;
-        let plane = a.width * a.height;
-        let mut differs = vec![false; plane];
-        let (mut largest, mut place) = (0.0, None);
-        for (i, (&x, &y)) in a.rgb.iter().zip(&b.rgb).enumerate() {
-            let distance = distance(x, y);
-            if distance > 0.0 {
-                differs[i % plane] = true;
+    /// # Panics
+    /// When the channels are not alike.
+    pub fn between(a: &Part, b: &Part) -> Self {
+        let mut differs = vec![false; a.width * a.height];
+        let (mut largest, mut place, mut sum, mut count) = (-1.0, None, 0.0, 0_usize);
+        let mut ssim = Some(0.0);
+        assert_eq!(a.channels.len(), b.channels.len(), "the same channels");
+        for (one, other) in a.channels.iter().zip(&b.channels) {
+            assert_eq!((one.width, one.height), (other.width, other.height), "channels of one size");
+            let (x, y) = (one.samples.values(), other.samples.values());
+            for (at, (&x, &y)) in x.iter().zip(&y).enumerate() {
+                let distance = distance(x, y);
+                let equal = one.samples.same_bits(&other.samples, at).unwrap_or(distance == 0.0);
+                sum += distance * distance;
+                if equal {
+                    continue;
+                }
+                differs[pixel(a, one, at)] = true;
+                if distance > largest {
+                    (largest, place) = (distance, Some((one, other, at)));
+                }
             }
-            if distance > largest {
-                let pixel = i % plane;
-                (largest, place) = (distance, Some([pixel % a.width, pixel / a.width, i / plane]));
-            }
+            count += x.len();
+            let own = (one.width >= metrics::WINDOW && one.height >= metrics::WINDOW)
+                .then(|| metrics::ssim_of_plane(&x, &y, one.width, one.height));
+            ssim = ssim.zip(own.filter(|own| own.is_finite())).map(|(sum, own)| sum + own);
         }
-        let count = differs.iter().filter(|d| **d).count();
-        Ok(Self {
-            largest,
+        let error = sum / count.max(1) as f64;
+        let differing = differs.iter().filter(|d| **d).count();
+        let place = place.map(|(one, other, at)| Place {
+            column: at % one.width,
+            row: at / one.width,
+            channel: one.name.clone(),
+            samples: [one.samples.text(at), other.samples.text(at)],
+        });
+        Difference {
+            largest: f64::max(largest, 0.0),
             place,
-            share: count as f64 / plane.max(1) as f64,
-            psnr: metrics::psnr(a, b)?,
-            ssim: metrics::ssim(a, b).ok(),
-        })
+            share: differing as f64 / differs.len().max(1) as f64,
+            error,
+            psnr: metrics::psnr_of(error),
+            ssim: ssim.map(|sum| sum / a.channels.len().max(1) as f64),
+        }
     }
 
     /// Returns true if all samples are equal.
@@ -59,11 +93,34 @@ impl Difference {
     }
 }
 
-fn distance(x: f32, y: f32) -> f32 {
-    match (x.is_nan(), y.is_nan()) {
-        (true, true) => 0.0,
-        (false, false) => (x - y).abs(),
-        _ => 1.0,
+/// The pixel that a sample of a channel is in.
+fn pixel(part: &Part, channel: &Channel, at: usize) -> usize {
+    let (column, row) = (at % channel.width, at / channel.width);
+    let scaled = |at: usize, side: usize, of: usize| (at * side / of.max(1)).min(side.saturating_sub(1));
+    scaled(row, part.height, channel.height) * part.width + scaled(column, part.width, channel.width)
+}
+
+fn distance(x: f64, y: f64) -> f64 {
+    // Infinities of one sign are equal numbers; so is what is no number on both sides.
+    if x == y || (x.is_nan() && y.is_nan()) {
+        return 0.0;
+    }
+    let distance = (x - y).abs();
+    if distance.is_nan() { f64::INFINITY } else { distance }
+}
+
+impl From<&Picture> for Part {
+    fn from(picture: &Picture) -> Part {
+        let Picture { width, height, ref rgb } = *picture;
+        let plane = width * height;
+        let channel = |(at, name): (usize, &str)| Channel {
+            name: name.to_owned(),
+            width,
+            height,
+            samples: Samples::F32(rgb[at * plane..(at + 1) * plane].to_vec()),
+        };
+        let channels = ["R", "G", "B"].into_iter().enumerate().map(channel).collect();
+        Part { name: String::new(), width, height, channels, premultiplied: false, windows: None, shown: None }
     }
 }
 
@@ -71,32 +128,49 @@ fn distance(x: f32, y: f32) -> f32 {
 const RAMP: [[f32; 3]; 5] =
     [[0.25, 0.05, 0.55], [0.65, 0.1, 0.55], [0.95, 0.3, 0.25], [1.0, 0.65, 0.1], [1.0, 1.0, 0.75]];
 /// The difference that has the ramp's last colour.
-const HOTTEST: f32 = 0.5;
+const HOTTEST: f64 = 0.5;
 /// How bright the picture is under its heat map.
 const UNDER: f32 = 0.3;
 
 /// A picture of where two pictures differ: over the first in dark grey, from violet (the least difference) through red to
 /// pale yellow (half of the range and more). The ramp follows the square root, so that one step of 8 bits can be seen.
 ///
-/// # Errors
-/// Different sizes.
-pub fn heat(a: &Picture, b: &Picture) -> Result<Picture, MetricError> {
-    metrics::check_sizes(a, b)?;
-    let plane = a.width * a.height;
-    let mut rgb = vec![0.0; 3 * plane];
-    for pixel in 0..plane {
-        let at = |p: &Picture, channel: usize| p.rgb[channel * plane + pixel];
-        let largest = (0..3).map(|c| distance(at(a, c), at(b, c))).fold(0.0, f32::max);
-        let colour = if largest > 0.0 {
-            ramp((largest / HOTTEST).min(1.0).sqrt())
-        } else {
-            [UNDER * (at(a, 0) + at(a, 1) + at(a, 2)) / 3.0; 3]
-        };
-        for channel in 0..3 {
-            rgb[channel * plane + pixel] = colour[channel];
+/// # Panics
+/// When the channels are not alike.
+pub fn heat(a: &Part, b: &Part) -> Picture {
+    let (width, height) = (a.width, a.height);
+    let plane = width * height;
+    let mut apart: Vec<Option<f64>> = vec![None; plane];
+    let mut under = vec![0.0_f64; plane];
+    let mut colours = 0.0;
+    for (one, other) in a.channels.iter().zip(&b.channels) {
+        let (x, y) = (one.samples.values(), other.samples.values());
+        for (at, (&x, &y)) in x.iter().zip(&y).enumerate() {
+            let far = distance(x, y);
+            if !one.samples.same_bits(&other.samples, at).unwrap_or(far == 0.0) {
+                let apart = &mut apart[pixel(a, one, at)];
+                *apart = Some(apart.map_or(far, |before| before.max(far)));
+            }
+        }
+        if one.name != "A" && x.len() == plane && colours < 3.0 {
+            under
+                .iter_mut()
+                .zip(&x)
+                .for_each(|(sum, value)| *sum += if value.is_finite() { value.clamp(0.0, 1.0) } else { 0.0 });
+            colours += 1.0;
         }
     }
-    Ok(Picture { width: a.width, height: a.height, rgb })
+    let mut rgb = vec![0.0; 3 * plane];
+    for (at, (apart, under)) in apart.iter().zip(&under).enumerate() {
+        let colour = match apart {
+            Some(far) => ramp((far / HOTTEST).min(1.0).sqrt() as f32),
+            None => [UNDER * (under / f64::max(colours, 1.0)) as f32; 3],
+        };
+        for (channel, value) in colour.into_iter().enumerate() {
+            rgb[channel * plane + at] = value;
+        }
+    }
+    Picture { width, height, rgb }
 }
 
 fn ramp(t: f32) -> [f32; 3] {
@@ -114,28 +188,59 @@ mod tests {
         Picture { width, height, rgb: vec![0.5; 3 * width * height] }
     }
 
+    fn between(a: &Picture, b: &Picture) -> Difference {
+        Difference::between(&a.into(), &b.into())
+    }
+
+    fn floats(values: &[f32]) -> Part {
+        Part {
+            channels: vec![Channel {
+                name: "Z".to_owned(),
+                width: values.len(),
+                height: 1,
+                samples: Samples::F32(values.to_vec()),
+            }],
+            ..Part::from(&grey(values.len(), 1))
+        }
+    }
+
     #[test]
     fn the_largest_difference_is_found_with_its_place_and_the_share_of_pixels() {
         let (a, mut b) = (grey(20, 15), grey(20, 15));
-        assert!(Difference::between(&a, &b).expect("one size").is_none());
+        assert!(between(&a, &b).is_none());
         b.rgb[20 * 15 + 3 * 20 + 7] = 0.75;
         b.rgb[2 * 20 * 15 + 3 * 20 + 7] = 0.4;
         b.rgb[5] = f32::from_bits(0.5_f32.to_bits() + 1);
-        let found = Difference::between(&a, &b).expect("one size");
-        assert_eq!((found.largest, found.place), (0.25, Some([7, 3, 1])));
+        let found = between(&a, &b);
+        let place = found.place.expect("a difference");
+        assert_eq!((found.largest, place.column, place.row, place.channel.as_str()), (0.25, 7, 3, "G"));
+        assert_eq!(place.samples, ["0.5", "0.75"]);
         assert_eq!(found.share, 2.0 / 300.0);
         assert_eq!(found.psnr, metrics::psnr(&a, &b).expect("one size"));
+        assert_eq!(found.ssim, metrics::ssim(&a, &b).ok());
         assert!(found.ssim.is_some_and(|s| s < 1.0));
-        assert!(Difference::between(&a, &grey(15, 20)).is_err());
-        assert_eq!(Difference::between(&grey(4, 4), &grey(4, 4)).expect("one size").ssim, None);
+        assert_eq!(between(&grey(4, 4), &grey(4, 4)).ssim, None);
+    }
+
+    #[test]
+    fn nothing_is_clamped_and_one_bit_is_a_difference() {
+        let found = Difference::between(&floats(&[0.5, 2.0]), &floats(&[0.5, 7.0]));
+        assert_eq!((found.largest, found.share), (5.0, 0.5));
+        let next = f32::from_bits(2.0_f32.to_bits() + 1);
+        assert!(!Difference::between(&floats(&[2.0]), &floats(&[next])).is_none());
+        // Zeros of either sign are different bits and equal numbers.
+        let found = Difference::between(&floats(&[0.0]), &floats(&[-0.0]));
+        assert_eq!((found.largest, found.share, found.is_none()), (0.0, 1.0, false));
     }
 
     #[test]
     fn a_number_that_is_none_differs_from_every_number() {
-        let (mut a, b) = (grey(3, 3), grey(3, 3));
-        a.rgb[4] = f32::NAN;
-        assert_eq!(Difference::between(&a, &b).expect("one size").place, Some([1, 1, 0]));
-        assert!(Difference::between(&a, &a).expect("one size").is_none());
+        let (a, b) = (floats(&[1.0, f32::NAN, 3.0]), floats(&[1.0, 2.0, 3.0]));
+        let found = Difference::between(&a, &b);
+        assert_eq!((found.largest, found.psnr), (f64::INFINITY, f64::NEG_INFINITY));
+        assert_eq!(found.place.map(|place| place.column), Some(1));
+        assert!(Difference::between(&a, &a).is_none());
+        assert!(Difference::between(&floats(&[f32::INFINITY]), &floats(&[f32::INFINITY])).is_none());
     }
 
     #[test]
@@ -143,7 +248,7 @@ mod tests {
         let (a, mut b) = (grey(4, 2), grey(4, 2));
         b.rgb[1] = 0.5 + 1.0 / 255.0;
         b.rgb[2] = 1.0;
-        let heat = heat(&a, &b).expect("one size");
+        let heat = heat(&(&a).into(), &(&b).into());
         let at = |pixel: usize| -> [f32; 3] { std::array::from_fn(|c| heat.rgb[c * 8 + pixel]) };
         assert_eq!(at(0), [0.15; 3]);
         assert!(at(1)[2] > 0.5 && at(1)[1] < 0.1, "{:?}", at(1));

@@ -13,7 +13,8 @@ use crate::picture::Picture;
 pub const PSNR_CAP: f64 = 100.0;
 
 const RADIUS: usize = 5;
-const WINDOW: usize = 2 * RADIUS + 1;
+/// Samples a side of the window of [`ssim`].
+pub(crate) const WINDOW: usize = 2 * RADIUS + 1;
 
 /// `exp(−x²/(2·1.5²))` for x = −5…5, not normalised; written out because a library's `exp` may differ between machines.
 const WEIGHTS: [f64; WINDOW] = [
@@ -61,13 +62,20 @@ pub fn mean_square_error(a: &Picture, b: &Picture) -> Result<f64, MetricError> {
     Ok(sum / a.rgb.len().max(1) as f64)
 }
 
-/// Peak signal-to-noise ratio in dB, peak 1; at most 100.
+/// Peak signal-to-noise ratio in dB, peak 1; at most 100, and −∞ where a sample is not finite.
 ///
 /// # Errors
 /// Different sizes.
 pub fn psnr(a: &Picture, b: &Picture) -> Result<f64, MetricError> {
-    let error = mean_square_error(a, b)?;
-    Ok(if error > 1e-10 { (-10.0 * log10(error)).min(PSNR_CAP) } else { PSNR_CAP })
+    mean_square_error(a, b).map(psnr_of)
+}
+
+/// The same of a mean square error; −∞ where that is not finite.
+pub fn psnr_of(error: f64) -> f64 {
+    if !error.is_finite() {
+        return f64::NEG_INFINITY;
+    }
+    if error > 1e-10 { (-10.0 * log10(error)).min(PSNR_CAP) } else { PSNR_CAP }
 }
 
 /// Structural similarity, mean over the channels.
@@ -81,30 +89,35 @@ pub fn ssim(a: &Picture, b: &Picture) -> Result<f64, MetricError> {
         return Err(MetricError::TooSmall(width, height));
     }
     let plane = width * height;
+    let wide = |samples: &[f32]| samples.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
+    let planes = a.rgb.chunks_exact(plane).zip(b.rgb.chunks_exact(plane));
+    let sum: f64 =
+        planes.map(|(x, y)| ssim_of_plane(&wide(x), &wide(y), width, height)).fold(0.0, |sum, own| sum + own);
+    Ok(sum / 3.0)
+}
+
+/// Structural similarity of one channel of at least 11 samples a side.
+pub(crate) fn ssim_of_plane(x: &[f64], y: &[f64], width: usize, height: usize) -> f64 {
     let total: f64 = WEIGHTS.iter().sum();
     let weights = WEIGHTS.map(|w| w / total);
     let count = (WINDOW * WINDOW) as f64;
     let covariance = count / (count - 1.0);
     let (c1, c2) = (0.01 * 0.01, 0.03 * 0.03);
+    let blur = |value: &dyn Fn(f64, f64) -> f64| {
+        let samples: Vec<f64> = x.iter().zip(y).map(|(&x, &y)| value(x, y)).collect();
+        valid_blur(&samples, width, height, &weights)
+    };
+    let (ux, uy) = (blur(&|x, _| x), blur(&|_, y| y));
+    let (uxx, uyy, uxy) = (blur(&|x, _| x * x), blur(&|_, y| y * y), blur(&|x, y| x * y));
     let mut sum = 0.0;
-    for (x, y) in a.rgb.chunks_exact(plane).zip(b.rgb.chunks_exact(plane)) {
-        let blur = |value: &dyn Fn(f64, f64) -> f64| {
-            let samples: Vec<f64> = x.iter().zip(y).map(|(&x, &y)| value(f64::from(x), f64::from(y))).collect();
-            valid_blur(&samples, width, height, &weights)
-        };
-        let (ux, uy) = (blur(&|x, _| x), blur(&|_, y| y));
-        let (uxx, uyy, uxy) = (blur(&|x, _| x * x), blur(&|_, y| y * y), blur(&|x, y| x * y));
-        let mut channel = 0.0;
-        for i in 0..ux.len() {
-            let vx = covariance * (uxx[i] - ux[i] * ux[i]);
-            let vy = covariance * (uyy[i] - uy[i] * uy[i]);
-            let vxy = covariance * (uxy[i] - ux[i] * uy[i]);
-            let numerator = (2.0 * ux[i] * uy[i] + c1) * (2.0 * vxy + c2);
-            channel += numerator / ((ux[i] * ux[i] + uy[i] * uy[i] + c1) * (vx + vy + c2));
-        }
-        sum += channel / ux.len() as f64;
+    for i in 0..ux.len() {
+        let vx = covariance * (uxx[i] - ux[i] * ux[i]);
+        let vy = covariance * (uyy[i] - uy[i] * uy[i]);
+        let vxy = covariance * (uxy[i] - ux[i] * uy[i]);
+        let numerator = (2.0 * ux[i] * uy[i] + c1) * (2.0 * vxy + c2);
+        sum += numerator / ((ux[i] * ux[i] + uy[i] * uy[i] + c1) * (vx + vy + c2));
     }
-    Ok(sum / 3.0)
+    sum / ux.len() as f64
 }
 
 /// Separable Gaussian filter where the whole window lies inside: `[height − 10, width − 10]`, down the columns first.

@@ -1,6 +1,7 @@
 //! Reading a scene.
 
 use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -153,8 +154,15 @@ impl Index {
                 index.placement
             ));
         }
+        if !(index.fps.is_finite() && index.fps > 0.0) {
+            return Err(format!("fps: expected a number above 0, found {}", index.fps));
+        }
         if index.intervals.is_empty() {
             return Err("the scene has no interval".into());
+        }
+        let mut names = BTreeSet::new();
+        if let Some(twice) = index.intervals.iter().find(|entry| !names.insert(entry.file.as_str())) {
+            return Err(format!("expected a file for every interval, found {:?} twice", twice.file));
         }
         let mut before = f64::NEG_INFINITY;
         let mut files = BTreeMap::new();

@@ -108,6 +108,9 @@ fn broken_tensors_and_indices_are_errors() {
         ("streamsplat-scene", "other"),
         ("\"version\": 1", "\"version\": 9"),
         ("interval-000001", "../interval-000001"),
+        // One file for two intervals.
+        ("interval-000001", "interval-000000"),
+        ("\"fps\": ", "\"fps\": -"),
         ("\"gaussians\": 7", "\"gaussians\": 70000000000000"),
         ("\"start\": 0.1", "\"start\": -5.0"),
         ("54,", "99999,"),

@@ -21,7 +21,9 @@ use crate::options::settings::Views;
 use crate::options::times;
 use crate::output::outputs::{Destination, Emit, Finished, Outputs};
 use crate::output::place::Place;
-use crate::output::record::{InputRecord, Invocation, OutputRecord, PROGRAM, Record, Timing, absolute, check_name};
+use crate::output::record::{
+    Build, InputRecord, Invocation, OutputRecord, PROGRAM, Record, Timing, absolute, check_name,
+};
 use crate::output::{digest, report};
 use crate::session::drawing::Drawing;
 use crate::session::opening::open_along;
@@ -226,7 +228,7 @@ pub fn render(
     let [height, width] = scene.placement().source;
     let input = InputRecord {
         path: absolute(path),
-        blake3: digest::scene(&scene)?,
+        blake3: digest::scene_index(&scene)?,
         count: stretch.seen.len(),
         size: [width, height],
         fps: scene.index().fps,
@@ -318,6 +320,7 @@ pub(super) fn record(
     Record {
         program: PROGRAM.to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
+        build: Build::this(),
         task: Invocation::Render(Box::new(options)),
         seed: 0,
         model: None,

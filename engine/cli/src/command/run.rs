@@ -15,7 +15,7 @@ use crate::options::args::{Machine, RunArgs, RunOptions};
 use crate::output::outputs::{Destination, Emit, Finished, Outputs};
 use crate::output::place::Place;
 use crate::output::record::{
-    Account, Invocation, ModelRecord, NetworkRecord, PROGRAM, Record, Timing, WorkRecord, check_name,
+    Account, Build, Invocation, ModelRecord, NetworkRecord, PROGRAM, Record, Timing, WorkRecord, check_name,
 };
 use crate::output::resume_state::Found;
 use crate::output::terms::{Terms, with_absolute_paths};
@@ -149,7 +149,7 @@ fn refuse_others(input: &Path, out: &Path, destination: &Destination, options: &
     // What is no record of a whole run is no result that anybody has.
     let record = record.and_then(|path| Record::read(&path).ok()).filter(|record| record.complete);
     let Some(record) = record else { return Ok(()) };
-    let given = Terms::given(options, &model_record(options)?)?;
+    let given = Terms::given(options, &model_record(options)?)?.built_as(&record);
     resume_state::check_complete(&record, input, &given).map_err(|_| {
         let (out, of) = (out.display(), record.input.path.display());
         Failure::usage(format!(
@@ -327,6 +327,7 @@ fn run_from(
     let record = Record {
         program: PROGRAM.to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
+        build: Build::this(),
         seed: options.stream.seed,
         model: Some(model_record(&options)?),
         depth,

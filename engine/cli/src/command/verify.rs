@@ -8,10 +8,10 @@ use crate::command::{render, run};
 use crate::console::failure::Failure;
 use crate::console::{Console, say};
 use crate::options::args::VerifyArgs;
-use crate::output::digest;
 use crate::output::outputs::{Destination, is_inside};
 use crate::output::place::Place;
 use crate::output::record::{Invocation, Record};
+use crate::output::{digest, report};
 
 /// Compares the files that are there with their digests, then repeats the work and compares again. Fails where one differs.
 pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
@@ -19,7 +19,7 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
         return Err(Failure::work(format!("{}: {wrong}", args.dir.display())));
     }
     let (record_path, folder) = if args.dir.is_file() {
-        (args.dir.clone(), args.dir.parent().map(Path::to_owned).unwrap_or_default())
+        (record_of(&args.dir)?, args.dir.parent().map(Path::to_owned).unwrap_or_default())
     } else {
         (args.dir.join("run.json"), args.dir.clone())
     };
@@ -41,6 +41,13 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
         if found != expected.blake3 {
             differ(console, &path.display().to_string(), &expected.blake3, &found)?;
             differing.push(path);
+        }
+    }
+
+    if args.dir.is_dir() {
+        for (name, cause) in beside(&folder, &record)? {
+            differ(console, &folder.join(&name).display().to_string(), "what the record names", &cause)?;
+            differing.push(folder.join(name));
         }
     }
 
@@ -144,4 +151,46 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
 
 fn differ(console: &Console, what: &str, expected: &str, found: &str) -> Result<(), Failure> {
     if console.quiet { Ok(()) } else { say(format!("{what}: expected {expected}, found {found}")) }
+}
+
+/// The record of a result that is one file: itself, or the one that lies beside a video.
+fn record_of(file: &Path) -> Result<PathBuf, Failure> {
+    let mut beside = file.as_os_str().to_owned();
+    beside.push(".run.json");
+    let beside = PathBuf::from(beside);
+    if beside.is_file() {
+        return Ok(beside);
+    }
+    if file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json")) {
+        return Ok(file.to_owned());
+    }
+    let (found, beside) = (file.display(), beside.display());
+    Err(Failure::work(format!("{found}: expected a folder or a record, found another file, and no {beside}")))
+}
+
+/// Files in a folder of results that its record does not name, and a report that is not the record's; each with what is wrong.
+fn beside(folder: &Path, record: &Record) -> Result<Vec<(String, String)>, Failure> {
+    let mut wrong = Vec::new();
+    let mut folders = vec![(folder.to_owned(), String::new())];
+    while let Some((path, prefix)) = folders.pop() {
+        let unreadable = |e: std::io::Error| Failure::work(format!("{}: {e}", path.display()));
+        for entry in std::fs::read_dir(&path).map_err(unreadable)? {
+            let entry = entry.map_err(unreadable)?;
+            let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
+            let kind = entry.file_type().map_err(unreadable)?;
+            let own = ["run.json", "resume", ".streamsplat.lock"].contains(&name.as_str());
+            if name == "report.md" {
+                let expected = report::markdown(record);
+                if std::fs::read(entry.path()).map_err(unreadable)? != expected.as_bytes() {
+                    wrong.push((name, "another report than the record's".to_owned()));
+                }
+            } else if kind.is_dir() && !own {
+                folders.push((entry.path(), format!("{name}/")));
+            } else if !own && !record.outputs.contains_key(&name) {
+                wrong.push((name, "a file that the record does not name".to_owned()));
+            }
+        }
+    }
+    wrong.sort();
+    Ok(wrong)
 }

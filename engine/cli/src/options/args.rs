@@ -50,7 +50,8 @@ pub enum Command {
     },
     /// Repeat what DIR/run.json describes; exit code 1 where a digest differs
     Verify(VerifyArgs),
-    /// Difference of two images, folders of images, videos or scenes: none, or how far apart and where; exit code 1 where they differ
+    /// Difference of two images, videos, folders or scenes: none, or how far apart and where; exit code 1 where they differ. SSIM is that of
+    /// scikit-image with gaussian_weights=True, its sample covariance and data_range=1
     Compare(CompareArgs),
     /// Golden images: record a list of renders, and check them with zero tolerance
     Golden(GoldenArgs),
@@ -566,14 +567,15 @@ pub struct VerifyArgs {
 
 #[derive(Args, Clone)]
 pub struct CompareArgs {
-    /// An image, a folder of images (or of a rendering), a video, or a scene
+    /// An image, a video, a scene, or a folder, such as that of a rendering, of which every file is compared
     pub a: PathBuf,
     /// Another of the same kind
     pub b: PathBuf,
-    /// Pass where no sample differs by more than N steps of 8 bits (0 to 255; parts of a step are allowed)
+    /// Pass where no sample of any channel differs by more than N steps of 8 bits: N/255 of the range of whole numbers, N/255 for floats; parts
+    /// of a step are allowed
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub max_abs: Option<f64>,
-    /// Pass where every picture has at least this PSNR, in dB; with --max-abs both must hold
+    /// Pass where every picture has at least this PSNR over all its channels, peak 1, in dB; with --max-abs both must hold
     #[arg(long, value_name = "DB", allow_negative_numbers = true)]
     pub psnr: Option<f64>,
     /// Write a PNG that shows where the two pictures that are farthest apart differ

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use streamsplat::picture::Picture;
+use streamsplat::scene::Scene;
 
 use crate::console::failure::Failure;
 
@@ -74,8 +75,16 @@ pub fn files(paths: &[std::path::PathBuf]) -> Result<String, Failure> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// BLAKE3 over what a scene's index says of its intervals.
-pub fn scene(scene: &streamsplat::scene::Scene) -> Result<String, Failure> {
+/// BLAKE3 over what a scene's index says of its intervals, which is true of those that are read: a file that it does not fit is refused then.
+pub fn scene_index(scene: &Scene) -> Result<String, Failure> {
     let text = serde_json::to_vec(scene.index()).map_err(Failure::work)?;
     Ok(blake3::hash(&text).to_hex().to_string())
+}
+
+/// As [`scene_index`], after every interval was read and found to be as the index says.
+pub fn scene(scene: &Scene) -> Result<String, Failure> {
+    for place in 0..scene.index().intervals.len() {
+        drop(scene.interval(place)?);
+    }
+    scene_index(scene)
 }

@@ -13,7 +13,9 @@ use crate::output::{digest, ledger, resume_state};
 /// never mix. A file goes only if it is what was written, by length and digest; nothing is reached through a link.
 pub fn remove_earlier(folder: &Path) -> Result<(), Failure> {
     let record = folder.join("run.json");
-    if storage::exists(&record) {
+    // One that was emptied, by a power loss or by hand, names nothing.
+    let emptied = std::fs::symlink_metadata(&record).is_ok_and(|found| found.is_file() && found.len() == 0);
+    if storage::exists(&record) && !emptied {
         let earlier = Record::read(&record).map_err(|e| {
             Failure::work(format!("{}; the folder holds something else, give another --out", e.message()))
         })?;

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
@@ -27,6 +28,9 @@ pub struct Record {
     pub program: String,
     /// The program's version.
     pub version: String,
+    /// What of the program decides its bytes beside the version.
+    #[serde(flatten)]
+    pub build: Build,
     /// The command, with every option that affects the output.
     #[serde(flatten)]
     pub task: Invocation,
@@ -61,6 +65,28 @@ pub struct Record {
     pub psnr: Option<f64>,
     /// Differs from run to run.
     pub timing: Timing,
+}
+
+/// What of the program decides its bytes beside the version.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Build {
+    /// Version of the bit contract ([`streamsplat::BIT_CONTRACT`]); 0 in records that do not tell it.
+    #[serde(default)]
+    pub bit_contract: u32,
+    /// The commit that the program was made from; where that is not known, the digest of its file.
+    #[serde(default, rename = "build")]
+    pub program: String,
+}
+
+impl Build {
+    /// Of this program.
+    pub fn this() -> Build {
+        static PROGRAM: LazyLock<String> = LazyLock::new(|| match env!("STREAMSPLAT_COMMIT") {
+            "unknown" => std::env::current_exe().ok().and_then(|file| digest::file(&file).ok()).unwrap_or_default(),
+            commit => commit.to_owned(),
+        });
+        Build { bit_contract: streamsplat::BIT_CONTRACT, program: PROGRAM.clone() }
+    }
 }
 
 /// The command and its options.
@@ -331,6 +357,7 @@ mod tests {
         let record = Record {
             program: PROGRAM.to_owned(),
             version: "0.1.0".to_owned(),
+            build: Build { bit_contract: 1, program: "abc".to_owned() },
             task: task(&[
                 "streamsplat",
                 "run",

@@ -55,7 +55,8 @@ pub fn summary(record: &Record, out: &Path) -> String {
     )
 }
 
-fn markdown(record: &Record) -> String {
+/// The text of a folder's `report.md`, which is a function of its record.
+pub fn markdown(record: &Record) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
     let _ = write_markdown(record, &mut text);

@@ -92,7 +92,14 @@ pub fn find(destination: &Destination) -> Result<Found, Failure> {
         return Err(Failure::usage(message));
     };
     let record = destination.record().filter(|path| path.exists());
-    let record = record.as_deref().map(Record::read).transpose()?;
+    // A record that cannot be read tells nothing: the state beside it does, or the run starts again.
+    let record = record.as_deref().and_then(|path| match Record::read(path) {
+        Ok(record) => Some(record),
+        Err(damage) => {
+            tell(&damage.message());
+            None
+        }
+    });
     if let Some(record) = record.as_ref().filter(|record| record.complete) {
         return Ok(match check_outputs(record, destination) {
             Ok(()) => Found::Complete(Box::new(record.clone())),

@@ -1,4 +1,4 @@
-//! Terms of a run: program version, options and model, which determine its output together with the input.
+//! Terms of a run: the program, options and model, which determine its output together with the input.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use serde_json::Value;
 use crate::console::failure::Failure;
 use crate::options::args::RunOptions;
 use crate::output::digest;
-use crate::output::record::{ModelRecord, NetworkRecord, Record, absolute};
+use crate::output::record::{Build, ModelRecord, NetworkRecord, Record, absolute};
 
 /// Options whose files are compared by their content instead.
 const BY_CONTENT: [&str; 2] = ["model", "dinov2"];
@@ -17,6 +17,9 @@ const BY_CONTENT: [&str; 2] = ["model", "dinov2"];
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Terms {
     version: String,
+    /// What of the program decides its bytes beside the version.
+    #[serde(flatten)]
+    build: Build,
     /// [`RunOptions`], with absolute paths.
     options: Value,
     model: ModelRecord,
@@ -33,6 +36,7 @@ impl Terms {
         let network = options.stream.depth_network();
         Ok(Terms {
             version: env!("CARGO_PKG_VERSION").to_owned(),
+            build: Build::this(),
             options: serde_json::to_value(with_absolute_paths(options)).map_err(Failure::work)?,
             model: model.clone(),
             camera: options.view.camera.as_deref().map(digest::file).transpose()?,
@@ -45,7 +49,19 @@ impl Terms {
         let model = record.model.clone().ok_or_else(|| Failure::work("run.json: expected a model, found none"))?;
         let options = serde_json::to_value(options).map_err(Failure::work)?;
         let network = record.depth.as_ref().map(|network| network.blake3.clone());
-        Ok(Terms { version: record.version.clone(), options, model, camera: None, network })
+        Ok(Terms {
+            version: record.version.clone(),
+            build: record.build.clone(),
+            options,
+            model,
+            camera: None,
+            network,
+        })
+    }
+
+    /// The same terms, as if the program that left `record` were this one: for telling runs apart, whatever made them.
+    pub fn built_as(self, record: &Record) -> Terms {
+        Terms { build: record.build.clone(), ..self }
     }
 
     /// An error that names what of `given` differs.
@@ -55,6 +71,13 @@ impl Terms {
         };
         if self.version != given.version {
             return work("the program's version", &self.version, &given.version);
+        }
+        if self.build.bit_contract != given.build.bit_contract {
+            let [recorded, given] = [&self.build, &given.build].map(|build| build.bit_contract.to_string());
+            return work("the version of the bit contract", &recorded, &given);
+        }
+        if self.build.program != given.build.program {
+            return work("the program", &self.build.program, &given.build.program);
         }
         if self.model.blake3 != given.model.blake3 {
             let of = |model: &ModelRecord| format!("{} with the digest {}", model.path, model.blake3);
@@ -112,9 +135,30 @@ fn difference(name: &str, recorded: &Value, given: &Value) -> Option<(String, St
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser;
     use serde_json::json;
 
     use super::*;
+    use crate::options::args::{Cli, Command};
+
+    #[test]
+    fn another_contract_and_another_program_are_refused() {
+        let words = ["streamsplat", "run", "in.y4m", "--out", "o"];
+        let Command::Run(args) = Cli::try_parse_from(words).expect("a command").command else { panic!("expected run") };
+        let options = args.options;
+        let model = ModelRecord { path: "embedded".to_owned(), blake3: "ab".to_owned() };
+        let given = Terms::given(&options, &model).expect("terms");
+        assert!(given.check(&given).is_ok());
+        let other = |build: Build| Terms { build, ..given.clone() };
+        let contract = other(Build { bit_contract: 0, ..Build::this() });
+        let message = contract.check(&given).expect_err("another contract").message();
+        assert!(message.contains("the version of the bit contract: recorded 0, given"), "{message}");
+        let program = other(Build { program: "another".to_owned(), ..Build::this() });
+        let message = program.check(&given).expect_err("another program").message();
+        assert!(message.contains("the program: recorded another, given"), "{message}");
+        let model = Terms { model: ModelRecord { blake3: "cd".to_owned(), ..model }, ..given.clone() };
+        assert!(model.check(&given).is_err());
+    }
 
     #[test]
     fn the_first_option_that_differs_is_named() {

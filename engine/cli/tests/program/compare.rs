@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::Output;
 
 use streamsplat::export;
+use streamsplat::openexr::Planes;
 
 use crate::still::still;
 use crate::support::{Scratch, command, fails, json};
@@ -75,7 +76,7 @@ fn folders_are_compared_by_name_and_what_is_missing_is_said() {
     fails(&output, 1);
     assert!(String::from_utf8_lossy(&output.stdout).contains("1.png: missing in"));
     let text = fails(&compare(&a, &b.join("0.png"), &[]), 2);
-    assert!(text.contains("expected two of a kind, found a folder of images and an image or a video"), "{text}");
+    assert!(text.contains("expected two of a kind, found a folder and an image or a video"), "{text}");
     let text = fails(&compare(&a, &scratch.path("none"), &[]), 2);
     assert!(text.contains("none: cannot be read"), "{text}");
 }
@@ -131,4 +132,180 @@ fn scenes_in_time_are_compared_by_interval() {
     let output = compare(&a, &b, &[]);
     fails(&output, 1);
     assert!(String::from_utf8_lossy(&output.stdout).contains("interval 1: velocity: "));
+}
+
+/// Writes an EXR file with one channel called `name`.
+fn exr(path: &Path, name: &str, value: f32) {
+    let planes = Planes { width: 12, height: 12, channels: vec![(name.to_owned(), vec![value; 144])] };
+    let mut bytes = Vec::new();
+    streamsplat::openexr::write(&planes, "", &mut bytes).expect("memory");
+    std::fs::write(path, bytes).expect("writable");
+}
+
+#[test]
+fn depth_above_one_is_not_clamped_and_one_bit_of_it_is_found() {
+    let scratch = Scratch::new();
+    let [a, b, c] = ["a.exr", "b.exr", "c.exr"].map(|name| scratch.path(name));
+    exr(&a, "Z", 2.0);
+    exr(&b, "Z", 10.0);
+    exr(&c, "Z", f32::from_bits(2.0_f32.to_bits() + 1));
+    assert!(compare(&a, &a, &[]).status.success());
+    let output = compare(&a, &b, &["--max-abs", "255"]);
+    fails(&output, 1);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(said.contains("largest difference 8 (2040.0000/255)") && said.contains("(Z: 2 and 10, f32)"), "{said}");
+    fails(&compare(&a, &c, &[]), 1);
+    assert!(compare(&a, &c, &["--max-abs", "0.01"]).status.success());
+}
+
+#[test]
+fn alpha_is_compared_as_a_channel() {
+    let scratch = Scratch::new();
+    let [a, b, c] = ["a.png", "b.png", "c.png"].map(|name| scratch.path(name));
+    image::RgbaImage::from_pixel(20, 20, image::Rgba([128, 128, 128, 0])).save(&a).expect("writable");
+    image::RgbaImage::from_pixel(20, 20, image::Rgba([128, 128, 128, 255])).save(&b).expect("writable");
+    image::RgbImage::from_pixel(20, 20, image::Rgb([128; 3])).save(&c).expect("writable");
+    let output = compare(&a, &b, &["--max-abs", "254"]);
+    fails(&output, 1);
+    assert!(String::from_utf8_lossy(&output.stdout).contains("(alpha: 0 and 255, u8)"));
+    // Without alpha is opaque, and that is said.
+    let output = compare(&b, &c, &[]);
+    assert!(output.status.success() && String::from_utf8_lossy(&output.stdout).contains("compared as opaque"));
+    fails(&compare(&a, &c, &["--max-abs", "254"]), 1);
+}
+
+/// A PNG chunk.
+fn chunk(kind: &[u8; 4], data: &[u8]) -> Vec<u8> {
+    let body = [&kind[..], data].concat();
+    let mut crc = flate2::Crc::new();
+    crc.update(&body);
+    [&(data.len() as u32).to_be_bytes()[..], &body, &crc.sum().to_be_bytes()].concat()
+}
+
+/// An animated PNG of grey frames of 2x1 pixels.
+fn apng(frames: &[[u8; 2]]) -> Vec<u8> {
+    let mut bytes = b"\x89PNG\r\n\x1a\n".to_vec();
+    bytes.extend(chunk(b"IHDR", &[0, 0, 0, 2, 0, 0, 0, 1, 8, 0, 0, 0, 0]));
+    bytes.extend(chunk(b"acTL", &[&(frames.len() as u32).to_be_bytes()[..], &[0; 4]].concat()));
+    let mut sequence = 0_u32;
+    for (at, frame) in frames.iter().enumerate() {
+        let control =
+            [sequence, 2, 1, 0, 0].iter().flat_map(|v| v.to_be_bytes()).chain([0, 1, 0, 10, 0, 0]).collect::<Vec<u8>>();
+        bytes.extend(chunk(b"fcTL", &control));
+        sequence += 1;
+        let mut packed = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::default());
+        std::io::Write::write_all(&mut packed, &[0, frame[0], frame[1]]).expect("memory");
+        let packed = packed.finish().expect("memory");
+        if at == 0 {
+            bytes.extend(chunk(b"IDAT", &packed));
+        } else {
+            bytes.extend(chunk(b"fdAT", &[&sequence.to_be_bytes()[..], &packed].concat()));
+            sequence += 1;
+        }
+    }
+    bytes.extend(chunk(b"IEND", &[]));
+    bytes
+}
+
+#[test]
+fn every_frame_of_an_animation_is_compared() {
+    let scratch = Scratch::new();
+    let [a, b, c] = ["a.png", "b.png", "c.png"].map(|name| scratch.path(name));
+    std::fs::write(&a, apng(&[[1, 2], [3, 4], [5, 6]])).expect("writable");
+    std::fs::write(&b, apng(&[[1, 2], [3, 4], [5, 7]])).expect("writable");
+    image::GrayImage::from_raw(2, 1, vec![1, 2]).expect("2 pixels").save(&c).expect("writable");
+    let output = compare(&a, &a, &[]);
+    assert!(output.status.success() && String::from_utf8_lossy(&output.stdout).contains("equal (3 images)"));
+    let output = compare(&a, &b, &[]);
+    assert!(fails(&output, 1).contains("1 of 3 images differ"));
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(
+        said.contains("frame 2: largest difference 1.0000/255 at column 1") && said.contains("mean of 3 images"),
+        "{said}"
+    );
+    fails(&compare(&a, &c, &["--max-abs", "255"]), 1);
+}
+
+#[test]
+fn files_of_which_nothing_can_be_read_are_never_equal() {
+    let scratch = Scratch::new();
+    let [a, b] = ["a.png", "b.png"].map(|name| scratch.path(name));
+    for content in [&b""[..], b"no picture at all", b"\x89PNG\r\n\x1a\n"] {
+        std::fs::write(&a, content).expect("writable");
+        std::fs::write(&b, content).expect("writable");
+        fails(&compare(&a, &b, &[]), 1);
+        fails(&compare(&a, &a, &["--max-abs", "255"]), 1);
+    }
+    let [c, d] = ["c", "d"].map(|name| scratch.path(name));
+    [&c, &d].into_iter().for_each(|folder| std::fs::create_dir(folder).expect("writable"));
+    fails(&compare(&c, &d, &[]), 1);
+    [&c, &d].into_iter().for_each(|folder| std::fs::write(folder.join("0.png"), "").expect("writable"));
+    fails(&compare(&c, &d, &[]), 1);
+}
+
+#[test]
+fn outputs_of_render_are_compared_in_every_kind() {
+    let scratch = Scratch::new();
+    let scene = scratch.path("scene.ply");
+    std::fs::write(&scene, export::still::ply(&still())).expect("writable");
+    let [a, b] = ["a", "b"].map(|name| scratch.path(name));
+    for out in [&a, &b] {
+        let output = command()
+            .arg("render")
+            .arg(&scene)
+            .args(["--size", "32x24", "--emit", "rgb,depth,alpha,exr", "--out"])
+            .arg(out)
+            .output();
+        let output = output.expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    let output = compare(&a, &b, &[]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    // Its depth alone, as a file.
+    let [depth, other] = [&a, &b].map(|out| out.join("depth/000000.exr"));
+    assert!(compare(&depth, &other, &[]).status.success());
+    exr(&other, "Z", 1.0);
+    let output = compare(&a, &b, &["--max-abs", "255"]);
+    fails(&output, 1);
+    assert!(String::from_utf8_lossy(&output.stdout).contains("depth/000000.exr"));
+    std::fs::remove_file(&other).expect("there");
+    let output = compare(&a, &b, &[]);
+    fails(&output, 1);
+    assert!(String::from_utf8_lossy(&output.stdout).contains("depth/000000.exr: missing in"));
+}
+
+#[test]
+fn every_interval_of_a_scene_is_read_whatever_its_index_says() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 3, 80, 48);
+    let (a, b) = (scratch.path("a"), scratch.path("b"));
+    for out in [&a, &b] {
+        crate::support::run_ok(&clip, out, &["--emit", "scene", "--quiet"]);
+    }
+    let (first, second) = (a.join("scene"), b.join("scene"));
+    assert!(compare(&first, &second, &[]).status.success());
+    let list = scratch.path("list.toml");
+    std::fs::write(&list, "[[render]]\nname = 'first'\nscene = 'b'\ntimes = [0]\nsize = '40x24'\n").expect("writable");
+    let golden = |action: &str| command().args(["golden", action]).arg(&list).output().expect("the program starts");
+    assert!(golden("record").status.success());
+    let inspect = |path: &Path| command().arg("inspect").arg(path).output().expect("the program starts");
+    assert!(golden("check").status.success() && inspect(&second).status.success());
+    let last = second.join("interval-000002.safetensors");
+    let bytes = std::fs::read(&last).expect("readable");
+    let mut flipped = bytes.clone();
+    let middle = flipped.len() / 2;
+    flipped[middle] ^= 1;
+    for changed in [Some(flipped), Some(Vec::new()), None] {
+        match &changed {
+            Some(changed) => std::fs::write(&last, changed).expect("writable"),
+            None => std::fs::remove_file(&last).expect("there"),
+        }
+        assert!(fails(&compare(&first, &second, &[]), 1).contains("interval-000002"));
+        // Beside itself, too: nothing of it can be vouched for.
+        assert!(fails(&compare(&second, &second, &[]), 1).contains("interval-000002"));
+        assert!(fails(&inspect(&second), 1).contains("interval-000002"));
+        let output = golden("check");
+        fails(&output, 1);
+        assert!(String::from_utf8_lossy(&output.stdout).contains("interval-000002"));
+    }
 }

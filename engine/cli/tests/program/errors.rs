@@ -127,6 +127,9 @@ fn what_was_written_before_a_broken_frame_is_a_valid_scene() {
     fails(&attempt(&clip, &out, &["--model", model.to_str().expect("UTF-8")]), 1);
     let scene = streamsplat::scene::Scene::open(&out).expect("a valid scene");
     assert_eq!(scene.index().intervals.len(), 3);
+    for place in 0..3 {
+        assert!(!scene.interval(place).expect("a whole interval").gaussians.is_empty(), "interval {place}");
+    }
     for name in crate::support::files(&out).keys() {
         assert!(!name.contains("partial"), "{name}");
     }

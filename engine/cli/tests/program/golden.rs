@@ -145,3 +145,42 @@ fn what_is_missing_or_broken_is_named() {
     std::fs::write(scratch.path("list.golden/record.json"), "{}").expect("writable");
     fails(&golden("check", &list, &[]), 1);
 }
+
+#[test]
+fn only_previews_that_a_recording_wrote_are_removed() {
+    let scratch = Scratch::new();
+    let list = recorded(&scratch);
+    let precious = scratch.path("list.golden/turn-000001.png");
+    std::fs::write(&precious, "mine").expect("writable");
+    std::fs::write(&list, LIST.replace("\"turn\"", "\"other\"")).expect("writable");
+    let output = golden("record", &list, &[]);
+    assert!(output.status.success());
+    assert!(String::from_utf8_lossy(&output.stderr).contains("turn-000001.png: left"));
+    assert_eq!(std::fs::read(&precious).expect("there"), b"mine");
+    assert!(!scratch.path("list.golden/turn-000000.png").exists(), "what was written is removed");
+    assert!(scratch.path("list.golden/other-000000.png").is_file());
+}
+
+#[cfg(unix)]
+#[test]
+fn nothing_is_written_through_a_link() {
+    let scratch = Scratch::new();
+    let list = recorded(&scratch);
+    std::fs::write(scratch.path("scene.ply"), export::still::ply(&changed())).expect("writable");
+    let elsewhere = scratch.path("elsewhere");
+    std::fs::create_dir(&elsewhere).expect("writable");
+    std::os::unix::fs::symlink(&elsewhere, scratch.path("list.failed")).expect("writable");
+    fails(&golden("check", &list, &[]), 1);
+    assert_eq!(std::fs::read_dir(&elsewhere).expect("there").count(), 0);
+    // A folder that the user names may be one.
+    fails(&golden("check", &list, &["--out", scratch.path("list.failed").to_str().expect("UTF-8")]), 1);
+    assert!(elsewhere.join("front-000000.actual.png").is_file());
+}
+
+/// The scene with every colour another.
+#[cfg(unix)]
+fn changed() -> streamsplat::still::Still {
+    let mut changed = still();
+    changed.base.iter_mut().flatten().for_each(|value| *value += 0.25);
+    changed
+}

@@ -168,6 +168,7 @@ fn damage_takes_a_stopped_run_back_but_never_ends_it() {
         "resume/state.safetensors",
         "resume/written.jsonl",
         "scene/interval-000003.safetensors",
+        "run.json",
     ] {
         let out = scratch.path(&damaged.replace(['/', '.'], "-"));
         std::fs::write(&last, "").expect("writable");
@@ -179,4 +180,10 @@ fn damage_takes_a_stopped_run_back_but_never_ends_it() {
         assert!(files(&out) == files(&whole), "{damaged}");
         assert_eq!(json(&out.join("run.json"))["outputs"], json(&whole.join("run.json"))["outputs"]);
     }
+    // A complete run whose record was emptied starts again.
+    let expected = files(&whole);
+    std::fs::write(whole.join("run.json"), "").expect("writable");
+    let output = resume(&clip, &whole);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(files(&whole) == expected);
 }

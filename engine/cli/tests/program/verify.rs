@@ -113,3 +113,29 @@ fn records_that_are_none_and_inputs_that_are_gone_are_errors() {
         assert!(fails(&verify(&scratch.path("out")), 1).contains("run.json"));
     }
 }
+
+#[test]
+fn a_changed_report_and_a_file_that_nobody_wrote_are_found() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 40, 24);
+    let out = scratch.path("out");
+    run_ok(&clip, &out, &["--quiet"]);
+    assert!(verify(&out).status.success());
+    let report = out.join("report.md");
+    let text = std::fs::read_to_string(&report).expect("a report");
+    std::fs::write(&report, text.replace("frames", "fromes")).expect("writable");
+    assert!(fails(&verify(&out), 1).contains("report.md"));
+    std::fs::write(&report, text).expect("writable");
+    std::fs::write(out.join("frames/000009.png"), "foreign").expect("writable");
+    assert!(fails(&verify(&out), 1).contains("000009.png"));
+}
+
+#[test]
+fn a_video_is_verified_by_the_record_beside_it() {
+    let scratch = Scratch::new();
+    let video = scratch.path("v.y4m");
+    run_ok(&scratch.clip("clip", 2, 40, 24), &video, &["--quiet"]);
+    assert!(verify(&video).status.success());
+    std::fs::remove_file(scratch.path("v.y4m.run.json")).expect("there");
+    assert!(fails(&verify(&video), 1).contains("expected a folder or a record, found another file"));
+}

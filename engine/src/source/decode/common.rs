@@ -86,7 +86,7 @@ pub(super) fn check_length(
 }
 
 /// Returns true if a PNG file of this length can hold its pixels, by the bits of one in its header: a byte of deflate's gives 1032 bytes at most.
-fn png_can_hold(bytes: &[u8], width: u64, height: u64) -> bool {
+pub(crate) fn png_can_hold(bytes: &[u8], width: u64, height: u64) -> bool {
     const DEFLATE: u64 = 1032;
     let Some(&[depth, colour]) = bytes.get(24..26).and_then(|b| b.first_chunk::<2>()) else { return false };
     let channels = match colour {

@@ -55,7 +55,7 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Still, SourceError> {
 }
 
 /// Returns true if the markers of a file lead to the one that ends its first image.
-fn has_end(bytes: &[u8]) -> bool {
+pub(crate) fn has_end(bytes: &[u8]) -> bool {
     let mut at = 2;
     loop {
         let Some(skipped) = bytes.get(at..).and_then(|rest| rest.iter().position(|&b| b == 0xff)) else { return false };

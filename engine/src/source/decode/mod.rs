@@ -28,8 +28,9 @@ use std::path::Path;
 
 use super::SourceError;
 use crate::picture::{Picture, size_is_allowed};
-pub(crate) use common::decode_dynamic;
+pub(crate) use common::{decode_dynamic, png_can_hold};
 pub(crate) use frames::{Sequence, Several};
+pub(crate) use jpeg::has_end as jpeg_has_end;
 pub(crate) use tiff::{grey as tiff_grey, is as is_tiff};
 
 /// Largest image file read, in bytes.

@@ -90,6 +90,17 @@ impl<R: BufRead> Y4m<R> {
     /// # Errors
     /// An unreadable stream, a malformed frame header, a frame that ends early.
     pub fn next_picture(&mut self) -> Result<Option<Picture>, SourceError> {
+        if self.next_frame()?.is_none() {
+            return Ok(None);
+        }
+        Ok(Some(convert::to_picture(&self.bytes, &self.header)))
+    }
+
+    /// The planes of the next frame as they are stored; `None` at the end of the stream.
+    ///
+    /// # Errors
+    /// As [`Y4m::next_picture`].
+    pub(crate) fn next_frame(&mut self) -> Result<Option<&[u8]>, SourceError> {
         let Some(line) = read_line(&mut self.input, &self.path, "frame header")? else { return Ok(None) };
         if !(line == b"FRAME" || line.starts_with(b"FRAME ")) {
             let found = String::from_utf8_lossy(&line[..line.len().min(20)]).into_owned();
@@ -107,7 +118,7 @@ impl<R: BufRead> Y4m<R> {
             return Err(y4m_error(&self.path, cause));
         }
         self.frames += 1;
-        Ok(Some(convert::to_picture(&self.bytes, &self.header)))
+        Ok(Some(&self.bytes))
     }
 }
 

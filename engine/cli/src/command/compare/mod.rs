@@ -1,28 +1,29 @@
 //! `compare`: whether two images, folders of images, videos or scenes are the same, and else how far they are apart and where.
 
+mod account;
+mod folders;
 mod pictures;
 mod scenes;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde_json::{Value, json};
 use streamsplat::import;
 use streamsplat::output::{picture_png, write_file};
-use streamsplat::picture::Picture;
+use streamsplat::samples::Part;
 use streamsplat::scene::INDEX;
-use streamsplat::source::folder;
 
 use crate::console::failure::Failure;
 use crate::console::{Console, print, say};
 use crate::options::args::CompareArgs;
 
 /// Kind of content at a path.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Content {
     /// An image or a video.
     Pictures,
-    /// A folder of images, or of the `frames` of a rendering.
-    Folder(PathBuf),
+    /// A folder of images or of other files, such as a rendering.
+    Folder,
     /// A scene.
     Scene,
 }
@@ -34,24 +35,13 @@ impl Content {
             let scene = path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path);
             return Ok(if scene { Content::Scene } else { Content::Pictures });
         }
-        if folder::images(path).is_ok() {
-            return Ok(Content::Folder(path.to_owned()));
-        }
-        let frames = path.join("frames");
-        match [path.join(INDEX), path.join("scene").join(INDEX)].iter().any(|index| index.exists()) {
-            true => Ok(Content::Scene),
-            false if frames.is_dir() => Ok(Content::Folder(frames)),
-            false => Err(Failure::usage(format!(
-                "{}: expected an image, a video, a folder of images or a scene, found another folder",
-                path.display()
-            ))),
-        }
+        Ok(if path.join(INDEX).exists() { Content::Scene } else { Content::Folder })
     }
 
-    fn name(&self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
             Content::Pictures => "an image or a video",
-            Content::Folder(_) => "a folder of images",
+            Content::Folder => "a folder",
             Content::Scene => "a scene",
         }
     }
@@ -67,10 +57,14 @@ struct Tolerance {
 }
 
 impl Tolerance {
+    /// Returns true if there is a limit.
+    fn is_given(self) -> bool {
+        self.most.is_some() || self.psnr.is_some()
+    }
+
     /// Returns true if a difference is within the limits; without limits no difference passes.
     fn allows(self, largest: f64, psnr: f64) -> bool {
-        let given = self.most.is_some() || self.psnr.is_some();
-        given && self.most.is_none_or(|most| largest <= most) && self.psnr.is_none_or(|least| psnr >= least)
+        self.is_given() && self.most.is_none_or(|most| largest <= most) && self.psnr.is_none_or(|least| psnr >= least)
     }
 }
 
@@ -85,7 +79,7 @@ struct Outcome {
     /// The same for a program.
     json: Value,
     /// The two pictures that are farthest apart, where they have one size.
-    worst: Option<(Picture, Picture)>,
+    worst: Option<(Part, Part)>,
 }
 
 /// Compares, says how far apart both are, and fails where that is too far.
@@ -98,7 +92,13 @@ pub fn command(args: &CompareArgs, console: &Console) -> Result<(), Failure> {
         value => Ok(value),
     };
     let tolerance = Tolerance { most: limit("--max-abs", args.max_abs)?, psnr: limit("--psnr", args.psnr)? };
-    let outcome = match (Content::of(a)?, Content::of(b)?) {
+    let found = match (Content::of(a)?, Content::of(b)?) {
+        // The scene of a run beside another's.
+        (Content::Scene, Content::Folder) if b.join("scene").join(INDEX).exists() => (Content::Scene, Content::Scene),
+        (Content::Folder, Content::Scene) if a.join("scene").join(INDEX).exists() => (Content::Scene, Content::Scene),
+        found => found,
+    };
+    let outcome = match found {
         (Content::Scene, Content::Scene) => {
             let given = [args.max_abs.is_some(), args.psnr.is_some(), args.heat.is_some()];
             if given.contains(&true) {
@@ -106,7 +106,9 @@ pub fn command(args: &CompareArgs, console: &Console) -> Result<(), Failure> {
             }
             scenes::compare(a, b, &args.limit.limits(), &args.machine.workers()?)?
         }
-        (Content::Folder(a), Content::Folder(b)) => pictures::folders(&a, &b, tolerance)?,
+        (Content::Folder, Content::Folder) => {
+            folders::compare(a, b, tolerance, &args.limit.limits(), &args.machine.workers()?)?
+        }
         (Content::Pictures, Content::Pictures) => pictures::files(a, b, tolerance)?,
         (first, second) => {
             let (first, second) = (first.name(), second.name());
@@ -118,7 +120,7 @@ pub fn command(args: &CompareArgs, console: &Console) -> Result<(), Failure> {
         }
     };
     if let (Some(path), Some((a, b))) = (&args.heat, &outcome.worst) {
-        write_file(path, &picture_png(&streamsplat::difference::heat(a, b)?))?;
+        write_file(path, &picture_png(&streamsplat::difference::heat(a, b)))?;
     }
     let Outcome { passed, summary, lines, json, .. } = outcome;
     let mut found = json!({ "a": a, "b": b, "passed": passed, "summary": summary });

@@ -10,16 +10,17 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 use streamsplat::Image;
-use streamsplat::difference::{Difference, heat};
+use streamsplat::difference::{Difference, Place, heat};
 use streamsplat::import::{self, Limits, Opened};
-use streamsplat::output::{picture_png, prepare_folder, storage, write_file};
+use streamsplat::output::{picture_png, prepare_folder, prepare_subfolder, storage, write_file};
 use streamsplat::picture::Picture;
+use streamsplat::samples::Part;
 use streamsplat::source::decode::decode_file;
 use streamsplat::stream::Workers;
 
 use self::junit::Case;
 use self::list::Render;
-use self::record::{Golden, GoldenImage, GoldenRender};
+use self::record::{Golden, GoldenImage, GoldenRender, PreviewFile};
 use crate::command::render::Stretch;
 use crate::command::still;
 use crate::console::failure::Failure;
@@ -28,6 +29,7 @@ use crate::options::args::{GoldenAction, GoldenArgs, GoldenCheckArgs, GoldenReco
 use crate::options::motion::Course;
 use crate::options::times;
 use crate::output::digest;
+use crate::output::earlier::{is_as_written, remove_file};
 use crate::session::drawing::Drawing;
 
 /// Records or checks.
@@ -83,15 +85,16 @@ fn record(args: &GoldenRecordArgs, console: &Console) -> Result<(), Failure> {
     let workers = args.machine.workers()?;
     let folder = record::folder(&args.file);
     let earlier = Golden::read(&args.file).ok();
-    prepare_folder(&folder)?;
+    prepare_subfolder(&folder)?;
     let mut golden = Golden::new();
     for render in &renders {
         let mut images = Vec::new();
         let scene = draw(render, &args.limit.limits(), &workers, &mut |time, image| {
             let preview = format!("{}-{:06}.png", render.name, images.len());
             let (size, blake3) = ([image.width, image.height], record::digest(&image));
-            write_file(&folder.join(&preview), &picture_png(&record::preview(&picture(image))))?;
-            images.push(GoldenImage { time, size, blake3, preview });
+            let written = write_file(&folder.join(&preview), &picture_png(&record::preview(&picture(image))))?;
+            let preview_file = Some(PreviewFile { bytes: written.bytes, blake3: written.blake3 });
+            images.push(GoldenImage { time, size, blake3, preview, preview_file });
             Ok(())
         })
         .map_err(|e| named(&render.name, e))?;
@@ -101,14 +104,20 @@ fn record(args: &GoldenRecordArgs, console: &Console) -> Result<(), Failure> {
         golden.renders.insert(render.name.clone(), GoldenRender { scene, images });
     }
     write_file(&record::path(&args.file), golden.to_json()?.as_bytes())?;
-    let previews = |golden: &Golden| -> BTreeSet<String> {
-        golden.renders.values().flat_map(|render| &render.images).map(|image| image.preview.clone()).collect()
-    };
-    for old in
-        earlier.iter().flat_map(|earlier| previews(earlier).difference(&previews(&golden)).cloned().collect::<Vec<_>>())
-    {
-        // A preview that is gone already is what is wanted.
-        let _ = storage::remove(&folder.join(old));
+    let images = |golden: &Golden| golden.renders.values().flat_map(|render| render.images.clone()).collect::<Vec<_>>();
+    let names: BTreeSet<String> = images(&golden).into_iter().map(|image| image.preview).collect();
+    for old in earlier.iter().flat_map(images).filter(|old| !names.contains(&old.preview)) {
+        // As everywhere, only what was written is removed; what is gone already is what is wanted.
+        let path = folder.join(&old.preview);
+        let ours = match &old.preview_file {
+            Some(file) => is_as_written(&folder, &old.preview, file.bytes, &file.blake3)?,
+            None => false,
+        };
+        if ours {
+            remove_file(&path)?;
+        } else if storage::exists(&path) {
+            console.note(&[format!("{}: left, for it is not what an earlier recording wrote", path.display())]);
+        }
     }
     if !console.quiet {
         say(format!("{}: {} renders, bit contract {}", folder.display(), renders.len(), golden.bit_contract))?;
@@ -147,6 +156,8 @@ impl Check {
 /// Writes images that differ beside what was expected.
 struct Failures {
     folder: PathBuf,
+    /// True if the user named the folder, which may then be a link.
+    given: bool,
     record: PathBuf,
     prepared: bool,
 }
@@ -161,7 +172,10 @@ impl Failures {
         expected: Option<&GoldenImage>,
     ) -> Result<(String, Value), Failure> {
         if !self.prepared {
-            prepare_folder(&self.folder)?;
+            match self.given {
+                true => prepare_folder(&self.folder)?,
+                false => prepare_subfolder(&self.folder)?,
+            }
             self.prepared = true;
         }
         let path = |kind: &str| self.folder.join(format!("{name}.{kind}.png"));
@@ -170,13 +184,17 @@ impl Failures {
         let Some(Ok(preview)) = preview else { return Ok((String::new(), Value::Null)) };
         write_file(&path("expected"), &picture_png(&preview))?;
         let small = record::preview(actual);
-        let Ok(found) = Difference::between(&preview, &small) else { return Ok((String::new(), Value::Null)) };
-        write_file(&path("heat"), &picture_png(&heat(&preview, &small)?))?;
-        let largest = f64::from(found.largest) * 255.0;
+        if (preview.width, preview.height) != (small.width, small.height) {
+            return Ok((String::new(), Value::Null));
+        }
+        let (preview, small) = (Part::from(&preview), Part::from(&small));
+        let found = Difference::between(&preview, &small);
+        write_file(&path("heat"), &picture_png(&heat(&preview, &small)))?;
+        let largest = found.largest * 255.0;
         let value = json!({ "largest": largest, "psnr": found.psnr, "share": found.share });
         Ok(match found.place {
             None => ("by less than the preview shows".to_owned(), value),
-            Some([column, row, _]) => (
+            Some(Place { column, row, .. }) => (
                 format!(
                     "by {largest:.0}/255 at most, at {column},{row} of the preview; PSNR {:.1} dB, {:.2} % of its pixels",
                     found.psnr,
@@ -253,7 +271,8 @@ fn check(args: &GoldenCheckArgs, console: &Console) -> Result<(), Failure> {
     let golden = Golden::read(&args.file)?;
     let (workers, limits) = (args.machine.workers()?, args.limit.limits());
     let folder = args.out.clone().unwrap_or_else(|| args.file.with_extension("failed"));
-    let mut failures = Failures { folder: folder.clone(), record: record::folder(&args.file), prepared: false };
+    let (given, record) = (args.out.is_some(), record::folder(&args.file));
+    let mut failures = Failures { folder: folder.clone(), given, record, prepared: false };
     let mut rows = Vec::new();
     for render in &renders {
         match golden.renders.get(&render.name) {

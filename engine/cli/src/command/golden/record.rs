@@ -49,6 +49,18 @@ pub struct GoldenImage {
     pub blake3: String,
     /// The preview's file.
     pub preview: String,
+    /// Length and digest of the preview's file, by which a later recording knows that it may remove it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub preview_file: Option<PreviewFile>,
+}
+
+/// A preview as it was written.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PreviewFile {
+    /// Its length.
+    pub bytes: u64,
+    /// BLAKE3 of its bytes.
+    pub blake3: String,
 }
 
 /// BLAKE3 of an image before anything is rounded to 8 bits: width and height (64 bits each), then red, green and blue planes
