@@ -21,10 +21,10 @@ use streamsplat_kernels::{Level, resize};
 use tracing::info_span;
 
 use crate::checkpoint::{Checkpoint, Weights};
-use crate::config::Settings;
+use crate::config::{self, Settings};
 use crate::error::check_input;
 use crate::layers::{Bias, HEAD, LayerNorm, Linear, Workspace, Workspaces, add, sized};
-use crate::{DinoConfig, DinoFeatures, LoadOptions, ModelError};
+use crate::{DinoConfig, DinoFeatures, DinoLayout, LoadOptions, ModelError};
 
 /// DINOv2 with its weights.
 pub struct Dino {
@@ -58,7 +58,8 @@ impl std::fmt::Debug for Dino {
 }
 
 impl Dino {
-    /// Loads DINOv2's own file (safetensors). A JSON file of the same name may state another input size (`resized_to`).
+    /// Loads a file of DINOv2 in any [`DinoLayout`], safetensors or what `torch.save` writes. A JSON file of the same name may state another input
+    /// size (`resized_to`).
     ///
     /// # Errors
     /// As [`crate::Network::open`].
@@ -74,13 +75,17 @@ impl Dino {
         options: &LoadOptions,
     ) -> Result<Dino, ModelError> {
         let _span = info_span!("load").entered();
-        let weights = &Weights::new(checkpoint, "").on(options.level);
+        let layout = DinoLayout::of(checkpoint).ok_or_else(|| not_dino(checkpoint))?;
+        let weights = &Weights::new(checkpoint, "").on(options.level).laid_out(layout);
         let config = DinoConfig::derive(weights, settings)?;
         let (d, p, side) = (config.embed_dim, config.patch_size, config.pos_embed_grid);
-        let positions = weights.vector("pos_embed", &[1, 1 + side * side, d])?;
-        let (class_position, grid) = positions.split_at(d);
+        let of_class = layout.class_positions();
+        let positions = weights.vector("pos_embed", &[1, of_class + side * side, d])?;
+        let (class_position, grid) = positions.split_at(of_class * d);
         let mut first = weights.vector("cls_token", &[1, 1, d])?;
-        add(&mut first, class_position);
+        if !class_position.is_empty() {
+            add(&mut first, class_position);
+        }
         if config.register_tokens > 0 {
             first.extend_from_slice(&weights.read("register_tokens", &[1, config.register_tokens, d])?);
         }
@@ -154,12 +159,29 @@ impl Dino {
     }
 }
 
+/// The error of a file that is something else.
+fn not_dino(checkpoint: &Checkpoint) -> ModelError {
+    ModelError::Format {
+        file: checkpoint.file().to_owned(),
+        reason: format!(
+            "not DINOv2: expected patch_embed.proj.weight and cls_token (official, timm) or embeddings.patch_embeddings.projection.weight \
+             (transformers){}",
+            config::hint(checkpoint)
+        ),
+    }
+}
+
 impl DinoBlock {
     fn load(weights: &Weights<'_>, config: &DinoConfig) -> Result<DinoBlock, ModelError> {
         let (d, hidden) = (config.embed_dim, config.mlp_dim);
         Ok(DinoBlock {
             norm1: LayerNorm::load(weights, "norm1", d)?,
-            qkv: Linear::load(weights, "attn.qkv", 3 * d, d, Bias::Yes)?,
+            qkv: match weights.layout() {
+                DinoLayout::Transformers(_) | DinoLayout::TransformersModule(_) => {
+                    Linear::load_joined(weights, &["attn.q", "attn.k", "attn.v"], d, d)?
+                }
+                DinoLayout::Official | DinoLayout::Timm => Linear::load(weights, "attn.qkv", 3 * d, d, Bias::Yes)?,
+            },
             proj: Linear::load(weights, "attn.proj", d, d, Bias::Yes)?,
             ls1: weights.vector("ls1.gamma", &[d])?,
             norm2: LayerNorm::load(weights, "norm2", d)?,

@@ -10,8 +10,8 @@
 use std::path::Path;
 
 use crate::checkpoint::{self, Checkpoint};
-use crate::config::{Settings, is_dino};
-use crate::{Dino, FrameInput, LoadOptions, ModelError, Network, Sampling, Side};
+use crate::config::Settings;
+use crate::{Dino, DinoLayout, FrameInput, LoadOptions, ModelError, Network, Sampling, Side};
 
 /// A named tensor.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,7 +37,7 @@ pub fn forward_file(
     let checkpoint = Checkpoint::open(model.as_ref())?;
     let settings = Settings::beside(model.as_ref())?;
     let input = Checkpoint::open(input)?;
-    let tensors = if is_dino(&checkpoint) {
+    let tensors = if DinoLayout::of(&checkpoint).is_some() {
         let dino = Dino::load(&checkpoint, &settings, options)?;
         drop(checkpoint);
         forward_dino(&dino, &input)?

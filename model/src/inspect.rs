@@ -1,5 +1,6 @@
 //! Contents of a model file, without loading it: sizes, parts, parameters, memory and cost.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use serde::Serialize;
@@ -8,7 +9,7 @@ use crate::checkpoint::{Checkpoint, Weights};
 use crate::config::{self, Settings};
 use crate::cost::{self, StageCost};
 use crate::zero_output::{ZeroOutput, zero_output};
-use crate::{Config, DinoConfig, ModelError, keys};
+use crate::{Config, DinoConfig, DinoLayout, ModelError, keys};
 
 /// Kind and sizes of a model.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -43,6 +44,8 @@ pub struct Report {
     pub bytes: usize,
     /// Prefix of its keys.
     pub prefix: &'static str,
+    /// Whose names the file has, where it is DINOv2.
+    pub layout: Option<DinoLayout>,
     /// Kind and sizes.
     pub kind: Architecture,
     /// Parts, in the order of the computation; what belongs to none of them comes last, as `ignored`.
@@ -90,8 +93,9 @@ pub fn inspect_parts(checkpoint: &Checkpoint, config_json: &str) -> Result<Repor
 }
 
 fn inspect_checkpoint(checkpoint: &Checkpoint, settings: &Settings) -> Result<Report, ModelError> {
-    let (prefix, kind, names): (_, _, &[(&'static str, &[&str])]) = if config::is_dino(checkpoint) {
-        let config = DinoConfig::derive(&Weights::new(checkpoint, ""), settings)?;
+    let layout = DinoLayout::of(checkpoint);
+    let (prefix, kind, names): (_, _, &[(&'static str, &[&str])]) = if let Some(layout) = layout {
+        let config = DinoConfig::derive(&Weights::new(checkpoint, "").laid_out(layout), settings)?;
         ("", Architecture::Dino(config), &DINO_PARTS)
     } else {
         let prefix = config::prefix(checkpoint)?;
@@ -103,7 +107,10 @@ fn inspect_checkpoint(checkpoint: &Checkpoint, settings: &Settings) -> Result<Re
     parts.push(empty(IGNORED));
     let (mut ignored, mut formats) = (Vec::new(), Vec::<(String, usize)>::new());
     for (key, tensor) in checkpoint.tensors() {
-        let own = key.strip_prefix(prefix);
+        let own = match layout {
+            Some(layout) => Some(layout.official(key)),
+            None => key.strip_prefix(prefix).map(Cow::Borrowed),
+        };
         let part = own.and_then(|own| names.iter().position(|(_, starts)| starts.iter().any(|s| own.starts_with(s))));
         if part.is_none() {
             ignored.push(key.clone());
@@ -129,7 +136,7 @@ fn inspect_checkpoint(checkpoint: &Checkpoint, settings: &Settings) -> Result<Re
         Architecture::Dino(_) => Vec::new(),
     };
     let (file, bytes) = (checkpoint.file().to_owned(), checkpoint.size());
-    Ok(Report { file, bytes, prefix, kind, parts, formats, stages, zero_output, ignored })
+    Ok(Report { file, bytes, prefix, layout, kind, parts, formats, stages, zero_output, ignored })
 }
 
 /// Parts of a StreamSplat checkpoint and the keys they start with. The first that fits counts.

@@ -25,6 +25,7 @@ pub mod cost;
 mod decoder;
 mod deformation_head;
 mod dino;
+mod dino_layout;
 mod encoder;
 mod error;
 pub mod forward;
@@ -44,6 +45,7 @@ pub mod zero_output;
 
 pub use config::{Config, DinoConfig, StaticPosition};
 pub use dino::Dino;
+pub use dino_layout::DinoLayout;
 pub use error::ModelError;
 pub use frame::{Deformation, DinoFeatures, Embedding, FrameInput, Sampling, Side, StaticFrame, StaticGaussians};
 pub use network::Network;

@@ -21,6 +21,17 @@ fn seconds(time: Option<f64>) -> String {
     time.map_or_else(|| "any".to_owned(), |time| time.to_string())
 }
 
+/// The size of vision transformer that has so many channels, in brackets, where there is a usual name.
+fn vision_transformer(channels: usize) -> &'static str {
+    match channels {
+        384 => " (ViT-S)",
+        768 => " (ViT-B)",
+        1024 => " (ViT-L)",
+        1536 => " (ViT-g)",
+        _ => "",
+    }
+}
+
 /// Why an engine could not be made, or a frame not be taken. The stream goes on as if the frame had not been pushed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -29,16 +40,21 @@ pub enum EngineError {
     #[error(transparent)]
     Model(#[from] ModelError),
     /// The model is conditioned on DINOv2 features and no DINOv2 weights were given.
-    #[error("this model is conditioned on DINOv2 features: expected DINOv2 weights beside it, found none")]
+    #[error(
+        "this model is conditioned on DINOv2 features: expected a file of DINOv2 with it (dinov2_vitb14_reg4_pretrain.pth for the published one), found none"
+    )]
     Condition,
     /// The DINOv2 weights are of another width than the model is conditioned on.
-    #[error("DINOv2: expected {expected} channels as the model is conditioned on, found {found}")]
+    #[error("DINOv2: expected {expected} channels{}, on which the model is conditioned, found {found}{}", vision_transformer(*.expected), vision_transformer(*.found))]
     ConditionChannels {
         /// Channels of the model's condition.
         expected: usize,
         /// Channels of the DINOv2 given.
         found: usize,
     },
+    /// The DINOv2 weights have no register tokens, with which models are trained.
+    #[error("DINOv2: expected weights with register tokens (reg4 in the file's name), found none")]
+    ConditionRegisters,
     /// The thread pool could not be started.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {

@@ -43,6 +43,9 @@ impl Conditioned {
         if expected != found {
             return Err(EngineError::ConditionChannels { expected, found });
         }
+        if dino.config().register_tokens == 0 {
+            return Err(EngineError::ConditionRegisters);
+        }
         Ok(Self { network: Arc::new(network), dino: Some(Arc::new(dino)) })
     }
 }

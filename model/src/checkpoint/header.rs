@@ -52,7 +52,7 @@ impl Dtype {
     }
 
     /// Bits per element, where known.
-    fn bits(&self) -> Option<usize> {
+    pub(super) fn bits(&self) -> Option<usize> {
         Some(match self.name() {
             "F4" => 4,
             "F6_E2M3" | "F6_E3M2" => 6,
@@ -94,7 +94,7 @@ pub struct TensorInfo {
     pub dtype: Dtype,
     /// Shape; empty for a scalar.
     pub shape: Vec<usize>,
-    /// Its bytes, counted from the end of the header.
+    /// Its bytes, counted from the end of a safetensors header, or from the start of the file.
     pub range: Range<usize>,
 }
 

@@ -1,10 +1,11 @@
-//! Safetensors files: mapped, checked, read tensor by tensor.
+//! Files of tensors, safetensors or what `torch.save` writes: mapped, checked, read tensor by tensor.
 //!
 //! Nothing is believed before it is checked: the header's length against the file's, every tensor's range against its
 //! shape and its neighbours, every shape against the model. No memory is taken for what a header merely claims.
 
 mod header;
 mod storage;
+mod torch;
 mod weights;
 mod write;
 
@@ -14,13 +15,14 @@ use std::path::Path;
 
 pub use header::{Dtype, TensorInfo};
 pub use storage::Storage;
+pub use torch::is_archive as is_torch_archive;
 pub(crate) use weights::Weights;
 pub use write::write;
 
 use crate::ModelError;
 use crate::error::first_non_finite;
 
-/// A safetensors file whose header has been checked.
+/// A file of tensors whose header has been checked.
 #[derive(Debug)]
 pub struct Checkpoint {
     file: String,
@@ -33,7 +35,7 @@ impl Checkpoint {
     /// Maps the file at `path` and checks its header.
     ///
     /// # Errors
-    /// When the file cannot be read or is not a well-formed safetensors file.
+    /// When the file cannot be read or is neither a well-formed safetensors file nor tensors by name as `torch.save` writes them.
     pub fn open(path: impl AsRef<Path>) -> Result<Checkpoint, ModelError> {
         let file = path.as_ref().display().to_string();
         let storage = Storage::map(path.as_ref()).map_err(|source| ModelError::Io { file: file.clone(), source })?;
@@ -43,10 +45,13 @@ impl Checkpoint {
     /// Checks the header of bytes in memory; `name` stands for the file in errors.
     ///
     /// # Errors
-    /// When the bytes are not a well-formed safetensors file.
+    /// When the bytes are neither a well-formed safetensors file nor tensors by name as `torch.save` writes them.
     pub fn from_storage(storage: impl Into<Storage>, name: impl Into<String>) -> Result<Checkpoint, ModelError> {
         let (file, storage) = (name.into(), storage.into());
-        match header::parse(storage.bytes()) {
+        let bytes = storage.bytes();
+        let parsed =
+            if torch::is_torch(bytes) { torch::parse(bytes).map(|tensors| (0, tensors)) } else { header::parse(bytes) };
+        match parsed {
             Ok((data, tensors)) => Ok(Checkpoint { file, storage, data, tensors }),
             Err(reason) => Err(ModelError::Format { file, reason }),
         }

@@ -6,13 +6,14 @@ use streamsplat_kernels::Level;
 use streamsplat_kernels::gemm::Precision;
 
 use super::Checkpoint;
-use crate::ModelError;
+use crate::{DinoLayout, ModelError};
 
 /// A view of a checkpoint's keys that start with a prefix.
 #[derive(Clone, Debug)]
 pub(crate) struct Weights<'a> {
     checkpoint: &'a Checkpoint,
     prefix: String,
+    layout: DinoLayout,
     level: Level,
     precision: Precision,
     compute_zero_output: bool,
@@ -21,12 +22,29 @@ pub(crate) struct Weights<'a> {
 impl<'a> Weights<'a> {
     pub(crate) fn new(checkpoint: &'a Checkpoint, prefix: impl Into<String>) -> Self {
         let (level, precision) = (Level::scalar(), Precision::F32);
-        Self { checkpoint, prefix: prefix.into(), level, precision, compute_zero_output: false }
+        Self {
+            checkpoint,
+            prefix: prefix.into(),
+            layout: DinoLayout::Official,
+            level,
+            precision,
+            compute_zero_output: false,
+        }
     }
 
     /// The same keys, for layers that are packed on `level`.
     pub(crate) fn on(self, level: Level) -> Weights<'a> {
         Weights { level, ..self }
+    }
+
+    /// The same keys in a file of DINOv2 of this layout.
+    pub(crate) fn laid_out(self, layout: DinoLayout) -> Weights<'a> {
+        Weights { layout, ..self }
+    }
+
+    /// The names of the file.
+    pub(crate) fn layout(&self) -> DinoLayout {
+        self.layout
     }
 
     /// The same keys, for layers that are built even where they add nothing.
@@ -72,8 +90,9 @@ impl<'a> Weights<'a> {
         self.precision
     }
 
+    /// The file's name of a tensor.
     pub(crate) fn key(&self, name: &str) -> String {
-        format!("{}{name}", self.prefix)
+        self.layout.key(&format!("{}{name}", self.prefix)).into_owned()
     }
 
     pub(crate) fn file(&self) -> &'a str {

@@ -2,9 +2,9 @@
 
 use super::json::Settings;
 use super::{Config, DinoConfig, StaticPosition};
-use crate::ModelError;
 use crate::checkpoint::{Checkpoint, Weights};
 use crate::keys;
+use crate::{DinoLayout, ModelError};
 
 /// Resolution and window of the published checkpoint, which its shapes do not tell.
 const PUBLISHED_RESOLUTION: [usize; 2] = [288, 512];
@@ -19,18 +19,29 @@ const LARGEST_GRID: usize = 512;
 pub(crate) fn prefix(checkpoint: &Checkpoint) -> Result<&'static str, ModelError> {
     let probe = format!("{}.conv.weight", keys::ENCODER);
     let found = keys::PREFIXES.into_iter().find(|prefix| checkpoint.shape(&format!("{prefix}{probe}")).is_some());
-    found.ok_or_else(|| {
-        let hint = if is_dino(checkpoint) { "; this is a DINOv2 file" } else { "" };
-        ModelError::Format {
-            file: checkpoint.file().to_owned(),
-            reason: format!("not a StreamSplat checkpoint: expected a tensor {}{probe}{hint}", keys::PREFIXES[0]),
-        }
+    found.ok_or_else(|| ModelError::Format {
+        file: checkpoint.file().to_owned(),
+        reason: format!(
+            "not a StreamSplat checkpoint: expected a tensor {}{probe}{}",
+            keys::PREFIXES[0],
+            hint(checkpoint)
+        ),
     })
 }
 
-/// Returns true if the file has the keys of DINOv2.
-pub(crate) fn is_dino(checkpoint: &Checkpoint) -> bool {
-    checkpoint.shape("patch_embed.proj.weight").is_some() && checkpoint.shape("cls_token").is_some()
+/// What a file is that was taken for another, for the end of an error.
+pub(crate) fn hint(checkpoint: &Checkpoint) -> String {
+    if let Some(layout) = DinoLayout::of(checkpoint) {
+        return format!("; this is a file of DINOv2 (names of {})", layout.name());
+    }
+    let probe = format!("{}.conv.weight", keys::ENCODER);
+    if keys::PREFIXES.iter().any(|prefix| checkpoint.shape(&format!("{prefix}{probe}")).is_some()) {
+        return "; this is a StreamSplat checkpoint".to_owned();
+    }
+    match checkpoint.tensors().keys().next() {
+        Some(first) => format!("; found {} tensors, the first of them {first}", checkpoint.tensors().len()),
+        None => "; found no tensors".to_owned(),
+    }
 }
 
 impl Config {
@@ -173,12 +184,13 @@ impl DinoConfig {
             Some(_) => weights.shape_like("register_tokens", [Some(1), None, Some(embed_dim)])?[1],
         };
         let [_, positions, _] = weights.shape_like("pos_embed", [Some(1), None, Some(embed_dim)])?;
-        let pos_embed_grid = (positions - 1).isqrt();
-        if pos_embed_grid == 0 || pos_embed_grid * pos_embed_grid + 1 != positions {
+        let of_class = weights.layout().class_positions();
+        let pos_embed_grid = (positions - of_class).isqrt();
+        if pos_embed_grid == 0 || pos_embed_grid * pos_embed_grid + of_class != positions {
             return Err(ModelError::Shape {
                 file: weights.file().to_owned(),
                 tensor: weights.key("pos_embed"),
-                expected: format!("[1, 1 + a square, {embed_dim}]"),
+                expected: format!("[1, {of_class} + a square, {embed_dim}]"),
                 found: vec![1, positions, embed_dim],
             });
         }

@@ -3,7 +3,7 @@
 mod derive;
 mod json;
 
-pub(crate) use derive::{is_dino, prefix};
+pub(crate) use derive::{hint, prefix};
 pub(crate) use json::Settings;
 
 /// Where the position offset of static Gaussians comes from.

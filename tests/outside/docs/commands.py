@@ -1,7 +1,7 @@
 """Runs the commands that README.md and docs/*.md show: commands.py ROOT PROGRAM
 
 A command is a line of an indented block of the README or of a ```sh block of a page. They run in order, page by page, in a scratch folder in which the names
-they use exist: `clip.mp4`, `clip.y4m`, `FOLDER` of images, `CLIPS` of clips, a small model as `MODEL.safetensors`, a depth network as `NETWORK.onnx`,
+they use exist: `clip.mp4`, `clip.y4m`, `FOLDER` of images, `CLIPS` of clips, a small model as `streamsplat.safetensors` with its `dinov2_vitb14_reg4_pretrain.pth`, a depth network as `NETWORK.onnx`,
 somebody's scene as `garden.ply`, and links to the repository's folders. A command that serves a page (SERVES) is stopped as a user stops it. What a command cannot mean here is replaced (REPLACED); what another part of the tests runs is named with that part (ELSEWHERE). A command that is in
 neither table and fails, and an entry of a table that no page uses, are errors.
 """
@@ -59,8 +59,9 @@ def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
         (scratch / folder).mkdir(parents=True)
         subprocess.run([*ffmpeg, scratch / folder / "%06d.png"], check=True)
     for kind in ("safetensors", "json"):
-        shutil.copy(root / f"fixtures/parity/tiny-dino.{kind}", scratch / f"MODEL.{kind}")
-        shutil.copy(root / f"fixtures/parity/dino-tiny.{kind}", scratch / f"DINOV2.{kind}")
+        shutil.copy(root / f"fixtures/parity/tiny-dino.{kind}", scratch / f"streamsplat.{kind}")
+        # What a file is follows from what it holds, not from its name.
+        shutil.copy(root / f"fixtures/parity/dino-tiny.{kind}", scratch / f"dinov2_vitb14_reg4_pretrain.{kind.replace('safetensors', 'pth')}")
     shutil.copy(root / "fixtures/depth/depth.onnx", scratch / "NETWORK.onnx")
     camera = {"type": "pinhole", "position": [0, 0, -1], "fov_y_degrees": 60, "aspect": 16 / 9}
     (scratch / "camera.json").write_text(json.dumps(camera))

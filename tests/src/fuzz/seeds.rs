@@ -57,7 +57,8 @@ pub(super) fn checkpoint() -> Vec<Vec<u8>> {
         ("pos_embed", "F16", &[1, 5, 64], 16),
         ("register_tokens", "F16", &[1, 4, 64], 16),
     ]);
-    vec![model(), formats, dino]
+    let torch = std::fs::read(streamsplat_fixtures::path("torch/tensors.pth")).expect("a fixture");
+    vec![model(), formats, dino, torch]
 }
 
 pub(super) fn model_config() -> Vec<Vec<u8>> {

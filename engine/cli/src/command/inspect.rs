@@ -1,5 +1,7 @@
 //! `inspect`: what a model, a scene or an interval holds.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 use serde_json::{Map, Value, json};
@@ -7,7 +9,7 @@ use streamsplat::import::{self, Opened};
 use streamsplat::output::write_file;
 use streamsplat::recognise::{self, Kind};
 use streamsplat::scene::{INDEX, Scene};
-use streamsplat_model::checkpoint::Checkpoint;
+use streamsplat_model::checkpoint::{Checkpoint, is_torch_archive};
 use streamsplat_model::inspect::{Architecture, inspect};
 use streamsplat_model::zero_output::gflop;
 
@@ -21,11 +23,16 @@ use crate::session::opening::open_along;
 /// Tells what it is.
 pub fn command(args: &InspectArgs, console: &Console) -> Result<(), Failure> {
     let path = &args.file;
-    if let Some(wrong) = recognise::not_a_scene(path).filter(|_| recognise::kind(path) != Some(Kind::Checkpoint)) {
+    let torch = is_torch(path);
+    if let Some(wrong) =
+        recognise::not_a_scene(path).filter(|_| !torch && recognise::kind(path) != Some(Kind::Checkpoint))
+    {
         let wrong = wrong.expecting("a model, a scene or an interval");
         return Err(Failure::work(format!("{}: {wrong}", path.display())));
     }
-    let found = if path.is_dir() || path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path) {
+    let found = if torch {
+        model(path)?
+    } else if path.is_dir() || path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path) {
         match open_along(path, &args.limit.limits(), args.reading.axes()?, None, console)? {
             Opened::Moving(scene) => moving(&scene)?,
             Opened::Still(file) => still::inspect(&file),
@@ -46,6 +53,13 @@ pub fn command(args: &InspectArgs, console: &Console) -> Result<(), Failure> {
         write_file(path, (text + "\n").as_bytes())?;
     }
     Ok(())
+}
+
+/// Returns true if a file is an archive of `torch.save`, which begins as a scene in a zip file does.
+fn is_torch(path: &Path) -> bool {
+    let mut head = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(256).read_to_end(&mut head));
+    read.is_ok() && is_torch_archive(&head)
 }
 
 fn moving(scene: &Scene) -> Result<Value, Failure> {
@@ -152,8 +166,17 @@ fn model(path: &Path) -> Result<Value, Failure> {
             (part.name.clone(), Value::Object(fields))
         })
         .collect();
+    let needs = match &report.kind {
+        Architecture::StreamSplat(config) if config.use_dino => {
+            json!([format!("DINOv2 of {} channels with register tokens (--dinov2 FILE)", config.condition_dim)])
+        }
+        Architecture::Dino(_) => json!(["a StreamSplat checkpoint (--model FILE), which it serves as --dinov2"]),
+        _ => json!([]),
+    };
     Ok(json!({
         "kind": kind,
+        "names": report.layout.map(|layout| layout.name()),
+        "needs": needs,
         "file": report.file,
         "bytes": report.bytes,
         "blake3": digest::file(path)?,

@@ -85,7 +85,7 @@ pub struct Model {
     /// Checkpoint (safetensors, official layout; FILE.json beside it for what shapes cannot say) [default: the small embedded one]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// DINOv2's own weights, for models conditioned on them
+    /// Weights of DINOv2 with registers, for models conditioned on them: dinov2_vitb14_reg4_pretrain.pth, or the file of transformers or timm
     #[arg(long, value_name = "FILE")]
     pub dinov2: Option<PathBuf>,
     /// Arithmetic of the large matrix products: f32, bf16 or int8 [default: f32]
