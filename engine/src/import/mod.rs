@@ -72,6 +72,7 @@ impl FormatError {
 
 /// A scene that has been opened.
 #[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "one value for a file, taken apart where it is made")]
 pub enum Opened {
     /// One made of intervals, which are read when asked for.
     Moving(Scene),

@@ -45,6 +45,7 @@ pub struct Plan {
 }
 
 /// A scene that is ready to be drawn.
+#[expect(clippy::large_enum_variant, reason = "one value for a command")]
 pub enum Prepared {
     /// One that is the same at all times.
     Still(Drawable),

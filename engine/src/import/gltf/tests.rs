@@ -107,9 +107,8 @@ fn with_spz(packed: &[u8]) -> Vec<u8> {
 fn spz_in_a_buffer_is_read_along_the_axes_that_it_has_alone() {
     let packed = export::still::spz(&still(5, 2));
     // The comment of the gzip stream says RDF; without it, RUB.
-    let silent: Vec<u8> = packed.iter().map(|b| *b).collect();
+    let mut silent = packed.clone();
     let at = silent.windows(8).position(|w| w == b"axes RDF").expect("the comment");
-    let mut silent = silent;
     silent[at..at + 8].copy_from_slice(b"no words");
     for file in [packed, silent] {
         let (found, alone) = (glb(&with_spz(&file)).expect("SPZ"), spz::spz(&file).expect("SPZ"));

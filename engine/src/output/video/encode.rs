@@ -259,7 +259,7 @@ mod tests {
         {
             assert_eq!(ticks(fps), expected, "{fps}");
         }
-        assert!(ticks(1e-9) < 1 << 31 && ticks(3999.999_999) < 1 << 31);
+        assert!(ticks(1e-9) < 1 << 31 && ticks(3_999.999_999) < 1 << 31);
     }
 
     #[test]

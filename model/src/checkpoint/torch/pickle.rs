@@ -326,10 +326,16 @@ impl Pickle<'_> {
                 Value::Tensor(Stored { storage: key.clone(), dtype: dtype.clone(), offset, shape, stride })
             }
             ("torch._utils._rebuild_parameter", [tensor, ..]) => match &self.values[*tensor] {
-                Value::Tensor(_) => return Ok(self.stack.push(*tensor)),
+                Value::Tensor(_) => {
+                    self.stack.push(*tensor);
+                    return Ok(());
+                }
                 _ => return Err(wrong()),
             },
-            ("torch.Size", [sides]) => return Ok(self.stack.push(*sides)),
+            ("torch.Size", [sides]) => {
+                self.stack.push(*sides);
+                return Ok(());
+            }
             _ => {
                 return Err(Fault::Told(format!(
                     "it would call {}, which is not done: expected tensors alone",
