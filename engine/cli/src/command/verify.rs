@@ -15,13 +15,10 @@ use crate::output::{digest, report};
 
 /// Compares the files that are there with their digests, then repeats the work and compares again. Fails where one differs.
 pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
-    if let Some(wrong) = recognise::not_a_record(&args.dir) {
-        return Err(Failure::work(format!("{}: {wrong}", args.dir.display())));
-    }
-    let (record_path, folder) = if args.dir.is_file() {
-        (record_of(&args.dir)?, args.dir.parent().map(Path::to_owned).unwrap_or_default())
-    } else {
+    let (record_path, folder) = if !args.dir.is_file() {
         (args.dir.join("run.json"), args.dir.clone())
+    } else {
+        (record_of(&args.dir)?, args.dir.parent().map(Path::to_owned).unwrap_or_default())
     };
     let record = Record::read(&record_path)?;
     if record.input.path == Path::new("-") {
@@ -153,19 +150,13 @@ fn differ(console: &Console, what: &str, expected: &str, found: &str) -> Result<
     if console.quiet { Ok(()) } else { say(format!("{what}: expected {expected}, found {found}")) }
 }
 
-/// The record of a result that is one file: itself, or the one that lies beside a video.
+/// The record that a file is, or that lies beside it where it is a video.
 fn record_of(file: &Path) -> Result<PathBuf, Failure> {
+    let Some(wrong) = recognise::not_a_record(file) else { return Ok(file.to_owned()) };
     let mut beside = file.as_os_str().to_owned();
     beside.push(".run.json");
     let beside = PathBuf::from(beside);
-    if beside.is_file() {
-        return Ok(beside);
-    }
-    if file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json")) {
-        return Ok(file.to_owned());
-    }
-    let (found, beside) = (file.display(), beside.display());
-    Err(Failure::work(format!("{found}: expected a folder or a record, found another file, and no {beside}")))
+    if beside.is_file() { Ok(beside) } else { Err(Failure::work(format!("{}: {wrong}", file.display()))) }
 }
 
 /// Files in a folder of results that its record does not name, and a report that is not the record's; each with what is wrong.

@@ -137,5 +137,5 @@ fn a_video_is_verified_by_the_record_beside_it() {
     run_ok(&scratch.clip("clip", 2, 40, 24), &video, &["--quiet"]);
     assert!(verify(&video).status.success());
     std::fs::remove_file(scratch.path("v.y4m.run.json")).expect("there");
-    assert!(fails(&verify(&video), 1).contains("expected a folder or a record, found another file"));
+    assert!(fails(&verify(&video), 1).contains("found a video (y4m)"));
 }
