@@ -1,7 +1,6 @@
 //! Reading a scene.
 
 use std::collections::BTreeMap;
-use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -159,10 +158,6 @@ impl Index {
         }
         if index.intervals.is_empty() {
             return Err("the scene has no interval".into());
-        }
-        let mut names = BTreeSet::new();
-        if let Some(twice) = index.intervals.iter().find(|entry| !names.insert(entry.file.as_str())) {
-            return Err(format!("expected a file for every interval, found {:?} twice", twice.file));
         }
         let mut before = f64::NEG_INFINITY;
         let mut files = BTreeMap::new();

@@ -242,6 +242,11 @@ impl Source {
         self.rate.0 / self.rate.1
     }
 
+    /// Returns true if frames come from standard input.
+    pub fn is_stream(&self) -> bool {
+        matches!(self.kind, Input::Stdin(_))
+    }
+
     /// Returns true if it is known that frames do not follow each other at a constant rate.
     pub fn is_uneven(&self) -> bool {
         let known = match &self.kind {

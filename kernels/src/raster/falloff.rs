@@ -1,7 +1,9 @@
 //! How α falls from a Gaussian's centre to its edge, and where the footprint ends.
 
-use super::project::ALPHA_MIN;
 use crate::simd::Simd;
+
+/// Least α that is drawn; a Gaussian of a lower opacity reaches no pixel.
+pub const ALPHA_MIN: f32 = 1.0 / 255.0;
 
 /// How α falls with the distance d from a Gaussian's centre, in standard deviations: `α = min(0.99, o·g·(e^(−d²/2) − f))`, skipped where it is
 /// under 1/255.

@@ -58,7 +58,7 @@
 //! # Order of operations
 //!
 //! A pixel's value is a function of the scene and the pixel alone. General footprints are projected in binary64, separable
-//! ones in binary32 with centres in two parts (`project.rs`); the blend is binary32 with the fused multiply-adds written in
+//! ones in binary32 with centres in two parts (`project`); the blend is binary32 with the fused multiply-adds written in
 //! `blend.rs`. The conic enters as a triangular factor, `½log₂e·dᵀΣ⁻¹d = (p·(dx − k·dy))² + (q·dy)²`, whose determinant is a sum of
 //! squares: neither thin nor far Gaussians cancel.
 //! The blurred determinant is `(|m₁ × m₂|² + ((0.3 + b_x)·|m₂|² + (0.3 + b_y)·|m₁|²)) + (0.3 + b_x)·(0.3 + b_y)` in that order, `m₁, m₂` the rows of
@@ -90,10 +90,9 @@ mod rasteriser;
 pub mod reference;
 mod sort;
 
-pub use falloff::{Defocus, Falloff};
+pub use falloff::{ALPHA_MIN, Defocus, Falloff};
 pub use linear::{ColourFit, ColourMap, FitView, Preparation, Solution, WEIGHT_BYTES};
 pub use lists::{Footprint, Lists, TILE_PIXELS};
-pub use project::ALPHA_MIN;
 pub use rasteriser::{Rasteriser, Work};
 
 use crate::level::Level;

@@ -201,9 +201,9 @@ impl KeyFrames {
             match source.next_frame() {
                 // What feeds us is stopped by the same Ctrl-C; its stream may end anywhere.
                 Err(SourceError::Y4m { .. }) if stop.asked() => Ok(None),
-                // What came before is whole; what is compared is refused.
+                // What came before is whole; what is compared is refused. A stream that broke off may be given again, to be resumed.
                 Err(e @ (SourceError::Y4m { .. } | SourceError::Damaged { .. }))
-                    if *arrived > 1 && *keep != Keep::Everything =>
+                    if *arrived > 1 && *keep != Keep::Everything && !source.is_stream() =>
                 {
                     *damage = Some(e.to_string());
                     Ok(None)

@@ -272,7 +272,7 @@ fn cameras_of_viewers_are_read_with_their_fields_of_view() {
 fn what_is_no_camera_is_told_what_is_read() {
     let scratch = Scratch::new();
     let (scene, own) = prepared(&scratch);
-    let path = scratch.path("camera.json");
+    let path = scratch.path("other.json");
     let text = |content: &[u8]| {
         std::fs::write(&path, content).expect("writable");
         fails(&render(&scene, &path, &scratch.path("none"), &["--size", "9x6"]), 1)

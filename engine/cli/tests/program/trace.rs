@@ -159,6 +159,11 @@ fn every_operation_of_the_kernels_has_spans() {
     let (_, spans) =
         traced(&scratch, "still", &["render".as_ref(), &scene, "--camera".as_ref(), &camera, "--size=90x60".as_ref()]);
     found.extend(operations(&spans));
+    // And a shutter, which averages images.
+    let out = scratch.path("out");
+    let (_, spans) =
+        traced(&scratch, "shutter", &["render".as_ref(), &out, "--times=0.05".as_ref(), "--shutter=180".as_ref()]);
+    found.extend(operations(&spans));
 
     // One operation, one folder. Three hold what operations are made of; the rasteriser has three passes, its map of colours three more, and their fit one.
     let folders =

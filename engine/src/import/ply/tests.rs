@@ -508,8 +508,8 @@ fn doubles_far_from_zero_are_kept_relative_to_an_offset() {
         assert!(ply(&other) == Ok(found.clone()), "{format}");
     }
     assert!(from_disk(&file, &Limits::default()).0.expect("in blocks").still == found);
-    // It goes out as it came in.
-    assert!(export::still::ply(&found) == file);
+    // It goes out and comes in as it is.
+    assert!(ply(&export::still::ply(&found)) == Ok(found.clone()));
     // Doubles near zero are numbers as all others.
     far.about.offset = [1.0, 0.0, 0.0];
     let near = ply(&export::still::ply(&far)).expect("doubles");

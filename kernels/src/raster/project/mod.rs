@@ -4,7 +4,7 @@ mod sphere;
 
 pub(super) use sphere::{POLE, frame};
 
-use super::falloff::Cut;
+use super::falloff::{ALPHA_MIN, Cut};
 use super::{Defocus, Gaussians, Projection, Request};
 use crate::simd::{LANES, Simd};
 
@@ -12,8 +12,6 @@ use crate::simd::{LANES, Simd};
 pub(super) const BLOCK: usize = 4;
 /// Added to both variances of a footprint, px² (the low-pass filter of EWA splatting).
 const LOW_PASS: f64 = 0.3;
-/// Least α that is drawn; a Gaussian of a lower opacity reaches no pixel.
-pub const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// An alpha above this is lowered to it.
 pub(super) const ALPHA_MAX: f32 = 0.99;
 /// A pixel is finished when the next splat would take its transmittance below this.
