@@ -287,7 +287,7 @@ fn a_hostile_index_is_refused_though_its_digest_is_right() {
         (entry + 48, &u32::MAX.to_le_bytes(), "interval 1: counts"),
         (entry + 48, &79_u32.to_le_bytes(), "column"),
         (entry + 48, &(1_u32 << 24).to_le_bytes(), "intervals: expected at most"),
-        (entry + 52, &(1_u32 << 24).to_le_bytes(), "column merge"),
+        (entry + 52, &(1_u32 << 24).to_le_bytes(), "merges in a file"),
         (entry + 56, &2_u32.to_le_bytes(), "chunks back"),
         (entry + 56, &0_u32.to_le_bytes(), "column link"),
     ] {
