@@ -53,7 +53,7 @@ impl Exposure {
     /// # Panics
     /// When it has another size or other planes than those before, or no alpha though colours are multiplied by it.
     pub fn add(&mut self, image: &Image) {
-        let _span = debug_span!("expose", width = image.width, height = image.height).entered();
+        let _span = debug_span!("exposure", width = image.width, height = image.height).entered();
         let pixels = product([image.width, image.height]);
         assert_eq!(image.rgb.len(), product([3, pixels]), "an image of {}×{}", image.width, image.height);
         if self.count == 0 {
