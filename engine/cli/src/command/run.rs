@@ -46,8 +46,14 @@ pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
     // Held until everything is written.
     let mut place = Place::new(Destination::asked(&out)?);
     let mut args = args.clone();
-    if place.destination().container().is_some() {
-        args.options.emit.get_or_insert_with(|| "rgb,scene".to_owned());
+    if let Some(scene) = place.destination().container().filter(|_| args.options.emit.is_none()) {
+        // Videos of several formats under one name have one scene, the first one's.
+        let taken = args.out.is_some() && !args.overwrite && !args.resume && is_anothers(&scene, place.destination());
+        if taken {
+            let scene = scene.display();
+            console.note(&[format!("{scene}: of another run, left as it is; this run's scene is not written (--emit rgb,scene --overwrite replaces it)")]);
+        }
+        args.options.emit = Some(if taken { "rgb" } else { "rgb,scene" }.to_owned());
     }
     let size = if place.destination().is_video() { "source" } else { "model" };
     args.options.view.size.get_or_insert_with(|| size.to_owned());
@@ -131,20 +137,24 @@ fn resume_or_run(args: &RunArgs, out: &Path, place: &mut Place, console: &Consol
     Ok(Done::Now(Box::new(record), page))
 }
 
+/// Returns true if there is a file in the scene's place that no run to this destination wrote.
+fn is_anothers(scene: &Path, destination: &Destination) -> bool {
+    let name = scene.file_name().unwrap_or_default().to_string_lossy();
+    let record = destination.record().filter(|path| storage::regular(path).is_ok());
+    let record = record.and_then(|path| Record::read(&path).ok());
+    storage::exists(scene) && record.is_none_or(|record| !record.outputs.contains_key(&*name))
+}
+
 /// An error where the place holds the finished results of another input or of other options.
 fn refuse_others(input: &Path, out: &Path, destination: &Destination, options: &RunOptions) -> Result<(), Failure> {
     let record = destination.record().filter(|path| storage::regular(path).is_ok());
     let wants_scene = options.emit.as_deref().is_some_and(|list| list.split(',').any(|kind| kind.trim() == "scene"));
-    if let Some(scene) = destination.container().filter(|scene| wants_scene && storage::exists(scene)) {
-        let name = scene.file_name().unwrap_or_default().to_string_lossy();
-        let record = record.as_ref().and_then(|path| Record::read(path).ok());
-        if record.is_none_or(|record| !record.outputs.contains_key(&*name)) {
-            return Err(Failure::usage(format!(
-                "{}: expected a free place for the scene, found a file that no run to {} wrote; --overwrite replaces it, --emit rgb leaves it",
-                scene.display(),
-                out.display()
-            )));
-        }
+    if let Some(scene) = destination.container().filter(|scene| wants_scene && is_anothers(scene, destination)) {
+        return Err(Failure::usage(format!(
+            "{}: expected a free place for the scene, found a file that no run to {} wrote; --overwrite replaces it, --emit rgb leaves it",
+            scene.display(),
+            out.display()
+        )));
     }
     // What is no record of a whole run is no result that anybody has.
     let record = record.and_then(|path| Record::read(&path).ok()).filter(|record| record.complete);
