@@ -334,6 +334,7 @@ pub(super) fn record(
         image_size: drawing.counts.size,
         key_frames: None,
         psnr: None,
+        psnr_source_size: None,
         timing: Timing::of(start, seconds, workers),
     }
 }

@@ -22,7 +22,7 @@ use crate::output::terms::{Terms, with_absolute_paths};
 use crate::output::{digest, report, resume_state};
 use crate::session::ahead::Ahead;
 use crate::session::catch_up::catch_up;
-use crate::session::closeness::Closeness;
+use crate::session::closeness::{Closeness, Whole};
 use crate::session::drawing::Drawing;
 use crate::session::keydepth::KeyDepth;
 use crate::session::keyframes::{Keep, KeyFrames};
@@ -245,13 +245,17 @@ fn run_from(
     let mut drawing = Drawing::new(engine.workers(), views.backend)?;
     let depth = KeyDepth::open(&depth, &source, machine.level()?, reuse, options.frames)?;
     console.note(depth.notes());
-    let keys = KeyFrames::new(source, depth, gap, keep, options.frames, &console.stop);
+    let mut keys = KeyFrames::new(source, depth, gap, keep, options.frames, &console.stop);
+    let whole = gap.depends_on_images() && emit.draws() && views.is_the_sources_own();
+    keys.compare_whole(whole);
     let before = if let Found::Under(point, _) = &found { point.choices.as_ref() } else { None };
     let keys = Ahead::resume(keys, engine.workers().threads(), before);
     let mut closeness = gap.depends_on_images().then(|| Closeness::new(engine.workers())).transpose()?;
     if let Some((closeness, choices)) = closeness.as_mut().zip(before) {
         closeness.resume(choices);
     }
+    let of_before = if let Found::Under(point, _) = &found { point.whole } else { None };
+    let whole = whole.then(|| of_before.map(Whole::resume).unwrap_or_default());
     let terms = terms.map_or_else(|| Terms::given(options, &model_record(options)?), Ok)?;
 
     let mut times = Times { asked: views.times.as_deref(), next: 0 };
@@ -264,6 +268,7 @@ fn run_from(
         outputs,
         drawing,
         closeness,
+        whole,
         progress,
         stop,
         page,
@@ -294,7 +299,18 @@ fn run_from(
         }
     };
     let Stream {
-        keys, engine, outputs, closeness, mut progress, page, account, dropped, span, key: key_frames, ..
+        keys,
+        engine,
+        outputs,
+        closeness,
+        whole,
+        mut progress,
+        page,
+        account,
+        dropped,
+        span,
+        key: key_frames,
+        ..
     } = stream;
     let Some((first, last)) = span else {
         return Err(Failure::work(format!("{}: the video has no frame", input.display())));
@@ -351,6 +367,7 @@ fn run_from(
         image_size: drawing.counts.size,
         key_frames: Some(key_frames),
         psnr: closeness.as_ref().and_then(Closeness::mean),
+        psnr_source_size: whole.as_ref().and_then(Whole::mean),
         timing: Timing::of(start, seconds, engine.workers()),
     };
     Ok((record, page))

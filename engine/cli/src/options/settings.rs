@@ -221,6 +221,12 @@ pub struct Views {
 }
 
 impl Views {
+    /// Returns true for images of the source's frames as they were filmed: their times, their size, their view.
+    pub fn is_the_sources_own(&self) -> bool {
+        let own_view = self.camera == CameraPath::default() && self.course.is_none() && self.eyes.is_none();
+        own_view && self.times.is_none() && self.options.size == Size::Source && !self.transparent
+    }
+
     /// Refuses what only a rendering of a still scene has: a path through another program's cameras, and, where frames are
     /// written from a video, transparency.
     pub fn refuse_still(&self) -> Result<(), Failure> {

@@ -63,6 +63,9 @@ pub struct Record {
     /// Mean PSNR of the images of all frames at 256×256, in dB, where key frames depend on it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr: Option<f64>,
+    /// Mean PSNR of the same images at the source's own size, in dB, where they are of that size.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psnr_source_size: Option<f64>,
     /// Differs from run to run.
     pub timing: Timing,
 }
@@ -396,6 +399,7 @@ mod tests {
             image_size: Some([640, 480]),
             key_frames: None,
             psnr: None,
+            psnr_source_size: None,
             timing: Timing { total: 0.1, threads: 2, isa: "avx2".into(), ..Timing::default() },
         };
         let render = Record {

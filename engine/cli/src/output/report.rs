@@ -42,7 +42,14 @@ pub fn summary(record: &Record, out: &Path) -> String {
         _ => String::new(),
     };
     let keys = record.key_frames.map(|keys| format!(", {keys} key frames")).unwrap_or_default();
-    let psnr = record.psnr.map(|psnr| format!(", {psnr:.1} dB at 256×256 over all frames")).unwrap_or_default();
+    let psnr = match (record.psnr_source_size, record.psnr) {
+        (Some(whole), Some(psnr)) => {
+            let [width, height] = record.input.size;
+            format!(", {whole:.1} dB at {width}×{height} and {psnr:.1} dB at 256×256 over all frames")
+        }
+        (None, Some(psnr)) => format!(", {psnr:.1} dB at 256×256 over all frames"),
+        (_, None) => String::new(),
+    };
     // A rendering's input is counted in intervals.
     let (each, what) = match record.task {
         Invocation::Run(_) => (total / record.input.count.max(1) as f64, "frame"),
@@ -96,6 +103,13 @@ fn write_markdown(record: &Record, out: &mut String) -> std::fmt::Result {
         writeln!(out, "| renderer | {}: its images are outside of the bit contract |", record.renderer)?;
     }
     writeln!(out, "| output | {} images, {} files |", images(record), record.outputs.len())?;
+    if let Some(psnr) = record.psnr_source_size {
+        let [width, height] = record.input.size;
+        writeln!(
+            out,
+            "| closeness | {psnr:.2} dB, mean PSNR of all frames at the source's own size, {width}×{height} |"
+        )?;
+    }
     if let Some(psnr) = record.psnr {
         writeln!(out, "| closeness | {psnr:.2} dB, mean PSNR of all frames at 256×256 |")?;
     }

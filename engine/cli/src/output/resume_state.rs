@@ -59,6 +59,9 @@ pub struct Point {
     /// The key frames chosen, where they depend on how close images come to frames.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub choices: Option<Choices>,
+    /// The sum of PSNR at the source's size over all frames compared, as bits, and their number.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub whole: Option<(u64, usize)>,
     /// The engine's account.
     pub work: BTreeMap<String, WorkRecord>,
     /// Gaussians left out by the engine.

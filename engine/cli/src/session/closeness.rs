@@ -24,6 +24,60 @@ pub struct Truth {
     pub time: f64,
     /// Of [`SIDE`] × [`SIDE`] pixels.
     pub picture: Picture,
+    /// The frame's 8-bit samples, where images of its size are compared with it.
+    pub samples: Option<Vec<u8>>,
+}
+
+/// PSNR of images of the source's own size, as they are written. Samples of 8 bits are compared.
+#[derive(Debug, Default)]
+pub struct Whole {
+    /// Frames whose images are not there yet, by their numbers.
+    waiting: BTreeMap<usize, Vec<u8>>,
+    /// Sum over all frames of PSNR, in dB.
+    sum: f64,
+    frames: usize,
+}
+
+impl Whole {
+    /// Goes on from a sum, as bits, over so many frames.
+    pub fn resume((sum, frames): (u64, usize)) -> Whole {
+        Whole { waiting: BTreeMap::new(), sum: f64::from_bits(sum), frames }
+    }
+
+    /// What [`Whole::resume`] takes.
+    pub fn compared(&self) -> (u64, usize) {
+        (self.sum.to_bits(), self.frames)
+    }
+
+    /// Keeps a frame until its image is there.
+    pub fn expect(&mut self, index: usize, samples: Vec<u8>) {
+        self.waiting.insert(index, samples);
+    }
+
+    /// Compares the image of a frame with it.
+    pub fn compare(&mut self, index: usize, image: &Picture) {
+        let Some(truth) = self.waiting.remove(&index) else { return };
+        let samples = image.to_rgb8();
+        if samples.len() != truth.len() {
+            return;
+        }
+        let squares = |(a, b): (&u8, &u8)| u64::from(a.abs_diff(*b)).pow(2);
+        let sum: u64 = samples.iter().zip(&truth).map(squares).sum();
+        // Equal images are as close as one level in one sample.
+        let peak = 255.0 * 255.0 * truth.len() as f64;
+        self.sum += 10.0 * log10(peak / sum.max(1) as f64);
+        self.frames += 1;
+    }
+
+    /// Mean PSNR over all frames compared so far, in dB.
+    pub fn mean(&self) -> Option<f64> {
+        (self.frames > 0).then(|| self.sum / self.frames as f64)
+    }
+}
+
+/// The same on every machine.
+fn log10(x: f64) -> f64 {
+    streamsplat_kernels::math::f64::ln(x) / std::f64::consts::LN_10
 }
 
 /// Draws intervals from the video's own camera, at the size at which the model sees frames, and compares them with their frames.
@@ -47,7 +101,7 @@ impl Closeness {
     pub fn of(&mut self, interval: &Interval, truths: &[Truth]) -> Result<Option<Found>, Failure> {
         let start = Instant::now();
         let mut ratios = Vec::with_capacity(truths.len());
-        for Truth { time, picture } in truths {
+        for Truth { time, picture, .. } in truths {
             let image = self.drawing.draw(interval, 0, *time, &self.views)?;
             let image = Picture { width: image.width, height: image.height, rgb: image.rgb }.resized(SIDE, SIDE);
             ratios.push(psnr(&image, picture).map_err(Failure::work)?);

@@ -94,6 +94,8 @@ pub struct KeyFrames {
     latest: (usize, Option<Vec<f32>>),
     /// All frames since the key frame before as they are compared, where key frames depend on that.
     truths: Option<Vec<Truth>>,
+    /// True if frames are also kept at their own size to be compared.
+    whole: bool,
     /// How close images came to frames.
     told: Option<Receiver<Found>>,
     /// What ended the input early.
@@ -121,11 +123,17 @@ impl KeyFrames {
             arrived: 0,
             latest: (0, None),
             truths: gap.depends_on_images().then(Vec::new),
+            whole: false,
             told: None,
             given: 0,
             time: Duration::ZERO,
             stop: stop.clone(),
         }
+    }
+
+    /// Keeps frames at their own size as well, where images are compared with frames at all.
+    pub fn compare_whole(&mut self, whole: bool) {
+        self.whole = whole;
     }
 
     /// Makes the choices of before again, then goes on.
@@ -192,7 +200,9 @@ impl KeyFrames {
     }
 
     fn read(&mut self) -> Result<Option<KeyFrame>, Failure> {
-        let KeyFrames { source, depth, digest, size, truths, latest, arrived, keep, limit, stop, damage, .. } = self;
+        let KeyFrames {
+            source, depth, digest, size, truths, whole, latest, arrived, keep, limit, stop, damage, ..
+        } = self;
         let arrive = || {
             if arrived == limit || damage.is_some() {
                 return Ok(None);
@@ -218,7 +228,8 @@ impl KeyFrames {
             *latest = (frame.index, depth.of_file(frame.index, &frame.picture)?);
             digest.add(&frame.picture, frame.timestamp, latest.1.as_deref());
             if let Some(truths) = truths {
-                truths.push(Truth { time: frame.timestamp, picture: frame.picture.resized(SIDE, SIDE) });
+                let samples = whole.then(|| frame.picture.to_rgb8());
+                truths.push(Truth { time: frame.timestamp, picture: frame.picture.resized(SIDE, SIDE), samples });
             }
             // Only the last of them may still become a key frame.
             if *keep == Keep::Nothing

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use streamsplat::picture::Picture;
 use streamsplat::render::Snapshot;
 use streamsplat::stream::{Interval, ResumePoint};
 use streamsplat::{Engine, Image};
@@ -16,7 +17,7 @@ use crate::output::resume_state::Point;
 use crate::output::terms::Terms;
 
 use super::ahead::Ahead;
-use super::closeness::Closeness;
+use super::closeness::{Closeness, Whole};
 use super::drawing::Drawing;
 use super::serving::Serving;
 
@@ -28,6 +29,8 @@ pub struct Stream<'a> {
     pub drawing: &'a mut Drawing,
     /// Where key frames depend on it.
     pub closeness: Option<Closeness>,
+    /// Where images of the source's size are compared with the frames.
+    pub whole: Option<Whole>,
     pub progress: Progress,
     /// Request to stop after the interval at hand.
     pub stop: Stop,
@@ -72,6 +75,10 @@ impl Stream<'_> {
             let shown: Vec<f64> = key.shown.iter().map(|frame| frame.timestamp).collect();
             let frames = key.shown.iter().map(|frame| (frame.index, frame.timestamp));
             let mut due = if self.emit.draws() || self.emit.ply { times.of(&interval, frames) } else { Vec::new() };
+            if let Some(whole) = &mut self.whole {
+                let truths = key.shown.iter().zip(&mut key.truths);
+                truths.for_each(|(frame, truth)| whole.expect(frame.index, truth.samples.take().unwrap_or_default()));
+            }
             let waits = interval.index == 0 && self.engine.finds_depth() && !due.is_empty();
             self.drawing.writing(|| self.outputs.interval(&interval, &shown, self.engine.workers()))?;
             if !waits {
@@ -105,7 +112,7 @@ impl Stream<'_> {
 
     /// Draws and writes what is due in an interval.
     fn draw(&mut self, interval: &Interval, due: &[(usize, f64)], views: &Views) -> Result<(), Failure> {
-        let Stream { outputs, drawing, emit, keys, .. } = self;
+        let Stream { outputs, drawing, emit, keys, whole, .. } = self;
         let emit = *emit;
         // Times that were asked for are images one after another.
         let rate = views.times.as_ref().map(|_| keys.fps());
@@ -114,7 +121,9 @@ impl Stream<'_> {
             |drawing, &(index, time)| {
                 Ok(Some((index, time, Drawn::of(drawing, interval, (index, time), emit, views)?)))
             },
-            |(index, time, drawn)| drawn.write(outputs, index, rate.map_or(time, |fps| index as f64 / fps)),
+            |(index, time, drawn)| {
+                drawn.write(outputs, index, rate.map_or(time, |fps| index as f64 / fps), whole.as_mut())
+            },
         )
     }
 
@@ -130,6 +139,7 @@ impl Stream<'_> {
             span: self.span.unwrap_or_default(),
             times,
             choices: self.keys.choices().cloned(),
+            whole: self.whole.as_ref().map(Whole::compared),
             work: self.account.of(self.engine.work()),
             dropped: self.dropped,
             drawn: self.drawing.counts.clone(),
@@ -167,12 +177,24 @@ impl Drawn {
     }
 
     /// Writes them under the number `index`; a video shows the image at `time`.
-    fn write(self, outputs: &mut Outputs, index: usize, time: f64) -> Result<(), Failure> {
+    fn write(self, outputs: &mut Outputs, index: usize, time: f64, whole: Option<&mut Whole>) -> Result<(), Failure> {
         if let Some(image) = self.image {
+            let image = match whole {
+                Some(whole) => compared(whole, index, image),
+                None => image,
+            };
             outputs.image(index, time, image)?;
         }
         self.snapshot.map_or(Ok(()), |snapshot| outputs.snapshot(index, &snapshot))
     }
+}
+
+/// The image, once it is compared with its frame.
+fn compared(whole: &mut Whole, index: usize, image: Image) -> Image {
+    let Image { width, height, .. } = image;
+    let picture = Picture { width, height, rgb: image.rgb };
+    whole.compare(index, &picture);
+    Image { rgb: picture.rgb, ..image }
 }
 
 /// The times at which images are due.

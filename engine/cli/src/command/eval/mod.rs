@@ -90,7 +90,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let (mut rows, mut model) = (Vec::new(), None);
     if !console.quiet {
         say(
-            "clip                          key dB / SSIM   middle dB / SSIM   cross-fade         nearest           flow",
+            "at 256×256: clip              key dB / SSIM   middle dB / SSIM   cross-fade         nearest           flow",
         )?;
     }
     let matrix = args.matrix()?;
