@@ -470,3 +470,28 @@ fn a_reader_that_goes_away_is_no_panic() {
     let text = crate::support::fails(&output, 1);
     assert!(text.contains("cannot write"), "{text}");
 }
+
+#[test]
+fn closeness_at_the_sources_size_is_that_of_the_images_written() {
+    let scratch = Scratch::new();
+    let (clip, out) = (scratch.clip("clip", 9, 96, 64), scratch.path("out"));
+    run_ok(&clip, &out, &["--size", "source", "--gap", "auto:2-4:30", "--quiet"]);
+    let record = json(&out.join("run.json"));
+    let samples = |path: std::path::PathBuf| image::open(path).expect("an image").into_rgb8().into_raw();
+    let psnr = |frame: usize| {
+        let truth = samples(clip.join(format!("{frame}.png")));
+        let image = samples(out.join(format!("frames/{frame:06}.png")));
+        let squares: f64 = truth.iter().zip(&image).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2)).sum();
+        10.0 * (255.0_f64.powi(2) * truth.len() as f64 / squares.max(1.0)).log10()
+    };
+    let expected = (0..9).map(psnr).sum::<f64>() / 9.0;
+    let found = record["psnr_source_size"].as_f64().expect("a figure");
+    assert!((found - expected).abs() < 1e-6, "{found} dB, expected {expected}");
+    assert!(record["psnr"].as_f64().is_some_and(|at_256| at_256 != found), "at 256×256: {record}");
+    let report = std::fs::read_to_string(out.join("report.md")).expect("a report");
+    assert!(report.contains("mean PSNR of all frames at the source's own size, 96×64"), "{report}");
+    // Images of another size are not compared with the frames as they are.
+    let other = scratch.path("other");
+    run_ok(&clip, &other, &["--size", "48x32", "--gap", "auto:2-4:30", "--quiet"]);
+    assert!(json(&other.join("run.json")).get("psnr_source_size").is_none());
+}
