@@ -122,7 +122,7 @@ def uneven(work):
     folder, again = work / 'scene', work / 'again'
     program('run', clip, '--out', folder, '--model', MODEL, '--gap', 3, '--quiet')
     program('render', folder, '--out', again, '--quiet')
-    assert program('compare', folder / 'frames', again / 'frames').startswith('equal (8 images'), 'render gives other images'
+    assert program('compare', folder / 'frames', again / 'frames').startswith('equal (8 files'), 'render gives other images'
     # The container too, and a video drawn from it.
     program('export', folder, '--format', 'ssz', '--out', work / 'scene.ssz', '--quiet')
     program('render', work / 'scene.ssz', '--out', work / 'drawn.mp4', '--quiet')
