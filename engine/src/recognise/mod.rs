@@ -6,11 +6,11 @@
 //!
 //! | found | told by | what to do |
 //! |---|---|---|
-//! | a video, a sound, an image | first bytes ([`media`]) | `streamsplat run` makes a scene of a video |
+//! | a video, a sound, an image | first bytes (`media`) | `streamsplat run` makes a scene of a video |
 //! | a web page, a Git LFS pointer | first words | download the file itself |
-//! | an archive, a compressed file | first bytes, and the names in a zip file ([`archive`]) | unpack it |
-//! | an array of NumPy, a checkpoint of PyTorch, a point cloud or mesh | first bytes, a PLY or glTF header ([`geometry`]) | the tool that makes Gaussians of it |
-//! | a folder | the names in it ([`folder`]) | name the file in it |
+//! | an archive, a compressed file | first bytes, and the names in a zip file (`archive`) | unpack it |
+//! | an array of NumPy, a checkpoint of PyTorch, a point cloud or mesh | first bytes, a PLY or glTF header (`geometry`) | the tool that makes Gaussians of it |
+//! | a folder | the names in it (`folder`) | name the file in it |
 
 mod archive;
 mod folder;

@@ -1,7 +1,7 @@
 //! Any video file, through an installed `ffmpeg` program that writes y4m into a pipe; ffprobe is not needed.
 //!
-//! - **Which stream**: the one that moves ([`streams`]); covers and stills are left out with a line.
-//! - **Times**: every frame comes once, at its own time ([`times`]); none is made up or dropped.
+//! - **Which stream**: the one that moves (`streams`); covers and stills are left out with a line.
+//! - **Times**: every frame comes once, at its own time (`times`); none is made up or dropped.
 //! - **Colour**: planes are passed as they are, and [`super::colour`] decides what their tags mean.
 //! - **Shape**: ffmpeg applies the file's rotation. Pixels that are not square are made so by [`super::Source`]. Interlaced frames are deinterlaced.
 //! - **High dynamic range** (HLG, PQ) becomes BT.709 of standard range: display light of 203 cd/m² is white (ITU-R BT.2408) and what is brighter is

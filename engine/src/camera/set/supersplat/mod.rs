@@ -10,7 +10,7 @@
 //! The settings have no image size: it is the one that is asked for, or 1280×720.
 //!
 //! The first animation, where there is one, is the path: `duration` seconds of `frameRate` images a second along the viewer's own
-//! [spline]. The first camera is then found as `initial`, and the cameras of `annotations` by their titles.
+//! spline (`spline.rs`). The first camera is then found as `initial`, and the cameras of `annotations` by their titles.
 
 mod spline;
 
