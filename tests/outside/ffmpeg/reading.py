@@ -76,8 +76,11 @@ def flat(size, colour, frames=3):
     planes = [y * 65535, 32768 + 65535 * (blue - y) / (2 - 2 * kb), 32768 + 65535 * (red - y) / (2 - 2 * kr)]
     frame = b'FRAME\n' + b''.join(round(value).to_bytes(2, 'little') * (width * height) for value in planes)
     name = f'flat-{size}-{colour[0]}-{colour[1]}-{colour[2]}.y4m'
-    with open(path(name), 'wb') as file:
-        file.write(f'YUV4MPEG2 W{width} H{height} F25:1 C444p16 XCOLORRANGE=FULL\n'.encode() + frame * frames)
+    if not os.path.exists(path(name)):
+        # Several cases make the same file at once; it has its name when it is whole.
+        with tempfile.NamedTemporaryFile(dir=WORK, delete=False) as file:
+            file.write(f'YUV4MPEG2 W{width} H{height} F25:1 C444p16 XCOLORRANGE=FULL\n'.encode() + frame * frames)
+        os.replace(file.name, path(name))
     return name
 
 
