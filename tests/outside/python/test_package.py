@@ -124,7 +124,7 @@ def test_images_and_intervals_are_pickled_shown_and_saved_by_ending(intervals, t
     for ending, kind in (("jpg", "JPEG"), ("webp", "WEBP")):
         image.save(tmp_path / f"a.{ending}")
         assert PIL.Image.open(tmp_path / f"a.{ending}").format == kind
-    for ending, start in (("ply", b"ply\n"), ("spz", b"NGSP"), ("splat", b"")):
+    for ending, start in (("ply", b"ply\n"), ("spz", b"\x1f\x8b"), ("splat", b"")):
         interval.save(tmp_path / f"a.{ending}")
         assert (tmp_path / f"a.{ending}").read_bytes().startswith(start)
     assert (tmp_path / "a.splat").stat().st_size % 32 == 0
@@ -316,13 +316,14 @@ def test_errors_are_exceptions_that_say_what_was_expected(intervals, tmp_path):
     assert engine.push(frame, 2.0).index == 1
 
 
-def test_a_failed_reconstruction_leaves_no_record(tmp_path):
+def test_a_damaged_video_leaves_what_came_before_and_is_an_error(tmp_path):
     broken = tmp_path / "broken.y4m"
     broken.write_bytes(CLIP.read_bytes()[:-100])
     with pytest.raises(streamsplat.Error, match="broken.y4m"):
         streamsplat.reconstruct(broken, tmp_path / "out", gap=4)
-    # What came before the damage is a valid scene, as on the command line.
-    assert "run.json" not in {p.name for p in (tmp_path / "out").iterdir()}
+    # What came before the damage is a whole result, as on the command line, and its record tells of the damage.
+    record = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert "ends early" in record["input"]["damage"] and record["input"]["count"] == 23
 
 
 def test_other_threads_run_while_the_engine_works():
