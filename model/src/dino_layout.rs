@@ -1,11 +1,11 @@
 //! The names under which files of DINOv2 hold its tensors.
 //!
-//! | layout | told by | differs |
+//! | layout | recognised by | differences |
 //! |---|---|---|
 //! | official (`torch.hub`, `dinov2_vitb14_reg4_pretrain.pth`) | `patch_embed.proj.weight` | |
 //! | timm (`vit_base_patch14_reg4_dinov2`) | `reg_token` | positions are those of the patches alone; that of the class token is part of `cls_token` |
 //! | transformers (`facebook/dinov2-with-registers-base`) | `embeddings.patch_embeddings.projection.weight`, also after a model's name | queries, keys and values are three layers |
-//! | transformers 5, `torch.save` of a model's `state_dict()` | besides, `attention.q_proj` | attention's layers have other names in memory than in files of `save_pretrained` |
+//! | transformers 5, `torch.save` of a model's `state_dict()` | also `attention.q_proj` | attention's layers have other names in memory than in files of `save_pretrained` |
 //!
 //! The rest of the crate uses the official names; [`DinoLayout::key`] is the file's name of a tensor.
 

@@ -1,4 +1,4 @@
-//! Refusals of a stream, which goes on as if it had not been asked.
+//! Tests that refused calls leave a stream unchanged.
 
 use std::sync::Arc;
 
@@ -116,7 +116,7 @@ fn depth_is_normalised_and_its_bad_values_are_counted() {
 const CALLS: [&str; 9] =
     ["embed", "upsample", "gaussians", "condition", "decode", "upsample_motion", "motion", "tokens", "zero_output"];
 
-/// A theatre of which one call panics, once it is told to.
+/// A theatre whose call named in the mutex panics once.
 struct Failing(Arc<Theatre>, Arc<std::sync::Mutex<Option<&'static str>>>);
 
 struct FailingSession(Box<dyn Session>, Arc<std::sync::Mutex<Option<&'static str>>>);

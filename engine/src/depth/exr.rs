@@ -1,8 +1,9 @@
-//! Depth in OpenEXR files: which channel it is.
+//! Selection of the depth channel in OpenEXR files.
 //!
-//! A channel is depth by its name (`Z`, `depth`, …), or by that of its layer or part (`depth.R`, `ViewLayer.Depth.Z`, `Z` of the part `depth`). A `Z` of a
-//! vector, beside `X`, is none, nor is one of the layer `Mist`. Without such a name it is the only channel of the file, its luminance `Y`, or its
-//! red where red, green and blue are equal. Where several have such a name none is chosen.
+//! A channel is depth by its name (`Z`, `depth`, …), or by that of its layer or part (`depth.R`, `ViewLayer.Depth.Z`,
+//! `Z` of the part `depth`). A `Z` is not depth if it is a component of a vector (with `X` or `W`), or in the layer
+//! `Mist`. If no name matches, depth is the only channel of the file, its luminance `Y`, or its red channel if red,
+//! green and blue are equal. Several matching names are an error.
 
 use super::Map;
 use crate::openexr::{File, Part};
@@ -29,7 +30,7 @@ impl Channel<'_> {
         (layer.to_ascii_lowercase(), name.to_ascii_lowercase())
     }
 
-    /// What stands before the name, with its point.
+    /// Layer prefix of the full name, with its trailing point; empty if there is none.
     fn prefix(&self) -> &str {
         self.name.rfind('.').map_or("", |point| &self.name[..=point])
     }

@@ -6,10 +6,11 @@
 //! Numbers are taken as they are stored. A map of another size than its frame is brought to the frame's size bilinearly (half-pixel
 //! centres).
 //!
-//! Where files of several kinds have the same names, as maps beside their previews, those of one kind that there is for every name are taken: NPY, else EXR,
-//! else TIFF, else PNG. Maps belong to frames by name where every frame is a file with a map of the same name (extensions aside), else by
-//! natural order. [`Range::Clip`] normalises all maps of the folder by the smallest and the largest value found in any
-//! of them; with [`Range::Frame`] the maps stay as they are and the engine normalises each by its own.
+//! If files of several kinds share names, such as maps and their previews, one kind is read: the first of NPY, EXR, TIFF
+//! and PNG that exists for every name. Maps are matched to frames by name if every frame is a file with a map of the
+//! same name (extensions aside), else by natural order. [`Range::Clip`] normalises all maps of the folder by the smallest
+//! and the largest value found in any of them; with [`Range::Frame`] the maps stay as they are and the engine normalises
+//! each by its own.
 
 use std::path::{Path, PathBuf};
 
@@ -245,7 +246,8 @@ pub fn decode_map(bytes: &[u8], path: &Path) -> Result<Map, DepthError> {
     }
 }
 
-/// Reads one map. Depth may be no number or infinite where it was not measured; inverse depth may not, where nothing says so.
+/// Reads one map. In depth, NaN or infinity marks a value that was not measured. In inverse depth, which has no such
+/// convention, it is an error.
 fn measured(path: &Path, kind: Values) -> Result<Map, DepthError> {
     let map = read_map(path)?;
     if kind == Values::Inverse

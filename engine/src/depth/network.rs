@@ -1,9 +1,13 @@
 //! Depth maps from a network.
 //!
-//! Any network with one image in, float `[1, 3, height, width]` or, colours last, `[1, height, width, 3]` (more axes of length 1 may stand in front, and
-//! each side may be left open), and one map out, float `[1, height, width]` with any axes of length 1 in front, or one behind, of any size: Depth Anything and
-//! its like.
-//! The map is inverse depth, or depth with [`NetworkOptions::metric`]. Which arithmetic is whose stands in [`crate::onnx`].
+//! Any network with one image input and one map output, such as Depth Anything:
+//!
+//! - Input: float `[1, 3, height, width]` or, colours last, `[1, height, width, 3]`. More leading axes of length 1 are
+//!   allowed, and each side may be dynamic.
+//! - Output: float `[1, height, width]` of any size, with any number of leading axes of length 1, or one trailing.
+//!
+//! The map is inverse depth, or depth with [`NetworkOptions::metric`]. [`crate::onnx`] describes which arithmetic is ONNX
+//! Runtime's and which is this crate's.
 
 use std::path::Path;
 

@@ -29,8 +29,9 @@ pub fn of_still(still: &Still) -> Vec<u8> {
 
 /// A still scene as a compressed PLY file, in 16 bytes per Gaussian and one per further coefficient of its harmonics.
 ///
-/// Along a Z-order curve, so that the 256 Gaussians of a chunk lie together and their bounds are narrow. Gaussians that cannot be drawn
-/// ([`Still::defect`]) are left out; logarithms of scales stay within ±20. Comments of the header say what [`About`](crate::still::About) does.
+/// Gaussians are sorted along a Z-order curve, so that the 256 of a chunk lie together and their bounds are narrow.
+/// Gaussians that cannot be drawn ([`Still::defect`]) are left out. Logarithms of scales are clamped to ±20. The header
+/// stores the anti-aliasing mark and the offset of [`About`](crate::still::About) as comments.
 ///
 /// # Panics
 /// When the arrays differ in length ([`Still::uneven`]).
@@ -115,7 +116,7 @@ fn clamped(log_scale: f32) -> f32 {
     log_scale.clamp(-LARGEST, LARGEST)
 }
 
-/// The colour that a first coefficient gives.
+/// Colour of a first coefficient.
 fn seen(coefficient: f32) -> f32 {
     (0.5 + f64::from(coefficient) * Y0) as f32
 }

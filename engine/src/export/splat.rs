@@ -28,8 +28,8 @@ pub fn of_still(scene: &Drawable) -> Vec<u8> {
     of_scene(scene).bytes
 }
 
-/// A still scene as `.splat` records, as [`splat`] says. The harmonics' higher coefficients are lost; Gaussians that cannot be drawn
-/// ([`Still::defect`](crate::still::Still::defect)) are left out.
+/// A still scene as `.splat` records, in the layout of [`splat`]. Higher coefficients of the harmonics are dropped, and so are Gaussians
+/// that cannot be drawn ([`Still::defect`](crate::still::Still::defect)).
 pub fn of_scene(scene: &Drawable) -> Written {
     let still = scene.still();
     let order = Order::own(still);

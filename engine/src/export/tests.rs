@@ -1,4 +1,4 @@
-//! Every format, and what is unusual in a scene: the same picture comes back, or a line says why not.
+//! Round trips of unusual scenes through every format: the picture is kept, or a note names the loss.
 
 use streamsplat_kernels::Level;
 
@@ -50,7 +50,7 @@ fn psnr(a: &[f32], b: &[f32]) -> f64 {
     10.0 * (a.len() as f64 / squares).log10()
 }
 
-/// The file of a format, what it says, and the scene that is read from it.
+/// Writes a scene in a format and reads it back. Returns the notes of the export and the scene read.
 fn through(format: &Format, still: &Still, options: &Options) -> (Vec<String>, Still) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join(format!("scene.{}", format.ending));
@@ -71,7 +71,7 @@ fn kept(format: &Format) -> f64 {
     }
 }
 
-/// What is unusual in a scene.
+/// Unusual scenes, by name.
 fn cases() -> Vec<(&'static str, Still)> {
     let changed = |change: &dyn Fn(&mut Still)| {
         let mut scene = still(400, 1);
@@ -106,7 +106,7 @@ fn every_format_keeps_the_picture_of_every_unusual_scene_or_says_why_not() {
                 assert!(loss >= kept(format) || !notes.is_empty(), "{what}");
                 let says = |words: &str| notes.iter().any(|note| note.contains(words));
                 if format.option != "splat" {
-                    // .splat has neither harmonics nor marks nor offsets, and says so.
+                    // Not for .splat: it has no harmonics, marks or offsets, and the export notes each of them.
                     let told =
                         name == "antialiased" && says("anti-aliasing") || name == "floater" && says("more coarsely");
                     assert!(loss >= kept(format) || told, "{what}");

@@ -11,18 +11,18 @@ use crate::still::Axes;
 /// The folder of a file, from which those are read that it names, and the digest of all that was read.
 pub(crate) struct Beside {
     folder: Option<PathBuf>,
-    /// The user's word for the axes of the numbers.
+    /// Axes of the numbers, where the user sets them.
     pub(super) axes: Option<Axes>,
     read: Rc<RefCell<(blake3::Hasher, u64)>>,
 }
 
 impl Beside {
-    /// Of bytes in memory: there are no files.
+    /// For bytes in memory, without files.
     pub(crate) fn none() -> Beside {
         Beside { folder: None, axes: None, read: Rc::default() }
     }
 
-    /// Beside the file at `path`, which holds `bytes`.
+    /// For the file at `path`, which holds `bytes`.
     pub(super) fn of(path: &Path, bytes: &[u8], axes: Option<Axes>) -> Beside {
         let beside = Beside { folder: path.parent().map(Path::to_owned), axes, ..Beside::none() };
         beside.read.borrow_mut().0.update(bytes);
@@ -52,7 +52,7 @@ impl Beside {
         Ok(bytes)
     }
 
-    /// As [`Beside::read`], of a file in a folder of this one, with those beside it.
+    /// Reads a file in a subfolder as [`Beside::read`] does. Also returns the [`Beside`] for the files that it names.
     pub(super) fn inner(&self, name: &str, most: u64) -> Result<(Vec<u8>, Beside), FormatError> {
         let mut parts: Vec<&str> = name.split('/').collect();
         let own = parts.pop().unwrap_or_default();
@@ -66,7 +66,7 @@ impl Beside {
         Ok((inner.read(own, most)?, inner))
     }
 
-    /// The length of a file of `own` bytes and of all that were read beside it, and their digest.
+    /// Total length of a file of `own` bytes and of all files read through it, and their digest.
     pub(super) fn finish(self, own: usize) -> (u64, String) {
         let (hasher, length) = &*self.read.borrow();
         (own as u64 + length, hasher.finalize().to_hex().to_string())

@@ -4,10 +4,10 @@
 //! | bytes of the header (4096) | value |
 //! |---|---|
 //! | 0, 1 | version: 0 and 1 |
-//! | 4 | u32: sections that there is room for |
-//! | 12 | u32: Gaussians that there is room for |
+//! | 4 | u32: capacity in sections |
+//! | 12 | u32: capacity in Gaussians |
 //! | 20 | u16: compression level |
-//! | 36, 40 | f32: least and greatest harmonic of level 2; 0 stands for −1.5 and 1.5 |
+//! | 36, 40 | f32: least and greatest harmonic of level 2; 0 means −1.5 and 1.5 |
 //!
 //! | bytes of a section's header (1024) | value |
 //! |---|---|
@@ -15,7 +15,7 @@
 //! | 8, 12 | u32: Gaussians of a full bucket, number of buckets |
 //! | 16 | f32: side of a bucket |
 //! | 20 | u16: bytes of a bucket (12) |
-//! | 24 | u32: range r of the places in a bucket; 0 stands for the level's own |
+//! | 24 | u32: range r of the places in a bucket; 0 means the level's default |
 //! | 32, 36 | u32: full buckets, and those that are not |
 //! | 40 | u16: degree of the harmonics, 0 to 2 |
 //!
@@ -49,15 +49,15 @@ const HEADER: usize = 4096;
 const SECTION: usize = 1024;
 /// Bytes of a bucket's middle.
 const BUCKET: usize = 12;
-/// Half of the range of harmonics of level 2 where none is said.
+/// Default half range of the harmonics of level 2.
 const HALF_RANGE: f32 = 1.5;
-/// Places of levels 1 and 2 on either side of a bucket's middle, where it is not said.
+/// Default range of the places of levels 1 and 2, on either side of a bucket's middle.
 const PLACES: u32 = 32767;
 
 /// The Gaussians of a whole `.ksplat` file.
 ///
 /// # Errors
-/// Another version, an unknown level, a file that is shorter or longer than its headers say, more Gaussians than the limits allow.
+/// Another version, an unknown level, a length that does not match the headers, more Gaussians than the limits allow.
 pub fn ksplat(bytes: &[u8]) -> Result<Still, FormatError> {
     within(bytes, &Limits::default())
 }
@@ -78,7 +78,7 @@ fn wrong(part: &str, expected: impl Into<String>, found: impl ToString) -> Forma
     FormatError::new(part, expected, found.to_string())
 }
 
-/// Numbers at places of which it is known that they are there.
+/// Little-endian number at `at`. The caller has checked the length.
 fn u16_at(bytes: &[u8], at: usize) -> u16 {
     bytes[at..].first_chunk().map_or(0, |b| u16::from_le_bytes(*b))
 }

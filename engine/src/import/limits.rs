@@ -19,9 +19,9 @@ use std::path::Path;
 use super::FormatError;
 use crate::still::Still;
 
-/// Gaussians of a scene that are read where nothing else is said.
+/// Default limit on the Gaussians of a scene.
 pub const GAUSSIANS: usize = 1 << 24;
-/// Bytes in memory for each byte of a file, where nothing else is said.
+/// Default limit on the bytes in memory for each byte of a file.
 pub const RATIO: u64 = 256;
 /// Bytes in memory that any file may take.
 pub const SMALL: u64 = 16 << 20;
@@ -53,7 +53,7 @@ impl Limits {
         Err(FormatError::new(part, expected, count.to_string()))
     }
 
-    /// An error where `count` things of `each` bytes are more than a file of `size` bytes may stand for.
+    /// Returns an error if `count` items of `each` bytes exceed the memory limit of a file of `size` bytes.
     pub(crate) fn check_memory(
         &self,
         part: &str,

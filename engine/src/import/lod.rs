@@ -1,4 +1,4 @@
-//! Streamed SOG, version 1: a `lod-meta.json` that names SOG scenes in folders beside it, at several levels of detail.
+//! Streamed SOG, version 1: a `lod-meta.json` index of SOG scenes in subfolders, at several levels of detail.
 //!
 //! | key | value |
 //! |---|---|
@@ -9,8 +9,8 @@
 //! | `tree` | nodes with `children`, or with `lods`: for a level `{file, offset, count}`, a range of a scene's Gaussians |
 //! | `environment` | the `meta.json` of a scene that is part of every level; may be absent |
 //!
-//! What is read is one level's union, in the order of the files and of the ranges in them, and then the environment. A node that
-//! has nothing at the level adds nothing.
+//! The reader loads the union of one level, in the order of the files and of the ranges in them, and then the environment. Nodes without
+//! an entry for the level are skipped.
 //!
 //! Source: PlayCanvas, the streamed SOG format's description.
 
@@ -78,7 +78,7 @@ fn wrong(part: &str, expected: impl Into<String>, found: impl ToString) -> Forma
     FormatError::new(format!("{INDEX}{part}"), expected, found.to_string())
 }
 
-/// What a level is made of, of an index that says nothing impossible.
+/// Files and ranges of one level, from a validated index.
 #[derive(Debug, PartialEq)]
 pub struct Plan {
     /// Scenes, and the ranges of each that are taken, with their lengths.
@@ -89,7 +89,7 @@ pub struct Plan {
     pub count: usize,
 }
 
-/// Reads the index and finds what a level is made of. Nothing beside it is looked at.
+/// Reads the index and lists the files and ranges of a level. No other file is opened.
 ///
 /// # Errors
 /// Text of another form, a level that is not there, counts that contradict the tree, more Gaussians than the limits allow.
@@ -166,13 +166,13 @@ fn level(text: &[u8], beside: &Beside, limits: &Limits, level: usize) -> Result<
     Ok(still)
 }
 
-/// A SOG scene in a folder beside the index.
+/// Reads a SOG scene in a subfolder of the index's folder.
 fn scene(name: &str, beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
     let (bytes, own) = beside.inner(name, MAX_META)?;
     sog::within(&bytes, &own, limits).map_err(|e| FormatError::new(format!("{name}: {}", e.part), e.expected, e.found))
 }
 
-/// Adds a range of a scene's Gaussians; harmonics that one of both has not are 0.
+/// Appends a range of a scene's Gaussians. The lower degree of the two is raised with coefficients of 0.
 fn append(still: &mut Still, scene: &Still, offset: usize, count: usize) {
     if still.degree < scene.degree {
         let (own, all) = (3 * still.rest(), 3 * scene.rest());

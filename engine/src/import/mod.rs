@@ -1,4 +1,4 @@
-//! Scenes of any kind this program reads, told apart by what they hold.
+//! Readers of scene formats, recognised by content.
 //!
 //! | input | begins with | becomes |
 //! |---|---|---|
@@ -7,11 +7,11 @@
 //! | a still scene in one of the [`FORMATS`], or one that is [`READ_ONLY`] | see there | a [`Still`] |
 //! | a PLY file of SpacetimeGaussians | `ply`, and its columns | a [`Spacetime`], which is a [`Still`] at any time |
 //!
-//! `.splat` and `.ksplat` have no first bytes of their own and are known by their names. What is none of these is told what it is by
-//! [`crate::recognise`].
+//! `.splat` and `.ksplat` have no magic bytes and are recognised by their file names. For any other file, [`crate::recognise`] names
+//! its kind in the error.
 //!
-//! Nothing is allocated for what a header promises before the file is seen to be long enough to hold it, and before it is seen to be within the
-//! [`Limits`]: so many Gaussians, and so many bytes in memory for each byte of the file.
+//! Readers allocate memory for a count in a header only after two checks: the file is long enough for it, and it is
+//! within the [`Limits`] on the number of Gaussians and on the bytes in memory for each byte of the file.
 
 mod beside;
 mod blocks;
@@ -74,9 +74,9 @@ impl FormatError {
 #[derive(Debug)]
 #[expect(clippy::large_enum_variant, reason = "one value for a file, taken apart where it is made")]
 pub enum Opened {
-    /// One made of intervals, which are read when asked for.
+    /// A moving scene, whose intervals are read on demand.
     Moving(Scene),
-    /// One that does not move, as a whole.
+    /// A still scene, read as a whole.
     Still(StillFile),
 }
 
@@ -87,9 +87,9 @@ pub struct StillFile {
     pub path: PathBuf,
     /// Its format's name.
     pub format: &'static str,
-    /// Its length, with those of the files beside it that it names.
+    /// Total length of the file and of the files that it names.
     pub bytes: u64,
-    /// The BLAKE3 digest, in hexadecimal, of its bytes and of those of the files beside it, in the order in which they were read.
+    /// BLAKE3 digest, in hexadecimal, of the bytes of the file and of the files that it names, in reading order.
     pub blake3: String,
     /// Its Gaussians; at the time 0 where they change in time.
     pub still: Still,
@@ -109,7 +109,7 @@ impl StillFile {
 /// Longest still scene read, in bytes.
 pub(crate) const MAX_FILE: u64 = 16 << 30;
 
-/// First bytes by which formats are told apart.
+/// Number of first bytes by which formats are recognised.
 const HEAD: u64 = 8;
 
 /// The name and the reader of a still scene that begins so.
@@ -152,7 +152,7 @@ pub fn open(path: &Path, limits: &Limits) -> Result<Opened, SceneError> {
     open_with(path, limits, &mut |_, _| {})
 }
 
-/// As [`open_as`], along the axes that the file says or its format has.
+/// As [`open_as`], along the axes stored in the file or, without them, those of its format.
 ///
 /// # Errors
 /// As [`open`].
@@ -160,11 +160,11 @@ pub fn open_with(path: &Path, limits: &Limits, progress: Progress<'_>) -> Result
     open_as(path, limits, None, progress)
 }
 
-/// As [`open`], on the current rayon pool. `progress` is told how much of a long file has been read. A still scene's numbers are taken along `axes`
-/// where those are given, whatever the file says.
+/// As [`open`], on the current rayon pool. `progress` is called with the part of a long file that has been read. `axes`
+/// overrides the axes of a still scene's file.
 ///
-/// A binary PLY file is read in blocks of some megabytes: while one is taken apart the next is read, and neither the whole file nor any
-/// number of it is in memory twice.
+/// A binary PLY file is read in blocks of some megabytes: the next block is read while the last one is decoded. Neither
+/// the whole file nor any number of it is in memory twice.
 ///
 /// # Errors
 /// As [`open`].

@@ -1,6 +1,6 @@
 //! PLY files of SpacetimeGaussians: Gaussians that move, turn and fade in time.
 //!
-//! Beside the columns of a still scene ([`super::ply()`]) such a file has, per Gaussian,
+//! In addition to the columns of a still scene ([`super::ply()`]), each Gaussian has
 //!
 //! | column | value |
 //! |---|---|
@@ -16,9 +16,10 @@
 //!
 //! formed in binary64 and rounded once. Times are the training's: 0 is its first frame and 1 the end of the clip.
 //!
-//! `f_dc_0` … `f_dc_2` are colours as they are seen, as SpacetimeGaussians writes them, not harmonics, unless more than a tenth of the
-//! numbers are negative, as no colours are: then they are harmonics' first coefficients. The full model mixes `f_dc_3` …, `f_t_*` and the
-//! direction of the ray into its colours by a small network, which is in no PLY file: they are left out, and that is said.
+//! `f_dc_0` … `f_dc_2` are colours as they are seen, as SpacetimeGaussians writes them, not harmonics, unless more than
+//! a tenth of the numbers are negative, as no colours are: then they are harmonics' first coefficients. The full model
+//! computes colours from `f_dc_3` …, `f_t_*` and the ray direction with a small network, which PLY files do not
+//! contain. These columns are skipped with a note.
 //!
 //! Source: Li, Chen, Li, Xu (CVPR 2024), equations 5 to 9, and the program published with it, which stores s as a logarithm.
 

@@ -35,7 +35,7 @@ impl Port {
 /// Axes of an image that goes into a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
-    /// How many axes of length 1 stand before the three of the image.
+    /// Number of leading axes of length 1, before the three of the image.
     pub leading: usize,
     /// True for height, width, colours; false for colours, height, width.
     pub colours_last: bool,

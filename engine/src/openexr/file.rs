@@ -1,4 +1,4 @@
-//! Reading: what a file says of its parts, then the samples of chosen channels.
+//! Reader: the headers of a file's parts, then the samples of chosen channels.
 
 use std::io::Cursor;
 

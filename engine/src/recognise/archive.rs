@@ -68,7 +68,7 @@ fn zip(head: &Head<'_>) -> Option<Kind> {
     if head.length > MAX_FILE {
         return None;
     }
-    // A broken one is left to its reader, which says what is broken.
+    // A broken archive is left to the reader, whose error is more specific.
     let archive = ZipArchive::new(File::open(head.path).ok()?).ok()?;
     let names: Vec<String> = archive.file_names().filter_map(Result::ok).map(|name| name.into_owned()).collect();
     let ends = |ending: &str| names.iter().find(|name| name.to_lowercase().ends_with(ending));

@@ -65,7 +65,7 @@ pub(super) fn kind(path: &Path) -> Option<Kind> {
     None
 }
 
-/// The file in a folder that is the scene's: that of a SOG scene whose images lie beside each other, or of a streamed one.
+/// Index file of the scene in a folder: that of an unpacked SOG scene, or of a streamed one.
 pub(crate) fn index(path: &Path) -> Option<PathBuf> {
     ["meta.json", "lod-meta.json"].map(|name| path.join(name)).into_iter().find(|index| index.is_file())
 }

@@ -79,7 +79,7 @@ fn ply(head: &Head<'_>) -> Option<Kind> {
         }
     }
     let has = |name: &[u8]| names.contains(&name);
-    // Any property of a Gaussian, and the reader says what is missing.
+    // One property of a Gaussian makes it a scene; the reader reports those that are missing.
     let gaussian = |name: &&[u8]| {
         let starts = |start: &[u8]| name.starts_with(start);
         **name == *b"opacity" || starts(b"scale") || starts(b"rot_") || starts(b"f_") || starts(b"packed_")

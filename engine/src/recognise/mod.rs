@@ -1,10 +1,10 @@
-//! What a file is that is given in the wrong place, told by what it holds before a reader sees it.
+//! Recognises files of the wrong kind by their content, before a reader opens them.
 //!
-//! One sentence for each kind: what was expected, what was found, and what to do with it. Commands that take scenes, videos, and records
-//! of runs ask here, so that all of them answer alike. A kind is told by its first bytes, not by its name; a name counts where several
-//! kinds begin alike, or where a format has no first bytes of its own.
+//! The message is one sentence: what was expected, what was found, and what to do with it. All commands that take scenes,
+//! videos or records of runs use this module, so that their messages agree. A kind is recognised by its first bytes. The
+//! name decides only if several kinds begin alike, or if a format has no magic number.
 //!
-//! | found | told by | what to do |
+//! | found | recognised by | what to do |
 //! |---|---|---|
 //! | a video, a sound, an image | first bytes (`media`) | `streamsplat run` makes a scene of a video |
 //! | a web page, a Git LFS pointer | first words | download the file itself |
@@ -145,11 +145,11 @@ pub fn not_a_scene(path: &Path) -> Option<Wrong> {
 /// Why a path is no video; `None` where it may be one.
 pub fn not_a_video(path: &Path) -> Option<Wrong> {
     let wrong = |found, advice| Some(Wrong { expected: "a video or images", found, advice });
-    // An empty file's own reader says what was expected of it.
+    // An empty file is left to the reader, whose error names the expected content.
     if path.metadata().is_ok_and(|about| about.is_file() && about.len() == 0) {
         return None;
     }
-    // Images beside other things are a video all the same.
+    // A folder with images is a video, whatever other files it contains.
     if path.is_dir() && crate::source::folder::images(path).is_ok() {
         return None;
     }
@@ -191,14 +191,14 @@ pub fn not_a_record(path: &Path) -> Option<Wrong> {
     }
 }
 
-/// The scene that a run of the video at `path` writes where nothing else is asked for.
+/// Default path of the scene that a run of the video at `path` writes.
 pub fn scene_of(path: &Path) -> Option<PathBuf> {
     let mut name = path.file_stem()?.to_owned();
     name.push("-scene.ssz");
     Some(path.with_file_name(name))
 }
 
-/// Text that stands in a file's place.
+/// Recognises text in place of the expected file: a Git LFS pointer, a web page or XML.
 fn words(head: &Head<'_>) -> Option<Kind> {
     let other = |found: &str, advice: &str| Some(Kind::Other(found.into(), advice.into()));
     if head.starts(b"version https://git-lfs") {

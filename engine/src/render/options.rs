@@ -19,7 +19,7 @@ pub struct RenderOptions {
     pub alpha: bool,
     /// True if the transmittance left and the number of splats per pixel are wanted.
     pub statistics: bool,
-    /// True if what is smaller than a pixel is to get fainter in place of larger, for scenes that were trained so
+    /// Whether splats smaller than a pixel are drawn fainter instead of larger, for scenes trained with anti-aliasing
     /// ([`raster::Request::antialias`]).
     pub antialias: bool,
     /// How α falls from a Gaussian's centre to its edge.
@@ -44,15 +44,15 @@ impl Default for RenderOptions {
     }
 }
 
-/// Bytes of a pixel beside its planes: lists of its tile, and its samples as they are written to a file.
+/// Bytes per pixel in addition to its planes: lists of its tile, and its samples as they are written to a file.
 const BESIDE: usize = 16;
 
 impl RenderOptions {
     /// Request to the rasteriser for an image of this size.
     ///
     /// # Errors
-    /// Sides that cannot be drawn, and images for which there is no memory: it is asked for here, and given back, so that nothing
-    /// that follows ends the process.
+    /// Sides that cannot be drawn, and images for which there is no memory. The memory is reserved here and freed at once, so that a
+    /// later allocation does not abort the process.
     pub(crate) fn request(&self, [height, width]: [usize; 2]) -> Result<Request, RenderError> {
         if [height, width].iter().any(|side| !(1..=raster::MAX_SIDE).contains(side)) {
             return Err(RenderError::Size { most: raster::MAX_SIDE, width, height });
@@ -113,7 +113,7 @@ pub enum RenderError {
     /// The interval does not hold the time.
     #[error("time {time} s: expected one between {start} s and {end} s")]
     Time {
-        /// The time asked for.
+        /// The requested time.
         time: f64,
         /// The interval's start.
         start: f64,
@@ -137,7 +137,7 @@ pub enum RenderError {
         width: usize,
         /// Rows.
         height: usize,
-        /// Bytes of the image and of what is made of it.
+        /// Bytes of the image and of the data made from it.
         bytes: usize,
     },
     /// The camera has numbers that are not finite, or a lens that sees nothing.
@@ -149,7 +149,7 @@ pub enum RenderError {
     /// The aperture of a camera that is no pinhole.
     #[error("aperture: expected a pinhole camera, found one without a lens (orthographic or all around)")]
     NoLens,
-    /// Numbers of which there is no lens.
+    /// An aperture with values that no lens has.
     #[error("aperture: {what}: expected more than 0, and a lens of finite width, found {found:?}")]
     Aperture {
         /// Which number.
@@ -157,16 +157,16 @@ pub enum RenderError {
         /// Its value.
         found: f64,
     },
-    /// What a graphics card does not draw.
+    /// A feature that the graphics card renderer does not support.
     #[error("renderer wgpu: expected no {what}, which the CPU alone draws (--renderer cpu)")]
     CpuAlone {
-        /// What was asked for.
+        /// Name of the feature.
         what: &'static str,
     },
     /// A size taken from a source that a scene does not have.
     #[error("image size: expected WIDTHxHEIGHT: a still scene has no size of its own")]
     NoOwnSize,
-    /// The library was built without what is to draw.
+    /// The library was built without the backend.
     #[error("renderer {backend}: expected a build with the cargo feature {backend}, found one without")]
     NotBuiltIn {
         /// The missing backend.

@@ -257,7 +257,7 @@ pub enum Kind {
     Video,
 }
 
-/// The kind of the file `path`, by its first bytes, and where these tell nothing by its name.
+/// The kind of the file `path`: by its first bytes, else by its name.
 ///
 /// # Errors
 /// A file that cannot be read, or an empty one.

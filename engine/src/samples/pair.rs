@@ -1,7 +1,8 @@
 //! Two parts brought to the same channels, where that loses nothing.
 //!
-//! Two OpenEXR parts must have the same windows and the same channels. Elsewhere grey is RGB of three equal channels, a picture without alpha
-//! is opaque, and colours are multiplied by alpha where the other's are; each of these is said.
+//! Two OpenEXR parts must have the same windows and the same channels. Otherwise grey becomes RGB with three equal
+//! channels, a picture without alpha becomes opaque, and colours are multiplied by alpha if the other's are. Each
+//! conversion adds a note.
 
 use super::{Channel, Part, Samples};
 

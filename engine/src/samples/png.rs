@@ -38,7 +38,7 @@ pub(super) fn read(bytes: Vec<u8>, path: &Path) -> Result<Parts, SourceError> {
         reader.finish().map_err(broken)?;
         return Ok(one(oriented(part, orientation)));
     };
-    // A first picture without a frame's control is for programs that know no animation.
+    // A first picture without a frame control chunk is not part of the animation: viewers without APNG show it.
     let lonely = reader.info().frame_control().is_none();
     Ok(Box::new(Frames {
         reader,

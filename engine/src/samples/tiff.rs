@@ -2,6 +2,7 @@
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use ::tiff::decoder::{Decoder, DecodingResult, Limits};
 use ::tiff::tags::Tag;
@@ -12,14 +13,19 @@ use super::orientation::oriented;
 use super::{Channel, Part, Parts, Samples};
 use crate::picture::MAX_PIXELS;
 use crate::source::SourceError;
-use crate::source::decode::{check_size, decode_error};
+use crate::source::decode::{check_size, decode_error, tiff_palette_as_grey};
 
 pub(super) fn read(bytes: Vec<u8>, path: &Path) -> Result<Parts, SourceError> {
+    let bytes: Arc<[u8]> = bytes.into();
+    let decoder = open(bytes.clone(), path)?;
+    Ok(Box::new(Pages { bytes, decoder, path: path.to_owned(), next: 0, ended: false }))
+}
+
+fn open(bytes: Arc<[u8]>, path: &Path) -> Result<Decoder<Cursor<Arc<[u8]>>>, SourceError> {
     let mut limits = Limits::default();
     limits.decoding_buffer_size = 16 * MAX_PIXELS;
     limits.intermediate_buffer_size = 16 * MAX_PIXELS;
-    let decoder = Decoder::new(Cursor::new(bytes)).map_err(|e| broken(path, &e))?.with_limits(limits);
-    Ok(Box::new(Pages { decoder, path: path.to_owned(), next: 0, ended: false }))
+    Ok(Decoder::new(Cursor::new(bytes)).map_err(|e| broken(path, &e))?.with_limits(limits))
 }
 
 fn broken(path: &Path, e: &TiffError) -> SourceError {
@@ -27,7 +33,8 @@ fn broken(path: &Path, e: &TiffError) -> SourceError {
 }
 
 struct Pages {
-    decoder: Decoder<Cursor<Vec<u8>>>,
+    bytes: Arc<[u8]>,
+    decoder: Decoder<Cursor<Arc<[u8]>>>,
     path: PathBuf,
     next: usize,
     ended: bool,
@@ -64,7 +71,22 @@ impl Pages {
         let orientation = tag(Tag::Orientation)?.and_then(|v| v.first().copied());
         let map = tag(Tag::ColorMap)?;
         let mut result = DecodingResult::U8(Vec::new());
-        let layout = self.decoder.read_image_to_buffer(&mut result).map_err(wrong)?;
+        let grey = match colour {
+            ColorType::Palette(_) => {
+                self.decoder.ifd_pointer().and_then(|at| tiff_palette_as_grey(&self.bytes, usize::try_from(at.0).ok()?))
+            }
+            _ => None,
+        };
+        let layout = match grey {
+            // The decoder refuses palettes; their indices are read like levels of grey.
+            Some(grey) => {
+                let mut decoder = open(grey.into(), &path)?;
+                decoder.seek_to_image(self.next).map_err(wrong)?;
+                decoder.read_image_to_buffer(&mut result)
+            }
+            None => self.decoder.read_image_to_buffer(&mut result),
+        }
+        .map_err(wrong)?;
         let names = names(colour);
         let samples = unpacked(samples(result, &path)?, colour, width, height, names.len());
         let planar = layout.planes > 1;

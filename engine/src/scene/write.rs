@@ -38,7 +38,7 @@ impl SceneWriter {
         Ok(SceneWriter { folder: folder.to_owned(), fps, index: None, frames: 0, indexed: None })
     }
 
-    /// Goes on with the scene in `folder`, of which `intervals` are kept.
+    /// Continues the scene in `folder` after the `intervals` that are kept.
     ///
     /// # Errors
     /// A folder that cannot be written.
@@ -64,7 +64,9 @@ impl SceneWriter {
         Ok((entry.file, Written { bytes: entry.bytes, blake3: entry.blake3 }))
     }
 
-    /// As [`SceneWriter::push`], of an interval with these times of `frames` after the interval before, in seconds, or with none; `announce` is told what the index will say before the file gets its name.
+    /// As [`SceneWriter::push`], with the times of the interval's frames. `frames` holds, in seconds, those after the
+    /// end of the previous interval; it may be empty. `announce` is called with the index entry before the file is
+    /// written.
     ///
     /// # Errors
     /// Files that cannot be written, and errors of `announce`; nothing is written then.

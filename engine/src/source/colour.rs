@@ -33,7 +33,7 @@ impl Matrix {
     pub const SMPTE240M: Matrix = Matrix { kr: 0.212, kb: 0.087 };
     /// ITU-R BT.2020 and BT.2100, not constant luminance.
     pub const BT2020: Matrix = Matrix { kr: 0.2627, kb: 0.0593 };
-    /// Names that [`Matrix::named`] knows.
+    /// Names for [`Matrix::named`].
     pub const NAMES: &[&str] = &["bt709", "bt601", "bt470bg", "smpte170m", "fcc", "smpte240m", "bt2020"];
 
     /// The matrix taken for pictures of this size whose file does not name one.
@@ -68,7 +68,7 @@ impl Matrix {
     }
 }
 
-/// What a file says of its colours, in ffmpeg's names; none where it says nothing.
+/// Colour tags of a file, in ffmpeg's names; `None` for tags that are absent.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Tags {
     pub(super) matrix: Option<String>,
@@ -98,7 +98,7 @@ pub(super) enum Conversion {
     Zscale { from: String, options: String },
 }
 
-/// Names of matrices that zscale knows and our own arithmetic does not have.
+/// Names of matrices that zscale supports and our own arithmetic does not.
 const ELSEWHERE: [&str; 6] = ["bt2020c", "ictcp", "ycgco", "chroma-derived-nc", "chroma-derived-c", "smpte2085"];
 /// Primaries that are converted, with their names for people.
 const WIDE: [(&str, &str); 3] = [("bt2020", "BT.2020"), ("smpte431", "DCI-P3"), ("smpte432", "Display P3")];
@@ -245,7 +245,7 @@ mod tests {
         assert_eq!(of(tags("bt2020nc", "unknown", "unknown"), large, None), (Matrix::BT2020, false));
         assert_eq!(of(Tags::default(), small, None), (Matrix::BT601, true));
         assert_eq!(of(Tags::default(), large, None), (Matrix::BT709, true));
-        // A matrix that its own format contradicts says nothing.
+        // A matrix tag that contradicts the sample format is ignored.
         assert_eq!(of(tags("gbr", "bt709", "bt709"), small, None), (Matrix::BT601, true));
         assert_eq!(of(tags("bt709", "bt709", "bt709"), small, Some(Matrix::FCC)), (Matrix::FCC, false));
         assert_eq!(of(Tags::default(), small, Some(Matrix::BT709)), (Matrix::BT709, false));

@@ -12,7 +12,7 @@ pub(super) struct Images {
     files: Vec<PathBuf>,
     /// The frames of the one file, where it has several.
     sequence: Option<Sequence>,
-    /// The first frame, which is looked at for what is to be said of it.
+    /// The first frame, read ahead for its notes.
     ahead: Option<Result<Option<Still>, SourceError>>,
     next: usize,
     notes: Vec<String>,
@@ -57,7 +57,7 @@ impl Images {
         self.sequence.as_ref().map_or(self.files.len(), Sequence::len)
     }
 
-    /// Frames per second as a fraction, where the file says so.
+    /// Frames per second as a fraction, if the file has a constant rate.
     pub fn rate(&self) -> Option<(u64, u64)> {
         self.sequence.as_ref().and_then(Sequence::rate)
     }

@@ -2,26 +2,26 @@
 
 use super::Axes;
 
-/// Statements of a file about its scene, and remarks on how it was read.
+/// Metadata of a scene from its file, and notes on how it was read.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct About {
-    /// Trained with anti-aliasing: what is smaller than a pixel is to be drawn fainter, not wider.
+    /// Whether the scene was trained with anti-aliasing: splats smaller than a pixel are drawn fainter, not wider.
     pub antialiased: bool,
     /// Origin of the scene's coordinates: a Gaussian's place is its centre plus this. Not zero where coordinates are so large that binary32
     /// would round them, as those of maps are.
     pub offset: [f64; 3],
     /// Axes in which the file's numbers were taken.
     pub axes: Axes,
-    /// True if those are assumed: the format has several, and the file does not say which.
+    /// Whether the axes were assumed because the file declares none and its format allows several.
     pub axes_assumed: bool,
     /// Limits of a camera that orbits the scene.
     pub orbit: Option<Orbit>,
-    /// Lines about what of the file was left out or assumed.
+    /// Notes on skipped content and assumptions.
     pub notes: Vec<String>,
 }
 
 impl About {
-    /// Everything that a user should know of how a file was read, a line each.
+    /// Notes for the user on how the file was read, one per line.
     pub fn lines(&self) -> Vec<String> {
         let mut lines = self.notes.clone();
         if self.axes_assumed {

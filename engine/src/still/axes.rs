@@ -62,12 +62,12 @@ impl Axes {
         })
     }
 
-    /// The axes that SPZ gives this number.
+    /// Axes of an SPZ code.
     pub fn of_code(code: u32) -> Option<Axes> {
         Axes::all().nth(code.checked_sub(1)? as usize)
     }
 
-    /// SPZ's number of these axes.
+    /// SPZ code of these axes.
     pub fn code(self) -> u32 {
         Axes::all().position(|axes| axes == self).map_or(0, |place| place as u32 + 1)
     }

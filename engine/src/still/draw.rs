@@ -15,7 +15,7 @@ use crate::stream::Workers;
 
 /// Gaussians per task.
 const CHUNK: usize = 4096;
-/// Coefficients up to this size give finite colours from everywhere.
+/// Largest coefficient with finite colours from every direction.
 const LARGEST_COEFFICIENT: f32 = 1e30;
 
 /// A still scene with what every image of it needs.
@@ -144,8 +144,8 @@ impl Renderer {
     /// A still scene, seen by `camera`.
     ///
     /// # Errors
-    /// The canonical camera and sizes that need a source, neither of which such a scene has; sizes that cannot be drawn; cameras that
-    /// see nothing.
+    /// The canonical camera and sizes that need a source, since a still scene has neither; sizes that cannot be drawn; cameras with an
+    /// empty view.
     pub fn render_still(
         &mut self,
         scene: &Drawable,
@@ -164,7 +164,7 @@ impl Renderer {
         let pose = &Pose { position, ..*pose };
         let view = View::posed(pose, lens, [height, width]);
         let window = Window::new(&view, [height, width]);
-        // A blur reaches farther than what the window knows of.
+        // The window does not include the radius of a blur.
         let sharp = request.defocus.is_none();
         let places = groups.as_ref().filter(|_| sharp).zip(window);
         let places = places.and_then(|(groups, window)| self.workers().install(|| groups.seen(&window)));

@@ -1,13 +1,13 @@
 //! Still scenes of 3D Gaussians, as 3D Gaussian splatting's own files hold them.
 //!
-//! A [`Still`] keeps a file's numbers as they are, so that writing it again gives them back: logarithms of scales, logits of
-//! opacities, coefficients of spherical harmonics, quaternions of any length. What is drawn follows from them:
+//! A [`Still`] keeps a file's numbers unchanged, so that they survive a round trip: logarithms of scales, logits of opacities,
+//! coefficients of spherical harmonics, quaternions of any length. The values drawn are
 //!
 //! ```text
 //! scale = e^log_scale     opacity = 1 / (1 + e^−logit)     rotation = q / |q|     rgb = colour of the harmonics from the eye
 //! ```
 //!
-//! formed in binary64 and rounded once, the harmonics as [`streamsplat_kernels::harmonics`] says. Axes are those of scene space
+//! computed in binary64 and rounded once, the harmonics by [`streamsplat_kernels::harmonics`]. Axes are those of scene space
 //! (x right, y down, z forward), units the file's own. Such a scene has no time, no camera of its own, and no identities.
 
 mod about;
@@ -55,7 +55,7 @@ pub struct Still {
     pub degree: usize,
     /// The other coefficients: `[N, (degree + 1)² − 1, 3]`.
     pub higher: Vec<f32>,
-    /// What the file says of the scene.
+    /// Metadata of the scene.
     pub about: About,
 }
 

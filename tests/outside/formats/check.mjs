@@ -142,7 +142,7 @@ for (const degree of [0, 1, 2, 3]) {
   run('export', file('scene.ply'), '--format', 'spz', '--spz-version', '4', '--out', file('ours.spz'));
   const read = columns(spz.loadSpzFromBuffer(readFileSync(file('ours.spz')), rdf));
   compare(`ours at degree ${degree}`, read, original, format(4));
-  // Version 3 holds PLY's numbers as they are, for viewers; to the reference, which knows no comments, they are along its own axes.
+  // Version 3 holds PLY's numbers unchanged, for viewers. The reference ignores the comment and reads them along its own axes.
   run('export', file('scene.ply'), '--format', 'spz', '--out', file('viewers.spz'));
   const raw = columns(spz.loadSpzFromBuffer(readFileSync(file('viewers.spz')), { to: spz.CoordinateSystem.RUB }));
   compare(`version 3 of ours at degree ${degree}`, raw, original, format(3));

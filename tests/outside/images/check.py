@@ -51,6 +51,11 @@ class Checks:
         assert said in text, f'{name}: expected {said!r}, found {text!r}'
         self.count += 1
 
+    def compared(self, name, other):
+        """Two files of the same samples."""
+        done = subprocess.run([PROGRAM, 'compare', self.folder / name, self.folder / other], capture_output=True, text=True)
+        assert done.returncode == 0 and 'equal' in done.stdout, f'{name} and {other}: {done.stdout} {done.stderr}'
+
     def refused(self, name, words):
         done = attempt(self.folder / name, self.folder / 'refused')
         lines = done.stderr.strip().splitlines()
@@ -85,6 +90,9 @@ def tiff(check):
     few = Image.fromarray(RGB).quantize(200)
     few.save(check.folder / 'palette.tif')
     check.equal('palette.tif', np.asarray(few.convert('RGB')))
+    # `compare` reads its own samples, of the palette's colours too.
+    few.convert('RGB').save(check.folder / 'palette.png')
+    check.compared('palette.tif', 'palette.png')
     dots = Image.fromarray(RGB).convert('1')
     dots.save(check.folder / 'dots.tif')
     check.equal('dots.tif', np.asarray(dots.convert('RGB')))

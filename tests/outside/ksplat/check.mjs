@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
 import { readFileSync, writeFileSync } from 'node:fs';
 
-// The package asks for a browser's window when it is loaded.
+// The package needs the global `window` of a browser at import.
 globalThis.window ??= globalThis;
 const { PlyLoader } = await import('@mkkellogg/gaussian-splats-3d');
 const { Quaternion, Vector3, Vector4 } = await import('three');

@@ -1,7 +1,8 @@
 // test.mjs NODE-MODULES STREAMSPLAT SCRATCH-FOLDER; from the repository's root.
 //
-// One scene in every format we write, in every viewer that opens it, beside our render of the scene itself: a file that is turned, mirrored or
-// coloured otherwise fails. What a viewer does on its own is in docs/rasteriser.md; the bars below are a decibel or two under what was measured.
+// Compares one scene, in every format we write and every viewer that opens it, with our render of the scene itself.
+// Files with a wrong rotation, handedness or colour fail. docs/rasteriser.md describes the viewers' own differences;
+// the bars below are a decibel or two under the measured values.
 
 import { createReadStream, readFileSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";

@@ -113,7 +113,7 @@ pub fn colmap(bytes: &[u8]) -> Option<set::colmap::Files<'_>> {
     Some(set::colmap::Files { cameras, images, rigs })
 }
 
-/// What is before the next `%%`, and what is after it.
+/// Splits at the next `%%`.
 fn cut(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
     match bytes.windows(2).position(|part| part == b"%%") {
         Some(at) => (&bytes[..at], Some(&bytes[at + 2..])),
@@ -121,7 +121,7 @@ fn cut(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
     }
 }
 
-/// Cameras that were read can be drawn with, or say why not, and are found by their numbers.
+/// Asserts that each camera of a set is usable or an error, and is found by its number.
 fn assert_usable(found: &CameraSet) {
     assert!(!found.cameras.is_empty());
     for (i, named) in found.cameras.iter().enumerate() {

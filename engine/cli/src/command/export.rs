@@ -75,7 +75,7 @@ impl Format {
     }
 }
 
-/// What the format's writer is told.
+/// Options of the format's writer.
 fn options(args: &ExportArgs, format: Format) -> Result<Options, Failure> {
     let Some(version) = args.spz_version else { return Ok(Options::default()) };
     if !matches!(format, Format::Still(import::Format { option: "spz", .. })) {
@@ -135,7 +135,7 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
         let written = (of_time.snapshot)(&snapshot, &options);
         bytes += write_file(path, &written.bytes)?.bytes;
         if !written.notes.is_empty() {
-            // Those of the first file stand for all.
+            // Only the first file's notes are printed.
             if noted == 0 {
                 say_of(path, &written.notes, console);
             }

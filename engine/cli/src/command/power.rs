@@ -124,7 +124,7 @@ fn encoded(clip: &Path, video: &Path, encoder: &Path, fault: Option<(Fault, u64)
 fn an_encoded_video_replaces_another_whole_or_not_at_all() {
     let scratch = tempfile::tempdir().expect("a temporary folder");
     let clip = clip(scratch.path());
-    // Another process writes it: this one would hold it open while threads beside start programs.
+    // Another process writes it: this one would hold it open while other threads start programs.
     let encoder = scratch.path().join("encoder");
     let mut writer = std::process::Command::new("sh")
         .args(["-c", "cat >\"$0\" && chmod +x \"$0\""])

@@ -52,7 +52,7 @@ pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     if record.complete { Ok(()) } else { Err(stop::stopped(false)) }
 }
 
-/// Size of a panorama of which nothing says it.
+/// Default size of a panorama.
 const PANORAMA: [usize; 2] = [2048, 1024];
 
 /// The kinds of a file that is a single image.
@@ -82,7 +82,7 @@ fn several(args: &RenderArgs, console: &Console) -> Result<bool, Failure> {
     let mut views = options.views()?;
     times::check_rate(options.fps)?;
     let workers = args.machine.workers()?;
-    // It is opened again, and what there is to say is said then.
+    // Quiet, as the scene is opened again for drawing, which prints the notes.
     let quiet = Console { quiet: true, ..console.clone() };
     let axes = options.reading.axes()?;
     Ok(match open_along(&args.scene, &options.limit.limits(), axes, Some(&workers), &quiet)? {
@@ -132,13 +132,13 @@ impl RenderOptions {
             let [width, height] = PANORAMA;
             views.options.size = Size::Exact { width, height };
         }
-        // A still scene may say it for itself.
+        // With `Antialias::Auto`, a mark in a still scene turns it on later.
         views.options.antialias = self.antialias == Antialias::On;
         self.optics.apply(&mut views)?;
         Ok(views)
     }
 
-    /// The times of a scene's images, each with the interval that shows it; gives `views` the camera's motion.
+    /// The times of a scene's images, each with the interval that shows it. Sets the camera's motion in `views`.
     pub(super) fn due(&self, scene: &Scene, views: &mut Views, fps: f64) -> Result<Vec<(f64, usize)>, Failure> {
         views.camera = self.optics.around(std::mem::take(&mut views.camera))?;
         self.optics.needs_focus()?;

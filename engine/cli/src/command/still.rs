@@ -40,7 +40,7 @@ pub struct Plan {
     views: Views,
     times: Vec<f64>,
     fps: f64,
-    /// True if the times were asked for, and are the scene's too where it changes in time.
+    /// True if `times` is that of `--times`. A scene that changes in time is then drawn at these times.
     of_scene: bool,
 }
 

@@ -150,7 +150,7 @@ fn differ(console: &Console, what: &str, expected: &str, found: &str) -> Result<
     if console.quiet { Ok(()) } else { say(format!("{what}: expected {expected}, found {found}")) }
 }
 
-/// The record that a file is, or that lies beside it where it is a video.
+/// The path of a record: the file itself, or `FILE.run.json` for a video.
 fn record_of(file: &Path) -> Result<PathBuf, Failure> {
     let Some(wrong) = recognise::not_a_record(file) else { return Ok(file.to_owned()) };
     let mut beside = file.as_os_str().to_owned();

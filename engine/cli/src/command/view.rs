@@ -35,7 +35,7 @@ pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     }
 }
 
-/// Returns true for the address of a page, which a browser opens as one: a script, say, is none.
+/// Returns true for an `http` or `https` address, which a browser opens as a page, and false for others, such as a script's.
 fn is_address(url: &str) -> bool {
     let lower = url.to_ascii_lowercase();
     let rest = lower.strip_prefix("https://").or_else(|| lower.strip_prefix("http://"));

@@ -256,7 +256,7 @@ pub struct RunOptions {
     /// Stop after this many input frames
     #[arg(long, value_name = "N")]
     pub frames: Option<usize>,
-    /// Quality of an encoded video, as ffmpeg's -crf: less is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to 63 for .webm and .avif [default: 10;
+    /// Quality of an encoded video, as ffmpeg's -crf: less is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to 63 for .webm and .avif [default: 6;
     /// 18 for .webm and .avif]
     #[arg(long, value_name = "N")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -294,7 +294,7 @@ pub struct RenderOptions {
     /// Images per second of the scene, where no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
-    /// Quality of an encoded video, as ffmpeg's -crf: less is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to 63 for .webm and .avif [default: 10;
+    /// Quality of an encoded video, as ffmpeg's -crf: less is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to 63 for .webm and .avif [default: 6;
     /// 18 for .webm and .avif]
     #[arg(long, value_name = "N")]
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -8,7 +8,7 @@ use streamsplat::render::{Aperture, Backend, Falloff, Focus, SENSOR_HEIGHT};
 use crate::console::failure::Failure;
 use crate::options::settings::Views;
 
-/// Images of a shutter where nothing says how many.
+/// Default number of images of a shutter.
 const SAMPLES: u32 = 16;
 /// Most of them.
 const MOST_SAMPLES: i64 = 1024;
@@ -63,7 +63,7 @@ impl Shutter {
 }
 
 impl Optics {
-    /// Gives `views` the footprints, the lens and the shutter that were asked for.
+    /// Sets the footprints, the lens and the shutter of `views`.
     pub fn apply(&self, views: &mut Views) -> Result<(), Failure> {
         if let Some(name) = &self.footprint {
             let found = Falloff::ALL.iter().find(|falloff| falloff.name() == name);
@@ -88,7 +88,7 @@ impl Optics {
         }
     }
 
-    /// The path whose cameras see all around where that was asked for.
+    /// The path, with panorama lenses if `--panorama` is set.
     pub fn around(&self, path: CameraPath) -> Result<CameraPath, Failure> {
         if !self.panorama {
             return Ok(path);

@@ -288,7 +288,7 @@ impl ViewOptions {
         Ok(Views { options, camera, times, backend, own_sizes, own_rate, transparent, ..Views::own() })
     }
 
-    /// The camera's path, and what another program's file tells of its images.
+    /// The camera's path, with the image sizes and rate of another program's file.
     fn cameras(&self, size: Size) -> Result<Cameras, Failure> {
         let Some(file) = &self.camera else { return Ok(Cameras::default()) };
         let size = match size {

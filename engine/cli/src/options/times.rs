@@ -4,8 +4,8 @@ use streamsplat::scene::{Scene, SceneError};
 
 use crate::console::failure::Failure;
 
-/// The times asked for, or else so many a second, or else those of the source's frames, each with the interval that shows it. A time outside the
-/// scene is wrong use, said before any work.
+/// The times of images, each with the interval that shows it: `asked`, or else `fps` a second, or else the source's frames. A time outside the
+/// scene is a usage error, found before any work.
 pub fn of_scene(scene: &Scene, asked: Option<&[f64]>, fps: Option<f64>) -> Result<Vec<(f64, usize)>, Failure> {
     let times = match (asked, fps, scene.index().frames()) {
         (Some(times), ..) => times.to_vec(),

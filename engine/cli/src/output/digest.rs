@@ -75,13 +75,13 @@ pub fn files(paths: &[std::path::PathBuf]) -> Result<String, Failure> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// BLAKE3 over what a scene's index says of its intervals, which is true of those that are read: a file that it does not fit is refused then.
+/// BLAKE3 of a scene's index. Intervals are checked against the index when they are read: one that does not match is refused.
 pub fn scene_index(scene: &Scene) -> Result<String, Failure> {
     let text = serde_json::to_vec(scene.index()).map_err(Failure::work)?;
     Ok(blake3::hash(&text).to_hex().to_string())
 }
 
-/// As [`scene_index`], after every interval was read and found to be as the index says.
+/// As [`scene_index`], after reading every interval and checking it against the index.
 pub fn scene(scene: &Scene) -> Result<String, Failure> {
     for place in 0..scene.index().intervals.len() {
         drop(scene.interval(place)?);

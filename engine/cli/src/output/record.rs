@@ -28,7 +28,7 @@ pub struct Record {
     pub program: String,
     /// The program's version.
     pub version: String,
-    /// What of the program decides its bytes beside the version.
+    /// What decides the program's bytes, apart from the version.
     #[serde(flatten)]
     pub build: Build,
     /// The command, with every option that affects the output.
@@ -70,10 +70,10 @@ pub struct Record {
     pub timing: Timing,
 }
 
-/// What of the program decides its bytes beside the version.
+/// What decides the program's bytes, apart from the version.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Build {
-    /// Version of the bit contract ([`streamsplat::BIT_CONTRACT`]); 0 in records that do not tell it.
+    /// Version of the bit contract ([`streamsplat::BIT_CONTRACT`]); 0 in records without it.
     #[serde(default)]
     pub bit_contract: u32,
     /// The commit that the program was made from; where that is not known, the digest of its file.

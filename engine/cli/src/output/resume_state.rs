@@ -95,7 +95,7 @@ pub fn find(destination: &Destination) -> Result<Found, Failure> {
         return Err(Failure::usage(message));
     };
     let record = destination.record().filter(|path| path.exists());
-    // A record that cannot be read tells nothing: the state beside it does, or the run starts again.
+    // A record that cannot be read is ignored: the resume state is used alone, or the run starts again.
     let record = record.as_deref().and_then(|path| match Record::read(path) {
         Ok(record) => Some(record),
         Err(damage) => {

@@ -17,7 +17,7 @@ const BY_CONTENT: [&str; 2] = ["model", "dinov2"];
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Terms {
     version: String,
-    /// What of the program decides its bytes beside the version.
+    /// What decides the program's bytes, apart from the version.
     #[serde(flatten)]
     build: Build,
     /// [`RunOptions`], with absolute paths.

@@ -61,7 +61,7 @@ impl KeyDepth {
                 match (source.files(), source.frames()) {
                     (Some(_), _) => {}
                     (None, Some(frames)) => maps.check(frames, limit)?,
-                    // What a file says of its length may be that of its sound.
+                    // The length in a file's header may be that of its sound: the check allows for it.
                     (None, None) => source.counted_frames().map_or(Ok(()), |frames| maps.check_about(frames, limit))?,
                 }
                 KeyDepth::Maps(maps)

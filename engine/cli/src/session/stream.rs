@@ -114,7 +114,7 @@ impl Stream<'_> {
     fn draw(&mut self, interval: &Interval, due: &[(usize, f64)], views: &Views) -> Result<(), Failure> {
         let Stream { outputs, drawing, emit, keys, whole, .. } = self;
         let emit = *emit;
-        // Times that were asked for are images one after another.
+        // With `--times`, images follow each other at a constant rate.
         let rate = views.times.as_ref().map(|_| keys.fps());
         drawing.pass(
             due.iter(),

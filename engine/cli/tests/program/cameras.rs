@@ -97,7 +97,7 @@ fn colmap_text(scratch: &Scratch, centre: [f64; 2]) -> PathBuf {
     folder
 }
 
-/// A model whose images say nothing true: rigs and frames do.
+/// A model with wrong poses in `images.txt`, and the right ones in its rigs and frames.
 fn colmap_rigs(scratch: &Scratch, centre: [f64; 2]) -> PathBuf {
     let folder = colmap_text(scratch, centre);
     let (model, [a, b]) = (scratch.path("rigs"), IMAGES);

@@ -168,7 +168,7 @@ fn alpha_is_compared_as_a_channel() {
     let output = compare(&a, &b, &["--max-abs", "254"]);
     fails(&output, 1);
     assert!(String::from_utf8_lossy(&output.stdout).contains("(alpha: 0 and 255, u8)"));
-    // Without alpha is opaque, and that is said.
+    // An image without alpha is compared as opaque, with a note.
     let output = compare(&b, &c, &[]);
     assert!(output.status.success() && String::from_utf8_lossy(&output.stdout).contains("compared as opaque"));
     fails(&compare(&a, &c, &["--max-abs", "254"]), 1);

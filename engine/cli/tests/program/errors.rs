@@ -150,7 +150,7 @@ fn what_came_before_the_cut_of_a_stream_is_kept() {
         let text = fails(&attempt(&cut, &out, &[&model[..], &["--quiet"]].concat()), 1);
         assert!(text.contains("cut.y4m: frame 3 ends early"), "{text}");
         assert!(attempt(&whole, &expected, &model).status.success());
-        // What is written is that of the three frames, and the record tells of the cut.
+        // The output is that of the three frames, and the record holds the damage.
         let record = |out: &Path| match out.is_dir() {
             true => crate::support::record(&out.join("run.json")),
             false => crate::support::record(

@@ -1,4 +1,4 @@
-//! Small files of packed formats that stand for gigabytes: refused within 100 MB and five seconds, and read where they are small.
+//! Small files of packed formats that unpack to gigabytes: refused within 100 MB and five seconds, and read where they are small.
 
 use std::ffi::OsString;
 use std::io::{Cursor, Write};
@@ -18,7 +18,7 @@ use crate::hostile::{measured, write};
 use crate::still::still;
 use crate::support::{Scratch, fails};
 
-/// Runs a command on a file in little memory and time; what it says where it fails.
+/// Runs a command on a file, with limits on its memory and time. Returns its error message if it fails.
 fn run(file: &Path, words: &[&str]) -> Option<String> {
     let words: Vec<OsString> =
         words[..1].iter().map(Into::into).chain([file.into()]).chain(words[1..].iter().map(Into::into)).collect();

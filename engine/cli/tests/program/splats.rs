@@ -1,4 +1,4 @@
-//! Splat files of other programs: what is read, assumed, left out and said.
+//! Splat files of other programs: what is read, assumed and left out, and the notes on it.
 
 use std::path::Path;
 use std::process::Output;
@@ -9,7 +9,7 @@ use streamsplat::still::Still;
 use crate::still::{prepared, still};
 use crate::support::{Scratch, command, fails, json};
 
-/// What a command that works says on standard error.
+/// Standard error of a command that succeeds.
 fn said(arguments: &[&str]) -> String {
     let output: Output = command().args(arguments).output().expect("the program starts");
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -27,7 +27,7 @@ fn picture(scene: &Path, camera: &Path, out: &Path, more: &[&str]) -> (Vec<u8>, 
     (std::fs::read(out).expect("an image"), lines)
 }
 
-/// A file of version 4 that does not say its axes, with RDF's numbers.
+/// A file of version 4 without a record of its axes, which are RDF.
 fn silent(still: &Still) -> Vec<u8> {
     let file = export::written::spz(still, SpzVersion::V4).bytes;
     let table = u32::from_le_bytes(file[16..20].try_into().expect("four bytes")) as usize;

@@ -1,11 +1,11 @@
-//! Files that are given in the wrong place: every command says what they are and what to do.
+//! Files in the wrong place: every command prints what they are and what to do.
 
 use std::path::Path;
 use std::process::Output;
 
 use crate::support::{Scratch, command, fails};
 
-/// What a command that takes a scene says of `path`.
+/// The error message of a command that expects a scene, for `path`.
 fn said(scratch: &Scratch, name: &str, path: &Path) -> String {
     let out = scratch.path("out");
     let mut program = command();

@@ -1,9 +1,10 @@
 //! `camera_path.json`, which nerfstudio's viewer exports for `ns-render`.
 //!
-//! `camera_path` is an array of `{"camera_to_world": 16 numbers, "fov"}`, one per image: the matrix row by row, of a camera with OpenGL's
-//! axes (x right, y up, z backward), and the vertical field of view in degrees. Pixels are square and the principal point is in the middle;
-//! `aspect` is that of the viewer's window and not looked at, as in `ns-render`. Beside it are `render_width` and `render_height` in pixels,
-//! and `fps` or `seconds`. Cameras that are no perspective ones, and a crop, are refused by name.
+//! `camera_path` is an array of `{"camera_to_world": 16 numbers, "fov"}`, one per image: the matrix row by row, of a
+//! camera with OpenGL's axes (x right, y up, z backward), and the vertical field of view in degrees. Pixels are square
+//! and the principal point is in the middle; `aspect` is that of the viewer's window and ignored, as in `ns-render`.
+//! The object also has `render_width` and `render_height` in pixels, and `fps` or `seconds`. Cameras that are not
+//! perspective, and a crop, are refused by name.
 //!
 //! The world is that of the trained scene, in which `ns-export gaussian-splat` writes it.
 
@@ -33,7 +34,7 @@ struct View {
     fov: f64,
 }
 
-/// Reads the object; `size` is that of images of which it is not said.
+/// Reads the object. `size` is the image size where `render_width` or `render_height` is absent.
 ///
 /// # Errors
 /// An object of another form, cameras that are no perspective ones, crops.

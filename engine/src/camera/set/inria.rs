@@ -1,9 +1,10 @@
 //! `cameras.json` of the original 3D Gaussian splatting.
 //!
-//! An array of `{"id", "img_name", "width", "height", "position": [3], "rotation": [3][3], "fx", "fy"}`: the camera's centre, and the
-//! matrix (row by row) that turns its axes (x right, y down, z forward) into the world's. Focal lengths are in pixels. The principal
-//! point is in the middle of the image, as the original draws it, unless `cx` or `cy` tell it in pixels from the corner of the first one,
-//! as some later programs write them. A camera without `img_name` is named by its place in the array. Other keys are ignored.
+//! An array of `{"id", "img_name", "width", "height", "position": [3], "rotation": [3][3], "fx", "fy"}`: the camera's
+//! centre, and the matrix (row by row) that turns its axes (x right, y down, z forward) into the world's. Focal lengths
+//! are in pixels. The principal point defaults to the middle of the image, as in the original program. Some later
+//! programs write `cx` and `cy`, which set it in pixels from the corner of the first pixel. A camera without `img_name`
+//! is named by its place in the array. Other keys are ignored.
 
 use serde::Deserialize;
 use serde_json::Value;

@@ -122,7 +122,7 @@ impl CameraSet {
         self.cameras.iter().map(|named| named.camera.clone()).collect()
     }
 
-    /// The time of the camera with the number `index`, in seconds: one a second, unless the file says how many.
+    /// Time of camera `index` in seconds, at [`CameraSet::rate`] or one camera per second.
     pub fn time(&self, index: usize) -> f64 {
         index as f64 / self.rate.unwrap_or(1.0)
     }
@@ -176,7 +176,7 @@ pub enum CameraFileError {
     },
 }
 
-/// Opens a file or a folder of cameras. `size` (width and height) is that of images of which the file does not say it.
+/// Opens a file or a folder of cameras. `size` (width and height) is the image size where the file has none.
 ///
 /// # Errors
 /// Files that cannot be read or hold something else.

@@ -1,12 +1,13 @@
 //! `transforms.json` of nerfstudio and instant-ngp, and of the scenes made for NeRF with Blender.
 //!
-//! Each of `frames` has a `file_path` and a `transform_matrix` (camera to world, row by row; OpenGL's axes: x right, y up, z
-//! backward). The lens stands in the frame or beside `frames`, in pixels: `w`, `h`, `fl_x`, `fl_y`, `cx`, `cy`, or as angles in radians,
-//! `camera_angle_x` and `camera_angle_y`. What is left out: `fl_y` is `fl_x`, `cx` and `cy` are the middle, `w` and `h` the size that is
-//! asked for. Distortion is refused by name, whether as `k1` … `k4`, `p1`, `p2` or as `distortion_params`, and so are `is_fisheye` and
-//! instant-ngp's marks of other lenses; where all of it is 0 or false it is nothing.
+//! Each of `frames` has a `file_path` and a `transform_matrix` (camera to world, row by row; OpenGL's axes: x right, y
+//! up, z backward). The lens keys are in the frame or at the top level: `w`, `h`, `fl_x`, `fl_y`, `cx`, `cy` in pixels,
+//! or the angles `camera_angle_x` and `camera_angle_y` in radians. Defaults: `fl_y` is `fl_x`, `cx` and `cy` are the
+//! middle of the image, `w` and `h` are the caller's size. Distortion is refused by name, whether as `k1` … `k4`, `p1`,
+//! `p2` or as `distortion_params`, and so are `is_fisheye` and instant-ngp's marks of other lenses. Values of 0 or
+//! false are accepted.
 //!
-//! The poses are taken as they stand: nerfstudio's `applied_transform` is in them already, and instant-ngp's `scale` and `offset` move
+//! Poses are used unchanged: nerfstudio's `applied_transform` is in them already, and instant-ngp's `scale` and `offset` move
 //! them into its own unit cube, in which no file of Gaussians lies.
 
 use serde::Deserialize;
@@ -86,7 +87,7 @@ impl Lens {
         numbers.or(list).or(mark)
     }
 
-    /// What is said of the whole file, where a frame does not say it.
+    /// Fills in absent distortion and lens type keys from `beside`, the file's top-level lens.
     fn or(self, beside: &Lens) -> Lens {
         Lens {
             k1: self.k1.or(beside.k1),
@@ -109,7 +110,7 @@ impl Lens {
 /// Models that are a pinhole where their coefficients are 0.
 const MODELS: [&str; 6] = ["PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
 
-/// Reads the object; `size` is that of images of which it is not said.
+/// Reads the object. `size` is the image size where `w` or `h` is absent.
 ///
 /// # Errors
 /// An object of another form. A frame that cannot be drawn is an error of its own in the set.

@@ -22,9 +22,9 @@ use fixed::Fixed;
 pub(crate) const COLOUR: f64 = 0.15;
 /// Bits kept of coefficients of degree 1, and of higher ones.
 const KEPT: [u32; 2] = [5, 4];
-/// Logarithms of scales that a byte can say.
+/// Range of the logarithm of a scale in a byte.
 const LOGS: [f32; 2] = [-10.0, 5.9375];
-/// The colours of coefficients that a byte can say, as `0.15·c + ½`.
+/// Range of `0.15·c + ½` that rounds to a byte of colour without clamping, for a first coefficient `c`.
 const COLOURS: [f64; 2] = [-0.5 / 255.0, 1.0 + 0.5 / 255.0];
 
 /// The Gaussians of one time as an SPZ file: [`of_still`] of what [`Still::of`] makes of them.
@@ -42,7 +42,7 @@ pub fn of_still(still: &Still) -> Vec<u8> {
 
 /// A still scene as an SPZ file: see [`import`](mod@crate::import) for what is kept of each value.
 ///
-/// Numbers along the scene's own axes (RDF), which version 4 says in a record, and version 3 in the comment of its gzip stream.
+/// Numbers are along the scene's own axes (RDF). Version 4 stores the axes in a record, version 3 in the comment of its gzip stream.
 ///
 /// Positions have 12 bits after the point, or fewer where more Gaussians would suffer from what is cut off than from what is rounded; what is
 /// farther than the others is moved to the end of the range. The harmonics' coefficients are rounded to 5 bits at degree 1 and 4 above, as the
@@ -128,7 +128,7 @@ fn framed(header: Head, attributes: &[Vec<u8>; 6], records: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Says what is outside of what the format's bytes can say.
+/// Adds notes for values that are clamped to the ranges of the format's bytes.
 fn moved(still: &Still, sound: &[usize], notes: &mut Notes) {
     let half = 0.5 / 16.0;
     let count = |beyond: &dyn Fn(usize) -> bool| sound.iter().filter(|i| beyond(**i)).count();

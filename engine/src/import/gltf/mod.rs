@@ -10,13 +10,15 @@
 //! | `KHR_gaussian_splatting:OPACITY` | SCALAR | from 0 to 1 |
 //! | `KHR_gaussian_splatting:SH_DEGREE_l_COEF_n` | VEC3 | coefficients of the harmonics, degrees 0 to 3 |
 //!
-//! Numbers of 8 and 16 bits, normalised or not, and binary32. Where degree 0 of the harmonics is missing, `COLOR_0` takes its place, linear as glTF
-//! has it. A primitive of `lin_rec709_display` has its colours brought to sRGB, Gaussian by Gaussian ([`colour`]). Kernels that are not known are
-//! drawn as ellipses, as the extension says. Where the primitive has `KHR_gaussian_splatting_compression_spz_2`, an SPZ file in a buffer view takes the
-//! attributes' place: along the axes that SPZ files have ([`spz`]), which the draft of that extension brings to glTF's with the tools of SPZ.
+//! Numbers of 8 and 16 bits, normalised or not, and binary32. Where degree 0 of the harmonics is missing, `COLOR_0`
+//! takes its place, linear as glTF has it. Colours of a `lin_rec709_display` primitive are converted to sRGB, Gaussian
+//! by Gaussian ([`colour`]). Unknown kernels are drawn as ellipses, as the extension requires. In a primitive with
+//! `KHR_gaussian_splatting_compression_spz_2`, an SPZ file in a buffer view replaces the attributes. Its axes are those
+//! of an SPZ file on its own ([`spz`]); the draft of that extension converts them to glTF's with the tools of SPZ.
 //!
-//! glTF's axes are x left, y up, z forward: x and y change sign on the way into scene space, a half turn about z. Translations of nodes that binary32
-//! would not keep to 1/4096 become the scene's offset. Buffers are in the file, in `data:`, or in files beside it and in folders below.
+//! glTF's axes are x left, y up, z forward: x and y change sign on the way into scene space, a half turn about z.
+//! Translations of nodes that binary32 would not keep to 1/4096 become the scene's offset. Buffers are in the file, in
+//! `data:` URIs, or in files in its folder or subfolders.
 //!
 //! Refused: other extensions that a file requires, but those of materials, textures, lights and metadata, which do not matter here; other colour spaces,
 //! sparse accessors, nodes that shear or stretch, negative scales (drafts of the extension stored logarithms).
@@ -76,7 +78,7 @@ impl Reader for Gltf {
     }
 }
 
-/// As [`glb`], of text as well, whose buffers lie beside it.
+/// As [`glb`], also for `.gltf` text, with buffers read through `beside`.
 fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
     let (text, binary) = if bytes.starts_with(&MAGIC) { chunks(bytes)? } else { (bytes, None) };
     let document: Document =
@@ -158,13 +160,13 @@ struct Reading<'a> {
     document: &'a Document,
     buffers: Buffers<'a>,
     limits: &'a Limits,
-    /// Bytes of the file, and of the buffers beside it.
+    /// Total bytes of the file and its external buffers.
     size: u64,
     /// Nodes that were visited. They form trees: none is visited twice.
     seen: Vec<bool>,
     /// Meshes that nodes show, and their transforms.
     instances: Vec<(usize, DMat4)>,
-    /// The user's word for the axes of numbers.
+    /// Axes of the numbers, where the user sets them.
     axes: Option<Axes>,
     /// Offset of the scene, in scene space: that of the first primitive.
     offset: Option<[f64; 3]>,
@@ -190,8 +192,8 @@ impl Reading<'_> {
         node.children.iter().try_for_each(|&child| self.node(child, own, depth + 1))
     }
 
-    /// An error where the instances of all meshes, each of which has Gaussians of its own, are more than the file may stand for. What cannot be
-    /// read counts nothing here: reading it has the reason.
+    /// Checks the Gaussians of all mesh instances against the limits for the file's size. Every instance counts
+    /// separately. Primitives that cannot be read count as 0; reading them later returns the error.
     fn check(&mut self) -> Result<(), FormatError> {
         let (meshes, mut known) = (&self.document.meshes, vec![None; self.document.meshes.len()]);
         let (mut count, mut degree) = (0_usize, 0);
@@ -407,7 +409,7 @@ fn packed(primitive: &Primitive) -> Option<&serde_json::Value> {
     primitive.extensions.get(EXTENSION)?.get("extensions")?.get(SPZ)
 }
 
-/// Gives a scene a higher degree.
+/// Raises the degree of a scene.
 fn raise(still: &mut Still, degree: usize) {
     let (from, to) = (3 * rest(still.degree), 3 * rest(degree));
     if to > from {

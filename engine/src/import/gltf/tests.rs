@@ -1,4 +1,4 @@
-//! glTF files go in, and what is none is named.
+//! Valid glTF files are read, and errors name the invalid part.
 
 use serde_json::{Value, json};
 
@@ -106,7 +106,7 @@ fn with_spz(packed: &[u8]) -> Vec<u8> {
 #[test]
 fn spz_in_a_buffer_is_read_along_the_axes_that_it_has_alone() {
     let packed = export::still::spz(&still(5, 2));
-    // The comment of the gzip stream says RDF; without it, RUB.
+    // Axes are RDF with the comment of the gzip stream, and RUB without it.
     let mut silent = packed.clone();
     let at = silent.windows(8).position(|w| w == b"axes RDF").expect("the comment");
     silent[at..at + 8].copy_from_slice(b"no words");
@@ -114,7 +114,7 @@ fn spz_in_a_buffer_is_read_along_the_axes_that_it_has_alone() {
         let (found, alone) = (glb(&with_spz(&file)).expect("SPZ"), spz::spz(&file).expect("SPZ"));
         assert_eq!((&found.mean, &found.higher), (&alone.mean, &alone.higher));
         assert_eq!((found.about.axes, found.about.axes_assumed), (alone.about.axes, alone.about.axes_assumed));
-        // As the user says, whatever it is alone.
+        // The user's axes override both.
         let mut beside = Beside::none();
         beside.axes = Some(Axes::LUF);
         let told = within(&with_spz(&file), &beside, &Limits::default()).expect("SPZ");
@@ -220,7 +220,7 @@ fn numbers_of_one_and_two_bytes_and_strides_are_read() {
     let places = names
         .map(|name| document["meshes"][0]["primitives"][0]["attributes"][name].as_u64().expect("a number") as usize);
     let start = binary.len();
-    // Records of 8 bytes: four signed bytes of the rotation, two bytes of the opacity, two of nothing.
+    // Records of 8 bytes: four signed bytes of the rotation, two bytes of the opacity, two of padding.
     binary.extend([0_u8, 127, 0, 129, 0xff, 0xff, 9, 9, 127, 0, 0, 0, 0, 0, 9, 9]);
     document["buffers"][0]["byteLength"] = binary.len().into();
     let view = document["bufferViews"].as_array().expect("views").len();

@@ -1,16 +1,16 @@
-//! Comments of a PLY header that say something of the scene.
+//! Metadata of a scene in the comments of a PLY header.
 //!
-//! | comment | says | written by |
+//! | comment | meaning | written by |
 //! |---|---|---|
 //! | `SplatRenderMode: mip`, `default` or `2dgs` | trained with anti-aliasing, or without | Brush, splat-transform, this program |
 //! | `antialiased 1` or `0` | the same | Postshot |
 //! | `streamsplat offset X Y Z` | the origin of the coordinates | this program, in compressed files |
 //!
-//! In any case of letters; of several the last holds.
+//! Letter case is ignored. Of several comments the last one counts.
 
 use crate::still::About;
 
-/// Takes what a header's comments say.
+/// Parses a header's comments into `about`.
 pub(super) fn read(comments: &[String], about: &mut About) {
     for comment in comments {
         let lower = comment.to_ascii_lowercase();
@@ -31,7 +31,7 @@ pub(super) fn read(comments: &[String], about: &mut About) {
     }
 }
 
-/// The lines of a header that say it.
+/// Header lines for `about`, the inverse of [`read`].
 pub(crate) fn written(about: &About) -> Vec<String> {
     let mut lines = Vec::new();
     if about.antialiased {

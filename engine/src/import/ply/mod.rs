@@ -11,13 +11,15 @@
 //! | `scale_0` … `scale_2` | natural logarithms of standard deviations; without `scale_2`, as of 2D Gaussian splatting, the thickness is 0 |
 //! | `rot_0` … `rot_3` | quaternion, w first |
 //!
-//! Floats have 16, 32 or 64 bits. Centres that are doubles and so far from zero that binary32 would not keep them to 1/4096 are read relative to a
-//! whole number, the scene's offset. Where `f_dc` is absent, `red`, `green` and `blue` take its place, as floats from 0 to 1 or as numbers of 8 or
-//! 16 bits without a sign: `(c − ½) / Y₀`. Other scalar properties, normals among them, and other elements of scalar properties are left out, as are
-//! lists of elements without records, and up to 16 line ends or zeros after the last element. Comments may be in any encoding; [`comments`] says which
-//! are read. Binary of either byte order, or text with one record per line. A file whose vertices are packed into chunks is read as [`packed`]
-//! says. Anything else is an error that names the element, the property or the line: a list, a property twice, a file that is shorter or longer than
-//! its header says. Numbers that are not finite are kept; [`Still::defect`] says which Gaussians are then not drawn.
+//! Floats have 16, 32 or 64 bits. Centres that are doubles and so far from zero that binary32 would not keep them to
+//! 1/4096 are read relative to a whole number, the scene's offset. Where `f_dc` is absent, `red`, `green` and `blue`
+//! take its place, as floats from 0 to 1 or as numbers of 8 or 16 bits without a sign: `(c − ½) / Y₀`. Other scalar
+//! properties, normals among them, and other elements of scalar properties are left out, as are lists of elements
+//! without records, and up to 16 line ends or zeros after the last element. Comments may be in any encoding;
+//! [`comments`] lists those that are read. The body is binary of either byte order, or text with one record per line.
+//! Files whose vertices are packed into chunks are read by [`packed`]. Anything else is an error that names the
+//! element, the property or the line: a list, a duplicate property, a length that does not match the header. Numbers
+//! that are not finite are kept; [`Still::defect`] finds the Gaussians that cannot be drawn.
 
 mod columns;
 mod comments;
@@ -68,7 +70,7 @@ impl Reader for Ply {
     }
 }
 
-/// A PLY file, which tells by its header that it is compressed.
+/// Compressed PLY, recognised by its header.
 pub(super) struct Packed;
 
 impl Reader for Packed {

@@ -26,7 +26,7 @@ const PIECE: usize = 1 << 12;
 struct Layout {
     /// [`WANTED`], then the colours, then `f_rest`.
     places: Vec<usize>,
-    /// Where colours stand in place of coefficients: the numbers that stand for 1.
+    /// Values of full intensity per channel, where the file has colours instead of coefficients.
     ones: Option<[f64; 3]>,
     /// Degree of the harmonics that are kept.
     degree: usize,
@@ -72,7 +72,7 @@ impl Layout {
         Ok(Layout { ones: seen.then(|| std::array::from_fn(one)), degree, stored, flat, doubles, places })
     }
 
-    /// An empty scene of `count` Gaussians, with what the header says of it.
+    /// A scene of `count` zeroed Gaussians, with the metadata of the header.
     fn scene(&self, header: &Header, count: usize) -> Still {
         let mut still = Still::zeros(count, self.degree);
         super::comments::read(&header.comments, &mut still.about);
@@ -108,7 +108,7 @@ pub(super) fn binary(header: &Header, body: &[u8], limits: &Limits) -> Result<St
     Ok(still)
 }
 
-/// The same of a file of which the header, `start` bytes, has been looked at.
+/// Reads a file in blocks, after its header of `start` bytes has been parsed.
 pub(super) fn blocks(header: &Header, start: u64, file: &mut Blocks<'_>, limits: &Limits) -> Result<Still, ReadError> {
     let vertices = header.vertices()?;
     let layout = Layout::of(vertices)?;

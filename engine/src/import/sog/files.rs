@@ -1,4 +1,4 @@
-//! The files of a SOG scene, in a zip file or beside each other.
+//! The files of a SOG scene, in a zip file or in one folder.
 
 use std::borrow::Cow;
 use std::io::{Cursor, Read};
@@ -33,7 +33,7 @@ impl<'a> Files<'a> {
         }
     }
 
-    /// Bytes of the scene: of the zip file, or of `meta.json` and of the images beside it.
+    /// Size of the scene in bytes: of the zip file, or of `meta.json` and its images.
     pub(super) fn size<'n>(&self, images: impl Iterator<Item = &'n str>) -> u64 {
         match self {
             Files::Zip(_, size) => *size,

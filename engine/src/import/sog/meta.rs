@@ -8,7 +8,7 @@ use super::MODEL;
 use crate::import::FormatError;
 use crate::still::About;
 
-/// Rows of harmonics that two bytes can tell apart.
+/// Rows of harmonics that a two-byte label can index.
 pub(crate) const MOST_ROWS: usize = 1 << 16;
 
 /// The values of 256 bytes.
@@ -43,7 +43,7 @@ pub(super) struct Plain {
     pub(super) files: [String; 1],
 }
 
-/// An image of bytes that stand for values.
+/// An image of bytes that index a codebook.
 #[derive(Debug, Deserialize)]
 pub(super) struct Coded {
     /// One for all channels, or one for each.
@@ -66,7 +66,7 @@ impl Coded {
 
 #[derive(Debug, Deserialize)]
 pub(super) struct Harmonics {
-    /// Rows; 0 in version 1, where the image's size says it.
+    /// Number of rows. 0 in version 1, which derives it from the size of the image.
     pub(super) count: usize,
     /// Degree; 0 in version 1.
     pub(super) bands: usize,
@@ -188,12 +188,12 @@ impl Meta {
         self.means.files.iter().chain(others).chain(harmonics).map(String::as_str)
     }
 
-    /// Degree of the harmonics, at most where the images' sizes say it.
+    /// Degree of the harmonics, or [`MAX_DEGREE`] in version 1, where it follows from the size of an image.
     pub(super) fn most_degree(&self) -> usize {
         self.harmonics.as_ref().map_or(0, |own| if own.bands == 0 { MAX_DEGREE } else { own.bands })
     }
 
-    /// What is said of the scene beside its Gaussians.
+    /// Metadata of the scene.
     pub(super) fn about(&self) -> About {
         let model = self.model.as_ref().map(|model| model.as_str().unwrap_or("?"));
         let notes = match model {

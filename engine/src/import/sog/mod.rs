@@ -1,7 +1,7 @@
-//! SOG, versions 1 and 2: images that hold a value per Gaussian, and a `meta.json` that says what they mean, together in one zip file (`.sog`) or beside
-//! each other.
+//! SOG, versions 1 and 2: images with a value per Gaussian, and a `meta.json` with their ranges and codebooks. The
+//! files are in one zip file (`.sog`) or in one folder.
 //!
-//! The value of Gaussian i is in pixel i, row by row. n = N/255 stands for a byte, cb for a codebook of 256 values.
+//! The value of Gaussian i is in pixel i, row by row. N is a byte, n = N/255, and cb is a codebook of 256 values.
 //!
 //! | image | pixel | value |
 //! |---|---|---|
@@ -69,7 +69,7 @@ impl Reader for Sog {
     }
 }
 
-/// As [`sog`], of a `meta.json` as well, whose images lie beside it.
+/// As [`sog`], also for a `meta.json`, with images read through `beside`.
 pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
     let mut files = Files::new(bytes, beside)?;
     let meta = Meta::read(&files.meta()?)?;
@@ -136,7 +136,7 @@ pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<S
     Ok(still)
 }
 
-/// The degree of version 1, which the width of the centroids' image says.
+/// Degree of the harmonics in version 1, from the width of the centroids' image.
 fn degree_of_width(image: &RgbaImage, name: &str) -> Result<usize, FormatError> {
     (1..=3).find(|degree| image.width() as usize == ROWS * rest(*degree)).ok_or_else(|| {
         FormatError::new(name.to_owned(), "an image 192, 512 or 960 pixels wide", image.width().to_string())
@@ -147,8 +147,8 @@ fn pixel(image: &RgbaImage, column: usize, row: usize) -> [u8; 4] {
     image.get_pixel(column as u32, row as u32).0
 }
 
-/// Most pixels of an image of which `least` are needed: twice as many. Of the centroids, whose number is not known before (0), there are at most
-/// 65,536 rows of 15.
+/// Most pixels of an image that needs `least`: twice as many. `least` is 0 for centroids of unknown number, of which
+/// there are at most 65,536 rows of 15.
 fn most(least: usize) -> usize {
     if least == 0 { 1 << 20 } else { least.saturating_mul(2).max(1 << 16) }
 }

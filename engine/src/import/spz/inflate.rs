@@ -11,8 +11,9 @@ use crate::import::FormatError;
 /// The largest window of a zstd frame that holds less.
 const WINDOW: u64 = 1 << 23;
 
-/// A gzip stream's first `head` bytes, which say what `read` takes from them, how many follow, and how many more may; and what follows. The
-/// stream's comment goes to `stated`.
+/// Decompresses a gzip stream. `read` parses the first `head` bytes and returns the header, the number of bytes that
+/// must follow, and the number of optional bytes after those. Returns the header and the bytes after it; the stream's
+/// comment is parsed into `stated`.
 pub(super) fn gunzip<H>(
     bytes: &[u8],
     head: usize,
@@ -28,7 +29,7 @@ pub(super) fn gunzip<H>(
     }
     let (header, size, more) = read(&first)?;
     let mut rest = Vec::new();
-    // Grows with what comes, so that a length that is only promised takes no memory.
+    // Grows with the data, so that a false length in the header allocates no memory.
     decoder.by_ref().take((size + more) as u64 + 1).read_to_end(&mut rest).map_err(broken)?;
     if rest.len() < size || rest.len() > size + more {
         let found = if rest.len() > size { "more".to_owned() } else { rest.len().to_string() };

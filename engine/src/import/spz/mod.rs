@@ -11,8 +11,8 @@
 //!
 //! Opacities of 0 and 255 stay within 10⁻¹² of 0 and 1. Version 1 has positions of three binary16 and the rotations of version 2.
 //!
-//! [`records`] say along which axes the numbers are. Without them they are taken as RUB (x right, y up, z back), as the format's description has
-//! it; programs that store PLY's numbers as they are write RDF. [`Still::taken_along`] takes them otherwise.
+//! [`records`] declare the axes of the numbers. The default is RUB (x right, y up, z back), as in the format's
+//! description; programs that store PLY's numbers unchanged write RDF. [`Still::taken_along`] overrides the axes.
 //!
 //! Refused: harmonics above degree 4, flags but those of anti-aliasing and of extensions, lengths that do not fit each other.
 //!
@@ -155,7 +155,7 @@ pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError
     Ok(still)
 }
 
-/// How many Gaussians a file promises, and the degree of their harmonics as they are read.
+/// Number of Gaussians in a file's header, and the degree to which their harmonics are read.
 pub(super) fn gaussians(bytes: &[u8]) -> Option<(usize, usize)> {
     let mut head = [0; OLD_HEADER];
     let mut unzipped = GzDecoder::new(bytes);

@@ -1,6 +1,6 @@
-//! What an SPZ file says beside its Gaussians: extension records, and the comment of a gzip stream.
+//! Metadata of an SPZ file: extension records, and the comment of a gzip stream.
 //!
-//! A record is its type (u32), the length of what follows (u32), and that. Types that are not known are skipped by their length.
+//! A record is a type (u32), the length of the payload (u32), and the payload. Unknown types are skipped by their length.
 //!
 //! | type | holds |
 //! |---|---|
@@ -8,8 +8,8 @@
 //! | `0xADBE0003` | the axes of all numbers, u32: 1 LDB, 2 RDB, 3 LUB, 4 RUB, 5 LDF, 6 RDF, 7 LUF, 8 RUF, 9 LFD, 10 RFD, 11 LFU, 12 RFU, 13 LBD, 14 RBD, 15 LBU, 16 RBU |
 //! | `0x53530001` | the scene's offset: three binary64 (written by this program) |
 //!
-//! Versions before 4 have no records that other programs skip. There the comment of the gzip stream says the same in words, `axes RDF` and
-//! `offset X Y Z`, which decompressors pass over.
+//! Before version 4, other programs do not skip records. Those versions store axes and offset as text in the comment of
+//! the gzip stream, which decompressors ignore: `axes RDF` and `offset X Y Z`.
 
 use crate::import::FormatError;
 use crate::still::{About, Axes, Orbit};
@@ -18,7 +18,7 @@ const ORBIT: u32 = 0xadbe_0002;
 const AXES: u32 = 0xadbe_0003;
 const OFFSET: u32 = 0x5353_0001;
 
-/// Facts that a file states.
+/// Metadata of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Stated {
     pub(crate) axes: Option<Axes>,
@@ -29,7 +29,7 @@ pub(crate) struct Stated {
 }
 
 impl Stated {
-    /// What is stated of a scene of this program, whose numbers are written as they are.
+    /// Metadata for a scene of this program, whose numbers are written unchanged.
     pub(crate) fn of(about: &About) -> Stated {
         Stated { axes: Some(Axes::RDF), offset: about.offset, orbit: about.orbit, notes: Vec::new() }
     }
@@ -98,7 +98,7 @@ impl Stated {
         Ok(())
     }
 
-    /// Reads the comment of a gzip stream; words that are not known say nothing.
+    /// Parses the comment of a gzip stream. Unknown words are ignored.
     pub(super) fn comment(&mut self, text: &[u8]) {
         let text = String::from_utf8_lossy(text);
         let words: Vec<&str> = text.split_ascii_whitespace().collect();
@@ -118,7 +118,7 @@ impl Stated {
         }
     }
 
-    /// The comment that says the same.
+    /// Axes and offset as the comment of a gzip stream.
     pub(crate) fn as_comment(&self) -> String {
         let axes = self.axes.map_or_else(String::new, |axes| format!("axes {axes}"));
         match self.offset {
@@ -127,7 +127,7 @@ impl Stated {
         }
     }
 
-    /// The records that say the same.
+    /// The metadata as extension records.
     pub(crate) fn as_records(&self) -> Vec<u8> {
         let mut out = Vec::new();
         let mut record = |kind: u32, payload: &[u8]| {

@@ -1,4 +1,4 @@
-//! SPZ files go out and come back, and what is none is named.
+//! SPZ files survive a round trip, and errors name the invalid part.
 
 use std::io::{Read, Write};
 
@@ -112,7 +112,7 @@ fn a_scene_comes_back_to_the_formats_precision_in_every_version() {
         assert_close(&spz(&export::still::spz(&still)).expect("version 3"), &still, 1e-5);
         assert_close(&spz(&newest(&still)).expect("version 4"), &still, 1e-5);
         assert_close(&spz(&old(&still, 3)).expect("version 3"), &still, 1e-5);
-        // Its w is what x, y and z leave, which says little where it is small.
+        // w is computed from x, y and z, which is imprecise where w is small.
         assert_close(&spz(&old(&still, 2)).expect("version 2"), &still, 1e-2);
     }
     assert_eq!(spz(&export::still::spz(&Still::default())), Ok(Still::default()));
@@ -222,7 +222,7 @@ fn axes_are_those_that_the_file_says_or_else_rub_which_is_told() {
     assumed(&spz(&silent).expect("no records"));
     assumed(&spz(&gzipped(&gunzipped(&old(&still, 3)), None)).expect("no comment"));
     assumed(&spz(&with_records(&silent, &record(0xadbe_0003, &[0; 4]))).expect("axes that are not specified"));
-    // What the user says instead is as if the file said it.
+    // Axes set by the user have the same effect as axes in the file.
     let mut told = spz(&silent).expect("no records");
     told.taken_along(Axes::RDF);
     assert!(told == stated);

@@ -164,11 +164,11 @@ pub(super) fn write_step() -> io::Result<Room> {
     with(|plan| plan.step(true)).unwrap_or(Ok(Room::Enough))
 }
 
-/// As [`step`], of all that another program wrote: it does not notice when there is no room, or the device fails.
+/// As [`step`], for a file that another program wrote: a full disk or a failing device truncates it without an error.
 pub(super) fn foreign_step() -> io::Result<Room> {
     with(|plan| match plan.step(true) {
         Err(_) if !plan.dead => Ok(Room::Half),
-        // Half of it is lost, and nobody was told.
+        // A short write truncates the file, too; the next operation does not fail.
         room => {
             plan.short = false;
             room

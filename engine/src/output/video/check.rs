@@ -1,6 +1,6 @@
-//! Whether a file that ffmpeg wrote is whole: its trailer is there and its frames are as many as went in.
+//! Checks that a file written by ffmpeg is complete: it has its trailer and as many frames as went in.
 //!
-//! ffmpeg 5.1 says that there is no space left and ends with exit code 0, so that its word is not enough.
+//! The exit code is not enough: ffmpeg 5.1 exits with 0 after the error that no space is left.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -69,7 +69,7 @@ fn ends_in(path: &Path, byte: u8) -> std::io::Result<bool> {
     Ok(last == [byte])
 }
 
-/// Frames of a WebP file; `None` where it is not as long as it says.
+/// Number of frames in a WebP file; `None` if its length does not match its header and chunks.
 fn webp_frames(path: &Path) -> std::io::Result<Option<usize>> {
     let mut file = File::open(path)?;
     let length = file.metadata()?.len();

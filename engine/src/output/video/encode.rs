@@ -1,4 +1,4 @@
-//! ffmpeg as the encoder of pictures: what it is told for each kind of file.
+//! ffmpeg as the encoder of pictures: its options for each kind of file.
 //!
 //! | file | codec | colours | quality |
 //! |---|---|---|---|
@@ -24,7 +24,7 @@ use crate::output::{OutputError, partial_name, storage};
 
 /// Default rate factors. That of H.264 is chosen so that the decoded video is as close to the source's frames as the images that went in but for
 /// half a decibel, by the mean squared error over all frames of a clip.
-const H264_QUALITY: u8 = 10;
+const H264_QUALITY: u8 = 6;
 const VP9_QUALITY: u8 = 18;
 const AV1_QUALITY: u8 = 18;
 /// Least ticks a second.
@@ -42,8 +42,8 @@ pub(super) fn container(path: &Path) -> String {
     }
 }
 
-/// The constant rate factors at which a file of this name can be encoded, the best first; `None` where there is no such thing. H.264's 0 is
-/// another profile, which few players know.
+/// The constant rate factors at which a file of this name can be encoded, the best first; `None` if its codec has none.
+/// H.264's 0 is left out: it requires a profile that few players support.
 pub fn qualities(path: &Path) -> Option<RangeInclusive<u8>> {
     match &container(path)[..] {
         "mp4" | "mov" | "matroska" => Some(1..=51),
@@ -59,7 +59,8 @@ pub(super) fn url(path: &Path) -> OsString {
     url
 }
 
-/// An ffmpeg that will not hear the Ctrl-C of the terminal: what is under way is finished when we say so.
+/// ffmpeg in a process group of its own, so that Ctrl-C in the terminal does not stop it before the caller has finished
+/// the file.
 pub(super) fn ffmpeg() -> Command {
     let mut command = Command::new(storage::faults::ffmpeg());
     #[cfg(unix)]
@@ -161,8 +162,8 @@ impl Encoder {
         })
     }
 
-    /// Waits until ffmpeg has ended; an error is what it said, or that it failed. What it gets is ours and in order, so that whatever it
-    /// complains of is a failure.
+    /// Closes ffmpeg's input and waits for its exit. The error is its first message, or its exit status. Its input is written
+    /// by this program and valid, so any message is a failure.
     pub(super) fn finish(mut self) -> Result<(), String> {
         drop(self.child.stdin.take());
         let status = self.child.wait().map_err(|e| e.to_string())?;
@@ -183,7 +184,7 @@ impl Drop for Encoder {
     }
 }
 
-/// The first line of ffmpeg's messages that says something.
+/// The first line of ffmpeg's messages that is not blank.
 pub(super) fn first_line(text: &str) -> Option<String> {
     text.lines().map(str::trim).find(|line| !line.is_empty()).map(str::to_owned)
 }

@@ -1,7 +1,7 @@
 //! Frames with their times as ffmpeg takes them from a pipe: Matroska (RFC 9559) with uncompressed RGB, one cluster per frame.
 //!
-//! y4m and raw video know a rate alone. Here each frame has a time of its own in whole nanoseconds; the default duration, which ffmpeg
-//! takes for the rate and for how long the last frame lasts, is that of the mean rate.
+//! y4m and raw video have only a frame rate. In Matroska each frame has its own time, here in whole nanoseconds. The
+//! default duration, from which ffmpeg takes the rate and the length of the last frame, is that of the mean rate.
 
 /// The head of a stream of 8-bit RGB frames.
 pub(super) fn head(width: usize, height: usize, fps: f64) -> Vec<u8> {
@@ -77,7 +77,7 @@ mod tests {
         assert_eq!(number(256), [1, 0]);
         assert_eq!(length(5), [1, 0, 0, 0, 0, 0, 0, 5]);
         let head = frame(1_000_000, 12);
-        // What the cluster says of itself is the rest of the head and the samples.
+        // The cluster's length counts the rest of the head and the samples.
         let said = u64::from_be_bytes([0, head[5], head[6], head[7], head[8], head[9], head[10], head[11]]);
         assert_eq!(said as usize, head.len() - 12 + 12);
     }

@@ -1,8 +1,9 @@
 //! Video out: y4m written here (to a file or to standard output), anything else by an installed `ffmpeg` program.
 //!
-//! ffmpeg gets 8-bit RGB, each frame with its own time ([`matroska`]), and makes 4:2:0 video of it with the matrix that the kind of file has:
-//! BT.601 in WebP, which knows no other, and in AVIF, BT.709 elsewhere, and says so ([`encode`]). The source's sound joins the pictures when they are all
-//! there, so that it ends with them ([`sound`]). A file gets its name when its trailer and all of its frames are found in it ([`check`]).
+//! ffmpeg reads 8-bit RGB, each frame with its own time ([`matroska`]), and encodes it as 4:2:0 video ([`encode`]). The
+//! matrix is BT.601 in WebP, whose format has no other, and in AVIF; it is BT.709 elsewhere. Formats with colour tags are
+//! tagged. Sound from the source is added after the last picture, so that both end together ([`sound`]). A file is
+//! renamed to its final name once its trailer and all of its frames are found in it ([`check`]).
 
 mod check;
 mod encode;
@@ -162,11 +163,12 @@ impl Video {
         OutputError::Ffmpeg { path: self.path.clone(), cause: cause.into() }
     }
 
-    /// Appends a frame that is shown at `time`, in seconds; y4m has a rate alone. A time that is not after the one before is as late as can be told apart.
+    /// Appends a frame that is shown at `time`, in seconds. y4m stores only a rate and ignores `time`. Elsewhere a frame is
+    /// shown at least a millisecond after the one before.
     ///
     /// # Errors
-    /// A frame of another size than the first; what the system or ffmpeg says. The frames before stay readable on standard
-    /// output; a file is not kept.
+    /// A frame of another size than the first; errors of the system or of ffmpeg. On standard output the earlier frames stay
+    /// readable; a file is not kept.
     pub fn push(&mut self, picture: &Picture, time: f64) -> Result<(), OutputError> {
         let found = (picture.width, picture.height);
         let expected = *self.size.get_or_insert(found);
@@ -186,7 +188,7 @@ impl Video {
         };
         if let Err(cause) = result {
             return Err(match self.sink.take() {
-                // A closed pipe says less than ffmpeg does.
+                // ffmpeg's message is more specific than a closed pipe.
                 Some(Sink::Ffmpeg(encoder)) => {
                     let said = encoder.finish().err().unwrap_or_else(|| cause.to_string());
                     let _ = storage::remove(&partial_name(&self.path));
@@ -202,10 +204,11 @@ impl Video {
         Ok(())
     }
 
-    /// Completes the file and gives it its name.
+    /// Completes the file and renames it to its final name.
     ///
     /// # Errors
-    /// Errors of the system or of ffmpeg, and a file that does not hold what went in; the file is not kept then, and what had its name is untouched.
+    /// Errors of the system or of ffmpeg, and an incomplete file. The new file is then not kept, and an earlier one of the
+    /// same name is unchanged.
     pub fn finish(mut self) -> Result<Finished, OutputError> {
         let partial = partial_name(&self.path);
         let mut notes = Vec::new();
@@ -239,12 +242,13 @@ impl Video {
         Ok(Finished { file, samples: self.samples.finalize().to_hex().to_string(), frames: self.frames, notes })
     }
 
-    /// Adds the sound to the pictures in the file `partial`, and looks whether everything is there; what ffmpeg has to say about the sound.
+    /// Adds the sound to the pictures in the file `partial` and checks that all frames are there. Returns ffmpeg's message on
+    /// the sound, if any.
     fn complete(&self, partial: &Path) -> Result<Option<String>, String> {
         storage::foreign(partial).map_err(|e| e.to_string())?;
         let kind = encode::container(&self.path);
         let Some(sound) = &self.sound else { return check::whole(partial, &kind, self.frames).map(|()| None) };
-        // Before the sound is looked at: what is wrong with the pictures is the pictures' fault.
+        // Checked before the sound is added, so that faults of the pictures are not reported as faults of the sound.
         check::whole(partial, &kind, self.frames)?;
         let seconds = self.span.1 - self.span.0 + 1.0 / self.pace.fps;
         let note = sound.join(partial, &kind, seconds)?;

@@ -1,4 +1,4 @@
-//! The source's sound beside the pictures.
+//! Adds the source's sound to the encoded pictures.
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;

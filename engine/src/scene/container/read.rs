@@ -18,7 +18,7 @@ use crate::stream::{DynamicGaussians, Interval, Merge};
 /// Largest index read, in bytes.
 const MAX_INDEX: u64 = 1 << 26;
 
-/// A container on disk: its index in memory, its chunks read when asked for.
+/// A container on disk, with its index in memory. Chunks are read on demand.
 #[derive(Clone, Debug)]
 pub(in crate::scene) struct Container {
     path: PathBuf,
@@ -34,7 +34,7 @@ impl Container {
         head.starts_with(&MAGIC)
     }
 
-    /// Opens a container, and says what a scene's index would.
+    /// Opens a container and converts its index to that of a scene.
     pub(in crate::scene) fn open(path: &Path, limits: &Limits) -> Result<(Container, Index), SceneError> {
         let read = |cause| SceneError::Read { path: path.to_owned(), cause };
         let broken = |e: FormatError| SceneError::Broken { path: path.to_owned(), cause: e.to_string() };
@@ -148,7 +148,7 @@ pub fn intervals_from_container(bytes: &[u8]) -> Result<Vec<Interval>, FormatErr
 }
 
 impl Table {
-    /// An error where the intervals of a file of `size` bytes hold more Gaussians than allowed, or stand for more memory.
+    /// Checks the Gaussians of each interval, and the memory of all intervals of a file of `size` bytes, against the limits.
     fn check(&self, size: u64, limits: &Limits) -> Result<(), FormatError> {
         for (i, entry) in self.entries.iter().enumerate() {
             limits.check_count(&format!("interval {i}"), entry.gaussians)?;

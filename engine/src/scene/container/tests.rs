@@ -274,7 +274,7 @@ fn a_hostile_index_is_refused_though_its_digest_is_right() {
     let bytes = written(&path, &intervals(2));
     let end = bytes.len() - index::TRAILER;
     let at = u64::from_le_bytes(bytes[end..end + 8].try_into().expect("eight bytes")) as usize;
-    // Offsets inside the index, what is written there, and what is said.
+    // Offsets inside the index, the bytes written there, and a part of the error message.
     let entry = 44 + 96;
     for (offset, value, expected) in [
         (0, &f64::NAN.to_le_bytes()[..], "frames per second"),
@@ -342,7 +342,7 @@ fn times_of_frames_come_back_in_a_file_of_version_4() {
     // Chunks are the same: three times of frames more, where the first follows from the rate.
     assert_eq!(bytes.len(), even.len() + 3 * 8);
     assert_eq!(intervals_from_container(&bytes).expect("valid").len(), 3);
-    // One of version 3 lists none, and one of version 4 as many as it says.
+    // Version 3 has no list of times, and in version 4 its length must match the count.
     for (at, value) in [(8, 3), (bytes.len() - 48 - 3 * 8 - 2 * 96 + 60, 1)] {
         let mut wrong = bytes.clone();
         wrong[at] = value;

@@ -60,7 +60,7 @@ fn read(bytes: &[u8], path: &Path) -> Result<Read, SourceError> {
     Ok(Read { image, orientation, notes: profile.into_iter().chain(tags).collect() })
 }
 
-/// Refuses a file that is shorter than it says, before memory is taken.
+/// Rejects a truncated file by its header and chunks, before memory is allocated.
 pub(super) fn check_length(
     bytes: &[u8],
     path: &Path,
@@ -85,7 +85,8 @@ pub(super) fn check_length(
     }
 }
 
-/// Returns true if a PNG file of this length can hold its pixels, by the bits of one in its header: a byte of deflate's gives 1032 bytes at most.
+/// Returns true if a PNG file of this length can hold its pixels, with the bits per pixel of its header. A byte of deflate
+/// data expands to at most 1032 bytes.
 pub(crate) fn png_can_hold(bytes: &[u8], width: u64, height: u64) -> bool {
     const DEFLATE: u64 = 1032;
     let Some(&[depth, colour]) = bytes.get(24..26).and_then(|b| b.first_chunk::<2>()) else { return false };

@@ -1,6 +1,6 @@
-//! ICC profiles: is it sRGB's?
+//! ICC profiles: detection of sRGB.
 //!
-//! Profiles are not applied. One that is neither sRGB's nor near it is said, by its name.
+//! Profiles are not applied. A profile that differs from sRGB adds a note with its name.
 
 /// Columns of sRGB's matrix, adapted to D50 as profiles have them: red, green and blue.
 const SRGB: [[f64; 3]; 3] = [[0.4361, 0.2225, 0.0139], [0.3851, 0.7169, 0.0971], [0.1431, 0.0606, 0.7141]];

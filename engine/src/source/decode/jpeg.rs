@@ -1,8 +1,8 @@
 //! JPEG, by integer arithmetic without vector instructions: every CPU has the same bytes.
 //!
-//! Headers are read leniently, picture data strictly: codes that do not exist are an error, as is a file without its end-of-image marker. What the decoder
-//! cannot tell is damage after which there are codes for the whole picture, or for a part of it and then that marker. CMYK is converted without a colour
-//! profile, `(1 − ink)·(1 − black)`.
+//! Headers are read leniently, picture data strictly: codes that do not exist are an error, as is a file without its
+//! end-of-image marker. The decoder does not detect damage that leaves valid codes for the whole picture, or for a part of
+//! it followed by that marker. CMYK is converted without a colour profile, `(1 − ink)·(1 − black)`.
 
 use std::path::Path;
 
@@ -60,7 +60,7 @@ pub(crate) fn has_end(bytes: &[u8]) -> bool {
     loop {
         let Some(skipped) = bytes.get(at..).and_then(|rest| rest.iter().position(|&b| b == 0xff)) else { return false };
         at += skipped;
-        // Any number of fill bytes stands before a marker.
+        // Any number of fill bytes may precede a marker.
         while bytes.get(at) == Some(&0xff) {
             at += 1;
         }

@@ -1,14 +1,17 @@
 //! One image file to one [`Picture`].
 //!
-//! The kind is told by the file's first bytes, not by its name.
+//! The format is detected by the file's first bytes, not by its name.
 //!
-//! - Integer samples of b bits become `value / (2^b − 1)`. Float samples of TIFF are taken as display-referred. Those of EXR are linear light unless the
-//!   file says otherwise, and become sRGB (`exr`). Both are clamped to `[0, 1]`, which is said; a NaN or infinite one is an error that names the pixel.
+//! - Integer samples of b bits become `value / (2^b − 1)`. Float samples of TIFF are taken as display-referred. Those of
+//!   EXR are linear light unless the file declares another space, and become sRGB (`exr`). Both are clamped to `[0, 1]`
+//!   with a note; a NaN or infinite sample is an error with the pixel's position.
 //! - Grey is copied to the three channels. Alpha is composited over mid grey (0.5), the default background of the renderer:
-//!   `c·a + 0.5·(1 − a)`; EXR colours, and those of TIFF that say so, are multiplied by alpha already: `c + 0.5·(1 − a)`.
+//!   `c·a + 0.5·(1 − a)`. Premultiplied colours, which are those of EXR and of TIFF with associated alpha, become
+//!   `c + 0.5·(1 − a)`.
 //! - JPEG is decoded by integer arithmetic without vector instructions, so that every CPU has the same bytes (the decoder is
 //!   built without its SIMD features).
-//! - Orientation is followed in JPEG, PNG, WebP and TIFF. Colour profiles and tags that say another space than sRGB are not followed, which is said.
+//! - Orientation is applied in JPEG, PNG, WebP and TIFF. Colour profiles and tags of a space other than sRGB are not
+//!   applied; they add a note.
 //! - Files that are cut off or damaged are refused. So are those of several frames, where one picture is expected.
 //! - Sizes are checked against [`crate::picture::size_is_allowed`] before memory for samples is taken.
 
@@ -31,7 +34,7 @@ use crate::picture::{Picture, size_is_allowed};
 pub(crate) use common::{decode_dynamic, png_can_hold};
 pub(crate) use frames::{Sequence, Several};
 pub(crate) use jpeg::has_end as jpeg_has_end;
-pub(crate) use tiff::{grey as tiff_grey, is as is_tiff};
+pub(crate) use tiff::{as_grey as tiff_palette_as_grey, grey as tiff_grey, is as is_tiff};
 
 /// Largest image file read, in bytes.
 const MAX_FILE: u64 = 1 << 30;
@@ -115,7 +118,7 @@ pub(crate) fn check_size(path: &Path, width: usize, height: usize) -> Result<(),
     }
 }
 
-/// Samples as a decoder gives them: 1 grey, 2 grey and alpha, 3 colour, 4 colour and alpha.
+/// Decoded samples, interleaved. Channels: 1 grey, 2 grey and alpha, 3 colour, 4 colour and alpha.
 struct Interleaved {
     pub width: usize,
     pub height: usize,
@@ -126,7 +129,7 @@ struct Interleaved {
 
 /// To planes: grey copied, alpha composited, clamped to [0,1].
 fn compose(image: &Interleaved, path: &Path) -> Result<Still, SourceError> {
-    /// How far outside of 0 to 1 a colour is said to be clamped: half a step of eight bits.
+    /// Distance outside of 0 to 1 above which clamping adds a note: half a step of eight bits.
     const OUTSIDE: f32 = 0.5 / 255.0;
     let Interleaved { width, height, channels, ref samples, premultiplied } = *image;
     check_size(path, width, height)?;

@@ -1,4 +1,4 @@
-//! What a PNG file's chunks say besides its pixels: colour, and frames of an animation.
+//! Metadata chunks of PNG files: colour tags, and frame control of animations.
 
 /// The chunks in their order, each with its name and data, up to the first that is cut.
 pub(super) fn chunks(bytes: &[u8]) -> impl Iterator<Item = (&[u8; 4], &[u8])> {

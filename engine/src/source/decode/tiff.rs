@@ -1,8 +1,9 @@
 //! TIFF and BigTIFF: grey, RGB, palette and CMYK of unsigned or float samples, strips or tiles, planes interleaved or one after the other.
 //!
-//! Uncompressed, LZW, deflate and PackBits; not JPEG inside TIFF, whose decoder would bring vector instructions back into the JPEG path. Tags that are
-//! followed: `Orientation`, `ExtraSamples` (colours that are multiplied by alpha, and those that are not), `NewSubfileType` (reduced copies and masks are
-//! no pages). Further samples are left out and said.
+//! Uncompressed, LZW, deflate and PackBits. JPEG inside TIFF is not supported: its decoder would bring vector instructions
+//! back into the JPEG path. Tags that are applied: `Orientation`, `ExtraSamples` (colours that are multiplied by alpha,
+//! and those that are not), `NewSubfileType` (reduced copies and masks are not pages). Further samples are left out with
+//! a note.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -270,7 +271,7 @@ impl Page {
             .then(|| decoder.ifd_pointer().and_then(|at| as_grey(bytes, usize::try_from(at.0).ok()?)))
             .flatten();
         match as_grey {
-            // The decoder knows no palettes, but numbers are read like levels of grey.
+            // The decoder does not support palettes, so the indices are read as levels of grey.
             Some(grey) => {
                 let mut decoder = open(&grey, path)?;
                 if place > 0 {
@@ -317,7 +318,7 @@ impl Page {
 }
 
 /// The file with the photometric interpretation of the directory at a place set to grey.
-fn as_grey(bytes: &[u8], directory: usize) -> Option<Vec<u8>> {
+pub(crate) fn as_grey(bytes: &[u8], directory: usize) -> Option<Vec<u8>> {
     let (little, big) = (bytes.first()? == &b'I', bytes.get(2..4)?.contains(&43));
     let short = |at: usize| {
         let b = *bytes.get(at..)?.first_chunk()?;

@@ -1,4 +1,4 @@
-//! What a WebP file's chunks say besides its pixels: its length, and frames of an animation.
+//! Metadata of WebP files: length, and frame durations of animations.
 
 /// Returns true if the bytes begin as WebP.
 pub(super) fn is(bytes: &[u8]) -> bool {

@@ -29,7 +29,7 @@ pub(super) enum Samples {
     Rgb,
     /// Luma and chroma of this matrix.
     Matrix(Matrix),
-    /// Luma and chroma of the matrix that the size of the pictures tells.
+    /// Luma and chroma of a matrix that is chosen by the size of the pictures.
     Guessed,
 }
 
@@ -73,7 +73,7 @@ impl Chain {
                 Samples::Matrix(Matrix::BT709)
             }
         };
-        // A GIF's alpha says what stays from the frame before.
+        // In a GIF, alpha marks pixels that stay from the frame before.
         if !gif && has_alpha(&look.format) {
             notes.push("the alpha plane is left out".to_owned());
         }

@@ -8,12 +8,12 @@
 //!   rolled off, or 100 cd/m² where a video has hardly anything brighter.
 //! - **Damage**: what can be decoded is read; what ffmpeg complained of is an error after the last frame, whatever its exit status.
 //!
-//! What was done to the pictures, and what is left out of the file, [`Ffmpeg::notes`] says. Decoders differ between versions of ffmpeg, so equal
-//! digests of a run need equal ffmpeg output; the input digest in `run.json` tells.
+//! [`Ffmpeg::notes`] lists conversions of the pictures and what is left out of the file. Decoders differ between versions
+//! of ffmpeg, so equal digests of a run require equal output of ffmpeg: compare the input digests in `run.json`.
 //!
-//! Opening costs two starts of ffmpeg: one that lists the streams, one that decodes. Where the first frame turns out to be other than the list made
-//! believe there is a third. Packets are counted, without decoding, only where there are several streams to choose from or the mean rate is not
-//! told.
+//! Opening starts ffmpeg twice, to list the streams and to decode. A third start follows if the first frame needs other
+//! filters than the list implied. Packets are counted, without decoding, only if there are several streams to choose from
+//! or the mean rate is unknown.
 
 mod bright;
 mod chain;
@@ -74,7 +74,7 @@ impl Ffmpeg {
         let all: Vec<usize> = listing.videos.iter().map(|stream| stream.index).collect();
         let (stream, mut notes) = match listing.choose(|| count(&all)) {
             Some((stream, lines)) => (stream.clone(), lines),
-            // ffmpeg will say why.
+            // Decoding then fails with ffmpeg's own message.
             None => Default::default(),
         };
         let map = if listing.videos.is_empty() { "0:v:0".to_owned() } else { format!("0:{}", stream.index) };
@@ -203,7 +203,7 @@ impl Ffmpeg {
         };
         let (time, size) = match self.read {
             0 => self.first,
-            // Of a frame that nothing was told of, nothing has changed.
+            // A frame without a message has no time stamp, and the size of the first.
             _ => self.running.frame().unwrap_or((None, self.first.1)),
         };
         if size != self.first.1 {

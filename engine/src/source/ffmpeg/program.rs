@@ -30,7 +30,7 @@ pub(super) fn list(path: &Path) -> std::io::Result<String> {
     let mut child = ffmpeg(path, "info", &[]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn()?;
     let mut bytes = Vec::new();
     let read = child.stderr.take().map(|err| err.take(MAX_LIST).read_to_end(&mut bytes));
-    // One that has more to say than is read would wait for ever.
+    // ffmpeg would block on the pipe if it prints more than the limit.
     let _ = child.kill();
     let _ = child.wait();
     read.transpose()?;
@@ -70,8 +70,8 @@ pub(super) struct Decoding {
 }
 
 impl Decoding {
-    /// ffmpeg that decodes to y4m on its standard output, with messages that [`super::shown::Message`] reads on its standard error: every frame once,
-    /// whatever its time, which the first filter tells.
+    /// Starts ffmpeg, which decodes to y4m on its standard output and writes the messages for [`super::shown::Message`] to its
+    /// standard error. Every frame is passed once, whatever its time; the first filter prints the times.
     pub(super) fn start(&self, path: &Path) -> std::io::Result<Child> {
         let parts: &[&str] = if self.parts { &[] } else { &["-fflags", "+discardcorrupt"] };
         let sync = if self.old { "-vsync" } else { "-fps_mode" };

@@ -1,4 +1,4 @@
-//! A running ffmpeg: pictures from its standard output, what it tells of them from its standard error.
+//! A running ffmpeg: pictures from its standard output, their times and properties from its standard error.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
@@ -14,7 +14,7 @@ use super::shown::{Look, Message};
 const MAX_LINE: u64 = 1 << 16;
 /// Complaints that are kept.
 const KEPT: usize = 16;
-/// How long the colours of a frame are waited for, which versions before 4.1 do not tell.
+/// Time limit for the message on a frame's colours, which versions before 4.1 do not print.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// The process and its messages.
@@ -52,14 +52,14 @@ impl Running {
         let stdout = child.stdout.take().ok_or_else(no_pipe)?;
         let stderr = child.stderr.take().ok_or_else(no_pipe)?;
         let (sender, messages) = channel();
-        // Read beside the frames, or a full pipe of messages would stop both.
+        // Messages are read on a thread of their own: a full pipe of them would block the frames as well.
         let complaints = Some(std::thread::spawn(move || listen(stderr, &sender)));
         let mut running = Running { child, messages, complaints };
         let first = running.first();
         Ok((running, stdout, first))
     }
 
-    /// What the first frame is; none where there is none.
+    /// Properties of the first frame; none if there is no frame.
     fn first(&mut self) -> Option<First> {
         let mut first = First::default();
         loop {
@@ -78,7 +78,7 @@ impl Running {
         Some(first)
     }
 
-    /// Time stamp and size of the next frame, whose picture has been read; none where nothing was told of it.
+    /// Time stamp and size of the next frame, whose picture has been read; none if there is no message for it.
     pub(super) fn frame(&mut self) -> Option<(Option<i64>, (usize, usize))> {
         loop {
             if let Message::Frame { time, size, .. } = self.messages.recv().ok()? {
@@ -108,7 +108,7 @@ impl Drop for Running {
     }
 }
 
-/// Passes on what is told of frames and keeps complaints.
+/// Sends the messages on frames to `sender` and collects complaints.
 fn listen(stderr: ChildStderr, sender: &Sender<Message>) -> Complaints {
     let mut found = Complaints::default();
     let mut input = BufReader::new(stderr);

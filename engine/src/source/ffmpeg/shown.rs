@@ -1,4 +1,4 @@
-//! What ffmpeg's `showinfo` filter tells of the frames it passes on: their times and what they are.
+//! Parser of ffmpeg's messages: times and properties of frames from the `showinfo` filter, and errors.
 
 use crate::source::colour::Tags;
 
@@ -29,7 +29,7 @@ pub(super) enum Message {
     Other,
 }
 
-/// What H.264 decoders say of streams whose pictures are whole: that references which are to be let go are gone already.
+/// Errors of H.264 decoders that do not affect pictures: a reference frame to be released has been released already.
 const HARMLESS: [&str; 1] = ["mmco: unref short failure"];
 
 /// Warnings that something is missing.
@@ -88,7 +88,7 @@ fn split(line: &str) -> (&str, &str, &str) {
     (context, level, rest)
 }
 
-/// The word after `key`, which may stand apart from it.
+/// The word after `key`, with or without blanks between them.
 fn value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     let (_, rest) = text.split_once(key)?;
     rest.split_whitespace().next()

@@ -68,7 +68,7 @@ pub(super) struct Count {
 }
 
 impl Listing {
-    /// Streams of the file; none where ffmpeg cannot read it, which it will say when it decodes.
+    /// Lists the streams of the file. The list is empty if ffmpeg cannot read it; decoding then reports the error.
     pub(super) fn of(path: &Path) -> std::io::Result<Listing> {
         Ok(Listing::parse(&program::list(path)?))
     }
@@ -143,7 +143,7 @@ impl Listing {
         Some((chosen, left_out.collect()))
     }
 
-    /// Frames there may be in a stream, as the file says.
+    /// Estimated number of frames in a stream, from the duration of the file and the stream's start and mean rate.
     pub(super) fn frames(&self, stream: &Stream) -> Option<usize> {
         let late = stream.start.zip(self.start).map_or(0.0, |(own, file)| (own - file).max(0.0));
         let frames = (self.duration? - late) * stream.mean?;
@@ -156,7 +156,7 @@ impl Stream {
         !self.cover && !self.dependent
     }
 
-    /// True if the file does not tell its mean rate, or another than the nominal one: only counting its frames does.
+    /// True if the frames must be counted to find the mean rate: the file has none, or one that differs from the nominal rate.
     pub(super) fn rate_is_open(&self) -> bool {
         match self.mean.zip(self.nominal) {
             Some((mean, nominal)) => (mean / nominal - 1.0).abs() > SAME_RATE,
@@ -225,11 +225,11 @@ fn size(part: &str) -> Option<(usize, usize)> {
     Some((width.parse().ok()?, height.parse().ok()?))
 }
 
-/// What stands after `Video: `.
+/// Parses a stream's description after `Video: `.
 fn video(index: usize, text: &str) -> Option<Stream> {
     let mut parts = parts(text);
     let mut found = Stream { index, codec: first_word(text).to_owned(), ..Stream::default() };
-    // What the stream is stands in brackets behind its last part.
+    // The stream's dispositions follow the last part in brackets.
     let last = parts.pop()?;
     let (last, words) = last.find(" (").map_or((last, ""), |at| last.split_at(at));
     parts.push(last);
@@ -262,7 +262,7 @@ fn video(index: usize, text: &str) -> Option<Stream> {
                 let mut names = word.split('/');
                 let (matrix, primaries, transfer) = (names.next(), names.next(), names.next());
                 if primaries.is_some() || matrix.is_some_and(|name| SHARED.contains(&name)) {
-                    // One name stands for all three where they have the same.
+                    // A single name is printed if all three are the same.
                     found.look.tags = Tags::of(matrix, primaries.or(matrix), transfer.or(matrix));
                 }
             }

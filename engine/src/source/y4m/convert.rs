@@ -6,8 +6,8 @@
 //!   `b = (Cb − 128 s) / m`.
 //! - `R = y + 2(1−Kr) r`, `B = y + 2(1−Kb) b`, `G = (y − cg_b b) − cg_r r` with `cg_b = 2(1−Kb) Kb / Kg`,
 //!   `cg_r = 2(1−Kr) Kr / Kg`, `Kg = 1 − Kr − Kb`; each clamped to `[0, 1]`.
-//! - y4m cannot name its matrix: [`Header::matrix`] is that of the picture's size ([`Matrix::of_size`]) unless the caller knows better.
-//!   Without one, the planes are green, blue and red.
+//! - y4m has no tag for the matrix: [`Header::matrix`] is chosen by the picture's size ([`Matrix::of_size`]) unless the
+//!   caller sets another. Without one, the planes are green, blue and red.
 //! - Chroma is interpolated linearly between its sample positions (first along x, then along y), held at the borders.
 //!
 //! Every step is one IEEE operation in the order written, so the bits are the same on every machine.

@@ -66,7 +66,7 @@ impl Sphere {
         {
             let mut at = columns[0] * BLOCK;
             while at < columns[1] * BLOCK {
-                // Changes nothing, but tells the compiler that a vector from there on ends in the arrays.
+                // The mask does not change the index. It lets the compiler drop bounds checks: a vector from there ends inside the arrays.
                 let from = at & (PIXELS - LANES - 1);
                 let level = s.mul(s.splat(z), s.load(&cos[from..]));
                 s.store(s.mul_add(s.splat(x), s.load(&sin[from..]), level), &mut across[from..]);

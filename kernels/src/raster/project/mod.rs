@@ -227,6 +227,37 @@ fn poison<S: Simd, const N: usize>(s: S, mut sum: S::F32, values: &[Lanes; N]) -
     sum
 }
 
+/// Sixteen Gaussians, field by field; lanes past the last one hold zeros.
+struct Loaded<S: Simd> {
+    mean: [Lanes; 3],
+    scale: [Lanes; 3],
+    /// Rotations as quaternions; zeros where the scene has none.
+    turn: [Lanes; 4],
+    opacity: S::F32,
+    /// Lanes whose numbers are all finite.
+    finite: S::Mask,
+}
+
+impl<S: Simd> Loaded<S> {
+    /// Loads Gaussians `first ..`.
+    #[inline(always)]
+    fn of(s: S, gaussians: &Gaussians<'_>, first: usize) -> Self {
+        let mean = transposed(gaussians.mean, first);
+        let scale = transposed(gaussians.scale, first);
+        let rgb = transposed(gaussians.rgb, first);
+        let opacity = s.load_partial(&gaussians.opacity[first..], 0.0);
+        let poisoned = poison(s, poison(s, poison(s, s.sub(opacity, opacity), &mean), &scale), &rgb);
+        let (turn, poisoned) = match gaussians.rotation {
+            Some(rotation) => {
+                let turn = transposed(rotation, first);
+                (turn, poison(s, poisoned, &turn))
+            }
+            None => ([[0.0; LANES]; 4], poisoned),
+        };
+        Loaded { mean, scale, turn, opacity, finite: s.eq(poisoned, s.splat(0.0)) }
+    }
+}
+
 /// First and last block of the pixels within `radius` of `centre` in an image of `size` pixels, and whether there are any.
 #[inline(always)]
 fn blocks<S: Simd>(s: S, centre: S::F32, radius: S::F32, size: usize) -> ([[i32; LANES]; 2], S::Mask) {
@@ -287,17 +318,8 @@ impl Batch {
         focal: [f32; 2],
         view: &Viewport,
     ) -> Self {
-        let mean = transposed(gaussians.mean, first);
-        let scale = transposed(gaussians.scale, first);
-        let rgb = transposed(gaussians.rgb, first);
-        let opacity = s.load_partial(&gaussians.opacity[first..], 0.0);
-        let poisoned = poison(s, poison(s, poison(s, s.sub(opacity, opacity), &mean), &scale), &rgb);
-        let finite = match gaussians.rotation {
-            // The vector part is zero: the scene is separable.
-            Some(rotation) => poison(s, poisoned, &transposed(rotation, first)),
-            None => poisoned,
-        };
-        let finite = s.eq(finite, s.splat(0.0));
+        // Rotations are the identity: the scene is separable.
+        let Loaded { mean, scale, opacity, finite, .. } = Loaded::of(s, gaussians, first);
         let (wide, share_x) = deviation(s, &scale[0], focal[0]);
         let (high, share_y) = deviation(s, &scale[1], focal[1]);
         let opacity = if view.antialias { s.mul(opacity, s.mul(share_x, share_y)) } else { opacity };
@@ -338,13 +360,7 @@ impl Batch {
         centre: [f64; 2],
         view: &Viewport,
     ) -> Self {
-        let mean = transposed(gaussians.mean, first);
-        let scale = transposed(gaussians.scale, first);
-        let rgb = transposed(gaussians.rgb, first);
-        let opacity = s.load_partial(&gaussians.opacity[first..], 0.0);
-        let turn = gaussians.rotation.map_or([[0.0; LANES]; 4], |r| transposed(r, first));
-        let poisoned = poison(s, poison(s, poison(s, s.sub(opacity, opacity), &mean), &scale), &rgb);
-        let finite = s.eq(poison(s, poisoned, &turn), s.splat(0.0));
+        let Loaded { mean, scale, turn, opacity, finite } = Loaded::of(s, gaussians, first);
         let [fx, fy] = focal.map(f64::from);
         let [[x_least, x_most], [y_least, y_most]] = view.bounds;
         let [mut u, mut v, mut k, mut own, mut widened] = [[0.0_f64; LANES]; 5];

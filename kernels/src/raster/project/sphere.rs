@@ -6,7 +6,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use super::{BLOCK, Batch, HALF_LOG2_E, LOW_PASS, Lanes, ROOT_HALF_LOG2_E, Viewport, poison, rotation, transposed};
+use super::{BLOCK, Batch, HALF_LOG2_E, LOW_PASS, Lanes, Loaded, ROOT_HALF_LOG2_E, Viewport, rotation};
 use crate::raster::Gaussians;
 use crate::simd::{LANES, Simd};
 
@@ -107,13 +107,7 @@ impl Batch {
     /// [`Batch::general`], with a low-pass of `0.3·(cos φ·2H/W)²` along the latitude, in pixels of the meridian.
     #[inline(always)]
     pub(in super::super) fn spherical<S: Simd>(s: S, gaussians: &Gaussians<'_>, first: usize, view: &Viewport) -> Self {
-        let mean = transposed(gaussians.mean, first);
-        let scale = transposed(gaussians.scale, first);
-        let rgb = transposed(gaussians.rgb, first);
-        let opacity = s.load_partial(&gaussians.opacity[first..], 0.0);
-        let turn = gaussians.rotation.map_or([[0.0; LANES]; 4], |r| transposed(r, first));
-        let poisoned = poison(s, poison(s, poison(s, s.sub(opacity, opacity), &mean), &scale), &rgb);
-        let finite = s.eq(poison(s, poisoned, &turn), s.splat(0.0));
+        let Loaded { mean, scale, turn, opacity, finite } = Loaded::of(s, gaussians, first);
         let per_radian = view.height as f64 / PI;
         let narrow = 2.0 * view.height as f64 / view.width as f64;
         let [mut k, mut own, mut widened] = [[0.0_f64; LANES]; 3];

@@ -1,7 +1,8 @@
 //! The part of Python's pickle format in which `torch.save` writes tensors by name.
 //!
-//! A pickle is a program for a stack machine. This machine builds numbers, texts, tuples, lists and dictionaries; of all calls it knows the four
-//! by which PyTorch describes tensors, and does what they mean itself. Anything else ends it: no class is looked up, no code is run.
+//! A pickle is a program for a stack machine. This machine builds numbers, texts, tuples, lists and dictionaries. It
+//! supports only the four calls by which PyTorch describes tensors, and implements them itself. Anything else is an
+//! error: no class is looked up, no code is run.
 //!
 //! Values lie in one list in the order of their making; the stack, the memo and containers hold their numbers. So every byte of a pickle makes
 //! one value at most, whatever refers to it.
@@ -86,7 +87,7 @@ pub(super) struct Pickle<'a> {
 }
 
 impl Pickle<'_> {
-    /// The tensors of a pickle, by name; or what is wrong.
+    /// The tensors of a pickle, by name, or an error message.
     pub(super) fn read(bytes: &[u8]) -> Result<BTreeMap<String, Stored>, String> {
         let mut machine =
             Pickle { bytes, at: 0, values: Vec::new(), stack: Vec::new(), marks: Vec::new(), memo: HashMap::new() };

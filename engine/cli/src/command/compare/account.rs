@@ -8,7 +8,7 @@ use streamsplat::samples::{self, Pair, Part};
 
 use crate::command::compare::{Outcome, Tolerance};
 
-/// Lines that are said of pictures that differ.
+/// Maximum number of lines printed about pictures that differ.
 const LINES: usize = 20;
 /// Containers that count time in milliseconds round it so far.
 const ROUNDED: f64 = 1e-3;
@@ -52,7 +52,7 @@ impl Account {
         }
     }
 
-    /// A line about how things are compared, said once.
+    /// Adds a note on the method of comparison, without repeating one.
     pub fn note(&mut self, note: String) {
         if !self.notes.contains(&note) {
             self.notes.push(note);

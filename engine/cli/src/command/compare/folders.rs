@@ -17,7 +17,7 @@ use crate::output::digest;
 
 /// Folders within folders that are looked into.
 const DEPTH: usize = 16;
-/// Files of a run that tell of its time and machine, and what it resumes from.
+/// Files of a run that depend on its time and machine, and its resume state.
 const TELLING: [&str; 3] = ["run.json", "report.md", "resume"];
 
 /// A file, or a scene, which is a folder of files that belong together.
@@ -88,7 +88,7 @@ pub fn compare(
 ) -> Result<Outcome, Failure> {
     let mut account = Account::new(tolerance);
     let (mut folders, mut contents) = ([a.to_owned(), b.to_owned()], [Content::of(a)?, Content::of(b)?]);
-    // A rendering beside a folder of images: its frames are meant.
+    // A rendering is compared with a folder of images by its frames.
     for (at, other) in [(0, 1), (1, 0)] {
         let frames = folders[at].join("frames");
         if !contents[at].is_flat() && contents[other].is_flat() && frames.is_dir() {

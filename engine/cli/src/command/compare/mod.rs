@@ -98,7 +98,7 @@ pub fn command(args: &CompareArgs, console: &Console) -> Result<(), Failure> {
     };
     let tolerance = Tolerance { most: limit("--max-abs", args.max_abs)?, psnr: limit("--psnr", args.psnr)? };
     let found = match (Content::of(a)?, Content::of(b)?) {
-        // The scene of a run beside another's.
+        // A run's folder is compared with a scene by the scene in it.
         (Content::Scene, Content::Folder) if b.join("scene").join(INDEX).exists() => (Content::Scene, Content::Scene),
         (Content::Folder, Content::Scene) if a.join("scene").join(INDEX).exists() => (Content::Scene, Content::Scene),
         found => found,

@@ -183,7 +183,7 @@ fn moving(a: &Scene, b: &Scene) -> Result<Outcome, Failure> {
             found.push(json!({ "part": format!("interval {i}"), "property": "count" }));
             continue;
         }
-        // Whatever the indices say, every interval is read; one that is not as its index says is an error.
+        // Every interval is read, whether or not the indices agree. One that does not match its index is an error.
         let (one, other) = (a.interval(i)?, b.interval(i)?);
         for (what, differ) in [
             ("merges", one.merges != other.merges),

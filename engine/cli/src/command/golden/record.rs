@@ -49,7 +49,7 @@ pub struct GoldenImage {
     pub blake3: String,
     /// The preview's file.
     pub preview: String,
-    /// Length and digest of the preview's file, by which a later recording knows that it may remove it.
+    /// Length and digest of the preview's file. A later recording removes the file only if both match.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub preview_file: Option<PreviewFile>,
 }

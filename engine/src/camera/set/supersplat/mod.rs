@@ -7,7 +7,7 @@
 //!
 //! The viewer shows a file's scene turned by half a turn about z and has y up, so the point (x, y, z) of the settings is (−x, −y, z) of
 //! the file, and up is −y. `fov` is in degrees, across the longer side of the image: the horizontal one unless the image is upright.
-//! The settings have no image size: it is the one that is asked for, or 1280×720.
+//! The settings have no image size. The caller sets it; the default is 1280×720.
 //!
 //! The first animation, where there is one, is the path: `duration` seconds of `frameRate` images a second along the viewer's own
 //! spline (`spline.rs`). The first camera is then found as `initial`, and the cameras of `annotations` by their titles.
@@ -23,11 +23,11 @@ use crate::import::FormatError;
 use spline::Spline;
 
 const FORMAT: &str = "settings of SuperSplat";
-/// Images of which nothing says the size.
+/// Default image size, width and height.
 const SIZE: [usize; 2] = [1280, 720];
 /// Most images of an animation.
 const MOST: f64 = 100_000.0;
-/// The images a second of animations that do not say it; their times are seconds.
+/// Default images per second, for animations without `frameRate`. Their keyframe times are in seconds.
 const RATE: f64 = 30.0;
 
 #[derive(Deserialize)]
@@ -85,10 +85,10 @@ struct Values {
     fov: Option<Vec<f64>>,
 }
 
-/// Reads the object; `size` is that of the images.
+/// Reads the object. `size` is the image size.
 ///
 /// # Errors
-/// An object of another form or version, one without cameras, animations that say something impossible.
+/// An object of another form or version, one without cameras, animations with invalid values.
 pub(super) fn read(value: &Value, size: Option<[usize; 2]>) -> Result<CameraSet, FormatError> {
     let Settings { version, camera, cameras, anim_tracks, annotations } = Settings::deserialize(value)
         .map_err(|e| FormatError::new(FORMAT, "camera or cameras with position, target, fov", e.to_string()))?;

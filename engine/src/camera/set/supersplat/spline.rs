@@ -6,7 +6,8 @@
 //! m_i = s · (p_{i+1} − p_{i−1}) / (t_{i+1} − t_{i−1})        s: smoothness; one-sided at either end
 //! ```
 //!
-//! The animation is a loop: its last two points stand before the first, and its first two after the last, a length away in time.
+//! The animation is a loop: copies of its last two points precede the first point, and copies of its first two follow
+//! the last, shifted in time by the animation's length.
 
 /// Numbers of a point: position, target, field of view.
 type Point = [f64; 7];

@@ -29,14 +29,14 @@ pub(super) fn primaries(name: &str) -> Option<Chromaticities> {
     })
 }
 
-/// How samples stand for light.
+/// Curve from samples to light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Curve {
-    /// As it is.
+    /// Samples are linear light.
     Linear,
     /// sRGB's.
     Srgb,
-    /// A power, in tenths.
+    /// A power; its exponent in tenths.
     Gamma(u8),
 }
 

@@ -1,9 +1,11 @@
-//! OpenEXR pictures: which channels are the colours, and what light they stand for.
+//! OpenEXR pictures: selection of the colour channels, and conversion of their colour space.
 //!
-//! The display window is the picture; where a file has no samples it is black, and transparent if it has alpha. Pixels that are not square are made so by
-//! enlarging. Colours are linear light of BT.709's primaries unless the file says otherwise: by `colorInteropID`, by `oiio:ColorSpace`, by the flag of
-//! ACES containers or by its chromaticities. They are multiplied by alpha, as the format has it, and laid over mid grey in the light in which they are
-//! stored; display-referred ones as they are.
+//! The display window is the picture. Outside of the data window it is black, and transparent if there is alpha. Pixels
+//! that are not square are made so by enlarging.
+//!
+//! Colours are linear light of BT.709's primaries unless the file declares another space: by `colorInteropID`, by
+//! `oiio:ColorSpace`, by the flag of ACES containers or by its chromaticities. They are premultiplied by alpha, as the
+//! format requires. They are composited over mid grey in linear light; display-referred colours as they are stored.
 
 mod light;
 mod space;
@@ -86,7 +88,7 @@ fn square(still: &mut Still, aspect: f32, path: &Path) -> Result<(), SourceError
 /// The channels of a part that are colours.
 struct Colours<'a> {
     part: Part<'a>,
-    /// What stands before the channels' names, with its point.
+    /// Layer prefix of the channels' names, with its trailing point.
     prefix: String,
     /// Luminance alone.
     grey: bool,
@@ -113,8 +115,8 @@ impl Colours<'_> {
     }
 }
 
-/// Chooses the colours: those of the only layer that has any; of several those without a layer's name, or of the layer that is called as the whole picture
-/// is. What is not chosen is said.
+/// Chooses the colour channels: those of the only layer that has any; of several, those without a layer's name, else those
+/// of the layer with a name in `WHOLE`. Other layers are listed in a note.
 fn choose<'a>(file: &'a File<'_>, notes: &mut Vec<String>) -> Result<Colours<'a>, String> {
     let mut found: Vec<Colours<'a>> = Vec::new();
     let mut names = Vec::new();

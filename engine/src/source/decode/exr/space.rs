@@ -1,11 +1,11 @@
-//! The colour space of an EXR part, by what the file says of it.
+//! The colour space of an EXR part, from its attributes.
 
 use super::light::{self, Curve};
 use crate::openexr::{Chromaticities, Part};
 
-/// What samples stand for.
+/// Colour space of samples.
 pub(super) struct Space {
-    /// Its name in the file; none where the file does not say.
+    /// Its name, or the attribute that defines it; none if the file has neither.
     name: Option<String>,
     curve: Curve,
     /// To BT.709's primaries, where they are others.
@@ -70,8 +70,8 @@ impl Space {
     }
 }
 
-/// The curve and the primaries that a name stands for: an identifier of the Color Interop Forum, or what OpenImageIO and OpenColorIO's configurations call
-/// a space. No primaries are those of the file.
+/// Curve and primaries of a named space: an identifier of the Color Interop Forum, or a name of OpenImageIO or of
+/// OpenColorIO's configurations. `None` for the primaries selects those of the file.
 fn named(name: &str) -> Result<(Curve, Option<Chromaticities>), String> {
     let plain: String =
         name.trim().to_ascii_lowercase().chars().map(|c| if c == ' ' || c == '-' { '_' } else { c }).collect();

@@ -82,7 +82,7 @@ fn rgb(r: f32, g: f32, b: f32) -> Vec<(&'static str, Vec<f32>)> {
     vec![("R", vec![r]), ("G", vec![g]), ("B", vec![b])]
 }
 
-/// One pixel whose file says these texts.
+/// One pixel in a file with these text attributes.
 fn said<'a>(texts: &[(&'a str, &'a str)], [r, g, b]: [f32; 3]) -> Written<'a> {
     Written { channels: rgb(r, g, b), texts: texts.to_vec(), ..Written::default() }
 }
