@@ -352,8 +352,8 @@ pub struct Motion {
 /// How the numbers of a still scene are taken.
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Reading {
-    /// Axes along which a still scene's numbers are, whatever its file says: three letters for x, y and z, of Right or Left, Down or Up, Front
-    /// or Back, as in rdf (PLY) and rub (SPZ by its description) [default: the file's, or its format's]
+    /// Axes of a still scene's coordinates: where x, y and z point, a letter each of Right or Left, Down or Up, Front or Back; rdf in PLY, rub by
+    /// SPZ's own description [default: what the file names, else its format's]
     #[arg(long, value_name = "AXES")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub axes: Option<String>,
