@@ -123,7 +123,8 @@ pub struct Stream {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub behind: Option<String>,
     /// Every N-th frame is a key frame; or auto[:[LEAST-]MOST[:DB]]: as few as the images of all frames need for a mean PSNR of DB
-    /// decibels, LEAST to MOST frames apart; frames wait for at most MOST-1 later ones [auto: 3-12:38] [default: 5 for the model inside the program, 1 for others]
+    /// decibels at 256x256, LEAST to MOST frames apart; frames wait for at most MOST-1 later ones [auto: 3-12:38] [default: auto:3-8:40, or
+    /// what --quality stands for; 1 for models from files]
     #[arg(long, value_name = "N")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gap: Option<String>,
@@ -414,7 +415,7 @@ pub struct EvalArgs {
     /// Matrix of the input's luma and chroma, as for run
     #[arg(long, value_name = "NAME")]
     pub matrix: Option<String>,
-    /// Size of the images before they are compared at 256x256: model, source or WIDTHxHEIGHT
+    /// Size of the images that are compared at 256x256: model, source or WIDTHxHEIGHT; PSNR at the source's own size is measured besides
     #[arg(long, value_name = "SIZE", default_value = "model")]
     pub size: String,
     /// LPIPS as well, by this ONNX file: two images in [-1,1] in, one number out; run by ONNX Runtime

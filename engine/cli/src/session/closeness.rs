@@ -57,22 +57,27 @@ impl Whole {
     /// Compares the image of a frame with it.
     pub fn compare(&mut self, index: usize, image: &Picture) {
         let Some(truth) = self.waiting.remove(&index) else { return };
-        let samples = image.to_rgb8();
-        if samples.len() != truth.len() {
-            return;
+        if let Some(psnr) = psnr_of_samples(&image.to_rgb8(), &truth) {
+            self.sum += psnr;
+            self.frames += 1;
         }
-        let squares = |(a, b): (&u8, &u8)| u64::from(a.abs_diff(*b)).pow(2);
-        let sum: u64 = samples.iter().zip(&truth).map(squares).sum();
-        // Equal images are as close as one level in one sample.
-        let peak = 255.0 * 255.0 * truth.len() as f64;
-        self.sum += 10.0 * log10(peak / sum.max(1) as f64);
-        self.frames += 1;
     }
 
     /// Mean PSNR over all frames compared so far, in dB.
     pub fn mean(&self) -> Option<f64> {
         (self.frames > 0).then(|| self.sum / self.frames as f64)
     }
+}
+
+/// 10 log₁₀(255² n / Σ (a − b)²) of n 8-bit samples, in dB; none where their numbers differ. Equal images have the PSNR of one level in one sample.
+pub fn psnr_of_samples(image: &[u8], truth: &[u8]) -> Option<f64> {
+    if image.len() != truth.len() {
+        return None;
+    }
+    let squares = |(a, b): (&u8, &u8)| u64::from(a.abs_diff(*b)).pow(2);
+    let sum: u64 = image.iter().zip(truth).map(squares).sum();
+    let peak = 255.0 * 255.0 * truth.len() as f64;
+    Some(10.0 * log10(peak / sum.max(1) as f64))
 }
 
 /// The same on every machine.

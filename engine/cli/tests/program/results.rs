@@ -475,7 +475,7 @@ fn a_reader_that_goes_away_is_no_panic() {
 fn closeness_at_the_sources_size_is_that_of_the_images_written() {
     let scratch = Scratch::new();
     let (clip, out) = (scratch.clip("clip", 9, 96, 64), scratch.path("out"));
-    run_ok(&clip, &out, &["--size", "source", "--gap", "auto:2-4:30", "--quiet"]);
+    run_ok(&clip, &out, &["--size", "source", "--fit", "letterbox", "--gap", "auto:2-4:30", "--quiet"]);
     let record = json(&out.join("run.json"));
     let samples = |path: std::path::PathBuf| image::open(path).expect("an image").into_rgb8().into_raw();
     let psnr = |frame: usize| {
@@ -490,6 +490,20 @@ fn closeness_at_the_sources_size_is_that_of_the_images_written() {
     assert!(record["psnr"].as_f64().is_some_and(|at_256| at_256 != found), "at 256×256: {record}");
     let report = std::fs::read_to_string(out.join("report.md")).expect("a report");
     assert!(report.contains("mean PSNR of all frames at the source's own size, 96×64"), "{report}");
+    // `eval` measures the same images.
+    let figures = scratch.path("eval.json");
+    let eval = ["--seen", "--fit", "letterbox", "--gap", "auto:2-4:30", "--quiet", "--json"];
+    let output = command().arg("eval").arg(&clip).args(eval).arg(&figures).arg("--model").arg(model()).output();
+    assert!(output.expect("the program starts").status.success());
+    let mean = json(&figures)["mean"].clone();
+    for (name, of_run) in [("psnr_source_size", found), ("psnr", record["psnr"].as_f64().expect("a figure"))] {
+        let sum = |group: &str| {
+            let score = &mean[group];
+            score[name].as_f64().expect("dB") * score["frames"].as_f64().expect("a count")
+        };
+        let measured = (sum("key") + sum("middle")) / 9.0;
+        assert!((measured - of_run).abs() < 1e-6, "{name}: {measured} dB, {of_run} by run");
+    }
     // Images of another size are not compared with the frames as they are.
     let other = scratch.path("other");
     run_ok(&clip, &other, &["--size", "48x32", "--gap", "auto:2-4:30", "--quiet"]);

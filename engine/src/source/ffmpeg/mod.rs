@@ -12,8 +12,8 @@
 //! of ffmpeg, so equal digests of a run require equal output of ffmpeg: compare the input digests in `run.json`.
 //!
 //! Opening starts ffmpeg twice, to list the streams and to decode. A third start follows if the first frame needs other
-//! filters than the list implied. Packets are counted, without decoding, only if there are several streams to choose from
-//! or the mean rate is unknown.
+//! filters than the list implied. Packets are counted, without decoding, only if there are several streams to choose from,
+//! the mean rate is unknown, or the file is Matroska, whose rate is a declaration.
 
 mod bright;
 mod chain;
@@ -52,6 +52,7 @@ pub struct Ffmpeg {
     stream: usize,
     /// Frames, where they were counted.
     counted: Option<usize>,
+    uneven: bool,
     /// Frames the file announces.
     announced: Option<usize>,
     rate: Option<(f64, f64)>,
@@ -124,21 +125,28 @@ impl Ffmpeg {
             Samples::Matrix(matrix) => y4m.set_matrix(Some(matrix)),
             Samples::Guessed => notes.extend(y4m.header().matrix.map(Chain::guess)),
         }
-        let counted = stream.rate_is_open().then(|| count(&[stream.index])).and_then(|counts| counts.first().copied());
+        let open = stream.rate_is_open();
+        let counted =
+            (open || listing.declared).then(|| count(&[stream.index])).and_then(|counts| counts.first().copied());
         let counted = counted.map(|(_, count)| count).filter(|count| count.frames > 1 && count.seconds > 0.0);
+        let uneven = counted.is_some_and(|count| open || count.uneven);
+        let mean = counted.filter(|_| uneven).map(|count| ((count.frames - 1) as f64, count.seconds));
         let nominal = rate.map(|(numerator, denominator)| (f64::from(numerator), f64::from(denominator)));
+        let clock = Clock::new(tick, rate);
+        let starts = time.map(|time| clock.seconds(time));
         Ok(Ffmpeg {
             running,
             y4m,
             path: path.to_owned(),
-            clock: Clock::new(tick, rate),
+            clock,
             first: (time, size),
             notes,
-            announced: counted.map(|count| count.frames).or_else(|| listing.frames(&stream)),
+            announced: counted.map(|count| count.frames).or_else(|| listing.frames(&stream, starts)),
             stream: stream.index,
             counted: counted.map(|count| count.frames),
+            uneven,
             sound: listing.sound,
-            rate: counted.map(|count| ((count.frames - 1) as f64, count.seconds)).or(nominal),
+            rate: mean.or(nominal),
             read: 0,
             resized: None,
         })
@@ -171,9 +179,9 @@ impl Ffmpeg {
         self.rate
     }
 
-    /// Returns true if the file's nominal rate is not the mean rate of its frames.
+    /// Returns true if the frames do not follow each other at the file's nominal rate.
     pub fn is_uneven(&self) -> bool {
-        self.counted.is_some()
+        self.uneven
     }
 
     /// Seconds from the beginning of the file, which may be that of its sound, to the first frame.

@@ -4,6 +4,8 @@
 //! kept their form for many versions; what a frame's format and colours are is taken from the first decoded frame
 //! ([`super::shown`]), the list's words only being a guess that spares a second start.
 
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
 use std::path::Path;
 
 use super::program;
@@ -57,6 +59,8 @@ pub(super) struct Listing {
     tiles: bool,
     /// True of transport streams, whose packets are marked as broken where two streams were joined.
     pub(super) joined: bool,
+    /// True of Matroska, whose rates are those that its head declares, whatever the frames' times are.
+    pub(super) declared: bool,
 }
 
 /// Frames of a stream, counted.
@@ -65,6 +69,8 @@ pub(super) struct Count {
     pub(super) frames: usize,
     /// Seconds from the first frame to the last.
     pub(super) seconds: f64,
+    /// True if not all of them are shown equally long, but for the last.
+    pub(super) uneven: bool,
 }
 
 impl Listing {
@@ -85,6 +91,7 @@ impl Listing {
             }
             if let Some(format) = line.strip_prefix("Input #0, ") {
                 found.joined = format.starts_with("mpegts");
+                found.declared = format.starts_with("matroska");
             } else if let Some(rest) = line.strip_prefix("Duration: ") {
                 found.duration = rest.split(',').next().and_then(clock);
                 found.start = after(rest, "start: ");
@@ -124,7 +131,7 @@ impl Listing {
         };
         let longest = candidates.iter().map(|stream| of(stream).seconds).fold(0.0, f64::max);
         let score = |stream: &Stream| {
-            let Count { frames, seconds } = of(stream);
+            let Count { frames, seconds, .. } = of(stream);
             let long = seconds >= AS_LONG * longest;
             (frames > 1, !stream.still, stream.default, long, stream.size.0.saturating_mul(stream.size.1))
         };
@@ -143,9 +150,11 @@ impl Listing {
         Some((chosen, left_out.collect()))
     }
 
-    /// Estimated number of frames in a stream, from the duration of the file and the stream's start and mean rate.
-    pub(super) fn frames(&self, stream: &Stream) -> Option<usize> {
-        let late = stream.start.zip(self.start).map_or(0.0, |(own, file)| (own - file).max(0.0));
+    /// Estimated number of frames in a stream, from the duration of the file, the stream's mean rate and the time of its first frame, if that is known
+    /// already.
+    pub(super) fn frames(&self, stream: &Stream, first: Option<f64>) -> Option<usize> {
+        let own = first.or(stream.start);
+        let late = own.zip(self.start).map_or(0.0, |(own, file)| (own - file).max(0.0));
         let frames = (self.duration? - late) * stream.mean?;
         (1.0..MOST_FRAMES).contains(&frames).then(|| frames.round() as usize)
     }
@@ -156,7 +165,7 @@ impl Stream {
         !self.cover && !self.dependent
     }
 
-    /// True if the frames must be counted to find the mean rate: the file has none, or one that differs from the nominal rate.
+    /// True if the file has no mean rate, or one that differs from the nominal rate: its frames are counted to find it.
     pub(super) fn rate_is_open(&self) -> bool {
         match self.mean.zip(self.nominal) {
             Some((mean, nominal)) => (mean / nominal - 1.0).abs() > SAME_RATE,
@@ -274,11 +283,44 @@ fn video(index: usize, text: &str) -> Option<Stream> {
 /// ffmpeg's flag of packets whose frames are not shown.
 const DISCARD: u32 = 4;
 
+/// Most packets by which the order of decoding differs from that of showing.
+const REORDERED: usize = 32;
+/// Ticks by which rounding makes one length of an even rate differ from another.
+const ROUNDED: i64 = 2;
+
 /// Frames of streams, as the lines of the `framecrc` muxer count them: `0, DTS, PTS, DURATION, SIZE, CRC` after `#tb 0: 1/1000`.
 #[derive(Debug, Default)]
 pub(super) struct Counter {
-    /// Seconds of a tick, frames, first and last time in ticks.
-    streams: Vec<(f64, usize, i64, i64)>,
+    streams: Vec<Counted>,
+}
+
+#[derive(Debug, Default)]
+struct Counted {
+    /// Seconds of a tick.
+    tick: f64,
+    frames: usize,
+    /// Times in ticks that are not in `shown` yet, the first on top.
+    waiting: BinaryHeap<Reverse<i64>>,
+    shown: Shown,
+}
+
+/// Times in ticks, in the order of showing.
+#[derive(Clone, Copy, Debug, Default)]
+struct Shown {
+    /// The first and the last.
+    span: Option<(i64, i64)>,
+    /// The least and the largest difference of two that follow each other.
+    lengths: Option<(i64, i64)>,
+}
+
+impl Shown {
+    fn add(&mut self, time: i64) {
+        let Some((first, last)) = self.span else { return self.span = Some((time, time)) };
+        let length = time.saturating_sub(last);
+        let (least, most) = self.lengths.unwrap_or((length, length));
+        self.lengths = Some((least.min(length), most.max(length)));
+        self.span = Some((first.min(time), last.max(time)));
+    }
 }
 
 impl Counter {
@@ -287,7 +329,7 @@ impl Counter {
             if let Some((_, base)) = rest.split_once(": ")
                 && let Some((a, b)) = super::shown::ratio(base.trim())
             {
-                self.streams.push((f64::from(a) / f64::from(b), 0, i64::MAX, i64::MIN));
+                self.streams.push(Counted { tick: f64::from(a) / f64::from(b), ..Counted::default() });
             }
             return;
         }
@@ -300,25 +342,29 @@ impl Counter {
         let (Some(Ok(stream)), Some(_), Some(Ok(time))) = (numbers.next(), numbers.next(), numbers.next()) else {
             return;
         };
-        let Some((_, frames, first, last)) = usize::try_from(stream).ok().and_then(|at| self.streams.get_mut(at))
-        else {
-            return;
-        };
-        *frames += 1;
+        let Some(counted) = usize::try_from(stream).ok().and_then(|at| self.streams.get_mut(at)) else { return };
+        counted.frames += 1;
         // A packet without a time.
         if time == i64::MIN {
             return;
         }
-        (*first, *last) = ((*first).min(time), (*last).max(time));
+        counted.waiting.push(Reverse(time));
+        if counted.waiting.len() > REORDERED
+            && let Some(Reverse(time)) = counted.waiting.pop()
+        {
+            counted.shown.add(time);
+        }
     }
 
     /// What was counted, stream by stream.
-    pub(super) fn counts(&self) -> Vec<Count> {
-        let count = |&(tick, frames, first, last): &(f64, usize, i64, i64)| {
-            let ticks = if last > first { last.saturating_sub(first) } else { 0 };
-            Count { frames, seconds: ticks as f64 * tick }
+    pub(super) fn counts(self) -> Vec<Count> {
+        let count = |Counted { tick, frames, waiting, mut shown }| {
+            waiting.into_sorted_vec().into_iter().rev().for_each(|Reverse(time)| shown.add(time));
+            let ticks = shown.span.map_or(0, |(first, last)| last.saturating_sub(first));
+            let uneven = shown.lengths.is_some_and(|(least, most)| most.saturating_sub(least) > ROUNDED);
+            Count { frames, seconds: ticks as f64 * tick, uneven }
         };
-        self.streams.iter().map(count).collect()
+        self.streams.into_iter().map(count).collect()
     }
 }
 
@@ -355,9 +401,9 @@ At least one output file must be specified
         let look = Look { format: "yuv444p".into(), aspect: Some((3, 2)), interlaced: true, tags };
         assert_eq!((video.index, &video.codec[..], video.size, &video.look), (1, "h264", (320, 180), &look));
         assert!(video.default && !video.cover && listing.videos[0].cover && !video.rate_is_open());
-        assert_eq!(listing.frames(video), Some(30));
+        assert_eq!((listing.frames(video, None), listing.frames(video, Some(0.6))), (Some(30), Some(18)));
         let recorder = Listing::parse(RECORDER);
-        assert!(recorder.videos[0].rate_is_open() && recorder.frames(&recorder.videos[0]).is_none());
+        assert!(recorder.videos[0].rate_is_open() && recorder.frames(&recorder.videos[0], None).is_none());
         assert_eq!(recorder.videos[0].nominal, Some(1000.0));
     }
 
@@ -368,7 +414,9 @@ At least one output file must be specified
         assert_eq!((stream.index, &lines[..]), (1, &["the cover picture 0:0 (png, 64×64) is left out".to_owned()][..]));
         let listing = Listing::parse(AVIF);
         let counts = |frames: [usize; 2], seconds: [f64; 2]| {
-            (0..2).map(move |i| (i, Count { frames: frames[i], seconds: seconds[i] })).collect::<Vec<_>>()
+            (0..2)
+                .map(move |i| (i, Count { frames: frames[i], seconds: seconds[i], uneven: false }))
+                .collect::<Vec<_>>()
         };
         let (stream, lines) = listing.choose(|| counts([1, 9], [0.0, 0.8])).expect("a video");
         assert_eq!((stream.index, &lines[..]), (1, &["the still picture 0:0 (av1, 64×48) is left out".to_owned()][..]));
@@ -410,15 +458,37 @@ At least one output file must be specified
         let lines = "#software: Lavf59\n#tb 0: 1/1000\n#media_type 0: video\n#tb 1: 1/10\n0, 0, 40, 0, 61, 0xd, S=1\n0, 3, 0, 0, 5, 0x1, F=0x0, S=1\n0, -3, -40, 0, 5, 0x1, F=0x5\n1, 0, 0, 1, 9, 0x2\nrubbish\n1, 0, x\n7, 0, 0\n";
         lines.lines().for_each(|line| counter.add(line));
         let counts = counter.counts();
-        assert_eq!((counts[0].frames, counts[1], counts.len()), (2, Count { frames: 1, seconds: 0.0 }, 2));
+        assert_eq!((counts[0].frames, counts[1], counts.len()), (2, Count { frames: 1, ..Count::default() }, 2));
         assert!((counts[0].seconds - 0.04).abs() < 1e-12);
+    }
+
+    #[test]
+    fn uneven_times_are_found_in_whatever_order_packets_come() {
+        let count = |times: &[i64]| {
+            let mut counter = Counter::default();
+            counter.add("#tb 0: 1/1000");
+            times.iter().for_each(|time| counter.add(&format!("0, 0, {time}, 41, 61, 0xd")));
+            counter.counts()[0]
+        };
+        let even: Vec<i64> = (0..100).map(|i| (f64::from(i) / 0.024).round() as i64).collect();
+        // Three frames are decoded before the one that is shown first.
+        let reordered = |times: &[i64]| times.chunks(4).flat_map(|c| c.iter().rev().copied()).collect::<Vec<_>>();
+        assert!(!count(&even).uneven && !count(&reordered(&even)).uneven);
+        let mut late = even.clone();
+        late[60] += 20;
+        assert!(count(&late).uneven && count(&reordered(&late)).uneven);
+        // A frame that is missing near the end.
+        let missing: Vec<i64> = even.iter().copied().filter(|time| *time != even[98]).collect();
+        assert!(count(&missing).uneven);
+        assert_eq!((count(&even).frames, count(&[]).uneven, count(&[5]).uneven), (100, false, false));
+        let _ = count(&[i64::MAX, i64::MIN + 1, 0]);
     }
 
     proptest::proptest! {
         #[test]
         fn no_list_panics(text in "(  (Stream #0:|Duration: |start: |Video: |[0-9x():,\\[\\] ]|[a-z/]|\\PC){0,30}\n){0,4}") {
             let listing = Listing::parse(&text);
-            let _ = (listing.refusal(), listing.choose(Vec::new).map(|(stream, _)| listing.frames(stream)));
+            let _ = (listing.refusal(), listing.choose(Vec::new).map(|(stream, _)| listing.frames(stream, None)));
         }
     }
 }

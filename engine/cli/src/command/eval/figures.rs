@@ -14,6 +14,10 @@ use crate::console::failure::Failure;
 /// Means over frames, and how many there were.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub(super) struct Score {
+    /// At the source's own size, of 8-bit samples, in dB; of the scene's images alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) psnr_source_size: Option<f64>,
+    /// At 256×256, as `ssim` and `lpips`.
     pub(super) psnr: Option<f64>,
     pub(super) ssim: Option<f64>,
     /// With `--lpips-model`.
@@ -24,6 +28,7 @@ pub(super) struct Score {
 
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sum {
+    pub(super) psnr_source_size: Option<f64>,
     pub(super) psnr: f64,
     pub(super) ssim: f64,
     pub(super) lpips: Option<f64>,
@@ -41,7 +46,15 @@ impl Sum {
         Ok(())
     }
 
+    /// Adds a frame's PSNR at the source's own size.
+    pub(super) fn add_source_size(&mut self, psnr: Option<f64>) {
+        if let Some(psnr) = psnr {
+            *self.psnr_source_size.get_or_insert(0.0) += psnr;
+        }
+    }
+
     pub(super) fn join(&mut self, other: &Sum) {
+        self.add_source_size(other.psnr_source_size);
         self.psnr += other.psnr;
         self.ssim += other.ssim;
         if let Some(lpips) = other.lpips {
@@ -52,7 +65,13 @@ impl Sum {
 
     pub(super) fn score(&self) -> Score {
         let mean = |sum: f64| (self.frames > 0).then(|| sum / self.frames as f64);
-        Score { psnr: mean(self.psnr), ssim: mean(self.ssim), lpips: self.lpips.and_then(mean), frames: self.frames }
+        Score {
+            psnr_source_size: self.psnr_source_size.and_then(mean),
+            psnr: mean(self.psnr),
+            ssim: mean(self.ssim),
+            lpips: self.lpips.and_then(mean),
+            frames: self.frames,
+        }
     }
 }
 
@@ -255,6 +274,10 @@ impl Sums {
     }
 }
 
+/// Names of [`line`]'s columns; LPIPS follows SSIM where it is measured.
+pub(super) const HEADING: &str = "                             own size (dB):   at 256×256 (dB / SSIM):\n\
+    clip                             key   middle       key / SSIM      middle / SSIM   cross-fade / SSIM  nearest / SSIM     flow / SSIM";
+
 pub(super) fn line(row: &ClipFigures) -> String {
     let show = |score: &Score| match (score.psnr, score.ssim) {
         (Some(psnr), Some(ssim)) => {
@@ -263,9 +286,12 @@ pub(super) fn line(row: &ClipFigures) -> String {
         }
         _ => "      – /      –".to_owned(),
     };
+    let own = |score: &Score| score.psnr_source_size.map_or("      –".to_owned(), |psnr| format!("{psnr:7.3}"));
     format!(
-        "{:28} {}   {}   {}   {}   {}",
+        "{:28} {}  {}   {}   {}   {}   {}   {}",
         row.name.as_deref().unwrap_or("mean over frames"),
+        own(&row.key),
+        own(&row.middle),
         show(&row.key),
         show(&row.middle),
         show(&row.baselines.crossfade),

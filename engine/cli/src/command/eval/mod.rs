@@ -1,7 +1,8 @@
 //! `eval`: key frames in, the frames between held out; how close the scene comes to them, and simple baselines beside it.
 //!
-//! Every `gap`-th frame is a key frame, or what `--gap auto` chooses. The scene is drawn at every frame's time (at the model's own size unless told otherwise) and compared with the
-//! true frame, both brought to 256×256 bilinearly. *Key* frames were given, *middle* frames were not, unless `--seen` gives them too. Baselines for the middle
+//! Every `gap`-th frame is a key frame, or what `--gap auto` chooses. The scene is drawn at every frame's time and compared with the true frame twice: at the
+//! source's own size, sample by sample in 8 bits, as `run` does; and by the protocol of the paper, drawn at `--size` and both brought to 256×256
+//! bilinearly. *Key* frames were given, *middle* frames were not, unless `--seen` gives them too. Baselines for the middle
 //! frames: the cross-fade of the key frames around, the nearer one, and the key frames blended along the optical flow between them. Frames after the last whole interval are left out.
 //! Said beside it is how the image jumps at key frames, and how far it goes from frame to frame.
 
@@ -26,7 +27,7 @@ use crate::options::settings::{DepthFrom, Views};
 use crate::output::record::NetworkRecord;
 use crate::session::ahead::Ahead;
 use crate::session::closeness;
-use crate::session::closeness::Closeness;
+use crate::session::closeness::{Closeness, psnr_of_samples};
 use crate::session::drawing::Drawing;
 use crate::session::keydepth::KeyDepth;
 use crate::session::keyframes::{Keep, KeyFrames};
@@ -35,7 +36,7 @@ mod baselines;
 mod figures;
 
 use baselines::{FlowBlend, Placed, mix};
-use figures::{ClipFigures, Group, IntervalFigures, Sums, line};
+use figures::{ClipFigures, Group, HEADING, IntervalFigures, Sums, line};
 
 /// Side of the pictures that are compared.
 const SIDE: usize = closeness::SIDE;
@@ -74,13 +75,11 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     }
     let depth = stream.depth_from()?;
     let settings = stream.settings(&args.fit, &args.machine)?;
-    let views = ViewOptions {
-        size: Some(args.size.clone()),
-        background: "0.5".into(),
-        renderer: args.renderer.clone(),
-        ..ViewOptions::default()
-    }
-    .resolve()?;
+    let of_size = |size: &str| {
+        let (size, background, renderer) = (Some(size.to_owned()), "0.5".into(), args.renderer.clone());
+        ViewOptions { size, background, renderer, ..ViewOptions::default() }.resolve()
+    };
+    let views = Sizes { compared: of_size(&args.size)?, own: of_size("source")? };
     let clips = clips(&args.input)?;
     let mut lpips = args.lpips_model.as_deref().map(Lpips::open).transpose()?;
     if clips.len() > 1 && matches!(depth, DepthFrom::Folder(..)) {
@@ -89,9 +88,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let mut total = Sums::default();
     let (mut rows, mut model) = (Vec::new(), None);
     if !console.quiet {
-        say(
-            "at 256×256: clip              key dB / SSIM   middle dB / SSIM   cross-fade         nearest           flow",
-        )?;
+        say(HEADING)?;
     }
     let matrix = args.matrix()?;
     for clip in &clips {
@@ -124,7 +121,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
                 let [psnr, over, worst] =
                     [middle.psnr, *over_crossfade, *worst_over_crossfade].map(Option::unwrap_or_default);
                 say(format!(
-                    "{name} clips ({clips}): middle {psnr:.2} dB, {over:+.2} over the cross-fade, least {worst:+.2}"
+                    "{name} clips ({clips}): middle {psnr:.2} dB at 256×256, {over:+.2} over the cross-fade, least {worst:+.2}"
                 ))?;
             }
         }
@@ -137,7 +134,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         let fit = args.fit.clone();
         let measured = args.lpips_model.as_deref().zip(lpips.as_ref());
         let lpips = measured.map(|(file, lpips)| NetworkRecord::of(file, lpips.runtime_version())).transpose()?;
-        let renderer = views.backend.name();
+        let renderer = views.own.backend.name();
         let figures = Figures {
             fusion,
             fit,
@@ -183,12 +180,20 @@ fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(clips)
 }
 
+/// The source's own camera, at both sizes.
+struct Sizes {
+    /// At which images are drawn that are compared at 256×256.
+    compared: Views,
+    /// The source's.
+    own: Views,
+}
+
 fn evaluate(
     keys: KeyFrames,
     gap: Gap,
     settings: &Settings,
     model: &mut Option<Arc<dyn Reconstructor>>,
-    views: &Views,
+    views: &Sizes,
     seen: bool,
     mut lpips: Option<&mut Lpips>,
     console: &Console,
@@ -200,7 +205,7 @@ fn evaluate(
     };
     // Loaded once for all clips.
     *model = Some(engine.model().clone());
-    let mut drawing = Drawing::new(engine.workers(), views.backend)?;
+    let mut drawing = Drawing::new(engine.workers(), views.own.backend)?;
     let mut shown = Vec::new();
     let mut closeness = gap.depends_on_images().then(|| Closeness::new(engine.workers())).transpose()?;
     let mut keys = Ahead::new(keys, engine.workers().threads());
@@ -210,7 +215,7 @@ fn evaluate(
     let mut before: Option<(Picture, Placed)> = None;
     let mut last_small: Option<Small> = None;
     // The first key frame where depth is found: as with run, the interval after it shows it.
-    let mut first: Option<Picture> = None;
+    let mut first: Option<(Picture, Picture)> = None;
     while let Some(key) = keys.next()? {
         let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
         let truths: Vec<Picture> = key.shown.iter().map(|frame| frame.picture.resized(SIDE, SIDE)).collect();
@@ -223,8 +228,10 @@ fn evaluate(
         let interval: Interval = engine.push_with(between, key.frame, timestamp)?;
         sums.seconds += start.elapsed().as_secs_f64();
         if interval.start < interval.end {
-            let crossed = drawing.draw(&interval, 0, interval.start, views)?;
-            if let Some(truth) = first.take() {
+            let crossed = drawing.draw(&interval, 0, interval.start, &views.compared)?;
+            if let Some((frame, truth)) = first.take() {
+                let own = drawing.draw(&interval, 0, interval.start, &views.own)?;
+                sums.key.add_source_size(own_size(own, &frame));
                 sums.key.add(&compared(&crossed), &truth, lpips.as_deref_mut())?;
             } else {
                 sums.pops.jump += apart(&shown, &crossed.rgb);
@@ -234,17 +241,19 @@ fn evaluate(
         }
         let waits = interval.index == 0 && engine.finds_depth();
         if waits {
-            first = truths.last().cloned();
+            first = picture.clone().zip(truths.last().cloned());
         }
         let given = [sums.key.psnr, sums.middle.psnr];
         for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate().filter(|_| !waits) {
-            let image = drawing.draw(&interval, 0, frame.timestamp, views)?;
+            let image = drawing.draw(&interval, 0, frame.timestamp, &views.compared)?;
+            let own = drawing.draw(&interval, 0, frame.timestamp, &views.own)?;
             if !shown.is_empty() {
                 sums.pops.step += apart(&shown, &image.rgb);
                 sums.pops.steps += 1;
             }
             shown.clone_from(&image.rgb);
             let sum = if i == last { &mut sums.key } else { &mut sums.middle };
+            sum.add_source_size(own_size(own, &frame.picture));
             sum.add(&compared(&image), truth, lpips.as_deref_mut())?;
         }
         let mean = |sum: f64| (last > 0).then(|| sum / last as f64);
@@ -292,6 +301,12 @@ fn evaluate(
 /// An image at the size at which it is compared.
 fn compared(image: &Image) -> Picture {
     Picture { width: image.width, height: image.height, rgb: image.rgb.clone() }.resized(SIDE, SIDE)
+}
+
+/// PSNR of an image of the source's own size, in dB.
+fn own_size(image: Image, frame: &Picture) -> Option<f64> {
+    let image = Picture { width: image.width, height: image.height, rgb: image.rgb };
+    psnr_of_samples(&image.to_rgb8(), &frame.to_rgb8())
 }
 
 /// The mean absolute difference.
