@@ -47,8 +47,8 @@ node_with() {
   cp "$2/package-lock.json" "$home/installed"
 }
 
-# program: the release build of the command line; it is then $streamsplat.
+# program: the release build of the command line; it is then $streamsplat. Where STREAMSPLAT_TESTED is set, `cargo test --workspace` has just built it.
 program() {
-  cargo build --release --locked --quiet "$@"
+  [ -n "${STREAMSPLAT_TESTED:-}" ] || cargo build --release --locked --quiet
   streamsplat=${CARGO_TARGET_DIR:-$PWD/target}/release/streamsplat
 }

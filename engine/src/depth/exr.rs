@@ -2,7 +2,7 @@
 //!
 //! A channel is depth by its name (`Z`, `depth`, …), or by that of its layer or part (`depth.R`, `ViewLayer.Depth.Z`,
 //! `Z` of the part `depth`). A `Z` is not depth if it is a component of a vector (with `X` or `W`), or in the layer
-//! `Mist`. If no name matches, depth is the only channel of the file, its luminance `Y`, or its red channel if red,
+//! `Mist`. If no name matches, depth is the only channel of the file (if that is not alpha), its luminance `Y`, or its red channel if red,
 //! green and blue are equal. Several matching names are an error.
 
 use super::Map;
@@ -60,7 +60,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<Map, String> {
             return Err(format!("expected one EXR channel of depth, found {}", listed(several.iter().copied())));
         }
     }
-    if let [only] = &channels[..] {
+    if let [only] = &channels[..]
+        && !matches!(only.layer_and_name().1.as_str(), "a" | "alpha")
+    {
         return of(only);
     }
     let first = |name: &str| channels.iter().find(|channel| channel.name == name);

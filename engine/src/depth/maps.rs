@@ -104,14 +104,24 @@ impl DepthMaps {
         if listed.is_empty() {
             return Err(DepthError::Empty(folder.to_owned()));
         }
-        let (mut files, notes) = of_one_kind(folder, listed)?;
+        let (mut files, mut notes) = of_one_kind(folder, listed)?;
         if let Some(frames) = frames {
             let by_name: Option<Vec<PathBuf>> = frames
                 .iter()
                 .map(|frame| files.iter().find(|map| map.file_stem() == frame.file_stem()).cloned())
                 .collect();
             match by_name {
-                Some(paired) => files = paired,
+                Some(paired) => {
+                    let (used, found) = (paired.len(), files.len());
+                    if found > used {
+                        let of = if used == 1 { "frame" } else { "frames" };
+                        notes.push(format!(
+                            "{} of {found} depth maps have the names of no {of} and are left out",
+                            found - used
+                        ));
+                    }
+                    files = paired;
+                }
                 None if files.len() == frames.len() => {}
                 None => {
                     let (expected, found) = (frames.len(), files.len());
@@ -179,8 +189,23 @@ impl DepthMaps {
         if (map.width, map.height) == (width, height) {
             return Ok(map.values);
         }
+        if is_turned([map.width, map.height], [width, height]) {
+            let path = self.files.get(index).cloned().unwrap_or_default();
+            let cause = format!(
+                "expected the shape of frames of {width}×{height}, found {}×{}: a map that is turned by a quarter",
+                map.width, map.height
+            );
+            return Err(DepthError::Map { path, cause });
+        }
         Ok(resize_planes(&map.values, [map.height, map.width], [height, width]))
     }
+}
+
+/// Returns true if a map has a frame's width and height interchanged, in proportion.
+fn is_turned([wide, high]: [usize; 2], [width, height]: [usize; 2]) -> bool {
+    let (map, frame) = (wide as f64 / high as f64, width as f64 / height as f64);
+    let clear = frame.max(1.0 / frame) > 1.2;
+    clear && (map * frame - 1.0).abs() < 0.05
 }
 
 /// The files of one kind, where files of several have the same names; and what is left out.
@@ -284,9 +309,24 @@ mod tests {
         let maps = DepthMaps::open(folder.path(), Some(&frames), Range::Frame).expect("both named");
         assert_eq!(maps.map(0, 2, 1).expect("readable"), [1.0, 2.0]);
         assert_eq!(maps.map(1, 2, 1).expect("readable"), [3.0, 4.0]);
+        assert_eq!(maps.notes(), ["1 of 3 depth maps have the names of no frames and are left out"]);
         let error =
             DepthMaps::open(folder.path(), Some(&[PathBuf::from("c.jpg")]), Range::Frame).expect_err("three maps");
         assert!(error.to_string().ends_with("expected 1 depth maps, one for each frame, found 3"), "{error}");
+    }
+
+    #[test]
+    fn a_map_that_is_turned_is_refused() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        png16(&folder.path().join("1.png"), 2, vec![1, 2, 3, 4, 5, 6]);
+        let maps = DepthMaps::open(folder.path(), None, Range::Frame).expect("a map");
+        for (width, height) in [(3, 2), (30, 20)] {
+            let error = maps.map(0, width, height).expect_err("turned").to_string();
+            assert!(error.contains(&format!("frames of {width}×{height}, found 2×3: a map that is turned")), "{error}");
+        }
+        for (width, height) in [(2, 3), (20, 30), (8, 8), (4, 3)] {
+            assert_eq!(maps.map(0, width, height).expect("of its shape, or near").len(), width * height);
+        }
     }
 
     #[test]

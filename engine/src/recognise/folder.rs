@@ -62,6 +62,9 @@ pub(super) fn kind(path: &Path) -> Option<Kind> {
         let advice = "it holds cameras and points (--camera reads them), and no Gaussians";
         return other("a COLMAP model".to_owned(), advice.to_owned());
     }
+    if std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none()) {
+        return other("an empty folder".to_owned(), "nothing was written or copied there".to_owned());
+    }
     None
 }
 

@@ -11,6 +11,7 @@
 //! | an archive, a compressed file | first bytes, and the names in a zip file (`archive`) | unpack it |
 //! | an array of NumPy, a checkpoint of PyTorch, a point cloud or mesh | first bytes, a PLY or glTF header (`geometry`) | the tool that makes Gaussians of it |
 //! | a folder | the names in it (`folder`) | name the file in it |
+//! | text that is not JSON | no control characters | |
 
 mod archive;
 mod folder;
@@ -118,7 +119,41 @@ pub fn kind(path: &Path) -> Option<Kind> {
     if index(scene::INDEX) {
         return Some(Kind::Scene("folder"));
     }
-    other.or_else(|| geometry::kind(&head)).or_else(|| media::kind(&head))
+    other.or_else(|| geometry::kind(&head)).or_else(|| media::kind(&head)).or_else(|| text(&head))
+}
+
+/// What a file is that [`text`] recognises.
+const TEXT: &str = "a text file";
+
+/// Text that is not JSON, which indexes, records and cameras are.
+fn text(head: &Head<'_>) -> Option<Kind> {
+    let begin = head.bytes.trim_ascii_start().first()?;
+    let advice = "it is another program's, or has the name of another file";
+    (!b"{[".contains(begin) && is_text(head.bytes)).then(|| Kind::Other(TEXT.to_owned(), advice.to_owned()))
+}
+
+/// Returns true if bytes are the beginning of a text; its last character may be cut.
+pub(crate) fn is_text(bytes: &[u8]) -> bool {
+    let text = match std::str::from_utf8(bytes) {
+        Ok(text) => text,
+        Err(e) if e.error_len().is_none() => std::str::from_utf8(&bytes[..e.valid_up_to()]).unwrap_or_default(),
+        Err(_) => return false,
+    };
+    !text.is_empty() && !text.chars().any(|c| c.is_control() && !c.is_whitespace())
+}
+
+/// Why a path holds no text of the kind that is expected; `None` where it may hold one.
+pub fn not_a_text(path: &Path, expected: &'static str) -> Option<Wrong> {
+    let advice = || "it is no text".to_owned();
+    let wrong = |found, advice| Some(Wrong { expected, found, advice });
+    match kind(path)? {
+        Kind::Other(found, _) if found == TEXT => None,
+        Kind::Other(found, advice) => wrong(found, advice),
+        Kind::Media(kind, name) => wrong(format!("{} ({name})", kind.article()), advice()),
+        Kind::Scene(name) => wrong(format!("a scene ({name})"), advice()),
+        Kind::Images => wrong("a folder of images".to_owned(), advice()),
+        Kind::Checkpoint => wrong("a checkpoint of PyTorch".to_owned(), advice()),
+    }
 }
 
 /// Why a path is no scene; `None` where it may be one.

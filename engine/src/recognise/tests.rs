@@ -123,6 +123,24 @@ fn what_is_no_scene_is_told_by_what_it_holds() {
 }
 
 #[test]
+fn text_and_an_empty_folder_are_named() {
+    let folder = Folder::new();
+    let text = folder.file("notes.nfo", "Dear diary,\n\té".as_bytes());
+    let found = |path: &Path| not_a_scene(path).expect("no scene").to_string();
+    assert!(found(&text).starts_with("expected a scene, found a text file: "), "{}", found(&text));
+    assert!(not_a_video(&text).is_some() && not_a_record(&text).is_some());
+    let empty = folder.0.path().join("empty");
+    std::fs::create_dir(&empty).expect("writable");
+    assert!(found(&empty).starts_with("expected a scene, found an empty folder: "), "{}", found(&empty));
+    // Where text is expected, other text may be right, and a video is not.
+    let video = folder.file("clip.mp4", b"\0\0\0\x20ftypisom");
+    assert_eq!(not_a_text(&text, "a list"), None);
+    let wrong = not_a_text(&video, "a list").expect("no list").to_string();
+    assert!(wrong.starts_with("expected a list, found a video (MP4)"), "{wrong}");
+    assert!(!is_text(b"\xff\xfe") && !is_text(b"") && is_text(b"a\xc3"));
+}
+
+#[test]
 fn what_may_be_a_scene_is_left_to_its_reader() {
     let folder = Folder::new();
     let gaussians = format!("element vertex 5\n{XYZ}property float opacity\n");
@@ -147,7 +165,7 @@ fn what_may_be_a_scene_is_left_to_its_reader() {
         ("scene.json", b"{}".to_vec()),
         ("meta.json", b"{}".to_vec()),
         ("a.safetensors", b"\x08\0\0\0\0\0\0\0{}      ".to_vec()),
-        ("unknown", b"something else".to_vec()),
+        ("unknown", b"something else\x01".to_vec()),
     ] {
         assert_eq!(not_a_scene(&folder.file(name, &bytes)), None, "{name}");
     }

@@ -153,11 +153,19 @@ impl Source {
             (None, Some((seconds, frames)), _) => ((frames - 1) as f64, seconds),
             (None, None, own) => own.unwrap_or((DEFAULT_FPS, 1.0)),
         };
-        let notes = match &mut kind {
+        let mut notes = match &mut kind {
             Input::File(y4m) => y4m.take_in(options.matrix),
             Input::Stdin(y4m) => y4m.take_in(options.matrix),
             Input::Images(_) | Input::Ffmpeg(_) => Vec::new(),
         };
+        let alpha = match &kind {
+            Input::File(y4m) => y4m.header().has_alpha(),
+            Input::Stdin(y4m) => y4m.header().has_alpha(),
+            Input::Images(_) | Input::Ffmpeg(_) => false,
+        };
+        if alpha {
+            notes.push(decode::OVER_GREY.to_owned());
+        }
         let square = match &kind {
             Input::Images(_) => None,
             Input::File(y4m) => y4m.header().square_size(),

@@ -167,6 +167,10 @@ def colour_cases():
                         f'zscale=min=gbr:rin=pc:tin=709:pin=709:t=linear:p=709:m=gbr:npl=100,format=gbrpf32le,zscale=min=gbr:tin=linear:pin=709:t={curve}:p=2020:m=2020_ncl:npl=100:r=tv,format=yuv444p10',
                         *lossless, '-frames:v', '3')
             yield lambda name=name, size=size: colours(name, size)
+            # White of 100 cd/m² is not brighter than that.
+            name = make(f'white-{curve}-{size}.mp4', *lavfi(f'color=c=white:s={size}:r=25:d=0.12,format=gbrp'), '-vf',
+                        f'format=gbrpf32le,zscale=min=gbr:rin=pc:pin=709:tin=709:npl=100:m=2020_ncl:r=tv:p=2020:t={curve},format=yuv444p10', *lossless)
+            yield lambda name=name, size=size: colours(name, size, (255, 255, 255))
         # What has no Y'CbCr in the file is exact.
         for name, more in [('rgb.mp4', ['-c:v', 'libx264rgb', '-qp', '0']), ('png.mov', ['-c:v', 'png', '-pix_fmt', 'rgb24']),
                            ('ffv1.mkv', ['-c:v', 'ffv1', '-pix_fmt', 'gbrp']), ('ten.mkv', ['-c:v', 'ffv1', '-pix_fmt', 'gbrp10le']),
@@ -306,6 +310,23 @@ def damage_cases():
         open(path(spoilt), 'wb').write(data[:middle] + bytes(range(1, 256)) * 2 + data[middle + 510:])
         yield lambda cut=cut: reading(cut, None, [f'{cut}: damaged: ', ' frames of about 30 announced were read: '], code=1)
         yield lambda spoilt=spoilt: reading(spoilt, None, [f'{spoilt}: damaged: '], code=1, readers=['debian', 'debian alone'])
+    # Cut right before a packet, where the container alone tells that something is missing.
+    for name, more in [('between.mp4', ['-c:v', 'libx264', '-bf', '0', '-movflags', '+faststart']), ('between.webm', ['-c:v', 'libvpx']),
+                       ('between.avi', ['-c:v', 'mjpeg']), ('between.flv', ['-c:v', 'flv1']), ('between.gif', []), ('between.ogv', ['-c:v', 'libtheora'])]:
+        make(name, *moving(frames=20), *more)
+        places = subprocess.run(['ffprobe', '-v', 'error', '-show_entries', 'packet=pos', '-of', 'csv=p=0', path(name)], capture_output=True, text=True, check=True)
+        places = [int(place.strip(',')) for place in places.stdout.split() if place.strip(',').isdigit()]
+        yield lambda name=name: reading(name, None)
+        with open(path(name), 'rb') as file:
+            data = file.read()
+        # An AVI's packet begins with its name and length.
+        at = sorted(places)[9] if name != 'between.gif' else len(data) * 6 // 10
+        with open(path('cut-' + name), 'wb') as file:
+            file.write(data[:at])
+        yield lambda name=name: reading('cut-' + name, None, [f'cut-{name}: damaged: '], code=1)
+    with open(path('notes.txt'), 'w') as file:
+        file.write('hello world\n' * 50)
+    yield lambda: refused('notes.txt', 'found a text file')
     make('whole.y4m', *moving(frames=4))
     data = open(path('whole.y4m'), 'rb').read()
     open(path('cut.y4m'), 'wb').write(data[:-100])

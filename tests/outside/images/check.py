@@ -163,6 +163,27 @@ def jpeg(check):
             check.refused(f'{name}-cut.jpg', 'cut off')
     smooth.convert('CMYK').save(check.folder / 'inks.jpg')
     assert 'CMYK is converted without a colour profile' in check.read(check.folder / 'inks.jpg')[1]
+    # Whole images of every kind are read; of damaged scans most are refused. 20 bytes of a picture of noise are overwritten.
+    noise = np.random.default_rng(3).integers(0, 256, (90, 130, 3)).astype(np.uint8)
+    kinds = {'444': {'subsampling': 0}, '422': {'subsampling': 1}, '420': {'subsampling': 2}, 'optimised': {'optimize': True},
+             'restarts': {'restart_marker_blocks': 7}, 'low': {'quality': 3}, 'high': {'quality': 100}, 'progressive': {'progressive': True}}
+    refused = 0
+    for name, how in kinds.items():
+        for mode in ('RGB', 'L', 'CMYK'):
+            Image.fromarray(noise).convert(mode).save(check.folder / f'{name}-{mode}.jpg', **how)
+            check.read(check.folder / f'{name}-{mode}.jpg')
+            check.count += 1
+        whole = (check.folder / f'{name}-RGB.jpg').read_bytes()
+        start = whole.index(b'\xff\xda') + 14
+        for k in range(10 if name != 'progressive' else 0):
+            damaged, at = bytearray(whole), start + (len(whole) - start - 40) * k // 10
+            damaged[at:at + 20] = bytes((37 * k + 91 * i) % 255 for i in range(20))
+            (check.folder / 'damaged.jpg').write_bytes(damaged)
+            done = attempt(check.folder / 'damaged.jpg', check.folder / 'refused')
+            assert done.returncode in (0, 1), done.stderr
+            refused += done.returncode
+    assert refused >= 56, f'{refused} of 70 damaged JPEG images were refused'
+    check.count += 70
 
 
 def exr(check):

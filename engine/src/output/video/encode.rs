@@ -204,8 +204,10 @@ fn ticks(fps: f64) -> u64 {
 
 fn arguments(kind: &str, uneven: bool, quality: Option<u8>) -> Vec<String> {
     const EXACT: &str = "flags=bicubic+accurate_rnd+full_chroma_int+full_chroma_inp";
+    const SAME: &str = "setparams=color_primaries=bt709:color_trc=bt709";
+    // Pictures have neither primaries nor a transfer; since ffmpeg 9 an encoder takes those of the pictures, not those of its options.
     let scale = |matrix: &str, range: &str| {
-        format!("-vf scale=out_color_matrix={matrix}:out_range={range}:{EXACT} -pix_fmt yuv420p")
+        format!("-vf scale=out_color_matrix={matrix}:out_range={range}:{EXACT},{SAME} -pix_fmt yuv420p")
     };
     let tags = |matrix: &str, range: &str| {
         format!(" -color_range {range} -colorspace {matrix} -color_primaries bt709 -color_trc bt709 ")
@@ -214,7 +216,7 @@ fn arguments(kind: &str, uneven: bool, quality: Option<u8>) -> Vec<String> {
     let how = match kind {
         // 256 colours of each frame's own.
         "gif" => "-vf split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1".to_owned(),
-        "webp" => scale("bt601", "limited") + " -c:v libwebp_anim -quality 90 -loop 0",
+        "webp" => scale("bt601", "limited").replace(SAME, "null") + " -c:v libwebp_anim -quality 90 -loop 0",
         // Without a rate of bits, quality alone decides.
         "avif" => scale("bt601", "full") + &tags("smpte170m", "pc") + &quality(AV1_QUALITY) + " -b:v 0 -cpu-used 8",
         "webm" => scale("bt709", "limited") + &tags("bt709", "tv") + &quality(VP9_QUALITY) + " -b:v 0 -row-mt 1",

@@ -1,8 +1,8 @@
 //! JPEG, by integer arithmetic without vector instructions: every CPU has the same bytes.
 //!
 //! Headers are read leniently, picture data strictly: codes that do not exist are an error, as is a file without its
-//! end-of-image marker. The decoder does not detect damage that leaves valid codes for the whole picture, or for a part of
-//! it followed by that marker. CMYK is converted without a colour profile, `(1 − ink)·(1 − black)`.
+//! end-of-image marker, and a baseline image whose codes are not those of a whole picture ([`super::jpeg_scan`]). Damage that
+//! leaves as many codes is not detected, nor most damage of progressive images. CMYK is converted without a colour profile, `(1 − ink)·(1 − black)`.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-use super::{Still, check_size, decode_error, icc, orientation};
+use super::{Still, check_size, decode_error, icc, jpeg_scan, orientation};
 use crate::picture::{MAX_SIDE, Picture};
 use crate::source::SourceError;
 
@@ -42,6 +42,7 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Still, SourceError> {
     let inks = matches!(decoder.input_colorspace(), Some(ColorSpace::CMYK | ColorSpace::YCCK));
     decoder.set_options(options.set_strict_mode(true));
     let pixels = decoder.decode().map_err(|e| explain(&e))?;
+    jpeg_scan::check(bytes).map_err(|cause| decode_error(path, cause))?;
     let turned = decoder.exif().and_then(|chunk| Orientation::from_exif_chunk(chunk));
     let Some(picture) = Picture::from_rgb8(width, height, &pixels) else {
         let found = pixels.len();

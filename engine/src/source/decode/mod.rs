@@ -20,6 +20,7 @@ mod exr;
 mod frames;
 mod icc;
 mod jpeg;
+mod jpeg_scan;
 mod orientation;
 mod png;
 mod tiff;
@@ -59,7 +60,7 @@ pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, SourceError> {
 }
 
 /// The note on alpha.
-const OVER_GREY: &str = "transparent parts are laid over mid grey";
+pub(super) const OVER_GREY: &str = "transparent parts are laid over mid grey";
 /// The note on colours that cannot be shown.
 const CLAMPED: &str = "colours outside 0 to 1 are clamped";
 /// The note on CMYK.

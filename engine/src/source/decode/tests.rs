@@ -179,6 +179,12 @@ fn a_jpeg_that_is_cut_or_damaged_is_refused() {
     let mut damaged = whole.clone();
     damaged[start + 20..start + 60].fill(0xc3);
     assert!(error(&damaged).contains("a.jpg: broken"), "{}", error(&damaged));
+    // Valid codes for a part of the picture, then the marker of its end.
+    for part in [1, 20, (whole.len() - start) / 2] {
+        let short = [&whole[..start + part], &[0xff, 0xd9]].concat();
+        let found = error(&short);
+        assert!(found.contains("the JPEG image is damaged at unit") && found.contains("of 192: "), "{found}");
+    }
     // What comes after the picture is another matter: previews, second pictures, a maker's notes.
     assert!(decode(&[&whole[..], b"more"].concat(), Path::new("a.jpg")).is_ok());
 }

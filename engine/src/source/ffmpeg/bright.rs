@@ -29,7 +29,8 @@ pub(super) fn pq(light: f64) -> f64 {
 /// Returns true if more than one sample of luma in [`RARE`] is above `white`, 0 to 1 of the limited range.
 pub(super) fn looks_brighter(path: &Path, stream: &str, white: f64) -> bool {
     let (frames, size) = LOOKED_AT;
-    let filter = "fps=1:round=up,scale=64:36:flags=area:in_range=tv:out_range=tv,format=gray16le";
+    // A conversion to a grey format would change the range.
+    let filter = "fps=1:round=up,scale=64:36:flags=area:in_range=tv:out_range=tv,format=yuv444p16le,extractplanes=y";
     let samples = program::samples(path, stream, filter, frames, 2 * size * frames);
     // Limited range, 16 to 235 of 255, three hundredths above white for rounding and ringing.
     let threshold = (16.0 + 219.0 * (1.03 * white)) * 256.0;

@@ -6,7 +6,8 @@
 //! - **Shape**: ffmpeg applies the file's rotation. Pixels that are not square are made so by [`super::Source`]. Interlaced frames are deinterlaced.
 //! - **High dynamic range** (HLG, PQ) becomes BT.709 of standard range: display light of 203 cd/m² is white (ITU-R BT.2408) and what is brighter is
 //!   rolled off, or 100 cd/m² where a video has hardly anything brighter.
-//! - **Damage**: what can be decoded is read; what ffmpeg complained of is an error after the last frame, whatever its exit status.
+//! - **Damage**: what can be decoded is read; what ffmpeg complained of is an error after the last frame, whatever its exit status, as is a file that is
+//!   shorter than its container declares (`whole`).
 //!
 //! [`Ffmpeg::notes`] lists conversions of the pictures and what is left out of the file. Decoders differ between versions
 //! of ffmpeg, so equal digests of a run require equal output of ffmpeg: compare the input digests in `run.json`.
@@ -22,6 +23,7 @@ mod running;
 mod shown;
 mod streams;
 mod times;
+mod whole;
 
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -141,7 +143,11 @@ impl Ffmpeg {
             clock,
             first: (time, size),
             notes,
-            announced: counted.map(|count| count.frames).or_else(|| listing.frames(&stream, starts)),
+            // What there is of a file that was cut is less than what its head announces.
+            announced: match counted {
+                Some(count) if open => Some(count.frames),
+                _ => listing.frames(&stream, starts),
+            },
             stream: stream.index,
             counted: counted.map(|count| count.frames),
             uneven,
@@ -240,7 +246,10 @@ impl Ffmpeg {
             complaints.first.push(cause);
             complaints.count += 1;
         } else if succeeded && complaints.count == 0 {
-            return Ok(());
+            match whole::missing(&self.path) {
+                None => return Ok(()),
+                Some(cause) => complaints = Complaints { first: vec![cause], count: 1 },
+            }
         }
         let cause = one_line(&complaints, &self.path);
         Err(SourceError::Damaged {
@@ -285,13 +294,7 @@ fn one_line(complaints: &Complaints, path: &Path) -> String {
 fn is_text(path: &Path) -> bool {
     let mut start = Vec::new();
     let read = std::fs::File::open(path).and_then(|file| file.take(4096).read_to_end(&mut start));
-    // The last character may be cut.
-    let text = match std::str::from_utf8(&start) {
-        Ok(text) => text,
-        Err(e) if e.error_len().is_none() => std::str::from_utf8(&start[..e.valid_up_to()]).unwrap_or_default(),
-        Err(_) => return false,
-    };
-    read.is_ok() && !text.is_empty() && !text.chars().any(|c| c.is_control() && !c.is_whitespace())
+    read.is_ok() && crate::recognise::is_text(&start)
 }
 
 #[cfg(test)]

@@ -59,6 +59,8 @@ pub(super) struct Listing {
     tiles: bool,
     /// True of transport streams, whose packets are marked as broken where two streams were joined.
     pub(super) joined: bool,
+    /// True of text, which ffmpeg draws as a terminal would.
+    text: bool,
     /// True of Matroska, whose rates are those that its head declares, whatever the frames' times are.
     pub(super) declared: bool,
 }
@@ -92,6 +94,7 @@ impl Listing {
             if let Some(format) = line.strip_prefix("Input #0, ") {
                 found.joined = format.starts_with("mpegts");
                 found.declared = format.starts_with("matroska");
+                found.text = format.starts_with("tty,");
             } else if let Some(rest) = line.strip_prefix("Duration: ") {
                 found.duration = rest.split(',').next().and_then(clock);
                 found.start = after(rest, "start: ");
@@ -113,6 +116,7 @@ impl Listing {
     /// Why none of the streams is a video, in words; none where one is.
     pub(super) fn refusal(&self) -> Option<&'static str> {
         match (self.videos.iter().any(Stream::may_move), &self.sound) {
+            _ if self.text => Some("expected a video, found a text file"),
             (true, _) => None,
             (false, _) if self.tiles => Some("expected a video, found a picture put together of tiles (HEIC)"),
             (false, None) if self.videos.is_empty() => None,
@@ -446,6 +450,11 @@ At least one output file must be specified
             (tiles.to_owned(), Some("expected a video, found a picture put together of tiles (HEIC)")),
             // What ffmpeg cannot list it explains when it decodes.
             (String::new(), None),
+            (
+                "Input #0, tty, from 'a.txt':\n  Stream #0:0: Video: ansi, pal8, 640x400, 25 fps, 25 tbr, 25 tbn\n"
+                    .to_owned(),
+                Some("expected a video, found a text file"),
+            ),
             (RECORDER.to_owned(), None),
         ] {
             assert_eq!(Listing::parse(&text).refusal(), expected, "{text}");

@@ -61,6 +61,11 @@ pub struct Header {
 }
 
 impl Header {
+    /// Returns true if every pixel has an alpha.
+    pub fn has_alpha(&self) -> bool {
+        self.chroma == Chroma::C444Alpha
+    }
+
     /// Reads the header line (without its newline).
     ///
     /// # Errors

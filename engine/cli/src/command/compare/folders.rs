@@ -27,9 +27,9 @@ enum Entry {
     Scene,
 }
 
-/// What a folder holds, by names relative to it.
+/// What a folder holds, by names relative to it, with their paths: names that are not UTF-8 have no exact text.
 struct Content {
-    entries: BTreeMap<String, Entry>,
+    entries: BTreeMap<String, (Entry, PathBuf)>,
     hidden: usize,
     /// True if run or render wrote it.
     rendering: bool,
@@ -61,12 +61,17 @@ impl Content {
                 continue;
             }
             let inside = format!("{prefix}{name}");
-            if !path.is_dir() {
-                self.entries.insert(inside, Entry::File);
-            } else if path.join(INDEX).exists() {
-                self.entries.insert(inside, Entry::Scene);
-            } else {
-                self.add(&path, &format!("{inside}/"), depth + 1)?;
+            let kind = match path.is_dir() {
+                false => Entry::File,
+                true if path.join(INDEX).exists() => Entry::Scene,
+                true => {
+                    self.add(&path, &format!("{inside}/"), depth + 1)?;
+                    continue;
+                }
+            };
+            if let Some((_, other)) = self.entries.insert(inside, (kind, path.clone())) {
+                let (a, b) = (other.display(), path.display());
+                return Err(Failure::work(format!("{a:?} and {b:?}: expected names that differ as UTF-8")));
             }
         }
         Ok(())
@@ -117,8 +122,11 @@ pub fn compare(
             account.odd(name, &format!("missing in {}", folder.display()));
             continue;
         }
-        let paths = [0, 1].map(|at| folders[at].join(name));
-        let kinds = [0, 1].map(|at| contents[at].entries[name]);
+        let [(a, first), (b, second)] = [0, 1].map(|at| {
+            let (kind, path) = &contents[at].entries[name];
+            (path.clone(), *kind)
+        });
+        let (paths, kinds) = ([a, b], [first, second]);
         if let Err(failure) = entry(&paths, kinds, name, limits, workers, &mut account) {
             account.odd(name, &failure.message());
         }

@@ -128,6 +128,8 @@ pub fn command(args: &CompareArgs, console: &Console) -> Result<(), Failure> {
         write_file(path, &picture_png(&streamsplat::difference::heat(a, b)))?;
     }
     let Outcome { passed, summary, lines, json, .. } = outcome;
+    // Names that are not UTF-8 have no exact text.
+    let [a, b] = [a, b].map(|path| path.to_string_lossy());
     let mut found = json!({ "a": a, "b": b, "passed": passed, "summary": summary });
     if let (Value::Object(found), Value::Object(more)) = (&mut found, json) {
         found.extend(more);
@@ -150,5 +152,5 @@ pub fn command(args: &CompareArgs, console: &Console) -> Result<(), Failure> {
     if passed {
         return Ok(());
     }
-    Err(Failure::work(format!("{} and {}: {summary}", a.display(), b.display())))
+    Err(Failure::work(format!("{a} and {b}: {summary}")))
 }

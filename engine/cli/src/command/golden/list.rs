@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use streamsplat::import::read_text;
+use streamsplat::recognise;
 
 use crate::console::failure::Failure;
 use crate::options::args::{Motion, RenderOptions, ViewOptions};
@@ -84,6 +85,9 @@ pub struct Render {
 /// Reads a list. Paths in it are relative to its folder.
 pub fn read(file: &Path) -> Result<Vec<Render>, Failure> {
     let wrong = |e: &dyn std::fmt::Display| Failure::usage(format!("{}: {e}", file.display()));
+    if let Some(found) = recognise::not_a_text(file, "a list of renders in TOML") {
+        return Err(wrong(&found));
+    }
     let text = read_text(file, MAX_LIST).map_err(|e| wrong(&e))?;
     let folder = file.parent().unwrap_or(Path::new(""));
     parse(&text, folder).map_err(|e| wrong(&e))
