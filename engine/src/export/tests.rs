@@ -71,6 +71,33 @@ fn kept(format: &Format) -> f64 {
     }
 }
 
+/// The scene of a PLY file with harmonics of degree 4, which are read to degree 3.
+fn of_degree_4() -> Still {
+    let original = still(60, 3);
+    let rest = (0..72).map(|k| format!("property float f_rest_{k}\n")).collect::<String>();
+    let names = "x y z opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3 f_dc_0 f_dc_1 f_dc_2";
+    let names: String = names.split(' ').map(|name| format!("property float {name}\n")).collect();
+    let mut text = format!("ply\nformat ascii 1.0\nelement vertex {}\n{names}{rest}end_header\n", original.len());
+    for i in 0..original.len() {
+        let own =
+            [&original.mean[i][..], &original.logit[i..=i], &original.log_scale[i], &original.rotation[i]].concat();
+        // By channel; of 24 coefficients the last nine are those of degree 4.
+        let higher = |k: usize| {
+            let (channel, k) = (k / 24, k % 24);
+            if k < 15 { original.higher[45 * i + 3 * k + channel] } else { 0.25 }
+        };
+        let row = own.into_iter().chain(original.base[i]).chain((0..72).map(higher));
+        text.push_str(&(row.map(|x| x.to_string()).collect::<Vec<_>>().join(" ") + "\n"));
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("degree-4.ply");
+    std::fs::write(&path, text).expect("writable");
+    let Opened::Still(file) = import::open(&path, &Limits::default()).expect("PLY") else { panic!("still") };
+    assert_eq!(file.still.about.notes, ["harmonics of degree 4 read to degree 3"]);
+    assert_eq!((file.still.degree, &file.still.higher), (3, &original.higher));
+    file.still
+}
+
 /// Unusual scenes, by name.
 fn cases() -> Vec<(&'static str, Still)> {
     let changed = |change: &dyn Fn(&mut Still)| {
@@ -90,6 +117,7 @@ fn cases() -> Vec<(&'static str, Still)> {
     ];
     cases[5].1.log_scale.iter_mut().flatten().for_each(|s| *s -= 2.0);
     cases.extend((0..=3).map(|degree| ("degree", still(400, degree))));
+    cases.push(("degree 4", of_degree_4()));
     cases
 }
 

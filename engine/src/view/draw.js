@@ -119,6 +119,7 @@ class Drawing {
       this.bind(this.rows, 2);
       gl.uniform1i(at.rows, 2);
       gl.uniform1i(at.degree, packet.degree);
+      gl.uniform1i(at.antialiased, packet.antialiased ? 1 : 0);
       gl.uniform2fv(at.ends, view.ends);
       return at;
     }

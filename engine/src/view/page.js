@@ -204,7 +204,8 @@ function picture() {
 function describe() {
   const { packet, interval, view } = state.shown;
   if (packet.still) {
-    write("facts", `${count(packet.count, "Gaussian")} · ${store.about.still.format} · harmonics of degree ${packet.degree}`);
+    const trained = packet.antialiased ? " · trained with anti-aliasing" : "";
+    write("facts", `${count(packet.count, "Gaussian")} · ${store.about.still.format} · harmonics of degree ${packet.degree}${trained}`);
     write("near", `near ${view.ends[0].toPrecision(2)}`);
     write("far", `${view.ends[1].toPrecision(2)} far`);
     return;

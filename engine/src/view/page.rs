@@ -50,7 +50,7 @@ const SCRIPT_FILES: [&str; 14] = [
 ];
 
 /// The scripts of the worker, likewise.
-const WORKER_FILES: [&str; 15] = [
+const WORKER_FILES: [&str; 16] = [
     include_str!("text.js"),
     include_str!("packet.js"),
     include_str!("still.js"),
@@ -63,6 +63,7 @@ const WORKER_FILES: [&str; 15] = [
     include_str!("dropped/ply.js"),
     include_str!("dropped/packed.js"),
     include_str!("dropped/splat.js"),
+    include_str!("dropped/zstd.js"),
     include_str!("dropped/spz.js"),
     include_str!("dropped/formats.js"),
     include_str!("worker.js"),

@@ -33,9 +33,11 @@ function alphaOn(packet, i, t, view, x, y) {
   });
   const [a, b, c] = [dot(right, right) + LOW_PASS, dot(right, down), dot(down, down) + LOW_PASS];
   const [dx, dy] = [x - u, y - v];
-  const q = (c * dx * dx - 2 * b * dx * dy + a * dy * dy) / (a * c - b * b);
+  const det = a * c - b * b;
+  const q = (c * dx * dx - 2 * b * dx * dy + a * dy * dy) / det;
   if (q > 12) return 0; // under 1/255 of any opacity
-  const alpha = Math.min(0.99, opacityAt(packet, i, t) * Math.exp(-0.5 * q));
+  const kept = packet.antialiased ? Math.sqrt(Math.max(0, det - LOW_PASS * (a + c - LOW_PASS)) / det) : 1;
+  const alpha = Math.min(0.99, opacityAt(packet, i, t) * kept * Math.exp(-0.5 * q));
   return alpha >= ALPHA_MIN ? alpha : 0;
 }
 

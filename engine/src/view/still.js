@@ -9,14 +9,16 @@ const STILL_ROW = 16;
 class StillPacket {
   constructor(buffer) {
     const view = new DataView(buffer);
-    if (buffer.byteLength < STILL_HEADER || view.getUint32(4, true) !== 1) throw new Error("not a still scene of a version this page reads");
-    const [count, degree] = [view.getUint32(8, true), view.getUint32(12, true)];
+    if (buffer.byteLength < STILL_HEADER || view.getUint32(4, true) !== 2) throw new Error("not a still scene of a version this page reads");
+    const [count, degree] = [view.getUint32(8, true), view.getUint16(12, true)];
     const length = STILL_HEADER + count * (RECORD + degree * STILL_ROW + 4);
     if (degree > 3 || buffer.byteLength !== length) throw new Error("a still scene of the wrong length");
     this.still = true;
     this.size = length;
     this.count = count;
     this.degree = degree;
+    /** Whether Gaussians smaller than a pixel are drawn fainter, not wider. */
+    this.antialiased = view.getUint16(14, true) === 1;
     [this.index, this.start, this.end] = [0, 0, 0];
     const rows = STILL_HEADER + count * RECORD;
     const numbers = rows + count * degree * STILL_ROW;

@@ -13,7 +13,7 @@ function scripts() {
   const list = /const WORKER_FILES[^=]*= \[(.*?)\];/s.exec(readFileSync(`${VIEW}/page.rs`, "utf8"))[1];
   const files = [...list.matchAll(/include_str!\("(.*?)"\)/g)].map(([, name]) => name).filter((name) => name !== "worker.js");
   const text = files.map((name) => readFileSync(`${VIEW}/${name}`, "utf8")).join("\n");
-  return new Function(`"use strict";\n${text}\nreturn { opened, Packet, packetIn, decode, packetOf, HEADER, RECORD };`)();
+  return new Function(`"use strict";\n${text}\nreturn { opened, unzstd, Packet, packetIn, decode, packetOf, HEADER, RECORD };`)();
 }
 
 /** A file in memory, as the page's readers see one. */
@@ -87,6 +87,40 @@ function spz(version, count, degree) {
   return Buffer.concat([head, Buffer.from(Uint8Array.from({ length: count * each }, (_, i) => (i * 73) & 255))]);
 }
 
+/** A zstd frame of one block as it is, of at most 255 bytes. */
+const stored = (bytes) => Buffer.concat([Buffer.from([0x28, 0xb5, 0x2f, 0xfd, 0x20, bytes.length, 1 | (bytes.length << 3), bytes.length >> 5, 0]), bytes]);
+
+/** An SPZ file of version 4. */
+function spz4(count, degree) {
+  const old = spz(3, count, degree);
+  let at = 16;
+  const frames = [9, 1, 3, 3, 4, 3 * ((degree + 1) ** 2 - 1)].filter(Boolean).map((each) => stored(old.subarray(at, (at += each * count))));
+  const header = Buffer.alloc(32);
+  old.copy(header, 0, 0, 16);
+  [4, header[8]].forEach((word, k) => header.writeUInt32LE(word, 4 + 4 * k));
+  header[15] = frames.length;
+  header.writeUInt32LE(32, 16);
+  const table = Buffer.concat(frames.map((frame) => {
+    const entry = Buffer.alloc(16);
+    [frame.length, frame.length - 9].forEach((length, k) => entry.writeUInt32LE(length, 8 * k));
+    return entry;
+  }));
+  return Buffer.concat([header, table, ...frames]);
+}
+
+/** Contents of three kinds, and the frames that zstd 1.5.4 makes of them: `-19`, `-1`, `-19`. */
+const CONTENT = 1500;
+function content(kind) {
+  let [state, last] = [1, 100];
+  const next = () => (state = (Math.imul(state, 1664525) + 1013904223) >>> 0) >>> 24;
+  return Uint8Array.from({ length: CONTENT }, (_, i) => [(last = (last + (next() & 3) - 1) & 255), [7, 7, 7, 40][next() & 3], i % 97 < 60 ? i % 97 : i >> 3][kind]);
+}
+const FRAMES = [
+  "KLUv/WTcBLUnALQ9Y2NiY2JhYmRlZWVnaGhqbGtrbW9wcnFzcnNydHR2d3l4enx9fn9/gYKDg4SFhYWHhoaIiYiKi4qJiYiJi42Mi42NjY+RkJGSk5OVlJWXl5aVlpeZmJqcnZyenp+hoqKkpKOko6OlpKOlpaepqaqpqqytra+wsbO1t7a1tbW3ubi4ubm4ubq8vLy+v77AwcLDwsPDw8TFxsjHx8jKy83Ozc3MzM3P0dPV1tbY19nb3d7d397f4eLk5eXk5uXm5ubn6evq6ejq6evs7O7t7u7w8fHw7/Dv8fDx8PLy8vT19vX19PP08/Lx8fLy9PX09vf49/n6/P4AAAABAQMDBAYFBwcGBQYHBggICQgHBgYFBAQDAgEBAgYIBwkKDA4QEBAPERMSExMUFRQVFxYXGBobGxoaHR8hIiIjIiMlJiUlJCMkJScmKCcoKiwtLi0uLzAxMzMzMjQzMjM1NDY3Nzg6PDs8PD0+PT9BQEJEQ0NFRkdJSEdJS0xMTk1OTk5PTk9PUVFSVFRVV1ZUU1NTVFZVWFpcW11fYF9gYWNkY2JiYmNlZGRmZmhnZ2hqampsbWxsbWtsbW9vbnBvcXFycnN0dXd3eHp5eHl4d3h4eXp/g4WGiIiIh4iMjo6NjpCPkZGRkJCSkpGSkpiYmJqbnJydnZ2mpaaoqKepq6qsrrCys7W0tLa4uLq6u7q5urm7vb7AwcHDwcC/vr28u769vb6+vb++vb/Av8HDxMPExsfIycrJycnKy8zNzs7Q0dLX4OLk4+Xk5efp6uvt7O3u7+/u7fDw8fP19/j4+fr5+vv9/v38/f8AAQICAQMFBAUFBwkJCwwLDQ8PERESERITFRQWGBkZGh4gIiMkJigoJygpKiwuMC8wLy8uLi0vLjAwMTExNTU0MzM5ODk4Nzg5Ojs7Ojk9P0A/PkVLUFJRU1NVVVVXV1hZW1xeYGJkY2Vma2ppaWloaHBvbm5vcHR2d3d5e318fH1/fn9+gIKDhYSDgoaHhomJiYuLioyMjpGQj5GTkpOUk5KVlZSTlZeZmpmam5yen5+foaKhoaOio6OmpqipqKqrrayrra+xsLKysbGzsrKztLS1tre2trW2u72+v7/AwL+/wsTDxcbGxcfJz87S09PU1tjZ2tzd3t7d39/f4ODh4eDk5Obm6Onr6urq8/b3+fv6/Pz+/wIEBQYFBwsNDQwMDRMXGRgZGRgaGRgZGhweHRwdHRwdHiAhIiQjKCopKikrKiwtLS0xMC8vLzEzMzQ2NzY4Ojo8PkBCQkJGSEpMTk9RUFFTVFlZWVpcXV5gX15gYmFjYmNigJeoESFziBAakhFJkhQyHDDIoZGo+IDbAedHlb/r38w/AKMjrBlbI/h3oE5rXIXH6v8wAMXWQB0wJywMwl2FzgfFiSQjmMilSsPXzYPyG3Qygiai/GYEd1Ldpy3kepmAEGFLWCK3DDyDiEoXK/UXFCCgSifAiJf/3wFEf6iVJW6HRfc4D0dPGNH64PR5vqWnOoHyKJdTlwsNpCzCB9xnwdcFNEs1DXG61TngvLVup35t10e5HzWfD/jFWwgbdC4ahs1pWK6hhGFjyeYwZqINIQFBtEGFBEGBWFsEPizYnXCH6BeQjGUYfXBe6RdxFD/tNSevlBJo8HAu+VUT7oAzlnEMQFEGhE8cspJUpCBUk/1cNUpMY2BZDR5K8b5b",
+  "KLUv/WTcBG0JAGKEAwTgD/b50LN10xfl32lCgNOooGvYDZCCsbPNARFAUI0lbaEwjQEz8KWpJXvofvdHsPJB1AEIqxMcKpMHs/d9EPa2q2JlImq5tJ77aOoWnDDGmAikywSiM5zKl14TxZzdtMTZQpMpvcJfoy2gK2XxFuQ+9HNqCyVrVhamc/clh8zE+oebCqs5ABMPhNNBdIcnnsu/8348qCsm/10GJEKA/8Qygw9nFtrGXObKK2dICwNqr2QZCJ00xVPQ6nnoZv7d8m2OOMjYkdS8ZRG98442P1wUFvQfEY1SSZu9QluxqI1cxZwNJ+A1jisBBl43+eOFuj1bmDDQbn6sp2ElVcuvBUvmpU93Ez6qtiVys88obwd5iotqjglu/VrA1Xpr60QGftuL7XsftgFeSQHVikRm",
+  "KLUv/WTcBC0HALQJAAECAwQFBgcICQoLDA0ODxAREhMUFRYXGBkaGxwdHh8gISIjJCUmJygpKissLS4vMDEyMzQ1Njc4OTo7BwgJCgsMExMTFBUWFxgYHx8gISIjJCQkKywtLi8wODk6OzxERUZHSFBRUlNUXF1eX2BoaWprbG10dHR1dnd4eXmAgIGCg4SFhYWMjY6PkJGZmpucnaWmp6ipsbKztLVWqHHY5Pp/BpC9GXIoHEc6/v+fiT6GJqyCTgEY7hIMLTXv8eLah7hHBHGIcp/AYUOLnQJsdqhqOi69yYlSUlPIPHIh1xIboKo9G5mH",
+].map((text) => Buffer.from(text, "base64"));
+
 /** A chunk of a page's container: records that are fresh, all differences small. */
 function chunk(count) {
   return Buffer.concat(
@@ -107,7 +141,8 @@ const whole = (bytes) => new Uint8Array(bytes).buffer;
 
 /** All readers by name. */
 export function readers() {
-  const { opened, Packet, packetIn, decode, packetOf, HEADER, RECORD } = scripts();
+  const { opened, unzstd, Packet, packetIn, decode, packetOf, HEADER, RECORD } = scripts();
+  FRAMES.forEach((frame, kind) => check(Buffer.compare(unzstd(frame, CONTENT), content(kind)) === 0, `the content of frame ${kind}`));
   /** One error of one line that says what was expected and found. */
   const own = (error) => error.constructor === Error && /^[^\n]+: expected [^\n]*, found [^\n]*$/.test(error.message);
   const file = (name, seeds, wrapped = (bytes) => bytes) => ({
@@ -133,6 +168,14 @@ export function readers() {
     packed: file("a.ply", [packed(3, 0), packed(300, 0), packed(2, 9), packed(2, 45)]),
     splat: file("a.splat", [splat(1), splat(20)]),
     spz: file("a.spz", [spz(2, 3, 0), spz(3, 3, 0), spz(3, 2, 1), spz(2, 2, 3), spz(3, 2, 4)], zipped),
+    spz4: file("a.spz", [spz4(1, 0), spz4(3, 1), spz4(2, 3)]),
+    zstd: {
+      seeds: FRAMES,
+      refusal: (error) => error.constructor === Error && /^damaged: [^\n]+$/.test(error.message),
+      async read(bytes) {
+        check(unzstd(bytes, CONTENT).length === CONTENT, "a content of another length");
+      },
+    },
     others: file("a.bin", [plain(1, 0), ...[spz(2, 1, 0)].map((bytes) => gzipSync(bytes))]),
     // Chunks and packets come from the program itself: any error will do that ends soon, and no packet may hold together only in part.
     chunk: {

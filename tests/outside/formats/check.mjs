@@ -1,5 +1,5 @@
 // node check.mjs STREAMSPLAT FOLDER: scenes of our own making go into each format and back, through this program and through those of others:
-// SPZ's reference implementation, and splat-transform for compressed PLY, SOG, glTF and .splat.
+// SPZ's reference implementation, and splat-transform for PLY, compressed PLY, SPZ, SOG, glTF and .splat.
 import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
 import { mkdirSync, readFileSync, writeFileSync } from 'node:fs';
@@ -39,9 +39,9 @@ function scene(degree) {
   }));
 }
 
-function writePly(path, columns) {
+function writePly(path, columns, comment = '') {
   const keys = Object.keys(columns);
-  const header = `ply\nformat binary_little_endian 1.0\nelement vertex ${COUNT}\n`
+  const header = `ply\nformat binary_little_endian 1.0\n${comment}element vertex ${COUNT}\n`
     + keys.map((key) => `property float ${key}\n`).join('') + 'end_header\n';
   const body = new Float32Array(COUNT * keys.length);
   keys.forEach((key, k) => columns[key].forEach((value, i) => { body[i * keys.length + k] = value; }));
@@ -257,3 +257,45 @@ for (const degree of [0, 3]) {
     console.log(`${ending} at degree ${degree}: ours ${sizes[0]} bytes, theirs ${sizes[1]}`);
   }
 }
+
+// SPZ of splat-transform: PLY's numbers as they are, in files that do not state their axes. It reads ours so, of either version.
+{
+  const original = without(scene(3));
+  writePly(file('scene.ply'), scene(3));
+  for (const version of [3, 4]) {
+    convert('--spz-version', version, file('scene.ply'), file('theirs.spz'));
+    run('export', file('theirs.spz'), '--axes', 'rdf', '--format', 'ply', '--out', file('read.ply'));
+    const read = without(readPly(file('read.ply')));
+    compare(`SPZ ${version}: theirs`, read, original, format(version));
+    convert(file('theirs.spz'), file('again.ply'));
+    compare(`SPZ ${version}: theirs, by both`, read, without(readPly(file('again.ply'))), same(version));
+    run('export', file('scene.ply'), '--spz-version', version, '--out', file('ours.spz'));
+    convert(file('ours.spz'), file('again.ply'));
+    compare(`SPZ ${version}: ours, by them`, without(readPly(file('again.ply'))), original, format(version));
+    run('export', file('ours.spz'), '--format', 'ply', '--out', file('read.ply'));
+    compare(`SPZ ${version}: ours, by both`, without(readPly(file('read.ply'))), without(readPly(file('again.ply'))), same(version));
+  }
+  console.log('SPZ 3 and 4 of splat-transform: as ours');
+}
+
+// Marks of anti-aliased training, in both directions; and none where there was none.
+const MARK = /^comment SplatRenderMode: mip$/m;
+const header = (path) => readFileSync(path).toString('latin1').split('end_header')[0];
+function marked(path) {
+  execFileSync(streamsplat, ['inspect', path, '--json', file('about.json'), '--quiet'], { stdio: 'ignore' });
+  return JSON.parse(readFileSync(file('about.json'))).trained_with_antialiasing;
+}
+for (const [comment, expected] of [['comment SplatRenderMode: mip\n', true], ['comment antialiased 1\n', true], ['comment antialiased 0\n', false], ['', false]]) {
+  writePly(file('scene.ply'), scene(1), comment);
+  assert.equal(marked(file('scene.ply')), expected, `${JSON.stringify(comment)}: the mark, by us`);
+  for (const [ending, ...options] of [['ply'], ['compressed.ply'], ['sog'], ['spz', '--spz-version', '3'], ['spz', '--spz-version', '4']]) {
+    const what = `${JSON.stringify(comment)}: ${ending} ${options.join(' ')}`;
+    convert(...options, file('scene.ply'), file(`theirs.${ending}`));
+    assert.equal(marked(file(`theirs.${ending}`)), expected, `${what}: the mark of theirs, by us`);
+    run('export', file('scene.ply'), ...options, '--out', file(`ours.${ending}`));
+    assert.equal(marked(file(`ours.${ending}`)), expected, `${what}: the mark of ours, by us`);
+    convert(file(`ours.${ending}`), file('again.ply'));
+    assert.equal(MARK.test(header(file('again.ply'))), expected, `${what}: the mark of ours, by them`);
+  }
+}
+console.log('marks of anti-aliased training in PLY, compressed PLY, SOG, SPZ 3 and 4: read and written by both');

@@ -190,14 +190,14 @@ async function resting(address) {
   await slow.close();
 }
 
-/** A PLY file of needles, discs and balls with harmonics of degree 3, away from the origin, with floaters far from the rest. */
-function cloud(count = 4000) {
+/** A PLY file of needles, discs and balls with harmonics of degree 3, away from the origin, with floaters far from the rest. `lines` are added to its header. */
+function cloud(count = 4000, lines = "") {
   let seed = 1;
   const next = () => (seed = (seed * 48271) % 2147483647) / 1073741823.5 - 1;
   const some = (n, low, high) => Array.from({ length: n }, () => low + 0.5 * (high - low) * (next() + 1));
   const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", ...Array.from({ length: 45 }, (_, i) => `f_rest_${i}`)];
   names.push("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3");
-  const header = `ply\nformat binary_little_endian 1.0\nelement vertex ${count}\n${names.map((name) => `property float ${name}\n`).join("")}end_header\n`;
+  const header = `ply\nformat binary_little_endian 1.0\n${lines}element vertex ${count}\n${names.map((name) => `property float ${name}\n`).join("")}end_header\n`;
   const rows = Array.from({ length: count }, (_, i) => {
     const place = i % 200 ? [10 + 3 * next(), -20 + 2 * next(), 5 + 4 * next()] : some(3, -500, 500);
     return [...place, ...some(3, -1.5, 1.5), ...some(45, -0.3, 0.3), ...some(1, -4, 4), ...some(3, -5, -1), ...some(4, -1, 1)];
@@ -248,8 +248,46 @@ async function stills() {
   check((await view.ended) === 0, "Ctrl-C ends the server well");
 }
 
-/** An SPZ file of version 2 or 3, which no program of ours writes: `plain` changes the bytes before they are compressed. */
-function spz(version, degree, plain = (bytes) => bytes) {
+/** Marks of anti-aliased training: drawn as `render` draws them, with opacities lowered by √(det before / det after), and picked likewise. */
+async function antialiased() {
+  const [marked, dots] = [`${scratch}/marked.ply`, `${scratch}/dots.ply`];
+  writeFileSync(marked, cloud(4000, "comment SplatRenderMode: mip\n"));
+  const view = start(streamsplat, ["view", marked, "--port", "0"], "stdout");
+  const address = (await view.line).split(" ")[0];
+  for (const camera of [{ canonical: true }, { yaw: 70, pitch: -20, zoom: 0.3 }, { yaw: 30, zoom: 0.4, lens: "parallel" }]) {
+    const { theirs, dB } = await compare(page, address, { t: 0, ...camera }, marked);
+    const [width, height] = SIZE;
+    const from = camera.canonical ? [] : ["--camera", `${scratch}/camera.json`];
+    run(streamsplat, "render", marked, ...from, "--size", `${width}x${height}`, "--antialias", "off", "--quiet", "--out", `${scratch}/plain`);
+    const plain = await psnr(other, theirs, `${scratch}/plain/frames/000000.png`);
+    console.log(`with the mark of anti-aliasing, ${JSON.stringify(camera)}: ${dB.toFixed(1)} dB, without it ${plain.toFixed(1)} dB`);
+    check(dB >= STILL, `with the mark of anti-aliasing: expected ${STILL} dB beside our render, found ${dB}`);
+    check(plain < dB - 12, `expected another picture than without anti-aliasing, found ${plain} dB beside it, and ${dB} beside ours`);
+  }
+  check((await page.locator("#facts").textContent()).endsWith(" · trained with anti-aliasing"), "the page shows the mark");
+  view.child.kill("SIGINT");
+  check((await view.ended) === 0, "Ctrl-C ends the server well");
+
+  // Three dots of a twentieth of a pixel, one in the middle: of the light that the low-pass makes of them less than 1/255 is left.
+  const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+  const rows = [-1, 0, 1].map((x) => [x, 0, 0, 1, 1, 1, 4, -10, -10, -10, 1, 0, 0, 0]);
+  const dotted = (lines) => {
+    const header = `ply\nformat binary_little_endian 1.0\n${lines}element vertex 3\n${names.map((name) => `property float ${name}\n`).join("")}end_header\n`;
+    return Buffer.concat([Buffer.from(header), Buffer.from(new Float32Array(rows.flat()).buffer)]);
+  };
+  for (const [lines, found] of [["", true], ["comment antialiased 1\n", false], ["comment antialiased 1\ncomment Antialiased 0\n", true]]) {
+    writeFileSync(dots, dotted(lines));
+    const view = start(streamsplat, ["view", dots, "--port", "0"], "stdout");
+    await visit(page, (await view.line).split(" ")[0], { t: 0 });
+    await page.mouse.click(SIZE[0] / 2, SIZE[1] / 2);
+    check((await page.locator("#card").isVisible()) === found, `${JSON.stringify(lines)}: expected ${found ? "a Gaussian" : "none"} under the middle`);
+    view.child.kill("SIGINT");
+    await view.ended;
+  }
+}
+
+/** An SPZ file of version 1, 2 or 3 with positions of `width` bytes, which no program of ours writes: `plain` changes the bytes before they are compressed. */
+function spz(version, degree, plain = (bytes) => bytes, flags = 0, width = version === 1 ? 6 : 9) {
   const count = 3000;
   let seed = 7;
   const bytes = (each, low, high) => Buffer.from(Array.from({ length: each * count }, () => low + ((seed = (seed * 48271) % 2147483647) % (high - low))));
@@ -258,8 +296,11 @@ function spz(version, degree, plain = (bytes) => bytes) {
   [version, count].forEach((value, k) => header.writeUInt32LE(value, 4 + 4 * k));
   header[12] = degree;
   header[13] = 12;
-  const positions = Buffer.from(bytes(9, 0, 256).map((byte, k) => (k % 3 < 2 ? byte : byte & 1 ? 255 : 0)));
-  const attributes = [positions, bytes(1, 0, 256), bytes(3, 60, 200), bytes(3, 80, 144), bytes(version + 1, 0, 256), bytes(3 * ((degree + 1) ** 2 - 1), 100, 156)];
+  header[14] = flags;
+  // Within ±16 as fixed point, within ±2 as binary16.
+  const placed = { 6: (byte, k) => (k % 2 ? (byte & 0x8f) | 0x30 : byte), 9: (byte, k) => (k % 3 < 2 ? byte : byte & 1 ? 255 : 0) };
+  const positions = Buffer.from(bytes(width, 0, 256).map(placed[width]));
+  const attributes = [positions, bytes(1, 0, 256), bytes(3, 60, 200), bytes(3, 80, 144), bytes(version < 3 ? 3 : 4, 0, 256), bytes(3 * ((degree + 1) ** 2 - 1), 100, 156)];
   return gzipSync(plain(Buffer.concat([header, ...attributes])));
 }
 
@@ -312,10 +353,20 @@ async function files(address) {
     paths.push(`${scratch}/${name}`);
     run(streamsplat, "export", source, "--out", paths.at(-1), "--quiet");
   }
-  for (const [version, degree] of [[2, 0], [3, 3], [3, 4]]) {
-    paths.push(`${scratch}/version-${version}-${degree}.spz`);
-    writeFileSync(paths.at(-1), spz(version, degree));
+  for (const [version, degree, flags = 0, width] of [[2, 0], [3, 3], [3, 4], [3, 1, 1], [1, 1], [1, 0, 0, 9]]) {
+    paths.push(`${scratch}/version-${version}-${degree}-${flags}-${width ?? "own"}.spz`);
+    writeFileSync(paths.at(-1), spz(version, degree, undefined, flags, width));
   }
+  for (const version of ["3", "4"]) {
+    paths.push(`${scratch}/cloud-${version}.spz`);
+    run(streamsplat, "export", source, "--spz-version", version, "--out", paths.at(-1), "--quiet");
+  }
+  for (const [name, lines] of [["brush", "comment SplatRenderMode: mip\n"], ["postshot", "comment Antialiased 1\n"], ["neither", "comment antialiased 1\ncomment SplatRenderMode: default\ncomment antialiased 1 x\n"]]) {
+    paths.push(`${scratch}/${name}.ply`);
+    writeFileSync(paths.at(-1), cloud(4000, lines));
+  }
+  paths.push(`${scratch}/marked.compressed.ply`);
+  run(streamsplat, "export", `${scratch}/brush.ply`, "--out", paths.at(-1), "--quiet");
   const own = await open(browser, SIZE, log);
   await visit(own, address, { t: 0.1 });
   for (const path of paths) {
@@ -343,7 +394,7 @@ async function files(address) {
     await opened(own, "cloud.ply");
   }
   const last = await picture(own);
-  await refused(own, paths);
+  await refused(own, paths, `${scratch}/cloud-4.spz`);
   check((await psnr(other, await picture(own), last)) === Infinity, "what is refused leaves the scene as it is");
   await own.mouse.click(SIZE[0] / 2, SIZE[1] / 2);
   check(/^\d+$/.test(await own.locator("#identity").textContent()), "a Gaussian of an opened file is picked");
@@ -360,7 +411,7 @@ async function files(address) {
 }
 
 /** Files that are not what they say, one message each. */
-async function refused(page, [ply, packed, splat]) {
+async function refused(page, [ply, packed, splat], newer) {
   const [whole, compressed, records] = [ply, packed, splat].map((path) => readFileSync(path));
   const changed = (bytes, from, to) => Buffer.from(bytes.toString("latin1").replace(from, to), "latin1");
   const header = (at, value) => (bytes) => (bytes.writeUInt32LE(value, at), bytes);
@@ -368,6 +419,9 @@ async function refused(page, [ply, packed, splat]) {
   negative.writeFloatLE(-1, 32 + 12);
   const bomb = Buffer.concat([Buffer.from("NGSP"), Buffer.from([3, 0, 0, 0, 0x40, 0x42, 0x0f, 0, 0, 12, 0, 0]), Buffer.alloc(20_000_000)]);
   const view = "(open it with: streamsplat view FILE)";
+  const newest = readFileSync(newer);
+  /** The first byte of the first frame is another. */
+  const broken = (bytes) => ((bytes = Buffer.from(bytes)), (bytes[bytes.readUInt32LE(16) + 16 * bytes[15]] ^= 1), bytes);
   const all = [
     ["cut.ply", whole.subarray(0, -5), "element vertex: expected 4000 of 236 bytes each, found 943995 bytes"],
     ["long.ply", Buffer.concat([whole, records]), "file: expected its end after the last element, found"],
@@ -378,18 +432,23 @@ async function refused(page, [ply, packed, splat]) {
     ["endless.ply", Buffer.concat([Buffer.from("ply\n"), Buffer.alloc(70_000, 32)]), "header: expected end_header within the first 4194304 bytes"],
     ["cut.compressed.ply", compressed.subarray(0, -5), "element sh: expected 4000 of 45 bytes each"],
     ["many.compressed.ply", changed(compressed, "chunk 16", "chunk 99"), "element sh: expected 4000 of 45 bytes each"],
-    ["magic.compressed.ply", changed(compressed, "ply", "plx"), 'format: expected PLY, compressed PLY, SPZ of versions 1 to 3, or splat, found a file that begins with "plx\\nform"'],
+    ["magic.compressed.ply", changed(compressed, "ply", "plx"), 'format: expected PLY, compressed PLY, SPZ or splat, found a file that begins with "plx\\nform"'],
     ["cut.splat", records.subarray(0, -5), `file: expected records of 32 bytes, found ${records.length - 5} bytes`],
     ["negative.splat", negative, "record 1: expected standard deviations of 0 or more, found -1"],
     ["nowhere.splat", Buffer.alloc(32, 255), "centres: expected Gaussians at finite places, found none to look at"],
     ["cut.spz", spz(3, 1).subarray(0, -9), "gzip stream: expected a whole one, found "],
     ["more.spz", spz(3, 1, (bytes) => Buffer.concat([bytes, Buffer.from([0])])), "attributes: expected 87000 bytes, found more"],
+    ["between.spz", spz(1, 1, (bytes) => Buffer.concat([bytes, Buffer.from([0])])), "attributes: expected 75000 bytes, or 84000 with positions in fixed point, found 75001"],
     ["fewer.spz", spz(3, 1, (bytes) => bytes.subarray(0, -1)), "attributes: expected 87000 bytes, found 86999"],
     ["many.spz", spz(2, 0, header(8, 99_999_999)), "header: points: expected at most"],
     ["bomb.spz", gzipSync(bomb), "header: points: expected at most"],
-    ["version.spz", spz(3, 0, header(4, 5)), "header: version: expected 1 to 3 in a gzip stream, found 5"],
+    ["version.spz", spz(3, 0, header(4, 5)), "header: version: expected 1 to 3 in a file of this kind, found 5"],
     ["magic.spz", spz(3, 0, header(0, 0x20202020)), 'header: first word: expected NGSP, found "    "'],
-    ["new.spz", Buffer.from("NGSP\x04\x00\x00\x00"), `found SPZ of version 4 ${view}`],
+    ["new.spz", Buffer.from("NGSP\x04\x00\x00\x00"), "header: expected 32 bytes, found 8"],
+    ["cut.4.spz", newest.subarray(0, -5), "harmonics: expected "],
+    ["more.4.spz", Buffer.concat([newest, Buffer.alloc(1)]), "file: expected its end after the last stream, found 1 more bytes"],
+    ["frame.4.spz", broken(newest), "positions: expected a zstd frame of 36000 bytes, found damaged: no frame"],
+    ["many.4.spz", header(8, 99_999_999)(Buffer.from(newest)), "header: points: expected at most"],
     ["a.sog", Buffer.from("PK\x03\x04aaaa"), `found a zip file, as SOG is ${view}`],
     ["a.glb", Buffer.from("glTF\x02\x00\x00\x00"), `found glTF ${view}`],
     ["scene.json", Buffer.from("{}"), `found JSON that names other files ${view}`],
@@ -560,6 +619,7 @@ check((await view.ended) === 0, "Ctrl-C ends the server well");
 await nothing();
 await changing();
 await stills();
+await antialiased();
 await live();
 await browser.close();
 check(log.said.length === 0, `the console is not clean: ${log.said.join("; ")}`);

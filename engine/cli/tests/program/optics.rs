@@ -11,6 +11,7 @@ use streamsplat::scene::Scene;
 use streamsplat::stream::Workers;
 use streamsplat::{Image, RenderOptions};
 use streamsplat_kernels::Level;
+use streamsplat_kernels::harmonics::Y0;
 
 use crate::still::prepared;
 use crate::support::{Scratch, command, fails, files, json, run_ok};
@@ -73,6 +74,49 @@ fn each_option_changes_the_picture_and_no_byte_depends_on_threads_or_level() {
     );
     let output = command().arg("verify").arg(&out).output().expect("the program starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// A grid of N×N Gaussians as splat-transform's tests draw it (fixtures/splat-transform/README.md), as a PLY file.
+fn grid(side: usize, spacing: f64, deviation: f64) -> Vec<u8> {
+    let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
+    let properties: String = names.split(' ').map(|name| format!("property float {name}\n")).collect();
+    let header =
+        format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n{properties}end_header\n", side * side);
+    let mut bytes = header.into_bytes();
+    let coefficient = |colour: f64| (colour - 0.5) / Y0;
+    let shade = |i: usize| coefficient((i + 1) as f64 / (side + 1) as f64);
+    let place = |i: usize| (i as f64 - side as f64 / 2.0) * spacing;
+    for (z, x) in (0..side).flat_map(|z| (0..side).map(move |x| (z, x))) {
+        let scale = deviation.ln();
+        let row =
+            [place(x), 0.0, place(z), shade(x), shade(z), 0.0, 9_f64.ln(), scale, scale, scale, 1.0, 0.0, 0.0, 0.0];
+        bytes.extend(row.iter().flat_map(|value| (*value as f32).to_le_bytes()));
+    }
+    bytes
+}
+
+#[test]
+fn golden_pictures_of_splat_transform_come_out_with_its_footprint() {
+    let scratch = Scratch::new();
+    let scenes = [("400", 20, 1.0, 0.1, [0, 5, -8], [320, 240]), ("48400", 220, 0.3, 0.05, [0, 10, -15], [640, 360])];
+    for (name, side, spacing, deviation, position, [width, height]) in scenes {
+        let (scene, camera, out) = (scratch.path("grid.ply"), scratch.path("camera.json"), scratch.path("grid.png"));
+        std::fs::write(&scene, grid(side, spacing, deviation)).expect("writable");
+        let look = serde_json::json!({
+            "type": "pinhole", "position": position, "look_at": [0, 0, 0], "up": [0, 1, 0],
+            "fov_y_degrees": 60, "aspect": f64::from(width) / f64::from(height),
+        });
+        std::fs::write(&camera, look.to_string()).expect("writable");
+        let golden = pixels(&streamsplat_fixtures::path(&format!("splat-transform/{name}.webp")));
+        let size = format!("{width}x{height}");
+        let seen = ["--camera", camera.to_str().expect("a name"), "--size", &size, "--background", "0"];
+        render_ok(&scene, &out, &[&seen[..], &["--footprint", "splat-transform"]].concat());
+        let (differ, most) = apart(&golden, &pixels(&out));
+        // Nothing but rounding to 8 bits.
+        assert!(most <= 1 && differ < golden.as_raw().len() / 1000, "{name}: {differ} samples, at most {most} apart");
+        render_ok(&scene, &out, &seen);
+        assert!(apart(&golden, &pixels(&out)).1 >= 5, "{name}: the plain footprint is another");
+    }
 }
 
 #[test]

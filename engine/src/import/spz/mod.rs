@@ -2,14 +2,15 @@
 //!
 //! | attribute | bytes per Gaussian | value |
 //! |---|---|---|
-//! | positions | 9 (6 in version 1) | 24-bit fixed point, little-endian, `fractionalBits` after the point |
+//! | positions | 9 (in version 1 also 6) | 24-bit fixed point, little-endian, `fractionalBits` after the point |
 //! | alphas | 1 | 255 times the opacity |
 //! | colours | 3 | `255·(0.15·c + ½)` of the harmonics' first coefficients |
 //! | scales | 3 | `16·(ln s + 10)` |
 //! | rotations | 4 (3 before version 3) | the three smallest components in ten bits each, and which is the largest (x, y and z in eight bits each) |
 //! | harmonics | 9, 24, 45 or 72 | `128·(c + 1)`, coefficients outermost; of degree 4 those up to degree 3 are kept |
 //!
-//! Opacities of 0 and 255 stay within 10⁻¹² of 0 and 1. Version 1 has positions of three binary16 and the rotations of version 2.
+//! Opacities of 0 and 255 stay within 10⁻¹² of 0 and 1. Version 1 has the rotations of version 2 and positions of three binary16, or of fixed point: @adobe/spz
+//! writes such files. The length of the file decides between them.
 //!
 //! [`records`] declare the axes of the numbers. The default is RUB (x right, y up, z back), as in the format's
 //! description; programs that store PLY's numbers unchanged write RDF. [`Still::taken_along`] overrides the axes.
@@ -50,6 +51,10 @@ pub(crate) const EXTENDED: u8 = 2;
 const MAX_RECORDS: usize = 1 << 20;
 /// The highest degree of harmonics that a file may have.
 const MOST_DEGREE: u32 = 4;
+/// Bytes of a position in binary16 and in fixed point.
+const HALVES: usize = 6;
+const FIXED: usize = 9;
+
 /// Header of an SPZ file.
 #[derive(Clone, Copy, Debug)]
 struct Header {
@@ -58,6 +63,8 @@ struct Header {
     degree: usize,
     fractional_bits: u32,
     flags: u8,
+    /// Bytes of a position.
+    position: usize,
 }
 
 /// The attributes of a file, as bytes.
@@ -98,10 +105,17 @@ impl Header {
         if flags & !(ANTIALIASED | EXTENDED) != 0 {
             return wrong("flags", "none but those of anti-aliasing (1) and of extensions (2)", flags.into());
         }
-        let header = Header { version, count: count as usize, degree: degree as usize, fractional_bits, flags };
+        let position = if version == 1 { HALVES } else { FIXED };
+        let header =
+            Header { version, count: count as usize, degree: degree as usize, fractional_bits, flags, position };
         // Of degree 4 the last coefficients are left out.
         limits.check_still("header: points", header.count, header.degree.min(MAX_DEGREE), size as u64)?;
         Ok(header)
+    }
+
+    /// Bytes of all attributes.
+    fn size(&self) -> usize {
+        self.sizes().iter().map(|(_, size)| size).sum()
     }
 
     /// Bytes of each attribute, in the order they are stored in.
@@ -109,7 +123,7 @@ impl Header {
         let rotation = if self.version < 3 { 3 } else { 4 };
         let harmonics = 3 * streamsplat_kernels::harmonics::rest(self.degree);
         [
-            ("positions", if self.version == 1 { 6 } else { 9 }),
+            ("positions", self.position),
             ("alphas", 1),
             ("colours", 3),
             ("scales", 3),
@@ -168,14 +182,26 @@ pub(super) fn gaussians(bytes: &[u8]) -> Option<(usize, usize)> {
 /// Versions 1 to 3.
 fn old(bytes: &[u8], limits: &Limits) -> Result<Packed, FormatError> {
     let mut stated = Stated::default();
-    let (header, rest) = gunzip(bytes, OLD_HEADER, &mut stated, |head| {
+    let (mut header, rest) = gunzip(bytes, OLD_HEADER, &mut stated, |head| {
         let header = Header::read(head, [1, 3], bytes.len(), limits)?;
         if head[15] != 0 {
             return Err(FormatError::new("header: reserved byte", "0", head[15].to_string()));
         }
-        let more = if header.flags & EXTENDED != 0 { MAX_RECORDS } else { 0 };
-        Ok((header, header.sizes().iter().map(|(_, size)| size).sum(), more))
+        let more = match header.version {
+            _ if header.flags & EXTENDED != 0 => MAX_RECORDS,
+            1 => (FIXED - HALVES) * header.count,
+            _ => 0,
+        };
+        Ok((header, header.size(), more))
     })?;
+    if header.version == 1 && header.flags & EXTENDED == 0 && rest.len() != header.size() {
+        let halves = header.size();
+        header.position = FIXED;
+        if rest.len() != header.size() {
+            let expected = format!("{halves} bytes, or {} with positions in fixed point", header.size());
+            return Err(FormatError::new("attributes", expected, rest.len().to_string()));
+        }
+    }
     let mut rest = rest.as_slice();
     let attributes = header.sizes().map(|(_, size)| {
         // Not longer than their sum.

@@ -274,6 +274,19 @@ fn version_1_has_centres_in_binary16() {
 }
 
 #[test]
+fn version_1_has_centres_in_fixed_point_where_the_file_is_as_long() {
+    let still = still(7, 1);
+    let plain = gunzipped(&old(&still, 2));
+    let first = [&plain[..4], &1_u32.to_le_bytes(), &plain[8..]].concat();
+    let expected = spz(&old(&still, 2)).expect("version 2");
+    assert_eq!(spz(&gzipped(&first, Some("axes RDF"))), Ok(expected));
+    let text = spz(&gzipped(&first[..first.len() - 1], None)).expect_err("a byte short").to_string();
+    assert!(text.contains("attributes: expected 175 bytes, or 196 with positions in fixed point, found 195"), "{text}");
+    let more = spz(&gzipped(&[&first[..], &[0]].concat(), None)).expect_err("a byte more").to_string();
+    assert!(more.contains("attributes: expected 175 bytes, found more"), "{more}");
+}
+
+#[test]
 fn the_mark_of_anti_aliasing_the_orbit_and_the_offset_come_back() {
     let mut still = still(9, 1);
     still.about.antialiased = true;

@@ -11,7 +11,7 @@ use crate::still::{LEAST, Still};
 
 /// The scene, along the file's own axes. Values are formed in binary64 and rounded once.
 pub(super) fn unpack(packed: &Packed) -> Still {
-    let Header { version, degree, fractional_bits, .. } = packed.header;
+    let Header { version, degree, fractional_bits, position, .. } = packed.header;
     let triples = |bytes: &[u8], value: &dyn Fn(u8) -> f32| -> Vec<[f32; 3]> {
         bytes.as_chunks::<3>().0.iter().map(|b| b.map(value)).collect()
     };
@@ -35,7 +35,7 @@ pub(super) fn unpack(packed: &Packed) -> Still {
     let (stored, degree) = (3 * rest(degree), degree.min(MAX_DEGREE));
     let own = packed.harmonics.chunks_exact(stored.max(1)).flat_map(|own| &own[..3 * rest(degree)]);
     Still {
-        mean: if version == 1 { places(2, &half) } else { places(3, &fixed) },
+        mean: if position == super::HALVES { places(2, &half) } else { places(3, &fixed) },
         log_scale: triples(&packed.scales, &|b| f32::from(b) / 16.0 - 10.0),
         rotation,
         logit: packed.alphas.iter().map(logit).collect(),

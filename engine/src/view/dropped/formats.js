@@ -2,7 +2,6 @@
 
 /** Formats that are not read here: a text in the file, where it stands, the format's name, and the command that takes it. */
 const OTHERS = [
-  ["NGSP", 0, "SPZ of version 4", "view"],
   ["PK\x03\x04", 0, "a zip file, as SOG is", "view"],
   ["glTF", 0, "glTF", "view"],
   ["ssplat", 0, "a scene in time", "view"],
@@ -16,9 +15,9 @@ const OTHERS = [
 async function opened(file, most, axes) {
   const head = String.fromCharCode(...new Uint8Array(await file.slice(0, 16).arrayBuffer()));
   if (/^ply[\r\n]/.test(head)) return { format: "PLY", ...(await plyFile(file, most)) };
-  if (head.startsWith("\x1f\x8b")) return { format: "SPZ", ...(await spzFile(file, most, axes)) };
+  if (head.startsWith("\x1f\x8b") || head.startsWith("NGSP")) return { format: "SPZ", ...(await spzFile(file, most, axes)) };
   const other = OTHERS.find(([text, at]) => head.startsWith(text, at));
   if (!other && /\.splat$/i.test(file.name)) return { format: "splat", ...(await splatFile(file, most)) };
   const found = other ? `${other[2]} ${program(other[3])}` : head ? `a file that begins with ${quoted(head.slice(0, 8))}` : "an empty file";
-  throw wrong("format", "PLY, compressed PLY, SPZ of versions 1 to 3, or splat", found);
+  throw wrong("format", "PLY, compressed PLY, SPZ or splat", found);
 }

@@ -5,7 +5,7 @@ const BOUNDS = ["x y z", "scale_x scale_y scale_z", "r g b"].map((axes) => ["min
 const PER_CHUNK = 256;
 const PACKED_STEPS = byByte((byte) => (byte === 0 ? -4 : byte === 255 ? 4 : 8 * ((byte + 0.5) / 256 - 0.5)));
 
-async function packedFile(file, elements, most) {
+async function packedFile(file, elements, most, antialiased) {
   const [chunks, vertices, sh] = ["chunk", "vertex", "sh"].map((name) => elements.get(name));
   const [{ count }, rest] = [vertices, sh?.properties.size ?? 0];
   if (chunks.count !== Math.ceil(count / PER_CHUNK)) throw wrong("element chunk", `one for ${PER_CHUNK} of ${count} vertices`, chunks.count);
@@ -13,7 +13,7 @@ async function packedFile(file, elements, most) {
   const coloured = chunks.properties.has("min_r");
   const bounds = BOUNDS.slice(0, coloured ? 3 : 2).map((names) => names.map((name) => startOf(chunks, name, "float")));
   const words = ["position", "rotation", "scale", "color"].map((name) => startOf(vertices, `packed_${name}`, "uint"));
-  const writer = new StillWriter(count, degreeOf(rest));
+  const writer = new StillWriter(count, degreeOf(rest), antialiased);
   const places = Array.from({ length: rest }, (_, k) => startOf(sh, `f_rest_${placeOf(k, rest)}`, "uchar"));
   if (sh && sh.count !== count) throw wrong("element sh", `${count}, as of vertices`, sh.count);
   const { row } = writer;

@@ -10,23 +10,32 @@ const SAME = { float32: "float", uint32: "uint", uint8: "uchar" };
 /** Properties in the order of a Gaussian's row. */
 const WANTED = ["x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "f_dc_0", "f_dc_1", "f_dc_2"];
 
-/** A header's lines, split into words, and where they end. */
+/** Comments that mark a scene as trained with anti-aliasing or without, as engine/src/import/ply/comments.rs reads them; null for others. */
+function markOf([key, value, ...more]) {
+  if (more.length || value === undefined) return null;
+  const marks = { "splatrendermode: mip": true, "splatrendermode: default": false, "splatrendermode: 2dgs": false, "antialiased 1": true, "antialiased 0": false };
+  return marks[`${key} ${value}`.toLowerCase()] ?? null;
+}
+
+/** A header's lines, split into words, where they end, and the last mark among its comments. */
 function linesOf(bytes) {
   const lines = [];
+  let antialiased = false;
   for (let at = 0; ; ) {
     const end = bytes.indexOf(10, at);
     if (end < 0) throw wrong("header", `end_header within the first ${MAX_HEADER} bytes`, "none");
     const words = String.fromCharCode(...bytes.subarray(at, Math.min(end, at + 200))).trim().split(/\s+/);
     at = end + 1;
-    if (words[0] === "end_header") return { lines, end: at };
+    if (words[0] === "end_header") return { lines, end: at, antialiased };
     // Comments are in any encoding, and there may be many.
-    if (words[0] !== "comment" && words[0] !== "obj_info") lines.push(words);
+    if (words[0] === "comment") antialiased = markOf(words.slice(1)) ?? antialiased;
+    else if (words[0] !== "obj_info") lines.push(words);
   }
 }
 
 /** The elements of a file of `size` bytes, by name, each with where it starts and how wide its rows are. */
 function elementsOf(bytes, size) {
-  const { lines, end } = linesOf(bytes);
+  const { lines, end, antialiased } = linesOf(bytes);
   const elements = new Map();
   let last = null;
   for (const [key, a, b] of lines.slice(1)) {
@@ -54,7 +63,7 @@ function elementsOf(bytes, size) {
     if (at > size) throw wrong(`element ${element.name}`, `${element.count} of ${element.width} bytes each`, `${size - element.start} bytes`);
   }
   if (size - at > MAX_AFTER) throw wrong("file", "its end after the last element", `${size - at} more bytes`);
-  return { elements, end: at };
+  return { elements, end: at, antialiased };
 }
 
 /** Where a property of one type stands in a row of an element. */
@@ -81,10 +90,10 @@ function degreeOf(rest) {
 const placeOf = (k, rest) => (k % 3) * (rest / 3) + Math.floor(k / 3);
 
 async function plyFile(file, most) {
-  const { elements, end } = elementsOf(new Uint8Array(await file.slice(0, MAX_HEADER).arrayBuffer()), file.size);
+  const { elements, end, antialiased } = elementsOf(new Uint8Array(await file.slice(0, MAX_HEADER).arrayBuffer()), file.size);
   await checkAfter(file, end);
   const vertices = elements.get("vertex");
-  if (elements.has("chunk") && vertices.properties.has("packed_position")) return packedFile(file, elements, most);
+  if (elements.has("chunk") && vertices.properties.has("packed_position")) return packedFile(file, elements, most, antialiased);
   const rest = [...vertices.properties.keys()].filter((name) => name.startsWith("f_rest_")).length;
   const degree = degreeOf(rest);
   // Without a third scale, as of 2D Gaussian splatting, Gaussians have no thickness.
@@ -93,7 +102,7 @@ async function plyFile(file, most) {
   const names = [...wanted, ...Array.from({ length: 3 * restOf(degree) }, (_, k) => `f_rest_${placeOf(k, rest)}`)];
   const starts = names.map((name) => startOf(vertices, name, "float"));
   checkCount("element vertex", vertices.count, most);
-  const writer = new StillWriter(vertices.count, degree);
+  const writer = new StillWriter(vertices.count, degree, antialiased);
   await eachRow(file, [vertices], vertices.count, (i, [view], k) => {
     for (let n = 0; n < starts.length; n++) writer.row[n] = view.getFloat32(k * vertices.width + starts[n], true);
     if (flat) writer.row[DEVIATIONS + 2] = -Infinity;

@@ -7,7 +7,7 @@ async function splatFile(file, most) {
   const count = file.size / SPLAT;
   if (file.size % SPLAT) throw wrong("file", `records of ${SPLAT} bytes`, `${file.size} bytes`);
   checkCount("records", count, most);
-  const writer = new StillWriter(count, 0);
+  const writer = new StillWriter(count, 0, false);
   const { row } = writer;
   await eachRow(file, [{ start: 0, width: SPLAT }], count, (i, [view], k) => {
     const at = k * SPLAT;

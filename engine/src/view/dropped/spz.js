@@ -1,19 +1,23 @@
-// SPZ of versions 1 to 3, as engine/src/import/spz reads it: a header and the attributes in one gzip stream.
+// SPZ, as engine/src/import/spz reads it: versions 1 to 3 in one gzip stream, version 4 with a zstd frame for each attribute.
 
-const SPZ_HEADER = 16;
+/** Bytes of the header before version 4, and in it. */
+const [SPZ_HEADER, SPZ_HEADER_4] = [16, 32];
+const ATTRIBUTES = ["positions", "alphas", "colours", "scales", "rotations", "harmonics"];
 /** Decompressed bytes to one of the file at most, where they are more than the second number. */
 const [MOST_RATIO, SMALL] = [64, 2 ** 20];
 /** Axes that each coefficient of the harmonics is odd in. */
 const ODD = ["y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x", "z", "x"];
+/** The flag of anti-aliased training. */
+const ANTIALIASED = 1;
 /** Extension records after the attributes: the flag, the most bytes, and the type of the one that says the axes. */
 const [EXTENDED, MAX_RECORDS, AXES_RECORD] = [2, 2 ** 20, 0xadbe0003];
 /** Axes by SPZ's numbers from 1 on; those after them have y as depth. */
 const AXES = ["LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"];
 const SPZ_COLOURS = byByte((byte) => (byte / 255 - 0.5) / 0.15);
 
-/** A header's fields, where each attribute starts after it, and where the last one ends. */
-function spzHeader(bytes, size, most) {
-  const view = new DataView(bytes.buffer);
+/** A header's fields, and how many bytes each attribute has. */
+function spzHeader(bytes, size, most, versions) {
+  const view = new DataView(bytes.buffer, bytes.byteOffset);
   const [version, count] = [view.getUint32(4, true), view.getUint32(8, true)];
   const [degree, bits, flags] = bytes.subarray(12);
   const check = (name, fits, expected, found) => {
@@ -21,19 +25,25 @@ function spzHeader(bytes, size, most) {
   };
   const magic = String.fromCharCode(...bytes.subarray(0, 4));
   check("first word", magic === "NGSP", "NGSP", quoted(magic));
-  check("version", version >= 1 && version <= 3, "1 to 3 in a gzip stream", version);
+  check("version", version >= versions[0] && version <= versions[1], `${versions.join(" to ")} in a file of this kind`, version);
   check("degree of the harmonics", degree <= 4, "0 to 4", degree);
   check("fractional bits", bits <= 23, "0 to 23", bits);
-  check("flags", flags <= 3 && !bytes[15], "none but those of anti-aliasing (1) and of extensions (2)", flags);
+  check("flags", flags <= 3, "none but those of anti-aliasing (1) and of extensions (2)", flags);
   checkCount("header: points", count, most);
-  const starts = [0];
-  for (const each of [version === 1 ? 6 : 9, 1, 3, 3, version === 3 ? 4 : 3, 3 * restOf(degree)]) starts.push(starts[starts.length - 1] + each * count);
+  const sizes = [version === 1 ? 6 : 9, 1, 3, 3, version < 3 ? 3 : 4, 3 * restOf(degree)].map((each) => each * count);
+  const total = sizes.reduce((sum, size) => sum + size);
   const allowed = Math.max(size * MOST_RATIO, SMALL);
-  check("points", starts[6] <= allowed, `at most ${Math.floor((allowed * count) / starts[6])} in ${size} bytes`, count);
-  return { version, count, degree, bits, starts, more: flags & EXTENDED ? MAX_RECORDS : 0 };
+  check("points", total <= allowed, `at most ${Math.floor((allowed * count) / total)} in ${size} bytes`, count);
+  return { version, count, degree, bits, antialiased: Boolean(flags & ANTIALIASED), extended: Boolean(flags & EXTENDED), sizes, total };
 }
 
-/** A gzip stream's header, and the bytes after it: as many as that says. */
+/** Consecutive parts of such sizes. */
+function partsOf(bytes, sizes) {
+  let at = 0;
+  return sizes.map((size) => bytes.subarray(at, (at += size)));
+}
+
+/** Versions 1 to 3, one gzip stream: the header's fields, the attributes, and extension records. */
 async function gunzipped(file, most) {
   const reader = file.stream().pipeThrough(new DecompressionStream("gzip")).getReader();
   let [header, bytes, at] = [null, new Uint8Array(SPZ_HEADER), 0];
@@ -43,18 +53,53 @@ async function gunzipped(file, most) {
   for (let next; !(next = await reader.read().catch(broken)).done; ) {
     for (let { value } = next; value.length; ) {
       const part = value.subarray(0, bytes.length - at);
-      if (!part.length) throw wrong("attributes", `${bytes.length} bytes`, "more");
+      if (!part.length) throw wrong("attributes", `${header.total} bytes`, "more");
       bytes.set(part, at);
       at += part.length;
       value = value.subarray(part.length);
       if (header || at < SPZ_HEADER) continue;
-      header = spzHeader(bytes, file.size, most);
-      [bytes, at] = [new Uint8Array(header.starts[6] + header.more), 0];
+      header = spzHeader(bytes, file.size, most, [1, 3]);
+      if (bytes[15]) throw wrong("header: reserved byte", "0", bytes[15]);
+      const more = header.extended ? MAX_RECORDS : header.version === 1 ? 3 * header.count : 0;
+      [bytes, at] = [new Uint8Array(header.total + more), 0];
     }
   }
-  const least = header ? header.starts[6] : SPZ_HEADER;
-  if (at < least) throw wrong(header ? "attributes" : "header", `${least} bytes`, at);
-  return { ...header, bytes, records: bytes.subarray(least, at) };
+  const { version, count, extended, sizes, total } = header ?? { total: SPZ_HEADER };
+  if (at < total) throw wrong(header ? "attributes" : "header", `${total} bytes`, at);
+  // In version 1 positions are of 6 bytes, or of 9 where there are as many: @adobe/spz writes such files.
+  const wide = version === 1 && !extended && at > total;
+  if (wide && at !== total + 3 * count) throw wrong("attributes", `${total} bytes, or ${total + 3 * count} with positions in fixed point`, at);
+  const own = wide ? [9 * count, ...sizes.slice(1)] : sizes;
+  return { ...header, halves: version === 1 && !wide, attributes: partsOf(bytes, own), records: wide ? new Uint8Array(0) : bytes.subarray(total, at) };
+}
+
+/** Version 4: a header, extension records, a table of lengths, and a zstd frame for each attribute that is not empty. */
+async function unpacked(file, most) {
+  const bytes = new Uint8Array(await file.slice(0, file.size).arrayBuffer());
+  if (bytes.length < SPZ_HEADER_4) throw wrong("header", `${SPZ_HEADER_4} bytes`, bytes.length);
+  const header = spzHeader(bytes, file.size, most, [4, 4]);
+  const view = new DataView(bytes.buffer);
+  const [table, streams] = [view.getUint32(16, true), header.sizes.filter(Boolean).length];
+  const fits = header.extended ? table >= SPZ_HEADER_4 && table <= bytes.length : table === SPZ_HEADER_4;
+  if (!fits || bytes.subarray(20, SPZ_HEADER_4).some(Boolean)) throw wrong("header: table", `it from byte ${SPZ_HEADER_4} on, and zeros between`, `it at ${table}`);
+  if (bytes[15] !== streams) throw wrong("header: streams", streams, bytes[15]);
+  let [entry, at] = [table, table + 16 * streams];
+  if (at > bytes.length) throw wrong("table", `${streams} entries of 16 bytes`, `${bytes.length - table} bytes`);
+  const attributes = header.sizes.map((size, k) => {
+    if (!size) return new Uint8Array(0);
+    const [length, whole] = [0, 8].map((half) => view.getUint32(entry + half, true) + 2 ** 32 * view.getUint32(entry + half + 4, true));
+    entry += 16;
+    if (whole !== size) throw wrong(ATTRIBUTES[k], `${size} bytes`, whole);
+    if (at + length > bytes.length) throw wrong(ATTRIBUTES[k], `${length} bytes in the file`, `${bytes.length - at} bytes`);
+    const frame = bytes.subarray(at, (at += length));
+    try {
+      return unzstd(frame, size);
+    } catch (e) {
+      throw wrong(ATTRIBUTES[k], `a zstd frame of ${size} bytes`, e.message);
+    }
+  });
+  if (at !== bytes.length) throw wrong("file", "its end after the last stream", `${bytes.length - at} more bytes`);
+  return { ...header, halves: false, attributes, records: bytes.subarray(SPZ_HEADER_4, table) };
 }
 
 /** The number of the axes in extension records, or 0. */
@@ -93,30 +138,31 @@ function signsOf(axes) {
 }
 
 async function spzFile(file, most, said) {
-  const { version, count, degree, bits, starts, bytes, records } = await gunzipped(file, most);
+  const old = new Uint8Array(await file.slice(0, 1).arrayBuffer())[0] === 0x1f;
+  const { version, count, degree, bits, antialiased, halves, attributes, records } = await (old ? gunzipped : unpacked)(file, most);
   const code = axesInRecords(records);
   if (code > AXES.length) throw wrong("axes", `1 to ${AXES.length}`, `${code} ${program()}`);
-  const stated = AXES[code - 1] ?? (await axesInComment(file));
+  const stated = AXES[code - 1] ?? (old ? await axesInComment(file) : null);
   const axes = said ?? stated ?? "RUB";
   const signs = signsOf(axes);
   const [sx, sy, sz] = signs;
   const odd = ODD.map((letters) => [...letters].reduce((sign, letter) => sign * signs["xyz".indexOf(letter)], 1));
-  const [positions, alphas, colours, scales, rotations, harmonics] = starts;
+  const [positions, alphas, colours, scales, rotations, harmonics] = attributes;
   const stored = 3 * restOf(degree);
-  const writer = new StillWriter(count, Math.min(degree, 3));
+  const writer = new StillWriter(count, Math.min(degree, 3), antialiased);
   const { row } = writer;
   for (let i = 0; i < count; i++) {
     for (let axis = 0; axis < 3; axis++) {
-      const at = positions + (version === 1 ? 6 * i + 2 * axis : 9 * i + 3 * axis);
-      const fixed = () => (((bytes[at] << 8) | (bytes[at + 1] << 16) | (bytes[at + 2] << 24)) >> 8) / 2 ** bits;
-      row[axis] = signs[axis] * (version === 1 ? half(bytes[at] | (bytes[at + 1] << 8)) : fixed());
-      row[DEVIATIONS + axis] = bytes[scales + 3 * i + axis] / 16 - 10;
-      row[COLOUR + axis] = SPZ_COLOURS[bytes[colours + 3 * i + axis]];
+      const at = halves ? 6 * i + 2 * axis : 9 * i + 3 * axis;
+      const fixed = () => (((positions[at] << 8) | (positions[at + 1] << 16) | (positions[at + 2] << 24)) >> 8) / 2 ** bits;
+      row[axis] = signs[axis] * (halves ? half(positions[at] | (positions[at + 1] << 8)) : fixed());
+      row[DEVIATIONS + axis] = scales[3 * i + axis] / 16 - 10;
+      row[COLOUR + axis] = SPZ_COLOURS[colours[3 * i + axis]];
     }
-    row[LOGIT] = LOGITS[bytes[alphas + i]];
-    const [x, y, z, w] = version < 3 ? firstThree(bytes, rotations + 3 * i) : smallestThree(bytes, rotations + 4 * i);
+    row[LOGIT] = LOGITS[alphas[i]];
+    const [x, y, z, w] = version < 3 ? firstThree(rotations, 3 * i) : smallestThree(rotations, 4 * i);
     row.set([w, x * (sy * sz), y * (sx * sz), z * (sx * sy)], QUATERNION);
-    for (let k = 0; k < row.length - HIGHER; k++) row[HIGHER + k] = ((bytes[harmonics + i * stored + k] - 128) / 128) * odd[Math.floor(k / 3)];
+    for (let k = 0; k < row.length - HIGHER; k++) row[HIGHER + k] = ((harmonics[i * stored + k] - 128) / 128) * odd[Math.floor(k / 3)];
     writer.put(i);
   }
   const note = said || stated ? "" : "axes taken as RUB, which the file does not say; add #axes=rdf to the address where it was written with PLY's, and open it again";

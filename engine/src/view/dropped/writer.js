@@ -15,9 +15,10 @@ const restOf = (degree) => (degree + 1) ** 2 - 1;
 const whole = (x, low, high) => clamp(x < 0 ? -Math.floor(0.5 - x) : Math.floor(x + 0.5), low, high);
 
 class StillWriter {
-  /** Room for `count` Gaussians, of which those that no image shows are left out. */
-  constructor(count, degree) {
+  /** Room for `count` Gaussians, of which those that no image shows are left out. `antialiased`: the file's mark of such training. */
+  constructor(count, degree, antialiased) {
     this.degree = degree;
+    this.antialiased = antialiased;
     this.room = count;
     this.count = 0;
     this.rows = STILL_HEADER + count * RECORD;
@@ -111,7 +112,7 @@ class StillWriter {
     this.steps.copyWithin(numbers, ends, ends + 4 * count);
     const header = new DataView(this.buffer);
     header.setUint32(0, STILL_MAGIC);
-    [1, count, degree].forEach((value, k) => header.setUint32(4 + 4 * k, value, true));
+    [2, count, degree | (this.antialiased ? 1 << 16 : 0)].forEach((value, k) => header.setUint32(4 + 4 * k, value, true));
     const buffer = count === room ? this.buffer : this.buffer.slice(0, length);
     return { buffer, degree, least: box.map(([low]) => low), greatest: box.map(([, high]) => high) };
   }

@@ -10,6 +10,7 @@ precision highp usampler2D;
 uniform usampler2D records;
 uniform usampler2D rows;  // harmonics, one texel per degree
 uniform int degree;
+uniform bool antialiased; // the scene's mark: o·√(det(Σ − 0.3·I) / det Σ)
 uniform vec3 eye;
 uniform mat3 turn;    // columns: the camera's right, down and forward
 uniform vec2 focal;   // pixels per scene unit, or, for a pinhole, focal lengths in pixels
@@ -26,6 +27,7 @@ flat out vec4 splat;  // what is blended, and the opacity
 // footprint.vert
 const float VISIBLE = 1.0 / 255.0;
 const float LOW_PASS = 0.3;
+float share(vec3 m1, vec3 m2);
 void footprint(vec2 centre, vec3 m1, vec3 m2, vec3 value, float opacity);
 vec3 colourOf(uint number);
 
@@ -102,6 +104,9 @@ void main() {
     m1 *= focal.x;
     m2 *= focal.y;
   }
+
+  if (antialiased) opacity *= share(m1, m2);
+  if (opacity < VISIBLE) return;
 
   vec3 value = mode == 1 ? vec3((ends.y - view.z) / (ends.y - ends.x), 0.0, 0.0) : colourOf(record);
   if (mode == 0) {

@@ -6,9 +6,10 @@
 //! | header | | |
 //! |---|---|---|
 //! | 0 | 4 bytes | `ssst` |
-//! | 4 | u32 | version, 1 |
+//! | 4 | u32 | version, 2 |
 //! | 8 | u32 | count |
-//! | 12 | u32 | degree of the harmonics |
+//! | 12 | u16 | degree of the harmonics |
+//! | 14 | u16 | 1: trained with anti-aliasing, and drawn as [`About::antialiased`](crate::still::About::antialiased) has it; else 0 |
 //!
 //! | record | | value | error at most |
 //! |---|---|---|---|
@@ -35,7 +36,7 @@ use crate::still::Drawable;
 /// The first bytes.
 pub(super) const MAGIC: [u8; 4] = *b"ssst";
 /// The version this program writes, and its page reads.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Bytes before the records.
 pub(super) const HEADER: usize = 16;
 /// Bytes of a record.
@@ -67,7 +68,8 @@ pub(super) fn packet(scene: &Drawable) -> Vec<u8> {
     let mut out = vec![0; length(seen.len(), degree)];
     let (header, rest) = out.split_at_mut(HEADER);
     header[..4].copy_from_slice(&MAGIC);
-    for (place, value) in [(4, VERSION), (8, seen.len() as u32), (12, degree as u32)] {
+    let kind = degree as u32 | u32::from(still.about.antialiased) << 16;
+    for (place, value) in [(4, VERSION), (8, seen.len() as u32), (12, kind)] {
         header[place..place + 4].copy_from_slice(&value.to_le_bytes());
     }
     let (records, rest) = rest.split_at_mut(seen.len() * RECORD);
@@ -192,7 +194,7 @@ mod tests {
             let scene = drawable(still(509, degree));
             let (still, bytes) = (scene.still(), packet(&scene));
             let count = long(&bytes, 8) as usize;
-            assert_eq!((&bytes[..4], long(&bytes, 4), long(&bytes, 12)), (&MAGIC[..], 1, degree as u32));
+            assert_eq!((&bytes[..4], long(&bytes, 4), long(&bytes, 12)), (&MAGIC[..], 2, degree as u32));
             assert!(count > 400 && bytes.len() == length(count, degree));
             for place in 0..count {
                 let i = long(&bytes, bytes.len() - 4 * (count - place)) as usize;
@@ -235,6 +237,14 @@ mod tests {
         let expected = Rotation::from_quaternion(expected.map(f64::from)).expect("a length").quaternion();
         let sign = expected[left_out].signum();
         assert!(found.iter().zip(expected).all(|(f, e)| (f - sign * e).abs() < 1e-4), "{found:?} {expected:?}");
+    }
+
+    #[test]
+    fn the_mark_of_anti_aliased_training_is_kept() {
+        let mut scene = still(5, 2);
+        scene.about.antialiased = true;
+        let bytes = packet(&drawable(scene));
+        assert_eq!((word(&bytes, 12), word(&bytes, 14)), (2, 1));
     }
 
     #[test]
