@@ -10,18 +10,21 @@ use std::sync::Once;
 
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
-use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as, attend_some};
+use streamsplat_kernels::attention::{Rows, Shape, Windows, attend, attend_as, attend_some};
 use streamsplat_kernels::change::{Tolerance, moved};
 use streamsplat_kernels::exposure::Exposure;
 use streamsplat_kernels::feed_forward::FeedForward;
-use streamsplat_kernels::flow::{self, Blend, Field, Options, Pyramid};
+use streamsplat_kernels::flow::{self, Blend, Field, Options, Pyramid, Step, between};
 use streamsplat_kernels::gemm::{Activation, Epilogue, Input, Precision, Weights, linear};
 use streamsplat_kernels::harmonics::{Eye, colours, rest};
 use streamsplat_kernels::memory::{Aligned, Scratch};
 use streamsplat_kernels::norm::{Norm, layer_norm, rms_norm};
 use streamsplat_kernels::parallel::{for_each_chunk, map_indexed};
 use streamsplat_kernels::philox::Stream;
-use streamsplat_kernels::raster::{ColourMap, Gaussians, Image, Lists, MAX_SIDE, Projection, Rasteriser, Request};
+use streamsplat_kernels::raster::{
+    ColourFit, ColourMap, FitView, Gaussians, Image, Lists, MAX_SIDE, Preparation, Projection, Rasteriser, Request,
+    render,
+};
 use streamsplat_kernels::resize::{Filter, Grid, antialiased, bicubic_antialiased, bilinear, bilinear_antialiased};
 use streamsplat_kernels::{Level, patches, pointwise, truncated_normal};
 
@@ -399,20 +402,142 @@ proptest! {
     }
 }
 
+/// One Gaussian.
+const ONE: Gaussians<'_> =
+    Gaussians { mean: &[[0.0, 0.0, 1.0]], scale: &[[0.1; 3]], rotation: None, opacity: &[0.5], rgb: &[[0.5; 3]] };
+const FLAT: Projection = Projection::Orthographic { focal: [8.0; 2] };
+
+/// A pyramid of this size.
+fn pyramid(size: [usize; 2]) -> Pyramid {
+    Pyramid::new(Level::detect(), &vec![0.5; size[0] * size[1]], size, &Options::default()).expect("a small frame")
+}
+
+/// A call whose result is of no interest.
+fn without_result<R>(call: impl FnOnce() -> R + 'static) -> Box<dyn FnOnce()> {
+    Box::new(move || {
+        call();
+    })
+}
+
+/// Every public function that takes sizes, directly or in a structure, with sizes of which there is nothing: 2³² rows of 2³² values are no
+/// values at all in 64 bits. `engine/cli/tests/program/trust.rs` compares the names with `docs/api/kernels.txt`.
+fn wrapping_calls() -> Vec<(&'static str, Box<dyn FnOnce()>)> {
+    const HALF: usize = 1 << 32;
+    let level = Level::detect();
+    let field = |size: [usize; 2]| Field { size, u: vec![0.5; wrapped(&size)], v: vec![0.5; wrapped(&size)] };
+    let weights = move || Weights::pack(level, &[0.5; 256], 16, 16);
+    let wide = Shape { heads: 1 << 60, width: 16, windows: Windows::Full };
+    let row = &[0.5; 16];
+    let rows = move || Rows::new(row, 1, 16, 0);
+    let request = |width, height| Request::colour(width, height, [0.0; 3]);
+    let map = move |size: [usize; 2]| {
+        let mut map = ColourMap::new(level);
+        map.prepare(&ONE, &FLAT, size);
+        map
+    };
+    let image =
+        |width, height| Image { width, height, rgb: vec![0.5; 12], alpha: Some(vec![1.0; 4]), ..Image::default() };
+    let mut calls: Vec<(&'static str, Box<dyn FnOnce()>)> = Vec::new();
+    macro_rules! call {
+        ($($name:literal: $work:expr;)*) => { $(calls.push(($name, without_result(move || $work)));)* };
+    }
+    call! {
+        "attention::Rows::new": Rows::new(&[], HALF, HALF, 0).rows();
+        "attention::Rows::of_heads": {
+            let none = Rows::of_heads(&[], HALF, HALF, 0);
+            let shape = Shape { heads: HALF, width: HALF, windows: Windows::Full };
+            attend_as(Precision::F32, level, shape, none, none, none, &mut []);
+        };
+        "attention::attend": attend(level, wide, rows(), rows(), rows(), &mut []);
+        "attention::attend_as": attend_as(Precision::Bf16, level, wide, rows(), rows(), rows(), &mut []);
+        "attention::attend_some": attend_some(Precision::Int8, level, wide, &[0], rows(), rows(), rows(), &mut []);
+        "change::moved": moved(level, Tolerance::Bits, HALF, &[], &[], None, &mut [false; 4]);
+        "exposure::Exposure::add": Exposure::new(level, false).add(&image(HALF, HALF));
+        "flow::Blend::new": Blend::new(level, [&[], &[]], [&field([HALF; 2]), &field([HALF; 2])]).at(0.5);
+        "flow::Field::round_trip": field([HALF; 2]).round_trip(level, &field([HALF; 2]));
+        "flow::Field::then": field([HALF; 2]).then(level, &field([HALF; 2]));
+        "flow::Field::zero": Field::zero([HALF; 2]);
+        "flow::Field::at": Field { size: [4, 4], u: vec![0.5; 2], v: vec![0.5; 2] }.at(3.0, 3.0);
+        "flow::Pyramid::new": pyramid([HALF; 2]);
+        "flow::between": {
+            let size = [HALF; 2];
+            between(level, &pyramid([8, 8]), &pyramid([8, 8]), Some(&field(size)), &Options::default())
+        };
+        "flow::both": flow::both(level, &pyramid([8, 8]), &pyramid([8, 4]), [None; 2], &Options::default());
+        "flow::follow": {
+            let (there, back) = (field([HALF; 2]), field([HALF; 2]));
+            let steps = [Step { there: &there, back: &back, distance: 1.0 }];
+            flow::follow(level, &[[0.0; 2]], &steps, &mut [[0.0; 2]]);
+        };
+        "flow::trace": {
+            let (there, back) = (field([8, 8]), field([8, 4]));
+            let steps = [Step { there: &there, back: &back, distance: 1.0 }];
+            flow::trace(level, &[[0.0; 2]], &steps, &mut [[0.0; 2]]);
+        };
+        "flow::sample_one": flow::sample_one(&[], [HALF; 2], 1e9, 1e9);
+        "flow::warp": flow::warp(level, &[], [HALF; 2], &field([HALF; 2]));
+        "gemm::Epilogue::in_groups_of": {
+            let epilogue = Epilogue::new().in_groups_of(HALF);
+            linear(level, row, 1, &weights(), &epilogue, &mut [0.0; 16]);
+        };
+        "gemm::Epilogue::shuffled": {
+            let epilogue = Epilogue::new().shuffled(HALF);
+            linear(level, row, 1, &weights(), &epilogue, &mut [0.0; 16]);
+        };
+        "gemm::Weights::pack": Weights::pack(level, &[], 1 << 60, 16);
+        "gemm::Weights::pack_as": Weights::pack_as(level, Precision::Int8, &[], HALF, HALF);
+        "gemm::linear": linear(level, &[], 1 << 60, &weights(), &Epilogue::new(), &mut []);
+        "harmonics::colours": colours(level, HALF, &[[0.5; 3]], &[], &[[0.5; 3]], Eye::At([0.0; 3]), &mut [[0.0; 3]]);
+        "memory::Aligned::resize": Aligned::<u64>::zeroed(1).resize(1 << 61);
+        "memory::Aligned::zeroed": Aligned::<u64>::zeroed(1 << 61);
+        "memory::Scratch::take": Scratch::take(1 << 62);
+        "patches::patches": patches::patches(&[&[]], HALF, HALF, 1, &mut []);
+        "pointwise::Layer::pack": pointwise::Layer::pack(&[], Some(&[]), Activation::Identity, 0, usize::MAX);
+        "pointwise::for_each_block": pointwise::for_each_block(&mut [0.0; 4], HALF, |_, _| {});
+        "pointwise::load": pointwise::load(&[0.5; 4], 1 << 60, &mut []);
+        "pointwise::store": pointwise::store(&[], 1 << 60, &mut [0.5; 4]);
+        "raster::ColourFit::new": {
+            let (map, unknowns) = (map([8, 8]), [1_u32 << 31]);
+            let view = FitView { map: &map, unknown: &unknowns, factor: &[] };
+            drop(ColourFit::new(level, vec![view], 1 << 31, 1.0));
+        };
+        "raster::ColourMap::prepare": map([HALF; 2]);
+        "raster::ColourMap::prepare_in": {
+            ColourMap::new(level).prepare_in(&mut Preparation::new(level), &ONE, &FLAT, [HALF; 2]);
+        };
+        "raster::ColourMap::prepare_tiles": ColourMap::new(level).prepare_tiles(&ONE, &FLAT, [HALF; 2], |_| true);
+        "raster::ColourMap::forward": map([8, 8]).forward(&[[0.5; 3]], [0.0; 3], &mut [0.0; 12]);
+        "raster::ColourMap::adjoint": map([8, 8]).adjoint(&[0.5; 192], &mut []);
+        "raster::ColourMap::normal": map([8, 8]).normal(&[], &mut [[0.0; 3]]);
+        "raster::ColourMap::row_sums": map([8, 8]).row_sums(&mut []);
+        "raster::ColourMap::column_sums": map([8, 8]).column_sums(&mut []);
+        "raster::ColourMap::residual_adjoint": {
+            map([8, 8]).residual_adjoint(&[[0.5; 3]], [0.0; 3], &[0.5; 12], &mut [[0.0; 3]])
+        };
+        "raster::ColourMap::residual_adjoint_tiles": {
+            map([8, 8]).residual_adjoint_tiles(&[[0.5; 3]], [0.0; 3], &[0.5; 192], &mut [[0.0; 3]], &mut [])
+        };
+        "raster::Rasteriser::lists": {
+            Rasteriser::new(level).lists(&ONE, &FLAT, &request(HALF, HALF), &mut Lists::default());
+        };
+        "raster::Rasteriser::render": Rasteriser::new(level).render(&ONE, &FLAT, &request(HALF, HALF)).width;
+        "raster::render": render(level, &ONE, &FLAT, &request(HALF, HALF));
+        "resize::antialiased": {
+            let grid = Grid { outer: 1, height: HALF, width: HALF, inner: 1 };
+            antialiased(level, Filter::Triangle, &[], grid, 2, 2, &mut [0.0; 4]);
+        };
+        "resize::bicubic_antialiased": bicubic_antialiased(level, &[0.0; 4], 2, 2, 1, HALF, HALF, &mut []);
+        "resize::bilinear": bilinear(level, &[0.0; 4], 1, 2, 2, HALF, HALF, &mut []);
+        "resize::bilinear_antialiased": bilinear_antialiased(level, &[0.0; 4], 1, 2, 2, HALF, HALF, &mut []);
+    }
+    calls
+}
+
 #[test]
 fn sizes_whose_products_wrap_to_zero_are_refused() {
-    let level = Level::detect();
-    let half = 1_usize << 32;
-    // 2³² rows of 2³² values are no values at all in 64 bits.
-    assert!(panics(|| Rows::new(&[], half, half, 0)));
-    assert!(panics(|| Weights::pack(Level::detect(), &[], 1 << 60, 16)));
-    assert!(panics(|| pointwise::Layer::pack(&[], Some(&[]), Activation::Identity, 0, usize::MAX)));
-    assert!(panics(|| bilinear(level, &[0.0; 4], 1, 2, 2, half, half, &mut [])));
-    let weights = Weights::pack(Level::detect(), &[0.5; 256], 16, 16);
-    assert!(panics(|| linear(level, &[], 1 << 60, &weights, &Epilogue::new(), &mut [])));
-    let shape = Shape { heads: 1 << 60, width: 16, windows: Windows::Full };
-    let rows = Rows::new(&[0.5; 16], 1, 16, 0);
-    assert!(panics(|| attend_as(Precision::F32, level, shape, rows, rows, rows, &mut [])));
+    for (name, call) in wrapping_calls() {
+        assert!(panics(call), "{name} took sizes of which there is nothing");
+    }
 }
 
 #[test]

@@ -6,22 +6,29 @@ use std::sync::LazyLock;
 
 use streamsplat_tests::fuzz::{Mutations, TARGETS, Target, colmap};
 
-/// Mutations of one input: 400, or as many as `HOSTILE_TRIES` says.
-static TRIES: LazyLock<usize> = LazyLock::new(|| match std::env::var("HOSTILE_TRIES") {
-    Ok(tries) => tries.parse().expect("HOSTILE_TRIES: a number"),
-    Err(_) => 400,
-});
+/// Mutations of one input, at least, unless `HOSTILE_TRIES` says how many.
+const LEAST: usize = 400;
+/// Mutations of all inputs of a target together, at least.
+const LEAST_OF_TARGET: usize = 3000;
+
+/// As many as `HOSTILE_TRIES` says.
+static TRIES: LazyLock<Option<usize>> =
+    LazyLock::new(|| std::env::var("HOSTILE_TRIES").ok().map(|tries| tries.parse().expect("HOSTILE_TRIES: a number")));
 
 fn try_all(target: &Target) {
     let named = |kind: &str, i: usize, bytes: Vec<u8>| (format!("{kind} {i}"), bytes);
     let seeds = (target.seeds)().into_iter().enumerate().map(|(i, bytes)| named("seed", i, bytes));
     let inputs: Vec<_> = seeds.chain(target.regressions()).collect();
+    let tries = TRIES.unwrap_or_else(|| LEAST.max(LEAST_OF_TARGET.div_ceil(inputs.len())));
+    let mut tried = 0;
     for (name, input) in &inputs {
         attempt(target, name, input);
-        for (i, bytes) in Mutations::new(input, 7).take(*TRIES).enumerate() {
+        for (i, bytes) in Mutations::new(input, 7).take(tries).enumerate() {
             attempt(target, &format!("{name}, mutation {i}"), &bytes);
+            tried += 1;
         }
     }
+    assert!(TRIES.is_some() || tried >= LEAST_OF_TARGET, "{}: {tried} inputs", target.name);
 }
 
 fn attempt(target: &Target, name: &str, bytes: &[u8]) {

@@ -111,6 +111,7 @@ fn broken_tensors_and_indices_are_errors() {
         // One file for two intervals.
         ("interval-000001", "interval-000000"),
         ("\"fps\": ", "\"fps\": -"),
+        ("\"fps\": ", "\"fps\": 0e"),
         ("\"gaussians\": 7", "\"gaussians\": 70000000000000"),
         ("\"start\": 0.1", "\"start\": -5.0"),
         ("54,", "99999,"),

@@ -34,7 +34,7 @@
 //! # Extremes
 //!
 //! Frames may have any size, smaller than a patch too. Equal or evenly lit frames do not move. The flow is finite and at most as long as the picture
-//! on either axis. Luma that is not finite is an error; `start` is passed over where it is not finite.
+//! on either axis. Luma that is not finite is an error, and so are weights other than from 0 to 10⁶; `start` is passed over where it is not finite.
 
 mod blend;
 mod densify;
@@ -102,13 +102,16 @@ impl Operation for Luma<'_> {
 /// The flow from `first` to `second`: for every pixel of `first`, how far away `second` shows what it shows.
 ///
 /// # Panics
-/// When the pyramids have different sizes or scales, or `start` another size.
+/// When the pyramids have different sizes or scales, `start` another size, or `options` a weight that [`Pyramid::new`] refuses.
 pub fn between(level: Level, first: &Pyramid, second: &Pyramid, start: Option<&Field>, options: &Options) -> Field {
     assert_eq!(first.size, second.size, "frames of different sizes");
     assert!(
         first.finest == second.finest && first.scales.len() == second.scales.len(),
         "pyramids with different options"
     );
+    if let Err(error) = options.check() {
+        panic!("{error}");
+    }
     if let Some(start) = start {
         start.check();
         assert_eq!(start.size, first.size, "a start of another size");

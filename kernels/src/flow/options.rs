@@ -5,7 +5,7 @@ use std::fmt;
 /// Rows and columns of a patch.
 pub(super) const PATCH: usize = 8;
 
-/// Parameters of the flow.
+/// Parameters of the flow. The weights are from 0 to 10⁶; [`Pyramid::new`](super::Pyramid::new) refuses others.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// The finest scale of the search: its pixels are 2ᵏ wide. The flow is enlarged from there.
@@ -31,6 +31,18 @@ impl Default for Options {
 }
 
 impl Options {
+    /// The largest weight of a term: sums of squared gradients with it stay far below what binary32 holds.
+    pub(super) const MAX_WEIGHT: f32 = 1e6;
+
+    /// Refuses weights with which the refinement has no finite solution.
+    pub(super) fn check(&self) -> Result<(), FlowError> {
+        let weights = [("smoothness", self.smoothness), ("brightness", self.brightness), ("gradient", self.gradient)];
+        match weights.into_iter().find(|(_, weight)| !(0.0..=Self::MAX_WEIGHT).contains(weight)) {
+            Some((name, weight)) => Err(FlowError::Weight { name, bits: weight.to_bits() }),
+            None => Ok(()),
+        }
+    }
+
     /// The coarsest scale: the longer side has about four patches there, the shorter one at least one.
     pub(super) fn coarsest(&self, [h, w]: [usize; 2]) -> usize {
         let (long, short) = (h.max(w), h.min(w));
@@ -45,7 +57,7 @@ impl Options {
     }
 }
 
-/// A frame that has no flow.
+/// A frame that has no flow, or options that give none.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FlowError {
     /// A value of the frame is NaN or infinite; the first of them.
@@ -59,6 +71,13 @@ pub enum FlowError {
     Size {
         /// Rows and columns of the frame.
         size: [usize; 2],
+    },
+    /// A weight of the options is NaN, negative, or larger than 10⁶.
+    Weight {
+        /// The option.
+        name: &'static str,
+        /// Its bits.
+        bits: u32,
     },
 }
 
@@ -86,6 +105,10 @@ impl fmt::Display for FlowError {
                     f,
                     "a frame of {h}×{w} pixels has no optical flow: expected sides from 1 to {longest}, at most {most} pixels"
                 )
+            }
+            FlowError::Weight { name, bits } => {
+                let (most, found) = (Options::MAX_WEIGHT, f32::from_bits(*bits));
+                write!(f, "the flow's {name}: expected a weight from 0 to {most}, found {found}")
             }
         }
     }

@@ -156,7 +156,8 @@ impl Pyramid {
     /// The pyramid of `luma` `[h, w]`, whose values are from 0 to 1 (others are clamped).
     ///
     /// # Errors
-    /// A value that is not finite; a picture without pixels, with a side above 2¹⁶ or with more than 2²⁸ pixels.
+    /// A value that is not finite; a picture without pixels, with a side above 2¹⁶ or with more than 2²⁸ pixels; a weight of `options`
+    /// that is not from 0 to 10⁶.
     ///
     /// # Panics
     /// When `luma` does not fit `size`.
@@ -165,6 +166,7 @@ impl Pyramid {
         if !FlowError::allows(size) {
             return Err(FlowError::Size { size });
         }
+        options.check()?;
         assert_eq!(luma.len(), h * w, "luma of shape [{h}, {w}]");
         let _span = debug_span!("flow", step = "pyramid", h, w).entered();
         let blocks = luma.len().div_ceil(1 << 16);

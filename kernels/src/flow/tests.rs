@@ -289,6 +289,45 @@ fn values_that_are_not_finite_are_refused_with_their_place() {
 }
 
 #[test]
+fn weights_are_refused_by_name_or_give_finite_flow() {
+    let size = [30, 41];
+    let (a, b) = (picture(size, texture), noise(size[0] * size[1], 6));
+    let set: [(&str, fn(&mut Options, f32)); 3] = [
+        ("smoothness", |options, weight| options.smoothness = weight),
+        ("brightness", |options, weight| options.brightness = weight),
+        ("gradient", |options, weight| options.gradient = weight),
+    ];
+    let made = |options: &Options| Pyramid::new(Level::detect(), &a, size, options).map(drop);
+    for (name, set) in set {
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e38, 1_000_001.0, -1e-45, -1.0] {
+            let mut options = Options::default();
+            set(&mut options, bad);
+            assert_eq!(made(&options), Err(FlowError::Weight { name, bits: bad.to_bits() }));
+            let text = made(&options).expect_err("refused").to_string();
+            assert_eq!(text, format!("the flow's {name}: expected a weight from 0 to 1000000, found {bad}"));
+            // Pyramids may have been made with others.
+            let pyramid = Pyramid::new(Level::detect(), &a, size, &Options::default()).expect("finite luma");
+            let work = || between(Level::detect(), &pyramid, &pyramid, None, &options);
+            assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).is_err(), "{name} of {bad}");
+        }
+        for weight in [0.0, -0.0, 1e-45, 1e-30, 1e6] {
+            for (a, b) in [(&a, &b), (&b, &a)] {
+                let mut options = Options { refinement: 40, ..Options::default() };
+                set(&mut options, weight);
+                assert_bounded(&pair(Level::detect(), a, b, size, &options));
+                let mut alone = Options { smoothness: 0.0, brightness: 0.0, gradient: 0.0, ..options };
+                set(&mut alone, weight);
+                assert_bounded(&pair(Level::detect(), a, b, size, &alone));
+            }
+        }
+    }
+    let most = Options { smoothness: 1e6, brightness: 1e6, gradient: 1e6, ..Options::default() };
+    assert_bounded(&pair(Level::detect(), &a, &b, size, &most));
+    let far = Options { finest: usize::MAX, stride: usize::MAX, iterations: 1000, ..Options::default() };
+    assert_bounded(&pair(Level::detect(), &a, &b, size, &far));
+}
+
+#[test]
 fn values_from_all_over_the_number_line_give_finite_flow() {
     let size = [30, 41];
     let wild = |seed: u32| -> Vec<f32> {

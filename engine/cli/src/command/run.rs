@@ -228,6 +228,9 @@ fn run_from(
         // That there is no adapter is said before anything is touched.
         Drawing::new(&machine.workers()?, views.backend)?;
     }
+    // What is wrong with maps or with a network is said before anything is touched.
+    let depth = KeyDepth::open(&depth, &source, machine.level()?, reuse, options.frames)?;
+    console.note(depth.notes());
     let page = serve.map(|port| Serving::start(port, input, source.fps(), console)).transpose()?;
     let (mut outputs, terms) = match (&found, place.destination().resume()) {
         (Found::Under(point, _), Some(folder)) => {
@@ -241,10 +244,18 @@ fn run_from(
     outputs.sound(sound);
     outputs.quality(options.crf);
     // That nothing can be written is said before the model is loaded.
-    let engine = Engine::new(settings)?;
-    let mut drawing = Drawing::new(engine.workers(), views.backend)?;
-    let depth = KeyDepth::open(&depth, &source, machine.level()?, reuse, options.frames)?;
-    console.note(depth.notes());
+    let loaded = Engine::new(settings).map_err(Failure::from).and_then(|engine| {
+        let drawing = Drawing::new(engine.workers(), views.backend)?;
+        let terms = terms.map_or_else(|| Terms::given(options, &model_record(options)?), Ok)?;
+        Ok((engine, drawing, terms))
+    });
+    let (engine, mut drawing, terms) = match loaded {
+        Ok(loaded) => loaded,
+        Err(failure) => {
+            outputs.withdraw(place);
+            return Err(failure);
+        }
+    };
     let mut keys = KeyFrames::new(source, depth, gap, keep, options.frames, &console.stop);
     let whole = gap.depends_on_images() && emit.draws() && views.is_the_sources_own();
     keys.compare_whole(whole);
@@ -256,7 +267,6 @@ fn run_from(
     }
     let of_before = if let Found::Under(point, _) = &found { point.whole } else { None };
     let whole = whole.then(|| of_before.map(Whole::resume).unwrap_or_default());
-    let terms = terms.map_or_else(|| Terms::given(options, &model_record(options)?), Ok)?;
 
     let mut times = Times { asked: views.times.as_deref(), next: 0 };
     let progress = Progress::new("frames", keys.total(), console);
@@ -281,7 +291,7 @@ fn run_from(
     let resumed = match &found {
         Found::Under(point, resume) => {
             if let Err(failure) = catch_up(&mut stream, &mut times, &views, point, resume.as_ref()) {
-                stream.outputs.abandon();
+                stream.outputs.abandon(place);
                 return Err(failure);
             }
             true
@@ -294,7 +304,7 @@ fn run_from(
     let complete = match stream.pass(&mut times, &views, &RunOrigin { terms: &terms, input, resumed }) {
         Ok(complete) => complete,
         Err(failure) => {
-            stream.outputs.abandon();
+            stream.outputs.abandon(place);
             return Err(failure);
         }
     };
@@ -319,7 +329,7 @@ fn run_from(
         && (emit.draws() || emit.ply)
         && let Some(time) = times.left()
     {
-        outputs.abandon();
+        outputs.abandon(place);
         return Err(Failure::usage(format!("--times: {time} s lies outside the video ({first} s to {last} s)")));
     }
     progress.phase("frames; finishing the files");

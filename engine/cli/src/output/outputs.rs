@@ -95,6 +95,8 @@ pub struct Outputs {
     sound: Option<Sound>,
     /// The video's rate factor, where it has another than the default.
     quality: Option<u8>,
+    /// Folders of kinds that were created for these results.
+    made: Vec<PathBuf>,
 }
 
 /// What was written.
@@ -110,9 +112,11 @@ impl Outputs {
     pub fn create(place: &mut Place, emit: Emit) -> Result<Outputs, Failure> {
         place.hold()?;
         let destination = place.destination().clone();
+        let mut made = Vec::new();
         match &destination {
             Destination::Folder(folder) => {
                 remove_earlier(folder)?;
+                made.extend(kinds(emit).map(|name| folder.join(name)).filter(|path| !path.exists()));
                 prepare_kinds(folder, emit)?;
             }
             Destination::Video(path, format) => {
@@ -133,7 +137,15 @@ impl Outputs {
                 }
             }
         }
-        Ok(Outputs::new(destination, emit))
+        Ok(Outputs { made, ..Outputs::new(destination, emit) })
+    }
+
+    /// Gives the place up: folders that were created for it go, as far as they are empty.
+    pub fn withdraw(self, place: &mut Place) {
+        for folder in &self.made {
+            let _ = std::fs::remove_dir(folder);
+        }
+        place.withdraw();
     }
 
     fn new(destination: Destination, emit: Emit) -> Outputs {
@@ -153,6 +165,7 @@ impl Outputs {
             alpha,
             sound,
             quality,
+            made: Vec::new(),
         }
     }
 
@@ -362,7 +375,7 @@ impl Outputs {
 
     /// After a failure: completes the index of the intervals that were written. A y4m file stays under its temporary name where it
     /// can be gone on with; any other video is not kept.
-    pub fn abandon(mut self) {
+    pub fn abandon(mut self, place: &mut Place) {
         if let Some(scene) = self.scene.take() {
             // The first failure is the one to tell.
             let _ = scene.finish();
@@ -370,6 +383,7 @@ impl Outputs {
         if let Some(video) = self.video.take_if(|_| self.ledger.is_some()) {
             video.leave();
         }
+        self.withdraw(place);
     }
 
     /// Completes scene and video.

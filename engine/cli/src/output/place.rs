@@ -18,12 +18,14 @@ const MAX_TEXT: u64 = 64;
 pub struct Place {
     destination: Destination,
     lock: Option<Lock>,
+    /// Folders that [`Place::hold`] created, the innermost first.
+    made: Vec<PathBuf>,
 }
 
 impl Place {
     /// One that nobody holds yet.
     pub fn new(destination: Destination) -> Place {
-        Place { destination, lock: None }
+        Place { destination, lock: None, made: Vec::new() }
     }
 
     /// Where it is.
@@ -35,10 +37,21 @@ impl Place {
     pub fn hold(&mut self) -> Result<(), Failure> {
         let Some(path) = self.destination.lock().filter(|_| self.lock.is_none()) else { return Ok(()) };
         if let Destination::Folder(folder) = &self.destination {
+            let missing = |path: &&Path| !path.as_os_str().is_empty() && !path.exists();
+            self.made = folder.ancestors().take_while(missing).map(Path::to_owned).collect();
             prepare_folder(folder)?;
         }
         self.lock = Some(Lock::take(path, self.destination.path())?);
         Ok(())
+    }
+
+    /// Gives the place up and removes the folders that were created to hold it, as far as they are empty.
+    pub fn withdraw(&mut self) {
+        self.lock = None;
+        for folder in self.made.drain(..) {
+            // One that others use by now stays.
+            let _ = std::fs::remove_dir(folder);
+        }
     }
 
     /// As [`Place::hold`], where something is there to be held.
@@ -133,6 +146,21 @@ mod tests {
         second.hold().expect("free again");
         drop(second);
         assert_eq!(std::fs::read_dir(&out).expect("there").count(), 0, "a lock goes with its holder");
+    }
+
+    #[test]
+    fn a_place_that_is_given_up_leaves_no_folder_of_its_own() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let (outer, inner) = (folder.path().join("a"), folder.path().join("a/b/c"));
+        let mut place = Place::new(Destination::of(&inner));
+        place.hold().expect("free");
+        place.withdraw();
+        assert!(!outer.exists());
+        std::fs::create_dir(&outer).expect("writable");
+        place.hold().expect("free");
+        std::fs::write(folder.path().join("a/b/other"), "text").expect("writable");
+        place.withdraw();
+        assert!(!inner.exists() && folder.path().join("a/b/other").exists());
     }
 
     #[test]

@@ -203,6 +203,27 @@ fn models_that_cannot_be_loaded_name_the_file() {
 }
 
 #[test]
+fn models_and_depth_networks_that_cannot_be_loaded_leave_no_folder() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 40, 24);
+    let (absent, model) = (scratch.path("absent.onnx"), model());
+    let network = format!("onnx:{}", absent.display());
+    let out = scratch.path("a/b");
+    for more in [
+        &["--depth", &network, "--model", model.to_str().expect("UTF-8")][..],
+        &["--model", absent.to_str().expect("UTF-8")],
+    ] {
+        fails(&attempt(&clip, &out, more), 1);
+        assert!(!scratch.path("a").exists(), "{more:?}");
+        // Folders of others stay, and nothing is left in them.
+        std::fs::create_dir_all(&out).expect("writable");
+        fails(&attempt(&clip, &out, more), 1);
+        assert_eq!(std::fs::read_dir(&out).expect("there").count(), 0, "{more:?}");
+        std::fs::remove_dir_all(scratch.path("a")).expect("there");
+    }
+}
+
+#[test]
 fn an_unwritable_output_is_found_before_the_work() {
     let scratch = Scratch::new();
     let clip = scratch.clip("clip", 2, 40, 24);

@@ -28,9 +28,9 @@ fn random(state: &mut u64) -> u64 {
     z ^ (z >> 31)
 }
 
-fn run(out: &Path) -> Command {
+fn run(input: &Path, out: &Path) -> Command {
     let mut command = command();
-    command.arg("run").arg(fixtures::path("clips/moving.y4m")).arg("--out").arg(out).arg("--model").arg(model());
+    command.arg("run").arg(input).arg("--out").arg(out).arg("--model").arg(model());
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     command
 }
@@ -58,27 +58,56 @@ fn check(out: &Path) -> (usize, usize) {
 }
 
 fn assert_same(out: &Path, whole: &Path) {
-    let (found, expected) = (files(out), files(whole));
-    assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
-    assert!(found == expected);
-    assert_eq!(record(&out.join("run.json")), record(&whole.join("run.json")));
+    if whole.is_file() {
+        assert!(std::fs::read(out).expect("readable") == std::fs::read(whole).expect("readable"));
+    } else {
+        let (found, expected) = (files(out), files(whole));
+        assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
+        assert!(found == expected);
+    }
+    assert_eq!(record(&record_of(out)), record(&record_of(whole)));
+}
+
+/// The record of a run to a folder or a y4m file.
+fn record_of(out: &Path) -> std::path::PathBuf {
+    if out.extension().is_some() { out.with_extension("y4m.run.json") } else { out.join("run.json") }
 }
 
 #[test]
 fn killed_at_random_moments_it_ends_with_the_same_bytes() {
-    let kills = number("STREAMSPLAT_KILLS", 8);
+    endure(&fixtures::path("clips/moving.y4m"), "out", &OPTIONS, 8);
+}
+
+#[test]
+fn killed_with_the_default_options_it_ends_with_the_same_bytes() {
+    // Which frames become key frames depends on what was found before (`--gap auto`).
+    let moving = fixtures::path("clips/moving.y4m");
+    endure(&moving, "out", &["--quiet"], 4);
+    endure(&moving, "out.y4m", &["--quiet"], 4);
+}
+
+#[test]
+fn killed_with_a_folder_of_images_as_its_input_it_ends_with_the_same_bytes() {
+    let scratch = Scratch::new();
+    endure(&scratch.clip("clip", 12, 40, 24), "out", &["--emit", "rgb,scene,exr,tracks", "--quiet"], 4);
+}
+
+/// Kills runs of `input` to a place of this name, and resumed ones, so many times; the last one is left to end.
+fn endure(input: &Path, name: &str, options: &[&str], kills: u64) {
+    let kills = number("STREAMSPLAT_KILLS", kills);
     let mut seed = number("STREAMSPLAT_SEED", 1);
     let scratch = Scratch::new();
-    let (whole, out) = (scratch.path("whole"), scratch.path("out"));
+    std::fs::create_dir(scratch.path("whole")).expect("writable");
+    let (whole, out) = (scratch.path("whole").join(name), scratch.path(name));
     let start = Instant::now();
-    run_ok(&fixtures::path("clips/moving.y4m"), &whole, &OPTIONS);
+    run_ok(input, &whole, options);
     let length = start.elapsed();
     let (mut killed, mut ends) = (0, 0);
     while killed < kills {
         // Runs and resumed runs are killed alike, early more often than late, so that some are killed again and again.
         let part = (random(&mut seed) % 1000) as f64 / 1000.0;
         let moment = length.mul_f64(0.9 * part * part + 0.02);
-        let mut child = run(&out).args(OPTIONS).arg("--resume").spawn().expect("the program starts");
+        let mut child = run(input, &out).args(options).arg("--resume").spawn().expect("the program starts");
         let start = Instant::now();
         while start.elapsed() < moment && child.try_wait().expect("a child").is_none() {
             std::thread::sleep(Duration::from_micros(200));
@@ -87,18 +116,24 @@ fn killed_at_random_moments_it_ends_with_the_same_bytes() {
         let output = child.wait_with_output().expect("it ends");
         if output.status.success() {
             assert_same(&out, &whole);
-            std::fs::remove_dir_all(&out).expect("there");
+            let removed = if out.is_dir() { std::fs::remove_dir_all(&out) } else { std::fs::remove_file(&out) };
+            removed.expect("there");
+            if !record_of(&out).starts_with(&out) {
+                std::fs::remove_file(record_of(&out)).expect("there");
+            }
             ends += 1;
             continue;
         }
         assert_eq!(output.status.code(), None, "{}", String::from_utf8_lossy(&output.stderr));
         killed += 1;
-        if !out.join("run.json").exists() {
+        if name.ends_with("y4m") {
+            assert!(out.exists() || !record_of(&out).exists(), "a record without its video");
+        } else if !out.join("run.json").exists() {
             let (intervals, images) = check(&out);
             println!("kill {killed} after {moment:.1?} of {length:.1?}: {intervals} intervals, {images} images");
         }
     }
-    let output = run(&out).args(OPTIONS).arg("--resume").output().expect("the program starts");
+    let output = run(input, &out).args(options).arg("--resume").output().expect("the program starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert_same(&out, &whole);
     println!("{killed} kills, {} complete runs with the same bytes", ends + 1);
@@ -108,7 +143,7 @@ fn killed_at_random_moments_it_ends_with_the_same_bytes() {
 fn limited(out: &Path, kilobytes: u32) -> Command {
     let mut shell = Command::new("bash");
     shell.args(["-c", &format!("trap '' XFSZ; ulimit -f {kilobytes}; exec \"$@\""), "bash"]);
-    let inner = run(out);
+    let inner = run(&fixtures::path("clips/moving.y4m"), out);
     shell.arg(inner.get_program()).args(inner.get_args()).args(["--gap", "2", "--quiet"]);
     shell
 }
@@ -123,7 +158,11 @@ fn out_of_room_it_says_so_and_what_was_written_stays_valid() {
     assert_eq!(check(&out), (1, 1));
     assert!(files(&out).keys().all(|name| !name.contains("partial")));
     let options = ["--gap", "2", "--quiet"];
-    let output = run(&out).args(options).arg("--resume").output().expect("the program starts");
+    let output = run(&fixtures::path("clips/moving.y4m"), &out)
+        .args(options)
+        .arg("--resume")
+        .output()
+        .expect("the program starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     run_ok(&fixtures::path("clips/moving.y4m"), &whole, &options);
     assert_same(&out, &whole);
@@ -134,7 +173,11 @@ fn out_of_room_it_says_so_and_what_was_written_stays_valid() {
     // The video or what is kept to go on from: whichever grows beyond the limit first.
     assert!(text.contains("cannot write: File too large"), "{text}");
     assert!(!out.exists(), "it has no name before it is whole");
-    let output = run(&out).args(options).arg("--resume").output().expect("the program starts");
+    let output = run(&fixtures::path("clips/moving.y4m"), &out)
+        .args(options)
+        .arg("--resume")
+        .output()
+        .expect("the program starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     run_ok(&fixtures::path("clips/moving.y4m"), &whole, &options);
     assert!(std::fs::read(&out).expect("readable") == std::fs::read(&whole).expect("readable"));
@@ -145,7 +188,10 @@ fn a_reader_that_takes_a_thousand_bytes_gets_the_right_ones() {
     let scratch = Scratch::new();
     let whole = scratch.path("whole.y4m");
     run_ok(&fixtures::path("clips/moving.y4m"), &whole, &["--quiet", "--size", "640x384"]);
-    let mut child = run(Path::new("-")).args(["--quiet", "--size", "640x384"]).spawn().expect("the program starts");
+    let mut child = run(&fixtures::path("clips/moving.y4m"), Path::new("-"))
+        .args(["--quiet", "--size", "640x384"])
+        .spawn()
+        .expect("the program starts");
     let mut start = [0; 1000];
     child.stdout.take().expect("a pipe").read_exact(&mut start).expect("a thousand bytes");
     let text = fails(&child.wait_with_output().expect("it ends"), 1);

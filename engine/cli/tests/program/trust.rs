@@ -1,28 +1,130 @@
-//! `docs/trust.md` and `docs/formats.md` name tests that exist.
+//! `docs/trust.md` names tests and mutations that exist, and every mutation has its promise; `docs/formats.md` names tests that exist.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("a workspace")
+}
+
+fn read(name: &str) -> String {
+    std::fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+}
+
+/// What a text has between backquotes.
+fn quoted(text: &str) -> impl Iterator<Item = &str> {
+    text.split('`').skip(1).step_by(2)
+}
 
 /// The tests that a page names, as `PATH::FUNCTION` between backquotes.
 fn named(page: &str) -> Vec<(&str, &str)> {
-    page.split('`').skip(1).step_by(2).filter_map(|code| code.split_once("::")).collect()
+    quoted(page).filter_map(|code| code.split_once("::")).collect()
 }
 
-/// Returns true if the file holds the function.
-fn exists(root: &Path, file: &str, function: &str) -> bool {
-    let text = std::fs::read_to_string(root.join(file)).unwrap_or_default();
-    text.contains(&format!("fn {function}("))
+/// Returns true if the file holds the function, or a line `FUNCTION: "…"` of a macro that makes one.
+fn exists(file: &str, function: &str) -> bool {
+    let text = std::fs::read_to_string(root().join(file)).unwrap_or_default();
+    text.contains(&format!("fn {function}(")) || text.contains(&format!("\n    {function}: \""))
+}
+
+/// The mutations of the list, by name, with their tests.
+fn mutations() -> BTreeMap<String, Vec<String>> {
+    let list: toml::Table = toml::from_str(&read("tests/mutations/list.toml")).expect("a list");
+    let text = |value: &toml::Value| value.as_str().expect("text").to_owned();
+    let entries = list["mutation"].as_array().expect("mutations").iter();
+    entries
+        .map(|entry| (text(&entry["name"]), entry["tests"].as_array().expect("tests").iter().map(text).collect()))
+        .collect()
 }
 
 #[test]
 fn every_test_that_a_promise_names_exists() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("a workspace");
-    let page = std::fs::read_to_string(root.join("docs/trust.md")).expect("readable");
+    let page = read("docs/trust.md");
     let tests = named(&page);
     assert!(tests.len() > 15, "{} tests", tests.len());
     for (file, function) in tests {
-        assert!(exists(root, file, function), "docs/trust.md: no test {function} in {file}");
+        assert!(exists(file, function), "docs/trust.md: no test {function} in {file}");
     }
-    assert!(!exists(root, "engine/cli/tests/program/trust.rs", "no_such_test"));
+    assert!(!exists("engine/cli/tests/program/trust.rs", "no_such_test"));
+}
+
+#[test]
+fn every_promise_has_a_mutation_and_every_mutation_a_promise() {
+    let page = read("docs/trust.md");
+    let mutations = mutations();
+    let mut seen = BTreeSet::new();
+    let mut promises = 0;
+    for row in page.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| promised |")) {
+        let cells: Vec<&str> = row.split('|').collect();
+        let [_, promise, tests, broken, ..] = cells[..] else { panic!("docs/trust.md: expected four columns: {row}") };
+        promises += 1;
+        assert!(quoted(broken).next().is_some(), "docs/trust.md: no mutation for{promise}");
+        for name in quoted(broken) {
+            let own = mutations.get(name).unwrap_or_else(|| panic!("docs/trust.md: no mutation {name} in the list"));
+            // One of its tests is a test of the row; scripts may be named without their arguments.
+            let is_of_the_row =
+                own.iter().any(|test| tests.contains(&format!("`{}", test.split(' ').next().unwrap_or_default())));
+            assert!(is_of_the_row, "docs/trust.md: no test of {name} is named beside it");
+            seen.insert(name);
+        }
+    }
+    assert!(promises > 80, "{promises} promises");
+    for (name, tests) in &mutations {
+        assert!(seen.contains(name.as_str()), "docs/trust.md: the mutation {name} is not named");
+        for test in tests {
+            let found = match test.split_once("::") {
+                Some((file, function)) => exists(file, function),
+                None => root().join(test.split(' ').next().unwrap_or_default()).is_file(),
+            };
+            assert!(found, "tests/mutations/list.toml: {name}: no test {test}");
+        }
+    }
+}
+
+/// A function of `docs/api/kernels.txt`: its path without the crate, and what is between its parentheses.
+fn function(line: &str) -> Option<(&str, &str)> {
+    let (_, rest) = line.split_once("fn streamsplat_kernels::")?;
+    let (path, arguments) = rest.split_once('(')?;
+    Some((path.split('<').next()?, arguments.rsplit_once(" -> ").map_or(arguments, |(arguments, _)| arguments)))
+}
+
+/// Words of Rust in a text.
+fn words(text: &str) -> impl Iterator<Item = &str> {
+    text.split(|c: char| !c.is_alphanumeric() && c != '_')
+}
+
+#[test]
+fn every_kernel_that_takes_sizes_is_given_impossible_ones() {
+    let api = read("docs/api/kernels.txt");
+    let calls = read("kernels/tests/sizes.rs");
+    // Structures with sizes in them.
+    let structures: BTreeSet<&str> = api
+        .lines()
+        .filter_map(|line| line.strip_prefix("field ").or_else(|| line.strip_prefix("variant ")))
+        .filter(|item| item.contains("usize") && !item.contains("::reference::"))
+        .filter_map(|item| item.split([' ', '(']).next()?.trim_end_matches(':').rsplit("::").nth(1))
+        .collect();
+    assert!(structures.contains("Field") && structures.contains("Grid") && structures.len() > 7, "{structures:?}");
+    let takes = |arguments: &str| words(arguments).any(|word| word == "usize" || structures.contains(word));
+    // What holds no memory, or is told a number that may be any: `rest` is a formula, `Request::colour` and `with_budget` store it; loops are
+    // tested at any length; `Disjoint::part` is unsafe, its range is checked.
+    let others = [
+        "harmonics::rest",
+        "raster::Request::colour",
+        "raster::ColourMap::with_budget",
+        "parallel::for_each_chunk",
+        "parallel::map_indexed",
+        "parallel::Disjoint::part",
+    ];
+    let mut found = 0;
+    for (path, _) in api.lines().filter_map(function).filter(|(_, arguments)| takes(arguments)) {
+        if path.contains("reference::") || path.starts_with("simd::") || others.contains(&path) {
+            continue;
+        }
+        found += 1;
+        assert!(calls.contains(&format!("\"{path}\": ")), "kernels/tests/sizes.rs: {path} is not called");
+    }
+    assert!(found > 35, "{found} functions");
 }
 
 /// The text of every Rust file in a folder and below it.
@@ -40,15 +142,14 @@ fn sources(folder: &Path) -> String {
 
 #[test]
 fn every_test_that_the_page_of_formats_names_exists() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("a workspace");
-    let page = std::fs::read_to_string(root.join("docs/formats.md")).expect("readable");
-    let code = page.split('`').skip(1).step_by(2);
+    let page = read("docs/formats.md");
+    let code = quoted(&page);
     let is_test = |code: &&str| {
         code.matches('_').count() > 2 && code.chars().all(|c| c == '_' || c.is_ascii_lowercase() || c.is_ascii_digit())
     };
     let tests: Vec<&str> = code.filter(is_test).collect();
     assert!(tests.len() > 25, "{} tests", tests.len());
-    let text = sources(&root.join("engine/src/import")) + &sources(&root.join("engine/cli/tests/program"));
+    let text = sources(&root().join("engine/src/import")) + &sources(&root().join("engine/cli/tests/program"));
     for test in tests {
         assert!(text.contains(&format!("fn {test}(")), "docs/formats.md: no test {test}");
     }

@@ -49,6 +49,11 @@ fn a_scene_is_served_until_terminated_and_the_file_holds_the_same() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let page = std::fs::read_to_string(&html).expect("a page");
     assert_eq!(page.matches("id=\"interval-").count(), 3);
+    // The page has a link to its publisher's address, which no script may be.
+    let mut linked = command();
+    linked.arg("view").arg(&out).arg("--html").arg(scratch.path("linked.html")).args(["--url", "javascript:alert(1)"]);
+    let said = fails(&linked.output().expect("the program starts"), 2);
+    assert!(said.contains("--url") && !scratch.path("linked.html").exists(), "{said}");
 
     let mut view = command();
     view.arg("view").arg(&out).args(["--port", "0"]).stdout(Stdio::piped());
