@@ -3,7 +3,7 @@
 usage: check.py STREAMSPLAT SOURCE WORK CLIP [--paper] [--flip]
 
 STREAMSPLAT is the program, SOURCE the unpacked source of `streamsplat` 0.1.4 from PyPI, WORK a folder for files, CLIP a small video. Every file of weights is written
-by the library whose format it is: torch.save, safetensors, timm and transformers. --paper compares the network and a clip at the paper's size in place of the small ones.
+by the library whose format it is: torch.save, safetensors, timm and transformers. --paper compares the network's tensors at the paper's size, and nothing else.
 --flip flips a bit of one weight in the files of the network that the program reads: every comparison of the network must fail then.
 """
 
