@@ -9,8 +9,8 @@
 //! If files of several kinds share names, such as maps and their previews, one kind is read: the first of NPY, EXR, TIFF
 //! and PNG that exists for every name. Maps are matched to frames by name if every frame is a file with a map of the
 //! same name (extensions aside), else by natural order. [`Range::Clip`] normalises all maps of the folder by the smallest
-//! and the largest value found in any of them; with [`Range::Frame`] the maps stay as they are and the engine normalises
-//! each by its own.
+//! and the largest value found in any of them, [`Range::Every`] by those of the key frames' maps; with [`Range::Frame`] the maps
+//! stay as they are and the engine normalises each by its own.
 
 use std::path::{Path, PathBuf};
 
@@ -33,6 +33,8 @@ pub enum Range {
     Frame,
     /// All by the smallest and the largest value of the whole folder.
     Clip,
+    /// All by the smallest and the largest value of the maps of every n-th frame and of the last one: the key frames with a gap of n. 0 is 1.
+    Every(usize),
 }
 
 /// Kind of the values that files hold.
@@ -73,15 +75,15 @@ pub struct DepthMaps {
     folder: PathBuf,
     files: Vec<PathBuf>,
     kind: Values,
-    /// Smallest and largest value of the clip, with [`Range::Clip`].
+    /// Smallest and largest value of the maps that decide the range; `None` with [`Range::Frame`].
     range: Option<(f32, f32)>,
     /// Files that are left out, a line.
     notes: Vec<String>,
 }
 
 impl DepthMaps {
-    /// Lists the maps of `folder` and pairs them with `frames` where the frames are files. With [`Range::Clip`] every
-    /// map is read once to find the range.
+    /// Lists the maps of `folder` and pairs them with `frames` where the frames are files. With [`Range::Clip`] and [`Range::Every`] the
+    /// maps that decide the range are read once to find it.
     ///
     /// # Errors
     /// An unreadable or empty folder, files of several kinds of which none has every name, another number of maps than of frames, an unreadable map where
@@ -130,9 +132,16 @@ impl DepthMaps {
             }
         }
         let mut maps = DepthMaps { folder: folder.to_owned(), files, kind, range: None, notes };
-        if range == Range::Clip {
+        let step = match range {
+            Range::Frame => None,
+            Range::Clip => Some(1),
+            Range::Every(n) => Some(n.max(1)),
+        };
+        if let Some(step) = step {
             let mut limits = (f32::INFINITY, f32::NEG_INFINITY);
-            for file in &maps.files {
+            let last = maps.files.len().saturating_sub(1);
+            let deciding = maps.files.iter().enumerate().filter(|(i, _)| i % step == 0 || *i == last);
+            for (_, file) in deciding {
                 let inverse = measured(file, kind)?.values.into_iter().map(|value| kind.inverse(value));
                 for value in inverse.filter(|value| value.is_finite()) {
                     limits = (limits.0.min(value), limits.1.max(value));
@@ -173,7 +182,7 @@ impl DepthMaps {
     }
 
     /// The inverse depth of frame `index` at the frame's size, NaN where it was not measured; with [`Range::Clip`]
-    /// normalised to `[0, 1]`.
+    /// normalised to `[0, 1]`, as are with [`Range::Every`] the maps that decide the range, while others may lie outside.
     ///
     /// # Errors
     /// No such map, or an unreadable one.
@@ -338,6 +347,21 @@ mod tests {
         assert_eq!(maps.map(0, 2, 1).expect("readable"), [0.0, 0.25]);
         assert_eq!(maps.map(1, 2, 1).expect("readable"), [0.25, 1.0]);
         assert!(matches!(maps.map(2, 2, 1), Err(DepthError::Missing { frame: 2, found: 2, .. })));
+    }
+
+    #[test]
+    fn key_frames_are_normalised_by_their_own_maps_alone() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        for (name, values) in [("1", [10, 20]), ("2", [0, 90]), ("3", [20, 50]), ("4", [90, 0]), ("5", [30, 60])] {
+            png16(&folder.path().join(format!("{name}.png")), 2, values.to_vec());
+        }
+        // Frames 0, 2 and 4, and frames 0, 3 and the last one.
+        let maps = DepthMaps::open(folder.path(), None, Range::Every(2)).expect("five maps");
+        assert_eq!(maps.map(2, 2, 1).expect("readable"), [0.2, 0.8]);
+        assert_eq!(maps.map(4, 2, 1).expect("readable"), [0.4, 1.0]);
+        let maps = DepthMaps::open(folder.path(), None, Range::Every(3)).expect("five maps");
+        assert_eq!(maps.map(3, 2, 1).expect("readable"), [1.0, 0.0]);
+        assert_eq!(maps.map(4, 2, 1).expect("readable"), [1.0 / 3.0, 2.0 / 3.0]);
     }
 
     #[test]

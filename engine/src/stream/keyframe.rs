@@ -200,7 +200,8 @@ impl Context<'_> {
         let tile = &mut self.tiles.tiles[at];
         let embedding = work.measure(Stage::Encoder, || tile.session.embed(&input))?;
         let tokens = work.measure(Stage::Upsampler, || tile.session.upsample(&embedding))?;
-        let condition = match tile.session.reads_condition() {
+        // The decoder alone reads it.
+        let condition = match self.settings.deforms() && tile.session.reads_condition() {
             true => work.measure(Stage::Condition, || tile.session.condition(&input))?,
             false => {
                 work.count(Stage::Condition, 0, 1);

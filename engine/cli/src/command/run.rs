@@ -12,6 +12,7 @@ use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 use crate::console::{Console, say, stop};
 use crate::options::args::{Machine, RunArgs, RunOptions};
+use crate::options::settings::choice_or_default;
 use crate::output::outputs::{Destination, Emit, Finished, Outputs};
 use crate::output::place::Place;
 use crate::output::record::{
@@ -55,7 +56,8 @@ pub fn finished(args: &RunArgs, console: &Console) -> Result<Record, Failure> {
         }
         args.options.emit = Some(if taken { "rgb" } else { "rgb,scene" }.to_owned());
     }
-    let size = if place.destination().is_video() { "source" } else { "model" };
+    let own = place.destination().is_video() && !args.options.stream.like_paper;
+    let size = if own { "source" } else { "model" };
     args.options.view.size.get_or_insert_with(|| size.to_owned());
     let args = &args;
     let (record, page) = match resume_or_run(args, &out, &mut place, console)? {
@@ -116,7 +118,7 @@ fn resume_or_run(args: &RunArgs, out: &Path, place: &mut Place, console: &Consol
     }
     let found = if args.resume { resume_state::find(place.destination())? } else { Found::Nothing };
     let RunArgs { input, machine, .. } = args;
-    let options = &RunOptions { stream: args.options.stream.resolved()?, ..args.options.clone() };
+    let options = &args.options.resolved()?;
     if let Found::Complete(record) = found {
         resume_state::check_complete(&record, input, &Terms::given(options, &model_record(options)?)?)?;
         if let Some(folder) = place.destination().resume() {
@@ -196,7 +198,8 @@ fn run_from(
     views.refuse_still()?;
     let gap = options.stream.gap()?;
     let depth = options.stream.depth_from()?;
-    let settings = options.stream.settings(&options.fit, machine)?;
+    let fit = choice_or_default("--fit", options.fit.as_deref())?;
+    let settings = options.stream.settings(fit, machine)?;
     let emit = match (&options.emit, place.destination()) {
         (Some(list), _) => Emit::parse(list, &["rgb", "depth", "alpha", "exr", "scene", "ply", "tracks"])?,
         (None, Destination::Folder(_)) => Emit { rgb: true, scene: true, ..Emit::default() },

@@ -104,6 +104,11 @@ pub struct Stream {
     #[arg(long, value_name = "NAME")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quality: Option<String>,
+    /// The steps of the authors' own script for whole clips: gap 3, resolution native, motion network, fade network, refine 0, depth none, depth-range
+    /// keys, fusion pairwise, sampling mean, precision f32, fit stretch and size model, where they are not given
+    #[arg(long, conflicts_with = "quality")]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub like_paper: bool,
     /// Inverse depth: none, auto (found by parallax where the camera moves, for models that ignore depth), a folder of EXR, TIFF, 16-bit PNG or
     /// NPY files, one per frame, or onnx:FILE, a network that ONNX Runtime runs [default: auto for balanced and best, none for realtime and where
     /// motion is the network's]
@@ -115,9 +120,11 @@ pub struct Stream {
     #[arg(long, value_name = "LIST")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth_model: Option<String>,
-    /// Depth is normalised by each frame's own range (frame) or the range of all maps (clip)
-    #[arg(long, value_name = "RANGE", default_value = "frame")]
-    pub depth_range: String,
+    /// Depth is normalised by each frame's own range (frame), the range of all maps (clip), or that of the key frames' maps (keys, with a fixed gap)
+    /// [default: frame]
+    #[arg(long, value_name = "RANGE")]
+    #[serde(default)]
+    pub depth_range: Option<String>,
     /// Gaussians behind what stands in front, where depth maps lift Gaussians: on adds them, off leaves nothing there [default: on]
     #[arg(long, value_name = "on|off")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -157,15 +164,17 @@ pub struct Stream {
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..))]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refine_every: Option<u32>,
-    /// Gaussians carried over a key frame: persistent (identities go on and survivors fade) or pairwise (each interval by itself)
-    #[arg(long, value_name = "MODE", default_value = "persistent")]
-    pub fusion: String,
+    /// Gaussians carried over a key frame: persistent (identities go on and survivors fade) or pairwise (each interval by itself) [default: persistent]
+    #[arg(long, value_name = "MODE")]
+    #[serde(default)]
+    pub fusion: Option<String>,
     /// Key frames after which a Gaussian that nothing continues is dropped at the latest [default: 8]
     #[arg(long, value_name = "N")]
     pub max_age: Option<u32>,
-    /// Positions that a model gives as a distribution: mean or sample
-    #[arg(long, value_name = "MODE", default_value = "mean")]
-    pub sampling: String,
+    /// Positions that a model gives as a distribution: mean or sample [default: mean]
+    #[arg(long, value_name = "MODE")]
+    #[serde(default)]
+    pub sampling: Option<String>,
     /// Seed of everything drawn at random
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
@@ -235,9 +244,10 @@ pub struct RunArgs {
 pub struct RunOptions {
     #[command(flatten)]
     pub stream: Stream,
-    /// Fit of frames into the model's input: letterbox or stretch
-    #[arg(long, value_name = "MODE", default_value = "letterbox")]
-    pub fit: String,
+    /// Fit of frames into the model's input: letterbox or stretch [default: letterbox]
+    #[arg(long, value_name = "MODE")]
+    #[serde(default)]
+    pub fit: Option<String>,
     /// Frames per second of the input [default: its own, or 24]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,

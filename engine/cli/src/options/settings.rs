@@ -5,12 +5,14 @@ use std::str::FromStr;
 
 use streamsplat::camera::{self, CameraFile, CameraPath};
 use streamsplat::depth::{NetworkOptions, Range, Values};
+use streamsplat::fit::Fit;
 use streamsplat::gap::Gap;
 use streamsplat::import::FormatError;
 use streamsplat::render::Backend;
 use streamsplat::source::colour::Matrix;
 use streamsplat::stream::{
-    Behind, DepthRange, Fade, FlowEffort, MaxAge, ModelSource, MotionFrom, Quality, Reuse, Settings,
+    Behind, DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Quality, Resolution, Reuse,
+    SamplingMode, Settings,
 };
 use streamsplat::{RenderOptions, Size};
 use streamsplat_kernels::raster;
@@ -27,6 +29,14 @@ where
     T::Err: std::fmt::Display,
 {
     text.parse().map_err(|e| Failure::usage(format!("{option}: {e}")))
+}
+
+/// The same, or the default where the option is not given.
+pub fn choice_or_default<T: FromStr + Default>(option: &str, text: Option<&str>) -> Result<T, Failure>
+where
+    T::Err: std::fmt::Display,
+{
+    text.map_or_else(|| Ok(T::default()), |text| choice(option, text))
 }
 
 /// Where depth comes from.
@@ -67,6 +77,14 @@ fn matrix(name: Option<&str>) -> Result<Option<Matrix>, Failure> {
 }
 
 impl RunOptions {
+    /// These options with what presets and defaults stand for in place of those that are not given ([`Stream::resolved`]).
+    pub fn resolved(&self) -> Result<RunOptions, Failure> {
+        let mut options = RunOptions { stream: self.stream.resolved()?, ..self.clone() };
+        let fit = if options.stream.like_paper { Fit::Stretch } else { Fit::default() };
+        options.fit.get_or_insert_with(|| fit.name().to_owned());
+        Ok(options)
+    }
+
     /// The matrix of the input, in place of its own.
     pub fn matrix(&self) -> Result<Option<Matrix>, Failure> {
         matrix(self.matrix.as_deref())
@@ -81,9 +99,39 @@ impl EvalArgs {
 }
 
 impl Stream {
-    /// These options with what the quality stands for in place of those that are not given. The model inside the program has `balanced` unless
-    /// told otherwise; other models have none.
+    /// These options with what the preset stands for in place of those that are not given: `--like-paper`, or the quality. The model inside the program
+    /// has `balanced` unless told otherwise; other models have none. What no preset names has its default.
     pub fn resolved(&self) -> Result<Stream, Failure> {
+        let mut stream = if self.like_paper { self.as_the_authors() } else { self.with_quality()? };
+        stream.depth_range.get_or_insert_with(|| "frame".to_owned());
+        stream.fusion.get_or_insert_with(|| Fusion::default().to_string());
+        stream.sampling.get_or_insert_with(|| SamplingMode::default().to_string());
+        Ok(stream)
+    }
+
+    /// The steps of the authors' script for whole clips.
+    fn as_the_authors(&self) -> Stream {
+        let mut stream = self.clone();
+        let values: [(&mut Option<String>, &dyn std::fmt::Display); 9] = [
+            (&mut stream.gap, &Gap::Every(3)),
+            (&mut stream.resolution, &Resolution::Native),
+            (&mut stream.motion, &MotionFrom::Network),
+            (&mut stream.fade, &Fade::Network),
+            (&mut stream.depth, &"none"),
+            (&mut stream.depth_range, &"keys"),
+            (&mut stream.fusion, &Fusion::Pairwise),
+            (&mut stream.sampling, &SamplingMode::Mean),
+            (&mut stream.model.precision, &Precision::F32),
+        ];
+        for (option, value) in values {
+            option.get_or_insert_with(|| value.to_string());
+        }
+        stream.refine.get_or_insert(0);
+        stream
+    }
+
+    /// What the quality stands for.
+    fn with_quality(&self) -> Result<Stream, Failure> {
         let mut stream = self.clone();
         let quality = match (&self.quality, self.model.source()) {
             (Some(name), _) => choice("--quality", name)?,
@@ -126,10 +174,14 @@ impl Stream {
 
     /// Where depth comes from.
     pub fn depth_from(&self) -> Result<DepthFrom, Failure> {
-        let range = match self.depth_range.as_str() {
-            "frame" => Range::Frame,
-            "clip" => Range::Clip,
-            other => return Err(Failure::usage(format!("--depth-range {other}: expected frame or clip"))),
+        let named = self.depth_range.as_deref().unwrap_or("frame");
+        // The key frames of a gap that depends on the frames are not known beforehand.
+        let range = match (named, self.gap()?) {
+            ("frame", _) => Some(Range::Frame),
+            ("clip", _) => Some(Range::Clip),
+            ("keys", Gap::Every(n)) => Some(Range::Every(n)),
+            ("keys", Gap::Auto(_)) => None,
+            (other, _) => return Err(Failure::usage(format!("--depth-range {other}: expected frame, clip or keys"))),
         };
         let depth = self.depth.as_deref().unwrap_or("none");
         let network = depth.strip_prefix("onnx:").map(PathBuf::from);
@@ -148,8 +200,10 @@ impl Stream {
             return Ok(DepthFrom::Found);
         }
         if let Some(network) = network {
-            if range == Range::Clip {
-                return Err(Failure::usage("--depth-range clip: expected a folder of maps, found a network"));
+            if range != Some(Range::Frame) {
+                return Err(Failure::usage(format!(
+                    "--depth-range {named}: expected a folder of maps, found a network"
+                )));
             }
             let options = self.depth_model.as_deref().map(|text| choice("--depth-model", text)).transpose()?;
             return Ok(DepthFrom::Network(network, options.unwrap_or_default()));
@@ -160,15 +214,19 @@ impl Stream {
                 "--depth {depth}: expected none, auto, a folder of depth maps, or onnx:FILE"
             )));
         }
+        let range = range.ok_or_else(|| {
+            let gap = self.gap.as_deref().unwrap_or_default();
+            Failure::usage(format!("--depth-range keys: expected a fixed gap (--gap N), found --gap {gap}"))
+        })?;
         Ok(DepthFrom::Folder(folder, range, values))
     }
 
     /// Settings of the engine for these options.
-    pub fn settings(&self, fit: &str, machine: &Machine) -> Result<Settings, Failure> {
+    pub fn settings(&self, fit: Fit, machine: &Machine) -> Result<Settings, Failure> {
         let mut settings = Settings::with_model(self.model.source());
-        settings.fusion = choice("--fusion", &self.fusion)?;
+        settings.fusion = choice_or_default("--fusion", self.fusion.as_deref())?;
         settings.max_age = self.max_age.map_or_else(MaxAge::default, MaxAge);
-        settings.fit = choice("--fit", fit)?;
+        settings.fit = fit;
         settings.resolution = self.resolution.as_deref().map(|text| choice("--resolution", text)).transpose()?;
         settings.motion = self.motion.as_deref().map(|text| choice("--motion", text)).transpose()?;
         settings.fade = self.fade.as_deref().map(|text| choice("--fade", text)).transpose()?;
@@ -178,12 +236,12 @@ impl Stream {
         settings.refine = self.refine;
         settings.find_depth = Some(self.depth_from()? == DepthFrom::Found);
         settings.depth_range = match self.depth_from()? {
-            DepthFrom::Folder(_, Range::Clip, _) => DepthRange::Given,
+            DepthFrom::Folder(_, Range::Clip | Range::Every(_), _) => DepthRange::Given,
             _ => DepthRange::Frame,
         };
         settings.behind =
             self.behind.as_deref().map_or_else(|| Ok(Behind::default()), |text| choice("--behind", text))?;
-        settings.sampling = choice("--sampling", &self.sampling)?;
+        settings.sampling = choice_or_default("--sampling", self.sampling.as_deref())?;
         settings.seed = self.seed;
         settings.reuse = self.reuse.as_deref().map_or_else(|| Ok(Reuse::default()), |text| choice("--reuse", text))?;
         settings.precision = self.model.precision()?;

@@ -453,6 +453,80 @@ fn depth_maps_change_the_scene_and_both_ranges_work() {
 }
 
 #[test]
+fn dinov2_is_not_computed_where_no_decoder_reads_it() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 3, 40, 24);
+    let work = |name: &str, more: &[&str]| {
+        let out = scratch.path(name);
+        let run = command()
+            .arg("run")
+            .arg(&clip)
+            .arg("--model")
+            .arg(fixtures::path("parity/tiny-dino.safetensors"))
+            .arg("--dinov2")
+            .arg(fixtures::path("parity/dino-tiny.safetensors"))
+            .args(["--quiet", "--out"])
+            .arg(&out)
+            .args(more)
+            .output();
+        let output = run.expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let work = &json(&out.join("run.json"))["work"];
+        ["dinov2", "decoder"].map(|stage| [&work[stage]["done"], &work[stage]["avoided"]].map(|n| n.as_u64()))
+    };
+    assert_eq!(work("network", &[]), [[Some(3), Some(0)], [Some(2), Some(0)]]);
+    let fixed = ["--motion", "between", "--fade", "fixed"];
+    assert_eq!(work("fixed", &fixed), [[Some(0), Some(3)], [Some(0), Some(2)]]);
+    assert_eq!(work("fade", &["--motion", "between"]), [[Some(3), Some(0)], [Some(2), Some(0)]]);
+}
+
+#[test]
+fn the_authors_way_is_the_options_that_it_stands_for() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 8, 40, 24);
+    let depth = scratch.path("depth");
+    std::fs::create_dir(&depth).expect("writable");
+    for frame in 0..8u32 {
+        // The largest value of all is in a map that is no key frame's.
+        let nearest = if frame == 4 { 60_000 } else { 20_000 + 1000 * frame };
+        let map = image::ImageBuffer::<image::Luma<u16>, _>::from_fn(40, 24, |x, y| {
+            image::Luma([if (x, y) == (7, 7) { nearest as u16 } else { (300 * x + 200 * y) as u16 }])
+        });
+        map.save(depth.join(format!("{frame}.png"))).expect("writable");
+    }
+    let maps = ["--depth", depth.to_str().expect("UTF-8")];
+    let with = |name: &str, more: &[&str]| {
+        let out = scratch.path(name);
+        run_ok(&clip, &out, &[&["--quiet", "--emit", "rgb,scene"], more].concat());
+        (files(&out), json(&out.join("run.json"))["options"].clone())
+    };
+    const WAY: &str = "--gap 3 --resolution native --motion network --fade network --refine 0 --fusion pairwise --sampling mean --precision f32 --fit stretch";
+    let way: Vec<&str> = WAY.split(' ').collect();
+    let (theirs, recorded) = with("theirs", &[&maps[..], &["--like-paper"]].concat());
+    let (spelled, options) = with("spelled", &[&maps[..], &["--depth-range", "keys"], &way].concat());
+    assert!(theirs == spelled);
+    // The record has every option, and the name.
+    let mut named = options.clone();
+    named["stream"]["like_paper"] = true.into();
+    assert_eq!(recorded, named);
+    assert_eq!((&options["stream"]["depth_range"], &options["fit"]), (&"keys".into(), &"stretch".into()));
+    // Each of these would change it, as does what is given beside it.
+    let (plain, _) = with("plain", &maps);
+    let (clips, _) = with("clips", &[&maps[..], &["--like-paper", "--depth-range", "clip"]].concat());
+    let (flat, _) = with("flat", &["--like-paper"]);
+    let (none, _) = with("none", &[&["--depth", "none"], &way[..]].concat());
+    let (gap, _) = with("gap", &[&maps[..], &["--like-paper", "--gap", "2"]].concat());
+    let spelled_with_two = way.iter().map(|word| if *word == "3" { "2" } else { word }).collect::<Vec<_>>();
+    let (two, _) = with("two", &[&maps[..], &["--depth-range", "keys"], &spelled_with_two].concat());
+    assert!(flat == none && gap == two);
+    assert!(plain != theirs && clips != theirs && flat != theirs && gap != theirs);
+    // A video has the size at which the model sees frames.
+    let video = scratch.path("v.y4m");
+    run_ok(&clip, &video, &["--like-paper", "--quiet"]);
+    assert!(std::fs::read(&video).expect("readable").starts_with(b"YUV4MPEG2 W80 H48 "));
+}
+
+#[test]
 fn a_reader_that_goes_away_is_no_panic() {
     let scratch = Scratch::new();
     let clip = scratch.clip("clip", 6, 40, 24);

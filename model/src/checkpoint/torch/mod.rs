@@ -17,6 +17,7 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::ops::Range;
 
+use zip::read::{ArchiveOffset, Config};
 use zip::{CompressionMethod, ZipArchive};
 
 use super::header::{Dtype, TensorInfo};
@@ -55,7 +56,10 @@ pub(super) fn parse(bytes: &[u8]) -> Result<BTreeMap<String, TensorInfo>, String
     if !bytes.starts_with(ZIP) {
         return Err("a plain pickle: expected a zip archive, as torch.save writes, or safetensors".to_owned());
     }
-    let mut archive = ZipArchive::new(Cursor::new(bytes))
+    // The archive begins where the file does. Looking for its start, the crate takes the second entry for the first in files of torch.save whose first entry has a
+    // name of 30 bytes: 76 bytes before the end of the directory, which are those of the records of 64 bits, would then be a whole entry.
+    let config = Config { archive_offset: ArchiveOffset::Known(0) };
+    let mut archive = ZipArchive::with_config(config, Cursor::new(bytes))
         .map_err(|e| format!("not a whole zip archive, as torch.save writes: {e}"))?;
     if archive.len() > MOST_ENTRIES {
         return Err(format!("expected at most {MOST_ENTRIES} files in the archive, found {}", archive.len()));

@@ -90,6 +90,40 @@ fn whole() -> Vec<u8> {
     end(writer.text("empty").tensor("HalfStorage", "0", 0, &[0, 3], &[3, 1]))
 }
 
+/// The archive with what torch.save always writes before its end: the directory's size and place in 64 bits, and where that is.
+fn with_64_bits(mut bytes: Vec<u8>) -> Vec<u8> {
+    let end = bytes.windows(4).rposition(|four| four == b"PK\x05\x06").expect("an end");
+    let word = |at: usize, length: usize| {
+        let mut word = [0; 8];
+        word[..length].copy_from_slice(&bytes[at..at + length]);
+        word
+    };
+    let (files, size, start) = (word(end + 10, 2), word(end + 12, 4), word(end + 16, 4));
+    let mut records = b"PK\x06\x06".to_vec();
+    records.extend(44_u64.to_le_bytes());
+    records.extend([0x1e, 3, 45, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+    [files, files, size, start].iter().for_each(|word| records.extend(word));
+    records.extend(b"PK\x06\x07\0\0\0\0");
+    records.extend((end as u64).to_le_bytes());
+    records.extend(1_u32.to_le_bytes());
+    bytes.splice(end..end, records);
+    bytes
+}
+
+#[test]
+fn a_folder_of_any_name_is_read() {
+    let numbers = numbers();
+    let pickle = end(dictionary().text("a").tensor("FloatStorage", "0", 0, &[2, 3], &[3, 1]));
+    for length in 1..64 {
+        let name = |file: &str| format!("{}/{file}", "x".repeat(length));
+        let names = ["data.pkl", "byteorder", "data/0"].map(name);
+        let files = [(&*names[0], &*pickle), (&*names[1], b"little"), (&*names[2], &*numbers)];
+        let bytes = with_64_bits(archive(&files, CompressionMethod::Stored));
+        let checkpoint = Checkpoint::from_storage(bytes, "it").unwrap_or_else(|e| panic!("{length}: {e}"));
+        assert_eq!(checkpoint.shape("a"), Some(&[2, 3][..]), "{length}");
+    }
+}
+
 #[test]
 fn tensors_are_views_of_storages() {
     let checkpoint = Checkpoint::from_storage(file(&whole()), "it").unwrap();

@@ -23,7 +23,7 @@ use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 use crate::console::{Console, say};
 use crate::options::args::{EvalArgs, ViewOptions};
-use crate::options::settings::{DepthFrom, Views};
+use crate::options::settings::{DepthFrom, Views, choice};
 use crate::output::record::NetworkRecord;
 use crate::session::ahead::Ahead;
 use crate::session::closeness;
@@ -74,7 +74,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         ));
     }
     let depth = stream.depth_from()?;
-    let settings = stream.settings(&args.fit, &args.machine)?;
+    let settings = stream.settings(choice("--fit", &args.fit)?, &args.machine)?;
     let of_size = |size: &str| {
         let (size, background, renderer) = (Some(size.to_owned()), "0.5".into(), args.renderer.clone());
         ViewOptions { size, background, renderer, ..ViewOptions::default() }.resolve()
