@@ -53,7 +53,7 @@ impl Difference {
             assert_eq!((one.width, one.height), (other.width, other.height), "channels of one size");
             let (x, y) = (one.samples.values(), other.samples.values());
             for (at, (&x, &y)) in x.iter().zip(&y).enumerate() {
-                let distance = distance(x, y);
+                let distance = one.samples.distance(&other.samples, at).unwrap_or_else(|| distance(x, y));
                 let equal = one.samples.same_bits(&other.samples, at).unwrap_or(distance == 0.0);
                 sum += distance * distance;
                 if equal {

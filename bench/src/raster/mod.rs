@@ -13,8 +13,9 @@ use clap::Args;
 use serde::{Deserialize, Serialize};
 use streamsplat::render::Backend;
 use streamsplat_kernels::Level;
+use streamsplat_kernels::exposure::{self, Exposure};
 use streamsplat_kernels::gemm::Precision;
-use streamsplat_kernels::raster::{Rasteriser, Work, reference};
+use streamsplat_kernels::raster::{Projection, Rasteriser, Work, reference};
 
 use crate::Common;
 use crate::machine::Machine;
@@ -156,6 +157,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                 rows.push(measure(level, name, &[scene()?], false, repeat)?);
             }
         }
+        if wanted("shutter-720p") {
+            rows.push(shutter(level, repeat)?);
+        }
         let choices: [(&str, fn(&Scene) -> Vec<usize>); 2] =
             [("moved-5pc", Scene::object), ("moved-5pc-scattered", Scene::scatter)];
         for (name, choose) in choices {
@@ -244,6 +248,41 @@ fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize
     Ok(SceneTiming::new(name, &scenes[0], Seconds::of(times), work, error))
 }
 
+/// Images of one exposure, as many as `render --shutter` takes by default.
+const SAMPLES: usize = 16;
+/// Of how many values one is compared with the reference.
+const COMPARED: usize = 97;
+
+/// The turned Gaussians on the move behind an open shutter: [`SAMPLES`] images and their mean in linear light. Stages are those of one image.
+fn shutter(level: Level, repeat: usize) -> Result<SceneTiming> {
+    let still = Scene::anisotropic_720p();
+    let all: Vec<usize> = (0..still.splats.mean.len()).collect();
+    let scenes: Vec<Scene> = (0..SAMPLES).map(|i| still.moved(&all, [i as f32, 0.0])).collect();
+    let mut rasteriser = Rasteriser::new(level);
+    let mut exposed = |mut compared: Option<&mut Vec<Vec<f32>>>| {
+        let mut exposure = Exposure::new(level, false);
+        for scene in &scenes {
+            rasteriser.forget();
+            let image = rasteriser.render(&scene.gaussians(), &scene.projection, &scene.request);
+            exposure.add(image);
+            if let Some(compared) = &mut compared {
+                compared.push(image.rgb.iter().step_by(COMPARED).copied().collect());
+            }
+        }
+        (exposure.mean(), rasteriser.work())
+    };
+    let mut each = Vec::new();
+    let (image, mut work) = exposed(Some(&mut each));
+    let mut error = 0.0_f64;
+    for (at, found) in image.rgb.iter().step_by(COMPARED).enumerate() {
+        let values: Vec<f32> = each.iter().map(|image| image[at]).collect();
+        error = error.max((f64::from(*found) - exposure::reference::mean(&values)).abs());
+    }
+    ensure!(error <= 2e-5, "shutter: off by {error:e}");
+    let times = (0..repeat).map(|_| once(|| work = std::hint::black_box(exposed(None)).1)).collect();
+    Ok(SceneTiming::new("shutter-720p", &still, Seconds::of(times), work, error))
+}
+
 impl SceneTiming {
     /// The row, printed.
     fn new(name: &str, scene: &Scene, seconds: Seconds, work: Work, error: f64) -> Self {
@@ -279,18 +318,21 @@ fn check(rasteriser: &Rasteriser, scene: &Scene) -> Result<f64> {
     let pixels = scene.request.width * scene.request.height;
     let found = &rasteriser.image().rgb;
     ensure!(found.len() == expected.rgb.len(), "{} values, expected {}", found.len(), expected.rgb.len());
+    // Rays of a panorama are formed in binary32: an α is as near as a thousandth, as the kernel's own tests allow.
+    let around = scene.projection == Projection::Equirectangular;
+    let (doubt, most, share) = if around { (2e-3, 1e-3, 10) } else { (1e-5, 2e-5, 100) };
     let (mut worst, mut undecided) = (0.0_f64, 0);
     for (at, (&found, &expected_value)) in found.iter().zip(&expected.rgb).enumerate() {
         let error = (f64::from(found) - expected_value).abs();
-        if expected.margin[at % pixels] > 1e-5 {
+        if expected.margin[at % pixels] > doubt {
             worst = worst.max(error);
         } else {
             undecided += 1;
             ensure!(error <= 2.0 / 255.0, "value {at} is {found}, expected {expected_value}");
         }
     }
-    ensure!(worst <= 2e-5, "off by {worst:e}");
-    ensure!(undecided * 100 <= found.len(), "{undecided} of {} values hang on a threshold", found.len());
+    ensure!(worst <= most, "off by {worst:e}");
+    ensure!(undecided * share <= found.len(), "{undecided} of {} values hang on a threshold", found.len());
     Ok(worst)
 }
 

@@ -106,6 +106,18 @@ impl Samples {
         }
     }
 
+    /// Distance of two samples of one range, as a part of it; none for other types, whose distance is that of [`Self::values`]. Levels are subtracted
+    /// before they are divided, so that one level of 8 bits is 1/255 wherever it is.
+    pub(crate) fn distance(&self, other: &Samples, at: usize) -> Option<f64> {
+        let (levels, full) = match (self, other) {
+            (Samples::U8(a), Samples::U8(b)) => (u32::from(a.get(at)?.abs_diff(*b.get(at)?)), 255.0),
+            (Samples::U16(a), Samples::U16(b)) => (u32::from(a.get(at)?.abs_diff(*b.get(at)?)), 65535.0),
+            (Samples::U32(a), Samples::U32(b)) => (a.get(at)?.abs_diff(*b.get(at)?), f64::from(u32::MAX)),
+            _ => return None,
+        };
+        Some(f64::from(levels) / full)
+    }
+
     /// One sample as text, as it is stored.
     ///
     /// # Panics

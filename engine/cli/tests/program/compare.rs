@@ -45,6 +45,39 @@ fn images_are_equal_or_said_to_differ_with_place_and_distance() {
 }
 
 #[test]
+fn a_limit_of_one_level_passes_one_level_whatever_its_place() {
+    let scratch = Scratch::new();
+    let [a, b] = ["a.png", "b.png"].map(|name| scratch.path(name));
+    // Pixels of 150 levels, and the level after each.
+    image(&a, |x, y| ((x + 40 * y) % 150) as u8);
+    image(&b, |x, y| ((x + 40 * y) % 150) as u8 + 1);
+    assert!(compare(&a, &b, &["--max-abs", "1"]).status.success());
+    fails(&compare(&a, &b, &["--max-abs", "0.999"]), 1);
+}
+
+#[cfg(unix)]
+#[test]
+fn names_that_are_not_text_are_compared() {
+    use std::os::unix::ffi::OsStrExt;
+    let scratch = Scratch::new();
+    let name = std::ffi::OsStr::from_bytes(b"\xff.png");
+    let [a, b] = ["a", "b"].map(|folder| scratch.path(folder));
+    for (folder, level) in [(&a, 0), (&b, 9)] {
+        std::fs::create_dir(folder).expect("writable");
+        // The writer of images takes its format from a name in text.
+        image(&folder.join("1.png"), |_, _| level);
+        std::fs::rename(folder.join("1.png"), folder.join(name)).expect("writable");
+    }
+    assert!(compare(&a, &a, &[]).status.success() && compare(&a.join(name), &a.join(name), &[]).status.success());
+    for (a, b) in [(a.clone(), b.clone()), (a.join(name), b.join(name))] {
+        let output = compare(&a, &b, &["--json"]);
+        fails(&output, 1);
+        let found: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        assert_eq!(found["passed"], false);
+    }
+}
+
+#[test]
 fn limits_decide_what_passes() {
     let scratch = Scratch::new();
     let [a, b] = ["a.png", "b.png"].map(|name| scratch.path(name));

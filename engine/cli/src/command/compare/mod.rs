@@ -69,7 +69,9 @@ impl Tolerance {
 
     /// Returns true if a difference is within the limits; without limits no difference passes.
     fn allows(self, largest: f64, psnr: f64) -> bool {
-        self.is_given() && self.most.is_none_or(|most| largest <= most) && self.psnr.is_none_or(|least| psnr >= least)
+        // 255 times a distance is rounded.
+        let within = |most: f64| largest <= most * (1.0 + 4.0 * f64::EPSILON);
+        self.is_given() && self.most.is_none_or(within) && self.psnr.is_none_or(|least| psnr >= least)
     }
 }
 
