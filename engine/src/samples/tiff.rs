@@ -54,6 +54,9 @@ impl Iterator for Pages {
     }
 }
 
+/// The photometric interpretation of indices into a palette.
+const PALETTE: u16 = 3;
+
 impl Pages {
     fn page(&mut self) -> Result<Part, SourceError> {
         let path = self.path.clone();
@@ -64,29 +67,31 @@ impl Pages {
         let (width, height) = self.decoder.dimensions().map_err(wrong)?;
         let (width, height) = (width as usize, height as usize);
         check_size(&path, width, height)?;
-        let colour = self.decoder.colortype().map_err(wrong)?;
         let mut tag = |tag| self.decoder.find_tag_unsigned_vec::<u16>(tag).map_err(wrong);
         // 1: associated alpha, by which colours are multiplied; 2: not; 0: whatever.
         let extra = tag(Tag::ExtraSamples)?.unwrap_or_default();
         let orientation = tag(Tag::Orientation)?.and_then(|v| v.first().copied());
         let map = tag(Tag::ColorMap)?;
+        let palette = tag(Tag::PhotometricInterpretation)?.and_then(|v| v.first().copied()) == Some(PALETTE);
         let mut result = DecodingResult::U8(Vec::new());
-        let grey = match colour {
-            ColorType::Palette(_) => {
-                self.decoder.ifd_pointer().and_then(|at| tiff_palette_as_grey(&self.bytes, usize::try_from(at.0).ok()?))
-            }
-            _ => None,
-        };
-        let layout = match grey {
+        let grey = palette
+            .then(|| self.decoder.ifd_pointer().and_then(|at| usize::try_from(at.0).ok()))
+            .flatten()
+            .and_then(|at| tiff_palette_as_grey(&self.bytes, at));
+        let (colour, layout) = match grey {
             // The decoder refuses palettes; their indices are read like levels of grey.
             Some(grey) => {
                 let mut decoder = open(grey.into(), &path)?;
                 decoder.seek_to_image(self.next).map_err(wrong)?;
-                decoder.read_image_to_buffer(&mut result)
+                let colour = match decoder.colortype().map_err(wrong)? {
+                    ColorType::Gray(bits) => ColorType::Palette(bits),
+                    other => other,
+                };
+                (colour, decoder.read_image_to_buffer(&mut result))
             }
-            None => self.decoder.read_image_to_buffer(&mut result),
-        }
-        .map_err(wrong)?;
+            None => (self.decoder.colortype().map_err(wrong)?, self.decoder.read_image_to_buffer(&mut result)),
+        };
+        let layout = layout.map_err(wrong)?;
         let names = names(colour);
         let samples = unpacked(samples(result, &path)?, colour, width, height, names.len());
         let planar = layout.planes > 1;

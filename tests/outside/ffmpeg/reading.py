@@ -321,8 +321,8 @@ def damage_cases():
         at = sorted(places)[9] if name != 'between.gif' else len(data) * 9 // 10
         with open(path('cut-' + name), 'wb') as file:
             file.write(data[:at])
-        # Versions of ffmpeg decode Theora to other samples.
-        alike = [READERS] if name != 'between.ogv' else [READERS[:2], READERS[2:]]
+        # Versions of ffmpeg decode Theora to other samples, and a part of a GIF's frame or not.
+        alike = [READERS[:2], READERS[2:]] if name in ('between.ogv', 'between.gif') else [READERS]
         for readers in alike:
             yield lambda name=name, readers=readers: reading(name, None, readers=readers)
             yield lambda name=name, readers=readers: reading('cut-' + name, None, [f'cut-{name}: damaged: '], code=1, readers=readers)
