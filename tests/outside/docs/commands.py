@@ -22,6 +22,7 @@ from pathlib import Path
 REPLACED = {
     "-f v4l2 -i /dev/video0": "-i clip.mp4",
     "trained 5000000 large.ply": "trained 5000 $PWD/large.ply",
+    "large.py streamsplat other-build/streamsplat": "large.py streamsplat streamsplat --scene large.ply --rounds 1",
 }
 # Beginnings of commands → what runs them.
 ELSEWHERE = {
