@@ -5,7 +5,7 @@
 //! | PNG | the picture, or every frame of an animation as it is shown | u8, u16; palettes and fewer bits are expanded to u8 |
 //! | JPEG | the picture | u8 |
 //! | WebP | the picture, or every frame of an animation as it is shown | u8 |
-//! | TIFF | every page | u8, u16, u32, i8 to i32, f16, f32, f64; palettes are expanded to u16 |
+//! | TIFF | every page | u8, u16, u32, i8 to i32, f16, f32, f64; palettes are expanded to u16, or to u8 where their colours have 8 bits |
 //! | BMP, TGA, PNM, QOI | the picture | u8, u16 |
 //! | OpenEXR | every part and every resolution level | f16, f32, u32 |
 //! | y4m, video files | every frame | the planes of two y4m files of one layout; else RGB as [`crate::source`] decodes it |

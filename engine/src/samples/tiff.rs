@@ -181,7 +181,8 @@ fn planes(width: usize, height: usize, names: &[String], samples: &Samples) -> P
     part
 }
 
-/// The colours that a palette has for a picture's samples.
+/// The colours that a palette has for a picture's samples: of 16 bits, or of 8, which some programs write above a byte of zeros, or alone, as frames
+/// are read.
 fn expanded(part: &Part, map: &[u16], bits: u8) -> Option<Part> {
     let count = 1_usize.checked_shl(u32::from(bits))?;
     let places: Vec<usize> = match &part.channels.first()?.samples {
@@ -189,10 +190,19 @@ fn expanded(part: &Part, map: &[u16], bits: u8) -> Option<Part> {
         Samples::U16(v) => v.iter().map(|&v| usize::from(v)).collect(),
         _ => return None,
     };
+    let shift = match () {
+        () if map.iter().all(|&v| v < 256) => Some(0),
+        () if map.iter().all(|&v| v % 256 == 0) => Some(8),
+        () => None,
+    };
     let mut channels = Vec::with_capacity(3);
     for (at, name) in ["R", "G", "B"].into_iter().enumerate() {
         let colour = |place: &usize| (*place < count).then(|| map.get(at * count + place).copied()).flatten();
-        let samples = Samples::U16(places.iter().map(colour).collect::<Option<_>>()?);
+        let colours: Vec<u16> = places.iter().map(colour).collect::<Option<_>>()?;
+        let samples = match shift {
+            Some(shift) => Samples::U8(colours.iter().map(|&v| (v >> shift) as u8).collect()),
+            None => Samples::U16(colours),
+        };
         channels.push(Channel { name: name.to_owned(), width: part.width, height: part.height, samples });
     }
     Some(Part { channels, ..part.clone() })
