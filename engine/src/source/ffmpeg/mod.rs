@@ -218,7 +218,7 @@ impl Ffmpeg {
         let (time, size) = match self.read {
             0 => self.first,
             // A frame without a message has no time stamp, and the size of the first.
-            _ => self.running.frame().unwrap_or((None, self.first.1)),
+            _ => self.running.frame(self.read).unwrap_or((None, self.first.1)),
         };
         if size != self.first.1 {
             self.resized.get_or_insert(self.read);

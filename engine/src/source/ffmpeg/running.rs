@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use super::program::Decoding;
-use super::shown::{Look, Message};
+use super::shown::{self, Look, Message};
 
 /// Longest line of messages read, in bytes.
 const MAX_LINE: u64 = 1 << 16;
@@ -21,7 +21,29 @@ const PATIENCE: Duration = Duration::from_secs(10);
 pub(super) struct Running {
     child: Child,
     messages: Receiver<Message>,
+    numbers: Numbers,
+    /// A frame whose message came where that of one before it was expected: its number, time stamp and size.
+    early: Option<(usize, Option<i64>, (usize, usize))>,
     complaints: Option<JoinHandle<Complaints>>,
+}
+
+/// Numbers of frames since the start. ffmpeg counts anew where it sets up its filters again, as for frames of another size.
+#[derive(Clone, Copy, Debug, Default)]
+struct Numbers {
+    /// The number of the first frame since then.
+    base: usize,
+    /// The last number of ffmpeg's.
+    last: Option<usize>,
+}
+
+impl Numbers {
+    fn since_the_start(&mut self, number: usize) -> usize {
+        if let Some(last) = self.last.filter(|last| number <= *last) {
+            self.base += last + 1;
+        }
+        self.last = Some(number);
+        self.base + number
+    }
 }
 
 /// What was wrong.
@@ -54,7 +76,7 @@ impl Running {
         let (sender, messages) = channel();
         // Messages are read on a thread of their own: a full pipe of them would block the frames as well.
         let complaints = Some(std::thread::spawn(move || listen(stderr, &sender)));
-        let mut running = Running { child, messages, complaints };
+        let mut running = Running { child, messages, numbers: Numbers::default(), early: None, complaints };
         let first = running.first();
         Ok((running, stdout, first))
     }
@@ -65,7 +87,8 @@ impl Running {
         loop {
             match self.messages.recv().ok()? {
                 Message::Config { tick, rate } => (first.tick, first.rate) = (Some(tick), rate),
-                Message::Frame { time, size, look } => {
+                Message::Frame { number, time, size, look } => {
+                    self.numbers.since_the_start(number);
                     (first.time, first.size, first.look) = (time, size, look);
                     break;
                 }
@@ -78,10 +101,21 @@ impl Running {
         Some(first)
     }
 
-    /// Time stamp and size of the next frame, whose picture has been read; none if there is no message for it.
-    pub(super) fn frame(&mut self) -> Option<(Option<i64>, (usize, usize))> {
+    /// Time stamp and size of a frame by its number, whose picture has been read; none if there is no message for it.
+    pub(super) fn frame(&mut self, wanted: usize) -> Option<(Option<i64>, (usize, usize))> {
         loop {
-            if let Message::Frame { time, size, .. } = self.messages.recv().ok()? {
+            let (number, time, size) = match self.early.take() {
+                Some(early) => early,
+                None => match self.messages.recv().ok()? {
+                    Message::Frame { number, time, size, .. } => (self.numbers.since_the_start(number), time, size),
+                    _ => continue,
+                },
+            };
+            if number > wanted {
+                self.early = Some((number, time, size));
+                return None;
+            }
+            if number == wanted {
                 return Some((time, size));
             }
         }
@@ -115,21 +149,36 @@ fn listen(stderr: ChildStderr, sender: &Sender<Message>) -> Complaints {
     let mut line = Vec::new();
     let mut coloured = false;
     while let Ok(1..) = Read::by_ref(&mut input).take(MAX_LINE).read_until(b'\n', &mut line) {
-        let message = Message::parse(String::from_utf8_lossy(&line).trim_end());
+        let text = String::from_utf8_lossy(&line).into_owned();
         line.clear();
-        match message {
-            Message::Complaint(text) => {
-                found.count += 1;
-                if found.first.len() < KEPT {
-                    found.first.push(text);
+        for message in shown::messages(text.trim_end()).into_iter().map(Message::parse) {
+            match message {
+                Message::Complaint(text) => {
+                    found.count += 1;
+                    if found.first.len() < KEPT {
+                        found.first.push(text);
+                    }
                 }
+                Message::Other => {}
+                // Those of the first frame are enough.
+                Message::Colours(_) if std::mem::replace(&mut coloured, true) => {}
+                // Where nobody listens any more, complaints still count.
+                message => _ = sender.send(message),
             }
-            Message::Other => {}
-            // Those of the first frame are enough.
-            Message::Colours(_) if std::mem::replace(&mut coloured, true) => {}
-            // Where nobody listens any more, complaints still count.
-            message => _ = sender.send(message),
         }
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_numbered_on_where_filters_are_set_up_again() {
+        let mut numbers = Numbers::default();
+        let found = [0, 1, 3, 0, 1, 0].map(|number| numbers.since_the_start(number));
+        // One message is missing.
+        assert_eq!(found, [0, 1, 3, 4, 5, 6]);
+    }
 }

@@ -19,8 +19,8 @@ pub(super) struct Look {
 pub(super) enum Message {
     /// Seconds of a tick of the frames' times, and frames per second where they follow each other evenly; as fractions.
     Config { tick: (u32, u32), rate: Option<(u32, u32)> },
-    /// The next frame, at this tick.
-    Frame { time: Option<i64>, size: (usize, usize), look: Look },
+    /// A frame by its number since the filters were set up, at this tick.
+    Frame { number: usize, time: Option<i64>, size: (usize, usize), look: Look },
     /// Colours of the frame before.
     Colours(Tags),
     /// What is wrong with the file, or with how it is read.
@@ -43,7 +43,8 @@ impl Message {
             let harmless = HARMLESS.iter().any(|harmless| text.starts_with(harmless));
             return if harmless || text.is_empty() { Message::Other } else { Message::Complaint(text.to_owned()) };
         }
-        if !context.contains("showinfo") {
+        // What follows another thread's message on its line has no context.
+        if !context.contains("showinfo") && !starts_a_frame(text) {
             return Message::Other;
         }
         if let Some(rest) = text.strip_prefix("config in ") {
@@ -51,7 +52,8 @@ impl Message {
             let rate = value(rest, "frame_rate:").and_then(ratio);
             return tick.map_or(Message::Other, |tick| Message::Config { tick, rate });
         }
-        if text.starts_with("n:") && text.contains("pts:") {
+        if starts_a_frame(text) {
+            let number = value(text, "n:").and_then(|number| number.parse().ok()).unwrap_or_default();
             let size = value(text, " s:").and_then(|size| size.split_once('x'));
             let size = size.and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?))).unwrap_or_default();
             let look = Look {
@@ -60,7 +62,7 @@ impl Message {
                 interlaced: matches!(value(text, " i:"), Some("T" | "B")),
                 tags: Tags::default(),
             };
-            return Message::Frame { time: value(text, "pts:").and_then(|time| time.parse().ok()), size, look };
+            return Message::Frame { number, time: value(text, "pts:").and_then(|time| time.parse().ok()), size, look };
         }
         if text.starts_with("color_range:") {
             let [matrix, primaries, transfer] =
@@ -69,6 +71,30 @@ impl Message {
         }
         Message::Other
     }
+}
+
+/// Returns true for `n:   7 pts: 280 …`.
+fn starts_a_frame(text: &str) -> bool {
+    let Some(rest) = text.strip_prefix("n:") else { return false };
+    let rest = rest.trim_start().trim_start_matches(|c: char| c.is_ascii_digit());
+    rest.starts_with(" pts:") && text.contains(" fmt:")
+}
+
+/// The messages on a line. The filter writes a line in several pieces, between which other threads of ffmpeg may write messages of their own: a context
+/// after other text begins a message, as does a frame's number.
+pub(super) fn messages(line: &str) -> Vec<&str> {
+    let mut parts = Vec::new();
+    let mut start = 0;
+    for (at, _) in line.char_indices().filter(|&(at, c)| at > 0 && (c == '[' || c == 'n')) {
+        let (before, rest) = (line[start..at].trim_end(), &line[at..]);
+        let context = || rest.find(']').is_some_and(|end| rest[..end].contains(" @ 0x"));
+        if !before.is_empty() && !before.ends_with(']') && (context() || starts_a_frame(rest)) {
+            parts.push(&line[start..at]);
+            start = at;
+        }
+    }
+    parts.push(&line[start..]);
+    parts
 }
 
 /// `[context @ 0x55] [level] text` in its parts; there may be any number of contexts.
@@ -112,7 +138,7 @@ mod tests {
             "[Parsed_showinfo_0 @ 0x7f0e58002540] [info] n:   1 pts:  93600 pts_time:1.04    duration:   3600 duration_time:0.04    fmt:yuv420p cl:left sar:4/3 s:160x96 i:T iskey:1 type:I",
         ] {
             let look = Look { format: "yuv420p".into(), aspect: Some((4, 3)), interlaced: true, tags: Tags::default() };
-            assert_eq!(Message::parse(line), Message::Frame { time: Some(93600), size: (160, 96), look });
+            assert_eq!(Message::parse(line), Message::Frame { number: 1, time: Some(93600), size: (160, 96), look });
         }
         let config = "[Parsed_showinfo_1 @ 0x1] [info] config in time_base: 1001/30000, frame_rate: 30000/1001";
         assert_eq!(Message::parse(config), Message::Config { tick: (1001, 30000), rate: Some((30000, 1001)) });
@@ -120,10 +146,39 @@ mod tests {
         assert_eq!(Message::parse(open), Message::Config { tick: (1, 1000), rate: None });
         let none = "[Parsed_showinfo_0 @ 0x1] [info] n:   0 pts:NOPTS pts_time:NOPTS fmt:gray sar:0/1 s:8x6 i:P";
         assert!(
-            matches!(Message::parse(none), Message::Frame { time: None, size: (8, 6), look } if look.aspect.is_none())
+            matches!(Message::parse(none), Message::Frame { number: 0, time: None, size: (8, 6), look } if look.aspect.is_none())
         );
         let colours = "[Parsed_showinfo_0 @ 0x1] [info] color_range:tv color_space:bt470bg color_primaries:unknown color_trc:unknown";
         assert_eq!(Message::parse(colours), Message::Colours(Tags::of(Some("bt470bg"), None, None)));
+    }
+
+    #[test]
+    fn messages_that_share_a_line_are_read() {
+        let frame = "n:   7 pts:    280 pts_time:0.28    pos:     1 fmt:yuv420p sar:0/1 s:64x48 i:P iskey:0 type:P";
+        let other = "[out#0/yuv4mpegpipe @ 0x55] [info] something n: 1";
+        let broken = "[h264 @ 0x1] [error] Invalid NAL unit size (2 > 1).";
+        let shown = format!("[Parsed_showinfo_0 @ 0x2] [info] {frame}");
+        let of = |line: &str| -> Vec<Message> {
+            messages(line).into_iter().map(Message::parse).filter(|message| *message != Message::Other).collect()
+        };
+        let is_frame = |found: &Message| matches!(found, Message::Frame { number: 7, time: Some(280), size: (64, 48), look } if look.format == "yuv420p");
+        let complaint = Message::Complaint("Invalid NAL unit size (2 > 1).".to_owned());
+        for line in [
+            shown.clone(),
+            format!("{shown} {other}"),
+            format!("{other}{frame}"),
+            format!("{shown}{other} {shown}").replacen(&shown, "", 1),
+        ] {
+            let found = of(&line);
+            assert!(matches!(&found[..], [one] if is_frame(one)), "{line}: {found:?}");
+        }
+        let found = of(&format!("{shown} {broken}"));
+        assert!(found.len() == 2 && is_frame(&found[0]) && found[1] == complaint, "{found:?}");
+        let found = of(&format!("{broken} {frame}"));
+        assert!(found.len() == 2 && is_frame(&found[1]) && found[0] == complaint, "{found:?}");
+        // Several contexts in front of one message.
+        let two = "[vist#0:0/h264 @ 0x1] [dec:h264 @ 0x2] [error] Error submitting packet";
+        assert_eq!(messages(two), [two]);
     }
 
     #[test]
