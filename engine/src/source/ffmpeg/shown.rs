@@ -85,10 +85,13 @@ fn starts_a_frame(text: &str) -> bool {
 pub(super) fn messages(line: &str) -> Vec<&str> {
     let mut parts = Vec::new();
     let mut start = 0;
-    for (at, _) in line.char_indices().filter(|&(at, c)| at > 0 && (c == '[' || c == 'n')) {
+    for (at, first) in line.char_indices().filter(|&(at, c)| at > 0 && (c == '[' || c == 'n')) {
         let (before, rest) = (line[start..at].trim_end(), &line[at..]);
-        let context = || rest.find(']').is_some_and(|end| rest[..end].contains(" @ 0x"));
-        if !before.is_empty() && !before.ends_with(']') && (context() || starts_a_frame(rest)) {
+        let begins = || match first {
+            '[' => rest.find(']').is_some_and(|end| rest[..end].contains(" @ 0x")),
+            _ => starts_a_frame(rest),
+        };
+        if !before.is_empty() && !before.ends_with(']') && begins() {
             parts.push(&line[start..at]);
             start = at;
         }
