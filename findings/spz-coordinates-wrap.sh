@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Package: @adobe/spz 0.2.3 (npm, the reference implementation of SPZ as WebAssembly) and @playcanvas/splat-transform 3.7.0, which writes with it, on valid Gaussians.
-# Behaviour: positions have 24 bits, 12 of them after the point, whatever the scene's size. A coordinate beyond 2048 is neither clamped nor refused: its upper bits
-#   are cut off, so that it comes back 4096 units away from where it was, or a multiple of that. splat-transform does the same without a warning, with exit code 0.
+# Behaviour: positions have 24 bits, 12 of them after the point, for scenes of every size. A coordinate beyond 2048 is neither clamped nor refused: its upper bits
+#   are cut off, so it comes back 4096 units, or a multiple of that, from its place. splat-transform does the same without a warning, with exit code 0.
 # Guess beforehand: an error, or the nearest end of the range, or fewer bits after the point.
 # Output seen:
 #   2047 -> 2047
@@ -11,15 +11,15 @@
 #   splat-transform: 5000 -> 904
 # Consequence: a floater far away lands in the middle of the scene, and a scene in the coordinates of a map is folded over itself. Move such scenes, or take floaters out, before.
 set -euo pipefail
+tools=$(cd "$(dirname "$0")" && pwd)/tools
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
-echo '{"type": "module"}' >package.json
-npm install --silent --no-audit --no-fund @adobe/spz@0.2.3 @playcanvas/splat-transform@3.7.0 playcanvas@2.23.3 >/dev/null
+# @adobe/spz@0.2.3, @playcanvas/splat-transform@3.7.0
+. "$tools/splat-transform.sh"
 cat >try.mjs <<'END'
-import { execFileSync } from 'node:child_process';
-import { readFileSync, writeFileSync } from 'node:fs';
 import create from '@adobe/spz';
+import { thereAndBack, write } from './one.mjs';
 const spz = await create({ print() {} });
 const axes = spz.CoordinateSystem.UNSPECIFIED;
 const values = Float32Array.from([2047, 2049, 5000, 431250.5]);
@@ -31,14 +31,8 @@ const cloud = { numPoints: count, shDegree: 0, antialiased: false, extensions: [
 const back = spz.loadSpzFromBuffer(spz.saveSpzToBuffer(cloud, { version: 4, from: axes, sh1Bits: 5, shRestBits: 4 }), { to: axes });
 values.forEach((x, i) => console.log(`${x} -> ${back.positions[3 * i]}`));
 
-const names = 'x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3'.split(' ');
-const header = `ply\nformat binary_little_endian 1.0\nelement vertex 1\n${names.map((name) => `property float ${name}\n`).join('')}end_header\n`;
-writeFileSync('one.ply', Buffer.concat([Buffer.from(header), Buffer.from(Float32Array.from([5000, 0, 0, 0, 0, 0, 1, -2, -2, -2, 1, 0, 0, 0]).buffer)]));
-const convert = (...words) => execFileSync(process.execPath, ['node_modules/@playcanvas/splat-transform/bin/cli.mjs', '--quiet', ...words], { stdio: 'ignore' });
-convert('one.ply', 'one.spz');
-convert('one.spz', 'back.ply');
-const bytes = readFileSync('back.ply');
-console.log(`splat-transform: 5000 -> ${bytes.readFloatLE(bytes.indexOf('end_header\n') + 11)}`);
+write([5000, 0, 0]);
+console.log(`splat-transform: 5000 -> ${thereAndBack()[0]}`);
 END
 found=$(node try.mjs | grep -- '->')
 echo "$found"

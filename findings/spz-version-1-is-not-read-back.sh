@@ -8,7 +8,7 @@
 #   version 1: 92 bytes inside gzip, first place 0.00048828125 0 0.0000019073486328125, finite: no
 #   version 2: 92 bytes inside gzip, first place 1 2 3, finite: yes
 #   version 3: 96 bytes inside gzip, first place 1 2 3, finite: yes
-# Consequence: write version 2 or later. A reader can tell such a file of version 1 by its length: 19 bytes for each Gaussian without harmonics, not 16.
+# Consequence: write version 2 or later. A reader can recognise such a file of version 1 by its length: 19 bytes for each Gaussian without harmonics, not 16.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

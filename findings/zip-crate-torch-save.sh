@@ -8,15 +8,13 @@
 # Output seen:
 #   name of 29 bytes: zip reads 2 files, with Known(0) 2, Python 2
 #   name of 30 bytes: zip reads invalid Zip archive: Invalid Central Directory header, with Known(0) 2, Python 2
-# Consequence: a reader of PyTorch's files by this crate has to give the archive's offset.
+# Consequence: a reader of PyTorch's files by this crate has to pass the archive's offset.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
 cargo init --quiet --vcs none --name reads .
-cat >>Cargo.toml <<'END'
-zip = { version = "=9.8.1", default-features = false }
-END
+cargo add --quiet zip@=9.8.1 --no-default-features
 cat >src/main.rs <<'END'
 use std::io::Cursor;
 use zip::ZipArchive;

@@ -419,7 +419,7 @@ fn without_result<R>(call: impl FnOnce() -> R + 'static) -> Box<dyn FnOnce()> {
     })
 }
 
-/// Every public function that takes sizes, directly or in a structure, with sizes of which there is nothing: 2³² rows of 2³² values are no
+/// Every public function that takes sizes, directly or in a structure, with sizes for which no memory exists: 2³² rows of 2³² values are no
 /// values at all in 64 bits. `engine/cli/tests/program/trust.rs` compares the names with `docs/api/kernels.txt`.
 fn wrapping_calls() -> Vec<(&'static str, Box<dyn FnOnce()>)> {
     const HALF: usize = 1 << 32;

@@ -6,12 +6,12 @@ use std::sync::LazyLock;
 
 use streamsplat_tests::fuzz::{Mutations, TARGETS, Target, colmap};
 
-/// Mutations of one input, at least, unless `HOSTILE_TRIES` says how many.
+/// Default of `HOSTILE_TRIES`: the least number of mutations of one input.
 const LEAST: usize = 400;
 /// Mutations of all inputs of a target together, at least.
 const LEAST_OF_TARGET: usize = 3000;
 
-/// As many as `HOSTILE_TRIES` says.
+/// The number in `HOSTILE_TRIES`.
 static TRIES: LazyLock<Option<usize>> =
     LazyLock::new(|| std::env::var("HOSTILE_TRIES").ok().map(|tries| tries.parse().expect("HOSTILE_TRIES: a number")));
 

@@ -253,7 +253,7 @@ const SAMPLES: usize = 16;
 /// Of how many values one is compared with the reference.
 const COMPARED: usize = 97;
 
-/// The turned Gaussians on the move behind an open shutter: [`SAMPLES`] images and their mean in linear light. Stages are those of one image.
+/// Moving, rotated Gaussians during an exposure: [`SAMPLES`] images and their mean in linear light. Stages are those of one image.
 fn shutter(level: Level, repeat: usize) -> Result<SceneTiming> {
     let still = Scene::anisotropic_720p();
     let all: Vec<usize> = (0..still.splats.mean.len()).collect();

@@ -122,7 +122,7 @@ pub fn kind(path: &Path) -> Option<Kind> {
     other.or_else(|| geometry::kind(&head)).or_else(|| media::kind(&head)).or_else(|| text(&head))
 }
 
-/// What a file is that [`text`] recognises.
+/// The name of files that [`text`] recognises.
 const TEXT: &str = "a text file";
 
 /// Text that is not JSON, which indexes, records and cameras are.
@@ -142,7 +142,7 @@ pub(crate) fn is_text(bytes: &[u8]) -> bool {
     !text.is_empty() && !text.chars().any(|c| c.is_control() && !c.is_whitespace())
 }
 
-/// Why a path holds no text of the kind that is expected; `None` where it may hold one.
+/// Why a path does not contain the expected text; `None` if it may.
 pub fn not_a_text(path: &Path, expected: &'static str) -> Option<Wrong> {
     let advice = || "it is no text".to_owned();
     let wrong = |found, advice| Some(Wrong { expected, found, advice });
@@ -184,7 +184,7 @@ pub fn not_a_video(path: &Path) -> Option<Wrong> {
     if path.metadata().is_ok_and(|about| about.is_file() && about.len() == 0) {
         return None;
     }
-    // A folder with images is a video, whatever other files it contains.
+    // A folder with images is a video, also if it contains other files.
     if path.is_dir() && crate::source::folder::images(path).is_ok() {
         return None;
     }

@@ -13,7 +13,7 @@ use super::orientation::oriented;
 use super::{Channel, Part, Parts, Samples};
 use crate::picture::MAX_PIXELS;
 use crate::source::SourceError;
-use crate::source::decode::{check_size, decode_error, tiff_palette_as_grey};
+use crate::source::decode::{check_size, decode_error, eight_bits_at, tiff_palette_as_grey};
 
 pub(super) fn read(bytes: Vec<u8>, path: &Path) -> Result<Parts, SourceError> {
     let bytes: Arc<[u8]> = bytes.into();
@@ -190,11 +190,7 @@ fn expanded(part: &Part, map: &[u16], bits: u8) -> Option<Part> {
         Samples::U16(v) => v.iter().map(|&v| usize::from(v)).collect(),
         _ => return None,
     };
-    let shift = match () {
-        () if map.iter().all(|&v| v < 256) => Some(0),
-        () if map.iter().all(|&v| v % 256 == 0) => Some(8),
-        () => None,
-    };
+    let shift = eight_bits_at(map);
     let mut channels = Vec::with_capacity(3);
     for (at, name) in ["R", "G", "B"].into_iter().enumerate() {
         let colour = |place: &usize| (*place < count).then(|| map.get(at * count + place).copied()).flatten();

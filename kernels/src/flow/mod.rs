@@ -34,7 +34,7 @@
 //! # Extremes
 //!
 //! Frames may have any size, smaller than a patch too. Equal or evenly lit frames do not move. The flow is finite and at most as long as the picture
-//! on either axis. Luma that is not finite is an error, and so are weights other than from 0 to 10⁶; `start` is passed over where it is not finite.
+//! on either axis. Luma that is not finite is an error, and so are weights other than from 0 to 10⁶; `start` is ignored where it is not finite.
 
 mod blend;
 mod densify;

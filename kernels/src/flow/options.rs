@@ -57,7 +57,7 @@ impl Options {
     }
 }
 
-/// A frame that has no flow, or options that give none.
+/// A frame or options for which no flow can be computed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FlowError {
     /// A value of the frame is NaN or infinite; the first of them.

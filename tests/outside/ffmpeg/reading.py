@@ -310,7 +310,7 @@ def damage_cases():
         open(path(spoilt), 'wb').write(data[:middle] + bytes(range(1, 256)) * 2 + data[middle + 510:])
         yield lambda cut=cut: reading(cut, None, [f'{cut}: damaged: ', ' frames of about 30 announced were read: '], code=1)
         yield lambda spoilt=spoilt: reading(spoilt, None, [f'{spoilt}: damaged: '], code=1, readers=['debian', 'debian alone'])
-    # Cut right before a packet, where the container alone tells that something is missing.
+    # Cut right before a packet: only the container's declared length shows that something is missing.
     for name, more in [('between.mp4', ['-c:v', 'libx264', '-bf', '0', '-movflags', '+faststart']), ('between.webm', ['-c:v', 'libvpx']),
                        ('between.avi', ['-c:v', 'mjpeg']), ('between.flv', ['-c:v', 'flv1']), ('between.gif', []), ('between.ogv', ['-c:v', 'libtheora'])]:
         make(name, *moving(frames=20), *more)

@@ -278,7 +278,7 @@ for (const degree of [0, 3]) {
   console.log('SPZ 3 and 4 of splat-transform: as ours');
 }
 
-// Marks of anti-aliased training, in both directions; and none where there was none.
+// Marks of anti-aliased training, in both directions, and files without one.
 const MARK = /^comment SplatRenderMode: mip$/m;
 const header = (path) => readFileSync(path).toString('latin1').split('end_header')[0];
 function marked(path) {

@@ -386,7 +386,7 @@ def whole_clip(name, seed, config, images=True):
     sys.modules['diff_gaussian_rasterization_kiui_orth'].GaussianRasterizationSettings = types.SimpleNamespace
     folder = work / name
     small, small_depth = make_clip(folder, height, width, seed)
-    # What their script does: every third frame, resized; depth brought into [0, 1] by the range of all these maps; pairs, each at times from 0 to 1.
+    # The steps of their script: every third frame, resized; depth scaled to [0, 1] by the range of all these maps; pairs, each at times from 0 to 1.
     keys = range(0, FRAMES, GAP)
     frames = torch.stack([reduced(folder / 'frames' / f'{k:03}.png', (height, width)) for k in keys])
     depths = torch.stack([reduced(folder / 'depth' / f'{k:03}.png', (height, width)) for k in keys])

@@ -321,7 +321,7 @@ def test_a_damaged_video_leaves_what_came_before_and_is_an_error(tmp_path):
     broken.write_bytes(CLIP.read_bytes()[:-100])
     with pytest.raises(streamsplat.Error, match="broken.y4m"):
         streamsplat.reconstruct(broken, tmp_path / "out", gap=4)
-    # What came before the damage is a whole result, as on the command line, and its record tells of the damage.
+    # The part before the damage is a whole result, as on the command line, and its record contains the damage.
     record = json.loads((tmp_path / "out" / "run.json").read_text())
     assert "ends early" in record["input"]["damage"] and record["input"]["count"] == 23
 

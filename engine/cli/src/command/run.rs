@@ -231,7 +231,7 @@ fn run_from(
         // That there is no adapter is said before anything is touched.
         Drawing::new(&machine.workers()?, views.backend)?;
     }
-    // What is wrong with maps or with a network is said before anything is touched.
+    // Errors of maps and networks come before anything is written.
     let depth = KeyDepth::open(&depth, &source, machine.level()?, reuse, options.frames)?;
     console.note(depth.notes());
     let page = serve.map(|port| Serving::start(port, input, source.fps(), console)).transpose()?;

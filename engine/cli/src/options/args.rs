@@ -171,7 +171,7 @@ pub struct Stream {
     /// Key frames after which a Gaussian that nothing continues is dropped at the latest [default: 8]
     #[arg(long, value_name = "N")]
     pub max_age: Option<u32>,
-    /// Positions that a model gives as a distribution: mean or sample [default: mean]
+    /// Positions of models that predict distributions: mean or sample [default: mean]
     #[arg(long, value_name = "MODE")]
     #[serde(default)]
     pub sampling: Option<String>,
@@ -425,7 +425,7 @@ pub struct EvalArgs {
     /// Matrix of the input's luma and chroma, as for run
     #[arg(long, value_name = "NAME")]
     pub matrix: Option<String>,
-    /// Size of the images that are compared at 256x256: model, source or WIDTHxHEIGHT; PSNR at the source's own size is measured besides
+    /// Size of the images that are compared at 256x256: model, source or WIDTHxHEIGHT; PSNR at the source's own size is measured as well
     #[arg(long, value_name = "SIZE", default_value = "model")]
     pub size: String,
     /// LPIPS as well, by this ONNX file: two images in [-1,1] in, one number out; run by ONNX Runtime

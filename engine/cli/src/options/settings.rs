@@ -77,7 +77,7 @@ fn matrix(name: Option<&str>) -> Result<Option<Matrix>, Failure> {
 }
 
 impl RunOptions {
-    /// These options with what presets and defaults stand for in place of those that are not given ([`Stream::resolved`]).
+    /// These options, with those of presets and defaults where they are unset ([`Stream::resolved`]).
     pub fn resolved(&self) -> Result<RunOptions, Failure> {
         let mut options = RunOptions { stream: self.stream.resolved()?, ..self.clone() };
         let fit = if options.stream.like_paper { Fit::Stretch } else { Fit::default() };
@@ -99,8 +99,8 @@ impl EvalArgs {
 }
 
 impl Stream {
-    /// These options with what the preset stands for in place of those that are not given: `--like-paper`, or the quality. The model inside the program
-    /// has `balanced` unless told otherwise; other models have none. What no preset names has its default.
+    /// These options, with those of the preset where they are unset: `--like-paper`, or the quality (`balanced` by default for the model inside the
+    /// program, none for other models). Options that no preset sets have their defaults.
     pub fn resolved(&self) -> Result<Stream, Failure> {
         let mut stream = if self.like_paper { self.as_the_authors() } else { self.with_quality()? };
         stream.depth_range.get_or_insert_with(|| "frame".to_owned());
@@ -130,7 +130,7 @@ impl Stream {
         stream
     }
 
-    /// What the quality stands for.
+    /// The options of the quality.
     fn with_quality(&self) -> Result<Stream, Failure> {
         let mut stream = self.clone();
         let quality = match (&self.quality, self.model.source()) {

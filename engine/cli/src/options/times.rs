@@ -4,7 +4,7 @@ use streamsplat::scene::{Scene, SceneError};
 
 use crate::console::failure::Failure;
 
-/// The times of images, each with the interval that shows it: `asked`, or else `fps` a second, or else the source's frames. A time outside the
+/// The times of images, each with the interval that shows it: `asked`, else `fps` a second, else the source's frames. A time outside the
 /// scene is a usage error, found before any work.
 pub fn of_scene(scene: &Scene, asked: Option<&[f64]>, fps: Option<f64>) -> Result<Vec<(f64, usize)>, Failure> {
     let times = match (asked, fps, scene.index().frames()) {

@@ -28,7 +28,7 @@ pub struct Record {
     pub program: String,
     /// The program's version.
     pub version: String,
-    /// What decides the program's bytes, apart from the version.
+    /// Inputs of the program's bytes besides its version.
     #[serde(flatten)]
     pub build: Build,
     /// The command, with every option that affects the output.
@@ -70,7 +70,7 @@ pub struct Record {
     pub timing: Timing,
 }
 
-/// What decides the program's bytes, apart from the version.
+/// Inputs of the program's bytes besides its version.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Build {
     /// Version of the bit contract ([`streamsplat::BIT_CONTRACT`]); 0 in records without it.

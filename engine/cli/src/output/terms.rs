@@ -17,7 +17,7 @@ const BY_CONTENT: [&str; 2] = ["model", "dinov2"];
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Terms {
     version: String,
-    /// What decides the program's bytes, apart from the version.
+    /// Inputs of the program's bytes besides its version.
     #[serde(flatten)]
     build: Build,
     /// [`RunOptions`], with absolute paths.

@@ -92,7 +92,7 @@ fn killed_with_a_folder_of_images_as_its_input_it_ends_with_the_same_bytes() {
     endure(&scratch.clip("clip", 12, 40, 24), "out", &["--emit", "rgb,scene,exr,tracks", "--quiet"], 4);
 }
 
-/// Kills runs of `input` to a place of this name, and resumed ones, so many times; the last one is left to end.
+/// Kills runs of `input` to a place of this name, and resumed ones, the given number of times; the last one runs to its end.
 fn endure(input: &Path, name: &str, options: &[&str], kills: u64) {
     let kills = number("STREAMSPLAT_KILLS", kills);
     let mut seed = number("STREAMSPLAT_SEED", 1);

@@ -510,7 +510,7 @@ fn the_authors_way_is_the_options_that_it_stands_for() {
     named["stream"]["like_paper"] = true.into();
     assert_eq!(recorded, named);
     assert_eq!((&options["stream"]["depth_range"], &options["fit"]), (&"keys".into(), &"stretch".into()));
-    // Each of these would change it, as does what is given beside it.
+    // Each of these would change it.
     let (plain, _) = with("plain", &maps);
     let (clips, _) = with("clips", &[&maps[..], &["--like-paper", "--depth-range", "clip"]].concat());
     let (flat, _) = with("flat", &["--like-paper"]);

@@ -11,7 +11,7 @@ fn read(name: &str) -> String {
     std::fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
 }
 
-/// What a text has between backquotes.
+/// The parts of a text between backquotes.
 fn quoted(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2)
 }
@@ -64,7 +64,7 @@ fn every_promise_has_a_mutation_and_every_mutation_a_promise() {
             // One of its tests is a test of the row; scripts may be named without their arguments.
             let is_of_the_row =
                 own.iter().any(|test| tests.contains(&format!("`{}", test.split(' ').next().unwrap_or_default())));
-            assert!(is_of_the_row, "docs/trust.md: no test of {name} is named beside it");
+            assert!(is_of_the_row, "docs/trust.md: no test of {name} is in its row");
             seen.insert(name);
         }
     }
@@ -106,7 +106,7 @@ fn every_kernel_that_takes_sizes_is_given_impossible_ones() {
         .collect();
     assert!(structures.contains("Field") && structures.contains("Grid") && structures.len() > 7, "{structures:?}");
     let takes = |arguments: &str| words(arguments).any(|word| word == "usize" || structures.contains(word));
-    // What holds no memory, or is told a number that may be any: `rest` is a formula, `Request::colour` and `with_budget` store it; loops are
+    // These read no memory by their sizes: `rest` is a formula, `Request::colour` and `with_budget` store it; loops are
     // tested at any length; `Disjoint::part` is unsafe, its range is checked.
     let others = [
         "harmonics::rest",

@@ -55,25 +55,13 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Still, SourceError> {
     Ok(Still { picture: orientation::apply(picture, turned.unwrap_or(Orientation::NoTransforms)), notes })
 }
 
-/// Returns true if the markers of a file lead to the one that ends its first image.
+/// Returns true if a file contains the marker that ends its first image.
 pub(crate) fn has_end(bytes: &[u8]) -> bool {
     let mut at = 2;
-    loop {
-        let Some(skipped) = bytes.get(at..).and_then(|rest| rest.iter().position(|&b| b == 0xff)) else { return false };
-        at += skipped;
-        // Any number of fill bytes may precede a marker.
-        while bytes.get(at) == Some(&0xff) {
-            at += 1;
-        }
-        match bytes.get(at) {
-            None => return false,
-            Some(0xd9) => return true,
-            // A stuffed 0xff of the data, TEM, RSTn and SOI have no length.
-            Some(0x00 | 0x01 | 0xd0..=0xd8) => at += 1,
-            Some(_) => {
-                let length = bytes.get(at + 1..at + 3).map_or(2, |b| usize::from(u16::from_be_bytes([b[0], b[1]])));
-                at += 1 + length.max(2);
-            }
+    while let Some((marker, _)) = jpeg_scan::segment(bytes, &mut at) {
+        if marker == jpeg_scan::END {
+            return true;
         }
     }
+    false
 }

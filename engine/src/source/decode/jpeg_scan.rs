@@ -1,10 +1,12 @@
 //! Whether the codes of a baseline JPEG image are those of a whole picture.
 //!
-//! The decoder of pictures forgives damage: it stops at a block's last coefficient and leaves grey what is missing. Here the Huffman codes alone
-//! are read once more (ITU-T T.81, F.2.2), without their values. Refused are codes that do not exist, runs past the 63rd coefficient, restart markers
-//! that are missing, and data that end before the last block. Bytes that are left over after it are not: cameras write such. Damage after which the
-//! codes are still those of as many blocks is not found. Progressive and arithmetic-coded images are not read here.
+//! The decoder of pictures accepts damaged data: it stops at a block's last coefficient and leaves missing parts grey. This module reads the
+//! Huffman codes once more (ITU-T T.81, F.2.2), without their values. Refused are codes that do not exist, runs past the 63rd coefficient, restart markers
+//! that are missing, and data that end before the last block. Extra bytes after it are accepted: cameras write them. Damage that leaves valid codes for
+//! the same number of blocks is not found. Progressive and arithmetic-coded images are not read here.
 
+/// The marker that ends an image.
+pub(super) const END: u8 = 0xd9;
 /// Bits that are looked up at once.
 const QUICK: u32 = 9;
 /// Most bits of a code.
@@ -93,7 +95,7 @@ impl Bits<'_> {
                 return table.symbols.get((code + offset) as usize).copied().ok_or(Fault::Code);
             }
         }
-        // What follows the data are no codes.
+        // Bits after the data are not codes.
         Err(if self.count < LONGEST as u32 { Fault::End } else { Fault::Code })
     }
 
@@ -137,7 +139,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), String> {
     let mut frame: Option<((usize, usize), Vec<Component>)> = None;
     let mut interval = 0;
     let mut at = 2;
-    // A header that this does not understand is for the decoder to judge.
+    // The decoder reports unknown headers.
     while let Some((marker, body)) = segment(bytes, &mut at) {
         match marker {
             0xc0 | 0xc1 => frame = components(body),
@@ -152,15 +154,15 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), String> {
             }
             // Other codings, and the end.
             0xc2..=0xcf if marker != 0xc8 && marker != 0xcc => return Ok(()),
-            0xd9 => return Ok(()),
+            END => return Ok(()),
             _ => {}
         }
     }
     Ok(())
 }
 
-/// The next marker with its body; what is before it is passed over.
-fn segment<'a>(bytes: &'a [u8], at: &mut usize) -> Option<(u8, &'a [u8])> {
+/// The next marker with its body. Bytes in front of it are skipped.
+pub(super) fn segment<'a>(bytes: &'a [u8], at: &mut usize) -> Option<(u8, &'a [u8])> {
     loop {
         *at += bytes.get(*at..)?.iter().position(|&b| b == 0xff)?;
         while bytes.get(*at) == Some(&0xff) {
@@ -170,7 +172,7 @@ fn segment<'a>(bytes: &'a [u8], at: &mut usize) -> Option<(u8, &'a [u8])> {
         *at += 1;
         match marker {
             0x00 | 0x01 | 0xd0..=0xd8 => {}
-            0xd9 => return Some((marker, &[])),
+            END => return Some((marker, &[])),
             _ => {
                 let length = usize::from(u16::from_be_bytes(*bytes.get(*at..)?.first_chunk()?)).max(2);
                 let body = bytes.get(*at + 2..*at + length)?;

@@ -35,7 +35,7 @@ use crate::picture::{Picture, size_is_allowed};
 pub(crate) use common::{decode_dynamic, png_can_hold};
 pub(crate) use frames::{Sequence, Several};
 pub(crate) use jpeg::has_end as jpeg_has_end;
-pub(crate) use tiff::{as_grey as tiff_palette_as_grey, grey as tiff_grey, is as is_tiff};
+pub(crate) use tiff::{as_grey as tiff_palette_as_grey, eight_bits_at, grey as tiff_grey, is as is_tiff};
 
 /// Largest image file read, in bytes.
 const MAX_FILE: u64 = 1 << 30;

@@ -353,6 +353,11 @@ fn unpack(bytes: &[u8], width: usize, height: usize, depth: u16) -> Samples {
     Samples::Whole(samples, most)
 }
 
+/// The place of the 8 bits that every colour of a palette has: 0 if they are written alone, 8 above a byte of zeros; `None` for colours of 16 bits.
+pub(crate) fn eight_bits_at(palette: &[u16]) -> Option<u32> {
+    [(0, 0xff00), (8, 0x00ff)].into_iter().find(|(_, others)| palette.iter().all(|v| v & others == 0)).map(|(at, _)| at)
+}
+
 /// The colours of a palette: 16 bits each, or 8, as some programs write them, above a byte of zeros or alone.
 fn palette(decoder: &mut TiffDecoder<'_>, depth: u16, path: &Path) -> Result<Vec<[f32; 3]>, SourceError> {
     let numbers = decoder.find_tag_unsigned_vec::<u16>(Tag::ColorMap).map_err(explain(path))?.unwrap_or_default();
@@ -360,13 +365,7 @@ fn palette(decoder: &mut TiffDecoder<'_>, depth: u16, path: &Path) -> Result<Vec
         let found = format!("{} numbers for {depth} bits", numbers.len());
         return Err(decode_error(path, format!("expected a TIFF palette of three numbers a colour, found {found}")));
     }
-    let most = if numbers.iter().all(|&v| v < 256) {
-        255.0
-    } else if numbers.iter().all(|&v| v % 256 == 0) {
-        255.0 * 256.0
-    } else {
-        65535.0
-    };
+    let most = eight_bits_at(&numbers).map_or(65535.0, |shift| f32::from(255_u16 << shift));
     let colours = numbers.len() / 3;
     Ok((0..colours).map(|i| [0, 1, 2].map(|c| f32::from(numbers[c * colours + i]) / most)).collect())
 }

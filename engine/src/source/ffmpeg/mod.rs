@@ -6,7 +6,7 @@
 //! - **Shape**: ffmpeg applies the file's rotation. Pixels that are not square are made so by [`super::Source`]. Interlaced frames are deinterlaced.
 //! - **High dynamic range** (HLG, PQ) becomes BT.709 of standard range: display light of 203 cd/m² is white (ITU-R BT.2408) and what is brighter is
 //!   rolled off, or 100 cd/m² where a video has hardly anything brighter.
-//! - **Damage**: what can be decoded is read; what ffmpeg complained of is an error after the last frame, whatever its exit status, as is a file that is
+//! - **Damage**: what can be decoded is read; an error message of ffmpeg is an error after the last frame, also with exit status 0, as is a file that is
 //!   shorter than its container declares (`whole`).
 //!
 //! [`Ffmpeg::notes`] lists conversions of the pictures and what is left out of the file. Decoders differ between versions
@@ -143,7 +143,7 @@ impl Ffmpeg {
             clock,
             first: (time, size),
             notes,
-            // What there is of a file that was cut is less than what its head announces.
+            // The packets of a cut file are fewer than its header announces.
             announced: match counted {
                 Some(count) if open => Some(count.frames),
                 _ => listing.frames(&stream, starts),

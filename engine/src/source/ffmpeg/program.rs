@@ -71,7 +71,7 @@ pub(super) struct Decoding {
 
 impl Decoding {
     /// Starts ffmpeg, which decodes to y4m on its standard output and writes the messages for [`super::shown::Message`] to its
-    /// standard error. Every frame is passed once, whatever its time; the first filter prints the times.
+    /// standard error. Every frame is passed once; the first filter prints the times.
     pub(super) fn start(&self, path: &Path) -> std::io::Result<Child> {
         let parts: &[&str] = if self.parts { &[] } else { &["-fflags", "+discardcorrupt"] };
         let sync = if self.old { "-vsync" } else { "-fps_mode" };

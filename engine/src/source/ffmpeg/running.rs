@@ -22,12 +22,12 @@ pub(super) struct Running {
     child: Child,
     messages: Receiver<Message>,
     numbers: Numbers,
-    /// A frame whose message came where that of one before it was expected: its number, time stamp and size.
+    /// Number, time stamp and size of a later frame, received where the message of an earlier one is missing.
     early: Option<(usize, Option<i64>, (usize, usize))>,
     complaints: Option<JoinHandle<Complaints>>,
 }
 
-/// Numbers of frames since the start. ffmpeg counts anew where it sets up its filters again, as for frames of another size.
+/// Numbers of frames since the start. ffmpeg restarts its count when it rebuilds its filters, for example for frames of another size.
 #[derive(Clone, Copy, Debug, Default)]
 struct Numbers {
     /// The number of the first frame since then.
@@ -160,9 +160,9 @@ fn listen(stderr: ChildStderr, sender: &Sender<Message>) -> Complaints {
                     }
                 }
                 Message::Other => {}
-                // Those of the first frame are enough.
+                // Only the first frame's are used.
                 Message::Colours(_) if std::mem::replace(&mut coloured, true) => {}
-                // Where nobody listens any more, complaints still count.
+                // The receiver may be gone; complaints still count.
                 message => _ = sender.send(message),
             }
         }

@@ -43,7 +43,7 @@ impl Message {
             let harmless = HARMLESS.iter().any(|harmless| text.starts_with(harmless));
             return if harmless || text.is_empty() { Message::Other } else { Message::Complaint(text.to_owned()) };
         }
-        // What follows another thread's message on its line has no context.
+        // After another thread's message on the same line there is no context.
         if !context.contains("showinfo") && !starts_a_frame(text) {
             return Message::Other;
         }
@@ -81,7 +81,7 @@ fn starts_a_frame(text: &str) -> bool {
 }
 
 /// The messages on a line. The filter writes a line in several pieces, between which other threads of ffmpeg may write messages of their own: a context
-/// after other text begins a message, as does a frame's number.
+/// after other text, or a frame's number, begins a message.
 pub(super) fn messages(line: &str) -> Vec<&str> {
     let mut parts = Vec::new();
     let mut start = 0;

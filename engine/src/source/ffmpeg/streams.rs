@@ -61,7 +61,7 @@ pub(super) struct Listing {
     pub(super) joined: bool,
     /// True of text, which ffmpeg draws as a terminal would.
     text: bool,
-    /// True of Matroska, whose rates are those that its head declares, whatever the frames' times are.
+    /// True for Matroska: its rates are declarations, which the frames' times may contradict.
     pub(super) declared: bool,
 }
 
@@ -71,7 +71,7 @@ pub(super) struct Count {
     pub(super) frames: usize,
     /// Seconds from the first frame to the last.
     pub(super) seconds: f64,
-    /// True if not all of them are shown equally long, but for the last.
+    /// True if the durations of the frames, except the last, differ.
     pub(super) uneven: bool,
 }
 

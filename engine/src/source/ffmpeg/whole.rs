@@ -28,7 +28,7 @@ const PAGE: u64 = 65_307;
 /// Bytes at the beginning of an FLV file that hold its metadata.
 const METADATA: u64 = 1 << 16;
 
-/// What is missing, in words; `None` for a file that is whole, and for one whose container declares nothing.
+/// A description of what is missing; `None` if the file is whole or its container declares no length.
 pub(super) fn missing(path: &Path) -> Option<String> {
     let mut file = File::open(path).ok()?;
     let length = file.metadata().ok().filter(std::fs::Metadata::is_file)?.len();
@@ -102,7 +102,7 @@ fn segment(start: &[u8]) -> Option<u64> {
     size?.checked_add(at as u64)
 }
 
-/// The number of variable length at a place, none where it is left open; and the place after it.
+/// The number of variable length at `at`, `None` if it is unknown, and the index after it.
 fn variable(bytes: &[u8], at: usize) -> Option<(Option<u64>, usize)> {
     let first = *bytes.get(at)?;
     let count = first.leading_zeros() as usize + 1;
@@ -137,7 +137,7 @@ fn last_page(file: &mut File, length: u64) -> Option<String> {
         .then(|| format!("the file is cut off: expected a page that ends the stream, found none in {length} bytes"))
 }
 
-/// The blocks of a GIF file must lead to its trailer.
+/// A GIF file must end in a trailer after its blocks.
 fn trailer(file: File) -> Option<String> {
     let length = file.metadata().ok()?.len();
     let mut reader = BufReader::new(file);
@@ -186,7 +186,7 @@ fn ends_in_trailer(reader: &mut (impl Read + Seek)) -> Option<bool> {
 mod tests {
     use super::*;
 
-    /// What is missing of each beginning of a file: the lengths at which nothing is.
+    /// The lengths at which the beginning of a file counts as whole.
     fn whole_at(file: &[u8]) -> Vec<usize> {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("a");
@@ -194,7 +194,7 @@ mod tests {
             std::fs::write(&path, &file[..length]).expect("writable");
             missing(&path).is_none()
         });
-        // What is not recognised any more is another reader's.
+        // Shorter beginnings may not be recognised as this container.
         lengths.filter(|&length| length >= 40).collect()
     }
 
@@ -207,12 +207,12 @@ mod tests {
         let mut file =
             [mp4_box(b"ftyp", b"isom\0\0\0\0"), mp4_box(b"moov", &[7; 30]), mp4_box(b"mdat", &[9; 50])].concat();
         let length = file.len();
-        // Between two boxes nothing is known to be missing.
+        // A cut between two boxes cannot be found.
         let between: Vec<usize> = (54..62).collect();
         assert_eq!(whole_at(&file), [&between[..], &[length]].concat());
         file.extend(b"a trailer of another kind");
         assert_eq!(whole_at(&file), [between, (length..=file.len()).collect()].concat());
-        // A box to the end of the file, whatever that is.
+        // A box that extends to the end of the file.
         let open = [mp4_box(b"ftyp", &[0; 40]), b"\0\0\0\0mdat".to_vec(), vec![1; 9]].concat();
         assert_eq!(whole_at(&open).last(), Some(&open.len()));
         assert!(whole_at(&open).contains(&(open.len() - 4)));

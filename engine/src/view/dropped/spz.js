@@ -66,7 +66,7 @@ async function gunzipped(file, most) {
   }
   const { version, count, extended, sizes, total } = header ?? { total: SPZ_HEADER };
   if (at < total) throw wrong(header ? "attributes" : "header", `${total} bytes`, at);
-  // In version 1 positions are of 6 bytes, or of 9 where there are as many: @adobe/spz writes such files.
+  // Version 1 has positions of 6 bytes. @adobe/spz writes 9, which the length shows.
   const wide = version === 1 && !extended && at > total;
   if (wide && at !== total + 3 * count) throw wrong("attributes", `${total} bytes, or ${total + 3 * count} with positions in fixed point`, at);
   const own = wide ? [9 * count, ...sizes.slice(1)] : sizes;

@@ -27,7 +27,7 @@ enum Entry {
     Scene,
 }
 
-/// What a folder holds, by names relative to it, with their paths: names that are not UTF-8 have no exact text.
+/// The contents of a folder: paths by relative names. Names that are not UTF-8 are shown lossily.
 struct Content {
     entries: BTreeMap<String, (Entry, PathBuf)>,
     hidden: usize,

@@ -1,8 +1,8 @@
 //! `eval`: key frames in, the frames between held out; how close the scene comes to them, and simple baselines beside it.
 //!
 //! Every `gap`-th frame is a key frame, or what `--gap auto` chooses. The scene is drawn at every frame's time and compared with the true frame twice: at the
-//! source's own size, sample by sample in 8 bits, as `run` does; and by the protocol of the paper, drawn at `--size` and both brought to 256×256
-//! bilinearly. *Key* frames were given, *middle* frames were not, unless `--seen` gives them too. Baselines for the middle
+//! source's own size, sample by sample in 8 bits, as in `run`; and by the protocol of the paper, drawn at `--size` and both resized to 256×256
+//! bilinearly. *Key* frames are inputs. *Middle* frames are inputs only with `--seen`. Baselines for the middle
 //! frames: the cross-fade of the key frames around, the nearer one, and the key frames blended along the optical flow between them. Frames after the last whole interval are left out.
 //! Said beside it is how the image jumps at key frames, and how far it goes from frame to frame.
 
@@ -230,8 +230,8 @@ fn evaluate(
         if interval.start < interval.end {
             let crossed = drawing.draw(&interval, 0, interval.start, &views.compared)?;
             if let Some((frame, truth)) = first.take() {
-                let own = drawing.draw(&interval, 0, interval.start, &views.own)?;
-                sums.key.add_source_size(own_size(own, &frame));
+                let own = own_size(&mut drawing, &interval, interval.start, &views.own, &crossed, &frame)?;
+                sums.key.add_source_size(own);
                 sums.key.add(&compared(&crossed), &truth, lpips.as_deref_mut())?;
             } else {
                 sums.pops.jump += apart(&shown, &crossed.rgb);
@@ -246,14 +246,14 @@ fn evaluate(
         let given = [sums.key.psnr, sums.middle.psnr];
         for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate().filter(|_| !waits) {
             let image = drawing.draw(&interval, 0, frame.timestamp, &views.compared)?;
-            let own = drawing.draw(&interval, 0, frame.timestamp, &views.own)?;
+            let own = own_size(&mut drawing, &interval, frame.timestamp, &views.own, &image, &frame.picture)?;
             if !shown.is_empty() {
                 sums.pops.step += apart(&shown, &image.rgb);
                 sums.pops.steps += 1;
             }
             shown.clone_from(&image.rgb);
             let sum = if i == last { &mut sums.key } else { &mut sums.middle };
-            sum.add_source_size(own_size(own, &frame.picture));
+            sum.add_source_size(own);
             sum.add(&compared(&image), truth, lpips.as_deref_mut())?;
         }
         let mean = |sum: f64| (last > 0).then(|| sum / last as f64);
@@ -303,10 +303,24 @@ fn compared(image: &Image) -> Picture {
     Picture { width: image.width, height: image.height, rgb: image.rgb.clone() }.resized(SIDE, SIDE)
 }
 
-/// PSNR of an image of the source's own size, in dB.
-fn own_size(image: Image, frame: &Picture) -> Option<f64> {
-    let image = Picture { width: image.width, height: image.height, rgb: image.rgb };
-    psnr_of_samples(&image.to_rgb8(), &frame.to_rgb8())
+/// PSNR at the source's own size, in dB. `drawn` is the image of this time at the other size, used if it has the frame's size.
+fn own_size(
+    drawing: &mut Drawing,
+    interval: &Interval,
+    time: f64,
+    views: &Views,
+    drawn: &Image,
+    frame: &Picture,
+) -> Result<Option<f64>, Failure> {
+    let again;
+    let Image { width, height, rgb, .. } = if (drawn.width, drawn.height) == (frame.width, frame.height) {
+        drawn
+    } else {
+        again = drawing.draw(interval, 0, time, views)?;
+        &again
+    };
+    let image = Picture { width: *width, height: *height, rgb: rgb.clone() };
+    Ok(psnr_of_samples(&image.to_rgb8(), &frame.to_rgb8()))
 }
 
 /// The mean absolute difference.
