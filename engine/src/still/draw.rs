@@ -23,8 +23,8 @@ const LARGEST_COEFFICIENT: f32 = 1e30;
 pub struct Drawable {
     still: Still,
     scale: Vec<[f32; 3]>,
-    /// Of length 1; NaN where the file's has none.
-    rotation: Vec<[f64; 4]>,
+    /// Of length 1; NaN where the file's has none. Kept for many images alone; one image forms each where it needs it.
+    rotation: Option<Vec<[f64; 4]>>,
     opacity: Vec<f32>,
     groups: Option<Groups>,
 }
@@ -38,19 +38,20 @@ impl Drawable {
         if let Some((array, found)) = still.uneven() {
             return Err(RenderError::Records { array, expected: still.len(), found });
         }
-        let (scale, rotation, opacity) = workers.install(|| {
+        let (scale, opacity) = workers.install(|| {
             let scale = still.log_scale.par_iter().with_min_len(CHUNK).map(|s| s.map(grown)).collect();
-            let rotation = still.rotation.par_iter().with_min_len(CHUNK).map(|q| unit(*q)).collect();
             let opacity = still.logit.par_iter().with_min_len(CHUNK).map(|x| sigmoid(*x)).collect();
-            (scale, rotation, opacity)
+            (scale, opacity)
         });
-        Ok(Self { still, scale, rotation, opacity, groups: None })
+        Ok(Self { still, scale, rotation: None, opacity, groups: None })
     }
 
     /// Prepares the scene for many images of parts of it: Gaussians that a pinhole camera's image cannot show are then left out
     /// before their colours are formed ([`crate::space`]). The images keep their bits.
     pub fn grouped(mut self, workers: &Workers) -> Self {
-        let Self { still, scale, rotation, opacity, .. } = &self;
+        let Self { still, scale, opacity, .. } = &self;
+        let units = || still.rotation.par_iter().with_min_len(CHUNK).map(|q| unit(*q)).collect();
+        let rotation: Vec<[f64; 4]> = workers.install(units);
         let width = 3 * still.rest();
         let sound = |c: &f32| c.abs() <= LARGEST_COEFFICIENT;
         let tame = |i: usize| {
@@ -58,6 +59,7 @@ impl Drawable {
             turned && still.base[i].iter().all(sound) && still.higher[i * width..(i + 1) * width].iter().all(sound)
         };
         self.groups = Some(workers.install(|| Groups::new(&still.mean, scale, opacity, tame)));
+        self.rotation = Some(rotation);
         self
     }
 
@@ -71,10 +73,10 @@ impl Drawable {
         &self.scale
     }
 
-    /// Rotations as quaternions (w, x, y, z) of length 1; NaN where the scene has none.
+    /// A Gaussian's rotation as a quaternion (w, x, y, z) of length 1; NaN where the scene has none.
     #[cfg(feature = "viewer")]
-    pub(crate) fn rotation(&self) -> &[[f64; 4]] {
-        &self.rotation
+    pub(crate) fn rotation(&self, i: usize) -> [f64; 4] {
+        unit(self.still.rotation[i])
     }
 
     /// Opacities.
@@ -173,15 +175,20 @@ impl Renderer {
         workers.install(|| {
             let mut mean = chosen(&still.mean, places).into_owned();
             let (scale, opacity) = (chosen(scale, places), chosen(opacity, places));
-            let (rotation, base) = (chosen(rotation, places), chosen(&still.base, places));
+            let base = chosen(&still.base, places);
             let higher = chosen_rows(&still.higher, 3 * still.rest(), places);
             let mut rgb = vec![[0.0; 3]; mean.len()];
             let eye = eye(pose, lens);
             harmonics::colours(workers.level(), still.degree, &base, &higher, &mean, eye, &mut rgb);
             view.apply(&mut mean);
             let turn = pose.rotation.inverse().quaternion();
-            let rotation: Vec<[f32; 4]> =
-                rotation.par_iter().with_min_len(CHUNK).map(|own| after(turn, *own)).collect();
+            let rotation: Vec<[f32; 4]> = match rotation {
+                Some(kept) => {
+                    chosen(kept, places).par_iter().with_min_len(CHUNK).map(|own| after(turn, *own)).collect()
+                }
+                // Without groups every Gaussian is drawn.
+                None => still.rotation.par_iter().with_min_len(CHUNK).map(|q| after(turn, unit(*q))).collect(),
+            };
             let gaussians =
                 Gaussians { mean: &mean, scale: &scale, rotation: Some(&rotation), opacity: &opacity, rgb: &rgb };
             rasteriser.render(&gaussians, view.projection(), &request)

@@ -40,6 +40,9 @@ pub(crate) use comments::written as comments;
 pub(super) use header::MAX_HEADER;
 use header::{Encoding, Header};
 
+/// Bytes in which the header of most files ends.
+const USUAL_HEADER: u64 = 1 << 16;
+
 /// The Gaussians of a whole PLY file.
 ///
 /// # Errors
@@ -60,7 +63,9 @@ impl Reader for Ply {
     }
 
     fn read_blocks(&self, file: &mut Blocks<'_>, limits: &Limits) -> Result<Option<Still>, ReadError> {
-        let head = file.head(MAX_HEADER as u64)?;
+        // Longer headers are rare; to read as much of every file would cost time.
+        let usual = Header::read(file.head(USUAL_HEADER)?).is_ok();
+        let head = file.head(if usual { USUAL_HEADER } else { MAX_HEADER as u64 })?;
         let (header, body) = Header::read(head)?;
         let start = head.len() - body.len();
         if packed::is_packed(&header) || header.encoding == Encoding::Text {

@@ -102,7 +102,7 @@ fn record(scene: &Drawable, i: usize) -> [u8; RECORD] {
     let width = still.log_scale[i].map(|x| unit((f64::from(x) / WIDEST + 1.0) / 2.0));
     let colour = still.base[i].map(|c| half((0.5 + f64::from(c) * Y0) as f32));
     let words = width.into_iter().chain([unit(f64::from(scene.opacity()[i]))]).chain(colour);
-    for (k, word) in words.chain(turn(scene.rotation()[i])).enumerate() {
+    for (k, word) in words.chain(turn(scene.rotation(i))).enumerate() {
         out[12 + 2 * k..14 + 2 * k].copy_from_slice(&word.to_le_bytes());
     }
     out
