@@ -4,7 +4,7 @@ Makes a seeded scene of 5,000,000 Gaussians with harmonics of degree 3 (`streams
 draw it in turn, round after round, with the file in the system's cache. The table has the median, the least and the largest of wall time, of processor
 time and of peak memory. Of several programs each is compared with the first: the median of the rounds' ratios, and whether their pictures are the same.
 
-Options: --gaussians N, --scene FILE (a file that exists instead), --rounds N, --size WxH, --threads N, --folder DIR (where files are made), --json FILE.
+Options: --gaussians N, --scene FILE (a file of so many Gaussians that exists), --rounds N, --size WxH, --threads N, --folder DIR (where files are made), --json FILE.
 """
 import argparse
 import hashlib
@@ -33,6 +33,10 @@ def drawn(program, scene, picture, options):
     if child.returncode != 0:
         sys.exit(f'{program}: exit code {child.returncode}')
     return {'wall': wall, 'cpu': used.ru_utime + used.ru_stime, 'memory': used.ru_maxrss / 2 ** 20}
+
+
+def version(program):
+    return subprocess.run([program, '--version'], check=True, capture_output=True, text=True).stdout.strip()
 
 
 def main():
@@ -71,7 +75,8 @@ def main():
         same = 'the same picture' if pictures[first] == pictures[program] else 'another picture'
         print(f'{program} / {first}: ' + ', '.join(f'{measure} {ratio:.3f}' for measure, ratio in zip(MEASURES, ratios)) + f'; {same}')
     if options.json:
-        Path(options.json).write_text(json.dumps({'gaussians': None if options.scene else options.gaussians, 'size': options.size, 'rounds': found}, indent=1) + '\n')
+        rows = [{'program': version(program), **{measure: [each[measure] for each in rounds] for measure in MEASURES}} for program, rounds in found.items()]
+        Path(options.json).write_text(json.dumps({'gaussians': options.gaussians, 'size': options.size, 'programs': rows}, indent=1) + '\n')
 
 
 if __name__ == '__main__':
