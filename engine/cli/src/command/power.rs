@@ -7,7 +7,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
-use streamsplat::output::storage::faults::{Fault, inject, inject_with};
+#[cfg(unix)]
+use streamsplat::output::storage::faults::inject_with;
+use streamsplat::output::storage::faults::{Fault, inject};
 use streamsplat_fixtures as fixtures;
 
 use crate::command::run;
@@ -92,6 +94,7 @@ fn sweep(name: &str) {
 }
 
 /// Stands in ffmpeg's place: writes what it gets and an end, exit code 0 whatever becomes of the file; counts the frames of a file with its end.
+#[cfg(unix)]
 const ENCODER: &str = r#"#!/bin/sh
 case $* in
 *framecrc*)
@@ -108,6 +111,7 @@ esac
 "#;
 
 /// Runs to `video`, where another file is, with this encoder.
+#[cfg(unix)]
 fn encoded(clip: &Path, video: &Path, encoder: &Path, fault: Option<(Fault, u64)>) -> (Result<(), Failure>, u64) {
     std::fs::write(video, "another").expect("writable");
     let model = fixtures::path("parity/tiny-nodino.safetensors");
