@@ -7,8 +7,6 @@
 mod command;
 mod console;
 mod options;
-mod output;
-mod session;
 
 use std::ffi::OsString;
 use std::io::Write;
@@ -18,9 +16,9 @@ use clap::Parser;
 use clap::error::ErrorKind;
 
 use command::{bench, compare, eval, export, forward, golden, inspect, manual, render, splat, track, verify, view};
-pub use console::Observer;
 pub use console::failure::Failure;
-use console::{Console, print, trace};
+pub use console::version::commit;
+use console::{print, trace};
 use options::args::{Cli, Command};
 
 /// Runs the program with the process's arguments.
@@ -60,18 +58,6 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Completions { shell } => manual::completions(*shell),
         Command::Man { out } => manual::man(out.as_deref()),
     })
-}
-
-/// Runs `streamsplat run` with these arguments inside another program, which is told of progress and can stop it, and gives the run's record in JSON.
-///
-/// # Errors
-/// Those of the program. Nothing is said beside them.
-pub fn reconstruct(arguments: impl IntoIterator<Item = OsString>, observer: Observer) -> Result<String, Failure> {
-    let words = ["streamsplat", "run", "--quiet"].map(OsString::from);
-    let cli = Cli::try_parse_from(words.into_iter().chain(arguments)).map_err(|e| Failure::Usage(one_line(&e)))?;
-    let Command::Run(args) = &cli.command else { return Err(Failure::usage("expected the options of `run`")) };
-    let console = Console { observer: Some(observer), ..cli.console };
-    command::run::finished(args, &console)?.to_json()
 }
 
 fn finish(result: Result<(), Failure>) -> u8 {

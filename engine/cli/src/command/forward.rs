@@ -5,7 +5,7 @@ use streamsplat_model::{LoadOptions, forward};
 
 use crate::console::failure::Failure;
 use crate::options::args::ForwardArgs;
-use crate::options::settings::choice;
+use streamsplat::run::options::settings::choice;
 
 /// Reads, computes, and writes the whole output or nothing.
 pub fn command(args: &ForwardArgs) -> Result<(), Failure> {

@@ -22,15 +22,17 @@ use streamsplat::{Engine, Image};
 use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 use crate::console::{Console, say};
-use crate::options::args::{EvalArgs, ViewOptions};
-use crate::options::settings::{DepthFrom, Views, choice};
-use crate::output::record::NetworkRecord;
-use crate::session::ahead::Ahead;
-use crate::session::closeness;
-use crate::session::closeness::{Closeness, psnr_of_samples};
-use crate::session::drawing::Drawing;
-use crate::session::keydepth::KeyDepth;
-use crate::session::keyframes::{Keep, KeyFrames};
+use crate::options::args::EvalArgs;
+use streamsplat::run::ahead::Ahead;
+use streamsplat::run::closeness;
+use streamsplat::run::closeness::{Closeness, psnr_of_samples};
+use streamsplat::run::drawing::Drawing;
+use streamsplat::run::keydepth::KeyDepth;
+use streamsplat::run::keyframes::{Keep, KeyFrames};
+use streamsplat::run::options::settings::{choice, matrix};
+use streamsplat::run::options::{DepthFrom, ViewOptions};
+use streamsplat::run::record::NetworkRecord;
+use streamsplat::run::views::Views;
 
 mod baselines;
 mod figures;
@@ -90,7 +92,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     if !console.quiet {
         say(HEADING)?;
     }
-    let matrix = args.matrix()?;
+    let matrix = matrix(args.matrix.as_deref())?;
     for clip in &clips {
         if console.stop.asked() {
             break;
@@ -216,7 +218,7 @@ fn evaluate(
     let mut last_small: Option<Small> = None;
     // The first key frame where depth is found: as with run, the interval after it shows it.
     let mut first: Option<(Picture, Picture)> = None;
-    while let Some(key) = keys.next()? {
+    while let Some(key) = keys.next_key()? {
         let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
         let truths: Vec<Picture> = key.shown.iter().map(|frame| frame.picture.resized(SIDE, SIDE)).collect();
         let last = truths.len() - 1;

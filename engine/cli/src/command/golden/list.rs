@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use streamsplat::import::read_text;
 use streamsplat::recognise;
+use streamsplat::run::options::{Motion, ViewOptions};
 
 use crate::console::failure::Failure;
-use crate::options::args::{Motion, RenderOptions, ViewOptions};
+use crate::options::args::RenderOptions;
 use crate::options::optics::Optics;
 
 /// Longest list that is read, in bytes.

@@ -2,14 +2,14 @@
 
 use std::time::{Duration, Instant};
 
-use streamsplat::depth::{DepthMaps, DepthNetwork};
-use streamsplat::picture::Picture;
-use streamsplat::source::Source;
-use streamsplat::stream::Workers;
+use crate::depth::{DepthMaps, DepthNetwork};
+use crate::picture::Picture;
+use crate::source::Source;
+use crate::stream::Workers;
 use streamsplat_kernels::Level;
 
-use crate::console::failure::Failure;
-use crate::options::settings::DepthFrom;
+use crate::run::Error;
+use crate::run::options::DepthFrom;
 
 /// Where a frame's depth comes from.
 pub enum KeyDepth {
@@ -52,7 +52,7 @@ impl KeyDepth {
         level: Level,
         reuse: bool,
         limit: Option<usize>,
-    ) -> Result<KeyDepth, Failure> {
+    ) -> Result<KeyDepth, Error> {
         Ok(match from {
             DepthFrom::None | DepthFrom::Found => KeyDepth::None,
             DepthFrom::Folder(folder, range, values) => {
@@ -85,7 +85,7 @@ impl KeyDepth {
     }
 
     /// Checks that no map is left when the input has ended after so many frames.
-    pub fn ended(&self, source: &Source, frames: usize) -> Result<(), Failure> {
+    pub fn ended(&self, source: &Source, frames: usize) -> Result<(), Error> {
         match self {
             KeyDepth::Maps(maps) if source.files().is_none() => Ok(maps.check(frames, None)?),
             _ => Ok(()),
@@ -93,7 +93,7 @@ impl KeyDepth {
     }
 
     /// The map in the frame's file.
-    pub fn of_file(&self, index: usize, picture: &Picture) -> Result<Option<Vec<f32>>, Failure> {
+    pub fn of_file(&self, index: usize, picture: &Picture) -> Result<Option<Vec<f32>>, Error> {
         match self {
             KeyDepth::Maps(maps) => Ok(Some(maps.map(index, picture.width, picture.height)?)),
             KeyDepth::None | KeyDepth::Network(_) => Ok(None),
@@ -101,7 +101,7 @@ impl KeyDepth {
     }
 
     /// The network's map of a key frame.
-    pub fn of_network(&mut self, picture: &Picture) -> Result<Option<Vec<f32>>, Failure> {
+    pub fn of_network(&mut self, picture: &Picture) -> Result<Option<Vec<f32>>, Error> {
         match self {
             KeyDepth::Network(looker) => looker.look(picture).map(Some),
             KeyDepth::None | KeyDepth::Maps(_) => Ok(None),
@@ -118,7 +118,7 @@ impl KeyDepth {
 }
 
 impl Looker {
-    fn look(&mut self, picture: &Picture) -> Result<Vec<f32>, Failure> {
+    fn look(&mut self, picture: &Picture) -> Result<Vec<f32>, Error> {
         let same_bits =
             |a: &[f32], b: &[f32]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
         if let Some((rgb, map)) = &self.latest

@@ -1,31 +1,31 @@
 //! Threads, instruction set, memory.
 
-use streamsplat::stream::Workers;
+use crate::stream::Workers;
 use streamsplat_kernels::Level;
 
-use crate::console::failure::Failure;
-use crate::options::args::Machine;
+use crate::run::Error;
+use crate::run::options::Machine;
 
 /// Most threads that can be asked for.
 const MAX_THREADS: usize = 1024;
 
 impl Machine {
     /// The instruction set asked for.
-    pub fn level(&self) -> Result<Level, Failure> {
-        Level::named(&self.isa).map_err(|e| Failure::usage(format!("--isa: {e}")))
+    pub fn level(&self) -> Result<Level, Error> {
+        Level::named(&self.isa).map_err(|e| Error::usage(format!("--isa: {e}")))
     }
 
     /// Threads asked for; 0 is one per processor.
-    pub fn threads(&self) -> Result<usize, Failure> {
+    pub fn threads(&self) -> Result<usize, Error> {
         let Some(text) = &self.threads else { return Ok(0) };
         match text.parse() {
             Ok(n @ 1..=MAX_THREADS) => Ok(n),
-            _ => Err(Failure::usage(format!("--threads {text}: expected a whole number from 1 to {MAX_THREADS}"))),
+            _ => Err(Error::usage(format!("--threads {text}: expected a whole number from 1 to {MAX_THREADS}"))),
         }
     }
 
     /// A pool of them.
-    pub fn workers(&self) -> Result<Workers, Failure> {
+    pub fn workers(&self) -> Result<Workers, Error> {
         Ok(Workers::new(self.level()?, self.threads()?)?)
     }
 }

@@ -3,25 +3,25 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
-use streamsplat::Image;
-use streamsplat::export;
-use streamsplat::output::{
+use crate::Image;
+use crate::export;
+use crate::output::{
     OutputError, Pace, Sound, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, picture_webp,
     plane_png, prepare_subfolder, storage, transparent_exr, transparent_png, write_whole,
 };
-use streamsplat::picture::Picture;
-use streamsplat::render::{Backend, Snapshot};
-use streamsplat::scene::{ContainerWriter, IntervalEntry, SceneWriter, to_safetensors};
-use streamsplat::stream::{Interval, ResumePoint, Workers};
+use crate::picture::Picture;
+use crate::render::{Backend, Snapshot};
+use crate::scene::{ContainerWriter, IntervalEntry, SceneWriter, to_safetensors};
+use crate::stream::{Interval, ResumePoint, Workers};
 
-use crate::console::failure::Failure;
-pub use crate::output::destination::Destination;
-use crate::output::earlier::{remove_earlier, remove_file};
-use crate::output::ledger::Ledger;
-use crate::output::place::Place;
-use crate::output::record::OutputRecord;
-use crate::output::resume_state::Point;
-use crate::output::{ledger, resume_state};
+use crate::run::Error;
+pub use crate::run::destination::Destination;
+use crate::run::earlier::{remove_earlier, remove_file};
+use crate::run::ledger::Ledger;
+use crate::run::place::Place;
+use crate::run::record::OutputRecord;
+use crate::run::resume_state::Point;
+use crate::run::{ledger, resume_state};
 
 /// Kinds of output that exist.
 const KINDS: [&str; 8] = ["rgb", "webp", "depth", "alpha", "exr", "scene", "ply", "tracks"];
@@ -49,11 +49,11 @@ pub struct Emit {
 
 impl Emit {
     /// Reads a list; `allowed` are the kinds the command knows.
-    pub fn parse(list: &str, allowed: &[&str]) -> Result<Emit, Failure> {
+    pub fn parse(list: &str, allowed: &[&str]) -> Result<Emit, Error> {
         let kinds: BTreeSet<&str> = list.split(',').map(str::trim).collect();
         for kind in &kinds {
             if !allowed.contains(kind) || !KINDS.contains(kind) {
-                return Err(Failure::usage(format!(
+                return Err(Error::usage(format!(
                     "--emit {list}: expected a list of {}, found {kind:?}",
                     allowed.join(", ")
                 )));
@@ -100,6 +100,7 @@ pub struct Outputs {
 }
 
 /// What was written.
+#[derive(Default)]
 pub struct Finished {
     /// The files, by their names.
     pub outputs: BTreeMap<String, OutputRecord>,
@@ -109,7 +110,7 @@ pub struct Finished {
 
 impl Outputs {
     /// Prepares the place: what an earlier run wrote there is removed, and an unwritable place is an error before any work.
-    pub fn create(place: &mut Place, emit: Emit) -> Result<Outputs, Failure> {
+    pub fn create(place: &mut Place, emit: Emit) -> Result<Outputs, Error> {
         place.hold()?;
         let destination = place.destination().clone();
         let mut made = Vec::new();
@@ -121,12 +122,12 @@ impl Outputs {
             }
             Destination::Video(path, format) => {
                 if emit.webp || emit.depth || emit.alpha || emit.exr || emit.ply || emit.tracks {
-                    return Err(Failure::usage(
+                    return Err(Error::usage(
                         "--emit: a video holds rgb alone, and a scene lies beside it; give --out a folder for the rest",
                     ));
                 }
                 if emit.scene && destination.container().is_none() {
-                    return Err(Failure::usage(format!(
+                    return Err(Error::usage(format!(
                         "--emit scene: expected a folder or an encoded video, beside which the scene lies, found --out {}",
                         path.display()
                     )));
@@ -180,9 +181,9 @@ impl Outputs {
     }
 
     /// Says that there is nothing behind the scene: colour images are written with their alpha.
-    pub fn keep_alpha(&mut self, keep: bool) -> Result<(), Failure> {
+    pub fn keep_alpha(&mut self, keep: bool) -> Result<(), Error> {
         if keep && matches!(self.destination, Destination::Video(..)) {
-            return Err(Failure::usage(
+            return Err(Error::usage(
                 "--background transparent: a video has no alpha; give --out a folder or a .png, .webp or .exr file",
             ));
         }
@@ -202,7 +203,7 @@ impl Outputs {
     }
 
     /// Goes on with results of which the first `length` bytes of the ledger in `folder` tell; each file must be as it was written.
-    pub fn resume(destination: Destination, emit: Emit, folder: PathBuf, length: u64) -> Result<Outputs, Failure> {
+    pub fn resume(destination: Destination, emit: Emit, folder: PathBuf, length: u64) -> Result<Outputs, Error> {
         let lines = ledger::read(&folder, length)?;
         let mut outputs = Outputs::new(destination, emit);
         if let Destination::Folder(folder) = &outputs.destination {
@@ -218,7 +219,7 @@ impl Outputs {
 
     /// Opens what is gone on with, `last` being the last whole interval, computed again: it must have come out as it was written. The
     /// record of the stopped run goes.
-    pub fn take_up(&mut self, fps: f64, last: &Interval, video: Option<&VideoPoint>) -> Result<(), Failure> {
+    pub fn take_up(&mut self, fps: f64, last: &Interval, video: Option<&VideoPoint>) -> Result<(), Error> {
         let files = match (&self.destination, video) {
             (Destination::Folder(folder), _) => {
                 prepare_kinds(folder, self.emit)?;
@@ -242,7 +243,7 @@ impl Outputs {
     }
 
     /// Makes the interval at hand one to go on from; `point` is completed with how far the files have come.
-    pub fn commit(&mut self, mut point: Point, resume: Option<&ResumePoint>) -> Result<(), Failure> {
+    pub fn commit(&mut self, mut point: Point, resume: Option<&ResumePoint>) -> Result<(), Error> {
         let Some(ledger) = &self.ledger else { return Ok(()) };
         point.ledger = ledger.length();
         if let Some(video) = &mut self.video {
@@ -276,7 +277,7 @@ impl Outputs {
     }
 
     /// Opens what needs the frame rate: that of the scene, and how images follow each other.
-    pub fn start(&mut self, fps: f64, pace: Pace) -> Result<(), Failure> {
+    pub fn start(&mut self, fps: f64, pace: Pace) -> Result<(), Error> {
         match &self.destination {
             Destination::Folder(folder) if self.emit.scene => {
                 self.scene = Some(SceneWriter::create(&folder.join("scene"), fps)?);
@@ -312,7 +313,7 @@ impl Outputs {
 
     /// Writes an interval of the scene with the times of its `frames`, and where its identities are, if these are wanted; `workers` code a
     /// container.
-    pub fn interval(&mut self, interval: &Interval, frames: &[f64], workers: &Workers) -> Result<(), Failure> {
+    pub fn interval(&mut self, interval: &Interval, frames: &[f64], workers: &Workers) -> Result<(), Error> {
         if self.emit.tracks {
             self.file(format!("tracks/interval-{:06}.csv", interval.index), export::tracks(interval).as_bytes())?;
         }
@@ -332,10 +333,10 @@ impl Outputs {
     }
 
     /// Writes an image under the number `index`, shown at `time` where that is a video's.
-    pub fn image(&mut self, index: usize, time: f64, image: Image) -> Result<(), Failure> {
+    pub fn image(&mut self, index: usize, time: f64, image: Image) -> Result<(), Error> {
         if self.emit.exr {
             let bytes = if self.alpha { transparent_exr(&image) } else { layered_exr(&image) };
-            self.file(format!("exr/{index:06}.exr"), &bytes.map_err(Failure::work)?)?;
+            self.file(format!("exr/{index:06}.exr"), &bytes.map_err(Error::work)?)?;
         }
         let Image { width, height, rgb, depth, alpha, .. } = image;
         let picture = Picture { width, height, rgb };
@@ -351,13 +352,13 @@ impl Outputs {
             self.file(format!("frames/{index:06}.png"), &bytes)?;
         }
         if emit.webp {
-            let bytes = picture_webp(&picture, alpha.as_deref().filter(|_| self.alpha)).map_err(Failure::work)?;
+            let bytes = picture_webp(&picture, alpha.as_deref().filter(|_| self.alpha)).map_err(Error::work)?;
             self.file(format!("frames/{index:06}.webp"), &bytes)?;
         }
         if emit.depth
             && let Some(depth) = &depth
         {
-            let bytes = depth_exr(width, height, depth, alpha.as_deref()).map_err(Failure::work)?;
+            let bytes = depth_exr(width, height, depth, alpha.as_deref()).map_err(Error::work)?;
             self.file(format!("depth/{index:06}.exr"), &bytes)?;
         }
         if emit.alpha
@@ -369,7 +370,7 @@ impl Outputs {
     }
 
     /// Writes the Gaussians of one time under the number `index`.
-    pub fn snapshot(&mut self, index: usize, snapshot: &Snapshot) -> Result<(), Failure> {
+    pub fn snapshot(&mut self, index: usize, snapshot: &Snapshot) -> Result<(), Error> {
         Ok(self.file(format!("ply/{index:06}.ply"), &export::ply(snapshot))?)
     }
 
@@ -387,7 +388,7 @@ impl Outputs {
     }
 
     /// Completes scene and video.
-    pub fn finish(mut self) -> Result<Finished, Failure> {
+    pub fn finish(mut self) -> Result<Finished, Error> {
         let mut notes = Vec::new();
         if let Some(scene) = self.scene.take()
             && let Some((name, written)) = scene.finish()?
@@ -446,14 +447,14 @@ fn prepare_kinds(folder: &Path, emit: Emit) -> Result<(), OutputError> {
 }
 
 /// An error unless `last` is the last of `intervals`, bit for bit.
-fn check_again(intervals: &[IntervalEntry], last: &Interval) -> Result<(), Failure> {
-    let bytes = to_safetensors(last).map_err(Failure::work)?;
+fn check_again(intervals: &[IntervalEntry], last: &Interval) -> Result<(), Error> {
+    let bytes = to_safetensors(last).map_err(Error::work)?;
     let found = Written::of(&bytes).blake3;
     match intervals.last() {
         Some(entry) if entry.blake3 == found => Ok(()),
         entry => {
             let expected = entry.map_or("none", |entry| entry.blake3.as_str());
-            Err(Failure::work(format!(
+            Err(Error::work(format!(
                 "--resume: interval {} computed again: expected the digest {expected}, found {found}; run again without --resume",
                 last.index
             )))
