@@ -12,8 +12,7 @@ use std::ffi::OsString;
 use std::io::Write;
 use std::process::ExitCode;
 
-use clap::Parser;
-use clap::error::ErrorKind;
+use clap::error::{ContextKind, ErrorKind};
 
 use command::{bench, compare, eval, export, forward, golden, inspect, manual, render, splat, track, verify, view};
 pub use console::failure::Failure;
@@ -28,7 +27,7 @@ pub fn main() -> ExitCode {
 
 /// Runs the program with these arguments, the first of which is its name, and gives its exit code.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
-    let cli = match Cli::try_parse_from(arguments) {
+    let cli = match Cli::read(arguments) {
         Ok(cli) => cli,
         Err(e) if matches!(e.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
             return finish(print(e.to_string().as_bytes()));
@@ -81,6 +80,15 @@ fn one_line(error: &clap::Error) -> String {
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         let commands = "run, render, eval, forward, splat, inspect, export, track, view, bench, verify, compare, golden, completions, man";
         return format!("expected a command ({commands}); see streamsplat --help");
+    }
+    if let (ErrorKind::ValueValidation, Some(option), Some(cause)) =
+        (error.kind(), error.get(ContextKind::InvalidArg), std::error::Error::source(error))
+    {
+        let option = option.to_string();
+        let option = option.split(' ').next().unwrap_or_default();
+        let (cause, value) = (cause.to_string(), error.get(ContextKind::InvalidValue).map(ToString::to_string));
+        let found = value.filter(|value| !cause.contains(value.as_str()));
+        return format!("{option}: {cause}{}", found.map(|value| format!(", found {value:?}")).unwrap_or_default());
     }
     let tip = text.lines().find_map(|line| line.trim().strip_prefix("tip: "));
     words.extend(tip.filter(|tip| tip.contains("similar")).map(|_| ";"));

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use pyo3::prelude::*;
+use streamsplat::run::options::Motion;
 use streamsplat::run::{Error, Machine, Observer, Run, RunOptions, Stop};
 
 use crate::failure::{failed, wrong};
@@ -65,6 +66,8 @@ fn assembled(input: PathBuf, options: Vec<(String, String)>) -> Result<Run, Erro
             "resume" => resume = flag()?,
             "overwrite" => overwrite = flag()?,
             "json" => json = Some(PathBuf::from(text)),
+            // The circle of a flag without a value.
+            "sway" if text == "true" => _ = all.set("sway", Motion::SWAY)?,
             _ if all.set(&name, &text)? || machine.set(&name, &text)? => {}
             _ => return Err(Error::usage(format!("{name}: expected an option of `streamsplat run`"))),
         }

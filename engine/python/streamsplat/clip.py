@@ -49,7 +49,7 @@ def reconstruct(
     a folder with `scene/`, `frames/` and `run.json`. `progress(done, total)` is called as frames are done; an exception in it, or Ctrl-C, ends the run after
     the interval at hand, and `resume=True` goes on from there.
     """
-    given = [(name, _text(name, value)) for name, value in options.items() if value is not None]
+    given = [(name, _text(name, value)) for name, value in options.items() if value is not None and value is not False]
     record = json.loads(_streamsplat.run(os.fspath(input), os.fspath(out), given, progress))
     work = record["work"]
     return Reconstruction(Path(out), record["input"]["count"], record["key_frames"], work, record)

@@ -1,10 +1,15 @@
 //! Depth of key frames, from files or from a network.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
+#[cfg(feature = "onnx")]
+use std::time::Instant;
 
-use crate::depth::{DepthMaps, DepthNetwork};
+use crate::depth::DepthMaps;
+#[cfg(feature = "onnx")]
+use crate::depth::DepthNetwork;
 use crate::picture::Picture;
 use crate::source::Source;
+#[cfg(feature = "onnx")]
 use crate::stream::Workers;
 use streamsplat_kernels::Level;
 
@@ -18,10 +23,12 @@ pub enum KeyDepth {
     /// Every frame has a file, which belongs to the input.
     Maps(DepthMaps),
     /// A network looks at key frames.
+    #[cfg(feature = "onnx")]
     Network(Box<Looker>),
 }
 
 /// A network, what it was shown last, and its account.
+#[cfg(feature = "onnx")]
 pub struct Looker {
     network: DepthNetwork,
     /// The latest frame's samples and its map, where a repeated frame is not shown again.
@@ -66,6 +73,13 @@ impl KeyDepth {
                 }
                 KeyDepth::Maps(maps)
             }
+            #[cfg(not(feature = "onnx"))]
+            DepthFrom::Network(path, _) => {
+                let _ = (level, reuse);
+                let message = "expected a build with the cargo feature onnx, found one without";
+                return Err(Error::usage(format!("--depth onnx:{}: {message}", path.display())));
+            }
+            #[cfg(feature = "onnx")]
             DepthFrom::Network(path, options) => {
                 // One thread, as the network itself: it works beside those of the engine.
                 let network = DepthNetwork::open(path, options.clone(), &Workers::new(level, 1)?)?;
@@ -80,7 +94,7 @@ impl KeyDepth {
     pub fn notes(&self) -> &[String] {
         match self {
             KeyDepth::Maps(maps) => maps.notes(),
-            KeyDepth::None | KeyDepth::Network(_) => &[],
+            _ => &[],
         }
     }
 
@@ -96,27 +110,31 @@ impl KeyDepth {
     pub fn of_file(&self, index: usize, picture: &Picture) -> Result<Option<Vec<f32>>, Error> {
         match self {
             KeyDepth::Maps(maps) => Ok(Some(maps.map(index, picture.width, picture.height)?)),
-            KeyDepth::None | KeyDepth::Network(_) => Ok(None),
+            _ => Ok(None),
         }
     }
 
     /// The network's map of a key frame.
     pub fn of_network(&mut self, picture: &Picture) -> Result<Option<Vec<f32>>, Error> {
-        match self {
-            KeyDepth::Network(looker) => looker.look(picture).map(Some),
-            KeyDepth::None | KeyDepth::Maps(_) => Ok(None),
+        #[cfg(feature = "onnx")]
+        if let KeyDepth::Network(looker) = self {
+            return looker.look(picture).map(Some);
         }
+        let _ = picture;
+        Ok(None)
     }
 
     /// Work done by the network; `None` where depth does not come from a network.
     pub fn account(&self) -> Option<NetworkAccount> {
         match self {
+            #[cfg(feature = "onnx")]
             KeyDepth::Network(looker) => Some(looker.account.clone()),
-            KeyDepth::None | KeyDepth::Maps(_) => None,
+            _ => None,
         }
     }
 }
 
+#[cfg(feature = "onnx")]
 impl Looker {
     fn look(&mut self, picture: &Picture) -> Result<Vec<f32>, Error> {
         let same_bits =

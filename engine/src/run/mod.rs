@@ -23,6 +23,7 @@ pub mod destination;
 pub mod digest;
 pub mod drawing;
 pub mod earlier;
+mod emit;
 mod error;
 pub mod keydepth;
 pub mod keyframes;
@@ -36,6 +37,8 @@ pub mod report;
 mod resume_state;
 mod session;
 mod terms;
+#[cfg(test)]
+mod tests;
 pub mod views;
 
 use std::path::{Path, PathBuf};
@@ -46,10 +49,11 @@ pub use observer::{Observer, Silent, Stop};
 pub use options::{Machine, RunOptions};
 pub use record::Record;
 
-use crate::Image;
 use crate::output::storage;
 use crate::source;
 use crate::stream::Interval;
+use crate::{Image, Size};
+use outputs::Emit;
 use place::Place;
 use record::{Build, check_name};
 use resume_state::Found;
@@ -125,7 +129,7 @@ impl Run {
     /// # Errors
     /// [`Error::Usage`] where the input has no name.
     pub fn out_named_after_input(self) -> Result<Run, Error> {
-        let out = named_after(&self.input, self.options.emit.as_deref())?;
+        let out = named_after(&self.input, self.options.emit)?;
         Ok(Run { out: Some(out), named: true, ..self })
     }
 
@@ -236,11 +240,10 @@ impl Run {
                 let scene = scene.display();
                 self.observer.notes(&[format!("{scene}: of another run, left as it is; this run's scene is not written (--emit rgb,scene --overwrite replaces it)")]);
             }
-            self.options.emit = Some(if taken { "rgb" } else { "rgb,scene" }.to_owned());
+            self.options.emit = Some(Emit { rgb: true, scene: !taken, ..Emit::default() });
         }
         let own = destination.is_some_and(Destination::is_video) && !self.options.stream.like_paper;
-        let size = if own { "source" } else { "model" };
-        self.options.view.size.get_or_insert_with(|| size.to_owned());
+        self.options.view.size.get_or_insert(if own { Size::Source } else { Size::Model });
     }
 }
 
@@ -308,7 +311,7 @@ fn refuse_others(
 ) -> Result<(), Error> {
     let out = destination.path().display();
     let record = destination.record().filter(|path| storage::regular(path).is_ok());
-    let wants_scene = options.emit.as_deref().is_some_and(|list| list.split(',').any(|kind| kind.trim() == "scene"));
+    let wants_scene = options.emit.is_some_and(|emit| emit.scene);
     if let Some(scene) = destination.container().filter(|scene| wants_scene && is_anothers(scene, destination)) {
         return Err(Error::usage(format!(
             "{}: expected a free place for the scene, found a file that no run to {out} wrote; --overwrite replaces it, --emit rgb leaves it",
@@ -328,7 +331,7 @@ fn refuse_others(
 }
 
 /// A place in the working directory, named after the input: a video where the input is an encoded one and images and scene are wanted alone, else a folder.
-fn named_after(input: &Path, emit: Option<&str>) -> Result<PathBuf, Error> {
+fn named_after(input: &Path, emit: Option<Emit>) -> Result<PathBuf, Error> {
     let stem = input.file_stem().filter(|_| input != Path::new("-"));
     let Some(stem) = stem else {
         return Err(Error::usage("--out: expected, as the input has no name to make one of"));

@@ -1,6 +1,6 @@
 //! Where results go: a folder, a video file, or standard output.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 
 use crate::Image;
@@ -17,63 +17,12 @@ use crate::stream::{Interval, ResumePoint, Workers};
 use crate::run::Error;
 pub use crate::run::destination::Destination;
 use crate::run::earlier::{remove_earlier, remove_file};
+pub use crate::run::emit::{Emit, UnknownOutput};
 use crate::run::ledger::Ledger;
 use crate::run::place::Place;
 use crate::run::record::OutputRecord;
 use crate::run::resume_state::Point;
-use crate::run::{ledger, resume_state};
-
-/// Kinds of output that exist.
-const KINDS: [&str; 8] = ["rgb", "webp", "depth", "alpha", "exr", "scene", "ply", "tracks"];
-
-/// Outputs selected by `--emit`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Emit {
-    /// Colour images or video.
-    pub rgb: bool,
-    /// Colour images as WebP without loss.
-    pub webp: bool,
-    /// Depth images.
-    pub depth: bool,
-    /// Alpha images.
-    pub alpha: bool,
-    /// Colour, depth and alpha as layers of one file.
-    pub exr: bool,
-    /// The scene.
-    pub scene: bool,
-    /// The Gaussians at each time as PLY files.
-    pub ply: bool,
-    /// Where every identity is at each key frame, as CSV.
-    pub tracks: bool,
-}
-
-impl Emit {
-    /// Reads a list; `allowed` are the kinds the command knows.
-    pub fn parse(list: &str, allowed: &[&str]) -> Result<Emit, Error> {
-        let kinds: BTreeSet<&str> = list.split(',').map(str::trim).collect();
-        for kind in &kinds {
-            if !allowed.contains(kind) || !KINDS.contains(kind) {
-                return Err(Error::usage(format!(
-                    "--emit {list}: expected a list of {}, found {kind:?}",
-                    allowed.join(", ")
-                )));
-            }
-        }
-        let has = |kind| kinds.contains(kind);
-        let [rgb, webp, depth, alpha, exr, scene, ply, tracks] = KINDS.map(has);
-        Ok(Emit { rgb, webp, depth, alpha, exr, scene, ply, tracks })
-    }
-
-    /// Returns true if any images are drawn.
-    pub fn draws(&self) -> bool {
-        self.rgb || self.webp || self.depth || self.alpha || self.exr
-    }
-
-    /// The planes beside colour that must be drawn: depth and alpha.
-    pub fn planes(&self) -> [bool; 2] {
-        [self.depth || self.exr, self.depth || self.alpha || self.exr]
-    }
-}
+use crate::run::{emit, ledger, resume_state};
 
 /// Writes results and remembers their digests.
 pub struct Outputs {
@@ -117,11 +66,11 @@ impl Outputs {
         match &destination {
             Destination::Folder(folder) => {
                 remove_earlier(folder)?;
-                made.extend(kinds(emit).map(|name| folder.join(name)).filter(|path| !path.exists()));
+                made.extend(emit.folders().into_iter().map(|name| folder.join(name)).filter(|path| !path.exists()));
                 prepare_kinds(folder, emit)?;
             }
             Destination::Video(path, format) => {
-                if emit.webp || emit.depth || emit.alpha || emit.exr || emit.ply || emit.tracks {
+                if emit != (Emit { rgb: emit.rgb, scene: emit.scene, ..Emit::default() }) {
                     return Err(Error::usage(
                         "--emit: a video holds rgb alone, and a scene lies beside it; give --out a folder for the rest",
                     ));
@@ -259,7 +208,7 @@ impl Outputs {
     fn sync_folders(&self) -> Result<(), OutputError> {
         let folders = match &self.destination {
             Destination::Folder(folder) => {
-                let mut all: Vec<PathBuf> = kinds(self.emit).map(|name| folder.join(name)).collect();
+                let mut all: Vec<PathBuf> = self.emit.folders().into_iter().map(|name| folder.join(name)).collect();
                 all.push(folder.clone());
                 all
             }
@@ -414,10 +363,9 @@ impl Outputs {
             self.written
                 .insert(name, OutputRecord { bytes, blake3, samples: Some(finished.samples), outside_contract: false });
         }
-        let drawn = |name: &str| ["frames/", "depth/", "alpha/"].iter().any(|folder| name.starts_with(folder));
         self.sync_folders()?;
         for (name, record) in self.written.iter_mut().filter(|_| self.outside) {
-            record.outside_contract = record.samples.is_some() || drawn(name);
+            record.outside_contract = record.samples.is_some() || emit::is_drawn(name);
         }
         Ok(Finished { outputs: self.written, notes })
     }
@@ -428,22 +376,8 @@ pub fn is_inside(name: &str) -> bool {
     !name.is_empty() && Path::new(name).components().all(|c| matches!(c, Component::Normal(_)))
 }
 
-/// The folders of what is asked for, by their names.
-fn kinds(emit: Emit) -> impl Iterator<Item = &'static str> {
-    let kinds = [
-        (emit.rgb || emit.webp, "frames"),
-        (emit.depth, "depth"),
-        (emit.alpha, "alpha"),
-        (emit.exr, "exr"),
-        (emit.ply, "ply"),
-        (emit.tracks, "tracks"),
-        (emit.scene, "scene"),
-    ];
-    kinds.into_iter().filter(|(wanted, _)| *wanted).map(|(_, name)| name)
-}
-
 fn prepare_kinds(folder: &Path, emit: Emit) -> Result<(), OutputError> {
-    kinds(emit).try_for_each(|name| prepare_subfolder(&folder.join(name)))
+    emit.folders().into_iter().try_for_each(|name| prepare_subfolder(&folder.join(name)))
 }
 
 /// An error unless `last` is the last of `intervals`, bit for bit.

@@ -12,7 +12,6 @@ use serde::{Deserialize, Serialize};
 use crate::run::Error;
 use crate::run::digest;
 use crate::run::options::RunOptions;
-use crate::run::options::machine;
 
 /// Longest record read, in bytes.
 const MAX_RECORD: u64 = 1 << 28;
@@ -247,11 +246,19 @@ impl Timing {
         Timing {
             total: start.elapsed().as_secs_f64(),
             seconds,
-            peak_resident_bytes: machine::peak_resident_bytes(),
+            peak_resident_bytes: peak_resident_bytes(),
             threads: workers.threads(),
             isa: workers.level().name().to_owned(),
         }
     }
+}
+
+/// The most memory this process has held, in bytes, where the system has the number.
+fn peak_resident_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: u64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(kilobytes * 1024)
 }
 
 /// The engine's account over a run, parts of which earlier processes may have done.
@@ -348,8 +355,8 @@ mod tests {
             outside_contract,
         };
         let run = RunOptions {
-            stream: StreamOptions { gap: Some("auto:3-12:38".to_owned()), ..StreamOptions::default() },
-            view: ViewOptions { size: Some("64x48".to_owned()), ..ViewOptions::default() },
+            stream: StreamOptions { gap: "auto".parse().ok(), ..StreamOptions::default() },
+            view: ViewOptions { size: "64x48".parse().ok(), ..ViewOptions::default() },
             frames: Some(9),
             ..RunOptions::default()
         };

@@ -1,6 +1,6 @@
 //! A run under way: key frames through the engine, intervals to images, results to where they go.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use super::ahead::Ahead;
@@ -10,8 +10,7 @@ use super::destination::Destination;
 use super::drawing::Drawing;
 use super::keydepth::KeyDepth;
 use super::keyframes::{Keep, KeyFrames};
-use super::options::settings::choice_or_default;
-use super::options::{Machine, RunOptions};
+use super::options::{Machine, NamedMatrix, RunOptions};
 use super::outputs::{Emit, Finished, Outputs};
 use super::place::Place;
 use super::record::{Account, Build, Invocation, NetworkRecord, PROGRAM, Record, Timing, WorkRecord};
@@ -25,9 +24,6 @@ use crate::render::Snapshot;
 use crate::source::{self, Source};
 use crate::stream::{Interval, MotionFrom, ResumePoint, Reuse};
 use crate::{Engine, Image};
-
-/// Kinds of output that `run` has.
-const KINDS: [&str; 7] = ["rgb", "depth", "alpha", "exr", "scene", "ply", "tracks"];
 
 /// What a run is made of.
 pub(super) struct Task {
@@ -102,12 +98,14 @@ impl Session {
         }
         let mut views = options.view.resolve()?;
         views.refuse_still()?;
-        let gap = options.stream.gap()?;
+        let gap = options.stream.gap();
         let depth = options.stream.depth_from()?;
-        let fit = choice_or_default("--fit", options.fit.as_deref())?;
-        let settings = options.stream.settings(fit, machine)?;
-        let emit = match (&options.emit, destination) {
-            (Some(list), _) => Emit::parse(list, &KINDS)?,
+        let settings = options.stream.settings(options.fit.unwrap_or_default(), machine)?;
+        let emit = match (options.emit, destination) {
+            (Some(emit), _) => {
+                emit.check(|kind| kind.of_run)?;
+                emit
+            }
             (None, Some(Destination::Folder(_))) => Emit { rgb: true, scene: true, ..Emit::default() },
             (None, _) => Emit { rgb: true, ..Emit::default() },
         };
@@ -115,7 +113,10 @@ impl Session {
         if options.fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) || options.frames == Some(0) {
             return Err(Error::usage("--fps and --frames: expected numbers above 0"));
         }
-        let source = Source::open(input, &source::Options { fps: options.fps, matrix: options.matrix()? })?;
+        let source = Source::open(
+            input,
+            &source::Options { fps: options.fps, matrix: options.matrix.map(NamedMatrix::matrix) },
+        )?;
         options.motion.follow(&mut views, source.fps())?;
         observer.notes(source.notes());
         let noted = source.notes().len();
@@ -137,7 +138,7 @@ impl Session {
             // Fails here if there is no adapter.
             Drawing::new(&machine.workers()?, views.backend)?;
         }
-        let depth = KeyDepth::open(&depth, &source, machine.level()?, reuse, options.frames)?;
+        let depth = KeyDepth::open(&depth, &source, machine.level(), reuse, options.frames)?;
         observer.notes(depth.notes());
         observer.opened(source.fps())?;
         let terms = |options: &RunOptions| Terms::given(options, &options.stream.model.record()?, program);
@@ -432,7 +433,7 @@ impl Session {
         }
         let options = with_absolute_paths(&task.options);
         let network = options.stream.depth_network().zip(read.network.as_ref());
-        let depth = network.map(|(file, network)| NetworkRecord::of(Path::new(file), &network.runtime)).transpose()?;
+        let depth = network.map(|(file, network)| NetworkRecord::of(file, &network.runtime)).transpose()?;
         let record = Record {
             program: PROGRAM.to_owned(),
             version: env!("CARGO_PKG_VERSION").to_owned(),

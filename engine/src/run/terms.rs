@@ -1,13 +1,11 @@
 //! Terms of a run: the program, options and model, which determine its output together with the input.
 
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::run::Error;
 use crate::run::digest;
-use crate::run::options::RunOptions;
+use crate::run::options::{DepthSource, RunOptions};
 use crate::run::record::{Build, ModelRecord, NetworkRecord, Record, absolute};
 
 /// Options whose files are compared by their content instead.
@@ -40,7 +38,7 @@ impl Terms {
             options: serde_json::to_value(with_absolute_paths(options)).map_err(Error::work)?,
             model: model.clone(),
             camera: options.view.camera.as_deref().map(digest::file).transpose()?,
-            network: network.map(|file| NetworkRecord::digest(Path::new(file))).transpose()?,
+            network: network.map(NetworkRecord::digest).transpose()?,
         })
     }
 
@@ -107,11 +105,9 @@ pub fn with_absolute_paths(options: &RunOptions) -> RunOptions {
     for path in [&mut options.stream.model.model, &mut options.stream.model.dinov2, &mut options.view.camera] {
         *path = path.as_deref().map(absolute);
     }
-    options.stream.depth = options.stream.depth.map(|depth| match depth.strip_prefix("onnx:") {
-        Some(network) => format!("onnx:{}", absolute(Path::new(network)).display()),
-        None if ["none", "auto"].contains(&depth.as_str()) => depth,
-        None => absolute(Path::new(&depth)).display().to_string(),
-    });
+    if let Some(DepthSource::Folder(path) | DepthSource::Network(path)) = &mut options.stream.depth {
+        *path = absolute(path);
+    }
     options
 }
 

@@ -1,14 +1,12 @@
 //! What images show, and how: times, cameras, size, background.
 
 use super::Error;
-use super::options::ViewOptions;
 use super::options::motion::Course;
-use super::options::settings::choice;
+use super::options::{Background, Times, ViewOptions};
 use crate::camera::{self, CameraFile, CameraPath};
 use crate::import::FormatError;
 use crate::render::Backend;
 use crate::{RenderOptions, Size};
-use streamsplat_kernels::raster;
 
 /// Options of the images, their times and their cameras.
 #[derive(Clone, Debug)]
@@ -105,13 +103,18 @@ struct Cameras {
 
 impl ViewOptions {
     /// Checks everything that can be checked before work is spent.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for options that cannot be, [`Error::Camera`] for a camera's file.
     pub fn resolve(&self) -> Result<Views, Error> {
-        let transparent = self.background == "transparent";
-        let background = if transparent { [0.0; 3] } else { self.background()? };
-        let size = self.size()?;
+        let (background, transparent) = match self.background {
+            Background::Colour(colour) => (colour, false),
+            Background::Transparent => ([0.0; 3], true),
+        };
+        let size = self.size.unwrap_or_default();
         let Cameras { path: camera, sizes: own_sizes, rate: own_rate } = self.cameras(size)?;
         let options = RenderOptions { size, background, ..RenderOptions::default() };
-        let times = self.times.as_deref().map(times).transpose()?;
+        let times = self.times.as_ref().map(Times::list);
         let backend = self.backend()?;
         Ok(Views { options, camera, times, backend, own_sizes, own_rate, transparent, ..Views::own() })
     }
@@ -155,99 +158,12 @@ impl ViewOptions {
     }
 
     fn backend(&self) -> Result<Backend, Error> {
-        let Some(name) = &self.renderer else { return Ok(Backend::Cpu) };
-        let backend: Backend = choice("--renderer", name)?;
+        let backend = self.renderer.unwrap_or_default();
         if !backend.is_built_in() {
             return Err(Error::usage(format!(
-                "--renderer {name}: expected a program built with the cargo feature {name} (cargo build --release --features {name}), found one without"
+                "--renderer {backend}: expected a program built with the cargo feature {backend} (cargo build --release --features {backend}), found one without"
             )));
         }
         Ok(backend)
-    }
-
-    fn size(&self) -> Result<Size, Error> {
-        let text = self.size.as_deref().unwrap_or("model");
-        match text {
-            "model" => return Ok(Size::Model),
-            "source" => return Ok(Size::Source),
-            _ => {}
-        }
-        let side = |text: &str| text.parse().ok().filter(|side| (1..=raster::MAX_SIDE).contains(side));
-        let sides = text.split_once('x').and_then(|(w, h)| side(w).zip(side(h)));
-        sides.map(|(width, height)| Size::Exact { width, height }).ok_or_else(|| {
-            let most = raster::MAX_SIDE;
-            Error::usage(format!("--size {text}: expected model, source or WIDTHxHEIGHT up to {most} a side"))
-        })
-    }
-
-    fn background(&self) -> Result<[f32; 3], Error> {
-        let parts: Option<Vec<f32>> = self.background.split(',').map(|part| part.trim().parse().ok()).collect();
-        let inside = |v: &[f32]| v.iter().all(|c| (0.0..=1.0).contains(c));
-        match parts.as_deref() {
-            Some([grey]) if inside(&[*grey]) => Ok([*grey; 3]),
-            Some([r, g, b]) if inside(&[*r, *g, *b]) => Ok([*r, *g, *b]),
-            _ => Err(Error::usage(format!(
-                "--background {}: expected one number or R,G,B, each from 0 to 1",
-                self.background
-            ))),
-        }
-    }
-}
-
-/// `a,b,c` or `start:end:count`, ascending seconds.
-pub fn times(text: &str) -> Result<Vec<f64>, Error> {
-    let wrong = |what: &str| Error::usage(format!("--times {text}: expected {what}"));
-    let number = |part: &str| part.trim().parse::<f64>().ok().filter(|t| t.is_finite());
-    if text.contains(':') {
-        let parts: Vec<&str> = text.split(':').collect();
-        let [start, end, count] = parts[..] else { return Err(wrong("START:END:COUNT")) };
-        let count: Option<usize> = count.trim().parse().ok().filter(|n| (1..=1_000_000).contains(n));
-        return match (number(start), number(end), count) {
-            (Some(start), Some(end), Some(1)) if start <= end => Ok(vec![start]),
-            (Some(start), Some(end), Some(n)) if start <= end => {
-                let step =
-                    |i: usize| if i + 1 == n { end } else { start + (end - start) * (i as f64 / (n - 1) as f64) };
-                Ok((0..n).map(step).collect())
-            }
-            _ => Err(wrong("START:END:COUNT with START ≤ END in seconds and COUNT from 1 to 1000000")),
-        };
-    }
-    let times: Option<Vec<f64>> = text.split(',').map(number).collect();
-    match times {
-        Some(times) if times.windows(2).all(|pair| pair[0] <= pair[1]) => Ok(times),
-        Some(_) => Err(wrong("ascending times")),
-        None => Err(wrong("seconds separated by commas, or START:END:COUNT")),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn times_are_lists_or_ranges() {
-        assert_eq!(times("0,0.5,2").ok(), Some(vec![0.0, 0.5, 2.0]));
-        assert_eq!(times("0:1:3").ok(), Some(vec![0.0, 0.5, 1.0]));
-        assert_eq!(times("0:0.3:1").ok(), Some(vec![0.0]));
-        for wrong in ["", "1,0", "nan", "0:1", "1:0:4", "0:1:0", "0;1"] {
-            assert!(matches!(times(wrong), Err(Error::Usage(_))), "{wrong}");
-        }
-    }
-
-    #[test]
-    fn sizes_and_backgrounds_outside_their_range_are_wrong_use() {
-        let view = |size: &str, background: &str| ViewOptions {
-            size: Some(size.into()),
-            background: background.into(),
-            ..ViewOptions::default()
-        };
-        let views = view("640x360", "0,0.5,1").resolve().expect("valid");
-        assert_eq!(views.options.size, Size::Exact { width: 640, height: 360 });
-        assert_eq!(views.options.background, [0.0, 0.5, 1.0]);
-        for (size, background) in
-            [("0x4", "0"), ("big", "0"), ("4x", "0"), ("4x99999999", "0"), ("model", "2"), ("model", "0,1")]
-        {
-            assert!(matches!(view(size, background).resolve(), Err(Error::Usage(_))), "{size} {background}");
-        }
     }
 }

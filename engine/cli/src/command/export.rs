@@ -16,7 +16,7 @@ use crate::console::progress::Progress;
 use crate::console::{Console, say};
 use crate::options::args::ExportArgs;
 use crate::options::times;
-use streamsplat::run::views;
+use streamsplat::run::options::Times;
 
 /// A format of files.
 #[derive(Clone, Copy)]
@@ -94,7 +94,7 @@ fn options(args: &ExportArgs, format: Format) -> Result<Options, Failure> {
 pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     console.listen();
     let format = Format::asked(args.format.as_deref(), &args.out)?;
-    let asked = args.times.as_deref().map(views::times).transpose()?;
+    let asked = args.times.as_ref().map(Times::list);
     times::check_rate(args.fps)?;
     let options = options(args, format)?;
     let workers = args.machine.workers()?;

@@ -44,7 +44,7 @@ pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     // Held until everything is written.
     let mut place = Place::new(Destination::asked(&args.out)?);
     let mut options = args.options.clone();
-    options.view.size.get_or_insert_with(|| "model".to_owned());
+    options.view.size.get_or_insert(Size::Model);
     let record = render(&args.scene, &mut place, &options, &args.machine, console)?;
     report::finish(&record, Some(place.destination()), args.json.as_deref())?;
     if !console.quiet && args.out != Path::new("-") {
@@ -98,12 +98,12 @@ fn several(args: &RenderArgs, console: &Console) -> Result<bool, Failure> {
 /// Renders one image into a folder that goes away, and gives it the name that was asked for.
 fn single(args: &RenderArgs, kind: Single, console: &Console) -> Result<(), Failure> {
     let (name, emit) = match kind {
-        Single::Png => ("frames/000000.png", "rgb"),
-        Single::Exr => ("exr/000000.exr", "exr"),
-        Single::WebP => ("frames/000000.webp", "webp"),
+        Single::Png => ("frames/000000.png", Emit { rgb: true, ..Emit::default() }),
+        Single::Exr => ("exr/000000.exr", Emit { exr: true, ..Emit::default() }),
+        Single::WebP => ("frames/000000.webp", Emit { webp: true, ..Emit::default() }),
     };
     let mut options = args.options.clone();
-    if let Some(list) = options.emit.replace(emit.to_owned())
+    if let Some(list) = options.emit.replace(emit)
         && list != emit
     {
         return Err(Failure::usage(format!("--emit {list}: expected {emit} or nothing, as --out is a single file")));
@@ -169,10 +169,8 @@ pub fn render(
 ) -> Result<Record, Failure> {
     let start = Instant::now();
     let mut views = options.views()?;
-    let emit = match &options.emit {
-        Some(list) => Emit::parse(list, &["rgb", "webp", "depth", "alpha", "exr"])?,
-        None => Emit { rgb: true, ..Emit::default() },
-    };
+    let emit = options.emit.unwrap_or(Emit { rgb: true, ..Emit::default() });
+    emit.check(|kind| kind.drawn)?;
     [views.options.depth, views.options.alpha] = emit.planes();
     views.options.alpha |= views.transparent;
     if let Size::Exact { width, height } = views.options.size

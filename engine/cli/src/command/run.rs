@@ -40,11 +40,12 @@ pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     let destination = Destination::of(&out);
     if !console.quiet && out != Path::new("-") {
         say(report::summary(&record, &out))?;
-        // The scene in the folder, or beside the video.
-        let scene = destination.container().unwrap_or_else(|| out.clone());
+        // The scene beside the video, or in the folder.
+        let scene = destination.container().unwrap_or_else(|| out.join("scene"));
         let name = scene.file_name().unwrap_or_default().to_string_lossy();
         let written = |file: &String| file.starts_with("scene/") || **file == *name;
         if record.complete && record.outputs.keys().any(written) {
+            let scene = destination.container().unwrap_or_else(|| out.clone());
             say(format!("Next: streamsplat view {}", scene.display()))?;
         }
     }

@@ -21,10 +21,11 @@ use crate::console::progress::Progress;
 use crate::console::{Console, say};
 use crate::options::args::{ExportArgs, RenderOptions};
 use streamsplat::run::drawing::Drawing;
+use streamsplat::run::options::Times;
 use streamsplat::run::outputs::{Emit, Finished, Outputs};
 use streamsplat::run::place::Place;
 use streamsplat::run::record::{InputRecord, Record, absolute};
-use streamsplat::run::views::{self, Views};
+use streamsplat::run::views::Views;
 
 /// Frames per second of a video of a scene that has no time.
 const FPS: f64 = 24.0;
@@ -86,7 +87,7 @@ impl Plan {
         }
         if options.view.camera.is_some() {
             if views.options.size == Size::Model && views.own_sizes.is_empty() {
-                let size = options.view.size.as_deref().unwrap_or("model");
+                let size = views.options.size;
                 return Err(Failure::usage(format!(
                     "--size {size}: expected WIDTHxHEIGHT; {kind}, and the camera file says no size either"
                 )));
@@ -258,7 +259,7 @@ pub fn export(
     console: &Console,
 ) -> Result<(), Failure> {
     let kind = format!("{} is a still scene ({})", file.path.display(), file.format);
-    let asked = args.times.as_deref().map(views::times).transpose()?;
+    let asked = args.times.as_ref().map(Times::list);
     if args.fps.is_some() || asked.is_some() && file.in_time.is_none() {
         return Err(Failure::usage(format!("--times, --fps: expected neither; {kind}, which has no time")));
     }

@@ -9,7 +9,7 @@ use crate::command::render;
 use crate::console::failure::Failure;
 use crate::console::{Console, say, version};
 use crate::options::args::VerifyArgs;
-use streamsplat::run::outputs::{Destination, is_inside};
+use streamsplat::run::outputs::{Destination, Emit, is_inside};
 use streamsplat::run::place::Place;
 use streamsplat::run::record::{Invocation, Record};
 use streamsplat::run::{digest, report};
@@ -70,9 +70,9 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
             }
             if outside > 0 {
                 // What a graphics card drew is left out.
-                let kinds = ["scene", "ply", "tracks"];
-                let has = |kind: &&str| record.outputs.keys().any(|name| name.starts_with(&format!("{kind}/")));
-                options.emit = Some(kinds.into_iter().filter(has).collect::<Vec<_>>().join(","));
+                let has = |folder: &str| record.outputs.keys().any(|name| name.starts_with(folder));
+                let (scene, ply, tracks) = (has("scene/"), has("ply/"), has("tracks/"));
+                options.emit = Some(Emit { scene, ply, tracks, ..Emit::default() });
                 options.view.renderer = None;
             }
             let run = Run::new(input, *options).machine(args.machine.clone()).program(version::commit());

@@ -1,12 +1,18 @@
 //! Arguments of the command line.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use serde::{Deserialize, Serialize};
+use streamsplat::Size;
+use streamsplat::fit::Fit;
 use streamsplat::import::Limits;
-use streamsplat::run::options::{Machine, Motion, RunOptions, StreamOptions, ViewOptions};
+use streamsplat::render::Backend;
+use streamsplat::run::options::{self, Machine, Motion, NamedMatrix, RunOptions, StreamOptions, Times, ViewOptions};
+use streamsplat::run::outputs::Emit;
 use streamsplat::still::Axes;
+use streamsplat_model::Precision;
 
 use crate::console::Console;
 use crate::console::failure::Failure;
@@ -21,6 +27,34 @@ pub struct Cli {
     pub command: Command,
     #[command(flatten)]
     pub console: Console,
+}
+
+impl Cli {
+    /// The command line, with the defaults that presets have in the help of their options.
+    pub fn with_defaults() -> clap::Command {
+        let fill = |command: clap::Command| {
+            options::defaults().into_iter().fold(command, |command, (name, default)| {
+                let id = name.replace('-', "_");
+                if !command.get_arguments().any(|argument| *argument.get_id() == id) {
+                    return command;
+                }
+                command.mut_arg(id, |argument| {
+                    let help = argument.get_help().map(ToString::to_string).unwrap_or_default();
+                    // What has a default of its own shows that.
+                    if help.contains("[default") || !argument.get_default_values().is_empty() {
+                        return argument;
+                    }
+                    argument.help(format!("{help} [default: {default}]"))
+                })
+            })
+        };
+        ["run", "eval"].into_iter().fold(Cli::command(), |cli, name| cli.mut_subcommand(name, fill))
+    }
+
+    /// Reads a command line, the first word of which is the program's name.
+    pub fn read(arguments: impl IntoIterator<Item = OsString>) -> Result<Cli, clap::Error> {
+        Cli::from_arg_matches(&Cli::with_defaults().try_get_matches_from(arguments)?)
+    }
 }
 
 #[derive(Subcommand)]
@@ -129,7 +163,8 @@ pub struct RenderOptions {
     pub crf: Option<u8>,
     /// Outputs: rgb, webp (colours without loss), depth, alpha, exr (colour, depth and alpha as layers of one file) [default: rgb]
     #[arg(long, value_name = "LIST")]
-    pub emit: Option<String>,
+    #[serde(default, with = "streamsplat::run::options::text")]
+    pub emit: Option<Emit>,
     /// Let what is smaller than a pixel get fainter in place of larger, as scenes that were trained with anti-aliasing ask for (Mip-Splatting's
     /// 2D filter, "antialiased" in gsplat): on, off, or auto, where the file has a mark of such training [default: auto; on without a MODE]
     #[arg(long, value_name = "MODE", num_args = 0..=1, default_value = "auto", default_missing_value = "on", hide_default_value = true)]
@@ -207,23 +242,23 @@ pub struct EvalArgs {
     #[arg(long)]
     pub seen: bool,
     /// Fit of frames into the model's input: stretch or letterbox
-    #[arg(long, value_name = "MODE", default_value = "stretch")]
-    pub fit: String,
+    #[arg(long, value_name = "MODE", default_value_t = Fit::Stretch)]
+    pub fit: Fit,
     /// Frames per second of the input [default: its own, or 24]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
     /// Matrix of the input's luma and chroma, as for run
     #[arg(long, value_name = "NAME")]
-    pub matrix: Option<String>,
+    pub matrix: Option<NamedMatrix>,
     /// Size of the images that are compared at 256x256: model, source or WIDTHxHEIGHT; PSNR at the source's own size is measured as well
-    #[arg(long, value_name = "SIZE", default_value = "model")]
-    pub size: String,
+    #[arg(long, value_name = "SIZE", default_value_t = Size::Model)]
+    pub size: Size,
     /// LPIPS as well, by this ONNX file: two images in [-1,1] in, one number out; run by ONNX Runtime
     #[arg(long, value_name = "FILE")]
     pub lpips_model: Option<PathBuf>,
     /// Renderer: cpu, or wgpu (a graphics card) [default: cpu]
     #[arg(long, value_name = "NAME")]
-    pub renderer: Option<String>,
+    pub renderer: Option<Backend>,
     #[command(flatten)]
     pub machine: Machine,
     /// Write the figures here
@@ -243,8 +278,8 @@ pub struct ForwardArgs {
     #[arg(long, value_name = "FILE")]
     pub output: PathBuf,
     /// Arithmetic of the large matrix products: f32, bf16 or int8
-    #[arg(long, value_name = "MODE", default_value = "f32")]
-    pub precision: String,
+    #[arg(long, value_name = "MODE", default_value_t = Precision::F32)]
+    pub precision: Precision,
     #[command(flatten)]
     pub machine: Machine,
 }
@@ -287,7 +322,7 @@ pub struct ExportArgs {
     pub out: PathBuf,
     /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
-    pub times: Option<String>,
+    pub times: Option<Times>,
     /// Files per second of the scene, where no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
@@ -314,7 +349,7 @@ pub struct TrackArgs {
     pub point: String,
     /// Times of the path in seconds: a list or START:END:COUNT [default: the input's own frame times, and T]
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
-    pub times: Option<String>,
+    pub times: Option<Times>,
     /// Points per second of the scene, where no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,

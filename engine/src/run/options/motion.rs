@@ -3,7 +3,7 @@
 use crate::camera::turn::{Angles, Turn};
 
 use crate::run::Error;
-use crate::run::options::Motion;
+use crate::run::options::{Motion, Swing};
 use crate::run::views::Views;
 
 /// Seconds of a motion of which only the angle is said.
@@ -105,15 +105,16 @@ impl Asked {
 }
 
 impl Motion {
+    /// The circle of `--sway` without a value, in degrees.
+    pub const SWAY: &str = "4";
+
     fn asked(&self) -> Result<Option<Asked>, Error> {
-        if let Some(text) = &self.orbit {
-            let (degrees, seconds) = angle("--orbit", text)?;
+        if let Some(Swing { degrees, seconds }) = self.orbit {
             return Ok(Some(Asked::Orbit(degrees, seconds)));
         }
-        if let Some(text) = &self.sway {
-            let (degrees, seconds) = angle("--sway", text)?;
+        if let Some(swing @ Swing { degrees, seconds }) = self.sway {
             if !(degrees > 0.0 && degrees <= WIDEST) {
-                return Err(Error::usage(format!("--sway {text}: expected more than 0 and at most {WIDEST} degrees")));
+                return Err(Error::usage(format!("--sway {swing}: expected more than 0 and at most {WIDEST} degrees")));
             }
             return Ok(Some(Asked::Sway(degrees, seconds)));
         }
@@ -184,23 +185,12 @@ impl Motion {
     }
 }
 
-/// `DEGREES` or `DEGREES:SECONDS`.
-fn angle(option: &str, text: &str) -> Result<(f64, Option<f64>), Error> {
-    let (degrees, seconds) = text.split_once(':').map_or((text, None), |(d, s)| (d, Some(s)));
-    let number = |text: &str| text.trim().parse::<f64>().ok().filter(|x| x.is_finite());
-    match (number(degrees), seconds.map(number)) {
-        (Some(degrees), None) => Ok((degrees, None)),
-        (Some(degrees), Some(Some(seconds))) => Ok((degrees, Some(seconds))),
-        _ => Err(Error::usage(format!("{option} {text}: expected DEGREES or DEGREES:SECONDS"))),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn sway(text: &str) -> Motion {
-        Motion { sway: Some(text.to_owned()), ..Motion::default() }
+        Motion { sway: Some(text.parse().expect("an angle")), ..Motion::default() }
     }
 
     #[test]
@@ -223,7 +213,7 @@ mod tests {
             motion.along(&mut views, &mut due, |time| time, 8.0).expect("valid");
             views.course
         };
-        let orbit = Motion { orbit: Some("20".to_owned()), ..Motion::default() };
+        let orbit = Motion { orbit: Some("20".parse().expect("an angle")), ..Motion::default() };
         assert_eq!(course(&orbit, 81), Some(Course::Running(Turn::Orbit { degrees: 20.0, seconds: 10.0 })));
         // 80 images of an eighth of a second: ten seconds, in which two circles or three come nearest to 4 seconds each.
         let Some(Course::Running(Turn::Sway { seconds, .. })) = course(&sway("4"), 80) else { panic!("a circle") };
@@ -246,7 +236,10 @@ mod tests {
     #[test]
     fn what_is_no_motion_is_wrong_use() {
         let mut views = Views::own();
-        for text in ["", "a", "4:", "4:x", "nan", "0", "-3", "81", "4:0", "4:-1", "4:inf"] {
+        for text in ["", "a", "4:", "4:x", "nan", "4:inf"] {
+            assert!(text.parse::<Swing>().is_err(), "{text}");
+        }
+        for text in ["0", "-3", "81", "4:0", "4:-1"] {
             assert!(matches!(sway(text).follow(&mut views, 24.0), Err(Error::Usage(_))), "{text}");
         }
         for distance in [0.0, -1.0, 1.5, f64::NAN] {
