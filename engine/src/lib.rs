@@ -51,6 +51,7 @@ pub mod parallax;
 pub mod picture;
 pub mod recognise;
 pub mod render;
+pub mod run;
 pub mod samples;
 pub mod scene;
 pub mod source;

@@ -7,20 +7,17 @@
 mod command;
 mod console;
 mod options;
-mod output;
-mod session;
 
 use std::ffi::OsString;
 use std::io::Write;
 use std::process::ExitCode;
 
-use clap::Parser;
-use clap::error::ErrorKind;
+use clap::error::{ContextKind, ErrorKind};
 
 use command::{bench, compare, eval, export, forward, golden, inspect, manual, render, splat, track, verify, view};
-pub use console::Observer;
 pub use console::failure::Failure;
-use console::{Console, print, trace};
+pub use console::version::commit;
+use console::{print, trace};
 use options::args::{Cli, Command};
 
 /// Runs the program with the process's arguments.
@@ -30,7 +27,7 @@ pub fn main() -> ExitCode {
 
 /// Runs the program with these arguments, the first of which is its name, and gives its exit code.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
-    let cli = match Cli::try_parse_from(arguments) {
+    let cli = match Cli::read(arguments) {
         Ok(cli) => cli,
         Err(e) if matches!(e.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
             return finish(print(e.to_string().as_bytes()));
@@ -62,18 +59,6 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     })
 }
 
-/// Runs `streamsplat run` with these arguments inside another program, which is told of progress and can stop it, and gives the run's record in JSON.
-///
-/// # Errors
-/// Those of the program. Nothing is said beside them.
-pub fn reconstruct(arguments: impl IntoIterator<Item = OsString>, observer: Observer) -> Result<String, Failure> {
-    let words = ["streamsplat", "run", "--quiet"].map(OsString::from);
-    let cli = Cli::try_parse_from(words.into_iter().chain(arguments)).map_err(|e| Failure::Usage(one_line(&e)))?;
-    let Command::Run(args) = &cli.command else { return Err(Failure::usage("expected the options of `run`")) };
-    let console = Console { observer: Some(observer), ..cli.console };
-    command::run::finished(args, &console)?.to_json()
-}
-
 fn finish(result: Result<(), Failure>) -> u8 {
     match result {
         Ok(()) => 0,
@@ -95,6 +80,15 @@ fn one_line(error: &clap::Error) -> String {
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         let commands = "run, render, eval, forward, splat, inspect, export, track, view, bench, verify, compare, golden, completions, man";
         return format!("expected a command ({commands}); see streamsplat --help");
+    }
+    if let (ErrorKind::ValueValidation, Some(option), Some(cause)) =
+        (error.kind(), error.get(ContextKind::InvalidArg), std::error::Error::source(error))
+    {
+        let option = option.to_string();
+        let option = option.split(' ').next().unwrap_or_default();
+        let (cause, value) = (cause.to_string(), error.get(ContextKind::InvalidValue).map(ToString::to_string));
+        let found = value.filter(|value| !cause.contains(value.as_str()));
+        return format!("{option}: {cause}{}", found.map(|value| format!(", found {value:?}")).unwrap_or_default());
     }
     let tip = text.lines().find_map(|line| line.trim().strip_prefix("tip: "));
     words.extend(tip.filter(|tip| tip.contains("similar")).map(|_| ";"));

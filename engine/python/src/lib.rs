@@ -10,6 +10,7 @@ mod failure;
 mod image;
 mod interval;
 mod program;
+mod run;
 mod scene;
 mod source;
 
@@ -30,7 +31,9 @@ mod module {
     #[pymodule_export]
     use super::interval::{Gaussians, Interval};
     #[pymodule_export]
-    use super::program::{main, run};
+    use super::program::main;
+    #[pymodule_export]
+    use super::run::run;
     #[pymodule_export]
     use super::scene::{Scene, SceneWriter};
     #[pymodule_export]

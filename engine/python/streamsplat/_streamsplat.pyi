@@ -34,8 +34,8 @@ __version__: str
 def main(arguments: Sequence[str]) -> int:
     """Runs the program with these arguments, the first of which is its name, and gives its exit code."""
 
-def run(arguments: Sequence[str], progress: Callable[[int, int | None], object] | None) -> str:
-    """Runs `streamsplat run` with these arguments and gives the record in JSON."""
+def run(input: str, out: str, options: list[tuple[str, str]], progress: Callable[[int, int | None], object] | None) -> str:
+    """Reconstructs `input` into `out` and returns the record in JSON; `options` are names and texts of the options of `streamsplat run`."""
 
 class Error(Exception):
     """Something that the engine cannot do; the message says what was expected and what was found."""

@@ -26,16 +26,13 @@ class Reconstruction:
     """The whole of `run.json`."""
 
 
-def _words(name: str, value: Any) -> list[str]:
-    """An option of the command line: `refine_every=2` is `--refine-every=2`."""
-    option = "--" + name.replace("_", "-")
-    if value is None or value is False:
-        return []
-    if value is True:
-        return [option]
+def _text(name: str, value: Any) -> str:
+    """The value of an option as the command line has it."""
+    if isinstance(value, bool):
+        return str(value).lower()
     if isinstance(value, (tuple, list)):
-        return [option + "=" + ("x" if name == "size" else ",").join(str(part) for part in value)]
-    return [f"{option}={os.fspath(value) if isinstance(value, os.PathLike) else value}"]
+        return ("x" if name == "size" else ",").join(str(part) for part in value)
+    return os.fspath(value) if isinstance(value, os.PathLike) else str(value)
 
 
 def reconstruct(
@@ -52,10 +49,8 @@ def reconstruct(
     a folder with `scene/`, `frames/` and `run.json`. `progress(done, total)` is called as frames are done; an exception in it, or Ctrl-C, ends the run after
     the interval at hand, and `resume=True` goes on from there.
     """
-    words = [os.fspath(input), "--out", os.fspath(out)]
-    for name, value in options.items():
-        words += _words(name, value)
-    record = json.loads(_streamsplat.run(words, progress))
+    given = [(name, _text(name, value)) for name, value in options.items() if value is not None and value is not False]
+    record = json.loads(_streamsplat.run(os.fspath(input), os.fspath(out), given, progress))
     work = record["work"]
     return Reconstruction(Path(out), record["input"]["count"], record["key_frames"], work, record)
 

@@ -7,6 +7,7 @@
 //!
 //! Resizing is bilinear with half-pixel centres and no antialiasing (model input, StreamSplat (ICLR 2026)).
 
+use std::fmt;
 use std::str::FromStr;
 
 use streamsplat_kernels::{Level, resize};
@@ -35,6 +36,12 @@ impl FromStr for Fit {
             "stretch" => Ok(Fit::Stretch),
             _ => Err(UnknownFit(name.to_owned())),
         }
+    }
+}
+
+impl fmt::Display for Fit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
     }
 }
 

@@ -1,5 +1,8 @@
 //! Options of an image.
 
+use std::fmt;
+use std::str::FromStr;
+
 use streamsplat_kernels::raster::{self, Request};
 
 use super::{Aperture, Backend, Falloff};
@@ -93,6 +96,37 @@ pub enum Size {
         /// Rows.
         height: usize,
     },
+}
+
+impl fmt::Display for Size {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Size::Model => f.write_str("model"),
+            Size::Source => f.write_str("source"),
+            Size::Exact { width, height } => write!(f, "{width}x{height}"),
+        }
+    }
+}
+
+/// A text that is no size of an image.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected model, source or WIDTHxHEIGHT up to {most} a side, found {0:?}", most = raster::MAX_SIDE)]
+pub struct UnknownSize(pub String);
+
+impl FromStr for Size {
+    type Err = UnknownSize;
+
+    /// `model`, `source` or `WIDTHxHEIGHT`.
+    fn from_str(text: &str) -> Result<Self, UnknownSize> {
+        let side = |text: &str| text.parse().ok().filter(|side| (1..=raster::MAX_SIDE).contains(side));
+        let sides = text.split_once('x').and_then(|(width, height)| side(width).zip(side(height)));
+        match (text, sides) {
+            ("model", _) => Ok(Size::Model),
+            ("source", _) => Ok(Size::Source),
+            (_, Some((width, height))) => Ok(Size::Exact { width, height }),
+            _ => Err(UnknownSize(text.to_owned())),
+        }
+    }
 }
 
 impl Size {

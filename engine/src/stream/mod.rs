@@ -31,7 +31,7 @@ mod quality;
 mod reconstructor;
 mod resolution;
 mod resume;
-mod settings;
+pub(crate) mod settings;
 mod tiles;
 mod work;
 mod workers;

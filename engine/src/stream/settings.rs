@@ -198,7 +198,7 @@ macro_rules! named {
     };
 }
 
-pub(super) use named;
+pub(crate) use named;
 
 /// A name that is no choice.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -54,10 +54,22 @@ def test_reconstruct_writes_the_command_lines_bytes_at_any_number_of_threads(by_
         assert result.record == json.loads((out / "run.json").read_text())
 
 
+def test_the_readmes_lines_write_what_the_program_writes(tmp_path, monkeypatch):
+    lines = (ROOT / "README.md").read_text().split("```python\n")[1].split("```")[0]
+    assert len(lines.splitlines()) <= 6
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "clip.y4m").write_bytes(CLIP.read_bytes())
+    subprocess.run([PROGRAM, "run", "clip.y4m", "--quiet"], check=True)
+    exec(lines, {})
+    written, expected = ({name: data for name, data in files(tmp_path / folder).items() if name not in ("run.json", "report.md")}
+                         for folder in ("out", "clip-scene"))
+    assert written == expected and len(expected) > 24
+
+
 def test_a_video_comes_out_where_its_name_says_so_and_key_frames_are_chosen(tmp_path):
     seen = []
     result = streamsplat.reconstruct(CLIP, tmp_path / "out.y4m", gap="auto", size=(128, 72), progress=lambda *step: seen.append(step))
-    assert (tmp_path / "out.y4m").read_bytes().startswith(b"YUV4MPEG2 W128 H72") and result.record["options"]["stream"]["gap"] == "auto"
+    assert (tmp_path / "out.y4m").read_bytes().startswith(b"YUV4MPEG2 W128 H72") and result.record["options"]["stream"]["gap"] == "auto:3-12:38"
     assert seen == [(i + 1, 24) for i in range(24)]
 
 

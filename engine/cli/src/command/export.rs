@@ -11,11 +11,12 @@ use streamsplat::stream::{Interval, Workers};
 
 use crate::command::still;
 use crate::console::failure::Failure;
+use crate::console::opening::{open_along, say_of};
 use crate::console::progress::Progress;
 use crate::console::{Console, say};
 use crate::options::args::ExportArgs;
-use crate::options::{settings, times};
-use crate::session::opening::{open_along, say_of};
+use crate::options::times;
+use streamsplat::run::options::Times;
 
 /// A format of files.
 #[derive(Clone, Copy)]
@@ -93,7 +94,7 @@ fn options(args: &ExportArgs, format: Format) -> Result<Options, Failure> {
 pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     console.listen();
     let format = Format::asked(args.format.as_deref(), &args.out)?;
-    let asked = args.times.as_deref().map(settings::times).transpose()?;
+    let asked = args.times.as_ref().map(Times::list);
     times::check_rate(args.fps)?;
     let options = options(args, format)?;
     let workers = args.machine.workers()?;

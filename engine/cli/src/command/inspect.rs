@@ -15,10 +15,10 @@ use streamsplat_model::zero_output::gflop;
 
 use crate::command::still;
 use crate::console::failure::Failure;
+use crate::console::opening::open_along;
 use crate::console::{Console, say};
 use crate::options::args::InspectArgs;
-use crate::output::digest;
-use crate::session::opening::open_along;
+use streamsplat::run::digest;
 
 /// Tells what it is.
 pub fn command(args: &InspectArgs, console: &Console) -> Result<(), Failure> {

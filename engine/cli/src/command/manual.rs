@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use clap::CommandFactory;
 use clap_complete::Shell;
 use streamsplat::output::{prepare_folder, write_file};
 
@@ -13,13 +12,13 @@ use crate::options::args::Cli;
 /// Prints the completions of a shell.
 pub fn completions(shell: Shell) -> Result<(), Failure> {
     let mut text = Vec::new();
-    clap_complete::generate(shell, &mut Cli::command(), "streamsplat", &mut text);
+    clap_complete::generate(shell, &mut Cli::with_defaults(), "streamsplat", &mut text);
     print(&text)
 }
 
 /// Prints the manual page of the whole, or writes one page per command into a folder.
 pub fn man(out: Option<&Path>) -> Result<(), Failure> {
-    let mut command = Cli::command();
+    let mut command = Cli::with_defaults();
     command.build();
     let Some(folder) = out else { return print(&page(&command)?) };
     prepare_folder(folder)?;

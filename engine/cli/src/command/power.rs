@@ -6,7 +6,6 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use clap::Parser;
 #[cfg(unix)]
 use streamsplat::output::storage::faults::inject_with;
 use streamsplat::output::storage::faults::{Fault, inject};
@@ -38,7 +37,7 @@ fn attempt(clip: &Path, out: &Path, more: &[&str], fault: Option<(Fault, u64)>) 
         ["streamsplat", "run", "--quiet", "--threads", "1"].map(AsRef::as_ref).to_vec();
     words.extend([clip.as_os_str(), "--out".as_ref(), out.as_os_str(), "--model".as_ref(), model.as_os_str()]);
     words.extend(more.iter().map(|word| -> &std::ffi::OsStr { word.as_ref() }));
-    let cli = Cli::try_parse_from(words).expect("a command");
+    let cli = Cli::read(words.into_iter().map(ToOwned::to_owned)).expect("a command");
     let Command::Run(args) = &cli.command else { panic!("not a run") };
     inject(fault, || run::command(args, &cli.console))
 }
@@ -118,7 +117,7 @@ fn encoded(clip: &Path, video: &Path, encoder: &Path, fault: Option<(Fault, u64)
     let mut words: Vec<&std::ffi::OsStr> =
         ["streamsplat", "run", "--quiet", "--threads", "1", "--emit", "rgb"].map(AsRef::as_ref).to_vec();
     words.extend([clip.as_os_str(), "--out".as_ref(), video.as_os_str(), "--model".as_ref(), model.as_os_str()]);
-    let cli = Cli::try_parse_from(words).expect("a command");
+    let cli = Cli::read(words.into_iter().map(ToOwned::to_owned)).expect("a command");
     let Command::Run(args) = &cli.command else { panic!("not a run") };
     inject_with(fault, Some(encoder.to_owned()), || run::command(args, &cli.console))
 }

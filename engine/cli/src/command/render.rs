@@ -6,27 +6,28 @@ use std::time::{Duration, Instant};
 
 use streamsplat::import::Opened;
 use streamsplat::output::{Pace, WEBP_SIDE, folder_of, storage, write_file};
+use streamsplat::run::options::Machine;
 use streamsplat::scene::Scene;
 use streamsplat::stream::{Interval, Workers};
-use streamsplat::{Image, Size};
+use streamsplat::{Image, Size, run};
 
 use crate::command::still;
 use crate::console::failure::Failure;
+use crate::console::opening::open_along;
 use crate::console::progress::Progress;
-use crate::console::{Console, say, stop};
+use crate::console::{Console, say, stop, version};
 use crate::options::antialias::Antialias;
-use crate::options::args::{Machine, RenderArgs, RenderOptions};
-use crate::options::motion::Course;
-use crate::options::settings::Views;
+use crate::options::args::{RenderArgs, RenderOptions};
 use crate::options::times;
-use crate::output::outputs::{Destination, Emit, Finished, Outputs};
-use crate::output::place::Place;
-use crate::output::record::{
+use streamsplat::run::drawing::Drawing;
+use streamsplat::run::options::motion::Course;
+use streamsplat::run::outputs::{Destination, Emit, Finished, Outputs};
+use streamsplat::run::place::Place;
+use streamsplat::run::record::{
     Build, InputRecord, Invocation, OutputRecord, PROGRAM, Record, Timing, absolute, check_name,
 };
-use crate::output::{digest, report};
-use crate::session::drawing::Drawing;
-use crate::session::opening::open_along;
+use streamsplat::run::views::Views;
+use streamsplat::run::{digest, report};
 
 /// Renders, then writes the record and the report.
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
@@ -43,9 +44,9 @@ pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     // Held until everything is written.
     let mut place = Place::new(Destination::asked(&args.out)?);
     let mut options = args.options.clone();
-    options.view.size.get_or_insert_with(|| "model".to_owned());
+    options.view.size.get_or_insert(Size::Model);
     let record = render(&args.scene, &mut place, &options, &args.machine, console)?;
-    report::finish(&record, place.destination(), args.json.as_deref())?;
+    report::finish(&record, Some(place.destination()), args.json.as_deref())?;
     if !console.quiet && args.out != Path::new("-") {
         say(report::summary(&record, &args.out))?;
     }
@@ -97,12 +98,12 @@ fn several(args: &RenderArgs, console: &Console) -> Result<bool, Failure> {
 /// Renders one image into a folder that goes away, and gives it the name that was asked for.
 fn single(args: &RenderArgs, kind: Single, console: &Console) -> Result<(), Failure> {
     let (name, emit) = match kind {
-        Single::Png => ("frames/000000.png", "rgb"),
-        Single::Exr => ("exr/000000.exr", "exr"),
-        Single::WebP => ("frames/000000.webp", "webp"),
+        Single::Png => ("frames/000000.png", Emit { rgb: true, ..Emit::default() }),
+        Single::Exr => ("exr/000000.exr", Emit { exr: true, ..Emit::default() }),
+        Single::WebP => ("frames/000000.webp", Emit { webp: true, ..Emit::default() }),
     };
     let mut options = args.options.clone();
-    if let Some(list) = options.emit.replace(emit.to_owned())
+    if let Some(list) = options.emit.replace(emit)
         && list != emit
     {
         return Err(Failure::usage(format!("--emit {list}: expected {emit} or nothing, as --out is a single file")));
@@ -168,10 +169,8 @@ pub fn render(
 ) -> Result<Record, Failure> {
     let start = Instant::now();
     let mut views = options.views()?;
-    let emit = match &options.emit {
-        Some(list) => Emit::parse(list, &["rgb", "webp", "depth", "alpha", "exr"])?,
-        None => Emit { rgb: true, ..Emit::default() },
-    };
+    let emit = options.emit.unwrap_or(Emit { rgb: true, ..Emit::default() });
+    emit.check(|kind| kind.drawn)?;
     [views.options.depth, views.options.alpha] = emit.planes();
     views.options.alpha |= views.transparent;
     if let Size::Exact { width, height } = views.options.size
@@ -234,7 +233,7 @@ pub fn render(
         fps: scene.index().fps,
         damage: None,
     };
-    Ok(record(options, input, &drawing, Rendered { outputs, complete, read: stretch.read, start }, &workers))
+    record(options, input, &drawing, Rendered { outputs, complete, read: stretch.read, start }, &workers)
 }
 
 /// The part of a scene that is being drawn.
@@ -261,7 +260,7 @@ impl<'a> Stretch<'a> {
         (time, place): (f64, usize),
         views: &Views,
         fps: f64,
-    ) -> Result<Image, Failure> {
+    ) -> Result<Image, run::Error> {
         if views.shutter.is_some() && (views.course.is_some() || views.eyes.is_some()) {
             drawing.anchored(self.at(place)?, time)?;
         }
@@ -279,7 +278,7 @@ impl<'a> Stretch<'a> {
     }
 
     /// The interval at a place; the one before it is forgotten.
-    fn at(&mut self, place: usize) -> Result<&Interval, Failure> {
+    fn at(&mut self, place: usize) -> Result<&Interval, run::Error> {
         if self.current.as_ref().is_none_or(|(at, _)| *at != place) {
             let begun = Instant::now();
             self.current = None;
@@ -287,7 +286,7 @@ impl<'a> Stretch<'a> {
             self.read += begun.elapsed();
             self.seen.insert(place);
         }
-        self.current.as_ref().map(|(_, interval)| interval).ok_or_else(|| Failure::work("an interval that was read"))
+        self.current.as_ref().map(|(_, interval)| interval).ok_or_else(|| run::Error::work("an interval that was read"))
     }
 }
 
@@ -310,18 +309,19 @@ pub(super) fn record(
     drawing: &Drawing,
     rendered: Rendered,
     workers: &Workers,
-) -> Record {
+) -> Result<Record, Failure> {
     let Rendered { outputs, complete, read, start } = rendered;
     let mut options = options.clone();
     options.view.camera = options.view.camera.as_deref().map(absolute);
+    let options = serde_json::to_value(options).map_err(Failure::work)?;
     let mut work = BTreeMap::new();
     let mut seconds = BTreeMap::from([("read".to_owned(), read.as_secs_f64())]);
     drawing.account(&mut work, &mut seconds);
-    Record {
+    Ok(Record {
         program: PROGRAM.to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        build: Build::this(),
-        task: Invocation::Render(Box::new(options)),
+        build: Build::of(version::commit()),
+        task: Invocation::Render(options),
         seed: 0,
         model: None,
         depth: None,
@@ -336,5 +336,5 @@ pub(super) fn record(
         psnr: None,
         psnr_source_size: None,
         timing: Timing::of(start, seconds, workers),
-    }
+    })
 }

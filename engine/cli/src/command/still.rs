@@ -11,20 +11,21 @@ use streamsplat::import::StillFile;
 use streamsplat::output::{Pace, prepare_folder, write_file};
 use streamsplat::still::{Drawable, Spread};
 use streamsplat::stream::Workers;
-use streamsplat::{Image, Size};
+use streamsplat::{Image, Size, run};
 
 use crate::command::export::{Format, refuse_others};
 use crate::command::render::{Rendered, record};
 use crate::console::failure::Failure;
+use crate::console::opening::say_of;
 use crate::console::progress::Progress;
 use crate::console::{Console, say};
 use crate::options::args::{ExportArgs, RenderOptions};
-use crate::options::settings::{self, Views};
-use crate::output::outputs::{Emit, Finished, Outputs};
-use crate::output::place::Place;
-use crate::output::record::{InputRecord, Record, absolute};
-use crate::session::drawing::Drawing;
-use crate::session::opening::say_of;
+use streamsplat::run::drawing::Drawing;
+use streamsplat::run::options::Times;
+use streamsplat::run::outputs::{Emit, Finished, Outputs};
+use streamsplat::run::place::Place;
+use streamsplat::run::record::{InputRecord, Record, absolute};
+use streamsplat::run::views::Views;
 
 /// Frames per second of a video of a scene that has no time.
 const FPS: f64 = 24.0;
@@ -55,7 +56,7 @@ pub enum Prepared {
 
 impl Prepared {
     /// The Gaussians of an image.
-    fn at(&self, time: f64, workers: &Workers) -> Result<Cow<'_, Drawable>, Failure> {
+    fn at(&self, time: f64, workers: &Workers) -> Result<Cow<'_, Drawable>, run::Error> {
         Ok(match self {
             Prepared::Still(scene) => Cow::Borrowed(scene),
             Prepared::InTime(file) => Cow::Owned(Drawable::new(file.at(time).into_owned(), workers)?),
@@ -86,7 +87,7 @@ impl Plan {
         }
         if options.view.camera.is_some() {
             if views.options.size == Size::Model && views.own_sizes.is_empty() {
-                let size = options.view.size.as_deref().unwrap_or("model");
+                let size = views.options.size;
                 return Err(Failure::usage(format!(
                     "--size {size}: expected WIDTHxHEIGHT; {kind}, and the camera file says no size either"
                 )));
@@ -157,7 +158,7 @@ impl Plan {
         time: f64,
         views: &Views,
         workers: &Workers,
-    ) -> Result<Image, Failure> {
+    ) -> Result<Image, run::Error> {
         drawing.exposed(views, |drawing, part| {
             let time = time + part / self.fps;
             let scene = scene.at(time, workers)?;
@@ -245,7 +246,7 @@ pub fn render(
     console.note(&notes);
 
     let input = InputRecord { path, blake3, count: 1, size: size.unwrap_or(SIZE), fps: plan.fps, damage: None };
-    Ok(record(options, input, &drawing, Rendered { outputs, complete, read, start }, workers))
+    record(options, input, &drawing, Rendered { outputs, complete, read, start }, workers)
 }
 
 /// Writes the one file that a still scene is.
@@ -258,7 +259,7 @@ pub fn export(
     console: &Console,
 ) -> Result<(), Failure> {
     let kind = format!("{} is a still scene ({})", file.path.display(), file.format);
-    let asked = args.times.as_deref().map(settings::times).transpose()?;
+    let asked = args.times.as_ref().map(Times::list);
     if args.fps.is_some() || asked.is_some() && file.in_time.is_none() {
         return Err(Failure::usage(format!("--times, --fps: expected neither; {kind}, which has no time")));
     }

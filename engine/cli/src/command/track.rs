@@ -11,7 +11,8 @@ use streamsplat::track::{Track, TrackPoint};
 use crate::console::failure::Failure;
 use crate::console::{Console, print, say};
 use crate::options::args::TrackArgs;
-use crate::options::{settings, times};
+use crate::options::times;
+use streamsplat::run::options::Times;
 
 /// Result, written as JSON.
 #[derive(Serialize)]
@@ -51,7 +52,7 @@ impl From<TrackPoint> for PathPoint {
 /// Picks, follows, prints.
 pub fn command(args: &TrackArgs, console: &Console) -> Result<(), Failure> {
     let point = point(&args.point)?;
-    let asked = args.times.as_deref().map(settings::times).transpose()?;
+    let asked = args.times.as_ref().map(Times::list);
     times::check_rate(args.fps)?;
     let workers = args.machine.workers()?;
     let scene = open_moving(&args.scene, &args.limit.limits())?;

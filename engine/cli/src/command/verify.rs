@@ -3,15 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use streamsplat::recognise;
+use streamsplat::run::Run;
 
-use crate::command::{render, run};
+use crate::command::render;
 use crate::console::failure::Failure;
-use crate::console::{Console, say};
+use crate::console::{Console, say, version};
 use crate::options::args::VerifyArgs;
-use crate::output::outputs::{Destination, is_inside};
-use crate::output::place::Place;
-use crate::output::record::{Invocation, Record};
-use crate::output::{digest, report};
+use streamsplat::run::outputs::{Destination, Emit, is_inside};
+use streamsplat::run::place::Place;
+use streamsplat::run::record::{Invocation, Record};
+use streamsplat::run::{digest, report};
 
 /// Compares the files that are there with their digests, then repeats the work and compares again. Fails where one differs.
 pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
@@ -59,13 +60,8 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
     }
     let scratch = tempfile::tempdir().map_err(|e| Failure::work(format!("cannot make a temporary folder: {e}")))?;
     let video = record.outputs.iter().find(|(_, output)| output.samples.is_some() && !output.outside_contract);
-    let mut place = Place::new(Destination::of(&match video {
-        Some((name, _)) => scratch.path().join(name),
-        None => scratch.path().join("out"),
-    }));
+    let out = scratch.path().join(video.map_or("out", |(name, _)| name));
     let input = &record.input.path;
-    // The repetition itself says nothing.
-    let quiet = Console { quiet: true, ..Console::default() };
     let again = match &record.task {
         Invocation::Run(options) => {
             let mut options = options.clone();
@@ -74,17 +70,24 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
             }
             if outside > 0 {
                 // What a graphics card drew is left out.
-                let kinds = ["scene", "ply", "tracks"];
-                let has = |kind: &&str| record.outputs.keys().any(|name| name.starts_with(&format!("{kind}/")));
-                options.emit = Some(kinds.into_iter().filter(has).collect::<Vec<_>>().join(","));
+                let has = |folder: &str| record.outputs.keys().any(|name| name.starts_with(folder));
+                let (scene, ply, tracks) = (has("scene/"), has("ply/"), has("tracks/"));
+                options.emit = Some(Emit { scene, ply, tracks, ..Emit::default() });
                 options.view.renderer = None;
             }
-            run::run(input, &mut place, &options, &args.machine, &quiet)?
+            let run = Run::new(input, *options).machine(args.machine.clone()).program(version::commit());
+            run.out(&out).finish()?
         }
         Invocation::Render(_) if !record.complete => {
             return Err(Failure::work(format!("{}: the rendering was stopped; run it again", record_path.display())));
         }
-        Invocation::Render(options) => render::render(input, &mut place, options, &args.machine, &quiet)?,
+        Invocation::Render(options) => {
+            let wrong = |e| Failure::work(format!("{}: not the record of a rendering: {e}", record_path.display()));
+            let options = serde_json::from_value(options.clone()).map_err(wrong)?;
+            // The repetition prints nothing.
+            let quiet = Console { quiet: true, ..Console::default() };
+            render::render(input, &mut Place::new(Destination::of(&out)), &options, &args.machine, &quiet)?
+        }
     };
 
     let model = |record: &Record| record.model.as_ref().map_or_else(|| "none".to_owned(), |model| model.blake3.clone());

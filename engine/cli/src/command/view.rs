@@ -11,10 +11,10 @@ use streamsplat::output::{Partial, write_whole};
 use streamsplat::view::{Link, PageError, Recorded, Server, StillSource, Whole, poster, write_page};
 
 use crate::console::failure::Failure;
+use crate::console::opening::open_along;
+use crate::console::serving::title;
 use crate::console::{Console, say};
 use crate::options::args::ViewArgs;
-use crate::session::opening::open_along;
-use crate::session::serving::title;
 
 /// The port that is tried where none is given.
 pub const PORT: u16 = 8707;

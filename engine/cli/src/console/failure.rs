@@ -40,6 +40,12 @@ impl Failure {
     }
 }
 
+impl From<streamsplat::run::Error> for Failure {
+    fn from(e: streamsplat::run::Error) -> Failure {
+        if e.is_usage() { Failure::usage(e) } else { Failure::work(e) }
+    }
+}
+
 /// Errors of the library are failed work, unless said otherwise.
 macro_rules! work {
     ($($kind:ty),+) => { $(impl From<$kind> for Failure {

@@ -1,15 +1,13 @@
-//! `--quiet`, `--log` and `--trace`, and who is told of progress.
+//! `--quiet`, `--log` and `--trace`.
 
 use std::io::Write;
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use clap::Args;
 
-use super::stop::Stop;
+use streamsplat::run::Stop;
 
-/// Told how many of how many things are done; returns false to stop the work after the interval at hand.
-pub type Observer = Arc<dyn Fn(usize, Option<usize>) -> bool + Send + Sync>;
+use super::stop;
 
 /// Messages beside the results, and requests to stop.
 #[derive(Args, Clone, Default)]
@@ -26,9 +24,6 @@ pub struct Console {
     /// Request to stop the work at hand.
     #[arg(skip)]
     pub stop: Stop,
-    /// Another program inside of which this one runs.
-    #[arg(skip)]
-    pub observer: Option<Observer>,
 }
 
 impl Console {
@@ -39,10 +34,8 @@ impl Console {
         }
     }
 
-    /// Takes signals as requests to stop. Inside another program they are that program's.
+    /// Takes signals as requests to stop.
     pub fn listen(&self) {
-        if self.observer.is_none() {
-            self.stop.listen();
-        }
+        stop::listen(&self.stop);
     }
 }

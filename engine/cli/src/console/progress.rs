@@ -8,8 +8,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::flags::{Console, Observer};
-use super::stop::Stop;
+use super::flags::Console;
 
 /// How often a bar is drawn, whether or not anything was done.
 const TICK: Duration = Duration::from_millis(200);
@@ -24,8 +23,6 @@ pub struct Progress {
     bar: Option<ProgressBar>,
     /// Writes plain lines.
     lines: Option<(Sender<()>, JoinHandle<()>)>,
-    observer: Option<Observer>,
-    stop: Stop,
 }
 
 struct State {
@@ -38,13 +35,6 @@ struct State {
 impl Progress {
     /// Of `total` things called `what`, where the number is known.
     pub fn new(what: &'static str, total: Option<usize>, console: &Console) -> Progress {
-        let mut progress = Progress::shown(what, total, console);
-        progress.observer.clone_from(&console.observer);
-        progress
-    }
-
-    /// Of what comes before the work that is counted: it is shown, and no observer is told.
-    pub fn shown(what: &'static str, total: Option<usize>, console: &Console) -> Progress {
         let terminal = std::io::stderr().is_terminal();
         let state = Arc::new(Mutex::new(State { what, total, done: 0, start: Instant::now() }));
         let bar = (terminal && !console.quiet).then(|| {
@@ -74,22 +64,14 @@ impl Progress {
             });
             (end, writer)
         });
-        Progress { state, bar, lines, observer: None, stop: console.stop.clone() }
+        Progress { state, bar, lines }
     }
 
     /// One more is done.
     pub fn step(&mut self) {
-        let mut state = lock(&self.state);
-        state.done += 1;
-        let (done, total) = (state.done, state.total);
-        drop(state);
+        lock(&self.state).done += 1;
         if let Some(bar) = &self.bar {
             bar.inc(1);
-        }
-        if let Some(observer) = &self.observer
-            && !observer(done, total)
-        {
-            self.stop.ask();
         }
     }
 

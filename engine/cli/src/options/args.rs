@@ -1,11 +1,18 @@
 //! Arguments of the command line.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use serde::{Deserialize, Serialize};
+use streamsplat::Size;
+use streamsplat::fit::Fit;
 use streamsplat::import::Limits;
+use streamsplat::render::Backend;
+use streamsplat::run::options::{self, Machine, Motion, NamedMatrix, RunOptions, StreamOptions, Times, ViewOptions};
+use streamsplat::run::outputs::Emit;
 use streamsplat::still::Axes;
+use streamsplat_model::Precision;
 
 use crate::console::Console;
 use crate::console::failure::Failure;
@@ -20,6 +27,34 @@ pub struct Cli {
     pub command: Command,
     #[command(flatten)]
     pub console: Console,
+}
+
+impl Cli {
+    /// The command line, with the defaults that presets have in the help of their options.
+    pub fn with_defaults() -> clap::Command {
+        let fill = |command: clap::Command| {
+            options::defaults().into_iter().fold(command, |command, (name, default)| {
+                let id = name.replace('-', "_");
+                if !command.get_arguments().any(|argument| *argument.get_id() == id) {
+                    return command;
+                }
+                command.mut_arg(id, |argument| {
+                    let help = argument.get_help().map(ToString::to_string).unwrap_or_default();
+                    // What has a default of its own shows that.
+                    if help.contains("[default") || !argument.get_default_values().is_empty() {
+                        return argument;
+                    }
+                    argument.help(format!("{help} [default: {default}]"))
+                })
+            })
+        };
+        ["run", "eval"].into_iter().fold(Cli::command(), |cli, name| cli.mut_subcommand(name, fill))
+    }
+
+    /// Reads a command line, the first word of which is the program's name.
+    pub fn read(arguments: impl IntoIterator<Item = OsString>) -> Result<Cli, clap::Error> {
+        Cli::from_arg_matches(&Cli::with_defaults().try_get_matches_from(arguments)?)
+    }
 }
 
 #[derive(Subcommand)]
@@ -68,151 +103,6 @@ pub enum Command {
     },
 }
 
-/// Threads and instruction set. They change no output bit.
-#[derive(Args, Clone, Debug, Default)]
-pub struct Machine {
-    /// Threads [default: one per processor]
-    #[arg(long, value_name = "N")]
-    pub threads: Option<String>,
-    /// Instruction set: scalar, avx2, avx512, avx512vnni, avx512bf16, neon or auto
-    #[arg(long, value_name = "NAME", default_value = "auto")]
-    pub isa: String,
-}
-
-/// The model and its arithmetic.
-#[derive(Args, Clone, Debug, Serialize, Deserialize)]
-pub struct Model {
-    /// Checkpoint (safetensors, official layout; FILE.json beside it for what shapes cannot say) [default: the small embedded one]
-    #[arg(long, value_name = "FILE")]
-    pub model: Option<PathBuf>,
-    /// Weights of DINOv2 with registers, for models conditioned on them: dinov2_vitb14_reg4_pretrain.pth, or the file of transformers or timm
-    #[arg(long, value_name = "FILE")]
-    pub dinov2: Option<PathBuf>,
-    /// Arithmetic of the large matrix products: f32, bf16 or int8 [default: f32]
-    #[arg(long, value_name = "MODE")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub precision: Option<String>,
-}
-
-/// Options of the way from a video to a scene.
-#[derive(Args, Clone, Debug, Serialize, Deserialize)]
-pub struct Stream {
-    #[command(flatten)]
-    pub model: Model,
-    /// Trade-off of error and time: realtime, balanced or best; sets depth, gap, resolution, motion, flow, fade, refine, refine-every, precision and
-    /// reuse where they are not given [default: balanced for the model inside the program; others run as the paper says]
-    #[arg(long, value_name = "NAME")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub quality: Option<String>,
-    /// The steps of the authors' own script for whole clips: gap 3, resolution native, motion network, fade network, refine 0, depth none, depth-range
-    /// keys, fusion pairwise, sampling mean, precision f32, fit stretch and size model, where they are not given
-    #[arg(long, conflicts_with = "quality")]
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub like_paper: bool,
-    /// Inverse depth: none, auto (found by parallax where the camera moves, for models that ignore depth), a folder of EXR, TIFF, 16-bit PNG or
-    /// NPY files, one per frame, or onnx:FILE, a network that ONNX Runtime runs [default: auto for balanced and best, none for realtime and where
-    /// motion is the network's]
-    #[arg(long, value_name = "auto|DIR|onnx:FILE")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub depth: Option<String>,
-    /// Properties of the depth network that its file does not give: size=N or WxH, multiple=N, mean=R/G/B, std=R/G/B, metric, output=NAME, separated by
-    /// commas; with a folder metric alone: its files hold depth, not inverse depth, and 0, infinity or no number where there is none [default: size=518,multiple=14 and ImageNet's mean and std]
-    #[arg(long, value_name = "LIST")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub depth_model: Option<String>,
-    /// Depth is normalised by each frame's own range (frame), the range of all maps (clip), or that of the key frames' maps (keys, with a fixed gap)
-    /// [default: frame]
-    #[arg(long, value_name = "RANGE")]
-    #[serde(default)]
-    pub depth_range: Option<String>,
-    /// Gaussians behind what stands in front, where depth maps lift Gaussians: on adds them, off leaves nothing there [default: on]
-    #[arg(long, value_name = "on|off")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub behind: Option<String>,
-    /// Every N-th frame is a key frame; or auto[:[LEAST-]MOST[:DB]]: as few as the images of all frames need for a mean PSNR of DB
-    /// decibels at 256x256, LEAST to MOST frames apart; frames wait for at most MOST-1 later ones [auto: 3-12:38] [default: auto:3-8:40, or
-    /// what --quality stands for; 1 for models from files]
-    #[arg(long, value_name = "N")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub gap: Option<String>,
-    /// Size at which the model sees frames: HEIGHTxWIDTH in whole patches (8 pixels), native (the model's own), or auto (four times its area in the
-    /// source's shape, never more than the source) [default: auto for the model inside the program, native for others]
-    #[arg(long, value_name = "SIZE")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub resolution: Option<String>,
-    /// Motion between key frames: network (as the model predicts it), frames (optical flow between the key frames) or between (optical flow
-    /// through the frames in between) [default: between for the model inside the program, network for others]
-    #[arg(long, value_name = "FROM")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub motion: Option<String>,
-    /// Effort of optical flow: fine or coarse (a quarter of the resolution) [default: fine]
-    #[arg(long, value_name = "EFFORT")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub flow: Option<String>,
-    /// Fading of Gaussians between key frames: network (each as the model predicts it) or fixed (all alike; where motion is not the
-    /// model's either, nothing of its prediction between key frames is computed) [default: fixed for the model inside the program, network for
-    /// others and for --motion network]
-    #[arg(long, value_name = "HOW")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub fade: Option<String>,
-    /// Steps of conjugate gradients that fit colours to the frames; 0: colours as the model gives them [default: 16 for the model inside the
-    /// program, 0 for others]
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refine: Option<u32>,
-    /// Fit colours to every K-th of the frames between key frames [default: 1]
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..))]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refine_every: Option<u32>,
-    /// Gaussians carried over a key frame: persistent (identities go on and survivors fade) or pairwise (each interval by itself) [default: persistent]
-    #[arg(long, value_name = "MODE")]
-    #[serde(default)]
-    pub fusion: Option<String>,
-    /// Key frames after which a Gaussian that nothing continues is dropped at the latest [default: 8]
-    #[arg(long, value_name = "N")]
-    pub max_age: Option<u32>,
-    /// Positions of models that predict distributions: mean or sample [default: mean]
-    #[arg(long, value_name = "MODE")]
-    #[serde(default)]
-    pub sampling: Option<String>,
-    /// Seed of everything drawn at random
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    pub seed: u64,
-    /// Work left out: off, exact (what was computed from the same bits before or adds nothing; no output bit changes), or a tolerance from 0 to 1:
-    /// tokens that moved by less than this fraction keep what was computed for them [default: exact]
-    #[arg(long, value_name = "MODE", allow_negative_numbers = true)]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub reuse: Option<String>,
-}
-
-/// Options of the images: times, size, camera, background and renderer.
-#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
-pub struct ViewOptions {
-    /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
-    #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
-    pub times: Option<String>,
-    /// Size of the images: model, source or WIDTHxHEIGHT [default: model; source where `run` writes a video; of still scenes the
-    /// camera's own, or 1280x720]
-    #[arg(long, value_name = "SIZE")]
-    #[serde(default)]
-    pub size: Option<String>,
-    /// Camera or camera path (JSON); for still scenes also cameras.json of 3D Gaussian splatting, transforms.json, or the folder of a
-    /// COLMAP model [default: the source's own view; for a still scene one from which it is seen whole]
-    #[arg(long, value_name = "FILE")]
-    pub camera: Option<PathBuf>,
-    /// Camera of another program's file: its number from 0, or its image's name [default: all, one a second from 0]
-    #[arg(long, value_name = "N|NAME", requires = "camera")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub view: Option<String>,
-    /// Colour behind everything: grey level or R,G,B, in [0,1]; for render also transparent (PNG and EXR with alpha)
-    #[arg(long, value_name = "COLOUR", default_value = "0.5", allow_hyphen_values = true)]
-    pub background: String,
-    /// Renderer: cpu, or wgpu (a graphics card; images are then outside of the bit contract) [default: cpu]
-    #[arg(long, value_name = "NAME")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub renderer: Option<String>,
-}
-
 #[derive(Args, Clone)]
 pub struct RunArgs {
     /// Folder of images, .y4m file, - (y4m on standard input), or any video file ffmpeg reads
@@ -237,45 +127,6 @@ pub struct RunArgs {
     /// Also write run.json here
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-}
-
-/// Everything of a run that reaches its output.
-#[derive(Args, Clone, Debug, Serialize, Deserialize)]
-pub struct RunOptions {
-    #[command(flatten)]
-    pub stream: Stream,
-    /// Fit of frames into the model's input: letterbox or stretch [default: letterbox]
-    #[arg(long, value_name = "MODE")]
-    #[serde(default)]
-    pub fit: Option<String>,
-    /// Frames per second of the input [default: its own, or 24]
-    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
-    pub fps: Option<f64>,
-    /// Matrix of the input's luma and chroma: bt709, bt601, bt2020, fcc or smpte240m [default: what the file names, else bt709 above 1024x576, bt601
-    /// below]
-    #[arg(long, value_name = "NAME")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub matrix: Option<String>,
-    #[command(flatten)]
-    pub view: ViewOptions,
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub motion: Motion,
-    /// Outputs: rgb, depth, alpha, exr (these three as layers of one file), scene, ply, tracks [default: rgb,scene]
-    #[arg(long, value_name = "LIST")]
-    pub emit: Option<String>,
-    /// Stop after this many input frames
-    #[arg(long, value_name = "N")]
-    pub frames: Option<usize>,
-    /// Quality of an encoded video, as ffmpeg's -crf: less is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to 63 for .webm and .avif [default: 6;
-    /// 18 for .webm and .avif]
-    #[arg(long, value_name = "N")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub crf: Option<u8>,
-    /// Leave the input's sound out of an encoded video; it is taken along otherwise, but not with --times or --fps
-    #[arg(long)]
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub no_audio: bool,
 }
 
 #[derive(Args, Clone)]
@@ -312,7 +163,8 @@ pub struct RenderOptions {
     pub crf: Option<u8>,
     /// Outputs: rgb, webp (colours without loss), depth, alpha, exr (colour, depth and alpha as layers of one file) [default: rgb]
     #[arg(long, value_name = "LIST")]
-    pub emit: Option<String>,
+    #[serde(default, with = "streamsplat::run::options::text")]
+    pub emit: Option<Emit>,
     /// Let what is smaller than a pixel get fainter in place of larger, as scenes that were trained with anti-aliasing ask for (Mip-Splatting's
     /// 2D filter, "antialiased" in gsplat): on, off, or auto, where the file has a mark of such training [default: auto; on without a MODE]
     #[arg(long, value_name = "MODE", num_args = 0..=1, default_value = "auto", default_missing_value = "on", hide_default_value = true)]
@@ -331,33 +183,6 @@ pub struct RenderOptions {
     #[arg(skip)]
     #[serde(skip)]
     pub single: bool,
-}
-
-/// A camera that moves around the middle of a scene, and its eyes.
-#[derive(Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Motion {
-    /// Move the camera by so many degrees around the scene, from left to right, in so many seconds; where time runs on, then back, and so
-    /// on [default: 4 seconds; render of a scene in time: once in all of it]
-    #[arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with = "camera", allow_hyphen_values = true)]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub orbit: Option<String>,
-    /// Move the camera on a circle, so many degrees from the middle, once in so many seconds; the last image goes on into the first
-    /// [default: 4 degrees, 4 seconds; render of a scene in time: about 4 seconds, so that whole circles fit]
-    #[arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with_all = ["camera", "orbit"], num_args = 0..=1, require_equals = true, default_missing_value = "4")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sway: Option<String>,
-    /// Once around the scene in so many seconds; the last image goes on into the first
-    #[arg(long, value_name = "SECONDS", conflicts_with_all = ["camera", "orbit", "sway"], allow_negative_numbers = true)]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub turntable: Option<f64>,
-    /// The views of a left and a right eye side by side, in images twice as wide
-    #[arg(long)]
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub stereo: bool,
-    /// Distance between the eyes, as a part of their distance from the scene's middle [default: 0.06]
-    #[arg(long, value_name = "PART", requires = "stereo", allow_negative_numbers = true)]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub eye_distance: Option<f64>,
 }
 
 /// How the numbers of a still scene are taken.
@@ -412,28 +237,28 @@ pub struct EvalArgs {
     /// A video as for run, or a folder of such folders
     pub input: PathBuf,
     #[command(flatten)]
-    pub stream: Stream,
+    pub stream: StreamOptions,
     /// Give the frames between key frames as well, and measure them as seen; without it nothing but the comparison reads them
     #[arg(long)]
     pub seen: bool,
     /// Fit of frames into the model's input: stretch or letterbox
-    #[arg(long, value_name = "MODE", default_value = "stretch")]
-    pub fit: String,
+    #[arg(long, value_name = "MODE", default_value_t = Fit::Stretch)]
+    pub fit: Fit,
     /// Frames per second of the input [default: its own, or 24]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
     /// Matrix of the input's luma and chroma, as for run
     #[arg(long, value_name = "NAME")]
-    pub matrix: Option<String>,
+    pub matrix: Option<NamedMatrix>,
     /// Size of the images that are compared at 256x256: model, source or WIDTHxHEIGHT; PSNR at the source's own size is measured as well
-    #[arg(long, value_name = "SIZE", default_value = "model")]
-    pub size: String,
+    #[arg(long, value_name = "SIZE", default_value_t = Size::Model)]
+    pub size: Size,
     /// LPIPS as well, by this ONNX file: two images in [-1,1] in, one number out; run by ONNX Runtime
     #[arg(long, value_name = "FILE")]
     pub lpips_model: Option<PathBuf>,
     /// Renderer: cpu, or wgpu (a graphics card) [default: cpu]
     #[arg(long, value_name = "NAME")]
-    pub renderer: Option<String>,
+    pub renderer: Option<Backend>,
     #[command(flatten)]
     pub machine: Machine,
     /// Write the figures here
@@ -453,8 +278,8 @@ pub struct ForwardArgs {
     #[arg(long, value_name = "FILE")]
     pub output: PathBuf,
     /// Arithmetic of the large matrix products: f32, bf16 or int8
-    #[arg(long, value_name = "MODE", default_value = "f32")]
-    pub precision: String,
+    #[arg(long, value_name = "MODE", default_value_t = Precision::F32)]
+    pub precision: Precision,
     #[command(flatten)]
     pub machine: Machine,
 }
@@ -497,7 +322,7 @@ pub struct ExportArgs {
     pub out: PathBuf,
     /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
-    pub times: Option<String>,
+    pub times: Option<Times>,
     /// Files per second of the scene, where no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
@@ -524,7 +349,7 @@ pub struct TrackArgs {
     pub point: String,
     /// Times of the path in seconds: a list or START:END:COUNT [default: the input's own frame times, and T]
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
-    pub times: Option<String>,
+    pub times: Option<Times>,
     /// Points per second of the scene, where no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,

@@ -1,9 +1,6 @@
-//! The command line, and the library's settings that it stands for.
+//! The command line: arguments of every command. Options of `run` are the library's ([`streamsplat::run::options`]).
 
 pub mod antialias;
 pub mod args;
-pub mod machine;
-pub mod motion;
 pub mod optics;
-pub mod settings;
 pub mod times;

@@ -4,9 +4,9 @@ use clap::Args;
 use serde::{Deserialize, Serialize};
 use streamsplat::camera::{Camera, CameraPath, Lens};
 use streamsplat::render::{Aperture, Backend, Falloff, Focus, SENSOR_HEIGHT};
+use streamsplat::run::views::{Shutter, Views};
 
 use crate::console::failure::Failure;
-use crate::options::settings::Views;
 
 /// Default number of images of a shutter.
 const SAMPLES: u32 = 16;
@@ -49,17 +49,6 @@ pub struct Optics {
     #[arg(long, value_name = "N", requires = "shutter", value_parser = clap::value_parser!(u32).range(1..=MOST_SAMPLES))]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shutter_samples: Option<u32>,
-}
-
-/// When the images are taken that are one image's mean: parts of the time from one image to the next, ascending, from −½ to ½.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Shutter(Vec<f64>);
-
-impl Shutter {
-    /// The parts.
-    pub fn parts(&self) -> &[f64] {
-        &self.0
-    }
 }
 
 impl Optics {

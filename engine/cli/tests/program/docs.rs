@@ -3,13 +3,15 @@
 //! `STORE_DOCS=1 cargo test --release -p streamsplat-cli --test program docs` writes the generated parts: `docs/cli.md`, and the tables of records in the README and
 //! `docs/performance.md`.
 
+use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use streamsplat::import::{FORMATS, READ_ONLY};
 
-use crate::support::run;
+use crate::support::{Scratch, run};
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("a workspace")
@@ -64,6 +66,51 @@ fn the_page_of_options_is_what_the_program_says() {
         write!(page, "\n## {command}\n\n{text}\n").expect("a string");
     }
     assert_generated("docs/cli.md", &page);
+}
+
+/// The default that the help of `run` prints for each option, up to a `;` after which others than the embedded model's follow.
+fn defaults(help: &str) -> BTreeMap<String, String> {
+    let mut found = BTreeMap::new();
+    let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    for option in help.split(" --").skip(1) {
+        let name = option.split(' ').next().unwrap_or_default();
+        if let Some(default) = option.split("[default: ").nth(1).and_then(|rest| rest.split([';', ']']).next()) {
+            found.insert(name.to_owned(), default.to_owned());
+        }
+    }
+    found
+}
+
+/// Options of a record by their names on the command line, out of their groups.
+fn recorded(options: &Value, found: &mut BTreeMap<String, String>) {
+    for (name, value) in options.as_object().expect("an object") {
+        match value {
+            Value::Object(_) => recorded(value, found),
+            Value::Null => {}
+            Value::String(text) => _ = found.insert(name.replace('_', "-"), text.clone()),
+            other => _ = found.insert(name.replace('_', "-"), other.to_string()),
+        }
+    }
+}
+
+#[test]
+fn the_defaults_in_the_help_are_those_of_a_run() {
+    let scratch = Scratch::new();
+    let (clip, out) = (scratch.clip("clip", 2, 32, 32), scratch.path("out"));
+    let output = run([OsStr::new("run"), clip.as_os_str(), "--out".as_ref(), out.as_os_str()]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let record: Value = serde_json::from_str(&read(&out.join("run.json"))).expect("JSON");
+    let mut used = BTreeMap::new();
+    recorded(&record["options"], &mut used);
+    let printed = defaults(&help(&["run", "--help"]));
+    let mut compared = 0;
+    for (name, value) in &used {
+        let default = printed.get(name).unwrap_or_else(|| panic!("--{name} {value}: no default in the help"));
+        assert_eq!(default, value, "--{name}");
+        compared += 1;
+    }
+    assert!(compared >= 16, "{used:?}");
+    assert_eq!(used["gap"], "auto:3-8:40");
 }
 
 const BEGIN: &str = "<!-- table of ";

@@ -108,7 +108,7 @@ fn what_cannot_be_exported_is_said_and_nothing_written() {
     for (more, expected) in [
         (&["--format", "obj"][..], "--format obj: expected ply, compressed-ply, spz, sog, glb, splat or ssz"),
         (&["--format", "ply", "--times", "0,9"], "--times: time 9 s: expected one between 0 s and"),
-        (&["--format", "ply", "--times", "1,0"], "--times 1,0: expected ascending times"),
+        (&["--format", "ply", "--times", "1,0"], "--times: expected ascending times, found \"1,0\""),
         (&["--format", "ply", "--fps", "0"], "--fps: expected a number above 0"),
         (&[], "--format"),
     ] {

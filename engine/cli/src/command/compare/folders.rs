@@ -13,7 +13,7 @@ use streamsplat::stream::Workers;
 use crate::command::compare::account::Account;
 use crate::command::compare::{Outcome, Tolerance, pictures, scenes};
 use crate::console::failure::Failure;
-use crate::output::digest;
+use streamsplat::run::digest;
 
 /// Folders within folders that are looked into.
 const DEPTH: usize = 16;

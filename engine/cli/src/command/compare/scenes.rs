@@ -10,7 +10,7 @@ use streamsplat::stream::{Interval, Workers};
 
 use crate::command::compare::Outcome;
 use crate::console::failure::Failure;
-use crate::output::digest;
+use streamsplat::run::digest;
 
 /// A property of all Gaussians, as rows of numbers.
 struct Column<'a> {

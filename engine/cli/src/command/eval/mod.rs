@@ -17,20 +17,21 @@ use streamsplat::lpips::Lpips;
 use streamsplat::picture::Picture;
 use streamsplat::source::{self, Source, folder};
 use streamsplat::stream::{Interval, Reconstructor, Reuse, Settings};
-use streamsplat::{Engine, Image};
+use streamsplat::{Engine, Image, Size};
 
 use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 use crate::console::{Console, say};
-use crate::options::args::{EvalArgs, ViewOptions};
-use crate::options::settings::{DepthFrom, Views, choice};
-use crate::output::record::NetworkRecord;
-use crate::session::ahead::Ahead;
-use crate::session::closeness;
-use crate::session::closeness::{Closeness, psnr_of_samples};
-use crate::session::drawing::Drawing;
-use crate::session::keydepth::KeyDepth;
-use crate::session::keyframes::{Keep, KeyFrames};
+use crate::options::args::EvalArgs;
+use streamsplat::run::ahead::Ahead;
+use streamsplat::run::closeness;
+use streamsplat::run::closeness::{Closeness, psnr_of_samples};
+use streamsplat::run::drawing::Drawing;
+use streamsplat::run::keydepth::KeyDepth;
+use streamsplat::run::keyframes::{Keep, KeyFrames};
+use streamsplat::run::options::{DepthFrom, NamedMatrix, ViewOptions};
+use streamsplat::run::record::NetworkRecord;
+use streamsplat::run::views::Views;
 
 mod baselines;
 mod figures;
@@ -65,8 +66,8 @@ struct Figures {
 
 /// Evaluates one clip or a folder of clips.
 pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
-    let stream = args.stream.resolved()?;
-    let gap = stream.gap()?;
+    let stream = args.stream.resolved();
+    let gap = stream.gap();
     if gap == Gap::Every(1) && args.stream.gap.is_none() {
         return Err(Failure::usage(
             "--gap: expected how many frames apart key frames are, as frames between them are measured; found none, and this model takes every \
@@ -74,12 +75,9 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         ));
     }
     let depth = stream.depth_from()?;
-    let settings = stream.settings(choice("--fit", &args.fit)?, &args.machine)?;
-    let of_size = |size: &str| {
-        let (size, background, renderer) = (Some(size.to_owned()), "0.5".into(), args.renderer.clone());
-        ViewOptions { size, background, renderer, ..ViewOptions::default() }.resolve()
-    };
-    let views = Sizes { compared: of_size(&args.size)?, own: of_size("source")? };
+    let settings = stream.settings(args.fit, &args.machine)?;
+    let of_size = |size| ViewOptions { size: Some(size), renderer: args.renderer, ..ViewOptions::default() }.resolve();
+    let views = Sizes { compared: of_size(args.size)?, own: of_size(Size::Source)? };
     let clips = clips(&args.input)?;
     let mut lpips = args.lpips_model.as_deref().map(Lpips::open).transpose()?;
     if clips.len() > 1 && matches!(depth, DepthFrom::Folder(..)) {
@@ -90,13 +88,13 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     if !console.quiet {
         say(HEADING)?;
     }
-    let matrix = args.matrix()?;
+    let matrix = args.matrix.map(NamedMatrix::matrix);
     for clip in &clips {
         if console.stop.asked() {
             break;
         }
         let source = Source::open(clip, &source::Options { fps: args.fps, matrix })?;
-        let depth = KeyDepth::open(&depth, &source, args.machine.level()?, settings.reuse != Reuse::Off, None)?;
+        let depth = KeyDepth::open(&depth, &source, args.machine.level(), settings.reuse != Reuse::Off, None)?;
         let keys = KeyFrames::new(source, depth, gap, Keep::Everything, None, &console.stop);
         let sums = evaluate(keys, gap, &settings, &mut model, &views, args.seen, lpips.as_mut(), console)?;
         let name = clip.file_name().unwrap_or(clip.as_os_str()).to_string_lossy().into_owned();
@@ -129,9 +127,9 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     if let Some(path) = &args.json {
         let (fusion, precision) = (settings.fusion.to_string(), settings.precision.to_string());
         let (motion, fade, refine) = (settings.motion().name(), settings.fade().name(), settings.refine());
-        let quality = stream.quality.clone();
+        let quality = stream.quality.map(|quality| quality.to_string());
         let (seen, resolution) = (args.seen, settings.resolution().to_string());
-        let fit = args.fit.clone();
+        let fit = args.fit.to_string();
         let measured = args.lpips_model.as_deref().zip(lpips.as_ref());
         let lpips = measured.map(|(file, lpips)| NetworkRecord::of(file, lpips.runtime_version())).transpose()?;
         let renderer = views.own.backend.name();
@@ -216,7 +214,7 @@ fn evaluate(
     let mut last_small: Option<Small> = None;
     // The first key frame where depth is found: as with run, the interval after it shows it.
     let mut first: Option<(Picture, Picture)> = None;
-    while let Some(key) = keys.next()? {
+    while let Some(key) = keys.next_key()? {
         let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
         let truths: Vec<Picture> = key.shown.iter().map(|frame| frame.picture.resized(SIDE, SIDE)).collect();
         let last = truths.len() - 1;

@@ -1,14 +1,17 @@
 //! The list of renders: FILE.toml.
 
 use std::collections::BTreeSet;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use serde::Deserialize;
 use streamsplat::import::read_text;
 use streamsplat::recognise;
+use streamsplat::run::options::{Motion, ViewOptions};
 
 use crate::console::failure::Failure;
-use crate::options::args::{Motion, RenderOptions, ViewOptions};
+use crate::options::args::RenderOptions;
 use crate::options::optics::Optics;
 
 /// Longest list that is read, in bytes.
@@ -108,19 +111,20 @@ fn parse(text: &str, folder: &Path) -> Result<Vec<Render>, String> {
         if !names.insert(name.to_lowercase()) {
             return Err(format!("name {name:?}: expected every name once, found it twice"));
         }
-        Ok(entry.render(folder))
+        let named = entry.name.clone();
+        entry.render(folder).map_err(|e| format!("{named}: {e}"))
     });
     renders.collect()
 }
 
 impl Entry {
-    fn render(self, folder: &Path) -> Render {
+    fn render(self, folder: &Path) -> Result<Render, String> {
         let view = ViewOptions {
-            times: self.times.map(Word::text),
-            size: self.size,
+            times: value("times", self.times.map(Word::text))?,
+            size: value("size", self.size)?,
             camera: self.camera.map(|camera| folder.join(camera)),
             view: self.view.map(Word::text),
-            background: self.background.map_or_else(|| "0.5".to_owned(), Word::text),
+            background: value("background", self.background.map(Word::text))?.unwrap_or_default(),
             renderer: None,
         };
         let optics = Optics {
@@ -133,18 +137,25 @@ impl Entry {
             shutter_samples: self.shutter_samples,
         };
         let Entry { turntable, stereo, eye_distance, antialias, .. } = self;
-        let [orbit, sway] = [self.orbit, self.sway].map(|word| word.map(Word::text));
+        let (orbit, sway) = (value("orbit", self.orbit.map(Word::text))?, value("sway", self.sway.map(Word::text))?);
         let motion = Motion { orbit, sway, turntable, stereo, eye_distance };
         let antialias = antialias.into();
         let options = RenderOptions { view, fps: self.fps, motion, antialias, optics, ..RenderOptions::default() };
-        Render { name: self.name, scene: folder.join(self.scene), options }
+        Ok(Render { name: self.name, scene: folder.join(self.scene), options })
     }
+}
+
+/// The value of a key, where it is given.
+fn value<T: FromStr<Err: Display>>(key: &str, text: Option<String>) -> Result<Option<T>, String> {
+    text.map(|text| text.parse().map_err(|e| format!("{key}: {e}"))).transpose()
 }
 
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
     use proptest::sample::{Index, select};
+
+    use streamsplat::run::options::{Background, Times};
 
     use super::*;
     use crate::options::antialias::Antialias;
@@ -169,8 +180,9 @@ mod tests {
         "#;
         let renders = parse(text, Path::new("dir")).expect("a list");
         let RenderOptions { view, .. } = &renders[0].options;
-        assert_eq!((view.view.as_deref(), view.times.as_deref()), (Some("3"), Some("0,0.5")));
-        assert_eq!((view.background.as_str(), view.camera.as_deref()), ("0.25", Some(Path::new("dir/cameras.json"))));
+        assert_eq!((view.view.as_deref(), view.times.as_ref()), (Some("3"), Some(&Times::List(vec![0.0, 0.5]))));
+        let grey = Background::Colour([0.25; 3]);
+        assert_eq!((view.background, view.camera.as_deref()), (grey, Some(Path::new("dir/cameras.json"))));
         assert_eq!(
             (renders[1].options.motion.turntable, renders[1].scene.as_path()),
             (Some(2.0), Path::new("dir/b.ply"))
@@ -181,7 +193,7 @@ mod tests {
     #[test]
     fn cameras_that_move_and_pairs_of_eyes_are_said_as_there() {
         let text = "[[render]]\nname = 'a'\nscene = 'b'\nsway = 4\nstereo = true\neye_distance = 0.05";
-        let motion = Motion { sway: Some("4".to_owned()), stereo: true, eye_distance: Some(0.05), ..Motion::default() };
+        let motion = Motion { sway: "4".parse().ok(), stereo: true, eye_distance: Some(0.05), ..Motion::default() };
         assert_eq!(parse(text, Path::new("")).expect("a list")[0].options.motion, motion);
     }
 
@@ -232,6 +244,7 @@ mod tests {
             ("[[render]]\nname = '../a'\nscene = 'b'", "expected 1 to 100 letters"),
             ("[[render]]\nname = 'a'\nscene = 'b'\n[[render]]\nname = 'A'\nscene = 'b'", "found it twice"),
             ("[[render]]\nname = 'a'", "missing field `scene`"),
+            ("[[render]]\nname = 'a'\nscene = 'b'\nsize = '4x'", "a: size: expected model, source or WIDTHxHEIGHT"),
         ] {
             let error = parse(text, Path::new("")).err().unwrap_or_default();
             assert!(error.contains(expected), "{text}: {error}");

@@ -26,11 +26,11 @@ use crate::command::still;
 use crate::console::failure::Failure;
 use crate::console::{Console, print, say};
 use crate::options::args::{GoldenAction, GoldenArgs, GoldenCheckArgs, GoldenRecordArgs};
-use crate::options::motion::Course;
 use crate::options::times;
-use crate::output::digest;
-use crate::output::earlier::{is_as_written, remove_file};
-use crate::session::drawing::Drawing;
+use streamsplat::run::digest;
+use streamsplat::run::drawing::Drawing;
+use streamsplat::run::earlier::{is_as_written, remove_file};
+use streamsplat::run::options::motion::Course;
 
 /// Records or checks.
 pub fn command(args: &GoldenArgs, console: &Console) -> Result<(), Failure> {
@@ -73,7 +73,7 @@ fn draw(
         let shown = if let Some(Course::Held(_)) = views.course { index as f64 / fps } else { due.0 };
         sink(shown, stretch.image(&mut drawing, index, due, &views, fps)?)?;
     }
-    digest::scene(&scene)
+    Ok(digest::scene(&scene)?)
 }
 
 fn picture(image: Image) -> Picture {

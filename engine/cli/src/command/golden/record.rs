@@ -9,7 +9,7 @@ use streamsplat::import::read_text;
 use streamsplat::picture::Picture;
 
 use crate::console::failure::Failure;
-use crate::output::record::PROGRAM;
+use streamsplat::run::record::PROGRAM;
 
 /// Longest record read, in bytes.
 const MAX_RECORD: u64 = 1 << 28;

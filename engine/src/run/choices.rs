@@ -2,8 +2,8 @@
 
 use std::collections::VecDeque;
 
+use crate::gap::{ControlState, Found};
 use serde::{Deserialize, Serialize};
-use streamsplat::gap::{ControlState, Found};
 
 /// Key frames chosen so far, and the state on which the next choices depend.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -2,23 +2,22 @@
 
 use std::path::{Path, PathBuf};
 
-use streamsplat::output::{OutputError, partial_name, storage};
+use crate::output::{OutputError, partial_name, storage};
 
-use crate::console::failure::Failure;
-use crate::output::outputs::is_inside;
-use crate::output::record::Record;
-use crate::output::{digest, ledger, resume_state};
+use crate::run::Error;
+use crate::run::outputs::is_inside;
+use crate::run::record::Record;
+use crate::run::{digest, ledger, resume_state};
 
 /// Removes the files that an earlier run in `folder` tells of, whole or stopped, and what tells of them, so that old and new results
 /// never mix. A file goes only if it is what was written, by length and digest; nothing is reached through a link.
-pub fn remove_earlier(folder: &Path) -> Result<(), Failure> {
+pub fn remove_earlier(folder: &Path) -> Result<(), Error> {
     let record = folder.join("run.json");
     // One that was emptied, by a power loss or by hand, names nothing.
     let emptied = std::fs::symlink_metadata(&record).is_ok_and(|found| found.is_file() && found.len() == 0);
     if storage::exists(&record) && !emptied {
-        let earlier = Record::read(&record).map_err(|e| {
-            Failure::work(format!("{}; the folder holds something else, give another --out", e.message()))
-        })?;
+        let earlier = Record::read(&record)
+            .map_err(|e| Error::work(format!("{}; the folder holds something else, give another --out", e)))?;
         for (name, output) in &earlier.outputs {
             if is_as_written(folder, name, output.bytes, &output.blake3)? {
                 remove_file(&folder.join(name))?;
@@ -34,7 +33,7 @@ pub fn remove_earlier(folder: &Path) -> Result<(), Failure> {
     }
     if !lines.is_empty() {
         // The index and whatever was being written when the run was stopped have no line.
-        let index = Path::new("scene").join(streamsplat::scene::INDEX);
+        let index = Path::new("scene").join(crate::scene::INDEX);
         let names = lines.iter().map(|line| PathBuf::from(&line.file)).chain([index.clone()]);
         let mut files: Vec<PathBuf> = names.map(|name| partial_name(&name)).collect();
         files.push(index);
@@ -50,12 +49,12 @@ pub fn remove_earlier(folder: &Path) -> Result<(), Failure> {
 }
 
 /// Returns true if the file `name` in `folder` has this length and this digest.
-pub fn is_as_written(folder: &Path, name: &str, bytes: u64, blake3: &str) -> Result<bool, Failure> {
+pub fn is_as_written(folder: &Path, name: &str, bytes: u64, blake3: &str) -> Result<bool, Error> {
     if !is_file_inside(folder, Path::new(name)) {
         return Ok(false);
     }
     let path = folder.join(name);
-    let length = storage::regular(&path).map_err(|e| Failure::work(format!("{}: {e}", path.display())))?.len();
+    let length = storage::regular(&path).map_err(|e| Error::work(format!("{}: {e}", path.display())))?.len();
     Ok(length == bytes && digest::file(&path)? == blake3)
 }
 
@@ -76,10 +75,10 @@ fn is_file_inside(folder: &Path, name: &Path) -> bool {
 }
 
 /// Removes a file, if it is there.
-pub fn remove_file(file: &Path) -> Result<(), Failure> {
+pub fn remove_file(file: &Path) -> Result<(), Error> {
     match storage::remove(file) {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-            Err(Failure::work(format!("{}: cannot remove: {e}", file.display())))
+            Err(Error::work(format!("{}: cannot remove: {e}", file.display())))
         }
         _ => Ok(()),
     }

@@ -1,10 +1,10 @@
 //! Cameras that move around a scene's middle, and pairs of eyes, from their options.
 
-use streamsplat::camera::turn::{Angles, Turn};
+use crate::camera::turn::{Angles, Turn};
 
-use crate::console::failure::Failure;
-use crate::options::args::Motion;
-use crate::options::settings::Views;
+use crate::run::Error;
+use crate::run::options::{Motion, Swing};
+use crate::run::views::Views;
 
 /// Seconds of a motion of which only the angle is said.
 const SECONDS: f64 = 4.0;
@@ -49,7 +49,7 @@ impl Asked {
     }
 
     /// Angles of the images of one instant, `fps` of them a second.
-    fn held(self, fps: f64) -> Result<Vec<Angles>, Failure> {
+    fn held(self, fps: f64) -> Result<Vec<Angles>, Error> {
         let (Asked::Orbit(_, seconds) | Asked::Sway(_, seconds)) = self else {
             let Asked::Turntable(seconds) = self else { return Ok(Vec::new()) };
             let count = self.count(seconds, fps)?;
@@ -67,10 +67,10 @@ impl Asked {
             .collect())
     }
 
-    fn count(self, seconds: f64, fps: f64) -> Result<usize, Failure> {
+    fn count(self, seconds: f64, fps: f64) -> Result<usize, Error> {
         let count = (seconds * fps).round();
         if !(seconds > 0.0 && (1.0..=MOST).contains(&count)) {
-            return Err(Failure::usage(format!(
+            return Err(Error::usage(format!(
                 "{}: expected at least one image and at most {MOST}, found {seconds} s at {fps} images per second",
                 self.option()
             )));
@@ -79,7 +79,7 @@ impl Asked {
     }
 
     /// The motion while time runs on, through all images where it is known how many there are.
-    fn running(self, whole: Option<Whole>) -> Result<Turn, Failure> {
+    fn running(self, whole: Option<Whole>) -> Result<Turn, Error> {
         let (said, turn): (Option<f64>, &dyn Fn(f64) -> Turn) = match self {
             Asked::Orbit(degrees, seconds) => (seconds, &move |seconds| Turn::Orbit { degrees, seconds }),
             Asked::Sway(degrees, seconds) => (seconds, &move |seconds| Turn::Sway { degrees, seconds }),
@@ -87,7 +87,7 @@ impl Asked {
         };
         if let Some(seconds) = said {
             if !(seconds > 0.0 && seconds.is_finite()) {
-                return Err(Failure::usage(format!("{}: expected seconds above 0, found {seconds} s", self.option())));
+                return Err(Error::usage(format!("{}: expected seconds above 0, found {seconds} s", self.option())));
             }
             return Ok(turn(seconds));
         }
@@ -105,17 +105,16 @@ impl Asked {
 }
 
 impl Motion {
-    fn asked(&self) -> Result<Option<Asked>, Failure> {
-        if let Some(text) = &self.orbit {
-            let (degrees, seconds) = angle("--orbit", text)?;
+    /// The circle of `--sway` without a value, in degrees.
+    pub const SWAY: &str = "4";
+
+    fn asked(&self) -> Result<Option<Asked>, Error> {
+        if let Some(Swing { degrees, seconds }) = self.orbit {
             return Ok(Some(Asked::Orbit(degrees, seconds)));
         }
-        if let Some(text) = &self.sway {
-            let (degrees, seconds) = angle("--sway", text)?;
+        if let Some(swing @ Swing { degrees, seconds }) = self.sway {
             if !(degrees > 0.0 && degrees <= WIDEST) {
-                return Err(Failure::usage(format!(
-                    "--sway {text}: expected more than 0 and at most {WIDEST} degrees"
-                )));
+                return Err(Error::usage(format!("--sway {swing}: expected more than 0 and at most {WIDEST} degrees")));
             }
             return Ok(Some(Asked::Sway(degrees, seconds)));
         }
@@ -133,15 +132,15 @@ impl Motion {
     }
 
     /// The places of the camera around a scene that stands still, `fps` of them a second; `None` where it does not move.
-    pub fn held(&self, fps: f64) -> Result<Option<Vec<Angles>>, Failure> {
+    pub fn held(&self, fps: f64) -> Result<Option<Vec<Angles>>, Error> {
         self.asked()?.map(|asked| asked.held(fps)).transpose()
     }
 
     /// Distance between the eyes; `None` for a single one.
-    pub fn eyes(&self) -> Result<Option<f64>, Failure> {
+    pub fn eyes(&self) -> Result<Option<f64>, Error> {
         let distance = self.eye_distance.unwrap_or(EYE_DISTANCE);
         if !(distance > 0.0 && distance <= 1.0) {
-            return Err(Failure::usage(format!(
+            return Err(Error::usage(format!(
                 "--eye-distance {distance}: expected more than 0 and at most 1, as a part of the distance from the scene's middle"
             )));
         }
@@ -155,7 +154,7 @@ impl Motion {
         due: &mut Vec<T>,
         time: impl Fn(T) -> f64,
         fps: f64,
-    ) -> Result<(), Failure> {
+    ) -> Result<(), Error> {
         views.refuse_cameras()?;
         views.eyes = self.eyes()?;
         views.course = match (self.asked()?, &due[..]) {
@@ -174,7 +173,7 @@ impl Motion {
     }
 
     /// Gives `views` its motion for a video of `fps` frames a second whose end is not known.
-    pub fn follow(&self, views: &mut Views, fps: f64) -> Result<(), Failure> {
+    pub fn follow(&self, views: &mut Views, fps: f64) -> Result<(), Error> {
         if let Some(mut times) = views.times.take() {
             self.along(views, &mut times, |time| time, fps)?;
             views.times = Some(times);
@@ -186,23 +185,12 @@ impl Motion {
     }
 }
 
-/// `DEGREES` or `DEGREES:SECONDS`.
-fn angle(option: &str, text: &str) -> Result<(f64, Option<f64>), Failure> {
-    let (degrees, seconds) = text.split_once(':').map_or((text, None), |(d, s)| (d, Some(s)));
-    let number = |text: &str| text.trim().parse::<f64>().ok().filter(|x| x.is_finite());
-    match (number(degrees), seconds.map(number)) {
-        (Some(degrees), None) => Ok((degrees, None)),
-        (Some(degrees), Some(Some(seconds))) => Ok((degrees, Some(seconds))),
-        _ => Err(Failure::usage(format!("{option} {text}: expected DEGREES or DEGREES:SECONDS"))),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn sway(text: &str) -> Motion {
-        Motion { sway: Some(text.to_owned()), ..Motion::default() }
+        Motion { sway: Some(text.parse().expect("an angle")), ..Motion::default() }
     }
 
     #[test]
@@ -225,7 +213,7 @@ mod tests {
             motion.along(&mut views, &mut due, |time| time, 8.0).expect("valid");
             views.course
         };
-        let orbit = Motion { orbit: Some("20".to_owned()), ..Motion::default() };
+        let orbit = Motion { orbit: Some("20".parse().expect("an angle")), ..Motion::default() };
         assert_eq!(course(&orbit, 81), Some(Course::Running(Turn::Orbit { degrees: 20.0, seconds: 10.0 })));
         // 80 images of an eighth of a second: ten seconds, in which two circles or three come nearest to 4 seconds each.
         let Some(Course::Running(Turn::Sway { seconds, .. })) = course(&sway("4"), 80) else { panic!("a circle") };
@@ -248,12 +236,15 @@ mod tests {
     #[test]
     fn what_is_no_motion_is_wrong_use() {
         let mut views = Views::own();
-        for text in ["", "a", "4:", "4:x", "nan", "0", "-3", "81", "4:0", "4:-1", "4:inf"] {
-            assert!(matches!(sway(text).follow(&mut views, 24.0), Err(Failure::Usage(_))), "{text}");
+        for text in ["", "a", "4:", "4:x", "nan", "4:inf"] {
+            assert!(text.parse::<Swing>().is_err(), "{text}");
+        }
+        for text in ["0", "-3", "81", "4:0", "4:-1"] {
+            assert!(matches!(sway(text).follow(&mut views, 24.0), Err(Error::Usage(_))), "{text}");
         }
         for distance in [0.0, -1.0, 1.5, f64::NAN] {
             let motion = Motion { stereo: true, eye_distance: Some(distance), ..Motion::default() };
-            assert!(matches!(motion.follow(&mut views, 24.0), Err(Failure::Usage(_))), "{distance}");
+            assert!(matches!(motion.follow(&mut views, 24.0), Err(Error::Usage(_))), "{distance}");
         }
     }
 }

@@ -5,14 +5,13 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use std::time::Instant;
 
+use crate::import::read_text;
+use crate::stream::{StageWork, Work, Workers};
 use serde::{Deserialize, Serialize};
-use streamsplat::import::read_text;
-use streamsplat::stream::{StageWork, Work, Workers};
 
-use crate::console::failure::Failure;
-use crate::options::args::{RenderOptions, RunOptions};
-use crate::options::machine;
-use crate::output::digest;
+use crate::run::Error;
+use crate::run::digest;
+use crate::run::options::RunOptions;
 
 /// Longest record read, in bytes.
 const MAX_RECORD: u64 = 1 << 28;
@@ -73,7 +72,7 @@ pub struct Record {
 /// Inputs of the program's bytes besides its version.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Build {
-    /// Version of the bit contract ([`streamsplat::BIT_CONTRACT`]); 0 in records without it.
+    /// Version of the bit contract ([`crate::BIT_CONTRACT`]); 0 in records without it.
     #[serde(default)]
     pub bit_contract: u32,
     /// The commit that the program was made from; where that is not known, the digest of its file.
@@ -82,13 +81,13 @@ pub struct Build {
 }
 
 impl Build {
-    /// Of this program.
-    pub fn this() -> Build {
-        static PROGRAM: LazyLock<String> = LazyLock::new(|| match env!("STREAMSPLAT_COMMIT") {
-            "unknown" => std::env::current_exe().ok().and_then(|file| digest::file(&file).ok()).unwrap_or_default(),
-            commit => commit.to_owned(),
+    /// Of the program that was made from this commit; where that is not known, its file's digest identifies it.
+    pub fn of(commit: Option<&str>) -> Build {
+        static PROGRAM: LazyLock<String> = LazyLock::new(|| {
+            std::env::current_exe().ok().and_then(|file| digest::file(&file).ok()).unwrap_or_default()
         });
-        Build { bit_contract: streamsplat::BIT_CONTRACT, program: PROGRAM.clone() }
+        let program = commit.map_or_else(|| PROGRAM.clone(), str::to_owned);
+        Build { bit_contract: crate::BIT_CONTRACT, program }
     }
 }
 
@@ -99,7 +98,7 @@ pub enum Invocation {
     /// `run`.
     Run(Box<RunOptions>),
     /// `render`.
-    Render(Box<RenderOptions>),
+    Render(serde_json::Value),
 }
 
 /// The checkpoint that was used.
@@ -124,13 +123,13 @@ pub struct NetworkRecord {
 
 impl NetworkRecord {
     /// Of the network in `file`, run by this version of the runtime.
-    pub fn of(file: &Path, runtime: &str) -> Result<NetworkRecord, Failure> {
+    pub fn of(file: &Path, runtime: &str) -> Result<NetworkRecord, Error> {
         let (path, blake3) = (absolute(file).display().to_string(), NetworkRecord::digest(file)?);
         Ok(NetworkRecord { path, blake3, runtime: format!("ONNX Runtime {runtime}") })
     }
 
     /// BLAKE3 of a network, whose weights may lie in a file beside it.
-    pub fn digest(file: &Path) -> Result<String, Failure> {
+    pub fn digest(file: &Path) -> Result<String, Error> {
         let mut files = vec![file.to_owned()];
         for ending in [".data", "_data"] {
             let mut beside = file.as_os_str().to_owned();
@@ -247,11 +246,19 @@ impl Timing {
         Timing {
             total: start.elapsed().as_secs_f64(),
             seconds,
-            peak_resident_bytes: machine::peak_resident_bytes(),
+            peak_resident_bytes: peak_resident_bytes(),
             threads: workers.threads(),
             isa: workers.level().name().to_owned(),
         }
     }
+}
+
+/// The most memory this process has held, in bytes, where the system has the number.
+fn peak_resident_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: u64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(kilobytes * 1024)
 }
 
 /// The engine's account over a run, parts of which earlier processes may have done.
@@ -294,13 +301,13 @@ fn records(work: &Work) -> BTreeMap<String, WorkRecord> {
 
 impl Record {
     /// As text.
-    pub fn to_json(&self) -> Result<String, Failure> {
-        serde_json::to_string_pretty(self).map(|text| text + "\n").map_err(|e| Failure::work(format!("run.json: {e}")))
+    pub fn to_json(&self) -> Result<String, Error> {
+        serde_json::to_string_pretty(self).map(|text| text + "\n").map_err(|e| Error::work(format!("run.json: {e}")))
     }
 
     /// Reads a `run.json`.
-    pub fn read(path: &Path) -> Result<Record, Failure> {
-        let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", path.display()));
+    pub fn read(path: &Path) -> Result<Record, Error> {
+        let wrong = |e: &dyn std::fmt::Display| Error::work(format!("{}: {e}", path.display()));
         let text = read_text(path, MAX_RECORD).map_err(|e| wrong(&e))?;
         Record::parse(&text).map_err(|e| wrong(&e))
     }
@@ -316,10 +323,10 @@ impl Record {
 }
 
 /// Refuses a path that a record, which is JSON, cannot hold.
-pub fn check_name(path: &Path) -> Result<(), Failure> {
+pub fn check_name(path: &Path) -> Result<(), Error> {
     match absolute(path).to_str() {
         Some(_) => Ok(()),
-        None => Err(Failure::usage(format!("{}: expected a name in UTF-8, as run.json holds it", path.display()))),
+        None => Err(Error::usage(format!("{}: expected a name in UTF-8, as run.json holds it", path.display()))),
     }
 }
 
@@ -333,21 +340,11 @@ pub fn absolute(path: &Path) -> PathBuf {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
     use proptest::prelude::*;
     use proptest::sample::{Index, select};
 
     use super::*;
-    use crate::options::args::{Cli, Command};
-
-    /// Parses a command line as a task.
-    fn task(words: &[&str]) -> Invocation {
-        match Cli::try_parse_from(words).expect("a command").command {
-            Command::Run(args) => Invocation::Run(Box::new(args.options)),
-            Command::Render(args) => Invocation::Render(Box::new(args.options)),
-            _ => panic!("{words:?} leave no record"),
-        }
-    }
+    use crate::run::options::{StreamOptions, ViewOptions};
 
     /// Records with everything that one can hold.
     fn texts() -> [String; 2] {
@@ -357,23 +354,17 @@ mod tests {
             samples: samples.map(str::to_owned),
             outside_contract,
         };
+        let run = RunOptions {
+            stream: StreamOptions { gap: "auto".parse().ok(), ..StreamOptions::default() },
+            view: ViewOptions { size: "64x48".parse().ok(), ..ViewOptions::default() },
+            frames: Some(9),
+            ..RunOptions::default()
+        };
         let record = Record {
             program: PROGRAM.to_owned(),
             version: "0.1.0".to_owned(),
             build: Build { bit_contract: 1, program: "abc".to_owned() },
-            task: task(&[
-                "streamsplat",
-                "run",
-                "in.y4m",
-                "--out",
-                "o",
-                "--gap",
-                "auto",
-                "--size",
-                "64x48",
-                "--frames",
-                "9",
-            ]),
+            task: Invocation::Run(Box::new(run)),
             seed: 7,
             model: Some(ModelRecord { path: "embedded".into(), blake3: "ab".repeat(32) }),
             depth: Some(NetworkRecord {
@@ -403,7 +394,7 @@ mod tests {
             timing: Timing { total: 0.1, threads: 2, isa: "avx2".into(), ..Timing::default() },
         };
         let render = Record {
-            task: task(&["streamsplat", "render", "scene", "--out", "o"]),
+            task: Invocation::Render(serde_json::json!({ "view": { "size": "model" }, "fps": 12.5, "emit": null })),
             model: None,
             depth: None,
             renderer: RendererRecord::default(),

@@ -3,7 +3,7 @@
 //!
 //! In the folder `resume` of the results (for a video `v.y4m`, `v.y4m.resume` beside it):
 //!
-//! - `written.jsonl`, the [ledger](crate::output::ledger): a line per file before the file gets its name;
+//! - `written.jsonl`, the [ledger](crate::run::ledger): a line per file before the file gets its name;
 //! - `state.safetensors`, the [`Point`] and the stream's resume point, replaced by renaming after each whole interval;
 //! - `state.before.safetensors`, the one of the interval before.
 //!
@@ -14,27 +14,27 @@
 //! The point is what counts: everything it vouches for was written before it, and what came after it is written again. Of the stream it
 //! holds the resume point *before* the last whole interval. So `--resume` reads the input from its beginning (the digest of what was read must
 //! be the same), takes up the resume point at the key frame before the last one, and computes the last whole interval again, which must come
-//! out as it was written; two key frames of work. Where the resume point says too little ([`Reuse::forgets`](streamsplat::stream::Reuse)),
+//! out as it was written; two key frames of work. Where the resume point says too little ([`Reuse::forgets`](crate::stream::Reuse)),
 //! the stream is computed from its start. When a run is complete, the folder is removed.
 
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
+use crate::import::read_file;
+use crate::output::{OutputError, Video, VideoPoint, partial_name, storage};
+use crate::scene::{resume_point_from_safetensors, resume_point_to_safetensors};
+use crate::stream::ResumePoint;
 use serde::{Deserialize, Serialize};
-use streamsplat::import::read_file;
-use streamsplat::output::{OutputError, Video, VideoPoint, partial_name, storage};
-use streamsplat::scene::{resume_point_from_safetensors, resume_point_to_safetensors};
-use streamsplat::stream::ResumePoint;
 
-use crate::console::failure::Failure;
-use crate::output::choices::Choices;
-use crate::output::earlier::is_as_written;
-use crate::output::ledger;
-use crate::output::outputs::Destination;
-use crate::output::record::{Counts, InputRecord, Invocation, Record, WorkRecord, absolute};
-use crate::output::terms::Terms;
-use crate::session::drawing::Anchor;
+use crate::run::Error;
+use crate::run::choices::Choices;
+use crate::run::destination::Destination;
+use crate::run::drawing::Anchor;
+use crate::run::earlier::is_as_written;
+use crate::run::ledger;
+use crate::run::record::{Counts, InputRecord, Invocation, Record, WorkRecord, absolute};
+use crate::run::terms::Terms;
 
 /// The point's file.
 const STATE: &str = "state.safetensors";
@@ -89,17 +89,17 @@ pub enum Found {
 }
 
 /// Looks for what a run to `destination` left.
-pub fn find(destination: &Destination) -> Result<Found, Failure> {
+pub fn find(destination: &Destination) -> Result<Found, Error> {
     let Some(folder) = destination.resume() else {
         let message = "--resume: expected a folder or a .y4m file as --out; standard output and encoded videos cannot be gone on with";
-        return Err(Failure::usage(message));
+        return Err(Error::usage(message));
     };
     let record = destination.record().filter(|path| path.exists());
     // A record that cannot be read is ignored: the resume state is used alone, or the run starts again.
     let record = record.as_deref().and_then(|path| match Record::read(path) {
         Ok(record) => Some(record),
         Err(damage) => {
-            tell(&damage.message());
+            tell(&damage.to_string());
             None
         }
     });
@@ -107,7 +107,7 @@ pub fn find(destination: &Destination) -> Result<Found, Failure> {
         return Ok(match check_outputs(record, destination) {
             Ok(()) => Found::Complete(Box::new(record.clone())),
             Err(damage) => {
-                tell(&format!("{}; starting again", damage.message()));
+                tell(&format!("{}; starting again", damage));
                 Found::Nothing
             }
         });
@@ -116,7 +116,7 @@ pub fn find(destination: &Destination) -> Result<Found, Failure> {
     if !states.iter().any(|path| path.exists()) {
         return match record {
             None => Ok(Found::Nothing),
-            Some(_) => Err(Failure::work(format!(
+            Some(_) => Err(Error::work(format!(
                 "{}: not found, but there is the record of a stopped run; run again without --resume",
                 states[0].display()
             ))),
@@ -129,7 +129,7 @@ pub fn find(destination: &Destination) -> Result<Found, Failure> {
             Ok((point, resume)) => return Ok(Found::Under(Box::new(point), resume)),
             Err(damage) => {
                 let next = if points.peek().is_some() { "going back one interval" } else { "starting again" };
-                tell(&format!("{}; {next}", damage.message()));
+                tell(&format!("{}; {next}", damage));
             }
         }
     }
@@ -137,8 +137,8 @@ pub fn find(destination: &Destination) -> Result<Found, Failure> {
 }
 
 /// The point in the file `path`, if all that it vouches for is there.
-fn point(path: &Path, folder: &Path, destination: &Destination) -> Result<(Point, Option<ResumePoint>), Failure> {
-    let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", path.display()));
+fn point(path: &Path, folder: &Path, destination: &Destination) -> Result<(Point, Option<ResumePoint>), Error> {
+    let wrong = |e: &dyn std::fmt::Display| Error::work(format!("{}: {e}", path.display()));
     storage::regular(path).map_err(|e| wrong(&e))?;
     let bytes = read_file(path, MAX_STATE).map_err(|e| wrong(&e))?;
     let (resume, note) = resume_point_from_safetensors(&bytes).map_err(|e| wrong(&e))?;
@@ -149,7 +149,7 @@ fn point(path: &Path, folder: &Path, destination: &Destination) -> Result<(Point
         (Destination::Video(path, _), Some(video)) if !Video::can_resume(path, video) => {
             let VideoPoint { bytes, blake3, .. } = video;
             let expected = format!("expected its first {bytes} bytes to have the digest {blake3}");
-            return Err(Failure::work(format!("{}: {expected}", path.display())));
+            return Err(Error::work(format!("{}: {expected}", path.display())));
         }
         (Destination::Video(..), _) => {}
     }
@@ -157,17 +157,17 @@ fn point(path: &Path, folder: &Path, destination: &Destination) -> Result<(Point
 }
 
 /// Every file of a record must have the length and the digest that it names.
-fn check_outputs(record: &Record, destination: &Destination) -> Result<(), Failure> {
+fn check_outputs(record: &Record, destination: &Destination) -> Result<(), Error> {
     let folder = match destination {
         Destination::Folder(folder) => folder,
-        Destination::Video(path, _) => streamsplat::output::folder_of(path),
+        Destination::Video(path, _) => crate::output::folder_of(path),
     };
     for (name, output) in &record.outputs {
         if !is_as_written(folder, name, output.bytes, &output.blake3)? {
             let path = folder.join(name);
             let (bytes, blake3) = (output.bytes, &output.blake3);
             let expected = format!("expected the file as it was written, {bytes} bytes with the digest {blake3}");
-            return Err(Failure::work(format!("{}: {expected}", path.display())));
+            return Err(Error::work(format!("{}: {expected}", path.display())));
         }
     }
     Ok(())
@@ -178,9 +178,9 @@ fn tell(message: &str) {
 }
 
 /// Writes the point, with the stream's resume point before its interval, when all that it vouches for is synced.
-pub fn commit(folder: &Path, point: &Point, resume: Option<&ResumePoint>) -> Result<(), Failure> {
-    let note = serde_json::to_string(point).map_err(Failure::work)?;
-    let bytes = resume_point_to_safetensors(resume, &note).map_err(Failure::work)?;
+pub fn commit(folder: &Path, point: &Point, resume: Option<&ResumePoint>) -> Result<(), Error> {
+    let note = serde_json::to_string(point).map_err(Error::work)?;
+    let bytes = resume_point_to_safetensors(resume, &note).map_err(Error::work)?;
     let (state, before) = (folder.join(STATE), folder.join(BEFORE));
     let partial = partial_name(&state);
     let write = || {
@@ -197,7 +197,7 @@ pub fn commit(folder: &Path, point: &Point, resume: Option<&ResumePoint>) -> Res
     };
     write().map_err(|cause| {
         let _ = storage::remove(&partial);
-        Failure::from(OutputError::Write { path: state.clone(), cause })
+        Error::from(OutputError::Write { path: state.clone(), cause })
     })
 }
 
@@ -231,16 +231,16 @@ pub fn remove(folder: &Path) -> Result<(), OutputError> {
 }
 
 /// A complete run is only said to be one when it is the run asked for.
-pub fn check_complete(record: &Record, input: &Path, given: &Terms) -> Result<(), Failure> {
+pub fn check_complete(record: &Record, input: &Path, given: &Terms) -> Result<(), Error> {
     let Invocation::Run(options) = &record.task else {
-        return Err(Failure::usage("--resume: --out holds the results of render, not of run"));
+        return Err(Error::usage("--resume: --out holds the results of render, not of run"));
     };
     let recorded = Terms::recorded(record, options)?;
     recorded.check(given)?;
     let input = absolute(input);
     if record.input.path != input {
         let (expected, found) = (record.input.path.display(), input.display());
-        return Err(Failure::work(format!("--resume: the input: recorded {expected}, given {found}")));
+        return Err(Error::work(format!("--resume: the input: recorded {expected}, given {found}")));
     }
     Ok(())
 }

@@ -4,18 +4,18 @@ use std::collections::BTreeMap;
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
+use crate::camera::{Camera, turn};
+use crate::render::{Backend, Exposure, Renderer, View};
+use crate::still::Drawable;
+use crate::stream::{Interval, Workers};
+use crate::{Image, RenderError};
 use serde::{Deserialize, Serialize};
-use streamsplat::camera::{Camera, turn};
-use streamsplat::render::{Backend, Exposure, Renderer, View};
-use streamsplat::still::Drawable;
-use streamsplat::stream::{Interval, Workers};
-use streamsplat::{Image, RenderError};
 use streamsplat_kernels::raster::Projection;
 
-use crate::console::failure::Failure;
-use crate::options::motion::Course;
-use crate::options::settings::Views;
-use crate::output::record::{Counts, RendererRecord, WorkRecord};
+use crate::run::Error;
+use crate::run::options::motion::Course;
+use crate::run::record::{Counts, RendererRecord, WorkRecord};
+use crate::run::views::Views;
 
 /// Colour, depth and alpha.
 const PLANES: u64 = 3;
@@ -46,7 +46,7 @@ pub struct Drawing {
 
 impl Drawing {
     /// Nothing drawn yet.
-    pub fn new(workers: &Workers, backend: Backend) -> Result<Drawing, Failure> {
+    pub fn new(workers: &Workers, backend: Backend) -> Result<Drawing, Error> {
         Ok(Drawing {
             workers: workers.clone(),
             renderer: Renderer::with(workers, backend)?,
@@ -73,12 +73,12 @@ impl Drawing {
     }
 
     /// Draws the interval at `time` from where the camera is then, as the image with the number `index`.
-    pub fn draw(&mut self, interval: &Interval, index: usize, time: f64, views: &Views) -> Result<Image, Failure> {
+    pub fn draw(&mut self, interval: &Interval, index: usize, time: f64, views: &Views) -> Result<Image, Error> {
         self.draw_at(interval, index as f64, time, views)
     }
 
     /// [`Self::draw`], between two images where `index` has a part.
-    pub fn draw_at(&mut self, interval: &Interval, index: f64, time: f64, views: &Views) -> Result<Image, Failure> {
+    pub fn draw_at(&mut self, interval: &Interval, index: f64, time: f64, views: &Views) -> Result<Image, Error> {
         if views.course.is_none() && views.eyes.is_none() {
             return self.seen(interval, time, &views.camera.at(time), views);
         }
@@ -95,21 +95,21 @@ impl Drawing {
     }
 
     /// The first image's time, and the scene's middle then; `time` is the first's where none was drawn.
-    pub fn anchored(&mut self, interval: &Interval, time: f64) -> Result<Anchor, Failure> {
+    pub fn anchored(&mut self, interval: &Interval, time: f64) -> Result<Anchor, Error> {
         Ok(match self.anchor {
             Some(anchor) => anchor,
             None => *self.anchor.insert(Anchor { time, pivot: turn::pivot(interval, time, &self.workers)? }),
         })
     }
 
-    fn seen(&mut self, interval: &Interval, time: f64, camera: &Camera, views: &Views) -> Result<Image, Failure> {
+    fn seen(&mut self, interval: &Interval, time: f64, camera: &Camera, views: &Views) -> Result<Image, Error> {
         let view = View::new(camera, &interval.placement, [1; 2]);
         let turned = view.rotation().is_some() || !matches!(view.projection(), Projection::Orthographic { .. });
         self.drawn(turned, |renderer| renderer.render(interval, time, camera, &views.options))
     }
 
     /// Draws a still scene from where the camera is at `time`.
-    pub fn still(&mut self, scene: &Drawable, time: f64, views: &Views) -> Result<Image, Failure> {
+    pub fn still(&mut self, scene: &Drawable, time: f64, views: &Views) -> Result<Image, Error> {
         // Its Gaussians have rotations of their own.
         let mut seen =
             |camera: &Camera| self.drawn(true, |renderer| renderer.render_still(scene, camera, &views.options));
@@ -127,8 +127,8 @@ impl Drawing {
     pub fn exposed(
         &mut self,
         views: &Views,
-        mut draw: impl FnMut(&mut Drawing, f64) -> Result<Image, Failure>,
-    ) -> Result<Image, Failure> {
+        mut draw: impl FnMut(&mut Drawing, f64) -> Result<Image, Error>,
+    ) -> Result<Image, Error> {
         let Some(shutter) = &views.shutter else { return draw(self, 0.0) };
         let mut exposure = Exposure::new(self.workers.level(), views.transparent);
         for &part in shutter.parts() {
@@ -148,7 +148,7 @@ impl Drawing {
         &mut self,
         turned: bool,
         paint: impl FnOnce(&mut Renderer) -> Result<&Image, RenderError>,
-    ) -> Result<Image, Failure> {
+    ) -> Result<Image, Error> {
         let _span = tracing::info_span!("render").entered();
         let start = Instant::now();
         let image = paint(&mut self.renderer)?.clone();
@@ -186,7 +186,7 @@ impl Drawing {
     }
 
     /// Runs `work` as writing.
-    pub fn writing<R>(&mut self, work: impl FnOnce() -> Result<R, Failure>) -> Result<R, Failure> {
+    pub fn writing<R>(&mut self, work: impl FnOnce() -> Result<R, Error>) -> Result<R, Error> {
         let _span = tracing::info_span!("write").entered();
         let start = Instant::now();
         let result = work();
@@ -198,9 +198,9 @@ impl Drawing {
     pub fn pass<I, T: Send>(
         &mut self,
         due: impl ExactSizeIterator<Item = I> + Send,
-        mut draw: impl FnMut(&mut Drawing, I) -> Result<Option<T>, Failure> + Send,
-        mut write: impl FnMut(T) -> Result<(), Failure>,
-    ) -> Result<(), Failure> {
+        mut draw: impl FnMut(&mut Drawing, I) -> Result<Option<T>, Error> + Send,
+        mut write: impl FnMut(T) -> Result<(), Error>,
+    ) -> Result<(), Error> {
         if self.workers.threads() < 2 || due.len() < 2 {
             for item in due {
                 let Some(drawn) = draw(self, item)? else { break };
@@ -276,8 +276,8 @@ fn between(angles: &[turn::Angles], index: f64) -> turn::Angles {
     turn::Angles { right: mix(before.right, after.right), up: mix(before.up, after.up) }
 }
 
-fn behind() -> Failure {
-    Failure::usage(
+fn behind() -> Error {
+    Error::usage(
         "--stereo: expected cameras that look towards the scene's middle, found one that has it behind itself or sees all around",
     )
 }

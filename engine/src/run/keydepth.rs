@@ -1,15 +1,20 @@
 //! Depth of key frames, from files or from a network.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
+#[cfg(feature = "onnx")]
+use std::time::Instant;
 
-use streamsplat::depth::{DepthMaps, DepthNetwork};
-use streamsplat::picture::Picture;
-use streamsplat::source::Source;
-use streamsplat::stream::Workers;
+use crate::depth::DepthMaps;
+#[cfg(feature = "onnx")]
+use crate::depth::DepthNetwork;
+use crate::picture::Picture;
+use crate::source::Source;
+#[cfg(feature = "onnx")]
+use crate::stream::Workers;
 use streamsplat_kernels::Level;
 
-use crate::console::failure::Failure;
-use crate::options::settings::DepthFrom;
+use crate::run::Error;
+use crate::run::options::DepthFrom;
 
 /// Where a frame's depth comes from.
 pub enum KeyDepth {
@@ -18,10 +23,12 @@ pub enum KeyDepth {
     /// Every frame has a file, which belongs to the input.
     Maps(DepthMaps),
     /// A network looks at key frames.
+    #[cfg(feature = "onnx")]
     Network(Box<Looker>),
 }
 
 /// A network, what it was shown last, and its account.
+#[cfg(feature = "onnx")]
 pub struct Looker {
     network: DepthNetwork,
     /// The latest frame's samples and its map, where a repeated frame is not shown again.
@@ -52,7 +59,7 @@ impl KeyDepth {
         level: Level,
         reuse: bool,
         limit: Option<usize>,
-    ) -> Result<KeyDepth, Failure> {
+    ) -> Result<KeyDepth, Error> {
         Ok(match from {
             DepthFrom::None | DepthFrom::Found => KeyDepth::None,
             DepthFrom::Folder(folder, range, values) => {
@@ -66,6 +73,13 @@ impl KeyDepth {
                 }
                 KeyDepth::Maps(maps)
             }
+            #[cfg(not(feature = "onnx"))]
+            DepthFrom::Network(path, _) => {
+                let _ = (level, reuse);
+                let message = "expected a build with the cargo feature onnx, found one without";
+                return Err(Error::usage(format!("--depth onnx:{}: {message}", path.display())));
+            }
+            #[cfg(feature = "onnx")]
             DepthFrom::Network(path, options) => {
                 // One thread, as the network itself: it works beside those of the engine.
                 let network = DepthNetwork::open(path, options.clone(), &Workers::new(level, 1)?)?;
@@ -80,12 +94,12 @@ impl KeyDepth {
     pub fn notes(&self) -> &[String] {
         match self {
             KeyDepth::Maps(maps) => maps.notes(),
-            KeyDepth::None | KeyDepth::Network(_) => &[],
+            _ => &[],
         }
     }
 
     /// Checks that no map is left when the input has ended after so many frames.
-    pub fn ended(&self, source: &Source, frames: usize) -> Result<(), Failure> {
+    pub fn ended(&self, source: &Source, frames: usize) -> Result<(), Error> {
         match self {
             KeyDepth::Maps(maps) if source.files().is_none() => Ok(maps.check(frames, None)?),
             _ => Ok(()),
@@ -93,32 +107,36 @@ impl KeyDepth {
     }
 
     /// The map in the frame's file.
-    pub fn of_file(&self, index: usize, picture: &Picture) -> Result<Option<Vec<f32>>, Failure> {
+    pub fn of_file(&self, index: usize, picture: &Picture) -> Result<Option<Vec<f32>>, Error> {
         match self {
             KeyDepth::Maps(maps) => Ok(Some(maps.map(index, picture.width, picture.height)?)),
-            KeyDepth::None | KeyDepth::Network(_) => Ok(None),
+            _ => Ok(None),
         }
     }
 
     /// The network's map of a key frame.
-    pub fn of_network(&mut self, picture: &Picture) -> Result<Option<Vec<f32>>, Failure> {
-        match self {
-            KeyDepth::Network(looker) => looker.look(picture).map(Some),
-            KeyDepth::None | KeyDepth::Maps(_) => Ok(None),
+    pub fn of_network(&mut self, picture: &Picture) -> Result<Option<Vec<f32>>, Error> {
+        #[cfg(feature = "onnx")]
+        if let KeyDepth::Network(looker) = self {
+            return looker.look(picture).map(Some);
         }
+        let _ = picture;
+        Ok(None)
     }
 
     /// Work done by the network; `None` where depth does not come from a network.
     pub fn account(&self) -> Option<NetworkAccount> {
         match self {
+            #[cfg(feature = "onnx")]
             KeyDepth::Network(looker) => Some(looker.account.clone()),
-            KeyDepth::None | KeyDepth::Maps(_) => None,
+            _ => None,
         }
     }
 }
 
+#[cfg(feature = "onnx")]
 impl Looker {
-    fn look(&mut self, picture: &Picture) -> Result<Vec<f32>, Failure> {
+    fn look(&mut self, picture: &Picture) -> Result<Vec<f32>, Error> {
         let same_bits =
             |a: &[f32], b: &[f32]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
         if let Some((rgb, map)) = &self.latest

@@ -1,14 +1,12 @@
 //! Terms of a run: the program, options and model, which determine its output together with the input.
 
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::console::failure::Failure;
-use crate::options::args::RunOptions;
-use crate::output::digest;
-use crate::output::record::{Build, ModelRecord, NetworkRecord, Record, absolute};
+use crate::run::Error;
+use crate::run::digest;
+use crate::run::options::{DepthSource, RunOptions};
+use crate::run::record::{Build, ModelRecord, NetworkRecord, Record, absolute};
 
 /// Options whose files are compared by their content instead.
 const BY_CONTENT: [&str; 2] = ["model", "dinov2"];
@@ -32,22 +30,22 @@ pub struct Terms {
 
 impl Terms {
     /// The terms of a run with these options.
-    pub fn given(options: &RunOptions, model: &ModelRecord) -> Result<Terms, Failure> {
+    pub fn given(options: &RunOptions, model: &ModelRecord, build: &Build) -> Result<Terms, Error> {
         let network = options.stream.depth_network();
         Ok(Terms {
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            build: Build::this(),
-            options: serde_json::to_value(with_absolute_paths(options)).map_err(Failure::work)?,
+            build: build.clone(),
+            options: serde_json::to_value(with_absolute_paths(options)).map_err(Error::work)?,
             model: model.clone(),
             camera: options.view.camera.as_deref().map(digest::file).transpose()?,
-            network: network.map(|file| NetworkRecord::digest(Path::new(file))).transpose()?,
+            network: network.map(NetworkRecord::digest).transpose()?,
         })
     }
 
     /// The terms of a recorded run, which does not say what was in the camera's file.
-    pub fn recorded(record: &Record, options: &RunOptions) -> Result<Terms, Failure> {
-        let model = record.model.clone().ok_or_else(|| Failure::work("run.json: expected a model, found none"))?;
-        let options = serde_json::to_value(options).map_err(Failure::work)?;
+    pub fn recorded(record: &Record, options: &RunOptions) -> Result<Terms, Error> {
+        let model = record.model.clone().ok_or_else(|| Error::work("run.json: expected a model, found none"))?;
+        let options = serde_json::to_value(options).map_err(Error::work)?;
         let network = record.depth.as_ref().map(|network| network.blake3.clone());
         Ok(Terms {
             version: record.version.clone(),
@@ -65,9 +63,9 @@ impl Terms {
     }
 
     /// An error that names what of `given` differs.
-    pub fn check(&self, given: &Terms) -> Result<(), Failure> {
+    pub fn check(&self, given: &Terms) -> Result<(), Error> {
         let work = |what: &str, recorded: &str, given: &str| {
-            Err(Failure::work(format!("--resume: {what}: recorded {recorded}, given {given}")))
+            Err(Error::work(format!("--resume: {what}: recorded {recorded}, given {given}")))
         };
         if self.version != given.version {
             return work("the program's version", &self.version, &given.version);
@@ -86,7 +84,7 @@ impl Terms {
         // Defaults of options depend on the model, so that comes first.
         if let Some((option, recorded, given)) = difference("", &self.options, &given.options) {
             let message = format!("--resume: --{option}: the run was started with {recorded}, given {given}");
-            return Err(Failure::usage(message));
+            return Err(Error::usage(message));
         }
         let files =
             [("the camera's file", &self.camera, &given.camera), ("the depth network", &self.network, &given.network)];
@@ -107,11 +105,9 @@ pub fn with_absolute_paths(options: &RunOptions) -> RunOptions {
     for path in [&mut options.stream.model.model, &mut options.stream.model.dinov2, &mut options.view.camera] {
         *path = path.as_deref().map(absolute);
     }
-    options.stream.depth = options.stream.depth.map(|depth| match depth.strip_prefix("onnx:") {
-        Some(network) => format!("onnx:{}", absolute(Path::new(network)).display()),
-        None if ["none", "auto"].contains(&depth.as_str()) => depth,
-        None => absolute(Path::new(&depth)).display().to_string(),
-    });
+    if let Some(DepthSource::Folder(path) | DepthSource::Network(path)) = &mut options.stream.depth {
+        *path = absolute(path);
+    }
     options
 }
 
@@ -135,26 +131,23 @@ fn difference(name: &str, recorded: &Value, given: &Value) -> Option<(String, St
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
     use serde_json::json;
 
     use super::*;
-    use crate::options::args::{Cli, Command};
 
     #[test]
     fn another_contract_and_another_program_are_refused() {
-        let words = ["streamsplat", "run", "in.y4m", "--out", "o"];
-        let Command::Run(args) = Cli::try_parse_from(words).expect("a command").command else { panic!("expected run") };
-        let options = args.options;
+        let options = RunOptions::default();
+        let this = Build::of(None);
         let model = ModelRecord { path: "embedded".to_owned(), blake3: "ab".to_owned() };
-        let given = Terms::given(&options, &model).expect("terms");
+        let given = Terms::given(&options, &model, &this).expect("terms");
         assert!(given.check(&given).is_ok());
         let other = |build: Build| Terms { build, ..given.clone() };
-        let contract = other(Build { bit_contract: 0, ..Build::this() });
-        let message = contract.check(&given).expect_err("another contract").message();
+        let contract = other(Build { bit_contract: 0, ..this.clone() });
+        let message = contract.check(&given).expect_err("another contract").to_string();
         assert!(message.contains("the version of the bit contract: recorded 0, given"), "{message}");
-        let program = other(Build { program: "another".to_owned(), ..Build::this() });
-        let message = program.check(&given).expect_err("another program").message();
+        let program = other(Build { program: "another".to_owned(), ..this.clone() });
+        let message = program.check(&given).expect_err("another program").to_string();
         assert!(message.contains("the program: recorded another, given"), "{message}");
         let model = Terms { model: ModelRecord { blake3: "cd".to_owned(), ..model }, ..given.clone() };
         assert!(model.check(&given).is_err());

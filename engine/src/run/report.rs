@@ -3,22 +3,22 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use streamsplat::output::write_file;
+use crate::output::write_file;
 
-use crate::console::failure::Failure;
-use crate::output::outputs::Destination;
-use crate::output::record::{Invocation, Record};
+use crate::run::Error;
+use crate::run::destination::Destination;
+use crate::run::record::{Invocation, Record};
 
 /// Writes the record (and, in a folder, the report). The record comes last: where it is, everything is.
-pub fn finish(record: &Record, destination: &Destination, json: Option<&Path>) -> Result<(), Failure> {
+pub fn finish(record: &Record, destination: Option<&Destination>, json: Option<&Path>) -> Result<(), Error> {
     let text = record.to_json()?;
     if let Some(path) = json {
         write_file(path, text.as_bytes())?;
     }
-    if let Destination::Folder(folder) = destination {
+    if let Some(Destination::Folder(folder)) = destination {
         write_file(&folder.join("report.md"), markdown(record).as_bytes())?;
     }
-    if let Some(path) = destination.record() {
+    if let Some(path) = destination.and_then(Destination::record) {
         write_file(&path, text.as_bytes())?;
     }
     Ok(())

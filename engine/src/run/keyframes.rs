@@ -3,17 +3,17 @@
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
-use streamsplat::Frame;
-use streamsplat::gap::{self, ControlState, Found, Gap, Group};
-use streamsplat::picture::Picture;
-use streamsplat::source::{Source, SourceError, TimedPicture};
+use crate::Frame;
+use crate::gap::{self, ControlState, Found, Gap, Group};
+use crate::picture::Picture;
+use crate::source::{Source, SourceError, TimedPicture};
 
-use crate::console::failure::Failure;
-use crate::console::stop::Stop;
-use crate::output::choices::Choices;
-use crate::output::digest::InputDigest;
-use crate::session::closeness::{SIDE, Truth};
-use crate::session::keydepth::{KeyDepth, NetworkAccount};
+use crate::run::Error;
+use crate::run::Stop;
+use crate::run::choices::Choices;
+use crate::run::closeness::{SIDE, Truth};
+use crate::run::digest::InputDigest;
+use crate::run::keydepth::{KeyDepth, NetworkAccount};
 
 /// A key frame and what came since the one before.
 pub struct KeyFrame {
@@ -183,7 +183,7 @@ impl KeyFrames {
     }
 
     /// The next key frame.
-    pub fn next(&mut self) -> Result<Option<KeyFrame>, Failure> {
+    pub fn next_key(&mut self) -> Result<Option<KeyFrame>, Error> {
         if let Some(told) = &self.told
             && self.given >= 2
             && !self.groups.chooser().is_replaying()
@@ -199,7 +199,7 @@ impl KeyFrames {
         result
     }
 
-    fn read(&mut self) -> Result<Option<KeyFrame>, Failure> {
+    fn read(&mut self) -> Result<Option<KeyFrame>, Error> {
         let KeyFrames {
             source, depth, digest, size, truths, whole, latest, arrived, keep, limit, stop, damage, ..
         } = self;
@@ -237,7 +237,7 @@ impl KeyFrames {
             {
                 before.picture = empty();
             }
-            Ok::<_, Failure>(())
+            Ok::<_, Error>(())
         };
         match self.groups.next(arrive, taken)? {
             Some(group) if group.whole || !self.whole_gaps => self.key(group),
@@ -245,7 +245,7 @@ impl KeyFrames {
         }
     }
 
-    fn key(&mut self, Group { frames: mut shown, .. }: Group<TimedPicture>) -> Result<Option<KeyFrame>, Failure> {
+    fn key(&mut self, Group { frames: mut shown, .. }: Group<TimedPicture>) -> Result<Option<KeyFrame>, Error> {
         let Some(frame) = shown.last_mut() else { return Ok(None) };
         let (width, height) = (frame.picture.width, frame.picture.height);
         let of_file = match self.latest.1.take() {

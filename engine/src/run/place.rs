@@ -5,10 +5,10 @@ use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use streamsplat::output::{OutputError, prepare_folder, storage};
+use crate::output::{OutputError, prepare_folder, storage};
 
-use crate::console::failure::Failure;
-use crate::output::destination::Destination;
+use crate::run::Error;
+use crate::run::destination::Destination;
 
 /// Longest text of a lock that is read.
 const MAX_TEXT: u64 = 64;
@@ -34,7 +34,7 @@ impl Place {
     }
 
     /// Holds the place until this value goes; creates the folder, if there is none. Standard output is not held.
-    pub fn hold(&mut self) -> Result<(), Failure> {
+    pub fn hold(&mut self) -> Result<(), Error> {
         let Some(path) = self.destination.lock().filter(|_| self.lock.is_none()) else { return Ok(()) };
         if let Destination::Folder(folder) = &self.destination {
             let missing = |path: &&Path| !path.as_os_str().is_empty() && !path.exists();
@@ -55,7 +55,7 @@ impl Place {
     }
 
     /// As [`Place::hold`], where something is there to be held.
-    pub fn hold_existing(&mut self) -> Result<(), Failure> {
+    pub fn hold_existing(&mut self) -> Result<(), Error> {
         let there = match &self.destination {
             Destination::Folder(folder) => folder.is_dir(),
             Destination::Video(path, _) => {
@@ -74,9 +74,9 @@ struct Lock {
 }
 
 impl Lock {
-    fn take(path: PathBuf, out: &Path) -> Result<Lock, Failure> {
+    fn take(path: PathBuf, out: &Path) -> Result<Lock, Error> {
         static COUNT: AtomicU64 = AtomicU64::new(0);
-        let write = |cause| Failure::from(OutputError::Write { path: path.clone(), cause });
+        let write = |cause| Error::from(OutputError::Write { path: path.clone(), cause });
         loop {
             if storage::exists(&path) {
                 storage::regular(&path).map_err(write)?;
@@ -115,13 +115,13 @@ fn read(path: &Path) -> Option<String> {
     Some(text)
 }
 
-fn held(out: &Path, lock: &Path) -> Failure {
+fn held(out: &Path, lock: &Path) -> Error {
     let text = read(lock).unwrap_or_default();
     let process = match text.split(' ').next().and_then(|id| id.parse::<u32>().ok()) {
         Some(id) => format!("process {id}"),
         None => "another process".to_owned(),
     };
-    Failure::usage(format!(
+    Error::usage(format!(
         "--out {}: {process} is writing there; wait until it ends, or give another --out",
         out.display()
     ))
@@ -140,8 +140,8 @@ mod tests {
         first.hold().expect("free");
         first.hold().expect("its own");
         let refused = second.hold().expect_err("held");
-        assert!(matches!(&refused, Failure::Usage(_)));
-        assert!(refused.message().contains(&format!("process {}", std::process::id())), "{}", refused.message());
+        assert!(refused.is_usage());
+        assert!(refused.to_string().contains(&format!("process {}", std::process::id())), "{}", refused.to_string());
         drop(first);
         second.hold().expect("free again");
         drop(second);
@@ -179,7 +179,7 @@ mod tests {
         std::fs::create_dir(&out).expect("writable");
         std::fs::write(&precious, "text").expect("writable");
         std::os::unix::fs::symlink(&precious, out.join(".streamsplat.lock")).expect("writable");
-        assert!(Place::new(Destination::of(&out)).hold().is_err_and(|e| e.message().contains("a symbolic link")));
+        assert!(Place::new(Destination::of(&out)).hold().is_err_and(|e| e.to_string().contains("a symbolic link")));
         assert_eq!(std::fs::read(&precious).expect("there"), b"text");
     }
 }

@@ -1,34 +1,27 @@
 //! From the start of the input to where a run was stopped.
 
-use streamsplat::Frame;
-use streamsplat::stream::{Interval, ResumePoint};
+use crate::Frame;
+use crate::stream::{Interval, ResumePoint};
 
-use crate::console::failure::Failure;
-use crate::options::settings::Views;
-use crate::output::record::InputRecord;
-use crate::output::resume_state::Point;
-use crate::session::stream::{Stream, Times};
+use crate::run::Error;
+use crate::run::record::InputRecord;
+use crate::run::resume_state::Point;
+use crate::run::session::Session;
 
 /// Brings a stream that has seen nothing to `point`: reads what was read, computes the last whole interval again, and draws its
 /// last image again, unwritten, so that what is drawn next finds the tiles it would have found.
-pub fn catch_up(
-    stream: &mut Stream<'_>,
-    times: &mut Times<'_>,
-    views: &Views,
-    point: &Point,
-    resume: Option<&ResumePoint>,
-) -> Result<(), Failure> {
+pub fn catch_up(stream: &mut Session, point: &Point, resume: Option<&ResumePoint>) -> Result<(), Error> {
     let mut before: Option<Frame> = None;
     let mut last = None;
     for index in 0..=point.key {
-        let Some(mut key) = stream.keys.next()? else {
+        let Some(mut key) = stream.keys.next_key()? else {
             let (expected, found) = (point.input.count, stream.keys.account().frames);
             let name = point.input.path.display();
-            return Err(Failure::work(format!(
+            return Err(Error::work(format!(
                 "--resume: the input: recorded {expected} frames of {name}, found {found}"
             )));
         };
-        key.shown.iter().for_each(|_| stream.progress.step());
+        key.shown.iter().for_each(|_| stream.progress());
         let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
         if index == point.key {
             check_input(stream, point)?;
@@ -46,13 +39,13 @@ pub fn catch_up(
         }
     }
     let Some((interval, shown)) = last else {
-        return Err(Failure::work(
-            "--resume: state.safetensors: expected a resume point before the last whole interval",
-        ));
+        return Err(Error::work("--resume: state.safetensors: expected a resume point before the last whole interval"));
     };
-    stream.outputs.take_up(stream.keys.fps(), &interval, point.video.as_ref())?;
-    times.next = point.times;
-    let drawn = match times.asked {
+    if let Some(outputs) = &mut stream.outputs {
+        outputs.take_up(stream.keys.fps(), &interval, point.video.as_ref())?;
+    }
+    stream.times = point.times;
+    let drawn = match &stream.views.times {
         None => shown.last().map(|frame| (frame.index, frame.timestamp)),
         Some(asked) => point.times.checked_sub(1).and_then(|i| Some((i, *asked.get(i)?))),
     };
@@ -60,7 +53,7 @@ pub fn catch_up(
     if stream.emit.draws()
         && let Some((index, time)) = drawn.filter(|(_, time)| holds(&interval, *time))
     {
-        stream.drawing.draw(&interval, index, time, views)?;
+        stream.drawing.draw(&interval, index, time, &stream.views)?;
     }
     stream.drawing.counts = point.drawn.clone();
     stream.account.restart(point.work.clone(), stream.engine.work());
@@ -75,7 +68,7 @@ fn holds(interval: &Interval, time: f64) -> bool {
 }
 
 /// The frames read so far must be those that were read.
-fn check_input(stream: &Stream<'_>, point: &Point) -> Result<(), Failure> {
+fn check_input(stream: &Session, point: &Point) -> Result<(), Error> {
     let (expected, found) = (&point.input, stream.keys.input(&point.input.path));
     if expected.blake3 == found.blake3 && expected.count == found.count && expected.fps == found.fps {
         return Ok(());
@@ -83,5 +76,5 @@ fn check_input(stream: &Stream<'_>, point: &Point) -> Result<(), Failure> {
     let of = |input: &InputRecord| format!("{} frames with the digest {}", input.count, input.blake3);
     let name = point.input.path.display();
     let message = format!("--resume: the input: recorded {} from {name}, found {}", of(expected), of(&found));
-    Err(Failure::work(message))
+    Err(Error::work(message))
 }

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use streamsplat::picture::Picture;
-use streamsplat::scene::Scene;
+use crate::picture::Picture;
+use crate::scene::Scene;
 
-use crate::console::failure::Failure;
+use crate::run::Error;
 
 /// BLAKE3 over the frames as they are read: of each its index, its size, the bits of its time stamp, and its samples.
 #[derive(Default)]
@@ -45,8 +45,8 @@ impl InputDigest {
 }
 
 /// BLAKE3 of a file's bytes.
-pub fn file(path: &Path) -> Result<String, Failure> {
-    let unreadable = |e| Failure::work(format!("{}: {e}", path.display()));
+pub fn file(path: &Path) -> Result<String, Error> {
+    let unreadable = |e| Error::work(format!("{}: {e}", path.display()));
     let file = std::fs::File::open(path).map_err(unreadable)?;
     let mut hasher = blake3::Hasher::new();
     hasher.update_reader(file).map_err(unreadable)?;
@@ -64,10 +64,10 @@ pub fn bytes(parts: &[&[u8]]) -> String {
 }
 
 /// As [`bytes`], of files.
-pub fn files(paths: &[std::path::PathBuf]) -> Result<String, Failure> {
+pub fn files(paths: &[std::path::PathBuf]) -> Result<String, Error> {
     let mut hasher = blake3::Hasher::new();
     for path in paths {
-        let unreadable = |e| Failure::work(format!("{}: {e}", path.display()));
+        let unreadable = |e| Error::work(format!("{}: {e}", path.display()));
         let file = std::fs::File::open(path).map_err(unreadable)?;
         hasher.update(&file.metadata().map_err(unreadable)?.len().to_le_bytes());
         hasher.update_reader(file).map_err(unreadable)?;
@@ -76,13 +76,13 @@ pub fn files(paths: &[std::path::PathBuf]) -> Result<String, Failure> {
 }
 
 /// BLAKE3 of a scene's index. Intervals are checked against the index when they are read: one that does not match is refused.
-pub fn scene_index(scene: &Scene) -> Result<String, Failure> {
-    let text = serde_json::to_vec(scene.index()).map_err(Failure::work)?;
+pub fn scene_index(scene: &Scene) -> Result<String, Error> {
+    let text = serde_json::to_vec(scene.index()).map_err(Error::work)?;
     Ok(blake3::hash(&text).to_hex().to_string())
 }
 
 /// As [`scene_index`], after reading every interval and checking it against the index.
-pub fn scene(scene: &Scene) -> Result<String, Failure> {
+pub fn scene(scene: &Scene) -> Result<String, Error> {
     for place in 0..scene.index().intervals.len() {
         drop(scene.interval(place)?);
     }

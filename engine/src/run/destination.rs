@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use streamsplat::output::{VIDEOS, VideoFormat, qualities};
+use crate::output::{VIDEOS, VideoFormat, qualities};
 
-use crate::console::failure::Failure;
+use crate::run::Error;
 
 /// Endings of files that nobody means as the name of a folder.
 const FOREIGN: [&str; 31] = [
@@ -23,13 +23,13 @@ pub enum Destination {
 
 impl Destination {
     /// As [`Destination::of`]; an error for the name of a file of a kind that is not written.
-    pub fn asked(out: &Path) -> Result<Destination, Failure> {
+    pub fn asked(out: &Path) -> Result<Destination, Error> {
         let destination = Destination::of(out);
         let ending = out.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
         match destination {
             Destination::Folder(_) if FOREIGN.contains(&ending.as_str()) && !out.is_dir() => {
                 let found = out.display();
-                Err(Failure::usage(format!(
+                Err(Error::usage(format!(
                     "--out: expected a folder, - or a video (.{}), found {found}",
                     VIDEOS.join(", .")
                 )))
@@ -63,18 +63,18 @@ impl Destination {
     }
 
     /// Refuses a rate factor where there is no such thing, or none like this.
-    pub fn check_crf(&self, crf: Option<u8>) -> Result<(), Failure> {
+    pub fn check_crf(&self, crf: Option<u8>) -> Result<(), Error> {
         let Some(crf) = crf else { return Ok(()) };
         let allowed = if self.is_video() { qualities(self.path()) } else { None };
         match allowed {
             Some(range) if range.contains(&crf) => Ok(()),
             Some(range) => {
                 let (least, most, out) = (range.start(), range.end(), self.path().display());
-                Err(Failure::usage(format!("--crf: expected {least} to {most} for {out}, found {crf}")))
+                Err(Error::usage(format!("--crf: expected {least} to {most} for {out}, found {crf}")))
             }
             None => {
                 let out = self.path().display();
-                Err(Failure::usage(format!(
+                Err(Error::usage(format!(
                     "--crf: expected a .mp4, .m4v, .mov, .mkv, .webm or .avif file as --out, found {out}"
                 )))
             }

@@ -3,15 +3,15 @@
 use std::path::Path;
 use std::sync::mpsc::{Receiver, Sender, channel, sync_channel};
 
-use streamsplat::gap::{ControlState, Found};
+use crate::gap::{ControlState, Found};
 
-use crate::console::failure::Failure;
-use crate::output::choices::Choices;
-use crate::output::record::{InputRecord, absolute};
-use crate::session::closeness::Closeness;
-use crate::session::keyframes::{KeyFrame, KeyFrames, Reading};
+use crate::run::Error;
+use crate::run::choices::Choices;
+use crate::run::closeness::Closeness;
+use crate::run::keyframes::{KeyFrame, KeyFrames, Reading};
+use crate::run::record::{InputRecord, absolute};
 
-type Message = Result<(Option<KeyFrame>, Reading, ControlState), Failure>;
+type Message = Result<(Option<KeyFrame>, Reading, ControlState), Error>;
 
 /// Gives the same key frames either way.
 pub struct Ahead {
@@ -96,11 +96,11 @@ impl Ahead {
     }
 
     /// The next key frame.
-    pub fn next(&mut self) -> Result<Option<KeyFrame>, Failure> {
+    pub fn next_key(&mut self) -> Result<Option<KeyFrame>, Error> {
         let message = match &mut self.from {
-            From::Here(keys) => keys.next().map(|key| (key, keys.account(), keys.state())),
+            From::Here(keys) => keys.next_key().map(|key| (key, keys.account(), keys.state())),
             From::Thread(receiver) => {
-                receiver.recv().unwrap_or_else(|_| Err(Failure::work("the thread that reads frames has ended early")))
+                receiver.recv().unwrap_or_else(|_| Err(Error::work("the thread that reads frames has ended early")))
             }
             From::Ended => return Ok(None),
         };
@@ -122,7 +122,7 @@ fn start(mut keys: KeyFrames) -> Receiver<Message> {
     let (sender, receiver) = sync_channel(0);
     std::thread::spawn(move || {
         loop {
-            let message = keys.next().map(|key| (key, keys.account(), keys.state()));
+            let message = keys.next_key().map(|key| (key, keys.account(), keys.state()));
             let last = !matches!(message, Ok((Some(_), ..)));
             if sender.send(message).is_err() || last {
                 return;

@@ -1,79 +1,28 @@
 //! Where results go: a folder, a video file, or standard output.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 
-use streamsplat::Image;
-use streamsplat::export;
-use streamsplat::output::{
+use crate::Image;
+use crate::export;
+use crate::output::{
     OutputError, Pace, Sound, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, picture_webp,
     plane_png, prepare_subfolder, storage, transparent_exr, transparent_png, write_whole,
 };
-use streamsplat::picture::Picture;
-use streamsplat::render::{Backend, Snapshot};
-use streamsplat::scene::{ContainerWriter, IntervalEntry, SceneWriter, to_safetensors};
-use streamsplat::stream::{Interval, ResumePoint, Workers};
+use crate::picture::Picture;
+use crate::render::{Backend, Snapshot};
+use crate::scene::{ContainerWriter, IntervalEntry, SceneWriter, to_safetensors};
+use crate::stream::{Interval, ResumePoint, Workers};
 
-use crate::console::failure::Failure;
-pub use crate::output::destination::Destination;
-use crate::output::earlier::{remove_earlier, remove_file};
-use crate::output::ledger::Ledger;
-use crate::output::place::Place;
-use crate::output::record::OutputRecord;
-use crate::output::resume_state::Point;
-use crate::output::{ledger, resume_state};
-
-/// Kinds of output that exist.
-const KINDS: [&str; 8] = ["rgb", "webp", "depth", "alpha", "exr", "scene", "ply", "tracks"];
-
-/// Outputs selected by `--emit`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Emit {
-    /// Colour images or video.
-    pub rgb: bool,
-    /// Colour images as WebP without loss.
-    pub webp: bool,
-    /// Depth images.
-    pub depth: bool,
-    /// Alpha images.
-    pub alpha: bool,
-    /// Colour, depth and alpha as layers of one file.
-    pub exr: bool,
-    /// The scene.
-    pub scene: bool,
-    /// The Gaussians at each time as PLY files.
-    pub ply: bool,
-    /// Where every identity is at each key frame, as CSV.
-    pub tracks: bool,
-}
-
-impl Emit {
-    /// Reads a list; `allowed` are the kinds the command knows.
-    pub fn parse(list: &str, allowed: &[&str]) -> Result<Emit, Failure> {
-        let kinds: BTreeSet<&str> = list.split(',').map(str::trim).collect();
-        for kind in &kinds {
-            if !allowed.contains(kind) || !KINDS.contains(kind) {
-                return Err(Failure::usage(format!(
-                    "--emit {list}: expected a list of {}, found {kind:?}",
-                    allowed.join(", ")
-                )));
-            }
-        }
-        let has = |kind| kinds.contains(kind);
-        let [rgb, webp, depth, alpha, exr, scene, ply, tracks] = KINDS.map(has);
-        Ok(Emit { rgb, webp, depth, alpha, exr, scene, ply, tracks })
-    }
-
-    /// Returns true if any images are drawn.
-    pub fn draws(&self) -> bool {
-        self.rgb || self.webp || self.depth || self.alpha || self.exr
-    }
-
-    /// The planes beside colour that must be drawn: depth and alpha.
-    pub fn planes(&self) -> [bool; 2] {
-        [self.depth || self.exr, self.depth || self.alpha || self.exr]
-    }
-}
+use crate::run::Error;
+pub use crate::run::destination::Destination;
+use crate::run::earlier::{remove_earlier, remove_file};
+pub use crate::run::emit::{Emit, UnknownOutput};
+use crate::run::ledger::Ledger;
+use crate::run::place::Place;
+use crate::run::record::OutputRecord;
+use crate::run::resume_state::Point;
+use crate::run::{emit, ledger, resume_state};
 
 /// Writes results and remembers their digests.
 pub struct Outputs {
@@ -100,6 +49,7 @@ pub struct Outputs {
 }
 
 /// What was written.
+#[derive(Default)]
 pub struct Finished {
     /// The files, by their names.
     pub outputs: BTreeMap<String, OutputRecord>,
@@ -109,24 +59,24 @@ pub struct Finished {
 
 impl Outputs {
     /// Prepares the place: what an earlier run wrote there is removed, and an unwritable place is an error before any work.
-    pub fn create(place: &mut Place, emit: Emit) -> Result<Outputs, Failure> {
+    pub fn create(place: &mut Place, emit: Emit) -> Result<Outputs, Error> {
         place.hold()?;
         let destination = place.destination().clone();
         let mut made = Vec::new();
         match &destination {
             Destination::Folder(folder) => {
                 remove_earlier(folder)?;
-                made.extend(kinds(emit).map(|name| folder.join(name)).filter(|path| !path.exists()));
+                made.extend(emit.folders().into_iter().map(|name| folder.join(name)).filter(|path| !path.exists()));
                 prepare_kinds(folder, emit)?;
             }
             Destination::Video(path, format) => {
-                if emit.webp || emit.depth || emit.alpha || emit.exr || emit.ply || emit.tracks {
-                    return Err(Failure::usage(
+                if emit != (Emit { rgb: emit.rgb, scene: emit.scene, ..Emit::default() }) {
+                    return Err(Error::usage(
                         "--emit: a video holds rgb alone, and a scene lies beside it; give --out a folder for the rest",
                     ));
                 }
                 if emit.scene && destination.container().is_none() {
-                    return Err(Failure::usage(format!(
+                    return Err(Error::usage(format!(
                         "--emit scene: expected a folder or an encoded video, beside which the scene lies, found --out {}",
                         path.display()
                     )));
@@ -180,9 +130,9 @@ impl Outputs {
     }
 
     /// Says that there is nothing behind the scene: colour images are written with their alpha.
-    pub fn keep_alpha(&mut self, keep: bool) -> Result<(), Failure> {
+    pub fn keep_alpha(&mut self, keep: bool) -> Result<(), Error> {
         if keep && matches!(self.destination, Destination::Video(..)) {
-            return Err(Failure::usage(
+            return Err(Error::usage(
                 "--background transparent: a video has no alpha; give --out a folder or a .png, .webp or .exr file",
             ));
         }
@@ -202,7 +152,7 @@ impl Outputs {
     }
 
     /// Goes on with results of which the first `length` bytes of the ledger in `folder` tell; each file must be as it was written.
-    pub fn resume(destination: Destination, emit: Emit, folder: PathBuf, length: u64) -> Result<Outputs, Failure> {
+    pub fn resume(destination: Destination, emit: Emit, folder: PathBuf, length: u64) -> Result<Outputs, Error> {
         let lines = ledger::read(&folder, length)?;
         let mut outputs = Outputs::new(destination, emit);
         if let Destination::Folder(folder) = &outputs.destination {
@@ -218,7 +168,7 @@ impl Outputs {
 
     /// Opens what is gone on with, `last` being the last whole interval, computed again: it must have come out as it was written. The
     /// record of the stopped run goes.
-    pub fn take_up(&mut self, fps: f64, last: &Interval, video: Option<&VideoPoint>) -> Result<(), Failure> {
+    pub fn take_up(&mut self, fps: f64, last: &Interval, video: Option<&VideoPoint>) -> Result<(), Error> {
         let files = match (&self.destination, video) {
             (Destination::Folder(folder), _) => {
                 prepare_kinds(folder, self.emit)?;
@@ -242,7 +192,7 @@ impl Outputs {
     }
 
     /// Makes the interval at hand one to go on from; `point` is completed with how far the files have come.
-    pub fn commit(&mut self, mut point: Point, resume: Option<&ResumePoint>) -> Result<(), Failure> {
+    pub fn commit(&mut self, mut point: Point, resume: Option<&ResumePoint>) -> Result<(), Error> {
         let Some(ledger) = &self.ledger else { return Ok(()) };
         point.ledger = ledger.length();
         if let Some(video) = &mut self.video {
@@ -258,7 +208,7 @@ impl Outputs {
     fn sync_folders(&self) -> Result<(), OutputError> {
         let folders = match &self.destination {
             Destination::Folder(folder) => {
-                let mut all: Vec<PathBuf> = kinds(self.emit).map(|name| folder.join(name)).collect();
+                let mut all: Vec<PathBuf> = self.emit.folders().into_iter().map(|name| folder.join(name)).collect();
                 all.push(folder.clone());
                 all
             }
@@ -276,7 +226,7 @@ impl Outputs {
     }
 
     /// Opens what needs the frame rate: that of the scene, and how images follow each other.
-    pub fn start(&mut self, fps: f64, pace: Pace) -> Result<(), Failure> {
+    pub fn start(&mut self, fps: f64, pace: Pace) -> Result<(), Error> {
         match &self.destination {
             Destination::Folder(folder) if self.emit.scene => {
                 self.scene = Some(SceneWriter::create(&folder.join("scene"), fps)?);
@@ -312,7 +262,7 @@ impl Outputs {
 
     /// Writes an interval of the scene with the times of its `frames`, and where its identities are, if these are wanted; `workers` code a
     /// container.
-    pub fn interval(&mut self, interval: &Interval, frames: &[f64], workers: &Workers) -> Result<(), Failure> {
+    pub fn interval(&mut self, interval: &Interval, frames: &[f64], workers: &Workers) -> Result<(), Error> {
         if self.emit.tracks {
             self.file(format!("tracks/interval-{:06}.csv", interval.index), export::tracks(interval).as_bytes())?;
         }
@@ -332,10 +282,10 @@ impl Outputs {
     }
 
     /// Writes an image under the number `index`, shown at `time` where that is a video's.
-    pub fn image(&mut self, index: usize, time: f64, image: Image) -> Result<(), Failure> {
+    pub fn image(&mut self, index: usize, time: f64, image: Image) -> Result<(), Error> {
         if self.emit.exr {
             let bytes = if self.alpha { transparent_exr(&image) } else { layered_exr(&image) };
-            self.file(format!("exr/{index:06}.exr"), &bytes.map_err(Failure::work)?)?;
+            self.file(format!("exr/{index:06}.exr"), &bytes.map_err(Error::work)?)?;
         }
         let Image { width, height, rgb, depth, alpha, .. } = image;
         let picture = Picture { width, height, rgb };
@@ -351,13 +301,13 @@ impl Outputs {
             self.file(format!("frames/{index:06}.png"), &bytes)?;
         }
         if emit.webp {
-            let bytes = picture_webp(&picture, alpha.as_deref().filter(|_| self.alpha)).map_err(Failure::work)?;
+            let bytes = picture_webp(&picture, alpha.as_deref().filter(|_| self.alpha)).map_err(Error::work)?;
             self.file(format!("frames/{index:06}.webp"), &bytes)?;
         }
         if emit.depth
             && let Some(depth) = &depth
         {
-            let bytes = depth_exr(width, height, depth, alpha.as_deref()).map_err(Failure::work)?;
+            let bytes = depth_exr(width, height, depth, alpha.as_deref()).map_err(Error::work)?;
             self.file(format!("depth/{index:06}.exr"), &bytes)?;
         }
         if emit.alpha
@@ -369,7 +319,7 @@ impl Outputs {
     }
 
     /// Writes the Gaussians of one time under the number `index`.
-    pub fn snapshot(&mut self, index: usize, snapshot: &Snapshot) -> Result<(), Failure> {
+    pub fn snapshot(&mut self, index: usize, snapshot: &Snapshot) -> Result<(), Error> {
         Ok(self.file(format!("ply/{index:06}.ply"), &export::ply(snapshot))?)
     }
 
@@ -387,7 +337,7 @@ impl Outputs {
     }
 
     /// Completes scene and video.
-    pub fn finish(mut self) -> Result<Finished, Failure> {
+    pub fn finish(mut self) -> Result<Finished, Error> {
         let mut notes = Vec::new();
         if let Some(scene) = self.scene.take()
             && let Some((name, written)) = scene.finish()?
@@ -413,10 +363,9 @@ impl Outputs {
             self.written
                 .insert(name, OutputRecord { bytes, blake3, samples: Some(finished.samples), outside_contract: false });
         }
-        let drawn = |name: &str| ["frames/", "depth/", "alpha/"].iter().any(|folder| name.starts_with(folder));
         self.sync_folders()?;
         for (name, record) in self.written.iter_mut().filter(|_| self.outside) {
-            record.outside_contract = record.samples.is_some() || drawn(name);
+            record.outside_contract = record.samples.is_some() || emit::is_drawn(name);
         }
         Ok(Finished { outputs: self.written, notes })
     }
@@ -427,33 +376,19 @@ pub fn is_inside(name: &str) -> bool {
     !name.is_empty() && Path::new(name).components().all(|c| matches!(c, Component::Normal(_)))
 }
 
-/// The folders of what is asked for, by their names.
-fn kinds(emit: Emit) -> impl Iterator<Item = &'static str> {
-    let kinds = [
-        (emit.rgb || emit.webp, "frames"),
-        (emit.depth, "depth"),
-        (emit.alpha, "alpha"),
-        (emit.exr, "exr"),
-        (emit.ply, "ply"),
-        (emit.tracks, "tracks"),
-        (emit.scene, "scene"),
-    ];
-    kinds.into_iter().filter(|(wanted, _)| *wanted).map(|(_, name)| name)
-}
-
 fn prepare_kinds(folder: &Path, emit: Emit) -> Result<(), OutputError> {
-    kinds(emit).try_for_each(|name| prepare_subfolder(&folder.join(name)))
+    emit.folders().into_iter().try_for_each(|name| prepare_subfolder(&folder.join(name)))
 }
 
 /// An error unless `last` is the last of `intervals`, bit for bit.
-fn check_again(intervals: &[IntervalEntry], last: &Interval) -> Result<(), Failure> {
-    let bytes = to_safetensors(last).map_err(Failure::work)?;
+fn check_again(intervals: &[IntervalEntry], last: &Interval) -> Result<(), Error> {
+    let bytes = to_safetensors(last).map_err(Error::work)?;
     let found = Written::of(&bytes).blake3;
     match intervals.last() {
         Some(entry) if entry.blake3 == found => Ok(()),
         entry => {
             let expected = entry.map_or("none", |entry| entry.blake3.as_str());
-            Err(Failure::work(format!(
+            Err(Error::work(format!(
                 "--resume: interval {} computed again: expected the digest {expected}, found {found}; run again without --resume",
                 last.index
             )))

@@ -28,7 +28,7 @@ pub fn open_along(
     let mut show = |done: u64, total: u64| {
         if total >= LONG {
             let megabytes = total.div_ceil(MEGABYTE) as usize;
-            let progress = progress.get_or_insert_with(|| Progress::shown("MB read", Some(megabytes), console));
+            let progress = progress.get_or_insert_with(|| Progress::new("MB read", Some(megabytes), console));
             progress.reach(done.div_ceil(MEGABYTE) as usize);
         }
     };

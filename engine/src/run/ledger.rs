@@ -1,22 +1,22 @@
 //! `written.jsonl`: a line per file of a run under way, in the order of writing.
 //!
 //! A line is appended before its file gets its name, so that no file is without one; what counts is the part that the last
-//! [`Point`](crate::output::resume_state::Point) vouches for.
+//! [`Point`](crate::run::resume_state::Point) vouches for.
 
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
+use crate::output::storage::{self, Output};
+use crate::output::{OutputError, Written, prepare_subfolder};
+use crate::scene::IntervalEntry;
 use serde::{Deserialize, Serialize};
-use streamsplat::output::storage::{self, Output};
-use streamsplat::output::{OutputError, Written, prepare_subfolder};
-use streamsplat::scene::IntervalEntry;
 
-use crate::console::failure::Failure;
-use crate::output::earlier::is_as_written;
-use crate::output::outputs::is_inside;
-use crate::output::record::OutputRecord;
+use crate::run::Error;
+use crate::run::earlier::is_as_written;
+use crate::run::outputs::is_inside;
+use crate::run::record::OutputRecord;
 
 /// The ledger's name.
 const NAME: &str = "written.jsonl";
@@ -94,9 +94,9 @@ impl Ledger {
 }
 
 /// The lines in the first `length` bytes of the ledger in `folder`.
-pub fn read(folder: &Path, length: u64) -> Result<Vec<Line>, Failure> {
+pub fn read(folder: &Path, length: u64) -> Result<Vec<Line>, Error> {
     let path = folder.join(NAME);
-    let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", path.display()));
+    let wrong = |e: &dyn std::fmt::Display| Error::work(format!("{}: {e}", path.display()));
     let mut text = String::new();
     if length > 0 {
         let file = File::open(&path).map_err(|e| wrong(&e))?;
@@ -137,12 +137,12 @@ pub fn remove(folder: &Path) -> std::io::Result<()> {
 }
 
 /// The records of the files of `lines`, each of which must be in `folder` as it was written.
-pub fn verified(folder: &Path, lines: &[Line]) -> Result<BTreeMap<String, OutputRecord>, Failure> {
+pub fn verified(folder: &Path, lines: &[Line]) -> Result<BTreeMap<String, OutputRecord>, Error> {
     let mut records = BTreeMap::new();
     for Line { file, bytes, blake3, .. } in lines {
         if !is_as_written(folder, file, *bytes, blake3)? {
             let path = folder.join(file);
-            return Err(Failure::work(format!(
+            return Err(Error::work(format!(
                 "{}: expected the file as it was written, {bytes} bytes with the digest {blake3}",
                 path.display()
             )));

@@ -3,17 +3,17 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use streamsplat::gap::Found;
-use streamsplat::metrics::psnr;
-use streamsplat::picture::Picture;
-use streamsplat::render::Backend;
-use streamsplat::stream::{Interval, Workers};
+use crate::gap::Found;
+use crate::metrics::psnr;
+use crate::picture::Picture;
+use crate::render::Backend;
+use crate::stream::{Interval, Workers};
 
-use crate::console::failure::Failure;
-use crate::options::settings::Views;
-use crate::output::choices::Choices;
-use crate::output::record::WorkRecord;
-use crate::session::drawing::Drawing;
+use crate::run::Error;
+use crate::run::choices::Choices;
+use crate::run::drawing::Drawing;
+use crate::run::record::WorkRecord;
+use crate::run::views::Views;
 
 /// Side of the pictures that are compared.
 pub const SIDE: usize = 256;
@@ -21,6 +21,7 @@ pub const SIDE: usize = 256;
 /// A frame as it is compared.
 #[derive(Clone, Debug)]
 pub struct Truth {
+    /// Its time, in seconds.
     pub time: f64,
     /// Of [`SIDE`] × [`SIDE`] pixels.
     pub picture: Picture,
@@ -97,19 +98,19 @@ pub struct Closeness {
 
 impl Closeness {
     /// Nothing compared yet. A graphics card's images are outside of the bit contract, so that it never draws here.
-    pub fn new(workers: &Workers) -> Result<Closeness, Failure> {
+    pub fn new(workers: &Workers) -> Result<Closeness, Error> {
         let drawing = Drawing::new(workers, Backend::Cpu)?;
         Ok(Closeness { drawing, views: Views::own(), sum: 0.0, frames: 0, time: Duration::ZERO })
     }
 
     /// Compares the images of `interval` with its frames, the key frame last.
-    pub fn of(&mut self, interval: &Interval, truths: &[Truth]) -> Result<Option<Found>, Failure> {
+    pub fn of(&mut self, interval: &Interval, truths: &[Truth]) -> Result<Option<Found>, Error> {
         let start = Instant::now();
         let mut ratios = Vec::with_capacity(truths.len());
         for Truth { time, picture, .. } in truths {
             let image = self.drawing.draw(interval, 0, *time, &self.views)?;
             let image = Picture { width: image.width, height: image.height, rgb: image.rgb }.resized(SIDE, SIDE);
-            ratios.push(psnr(&image, picture).map_err(Failure::work)?);
+            ratios.push(psnr(&image, picture).map_err(Error::work)?);
         }
         self.sum += ratios.iter().sum::<f64>();
         self.frames += ratios.len();

@@ -1,0 +1,58 @@
+//! Why a run failed.
+
+use crate::camera::CameraFileError;
+use crate::depth::DepthError;
+use crate::output::OutputError;
+use crate::scene::SceneError;
+use crate::source::SourceError;
+use crate::{EngineError, RenderError};
+
+/// Why a run failed. Messages are one line and name the file or the option (as on the command line, `--gap`), what was expected and what was found.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// Wrong use: an option or a place that the run cannot have.
+    #[error("{0}")]
+    Usage(String),
+    /// The work failed in a way that no other variant names.
+    #[error("{0}")]
+    Work(String),
+    /// The engine refused a model, its settings or a frame.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+    /// An image could not be drawn.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// The camera's file could not be read.
+    #[error(transparent)]
+    Camera(#[from] CameraFileError),
+    /// A depth map could not be read or computed.
+    #[error(transparent)]
+    Depth(#[from] DepthError),
+    /// A file could not be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    /// A scene could not be written or read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The input could not be read.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+}
+
+impl Error {
+    /// Wrong use.
+    pub fn usage(message: impl std::fmt::Display) -> Error {
+        Error::Usage(message.to_string())
+    }
+
+    /// Failed work.
+    pub fn work(message: impl std::fmt::Display) -> Error {
+        Error::Work(message.to_string())
+    }
+
+    /// Returns true for wrong use.
+    pub fn is_usage(&self) -> bool {
+        matches!(self, Error::Usage(_))
+    }
+}

@@ -1,0 +1,169 @@
+//! What images show, and how: times, cameras, size, background.
+
+use super::Error;
+use super::options::motion::Course;
+use super::options::{Background, Times, ViewOptions};
+use crate::camera::{self, CameraFile, CameraPath};
+use crate::import::FormatError;
+use crate::render::Backend;
+use crate::{RenderOptions, Size};
+
+/// Options of the images, their times and their cameras.
+#[derive(Clone, Debug)]
+pub struct Views {
+    /// Size, background, and which planes.
+    pub options: RenderOptions,
+    /// The camera at any time.
+    pub camera: CameraPath,
+    /// Times asked for, ascending.
+    pub times: Option<Vec<f64>>,
+    /// Backend that renders the images.
+    pub backend: Backend,
+    /// Width and height of the images of a camera file of another program.
+    pub own_sizes: Vec<[usize; 2]>,
+    /// Images of a second where such a file is a video's; else one follows the other each second.
+    pub own_rate: Option<f64>,
+    /// True if the background is transparent: the scene is drawn over black, and alpha is kept.
+    pub transparent: bool,
+    /// Where the camera stands around the middle of a scene in time, in place of `camera`.
+    pub course: Option<Course>,
+    /// Distance between the eyes, where there are two.
+    pub eyes: Option<f64>,
+    /// The middle of a still scene; that of a scene in time follows from its first image.
+    pub pivot: Option<[f64; 3]>,
+    /// When the images are taken of which each is the mean.
+    pub shutter: Option<Shutter>,
+}
+
+impl Views {
+    /// Returns true for images of the source's frames as they were filmed: their times, their size, their view.
+    pub fn is_the_sources_own(&self) -> bool {
+        let own_view = self.camera == CameraPath::default() && self.course.is_none() && self.eyes.is_none();
+        own_view && self.times.is_none() && self.options.size == Size::Source && !self.transparent
+    }
+
+    /// Refuses what only a rendering of a still scene has: a path through another program's cameras, and, where frames are
+    /// written from a video, transparency.
+    pub fn refuse_still(&self) -> Result<(), Error> {
+        self.refuse_cameras()?;
+        if self.transparent {
+            return Err(Error::usage("--background transparent: expected one number or R,G,B; only render has it"));
+        }
+        Ok(())
+    }
+
+    /// Refuses several cameras of another program, which are no path through a scene in time.
+    pub fn refuse_cameras(&self) -> Result<(), Error> {
+        match self.own_sizes.len() {
+            0 | 1 => Ok(()),
+            n => Err(Error::usage(format!("--camera: expected one camera for a scene in time (--view), found {n}"))),
+        }
+    }
+}
+
+impl Views {
+    /// The video's own, at the size at which the model sees frames.
+    pub fn own() -> Views {
+        Views {
+            options: RenderOptions::default(),
+            camera: CameraPath::default(),
+            times: None,
+            backend: Backend::Cpu,
+            own_sizes: Vec::new(),
+            own_rate: None,
+            transparent: false,
+            course: None,
+            eyes: None,
+            pivot: None,
+            shutter: None,
+        }
+    }
+}
+
+/// When the images are taken that are one image's mean: parts of the time from one image to the next, ascending, from −½ to ½.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shutter(pub Vec<f64>);
+
+impl Shutter {
+    /// The parts.
+    pub fn parts(&self) -> &[f64] {
+        &self.0
+    }
+}
+
+/// The cameras of a file.
+#[derive(Default)]
+struct Cameras {
+    path: CameraPath,
+    /// Width and height of each one's image, where the file is another program's.
+    sizes: Vec<[usize; 2]>,
+    /// Images of a second, where they are a video's.
+    rate: Option<f64>,
+}
+
+impl ViewOptions {
+    /// Checks everything that can be checked before work is spent.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for options that cannot be, [`Error::Camera`] for a camera's file.
+    pub fn resolve(&self) -> Result<Views, Error> {
+        let (background, transparent) = match self.background {
+            Background::Colour(colour) => (colour, false),
+            Background::Transparent => ([0.0; 3], true),
+        };
+        let size = self.size.unwrap_or_default();
+        let Cameras { path: camera, sizes: own_sizes, rate: own_rate } = self.cameras(size)?;
+        let options = RenderOptions { size, background, ..RenderOptions::default() };
+        let times = self.times.as_ref().map(Times::list);
+        let backend = self.backend()?;
+        Ok(Views { options, camera, times, backend, own_sizes, own_rate, transparent, ..Views::own() })
+    }
+
+    /// The camera's path, with the image sizes and rate of another program's file.
+    fn cameras(&self, size: Size) -> Result<Cameras, Error> {
+        let Some(file) = &self.camera else { return Ok(Cameras::default()) };
+        let size = match size {
+            Size::Exact { width, height } => Some([width, height]),
+            _ => None,
+        };
+        let set = match (camera::set::open(file, size)?, &self.view) {
+            (CameraFile::Own(path), None) => return Ok(Cameras { path, ..Cameras::default() }),
+            (CameraFile::Own(_), Some(view)) => {
+                let file = file.display();
+                let found = format!("{file}, which is this program's own: give --times");
+                return Err(Error::usage(format!(
+                    "--view {view}: expected a camera file of another program, found {found}"
+                )));
+            }
+            (CameraFile::Set(set), _) => set,
+        };
+        let drawable = set.cameras.iter().find(|named| named.camera.is_ok()).map(|named| named.name.clone());
+        let chosen = match &self.view {
+            None => set,
+            Some(text) => {
+                let camera =
+                    set.find(text).map_err(|e| Error::usage(format!("--view: {}: {e}", file.display())))?.clone();
+                camera::CameraSet { cameras: vec![camera], aside: Vec::new(), rate: None, ..set }
+            }
+        };
+        let refused = |e: FormatError| {
+            let others = drawable.as_ref().filter(|_| self.view.is_none());
+            let others = others.map_or_else(String::new, |name| {
+                format!("; others can be drawn, each by its name or number: --view {name}")
+            });
+            Error::work(format!("{}: {e}{others}", file.display()))
+        };
+        let sizes = chosen.usable().map_err(refused)?.iter().map(|sized| sized.size).collect();
+        Ok(Cameras { path: chosen.path().map_err(refused)?, sizes, rate: chosen.rate })
+    }
+
+    fn backend(&self) -> Result<Backend, Error> {
+        let backend = self.renderer.unwrap_or_default();
+        if !backend.is_built_in() {
+            return Err(Error::usage(format!(
+                "--renderer {backend}: expected a program built with the cargo feature {backend} (cargo build --release --features {backend}), found one without"
+            )));
+        }
+        Ok(backend)
+    }
+}
