@@ -21,8 +21,9 @@ MODEL = ROOT / 'fixtures' / 'parity' / 'tiny-nodino.safetensors'
 DEPTH = ROOT / 'fixtures' / 'depth' / 'depth.onnx'
 CAPI = Path(onnxruntime.__file__).parent / 'capi'
 LIBRARY = next(CAPI.glob('libonnxruntime.so.*'))
-# Nothing of the caller's environment may find a library.
-BARE = {'PATH': '/nowhere', 'HOME': os.environ.get('HOME', '/')}
+# Nothing of the caller's environment may find a library; the variable of tests/mutations/run alone is passed on.
+MUTATION = {name: os.environ[name] for name in ['STREAMSPLAT_MUTATION'] if name in os.environ}
+BARE = {'PATH': '/nowhere', 'HOME': os.environ.get('HOME', '/'), **MUTATION}
 WITH = {**BARE, 'ORT_DYLIB_PATH': str(LIBRARY)}
 
 

@@ -121,7 +121,9 @@ const ours = (name, file, { up, ...camera }, ...options) => {
 const rights = ["gaussian", "playcanvas"].map((footprint) => ours(footprint, ply, CAMERA, "--footprint", footprint));
 /** The right picture: PlayCanvas's footprints end as ours do on demand, and .splat has no harmonics. */
 const right = (viewer, format) => (viewer === "playcanvas" ? rights[1] : format === "splat" ? plain : rights[0]);
-const plain = ours("plain", `${scratch}/scene.splat`, CAMERA);
+const flat = scene(400).map((gaussian) => Object.fromEntries(Object.entries(gaussian).filter(([name]) => !name.startsWith("f_rest_"))));
+writeFileSync(`${scratch}/flat.ply`, plyOf(flat));
+const plain = ours("plain", `${scratch}/flat.ply`, CAMERA);
 writeFileSync(`${scratch}/probe.ply`, plyOf(probe()));
 
 const browser = await chromium(modules);

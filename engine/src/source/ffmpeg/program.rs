@@ -108,3 +108,19 @@ pub(super) fn samples(path: &Path, stream: &str, filter: &str, frames: usize, mo
     let _ = child.wait();
     if let Some(Ok(_)) = read { bytes } else { Vec::new() }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ffmpeg_opens_files_and_nothing_else() {
+        let command = ffmpeg(Path::new("clip.mp4"), "quiet", &["-ss", "1"]);
+        let words: Vec<_> = command.get_args().map(|word| word.to_string_lossy().into_owned()).collect();
+        let place = |word: &str| words.iter().position(|other| other == word).expect("the option");
+        // An option of the input: it comes before the input's name.
+        let (list, input) = (place("-protocol_whitelist"), place("-i"));
+        assert_eq!(words[list + 1], "file");
+        assert!(list < input && words[input + 1] == "file:clip.mp4");
+    }
+}
