@@ -14,7 +14,7 @@ use std::fmt;
 /// | `neon` | NEON of 64-bit ARM |
 ///
 /// A level includes those before it (of its architecture), and is ordered after them. A value proves that the CPU running the program has the
-/// bundle: the only ways to get one are [`Level::scalar`], [`Level::detect`], [`Level::available`] and [`Level::named`]. Every level gives the
+/// bundle: the only ways to get one are [`Level::scalar`], [`Level::detect`], [`Level::available`] and [`Level::named`]. Every level computes the
 /// same bits.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Level(pub(crate) InstructionSet);
@@ -107,7 +107,7 @@ pub enum LevelError {
     Unknown(String),
     /// The name is a level's, but this machine does not have it.
     Unavailable {
-        /// The level asked for.
+        /// The requested level.
         asked: String,
         /// The levels of this machine, lowest first.
         available: Vec<Level>,

@@ -78,7 +78,7 @@ thread_local! {
     static KEPT: Cell<Vec<Aligned<f32>>> = const { Cell::new(Vec::new()) };
 }
 
-/// Scratch memory of this thread: taken from what earlier calls gave back, given back when dropped.
+/// Scratch memory of this thread: reused from earlier calls, returned when dropped.
 ///
 /// Calls may nest; each has its own. What it holds at first is unspecified.
 pub struct Scratch(Aligned<f32>);

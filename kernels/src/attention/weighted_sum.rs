@@ -7,7 +7,7 @@ use crate::simd::{LANES, SHIFTER, Simd, pair_bf16, round_bf16};
 
 /// A block's scores of 16 queries.
 pub(super) struct Scores<'a, S: Simd> {
-    /// `[KEY_BLOCK][16]`, of which the first `present` keys count.
+    /// `[KEY_BLOCK][16]`; the first `present` keys count.
     pub(super) values: &'a mut [f32],
     pub(super) present: usize,
     /// From a score to a logit.

@@ -10,7 +10,7 @@ use crate::simd::{LANES, Operation, Simd, dispatch};
 
 /// Points per task.
 const TASK: usize = 1024;
-/// Pixels by which the flow back may miss where a step came from, beside a tenth of the step.
+/// Pixels by which the backward flow may miss the start of a step, in addition to a tenth of the step.
 const ASTRAY: f32 = 2.0;
 
 /// Flow from one frame to the next and back.
@@ -53,7 +53,7 @@ pub fn trace(level: Level, starts: &[[f32; 2]], steps: &[Step<'_>], ends: &mut [
     each(level, starts, steps, ends, "trace", Trace);
 }
 
-/// Calls `walk` with vectors of starts, on all threads, and stores what it gives.
+/// Calls `walk` with vectors of starts, on all threads, and stores its results.
 fn each(
     level: Level,
     starts: &[[f32; 2]],

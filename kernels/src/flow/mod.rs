@@ -20,7 +20,7 @@
 //! ```
 //!
 //! A search starts from the cheapest of: the coarser scale's flow at the patch's middle (0 at the coarsest), `start`'s, that of the patch
-//! to the left, that of the patch above. A second pass, from the last patch to the first, goes on from the patch to the right, the one
+//! to the left, that of the patch above. A second pass, from the last patch to the first, starts from the patch to the right, the one
 //! below or the one above where that is cheaper. The flow of the finest scale is enlarged bilinearly.
 //!
 //! # Order of operations

@@ -129,7 +129,7 @@ impl<'a> Epilogue<'a> {
         }
     }
 
-    /// Returns true if no function stands between the product and what is added.
+    /// Returns true if no function is applied between the product and the additions.
     pub(super) fn is_affine(&self) -> bool {
         self.activation == Activation::Identity
     }

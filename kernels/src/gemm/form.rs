@@ -36,7 +36,7 @@ pub(crate) trait Form: Multiply {
     /// Words of a row of `k` values on a level.
     fn row_words<S: Simd>(k: usize) -> usize;
 
-    /// Turns a row into its words; returns its scale. `largest` is the row's largest magnitude where that is known, infinite where a value is
+    /// Turns a row into its words; returns its scale. `largest` is the row's largest magnitude if already computed, infinite where a value is
     /// not finite.
     fn convert<S: Simd>(s: S, row: &[f32], largest: Option<f32>, values: &mut [f32], words: &mut [u32]) -> f32;
 
@@ -197,7 +197,7 @@ impl Form for Bf16 {
     }
 }
 
-/// A row rounded to bf16, two values to a word; a last one has 0 beside it.
+/// A row rounded to bf16, two values to a word; an odd last one is paired with 0.
 #[inline(always)]
 fn pair_row<S: Simd>(s: S, row: &[f32], words: &mut [u32]) {
     let words: &mut [f32] = bytemuck::cast_slice_mut(words);

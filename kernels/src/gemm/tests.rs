@@ -116,7 +116,7 @@ fn the_error_stays_far_below_that_of_one_long_chain() {
 
 #[test]
 fn sums_that_cancel_lose_only_their_own_rounding() {
-    // +big, small, −big inside one block: the chain keeps what fits beside big.
+    // +big, small, −big inside one block: the chain keeps the bits that fit next to big.
     let (mut x, w) = (vec![0.0; 300], vec![1.0; 300]);
     (x[0], x[1], x[2]) = (1e6, 0.25, -1e6);
     (x[260], x[299]) = (3e38, -3e38);

@@ -11,7 +11,7 @@ pub fn sigmoid<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     s.div(s.select(s.lt(x, s.splat(0.0)), e, one), s.add(one, e))
 }
 
-/// x / (1 + e^−x), the sigmoid linear unit. −∞ gives −0.
+/// x / (1 + e^−x), the sigmoid linear unit. −∞ returns −0.
 #[inline(always)]
 pub fn silu<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     // From −112 down the result is −0.

@@ -120,7 +120,7 @@ impl<'a> Norm<'a> {
         largest(s, most)
     }
 
-    /// Writes the result; gives the larger of its magnitudes in each lane where they are asked for.
+    /// Writes the result; returns the largest of its magnitudes in each lane if requested.
     #[inline(always)]
     fn write<S: Simd, const LARGEST: bool>(&self, s: S, x: &[f32], out: &mut [f32]) -> S::I32 {
         let n = x.len() as f32;

@@ -87,7 +87,7 @@ pub(super) fn around([first, last]: [u16; 2], blocks: usize) -> [[usize; 2]; 2] 
     if last < blocks { [[first, last], [1, 0]] } else { [[first, blocks - 1], [0, last - blocks]] }
 }
 
-/// Coefficients that tell how far a footprint extends sideways over a strip of rows.
+/// Coefficients of a footprint's horizontal extent over a strip of rows.
 #[derive(Clone, Copy)]
 pub(super) struct Reach {
     /// The centre.

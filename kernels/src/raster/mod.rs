@@ -36,14 +36,14 @@
 //! in place of larger (Mip-Splatting, CVPR 2024, the 2D filter with a variance of 0.3 px²).
 //!
 //! With [`Request::bounded`], x/z and y/z in a pinhole's J, not in u and v, are held between `(−½ − 0.15·W − c_x)/f_x` and
-//! `(1.15·W − ½ − c_x)/f_x`, and alike for y: the affine approximation of what is far beside the image and close to the eye would
+//! `(1.15·W − ½ − c_x)/f_x`, and alike for y: the affine approximation of Gaussians far outside the image and close to the eye would
 //! otherwise smear over the image (as the original 3D Gaussian splatting and gsplat do).
 //!
 //! With a [`Falloff`] other than the Gaussian itself, `α = min(0.99, o·g·(exp(−½·dᵀΣ⁻¹d) − f))`.
 //!
 //! With [`Request::defocus`], a pinhole's lens has a width A and is focused at depth F. A point at depth z is a disc of radius
-//! `½A·f·|1/z − 1/F|` px, of which either axis has the variance of a quarter of its radius squared. Footprints are widened by it and keep what
-//! they add up to over the image:
+//! `½A·f·|1/z − 1/F|` px; its variance along either axis is a quarter of its radius squared. Footprints are widened by it and keep
+//! their sum over the image:
 //!
 //! ```text
 //! b_x = (f_x·¼A·(1/z − 1/F))²     b_y alike     Σ' = Σ + diag(b_x, b_y)     o' = o·√(det Σ / det Σ')
@@ -74,7 +74,7 @@
 //! and *spherical* (`blend/sphere.rs`), for equirectangular images: `α = min(0.99, o·2^−(((a·q)² + (b·q)²)/(n·q)²) − o·f)`.
 //!
 //! Pixels are blended in blocks of 4×4, one vector each. Blocks and tiles that a footprint cannot reach are left out, as are
-//! blocks of which every pixel is finished; that changes no bit.
+//! blocks whose pixels are all finished; that changes no bit.
 //!
 //! # Values that are not finite
 //!
@@ -215,7 +215,7 @@ pub struct Request {
     pub statistics: bool,
     /// True if opacities are lowered by as much as the low-pass widens footprints, for scenes that were trained so.
     pub antialias: bool,
-    /// True if a pinhole's footprints beside the image are shaped as if they were at most 15 % of its size beside it, for scenes that
+    /// True if a pinhole's footprints outside the image are shaped as if at most 15 % of its size beyond its edge, for scenes that
     /// were trained so.
     pub bounded: bool,
     /// How α falls from a Gaussian's centre to its edge.

@@ -63,7 +63,7 @@ pub trait Elementwise: Copy + Send + Sync + 'static {
     fn to_bits(self, a: Self::F32) -> Self::I32;
     /// Lanes from their bits.
     fn from_bits(self, a: Self::I32) -> Self::F32;
-    /// Lanes to integers, rounding toward zero. Precondition: |a| < 2³¹ (other values give any bits).
+    /// Lanes to integers, rounding toward zero. Precondition: |a| < 2³¹ (for other values the bits are unspecified).
     fn to_i32(self, a: Self::F32) -> Self::I32;
     /// Integers to lanes, rounded to nearest even.
     fn to_f32(self, a: Self::I32) -> Self::F32;

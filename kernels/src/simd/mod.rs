@@ -1,7 +1,7 @@
 //! One vector of 16 lanes on every instruction-set level; the home of intrinsics.
 //!
-//! A kernel is written once, generic over [`Simd`], and entered through [`dispatch`]. Elementary functions ask for less, operations on each
-//! lane alone ([`Elementwise`]), and run on one value as well. Every operation is defined to the bit, so a kernel that uses nothing else gives
+//! A kernel is written once, generic over [`Simd`], and entered through [`dispatch`]. Elementary functions need only operations on each
+//! lane alone ([`Elementwise`]), and run on one value as well. Every operation is defined to the bit, so a kernel that uses nothing else computes
 //! equal bits on every level:
 //!
 //! - arithmetic is IEEE 754 binary32, round to nearest even, denormals kept; [`Elementwise::mul_add`] rounds once everywhere,

@@ -99,7 +99,7 @@ fn the_published_choices_are_kept() {
         assert_eq!(sample_one(0.25, f32::INFINITY, u), -BOUND);
         assert_ne!(sample_one(0.25, 6.6, u), -BOUND);
     }
-    // u outside [ε, 1−ε] gives the value at its end.
+    // u outside [ε, 1−ε] returns the value at the nearer end.
     assert_eq!(sample_one(0.1, 0.5, 0.0), sample_one(0.1, 0.5, EPSILON));
     assert_eq!(sample_one(0.1, 0.5, 0.999_999_9), sample_one(0.1, 0.5, BOUND));
 }

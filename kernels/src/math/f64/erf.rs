@@ -98,7 +98,7 @@ pub fn erfc(x: f64) -> f64 {
     }
 }
 
-/// One of Halley's steps for erf y = x or erfc y = x, given what the function is off at y over its slope there.
+/// One of Halley's steps for erf y = x or erfc y = x. `off`: the function's error at y over its slope there.
 fn halley(y: f64, off: f64) -> f64 {
     y - off / (1.0 + y * off)
 }
@@ -135,7 +135,7 @@ fn inverse_near(x: f64) -> f64 {
     y
 }
 
-/// The inverse of [`erf`]. ±1 give ±∞, beyond them NaN.
+/// The inverse of [`erf`]. ±1 return ±∞, values beyond them NaN.
 pub fn erfinv(x: f64) -> f64 {
     let a = x.abs();
     if a <= 0.75 {

@@ -97,7 +97,7 @@ fn split(x: f64) -> (f64, f64) {
     (f64::from_bits((offset & 0x000f_ffff_ffff_ffff) + SQRT_HALF), k as f64)
 }
 
-/// ln x. Zero gives −∞, negative x NaN.
+/// ln x. Zero returns −∞, negative x NaN.
 pub fn ln(x: f64) -> f64 {
     if x.is_nan() || x < 0.0 {
         return f64::NAN;

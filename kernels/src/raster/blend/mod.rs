@@ -170,7 +170,7 @@ pub(super) fn put_block<T: Copy>(
     let (columns, rows) = (BLOCK.min(width - x), BLOCK.min(height - y));
     for row in 0..rows {
         let start = base + (y + row) * width + x;
-        // SAFETY: a block belongs to one tile and a tile to one task; its pixels are nobody else's.
+        // SAFETY: a block belongs to one tile and a tile to one task; no other task writes its pixels.
         let pixels = unsafe { to.part(start..start + columns) };
         pixels.copy_from_slice(&values[row * BLOCK..][..columns]);
     }

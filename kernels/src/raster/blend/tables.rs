@@ -61,7 +61,7 @@ pub(super) fn factors<S: Simd>(
     let (whole, rest, scale) = (s.splat(centre[0]), s.splat(centre[1]), s.splat(scale));
     let mut at = span[0] * BLOCK;
     while at < span[1] * BLOCK {
-        // Changes nothing, but tells the compiler that a vector from there on ends in the arrays.
+        // Changes no value; with it the compiler can prove that a vector from there on ends in the arrays.
         let from = at & (PIXELS - LANES - 1);
         let t = s.mul(scale, s.sub(s.sub(s.load(&pixels[from..]), whole), rest));
         s.store(s.mul(s.splat(factor), exp2_negative(s, s.mul(t, t))), &mut to[from..]);

@@ -211,7 +211,7 @@ impl<P: Paint<C>, const C: usize> Operation for Normal<'_, P, C> {
     }
 }
 
-/// `Aᵀ(target − A·c − T·background)` of a tile; gives the sum of squares.
+/// `Aᵀ(target − A·c − T·background)` of a tile; returns the sum of squares.
 pub(super) struct Residual<'a, P> {
     pub record: &'a Record,
     pub place: Place,

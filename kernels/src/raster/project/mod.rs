@@ -145,7 +145,7 @@ impl Blur {
     }
 }
 
-/// Share of the image's width and height beside it to which [`Request::bounded`](super::Request::bounded) goes.
+/// Bound of [`Request::bounded`](super::Request::bounded) beyond the image's edge, as a share of its width and height.
 const BESIDE: f64 = 0.15;
 
 /// The tangents for an image of this size.
