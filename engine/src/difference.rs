@@ -29,7 +29,7 @@ pub struct Difference {
     pub largest: f64,
     /// The first place that has it. `None` where all samples are equal: bit for bit where both are of one type, and as numbers where not.
     pub place: Option<Place>,
-    /// Share of pixels of which a sample differs, from 0 to 1.
+    /// Share of pixels with a sample that differs, from 0 to 1.
     pub share: f64,
     /// Mean square of the distances of all samples.
     pub error: f64,

@@ -16,7 +16,7 @@
 //! |---|---|---|
 //! | `type` | `canonical` (no other key but `time`), `orthographic`, `pinhole` or `equirectangular` (all around; it has a pose alone) | required |
 //! | `time` | seconds of the video; required in `views`, strictly increasing | – |
-//! | `units` | `square`: what every number below is in, whether it is said or not |  |
+//! | `units` | `square`: unit of every number below, also when absent |  |
 //! | `position` | the camera's centre in square units (x right, y down, z forward) | `[0, 0, 0]` |
 //! | `rotation` | quaternion (w, x, y, z) that turns the camera's axes (right, down, forward) into scene space | none |
 //! | `look_at`, `up` | instead of `rotation`: the point looked at, and what is up in the image | `up` = `[0, -1, 0]` |
@@ -104,7 +104,7 @@ struct View {
 /// Reads a camera or a camera path from its JSON form.
 ///
 /// # Errors
-/// Text that is not JSON of this form, and views that say something impossible, with the view and the key.
+/// Text that is not JSON of this form, and views with impossible values, with the view and the key.
 pub fn parse(json: &str) -> Result<CameraPath, CameraError> {
     let form = |[expected, found]: [String; 2]| CameraError::Form(format!("expected {expected}, found {found}"));
     from_value(super::set::json::value(json.as_bytes()).map_err(form)?)

@@ -14,7 +14,7 @@ use crate::stream::{Interval, Workers};
 /// Distance of a turned camera from the pivot in half widths of the model's input: depths end at 5, so that everything lies in front of it.
 const DISTANCE: f64 = 12.0;
 
-/// Where a camera stands around the pivot, in degrees.
+/// Position of a camera around the pivot, in degrees.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Angles {
     /// To the right of the source's own camera.
@@ -26,21 +26,21 @@ pub struct Angles {
 /// How a camera moves around the pivot while time runs on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Turn {
-    /// From half of `degrees` on the left to as far on the right in so many seconds, then back in as many, and so on.
+    /// From half of `degrees` on the left to as far on the right in `seconds`, then back in the same time, and so on.
     Orbit {
         /// The whole angle.
         degrees: f64,
         /// Time from one end to the other.
         seconds: f64,
     },
-    /// A circle around the source's own view, `degrees` away from it, once in so many seconds. It starts above.
+    /// A circle around the source's own view, `degrees` away from it, once in `seconds`. It starts above.
     Sway {
         /// Angle between the circle and the middle.
         degrees: f64,
         /// Time of one circle.
         seconds: f64,
     },
-    /// Once around in so many seconds, starting at the source's own view.
+    /// Once around in `seconds`, starting at the source's own view.
     Around {
         /// Time of one turn.
         seconds: f64,
@@ -48,7 +48,7 @@ pub enum Turn {
 }
 
 impl Turn {
-    /// Where the camera stands after `time` seconds.
+    /// Position of the camera after `time` seconds.
     pub fn at(self, time: f64) -> Angles {
         // From 0 to 1 and over again.
         let phase = |seconds: f64| (time / seconds).rem_euclid(1.0);

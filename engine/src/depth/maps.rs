@@ -86,7 +86,7 @@ impl DepthMaps {
     /// maps that decide the range are read once to find it.
     ///
     /// # Errors
-    /// An unreadable or empty folder, files of several kinds of which none has every name, another number of maps than of frames, an unreadable map where
+    /// An unreadable or empty folder, files of several kinds with none that has every name, another number of maps than of frames, an unreadable map where
     /// all are read.
     pub fn open(folder: &Path, frames: Option<&[PathBuf]>, range: Range) -> Result<DepthMaps, DepthError> {
         Self::open_as(folder, frames, range, Values::Inverse)
@@ -157,7 +157,7 @@ impl DepthMaps {
         &self.notes
     }
 
-    /// Checks that there is a map for every frame that is read, and none besides: as many maps as frames, or as the `limit` of them.
+    /// Checks that there is a map for every frame that is read, and no others: as many maps as frames, or as the `limit` of them.
     ///
     /// # Errors
     /// Another number of maps.
@@ -192,7 +192,7 @@ impl DepthMaps {
         map.values.iter_mut().for_each(|v| *v = self.kind.inverse(*v));
         if let Some((least, most)) = self.range {
             let span = most - least;
-            // A constant clip gives 0, as a constant map does.
+            // A constant clip becomes 0, as a constant map does.
             map.values.iter_mut().for_each(|v| *v = if span > 0.0 { (*v - least) / span } else { 0.0 });
         }
         if (map.width, map.height) == (width, height) {
@@ -249,7 +249,7 @@ pub fn read_map(path: &Path) -> Result<Map, DepthError> {
     decode_map(&decode::read_file(path)?, path)
 }
 
-/// Reads a map held in memory; `path` tells an NPY file and is for the messages.
+/// Reads a map held in memory; `path` marks an NPY file and is used in messages.
 ///
 /// # Errors
 /// As [`read_map`], but for the reading.

@@ -30,7 +30,7 @@ pub fn of_still(still: &Still) -> Vec<u8> {
 /// ([`Still::defect`]) are left out. [`import`](mod@crate::import) reads it.
 ///
 /// # Panics
-/// When the arrays differ in length ([`Still::uneven`]), or the file would be longer than 4 GiB, which its header cannot say.
+/// When the arrays differ in length ([`Still::uneven`]), or the file would be longer than 4 GiB, which its header cannot hold.
 pub fn written(still: &Still) -> Written {
     let kept = Order::own(still);
     let mut notes = Notes::of(still, &kept);

@@ -29,7 +29,7 @@ impl From<FormatError> for ReadError {
     }
 }
 
-/// A file of a known length, of which no more is in memory than a block, with the digest of what was read.
+/// A file of known length, at most one block of it in memory, with the digest of the bytes read.
 pub(super) struct Blocks<'a> {
     file: File,
     length: u64,

@@ -4,7 +4,7 @@
 //! It is looked for in this order:
 //!
 //! 1. the file that the environment variable `ORT_DYLIB_PATH` names (nothing else is tried then);
-//! 2. beside the running program;
+//! 2. in the folder of the running program;
 //! 3. in the `onnxruntime` package of Python: that of the virtual environment in `VIRTUAL_ENV`, then of `python3`, then of `python`.
 //!
 //! Version [`OLDEST`] or newer is needed. A process loads one library, once.
@@ -124,7 +124,7 @@ impl std::fmt::Debug for Runtime {
 static LOADED: Mutex<Option<Runtime>> = Mutex::new(None);
 
 impl Runtime {
-    /// Finds and loads the library; later calls give what the first one loaded.
+    /// Finds and loads the library; later calls return the library that the first one loaded.
     ///
     /// # Errors
     /// No library, a broken or too old one.

@@ -1,6 +1,6 @@
-//! Files: pictures, depth maps, video. Nothing is seen under its own name before it is whole.
+//! Files: pictures, depth maps, video. A file has its own name only once it is whole.
 //!
-//! A file is written under a temporary name beside its own (`.NAME.partial`), synced, and renamed; no symbolic link is written through
+//! A file is written under a temporary name in the same folder (`.NAME.partial`), synced, and renamed; no symbolic link is written through
 //! ([`storage`]). Every file's BLAKE3 digest is taken on the way. PNG and WebP are written with fixed encoder settings by pure-Rust code, so their bytes are a function of the pixels.
 
 pub mod storage;
@@ -156,7 +156,7 @@ impl Partial {
         self.partial.as_deref().unwrap_or(&self.target)
     }
 
-    /// Syncs the file and gives it its own name.
+    /// Syncs the file and renames it to its own name.
     ///
     /// # Errors
     /// The file cannot be synced or renamed.
@@ -174,7 +174,7 @@ impl Drop for Partial {
     }
 }
 
-/// Syncs a file that is complete under its temporary name, and gives it its own.
+/// Syncs a file that is complete under its temporary name, and renames it to its own.
 fn keep(partial: &Path, target: &Path) -> Result<(), OutputError> {
     let kept = storage::reopen(partial)
         .and_then(|file| file.sync())
@@ -302,7 +302,7 @@ pub fn plane_png(width: usize, height: usize, plane: &[f32]) -> Vec<u8> {
     png(width, height, &samples, ExtendedColorType::L8)
 }
 
-/// A depth image (`Σ d α T`) and, if given, its alpha (`Σ α T`) as an EXR file with the channels `Z` and `A`.
+/// A depth image (`Σ d α T`) and, if present, its alpha (`Σ α T`) as an EXR file with the channels `Z` and `A`.
 ///
 /// # Errors
 /// Planes whose length is not `width · height`.
@@ -384,7 +384,7 @@ mod tests {
         let written = write_file(&path, b"hello").expect("writable");
         assert_eq!(written.blake3, blake3::hash(b"hello").to_hex().as_str());
         assert_eq!(std::fs::read(&path).expect("readable"), b"hello");
-        // A folder stands where the file should go: the rename fails, and nothing is left.
+        // A folder has the file's name: the rename fails, and nothing is left.
         std::fs::create_dir(folder.path().join("b.bin")).expect("writable");
         assert!(write_file(&folder.path().join("b.bin"), b"x").is_err());
         let names: Vec<_> =

@@ -10,7 +10,7 @@ use super::{Motion, Sight};
 pub(super) struct Cell {
     pub(super) inverse: f32,
     pub(super) confidence: f32,
-    /// True if a well-seen match fits no place of a thing that stands.
+    /// True if a certain match fits no place of a thing at rest.
     pub(super) moves: bool,
 }
 
@@ -26,7 +26,7 @@ pub(super) fn inverse_depth(motion: &Motion, one: DVec3, other: DVec3) -> (f64, 
     ((ax * bx + ay * by) / square, length / y.z, (ax * by - ay * bx).abs() / (length * y.z))
 }
 
-/// All cells of the picture; inverse depth in units of the median of what is well known.
+/// All cells of the picture; inverse depth in units of the median of the certain ones.
 pub(super) fn cells(sight: &Sight<'_>, motion: &Motion) -> Vec<Cell> {
     let pixels = sight.focal / sight.unit;
     let count = sight.grid[0] * sight.grid[1];

@@ -121,7 +121,7 @@ fn gltf(head: &Head<'_>) -> Option<Kind> {
     Some(Kind::Other("a mesh (glTF without KHR_gaussian_splatting)".to_owned(), MESH.to_owned()))
 }
 
-/// Bytes of the file from `at`, of which there are `length`; `None` for more than is looked at.
+/// `length` bytes of the file from `at`; `None` for more than the limit.
 fn part(head: &Head<'_>, at: u64, length: u64) -> Option<Vec<u8>> {
     if length > MAX_GLTF || at + length > head.length {
         return None;

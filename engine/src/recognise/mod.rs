@@ -47,7 +47,7 @@ pub enum Kind {
     Other(String, String),
 }
 
-/// A path that is given where something else is expected, as one line without the path.
+/// A path of a kind other than the expected one, as one line without the path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Wrong {
     expected: &'static str,
@@ -74,7 +74,7 @@ impl fmt::Display for Wrong {
     }
 }
 
-/// The first bytes of a file, and what is known of it from outside.
+/// The first bytes of a file, with its path and length.
 struct Head<'a> {
     path: &'a Path,
     bytes: &'a [u8],

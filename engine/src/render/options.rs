@@ -9,7 +9,7 @@ use super::{Aperture, Backend, Falloff};
 use crate::camera::Camera;
 use crate::fit::Placement;
 
-/// Options of an image: planes besides colour, size, background.
+/// Options of an image: planes in addition to colour, size, background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderOptions {
     /// The image's size.

@@ -216,7 +216,7 @@ mod tests {
             pair(part(1, "Z"), part(1, "Y")).expect_err("channels"),
             "expected the same channels, found Z and Y"
         );
-        // Beside another format the pixels that are shown count.
+        // Against another format the pixels that are shown count.
         let found = pair(part(1, "Y"), grey(&[0, 255, 0, 0, 0, 0, 0, 0])).expect("two pictures");
         assert_eq!(found.a.channels[0].samples.values(), [0.0, 1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     }

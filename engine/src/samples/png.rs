@@ -144,7 +144,7 @@ impl Iterator for Frames {
     }
 }
 
-/// A canvas with the channels of `like` and alpha, of which every sample is 0.
+/// A canvas with the channels of `like` and alpha, every sample 0.
 fn blank(like: &Part, [width, height]: [usize; 2]) -> Part {
     let grey = like.channels.len() < 3;
     let wide = matches!(like.channels[0].samples, Samples::U16(_));

@@ -10,7 +10,7 @@
 //! | primaries bt2020, smpte431, smpte432 | zscale makes BT.709 of them, with the curve of BT.1886 for the BT.709 family |
 //! | other primaries | taken as BT.709's: those of BT.601 lie near, and players do the same |
 //! | transfer arib-std-b67, smpte2084 | high dynamic range: brought to BT.709 of standard range |
-//! | transfer linear | given the curve of sRGB |
+//! | transfer linear | the curve of sRGB is applied |
 //! | other transfers | taken as they are: samples are display-referred |
 
 /// The factors of one Y'CbCr matrix.

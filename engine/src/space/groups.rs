@@ -1,4 +1,4 @@
-//! Gaussians in groups of neighbours, for many images of a scene of which each shows a part.
+//! Gaussians in groups of neighbours, for many images that each show a part of a scene.
 
 use rayon::prelude::*;
 use streamsplat_kernels::raster::ALPHA_MIN;
@@ -17,7 +17,7 @@ const STEPS: u32 = 21;
 pub(crate) struct Groups {
     members: Vec<Member>,
     bounds: Vec<Bounds>,
-    /// Those of which nothing may be said: a number that is not finite (they are counted when they are drawn), or a huge one.
+    /// Gaussians without a bound: with a number that is not finite (counted when drawn), huge, or not `tame`.
     others: Vec<u32>,
     count: usize,
 }
@@ -37,7 +37,7 @@ struct Bounds {
 }
 
 impl Groups {
-    /// Groups Gaussians by their centres. Of one that is not `tame`, whatever a view makes of its other numbers, nothing is said.
+    /// Groups Gaussians by their centres. One that is not `tame` is in no group and is never left out of an image.
     pub(crate) fn new(
         mean: &[[f32; 3]],
         scale: &[[f32; 3]],
@@ -125,7 +125,7 @@ fn place_on_curve(point: [f32; 3], least: [f32; 3], greatest: [f32; 3]) -> u64 {
     (0..3).map(|axis| spread(step(axis)) << axis).sum()
 }
 
-/// These places, ordered along the curve through the centres, which are finite; equal ones as they stand.
+/// These places, ordered along the curve through the centres, which are finite; equal ones keep their order.
 pub(crate) fn along_curve(mean: &[[f32; 3]], mut places: Vec<usize>) -> Vec<usize> {
     let bounds = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     let (least, greatest) = places.iter().fold(bounds, |(least, greatest), &i| {

@@ -96,7 +96,7 @@ pub(crate) fn grown(x: f32) -> f32 {
 
 /// 1 / (1 + e^−x), rounded once.
 pub(super) fn sigmoid(x: f32) -> f32 {
-    // Beyond, the result is 0 or 1 in binary32, whatever the exponential.
+    // Beyond, the result is 0 or 1 in binary32 for any exponential.
     let x = f64::from(x);
     if x.is_nan() { f32::NAN } else { (1.0 / (1.0 + exp(-x.clamp(-200.0, 200.0)))) as f32 }
 }

@@ -1,4 +1,4 @@
-//! Where to look at a still scene from, when nothing says it.
+//! Default camera of a still scene.
 
 use super::statistics::quantiles;
 use super::{Orbit, Still};
@@ -8,7 +8,7 @@ use streamsplat_kernels::math::f64::sin_cos;
 
 /// Vertical field of view in degrees.
 const FIELD: f64 = 45.0;
-/// How high the camera stands above the middle, in degrees.
+/// Elevation of the camera above the middle, in degrees.
 const ELEVATION: f64 = 12.0;
 /// How much of the image's half the scene may fill.
 const FILL: f64 = 0.8;

@@ -1,4 +1,4 @@
-//! Numbers that say what a still scene holds.
+//! Statistics of a still scene.
 
 use rayon::prelude::*;
 use streamsplat_kernels::math::f64::exp;
@@ -7,7 +7,7 @@ use super::{Defect, Still};
 
 /// Logit of the opacity 1/255: −ln 254.
 const FAINTEST: f32 = -5.537_334;
-/// Shares of the values below which [`Spread`] gives one.
+/// Quantiles in [`Spread`].
 const SHARES: [f64; 5] = [0.0, 0.05, 0.5, 0.95, 1.0];
 
 /// The least value, those at 5, 50 and 95 of a hundred, and the greatest.

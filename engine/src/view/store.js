@@ -48,10 +48,10 @@ class Embedded {
     for (let i = interval; ; i--) {
       if (i === this.given) break;
       texts.unshift(await this.text(i));
-      // The ninth byte says whether it needs the one before.
+      // The ninth byte: whether it needs the one before.
       if (bytesOf(texts[0].slice(0, 12))[8]) break;
     }
-    // Nothing is left to give where it is the last one again.
+    // No text is left to drop where it is the last one again.
     if (!texts.length) {
       this.given = -1;
       return this.packet(interval);

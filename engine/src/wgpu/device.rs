@@ -65,7 +65,7 @@ impl Gpu {
         Ok(Self { device, queue, pipeline, name, most })
     }
 
-    /// Runs `work` and tells what the device reported about it.
+    /// Runs `work`; fails with the first error that the device reported.
     pub fn guarded<R>(&self, work: impl FnOnce() -> R) -> Result<R, WgpuError> {
         guarded(&self.device, &self.name, work)
     }
@@ -94,7 +94,7 @@ impl Gpu {
     }
 }
 
-/// Runs `work` and tells the first thing that the device reported about it.
+/// Runs `work`; fails with the first error that the device reported.
 fn guarded<R>(device: &Device, name: &str, work: impl FnOnce() -> R) -> Result<R, WgpuError> {
     let scopes = [ErrorFilter::OutOfMemory, ErrorFilter::Validation, ErrorFilter::Internal]
         .map(|filter| device.push_error_scope(filter));

@@ -35,7 +35,7 @@
 //! # Extremes
 //! A logit that is NaN or −∞ weighs `2^−64` (`2^−56` in bf16) of the largest. If all logits of a row are such, the result is the mean of its
 //! values, as for a row in which every logit is +∞: while `M` is infinite, `r` is 1 where `M` stays and all weights are equal. A row
-//! with some logits at +∞ returns an unspecified mean of its values. In int8 a query or key with a value that is not finite counts as zeros, and so does a
+//! with some logits at +∞ returns some mean of its values. In int8 a query or key with a value that is not finite counts as zeros, and so does a
 //! channel of a block of values. Otherwise a NaN or infinite *value* reaches every row that sees its key: callers reject such input.
 //!
 //! Source: "StreamSplat (ICLR 2026)", encoder, decoder and upsampler blocks; the online form is that of Milakov and Gimelshein

@@ -1,4 +1,4 @@
-//! Cameras that other programs write, told apart by what the files hold.
+//! Cameras that other programs write, recognised by the files' content.
 //!
 //! | input | is | axes of a camera | what is read |
 //! |---|---|---|---|

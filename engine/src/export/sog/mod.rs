@@ -118,7 +118,7 @@ pub fn written(still: &Still) -> Written {
     Written { bytes: zip(&files), notes: notes.0 }
 }
 
-/// Writes the images of the further coefficients; what `meta.json` says of them.
+/// Writes the images of the further coefficients; returns their entry in `meta.json`.
 fn harmonics(still: &Still, order: &[usize], size: [usize; 2], files: &mut Vec<(&str, Vec<u8>)>) -> Value {
     let width = still.rest();
     let rows: Vec<f32> = order.iter().flat_map(|&i| &still.higher[i * 3 * width..][..3 * width]).copied().collect();

@@ -89,7 +89,7 @@ impl Fixed {
         std::array::from_fn(|k| still.about.offset[k] + self.off[k])
     }
 
-    /// Says what is moved, and where positions are coarser than the format's usual.
+    /// Adds notes on moved Gaussians and on positions coarser than usual for the format.
     pub(super) fn notes(self, still: &Still, places: &[usize], notes: &mut Notes) {
         let far = places.iter().filter(|i| !self.holds(still.mean[**i])).count();
         let reach = END / self.scale();

@@ -64,7 +64,7 @@ impl Scalar {
         matches!(self, Scalar::F16 | Scalar::F32 | Scalar::F64)
     }
 
-    /// The number that stands for 1 in a colour of this type.
+    /// The number that means 1 in a colour of this type.
     pub(super) fn one(self) -> f64 {
         match self {
             Scalar::U8 => 255.0,
@@ -73,7 +73,7 @@ impl Scalar {
         }
     }
 
-    /// The value at the beginning of `bytes`, of which there are [`Scalar::bytes`] at least.
+    /// The value at the beginning of `bytes`, which has at least [`Scalar::bytes`] bytes.
     pub(super) fn read(self, bytes: &[u8], big: bool) -> f64 {
         macro_rules! number {
             ($kind:ty) => {{
@@ -215,7 +215,7 @@ impl Header {
         self.elements.iter().find(|element| element.name == name)
     }
 
-    /// The bytes of an element in a binary file whose length is as the header says.
+    /// The bytes of an element in a binary file whose length agrees with the header.
     pub(super) fn bytes<'a>(&self, name: &str, body: &'a [u8]) -> Result<&'a [u8], FormatError> {
         let (place, after) = self.place(name, body.len() as u64)?;
         check_after(&body[body.len() - after..])?;
@@ -280,7 +280,7 @@ fn format(name: &str, version: &str) -> Result<Encoding, FormatError> {
     Ok(encoding)
 }
 
-/// Lines of a header; they end with a line feed, before which a carriage return may stand.
+/// Lines of a header; they end with a line feed or with carriage return and line feed.
 struct Lines<'a> {
     rest: &'a [u8],
     read: usize,

@@ -1,4 +1,4 @@
-//! Going on with a y4m file that was stopped.
+//! Resuming a y4m file that was stopped.
 
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
 use std::path::Path;
@@ -23,7 +23,7 @@ pub struct VideoPoint {
 }
 
 impl Video {
-    /// Goes on with a y4m file that has come to `point`: under its temporary name, or its own, which it loses again. What lies
+    /// Resumes a y4m file at `point`: under its temporary name, or its own, which it loses again. The part
     /// beyond is cut off.
     ///
     /// # Errors
@@ -49,7 +49,7 @@ impl Video {
         Ok(video)
     }
 
-    /// Returns true if the y4m file `path` can be gone on with from `point`.
+    /// Returns true if the y4m file `path` can be resumed from `point`.
     pub fn can_resume(path: &Path, point: &VideoPoint) -> bool {
         let partial = partial_name(path);
         let path = if partial.exists() { &partial } else { path };
@@ -60,8 +60,8 @@ impl Video {
         read.is_ok() && digest.finalize().to_hex().as_str() == point.blake3
     }
 
-    /// Syncs what was pushed and says how far it has come; `None` before the first frame, and where the video cannot
-    /// be gone on with (ffmpeg's, standard output).
+    /// Syncs what was pushed and returns the point reached; `None` before the first frame, and where the video cannot
+    /// be resumed (ffmpeg's, standard output).
     ///
     /// # Errors
     /// Errors of the system.

@@ -183,7 +183,7 @@ pub(super) fn segment<'a>(bytes: &'a [u8], at: &mut usize) -> Option<(u8, &'a [u
     }
 }
 
-/// Width, height and components of a frame of 8-bit samples whose height is known.
+/// Width, height and components of a frame of 8-bit samples with a height.
 fn components(body: &[u8]) -> Option<((usize, usize), Vec<Component>)> {
     let [8, h0, h1, w0, w1, count, rest @ ..] = body else { return None };
     let size = [[*w0, *w1], [*h0, *h1]].map(|pair| usize::from(u16::from_be_bytes(pair)));

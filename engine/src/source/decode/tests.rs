@@ -57,7 +57,7 @@ pub(in crate::source) fn apng(frames: &[(RgbaImage, [u16; 2])]) -> Vec<u8> {
     bytes
 }
 
-/// An animated WebP of whole frames, each shown for so many milliseconds.
+/// An animated WebP of whole frames, each with its duration in milliseconds.
 pub(in crate::source) fn animated_webp(frames: &[(RgbImage, u32)]) -> Vec<u8> {
     let riff = |name: &[u8; 4], data: &[u8]| {
         let mut chunk = [&name[..], &(data.len() as u32).to_le_bytes(), data].concat();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::program;
 
-/// Samples of which one may be brighter than white.
+/// One sample in this many may be brighter than white.
 const RARE: usize = 500;
 /// Frames that are looked at, one a second, and their size.
 const LOOKED_AT: (usize, usize) = (20, 64 * 36);

@@ -34,7 +34,7 @@ pub(super) enum Samples {
 }
 
 impl Chain {
-    /// Of frames that look like this. `given` goes before the file's own matrix.
+    /// The chain for frames that look like this. `given` replaces the file's own matrix.
     pub(super) fn of(
         look: &Look,
         size: (usize, usize),

@@ -169,7 +169,7 @@ impl Ffmpeg {
         Some(Sound { file: self.path.clone(), codec, start: self.start().max(0.0) })
     }
 
-    /// Frames there may be, as the file says.
+    /// Number of frames by the file's metadata.
     pub fn expected_frames(&self) -> Option<usize> {
         self.announced
     }

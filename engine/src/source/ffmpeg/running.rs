@@ -54,7 +54,7 @@ pub(super) struct Complaints {
     pub(super) count: usize,
 }
 
-/// What is known once the first frame is there.
+/// Values available once the first frame is there.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct First {
     /// Seconds of a tick, and frames per second.

@@ -19,7 +19,7 @@ const SAME_RATE: f64 = 0.01;
 /// Part of the longest stream's length that a stream must have to be as long.
 const AS_LONG: f64 = 0.5;
 
-/// Names that are a matrix, primaries and a transfer, of which a list names one where all three are the same.
+/// Names that are a matrix, primaries and a transfer; a list has one name where all three are the same.
 const SHARED: [&str; 4] = ["bt709", "bt470bg", "smpte170m", "smpte240m"];
 
 /// A video stream.
@@ -154,8 +154,8 @@ impl Listing {
         Some((chosen, left_out.collect()))
     }
 
-    /// Estimated number of frames in a stream, from the duration of the file, the stream's mean rate and the time of its first frame, if that is known
-    /// already.
+    /// Estimated number of frames in a stream, from the duration of the file, the stream's mean rate and the time of its first frame, if already
+    /// read.
     pub(super) fn frames(&self, stream: &Stream, first: Option<f64>) -> Option<usize> {
         let own = first.or(stream.start);
         let late = own.zip(self.start).map_or(0.0, |(own, file)| (own - file).max(0.0));

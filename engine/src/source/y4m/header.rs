@@ -41,7 +41,7 @@ pub struct Header {
     pub width: usize,
     /// Luma rows.
     pub height: usize,
-    /// Frames per second as a fraction, when given (`F0:0` is unknown).
+    /// Frames per second as a fraction, if present (`F0:0` is unknown).
     pub rate: Option<(u64, u64)>,
     /// Chroma planes.
     pub chroma: Chroma,

@@ -63,7 +63,7 @@ impl StillSource {
     /// Prepares a scene for a page.
     ///
     /// # Errors
-    /// A scene of which no Gaussian has a finite centre; arrays that differ in length.
+    /// A scene without a Gaussian that has a finite centre; arrays that differ in length.
     pub fn new(title: impl Into<String>, file: StillFile, workers: Workers) -> Result<StillSource, StillError> {
         let framing = file.still.framing().ok_or_else(|| StillError::Nowhere(file.path.display().to_string()))?;
         let scene = Drawable::new(file.still, &workers)?;
@@ -115,7 +115,7 @@ impl Whole for StillSource {
         let mut deflated = DeflateEncoder::new(vec![0; LENGTH], Compression::default());
         deflated.write_all(&self.packet)?;
         let mut deflated = deflated.finish()?;
-        // What a text can hold is less than that: the page says so.
+        // The limit of a text is lower: the page reports it.
         let length = u32::try_from(deflated.len() - LENGTH).unwrap_or(u32::MAX);
         deflated[..LENGTH].copy_from_slice(&length.to_le_bytes());
         put(&deflated)

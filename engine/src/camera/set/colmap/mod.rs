@@ -30,7 +30,7 @@ use rigs::Rigs;
 
 const FORMAT: &str = "COLMAP model";
 
-/// The files of a model of which something is read, all text or all binary.
+/// The files of a model that are read, all text or all binary.
 #[derive(Clone, Copy, Debug)]
 pub struct Files<'a> {
     /// `cameras`.

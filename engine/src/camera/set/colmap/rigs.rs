@@ -10,7 +10,7 @@ use crate::camera::Rotation;
 pub(super) struct Rig {
     /// The camera whose coordinates are the rig's.
     pub(super) reference: Option<u32>,
-    /// The others; `None` where it is not known how they lie in the rig.
+    /// The others; `None` for an unknown pose in the rig.
     pub(super) others: BTreeMap<u32, Option<Rigid>>,
 }
 
