@@ -1,4 +1,4 @@
-//! The StreamSplat network on CPUs: what one pair of frames gives.
+//! The StreamSplat network on CPUs, for one pair of frames.
 //!
 //! StreamSplat (Wu, Yan, Yi, Wang, Liao: "StreamSplat: Towards Online Dynamic 3D Reconstruction from Uncalibrated Video
 //! Streams", ICLR 2026) turns each frame into static Gaussians and each pair of frames into the motion between them:

@@ -203,7 +203,7 @@ impl<N: Borrow<Network>> Session<N> {
         })
     }
 
-    /// Returns true if most of the picture is known to have changed since the frame before.
+    /// Returns true if most of the picture has changed since the previous frame, as far as known.
     fn moves(&self) -> bool {
         self.cache.as_ref().is_some_and(|cache| cache.encoder.moves())
     }

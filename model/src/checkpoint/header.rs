@@ -51,7 +51,7 @@ impl Dtype {
         }
     }
 
-    /// Bits per element, where known.
+    /// Bits per element, for supported types.
     pub(super) fn bits(&self) -> Option<usize> {
         Some(match self.name() {
             "F4" => 4,

@@ -82,7 +82,7 @@ impl Storage {
             const PAGE: usize = 1 << 16;
             let (start, end) = (range.start.next_multiple_of(PAGE), range.end / PAGE * PAGE);
             if start < end {
-                // SAFETY: the mapping is of a file and nobody writes to it: dropped pages are read again from the file
+                // SAFETY: the mapping is of a file and is never written to: dropped pages are read again from the file
                 // with the same content. Failure only keeps memory in use.
                 let _ = unsafe { map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, start, end - start) };
             }

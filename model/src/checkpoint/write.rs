@@ -8,9 +8,9 @@ use serde_json::{Map, Value, json};
 
 use crate::ModelError;
 
-/// Writes named f32 tensors as a safetensors file, in the order given.
+/// Writes named f32 tensors as a safetensors file, in their order.
 ///
-/// The file appears whole or not at all: it is written beside its place and then renamed.
+/// The file appears whole or not at all: it is written under a temporary name in the same folder and then renamed.
 ///
 /// # Errors
 /// When it cannot be written.

@@ -103,7 +103,7 @@ pub(crate) struct Pass<'a> {
 }
 
 impl<'a> Pass<'a> {
-    /// Begins a call on `x [n, d]`, the input of the blocks (of an upsampler: of its first layer), and gives the rows
+    /// Begins a call on `x [n, d]`, the input of the blocks (of an upsampler: of its first layer), and returns the rows
     /// of it that are to be computed. `moves`: see [`Schedule::next`].
     pub(crate) fn begin(
         level: Level,
@@ -166,7 +166,7 @@ impl<'a> Pass<'a> {
         Some(at)
     }
 
-    /// Leaves in `rows` what block `index` has to compute, keeps its input, and gives its cache. `mixed` are the
+    /// Leaves in `rows` those that block `index` has to compute, keeps its input, and returns its cache. `mixed` are the
     /// windows in which the block mixes tokens, if it does.
     pub(crate) fn admit(&mut self, index: usize, mixed: Option<Windows>, rows: &mut Rows) -> Option<&mut BlockCache> {
         let cache = self.cache.as_deref_mut()?;
@@ -185,7 +185,7 @@ impl<'a> Pass<'a> {
         Some(block)
     }
 
-    /// Ends the call: the whole output, of which `x` are the rows `at`.
+    /// Ends the call; returns the whole output. `x`: its rows `at`.
     pub(crate) fn finish(self, at: Option<Vec<u32>>, x: Vec<f32>) -> Vec<f32> {
         let Some(cache) = self.cache else { return x };
         match at.as_deref() {

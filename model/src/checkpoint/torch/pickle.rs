@@ -5,7 +5,7 @@
 //! error: no class is looked up, no code is run.
 //!
 //! Values lie in one list in the order of their making; the stack, the memo and containers hold their numbers. So every byte of a pickle makes
-//! one value at most, whatever refers to it.
+//! one value at most, for any number of references to it.
 //!
 //! Source: CPython, `Lib/pickletools.py` (opcodes of protocols 0 to 5).
 
