@@ -78,7 +78,7 @@ pub(crate) struct Models {
 }
 
 impl Models {
-    /// Those that `settings` give, their precision and reuse aside.
+    /// Those of `settings`, except for precision and reuse.
     pub(crate) fn new(settings: Settings) -> Models {
         Models { settings, loaded: Vec::new() }
     }

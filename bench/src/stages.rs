@@ -132,7 +132,7 @@ fn operands(precision: Precision) -> gemm::Precision {
     }
 }
 
-/// Measures `model`, and beside it `full`, which computes the same and its zero-output branches too.
+/// Measures `model` and `full`, which computes the same and its zero-output branches too.
 fn measure(
     model: &Model,
     full: Option<&Model>,
@@ -168,7 +168,7 @@ fn measure(
 
         let (mut spent, mut spent_in_full, mut own_peak) = (Vec::new(), Vec::new(), 0.0_f64);
         for _ in 0..options.common.repeat.max(1) {
-            // The peak is taken beside every run: clocks move.
+            // The peak is measured next to every run, as clock rates change.
             own_peak = own_peak.max(machine::peak(model.level, operands(options.precision)));
             let run = |model: &Model, spent: &mut Vec<Spent>| -> Result<()> {
                 let watch = Stopwatch::start();

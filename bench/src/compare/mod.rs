@@ -1,7 +1,7 @@
 //! `--compare BASE.json`: a measurement against an earlier one, for machines without a graphics card or a quiet hour, such as those of continuous
 //! integration.
 //!
-//! Counted instructions differ where the code does, whatever else the machine does. Times are compared only between runs on the same processor,
+//! Counted instructions differ only where the code does, under any load of the machine. Times are compared only between runs on the same processor,
 //! with as many threads and the same instruction set; a row is worse when its median lies more than the limit above the one before **and** its
 //! fastest run was slower than half of the runs before. What is above the limit but not so clear is named and is no failure.
 
@@ -112,7 +112,7 @@ fn measure(before: &Record, options: &Options) -> Result<Record> {
     if let Some(repeat) = options.repeat.filter(|_| before.kind != Benchmark::Instructions) {
         command.arg("--repeat").arg(repeat.to_string());
     }
-    // Tables of the measurement itself would stand before that of the comparison.
+    // Tables of the measurement itself would come before that of the comparison.
     let output = command.stderr(std::process::Stdio::inherit()).output().context("cannot start the measurement")?;
     ensure!(output.status.success(), "the measurement failed: {}", output.status);
     let record = record::read(&json);

@@ -39,7 +39,7 @@ pub(super) struct Record {
     pub(super) conditions: String,
     /// The compiler, where instructions were counted.
     pub(super) built: Option<String>,
-    /// The command's options that measure the same again; `None` where the record does not tell.
+    /// The command's options that measure the same again; `None` where the record has none.
     pub(super) again: Option<Vec<String>>,
 }
 

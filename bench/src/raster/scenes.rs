@@ -35,7 +35,7 @@ impl Scene {
         }
     }
 
-    /// Adds a Gaussian of the canonical view, given in pixels.
+    /// Adds a Gaussian of the canonical view, in pixels.
     fn push_pixels(&mut self, centre: [f32; 2], sigma: [f32; 2], depth: f32, opacity: f32, rgb: [f32; 3]) {
         let (w, h) = (self.request.width as f32, self.request.height as f32);
         let mean = [(2.0 * centre[0] + 1.0) / w - 1.0, (2.0 * centre[1] + 1.0) / h - 1.0, depth];

@@ -218,7 +218,7 @@ fn panel(
     Ok(())
 }
 
-/// Shapes and colours explained: lines of marks with what they stand for.
+/// The legend: lines of marks with their meaning.
 pub(super) fn legend(area: &Area<'_>, lines: &[(&str, Vec<(Mark, &String)>)]) -> Result<()> {
     let mut y = 14;
     for (name, marks) in lines {

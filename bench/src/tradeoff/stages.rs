@@ -152,7 +152,7 @@ fn binary64(which: Which<'_>, model: &Model) -> Result<Vec<Vec<f64>>> {
     let inputs = Inputs { frames: &frames, depths: &depths, condition: condition.as_deref() };
     let mut out = reference::forward(&Tensors::new(&checkpoint), sizes, &inputs);
     let mut take = |name: &str| out.remove(name).with_context(|| format!("the reference gives no {name}"));
-    // What `Model::stage` gives: the later frame's, and both frames' from the decoder on.
+    // The result of `Model::stage`: the later frame's, and both frames' from the decoder on.
     let later = |values: Vec<f64>| values[values.len() / 2..].to_vec();
     let heads = [later(take("static.xyz_static")?), take("dynamic.velocity")?].concat();
     Ok(vec![later(take("h")?), later(take("static_tokens")?), take("d")?, heads])
