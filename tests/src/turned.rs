@@ -1,4 +1,4 @@
-//! Views of scenes of cards from cameras led around them, beside the true ones.
+//! Views of scenes of cards from cameras around them, compared with the true ones.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! How far tracked points are from where they are, on clips whose motion is known: the engine alone (with a reconstructor that knows
+//! How far tracked points are from where they are, on clips of known motion: the engine alone (with a reconstructor that has
 //! the truth) and with the embedded model. The figures are printed (`cargo test --release -p streamsplat-tests --test track_accuracy --
 //! --nocapture`) and may not get worse than the bounds here.
 

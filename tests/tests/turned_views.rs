@@ -1,4 +1,4 @@
-//! Scenes with true depth seen from the side, and depth maps that tell little.
+//! Scenes with true depth seen from the side, and depth maps with little information.
 
 use streamsplat::stream::{Behind, DepthRange, Interval, MotionFrom, Reuse};
 use streamsplat::{Engine, Frame, RenderOptions, Settings};

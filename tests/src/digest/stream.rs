@@ -61,7 +61,7 @@ enum Depth {
     Found,
 }
 
-/// Three key frames with two frames between each two, which the engine is given.
+/// Three key frames with two frames between each two, which are passed to the engine.
 fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]: [usize; 2], depth: Option<Depth>) {
     let settings = Settings {
         level: Some(level),

@@ -1,8 +1,8 @@
 //! Extremes: every case on every instruction-set level of the machine and with 1, 2, 3 and 8 threads, its error against
 //! binary64, and whether the bits agree.
 //!
-//! A [`Case`] computes values and judges them: the worst error, the value that has it, and properties that must hold whatever the
-//! error is. [`record`] keeps the errors: `tests/extremes/record.json` is what tests compare with, `tests/extremes/REPORT.md` what people read.
+//! A [`Case`] computes values and judges them: the worst error, the value that has it, and properties that must hold for any
+//! error. [`record`] keeps the errors: `tests/extremes/record.json` is what tests compare with, `tests/extremes/REPORT.md` what people read.
 
 mod attention;
 mod images;
@@ -202,7 +202,7 @@ impl Case {
     }
 
     /// Computes it on every level and thread count and judges the first; places whose bits differ from the first's are broken.
-    /// The long form runs on the highest level alone: the short one says whether bits agree.
+    /// The long form runs on the highest level alone: the short one compares bits.
     ///
     /// # Panics
     /// When threads cannot be started.

@@ -197,7 +197,7 @@ fn held(mean: f32, log_scale: f32, ends: [f32; 2], value: impl Fn(f32) -> f32) -
     Held { different: bits.len(), ..held }
 }
 
-/// Where the published formula collapses, and what is given here. The yardstick is [`quantile`], which the cases above try against the
+/// Where the published formula collapses, and our result there. The reference is [`quantile`], which the cases above try against the
 /// exact distribution.
 pub fn collapse() -> Vec<Collapse> {
     let row = |(mean, log_scale): (f32, f32)| {

@@ -38,7 +38,7 @@ pub(super) fn checkpoint(bytes: &[u8]) {
     let _ = inspect_parts(&checkpoint, seeds::CONFIG);
 }
 
-/// The JSON beside a checkpoint.
+/// The JSON file of a checkpoint.
 pub(super) fn model_config(bytes: &[u8]) {
     static MODEL: LazyLock<Checkpoint> =
         LazyLock::new(|| Checkpoint::from_storage(seeds::model(), "fuzz").expect("a checkpoint"));
