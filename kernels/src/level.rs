@@ -86,7 +86,7 @@ impl InstructionSet {
         }
     }
 
-    /// Returns true if what the level adds to the one before is slower on this CPU than what it replaces: on Intel's cores (Emerald Rapids was
+    /// Returns true if the level's added instructions are slower on this CPU than those that they replace: on Intel's cores (Emerald Rapids was
     /// measured) the dot product of bf16 takes as long as four fused multiply-adds, where two do as much.
     pub(crate) fn is_slow(self) -> bool {
         match self {

@@ -35,7 +35,7 @@ impl<T: Pod> Aligned<T> {
         Self { lines, len, kind: std::marker::PhantomData }
     }
 
-    /// Makes room for `len` elements. What they hold is unspecified (but initialised).
+    /// Makes room for `len` elements. Their content is unspecified (but initialised).
     ///
     /// # Panics
     /// When there is no room for them.
@@ -80,7 +80,7 @@ thread_local! {
 
 /// Scratch memory of this thread: reused from earlier calls, returned when dropped.
 ///
-/// Calls may nest; each has its own. What it holds at first is unspecified.
+/// Calls may nest; each has its own. Its initial content is unspecified.
 pub struct Scratch(Aligned<f32>);
 
 impl Scratch {

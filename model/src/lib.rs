@@ -15,7 +15,7 @@
 //! camera (0 near, 1 far: normalised inverse depth), z up. Every output obeys the bit contract of the kernels: it is the
 //! same on every instruction-set level and for any number of threads.
 //!
-//! The library never prints, and never panics on data: what is wrong with a file or an input comes back as a [`ModelError`].
+//! The library never prints, and never panics on data: errors of a file or an input are returned as a [`ModelError`].
 
 #![deny(unsafe_code)]
 

@@ -40,7 +40,7 @@ impl<N: Borrow<Network>> Session<N> {
         self.cache.as_ref()
     }
 
-    /// Forgets everything but the counts: what comes next is computed in full.
+    /// Forgets everything but the counts: the next call is computed in full.
     pub fn forget(&mut self) {
         let network = self.network.borrow();
         self.cache = self.cache.take().and_then(|cache| cache.emptied(&network.config));

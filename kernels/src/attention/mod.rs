@@ -7,7 +7,7 @@
 //! # Order of operations
 //! - `s = q·k`: one chain of fused multiply-adds over the channels, ascending, from +0.
 //! - Keys are taken in blocks of [`KEY_BLOCK`], ascending. With `c` = `log2(e)/√width` rounded to f32, the query's reference
-//!   is `M = max(M, c·max s)`; what was accumulated before is scaled by `r = 2^(M_old − M)`.
+//!   is `M = max(M, c·max s)`; earlier sums are scaled by `r = 2^(M_old − M)`.
 //! - The weight of a key is `2^(fma(s, c, −M))` (see `weight.rs`), never below `2^−64` nor, where logits are so large that `M` is rounded by more, above 2.
 //! - `Σ w`: a block has four sums, of its keys 0, 4, 8 …, of 1, 5, 9 …, and so on, each ascending from +0; the block's sum is
 //!   `(0 + 1) + (2 + 3)`, and the query's sum becomes `fma(sum, r, block)`.
@@ -29,7 +29,7 @@
 //!   at most 2⁴⁸). `s = f32(Σ integers)·b`, whose sum is exact, and `c` is multiplied by `a` (rounded). A block of keys has a reference
 //!   of its own, `B = max s·c`; its weights are the integers nearest to `255·2^(s·c − B)` (the same short polynomial; ties to even), its values
 //!   8-bit integers with a scale `d` per channel of the block. `Σ w` and `Σ w v` of a block are exact; with `M = max(M, B)`, `r` as above and
-//!   `u = 2^(B − M)` the query's sums become `fma(sum, r, f32(Σ w)·u)` and `fma(sum, r, f32(Σ w v)·(u·d))`. What weighs less than 1/510 of
+//!   `u = 2^(B − M)` the query's sums become `fma(sum, r, f32(Σ w)·u)` and `fma(sum, r, f32(Σ w v)·(u·d))`. A weight less than 1/510 of
 //!   the largest of its block weighs nothing.
 //!
 //! # Extremes

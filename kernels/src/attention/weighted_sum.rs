@@ -63,12 +63,12 @@ pub(super) trait WeightedSum: 'static {
     fn row_word<S: Simd>(s: S, i: usize, values: &Values<'_>, c: usize, inverse: S::F32) -> S::F32;
 }
 
-/// The reference moves to the block's largest logit where that is above it; what was summed before is scaled to it, the block is not.
+/// The reference moves to the block's largest logit where that is above it; earlier sums are scaled to it, the block is not.
 #[inline(always)]
 fn moved<S: Simd>(s: S, scores: &Scores<'_, S>) -> Weighed<S> {
     let before = scores.reference;
     let reference = s.max(s.mul(scores.largest, scores.scale), before);
-    // Infinities that stay what they were have no difference.
+    // Unchanged infinities have no difference.
     let rescale = s.select(s.eq(before, reference), s.splat(1.0), weight(s, s.sub(before, reference)));
     Weighed { reference, before: rescale, block: s.splat(1.0), total: s.splat(0.0) }
 }

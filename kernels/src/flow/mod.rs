@@ -99,7 +99,7 @@ impl Operation for Luma<'_> {
     }
 }
 
-/// The flow from `first` to `second`: for every pixel of `first`, how far away `second` shows what it shows.
+/// The flow from `first` to `second`: for every pixel of `first`, the offset of the matching place in `second`.
 ///
 /// # Panics
 /// When the pyramids have different sizes or scales, `start` another size, or `options` a weight that [`Pyramid::new`] refuses.

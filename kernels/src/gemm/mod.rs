@@ -51,7 +51,7 @@ use tracing::debug_span;
 use crate::Level;
 
 /// `out[i,j] = epilogue(Σ_k x[i,k] · w[j,k])` for `x [m,k]`, `out [m,n]`. See [the module](self) for the order of accumulation,
-/// [`Input`] for rows that are normalised first, and [`Epilogue`] for what can follow the product and for how `out` lies. `m` may be 0.
+/// [`Input`] for rows that are normalised first, and [`Epilogue`] for the steps after the product and the layout of `out`. `m` may be 0.
 ///
 /// # Panics
 /// When a slice does not have the size that `m`, the weights' `n` and `k` ask for.

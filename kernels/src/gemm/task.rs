@@ -351,7 +351,7 @@ impl<F: Form> Task<'_, F> {
 /// Words of weights that stay in a second-level cache together with a task's rows.
 const NEAR: usize = 1 << 16;
 
-/// Brings into the cache what is used next, a little in every leg of the register blocks: the weights of the next block, and the lines of the output
+/// Prefetches, spread over the legs of the register blocks: the weights of the next block, and the lines of the output
 /// that a register block is about to write.
 struct Prefetches<const NV: usize> {
     weights: [*const u32; NV],

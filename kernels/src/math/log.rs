@@ -1,4 +1,4 @@
-//! Logarithms, and what is made of them.
+//! Logarithms, and functions made of them.
 
 use super::exp::{self, LN2_HI, LN2_LO};
 use super::polynomial;

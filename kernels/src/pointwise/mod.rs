@@ -46,7 +46,7 @@ pub struct Layer {
     k: usize,
     /// `[n/8][k][8]`
     weights: Aligned<f32>,
-    /// −0 where there is none, which changes no bit of what it is added to.
+    /// −0 where there is none, which changes no bit of a sum.
     bias: Vec<f32>,
     activation: Activation,
 }

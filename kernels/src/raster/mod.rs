@@ -32,7 +32,7 @@
 //! image's edges meet. 0.3 px² of low-pass are those of the image's own pixels, which are cos φ as wide on the sphere as they are high. Drawing order
 //! and `depth` are by r in place of z.
 //!
-//! With [`Request::antialias`], o is `o·√(det(J·R·S·Sᵀ·Rᵀ·Jᵀ) / det Σ)` throughout, so that what is smaller than a pixel gets fainter
+//! With [`Request::antialias`], o is `o·√(det(J·R·S·Sᵀ·Rᵀ·Jᵀ) / det Σ)` throughout, so that Gaussians smaller than a pixel get fainter
 //! in place of larger (Mip-Splatting, CVPR 2024, the 2D filter with a variance of 0.3 px²).
 //!
 //! With [`Request::bounded`], x/z and y/z in a pinhole's J, not in u and v, are held between `(−½ − 0.15·W − c_x)/f_x` and
@@ -49,7 +49,7 @@
 //! b_x = (f_x·¼A·(1/z − 1/F))²     b_y alike     Σ' = Σ + diag(b_x, b_y)     o' = o·√(det Σ / det Σ')
 //! ```
 //!
-//! α is then skipped where it is under 2⁻¹⁶, in place of 1/255: what is spread over many pixels still adds up to what it was. Gaussians with an
+//! α is then skipped where it is under 2⁻¹⁶, in place of 1/255: a Gaussian spread over many pixels keeps its sum. Gaussians with an
 //! opacity under 1/255 are left out as without a lens. With `antialias` as well, `o' = o·√(det(J·R·S·Sᵀ·Rᵀ·Jᵀ) / det Σ')`.
 //!
 //! (StreamSplat, ICLR 2026, section 3, with the affine approximation of EWA splatting.) A Gaussian reaches every pixel on

@@ -120,7 +120,7 @@ pub trait Elementwise: Copy + Send + Sync + 'static {
     /// `p · 2ⁿ`, where `p` and the result are normal numbers.
     #[inline(always)]
     fn scale_by_pow2(self, p: Self::F32, n: Self::F32) -> Self::F32 {
-        // The integer, moved to the exponent; what lies above falls off.
+        // The integer, shifted to the exponent; higher bits are dropped.
         self.from_bits(self.add_i32(self.to_bits(p), self.shl::<23>(self.to_bits(n))))
     }
     /// `p · 2ⁿ` for −252 ≤ `n` ≤ 254, rounded once, where `p·2^⌊n/2⌋` is a normal number or `p` is none.

@@ -9,7 +9,7 @@
 //! - [`Elementwise::min`] and [`Elementwise::max`] are comparisons followed by a selection: where either operand is NaN, or both are
 //!   zeros, the *second* operand is the result;
 //! - [`Simd::sum`] and [`Simd::max_lane`] fold lanes `i` and `i+8`, then `i` and `i+4`, `i+2`, `i+1`;
-//! - the bits of a NaN *result* are the only thing left open; kernels keep NaN out of what they store.
+//! - the bits of a NaN *result* are the only thing left open; kernels never store NaN.
 //!
 //! Inside a parallel task call [`dispatch`] again: a closure handed to another thread leaves the instruction-set context.
 

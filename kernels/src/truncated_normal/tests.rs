@@ -44,7 +44,7 @@ fn the_quantile_inverts_the_distribution_and_grows() {
                 let x = quantile(mean, log_scale, u);
                 assert!(x >= last - 1e-15, "{mean} {log_scale} {u}: {x} after {last}");
                 last = x;
-                // The spacing of binary64 around the mean limits what can come back where σ is tiny.
+                // The spacing of binary64 around the mean limits the round trip where σ is tiny.
                 let tolerance = 1e-12 + 2e-16 / double::exp(log_scale);
                 let back = distribution(mean, log_scale, x);
                 assert!((back - u).abs() <= tolerance, "{mean} {log_scale} {u}: {x} has mass {back}");

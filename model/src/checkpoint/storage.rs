@@ -44,7 +44,7 @@ impl From<&'static [u8]> for Storage {
 impl Storage {
     /// Maps the file at `path`.
     ///
-    /// As with every mapping, whoever shortens the file while it is loaded ends the program (SIGBUS).
+    /// As with every mapping, shortening the file while it is loaded ends the program (SIGBUS).
     ///
     /// # Errors
     /// When it cannot be opened, is no regular file, or cannot be mapped.

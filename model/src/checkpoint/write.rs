@@ -47,7 +47,7 @@ pub fn write(path: impl AsRef<Path>, tensors: &[(String, Vec<usize>, &[f32])]) -
         std::fs::rename(&part, path)
     })();
     written.map_err(|source| {
-        // What is half written is of no use; that it may not exist is no second error.
+        // An incomplete file is removed; a missing one is no second error.
         let _ = std::fs::remove_file(&part);
         ModelError::Write { file: path.display().to_string(), source }
     })

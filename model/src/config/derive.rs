@@ -29,7 +29,7 @@ pub(crate) fn prefix(checkpoint: &Checkpoint) -> Result<&'static str, ModelError
     })
 }
 
-/// What a file is that was taken for another, for the end of an error.
+/// Actual kind of a file of the wrong kind, for the end of an error.
 pub(crate) fn hint(checkpoint: &Checkpoint) -> String {
     if let Some(layout) = DinoLayout::of(checkpoint) {
         return format!("; this is a file of DINOv2 (names of {})", layout.name());

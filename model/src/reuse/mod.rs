@@ -21,7 +21,7 @@
 //!
 //! The decoder's input is a pair of frames, and its cache belongs to the pair's places, not to the frames: `h` of frame
 //! k is compared in the place of the later frame with that of frame k−1, and a step later, in the place of the earlier
-//! frame, with it again. What appears changes one place only, but the motion in both: a token is computed in both
+//! frame, with it again. A new thing changes one place only, but the motion in both: a token is computed in both
 //! places when it changed in either.
 //!
 //! DINOv2 is not gated: each of its features depends on all others. They are compared as the decoder's

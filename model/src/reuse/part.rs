@@ -31,7 +31,7 @@ pub(crate) struct PartCache {
     pub(super) tokens: Tokens,
 }
 
-/// Cache of a block: its tokens as it last computed them, and what they were mixed from.
+/// Cache of a block: its tokens as last computed, and the tokens they were mixed from.
 #[derive(Debug)]
 pub(crate) struct BlockCache {
     gate: Gate,
@@ -95,7 +95,7 @@ impl BlockCache {
     }
 }
 
-/// One call of a part, block by block: which tokens are computed, and what is kept of them.
+/// One call of a part, block by block: which tokens are computed, and which results are kept.
 pub(crate) struct Pass<'a> {
     level: Level,
     /// None where nothing is kept.
@@ -148,7 +148,7 @@ impl<'a> Pass<'a> {
         }
     }
 
-    /// Returns true if this call keeps what it computes.
+    /// Returns true if this call keeps its results.
     pub(crate) fn keeps(&self) -> bool {
         self.cache.is_some()
     }

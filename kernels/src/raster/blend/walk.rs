@@ -270,7 +270,7 @@ struct Canvas<'a> {
     open: usize,
     /// Least α that is drawn.
     least: f32,
-    /// What is added to 2^−e before the opacity multiplies it.
+    /// Offset added to 2^−e before the multiplication by the opacity.
     dip: f32,
 }
 
@@ -437,7 +437,7 @@ impl<'a> Canvas<'a> {
         }
     }
 
-    /// Weights of one splat on one block, and what it leaves of the light.
+    /// Weights of one splat on one block, and the transmittance after it.
     #[inline(always)]
     fn composite<S: Simd, K: Sink<S>>(&mut self, s: S, alpha: S::F32, at: Block, sink: &mut K, paint: &K::Paint) {
         let light = &mut self.left[at.index()].0;

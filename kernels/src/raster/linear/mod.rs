@@ -183,7 +183,7 @@ impl ColourMap {
     }
 
     /// [`ColourMap::prepare`] for the pixels of the tiles that are `wanted`, by row-major index. Pixels of the others
-    /// are no part of the map: [`ColourMap::forward`] leaves what is there, residuals there are not looked at.
+    /// are no part of the map: [`ColourMap::forward`] leaves them unchanged, and their residuals are ignored.
     ///
     /// # Panics
     /// As [`ColourMap::prepare`].

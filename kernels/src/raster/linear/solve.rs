@@ -198,7 +198,7 @@ impl<'a> ColourFit<'a> {
     }
 
     /// At most `steps` steps from `colours` towards `frames`, one `[3, H, W]` per view; they end after one that lowers the sum of squares by less
-    /// than `enough` of what is left. Returns the change of the colours.
+    /// than `enough` of the rest. Returns the change of the colours.
     ///
     /// # Panics
     /// When there is not one colour per unknown, or not one frame of the view's size per view.

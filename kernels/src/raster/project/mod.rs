@@ -106,7 +106,7 @@ pub(super) struct Viewport {
     pub bounds: [[f64; 2]; 2],
     /// Where footprints end.
     pub cut: Cut,
-    /// What a lens with a width blurs.
+    /// Blur of a lens with a width.
     pub blur: Option<Blur>,
 }
 
@@ -439,7 +439,7 @@ impl Batch {
         let nearest = if PINHOLE { 1e-6 } else { 0.0 };
         let ahead = s.lt(s.splat(nearest), s.from_array(mean[2]));
         let sound = s.eq(s.from_array(sound), s.splat(0.0));
-        // A blur spreads what is drawn without it.
+        // A blur spreads only Gaussians that are drawn without it.
         let opaque = if BLURRED { s.and(opaque, drawn) } else { opaque };
         let visible = s.and(s.and(finite, s.and(ahead, opaque)), s.and(sound, s.and(seen_x, seen_y)));
         Self {

@@ -56,7 +56,7 @@ enum Value {
 }
 
 impl Value {
-    /// What an error calls it.
+    /// Its name in errors.
     fn kind(&self) -> String {
         match self {
             Value::None => "None".to_owned(),
@@ -429,7 +429,7 @@ impl Pickle<'_> {
         self.stack.last().copied().ok_or_else(Fault::empty)
     }
 
-    /// What lies above the last mark, which goes.
+    /// Removes the last mark; returns the values above it.
     fn above_mark(&mut self) -> Result<Vec<Id>, Fault> {
         let from = self.marks.pop().ok_or_else(Fault::empty)?;
         if from > self.stack.len() {
