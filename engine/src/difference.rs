@@ -101,7 +101,7 @@ fn pixel(part: &Part, channel: &Channel, at: usize) -> usize {
 }
 
 fn distance(x: f64, y: f64) -> f64 {
-    // Infinities of one sign are equal numbers; so is what is no number on both sides.
+    // Infinities of one sign are equal numbers; so are two NaNs.
     if x == y || (x.is_nan() && y.is_nan()) {
         return 0.0;
     }

@@ -36,7 +36,7 @@ pub struct TrackPoint {
     pub position: [f32; 3],
     /// Place in the source's image, in pixels with their centres at whole numbers.
     pub pixel: [f64; 2],
-    /// Opacity of what it moves with.
+    /// Opacity of the Gaussian it moves with.
     pub opacity: f32,
 }
 
@@ -143,7 +143,7 @@ impl Interval {
 }
 
 impl Track {
-    /// A track of what was picked at `time`.
+    /// A track of the Gaussian picked at `time`.
     pub fn new(picked: &Picked, time: f64) -> Self {
         Self { identity: picked.identity, position: picked.position, time }
     }

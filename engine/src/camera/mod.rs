@@ -45,7 +45,7 @@ pub enum Camera {
     },
 }
 
-/// How a camera projects what lies in front of it.
+/// Projection of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Lens {
     /// Parallel rays.
@@ -60,7 +60,7 @@ pub enum Lens {
         /// The principal point in image widths and heights from the upper left corner.
         centre: [f64; 2],
     },
-    /// All around the camera: longitudes across the image, latitudes down, what lies ahead in the middle.
+    /// All around the camera: longitudes across the image, latitudes down, the forward direction in the middle.
     Equirectangular,
 }
 

@@ -97,7 +97,7 @@ pub fn turned(placement: &Placement, pivot: [f64; 3], angles: Angles) -> Camera 
 }
 
 /// The views of a left and a right eye in place of `camera`, `apart` times as far from each other as they are from the plane through `pivot`
-/// that the camera faces. What lies in that plane is at the same place in both images.
+/// that the camera faces. Points in that plane are at the same place in both images.
 ///
 /// Parallel rays are turned by half of the angle between the eyes; a pinhole moves sideways, and its principal point with it, so that nothing is
 /// shifted up or down. `None` where `pivot` is not in front of the camera, for images all around, and for [`Camera::Canonical`] without a `placement`.
@@ -209,7 +209,7 @@ mod tests {
         assert!((behind[0] - moved / 1.6).abs() < 1e-9 && behind[1].abs() < 1e-12, "{behind:?}");
         let above = turned(&PLACEMENT, PIVOT, Angles { right: 0.0, up: 10.0 });
         let behind = seen(&above, [0.0, 0.0, 1.6]);
-        // From above, what is behind is higher in the image, which is 18 of the model's 20 rows high.
+        // From above, farther points are higher in the image, which is 18 of the model's 20 rows high.
         assert!((behind[1] + moved / 0.9).abs() < 1e-9 && behind[0].abs() < 1e-12, "{behind:?}");
     }
 

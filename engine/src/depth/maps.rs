@@ -43,7 +43,7 @@ pub enum Values {
     /// Inverse depth.
     #[default]
     Inverse,
-    /// Depth in any unit; what is not above zero, or not finite, was not measured.
+    /// Depth in any unit; values not above zero, or not finite, were not measured.
     Depth,
 }
 
@@ -217,7 +217,7 @@ fn is_turned([wide, high]: [usize; 2], [width, height]: [usize; 2]) -> bool {
     clear && (map * frame - 1.0).abs() < 0.05
 }
 
-/// The files of one kind, where files of several have the same names; and what is left out.
+/// The files of one kind, where files of several have the same names; and the files left out.
 fn of_one_kind(folder: &Path, files: Vec<PathBuf>) -> Result<(Vec<PathBuf>, Vec<String>), DepthError> {
     let mut names: Vec<_> = files.iter().map(|file| file.file_stem()).collect();
     names.sort_unstable();

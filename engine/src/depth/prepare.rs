@@ -65,7 +65,7 @@ pub(super) fn image(
 
 /// The network's answer of size `from` as inverse depth of the frame's size, bilinearly (half-pixel centres).
 ///
-/// Depth is inverted before it is resized. What is not above 0 there has no inverse: it becomes NaN, which the engine counts and
+/// Depth is inverted before it is resized. Values not above 0 have no inverse: they become NaN, which the engine counts and
 /// takes as farthest.
 ///
 /// # Panics

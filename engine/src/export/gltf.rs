@@ -10,7 +10,7 @@ use crate::import::gltf::{EXTENSION, half_turn};
 use crate::render::Snapshot;
 use crate::still::{Still, grown};
 
-/// The Gaussians of one time as a binary glTF file: [`of_still`] of what [`Still::of`] makes of them.
+/// The Gaussians of one time as a binary glTF file: [`of_still`] of [`Still::of`].
 pub fn glb(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }

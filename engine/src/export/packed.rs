@@ -14,7 +14,7 @@ use crate::still::Still;
 /// The largest logarithm of a scale that is written, and the least below 0.
 const LARGEST: f32 = 20.0;
 
-/// The Gaussians of one time as a compressed PLY file: [`of_still`] of what [`Still::of`] makes of them.
+/// The Gaussians of one time as a compressed PLY file: [`of_still`] of [`Still::of`].
 pub fn packed(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }

@@ -115,7 +115,7 @@ pub struct ReadOnly {
     pub name: &'static str,
     /// How the names of its files end.
     pub ending: &'static str,
-    /// Content that is read, and what is left out.
+    /// Content that is read, and content that is left out.
     pub reads: &'static str,
     /// As that of a [`Format`], before which this one is asked.
     pub(super) reader: &'static dyn Reader,

@@ -65,7 +65,7 @@ fn in_folder(folder: &Path) -> Option<PathBuf> {
     names.pop().map(|name| folder.join(name)).filter(|path| path.is_file())
 }
 
-/// The library of an installed `onnxruntime` package, or what was found instead.
+/// The library of an installed `onnxruntime` package, or the reason why there is none.
 fn in_python() -> Result<PathBuf, String> {
     let mut interpreters = Vec::new();
     if let Some(environment) = std::env::var_os("VIRTUAL_ENV").filter(|value| !value.is_empty()) {

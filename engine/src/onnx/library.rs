@@ -50,7 +50,7 @@ pub(super) fn version(path: &Path) -> Result<String, OnnxError> {
     Ok(found)
 }
 
-/// An error where the file cannot be read or ends before what it announces.
+/// An error where the file cannot be read or is shorter than its header declares.
 fn whole(path: &Path) -> Result<(), String> {
     let mut file = File::open(path).map_err(|e| e.to_string())?;
     let found = file.metadata().map_err(|e| e.to_string())?.len();

@@ -12,7 +12,7 @@
 //! ONNX Runtime's arithmetic is outside the bit contract: it may differ between its versions and between CPUs. On one machine
 //! with one version the results are the same bits in every run and for any number of threads, because every network runs on one
 //! thread, its nodes one after another, with deterministic kernels: work that is split over several threads may be summed in
-//! another order. What goes in and what is made of the results is this crate's own arithmetic.
+//! another order. The processing of inputs and results is this crate's own arithmetic.
 
 mod elf;
 mod find;

@@ -45,7 +45,7 @@ pub enum OutputError {
         /// The message of ffmpeg.
         cause: String,
     },
-    /// A file to go on with is not what it was.
+    /// A file to resume has changed.
     #[error("{}: expected its first {bytes} bytes to have the digest {expected}, found {found}", path.display())]
     Changed {
         /// The file.
@@ -316,7 +316,7 @@ pub fn depth_exr(width: usize, height: usize, depth: &[f32], alpha: Option<&[f32
     Ok(bytes.into_inner())
 }
 
-/// An image as one EXR file of 32-bit floats, which hold what was computed without loss, in three layers: `colour` (channels R, G
+/// An image as one EXR file of 32-bit floats, without loss, in three layers: `colour` (channels R, G
 /// and B), `depth` (Z, as [`depth_exr`] has it) and `alpha` (A).
 ///
 /// Colours are as they are drawn: in display (gamma) space, over the background. Over a black background they are multiplied by

@@ -1,10 +1,10 @@
 //! File operations of everything that is written: files, names, folders, and their durability.
 //!
 //! A symbolic link is never written through: [`create`] makes a new file in the place of anything with that name, [`reopen`] and
-//! [`create_folder`] refuse links. What was written survives a power loss once it was synced: a file's bytes by [`Output::sync`], the names
+//! [`create_folder`] refuse links. Data survive a power loss once synced: a file's bytes by [`Output::sync`], the names
 //! in a folder by [`sync_folder`].
 //!
-//! Tests can have operations of their thread fail, or lose what was not synced: [`faults`].
+//! Tests can have operations of their thread fail, or lose unsynced data: [`faults`].
 
 use std::fs::{File, Metadata};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -64,7 +64,7 @@ impl Read for Output {
     }
 }
 
-/// Creates a file. What had the name before, a link too, loses it; a folder is an error.
+/// Creates a file. It replaces a file or link of that name; a folder is an error.
 ///
 /// # Errors
 /// The system's.

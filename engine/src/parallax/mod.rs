@@ -9,8 +9,9 @@
 //! in the other, `R` and `t` being the camera's motion. [`find`] goes these steps, each in a module of its own:
 //!
 //! 1. Matches of a sparse grid, weighted by texture, where the flow back undoes the flow.
-//! 2. Model selection. A camera that does not move, one that only turns, or one plane show no parallax (Hartley & Zisserman, *Multiple View Geometry*, 13.1): `homography`. What moves by
-//!    itself before a camera that only turns looks like parallax; where most matches fit a homography that no turn explains the camera moves, and what is left is parallax: `turning`.
+//! 2. Model selection. A camera that does not move, one that only turns, or one plane show no parallax (Hartley & Zisserman, *Multiple View
+//!    Geometry*, 13.1): `homography`. Things that move by themselves before a camera that only turns look like parallax; where most matches
+//!    fit a homography that is no turn the camera moves, and the residual is parallax: `turning`.
 //! 3. The camera's motion by a search of random samples with a fixed number of draws, refined on all matches with robust weights (ibid. 11.4.3, 11.6): `ransac`, `epipolar`.
 //! 4. Inverse depth of every cell of a grid of 2×2 pixels, linear in `ρ` (ibid. 12.2), with a confidence: texture, length of the parallax, distance from the epipolar line, and how
 //!    well the flow back undoes the flow: `triangulate`.
@@ -111,7 +112,7 @@ pub fn camera(level: Level, evidence: Evidence<'_>, stream: Stream) -> Result<Mo
     sight.camera(stream)
 }
 
-/// Inverse depth of the picture's cells from this interval and those before: `before` is what was found for the earlier picture. `None` where neither has any.
+/// Inverse depth of the picture's cells from this interval and `before`, the result for the earlier picture. `None` where neither has any.
 pub fn find(level: Level, evidence: Evidence<'_>, before: Option<&Found>, stream: Stream) -> Option<Found> {
     let sight = Sight::new(level, evidence);
     let carried = before.map(|found| filter::carry(found, &sight));

@@ -52,7 +52,7 @@ pub(super) fn cells(sight: &Sight<'_>, motion: &Motion) -> Vec<Cell> {
     lengths.sort_by(f64::total_cmp);
     let middle = lengths[count / 2].max(1e-12);
     for (cell, length) in &mut cells {
-        // The parallax of what lies about the epipole is short, and its depth uncertain.
+        // Near the epipole the parallax is short and the depth uncertain.
         cell.confidence *= ((*length / middle) * (*length / middle)).min(16.0) as f32;
     }
     let mut cells: Vec<Cell> = cells.into_iter().map(|(cell, _)| cell).collect();

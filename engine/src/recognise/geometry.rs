@@ -10,7 +10,7 @@ use crate::scene;
 
 /// Longest JSON of a glTF file that is looked at, in bytes.
 const MAX_GLTF: u64 = 1 << 26;
-/// First bytes, the name of what begins so, and what to do.
+/// First bytes, the format's name, and advice.
 const MAGIC: [(&[u8], &str, &str); 9] = [
     (b"LASF", "a point cloud (LAS)", POINTS),
     (b"# .PCD", "a point cloud (PCD)", POINTS),

@@ -32,7 +32,7 @@ pub use media::Media;
 /// First bytes that are looked at.
 const HEAD: u64 = 1 << 16;
 
-/// What a file or a folder holds.
+/// The content of a file or a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A picture, a video or a sound, with its format's name.
@@ -43,7 +43,7 @@ pub enum Kind {
     Scene(&'static str),
     /// A checkpoint of PyTorch.
     Checkpoint,
-    /// Something else: what it is, and what to do with it.
+    /// Any other kind: its description, and advice.
     Other(String, String),
 }
 
@@ -96,7 +96,7 @@ impl Head<'_> {
     }
 }
 
-/// Describes a path; `None` for what is not recognised, and for what cannot be read.
+/// Describes a path; `None` if it is not recognised or cannot be read.
 pub fn kind(path: &Path) -> Option<Kind> {
     if path.is_dir() {
         return folder::kind(path);

@@ -73,7 +73,7 @@ struct Frames {
     reader: Reader<Cursor<Vec<u8>>>,
     path: PathBuf,
     orientation: Orientation,
-    /// What is shown before the next frame.
+    /// The canvas before the next frame.
     canvas: Option<Part>,
     /// True if the next picture is none of the animation.
     lonely: bool,
@@ -177,7 +177,7 @@ fn lay(canvas: &mut Part, frame: &Part, control: &FrameControl) {
             if control.blend_op == BlendOp::Over && above == 0 {
                 continue;
             }
-            // Alpha in units of full²: what is above, and what shows through it.
+            // Alpha in units of full²: of the upper picture, and of the lower one seen through it.
             let (over, under) = (above * full, below * (full - above));
             for at in 0..=colours {
                 let value = if at == colours {

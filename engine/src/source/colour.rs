@@ -1,6 +1,6 @@
-//! Colour on the way in: what a file's tags mean and what is done about them. The only place that decides it.
+//! Colour of inputs: meaning of a file's tags and the conversion for each. The only place that decides it.
 //!
-//! | tag | what is done |
+//! | tag | conversion |
 //! |---|---|
 //! | matrix bt709, bt470bg, smpte170m, fcc, smpte240m, bt2020nc | [`Matrix`] of that standard, in our own arithmetic |
 //! | matrix gbr, or an RGB format | samples are used as they are |
@@ -85,7 +85,7 @@ pub(super) enum Curve {
     Pq,
 }
 
-/// What is done to a stream's colours before they are red, green and blue of BT.709 and standard range.
+/// Conversion of a stream's colours to red, green and blue of BT.709 and standard range.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Conversion {
     /// Samples are red, green and blue already.
@@ -94,7 +94,7 @@ pub(super) enum Conversion {
     Matrix { matrix: Matrix, guessed: bool },
     /// zscale makes standard range and BT.709 of it. The names are inputs that the file does not state.
     HighRange { curve: Curve, assumed: String },
-    /// zscale makes BT.709 of it; `from` is what it was, `options` are those of the filter.
+    /// zscale converts it to BT.709; `from`: its tags, `options`: those of the filter.
     Zscale { from: String, options: String },
 }
 
@@ -114,7 +114,7 @@ impl Tags {
         Tags { matrix: known(matrix), primaries: known(primaries), transfer: known(transfer) }
     }
 
-    /// What is done to pictures of these tags. `rgb`: their format is red, green and blue; `grey`: luma alone. `given` goes before the file's matrix.
+    /// Conversion of pictures with these tags. `rgb`: their format is red, green and blue; `grey`: luma alone. `given` replaces the file's matrix.
     pub(super) fn conversion(&self, size: (usize, usize), rgb: bool, grey: bool, given: Option<Matrix>) -> Conversion {
         let tag = self.matrix.as_deref().filter(|name| rgb || *name != "gbr");
         let curve = match self.transfer.as_deref() {
@@ -142,7 +142,7 @@ impl Tags {
                 options += ":t=iec61966-2-1";
                 from.push("linear light");
             } else {
-                // The curve stays what it is; both sides of the filter have its name.
+                // The curve does not change; both sides of the filter have its name.
                 options += &format!(":t={}", transfer.unwrap_or("bt709"));
             }
             if let Some((_, name)) = wide {

@@ -1,6 +1,6 @@
 //! Frames from folders of images, y4m streams and video files.
 //!
-//! | input | what it is |
+//! | input | meaning |
 //! |---|---|
 //! | a folder | its images ([`folder::EXTENSIONS`]) in natural order; hidden and other files are ignored |
 //! | an image file | a video of one frame; of all its frames where it is an animated PNG or WebP, of its pages where it is a TIFF |

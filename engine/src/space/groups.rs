@@ -52,7 +52,7 @@ impl Groups {
         };
         let (all, others): (Vec<u32>, Vec<u32>) =
             (0..mean.len() as u32).into_par_iter().partition(|&i| known(i as usize));
-        // What is too faint to be seen is in no group: no image shows it.
+        // Gaussians too faint to be seen are in no group: no image shows them.
         let all: Vec<u32> = all.into_par_iter().filter(|&i| opacity[i as usize] >= ALPHA_MIN).collect();
         let (least, greatest) = all.par_iter().map(|&i| (mean[i as usize], mean[i as usize])).reduce(
             || ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]),

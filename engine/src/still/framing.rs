@@ -34,7 +34,7 @@ pub struct Framing {
 }
 
 impl Still {
-    /// The box that holds most of the scene: along each axis what lies between the 5th and the 95th of a hundred centres, and
+    /// The box that holds most of the scene: along each axis the range between the 5th and the 95th of a hundred centres, and
     /// 15 % of that width at either end as far as there are centres. Gaussians with an opacity under 0.1 do not count, where others
     /// are. With the scene's offset. `None` where no centre is finite.
     pub fn framing(&self) -> Option<Framing> {

@@ -79,7 +79,7 @@ pub(super) fn quantiles<const N: usize>(mut values: Vec<f32>, shares: [f64; N]) 
     let (mut rest, mut from) = (values.as_mut_slice(), 0);
     Some(shares.map(|share| {
         let at = (share * last as f64).round() as usize - from;
-        // What is before a share's value is not above it, and the next share's is not before it.
+        // Values before a share's value are not above it, and the next share's is not before it.
         let value = *rest.select_nth_unstable_by(at, f32::total_cmp).1;
         rest = &mut std::mem::take(&mut rest)[at..];
         from += at;

@@ -94,7 +94,7 @@ pub enum PageError {
     /// The scene cannot be read.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// An interval of the list is not to be had any more.
+    /// A listed interval is no longer available.
     #[error("interval {0}: expected all that the scene lists, found it gone")]
     Gone(usize),
     /// A part has more characters than a browser's text can have.

@@ -127,7 +127,7 @@ class Store {
     const known = this.times.length;
     const { intervals, from, ...about } = await this.source.describe(known);
     this.about = about;
-    // What a stream no longer keeps has no times.
+    // Intervals that a stream no longer keeps have no times.
     while (this.times.length < from) this.times.push(null);
     this.times.push(...intervals);
     return this.times.length - known;

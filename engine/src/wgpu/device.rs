@@ -83,7 +83,7 @@ impl Gpu {
         Ok(())
     }
 
-    /// Makes `buffer` hold at least `bytes`. What it held is lost where it grows.
+    /// Makes `buffer` hold at least `bytes`. Its content is lost when it grows.
     pub fn reserve(&self, buffer: &mut Option<Buffer>, usage: BufferUsages, bytes: u64) {
         // No binding is empty.
         let size = bytes.max(64);

@@ -12,7 +12,7 @@
 //!
 //! # Memory
 //!
-//! 64 bytes for every Gaussian that can be seen, 4 for every tile it touches, 4 for every pixel of every plane. What does not fit one
+//! 64 bytes for every Gaussian that can be seen, 4 for every tile it touches, 4 for every pixel of every plane. A request that does not fit one
 //! buffer of the device is refused ([`WgpuError::TooLarge`]).
 
 mod device;
@@ -32,7 +32,7 @@ use device::Gpu;
 
 /// Pixels per side of a workgroup.
 const SIDE: u32 = 16;
-// What the shader divides by.
+// The shader's divisor.
 const _: () = assert!(TILE_PIXELS[0] == 64 && TILE_PIXELS[1] == 32);
 
 /// A renderer that blends on a graphics card.
@@ -82,7 +82,7 @@ fn planes(request: &Request) -> ([u32; 4], u32) {
 }
 
 impl WgpuRasteriser {
-    /// A renderer on the strongest adapter there is, which may be a software one. What stays on the CPU runs on `level`.
+    /// A renderer on the strongest adapter, which may be a software one. The part on the CPU runs on `level`.
     ///
     /// # Errors
     /// When there is no adapter or it has no device.

@@ -21,7 +21,7 @@ use crate::still::{LEAST, Still};
 use codebook::Codebook;
 use palette::Palette;
 
-/// The Gaussians of one time as a SOG file: [`of_still`] of what [`Still::of`] makes of them.
+/// The Gaussians of one time as a SOG file: [`of_still`] of [`Still::of`].
 pub fn sog(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }

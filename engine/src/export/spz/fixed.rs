@@ -15,7 +15,7 @@ const END: f64 = 8_388_608.0;
 /// Cost per Gaussian from which on an offset is taken out of the coordinates.
 const FAR: f64 = 0.01;
 
-/// A fixed point, and what is taken off before.
+/// A fixed point, and the offset subtracted before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Fixed {
     pub(super) bits: u32,
@@ -37,7 +37,7 @@ impl Fixed {
         if less < 0.5 * cost { near } else { plain }
     }
 
-    /// The best one with this offset, and what it costs.
+    /// The best one with this offset, and its cost.
     fn best(still: &Still, places: &[usize], off: [f64; 3]) -> (Fixed, f64) {
         let at = |bits| Fixed { bits, off };
         if places.iter().all(|&i| at(MOST_BITS).holds(still.mean[i])) {

@@ -281,7 +281,7 @@ impl Reading<'_> {
                 still.taken_along(axes);
             }
             let (axes, axes_assumed) = (still.about.axes, still.about.axes_assumed);
-            // What follows turns from glTF's axes into scene space.
+            // From glTF's axes into scene space.
             still.bring_to(Axes::LUF);
             (still.about.axes, still.about.axes_assumed) = (axes, axes_assumed);
             return Ok(still);

@@ -143,12 +143,12 @@ impl Element {
 pub(super) struct Header {
     pub(super) encoding: Encoding,
     pub(super) elements: Vec<Element>,
-    /// What follows `comment` and `obj_info`.
+    /// Text after `comment` and `obj_info`.
     pub(super) comments: Vec<String>,
 }
 
 impl Header {
-    /// The header of a file, and what comes after it.
+    /// The header of a file, and the bytes after it.
     pub(super) fn read(bytes: &[u8]) -> Result<(Header, &[u8]), FormatError> {
         let mut lines = Lines { rest: &bytes[..bytes.len().min(MAX_HEADER)], read: 0 };
         let first = lines.next()?;

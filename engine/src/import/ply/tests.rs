@@ -1,4 +1,4 @@
-//! PLY files go in, and what is none is named.
+//! PLY files are read; other files are errors with a name.
 
 use proptest::prelude::*;
 

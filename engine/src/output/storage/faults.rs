@@ -60,7 +60,7 @@ impl Change {
     }
 
     fn undo(self) {
-        // What cannot be undone was undone with its folder.
+        // A change that cannot be undone was undone with its folder.
         let _ = match self {
             Change::Created(path) => std::fs::remove_file(path),
             Change::Renamed { from, to, replaced } => {
@@ -76,7 +76,7 @@ impl Change {
 #[derive(Debug)]
 struct Plan {
     fault: Option<(Fault, u64)>,
-    /// What is run as ffmpeg.
+    /// The program that is run as ffmpeg.
     ffmpeg: Option<PathBuf>,
     operations: u64,
     /// Operations fail from now on.
@@ -192,7 +192,7 @@ pub(super) fn changed(change: impl FnOnce() -> Change) {
     changed_to(before(change));
 }
 
-/// As [`changed`], of what [`before`] gave.
+/// As [`changed`], for the result of [`before`].
 pub(super) fn changed_to(change: Option<Change>) {
     let Some(change) = change else { return };
     with(|plan| {
@@ -216,7 +216,7 @@ pub(super) fn changed_to(change: Option<Change>) {
     });
 }
 
-/// A file's bytes are synced; what is written to it from now on is not.
+/// Marks a file's bytes as synced; later writes are not.
 pub(super) fn synced(path: &Path) {
     with(|plan| plan.files.insert(path.to_owned(), std::fs::metadata(path).map_or(0, |found| found.len())));
 }

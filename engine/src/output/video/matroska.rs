@@ -42,7 +42,7 @@ pub(super) fn head(width: usize, height: usize, fps: f64) -> Vec<u8> {
     out
 }
 
-/// What goes before the samples of a frame of `bytes` bytes that is shown at `nanoseconds`.
+/// The header of the samples of a frame of `bytes` bytes that is shown at `nanoseconds`.
 pub(super) fn frame(nanoseconds: u64, bytes: usize) -> Vec<u8> {
     let time = element(&[0xE7], &number(nanoseconds));
     // A block of track 1 at the cluster's own time, which is a key frame.

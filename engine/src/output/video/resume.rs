@@ -77,13 +77,13 @@ impl Video {
     /// Leaves a y4m file under its temporary name, to go on with.
     pub fn leave(mut self) {
         if let Some(Sink::File { file, .. }) = self.sink.take() {
-            // What does not fit any more lies beyond the last point.
+            // Frames that do not fit lie beyond the last point.
             drop(file);
         }
     }
 }
 
-/// Reads a y4m file: the digests of all of it, and of what follows its header.
+/// Reads a y4m file: the digests of all of it, and of the part after its header.
 fn digests(file: impl Read, all: &mut blake3::Hasher, samples: &mut blake3::Hasher) -> io::Result<()> {
     let mut rest = BufReader::with_capacity(1 << 16, file);
     let mut header = Vec::new();

@@ -33,7 +33,7 @@ fn encoder(kind: &str, codec: &str) -> &'static str {
 }
 
 impl Sound {
-    /// Replaces the file `pictures` of this kind by one with `seconds` of the sound as well. What ffmpeg complains of, where the file is
+    /// Replaces the file `pictures` of this kind by one with `seconds` of the sound as well. ffmpeg's message, where the file is
     /// there all the same, is the sound's own faults.
     pub(super) fn join(&self, pictures: &Path, kind: &str, seconds: f64) -> Result<Option<String>, String> {
         let joined = pictures.with_extension("sound.partial");

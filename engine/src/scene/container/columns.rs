@@ -46,7 +46,7 @@ impl Column {
         self.0.iter().all(|byte| *byte == 0)
     }
 
-    /// The column as it is stored: lengths of the bytes and of what they deflate to, then that.
+    /// The column as it is stored: lengths of the plain and the deflated bytes, then the deflated bytes.
     pub(super) fn stored(&self) -> Vec<u8> {
         let mut compress = Compress::new(Compression::best(), false);
         // Stored blocks add five bytes to 65,535, so that this is always enough.

@@ -1,4 +1,4 @@
-//! The index: where each interval's chunk is, and what it holds.
+//! The index: place and content of each interval's chunk.
 
 use super::{ALONE_EVERY, CONTAINER_VERSION, MAGIC, MOST, WITHOUT_FRAMES};
 use crate::import::FormatError;

@@ -25,7 +25,7 @@ fn ffmpeg(path: &Path, verbosity: &str, options: &[&str]) -> Command {
     command
 }
 
-/// What ffmpeg prints of a file that it is to do nothing with.
+/// ffmpeg's listing of a file, without any output.
 pub(super) fn list(path: &Path) -> std::io::Result<String> {
     let mut child = ffmpeg(path, "info", &[]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn()?;
     let mut bytes = Vec::new();

@@ -46,7 +46,7 @@ impl Numbers {
     }
 }
 
-/// What was wrong.
+/// The error.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Complaints {
     /// The first of them.
@@ -121,7 +121,7 @@ impl Running {
         }
     }
 
-    /// Waits for its end: true if it succeeded, and what it complained of.
+    /// Waits for its end: true if it succeeded, and its messages.
     pub(super) fn end(&mut self) -> std::io::Result<(bool, Complaints)> {
         let status = self.child.wait()?;
         let complaints = self.complaints.take().and_then(|thread| thread.join().ok()).unwrap_or_default();

@@ -2,7 +2,7 @@
 
 use crate::source::colour::Tags;
 
-/// What a frame is.
+/// Kind of a frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Look {
     /// ffmpeg's name of the samples' format.
@@ -23,7 +23,7 @@ pub(super) enum Message {
     Frame { number: usize, time: Option<i64>, size: (usize, usize), look: Look },
     /// Colours of the frame before.
     Colours(Tags),
-    /// What is wrong with the file, or with how it is read.
+    /// An error of the file, or of reading it.
     Complaint(String),
     /// Anything else.
     Other,

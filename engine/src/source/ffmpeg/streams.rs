@@ -30,7 +30,7 @@ pub(super) struct Stream {
     /// ffmpeg's name of its codec.
     pub(super) codec: String,
     pub(super) size: (usize, usize),
-    /// What its frames probably are.
+    /// Probable kind of its frames.
     pub(super) look: Look,
     /// Frames per second in the mean, and nominal.
     mean: Option<f64>,
@@ -46,7 +46,7 @@ pub(super) struct Stream {
     dependent: bool,
 }
 
-/// What is in a file.
+/// Content of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Listing {
     pub(super) videos: Vec<Stream>,
@@ -259,7 +259,7 @@ fn video(index: usize, text: &str) -> Option<Stream> {
             found.size = size;
         }
         if let Some((_, aspect)) = part.split_once("SAR ") {
-            // The container's, which comes later, goes before the codec's.
+            // The container's, which comes later, replaces the codec's.
             found.look.aspect = super::shown::ratio(first_word(aspect)).filter(|(w, h)| w != h);
         }
         found.mean = found.mean.or_else(|| rate(part, " fps"));
@@ -360,7 +360,7 @@ impl Counter {
         }
     }
 
-    /// What was counted, stream by stream.
+    /// The counts, stream by stream.
     pub(super) fn counts(self) -> Vec<Count> {
         let count = |Counted { tick, frames, waiting, mut shown }| {
             waiting.into_sorted_vec().into_iter().rev().for_each(|Reverse(time)| shown.add(time));
@@ -376,7 +376,7 @@ impl Counter {
 mod tests {
     use super::*;
 
-    /// What two versions print of files of several kinds.
+    /// Listings of two versions for files of several kinds.
     const COVER: &str = "Input #0, mov,mp4,m4a,3gp,3g2,mj2, from 'covfirst.mp4':
   Metadata:
     title           : Stream #0:7: Video: h264, yuv420p, 8x8, 25 fps
@@ -448,7 +448,7 @@ At least one output file must be specified
             (format!("{sound}{cover}"), Some("expected a video, found sound with a cover picture")),
             (cover.to_owned(), Some("expected a video, found a cover picture alone")),
             (tiles.to_owned(), Some("expected a video, found a picture put together of tiles (HEIC)")),
-            // What ffmpeg cannot list it explains when it decodes.
+            // A file that ffmpeg cannot list causes an error when it decodes.
             (String::new(), None),
             (
                 "Input #0, tty, from 'a.txt':\n  Stream #0:0: Video: ansi, pal8, 640x400, 25 fps, 25 tbr, 25 tbn\n"

@@ -20,7 +20,7 @@ use crate::stream::Workers;
 
 /// Width and height of a poster.
 const POSTER: [usize; 2] = [1280, 720];
-/// Bytes of the length before what is compressed.
+/// Bytes of the length before the compressed data.
 const LENGTH: usize = 4;
 
 /// Description of a still scene, sent to the page.

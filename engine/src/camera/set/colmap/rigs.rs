@@ -46,7 +46,7 @@ impl Rigs {
         self.frames == 0
     }
 
-    /// How the world becomes an image's coordinates; or what was expected and what was found.
+    /// Transformation from the world to an image's camera; or expected and found values.
     pub(super) fn pose(&self, image: u32, camera: u32) -> Result<Rigid, [String; 2]> {
         let Some(&(sensor, number, pose)) = self.images.get(&u64::from(image)) else {
             return Err([format!("image {image} in a frame of the file frames"), "none".to_owned()]);
