@@ -62,7 +62,7 @@ pub(crate) struct Options {
     /// Threads (0: one per core).
     #[arg(long, default_value_t = 1)]
     threads: usize,
-    /// Most that resident memory may be after the first tenth of the key frames, of what it was until then.
+    /// Most that resident memory may be after the first tenth of the key frames, relative to its value until then.
     #[arg(long, default_value_t = 1.02)]
     resident: f64,
     /// Most that the last hundred may take of the second hundred's time.
@@ -253,7 +253,7 @@ fn slower(a: &[f64], b: &[f64]) -> f64 {
     (half(0) * half(1)).sqrt()
 }
 
-/// Identities ascend, and what is gone stays away: it needs no memory of all that were.
+/// Identities ascend, and an ended one never returns: the check needs no memory of all identities.
 #[derive(Default)]
 struct Identities {
     newest: Option<u64>,
@@ -339,7 +339,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             young = Some(Measured::new(Engine::with_model(settings.clone(), model.clone())?)?);
         }
         live::restart();
-        // In turn: whoever goes second finds the caches warm.
+        // In turn: the second one finds the caches warm.
         let mut interval = None;
         for turn in [k % 2 == 0, k % 2 == 1] {
             if turn {

@@ -1,4 +1,4 @@
-//! The short form of the long stream, in a process of its own: its memory is what is looked at.
+//! The short form of the long stream, in a process of its own, as its memory is measured.
 
 use std::process::{Command, Output};
 

@@ -55,7 +55,7 @@ fn stream(level: Option<Level>, threads: usize, depth: impl Fn(usize, &[f32]) ->
         .collect()
 }
 
-/// A scene in which near things cover what was in sight a key frame ago.
+/// A scene in which near things cover parts that were visible a key frame ago.
 fn covering() -> Cards {
     Cards::new(4, 128, 80, 30.0)
 }

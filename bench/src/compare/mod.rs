@@ -3,7 +3,7 @@
 //!
 //! Counted instructions differ only where the code does, under any load of the machine. Times are compared only between runs on the same processor,
 //! with as many threads and the same instruction set; a row is worse when its median lies more than the limit above the one before **and** its
-//! fastest run was slower than half of the runs before. What is above the limit but not so clear is named and is no failure.
+//! fastest run was slower than half of the runs before. A difference above the limit that is less clear is listed and is no failure.
 
 mod record;
 mod report;
@@ -44,7 +44,7 @@ pub(crate) struct Options {
     /// Times each measurement is repeated.
     #[arg(long, value_name = "N", conflicts_with = "with")]
     repeat: Option<usize>,
-    /// Write what was measured here as JSON.
+    /// Write the measurements as JSON.
     #[arg(long, value_name = "FILE", conflicts_with = "with")]
     json: Option<PathBuf>,
 }

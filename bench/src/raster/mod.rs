@@ -96,7 +96,7 @@ struct SceneTiming {
     error: f64,
 }
 
-/// Work of one image, and what was left out.
+/// Work of one image, and the work left out.
 #[derive(Serialize)]
 struct Counts {
     culled: u64,

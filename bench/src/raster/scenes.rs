@@ -106,7 +106,7 @@ impl Scene {
         self
     }
 
-    /// The scene through a lens that blurs what is farthest by discs of 10 px.
+    /// The scene through a lens that blurs the farthest Gaussians by discs of 10 px.
     pub(crate) fn blurred(mut self) -> Self {
         self.request.defocus = Some(Defocus { aperture: 0.08, focus: 4.0 });
         self

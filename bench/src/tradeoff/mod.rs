@@ -118,7 +118,7 @@ impl Clock {
     }
 }
 
-/// Where and of what this was measured.
+/// Machine and input of the measurement.
 #[derive(Serialize)]
 struct About {
     model: String,

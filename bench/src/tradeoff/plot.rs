@@ -306,7 +306,7 @@ pub(super) fn svg(results: &Results) -> Result<String> {
     Ok(picture)
 }
 
-/// The stages as SVG. What does not differ at all lies on the lower edge.
+/// The stages as SVG. Points without a difference lie on the lower edge.
 pub(super) fn stages_svg(results: &Results) -> Result<String> {
     let (rows, about) = (&results.stages, &results.about);
     let milliseconds = |row: &stages::StageError| {

@@ -97,7 +97,7 @@ fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]:
     }
 }
 
-/// Three key frames as a compressed scene: its bytes, and what is read from them.
+/// Three key frames as a compressed scene: its bytes, and the scene read from them.
 fn container(level: Level, digest: &mut Digest) {
     let checkpoint = streamsplat_fixtures::path("parity/tiny-nodino.safetensors");
     let settings = Settings {

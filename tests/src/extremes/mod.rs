@@ -2,7 +2,7 @@
 //! binary64, and whether the bits agree.
 //!
 //! A [`Case`] computes values and judges them: the worst error, the value that has it, and properties that must hold for any
-//! error. [`record`] keeps the errors: `tests/extremes/record.json` is what tests compare with, `tests/extremes/REPORT.md` what people read.
+//! error. [`record`] keeps the errors: tests compare with `tests/extremes/record.json`; `tests/extremes/REPORT.md` is for readers.
 
 mod attention;
 mod images;
@@ -66,7 +66,7 @@ pub enum Unit {
     Relative,
     /// |ours − exact| over the unit in the last place of binary32 at `exact`.
     Ulp,
-    /// |ours − exact| over the sum of the magnitudes of what is summed.
+    /// |ours − exact| over the sum of the magnitudes of the terms.
     OfTerms,
     /// ‖ours − exact‖ / ‖exact‖
     RelativeL2,
@@ -131,7 +131,7 @@ impl Judged {
         }
     }
 
-    /// Notes what is broken unless `holds`.
+    /// Notes a broken promise unless `holds`.
     fn demand(&mut self, holds: bool, what: impl FnOnce() -> String) {
         if !holds && self.broken.len() < 8 {
             self.broken.push(what());

@@ -40,7 +40,7 @@ impl Part {
         match self {
             Part::Whole => distribution(mean, log_scale, x),
             Part::LowTail => distribution(mean, log_scale, x) / TAIL,
-            // The distribution is symmetric: what is above x with mean m is below −x with mean −m.
+            // The distribution is symmetric: the mass above x with mean m is the mass below −x with mean −m.
             Part::HighTail => distribution(-mean, log_scale, -x) / TAIL,
         }
     }
