@@ -19,7 +19,7 @@ use crate::timing::{Seconds, once};
 pub(crate) struct Options {
     #[command(flatten)]
     common: Common,
-    /// Which model's sizes.
+    /// The model whose sizes are measured.
     #[arg(long, value_enum, default_value_t = Size::All)]
     size: Size,
     /// Formats of the operands.

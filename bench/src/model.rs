@@ -10,7 +10,7 @@ use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Gaussians, Projection, Request, render};
 use streamsplat_model::{Deformation, Dino, FrameInput, LoadOptions, Network, Sampling, Side, StaticGaussians, motion};
 
-/// Which model.
+/// The model.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Which<'a> {
     /// The checkpoint inside the library.

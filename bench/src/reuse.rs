@@ -85,25 +85,25 @@ struct Results {
 #[derive(Clone, Debug, Serialize)]
 struct VariantResult {
     clip: String,
-    /// True if the camera is still, where the manifest has it.
+    /// True if the camera is still, if in the manifest.
     still: Option<bool>,
     reuse: String,
     gap: String,
     frames: usize,
     keys: usize,
-    /// Of [`streamsplat::Engine::push`] per key frame.
+    /// Time of [`streamsplat::Engine::push`] per key frame.
     key_frame: Spent,
-    /// Of everything but reading and writing, per input frame.
+    /// Time of everything but reading and writing, per input frame.
     frame: Spent,
     /// Time of key frames relative to the variant without reuse.
     cost: f64,
-    /// Of all frames' images against those without reuse; none where all are equal.
+    /// PSNR of all frames' images against those without reuse; none where all are equal.
     psnr_vs_off: Option<f64>,
-    /// Of all frames, of key frames and of those between, against the true frames at 256×256.
+    /// PSNR of all frames, of key frames and of those between, against the true frames at 256×256.
     psnr: f64,
     psnr_key: f64,
     psnr_middle: Option<f64>,
-    /// Of all frames against the true ones, above that of the variant without reuse.
+    /// PSNR of all frames against the true ones, above that of the variant without reuse.
     gain: f64,
     /// Work, done and avoided: the network's stages, and their parts in tokens.
     work: Vec<(String, u64, u64)>,

@@ -4,7 +4,7 @@
 //! saw the same pictures. The network is a small one of seeded weights. As in a run, motion and colours are taken from the frames between key
 //! frames as well.
 //!
-//! Memory is looked at in two ways, over whole periods: the first tenth of the stream is compared with the rest. *Live* bytes are those the
+//! Memory is measured in two ways, over whole periods: the first tenth of the stream is compared with the rest. *Live* bytes are those the
 //! process holds on the heap, the most at any moment: they depend on the program alone. *Resident* ones are those of the process in
 //! memory, after each step, the median of a period: to these the system's allocator adds what it keeps for later, now and then half a
 //! mebibyte more for some steps.
@@ -13,7 +13,7 @@
 //! long stream is compared twice: its last hundred steps alone with its second hundred, by their lower quartiles; and the hundred after with the
 //! second hundred of a *young* stream, fed the same frames in turn, which other load disturbs alike. That figure has no
 //! limit: glibc returns the heap of one of the two threads to the system after every step, which one is chance, and that costs some per cent
-//! (0.90 to 1.05 were seen). Memory is looked at until the young stream
+//! (0.90 to 1.05 were seen). Memory is measured until the young stream
 //! starts.
 
 use std::path::PathBuf;
@@ -205,7 +205,7 @@ impl Measured {
 
 /// Bytes in periods: how those of the first tenth of a stream compare with the most of all that follow.
 struct Growth {
-    /// Of this period.
+    /// Values of this period.
     seen: Vec<u64>,
     /// Periods of the first tenth that are still to come.
     settling: u64,

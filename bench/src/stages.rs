@@ -24,7 +24,7 @@ use crate::timing::{Seconds, Spent, Stopwatch};
 pub(crate) struct Options {
     #[command(flatten)]
     common: Common,
-    /// Which model.
+    /// The model.
     #[arg(long, value_enum, default_value_t = Size::Small)]
     size: Size,
     /// A checkpoint that is not conditioned on DINOv2, instead.
@@ -73,7 +73,7 @@ struct StageTiming {
     /// Operations of a call in 10⁹; none for drawing, whose work depends on the scene.
     gflop: Option<f64>,
     seconds: Seconds,
-    /// Of the processor.
+    /// Time of the processor.
     processor: Seconds,
     /// The same of a network that computes its zero-output branches, run in turn with the other.
     processor_with_zero_output: Option<Seconds>,

@@ -27,7 +27,7 @@ pub struct Place {
 pub struct Difference {
     /// Greatest distance of two samples.
     pub largest: f64,
-    /// The first place that has it. `None` where all samples are equal: bit for bit where both are of one type, and as numbers where not.
+    /// The first place with that difference. `None` where all samples are equal: bit for bit where both are of one type, and as numbers where not.
     pub place: Option<Place>,
     /// Share of pixels with a sample that differs, from 0 to 1.
     pub share: f64,

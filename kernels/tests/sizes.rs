@@ -56,7 +56,7 @@ fn exact(factors: &[usize]) -> u128 {
     factors.iter().fold(1, |product: u128, &factor| product.saturating_mul(factor as u128))
 }
 
-/// The product as plain multiplication has it in release builds.
+/// The product by plain multiplication in release builds.
 fn wrapped(factors: &[usize]) -> usize {
     factors.iter().fold(1, |product: usize, &factor| product.wrapping_mul(factor))
 }

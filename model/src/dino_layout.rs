@@ -13,7 +13,7 @@ use std::borrow::Cow;
 
 use crate::checkpoint::Checkpoint;
 
-/// Who wrote a file of DINOv2.
+/// Origin of a file of DINOv2.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DinoLayout {
     /// The authors.

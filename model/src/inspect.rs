@@ -44,7 +44,7 @@ pub struct Report {
     pub bytes: usize,
     /// Prefix of its keys.
     pub prefix: &'static str,
-    /// Whose names the file has, where it is DINOv2.
+    /// Layout of the file's names, where it is DINOv2.
     pub layout: Option<DinoLayout>,
     /// Kind and sizes.
     pub kind: Architecture,

@@ -146,7 +146,7 @@ impl<N: Borrow<Network>> Session<N> {
         Ok([side(0, a, d_a)?, side(1, b, d_b)?])
     }
 
-    /// The decoder: `d_a` and `d_b`, each `[N, D]`. Static tokens are not looked at.
+    /// The decoder: `d_a` and `d_b`, each `[N, D]`. Static tokens are ignored.
     ///
     /// # Errors
     /// As [`Session::deform`].

@@ -157,7 +157,7 @@ fn gaussians_beside_a_still_image_are_counted_and_change_no_bit() {
             assert_eq!(none, 0);
             left_out[usize::from(wild)] += some;
             culled[usize::from(wild)] += work.culled;
-            // Whether an orthographic image is separable is a question about all Gaussians.
+            // An orthographic image is separable only if all Gaussians are.
             let Camera::Posed { pose, .. } = camera else { panic!("posed") };
             let lens = Lens::Orthographic { half_extent: Some([0.1; 2]) };
             let camera = Camera::Posed { pose, lens };

@@ -114,7 +114,7 @@ fn a_refresh_gives_what_a_network_without_a_cache_gives() {
     // A frame has 6 results, and 8 with the pair it ends.
     let h = |results: &[Vec<f32>], k: usize| bits(&results[if k == 0 { 0 } else { 6 + 14 * (k - 1) }]);
     let equal: Vec<usize> = (0..steps).filter(|k| h(&found, *k) == h(&expected, *k)).collect();
-    // In between, the square that moves by a pixel is not looked at.
+    // In between, the square that moves by a pixel is ignored.
     assert!(equal.contains(&0) && equal.contains(&(Cache::REFRESH as usize)) && !equal.contains(&1), "{equal:?}");
 }
 

@@ -156,7 +156,7 @@ fn the_engine_alone_keeps_points_on_a_fast_sprite_that_turns() {
         let phase = (k % 28) as f32 / 14.0;
         -0.6 + 1.2 * (1.0 - (phase - 1.0).abs())
     };
-    // Who is not on its object is lost: hidden until it had faded out.
+    // A track that is not on its object is lost: hidden until it had faded out.
     theatre("true motion, fast", place, &[(10, 0.01, 0.91), (30, 0.01, 0.76), (100, 0.01, 0.84)]);
 }
 

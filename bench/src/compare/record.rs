@@ -113,7 +113,7 @@ fn stages_again(rows: &[Value]) -> Option<Vec<String>> {
     let precision = of("precision");
     let [precision] = precision[..] else { return None };
     let mut again = ["--size", size, "--precision", precision].map(String::from).to_vec();
-    // Of one stage, that stage alone.
+    // A record of one stage: that stage alone.
     if let [name] = of("name")[..] {
         again.extend(["--only", name].map(String::from));
     }

@@ -38,10 +38,10 @@ pub(crate) struct GridPoint {
     pub(super) keys: usize,
     /// Median of everything but reading and writing, per input frame, by the requested clock.
     pub(super) seconds_per_frame: f64,
-    /// Of the rounds, by either clock.
+    /// Times of the rounds, by either clock.
     pub(super) wall: Seconds,
     pub(super) processor: Option<Seconds>,
-    /// Of all images against those of f32 without reuse at the same gap: ‖a − b‖ / ‖b‖.
+    /// Error of all images against those of f32 without reuse at the same gap: ‖a − b‖ / ‖b‖.
     pub(super) relative_l2: f64,
     /// Largest difference of a sample from the same.
     pub(super) worst: f64,

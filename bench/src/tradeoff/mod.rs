@@ -39,10 +39,10 @@ pub(crate) struct Options {
     /// A folder of images or a video [default: fixtures/clips/moving.y4m]; or a folder of clips: time and error of resolution, motion,
     /// colours and `--quality` on them, with the options' defaults.
     input: Option<PathBuf>,
-    /// Of a folder of clips: put the table into this page, and the plot next to it as tradeoff.svg.
+    /// For a folder of clips: put the table into this page, and the plot next to it as tradeoff.svg.
     #[arg(long, value_name = "FILE")]
     page: Option<PathBuf>,
-    /// Of a folder of clips: take the figures from this record instead of measuring.
+    /// For a folder of clips: take the figures from this record instead of measuring.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
     /// Where tradeoff.{csv,json,md,svg} and tradeoff-stages.{csv,svg} go.
@@ -105,7 +105,7 @@ enum Yardstick {
 enum Clock {
     /// The clock on the wall.
     Wall,
-    /// Of the processor, on all threads.
+    /// Time of the processor, on all threads.
     Processor,
 }
 

@@ -1,4 +1,4 @@
-//! A frame as a depth network wants it, and its answer as a map of the frame's size.
+//! A frame as a depth network's input, and its output as a map of the frame's size.
 
 use streamsplat_kernels::Level;
 use streamsplat_kernels::resize::{self, Filter, Grid};
@@ -63,7 +63,7 @@ pub(super) fn image(
     input
 }
 
-/// The network's answer of size `from` as inverse depth of the frame's size, bilinearly (half-pixel centres).
+/// The network's output of size `from` as inverse depth of the frame's size, bilinearly (half-pixel centres).
 ///
 /// Depth is inverted before it is resized. Values not above 0 have no inverse: they become NaN, which the engine counts and
 /// takes as farthest.

@@ -23,7 +23,7 @@ pub fn of_still(still: &Still) -> Vec<u8> {
     written(still).bytes
 }
 
-/// A still scene as a binary glTF file: one point primitive with all attributes in binary32, and `COLOR_0`, linear as glTF has it, for programs
+/// A still scene as a binary glTF file: one point primitive with all attributes in binary32, and `COLOR_0`, linear as in glTF, for programs
 /// that draw points.
 ///
 /// In glTF's axes, x left, y up, z forward; the scene's offset is its node's translation. In the scene's order; Gaussians that cannot be drawn

@@ -1,4 +1,4 @@
-//! Which Gaussians of a still scene a format can hold, and in which order.
+//! The Gaussians of a still scene that a format can hold, and their order.
 
 use crate::space::along_curve;
 use crate::still::Still;

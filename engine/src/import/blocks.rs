@@ -33,7 +33,7 @@ impl From<FormatError> for ReadError {
 pub(super) struct Blocks<'a> {
     file: File,
     length: u64,
-    /// First bytes that were looked at and not taken yet.
+    /// First bytes, inspected and not consumed yet.
     ahead: Vec<u8>,
     taken: u64,
     hasher: blake3::Hasher,

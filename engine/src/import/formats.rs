@@ -36,7 +36,7 @@ pub struct Format {
     pub keeps: &'static str,
     /// Properties and precision that it loses.
     pub loses: &'static str,
-    /// Of several that claim a file the first in [`FORMATS`] reads it.
+    /// If several claim a file, the first in [`FORMATS`] reads it.
     pub(super) reader: &'static dyn Reader,
     /// The file of one time of a scene.
     pub snapshot: fn(&Snapshot, &Options) -> Written,
@@ -144,7 +144,7 @@ impl Format {
         name.is_some_and(|name| name.strip_suffix(self.ending).is_some_and(|stem| stem.ends_with('.')))
     }
 
-    /// The format that a file's name asks for; of several the one with the longest ending.
+    /// The format of a file's name; the one with the longest ending if several match.
     pub fn of_name(path: &Path) -> Option<&'static Format> {
         FORMATS.iter().filter(|format| format.names(path)).max_by_key(|format| format.ending.len())
     }

@@ -89,7 +89,7 @@ pub enum OnnxError {
     Form {
         /// The network's file.
         path: PathBuf,
-        /// Which input or output.
+        /// The input or output.
         what: String,
         /// Kinds that can be used.
         expected: String,

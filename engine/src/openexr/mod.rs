@@ -1,7 +1,7 @@
 //! OpenEXR files: planes of float samples in and out.
 //!
-//! Reading takes channels at full resolution as f32 from any stored type, in the display window: that is the picture, wherever the file has
-//! samples. Writing makes layers of f32 channels, ZIP compressed in single lines, always by one thread: the bytes are a function of the samples.
+//! Reading takes channels at full resolution as f32 from any stored type, in the display window: that is the picture, for any data window.
+//! Writing makes layers of f32 channels, ZIP compressed in single lines, always by one thread: the bytes are a function of the samples.
 
 mod file;
 

@@ -50,7 +50,7 @@ pub enum OutputError {
     Changed {
         /// The file.
         path: PathBuf,
-        /// How much of it is looked at.
+        /// Bytes of it that are compared.
         bytes: u64,
         /// The digest it had.
         expected: String,
@@ -86,7 +86,7 @@ pub struct Written {
 }
 
 impl Written {
-    /// Of these bytes.
+    /// Length and digest of these bytes.
     pub fn of(bytes: &[u8]) -> Written {
         Written { bytes: bytes.len() as u64, blake3: blake3::hash(bytes).to_hex().to_string() }
     }
@@ -133,7 +133,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
     }
 }
 
-/// A file being written by someone else under its temporary name; removed when it is not kept.
+/// A file that other code writes under its temporary name; removed unless it is kept.
 #[derive(Debug)]
 pub struct Partial {
     target: PathBuf,
@@ -317,10 +317,10 @@ pub fn depth_exr(width: usize, height: usize, depth: &[f32], alpha: Option<&[f32
 }
 
 /// An image as one EXR file of 32-bit floats, without loss, in three layers: `colour` (channels R, G
-/// and B), `depth` (Z, as [`depth_exr`] has it) and `alpha` (A).
+/// and B), `depth` (Z, as in [`depth_exr`]) and `alpha` (A).
 ///
 /// Colours are as they are drawn: in display (gamma) space, over the background. Over a black background they are multiplied by
-/// alpha, as compositing wants them.
+/// alpha, as compositing needs them.
 ///
 /// # Errors
 /// An image without depth or alpha, or planes whose length is not `width · height`.
@@ -329,7 +329,7 @@ pub fn layered_exr(image: &Image) -> io::Result<Vec<u8>> {
 }
 
 /// As [`layered_exr`], of an image that was drawn over black: `colour` holds alpha as well (channels R, G, B and A), by which its
-/// colours are multiplied, as that format has it.
+/// colours are multiplied, as usual in that format.
 ///
 /// # Errors
 /// As there.

@@ -22,7 +22,7 @@ const LEAST: f32 = 0.02;
 pub struct Found {
     /// Rows and columns of cells.
     pub grid: [usize; 2],
-    /// Of each cell, in one scale for the whole stream.
+    /// Inverse depth per cell, in one scale for the whole stream.
     pub inverse: Vec<f32>,
     /// Per cell; 0: no value.
     pub confidence: Vec<f32>,

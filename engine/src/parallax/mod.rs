@@ -133,9 +133,9 @@ struct Sight<'a> {
     focal: f64,
     /// Pixels of a picture as many times narrower than 512.
     unit: f64,
-    /// Of each pixel, from 0 to 1: how certain its place is in every direction.
+    /// Per pixel, from 0 to 1: certainty of its place in every direction.
     texture: Vec<f32>,
-    /// Of each pixel: distance by which the flow back misses it, or infinity where the flow leaves the picture.
+    /// Per pixel: distance by which the backward flow misses it, or infinity where the flow leaves the picture.
     astray: Vec<f32>,
 }
 

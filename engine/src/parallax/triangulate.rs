@@ -14,7 +14,7 @@ pub(super) struct Cell {
     pub(super) moves: bool,
 }
 
-/// Of a match: ρ by least squares, the length of parallax that a ρ of 1 makes, and the distance from the epipolar line.
+/// For a match: ρ by least squares, the length of parallax that a ρ of 1 makes, and the distance from the epipolar line.
 ///
 /// From `x₂·(y₃ + ρ·t₃) = (y + ρ·t)₁₂` with `y = R·x₁`: `ρ·a = b`, `a = t₁₂ − x₂·t₃`, `b = x₂·y₃ − y₁₂`.
 pub(super) fn inverse_depth(motion: &Motion, one: DVec3, other: DVec3) -> (f64, f64, f64) {

@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::{Head, Kind};
 use crate::scene;
 
-/// Longest JSON of a glTF file that is looked at, in bytes.
+/// Longest JSON of a glTF file that is read, in bytes.
 const MAX_GLTF: u64 = 1 << 26;
 /// First bytes, the format's name, and advice.
 const MAGIC: [(&[u8], &str, &str); 9] = [

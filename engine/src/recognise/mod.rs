@@ -29,7 +29,7 @@ use crate::scene;
 pub(crate) use folder::index;
 pub use media::Media;
 
-/// First bytes that are looked at.
+/// Number of first bytes that are read.
 const HEAD: u64 = 1 << 16;
 
 /// The content of a file or a folder.

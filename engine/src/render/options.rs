@@ -186,7 +186,7 @@ pub enum RenderError {
     /// An aperture with values that no lens has.
     #[error("aperture: {what}: expected more than 0, and a lens of finite width, found {found:?}")]
     Aperture {
-        /// Which number.
+        /// The number's name.
         what: &'static str,
         /// Its value.
         found: f64,

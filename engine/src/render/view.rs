@@ -32,7 +32,7 @@ pub struct Snapshot {
     pub opacity: Vec<f32>,
     /// Colours at the time.
     pub rgb: Vec<[f32; 3]>,
-    /// Gaussians left out because a number of theirs was not finite.
+    /// Gaussians left out because one of their numbers was not finite.
     pub dropped: u64,
 }
 

@@ -107,7 +107,7 @@ impl Samples {
     }
 
     /// Distance of two samples of one range, as a part of it; none for other types, whose distance is that of [`Self::values`]. Levels are subtracted
-    /// before they are divided, so that one level of 8 bits is 1/255 wherever it is.
+    /// before they are divided, so that every level of 8 bits is 1/255.
     pub(crate) fn distance(&self, other: &Samples, at: usize) -> Option<f64> {
         let (levels, full) = match (self, other) {
             (Samples::U8(a), Samples::U8(b)) => (u32::from(a.get(at)?.abs_diff(*b.get(at)?)), 255.0),

@@ -135,7 +135,7 @@ impl Scene {
 }
 
 impl Index {
-    /// Reads the text of a `scene.json`. Lengths, times, names and the placement are checked; no file it names is looked at.
+    /// Reads the text of a `scene.json`. Lengths, times, names and the placement are checked; the files it names are not read.
     ///
     /// # Errors
     /// Text that is no index, is of another format or version, or has impossible values: what was expected and what was found.

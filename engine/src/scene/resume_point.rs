@@ -5,8 +5,8 @@
 //! | tensor | shape | what |
 //! |---|---|---|
 //! | `current_cell` | U32 `[M]` | places of the last key frame's own Gaussians in its arrays |
-//! | `current_identity`, `current_birth` | U64 `[M]` | theirs |
-//! | `current_offset` | F32 `[M,3]` | theirs |
+//! | `current_identity`, `current_birth` | U64 `[M]` | those of the same Gaussians |
+//! | `current_offset` | F32 `[M,3]` | those of the same Gaussians |
 //! | `key_frame`, `next_identity` | U64 `[1]` | the key frame; the first unused identity |
 //! | `depth` | F32 `[2]` | factor and offset of the key frame's depth map, where there is one |
 //! | `found_inverse`, `found_confidence` | F32 `[R,C]` | depth found by parallax for the key frame's cells, where there is any |

@@ -106,7 +106,7 @@ const WIDE: [(&str, &str); 3] = [("bt2020", "BT.2020"), ("smpte431", "DCI-P3"), 
 const CURVES: [&str; 6] = ["bt709", "smpte170m", "bt2020-10", "bt2020-12", "iec61966-2-1", "linear"];
 
 impl Tags {
-    /// Of names as ffmpeg prints them, where `unknown` and `reserved` name nothing.
+    /// Tags by the names that ffmpeg prints; `unknown` and `reserved` are no tags.
     pub(super) fn of(matrix: Option<&str>, primaries: Option<&str>, transfer: Option<&str>) -> Tags {
         let known = |name: Option<&str>| {
             name.filter(|name| !["unknown", "unspecified", "reserved", ""].contains(name)).map(ToOwned::to_owned)

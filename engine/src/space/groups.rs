@@ -12,7 +12,7 @@ const STEPS: u32 = 21;
 
 /// A scene's Gaussians, 64 to a group along a Z-order curve through their centres, each group with its bounds.
 ///
-/// [`Groups::seen`] asks the [`Window`] about groups first and then about the members of those it does not miss.
+/// [`Groups::seen`] tests groups with the [`Window`] first and then the members of those that it does not miss.
 #[derive(Clone, Debug)]
 pub(crate) struct Groups {
     members: Vec<Member>,
@@ -96,7 +96,7 @@ impl Groups {
 }
 
 impl Bounds {
-    /// Of at least one member.
+    /// Bounds of at least one member.
     fn of(members: &[Member]) -> Self {
         let (mut least, mut greatest, mut reach) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3], 0.0_f32);
         for member in members {

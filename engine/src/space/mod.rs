@@ -5,7 +5,7 @@
 //! box is tested in binary64. So every result equals that of testing all boxes, in
 //! ascending order, for any shape of the hierarchy.
 //!
-//! [`Picker`] asks it what shows most along rays. *Matching of frames* ([`crate::stream`]) does not, because bins on the frame's lattice
+//! [`Picker`] uses it for the most visible Gaussian along rays. *Matching of frames* ([`crate::stream`]) does not, because bins on the frame's lattice
 //! find the same pairs sooner.
 //!
 //! # Images of a part of a scene
@@ -219,7 +219,7 @@ impl Tree {
     }
 }
 
-/// As the hierarchy wants it; unions of boxes take corners as they are, without rounding.
+/// In the hierarchy's form; unions of boxes take corners as they are, without rounding.
 fn corners(bounds: &Bounds) -> Aabb {
     Aabb::new(Vec3A::from_array(bounds.least), Vec3A::from_array(bounds.greatest))
 }

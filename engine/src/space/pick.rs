@@ -1,4 +1,4 @@
-//! Which Gaussian shows most along a ray.
+//! The most visible Gaussian along a ray.
 
 use streamsplat_kernels::math::f64::exp;
 

@@ -32,7 +32,7 @@ pub(super) const LARGEST: f64 = 1e15;
 /// x − E·z > ρ·√(1 + (x/z)²)
 /// ```
 ///
-/// Of a box of centres the left side is linear and least in a corner; the right side is bounded by the largest |x| over the least z. A box
+/// For a box of centres the left side is linear and least in a corner; the right side is bounded by the largest |x| over the least z. A box
 /// entirely behind the eye is not drawn either. All else might be seen, above all a Gaussian nearer to the plane of the eye than its
 /// reach.
 ///

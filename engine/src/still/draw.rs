@@ -23,7 +23,7 @@ const LARGEST_COEFFICIENT: f32 = 1e30;
 pub struct Drawable {
     still: Still,
     scale: Vec<[f32; 3]>,
-    /// Of length 1; NaN where the file's has none. Kept for many images alone; one image forms each where it needs it.
+    /// Unit quaternions; NaN where the file's has no direction. Kept for many images only; one image computes each when needed.
     rotation: Option<Vec<[f64; 4]>>,
     opacity: Vec<f32>,
     groups: Option<Groups>,

@@ -111,7 +111,7 @@ impl Source for Recorded {
 impl Whole for Recorded {
     const ABOUT: &str = "A video as a scene that can be turned: dynamic 3D Gaussians";
 
-    /// Of the size that the model saw it in.
+    /// A picture of the model's input size.
     fn poster(&self) -> Result<Picture, PageError> {
         let interval = self.interval(0)?;
         let image = interval.render(interval.start, &Camera::Canonical, &RenderOptions::default(), &self.workers)?;

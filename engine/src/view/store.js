@@ -1,4 +1,4 @@
-// Where intervals come from, and the ones at hand.
+// The source of intervals, and those already loaded.
 
 /** The most bytes of packets kept. */
 const KEPT = 256 * 2 ** 20;

@@ -257,7 +257,7 @@ fn what_another_block_outweighs_a_thousandfold_still_counts_in_bytes() {
     });
     let error: f64 = out.iter().zip(&expected).map(|(o, e)| (f64::from(*o) - e).powi(2)).sum();
     let size: f64 = expected.iter().map(|e| e * e).sum();
-    // Of the tail only what shares the peak's block is lost: a twelfth of it.
+    // Only the part of the tail in the peak's block is lost: a twelfth of it.
     assert!((error / size).sqrt() < 0.08, "{}", (error / size).sqrt());
 }
 

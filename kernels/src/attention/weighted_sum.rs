@@ -23,9 +23,9 @@ pub(super) struct Scores<'a, S: Simd> {
 pub(super) struct Weighed<S: Simd> {
     /// The reference from now on, `M`.
     pub(super) reference: S::F32,
-    /// By what sums before the block are scaled, `r`.
+    /// Scale of the sums before the block, `r`.
     pub(super) before: S::F32,
-    /// By what the block's own sums are scaled, `u`.
+    /// Scale of the block's own sums, `u`.
     pub(super) block: S::F32,
     /// The block's `Σ w`, scaled.
     pub(super) total: S::F32,

@@ -45,7 +45,7 @@ pub fn follow(level: Level, starts: &[[f32; 2]], steps: &[Step<'_>], velocities:
 }
 
 /// Places that points from `starts` have after all `steps`; both numbers are NaN where a point is not finite or a step, even a single one, leaves the picture
-/// or does not come back ([`follow`]). Distances are not looked at.
+/// or does not come back ([`follow`]). Distances are ignored.
 ///
 /// # Panics
 /// As [`follow`], `ends` for velocities.
@@ -78,7 +78,7 @@ fn each(
 
 /// A result for each point of a vector.
 trait Walk: Copy + Sync + Send {
-    /// Of the points that start here and take these steps.
+    /// Results for the points that start here and take these steps.
     fn lanes<S: Simd>(self, s: S, start: [S::F32; 2], steps: &[Step<'_>]) -> [S::F32; 2];
 }
 

@@ -54,7 +54,7 @@ use crate::Level;
 /// [`Input`] for rows that are normalised first, and [`Epilogue`] for the steps after the product and the layout of `out`. `m` may be 0.
 ///
 /// # Panics
-/// When a slice does not have the size that `m`, the weights' `n` and `k` ask for.
+/// When a slice does not have the size of `m` and the weights' `n` and `k`.
 pub fn linear<'a>(
     level: Level,
     x: impl Into<Input<'a>>,

@@ -357,7 +357,7 @@ struct Prefetches<const NV: usize> {
     weights: [*const u32; NV],
     /// Lines of each panel in a leg, if weights are prefetched.
     lines: u32,
-    /// Lines that a leg would have to ask for.
+    /// Lines that a leg would have to prefetch.
     share: u32,
     out: [*const f32; NV],
     /// From a row of the output to the next.

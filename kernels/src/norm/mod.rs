@@ -89,12 +89,12 @@ pub struct Norm<'a> {
 }
 
 impl<'a> Norm<'a> {
-    /// That of [`rms_norm`].
+    /// The norm of [`rms_norm`].
     pub const fn rms(w: &'a [f32], epsilon: f32) -> Self {
         Self { w, b: None, epsilon }
     }
 
-    /// That of [`layer_norm`].
+    /// The norm of [`layer_norm`].
     ///
     /// # Panics
     /// When there are more or fewer biases than weights.

@@ -1,4 +1,4 @@
-//! Which tiles a footprint can touch, and each tile's list.
+//! The tiles that a footprint can touch, and each tile's list.
 
 use super::project::{BLOCK, Splat};
 
@@ -66,7 +66,7 @@ impl Grid {
         }
     }
 
-    /// The same where columns go on at the other edge.
+    /// The same where columns continue at the other edge.
     fn for_each_around(self, splat: &Splat, [top, bottom]: [usize; 2], mut visit: impl FnMut(usize)) {
         let [own, beyond] = around(splat.columns, self.blocks).map(|ends| ends.map(|column| column / TILE[0]));
         // A tile at which both meet comes once.

@@ -28,7 +28,7 @@
 //! α = min(0.99, o·exp(−½·dᵀΣ⁻¹d))     d = K·(e·q, s·q)/(n·q) for a pixel in the direction q with n·q > 0
 //! ```
 //!
-//! so that it has the shape that a pinhole which looks along n would show, wherever it lies: it bends with the image near the poles, and the
+//! so that it has the shape in a pinhole that looks along n, at any place: it bends with the image near the poles, and the
 //! image's edges meet. 0.3 px² of low-pass are those of the image's own pixels, which are cos φ as wide on the sphere as they are high. Drawing order
 //! and `depth` are by r in place of z.
 //!

@@ -36,7 +36,7 @@ pub struct Work {
     pub tiles_drawn: u64,
     /// Entries of the lists of the tiles drawn.
     pub entries: u64,
-    /// Entries that were not looked at because every pixel of their tile was finished.
+    /// Entries that were skipped because every pixel of their tile was finished.
     pub entries_unseen: u64,
     /// Blocks of 4×4 pixels on which a splat was blended.
     pub blocks: u64,

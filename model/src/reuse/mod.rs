@@ -104,7 +104,7 @@ pub struct Cache {
     pub(crate) static_upsampler: PartCache,
     pub(crate) static_head: StaticHeadCache,
     pub(crate) decoder: PartCache,
-    /// Of the earlier and the later frame of a pair.
+    /// Caches of the earlier and the later frame of a pair.
     pub(crate) deformation: [(PartCache, DeformationHeadCache); 2],
 }
 

@@ -95,7 +95,7 @@ pub struct Judged {
     pub error: f64,
     /// Its unit.
     pub unit: Unit,
-    /// The value that has it.
+    /// Our value.
     pub ours: f64,
     /// The exact value.
     pub exact: f64,
@@ -109,7 +109,7 @@ impl Judged {
         Self { error: 0.0, unit, ours: f64::NAN, exact: f64::NAN, broken: Vec::new() }
     }
 
-    /// Of values and what each should be. A NaN must be one; an infinity must be that one.
+    /// The error of values against exact ones. A NaN must be one; an infinity must be the same.
     fn of(unit: Unit, ours: &[f64], exact: impl IntoIterator<Item = f64>) -> Self {
         let mut judged = Self::new(unit);
         let mut count = 0;

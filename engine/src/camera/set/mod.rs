@@ -209,7 +209,7 @@ pub fn open(path: &Path, size: Option<[usize; 2]>) -> Result<CameraFile, CameraF
     }
 }
 
-/// The cameras of another program's JSON; `None` where the text is none of theirs.
+/// The cameras of another program's JSON; `None` for any other text.
 pub fn parse(json: &str, size: Option<[usize; 2]>) -> Option<Result<CameraSet, FormatError>> {
     of_value(&json::value(json.as_bytes()).ok()?, size)
 }

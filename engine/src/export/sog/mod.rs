@@ -67,7 +67,7 @@ pub fn written(still: &Still) -> Written {
         let m = still.mean[i].map(log);
         [std::array::from_fn(|k| least[k].min(m[k])), std::array::from_fn(|k| greatest[k].max(m[k]))]
     });
-    // Of no Gaussians there are no bounds, and infinities are not JSON.
+    // Without Gaussians there are no bounds, and infinities are not JSON.
     let [mins, maxs] = if order.is_empty() { [[0.0; 3]; 2] } else { bounds };
     let fixed = |i: usize| -> [[u8; 2]; 3] {
         std::array::from_fn(|k| {

@@ -3,7 +3,7 @@
 //! A centre has 24 bits. The more of them are after the point, the finer it is, and the nearer is the end of the range. For each number of bits,
 //! a Gaussian costs 1 where it would be cut off, and else `min(1, (ε/σ)²)`, with ε half a step and σ the largest standard deviation: what is
 //! rounded by as much as it is wide is as good as lost. The number of least cost is taken, of equal ones the one that cuts off least. So a few
-//! floaters cost no one else's precision, and a wide scene is not cut off.
+//! floaters cost no precision of other Gaussians, and a wide scene is not cut off.
 
 use super::Notes;
 use crate::still::{Still, middle};
@@ -30,7 +30,7 @@ impl Fixed {
         if cost <= FAR * places.len() as f64 {
             return plain;
         }
-        // As maps have it: far from zero, and not wide.
+        // As in maps: far from zero, and not wide.
         let along = |axis: usize| places.iter().map(|&i| still.mean[i][axis]).collect();
         let Some(off) = middle([along(0), along(1), along(2)]) else { return plain };
         let (near, less) = Fixed::best(still, places, off);

@@ -172,7 +172,7 @@ impl Header {
                 (["end_header"], _) => break,
                 (["format", name, version], _) if encoding.is_none() => encoding = Some(format(name, version)?),
                 (["element", name, count], _) => elements.push(element(name, count, &elements)?),
-                // Of no records there are no lists.
+                // Without records there are no lists.
                 (["property", "list", ..], Some(element)) if element.count == 0 => {}
                 (["property", "list", .., name], _) => {
                     return Err(FormatError::new(format!("property {name}"), "a number", "a list"));

@@ -333,7 +333,7 @@ fn from_disk(bytes: &[u8], limits: &Limits) -> (Result<StillFile, SceneError>, V
 
 #[test]
 fn a_file_read_in_blocks_is_the_one_read_as_a_whole() {
-    // Of degree 3 these are two blocks and a part of a third.
+    // With degree 3 these are two blocks and a part of a third.
     for (count, degree) in [(0, 0), (1, 1), (700, 2), (80_000, 3)] {
         let still = still(count, degree);
         let little = export::still::ply(&still);

@@ -17,7 +17,7 @@ pub enum Fault {
     NoSpace,
     /// One operation fails: the device does (EIO).
     Device,
-    /// One write takes half of the bytes, and the operation after it fails for want of room.
+    /// One write takes half of the bytes, and the operation after it fails as the disk is full.
     ShortWrite,
     /// The power fails; unsynced bytes are lost.
     LosesBytes,

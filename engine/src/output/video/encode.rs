@@ -178,7 +178,7 @@ impl Encoder {
 
 impl Drop for Encoder {
     fn drop(&mut self) {
-        // Of no effect on one that has ended.
+        // No effect on one that has ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -74,7 +74,7 @@ impl Video {
         Ok(Some(VideoPoint { frames: self.frames, size, bytes: *bytes, blake3 }))
     }
 
-    /// Leaves a y4m file under its temporary name, to go on with.
+    /// Leaves a y4m file under its temporary name, to be resumed.
     pub fn leave(mut self) {
         if let Some(Sink::File { file, .. }) = self.sink.take() {
             // Frames that do not fit lie beyond the last point.

@@ -9,7 +9,7 @@ use crate::output::storage;
 /// Sound to go with a video.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sound {
-    /// The file that has it, of whose tracks the first is taken.
+    /// The file with the sound; its first track is taken.
     pub file: PathBuf,
     /// Its codec, in ffmpeg's names.
     pub codec: String,

@@ -7,7 +7,7 @@ use flate2::{Compress, Compression, Decompress, FlushCompress, FlushDecompress, 
 
 use crate::import::FormatError;
 
-/// The most that deflate makes of a byte.
+/// Largest expansion of a byte by deflate.
 const MOST_RATIO: usize = 1032;
 /// The most bytes of a number.
 const LONGEST: usize = 10;

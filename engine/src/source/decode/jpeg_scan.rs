@@ -1,4 +1,4 @@
-//! Whether the codes of a baseline JPEG image are those of a whole picture.
+//! Test that the codes of a baseline JPEG image are those of a whole picture.
 //!
 //! The decoder of pictures accepts damaged data: it stops at a block's last coefficient and leaves missing parts grey. This module reads the
 //! Huffman codes once more (ITU-T T.81, F.2.2), without their values. Refused are codes that do not exist, runs past the 63rd coefficient, restart markers

@@ -79,7 +79,7 @@ pub(super) fn page(bytes: &[u8], place: usize, path: &Path) -> Result<Still, Sou
     let shown = orientation_of(page.orientation);
     let premultiplied = extra.first() == Some(&1);
     let samples: Vec<f32> = match page.samples {
-        // Of a palette's samples the numbers are wanted.
+        // Palettes need the samples' numbers.
         Samples::Whole(samples, _) if photometric == Photometric::Palette => {
             samples.iter().map(|&v| v as f32).collect()
         }
@@ -301,7 +301,7 @@ impl Page {
             Samples::Whole(samples, _) => samples.len(),
             Samples::Float(samples) => samples.len(),
         };
-        // Of samples that are no colours the decoder leaves out some itself.
+        // The decoder itself leaves out some samples that are no colours.
         let read = found / (width * height);
         if found != read * width * height || !(photometric.channels()..=channels).contains(&read) {
             let expected = width * height * channels;

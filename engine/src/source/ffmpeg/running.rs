@@ -67,7 +67,7 @@ pub(super) struct First {
 }
 
 impl Running {
-    /// Starts it; the first frame is awaited. Its pictures come out of the pipe.
+    /// Starts it; the first frame is awaited. Its pictures are read from the pipe.
     pub(super) fn start(decoding: &Decoding, path: &Path) -> std::io::Result<(Running, ChildStdout, Option<First>)> {
         let mut child = decoding.start(path)?;
         let no_pipe = || std::io::Error::other("no pipe to it");

@@ -123,7 +123,7 @@ fn value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     rest.split_whitespace().next()
 }
 
-/// Of a text such as `30000/1001` or `4:3`; none where a part is 0.
+/// The ratio in a text such as `30000/1001` or `4:3`; none where a part is 0.
 pub(super) fn ratio(text: &str) -> Option<(u32, u32)> {
     let (a, b) = text.split_once(['/', ':'])?;
     let (a, b) = (a.trim_end_matches(',').parse().ok()?, b.trim_end_matches([',', ']']).parse().ok()?);

@@ -139,7 +139,7 @@ impl Listing {
             let long = seconds >= AS_LONG * longest;
             (frames > 1, !stream.still, stream.default, long, stream.size.0.saturating_mul(stream.size.1))
         };
-        // Of equals the first.
+        // The first of equal ones.
         let chosen = candidates.iter().rev().max_by_key(|stream| score(stream))?;
         let left_out =
             self.videos.iter().filter(|stream| stream.index != chosen.index && !stream.dependent).map(|stream| {
@@ -337,7 +337,7 @@ impl Counter {
             }
             return;
         }
-        // Of packets that are decoded for the sake of others and not shown.
+        // Flags of packets that are decoded for other packets and not shown.
         let flags = line.split_once("F=0x").and_then(|(_, flags)| u32::from_str_radix(first_word(flags), 16).ok());
         if flags.is_some_and(|flags| flags & DISCARD != 0) {
             return;
@@ -424,7 +424,7 @@ At least one output file must be specified
         };
         let (stream, lines) = listing.choose(|| counts([1, 9], [0.0, 0.8])).expect("a video");
         assert_eq!((stream.index, &lines[..]), (1, &["the still picture 0:0 (av1, 64×48) is left out".to_owned()][..]));
-        // Of two that move: the default, then the longer, then the larger, then the first.
+        // If two move: the default, then the longer, then the larger, then the first.
         let mut two = listing;
         let mut chosen = |default: [bool; 2], wide: [usize; 2], seconds: [f64; 2]| {
             for i in 0..2 {

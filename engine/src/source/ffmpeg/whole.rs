@@ -1,7 +1,7 @@
-//! Whether a file is as long as its container declares.
+//! Test that a file is as long as its container declares.
 //!
 //! ffmpeg does not complain of every file that was cut: where the cut is between two packets, or the container is one of those that it reads to
-//! wherever they end, the frames are fewer and its exit status is 0. The container's own declaration is checked here:
+//! at any place, the frames are fewer and its exit status is 0. The container's own declaration is checked here:
 //!
 //! | container | check |
 //! |---|---|

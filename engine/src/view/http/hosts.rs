@@ -1,4 +1,4 @@
-//! Which names a server answers to.
+//! The names for which a server answers.
 
 use std::net::{IpAddr, SocketAddr};
 

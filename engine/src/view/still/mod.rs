@@ -1,4 +1,4 @@
-//! A still scene as a page shows it: one packet, looked at from where [`Framing`] puts the camera.
+//! A still scene as a page shows it: one packet, seen from the camera of [`Framing`].
 
 mod packet;
 

@@ -41,7 +41,7 @@ pub(super) struct Scratch {
 pub(super) struct Tally {
     /// Blocks blended.
     pub blocks: u64,
-    /// Entries of lists that were not looked at because their tile was finished.
+    /// Entries of lists that were skipped because their tile was finished.
     pub unseen: u64,
     pub sort: Duration,
     pub blend: Duration,

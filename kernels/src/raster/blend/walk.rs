@@ -118,7 +118,7 @@ pub(in super::super) struct Shape {
 }
 
 impl Shape {
-    /// That of general Gaussians.
+    /// The shape of general Gaussians.
     pub(in super::super) const GENERAL: Shape = Shape { form: Form::General, cut: Cut::GAUSSIAN };
 
     pub(in super::super) fn of(view: &Viewport) -> Self {
@@ -144,7 +144,7 @@ pub(in super::super) struct Walk<'a> {
 pub(in super::super) struct Walked {
     /// Blocks visited.
     pub blocks: u64,
-    /// Entries that were not looked at because the tile was finished.
+    /// Entries that were skipped because the tile was finished.
     pub unseen: u64,
 }
 

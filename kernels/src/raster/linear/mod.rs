@@ -9,7 +9,7 @@
 //! The weights A are those of the blend, by the same code, rounded to 8 bits: for each Gaussian and block of 4×4 pixels there is a unit u, the
 //! smallest power of two (at least 2⁻¹⁶) with its largest weight there below 256·u, and A is `min(⌊α·T / u + ½⌋, 255)·u` (the quotient and
 //! sum fused). Where α is below 1/255, and behind a finished pixel, a Gaussian has weight 0. An image of the map is therefore within `½·Σ u·|c|`
-//! over a pixel's Gaussians of the rasteriser's (`u` instead of `½·u` where a weight comes to 255 units).
+//! over a pixel's Gaussians of the rasteriser's (`u` instead of `½·u` where a weight is 255 units).
 //!
 //! # Order of operations
 //!
@@ -154,7 +154,7 @@ impl ColourMap {
         }
     }
 
-    /// Makes this the map of a scene onto an image of `[width, height]` pixels. `Gaussians::rgb` is not looked at; it
+    /// Makes this the map of a scene onto an image of `[width, height]` pixels. `Gaussians::rgb` is ignored; it
     /// may be empty.
     ///
     /// # Panics

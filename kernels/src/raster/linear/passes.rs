@@ -36,7 +36,7 @@ const AHEAD: usize = 12;
 
 /// The colours of a tile's splats.
 pub(super) trait Paint<const C: usize> {
-    /// That of splat `at` of the record, a view of `gaussian`.
+    /// The value of splat `at` of the record, a view of `gaussian`.
     fn of(&self, at: usize, gaussian: u32) -> [f32; C];
 
     /// Asks for the colour of splat `at`, if there is one.

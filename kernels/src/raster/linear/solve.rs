@@ -403,7 +403,7 @@ fn sum(parts: &[[f64; 3]]) -> [f64; 3] {
     parts.iter().fold([0.0; 3], |sum, part| std::array::from_fn(|c| sum[c] + part[c]))
 }
 
-/// A fused multiply-add of one value: the instruction where the level has it.
+/// A fused multiply-add of one value: one instruction on levels that have it.
 #[inline(always)]
 fn fused<S: Simd>(_: S, a: f32, b: f32, c: f32) -> f32 {
     match S::REGISTERS {

@@ -46,7 +46,7 @@ pub(super) struct Splat {
     pub rgb: [f32; 3],
     pub depth: f32,
     /// Blocks that the footprint can touch, first and last, by column and by row; empty when the first is past the last. On the sphere columns past
-    /// the image's last go on at its first.
+    /// the image's last continue at its first.
     pub columns: [u16; 2],
     pub rows: [u16; 2],
 }

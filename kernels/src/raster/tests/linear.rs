@@ -295,7 +295,7 @@ fn gaussians_that_are_not_finite_have_no_sums_and_change_nothing() {
         spoiled.push([0.0, f32::NAN, 1.0], [0.5; 3], [1.0, 0.0, 0.0, 0.0], 0.9, [0.0; 3]);
         spoiled.push([0.0, 0.0, 0.5], [0.5, f32::INFINITY, 0.5], [1.0, 0.0, 0.0, 0.0], 0.9, [0.0; 3]);
         spoiled.push([0.0, 0.0, 0.5], [0.5; 3], [1.0, 0.0, 0.0, 0.0], f32::NAN, [0.0; 3]);
-        // Colours of the scene are not looked at.
+        // Colours of the scene are ignored.
         spoiled.rgb.fill([f32::NAN; 3]);
         let residual = noise(3 * size[0] * size[1], 21);
         let clean = adjoint(&map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES), &residual);

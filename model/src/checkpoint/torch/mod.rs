@@ -29,7 +29,7 @@ const ZIP: &[u8] = b"PK\x03\x04";
 const LEGACY: &[u8] = b"\x80\x02\x8a\x0al\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19\x2e";
 /// Longest pickle that is read, in bytes: names and shapes of some hundred thousand tensors.
 const LONGEST: usize = 16 << 20;
-/// Most files of an archive that are looked at.
+/// Largest number of files of an archive.
 const MOST_ENTRIES: usize = 1 << 17;
 
 /// Returns true if the bytes begin as a file of `torch.save`, of any age.

@@ -114,7 +114,7 @@ impl Pickle<'_> {
                 };
                 return Err(format!("expected a tensor under every name, found {found} under {shown:?}{hint}"));
             };
-            // Of equal names the last counts, as in Python.
+            // If names are equal the last counts, as in Python.
             tensors.insert(name.clone(), tensor.clone());
         }
         Ok(tensors)

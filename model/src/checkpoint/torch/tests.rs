@@ -43,7 +43,7 @@ impl Writer {
     }
 }
 
-/// The start of a dictionary of tensors, as modules have it.
+/// The start of a dictionary of tensors, as of modules.
 fn dictionary() -> Writer {
     Writer::default().op(b"\x80\x02").global("collections", "OrderedDict").op(b")Rq\x00(")
 }

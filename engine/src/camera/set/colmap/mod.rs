@@ -6,7 +6,7 @@
 //! them by value.
 //!
 //! COLMAP 4 stores poses of *frames* as well, one pose for all cameras of a *rig*, in `rigs` and `frames`. Where both hold something, they
-//! decide, as in COLMAP itself, and the poses of `images` are not looked at:
+//! decide, as in COLMAP itself, and the poses of `images` are ignored:
 //!
 //! ```text
 //! camera_from_world = sensor_from_rig · rig_from_world
