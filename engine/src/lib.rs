@@ -27,8 +27,10 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Around it: [`source`] reads videos, [`gap`] chooses key frames, [`depth`] returns their depth maps, from files or a network ([`onnx`]), [`output`] and [`scene`] write and read results,
-//! [`export`] writes them for viewers, [`import`] reads the still scenes of others, [`view`] shows them in a browser, [`metrics`] and [`lpips`] measure them, [`track`] follows points through time, [`difference`] measures how far two pictures are apart and where.
+//! Around it: [`source`] reads videos, [`gap`] chooses key frames, [`depth`] returns their depth maps, from files or a network ([`onnx`]), [`output`]
+//! and [`scene`] write and read results, [`export`] writes them for viewers, [`import`] reads the still scenes of others, [`view`] shows them in a
+//! browser, [`metrics`] and [`lpips`] measure them, [`track`] follows points through time, [`difference`] measures how far two pictures are apart and
+//! where.
 //!
 //! Features: `onnx` ([`onnx`], [`lpips`], networks of [`depth`]) and `viewer` ([`view`]) are on unless turned off; `wgpu` draws on graphics cards, outside of the bit contract.
 #![deny(unsafe_code)]

@@ -86,8 +86,8 @@ impl DepthMaps {
     /// maps that decide the range are read once to find it.
     ///
     /// # Errors
-    /// An unreadable or empty folder, files of several kinds with none that has every name, another number of maps than of frames, an unreadable map where
-    /// all are read.
+    /// An unreadable or empty folder, files of several kinds with none that has every name, another number of maps than of frames, an unreadable map
+    /// where all are read.
     pub fn open(folder: &Path, frames: Option<&[PathBuf]>, range: Range) -> Result<DepthMaps, DepthError> {
         Self::open_as(folder, frames, range, Values::Inverse)
     }

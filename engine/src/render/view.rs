@@ -242,8 +242,9 @@ impl View {
 
     /// Widens Gaussians in view space that this view shows larger than the model's own pixels show them.
     ///
-    /// The rasteriser adds 0.3 px² to every projected variance. Gaussians were trained, and their colours fitted, where a pixel is one of the model's. A unit of the
-    /// input has `m = side / 2` of them along an axis (in square units along x `m = width / 2` over the input's aspect); where it has `f > m` pixels, that addition is too small and gaps open between Gaussians. To keep its size in the scene,
+    /// The rasteriser adds 0.3 px² to every projected variance. Gaussians were trained, and their colours fitted, where a pixel is one of the
+    /// model's. A unit of the input has `m = side / 2` of them along an axis (in square units along x `m = width / 2` over the input's aspect); where
+    /// it has `f > m` pixels, that addition is too small and gaps open between Gaussians. To keep its size in the scene,
     ///
     /// ```text
     /// s' = √(s² + a)      a = 0.3·(m⁻² − f⁻²), 0 where that is not above 10⁻⁶·0.3·m⁻²      f: the focal length, for a pinhole over the Gaussian's z, all around H/π over its distance

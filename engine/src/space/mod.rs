@@ -5,8 +5,8 @@
 //! box is tested in binary64. So every result equals that of testing all boxes, in
 //! ascending order, for any shape of the hierarchy.
 //!
-//! [`Picker`] uses it for the most visible Gaussian along rays. *Matching of frames* ([`crate::stream`]) does not, because bins on the frame's lattice
-//! find the same pairs sooner.
+//! [`Picker`] uses it for the most visible Gaussian along rays. *Matching of frames* ([`crate::stream`]) does not, because bins on the frame's
+//! lattice find the same pairs sooner.
 //!
 //! # Images of a part of a scene
 //!
