@@ -1,8 +1,8 @@
-//! Tells the program what built it: the compiler, and settings of the release profile that are not the workspace's own.
+//! Passes build information to the program: the compiler, and settings of the release profile that are not the workspace's own.
 
 use std::process::Command;
 
-/// Settings that change the code that is made, and what they are where nobody sets them.
+/// Settings that change the code that is made, and their defaults.
 const SETTINGS: [(&str, &str); 6] = [
     ("CARGO_ENCODED_RUSTFLAGS", ""),
     ("CARGO_INCREMENTAL", "0"),

@@ -15,7 +15,7 @@ video = Path(sys.argv[1]) if len(sys.argv) > 1 else clip
 out = Path(sys.argv[2] if len(sys.argv) > 2 else "first-scene")
 (out / "frames").mkdir(parents=True, exist_ok=True)
 
-# %% The stream: one interval per key frame, which is given the frames in between as well
+# %% The stream: one interval per key frame; the frames in between are passed as well
 engine = streamsplat.Engine()
 frames = streamsplat.Frames(video)
 intervals, times, between = [], [], []
@@ -35,7 +35,7 @@ lasting = np.isin(gaussians.identity, intervals[-2].gaussians.identity).mean()
 print(f"{len(gaussians)} Gaussians in the last interval, {lasting:.0%} of them known from the one before, median speed {np.median(speed):.4f}")
 
 # %% Drawn at the frames' own times: the files of `streamsplat run VIDEO --gap 4`. The first key frame is in the second interval, too, which
-# has seen the camera move and knows its depth
+# has seen the camera move and has found its depth
 for interval in intervals[1:]:
     for number, time in enumerate(times):
         if interval.start < time <= interval.end or time == interval.start == times[0]:

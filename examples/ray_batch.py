@@ -24,7 +24,7 @@ def clips_in(folder: Path) -> list[Path]:
 def work_on(clip: Path, out: Path, gap: int, threads: int | None) -> str:
     """One clip, from its frames to its folder."""
     if out.exists():
-        # A worker finished it and was lost before it could say so.
+        # A worker finished it and was lost before it reported so.
         return f"{clip.name}: there already"
     partial = out.with_name(f".{out.name}.partial")
     try:

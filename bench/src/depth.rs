@@ -45,7 +45,7 @@ pub(crate) struct Options {
     /// Clips with a sensor's depth, folders with rgb/ and depth/ (16-bit PNG, millimetres): compare found depth with it instead.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     sensor: Vec<PathBuf>,
-    /// Where the colour camera of that sensor stands, for depth that is not registered (sensors/seven-scenes.json).
+    /// Pose of the colour camera of that sensor, for depth that is not registered (sensors/seven-scenes.json).
     #[arg(long, value_name = "FILE", requires = "sensor")]
     registration: Option<PathBuf>,
     /// Frames from one key frame of these clips to the next.

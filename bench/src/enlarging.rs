@@ -1,4 +1,4 @@
-//! `enlarging`: images of the source's size beside the model-size image enlarged, on given clips.
+//! `enlarging`: images of the source's size compared with the enlarged model-size image, on a set of clips.
 
 use std::path::{Path, PathBuf};
 

@@ -1,7 +1,7 @@
-//! `stages --instructions`: instructions of each stage, counted by valgrind's callgrind. They do not depend on what else the machine does.
+//! `stages --instructions`: instructions of each stage, counted by valgrind's callgrind. They do not depend on the machine's load.
 //!
-//! The program runs itself under valgrind, once per precision, with a small network of seeded weights on one thread. What callgrind tells of the
-//! calls of [`counted`] is taken, each stage having a function of its own there. Valgrind knows no AVX-512, so x86-64 is counted at AVX2.
+//! The program runs itself under valgrind, once per precision, with a small network of seeded weights on one thread. Callgrind's counts of the
+//! calls of [`counted`] are used; each stage has a function of its own there. Valgrind does not support AVX-512, so x86-64 is counted at AVX2.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -42,7 +42,7 @@ struct Count {
     instructions: u64,
 }
 
-/// Defines a function per stage, each of which must stay one of its own, and the list of them.
+/// Defines a function per stage, which must not be merged, and the list of them.
 macro_rules! counted {
     ($($stage:ident),+) => {
         /// The functions whose instructions are counted.
@@ -77,14 +77,14 @@ pub(crate) fn work(level: Level, precision: Precision) -> Result<()> {
     })
 }
 
-/// The highest level that valgrind knows.
+/// The highest level that valgrind supports.
 fn level() -> Result<Level> {
     let known = ["avx2", "neon", "scalar"];
     let found = known.iter().find_map(|name| Level::named(name).ok());
     found.context("no instruction set that valgrind knows")
 }
 
-/// Counts; compares with the file `recorded`, if there is one; writes to `json`, if it is given.
+/// Counts; compares with the file `recorded`, if there is one; writes to `json`, if set.
 pub(crate) fn run(recorded: Option<&Path>, json: Option<&Path>) -> Result<()> {
     let recorded = recorded.map(read).transpose()?;
     let counts = count()?;

@@ -19,7 +19,7 @@ use crate::timing::{Seconds, once};
 pub(crate) struct Options {
     #[command(flatten)]
     common: Common,
-    /// Which model's sizes.
+    /// The model whose sizes are measured.
     #[arg(long, value_enum, default_value_t = Size::All)]
     size: Size,
     /// Formats of the operands.
@@ -123,7 +123,7 @@ fn measure(options: &Options) -> Result<()> {
     for mut case in cases {
         let mut times = Vec::new();
         for _ in 0..options.common.repeat.max(1) {
-            // The peak is taken beside every run: clocks move.
+            // The peak is measured next to every run, as clock rates change.
             let best = &mut peaks[case.precision.1 as usize];
             *best = best.max(peak(level, case.precision.1));
             times.push(once(&mut case.work));

@@ -3,7 +3,7 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-/// Bytes given and not taken back.
+/// Bytes allocated and not freed.
 static HELD: AtomicUsize = AtomicUsize::new(0);
 /// Most of them at once since [`restart`].
 static MOST: AtomicUsize = AtomicUsize::new(0);
@@ -66,7 +66,7 @@ mod tests {
     fn what_is_held_counts_once_and_what_is_given_back_does_not() {
         restart();
         let before = most();
-        // Zeros that are never touched take no memory, and the other tests beside this one far less.
+        // Zeros that are never touched take no memory, and the concurrent tests far less.
         let mut held = std::hint::black_box(vec![0u8; 512 << 20]);
         held.reserve_exact(512 << 20);
         drop(std::hint::black_box(held));

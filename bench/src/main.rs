@@ -52,7 +52,7 @@ struct Program {
 enum Command {
     /// Views of scenes of cards from cameras led around them, with and without true depth.
     Depth(depth::Options),
-    /// Images of the source's size beside the model-size image enlarged, on given clips.
+    /// Images of the source's size compared with the enlarged model-size image, on a set of clips.
     Enlarging(enlarging::Options),
     /// Optical flow, and steps of the fit of colours.
     Fit(fit::Options),
@@ -60,7 +60,7 @@ enum Command {
     Kernels(kernels::Options),
     /// Whole scenes of Gaussians, redrawing, and growth with their number.
     Raster(raster::Options),
-    /// Cost and saving of reuse on given clips.
+    /// Cost and saving of reuse on a set of clips.
     Reuse(reuse::Options),
     /// A stream of thousands of key frames: memory, time, identities, drift.
     Soak(soak::Options),
@@ -90,12 +90,12 @@ pub(crate) struct Common {
 }
 
 impl Common {
-    /// A pool of the threads asked for.
+    /// A pool of the requested threads.
     fn pool(&self) -> Result<rayon::ThreadPool> {
         rayon::ThreadPoolBuilder::new().num_threads(self.threads).build().context("starting threads")
     }
 
-    /// Writes `value` where `--json` says.
+    /// Writes `value` to the file of `--json`.
     fn write(&self, value: &impl serde::Serialize) -> Result<()> {
         self.json.as_deref().map_or(Ok(()), |path| write_json(path, value))
     }

@@ -10,7 +10,7 @@ use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Gaussians, Projection, Request, render};
 use streamsplat_model::{Deformation, Dino, FrameInput, LoadOptions, Network, Sampling, Side, StaticGaussians, motion};
 
-/// Which model.
+/// The model.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Which<'a> {
     /// The checkpoint inside the library.
@@ -69,7 +69,7 @@ impl Temporary {
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        // Left behind at worst. Some have a configuration beside them.
+        // Left behind at worst. Some have a configuration file.
         for path in [self.0.with_extension("json"), std::mem::take(&mut self.0)] {
             let _ = std::fs::remove_file(path);
         }
@@ -77,7 +77,7 @@ impl Drop for Temporary {
 }
 
 impl Model {
-    /// A model that has seen the two frames that `frames` gives of its resolution, `[3, H, W]` each.
+    /// A model that has seen two frames, `frames` of its resolution, `[3, H, W]` each.
     pub(crate) fn load(
         which: Which<'_>,
         load: &LoadOptions,
@@ -151,7 +151,7 @@ impl Model {
         })
     }
 
-    /// Runs a stage once and gives what it computed. Its input is what the stages before gave at the same precision.
+    /// Runs a stage once and returns its output. Its input is the output of the previous stages at the same precision.
     pub(crate) fn stage(&self, name: &str) -> Result<Vec<f32>> {
         let mut session = self.network.session(None);
         Ok(match name {

@@ -73,12 +73,12 @@ pub(crate) struct Runner {
 /// Engines of one model; those of one precision share its weights.
 pub(crate) struct Models {
     settings: Settings,
-    /// By precision, and whether every branch is computed, which only `off` asks for.
+    /// By precision, and whether every branch is computed, as only for `off`.
     loaded: Vec<((Precision, bool), Arc<dyn Reconstructor>)>,
 }
 
 impl Models {
-    /// Those that `settings` give, their precision and reuse aside.
+    /// Those of `settings`, except for precision and reuse.
     pub(crate) fn new(settings: Settings) -> Models {
         Models { settings, loaded: Vec::new() }
     }
@@ -147,12 +147,12 @@ impl Runner {
         }
     }
 
-    /// Of all key frames.
+    /// Time of all key frames.
     pub(crate) fn pushed(&self) -> Spent {
         self.steps.iter().fold(Spent::default(), |sum, step| sum + step.pushed)
     }
 
-    /// Of everything but reading and writing, per input frame.
+    /// Time of everything but reading and writing, per input frame.
     pub(crate) fn frame(&self) -> Spent {
         let steps = self.steps.iter().fold(self.chosen, |sum, step| sum + step.pushed + step.drawn);
         steps / self.images.len() as f64

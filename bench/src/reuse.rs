@@ -1,7 +1,7 @@
-//! `reuse`: what leaving out work costs and saves on given clips.
+//! `reuse`: cost and saving of skipped work on a set of clips.
 //!
 //! Every variant (a choice of reuse and of gap) takes the same frames through an engine of its own, in turn, key frame by key frame:
-//! what disturbs the machine disturbs all of them alike. Times are those of the processor where the system tells (Linux), else of the
+//! what disturbs the machine disturbs all of them alike. Times are those of the processor where available (Linux), else of the
 //! clock. The former, too, move by some per cent with what else runs; `--rounds` takes the clips several times and keeps the least of
 //! every key frame, whose images must be the same bits each time.
 
@@ -34,7 +34,7 @@ pub(crate) struct Options {
     /// Clips: folders of images or videos; or folders of such folders.
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
-    /// Choices of reuse, beside off.
+    /// Choices of reuse, in addition to off.
     #[arg(long, value_delimiter = ',', default_value = "exact,0.02,0.05,0.1")]
     reuse: Vec<Reuse>,
     /// Gaps between key frames.
@@ -85,25 +85,25 @@ struct Results {
 #[derive(Clone, Debug, Serialize)]
 struct VariantResult {
     clip: String,
-    /// True if the camera stands still, where the manifest tells.
+    /// True if the camera is still, if in the manifest.
     still: Option<bool>,
     reuse: String,
     gap: String,
     frames: usize,
     keys: usize,
-    /// Of [`streamsplat::Engine::push`] per key frame.
+    /// Time of [`streamsplat::Engine::push`] per key frame.
     key_frame: Spent,
-    /// Of everything but reading and writing, per input frame.
+    /// Time of everything but reading and writing, per input frame.
     frame: Spent,
     /// Time of key frames relative to the variant without reuse.
     cost: f64,
-    /// Of all frames' images against those without reuse; none where all are equal.
+    /// PSNR of all frames' images against those without reuse; none where all are equal.
     psnr_vs_off: Option<f64>,
-    /// Of all frames, of key frames and of those between, against the true frames at 256×256.
+    /// PSNR of all frames, of key frames and of those between, against the true frames at 256×256.
     psnr: f64,
     psnr_key: f64,
     psnr_middle: Option<f64>,
-    /// Of all frames against the true ones, above that of the variant without reuse.
+    /// PSNR of all frames against the true ones, above that of the variant without reuse.
     gain: f64,
     /// Work, done and avoided: the network's stages, and their parts in tokens.
     work: Vec<(String, u64, u64)>,
@@ -164,7 +164,7 @@ fn row(runner: &Runner, name: &str, truths: &[Picture], base: &Runner) -> Result
     })
 }
 
-/// Which clips of a manifest were taken by a camera that stands still.
+/// For each clip of a manifest, whether its camera is still.
 fn still(manifest: &str) -> Option<Vec<(&str, bool)>> {
     let mut lines = manifest.lines();
     let head: Vec<&str> = lines.next()?.split('\t').collect();

@@ -1,7 +1,7 @@
 //! Stages of the network on request, for comparisons that are driven from outside.
 //!
-//! Reads one JSON object per line on standard input, `{"stage": "encoder|upsampler|decoder|dinov2"}`, runs that stage once on the
-//! given input, and answers with `{"seconds": …}`. With `"write": FILE` the output goes there as the tensor `out`. Served is either a
+//! Reads one JSON object per line on standard input, `{"stage": "encoder|upsampler|decoder|dinov2"}`, runs that stage once on its
+//! input, and answers with `{"seconds": …}`. With `"write": FILE` the output goes there as the tensor `out`. Served is either a
 //! StreamSplat model or a DINOv2 file, whose only stage is `dinov2`: frame to patch tokens.
 
 use std::io::{BufRead, Write};

@@ -4,16 +4,16 @@
 //! saw the same pictures. The network is a small one of seeded weights. As in a run, motion and colours are taken from the frames between key
 //! frames as well.
 //!
-//! Memory is looked at in two ways, over whole periods: the first tenth of the stream is compared with the rest. *Live* bytes are those the
-//! process holds on the heap, the most at any moment: they depend on nothing but the program. *Resident* ones are those the system has
-//! given, after each step, the median of a period: to these the system's allocator adds what it keeps for later, now and then half a
+//! Memory is measured in two ways, over whole periods: the first tenth of the stream is compared with the rest. *Live* bytes are those the
+//! process holds on the heap, the most at any moment: they depend on the program alone. *Resident* ones are those of the process in
+//! memory, after each step, the median of a period: to these the system's allocator adds what it keeps for later, now and then half a
 //! mebibyte more for some steps.
 //!
-//! Time is the time that all threads of this process spent on a CPU. Because that, too, depends on what else the machine does, the
+//! Time is the time that all threads of this process spent on a CPU. Because that, too, depends on the machine's load, the
 //! long stream is compared twice: its last hundred steps alone with its second hundred, by their lower quartiles; and the hundred after with the
-//! second hundred of a *young* stream beside it, fed the same frames in turn, which what else runs disturbs alike. That figure has no
-//! limit: glibc gives the heap of one of the two threads back to the system after every step, which one is chance, and that costs some per cent
-//! (0.90 to 1.05 were seen). Memory is looked at until the young stream
+//! second hundred of a *young* stream, fed the same frames in turn, which other load disturbs alike. That figure has no
+//! limit: glibc returns the heap of one of the two threads to the system after every step, which one is chance, and that costs some per cent
+//! (0.90 to 1.05 were seen). Memory is measured until the young stream
 //! starts.
 
 use std::path::PathBuf;
@@ -35,9 +35,9 @@ use crate::table::{Column, Table};
 const PERIOD: u64 = 50;
 /// Frames per second.
 const RATE: f64 = 24.0;
-/// Key frames of which the median time is taken: whole periods.
+/// Key frames in a median time: whole periods.
 const HUNDRED: u64 = 100;
-/// Key frames of the young stream, the second hundred of which is measured.
+/// Key frames of the young stream; the second hundred is measured.
 const YOUNG: u64 = 200;
 /// The second hundred, and then the young stream's.
 const FEWEST: u64 = 200 + YOUNG;
@@ -62,13 +62,13 @@ pub(crate) struct Options {
     /// Threads (0: one per core).
     #[arg(long, default_value_t = 1)]
     threads: usize,
-    /// Most that resident memory may be after the first tenth of the key frames, of what it was until then.
+    /// Most that resident memory may be after the first tenth of the key frames, relative to its value until then.
     #[arg(long, default_value_t = 1.02)]
     resident: f64,
     /// Most that the last hundred may take of the second hundred's time.
     #[arg(long, default_value_t = 1.05)]
     slowdown: f64,
-    /// Loses so many bytes at every key frame: this must fail.
+    /// Leaks this many bytes at every key frame: this must fail.
     #[arg(long, hide = true, default_value_t = 0)]
     leak: usize,
     /// Write the results here as JSON.
@@ -101,7 +101,7 @@ impl Check {
 #[derive(Serialize)]
 struct StreamState {
     key_frame: u64,
-    /// Most at any moment of the last period; none beside the young stream.
+    /// Most at any moment of the last period; none in the comparison with the young stream.
     live_bytes: Option<u64>,
     /// Median of the last period.
     resident_bytes: Option<u64>,
@@ -150,7 +150,7 @@ impl Film {
         (self.frames[phase.min(period - phase) as usize].clone(), i as f64 / (self.gap as f64 * RATE))
     }
 
-    /// Gives key frame `k` to an engine, with the frames since the one before.
+    /// Passes key frame `k` to an engine, with the frames since the previous one.
     fn push(&self, engine: &mut Engine, k: u64) -> Result<Interval> {
         let key = k * self.gap;
         let between = (key.saturating_sub(self.gap - 1)..key).map(|i| self.frame(i)).collect();
@@ -205,7 +205,7 @@ impl Measured {
 
 /// Bytes in periods: how those of the first tenth of a stream compare with the most of all that follow.
 struct Growth {
-    /// Of this period.
+    /// Values of this period.
     seen: Vec<u64>,
     /// Periods of the first tenth that are still to come.
     settling: u64,
@@ -215,7 +215,7 @@ struct Growth {
 }
 
 impl Growth {
-    /// In a stream of so many key frames.
+    /// In a stream of `key_frames` key frames.
     fn of(key_frames: u64) -> Growth {
         let settling = (key_frames / 10).div_ceil(PERIOD).max(1);
         Growth { seen: Vec::new(), settling, first: [0; 2], later: [0; 2] }
@@ -225,7 +225,7 @@ impl Growth {
         self.seen.push(bytes);
     }
 
-    /// Ends a period; gives its median and its most.
+    /// Ends a period; returns its median and its maximum.
     fn end(&mut self) -> [u64; 2] {
         self.seen.sort_unstable();
         let found =
@@ -243,7 +243,7 @@ impl Growth {
     }
 }
 
-/// How much longer the steps `a` took than the steps `b` beside them, which went first in every second: the geometric mean of the
+/// How much longer the steps `a` took than the paired steps `b`, which ran first in every second pair: the geometric mean of the
 /// medians over either half.
 fn slower(a: &[f64], b: &[f64]) -> f64 {
     let half = |turn| {
@@ -253,7 +253,7 @@ fn slower(a: &[f64], b: &[f64]) -> f64 {
     (half(0) * half(1)).sqrt()
 }
 
-/// Identities ascend, and what is gone stays away: it needs no memory of all that were.
+/// Identities ascend, and an ended one never returns: the check needs no memory of all identities.
 #[derive(Default)]
 struct Identities {
     newest: Option<u64>,
@@ -281,7 +281,7 @@ impl Identities {
     }
 }
 
-/// The value a `part`-th of the way from the least to the most: 2 gives the median, 4 the lower quartile.
+/// The value a `part`-th of the way from the least to the most: 2 is the median, 4 the lower quartile.
 fn rank(values: &[f64], part: usize) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -339,7 +339,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             young = Some(Measured::new(Engine::with_model(settings.clone(), model.clone())?)?);
         }
         live::restart();
-        // In turn: whoever goes second finds the caches warm.
+        // In turn: the second one finds the caches warm.
         let mut interval = None;
         for turn in [k % 2 == 0, k % 2 == 1] {
             if turn {

@@ -24,7 +24,7 @@ use crate::timing::{Seconds, Spent, Stopwatch};
 pub(crate) struct Options {
     #[command(flatten)]
     common: Common,
-    /// Which model.
+    /// The model.
     #[arg(long, value_enum, default_value_t = Size::Small)]
     size: Size,
     /// A checkpoint that is not conditioned on DINOv2, instead.
@@ -73,7 +73,7 @@ struct StageTiming {
     /// Operations of a call in 10⁹; none for drawing, whose work depends on the scene.
     gflop: Option<f64>,
     seconds: Seconds,
-    /// Of the processor.
+    /// Time of the processor.
     processor: Seconds,
     /// The same of a network that computes its zero-output branches, run in turn with the other.
     processor_with_zero_output: Option<Seconds>,
@@ -132,7 +132,7 @@ fn operands(precision: Precision) -> gemm::Precision {
     }
 }
 
-/// Measures `model`, and beside it `full`, which computes the same and its zero-output branches too.
+/// Measures `model` and `full`, which computes the same and its zero-output branches too.
 fn measure(
     model: &Model,
     full: Option<&Model>,
@@ -168,7 +168,7 @@ fn measure(
 
         let (mut spent, mut spent_in_full, mut own_peak) = (Vec::new(), Vec::new(), 0.0_f64);
         for _ in 0..options.common.repeat.max(1) {
-            // The peak is taken beside every run: clocks move.
+            // The peak is measured next to every run, as clock rates change.
             own_peak = own_peak.max(machine::peak(model.level, operands(options.precision)));
             let run = |model: &Model, spent: &mut Vec<Spent>| -> Result<()> {
                 let watch = Stopwatch::start();

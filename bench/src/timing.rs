@@ -28,7 +28,7 @@ impl Seconds {
     }
 }
 
-/// Time spent: of the processor, on all threads of this process, where the system tells, and of the clock.
+/// Time spent: of the processor, on all threads of this process, where available, and of the clock.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub(crate) struct Spent {
     processor: Option<f64>,
@@ -52,7 +52,7 @@ impl Spent {
         self.clock
     }
 
-    /// The processor's time, where the system tells.
+    /// The processor's time, where available.
     pub(crate) fn processor(&self) -> Option<f64> {
         self.processor
     }
@@ -61,7 +61,7 @@ impl Spent {
 impl std::ops::Add for Spent {
     type Output = Spent;
     fn add(self, other: Spent) -> Spent {
-        // Nothing spent yet is known to be nothing.
+        // With nothing measured yet, the other one's value is the sum.
         let processor = match (self.processor, other.processor) {
             (None, only) if self.clock == 0.0 => only,
             (a, b) => a.zip(b).map(|(a, b)| a + b),

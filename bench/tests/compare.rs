@@ -1,4 +1,4 @@
-//! `streamsplat-bench --compare`: exit codes, tables, what can be compared.
+//! `streamsplat-bench --compare`: exit codes, tables, comparable records.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

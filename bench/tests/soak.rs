@@ -1,9 +1,9 @@
-//! The short form of the long stream, in a process of its own: its memory is what is looked at.
+//! The short form of the long stream, in a process of its own, as its memory is measured.
 
 use std::process::{Command, Output};
 
 fn soak(options: &[&str]) -> Output {
-    // A process this small keeps some pages more, and times mean less beside other tests than alone; live memory is the same everywhere.
+    // A process this small keeps some pages more, and times are less certain during other tests; live memory is the same everywhere.
     Command::new(env!("CARGO_BIN_EXE_streamsplat-bench"))
         .args(["soak", "--resident", "1.1", "--slowdown", "1.25", "--key-frames"])
         .args(options)

@@ -27,9 +27,9 @@ pub struct Place {
 pub struct Difference {
     /// Greatest distance of two samples.
     pub largest: f64,
-    /// The first place that has it. `None` where all samples are equal: bit for bit where both are of one type, and as numbers where not.
+    /// The first place with that difference. `None` where all samples are equal: bit for bit where both are of one type, and as numbers where not.
     pub place: Option<Place>,
-    /// Share of pixels of which a sample differs, from 0 to 1.
+    /// Share of pixels with a sample that differs, from 0 to 1.
     pub share: f64,
     /// Mean square of the distances of all samples.
     pub error: f64,
@@ -101,7 +101,7 @@ fn pixel(part: &Part, channel: &Channel, at: usize) -> usize {
 }
 
 fn distance(x: f64, y: f64) -> f64 {
-    // Infinities of one sign are equal numbers; so is what is no number on both sides.
+    // Infinities of one sign are equal numbers; so are two NaNs.
     if x == y || (x.is_nan() && y.is_nan()) {
         return 0.0;
     }

@@ -1,8 +1,8 @@
 //! LPIPS (Zhang et al., CVPR 2018) of two pictures, by a network in an ONNX file.
 //!
 //! Any network with two images in, each float `[1, 3, height, width]` with values in [−1, 1], and one number out: LPIPS as it is
-//! exported from PyTorch. Pictures of another size than the network fixes are brought to it bilinearly. Which arithmetic is whose
-//! stands in [`crate::onnx`].
+//! exported from PyTorch. Pictures of another size than the network fixes are brought to it bilinearly. [`crate::onnx`]
+//! lists which arithmetic is the runtime's.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use crate::metrics::{MetricError, check_sizes};
 use crate::onnx::{Model, OnnxError};
 use crate::picture::Picture;
 
-/// A network that tells how far apart two pictures look.
+/// A network that measures how different two pictures look.
 #[derive(Debug)]
 pub struct Lpips {
     model: Model,

@@ -35,7 +35,7 @@ impl AsRef<Picture> for Picture {
 }
 
 impl Picture {
-    /// A picture of the given planes; `None` unless `rgb` holds `3 · width · height` samples.
+    /// A picture of these planes; `None` unless `rgb` holds `3 · width · height` samples.
     pub fn new(width: usize, height: usize, rgb: Vec<f32>) -> Option<Picture> {
         let samples = width.checked_mul(height)?.checked_mul(3)?;
         (rgb.len() == samples).then_some(Picture { width, height, rgb })

@@ -32,7 +32,7 @@ pub enum SplatsError {
     /// Neither projection is there.
     #[error("expected a tensor focal [2] (orthographic) or intrinsics [4] (perspective), found neither")]
     Projection,
-    /// A tensor has another shape than the others ask for.
+    /// A tensor has another shape than the others require.
     #[error("tensor {tensor}: expected shape {expected}, found {found:?}")]
     Shape {
         /// The tensor.

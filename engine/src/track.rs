@@ -1,7 +1,7 @@
 //! Following a point of the scene through time.
 //!
 //! [`Interval::pick`] finds the Gaussian that shows most at a pixel; a [`Track`] then moves with its identity: with the velocity
-//! of the identity's record inside an interval, with whatever carries the identity from one interval to the next, and with the
+//! of the identity's record inside an interval, with the record that carries the identity from one interval to the next, and with the
 //! identity it [merged](crate::stream::Merge) into where it ended in another. The point keeps its place relative to the motion, not
 //! to the Gaussians' lattice, so that motions smaller than a cell add up. A track is lost where the identity is gone.
 
@@ -36,7 +36,7 @@ pub struct TrackPoint {
     pub position: [f32; 3],
     /// Place in the source's image, in pixels with their centres at whole numbers.
     pub pixel: [f64; 2],
-    /// Opacity of what it moves with.
+    /// Opacity of the Gaussian it moves with.
     pub opacity: f32,
 }
 
@@ -143,7 +143,7 @@ impl Interval {
 }
 
 impl Track {
-    /// A track of what was picked at `time`.
+    /// A track of the Gaussian picked at `time`.
     pub fn new(picked: &Picked, time: f64) -> Self {
         Self { identity: picked.identity, position: picked.position, time }
     }
@@ -157,7 +157,7 @@ impl Track {
     /// track's time), and the track at the interval's end, ready for the next one. `None` when it is lost.
     pub fn forward(&self, interval: &Interval, times: &[f64]) -> Option<(Vec<TrackPoint>, Track)> {
         let (points, end) = self.along(interval, times, interval.end)?;
-        // Where the identity goes on under its own name, nothing merged.
+        // Where the identity itself continues, nothing merged.
         let merged = interval.merges.iter().find(|m| m.identity == self.identity);
         Some((points, Track { identity: merged.map_or(self.identity, |m| m.into), ..end }))
     }

@@ -1,7 +1,7 @@
 //! Kolmogorov–Smirnov test of the truncated normal at its extremes.
 //!
 //! ```text
-//! cargo run --release -p streamsplat-kernels --example truncated_normal [-- DRAWS]     10,000,000 unless told
+//! cargo run --release -p streamsplat-kernels --example truncated_normal [-- DRAWS]     10,000,000 by default
 //! ```
 //!
 //! A row per parameter pair: √n times the largest distance of the empirical from the exact distribution, and the

@@ -14,7 +14,7 @@ use std::fmt;
 /// | `neon` | NEON of 64-bit ARM |
 ///
 /// A level includes those before it (of its architecture), and is ordered after them. A value proves that the CPU running the program has the
-/// bundle: the only ways to get one are [`Level::scalar`], [`Level::detect`], [`Level::available`] and [`Level::named`]. Every level gives the
+/// bundle: the only ways to get one are [`Level::scalar`], [`Level::detect`], [`Level::available`] and [`Level::named`]. Every level computes the
 /// same bits.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Level(pub(crate) InstructionSet);
@@ -86,7 +86,7 @@ impl InstructionSet {
         }
     }
 
-    /// Returns true if what the level adds to the one before is slower on this CPU than what it replaces: on Intel's cores (Emerald Rapids was
+    /// Returns true if the level's added instructions are slower on this CPU than those that they replace: on Intel's cores (Emerald Rapids was
     /// measured) the dot product of bf16 takes as long as four fused multiply-adds, where two do as much.
     pub(crate) fn is_slow(self) -> bool {
         match self {
@@ -107,7 +107,7 @@ pub enum LevelError {
     Unknown(String),
     /// The name is a level's, but this machine does not have it.
     Unavailable {
-        /// The level asked for.
+        /// The requested level.
         asked: String,
         /// The levels of this machine, lowest first.
         available: Vec<Level>,

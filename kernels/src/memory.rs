@@ -35,7 +35,7 @@ impl<T: Pod> Aligned<T> {
         Self { lines, len, kind: std::marker::PhantomData }
     }
 
-    /// Makes room for `len` elements. What they hold is unspecified (but initialised).
+    /// Makes room for `len` elements. Their content is unspecified (but initialised).
     ///
     /// # Panics
     /// When there is no room for them.
@@ -78,9 +78,9 @@ thread_local! {
     static KEPT: Cell<Vec<Aligned<f32>>> = const { Cell::new(Vec::new()) };
 }
 
-/// Scratch memory of this thread: taken from what earlier calls gave back, given back when dropped.
+/// Scratch memory of this thread: reused from earlier calls, returned when dropped.
 ///
-/// Calls may nest; each has its own. What it holds at first is unspecified.
+/// Calls may nest; each has its own. Its initial content is unspecified.
 pub struct Scratch(Aligned<f32>);
 
 impl Scratch {

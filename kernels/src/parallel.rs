@@ -17,7 +17,7 @@ pub fn map_indexed<R: Send>(count: usize, work: impl Fn(usize) -> R + Sync + Sen
     (0..count).into_par_iter().map(work).collect()
 }
 
-/// A shared pointer to a slice of which every task writes its own disjoint part.
+/// A shared pointer to a slice; every task writes its own disjoint part.
 ///
 /// For layouts in which a task's part is not contiguous (a block of columns, one head of a row).
 pub struct Disjoint<'a, T> {

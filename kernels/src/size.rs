@@ -1,6 +1,6 @@
-//! Sizes of slices: products that cannot wrap around.
+//! Sizes of slices: products that cannot overflow.
 //!
-//! Unsafe code relies on a slice being as long as its shape says. Plain products of sizes wrap around in release builds, and a shape
+//! Unsafe code relies on a slice having the length of its shape. Plain products of sizes overflow in release builds, and a shape
 //! of 2⁶⁰ rows of 16 values would fit an empty slice; every size assertion of this crate multiplies here instead.
 
 /// The largest size: no slice has more elements of a byte or more.
@@ -8,7 +8,7 @@ const MOST: usize = isize::MAX.cast_unsigned();
 
 /// The product of `factors`, or `None` where that of the factors other than 0 is above `isize::MAX`.
 ///
-/// A product that is given fits whichever of its factors are multiplied, in whatever order, with room for a sum of two.
+/// If the result is `Some`, the product of any of the factors in any order fits, with room for a sum of two.
 pub(crate) const fn checked_product<const N: usize>(factors: [usize; N]) -> Option<usize> {
     let (mut product, mut empty, mut i) = (1_usize, false, 0);
     while i < N {

@@ -56,7 +56,7 @@ fn exact(factors: &[usize]) -> u128 {
     factors.iter().fold(1, |product: u128, &factor| product.saturating_mul(factor as u128))
 }
 
-/// The product as plain multiplication has it in release builds.
+/// The product by plain multiplication in release builds.
 fn wrapped(factors: &[usize]) -> usize {
     factors.iter().fold(1, |product: usize, &factor| product.wrapping_mul(factor))
 }
@@ -103,19 +103,19 @@ fn wrapping_sizes(n: usize) -> impl Strategy<Value = Vec<usize>> {
     let of_any = proptest::collection::vec(any_size(), n);
     prop_oneof![by_powers, by_inverse, of_any]
         .prop_filter("a slice of that length can be made", |sizes| wrapped(sizes) <= 4096)
-        // What is not wrapped is asked for in earnest, and memory for it may be there or not.
+        // Sizes that do not overflow are really allocated, and memory may not suffice.
         .prop_filter("no size is only large", |sizes| {
             sizes.iter().all(|&size| !(1 << 16..1 << 61).contains(&size)) || exact(sizes) > usize::MAX as u128
         })
 }
 
-/// Returns true if sizes are what they seem: the product is the slice's length, and none of them is large beside a 0.
+/// Returns true if the sizes are consistent: the product is the slice's length, and none is large next to a 0.
 fn is_small(sizes: &[usize]) -> bool {
     exact(sizes) <= 4096 && sizes.iter().all(|&size| size <= 4096)
 }
 
-/// A call with these sizes and a slice of the wrapped length: it has to go well with small sizes, and to panic where the true product is
-/// not the length. Beside a 0 a large size may do either.
+/// A call with these sizes and a slice of the wrapped length: it must succeed with small sizes, and panic where the true product is
+/// not the length. With a 0 among the sizes, a large one may do either.
 fn check<R>(sizes: &[usize], call: impl FnOnce(&mut [f32]) -> R) {
     if wrapped(sizes) > MOST {
         return;
@@ -353,7 +353,7 @@ proptest! {
 
     #[test]
     fn memory_holds_what_was_asked_for_or_nothing(len in any_size()) {
-        // Lengths whose bytes wrap around, and short ones: what lies between is asked for in earnest.
+        // Lengths whose bytes overflow, and short ones: lengths between are really allocated.
         let len = if len >= 1 << 60 { len } else { len % 4096 };
         prop_assert_eq!(panics(|| assert_eq!(Aligned::<u32>::zeroed(len).len(), len)), len >= 1 << 60);
         prop_assert_eq!(panics(|| assert_eq!(Scratch::take(len).len(), len)), len >= 1 << 60);

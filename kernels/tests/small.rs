@@ -1,6 +1,6 @@
 //! Every kernel at small shapes, on every level with one thread and with three: what sanitizers and Miri run (`tests/checked/run`), and a first
-//! look at a new level. Sizes are those at the ends of vectors, register blocks, tiles and tasks; values are checked by the tests beside the
-//! kernels, here levels and threads have to agree.
+//! look at a new level. Sizes are those at the ends of vectors, register blocks, tiles and tasks; values are checked by the kernels'
+//! own tests, here levels and threads have to agree.
 
 #![forbid(unsafe_code)]
 
@@ -30,7 +30,7 @@ fn noise(len: usize, seed: u64) -> Vec<f32> {
     values.into_iter().map(|x| 2.0 * x - 1.0).collect()
 }
 
-/// `compute` gives the same bits on every level with one thread and with three.
+/// `compute` returns the same bits on every level with one thread and with three.
 fn everywhere(what: &str, compute: impl Fn(Level) -> Vec<f32> + Sync) {
     let run = |level, threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
@@ -99,7 +99,7 @@ fn products_in_other_layouts() {
 
 #[test]
 fn feed_forward_layers() {
-    // Few rows, and so many that a task takes rows through both products.
+    // Few rows, and enough for a task to take rows through both products.
     for &(m, d, h) in some(&[(3, 16, 20), (90, 5, 7), (100, 16, 33)]) {
         let (x, norm) = (noise(m * d, 1), noise(d, 2));
         let (first, second, bias) = (noise(h * d, 3), noise(d * h, 4), noise(h, 5));

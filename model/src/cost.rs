@@ -29,19 +29,19 @@ pub(crate) struct BlockCost {
 }
 
 impl BlockCost {
-    /// Of `n` tokens of `d` channels that see `keys` of their own kind.
+    /// Cost for `n` tokens of `d` channels that see `keys` of their own kind.
     fn new(n: f64, d: f64, keys: f64) -> BlockCost {
         let attention = linear(n, d, 4.0 * d) + attention(n, keys, d);
         BlockCost { attention, cross_attention: 0.0, feed_forward: 2.0 * linear(n, d, 4.0 * d) }
     }
 
-    /// Of the encoder.
+    /// Cost of the encoder.
     pub(crate) fn encoder(config: &Config) -> BlockCost {
         let n = config.tokens() as f64;
         BlockCost::new(n, config.hidden_dim as f64, config.encoder_window.map_or(n, |window| window as f64))
     }
 
-    /// Of the decoder, for both frames.
+    /// Cost of the decoder, for both frames.
     pub(crate) fn decoder(config: &Config) -> BlockCost {
         let (n, m, d) = (2.0 * config.tokens() as f64, condition(config), config.hidden_dim as f64);
         let cross_attention = linear(n, d, 2.0 * d) + linear(2.0 * m, d, 2.0 * d) + attention(n, m, d);
@@ -49,7 +49,7 @@ impl BlockCost {
         BlockCost { cross_attention, ..own }
     }
 
-    /// Of the upsamplers' first (0) or second (1) stage.
+    /// Cost of the upsamplers' first (0) or second (1) stage.
     pub(crate) fn upsampler(config: &Config, stage: usize) -> BlockCost {
         let n = config.tokens() as f64 * [4.0, 16.0][stage];
         BlockCost::new(n, config.upsampler_widths[stage] as f64, config.upsampler_window as f64)

@@ -13,7 +13,7 @@ use std::borrow::Cow;
 
 use crate::checkpoint::Checkpoint;
 
-/// Who wrote a file of DINOv2.
+/// Origin of a file of DINOv2.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DinoLayout {
     /// The authors.
@@ -21,13 +21,13 @@ pub enum DinoLayout {
     Official,
     /// timm.
     Timm,
-    /// transformers, with what comes before its names.
+    /// transformers, with the prefix of its names.
     Transformers(&'static str),
-    /// A module of transformers 5 as it is in memory, with what comes before its names.
+    /// A module of transformers 5 as it is in memory, with the prefix of its names.
     TransformersModule(&'static str),
 }
 
-/// What comes before the names of transformers: nothing in a model's own file, its name inside a larger model.
+/// Prefix of the names of transformers: none in a model's own file, its name inside a larger model.
 const PREFIXES: [&str; 4] = ["", "dinov2_with_registers.", "dinov2.", "backbone."];
 
 /// Names outside the blocks, official and of transformers.

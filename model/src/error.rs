@@ -4,7 +4,7 @@ use std::io;
 
 use rayon::prelude::*;
 
-/// An error that names the file, tensor or option, what was expected and what was found.
+/// An error that names the file, tensor or option, and expected and found values.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ModelError {

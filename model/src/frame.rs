@@ -16,9 +16,9 @@ pub struct Embedding {
     pub h: Vec<f32>,
 }
 
-/// How the position offset of static Gaussians is drawn when the checkpoint gives it as a truncated normal.
+/// How the position offset of static Gaussians is drawn when the checkpoint parametrises it as a truncated normal.
 ///
-/// Checkpoints with a plain `tanh` position have nothing to draw: both variants give the same.
+/// Checkpoints with a plain `tanh` position have nothing to draw: both variants return the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sampling {
     /// The distribution's mean parameter.
@@ -42,7 +42,7 @@ pub struct StaticGaussians {
     pub position: Vec<[f32; 3]>,
     /// Standard deviations (s_x, s_z).
     pub scale: Vec<[f32; 2]>,
-    /// Standard deviation along y over the mean of the other two: 1 as the model gives them.
+    /// Standard deviation along y over the mean of the other two: 1 in the model's output.
     pub thickness: Vec<f32>,
     /// In [0.05, 1].
     pub opacity: Vec<f32>,

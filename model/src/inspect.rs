@@ -44,7 +44,7 @@ pub struct Report {
     pub bytes: usize,
     /// Prefix of its keys.
     pub prefix: &'static str,
-    /// Whose names the file has, where it is DINOv2.
+    /// Layout of the file's names, where it is DINOv2.
     pub layout: Option<DinoLayout>,
     /// Kind and sizes.
     pub kind: Architecture,
@@ -75,7 +75,7 @@ impl Report {
 pub(crate) const DEFORMATION_UPSAMPLER: &str = "deformation upsampler";
 const IGNORED: &str = "ignored";
 
-/// Looks at the model file at `path`, and at the JSON file beside it.
+/// Inspects the model file at `path` and the JSON file next to it.
 ///
 /// # Errors
 /// When the file is malformed, is no model, or contradicts its configuration.

@@ -1,4 +1,4 @@
-//! The StreamSplat network on CPUs: what one pair of frames gives.
+//! The StreamSplat network on CPUs, for one pair of frames.
 //!
 //! StreamSplat (Wu, Yan, Yi, Wang, Liao: "StreamSplat: Towards Online Dynamic 3D Reconstruction from Uncalibrated Video
 //! Streams", ICLR 2026) turns each frame into static Gaussians and each pair of frames into the motion between them:
@@ -15,7 +15,7 @@
 //! camera (0 near, 1 far: normalised inverse depth), z up. Every output obeys the bit contract of the kernels: it is the
 //! same on every instruction-set level and for any number of threads.
 //!
-//! The library never prints, and never panics on data: what is wrong with a file or an input comes back as a [`ModelError`].
+//! The library never prints, and never panics on data: errors of a file or an input are returned as a [`ModelError`].
 
 #![deny(unsafe_code)]
 

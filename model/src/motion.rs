@@ -44,7 +44,7 @@ pub fn position_at(position: &[[f32; 3]], velocity: &[[f32; 3]], tau: f32, out: 
 
 /// The factor that takes a static opacity to the one at `τ`: in [0, 1], 1 at τ = 0, falling with |τ|.
 ///
-/// Preconditions: γ₀ ≥ 0 and γ₁ in [0, 1], both finite; τ finite. Other values give some factor in [0, 1], or NaN.
+/// Preconditions: γ₀ ≥ 0 and γ₁ in [0, 1], both finite; τ finite. For other values the result is some factor in [0, 1], or NaN.
 pub fn opacity_factor([gamma0, gamma1]: [f32; 2], tau: f32) -> f32 {
     let x = gamma0 * (tau.abs() - gamma1);
     let fading = 1.0 + math::scalar::exp(if x < VANISHED { x } else { VANISHED });
@@ -60,7 +60,7 @@ fn factor<S: Simd>(s: S, gamma0: S::F32, gamma1: S::F32, tau: f32) -> S::F32 {
     let x = s.mul(gamma0, s.sub(s.splat(tau.abs()), gamma1));
     let fading = s.add(one, math::exp(s, s.min(x, vanished)));
     let whole = s.add(one, math::exp(s, s.neg(s.mul(gamma0, gamma1))));
-    // One ulp of the exponential may take the quotient above 1 beside τ = 0.
+    // One ulp of the exponential may take the quotient above 1 near τ = 0.
     let factor = s.min(s.div(whole, fading), one);
     s.select(s.lt(vanished, x), s.splat(0.0), factor)
 }

@@ -41,8 +41,8 @@ impl std::fmt::Debug for Network {
 }
 
 impl Network {
-    /// Loads the checkpoint at `path` (safetensors, official layout); what shapes cannot say stands in the JSON file of
-    /// the same name beside it, or has the published values.
+    /// Loads the checkpoint at `path` (safetensors, official layout); settings that shapes do not determine come from the JSON file of
+    /// the same name in the same folder, or have the published values.
     ///
     /// # Errors
     /// When a file cannot be read or is malformed, when a tensor is missing, has another shape than the others need or
@@ -109,8 +109,7 @@ impl Network {
         &self.options
     }
 
-    /// Its residual branches that add nothing, by part. They are left out unless [`LoadOptions::compute_zero_output`] says
-    /// otherwise.
+    /// Its residual branches that add nothing, by part. They are left out without [`LoadOptions::compute_zero_output`].
     pub fn zero_output(&self) -> &[ZeroOutput] {
         &self.zero_output
     }

@@ -40,7 +40,7 @@ impl<N: Borrow<Network>> Session<N> {
         self.cache.as_ref()
     }
 
-    /// Forgets everything but the counts: what comes next is computed in full.
+    /// Forgets everything but the counts: the next call is computed in full.
     pub fn forget(&mut self) {
         let network = self.network.borrow();
         self.cache = self.cache.take().and_then(|cache| cache.emptied(&network.config));
@@ -146,7 +146,7 @@ impl<N: Borrow<Network>> Session<N> {
         Ok([side(0, a, d_a)?, side(1, b, d_b)?])
     }
 
-    /// The decoder: `d_a` and `d_b`, each `[N, D]`. Static tokens are not looked at.
+    /// The decoder: `d_a` and `d_b`, each `[N, D]`. Static tokens are ignored.
     ///
     /// # Errors
     /// As [`Session::deform`].
@@ -203,7 +203,7 @@ impl<N: Borrow<Network>> Session<N> {
         })
     }
 
-    /// Returns true if most of the picture is known to have changed since the frame before.
+    /// Returns true if most of the picture has changed since the previous frame, as far as known.
     fn moves(&self) -> bool {
         self.cache.as_ref().is_some_and(|cache| cache.encoder.moves())
     }

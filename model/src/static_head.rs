@@ -62,7 +62,7 @@ impl StaticHead {
         })
     }
 
-    /// For frames of `config`: the cells' centres are where theirs are, and scales are multiplied by `ratio`.
+    /// Adapts to frames of `config`: the cells have its centres, and scales are multiplied by `ratio`.
     pub(crate) fn fit_to(&mut self, config: &Config, ratio: [f32; 2]) {
         self.ratio = ratio;
         let [rows, columns] = config.gaussian_grid();

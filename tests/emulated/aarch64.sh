@@ -27,7 +27,7 @@ home=${CARGO_HOME:-$HOME/.cargo}
 cargo fetch --quiet --locked
 mkdir -p "$root/ws" "$root/cargo/registry" "$root/target"
 cp -f "$(command -v qemu-aarch64-static)" "$root/usr/bin/"
-# What git knows of, with the changes of the working tree; times are kept, so that a second build is incremental.
+# The files in git, with the changes of the working tree; times are kept, so that a second build is incremental.
 git ls-files -z --cached --others --exclude-standard | (cd "$PWD" && tar --null --ignore-failed-read -cf - -T - 2>/dev/null) |
   (rm -rf "${root:?}/ws" && mkdir -p "$root/ws" && tar -C "$root/ws" -xf -)
 cp -au "$home/registry/." "$root/cargo/registry/"

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # Runs a program on an emulated x86-64 CPU with AVX-512: tests/emulated/avx512.sh [--with FILE]… PROGRAM ARGUMENTS…
 #   e.g. tests/emulated/avx512.sh --with fixtures/parity/tiny-nodino.json target/release/digests --level avx512
-# qemu's user emulation knows no AVX-512; Bochs does (a Skylake-X, some 20 million instructions a second). It boots Debian's cloud kernel with an
-# initial file system that holds the program, its shared libraries and the files given by --with (under their own paths), and
-# writes what the program prints. Exit status: the program's. As root on Debian; what it needs is installed by apt.
-# Bochs 2.7 gives 0 where a mask register is shifted by 15 places (kshiftlw, kshiftrw; mended in its repository, pull request 844): what compilers
-# put together lane by lane loses its last lane there, and only there.
+# qemu's user emulation does not support AVX-512; Bochs does (a Skylake-X, some 20 million instructions a second). It boots Debian's cloud kernel with
+# an initial file system that holds the program, its shared libraries and the files of --with (under their own paths), and writes what the program
+# prints. Exit status: the program's. As root on Debian; what it needs is installed by apt. Bochs 2.7 returns 0 where a mask register is shifted by 15
+# places (kshiftlw, kshiftrw; mended in its repository, pull request 844): what compilers put together lane by lane loses its last lane there, and
+# only there.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 cache=${BOCHS_CACHE:-/var/tmp/streamsplat-bochs}

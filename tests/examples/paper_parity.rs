@@ -53,7 +53,7 @@ fn compare(weights: &str, io: &str) -> Result<bool, ModelError> {
     Ok(within)
 }
 
-/// Peak resident memory, where the system tells.
+/// Peak resident memory, where available.
 fn resident() -> String {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     status.lines().find(|line| line.starts_with("VmHWM")).unwrap_or("peak memory unknown").to_owned()

@@ -1,5 +1,5 @@
 # What tests of outside programs share. Sourced by tests/outside/*/run, from the repository's root.
-# Whatever a test needs it installs here, once, under target/outside; where that fails the test fails.
+# A test installs its dependencies here, once, under target/outside; where that fails the test fails.
 
 outside=$PWD/target/outside
 mkdir -p "$outside"

@@ -1,4 +1,4 @@
-//! Images larger than the size at which the model sees frames, beside the model-size image enlarged.
+//! Images larger than the size at which the model sees frames, compared with the enlarged model-size image.
 
 use image::imageops::{FilterType, resize};
 use image::{ImageBuffer, Rgb};

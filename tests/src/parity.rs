@@ -1,4 +1,4 @@
-//! The parity data: inputs of the reference implementation and what it made of them.
+//! The parity data: inputs of the reference implementation and its outputs.
 
 use std::path::PathBuf;
 

@@ -1,6 +1,6 @@
-//! A stage whose truth is known: a stand-in for the network that reconstructs a sprite moving before a backdrop.
+//! A scene with ground truth: a replacement of the network that reconstructs a sprite moving before a backdrop.
 //!
-//! Every pixel of a frame holds the sprite's position as its red value; [`Theatre`] reads it there and gives the exact Gaussians
+//! Every pixel of a frame holds the sprite's position as its red value; [`Theatre`] reads it there and returns the exact Gaussians
 //! and motion, on the same kind of lattice as the network does. Nothing is learned and nothing is slow, so that long streams can
 //! be tested.
 
@@ -19,14 +19,14 @@ pub const SPRITE: f32 = 0.75;
 /// Half the sprite's width and height.
 pub const HALF: [f32; 2] = [0.3, 0.4];
 
-/// Knows the scene of [`Theatre::frame`].
+/// Reconstructs the scene of [`Theatre::frame`].
 #[derive(Debug)]
 pub struct Theatre {
     /// Rows and columns of Gaussians.
     pub lattice: [usize; 2],
     /// γ of every Gaussian.
     pub gamma: [f32; 2],
-    /// Gives this cell NaN in its position (0), its velocity (1) or its γ (2).
+    /// Sets this cell to NaN in its position (0), its velocity (1) or its γ (2).
     pub poison: Option<(usize, usize)>,
     /// True if positions are drawn: moved by a function of the sampling coordinates.
     pub draws: bool,
@@ -49,7 +49,7 @@ impl Theatre {
         Frame { width, height, rgb, depth: None }
     }
 
-    /// The sprite's centre in a frame given to the network.
+    /// The sprite's centre in a frame passed to the network.
     fn sprite(code: f32) -> f32 {
         2.0 * code - 1.0
     }

@@ -1,4 +1,4 @@
-//! Views of scenes of cards from cameras led around them, beside the true ones.
+//! Views of scenes of cards from cameras around them, compared with the true ones.
 
 use std::sync::Arc;
 
@@ -49,7 +49,7 @@ pub fn around(degrees: f64, pivot: f64, aspect: f64) -> Camera {
     Camera::orthographic(Pose { position, rotation })
 }
 
-/// Mean distance of what the interval shows at `time` from its own camera.
+/// Mean distance of the interval's visible Gaussians at `time` from its own camera.
 ///
 /// # Errors
 /// As [`Interval::render`].
@@ -140,7 +140,7 @@ fn in_scale(map: &[f32], truth: &[f32]) -> Vec<f32> {
 /// name, goes to `show`.
 ///
 /// # Panics
-/// When the engine refuses what it should take.
+/// When the engine refuses a valid input.
 pub fn score(
     settings: &Settings,
     scenes: &[Cards],

@@ -1,17 +1,17 @@
-//! Savings that change no bit: each kind of it beside the run without it, with the counter in `run.json` that tells of it.
+//! Savings that change no bit: each kind compared with the run without it, with its counter in `run.json`.
 //!
 //! | left out | `work` in `run.json` | without it |
 //! |---|---|---|
 //! | the network on a repeated frame | `encoder`, `upsampler`, `heads`, `dinov2`, `decoder` | `--reuse off`: `stream_reuse.rs` |
 //! | residual branches that add nothing | `encoder.branches`, `upsampler.branches`, `decoder.branches` | `--reuse off`: here |
 //! | DINOv2, where the model is not conditioned on it | `dinov2` | never opened: here |
-//! | depth maps nobody gave | none: no file is looked for | a map of zeros: here |
+//! | depth without maps | none: no file is looked for | a map of zeros: here |
 //! | copies of weights: checkpoints are mapped | none | read into memory: here |
 //! | Gaussians that reach no pixel | `render.project` | the scene without them: here |
 //! | Gaussians that are seen to reach none before they are projected | `render.window` | the whole scene projected: here |
 //! | splats behind finished pixels | `render.blend` | the scene without them: here |
-//! | tiles none of whose splats changed | `render.tiles` | a fresh image: here |
-//! | planes nobody asked for | `render.planes` | all planes: here |
+//! | tiles without a changed splat | `render.tiles` | a fresh image: here |
+//! | planes that are not requested | `render.planes` | all planes: here |
 //! | turning splats in a view that turns none | `render.turned` | rotations by nothing: here |
 
 use streamsplat::camera::{Lens, Pose};
@@ -60,7 +60,7 @@ fn gaussians_that_reach_no_pixel_are_counted_and_change_no_bit() {
     let mut more = scene.clone();
     for i in 0..500 {
         let x = i as f32 * 0.01;
-        // Beside the image, behind the camera, too faint.
+        // Outside the image, behind the camera, too faint.
         add(&mut more, [3.0 + x, 0.0, 1.0], 0.1, 0.9, [1.0; 3]);
         add(&mut more, [0.0, 0.1, -x], 0.1, 0.9, [1.0; 3]);
         add(&mut more, [0.0, 0.1, 0.1], 0.1, 0.0039, [1.0; 3]);
@@ -75,7 +75,7 @@ fn gaussians_that_reach_no_pixel_are_counted_and_change_no_bit() {
     assert_eq!(after - before, 1500);
 }
 
-/// A scene of which a camera in its midst sees a part: far and near, large and small, turned, faint, huge, and with numbers that are none.
+/// A scene around a camera that sees a part of it: far and near, large and small, turned, faint, huge, and with NaN.
 fn around(count: usize, seed: u64, wild: bool) -> Still {
     let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
     let mut random = |from: f32, to: f32| {
@@ -157,7 +157,7 @@ fn gaussians_beside_a_still_image_are_counted_and_change_no_bit() {
             assert_eq!(none, 0);
             left_out[usize::from(wild)] += some;
             culled[usize::from(wild)] += work.culled;
-            // Whether an orthographic image is separable is a question about all Gaussians.
+            // An orthographic image is separable only if all Gaussians are.
             let Camera::Posed { pose, .. } = camera else { panic!("posed") };
             let lens = Lens::Orthographic { half_extent: Some([0.1; 2]) };
             let camera = Camera::Posed { pose, lens };
@@ -165,7 +165,7 @@ fn gaussians_beside_a_still_image_are_counted_and_change_no_bit() {
             assert!(bits(&expected) == bits(&found) && some == 0);
         }
     }
-    // Nearly all of it before the projection, but for scenes of which a third is odd.
+    // Nearly all of it before the projection, except for scenes with a third of odd Gaussians.
     assert!(culled[0] > 100_000 && left_out[0] * 10 > culled[0] * 8, "{left_out:?} of {culled:?}");
     assert!(left_out[1] * 2 > culled[1], "{left_out:?} of {culled:?}");
 }
@@ -173,7 +173,7 @@ fn gaussians_beside_a_still_image_are_counted_and_change_no_bit() {
 #[test]
 fn a_gaussian_beside_the_frustum_whose_footprint_reaches_the_image_is_drawn() {
     // 1.4 units aside and one ahead, with a deviation of ⅓: its centre lies 54° from the axis of a camera that sees 20°, and its affine
-    // footprint, formed as if it were 15 % of the image beside it, is 3.33/3·√(1 + 0.42²) = 1.2 tangents long.
+    // footprint, formed as if 15 % of the image's size beyond its edge, is 3.33/3·√(1 + 0.42²) = 1.2 tangents long.
     let one = |mean: [f32; 3]| Still {
         mean: vec![mean],
         log_scale: vec![[(1.0_f32 / 3.0).ln(); 3]],

@@ -29,7 +29,7 @@ fn moving() -> Vec<Frame> {
     moving_at(1)
 }
 
-/// The same, so many times larger.
+/// The same, `factor` times larger.
 fn moving_at(factor: usize) -> Vec<Frame> {
     let [height, width] = SIZE.map(|side| factor * side);
     let scene = Cards::new(11, width, height, TRAVEL * factor as f64);

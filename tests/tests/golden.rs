@@ -1,4 +1,4 @@
-//! Golden digests and images: what was computed when they were stored is computed still, to the last bit, on every level and for any number
+//! Golden digests and images: results equal the stored ones to the last bit, on every level and for any number
 //! of threads. See `fixtures/golden/README.md` for how to store new ones after a change that is meant to change bits.
 
 use std::collections::BTreeMap;

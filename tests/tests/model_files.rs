@@ -1,4 +1,4 @@
-//! Model files that are cut, foreign, corrupt or contradict themselves: an error that says so, never a panic.
+//! Model files that are cut, foreign, corrupt or contradict themselves: an error with the reason, never a panic.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -44,7 +44,7 @@ impl Model {
         Network::open(self.save(), &LoadOptions::default())
     }
 
-    /// The message of the error it gives.
+    /// The message of its error.
     fn refused(&self) -> String {
         let message = self.load().expect_err("an error").to_string();
         assert!(!message.contains('\n'), "{message}");

@@ -8,7 +8,7 @@ fn read(io: &Checkpoint, name: &str) -> Vec<f64> {
     io.read(name).expect("a parity tensor").iter().map(|&x| f64::from(x)).collect()
 }
 
-/// Every `out.*` of the data is there, and as near as `bound` says.
+/// Every `out.*` of the data is there, and within `bound`.
 fn compare(case: &str, io: &Checkpoint, found: &Outputs, bound: impl Fn(&str) -> f64) {
     let mut compared = 0;
     for name in io.tensors().keys().filter_map(|name| name.strip_prefix("out.")) {
@@ -33,7 +33,7 @@ fn agrees(case: &str) {
     let condition = io.shape("in.condition").map(|_| read(&io, "in.condition"));
     let inputs = Inputs { frames: &frames, depths: &depths, condition: condition.as_deref() };
     let found = forward(&Tensors::new(&checkpoint), sizes, &inputs);
-    // The file says how far its own f32 results are from f64.
+    // The file contains the distance of its own f32 results from f64.
     let own = &json["reference_f32_rel_l2"];
     compare(case, &io, &found, |name| 1.01 * own[name].as_f64().expect("a number") + 1e-8);
 }

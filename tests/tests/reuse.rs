@@ -17,7 +17,7 @@ fn open(name: &str, level: Level) -> Network {
     Network::open(checkpoint(name), &LoadOptions { level, ..LoadOptions::default() }).expect("loads")
 }
 
-/// A still, noisy backdrop of the network's size before which a small square stands at column `x`.
+/// A still, noisy backdrop of the network's size with a small square at column `x` before it.
 fn picture([height, width]: [usize; 2], x: usize) -> Vec<f32> {
     let pixel = |i: usize| {
         let (row, column) = (i / width % height, i % width);
@@ -31,7 +31,7 @@ fn bits(values: &[f32]) -> Vec<u32> {
     values.iter().map(|x| x.to_bits()).collect()
 }
 
-/// All the network gives of frames, pair by pair.
+/// All outputs of the network for frames, pair by pair.
 fn pass(session: &mut Session<&Network>, pictures: &[Vec<f32>]) -> Vec<Vec<f32>> {
     let mut results = Vec::new();
     let mut before: Option<(Vec<f32>, Vec<f32>)> = None;
@@ -111,10 +111,10 @@ fn a_refresh_gives_what_a_network_without_a_cache_gives() {
     let pictures: Vec<_> = (0..steps).map(|k| picture(size, k % 2)).collect();
     let mut session = network.session(Some(Saving::Within(0.5)));
     let (found, expected) = (pass(&mut session, &pictures), pass(&mut network.session(None), &pictures));
-    // A frame gives 6 results, and 8 with the pair it ends.
+    // A frame has 6 results, and 8 with the pair it ends.
     let h = |results: &[Vec<f32>], k: usize| bits(&results[if k == 0 { 0 } else { 6 + 14 * (k - 1) }]);
     let equal: Vec<usize> = (0..steps).filter(|k| h(&found, *k) == h(&expected, *k)).collect();
-    // In between, the square that moves by a pixel is not looked at.
+    // In between, the square that moves by a pixel is ignored.
     assert!(equal.contains(&0) && equal.contains(&(Cache::REFRESH as usize)) && !equal.contains(&1), "{equal:?}");
 }
 

@@ -1,4 +1,4 @@
-//! Crossing a key frame changes no bit of the image in persistent mode, and what is seen in between stays what it was.
+//! Crossing a key frame changes no bit of the image in persistent mode, and images in between do not change.
 
 use std::sync::Arc;
 

@@ -55,7 +55,7 @@ fn exact_savings_change_no_bit_of_tiles_flow_and_colours() {
             assert_eq!(draw(a, 0.5 * (a.start + a.end)), draw(b, 0.5 * (b.start + b.end)));
         }
         let count = |stage| engine.work().stage(stage).map(|s| (s.done, s.avoided)).expect("counted");
-        // The pause: four tiles are kept, and the flow between equal frames is known.
+        // The pause: four tiles are kept, and the flow between equal frames is zero.
         assert!(count("encoder").1 >= 4, "{:?} tiles kept", count("encoder"));
         assert!(count("flow").1 >= 1);
         // Motion is flow's, and all fade alike: four pairs of four tiles.

@@ -1,4 +1,4 @@
-//! How far tracked points are from where they are, on clips whose motion is known: the engine alone (with a reconstructor that knows
+//! How far tracked points are from where they are, on clips of known motion: the engine alone (with a reconstructor that has
 //! the truth) and with the embedded model. The figures are printed (`cargo test --release -p streamsplat-tests --test track_accuracy --
 //! --nocapture`) and may not get worse than the bounds here.
 
@@ -151,12 +151,12 @@ fn the_engine_alone_keeps_points_on_a_slow_sprite_and_its_backdrop() {
 
 #[test]
 fn the_engine_alone_keeps_points_on_a_fast_sprite_that_turns() {
-    // Up to one and a half cells per key frame, to and fro: what it covers comes out again.
+    // Up to one and a half cells per key frame, to and fro: covered parts appear again.
     let place = |k: usize| {
         let phase = (k % 28) as f32 / 14.0;
         -0.6 + 1.2 * (1.0 - (phase - 1.0).abs())
     };
-    // Who is not on its object is lost: hidden until it had faded out.
+    // A track that is not on its object is lost: hidden until it had faded out.
     theatre("true motion, fast", place, &[(10, 0.01, 0.91), (30, 0.01, 0.76), (100, 0.01, 0.84)]);
 }
 
@@ -221,7 +221,7 @@ const FPS: f64 = 48.0;
 /// The same where the camera has to move far enough between them for depth to be found.
 const FPS_OF_PARALLAX: f64 = 12.0;
 
-// Twice what is found: a track that is lost at once or goes its own way does not stay within them.
+// Twice the measured values: a track that is lost at once or goes its own way does not stay within them.
 const STANDING: [Bound; 3] = [(10, 3.0, 0.9), (30, 7.0, 0.6), (100, 150.0, 0.0)];
 const MOVING: [Bound; 3] = [(10, 3.5, 0.7), (30, 7.5, 0.55), (100, 240.0, 0.0)];
 

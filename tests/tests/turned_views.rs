@@ -1,4 +1,4 @@
-//! Scenes with true depth seen from the side, and depth maps that tell little.
+//! Scenes with true depth seen from the side, and depth maps with little information.
 
 use streamsplat::stream::{Behind, DepthRange, Interval, MotionFrom, Reuse};
 use streamsplat::{Engine, Frame, RenderOptions, Settings};
@@ -55,7 +55,7 @@ fn stream(level: Option<Level>, threads: usize, depth: impl Fn(usize, &[f32]) ->
         .collect()
 }
 
-/// A scene in which near things cover what was in sight a key frame ago.
+/// A scene in which near things cover parts that were visible a key frame ago.
 fn covering() -> Cards {
     Cards::new(4, 128, 80, 30.0)
 }

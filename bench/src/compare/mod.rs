@@ -1,9 +1,9 @@
 //! `--compare BASE.json`: a measurement against an earlier one, for machines without a graphics card or a quiet hour, such as those of continuous
 //! integration.
 //!
-//! Counted instructions differ where the code does, whatever else the machine does. Times are compared only between runs on the same processor,
+//! Counted instructions differ only where the code does, under any load of the machine. Times are compared only between runs on the same processor,
 //! with as many threads and the same instruction set; a row is worse when its median lies more than the limit above the one before **and** its
-//! fastest run was slower than half of the runs before. What is above the limit but not so clear is named and is no failure.
+//! fastest run was slower than half of the runs before. A difference above the limit that is less clear is listed and is no failure.
 
 mod record;
 mod report;
@@ -44,7 +44,7 @@ pub(crate) struct Options {
     /// Times each measurement is repeated.
     #[arg(long, value_name = "N", conflicts_with = "with")]
     repeat: Option<usize>,
-    /// Write what was measured here as JSON.
+    /// Write the measurements as JSON.
     #[arg(long, value_name = "FILE", conflicts_with = "with")]
     json: Option<PathBuf>,
 }
@@ -112,7 +112,7 @@ fn measure(before: &Record, options: &Options) -> Result<Record> {
     if let Some(repeat) = options.repeat.filter(|_| before.kind != Benchmark::Instructions) {
         command.arg("--repeat").arg(repeat.to_string());
     }
-    // Tables of the measurement itself would stand before that of the comparison.
+    // Tables of the measurement itself would come before that of the comparison.
     let output = command.stderr(std::process::Stdio::inherit()).output().context("cannot start the measurement")?;
     ensure!(output.status.success(), "the measurement failed: {}", output.status);
     let record = record::read(&json);

@@ -39,7 +39,7 @@ pub(super) struct Record {
     pub(super) conditions: String,
     /// The compiler, where instructions were counted.
     pub(super) built: Option<String>,
-    /// The command's options that measure the same again; `None` where the record does not tell.
+    /// The command's options that measure the same again; `None` where the record has none.
     pub(super) again: Option<Vec<String>>,
 }
 
@@ -113,7 +113,7 @@ fn stages_again(rows: &[Value]) -> Option<Vec<String>> {
     let precision = of("precision");
     let [precision] = precision[..] else { return None };
     let mut again = ["--size", size, "--precision", precision].map(String::from).to_vec();
-    // Of one stage, that stage alone.
+    // A record of one stage: that stage alone.
     if let [name] = of("name")[..] {
         again.extend(["--only", name].map(String::from));
     }

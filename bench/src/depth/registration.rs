@@ -1,4 +1,4 @@
-//! Depth as the colour camera sees it, for sensors whose two cameras stand apart.
+//! Depth as the colour camera sees it, for sensors with two cameras at different places.
 
 use std::path::Path;
 

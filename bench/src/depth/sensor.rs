@@ -1,6 +1,6 @@
-//! `depth --sensor`: depth found by parallax beside a sensor's.
+//! `depth --sensor`: depth found by parallax compared with a sensor's.
 //!
-//! Of every key frame of a clip: Spearman's rank correlation of the inverse depth that the engine found with the
+//! For every key frame of a clip: Spearman's rank correlation of the inverse depth that the engine found with the
 //! sensor's, over the pixels that the sensor measured, at the size at which the model sees them.
 
 use std::path::Path;

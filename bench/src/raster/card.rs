@@ -9,7 +9,7 @@ use super::{Options, Results, SCENES, Scene, SceneTiming, WHOLE};
 use crate::machine::Machine;
 use crate::timing::{Seconds, once};
 
-/// Pixels of which one may differ by more than [`CLOSE`].
+/// One pixel in this many may differ by more than [`CLOSE`].
 const ONE_IN: usize = 2000;
 /// How close the others are.
 const CLOSE: f32 = 2.0 / 255.0;

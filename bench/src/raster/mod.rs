@@ -96,7 +96,7 @@ struct SceneTiming {
     error: f64,
 }
 
-/// Work of one image, and what was left out.
+/// Work of one image, and the work left out.
 #[derive(Serialize)]
 struct Counts {
     culled: u64,
@@ -250,7 +250,7 @@ fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize
 
 /// Images of one exposure, as many as `render --shutter` takes by default.
 const SAMPLES: usize = 16;
-/// Of how many values one is compared with the reference.
+/// One value in this many is compared with the reference.
 const COMPARED: usize = 97;
 
 /// Moving, rotated Gaussians during an exposure: [`SAMPLES`] images and their mean in linear light. Stages are those of one image.
@@ -351,7 +351,7 @@ fn large(options: &Options) -> Result<Vec<trained::TrainedTiming>> {
     Ok(rows)
 }
 
-/// Measures `count` Gaussians in a process of its own, whose peak memory is theirs.
+/// Measures `count` Gaussians in a process of its own, for its peak memory.
 fn alone<T: for<'a> Deserialize<'a>>(options: &Options, what: &str, count: usize) -> Result<T> {
     let program = std::env::current_exe().context("finding this program")?;
     let output = Command::new(&program)

@@ -1,4 +1,4 @@
-//! Images of a part of a scene: what is left out before it is projected, what that saves, and what it takes to prepare.
+//! Images of a part of a scene: Gaussians left out before projection, the time saved, and the time of preparation.
 
 use anyhow::{Context, Result, ensure};
 use rayon::current_num_threads;
@@ -49,7 +49,7 @@ pub(super) struct PartTiming {
     hierarchy: f64,
 }
 
-/// Measures both kinds of scenes; an image without what is left out is compared with that of the whole scene.
+/// Measures both kinds of scenes; an image without the Gaussians left out is compared with that of the whole scene.
 pub(super) fn run(level: Level, repeat: usize) -> Result<Vec<PartTiming>> {
     let workers = Workers::new(level, current_num_threads())?;
     println!("\n{}", TABLE.heads());
@@ -178,8 +178,8 @@ fn still(workers: &Workers, repeat: usize) -> Result<PartTiming> {
     Ok(PartTiming::new("part-of-still", &sums, prepare, hierarchy))
 }
 
-/// An interval in view of the canonical camera, of which cameras of 5 degrees see parts. It is drawn whole; what grouping it would take is
-/// measured on what it is at one time.
+/// An interval in view of the canonical camera, for cameras of 5 degrees that see parts. It is drawn whole; the cost of grouping is
+/// measured on its snapshot at one time.
 fn interval(workers: &Workers, repeat: usize) -> Result<PartTiming> {
     let mut random = Random::new(7);
     let gaussians: DynamicGaussians = (0..COUNT as u64)

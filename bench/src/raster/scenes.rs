@@ -35,7 +35,7 @@ impl Scene {
         }
     }
 
-    /// Adds a Gaussian of the canonical view, given in pixels.
+    /// Adds a Gaussian of the canonical view, in pixels.
     fn push_pixels(&mut self, centre: [f32; 2], sigma: [f32; 2], depth: f32, opacity: f32, rgb: [f32; 3]) {
         let (w, h) = (self.request.width as f32, self.request.height as f32);
         let mean = [(2.0 * centre[0] + 1.0) / w - 1.0, (2.0 * centre[1] + 1.0) / h - 1.0, depth];
@@ -106,7 +106,7 @@ impl Scene {
         self
     }
 
-    /// The scene through a lens that blurs what is farthest by discs of 10 px.
+    /// The scene through a lens that blurs the farthest Gaussians by discs of 10 px.
     pub(crate) fn blurred(mut self) -> Self {
         self.request.defocus = Some(Defocus { aperture: 0.08, focus: 4.0 });
         self

@@ -36,12 +36,12 @@ pub(crate) struct GridPoint {
     /// Width × height of the model's input.
     pub(super) resolution: String,
     pub(super) keys: usize,
-    /// Median of everything but reading and writing, per input frame, by the clock asked for.
+    /// Median of everything but reading and writing, per input frame, by the requested clock.
     pub(super) seconds_per_frame: f64,
-    /// Of the rounds, by either clock.
+    /// Times of the rounds, by either clock.
     pub(super) wall: Seconds,
     pub(super) processor: Option<Seconds>,
-    /// Of all images against those of f32 without reuse at the same gap: ‖a − b‖ / ‖b‖.
+    /// Error of all images against those of f32 without reuse at the same gap: ‖a − b‖ / ‖b‖.
     pub(super) relative_l2: f64,
     /// Largest difference of a sample from the same.
     pub(super) worst: f64,
@@ -69,7 +69,7 @@ fn bits(images: &[Picture]) -> impl Iterator<Item = u32> + '_ {
     images.iter().flat_map(|image| image.rgb.iter().map(|x| x.to_bits()))
 }
 
-/// f32 gives the same bits on another number of threads; exact reuse gives those of none.
+/// f32 computes the same bits on another number of threads; exact reuse computes those of none.
 fn check(precisions: &[Precision], clip: &[TimedPicture], settings: &Settings) -> Result<()> {
     let clip = &clip[..clip.len().min(CHECKED)];
     let variant = |precision, reuse| Variant { precision, reuse, gap: Gap::Every(1) };

@@ -1,9 +1,9 @@
 //! `tradeoff`: error against run time on one clip, over precision, reuse and gap; and each stage's error and time per precision. On a
 //! folder of clips ([`clips`]): over resolution, motion, colours, gap and quality.
 //!
-//! One run gives CSV, JSON, Markdown and plots. All configurations go through the clip in turn, key frame by key frame, and that
-//! several times, so that what disturbs the machine disturbs all of them alike. Before anything is timed, f32 must give the same bits on
-//! another number of threads and exact reuse those of none; in every later round every configuration must give its bits again.
+//! One run writes CSV, JSON, Markdown and plots. All configurations go through the clip in turn, key frame by key frame, and that
+//! several times, so that what disturbs the machine disturbs all of them alike. Before anything is timed, f32 must compute the same bits on
+//! another number of threads and exact reuse those of none; in every later round every configuration must repeat its bits.
 //!
 //! A checkpoint runs at one number of tokens, because its decoder stores a row per token of two frames; so the resolution is the model's
 //! own. Other resolutions are other checkpoints (`--model`).
@@ -36,13 +36,13 @@ use crate::passage::read;
 pub(crate) struct Options {
     #[command(flatten)]
     common: Common,
-    /// A folder of images or a video [default: fixtures/clips/moving.y4m]; or a folder of clips: what resolution, motion, colours and
-    /// `--quality` cost and give on them, with the options' defaults.
+    /// A folder of images or a video [default: fixtures/clips/moving.y4m]; or a folder of clips: time and error of resolution, motion,
+    /// colours and `--quality` on them, with the options' defaults.
     input: Option<PathBuf>,
-    /// Of a folder of clips: put the table into this page, and the plot beside it as tradeoff.svg.
+    /// For a folder of clips: put the table into this page, and the plot next to it as tradeoff.svg.
     #[arg(long, value_name = "FILE")]
     page: Option<PathBuf>,
-    /// Of a folder of clips: take the figures from this record instead of measuring.
+    /// For a folder of clips: take the figures from this record instead of measuring.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
     /// Where tradeoff.{csv,json,md,svg} and tradeoff-stages.{csv,svg} go.
@@ -61,7 +61,7 @@ pub(crate) struct Options {
     /// Precisions.
     #[arg(long, value_delimiter = ',', default_value = "f32,bf16,int8")]
     precision: Vec<Precision>,
-    /// Choices of reuse, beside off.
+    /// Choices of reuse, in addition to off.
     #[arg(long, value_delimiter = ',', default_value = "exact,0.003,0.02")]
     reuse: Vec<Reuse>,
     /// Gaps between key frames.
@@ -105,7 +105,7 @@ enum Yardstick {
 enum Clock {
     /// The clock on the wall.
     Wall,
-    /// Of the processor, on all threads.
+    /// Time of the processor, on all threads.
     Processor,
 }
 
@@ -118,7 +118,7 @@ impl Clock {
     }
 }
 
-/// Where and of what this was measured.
+/// Machine and input of the measurement.
 #[derive(Serialize)]
 struct About {
     model: String,
@@ -176,7 +176,7 @@ impl Options {
     }
 }
 
-/// The values in the order given, each once; `first` before them.
+/// The values in their order, each once; `first` before them.
 pub(crate) fn once_each<T: Copy + PartialEq>(first: T, others: &[T]) -> Vec<T> {
     let mut all = vec![first];
     for &other in others {

@@ -218,7 +218,7 @@ fn panel(
     Ok(())
 }
 
-/// Shapes and colours explained: lines of marks with what they stand for.
+/// The legend: lines of marks with their meaning.
 pub(super) fn legend(area: &Area<'_>, lines: &[(&str, Vec<(Mark, &String)>)]) -> Result<()> {
     let mut y = 14;
     for (name, marks) in lines {
@@ -306,7 +306,7 @@ pub(super) fn svg(results: &Results) -> Result<String> {
     Ok(picture)
 }
 
-/// The stages as SVG. What does not differ at all lies on the lower edge.
+/// The stages as SVG. Points without a difference lie on the lower edge.
 pub(super) fn stages_svg(results: &Results) -> Result<String> {
     let (rows, about) = (&results.stages, &results.about);
     let milliseconds = |row: &stages::StageError| {

@@ -14,7 +14,7 @@ use super::Yardstick;
 use crate::model::{Model, Which};
 use crate::timing::{Seconds, Spent, Stopwatch};
 
-/// Frames between the two that are looked at, where the clip has as many.
+/// Frames between the two that are compared, where the clip has as many.
 const APART: usize = 4;
 /// Values below this fraction of the largest are left out of [`StageError::worst_ulp`]: their rounding is that of the larger terms they are sums of.
 const COUNTED: f64 = 0.01;
@@ -42,7 +42,7 @@ pub(crate) struct StageError {
     /// max |found − expected| in units in the last place of f32 at `expected`, over all values of a hundredth of the largest or more. None for
     /// lower precisions, whose operands do not have these places, and where f32 is compared with itself.
     pub(super) worst_ulp: Option<f64>,
-    /// Of a call.
+    /// Times of a call.
     pub(super) wall: Seconds,
     pub(super) processor: Option<Seconds>,
 }
@@ -152,7 +152,7 @@ fn binary64(which: Which<'_>, model: &Model) -> Result<Vec<Vec<f64>>> {
     let inputs = Inputs { frames: &frames, depths: &depths, condition: condition.as_deref() };
     let mut out = reference::forward(&Tensors::new(&checkpoint), sizes, &inputs);
     let mut take = |name: &str| out.remove(name).with_context(|| format!("the reference gives no {name}"));
-    // What `Model::stage` gives: the later frame's, and both frames' from the decoder on.
+    // The result of `Model::stage`: the later frame's, and both frames' from the decoder on.
     let later = |values: Vec<f64>| values[values.len() / 2..].to_vec();
     let heads = [later(take("static.xyz_static")?), take("dynamic.velocity")?].concat();
     Ok(vec![later(take("h")?), later(take("static_tokens")?), take("d")?, heads])

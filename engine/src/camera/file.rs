@@ -16,10 +16,10 @@
 //! |---|---|---|
 //! | `type` | `canonical` (no other key but `time`), `orthographic`, `pinhole` or `equirectangular` (all around; it has a pose alone) | required |
 //! | `time` | seconds of the video; required in `views`, strictly increasing | – |
-//! | `units` | `square`: what every number below is in, whether it is said or not |  |
+//! | `units` | `square`: unit of every number below, also when absent |  |
 //! | `position` | the camera's centre in square units (x right, y down, z forward) | `[0, 0, 0]` |
 //! | `rotation` | quaternion (w, x, y, z) that turns the camera's axes (right, down, forward) into scene space | none |
-//! | `look_at`, `up` | instead of `rotation`: the point looked at, and what is up in the image | `up` = `[0, -1, 0]` |
+//! | `look_at`, `up` | instead of `rotation`: the point looked at, and the image's up direction | `up` = `[0, -1, 0]` |
 //! | `camera_to_world` | instead of `position` and `rotation`: a matrix of 4×4 numbers, row by row, of a rotation and the camera's centre | none |
 //! | `half_extent` | orthographic: units from the centre of the view to its right and lower edge | `[width / height, 1]` of the image |
 //! | `fov_y_degrees`, `aspect` | pinhole: vertical field of view, and width / height | – |
@@ -104,13 +104,13 @@ struct View {
 /// Reads a camera or a camera path from its JSON form.
 ///
 /// # Errors
-/// Text that is not JSON of this form, and views that say something impossible, with the view and the key.
+/// Text that is not JSON of this form, and views with impossible values, with the view and the key.
 pub fn parse(json: &str) -> Result<CameraPath, CameraError> {
     let form = |[expected, found]: [String; 2]| CameraError::Form(format!("expected {expected}, found {found}"));
     from_value(super::set::json::value(json.as_bytes()).map_err(form)?)
 }
 
-/// As [`parse`], of what the text holds.
+/// As [`parse`], for a parsed text.
 pub(super) fn from_value(value: serde_json::Value) -> Result<CameraPath, CameraError> {
     let form = |e: serde_json::Error| CameraError::Form(e.to_string());
     if value.get("views").is_none() {

@@ -9,7 +9,7 @@
 //! Lenses are measured in parts of the image, not pixels, so that one camera serves every size:
 //!
 //! ```text
-//! orthographic:  u = (X / (2·e_x) + ½)·W − ½                 e = half extents of the view; [W/H, 1] where none are given
+//! orthographic:  u = (X / (2·e_x) + ½)·W − ½                 e = half extents of the view; [W/H, 1] by default
 //! pinhole:       u = (f_x·X/Z + c_x)·W − ½                   f and c in image widths (heights for v)
 //! all around:    u = (λ/2π + ½)·W − ½   v = (φ/π + ½)·H − ½  longitude λ = atan2(X, Z), latitude φ = asin(Y/√(X² + Y² + Z²))
 //! ```
@@ -45,7 +45,7 @@ pub enum Camera {
     },
 }
 
-/// How a camera projects what lies in front of it.
+/// Projection of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Lens {
     /// Parallel rays.
@@ -60,7 +60,7 @@ pub enum Lens {
         /// The principal point in image widths and heights from the upper left corner.
         centre: [f64; 2],
     },
-    /// All around the camera: longitudes across the image, latitudes down, what lies ahead in the middle.
+    /// All around the camera: longitudes across the image, latitudes down, the forward direction in the middle.
     Equirectangular,
 }
 

@@ -1,11 +1,11 @@
-//! Cameras that move: views at given times, and what lies between them.
+//! Cameras that move: views at their times, interpolated in between.
 
 use super::{Camera, Lens};
 
 /// Views at increasing times, in seconds of the video.
 ///
 /// Between two views of the same kind position, lens and (on the shorter way) orientation are interpolated linearly; between
-/// different kinds (with given half extents and without, too) the earlier one holds. Before the first and after the last view those hold.
+/// different kinds (also with and without half extents) the earlier one holds. Before the first and after the last view those hold.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraPath {
     views: Vec<(f64, Camera)>,

@@ -14,7 +14,7 @@ use crate::stream::{Interval, Workers};
 /// Distance of a turned camera from the pivot in half widths of the model's input: depths end at 5, so that everything lies in front of it.
 const DISTANCE: f64 = 12.0;
 
-/// Where a camera stands around the pivot, in degrees.
+/// Position of a camera around the pivot, in degrees.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Angles {
     /// To the right of the source's own camera.
@@ -26,21 +26,21 @@ pub struct Angles {
 /// How a camera moves around the pivot while time runs on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Turn {
-    /// From half of `degrees` on the left to as far on the right in so many seconds, then back in as many, and so on.
+    /// From half of `degrees` on the left to as far on the right in `seconds`, then back in the same time, and so on.
     Orbit {
         /// The whole angle.
         degrees: f64,
         /// Time from one end to the other.
         seconds: f64,
     },
-    /// A circle around the source's own view, `degrees` away from it, once in so many seconds. It starts above.
+    /// A circle around the source's own view, `degrees` away from it, once in `seconds`. It starts above.
     Sway {
         /// Angle between the circle and the middle.
         degrees: f64,
         /// Time of one circle.
         seconds: f64,
     },
-    /// Once around in so many seconds, starting at the source's own view.
+    /// Once around in `seconds`, starting at the source's own view.
     Around {
         /// Time of one turn.
         seconds: f64,
@@ -48,7 +48,7 @@ pub enum Turn {
 }
 
 impl Turn {
-    /// Where the camera stands after `time` seconds.
+    /// Position of the camera after `time` seconds.
     pub fn at(self, time: f64) -> Angles {
         // From 0 to 1 and over again.
         let phase = |seconds: f64| (time / seconds).rem_euclid(1.0);
@@ -97,7 +97,7 @@ pub fn turned(placement: &Placement, pivot: [f64; 3], angles: Angles) -> Camera 
 }
 
 /// The views of a left and a right eye in place of `camera`, `apart` times as far from each other as they are from the plane through `pivot`
-/// that the camera faces. What lies in that plane is at the same place in both images.
+/// that the camera faces. Points in that plane are at the same place in both images.
 ///
 /// Parallel rays are turned by half of the angle between the eyes; a pinhole moves sideways, and its principal point with it, so that nothing is
 /// shifted up or down. `None` where `pivot` is not in front of the camera, for images all around, and for [`Camera::Canonical`] without a `placement`.
@@ -209,7 +209,7 @@ mod tests {
         assert!((behind[0] - moved / 1.6).abs() < 1e-9 && behind[1].abs() < 1e-12, "{behind:?}");
         let above = turned(&PLACEMENT, PIVOT, Angles { right: 0.0, up: 10.0 });
         let behind = seen(&above, [0.0, 0.0, 1.6]);
-        // From above, what is behind is higher in the image, which is 18 of the model's 20 rows high.
+        // From above, farther points are higher in the image, which is 18 of the model's 20 rows high.
         assert!((behind[1] + moved / 0.9).abs() < 1e-9 && behind[0].abs() < 1e-12, "{behind:?}");
     }
 

@@ -43,7 +43,7 @@ pub enum Values {
     /// Inverse depth.
     #[default]
     Inverse,
-    /// Depth in any unit; what is not above zero, or not finite, was not measured.
+    /// Depth in any unit; values not above zero, or not finite, were not measured.
     Depth,
 }
 
@@ -86,8 +86,8 @@ impl DepthMaps {
     /// maps that decide the range are read once to find it.
     ///
     /// # Errors
-    /// An unreadable or empty folder, files of several kinds of which none has every name, another number of maps than of frames, an unreadable map where
-    /// all are read.
+    /// An unreadable or empty folder, files of several kinds with none that has every name, another number of maps than of frames, an unreadable map
+    /// where all are read.
     pub fn open(folder: &Path, frames: Option<&[PathBuf]>, range: Range) -> Result<DepthMaps, DepthError> {
         Self::open_as(folder, frames, range, Values::Inverse)
     }
@@ -157,7 +157,7 @@ impl DepthMaps {
         &self.notes
     }
 
-    /// Checks that there is a map for every frame that is read, and none besides: as many maps as frames, or as the `limit` of them.
+    /// Checks that there is a map for every frame that is read, and no others: as many maps as frames, or as the `limit` of them.
     ///
     /// # Errors
     /// Another number of maps.
@@ -192,7 +192,7 @@ impl DepthMaps {
         map.values.iter_mut().for_each(|v| *v = self.kind.inverse(*v));
         if let Some((least, most)) = self.range {
             let span = most - least;
-            // A constant clip gives 0, as a constant map does.
+            // A constant clip becomes 0, as a constant map does.
             map.values.iter_mut().for_each(|v| *v = if span > 0.0 { (*v - least) / span } else { 0.0 });
         }
         if (map.width, map.height) == (width, height) {
@@ -217,7 +217,7 @@ fn is_turned([wide, high]: [usize; 2], [width, height]: [usize; 2]) -> bool {
     clear && (map * frame - 1.0).abs() < 0.05
 }
 
-/// The files of one kind, where files of several have the same names; and what is left out.
+/// The files of one kind, where files of several have the same names; and the files left out.
 fn of_one_kind(folder: &Path, files: Vec<PathBuf>) -> Result<(Vec<PathBuf>, Vec<String>), DepthError> {
     let mut names: Vec<_> = files.iter().map(|file| file.file_stem()).collect();
     names.sort_unstable();
@@ -249,7 +249,7 @@ pub fn read_map(path: &Path) -> Result<Map, DepthError> {
     decode_map(&decode::read_file(path)?, path)
 }
 
-/// Reads a map held in memory; `path` tells an NPY file and is for the messages.
+/// Reads a map held in memory; `path` marks an NPY file and is used in messages.
 ///
 /// # Errors
 /// As [`read_map`], but for the reading.

@@ -57,7 +57,7 @@ pub enum DepthError {
         /// Maps.
         found: usize,
     },
-    /// Files of several kinds with the same names, of which no kind has every name.
+    /// Files of several kinds with the same names; no kind has every name.
     #[error("{}: expected depth maps of one kind for all {names} names, found {found}", folder.display())]
     Kinds {
         /// The folder of maps.

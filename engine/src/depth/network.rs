@@ -16,7 +16,7 @@ use crate::onnx::{Layout, Model, OnnxError, Port};
 use crate::picture::size_is_allowed;
 use crate::stream::Workers;
 
-/// A network that gives the inverse depth of a frame.
+/// A network that computes the inverse depth of a frame.
 #[derive(Debug)]
 pub struct DepthNetwork {
     model: Model,
@@ -128,7 +128,7 @@ fn map_output(model: &Model, asked: Option<&str>) -> Result<usize, OnnxError> {
     };
     let number = number.ok_or_else(|| wrong("its outputs".to_owned(), asked.unwrap_or("an output"), names(outputs)))?;
     let output = &outputs[number];
-    // A shape that is not known before it runs has no axes.
+    // A shape that is unknown before it runs has no axes.
     let is_map = output.axes.as_deref().is_some_and(|axes| {
         let ones = |axes: &[Option<usize>]| axes.iter().all(|n| matches!(n, Some(1) | None));
         let last = |behind: usize| axes.len() >= 2 + behind && ones(&axes[..axes.len() - 2 - behind]);

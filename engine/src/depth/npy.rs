@@ -3,7 +3,7 @@
 use super::Map;
 use crate::picture::size_is_allowed;
 
-/// Reads a two-dimensional array (axes of length 1 in front or behind are dropped), whatever its numbers and its order.
+/// Reads a two-dimensional array (leading and trailing axes of length 1 are dropped), of any element type and order.
 ///
 /// # Errors
 /// Expected and found values.

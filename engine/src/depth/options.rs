@@ -14,7 +14,7 @@ pub struct NetworkOptions {
     pub mean: [f32; 3],
     /// Divisors of the differences.
     pub std: [f32; 3],
-    /// The network gives depth (larger is farther) instead of inverse depth.
+    /// The network returns depth (larger is farther) instead of inverse depth.
     pub metric: bool,
     /// The output that is the map, where there are several.
     pub output: Option<String>,
@@ -25,7 +25,7 @@ pub struct NetworkOptions {
 pub enum NetworkSize {
     /// The shorter side; the other one keeps the frame's shape.
     Shorter(usize),
-    /// Height and width, whatever that does to the shape.
+    /// Height and width, without keeping the aspect ratio.
     Exact([usize; 2]),
 }
 
@@ -42,7 +42,7 @@ impl Default for NetworkOptions {
     }
 }
 
-/// A part of the text form that says nothing.
+/// An invalid part of the text form.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{part}: expected {expected}")]
 pub struct WrongOption {
@@ -52,7 +52,7 @@ pub struct WrongOption {
     pub expected: &'static str,
 }
 
-/// Largest side that can be asked for, in pixels.
+/// Largest side that can be requested, in pixels.
 const MOST: usize = 8192;
 
 impl FromStr for NetworkOptions {
@@ -64,9 +64,9 @@ impl FromStr for NetworkOptions {
     /// |---|---|---|
     /// | `size=N` or `size=WxH` | shorter side, or width and height, of an input whose size the network leaves open | `518` |
     /// | `multiple=N` | sides left open are rounded to a multiple of N | `14` |
-    /// | `mean=R/G/B` | subtracted from colours in [0, 1]; one number stands for three | `0.485/0.456/0.406` |
+    /// | `mean=R/G/B` | subtracted from colours in [0, 1]; one number applies to all three | `0.485/0.456/0.406` |
     /// | `std=R/G/B` | what they are divided by then | `0.229/0.224/0.225` |
-    /// | `metric` | the network gives depth, not inverse depth; it is inverted | |
+    /// | `metric` | the network returns depth, not inverse depth; it is inverted | |
     /// | `output=NAME` | which output is the map, where there are several | the only one |
     fn from_str(text: &str) -> Result<Self, WrongOption> {
         let mut options = NetworkOptions::default();

@@ -1,4 +1,4 @@
-//! A frame as a depth network wants it, and its answer as a map of the frame's size.
+//! A frame as a depth network's input, and its output as a map of the frame's size.
 
 use streamsplat_kernels::Level;
 use streamsplat_kernels::resize::{self, Filter, Grid};
@@ -16,8 +16,8 @@ pub(super) fn is_allowed([height, width]: [usize; 2]) -> bool {
 /// Height and width of the input for a frame of `[height, width]`.
 ///
 /// Axes that the network fixes are as they are; with both of them the frame is stretched. An axis that it leaves open keeps the
-/// frame's shape, beside the other axis where that is fixed, else so that the shorter side is the one asked for; it is rounded
-/// to the nearest multiple, at least one. A size asked for exactly takes the place of both open axes.
+/// frame's aspect ratio with the other axis where that is fixed, else with the requested shorter side; it is rounded
+/// to the nearest multiple, at least one. An exact requested size replaces both open axes.
 pub(super) fn input_size(frame: [usize; 2], axes: [Option<usize>; 2], options: &NetworkOptions) -> [usize; 2] {
     let multiple = options.multiple as u128;
     // length · numerator / denominator to the nearest multiple.
@@ -63,9 +63,9 @@ pub(super) fn image(
     input
 }
 
-/// The network's answer of size `from` as inverse depth of the frame's size, bilinearly (half-pixel centres).
+/// The network's output of size `from` as inverse depth of the frame's size, bilinearly (half-pixel centres).
 ///
-/// Depth is inverted before it is resized. What is not above 0 there has no inverse: it becomes NaN, which the engine counts and
+/// Depth is inverted before it is resized. Values not above 0 have no inverse: they become NaN, which the engine counts and
 /// takes as farthest.
 ///
 /// # Panics

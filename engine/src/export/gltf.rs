@@ -10,7 +10,7 @@ use crate::import::gltf::{EXTENSION, half_turn};
 use crate::render::Snapshot;
 use crate::still::{Still, grown};
 
-/// The Gaussians of one time as a binary glTF file: [`of_still`] of what [`Still::of`] makes of them.
+/// The Gaussians of one time as a binary glTF file: [`of_still`] of [`Still::of`].
 pub fn glb(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
@@ -23,14 +23,14 @@ pub fn of_still(still: &Still) -> Vec<u8> {
     written(still).bytes
 }
 
-/// A still scene as a binary glTF file: one point primitive with all attributes in binary32, and `COLOR_0`, linear as glTF has it, for programs
+/// A still scene as a binary glTF file: one point primitive with all attributes in binary32, and `COLOR_0`, linear as in glTF, for programs
 /// that draw points.
 ///
 /// In glTF's axes, x left, y up, z forward; the scene's offset is its node's translation. In the scene's order; Gaussians that cannot be drawn
 /// ([`Still::defect`]) are left out. [`import`](mod@crate::import) reads it.
 ///
 /// # Panics
-/// When the arrays differ in length ([`Still::uneven`]), or the file would be longer than 4 GiB, which its header cannot say.
+/// When the arrays differ in length ([`Still::uneven`]), or the file would be longer than 4 GiB, which its header cannot hold.
 pub fn written(still: &Still) -> Written {
     let kept = Order::own(still);
     let mut notes = Notes::of(still, &kept);

@@ -40,7 +40,7 @@ impl Written {
 pub(super) struct Notes(pub(super) Vec<String>);
 
 impl Notes {
-    /// Says which Gaussians are left out of a file that holds those of `order`.
+    /// Notes on the Gaussians that are left out of a file with those of `order`.
     pub(super) fn of(still: &Still, order: &Order) -> Notes {
         let mut notes = Notes(Vec::new());
         let left = still.len() - order.places.len();
@@ -54,21 +54,21 @@ impl Notes {
         notes
     }
 
-    /// Says that so many of `all` were changed, if any were.
+    /// Adds a note that `count` of `all` were changed, if any were.
     pub(super) fn changed(&mut self, count: usize, all: usize, what: &str) {
         if count > 0 {
             self.0.push(format!("{count} of {all} Gaussians {what}"));
         }
     }
 
-    /// Says that the mark of anti-aliased training is lost, where there is one.
+    /// Adds a note that the mark of anti-aliased training is lost, where there is one.
     pub(super) fn without_mark(&mut self, still: &Still, format: &str) {
         if still.about.antialiased {
             self.0.push(format!("{format} has no mark for scenes trained with anti-aliasing: draw this one with it"));
         }
     }
 
-    /// Says what became of the scene's offset, where there is one.
+    /// Adds a note on the treatment of the scene's offset, where there is one.
     pub(super) fn offset(&mut self, offset: [f64; 3], what: &str) {
         if offset != [0.0; 3] {
             let [x, y, z] = offset;

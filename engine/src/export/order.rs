@@ -1,4 +1,4 @@
-//! Which Gaussians of a still scene a format can hold, and in which order.
+//! The Gaussians of a still scene that a format can hold, and their order.
 
 use crate::space::along_curve;
 use crate::still::Still;
@@ -10,7 +10,7 @@ pub(super) struct Order {
 }
 
 impl Order {
-    /// As they stand in the scene.
+    /// In the order of the scene.
     pub(super) fn own(still: &Still) -> Order {
         Order { places: (0..still.len()).filter(|i| still.defect(*i).is_none()).collect() }
     }

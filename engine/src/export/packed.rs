@@ -14,7 +14,7 @@ use crate::still::Still;
 /// The largest logarithm of a scale that is written, and the least below 0.
 const LARGEST: f32 = 20.0;
 
-/// The Gaussians of one time as a compressed PLY file: [`of_still`] of what [`Still::of`] makes of them.
+/// The Gaussians of one time as a compressed PLY file: [`of_still`] of [`Still::of`].
 pub fn packed(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
@@ -121,7 +121,7 @@ fn seen(coefficient: f32) -> f32 {
     (0.5 + f64::from(coefficient) * Y0) as f32
 }
 
-/// A share of 1 as a whole number of so many bits, halves away from zero.
+/// A share of 1 as a whole number of `bits` bits, halves away from zero.
 fn whole(share: f64, bits: u32) -> u32 {
     let most = (1_u32 << bits) - 1;
     (share * f64::from(most)).round().clamp(0.0, f64::from(most)) as u32

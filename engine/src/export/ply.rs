@@ -9,7 +9,7 @@ use crate::still::{About, Still};
 const BEFORE: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"];
 const AFTER: [&str; 8] = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
 
-/// The Gaussians of one time as a binary PLY file: [`of_still`] of what [`Still::of`] makes of them.
+/// The Gaussians of one time as a binary PLY file: [`of_still`] of [`Still::of`].
 pub fn ply(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }

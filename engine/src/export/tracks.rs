@@ -25,7 +25,7 @@ pub fn tracks(interval: &Interval) -> String {
         r.is_sound() && (own || survives || into(r.identity).is_some())
     };
     let mut records: Vec<Record> = interval.gaussians.iter().filter(here).collect();
-    // Where an identity has two records, the one of the frame at the end says where it is.
+    // Where an identity has two records, the one of the frame at the end has its position.
     records.sort_by_key(|r| (r.identity, r.reference == Reference::Start));
     records.dedup_by_key(|r| r.identity);
     let mut text = format!("{HEADER}\n");

@@ -43,7 +43,7 @@ impl Beside {
         names.collect::<BTreeSet<_>>().into_iter().filter_map(length).fold(own, u64::saturating_add)
     }
 
-    /// The bytes of a file in the same folder, of which there are at most `most`.
+    /// The bytes of a file in the same folder, at most `most` of them.
     pub(crate) fn read(&self, name: &str, most: u64) -> Result<Vec<u8>, FormatError> {
         let bytes = read_file(&self.path(name)?, most).map_err(|e| wrong(name, e.to_string()))?;
         let (hasher, length) = &mut *self.read.borrow_mut();

@@ -29,11 +29,11 @@ impl From<FormatError> for ReadError {
     }
 }
 
-/// A file of a known length, of which no more is in memory than a block, with the digest of what was read.
+/// A file of known length, at most one block of it in memory, with the digest of the bytes read.
 pub(super) struct Blocks<'a> {
     file: File,
     length: u64,
-    /// First bytes that were looked at and not taken yet.
+    /// First bytes, inspected and not consumed yet.
     ahead: Vec<u8>,
     taken: u64,
     hasher: blake3::Hasher,

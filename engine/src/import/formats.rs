@@ -16,7 +16,7 @@ pub(super) trait Reader: Sync {
     /// Reads the whole of a file.
     fn read(&self, bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError>;
 
-    /// Reads a file of which no more than a block is in memory; `None`, and nothing taken of it, where this one has to be read as a
+    /// Reads a file with at most one block of it in memory; `None`, with nothing consumed, where this one has to be read as a
     /// whole.
     fn read_blocks(&self, _file: &mut Blocks<'_>, _limits: &Limits) -> Result<Option<Still>, ReadError> {
         Ok(None)
@@ -36,7 +36,7 @@ pub struct Format {
     pub keeps: &'static str,
     /// Properties and precision that it loses.
     pub loses: &'static str,
-    /// Of several that claim a file the first in [`FORMATS`] reads it.
+    /// If several claim a file, the first in [`FORMATS`] reads it.
     pub(super) reader: &'static dyn Reader,
     /// The file of one time of a scene.
     pub snapshot: fn(&Snapshot, &Options) -> Written,
@@ -115,7 +115,7 @@ pub struct ReadOnly {
     pub name: &'static str,
     /// How the names of its files end.
     pub ending: &'static str,
-    /// Content that is read, and what is left out.
+    /// Content that is read, and content that is left out.
     pub reads: &'static str,
     /// As that of a [`Format`], before which this one is asked.
     pub(super) reader: &'static dyn Reader,
@@ -144,7 +144,7 @@ impl Format {
         name.is_some_and(|name| name.strip_suffix(self.ending).is_some_and(|stem| stem.ends_with('.')))
     }
 
-    /// The format that a file's name asks for; of several the one with the longest ending.
+    /// The format of a file's name; the one with the longest ending if several match.
     pub fn of_name(path: &Path) -> Option<&'static Format> {
         FORMATS.iter().filter(|format| format.names(path)).max_by_key(|format| format.ending.len())
     }

@@ -46,7 +46,7 @@ fn number(bytes: &[u8], at: usize, length: usize) -> u64 {
 mod tests {
     use super::*;
 
-    /// A file with one segment of `length` bytes at `offset`, of which the first bytes are kept.
+    /// A file with one segment of `length` bytes at `offset`, with only its first bytes kept.
     fn file(offset: u64, length: u64, keep: usize) -> io::Cursor<Vec<u8>> {
         let mut bytes = [0; HEADER + ENTRY];
         bytes[..6].copy_from_slice(b"\x7fELF\x02\x01");

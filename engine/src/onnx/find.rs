@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use super::OnnxError;
 use crate::source::natural;
 
-/// File name of the library; on Linux and macOS a version may stand in the name as well.
+/// File name of the library; on Linux and macOS the name may contain a version.
 const LIBRARY: &str = if cfg!(windows) {
     "onnxruntime.dll"
 } else if cfg!(target_vendor = "apple") {
@@ -16,8 +16,8 @@ const LIBRARY: &str = if cfg!(windows) {
     "libonnxruntime.so"
 };
 
-/// Prints the folder of the package's libraries without importing it. Python runs isolated: neither the working folder nor what environment
-/// variables name is looked into, so that nobody else's file is run; the user's own packages are.
+/// Prints the folder of the package's libraries without importing it. Python runs isolated: neither the working folder nor the folders of environment
+/// variables are searched, so that no foreign file is run; the user's own packages are.
 const ASK: &str = "import importlib.util, os, site, sys; sys.path.append(site.getusersitepackages()); \
                    s = importlib.util.find_spec('onnxruntime'); \
                    print(os.path.join(os.path.dirname(s.origin), 'capi') if s and s.origin else '')";
@@ -65,7 +65,7 @@ fn in_folder(folder: &Path) -> Option<PathBuf> {
     names.pop().map(|name| folder.join(name)).filter(|path| path.is_file())
 }
 
-/// The library of an installed `onnxruntime` package, or what was found instead.
+/// The library of an installed `onnxruntime` package, or the reason why there is none.
 fn in_python() -> Result<PathBuf, String> {
     let mut interpreters = Vec::new();
     if let Some(environment) = std::env::var_os("VIRTUAL_ENV").filter(|value| !value.is_empty()) {

@@ -43,14 +43,14 @@ pub(super) fn version(path: &Path) -> Result<String, OnnxError> {
         Some(version) if version < OLDEST => return Err(OnnxError::TooOld { path: path.to_owned(), found }),
         Some(_) => {}
     }
-    // SAFETY: a member of the constant above; for a version that it does not know it returns null.
+    // SAFETY: a member of the constant above; for an unsupported version it returns null.
     if unsafe { (base.GetApi)(ORT_API_VERSION) }.is_null() {
         return Err(broken(format!("it calls itself {found} and has no interface of version {ORT_API_VERSION}")));
     }
     Ok(found)
 }
 
-/// An error where the file cannot be read or ends before what it announces.
+/// An error where the file cannot be read or is shorter than its header declares.
 fn whole(path: &Path) -> Result<(), String> {
     let mut file = File::open(path).map_err(|e| e.to_string())?;
     let found = file.metadata().map_err(|e| e.to_string())?.len();
@@ -61,7 +61,7 @@ fn whole(path: &Path) -> Result<(), String> {
     }
 }
 
-/// The loader's words, which stand in the error's source.
+/// The loader's message, from the error's source.
 fn reason(error: &libloading::Error) -> String {
     std::error::Error::source(error).map_or_else(|| error.to_string(), |source| source.to_string())
 }

@@ -4,7 +4,7 @@
 //! It is looked for in this order:
 //!
 //! 1. the file that the environment variable `ORT_DYLIB_PATH` names (nothing else is tried then);
-//! 2. beside the running program;
+//! 2. in the folder of the running program;
 //! 3. in the `onnxruntime` package of Python: that of the virtual environment in `VIRTUAL_ENV`, then of `python3`, then of `python`.
 //!
 //! Version [`OLDEST`] or newer is needed. A process loads one library, once.
@@ -12,7 +12,7 @@
 //! ONNX Runtime's arithmetic is outside the bit contract: it may differ between its versions and between CPUs. On one machine
 //! with one version the results are the same bits in every run and for any number of threads, because every network runs on one
 //! thread, its nodes one after another, with deterministic kernels: work that is split over several threads may be summed in
-//! another order. What goes in and what is made of the results is this crate's own arithmetic.
+//! another order. The processing of inputs and results is this crate's own arithmetic.
 
 mod elf;
 mod find;
@@ -89,7 +89,7 @@ pub enum OnnxError {
     Form {
         /// The network's file.
         path: PathBuf,
-        /// Which input or output.
+        /// The input or output.
         what: String,
         /// Kinds that can be used.
         expected: String,
@@ -124,7 +124,7 @@ impl std::fmt::Debug for Runtime {
 static LOADED: Mutex<Option<Runtime>> = Mutex::new(None);
 
 impl Runtime {
-    /// Finds and loads the library; later calls give what the first one loaded.
+    /// Finds and loads the library; later calls return the library that the first one loaded.
     ///
     /// # Errors
     /// No library, a broken or too old one.

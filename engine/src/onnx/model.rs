@@ -74,7 +74,7 @@ impl Model {
     /// No usable runtime; a file that is absent or no network that it can run.
     pub fn open(path: &Path) -> Result<Model, OnnxError> {
         let wrong = |cause: String| OnnxError::Model { path: path.to_owned(), cause };
-        // Before the runtime is looked for: what is absent is said in the system's words.
+        // Before the search for the runtime: a missing file is reported with the system's message.
         match std::fs::metadata(path) {
             Err(e) => return Err(wrong(e.to_string())),
             Ok(found) if !found.is_file() => return Err(wrong("it is no file".to_owned())),
@@ -121,7 +121,7 @@ impl Model {
         })
     }
 
-    /// Runs the network on a shape and row-major values for each input; gives shape and values of the output number `output`.
+    /// Runs the network on a shape and row-major values for each input; returns shape and values of the output number `output`.
     ///
     /// # Errors
     /// Errors of the runtime: values that do not fit, memory that is not there.

@@ -88,7 +88,7 @@ impl<'a> File<'a> {
             let channels = header.channels.list.len();
             return Err(ExrError::Channels { width: data.width, height: data.height, channels });
         }
-        // Which plane a channel of the file is; at most a few.
+        // Plane of each channel of the file; at most a few.
         let mut planes_of: Vec<Option<usize>> = vec![None; header.channels.list.len()];
         for (plane, name) in channels.iter().enumerate() {
             let found = header.channels.list.iter().position(|channel| channel.name.to_string() == *name);

@@ -1,7 +1,7 @@
 //! OpenEXR files: planes of float samples in and out.
 //!
-//! Reading takes channels at full resolution as f32, whatever they are stored as, in the display window: that is the picture, wherever the file has
-//! samples. Writing makes layers of f32 channels, ZIP compressed in single lines, always by one thread: the bytes are a function of the samples.
+//! Reading takes channels at full resolution as f32 from any stored type, in the display window: that is the picture, for any data window.
+//! Writing makes layers of f32 channels, ZIP compressed in single lines, always by one thread: the bytes are a function of the samples.
 
 mod file;
 
@@ -109,7 +109,7 @@ pub struct NamedLayer<'a> {
     pub colour_space: Option<&'a str>,
 }
 
-/// Encodes layers of one size as one EXR file, a part for each in their order; readers that know one layer alone take the first.
+/// Encodes layers of one size as one EXR file, a part for each in their order; readers that support one layer alone take the first.
 ///
 /// # Errors
 /// The writer's, planes whose length is not `width · height`, and layers of different sizes.
@@ -232,7 +232,7 @@ mod tests {
                 .collect();
             assert_eq!(channels, expected.planes.channels, "{}", expected.name);
         }
-        // What knows one layer alone finds the colours.
+        // A reader of one layer finds the colours.
         assert_eq!(read(&bytes).expect("just written"), layers[0].planes);
         let mut again = Vec::new();
         write_layers(&layers, &mut again).expect("memory");

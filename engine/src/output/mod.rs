@@ -1,6 +1,6 @@
-//! Files: pictures, depth maps, video. Nothing is seen under its own name before it is whole.
+//! Files: pictures, depth maps, video. A file has its own name only once it is whole.
 //!
-//! A file is written under a temporary name beside its own (`.NAME.partial`), synced, and renamed; no symbolic link is written through
+//! A file is written under a temporary name in the same folder (`.NAME.partial`), synced, and renamed; no symbolic link is written through
 //! ([`storage`]). Every file's BLAKE3 digest is taken on the way. PNG and WebP are written with fixed encoder settings by pure-Rust code, so their bytes are a function of the pixels.
 
 pub mod storage;
@@ -45,12 +45,12 @@ pub enum OutputError {
         /// The message of ffmpeg.
         cause: String,
     },
-    /// A file to go on with is not what it was.
+    /// A file to resume has changed.
     #[error("{}: expected its first {bytes} bytes to have the digest {expected}, found {found}", path.display())]
     Changed {
         /// The file.
         path: PathBuf,
-        /// How much of it is looked at.
+        /// Bytes of it that are compared.
         bytes: u64,
         /// The digest it had.
         expected: String,
@@ -86,7 +86,7 @@ pub struct Written {
 }
 
 impl Written {
-    /// Of these bytes.
+    /// Length and digest of these bytes.
     pub fn of(bytes: &[u8]) -> Written {
         Written { bytes: bytes.len() as u64, blake3: blake3::hash(bytes).to_hex().to_string() }
     }
@@ -133,7 +133,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
     }
 }
 
-/// A file being written by someone else under its temporary name; removed when it is not kept.
+/// A file that other code writes under its temporary name; removed unless it is kept.
 #[derive(Debug)]
 pub struct Partial {
     target: PathBuf,
@@ -156,7 +156,7 @@ impl Partial {
         self.partial.as_deref().unwrap_or(&self.target)
     }
 
-    /// Syncs the file and gives it its own name.
+    /// Syncs the file and renames it to its own name.
     ///
     /// # Errors
     /// The file cannot be synced or renamed.
@@ -174,7 +174,7 @@ impl Drop for Partial {
     }
 }
 
-/// Syncs a file that is complete under its temporary name, and gives it its own.
+/// Syncs a file that is complete under its temporary name, and renames it to its own.
 fn keep(partial: &Path, target: &Path) -> Result<(), OutputError> {
     let kept = storage::reopen(partial)
         .and_then(|file| file.sync())
@@ -302,7 +302,7 @@ pub fn plane_png(width: usize, height: usize, plane: &[f32]) -> Vec<u8> {
     png(width, height, &samples, ExtendedColorType::L8)
 }
 
-/// A depth image (`Σ d α T`) and, if given, its alpha (`Σ α T`) as an EXR file with the channels `Z` and `A`.
+/// A depth image (`Σ d α T`) and, if present, its alpha (`Σ α T`) as an EXR file with the channels `Z` and `A`.
 ///
 /// # Errors
 /// Planes whose length is not `width · height`.
@@ -316,11 +316,11 @@ pub fn depth_exr(width: usize, height: usize, depth: &[f32], alpha: Option<&[f32
     Ok(bytes.into_inner())
 }
 
-/// An image as one EXR file of 32-bit floats, which hold what was computed without loss, in three layers: `colour` (channels R, G
-/// and B), `depth` (Z, as [`depth_exr`] has it) and `alpha` (A).
+/// An image as one EXR file of 32-bit floats, without loss, in three layers: `colour` (channels R, G
+/// and B), `depth` (Z, as in [`depth_exr`]) and `alpha` (A).
 ///
 /// Colours are as they are drawn: in display (gamma) space, over the background. Over a black background they are multiplied by
-/// alpha, as compositing wants them.
+/// alpha, as compositing needs them.
 ///
 /// # Errors
 /// An image without depth or alpha, or planes whose length is not `width · height`.
@@ -329,7 +329,7 @@ pub fn layered_exr(image: &Image) -> io::Result<Vec<u8>> {
 }
 
 /// As [`layered_exr`], of an image that was drawn over black: `colour` holds alpha as well (channels R, G, B and A), by which its
-/// colours are multiplied, as that format has it.
+/// colours are multiplied, as usual in that format.
 ///
 /// # Errors
 /// As there.
@@ -384,7 +384,7 @@ mod tests {
         let written = write_file(&path, b"hello").expect("writable");
         assert_eq!(written.blake3, blake3::hash(b"hello").to_hex().as_str());
         assert_eq!(std::fs::read(&path).expect("readable"), b"hello");
-        // A folder stands where the file should go: the rename fails, and nothing is left.
+        // A folder has the file's name: the rename fails, and nothing is left.
         std::fs::create_dir(folder.path().join("b.bin")).expect("writable");
         assert!(write_file(&folder.path().join("b.bin"), b"x").is_err());
         let names: Vec<_> =

@@ -1,10 +1,10 @@
-//! File operations of everything that is written: files, names, folders, and what makes them last.
+//! File operations of everything that is written: files, names, folders, and their durability.
 //!
-//! A symbolic link is never written through: [`create`] makes a new file in the place of whatever had the name, [`reopen`] and
-//! [`create_folder`] refuse links. What was written survives a power loss once it was synced: a file's bytes by [`Output::sync`], the names
+//! A symbolic link is never written through: [`create`] makes a new file in the place of anything with that name, [`reopen`] and
+//! [`create_folder`] refuse links. Data survive a power loss once synced: a file's bytes by [`Output::sync`], the names
 //! in a folder by [`sync_folder`].
 //!
-//! Tests can have operations of their thread fail, or lose what was not synced: [`faults`].
+//! Tests can have operations of their thread fail, or lose unsynced data: [`faults`].
 
 use std::fs::{File, Metadata};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -33,7 +33,7 @@ impl Output {
         Ok(())
     }
 
-    /// Cuts the file to `length` bytes and goes on writing there.
+    /// Cuts the file to `length` bytes and continues writing there.
     ///
     /// # Errors
     /// The system's.
@@ -64,7 +64,7 @@ impl Read for Output {
     }
 }
 
-/// Creates a file. What had the name before, a link too, loses it; a folder is an error.
+/// Creates a file. It replaces a file or link of that name; a folder is an error.
 ///
 /// # Errors
 /// The system's.
@@ -103,7 +103,7 @@ pub fn foreign(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Gives the file `from` the name `to`, in the same folder.
+/// Renames the file `from` to `to`, in the same folder.
 ///
 /// # Errors
 /// The system's.
@@ -156,7 +156,7 @@ pub fn remove_folder(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Waits until the names in a folder would survive a power loss. Where the system knows no such thing, nothing happens.
+/// Waits until the names in a folder would survive a power loss. Does nothing on systems without such an operation.
 ///
 /// # Errors
 /// The system's.

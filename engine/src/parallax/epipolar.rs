@@ -46,7 +46,7 @@ pub(super) fn cost<'a>(motion: &Motion, matches: impl Iterator<Item = &'a Match>
     })
 }
 
-/// The motion after `rounds` steps towards the least cost; `None` where the matches do not tell it.
+/// The motion after `rounds` steps towards the least cost; `None` where the matches do not determine it.
 pub(super) fn refine<'a>(
     mut motion: Motion,
     matches: impl Iterator<Item = &'a Match> + Clone,

@@ -17,22 +17,22 @@ const ADAPTS: f32 = 0.25;
 /// Least mean confidence of something found.
 const LEAST: f32 = 0.02;
 
-/// Inverse depth of a key frame's cells, and how well each is known: the state that goes from key frame to key frame.
+/// Inverse depth of a key frame's cells and its confidence: the state carried from key frame to key frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Found {
     /// Rows and columns of cells.
     pub grid: [usize; 2],
-    /// Of each cell, in one scale for the whole stream.
+    /// Inverse depth per cell, in one scale for the whole stream.
     pub inverse: Vec<f32>,
-    /// Of each cell, 0: not known.
+    /// Per cell; 0: no value.
     pub confidence: Vec<f32>,
     /// Inverse depth that counts as nearest.
     pub nearest: f32,
 }
 
 impl Found {
-    /// The map `[H, W]` of the frame `[3, H, W]`: holes filled, 0 farthest, 1 nearest. Inverse depth, of which 0 is
-    /// known, keeps its proportions in a [lifted](crate::stream) scene: `9.8·y + 0.2 ∝ ρ`.
+    /// The map `[H, W]` of the frame `[3, H, W]`: holes filled, 0 farthest, 1 nearest. Inverse depth, with a known zero,
+    /// keeps its proportions in a [lifted](crate::stream) scene: `9.8·y + 0.2 ∝ ρ`.
     pub fn map(&self, level: Level, rgb: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
         // 1/z of the nearest place of a lifted scene.
         let unit = 1.0 / scene_depth(1.0) / self.nearest.max(f32::MIN_POSITIVE);
@@ -65,7 +65,7 @@ impl Found {
         fill::fill(&self.inverse, &self.confidence, &colours, self.grid)
     }
 
-    /// Expected and found values, where it is nothing that [`find`](super::find) gives for pictures of this size.
+    /// Expected and found values, if this cannot be a result of [`find`](super::find) for pictures of this size.
     pub fn contradiction(&self, size: [usize; 2]) -> Option<String> {
         let grid = size.map(|side| side.div_ceil(CELL));
         let count = grid[0].checked_mul(grid[1]);
@@ -106,7 +106,7 @@ pub(super) fn carry(found: &Found, sight: &Sight<'_>) -> Option<(Vec<Cell>, f32)
     Some((cells.collect(), found.nearest))
 }
 
-/// Joins the cells of this interval with the carried ones, in the scale of the latter where there are any; `None` where neither says enough.
+/// Joins the cells of this interval with the carried ones, in the scale of the latter where there are any; `None` where both have too little.
 pub(super) fn join(
     now: Option<Vec<Cell>>,
     carried: Option<Option<(Vec<Cell>, f32)>>,
@@ -154,7 +154,7 @@ pub(super) fn join(
     let part = |share: usize| filled[(filled.len() - 1) * share / 100];
     let [far, near] = [part(1), part(99)];
     found.nearest = nearest.map_or(near, |then| ADAPTS.mul_add(near - then, then));
-    // One depth all over says nothing.
+    // A constant depth is no information.
     (near > 1.05 * far).then_some(found)
 }
 

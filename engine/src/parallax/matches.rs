@@ -1,4 +1,4 @@
-//! Matches between the two pictures, and how well each is known.
+//! Matches between the two pictures, and the certainty of each.
 
 use glam::DVec3;
 

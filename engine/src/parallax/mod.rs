@@ -1,4 +1,4 @@
-//! Depth from parallax: the optical flow between two pictures of a scene by a moving camera tells how near its parts are.
+//! Depth from parallax: how near the parts of a scene are, from the optical flow between two pictures by a moving camera.
 //!
 //! A point that is seen at `x₁` (homogeneous, divided by the focal length) in one picture is seen at
 //!
@@ -9,8 +9,9 @@
 //! in the other, `R` and `t` being the camera's motion. [`find`] goes these steps, each in a module of its own:
 //!
 //! 1. Matches of a sparse grid, weighted by texture, where the flow back undoes the flow.
-//! 2. Model selection. A camera that stands, one that only turns, or one plane show no parallax (Hartley & Zisserman, *Multiple View Geometry*, 13.1): `homography`. What moves by
-//!    itself before a camera that only turns looks like parallax; where most matches fit a homography that no turn explains the camera moves, and what is left is parallax: `turning`.
+//! 2. Model selection. A camera that does not move, one that only turns, or one plane show no parallax (Hartley & Zisserman, *Multiple View
+//!    Geometry*, 13.1): `homography`. Things that move by themselves before a camera that only turns look like parallax; where most matches
+//!    fit a homography that is no turn the camera moves, and the residual is parallax: `turning`.
 //! 3. The camera's motion by a search of random samples with a fixed number of draws, refined on all matches with robust weights (ibid. 11.4.3, 11.6): `ransac`, `epipolar`.
 //! 4. Inverse depth of every cell of a grid of 2×2 pixels, linear in `ρ` (ibid. 12.2), with a confidence: texture, length of the parallax, distance from the epipolar line, and how
 //!    well the flow back undoes the flow: `triangulate`.
@@ -22,7 +23,7 @@
 //!
 //! | interval | result |
 //! |---|---|
-//! | a camera that stands, one that only turns, one plane, no one motion that half of the matches fit, a median parallax of less than 0.4 pixels of 512 | the inverse depth of the frame before, carried along the flow; its confidence falls from key frame to key frame |
+//! | a camera that does not move, one that only turns, one plane, no one motion that half of the matches fit, a median parallax of less than 0.4 pixels of 512 | the inverse depth of the frame before, carried along the flow; its confidence falls from key frame to key frame |
 //! | nothing to carry, or nothing left of its confidence | none: the frame is as without a map |
 //! | flow that is no number | none |
 //! | one inverse depth all over | none |
@@ -59,7 +60,7 @@ pub const FOCAL: f64 = 0.82;
 pub const CELL: usize = 2;
 /// Distance in pixels, of a picture 512 pixels wide, within which a match fits a model.
 const FITS: f64 = 1.0;
-/// Median length of the flow, in the same pixels, below which the picture stands still.
+/// Median length of the flow, in the same pixels, below which the picture is still.
 const STILL: f64 = 1.0;
 /// Share of the matches that fit a homography from which on the rest is not taken for parallax where a turn may explain
 /// the homography: it may as well move by itself.
@@ -68,7 +69,7 @@ const FLAT: f64 = 0.8;
 const TURNS: f64 = 0.8;
 /// Share of the matches that a motion must explain beyond those that fit a homography.
 const BEYOND: f64 = 0.05;
-/// Median length of the parallax, in the same pixels, from which on it tells more than the flow's errors do.
+/// Median length of the parallax, in the same pixels, from which on it exceeds the flow's errors.
 const LEAST_LENGTH: f64 = 0.4;
 
 /// A picture, and the flow that leads from it to an earlier one.
@@ -85,7 +86,7 @@ pub struct Evidence<'a> {
 /// Reasons why an interval shows no parallax.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoParallax {
-    /// Most of the picture stands still.
+    /// Most of the picture is still.
     Still,
     /// The camera turns, there is one plane, or the parallax is too short: a homography explains the flow.
     Flat,
@@ -102,7 +103,7 @@ pub struct Motion {
     pub translation: glam::DVec3,
 }
 
-/// The motion of the camera, if there is any parallax. `stream` gives the random numbers.
+/// The motion of the camera, if there is any parallax. `stream`: source of the random numbers.
 ///
 /// # Errors
 /// The reason why there is none.
@@ -111,7 +112,7 @@ pub fn camera(level: Level, evidence: Evidence<'_>, stream: Stream) -> Result<Mo
     sight.camera(stream)
 }
 
-/// Inverse depth of the picture's cells from this interval and those before: `before` is what was found for the earlier picture. `None` where neither tells anything.
+/// Inverse depth of the picture's cells from this interval and `before`, the result for the earlier picture. `None` where neither has any.
 pub fn find(level: Level, evidence: Evidence<'_>, before: Option<&Found>, stream: Stream) -> Option<Found> {
     let sight = Sight::new(level, evidence);
     let carried = before.map(|found| filter::carry(found, &sight));
@@ -132,9 +133,9 @@ struct Sight<'a> {
     focal: f64,
     /// Pixels of a picture as many times narrower than 512.
     unit: f64,
-    /// Of each pixel, from 0 to 1: how well its place is known in every direction.
+    /// Per pixel, from 0 to 1: certainty of its place in every direction.
     texture: Vec<f32>,
-    /// Of each pixel: distance by which the flow back misses it, or infinity where the flow leaves the picture.
+    /// Per pixel: distance by which the backward flow misses it, or infinity where the flow leaves the picture.
     astray: Vec<f32>,
 }
 

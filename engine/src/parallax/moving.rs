@@ -7,7 +7,8 @@ const LEAST: f64 = 0.002;
 /// Rows of cells under a thing in which the ground is looked for.
 const UNDER: usize = 6;
 
-/// Gives each connected thing that moves the inverse depth of what stands right under its lowest cells; where nothing known is there it stays a hole, to be filled from its neighbours.
+/// Sets the inverse depth of each connected moving thing to that right under its lowest cells. Without a value there it stays a hole, to be
+/// filled from its neighbours.
 pub(super) fn to_the_ground(cells: &mut [Cell], [rows, columns]: [usize; 2]) {
     let mut visited = vec![false; cells.len()];
     for first in 0..cells.len() {

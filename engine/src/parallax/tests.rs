@@ -1,4 +1,4 @@
-//! Scenes whose depth is known: planes at their own distances, seen through exact flow.
+//! Scenes of known depth: planes at their own distances, seen through exact flow.
 
 use glam::DVec3;
 use streamsplat_kernels::Level;
@@ -128,7 +128,7 @@ fn what_shows_no_parallax_is_told_from_what_does() {
 
 #[test]
 fn a_small_thing_before_one_plane_is_parallax_unless_the_camera_may_only_turn() {
-    // 14 % of the picture stand before a wall, or move before it.
+    // 14 % of the picture are at rest before a wall, or move before it.
     let standing: Scene =
         |x, y| if (60.0..100.0).contains(&x) && (30.0..84.0).contains(&y) { (0.9, [0.0; 2]) } else { (0.4, [0.0; 2]) };
     let moving: Scene = |x, y| {
@@ -183,7 +183,7 @@ fn what_was_found_is_carried_on_while_the_camera_rests() {
 fn a_scene_keeps_its_scale_from_key_frame_to_key_frame() {
     let right = motion([0.0; 3], [1.0, 0.0, 0.0]);
     let first = found(planes, right, 0.1, None).expect("parallax");
-    // Half as far: the parallax is half as long, and what was found says so.
+    // Half as far: the parallax is half as long, and the result has it.
     let second = found(planes, right, 0.05, Some(&first)).expect("parallax");
     let near = |found: &Found| {
         let cell = 30 * found.grid[1] + 32;

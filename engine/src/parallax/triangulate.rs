@@ -10,11 +10,11 @@ use super::{Motion, Sight};
 pub(super) struct Cell {
     pub(super) inverse: f32,
     pub(super) confidence: f32,
-    /// True if a well-seen match fits no place of a thing that stands.
+    /// True if a certain match fits no place of a thing at rest.
     pub(super) moves: bool,
 }
 
-/// Of a match: ρ by least squares, the length of parallax that a ρ of 1 makes, and the distance from the epipolar line.
+/// For a match: ρ by least squares, the length of parallax that a ρ of 1 makes, and the distance from the epipolar line.
 ///
 /// From `x₂·(y₃ + ρ·t₃) = (y + ρ·t)₁₂` with `y = R·x₁`: `ρ·a = b`, `a = t₁₂ − x₂·t₃`, `b = x₂·y₃ − y₁₂`.
 pub(super) fn inverse_depth(motion: &Motion, one: DVec3, other: DVec3) -> (f64, f64, f64) {
@@ -26,7 +26,7 @@ pub(super) fn inverse_depth(motion: &Motion, one: DVec3, other: DVec3) -> (f64, 
     ((ax * bx + ay * by) / square, length / y.z, (ax * by - ay * bx).abs() / (length * y.z))
 }
 
-/// All cells of the picture; inverse depth in units of the median of what is well known.
+/// All cells of the picture; inverse depth in units of the median of the certain ones.
 pub(super) fn cells(sight: &Sight<'_>, motion: &Motion) -> Vec<Cell> {
     let pixels = sight.focal / sight.unit;
     let count = sight.grid[0] * sight.grid[1];
@@ -52,7 +52,7 @@ pub(super) fn cells(sight: &Sight<'_>, motion: &Motion) -> Vec<Cell> {
     lengths.sort_by(f64::total_cmp);
     let middle = lengths[count / 2].max(1e-12);
     for (cell, length) in &mut cells {
-        // The parallax of what lies about the epipole is short, and its depth uncertain.
+        // Near the epipole the parallax is short and the depth uncertain.
         cell.confidence *= ((*length / middle) * (*length / middle)).min(16.0) as f32;
     }
     let mut cells: Vec<Cell> = cells.into_iter().map(|(cell, _)| cell).collect();

@@ -8,7 +8,7 @@ use super::matches::Match;
 /// Focal lengths that are tried, in parts of the one that is taken: from wide angle to short telephoto.
 const FOCALS: [f64; 3] = [0.8, 1.0, 1.25];
 
-/// The largest share of the matches, by weight, that a turn brings to within `fits`, whatever the focal length.
+/// The largest share of the matches, by weight, that a turn brings to within `fits`, at the best of the focal lengths.
 pub(super) fn share(matches: &[Match], fits: f64) -> f64 {
     FOCALS.into_iter().map(|focal| share_at(focal, matches, fits)).fold(0.0, f64::max)
 }

@@ -9,7 +9,7 @@ use zip::ZipArchive;
 use super::{Head, Kind};
 use crate::import::MAX_FILE;
 
-/// First bytes, the name of what begins so, and the program that unpacks it.
+/// First bytes, the format's name, and the program that unpacks it.
 const MAGIC: [(&[u8], &str, &str); 6] = [
     (b"7z\xbc\xaf\x27\x1c", "a 7z archive", "7z x"),
     (b"Rar!\x1a\x07", "a RAR archive", "unrar x"),
@@ -48,7 +48,7 @@ fn array() -> &'static str {
 /// A gzip file that is no SPZ file.
 fn gzip(head: &Head<'_>) -> Option<Kind> {
     let mut inner = Vec::new();
-    // What is whole of the first bytes is enough.
+    // The complete part of the first bytes is enough.
     let _ = GzDecoder::new(head.bytes).take(512).read_to_end(&mut inner);
     if inner.starts_with(b"NGSP") {
         return Some(Kind::Scene("SPZ"));

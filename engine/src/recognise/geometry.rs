@@ -8,9 +8,9 @@ use serde_json::Value;
 use super::{Head, Kind};
 use crate::scene;
 
-/// Longest JSON of a glTF file that is looked at, in bytes.
+/// Longest JSON of a glTF file that is read, in bytes.
 const MAX_GLTF: u64 = 1 << 26;
-/// First bytes, the name of what begins so, and what to do.
+/// First bytes, the format's name, and advice.
 const MAGIC: [(&[u8], &str, &str); 9] = [
     (b"LASF", "a point cloud (LAS)", POINTS),
     (b"# .PCD", "a point cloud (PCD)", POINTS),
@@ -121,7 +121,7 @@ fn gltf(head: &Head<'_>) -> Option<Kind> {
     Some(Kind::Other("a mesh (glTF without KHR_gaussian_splatting)".to_owned(), MESH.to_owned()))
 }
 
-/// Bytes of the file from `at`, of which there are `length`; `None` for more than is looked at.
+/// `length` bytes of the file from `at`; `None` for more than the limit.
 fn part(head: &Head<'_>, at: u64, length: u64) -> Option<Vec<u8>> {
     if length > MAX_GLTF || at + length > head.length {
         return None;

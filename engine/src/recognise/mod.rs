@@ -29,10 +29,10 @@ use crate::scene;
 pub(crate) use folder::index;
 pub use media::Media;
 
-/// First bytes that are looked at.
+/// Number of first bytes that are read.
 const HEAD: u64 = 1 << 16;
 
-/// What a file or a folder holds.
+/// The content of a file or a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A picture, a video or a sound, with its format's name.
@@ -43,11 +43,11 @@ pub enum Kind {
     Scene(&'static str),
     /// A checkpoint of PyTorch.
     Checkpoint,
-    /// Something else: what it is, and what to do with it.
+    /// Any other kind: its description, and advice.
     Other(String, String),
 }
 
-/// A path that is given where something else is expected, as one line without the path.
+/// A path of a kind other than the expected one, as one line without the path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Wrong {
     expected: &'static str,
@@ -74,7 +74,7 @@ impl fmt::Display for Wrong {
     }
 }
 
-/// The first bytes of a file, and what is known of it from outside.
+/// The first bytes of a file, with its path and length.
 struct Head<'a> {
     path: &'a Path,
     bytes: &'a [u8],
@@ -96,7 +96,7 @@ impl Head<'_> {
     }
 }
 
-/// Describes a path; `None` for what is not recognised, and for what cannot be read.
+/// Describes a path; `None` if it is not recognised or cannot be read.
 pub fn kind(path: &Path) -> Option<Kind> {
     if path.is_dir() {
         return folder::kind(path);

@@ -51,7 +51,7 @@ fn ply(lines: &str) -> Vec<u8> {
 
 const XYZ: &str = "property float x\nproperty float y\nproperty float z\n";
 
-/// Name, content, and what is found where a scene is expected.
+/// Name, content, and the message's description where a scene is expected.
 fn others() -> Vec<(&'static str, Vec<u8>, &'static str)> {
     let mut transport = vec![0; 600];
     [0, 188, 376].iter().for_each(|at| transport[*at] = 0x47);
@@ -147,7 +147,7 @@ fn what_may_be_a_scene_is_left_to_its_reader() {
     let splats = r#"{"asset":{},"meshes":[{"primitives":[{"extensions":{"KHR_gaussian_splatting":{}}}]}]}"#;
     for (name, bytes) in [
         ("a.ply", ply(&gaussians)),
-        // What is missing is named by the reader.
+        // The reader names the missing file.
         ("b.ply", b"ply\nformat ascii 1.0\n".to_vec()),
         ("c.ply", ply(&format!("element vertex 5\n{XYZ}property uint packed_position\n"))),
         ("a.spz", gz(b"NGSP\x03\0\0\0")),

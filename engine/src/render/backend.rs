@@ -61,7 +61,7 @@ impl FromStr for Backend {
     }
 }
 
-/// What a graphics card does not draw.
+/// A request that a graphics card does not draw.
 #[cfg(feature = "wgpu")]
 fn cpu_alone(projection: &Projection, request: &Request) -> Option<&'static str> {
     let alone = [

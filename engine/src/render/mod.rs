@@ -13,7 +13,7 @@
 //! opposite of their own rotation.
 //!
 //! A canonical image shows the content of the model's input, without the border that the frame's shape left. Its Gaussians
-//! are drawn at the size asked for, not scaled from an image.
+//! are drawn at the requested size, not scaled from an image.
 
 mod backend;
 mod optics;
@@ -129,7 +129,7 @@ impl Renderer {
         &self.workers
     }
 
-    /// Threads, level and rasteriser of an image from which so many Gaussians have been left out.
+    /// Threads, level and rasteriser of an image with this number of Gaussians left out.
     pub(crate) fn parts(&mut self, left_out: u64) -> (&Workers, &mut Rasteriser) {
         self.left_out = left_out;
         (&self.workers, &mut self.rasteriser)

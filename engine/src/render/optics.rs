@@ -19,7 +19,7 @@ pub struct Aperture {
 /// Where a lens is in focus.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Focus {
-    /// The plane at this distance in front of the camera, in the scene's units; infinite: what is far away.
+    /// The plane at this distance in front of the camera, in the scene's units; infinite: distant things.
     Distance(f64),
     /// The plane through this point that faces the camera.
     Point([f64; 3]),
@@ -53,7 +53,7 @@ impl Aperture {
                 (0..3).map(|i| forward[i] * (point[i] - pose.position[i])).sum()
             }
         };
-        // What binary32 rounds to 0 is none.
+        // A value that binary32 rounds to 0 is none.
         if distance.is_nan() || distance as f32 <= 0.0 {
             return Err(fail("distance of the focus", distance));
         }

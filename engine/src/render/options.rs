@@ -9,7 +9,7 @@ use super::{Aperture, Backend, Falloff};
 use crate::camera::Camera;
 use crate::fit::Placement;
 
-/// Options of an image: planes besides colour, size, background.
+/// Options of an image: planes in addition to colour, size, background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderOptions {
     /// The image's size.
@@ -186,7 +186,7 @@ pub enum RenderError {
     /// An aperture with values that no lens has.
     #[error("aperture: {what}: expected more than 0, and a lens of finite width, found {found:?}")]
     Aperture {
-        /// Which number.
+        /// The number's name.
         what: &'static str,
         /// Its value.
         found: f64,

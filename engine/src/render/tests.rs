@@ -72,7 +72,7 @@ fn an_enlarged_image_shows_the_models_own_pixels_between_which_it_is_closed() {
                 let (at, middle) = (y * width + x, (3 * y + 1) * 3 * width + 3 * x + 1);
                 for c in 0..3 {
                     let (a, b) = (own.rgb[c * width * height + at], large.rgb[c * 9 * width * height + middle]);
-                    // A Gaussian at the threshold of what is drawn may be on the other side of it.
+                    // A Gaussian at the drawing threshold may be on the other side of it.
                     assert!((a - b).abs() < 2.5 / 255.0, "{source:?} at {x}, {y}: {a} and {b}");
                 }
             }
@@ -233,7 +233,7 @@ fn a_colour_that_changes_is_halfway_there_at_half_time() {
         let snapshot = Snapshot::of(&changing, time, &workers()).expect("inside");
         assert!(snapshot.rgb.iter().all(|found| *found == rgb), "{time}");
         assert!(draw(&changing, time) == draw(&painted(rgb), time), "{time}");
-        // Files of one time hold what is seen then.
+        // Files of one time hold the Gaussians visible then.
         let expected = Snapshot::of(&painted(rgb), time, &workers()).expect("inside");
         for write in [crate::export::ply, crate::export::splat, crate::export::spz] {
             assert!(write(&snapshot) == write(&expected), "{time}");

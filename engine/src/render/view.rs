@@ -32,7 +32,7 @@ pub struct Snapshot {
     pub opacity: Vec<f32>,
     /// Colours at the time.
     pub rgb: Vec<[f32; 3]>,
-    /// Gaussians left out because a number of theirs was not finite.
+    /// Gaussians left out because one of their numbers was not finite.
     pub dropped: u64,
 }
 
@@ -87,11 +87,11 @@ impl Snapshot {
         Ok(workers.install(|| Self::new(workers.level(), &interval.gaussians, t)))
     }
 
-    /// Gaussians of an interval that can be seen at `time` seconds, in square units: what posed cameras see, and what other programs are given.
+    /// Gaussians of an interval that can be seen at `time` seconds, in square units: for posed cameras and exports.
     ///
-    /// Scene space has x and y in [−1, 1] over the model's input, whatever its shape. Here x and z, and standard deviations along them, are multiplied by
+    /// Scene space has x and y in [−1, 1] over the model's input of any shape. Here x and z, and standard deviations along them, are multiplied by
     /// [the input's width over its height](crate::fit::Placement::aspect) (in binary64, rounded once), so that a unit is half of its height along every axis.
-    /// A pinhole at the origin with a focal length of half the input's width shows what lies at z = 1 of scene space as large as the source's own view.
+    /// A pinhole at the origin with a focal length of half the input's width shows things at z = 1 of scene space as large as the source's own view.
     ///
     /// # Errors
     /// As [`Snapshot::of`].
@@ -122,7 +122,7 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
     }
     let mut seen = Snapshot::with_capacity(end - start);
     for (i, opacity) in (start..end).zip(opacity) {
-        // Nothing but what is drawn is read of a record.
+        // Only the drawn fields of a record are read.
         let record = Record {
             mean: gaussians.mean[i],
             velocity: gaussians.velocity[i],
@@ -242,8 +242,9 @@ impl View {
 
     /// Widens Gaussians in view space that this view shows larger than the model's own pixels show them.
     ///
-    /// The rasteriser adds 0.3 px² to every projected variance. Gaussians were trained, and their colours fitted, where a pixel is one of the model's, of which a unit of the
-    /// input has `m = side / 2` along an axis (in square units along x `m = width / 2` over the input's aspect); where it has `f > m` pixels, that addition is too small and gaps open between Gaussians. So that it stays what it was in the scene,
+    /// The rasteriser adds 0.3 px² to every projected variance. Gaussians were trained, and their colours fitted, where a pixel is one of the
+    /// model's. A unit of the input has `m = side / 2` of them along an axis (in square units along x `m = width / 2` over the input's aspect); where
+    /// it has `f > m` pixels, that addition is too small and gaps open between Gaussians. To keep its size in the scene,
     ///
     /// ```text
     /// s' = √(s² + a)      a = 0.3·(m⁻² − f⁻²), 0 where that is not above 10⁻⁶·0.3·m⁻²      f: the focal length, for a pinhole over the Gaussian's z, all around H/π over its distance

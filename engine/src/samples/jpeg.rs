@@ -18,7 +18,7 @@ pub(super) fn read(bytes: Vec<u8>, path: &Path) -> Result<Parts, SourceError> {
     if !jpeg_has_end(&bytes) {
         return Err(decode_error(path, "the JPEG image ends before its end marker: expected the whole file"));
     }
-    // Strict: what is missing is an error, not grey.
+    // Strict: missing data are an error, not grey.
     let options = DecoderOptions::default().set_strict_mode(true).set_max_width(MAX_SIDE).set_max_height(MAX_SIDE);
     let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(&bytes), options);
     decoder.decode_headers().map_err(|e| broken(&e))?;

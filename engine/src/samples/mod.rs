@@ -43,7 +43,7 @@ pub enum Samples {
     U32(Vec<u32>),
     /// Whole numbers without a scale, such as OpenEXR's identifiers of objects.
     Whole(Vec<u32>),
-    /// Signed whole numbers of so many bits, without a scale.
+    /// Signed whole numbers of this number of bits, without a scale.
     Signed(u8, Vec<i32>),
     /// Half floats.
     F16(Vec<f16>),
@@ -87,7 +87,7 @@ impl Samples {
         }
     }
 
-    /// Returns true for whole numbers of a range, of which the largest is 1.
+    /// Returns true for whole numbers of a range whose largest value means 1.
     pub fn is_scaled(&self) -> bool {
         matches!(self, Samples::U8(_) | Samples::U16(_) | Samples::U32(_))
     }
@@ -107,7 +107,7 @@ impl Samples {
     }
 
     /// Distance of two samples of one range, as a part of it; none for other types, whose distance is that of [`Self::values`]. Levels are subtracted
-    /// before they are divided, so that one level of 8 bits is 1/255 wherever it is.
+    /// before they are divided, so that every level of 8 bits is 1/255.
     pub(crate) fn distance(&self, other: &Samples, at: usize) -> Option<f64> {
         let (levels, full) = match (self, other) {
             (Samples::U8(a), Samples::U8(b)) => (u32::from(a.get(at)?.abs_diff(*b.get(at)?)), 255.0),
@@ -121,7 +121,7 @@ impl Samples {
     /// One sample as text, as it is stored.
     ///
     /// # Panics
-    /// When there are not so many.
+    /// When `at` is out of range.
     pub fn text(&self, at: usize) -> String {
         match self {
             Samples::U8(v) => v[at].to_string(),
@@ -214,7 +214,7 @@ pub struct Part {
     pub premultiplied: bool,
     /// Windows of an OpenEXR part.
     pub windows: Option<Windows>,
-    /// When it is shown, in seconds, and, where that is known, for how long.
+    /// When it is shown, in seconds, and its duration, if known.
     pub shown: Option<(f64, Option<f64>)>,
 }
 
@@ -265,7 +265,7 @@ pub enum Kind {
     Image,
     /// A y4m file.
     Y4m,
-    /// Whatever else: ffmpeg decodes it.
+    /// Any other file: ffmpeg decodes it.
     Video,
 }
 

@@ -13,14 +13,14 @@ pub struct Pair {
     pub a: Part,
     /// The second.
     pub b: Part,
-    /// What was done to bring them together, and types that differ; a line each.
+    /// Conversions that made them comparable, and types that differ; a line each.
     pub notes: Vec<String>,
 }
 
 /// Brings two parts together.
 ///
 /// # Errors
-/// What makes them impossible to compare: expected and found values in one line.
+/// Reason why they cannot be compared: expected and found values in one line.
 pub fn pair(mut a: Part, mut b: Part) -> Result<Pair, String> {
     let mut notes = Vec::new();
     if a.name != b.name && a.windows.is_some() && b.windows.is_some() {
@@ -74,7 +74,7 @@ pub fn pair(mut a: Part, mut b: Part) -> Result<Pair, String> {
     Ok(Pair { a, b, notes })
 }
 
-/// Brings an OpenEXR part to the pixels that are shown; outside of what is stored every sample is 0.
+/// Brings an OpenEXR part to the pixels that are shown; outside of the stored window every sample is 0.
 fn displayed(part: &mut Part) -> Option<String> {
     let windows = part.windows.take()?;
     let ([x, y, w, h], [left, top, width, height]) = (windows.data, windows.display);
@@ -216,7 +216,7 @@ mod tests {
             pair(part(1, "Z"), part(1, "Y")).expect_err("channels"),
             "expected the same channels, found Z and Y"
         );
-        // Beside another format the pixels that are shown count.
+        // Against another format the pixels that are shown count.
         let found = pair(part(1, "Y"), grey(&[0, 255, 0, 0, 0, 0, 0, 0])).expect("two pictures");
         assert_eq!(found.a.channels[0].samples.values(), [0.0, 1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     }

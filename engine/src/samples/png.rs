@@ -73,7 +73,7 @@ struct Frames {
     reader: Reader<Cursor<Vec<u8>>>,
     path: PathBuf,
     orientation: Orientation,
-    /// What is shown before the next frame.
+    /// The canvas before the next frame.
     canvas: Option<Part>,
     /// True if the next picture is none of the animation.
     lonely: bool,
@@ -144,7 +144,7 @@ impl Iterator for Frames {
     }
 }
 
-/// A canvas with the channels of `like` and alpha, of which every sample is 0.
+/// A canvas with the channels of `like` and alpha, every sample 0.
 fn blank(like: &Part, [width, height]: [usize; 2]) -> Part {
     let grey = like.channels.len() < 3;
     let wide = matches!(like.channels[0].samples, Samples::U16(_));
@@ -177,7 +177,7 @@ fn lay(canvas: &mut Part, frame: &Part, control: &FrameControl) {
             if control.blend_op == BlendOp::Over && above == 0 {
                 continue;
             }
-            // Alpha in units of full²: what is above, and what shows through it.
+            // Alpha in units of full²: of the upper picture, and of the lower one seen through it.
             let (over, under) = (above * full, below * (full - above));
             for at in 0..=colours {
                 let value = if at == colours {

@@ -68,7 +68,7 @@ impl Pages {
         let (width, height) = (width as usize, height as usize);
         check_size(&path, width, height)?;
         let mut tag = |tag| self.decoder.find_tag_unsigned_vec::<u16>(tag).map_err(wrong);
-        // 1: associated alpha, by which colours are multiplied; 2: not; 0: whatever.
+        // 1: associated alpha, by which colours are multiplied; 2: not; 0: unspecified.
         let extra = tag(Tag::ExtraSamples)?.unwrap_or_default();
         let orientation = tag(Tag::Orientation)?.and_then(|v| v.first().copied());
         let map = tag(Tag::ColorMap)?;
@@ -151,7 +151,7 @@ fn samples(result: DecodingResult, path: &Path) -> Result<Samples, SourceError> 
     }
 }
 
-/// Samples of 1, 2 or 4 bits, of which several share a byte, as bytes of the full range (of palettes: as they are).
+/// Samples of 1, 2 or 4 bits, packed several to a byte, as bytes of the full range (of palettes: as they are).
 fn unpacked(samples: Samples, colour: ColorType, width: usize, height: usize, channels: usize) -> Samples {
     let bits = usize::from(colour.bit_depth());
     let (Samples::U8(bytes), 1 | 2 | 4) = (&samples, bits) else { return samples };

@@ -1,7 +1,7 @@
 //! Times of the source's frames.
 //!
 //! A scene's frames are where its rate puts them, counted from the scene's start, unless an interval lists its own. An interval lists them
-//! where one differs from that in any bit, so that what is drawn at them are the images of the run.
+//! where one differs from that in any bit, so that images drawn at them are those of the run.
 
 use super::{Index, IntervalEntry};
 
@@ -49,7 +49,7 @@ fn implied(start: f64, fps: f64, count: usize, end: f64) -> Option<impl ExactSiz
     Some((count..after).map(move |i| (start + i as f64 / fps).min(end)))
 }
 
-/// What an interval that ends at `end` lists of `frames`, the frames in it: nothing where they are implied, or where there are none. `count` is
+/// The entry of `frames`, the frames in an interval that ends at `end`: nothing where they are implied, or where there are none. `count` is
 /// how many there are before it, and then with it.
 pub(super) fn listed(start: f64, fps: f64, count: &mut usize, end: f64, frames: &[f64]) -> Vec<f64> {
     let Some(times) = implied(start, fps, *count, end) else { return frames.to_vec() };

@@ -1,6 +1,6 @@
 //! Scenes on disk: a folder with `scene.json` and one safetensors file per interval, or one compressed file, a container.
 //!
-//! `scene.json` says where the source's frame lies in the model's input, and lists the intervals in order with their times in
+//! `scene.json` holds the placement of the source's frame in the model's input, and lists the intervals in order with their times in
 //! seconds, counts and BLAKE3 digests. It is replaced by renaming after the intervals it names are whole, so that it never
 //! names half a file; what a stopped writer leaves behind is a valid scene.
 //!
@@ -17,7 +17,7 @@
 //! | `offset` | F32 `[N,3]` | from `mean` to the identity's tracked point |
 //! | `reference` | U8 `[N]` | 0: seen forward from the interval's start; 1: backward from its end |
 //! | `handover` | U8 `[N]` | 0 stays; 1 fades in after the start; 2 fades out before the end |
-//! | `merges` | U64 `[M,2]` | identities that ended, and the one that goes on in each one's place |
+//! | `merges` | U64 `[M,2]` | identities that ended, and the one that continues in each one's place |
 //! | `time` | F64 `[2]` | start and end in seconds |
 //! | `index`, `dropped` | U64 `[1]` | the key frame at the end; Gaussians left out for numbers that are not finite |
 
@@ -76,7 +76,7 @@ pub enum SceneError {
     /// No interval holds the time.
     #[error("time {time} s: expected one between {start} s and {end} s, the times of this scene")]
     Time {
-        /// The time asked for.
+        /// The requested time.
         time: f64,
         /// The scene's start.
         start: f64,

@@ -20,7 +20,7 @@ pub(super) const RECORD: u64 = 110;
 /// Bytes of one merge.
 pub(super) const MERGE: u64 = 16;
 
-/// A scene on disk: its index in memory, its intervals read when asked for.
+/// A scene on disk: its index in memory, its intervals read on demand.
 #[derive(Clone, Debug)]
 pub struct Scene {
     place: Place,
@@ -36,10 +36,10 @@ enum Place {
 }
 
 impl Scene {
-    /// Opens the scene in the folder `path` (or whose `scene.json` is given, or in `path/scene`), or the container `path`.
+    /// Opens the scene in the folder `path` (or of the `scene.json` at `path`, or in `path/scene`), or the container `path`.
     ///
     /// # Errors
-    /// An index that cannot be read, is of another format or version, or says something impossible.
+    /// An index that cannot be read, is of another format or version, or has impossible values.
     pub fn open(path: &Path) -> Result<Scene, SceneError> {
         Scene::open_within(path, &Limits::default())
     }
@@ -104,10 +104,10 @@ impl Scene {
     /// Reads interval `i` of the index.
     ///
     /// # Errors
-    /// A file that cannot be read, has another digest than the index says, or is no interval.
+    /// A file that cannot be read, has another digest than in the index, or is no interval.
     ///
     /// # Panics
-    /// When there are not so many intervals.
+    /// When `i` is out of range.
     pub fn interval(&self, i: usize) -> Result<Interval, SceneError> {
         let entry = &self.index.intervals[i];
         let path = match &self.place {
@@ -116,7 +116,7 @@ impl Scene {
         };
         let broken = |cause: String| SceneError::Broken { path: path.clone(), cause };
         let size = std::fs::metadata(&path).map_err(|cause| SceneError::Read { path: path.clone(), cause })?.len();
-        // Merges end identities, of which there is at most one per record of the interval before.
+        // Merges end identities: at most one per record of the interval before.
         let most = entry.gaussians as u64 * (RECORD + MERGE) + (1 << 28) + MAX_OVERHEAD;
         if size != entry.bytes || size > most {
             return Err(broken(format!("expected {} bytes as {INDEX} says, found {size}", entry.bytes)));
@@ -135,10 +135,10 @@ impl Scene {
 }
 
 impl Index {
-    /// Reads the text of a `scene.json`. Lengths, times, names and the placement are checked; no file it names is looked at.
+    /// Reads the text of a `scene.json`. Lengths, times, names and the placement are checked; the files it names are not read.
     ///
     /// # Errors
-    /// Text that is no index, is of another format or version, or says something impossible: what was expected and what was found.
+    /// Text that is no index, is of another format or version, or has impossible values: what was expected and what was found.
     pub fn from_json(text: &[u8]) -> Result<Index, String> {
         let index: Index = serde_json::from_slice(text).map_err(|e| format!("not a scene's index: {e}"))?;
         if index.format != FORMAT || index.version != VERSION {

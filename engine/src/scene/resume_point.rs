@@ -1,13 +1,13 @@
-//! A stream's resume point as safetensors, so that a stopped stream can go on.
+//! A stream's resume point as safetensors, so that a stopped stream can continue.
 //!
-//! The survivors are the records of an interval; beside them:
+//! The survivors are the records of an interval. In addition:
 //!
 //! | tensor | shape | what |
 //! |---|---|---|
 //! | `current_cell` | U32 `[M]` | places of the last key frame's own Gaussians in its arrays |
-//! | `current_identity`, `current_birth` | U64 `[M]` | theirs |
-//! | `current_offset` | F32 `[M,3]` | theirs |
-//! | `key_frame`, `next_identity` | U64 `[1]` | the key frame; the first identity not given yet |
+//! | `current_identity`, `current_birth` | U64 `[M]` | those of the same Gaussians |
+//! | `current_offset` | F32 `[M,3]` | those of the same Gaussians |
+//! | `key_frame`, `next_identity` | U64 `[1]` | the key frame; the first unused identity |
 //! | `depth` | F32 `[2]` | factor and offset of the key frame's depth map, where there is one |
 //! | `found_inverse`, `found_confidence` | F32 `[R,C]` | depth found by parallax for the key frame's cells, where there is any |
 //! | `found_nearest` | F32 `[1]` | inverse depth that counts as nearest |

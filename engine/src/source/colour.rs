@@ -1,6 +1,6 @@
-//! Colour on the way in: what a file's tags mean and what is done about them. The only place that decides it.
+//! Colour of inputs: meaning of a file's tags and the conversion for each. The only place that decides it.
 //!
-//! | tag | what is done |
+//! | tag | conversion |
 //! |---|---|
 //! | matrix bt709, bt470bg, smpte170m, fcc, smpte240m, bt2020nc | [`Matrix`] of that standard, in our own arithmetic |
 //! | matrix gbr, or an RGB format | samples are used as they are |
@@ -10,7 +10,7 @@
 //! | primaries bt2020, smpte431, smpte432 | zscale makes BT.709 of them, with the curve of BT.1886 for the BT.709 family |
 //! | other primaries | taken as BT.709's: those of BT.601 lie near, and players do the same |
 //! | transfer arib-std-b67, smpte2084 | high dynamic range: brought to BT.709 of standard range |
-//! | transfer linear | given the curve of sRGB |
+//! | transfer linear | the curve of sRGB is applied |
 //! | other transfers | taken as they are: samples are display-referred |
 
 /// The factors of one Y'CbCr matrix.
@@ -85,7 +85,7 @@ pub(super) enum Curve {
     Pq,
 }
 
-/// What is done to a stream's colours before they are red, green and blue of BT.709 and standard range.
+/// Conversion of a stream's colours to red, green and blue of BT.709 and standard range.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Conversion {
     /// Samples are red, green and blue already.
@@ -94,7 +94,7 @@ pub(super) enum Conversion {
     Matrix { matrix: Matrix, guessed: bool },
     /// zscale makes standard range and BT.709 of it. The names are inputs that the file does not state.
     HighRange { curve: Curve, assumed: String },
-    /// zscale makes BT.709 of it; `from` is what it was, `options` are those of the filter.
+    /// zscale converts it to BT.709; `from`: its tags, `options`: those of the filter.
     Zscale { from: String, options: String },
 }
 
@@ -106,7 +106,7 @@ const WIDE: [(&str, &str); 3] = [("bt2020", "BT.2020"), ("smpte431", "DCI-P3"), 
 const CURVES: [&str; 6] = ["bt709", "smpte170m", "bt2020-10", "bt2020-12", "iec61966-2-1", "linear"];
 
 impl Tags {
-    /// Of names as ffmpeg prints them, where `unknown` and `reserved` name nothing.
+    /// Tags by the names that ffmpeg prints; `unknown` and `reserved` are no tags.
     pub(super) fn of(matrix: Option<&str>, primaries: Option<&str>, transfer: Option<&str>) -> Tags {
         let known = |name: Option<&str>| {
             name.filter(|name| !["unknown", "unspecified", "reserved", ""].contains(name)).map(ToOwned::to_owned)
@@ -114,7 +114,7 @@ impl Tags {
         Tags { matrix: known(matrix), primaries: known(primaries), transfer: known(transfer) }
     }
 
-    /// What is done to pictures of these tags. `rgb`: their format is red, green and blue; `grey`: luma alone. `given` goes before the file's matrix.
+    /// Conversion of pictures with these tags. `rgb`: their format is red, green and blue; `grey`: luma alone. `given` replaces the file's matrix.
     pub(super) fn conversion(&self, size: (usize, usize), rgb: bool, grey: bool, given: Option<Matrix>) -> Conversion {
         let tag = self.matrix.as_deref().filter(|name| rgb || *name != "gbr");
         let curve = match self.transfer.as_deref() {
@@ -142,7 +142,7 @@ impl Tags {
                 options += ":t=iec61966-2-1";
                 from.push("linear light");
             } else {
-                // The curve stays what it is; both sides of the filter have its name.
+                // The curve does not change; both sides of the filter have its name.
                 options += &format!(":t={}", transfer.unwrap_or("bt709"));
             }
             if let Some((_, name)) = wide {

@@ -37,7 +37,7 @@ pub enum SourceError {
         /// The file.
         path: PathBuf,
     },
-    /// The file is no image of a known kind, or a broken one.
+    /// The file is no image of a supported kind, or a broken one.
     #[error("{}: {cause}", path.display())]
     Decode {
         /// The file.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::{SourceError, natural};
 
-/// File name endings taken as images, whatever their case.
+/// File name endings taken as images, in any case.
 pub const EXTENSIONS: [&str; 14] =
     ["png", "apng", "jpg", "jpeg", "jfif", "bmp", "tif", "tiff", "webp", "exr", "ppm", "pgm", "tga", "qoi"];
 

@@ -72,7 +72,7 @@ impl Images {
         self.sequence.as_ref()?.times()?.get(index).copied()
     }
 
-    /// What was done to the frames read so far, and to the next one where that is known; each line once.
+    /// Conversions of the frames read so far, and of the next one if already read; each line once.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }

@@ -1,6 +1,6 @@
 //! Frames from folders of images, y4m streams and video files.
 //!
-//! | input | what it is |
+//! | input | meaning |
 //! |---|---|
 //! | a folder | its images ([`folder::EXTENSIONS`]) in natural order; hidden and other files are ignored |
 //! | an image file | a video of one frame; of all its frames where it is an animated PNG or WebP, of its pages where it is a TIFF |
@@ -38,7 +38,7 @@ use y4m::Y4m;
 /// The header of a y4m frame without parameters.
 const FRAME: &[u8] = b"FRAME\n";
 
-/// Frames per second where neither the user nor the stream gives a rate.
+/// Frames per second where neither the user nor the stream sets a rate.
 pub const DEFAULT_FPS: f64 = 24.0;
 
 /// How to read a source.
@@ -100,7 +100,7 @@ fn missing(input: &Path, cause: std::io::Error) -> SourceError {
     }
 }
 
-/// Returns true if `input` is a file that [`Source::open`] gives to ffmpeg: neither a folder, an image, y4m nor standard input.
+/// Returns true if `input` is a file that [`Source::open`] passes to ffmpeg: neither a folder, an image, y4m nor standard input.
 pub fn is_encoded(input: &Path) -> bool {
     let is_file = input != Path::new("-") && input.is_file() && !folder::is_image(input);
     is_file && starts_as_y4m(input).is_ok_and(|y4m| !y4m)
@@ -143,7 +143,7 @@ impl Source {
             Input::Stdin(y4m) => whole(y4m.header().rate),
             Input::Ffmpeg(video) => video.rate(),
         };
-        // A rate that is given goes before the file's own times.
+        // A requested rate replaces the file's own times.
         let uneven = match &kind {
             Input::Images(images) if options.fps.is_none() => images.uneven(),
             _ => None,
@@ -205,8 +205,8 @@ impl Source {
         }
     }
 
-    /// Conversions of the pictures on the way in and parts of the input that are left out, a line each. Of image files and video files what is
-    /// known so far: lines are added as frames are read.
+    /// Conversions of the pictures on the way in and parts of the input that are left out, a line each. For image files and video files
+    /// lines are added as frames are read.
     pub fn notes(&self) -> &[String] {
         match &self.kind {
             Input::Images(images) => images.notes(),
@@ -215,7 +215,7 @@ impl Source {
         }
     }
 
-    /// How many frames there are, where that is known beforehand: image files, and a y4m file of whole frames.
+    /// Number of frames, where it is known beforehand: image files, and a y4m file of whole frames.
     pub fn frames(&self) -> Option<usize> {
         match &self.kind {
             Input::Images(images) => Some(images.frames()),
@@ -229,7 +229,7 @@ impl Source {
         }
     }
 
-    /// How many frames there may be, for telling how far the work is: [`Source::frames`], or what a video file says of itself.
+    /// Expected number of frames, for progress: [`Source::frames`], or a video file's own metadata.
     pub fn expected_frames(&self) -> Option<usize> {
         match &self.kind {
             Input::Ffmpeg(video) => video.expected_frames(),
@@ -255,7 +255,7 @@ impl Source {
         matches!(self.kind, Input::Stdin(_))
     }
 
-    /// Returns true if it is known that frames do not follow each other at a constant rate.
+    /// Returns true if the frames are known to have no constant rate.
     pub fn is_uneven(&self) -> bool {
         let known = match &self.kind {
             Input::Ffmpeg(video) => video.is_uneven(),

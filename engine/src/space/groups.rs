@@ -1,4 +1,4 @@
-//! Gaussians in groups of neighbours, for many images of a scene of which each shows a part.
+//! Gaussians in groups of neighbours, for many images that each show a part of a scene.
 
 use rayon::prelude::*;
 use streamsplat_kernels::raster::ALPHA_MIN;
@@ -12,12 +12,12 @@ const STEPS: u32 = 21;
 
 /// A scene's Gaussians, 64 to a group along a Z-order curve through their centres, each group with its bounds.
 ///
-/// [`Groups::seen`] asks the [`Window`] about groups first and then about the members of those it does not miss.
+/// [`Groups::seen`] tests groups with the [`Window`] first and then the members of those that it does not miss.
 #[derive(Clone, Debug)]
 pub(crate) struct Groups {
     members: Vec<Member>,
     bounds: Vec<Bounds>,
-    /// Those of which nothing may be said: a number that is not finite (they are counted when they are drawn), or a huge one.
+    /// Gaussians without a bound: with a number that is not finite (counted when drawn), huge, or not `tame`.
     others: Vec<u32>,
     count: usize,
 }
@@ -37,7 +37,7 @@ struct Bounds {
 }
 
 impl Groups {
-    /// Groups Gaussians by their centres. Of one that is not `tame`, whatever a view makes of its other numbers, nothing is said.
+    /// Groups Gaussians by their centres. One that is not `tame` is in no group and is never left out of an image.
     pub(crate) fn new(
         mean: &[[f32; 3]],
         scale: &[[f32; 3]],
@@ -52,7 +52,7 @@ impl Groups {
         };
         let (all, others): (Vec<u32>, Vec<u32>) =
             (0..mean.len() as u32).into_par_iter().partition(|&i| known(i as usize));
-        // What is too faint to be seen is in no group: no image shows it.
+        // Gaussians too faint to be seen are in no group: no image shows them.
         let all: Vec<u32> = all.into_par_iter().filter(|&i| opacity[i as usize] >= ALPHA_MIN).collect();
         let (least, greatest) = all.par_iter().map(|&i| (mean[i as usize], mean[i as usize])).reduce(
             || ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]),
@@ -96,7 +96,7 @@ impl Groups {
 }
 
 impl Bounds {
-    /// Of at least one member.
+    /// Bounds of at least one member.
     fn of(members: &[Member]) -> Self {
         let (mut least, mut greatest, mut reach) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3], 0.0_f32);
         for member in members {
@@ -125,7 +125,7 @@ fn place_on_curve(point: [f32; 3], least: [f32; 3], greatest: [f32; 3]) -> u64 {
     (0..3).map(|axis| spread(step(axis)) << axis).sum()
 }
 
-/// These places, ordered along the curve through the centres, which are finite; equal ones as they stand.
+/// These places, ordered along the curve through the centres, which are finite; equal ones keep their order.
 pub(crate) fn along_curve(mean: &[[f32; 3]], mut places: Vec<usize>) -> Vec<usize> {
     let bounds = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     let (least, greatest) = places.iter().fold(bounds, |(least, greatest), &i| {

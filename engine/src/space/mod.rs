@@ -1,17 +1,17 @@
 //! Questions about space rather than pixels: which Gaussians a ray may touch, which lie in a camera's frustum, whose footprint a
 //! point is in.
 //!
-//! A [`Tree`] holds axis-aligned boxes in a bounding volume hierarchy (`obvhs`). The hierarchy only proposes; what is
-//! answered is decided box by box in binary64, so that every answer is the one that looking at all boxes would give, in
-//! ascending order, whatever the shape of the hierarchy.
+//! A [`Tree`] holds axis-aligned boxes in a bounding volume hierarchy (`obvhs`). The hierarchy only proposes; each
+//! box is tested in binary64. So every result equals that of testing all boxes, in
+//! ascending order, for any shape of the hierarchy.
 //!
-//! [`Picker`] asks it what shows most along rays. *Matching of frames* ([`crate::stream`]) does not, because bins on the frame's lattice
-//! give the same pairs sooner.
+//! [`Picker`] uses it for the most visible Gaussian along rays. *Matching of frames* ([`crate::stream`]) does not, because bins on the frame's
+//! lattice find the same pairs sooner.
 //!
 //! # Images of a part of a scene
 //!
-//! A frustum cannot tell what an image shows: the affine footprint of a Gaussian beside a pinhole can reach into the image where the
-//! Gaussian itself is outside. `Window` bounds the rasteriser's footprints instead, of one Gaussian or of a box of centres. What it
+//! A frustum does not bound what an image shows: the affine footprint of a Gaussian outside a pinhole's frustum can reach into the
+//! image. `Window` bounds the rasteriser's footprints instead, of one Gaussian or of a box of centres. What it
 //! misses, where that is more than half of a scene, is left out before anything of it is computed. The image keeps its bits;
 //! [`Renderer::left_out`](crate::render::Renderer::left_out) counts.
 //!
@@ -171,7 +171,7 @@ impl Tree {
         self.search(|bounds| sides.iter().all(|side| bounds.reaches(side)))
     }
 
-    /// The Gaussian of `snapshot` (of which this tree is) in whose footprint `point` lies and to whose centre it is nearest, measured in
+    /// The Gaussian of `snapshot` (which this tree was built from) in whose footprint `point` lies and to whose centre it is nearest, measured in
     /// standard deviations; the lowest place among equals.
     pub fn nearest_footprint(&self, snapshot: &Snapshot, point: [f32; 3]) -> Option<u32> {
         let mut best: Option<(f64, u32)> = None;
@@ -192,7 +192,7 @@ impl Tree {
         best.map(|(_, place)| place)
     }
 
-    /// The numbers of the boxes of which `wanted` is true, ascending. `wanted` is true of every box that holds one of which it is.
+    /// The numbers of the boxes with `wanted` true, ascending. If `wanted` is true of a box, it is true of every box around it.
     fn search(&self, wanted: impl Fn(&Bounds) -> bool) -> Vec<u32> {
         let mut found = Vec::new();
         let nodes = &self.hierarchy.nodes;
@@ -219,7 +219,7 @@ impl Tree {
     }
 }
 
-/// As the hierarchy wants it; unions of boxes take corners as they are, without rounding.
+/// In the hierarchy's form; unions of boxes take corners as they are, without rounding.
 fn corners(bounds: &Bounds) -> Aabb {
     Aabb::new(Vec3A::from_array(bounds.least), Vec3A::from_array(bounds.greatest))
 }

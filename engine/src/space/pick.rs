@@ -1,4 +1,4 @@
-//! Which Gaussian shows most along a ray.
+//! The most visible Gaussian along a ray.
 
 use streamsplat_kernels::math::f64::exp;
 
@@ -19,7 +19,7 @@ pub struct Ray {
 pub struct Hit {
     /// Place in the snapshot.
     pub place: u32,
-    /// Its part of what is seen: αT, at most 1.
+    /// Its share of the pixel: αT, at most 1.
     pub weight: f64,
 }
 
@@ -32,7 +32,7 @@ pub struct Hit {
 /// ```
 ///
 /// with the products by components, `(d·σσ)_i = d_i·σ_j·σ_k`. Front to back by e·d (ties: lower place first), as far as T, the
-/// product of 1 − α, stays at 1e-4 or above; α under 1/255 is skipped, and so is what lies behind the origin. The largest αT is
+/// product of 1 − α, stays at 1e-4 or above; α under 1/255 is skipped, and so are Gaussians behind the origin. The largest αT is
 /// the answer, the frontmost among equals. Binary64, sums from left to right.
 ///
 /// For a ray along z with the blur of the pixel grid this is what a pixel of the canonical camera shows
@@ -106,7 +106,7 @@ fn blend(snapshot: &Snapshot, blur: [f64; 3], ray: &Ray, candidates: impl IntoIt
         }
         let alpha = (f64::from(snapshot.opacity[i]) * exp(-0.5 * (across / along))).min(0.99);
         let depth = e[0] * d[0] + e[1] * d[1] + e[2] * d[2];
-        // Written so that what is not a number is no hit.
+        // Written so that NaN is no hit.
         if depth > 0.0 && alpha >= 1.0 / 255.0 {
             hits.push((depth, place, alpha));
         }

@@ -24,17 +24,17 @@ pub(super) const LARGEST: f64 = 1e15;
 /// |u − f·x/z − c| ≤ f·(ρ/z)·√(1 + (x/z)²) + blur
 /// ```
 ///
-/// pixels, and alike for v (see [`streamsplat_kernels::raster`]): the affine approximation stretches it the more the farther beside the axis
+/// pixels, and alike for v (see [`streamsplat_kernels::raster`]): the affine approximation stretches it the more the farther from the axis
 /// it is, so that it can reach into the image although the ellipsoid is outside the frustum. With E the tangent of the image's edge,
-/// blur included, it is beside the image where
+/// blur included, it is outside the image where
 ///
 /// ```text
 /// x − E·z > ρ·√(1 + (x/z)²)
 /// ```
 ///
-/// Of a box of centres the left side is linear and least in a corner; the right side is bounded by the largest |x| over the least z. What lies
-/// behind the eye throughout is not drawn either. All else might be seen, above all what is nearer to the plane of the eye than it
-/// reaches.
+/// For a box of centres the left side is linear and least in a corner; the right side is bounded by the largest |x| over the least z. A box
+/// entirely behind the eye is not drawn either. All else might be seen, above all a Gaussian nearer to the plane of the eye than its
+/// reach.
 ///
 /// There is none of an orthographic camera: whether its image is separable is a question about all Gaussians of the scene.
 pub(crate) struct Window {
@@ -99,7 +99,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// At least how far a Gaussian's α reaches 1/255; infinite for opacities above 1, of which nothing is known.
+/// At least how far a Gaussian's α reaches 1/255; infinite for opacities above 1, which have no bound.
 pub(super) fn reach(scale: [f32; 3], opacity: f32) -> f64 {
     let longest = scale.iter().fold(0.0_f64, |longest, s| longest.max(f64::from(*s).abs()));
     if opacity <= 1.0 && scale.iter().all(|s| !s.is_nan()) { DEVIATIONS * longest } else { f64::INFINITY }

@@ -56,7 +56,7 @@ impl Axes {
     pub fn all() -> impl Iterator<Item = Axes> {
         (0..16_u32).map(|code| {
             let bit = |k: u32| code >> k & 1 == 1;
-            // x changes fastest. Numbers from 9 on begin with the depth at the front, and with what is vertical downwards.
+            // x changes fastest. Numbers from 9 on begin with the depth at the front, and with the vertical axis downwards.
             let along = if code < 8 { [bit(0), !bit(1), bit(2)] } else { [bit(0), !bit(1), !bit(2)] };
             Axes { along, upright: code >= 8 }
         })

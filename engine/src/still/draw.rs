@@ -23,7 +23,7 @@ const LARGEST_COEFFICIENT: f32 = 1e30;
 pub struct Drawable {
     still: Still,
     scale: Vec<[f32; 3]>,
-    /// Of length 1; NaN where the file's has none. Kept for many images alone; one image forms each where it needs it.
+    /// Unit quaternions; NaN where the file's has no direction. Kept for many images only; one image computes each when needed.
     rotation: Option<Vec<[f64; 4]>>,
     opacity: Vec<f32>,
     groups: Option<Groups>,
@@ -96,7 +96,7 @@ pub(crate) fn grown(x: f32) -> f32 {
 
 /// 1 / (1 + e^−x), rounded once.
 pub(super) fn sigmoid(x: f32) -> f32 {
-    // Beyond, the result is 0 or 1 in binary32, whatever the exponential.
+    // Beyond, the result is 0 or 1 in binary32 for any exponential.
     let x = f64::from(x);
     if x.is_nan() { f32::NAN } else { (1.0 / (1.0 + exp(-x.clamp(-200.0, 200.0)))) as f32 }
 }

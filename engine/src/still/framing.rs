@@ -1,4 +1,4 @@
-//! Where to look at a still scene from, when nothing says it.
+//! Default camera of a still scene.
 
 use super::statistics::quantiles;
 use super::{Orbit, Still};
@@ -8,7 +8,7 @@ use streamsplat_kernels::math::f64::sin_cos;
 
 /// Vertical field of view in degrees.
 const FIELD: f64 = 45.0;
-/// How high the camera stands above the middle, in degrees.
+/// Elevation of the camera above the middle, in degrees.
 const ELEVATION: f64 = 12.0;
 /// How much of the image's half the scene may fill.
 const FILL: f64 = 0.8;
@@ -34,7 +34,7 @@ pub struct Framing {
 }
 
 impl Still {
-    /// The box that holds most of the scene: along each axis what lies between the 5th and the 95th of a hundred centres, and
+    /// The box that holds most of the scene: along each axis the range between the 5th and the 95th of a hundred centres, and
     /// 15 % of that width at either end as far as there are centres. Gaussians with an opacity under 0.1 do not count, where others
     /// are. With the scene's offset. `None` where no centre is finite.
     pub fn framing(&self) -> Option<Framing> {

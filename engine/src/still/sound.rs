@@ -1,6 +1,6 @@
-//! Which Gaussians of a still scene can be drawn: one rule for images, exports, pages and statistics.
+//! The Gaussians of a still scene that can be drawn: one rule for images, exports, pages and statistics.
 //!
-//! The rule looks at the numbers that are drawn, not at those that files hold. An opacity whose logit is +∞ is 1, one of −∞ is 0; a
+//! The rule is about the numbers that are drawn, not those in files. An opacity whose logit is +∞ is 1, one of −∞ is 0; a
 //! logarithm of −∞ is a thickness of 0. A Gaussian cannot be drawn where
 //!
 //! - its centre, a coefficient of its harmonics or its rotation is not finite,

@@ -1,4 +1,4 @@
-//! Numbers that say what a still scene holds.
+//! Statistics of a still scene.
 
 use rayon::prelude::*;
 use streamsplat_kernels::math::f64::exp;
@@ -7,7 +7,7 @@ use super::{Defect, Still};
 
 /// Logit of the opacity 1/255: −ln 254.
 const FAINTEST: f32 = -5.537_334;
-/// Shares of the values below which [`Spread`] gives one.
+/// Quantiles in [`Spread`].
 const SHARES: [f64; 5] = [0.0, 0.05, 0.5, 0.95, 1.0];
 
 /// The least value, those at 5, 50 and 95 of a hundred, and the greatest.
@@ -79,7 +79,7 @@ pub(super) fn quantiles<const N: usize>(mut values: Vec<f32>, shares: [f64; N]) 
     let (mut rest, mut from) = (values.as_mut_slice(), 0);
     Some(shares.map(|share| {
         let at = (share * last as f64).round() as usize - from;
-        // What is before a share's value is not above it, and the next share's is not before it.
+        // Values before a share's value are not above it, and the next share's is not before it.
         let value = *rest.select_nth_unstable_by(at, f32::total_cmp).1;
         rest = &mut std::mem::take(&mut rest)[at..];
         from += at;

@@ -1,4 +1,4 @@
-// What the view's address says, so that a link shows what its sender saw.
+// State of the view in the address, so that a link shows what its sender saw.
 
 /** Takes the view from the address (#t=0.5&yaw=20&…). */
 function readAddress() {

@@ -2,7 +2,7 @@
 //
 // Scene space is x right, y down, z forward. Cameras live in its square units: x and z times the aspect of the model's input, so that a unit is
 // half the input's height. From straight ahead with parallel rays it is the source's own view: the content of the input fills the image. With
-// perspective what lies as far as the target keeps its size.
+// perspective things at the target's distance keep their size.
 //
 // A still scene has no such view: it is seen in perspective from where still/framing.rs puts the camera, in the file's own units.
 

@@ -1,4 +1,4 @@
-// Chunks of a container, as a page holds them, made into packets. docs/container.md gives the columns; container/images.rs what a page's differ in.
+// Chunks of a container, as a page holds them, made into packets. Columns: docs/container.md; differences of a page's: container/images.rs.
 
 const COLUMNS = 29;
 const [KIND, LINK, CODE, IDENTITY, BIRTH, FRAME, FIRST] = [0, 1, 2, 3, 4, 5, 6];

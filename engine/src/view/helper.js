@@ -81,7 +81,7 @@ class Orders {
       this.work.records += work.records;
       this.work.moved += work.moved;
       this.known.set(question.interval, { ...question, order });
-      // Of intervals left behind the order is of no use.
+      // The order of intervals left behind is not needed.
       if (this.known.size > 4) this.known.delete(this.known.keys().next().value);
       this.came();
     }

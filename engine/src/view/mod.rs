@@ -1,7 +1,7 @@
 //! A page that shows a scene in a browser: splats drawn with WebGL2, at any time, from any side.
 //!
 //! [`Server`] serves the page and the scene's intervals on demand; [`write_page`] puts both into one file that opens by itself.
-//! The page asks nobody else for anything. What it shows comes from a [`Source`]: a scene on disk ([`Recorded`]), a stream under
+//! The page contacts no other server. Its content comes from a [`Source`]: a scene on disk ([`Recorded`]), a stream under
 //! way ([`Live`]) or a still scene ([`StillSource`]). [`mod@packet`] is the form in which an interval travels; a still scene has one of its own.
 //! Files that are opened on the page are read there, by the scripts in `dropped`, into the packets that a [`StillSource`] has of them.
 //!

@@ -1,4 +1,4 @@
-// Gaussians in time, as splat.vert has it, for sorting and picking.
+// Gaussians in time, as in splat.vert, for sorting and picking.
 
 const HANDOVER = 0.125;
 

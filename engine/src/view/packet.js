@@ -1,4 +1,4 @@
-// Packets: one interval's Gaussians as the server sends them. packet.rs gives the layout.
+// Packets: one interval's Gaussians as the server sends them. packet.rs describes the layout.
 
 const HEADER = 96;
 const RECORD = 32;

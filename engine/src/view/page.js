@@ -161,7 +161,7 @@ function load(interval) {
     (e) => {
       if (own !== store) return;
       again = performance.now() + RETRY;
-      // fetch() gives a TypeError where nobody answers.
+      // fetch() throws a TypeError without an answer.
       say(e instanceof TypeError ? GONE : `Interval ${interval}: ${e.message}`);
     },
   );

@@ -94,7 +94,7 @@ pub enum PageError {
     /// The scene cannot be read.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// An interval of the list is not to be had any more.
+    /// A listed interval is no longer available.
     #[error("interval {0}: expected all that the scene lists, found it gone")]
     Gone(usize),
     /// A part has more characters than a browser's text can have.
@@ -117,7 +117,7 @@ pub enum PageError {
 /// Characters of a text in a browser: 2²⁹ − 24 in Chromium, the fewest of all.
 const LONGEST: usize = (1 << 29) - 24;
 
-/// A source of which all there is goes into one file.
+/// A source whose whole content goes into one file.
 pub trait Whole: Source {
     /// Description for programs that show links.
     const ABOUT: &str;
@@ -128,10 +128,10 @@ pub trait Whole: Source {
     /// A scene that cannot be read or drawn.
     fn poster(&self) -> Result<Picture, PageError>;
 
-    /// Gives its intervals to `put` one after another, as the scripts of the file take them apart.
+    /// Passes its intervals to `put` one after another, in the form that the file's scripts read.
     ///
     /// # Errors
-    /// A scene that cannot be read, and what `put` says.
+    /// A scene that cannot be read, and the errors of `put`.
     fn parts(&self, put: &mut dyn FnMut(&[u8]) -> Result<(), PageError>) -> Result<(), PageError>;
 }
 
@@ -140,7 +140,7 @@ pub trait Whole: Source {
 pub struct Link {
     /// The page's title.
     pub title: String,
-    /// Where the page will be, where that is known.
+    /// Address of the page, if known.
     pub url: Option<String>,
     /// Where its poster will be: an address, or one relative to the page.
     pub image: String,
@@ -185,7 +185,7 @@ pub fn poster(source: &impl Whole) -> Result<(Vec<u8>, [usize; 2]), PageError> {
 /// scene its compressed packet, as printable text.
 ///
 /// # Errors
-/// A source that cannot be read, one that is too large for a browser's text, and what `out` says.
+/// A source that cannot be read, one that is too large for a browser's text, and the errors of `out`.
 pub fn write_page<S: Whole>(source: &S, link: &Link, out: &mut dyn Write) -> Result<u64, PageError> {
     let mut written = 0;
     let mut put = |out: &mut dyn Write, text: &str| -> io::Result<()> {

@@ -1,4 +1,4 @@
-// Who is under a pixel, and where it goes.
+// The Gaussian under a pixel, and its path.
 
 const ALPHA_MIN = 1 / 255;
 const LOW_PASS = 0.3;

@@ -22,13 +22,13 @@ pub struct ServeError {
 /// | `/scene.json?from=N` | the [`Description`](super::Description), its intervals from number N on |
 /// | `/interval/N` | a [`packet`](mod@super::packet) |
 ///
-/// Anything else is not found. [`mod@super::http`] says what is refused, and what clients can take.
+/// Anything else is not found. [`mod@super::http`] lists what is refused, and the limits of clients.
 pub struct Server {
     listener: Listener,
 }
 
 impl Server {
-    /// Serves `source` on `address`; port 0 takes any free port. Requests may give the server these `names`, beside those of
+    /// Serves `source` on `address`; port 0 takes any free port. Requests may use these `names` for the server, as well as those of
     /// [`Hosts::of`].
     ///
     /// # Errors

@@ -22,7 +22,7 @@ pub struct Description {
     pub title: String,
     /// Frames per second of the source.
     pub fps: f64,
-    /// Where the source's frame lies in the model's input; not known before a stream's first interval.
+    /// Where the source's frame lies in the model's input; unknown before a stream's first interval.
     pub placement: Option<PlacementRecord>,
     /// The scene's nature where it has no time: then its one interval is an instant.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -62,7 +62,7 @@ pub trait Source: Send + Sync {
     fn packet(&self, i: usize) -> Result<Option<Arc<[u8]>>, SceneError>;
 }
 
-/// A scene on disk, its intervals read when asked for.
+/// A scene on disk, its intervals read on demand.
 #[derive(Clone, Debug)]
 pub struct Recorded {
     title: String,
@@ -76,7 +76,7 @@ impl Recorded {
         Recorded { title: title.into(), scene, workers }
     }
 
-    /// Interval `i`, of which there must be so many.
+    /// Interval `i`, which must exist.
     fn interval(&self, i: usize) -> Result<Interval, SceneError> {
         self.scene.interval(i)
     }
@@ -111,14 +111,14 @@ impl Source for Recorded {
 impl Whole for Recorded {
     const ABOUT: &str = "A video as a scene that can be turned: dynamic 3D Gaussians";
 
-    /// Of the size that the model saw it in.
+    /// A picture of the model's input size.
     fn poster(&self) -> Result<Picture, PageError> {
         let interval = self.interval(0)?;
         let image = interval.render(interval.start, &Camera::Canonical, &RenderOptions::default(), &self.workers)?;
         Ok(Picture { width: image.width, height: image.height, rgb: image.rgb })
     }
 
-    /// Each as the key frame at its end, a byte that is 1 where the chunk stands alone, and the chunk.
+    /// Each as the key frame at its end, a byte that is 1 for an independent chunk, and the chunk.
     fn parts(&self, put: &mut dyn FnMut(&[u8]) -> Result<(), PageError>) -> Result<(), PageError> {
         let mut chunks = ImageChunks::default();
         for i in 0..self.scene.index().intervals.len() {
@@ -175,7 +175,7 @@ impl Live {
         }
     }
 
-    /// Says that no more intervals will come.
+    /// Marks the end: no more intervals will come.
     pub fn complete(&self) {
         self.lock().complete = true;
     }

@@ -1,4 +1,4 @@
-// Still scenes: one packet of Gaussians without time. still/packet.rs gives the layout.
+// Still scenes: one packet of Gaussians without time. still/packet.rs describes the layout.
 
 const STILL_MAGIC = 0x73737374;
 const STILL_HEADER = 16;

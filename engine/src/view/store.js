@@ -1,4 +1,4 @@
-// Where intervals come from, and the ones at hand.
+// The source of intervals, and those already loaded.
 
 /** The most bytes of packets kept. */
 const KEPT = 256 * 2 ** 20;
@@ -48,10 +48,10 @@ class Embedded {
     for (let i = interval; ; i--) {
       if (i === this.given) break;
       texts.unshift(await this.text(i));
-      // The ninth byte says whether it needs the one before.
+      // The ninth byte: whether it needs the one before.
       if (bytesOf(texts[0].slice(0, 12))[8]) break;
     }
-    // Nothing is left to give where it is the last one again.
+    // No text is left to drop where it is the last one again.
     if (!texts.length) {
       this.given = -1;
       return this.packet(interval);
@@ -127,7 +127,7 @@ class Store {
     const known = this.times.length;
     const { intervals, from, ...about } = await this.source.describe(known);
     this.about = about;
-    // What a stream no longer keeps has no times.
+    // Intervals that a stream no longer keeps have no times.
     while (this.times.length < from) this.times.push(null);
     this.times.push(...intervals);
     return this.times.length - known;

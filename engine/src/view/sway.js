@@ -1,4 +1,4 @@
-// A gentle sway until somebody touches the page: that the scene has depth is seen without doing anything.
+// A gentle sway until the first touch of the page shows that the scene has depth.
 
 /** Degrees to either side, degrees up and down, and seconds there and back. */
 const SWAY = { across: 4, along: 1.5, seconds: 7 };

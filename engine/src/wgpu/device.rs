@@ -65,7 +65,7 @@ impl Gpu {
         Ok(Self { device, queue, pipeline, name, most })
     }
 
-    /// Runs `work` and tells what the device reported about it.
+    /// Runs `work`; fails with the first error that the device reported.
     pub fn guarded<R>(&self, work: impl FnOnce() -> R) -> Result<R, WgpuError> {
         guarded(&self.device, &self.name, work)
     }
@@ -83,7 +83,7 @@ impl Gpu {
         Ok(())
     }
 
-    /// Makes `buffer` hold at least `bytes`. What it held is lost where it grows.
+    /// Makes `buffer` hold at least `bytes`. Its content is lost when it grows.
     pub fn reserve(&self, buffer: &mut Option<Buffer>, usage: BufferUsages, bytes: u64) {
         // No binding is empty.
         let size = bytes.max(64);
@@ -94,7 +94,7 @@ impl Gpu {
     }
 }
 
-/// Runs `work` and tells the first thing that the device reported about it.
+/// Runs `work`; fails with the first error that the device reported.
 fn guarded<R>(device: &Device, name: &str, work: impl FnOnce() -> R) -> Result<R, WgpuError> {
     let scopes = [ErrorFilter::OutOfMemory, ErrorFilter::Validation, ErrorFilter::Internal]
         .map(|filter| device.push_error_scope(filter));

@@ -12,7 +12,7 @@ pub enum WgpuError {
         /// Message of the search.
         reason: String,
     },
-    /// The adapter gives no device.
+    /// The adapter has no device.
     #[error("{adapter}: expected a device, found none: {reason}")]
     NoDevice {
         /// The adapter's name.

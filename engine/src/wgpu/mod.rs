@@ -2,17 +2,17 @@
 //!
 //! The Gaussians are projected, binned and sorted on the CPU by the code of the contract
 //! ([`streamsplat_kernels::raster::Rasteriser::lists`]); footprints and lists go to the device, where a compute shader
-//! (`blend.wgsl`) blends every pixel; the planes that were asked for come back.
+//! (`blend.wgsl`) blends every pixel; the requested planes come back.
 //!
 //! # Outside of the bit contract
 //!
-//! The shading language gives devices freedom in rounding: multiply-adds may be fused or not, and 2^x has an error of its own.
+//! The shading language leaves the rounding to devices: multiply-adds may be fused or not, and 2^x has an error of its own.
 //! Images therefore differ from device to device and from the CPU's, within 2/255 on all but one pixel in 2,000. They differ more
 //! where a rounding decides whether an α reaches 1/255 or a pixel is finished.
 //!
 //! # Memory
 //!
-//! 64 bytes for every Gaussian that can be seen, 4 for every tile it touches, 4 for every pixel of every plane. What does not fit one
+//! 64 bytes for every Gaussian that can be seen, 4 for every tile it touches, 4 for every pixel of every plane. A request that does not fit one
 //! buffer of the device is refused ([`WgpuError::TooLarge`]).
 
 mod device;
@@ -32,7 +32,7 @@ use device::Gpu;
 
 /// Pixels per side of a workgroup.
 const SIDE: u32 = 16;
-// What the shader divides by.
+// The shader's divisor.
 const _: () = assert!(TILE_PIXELS[0] == 64 && TILE_PIXELS[1] == 32);
 
 /// A renderer that blends on a graphics card.
@@ -82,10 +82,10 @@ fn planes(request: &Request) -> ([u32; 4], u32) {
 }
 
 impl WgpuRasteriser {
-    /// A renderer on the strongest adapter there is, which may be a software one. What stays on the CPU runs on `level`.
+    /// A renderer on the strongest adapter, which may be a software one. The part on the CPU runs on `level`.
     ///
     /// # Errors
-    /// When there is no adapter or it gives no device.
+    /// When there is no adapter or it has no device.
     pub fn new(level: Level) -> Result<Self, WgpuError> {
         Ok(Self {
             gpu: Gpu::new()?,
@@ -146,7 +146,7 @@ impl WgpuRasteriser {
         Ok(&self.image)
     }
 
-    /// The planes of `values` as they were asked for.
+    /// The requested planes of `values`.
     fn take(&mut self, mut values: Vec<f32>, request: &Request) {
         let pixels = request.width * request.height;
         let ([depth, alpha, final_t, blended], _) = planes(request);
@@ -158,7 +158,7 @@ impl WgpuRasteriser {
         image.rgb = values;
     }
 
-    /// Uploads the lists, blends, and gives the planes one after another.
+    /// Uploads the lists, blends, and returns the planes one after another.
     fn blend(&mut self, request: &Request) -> Result<Vec<f32>, WgpuError> {
         let _span = tracing::debug_span!("blend", width = request.width, height = request.height).entered();
         let (gpu, lists) = (&self.gpu, &self.lists);

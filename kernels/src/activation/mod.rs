@@ -1,6 +1,6 @@
 //! Activation functions over slices: the functions of [`crate::math`], element by element, in place.
 //!
-//! Each element's result depends on that element alone. NaN gives NaN.
+//! Each element's result depends on that element alone. NaN returns NaN.
 
 use tracing::debug_span;
 

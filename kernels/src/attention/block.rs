@@ -292,7 +292,7 @@ impl<A: Form, W: WeightedSum> State<'_, A, W> {
             let along = |stride| Strided::along(at.as_ptr().cast(), stride);
             // SAFETY: each pointer is that of a slice of the length read.
             let mut acc = unsafe {
-                // With a distance that the compiler knows, the addresses of all keys are one register's.
+                // With a compile-time stride, the addresses of all keys need one register.
                 if keys.stride == usual {
                     A::multiply::<S, KR, NV>(s, along(usual), from, self.words, &mut ())
                 } else {

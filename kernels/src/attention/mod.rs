@@ -7,7 +7,7 @@
 //! # Order of operations
 //! - `s = q·k`: one chain of fused multiply-adds over the channels, ascending, from +0.
 //! - Keys are taken in blocks of [`KEY_BLOCK`], ascending. With `c` = `log2(e)/√width` rounded to f32, the query's reference
-//!   is `M = max(M, c·max s)`; what was accumulated before is scaled by `r = 2^(M_old − M)`.
+//!   is `M = max(M, c·max s)`; earlier sums are scaled by `r = 2^(M_old − M)`.
 //! - The weight of a key is `2^(fma(s, c, −M))` (see `weight.rs`), never below `2^−64` nor, where logits are so large that `M` is rounded by more, above 2.
 //! - `Σ w`: a block has four sums, of its keys 0, 4, 8 …, of 1, 5, 9 …, and so on, each ascending from +0; the block's sum is
 //!   `(0 + 1) + (2 + 3)`, and the query's sum becomes `fma(sum, r, block)`.
@@ -29,13 +29,13 @@
 //!   at most 2⁴⁸). `s = f32(Σ integers)·b`, whose sum is exact, and `c` is multiplied by `a` (rounded). A block of keys has a reference
 //!   of its own, `B = max s·c`; its weights are the integers nearest to `255·2^(s·c − B)` (the same short polynomial; ties to even), its values
 //!   8-bit integers with a scale `d` per channel of the block. `Σ w` and `Σ w v` of a block are exact; with `M = max(M, B)`, `r` as above and
-//!   `u = 2^(B − M)` the query's sums become `fma(sum, r, f32(Σ w)·u)` and `fma(sum, r, f32(Σ w v)·(u·d))`. What weighs less than 1/510 of
+//!   `u = 2^(B − M)` the query's sums become `fma(sum, r, f32(Σ w)·u)` and `fma(sum, r, f32(Σ w v)·(u·d))`. A weight less than 1/510 of
 //!   the largest of its block weighs nothing.
 //!
 //! # Extremes
-//! A logit that is NaN or −∞ weighs `2^−64` (`2^−56` in bf16) of the largest. A row of nothing else gives the mean of its
-//! values, and so does a row in which every logit is +∞: while `M` is infinite, `r` is 1 where `M` stays and all weights are equal. A row
-//! with some logits at +∞ gives some mean of its values. In int8 a query or key with a value that is not finite counts as zeros, and so does a
+//! A logit that is NaN or −∞ weighs `2^−64` (`2^−56` in bf16) of the largest. If all logits of a row are such, the result is the mean of its
+//! values, as for a row in which every logit is +∞: while `M` is infinite, `r` is 1 where `M` stays and all weights are equal. A row
+//! with some logits at +∞ returns some mean of its values. In int8 a query or key with a value that is not finite counts as zeros, and so does a
 //! channel of a block of values. Otherwise a NaN or infinite *value* reaches every row that sees its key: callers reject such input.
 //!
 //! Source: "StreamSplat (ICLR 2026)", encoder, decoder and upsampler blocks; the online form is that of Milakov and Gimelshein
@@ -76,7 +76,7 @@ use weighted_sum::{Bf16Sum, F32Sum, Int8Sum, WeightedSum};
 /// Without keys the result is zero.
 ///
 /// # Panics
-/// When `width` is not a multiple of 16, when `k` and `v` differ in rows, when runs are asked for and `q` and `k` differ in
+/// When `width` is not a multiple of 16, when `k` and `v` differ in rows, when runs are requested and `q` and `k` differ in
 /// rows, when a matrix is narrower than `heads · width` or has heads of another width, or `out` has another size.
 pub fn attend(level: Level, shape: Shape, q: Rows<'_>, k: Rows<'_>, v: Rows<'_>, out: &mut [f32]) {
     attend_as(Precision::F32, level, shape, q, k, v, out);
@@ -102,7 +102,7 @@ pub fn attend_as(
 /// which others there are.
 ///
 /// # Panics
-/// As [`attend`], but for the number of queries; when there are not as many places as queries, or, where runs are asked for, one
+/// As [`attend`], but for the number of queries; when there are not as many places as queries, or, where runs are requested, one
 /// is not that of a key.
 #[expect(clippy::too_many_arguments, reason = "those of `attend_as` and the places")]
 pub fn attend_some(

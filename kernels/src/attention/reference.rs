@@ -1,4 +1,4 @@
-//! The formula in binary64, every weight in memory; and in plain scalar steps of the defined order, whose bits the kernel has to give.
+//! The formula in binary64, every weight in memory; and in plain scalar steps of the defined order, which the kernel must equal to the bit.
 
 use super::rows::{KEY_BLOCK, LARGEST_SCALE};
 use super::weight::COEFFICIENTS;
@@ -7,7 +7,7 @@ use crate::gemm::reference::{self, round_bf16};
 use crate::math::EXP2_LOW;
 use crate::simd::fused_mul_add;
 
-/// Attention of `q [n, heads·width]` over `k`, `v [m, heads·width]`; `sees(i, j)` tells whether query `i` sees key `j`.
+/// Attention of `q [n, heads·width]` over `k`, `v [m, heads·width]`; `sees(i, j)`: whether query `i` sees key `j`.
 pub fn attend(
     q: &[f32],
     k: &[f32],
@@ -35,7 +35,7 @@ pub fn attend(
     out
 }
 
-/// [`attend`] with operands in `precision`, in the defined order of operations: to the bit what the kernel gives. `keys(i)` are those that query
+/// [`attend`] with operands in `precision`, in the defined order of operations: the kernel's result to the bit. `keys(i)` are those that query
 /// `i` sees, in the order of its window.
 pub fn attend_in_order(
     precision: Precision,

@@ -257,7 +257,7 @@ fn what_another_block_outweighs_a_thousandfold_still_counts_in_bytes() {
     });
     let error: f64 = out.iter().zip(&expected).map(|(o, e)| (f64::from(*o) - e).powi(2)).sum();
     let size: f64 = expected.iter().map(|e| e * e).sum();
-    // Of the tail only what shares the peak's block is lost: a twelfth of it.
+    // Only the part of the tail in the peak's block is lost: a twelfth of it.
     assert!((error / size).sqrt() < 0.08, "{}", (error / size).sqrt());
 }
 
@@ -315,7 +315,7 @@ fn some_queries_give_the_bits_they_give_among_all() {
 
 #[test]
 fn logits_whose_rounding_is_more_than_one_give_equal_bits_and_means_of_values() {
-    // A query's reference is a rounded product: past 2²⁴ what is left of the largest logit may be any number of either sign.
+    // A query's reference is a rounded product: past 2²⁴ the remainder of the largest logit may be any number of either sign.
     let (queries, keys) = (37, 250);
     for size in [1e4, 1e6, 1e8, 1e11, 1e15] {
         let scaled = |n: usize, seed| noise(n * 64, seed).iter().map(|x| x * size).collect::<Vec<_>>();

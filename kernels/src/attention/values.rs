@@ -1,4 +1,4 @@
-//! A block of values as attention is given them.
+//! A block of values in the form of attention's input.
 
 use super::layout::Layout;
 use super::rows::Rows;

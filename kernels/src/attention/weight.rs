@@ -41,7 +41,7 @@ pub(super) fn weight_low<S: Simd>(s: S, t: S::F32) -> S::F32 {
 /// Offset that [`numbered`] adds to a number: the bits of [`SHIFTER`].
 pub(super) const NUMBERED: i32 = SHIFTER.to_bits().cast_signed();
 
-/// `255·2^t` for `t ≤ 0`, to the nearest integer (of a value within 7.5e-5; ties to even), [`NUMBERED`] added; 0 for what is below ½, and for NaN.
+/// `255·2^t` for `t ≤ 0`, to the nearest integer (of a value within 7.5e-5; ties to even), [`NUMBERED`] added; 0 for values below ½, and for NaN.
 #[inline(always)]
 pub(super) fn numbered<S: Simd>(s: S, t: S::F32) -> S::I32 {
     let w = math::exp2_low(s, s.max(t, s.splat(-20.0)));

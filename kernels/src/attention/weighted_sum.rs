@@ -7,7 +7,7 @@ use crate::simd::{LANES, SHIFTER, Simd, pair_bf16, round_bf16};
 
 /// A block's scores of 16 queries.
 pub(super) struct Scores<'a, S: Simd> {
-    /// `[KEY_BLOCK][16]`, of which the first `present` keys count.
+    /// `[KEY_BLOCK][16]`; the first `present` keys count.
     pub(super) values: &'a mut [f32],
     pub(super) present: usize,
     /// From a score to a logit.
@@ -23,9 +23,9 @@ pub(super) struct Scores<'a, S: Simd> {
 pub(super) struct Weighed<S: Simd> {
     /// The reference from now on, `M`.
     pub(super) reference: S::F32,
-    /// By what sums before the block are scaled, `r`.
+    /// Scale of the sums before the block, `r`.
     pub(super) before: S::F32,
-    /// By what the block's own sums are scaled, `u`.
+    /// Scale of the block's own sums, `u`.
     pub(super) block: S::F32,
     /// The block's `Σ w`, scaled.
     pub(super) total: S::F32,
@@ -63,12 +63,12 @@ pub(super) trait WeightedSum: 'static {
     fn row_word<S: Simd>(s: S, i: usize, values: &Values<'_>, c: usize, inverse: S::F32) -> S::F32;
 }
 
-/// The reference moves to the block's largest logit where that is above it; what was summed before is scaled to it, the block is not.
+/// The reference moves to the block's largest logit where that is above it; earlier sums are scaled to it, the block is not.
 #[inline(always)]
 fn moved<S: Simd>(s: S, scores: &Scores<'_, S>) -> Weighed<S> {
     let before = scores.reference;
     let reference = s.max(s.mul(scores.largest, scores.scale), before);
-    // Infinities that stay what they were have no difference.
+    // Unchanged infinities have no difference.
     let rescale = s.select(s.eq(before, reference), s.splat(1.0), weight(s, s.sub(before, reference)));
     Weighed { reference, before: rescale, block: s.splat(1.0), total: s.splat(0.0) }
 }

@@ -1,4 +1,4 @@
-//! Which rows of a matrix moved since they were last looked at.
+//! The rows of a matrix that moved since their last comparison.
 //!
 //! A row `x` moved away from its reference `r` by more than the tolerance `τ` unless `Σ (x − r)² ≤ τ² · Σ r²`; without a
 //! tolerance, as soon as one bit differs.

@@ -1,7 +1,7 @@
 use super::{Tolerance, moved, reference};
 use crate::testing::{noise, on_every_level_and_thread_count};
 
-/// Rows that moved, after every level and thread count has given the same.
+/// Rows that moved; checks that every level and thread count returns the same.
 fn everywhere(tolerance: Tolerance, d: usize, x: &[f32], references: &[f32], at: Option<&[u32]>) -> Vec<bool> {
     let rows = x.len() / d;
     let out = on_every_level_and_thread_count(rows, |level, out| {

@@ -94,7 +94,7 @@ impl Exposure {
         self.count += 1;
     }
 
-    /// The mean of what was added; an image without pixels where that is nothing. The next image begins another.
+    /// The mean of the added images; an image without pixels if there are none. The next image begins another.
     pub fn mean(&mut self) -> Image {
         let mut image = std::mem::take(&mut self.image);
         let count = std::mem::take(&mut self.count).max(1) as f32;

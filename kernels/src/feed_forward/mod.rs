@@ -1,6 +1,6 @@
 //! The feed-forward layer of a transformer block, a residual branch on each row apart.
 //!
-//! `x ← x + γ·(act(norm(x)·W₁ᵀ + b₁)·W₂ᵀ + b₂)` for `x [m,d]`, `W₁ [h,d]`, `W₂ [d,h]`; what is absent is left out.
+//! `x ← x + γ·(act(norm(x)·W₁ᵀ + b₁)·W₂ᵀ + b₂)` for `x [m,d]`, `W₁ [h,d]`, `W₂ [d,h]`; absent terms are left out.
 //!
 //! Every step is that of [`norm`](crate::norm) and [`gemm`](crate::gemm), with their orders of accumulation and their bits. A task takes a block of rows
 //! through all of them: normalised while they are packed, hidden values in memory of the task alone that stays in the second-level cache. Where there

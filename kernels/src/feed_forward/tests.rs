@@ -6,7 +6,7 @@ use crate::testing::{bits, noise, on_every_level_and_thread_count};
 
 #[test]
 fn it_is_norm_and_two_products_to_the_bit() {
-    // Few rows, and so many that a task takes them through everything; widths that are no multiple of anything.
+    // Few rows, and enough for a task to run all stages on its rows; widths that are multiples of no block size.
     for (m, d, width) in [(0, 8, 8), (1, 5, 7), (30, 33, 70), (131, 48, 131), (300, 33, 70)] {
         let (x, w1, w2) = (noise(m * d, 1), noise(width * d, 2), noise(d * width, 3));
         let (scale, shift, b1, b2, gamma) = (noise(d, 4), noise(d, 5), noise(width, 6), noise(d, 7), noise(d, 8));

@@ -8,7 +8,7 @@ use super::sample::{Sampler, column};
 use crate::Level;
 use crate::simd::Simd;
 
-/// Pixels off the place that was asked for, or outside the picture, at which a source has lost half its weight.
+/// Distance in pixels from the requested place, or from the picture, at which a source has half its weight.
 const OFF: f32 = 4.0;
 /// Difference of the two frames' colours at which a source has lost half its weight.
 const UNLIKE: f32 = 0.3;

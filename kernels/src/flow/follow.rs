@@ -10,7 +10,7 @@ use crate::simd::{LANES, Operation, Simd, dispatch};
 
 /// Points per task.
 const TASK: usize = 1024;
-/// Pixels by which the flow back may miss where a step came from, beside a tenth of the step.
+/// Pixels by which the backward flow may miss the start of a step, in addition to a tenth of the step.
 const ASTRAY: f32 = 2.0;
 
 /// Flow from one frame to the next and back.
@@ -45,7 +45,7 @@ pub fn follow(level: Level, starts: &[[f32; 2]], steps: &[Step<'_>], velocities:
 }
 
 /// Places that points from `starts` have after all `steps`; both numbers are NaN where a point is not finite or a step, even a single one, leaves the picture
-/// or does not come back ([`follow`]). Distances are not looked at.
+/// or does not come back ([`follow`]). Distances are ignored.
 ///
 /// # Panics
 /// As [`follow`], `ends` for velocities.
@@ -53,7 +53,7 @@ pub fn trace(level: Level, starts: &[[f32; 2]], steps: &[Step<'_>], ends: &mut [
     each(level, starts, steps, ends, "trace", Trace);
 }
 
-/// Calls `walk` with vectors of starts, on all threads, and stores what it gives.
+/// Calls `walk` with vectors of starts, on all threads, and stores its results.
 fn each(
     level: Level,
     starts: &[[f32; 2]],
@@ -78,7 +78,7 @@ fn each(
 
 /// A result for each point of a vector.
 trait Walk: Copy + Sync + Send {
-    /// Of the points that start here and take these steps.
+    /// Results for the points that start here and take these steps.
     fn lanes<S: Simd>(self, s: S, start: [S::F32; 2], steps: &[Step<'_>]) -> [S::F32; 2];
 }
 

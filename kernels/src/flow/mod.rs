@@ -20,7 +20,7 @@
 //! ```
 //!
 //! A search starts from the cheapest of: the coarser scale's flow at the patch's middle (0 at the coarsest), `start`'s, that of the patch
-//! to the left, that of the patch above. A second pass, from the last patch to the first, goes on from the patch to the right, the one
+//! to the left, that of the patch above. A second pass, from the last patch to the first, starts from the patch to the right, the one
 //! below or the one above where that is cheaper. The flow of the finest scale is enlarged bilinearly.
 //!
 //! # Order of operations
@@ -99,7 +99,7 @@ impl Operation for Luma<'_> {
     }
 }
 
-/// The flow from `first` to `second`: for every pixel of `first`, how far away `second` shows what it shows.
+/// The flow from `first` to `second`: for every pixel of `first`, the offset of the matching place in `second`.
 ///
 /// # Panics
 /// When the pyramids have different sizes or scales, `start` another size, or `options` a weight that [`Pyramid::new`] refuses.

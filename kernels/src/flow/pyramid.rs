@@ -59,7 +59,7 @@ impl<D: Deref<Target = [f32]>> Plane<D> {
 }
 
 impl<D: DerefMut<Target = [f32]>> Plane<D> {
-    /// The rows inside the picture, with what lies to their left and right.
+    /// The rows inside the picture, with the border to their left and right.
     pub fn inside(&mut self) -> &mut [f32] {
         let (stride, h) = (self.stride, self.h);
         &mut self.data[PAD * stride..(PAD + h) * stride]

@@ -12,7 +12,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// The value that `f` gives for every row and column.
+    /// The value of `f` at every row and column.
     pub fn new([h, w]: [usize; 2], f: impl Fn(isize, isize) -> f64) -> Self {
         let values = (0..h * w).map(|i| f((i / w) as isize, (i % w) as isize)).collect();
         Self { h, w, values }

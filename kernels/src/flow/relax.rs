@@ -55,7 +55,7 @@ pub(super) fn relax(level: Level, columns: &Columns, h: usize, system: &Split<SY
     });
 }
 
-/// Half-steps on the rows that `rows(half-step)` gives.
+/// Half-steps on the rows `rows(half-step)`.
 struct Band<'a, 'b> {
     columns: &'a Columns,
     system: &'a Split<SYSTEM>,

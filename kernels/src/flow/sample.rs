@@ -12,7 +12,7 @@ pub(super) struct Axis<S: Simd> {
     weight: S::F32,
 }
 
-/// The geometry of what is sampled.
+/// The geometry of the sampled picture.
 #[derive(Clone, Copy)]
 pub(super) struct Sampler {
     pub h: usize,

@@ -408,7 +408,7 @@ proptest! {
     }
 }
 
-/// [`follow`] as its documentation says it, point by point.
+/// [`follow`] as documented, point by point.
 fn followed([x, y]: [f32; 2], steps: &[Step<'_>]) -> [f32; 2] {
     let none = [f32::NAN; 2];
     if !(x.is_finite() && y.is_finite()) {

@@ -129,7 +129,7 @@ impl<'a> Epilogue<'a> {
         }
     }
 
-    /// Returns true if no function stands between the product and what is added.
+    /// Returns true if no function is applied between the product and the additions.
     pub(super) fn is_affine(&self) -> bool {
         self.activation == Activation::Identity
     }
@@ -191,7 +191,7 @@ impl Function for Gelu {
 
 /// An epilogue's vectors for 16 columns.
 ///
-/// An absent bias is −0 and an absent `γ` is 1: neither changes a bit of what it is applied to.
+/// An absent bias is −0 and an absent `γ` is 1: neither changes a bit of its operand.
 #[derive(Clone, Copy)]
 pub(super) struct Affine<S: Simd> {
     pub(super) bias: S::F32,

@@ -1,4 +1,4 @@
-//! How each precision holds its operands, and what it does with them in the register block.
+//! Operand format of each precision, and its products in the register block.
 //!
 //! Operands are 32-bit words: a weight panel is `[words][16]`, a group of rows `[words][MR]`. A word is one f32, two bf16 (the
 //! earlier in the high half: the instruction takes that first) or four bytes. Levels without dot products of words widen the
@@ -36,7 +36,7 @@ pub(crate) trait Form: Multiply {
     /// Words of a row of `k` values on a level.
     fn row_words<S: Simd>(k: usize) -> usize;
 
-    /// Turns a row into its words; returns its scale. `largest` is the row's largest magnitude where that is known, infinite where a value is
+    /// Turns a row into its words; returns its scale. `largest` is the row's largest magnitude if already computed, infinite where a value is
     /// not finite.
     fn convert<S: Simd>(s: S, row: &[f32], largest: Option<f32>, values: &mut [f32], words: &mut [u32]) -> f32;
 
@@ -197,7 +197,7 @@ impl Form for Bf16 {
     }
 }
 
-/// A row rounded to bf16, two values to a word; a last one has 0 beside it.
+/// A row rounded to bf16, two values to a word; an odd last one is paired with 0.
 #[inline(always)]
 fn pair_row<S: Simd>(s: S, row: &[f32], words: &mut [u32]) {
     let words: &mut [f32] = bytemuck::cast_slice_mut(words);
@@ -332,7 +332,7 @@ impl Form for Int8 {
     }
     #[inline(always)]
     fn convert<S: Simd>(s: S, row: &[f32], largest: Option<f32>, values: &mut [f32], words: &mut [u32]) -> f32 {
-        // No closure: what is handed to the standard library may leave the instruction-set context.
+        // No closure: code passed to the standard library may leave the instruction-set context.
         let largest = match largest {
             Some(largest) => largest,
             None => largest_magnitude(s, row),
@@ -409,7 +409,7 @@ impl Uint8Weights {
     }
 }
 
-/// A row in units of its scale, `OFFSET` added, as the bytes of words, the first lowest; what is left of the last word is `OFFSET`. Returns
+/// A row in units of its scale, `OFFSET` added, as the bytes of words, the first lowest; the rest of the last word is `OFFSET`. Returns
 /// the scale. A row of zeros, or one with a value that is not finite, is zeros.
 #[inline(always)]
 fn quantise_row<S: Simd, const OFFSET: u8>(s: S, row: &[f32], largest: f32, words: &mut [u32]) -> f32 {

@@ -1,4 +1,4 @@
-//! Rows of a product: as they are given, or normalised while they are packed.
+//! Rows of a product: unchanged, or normalised while they are packed.
 
 use crate::norm::Norm;
 use crate::size::product;

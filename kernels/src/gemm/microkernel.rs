@@ -21,8 +21,8 @@ impl PrefetchHook for () {
     fn prefetch(&mut self) {}
 }
 
-/// The words of a register block's rows: that of row `r` in step `i` lies at `i·step + r·row`. Where a distance is known when this is compiled, so are
-/// its multiples.
+/// The words of a register block's rows: that of row `r` in step `i` lies at `i·step + r·row`. Multiples of a compile-time distance are
+/// compile-time constants.
 #[derive(Clone, Copy)]
 pub(crate) struct Strided {
     at: *const u32,
@@ -116,7 +116,7 @@ unsafe fn step<S: Simd, const MR: usize, const NV: usize>(
     }
 }
 
-/// Interleaves rows of `k` values in groups of `MR`: `to [rows/MR][k][MR]`. `row(i)` gives row `i`; a last group is filled with
+/// Interleaves rows of `k` values in groups of `MR`: `to [rows/MR][k][MR]`. `row(i)` is row `i`; a last group is filled with
 /// zeros.
 #[inline(always)]
 pub(crate) fn interleave<'a, const MR: usize>(rows: usize, k: usize, row: impl Fn(usize) -> &'a [f32], to: &mut [f32]) {
@@ -129,7 +129,7 @@ pub(crate) fn interleave<'a, const MR: usize>(rows: usize, k: usize, row: impl F
         if first + MR <= rows {
             let from: [*const f32; MR] = std::array::from_fn(|r| row(first + r)[..k].as_ptr());
             let start = to.as_mut_ptr();
-            // The next group lies as far ahead as its rows are apart: ask for it while this one is copied.
+            // The next group lies as far ahead as its rows are apart: it is prefetched while this one is copied.
             let ahead = (from[1] as usize).wrapping_sub(from[0] as usize).wrapping_mul(MR);
             for i in (0..k / 4 * 4).step_by(4) {
                 if i % LANES == 0 {
@@ -177,7 +177,7 @@ pub(crate) fn deinterleave(from: &[f32], to: &mut [&mut [f32]]) {
         let rows = [0, 1, 2, 3].map(|j| to[r + j][..k].as_mut_ptr());
         for i in (0..k / 4 * 4).step_by(4) {
             let at = from[i * LANES..(i + 4) * LANES].as_ptr();
-            // SAFETY: four vectors from i on, of which r..r+4 are read; four rows of k values, i + 3 < k.
+            // SAFETY: r..r+4 are read of four vectors from i on; four rows of k values, i + 3 < k.
             unsafe { transpose4([0, 1, 2, 3].map(|j| at.add(j * LANES + r)), rows.map(|row| row.add(i))) };
         }
         for i in k / 4 * 4..k {

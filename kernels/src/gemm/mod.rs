@@ -9,13 +9,13 @@
 //! has no part in this, so the bits are the same on every level and for any number of threads.
 //!
 //! # Precision
-//! The precision given to [`Weights::pack_as`] decides how [`linear`] holds both operands; everything else is f32 in every mode, SiLU with fewer
+//! The precision passed to [`Weights::pack_as`] decides how [`linear`] holds both operands; everything else is f32 in every mode, SiLU with fewer
 //! correct bits in the lower ones.
-//! - **f32**: as given.
+//! - **f32**: unchanged.
 //! - **bf16**: weights and inputs are rounded to nearest even, magnitudes below 2⁻⁵⁶ become 0; the products are exact in f32
 //!   and are summed as above.
 //! - **int8**: a weight row has the scale `a = max|w|/127`, an input row `b = max|x|/127`; both are divided by theirs (as a product
-//!   with `127/max`, rounded) and rounded to nearest even. The sum of integer products is exact, whatever its order; the result
+//!   with `127/max`, rounded) and rounded to nearest even. The sum of integer products is exact in any order; the result
 //!   is `(f32(sum)·b)·a`. A row with a value that is not finite, or none above 1e-36, counts as zeros.
 //!
 //! # How it runs
@@ -51,10 +51,10 @@ use tracing::debug_span;
 use crate::Level;
 
 /// `out[i,j] = epilogue(Σ_k x[i,k] · w[j,k])` for `x [m,k]`, `out [m,n]`. See [the module](self) for the order of accumulation,
-/// [`Input`] for rows that are normalised first, and [`Epilogue`] for what can follow the product and for how `out` lies. `m` may be 0.
+/// [`Input`] for rows that are normalised first, and [`Epilogue`] for the steps after the product and the layout of `out`. `m` may be 0.
 ///
 /// # Panics
-/// When a slice does not have the size that `m`, the weights' `n` and `k` ask for.
+/// When a slice does not have the size of `m` and the weights' `n` and `k`.
 pub fn linear<'a>(
     level: Level,
     x: impl Into<Input<'a>>,

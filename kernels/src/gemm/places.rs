@@ -26,7 +26,7 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// Of `m` rows and `n` columns.
+    /// Places of `m` rows and `n` columns.
     pub(super) fn new(layout: Layout, m: usize, n: usize) -> Self {
         let rows =
             |width| Self { width, group: m * width, pair: 2 * m * width, stride: width, run: usize::MAX, jump: 0 };

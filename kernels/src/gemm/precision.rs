@@ -11,7 +11,7 @@ pub const K_BLOCK_LOW: usize = 1024;
 /// The format in which a product's operands are held. Sums, bias, functions and residuals are f32 in all of them.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub enum Precision {
-    /// f32, as given.
+    /// f32, unchanged.
     #[default]
     F32,
     /// bf16: 8 bits of significand, rounded to nearest even; magnitudes below 2⁻⁵⁶ become 0.

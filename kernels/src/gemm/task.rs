@@ -288,7 +288,7 @@ impl<F: Form> Task<'_, F> {
             // SAFETY: tasks own disjoint blocks of rows and columns.
             out[v] = unsafe { self.out.parts(from_row[v], last + from_row[v] + LANES) };
         }
-        // SAFETY: each vector lies inside the rows, the last of which was asked for.
+        // SAFETY: each vector lies inside the rows; the slice includes the last one.
         unsafe {
             if of[0].0.residual {
                 for r in 0..MR {
@@ -338,7 +338,7 @@ impl<F: Form> Task<'_, F> {
             let out = unsafe { self.out.parts(from_row, end) };
             for (sums, &scale) in tile {
                 let y = A::of(s, s.add(F::product(s, s.load(sums), scale, scaled, offsets), affine.bias));
-                // SAFETY: inside the rows, the last of which was asked for.
+                // SAFETY: inside the rows; the slice includes the last one.
                 let to = unsafe { std::slice::from_raw_parts_mut(out.add(walk.at), columns.len()) };
                 walk.step();
                 let before = if affine.residual { s.load_partial(to, 0.0) } else { y };
@@ -348,16 +348,16 @@ impl<F: Form> Task<'_, F> {
     }
 }
 
-/// Words of weights that stay in a second-level cache beside a task's rows.
+/// Words of weights that stay in a second-level cache together with a task's rows.
 const NEAR: usize = 1 << 16;
 
-/// Brings into the cache what is used next, a little in every leg of the register blocks: the weights of the next block, and the lines of the output
+/// Prefetches, spread over the legs of the register blocks: the weights of the next block, and the lines of the output
 /// that a register block is about to write.
 struct Prefetches<const NV: usize> {
     weights: [*const u32; NV],
-    /// Lines of each panel in a leg, where weights are asked for at all.
+    /// Lines of each panel in a leg, if weights are prefetched.
     lines: u32,
-    /// Lines that a leg would have to ask for.
+    /// Lines that a leg would have to prefetch.
     share: u32,
     out: [*const f32; NV],
     /// From a row of the output to the next.

@@ -56,7 +56,7 @@ fn lower_precisions_give_their_defined_bits_everywhere() {
 fn weights_are_packed_alike_on_every_level() {
     for (_, n, k) in SIZES {
         let mut w = noise(n * k, 2);
-        // What a format flushes, rounds to nothing, or has to leave out.
+        // Values that a format flushes, rounds to zero, or has to leave out.
         w.iter_mut().step_by(11).for_each(|w| *w *= 1e-17);
         w.iter_mut().step_by(13).for_each(|w| *w = -0.0);
         if let Some(w) = w.last_mut() {
@@ -116,7 +116,7 @@ fn the_error_stays_far_below_that_of_one_long_chain() {
 
 #[test]
 fn sums_that_cancel_lose_only_their_own_rounding() {
-    // +big, small, −big inside one block: the chain keeps what fits beside big.
+    // +big, small, −big inside one block: the chain keeps the bits that fit next to big.
     let (mut x, w) = (vec![0.0; 300], vec![1.0; 300]);
     (x[0], x[1], x[2]) = (1e6, 0.25, -1e6);
     (x[260], x[299]) = (3e38, -3e38);

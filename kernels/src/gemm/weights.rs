@@ -21,7 +21,7 @@ pub struct Weights {
     pub(super) precision: Precision,
     /// `[n/16][words][16]`
     pub(super) panels: Aligned<u32>,
-    /// Per column, to whole panels: what one unit of the integers stands for. Empty but for 8-bit integers.
+    /// Scale of the integers per column, to whole panels. Empty except for 8-bit integers.
     pub(super) scales: Vec<f32>,
     /// Per column, to whole panels: 128 times the sum of its integers. Empty but for 8-bit integers.
     pub(super) offsets: Vec<i32>,
@@ -106,7 +106,7 @@ impl Weights {
     }
 }
 
-/// Packs a panel of up to 16 rows of `k` weights; gives their scales and offsets, as [`Form::convert_column`] has them.
+/// Packs a panel of up to 16 rows of `k` weights; returns their scales and offsets, as [`Form::convert_column`] has them.
 struct Pack<'a, F> {
     rows: &'a [f32],
     k: usize,

@@ -138,7 +138,7 @@ impl Operation for Colours<'_> {
                     }
                     sum = s.mul_add(basis[k], s.from_array(lanes), sum);
                 }
-                // The first operand loses where either is NaN; what is not a number stays so.
+                // The first operand loses where either is NaN; NaN stays NaN.
                 *found = s.to_array(s.select(s.lt(sum, zero), zero, sum));
             }
             for (i, out) in out.iter_mut().enumerate() {

@@ -126,7 +126,7 @@ pub fn normal_cdf<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     s.select(s.lt(s.splat(0.0), x), s.sub(s.splat(1.0), tail), tail)
 }
 
-/// x·Φ(x), the Gaussian error linear unit in its exact form. −∞ gives −0.
+/// x·Φ(x), the Gaussian error linear unit in its exact form. −∞ returns −0.
 #[inline(always)]
 pub fn gelu<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     // From −14.9 down the result is −0.
@@ -166,7 +166,7 @@ const INVERSE_FAR: [f32; 10] = [
     f32::from_bits(0x4035_4f7e),
 ];
 
-/// The inverse of [`erf`]. ±1 give ±∞, beyond them NaN.
+/// The inverse of [`erf`]. ±1 return ±∞, values beyond them NaN.
 #[inline(always)]
 pub fn erfinv<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let one = s.splat(1.0);

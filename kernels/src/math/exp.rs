@@ -47,7 +47,7 @@ pub(super) fn minus_one_parts<S: Elementwise>(s: S, x: S::F32) -> (S::F32, S::F3
     (s.mul_add(s.mul(r, r), q, r), s.from_bits(s.shl::<23>(s.to_bits(t))))
 }
 
-/// eˣ. Overflows to ∞ above 88.72, underflows gradually to 0 below −103.97; NaN gives NaN.
+/// eˣ. Overflows to ∞ above 88.72, underflows gradually to 0 below −103.97; NaN returns NaN.
 #[inline(always)]
 pub fn exp<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let x = s.max(s.splat(-104.0), s.min(s.splat(89.0), x));
@@ -57,8 +57,8 @@ pub fn exp<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
 
 /// eˣ for x ≤ 0, in 13 operations; same bits as [`exp`] where that is at least 2⁻¹²⁶.
 ///
-/// Below 2^−126.5 the result is +0 (from there to 2⁻¹²⁶ it is denormal, rounded once). −∞ gives 0, NaN gives NaN;
-/// positive x must not pass 88 (they give eˣ until then, and no promise after).
+/// Below 2^−126.5 the result is +0 (from there to 2⁻¹²⁶ it is denormal, rounded once). −∞ returns 0, NaN returns NaN;
+/// for positive x the result is eˣ up to 88 and unspecified above.
 #[inline(always)]
 pub fn exp_nonpositive<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     // At this bound n = −127, and 2ⁿ is formed as +0.
@@ -73,8 +73,8 @@ pub fn exp_nonpositive<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
 /// 2^f on |f| ≤ ½; minimax in relative error, 2^−13.7. Highest power first.
 pub(crate) const EXP2_LOW: [f32; 4] = [0.055_171_67, 0.242_611_13, 0.693_260_97, 0.999_928_06];
 
-/// 2ˣ within 7.5e-5 of itself, for what is rounded to bf16 or 8 bits next. `x` is from −125 to 126 (others, and NaN, give any value, not the same
-/// on every level).
+/// 2ˣ within 7.5e-5 of itself, for values then rounded to bf16 or 8 bits. `x` is from −125 to 126 (for others, and NaN, the value is
+/// unspecified and differs between levels).
 #[inline(always)]
 pub fn exp2_low<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let (whole, part) = s.split_int_frac(x);

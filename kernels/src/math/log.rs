@@ -1,4 +1,4 @@
-//! Logarithms, and what is made of them.
+//! Logarithms, and functions made of them.
 
 use super::exp::{self, LN2_HI, LN2_LO};
 use super::polynomial;
@@ -29,7 +29,7 @@ fn log_1p_plus<S: Elementwise>(s: S, f: S::F32, k: S::F32) -> S::F32 {
     s.mul_add(k, s.splat(LN2_HI), s.add(f, tail))
 }
 
-/// ln x. ±0 give −∞, ∞ gives ∞; negative x and NaN give NaN. Denormal x are as accurate as others.
+/// ln x. ±0 return −∞, ∞ returns ∞; negative x and NaN return NaN. Denormal x are as accurate as others.
 #[inline(always)]
 pub fn log<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let denormal = s.lt(x, s.splat(f32::MIN_POSITIVE));

@@ -2,7 +2,7 @@
 //!
 //! Made of +, −, ×, /, fused multiply-add, square root and integer operations, all of them defined to the bit by
 //! [`Elementwise`], so the results are too. The vector functions take the token of a level; the functions of [`scalar`] run the
-//! same algorithms on one value. NaN gives NaN everywhere; results that are denormal are rounded as such (except in
+//! same algorithms on one value. NaN returns NaN everywhere; results that are denormal are rounded as such (except in
 //! [`exp_nonpositive`], which may flush them).
 //!
 //! | function | largest error, ulp | at | measured over |
@@ -30,8 +30,8 @@
 //! Two are for the lower precisions, where a result is rounded to 8 bits of significand or fewer at once: [`exp2_low`] is within 7.5e-5 of
 //! its value, [`silu_low`] within 1e-4 from −87 on.
 //!
-//! Polynomials are minimax fits with coefficients rounded one after the other, the rest refitted; what they leave is
-//! noted beside each as a power of two, relative to the function.
+//! Polynomials are minimax fits with coefficients rounded one after the other, the rest refitted; the remaining error is
+//! noted at each as a power of two, relative to the function.
 
 mod erf;
 mod exp;

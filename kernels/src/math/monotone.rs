@@ -1,4 +1,4 @@
-//! The functions that are said never to fall do not, from one binary32 number to the next.
+//! The functions documented as monotone never fall from one binary32 number to the next.
 
 use super::scalar;
 

@@ -11,7 +11,7 @@ pub fn sigmoid<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     s.div(s.select(s.lt(x, s.splat(0.0)), e, one), s.add(one, e))
 }
 
-/// x / (1 + e^−x), the sigmoid linear unit. −∞ gives −0.
+/// x / (1 + e^−x), the sigmoid linear unit. −∞ returns −0.
 #[inline(always)]
 pub fn silu<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     // From −112 down the result is −0.
@@ -23,7 +23,7 @@ pub fn silu<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     s.div(s.select(s.lt(x, s.splat(0.0)), xe, x), s.add(s.splat(1.0), e))
 }
 
-/// [`silu`] within 1e-4 of itself from −87 on, for what is rounded to bf16 or 8 bits next. Below, −∞ included, it is negative and above −2e-36.
+/// [`silu`] within 1e-4 of itself from −87 on, for values then rounded to bf16 or 8 bits. Below, −∞ included, it is negative and above −2e-36.
 #[inline(always)]
 pub fn silu_low<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     // NaN stays.

@@ -46,7 +46,7 @@ fn ulps(got: f32, exact: f64) -> f64 {
     if exact.is_nan() || got.is_nan() {
         return if exact.is_nan() && got.is_nan() { 0.0 } else { f64::INFINITY };
     }
-    // Values past the largest finite one count as if the exponent went on.
+    // Values past the largest finite one count as if the exponent continued.
     let (got, exact) = if got.is_infinite() && exact.abs() > f64::from(f32::MAX) && (exact > 0.0) == (got > 0.0) {
         return if exact.is_infinite() || exact.abs() >= 2.0_f64.powi(128) {
             0.0

@@ -15,7 +15,7 @@ const SIN: [f32; 3] = [f32::from_bits(0xb94c_a9f1), f32::from_bits(0x3c08_83bc),
 /// cos r = 1 − r²/2 + r⁴ P(r²) on |r| ≤ π/4; 2^−33.
 const COS: [f32; 3] = [f32::from_bits(0x37cc_f482), f32::from_bits(0xbab6_0615), f32::from_bits(0x3d2a_aaa5)];
 
-/// (sin x, cos x), for every finite x; ±∞ and NaN give NaN.
+/// (sin x, cos x), for every finite x; ±∞ and NaN return NaN.
 ///
 /// Lanes beyond ±8192 are computed one by one in binary64.
 #[inline(always)]

@@ -89,12 +89,12 @@ pub struct Norm<'a> {
 }
 
 impl<'a> Norm<'a> {
-    /// That of [`rms_norm`].
+    /// The norm of [`rms_norm`].
     pub const fn rms(w: &'a [f32], epsilon: f32) -> Self {
         Self { w, b: None, epsilon }
     }
 
-    /// That of [`layer_norm`].
+    /// The norm of [`layer_norm`].
     ///
     /// # Panics
     /// When there are more or fewer biases than weights.
@@ -120,7 +120,7 @@ impl<'a> Norm<'a> {
         largest(s, most)
     }
 
-    /// Writes the result; gives the larger of its magnitudes in each lane where they are asked for.
+    /// Writes the result; returns the largest of its magnitudes in each lane if requested.
     #[inline(always)]
     fn write<S: Simd, const LARGEST: bool>(&self, s: S, x: &[f32], out: &mut [f32]) -> S::I32 {
         let n = x.len() as f32;

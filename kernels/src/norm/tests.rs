@@ -31,7 +31,7 @@ fn layer_norm_agrees_with_its_formula_and_itself_everywhere() {
             let out = on_every_level_and_thread_count(rows * d, |level, out| layer_norm(level, &x, &w, &b, 1e-6, out));
             for row in 0..rows {
                 let expected = reference::layer_norm(&x[row * d..][..d], &w, &b, 1e-6);
-                // What the mean cancels is lost in its rounding.
+                // Terms that cancel in the mean are lost in its rounding.
                 let lost = 1e-7 * f64::from(1.0 + shift.abs() / scale.max(1e-3)) * 20.0;
                 for (i, expected) in expected.iter().enumerate() {
                     let error = (f64::from(out[row * d + i]) - expected).abs();

@@ -8,7 +8,7 @@
 //!
 //! # Order of accumulation
 //! That of [`gemm`](crate::gemm) in f32: `k` is cut into blocks of [`K_BLOCK`]; inside a block one fused multiply-add per step, `k` ascending, starting
-//! from +0; block sums are added in ascending order. Both give the same bits.
+//! from +0; block sums are added in ascending order. Both compute the same bits.
 //!
 //! # How it runs
 //! Weights lie in groups of 8 rows, `[n/8][k][8]`, padded with zeros. The register block is 8 rows of weights by 48 tokens, or 4 by 16 where
@@ -46,7 +46,7 @@ pub struct Layer {
     k: usize,
     /// `[n/8][k][8]`
     weights: Aligned<f32>,
-    /// −0 where there is none, which changes no bit of what it is added to.
+    /// −0 where there is none, which changes no bit of a sum.
     bias: Vec<f32>,
     activation: Activation,
 }

@@ -1,4 +1,4 @@
-//! Which tiles a footprint can touch, and each tile's list.
+//! The tiles that a footprint can touch, and each tile's list.
 
 use super::project::{BLOCK, Splat};
 
@@ -66,7 +66,7 @@ impl Grid {
         }
     }
 
-    /// The same where columns go on at the other edge.
+    /// The same where columns continue at the other edge.
     fn for_each_around(self, splat: &Splat, [top, bottom]: [usize; 2], mut visit: impl FnMut(usize)) {
         let [own, beyond] = around(splat.columns, self.blocks).map(|ends| ends.map(|column| column / TILE[0]));
         // A tile at which both meet comes once.
@@ -87,7 +87,7 @@ pub(super) fn around([first, last]: [u16; 2], blocks: usize) -> [[usize; 2]; 2] 
     if last < blocks { [[first, last], [1, 0]] } else { [[first, blocks - 1], [0, last - blocks]] }
 }
 
-/// Coefficients that tell how far a footprint extends sideways over a strip of rows.
+/// Coefficients of a footprint's horizontal extent over a strip of rows.
 #[derive(Clone, Copy)]
 pub(super) struct Reach {
     /// The centre.

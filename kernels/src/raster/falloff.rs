@@ -43,12 +43,12 @@ impl Falloff {
     }
 }
 
-/// A camera whose lens has a width: what is not in focus is blurred.
+/// A camera whose lens has a width: things out of focus are blurred.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Defocus {
     /// Diameter of the entrance pupil, in the scene's units. Not below 0.
     pub aperture: f32,
-    /// Depth of the plane in focus. Above 0; infinite: what is far away is in focus.
+    /// Depth of the plane in focus. Above 0; infinite: distant things are in focus.
     pub focus: f32,
 }
 
@@ -59,7 +59,7 @@ impl Defocus {
     }
 }
 
-/// Least α that is drawn through a lens with a width: what is spread over many pixels is still seen where it adds up.
+/// Least α that is drawn through a lens with a width: a Gaussian spread over many pixels is still visible where several add up.
 pub(super) const BLURRED_ALPHA_MIN: f32 = 1.0 / 65_536.0;
 
 /// Added to the exponent at which a footprint ends, so that no rounding in the blend reaches beyond it.

@@ -92,7 +92,7 @@ pub struct Lists {
 
 impl Rasteriser {
     /// Projects, bins and sorts `gaussians` as [`Rasteriser::render`] does and leaves the blend to the caller; `to` is filled anew.
-    /// The next image starts from nothing. [`Rasteriser::work`] tells what this cost; nothing counts as drawn.
+    /// The next image starts from nothing. [`Rasteriser::work`] returns the cost; nothing counts as drawn.
     ///
     /// The lists are the same for every level and number of threads.
     ///

@@ -28,28 +28,28 @@
 //! α = min(0.99, o·exp(−½·dᵀΣ⁻¹d))     d = K·(e·q, s·q)/(n·q) for a pixel in the direction q with n·q > 0
 //! ```
 //!
-//! so that it has the shape that a pinhole which looks along n would show, wherever it lies: it bends with the image near the poles, and the
+//! so that it has the shape in a pinhole that looks along n, at any place: it bends with the image near the poles, and the
 //! image's edges meet. 0.3 px² of low-pass are those of the image's own pixels, which are cos φ as wide on the sphere as they are high. Drawing order
 //! and `depth` are by r in place of z.
 //!
-//! With [`Request::antialias`], o is `o·√(det(J·R·S·Sᵀ·Rᵀ·Jᵀ) / det Σ)` throughout, so that what is smaller than a pixel gets fainter
+//! With [`Request::antialias`], o is `o·√(det(J·R·S·Sᵀ·Rᵀ·Jᵀ) / det Σ)` throughout, so that Gaussians smaller than a pixel get fainter
 //! in place of larger (Mip-Splatting, CVPR 2024, the 2D filter with a variance of 0.3 px²).
 //!
 //! With [`Request::bounded`], x/z and y/z in a pinhole's J, not in u and v, are held between `(−½ − 0.15·W − c_x)/f_x` and
-//! `(1.15·W − ½ − c_x)/f_x`, and alike for y: the affine approximation of what is far beside the image and close to the eye would
+//! `(1.15·W − ½ − c_x)/f_x`, and alike for y: the affine approximation of Gaussians far outside the image and close to the eye would
 //! otherwise smear over the image (as the original 3D Gaussian splatting and gsplat do).
 //!
 //! With a [`Falloff`] other than the Gaussian itself, `α = min(0.99, o·g·(exp(−½·dᵀΣ⁻¹d) − f))`.
 //!
 //! With [`Request::defocus`], a pinhole's lens has a width A and is focused at depth F. A point at depth z is a disc of radius
-//! `½A·f·|1/z − 1/F|` px, of which either axis has the variance of a quarter of its radius squared. Footprints are widened by it and keep what
-//! they add up to over the image:
+//! `½A·f·|1/z − 1/F|` px; its variance along either axis is a quarter of its radius squared. Footprints are widened by it and keep
+//! their sum over the image:
 //!
 //! ```text
 //! b_x = (f_x·¼A·(1/z − 1/F))²     b_y alike     Σ' = Σ + diag(b_x, b_y)     o' = o·√(det Σ / det Σ')
 //! ```
 //!
-//! α is then skipped where it is under 2⁻¹⁶, in place of 1/255: what is spread over many pixels still adds up to what it was. Gaussians with an
+//! α is then skipped where it is under 2⁻¹⁶, in place of 1/255: a Gaussian spread over many pixels keeps its sum. Gaussians with an
 //! opacity under 1/255 are left out as without a lens. With `antialias` as well, `o' = o·√(det(J·R·S·Sᵀ·Rᵀ·Jᵀ) / det Σ')`.
 //!
 //! (StreamSplat, ICLR 2026, section 3, with the affine approximation of EWA splatting.) A Gaussian reaches every pixel on
@@ -74,7 +74,7 @@
 //! and *spherical* (`blend/sphere.rs`), for equirectangular images: `α = min(0.99, o·2^−(((a·q)² + (b·q)²)/(n·q)²) − o·f)`.
 //!
 //! Pixels are blended in blocks of 4×4, one vector each. Blocks and tiles that a footprint cannot reach are left out, as are
-//! blocks of which every pixel is finished; that changes no bit.
+//! blocks whose pixels are all finished; that changes no bit.
 //!
 //! # Values that are not finite
 //!
@@ -215,7 +215,7 @@ pub struct Request {
     pub statistics: bool,
     /// True if opacities are lowered by as much as the low-pass widens footprints, for scenes that were trained so.
     pub antialias: bool,
-    /// True if a pinhole's footprints beside the image are shaped as if they were at most 15 % of its size beside it, for scenes that
+    /// True if a pinhole's footprints outside the image are shaped as if at most 15 % of its size beyond its edge, for scenes that
     /// were trained so.
     pub bounded: bool,
     /// How α falls from a Gaussian's centre to its edge.

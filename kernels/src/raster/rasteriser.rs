@@ -22,7 +22,7 @@ use crate::size::product;
 /// Work done and avoided by the last [`Rasteriser::render`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Work {
-    /// Gaussians given.
+    /// Gaussians passed in.
     pub gaussians: u64,
     /// Gaussians with a field that is not finite.
     pub dropped: u64,
@@ -36,7 +36,7 @@ pub struct Work {
     pub tiles_drawn: u64,
     /// Entries of the lists of the tiles drawn.
     pub entries: u64,
-    /// Entries that were not looked at because every pixel of their tile was finished.
+    /// Entries that were skipped because every pixel of their tile was finished.
     pub entries_unseen: u64,
     /// Blocks of 4×4 pixels on which a splat was blended.
     pub blocks: u64,
@@ -98,7 +98,7 @@ fn form(gaussians: &Gaussians<'_>, projection: &Projection) -> Form {
     }
 }
 
-/// Background of which a component that is not finite, or −0, is +0.
+/// Background, with +0 for components that are not finite or −0.
 pub(super) fn finite_background(background: [f32; 3]) -> [f32; 3] {
     background.map(|c| if c.is_finite() { c + 0.0 } else { 0.0 })
 }
@@ -166,7 +166,7 @@ impl Rasteriser {
         &self.image
     }
 
-    /// Checks what is asked for and starts the account.
+    /// Checks the request and starts the account.
     pub(super) fn begin(
         &mut self,
         gaussians: &Gaussians<'_>,
@@ -314,7 +314,7 @@ impl Rasteriser {
         image.blended = plane(request.statistics, image.blended.take(), pixels);
     }
 
-    /// Sorts and draws the dirty tiles, longest lists first. Gives the fraction of the threads' time that went into sorting.
+    /// Sorts and draws the dirty tiles, longest lists first. Returns the fraction of the threads' time spent on sorting.
     fn blend(&mut self, view: &Viewport, request: &Request, grid: Grid) -> f64 {
         let _span = debug_span!("blend", width = request.width, height = request.height).entered();
         let starts = &self.starts;
@@ -363,7 +363,7 @@ impl Rasteriser {
     }
 }
 
-/// Projects a chunk, counts entries per tile or marks the tiles that changed; gives dropped, culled, changed.
+/// Projects a chunk, counts entries per tile or marks the tiles that changed; returns dropped, culled, changed.
 struct ProjectChunk<'a> {
     gaussians: &'a Gaussians<'a>,
     view: &'a Viewport,

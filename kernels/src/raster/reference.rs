@@ -24,7 +24,7 @@ pub struct ReferenceImage {
     pub dropped: u64,
 }
 
-/// Draws the scene as the equations say (StreamSplat, ICLR 2026; EWA splatting for the Jacobian).
+/// Draws the scene by the equations (StreamSplat, ICLR 2026; EWA splatting for the Jacobian).
 pub fn render(gaussians: &Gaussians<'_>, projection: &Projection, request: &Request) -> ReferenceImage {
     render_with(gaussians, projection, request, |_, _, _| {})
 }
@@ -49,7 +49,7 @@ pub fn weights(gaussians: &Gaussians<'_>, projection: &Projection, request: &Req
     (image, all)
 }
 
-/// Rows and columns of an equirectangular image that see a part of the cone around n whose tangent is given; some more.
+/// Rows and columns of an equirectangular image that see a part of the cone around n with this tangent; some more.
 fn cone(n: [f64; 3], tangent: f64, [width, height]: [usize; 2]) -> (std::ops::Range<usize>, Vec<usize>) {
     use std::f64::consts::{FRAC_PI_2, PI, TAU};
     let (latitude, reach) = (n[1].atan2(n[0].hypot(n[2])), tangent.atan() + 1e-3);

@@ -10,7 +10,7 @@ pub(super) struct Entry {
 
 /// Lists up to this long are sorted by insertion.
 const SHORT: usize = 24;
-/// Bits of a key that one pass looks at.
+/// Bits of a key per pass.
 const DIGIT: u32 = 9;
 const MASK: u32 = (1 << DIGIT) - 1;
 

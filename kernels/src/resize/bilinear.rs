@@ -82,7 +82,7 @@ impl Operation for Block<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let width = self.columns.low.len();
-        // The two source rows at hand, in the new width, and which they are.
+        // The two current source rows in the new width, and their numbers.
         let (mut low, mut high) = (vec![0.0; width], vec![0.0; width]);
         let (mut low_is, mut high_is) = (usize::MAX, usize::MAX);
         for (i, out) in self.out.chunks_mut(width).enumerate() {

@@ -66,7 +66,7 @@ mod tests {
                 s.to_array_i32(s.pairs_of_bf16(s.from_array(self.0), s.from_array(self.1)))
             }
         }
-        // Numbered lanes tell where each went; ties and what is flushed or no number, how it was rounded.
+        // Numbered lanes show the permutation; ties, flushed values and NaN show the rounding.
         let a = std::array::from_fn(|i| i as f32);
         let b = [1.0, 1.00390625, 1.01171875, -1e-17, 1.4e-17, f32::MAX, f32::INFINITY, f32::NEG_INFINITY]
             .map(|x: f32| [x, -x * 1.001]);

@@ -29,7 +29,7 @@ fn machine() -> &'static Machine {
 }
 
 impl Level {
-    /// The level to run on unless another is asked for: the highest whose instructions are no slower than those of a lower one.
+    /// The default level: the highest whose instructions are no slower than those of a lower one.
     ///
     /// That is the highest of all but on Intel's cores, where it is `avx512vnni` although they may have `avx512bf16`.
     pub fn detect() -> Level {
@@ -38,7 +38,7 @@ impl Level {
 
     /// All levels of this machine, lowest first.
     ///
-    /// A level whose dot products are instructions has to reproduce known answers first.
+    /// A level whose dot products are instructions has to reproduce reference results first.
     pub fn available() -> Vec<Level> {
         machine().available.clone()
     }

@@ -63,7 +63,7 @@ pub trait Elementwise: Copy + Send + Sync + 'static {
     fn to_bits(self, a: Self::F32) -> Self::I32;
     /// Lanes from their bits.
     fn from_bits(self, a: Self::I32) -> Self::F32;
-    /// Lanes to integers, rounding toward zero. Precondition: |a| < 2³¹ (other values give any bits).
+    /// Lanes to integers, rounding toward zero. Precondition: |a| < 2³¹ (for other values the bits are unspecified).
     fn to_i32(self, a: Self::F32) -> Self::I32;
     /// Integers to lanes, rounded to nearest even.
     fn to_f32(self, a: Self::I32) -> Self::F32;
@@ -120,7 +120,7 @@ pub trait Elementwise: Copy + Send + Sync + 'static {
     /// `p · 2ⁿ`, where `p` and the result are normal numbers.
     #[inline(always)]
     fn scale_by_pow2(self, p: Self::F32, n: Self::F32) -> Self::F32 {
-        // The integer, moved to the exponent; what lies above falls off.
+        // The integer, shifted to the exponent; higher bits are dropped.
         self.from_bits(self.add_i32(self.to_bits(p), self.shl::<23>(self.to_bits(n))))
     }
     /// `p · 2ⁿ` for −252 ≤ `n` ≤ 254, rounded once, where `p·2^⌊n/2⌋` is a normal number or `p` is none.

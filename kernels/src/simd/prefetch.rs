@@ -24,7 +24,7 @@ pub(crate) fn prefetch_near<T>(at: *const T) {
     let _ = at;
 }
 
-/// The same pointer, of which the compiler knows nothing: a second read through it stays a read.
+/// The same pointer, opaque to the compiler: a second read through it stays a read.
 ///
 /// Where a register block fills all registers, reading an operand again from the nearest cache is cheaper than keeping it.
 #[inline(always)]

@@ -1,4 +1,4 @@
-//! The vector of sixteen lanes, and what can be entered on a level.
+//! The vector of sixteen lanes, and the trait of code that runs on a level.
 
 use super::elementwise::Elementwise;
 

@@ -2,11 +2,11 @@
 //!
 //! Parameters per element: mean m = tanh(·)(1−ε) and log scale s, σ = eˢ.
 //!
-//! | function | gives |
+//! | function | returns |
 //! |---|---|
 //! | [`mean`] | m from the layer's output; what inference uses |
 //! | [`quantile`] | the value under which the truncated normal has mass u, in binary64 |
-//! | [`sample`] | the draw for a given u, with the published implementation's choices |
+//! | [`sample`] | the draw for this u, with the published implementation's choices |
 //! | [`draw`] | the same with u from [`philox`](crate::philox) |
 //! | [`reference::published`] | the published formula in binary32, to compare with |
 //!
@@ -20,8 +20,8 @@
 //! - q = (1−u)·erfc A + u·erfc B, where w > ¾, the upper tail: m + σ√2·erfc⁻¹(q);
 //! - p = (1−u)·erfc(−A) + u·erfc(−B), where w < −¾, the lower tail: m − σ√2·erfc⁻¹(p).
 //!
-//! As A ≤ 0 ≤ B, the sums of the tails are of one sign, and w only cancels where the result is near m. σ → ∞ gives the
-//! uniform distribution, σ → 0 the mean.
+//! As A ≤ 0 ≤ B, the sums of the tails are of one sign, and w only cancels where the result is near m. The limit for σ → ∞ is the
+//! uniform distribution, for σ → 0 the mean.
 //!
 //! Over the published formula's own range the two differ by its rounding: 1.3e-5 at most over the 60,000 values of the
 //! parity table (where σ is large or u near 1).
@@ -51,7 +51,7 @@ pub const NO_SPREAD: f32 = -5.0;
 /// Elements of a task.
 const CHUNK: usize = 4096;
 
-/// `out[i]` = tanh(`x[i]`)·(1−ε). NaN gives NaN.
+/// `out[i]` = tanh(`x[i]`)·(1−ε). NaN returns NaN.
 ///
 /// # Panics
 /// When the lengths differ.
@@ -114,7 +114,7 @@ impl Normal {
 
 /// The value under which the normal of `mean` and e^`log_scale`, truncated to the bounds, has mass `u`.
 ///
-/// A mean outside the bounds is moved to the nearer one, u to [0, 1]. NaN anywhere gives NaN.
+/// A mean outside the bounds is moved to the nearer one, u to [0, 1]. NaN in any argument returns NaN.
 pub fn quantile(mean: f64, log_scale: f64, u: f64) -> f64 {
     if mean.is_nan() || log_scale.is_nan() || u.is_nan() {
         return f64::NAN;

@@ -44,7 +44,7 @@ fn the_quantile_inverts_the_distribution_and_grows() {
                 let x = quantile(mean, log_scale, u);
                 assert!(x >= last - 1e-15, "{mean} {log_scale} {u}: {x} after {last}");
                 last = x;
-                // The spacing of binary64 around the mean limits what can come back where σ is tiny.
+                // The spacing of binary64 around the mean limits the round trip where σ is tiny.
                 let tolerance = 1e-12 + 2e-16 / double::exp(log_scale);
                 let back = distribution(mean, log_scale, x);
                 assert!((back - u).abs() <= tolerance, "{mean} {log_scale} {u}: {x} has mass {back}");
@@ -99,7 +99,7 @@ fn the_published_choices_are_kept() {
         assert_eq!(sample_one(0.25, f32::INFINITY, u), -BOUND);
         assert_ne!(sample_one(0.25, 6.6, u), -BOUND);
     }
-    // u outside [ε, 1−ε] gives the value at its end.
+    // u outside [ε, 1−ε] returns the value at the nearer end.
     assert_eq!(sample_one(0.1, 0.5, 0.0), sample_one(0.1, 0.5, EPSILON));
     assert_eq!(sample_one(0.1, 0.5, 0.999_999_9), sample_one(0.1, 0.5, BOUND));
 }

@@ -51,7 +51,7 @@ impl Dtype {
         }
     }
 
-    /// Bits per element, where known.
+    /// Bits per element, for supported types.
     pub(super) fn bits(&self) -> Option<usize> {
         Some(match self.name() {
             "F4" => 4,
@@ -105,7 +105,7 @@ impl TensorInfo {
     }
 }
 
-/// Where the data starts, and all tensors; or what is wrong.
+/// Offset of the data, and all tensors; or the error.
 pub(super) fn parse(bytes: &[u8]) -> Result<(usize, BTreeMap<String, TensorInfo>), String> {
     let not = |what: String| format!("not a safetensors file: {what}");
     let Some((length, rest)) = bytes.split_first_chunk::<8>() else {

@@ -42,7 +42,7 @@ impl Checkpoint {
         Self::from_storage(storage, file)
     }
 
-    /// Checks the header of bytes in memory; `name` stands for the file in errors.
+    /// Checks the header of bytes in memory; `name` is used as the file's name in errors.
     ///
     /// # Errors
     /// When the bytes are neither a well-formed safetensors file nor tensors by name as `torch.save` writes them.
@@ -57,7 +57,7 @@ impl Checkpoint {
         }
     }
 
-    /// The file's name, or what stands for it.
+    /// The file's name, or that of bytes in memory.
     pub fn file(&self) -> &str {
         &self.file
     }
@@ -125,7 +125,7 @@ impl Checkpoint {
         self.tensors.get(name).map(|info| &self.storage.bytes()[self.data..][info.range.clone()])
     }
 
-    /// Tells the system that a tensor's pages of a mapped file are not needed for now; it reads them again if they are.
+    /// Advises the system that a tensor's pages of a mapped file are not needed for now; it reads them again if they are.
     pub(crate) fn release(&self, name: &str) {
         if let Some(info) = self.tensors.get(name) {
             self.storage.release(self.data + info.range.start..self.data + info.range.end);

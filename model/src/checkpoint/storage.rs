@@ -44,7 +44,7 @@ impl From<&'static [u8]> for Storage {
 impl Storage {
     /// Maps the file at `path`.
     ///
-    /// As with every mapping, whoever shortens the file while it is loaded ends the program (SIGBUS).
+    /// As with every mapping, shortening the file while it is loaded ends the program (SIGBUS).
     ///
     /// # Errors
     /// When it cannot be opened, is no regular file, or cannot be mapped.
@@ -82,7 +82,7 @@ impl Storage {
             const PAGE: usize = 1 << 16;
             let (start, end) = (range.start.next_multiple_of(PAGE), range.end / PAGE * PAGE);
             if start < end {
-                // SAFETY: the mapping is of a file and nobody writes to it: dropped pages are read again from the file
+                // SAFETY: the mapping is of a file and is never written to: dropped pages are read again from the file
                 // with the same content. Failure only keeps memory in use.
                 let _ = unsafe { map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, start, end - start) };
             }

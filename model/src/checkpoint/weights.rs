@@ -57,7 +57,7 @@ impl<'a> Weights<'a> {
         !self.compute_zero_output && self.is_zero_output(name)
     }
 
-    /// Returns true if the layer `name` gives zeros, whatever its input.
+    /// Returns true if the layer `name` returns zeros for any input.
     pub(crate) fn is_zero_output(&self, name: &str) -> bool {
         let zero = |tensor: &str| self.checkpoint.is_zero(&self.key(&format!("{name}.{tensor}")));
         zero("weight") && (self.shape(&format!("{name}.bias")).is_none() || zero("bias"))
@@ -85,7 +85,7 @@ impl<'a> Weights<'a> {
         self.level
     }
 
-    /// The format in which layers hold the operands of their products: f32 where nothing else is said.
+    /// The format in which layers hold the operands of their products: f32 by default.
     pub(crate) fn precision(&self) -> Precision {
         self.precision
     }

@@ -6,7 +6,7 @@ use crate::checkpoint::{Checkpoint, Weights};
 use crate::keys;
 use crate::{DinoLayout, ModelError};
 
-/// Resolution and window of the published checkpoint, which its shapes do not tell.
+/// Resolution and window of the published checkpoint, which its shapes do not determine.
 const PUBLISHED_RESOLUTION: [usize; 2] = [288, 512];
 const PUBLISHED_WINDOW: usize = 2304;
 /// Input of DINOv2 in the published model.
@@ -29,7 +29,7 @@ pub(crate) fn prefix(checkpoint: &Checkpoint) -> Result<&'static str, ModelError
     })
 }
 
-/// What a file is that was taken for another, for the end of an error.
+/// Actual kind of a file of the wrong kind, for the end of an error.
 pub(crate) fn hint(checkpoint: &Checkpoint) -> String {
     if let Some(layout) = DinoLayout::of(checkpoint) {
         return format!("; this is a file of DINOv2 (names of {})", layout.name());
@@ -80,7 +80,7 @@ impl Config {
             return Err(settings.wrong("upsampler_stages", "2", found));
         }
 
-        // 2N rows of learned positions: the one required tensor that tells the number of tokens.
+        // 2N rows of learned positions: the one required tensor with the number of tokens.
         let [_, rows, _] = decoder.shape_like("positional_embedding", [Some(1), None, Some(hidden_dim)])?;
         let resolution = resolution(settings, patch_size, rows)?;
 

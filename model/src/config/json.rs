@@ -1,6 +1,6 @@
-//! The JSON beside a checkpoint: what shapes cannot say, and what they must agree with.
+//! The JSON file of a checkpoint: settings that shapes do not determine, and others that must agree with them.
 //!
-//! Keys stand at the top or inside an object `config`; the latter win. Unknown keys are ignored.
+//! Keys are at the top level or inside an object `config`; the latter take precedence. Unknown keys are ignored.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -21,12 +21,12 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
-    /// No settings; `file` stands for the place where defaults come from.
+    /// No settings; `file` names the source of defaults in errors.
     pub(crate) fn none(file: impl Into<String>) -> Settings {
         Settings { file: file.into(), values: Map::new() }
     }
 
-    /// The JSON file of the checkpoint's name beside it; nothing where there is none.
+    /// The JSON file of the checkpoint's name in the same folder; no settings without one.
     pub(crate) fn beside(checkpoint: &Path) -> Result<Settings, ModelError> {
         let path = checkpoint.with_extension("json");
         let file = path.display().to_string();

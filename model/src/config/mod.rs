@@ -42,7 +42,7 @@ pub struct Config {
     pub condition_dim: usize,
     /// Kind of the static head's position.
     pub static_position: StaticPosition,
-    /// True if the weights ignore the depth channel of the input: the same Gaussians come out whatever it holds.
+    /// True if the weights ignore the depth channel of the input: any depth results in the same Gaussians.
     pub ignores_depth: bool,
 }
 

@@ -19,7 +19,7 @@ pub(crate) fn load_pointwise(
         weight.extend_from_slice(&weights.read(&format!("{name}.weight"), &[n, k])?);
         match bias {
             Bias::Yes => biases.extend_from_slice(&weights.vector(&format!("{name}.bias"), &[n])?),
-            // What changes no bit of the number it is added to.
+            // Adding it changes no bit of a number.
             Bias::No => biases.resize(biases.len() + n, -0.0),
         }
     }

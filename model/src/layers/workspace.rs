@@ -14,7 +14,7 @@ pub(crate) struct Workspace {
     pub(crate) mixed: Aligned<f32>,
 }
 
-/// Workspaces that calls have given back: as many as there ever were calls at a time. Fresh memory is dear, as the system clears it page by page.
+/// Free workspaces: as many as the most concurrent calls so far. Fresh memory is slow, as the system clears it page by page.
 #[derive(Default)]
 pub(crate) struct Workspaces(Mutex<Vec<Workspace>>);
 

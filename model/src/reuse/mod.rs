@@ -1,11 +1,11 @@
 //! Leaving out what did not change since the key frame before.
 //!
-//! A [`Session`](crate::Session) may keep, for every part of a network, what the part saw and gave last: its [`Cache`].
+//! A [`Session`](crate::Session) may keep, for every part of a network, the part's last input and output: its [`Cache`].
 //! With it the part computes only rows (tokens) whose input changed, and takes the rest from there:
 //!
-//! - [`Saving::Exact`]: no output bit changes. A block whose attention runs in windows computes the windows of which a
-//!   token's bits changed. Where attention sees every token every one depends on all others, and there is nothing to
-//!   keep: this is for models with `encoder_window`.
+//! - [`Saving::Exact`]: no output bit changes. A block whose attention runs in windows computes the windows with a
+//!   token whose bits changed. Without windows every token depends on all others, and nothing can be
+//!   kept: this is for models with `encoder_window`.
 //! - [`Saving::Within`]: a token is computed anew when its input moved by more than the tolerance (relative to its
 //!   length, see [`streamsplat_kernels::change`]) since it was last computed, block by block. Only such tokens are
 //!   queried and only their keys and values are replaced; every other keeps its last output. The decoder and the
@@ -14,17 +14,17 @@
 //!   everything anew after [`Cache::REFRESH`] steps, or once [`Cache::REPLACED`] times all its tokens have been
 //!   computed one by one.
 //!
-//! A part more than [`Cache::MOST`] of whose tokens changed is computed as if there were no cache, and keeps nothing
-//! but its input: a moving camera pays for the comparison alone. It is computed and kept when that share falls again.
-//! Of the first frame everything is kept, of the first pair what gives motion only when the encoder's tokens did not
+//! If more than [`Cache::MOST`] of a part's tokens changed, it is computed without a cache, and keeps only
+//! its input: a moving camera costs the comparison alone. It is computed and kept when that share falls again.
+//! The first frame is kept whole; the first pair's parts for motion only if the encoder's tokens did not
 //! change as much.
 //!
 //! The decoder's input is a pair of frames, and its cache belongs to the pair's places, not to the frames: `h` of frame
 //! k is compared in the place of the later frame with that of frame k−1, and a step later, in the place of the earlier
-//! frame, with it again. What appears changes one place only, but the motion in both: a token is computed in both
+//! frame, with it again. A new thing changes one place only, but the motion in both: a token is computed in both
 //! places when it changed in either.
 //!
-//! DINOv2 is not gated: its features, of which every one depends on all others, are compared as the decoder's
+//! DINOv2 is not gated: each of its features depends on all others. They are compared as the decoder's
 //! condition.
 //!
 //! # Order
@@ -64,7 +64,7 @@ impl Saving {
         }
     }
 
-    /// For the parts that give motion: the tolerance times [`Cache::MOTION`].
+    /// For the parts that compute motion: the tolerance times [`Cache::MOTION`].
     fn of_motion(self) -> Saving {
         match self {
             Saving::Exact => Saving::Exact,
@@ -104,7 +104,7 @@ pub struct Cache {
     pub(crate) static_upsampler: PartCache,
     pub(crate) static_head: StaticHeadCache,
     pub(crate) decoder: PartCache,
-    /// Of the earlier and the later frame of a pair.
+    /// Caches of the earlier and the later frame of a pair.
     pub(crate) deformation: [(PartCache, DeformationHeadCache); 2],
 }
 
@@ -147,13 +147,13 @@ impl Cache {
         ]
     }
 
-    /// Bytes it holds: at most what a first key frame and a pair make it hold, whatever the stream's length.
+    /// Bytes it holds: at most those of a first key frame and a pair, for any length of the stream.
     pub fn bytes(&self) -> usize {
         let pair: usize = self.deformation.iter().map(|(up, head)| up.bytes() + head.bytes()).sum();
         self.encoder.bytes() + self.static_upsampler.bytes() + self.static_head.bytes() + self.decoder.bytes() + pair
     }
 
-    /// An empty one that goes on counting.
+    /// An empty one with the same counters.
     pub(crate) fn emptied(&self, config: &Config) -> Option<Cache> {
         let mut empty = Cache::new(self.saving, config)?;
         let counts = [

@@ -31,7 +31,7 @@ pub(crate) struct PartCache {
     pub(super) tokens: Tokens,
 }
 
-/// Cache of a block: its tokens as it last computed them, and what they were mixed from.
+/// Cache of a block: its tokens as last computed, and the tokens they were mixed from.
 #[derive(Debug)]
 pub(crate) struct BlockCache {
     gate: Gate,
@@ -95,7 +95,7 @@ impl BlockCache {
     }
 }
 
-/// One call of a part, block by block: which tokens are computed, and what is kept of them.
+/// One call of a part, block by block: which tokens are computed, and which results are kept.
 pub(crate) struct Pass<'a> {
     level: Level,
     /// None where nothing is kept.
@@ -103,7 +103,7 @@ pub(crate) struct Pass<'a> {
 }
 
 impl<'a> Pass<'a> {
-    /// Begins a call on `x [n, d]`, the input of the blocks (of an upsampler: of its first layer), and gives the rows
+    /// Begins a call on `x [n, d]`, the input of the blocks (of an upsampler: of its first layer), and returns the rows
     /// of it that are to be computed. `moves`: see [`Schedule::next`].
     pub(crate) fn begin(
         level: Level,
@@ -148,7 +148,7 @@ impl<'a> Pass<'a> {
         }
     }
 
-    /// Returns true if this call keeps what it computes.
+    /// Returns true if this call keeps its results.
     pub(crate) fn keeps(&self) -> bool {
         self.cache.is_some()
     }
@@ -166,7 +166,7 @@ impl<'a> Pass<'a> {
         Some(at)
     }
 
-    /// Leaves in `rows` what block `index` has to compute, keeps its input, and gives its cache. `mixed` are the
+    /// Leaves in `rows` those that block `index` has to compute, keeps its input, and returns its cache. `mixed` are the
     /// windows in which the block mixes tokens, if it does.
     pub(crate) fn admit(&mut self, index: usize, mixed: Option<Windows>, rows: &mut Rows) -> Option<&mut BlockCache> {
         let cache = self.cache.as_deref_mut()?;
@@ -185,7 +185,7 @@ impl<'a> Pass<'a> {
         Some(block)
     }
 
-    /// Ends the call: the whole output, of which `x` are the rows `at`.
+    /// Ends the call; returns the whole output. `x`: its rows `at`.
     pub(crate) fn finish(self, at: Option<Vec<u32>>, x: Vec<f32>) -> Vec<f32> {
         let Some(cache) = self.cache else { return x };
         match at.as_deref() {

@@ -89,7 +89,7 @@ pub(super) struct Gate {
 }
 
 impl Gate {
-    /// Of `rows` rows of width `d`; takes no memory before the first [`Gate::keep`].
+    /// A gate of `rows` rows of width `d`; takes no memory before the first [`Gate::keep`].
     pub(super) fn new(rows: usize, d: usize) -> Gate {
         Gate { d, rows, reference: Vec::new() }
     }
@@ -101,7 +101,7 @@ impl Gate {
         self.rows = x.len() / self.d;
     }
 
-    /// Which rows of `x` moved; all, when nothing of this size was kept.
+    /// The rows of `x` that moved; all, when nothing of this size was kept.
     pub(super) fn moved(&self, level: Level, tolerance: Tolerance, x: &[f32]) -> Vec<bool> {
         let mut marks = vec![true; x.len() / self.d];
         if x.len() == self.reference.len() {

@@ -37,8 +37,8 @@ impl Schedule {
         self.seen && !self.kept
     }
 
-    /// The step in which `changed` of `all` tokens changed since they were last kept. In the first one nothing is known
-    /// of them but whether the picture `moves`: then there is little hope.
+    /// The step in which `changed` of `all` tokens changed since they were last kept. In the first one the only
+    /// evidence is whether the picture `moves`; then savings are unlikely.
     pub(super) fn next(&mut self, saving: Saving, moves: bool, changed: usize, all: usize) -> Extent {
         let extent = if !self.seen {
             if moves { Extent::Plain } else { Extent::Refresh }

@@ -10,7 +10,7 @@
 //! So norm, projections and attention of a zero-output branch are neither packed at load nor computed, and `x += 0` is what remains, on all levels, for any number of threads and
 //! in every precision: it turns −0 into +0, as the sum did, and changes no other bit.
 //!
-//! Where it can be told from the full computation: when a sum *inside* the branch is not finite. `∞·0` is NaN, and the full computation spreads that in f32 and
+//! The full computation differs only when a sum *inside* the branch is not finite. `∞·0` is NaN, and the full computation spreads that in f32 and
 //! bf16; here the token stays finite. Inputs and weights are finite, so this takes sums beyond 3.4·10³⁸. The branch's tensors are checked at load as all others are.
 //!
 //! [`LoadOptions::compute_zero_output`](crate::LoadOptions::compute_zero_output) computes them.

@@ -70,7 +70,7 @@ fn load(bytes: &[u8], sizes: &Sizes, level: Level, precision: Precision, compute
     Network::from_parts(bytes.to_vec(), &sizes.json().to_string(), &options).expect("a model")
 }
 
-/// The bits of all that the network gives of four frames in which a square moves.
+/// The bits of all outputs of the network for four frames in which a square moves.
 fn pass(session: &mut Session<&Network>) -> Vec<Vec<u32>> {
     let [height, width] = session.network().config().resolution;
     let mut results: Vec<Vec<f32>> = Vec::new();

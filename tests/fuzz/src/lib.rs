@@ -1,4 +1,4 @@
-//! The entry point that libFuzzer calls: `streamsplat_tests::fuzz` has what is done with the bytes.
+//! The entry point that libFuzzer calls: `streamsplat_tests::fuzz` processes the bytes.
 
 pub use libfuzzer_sys;
 pub use streamsplat_tests::fuzz::Target;

@@ -61,7 +61,7 @@ def model(folder: pathlib.Path) -> pycolmap.Reconstruction:
         pose, first = rigid(0.5 * moment - 0.4, 5.0), 2 * moment + 1
         frames.append(f"{moment + 1} 1 {quaternion(pose)} 2 CAMERA 1 {first} CAMERA 2 {first + 1}\n")
         for camera in (1, 2):
-            # Poses that are nobody's.
+            # Dummy poses: those of the frames count.
             images.append(f"{first + camera - 1} 1 0 0 0 7 8 9 {camera} cam{camera}/{moment}.png\n\n")
     (folder / "frames.txt").write_text("".join(frames))
     (folder / "images.txt").write_text("".join(images))

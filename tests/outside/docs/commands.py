@@ -18,7 +18,7 @@ import time
 import urllib.request
 from pathlib import Path
 
-# Text in a command → what stands for it here.
+# Text in a command → its replacement here.
 REPLACED = {
     "-f v4l2 -i /dev/video0": "-i clip.mp4",
     "trained 5000000 large.ply": "trained 5000 $PWD/large.ply",

@@ -24,7 +24,7 @@ def main():
         select.select([terminal], [], [])
         try:
             more = os.read(terminal, 65536)
-        except OSError:  # Linux's way to say that the other side is closed
+        except OSError:  # Linux: the other side is closed
             break
         if not more:
             break

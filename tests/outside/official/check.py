@@ -178,7 +178,7 @@ def network(options, seed, use_dino):
     utils.Dinov2Wrapper._build_dinov2 = staticmethod(lambda *_, **__: dino_official(768, 1, heads=12))
     predictor = SplatPredictor(options)
     out = predictor.gs_predictor.gaussian_upsampler.out_channels
-    # 192 stands in their code for the width after upsampling at the published size.
+    # 192 in their code is the width after upsampling at the published size.
     predictor.encoder_proj = torch.nn.Linear(out, out, bias=False)
     # Their condition is as wide as their tokens, 768 both; here tokens are narrower.
     decoder = predictor.decoder.transformer_decoder
@@ -450,7 +450,7 @@ def whole_clip(name, seed, config, images=True):
     check(worst > BAR, f'{name}: a flipped bit of a weight is not seen, {worst}')
 
 
-# Files that are something else: one line that tells what was found, and what was expected.
+# Files of other kinds: one line with what was found and what was expected.
 
 
 def refused(name, words, arguments):

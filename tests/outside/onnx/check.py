@@ -162,7 +162,7 @@ def a_stopped_run_goes_on_to_the_same_bytes(at):
     whole = json.loads((at / 'whole' / 'run.json').read_text())
     for part in ('outputs', 'input', 'depth'):
         assert record[part] == whole[part], part
-    # Another network would give other maps: it is not the same run.
+    # Another network would compute other maps: it is not the same run.
     make.save(make.depth(sides=(70, 126)), at / 'other.onnx')
     other = [f'onnx:{at / "other.onnx"}' if part == f'onnx:{DEPTH}' else part for part in options]
     done = run(clip, at / 'out', *other[:4], *other[6:], '--resume')

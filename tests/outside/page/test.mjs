@@ -505,7 +505,7 @@ async function work(address) {
   const rate = async (name) => {
     const read = () => swaying.evaluate(() => ({ ...document.getElementById("canvas").work(), now: performance.now() }));
     const before = await read();
-    // By count: how long a picture takes here says nothing of a graphics card.
+    // By count: the time of a picture here does not predict a graphics card's.
     await swaying.waitForFunction((count) => document.getElementById("canvas").work().pictures >= count, before.pictures + 8);
     const after = await read();
     const [pictures, orders, records, moved] = ["pictures", "orders", "records", "moved"].map((what) => after[what] - before[what]);

@@ -81,7 +81,7 @@ def test_a_killed_worker_changes_no_byte(clips, tmp_path):
         assert killed is not None, "no worker was seen at work"
         said, _ = run.communicate(timeout=300)
         assert run.returncode == 0, said
-        # Each is told once; the killed worker's may have been finished just before.
+        # Each is reported once; the killed worker's may have been finished just before.
         assert [line.split(":")[0] for line in sorted(lines(said))] == ["8 clips, 0 done before", *(f"clip-{i}.y4m" for i in range(8))], said
         assert sum(line.endswith("9 frames, 3 key frames") for line in lines(said)) >= 7, said
         assert "task will be retried" in said, said

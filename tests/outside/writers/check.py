@@ -78,7 +78,7 @@ def colours(work):
         for size in [(64, 36)] if number else [(64, 36), (1280, 720)]:
             name = f'{number}-{size[0]}'
             flat(work / name, colour, size, 2)
-            # The images are of the frames, whatever the model makes of them.
+            # The images show the frames, for any model.
             close(work / name, work / f'{name}.images', '--size', 'source')
             # What is drawn is near the frame, and all of one colour.
             truth = by_pillow(work / f'{name}.images' / 'frames' / '000000.png').mean(0)

@@ -192,7 +192,7 @@ fn gemm(precision: Precision, level: Level, digest: &mut Digest) {
     }
 }
 
-/// `heads` heads of 64 channels, so many queries and so many keys.
+/// `heads` heads of 64 channels, with these numbers of queries and keys.
 fn attention(
     precision: Precision,
     level: Level,

@@ -61,7 +61,7 @@ enum Depth {
     Found,
 }
 
-/// Three key frames with two frames between each two, which the engine is given.
+/// Three key frames with two frames between each two, which are passed to the engine.
 fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]: [usize; 2], depth: Option<Depth>) {
     let settings = Settings {
         level: Some(level),
@@ -97,7 +97,7 @@ fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]:
     }
 }
 
-/// Three key frames as a compressed scene: its bytes, and what is read from them.
+/// Three key frames as a compressed scene: its bytes, and the scene read from them.
 fn container(level: Level, digest: &mut Digest) {
     let checkpoint = streamsplat_fixtures::path("parity/tiny-nodino.safetensors");
     let settings = Settings {

@@ -1,8 +1,8 @@
 //! Extremes: every case on every instruction-set level of the machine and with 1, 2, 3 and 8 threads, its error against
 //! binary64, and whether the bits agree.
 //!
-//! A [`Case`] computes values and judges them: the worst error, the value that has it, and properties that must hold whatever the
-//! error is. [`record`] keeps the errors: `tests/extremes/record.json` is what tests compare with, `tests/extremes/REPORT.md` what people read.
+//! A [`Case`] computes values and judges them: the worst error, the value that has it, and properties that must hold for any
+//! error. [`record`] keeps the errors: tests compare with `tests/extremes/record.json`; `tests/extremes/REPORT.md` is for readers.
 
 mod attention;
 mod images;
@@ -66,7 +66,7 @@ pub enum Unit {
     Relative,
     /// |ours − exact| over the unit in the last place of binary32 at `exact`.
     Ulp,
-    /// |ours − exact| over the sum of the magnitudes of what is summed.
+    /// |ours − exact| over the sum of the magnitudes of the terms.
     OfTerms,
     /// ‖ours − exact‖ / ‖exact‖
     RelativeL2,
@@ -95,7 +95,7 @@ pub struct Judged {
     pub error: f64,
     /// Its unit.
     pub unit: Unit,
-    /// The value that has it.
+    /// Our value.
     pub ours: f64,
     /// The exact value.
     pub exact: f64,
@@ -109,7 +109,7 @@ impl Judged {
         Self { error: 0.0, unit, ours: f64::NAN, exact: f64::NAN, broken: Vec::new() }
     }
 
-    /// Of values and what each should be. A NaN must be one; an infinity must be that one.
+    /// The error of values against exact ones. A NaN must be one; an infinity must be the same.
     fn of(unit: Unit, ours: &[f64], exact: impl IntoIterator<Item = f64>) -> Self {
         let mut judged = Self::new(unit);
         let mut count = 0;
@@ -131,7 +131,7 @@ impl Judged {
         }
     }
 
-    /// Notes what is broken unless `holds`.
+    /// Notes a broken promise unless `holds`.
     fn demand(&mut self, holds: bool, what: impl FnOnce() -> String) {
         if !holds && self.broken.len() < 8 {
             self.broken.push(what());
@@ -202,7 +202,7 @@ impl Case {
     }
 
     /// Computes it on every level and thread count and judges the first; places whose bits differ from the first's are broken.
-    /// The long form runs on the highest level alone: the short one says whether bits agree.
+    /// The long form runs on the highest level alone: the short one compares bits.
     ///
     /// # Panics
     /// When threads cannot be started.

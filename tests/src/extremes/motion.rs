@@ -44,7 +44,7 @@ fn stream(place: Place, fusion: Fusion, times: &[f64]) -> Computed {
     Computed::with(&values, rest)
 }
 
-/// Images are those of a stream whose intervals last a second: the scene knows no clock.
+/// Images are those of a stream whose intervals last a second: the scene has no clock.
 fn steady(name: &str, fusion: Fusion, start: f64, length: f64) -> Case {
     let times = move |start: f64, length: f64| (0..FRAMES).map(|k| start + length * k as f64).collect::<Vec<_>>();
     Case::new(
@@ -76,7 +76,7 @@ fn stiff(fusion: Fusion) -> Case {
     )
 }
 
-/// Time stamps that are refused, and the stream going on as if they had not been given.
+/// Time stamps that are refused; the stream then continues unchanged.
 fn refused() -> Case {
     let bad = [0.5, 0.4, -1.0, f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
     Case::new(

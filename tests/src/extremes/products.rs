@@ -69,7 +69,7 @@ pub(super) fn cases() -> Vec<Case> {
         (row[3], row[300], row[599]) = (1.5e38, 1.0, -1.5e38);
         repeated(row, |_| 1.0)
     };
-    // Every term has its opposite later on, and what is left is a millionth of the terms.
+    // Every term has its opposite later on, and the sum is a millionth of the terms.
     let pairs = || {
         let half = noise(512, 31);
         let row: Vec<f32> = half.iter().copied().chain(half.iter().map(|x| -x)).collect();

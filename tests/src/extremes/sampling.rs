@@ -40,7 +40,7 @@ impl Part {
         match self {
             Part::Whole => distribution(mean, log_scale, x),
             Part::LowTail => distribution(mean, log_scale, x) / TAIL,
-            // The distribution is symmetric: what is above x with mean m is below −x with mean −m.
+            // The distribution is symmetric: the mass above x with mean m is the mass below −x with mean −m.
             Part::HighTail => distribution(-mean, log_scale, -x) / TAIL,
         }
     }
@@ -197,7 +197,7 @@ fn held(mean: f32, log_scale: f32, ends: [f32; 2], value: impl Fn(f32) -> f32) -
     Held { different: bits.len(), ..held }
 }
 
-/// Where the published formula collapses, and what is given here. The yardstick is [`quantile`], which the cases above try against the
+/// Where the published formula collapses, and our result there. The reference is [`quantile`], which the cases above try against the
 /// exact distribution.
 pub fn collapse() -> Vec<Collapse> {
     let row = |(mean, log_scale): (f32, f32)| {

@@ -50,7 +50,7 @@ impl Scene {
     }
 }
 
-/// The rotation by so many degrees about the view's axis.
+/// The rotation by `degrees` about the view's axis.
 pub(super) fn about_z(degrees: f32) -> [f32; 4] {
     let half = (0.5 * f64::from(degrees)).to_radians();
     [half.cos() as f32, 0.0, 0.0, half.sin() as f32]

@@ -152,7 +152,7 @@ pub(super) fn cases() -> Vec<Case> {
         scenes("1e12 units aside, 1e12 large", |s: &mut Scene| s.push([1e12, 0.0, 1.0], [1e12; 3], 0.9), Some(true)),
     ];
     let mut cases: Vec<Case> = all.into_iter().flatten().collect();
-    // An orthographic camera sees what is a hair before it; for a pinhole that is too near.
+    // An orthographic camera sees Gaussians just before it; for a pinhole they are too near.
     for (kind, projection, drawn) in [("orthographic", ORTHOGRAPHIC, true), ("pinhole", PINHOLE, false)] {
         for (name, z) in [("1e-30", 1e-30), ("1e-6", 1e-6), ("1e-40, denormal", 1e-40)] {
             let mut scene = Scene::new(projection, false);

@@ -138,7 +138,7 @@ fn engine(place: Place, theatre: Theatre, depth_range: DepthRange) -> (Engine, A
     (Engine::new(settings).expect("starts"), theatre)
 }
 
-/// Gaussians that a stream drops when its network gives a bad number, over four key frames, and its last image.
+/// Gaussians that a stream drops when its network returns a bad number, over four key frames, and its last image.
 fn stream(field: usize, name: &str, expected: u64) -> Case {
     counted(
         &format!("stream, a bad number in a Gaussian's {name}: it alone is dropped"),

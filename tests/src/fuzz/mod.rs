@@ -1,7 +1,7 @@
 //! Targets of hostile bytes: one function per reader, shared by libFuzzer (`tests/fuzz`) and by the tests, which replay
-//! seeds, what was found, and mutations of both.
+//! seeds, earlier findings, and mutations of both.
 //!
-//! A function takes any bytes. An error from the reader is an answer; a panic, a wrong property of what was read, or memory that the
+//! A function takes any bytes. An error from the reader is an answer; a panic, a wrong property of the result, or memory that the
 //! bytes do not justify is a finding.
 //!
 //! To add a target: a function in `targets.rs`, its seeds in `seeds.rs`, a line in [`TARGETS`], and

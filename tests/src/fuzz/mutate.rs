@@ -3,7 +3,7 @@
 /// Bytes that often matter: signs, limits, and what separates things in text.
 const BYTES: [u8; 16] = [0, 1, 0x7f, 0x80, 0xff, b'0', b'9', b'-', b'.', b'"', b'[', b'{', b',', b':', b'\n', b'e'];
 
-/// An endless series of inputs near the given one.
+/// An endless series of inputs near a seed.
 pub struct Mutations<'a> {
     input: &'a [u8],
     state: u64,

@@ -38,7 +38,7 @@ pub(super) fn checkpoint(bytes: &[u8]) {
     let _ = inspect_parts(&checkpoint, seeds::CONFIG);
 }
 
-/// The JSON beside a checkpoint.
+/// The JSON file of a checkpoint.
 pub(super) fn model_config(bytes: &[u8]) {
     static MODEL: LazyLock<Checkpoint> =
         LazyLock::new(|| Checkpoint::from_storage(seeds::model(), "fuzz").expect("a checkpoint"));
@@ -80,7 +80,7 @@ pub(super) fn scene_index(bytes: &[u8]) {
     }
 }
 
-/// A camera or a path of cameras, and what they see of a scene; or cameras of another program: JSON, or the two files of a COLMAP
+/// A camera or a path of cameras, and their images of a scene; or cameras of another program: JSON, or the two files of a COLMAP
 /// or four files of a COLMAP model with `%%` between them.
 pub(super) fn camera(bytes: &[u8]) {
     if let Some(files) = colmap(bytes) {
@@ -169,7 +169,7 @@ pub(super) fn splat(bytes: &[u8]) {
     assert_same_finite(&a, &b);
 }
 
-/// A PLY file: what was read is written as a file that reads the same, and drawn.
+/// A PLY file: the result is written as a file that reads the same, and drawn.
 pub(super) fn ply(bytes: &[u8]) {
     let Ok(still) = import::ply(bytes) else { return };
     let file = export::still::ply(&still);
@@ -298,7 +298,7 @@ pub(super) fn http(bytes: &[u8]) {
         let loopback = Hosts::of([127, 0, 0, 1].into(), &[]);
         let open = Hosts::of([0, 0, 0, 0].into(), &[]);
         assert!(open.contain(&request.host) || !loopback.contain(&request.host), "{:?}", request.host);
-        // What comes after a head changes nothing about it.
+        // Bytes after a head do not change it.
         assert_eq!(Request::parse(&[bytes, b"more"].concat()), parsed);
     }
 }

@@ -3,7 +3,7 @@
 use super::operations::*;
 use super::{Outputs, Tensors};
 
-/// Sizes that shapes do not tell.
+/// Sizes that shapes do not determine.
 #[derive(Clone, Copy, Debug)]
 pub struct Sizes {
     /// Height and width of the frames.

@@ -1,7 +1,7 @@
-//! Error against run time on a folder of clips: what each option costs and gives, the qualities, and a grid of options around them.
+//! Error against run time on a folder of clips: time and error of each option, the qualities, and a grid of options around them.
 //!
-//! Every row is one run of `streamsplat eval` on all clips, with the options that it names. *Seen* rows are given the frames between key
-//! frames, the others are not: they answer another question and are never compared. From the record come the table of a page and a plot, which
+//! Every row is one run of `streamsplat eval` on all clips, with the options that it names. *Seen* rows have the frames between key
+//! frames as input, the others do not: the two kinds are never compared. From the record come the table of a page and a plot, which
 //! `--record` makes again without measuring.
 
 mod page;
@@ -157,7 +157,7 @@ fn measure(options: &Options, clips: &Path) -> Result<Record> {
 }
 
 impl Configuration {
-    /// From what `eval` says.
+    /// From the output of `eval`.
     fn read(row: String, kind: Reason, arguments: Vec<String>, figures: &Value) -> Option<Configuration> {
         let score = |value: &Value| Some((value["psnr"].as_f64()?, value["frames"].as_f64()?));
         let all = |row: &Value| {

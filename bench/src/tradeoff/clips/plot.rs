@@ -10,7 +10,7 @@ const SIZE: (u32, u32) = (1120, 540);
 const HEAD: u32 = 64;
 const BELOW: u32 = 56;
 
-/// The gap that a row says, of those in `gaps`; a quality has its own shape.
+/// The mark of a row's gap among `gaps`; a quality has its own shape.
 fn mark(row: &Configuration, gaps: &[String]) -> Mark {
     let place = gap(row).and_then(|gap| gaps.iter().position(|known| *known == gap)).unwrap_or(gaps.len());
     match row.kind {

@@ -22,7 +22,7 @@ const STEPS: [(&str, &str); 11] = [
 /// From the fastest to the closest.
 const QUALITIES: [(&str, &str); 3] =
     [("realtime", "gap 6"), ("balanced", "gap auto:3-8:40, the default"), ("best", "gap 2")];
-/// Gaps of the grid, and what is said beside them.
+/// Gaps of the grid.
 const GAPS: [&str; 5] = ["2", "3", "5", "8", "auto:3-8:40"];
 const CHOICES: [&str; 3] =
     ["--flow coarse --refine 3 --refine-every 3 --depth none", "--flow coarse --refine 6 --depth none", "--refine 16"];

@@ -5,7 +5,7 @@ use serde_json::Value;
 /// Numbers that Python's `json` writes and JSON has not.
 const NOT_FINITE: [&str; 3] = ["-Infinity", "Infinity", "NaN"];
 
-/// What a text holds; or what was expected and what was found.
+/// The content of a text; or expected and found values.
 pub(crate) fn value(bytes: &[u8]) -> Result<Value, [String; 2]> {
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let not_json = |found: String| ["JSON".to_owned(), found];
@@ -54,7 +54,7 @@ fn end_of_string(text: &str) -> Option<usize> {
     })
 }
 
-/// What a value is, for messages: the keys of an object.
+/// Description of a value for messages: the keys of an object.
 pub(super) fn keys(value: &Value) -> String {
     let Value::Object(map) = value else { return "neither an array nor an object".to_owned() };
     let short = |key: &String| key.chars().take(40).collect::<String>();

@@ -1,4 +1,4 @@
-//! Cameras that other programs write, told apart by what the files hold.
+//! Cameras that other programs write, recognised by the files' content.
 //!
 //! | input | is | axes of a camera | what is read |
 //! |---|---|---|---|
@@ -31,9 +31,9 @@ use crate::picture::MAX_SIDE;
 
 /// Longest JSON file that is read, in bytes.
 const MAX_JSON: u64 = 1 << 26;
-/// Longest file of a COLMAP model that is read, in bytes: `images.bin` also holds what was matched in the images.
+/// Longest file of a COLMAP model that is read, in bytes: `images.bin` also holds the matches of the images.
 const MAX_COLMAP: u64 = 1 << 30;
-/// What is read, for messages.
+/// The supported files, for messages.
 const READ: &str = "a camera of this program (an object with type or views), cameras.json of 3D Gaussian splatting (an array), \
     transforms.json (frames), nerfstudio's camera_path.json (camera_path), SuperSplat's settings.json (cameras or animTracks), \
     or a COLMAP model (a folder)";
@@ -209,7 +209,7 @@ pub fn open(path: &Path, size: Option<[usize; 2]>) -> Result<CameraFile, CameraF
     }
 }
 
-/// The cameras of another program's JSON; `None` where the text is none of theirs.
+/// The cameras of another program's JSON; `None` for any other text.
 pub fn parse(json: &str, size: Option<[usize; 2]>) -> Option<Result<CameraSet, FormatError>> {
     of_value(&json::value(json.as_bytes()).ok()?, size)
 }

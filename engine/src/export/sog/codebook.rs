@@ -1,4 +1,4 @@
-//! 256 values that stand for many: Lloyd's algorithm in one dimension.
+//! A codebook of 256 values: Lloyd's algorithm in one dimension.
 
 use serde_json::Value;
 

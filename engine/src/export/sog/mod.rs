@@ -21,7 +21,7 @@ use crate::still::{LEAST, Still};
 use codebook::Codebook;
 use palette::Palette;
 
-/// The Gaussians of one time as a SOG file: [`of_still`] of what [`Still::of`] makes of them.
+/// The Gaussians of one time as a SOG file: [`of_still`] of [`Still::of`].
 pub fn sog(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
@@ -67,7 +67,7 @@ pub fn written(still: &Still) -> Written {
         let m = still.mean[i].map(log);
         [std::array::from_fn(|k| least[k].min(m[k])), std::array::from_fn(|k| greatest[k].max(m[k]))]
     });
-    // Of no Gaussians there are no bounds, and infinities are not JSON.
+    // Without Gaussians there are no bounds, and infinities are not JSON.
     let [mins, maxs] = if order.is_empty() { [[0.0; 3]; 2] } else { bounds };
     let fixed = |i: usize| -> [[u8; 2]; 3] {
         std::array::from_fn(|k| {
@@ -118,7 +118,7 @@ pub fn written(still: &Still) -> Written {
     Written { bytes: zip(&files), notes: notes.0 }
 }
 
-/// Writes the images of the further coefficients; what `meta.json` says of them.
+/// Writes the images of the further coefficients; returns their entry in `meta.json`.
 fn harmonics(still: &Still, order: &[usize], size: [usize; 2], files: &mut Vec<(&str, Vec<u8>)>) -> Value {
     let width = still.rest();
     let rows: Vec<f32> = order.iter().flat_map(|&i| &still.higher[i * 3 * width..][..3 * width]).copied().collect();

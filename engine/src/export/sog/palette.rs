@@ -1,4 +1,4 @@
-//! Rows that stand for many: a tree of splits.
+//! A palette of rows: a tree of splits.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -7,7 +7,7 @@ use std::collections::BinaryHeap;
 const LEAST: usize = 1 << 10;
 const MOST: usize = 1 << 16;
 
-/// Rows, and which of them stands for each of the given ones.
+/// Rows, and the number of the row that replaces each input row.
 pub(super) struct Palette {
     pub(super) rows: Vec<f32>,
     pub(super) labels: Vec<u16>,
@@ -18,7 +18,7 @@ struct Cell {
     /// Sum of squared distances from the mean.
     error: f64,
     number: usize,
-    /// Where its members stand in the list of all.
+    /// Range of its members in the list of all.
     from: usize,
     to: usize,
     mean: Vec<f64>,

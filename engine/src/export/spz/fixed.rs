@@ -3,7 +3,7 @@
 //! A centre has 24 bits. The more of them are after the point, the finer it is, and the nearer is the end of the range. For each number of bits,
 //! a Gaussian costs 1 where it would be cut off, and else `min(1, (ε/σ)²)`, with ε half a step and σ the largest standard deviation: what is
 //! rounded by as much as it is wide is as good as lost. The number of least cost is taken, of equal ones the one that cuts off least. So a few
-//! floaters cost no one else's precision, and a wide scene is not cut off.
+//! floaters cost no precision of other Gaussians, and a wide scene is not cut off.
 
 use super::Notes;
 use crate::still::{Still, middle};
@@ -15,7 +15,7 @@ const END: f64 = 8_388_608.0;
 /// Cost per Gaussian from which on an offset is taken out of the coordinates.
 const FAR: f64 = 0.01;
 
-/// A fixed point, and what is taken off before.
+/// A fixed point, and the offset subtracted before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Fixed {
     pub(super) bits: u32,
@@ -30,14 +30,14 @@ impl Fixed {
         if cost <= FAR * places.len() as f64 {
             return plain;
         }
-        // As maps have it: far from zero, and not wide.
+        // As in maps: far from zero, and not wide.
         let along = |axis: usize| places.iter().map(|&i| still.mean[i][axis]).collect();
         let Some(off) = middle([along(0), along(1), along(2)]) else { return plain };
         let (near, less) = Fixed::best(still, places, off);
         if less < 0.5 * cost { near } else { plain }
     }
 
-    /// The best one with this offset, and what it costs.
+    /// The best one with this offset, and its cost.
     fn best(still: &Still, places: &[usize], off: [f64; 3]) -> (Fixed, f64) {
         let at = |bits| Fixed { bits, off };
         if places.iter().all(|&i| at(MOST_BITS).holds(still.mean[i])) {
@@ -89,7 +89,7 @@ impl Fixed {
         std::array::from_fn(|k| still.about.offset[k] + self.off[k])
     }
 
-    /// Says what is moved, and where positions are coarser than the format's usual.
+    /// Adds notes on moved Gaussians and on positions coarser than usual for the format.
     pub(super) fn notes(self, still: &Still, places: &[usize], notes: &mut Notes) {
         let far = places.iter().filter(|i| !self.holds(still.mean[**i])).count();
         let reach = END / self.scale();

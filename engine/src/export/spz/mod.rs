@@ -27,7 +27,7 @@ const LOGS: [f32; 2] = [-10.0, 5.9375];
 /// Range of `0.15·c + ½` that rounds to a byte of colour without clamping, for a first coefficient `c`.
 const COLOURS: [f64; 2] = [-0.5 / 255.0, 1.0 + 0.5 / 255.0];
 
-/// The Gaussians of one time as an SPZ file: [`of_still`] of what [`Still::of`] makes of them.
+/// The Gaussians of one time as an SPZ file: [`of_still`] of [`Still::of`].
 pub fn spz(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
@@ -40,7 +40,7 @@ pub fn of_still(still: &Still) -> Vec<u8> {
     written(still, SpzVersion::V3).bytes
 }
 
-/// A still scene as an SPZ file: see [`import`](mod@crate::import) for what is kept of each value.
+/// A still scene as an SPZ file: see [`import`](mod@crate::import) for the precision of each value.
 ///
 /// Numbers are along the scene's own axes (RDF). Version 4 stores the axes in a record, version 3 in the comment of its gzip stream.
 ///

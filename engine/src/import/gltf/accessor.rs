@@ -8,7 +8,7 @@ use base64::engine::general_purpose::STANDARD;
 use super::json::Document;
 use crate::import::{Beside, FormatError};
 
-/// The buffers of a document, read when they are asked for.
+/// The buffers of a document, read on demand.
 pub(super) struct Buffers<'a> {
     document: &'a Document,
     read: Vec<Option<Cow<'a, [u8]>>>,
@@ -46,7 +46,7 @@ impl Component {
         }
     }
 
-    /// The value of so many bytes; a normalised one over the most of its type, −1 at least.
+    /// The value of these bytes; a normalised one is divided by its type's largest value, and is at least −1.
     fn read(self, bytes: &[u8], normalized: bool) -> f64 {
         macro_rules! number {
             ($kind:ty) => {

@@ -11,7 +11,7 @@
 //! | `KHR_gaussian_splatting:SH_DEGREE_l_COEF_n` | VEC3 | coefficients of the harmonics, degrees 0 to 3 |
 //!
 //! Numbers of 8 and 16 bits, normalised or not, and binary32. Where degree 0 of the harmonics is missing, `COLOR_0`
-//! takes its place, linear as glTF has it. Colours of a `lin_rec709_display` primitive are converted to sRGB, Gaussian
+//! takes its place, linear as in glTF. Colours of a `lin_rec709_display` primitive are converted to sRGB, Gaussian
 //! by Gaussian ([`colour`]). Unknown kernels are drawn as ellipses, as the extension requires. In a primitive with
 //! `KHR_gaussian_splatting_compression_spz_2`, an SPZ file in a buffer view replaces the attributes. Its axes are those
 //! of an SPZ file on its own ([`spz`]); the draft of that extension converts them to glTF's with the tools of SPZ.
@@ -217,7 +217,7 @@ impl Reading<'_> {
             if primitive.extensions.contains_key(EXTENSION) {
                 let mut still = self.primitive(primitive, &part)?;
                 let mut by = similarity(transform, &part)?;
-                // Of an SPZ file inside.
+                // Offset of an embedded SPZ file.
                 let own = std::mem::take(&mut still.about.offset);
                 let turned = by.rotation.matrix().map(|[a, b, c]| by.scale * (a * own[0] + b * own[1] + c * own[2]));
                 let far: [f64; 3] = std::array::from_fn(|k| by.offset[k] + turned[k]);
@@ -281,7 +281,7 @@ impl Reading<'_> {
                 still.taken_along(axes);
             }
             let (axes, axes_assumed) = (still.about.axes, still.about.axes_assumed);
-            // What follows turns from glTF's axes into scene space.
+            // From glTF's axes into scene space.
             still.bring_to(Axes::LUF);
             (still.about.axes, still.about.axes_assumed) = (axes, axes_assumed);
             return Ok(still);

@@ -64,7 +64,7 @@ impl Scalar {
         matches!(self, Scalar::F16 | Scalar::F32 | Scalar::F64)
     }
 
-    /// The number that stands for 1 in a colour of this type.
+    /// The number that means 1 in a colour of this type.
     pub(super) fn one(self) -> f64 {
         match self {
             Scalar::U8 => 255.0,
@@ -73,7 +73,7 @@ impl Scalar {
         }
     }
 
-    /// The value at the beginning of `bytes`, of which there are [`Scalar::bytes`] at least.
+    /// The value at the beginning of `bytes`, which has at least [`Scalar::bytes`] bytes.
     pub(super) fn read(self, bytes: &[u8], big: bool) -> f64 {
         macro_rules! number {
             ($kind:ty) => {{
@@ -143,12 +143,12 @@ impl Element {
 pub(super) struct Header {
     pub(super) encoding: Encoding,
     pub(super) elements: Vec<Element>,
-    /// What follows `comment` and `obj_info`.
+    /// Text after `comment` and `obj_info`.
     pub(super) comments: Vec<String>,
 }
 
 impl Header {
-    /// The header of a file, and what comes after it.
+    /// The header of a file, and the bytes after it.
     pub(super) fn read(bytes: &[u8]) -> Result<(Header, &[u8]), FormatError> {
         let mut lines = Lines { rest: &bytes[..bytes.len().min(MAX_HEADER)], read: 0 };
         let first = lines.next()?;
@@ -172,7 +172,7 @@ impl Header {
                 (["end_header"], _) => break,
                 (["format", name, version], _) if encoding.is_none() => encoding = Some(format(name, version)?),
                 (["element", name, count], _) => elements.push(element(name, count, &elements)?),
-                // Of no records there are no lists.
+                // Without records there are no lists.
                 (["property", "list", ..], Some(element)) if element.count == 0 => {}
                 (["property", "list", .., name], _) => {
                     return Err(FormatError::new(format!("property {name}"), "a number", "a list"));
@@ -215,7 +215,7 @@ impl Header {
         self.elements.iter().find(|element| element.name == name)
     }
 
-    /// The bytes of an element in a binary file whose length is as the header says.
+    /// The bytes of an element in a binary file whose length agrees with the header.
     pub(super) fn bytes<'a>(&self, name: &str, body: &'a [u8]) -> Result<&'a [u8], FormatError> {
         let (place, after) = self.place(name, body.len() as u64)?;
         check_after(&body[body.len() - after..])?;
@@ -280,7 +280,7 @@ fn format(name: &str, version: &str) -> Result<Encoding, FormatError> {
     Ok(encoding)
 }
 
-/// Lines of a header; they end with a line feed, before which a carriage return may stand.
+/// Lines of a header; they end with a line feed or with carriage return and line feed.
 struct Lines<'a> {
     rest: &'a [u8],
     read: usize,

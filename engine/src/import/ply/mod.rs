@@ -46,7 +46,7 @@ const USUAL_HEADER: u64 = 1 << 16;
 /// The Gaussians of a whole PLY file.
 ///
 /// # Errors
-/// See [`import`](super): what was expected and what was found, with the property's name.
+/// See [`import`](super): expected and found values, with the property's name.
 pub fn ply(bytes: &[u8]) -> Result<Still, FormatError> {
     within(bytes, &Limits::default())
 }

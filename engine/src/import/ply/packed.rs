@@ -35,7 +35,7 @@ pub(super) fn is_packed(header: &Header) -> bool {
     header.element("chunk").is_some() && header.vertices().is_ok_and(|v| v.property(WORDS[0]).is_some())
 }
 
-/// Where a property of one type stands in a record.
+/// Offset of a property of one type in a record.
 fn start(element: &Element, name: &str, scalar: Scalar) -> Result<usize, FormatError> {
     match element.property(name) {
         Some((_, property)) if property.scalar == scalar => Ok(property.start),

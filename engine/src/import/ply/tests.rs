@@ -1,4 +1,4 @@
-//! PLY files go in, and what is none is named.
+//! PLY files are read; other files are errors with a name.
 
 use proptest::prelude::*;
 
@@ -317,7 +317,7 @@ fn a_wrong_compressed_file_is_named() {
     }
 }
 
-/// A file on disk, read in blocks: the scene, and the progress that was told.
+/// A file on disk, read in blocks: the scene, and the reported progress.
 fn from_disk(bytes: &[u8], limits: &Limits) -> (Result<StillFile, SceneError>, Vec<(u64, u64)>) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ply");
@@ -333,7 +333,7 @@ fn from_disk(bytes: &[u8], limits: &Limits) -> (Result<StillFile, SceneError>, V
 
 #[test]
 fn a_file_read_in_blocks_is_the_one_read_as_a_whole() {
-    // Of degree 3 these are two blocks and a part of a third.
+    // With degree 3 these are two blocks and a part of a third.
     for (count, degree) in [(0, 0), (1, 1), (700, 2), (80_000, 3)] {
         let still = still(count, degree);
         let little = export::still::ply(&still);
@@ -436,7 +436,7 @@ fn harmonics_of_degree_4_are_read_to_degree_3() {
     let still = still(2, 3);
     let file = export::still::ply(&still);
     let end = file.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
-    // f_rest_i of 24 per channel, of which the last nine are those of degree 4.
+    // f_rest_i of 24 per channel; the last nine are those of degree 4.
     let header = String::from_utf8(file[..end].to_vec()).expect("text");
     let names: String = (45..72).map(|i| format!("property float f_rest_{i}\n")).collect();
     let header = header.replace("property float f_rest_44\n", &format!("property float f_rest_44\n{names}"));

@@ -147,7 +147,7 @@ pub(super) fn blocks(header: &Header, start: u64, file: &mut Blocks<'_>, limits:
 /// How the records of a binary file are read.
 struct Records<'a> {
     layout: &'a Layout,
-    /// Of the wanted values, in the order of [`Layout::places`]: where each starts in a record, and its type.
+    /// Offset in a record and type of the wanted values, in the order of [`Layout::places`].
     wanted: Vec<(usize, Scalar)>,
     big: bool,
     stride: usize,

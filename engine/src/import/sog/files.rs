@@ -49,7 +49,7 @@ impl<'a> Files<'a> {
                 let broken = |e: String| FormatError::new(name.to_owned(), "a file in the zip file", e);
                 let file = archive.by_name(name).map_err(|e| broken(e.to_string()))?;
                 let mut bytes = Vec::new();
-                // Memory is taken as the bytes come, whatever length is declared.
+                // Memory grows with the bytes read, independent of the declared length.
                 file.take(most + 1).read_to_end(&mut bytes).map_err(|e| broken(e.to_string()))?;
                 if bytes.len() as u64 > most {
                     Err(broken(format!("one of more than {most} bytes")))

@@ -147,13 +147,13 @@ fn pixel(image: &RgbaImage, column: usize, row: usize) -> [u8; 4] {
     image.get_pixel(column as u32, row as u32).0
 }
 
-/// Most pixels of an image that needs `least`: twice as many. `least` is 0 for centroids of unknown number, of which
-/// there are at most 65,536 rows of 15.
+/// Most pixels of an image that needs `least`: twice as many. `least` is 0 for centroids of unknown number:
+/// at most 65,536 rows of 15.
 fn most(least: usize) -> usize {
     if least == 0 { 1 << 20 } else { least.saturating_mul(2).max(1 << 16) }
 }
 
-/// An image of at least so many pixels, and of not many more.
+/// An image of at least `least` pixels, and of not many more.
 fn image(bytes: &[u8], name: &str, least: usize) -> Result<RgbaImage, FormatError> {
     let broken = |e: image::ImageError| FormatError::new(name.to_owned(), "a WebP image", e.to_string());
     let decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(broken)?;

@@ -1,4 +1,4 @@
-//! SOG files go in, and what is none is named.
+//! SOG files are read; other files are errors with a name.
 
 use std::io::Write;
 

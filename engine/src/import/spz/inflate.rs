@@ -1,4 +1,4 @@
-//! Compressed bytes of a known length.
+//! Compressed bytes of known length.
 
 use std::io::Read;
 

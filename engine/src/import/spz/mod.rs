@@ -108,7 +108,7 @@ impl Header {
         let position = if version == 1 { HALVES } else { FIXED };
         let header =
             Header { version, count: count as usize, degree: degree as usize, fractional_bits, flags, position };
-        // Of degree 4 the last coefficients are left out.
+        // The coefficients of degree 4 are left out.
         limits.check_still("header: points", header.count, header.degree.min(MAX_DEGREE), size as u64)?;
         Ok(header)
     }

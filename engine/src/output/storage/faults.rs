@@ -1,7 +1,7 @@
 //! Faults for tests: operations that fail, and power losses.
 //!
-//! Nothing happens outside of [`inject`], which works on the calling thread alone. A power loss is simulated as the worst that a file system may
-//! do: from one operation on everything fails, and then whatever was not synced is lost. File systems differ in what they lose first, so
+//! Nothing happens outside of [`inject`], which works on the calling thread alone. A power loss is simulated as the worst case of a file
+//! system: from one operation on everything fails, and then all unsynced data are lost. File systems differ in what they lose first, so
 //! there are two kinds: names last and bytes do not ([`Fault::LosesBytes`]: files are there, cut to what was synced), or names do not last
 //! either ([`Fault::LosesNames`]: what was created, renamed or removed since its folder was synced is undone).
 
@@ -17,7 +17,7 @@ pub enum Fault {
     NoSpace,
     /// One operation fails: the device does (EIO).
     Device,
-    /// One write takes half of the bytes, and the operation after it fails for want of room.
+    /// One write takes half of the bytes, and the operation after it fails as the disk is full.
     ShortWrite,
     /// The power fails; unsynced bytes are lost.
     LosesBytes,
@@ -60,7 +60,7 @@ impl Change {
     }
 
     fn undo(self) {
-        // What cannot be undone was undone with its folder.
+        // A change that cannot be undone was undone with its folder.
         let _ = match self {
             Change::Created(path) => std::fs::remove_file(path),
             Change::Renamed { from, to, replaced } => {
@@ -76,7 +76,7 @@ impl Change {
 #[derive(Debug)]
 struct Plan {
     fault: Option<(Fault, u64)>,
-    /// What is run as ffmpeg.
+    /// The program that is run as ffmpeg.
     ffmpeg: Option<PathBuf>,
     operations: u64,
     /// Operations fail from now on.
@@ -96,8 +96,8 @@ fn with<T>(f: impl FnOnce(&mut Plan) -> T) -> Option<T> {
     PLAN.with_borrow_mut(|plan| plan.as_mut().map(f))
 }
 
-/// Does `work` with `fault` at this operation of the thread, counted from 1; gives what it gives and how many operations there were. After a
-/// power loss, what it loses is lost by then.
+/// Does `work` with `fault` at this operation of the thread, counted from 1; returns its result and the number of operations. The
+/// data lost by a power loss are removed before it returns.
 pub fn inject<T>(fault: Option<(Fault, u64)>, work: impl FnOnce() -> T) -> (T, u64) {
     inject_with(fault, None, work)
 }
@@ -192,7 +192,7 @@ pub(super) fn changed(change: impl FnOnce() -> Change) {
     changed_to(before(change));
 }
 
-/// As [`changed`], of what [`before`] gave.
+/// As [`changed`], for the result of [`before`].
 pub(super) fn changed_to(change: Option<Change>) {
     let Some(change) = change else { return };
     with(|plan| {
@@ -216,7 +216,7 @@ pub(super) fn changed_to(change: Option<Change>) {
     });
 }
 
-/// A file's bytes are synced; what is written to it from now on is not.
+/// Marks a file's bytes as synced; later writes are not.
 pub(super) fn synced(path: &Path) {
     with(|plan| plan.files.insert(path.to_owned(), std::fs::metadata(path).map_or(0, |found| found.len())));
 }

@@ -114,7 +114,7 @@ fn segment_is_whole(path: &Path) -> std::io::Result<bool> {
     Ok(said.is_some_and(|(bytes, width)| bytes.checked_add((at + 4 + width) as u64) == Some(length)))
 }
 
-/// A length and how many bytes it takes; `None` where it is not known.
+/// A length and its number of bytes; `None` for an unknown length.
 fn ebml_length(bytes: &[u8]) -> Option<(u64, usize)> {
     let width = bytes.first()?.leading_zeros() as usize + 1;
     let field = bytes.get(..width).filter(|_| width <= 8)?;

@@ -132,7 +132,7 @@ impl Encoder {
         Ok(encoder)
     }
 
-    /// Appends a frame that is shown so many seconds after the first.
+    /// Appends a frame that is shown `seconds` after the first.
     pub(super) fn push(&mut self, samples: Vec<u8>, seconds: f64) -> io::Result<()> {
         let samples = evened(samples, self.size, self.even);
         // `as` saturates.
@@ -178,7 +178,7 @@ impl Encoder {
 
 impl Drop for Encoder {
     fn drop(&mut self) {
-        // Of no effect on one that has ended.
+        // No effect on one that has ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -15,7 +15,7 @@ pub(super) fn head(width: usize, height: usize, fps: f64) -> Vec<u8> {
         element(&[0x42, 0x85], &number(2)),
     ];
     let mut out = element(&[0x1A, 0x45, 0xDF, 0xA3], &ebml.concat());
-    // The segment, whose length is not known.
+    // The segment, of unknown length.
     out.extend([0x18, 0x53, 0x80, 0x67, 0x01, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF]);
     // A tick of one nanosecond, and who writes.
     let info = [
@@ -42,7 +42,7 @@ pub(super) fn head(width: usize, height: usize, fps: f64) -> Vec<u8> {
     out
 }
 
-/// What goes before the samples of a frame of `bytes` bytes that is shown at `nanoseconds`.
+/// The header of the samples of a frame of `bytes` bytes that is shown at `nanoseconds`.
 pub(super) fn frame(nanoseconds: u64, bytes: usize) -> Vec<u8> {
     let time = element(&[0xE7], &number(nanoseconds));
     // A block of track 1 at the cluster's own time, which is a key frame.

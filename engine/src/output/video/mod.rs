@@ -31,7 +31,7 @@ pub const VIDEOS: [&str; 9] = ["y4m", "mp4", "webm", "mkv", "mov", "m4v", "gif",
 pub enum VideoFormat {
     /// Uncompressed.
     Y4m,
-    /// Whatever ffmpeg makes of the file's name.
+    /// The format that ffmpeg chooses by the file's name.
     Ffmpeg,
 }
 
@@ -51,7 +51,7 @@ impl VideoFormat {
 pub struct Finished {
     /// The file, when it is one.
     pub file: Option<Written>,
-    /// Digest of the 8-bit samples that went in: what two machines must agree on, whatever their ffmpeg.
+    /// Digest of the 8-bit samples that went in: equal on every machine, with any ffmpeg.
     pub samples: String,
     /// Frames.
     pub frames: usize,

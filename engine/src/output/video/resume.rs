@@ -1,4 +1,4 @@
-//! Going on with a y4m file that was stopped.
+//! Resuming a y4m file that was stopped.
 
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
 use std::path::Path;
@@ -23,7 +23,7 @@ pub struct VideoPoint {
 }
 
 impl Video {
-    /// Goes on with a y4m file that has come to `point`: under its temporary name, or its own, which it loses again. What lies
+    /// Resumes a y4m file at `point`: under its temporary name, or its own, which it loses again. The part
     /// beyond is cut off.
     ///
     /// # Errors
@@ -49,7 +49,7 @@ impl Video {
         Ok(video)
     }
 
-    /// Returns true if the y4m file `path` can be gone on with from `point`.
+    /// Returns true if the y4m file `path` can be resumed from `point`.
     pub fn can_resume(path: &Path, point: &VideoPoint) -> bool {
         let partial = partial_name(path);
         let path = if partial.exists() { &partial } else { path };
@@ -60,8 +60,8 @@ impl Video {
         read.is_ok() && digest.finalize().to_hex().as_str() == point.blake3
     }
 
-    /// Syncs what was pushed and says how far it has come; `None` before the first frame, and where the video cannot
-    /// be gone on with (ffmpeg's, standard output).
+    /// Syncs what was pushed and returns the point reached; `None` before the first frame, and where the video cannot
+    /// be resumed (ffmpeg's, standard output).
     ///
     /// # Errors
     /// Errors of the system.
@@ -74,16 +74,16 @@ impl Video {
         Ok(Some(VideoPoint { frames: self.frames, size, bytes: *bytes, blake3 }))
     }
 
-    /// Leaves a y4m file under its temporary name, to go on with.
+    /// Leaves a y4m file under its temporary name, to be resumed.
     pub fn leave(mut self) {
         if let Some(Sink::File { file, .. }) = self.sink.take() {
-            // What does not fit any more lies beyond the last point.
+            // Frames that do not fit lie beyond the last point.
             drop(file);
         }
     }
 }
 
-/// Reads a y4m file: the digests of all of it, and of what follows its header.
+/// Reads a y4m file: the digests of all of it, and of the part after its header.
 fn digests(file: impl Read, all: &mut blake3::Hasher, samples: &mut blake3::Hasher) -> io::Result<()> {
     let mut rest = BufReader::with_capacity(1 << 16, file);
     let mut header = Vec::new();

@@ -9,7 +9,7 @@ use crate::output::storage;
 /// Sound to go with a video.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sound {
-    /// The file that has it, of whose tracks the first is taken.
+    /// The file with the sound; its first track is taken.
     pub file: PathBuf,
     /// Its codec, in ffmpeg's names.
     pub codec: String,
@@ -33,7 +33,7 @@ fn encoder(kind: &str, codec: &str) -> &'static str {
 }
 
 impl Sound {
-    /// Replaces the file `pictures` of this kind by one with `seconds` of the sound as well. What ffmpeg complains of, where the file is
+    /// Replaces the file `pictures` of this kind by one with `seconds` of the sound as well. ffmpeg's message, where the file is
     /// there all the same, is the sound's own faults.
     pub(super) fn join(&self, pictures: &Path, kind: &str, seconds: f64) -> Result<Option<String>, String> {
         let joined = pictures.with_extension("sound.partial");

@@ -113,7 +113,7 @@ fn following_offset(parent: &Quantised, mean: &[i64]) -> [i64; 3] {
     std::array::from_fn(|axis| (point[axis] - mean[axis]).clamp(-LIMIT, LIMIT))
 }
 
-/// An interval's chunk. `before`: the records of the interval before, empty for a chunk that stands alone.
+/// An interval's chunk. `before`: the records of the interval before, empty for an independent chunk.
 pub(super) fn encode(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> Vec<u8> {
     stored(&columns(before, records, merges))
 }
@@ -187,7 +187,7 @@ fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Co
     columns
 }
 
-/// Records and merges of a chunk of `version`, of which there are `count` and `merges`.
+/// The `count` records and `merges` merges of a chunk of `version`.
 pub(super) fn decode(
     version: u32,
     before: &[Quantised],

@@ -1,13 +1,13 @@
 //! Columns: whole numbers as bytes, deflated.
 //!
-//! A number is taken apart into groups of seven bits, the lowest first, each in a byte whose highest bit says that another follows
+//! A number is taken apart into groups of seven bits, the lowest first, each in a byte whose highest bit is 1 if another follows
 //! (LEB128, at most ten bytes, no superfluous last byte of zero). Signed numbers are folded first: 0, −1, 1, −2, 2 … become 0, 1, 2, 3, 4 …
 
 use flate2::{Compress, Compression, Decompress, FlushCompress, FlushDecompress, Status};
 
 use crate::import::FormatError;
 
-/// The most that deflate makes of a byte.
+/// Largest expansion of a byte by deflate.
 const MOST_RATIO: usize = 1032;
 /// The most bytes of a number.
 const LONGEST: usize = 10;
@@ -46,7 +46,7 @@ impl Column {
         self.0.iter().all(|byte| *byte == 0)
     }
 
-    /// The column as it is stored: lengths of the bytes and of what they deflate to, then that.
+    /// The column as it is stored: lengths of the plain and the deflated bytes, then the deflated bytes.
     pub(super) fn stored(&self) -> Vec<u8> {
         let mut compress = Compress::new(Compression::best(), false);
         // Stored blocks add five bytes to 65,535, so that this is always enough.

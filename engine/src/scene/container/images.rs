@@ -18,7 +18,7 @@ pub(crate) struct ImageChunks {
 }
 
 impl ImageChunks {
-    /// The chunk of the next interval, coded by `workers`, and whether it stands alone.
+    /// The chunk of the next interval, coded by `workers`, and whether it is independent.
     pub(crate) fn next(&mut self, interval: &Interval, workers: &Workers) -> (Vec<u8>, bool) {
         let sound = interval.gaussians.iter().filter(|record| record.is_sound());
         let records: Vec<Quantised> = sound.map(|record| coarser(Quantised::of(&record))).collect();

@@ -1,4 +1,4 @@
-//! The index: where each interval's chunk is, and what it holds.
+//! The index: place and content of each interval's chunk.
 
 use super::{ALONE_EVERY, CONTAINER_VERSION, MAGIC, MOST, WITHOUT_FRAMES};
 use crate::import::FormatError;
@@ -50,7 +50,7 @@ pub(super) struct Entry {
     pub(super) dropped: u64,
     pub(super) gaussians: usize,
     pub(super) merges: usize,
-    /// Chunks back to the one that stands alone.
+    /// Chunks back to the last independent one.
     pub(super) back: usize,
     pub(super) blake3: [u8; 32],
     /// Times of the source's frames in it, where it lists them.
@@ -92,7 +92,7 @@ impl Table {
         out
     }
 
-    /// The index of a container of this `version` of which the chunks end at `end`.
+    /// The index of a container of this `version` whose chunks end at `end`.
     pub(super) fn from_bytes(version: u32, bytes: &[u8], end: u64) -> Result<Table, FormatError> {
         let wrong = |what: String, expected: &str, found: String| Err(FormatError::new(what, expected, found));
         let mut fields = Fields(bytes);

@@ -1,11 +1,11 @@
 //! A scene as one compressed file (`.ssz`).
 //!
-//! Every number becomes a whole one ([`quantise`]), is predicted from what a reader already knows, and the differences are deflated
-//! column by column, one chunk per interval. An index at the end says where the chunks are, so that an interval is read
-//! without the others, but for those back to the nearest chunk that stands alone (every eighth does). `docs/container.md` gives every byte.
+//! Every number becomes a whole one ([`quantise`]), is predicted from data that a reader already has, and the differences are deflated
+//! column by column, one chunk per interval. An index at the end holds the chunks' places, so that an interval is read
+//! without the others, but for those back to the nearest independent chunk (every eighth). `docs/container.md` describes every byte.
 //!
 //! Identities, births, merges, times and the source's placement come back as they were; positions and velocities to 2⁻¹⁴ world
-//! units, and the rest as closely as [`quantise`] says. The bytes are a function of the intervals and the frame rate alone.
+//! units, and the rest as closely as [`quantise`] keeps it. The bytes are a function of the intervals and the frame rate alone.
 
 mod chunk;
 mod columns;
@@ -32,7 +32,7 @@ pub const CONTAINER_VERSION: u32 = 4;
 /// The version of a container without times of frames.
 const WITHOUT_FRAMES: u32 = 3;
 
-/// Every chunk whose place is a multiple of this stands alone.
+/// Every chunk whose place is a multiple of this is independent.
 const ALONE_EVERY: usize = 8;
 /// Most Gaussians, and most merges, of an interval.
 const MOST: usize = 1 << 24;

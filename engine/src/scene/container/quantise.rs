@@ -95,7 +95,7 @@ impl Quantised {
         Self { values, identity, birth, frame, reference, handover }
     }
 
-    /// The record that these whole numbers stand for.
+    /// The record of these whole numbers.
     pub(super) fn record(&self) -> Record {
         let v = |i: usize| self.values[i] as f64;
         let triple = |from: usize| std::array::from_fn(|axis| (v(from + axis) / LENGTH) as f32);
@@ -131,7 +131,7 @@ impl Quantised {
         })
     }
 
-    /// Returns true if every whole number is one that [`Quantised::of`] gives.
+    /// Returns true if every whole number is a possible result of [`Quantised::of`].
     pub(super) fn is_allowed(&self) -> bool {
         let v = &self.values;
         v.iter().all(|v| v.unsigned_abs() <= LIMIT.unsigned_abs())

@@ -123,7 +123,7 @@ fn locate(trailer: &[u8], size: u64) -> Result<(u64, u64), FormatError> {
 }
 
 /// All intervals of a container in memory. Digests are not compared: they keep files from
-/// decaying unseen, and whoever has the bytes in memory vouches for them.
+/// decaying unseen, and the caller is responsible for bytes in memory.
 ///
 /// # Errors
 /// Expected and found values.

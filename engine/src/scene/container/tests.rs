@@ -131,7 +131,7 @@ fn a_container_of_version_1_is_read_as_it_was() {
     }
     let bytes = std::fs::read(&path).expect("readable");
     let intervals = intervals_from_container(&bytes).expect("sound");
-    // What the program that wrote it exports from it.
+    // The export of the program that wrote it.
     let snapshot = crate::render::Snapshot::of(&intervals[1], 0.02, &workers(1)).expect("inside");
     let digest = blake3::hash(&crate::export::ply(&snapshot)).to_hex();
     assert_eq!(digest.as_str(), "6698c4d4cec34629b96221bcd90d85bc07e801dcd367fd30a83886b8b2880eed");

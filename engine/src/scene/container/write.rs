@@ -118,7 +118,7 @@ impl ContainerWriter {
         Ok(())
     }
 
-    /// Writes the index and gives the file its name; `None`, and no file, when there was no interval.
+    /// Writes the index and renames the file to its name; `None`, and no file, when there was no interval.
     ///
     /// # Errors
     /// Files that cannot be written.
@@ -132,7 +132,7 @@ impl ContainerWriter {
         self.write(&(index.len() as u64).to_le_bytes())?;
         self.write(digest.as_bytes())?;
         if version != WITHOUT_FRAMES {
-            // Whether times have to be listed is known at the end; the digest is that of the file with the other head.
+            // Only the end shows whether times have to be listed; the digest is that of the file with the other head.
             let again = self.file.flush().and_then(|()| self.file.seek(SeekFrom::Start(0)));
             again.and_then(|_| self.file.write_all(&header(version))).map_err(OutputError::write(&self.path))?;
         }

@@ -16,7 +16,7 @@ use image::{AnimationDecoder, DynamicImage, Frames, ImageDecoder, ImageFormat, I
 use super::{Still, check_size, common, decode_error, icc, orientation, png, tiff, webp};
 use crate::source::SourceError;
 
-/// What a file with several frames is.
+/// Kind of a file with several frames.
 pub(crate) enum Several {
     /// An animation, with how long each frame is shown, in seconds as a fraction.
     Animation(ImageFormat, Vec<(u32, u32)>),
@@ -25,7 +25,7 @@ pub(crate) enum Several {
 }
 
 impl Several {
-    /// What the file is; `None` for one picture.
+    /// Kind of the file; `None` for one picture.
     ///
     /// # Errors
     /// A file that promises other frames than it has.

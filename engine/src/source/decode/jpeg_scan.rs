@@ -1,4 +1,4 @@
-//! Whether the codes of a baseline JPEG image are those of a whole picture.
+//! Test that the codes of a baseline JPEG image are those of a whole picture.
 //!
 //! The decoder of pictures accepts damaged data: it stops at a block's last coefficient and leaves missing parts grey. This module reads the
 //! Huffman codes once more (ITU-T T.81, F.2.2), without their values. Refused are codes that do not exist, runs past the 63rd coefficient, restart markers
@@ -183,7 +183,7 @@ pub(super) fn segment<'a>(bytes: &'a [u8], at: &mut usize) -> Option<(u8, &'a [u
     }
 }
 
-/// Width, height and components of a frame of 8-bit samples whose height is known.
+/// Width, height and components of a frame of 8-bit samples with a height.
 fn components(body: &[u8]) -> Option<((usize, usize), Vec<Component>)> {
     let [8, h0, h1, w0, w1, count, rest @ ..] = body else { return None };
     let size = [[*w0, *w1], [*h0, *h1]].map(|pair| usize::from(u16::from_be_bytes(pair)));

@@ -66,12 +66,12 @@ const CLAMPED: &str = "colours outside 0 to 1 are clamped";
 /// The note on CMYK.
 const INKS: &str = "CMYK is converted without a colour profile";
 
-/// A decoded picture, and what was done to it on the way, a line each.
+/// A decoded picture, and its conversions, a line each.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Still {
     /// The picture.
     pub picture: Picture,
-    /// Conversions, and what was left out or not followed.
+    /// Conversions, and parts or tags that were left out.
     pub notes: Vec<String>,
 }
 
@@ -91,7 +91,7 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<Picture, SourceError> {
     Ok(still(bytes, path)?.picture)
 }
 
-/// As [`decode`], with what was done to the picture.
+/// As [`decode`], with the conversions of the picture.
 ///
 /// # Errors
 /// As [`decode_file`].

@@ -57,7 +57,7 @@ pub(in crate::source) fn apng(frames: &[(RgbaImage, [u16; 2])]) -> Vec<u8> {
     bytes
 }
 
-/// An animated WebP of whole frames, each shown for so many milliseconds.
+/// An animated WebP of whole frames, each with its duration in milliseconds.
 pub(in crate::source) fn animated_webp(frames: &[(RgbImage, u32)]) -> Vec<u8> {
     let riff = |name: &[u8; 4], data: &[u8]| {
         let mut chunk = [&name[..], &(data.len() as u32).to_le_bytes(), data].concat();
@@ -82,7 +82,7 @@ fn jpeg(width: u16, height: u16, level: impl Fn(usize, usize) -> u8) -> Vec<u8> 
     let segment =
         |marker: u8, data: &[u8]| [&[0xff, marker], &(data.len() as u16 + 2).to_be_bytes()[..], data].concat();
     let mut bytes = vec![0xff, 0xd8];
-    // Every step is one level: the sum of a block of 64 is 8 times what is stored.
+    // Every step is one level: the sum of a block of 64 is 8 times the stored value.
     bytes.extend(segment(0xdb, &[&[0][..], &[8; 64]].concat()));
     let [w, h] = [width.to_be_bytes(), height.to_be_bytes()];
     bytes.extend(segment(0xc0, &[8, h[0], h[1], w[0], w[1], 1, 1, 0x11, 0]));
@@ -185,7 +185,7 @@ fn a_jpeg_that_is_cut_or_damaged_is_refused() {
         let found = error(&short);
         assert!(found.contains("the JPEG image is damaged at unit") && found.contains("of 192: "), "{found}");
     }
-    // What comes after the picture is another matter: previews, second pictures, a maker's notes.
+    // Data after the picture are ignored: previews, second pictures, a maker's notes.
     assert!(decode(&[&whole[..], b"more"].concat(), Path::new("a.jpg")).is_ok());
 }
 

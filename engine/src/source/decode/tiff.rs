@@ -37,7 +37,7 @@ fn open<'a>(bytes: &'a [u8], path: &Path) -> Result<TiffDecoder<'a>, SourceError
     Ok(Decoder::new(Cursor::new(bytes)).map_err(explain(path))?.with_limits(limits))
 }
 
-/// Places of the pages that are pictures of their own, and of the first one whatever it is.
+/// Places of the pages that are pictures of their own, and of the first one in any case.
 pub(super) fn pages(bytes: &[u8], path: &Path) -> Result<Vec<usize>, SourceError> {
     /// Bits of `NewSubfileType`: a reduced copy of another page, a mask of another page.
     const NOT_A_PAGE: u32 = 1 | 4;
@@ -79,7 +79,7 @@ pub(super) fn page(bytes: &[u8], place: usize, path: &Path) -> Result<Still, Sou
     let shown = orientation_of(page.orientation);
     let premultiplied = extra.first() == Some(&1);
     let samples: Vec<f32> = match page.samples {
-        // Of a palette's samples the numbers are wanted.
+        // Palettes need the samples' numbers.
         Samples::Whole(samples, _) if photometric == Photometric::Palette => {
             samples.iter().map(|&v| v as f32).collect()
         }
@@ -93,7 +93,7 @@ pub(super) fn page(bytes: &[u8], place: usize, path: &Path) -> Result<Still, Sou
     for pixel in samples.chunks_exact(read) {
         match photometric {
             Photometric::Grey | Photometric::Rgb => kept.extend_from_slice(&pixel[..colours]),
-            // There is a colour for every number of so many bits.
+            // There is a colour for every number of that many bits.
             Photometric::Palette => kept.extend(page.palette[pixel[0] as usize]),
             Photometric::Inks => kept.extend(pixel[..3].iter().map(|ink| (1.0 - ink) * (1.0 - pixel[3]))),
         }
@@ -108,7 +108,7 @@ pub(super) fn page(bytes: &[u8], place: usize, path: &Path) -> Result<Still, Sou
     Ok(still)
 }
 
-/// The samples of a grey page as they are stored, in whatever unit they have, with width and height.
+/// The samples of a grey page as they are stored, in their own unit, with width and height.
 ///
 /// # Errors
 /// As those of a picture, and pages that are not grey.
@@ -301,7 +301,7 @@ impl Page {
             Samples::Whole(samples, _) => samples.len(),
             Samples::Float(samples) => samples.len(),
         };
-        // Of samples that are no colours the decoder leaves out some itself.
+        // The decoder itself leaves out some samples that are no colours.
         let read = found / (width * height);
         if found != read * width * height || !(photometric.channels()..=channels).contains(&read) {
             let expected = width * height * channels;
@@ -325,7 +325,7 @@ pub(crate) fn as_grey(bytes: &[u8], directory: usize) -> Option<Vec<u8>> {
         Some(if little { u16::from_le_bytes(b) } else { u16::from_be_bytes(b) })
     };
     let (first, each, value) = if big { (8, 20, 12) } else { (2, 12, 8) };
-    // Their number, of which the first or the last two bytes count.
+    // Their number: its first or last two bytes.
     let count = short(if big && !little { directory + 6 } else { directory })?;
     let entries = (0..usize::from(count)).map(|i| directory + first + each * i);
     let entry = entries.into_iter().find(|&at| short(at) == Some(262))?;
@@ -397,7 +397,7 @@ mod tests {
         assert!(page(&bytes.get_ref()[..half], 0, Path::new("a.tif")).is_err());
     }
 
-    /// A file of one strip with these tags besides its size: number, type (3 for 16 bits, 4 for 32) and values.
+    /// A file of one strip with these tags in addition to its size: number, type (3 for 16 bits, 4 for 32) and values.
     fn file(big: bool, [width, height]: [u32; 2], tags: &[(u16, u16, &[u32])], strips: &[&[u8]]) -> Vec<u8> {
         let lengths: Vec<u32> = strips.iter().map(|strip| strip.len() as u32).collect();
         let first = if big { 16 } else { 8 };

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use super::program;
 
-/// Samples of which one may be brighter than white.
+/// One sample in this many may be brighter than white.
 const RARE: usize = 500;
-/// Frames that are looked at, one a second, and their size.
+/// Frames that are inspected, one a second, and their size.
 const LOOKED_AT: (usize, usize) = (20, 64 * 36);
 
 /// The sample of HLG, 0 to 1, that a display of 1000 cd/m² shows as grey of `light` cd/m².

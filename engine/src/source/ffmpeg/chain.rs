@@ -14,7 +14,7 @@ const FORMATS: &str = "format=pix_fmts=yuv420p|yuv422p|yuv444p|yuvj420p|yuvj422p
 /// Light of white in standard range where a video goes beyond it, and where it does not, in cd/m².
 pub(super) const WHITE: [u32; 2] = [203, 100];
 
-/// Filters, and what they do.
+/// Filters, and a description of them.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Chain {
     pub(super) filters: Vec<String>,
@@ -22,7 +22,7 @@ pub(super) struct Chain {
     pub(super) samples: Samples,
 }
 
-/// What the planes are that come out.
+/// Kind of the output planes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Samples {
     /// Green, blue and red.
@@ -34,7 +34,7 @@ pub(super) enum Samples {
 }
 
 impl Chain {
-    /// Of frames that look like this. `given` goes before the file's own matrix.
+    /// The chain for frames that look like this. `given` replaces the file's own matrix.
     pub(super) fn of(
         look: &Look,
         size: (usize, usize),
@@ -89,7 +89,7 @@ impl Chain {
     }
 }
 
-/// The filter that brings high dynamic range to BT.709, and what it did.
+/// The filter from high dynamic range to BT.709, and its description.
 fn to_standard(curve: Curve, assumed: &str, path: &Path, stream: &str) -> (String, String) {
     let (name, curve, white) = match curve {
         Curve::Hlg => ("HLG", "arib-std-b67", bright::hlg(f64::from(WHITE[1]))),

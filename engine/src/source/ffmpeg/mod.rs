@@ -9,7 +9,7 @@
 //! - **Damage**: what can be decoded is read; an error message of ffmpeg is an error after the last frame, also with exit status 0, as is a file that is
 //!   shorter than its container declares (`whole`).
 //!
-//! [`Ffmpeg::notes`] lists conversions of the pictures and what is left out of the file. Decoders differ between versions
+//! [`Ffmpeg::notes`] lists conversions of the pictures and parts of the file that are left out. Decoders differ between versions
 //! of ffmpeg, so equal digests of a run require equal output of ffmpeg: compare the input digests in `run.json`.
 //!
 //! Opening starts ffmpeg twice, to list the streams and to decode. A third start follows if the first frame needs other
@@ -64,7 +64,7 @@ pub struct Ffmpeg {
 }
 
 impl Ffmpeg {
-    /// Starts ffmpeg on the file and reads the stream's header. `matrix` goes before the file's own.
+    /// Starts ffmpeg on the file and reads the stream's header. `matrix` replaces the file's own.
     ///
     /// # Errors
     /// ffmpeg is not installed, or cannot read the file; nothing in it moves.
@@ -169,7 +169,7 @@ impl Ffmpeg {
         Some(Sound { file: self.path.clone(), codec, start: self.start().max(0.0) })
     }
 
-    /// Frames there may be, as the file says.
+    /// Number of frames by the file's metadata.
     pub fn expected_frames(&self) -> Option<usize> {
         self.announced
     }
@@ -195,7 +195,7 @@ impl Ffmpeg {
         self.first.0.map_or(0.0, |time| self.clock.seconds(time))
     }
 
-    /// Conversions of the pictures and parts of the file that are left out, a line each. What is found on the way is added at the end.
+    /// Conversions of the pictures and parts of the file that are left out, a line each. Findings during decoding are added at the end.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
@@ -227,7 +227,7 @@ impl Ffmpeg {
         Ok(Some((picture, self.clock.next(time))))
     }
 
-    /// Looks at what was complained of, and at what `broke` the stream of pictures.
+    /// Checks ffmpeg's messages, and the error that `broke` the stream of pictures.
     fn end(&mut self, broke: Option<String>) -> Result<(), SourceError> {
         let moved = self.clock.moved;
         if moved > 0 {

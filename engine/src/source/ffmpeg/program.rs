@@ -25,7 +25,7 @@ fn ffmpeg(path: &Path, verbosity: &str, options: &[&str]) -> Command {
     command
 }
 
-/// What ffmpeg prints of a file that it is to do nothing with.
+/// ffmpeg's listing of a file, without any output.
 pub(super) fn list(path: &Path) -> std::io::Result<String> {
     let mut child = ffmpeg(path, "info", &[]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn()?;
     let mut bytes = Vec::new();
@@ -94,7 +94,7 @@ impl Decoding {
     }
 }
 
-/// At most `most` bytes that ffmpeg makes of a stream with a filter, as raw video; none where it cannot.
+/// At most `most` bytes of a stream through a filter of ffmpeg, as raw video; none where it fails.
 pub(super) fn samples(path: &Path, stream: &str, filter: &str, frames: usize, most: usize) -> Vec<u8> {
     let child = ffmpeg(path, "quiet", &[])
         .args(["-map", stream, "-vf", filter, "-frames:v", &frames.to_string(), "-f", "rawvideo", "-"])

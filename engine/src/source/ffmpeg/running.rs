@@ -46,7 +46,7 @@ impl Numbers {
     }
 }
 
-/// What was wrong.
+/// The error.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Complaints {
     /// The first of them.
@@ -54,7 +54,7 @@ pub(super) struct Complaints {
     pub(super) count: usize,
 }
 
-/// What is known once the first frame is there.
+/// Values available once the first frame is there.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct First {
     /// Seconds of a tick, and frames per second.
@@ -67,7 +67,7 @@ pub(super) struct First {
 }
 
 impl Running {
-    /// Starts it; the first frame is awaited. Its pictures come out of the pipe.
+    /// Starts it; the first frame is awaited. Its pictures are read from the pipe.
     pub(super) fn start(decoding: &Decoding, path: &Path) -> std::io::Result<(Running, ChildStdout, Option<First>)> {
         let mut child = decoding.start(path)?;
         let no_pipe = || std::io::Error::other("no pipe to it");
@@ -121,7 +121,7 @@ impl Running {
         }
     }
 
-    /// Waits for its end: true if it succeeded, and what it complained of.
+    /// Waits for its end: true if it succeeded, and its messages.
     pub(super) fn end(&mut self) -> std::io::Result<(bool, Complaints)> {
         let status = self.child.wait()?;
         let complaints = self.complaints.take().and_then(|thread| thread.join().ok()).unwrap_or_default();

@@ -2,7 +2,7 @@
 
 use crate::source::colour::Tags;
 
-/// What a frame is.
+/// Kind of a frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Look {
     /// ffmpeg's name of the samples' format.
@@ -23,7 +23,7 @@ pub(super) enum Message {
     Frame { number: usize, time: Option<i64>, size: (usize, usize), look: Look },
     /// Colours of the frame before.
     Colours(Tags),
-    /// What is wrong with the file, or with how it is read.
+    /// An error of the file, or of reading it.
     Complaint(String),
     /// Anything else.
     Other,
@@ -123,7 +123,7 @@ fn value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     rest.split_whitespace().next()
 }
 
-/// Of a text such as `30000/1001` or `4:3`; none where a part is 0.
+/// The ratio in a text such as `30000/1001` or `4:3`; none where a part is 0.
 pub(super) fn ratio(text: &str) -> Option<(u32, u32)> {
     let (a, b) = text.split_once(['/', ':'])?;
     let (a, b) = (a.trim_end_matches(',').parse().ok()?, b.trim_end_matches([',', ']']).parse().ok()?);

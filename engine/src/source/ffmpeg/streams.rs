@@ -19,7 +19,7 @@ const SAME_RATE: f64 = 0.01;
 /// Part of the longest stream's length that a stream must have to be as long.
 const AS_LONG: f64 = 0.5;
 
-/// Names that are a matrix, primaries and a transfer, of which a list names one where all three are the same.
+/// Names that are a matrix, primaries and a transfer; a list has one name where all three are the same.
 const SHARED: [&str; 4] = ["bt709", "bt470bg", "smpte170m", "smpte240m"];
 
 /// A video stream.
@@ -30,7 +30,7 @@ pub(super) struct Stream {
     /// ffmpeg's name of its codec.
     pub(super) codec: String,
     pub(super) size: (usize, usize),
-    /// What its frames probably are.
+    /// Probable kind of its frames.
     pub(super) look: Look,
     /// Frames per second in the mean, and nominal.
     mean: Option<f64>,
@@ -46,7 +46,7 @@ pub(super) struct Stream {
     dependent: bool,
 }
 
-/// What is in a file.
+/// Content of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Listing {
     pub(super) videos: Vec<Stream>,
@@ -139,7 +139,7 @@ impl Listing {
             let long = seconds >= AS_LONG * longest;
             (frames > 1, !stream.still, stream.default, long, stream.size.0.saturating_mul(stream.size.1))
         };
-        // Of equals the first.
+        // The first of equal ones.
         let chosen = candidates.iter().rev().max_by_key(|stream| score(stream))?;
         let left_out =
             self.videos.iter().filter(|stream| stream.index != chosen.index && !stream.dependent).map(|stream| {
@@ -154,8 +154,8 @@ impl Listing {
         Some((chosen, left_out.collect()))
     }
 
-    /// Estimated number of frames in a stream, from the duration of the file, the stream's mean rate and the time of its first frame, if that is known
-    /// already.
+    /// Estimated number of frames in a stream, from the duration of the file, the stream's mean rate and the time of its first frame, if already
+    /// read.
     pub(super) fn frames(&self, stream: &Stream, first: Option<f64>) -> Option<usize> {
         let own = first.or(stream.start);
         let late = own.zip(self.start).map_or(0.0, |(own, file)| (own - file).max(0.0));
@@ -259,7 +259,7 @@ fn video(index: usize, text: &str) -> Option<Stream> {
             found.size = size;
         }
         if let Some((_, aspect)) = part.split_once("SAR ") {
-            // The container's, which comes later, goes before the codec's.
+            // The container's, which comes later, replaces the codec's.
             found.look.aspect = super::shown::ratio(first_word(aspect)).filter(|(w, h)| w != h);
         }
         found.mean = found.mean.or_else(|| rate(part, " fps"));
@@ -337,7 +337,7 @@ impl Counter {
             }
             return;
         }
-        // Of packets that are decoded for the sake of others and not shown.
+        // Flags of packets that are decoded for other packets and not shown.
         let flags = line.split_once("F=0x").and_then(|(_, flags)| u32::from_str_radix(first_word(flags), 16).ok());
         if flags.is_some_and(|flags| flags & DISCARD != 0) {
             return;
@@ -360,7 +360,7 @@ impl Counter {
         }
     }
 
-    /// What was counted, stream by stream.
+    /// The counts, stream by stream.
     pub(super) fn counts(self) -> Vec<Count> {
         let count = |Counted { tick, frames, waiting, mut shown }| {
             waiting.into_sorted_vec().into_iter().rev().for_each(|Reverse(time)| shown.add(time));
@@ -376,7 +376,7 @@ impl Counter {
 mod tests {
     use super::*;
 
-    /// What two versions print of files of several kinds.
+    /// Listings of two versions for files of several kinds.
     const COVER: &str = "Input #0, mov,mp4,m4a,3gp,3g2,mj2, from 'covfirst.mp4':
   Metadata:
     title           : Stream #0:7: Video: h264, yuv420p, 8x8, 25 fps
@@ -424,7 +424,7 @@ At least one output file must be specified
         };
         let (stream, lines) = listing.choose(|| counts([1, 9], [0.0, 0.8])).expect("a video");
         assert_eq!((stream.index, &lines[..]), (1, &["the still picture 0:0 (av1, 64×48) is left out".to_owned()][..]));
-        // Of two that move: the default, then the longer, then the larger, then the first.
+        // If two move: the default, then the longer, then the larger, then the first.
         let mut two = listing;
         let mut chosen = |default: [bool; 2], wide: [usize; 2], seconds: [f64; 2]| {
             for i in 0..2 {
@@ -448,7 +448,7 @@ At least one output file must be specified
             (format!("{sound}{cover}"), Some("expected a video, found sound with a cover picture")),
             (cover.to_owned(), Some("expected a video, found a cover picture alone")),
             (tiles.to_owned(), Some("expected a video, found a picture put together of tiles (HEIC)")),
-            // What ffmpeg cannot list it explains when it decodes.
+            // A file that ffmpeg cannot list causes an error when it decodes.
             (String::new(), None),
             (
                 "Input #0, tty, from 'a.txt':\n  Stream #0:0: Video: ansi, pal8, 640x400, 25 fps, 25 tbr, 25 tbn\n"

@@ -15,7 +15,7 @@ pub(super) struct Clock {
     first: Option<i64>,
     frames: usize,
     last: f64,
-    /// What time stamps that have jumped back are behind, in seconds.
+    /// Offset of time stamps that have jumped back, in seconds.
     shift: Option<f64>,
     /// Frames that were moved.
     pub(super) moved: usize,

@@ -1,9 +1,9 @@
-//! Whether a file is as long as its container declares.
+//! Test that a file is as long as its container declares.
 //!
 //! ffmpeg does not complain of every file that was cut: where the cut is between two packets, or the container is one of those that it reads to
-//! wherever they end, the frames are fewer and its exit status is 0. The container's own declaration is checked here:
+//! at any place, the frames are fewer and its exit status is 0. The container's own declaration is checked here:
 //!
-//! | container | what is checked |
+//! | container | check |
 //! |---|---|
 //! | MP4, QuickTime | the sizes of the outermost boxes |
 //! | Matroska, WebM | the size of the segment |
@@ -28,7 +28,7 @@ const PAGE: u64 = 65_307;
 /// Bytes at the beginning of an FLV file that hold its metadata.
 const METADATA: u64 = 1 << 16;
 
-/// A description of what is missing; `None` if the file is whole or its container declares no length.
+/// A description of the missing part; `None` if the file is whole or its container declares no length.
 pub(super) fn missing(path: &Path) -> Option<String> {
     let mut file = File::open(path).ok()?;
     let length = file.metadata().ok().filter(std::fs::Metadata::is_file)?.len();

@@ -41,7 +41,7 @@ pub struct Header {
     pub width: usize,
     /// Luma rows.
     pub height: usize,
-    /// Frames per second as a fraction, when given (`F0:0` is unknown).
+    /// Frames per second as a fraction, if present (`F0:0` is unknown).
     pub rate: Option<(u64, u64)>,
     /// Chroma planes.
     pub chroma: Chroma,
@@ -126,7 +126,7 @@ impl Header {
         }
     }
 
-    /// Width and height of its pictures with square pixels, where its own are not: by enlarging, whichever side is longer.
+    /// Width and height of its pictures with square pixels, where its own are not: by enlarging one side.
     pub fn square_size(&self) -> Option<(usize, usize)> {
         let (a, b) = self.aspect?;
         let longer = |side: usize, a: u32, b: u32| (side as f64 * f64::from(a) / f64::from(b)).round() as usize;
@@ -192,7 +192,7 @@ fn colour(value: &str) -> Result<(Chroma, u32), String> {
         _ => {
             let (chroma, bits) = value.split_once('p').ok_or_else(unsupported)?;
             let chroma = match chroma {
-                // Video of more than eight bits is sited as MPEG-2 has it.
+                // Video of more than eight bits is sited as in MPEG-2.
                 "420" => Chroma::C420(Siting::Left),
                 "422" => Chroma::C422,
                 "444" => Chroma::C444,

@@ -1,4 +1,4 @@
-// Files of still scenes read by the page itself. engine/src/import says what their numbers mean and what is refused.
+// Files of still scenes read by the page itself. engine/src/import documents the meaning of their numbers and which files are errors.
 
 /** Bytes of a block. */
 const BLOCK = 4 * 2 ** 20;

@@ -1,4 +1,4 @@
-// Formats told apart by how files begin, as engine/src/import/formats.rs does it; `.splat` alone is known by its name.
+// Formats recognised by the start of files, as in engine/src/import/formats.rs; only `.splat` by its name.
 
 /** Formats that are not read here: a text in the file, where it stands, the format's name, and the command that takes it. */
 const OTHERS = [

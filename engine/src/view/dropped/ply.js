@@ -45,7 +45,7 @@ function elementsOf(bytes, size) {
       last = { name: a, count: Number(b), width: 0, properties: new Map() };
       elements.set(a, last);
     } else if (key === "property") {
-      // Of no rows there are no lists.
+      // Without rows there are no lists.
       if (a === "list" && last?.count === 0) continue;
       if (!last || b === undefined || !Object.hasOwn(TYPES, a) || last.properties.has(b)) throw wrong(`property ${b ?? a}`, "a number of an element, once", quoted(a ?? ""));
       last.properties.set(b, { type: SAME[a] ?? a, start: last.width });

@@ -46,7 +46,7 @@ class StillWriter {
       const at = row[LOGIT] >= OPAQUE ? this.solid++ : --this.faint;
       for (let axis = 0; axis < 3; axis++) this.centres[axis][at] = row[axis];
     }
-    // As still/sound.rs has it: of what is drawn. A logit may be infinite, and so may be the logarithm of a thickness of 0.
+    // As in still/sound.rs, for drawn Gaussians. A logit may be infinite, and so may be the logarithm of a thickness of 0.
     if (Number.isNaN(row[LOGIT])) return;
     for (let k = DEVIATIONS; k < QUATERNION; k++) if (!(Math.fround(Math.exp(row[k])) < Infinity)) return;
     for (let k = 0; k < row.length; k++) if (!Number.isFinite(row[k]) && (k < LOGIT || k >= QUATERNION)) return;

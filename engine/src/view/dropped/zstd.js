@@ -1,4 +1,4 @@
-// Zstandard frames (RFC 8878) without a dictionary, of contents whose length is known.
+// Zstandard frames (RFC 8878) without a dictionary, of contents of known length.
 
 const ZSTD_MAGIC = 0xfd2fb528;
 /** Bytes of a block's content at most. */

@@ -12,7 +12,7 @@ const PIECE: usize = 64 << 10;
 /// Time and bytes for which a client is still read after its answer.
 const LINGER: (Duration, usize) = (Duration::from_millis(500), 256 << 10);
 
-/// Reads one request and answers it. A client that has gone away is nobody's failure.
+/// Reads one request and answers it. A client that has disconnected is no error.
 pub(super) fn serve(mut stream: TcpStream, hosts: &Hosts, answer: &impl Fn(&Request) -> Answer) {
     let Ok(request) = read(&mut stream) else { return };
     let refused = |refusal: Refusal| Answer::text(refusal.status(), &format!("{refusal}\n"));
@@ -41,7 +41,7 @@ fn is_late(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock)
 }
 
-/// The request, or why there is none; an error where nobody is left to be told.
+/// The request, or why there is none; an error where the client has disconnected.
 fn read(stream: &mut TcpStream) -> io::Result<Result<Request, Refusal>> {
     let end = Instant::now() + HEAD_TIME;
     let mut head = [0; MAX_HEAD];

@@ -1,12 +1,12 @@
-//! Which names a server answers to.
+//! The names for which a server answers.
 
 use std::net::{IpAddr, SocketAddr};
 
-/// The names that requests may give a server in their `Host` header.
+/// The names of a server that requests may have in their `Host` header.
 ///
-/// A web page somewhere else can give its own name the address of this server (DNS rebinding), and would be allowed to read what the
-/// browser fetches under that name. Its requests carry its name, so names are refused unless they were allowed; addresses and
-/// `localhost` cannot be given away like that.
+/// A foreign web page can make its own name resolve to the address of this server (DNS rebinding), and would be allowed to read what
+/// the browser fetches under that name. Its requests carry its name, so names are refused unless they were allowed; addresses and
+/// `localhost` cannot be redirected like that.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hosts {
     loopback: bool,

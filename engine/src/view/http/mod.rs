@@ -1,6 +1,6 @@
 //! A small HTTP/1.1 server: one request per connection, GET and HEAD alone, nothing of a request held but its head.
 //!
-//! Clients are not trusted. Whatever one sends, or does not send:
+//! Clients are not trusted. For anything that one sends, or does not send:
 //!
 //! | it takes at most | |
 //! |---|---|
@@ -8,8 +8,8 @@
 //! | threads | one for each of [`MAX_CONNECTIONS`] connections; more are closed at once |
 //! | time | [`HEAD_TIME`] to send the head, [`ANSWER_TIME`] and a second for each [`ANSWER_RATE`] bytes to take the answer |
 //!
-//! A panic while a request is answered ends its connection alone. Where no thread can be had the connection is closed and the next one accepted.
-//! [`Hosts`] says which names requests may give the server.
+//! A panic while a request is answered ends its connection alone. Where no thread can be started the connection is closed and the next one accepted.
+//! [`Hosts`] lists the names of the server that requests may have.
 
 mod connection;
 mod hosts;
@@ -33,7 +33,7 @@ pub const MAX_HEADERS: usize = 64;
 pub const MAX_CONNECTIONS: usize = 32;
 /// How long a client may take to send its request's head.
 pub const HEAD_TIME: Duration = Duration::from_secs(5);
-/// How long a client may take for its answer, beside what its length allows.
+/// How long a client may take for its answer, in addition to the time for its length.
 pub const ANSWER_TIME: Duration = Duration::from_secs(10);
 /// The slowest client that gets a long answer, in bytes per second.
 pub const ANSWER_RATE: u64 = 64 << 10;
@@ -69,7 +69,7 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Answers requests to `address` that give the server a name of `hosts`; port 0 takes any free one.
+    /// Answers requests to `address` whose `Host` is a name of `hosts`; port 0 takes any free one.
     ///
     /// # Errors
     /// The system's: an address that cannot be listened on, no thread.

@@ -40,7 +40,7 @@ pub enum Refusal {
 }
 
 impl Refusal {
-    /// The status code that says so.
+    /// The status code of this refusal.
     pub fn status(self) -> u16 {
         match self {
             Refusal::Malformed | Refusal::Host => 400,
@@ -53,7 +53,7 @@ impl Refusal {
 }
 
 impl Request {
-    /// The request whose head `bytes` begin with; none where the head goes on.
+    /// The request whose head `bytes` begin with; none where the head is incomplete.
     ///
     /// # Errors
     /// Anything but one well-formed GET or HEAD with one `Host`.

@@ -1,4 +1,4 @@
-//! A still scene as a page shows it: one packet, looked at from where [`Framing`] puts the camera.
+//! A still scene as a page shows it: one packet, seen from the camera of [`Framing`].
 
 mod packet;
 
@@ -20,7 +20,7 @@ use crate::stream::Workers;
 
 /// Width and height of a poster.
 const POSTER: [usize; 2] = [1280, 720];
-/// Bytes of the length before what is compressed.
+/// Bytes of the length before the compressed data.
 const LENGTH: usize = 4;
 
 /// Description of a still scene, sent to the page.
@@ -63,7 +63,7 @@ impl StillSource {
     /// Prepares a scene for a page.
     ///
     /// # Errors
-    /// A scene of which no Gaussian has a finite centre; arrays that differ in length.
+    /// A scene without a Gaussian that has a finite centre; arrays that differ in length.
     pub fn new(title: impl Into<String>, file: StillFile, workers: Workers) -> Result<StillSource, StillError> {
         let framing = file.still.framing().ok_or_else(|| StillError::Nowhere(file.path.display().to_string()))?;
         let scene = Drawable::new(file.still, &workers)?;
@@ -115,7 +115,7 @@ impl Whole for StillSource {
         let mut deflated = DeflateEncoder::new(vec![0; LENGTH], Compression::default());
         deflated.write_all(&self.packet)?;
         let mut deflated = deflated.finish()?;
-        // What a text can hold is less than that: the page says so.
+        // The limit of a text is lower: the page reports it.
         let length = u32::try_from(deflated.len() - LENGTH).unwrap_or(u32::MAX);
         deflated[..LENGTH].copy_from_slice(&length.to_le_bytes());
         put(&deflated)

@@ -9,7 +9,7 @@
 //! | 4 | u32 | version, 2 |
 //! | 8 | u32 | count |
 //! | 12 | u16 | degree of the harmonics |
-//! | 14 | u16 | 1: trained with anti-aliasing, and drawn as [`About::antialiased`](crate::still::About::antialiased) has it; else 0 |
+//! | 14 | u16 | 1: trained with anti-aliasing, and drawn as for [`About::antialiased`](crate::still::About::antialiased); else 0 |
 //!
 //! | record | | value | error at most |
 //! |---|---|---|---|
@@ -17,10 +17,10 @@
 //! | 12 | 3 × u16 | logarithm of the standard deviation: `48·q / 65535 − 24`, moved to the ends beyond | 0.04 % of the deviation |
 //! | 18 | u16 | opacity·65535 | 1 / 131,070 |
 //! | 20 | 3 × f16 | red, green, blue of the harmonics' first coefficients, within ±65,504 | 2⁻¹¹ of it |
-//! | 26 | 3 × u16 | rotation: a unit quaternion (w, x, y, z), of which three components are kept | 10⁻⁴ |
+//! | 26 | 3 × u16 | rotation: a unit quaternion (w, x, y, z), three components of it | 10⁻⁴ |
 //!
-//! Of the quaternion and its negative the one is kept whose largest component is positive. That component is left out; the highest bit of
-//! the first word, and twice that of the second, say which it is. The others follow in order, in 15 bits each: `√½·(q / 16383.5 − 1)`.
+//! The sign of the quaternion is chosen so that its largest component is positive. That component is left out; the highest bit of
+//! the first word, and twice that of the second, are its number. The others follow in order, in 15 bits each: `√½·(q / 16383.5 − 1)`.
 //!
 //! A row of harmonics is the coefficients above the first, channels innermost, in i8: `step·q`, half a step off at most, where `step`, an
 //! f16 in the row's last two bytes, is at least a 127th of the row's largest. A number is a Gaussian's place in its file.

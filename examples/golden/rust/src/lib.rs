@@ -1,1 +1,1 @@
-//! Stands for the code whose scenes are tested.
+//! Placeholder for the code whose scenes are tested.

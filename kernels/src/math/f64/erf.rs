@@ -63,7 +63,7 @@ fn tail(a: f64) -> f64 {
     let d = a + 3.0;
     let t = 1.0 / d;
     let scaled = t * polynomial(t - 0.156_25, &TAIL);
-    // What both roundings moved t by, relative to it, goes into the result through (e^(a²) erfc a)' = 2a e^(a²) erfc a − 2/√π.
+    // The relative change of t by both roundings is corrected in the result through (e^(a²) erfc a)' = 2a e^(a²) erfc a − 2/√π.
     let (p, lost) = product(t, d);
     let moved = ((1.0 - p) - lost) - t * (a - (d - 3.0));
     let scaled = scaled - (2.0 * a * scaled - SLOPE) * d * moved;
@@ -98,7 +98,7 @@ pub fn erfc(x: f64) -> f64 {
     }
 }
 
-/// One of Halley's steps for erf y = x or erfc y = x, given what the function is off at y over its slope there.
+/// One of Halley's steps for erf y = x or erfc y = x. `off`: the function's error at y over its slope there.
 fn halley(y: f64, off: f64) -> f64 {
     y - off / (1.0 + y * off)
 }
@@ -135,7 +135,7 @@ fn inverse_near(x: f64) -> f64 {
     y
 }
 
-/// The inverse of [`erf`]. ±1 give ±∞, beyond them NaN.
+/// The inverse of [`erf`]. ±1 return ±∞, values beyond them NaN.
 pub fn erfinv(x: f64) -> f64 {
     let a = x.abs();
     if a <= 0.75 {

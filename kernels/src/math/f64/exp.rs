@@ -97,7 +97,7 @@ fn split(x: f64) -> (f64, f64) {
     (f64::from_bits((offset & 0x000f_ffff_ffff_ffff) + SQRT_HALF), k as f64)
 }
 
-/// ln x. Zero gives −∞, negative x NaN.
+/// ln x. Zero returns −∞, negative x NaN.
 pub fn ln(x: f64) -> f64 {
     if x.is_nan() || x < 0.0 {
         return f64::NAN;
@@ -127,7 +127,7 @@ pub fn ln_1p(x: f64) -> f64 {
         return log_1p_plus(x, 0.0, 0.0);
     }
     let w = 1.0 + x;
-    // What the rounding of 1 + x lost.
+    // Rounding error of 1 + x.
     let lost = if x.abs() < 1.0 { x - (w - 1.0) } else { 1.0 - (w - x) };
     let (m, k) = split(w);
     log_1p_plus(m - 1.0, if k.abs() < 60.0 { lost * power_of_two(-k as i32) } else { 0.0 }, k)

@@ -111,7 +111,7 @@ fn cos_kernel(r: f64, c: f64) -> f64 {
     w + (((1.0 - w) - half) + (z * z * series - r * c))
 }
 
-/// (sin x, cos x). Infinite x give NaN.
+/// (sin x, cos x). Infinite x return NaN.
 pub fn sin_cos(x: f64) -> (f64, f64) {
     if !x.is_finite() {
         return (f64::NAN, f64::NAN);

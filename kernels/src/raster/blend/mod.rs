@@ -41,7 +41,7 @@ pub(super) struct Scratch {
 pub(super) struct Tally {
     /// Blocks blended.
     pub blocks: u64,
-    /// Entries of lists that were not looked at because their tile was finished.
+    /// Entries of lists that were skipped because their tile was finished.
     pub unseen: u64,
     pub sort: Duration,
     pub blend: Duration,
@@ -170,7 +170,7 @@ pub(super) fn put_block<T: Copy>(
     let (columns, rows) = (BLOCK.min(width - x), BLOCK.min(height - y));
     for row in 0..rows {
         let start = base + (y + row) * width + x;
-        // SAFETY: a block belongs to one tile and a tile to one task; its pixels are nobody else's.
+        // SAFETY: a block belongs to one tile and a tile to one task; no other task writes its pixels.
         let pixels = unsafe { to.part(start..start + columns) };
         pixels.copy_from_slice(&values[row * BLOCK..][..columns]);
     }

@@ -22,7 +22,7 @@ pub(super) struct Sphere {
     /// Sines and cosines of longitudes and latitudes.
     longitude: [Pixels; 2],
     latitude: [Pixels; 2],
-    /// Of a, b and n: what a column adds, and what a row adds.
+    /// Contribution of a column and of a row to a, b and n.
     across: [Pixels; 3],
     down: [Pixels; 3],
 }

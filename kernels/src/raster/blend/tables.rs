@@ -4,7 +4,7 @@ use super::super::bin::{Reach, TILE};
 use super::super::project::{BLOCK, Splat};
 use crate::simd::{LANES, SHIFTER, Simd};
 
-/// A value for each column or row of pixels of a tile, whichever are more, and for a vector more.
+/// A value for each column or row of pixels of a tile (the larger number), and for a vector more.
 pub(super) type Pixels = [f32; PIXELS];
 pub(super) const PIXELS: usize = (if TILE[0] > TILE[1] { TILE[0] } else { TILE[1] }) * BLOCK + LANES;
 const COUNTING: [f32; LANES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
@@ -61,7 +61,7 @@ pub(super) fn factors<S: Simd>(
     let (whole, rest, scale) = (s.splat(centre[0]), s.splat(centre[1]), s.splat(scale));
     let mut at = span[0] * BLOCK;
     while at < span[1] * BLOCK {
-        // Changes nothing, but tells the compiler that a vector from there on ends in the arrays.
+        // Changes no value; with it the compiler can prove that a vector from there on ends in the arrays.
         let from = at & (PIXELS - LANES - 1);
         let t = s.mul(scale, s.sub(s.sub(s.load(&pixels[from..]), whole), rest));
         s.store(s.mul(s.splat(factor), exp2_negative(s, s.mul(t, t))), &mut to[from..]);

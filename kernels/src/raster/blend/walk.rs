@@ -13,7 +13,7 @@ pub(in super::super) const BLOCKS: usize = TILE[0] * TILE[1];
 const _: () = assert!(BLOCKS.is_power_of_two());
 /// Records that are fetched together: their cache misses overlap.
 const TOGETHER: usize = 32;
-/// A box of at most this many blocks is drawn whole: to tell which of them the footprint misses would cost more.
+/// A box of at most this many blocks is drawn whole: testing which of them the footprint misses would cost more.
 const WHOLE_BOX: usize = 12;
 /// All pixels of a block.
 const ALL: u16 = u16::MAX;
@@ -118,7 +118,7 @@ pub(in super::super) struct Shape {
 }
 
 impl Shape {
-    /// That of general Gaussians.
+    /// The shape of general Gaussians.
     pub(in super::super) const GENERAL: Shape = Shape { form: Form::General, cut: Cut::GAUSSIAN };
 
     pub(in super::super) fn of(view: &Viewport) -> Self {
@@ -144,13 +144,13 @@ pub(in super::super) struct Walk<'a> {
 pub(in super::super) struct Walked {
     /// Blocks visited.
     pub blocks: u64,
-    /// Entries that were not looked at because the tile was finished.
+    /// Entries that were skipped because the tile was finished.
     pub unseen: u64,
 }
 
 /// The blocks of a footprint's box that lie in a tile, first and end, counted from the tile's first.
 ///
-/// [`BlockBox::new`] keeps `first ≤ end ≤ TILE` on both axes whatever the footprint's record and the tile are.
+/// [`BlockBox::new`] keeps `first ≤ end ≤ TILE` on both axes for any footprint record and tile.
 #[derive(Clone, Copy)]
 struct BlockBox {
     columns: [usize; 2],
@@ -173,7 +173,7 @@ impl BlockBox {
 }
 
 impl BlockBox {
-    /// The blocks of `splat` in the tile of this column and row, in an image of so many blocks across whose edges meet.
+    /// The blocks of `splat` in the tile of this column and row, in an image whose left and right edges meet, with this number of blocks across.
     #[inline(always)]
     fn around(splat: &Splat, tile: [usize; 2], blocks: usize) -> Self {
         let Self { columns: _, rows } = Self::new(splat, tile);
@@ -192,7 +192,7 @@ impl BlockBox {
 }
 
 impl Walk<'_> {
-    /// Gives `sink` the weights of the list, front to back, until all pixels are finished.
+    /// Passes the weights of the list to `sink`, front to back, until all pixels are finished.
     #[inline(always)]
     pub(in super::super) fn run<S: Simd, K: Sink<S>>(&self, s: S, light: &mut Transmittance, sink: &mut K) -> Walked {
         light.clear(self.tile, self.size);
@@ -203,7 +203,7 @@ impl Walk<'_> {
         }
     }
 
-    /// Copies the records of the entries from `at` on; gives how many there were.
+    /// Copies the records of the entries from `at` on; returns their number.
     #[inline(always)]
     fn fetch(&self, at: usize, near: &mut [Splat; TOGETHER]) -> usize {
         let entries = &self.list[at..];
@@ -270,7 +270,7 @@ struct Canvas<'a> {
     open: usize,
     /// Least α that is drawn.
     least: f32,
-    /// What is added to 2^−e before the opacity multiplies it.
+    /// Offset added to 2^−e before the multiplication by the opacity.
     dip: f32,
 }
 
@@ -286,7 +286,7 @@ impl<'a> Canvas<'a> {
         Self { left, finished, done, open, least: cut.least, dip: cut.dip() }
     }
 
-    /// Weights of a splat on its box, with `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)² − o·f)`, fused. Gives the number of blocks.
+    /// Weights of a splat on its box, with `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)² − o·f)`, fused. Returns the number of blocks.
     #[inline(always)]
     fn separable<S: Simd, K: Sink<S>>(
         &mut self,
@@ -324,7 +324,7 @@ impl<'a> Canvas<'a> {
         count
     }
 
-    /// Weights of a splat on its box, with `α = min(0.99, o·2^−((p·(x − m(y)))² + (q·dy)²) − o·f)`, fused. Gives the number of blocks.
+    /// Weights of a splat on its box, with `α = min(0.99, o·2^−((p·(x − m(y)))² + (q·dy)²) − o·f)`, fused. Returns the number of blocks.
     #[inline(always)]
     fn general<S: Simd, K: Sink<S>>(
         &mut self,
@@ -383,7 +383,7 @@ impl<'a> Canvas<'a> {
         count
     }
 
-    /// Weights of a splat on its box, with `α = min(0.99, o·2^−e − o·f)`, fused, where [`Sphere`] has the exponent e. Gives the number of blocks.
+    /// Weights of a splat on its box, with `α = min(0.99, o·2^−e − o·f)`, fused, where [`Sphere`] has the exponent e. Returns the number of blocks.
     #[inline(always)]
     fn spherical<S: Simd, K: Sink<S>>(
         &mut self,
@@ -437,7 +437,7 @@ impl<'a> Canvas<'a> {
         }
     }
 
-    /// Weights of one splat on one block, and what it leaves of the light.
+    /// Weights of one splat on one block, and the transmittance after it.
     #[inline(always)]
     fn composite<S: Simd, K: Sink<S>>(&mut self, s: S, alpha: S::F32, at: Block, sink: &mut K, paint: &K::Paint) {
         let light = &mut self.left[at.index()].0;
@@ -460,7 +460,7 @@ impl<'a> Canvas<'a> {
     }
 }
 
-/// Finishes the pixels of `below`: keeps their transmittance apart and gives this splat no weight on them.
+/// Finishes the pixels of `below`: keeps their transmittance apart and sets this splat's weight on them to 0.
 /// True when the block has no other pixels.
 #[cold]
 #[inline(never)]

@@ -7,9 +7,9 @@
 //! ```
 //!
 //! The weights A are those of the blend, by the same code, rounded to 8 bits: for each Gaussian and block of 4×4 pixels there is a unit u, the
-//! smallest power of two of which its largest weight there is less than 256 (at least 2⁻¹⁶), and A is `min(⌊α·T / u + ½⌋, 255)·u` (the quotient and
+//! smallest power of two (at least 2⁻¹⁶) with its largest weight there below 256·u, and A is `min(⌊α·T / u + ½⌋, 255)·u` (the quotient and
 //! sum fused). Where α is below 1/255, and behind a finished pixel, a Gaussian has weight 0. An image of the map is therefore within `½·Σ u·|c|`
-//! over a pixel's Gaussians of the rasteriser's (`u` instead of `½·u` where a weight comes to 255 units).
+//! over a pixel's Gaussians of the rasteriser's (`u` instead of `½·u` where a weight is 255 units).
 //!
 //! # Order of operations
 //!
@@ -53,7 +53,7 @@ use record::{Record, RecordTile};
 
 pub use solve::{ColourFit, FitView, Solution};
 
-/// Bytes of weights that a [`ColourMap`] keeps unless told otherwise.
+/// Bytes of weights that a [`ColourMap`] keeps by default.
 pub const WEIGHT_BYTES: usize = 256 << 20;
 /// Gaussians whose sums are merged in one task.
 const MERGED: usize = 4096;
@@ -154,7 +154,7 @@ impl ColourMap {
         }
     }
 
-    /// Makes this the map of a scene onto an image of `[width, height]` pixels. `Gaussians::rgb` is not looked at; it
+    /// Makes this the map of a scene onto an image of `[width, height]` pixels. `Gaussians::rgb` is ignored; it
     /// may be empty.
     ///
     /// # Panics
@@ -183,7 +183,7 @@ impl ColourMap {
     }
 
     /// [`ColourMap::prepare`] for the pixels of the tiles that are `wanted`, by row-major index. Pixels of the others
-    /// are no part of the map: [`ColourMap::forward`] leaves what is there, residuals there are not looked at.
+    /// are no part of the map: [`ColourMap::forward`] leaves them unchanged, and their residuals are ignored.
     ///
     /// # Panics
     /// As [`ColourMap::prepare`].
@@ -195,7 +195,7 @@ impl ColourMap {
         wanted: impl Fn(usize) -> bool,
     ) {
         let _span = debug_span!("colour_map", gaussians = gaussians.len(), width = size[0], height = size[1]).entered();
-        // Means stand in for colours: where they are not finite the Gaussian is dropped in any case.
+        // Means are passed as colours: where they are not finite the Gaussian is dropped in any case.
         let gaussians = Gaussians { rgb: gaussians.mean, ..*gaussians };
         self.rasteriser.forget();
         let request = Request::colour(size[0], size[1], [0.0; 3]);
@@ -276,7 +276,7 @@ impl ColourMap {
         result
     }
 
-    /// Adds up, for every Gaussian, the `C` sums that `work` has stored for each of its tiles, and gives them to
+    /// Adds up, for every Gaussian, the `C` sums that `work` has stored for each of its tiles, and passes them to
     /// `put`.
     fn sum_tiles<const C: usize, T: Send>(
         &self,
@@ -394,7 +394,7 @@ impl ColourMap {
         self.sum_tiles(sums, |_, record, _, to, _| dispatch(self.level, Moments { record, to }), |sums: [f32; 2]| sums);
     }
 
-    /// `sums = Aᵀ(target − A·colours − T·background)` for a target `[3, H, W]`; gives the sum of the squared
+    /// `sums = Aᵀ(target − A·colours − T·background)` for a target `[3, H, W]`; returns the sum of the squared
     /// residuals in binary64. See [`ColourMap::residual_adjoint_tiles`].
     ///
     /// # Panics

@@ -36,7 +36,7 @@ const AHEAD: usize = 12;
 
 /// The colours of a tile's splats.
 pub(super) trait Paint<const C: usize> {
-    /// That of splat `at` of the record, a view of `gaussian`.
+    /// The value of splat `at` of the record, a view of `gaussian`.
     fn of(&self, at: usize, gaussian: u32) -> [f32; C];
 
     /// Asks for the colour of splat `at`, if there is one.
@@ -211,7 +211,7 @@ impl<P: Paint<C>, const C: usize> Operation for Normal<'_, P, C> {
     }
 }
 
-/// `Aᵀ(target − A·c − T·background)` of a tile; gives the sum of squares.
+/// `Aᵀ(target − A·c − T·background)` of a tile; returns the sum of squares.
 pub(super) struct Residual<'a, P> {
     pub record: &'a Record,
     pub place: Place,

@@ -57,7 +57,7 @@ impl ColourMap {
         });
     }
 
-    /// Gives every splat of every tile the place of its sums.
+    /// Assigns the place of its sums to every splat of every tile.
     pub(super) fn index(&mut self, gaussians: usize) {
         let _span = debug_span!("index", gaussians).entered();
         self.offsets.clear();

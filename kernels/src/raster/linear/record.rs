@@ -26,7 +26,7 @@ impl Unit {
     /// 2⁻¹⁶
     const LEAST: Unit = Unit(127 - 16);
 
-    /// The smallest unit, at least 2⁻¹⁶, of which a hit's largest weight, below 1, is less than 256.
+    /// The smallest unit, at least 2⁻¹⁶, with a hit's largest weight (below 1) less than 256 units.
     #[inline(always)]
     fn of(most: f32) -> Unit {
         // 2⁸ units are the power of two above a weight: its exponent and one more.
@@ -39,7 +39,7 @@ impl Unit {
     }
 }
 
-/// Weights `α·T` of a tile. A *hit* is a splat and a block of 4×4 pixels on one of which its stored weight is not zero.
+/// Weights `α·T` of a tile. A *hit* is a splat and a block of 4×4 pixels with a nonzero stored weight on at least one pixel.
 #[derive(Debug, Default)]
 pub(super) struct Record {
     /// Gaussian of each splat that has hits, in drawing order.

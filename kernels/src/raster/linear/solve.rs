@@ -45,7 +45,7 @@ pub struct FitView<'a> {
     pub factor: &'a [f32],
 }
 
-/// A least-squares problem: which colours make the images of several views come near to given frames.
+/// A least-squares problem: the colours with which the images of several views are nearest to frames.
 #[derive(Debug)]
 pub struct ColourFit<'a> {
     level: Level,
@@ -198,7 +198,7 @@ impl<'a> ColourFit<'a> {
     }
 
     /// At most `steps` steps from `colours` towards `frames`, one `[3, H, W]` per view; they end after one that lowers the sum of squares by less
-    /// than `enough` of what is left. Gives the change of the colours.
+    /// than `enough` of the rest. Returns the change of the colours.
     ///
     /// # Panics
     /// When there is not one colour per unknown, or not one frame of the view's size per view.
@@ -319,7 +319,7 @@ impl<'a> ColourFit<'a> {
         rows.par_iter().with_min_len(CHUNK).map(|[row]| 1.0 / row).collect()
     }
 
-    /// `q = (matrix)·p`; gives p·q.
+    /// `q = (matrix)·p`; returns p·q.
     fn normal(&self, buffers: &mut Buffers, p: &[[f32; 3]], q: &mut [[f32; 3]]) -> [f64; 3] {
         self.each_tile::<3>(buffers, |k, tile, record, _, to, super::Pixels { three: pixels, .. }| {
             let colours = Scaled { splats: self.splats(k, tile), of: p };
@@ -334,7 +334,7 @@ impl<'a> ColourFit<'a> {
         ))
     }
 
-    /// Adds up what the tiles of all views hold for each unknown, from `start` on; gives what `then` makes of each chunk.
+    /// Sums the contributions of all views' tiles for each unknown, from `start` on; returns `then` of each chunk.
     fn sums<R: Send>(
         &self,
         buffers: &Buffers,
@@ -370,7 +370,7 @@ impl<'a> ColourFit<'a> {
             .collect()
     }
 
-    /// `x += a∘p`, `r −= a∘q`; gives r·(D∘r).
+    /// `x += a∘p`, `r −= a∘q`; returns r·(D∘r).
     fn step(
         &self,
         x: &mut [[f32; 3]],
@@ -403,7 +403,7 @@ fn sum(parts: &[[f64; 3]]) -> [f64; 3] {
     parts.iter().fold([0.0; 3], |sum, part| std::array::from_fn(|c| sum[c] + part[c]))
 }
 
-/// A fused multiply-add of one value: the instruction where the level has it.
+/// A fused multiply-add of one value: one instruction on levels that have it.
 #[inline(always)]
 fn fused<S: Simd>(_: S, a: f32, b: f32, c: f32) -> f32 {
     match S::REGISTERS {

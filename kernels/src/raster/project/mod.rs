@@ -46,7 +46,7 @@ pub(super) struct Splat {
     pub rgb: [f32; 3],
     pub depth: f32,
     /// Blocks that the footprint can touch, first and last, by column and by row; empty when the first is past the last. On the sphere columns past
-    /// the image's last go on at its first.
+    /// the image's last continue at its first.
     pub columns: [u16; 2],
     pub rows: [u16; 2],
 }
@@ -106,7 +106,7 @@ pub(super) struct Viewport {
     pub bounds: [[f64; 2]; 2],
     /// Where footprints end.
     pub cut: Cut,
-    /// What a lens with a width blurs.
+    /// Blur of a lens with a width.
     pub blur: Option<Blur>,
 }
 
@@ -145,7 +145,7 @@ impl Blur {
     }
 }
 
-/// Share of the image's width and height beside it to which [`Request::bounded`](super::Request::bounded) goes.
+/// Bound of [`Request::bounded`](super::Request::bounded) beyond the image's edge, as a share of its width and height.
 const BESIDE: f64 = 0.15;
 
 /// The tangents for an image of this size.
@@ -439,7 +439,7 @@ impl Batch {
         let nearest = if PINHOLE { 1e-6 } else { 0.0 };
         let ahead = s.lt(s.splat(nearest), s.from_array(mean[2]));
         let sound = s.eq(s.from_array(sound), s.splat(0.0));
-        // A blur spreads what is drawn without it.
+        // A blur spreads only Gaussians that are drawn without it.
         let opaque = if BLURRED { s.and(opaque, drawn) } else { opaque };
         let visible = s.and(s.and(finite, s.and(ahead, opaque)), s.and(sound, s.and(seen_x, seen_y)));
         Self {

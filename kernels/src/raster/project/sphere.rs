@@ -10,7 +10,7 @@ use super::{BLOCK, Batch, HALF_LOG2_E, LOW_PASS, Lanes, Loaded, ROOT_HALF_LOG2_E
 use crate::raster::Gaussians;
 use crate::simd::{LANES, Simd};
 
-/// What is nearer to the eye is not drawn.
+/// Gaussians nearer to the eye are not drawn.
 const NEAREST: f64 = 1e-6;
 /// Least cosine of the latitude by which the low-pass narrows along the latitude: nearer to the poles pixels are narrower than it.
 pub(in super::super) const POLE: f64 = 0.0625;
@@ -68,7 +68,7 @@ fn whole(from: f64, to: f64, last: f64) -> Option<[i32; 2]> {
     (from <= to).then_some([from as i32, to as i32])
 }
 
-/// Blocks of columns around a longitude, first and last; what lies beyond the right edge is counted on from there and is seen at the left
+/// Blocks of columns around a longitude, first and last; columns beyond the right edge are counted on from there and appear at the left
 /// one.
 fn columns(longitude: f64, wide: Option<f64>, width: usize) -> Option<[i32; 2]> {
     let (blocks, size) = (width.div_ceil(BLOCK) as i32, width as f64);

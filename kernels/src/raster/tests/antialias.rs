@@ -58,7 +58,7 @@ fn what_is_smaller_than_a_pixel_covers_as_much_as_it_is_large() {
             let larger = covered(size, opacity, turned, false);
             assert!(larger > 1.5 * area, "{size:?}: {larger} of {area}");
         }
-        // What is much larger stays as it is.
+        // Much larger Gaussians do not change.
         let (with, without) = (covered([6.0, 5.0], 0.7, turned, true), covered([6.0, 5.0], 0.7, turned, false));
         assert!(with < without && with > 0.98 * without, "{with} {without}");
     }

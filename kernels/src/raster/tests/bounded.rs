@@ -1,4 +1,4 @@
-//! Footprints of what is far beside the image.
+//! Footprints of Gaussians far outside the image.
 
 use super::*;
 

@@ -40,7 +40,7 @@ fn every_level_and_thread_count_gives_the_same_bits() {
     }
 }
 
-/// α of one round Gaussian, so many standard deviations of 20 px from its centre.
+/// α of one round Gaussian, by the distance from its centre in standard deviations of 20 px.
 fn alpha_at(falloff: Falloff, turned: bool, opacity: f32) -> impl Fn(f64) -> f64 {
     let mut scene = OwnedGaussians { rotation: turned.then(Vec::new), ..OwnedGaussians::default() };
     let h = std::f32::consts::FRAC_1_SQRT_2;

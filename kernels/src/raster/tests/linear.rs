@@ -40,7 +40,7 @@ fn normal(map: &ColourMap, colours: &[[f32; 3]]) -> Vec<[f32; 3]> {
     sums
 }
 
-/// Bits of everything that a map gives.
+/// Bits of all results of a map.
 fn everything_of(map: &ColourMap, colours: &[[f32; 3]], target: &[f32]) -> Vec<u32> {
     let mut all = forward(map, colours, [0.5, 0.25, 0.75]);
     all.extend(adjoint(map, target).as_flattened());
@@ -79,8 +79,8 @@ fn scenes() -> Vec<OwnedGaussians> {
     vec![ordinary(3000, false, 3), ordinary(3000, true, 4), extreme(500, 5), deep, clear, OwnedGaussians::default()]
 }
 
-/// The unit in which the map stores each weight: the smallest power of two of which the largest weight of the Gaussian on the block of 4×4 pixels
-/// is less than 256, at least 2⁻¹⁶. That weight may be larger by the part `doubt`.
+/// The unit in which the map stores each weight: the smallest power of two, at least 2⁻¹⁶, with the Gaussian's largest weight on the block of
+/// 4×4 pixels below 256 units. That weight may be larger by the part `doubt`.
 fn units(weights: &[reference::Weight], size: [usize; 2], doubt: f64) -> Vec<f64> {
     let block = |w: &reference::Weight| (w.gaussian, w.pixel % size[0] / BLOCK, w.pixel / size[0] / BLOCK);
     let mut most: HashMap<_, f64> = HashMap::new();
@@ -295,7 +295,7 @@ fn gaussians_that_are_not_finite_have_no_sums_and_change_nothing() {
         spoiled.push([0.0, f32::NAN, 1.0], [0.5; 3], [1.0, 0.0, 0.0, 0.0], 0.9, [0.0; 3]);
         spoiled.push([0.0, 0.0, 0.5], [0.5, f32::INFINITY, 0.5], [1.0, 0.0, 0.0, 0.0], 0.9, [0.0; 3]);
         spoiled.push([0.0, 0.0, 0.5], [0.5; 3], [1.0, 0.0, 0.0, 0.0], f32::NAN, [0.0; 3]);
-        // Colours of the scene are not looked at.
+        // Colours of the scene are ignored.
         spoiled.rgb.fill([f32::NAN; 3]);
         let residual = noise(3 * size[0] * size[1], 21);
         let clean = adjoint(&map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES), &residual);

@@ -8,7 +8,7 @@ fn lists(level: Level, scene: &OwnedGaussians, projection: &Projection, request:
     (lists, rasteriser.work())
 }
 
-/// Blends the lists as [`Footprint`] says, in binary32, without fused operations.
+/// Blends the lists as documented for [`Footprint`], in binary32, without fused operations.
 fn blend(lists: &Lists, request: &Request) -> Vec<f32> {
     let pixels = request.width * request.height;
     let mut rgb = vec![0.0; 3 * pixels];

@@ -29,7 +29,7 @@ const ZIP: &[u8] = b"PK\x03\x04";
 const LEGACY: &[u8] = b"\x80\x02\x8a\x0al\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19\x2e";
 /// Longest pickle that is read, in bytes: names and shapes of some hundred thousand tensors.
 const LONGEST: usize = 16 << 20;
-/// Most files of an archive that are looked at.
+/// Largest number of files of an archive.
 const MOST_ENTRIES: usize = 1 << 17;
 
 /// Returns true if the bytes begin as a file of `torch.save`, of any age.
@@ -48,7 +48,7 @@ pub fn is_archive(head: &[u8]) -> bool {
         && name.and_then(|length| head.get(30..30 + length)).is_some_and(|name| name.ends_with(b"data.pkl"))
 }
 
-/// All tensors, their ranges counted from the file's start; or what is wrong.
+/// All tensors, their ranges counted from the file's start; or the error.
 pub(super) fn parse(bytes: &[u8]) -> Result<BTreeMap<String, TensorInfo>, String> {
     if bytes.starts_with(LEGACY) {
         return Err("written by torch.save in the form of PyTorch before 1.6: expected a zip archive; load it in PyTorch and save it again".to_owned());
@@ -69,7 +69,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<BTreeMap<String, TensorInfo>, String
     for i in 0..archive.len() {
         let entry = archive.by_index_raw(i).map_err(|e| format!("file {i} of the archive: {e}"))?;
         let name = entry.name().map_err(|e| format!("file {i} of the archive: {e}"))?.into_owned();
-        // What is compressed is no storage of torch.save's; whoever names it finds it missing.
+        // torch.save compresses no storage: a reference to a compressed entry is an error of a missing one.
         if entry.compression() != CompressionMethod::Stored {
             continue;
         }

@@ -5,7 +5,7 @@
 //! error: no class is looked up, no code is run.
 //!
 //! Values lie in one list in the order of their making; the stack, the memo and containers hold their numbers. So every byte of a pickle makes
-//! one value at most, whatever refers to it.
+//! one value at most, for any number of references to it.
 //!
 //! Source: CPython, `Lib/pickletools.py` (opcodes of protocols 0 to 5).
 
@@ -56,7 +56,7 @@ enum Value {
 }
 
 impl Value {
-    /// What an error calls it.
+    /// Its name in errors.
     fn kind(&self) -> String {
         match self {
             Value::None => "None".to_owned(),
@@ -114,7 +114,7 @@ impl Pickle<'_> {
                 };
                 return Err(format!("expected a tensor under every name, found {found} under {shown:?}{hint}"));
             };
-            // Of equal names the last counts, as in Python.
+            // If names are equal the last counts, as in Python.
             tensors.insert(name.clone(), tensor.clone());
         }
         Ok(tensors)
@@ -429,7 +429,7 @@ impl Pickle<'_> {
         self.stack.last().copied().ok_or_else(Fault::empty)
     }
 
-    /// What lies above the last mark, which goes.
+    /// Removes the last mark; returns the values above it.
     fn above_mark(&mut self) -> Result<Vec<Id>, Fault> {
         let from = self.marks.pop().ok_or_else(Fault::empty)?;
         if from > self.stack.len() {

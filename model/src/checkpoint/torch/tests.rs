@@ -43,7 +43,7 @@ impl Writer {
     }
 }
 
-/// The start of a dictionary of tensors, as modules have it.
+/// The start of a dictionary of tensors, as of modules.
 fn dictionary() -> Writer {
     Writer::default().op(b"\x80\x02").global("collections", "OrderedDict").op(b")Rq\x00(")
 }
@@ -258,7 +258,7 @@ fn no_cut_and_no_changed_byte_panics() {
 
 #[test]
 fn values_that_are_used_often_take_no_memory_of_their_own() {
-    // A tuple of two, then tuples of two of the last one: 2⁴⁰ numbers for whoever copies.
+    // A tuple of two, then tuples of two of the last one: 2⁴⁰ numbers if copied.
     let mut writer = Writer::default().op(b"\x80\x02K\x01K\x01\x86q\x00");
     for _ in 0..40 {
         writer = writer.op(b"h\x00h\x00\x86q\x00");

@@ -90,7 +90,7 @@ pub(super) fn cameras(bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, FormatE
         let (id, model) = (bytes.u32()?, bytes.u32()?);
         let known = usize::try_from(model).ok().and_then(|model| MODELS.get(model));
         let Some(&(model, count)) = known else {
-            // How long it is cannot be known, and so not where the next one begins.
+            // Its length is unknown, and so is the start of the next one.
             let expected = format!("camera models 0 to {}", MODELS.len() - 1);
             return Err(FormatError::new("cameras.bin", expected, model.to_string()));
         };

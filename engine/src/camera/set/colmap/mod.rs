@@ -6,7 +6,7 @@
 //! them by value.
 //!
 //! COLMAP 4 stores poses of *frames* as well, one pose for all cameras of a *rig*, in `rigs` and `frames`. Where both hold something, they
-//! decide, as in COLMAP itself, and the poses of `images` are not looked at:
+//! decide, as in COLMAP itself, and the poses of `images` are ignored:
 //!
 //! ```text
 //! camera_from_world = sensor_from_rig · rig_from_world
@@ -30,7 +30,7 @@ use rigs::Rigs;
 
 const FORMAT: &str = "COLMAP model";
 
-/// The files of a model of which something is read, all text or all binary.
+/// The files of a model that are read, all text or all binary.
 #[derive(Clone, Copy, Debug)]
 pub struct Files<'a> {
     /// `cameras`.

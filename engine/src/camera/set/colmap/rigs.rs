@@ -10,7 +10,7 @@ use crate::camera::Rotation;
 pub(super) struct Rig {
     /// The camera whose coordinates are the rig's.
     pub(super) reference: Option<u32>,
-    /// The others; `None` where it is not known how they lie in the rig.
+    /// The others; `None` for an unknown pose in the rig.
     pub(super) others: BTreeMap<u32, Option<Rigid>>,
 }
 
@@ -46,7 +46,7 @@ impl Rigs {
         self.frames == 0
     }
 
-    /// How the world becomes an image's coordinates; or what was expected and what was found.
+    /// Transformation from the world to an image's camera; or expected and found values.
     pub(super) fn pose(&self, image: u32, camera: u32) -> Result<Rigid, [String; 2]> {
         let Some(&(sensor, number, pose)) = self.images.get(&u64::from(image)) else {
             return Err([format!("image {image} in a frame of the file frames"), "none".to_owned()]);

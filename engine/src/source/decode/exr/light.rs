@@ -70,7 +70,7 @@ pub(super) fn sample(light: f32) -> f32 {
     to_srgb(f64::from(light)) as f32
 }
 
-/// `x` to the power of so many tenths, for `x` not below 0.
+/// `x` to the power of `power` tenths, for `x` not below 0.
 fn tenths(x: f64, power: u8) -> f64 {
     let whole = |n: u8| (0..n).fold(1.0, |product, _| product * x);
     whole(power / 10) * root(5, whole(power % 10)).sqrt()

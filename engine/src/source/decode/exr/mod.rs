@@ -148,7 +148,7 @@ fn choose<'a>(file: &'a File<'_>, notes: &mut Vec<String>) -> Result<Colours<'a>
         let names = if names.is_empty() { "deep samples".to_owned() } else { listed(&names) };
         return Err(format!("expected EXR channels R, G, B or Y, found {names}"));
     }
-    // Colours go before luminance, a layer without a name before others.
+    // Colours take precedence over luminance, a layer without a name over others.
     let rank = |colours: &Colours<'_>| match (colours.grey, colours.prefix.is_empty(), colours.is_whole()) {
         (false, true, true) => 0,
         (false, true, false) => 1,

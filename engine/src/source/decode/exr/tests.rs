@@ -104,7 +104,7 @@ fn colours_are_linear_light_unless_the_file_says_otherwise() {
         let found = said(&[("oiio:ColorSpace", name)], [0.25, 0.0, 1.0]).still();
         assert_eq!((found.picture.rgb, found.notes.len()), (vec![0.25, 0.0, 1.0], 0), "{name}");
     }
-    // The identifier goes before the older name.
+    // The identifier takes precedence over the older name.
     let both = [("oiio:ColorSpace", "Linear"), ("colorInteropID", "srgb_rec709_scene")];
     assert_eq!(said(&both, [0.25; 3]).still().picture.rgb, [0.25; 3]);
     // 0.5 to the power 2.2, and sRGB's curve.
