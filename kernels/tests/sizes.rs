@@ -503,7 +503,7 @@ fn wrapping_calls() -> Vec<(&'static str, Box<dyn FnOnce()>)> {
         };
         "raster::ColourMap::prepare": map([HALF; 2]);
         "raster::ColourMap::prepare_in": {
-            ColourMap::new(level).prepare_in(&mut Preparation::new(level), &ONE, &FLAT, [HALF; 2]);
+            ColourMap::new(level).prepare_in(&mut Preparation::new(level), &ONE, &FLAT, [HALF; 2], |_| true);
         };
         "raster::ColourMap::prepare_tiles": ColourMap::new(level).prepare_tiles(&ONE, &FLAT, [HALF; 2], |_| true);
         "raster::ColourMap::forward": map([8, 8]).forward(&[[0.5; 3]], [0.0; 3], &mut [0.0; 12]);

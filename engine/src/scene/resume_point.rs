@@ -13,6 +13,10 @@
 //! | `found_nearest` | F32 `[1]` | inverse depth that counts as nearest |
 //! | `covered_cell` | U32 `[C]` | cells of the key frame whose foreground hides what earlier frames saw, where there are any |
 //! | `covered_at`, `covered_rgb` | F32 `[C,2]`, `[C,3]` | its place in pixels and its colour |
+//! | `kept_rgb` | F32 `[P]` | the key frame's picture, where it keeps Gaussians of those before |
+//! | `kept_count`, `kept_fitted` | U32 `[B]` | frames in the mean of each block; those in it when colours were fitted |
+//! | `kept_anchor` | F32 `[A]` | means over cells of blocks then |
+//! | `kept_position`, `kept_scale`, `kept_thickness`, `kept_opacity`, `kept_colour` | F32 `[N,3]`, `[N,2]`, `[N]`, `[N]`, `[N,3]` | its Gaussians |
 //! | `seconds` | F64 `[2]` | the key frame's time, the length of the interval before it |
 
 use std::collections::HashMap;
@@ -22,7 +26,9 @@ use safetensors::tensor::Dtype;
 
 use super::records::{self, float_bytes, floats, tensor, word_bytes, words};
 use crate::parallax::Found;
-use crate::stream::{Covered, Current, ResumePoint};
+use streamsplat_model::StaticGaussians;
+
+use crate::stream::{Covered, Current, KeptState, Past, ResumePoint};
 
 /// The key under which the note is stored.
 const NOTE: &str = "note";
@@ -63,6 +69,21 @@ pub fn resume_point_to_safetensors(point: Option<&ResumePoint>, note: &str) -> R
                 ("covered_rgb", Dtype::F32, vec![c, 3], float_bytes(&colours)),
             ]);
         }
+    }
+    if let Some(KeptState { rgb, past, gaussians: g }) = point.and_then(|point| point.kept.as_ref()) {
+        let n = g.position.len();
+        let number = |numbers: &[u32]| numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
+        tensors.extend([
+            ("kept_rgb", Dtype::F32, vec![rgb.len()], float_bytes(rgb)),
+            ("kept_count", Dtype::U32, vec![past.count.len()], number(&past.count)),
+            ("kept_fitted", Dtype::U32, vec![past.fitted.len()], number(&past.fitted)),
+            ("kept_anchor", Dtype::F32, vec![past.anchor.len()], float_bytes(&past.anchor)),
+            ("kept_position", Dtype::F32, vec![n, 3], float_bytes(g.position.as_flattened())),
+            ("kept_scale", Dtype::F32, vec![n, 2], float_bytes(g.scale.as_flattened())),
+            ("kept_thickness", Dtype::F32, vec![n], float_bytes(&g.thickness)),
+            ("kept_opacity", Dtype::F32, vec![n], float_bytes(&g.opacity)),
+            ("kept_colour", Dtype::F32, vec![n, 3], float_bytes(g.rgb.as_flattened())),
+        ]);
     }
     if let Some(found) = point.and_then(|point| point.found.as_ref()) {
         let shape = found.grid.to_vec();
@@ -147,6 +168,34 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
         depth,
         found,
         covered,
+        kept: kept(&file)?,
     };
     Ok((Some(point), note))
+}
+
+/// What a key frame keeps of those before.
+fn kept(file: &SafeTensors<'_>) -> Result<Option<KeptState>, String> {
+    if file.tensor("kept_rgb").is_err() {
+        return Ok(None);
+    }
+    let list = |name: &str, length: Option<usize>| {
+        let values = floats::<1>(tensor(file, name, Dtype::F32, &[length])?);
+        Ok::<Vec<f32>, String>(values.into_iter().flatten().collect())
+    };
+    let numbers = |name: &str| {
+        let bytes = tensor(file, name, Dtype::U32, &[None])?.as_chunks::<4>().0;
+        Ok::<Vec<u32>, String>(bytes.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect())
+    };
+    let past =
+        Past { count: numbers("kept_count")?, fitted: numbers("kept_fitted")?, anchor: list("kept_anchor", None)? };
+    let position = floats::<3>(tensor(file, "kept_position", Dtype::F32, &[None, Some(3)])?);
+    let n = Some(position.len());
+    let gaussians = StaticGaussians {
+        scale: floats::<2>(tensor(file, "kept_scale", Dtype::F32, &[n, Some(2)])?),
+        thickness: list("kept_thickness", n)?,
+        opacity: list("kept_opacity", n)?,
+        rgb: floats::<3>(tensor(file, "kept_colour", Dtype::F32, &[n, Some(3)])?),
+        position,
+    };
+    Ok(Some(KeptState { rgb: list("kept_rgb", None)?, past, gaussians }))
 }

@@ -1,6 +1,7 @@
 //! Evidence between two key frames: the frames in between where they are seen, optical flow, and what both say of the motion and the colours of the interval.
 
 use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::Arc;
 
 use streamsplat_kernels::Level;
@@ -31,8 +32,8 @@ pub(super) struct Seen {
     /// Its time in the interval.
     pub(super) t: f32,
     /// `[3, H, W]`
-    rgb: Vec<f32>,
-    flow: FlowView,
+    pub(super) rgb: Vec<f32>,
+    flow: Option<FlowView>,
 }
 
 /// Flow through an interval.
@@ -59,23 +60,49 @@ impl FlowView {
 }
 
 impl Seen {
-    /// A frame at `t` of the interval that ends with key frame `index`.
-    pub(super) fn new(
-        level: Level,
-        work: &mut Work,
-        mut frame: Frame,
-        t: f32,
-        placement: Placement,
-        index: u64,
-        effort: FlowEffort,
-    ) -> Result<Self, EngineError> {
+    /// A frame at `t` of an interval.
+    pub(super) fn new(level: Level, work: &mut Work, mut frame: Frame, t: f32, placement: Placement) -> Self {
         let rgb = work.measure(Stage::Fit, || {
             frame.rgb.iter_mut().for_each(|x| *x = x.clamp(0.0, 1.0));
             placement.fit_in(level, &frame.rgb)
         });
-        let flow = work.time(Stage::Flow, || FlowView::new(level, &rgb, placement.model, index, effort))?;
-        Ok(Self { t, rgb, flow })
+        Self { t, rgb, flow: None }
     }
+
+    /// Prepares it for flow, as a frame of the interval that ends with key frame `index`.
+    pub(super) fn prepare_flow(
+        &mut self,
+        level: Level,
+        work: &mut Work,
+        size: [usize; 2],
+        index: u64,
+        effort: FlowEffort,
+    ) -> Result<(), EngineError> {
+        self.flow = Some(work.time(Stage::Flow, || FlowView::new(level, &self.rgb, size, index, effort))?);
+        Ok(())
+    }
+}
+
+/// The pixels of a rectangle, rows and columns, of planes of this size.
+fn cut(planes: &[f32], [height, width]: [usize; 2], [rows, columns]: &[Range<usize>; 2]) -> Vec<f32> {
+    let mut part = Vec::with_capacity(planes.len() / (height * width).max(1) * rows.len() * columns.len());
+    for plane in planes.chunks_exact(height * width) {
+        for row in plane.chunks_exact(width).skip(rows.start).take(rows.len()) {
+            part.extend_from_slice(&row[columns.clone()]);
+        }
+    }
+    part
+}
+
+/// A field of this size that is zero outside a rectangle.
+fn placed(field: &Field, size: [usize; 2], [rows, columns]: &[Range<usize>; 2]) -> Field {
+    let mut whole = Field::zero(size);
+    for (at, row) in rows.clone().enumerate() {
+        let (to, from) = (row * size[1] + columns.start, at * columns.len());
+        whole.u[to..to + columns.len()].copy_from_slice(&field.u[from..from + columns.len()]);
+        whole.v[to..to + columns.len()].copy_from_slice(&field.v[from..from + columns.len()]);
+    }
+    whole
 }
 
 impl Flows {
@@ -89,7 +116,9 @@ impl Flows {
     ) -> Option<Self> {
         let (first, last) = (a.flow.as_ref()?, b.flow.as_ref()?);
         let mut frames = vec![(first, &a.rgb)];
-        frames.extend(between.iter().map(|seen| (&seen.flow, &seen.rgb)));
+        for seen in between {
+            frames.push((seen.flow.as_ref()?, &seen.rgb));
+        }
         frames.push((last, &b.rgb));
         let steps = frames
             .windows(2)
@@ -105,8 +134,39 @@ impl Flows {
                 work.measure(Stage::Flow, || flow::both(level, one, other, [None; 2], &options))
             })
             .collect();
-        let times = [0.0].into_iter().chain(between.iter().map(|seen| seen.t)).chain([1.0]).collect();
-        Some(Self { steps, times })
+        Some(Self { steps, times: times(between) })
+    }
+
+    /// The same where nothing moves outside a rectangle of pixels, rows and columns, or nothing at all (`None`).
+    pub(super) fn within(
+        level: Level,
+        work: &mut Work,
+        [a, b]: [&KeyView; 2],
+        between: &[Seen],
+        effort: FlowEffort,
+        rectangle: Option<&[Range<usize>; 2]>,
+        index: u64,
+    ) -> Result<Self, EngineError> {
+        let (size, times) = (a.resolution(), times(between));
+        let Some(rectangle) = rectangle else {
+            work.count(Stage::Flow, 0, times.len() as u64 - 1);
+            let still = || [Field::zero(size), Field::zero(size)];
+            return Ok(Self { steps: times.windows(2).map(|_| still()).collect(), times });
+        };
+        let part = [0, 1].map(|axis| rectangle[axis].len());
+        let frames = [&a.rgb].into_iter().chain(between.iter().map(|seen| &seen.rgb)).chain([&b.rgb]);
+        let views = work.time(Stage::Flow, || {
+            frames
+                .map(|rgb| FlowView::new(level, &cut(rgb, size, rectangle), part, index, effort))
+                .collect::<Result<Vec<_>, _>>()
+        })?;
+        let steps = views.windows(2).map(|pair| {
+            let fields = work.measure(Stage::Flow, || {
+                flow::both(level, &pair[0].pyramid, &pair[1].pyramid, [None; 2], &options(effort))
+            });
+            fields.map(|field| placed(&field, size, rectangle))
+        });
+        Ok(Self { steps: steps.collect(), times })
     }
 
     /// The motion of the Gaussians of both key frames; what flow does not tell is the network's.
@@ -186,6 +246,11 @@ fn options(effort: FlowEffort) -> flow::Options {
         FlowEffort::Fine => flow::Options::default(),
         FlowEffort::Coarse => flow::Options { finest: 2, refinement: 2, ..flow::Options::default() },
     }
+}
+
+/// Times of the frames of an interval, its key frames' among them.
+fn times(between: &[Seen]) -> Vec<f32> {
+    [0.0].into_iter().chain(between.iter().map(|seen| seen.t)).chain([1.0]).collect()
 }
 
 /// Every `every`-th of the frames in between as a target of colours, from the middle of the first `every` on.

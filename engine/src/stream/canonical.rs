@@ -19,6 +19,7 @@
 //!
 //! Pairwise fusion keeps the current Gaussians alone and hands nothing over.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -28,6 +29,7 @@ use streamsplat_model::StaticGaussians;
 
 use super::fuse::{Meeting, fuse};
 use super::identities::Identities;
+use super::keep::Change;
 use super::matching::Lattice;
 use super::reconstructor::Motion;
 use super::{DynamicGaussians, Fusion, Merge, Record, Reference};
@@ -87,6 +89,8 @@ impl Layers {
 #[derive(Debug, Default)]
 pub(crate) struct Advance {
     pub(crate) gaussians: DynamicGaussians,
+    /// Which of these are kept.
+    pub(crate) kept: Range<usize>,
     pub(crate) merges: Vec<Merge>,
     pub(crate) dropped: u64,
 }
@@ -109,6 +113,14 @@ pub(crate) struct Step<'a> {
     pub(crate) image: [usize; 2],
     pub(crate) fusion: Fusion,
     pub(crate) max_age: u32,
+    /// What becomes of each Gaussian of the frame before; `None` where all are computed. Kept ones have the same place in both frames.
+    pub(crate) kept: Option<&'a [Change]>,
+}
+
+impl Step<'_> {
+    fn keeps(&self, cell: u32) -> bool {
+        self.kept.is_some_and(|kept| kept[cell as usize] != Change::All)
+    }
 }
 
 impl CanonicalSet {
@@ -134,6 +146,7 @@ impl CanonicalSet {
         let frame = self.frame + 1;
         let mut out = Advance::default();
         let (mut old, of_old) = self.updated(step, &mut out.dropped);
+        let kept = self.kept(step);
         let mut new = arriving(step, frame, &mut out.dropped);
         let mut identities = self.identities.clone();
         let survivors = match step.fusion {
@@ -161,8 +174,12 @@ impl CanonicalSet {
             birth: a.record.birth,
             offset: a.record.offset,
         };
-        let current = new.iter().map(current).collect();
-        let of_old = old.par_chunks(CHUNK).map(|records| records.iter().copied().collect());
+        // In the order in which they are drawn, so that crossing a key frame changes no bit.
+        let staying = self.current.iter().filter(|current| step.keeps(current.cell)).copied();
+        let current = staying.chain(new.iter().map(current)).collect();
+        out.kept = old.len()..old.len() + kept.len();
+        let of_old =
+            old.par_chunks(CHUNK).chain(kept.par_chunks(CHUNK)).map(|records| records.iter().copied().collect());
         let of_new =
             new.par_chunks(CHUNK).map(|arrivals| arrivals.iter().filter(|a| a.shown).map(|a| a.record).collect());
         out.gaussians = DynamicGaussians::concat(&of_old.chain(of_new).collect::<Vec<DynamicGaussians>>());
@@ -193,7 +210,24 @@ impl CanonicalSet {
         }
     }
 
-    /// The old Gaussians over the new interval: survivors, then the frame at its start; and their layers, survivors among the first.
+    /// The Gaussians that are kept, from one key frame to the other.
+    fn kept(&self, step: &Step<'_>) -> Vec<Record> {
+        let staying = self.current.iter().filter(|current| step.keeps(current.cell));
+        let record = |current: &Current| {
+            let cell = current.cell as usize;
+            let (then, now) = (self.gaussians.rgb[cell], step.gaussians.rgb[cell]);
+            Record {
+                rgb_rate: std::array::from_fn(|channel| now[channel] - then[channel]),
+                identity: current.identity,
+                birth: current.birth,
+                offset: current.offset,
+                ..still(&self.gaussians, cell, self.frame)
+            }
+        };
+        staying.map(record).collect()
+    }
+
+    /// The old Gaussians over the new interval that are not kept: survivors, then the frame at its start; and their layers, survivors among the first.
     fn updated(&self, step: &Step<'_>, dropped: &mut u64) -> (Vec<Record>, Layers) {
         let mut old = Vec::with_capacity(self.survivors.len() + self.current.len());
         // The same velocity in the scene's own time.
@@ -202,7 +236,8 @@ impl CanonicalSet {
             let velocity = survivor.velocity.map(|v| (f64::from(v) * longer) as f32);
             old.push(Record { velocity, ..*survivor });
         }
-        old.par_extend(self.current.par_iter().with_min_len(CHUNK).map(|current| {
+        let leaving: Vec<&Current> = self.current.iter().filter(|current| !step.keeps(current.cell)).collect();
+        old.par_extend(leaving.par_iter().with_min_len(CHUNK).map(|current| {
             let cell = current.cell as usize;
             Record {
                 velocity: step.forward.0[cell],
@@ -213,7 +248,8 @@ impl CanonicalSet {
                 ..still(&self.gaussians, cell, self.frame)
             }
         }));
-        let before = |end: usize| self.current.partition_point(|current| (current.cell as usize) < end);
+        // Layers follow each other where a frame has more than one: nothing is kept there.
+        let before = |end: usize| leaving.iter().filter(|current| (current.cell as usize) < end).count();
         let mut ends = [self.layers.cells, self.layers.seen].map(|end| self.survivors.len() + before(end));
         let all = old.len();
         if !old.par_iter().with_min_len(CHUNK).all(Record::is_sound) {
@@ -241,6 +277,9 @@ fn arriving(step: &Step<'_>, frame: u64, dropped: &mut u64) -> Vec<Arrival> {
         let mut lost = 0;
         let mut new = Vec::with_capacity(CHUNK);
         for cell in chunk * CHUNK..count.min((chunk + 1) * CHUNK) {
+            if step.keeps(cell as u32) {
+                continue;
+            }
             let record = still(step.gaussians, cell, frame);
             if !record.is_sound() {
                 lost += 1;

@@ -13,9 +13,13 @@
 //! The steps end early once one lowers the sum of squares by less than [`ENOUGH`] of what is left. Results are clamped: c₀ to [`RANGE`], c₁ so that the colour at the
 //! interval's other end, where little of the Gaussian is left to be seen, lies in [`FAR_RANGE`]. (Held to [`RANGE`] there, colours fit 3 dB worse in between.)
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
-use streamsplat_kernels::raster::{ColourFit, ColourMap, FitView, Gaussians, Preparation, Projection, Solution};
+use streamsplat_kernels::raster::{
+    ColourFit, ColourMap, Effort, FitView, Gaussians, Preparation, Projection, Solution, TILE_PIXELS,
+};
 use streamsplat_model::StaticGaussians;
 
 use super::gaussians::deviations;
@@ -40,6 +44,8 @@ const FAR_RANGE: [f32; 2] = [-4.0, 5.0];
 const BACKGROUND: [f32; 3] = [0.5; 3];
 
 type Colours = Vec<[f32; 3]>;
+/// Rows and columns of pixels of a raster tile.
+pub(super) type Pixels = [Range<usize>; 2];
 
 /// Maps from colours to images, and their memory, kept from fit to fit.
 pub(super) struct Fitter {
@@ -52,6 +58,20 @@ pub(super) struct Fitter {
 struct Fitted {
     unknown: Vec<u32>,
     factor: Vec<f32>,
+}
+
+/// An interval whose colour rates are fitted.
+pub(super) struct Rates<'a> {
+    pub(super) gaussians: &'a DynamicGaussians,
+    /// Those that have their rates already.
+    pub(super) kept: Range<usize>,
+    pub(super) targets: &'a [Target<'a>],
+    /// True if a depth map lifts Gaussians of it.
+    pub(super) lifted: bool,
+    /// The mean square up to which a tile of an image is close enough to its frame.
+    pub(super) close: f64,
+    /// The raster tiles whose pixels count.
+    pub(super) wanted: &'a dyn Fn(Pixels) -> bool,
 }
 
 /// A frame to come near to.
@@ -69,7 +89,7 @@ impl Fitter {
     }
 
     /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. `held`: the factor on each Gaussian's unknowns
-    /// ([`FitView`]), 0 for one that keeps its colour; none where all are free.
+    /// ([`FitView`]), 0 for one that keeps its colour; none where all are free. `wanted`: the raster tiles whose pixels count.
     pub(super) fn key(
         &mut self,
         gaussians: &StaticGaussians,
@@ -77,6 +97,7 @@ impl Fitter {
         frame: &[f32],
         resolution: [usize; 2],
         steps: u32,
+        wanted: &dyn Fn(Pixels) -> bool,
     ) -> (Colours, u32) {
         let mut view = Snapshot::default();
         for (i, &position) in gaussians.position.iter().enumerate() {
@@ -95,8 +116,8 @@ impl Fitter {
             true => Vec::new(),
             false => view.index.iter().map(|&i| held[i as usize]).collect(),
         };
-        let fitted = vec![self.prepare(0, view, factor, resolution)];
-        let Solution { change, steps: taken } = self.solve(&fitted, &[frame], &gaussians.rgb, RIDGE, steps);
+        let fitted = vec![self.prepare(0, view, factor, resolution, wanted)];
+        let Solution { change, steps: taken } = self.solve(&fitted, &[frame], &gaussians.rgb, RIDGE, (steps, 0.0));
         let mut colours = gaussians.rgb.clone();
         for (i, (colour, change)) in colours.iter_mut().zip(change).enumerate() {
             let change = held.get(i).map_or(change, |held| change.map(|c| c * held));
@@ -109,29 +130,40 @@ impl Fitter {
         (colours, taken)
     }
 
-    /// The colour rates c₁ of an interval, from frames in it, and the steps they took. `lifted`: a depth map lifts Gaussians of it.
-    pub(super) fn rates(
-        &mut self,
-        gaussians: &DynamicGaussians,
-        targets: &[Target<'_>],
-        resolution: [usize; 2],
-        lifted: bool,
-        steps: u32,
-    ) -> (Colours, u32) {
+    /// The colour rates c₁ of an interval, from frames in it, and the steps they took.
+    pub(super) fn rates(&mut self, fit: Rates<'_>, resolution: [usize; 2], steps: u32) -> (Colours, u32) {
+        let Rates { gaussians, kept, targets, lifted, close, wanted } = fit;
+        if targets.is_empty() {
+            return (gaussians.rgb_rate.clone(), 0);
+        }
         // One after another: only the weights of a view are kept.
         let fitted: Vec<Fitted> = targets
             .iter()
             .enumerate()
             .map(|(place, target)| {
                 let view = Snapshot::new(self.level, gaussians, target.t);
-                let factor = view.index.par_iter().map(|&i| gaussians.reference[i as usize].tau(target.t)).collect();
-                self.prepare(place, view, factor, resolution)
+                let tau = |&i: &u32| match kept.contains(&(i as usize)) {
+                    true => 0.0,
+                    false => gaussians.reference[i as usize].tau(target.t),
+                };
+                let factor = view.index.par_iter().map(tau).collect();
+                self.prepare(place, view, factor, resolution, wanted)
             })
             .collect();
+        // Colours that change already count as they are halfway.
+        let halfway = |i: usize| match kept.contains(&i) {
+            true => std::array::from_fn(|c| 0.5f32.mul_add(gaussians.rgb_rate[i][c], gaussians.rgb[i][c])),
+            false => gaussians.rgb[i],
+        };
+        let from: Colours = (0..gaussians.len()).into_par_iter().with_min_len(CHUNK).map(halfway).collect();
         let ridge = if lifted { RIDGE_LIFTED } else { RIDGE };
         let frames: Vec<&[f32]> = targets.iter().map(|target| target.rgb).collect();
-        let Solution { change: mut rates, steps: taken } = self.solve(&fitted, &frames, &gaussians.rgb, ridge, steps);
+        let Solution { change: mut rates, steps: taken } = self.solve(&fitted, &frames, &from, ridge, (steps, close));
         rates.par_iter_mut().with_min_len(CHUNK).enumerate().for_each(|(i, rate)| {
+            if kept.contains(&i) {
+                *rate = gaussians.rgb_rate[i];
+                return;
+            }
             // At the other end of the interval the colour is rgb + rate or rgb − rate.
             let sign: f32 = if gaussians.reference[i] == Reference::Start { 1.0 } else { -1.0 };
             for (rate, rgb) in rate.iter_mut().zip(gaussians.rgb[i]) {
@@ -145,21 +177,41 @@ impl Fitter {
     }
 
     /// Makes the map at a place that of a view.
-    fn prepare(&mut self, place: usize, view: Snapshot, factor: Vec<f32>, [height, width]: [usize; 2]) -> Fitted {
+    fn prepare(
+        &mut self,
+        place: usize,
+        view: Snapshot,
+        factor: Vec<f32>,
+        [height, width]: [usize; 2],
+        wanted: &dyn Fn(Pixels) -> bool,
+    ) -> Fitted {
         let Self { level, maps, preparation } = self;
         maps.resize_with(maps.len().max(place + 1), || ColourMap::new(*level));
         let projection = Projection::Orthographic { focal: [0.5 * width as f32, 0.5 * height as f32] };
         let Snapshot { index, mean, scale, opacity, rgb, .. } = view;
         let gaussians = Gaussians { mean: &mean, scale: &scale, rotation: None, opacity: &opacity, rgb: &rgb };
-        maps[place].prepare_in(preparation, &gaussians, &projection, [width, height]);
+        let columns = width.div_ceil(TILE_PIXELS[0]);
+        let of_tile = |tile: usize| {
+            let [x, y] = [tile % columns * TILE_PIXELS[0], tile / columns * TILE_PIXELS[1]];
+            wanted([y..(y + TILE_PIXELS[1]).min(height), x..(x + TILE_PIXELS[0]).min(width)])
+        };
+        maps[place].prepare_in(preparation, &gaussians, &projection, [width, height], of_tile);
         Fitted { unknown: index, factor }
     }
 
     /// The fit of the first maps, as many as are `fitted`, to `frames`, from the colours `from`, which the ridge keeps them near to.
-    fn solve(&self, fitted: &[Fitted], frames: &[&[f32]], from: &[[f32; 3]], ridge: f32, steps: u32) -> Solution {
+    fn solve(
+        &self,
+        fitted: &[Fitted],
+        frames: &[&[f32]],
+        from: &[[f32; 3]],
+        ridge: f32,
+        (steps, close): (u32, f64),
+    ) -> Solution {
         let views =
             self.maps.iter().zip(fitted).map(|(map, of)| FitView { map, unknown: &of.unknown, factor: &of.factor });
         let views = views.collect();
-        ColourFit::new(self.level, views, from.len(), ridge).solve(from, frames, BACKGROUND, steps, ENOUGH)
+        let effort = Effort { steps, enough: ENOUGH, close };
+        ColourFit::new(self.level, views, from.len(), ridge).solve(from, frames, BACKGROUND, effort)
     }
 }

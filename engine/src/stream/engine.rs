@@ -9,7 +9,8 @@ use streamsplat_model::reuse::{Saving, Tokens};
 
 use super::between::{Flows, Seen, targets};
 use super::canonical::{Advance, CanonicalSet, Step};
-use super::colours::{Fitter, Target};
+use super::colours::{Fitter, Rates, Target};
+use super::keep::{Blocks, Change, Kept, Lattice};
 use super::keyframe::{AlignedMap, Context, KeyView};
 use super::lift::{Alignment, DepthMap, Memory, Past, align, contradiction};
 use super::motion::{completed, fixed};
@@ -17,7 +18,8 @@ use super::pair::Pair;
 use super::tiles::Tiles;
 use super::work::Stage;
 use super::{
-    EngineError, Fade, Frame, Interval, MotionFrom, Reconstructor, ResumePoint, Reuse, Settings, Work, Workers,
+    EngineError, Fade, Frame, Fusion, Interval, MotionFrom, Reconstructor, ResumePoint, Reuse, SamplingMode, Settings,
+    StillParts, Work, Workers,
 };
 use crate::fit::Placement;
 use crate::parallax::{self, Evidence, Found};
@@ -174,13 +176,26 @@ impl Engine {
     ) -> Result<(State, Interval), EngineError> {
         let Self { settings, workers, work, fitter, state, .. } = self;
         let mut context = Context::new(settings, workers, work, fitter, tiles, state.as_ref());
-        let (mut view, lost) = context.reconstruct(frame, index, placement)?;
-        let seen = self.seen(between, index, timestamp, placement)?;
+        let (mut view, lost) = context.fitted(frame, placement);
+        let mut seen = self.seen(between, timestamp, placement);
         let level = self.workers.level();
-        let flows = match &self.state {
-            None => None,
-            Some(state) => Flows::new(level, &mut self.work, [&state.view, &view], &seen, self.settings.flow),
+        let mut keeping = self.keep(&mut view, &mut seen);
+        let mut flows = match &keeping {
+            Some(Keeping { kept, .. }) => self.flows_within(kept, &view, &seen, index)?,
+            None => self.flows(&mut view, &mut seen, index)?,
         };
+        let standing = keeping.as_ref().is_some_and(|keeping| keeping.kept.mostly());
+        let depths = match standing {
+            true => Depths::default(),
+            false => self.found(tiles, &mut view, flows.as_ref(), index)?,
+        };
+        if depths.found.is_some() && keeping.take().is_some() {
+            // What is lifted is not kept.
+            flows = self.flows(&mut view, &mut seen, index)?;
+        }
+        let cells = keeping.as_ref().map(|keeping| &keeping.cells[..]);
+        let Self { settings, workers, work, fitter, state, .. } = self;
+        Context::new(settings, workers, work, fitter, tiles, state.as_ref()).reconstruct(&mut view, cells, index)?;
         // All that can be refused comes before the state changes.
         let next_pair = match &self.state {
             Some(state) if self.settings.deforms() => {
@@ -193,7 +208,7 @@ impl Engine {
             }
             None => None,
         };
-        let Depths { found, first } = self.found(tiles, &view, flows.as_ref(), index);
+        let Depths { found, first } = depths;
         if let Some(first) = first {
             self.lift_first(tiles, first);
         }
@@ -207,7 +222,10 @@ impl Engine {
             Some(Past { level, map, rgb, covered: &added.covered, back: flows.back() })
         });
         let mut context = Context::new(settings, workers, work, fitter, tiles, before.as_ref());
-        context.finish(&mut view, map, &past.map_or(Memory::None, Memory::Past));
+        match (&keeping, before.as_ref()) {
+            (Some(Keeping { kept, cells }), Some(state)) => context.finish_kept(&mut view, &state.view, kept, cells),
+            _ => context.finish(&mut view, map, &past.map_or(Memory::None, Memory::Past)),
+        }
         let (set, advance) = match before {
             None => CanonicalSet::first(&view.gaussians, view.layers()),
             Some(state) => {
@@ -245,6 +263,7 @@ impl Engine {
                     image: placement.model,
                     fusion: settings.fusion,
                     max_age: settings.max_age.0,
+                    kept: keeping.as_ref().map(|keeping| &keeping.cells[..]),
                 };
                 let (mut set, mut advance) = work.measure(Stage::Fusion, || state.set.advance(&step));
                 let steps = settings.refine();
@@ -252,8 +271,19 @@ impl Engine {
                     let predicted = work.time(Stage::Flow, || flows.predicted(level, views));
                     let mut targets = targets(&seen, settings.refine_every() as usize);
                     targets.extend(predicted.iter().map(|(t, rgb)| Target { t: *t, rgb }));
+                    let changing = keeping.as_ref().is_none_or(|keeping| keeping.kept.changing().is_some());
                     let (rates, taken) = work.time(Stage::Colours, || {
-                        fitter.rates(&advance.gaussians, &targets, placement.model, step.lifted, steps)
+                        let fit = Rates {
+                            gaussians: &advance.gaussians,
+                            kept: advance.kept.clone(),
+                            targets: if changing { &targets } else { &[] },
+                            lifted: step.lifted,
+                            close: settings.close(),
+                            wanted: &|pixels| {
+                                keeping.as_ref().is_none_or(|k| k.kept.any_in(pixels, |change| change == Change::All))
+                            },
+                        };
+                        fitter.rates(fit, placement.model, steps)
                     });
                     work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
                     advance.gaussians.rgb_rate = rates;
@@ -264,40 +294,95 @@ impl Engine {
         };
         let start = before.as_ref().map_or(timestamp, |s| s.timestamp);
         let state = State { frame: index, timestamp, placement, view, pair: next_pair, set, found };
-        let Advance { gaussians, merges, dropped } = advance;
+        let Advance { gaussians, merges, dropped, .. } = advance;
         let dropped = dropped + lost;
         Ok((state, Interval { index, start, end: timestamp, gaussians, placement, merges, dropped }))
     }
 
-    /// The frames in between as flow sees them.
-    fn seen(
-        &mut self,
-        between: Vec<(Frame, f64)>,
-        index: u64,
-        timestamp: f64,
-        placement: Placement,
-    ) -> Result<Vec<Seen>, EngineError> {
-        let Some(state) = &self.state else { return Ok(Vec::new()) };
-        let (level, work, effort) = (self.workers.level(), &mut self.work, self.settings.flow);
+    /// The frames in between at the model's size.
+    fn seen(&mut self, between: Vec<(Frame, f64)>, timestamp: f64, placement: Placement) -> Vec<Seen> {
+        let Some(state) = &self.state else { return Vec::new() };
+        let (level, work) = (self.workers.level(), &mut self.work);
         let length = length(state.timestamp, timestamp);
         let relative = |time: f64| ((time - state.timestamp) / length) as f32;
-        between
-            .into_iter()
-            .map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement, index, effort))
-            .collect()
+        between.into_iter().map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement)).collect()
+    }
+
+    /// What the interval from the key frame before to this one keeps. Where something is, `view` and `seen` show the mean there.
+    fn keep(&self, view: &mut KeyView, seen: &mut [Seen]) -> Option<Keeping> {
+        let Self { settings, state, .. } = self;
+        let before = &state.as_ref()?.view;
+        let wanted = settings.still() == StillParts::Keep
+            && settings.motion() != MotionFrom::Network
+            && !settings.deforms()
+            && settings.fusion == Fusion::Persistent
+            && settings.sampling == SamplingMode::Mean
+            && settings.refine() > 0;
+        if !wanted || view.has_depth() || before.map.is_some() {
+            return None;
+        }
+        let cells = Lattice::of(before.gaussians.position.len(), view.resolution())?;
+        let blocks = Blocks::of(view.resolution())?;
+        let mut frames: Vec<(f32, &mut Vec<f32>)> = seen.iter_mut().map(|seen| (seen.t, &mut seen.rgb)).collect();
+        frames.push((1.0, &mut view.rgb));
+        let kept = Kept::of(blocks, &before.rgb, before.past.as_ref(), &mut frames)?;
+        let cells = kept.of_cells(&cells);
+        Some(Keeping { kept, cells })
+    }
+
+    /// Flow through the interval; none where motion is the network's.
+    fn flows(&mut self, view: &mut KeyView, seen: &mut [Seen], index: u64) -> Result<Option<Flows>, EngineError> {
+        if self.settings.motion() == MotionFrom::Network {
+            return Ok(None);
+        }
+        let (level, effort, size) = (self.workers.level(), self.settings.flow, view.resolution());
+        let Self { work, state, .. } = self;
+        view.prepare_flow(level, work, effort, index)?;
+        let Some(state) = state else { return Ok(None) };
+        state.view.prepare_flow(level, work, effort, index)?;
+        for seen in &mut *seen {
+            seen.prepare_flow(level, work, size, index, effort)?;
+        }
+        Ok(Flows::new(level, work, [&state.view, view], seen, effort))
+    }
+
+    /// Flow through what changes.
+    fn flows_within(
+        &mut self,
+        kept: &Kept,
+        view: &KeyView,
+        seen: &[Seen],
+        index: u64,
+    ) -> Result<Option<Flows>, EngineError> {
+        let (level, effort, rectangle) = (self.workers.level(), self.settings.flow, kept.changing());
+        let Some(state) = &self.state else { return Ok(None) };
+        let views = [&state.view, view];
+        Flows::within(level, &mut self.work, views, seen, effort, rectangle.as_ref(), index).map(Some)
     }
 
     /// Depth found by parallax for key frame `index`, where that is asked for and the frame has no map of its own.
-    fn found(&mut self, tiles: &Tiles, view: &KeyView, flows: Option<&Flows>, index: u64) -> Depths {
+    fn found(
+        &mut self,
+        tiles: &Tiles,
+        view: &mut KeyView,
+        flows: Option<&Flows>,
+        index: u64,
+    ) -> Result<Depths, EngineError> {
         let Self { settings, work, workers, state, .. } = self;
         let wanted = settings.find_depth() && tiles.ignores_depth() && !view.has_depth();
-        let Some((state, flows)) = state.as_ref().filter(|_| wanted).zip(flows) else { return Depths::default() };
+        let Some((state, flows)) = state.as_mut().filter(|_| wanted).zip(flows) else { return Ok(Depths::default()) };
         if view.repeats(&state.view) {
             work.count(Stage::Parallax, 0, 1);
-            return Depths { found: state.found.clone(), first: None };
+            return Ok(Depths { found: state.found.clone(), first: None });
         }
         let level = workers.level();
-        let Some(flow) = flows.whole(level, work, [&state.view, view], settings.flow) else { return Depths::default() };
+        for view in [&mut state.view, &mut *view] {
+            view.prepare_flow(level, work, settings.flow, index)?;
+        }
+        let view = &*view;
+        let Some(flow) = flows.whole(level, work, [&state.view, view], settings.flow) else {
+            return Ok(Depths::default());
+        };
         // From the key frame before and back.
         let [forth, back] = &*flow;
         let evidence = Evidence { rgb: &view.rgb, there: back, back: forth };
@@ -308,7 +393,7 @@ impl Engine {
             let evidence = Evidence { rgb: &state.view.rgb, there: forth, back };
             work.measure(Stage::Parallax, || parallax::find(level, evidence, Some(found), stream(0)))
         });
-        Depths { found, first }
+        Ok(Depths { found, first })
     }
 
     /// Lifts the stream's first key frame, which nothing was found for when it came.
@@ -339,7 +424,13 @@ impl Engine {
         let mut tiles = self.tiles(placement)?;
         let Self { settings, workers, work, fitter, .. } = self;
         let mut context = Context::new(settings, workers, work, fitter, &mut tiles, None);
-        let view = context.reconstruct(frame, point.frame, placement).map(|(mut view, _)| {
+        let (mut view, _) = context.fitted(frame, placement);
+        if let Some(kept) = &point.kept {
+            kept.restore(&mut view);
+            self.tiles = Some(tiles);
+            return Ok((placement, view));
+        }
+        let view = context.reconstruct(&mut view, None, point.frame).map(|()| {
             let level = workers.level();
             let alignment = Alignment::from(point.depth);
             let found = point.found.as_ref().filter(|found| found.contradiction(placement.model).is_none());
@@ -428,6 +519,13 @@ impl<'a> Context<'a> {
         let before = before.filter(|_| settings.reuse != Reuse::Off).map(|state| &state.view);
         Context { settings, level: workers.level(), work, tiles, fitter, before }
     }
+}
+
+/// What an interval keeps.
+struct Keeping {
+    kept: Kept,
+    /// What becomes of each Gaussian of the key frame before.
+    cells: Vec<Change>,
 }
 
 /// Depth found by parallax.

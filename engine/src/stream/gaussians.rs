@@ -72,6 +72,24 @@ impl Reference {
     }
 }
 
+/// A colour after a change; the colour itself, to the bit, after none.
+pub(super) fn arrived(colour: f32, change: f32) -> f32 {
+    if change == 0.0 { colour } else { colour + change }
+}
+
+/// The colour near `end` at which a record from `start` arrives, to the bit, when its change is their difference.
+pub(super) fn reached(start: f32, end: f32) -> f32 {
+    let mut end = end;
+    for _ in 0..4 {
+        let next = arrived(start, end - start);
+        if next.to_bits() == end.to_bits() {
+            return end;
+        }
+        end = next;
+    }
+    start
+}
+
 /// Standard deviations along x, y and z of scene space: s_x, s_z, and their mean times the thickness.
 pub(super) fn deviations([sx, sz]: [f32; 2], thickness: f32) -> [f32; 3] {
     [sx, sz, (sx + sz) * 0.5 * thickness]
@@ -149,10 +167,7 @@ impl Record {
     /// `rgb` as it is, to the bit.
     pub fn rgb_at(&self, t: f32) -> [f32; 3] {
         let tau = self.reference.tau(t);
-        std::array::from_fn(|channel| {
-            let change = self.rgb_rate[channel] * tau;
-            if change == 0.0 { self.rgb[channel] } else { self.rgb[channel] + change }
-        })
+        std::array::from_fn(|channel| arrived(self.rgb[channel], self.rgb_rate[channel] * tau))
     }
 
     /// Opacity at `t` in [0, 1].

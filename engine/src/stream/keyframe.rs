@@ -7,11 +7,13 @@ use streamsplat_model::{Embedding, FrameInput, Sampling, StaticGaussians};
 
 use super::between::FlowView;
 use super::canonical::Layers;
-use super::colours::Fitter;
+use super::colours::{Fitter, Pixels};
+use super::gaussians::reached;
+use super::keep::{Change, Kept, Past, with_kept};
 use super::lift::{Added, Alignment, DepthMap, Memory, lift, normalise_most};
 use super::tiles::{Tile, Tiles};
 use super::work::Stage;
-use super::{Behind, DepthRange, EngineError, Frame, MotionFrom, SamplingMode, Settings, Work};
+use super::{Behind, DepthRange, EngineError, FlowEffort, Frame, SamplingMode, Settings, Work};
 use crate::fit::{self, Placement};
 use crate::parallax::Found;
 
@@ -21,7 +23,8 @@ pub(super) struct KeyView {
     pub(super) rgb: Vec<f32>,
     /// `[H, W]`
     depth: Option<Vec<f32>>,
-    pub(super) tiles: Vec<TileView>,
+    /// `None` for tiles of which nothing was computed, because all their Gaussians are kept.
+    pub(super) tiles: Vec<Option<TileView>>,
     /// The Gaussians of all tiles, in the frame's world, lifted to the frame's depth and with colours that fit the frame where that is asked for; none before
     /// [`Context::finish`].
     pub(super) gaussians: Arc<StaticGaussians>,
@@ -31,6 +34,8 @@ pub(super) struct KeyView {
     pub(super) map: Option<AlignedMap>,
     /// Where motion is taken from frames.
     pub(super) flow: Option<FlowView>,
+    /// The past of its blocks, where some are kept from the key frame before; `rgb` is then the mean in them.
+    pub(super) past: Option<Past>,
     resolution: [usize; 2],
 }
 
@@ -89,13 +94,8 @@ pub(super) struct Context<'a> {
 }
 
 impl Context<'_> {
-    /// Key frame `index` through its own part of the network, not [finished](Self::finish), and the number of depth values that were not finite.
-    pub(super) fn reconstruct(
-        &mut self,
-        frame: Frame,
-        index: u64,
-        placement: Placement,
-    ) -> Result<(KeyView, u64), EngineError> {
+    /// A key frame at the model's size, of which nothing is computed yet, and the number of depth values that were not finite.
+    pub(super) fn fitted(&mut self, frame: Frame, placement: Placement) -> (KeyView, u64) {
         let Frame { mut rgb, mut depth, .. } = frame;
         let (level, range, lifts) = (self.level, self.settings.depth_range, self.tiles.ignores_depth());
         let mut lost = 0;
@@ -106,27 +106,48 @@ impl Context<'_> {
             }
             (placement.fit_in(level, &rgb), depth.map(|d| placement.fit_in(level, &d)))
         });
-        let mut tiles = Vec::with_capacity(self.tiles.tiles.len());
-        for at in 0..self.tiles.tiles.len() {
-            tiles.push(self.tile(at, &rgb, depth.as_deref().filter(|_| !lifts), index)?);
-        }
-        let resolution = self.tiles.resolution;
-        let flow = match self.settings.motion() {
-            MotionFrom::Network => None,
-            _ => Some(
-                self.work.time(Stage::Flow, || FlowView::new(level, &rgb, resolution, index, self.settings.flow))?,
-            ),
-        };
-        let gaussians = Arc::default();
-        Ok((KeyView { rgb, depth, tiles, gaussians, added: Added::default(), map: None, flow, resolution }, lost))
+        (KeyView::of(rgb, depth, self.tiles.resolution), lost)
     }
 
-    /// Puts the Gaussians of a frame's tiles together, lifts them to `map` and fits their colours, where either is asked for. `memory`: of what
+    /// Key frame `index` through its own part of the network, not [finished](Self::finish): tiles with a cell that is not kept.
+    pub(super) fn reconstruct(
+        &mut self,
+        view: &mut KeyView,
+        kept: Option<&[Change]>,
+        index: u64,
+    ) -> Result<(), EngineError> {
+        let lifts = self.tiles.ignores_depth();
+        let wanted = self.tiles.holding(|cell| kept.is_none_or(|kept| kept[cell] == Change::All));
+        let wanted = match kept {
+            Some(kept) if kept.iter().all(|change| *change != Change::All) => vec![false; wanted.len()],
+            _ => wanted,
+        };
+        let mut tiles = Vec::with_capacity(wanted.len());
+        for (at, wanted) in wanted.into_iter().enumerate() {
+            let depth = view.depth.as_deref().filter(|_| !lifts);
+            if wanted {
+                tiles.push(Some(self.tile(at, &view.rgb, depth, index)?));
+                continue;
+            }
+            for stage in [Stage::Encoder, Stage::Upsampler, Stage::Condition, Stage::Heads] {
+                self.work.count(stage, 0, 1);
+            }
+            tiles.push(None);
+        }
+        view.tiles = tiles;
+        Ok(())
+    }
+
+    /// Puts the Gaussians of a frame's tiles together, lifts them to `map` and fits their colours, where either is wanted. `memory`: of what
     /// the frame's foreground hides.
     pub(super) fn finish(&mut self, view: &mut KeyView, map: Option<AlignedMap>, memory: &Memory<'_>) {
         let unchanged = |before: &&KeyView| {
-            let same = |(then, now): (&TileView, &TileView)| Arc::ptr_eq(&then.gaussians, &now.gaussians);
-            before.map == map && before.tiles.iter().zip(&view.tiles).all(same)
+            let same = |(then, now): (&Option<TileView>, &Option<TileView>)| match (then, now) {
+                (Some(then), Some(now)) => Arc::ptr_eq(&then.gaussians, &now.gaussians),
+                _ => false,
+            };
+            // What was kept is no function of the frame.
+            before.past.is_none() && before.map == map && before.tiles.iter().zip(&view.tiles).all(same)
         };
         if let Some(before) = self.before.filter(unchanged) {
             view.gaussians = before.gaussians.clone();
@@ -134,8 +155,7 @@ impl Context<'_> {
             view.map = map;
             return;
         }
-        let of_tiles: Vec<_> = view.tiles.iter().map(|tile| tile.gaussians.clone()).collect();
-        view.gaussians = self.tiles.gaussians(&of_tiles);
+        view.gaussians = self.put_together(view);
         if let Some(AlignedMap { map, .. }) = &map {
             let memory = (self.settings.behind == Behind::On).then_some(memory);
             let (level, gaussians) = (self.level, Arc::make_mut(&mut view.gaussians));
@@ -146,17 +166,54 @@ impl Context<'_> {
             self.work.count(Stage::Covered, *known as u64, 0);
         }
         view.map = map;
-        view.gaussians = self.coloured(view.gaussians.clone(), &view.added.held, &view.rgb);
+        view.gaussians = self.coloured(view.gaussians.clone(), &view.added.held, &view.rgb, &|_| true);
     }
 
-    /// The Gaussians with colours that fit the frame, where that is asked for.
-    fn coloured(&mut self, gaussians: Arc<StaticGaussians>, held: &[f32], frame: &[f32]) -> Arc<StaticGaussians> {
+    /// The Gaussians of a frame's tiles.
+    fn put_together(&self, view: &KeyView) -> Arc<StaticGaussians> {
+        let of_tiles = view.tiles.iter().map(|tile| tile.as_ref().map(|tile| tile.gaussians.clone()));
+        self.tiles.gaussians(&of_tiles.collect::<Vec<_>>())
+    }
+
+    /// [`Context::finish`] of a frame without a map that keeps cells of the frame before; those whose colours change get `kept`'s.
+    pub(super) fn finish_kept(&mut self, view: &mut KeyView, before: &KeyView, kept: &Kept, cells: &[Change]) {
+        self.work.count(Stage::Still, (kept.share()[1] - kept.share()[0]) as u64, kept.share()[0] as u64);
+        view.past = Some(kept.past.clone());
+        if kept.changes.iter().all(|change| *change == Change::None) {
+            view.gaussians = before.gaussians.clone();
+            return;
+        }
+        let mut gaussians = match view.tiles.iter().any(Option::is_some) {
+            true => Arc::unwrap_or_clone(self.put_together(view)),
+            false => StaticGaussians::clone(&before.gaussians),
+        };
+        with_kept(&mut gaussians, &before.gaussians, cells);
+        let held: Vec<f32> = cells.iter().map(|change| if *change == Change::None { 0.0 } else { 1.0 }).collect();
+        let wanted = |pixels| kept.any_in(pixels, |change| change != Change::None);
+        view.gaussians = self.coloured(Arc::new(gaussians), &held, &view.rgb, &wanted);
+        let colours = &mut Arc::make_mut(&mut view.gaussians).rgb;
+        for ((now, then), change) in colours.iter_mut().zip(&before.gaussians.rgb).zip(cells) {
+            if *change == Change::Colours {
+                *now = std::array::from_fn(|channel| reached(then[channel], now[channel]));
+            }
+        }
+    }
+
+    /// The Gaussians with colours that fit the frame on the raster tiles that are `wanted`, where fits are wanted at all.
+    fn coloured(
+        &mut self,
+        gaussians: Arc<StaticGaussians>,
+        held: &[f32],
+        frame: &[f32],
+        wanted: &dyn Fn(Pixels) -> bool,
+    ) -> Arc<StaticGaussians> {
         let steps = self.settings.refine();
         if steps == 0 {
             return gaussians;
         }
         let (fitter, resolution) = (&mut *self.fitter, self.tiles.resolution);
-        let (rgb, taken) = self.work.time(Stage::Colours, || fitter.key(&gaussians, held, frame, resolution, steps));
+        let (rgb, taken) =
+            self.work.time(Stage::Colours, || fitter.key(&gaussians, held, frame, resolution, steps, wanted));
         self.work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
         Arc::new(StaticGaussians { rgb, ..Arc::unwrap_or_clone(gaussians) })
     }
@@ -173,7 +230,7 @@ impl Context<'_> {
                     _ => false,
                 }
         };
-        let before = self.before.filter(same).map(|view| view.tiles[at].clone());
+        let before = self.before.filter(same).and_then(|view| view.tiles[at].clone());
         let sampling = match self.settings.sampling {
             SamplingMode::Mean => Sampling::Mean,
             // Each tile draws from a stream of its own.
@@ -215,6 +272,27 @@ impl Context<'_> {
 }
 
 impl KeyView {
+    /// Prepares it for flow in the interval that ends with key frame `index`, unless it is prepared.
+    pub(super) fn prepare_flow(
+        &mut self,
+        level: streamsplat_kernels::Level,
+        work: &mut Work,
+        effort: FlowEffort,
+        index: u64,
+    ) -> Result<(), EngineError> {
+        if self.flow.is_none() {
+            let (rgb, size) = (&self.rgb, self.resolution);
+            self.flow = Some(work.time(Stage::Flow, || FlowView::new(level, rgb, size, index, effort))?);
+        }
+        Ok(())
+    }
+
+    /// A picture of which nothing is computed yet.
+    pub(super) fn of(rgb: Vec<f32>, depth: Option<Vec<f32>>, resolution: [usize; 2]) -> Self {
+        let (gaussians, added) = (Arc::default(), Added::default());
+        KeyView { rgb, depth, tiles: Vec::new(), gaussians, added, map: None, flow: None, past: None, resolution }
+    }
+
     /// Returns true if the frame has a depth map of its own.
     pub(super) fn has_depth(&self) -> bool {
         self.depth.is_some()

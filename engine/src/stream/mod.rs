@@ -21,6 +21,7 @@ mod fuse;
 mod gaussians;
 mod identities;
 mod interval;
+mod keep;
 mod keyframe;
 mod lift;
 mod matching;
@@ -41,6 +42,7 @@ pub use engine::Engine;
 pub use frame::{EngineError, Frame};
 pub use gaussians::{DynamicGaussians, HANDOVER, Handover, Record, Reference};
 pub use interval::{Interval, Merge};
+pub use keep::{KeptState, Past};
 pub use lift::{Covered, DepthMap, FAR, NEAR};
 pub(crate) use lift::{map_value, scene_depth};
 pub use network::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
@@ -49,8 +51,8 @@ pub use reconstructor::{Motion, Reconstructor, Session, Tiling};
 pub use resolution::Resolution;
 pub use resume::ResumePoint;
 pub use settings::{
-    Behind, DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode, Settings,
-    UnknownChoice,
+    Behind, Decibels, DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode,
+    Settings, StillParts, UnknownChoice,
 };
 pub use work::{StageWork, Work};
 pub use workers::Workers;

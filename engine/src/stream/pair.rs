@@ -34,7 +34,8 @@ impl Pair {
     ) -> Result<Pair, EngineError> {
         let mut pairs = Vec::with_capacity(tiles.tiles.len());
         for (at, tile) in tiles.tiles.iter_mut().enumerate() {
-            let views = [&a.tiles[at], &b.tiles[at]];
+            // Nothing is kept where the network moves Gaussians.
+            let views = [a, b].map(|view| view.tiles[at].as_ref().expect("every tile is computed"));
             let frames = views.map(|view| view.features.clone());
             let last = last.map(|pair| &pair.tiles[at]);
             if let Some(last) = last

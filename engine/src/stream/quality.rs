@@ -1,7 +1,7 @@
 //! Named trades of error for time.
 
 use super::settings::named;
-use super::{Fade, FlowEffort, MotionFrom, Resolution, Reuse, Settings};
+use super::{Decibels, Fade, FlowEffort, MotionFrom, Resolution, Reuse, Settings, StillParts};
 use crate::gap::{Auto, Gap};
 use streamsplat_model::Precision;
 
@@ -39,10 +39,14 @@ pub struct Preset {
     pub refine: u32,
     /// [`Settings::refine_every`]
     pub refine_every: u32,
+    /// [`Settings::refine_to`]
+    pub refine_to: Decibels,
     /// [`Settings::precision`]
     pub precision: Precision,
     /// [`Settings::reuse`]
     pub reuse: Reuse,
+    /// [`Settings::still`]
+    pub still: StillParts,
 }
 
 impl Quality {
@@ -58,8 +62,10 @@ impl Quality {
     /// | find depth | no | yes | yes |
     /// | refine | 3 | 16 | 64 |
     /// | refine every | 3 | 1 | 1 |
+    /// | refine to | 43 | 43 | 100 |
     /// | precision | int8 | f32 | f32 |
     /// | reuse | exact | exact | exact |
+    /// | still | keep | keep | off |
     pub fn preset(self) -> Preset {
         let balanced = Preset {
             gap: Gap::Auto(Auto { least: 3, most: 8, decibels: 40.0 }),
@@ -70,8 +76,10 @@ impl Quality {
             find_depth: true,
             refine: Settings::REFINE,
             refine_every: 1,
+            refine_to: Settings::REFINE_TO,
             precision: Precision::F32,
             reuse: Reuse::Exact,
+            still: StillParts::Keep,
         };
         match self {
             Quality::Realtime => Preset {
@@ -84,7 +92,9 @@ impl Quality {
                 ..balanced
             },
             Quality::Balanced => balanced,
-            Quality::Best => Preset { gap: Gap::Every(2), refine: 64, ..balanced },
+            Quality::Best => {
+                Preset { gap: Gap::Every(2), refine: 64, refine_to: Decibels::MOST, still: StillParts::Off, ..balanced }
+            }
         }
     }
 }
@@ -92,8 +102,20 @@ impl Quality {
 impl Settings {
     /// The settings of the model inside the library for a [`Quality`]; which frames are key frames is for the caller to choose ([`Preset::gap`]).
     pub fn of_quality(quality: Quality) -> Self {
-        let Preset { gap: _, resolution, motion, flow, fade, find_depth, refine, refine_every, precision, reuse } =
-            quality.preset();
+        let Preset {
+            gap: _,
+            resolution,
+            motion,
+            flow,
+            fade,
+            find_depth,
+            refine,
+            refine_every,
+            refine_to,
+            precision,
+            reuse,
+            still,
+        } = quality.preset();
         Self {
             resolution: Some(resolution),
             motion: Some(motion),
@@ -102,8 +124,10 @@ impl Settings {
             find_depth: Some(find_depth),
             refine: Some(refine),
             refine_every: Some(refine_every),
+            refine_to: Some(refine_to),
             precision,
             reuse,
+            still: Some(still),
             ..Self::default()
         }
     }
@@ -123,7 +147,9 @@ mod tests {
         assert_eq!(balanced.find_depth(), default.find_depth());
         assert_eq!(balanced.refine(), default.refine());
         assert_eq!(balanced.refine_every(), default.refine_every());
+        assert_eq!(balanced.close(), default.close());
         assert_eq!(balanced.precision, default.precision);
         assert_eq!(balanced.reuse, default.reuse);
+        assert_eq!(balanced.still(), default.still());
     }
 }

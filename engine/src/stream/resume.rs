@@ -9,6 +9,7 @@ use std::sync::Arc;
 use super::canonical::{CanonicalSet, Current};
 use super::engine::State;
 use super::identities::Identities;
+use super::keep::KeptState;
 use super::lift::{Covered, contradiction};
 use super::{Engine, EngineError, Frame, Record, Reuse};
 use crate::parallax::Found;
@@ -24,7 +25,7 @@ pub struct ResumePoint {
     pub length: f64,
     /// Older Gaussians that no frame continues, as they are at the key frame, oldest first.
     pub survivors: Vec<Record>,
-    /// The frame's own Gaussians, ascending in `cell`.
+    /// The frame's own Gaussians in the order in which they are drawn: ascending in `cell`, those that are kept first.
     pub current: Vec<Current>,
     /// The next identity that nobody had before.
     pub next_identity: u64,
@@ -34,6 +35,8 @@ pub struct ResumePoint {
     pub found: Option<Found>,
     /// Colours that earlier frames saw where something now stands in front, ascending in `cell`.
     pub covered: Vec<Covered>,
+    /// What it keeps of the key frames before; `None` where that is nothing.
+    pub kept: Option<KeptState>,
 }
 
 impl Engine {
@@ -52,6 +55,7 @@ impl Engine {
                 depth: state.view.map.as_ref().map(|map| map.alignment.into()),
                 found: state.found.clone(),
                 covered: state.view.added.covered.clone(),
+                kept: KeptState::of(&state.view),
             }
         })
     }
@@ -65,10 +69,11 @@ impl Engine {
         let workers = self.workers().clone();
         workers.install(|| {
             let (placement, view) = self.see(frame, point)?;
+            let kept = point.kept.as_ref().and_then(|kept| kept.contradiction(placement.model));
             let (gaussians, layers) = (Arc::clone(&view.gaussians), view.layers());
             let found = point.found.as_ref().and_then(|found| found.contradiction(placement.model));
             let covered = contradiction(&point.covered, placement.model);
-            if let Some(reason) = found.or(covered).or_else(|| point.contradiction(gaussians.position.len())) {
+            if let Some(reason) = kept.or(found).or(covered).or_else(|| point.contradiction(gaussians.position.len())) {
                 return Err(EngineError::ResumePoint { index: point.frame, reason });
             }
             let set = CanonicalSet {
@@ -88,6 +93,12 @@ impl Engine {
 }
 
 impl ResumePoint {
+    /// Returns true if no place is taken twice.
+    fn each_once(&self, gaussians: usize) -> bool {
+        let mut taken = vec![false; gaussians];
+        self.current.iter().all(|current| !std::mem::replace(&mut taken[current.cell as usize], true))
+    }
+
     /// Why it cannot be the state at a frame of so many Gaussians.
     fn contradiction(&self, gaussians: usize) -> Option<String> {
         if !(self.length.is_finite() && self.length >= 0.0) {
@@ -100,8 +111,8 @@ impl ResumePoint {
             return Some(format!("expected survivors with finite numbers from earlier frames, found {survivor:?}"));
         }
         let ascending = self.current.windows(2).all(|pair| pair[0].cell < pair[1].cell);
-        let inside = self.current.last().is_none_or(|last| (last.cell as usize) < gaussians);
-        if !(ascending && inside) {
+        let inside = self.current.iter().all(|current| (current.cell as usize) < gaussians);
+        if !inside || !(ascending || self.kept.is_some() && self.each_once(gaussians)) {
             return Some(format!("expected ascending places among {gaussians} Gaussians"));
         }
         let identities = self.survivors.iter().map(|r| r.identity).chain(self.current.iter().map(|c| c.identity));

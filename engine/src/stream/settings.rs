@@ -6,6 +6,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use streamsplat_kernels::Level;
+use streamsplat_kernels::math::f64::exp;
 use streamsplat_model::{LoadOptions, Precision};
 
 use super::network::Conditioned;
@@ -38,6 +39,9 @@ pub struct Settings {
     pub refine: Option<u32>,
     /// Every how many of the frames between key frames are looked at where colours are fitted, 1 for all; `None`: 1. 0 is 1.
     pub refine_every: Option<u32>,
+    /// PSNR, in dB, from which on a tile of 64×32 pixels of an image between key frames is close enough to its frame: where all frames of an interval are, no colours are
+    /// fitted. `None`: [`Settings::REFINE_TO`] for the model inside the library, [`Decibels::MOST`] for any other.
+    pub refine_to: Option<Decibels>,
     /// True if depth is found by parallax ([`crate::parallax`]) for frames that have no map of their own, where the model ignores depth
     /// ([`Reconstructor::ignores_depth`]) and motion is taken from the frames; `None`: true for the model inside the library, false for any other.
     pub find_depth: Option<bool>,
@@ -45,6 +49,8 @@ pub struct Settings {
     pub depth_range: DepthRange,
     /// Gaussians behind the foreground, where depth maps lift it.
     pub behind: Behind,
+    /// Parts of the picture that stand still; `None`: [`StillParts::Keep`] for the model inside the library, [`StillParts::Off`] for any other.
+    pub still: Option<StillParts>,
     /// How positions that the model gives as a distribution are drawn.
     pub sampling: SamplingMode,
     /// The seed of everything drawn.
@@ -95,6 +101,9 @@ impl Settings {
     /// Steps that fit colours of the model inside the library where nothing else is said.
     pub const REFINE: u32 = 16;
 
+    /// PSNR, in dB, that is close enough, of the model inside the library.
+    pub const REFINE_TO: Decibels = Decibels(43.0);
+
     /// The program's defaults with another model.
     pub fn with_model(model: ModelSource) -> Self {
         Self { model, ..Self::default() }
@@ -138,6 +147,23 @@ impl Settings {
     /// Returns true if anything is taken from the network's dynamic half; otherwise it is not computed.
     pub(crate) fn deforms(&self) -> bool {
         self.motion() == MotionFrom::Network || self.fade() == Fade::Network
+    }
+
+    /// The mean square at which a tile of an image is close enough to its frame.
+    pub(super) fn close(&self) -> f64 {
+        let decibels = self.refine_to.unwrap_or(match self.model {
+            ModelSource::Embedded => Self::REFINE_TO,
+            _ => Decibels::MOST,
+        });
+        exp(-f64::from(decibels.0) / 10.0 * std::f64::consts::LN_10)
+    }
+
+    /// What becomes of parts of the picture that stand still.
+    pub fn still(&self) -> StillParts {
+        self.still.unwrap_or(match self.model {
+            ModelSource::Embedded => StillParts::Keep,
+            _ => StillParts::Off,
+        })
     }
 
     /// Steps that fit colours to the frames.
@@ -284,6 +310,18 @@ named! {
 }
 
 named! {
+    /// Parts of the picture that stand still between key frames.
+    StillParts: "still" {
+        /// Their Gaussians are kept while the frames differ by no more than the camera's noise. Applies where motion is not the network's,
+        /// fusion is persistent, positions are means, and no depth map lifts the frames.
+        Keep = "keep",
+        /// They are computed for each key frame, as all others.
+        #[default]
+        Off = "off",
+    }
+}
+
+named! {
     /// How positions that the model gives as a distribution are drawn.
     SamplingMode: "sampling" {
         /// The distribution's mean.
@@ -332,6 +370,44 @@ impl FromStr for Reuse {
                 found: text.to_owned(),
             }),
         }
+    }
+}
+
+/// A peak signal-to-noise ratio, in dB, from 20 to 100.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct Decibels(f32);
+
+impl Decibels {
+    /// 100 dB: what no image reaches.
+    pub const MOST: Decibels = Decibels(100.0);
+
+    /// That of `decibels`; `None` unless that is from 20 to 100.
+    pub fn new(decibels: f32) -> Option<Self> {
+        (20.0..=100.0).contains(&decibels).then_some(Self(decibels))
+    }
+
+    /// In dB.
+    pub fn get(self) -> f32 {
+        self.0
+    }
+}
+
+impl fmt::Display for Decibels {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl FromStr for Decibels {
+    type Err = UnknownChoice;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let found = text.parse().ok().and_then(Self::new);
+        found.ok_or_else(|| UnknownChoice {
+            what: "ratio",
+            expected: "20 to 100 dB".to_owned(),
+            found: text.to_owned(),
+        })
     }
 }
 

@@ -7,6 +7,7 @@ use streamsplat_model::StaticGaussians;
 use super::canonical::{Advance, CanonicalSet, Layers, Step};
 use super::fuse::{Meeting, fuse};
 use super::identities::Identities;
+use super::keep::Change;
 use super::matching::Lattice;
 use super::reconstructor::Motion;
 use super::{Fusion, Handover, Merge, Record, Reference};
@@ -36,13 +37,15 @@ struct Stream {
     outline: usize,
     /// How many, the last, stand behind others.
     behind: usize,
+    /// What becomes of each Gaussian in the next interval.
+    kept: Option<Vec<Change>>,
 }
 
 impl Stream {
     fn new(places: &[[f32; 3]], max_age: u32) -> (Self, Advance) {
         let gaussians = frame(places);
         let (set, advance) = CanonicalSet::first(&gaussians, Layers::of_cells(places.len()));
-        (Self { set, gaussians, max_age, lifted: false, outline: 0, behind: 0 }, advance)
+        (Self { set, gaussians, max_age, lifted: false, outline: 0, behind: 0, kept: None }, advance)
     }
 
     /// The next frame, with the velocities of the Gaussians of the one before.
@@ -59,6 +62,7 @@ impl Stream {
             image: [100, 100],
             fusion: Fusion::Persistent,
             max_age: self.max_age,
+            kept: self.kept.as_deref(),
         };
         let (set, advance) = self.set.advance(&step);
         (self.set, self.gaussians) = (set, gaussians);
@@ -194,7 +198,7 @@ fn what_stands_behind_others_meets_its_like_and_is_not_kept() {
     };
     let (set, first) = CanonicalSet::first(&frame(&places(10)), Layers::of_cells(front.len()));
     let gaussians = frame(&places(10));
-    let mut stream = Stream { set, gaussians, max_age: 8, lifted: true, outline: 0, behind: 9 };
+    let mut stream = Stream { set, gaussians, max_age: 8, lifted: true, outline: 0, behind: 9, kept: None };
     let advance = stream.push(&places(9), &[STILL; 110], 1.0);
     let ends: Vec<Record> = advance.gaussians.iter().filter(|r| r.reference == Reference::End).collect();
     let identities: Vec<u64> = ends.iter().map(|r| r.identity).collect();
@@ -212,11 +216,44 @@ fn what_is_seen_along_edges_meets_what_is_seen_and_is_not_kept() {
     let start: Vec<[f32; 3]> = front.iter().copied().chain([away]).collect();
     let layers = Layers { cells: front.len(), seen: front.len() + 1 };
     let (set, first) = CanonicalSet::first(&frame(&start), layers);
-    let mut stream = Stream { set, gaussians: frame(&start), max_age: 8, lifted: true, outline: 1, behind: 0 };
+    let mut stream =
+        Stream { set, gaussians: frame(&start), max_age: 8, lifted: true, outline: 1, behind: 0, kept: None };
     let end: Vec<[f32; 3]> = front[..front.len() - 1].iter().copied().chain([last]).collect();
     let advance = stream.push(&end, &vec![STILL; start.len()], 1.0);
     let ends: Vec<u64> =
         advance.gaussians.iter().filter(|r| r.reference == Reference::End).map(|r| r.identity).collect();
     assert_eq!(ends, first.gaussians.identity[..front.len()]);
     assert!(stream.set.survivors.is_empty());
+}
+
+#[test]
+fn what_is_kept_is_one_record_that_goes_on_without_motion_or_fading() {
+    let (mut stream, first) = Stream::new(&floor(), 8);
+    let changes: Vec<Change> = (0..100).map(|cell| if cell % 2 == 0 { Change::None } else { Change::All }).collect();
+    stream.kept = Some(changes);
+    for interval in 0..3 {
+        let advance = stream.push(&floor(), &[[0.001, 0.0, 0.0]; 100], 1.0);
+        let kept: Vec<Record> = advance.gaussians.iter().skip(advance.kept.start).take(advance.kept.len()).collect();
+        assert_eq!(kept.len(), 50, "interval {interval}");
+        for record in &kept {
+            let same =
+                |r: &Record| (r.handover, r.reference, r.velocity) == (Handover::None, Reference::Start, [0.0; 3]);
+            assert!(same(record) && record.opacity_at(0.5) == record.opacity);
+        }
+        let before: Vec<u64> = first.gaussians.identity.iter().copied().step_by(2).collect();
+        assert_eq!(kept.iter().map(|record| record.identity).collect::<Vec<_>>(), before);
+        // The others leave and arrive as ever, under their own identities.
+        assert_eq!(advance.gaussians.len(), 150);
+        let arriving = advance.gaussians.iter().filter(|record| record.reference == Reference::End);
+        let others: Vec<u64> = first.gaussians.identity.iter().copied().skip(1).step_by(2).collect();
+        assert_eq!(arriving.map(|record| record.identity).collect::<Vec<_>>(), others);
+        assert!(advance.merges.is_empty() && stream.set.survivors.is_empty());
+        // Drawing order goes on over the key frame: those that are kept, then those that arrived.
+        assert!(stream.set.current[..50].iter().all(|current| current.cell % 2 == 0));
+    }
+    // And all of them are there when nothing is kept any more.
+    stream.kept = None;
+    let advance = stream.push(&floor(), &[STILL; 100], 1.0);
+    assert!(advance.kept.is_empty());
+    assert_eq!(advance.gaussians.len(), 200);
 }

@@ -105,9 +105,18 @@ impl Tiles {
         self.ignores_depth
     }
 
-    /// The frame's Gaussians from those of its tiles.
-    pub(super) fn gaussians(&self, of_tiles: &[Arc<StaticGaussians>]) -> Arc<StaticGaussians> {
-        if let [only] = of_tiles
+    /// Which tiles hold cells that are `wanted`; `None` where the frame's Gaussians are a single tile's.
+    pub(super) fn holding(&self, wanted: impl Fn(usize) -> bool) -> Vec<bool> {
+        let holds = |tile: &Tile| match &tile.places {
+            None => true,
+            Some(places) => places.iter().any(|[_, to]| wanted(*to as usize)),
+        };
+        self.tiles.iter().map(holds).collect()
+    }
+
+    /// The frame's Gaussians from those of its tiles; those of tiles without any are zeros.
+    pub(super) fn gaussians(&self, of_tiles: &[Option<Arc<StaticGaussians>>]) -> Arc<StaticGaussians> {
+        if let [Some(only)] = of_tiles
             && self.tiles[0].places.is_none()
         {
             return only.clone();
@@ -121,6 +130,7 @@ impl Tiles {
             rgb: vec![[0.0; 3]; count],
         };
         for (tile, own) in self.tiles.iter().zip(of_tiles) {
+            let Some(own) = own else { continue };
             let ([fx, fz], [ox, oz]) = (self.factors(tile), self.offsets(tile));
             for &[from, to] in tile.places.iter().flatten() {
                 let (from, to) = (from as usize, to as usize);

@@ -43,10 +43,11 @@ pub(crate) enum Stage {
     Covered,
     Fusion,
     Colours,
+    Still,
 }
 
 impl Stage {
-    const ALL: [(Stage, &'static str, &'static str); 14] = [
+    const ALL: [(Stage, &'static str, &'static str); 15] = [
         (Stage::Fit, "fit", "frames"),
         (Stage::Encoder, "encoder", "tiles"),
         (Stage::Upsampler, "upsampler", "tiles"),
@@ -61,6 +62,7 @@ impl Stage {
         (Stage::Covered, "covered", "Gaussians"),
         (Stage::Fusion, "fusion", "intervals"),
         (Stage::Colours, "colours", "steps"),
+        (Stage::Still, "still", "blocks"),
     ];
 }
 

@@ -91,7 +91,7 @@ pub mod reference;
 mod sort;
 
 pub use falloff::{ALPHA_MIN, Defocus, Falloff};
-pub use linear::{ColourFit, ColourMap, FitView, Preparation, Solution, WEIGHT_BYTES};
+pub use linear::{ColourFit, ColourMap, Effort, FitView, Preparation, Solution, WEIGHT_BYTES};
 pub use lists::{Footprint, Lists, TILE_PIXELS};
 pub use rasteriser::{Rasteriser, Work};
 

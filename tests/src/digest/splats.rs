@@ -2,7 +2,7 @@
 
 use streamsplat::splats::Splats;
 use streamsplat_kernels::Level;
-use streamsplat_kernels::raster::{ColourFit, ColourMap, FitView, Image, Solution, render};
+use streamsplat_kernels::raster::{ColourFit, ColourMap, Effort, FitView, Image, Solution, render};
 
 use super::{Digest, Thing};
 
@@ -47,7 +47,8 @@ fn linear(level: Level, digest: &mut Digest, scene: &Splats) {
     let factor: Vec<f32> = unknown.iter().map(|i| 1.0 - 0.25 * (i % 7) as f32).collect();
     let views = [&[][..], &factor].map(|factor| FitView { map: &map, unknown: &unknown, factor });
     let fit = ColourFit::new(level, views.to_vec(), unknown.len(), 1e-3);
-    let Solution { change, steps } = fit.solve(gaussians.rgb, &[&negative, &image], background, 3, 0.0);
+    let Solution { change, steps } =
+        fit.solve(gaussians.rgb, &[&negative, &image], background, Effort { steps: 3, ..Effort::default() });
     digest.floats(change.as_flattened());
     digest.integers([u64::from(steps)]);
 }

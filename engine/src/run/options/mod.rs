@@ -18,7 +18,9 @@ use crate::Size;
 use crate::fit::Fit;
 use crate::gap::Gap;
 use crate::render::Backend;
-use crate::stream::{Behind, Fade, FlowEffort, Fusion, MotionFrom, Quality, Resolution, Reuse, SamplingMode};
+use crate::stream::{
+    Behind, Decibels, Fade, FlowEffort, Fusion, MotionFrom, Quality, Resolution, Reuse, SamplingMode, StillParts,
+};
 use streamsplat_model::Precision;
 
 pub use presets::defaults;
@@ -140,8 +142,8 @@ options! {
         /// The model.
         #[cfg_attr(feature = "clap", command(flatten))]
         pub model: ModelOptions,
-        /// Trade-off of error and time: realtime, balanced or best; sets depth, gap, resolution, motion, flow, fade, refine, refine-every, precision and
-        /// reuse where they are not given
+        /// Trade-off of error and time: realtime, balanced or best; sets depth, gap, resolution, motion, flow, fade, refine, refine-every, refine-to, precision,
+        /// reuse and still where they are not given
         #[cfg_attr(feature = "clap", arg(long, value_name = "NAME"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub quality: Option<Quality>,
@@ -199,6 +201,10 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..)))]
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub refine_every: Option<u32>,
+        /// PSNR, in dB, from which on a part of the images between key frames is close enough to its frames: no colours are fitted there; 20 to 100
+        #[cfg_attr(feature = "clap", arg(long, value_name = "DB", allow_negative_numbers = true))]
+        #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
+        pub refine_to: Option<Decibels>,
         /// Gaussians carried over a key frame: persistent (identities go on and survivors fade) or pairwise (each interval by itself)
         #[cfg_attr(feature = "clap", arg(long, value_name = "MODE"))]
         #[serde(default, with = "text")]
@@ -210,6 +216,11 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "MODE"))]
         #[serde(default, with = "text")]
         pub sampling: Option<SamplingMode>,
+        /// Parts of the picture that stand still between key frames: keep (their Gaussians go on while frames differ by no more than the camera's
+        /// noise; where no depth lifts the frames) or off (they are computed for each key frame)
+        #[cfg_attr(feature = "clap", arg(long, value_name = "keep|off"))]
+        #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
+        pub still: Option<StillParts>,
         /// Seed of everything drawn at random
         #[cfg_attr(feature = "clap", arg(long, value_name = "N", default_value_t = 0))]
         pub seed: u64,

@@ -6,7 +6,8 @@ use super::{DepthScale, DepthSource, ModelOptions, Named, RunOptions, StreamOpti
 use crate::fit::Fit;
 use crate::gap::Gap;
 use crate::stream::{
-    Fade, FlowEffort, Fusion, ModelSource, MotionFrom, Preset, Quality, Resolution, Reuse, SamplingMode,
+    Decibels, Fade, FlowEffort, Fusion, ModelSource, MotionFrom, Preset, Quality, Resolution, Reuse, SamplingMode,
+    StillParts,
 };
 use streamsplat_model::Precision;
 
@@ -41,13 +42,27 @@ impl Column {
             fade: Some(Fade::Network),
             refine: Some(0),
             refine_every: Some(1),
+            refine_to: Some(Decibels::MOST),
             reuse: Some(Reuse::Exact),
+            still: Some(StillParts::Off),
             ..neutral.clone()
         };
         let stream = match self {
             Column::Of(quality) => {
-                let Preset { gap, resolution, motion, flow, fade, find_depth, refine, refine_every, precision, reuse } =
-                    quality.preset();
+                let Preset {
+                    gap,
+                    resolution,
+                    motion,
+                    flow,
+                    fade,
+                    find_depth,
+                    refine,
+                    refine_every,
+                    refine_to,
+                    precision,
+                    reuse,
+                    still,
+                } = quality.preset();
                 StreamOptions {
                     model: model(precision),
                     quality: Some(quality),
@@ -59,7 +74,9 @@ impl Column {
                     fade: Some(fade),
                     refine: Some(refine),
                     refine_every: Some(refine_every),
+                    refine_to: Some(refine_to),
                     reuse: Some(reuse),
+                    still: Some(still),
                     ..neutral
                 }
             }

@@ -51,7 +51,7 @@ use crate::simd::dispatch;
 use passes::{Adjoint, Forward, Moments, Normal, Place, Residual, Slots};
 use record::{Record, RecordTile};
 
-pub use solve::{ColourFit, FitView, Solution};
+pub use solve::{ColourFit, Effort, FitView, Solution};
 
 /// Bytes of weights that a [`ColourMap`] keeps by default.
 pub const WEIGHT_BYTES: usize = 256 << 20;
@@ -163,7 +163,7 @@ impl ColourMap {
         self.prepare_tiles(gaussians, projection, size, |_| true);
     }
 
-    /// [`ColourMap::prepare`] in memory that other maps are prepared in as well, to the same bits. A map that cannot keep all its weights keeps the
+    /// [`ColourMap::prepare_tiles`] in memory that other maps are prepared in as well, to the same bits. A map that cannot keep all its weights keeps the
     /// memory.
     ///
     /// # Panics
@@ -174,9 +174,10 @@ impl ColourMap {
         gaussians: &Gaussians<'_>,
         projection: &Projection,
         size: [usize; 2],
+        wanted: impl Fn(usize) -> bool,
     ) {
         std::mem::swap(&mut self.rasteriser, &mut memory.0);
-        self.prepare(gaussians, projection, size);
+        self.prepare_tiles(gaussians, projection, size, wanted);
         if self.order.iter().all(|&tile| self.tiles[tile as usize].kept) {
             std::mem::swap(&mut self.rasteriser, &mut memory.0);
         }

@@ -11,6 +11,8 @@
 //! is solved channel by channel by preconditioned conjugate gradients (Hestenes and Stiefel 1952; Saad, Iterative Methods for Sparse Linear
 //! Systems, algorithm 9.1). The preconditioner is the inverse of the row sums of the matrix of magnitudes. The lists of a view are walked once per step.
 //!
+//! Tiles of a view whose image is [close](Effort::close) enough to its frame at x = 0 are left out of the sums over pixels.
+//!
 //! # Order of operations
 //!
 //! Vectors are binary32. A product with the matrix is `λ·x_i`, then per view in ascending order a fused `τ·Σ + …`, Σ the sum over tiles of
@@ -56,8 +58,21 @@ pub struct ColourFit<'a> {
     splats: Vec<Splats>,
     /// View and tile of every task, most hits first.
     order: Vec<[u32; 2]>,
+    /// Tasks that are left out.
+    left_out: Vec<[u32; 2]>,
     /// Where the sums of each view start, in slots; one more than views.
     starts: Vec<usize>,
+}
+
+/// How much [`ColourFit::solve`] does.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Effort {
+    /// Steps at most.
+    pub steps: u32,
+    /// The last step is one that lowers the sum of squares by less than this fraction of the rest.
+    pub enough: f64,
+    /// Mean square over pixels and channels up to which a tile of a view is left out, where it stays so in all views.
+    pub close: f64,
 }
 
 /// Result of [`ColourFit::solve`].
@@ -186,7 +201,7 @@ impl<'a> ColourFit<'a> {
         let splats = |[k, tile]: [u32; 2]| views[k as usize].map.tiles[tile as usize].record.gaussians.len();
         order.sort_by_key(|&task| std::cmp::Reverse(splats(task)));
         let splats = views.par_iter().map(Splats::of).collect();
-        Self { level, views, unknowns, ridge, splats, order, starts }
+        Self { level, views, unknowns, ridge, splats, order, left_out: Vec::new(), starts }
     }
 
     /// The splats of a tile of view `k`.
@@ -197,18 +212,16 @@ impl<'a> ColourFit<'a> {
         TileSplats { unknown: &unknown[range.clone()], factor: factor.get(range).unwrap_or_default() }
     }
 
-    /// At most `steps` steps from `colours` towards `frames`, one `[3, H, W]` per view; they end after one that lowers the sum of squares by less
-    /// than `enough` of the rest. Returns the change of the colours.
+    /// Steps from `colours` towards `frames`, one `[3, H, W]` per view. Returns the change of the colours.
     ///
     /// # Panics
     /// When there is not one colour per unknown, or not one frame of the view's size per view.
     pub fn solve(
-        &self,
+        mut self,
         colours: &[[f32; 3]],
         frames: &[&[f32]],
         background: [f32; 3],
-        steps: u32,
-        enough: f64,
+        Effort { steps, enough, close }: Effort,
     ) -> Solution {
         let _span = debug_span!("colour_fit", unknowns = self.unknowns, views = self.views.len(), steps).entered();
         assert_eq!(colours.len(), self.unknowns, "one colour per unknown");
@@ -221,8 +234,18 @@ impl<'a> ColourFit<'a> {
             return Solution { change, steps: 0 };
         }
         let mut buffers = Buffers::default();
-        let (mut r, mut squares) = self.residual(&mut buffers, colours, frames, background);
+        let (mut r, tiles) = self.residual(&mut buffers, colours, frames, background);
+        if self.leave_out(&tiles, close) {
+            self.zero_left_out::<3>(&mut buffers);
+            self.sums(&buffers, &mut r, |_| [0.0; 3], |_, _| ());
+            self.zero_left_out::<1>(&mut buffers);
+        }
+        if self.order.is_empty() {
+            return Solution { change, steps: 0 };
+        }
+        let mut squares = self.total(&tiles);
         let diagonal = self.preconditioner(&mut buffers);
+        self.zero_left_out::<3>(&mut buffers);
         let mut p = vec![[0.0; 3]; self.unknowns];
         let mut q = vec![[0.0; 3]; self.unknowns];
         // The first direction is the preconditioned residual itself.
@@ -281,14 +304,56 @@ impl<'a> ColourFit<'a> {
         });
     }
 
-    /// Σ τ∘Aᵀ·(frame − image of `colours`), and the sum of squares.
+    /// Leaves out tiles that are close enough in all views; returns true if there are any.
+    fn leave_out(&mut self, tiles: &[Vec<f64>], close: f64) -> bool {
+        let far = |[k, tile]: [u32; 2]| {
+            let (map, tile) = (self.views[k as usize].map, tile as usize);
+            let [columns, size] = [[map.grid.columns, 0], map.size];
+            let place = [tile % columns[0], tile / columns[0]];
+            let area = (0..2).map(|axis| {
+                let start = place[axis] * super::super::TILE_PIXELS[axis];
+                (start + super::super::TILE_PIXELS[axis]).min(size[axis]) - start
+            });
+            tiles[k as usize][tile] > close * 3.0 * area.product::<usize>() as f64
+        };
+        let count = tiles.iter().map(Vec::len).max().unwrap_or(0);
+        let mut wanted = vec![false; count];
+        for &task in self.order.iter().filter(|task| far(**task)) {
+            wanted[task[1] as usize] = true;
+        }
+        let (kept, left_out) = self.order.iter().partition(|[_, tile]| wanted[*tile as usize]);
+        (self.order, self.left_out) = (kept, left_out);
+        !self.left_out.is_empty()
+    }
+
+    /// Sums of the tiles that are left out become zero, `C` of each splat.
+    fn zero_left_out<const C: usize>(&self, buffers: &mut Buffers) {
+        for &[k, tile] in &self.left_out {
+            let (map, tile) = (self.views[k as usize].map, tile as usize);
+            for &slot in &map.slots[map.starts[tile]..map.starts[tile + 1]] {
+                let at = (self.starts[k as usize] + slot as usize) * C;
+                buffers.partial[at..at + C].fill(0.0);
+            }
+        }
+    }
+
+    /// The sum of squares over the tiles of all views that are not left out.
+    fn total(&self, tiles: &[Vec<f64>]) -> f64 {
+        let mut tiles = tiles.to_vec();
+        for &[k, tile] in &self.left_out {
+            tiles[k as usize][tile as usize] = 0.0;
+        }
+        tiles.iter().map(|of| of.iter().fold(0.0, |total, sum| total + sum)).fold(0.0, |a, b| a + b)
+    }
+
+    /// Σ τ∘Aᵀ·(frame − image of `colours`), and the sum of squares of each view's tiles.
     fn residual(
         &self,
         buffers: &mut Buffers,
         colours: &[[f32; 3]],
         frames: &[&[f32]],
         background: [f32; 3],
-    ) -> (Vec<[f32; 3]>, f64) {
+    ) -> (Vec<[f32; 3]>, Vec<Vec<f64>>) {
         let background = finite_background(background);
         let mut squares: Vec<Vec<f64>> = self.views.iter().map(|view| vec![0.0; view.map.grid.len()]).collect();
         {
@@ -305,7 +370,6 @@ impl<'a> ColourFit<'a> {
         }
         let mut gradient = vec![[0.0; 3]; self.unknowns];
         self.sums(buffers, &mut gradient, |_| [0.0; 3], |_, _| ());
-        let squares = squares.iter().map(|of| of.iter().fold(0.0, |total, sum| total + sum)).fold(0.0, |a, b| a + b);
         (gradient, squares)
     }
 

@@ -156,7 +156,7 @@ fn maps_prepared_in_the_same_memory_have_their_own_bits() {
             .iter()
             .map(|scene| {
                 let mut map = ColourMap::with_budget(Level::detect(), bytes);
-                map.prepare_in(&mut memory, &scene.gaussians(), &projection, size);
+                map.prepare_in(&mut memory, &scene.gaussians(), &projection, size, |_| true);
                 map
             })
             .collect();
@@ -411,7 +411,7 @@ impl Views {
 
     fn solve(&self, level: Level, from: &[[f32; 3]], steps: u32) -> Solution {
         let frames: Vec<&[f32]> = self.frames.iter().map(Vec::as_slice).collect();
-        self.fit(level).solve(from, &frames, [0.5; 3], steps, 0.0)
+        self.fit(level).solve(from, &frames, [0.5; 3], Effort { steps, ..Effort::default() })
     }
 
     fn factor(&self, k: usize, at: usize) -> f32 {
@@ -532,6 +532,42 @@ fn a_fit_lowers_the_error_to_where_its_gradient_is_small() {
     assert!(errors[7] < 0.8 * errors[0], "{errors:?}");
     // A loose bound ends it early.
     let frames: Vec<&[f32]> = views.frames.iter().map(Vec::as_slice).collect();
-    let early = views.fit(Level::detect()).solve(&from, &frames, [0.5; 3], 64, 0.01);
+    let early =
+        views.fit(Level::detect()).solve(&from, &frames, [0.5; 3], Effort { steps: 64, enough: 0.01, close: 0.0 });
     assert!((1..20).contains(&early.steps), "{}", early.steps);
+}
+
+#[test]
+fn tiles_that_are_close_enough_in_all_views_are_left_out() {
+    let size = [131, 77];
+    let (scene, projection) = (ordinary(9000, false, 21), projections(size[0], size[1])[0]);
+    let from = colours(9000, 51);
+    let unknown: Vec<u32> = (0..9000).collect();
+    let whole = map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES);
+    // The second view misses its frame in one tile by 0.1, the first one nowhere.
+    let frame = forward(&whole, &from, [0.5; 3]);
+    let tile = |i: usize| i / size[0] % size[1] / TILE_PIXELS[1] * whole.tiles()[0] + i % size[0] / TILE_PIXELS[0];
+    let missed: Vec<f32> = frame.iter().enumerate().map(|(i, x)| if tile(i) == 4 { x + 0.1 } else { *x }).collect();
+    let frames = [&frame[..], &missed];
+    let solve = |map: &ColourMap, level, close| {
+        let views = vec![FitView { map, unknown: &unknown, factor: &[] }; 2];
+        ColourFit::new(level, views, 9000, 1e-3).solve(
+            &from,
+            &frames,
+            [0.5; 3],
+            Effort { steps: 4, enough: 0.0, close },
+        )
+    };
+    let mut part = ColourMap::new(Level::detect());
+    part.prepare_tiles(&scene.gaussians(), &projection, size, |tile| tile == 4);
+    let expected = solve(&part, Level::detect(), 0.0);
+    assert!(expected.change.iter().any(|change| *change != [0.0; 3]));
+    for level in Level::available() {
+        for bytes in [0, WEIGHT_BYTES] {
+            let map = map(level, &scene, &projection, size, bytes);
+            assert!(solve(&map, level, 0.0099) == expected, "{level}, {bytes} bytes");
+        }
+    }
+    // And where all are, nothing is done.
+    assert_eq!(solve(&whole, Level::detect(), 0.0101), Solution { change: vec![[0.0; 3]; 9000], steps: 0 });
 }

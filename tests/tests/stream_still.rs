@@ -1,0 +1,155 @@
+//! Parts of the picture that stand still keep their Gaussians: the same bits on every level, thread count and after a resumption, no seam at key
+//! frames, no error that grows.
+
+use streamsplat::stream::{Handover, StillParts};
+use streamsplat::{Camera, Engine, Frame, Image, Interval, RenderOptions, Settings};
+use streamsplat_kernels::Level;
+use streamsplat_tests::workers;
+
+const SIZE: [usize; 2] = [256, 144];
+
+/// Frame `k` of a camera that stands: a room with noise of 1.5/255 whose light is `light`, and a disc that moves where `mover` is true.
+fn frame(k: usize, light: f32, mover: bool) -> Frame {
+    let [width, height] = SIZE;
+    let mut state = (k as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut noise = move || {
+        // Nearly Gaussian: the sum of four.
+        let mut sum = 0.0;
+        for _ in 0..4 {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            sum += (state >> 40) as f32 / (1 << 24) as f32 - 0.5;
+        }
+        sum * 3f32.sqrt() * 1.5 / 255.0
+    };
+    let (cx, cy) = (40.0 + 2.0 * (k % 80) as f32, 72.0);
+    let rgb = (0..3 * width * height)
+        .map(|i| {
+            let (plane, y, x) = (i / (width * height), i / width % height, i % width);
+            let (fx, fy) = (x as f32, y as f32);
+            let wall =
+                0.5 + 0.15 * (fx * 0.13).sin() * (fy * 0.09).cos() + 0.08 * ((x / 23 + y / 17 + plane) % 3) as f32;
+            let inside = mover && (fx - cx).hypot(fy - cy) < 14.0;
+            let colour = if inside { [0.9, 0.2, 0.1][plane] + 0.05 * (fx - cx).cos() } else { wall * light };
+            ((colour + noise()) * 255.0).round().clamp(0.0, 255.0) / 255.0
+        })
+        .collect();
+    Frame { width, height, rgb, depth: None }
+}
+
+fn settings(still: StillParts) -> Settings {
+    Settings { still: Some(still), ..Settings::default() }
+}
+
+/// Pushes key frame `key` of every four frames.
+fn push(engine: &mut Engine, key: usize, light: impl Fn(usize) -> f32, mover: bool) -> Interval {
+    let of = |k: usize| frame(k, light(k), mover);
+    let last = 4 * key;
+    let between = (last.saturating_sub(3)..last).filter(|_| key > 0).map(|k| (of(k), k as f64)).collect();
+    engine.push_with(between, of(last), last as f64).expect("taken")
+}
+
+fn draw(interval: &Interval, time: f64) -> Image {
+    interval.render(time, &Camera::Canonical, &RenderOptions::default(), workers()).expect("drawn")
+}
+
+fn psnr(image: &Image, truth: &Frame) -> f64 {
+    assert_eq!([image.width, image.height], SIZE);
+    let sum: f64 = image.rgb.iter().zip(&truth.rgb).map(|(a, b)| f64::from(a.clamp(0.0, 1.0) - b).powi(2)).sum();
+    -10.0 * (sum / truth.rgb.len() as f64).log10()
+}
+
+/// Every number of an interval, as bits.
+fn bits(interval: &Interval) -> Vec<u64> {
+    let of = |r: streamsplat::stream::Record| {
+        let scalars = [r.opacity, r.gamma[0], r.gamma[1], r.scale[0], r.scale[1], r.thickness];
+        let vectors = [r.mean, r.velocity, r.rgb, r.rgb_rate, r.offset].concat();
+        let numbers = scalars.into_iter().chain(vectors).map(|x| u64::from(x.to_bits()));
+        numbers.chain([r.identity, r.birth, r.frame]).collect::<Vec<_>>()
+    };
+    interval.gaussians.iter().flat_map(of).collect()
+}
+
+#[test]
+fn a_standing_camera_keeps_most_of_its_gaussians_at_no_less_psnr() {
+    let light = |_: usize| 1.0;
+    let run = |still| {
+        let mut engine = Engine::new(settings(still)).expect("starts");
+        let intervals: Vec<Interval> = (0..5).map(|key| push(&mut engine, key, light, true)).collect();
+        (intervals, engine)
+    };
+    let (kept, engine) = run(StillParts::Keep);
+    let (whole, all) = run(StillParts::Off);
+    let done = |engine: &Engine, stage| engine.work().stage(stage).map(|s| [s.done, s.avoided]).expect("counted");
+    let [computed, avoided] = done(&engine, "still");
+    assert!(avoided > 3 * computed, "{computed} blocks computed, {avoided} kept");
+    assert_eq!(done(&all, "still"), [0, 0]);
+    assert!(done(&engine, "colours")[0] <= done(&all, "colours")[0]);
+    for (kept, whole) in kept.iter().zip(&whole).skip(1) {
+        let [n, m] = [kept, whole].map(|interval| interval.gaussians.len());
+        assert!(10 * n < 7 * m, "interval {}: {n} Gaussians of {m}", kept.index);
+        let arriving = kept.gaussians.handover.iter().filter(|handover| **handover == Handover::Arrives).count();
+        assert!(4 * arriving < m, "{arriving} arrive");
+        for k in 4 * kept.index - 3..=4 * kept.index {
+            let truth = frame(k as usize, 1.0, true);
+            let [a, b] = [kept, whole].map(|interval| psnr(&draw(interval, k as f64), &truth));
+            // The first key frame's colours have its own noise; a mean comes with the frames after it.
+            let most = if kept.index == 1 { 0.8 } else { 0.3 };
+            assert!(a > b - most || a > 40.0, "frame {k}: {a:.2} dB kept, {b:.2} dB computed");
+        }
+    }
+}
+
+#[test]
+fn levels_threads_and_a_resumed_stream_are_the_same_bits_and_crossing_changes_none() {
+    // Light that fades brings colours that change.
+    let light = |k: usize| 1.0 - 0.004 * k as f32;
+    let stream = |level, threads| {
+        let mut engine =
+            Engine::new(Settings { level: Some(level), threads, ..settings(StillParts::Keep) }).expect("starts");
+        (0..4).map(|key| push(&mut engine, key, light, true)).collect::<Vec<_>>()
+    };
+    let expected = stream(Level::detect(), 2);
+    assert!(expected[2].gaussians.rgb_rate.iter().any(|rate| *rate != [0.0; 3]));
+    for (level, threads) in Level::available().into_iter().map(|level| (level, 1)).chain([(Level::detect(), 3)]) {
+        for (a, b) in expected.iter().zip(&stream(level, threads)) {
+            assert!(bits(a) == bits(b), "interval {}, {level}, {threads} threads", a.index);
+        }
+    }
+    for pair in expected.windows(2) {
+        assert!(draw(&pair[0], pair[0].end) == draw(&pair[1], pair[1].start), "key frame {}", pair[0].index);
+    }
+    for stop in 1..3 {
+        let mut before = Engine::new(settings(StillParts::Keep)).expect("starts");
+        (0..=stop).for_each(|key| drop(push(&mut before, key, light, true)));
+        let point = before.resume_point().expect("a point");
+        assert!(point.kept.is_some());
+        let bytes = streamsplat::scene::resume_point_to_safetensors(Some(&point), "").expect("written");
+        let (read, _) = streamsplat::scene::resume_point_from_safetensors(&bytes).expect("read");
+        assert_eq!(read.as_ref(), Some(&point));
+        let mut after = Engine::new(settings(StillParts::Keep)).expect("starts");
+        after.resume(&point, frame(4 * stop, light(4 * stop), true)).expect("resumed");
+        for (key, expected) in expected.iter().enumerate().skip(stop + 1) {
+            assert!(bits(&push(&mut after, key, light, true)) == bits(expected), "stopped at {stop}, interval {key}");
+        }
+    }
+}
+
+#[test]
+fn light_that_fades_slowly_is_followed_without_an_error_that_grows() {
+    let light = |k: usize| 1.0 - 0.3 * (k as f32 / 160.0);
+    let mut engine = Engine::new(settings(StillParts::Keep)).expect("starts");
+    let mut worst = [f64::INFINITY; 2];
+    for key in 0..=40 {
+        let interval = push(&mut engine, key, light, false);
+        let half = usize::from(key > 20);
+        for k in [(4 * key).saturating_sub(2), 4 * key] {
+            worst[half] = worst[half].min(psnr(&draw(&interval, k as f64), &frame(k, light(k), false)));
+        }
+    }
+    let [first, second] = worst;
+    assert!(first > 39.0 && second > first - 0.3, "worst frame {first:.2} dB, then {second:.2} dB");
+    let still = engine.work().stage("still").expect("counted");
+    assert!(still.avoided > 4 * still.done, "{} blocks computed, {} kept", still.done, still.avoided);
+}
