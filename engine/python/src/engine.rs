@@ -18,7 +18,7 @@ use crate::interval::Interval;
 ///
 /// State between key frames is bounded and independent of the stream's length. The arguments are the options of the
 /// command line under the same names; `threads` and `isa` change no bit of any result.
-#[pyclass(frozen, module = "streamsplat")]
+#[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Engine {
     inner: Mutex<streamsplat::Engine>,
 }

@@ -5,7 +5,7 @@ use pyo3::exceptions::{PyException, PyMemoryError, PyOSError, PyValueError};
 use streamsplat::RenderError;
 
 pyo3::create_exception!(
-    streamsplat,
+    streamsplat_cpu,
     Error,
     PyException,
     "What the engine cannot do: a broken file, a frame it cannot take, a time outside the scene. The message says what was expected and what was found."

@@ -16,7 +16,7 @@ use crate::failure::{failed, system, wrong};
 type Parts<'py> = (usize, usize, Bound<'py, PyBytes>, Option<Bound<'py, PyBytes>>, Option<Bound<'py, PyBytes>>, u64);
 
 /// A drawn image. Its arrays are read-only and show the engine's own memory.
-#[pyclass(frozen, module = "streamsplat")]
+#[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Image {
     picture: Picture,
     depth: Option<Vec<f32>>,

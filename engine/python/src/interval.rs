@@ -24,7 +24,7 @@ use crate::failure::{failed, not_drawn, system, wrong};
 use crate::image::{Drawn, Image};
 
 /// The scene from one key frame to the next, valid for good and independent of the engine that made it.
-#[pyclass(frozen, module = "streamsplat")]
+#[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Interval {
     pub inner: streamsplat::Interval,
     /// Threads that draw it: those of the engine or the scene that gave it; of a copy, its own from its first image on.
@@ -175,7 +175,7 @@ impl Interval {
 }
 
 /// The Gaussians of an interval, one read-only array per property, in drawing order. The arrays show the interval's own memory.
-#[pyclass(frozen, module = "streamsplat")]
+#[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Gaussians {
     interval: Py<Interval>,
 }

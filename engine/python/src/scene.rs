@@ -17,7 +17,7 @@ use crate::image::{Drawn, Image};
 use crate::interval::Interval;
 
 /// A scene that the command line or a SceneWriter wrote. Its intervals are read when they are asked for.
-#[pyclass(frozen, module = "streamsplat")]
+#[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Scene {
     inner: scene::Scene,
     workers: Workers,
@@ -113,7 +113,7 @@ impl Scene {
 }
 
 /// Writes a scene while it grows; a context manager. What is on disk is a valid scene at any moment.
-#[pyclass(frozen, module = "streamsplat")]
+#[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct SceneWriter {
     inner: Mutex<Option<scene::SceneWriter>>,
 }

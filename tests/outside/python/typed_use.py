@@ -11,67 +11,67 @@ import PIL.Image
 from numpy.typing import NDArray
 from typing_extensions import assert_type
 
-import streamsplat
+import streamsplat_cpu
 
 
-def stream(clip: Path) -> Iterator[streamsplat.Image]:
-    engine = streamsplat.Engine(quality="realtime", threads=2)
+def stream(clip: Path) -> Iterator[streamsplat_cpu.Image]:
+    engine = streamsplat_cpu.Engine(quality="realtime", threads=2)
     assert_type(engine.threads, int)
-    frames = streamsplat.Frames(clip, fps=12)
+    frames = streamsplat_cpu.Frames(clip, fps=12)
     assert_type(frames.count, int | None)
     for frame, time in frames:
         assert_type(frame, NDArray[np.float32])
         assert_type(time, float)
         interval = engine.push(frame, time, between=[(frame, time)])
-        assert_type(interval, streamsplat.Interval)
+        assert_type(interval, streamsplat_cpu.Interval)
         yield interval.render(time)
 
 
-def pictures_of_others(engine: streamsplat.Engine, picture: PIL.Image.Image, pixels: NDArray[np.uint8]) -> None:
+def pictures_of_others(engine: streamsplat_cpu.Engine, picture: PIL.Image.Image, pixels: NDArray[np.uint8]) -> None:
     engine.push(picture, 0.0)
     engine.push(pixels, 1.0, np.zeros((3, 4), np.float32))
 
 
-def arrays(interval: streamsplat.Interval) -> None:
+def arrays(interval: streamsplat_cpu.Interval) -> None:
     assert_type(interval.gaussians.mean, NDArray[np.float32])
     assert_type(interval.gaussians.identity, NDArray[np.uint64])
     image = interval.render(0.5, {"type": "orthographic", "position": [0.2, 0, 0]}, size=(64, 36), alpha=True)
-    assert_type(image, streamsplat.Image)
+    assert_type(image, streamsplat_cpu.Image)
     assert_type(image.rgb, NDArray[np.float32])
     assert_type(image.alpha, NDArray[np.float32] | None)
     assert_type(image.rgb8(), NDArray[np.uint8])
     assert_type(image._repr_png_(), bytes)
-    assert_type(interval.render([0.0, 0.5]), list[streamsplat.Image])
-    assert_type(interval.render(0.5, ["a.json", None]), list[streamsplat.Image])
+    assert_type(interval.render([0.0, 0.5]), list[streamsplat_cpu.Image])
+    assert_type(interval.render(0.5, ["a.json", None]), list[streamsplat_cpu.Image])
     PIL.Image.fromarray(np.asarray(image)).save("a.webp")
     image.save(Path("a.png"))
 
 
-def scenes(path: Path, interval: streamsplat.Interval) -> None:
-    with streamsplat.SceneWriter(path, 24.0) as writer:
+def scenes(path: Path, interval: streamsplat_cpu.Interval) -> None:
+    with streamsplat_cpu.SceneWriter(path, 24.0) as writer:
         writer.push(interval)
-    scene = streamsplat.Scene(path)
-    assert_type(scene[-1], streamsplat.Interval)
-    assert_type(scene.render(0.5, size="source"), streamsplat.Image)
+    scene = streamsplat_cpu.Scene(path)
+    assert_type(scene[-1], streamsplat_cpu.Interval)
+    assert_type(scene.render(0.5, size="source"), streamsplat_cpu.Image)
 
 
 def whole_clips(clip: Path, out: Path) -> None:
     def report(done: int, total: int | None) -> None:
         print(done, total)
 
-    result = streamsplat.reconstruct(clip, out, gap="auto", sway=True, progress=report)
-    assert_type(result, streamsplat.Reconstruction)
+    result = streamsplat_cpu.reconstruct(clip, out, gap="auto", sway=True, progress=report)
+    assert_type(result, streamsplat_cpu.Reconstruction)
     assert_type(result.frames, int)
-    steps = streamsplat.Reconstructing(clip, out, quality="best")
+    steps = streamsplat_cpu.Reconstructing(clip, out, quality="best")
     for done, total in steps:
         assert_type(done, int)
         assert_type(total, int | None)
-    assert_type(steps.result, streamsplat.Reconstruction | None)
+    assert_type(steps.result, streamsplat_cpu.Reconstruction | None)
 
 
-def refused(engine: streamsplat.Engine, interval: streamsplat.Interval) -> None:
-    streamsplat.Engine(fusion="both")  # type: ignore[arg-type]
+def refused(engine: streamsplat_cpu.Engine, interval: streamsplat_cpu.Interval) -> None:
+    streamsplat_cpu.Engine(fusion="both")  # type: ignore[arg-type]
     engine.push([1, 2, 3], 0.0)  # type: ignore[arg-type]
     interval.render("now")  # type: ignore[arg-type]
     interval.start = 1.0  # type: ignore[misc]
-    streamsplat.reconstruct("clip.mp4", "out", progress=3)  # type: ignore[arg-type]
+    streamsplat_cpu.reconstruct("clip.mp4", "out", progress=3)  # type: ignore[arg-type]

@@ -1,15 +1,15 @@
 """Ordinary video in, a dynamic 3D Gaussian scene out, online, on CPUs, the same to the last bit everywhere.
 
-    import streamsplat
+    import streamsplat_cpu
 
-    engine = streamsplat.Engine()
-    for frame, time in streamsplat.Frames("clip.y4m"):
+    engine = streamsplat_cpu.Engine()
+    for frame, time in streamsplat_cpu.Frames("clip.y4m"):
         interval = engine.push(frame, time)          # every frame a key frame
         interval.gaussians.mean                      # NumPy, no copies
         image = interval.render(time)                # image.rgb: [height, width, 3]
 
 `reconstruct` does what the command line's `run` does. A wrong argument is a ValueError, a file that cannot be
-written an OSError, and everything else that fails a streamsplat.Error.
+written an OSError, and everything else that fails a streamsplat_cpu.Error.
 """
 
 from ._streamsplat import Engine, Error, Frames, Gaussians, Image, Interval, Scene, SceneWriter, __version__
