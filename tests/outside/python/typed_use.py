@@ -43,6 +43,7 @@ def arrays(interval: streamsplat_cpu.Interval) -> None:
     assert_type(image._repr_png_(), bytes)
     assert_type(interval.render([0.0, 0.5]), list[streamsplat_cpu.Image])
     assert_type(interval.render(0.5, ["a.json", None]), list[streamsplat_cpu.Image])
+    PIL.Image.fromarray(image).save("a.webp")
     PIL.Image.fromarray(np.asarray(image)).save("a.webp")
     image.save(Path("a.png"))
 
@@ -53,6 +54,45 @@ def scenes(path: Path, interval: streamsplat_cpu.Interval) -> None:
     scene = streamsplat_cpu.Scene(path)
     assert_type(scene[-1], streamsplat_cpu.Interval)
     assert_type(scene.render(0.5, size="source"), streamsplat_cpu.Image)
+
+
+def still_scenes(path: Path, pixels: NDArray[np.float32]) -> None:
+    scene = streamsplat_cpu.Scene(path)
+    splats = scene.at()
+    assert_type(splats, streamsplat_cpu.Splats)
+    assert_type(splats.means, NDArray[np.float32])
+    assert_type(splats.identities, NDArray[np.uint64])
+    cameras = streamsplat_cpu.cameras("transforms.json", size=(64, 36))
+    assert_type(cameras, list[streamsplat_cpu.Camera])
+    assert_type(scene.render(cameras), list[streamsplat_cpu.Image])
+    assert_type(scene.render(cameras[0]), streamsplat_cpu.Image)
+    assert_type(scene.render({"type": "orthographic"}, size="64x36"), streamsplat_cpu.Image)
+    assert_type(scene.render(), streamsplat_cpu.Image)
+    assert_type(splats.render(splats.orbit(8)), list[streamsplat_cpu.Image])
+    assert_type(splats.render(splats.camera(90)), streamsplat_cpu.Image)
+    again = streamsplat_cpu.Splats(splats.means, splats.scales, splats.opacities, quats=splats.quats, sh=splats.sh)
+    again.save("a.spz")
+    camera = streamsplat_cpu.Camera(np.eye(4), pixels, 64, 36, name="a")
+    assert_type(camera.K, NDArray[np.float32])
+    assert_type(camera.size, tuple[int, int] | None)
+    assert_type(streamsplat_cpu.Camera.look_at((0, 0, -1), (0, 0, 0)), streamsplat_cpu.Camera)
+    with scene.view(open=False) as viewer:
+        assert_type(viewer.url, str)
+
+
+def parts(scene: streamsplat_cpu.Scene, interval: streamsplat_cpu.Interval) -> None:
+    assert_type(scene[1:3], list[streamsplat_cpu.Interval])
+    assert_type(scene.interval(0.5), streamsplat_cpu.Interval)
+    assert_type(scene.at(0.5), streamsplat_cpu.Splats)
+    assert_type(interval.at(), streamsplat_cpu.Splats)
+    assert_type(scene.render([0.0, 0.5]), list[streamsplat_cpu.Image])
+    assert_type(scene.render(0.5, {"type": "orthographic"}), streamsplat_cpu.Image)
+
+
+def frames_in_memory(pixels: NDArray[np.uint8], out: Path) -> None:
+    streamsplat_cpu.reconstruct([pixels, pixels], out, fps=24)
+    streamsplat_cpu.reconstruct(((pixels, float(i)) for i in range(2)), out)
+    streamsplat_cpu.reconstruct(streamsplat_cpu.Frames("clip.mp4"), out)
 
 
 def whole_clips(clip: Path, out: Path) -> None:
@@ -74,4 +114,5 @@ def refused(engine: streamsplat_cpu.Engine, interval: streamsplat_cpu.Interval) 
     engine.push([1, 2, 3], 0.0)  # type: ignore[arg-type]
     interval.render("now")  # type: ignore[arg-type]
     interval.start = 1.0  # type: ignore[misc]
+    streamsplat_cpu.Splats(np.zeros((1, 3)), 3, [0.5])  # type: ignore[arg-type]
     streamsplat_cpu.reconstruct("clip.mp4", "out", progress=3)  # type: ignore[arg-type]
