@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
 use numpy::ndarray::{ArrayView1, ArrayView2, ArrayView3, ArrayViewD};
-use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArrayDyn};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArrayDyn};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
+use streamsplat::camera::Rotation;
 use streamsplat::camera::turn::Angles;
 use streamsplat::export::Options;
 use streamsplat::import::{FORMATS, Format, Limits};
@@ -23,7 +24,7 @@ use streamsplat_kernels::{Level, harmonics};
 use crate::arguments::{self, Place};
 use crate::arrays::borrowed;
 use crate::camera::Camera;
-use crate::failure::{failed, not_drawn, not_written, wrong};
+use crate::failure::{failed, mistyped, not_drawn, not_written, wrong};
 use crate::image::{Drawn, Image};
 
 /// Size of images of which nothing sets it.
@@ -169,11 +170,12 @@ fn rows<const N: usize>(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResul
 /// An array of 32-bit floats.
 fn numbers<'py>(name: &str, value: &Bound<'py, PyAny>) -> PyResult<PyReadonlyArrayDyn<'py, f32>> {
     let numpy = value.py().import("numpy")?;
-    let array = numpy.call_method1("asarray", (value,))?;
+    // Tensors on a graphics card, and those of a graph, say what to do themselves.
+    let array = numpy.call_method1("asarray", (value,)).map_err(|e| mistyped(format!("{name}: {}", e.value(value.py()))))?;
     let kind: char = array.getattr("dtype")?.getattr("kind")?.extract()?;
     if !"fiu".contains(kind) {
         let found = array.getattr("dtype")?;
-        return Err(crate::failure::mistyped(format!("{name}: expected numbers, found {found}")));
+        return Err(mistyped(format!("{name}: expected numbers, found {found}")));
     }
     // float64 becomes float32, unaligned arrays aligned ones.
     let array = numpy.call_method1("require", (array, "float32", "CA"))?;
@@ -270,6 +272,23 @@ impl Splats {
     fn scales<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         // SAFETY: as in `means`.
         unsafe { borrowed(&ArrayView2::from(this.get().scene.scale()), this.clone().into_any()) }
+    }
+
+    /// Covariances R·diag(s²)·Rᵀ, float32 [N, 3, 3], as viser takes them. In binary64, sums from left to right, rounded once. A copy.
+    #[getter]
+    fn covariances<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let all = py.detach(|| {
+            let mut all = Vec::with_capacity(9 * self.still().len());
+            for (i, scale) in self.scene.scale().iter().enumerate() {
+                let turn = Rotation::from_quaternion(self.scene.rotation(i)).map(|rotation| rotation.matrix());
+                let rows = turn.unwrap_or([[f64::NAN; 3]; 3]);
+                let [a, b, c] = scale.map(|s| f64::from(s) * f64::from(s));
+                let sum = |x: [f64; 3], y: [f64; 3]| (x[0] * a * y[0] + x[1] * b * y[1] + x[2] * c * y[2]) as f32;
+                all.extend(rows.iter().flat_map(|x| rows.map(|y| sum(*x, y))));
+            }
+            all
+        });
+        all.into_pyarray(py).reshape([self.still().len(), 3, 3])
     }
 
     /// Opacities, float32 [N].

@@ -130,6 +130,9 @@ class Splats:
     def scales(self) -> NDArray[np.float32]:
         """Standard deviations, [N, 3]."""
     @property
+    def covariances(self) -> NDArray[np.float32]:
+        """Covariances, [N, 3, 3]: a copy."""
+    @property
     def opacities(self) -> NDArray[np.float32]:
         """Opacities, [N]."""
     @property

@@ -224,6 +224,12 @@ def test_arrays_become_a_scene_that_is_drawn_saved_and_pickled(tmp_path):
         np.testing.assert_allclose(getattr(splats, name), array, rtol=2e-6, atol=2e-7, err_msg=name)
     assert np.array_equal(splats.identities, np.arange(300)) and repr(splats).startswith("Splats(300 Gaussians, sh_degree=0, most of it from (")
     assert (np.abs(np.linalg.norm(splats.quats, axis=1) - 1) < 1e-6).all()
+    w, x, y, z = splats.quats.astype(float).T
+    turn = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                     [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]]).transpose(2, 0, 1)
+    expected = turn @ (splats.scales.astype(float)[:, :, None] ** 2 * turn.transpose(0, 2, 1))
+    np.testing.assert_allclose(splats.covariances, expected, atol=1e-7)
     # Numbers of any kind, lists, unaligned and strided arrays.
     kinds = {name: array.astype(np.float64)[::-1][::-1] for name, array in arrays.items()}
     assert Splats(**kinds).render(size="64x36").png() == splats.render(size="64x36").png()
