@@ -171,7 +171,8 @@ fn rows<const N: usize>(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResul
 fn numbers<'py>(name: &str, value: &Bound<'py, PyAny>) -> PyResult<PyReadonlyArrayDyn<'py, f32>> {
     let numpy = value.py().import("numpy")?;
     // Tensors on a graphics card, and those of a graph, say what to do themselves.
-    let array = numpy.call_method1("asarray", (value,)).map_err(|e| mistyped(format!("{name}: {}", e.value(value.py()))))?;
+    let array =
+        numpy.call_method1("asarray", (value,)).map_err(|e| mistyped(format!("{name}: {}", e.value(value.py()))))?;
     let kind: char = array.getattr("dtype")?.getattr("kind")?.extract()?;
     if !"fiu".contains(kind) {
         let found = array.getattr("dtype")?;

@@ -224,6 +224,8 @@ def test_arrays_become_a_scene_that_is_drawn_saved_and_pickled(tmp_path):
         np.testing.assert_allclose(getattr(splats, name), array, rtol=2e-6, atol=2e-7, err_msg=name)
     assert np.array_equal(splats.identities, np.arange(300)) and repr(splats).startswith("Splats(300 Gaussians, sh_degree=0, most of it from (")
     assert (np.abs(np.linalg.norm(splats.quats, axis=1) - 1) < 1e-6).all()
+    twice = Splats(**arrays | {"quats": 2 * arrays["quats"]})
+    np.testing.assert_allclose(twice.quats, splats.quats, atol=1e-7)
     w, x, y, z = splats.quats.astype(float).T
     turn = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
                      [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
