@@ -12,7 +12,7 @@ use pyo3::types::PyBytes;
 use streamsplat::camera::Rotation;
 use streamsplat::camera::turn::Angles;
 use streamsplat::export::Options;
-use streamsplat::import::{FORMATS, Format, Limits};
+use streamsplat::import::{FORMATS, Format, GAUSSIANS, Limits};
 use streamsplat::output::{picture_png, write_file};
 use streamsplat::picture::Picture;
 use streamsplat::render::Renderer;
@@ -177,6 +177,11 @@ fn numbers<'py>(name: &str, value: &Bound<'py, PyAny>) -> PyResult<PyReadonlyArr
     if !"fiu".contains(kind) {
         let found = array.getattr("dtype")?;
         return Err(mistyped(format!("{name}: expected numbers, found {found}")));
+    }
+    // Before an array that shows one number many times becomes one of its own.
+    let shape: Vec<usize> = array.getattr("shape")?.extract()?;
+    if let Some(found) = shape.first().filter(|rows| **rows > GAUSSIANS) {
+        return Err(wrong(format!("{name}: expected at most {GAUSSIANS} Gaussians, found {found}")));
     }
     // float64 becomes float32, unaligned arrays aligned ones.
     let array = numpy.call_method1("require", (array, "float32", "CA"))?;
