@@ -12,10 +12,10 @@ use streamsplat::picture::{MAX_PIXELS, MAX_SIDE, size_is_allowed};
 use crate::arguments;
 use crate::failure::{no_cameras, present, wrong};
 
-/// A view of a scene: a pose, a lens, and the size of its image in pixels where that is known.
+/// A view of a scene: a pose, a lens, and the size of its image in pixels, if it has one.
 ///
-/// `Camera(viewmat, K, width, height)` takes gsplat's matrices: `viewmat` [4, 4] from the world to the camera, which looks along +z with +x to the right and
-/// +y down, and `K` [3, 3] in pixels, counted from the corner of the first one. `cameras(path)` reads the files of other programs.
+/// `Camera(viewmat, K, width, height)` takes gsplat's matrices: `viewmat` [4, 4] from the world to the camera, which looks along +z with +x to the
+/// right and +y down, and `K` [3, 3] in pixels, counted from the corner of the first one. `cameras(path)` reads the files of other programs.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 #[derive(Clone)]
 pub struct Camera {
@@ -227,9 +227,9 @@ impl Camera {
     }
 }
 
-/// The cameras of a file or a folder, in its order: this program's own JSON, cameras.json of 3D Gaussian splatting, transforms.json of nerfstudio, instant-ngp and
-/// Blender, nerfstudio's camera_path.json, SuperSplat's settings.json, or a COLMAP model (docs/cameras.md). `size` ("WIDTHxHEIGHT" or (width, height)) is that of
-/// files that have none.
+/// The cameras of a file or a folder, in its order: this program's own JSON, cameras.json of 3D Gaussian splatting, transforms.json of nerfstudio,
+/// instant-ngp and Blender, nerfstudio's camera_path.json, SuperSplat's settings.json, or a COLMAP model (docs/cameras.md). `size` ("WIDTHxHEIGHT" or
+/// (width, height)) is that of files that have none.
 #[pyfunction]
 #[pyo3(signature = (path, *, size=None))]
 pub fn cameras(py: Python<'_>, path: PathBuf, size: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Camera>> {

@@ -15,7 +15,7 @@ pyo3::create_exception!(
     streamsplat_cpu,
     Error,
     PyException,
-    "What the engine cannot do: a broken file, a frame it cannot take, a time outside the scene. The message says what was expected and what was found."
+    "What the engine cannot do: a broken file, a frame it cannot take, a time outside the scene. The message contains what was expected and what was found."
 );
 
 /// The work failed.

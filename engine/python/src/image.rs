@@ -157,8 +157,8 @@ impl Image {
         PyBytes::new(py, &bytes)
     }
 
-    /// Writes the image: whole or not at all. `.png`, `.webp` (both without loss) and `.exr` (32-bit floats, with depth and alpha where the image has them) are
-    /// written here, other endings (.jpg, .tif, …) by Pillow.
+    /// Writes the image: whole or not at all. `.png`, `.webp` (both without loss) and `.exr` (32-bit floats, with depth and alpha where the image has
+    /// them) are written here, other endings (.jpg, .tif, …) by Pillow.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         let own = py.detach(|| match ending.as_str() {

@@ -103,8 +103,8 @@ impl Interval {
         format!("Interval({index}: {start:.3} s to {end:.3} s, {} Gaussians)", gaussians.len())
     }
 
-    /// Writes the Gaussians at `time`, the interval's end unless told, as a still scene, in the format that the name ends in: `.ply`, `.compressed.ply`,
-    /// `.spz`, `.sog`, `.glb` or `.splat`.
+    /// Writes the Gaussians at `time`, by default the interval's end, as a still scene, in the format that the name ends in: `.ply`,
+    /// `.compressed.ply`, `.spz`, `.sog`, `.glb` or `.splat`.
     #[pyo3(signature = (path, time=None))]
     fn save(&self, py: Python<'_>, path: PathBuf, time: Option<f64>) -> PyResult<()> {
         let format = format_of(&path)?;
@@ -118,7 +118,7 @@ impl Interval {
         warn(py, &notes)
     }
 
-    /// The Gaussians at `time`, the interval's end unless told, in the world: the numbers of the file that `save` writes.
+    /// The Gaussians at `time`, by default the interval's end, in the world: the numbers of the file that `save` writes.
     #[pyo3(signature = (time=None))]
     pub fn at(&self, py: Python<'_>, time: Option<f64>) -> PyResult<Splats> {
         let workers = self.workers()?;
@@ -157,8 +157,8 @@ impl Interval {
 
     /// The scene at `time` seconds: an image, or a list of them where `time` or `camera` is a list.
     ///
-    /// `camera` is None (the source's own view), a Camera, a dictionary in the JSON form of cameras, or the path of a file with one; `size` is 'model' (the
-    /// default, where the camera has none), 'source', 'WIDTHxHEIGHT' or (width, height); `background` is a grey or a colour in [0, 1].
+    /// `camera` is None (the source's own view), a Camera, a dictionary in the JSON form of cameras, or the path of a file with one; `size` is
+    /// 'model' (the default, where the camera has none), 'source', 'WIDTHxHEIGHT' or (width, height); `background` is a grey or a colour in [0, 1].
     #[pyo3(signature = (time, camera=None, *, size=None, background=None, depth=false, alpha=false, antialias=false))]
     pub fn render(
         &self,

@@ -21,8 +21,8 @@ use crate::interval::Interval;
 use crate::splats::{Splats, warn};
 use crate::view::Viewer;
 
-/// A scene on disk: one in time, that the command line or a SceneWriter wrote (its intervals are read when they are needed), or a still one, a splat file in
-/// any format that is read (docs/formats.md), which is read as a whole.
+/// A scene on disk: one in time, that the command line or a SceneWriter wrote (its intervals are read when they are needed), or a still one, a splat
+/// file in any format that is read (docs/formats.md), which is read as a whole.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Scene {
     path: PathBuf,

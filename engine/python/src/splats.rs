@@ -36,8 +36,9 @@ const MANY: usize = 8;
 
 /// Gaussians in the world at one instant: the numbers of a splat file, as read-only arrays for gsplat, viser, Rerun and nerfstudio.
 ///
-/// Units are square; axes are those of docs/cameras.md, x to the right, y down and z to the front. `Splats(means, scales, opacities, quats=…, colors=…)` makes
-/// one of arrays or tensors: `colors` [N, 3] are seen from every direction, `sh` [N, K, 3] are coefficients of harmonics (K = 1, 4, 9 or 16).
+/// Units are square; axes are those of docs/cameras.md, x to the right, y down and z to the front. `Splats(means, scales, opacities, quats=…,
+/// colors=…)` makes one of arrays or tensors: `colors` [N, 3] are seen from every direction, `sh` [N, K, 3] are coefficients of harmonics (K = 1, 4,
+/// 9 or 16).
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Splats {
     pub scene: Arc<Drawable>,
@@ -170,7 +171,7 @@ fn rows<const N: usize>(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResul
 /// An array of 32-bit floats.
 fn numbers<'py>(name: &str, value: &Bound<'py, PyAny>) -> PyResult<PyReadonlyArrayDyn<'py, f32>> {
     let numpy = value.py().import("numpy")?;
-    // Tensors on a graphics card, and those of a graph, say what to do themselves.
+    // The message for tensors on a graphics card, and for those of a graph, contains what to do.
     let array =
         numpy.call_method1("asarray", (value,)).map_err(|e| mistyped(format!("{name}: {}", e.value(value.py()))))?;
     let kind: char = array.getattr("dtype")?.getattr("kind")?.extract()?;
@@ -353,7 +354,7 @@ impl Splats {
         (x, y, z)
     }
 
-    /// True if the scene was trained with anti-aliasing, as its file says.
+    /// True if the scene was trained with anti-aliasing, by its file's mark.
     #[getter]
     fn antialiased(&self) -> bool {
         self.still().about.antialiased
@@ -361,8 +362,8 @@ impl Splats {
 
     /// Images: one, or a list where `camera` is a list.
     ///
-    /// `camera` is a Camera, a dictionary in the JSON form of cameras, or the path of a file with one; without it the scene is framed by itself. `size` is
-    /// "WIDTHxHEIGHT" or (width, height), by default the camera's, else 1280×720; `antialias` is by default that of the file.
+    /// `camera` is a Camera, a dictionary in the JSON form of cameras, or the path of a file with one; without it the scene is framed by itself.
+    /// `size` is "WIDTHxHEIGHT" or (width, height), by default the camera's, else 1280×720; `antialias` is by default that of the file.
     #[pyo3(signature = (camera=None, *, size=None, background=None, depth=false, alpha=false, antialias=None))]
     fn render(
         &self,

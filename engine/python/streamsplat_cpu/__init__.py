@@ -16,8 +16,9 @@
 `reconstruct` does what the command line's `run` does, of files or of frames in memory. Arrays are read-only; `.copy()` makes one that can be written
 to, and `torch.from_dlpack(array)` a tensor that shares its memory (it must not be written to).
 
-An argument of a wrong type is a TypeError, one of a wrong value a ValueError. A file that is not there is a FileNotFoundError, one that cannot be read or
-written another OSError. Everything else that fails is a streamsplat_cpu.Error: a broken file, a frame that the engine cannot take, a time outside the scene.
+An argument of a wrong type is a TypeError, one of a wrong value a ValueError. A file that is not there is a FileNotFoundError, one that cannot
+be read or written another OSError. Everything else that fails is a streamsplat_cpu.Error: a broken file, a frame that the engine cannot take, a
+time outside the scene.
 """
 
 from ._streamsplat import (

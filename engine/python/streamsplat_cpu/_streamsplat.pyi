@@ -51,7 +51,7 @@ __all__ = [
 __version__: str
 
 def main(arguments: Sequence[str]) -> int:
-    """Runs the program with these arguments, the first of which is its name, and gives its exit code."""
+    """Runs the program with these arguments, the first of which is its name, and returns its exit code."""
 
 def run(
     input: str | Iterable[_Frame] | Iterable[tuple[_Frame, float]],
@@ -65,11 +65,11 @@ def cameras(path: str | os.PathLike[str], *, size: _Size | None = None) -> list[
     """The cameras of a file of this program, 3D Gaussian splatting, nerfstudio, instant-ngp, Blender, SuperSplat or COLMAP, in its order."""
 
 class Error(Exception):
-    """Something that the engine cannot do; the message says what was expected and what was found."""
+    """Something that the engine cannot do; the message contains what was expected and what was found."""
 
 @final
 class Camera:
-    """A view of a scene: a pose, a lens, and the size of its image where that is known."""
+    """A view of a scene: a pose, a lens, and the size of its image if there is one."""
 
     def __new__(cls, viewmat: _Numbers, K: _Numbers, width: int, height: int, *, name: str = "") -> Self: ...
     @staticmethod
@@ -232,7 +232,7 @@ class Engine:
         *,
         between: Sequence[tuple[_Frame, float]] | None = None,
     ) -> Interval:
-        """Takes the next key frame ([height, width, 3]) and gives the interval it ends; `between`: the frames since the one before, with their times."""
+        """Takes the next key frame ([height, width, 3]) and returns the interval it ends; `between`: the frames since the one before, with their times."""
     @property
     def work(self) -> dict[str, dict[str, Any]]:
         """Work done and avoided per stage."""
@@ -296,10 +296,10 @@ class Interval:
         antialias: bool = False,
     ) -> list[Image]: ...
     def at(self, time: float | None = None) -> Splats:
-        """The Gaussians at `time`, the interval's end unless told, in the world."""
+        """The Gaussians at `time`, by default the interval's end, in the world."""
     def _repr_png_(self) -> bytes: ...
     def save(self, path: str | os.PathLike[str], time: float | None = None) -> None:
-        """Writes the Gaussians at `time`, the interval's end unless told, as a .ply, .compressed.ply, .spz, .sog, .glb or .splat file."""
+        """Writes the Gaussians at `time`, by default the interval's end, as a .ply, .compressed.ply, .spz, .sog, .glb or .splat file."""
     def pick(self, time: float, pixel: tuple[float, float]) -> tuple[int, int, float, list[float]] | None:
         """(identity, index, weight, world position) of what shows most at a pixel of the source's frame."""
 
@@ -349,7 +349,7 @@ class Image:
     def dropped(self) -> int: ...
     @property
     def rgb(self) -> NDArray[np.float32]:
-        """Display-space colour, [height, width, 3]: a read-only view; `.copy()` gives an array that can be written to."""
+        """Display-space colour, [height, width, 3]: a read-only view; `.copy()` makes an array that can be written to."""
     @property
     def depth(self) -> NDArray[np.float32] | None: ...
     @property

@@ -144,8 +144,8 @@ pub fn open_moving(path: &Path, limits: &Limits) -> Result<Scene, SceneError> {
     }
 }
 
-/// Reads a still scene from memory. The format follows from the content; `.splat` and `.ksplat` have no magic bytes and follow from the ending of `name`, which
-/// may be empty otherwise. Files of SpacetimeGaussians are read at the time 0.
+/// Reads a still scene from memory. The format follows from the content; `.splat` and `.ksplat` have no magic bytes and follow from the ending of
+/// `name`, which may be empty otherwise. Files of SpacetimeGaussians are read at the time 0.
 ///
 /// # Errors
 /// Bytes of another kind, broken ones, more than the limits allow, and formats whose scene is in several files.

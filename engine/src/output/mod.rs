@@ -333,8 +333,8 @@ pub fn layered_exr(image: &Image) -> io::Result<Vec<u8>> {
     layers(image, false)
 }
 
-/// The planes that an image has as one EXR file of 32-bit floats, without loss: that of [`layered_exr`] where it has depth and alpha; else colours alone,
-/// in the channels R, G and B of the layer `colour`, and depth or alpha in their layers.
+/// The planes that an image has as one EXR file of 32-bit floats, without loss: that of [`layered_exr`] where it has depth and alpha; else colours
+/// alone, in the channels R, G and B of the layer `colour`, and depth or alpha in their layers.
 ///
 /// # Errors
 /// Planes whose length is not `width · height`.

@@ -119,7 +119,8 @@ impl Run {
         }
     }
 
-    /// A run of frames in memory ([`Source::of_frames`]); a rate in `options` does not change theirs. It is resumed with the same frames from the first one on.
+    /// A run of frames in memory ([`Source::of_frames`]); a rate in `options` does not change theirs. It is resumed with the same frames from the
+    /// first one on.
     pub fn of_frames(frames: Source, options: RunOptions) -> Run {
         Run { frames: Some(frames), ..Run::new(MEMORY, options) }
     }

@@ -87,7 +87,7 @@ fn frames_in_memory_become_what_their_file_becomes() {
     let found = Run::of_frames(source, options.clone()).out(&of_memory).finish().expect("a run");
     assert_eq!((&found.outputs, &found.input.blake3), (&expected.outputs, &expected.input.blake3));
     assert_eq!((found.input.path.as_path(), found.input.count), (Path::new(MEMORY), 5));
-    // What its frames' producer says is the run's error.
+    // An error of the frames' producer is the run's error.
     let broken = Source::of_frames(std::iter::once(Err("no camera".to_owned())), Some(fps), None).expect("frames");
     let error = Run::of_frames(broken, options).start().and_then(Running::finish).expect_err("no frame");
     assert_eq!(error.to_string(), "<memory>: no camera");

@@ -185,8 +185,8 @@ impl Source {
         Ok(Source { kind, path, rate, own_times, square, next: 0, first: None, notes })
     }
 
-    /// Frames from memory: pictures of one size with their times in seconds, or without. `fps` replaces their times; without it frames are as far apart as
-    /// the first two, or follow each other at [`DEFAULT_FPS`] where they have no times. `count` is their number, where it is known.
+    /// Frames from memory: pictures of one size with their times in seconds, or without. `fps` replaces their times; without it frames are as far
+    /// apart as the first two, or follow each other at [`DEFAULT_FPS`] where they have no times. `count` is their number, if it is fixed beforehand.
     ///
     /// # Errors
     /// A rate that is not positive and finite, and the first two frames' errors.

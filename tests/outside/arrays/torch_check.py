@@ -25,12 +25,12 @@ def shared(splats):
             tensor = torch.from_dlpack(array)
             assert tensor.data_ptr() == array.ctypes.data and tensor.dtype == torch.float32 and tuple(tensor.shape) == array.shape, name
         torch.from_numpy(splats.means.copy())
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter('always')
         assert torch.from_numpy(splats.means).data_ptr() == splats.means.ctypes.data
-    # torch has no read-only tensors: it says so, once in a process.
-    shared.told += [str(warning.message) for warning in told]
-    # Tensors go in; what torch says of those that NumPy cannot read comes out, with the argument's name.
+    # torch has no read-only tensors, and warns of it once in a process.
+    shared.warnings += [str(warning.message) for warning in warned]
+    # Tensors go in; torch's message on those that NumPy cannot read comes out, with the argument's name.
     again = streamsplat_cpu.Splats(*(torch.from_dlpack(x) for x in (splats.means, splats.scales, splats.opacities)),
                                    quats=torch.from_dlpack(splats.quats), sh=torch.from_dlpack(splats.sh))
     assert np.array_equal(again.sh, splats.sh) and np.array_equal(again.means, splats.means)
@@ -43,7 +43,7 @@ def shared(splats):
             raise AssertionError(f'{wrong} was taken')
 
 
-shared.told = []
+shared.warnings = []
 
 
 def formulas(splats):
@@ -76,4 +76,4 @@ for name, splats in scenes(Path(sys.argv[1])).items():
     shared(splats)
     formulas(splats)
     print(f'{name}: torch shares the memory of the arrays, gsplat projects them where they are drawn')
-assert len(shared.told) == 1 and 'not writable' in shared.told[0], shared.told
+assert len(shared.warnings) == 1 and 'not writable' in shared.warnings[0], shared.warnings

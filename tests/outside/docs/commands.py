@@ -5,8 +5,8 @@ they use exist: `clip.mp4`, `clip.y4m`, `FOLDER` of images, `CLIPS` of clips, a 
 somebody's scene as `garden.ply`, and links to the repository's folders. A command that serves a page (SERVES) is stopped as a user stops it. What a command cannot mean here is replaced (REPLACED); what another part of the tests runs is named with that part (ELSEWHERE). A command that is in
 neither table and fails, and an entry of a table that no page uses, are errors.
 
-Of docs/recipes.md everything runs, in its order: each line of its ```sh blocks, and each ```python block as a program, in the environment PYTHON with viser and
-Rerun, in TORCH where it imports torch. A recipe without either is an error.
+Of docs/recipes.md everything runs, in its order: each line of its ```sh blocks, and each ```python block as a program, in the environment
+PYTHON with viser and Rerun, in TORCH where it imports torch. A recipe without either is an error.
 """
 
 import json

@@ -74,7 +74,7 @@ def test_arrays_are_the_numbers_of_the_exported_file(video, tmp_path):
     np.testing.assert_allclose(splats.opacities, 1 / (1 + np.exp(-file["opacity"].astype(float))), rtol=1e-6)
     np.testing.assert_allclose(splats.colors, 0.5 + Y0 * splats.sh[:, 0].astype(float), atol=1e-7)
     assert np.array_equal(splats.quats, np.tile(np.float32([1, 0, 0, 0]), (len(splats), 1)))
-    # The file, opened, is the arrays, bit for bit; and so is what the interval says.
+    # The file, opened, is the arrays, bit for bit, and so are those of the interval.
     for other in (Scene(exported).at(), scene.interval(time).at(time)):
         for name in ("means", "quats", "scales", "opacities", "colors", "sh"):
             assert np.array_equal(getattr(other, name), getattr(splats, name)), name
