@@ -443,7 +443,8 @@ impl Splats {
             let corner = |c: [f64; 3]| c.map(|x| format!("{x:.2}")).join(", ");
             format!(", most of it from ({}) to ({})", corner(least), corner(greatest))
         });
-        format!("Splats({} Gaussians, sh_degree={}{})", still.len(), still.degree, bounds.unwrap_or_default())
+        let s = if still.len() == 1 { "" } else { "s" };
+        format!("Splats({} Gaussian{s}, sh_degree={}{})", still.len(), still.degree, bounds.unwrap_or_default())
     }
 }
 
