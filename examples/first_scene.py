@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import streamsplat
+import streamsplat_cpu
 
 clip = Path(__file__).resolve().parents[1] / "fixtures" / "clips" / "moving.y4m"
 video = Path(sys.argv[1]) if len(sys.argv) > 1 else clip
@@ -16,8 +16,8 @@ out = Path(sys.argv[2] if len(sys.argv) > 2 else "first-scene")
 (out / "frames").mkdir(parents=True, exist_ok=True)
 
 # %% The stream: one interval per key frame; the frames in between are passed as well
-engine = streamsplat.Engine()
-frames = streamsplat.Frames(video)
+engine = streamsplat_cpu.Engine()
+frames = streamsplat_cpu.Frames(video)
 intervals, times, between = [], [], []
 for number, (frame, time) in enumerate(frames):
     times.append(time)

@@ -13,7 +13,7 @@ import shutil
 import sys
 from pathlib import Path
 
-import streamsplat
+import streamsplat_cpu
 
 
 def clips_in(folder: Path) -> list[Path]:
@@ -29,8 +29,8 @@ def work_on(clip: Path, out: Path, gap: int, threads: int | None) -> str:
     partial = out.with_name(f".{out.name}.partial")
     try:
         # An earlier worker's intervals are kept.
-        done = streamsplat.reconstruct(clip, partial, gap=gap, threads=threads, resume=partial.exists())
-    except streamsplat.Error:
+        done = streamsplat_cpu.reconstruct(clip, partial, gap=gap, threads=threads, resume=partial.exists())
+    except streamsplat_cpu.Error:
         shutil.rmtree(partial, ignore_errors=True)
         raise
     partial.rename(out)
@@ -65,7 +65,7 @@ def in_a_loop(todo: list[tuple[Path, Path]], gap: int) -> int:
     for clip, out in todo:
         try:
             print(work_on(clip, out, gap, None), flush=True)
-        except (streamsplat.Error, OSError) as error:
+        except (streamsplat_cpu.Error, OSError) as error:
             failed += 1
             print(f"{clip}: {error}", file=sys.stderr, flush=True)
     return failed

@@ -4,15 +4,12 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use pyo3::prelude::*;
-use pyo3::types::{IntoPyDict, PyDict, PyList, PyTuple};
-use streamsplat::camera::{self, Camera, CameraPath};
-use streamsplat::import::read_text;
+use pyo3::types::{IntoPyDict, PyDict, PyList, PyString, PyTuple};
+use streamsplat::camera::{self, CameraPath};
 use streamsplat::{RenderOptions, Size};
 
-use crate::failure::{system, wrong};
-
-/// Longest camera file read, in bytes.
-const MAX_CAMERA: u64 = 16 << 20;
+use crate::camera::{Camera, of_file};
+use crate::failure::{mistyped, wrong};
 
 /// `text` as a `T`, or a `ValueError` that names the argument.
 pub fn choice<T: FromStr>(name: &str, text: &str) -> PyResult<T>
@@ -22,58 +19,134 @@ where
     text.parse().map_err(|e| wrong(format!("{name}: {e}")))
 }
 
-/// A camera: `None`, a dictionary in the JSON form of cameras, or the path of a file of that form.
-pub fn camera(value: Option<&Bound<'_, PyAny>>) -> PyResult<CameraPath> {
-    let Some(value) = value else { return Ok(CameraPath::default()) };
+/// A camera, or one that moves; with the size of its image (width and height), where it has one.
+struct Seen {
+    path: CameraPath,
+    size: Option<[usize; 2]>,
+}
+
+/// A camera: `None`, a `Camera`, a dictionary in the JSON form of cameras, or the path of a file with one.
+fn camera(value: Option<&Bound<'_, PyAny>>) -> PyResult<Seen> {
+    let Some(value) = value.filter(|value| !value.is_none()) else {
+        return Ok(Seen { path: CameraPath::default(), size: None });
+    };
+    if let Ok(camera) = value.cast::<Camera>() {
+        let camera = camera.get();
+        return Ok(Seen { path: camera.inner.into(), size: camera.size });
+    }
     if let Ok(dictionary) = value.cast::<PyDict>() {
         // NumPy's numbers and arrays become Python's.
         let plain = value.py().import("operator")?.call_method1("methodcaller", ("tolist",))?;
         let named = [("default", plain)].into_py_dict(value.py())?;
         let text: String = value.py().import("json")?.call_method("dumps", (dictionary,), Some(&named))?.extract()?;
-        return camera::file::parse(&text).map_err(wrong);
+        return Ok(Seen { path: camera::file::parse(&text).map_err(wrong)?, size: None });
     }
     let file: PathBuf = value.extract().map_err(|_| {
         let kind = value.get_type();
-        wrong(format!(
-            "camera: expected None, a dictionary, or the path of a JSON file, found {kind}; a 4×4 matrix M is written {{'type': 'pinhole', \
-             'camera_to_world': M, 'fov_y_degrees': 45, 'aspect': width / height}}"
+        mistyped(format!(
+            "camera: expected a Camera, None, a dictionary, or the path of a file with one, found {kind}; of a 4×4 matrix from the world to the camera \
+             it is Camera(viewmat, K, width, height)"
         ))
     })?;
-    let text = read_text(&file, MAX_CAMERA).map_err(|e| system(format!("{}: {e}", file.display())))?;
-    camera::file::parse(&text).map_err(|e| wrong(format!("{}: {e}", file.display())))
+    let (path, size) = of_file(&file)?;
+    Ok(Seen { path, size })
+}
+
+/// What an image shows.
+pub struct Place {
+    pub time: f64,
+    pub camera: streamsplat::Camera,
+    /// Width and height that the camera has.
+    pub size: Option<[usize; 2]>,
+}
+
+impl Place {
+    /// Options of this image: `options`, with the camera's own size where none was given.
+    pub fn options(&self, options: &RenderOptions, given: bool) -> RenderOptions {
+        match self.size.filter(|_| !given) {
+            Some([width, height]) => RenderOptions { size: Size::Exact { width, height }, ..*options },
+            None => *options,
+        }
+    }
+}
+
+fn is_list(value: &Bound<'_, PyAny>) -> bool {
+    value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>()
+}
+
+/// Returns true for a camera, and for a list that begins with one.
+pub fn is_camera(value: &Bound<'_, PyAny>) -> bool {
+    let one = |value: &Bound<'_, PyAny>| {
+        value.is_instance_of::<Camera>()
+            || value.is_instance_of::<PyDict>()
+            || value.is_instance_of::<PyString>()
+            || value.hasattr("__fspath__").unwrap_or(false)
+    };
+    one(value) || is_list(value) && value.get_item(0).is_ok_and(|first| one(&first))
 }
 
 /// Times and cameras of images: `time` or `camera` or both may be lists, of equal lengths; true if one is.
-pub fn places(time: &Bound<'_, PyAny>, camera_at: Option<&Bound<'_, PyAny>>) -> PyResult<(Vec<(f64, Camera)>, bool)> {
-    let is_list = |value: &Bound<'_, PyAny>| value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>();
-    let cameras = match camera_at.filter(|value| is_list(value)) {
-        Some(list) => Some(list.try_iter()?.map(|one| camera(Some(&one?))).collect::<PyResult<Vec<_>>>()?),
-        None => None,
-    };
+pub fn places(time: &Bound<'_, PyAny>, camera_at: Option<&Bound<'_, PyAny>>) -> PyResult<(Vec<Place>, bool)> {
     let times = match time.extract::<f64>() {
         Ok(time) => Err(time),
         Err(_) => Ok(time
             .extract::<Vec<f64>>()
-            .map_err(|_| wrong(format!("time: expected seconds or a list of them, found {time}")))?),
+            .map_err(|_| mistyped(format!("time: expected seconds or a list of them, found {time}")))?),
     };
-    match (times, cameras) {
-        (Err(time), None) => Ok((vec![(time, camera(camera_at)?.at(time))], false)),
-        (Err(time), Some(cameras)) => Ok((cameras.iter().map(|camera| (time, camera.at(time))).collect(), true)),
+    at(times, camera_at)
+}
+
+/// As [`places`], of a scene in which nothing changes.
+pub fn cameras(camera_at: Option<&Bound<'_, PyAny>>) -> PyResult<(Vec<Place>, bool)> {
+    at(Err(0.0), camera_at)
+}
+
+/// Images at one time (`Err`) or at several.
+fn at(times: Result<Vec<f64>, f64>, camera_at: Option<&Bound<'_, PyAny>>) -> PyResult<(Vec<Place>, bool)> {
+    let seen = match camera_at.filter(|value| is_list(value)) {
+        Some(list) => Some(list.try_iter()?.map(|one| camera(Some(&one?))).collect::<PyResult<Vec<_>>>()?),
+        None => None,
+    };
+    let place = |time: f64, seen: &Seen| Place { time, camera: seen.path.at(time), size: seen.size };
+    match (times, seen) {
+        (Err(time), None) => Ok((vec![place(time, &camera(camera_at)?)], false)),
+        (Err(time), Some(all)) => Ok((all.iter().map(|seen| place(time, seen)).collect(), true)),
         (Ok(times), None) => {
-            let camera = camera(camera_at)?;
-            Ok((times.into_iter().map(|time| (time, camera.at(time))).collect(), true))
+            let seen = camera(camera_at)?;
+            Ok((times.into_iter().map(|time| place(time, &seen)).collect(), true))
         }
-        (Ok(times), Some(cameras)) if times.len() == cameras.len() => {
-            Ok((times.into_iter().zip(cameras).map(|(time, camera)| (time, camera.at(time))).collect(), true))
+        (Ok(times), Some(all)) if times.len() == all.len() => {
+            Ok((times.into_iter().zip(&all).map(|(time, seen)| place(time, seen)).collect(), true))
         }
-        (Ok(times), Some(cameras)) => {
-            let message = format!("camera: expected as many as times, {}, found {}", times.len(), cameras.len());
-            Err(wrong(message))
+        (Ok(times), Some(all)) => {
+            Err(wrong(format!("camera: expected as many as times, {}, found {}", times.len(), all.len())))
         }
     }
 }
 
-/// Options of an image, from `size` ("model", "source" or (width, height)) and `background` (grey, or red, green, blue).
+/// A size: "model", "source", "WIDTHxHEIGHT" or (width, height).
+fn sides(size: &Bound<'_, PyAny>) -> PyResult<Size> {
+    if let Ok(text) = size.extract::<String>() {
+        return choice("size", &text);
+    }
+    match size.extract::<(usize, usize)>() {
+        Ok((width, height)) => Ok(Size::Exact { width, height }),
+        Err(_) => {
+            let expected = "'model', 'source', 'WIDTHxHEIGHT' or (width, height)";
+            Err(mistyped(format!("size: expected {expected}, found {size}")))
+        }
+    }
+}
+
+/// Width and height in pixels: "WIDTHxHEIGHT" or (width, height).
+pub fn pixels(size: &Bound<'_, PyAny>) -> PyResult<[usize; 2]> {
+    match sides(size)? {
+        Size::Exact { width, height } if width > 0 && height > 0 => Ok([width, height]),
+        _ => Err(wrong(format!("size: expected 'WIDTHxHEIGHT' or (width, height) above 0, found {size}"))),
+    }
+}
+
+/// Options of an image, from `size` ("model", "source", "WIDTHxHEIGHT" or (width, height)) and `background` (grey, or red, green, blue).
 pub fn options(
     size: Option<&Bound<'_, PyAny>>,
     background: Option<&Bound<'_, PyAny>>,
@@ -82,22 +155,17 @@ pub fn options(
 ) -> PyResult<RenderOptions> {
     let mut options = RenderOptions { depth, alpha, ..RenderOptions::default() };
     if let Some(size) = size {
-        options.size = match (size.extract::<String>().as_deref(), size.extract::<(usize, usize)>()) {
-            (Ok("model"), _) => Size::Model,
-            (Ok("source"), _) => Size::Source,
-            (_, Ok((width, height))) => Size::Exact { width, height },
-            _ => return Err(wrong(format!("size: expected 'model', 'source' or (width, height), found {size}"))),
-        };
+        options.size = sides(size)?;
     }
     if let Some(background) = background {
         let colour = background.extract::<[f32; 3]>().or_else(|_| background.extract::<f32>().map(|grey| [grey; 3]));
         options.background = match colour {
             Ok(colour) if colour.iter().all(|c| (0.0..=1.0).contains(c)) => colour,
-            _ => {
-                return Err(wrong(format!(
-                    "background: expected a number or three, each from 0 to 1, found {background}"
-                )));
+            Ok(_) => {
+                let expected = "a number or three, each from 0 to 1";
+                return Err(wrong(format!("background: expected {expected}, found {background}")));
             }
+            Err(_) => return Err(mistyped(format!("background: expected a number or three, found {background}"))),
         };
     }
     Ok(options)

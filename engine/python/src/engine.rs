@@ -11,14 +11,14 @@ use streamsplat_kernels::Level;
 
 use crate::arguments::choice;
 use crate::arrays;
-use crate::failure::{failed, wrong};
+use crate::failure::{failed, present, wrong};
 use crate::interval::Interval;
 
 /// Turns key frames into a dynamic scene, one interval per key frame.
 ///
 /// State between key frames is bounded and independent of the stream's length. The arguments are the options of the
 /// command line under the same names; `threads` and `isa` change no bit of any result.
-#[pyclass(frozen, module = "streamsplat")]
+#[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Engine {
     inner: Mutex<streamsplat::Engine>,
 }
@@ -59,6 +59,7 @@ impl Engine {
         quality: Option<&str>,
         find_depth: Option<bool>,
     ) -> PyResult<Self> {
+        model.iter().chain(&dinov2).try_for_each(|path| present(path))?;
         let model = match (model, dinov2) {
             (Some(checkpoint), dinov2) => ModelSource::File { checkpoint, dinov2 },
             (None, None) => ModelSource::Embedded,
@@ -110,8 +111,9 @@ impl Engine {
 
     /// Takes the next key frame, `time` seconds into the video, and gives the interval it ends.
     ///
-    /// `frame` is `[height, width, 3]`, uint8 or float32 in [0, 1]; `depth` is `[height, width]` float32, inverse depth of any scale.
-    /// The first frame gives its static scene, an interval of no length. After an error the stream is as it was before.
+    /// `frame` is `[height, width, 3]`, uint8 or floats in [0, 1]; grey is `[height, width]`, and alpha a fourth channel, laid over mid grey; `depth`
+    /// is `[height, width]` float32, inverse depth of any scale. The first frame gives its static scene, an interval of no length. After an error the
+    /// stream is as it was before.
     ///
     /// `between` holds the frames since the key frame before with their times, `[(frame, time), …]`, ascending: motion and colours are taken from them
     /// (`motion="between"`).
@@ -166,5 +168,10 @@ impl Engine {
     #[getter]
     fn threads(&self, py: Python<'_>) -> usize {
         py.detach(|| self.lock().workers().threads())
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let (isa, threads) = (self.isa(py), self.threads(py));
+        format!("Engine({isa}, {threads} thread{})", if threads == 1 { "" } else { "s" })
     }
 }

@@ -6,17 +6,17 @@ use numpy::ndarray::{ArrayView2, ArrayView3};
 use numpy::{IntoPyArray, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
-use streamsplat::output::{picture_png, write_file};
+use streamsplat::output::{image_exr, picture_png, picture_webp, write_file};
 use streamsplat::picture::{Picture, size_is_allowed};
 
 use crate::arrays::borrowed;
-use crate::failure::{failed, system, wrong};
+use crate::failure::{failed, not_written, wrong};
 
 /// Width, height, colour, depth, alpha and what was left out.
 type Parts<'py> = (usize, usize, Bound<'py, PyBytes>, Option<Bound<'py, PyBytes>>, Option<Bound<'py, PyBytes>>, u64);
 
 /// A drawn image. Its arrays are read-only and show the engine's own memory.
-#[pyclass(frozen, module = "streamsplat")]
+#[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Image {
     picture: Picture,
     depth: Option<Vec<f32>>,
@@ -55,6 +55,21 @@ impl Drawn {
 }
 
 impl Image {
+    /// The image as the library has it.
+    fn drawn(&self) -> streamsplat::Image {
+        let Picture { width, height, ref rgb } = self.picture;
+        streamsplat::Image {
+            width,
+            height,
+            rgb: rgb.clone(),
+            depth: self.depth.clone(),
+            alpha: self.alpha.clone(),
+            final_t: None,
+            blended: None,
+            dropped: self.dropped,
+        }
+    }
+
     fn plane<'py>(this: &Bound<'py, Self>, plane: Option<&Vec<f32>>) -> PyResult<Option<Bound<'py, PyArray2<f32>>>> {
         let Picture { width, height, .. } = this.get().picture;
         let Some(plane) = plane else { return Ok(None) };
@@ -117,39 +132,48 @@ impl Image {
         Ok(samples.into_any())
     }
 
-    /// NumPy's view of the image: `rgb8`, or `rgb` where floats are asked for. Only float32 without a copy shows the engine's memory.
-    #[pyo3(signature = (dtype=None, copy=None))]
-    fn __array__<'py>(
-        this: &Bound<'py, Self>,
-        dtype: Option<Bound<'py, PyAny>>,
-        copy: Option<bool>,
-    ) -> PyResult<Bound<'py, PyAny>> {
-        let py = this.py();
-        let dtype = dtype.map(|dtype| py.import("numpy")?.call_method1("dtype", (dtype,))).transpose()?;
-        let (kind, size) = match &dtype {
-            Some(dtype) => (dtype.getattr("kind")?.extract::<char>()?, dtype.getattr("itemsize")?.extract::<usize>()?),
-            None => ('u', 1),
-        };
-        if copy == Some(false) && (kind, size) != ('f', 4) {
-            return Err(wrong(
-                "copy: expected True or None, as only float32 shows the image without a copy, found False",
-            ));
-        }
-        let array = if kind == 'f' { Self::rgb(this)?.into_any() } else { this.get().rgb8(py)? };
-        let Some(dtype) = dtype else { return Ok(array) };
-        let options = PyDict::new(py);
-        options.set_item("copy", copy == Some(true))?;
-        array.call_method("astype", (dtype,), Some(&options))
+    /// The samples of the PNG file, by which NumPy and Pillow take the image: uint8 [height, width, 3], a copy each time.
+    #[getter]
+    fn __array_interface__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let samples = self.rgb8(py)?;
+        let interface = PyDict::new(py);
+        interface.set_item("shape", (self.picture.height, self.picture.width, 3))?;
+        interface.set_item("typestr", "|u1")?;
+        // Named, so that Pillow takes `tobytes`.
+        interface.set_item("strides", (3 * self.picture.width, 3, 1))?;
+        interface.set_item("data", samples)?;
+        interface.set_item("version", 3)?;
+        Ok(interface)
     }
 
-    /// Writes the image: whole or not at all. `.png` is written here, other endings (.jpg, .webp, …) by Pillow.
+    /// Rows, as of its array.
+    fn __len__(&self) -> usize {
+        self.picture.height
+    }
+
+    /// The bytes of `rgb8`, row by row.
+    fn tobytes<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
+        let bytes = py.detach(|| self.picture.to_rgb8());
+        PyBytes::new(py, &bytes)
+    }
+
+    /// Writes the image: whole or not at all. `.png`, `.webp` (both without loss) and `.exr` (32-bit floats, with depth and alpha where the image has
+    /// them) are written here, other endings (.jpg, .tif, …) by Pillow.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-        if ending == "png" {
-            return py.detach(|| write_file(&path, &picture_png(&self.picture))).map(drop).map_err(system);
+        let own = py.detach(|| match ending.as_str() {
+            "png" => Ok(Some(picture_png(&self.picture))),
+            "webp" => picture_webp(&self.picture, None).map(Some),
+            "exr" => image_exr(&self.drawn()).map(Some),
+            _ => Ok(None),
+        });
+        if let Some(bytes) = own.map_err(wrong)? {
+            return py.detach(|| write_file(&path, &bytes)).map(drop).map_err(not_written);
         }
-        let found =
-            || format!("path: expected a name ending in .png, or one that Pillow writes, found {}", path.display());
+        let found = || {
+            let expected = "a name ending in .png, .webp or .exr, or one that Pillow writes";
+            format!("path: expected {expected}, found {}", path.display())
+        };
         let pillow = py.import("PIL.Image").map_err(|_| wrong(format!("{}; Pillow is not installed", found())))?;
         let endings = pillow.call_method0("registered_extensions")?;
         if ending.is_empty() || !endings.contains(format!(".{ending}"))? {
@@ -160,7 +184,7 @@ impl Image {
         let memory = py.import("io")?.call_method0("BytesIO")?;
         image.call_method1("save", (&memory, form)).map_err(|e| wrong(format!("{}: {e}", path.display())))?;
         let bytes: Vec<u8> = memory.call_method0("getvalue")?.extract()?;
-        py.detach(|| write_file(&path, &bytes)).map(drop).map_err(system)
+        py.detach(|| write_file(&path, &bytes)).map(drop).map_err(not_written)
     }
 
     /// Parts of the image for pickling.
@@ -201,6 +225,9 @@ impl Image {
     }
 
     fn __repr__(&self) -> String {
-        format!("Image(width={}, height={})", self.picture.width, self.picture.height)
+        let Picture { width, height, .. } = self.picture;
+        let planes = [("depth", self.depth.is_some()), ("alpha", self.alpha.is_some())];
+        let planes: String = planes.iter().filter(|(_, has)| *has).map(|(name, _)| format!(", {name}")).collect();
+        format!("Image({width}×{height}, rgb{planes})")
     }
 }

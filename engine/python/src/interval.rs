@@ -5,26 +5,26 @@ use std::sync::OnceLock;
 
 use numpy::ndarray::{ArrayView1, ArrayView2};
 use numpy::{Element, PyArray1, PyArray2};
-use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use streamsplat::camera::Camera;
 use streamsplat::export::Options;
 use streamsplat::fit::Placement;
-use streamsplat::import::{FORMATS, Format};
-use streamsplat::output::write_file;
+use streamsplat::output::{picture_png, write_file};
+use streamsplat::picture::Picture;
 use streamsplat::render::{Renderer, Snapshot};
 use streamsplat::scene::{from_safetensors, to_safetensors};
+use streamsplat::still::Still;
 use streamsplat::stream::{DynamicGaussians, Workers};
 use streamsplat_kernels::Level;
 
-use crate::arguments;
+use crate::arguments::{self, Place};
 use crate::arrays::borrowed;
-use crate::failure::{failed, not_drawn, system, wrong};
+use crate::failure::{failed, not_drawn, not_written};
 use crate::image::{Drawn, Image};
+use crate::splats::{Splats, format_of, warn};
 
 /// The scene from one key frame to the next, valid for good and independent of the engine that made it.
-#[pyclass(frozen, module = "streamsplat")]
+#[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Interval {
     pub inner: streamsplat::Interval,
     /// Threads that draw it: those of the engine or the scene that gave it; of a copy, its own from its first image on.
@@ -43,6 +43,16 @@ impl Interval {
         }
         let workers = Workers::new(Level::detect(), 0).map_err(failed)?;
         Ok(self.workers.get_or_init(|| workers))
+    }
+
+    /// PNG of the interval's middle, in the source's own view.
+    pub fn picture<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let streamsplat::Interval { start, end, .. } = self.inner;
+        let (workers, options) = (self.workers()?, streamsplat::RenderOptions::default());
+        let middle = 0.5 * start + 0.5 * end;
+        let image = py.detach(|| self.inner.render(middle, &streamsplat::Camera::Canonical, &options, workers));
+        let streamsplat::Image { width, height, rgb, .. } = image.map_err(not_drawn)?;
+        Ok(PyBytes::new(py, &picture_png(&Picture { width, height, rgb })))
     }
 }
 
@@ -90,33 +100,39 @@ impl Interval {
 
     fn __repr__(&self) -> String {
         let streamsplat::Interval { index, start, end, gaussians, .. } = &self.inner;
-        format!("Interval(index={index}, start={start}, end={end}, gaussians={})", gaussians.len())
+        format!("Interval({index}: {start:.3} s to {end:.3} s, {} Gaussians)", gaussians.len())
     }
 
-    /// Writes the Gaussians at `time`, the interval's end unless told, as a still scene, in the format that the name ends in: `.ply`, `.compressed.ply`,
-    /// `.spz`, `.sog`, `.glb` or `.splat`.
+    /// Writes the Gaussians at `time`, by default the interval's end, as a still scene, in the format that the name ends in: `.ply`,
+    /// `.compressed.ply`, `.spz`, `.sog`, `.glb` or `.splat`.
     #[pyo3(signature = (path, time=None))]
     fn save(&self, py: Python<'_>, path: PathBuf, time: Option<f64>) -> PyResult<()> {
-        let Some(format) = Format::of_name(&path) else {
-            let endings: Vec<String> = FORMATS.iter().map(|format| format!(".{}", format.ending)).collect();
-            let found = path.display();
-            return Err(wrong(format!("path: expected a name ending in {}, found {found}", endings.join(", "))));
-        };
-        py.detach(|| {
+        let format = format_of(&path)?;
+        let notes = py.detach(|| {
             let time = time.unwrap_or(self.inner.end);
             let snapshot = Snapshot::square(&self.inner, time, self.workers()?).map_err(failed)?;
             let written = (format.snapshot)(&snapshot, &Options::default());
-            write_file(&path, &written.bytes).map_err(system)?;
-            Ok(written.notes)
-        })
-        .and_then(|notes: Vec<String>| {
-            let category = py.get_type::<PyUserWarning>();
-            let warn = |note: &String| {
-                let text = std::ffi::CString::new(note.as_str()).unwrap_or_default();
-                PyErr::warn(py, &category, &text, 1)
-            };
-            notes.iter().try_for_each(warn)
-        })
+            write_file(&path, &written.bytes).map_err(not_written)?;
+            PyResult::Ok(written.notes)
+        })?;
+        warn(py, &notes)
+    }
+
+    /// The Gaussians at `time`, by default the interval's end, in the world: the numbers of the file that `save` writes.
+    #[pyo3(signature = (time=None))]
+    pub fn at(&self, py: Python<'_>, time: Option<f64>) -> PyResult<Splats> {
+        let workers = self.workers()?;
+        let (still, identities) = py.detach(|| {
+            let snapshot = Snapshot::square(&self.inner, time.unwrap_or(self.inner.end), workers).map_err(failed)?;
+            let identity = |i: &u32| self.inner.gaussians.identity[*i as usize];
+            PyResult::Ok((Still::of(&snapshot), snapshot.index.iter().map(identity).collect()))
+        })?;
+        Splats::new(still, Some(identities), workers)
+    }
+
+    /// PNG of the interval's middle, by which notebooks show it.
+    fn _repr_png_<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        self.picture(py)
     }
 
     /// Parts of the interval for pickling.
@@ -141,9 +157,9 @@ impl Interval {
 
     /// The scene at `time` seconds: an image, or a list of them where `time` or `camera` is a list.
     ///
-    /// `camera` is None (the source's own view), a dictionary in the JSON form of cameras, or the path of such a file; `size` is 'model', 'source' or
-    /// (width, height); `background` is a grey or a colour in [0, 1].
-    #[pyo3(signature = (time, camera=None, *, size=None, background=None, depth=false, alpha=false))]
+    /// `camera` is None (the source's own view), a Camera, a dictionary in the JSON form of cameras, or the path of a file with one; `size` is
+    /// 'model' (the default, where the camera has none), 'source', 'WIDTHxHEIGHT' or (width, height); `background` is a grey or a colour in [0, 1].
+    #[pyo3(signature = (time, camera=None, *, size=None, background=None, depth=false, alpha=false, antialias=false))]
     pub fn render(
         &self,
         py: Python<'_>,
@@ -153,13 +169,17 @@ impl Interval {
         background: Option<&Bound<'_, PyAny>>,
         depth: bool,
         alpha: bool,
+        antialias: bool,
     ) -> PyResult<Drawn> {
         let (places, many) = arguments::places(time, camera)?;
         let options = arguments::options(size, background, depth, alpha)?;
+        let options = streamsplat::RenderOptions { antialias, ..options };
+        let given = size.is_some();
         let images = py.detach(|| {
             let mut renderer = Renderer::new(self.workers()?);
-            let mut draw = |(time, camera): &(f64, Camera)| {
-                let image = renderer.render(&self.inner, *time, camera, &options).map_err(not_drawn)?;
+            let mut draw = |place: &Place| {
+                let options = place.options(&options, given);
+                let image = renderer.render(&self.inner, place.time, &place.camera, &options).map_err(not_drawn)?;
                 Ok(Image::from(image.clone()))
             };
             places.iter().map(&mut draw).collect::<PyResult<Vec<_>>>()
@@ -175,7 +195,7 @@ impl Interval {
 }
 
 /// The Gaussians of an interval, one read-only array per property, in drawing order. The arrays show the interval's own memory.
-#[pyclass(frozen, module = "streamsplat")]
+#[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Gaussians {
     interval: Py<Interval>,
 }
@@ -207,6 +227,11 @@ macro_rules! arrays {
         impl Gaussians {
             fn __len__(&self) -> usize {
                 self.records().len()
+            }
+
+            fn __repr__(&self) -> String {
+                let index = self.interval.get().inner.index;
+                format!("Gaussians({} of interval {index}: arrays mean, velocity, opacity, scale, rgb, identity, …)", self.__len__())
             }
 
             /// Which end of the interval `mean`, `opacity` and `rgb` belong to, uint8 [N]: 0 its start, 1 its end. A copy.

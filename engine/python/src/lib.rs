@@ -1,10 +1,11 @@
-//! `streamsplat._streamsplat`: the engine for Python.
+//! `streamsplat_cpu._streamsplat`: the engine for Python.
 //!
 //! Arrays are NumPy's. Those that come out show the engine's own memory, read-only, without a copy; those that go in are read where
-//! they lie, whatever their strides. Whatever takes long runs without the interpreter's lock. Python code around it lies in `streamsplat/`.
+//! they lie, whatever their strides. Whatever takes long runs without the interpreter's lock. Python code around it lies in `streamsplat_cpu/`.
 
 mod arguments;
 mod arrays;
+mod camera;
 mod engine;
 mod failure;
 mod image;
@@ -13,6 +14,8 @@ mod program;
 mod run;
 mod scene;
 mod source;
+mod splats;
+mod view;
 
 use pyo3::prelude::*;
 
@@ -22,6 +25,8 @@ use pyo3::prelude::*;
 mod module {
     use super::*;
 
+    #[pymodule_export]
+    use super::camera::{Camera, cameras};
     #[pymodule_export]
     use super::engine::Engine;
     #[pymodule_export]
@@ -38,6 +43,10 @@ mod module {
     use super::scene::{Scene, SceneWriter};
     #[pymodule_export]
     use super::source::Frames;
+    #[pymodule_export]
+    use super::splats::Splats;
+    #[pymodule_export]
+    use super::view::Viewer;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

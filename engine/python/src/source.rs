@@ -8,16 +8,29 @@ use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use streamsplat::source::{Options, Source};
 
-use crate::failure::failed;
+use crate::failure::{not_read, present};
 
 /// The frames of a video: pairs (frame, time), frame float32 [height, width, 3] in [0, 1], time in seconds.
 ///
 /// `input` is a folder of images, an image, a .y4m file, or any video where an ffmpeg program is installed; decoded as the command line does.
-#[pyclass(frozen, module = "streamsplat")]
+#[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Frames {
+    path: PathBuf,
     source: Mutex<Source>,
     fps: f64,
     count: Option<usize>,
+}
+
+impl Frames {
+    /// Frames per second.
+    pub fn rate(&self) -> f64 {
+        self.fps
+    }
+
+    /// How many frames there are, where that is known.
+    pub fn frames(&self) -> Option<usize> {
+        self.count
+    }
 }
 
 #[pymethods]
@@ -25,9 +38,13 @@ impl Frames {
     #[new]
     #[pyo3(signature = (input, *, fps=None))]
     fn new(py: Python<'_>, input: PathBuf, fps: Option<f64>) -> PyResult<Self> {
-        let source = py.detach(|| Source::open(&input, &Options { fps, ..Options::default() })).map_err(failed)?;
+        // Other inputs than files have errors of their own.
+        if input != *"-" && !input.to_string_lossy().contains("://") {
+            present(&input)?;
+        }
+        let source = py.detach(|| Source::open(&input, &Options { fps, ..Options::default() })).map_err(not_read)?;
         let (fps, count) = (source.fps(), source.frames());
-        Ok(Self { source: Mutex::new(source), fps, count })
+        Ok(Self { path: input, source: Mutex::new(source), fps, count })
     }
 
     /// Frames per second.
@@ -48,13 +65,18 @@ impl Frames {
         })
     }
 
+    fn __repr__(&self) -> String {
+        let count = self.count.map_or_else(|| "frames".to_owned(), |count| format!("{count} frames"));
+        format!("Frames({}: {count}, {:.3} a second)", self.path.display(), self.fps)
+    }
+
     fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {
         this
     }
 
     fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<(Bound<'py, PyAny>, f64)>> {
         let next = py.detach(|| self.source.lock().unwrap_or_else(PoisonError::into_inner).next_frame());
-        let Some(frame) = next.map_err(failed)? else { return Ok(None) };
+        let Some(frame) = next.map_err(not_read)? else { return Ok(None) };
         let planes = frame.picture.rgb.into_pyarray(py).reshape([3, frame.picture.height, frame.picture.width])?;
         Ok(Some((planes.call_method1("transpose", (1, 2, 0))?, frame.timestamp)))
     }

@@ -144,6 +144,27 @@ pub fn open_moving(path: &Path, limits: &Limits) -> Result<Scene, SceneError> {
     }
 }
 
+/// Reads a still scene from memory. The format follows from the content; `.splat` and `.ksplat` have no magic bytes and follow from the ending of
+/// `name`, which may be empty otherwise. Files of SpacetimeGaussians are read at the time 0.
+///
+/// # Errors
+/// Bytes of another kind, broken ones, more than the limits allow, and formats whose scene is in several files.
+pub fn read(bytes: &[u8], name: &str, limits: &Limits) -> Result<Still, FormatError> {
+    let head = &bytes[..bytes.len().min(HEAD as usize)];
+    let Some((_, reader)) = format(Path::new(name), head) else {
+        let names: Vec<&str> =
+            FORMATS.iter().map(|format| format.name).chain(READ_ONLY.iter().map(|format| format.name)).collect();
+        let expected = format!("a still scene ({})", names.join(", "));
+        let start: Vec<String> = head.iter().map(|byte| format!("{byte:02x}")).collect();
+        let found = format!("{} bytes that begin with [{}]", bytes.len(), start.join(" "));
+        return Err(FormatError::new("scene in memory", expected, found));
+    };
+    if spacetime::is(&bytes[..bytes.len().min(MAX_HEADER)]) {
+        return Ok(spacetime(bytes, limits)?.at(0.0));
+    }
+    reader.read(bytes, &Beside::none(), limits)
+}
+
 /// Opens a scene of any kind.
 ///
 /// # Errors

@@ -235,6 +235,11 @@ pub fn picture_png(picture: &Picture) -> Vec<u8> {
     png(picture.width, picture.height, &picture.to_rgb8(), ExtendedColorType::Rgb8)
 }
 
+/// The colours of an image as an 8-bit PNG file: the bytes of [`picture_png`].
+pub fn image_png(image: &Image) -> Vec<u8> {
+    picture_png(&Picture { width: image.width, height: image.height, rgb: image.rgb.clone() })
+}
+
 /// A picture that was drawn over black, and its alpha, as an 8-bit PNG file with alpha. PNG's colours are not multiplied by alpha, so
 /// they are divided by it before they are rounded.
 ///
@@ -328,6 +333,15 @@ pub fn layered_exr(image: &Image) -> io::Result<Vec<u8>> {
     layers(image, false)
 }
 
+/// The planes that an image has as one EXR file of 32-bit floats, without loss: that of [`layered_exr`] where it has depth and alpha; else colours
+/// alone, in the channels R, G and B of the layer `colour`, and depth or alpha in their layers.
+///
+/// # Errors
+/// Planes whose length is not `width · height`.
+pub fn image_exr(image: &Image) -> io::Result<Vec<u8>> {
+    write_layers(image, false, [image.depth.is_some(), image.alpha.is_some()])
+}
+
 /// As [`layered_exr`], of an image that was drawn over black: `colour` holds alpha as well (channels R, G, B and A), by which its
 /// colours are multiplied, as usual in that format.
 ///
@@ -338,6 +352,10 @@ pub fn transparent_exr(image: &Image) -> io::Result<Vec<u8>> {
 }
 
 fn layers(image: &Image, transparent: bool) -> io::Result<Vec<u8>> {
+    write_layers(image, transparent, [true; 2])
+}
+
+fn write_layers(image: &Image, transparent: bool, [depth, alpha]: [bool; 2]) -> io::Result<Vec<u8>> {
     let Image { width, height, .. } = *image;
     let wanted = |plane: &Option<Vec<f32>>, what: &str| {
         plane.clone().ok_or_else(|| io::Error::other(format!("expected an image with {what}, found none")))
@@ -357,11 +375,13 @@ fn layers(image: &Image, transparent: bool) -> io::Result<Vec<u8>> {
     if transparent {
         colours.insert(0, ("A".to_owned(), wanted(&image.alpha, "alpha")?));
     }
-    let layers = [
-        layer("colour", COLOUR_COMMENT, colours, Some("sRGB")),
-        layer("depth", DEPTH_COMMENT, vec![("Z".to_owned(), wanted(&image.depth, "depth")?)], None),
-        layer("alpha", ALPHA_COMMENT, vec![("A".to_owned(), wanted(&image.alpha, "alpha")?)], None),
-    ];
+    let mut layers = vec![layer("colour", COLOUR_COMMENT, colours, Some("sRGB"))];
+    if depth {
+        layers.push(layer("depth", DEPTH_COMMENT, vec![("Z".to_owned(), wanted(&image.depth, "depth")?)], None));
+    }
+    if alpha {
+        layers.push(layer("alpha", ALPHA_COMMENT, vec![("A".to_owned(), wanted(&image.alpha, "alpha")?)], None));
+    }
     let mut bytes = Vec::new();
     openexr::write_layers(&layers, &mut bytes)?;
     Ok(bytes)

@@ -50,7 +50,7 @@ pub use options::{Machine, RunOptions};
 pub use record::Record;
 
 use crate::output::storage;
-use crate::source;
+use crate::source::{self, MEMORY, Source};
 use crate::stream::Interval;
 use crate::{Image, Size};
 use outputs::Emit;
@@ -86,6 +86,7 @@ pub struct Shown {
 /// A run that has not started.
 pub struct Run {
     input: PathBuf,
+    frames: Option<Source>,
     options: RunOptions,
     machine: Machine,
     out: Option<PathBuf>,
@@ -104,6 +105,7 @@ impl Run {
     pub fn new(input: impl Into<PathBuf>, options: RunOptions) -> Run {
         Run {
             input: input.into(),
+            frames: None,
             options,
             machine: Machine::default(),
             out: None,
@@ -115,6 +117,12 @@ impl Run {
             observer: Box::new(Silent),
             stop: Stop::default(),
         }
+    }
+
+    /// A run of frames in memory ([`Source::of_frames`]); a rate in `options` does not change theirs. It is resumed with the same frames from the
+    /// first one on.
+    pub fn of_frames(frames: Source, options: RunOptions) -> Run {
+        Run { frames: Some(frames), ..Run::new(MEMORY, options) }
     }
 
     /// Writes the results to a folder, or to a video file (`.y4m`, `.mp4`, …); `-` is y4m on standard output.
@@ -209,7 +217,7 @@ impl Run {
             _ => Found::Nothing,
         };
         let program = Build::of(self.program.as_deref());
-        let Run { input, machine, resume, overwrite, json, observer, stop, .. } = self;
+        let Run { input, frames, machine, resume, overwrite, json, observer, stop, .. } = self;
         let options = self.options.resolved()?;
         let given = || Terms::given(&options, &options.stream.model.record()?, &program);
         if let Found::Complete(record) = found {
@@ -225,7 +233,7 @@ impl Run {
         if let Some(place) = place.as_ref().filter(|_| !resume && !overwrite) {
             refuse_others(&input, place.destination(), &options, given)?;
         }
-        let task = Task { input, options, machine, program, observer, stop };
+        let task = Task { input, frames, options, machine, program, observer, stop };
         Ok(Running(State::Now(Box::new(Session::begin(task, place, found)?), json)))
     }
 

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::run::Error;
 use crate::run::digest;
 use crate::run::options::RunOptions;
+use crate::source::MEMORY;
 
 /// Longest record read, in bytes.
 const MAX_RECORD: u64 = 1 << 28;
@@ -184,7 +185,7 @@ impl std::fmt::Display for RendererRecord {
 /// Input of a run or rendering.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct InputRecord {
-    /// The input as an absolute path, or `-`.
+    /// The input as an absolute path, `-`, or [`MEMORY`].
     pub path: PathBuf,
     /// BLAKE3 of the frames as they were decoded, or of the scene's index.
     pub blake3: String,
@@ -330,9 +331,9 @@ pub fn check_name(path: &Path) -> Result<(), Error> {
     }
 }
 
-/// `path` as it can be found from anywhere; `-` stays.
+/// `path` as it can be found from anywhere; `-` and [`MEMORY`] stay.
 pub fn absolute(path: &Path) -> PathBuf {
-    if path == Path::new("-") {
+    if path == Path::new("-") || path == Path::new(MEMORY) {
         return path.to_owned();
     }
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())

@@ -29,6 +29,8 @@ use crate::{Engine, Image};
 pub(super) struct Task {
     /// Where frames come from.
     pub input: PathBuf,
+    /// The frames, where they are in memory.
+    pub frames: Option<Source>,
     /// Options, with those of presets and defaults.
     pub options: RunOptions,
     pub machine: Machine,
@@ -91,7 +93,7 @@ impl Session {
     /// Starts a run, or goes on from what was `found`. What is wrong with options and files is found before anything is written.
     pub(super) fn begin(mut task: Task, mut place: Option<Place>, found: Found) -> Result<Session, Error> {
         let start = Instant::now();
-        let Task { input, options, machine, program, observer, stop } = &mut task;
+        let Task { input, frames, options, machine, program, observer, stop } = &mut task;
         let destination = place.as_ref().map(Place::destination);
         if let Some(destination) = destination {
             destination.check_crf(options.crf)?;
@@ -113,10 +115,13 @@ impl Session {
         if options.fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) || options.frames == Some(0) {
             return Err(Error::usage("--fps and --frames: expected numbers above 0"));
         }
-        let source = Source::open(
-            input,
-            &source::Options { fps: options.fps, matrix: options.matrix.map(NamedMatrix::matrix) },
-        )?;
+        let source = match frames.take() {
+            Some(frames) => frames,
+            None => Source::open(
+                input,
+                &source::Options { fps: options.fps, matrix: options.matrix.map(NamedMatrix::matrix) },
+            )?,
+        };
         options.motion.follow(&mut views, source.fps())?;
         observer.notes(source.notes());
         let noted = source.notes().len();

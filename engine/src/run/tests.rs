@@ -73,6 +73,27 @@ fn steps_have_the_images_that_are_written_and_need_no_place() {
 }
 
 #[test]
+fn frames_in_memory_become_what_their_file_becomes() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (of_file, of_memory) = (folder.path().join("file"), folder.path().join("memory"));
+    let expected = run("5").out(&of_file).finish().expect("a run");
+    let clip = fixtures::path("clips/moving.y4m");
+    let mut file = Source::open(&clip, &source::Options::default()).expect("a clip");
+    let fps = file.fps();
+    let frames: Vec<_> = std::iter::from_fn(|| file.next_frame().expect("a frame")).collect();
+    let frames = frames.into_iter().map(|frame| Ok((frame.picture, Some(frame.timestamp))));
+    let options = run("5").options;
+    let source = Source::of_frames(frames, Some(fps), None).expect("frames");
+    let found = Run::of_frames(source, options.clone()).out(&of_memory).finish().expect("a run");
+    assert_eq!((&found.outputs, &found.input.blake3), (&expected.outputs, &expected.input.blake3));
+    assert_eq!((found.input.path.as_path(), found.input.count), (Path::new(MEMORY), 5));
+    // An error of the frames' producer is the run's error.
+    let broken = Source::of_frames(std::iter::once(Err("no camera".to_owned())), Some(fps), None).expect("frames");
+    let error = Run::of_frames(broken, options).start().and_then(Running::finish).expect_err("no frame");
+    assert_eq!(error.to_string(), "<memory>: no camera");
+}
+
+#[test]
 fn an_observer_follows_a_run_and_a_stop_ends_it_where_another_resumes() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let (out, whole) = (folder.path().join("out"), folder.path().join("whole"));

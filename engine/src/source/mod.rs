@@ -19,6 +19,7 @@ mod error;
 pub mod ffmpeg;
 pub mod folder;
 mod images;
+mod memory;
 pub mod natural;
 pub mod y4m;
 
@@ -33,6 +34,8 @@ use colour::Matrix;
 pub use error::SourceError;
 use ffmpeg::Ffmpeg;
 use images::Images;
+use memory::Memory;
+pub use memory::{FrameInMemory, MEMORY};
 use y4m::Y4m;
 
 /// The header of a y4m frame without parameters.
@@ -90,6 +93,7 @@ enum Input {
     File(Y4m<BufReader<File>>),
     Stdin(Y4m<BufReader<Stdin>>),
     Ffmpeg(Box<Ffmpeg>),
+    Memory(Memory),
 }
 
 /// The error of an input that is not there.
@@ -142,6 +146,7 @@ impl Source {
             Input::File(y4m) => whole(y4m.header().rate),
             Input::Stdin(y4m) => whole(y4m.header().rate),
             Input::Ffmpeg(video) => video.rate(),
+            Input::Memory(_) => None,
         };
         // A requested rate replaces the file's own times.
         let uneven = match &kind {
@@ -156,18 +161,18 @@ impl Source {
         let mut notes = match &mut kind {
             Input::File(y4m) => y4m.take_in(options.matrix),
             Input::Stdin(y4m) => y4m.take_in(options.matrix),
-            Input::Images(_) | Input::Ffmpeg(_) => Vec::new(),
+            Input::Images(_) | Input::Ffmpeg(_) | Input::Memory(_) => Vec::new(),
         };
         let alpha = match &kind {
             Input::File(y4m) => y4m.header().has_alpha(),
             Input::Stdin(y4m) => y4m.header().has_alpha(),
-            Input::Images(_) | Input::Ffmpeg(_) => false,
+            Input::Images(_) | Input::Ffmpeg(_) | Input::Memory(_) => false,
         };
         if alpha {
             notes.push(decode::OVER_GREY.to_owned());
         }
         let square = match &kind {
-            Input::Images(_) => None,
+            Input::Images(_) | Input::Memory(_) => None,
             Input::File(y4m) => y4m.header().square_size(),
             Input::Stdin(y4m) => y4m.header().square_size(),
             Input::Ffmpeg(video) => video.header().square_size(),
@@ -178,6 +183,36 @@ impl Source {
         let path = input.to_owned();
         let own_times = options.fps.is_none() && (uneven.is_some() || matches!(kind, Input::Ffmpeg(_)));
         Ok(Source { kind, path, rate, own_times, square, next: 0, first: None, notes })
+    }
+
+    /// Frames from memory: pictures of one size with their times in seconds, or without. `fps` replaces their times; without it frames are as far
+    /// apart as the first two, or follow each other at [`DEFAULT_FPS`] where they have no times. `count` is their number, if it is fixed beforehand.
+    ///
+    /// # Errors
+    /// A rate that is not positive and finite, and the first two frames' errors.
+    pub fn of_frames(
+        frames: impl Iterator<Item = FrameInMemory> + Send + 'static,
+        fps: Option<f64>,
+        count: Option<usize>,
+    ) -> Result<Source, SourceError> {
+        if let Some(fps) = fps
+            && !(fps.is_finite() && fps > 0.0)
+        {
+            return Err(SourceError::FrameRate(fps));
+        }
+        let mut memory = Memory::new(Box::new(frames), count);
+        let own = if fps.is_none() { memory.step()? } else { None };
+        let rate = (fps.or(own.map(|step| 1.0 / step)).unwrap_or(DEFAULT_FPS), 1.0);
+        Ok(Source {
+            kind: Input::Memory(memory),
+            path: MEMORY.into(),
+            rate,
+            own_times: own.is_some(),
+            square: None,
+            next: 0,
+            first: None,
+            notes: Vec::new(),
+        })
     }
 
     /// Seconds from the beginning of a video file, which may be that of its sound, to its first frame.
@@ -225,6 +260,7 @@ impl Source {
                 let frames = length.checked_sub(y4m.header_bytes())?;
                 frames.is_multiple_of(each).then(|| usize::try_from(frames / each).ok()).flatten()
             }
+            Input::Memory(memory) => memory.count(),
             Input::Stdin(_) | Input::Ffmpeg(_) => None,
         }
     }
@@ -250,9 +286,9 @@ impl Source {
         self.rate.0 / self.rate.1
     }
 
-    /// Returns true if frames come from standard input.
+    /// Returns true if frames come from standard input or from memory.
     pub fn is_stream(&self) -> bool {
-        matches!(self.kind, Input::Stdin(_))
+        matches!(self.kind, Input::Stdin(_) | Input::Memory(_))
     }
 
     /// Returns true if the frames are known to have no constant rate.
@@ -280,6 +316,11 @@ impl Source {
             Input::Ffmpeg(video) => {
                 let (picture, time) = video.next_frame()?.unzip();
                 own = time.filter(|_| self.own_times);
+                (self.path.clone(), picture)
+            }
+            Input::Memory(memory) => {
+                let (picture, time) = memory.next_frame()?.unzip();
+                own = time.flatten().filter(|_| self.own_times);
                 (self.path.clone(), picture)
             }
         };

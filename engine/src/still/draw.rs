@@ -74,14 +74,22 @@ impl Drawable {
     }
 
     /// A Gaussian's rotation as a quaternion (w, x, y, z) of length 1; NaN where the scene has none.
-    #[cfg(feature = "viewer")]
-    pub(crate) fn rotation(&self, i: usize) -> [f64; 4] {
+    pub fn rotation(&self, i: usize) -> [f64; 4] {
         unit(self.still.rotation[i])
     }
 
     /// Opacities.
     pub fn opacity(&self) -> &[f32] {
         &self.opacity
+    }
+
+    /// The scene, seen by `camera`, drawn by `workers`: the image of [`Renderer::render_still`]. To draw many images use a [`Renderer`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn render(&self, camera: &Camera, options: &RenderOptions, workers: &Workers) -> Result<Image, RenderError> {
+        let mut renderer = Renderer::new(workers);
+        renderer.render_still(self, camera, options).cloned()
     }
 }
 

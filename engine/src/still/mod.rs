@@ -9,6 +9,41 @@
 //!
 //! computed in binary64 and rounded once, the harmonics by [`streamsplat_kernels::harmonics`]. Axes are those of scene space
 //! (x right, y down, z forward), units the file's own. Such a scene has no time, no camera of its own, and no identities.
+//!
+//! A file of any [format](crate::import) that is read, a camera, an image:
+//!
+//! ```no_run
+//! use streamsplat::still::{Drawable, Still};
+//! use streamsplat::{Level, RenderOptions, Size, Workers, output};
+//!
+//! let workers = Workers::new(Level::detect(), 0)?;
+//! let scene = Drawable::new(Still::open("garden.ply")?, &workers)?;
+//! let camera = scene.still().framing().ok_or("an empty scene")?.camera(0.0, 16.0 / 9.0);
+//! let options = RenderOptions { size: Size::Exact { width: 640, height: 360 }, ..RenderOptions::default() };
+//! let image = scene.render(&camera, &options, &workers)?;
+//! output::write_file("garden.png".as_ref(), &output::image_png(&image))?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Nothing of it needs a file system. A scene is read from bytes, or made of arrays; cameras are poses with a lens:
+//!
+//! ```
+//! use streamsplat::camera::{Camera, Pose};
+//! use streamsplat::still::{Drawable, Still, Values};
+//! use streamsplat::{Level, RenderOptions, Size, Workers, export};
+//!
+//! let values = Values { mean: vec![[0.0, 0.0, 2.0]], scale: vec![[0.2; 3]], opacity: vec![0.9], rgb: vec![[1.0, 0.5, 0.0]], ..Values::default() };
+//! let file: Vec<u8> = export::still::ply(&Still::of_values(values)?);
+//!
+//! let workers = Workers::new(Level::detect(), 2)?;
+//! let scene = Drawable::new(Still::read(&file)?, &workers)?;
+//! let pose = Pose::look_at([0.0, -0.5, 0.0], [0.0, 0.0, 2.0], [0.0, -1.0, 0.0]).ok_or("a place to look from")?;
+//! let camera = Camera::pinhole(pose, 45.0, 16.0 / 9.0).ok_or("a field of view")?;
+//! let options = RenderOptions { size: Size::Exact { width: 64, height: 36 }, ..RenderOptions::default() };
+//! let image = scene.render(&camera, &options, &workers)?;
+//! assert!(image.rgb[18 * 64 + 32] > 0.8, "the red of the middle");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod about;
 mod axes;
@@ -19,6 +54,7 @@ mod statistics;
 #[cfg(test)]
 mod tests;
 mod turn;
+mod values;
 
 pub use about::{About, Orbit};
 pub use axes::Axes;
@@ -29,14 +65,35 @@ pub use sound::Defect;
 pub(crate) use statistics::middle;
 pub use statistics::{Spread, Statistics};
 pub use turn::Similarity;
+pub use values::{Values, ValuesError};
+
+use std::path::Path;
 
 use streamsplat_kernels::harmonics;
 use streamsplat_kernels::math::f64::ln;
 
+use crate::import::{self, FormatError, Limits, Opened};
 use crate::render::Snapshot;
+use crate::scene::SceneError;
 
 /// The least scale and the distance of opacities from 0 and 1 that survive a logarithm.
 pub(crate) const LEAST: f64 = 1e-12;
+
+/// ln s, of at least [`LEAST`].
+fn log_of(scale: f32) -> f32 {
+    ln(f64::from(scale).max(LEAST)) as f32
+}
+
+/// ln(o / (1 − o)), at least [`LEAST`] from 0 and 1.
+fn logit_of(opacity: f32) -> f32 {
+    let opacity = f64::from(opacity).clamp(LEAST, 1.0 - LEAST);
+    (ln(opacity) - ln(1.0 - opacity)) as f32
+}
+
+/// The first coefficient of a colour.
+fn first_of(colour: f32) -> f32 {
+    ((f64::from(colour) - 0.5) / harmonics::Y0) as f32
+}
 
 /// Gaussians that do not move. All arrays are equally long.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -60,6 +117,28 @@ pub struct Still {
 }
 
 impl Still {
+    /// The still scene of a file in one of the [formats](crate::import) that are read; at the time 0 where its Gaussians change in time.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or holds something else, something broken, or more than the default [`Limits`]; a scene in time.
+    pub fn open(path: impl AsRef<Path>) -> Result<Still, SceneError> {
+        match import::open(path.as_ref(), &Limits::default())? {
+            Opened::Still(file) => Ok(file.still),
+            Opened::Moving(_) => Err(SceneError::Broken {
+                path: path.as_ref().to_owned(),
+                cause: "expected a still scene, found a scene in time (streamsplat::scene reads it)".to_owned(),
+            }),
+        }
+    }
+
+    /// The still scene of a file in memory: [`import::read`] with the default [`Limits`] and without a name.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn read(bytes: &[u8]) -> Result<Still, FormatError> {
+        import::read(bytes, "", &Limits::default())
+    }
+
     /// An empty scene with room for `count` Gaussians.
     pub(crate) fn with_room(count: usize, degree: usize) -> Self {
         let mut still = Still { degree, ..Still::default() };
@@ -124,17 +203,12 @@ impl Still {
     /// value is finite; colours become `(rgb − ½) / Y₀`. In drawing order.
     pub fn of(snapshot: &Snapshot) -> Self {
         let count = snapshot.mean.len();
-        let logit = |opacity: f32| {
-            let opacity = f64::from(opacity).clamp(LEAST, 1.0 - LEAST);
-            (ln(opacity) - ln(1.0 - opacity)) as f32
-        };
-        let first = |c: f32| ((f64::from(c) - 0.5) / harmonics::Y0) as f32;
         Self {
             mean: snapshot.mean.clone(),
-            log_scale: snapshot.scale.iter().map(|s| s.map(|s| ln(f64::from(s).max(LEAST)) as f32)).collect(),
+            log_scale: snapshot.scale.iter().map(|s| s.map(log_of)).collect(),
             rotation: vec![[1.0, 0.0, 0.0, 0.0]; count],
-            logit: snapshot.opacity.iter().map(|o| logit(*o)).collect(),
-            base: snapshot.rgb.iter().map(|rgb| rgb.map(first)).collect(),
+            logit: snapshot.opacity.iter().map(|o| logit_of(*o)).collect(),
+            base: snapshot.rgb.iter().map(|rgb| rgb.map(first_of)).collect(),
             degree: 0,
             higher: Vec::new(),
             about: About::default(),

@@ -1,9 +1,12 @@
-"""Runs the commands that README.md and docs/*.md show: commands.py ROOT PROGRAM
+"""Runs the commands that README.md and docs/*.md show: commands.py ROOT PROGRAM PYTHON TORCH
 
 A command is a line of an indented block of the README or of a ```sh block of a page. They run in order, page by page, in a scratch folder in which the names
 they use exist: `clip.mp4`, `clip.y4m`, `FOLDER` of images, `CLIPS` of clips, a small model as `streamsplat.safetensors` with its `dinov2_vitb14_reg4_pretrain.pth`, a depth network as `NETWORK.onnx`,
 somebody's scene as `garden.ply`, and links to the repository's folders. A command that serves a page (SERVES) is stopped as a user stops it. What a command cannot mean here is replaced (REPLACED); what another part of the tests runs is named with that part (ELSEWHERE). A command that is in
 neither table and fails, and an entry of a table that no page uses, are errors.
+
+Of docs/recipes.md everything runs, in its order: each line of its ```sh blocks, and each ```python block as a program, in the environment
+PYTHON with viser and Rerun, in TORCH where it imports torch. A recipe without either is an error.
 """
 
 import json
@@ -46,6 +49,19 @@ def commands_of(page: Path) -> list[str]:
     programs = r"(cargo|streamsplat|streamsplat-bench|tests/\S+|ffmpeg|python3?|pip|bench/\S+)\b"
     commands = [re.sub(r"\s+# .*", "", line.strip()) for line in lines]
     return [command for command in commands if re.match(programs, command)]
+
+
+def steps_of(page: Path) -> list[tuple[str, str]]:
+    """The steps of a page of recipes in order: ("sh", a line) and ("python", a program). Fails where a recipe has none."""
+    steps = []
+    for recipe in re.split(r"^### ", page.read_text(), flags=re.MULTILINE)[1:]:
+        blocks = re.findall(r"^```(sh|python)\n(.*?)^```", recipe, re.MULTILINE | re.DOTALL)
+        if not blocks:
+            raise SystemExit(f"{page}: {recipe.splitlines()[0]}: no step")
+        for kind, text in blocks:
+            lines = [re.sub(r"\s{2,}# .*", "", line) for line in text.replace("\\\n", " ").splitlines()]
+            steps += [("sh", line) for line in lines if line] if kind == "sh" else [("python", text)]
+    return steps
 
 
 def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
@@ -132,11 +148,35 @@ def run(command: str, scratch: Path, environment: dict[str, str]) -> str | None:
     return f"exit code {result.returncode}: {result.stderr.strip()[-600:]}" if result.returncode else None
 
 
+def recipes(page: Path, scratch: Path, environment: dict[str, str], pythons: list[str], used: set[str]) -> tuple[int, int]:
+    """Runs all steps of a page of recipes; how many ran and how many failed."""
+    ran = failed = 0
+    for kind, text in steps_of(page):
+        for part, instead in REPLACED.items():
+            if kind == "sh" and part in text:
+                used.add(part)
+                text = text.replace(part, instead)
+        if kind == "sh":
+            wrong = run(text, scratch, environment)
+        else:
+            (scratch / "recipe.py").write_text(text)
+            wrong = run(f"{pythons['import torch' in text]} recipe.py", scratch, environment)
+        ran += 1
+        if wrong:
+            failed += 1
+            print(f"{page.name}: {text}\n  {wrong}")
+    return ran, failed
+
+
 def main() -> int:
-    root, program = Path(sys.argv[1]), Path(sys.argv[2])
+    root, program, pythons = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:5]
+    recipe_page = root / "docs/recipes.md"
     pages = [root / "README.md", *sorted((root / "docs").glob("*.md"))]
     used: set[str] = set()
-    ran = failed = 0
+    with tempfile.TemporaryDirectory() as scratch:
+        ran, failed = recipes(recipe_page, Path(scratch), prepare(Path(scratch), root, program), pythons, used)
+    print(f"{ran} steps of recipes, {failed} failed")
+    pages.remove(recipe_page)
     for page in pages:
         with tempfile.TemporaryDirectory() as scratch:
             environment = prepare(Path(scratch), root, program)

@@ -13,6 +13,7 @@ use streamsplat::run::outputs::{Destination, Emit, is_inside};
 use streamsplat::run::place::Place;
 use streamsplat::run::record::{Invocation, Record};
 use streamsplat::run::{digest, report};
+use streamsplat::source::MEMORY;
 
 /// Compares the files that are there with their digests, then repeats the work and compares again. Fails where one differs.
 pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
@@ -24,6 +25,13 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
     let record = Record::read(&record_path)?;
     if record.input.path == Path::new("-") {
         let message = format!("{}: the input was standard input, which cannot be read again", record_path.display());
+        return Err(Failure::work(message));
+    }
+    if record.input.path == Path::new(MEMORY) {
+        let message = format!(
+            "{}: the input was frames in a program's memory, which cannot be read again",
+            record_path.display()
+        );
         return Err(Failure::work(message));
     }
 

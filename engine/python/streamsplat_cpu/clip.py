@@ -6,12 +6,15 @@ import json
 import os
 import queue
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from . import _streamsplat
+
+if TYPE_CHECKING:
+    from ._streamsplat import _Frame
 
 
 @dataclass(frozen=True)
@@ -35,8 +38,13 @@ def _text(name: str, value: Any) -> str:
     return os.fspath(value) if isinstance(value, os.PathLike) else str(value)
 
 
+def _input(input: Any) -> Any:
+    """A path as text, anything else as it is."""
+    return os.fspath(input) if isinstance(input, os.PathLike) else input
+
+
 def reconstruct(
-    input: str | os.PathLike[str],
+    input: str | os.PathLike[str] | Iterable[_Frame] | Iterable[tuple[_Frame, float]],
     out: str | os.PathLike[str],
     *,
     progress: Callable[[int, int | None], object] | None = None,
@@ -44,21 +52,29 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstructs a video as `streamsplat run INPUT --out OUT` does, with the same bytes.
 
+    `input` is a file, a folder of images, or an iterable of frames in memory: arrays [height, width, 3], or pairs of an array and its time in seconds.
+    `fps` replaces their times; frames without times follow each other at 24 a second.
+
     `options` are those of the command line: `gap="auto"`, `quality="realtime"`, `size=(640, 360)`, `emit="rgb,scene"`, `fps=12`,
     `refine_every=2`, `overwrite=True`, `resume=True`, … An `out` that ends as a video does (`.mp4`, `.webm`, `.gif`, …) becomes one, any other is
     a folder with `scene/`, `frames/` and `run.json`. `progress(done, total)` is called as frames are done; an exception in it, or Ctrl-C, ends the run after
     the interval at hand, and `resume=True` goes on from there.
     """
     given = [(name, _text(name, value)) for name, value in options.items() if value is not None and value is not False]
-    record = json.loads(_streamsplat.run(os.fspath(input), os.fspath(out), given, progress))
+    record = json.loads(_streamsplat.run(_input(input), os.fspath(out), given, progress))
     work = record["work"]
     return Reconstruction(Path(out), record["input"]["count"], record["key_frames"], work, record)
 
 
 class Reconstructing:
-    """A reconstruction under way: iterates over frames done, `(done, total)`, as `tqdm(..., total=…)` has it. Then `result` holds what `reconstruct` gives."""
+    """A reconstruction under way: iterates over frames done, `(done, total)`, as `tqdm(..., total=…)` has it. Then `result` is that of `reconstruct`."""
 
-    def __init__(self, input: str | os.PathLike[str], out: str | os.PathLike[str], **options: Any) -> None:
+    def __init__(
+        self,
+        input: str | os.PathLike[str] | Iterable[_Frame] | Iterable[tuple[_Frame, float]],
+        out: str | os.PathLike[str],
+        **options: Any,
+    ) -> None:
         self.result: Reconstruction | None = None
         self._steps: queue.Queue[tuple[int, int | None] | None] = queue.Queue()
         self._error: BaseException | None = None

@@ -1,4 +1,4 @@
-"""The `streamsplat` program: python -m streamsplat."""
+"""The `streamsplat` program: python -m streamsplat_cpu."""
 
 import sys
 

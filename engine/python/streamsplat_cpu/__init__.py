@@ -1,0 +1,58 @@
+"""3D Gaussians on CPUs: splat files and arrays drawn from any camera, ordinary video turned into scenes in time; the same bits everywhere.
+
+    import streamsplat_cpu
+
+    scene = streamsplat_cpu.Scene("garden.ply")      # or .spz, .sog, .splat, .glb, …
+    scene.render(size="640x360").save("garden.png")
+    splats = scene.at()                              # means, quats, scales, opacities, colors, sh: NumPy, no copies
+    images = splats.render(splats.orbit(24))         # or cameras("transforms.json"), Camera(viewmat, K, width, height)
+
+    engine = streamsplat_cpu.Engine()
+    for frame, time in streamsplat_cpu.Frames("clip.y4m"):
+        interval = engine.push(frame, time)          # every frame a key frame
+        interval.at(time).means                      # the Gaussians in the world
+        image = interval.render(time)                # image.rgb: [height, width, 3]
+
+`reconstruct` does what the command line's `run` does, of files or of frames in memory. Arrays are read-only; `.copy()` makes one that can be written
+to, and `torch.from_dlpack(array)` a tensor that shares its memory (it must not be written to).
+
+An argument of a wrong type is a TypeError, one of a wrong value a ValueError. A file that is not there is a FileNotFoundError, one that cannot
+be read or written another OSError. Everything else that fails is a streamsplat_cpu.Error: a broken file, a frame that the engine cannot take, a
+time outside the scene.
+"""
+
+from ._streamsplat import (
+    Camera,
+    Engine,
+    Error,
+    Frames,
+    Gaussians,
+    Image,
+    Interval,
+    Scene,
+    SceneWriter,
+    Splats,
+    Viewer,
+    __version__,
+    cameras,
+)
+from .clip import Reconstructing, Reconstruction, reconstruct
+
+__all__ = [
+    "Camera",
+    "Engine",
+    "Error",
+    "Frames",
+    "Gaussians",
+    "Image",
+    "Interval",
+    "Reconstructing",
+    "Reconstruction",
+    "Scene",
+    "SceneWriter",
+    "Splats",
+    "Viewer",
+    "__version__",
+    "cameras",
+    "reconstruct",
+]

@@ -1,0 +1,481 @@
+"""Types of the extension module."""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from types import TracebackType
+from typing import Any, Literal, Protocol, TypeVar, final, overload
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import Self
+
+type _OneCamera = Camera | Mapping[str, Any] | str | os.PathLike[str]
+type _Camera = _OneCamera | None
+# Of any of them: a list of one kind is a list of cameras, too.
+_C = TypeVar("_C", bound=Camera | Mapping[str, Any] | str | os.PathLike[str] | None)
+type _Size = str | tuple[int, int]
+type _Background = float | tuple[float, float, float]
+
+class _Array(Protocol):
+    """Objects that make a NumPy array of themselves, such as torch's tensors."""
+
+    def __array__(self) -> NDArray[Any]: ...
+
+class _ArrayInterface(Protocol):
+    """Objects that show a NumPy array of themselves, such as PIL's images."""
+
+    @property
+    def __array_interface__(self) -> dict[str, Any]: ...
+
+type _Frame = NDArray[np.uint8] | NDArray[np.floating[Any]] | _Array | _ArrayInterface
+type _Numbers = NDArray[Any] | _Array | Sequence[Any]
+
+__all__ = [
+    "Camera",
+    "Engine",
+    "Error",
+    "Frames",
+    "Gaussians",
+    "Image",
+    "Interval",
+    "Scene",
+    "SceneWriter",
+    "Splats",
+    "Viewer",
+    "__version__",
+    "cameras",
+    "main",
+    "run",
+]
+
+__version__: str
+
+def main(arguments: Sequence[str]) -> int:
+    """Runs the program with these arguments, the first of which is its name, and returns its exit code."""
+
+def run(
+    input: str | Iterable[_Frame] | Iterable[tuple[_Frame, float]],
+    out: str,
+    options: list[tuple[str, str]],
+    progress: Callable[[int, int | None], object] | None,
+) -> str:
+    """Reconstructs `input`, a path or frames, into `out` and returns the record in JSON; `options` are names and texts of the options of `streamsplat run`."""
+
+def cameras(path: str | os.PathLike[str], *, size: _Size | None = None) -> list[Camera]:
+    """The cameras of a file of this program, 3D Gaussian splatting, nerfstudio, instant-ngp, Blender, SuperSplat or COLMAP, in its order."""
+
+class Error(Exception):
+    """Something that the engine cannot do; the message contains what was expected and what was found."""
+
+@final
+class Camera:
+    """A view of a scene: a pose, a lens, and the size of its image if there is one."""
+
+    def __new__(cls, viewmat: _Numbers, K: _Numbers, width: int, height: int, *, name: str = "") -> Self: ...
+    @staticmethod
+    def look_at(
+        position: Sequence[float],
+        target: Sequence[float],
+        *,
+        up: Sequence[float] = ...,
+        fov_y: float = 45.0,
+        width: int = 1280,
+        height: int = 720,
+    ) -> Camera:
+        """A pinhole at `position` that looks at `target`, `fov_y` degrees high."""
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view in an image of another size."""
+    @property
+    def viewmat(self) -> NDArray[np.float32]:
+        """From the world to the camera, [4, 4]."""
+    @property
+    def K(self) -> NDArray[np.float32]:
+        """Focal lengths and principal point in pixels, [3, 3]."""
+    @property
+    def position(self) -> tuple[float, float, float]: ...
+    @property
+    def size(self) -> tuple[int, int] | None: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def time(self) -> float | None: ...
+    @property
+    def kind(self) -> str: ...
+
+@final
+class Splats:
+    """Gaussians in the world at one instant: read-only arrays for gsplat, viser, Rerun and nerfstudio."""
+
+    def __new__(
+        cls,
+        means: _Numbers,
+        scales: _Numbers,
+        opacities: _Numbers,
+        *,
+        quats: _Numbers | None = None,
+        colors: _Numbers | None = None,
+        sh: _Numbers | None = None,
+    ) -> Self: ...
+    @staticmethod
+    def of_bytes(data: bytes, name: str = "") -> Splats:
+        """The still scene of a file in memory; `.splat` and `.ksplat` are recognised by the ending of `name`."""
+    def __len__(self) -> int: ...
+    @property
+    def means(self) -> NDArray[np.float32]:
+        """Centres, [N, 3], relative to `offset`."""
+    @property
+    def quats(self) -> NDArray[np.float32]:
+        """Unit quaternions (w, x, y, z), [N, 4]."""
+    @property
+    def scales(self) -> NDArray[np.float32]:
+        """Standard deviations, [N, 3]."""
+    @property
+    def covariances(self) -> NDArray[np.float32]:
+        """Covariances, [N, 3, 3]: a copy."""
+    @property
+    def opacities(self) -> NDArray[np.float32]:
+        """Opacities, [N]."""
+    @property
+    def colors(self) -> NDArray[np.float32]:
+        """Display-space colours, [N, 3]: the mean over all directions."""
+    @property
+    def sh(self) -> NDArray[np.float32]:
+        """Coefficients of the harmonics, [N, K, 3]."""
+    @property
+    def sh_degree(self) -> int: ...
+    @property
+    def identities(self) -> NDArray[np.uint64]:
+        """Which Gaussian each is, [N]."""
+    @property
+    def drawable(self) -> NDArray[np.bool_]:
+        """Which can be drawn, [N]."""
+    @property
+    def offset(self) -> tuple[float, float, float]: ...
+    @property
+    def antialiased(self) -> bool: ...
+    @overload
+    def render(
+        self,
+        camera: _Camera = None,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+        antialias: bool | None = None,
+    ) -> Image:
+        """The scene from `camera`, from its own view without one; a list of images of a list of cameras."""
+    @overload
+    def render(
+        self,
+        camera: list[_C] | tuple[_C, ...],
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+        antialias: bool | None = None,
+    ) -> list[Image]: ...
+    def camera(self, degrees: float = 0.0, *, size: _Size | None = None) -> Camera:
+        """The camera that sees most of the scene, `degrees` around it."""
+    def orbit(self, count: int, *, size: _Size | None = None) -> list[Camera]:
+        """`count` cameras once around the scene."""
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes a .ply, .compressed.ply, .spz, .sog, .glb or .splat file."""
+    def _repr_png_(self) -> bytes: ...
+
+@final
+class Viewer:
+    """A page under way, served to this machine alone until it is closed."""
+
+    @property
+    def url(self) -> str: ...
+    def close(self) -> None: ...
+    def __enter__(self) -> Self: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> bool: ...
+
+@final
+class Engine:
+    """Turns key frames into a dynamic scene, one interval per key frame."""
+
+    def __new__(
+        cls,
+        model: str | os.PathLike[str] | None = None,
+        *,
+        dinov2: str | os.PathLike[str] | None = None,
+        fusion: Literal["persistent", "pairwise"] = "persistent",
+        max_age: int | None = None,
+        fit: Literal["letterbox", "stretch"] = "letterbox",
+        depth_range: Literal["frame", "given"] = "frame",
+        sampling: Literal["mean", "sample"] = "mean",
+        seed: int = 0,
+        reuse: str | None = None,
+        precision: Literal["f32", "bf16", "int8"] | None = None,
+        isa: Literal["auto", "scalar", "avx2", "avx512", "avx512vnni", "avx512bf16", "neon"] = "auto",
+        threads: int = 0,
+        resolution: str | None = None,
+        motion: Literal["network", "frames", "between"] | None = None,
+        refine: int | None = None,
+        flow: Literal["fine", "coarse"] | None = None,
+        fade: Literal["network", "fixed"] | None = None,
+        refine_every: int | None = None,
+        quality: Literal["realtime", "balanced", "best"] | None = None,
+        find_depth: bool | None = None,
+    ) -> Self: ...
+    def push(
+        self,
+        frame: _Frame,
+        time: float,
+        depth: NDArray[np.float32] | None = None,
+        *,
+        between: Sequence[tuple[_Frame, float]] | None = None,
+    ) -> Interval:
+        """Takes the next key frame ([height, width, 3]) and returns the interval it ends; `between`: the frames since the one before, with their times."""
+    @property
+    def work(self) -> dict[str, dict[str, Any]]:
+        """Work done and avoided per stage."""
+    @property
+    def isa(self) -> str: ...
+    @property
+    def threads(self) -> int: ...
+
+@final
+class Interval:
+    """The scene from one key frame to the next."""
+
+    @property
+    def index(self) -> int: ...
+    @property
+    def start(self) -> float: ...
+    @property
+    def end(self) -> float: ...
+    @property
+    def dropped(self) -> int: ...
+    @property
+    def merges(self) -> list[tuple[int, int]]: ...
+    @property
+    def gaussians(self) -> Gaussians: ...
+    def __len__(self) -> int: ...
+    @overload
+    def render(
+        self,
+        time: float,
+        camera: _Camera = None,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+        antialias: bool = False,
+    ) -> Image:
+        """The scene at `time` seconds; a list of images where `time` or `camera` is a list."""
+    @overload
+    def render(
+        self,
+        time: Sequence[float],
+        camera: _Camera | list[_C] | tuple[_C, ...] = None,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+        antialias: bool = False,
+    ) -> list[Image]: ...
+    @overload
+    def render(
+        self,
+        time: float,
+        camera: list[_C] | tuple[_C, ...],
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+        antialias: bool = False,
+    ) -> list[Image]: ...
+    def at(self, time: float | None = None) -> Splats:
+        """The Gaussians at `time`, by default the interval's end, in the world."""
+    def _repr_png_(self) -> bytes: ...
+    def save(self, path: str | os.PathLike[str], time: float | None = None) -> None:
+        """Writes the Gaussians at `time`, by default the interval's end, as a .ply, .compressed.ply, .spz, .sog, .glb or .splat file."""
+    def pick(self, time: float, pixel: tuple[float, float]) -> tuple[int, int, float, list[float]] | None:
+        """(identity, index, weight, world position) of what shows most at a pixel of the source's frame."""
+
+@final
+class Gaussians:
+    """The Gaussians of an interval: read-only arrays that show its memory."""
+
+    def __len__(self) -> int: ...
+    @property
+    def mean(self) -> NDArray[np.float32]: ...
+    @property
+    def velocity(self) -> NDArray[np.float32]: ...
+    @property
+    def gamma(self) -> NDArray[np.float32]: ...
+    @property
+    def opacity(self) -> NDArray[np.float32]: ...
+    @property
+    def scale(self) -> NDArray[np.float32]: ...
+    @property
+    def thickness(self) -> NDArray[np.float32]: ...
+    @property
+    def rgb(self) -> NDArray[np.float32]: ...
+    @property
+    def rgb_rate(self) -> NDArray[np.float32]: ...
+    @property
+    def identity(self) -> NDArray[np.uint64]: ...
+    @property
+    def birth(self) -> NDArray[np.uint64]: ...
+    @property
+    def frame(self) -> NDArray[np.uint64]: ...
+    @property
+    def offset(self) -> NDArray[np.float32]: ...
+    @property
+    def reference(self) -> NDArray[np.uint8]: ...
+    @property
+    def handover(self) -> NDArray[np.uint8]: ...
+
+@final
+class Image:
+    """A drawn image: read-only arrays that show its memory."""
+
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+    @property
+    def dropped(self) -> int: ...
+    @property
+    def rgb(self) -> NDArray[np.float32]:
+        """Display-space colour, [height, width, 3]: a read-only view; `.copy()` makes an array that can be written to."""
+    @property
+    def depth(self) -> NDArray[np.float32] | None: ...
+    @property
+    def alpha(self) -> NDArray[np.float32] | None: ...
+    def png(self) -> bytes: ...
+    def _repr_png_(self) -> bytes: ...
+    def rgb8(self) -> NDArray[np.uint8]:
+        """The samples of the PNG file, [height, width, 3]: a copy."""
+    @property
+    def __array_interface__(self) -> dict[str, Any]:
+        """The samples of `rgb8`, by which NumPy and Pillow take the image."""
+    def tobytes(self) -> bytes: ...
+    def __len__(self) -> int:
+        """Rows, as of its array."""
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes a .png, .webp or .exr file, or by Pillow what else that writes."""
+
+@final
+class Frames:
+    """The frames of a video: pairs (frame, time)."""
+
+    def __new__(cls, input: str | os.PathLike[str], *, fps: float | None = None) -> Self: ...
+    @property
+    def fps(self) -> float: ...
+    @property
+    def count(self) -> int | None: ...
+    def __len__(self) -> int: ...
+    def __iter__(self) -> Iterator[tuple[NDArray[np.float32], float]]: ...
+    def __next__(self) -> tuple[NDArray[np.float32], float]: ...
+
+@final
+class Scene:
+    """A scene on disk: in time, whose intervals are read when they are needed, or a still one, a splat file."""
+
+    def __new__(cls, path: str | os.PathLike[str], *, isa: str = "auto", threads: int = 0) -> Self: ...
+    @property
+    def is_still(self) -> bool: ...
+    @property
+    def fps(self) -> float: ...
+    @property
+    def span(self) -> tuple[float, float]: ...
+    @property
+    def times(self) -> list[tuple[float, float]]: ...
+    def __len__(self) -> int: ...
+    def __bool__(self) -> bool: ...
+    @overload
+    def __getitem__(self, i: int, /) -> Interval: ...
+    @overload
+    def __getitem__(self, i: slice, /) -> list[Interval]: ...
+    def interval(self, time: float) -> Interval:
+        """The interval that shows `time`."""
+    def at(self, time: float | None = None) -> Splats:
+        """The Gaussians at `time` seconds, in the world; of a still scene without a time."""
+    def view(self, *, port: int = 0, open: bool = True) -> Viewer:
+        """Opens the page of `streamsplat view` in the browser."""
+    def _repr_png_(self) -> bytes: ...
+    @overload
+    def render(
+        self,
+        time: float | None = None,
+        camera: _Camera = None,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+        antialias: bool | None = None,
+    ) -> Image:
+        """The scene at `time` seconds, a still one from a camera alone; a list of images where `time` or `camera` is a list."""
+    @overload
+    def render(
+        self,
+        time: _OneCamera,
+        camera: None = None,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+        antialias: bool | None = None,
+    ) -> Image: ...
+    @overload
+    def render(
+        self,
+        time: list[_C] | tuple[_C, ...],
+        camera: None = None,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+        antialias: bool | None = None,
+    ) -> list[Image]: ...
+    @overload
+    def render(
+        self,
+        time: Sequence[float],
+        camera: _Camera | list[_C] | tuple[_C, ...] = None,
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+        antialias: bool | None = None,
+    ) -> list[Image]: ...
+    @overload
+    def render(
+        self,
+        time: float | None,
+        camera: list[_C] | tuple[_C, ...],
+        *,
+        size: _Size | None = None,
+        background: _Background | None = None,
+        depth: bool = False,
+        alpha: bool = False,
+        antialias: bool | None = None,
+    ) -> list[Image]: ...
+
+@final
+class SceneWriter:
+    """Writes a scene while it grows."""
+
+    def __new__(cls, path: str | os.PathLike[str], fps: float) -> Self: ...
+    def push(self, interval: Interval) -> None: ...
+    def finish(self) -> None: ...
+    def __enter__(self) -> Self: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> bool: ...
