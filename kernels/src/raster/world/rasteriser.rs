@@ -214,7 +214,6 @@ impl WorldRasteriser {
     ///
     /// # Panics
     /// When a slice has another length.
-    #[expect(clippy::too_many_arguments, reason = "what was drawn, two gradients in, three out")]
     pub fn draw_adjoint(
         &self,
         drawing: &Drawing<'_>,

@@ -53,8 +53,8 @@ impl Case {
         let centre = [0.47 * width as f32, 0.52 * height as f32];
         let mut view = WorldView::pinhole(matrix, [focal, 1.1 * focal], centre, [width, height]);
         view.antialias = seed % 2 == 1;
-        view.low_pass = if seed % 3 == 0 { 0.3 } else { 0.1 };
-        if seed % 5 == 0 {
+        view.low_pass = if seed.is_multiple_of(3) { 0.3 } else { 0.1 };
+        if seed.is_multiple_of(5) {
             (view.projection, view.focal) = (WorldProjection::Orthographic, [0.4 * width as f32, 0.45 * width as f32]);
         }
         let mut values = |len: usize, from: f32| (0..len).map(|_| random.range(from, 1.0)).collect::<Vec<_>>();
