@@ -542,6 +542,11 @@ fn wrapping_calls() -> Vec<(&'static str, Box<dyn FnOnce()>)> {
             let to = WorldGradients { mean, rotation, scale, opacity };
             drawn().project_adjoint(&ONE, &[FootprintGradient::default()], None, to);
         };
+        "raster::WorldView::pinhole": {
+            let matrix = [[1.0, 0.0, 0.0, 0.0]; 3];
+            let view = WorldView::pinhole(matrix, [8.0; 2], [4.0; 2], [HALF, HALF]);
+            WorldRasteriser::new(level).project(&ONE, &view);
+        };
         "raster::Rasteriser::lists": {
             Rasteriser::new(level).lists(&ONE, &FLAT, &request(HALF, HALF), &mut Lists::default());
         };

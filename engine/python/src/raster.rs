@@ -80,6 +80,7 @@ type GradientArrays<'py> = (
 #[pymethods]
 impl View {
     #[new]
+    #[pyo3(signature = (means, quats, scales, opacities, viewmat, k, width, height, near_plane, far_plane, radius_clip, eps2d, antialiased, orthographic, largest_alpha=0.999))]
     #[expect(clippy::too_many_arguments, reason = "gsplat's arguments")]
     fn new(
         py: Python<'_>,
@@ -97,6 +98,7 @@ impl View {
         eps2d: f32,
         antialiased: bool,
         orthographic: bool,
+        largest_alpha: f32,
     ) -> PyResult<Self> {
         let gaussians = Gaussians {
             means: rows("means", &means)?,
@@ -112,6 +114,7 @@ impl View {
             eps2d,
             antialiased,
             orthographic,
+            largest_alpha,
             ..Options::new(width, height)
         };
         let inner = py.detach(|| raster::View::new(&gaussians, &viewmat, &k, &options)).map_err(refused)?;

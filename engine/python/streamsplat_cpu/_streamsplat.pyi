@@ -88,6 +88,7 @@ class View:
         eps2d: float,
         antialiased: bool,
         orthographic: bool,
+        largest_alpha: float = 0.999,
     ) -> Self: ...
     def projected(
         self,

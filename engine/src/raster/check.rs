@@ -58,9 +58,10 @@ pub(super) fn options(options: &Options<'_>) -> Result<(), RasterError> {
     let range = |name, expected, fits: bool, found: f32| {
         if fits { Ok(()) } else { Err(RasterError::Range { name, expected, found: found.into() }) }
     };
-    let Options { near_plane: near, far_plane: far, radius_clip: clip, eps2d, .. } = *options;
+    let Options { near_plane: near, far_plane: far, radius_clip: clip, eps2d, largest_alpha: most, .. } = *options;
     range("near_plane", "a number from 0 on", near >= 0.0, near)?;
     range("far_plane", "a number above near_plane", far > near, far)?;
+    range("largest_alpha", "a number above 0 and below 1", most > 0.0 && most < 1.0, most)?;
     range("radius_clip", "a number", !clip.is_nan(), clip)?;
     range("eps2d", "a finite number from 0 on", eps2d >= 0.0 && eps2d.is_finite(), eps2d)
 }

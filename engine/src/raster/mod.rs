@@ -147,6 +147,8 @@ pub struct Options<'a> {
     pub antialiased: bool,
     /// True if rays are parallel.
     pub orthographic: bool,
+    /// An α above this is lowered to it.
+    pub largest_alpha: f32,
 }
 
 impl Options<'_> {
@@ -163,6 +165,7 @@ impl Options<'_> {
             render_mode: RenderMode::Rgb,
             antialiased: false,
             orthographic: false,
+            largest_alpha: 0.999,
         }
     }
 }

@@ -87,6 +87,7 @@ impl View {
             least_radius: options.radius_clip,
             low_pass: options.eps2d,
             antialias: options.antialiased,
+            largest_alpha: options.largest_alpha,
         };
         let mut rasteriser = WorldRasteriser::new(Level::detect());
         rasteriser.project(&kernel(gaussians), &view);

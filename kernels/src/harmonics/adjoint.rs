@@ -42,7 +42,7 @@ pub struct Gradients<'a> {
 }
 
 /// The adjoint of [`colours`](super::colours): from the gradients `of [N]` by the colours `out [N]` that it made of `higher` and `mean` to those in `to`.
-/// Returns the gradient by the eye's place. See [the module](self).
+/// Returns the gradient by the eye's place.
 ///
 /// # Panics
 /// When `degree` is above 3 or a slice has another length.

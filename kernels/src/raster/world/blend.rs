@@ -6,7 +6,7 @@ use super::super::bin::TILE;
 use super::super::blend::{BLOCKS, Block, Hit, Lanes, Sink, Transmittance, Walk, corner};
 use super::super::project::{BLOCK, Splat};
 use super::super::sort::Entry;
-use super::{ALPHA_MAX, Drawing, FootprintGradient};
+use super::{Drawing, FootprintGradient};
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd};
 
@@ -207,7 +207,8 @@ impl<const C: usize> Operation for AdjointTile<'_, C> {
             values.push(behind);
         }
         let Self { walk, channels, offsets, sums, buffers, .. } = self;
-        let gather = Gather { s, channels, tile: walk.tile, offsets, sums, values: &mut values };
+        let gather =
+            Gather { s, channels, tile: walk.tile, offsets, sums, values: &mut values, most: walk.shape.cut.most };
         let zero = s.splat(0.0);
         walk.run(
             s,
@@ -237,6 +238,8 @@ struct Gather<'a, S: Simd> {
     offsets: &'a [usize],
     sums: &'a Disjoint<'a, f32>,
     values: &'a mut [Lanes],
+    /// An α above this is lowered to it.
+    most: f32,
 }
 
 /// Sums of a splat.
@@ -285,7 +288,7 @@ impl<S: Simd, const C: usize> Sink<S> for Gathering<'_, S, C> {
             total = s.mul_add(of, paint[c], total);
             self.colours[c] = s.mul_add(weight, of, self.colours[c]);
         }
-        let (most, one) = (s.splat(ALPHA_MAX), s.splat(1.0));
+        let (most, one) = (s.splat(self.gather.most), s.splat(1.0));
         let own = s.mul(weight, total);
         let behind = s.sub(s.load(&values[C + 1].0), own);
         s.store(behind, &mut values[C + 1].0);

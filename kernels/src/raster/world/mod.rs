@@ -10,7 +10,7 @@
 //! orthographic  u = f_x·x + c_x      J = [[f_x, 0, 0], [0, f_y, 0]]
 //! [m₁; m₂] = J·V·R·S                 Σ = [[a, b], [b, c]] = [m₁; m₂]·[m₁; m₂]ᵀ + e·I              drawn where near < z < far
 //! o′ = o, or with anti-aliasing o·√(|m₁ × m₂|² / det Σ)
-//! α = min(0.999, o′·exp(−½·dᵀΣ⁻¹d))                                              skipped where α < 1/255
+//! α = min(0.999, o′·exp(−½·dᵀΣ⁻¹d))                                              skipped where α < 1/255      (0.999 or `largest_alpha`)
 //! stop before the first that takes T·(1 − α) to 1e-4 or under
 //! image = Σ α·T·c + T·background     alpha = 1 − T
 //! ```
@@ -66,8 +66,6 @@ use bytemuck::{Pod, Zeroable};
 
 pub use rasteriser::WorldRasteriser;
 
-/// An α above this is lowered to it.
-const ALPHA_MAX: f32 = 0.999;
 /// A pixel is finished when the next splat would take its transmittance to this or below.
 const TRANSMITTANCE_MIN: f32 = 1e-4;
 
@@ -106,10 +104,12 @@ pub struct WorldView {
     pub low_pass: f32,
     /// True if opacities are lowered by as much as the low-pass widens footprints.
     pub antialias: bool,
+    /// An α above this is lowered to it; below 1.
+    pub largest_alpha: f32,
 }
 
 impl WorldView {
-    /// A pinhole of gsplat's defaults: near 0.01, far 1e10, low-pass 0.3 px².
+    /// A pinhole of gsplat's defaults: near 0.01, far 1e10, low-pass 0.3 px², α up to 0.999.
     pub fn pinhole(world_to_view: [[f32; 4]; 3], focal: [f32; 2], centre: [f32; 2], size: [usize; 2]) -> Self {
         Self {
             world_to_view,
@@ -123,6 +123,7 @@ impl WorldView {
             least_radius: 0.0,
             low_pass: 0.3,
             antialias: false,
+            largest_alpha: 0.999,
         }
     }
 }

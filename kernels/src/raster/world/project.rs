@@ -29,6 +29,7 @@ pub(super) struct Camera {
     near: f32,
     far: f32,
     least_radius: f64,
+    pub largest_alpha: f32,
     pub size: [usize; 2],
 }
 
@@ -50,6 +51,7 @@ impl Camera {
             near: view.near,
             far: view.far,
             least_radius: view.least_radius.into(),
+            largest_alpha: view.largest_alpha,
             size,
         }
     }

@@ -17,7 +17,7 @@ use super::super::{Gaussians, MAX_SIDE};
 use super::adjoint::AdjointChunk;
 use super::blend::{self, AdjointTile, Channels, DrawTile, MOMENTS, tiles_of};
 use super::project::{self, Camera, ProjectChunk};
-use super::{ALPHA_MAX, Drawing, FootprintGradient, Projected, TRANSMITTANCE_MIN, WorldGradients, WorldView};
+use super::{Drawing, FootprintGradient, Projected, TRANSMITTANCE_MIN, WorldGradients, WorldView};
 use crate::level::Level;
 use crate::parallel::{Disjoint, for_each_chunk};
 use crate::simd::dispatch;
@@ -85,7 +85,8 @@ impl WorldRasteriser {
     ///
     /// # Panics
     /// When the slices of `gaussians` differ in length, when there are 2³² Gaussians or more, when a side of the image is longer than [`MAX_SIDE`](crate::raster::MAX_SIDE),
-    /// or when `view.near` is not at least 0.
+    /// when `view.near` is not at least 0,
+    /// or when `view.largest_alpha` is not above 0 and below 1.
     pub fn project(&mut self, gaussians: &Gaussians<'_>, view: &WorldView) {
         let n = gaussians.len();
         let _span = debug_span!("world_project", gaussians = n, width = view.width, height = view.height).entered();
@@ -94,6 +95,8 @@ impl WorldRasteriser {
         assert!(u32::try_from(n).is_ok(), "{n} Gaussians, at most 2³² − 1");
         let [width, height] = [view.width, view.height];
         assert!(width <= MAX_SIDE && height <= MAX_SIDE, "an image of {width}×{height}, at most {MAX_SIDE} a side");
+        let most = view.largest_alpha;
+        assert!(most > 0.0 && most < 1.0, "a largest alpha of {most}, expected one above 0 and below 1");
         assert!(view.near >= 0.0, "a near plane at {}, expected 0 or more", view.near);
         (self.camera, self.grid) = (Camera::new(view), Grid::new(width, height));
         let Self { rasteriser, projected, camera, grid, level, .. } = self;
@@ -150,7 +153,7 @@ impl WorldRasteriser {
             list: &entries[starts[tile] as usize..starts[tile + 1] as usize],
             shape: Shape {
                 form: Form::General,
-                cut: Cut::GAUSSIAN.with_bounds(ALPHA_MAX, TRANSMITTANCE_MIN.next_up()),
+                cut: Cut::GAUSSIAN.with_bounds(self.camera.largest_alpha, TRANSMITTANCE_MIN.next_up()),
             },
             tile: [tile % self.grid.columns, tile / self.grid.columns],
             size: self.camera.size,

@@ -32,7 +32,7 @@ pub struct ReferenceImage {
     pub alpha: Vec<f64>,
     /// `[N]`: depths z.
     pub depth: Vec<f64>,
-    /// The smallest relative distance of an α from 1/255 or 0.999, of a transmittance from 1e-4, and of a tangent from its bound.
+    /// The smallest relative distance of an α from 1/255 or the largest, of a transmittance from 1e-4, and of a tangent from its bound.
     pub margin: f64,
 }
 
@@ -46,7 +46,7 @@ pub fn render(scene: &ReferenceScene, view: &WorldView) -> ReferenceImage {
         margin: f64::INFINITY,
     };
     let [fx, fy] = view.focal.map(f64::from);
-    let low = f64::from(view.low_pass);
+    let (low, most) = (f64::from(view.low_pass), f64::from(view.largest_alpha));
     let m = &scene.world_to_view;
     let mut drawn = Vec::new();
     for i in 0..count {
@@ -112,11 +112,11 @@ pub fn render(scene: &ReferenceScene, view: &WorldView) -> ReferenceImage {
         for &(i, _, [u, v], [a, b, c], opacity) in &drawn {
             let (dx, dy) = (px - u, py - v);
             let alpha = opacity * (-0.5 * (a * dx * dx + 2.0 * b * dx * dy + c * dy * dy)).exp();
-            out.margin = out.margin.min((alpha * 255.0 - 1.0).abs()).min((alpha / 0.999 - 1.0).abs());
+            out.margin = out.margin.min((alpha * 255.0 - 1.0).abs()).min((alpha / most - 1.0).abs());
             if alpha < 1.0 / 255.0 {
                 continue;
             }
-            let alpha = alpha.min(0.999);
+            let alpha = alpha.min(most);
             let next = left * (1.0 - alpha);
             out.margin = out.margin.min((next * 1e4 - 1.0).abs());
             if next <= 1e-4 {

@@ -57,6 +57,9 @@ impl Case {
         if seed.is_multiple_of(5) {
             (view.projection, view.focal) = (WorldProjection::Orthographic, [0.4 * width as f32, 0.45 * width as f32]);
         }
+        if seed.is_multiple_of(7) {
+            view.largest_alpha = 0.8;
+        }
         let mut values = |len: usize, from: f32| (0..len).map(|_| random.range(from, 1.0)).collect::<Vec<_>>();
         Self {
             colours: values(count * channels, 0.0),
