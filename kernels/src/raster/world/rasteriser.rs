@@ -234,7 +234,9 @@ impl WorldRasteriser {
         assert_eq!(of_colours.len(), drawing.colours.len(), "gradients of as many colours");
         assert_eq!(of_background.len(), drawing.background.len(), "a gradient per channel of the background");
         footprints.fill(FootprintGradient::default());
-        let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        // Taken: tasks of another call may run on this thread meanwhile.
+        let lock = || self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut spare = std::mem::take(&mut *lock());
         let pixels = blend::Pixels { image, alpha, of_image, of_alpha };
         let mut first = 0;
         while first == 0 || first < drawing.channels {
@@ -249,6 +251,7 @@ impl WorldRasteriser {
             }
             first += GROUP;
         }
+        *lock() = spare;
     }
 
     fn adjoint_group<const C: usize>(
