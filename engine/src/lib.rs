@@ -53,6 +53,7 @@ pub mod openexr;
 pub mod output;
 pub mod parallax;
 pub mod picture;
+pub mod raster;
 pub mod recognise;
 pub mod render;
 pub mod run;

@@ -16,14 +16,14 @@ use streamsplat_kernels::exposure::Exposure;
 use streamsplat_kernels::feed_forward::FeedForward;
 use streamsplat_kernels::flow::{self, Blend, Field, Options, Pyramid, Step, between};
 use streamsplat_kernels::gemm::{Activation, Epilogue, Input, Precision, Weights, linear};
-use streamsplat_kernels::harmonics::{Eye, colours, rest};
+use streamsplat_kernels::harmonics::{Eye, Gradients, adjoint, colours, rest};
 use streamsplat_kernels::memory::{Aligned, Scratch};
 use streamsplat_kernels::norm::{Norm, layer_norm, rms_norm};
 use streamsplat_kernels::parallel::{for_each_chunk, map_indexed};
 use streamsplat_kernels::philox::Stream;
 use streamsplat_kernels::raster::{
-    ColourFit, ColourMap, FitView, Gaussians, Image, Lists, MAX_SIDE, Preparation, Projection, Rasteriser, Request,
-    render,
+    ColourFit, ColourMap, Drawing, FitView, FootprintGradient, Gaussians, Image, Lists, MAX_SIDE, Preparation,
+    Projection, Rasteriser, Request, WorldGradients, WorldRasteriser, WorldView, render,
 };
 use streamsplat_kernels::resize::{Filter, Grid, antialiased, bicubic_antialiased, bilinear, bilinear_antialiased};
 use streamsplat_kernels::{Level, patches, pointwise, truncated_normal};
@@ -435,6 +435,14 @@ fn wrapping_calls() -> Vec<(&'static str, Box<dyn FnOnce()>)> {
         map.prepare(&ONE, &FLAT, size);
         map
     };
+    let world = |size: [usize; 2]| WorldView::pinhole([[1.0, 0.0, 0.0, 0.0]; 3], [8.0; 2], [4.0; 2], size);
+    let drawn = move || {
+        let mut rasteriser = WorldRasteriser::new(level);
+        rasteriser.project(&ONE, &world([8; 2]));
+        rasteriser
+    };
+    // 64 pixels of 2⁶⁰ channels are 2⁶⁶ values.
+    let drawing = Drawing { channels: 1 << 60, colours: &[], background: &[] };
     let image =
         |width, height| Image { width, height, rgb: vec![0.5; 12], alpha: Some(vec![1.0; 4]), ..Image::default() };
     let mut calls: Vec<(&'static str, Box<dyn FnOnce()>)> = Vec::new();
@@ -488,6 +496,10 @@ fn wrapping_calls() -> Vec<(&'static str, Box<dyn FnOnce()>)> {
         "gemm::Weights::pack_as": Weights::pack_as(level, Precision::Int8, &[], HALF, HALF);
         "gemm::linear": linear(level, &[], 1 << 60, &weights(), &Epilogue::new(), &mut []);
         "harmonics::colours": colours(level, HALF, &[[0.5; 3]], &[], &[[0.5; 3]], Eye::At([0.0; 3]), &mut [[0.0; 3]]);
+        "harmonics::adjoint": {
+            let to = Gradients { base: &mut [[0.0; 3]], higher: &mut [], mean: &mut [[0.0; 3]] };
+            adjoint(level, HALF, &[], &[[0.5; 3]], Eye::At([0.0; 3]), &[[0.5; 3]], &[[0.5; 3]], to);
+        };
         "memory::Aligned::resize": Aligned::<u64>::zeroed(1).resize(1 << 61);
         "memory::Aligned::zeroed": Aligned::<u64>::zeroed(1 << 61);
         "memory::Scratch::take": Scratch::take(1 << 62);
@@ -516,6 +528,24 @@ fn wrapping_calls() -> Vec<(&'static str, Box<dyn FnOnce()>)> {
         };
         "raster::ColourMap::residual_adjoint_tiles": {
             map([8, 8]).residual_adjoint_tiles(&[[0.5; 3]], [0.0; 3], &[0.5; 192], &mut [[0.0; 3]], &mut [])
+        };
+        "raster::WorldRasteriser::project": {
+            WorldRasteriser::new(level).project(&ONE, &world([HALF; 2]));
+        };
+        "raster::WorldRasteriser::draw": drawn().draw(&drawing, &mut [], &mut [0.0; 64]);
+        "raster::WorldRasteriser::draw_adjoint": {
+            let mut to = [FootprintGradient::default()];
+            drawn().draw_adjoint(&drawing, [&[], &[0.0; 64]], [&[], &[0.0; 64]], &mut to, &mut [], &mut []);
+        };
+        "raster::WorldRasteriser::project_adjoint": {
+            let (mean, rotation, scale, opacity): (&mut [_], &mut [_], &mut [_], &mut [_]) = (&mut [], &mut [], &mut [], &mut []);
+            let to = WorldGradients { mean, rotation, scale, opacity };
+            drawn().project_adjoint(&ONE, &[FootprintGradient::default()], None, to);
+        };
+        "raster::WorldView::pinhole": {
+            let matrix = [[1.0, 0.0, 0.0, 0.0]; 3];
+            let view = WorldView::pinhole(matrix, [8.0; 2], [4.0; 2], [HALF, HALF]);
+            WorldRasteriser::new(level).project(&ONE, &view);
         };
         "raster::Rasteriser::lists": {
             Rasteriser::new(level).lists(&ONE, &FLAT, &request(HALF, HALF), &mut Lists::default());

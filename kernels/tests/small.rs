@@ -10,13 +10,14 @@ use streamsplat_kernels::exposure::Exposure;
 use streamsplat_kernels::feed_forward::FeedForward;
 use streamsplat_kernels::flow::{self, Blend, Field, Options, Pyramid};
 use streamsplat_kernels::gemm::{Activation, Epilogue, Input, Precision, Weights, linear};
-use streamsplat_kernels::harmonics::{Eye, MAX_DEGREE, colours, rest};
+use streamsplat_kernels::harmonics::{Eye, Gradients, MAX_DEGREE, adjoint, colours, rest};
 use streamsplat_kernels::memory::{Aligned, Scratch};
 use streamsplat_kernels::norm::{Norm, layer_norm, rms_norm};
 use streamsplat_kernels::parallel::{for_each_chunk, map_indexed};
 use streamsplat_kernels::philox::Stream;
 use streamsplat_kernels::raster::{
-    ColourMap, Defocus, Falloff, Gaussians, Lists, OwnedGaussians, Projection, Rasteriser, Request, render,
+    ColourMap, Defocus, Drawing, Falloff, FootprintGradient, Gaussians, Lists, OwnedGaussians, Projection, Rasteriser,
+    Request, WorldGradients, WorldProjection, WorldRasteriser, WorldView, render,
 };
 use streamsplat_kernels::resize::{Grid, antialiased, bicubic_antialiased, bilinear, bilinear_antialiased};
 use streamsplat_kernels::{Level, activation, patches, pointwise, resize, truncated_normal};
@@ -265,6 +266,10 @@ fn rows_that_moved_and_colours_by_direction() {
             let mut out = vec![[0.5; 3]; n];
             colours(level, degree, &base, &higher, &mean, Eye::At([0.1, 0.2, -3.0]), &mut out);
             let mut all = out.concat();
+            let (mut first, mut others, mut centres) = (vec![[0.0; 3]; n], vec![0.0; higher.len()], vec![[0.0; 3]; n]);
+            let to = Gradients { base: &mut first, higher: &mut others, mean: &mut centres };
+            let of_eye = adjoint(level, degree, &higher, &mean, Eye::At([0.1, 0.2, -3.0]), &out, &mean, to);
+            all.extend([first.concat(), others, centres.concat(), of_eye.map(|of| of as f32).to_vec()].concat());
             colours(level, degree, &base, &higher, &mean, Eye::Along([0.0, 0.0, 1.0]), &mut out);
             all.extend(out.concat());
             all
@@ -389,6 +394,45 @@ fn images_all_around_through_lenses_and_with_other_footprints() {
                     all
                 });
             }
+        }
+    }
+}
+
+#[test]
+fn images_of_gaussians_in_world_space_and_gradients() {
+    for &(n, width, height) in some(&[(12, 21, 9), (3, 66, 33), (40, 130, 70), (0, 5, 5), (9, 0, 4), (300, 64, 32)]) {
+        let scene = scene(n, true);
+        let gaussians = scene.gaussians();
+        let matrix = [[1.0, 0.1, 0.0, 0.0], [-0.1, 1.0, 0.0, 0.1], [0.0, 0.0, 1.0, 0.5]];
+        let pinhole = WorldView::pinhole(matrix, [30.0; 2], [20.0, 12.0], [width, height]);
+        let flat = WorldView { projection: WorldProjection::Orthographic, antialias: true, ..pinhole };
+        for (view, channels) in [(pinhole, 3), (flat, 6), (pinhole, 0)] {
+            let (colours, background) = (noise(n * channels, 3), vec![0.25; channels]);
+            let drawing = Drawing { channels, colours: &colours, background: &background };
+            let (of_image, of_alpha) = (noise(width * height * channels, 4), noise(width * height, 5));
+            everywhere("world", |level| {
+                let mut rasteriser = WorldRasteriser::new(level);
+                rasteriser.project(&gaussians, &view);
+                let (mut image, mut alpha) = (vec![0.5; of_image.len()], vec![0.5; of_alpha.len()]);
+                rasteriser.draw(&drawing, &mut image, &mut alpha);
+                let mut all = [&image[..], &alpha, &rasteriser.projected().opacity].concat();
+                let mut footprints = vec![FootprintGradient::default(); n];
+                let (mut of_colours, mut of_background) = (vec![0.5; colours.len()], vec![0.5; channels]);
+                let (drawn, of) = ([&image[..], &alpha], [&of_image[..], &of_alpha]);
+                rasteriser.draw_adjoint(&drawing, drawn, of, &mut footprints, &mut of_colours, &mut of_background);
+                let (mut mean, mut rotation) = (vec![[0.0; 3]; n], vec![[0.0; 4]; n]);
+                let (mut scale, mut opacity, depth) = (vec![[0.0; 3]; n], vec![0.0; n], noise(n, 6));
+                let to = WorldGradients {
+                    mean: &mut mean,
+                    rotation: &mut rotation,
+                    scale: &mut scale,
+                    opacity: &mut opacity,
+                };
+                let view = rasteriser.project_adjoint(&gaussians, &footprints, Some(&depth), to);
+                all.extend([of_colours, mean.concat(), rotation.concat(), scale.concat(), opacity].concat());
+                all.extend(of_background.iter().chain(view.as_flattened()).map(|&of| of as f32));
+                all
+            });
         }
     }
 }

@@ -1,70 +1,87 @@
-"""Differentiable splatting and StreamSplat's Gaussians in time: rasteriser.cpp on the CPU (compiled on first use), rasteriser_triton.py on CUDA."""
-import ctypes
-import hashlib
+"""Differentiable splatting and StreamSplat's Gaussians in time: the engine's own rasteriser on the CPU, rasteriser_triton.py on CUDA."""
 import math
-import os
-import pathlib
-import subprocess
-import tempfile
+from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import torch
+from streamsplat_cpu._streamsplat import View
 
-SOURCE = pathlib.Path(__file__).with_name('rasteriser.cpp')
-COMMAND = ['g++', '-O3', '-march=native', '-ffast-math', '-std=c++17', '-shared', '-fPIC', '-pthread']
-
-
-def _library():
-    """Compiled once per source and machine, into the user's cache folder."""
-    cache = pathlib.Path(os.environ.get('XDG_CACHE_HOME', pathlib.Path.home() / '.cache')) / 'streamsplat-train'
-    key = hashlib.sha256(SOURCE.read_bytes() + ' '.join(COMMAND).encode() + os.uname().nodename.encode()).hexdigest()[:16]
-    path = cache / f'rasteriser-{key}.so'
-    if not path.exists():
-        cache.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=cache) as tmp:
-            subprocess.check_call([*COMMAND, str(SOURCE), '-o', f'{tmp}/r.so'])
-            os.replace(f'{tmp}/r.so', path)
-    return ctypes.CDLL(str(path))
+# α is lowered to this, as in the images that the engine draws.
+LARGEST_ALPHA = 0.99
+NOTHING = np.empty(0, np.float32)
+AT_ORIGIN, PIXELS = np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32)
 
 
-_lib = None
+def _each(work, count):
+    """`work` of each image, several at a time: small ones have too little to share among threads. Their bits do not depend on it."""
+    global _pool
+    if count < 2 or torch.get_num_threads() < 2:
+        return [work(m) for m in range(count)]
+    _pool = _pool or ThreadPoolExecutor()
+    return list(_pool.map(work, range(count)))
 
 
-def _call(name, *args):
-    global _lib
-    _lib = _lib or _library()
-    getattr(_lib, name)(*[ctypes.c_void_p(a.data_ptr()) if torch.is_tensor(a) else a for a in args], torch.get_num_threads())
+_pool = None
+
+
+def _gaussians(P, key):
+    """One image's splats as Gaussians of an orthographic camera with a pixel per unit, drawn in the order of `key`."""
+    order = np.argsort(key, kind='stable')
+    rank = np.empty(len(key), np.float32)
+    rank[order] = np.arange(1, len(key) + 1)
+    means = np.stack([P[:, 0] + np.float32(0.5), P[:, 1] + np.float32(0.5), rank], -1)
+    scales = np.zeros((len(P), 3), np.float32)
+    np.sqrt(P[:, 2:4], out=scales[:, :2])
+    quats = np.zeros((len(P), 4), np.float32)
+    quats[:, 0] = 1
+    return means, quats, scales, np.ascontiguousarray(P[:, 4])
 
 
 class Splat(torch.autograd.Function):
     """P [M,N,5] = u, v, var_x, var_y, opacity in pixels; values [M,N,4]; depth key [M,N]; background [M,4] -> image [M,4,H,W], T [M,H,W]."""
 
     @staticmethod
-    def paint(P, values, key, background, H, W, _=None):
-        """(image, T, last, the order of the splats): without gradients."""
-        M, N = key.shape
-        image, T = torch.empty(M, 4, H, W), torch.empty(M, H, W)
-        last, order = torch.empty(M, H, W, dtype=torch.int32), torch.empty(M, N, dtype=torch.int32)
-        _call('splat_forward', M, N, H, W, P, values, key, background, image, T, last, order)
-        return image, T, last, order
+    def paint(P, values, key, background, H, W, lists=None):
+        """(image, T, what was drawn, the views of the splats): without gradients."""
+        P, values, key, background = (t.detach().numpy() for t in (P, values, key, background))
+
+        def seen(m):
+            gaussians = _gaussians(P[m], key[m])
+            return View(*gaussians, AT_ORIGIN, PIXELS, W, H, 0.0, 3e38, 0.0, 0.0, False, True, LARGEST_ALPHA), gaussians
+
+        lists = lists or _each(seen, len(P))
+        drawn = _each(lambda m: lists[m][0].draw(values[m], background[m]), len(P))
+        image = torch.from_numpy(np.stack([image for image, _ in drawn])).permute(0, 3, 1, 2)
+        return image, 1 - torch.from_numpy(np.stack([alpha for _, alpha in drawn])), drawn, lists
 
     @staticmethod
-    def pull(P, values, background, T, last, order, G, geometry=True):
+    def pull(P, values, background, T, drawn, lists, G, geometry=True):
         """The gradients (of P, of values) under G [M,4,H,W]; `geometry`: whether that of P is needed."""
-        gP, gV, G = torch.zeros_like(P), torch.zeros_like(values), G.contiguous().float()
-        _call('splat_backward', *order.shape, *T.shape[1:], P, values, background, T, last, order, G, gP, gV)
-        return gP, gV
+        values, background = values.detach().numpy(), background.detach().numpy()
+        gP, gV, G = np.zeros(P.shape, np.float32), np.empty_like(values), np.ascontiguousarray(G.detach().float().permute(0, 2, 3, 1).numpy())
+
+        def one(m):
+            (view, gaussians), (image, alpha) = lists[m], drawn[m]
+            footprints, gV[m], _ = view.draw_gradients(values[m], background[m], image, alpha, G[m], np.zeros_like(alpha))
+            if geometry:
+                means, _, scales, opacity, _ = view.gradients(*gaussians, footprints, NOTHING, [0.0, 0.0, 0.0])
+                gP[m, :, :2], gP[m, :, 4] = means[:, :2], opacity
+                gP[m, :, 2:4] = scales[:, :2] / (2 * gaussians[2][:, :2])
+
+        _each(one, len(lists))
+        return torch.from_numpy(gP), torch.from_numpy(gV)
 
     @staticmethod
     def forward(ctx, P, values, key, background, H, W):
         P, values, key, background = (t.detach().contiguous().float() for t in (P, values, key, background))
-        image, T, last, order = Splat.paint(P, values, key, background, H, W)
-        ctx.save_for_backward(P, values, background, T, last, order)
+        image, T, ctx.drawn, ctx.lists = Splat.paint(P, values, key, background, H, W)
+        ctx.save_for_backward(P, values, background, T)
         ctx.mark_non_differentiable(T)
         return image, T
 
     @staticmethod
     def backward(ctx, G, _):
-        return *Splat.pull(*ctx.saved_tensors, G), None, None, None, None
+        return *Splat.pull(*ctx.saved_tensors, ctx.drawn, ctx.lists, G), None, None, None, None
 
 
 def _splat_class(P, kernels):

@@ -1,4 +1,4 @@
-"""The rasteriser of rasteriser.cpp as Triton kernels: the same rules, a list of splats per tile, the same sums in the same order in every run.
+"""The rasteriser of rasteriser.py as Triton kernels: the engine's rules, a list of splats per tile, the same sums in the same order in every run.
 
 Runs on CUDA; with TRITON_INTERPRET=1 in the environment also on CPU tensors, slowly, which is how it is tested where there is no GPU.
 """

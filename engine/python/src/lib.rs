@@ -11,6 +11,7 @@ mod failure;
 mod image;
 mod interval;
 mod program;
+mod raster;
 mod run;
 mod scene;
 mod source;
@@ -37,6 +38,8 @@ mod module {
     use super::interval::{Gaussians, Interval};
     #[pymodule_export]
     use super::program::main;
+    #[pymodule_export]
+    use super::raster::{View, harmonics, harmonics_gradients};
     #[pymodule_export]
     use super::run::run;
     #[pymodule_export]

@@ -13,6 +13,8 @@
         interval.at(time).means                      # the Gaussians in the world
         image = interval.render(time)                # image.rgb: [height, width, 3]
 
+`rasterization` is gsplat's call, of NumPy arrays or of PyTorch's tensors, which have gradients.
+
 `reconstruct` does what the command line's `run` does, of files or of frames in memory. Arrays are read-only; `.copy()` makes one that can be written
 to, and `torch.from_dlpack(array)` a tensor that shares its memory (it must not be written to).
 
@@ -37,6 +39,7 @@ from ._streamsplat import (
     cameras,
 )
 from .clip import Reconstructing, Reconstruction, reconstruct
+from .raster import rasterization
 
 __all__ = [
     "Camera",
@@ -54,5 +57,6 @@ __all__ = [
     "Viewer",
     "__version__",
     "cameras",
+    "rasterization",
     "reconstruct",
 ]

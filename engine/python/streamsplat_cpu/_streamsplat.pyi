@@ -41,14 +41,96 @@ __all__ = [
     "Scene",
     "SceneWriter",
     "Splats",
+    "View",
     "Viewer",
     "__version__",
     "cameras",
+    "harmonics",
+    "harmonics_gradients",
     "main",
     "run",
 ]
 
 __version__: str
+
+def harmonics(
+    coefficients: NDArray[np.float32], degree: int, means: NDArray[np.float32], eye: Sequence[float]
+) -> NDArray[np.float32]:
+    """Colours `[N, 3]` of harmonics `[N, K, 3]` up to `degree`, seen from `eye`."""
+
+def harmonics_gradients(
+    coefficients: NDArray[np.float32],
+    degree: int,
+    means: NDArray[np.float32],
+    eye: Sequence[float],
+    colors: NDArray[np.float32],
+    of_colors: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], NDArray[np.float32], list[float]]:
+    """Gradients by coefficients, means and the eye from those by the colours that `harmonics` made."""
+
+@final
+class View:
+    """Gaussians as one camera sees them."""
+
+    def __new__(
+        cls,
+        means: NDArray[np.float32],
+        quats: NDArray[np.float32],
+        scales: NDArray[np.float32],
+        opacities: NDArray[np.float32],
+        viewmat: NDArray[np.float32],
+        k: NDArray[np.float32],
+        width: int,
+        height: int,
+        near_plane: float,
+        far_plane: float,
+        radius_clip: float,
+        eps2d: float,
+        antialiased: bool,
+        orthographic: bool,
+        largest_alpha: float = 0.999,
+    ) -> Self: ...
+    def projected(
+        self,
+    ) -> tuple[
+        NDArray[np.float32],
+        NDArray[np.float32],
+        NDArray[np.float32],
+        NDArray[np.float32],
+        NDArray[np.int32],
+        NDArray[np.float32],
+    ]:
+        """Centres `[N, 2]`, depths `[N]`, conics `[N, 3]`, opacities `[N]`, radii `[N, 2]`, and the place of the eye `[3]`."""
+
+    def draw(
+        self, colors: NDArray[np.float32], background: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Image `[H, W, D]` and alpha `[H, W]` in colours `[N, D]`, on a background `[D]` (or of no values)."""
+
+    def draw_gradients(
+        self,
+        colors: NDArray[np.float32],
+        background: NDArray[np.float32],
+        image: NDArray[np.float32],
+        alpha: NDArray[np.float32],
+        of_image: NDArray[np.float32],
+        of_alpha: NDArray[np.float32],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Gradients by footprints `[N, 6]`, colours `[N, D]` and background, from what was drawn and the gradients by it."""
+
+    def gradients(
+        self,
+        means: NDArray[np.float32],
+        quats: NDArray[np.float32],
+        scales: NDArray[np.float32],
+        opacities: NDArray[np.float32],
+        footprints: NDArray[np.float32],
+        of_depth: NDArray[np.float32],
+        of_eye: Sequence[float],
+    ) -> tuple[
+        NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]
+    ]:
+        """Gradients by means, quaternions, scales, opacities and the view matrix, from those by footprints, depths and the eye."""
 
 def main(arguments: Sequence[str]) -> int:
     """Runs the program with these arguments, the first of which is its name, and returns its exit code."""

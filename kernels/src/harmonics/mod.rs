@@ -26,10 +26,12 @@
 //! Source: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (2023), and its release; Sloan, "Efficient
 //! Spherical Harmonic Evaluation" (2013), for the basis.
 
+mod adjoint;
 pub mod reference;
 #[cfg(test)]
 mod tests;
 
+pub use adjoint::{Gradients, adjoint};
 use tracing::debug_span;
 
 use crate::Level;

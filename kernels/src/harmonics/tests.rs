@@ -1,4 +1,4 @@
-use super::{Eye, MAX_DEGREE, colours, reference, rest};
+use super::{Eye, Gradients, MAX_DEGREE, adjoint, colours, reference, rest};
 use crate::testing::{noise, on_every_level_and_thread_count};
 
 fn triples(flat: &[f32]) -> Vec<[f32; 3]> {
@@ -85,5 +85,76 @@ fn a_bad_value_spoils_its_own_colour_only() {
         assert!(out[17][0].is_nan());
         (out[17], expected[17]) = ([0.0; 3], [0.0; 3]);
         assert_eq!(out, expected);
+    }
+}
+
+/// The sum of a Gaussian's colours times `of`, of coefficients, centre and eye in binary64.
+fn loss(degree: usize, coefficients: &[f64], mean: [f64; 3], eye: [f64; 3], of: &[f32]) -> f64 {
+    let v: [f64; 3] = std::array::from_fn(|axis| mean[axis] - eye[axis]);
+    let length = v.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let basis = reference::basis(v.map(|v| v / length));
+    let channel = |c: usize| 0.5 + (0..=rest(degree)).map(|k| coefficients[3 * k + c] * basis[k]).sum::<f64>();
+    (0..3).map(|c| channel(c).max(0.0) * f64::from(of[c])).sum()
+}
+
+#[test]
+fn the_adjoint_is_that_of_finite_differences_everywhere() {
+    let n = 2 * super::TASK + 5;
+    let mean = triples(&noise(3 * n, 1));
+    let (base, of) = (triples(&noise(3 * n, 2)), triples(&noise(3 * n, 3)));
+    let eye = [0.3, -0.2, -1.5];
+    for degree in 0..=MAX_DEGREE {
+        let higher = noise(3 * n * rest(degree), 4);
+        let width = 3 * rest(degree);
+        let out = on_every_level_and_thread_count(6 * n + n * width + 6, |level, out| {
+            let mut seen = vec![[0.0; 3]; n];
+            colours(level, degree, &base, &higher, &mean, Eye::At(eye), &mut seen);
+            let (first, rest) = out.split_at_mut(3 * n);
+            let (second, rest) = rest.split_at_mut(3 * n);
+            let (third, last) = rest.split_at_mut(n * width);
+            second.fill(0.25);
+            let [base, mean_to] = [first, second].map(|v| v.as_chunks_mut::<3>().0);
+            let to = Gradients { base, higher: third, mean: mean_to };
+            let of_eye = adjoint(level, degree, &higher, &mean, Eye::At(eye), &seen, &of, to);
+            for (last, of) in last.chunks_mut(2).zip(of_eye) {
+                last.copy_from_slice(&[of as f32, (of - f64::from(of as f32)) as f32]);
+            }
+        });
+        let mut eyes = [0.0; 3];
+        for i in (0..n).step_by(if degree == 3 { 1 } else { 7 }) {
+            let own = &higher[i * width..][..width];
+            let coefficients: Vec<f64> = base[i].iter().chain(own).map(|&c| f64::from(c)).collect();
+            let (place, from) = (mean[i].map(f64::from), eye.map(f64::from));
+            let step = 1e-6;
+            let close = |what: &str, found: f32, above: f64, below: f64| {
+                let expected = (above - below) / (2.0 * step);
+                assert!(
+                    (f64::from(found) - expected).abs() < 1e-5,
+                    "{what} of {i}, degree {degree}: {found}, {expected}"
+                );
+                expected
+            };
+            for k in 0..coefficients.len() {
+                let at = |change: f64| {
+                    let mut moved = coefficients.clone();
+                    moved[k] += change;
+                    loss(degree, &moved, place, from, &of[i])
+                };
+                let found = if k < 3 { out[3 * i + k] } else { out[6 * n + i * width + k - 3] };
+                close("coefficient", found, at(step), at(-step));
+            }
+            for axis in 0..3 {
+                let at = |change: f64| {
+                    let mut moved = place;
+                    moved[axis] += change;
+                    loss(degree, &coefficients, moved, from, &of[i])
+                };
+                eyes[axis] -= close("centre", out[3 * n + 3 * i + axis] - 0.25, at(step), at(-step));
+            }
+        }
+        for (axis, expected) in eyes.iter().enumerate().take(if degree == 3 { 3 } else { 0 }) {
+            let found = f64::from(out[6 * n + n * width + 2 * axis]);
+            assert!((found - expected).abs() < 1e-3 * expected.abs().max(1.0), "eye: {found}, expected {expected}");
+        }
     }
 }

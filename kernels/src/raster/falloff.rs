@@ -4,6 +4,10 @@ use crate::simd::Simd;
 
 /// Least α that is drawn; a Gaussian of a lower opacity reaches no pixel.
 pub const ALPHA_MIN: f32 = 1.0 / 255.0;
+/// An alpha above this is lowered to it.
+const ALPHA_MAX: f32 = 0.99;
+/// A pixel is finished when the next splat would take its transmittance below this.
+const TRANSMITTANCE_MIN: f32 = 1e-4;
 
 /// How α falls with the distance d from a Gaussian's centre, in standard deviations: `α = min(0.99, o·g·(e^(−d²/2) − f))`, skipped where it is
 /// under 1/255.
@@ -74,13 +78,28 @@ pub(super) struct Cut {
     floor: f32,
     /// Least α that is drawn.
     pub least: f32,
+    /// An α above this is lowered to it.
+    pub most: f32,
+    /// A pixel is finished when the next splat would take its transmittance below this.
+    pub end: f32,
     /// log₂(1/least), and what [`reach`](Self::reach) adds.
     base: f32,
 }
 
 impl Cut {
-    pub(super) const GAUSSIAN: Cut =
-        Cut { gain: 1.0, floor: 0.0, least: ALPHA_MIN, base: 7.994_354 + EXCESS + EXPONENT_MARGIN };
+    pub(super) const GAUSSIAN: Cut = Cut {
+        gain: 1.0,
+        floor: 0.0,
+        least: ALPHA_MIN,
+        most: ALPHA_MAX,
+        end: TRANSMITTANCE_MIN,
+        base: 7.994_354 + EXCESS + EXPONENT_MARGIN,
+    };
+
+    /// The same with another largest α, and with pixels finished at another transmittance.
+    pub(super) fn with_bounds(self, most: f32, end: f32) -> Self {
+        Self { most, end, ..self }
+    }
 
     pub(super) fn new(falloff: Falloff, blurred: bool) -> Self {
         let [gain, floor] = falloff.gain_and_floor().map(|v| v as f32);
@@ -89,7 +108,7 @@ impl Cut {
         } else {
             (ALPHA_MIN, Self::GAUSSIAN.base)
         };
-        Self { gain, floor, least, base }
+        Self { gain, floor, least, base, ..Self::GAUSSIAN }
     }
 
     /// −f: `opacity·(2^−e + dip)` is α.

@@ -129,7 +129,7 @@ impl Rasteriser {
     }
 
     /// Sorts every tile's list.
-    fn sort_all(&mut self, grid: Grid) {
+    pub(super) fn sort_all(&mut self, grid: Grid) {
         let _span = debug_span!("sort", tiles = grid.len()).entered();
         let mut rest = self.entries.as_mut_slice();
         let lists: Vec<_> = self

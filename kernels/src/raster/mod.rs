@@ -89,11 +89,16 @@ mod project;
 mod rasteriser;
 pub mod reference;
 mod sort;
+mod world;
 
 pub use falloff::{ALPHA_MIN, Defocus, Falloff};
 pub use linear::{ColourFit, ColourMap, Effort, FitView, Preparation, Solution, WEIGHT_BYTES};
 pub use lists::{Footprint, Lists, TILE_PIXELS};
 pub use rasteriser::{Rasteriser, Work};
+pub use world::{
+    Drawing, FootprintGradient, Projected, WorldGradients, WorldProjection, WorldRasteriser, WorldView,
+    reference as world_reference,
+};
 
 use crate::level::Level;
 

@@ -58,13 +58,13 @@ pub struct Rasteriser {
     last: Option<Last>,
     pub(super) splats: Vec<Splat>,
     /// Entries per chunk of Gaussians and tile; later where each chunk's entries of a tile start.
-    counts: Vec<u32>,
+    pub(super) counts: Vec<u32>,
     /// Where a tile's list starts; one more than tiles.
     pub(super) starts: Vec<u32>,
     pub(super) entries: Vec<Entry>,
     /// Where each Gaussian's footprint lies, when lists are made for a blend elsewhere.
     pub(super) places: Vec<u32>,
-    dirty: Vec<AtomicBool>,
+    pub(super) dirty: Vec<AtomicBool>,
     order: Vec<u32>,
     scratch: Vec<Scratch>,
     image: Image,
@@ -210,7 +210,7 @@ impl Rasteriser {
         self.work.bin = projected.elapsed();
     }
 
-    fn chunk(&self) -> usize {
+    pub(super) fn chunk(&self) -> usize {
         self.splats.len().div_ceil(MOST_CHUNKS).max(CHUNK).next_multiple_of(LANES)
     }
 
@@ -246,7 +246,7 @@ impl Rasteriser {
     }
 
     /// Fills `starts` and `entries` for the dirty tiles; other tiles get empty lists.
-    fn bin(&mut self, grid: Grid, keep: bool) {
+    pub(super) fn bin(&mut self, grid: Grid, keep: bool) {
         let (tiles, chunk) = (grid.len(), self.chunk());
         let _span = debug_span!("bin", tiles, keep).entered();
         let chunks = self.splats.len().div_ceil(chunk);

@@ -152,6 +152,24 @@ pub(super) fn things() -> Vec<Thing> {
                 }
             }
         }),
+        Thing::new("harmonics/adjoint", |level, digest| {
+            let count = 1031;
+            let [base, mean, of] = [17, 18, 20].map(|seed| noise(3 * count, seed));
+            let [base, mean, of] = [&base, &mean, &of].map(|flat| flat.as_chunks::<3>().0);
+            for degree in 0..=harmonics::MAX_DEGREE {
+                let higher = noise(3 * count * harmonics::rest(degree), 19);
+                let eye = harmonics::Eye::At([0.3, -0.2, 0.1]);
+                let (mut out, mut first) = (vec![[0.0; 3]; count], vec![[0.0; 3]; count]);
+                harmonics::colours(level, degree, base, &higher, mean, eye, &mut out);
+                let (mut others, mut centres) = (vec![0.0; higher.len()], vec![[0.0; 3]; count]);
+                let to = harmonics::Gradients { base: &mut first, higher: &mut others, mean: &mut centres };
+                let of_eye = harmonics::adjoint(level, degree, &higher, mean, eye, &out, of, to);
+                digest.floats(first.as_flattened());
+                digest.floats(&others);
+                digest.floats(centres.as_flattened());
+                digest.doubles(&of_eye);
+            }
+        }),
         Thing::new("truncated_normal", |level, digest| {
             let len = 5003;
             let mean: Vec<f32> = noise(len, 7).iter().map(|x| x * 4.0).collect();

@@ -13,7 +13,7 @@ use super::sort::Entry;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd};
 
-pub(super) use walk::{BLOCKS, Block, Lanes, Shape, Sink, Transmittance, Walk, corner};
+pub(super) use walk::{BLOCKS, Block, Hit, Lanes, Shape, Sink, Transmittance, Walk, corner};
 
 /// Colour of 4×4 pixels.
 type Rgb = [Lanes; 3];
@@ -102,7 +102,7 @@ impl<S: Simd, const EXTRAS: usize> Sink<S> for Picture<'_, EXTRAS> {
     type Paint = Paint<S>;
 
     #[inline(always)]
-    fn begin(&mut self, s: S, splat: &Splat) -> Paint<S> {
+    fn begin(&mut self, s: S, splat: &Splat, _: &Entry) -> Paint<S> {
         Paint { rgb: splat.rgb.map(|c| s.splat(c)), depth: s.splat(splat.depth) }
     }
 

@@ -121,6 +121,8 @@ pub(super) struct Tables {
     /// Middle of the footprint on each row, in two parts.
     pub(super) middle: Pixels,
     pub(super) rest: Pixels,
+    /// Root of the exponent of each row, for sinks that need it.
+    pub(super) distance: Pixels,
 }
 
 impl Tables {
@@ -134,6 +136,7 @@ impl Tables {
             down: [0.0; PIXELS],
             middle: [0.0; PIXELS],
             rest: [0.0; PIXELS],
+            distance: [0.0; PIXELS],
         };
         for i in 0..PIXELS {
             tables.columns[i] = (column * TILE[0] * BLOCK + i) as f32;

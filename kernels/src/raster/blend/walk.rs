@@ -2,7 +2,7 @@
 
 use super::super::bin::{TILE, around};
 use super::super::falloff::Cut;
-use super::super::project::{ALPHA_MAX, BLOCK, Form, Splat, TRANSMITTANCE_MIN, Viewport, split};
+use super::super::project::{BLOCK, Form, Splat, Viewport, split};
 use super::super::sort::Entry;
 use super::sphere::Sphere;
 use super::tables::{Tables, exp2_negative, factors, fours, nearest, strips};
@@ -94,12 +94,30 @@ pub(in super::super) fn corner([column, row]: [usize; 2], block: usize) -> [usiz
     [(column * TILE[0] + block % TILE[0]) * BLOCK, (row * TILE[1] + block / TILE[0]) * BLOCK]
 }
 
+/// A splat on the 16 pixels of a block.
+pub(in super::super) struct Hit<S: Simd> {
+    /// `α·T`, zero where the splat is not drawn.
+    pub weight: S::F32,
+    /// α before it is lowered to the largest.
+    pub alpha: S::F32,
+    /// Exponent's roots `t = p·(x − m(y))` and `s = q·(y − v)`; zero unless the sink has [`Sink::GEOMETRY`].
+    pub across: S::F32,
+    pub down: S::F32,
+}
+
 /// Receiver of the weights of splats on the blocks of a tile, splat by splat.
 pub(in super::super) trait Sink<S: Simd> {
+    /// True if hits of general footprints need [`Hit::across`] and [`Hit::down`].
+    const GEOMETRY: bool = false;
     /// Values of a splat, kept while its blocks are visited.
     type Paint;
-    /// A splat whose blocks are visited next.
-    fn begin(&mut self, s: S, splat: &Splat) -> Self::Paint;
+    /// A splat whose blocks are visited next; `entry` is its place in the list.
+    fn begin(&mut self, s: S, splat: &Splat, entry: &Entry) -> Self::Paint;
+    /// [`Sink::add`], with all of the hit.
+    #[inline(always)]
+    fn hit(&mut self, s: S, at: Block, hit: &Hit<S>, paint: &Self::Paint) {
+        self.add(s, at, hit.weight, paint);
+    }
     /// Weights of the splat on the block `at`: `α·T`, zero where it is not drawn. A block comes once at most between [`Sink::begin`] and
     /// [`Sink::end`], which alternate.
     fn add(&mut self, s: S, at: Block, weight: S::F32, paint: &Self::Paint);
@@ -222,8 +240,9 @@ impl Walk<'_> {
         while at < self.list.len() && canvas.open > 0 {
             let splat = &self.splats[self.list[at].index as usize];
             let bounds = BlockBox::around(splat, self.tile, self.size[0].div_ceil(BLOCK));
-            blocks += canvas.spherical(s, splat, bounds, &mut sphere, sink);
-            sink.end(&self.list[at]);
+            let entry = &self.list[at];
+            blocks += canvas.spherical(s, splat, entry, bounds, &mut sphere, sink);
+            sink.end(entry);
             at += 1;
         }
         Walked { blocks: blocks as u64, unseen: (self.list.len() - at) as u64 }
@@ -248,12 +267,13 @@ impl Walk<'_> {
                     prefetch_near(self.splats.as_ptr().wrapping_add(later.index as usize));
                 }
                 let bounds = BlockBox::new(splat, self.tile);
+                let entry = &self.list[at + i];
                 blocks += if SEPARABLE {
-                    canvas.separable(s, splat, bounds, &mut tables, sink)
+                    canvas.separable(s, splat, entry, bounds, &mut tables, sink)
                 } else {
-                    canvas.general(s, splat, bounds, &mut tables, sink)
+                    canvas.general(s, splat, entry, bounds, &mut tables, sink)
                 };
-                sink.end(&self.list[at + i]);
+                sink.end(entry);
             }
             at += count;
         }
@@ -268,8 +288,11 @@ struct Canvas<'a> {
     done: &'a mut [u16; BLOCKS],
     /// Blocks with a pixel that is not finished.
     open: usize,
-    /// Least α that is drawn.
+    /// Least α that is drawn, and the largest.
     least: f32,
+    most: f32,
+    /// Transmittance below which a pixel is finished.
+    end: f32,
     /// Offset added to 2^−e before the multiplication by the opacity.
     dip: f32,
 }
@@ -283,7 +306,7 @@ impl<'a> Canvas<'a> {
         let arrays =
             (left.as_mut_slice().try_into(), finished.as_mut_slice().try_into(), done.as_mut_slice().try_into());
         let (Ok(left), Ok(finished), Ok(done)) = arrays else { unreachable!("a value for each block of a tile") };
-        Self { left, finished, done, open, least: cut.least, dip: cut.dip() }
+        Self { left, finished, done, open, least: cut.least, most: cut.most, end: cut.end, dip: cut.dip() }
     }
 
     /// Weights of a splat on its box, with `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)² − o·f)`, fused. Returns the number of blocks.
@@ -292,11 +315,12 @@ impl<'a> Canvas<'a> {
         &mut self,
         s: S,
         splat: &Splat,
+        entry: &Entry,
         BlockBox { columns, rows }: BlockBox,
         tables: &mut Tables,
         sink: &mut K,
     ) -> usize {
-        let paint = sink.begin(s, splat);
+        let paint = sink.begin(s, splat, entry);
         let offset = s.splat(splat.opacity * self.dip);
         factors(s, splat.x, splat.p, 1.0, columns, &tables.columns, &mut tables.across);
         factors(s, splat.y, splat.q, splat.opacity, rows, &tables.rows, &mut tables.down);
@@ -330,6 +354,7 @@ impl<'a> Canvas<'a> {
         &mut self,
         s: S,
         splat: &Splat,
+        entry: &Entry,
         BlockBox { columns, rows }: BlockBox,
         tables: &mut Tables,
         sink: &mut K,
@@ -337,14 +362,16 @@ impl<'a> Canvas<'a> {
         let (from, to) = strips(s, splat, [tables.columns[0], tables.rows[0]], columns);
         let (p, opacity) = (s.splat(splat.p), s.splat(splat.opacity));
         let offset = s.splat(splat.opacity * self.dip);
-        let paint = sink.begin(s, splat);
+        let paint = sink.begin(s, splat, entry);
         let (u, v) = (f64::from(splat.x[0]) + f64::from(splat.x[1]), f64::from(splat.y[0]) + f64::from(splat.y[1]));
         let span = rows[0] * BLOCK..rows[1] * BLOCK;
         let lines =
             tables.lines[span.clone()].chunks_exact(BLOCK).zip(tables.down[span.clone()].chunks_exact_mut(BLOCK));
-        let middles =
-            tables.middle[span.clone()].chunks_exact_mut(BLOCK).zip(tables.rest[span].chunks_exact_mut(BLOCK));
-        for ((lines, down), (middle, rest)) in lines.zip(middles) {
+        let middles = tables.middle[span.clone()]
+            .chunks_exact_mut(BLOCK)
+            .zip(tables.rest[span.clone()].chunks_exact_mut(BLOCK))
+            .zip(tables.distance[span].chunks_exact_mut(BLOCK));
+        for ((lines, down), ((middle, rest), distance)) in lines.zip(middles) {
             // One array after the other, so that each step is a vector instruction.
             let (mut dy, mut m, mut t) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
             for i in 0..BLOCK {
@@ -360,12 +387,16 @@ impl<'a> Canvas<'a> {
                 (middle[i], rest[i]) = split(m[i]);
                 down[i] = t[i] * t[i];
             }
+            if K::GEOMETRY {
+                distance.copy_from_slice(&t);
+            }
         }
         let mut count = 0;
         for row in rows[0]..rows[1] {
             let along_y = s.spread_four(&fours(&tables.down)[row]);
             let whole = s.spread_four(&fours(&tables.middle)[row]);
             let rest = s.spread_four(&fours(&tables.rest)[row]);
+            let distance = if K::GEOMETRY { s.spread_four(&fours(&tables.distance)[row]) } else { s.splat(0.0) };
             let (from, to) = (from[row] as usize, (to[row] + 1) as usize);
             count += to.saturating_sub(from);
             if from >= to {
@@ -376,7 +407,7 @@ impl<'a> Canvas<'a> {
                 if !self.is_finished(at) {
                     let t = s.mul(p, s.sub(s.sub(s.repeat_four(x), whole), rest));
                     let alpha = s.mul_add(opacity, exp2_negative(s, s.mul_add(t, t, along_y)), offset);
-                    self.composite(s, alpha, at, sink, &paint);
+                    self.composite(s, alpha, [t, distance], at, sink, &paint);
                 }
             }
         }
@@ -389,11 +420,12 @@ impl<'a> Canvas<'a> {
         &mut self,
         s: S,
         splat: &Splat,
+        entry: &Entry,
         BlockBox { columns, rows }: BlockBox,
         sphere: &mut Sphere,
         sink: &mut K,
     ) -> usize {
-        let paint = sink.begin(s, splat);
+        let paint = sink.begin(s, splat, entry);
         let (opacity, offset) = (s.splat(splat.opacity), s.splat(splat.opacity * self.dip));
         sphere.aim(s, splat, columns, rows);
         for row in rows[0]..rows[1] {
@@ -403,7 +435,7 @@ impl<'a> Canvas<'a> {
                 if !self.is_finished(at) {
                     let (exponent, ahead) = sphere.exponent(s, &line, column);
                     let alpha = s.mul_add(opacity, exp2_negative(s, exponent), offset);
-                    self.composite(s, s.keep(ahead, alpha), at, sink, &paint);
+                    self.composite(s, s.keep(ahead, alpha), [s.splat(0.0); 2], at, sink, &paint);
                 }
             }
         }
@@ -432,22 +464,37 @@ impl<'a> Canvas<'a> {
         for (column, across) in (columns[0]..).zip(&fours(&tables.across)[columns[0]..columns[1]]) {
             let at = Block::new(row, column);
             if !self.is_finished(at) {
-                self.composite(s, s.mul_add(along_y, s.repeat_four(across), offset), at, sink, paint);
+                self.composite(
+                    s,
+                    s.mul_add(along_y, s.repeat_four(across), offset),
+                    [s.splat(0.0); 2],
+                    at,
+                    sink,
+                    paint,
+                );
             }
         }
     }
 
     /// Weights of one splat on one block, and the transmittance after it.
     #[inline(always)]
-    fn composite<S: Simd, K: Sink<S>>(&mut self, s: S, alpha: S::F32, at: Block, sink: &mut K, paint: &K::Paint) {
+    fn composite<S: Simd, K: Sink<S>>(
+        &mut self,
+        s: S,
+        alpha: S::F32,
+        [across, down]: [S::F32; 2],
+        at: Block,
+        sink: &mut K,
+        paint: &K::Paint,
+    ) {
         let light = &mut self.left[at.index()].0;
-        let alpha = s.min(alpha, s.splat(ALPHA_MAX));
-        let hit = s.le(s.splat(self.least), alpha);
+        let held = s.min(alpha, s.splat(self.most));
+        let drawn = s.le(s.splat(self.least), held);
         let transmittance = s.load(light);
-        let mut weight = s.mul(s.keep(hit, alpha), transmittance);
+        let mut weight = s.mul(s.keep(drawn, held), transmittance);
         let mut left = s.sub(transmittance, weight);
         // A finished pixel has no transmittance and is not less than itself.
-        let below = s.lt(left, s.min(transmittance, s.splat(TRANSMITTANCE_MIN)));
+        let below = s.lt(left, s.min(transmittance, s.splat(self.end)));
         if s.any(below) {
             let mut weights = s.to_array(weight);
             let (finished, done) = (&mut self.finished[at.index()].0, &mut self.done[at.index()]);
@@ -456,7 +503,7 @@ impl<'a> Canvas<'a> {
             left = s.sub(s.load(light), weight);
         }
         s.store(left, light);
-        sink.add(s, at, weight, paint);
+        sink.hit(s, at, &Hit { weight, alpha, across, down }, paint);
     }
 }
 

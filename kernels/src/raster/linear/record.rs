@@ -133,7 +133,7 @@ impl<S: Simd> Sink<S> for Recorder<'_> {
     type Paint = ();
 
     #[inline(always)]
-    fn begin(&mut self, _: S, _: &Splat) {
+    fn begin(&mut self, _: S, _: &Splat, _: &Entry) {
         self.hits = 0;
     }
 

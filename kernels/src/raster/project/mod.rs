@@ -11,19 +11,15 @@ use crate::simd::{LANES, Simd};
 /// Sides of the square blocks of pixels that the blend works on, aligned to the image's corner.
 pub(super) const BLOCK: usize = 4;
 /// Added to both variances of a footprint, px² (the low-pass filter of EWA splatting).
-const LOW_PASS: f64 = 0.3;
-/// An alpha above this is lowered to it.
-pub(super) const ALPHA_MAX: f32 = 0.99;
-/// A pixel is finished when the next splat would take its transmittance below this.
-pub(super) const TRANSMITTANCE_MIN: f32 = 1e-4;
+pub(super) const LOW_PASS: f64 = 0.3;
 
 /// `½·log₂e`: the footprint is kept so that α = opacity · 2^−(t² + s²), without a factor.
-const HALF_LOG2_E: f64 = 0.721_347_520_444_481_7;
-const ROOT_HALF_LOG2_E: f32 = 0.849_321_8;
+pub(super) const HALF_LOG2_E: f64 = 0.721_347_520_444_481_7;
+pub(super) const ROOT_HALF_LOG2_E: f32 = 0.849_321_8;
 /// Centres farther out than this many pixels are brought in to it, together with their footprints: seen from the image, which
 /// is at most 2¹⁶ pixels wide, that changes the distance measured in standard deviations by less than one part in 10⁴, and
 /// far less where images are smaller. It keeps binary32 from overflowing.
-const FARTHEST: f64 = 1_073_741_824.0;
+pub(super) const FARTHEST: f64 = 1_073_741_824.0;
 
 /// A projected Gaussian: one cache line.
 ///
@@ -182,7 +178,7 @@ pub(super) fn rotation(q: [f64; 4]) -> [[f64; 3]; 3] {
     ]
 }
 
-type Lanes = [f32; LANES];
+pub(super) type Lanes = [f32; LANES];
 
 /// Up to sixteen projected Gaussians, field by field.
 pub(super) struct Batch {
@@ -190,18 +186,18 @@ pub(super) struct Batch {
     pub visible: u16,
     /// Gaussians with a field that is not finite.
     pub dropped: u16,
-    u: [f64; LANES],
-    v: [f64; LANES],
-    k: [f64; LANES],
-    x: [Lanes; 2],
-    y: [Lanes; 2],
-    p: Lanes,
-    q: Lanes,
-    opacity: Lanes,
-    reach: Lanes,
-    depth: Lanes,
-    columns: [[i32; LANES]; 2],
-    rows: [[i32; LANES]; 2],
+    pub u: [f64; LANES],
+    pub v: [f64; LANES],
+    pub k: [f64; LANES],
+    pub x: [Lanes; 2],
+    pub y: [Lanes; 2],
+    pub p: Lanes,
+    pub q: Lanes,
+    pub opacity: Lanes,
+    pub reach: Lanes,
+    pub depth: Lanes,
+    pub columns: [[i32; LANES]; 2],
+    pub rows: [[i32; LANES]; 2],
 }
 
 /// The columns of an array of vectors, from `first`; lanes past the end hold zero.
@@ -228,20 +224,20 @@ fn poison<S: Simd, const N: usize>(s: S, mut sum: S::F32, values: &[Lanes; N]) -
 }
 
 /// Sixteen Gaussians, field by field; lanes past the last one hold zeros.
-struct Loaded<S: Simd> {
-    mean: [Lanes; 3],
-    scale: [Lanes; 3],
+pub(super) struct Loaded<S: Simd> {
+    pub mean: [Lanes; 3],
+    pub scale: [Lanes; 3],
     /// Rotations as quaternions; zeros where the scene has none.
-    turn: [Lanes; 4],
-    opacity: S::F32,
+    pub turn: [Lanes; 4],
+    pub opacity: S::F32,
     /// Lanes whose numbers are all finite.
-    finite: S::Mask,
+    pub finite: S::Mask,
 }
 
 impl<S: Simd> Loaded<S> {
     /// Loads Gaussians `first ..`.
     #[inline(always)]
-    fn of(s: S, gaussians: &Gaussians<'_>, first: usize) -> Self {
+    pub(super) fn of(s: S, gaussians: &Gaussians<'_>, first: usize) -> Self {
         let mean = transposed(gaussians.mean, first);
         let scale = transposed(gaussians.scale, first);
         let rgb = transposed(gaussians.rgb, first);
@@ -260,7 +256,7 @@ impl<S: Simd> Loaded<S> {
 
 /// First and last block of the pixels within `radius` of `centre` in an image of `size` pixels, and whether there are any.
 #[inline(always)]
-fn blocks<S: Simd>(s: S, centre: S::F32, radius: S::F32, size: usize) -> ([[i32; LANES]; 2], S::Mask) {
+pub(super) fn blocks<S: Simd>(s: S, centre: S::F32, radius: S::F32, size: usize) -> ([[i32; LANES]; 2], S::Mask) {
     let (zero, last) = (s.splat(0.0), s.splat(size as f32 - 1.0));
     let slack = s.mul_add(s.add(s.abs(centre), radius), s.splat(1e-6), s.splat(0.01));
     let extent = s.add(radius, slack);
@@ -462,13 +458,19 @@ impl Batch {
 
     /// The lanes that hold a Gaussian.
     #[inline(always)]
-    fn present(gaussians: &Gaussians<'_>, first: usize) -> u16 {
+    pub(super) fn present(gaussians: &Gaussians<'_>, first: usize) -> u16 {
         ((1_u32 << (gaussians.len() - first).min(LANES)) - 1) as u16
     }
 
     /// The record of lane `l`, Gaussian `i`; `PARTS`: the centre is in `x` and `y` already.
     #[inline(always)]
     pub(super) fn splat<const PARTS: bool>(&self, gaussians: &Gaussians<'_>, l: usize, i: usize) -> Splat {
+        self.record::<PARTS>(l, &gaussians.rgb[i])
+    }
+
+    /// The record of lane `l` with this colour.
+    #[inline(always)]
+    pub(super) fn record<const PARTS: bool>(&self, l: usize, rgb: &[f32; 3]) -> Splat {
         if self.visible >> l & 1 == 0 {
             return Splat::HIDDEN;
         }
@@ -486,7 +488,7 @@ impl Batch {
             q: self.q[l],
             opacity: self.opacity[l],
             reach: self.reach[l],
-            rgb: gaussians.rgb[i],
+            rgb: *rgb,
             depth: self.depth[l],
             columns: [self.columns[0][l] as u16, self.columns[1][l] as u16],
             rows: [self.rows[0][l] as u16, self.rows[1][l] as u16],
