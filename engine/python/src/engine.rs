@@ -5,7 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use streamsplat::stream::{MaxAge, ModelSource};
+use streamsplat::stream::{Decibels, MaxAge, ModelSource};
 use streamsplat::{Frame, Settings};
 use streamsplat_kernels::Level;
 
@@ -35,7 +35,8 @@ impl Engine {
     #[new]
     #[pyo3(signature = (model=None, *, dinov2=None, fusion="persistent", max_age=None, fit="letterbox", depth_range="frame",
         sampling="mean", seed=0, reuse=None, precision=None, isa="auto", threads=0, resolution=None, motion=None, refine=None, flow=None,
-        fade=None, refine_every=None, quality=None, find_depth=None))]
+        fade=None, refine_every=None, quality=None, find_depth=None,
+        refine_to=None, still=None))]
     fn new(
         py: Python<'_>,
         model: Option<PathBuf>,
@@ -58,6 +59,8 @@ impl Engine {
         refine_every: Option<u32>,
         quality: Option<&str>,
         find_depth: Option<bool>,
+        refine_to: Option<f32>,
+        still: Option<&str>,
     ) -> PyResult<Self> {
         model.iter().chain(&dinov2).try_for_each(|path| present(path))?;
         let model = match (model, dinov2) {
@@ -101,6 +104,14 @@ impl Engine {
         }
         if refine_every == Some(0) {
             return Err(wrong("refine_every: expected a whole number from 1 on, found 0"));
+        }
+        if let Some(decibels) = refine_to {
+            let found = Decibels::new(decibels);
+            let wrong = || wrong(format!("refine_to: expected 20 to 100 dB, found {decibels}"));
+            settings.refine_to = Some(found.ok_or_else(wrong)?);
+        }
+        if let Some(text) = still {
+            settings.still = Some(choice("still", text)?);
         }
         settings.find_depth = find_depth.or(settings.find_depth);
         settings.refine = refine.or(settings.refine);

@@ -305,6 +305,8 @@ class Engine:
         refine_every: int | None = None,
         quality: Literal["realtime", "balanced", "best"] | None = None,
         find_depth: bool | None = None,
+        refine_to: float | None = None,
+        still: str | None = None,
     ) -> Self: ...
     def push(
         self,

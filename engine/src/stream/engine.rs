@@ -189,8 +189,13 @@ impl Engine {
             true => Depths::default(),
             false => self.found(tiles, &mut view, flows.as_ref(), index)?,
         };
-        if depths.found.is_some() && keeping.take().is_some() {
-            // What is lifted is not kept.
+        if depths.found.is_some()
+            && let Some(Keeping { taken, .. }) = keeping.take()
+        {
+            // What is lifted is not kept: all frames are as they came.
+            let places = seen.iter_mut().map(|seen| &mut seen.rgb).chain([&mut view.rgb]);
+            places.zip(taken).for_each(|(rgb, taken)| *rgb = taken);
+            view.flow = None;
             flows = self.flows(&mut view, &mut seen, index)?;
         }
         let cells = keeping.as_ref().map(|keeping| &keeping.cells[..]);
@@ -223,7 +228,9 @@ impl Engine {
         });
         let mut context = Context::new(settings, workers, work, fitter, tiles, before.as_ref());
         match (&keeping, before.as_ref()) {
-            (Some(Keeping { kept, cells }), Some(state)) => context.finish_kept(&mut view, &state.view, kept, cells),
+            (Some(Keeping { kept, cells, .. }), Some(state)) => {
+                context.finish_kept(&mut view, &state.view, kept, cells)
+            }
             _ => context.finish(&mut view, map, &past.map_or(Memory::None, Memory::Past)),
         }
         let (set, advance) = match before {
@@ -323,11 +330,15 @@ impl Engine {
         }
         let cells = Lattice::of(before.gaussians.position.len(), view.resolution())?;
         let blocks = Blocks::of(view.resolution())?;
+        let taken = match settings.find_depth() {
+            true => seen.iter().map(|seen| &seen.rgb).chain([&view.rgb]).cloned().collect(),
+            false => Vec::new(),
+        };
         let mut frames: Vec<(f32, &mut Vec<f32>)> = seen.iter_mut().map(|seen| (seen.t, &mut seen.rgb)).collect();
         frames.push((1.0, &mut view.rgb));
         let kept = Kept::of(blocks, &before.rgb, before.past.as_ref(), &mut frames)?;
         let cells = kept.of_cells(&cells);
-        Some(Keeping { kept, cells })
+        Some(Keeping { kept, cells, taken })
     }
 
     /// Flow through the interval; none where motion is the network's.
@@ -526,6 +537,8 @@ struct Keeping {
     kept: Kept,
     /// What becomes of each Gaussian of the key frame before.
     cells: Vec<Change>,
+    /// The frames as they came, those in between first, where depth may be found after all.
+    taken: Vec<Vec<f32>>,
 }
 
 /// Depth found by parallax.

@@ -43,7 +43,7 @@ const QUIET: f64 = 0.4;
 /// Highest standard deviation taken for noise where it is white.
 const MOST_NOISE: f64 = 8.0 / 255.0;
 /// Highest standard deviation taken for noise where it is not.
-const MOST_CHANGE: f64 = 1.4 / 255.0;
+const MOST_CHANGE: f64 = 0.5 / 255.0;
 /// The ratio of means over cells to pixels below which noise is white.
 const WHITE: f64 = 0.35;
 /// The ratio of a difference that still counts as noise to the noise.
@@ -58,8 +58,11 @@ const DRIFT: f64 = 16.0 / 255.0;
 const MOST_FRAMES: u32 = 16;
 /// Rms change of means over cells from which on colours are fitted again.
 const FOLLOWED: f64 = 0.4 / 255.0;
-/// The least share of kept blocks; below, none is.
-const LEAST: f64 = 0.04;
+/// The least share of kept blocks among those with a texture; below, none is kept: a camera that moves keeps no flat patch behind.
+const LEAST: f64 = 0.2;
+
+/// The least standard deviation of means over cells that is a texture.
+const TEXTURE: f64 = 4.0 / 255.0;
 
 /// What becomes of a block over an interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -193,6 +196,25 @@ impl Blocks {
         out
     }
 
+    /// Standard deviation of the means of a block's cells.
+    fn deviation(self, at: usize, rgb: &[f32]) -> f64 {
+        let (mut sums, mut squares, mut count) = ([0.0; 3], 0.0, 0u32);
+        let plane = self.size[0] * self.size[1] / (CELL * CELL);
+        self.cell_means(
+            at,
+            |i| rgb[i],
+            |place, mean| {
+                let mean = f64::from(mean);
+                sums[place / plane] += mean;
+                squares += mean * mean;
+                count += 1;
+            },
+        );
+        let each = f64::from(count) / 3.0;
+        let of_means: f64 = sums.iter().map(|sum| sum * sum / each).sum();
+        ((squares - of_means).max(0.0) / f64::from(count)).sqrt()
+    }
+
     fn each(self, at: usize, mut of: impl FnMut(usize)) {
         let [rows, columns] = self.pixels(at);
         let [height, width] = self.size;
@@ -285,8 +307,12 @@ impl Kept {
                 if near && all.iter().zip(frames.iter()).all(drifts) { Change::Colours } else { Change::All }
             })
             .collect();
-        let kept = changes.iter().filter(|change| **change != Change::All).count();
-        if (kept as f64) < LEAST * blocks.count() as f64 {
+        // What is flat looks the same wherever the camera is.
+        let textured: Vec<bool> = map_indexed(blocks.count(), |at| blocks.deviation(at, mean) > TEXTURE);
+        let counted = |at: usize| textured[at] || !textured.contains(&true);
+        let of = |wanted: &dyn Fn(usize) -> bool| (0..blocks.count()).filter(|at| counted(*at) && wanted(*at)).count();
+        let kept = of(&|at| changes[at] != Change::All);
+        if kept == 0 || (kept as f64) < LEAST * of(&|_| true) as f64 {
             return None;
         }
         Some(Self::with(blocks, mean, past, frames, changes, &differences))
