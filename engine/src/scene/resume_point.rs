@@ -70,7 +70,7 @@ pub fn resume_point_to_safetensors(point: Option<&ResumePoint>, note: &str) -> R
             ]);
         }
     }
-    if let Some(KeptState { rgb, past, gaussians: g }) = point.and_then(|point| point.kept.as_ref()) {
+    if let Some(KeptState { rgb, past, gaussians: g }) = point.and_then(|point| point.kept.as_deref()) {
         let n = g.position.len();
         let number = |numbers: &[u32]| numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
         tensors.extend([
@@ -168,7 +168,7 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
         depth,
         found,
         covered,
-        kept: kept(&file)?,
+        kept: kept(&file)?.map(Box::new),
     };
     Ok((Some(point), note))
 }

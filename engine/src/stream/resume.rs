@@ -36,7 +36,7 @@ pub struct ResumePoint {
     /// Colours that earlier frames saw where something now stands in front, ascending in `cell`.
     pub covered: Vec<Covered>,
     /// What it keeps of the key frames before; `None` where that is nothing.
-    pub kept: Option<KeptState>,
+    pub kept: Option<Box<KeptState>>,
 }
 
 impl Engine {
@@ -55,7 +55,7 @@ impl Engine {
                 depth: state.view.map.as_ref().map(|map| map.alignment.into()),
                 found: state.found.clone(),
                 covered: state.view.added.covered.clone(),
-                kept: KeptState::of(&state.view),
+                kept: KeptState::of(&state.view).map(Box::new),
             }
         })
     }
