@@ -104,7 +104,7 @@ fn a_standing_camera_keeps_most_of_its_gaussians_for_less_than_a_decibel() {
 #[test]
 fn levels_threads_and_a_resumed_stream_are_the_same_bits_and_crossing_changes_none() {
     // Light that fades brings colours that change.
-    let light = |k: usize| 1.0 - 0.004 * k as f32;
+    let light = |k: usize| 1.0 - 0.0004 * k as f32;
     let stream = |level, threads| {
         let mut engine =
             Engine::new(Settings { level: Some(level), threads, ..settings(StillParts::Keep) }).expect("starts");
