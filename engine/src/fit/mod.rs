@@ -8,6 +8,7 @@
 //! Resizing is bilinear with half-pixel centres and no antialiasing (model input, StreamSplat (ICLR 2026)).
 
 use std::fmt;
+use std::ops::Range;
 use std::str::FromStr;
 
 use streamsplat_kernels::{Level, resize};
@@ -140,14 +141,20 @@ impl Placement {
     pub fn crop(&self, planes: &[f32]) -> Vec<f32> {
         let [height, width] = self.model;
         assert!(planes.len().is_multiple_of(height * width), "{} values are no whole planes", planes.len());
-        let mut out = Vec::with_capacity(planes.len());
-        for plane in planes.chunks_exact(height * width) {
-            for row in plane.chunks_exact(width).skip(self.offset[0]).take(self.content[0]) {
-                out.extend_from_slice(&row[self.offset[1]..self.offset[1] + self.content[1]]);
-            }
-        }
-        out
+        cut(planes, self.model, &[0, 1].map(|axis| self.offset[axis]..self.offset[axis] + self.content[axis]))
     }
+}
+
+/// The pixels of a rectangle, rows and columns, of planes of this size: `[C, H, W]` to `[C, h, w]`.
+pub(crate) fn cut(planes: &[f32], [height, width]: [usize; 2], [rows, columns]: &[Range<usize>; 2]) -> Vec<f32> {
+    let area = (height * width).max(1);
+    let mut part = Vec::with_capacity(planes.len() / area * rows.len() * columns.len());
+    for plane in planes.chunks_exact(area) {
+        for row in plane.chunks_exact(width.max(1)).skip(rows.start).take(rows.len()) {
+            part.extend_from_slice(&row[columns.clone()]);
+        }
+    }
+    part
 }
 
 /// Normalises a map of inverse depth to [0, 1] by its own minimum and maximum, in place; gives the number of values that

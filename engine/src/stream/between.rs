@@ -14,7 +14,7 @@ use super::motion::along_flow;
 use super::reconstructor::Motion;
 use super::work::Stage;
 use super::{EngineError, FlowEffort, Frame, Work};
-use crate::fit::Placement;
+use crate::fit::{Placement, cut};
 
 /// Times in an interval whose pictures are predicted from its key frames where no frame in between is seen.
 const PREDICTED: [f32; 4] = [0.2, 0.4, 0.6, 0.8];
@@ -81,17 +81,6 @@ impl Seen {
         self.flow = Some(work.time(Stage::Flow, || FlowView::new(level, &self.rgb, size, index, effort))?);
         Ok(())
     }
-}
-
-/// The pixels of a rectangle, rows and columns, of planes of this size.
-fn cut(planes: &[f32], [height, width]: [usize; 2], [rows, columns]: &[Range<usize>; 2]) -> Vec<f32> {
-    let mut part = Vec::with_capacity(planes.len() / (height * width).max(1) * rows.len() * columns.len());
-    for plane in planes.chunks_exact(height * width) {
-        for row in plane.chunks_exact(width).skip(rows.start).take(rows.len()) {
-            part.extend_from_slice(&row[columns.clone()]);
-        }
-    }
-    part
 }
 
 /// A field of this size that is zero outside a rectangle.

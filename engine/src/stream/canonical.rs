@@ -8,6 +8,8 @@
 //!   continued by it one key frame ago (below), so it moves with that one's field, under that one's record. What is left, the
 //!   survivors, keep their velocity in the scene's own time, the colour they had at the key frame, and fade: [`FADE`](super::fuse::FADE) as γ₀ at least,
 //!   γ₁ = 0, opacity counted from what it was there.
+//! - **Keep.** Current Gaussians of static blocks ([`keep`](super::keep)) stay as they are: one record from key frame to key frame, whose
+//!   colour may change. They meet no others, and precede the new ones in drawing order from then on.
 //! - **Fuse.** Frame k+1's Gaussians join with their backward field. Identities pass on one to one; old Gaussians that coincide with
 //!   a new one but pass on nothing end as [merged](Merge) into it. What coincides with nothing is vanishing. Where a depth map lifts either frame, depth counts for nothing here,
 //!   a tracked point takes the new Gaussian's, and those that only stand behind others meet their like and never become survivors.

@@ -79,7 +79,7 @@ pub(super) fn arrived(colour: f32, change: f32) -> f32 {
 
 /// The colour near `end` at which a record from `start` arrives, to the bit, when its change is their difference.
 pub(super) fn reached(start: f32, end: f32) -> f32 {
-    let mut end = end;
+    let mut end = if end.is_finite() { end } else { start };
     for _ in 0..4 {
         let next = arrived(start, end - start);
         if next.to_bits() == end.to_bits() {

@@ -1,4 +1,4 @@
-//! Parts of the picture that stand still keep their Gaussians.
+//! Static blocks of the picture keep their Gaussians.
 //!
 //! A picture is divided into blocks of [`BLOCK`]×[`BLOCK`] pixels. Of each, the stream remembers the mean of the frames since its Gaussians were
 //! computed. Over an interval, with d the difference of a frame from that mean, m the number of frames in it, and μ the mean of d per channel,
@@ -13,11 +13,10 @@
 //! R = MARGIN·σ·√(1 + 1/m) + ROUNDING     S = R/2
 //! ```
 //!
-//! σ is the camera's noise, at most [`MOST_NOISE`] where it is white; where it is not, σ is at most [`MOST_CHANGE`] and S at most [`MOST_STRUCTURE`]: means over 4×4 pixels of white noise are a
-//! quarter of it; what moves, and what a codec left, changes them nearly as much as the pixels. White it is where they are less than [`WHITE`] of it in
-//! the blocks and frames up to the percentile. A block that rests or drifts keeps its
-//! Gaussians: one record per Gaussian through the interval, without motion, without fading. The frames of a block that rests enter its mean; the
-//! mean of a block that drifts moves by μ.
+//! σ is the camera's noise, at most [`MOST_NOISE`] where it is white and [`MOST_CHANGE`] where it is not. Means over 4×4 pixels of white noise are a quarter
+//! of it; motion, and what a codec left, change them nearly as much as the pixels. Noise is white where they are less than [`WHITE`] of it in the
+//! blocks and frames up to the percentile. A block that rests or drifts keeps its Gaussians: one record per Gaussian through the interval, without
+//! motion and without fading. The frames of a block that rests enter its mean; the mean of a block that drifts moves by μ.
 //!
 //! Colours of kept Gaussians follow the mean: they are fitted to it again when the block drifts, when twice as many frames are in the mean as at the last
 //! fit, and when its means over 4×4 pixels have moved by more than [`FOLLOWED`] since. Over that interval they change linearly, so that crossing a key
@@ -50,8 +49,6 @@ const WHITE: f64 = 0.35;
 const MARGIN: f64 = 1.35;
 /// Rounding of 8-bit frames.
 const ROUNDING: f64 = 0.4 / 255.0;
-/// Highest rms of means over cells that counts as noise where that is not white.
-const MOST_STRUCTURE: f64 = 1.4 / 255.0;
 /// Most that a block drifts in one interval.
 const DRIFT: f64 = 16.0 / 255.0;
 /// Most frames in a mean; older ones are forgotten.
@@ -286,12 +283,12 @@ impl Kept {
         let [square, cells] =
             levels[..=quiet].iter().fold([0.0; 2], |sum, level| [sum[0] + level[0], sum[1] + level[1]]);
         let white = cells <= WHITE * WHITE * square;
-        let [most, structured] = if white { [MOST_NOISE, MOST_NOISE] } else { [MOST_CHANGE, MOST_STRUCTURE] };
+        let most = if white { MOST_NOISE } else { MOST_CHANGE };
         let noise = levels[quiet][0].sqrt().min(most);
         let changes: Vec<Change> = (0..blocks.count())
             .map(|at| {
                 let rms = MARGIN * noise * wider(at).sqrt() + ROUNDING;
-                let structure = (0.5 * rms).min(structured);
+                let structure = 0.5 * rms;
                 let (rms2, structure2) = (rms * rms, structure * structure);
                 let all = &differences[at];
                 if all.iter().all(|d| d.square <= rms2 && d.cells <= structure2) {
@@ -309,7 +306,8 @@ impl Kept {
             .collect();
         // What is flat looks the same wherever the camera is.
         let textured: Vec<bool> = map_indexed(blocks.count(), |at| blocks.deviation(at, mean) > TEXTURE);
-        let counted = |at: usize| textured[at] || !textured.contains(&true);
+        let flat = !textured.contains(&true);
+        let counted = |at: usize| flat || textured[at];
         let of = |wanted: &dyn Fn(usize) -> bool| (0..blocks.count()).filter(|at| counted(*at) && wanted(*at)).count();
         let kept = of(&|at| changes[at] != Change::All);
         if kept == 0 || (kept as f64) < LEAST * of(&|_| true) as f64 {
@@ -339,7 +337,7 @@ impl Kept {
                 let plane = blocks.size[0] * blocks.size[1];
                 for (t, rgb) in frames.iter_mut() {
                     let moved = moved.map(|moved| (f64::from(*t) * moved) as f32);
-                    blocks.each(at, |i| rgb[i] = mean[i] + moved[i / plane]);
+                    blocks.each(at, |i| rgb[i] = (mean[i] + moved[i / plane]).clamp(0.0, 1.0));
                 }
             } else {
                 let first = past.count[at];
@@ -451,6 +449,14 @@ impl KeptState {
         view.rgb.clone_from(&self.rgb);
         view.past = Some(self.past.clone());
         view.gaussians = Arc::new(self.gaussians.clone());
+    }
+
+    /// Returns true if every number of a Gaussian is one that can be drawn.
+    pub(super) fn is_sound(&self, cell: usize) -> bool {
+        let StaticGaussians { position, scale, thickness, opacity, rgb } = &self.gaussians;
+        let not_negative = [scale[cell][0], scale[cell][1], thickness[cell], opacity[cell]];
+        not_negative.iter().all(|x| x.is_finite() && *x >= 0.0)
+            && position[cell].iter().chain(&rgb[cell]).all(|x| x.is_finite())
     }
 
     /// Why it cannot be the state of a key frame of this size.

@@ -117,15 +117,11 @@ impl Context<'_> {
         index: u64,
     ) -> Result<(), EngineError> {
         let lifts = self.tiles.ignores_depth();
-        let wanted = self.tiles.holding(|cell| kept.is_none_or(|kept| kept[cell] == Change::All));
-        let wanted = match kept {
-            Some(kept) if kept.iter().all(|change| *change != Change::All) => vec![false; wanted.len()],
-            _ => wanted,
-        };
-        let mut tiles = Vec::with_capacity(wanted.len());
-        for (at, wanted) in wanted.into_iter().enumerate() {
+        let wanted: Option<Vec<bool>> = kept.map(|kept| kept.iter().map(|change| *change == Change::All).collect());
+        let mut tiles = Vec::with_capacity(self.tiles.tiles.len());
+        for at in 0..self.tiles.tiles.len() {
             let depth = view.depth.as_deref().filter(|_| !lifts);
-            if wanted {
+            if wanted.as_ref().is_none_or(|wanted| self.tiles.has(at, wanted)) {
                 tiles.push(Some(self.tile(at, &view.rgb, depth, index)?));
                 continue;
             }

@@ -115,6 +115,10 @@ impl ResumePoint {
         if !inside || !(ascending || self.kept.is_some() && self.each_once(gaussians)) {
             return Some(format!("expected ascending places among {gaussians} Gaussians"));
         }
+        let unsound = |current: &&Current| self.kept.as_ref().is_some_and(|kept| !kept.is_sound(current.cell as usize));
+        if let Some(current) = self.current.iter().find(unsound) {
+            return Some(format!("expected finite numbers of kept Gaussians, found others in place {}", current.cell));
+        }
         let identities = self.survivors.iter().map(|r| r.identity).chain(self.current.iter().map(|c| c.identity));
         let newest = identities.max();
         newest

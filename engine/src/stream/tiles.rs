@@ -22,6 +22,7 @@ use streamsplat_model::StaticGaussians;
 use streamsplat_model::reuse::Saving;
 
 use super::reconstructor::{Motion, Reconstructor, Session, Tiling};
+use crate::fit::cut;
 
 /// Patches that a tile sees beyond what it keeps.
 const HALO: usize = 1;
@@ -105,13 +106,12 @@ impl Tiles {
         self.ignores_depth
     }
 
-    /// Which tiles hold cells that are `wanted`; `None` where the frame's Gaussians are a single tile's.
-    pub(super) fn holding(&self, wanted: impl Fn(usize) -> bool) -> Vec<bool> {
-        let holds = |tile: &Tile| match &tile.places {
-            None => true,
-            Some(places) => places.iter().any(|[_, to]| wanted(*to as usize)),
-        };
-        self.tiles.iter().map(holds).collect()
+    /// Returns true if tile `at` has a cell for which `wanted` is true, by its place among all the frame's.
+    pub(super) fn has(&self, at: usize, wanted: &[bool]) -> bool {
+        match &self.tiles[at].places {
+            None => wanted.contains(&true),
+            Some(places) => places.iter().any(|[_, to]| wanted[*to as usize]),
+        }
     }
 
     /// The frame's Gaussians from those of its tiles; those of tiles without any are zeros.
@@ -179,18 +179,10 @@ impl Tiles {
 
     /// The pixels of `tile` in planes of a frame, `[C, H, W]` to `[C, h, w]`.
     pub(super) fn cut(&self, tile: &Tile, planes: &[f32]) -> Vec<f32> {
-        let [height, width] = self.resolution;
         if tile.places.is_none() {
             return planes.to_vec();
         }
-        let ([top, left], [rows, columns]) = (tile.origin, tile.size);
-        let mut part = Vec::with_capacity(planes.len() / (height * width) * rows * columns);
-        for plane in planes.chunks_exact(height * width) {
-            for row in plane.chunks_exact(width).skip(top).take(rows) {
-                part.extend_from_slice(&row[left..left + columns]);
-            }
-        }
-        part
+        cut(planes, self.resolution, &[0, 1].map(|axis| tile.origin[axis]..tile.origin[axis] + tile.size[axis]))
     }
 }
 
