@@ -1,14 +1,14 @@
-//! Parts of the picture that stand still keep their Gaussians: the same bits on every level, thread count and after a resumption, no seam at key
+//! Static regions of the picture keep their Gaussians: the same bits on every level, thread count and after a resumption, no seam at key
 //! frames, no error that grows.
 
-use streamsplat::stream::{Handover, StillParts};
+use streamsplat::stream::{Handover, StaticRegions};
 use streamsplat::{Camera, Engine, Frame, Image, Interval, RenderOptions, Settings};
 use streamsplat_kernels::Level;
 use streamsplat_tests::workers;
 
 const SIZE: [usize; 2] = [256, 144];
 
-/// Frame `k` of a camera that stands: a room with noise of 1.5/255 whose light is `light`, and a disc that moves where `mover` is true.
+/// Frame `k` of a static camera: a room with noise of 1.5/255 whose light is `light`, and a disc that moves where `mover` is true.
 fn frame(k: usize, light: f32, mover: bool) -> Frame {
     let [width, height] = SIZE;
     let mut state = (k as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
@@ -38,7 +38,7 @@ fn frame(k: usize, light: f32, mover: bool) -> Frame {
     Frame { width, height, rgb, depth: None }
 }
 
-fn settings(still: StillParts) -> Settings {
+fn settings(still: StaticRegions) -> Settings {
     Settings { still: Some(still), ..Settings::default() }
 }
 
@@ -79,8 +79,8 @@ fn a_standing_camera_keeps_most_of_its_gaussians_for_less_than_a_decibel() {
         let intervals: Vec<Interval> = (0..5).map(|key| push(&mut engine, key, light, true)).collect();
         (intervals, engine)
     };
-    let (kept, engine) = run(StillParts::Keep);
-    let (whole, all) = run(StillParts::Off);
+    let (kept, engine) = run(StaticRegions::Keep);
+    let (whole, all) = run(StaticRegions::Off);
     let done = |engine: &Engine, stage| engine.work().stage(stage).map(|s| [s.done, s.avoided]).expect("counted");
     let [computed, avoided] = done(&engine, "still");
     assert!(avoided > 3 * computed, "{computed} blocks computed, {avoided} kept");
@@ -107,7 +107,7 @@ fn levels_threads_and_a_resumed_stream_are_the_same_bits_and_crossing_changes_no
     let light = |k: usize| 1.0 - 0.0004 * k as f32;
     let stream = |level, threads| {
         let mut engine =
-            Engine::new(Settings { level: Some(level), threads, ..settings(StillParts::Keep) }).expect("starts");
+            Engine::new(Settings { level: Some(level), threads, ..settings(StaticRegions::Keep) }).expect("starts");
         (0..4).map(|key| push(&mut engine, key, light, true)).collect::<Vec<_>>()
     };
     let expected = stream(Level::detect(), 2);
@@ -121,14 +121,14 @@ fn levels_threads_and_a_resumed_stream_are_the_same_bits_and_crossing_changes_no
         assert!(draw(&pair[0], pair[0].end) == draw(&pair[1], pair[1].start), "key frame {}", pair[0].index);
     }
     for stop in 1..3 {
-        let mut before = Engine::new(settings(StillParts::Keep)).expect("starts");
+        let mut before = Engine::new(settings(StaticRegions::Keep)).expect("starts");
         (0..=stop).for_each(|key| drop(push(&mut before, key, light, true)));
         let point = before.resume_point().expect("a point");
         assert!(point.kept.is_some());
         let bytes = streamsplat::scene::resume_point_to_safetensors(Some(&point), "").expect("written");
         let (read, _) = streamsplat::scene::resume_point_from_safetensors(&bytes).expect("read");
         assert_eq!(read.as_ref(), Some(&point));
-        let mut after = Engine::new(settings(StillParts::Keep)).expect("starts");
+        let mut after = Engine::new(settings(StaticRegions::Keep)).expect("starts");
         after.resume(&point, frame(4 * stop, light(4 * stop), true)).expect("resumed");
         for (key, expected) in expected.iter().enumerate().skip(stop + 1) {
             assert!(bits(&push(&mut after, key, light, true)) == bits(expected), "stopped at {stop}, interval {key}");
@@ -139,7 +139,7 @@ fn levels_threads_and_a_resumed_stream_are_the_same_bits_and_crossing_changes_no
 #[test]
 fn light_that_fades_slowly_is_followed_without_an_error_that_grows() {
     let light = |k: usize| 1.0 - 0.3 * (k as f32 / 160.0);
-    let mut engine = Engine::new(settings(StillParts::Keep)).expect("starts");
+    let mut engine = Engine::new(settings(StaticRegions::Keep)).expect("starts");
     let mut worst = [f64::INFINITY; 2];
     for key in 0..=40 {
         let interval = push(&mut engine, key, light, false);

@@ -19,7 +19,7 @@ use super::tiles::Tiles;
 use super::work::Stage;
 use super::{
     EngineError, Fade, Frame, Fusion, Interval, MotionFrom, Reconstructor, ResumePoint, Reuse, SamplingMode, Settings,
-    StillParts, Work, Workers,
+    StaticRegions, Work, Workers,
 };
 use crate::fit::Placement;
 use crate::parallax::{self, Evidence, Found};
@@ -319,7 +319,7 @@ impl Engine {
     fn keep(&self, view: &mut KeyView, seen: &mut [Seen]) -> Option<Keeping> {
         let Self { settings, state, .. } = self;
         let before = &state.as_ref()?.view;
-        let wanted = settings.still() == StillParts::Keep
+        let wanted = settings.still() == StaticRegions::Keep
             && settings.motion() != MotionFrom::Network
             && !settings.deforms()
             && settings.fusion == Fusion::Persistent

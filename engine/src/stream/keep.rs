@@ -99,7 +99,7 @@ pub(super) struct Lattice {
 }
 
 impl Lattice {
-    /// The lattice of `count` Gaussians on a picture of `[height, width]`; `None` where they lie on none of squares.
+    /// The lattice of `count` Gaussians on a picture of `[height, width]`; `None` where its cells are no squares of whole pixels.
     pub(super) fn of(count: usize, [height, width]: [usize; 2]) -> Option<Self> {
         let side = (height * width).checked_div(count)?.isqrt();
         let whole = side > 0 && height.is_multiple_of(side) && width.is_multiple_of(side);
@@ -380,7 +380,7 @@ impl Kept {
         [kept, self.changes.len()]
     }
 
-    /// Returns true if so much of the picture is kept that the camera stands still.
+    /// Returns true if so much of the picture is kept that the camera is static.
     pub(super) fn mostly(&self) -> bool {
         let [kept, all] = self.share();
         4 * kept > 3 * all
@@ -444,7 +444,7 @@ impl KeptState {
         Some(Self { rgb: view.rgb.clone(), past, gaussians: StaticGaussians::clone(&view.gaussians) })
     }
 
-    /// Gives a frame this state, which has no [contradiction](Self::contradiction).
+    /// Restores the state of a frame; it has no [contradiction](Self::contradiction).
     pub(super) fn restore(&self, view: &mut KeyView) {
         view.rgb.clone_from(&self.rgb);
         view.past = Some(self.past.clone());
@@ -568,6 +568,18 @@ mod tests {
         assert!(error(&fading[3], &lit(9, 4.0)) < 1.9 * f64::from(noise));
         let mut flickering: Vec<Vec<f32>> = [6.0, 0.0, 6.0, 1.0].iter().zip(2..).map(|(l, s)| lit(s, *l)).collect();
         assert!(keep(&mean, None, &mut flickering).is_none());
+    }
+
+    #[test]
+    fn a_mean_stays_within_the_range_of_pictures_however_bright_it_becomes() {
+        let bright = |seed: u64, light: f32| -> Vec<f32> {
+            picture(0.4 / 255.0, seed).iter().map(|x| (x + 0.28 + light / 255.0).min(1.0)).collect()
+        };
+        let mut frames: Vec<Vec<f32>> = (1..=3).map(|i| bright(1 + i, 2.0 * i as f32)).collect();
+        let kept = keep(&bright(1, 0.0), None, &mut frames).expect("nearly all of it");
+        assert!(kept.changes.iter().filter(|change| **change == Change::Colours).count() > 10);
+        let rgb = frames.pop().expect("three");
+        assert!(rgb.iter().all(|x| (0.0..=1.0).contains(x)));
     }
 
     #[test]

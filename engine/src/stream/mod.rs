@@ -52,7 +52,7 @@ pub use resolution::Resolution;
 pub use resume::ResumePoint;
 pub use settings::{
     Behind, Decibels, DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode,
-    Settings, StillParts, UnknownChoice,
+    Settings, StaticRegions, UnknownChoice,
 };
 pub use work::{StageWork, Work};
 pub use workers::Workers;

@@ -1,7 +1,7 @@
 //! Named trades of error for time.
 
 use super::settings::named;
-use super::{Decibels, Fade, FlowEffort, MotionFrom, Resolution, Reuse, Settings, StillParts};
+use super::{Decibels, Fade, FlowEffort, MotionFrom, Resolution, Reuse, Settings, StaticRegions};
 use crate::gap::{Auto, Gap};
 use streamsplat_model::Precision;
 
@@ -46,7 +46,7 @@ pub struct Preset {
     /// [`Settings::reuse`]
     pub reuse: Reuse,
     /// [`Settings::still`]
-    pub still: StillParts,
+    pub still: StaticRegions,
 }
 
 impl Quality {
@@ -79,7 +79,7 @@ impl Quality {
             refine_to: Settings::REFINE_TO,
             precision: Precision::F32,
             reuse: Reuse::Exact,
-            still: StillParts::Keep,
+            still: StaticRegions::Keep,
         };
         match self {
             Quality::Realtime => Preset {
@@ -92,9 +92,13 @@ impl Quality {
                 ..balanced
             },
             Quality::Balanced => balanced,
-            Quality::Best => {
-                Preset { gap: Gap::Every(2), refine: 64, refine_to: Decibels::MOST, still: StillParts::Off, ..balanced }
-            }
+            Quality::Best => Preset {
+                gap: Gap::Every(2),
+                refine: 64,
+                refine_to: Decibels::MOST,
+                still: StaticRegions::Off,
+                ..balanced
+            },
         }
     }
 }

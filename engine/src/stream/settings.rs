@@ -49,8 +49,8 @@ pub struct Settings {
     pub depth_range: DepthRange,
     /// Gaussians behind the foreground, where depth maps lift it.
     pub behind: Behind,
-    /// Parts of the picture that stand still; `None`: [`StillParts::Keep`] for the model inside the library, [`StillParts::Off`] for any other.
-    pub still: Option<StillParts>,
+    /// Static regions of the picture; `None`: [`StaticRegions::Keep`] for the model inside the library, [`StaticRegions::Off`] for any other.
+    pub still: Option<StaticRegions>,
     /// How positions that the model gives as a distribution are drawn.
     pub sampling: SamplingMode,
     /// The seed of everything drawn.
@@ -158,11 +158,11 @@ impl Settings {
         exp(-f64::from(decibels.0) / 10.0 * std::f64::consts::LN_10)
     }
 
-    /// What becomes of parts of the picture that stand still.
-    pub fn still(&self) -> StillParts {
+    /// What becomes of static regions of the picture.
+    pub fn still(&self) -> StaticRegions {
         self.still.unwrap_or(match self.model {
-            ModelSource::Embedded => StillParts::Keep,
-            _ => StillParts::Off,
+            ModelSource::Embedded => StaticRegions::Keep,
+            _ => StaticRegions::Off,
         })
     }
 
@@ -310,8 +310,8 @@ named! {
 }
 
 named! {
-    /// Parts of the picture that stand still between key frames.
-    StillParts: "still" {
+    /// Static regions of the picture.
+    StaticRegions: "still" {
         /// Their Gaussians are kept while the frames differ by no more than the camera's noise. Applies where motion is not the network's,
         /// fusion is persistent, positions are means, and no depth map lifts the frames.
         Keep = "keep",

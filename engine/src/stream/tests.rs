@@ -227,7 +227,7 @@ fn what_is_seen_along_edges_meets_what_is_seen_and_is_not_kept() {
 }
 
 #[test]
-fn what_is_kept_is_one_record_that_goes_on_without_motion_or_fading() {
+fn a_kept_gaussian_is_one_record_without_motion_or_fading() {
     let (mut stream, first) = Stream::new(&floor(), 8);
     let changes: Vec<Change> = (0..100).map(|cell| if cell % 2 == 0 { Change::None } else { Change::All }).collect();
     stream.kept = Some(changes);
@@ -242,13 +242,13 @@ fn what_is_kept_is_one_record_that_goes_on_without_motion_or_fading() {
         }
         let before: Vec<u64> = first.gaussians.identity.iter().copied().step_by(2).collect();
         assert_eq!(kept.iter().map(|record| record.identity).collect::<Vec<_>>(), before);
-        // The others leave and arrive as ever, under their own identities.
+        // The others leave and arrive under their own identities.
         assert_eq!(advance.gaussians.len(), 150);
         let arriving = advance.gaussians.iter().filter(|record| record.reference == Reference::End);
         let others: Vec<u64> = first.gaussians.identity.iter().copied().skip(1).step_by(2).collect();
         assert_eq!(arriving.map(|record| record.identity).collect::<Vec<_>>(), others);
         assert!(advance.merges.is_empty() && stream.set.survivors.is_empty());
-        // Drawing order goes on over the key frame: those that are kept, then those that arrived.
+        // Drawing order over the key frame: kept ones, then those that arrived.
         assert!(stream.set.current[..50].iter().all(|current| current.cell % 2 == 0));
     }
     // And all of them are there when nothing is kept any more.

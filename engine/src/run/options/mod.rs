@@ -19,7 +19,7 @@ use crate::fit::Fit;
 use crate::gap::Gap;
 use crate::render::Backend;
 use crate::stream::{
-    Behind, Decibels, Fade, FlowEffort, Fusion, MotionFrom, Quality, Resolution, Reuse, SamplingMode, StillParts,
+    Behind, Decibels, Fade, FlowEffort, Fusion, MotionFrom, Quality, Resolution, Reuse, SamplingMode, StaticRegions,
 };
 use streamsplat_model::Precision;
 
@@ -216,11 +216,11 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "MODE"))]
         #[serde(default, with = "text")]
         pub sampling: Option<SamplingMode>,
-        /// Parts of the picture that stand still between key frames: keep (their Gaussians go on while frames differ by no more than the camera's
+        /// Static regions of the picture: keep (their Gaussians are kept while frames differ by no more than the camera's
         /// noise; where no depth lifts the frames) or off (they are computed for each key frame)
         #[cfg_attr(feature = "clap", arg(long, value_name = "keep|off"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
-        pub still: Option<StillParts>,
+        pub still: Option<StaticRegions>,
         /// Seed of everything drawn at random
         #[cfg_attr(feature = "clap", arg(long, value_name = "N", default_value_t = 0))]
         pub seed: u64,

@@ -7,7 +7,7 @@ use crate::fit::Fit;
 use crate::gap::Gap;
 use crate::stream::{
     Decibels, Fade, FlowEffort, Fusion, ModelSource, MotionFrom, Preset, Quality, Resolution, Reuse, SamplingMode,
-    StillParts,
+    StaticRegions,
 };
 use streamsplat_model::Precision;
 
@@ -44,7 +44,7 @@ impl Column {
             refine_every: Some(1),
             refine_to: Some(Decibels::MOST),
             reuse: Some(Reuse::Exact),
-            still: Some(StillParts::Off),
+            still: Some(StaticRegions::Off),
             ..neutral.clone()
         };
         let stream = match self {

@@ -15,14 +15,14 @@ mod lists;
 mod sphere;
 
 /// A generator of test values; the quality of its bits does not matter.
-struct Random(u64);
+pub(super) struct Random(pub(super) u64);
 
 impl Random {
-    fn unit(&mut self) -> f32 {
+    pub(super) fn unit(&mut self) -> f32 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 40) as f32 / (1_u64 << 24) as f32
     }
-    fn range(&mut self, from: f32, to: f32) -> f32 {
+    pub(super) fn range(&mut self, from: f32, to: f32) -> f32 {
         from + (to - from) * self.unit()
     }
     fn pick<T: Copy, const N: usize>(&mut self, from: [T; N]) -> T {

@@ -3,22 +3,9 @@
 use super::reference::{ReferenceScene, render};
 use super::*;
 use crate::level::Level;
+use crate::raster::tests::Random;
 use crate::raster::{Gaussians, OwnedGaussians};
 use crate::testing::{bits, on_every_level_and_thread_count};
-
-/// A generator of test values; the quality of its bits does not matter.
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f32 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 40) as f32 / (1_u64 << 24) as f32
-    }
-
-    fn range(&mut self, from: f32, to: f32) -> f32 {
-        from + (to - from) * self.unit()
-    }
-}
 
 /// A scene, its camera, its colours, and a loss: the weighted sum of the pixels.
 struct Case {
