@@ -1,7 +1,11 @@
 // State of the view in the address, so that a link shows what its sender saw.
 
+/** The timer that writes the view into the address. */
+let writing = 0;
+
 /** Takes the view from the address (#t=0.5&yaw=20&…). */
 function readAddress() {
+  clearTimeout(writing);
   // The picture there is shows another view.
   delete canvas.dataset.shown;
   stale = true;
@@ -26,7 +30,14 @@ function readAddress() {
   return said.has("t");
 }
 
-let writing = 0;
+/** The address got another view while the page was open. A view that was waiting to be written may have replaced it since: it is put back. */
+function addressChanged(event) {
+  const { hash } = new URL(event.newURL);
+  if (location.hash !== hash) history.replaceState(null, "", hash || "#");
+  sway.stop();
+  readAddress();
+}
+
 /** Writes the view into the address, once nothing has changed for a while. */
 function writeAddress() {
   clearTimeout(writing);

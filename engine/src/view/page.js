@@ -445,7 +445,7 @@ function listen() {
   listenToButtons();
   listenToPointers();
   listenToFiles();
-  window.addEventListener("hashchange", () => (sway.stop(), readAddress()));
+  window.addEventListener("hashchange", addressChanged);
   canvas.addEventListener("webglcontextlost", (e) => (e.preventDefault(), (drawing = null)));
   canvas.addEventListener("webglcontextrestored", () => ((drawing = new Drawing(canvas)), (stale = true)));
   // For measurements: what the worker did, and how many pictures were drawn.

@@ -115,6 +115,12 @@ async function controls(address) {
   await page.waitForFunction(() => location.hash.includes("yaw=-"));
   await page.getByRole("button", { name: "Source view" }).click();
   await page.waitForFunction(() => !location.hash.includes("yaw="));
+  // An address that somebody enters counts, though the page was about to write its own.
+  await page.evaluate(() => {
+    location.hash = "t=0.3";
+    history.replaceState(null, "", "#t=0.1");
+  });
+  await shown(page, 0.3);
 }
 
 /** A click finds the identity that `streamsplat track` finds, where the page has the source's size. */
