@@ -1,40 +1,11 @@
 """Differentiable splatting and StreamSplat's Gaussians in time: the engine's own rasteriser on the CPU, rasteriser_triton.py on CUDA."""
 import math
-from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import torch
-from streamsplat_cpu._streamsplat import View
+from streamsplat_cpu._streamsplat import Planes
 
 # α is lowered to this, as in the images that the engine draws.
 LARGEST_ALPHA = 0.99
-NOTHING = np.empty(0, np.float32)
-AT_ORIGIN, PIXELS = np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32)
-
-
-def _each(work, count):
-    """`work` of each image, several at a time: small ones have too little to share among threads. Their bits do not depend on it."""
-    global _pool
-    if count < 2 or torch.get_num_threads() < 2:
-        return [work(m) for m in range(count)]
-    _pool = _pool or ThreadPoolExecutor()
-    return list(_pool.map(work, range(count)))
-
-
-_pool = None
-
-
-def _gaussians(P, key):
-    """One image's splats as Gaussians of an orthographic camera with a pixel per unit, drawn in the order of `key`."""
-    order = np.argsort(key, kind='stable')
-    rank = np.empty(len(key), np.float32)
-    rank[order] = np.arange(1, len(key) + 1)
-    means = np.stack([P[:, 0] + np.float32(0.5), P[:, 1] + np.float32(0.5), rank], -1)
-    scales = np.zeros((len(P), 3), np.float32)
-    np.sqrt(P[:, 2:4], out=scales[:, :2])
-    quats = np.zeros((len(P), 4), np.float32)
-    quats[:, 0] = 1
-    return means, quats, scales, np.ascontiguousarray(P[:, 4])
 
 
 class Splat(torch.autograd.Function):
@@ -42,34 +13,19 @@ class Splat(torch.autograd.Function):
 
     @staticmethod
     def paint(P, values, key, background, H, W, lists=None):
-        """(image, T, what was drawn, the views of the splats): without gradients."""
+        """(image, T, what was drawn, the lists of the splats): without gradients."""
         P, values, key, background = (t.detach().numpy() for t in (P, values, key, background))
-
-        def seen(m):
-            gaussians = _gaussians(P[m], key[m])
-            return View(*gaussians, AT_ORIGIN, PIXELS, W, H, 0.0, 3e38, 0.0, 0.0, False, True, LARGEST_ALPHA), gaussians
-
-        lists = lists or _each(seen, len(P))
-        drawn = _each(lambda m: lists[m][0].draw(values[m], background[m]), len(P))
-        image = torch.from_numpy(np.stack([image for image, _ in drawn])).permute(0, 3, 1, 2)
-        return image, 1 - torch.from_numpy(np.stack([alpha for _, alpha in drawn])), drawn, lists
+        lists = lists or Planes(P, key, W, H, LARGEST_ALPHA)
+        drawn = lists.draw(values, background)
+        image, alpha = (torch.from_numpy(array) for array in drawn)
+        return image.permute(0, 3, 1, 2), 1 - alpha, drawn, lists
 
     @staticmethod
     def pull(P, values, background, T, drawn, lists, G, geometry=True):
-        """The gradients (of P, of values) under G [M,4,H,W]; `geometry`: whether that of P is needed."""
-        values, background = values.detach().numpy(), background.detach().numpy()
-        gP, gV, G = np.zeros(P.shape, np.float32), np.empty_like(values), np.ascontiguousarray(G.detach().float().permute(0, 2, 3, 1).numpy())
-
-        def one(m):
-            (view, gaussians), (image, alpha) = lists[m], drawn[m]
-            footprints, gV[m], _ = view.draw_gradients(values[m], background[m], image, alpha, G[m], np.zeros_like(alpha))
-            if geometry:
-                means, _, scales, opacity, _ = view.gradients(*gaussians, footprints, NOTHING, [0.0, 0.0, 0.0])
-                gP[m, :, :2], gP[m, :, 4] = means[:, :2], opacity
-                gP[m, :, 2:4] = scales[:, :2] / (2 * gaussians[2][:, :2])
-
-        _each(one, len(lists))
-        return torch.from_numpy(gP), torch.from_numpy(gV)
+        """The gradients (of P, of values) under G [M,4,H,W]."""
+        G = G.detach().float().permute(0, 2, 3, 1).contiguous()
+        gradients = lists.gradients(values.detach().numpy(), background.detach().numpy(), *drawn, G.numpy())
+        return [torch.from_numpy(array) for array in gradients]
 
     @staticmethod
     def forward(ctx, P, values, key, background, H, W):

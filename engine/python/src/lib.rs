@@ -10,6 +10,7 @@ mod engine;
 mod failure;
 mod image;
 mod interval;
+mod planes;
 mod program;
 mod raster;
 mod run;
@@ -36,6 +37,8 @@ mod module {
     use super::image::Image;
     #[pymodule_export]
     use super::interval::{Gaussians, Interval};
+    #[pymodule_export]
+    use super::planes::Planes;
     #[pymodule_export]
     use super::program::main;
     #[pymodule_export]

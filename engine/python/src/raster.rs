@@ -13,7 +13,7 @@ use streamsplat::raster::{
 use crate::failure::wrong;
 
 /// An argument that cannot be drawn, as a Python exception.
-fn refused(error: RasterError) -> PyErr {
+pub(crate) fn refused(error: RasterError) -> PyErr {
     match error {
         RasterError::Memory { .. } => pyo3::exceptions::PyMemoryError::new_err(error.to_string()),
         _ => wrong(error),
@@ -31,7 +31,7 @@ fn rows<'a, const W: usize>(name: &str, array: &'a Table<'_>) -> PyResult<&'a [[
 }
 
 /// The values of an array.
-fn flat<'a, D: numpy::ndarray::Dimension>(
+pub(crate) fn flat<'a, D: numpy::ndarray::Dimension>(
     name: &str,
     array: &'a numpy::PyReadonlyArray<'_, f32, D>,
 ) -> PyResult<&'a [f32]> {

@@ -69,6 +69,30 @@ def harmonics_gradients(
     """Gradients by coefficients, means and the eye from those by the colours that `harmonics` made."""
 
 @final
+class Planes:
+    """Splats in the planes of several images, which training draws."""
+
+    def __new__(
+        cls, splats: NDArray[np.float32], keys: NDArray[np.float32], width: int, height: int, largest_alpha: float
+    ) -> Self:
+        """Lists of `splats [M, N, 5]` (u, v, variances along x and y, opacity) in the order of `keys [M, N]`."""
+
+    def draw(
+        self, colors: NDArray[np.float32], backgrounds: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Images `[M, H, W, D]` and alphas `[M, H, W]` in `colors [M, N, D]` on `backgrounds [M, D]`."""
+
+    def gradients(
+        self,
+        colors: NDArray[np.float32],
+        backgrounds: NDArray[np.float32],
+        images: NDArray[np.float32],
+        alphas: NDArray[np.float32],
+        of_images: NDArray[np.float32],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Gradients by splats `[M, N, 5]` and colours `[M, N, D]` from what was drawn and the gradient by the images."""
+
+@final
 class View:
     """Gaussians as one camera sees them."""
 

@@ -31,6 +31,7 @@
 mod call;
 mod check;
 mod harmonics;
+mod planes;
 #[cfg(test)]
 mod tests;
 mod view;
@@ -39,6 +40,7 @@ use thiserror::Error;
 
 pub use call::{Gradients, Rasterisation, rasterise};
 pub use harmonics::{HarmonicGradients, harmonic_colours, harmonic_gradients};
+pub use planes::{PlaneSplat, Planes};
 pub use view::{GaussianGradients, View};
 
 /// The most Gaussians that are drawn.

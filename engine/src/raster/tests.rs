@@ -244,3 +244,73 @@ fn arguments_that_cannot_be_drawn_are_named() {
         assert!(found.starts_with(expected), "{found}, expected {expected}");
     }
 }
+
+#[test]
+fn planes_are_orthographic_views_and_have_their_gradients() {
+    const COUNT: usize = 60;
+    let mut random = Random(5);
+    let mut splat = || {
+        let [u, v, a, c, o] = std::array::from_fn(|_| random.next());
+        [20.0 + 20.0 * u, 15.0 + 15.0 * v, 4.5 + 4.0 * a, 3.0 + 2.5 * c, 0.5 + 0.45 * o]
+    };
+    let splats: Vec<PlaneSplat> = (0..2 * COUNT).map(|_| splat()).collect();
+    let keys: Vec<f32> = random.many(2 * COUNT);
+    let positive: Vec<f32> = keys.iter().map(|key| 2.0 + key).collect();
+    let (colours, backgrounds) = (random.many(2 * COUNT * 4), random.many(8));
+    let planes = Planes::new(splats.clone(), &keys, COUNT, SIZE, 0.99).expect("splats that can be drawn");
+    let drawn = planes.draw(&colours, 4, &backgrounds).expect("colours that fit");
+    let same = Planes::new(splats.clone(), &positive, COUNT, SIZE, 0.99).expect("splats that can be drawn");
+    assert_eq!(drawn, same.draw(&colours, 4, &backgrounds).expect("colours that fit"), "the order is that of the keys");
+    let pixels = SIZE[0] * SIZE[1];
+    let (of_image, of_alpha) = (random.many(2 * pixels * 4), random.many(2 * pixels));
+    let (of_splats, of_colours) = planes
+        .gradients(&colours, 4, &backgrounds, [&drawn.0, &drawn.1], [&of_image, &of_alpha])
+        .expect("gradients that fit");
+    let options = Options {
+        near_plane: 0.0,
+        eps2d: 0.0,
+        orthographic: true,
+        largest_alpha: 0.99,
+        ..Options::new(SIZE[0], SIZE[1])
+    };
+    let (mut viewmat, mut k) = ([[0.0; 4]; 4], [[0.0; 3]; 3]);
+    (0..4).for_each(|i| viewmat[i][i] = 1.0);
+    (0..3).for_each(|i| k[i][i] = 1.0);
+    for m in 0..2 {
+        let part = m * COUNT..(m + 1) * COUNT;
+        let splats = &splats[part.clone()];
+        let means: Vec<_> =
+            splats.iter().zip(&positive[part.clone()]).map(|(s, z)| [s[0] + 0.5, s[1] + 0.5, *z]).collect();
+        let scales: Vec<_> = splats.iter().map(|s| [s[2].sqrt(), s[3].sqrt(), 0.0]).collect();
+        let opacities: Vec<_> = splats.iter().map(|s| s[4]).collect();
+        let quats = [[1.0, 0.0, 0.0, 0.0]; COUNT];
+        let gaussians = Gaussians { means: &means, quats: &quats, scales: &scales, opacities: &opacities };
+        let view = View::new(&gaussians, &viewmat, &k, &options).expect("a view");
+        let (colours, background) = (&colours[m * COUNT * 4..][..COUNT * 4], &backgrounds[m * 4..][..4]);
+        let (image, alpha) = view.draw(colours, 4, background).expect("an image");
+        assert!(
+            image == drawn.0[m * pixels * 4..][..pixels * 4] && alpha == drawn.1[m * pixels..][..pixels],
+            "image {m}"
+        );
+        let (mut expected, mut behind) = (vec![0.0; COUNT * 4], [0.0; 4]);
+        let of = [&of_image[m * pixels * 4..][..pixels * 4], &of_alpha[m * pixels..][..pixels]];
+        let footprints = view
+            .draw_gradients(colours, 4, background, [&image, &alpha], of, &mut expected, &mut behind)
+            .expect("gradients");
+        assert_eq!(expected, of_colours[m * COUNT * 4..][..COUNT * 4], "colours of image {m}");
+        let mut to = GaussianGradients::zeros(COUNT);
+        view.gradients(&gaussians, &footprints, None, [0.0; 3], &mut to).expect("gradients");
+        for (i, found) in of_splats[part].iter().enumerate() {
+            let by = |axis: usize| to.scales[i][axis] / (2.0 * scales[i][axis]);
+            let expected = [to.means[i][0], to.means[i][1], by(0), by(1), to.opacities[i]];
+            for (found, expected) in found.iter().zip(expected) {
+                assert!(
+                    (found - expected).abs() <= 1e-4 * expected.abs() + 1e-6,
+                    "splat {i}: {found}, expected {expected}"
+                );
+            }
+        }
+    }
+    let refused = Planes::new(vec![[0.0; 5]; 3], &[1.0; 3], 2, SIZE, 0.99).expect_err("half an image");
+    assert_eq!(refused.to_string(), "splats: expected 4 values, found 3");
+}
