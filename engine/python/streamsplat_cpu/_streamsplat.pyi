@@ -41,6 +41,7 @@ __all__ = [
     "Scene",
     "SceneWriter",
     "Splats",
+    "Planes",
     "View",
     "Viewer",
     "__version__",
