@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use super::ahead::Ahead;
 use super::catch_up::catch_up;
-use super::closeness::{Closeness, Whole};
+use super::closeness::{Closeness, Truth, Whole};
 use super::destination::Destination;
 use super::drawing::Drawing;
 use super::keydepth::KeyDepth;
@@ -281,7 +281,7 @@ impl Session {
                 (first, count)
             });
             if !waits {
-                images = self.draw(&interval, &due, keep)?;
+                images = self.draw(&interval, &due, &key.truths, keep)?;
             }
             if let Some(closeness) = &mut self.closeness
                 && let Some(found) = closeness.of(&interval, &key.truths)?
@@ -305,7 +305,7 @@ impl Session {
         self.state = State::Complete;
         // It was the only one.
         let Some((interval, due)) = self.first.take() else { return Ok(None) };
-        let images = self.draw(&interval, &due, keep)?;
+        let images = self.draw(&interval, &due, &[], keep)?;
         Ok(Some(Step { interval, images }))
     }
 
@@ -334,8 +334,14 @@ impl Session {
     }
 
     /// Draws and writes what is due in an interval.
-    fn draw(&mut self, interval: &Interval, due: &[(usize, f64)], keep: bool) -> Result<Vec<Shown>, Error> {
-        let Session { outputs, drawing, emit, keys, whole, views, .. } = self;
+    fn draw(
+        &mut self,
+        interval: &Interval,
+        due: &[(usize, f64)],
+        truths: &[Truth],
+        keep: bool,
+    ) -> Result<Vec<Shown>, Error> {
+        let Session { outputs, drawing, emit, keys, whole, closeness, views, .. } = self;
         let (emit, views, mut kept) = (*emit, &*views, Vec::new());
         // With `--times`, images follow each other at a constant rate.
         let rate = views.times.as_ref().map(|_| keys.fps());
@@ -346,10 +352,15 @@ impl Session {
             },
             |(index, time, Drawn { image, snapshot })| {
                 if let Some(image) = image {
-                    let image = match whole {
-                        Some(whole) => compared(whole, index, image),
-                        None => image,
-                    };
+                    let Image { width, height, .. } = image;
+                    let picture = Picture { width, height, rgb: image.rgb };
+                    if let Some(whole) = whole {
+                        whole.compare(index, &picture);
+                    }
+                    if let Some(closeness) = closeness {
+                        closeness.take(interval, (time, &picture), views, truths)?;
+                    }
+                    let image = Image { rgb: picture.rgb, ..image };
                     kept.extend(keep.then(|| Shown { index, time, image: image.clone() }));
                     if let Some(outputs) = outputs.as_mut() {
                         outputs.image(index, rate.map_or(time, |fps| index as f64 / fps), image)?;
@@ -493,12 +504,4 @@ impl Drawn {
         }
         Ok(Self { image, snapshot })
     }
-}
-
-/// The image, once it is compared with its frame.
-fn compared(whole: &mut Whole, index: usize, image: Image) -> Image {
-    let Image { width, height, .. } = image;
-    let picture = Picture { width, height, rgb: image.rgb };
-    whole.compare(index, &picture);
-    Image { rgb: picture.rgb, ..image }
 }

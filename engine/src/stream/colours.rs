@@ -36,6 +36,8 @@ const RIDGE: f32 = 1e-3;
 const RIDGE_LIFTED: f32 = 1.8e-3;
 /// The share of the remaining sum of squares that a step must take away.
 const ENOUGH: f64 = 0.004;
+/// Weights of a Gaussian on a block of pixels that are all below this one keep the colour that they had: half of the weights, with 2.9 % of the light.
+const LEAST_WEIGHT: f32 = 1.0 / 64.0;
 /// Range of colours at their own key frame.
 pub(super) const RANGE: [f32; 2] = [-0.2, 1.2];
 /// Range of colours at the other end of the interval.
@@ -186,7 +188,7 @@ impl Fitter {
         wanted: &dyn Fn(Pixels) -> bool,
     ) -> Fitted {
         let Self { level, maps, preparation } = self;
-        maps.resize_with(maps.len().max(place + 1), || ColourMap::new(*level));
+        maps.resize_with(maps.len().max(place + 1), || ColourMap::new(*level).from_weight(LEAST_WEIGHT));
         let projection = Projection::Orthographic { focal: [0.5 * width as f32, 0.5 * height as f32] };
         let Snapshot { index, mean, scale, opacity, rgb, .. } = view;
         let gaussians = Gaussians { mean: &mean, scale: &scale, rotation: None, opacity: &opacity, rgb: &rgb };

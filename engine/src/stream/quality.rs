@@ -63,7 +63,7 @@ impl Quality {
     /// | refine | 3 | 16 | 64 |
     /// | refine every | 3 | 1 | 1 |
     /// | refine to | 43 | 43 | 100 |
-    /// | precision | int8 | f32 | f32 |
+    /// | precision | int8 | int8 | f32 |
     /// | reuse | exact | exact | exact |
     /// | still | keep | keep | off |
     pub fn preset(self) -> Preset {
@@ -77,7 +77,7 @@ impl Quality {
             refine: Settings::REFINE,
             refine_every: 1,
             refine_to: Settings::REFINE_TO,
-            precision: Precision::F32,
+            precision: Precision::Int8,
             reuse: Reuse::Exact,
             still: StaticRegions::Keep,
         };
@@ -88,7 +88,6 @@ impl Quality {
                 find_depth: false,
                 refine: 3,
                 refine_every: 3,
-                precision: Precision::Int8,
                 ..balanced
             },
             Quality::Balanced => balanced,
@@ -96,6 +95,7 @@ impl Quality {
                 gap: Gap::Every(2),
                 refine: 64,
                 refine_to: Decibels::MOST,
+                precision: Precision::F32,
                 still: StaticRegions::Off,
                 ..balanced
             },
@@ -152,7 +152,8 @@ mod tests {
         assert_eq!(balanced.refine(), default.refine());
         assert_eq!(balanced.refine_every(), default.refine_every());
         assert_eq!(balanced.close(), default.close());
-        assert_eq!(balanced.precision, default.precision);
+        // Other models' products are exact unless something else is wanted.
+        assert_eq!((balanced.precision, default.precision), (Precision::Int8, Precision::F32));
         assert_eq!(balanced.reuse, default.reuse);
         assert_eq!(balanced.still(), default.still());
     }

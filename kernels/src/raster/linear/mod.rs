@@ -3,17 +3,22 @@
 //! With projection, order, α and transmittance fixed, an image is linear in the colours of its Gaussians:
 //!
 //! ```text
-//! image = A·c + T·background      A[p, i] = α_ip·T_ip      T[p] = light left behind all Gaussians
+//! image = A·c + B + T·background      A[p, i] = α_ip·T_ip      T[p] = light left behind all Gaussians
 //! ```
+//!
+//! B is 0 but for maps [`ColourMap::from_weight`]: there a Gaussian whose weights on a block of 4×4 pixels are all below the least one is no part of A on it, and
+//! B is what such Gaussians add in the colours with which the map was prepared. Two fifths of the weights of a reconstructed frame are below 1/128,
+//! and they are 1.3 % of its light.
 //!
 //! The weights A are those of the blend, by the same code, rounded to 8 bits: for each Gaussian and block of 4×4 pixels there is a unit u, the
 //! smallest power of two (at least 2⁻¹⁶) with its largest weight there below 256·u, and A is `min(⌊α·T / u + ½⌋, 255)·u` (the quotient and
 //! sum fused). Where α is below 1/255, and behind a finished pixel, a Gaussian has weight 0. An image of the map is therefore within `½·Σ u·|c|`
-//! over a pixel's Gaussians of the rasteriser's (`u` instead of `½·u` where a weight is 255 units).
+//! over a pixel's Gaussians of the rasteriser's (`u` instead of `½·u` where a weight is 255 units). B is made of weights that are not rounded.
 //!
 //! # Order of operations
 //!
-//! Everything is binary32. A pixel of `A·c` is summed front to back, one fused multiply-add per Gaussian. A sum over
+//! Everything is binary32. A pixel of `A·c` and one of B are summed front to back, one fused multiply-add per Gaussian; `T·background` is added to the first (fused),
+//! then B. A sum over
 //! pixels (the adjoint) is made in three steps:
 //!
 //! 1. on each of the 16 lanes of a block of 4×4 pixels, over those blocks of a tile on which the Gaussian has a weight,
@@ -68,6 +73,7 @@ const MERGED: usize = 4096;
 pub struct ColourMap {
     level: Level,
     budget: usize,
+    least: f32,
     rasteriser: Rasteriser,
     shape: Shape,
     /// Width, height.
@@ -141,6 +147,7 @@ impl ColourMap {
         Self {
             level,
             budget: bytes,
+            least: 0.0,
             rasteriser: Rasteriser::new(level),
             shape: Shape::GENERAL,
             size: [0; 2],
@@ -154,8 +161,14 @@ impl ColourMap {
         }
     }
 
-    /// Makes this the map of a scene onto an image of `[width, height]` pixels. `Gaussians::rgb` is ignored; it
-    /// may be empty.
+    /// The map without what hardly shows: the weights of a Gaussian on a block of 4×4 pixels are left out where all of them are below `weight`. What they add in
+    /// the colours with which the map is prepared is the constant B of its images.
+    #[must_use]
+    pub fn from_weight(self, weight: f32) -> Self {
+        Self { least: weight, ..self }
+    }
+
+    /// Makes this the map of a scene onto an image of `[width, height]` pixels. Without a least weight `Gaussians::rgb` is ignored and may be empty.
     ///
     /// # Panics
     /// As [`super::render`], colours aside.
@@ -197,7 +210,8 @@ impl ColourMap {
     ) {
         let _span = debug_span!("colour_map", gaussians = gaussians.len(), width = size[0], height = size[1]).entered();
         // Means are passed as colours: where they are not finite the Gaussian is dropped in any case.
-        let gaussians = Gaussians { rgb: gaussians.mean, ..*gaussians };
+        let rgb = if self.least > 0.0 { gaussians.rgb } else { gaussians.mean };
+        let gaussians = Gaussians { rgb, ..*gaussians };
         self.rasteriser.forget();
         let request = Request::colour(size[0], size[1], [0.0; 3]);
         let (now, grid) = self.rasteriser.begin(&gaussians, projection, &request);
@@ -259,7 +273,7 @@ impl ColourMap {
             let Rasteriser { splats, entries, starts, .. } = &self.rasteriser;
             let list = &entries[starts[index] as usize..starts[index + 1] as usize];
             let walk = Walk { splats, list, shape: self.shape, tile, size: self.size };
-            dispatch(self.level, RecordTile { walk, light, record: &mut *spare });
+            dispatch(self.level, RecordTile { walk, light, record: &mut *spare, least: self.least });
             &*spare
         };
         let slots = &self.slots[self.starts[index]..self.starts[index + 1]];
@@ -318,7 +332,7 @@ impl ColourMap {
         assert_eq!(image.len(), 3 * width * height, "three planes of {width}×{height} pixels");
     }
 
-    /// `image = A·colours + T·background`, `[3, H, W]`: [`super::render`]'s image of the Gaussians with these colours but for the rounding
+    /// `image = A·colours + B + T·background`, `[3, H, W]`: [`super::render`]'s image of the Gaussians with these colours but for the rounding
     /// of the weights, when colours are finite.
     ///
     /// # Panics

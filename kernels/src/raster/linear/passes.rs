@@ -11,6 +11,16 @@ use crate::simd::{LANES, Operation, Simd};
 /// Channels of a tile's blocks.
 pub(super) type Pixels<const C: usize> = [[Lanes; C]; BLOCKS];
 
+/// A block's pixels in channel `c`: what its hits have added up to, the background behind them, and what is below the least weight.
+#[inline(always)]
+fn whole<S: Simd>(s: S, record: &Record, block: usize, c: usize, sum: &Lanes, background: f32) -> S::F32 {
+    let value = s.mul_add(s.load(&record.light[block].0), s.splat(background), s.load(&sum.0));
+    match record.rest.get(block) {
+        Some(rest) => s.add(value, s.load(&rest[c].0)),
+        None => value,
+    }
+}
+
 /// Where a tile lies: its column and row in the grid, width and height of the image.
 #[derive(Clone, Copy)]
 pub(super) struct Place {
@@ -135,7 +145,7 @@ impl Place {
     }
 }
 
-/// `A·c + T·background` of a tile.
+/// `A·c + B + T·background` of a tile.
 pub(super) struct Forward<'a> {
     pub record: &'a Record,
     pub place: Place,
@@ -153,9 +163,8 @@ impl Operation for Forward<'_> {
         let Self { record, place, pixels, .. } = self;
         spread(s, record, &self.colours, pixels);
         place.blocks(|block, xy| {
-            let light = s.load(&record.light[block].0);
             for c in 0..3 {
-                let value = s.mul_add(light, s.splat(self.background[c]), s.load(&pixels[block][c].0));
+                let value = whole(s, record, block, c, &pixels[block][c], self.background[c]);
                 put_block(self.image, c * place.size[0] * place.size[1], place.size, xy, &s.to_array(value));
             }
         });
@@ -211,7 +220,7 @@ impl<P: Paint<C>, const C: usize> Operation for Normal<'_, P, C> {
     }
 }
 
-/// `Aᵀ(target − A·c − T·background)` of a tile; returns the sum of squares.
+/// `Aᵀ(target − A·c − B − T·background)` of a tile; returns the sum of squares.
 pub(super) struct Residual<'a, P> {
     pub record: &'a Record,
     pub place: Place,
@@ -232,17 +241,16 @@ impl<P: Paint<3>> Operation for Residual<'_, P> {
         let plane = place.size[0] * place.size[1];
         let mut squares = [0.0_f64; LANES];
         place.blocks(|block, xy| {
-            let light = s.load(&record.light[block].0);
             for c in 0..3 {
-                let pixel = &mut pixels[block][c].0;
-                let value = s.mul_add(light, s.splat(self.background[c]), s.load(pixel));
+                let pixel = &mut pixels[block][c];
+                let value = whole(s, record, block, c, pixel, self.background[c]);
                 let target = s.from_array(take_block(&self.target[c * plane..][..plane], place.size, xy));
                 let mut residual = s.to_array(finite(s, s.sub(target, value)));
                 outside(&mut residual, place.size, xy);
                 for (sum, r) in squares.iter_mut().zip(residual) {
                     *sum += f64::from(r) * f64::from(r);
                 }
-                *pixel = residual;
+                pixel.0 = residual;
             }
         });
         gather(s, record, pixels, to);

@@ -34,6 +34,7 @@ impl ColourMap {
         let spare = self.spare.get_mut().unwrap_or_else(PoisonError::into_inner);
         spare.threads.resize_with(rayon::current_num_threads(), Thread::default);
         let (order, splats, level, budget) = (&self.order, &self.rasteriser.splats, self.level, self.budget);
+        let least = self.least;
         let (shape, size, columns) = (self.shape, self.size, self.grid.columns);
         spare.threads.par_iter_mut().with_max_len(1).for_each(|thread| {
             while let Some(&tile) = order.get(next.fetch_add(1, Ordering::Relaxed)) {
@@ -47,7 +48,7 @@ impl ColourMap {
                 // No bit depends on which tiles are kept.
                 slot.kept = used.load(Ordering::Relaxed) < budget;
                 let record = if slot.kept { &mut slot.record } else { &mut thread.record };
-                dispatch(level, RecordTile { walk, light: &mut thread.light, record });
+                dispatch(level, RecordTile { walk, light: &mut thread.light, record, least });
                 if slot.kept {
                     used.fetch_add(slot.record.bytes(), Ordering::Relaxed);
                 } else {

@@ -39,7 +39,8 @@ impl Unit {
     }
 }
 
-/// Weights `α·T` of a tile. A *hit* is a splat and a block of 4×4 pixels with a nonzero stored weight on at least one pixel.
+/// Weights `α·T` of a tile. A *hit* is a splat and a block of 4×4 pixels with a nonzero stored weight on at least one pixel, and a weight that is not below
+/// the least on one of them.
 #[derive(Debug, Default)]
 pub(super) struct Record {
     /// Gaussian of each splat that has hits, in drawing order.
@@ -54,6 +55,8 @@ pub(super) struct Record {
     pub units: Vec<Unit>,
     /// Transmittance behind all splats, one value per block; zero outside the image.
     pub light: Vec<Lanes>,
+    /// Red, green and blue of what is below the least weight, one value per block; empty where there is no least weight.
+    pub rest: Vec<[Lanes; 3]>,
 }
 
 impl Record {
@@ -65,6 +68,7 @@ impl Record {
             + size_of_val(&*self.weights)
             + size_of_val(&*self.units)
             + size_of_val(&*self.light)
+            + size_of_val(&*self.rest)
     }
 
     /// The splats: place in the record, Gaussian, hits.
@@ -90,6 +94,8 @@ pub(super) struct RecordTile<'a> {
     pub walk: Walk<'a>,
     pub light: &'a mut Transmittance,
     pub record: &'a mut Record,
+    /// The least weight.
+    pub least: f32,
 }
 
 impl Operation for RecordTile<'_> {
@@ -102,8 +108,13 @@ impl Operation for RecordTile<'_> {
         record.blocks.clear();
         record.weights.clear();
         record.units.clear();
+        record.rest.clear();
+        if self.least > 0.0 {
+            record.rest.resize(BLOCKS, [Lanes::ZERO; 3]);
+        }
         let mut recorder = Recorder {
             record,
+            least: self.least,
             blocks: [0; BLOCKS],
             weights: [Weights([0; LANES]); BLOCKS],
             units: [Unit::LEAST; BLOCKS],
@@ -127,20 +138,30 @@ struct Recorder<'a> {
     units: [Unit; BLOCKS],
     /// Hits of the splat so far.
     hits: usize,
+    least: f32,
 }
 
 impl<S: Simd> Sink<S> for Recorder<'_> {
-    type Paint = ();
+    type Paint = [S::F32; 3];
 
     #[inline(always)]
-    fn begin(&mut self, _: S, _: &Splat, _: &Entry) {
+    fn begin(&mut self, s: S, splat: &Splat, _: &Entry) -> [S::F32; 3] {
         self.hits = 0;
+        splat.rgb.map(|c| s.splat(c))
     }
 
     #[inline(always)]
-    fn add(&mut self, s: S, at: Block, weight: S::F32, (): &()) {
+    fn add(&mut self, s: S, at: Block, weight: S::F32, paint: &[S::F32; 3]) {
         debug_assert!(self.hits < BLOCKS, "a splat visits each block at most once");
-        let unit = Unit::of(s.max_lane(weight));
+        let most = s.max_lane(weight);
+        if most < self.least {
+            let rest = &mut self.record.rest[at.index()];
+            for (rest, paint) in rest.iter_mut().zip(paint) {
+                s.store(s.mul_add(weight, *paint, s.load(&rest.0)), &mut rest.0);
+            }
+            return;
+        }
+        let unit = Unit::of(most);
         // Rounded half up; the unit's inverse is exact.
         let stored = s.mul_add(weight, s.splat(1.0 / unit.value()), s.splat(0.5));
         let stored = s.to_i32(s.min(stored, s.splat(MOST)));
@@ -154,7 +175,7 @@ impl<S: Simd> Sink<S> for Recorder<'_> {
 
     #[inline(always)]
     fn end(&mut self, entry: &Entry) {
-        let Self { record, blocks, weights, units, hits } = self;
+        let Self { record, blocks, weights, units, hits, .. } = self;
         if *hits > 0 {
             record.blocks.extend_from_slice(&blocks[..*hits]);
             record.weights.extend_from_slice(&weights[..*hits]);

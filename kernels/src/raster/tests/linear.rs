@@ -571,3 +571,40 @@ fn tiles_that_are_close_enough_in_all_views_are_left_out() {
     // And where all are, nothing is done.
     assert_eq!(solve(&whole, Level::detect(), 0.0101), Solution { change: vec![[0.0; 3]; 9000], steps: 0 });
 }
+
+#[test]
+fn what_is_below_the_least_weight_is_a_constant_of_the_image() {
+    let (size, least) = ([131, 77], 1.0 / 64.0);
+    for projection in projections(size[0], size[1]) {
+        let scene = ordinary(6000, true, 61);
+        let prepare = |level, bytes, least| {
+            let mut map = ColourMap::with_budget(level, bytes).from_weight(least);
+            map.prepare(&scene.gaussians(), &projection, size);
+            map
+        };
+        let [whole, part] = [0.0, least].map(|least| prepare(Level::detect(), WEIGHT_BYTES, least));
+        assert!(part.weight_bytes() < whole.weight_bytes() * 4 / 5, "weights are left out");
+        // With the colours of the preparation nothing is missing.
+        let [expected, found] = [&whole, &part].map(|map| forward(map, &scene.rgb, [0.5; 3]));
+        for (found, expected) in found.iter().zip(&expected) {
+            assert!((found - expected).abs() < 2e-3, "{found}, expected {expected}");
+        }
+        // Black ones leave what hardly shows, and the map is linear without it.
+        let black = forward(&part, &vec![[0.0; 3]; 6000], [0.0; 3]);
+        assert!(black.iter().any(|x| *x > 0.01) && black.iter().all(|x| *x < 0.5));
+        let (colours, residual) = (colours(6000, 62), noise(3 * size[0] * size[1], 63));
+        let linear: Vec<f32> = forward(&part, &colours, [0.0; 3]).iter().zip(&black).map(|(a, b)| a - b).collect();
+        let (sides, scale) = (
+            [dot(&linear, &residual), dot(colours.as_flattened(), adjoint(&part, &residual).as_flattened())],
+            dot(&linear, &linear),
+        );
+        assert!((sides[0] - sides[1]).abs() < 1e-5 * scale, "{sides:?}");
+        let expected = everything_of(&prepare(Level::scalar(), WEIGHT_BYTES, least), &colours, &residual);
+        for level in crate::testing::levels() {
+            for bytes in [0, 50_000, WEIGHT_BYTES] {
+                let found = everything_of(&prepare(level, bytes, least), &colours, &residual);
+                assert!(found == expected, "{} with {bytes} bytes", level.name());
+            }
+        }
+    }
+}
