@@ -546,6 +546,38 @@ fn a_reader_that_goes_away_is_no_panic() {
 }
 
 #[test]
+fn closeness_does_not_depend_on_what_is_written() {
+    // Images of the model's own size are drawn once, for the file and for the comparison.
+    let scratch = Scratch::new();
+    let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/clips/moving.y4m");
+    let found: Vec<_> = ["rgb", "scene", "rgb,depth"]
+        .iter()
+        .enumerate()
+        .map(|(i, emit)| {
+            let out = scratch.path(&format!("out{i}"));
+            let mut run = command();
+            run.arg("run").arg(&clip).args([
+                "--gap",
+                "auto:1-6:38",
+                "--frames",
+                "13",
+                "--quiet",
+                "--emit",
+                emit,
+                "--out",
+            ]);
+            assert!(run.arg(&out).output().expect("the program starts").status.success());
+            let record = json(&out.join("run.json"));
+            assert!(record["psnr"].as_f64().is_some_and(|psnr| psnr > 20.0), "{record}");
+            let drawn = record["work"]["compare"]["done"].as_u64();
+            assert_eq!(drawn, Some(13));
+            (record["psnr"].clone(), record["key_frames"].clone())
+        })
+        .collect();
+    assert!(found.iter().all(|of| of == &found[0]), "{found:?}");
+}
+
+#[test]
 fn closeness_at_the_sources_size_is_that_of_the_images_written() {
     let scratch = Scratch::new();
     let (clip, out) = (scratch.clip("clip", 9, 96, 64), scratch.path("out"));
