@@ -391,7 +391,7 @@ async function files(address) {
   }
   // By key and by button, and of two the later.
   own.on("filechooser", (chooser) => chooser.setFiles(source));
-  for (const ask of [() => own.keyboard.press("f"), () => own.locator("#open").click()]) {
+  for (const ask of [() => own.keyboard.press("o"), () => own.locator("#open").click()]) {
     await own.evaluate(() => (document.getElementById("interface").hidden = false));
     await drop(own, ["earlier.splat", readFileSync(paths[2])]);
     await ask();
@@ -570,6 +570,7 @@ async function live() {
 async function narrow(address) {
   const phone = await open(browser, [390, 844], log);
   await visit(phone, address, { t: 0.25 });
+  await phone.locator("#more").click();
   await phone.screenshot({ path: `${scratch}/390x844.png` });
   const middle = 844 / 2;
   for (const control of await phone.locator("button:visible, select:visible, #time").all()) {
