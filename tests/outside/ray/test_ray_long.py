@@ -37,7 +37,7 @@ def test_parts_over_a_cluster_are_one_scene_with_the_bytes_of_a_loop(video, tmp_
     said = long(video, tmp_path / "plain.ssz", "--plain")
     ranges = [f"frames {PART * i} to {PART * (i + 1) - 1}" for i in range(3)]
     assert said[:3] == ranges and said[3].startswith(f"{tmp_path}/plain.ssz: 9 intervals"), said
-    assert sorted(line for line in long(video, tmp_path / "ray.ssz") if line.startswith("frames")) == ranges
+    assert sorted(line for line in long(video, tmp_path / "ray.ssz") if line.startswith("frames")) == sorted(ranges)
     assert (tmp_path / "ray.ssz").read_bytes() == (tmp_path / "plain.ssz").read_bytes()
     # Parts that are there are not made again.
     subprocess.run(["rm", "-r", tmp_path / f"plain.parts/{PART:08}-{2 * PART:08}", tmp_path / "plain.ssz"], check=True)
