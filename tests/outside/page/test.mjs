@@ -436,7 +436,7 @@ async function refused(page, [ply, packed, splat], newer) {
     ["endless.ply", Buffer.concat([Buffer.from("ply\n"), Buffer.alloc(70_000, 32)]), "header: expected end_header within the first 4194304 bytes"],
     ["cut.compressed.ply", compressed.subarray(0, -5), "element sh: expected 4000 of 45 bytes each"],
     ["many.compressed.ply", changed(compressed, "chunk 16", "chunk 99"), "element sh: expected 4000 of 45 bytes each"],
-    ["magic.compressed.ply", changed(compressed, "ply", "plx"), 'format: expected PLY, compressed PLY, SPZ or splat, found a file that begins with "plx\\nform"'],
+    ["magic.compressed.ply", changed(compressed, "ply", "plx"), 'format: expected PLY, compressed PLY, SPZ, splat or ssz, found a file that begins with "plx\\nform"'],
     ["cut.splat", records.subarray(0, -5), `file: expected records of 32 bytes, found ${records.length - 5} bytes`],
     ["negative.splat", negative, "record 1: expected standard deviations of 0 or more, found -1"],
     ["nowhere.splat", Buffer.alloc(32, 255), "centres: expected Gaussians at finite places, found none to look at"],
