@@ -381,7 +381,7 @@ impl Splats {
         Drawn::of(images, many)
     }
 
-    /// The camera that sees most of the scene, `degrees` around it (0: from the front, 90: from the right).
+    /// The camera that sees most of the scene, `degrees` around it (0: from its widest side, which is the front or the right; 90: from the right of that).
     #[pyo3(signature = (degrees=0.0, *, size=None))]
     fn camera(&self, degrees: f64, size: Option<&Bound<'_, PyAny>>) -> PyResult<Camera> {
         let [width, height] = size.map_or(Ok(SIZE), arguments::pixels)?;

@@ -24,9 +24,10 @@
 //! | `half_extent` | orthographic: units from the centre of the view to its right and lower edge | `[width / height, 1]` of the image |
 //! | `fov_y_degrees`, `aspect` | pinhole: vertical field of view, and width / height | – |
 //! | `focal`, `centre` | pinhole: in image widths and heights | `centre` = `[0.5, 0.5]` |
+//! | `size` | orthographic: width and height of its images, for still scenes where no other size is given | – |
 //! | `size`, `fx`, `fy`, `cx`, `cy` | pinhole: in pixels of an image of `size` = [width, height], pixel centres at whole numbers | – |
 //!
-//! A pinhole view has exactly one of the last three. Unknown keys are errors.
+//! A pinhole view has exactly one of the lens's three forms. Unknown keys are errors.
 //!
 //! Units are those of exported files: half the height of the picture, along every axis (of a still scene: its own). The page of `streamsplat view`
 //! writes `"units": "square"`; files that it wrote before it did so had x in half widths and are read as if they had not.
@@ -173,7 +174,8 @@ impl View {
                 Camera::Canonical
             }
             Kind::Orthographic => {
-                extra(&pinhole_keys)?;
+                // The size of its images is taken by whoever draws them.
+                extra(&pinhole_keys.map(|(key, present)| (key, present && key != "size")))?;
                 let lens = Lens::Orthographic { half_extent: self.half_extent };
                 Camera::Posed { pose: self.pose(index)?, lens }
             }

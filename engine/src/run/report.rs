@@ -32,8 +32,8 @@ fn images(record: &Record) -> u64 {
 pub fn summary(record: &Record, out: &Path) -> String {
     let stopped = if record.complete { "" } else { ", stopped by the user" };
     let peak = record.timing.peak_resident_bytes.map(|b| format!(", {} MiB at most", b >> 20)).unwrap_or_default();
-    let files = record.outputs.len();
-    let plural = if files == 1 { "" } else { "s" };
+    let count = |n: u64, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+    let files = count(record.outputs.len() as u64, "file");
     let (images, total) = (images(record), record.timing.total);
     let bytes = record.outputs.values().map(|output| output.bytes).sum::<u64>() as f64 / 1e6;
     let size = record.image_size.map(|[width, height]| format!(" of {width}×{height}")).unwrap_or_default();
@@ -41,7 +41,7 @@ pub fn summary(record: &Record, out: &Path) -> String {
         Invocation::Run(_) if images > 0 => format!(", {} a second", (record.input.fps * 1000.0).round() / 1000.0),
         _ => String::new(),
     };
-    let keys = record.key_frames.map(|keys| format!(", {keys} key frames")).unwrap_or_default();
+    let keys = record.key_frames.map(|keys| format!(", {}", count(keys, "key frame"))).unwrap_or_default();
     let psnr = match (record.psnr_source_size, record.psnr) {
         (Some(whole), Some(psnr)) => {
             let [width, height] = record.input.size;
@@ -55,9 +55,9 @@ pub fn summary(record: &Record, out: &Path) -> String {
         Invocation::Run(_) => (total / record.input.count.max(1) as f64, "frame"),
         Invocation::Render(_) => (total / images.max(1) as f64, "image"),
     };
-    let each = 1000.0 * each;
+    let (each, images) = (1000.0 * each, count(images, "image"));
     format!(
-        "{}: {images} images{size}{rate}{keys}{psnr}, {files} file{plural}, {bytes:.1} MB, {total:.2} s, {each:.0} ms per {what}{peak}{stopped}",
+        "{}: {images}{size}{rate}{keys}{psnr}, {files}, {bytes:.1} MB, {total:.2} s, {each:.0} ms per {what}{peak}{stopped}",
         out.display()
     )
 }

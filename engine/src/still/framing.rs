@@ -19,6 +19,8 @@ const FLOATERS: f64 = 0.05;
 /// Margin added at either end of each axis, as a fraction of the width without floaters; it ends at the outermost
 /// centre.
 const AROUND: f64 = 0.15;
+/// How much deeper than wide the box is where the camera looks at its side. Nearly equal sides keep the axes of the file.
+const DEEPER: f64 = 1.25;
 /// Directions in which a whole turn is tried.
 const DIRECTIONS: u32 = 24;
 
@@ -57,8 +59,8 @@ impl Still {
 }
 
 impl Framing {
-    /// The camera at `degrees` around the scene (0: from the front, looking along +z; 90: from the right) that sees all of the box in
-    /// images of `aspect` = width / height.
+    /// The camera at `degrees` around the scene, to the right of its widest side (the front, looking along +z, unless the box is deeper than 1.25 widths: then the right), that sees all of the box in images of `aspect` =
+    /// width / height.
     pub fn camera(&self, degrees: f64, aspect: f64) -> Camera {
         let angles = Angles { right: degrees, up: 0.0 };
         self.at(self.distance(angles, aspect), angles, aspect)
@@ -70,6 +72,12 @@ impl Framing {
         let tried = (0..DIRECTIONS).map(|i| self.distance(Angles { right: step * f64::from(i), up: 0.0 }, aspect));
         let distance = tried.fold(0.0, f64::max);
         angles.iter().map(|angles| self.at(distance, *angles, aspect)).collect()
+    }
+
+    /// Where the box is widest from, in degrees: 0, from the front, looking along +z; or 90, from the right, where it is deeper than wide.
+    fn widest(&self) -> f64 {
+        let [width, _, depth] = std::array::from_fn(|i| self.greatest[i] - self.least[i]);
+        if depth > DEEPER * width { 90.0 } else { 0.0 }
     }
 
     /// The middle of the box.
@@ -84,7 +92,7 @@ impl Framing {
         if let Some(Orbit { elevation: [least, most], .. }) = self.orbit {
             elevation = elevation.max(least.into()).min(most.into());
         }
-        let ((sin, cos), (up, along)) = (sin_cos(right * radians), sin_cos(elevation));
+        let ((sin, cos), (up, along)) = (sin_cos((self.widest() + right) * radians), sin_cos(elevation));
         [sin * along, -up, -cos * along]
     }
 
@@ -188,6 +196,18 @@ mod tests {
         assert!(pose.position[0].abs() < 1e-9 && pose.position[1] < 0.0 && pose.position[2] < -1.0, "{pose:?}");
         let Camera::Posed { pose, .. } = framing.camera(90.0, 1.0) else { panic!("posed") };
         assert!(pose.position[0] > 1.0 && pose.position[2].abs() < 1e-6, "{pose:?}");
+        // A deep box is seen from its side, which is then as wide in the image as that of a wide one from the front.
+        let of = |greatest: [f64; 3]| {
+            let framing = Framing { least: greatest.map(|x| -x), greatest, orbit: None };
+            let Camera::Posed { pose, .. } = framing.camera(0.0, 16.0 / 9.0) else { panic!("posed") };
+            pose.position
+        };
+        let ([side, up, rest], wide) = (of([1.0, 1.0, 3.0]), of([3.0, 1.0, 1.0]));
+        assert!(
+            rest.abs() < 1e-9 && (side + wide[2]).abs() < 1e-9 && (up - wide[1]).abs() < 1e-9,
+            "{side} {up} {wide:?}"
+        );
+        assert!(of([1.0, 1.0, 1.2])[0].abs() < 1e-9);
         let point = Framing { least: [4.0; 3], greatest: [4.0; 3], orbit: None };
         assert!(point.camera(0.0, 1.0).is_usable());
     }

@@ -12,11 +12,25 @@ const STEEPEST = 85;
 const BEHIND = 12;
 /** Distance of a perspective camera, in half longer sides: they fill 45 degrees. */
 const AWAY = 2.4;
-/** Of still scenes, as still/framing.rs has them: half the vertical field of view, elevation, and the part of the image that is filled. */
-const FRAMING = { half: 22.5, elevation: 12, fill: 0.8 };
+/** Of still scenes, as still/framing.rs has them: half the vertical field of view, elevation, the part of the image that is filled, and how much deeper
+ * than wide a scene is that is seen from its side. */
+const FRAMING = { half: 22.5, elevation: 12, fill: 0.8, deeper: 1.25 };
+
+/** Degrees to each side that a scene in time is turned freely, and how many more it nears, ever more slowly. It has been filmed from one side alone. */
+const FREE = 15;
+const GIVE = 15;
+/** Seconds in which most of what is beyond springs back. */
+const SPRING = 0.15;
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
+
+/** A camera's right, down and forward. */
+function axesOf({ yaw, pitch }) {
+  const [sy, cy] = [Math.sin(yaw * TURN), Math.cos(yaw * TURN)];
+  const [sp, cp] = [Math.sin(pitch * TURN), Math.cos(pitch * TURN)];
+  return [[cy, 0, -sy], [-sp * sy, cp, -sp * cy], [sy * cp, sp, cy * cp]];
+}
 
 class Camera {
   constructor() {
@@ -29,6 +43,8 @@ class Camera {
     this.perspective = false;
     this.box = null; // of a still scene: its middle and half extents
     this.unit = 1; // of shifts, in scene units
+    /** Whether turning is resisted beyond FREE. */
+    this.bounded = false;
     this.home = { yaw: 0, pitch: 0, lens: "parallel" };
     this.reset();
   }
@@ -47,6 +63,9 @@ class Camera {
     this.units = (this.aspect * content[0] * model[1]) / (content[1] * model[0]);
     this.half = [(this.units * content[1]) / model[1], content[0] / model[0]];
     this.own = [model[1] / 2 / this.units, model[0] / 2]; // the model's pixels per unit
+    this.box = null;
+    this.unit = 1;
+    this.home = { yaw: 0, pitch: 0, lens: "parallel" };
     this.middle = [this.units * ((2 * offset[1] + content[1]) / model[1] - 1), (2 * offset[0] + content[0]) / model[0] - 1];
   }
 
@@ -56,14 +75,13 @@ class Camera {
     const half = least.map((low, i) => 0.5 * (greatest[i] - low));
     this.box = { middle, half };
     this.unit = Math.hypot(...half) || 1;
-    this.home = { yaw: 0, pitch: FRAMING.elevation, lens: "perspective" };
+    this.home = { yaw: half[2] > FRAMING.deeper * half[0] ? -90 : 0, pitch: FRAMING.elevation, lens: "perspective" };
     this.reset();
   }
 
-  /** From how far a still scene's box is seen whole from the front, with focal lengths in parts of the image. */
+  /** From how far a still scene's box is seen whole from its widest side, with focal lengths in parts of the image. */
   distance(focal) {
-    const [sin, cos] = [Math.sin(FRAMING.elevation * TURN), Math.cos(FRAMING.elevation * TURN)];
-    const axes = [[1, 0, 0], [0, cos, -sin], [0, sin, cos]];
+    const axes = axesOf(this.home);
     let distance = 0;
     for (let corner = 0; corner < 8; corner++) {
       const d = this.box.half.map((h, i) => (corner & (1 << i) ? -h : h));
@@ -81,9 +99,7 @@ class Camera {
 
   /** The camera's right, down and forward. */
   get axes() {
-    const [sy, cy] = [Math.sin(this.yaw * TURN), Math.cos(this.yaw * TURN)];
-    const [sp, cp] = [Math.sin(this.pitch * TURN), Math.cos(this.pitch * TURN)];
-    return [[cy, 0, -sy], [-sp * sy, cp, -sp * cy], [sy * cp, sp, cy * cp]];
+    return axesOf(this);
   }
 
   /** The view in an image of width × height pixels; `focal` as splat.vert wants it. */
@@ -114,8 +130,33 @@ class Camera {
   }
 
   turn(right, down) {
-    this.yaw = ((this.yaw - right + 540) % 360) - 180;
-    this.pitch = clamp(this.pitch - down, -STEEPEST, STEEPEST);
+    this.yaw = ((this.resisted(this.yaw, -right) + 540) % 360) - 180;
+    this.pitch = clamp(this.resisted(this.pitch, -down), -STEEPEST, STEEPEST);
+  }
+
+  /** An angle turned by so many degrees: where it is bounded, x degrees beyond FREE come to GIVE·(1 − e^(−x / GIVE)). */
+  resisted(angle, by) {
+    if (!this.bounded) return angle + by;
+    const beyond = Math.abs(angle) - FREE;
+    if (beyond >= GIVE) return by * angle < 0 ? angle + by : angle;
+    const pulled = beyond > 0 ? Math.sign(angle) * (FREE - GIVE * Math.log(1 - beyond / GIVE)) : angle;
+    const next = pulled + by;
+    const over = Math.abs(next) - FREE;
+    return over > 0 ? Math.sign(next) * (FREE + GIVE * (1 - Math.exp(-over / GIVE))) : next;
+  }
+
+  /** Springs back to where turning is free, as far as that goes in so many seconds; returns whether it moved. */
+  settle(seconds) {
+    if (!this.bounded) return false;
+    const sprung = (angle) => {
+      const edge = clamp(angle, -FREE, FREE);
+      const next = edge + (angle - edge) * Math.exp(-seconds / SPRING);
+      return Math.abs(next - edge) < 0.01 ? edge : next;
+    };
+    const [yaw, pitch] = [sprung(this.yaw), sprung(this.pitch)];
+    const moved = yaw !== this.yaw || pitch !== this.pitch;
+    [this.yaw, this.pitch] = [yaw, pitch];
+    return moved;
   }
 
   /** Moves the target so that the image moves by this many of its pixels. */

@@ -160,18 +160,18 @@ class Chunks {
     this.records = null;
   }
 
-  /** The packet of the last of some texts that follow each other. */
-  async take({ place, texts, times, coarseness }) {
+  /** The packet of the last of some chunks that follow each other, texts or bytes, each after its key frame and whether it is independent. */
+  async take({ place, parts, times, coarseness }) {
     let packet = null;
-    for (const [k, text] of texts.entries()) {
-      const bytes = bytesOf(text);
+    for (const [k, part] of parts.entries()) {
+      const bytes = typeof part === "string" ? bytesOf(part) : part;
       const index = Number(new DataView(bytes.buffer).getBigUint64(0, true));
       const alone = bytes[8] === 1;
       const i = place + k;
       if (!alone && this.place !== i - 1) throw new Error("an interval without the one before");
       this.records = await decode(bytes.subarray(9), alone ? null : this.records);
       this.place = i;
-      if (k === texts.length - 1) packet = packetOf(this.records, { index, ...times, coarseness });
+      if (k === parts.length - 1) packet = packetOf(this.records, { index, ...times, coarseness });
     }
     return packet;
   }

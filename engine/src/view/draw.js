@@ -18,6 +18,8 @@ class Drawing {
     this.resolve = this.program("resolve.vert", "resolve.frag");
     /** Gaussians of a packet at most. */
     this.room = PER_ROW * gl.getParameter(gl.MAX_TEXTURE_SIZE);
+    /** Pixels of a side at most. */
+    this.largest = Math.min(gl.getParameter(gl.MAX_TEXTURE_SIZE), ...gl.getParameter(gl.MAX_VIEWPORT_DIMS));
     this.packet = null;
     this.ordered = null;
     this.records = gl.createTexture();

@@ -13,17 +13,18 @@ async function openFile(file) {
   try {
     await begun;
     if (!drawing) throw new Error("this browser offers no WebGL2");
-    const { buffer, still } = await own.ask({ kind: "file", file, most: Math.min(MOST, drawing.room), axes: saidAxes() });
+    const { buffer, still, about, chunks } = await own.ask({ kind: "file", file, most: Math.min(MOST, drawing.room), axes: saidAxes() });
+    const source = about ? new Contained(file, about, chunks, own) : new Local(file.name, packetIn(buffer), still);
+    const packet = await source.packet(0);
     if (reading !== own) return;
-    const packet = packetIn(buffer);
     drawing.upload(packet);
     reading = null;
     say("");
     leave();
-    use(own, new Local(file.name, packet, still));
+    use(own, source);
     await store.refresh();
     enter();
-    if (still.note) refuse(`${file.name}: ${still.note}`);
+    if (still?.note) refuse(`${file.name}: ${still.note}`);
   } catch (e) {
     own.end();
     if (reading === own) reading = null;

@@ -32,6 +32,9 @@ const state = {
   time: 0,
   playing: false,
   following: false,
+  loop: true,
+  free: false, // whether a scene in time is turned without bounds
+  springing: false, // whether it turns back to where that is free
   mode: 0,
   background: [0.07, 0.07, 0.07],
   picked: null, // { identity, … }
@@ -76,7 +79,10 @@ function jump(time) {
 }
 
 function play(on) {
-  state.playing = on && !store.about?.still;
+  const [start, end] = store.span;
+  state.playing = on && end > start;
+  // What has ended begins again.
+  if (state.playing && !state.loop && state.time >= end) seek(start);
   find("play").setAttribute("aria-label", on ? "Pause" : "Play");
   find("symbol").setAttribute("d", on ? PAUSE : PLAY);
   stale = true;
@@ -97,7 +103,14 @@ function advance(seconds) {
   }
   if (!state.playing || end === start) return;
   const next = state.time + seconds * Number(find("speed").value);
-  seek(next > end ? (store.about.live && !store.about.complete ? end : start) : next);
+  const streams = store.about.live && !store.about.complete;
+  seek(next > end ? (streams || !state.loop ? end : start) : next);
+  if (next > end && !streams && !state.loop) play(false);
+}
+
+function loop(on) {
+  state.loop = on;
+  find("loop").setAttribute("aria-pressed", String(on));
 }
 
 function listTimes() {
@@ -105,6 +118,8 @@ function listTimes() {
   const slider = find("time");
   slider.min = start;
   slider.max = end;
+  // One frame has no time line; a stream's may still get one.
+  document.documentElement.classList.toggle("instant", end === start && !store.about.live);
   const marks = store.times.slice(store.first).map((times) => times.end);
   const shown = marks.length <= MARKS && end > start ? marks : [];
   find("marks").replaceChildren(
@@ -167,6 +182,12 @@ function load(interval) {
   );
 }
 
+/** How a packet is drawn, apart from where from. */
+function appearance(packet) {
+  const { far, near } = packet.still ? { far: 0, near: 1 } : depthsOf(packet);
+  return { mode: state.mode, background: state.background, range: [far, near] };
+}
+
 /** Draws the scene at the state's time; false where its interval, or what places the camera, is still to come. */
 function picture() {
   const interval = store.find(state.time);
@@ -180,7 +201,6 @@ function picture() {
     place();
     return false;
   }
-  const { far, near } = packet.still ? { far: 0, near: 1 } : depthsOf(packet);
   const t = packet.end > packet.start ? clamp((state.time - packet.start) / (packet.end - packet.start), 0, 1) : 0;
   const view = camera.view(canvas.width, canvas.height);
   const moving = state.playing || state.following;
@@ -189,7 +209,7 @@ function picture() {
   if (!found) return false;
   // The order of a moment ago serves while things move; where they rest, the picture is exact.
   const { order, exact } = found;
-  drawing.draw(packet, order, t, view, { mode: state.mode, background: state.background, range: [far, near] });
+  drawing.draw(packet, order, t, view, appearance(packet));
   state.shown = { packet, interval, order, t, view };
   pace.drew();
   find("poster")?.remove();
@@ -214,7 +234,7 @@ function describe() {
   const digits = end - start < 100 ? 2 : 1;
   write("clock", `${state.time.toFixed(digits)} / ${end.toFixed(digits)} s`);
   const of = store.about.live && !store.about.complete ? "" : ` of ${store.times.length}`;
-  write("facts", `${count(packet.count, "Gaussian")} · interval ${interval + 1}${of} · ${Number(store.about.fps.toFixed(3))} frames/s`);
+  write("facts", `${count(packet.count, "Gaussian")} · interval ${interval + 1}${of} · ${Number(store.about.fps.toFixed(3))} fps`);
   const slider = find("time");
   const frame = Math.round((state.time - start) * store.about.fps) + 1;
   slider.setAttribute("aria-valuetext", `${state.time.toFixed(digits)} seconds of ${end.toFixed(digits)}, frame ${frame}`);
@@ -249,6 +269,7 @@ function turn(now) {
   const seconds = Math.min(0.1, Math.max(0, (now - before) / 1000));
   before = now;
   if (sway.advance(seconds)) stale = true;
+  if (state.springing) spring(seconds);
   if (pace.turn(now, state.playing || state.following || sway.on || stale)) stale = true;
   fit();
   if (store.times.length && drawing) {
@@ -313,6 +334,24 @@ function look(perspective) {
   stale = true;
 }
 
+/** Lets go of the scene: it turns back to where turning is free, at once where the system asks for less motion. */
+function release() {
+  state.springing = true;
+  if (window.matchMedia("(prefers-reduced-motion: reduce)").matches) spring(Infinity);
+}
+
+function spring(seconds) {
+  state.springing = camera.settle(seconds);
+  if (state.springing) changed();
+}
+
+function turnFreely(on) {
+  state.free = on;
+  find("free").checked = on;
+  camera.bounded = !on && !store.about.still;
+  if (camera.bounded) release();
+}
+
 function changeSpeed(by) {
   const place = clamp(SPEEDS.indexOf(Number(find("speed").value)) + by, 0, SPEEDS.length - 1);
   find("speed").value = String(SPEEDS[place]);
@@ -346,19 +385,27 @@ const KEYS = {
   1: () => show(0),
   2: () => show(1),
   3: () => show(2),
-  a: () => camera.turn(5, 0),
-  d: () => camera.turn(-5, 0),
-  w: () => camera.turn(0, 5),
-  s: () => camera.turn(0, -5),
+  ",": () => jump(state.time - 1 / store.about.fps),
+  ".": () => jump(state.time + 1 / store.about.fps),
+  a: () => (camera.turn(5, 0), release()),
+  d: () => (camera.turn(-5, 0), release()),
+  w: () => (camera.turn(0, 5), release()),
+  s: () => (camera.turn(0, -5), release()),
+  t: () => turnFreely(!state.free),
   "+": () => camera.magnify(1.1),
   "=": () => camera.magnify(1.1),
   "-": () => camera.magnify(1 / 1.1),
   p: () => look(!camera.perspective),
-  o: () => camera.reset(),
+  r: () => camera.reset(),
+  f: () => camera.reset(),
   b: nextBackground,
-  f: () => find("file").click(),
-  h: () => (find("interface").hidden = !find("interface").hidden),
-  l: () => follow(!state.following),
+  o: () => find("file").click(),
+  u: () => (find("interface").hidden = !find("interface").hidden),
+  l: () => (store.about.live && !store.about.complete ? follow(!state.following) : loop(!state.loop)),
+  v: toggleFullscreen,
+  i: askSize,
+  c: copyLink,
+  h: openKeys,
   "?": openKeys,
   Escape: () => choose(null),
 };
@@ -366,7 +413,7 @@ const KEYS = {
 function listenToKeys() {
   window.addEventListener("keydown", (e) => {
     const key = e.key.length === 1 ? e.key.toLowerCase() : e.key;
-    const inControl = e.target.matches("textarea, select") || find("keys").open;
+    const inControl = e.target.matches("textarea, select") || find("keys").open || find("picture").open;
     // A button or the slider keeps the keys that work it.
     const own = (e.target.matches("button") && key === " ") || (e.target.matches("input") && key.startsWith("Arrow"));
     if (!KEYS[key] || inControl || own || e.ctrlKey || e.metaKey || e.altKey || !store.about) return;
@@ -382,6 +429,10 @@ function listenToButtons() {
   click("perspective", () => look(!camera.perspective));
   click("home", () => camera.reset());
   click("live", () => follow(!state.following));
+  click("loop", () => loop(!state.loop));
+  click("back", () => jump(state.time - 1 / store.about.fps));
+  click("next", () => jump(state.time + 1 / store.about.fps));
+  find("free").addEventListener("change", ({ target }) => turnFreely(target.checked));
   click("unpick", () => choose(null));
   find("help").addEventListener("click", openKeys);
   for (const button of document.querySelectorAll("[data-mode]")) {
@@ -389,6 +440,9 @@ function listenToButtons() {
   }
   find("time").addEventListener("input", () => (jump(Number(find("time").value)), changed()));
 }
+
+/** Degrees that a pixel of a drag turns. */
+const perPixel = () => (camera.bounded ? 0.12 : 0.3);
 
 /** One finger or button turns (or, with Shift or another button, moves); two move and zoom; a click picks. */
 function listenToPointers() {
@@ -401,6 +455,7 @@ function listenToPointers() {
   };
   canvas.addEventListener("pointerdown", (e) => {
     sway.stop();
+    state.springing = false;
     canvas.setPointerCapture(e.pointerId);
     canvas.focus({ preventScroll: true });
     if (!down.size) travelled = 0;
@@ -421,12 +476,15 @@ function listenToPointers() {
     }
     const scale = canvas.width / canvas.clientWidth;
     if (earlier || e.shiftKey || e.buttons > 1) camera.pan(right * scale, below * scale, camera.view(canvas.width, canvas.height));
-    else if (travelled > 4) camera.turn(right * 0.3, -below * 0.3);
+    else if (travelled > 4) camera.turn(right * perPixel(), -below * perPixel());
     changed();
   });
   const up = (e) => {
     if (!down.delete(e.pointerId)) return;
-    if (!down.size) canvas.classList.remove("held");
+    if (!down.size) {
+      canvas.classList.remove("held");
+      if (travelled > 4) release();
+    }
     if (e.type === "pointerup" && !down.size && travelled <= 4 && e.button === 0) choose(place(e));
   };
   canvas.addEventListener("pointerup", up);
@@ -445,6 +503,7 @@ function listen() {
   listenToButtons();
   listenToPointers();
   listenToFiles();
+  listenToActions();
   window.addEventListener("hashchange", addressChanged);
   canvas.addEventListener("webglcontextlost", (e) => (e.preventDefault(), (drawing = null)));
   canvas.addEventListener("webglcontextrestored", () => ((drawing = new Drawing(canvas)), (stale = true)));
@@ -489,9 +548,20 @@ function stand(still) {
   camera.frame(still);
   placed = true;
   document.documentElement.classList.add("still");
-  for (const element of document.querySelectorAll("[data-still]")) element.textContent = element.dataset.still;
-  find("home").title = "Back to where all of it is seen from (O)";
+  for (const element of document.querySelectorAll("[data-still]")) {
+    element.dataset.moving ??= element.textContent;
+    element.textContent = element.dataset.still;
+  }
+  find("home").title = "Back to where all of it is seen from (R)";
   document.querySelector("[data-mode='2']").title = "Each Gaussian in a colour of its own (3)";
+}
+
+/** Makes the page that of a scene in time again. */
+function run() {
+  document.documentElement.classList.remove("still");
+  for (const element of document.querySelectorAll("[data-moving]")) element.textContent = element.dataset.moving;
+  find("home").title = "Back to the source's view (R)";
+  document.querySelector("[data-mode='2']").title = "Identity (3)";
 }
 
 /** Lets go of the scene and of everything about it. */
@@ -500,6 +570,7 @@ function leave() {
   follow(false);
   choose(null);
   state.shown = null;
+  [placed, placing] = [false, null];
   pace.quick = 1;
   again = 0;
   history.replaceState(null, "", "#");
@@ -512,11 +583,14 @@ function enter() {
   write("title", title);
   if (placement) camera.place(placement);
   if (still) stand(still);
+  else run();
+  camera.bounded = !state.free && !still;
+  find("loop").hidden = live;
+  find("live").hidden = !live;
   listTimes();
   seek(store.span[0]);
   const rests = readAddress() || window.matchMedia("(prefers-reduced-motion: reduce)").matches;
   if (live) {
-    find("live").hidden = false;
     write("facts", "Waiting for the first interval …");
     follow(!rests);
     keepUp();

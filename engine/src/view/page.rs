@@ -32,7 +32,7 @@ const SHADER_FILES: [(&str, &str); 5] = [
 ];
 
 /// The scripts, joined to one module in this order.
-const SCRIPT_FILES: [&str; 14] = [
+const SCRIPT_FILES: [&str; 15] = [
     include_str!("text.js"),
     include_str!("packet.js"),
     include_str!("still.js"),
@@ -46,11 +46,12 @@ const SCRIPT_FILES: [&str; 14] = [
     include_str!("pace.js"),
     include_str!("address.js"),
     include_str!("opening.js"),
+    include_str!("actions.js"),
     include_str!("page.js"),
 ];
 
 /// The scripts of the worker, likewise.
-const WORKER_FILES: [&str; 16] = [
+const WORKER_FILES: [&str; 17] = [
     include_str!("text.js"),
     include_str!("packet.js"),
     include_str!("still.js"),
@@ -65,6 +66,7 @@ const WORKER_FILES: [&str; 16] = [
     include_str!("dropped/splat.js"),
     include_str!("dropped/zstd.js"),
     include_str!("dropped/spz.js"),
+    include_str!("dropped/container.js"),
     include_str!("dropped/formats.js"),
     include_str!("worker.js"),
 ];

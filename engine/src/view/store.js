@@ -3,12 +3,12 @@
 /** The most bytes of packets kept. */
 const KEPT = 256 * 2 ** 20;
 
-/** A scene inside this file: its intervals are texts that follow the scripts, and may be still to come. */
-class Embedded {
-  constructor(element, helper) {
-    this.description = JSON.parse(element.textContent);
+/** A scene of chunks, of which each may need the one before it. */
+class Chunked {
+  constructor(description, helper) {
+    this.description = description;
     this.helper = helper;
-    /** The interval whose text the worker was given last, on from which it goes without those before. */
+    /** The interval whose chunk the worker was given last, on from which it goes without those before. */
     this.given = -1;
   }
 
@@ -16,8 +16,39 @@ class Embedded {
     return { ...this.description, from, intervals: this.description.intervals.slice(from) };
   }
 
+  async packet(interval) {
+    const parts = [];
+    for (let i = interval; i !== this.given; i--) {
+      parts.unshift(await this.part(i));
+      if (this.isAlone(parts[0])) break;
+    }
+    // No chunk is left to drop where it is the last one again.
+    if (!parts.length) {
+      this.given = -1;
+      return this.packet(interval);
+    }
+    this.given = interval;
+    const { start, end } = this.description.intervals[interval];
+    const { coarseness } = this.description;
+    const place = interval - parts.length + 1;
+    try {
+      const { buffer } = await this.helper.ask({ kind: "parts", interval, place, parts, times: { start, end }, coarseness });
+      return packetIn(buffer);
+    } catch (e) {
+      this.given = -1;
+      throw e;
+    }
+  }
+}
+
+/** A scene inside this file: its intervals are texts that follow the scripts, and may be still to come. */
+class Embedded extends Chunked {
+  constructor(element, helper) {
+    super(JSON.parse(element.textContent), helper);
+  }
+
   /** The text of interval i, once the browser has read it to its end. */
-  text(i) {
+  part(i) {
     const whole = () => {
       const element = document.getElementById(`interval-${i}`);
       if (element && (element.nextSibling || document.readyState !== "loading")) return element.textContent;
@@ -38,35 +69,38 @@ class Embedded {
     });
   }
 
+  /** The ninth byte: whether it needs none before it. */
+  isAlone(text) {
+    return bytesOf(text.slice(0, 12))[8] === 1;
+  }
+
   async packet(interval) {
-    await this.text(interval);
-    if (this.description.still) {
-      const { buffer } = await this.helper.ask({ kind: "still", interval, text: await this.text(interval) });
-      return packetIn(buffer);
-    }
-    const texts = [];
-    for (let i = interval; ; i--) {
-      if (i === this.given) break;
-      texts.unshift(await this.text(i));
-      // The ninth byte: whether it needs the one before.
-      if (bytesOf(texts[0].slice(0, 12))[8]) break;
-    }
-    // No text is left to drop where it is the last one again.
-    if (!texts.length) {
-      this.given = -1;
-      return this.packet(interval);
-    }
-    this.given = interval;
-    const { start, end } = this.description.intervals[interval];
-    const { coarseness } = this.description;
-    const place = interval - texts.length + 1;
-    try {
-      const { buffer } = await this.helper.ask({ kind: "texts", interval, place, texts, times: { start, end }, coarseness });
-      return packetIn(buffer);
-    } catch (e) {
-      this.given = -1;
-      throw e;
-    }
+    if (!this.description.still) return super.packet(interval);
+    const { buffer } = await this.helper.ask({ kind: "still", interval, text: await this.part(interval) });
+    return packetIn(buffer);
+  }
+}
+
+/** A container that was opened on the page. */
+class Contained extends Chunked {
+  constructor(file, about, chunks, helper) {
+    super({ ...about, title: file.name }, helper);
+    this.file = file;
+    this.chunks = chunks;
+  }
+
+  /** A chunk as a page's text has it: after its key frame, and whether it is independent. */
+  async part(i) {
+    const { at, bytes, keyFrame, alone } = this.chunks[i];
+    const part = new Uint8Array(9 + bytes);
+    new DataView(part.buffer).setBigUint64(0, BigInt(keyFrame), true);
+    part[8] = alone ? 1 : 0;
+    part.set(new Uint8Array(await this.file.slice(at, at + bytes).arrayBuffer()), 9);
+    return part;
+  }
+
+  isAlone(part) {
+    return part[8] === 1;
   }
 }
 

@@ -29,13 +29,13 @@ const WORK = {
   /** A file that was opened on the page. */
   file({ ticket, file, most, axes }) {
     opened(file, most, axes).then(
-      ({ buffer, ...still }) => taken(ticket, 0, buffer, { still }),
+      ({ buffer, about, chunks, ...still }) => (buffer ? taken(ticket, 0, buffer, { still }) : postMessage({ ticket, about, chunks })),
       (e) => postMessage({ ticket, error: e.message }),
     );
   },
 
-  /** The texts of the intervals that end with this one. */
-  texts({ ticket, interval, ...rest }) {
+  /** The chunks of the intervals that end with this one, as texts or bytes. */
+  parts({ ticket, interval, ...rest }) {
     queue = queue.then(async () => {
       try {
         taken(ticket, interval, await chunks.take(rest));

@@ -135,6 +135,27 @@ function chunk(count) {
   );
 }
 
+/** A container of one chunk each: header, chunks, index and trailer, without digests, which the page does not compare. */
+function container(chunks, backs) {
+  const header = Buffer.alloc(16);
+  header.write("ssplat\x1a\n", "latin1");
+  header.writeUInt32LE(3, 8);
+  const index = Buffer.alloc(44 + 96 * chunks.length);
+  index.writeDoubleLE(24);
+  [144, 256, 144, 256, 0, 0, 144, 256, chunks.length].forEach((word, k) => index.writeUInt32LE(word, 8 + 4 * k));
+  let at = header.length;
+  chunks.forEach((bytes, i) => {
+    const entry = 44 + 96 * i;
+    [at, bytes.length].forEach((word, k) => index.writeUInt32LE(word, entry + 8 * k));
+    [i / 24, (i + 1) / 24].forEach((time, k) => index.writeDoubleLE(time, entry + 16 + 8 * k));
+    [[32, i], [48, 40], [56, backs[i]]].forEach(([field, word]) => index.writeUInt32LE(word, entry + field));
+    at += bytes.length;
+  });
+  const trailer = Buffer.alloc(48);
+  [at, index.length].forEach((word, k) => trailer.writeUInt32LE(word, 8 * k));
+  return Buffer.concat([header, ...chunks, index, trailer]);
+}
+
 const ONES = new Array(21).fill(1);
 const PLACE = { index: 3, start: 0, end: 1, coarseness: ONES };
 const whole = (bytes) => new Uint8Array(bytes).buffer;
@@ -169,6 +190,17 @@ export function readers() {
     splat: file("a.splat", [splat(1), splat(20)]),
     spz: file("a.spz", [spz(2, 3, 0), spz(3, 3, 0), spz(3, 2, 1), spz(2, 2, 3), spz(3, 2, 4)], zipped),
     spz4: file("a.spz", [spz4(1, 0), spz4(3, 1), spz4(2, 3)]),
+    // The index alone: chunks have a reader of their own.
+    ssz: {
+      seeds: [container([chunk(1)], [0]), container([chunk(40), chunk(40), chunk(40)], [0, 1, 0])],
+      refusal: own,
+      async read(bytes) {
+        const { about, chunks } = await opened(new Bytes(bytes, "a.ssz"), MOST);
+        check(chunks.length === about.intervals.length && chunks[0].alone, "an interval for each chunk, the first of which needs none");
+        check(chunks.every(({ at, bytes: length }) => at >= 16 && at + length <= bytes.length - 48), "chunks inside of the file");
+        check(about.intervals.every(({ start, end, gaussians }) => start <= end && gaussians <= MOST), "intervals in order");
+      },
+    },
     zstd: {
       seeds: FRAMES,
       refusal: (error) => error.constructor === Error && /^damaged: [^\n]+$/.test(error.message),

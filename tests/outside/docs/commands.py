@@ -25,6 +25,7 @@ from pathlib import Path
 REPLACED = {
     "-f v4l2 -i /dev/video0": "-i clip.mp4",
     "trained 5000000 large.ply": "trained 5000 $PWD/large.ply",
+    "python3 examples/ray_long.py": "$WITH_PACKAGE examples/ray_long.py",
     "large.py streamsplat other-build/streamsplat": "large.py streamsplat streamsplat --scene large.ply --rounds 1",
 }
 # Beginnings of commands → what runs them.
@@ -86,6 +87,8 @@ def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
         subprocess.run([program, "run", scratch / "FOLDER", "--frames", "2", "--out", folder, "--quiet"], check=True)
         subprocess.run([program, "export", folder, "--format", "ply", "--times", "0", "--out", scratch / "garden.ply"], check=True,
                        stdout=subprocess.DEVNULL)
+    # Somebody's scene has no camera of ours.
+    (scratch / "garden.ply.camera.json").unlink()
     cameras_of_others(scratch, root)
     tools = scratch / ".tools"
     tools.mkdir()
@@ -174,7 +177,7 @@ def main() -> int:
     pages = [root / "README.md", *sorted((root / "docs").glob("*.md"))]
     used: set[str] = set()
     with tempfile.TemporaryDirectory() as scratch:
-        ran, failed = recipes(recipe_page, Path(scratch), prepare(Path(scratch), root, program), pythons, used)
+        ran, failed = recipes(recipe_page, Path(scratch), {**prepare(Path(scratch), root, program), "WITH_PACKAGE": pythons[0]}, pythons, used)
     print(f"{ran} steps of recipes, {failed} failed")
     pages.remove(recipe_page)
     for page in pages:

@@ -397,7 +397,7 @@ async function files(address) {
   }
   // By key and by button, and of two the later.
   own.on("filechooser", (chooser) => chooser.setFiles(source));
-  for (const ask of [() => own.keyboard.press("f"), () => own.locator("#open").click()]) {
+  for (const ask of [() => own.keyboard.press("o"), () => own.locator("#open").click()]) {
     await own.evaluate(() => (document.getElementById("interface").hidden = false));
     await drop(own, ["earlier.splat", readFileSync(paths[2])]);
     await ask();
@@ -442,7 +442,7 @@ async function refused(page, [ply, packed, splat], newer) {
     ["endless.ply", Buffer.concat([Buffer.from("ply\n"), Buffer.alloc(70_000, 32)]), "header: expected end_header within the first 4194304 bytes"],
     ["cut.compressed.ply", compressed.subarray(0, -5), "element sh: expected 4000 of 45 bytes each"],
     ["many.compressed.ply", changed(compressed, "chunk 16", "chunk 99"), "element sh: expected 4000 of 45 bytes each"],
-    ["magic.compressed.ply", changed(compressed, "ply", "plx"), 'format: expected PLY, compressed PLY, SPZ or splat, found a file that begins with "plx\\nform"'],
+    ["magic.compressed.ply", changed(compressed, "ply", "plx"), 'format: expected PLY, compressed PLY, SPZ, splat or ssz, found a file that begins with "plx\\nform"'],
     ["cut.splat", records.subarray(0, -5), `file: expected records of 32 bytes, found ${records.length - 5} bytes`],
     ["negative.splat", negative, "record 1: expected standard deviations of 0 or more, found -1"],
     ["nowhere.splat", Buffer.alloc(32, 255), "centres: expected Gaussians at finite places, found none to look at"],
@@ -576,6 +576,7 @@ async function live() {
 async function narrow(address) {
   const phone = await open(browser, [390, 844], log);
   await visit(phone, address, { t: 0.25 });
+  await phone.locator("#more").click();
   await phone.screenshot({ path: `${scratch}/390x844.png` });
   const middle = 844 / 2;
   for (const control of await phone.locator("button:visible, select:visible, #time").all()) {

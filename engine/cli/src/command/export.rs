@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use serde_json::json;
 use streamsplat::export::{Options, SpzVersion};
+use streamsplat::fit::Placement;
 use streamsplat::import::{self, FORMATS, Opened};
 use streamsplat::output::{prepare_folder, write_file};
 use streamsplat::render::Snapshot;
@@ -13,7 +15,7 @@ use crate::command::still;
 use crate::console::failure::Failure;
 use crate::console::opening::{open_along, say_of};
 use crate::console::progress::Progress;
-use crate::console::{Console, say};
+use crate::console::{Console, count, say};
 use crate::options::args::ExportArgs;
 use crate::options::times;
 use streamsplat::run::options::Times;
@@ -101,11 +103,18 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     let axes = args.reading.axes()?;
     let scene = match open_along(&args.scene, &args.limit.limits(), axes, Some(&workers), console)? {
         Opened::Moving(scene) => scene,
-        Opened::Still(file) => return still::export(file, format, args, &options, &workers, console),
+        Opened::Still(file) => {
+            refuse_more(args, &format!("{} is a still scene ({})", file.path.display(), file.format))?;
+            return still::export(file, format, args, &options, &workers, console);
+        }
     };
     let Format::Still(of_time) = format else {
-        return container(&scene, args, &workers, console);
+        let limits = args.limit.limits();
+        let more = args.more.iter().map(|path| Ok(import::open_moving(path, &limits)?));
+        let scenes = [Ok(scene)].into_iter().chain(more).collect::<Result<Vec<Scene>, Failure>>()?;
+        return container(&scenes, args, &workers, console);
     };
+    refuse_more(args, "other formats hold one time")?;
     let due = times::of_scene(&scene, asked.as_deref(), args.fps)?;
     let paths: Vec<PathBuf> = if format.is_file(&args.out) {
         if due.len() != 1 {
@@ -148,8 +157,13 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
         progress.step();
     }
     progress.finish();
+    let camera = match &paths[..] {
+        [file] if *file == args.out => beside(file),
+        _ => args.out.join(CAMERA),
+    };
+    write_file(&camera, sources_view(&scene.placement())?.as_bytes())?;
     if noted > 1 {
-        console.note(&[format!("{}: the like of {} more files", args.out.display(), noted - 1)]);
+        console.note(&[format!("{}: the like of {}", args.out.display(), count(noted - 1, "more file"))]);
     }
     if !console.quiet {
         let stopped = if files < due.len() { ", stopped by the user" } else { "" };
@@ -157,13 +171,59 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
             0 => String::new(),
             n => format!(", {n} Gaussians left out with numbers that are not finite"),
         };
-        say(format!("{}: {files} files, {bytes} bytes{left_out}{stopped}", args.out.display()))?;
+        say(format!("{}: {}, {bytes} bytes{left_out}{stopped}", args.out.display(), count(files, "file")))?;
     }
     Ok(())
 }
 
-/// Writes a scene in time as one compressed file.
-fn container(scene: &Scene, args: &ExportArgs, workers: &Workers, console: &Console) -> Result<(), Failure> {
+/// The camera's file in a folder of files of one scene.
+const CAMERA: &str = "source.camera.json";
+/// Distance of a camera with parallel rays, in half widths of the picture: all depths are beyond it.
+const DISTANCE: f64 = 12.0;
+
+/// The camera's file of a single file.
+fn beside(file: &Path) -> PathBuf {
+    let mut name = file.file_name().unwrap_or_default().to_owned();
+    name.push(".camera.json");
+    file.with_file_name(name)
+}
+
+/// The camera that was exported with a file: its own, else that of its folder.
+pub fn camera_of(file: &Path) -> Option<PathBuf> {
+    [beside(file), file.with_file_name(CAMERA)].into_iter().find(|path| path.is_file())
+}
+
+/// The source's own view in the world of exported files, with the size of its frames.
+fn sources_view(placement: &Placement) -> Result<String, Failure> {
+    let Placement { source: [height, width], model, offset, content } = *placement;
+    let aspect = placement.aspect();
+    // Along columns and rows: the content's middle and half its extent.
+    let [x, y] = [1, 0].map(|axis| (2 * offset[axis] + content[axis]) as f64 / model[axis] as f64 - 1.0);
+    let [right, down] = [1, 0].map(|axis| content[axis] as f64 / model[axis] as f64);
+    let camera = json!({
+        "type": "orthographic",
+        "units": "square",
+        "size": [width, height],
+        "position": [aspect * x, y, -DISTANCE * aspect],
+        "half_extent": [aspect * right, down],
+    });
+    Ok(serde_json::to_string_pretty(&camera).map_err(Failure::work)? + "\n")
+}
+
+/// Rates that follow from the times of frames differ so far, as a part of them.
+const ALIKE: f64 = 1e-3;
+
+fn refuse_more(args: &ExportArgs, cause: &str) -> Result<(), Failure> {
+    args.more.first().map_or(Ok(()), |more| {
+        Err(Failure::usage(format!(
+            "{}: expected one scene, or --format ssz for several in time; {cause}",
+            more.display()
+        )))
+    })
+}
+
+/// Writes scenes in time, one after another, as one compressed file.
+fn container(scenes: &[Scene], args: &ExportArgs, workers: &Workers, console: &Console) -> Result<(), Failure> {
     if args.times.is_some() || args.fps.is_some() {
         return Err(Failure::usage("--times, --fps: expected neither, as --format ssz holds the whole scene"));
     }
@@ -171,23 +231,86 @@ fn container(scene: &Scene, args: &ExportArgs, workers: &Workers, console: &Cons
         let message = format!("--out {}: expected a file's name, as --format ssz is one file", args.out.display());
         return Err(Failure::usage(message));
     }
-    let intervals = &scene.index().intervals;
-    let mut writer = ContainerWriter::create(&args.out, scene.index().fps)?;
-    let mut progress = Progress::new("intervals", Some(intervals.len()), console);
-    for i in 0..intervals.len() {
-        if console.stop.asked() {
-            return Err(Failure::work(format!("{}: stopped by the user; nothing was written", args.out.display())));
+    let fps = scenes.first().map_or(0.0, |scene| scene.index().fps);
+    let paths = [&args.scene].into_iter().chain(&args.more);
+    if let Some((path, scene)) = paths.zip(scenes).find(|(_, scene)| (scene.index().fps / fps - 1.0).abs() > ALIKE) {
+        let found = scene.index().fps;
+        return Err(Failure::usage(format!(
+            "{}: expected {fps} frames a second as before, found {found}",
+            path.display()
+        )));
+    }
+    let entries = || scenes.iter().flat_map(|scene| &scene.index().intervals);
+    let mut writer = ContainerWriter::create(&args.out, fps)?;
+    let mut progress = Progress::new("intervals", Some(entries().count()), console);
+    let mut after = After::default();
+    for scene in scenes {
+        let place = after.place(scene, fps);
+        // An interval lists its frames where its own scene's rate does not; another place in time has others.
+        let mut frames = scene.index().frames().unwrap_or_default().into_iter().peekable();
+        for (i, entry) in scene.index().intervals.iter().enumerate() {
+            if console.stop.asked() {
+                return Err(Failure::work(format!("{}: stopped by the user; nothing was written", args.out.display())));
+            }
+            let mut interval = scene.interval(i)?;
+            after.moved(&mut interval, &place);
+            let own: Vec<f64> = std::iter::from_fn(|| frames.next_if(|time| *time <= entry.end)).collect();
+            let listed = if scenes.len() == 1 {
+                entry.frames.clone()
+            } else {
+                own.iter().map(|time| time + place.time).collect()
+            };
+            writer.push_with(&interval, &listed, workers)?;
+            progress.step();
         }
-        writer.push_with(&scene.interval(i)?, &intervals[i].frames, workers)?;
-        progress.step();
     }
     progress.finish();
     let bytes = writer.finish()?.map_or(0, |written| written.bytes);
     if !console.quiet {
-        let of: u64 = intervals.iter().map(|entry| entry.bytes).sum();
-        say(format!("{}: {} intervals, {bytes} bytes of {of}", args.out.display(), intervals.len()))?;
+        let of: u64 = entries().map(|entry| entry.bytes).sum();
+        let intervals = count(entries().count(), "interval");
+        say(format!("{}: {intervals}, {bytes} bytes of {of}", args.out.display()))?;
     }
     Ok(())
+}
+
+/// What scenes before have: one that follows begins after it.
+#[derive(Default)]
+struct After {
+    end: Option<f64>,
+    identities: u64,
+    key_frames: u64,
+}
+
+/// What is added to a scene's times, identities and key frames.
+struct Shift {
+    time: f64,
+    identities: u64,
+    key_frames: u64,
+}
+
+impl After {
+    /// The place of a scene: its own times, unless they begin before the end of what is there.
+    fn place(&self, scene: &Scene, fps: f64) -> Shift {
+        let start = scene.span().0;
+        let time = self.end.filter(|end| start <= *end).map_or(0.0, |end| end + 1.0 / fps - start);
+        Shift { time, identities: self.identities, key_frames: self.key_frames }
+    }
+
+    /// Moves an interval there, and counts it.
+    fn moved(&mut self, interval: &mut Interval, place: &Shift) {
+        interval.start += place.time;
+        interval.end += place.time;
+        interval.index += place.key_frames;
+        let gaussians = &mut interval.gaussians;
+        let merged = interval.merges.iter_mut().flat_map(|merge| [&mut merge.identity, &mut merge.into]);
+        for identity in gaussians.identity.iter_mut().chain(merged) {
+            *identity += place.identities;
+            self.identities = self.identities.max(*identity + 1);
+        }
+        gaussians.birth.iter_mut().chain(&mut gaussians.frame).for_each(|frame| *frame += place.key_frames);
+        (self.end, self.key_frames) = (Some(interval.end), interval.index + 1);
+    }
 }
 
 /// Files of a longer export in the same folder would pass for this one's.

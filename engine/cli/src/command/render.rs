@@ -185,7 +185,8 @@ pub fn render(
     let scene = match open_along(path, &options.limit.limits(), options.reading.axes()?, Some(&workers), console)? {
         Opened::Moving(scene) => scene,
         Opened::Still(file) => {
-            return still::render(file, place, options, &views, emit, &workers, console, start);
+            let options = still::seen_as_exported(options, path, &mut views, console)?;
+            return still::render(file, place, &options, &views, emit, &workers, console, start);
         }
     };
     let fps = options.fps.unwrap_or(scene.index().fps);

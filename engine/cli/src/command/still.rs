@@ -1,7 +1,7 @@
 //! Still scenes, such as PLY files, in `render`, `export` and `inspect`.
 
 use std::borrow::Cow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde_json::{Value, json};
@@ -13,12 +13,12 @@ use streamsplat::still::{Drawable, Spread};
 use streamsplat::stream::Workers;
 use streamsplat::{Image, Size, run};
 
-use crate::command::export::{Format, refuse_others};
+use crate::command::export::{Format, camera_of, refuse_others};
 use crate::command::render::{Rendered, record};
 use crate::console::failure::Failure;
 use crate::console::opening::say_of;
 use crate::console::progress::Progress;
-use crate::console::{Console, say};
+use crate::console::{Console, count, say};
 use crate::options::args::{ExportArgs, RenderOptions};
 use streamsplat::run::drawing::Drawing;
 use streamsplat::run::options::Times;
@@ -187,6 +187,43 @@ impl Plan {
     }
 }
 
+/// The options with the camera that was exported with the file at `path`, where there is one and no option asks for another view; `views` follows. The size
+/// of its images is the camera file's, unless one was given.
+pub fn seen_as_exported(
+    options: &RenderOptions,
+    path: &Path,
+    views: &mut Views,
+    console: &Console,
+) -> Result<RenderOptions, Failure> {
+    let mut options = options.clone();
+    let others = options.motion.moves() || options.optics.panorama || options.optics.f_stop.is_some();
+    if options.view.camera.is_none() && !others {
+        options.view.camera = camera_of(path);
+        if let Some(camera) = &options.view.camera {
+            say_of(path, &[format!("seen from {}", camera.display())], console);
+        }
+    }
+    let Some(camera) = &options.view.camera else { return Ok(options) };
+    if views.options.size == Size::Model
+        && let Ok(bytes) = std::fs::read(camera)
+        && let Some([width, height]) = serde_json::from_slice(&bytes).ok().as_ref().and_then(size_of)
+    {
+        options.view.size = Some(Size::Exact { width, height });
+    }
+    let seen = options.view.resolve()?;
+    (views.camera, views.options.size) = (seen.camera, seen.options.size);
+    Ok(options)
+}
+
+/// The size of the images of a camera with parallel rays, where its file has one.
+fn size_of(camera: &Value) -> Option<[usize; 2]> {
+    if camera["type"] != "orthographic" {
+        return None;
+    }
+    let [width, height] = [0, 1].map(|at| camera["size"][at].as_u64().and_then(|side| usize::try_from(side).ok()));
+    width.zip(height).map(|(width, height)| [width, height])
+}
+
 /// Everything of a rendering but its record's files: one image, or as many as the camera has places.
 pub fn render(
     file: StillFile,
@@ -286,8 +323,7 @@ pub fn export(
         say_of(path, &written.notes, console);
     }
     if !console.quiet {
-        let files = if paths.len() == 1 { "1 file".to_owned() } else { format!("{} files", paths.len()) };
-        say(format!("{}: {files}, {bytes} bytes", args.out.display()))?;
+        say(format!("{}: {}, {bytes} bytes", args.out.display(), count(paths.len(), "file")))?;
     }
     Ok(())
 }

@@ -148,9 +148,9 @@ fn follow(
     Ok(parts.into_iter().flatten().collect())
 }
 
-/// A line per point. Numbers are the shortest that read back as the same bits.
+/// A line per point, with the units in the names of the columns. Numbers are the shortest that read back as the same bits.
 fn csv(path: &[PathPoint]) -> String {
-    let mut text = String::from("time,identity,x,y,world_x,world_y,world_z,opacity\n");
+    let mut text = String::from("time_s,identity,x_px,y_px,x_half_widths,inverse_depth,z_half_heights,opacity\n");
     for PathPoint { time, identity, pixel: [x, y], world: [wx, wy, wz], opacity } in path {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "{time},{identity},{x},{y},{wx},{wy},{wz},{opacity}");

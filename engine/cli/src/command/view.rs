@@ -1,7 +1,7 @@
 //! `view`: a page that shows a scene, in time or still, in a browser, served or written as one file.
 
 use std::io::{BufWriter, Write};
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -59,12 +59,44 @@ fn show(source: impl Whole + 'static, args: &ViewArgs, console: &Console) -> Res
     let server =
         Server::start(SocketAddr::new(args.host, args.port.unwrap_or(PORT)), &args.allow_host, Arc::new(source))?;
     if !console.quiet {
-        say(format!("http://{}/ (Ctrl-C ends it)", server.address()))?;
+        let address = server.address();
+        say(format!("http://{}/ (Ctrl-C ends it)", reached(address)))?;
+        if let Some(line) = tunnel(address, std::env::var("SSH_CONNECTION").ok().as_deref()) {
+            say(line)?;
+        }
     }
     while !console.stop.asked() {
         std::thread::sleep(LOOK);
     }
     Ok(())
+}
+
+/// An address by which a server is reached that listens on `address`: of one that listens on all, this machine's own in its network, else of this
+/// machine alone.
+fn reached(address: SocketAddr) -> SocketAddr {
+    if !address.ip().is_unspecified() {
+        return address;
+    }
+    // Nothing is sent: the system only looks up from where it would be. The address is one for documentation.
+    let own = || {
+        let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).ok()?;
+        socket.connect((Ipv4Addr::new(192, 0, 2, 1), 9)).ok()?;
+        Some(socket.local_addr().ok()?.ip()).filter(|ip| !ip.is_unspecified())
+    };
+    SocketAddr::new(own().unwrap_or(Ipv4Addr::LOCALHOST.into()), address.port())
+}
+
+/// How another machine gets to the page through ssh: of a server that others may reach, and of one that was started through ssh, whose environment has
+/// `SSH_CONNECTION` (the other side's address and port, then this side's).
+fn tunnel(address: SocketAddr, connection: Option<&str>) -> Option<String> {
+    let here = connection.and_then(|connection| connection.split(' ').nth(2)).map(str::to_owned);
+    if address.ip().is_loopback() && here.is_none() {
+        return None;
+    }
+    let here = here.unwrap_or_else(|| reached(address).ip().to_string());
+    let port = address.port();
+    let end = if address.ip().is_unspecified() { SocketAddr::from((Ipv4Addr::LOCALHOST, port)) } else { address };
+    Some(format!("from another machine: ssh -N -L {port}:{end} {here}, then http://localhost:{port}/"))
 }
 
 /// Tags by which a link to the page shows something: the poster lies beside the page.
@@ -94,6 +126,21 @@ fn write_file(source: &impl Whole, link: &Link, file: &Path) -> Result<u64, Fail
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_server_for_all_has_an_address_and_the_way_through_ssh() {
+        let all: SocketAddr = "0.0.0.0:8707".parse().expect("an address");
+        let found = reached(all);
+        assert!(!found.ip().is_unspecified() && found.port() == 8707, "{found}");
+        let expected = format!("ssh -N -L 8707:127.0.0.1:8707 {}, then http://localhost:8707/", found.ip());
+        assert!(tunnel(all, None).is_some_and(|line| line.ends_with(&expected)));
+        let own: SocketAddr = "127.0.0.1:9".parse().expect("an address");
+        assert_eq!((reached(own), tunnel(own, None)), (own, None));
+        let line = tunnel(own, Some("10.0.0.7 52000 10.0.0.1 22")).expect("a line");
+        assert!(line.contains("ssh -N -L 9:127.0.0.1:9 10.0.0.1,"), "{line}");
+        let six: SocketAddr = "[fd00::1]:9".parse().expect("an address");
+        assert!(tunnel(six, None).is_some_and(|line| line.contains("-L 9:[fd00::1]:9 fd00::1,")));
+    }
 
     #[test]
     fn only_addresses_of_pages_are_taken() {

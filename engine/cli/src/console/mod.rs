@@ -12,4 +12,4 @@ pub mod trace;
 pub mod version;
 
 pub use flags::Console;
-pub use print::{print, say, visible};
+pub use print::{count, print, say, visible};

@@ -13,6 +13,11 @@ pub fn say(line: impl std::fmt::Display) -> Result<(), Failure> {
     print(format!("{}\n", visible(&line.to_string())).as_bytes())
 }
 
+/// A number of things: `1 image`, `2 images`.
+pub fn count(n: usize, what: &str) -> String {
+    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
+}
+
 /// Text for a terminal: control characters, which names and tags of files may hold, are written as escapes, and what is very long is cut.
 /// Lines and tabs stay.
 pub fn visible(text: &str) -> String {

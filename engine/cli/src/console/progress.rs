@@ -1,4 +1,5 @@
-//! A progress bar on a terminal, plain lines otherwise, nothing with `--quiet`.
+//! A progress bar on a terminal, plain lines otherwise, nothing with `--quiet`. A plain line is written where something new was done, and the time left
+//! never climbs.
 
 use std::io::{IsTerminal, Write};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
@@ -6,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 
 use super::flags::Console;
 
@@ -30,22 +31,66 @@ struct State {
     total: Option<usize>,
     done: usize,
     start: Instant,
+    estimate: Estimate,
+    /// What the last plain line said: its count and what was done.
+    said: Option<(usize, &'static str)>,
+}
+
+/// Estimate of the time left.
+#[derive(Default)]
+struct Estimate {
+    /// From the last thing done: seconds since the start, and seconds left then.
+    last: Option<(f64, f64)>,
+    /// The least that was said.
+    said: Option<f64>,
+}
+
+impl Estimate {
+    /// `done` of `total` are done `passed` seconds after the start.
+    fn update(&mut self, passed: f64, done: usize, total: usize) {
+        if done > 0 {
+            self.last = Some((passed, passed / done as f64 * total.saturating_sub(done) as f64));
+        }
+    }
+
+    /// Seconds left, `passed` seconds after the start: at most what was said before. `None` where nothing is known, and where what was said before turned
+    /// out to be less than half of it.
+    fn left(&mut self, passed: f64) -> Option<f64> {
+        let (then, left) = self.last?;
+        let now = (left - (passed - then)).max(0.0);
+        let said = self.said.map_or(now, |said| said.min(now));
+        self.said = Some(said);
+        (now <= 2.0 * said.max(1.0)).then_some(said)
+    }
 }
 
 impl Progress {
     /// Of `total` things called `what`, where the number is known.
     pub fn new(what: &'static str, total: Option<usize>, console: &Console) -> Progress {
         let terminal = std::io::stderr().is_terminal();
-        let state = Arc::new(Mutex::new(State { what, total, done: 0, start: Instant::now() }));
+        let state = Arc::new(Mutex::new(State {
+            what,
+            total,
+            done: 0,
+            start: Instant::now(),
+            estimate: Estimate::default(),
+            said: None,
+        }));
         let bar = (terminal && !console.quiet).then(|| {
             let bar = total.map_or_else(ProgressBar::new_spinner, |n| ProgressBar::new(n as u64));
             let template = if total.is_some() {
-                "{wide_bar} {percent}% {pos}/{len} {msg}, {per_sec}, {eta} left"
+                "{wide_bar} {percent}% {pos}/{len} {msg}, {per_sec}{left}"
             } else {
                 "{spinner} {pos} {msg}, {per_sec}, {elapsed}"
             };
             if let Ok(style) = ProgressStyle::with_template(template) {
-                bar.set_style(style);
+                let state = state.clone();
+                let left = move |_: &ProgressState, out: &mut dyn std::fmt::Write| {
+                    let left = lock(&state).left().map(time).map_or_else(String::new, |left| format!(", {left} left"));
+                    // What cannot be shown is left out.
+                    let _ = out.write_str(&left);
+                };
+                bar.set_style(style.with_key("left", left));
             }
             bar.set_message(what);
             bar.enable_steady_tick(TICK);
@@ -69,7 +114,8 @@ impl Progress {
 
     /// One more is done.
     pub fn step(&mut self) {
-        lock(&self.state).done += 1;
+        let done = lock(&self.state).done + 1;
+        self.advance(done);
         if let Some(bar) = &self.bar {
             bar.inc(1);
         }
@@ -77,9 +123,18 @@ impl Progress {
 
     /// So many are done.
     pub fn reach(&mut self, done: usize) {
-        lock(&self.state).done = done;
+        self.advance(done);
         if let Some(bar) = &self.bar {
             bar.set_position(done as u64);
+        }
+    }
+
+    fn advance(&self, done: usize) {
+        let mut state = lock(&self.state);
+        let passed = state.start.elapsed().as_secs_f64();
+        state.done = done;
+        if let Some(total) = state.total {
+            state.estimate.update(passed, done, total);
         }
     }
 
@@ -118,20 +173,96 @@ impl Drop for Progress {
 }
 
 impl State {
-    /// A plain line: what is done, the share and the time left where the number is known, the time of each.
-    fn say(&self) {
+    fn left(&mut self) -> Option<f64> {
+        let passed = self.start.elapsed().as_secs_f64();
+        self.estimate.left(passed)
+    }
+
+    /// A plain line, unless there is nothing new: what is done, the share and the time left where the number is known, the time of each.
+    fn line(&mut self) -> Option<String> {
+        let now = (self.done, self.what);
+        if self.done == 0 || self.said == Some(now) {
+            return None;
+        }
+        self.said = Some(now);
         let passed = self.start.elapsed().as_secs_f64();
         let each = passed / self.done.max(1) as f64;
         let of = self.total.filter(|&n| n > 0).map(|n| {
             let percent = 100 * self.done.min(n) / n;
-            let left = each * n.saturating_sub(self.done) as f64;
-            let left = if self.done > 0 && self.done < n { format!(", {left:.0} s left") } else { String::new() };
+            let left = self.left().filter(|_| self.done < n).map(time);
+            let left = left.map_or_else(String::new, |left| format!(", {left} left"));
             format!(" of {n} ({percent} %{left})")
         });
-        let _ = writeln!(std::io::stderr(), "{}{} {}, {each:.3} s each", self.done, of.unwrap_or_default(), self.what);
+        Some(format!("{}{} {}, {each:.3} s each", self.done, of.unwrap_or_default(), self.what))
+    }
+
+    fn say(&mut self) {
+        if let Some(line) = self.line() {
+            let _ = writeln!(std::io::stderr(), "{line}");
+        }
+    }
+}
+
+/// Seconds for a reader.
+fn time(seconds: f64) -> String {
+    let seconds = seconds.round() as u64;
+    match seconds {
+        0..=99 => format!("{seconds} s"),
+        _ => format!("{} min {} s", seconds / 60, seconds % 60),
     }
 }
 
 fn lock(state: &Mutex<State>) -> std::sync::MutexGuard<'_, State> {
     state.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plain_line_says_something_new_or_nothing() {
+        let console = Console { quiet: true, ..Console::default() };
+        let mut progress = Progress::new("images", Some(3), &console);
+        let line = |progress: &Progress| lock(&progress.state).line();
+        assert_eq!(line(&progress), None);
+        progress.step();
+        assert!(line(&progress).is_some_and(|line| line.starts_with("1 of 3 (33 %, ")));
+        assert_eq!(line(&progress), None);
+        progress.reach(3);
+        assert!(line(&progress).is_some_and(|line| line.starts_with("3 of 3 (100 %) images, ")));
+        progress.phase("images; finishing the files");
+        assert!(line(&progress).is_some_and(|line| line.contains("finishing")));
+        assert_eq!(line(&progress), None);
+    }
+
+    #[test]
+    fn the_time_left_never_climbs() {
+        // Frames come four at a time, and later ones take longer.
+        let (total, mut done, mut passed) = (100, 0, 3.0);
+        let (mut estimate, mut said) = (Estimate::default(), Vec::new());
+        while done < total {
+            done += 4;
+            estimate.update(passed, done, total);
+            for _ in 0..10 {
+                said.extend(estimate.left(passed));
+                passed += 0.02 * (1.0 + done as f64 / 50.0);
+            }
+        }
+        assert!(said.len() > 100, "{}", said.len());
+        assert!(said.is_sorted_by(|a, b| a >= b), "{said:?}");
+        assert!(said.last().is_some_and(|&left| left < 1.0), "{said:?}");
+    }
+
+    #[test]
+    fn an_estimate_that_was_much_too_low_is_withdrawn_until_it_holds() {
+        let mut estimate = Estimate::default();
+        assert_eq!(estimate.left(1.0), None);
+        estimate.update(1.0, 10, 20);
+        assert_eq!(estimate.left(1.0), Some(1.0));
+        estimate.update(60.0, 11, 20);
+        assert_eq!(estimate.left(60.0), None);
+        estimate.update(61.0, 20, 20);
+        assert_eq!(estimate.left(61.0), Some(0.0));
+    }
 }

@@ -313,6 +313,9 @@ pub struct InspectArgs {
 pub struct ExportArgs {
     /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG, glTF, .splat)
     pub scene: PathBuf,
+    /// Scenes in time that follow it, for --format ssz: all become one scene. One that begins before the end of the one before follows it a frame later
+    #[arg(value_name = "SCENE")]
+    pub more: Vec<PathBuf>,
     /// Format: ply (the layout of 3D Gaussian splatting), compressed-ply, spz, sog, glb, splat (32-byte records), or ssz (the whole scene,
     /// compressed) [default: what the name of the output ends in]
     #[arg(long, value_name = "NAME")]

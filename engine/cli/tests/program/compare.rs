@@ -130,6 +130,11 @@ fn videos_are_compared_frame_by_frame() {
     assert!(fails(&output, 1).contains("1 of 2 frames differ"));
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(said.contains("frame 1: largest difference") && said.contains("at column 0, row 1"), "{said}");
+    // The mean comes last, also where the difference is within the limits.
+    for output in [output, compare(&a, &b, &["--max-abs", "2"])] {
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(said.lines().last().is_some_and(|line| line.starts_with("mean of 2 frames: PSNR ")), "{said}");
+    }
     let output = compare(&a, &c, &[]);
     assert!(fails(&output, 1).contains("1 of 2 frames differ"));
     assert!(String::from_utf8_lossy(&output.stdout).contains("c.y4m has ended, the other has not"));

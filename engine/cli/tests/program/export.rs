@@ -64,13 +64,15 @@ fn a_scene_read_back_exports_what_the_live_one_shows() {
     assert_ne!(expected[1], expected[3]);
 
     let list = ["--times", "0,0.03,0.1,0.15,0.2,0.29", "--threads", "3", "--format"];
+    // The source's own view lies beside the files of each export.
     for (format, write) in
         [("ply", export::ply as fn(&Snapshot) -> Vec<u8>), ("splat", export::splat), ("spz", export::spz)]
     {
         let out = scratch.path(format);
         export_ok(&folder, &out, &[&list[..], &[format]].concat());
         let found = files(&out);
-        assert_eq!(found.len(), times.len());
+        assert_eq!(found.len(), times.len() + 1);
+        assert!(found.contains_key("source.camera.json"));
         for (index, snapshot) in expected.iter().enumerate() {
             assert!(found[&format!("{index:06}.{format}")] == write(snapshot), "{format} {index}");
         }
@@ -84,7 +86,8 @@ fn a_run_emits_the_files_that_its_scene_exports() {
     let (out, again) = (scratch.path("out"), scratch.path("again"));
     run_ok(&clip, &out, &["--quiet", "--gap", "2", "--emit", "ply,scene"]);
     export_ok(&out, &again, &["--format", "ply"]);
-    let (run, exported) = (files(&out), files(&again));
+    let (run, mut exported) = (files(&out), files(&again));
+    assert!(exported.remove("source.camera.json").is_some());
     assert_eq!(exported.len(), 3);
     for (name, bytes) in &exported {
         assert!(&run[&format!("ply/{name}")] == bytes, "{name}");
@@ -176,4 +179,93 @@ fn a_camera_sees_an_exported_file_as_it_sees_the_scene() {
             assert!(scene.iter().max() > scene.iter().min(), "something is seen");
         }
     }
+}
+
+#[test]
+fn an_exported_file_is_rendered_from_where_its_scene_was_filmed() {
+    let scratch = Scratch::new();
+    // Letterboxed above and below, at the sides, and not at all.
+    for (width, height) in [(80, 34), (30, 54), (80, 48)] {
+        let clip = scratch.clip(&format!("clip{width}x{height}"), 2, width, height);
+        let scene = scratch.path(&format!("scene{width}x{height}"));
+        run_ok(&clip, &scene, &["--quiet", "--gap", "1", "--emit", "scene"]);
+        let (folder, one) =
+            (scratch.path(&format!("f{width}x{height}")), scratch.path(&format!("{width}x{height}.ply")));
+        export_ok(&scene, &folder, &["--format", "ply", "--times", "0,0.02"]);
+        export_ok(&scene, &one, &["--times", "0.02"]);
+        let drawn = |of: &Path, name: &str, more: &[&str]| {
+            let image = scratch.path(name);
+            let output = command().arg("render").arg(of).arg("--out").arg(&image).args(more).output();
+            let output = output.expect("the program starts");
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            let image = image::open(image).expect("an image").into_rgb8();
+            (image.dimensions(), image.into_raw(), String::from_utf8_lossy(&output.stderr).into_owned())
+        };
+        let (size, scene, _) = drawn(&scene, "scene.png", &["--times", "0.02", "--size", "source"]);
+        for file in [folder.join("000001.ply"), one.clone()] {
+            let (found, image, said) = drawn(&file, "file.png", &[]);
+            assert_eq!(found, size);
+            assert!(said.contains(": seen from ") && said.contains(".camera.json"), "{said}");
+            let square: f64 = scene.iter().zip(&image).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2)).sum();
+            let decibels = 20.0 * 255f64.log10() - 10.0 * (square / scene.len() as f64).max(1e-9).log10();
+            println!("{width}x{height}: {decibels:.1} dB");
+            // Of the upright clip the source is larger than the model saw it: the scene is widened, which a file cannot be.
+            assert!(decibels > 40.0, "{width}x{height}: {decibels:.1} dB");
+        }
+        // Other views are those that options ask for, and a rendering can be repeated.
+        let (found, _, said) = drawn(&one, "turned.png", &["--turntable", "0.04", "--size", "32x24"]);
+        assert!(found == (32, 24) && !said.contains("seen from"), "{said}");
+        let out = scratch.path("out");
+        let output = command().arg("render").arg(&one).arg("--out").arg(&out).output().expect("the program starts");
+        assert!(output.status.success());
+        assert!(
+            crate::support::json(&out.join("run.json"))["options"]["view"]["camera"]
+                .as_str()
+                .is_some_and(|c| c.ends_with(".camera.json"))
+        );
+        let output = command().arg("verify").arg(&out).output().expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        std::fs::remove_dir_all(&out).expect("there");
+    }
+}
+
+#[test]
+fn scenes_one_after_another_become_one() {
+    let scratch = Scratch::new();
+    let [first, second] = ["first", "second"].map(|name| {
+        let out = scratch.path(name);
+        run_ok(&scratch.clip(&format!("{name}-clip"), 5, 80, 48), &out, &["--quiet", "--gap", "2", "--emit", "scene"]);
+        out
+    });
+    let (one, whole) = (scratch.path("one.ssz"), scratch.path("whole.ssz"));
+    export_ok(&first, &one, &[]);
+    export_ok(&first, &whole, &[second.to_str().expect("UTF-8")]);
+    let (part, whole) = (Scene::open(&one).expect("written"), Scene::open(&whole).expect("written"));
+    let (n, fps) = (part.index().intervals.len(), part.index().fps);
+    assert_eq!(whole.index().intervals.len(), 2 * n);
+    let (frames, own) = (whole.index().frames().expect("few"), part.index().frames().expect("few"));
+    assert_eq!((own.len(), frames.len()), (5, 10));
+    assert!(frames.iter().enumerate().all(|(i, time)| (time - i as f64 / fps).abs() < 1e-9), "{frames:?}");
+    let mut known = 0;
+    for i in 0..n {
+        let (expected, before) = (part.interval(i).expect("written"), whole.interval(i).expect("written"));
+        assert_eq!(before.gaussians, expected.gaussians, "the first is as it is alone");
+        known = known.max(before.gaussians.identity.iter().copied().max().unwrap_or_default());
+    }
+    for i in 0..n {
+        let (expected, after) = (part.interval(i).expect("written"), whole.interval(n + i).expect("written"));
+        assert_eq!(after.gaussians.mean, expected.gaussians.mean);
+        assert_eq!(after.index, expected.index + part.interval(n - 1).expect("written").index + 1);
+        assert!(after.gaussians.identity.iter().all(|&identity| identity > known), "no identity is used twice");
+        assert!(after.gaussians.birth.iter().all(|&birth| birth > expected.index.min(1)));
+    }
+    // Only containers hold several, and only of one rate.
+    let more = second.to_str().expect("UTF-8");
+    let text = fails(&export(&first, &scratch.path("x.ply"), &[more, "--times", "0"]), 2);
+    assert!(text.contains("second: expected one scene, or --format ssz for several in time"), "{text}");
+    let other = scratch.path("other");
+    run_ok(&scratch.clip("other-clip", 3, 80, 48), &other, &["--quiet", "--gap", "2", "--emit", "scene", "--fps", "7"]);
+    let text = fails(&export(&first, &scratch.path("x.ssz"), &[other.to_str().expect("UTF-8")]), 2);
+    assert!(text.contains("other: expected 24 frames a second as before, found 7"), "{text}");
+    assert!(!scratch.path("x.ssz").exists());
 }

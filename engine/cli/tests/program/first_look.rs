@@ -75,6 +75,9 @@ fn a_single_image_has_the_bytes_of_the_one_in_a_folder() {
     assert!(std::fs::read(&png).expect("written") == found["frames/000000.png"]);
     assert!(std::fs::read(&exr).expect("written") == found["exr/000000.exr"]);
     assert_eq!(json(&scratch.path("r.json"))["input"]["size"], serde_json::json!([60, 40]));
+    let output = render(&scene, &png, &["--size", "60x40"]);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(said.contains("x.png: 1 image of 60×40, 1 file, "), "{said}");
     let text = fails(&render(&scene, &png, &["--turntable", "1"]), 2);
     assert!(text.contains("found a single file"), "{text}");
     fails(&render(&scene, &png, &["--emit", "depth"]), 2);

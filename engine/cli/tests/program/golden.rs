@@ -50,6 +50,7 @@ fn a_record_holds_on_every_level_and_thread_count() {
             assert!(output.status.success(), "{}: {}", level.name(), String::from_utf8_lossy(&output.stderr));
             let said = String::from_utf8_lossy(&output.stdout).into_owned();
             assert_eq!(said.lines().filter(|line| line.ends_with("equal")).count(), 4, "{said}");
+            assert_eq!(said.lines().last(), Some(&*format!("{}: equal (4 images)", list.display())), "{said}");
         }
     }
     assert!(!scratch.path("list.failed").exists());

@@ -276,6 +276,12 @@ fn evaluation_reports_key_and_middle_frames_and_baselines() {
     assert_eq!(figures["seen"], false);
     let groups = ["moving", "still"].map(|group| figures["mean"][group]["clips"].as_u64().expect("a count"));
     assert_eq!(groups.iter().sum::<u64>(), 2);
+    // What is printed names what the groups are told apart by.
+    let output =
+        command().arg("eval").arg(scratch.path("clips/b2")).args(["--gap", "3", "--model"]).arg(model()).output();
+    let said = String::from_utf8_lossy(&output.expect("the program starts").stdout).into_owned();
+    let last = said.lines().last().unwrap_or_default();
+    assert!(last.starts_with("1 clip with a cross-fade ") && last.contains(" 26 dB: middle "), "{said}");
     // What stands still is the same in both key frames: the baselines know most of the picture.
     assert!(clips[0]["baselines"]["crossfade"]["psnr"].as_f64().expect("dB") > 15.0);
 }

@@ -10,7 +10,7 @@ use streamsplat_kernels::Level;
 
 use crate::support::{Scratch, command, fails, json, run_ok};
 
-const HEADER: &str = "time,identity,x,y,world_x,world_y,world_z,opacity";
+const HEADER: &str = "time_s,identity,x_px,y_px,x_half_widths,inverse_depth,z_half_heights,opacity";
 
 fn track(scene: &Path, at: &str, point: &str, more: &[&str]) -> std::process::Output {
     command()

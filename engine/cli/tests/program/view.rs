@@ -72,6 +72,22 @@ fn a_scene_is_served_until_terminated_and_the_file_holds_the_same() {
 }
 
 #[test]
+fn a_page_for_all_of_a_network_has_an_address_that_answers_and_a_line_for_ssh() {
+    let scratch = Scratch::new();
+    let (scene, _) = crate::still::prepared(&scratch);
+    let mut view = command();
+    view.arg("view").arg(&scene).args(["--host", "0.0.0.0", "--port", "0"]).stdout(Stdio::piped());
+    let mut view = Ending(view.env_remove("SSH_CONNECTION").spawn().expect("the program starts"));
+    let mut lines = BufReader::new(view.0.stdout.take().expect("piped")).lines();
+    let mut line = || lines.next().expect("a line").expect("text");
+    let (first, second) = (line(), line());
+    let address = first.split_whitespace().next().expect("an address");
+    assert!(!address.contains("0.0.0.0:"), "{first}");
+    assert!(get(address, "/").starts_with(b"<!doctype html>"));
+    assert!(second.contains("ssh -N -L ") && second.contains("http://localhost:"), "{second}");
+}
+
+#[test]
 fn a_still_scene_is_served_as_an_instant_without_time() {
     let scratch = Scratch::new();
     let (scene, _) = crate::still::prepared(&scratch);

@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | `SplatRenderMode: mip`, `default` or `2dgs` | trained with anti-aliasing, or without | Brush, splat-transform, this program |
 //! | `antialiased 1` or `0` | the same | Postshot |
+//! | `Vertical Axis: y` or `z` | that axis points up: a note has the `--axes` that show the scene upright; its numbers stay those of its cameras | nerfstudio |
 //! | `streamsplat offset X Y Z` | the origin of the coordinates | this program, in compressed files |
 //!
 //! Letter case is ignored. Of several comments the last one counts.
@@ -18,6 +19,10 @@ pub(super) fn read(comments: &[String], about: &mut About) {
         match &words[..] {
             ["splatrendermode:", "mip"] | ["antialiased", "1"] => about.antialiased = true,
             ["splatrendermode:", "default" | "2dgs"] | ["antialiased", "0"] => about.antialiased = false,
+            ["vertical", "axis:", axis @ ("y" | "z")] => {
+                let axes = if *axis == "y" { "rub" } else { "rfu" };
+                about.notes.push(format!("the file's {axis} axis points up: --axes {axes} shows the scene upright"));
+            }
             ["streamsplat", "offset", numbers @ ..] => {
                 let numbers: Vec<f64> = numbers.iter().filter_map(|word| word.parse().ok()).collect();
                 if let [x, y, z] = numbers[..]

@@ -403,6 +403,19 @@ fn headers_of_other_programs_are_read() {
 }
 
 #[test]
+fn an_axis_that_points_up_is_noted_with_the_axes_that_show_it_upright() {
+    let file = export::still::ply(&still(2, 0));
+    let notes = |comment: &str| {
+        let to = format!("comment {comment}\nelement vertex");
+        ply(&with_header(&file, "element vertex", to.as_bytes())).expect("comments").about.notes
+    };
+    let found = notes("Vertical Axis: z");
+    assert!(found.len() == 1 && found[0].contains("z axis") && found[0].contains("--axes rfu"), "{found:?}");
+    assert!(notes("Vertical Axis: y")[0].contains("--axes rub"));
+    assert!(notes("Vertical Axis: x").is_empty() && notes("made by hand").is_empty());
+}
+
+#[test]
 fn marks_of_antialiased_training_are_read_and_written() {
     let file = export::still::ply(&still(2, 0));
     let of = |comments: &str| {

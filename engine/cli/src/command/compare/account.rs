@@ -7,6 +7,7 @@ use streamsplat::difference::Difference;
 use streamsplat::samples::{self, Pair, Part};
 
 use crate::command::compare::{Outcome, Tolerance};
+use crate::console;
 
 /// Maximum number of lines printed about pictures that differ.
 const LINES: usize = 20;
@@ -160,11 +161,9 @@ impl Account {
         }
         let mut lines = self.notes.clone();
         lines.append(&mut self.lines);
-        if let Some(line) = self.mean.line(what).filter(|_| differing > 0) {
-            lines.push(line);
-        }
+        let counted = console::count(count, what.trim_end_matches('s'));
         let summary = match (differing, failed) {
-            (0, _) => format!("equal ({count} {what})"),
+            (0, _) => format!("equal ({counted})"),
             (n, 0) => format!("{n} of {count} {what} differ, within the limits"),
             (n, m) if n == m => format!("{n} of {count} {what} differ"),
             (n, m) => format!("{n} of {count} {what} differ, {m} beyond the limits"),
@@ -174,6 +173,7 @@ impl Account {
             passed: failed == 0,
             summary,
             lines,
+            mean: self.mean.line(what).filter(|_| differing > 0),
             json: json!({ "kind": what, "equal": differing == 0, "notes": self.notes, "mean": mean, "pictures": self.pictures }),
             worst: self.worst.map(|(_, a, b)| (a, b)),
         }

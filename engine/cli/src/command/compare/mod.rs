@@ -83,6 +83,8 @@ struct Outcome {
     summary: String,
     /// Lines for a reader.
     lines: Vec<String>,
+    /// The mean over several pictures that differ, which comes last.
+    mean: Option<String>,
     /// The same for a program.
     json: Value,
     /// The two pictures that are farthest apart, where they have one size.
@@ -129,7 +131,7 @@ pub fn command(args: &CompareArgs, console: &Console) -> Result<(), Failure> {
     if let (Some(path), Some((a, b))) = (&args.heat, &outcome.worst) {
         write_file(path, &picture_png(&streamsplat::difference::heat(a, b)))?;
     }
-    let Outcome { passed, summary, lines, json, .. } = outcome;
+    let Outcome { passed, summary, lines, mean, json, .. } = outcome;
     // Names that are not UTF-8 have no exact text.
     let [a, b] = [a, b].map(|path| path.to_string_lossy());
     let mut found = json!({ "a": a, "b": b, "passed": passed, "summary": summary });
@@ -148,6 +150,7 @@ pub fn command(args: &CompareArgs, console: &Console) -> Result<(), Failure> {
                 if passed {
                     say(&summary)?;
                 }
+                mean.map_or(Ok(()), say)?;
             }
         }
     }

@@ -9,6 +9,7 @@ use streamsplat::still::Still;
 use streamsplat::stream::{Interval, Workers};
 
 use crate::command::compare::Outcome;
+use crate::console;
 use crate::console::failure::Failure;
 use streamsplat::run::digest;
 
@@ -126,7 +127,7 @@ pub fn compare(a: &Path, b: &Path, limits: &Limits, workers: &Workers) -> Result
 
 fn outcome(equal: bool, summary: String, lines: Vec<String>, found: Vec<Value>) -> Outcome {
     let json = json!({ "kind": "scenes", "equal": equal, "differences": found });
-    Outcome { passed: equal, summary, lines, json, worst: None }
+    Outcome { passed: equal, summary, lines, mean: None, json, worst: None }
 }
 
 fn still(a: &StillFile, b: &StillFile) -> Outcome {
@@ -151,8 +152,8 @@ fn still(a: &StillFile, b: &StillFile) -> Outcome {
     columns("", &of_still(&a.still), &of_still(&b.still), &mut lines, &mut found);
     let count = first.0;
     let summary = match (lines.len(), a.blake3 == b.blake3) {
-        (0, true) => format!("equal ({count} Gaussians, every byte)"),
-        (0, false) => format!("equal ({count} Gaussians; other bytes of the files differ)"),
+        (0, true) => format!("equal ({}, every byte)", console::count(count, "Gaussian")),
+        (0, false) => format!("equal ({}; other bytes of the files differ)", console::count(count, "Gaussian")),
         (n, _) => format!("{n} properties of {count} Gaussians differ"),
     };
     outcome(lines.is_empty(), summary, lines, found)
@@ -198,9 +199,9 @@ fn moving(a: &Scene, b: &Scene) -> Result<Outcome, Failure> {
         columns(&part, &of_interval(&one), &of_interval(&other), &mut lines, &mut found);
     }
     let summary = match lines.len() {
-        0 if whole => format!("equal ({count} intervals, every byte)"),
-        0 => format!("equal ({count} intervals; other bytes of the files differ)"),
-        n => format!("{n} differences in {count} intervals"),
+        0 if whole => format!("equal ({}, every byte)", console::count(count, "interval")),
+        0 => format!("equal ({}; other bytes of the files differ)", console::count(count, "interval")),
+        n => format!("{} in {}", console::count(n, "difference"), console::count(count, "interval")),
     };
     Ok(outcome(lines.is_empty(), summary, lines, found))
 }

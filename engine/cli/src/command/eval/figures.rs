@@ -207,7 +207,8 @@ pub(super) struct GroupScore {
     pub(super) psnr: Option<f64>,
 }
 
-/// Cross-fade of clips that are called still, in dB, at least.
+/// PSNR of the cross-fade, in dB, from which on a clip belongs to the group `still`: its neighbouring frames are alike. A camera held by hand may be among
+/// them.
 pub(super) const MOVING: f64 = 26.0;
 
 impl Group {

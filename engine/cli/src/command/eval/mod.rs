@@ -21,7 +21,7 @@ use streamsplat::{Engine, Image, Size};
 
 use crate::console::failure::Failure;
 use crate::console::progress::Progress;
-use crate::console::{Console, say};
+use crate::console::{Console, count, say};
 use crate::options::args::EvalArgs;
 use streamsplat::run::ahead::Ahead;
 use streamsplat::run::closeness;
@@ -37,7 +37,7 @@ mod baselines;
 mod figures;
 
 use baselines::{FlowBlend, Placed, mix};
-use figures::{ClipFigures, Group, HEADING, IntervalFigures, Sums, line};
+use figures::{ClipFigures, Group, HEADING, IntervalFigures, MOVING, Sums, line};
 
 /// Side of the pictures that are compared.
 const SIDE: usize = closeness::SIDE;
@@ -114,12 +114,13 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     (mean.moving, mean.still) = (Some(Group::of(&rows, true)), Some(Group::of(&rows, false)));
     if !console.quiet {
         say(line(&mean))?;
-        for (name, group) in [("moving", &mean.moving), ("still", &mean.still)] {
+        for (rule, group) in [("under", &mean.moving), ("of at least", &mean.still)] {
             if let Some(Group { clips: clips @ 1.., middle, over_crossfade, worst_over_crossfade }) = group {
                 let [psnr, over, worst] =
                     [middle.psnr, *over_crossfade, *worst_over_crossfade].map(Option::unwrap_or_default);
                 say(format!(
-                    "{name} clips ({clips}): middle {psnr:.2} dB at 256×256, {over:+.2} over the cross-fade, least {worst:+.2}"
+                    "{} with a cross-fade {rule} {MOVING} dB: middle {psnr:.2} dB at 256×256, {over:+.2} over the cross-fade, least {worst:+.2}",
+                    count(*clips, "clip")
                 ))?;
             }
         }

@@ -24,7 +24,7 @@ use self::record::{Golden, GoldenImage, GoldenRender, PreviewFile};
 use crate::command::render::Stretch;
 use crate::command::still;
 use crate::console::failure::Failure;
-use crate::console::{Console, print, say};
+use crate::console::{Console, count, print, say};
 use crate::options::args::{GoldenAction, GoldenArgs, GoldenCheckArgs, GoldenRecordArgs};
 use crate::options::times;
 use streamsplat::run::digest;
@@ -99,7 +99,7 @@ fn record(args: &GoldenRecordArgs, console: &Console) -> Result<(), Failure> {
         })
         .map_err(|e| named(&render.name, e))?;
         if !console.quiet {
-            say(format!("{}: {} images", render.name, images.len()))?;
+            say(format!("{}: {}", render.name, count(images.len(), "image")))?;
         }
         golden.renders.insert(render.name.clone(), GoldenRender { scene, images });
     }
@@ -120,7 +120,8 @@ fn record(args: &GoldenRecordArgs, console: &Console) -> Result<(), Failure> {
         }
     }
     if !console.quiet {
-        say(format!("{}: {} renders, bit contract {}", folder.display(), renders.len(), golden.bit_contract))?;
+        let renders = count(renders.len(), "render");
+        say(format!("{}: {renders}, bit contract {}", folder.display(), golden.bit_contract))?;
     }
     Ok(())
 }
@@ -251,7 +252,10 @@ fn compare(
         Ok(scene) => {
             let missing = expected.images.len().saturating_sub(rows.len());
             if missing > 0 {
-                rows.push(Check::failed(&render.name, format!("{missing} recorded images are not drawn any more")));
+                rows.push(Check::failed(
+                    &render.name,
+                    format!("{}: not drawn any more", count(missing, "recorded image")),
+                ));
             }
             if scene != expected.scene {
                 let differ = rows.iter().any(|row| row.failure.is_some());
@@ -311,7 +315,8 @@ fn check(args: &GoldenCheckArgs, console: &Console) -> Result<(), Failure> {
     }
     let beside = if failures.prepared { format!("; see {}", folder.display()) } else { String::new() };
     let contract = contract.map_or_else(String::new, |contract| format!("; {contract}"));
-    Err(Failure::work(format!("{}: {failed} of {} checks failed{beside}{contract}", args.file.display(), rows.len())))
+    let of = count(rows.len(), "check");
+    Err(Failure::work(format!("{}: {failed} of {of} failed{beside}{contract}", args.file.display())))
 }
 
 /// The table, or JSON.
@@ -357,6 +362,9 @@ fn show(
     for row in rows {
         let result = row.failure.as_deref().unwrap_or("equal");
         say(format!("{:width$}  {:column$}  {result}", row.render, row.image()))?;
+    }
+    if passed {
+        say(format!("{}: equal ({})", args.file.display(), count(rows.len(), "image")))?;
     }
     Ok(())
 }
