@@ -131,13 +131,18 @@ def compare(o, stage, precision, module, inputs, truth, program, model, file, pe
         for runner, t in zip(runners, times):
             t.append(seconds(runner))
     rows = []
+    def summary(values):
+        return dict(min=min(values), median=statistics.median(values), max=max(values))
+
     for runner, error, t in zip(runners, errors, times):
-        ratios = [a / b for a, b in zip(times[0], t)]
+        (clock, processor), ours = zip(*t), list(zip(*times[0]))
+        ratios = [[a / b for a, b in zip(ours[i], theirs)] for i, theirs in enumerate((clock, processor))]
         rows.append(dict(stage=stage, precision=precision, runner=runner.name, relative_l2=error,
-                         seconds=dict(min=min(t), median=statistics.median(t), max=max(t)),
-                         ours_over_this=dict(min=min(ratios), median=statistics.median(ratios), max=max(ratios))))
+                         seconds=summary(clock), ours_over_this=summary(ratios[0]),
+                         processor=summary(processor), processor_ours_over_this=summary(ratios[1])))
         print('{stage:10} {precision:5} {runner:12} error {relative_l2:.1e}'.format(**rows[-1]),
-              'median {median:8.4f} s'.format(**rows[-1]['seconds']), 'ours/this {median:.3f} ({min:.3f}–{max:.3f})'.format(**rows[-1]['ours_over_this']), flush=True)
+              'median {median:8.4f} s'.format(**rows[-1]['seconds']), 'ours/this {median:.3f} ({min:.3f}–{max:.3f})'.format(**rows[-1]['ours_over_this']),
+              'processor {median:8.4f} s'.format(**rows[-1]['processor']), 'ours/this {median:.3f} ({min:.3f}–{max:.3f})'.format(**rows[-1]['processor_ours_over_this']), flush=True)
     return rows
 
 

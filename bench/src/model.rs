@@ -8,7 +8,10 @@ use streamsplat::stream::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
 use streamsplat_fixtures::seeded::{self, Sizes, uniform};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Gaussians, Projection, Request, render};
+use streamsplat_model::checkpoint::Checkpoint;
 use streamsplat_model::{Deformation, Dino, FrameInput, LoadOptions, Network, Sampling, Side, StaticGaussians, motion};
+
+use crate::timing::{Spent, Stopwatch};
 
 /// The model.
 #[derive(Clone, Copy, Debug)]
@@ -21,6 +24,67 @@ pub(crate) enum Which<'a> {
     Seeded,
     /// A checkpoint, with DINOv2's weights where it is conditioned on them.
     File { checkpoint: &'a Path, dinov2: Option<&'a Path> },
+}
+
+impl Which<'_> {
+    /// Calls `work` with the network's checkpoint.
+    pub(crate) fn with_checkpoint<R>(self, work: impl FnOnce(&Checkpoint) -> R) -> Result<R> {
+        Ok(match self {
+            Which::Small => work(&Checkpoint::from_storage(EMBEDDED_CHECKPOINT, "the embedded model")?),
+            Which::Paper => {
+                let file = Temporary::new("binary64", |out| Sizes::paper().write(31, "model.", out))?;
+                work(&Checkpoint::open(file.path())?)
+            }
+            Which::Seeded => work(&Checkpoint::from_storage(seeded_network()?, "seeded weights")?),
+            Which::File { checkpoint, .. } => work(&Checkpoint::open(checkpoint)?),
+        })
+    }
+}
+
+/// Sizes of [`Which::Seeded`].
+fn seeded_sizes() -> Sizes {
+    Sizes {
+        hidden_dim: 64,
+        encoder_layers: 1,
+        decoder_layers: 1,
+        resolution: [16, 32],
+        upsampler_window: 32,
+        encoder_window: None,
+        features: None,
+        truncated_normal: false,
+    }
+}
+
+fn seeded_network() -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    seeded_sizes().write(31, "model.", &mut bytes).context("seeded weights")?;
+    Ok(bytes)
+}
+
+/// Times from a model's files, in the system's cache, to the tokens of a first frame, `repeat` of them. Nothing for models in memory.
+pub(crate) fn loading(which: Which<'_>, load: &LoadOptions, repeat: usize) -> Result<Vec<Spent>> {
+    let time = |checkpoint: &Path, dinov2: Option<&Path>| -> Result<Vec<Spent>> {
+        let mut spent = Vec::new();
+        for _ in 0..repeat.max(1) {
+            let watch = Stopwatch::start();
+            let network = Network::open(checkpoint, load)?;
+            let dino = dinov2.map(|file| Dino::open(file, load)).transpose()?;
+            let [rgb, _] = noise(network.config().resolution)?;
+            let tokens = network.session(None).tokenize(&FrameInput { rgb: &rgb, depth: None })?;
+            std::hint::black_box((tokens, dino));
+            spent.push(watch.stop());
+        }
+        Ok(spent)
+    };
+    match which {
+        Which::Small | Which::Seeded => Ok(Vec::new()),
+        Which::Paper => {
+            let network = Temporary::new("paper", |out| Sizes::paper().write(31, "model.", out))?;
+            let dino = Temporary::new("dino", |out| seeded::write(&seeded::dino_shapes(768, 12), 32, "", out))?;
+            time(network.path(), Some(dino.path()))
+        }
+        Which::File { checkpoint, dinov2 } => time(checkpoint, dinov2),
+    }
 }
 
 /// Two frames of noise.
@@ -85,21 +149,7 @@ impl Model {
     ) -> Result<Model> {
         let (network, dino) = match which {
             Which::Small => (Network::from_parts(EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG, load)?, None),
-            Which::Seeded => {
-                let sizes = Sizes {
-                    hidden_dim: 64,
-                    encoder_layers: 1,
-                    decoder_layers: 1,
-                    resolution: [16, 32],
-                    upsampler_window: 32,
-                    encoder_window: None,
-                    features: None,
-                    truncated_normal: false,
-                };
-                let mut bytes = Vec::new();
-                sizes.write(31, "model.", &mut bytes).context("seeded weights")?;
-                (Network::from_parts(bytes, &sizes.json().to_string(), load)?, None)
-            }
+            Which::Seeded => (Network::from_parts(seeded_network()?, &seeded_sizes().json().to_string(), load)?, None),
             Which::Paper => {
                 let file = Temporary::new("paper", |out| Sizes::paper().write(31, "model.", out))?;
                 let network = Network::open(&file.0, load)?;

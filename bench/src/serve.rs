@@ -1,18 +1,19 @@
 //! Stages of the network on request, for comparisons that are driven from outside.
 //!
 //! Reads one JSON object per line on standard input, `{"stage": "encoder|upsampler|decoder|dinov2"}`, runs that stage once on its
-//! input, and answers with `{"seconds": …}`. With `"write": FILE` the output goes there as the tensor `out`. Served is either a
+//! input, and answers with `{"seconds": …, "processor": …}`, the latter of all threads. With `"write": FILE` the output goes there as the tensor `out`. Served is either a
 //! StreamSplat model or a DINOv2 file, whose only stage is `dinov2`: frame to patch tokens.
 
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::Deserialize;
 use streamsplat_model::{Dino, LoadOptions, Network, Precision, Side};
+
+use crate::timing::Stopwatch;
 
 /// Options of `serve`.
 #[derive(Args)]
@@ -64,16 +65,16 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut answers = std::io::stdout().lock();
     for line in std::io::stdin().lock().lines() {
         let request: Request = serde_json::from_str(&line?).context("a request on standard input")?;
-        let start = Instant::now();
+        let watch = Stopwatch::start();
         let out = pool.install(|| served.run(&request.stage))?;
-        let seconds = start.elapsed().as_secs_f64();
+        let spent = watch.stop();
         if let Some(path) = request.write {
             let columns = served.columns(&request.stage);
             let bytes: Vec<u8> = out.iter().flat_map(|x| x.to_le_bytes()).collect();
             let view = TensorView::new(Dtype::F32, vec![out.len() / columns, columns], &bytes)?;
             safetensors::serialize_to_file([("out", view)], None, &path)?;
         }
-        writeln!(answers, "{}", serde_json::json!({ "seconds": seconds }))?;
+        writeln!(answers, "{}", serde_json::json!({ "seconds": spent.clock(), "processor": spent.processor() }))?;
         answers.flush()?;
     }
     Ok(())

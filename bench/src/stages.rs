@@ -1,7 +1,7 @@
 //! `stages`: one call of each stage of the network, and one new key frame as a whole.
 //!
 //! `small` is the checkpoint inside the library; `paper` has the published model's sizes and weights from a seed, written to
-//! a temporary file. Before a stage is timed, its result is compared in bits with that of another number of threads.
+//! a temporary file; loading it, from its files in the system's cache to the tokens of a first frame, is the first row. Before a stage is timed, its result is compared in bits with that of another number of threads.
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ use streamsplat_model::{LoadOptions, Precision, zero_output};
 use crate::Common;
 use crate::instructions;
 use crate::machine::{self, Machine};
-use crate::model::{Model, Which, noise};
+use crate::model::{Model, Which, loading, noise};
 use crate::table::{Column, Table};
 use crate::timing::{Seconds, Spent, Stopwatch};
 
@@ -98,6 +98,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let (mut rows, mut peak) = (Vec::new(), 0.0_f64);
     let load = LoadOptions { level: options.common.isa, precision: options.precision, ..LoadOptions::default() };
     let mut all = |which, name| -> Result<()> {
+        if "load".contains(&options.only) {
+            rows.extend(pool.install(|| opening(which, name, &load, options.common.repeat))?);
+        }
+        if options.only == "load" {
+            return Ok(());
+        }
         let model = pool.install(|| Model::load(which, &load, &noise))?;
         let full = match model.network.zero_output().iter().any(|part| part.zero_output > 0) {
             true => {
@@ -130,6 +136,30 @@ fn operands(precision: Precision) -> gemm::Precision {
         Precision::Bf16 => gemm::Precision::Bf16,
         Precision::Int8 => gemm::Precision::Int8,
     }
+}
+
+/// The row of loading a model from files.
+fn opening(which: Which<'_>, size: &'static str, load: &LoadOptions, repeat: usize) -> Result<Option<StageTiming>> {
+    let spent = loading(which, load, repeat)?;
+    if spent.is_empty() {
+        return Ok(None);
+    }
+    let seconds = Seconds::of(spent.iter().map(Spent::clock).collect());
+    let processor = Seconds::of(spent.iter().map(Spent::seconds).collect());
+    let [seconds_cell, processor_cell] = [seconds, processor].map(|s| format!("{:.2}", s.min * 1e3));
+    let none = || "-".to_owned();
+    let cells = ["load".to_owned(), size.to_owned(), none(), seconds_cell, none(), none(), processor_cell, none()];
+    println!("{}", TABLE.line(&cells));
+    Ok(Some(StageTiming {
+        name: "load",
+        size,
+        precision: load.precision.name(),
+        gflop: None,
+        seconds,
+        processor,
+        processor_with_zero_output: None,
+        fraction_of_peak: None,
+    }))
 }
 
 /// Measures `model` and `full`, which computes the same and its zero-output branches too.

@@ -13,7 +13,7 @@
 
 use std::path::Path;
 
-use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as};
+use streamsplat_kernels::attention::{Shape, Windows};
 use streamsplat_kernels::feed_forward::FeedForward;
 use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::patches::patches;
@@ -23,7 +23,8 @@ use tracing::info_span;
 use crate::checkpoint::{Checkpoint, Weights};
 use crate::config::{self, Settings};
 use crate::error::check_input;
-use crate::layers::{Bias, HEAD, LayerNorm, Linear, Workspace, Workspaces, add, sized};
+use crate::layers::{Bias, HEAD, LayerNorm, Linear, Workspace, Workspaces, add, attend_kept, sized};
+use crate::reuse::{BlockCache, PartCache, Pass, Rows};
 use crate::{DinoConfig, DinoFeatures, DinoLayout, LoadOptions, ModelError};
 
 /// DINOv2 with its weights.
@@ -126,7 +127,17 @@ impl Dino {
     ///
     /// # Errors
     /// When the frame has no pixels or not that many values, or some are not finite.
-    pub fn features(&self, rgb: &[f32], [height, width]: [usize; 2]) -> Result<DinoFeatures, ModelError> {
+    pub fn features(&self, rgb: &[f32], size: [usize; 2]) -> Result<DinoFeatures, ModelError> {
+        self.compute(rgb, size, None)
+    }
+
+    /// [`Dino::features`] of some tokens, where a cache holds the others.
+    pub(crate) fn compute(
+        &self,
+        rgb: &[f32],
+        [height, width]: [usize; 2],
+        cache: Option<&mut PartCache>,
+    ) -> Result<DinoFeatures, ModelError> {
         let area = height.saturating_mul(width);
         if area == 0 {
             return Err(ModelError::Input {
@@ -152,9 +163,17 @@ impl Dino {
         self.patch_embed.apply(level, &rows, &mut x[start..]);
         add(&mut x[start..], &self.position);
 
-        self.workspaces.lend(|work| self.blocks.iter().for_each(|block| block.apply(level, &mut x, work)));
-        let mut out = vec![0.0; x.len()];
-        self.norm.apply(level, &x, &mut out);
+        let mut out = self.workspaces.lend(|work| {
+            let (mut pass, mut rows) = Pass::begin(level, cache, false, &x, std::mem::take(&mut work.tokens));
+            for (i, block) in self.blocks.iter().enumerate() {
+                let kept = pass.admit(i, Some(Windows::Full), &mut rows);
+                block.apply(level, &mut rows, kept, work);
+            }
+            let mut normed = vec![0.0; rows.x.len()];
+            self.norm.apply(level, &rows.x, &mut normed);
+            work.tokens = rows.x;
+            pass.finish(rows.at, normed)
+        });
         Ok(DinoFeatures { resized, patch_tokens: out.split_off(start), cls_token: out[..d].to_vec() })
     }
 }
@@ -191,15 +210,22 @@ impl DinoBlock {
         })
     }
 
-    fn apply(&self, level: Level, x: &mut [f32], work: &mut Workspace) {
-        let d = self.proj.n();
-        let n = x.len() / d;
+    /// Takes `rows` through it. `kept` is the block's cache where something is kept.
+    fn apply(&self, level: Level, rows: &mut Rows, kept: Option<&mut BlockCache>, work: &mut Workspace) {
+        let (d, x) = (self.proj.n(), &mut rows.x[..]);
         let qkv = sized(&mut work.projected, 3 * x.len());
         self.qkv.heads_of_normed(level, self.norm1.norm(), x, qkv);
         let mixed = sized(&mut work.mixed, x.len());
-        let [q, k, v] = [0, 1, 2].map(|part| Rows::of_heads(qkv, n, HEAD, part * d / HEAD));
         let shape = Shape { heads: d / HEAD, width: HEAD, windows: Windows::Full };
-        attend_as(self.proj.precision(), level, shape, q, k, v, mixed);
+        attend_kept(
+            self.proj.precision(),
+            level,
+            shape,
+            rows.at.as_deref(),
+            qkv,
+            kept.map(|kept| &mut kept.own),
+            mixed,
+        );
         self.proj.accumulate_scaled(level, mixed, &self.ls1, x);
 
         let mlp = FeedForward {

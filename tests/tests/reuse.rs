@@ -7,7 +7,7 @@ use streamsplat::stream::{ModelSource, Reuse};
 use streamsplat::{Engine, Frame, Interval, Settings};
 use streamsplat_kernels::Level;
 use streamsplat_model::reuse::{Cache, Saving};
-use streamsplat_model::{FrameInput, LoadOptions, Network, Sampling, Session, Side};
+use streamsplat_model::{Dino, DinoSession, FrameInput, LoadOptions, Network, Sampling, Session, Side};
 
 fn checkpoint(name: &str) -> PathBuf {
     streamsplat_fixtures::path(&format!("parity/{name}.safetensors"))
@@ -154,6 +154,8 @@ fn what_is_left_out_within_a_tolerance_depends_on_neither_level_nor_threads() {
         let (expected, engine) = stream(name, Reuse::Within(0.02), Level::scalar(), 1);
         let decoder = engine.work().stage("decoder.tokens").expect("counted");
         assert!(decoder.avoided > 0 && decoder.done > 0, "{name}: {decoder:?}");
+        let dinov2 = engine.work().stage("dinov2.tokens").map(|tokens| tokens.avoided > 0 && tokens.done > 0);
+        assert_eq!(dinov2, (name == "tiny-dino").then_some(true), "{name}");
         for level in Level::available() {
             for threads in [1, 3] {
                 let (found, _) = stream(name, Reuse::Within(0.02), level, threads);
@@ -173,5 +175,49 @@ fn a_stream_with_exact_reuse_gives_the_bits_of_one_without() {
         let (without, _) = stream(name, Reuse::Off, Level::detect(), 2);
         assert!(with.iter().zip(&without).all(|(a, b)| a.gaussians == b.gaussians && a.merges == b.merges), "{name}");
         assert_eq!(engine.work().stage("encoder.tokens").is_some(), name == "tiny-window");
+    }
+}
+
+#[test]
+fn features_of_dinov2_are_computed_anew_where_a_frame_changed_and_the_same_on_every_level() {
+    let (size, pixels) = ([32, 64], 3 * 32 * 64);
+    let pictures: Vec<Vec<f32>> = [8, 8, 24].map(|x| picture(size, x)).to_vec();
+    let error = |a: &[f32], b: &[f32]| {
+        let square = |x: f32| f64::from(x) * f64::from(x);
+        let difference: f64 = a.iter().zip(b).map(|(a, b)| square(a - b)).sum();
+        (difference / b.iter().map(|b| square(*b)).sum::<f64>()).sqrt()
+    };
+    let mut first: Option<Vec<Vec<u32>>> = None;
+    for level in Level::available() {
+        let dino =
+            Dino::open(checkpoint("dino-tiny"), &LoadOptions { level, ..LoadOptions::default() }).expect("loads");
+        let plain = |rgb: &[f32]| dino.features(rgb, size).expect("features").patch_tokens;
+        for (threads, saving) in [(1, Saving::Within(1e-3)), (3, Saving::Within(1e-3)), (2, Saving::Exact)] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            let mut session = DinoSession::new(&dino, Some(saving));
+            let mut take = |rgb: &[f32]| pool.install(|| session.features(rgb, size).expect("features").patch_tokens);
+            let found: Vec<Vec<f32>> = pictures.iter().map(|rgb| take(rgb)).collect();
+            let [same, moved] = [1, 2].map(|k| plain(&pictures[k]));
+            assert!(bits(&found[0]) == bits(&same) && bits(&found[1]) == bits(&same), "{level}");
+            if saving == Saving::Exact {
+                assert!(bits(&found[2]) == bits(&moved) && session.tokens().is_none(), "{level}");
+                continue;
+            }
+            let (kept, stale) = (error(&found[2], &moved), error(&same, &moved));
+            assert!(kept < 0.7 * stale, "{level}: {kept} of {stale}");
+            let tokens = session.tokens().expect("counted");
+            assert!(tokens.done < 2 * tokens.avoided, "{level}: {tokens:?}");
+            let expected = first.get_or_insert_with(|| found.iter().map(|x| bits(x)).collect());
+            assert!(found.iter().zip(expected).all(|(a, b)| bits(a) == *b), "{level}, {threads} threads");
+
+            let bytes = session.bytes();
+            let noise: Vec<f32> = (0..pixels).map(|i| (i * 31 % 1009) as f32 / 1009.0).collect();
+            let all = session.features(&noise, size).expect("features").patch_tokens;
+            assert!(bits(&all) == bits(&plain(&noise)), "{level}: a frame that changed everywhere");
+            session.forget();
+            let again = session.features(&pictures[2], size).expect("features").patch_tokens;
+            assert!(bits(&again) == bits(&moved), "{level}: after forgetting");
+            assert!(session.bytes() <= bytes && session.tokens().expect("counted").avoided == tokens.avoided);
+        }
     }
 }

@@ -185,7 +185,7 @@ impl Session for FailingSession {
         self.0.motion(place, static_tokens, motion_tokens)
     }
 
-    fn tokens(&self) -> Option<[(&'static str, Tokens); 4]> {
+    fn tokens(&self) -> Option<Vec<(&'static str, Tokens)>> {
         fail(&self.1, "tokens");
         self.0.tokens()
     }

@@ -13,6 +13,7 @@ mod front;
 mod grid;
 mod plot;
 mod stages;
+mod standing;
 mod table;
 
 use std::path::PathBuf;
@@ -49,7 +50,7 @@ pub(crate) struct Options {
     #[arg(long, value_name = "DIR", default_value = "tradeoff")]
     out: PathBuf,
     /// `small`: the embedded model, or `--model`. `paper`: the published sizes with weights from a seed; of these, whose pictures
-    /// mean nothing, the stages alone, compared with f32 (binary64 would take hours).
+    /// mean nothing, the stages alone, and key frames of a standing camera with and without reuse.
     #[arg(long, value_enum, default_value_t = Size::Small)]
     size: Size,
     /// Checkpoint [default: the embedded one].
@@ -73,7 +74,7 @@ pub(crate) struct Options {
     /// Times every configuration goes through the clip.
     #[arg(long, default_value_t = 3)]
     rounds: usize,
-    /// Reference of the stages' errors: f64 (plain loops in binary64, some half a minute of one processor for the embedded model),
+    /// Reference of the stages' errors: f64 (plain loops in binary64, seconds for the embedded model, some minutes for the paper's size),
     /// or f32 (the f32 network).
     #[arg(long, value_enum, default_value_t = Yardstick::F64)]
     against: Yardstick,
@@ -143,6 +144,8 @@ struct Results {
     about: About,
     rows: Vec<grid::GridPoint>,
     stages: Vec<stages::StageError>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    standing: Vec<standing::StandingRow>,
 }
 
 impl Options {
@@ -199,23 +202,47 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     ensure!(options.rounds > 0, "--rounds: expected 1 or more, found 0");
     std::fs::create_dir_all(&options.out).with_context(|| format!("creating {}", options.out.display()))?;
     let pool = options.common.pool()?;
-    let against = if options.size == Size::Paper { Yardstick::F32 } else { options.against };
+    let against = options.against;
     // f32 is what the others are compared with.
     let precisions = once_each(Precision::F32, &options.precision);
+    let paper = options.size == Size::Paper;
     let task = stages::StageRun {
+        frames: &|size| match paper {
+            true => standing::pair(&clip, size, options.common.isa),
+            false => stages::fitted(&clip, size, options.common.isa),
+        },
         which: options.which(),
         precisions: &precisions,
         level: options.common.isa,
         against,
         rounds: options.common.repeat,
     };
-    let (resolution, stages) = pool.install(|| stages::measure(&task, &clip))?;
+    let stages::Stages { resolution, rows: stages, expected } = pool.install(|| stages::measure(&task))?;
     let rows = match options.size {
         Size::Paper => Vec::new(),
         Size::Small => {
             let reuse = once_each(Reuse::Off, &options.reuse);
             let choices = grid::Choices { precisions: &precisions, reuse: &reuse, gaps: &options.gap };
             grid::measure(&choices, &clip, options.settings(), options.rounds, options.clock)?
+        }
+    };
+    let standing = match options.size {
+        Size::Small => Vec::new(),
+        Size::Paper => {
+            let tolerances = options.reuse.iter().filter_map(|reuse| match reuse {
+                Reuse::Within(tolerance) => Some(*tolerance),
+                Reuse::Off | Reuse::Exact => None,
+            });
+            let tolerances: Vec<f32> = tolerances.collect();
+            let task = standing::StandingRun {
+                which: options.which(),
+                precisions: &precisions,
+                level: options.common.isa,
+                tolerances: &tolerances,
+                rounds: options.rounds,
+                expected: &expected,
+            };
+            pool.install(|| standing::measure(&task, &clip))?
         }
     };
     let about = About {
@@ -232,7 +259,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         against,
         note: options.note.clone(),
     };
-    let results = Results { about, rows, stages };
+    let results = Results { about, rows, stages, standing };
     write(options, &results)
 }
 

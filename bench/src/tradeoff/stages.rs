@@ -4,9 +4,7 @@ use anyhow::{Context, Result, ensure};
 use serde::Serialize;
 use streamsplat::fit::{Fit, Placement};
 use streamsplat::source::TimedPicture;
-use streamsplat::stream::EMBEDDED_CHECKPOINT;
 use streamsplat_kernels::Level;
-use streamsplat_model::checkpoint::Checkpoint;
 use streamsplat_model::{LoadOptions, Precision};
 use streamsplat_tests::reference::{self, Inputs, Sizes, Tensors};
 
@@ -23,6 +21,8 @@ const STAGES: [&str; 4] = ["encoder", "upsampler", "decoder", "heads"];
 
 /// Stages to measure.
 pub(super) struct StageRun<'a> {
+    /// Two frames of the model's size.
+    pub(super) frames: &'a (dyn Fn([usize; 2]) -> Result<[Vec<f32>; 2]> + Sync),
     pub(super) which: Which<'a>,
     pub(super) precisions: &'a [Precision],
     pub(super) level: Level,
@@ -47,12 +47,19 @@ pub(crate) struct StageError {
     pub(super) processor: Option<Seconds>,
 }
 
-/// The model's resolution (width × height) and the rows.
-pub(super) fn measure(task: &StageRun<'_>, clip: &[TimedPicture]) -> Result<(String, Vec<StageError>)> {
-    let frames = |size: [usize; 2]| fitted(clip, size, task.level);
+/// Measured stages.
+pub(super) struct Stages {
+    /// The model's resolution, width × height.
+    pub(super) resolution: String,
+    pub(super) rows: Vec<StageError>,
+    /// Results of the stages that the others are compared with.
+    pub(super) expected: Vec<Vec<f64>>,
+}
+
+pub(super) fn measure(task: &StageRun<'_>) -> Result<Stages> {
     let load = |precision| {
         let options = LoadOptions { level: task.level, precision, ..LoadOptions::default() };
-        Model::load(task.which, &options, &frames)
+        Model::load(task.which, &options, task.frames)
     };
     let mut models = Vec::new();
     for &precision in task.precisions {
@@ -86,7 +93,7 @@ pub(super) fn measure(task: &StageRun<'_>, clip: &[TimedPicture]) -> Result<(Str
             rows.push(row((precision.name(), stage), &found, expected, in_ulp, &spent)?);
         }
     }
-    Ok((format!("{width}x{height}"), rows))
+    Ok(Stages { resolution: format!("{width}x{height}"), rows, expected })
 }
 
 fn row(
@@ -115,12 +122,12 @@ fn row(
     })
 }
 
-fn widen(values: &[f32]) -> Vec<f64> {
+pub(super) fn widen(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&x| f64::from(x)).collect()
 }
 
 /// Two frames of the clip at the model's size.
-fn fitted(clip: &[TimedPicture], size: [usize; 2], level: Level) -> Result<[Vec<f32>; 2]> {
+pub(super) fn fitted(clip: &[TimedPicture], size: [usize; 2], level: Level) -> Result<[Vec<f32>; 2]> {
     let fit = |index: usize| -> Result<Vec<f32>> {
         let picture = &clip[index].picture;
         let placement =
@@ -130,13 +137,10 @@ fn fitted(clip: &[TimedPicture], size: [usize; 2], level: Level) -> Result<[Vec<
     Ok([fit(0)?, fit(APART.min(clip.len() - 1))?])
 }
 
-/// Results of the stages in binary64. Where the network is conditioned on DINOv2, its features are those of `model`.
+/// Results of the stages in binary64: those of [`Model::stage`], which are the later frame's, and both frames' from the decoder on. Where the network is conditioned on DINOv2, its features are those of `model`.
 fn binary64(which: Which<'_>, model: &Model) -> Result<Vec<Vec<f64>>> {
-    let checkpoint = match which {
-        Which::Small => Checkpoint::from_storage(EMBEDDED_CHECKPOINT, "the embedded model")?,
-        Which::File { checkpoint, .. } => Checkpoint::open(checkpoint)?,
-        Which::Paper | Which::Seeded => anyhow::bail!("seeded weights are compared with f32"),
-    };
+    let mut tensors = None;
+    which.with_checkpoint(|checkpoint| tensors = Some(Tensors::new(checkpoint)))?;
     let config = model.network.config();
     let sizes = Sizes {
         resolution: config.resolution,
@@ -150,9 +154,8 @@ fn binary64(which: Which<'_>, model: &Model) -> Result<Vec<Vec<f64>>> {
     let depths = vec![0.0; 2 * config.resolution[0] * config.resolution[1]];
     let frames = widen(&model.rgb.concat());
     let inputs = Inputs { frames: &frames, depths: &depths, condition: condition.as_deref() };
-    let mut out = reference::forward(&Tensors::new(&checkpoint), sizes, &inputs);
+    let mut out = reference::forward(&tensors.context("no checkpoint")?, sizes, &inputs);
     let mut take = |name: &str| out.remove(name).with_context(|| format!("the reference gives no {name}"));
-    // The result of `Model::stage`: the later frame's, and both frames' from the decoder on.
     let later = |values: Vec<f64>| values[values.len() / 2..].to_vec();
     let heads = [later(take("static.xyz_static")?), take("dynamic.velocity")?].concat();
     Ok(vec![later(take("h")?), later(take("static_tokens")?), take("d")?, heads])

@@ -85,6 +85,9 @@ pub(super) fn markdown(results: &Results) -> String {
         configurations(results, &mut text);
     }
     stages(results, &mut text);
+    if !results.standing.is_empty() {
+        standing(results, &mut text);
+    }
     text
 }
 
@@ -154,6 +157,44 @@ fn stages(results: &Results, text: &mut String) {
             row.worst_ulp.map_or_else(|| "-".to_owned(), |ulp| format!("{ulp:.1}")),
             spread(row.processor),
             spread(Some(row.wall)),
+        ]
+    });
+    text.push_str(&Table(&columns).markdown(rows));
+}
+
+fn standing(results: &Results, text: &mut String) {
+    let _ = write!(
+        text,
+        "\n## Standing camera\n\nKey frames of which a part changed. `cost`: processor time relative to the full work, medians of {}; errors: relative L2 against {}, of \
+        embedding, static tokens, deformation tokens, and positions with velocities. Milliseconds: median (least–most).\n\n",
+        results.about.rounds,
+        name(results.about.against)
+    );
+    let columns = [
+        Column::Text("precision", 0),
+        Column::Text("reuse", 0),
+        Column::Number("changed", 0),
+        Column::Number("ms, processor", 0),
+        Column::Number("ms, wall", 0),
+        Column::Number("cost", 0),
+        Column::Number("h", 0),
+        Column::Number("static", 0),
+        Column::Number("d", 0),
+        Column::Number("heads", 0),
+    ];
+    let rows = results.standing.iter().map(|row| {
+        let error = |i: usize| row.errors.map_or_else(|| "-".to_owned(), |errors| format!("{:.1e}", errors[i]));
+        [
+            row.precision.to_owned(),
+            row.reuse.clone(),
+            format!("{:.1} %", 100.0 * row.changed),
+            spread(row.processor),
+            spread(Some(row.wall)),
+            format!("{:.3}", row.cost),
+            error(0),
+            error(1),
+            error(2),
+            error(3),
         ]
     });
     text.push_str(&Table(&columns).markdown(rows));

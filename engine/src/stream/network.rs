@@ -6,8 +6,8 @@ use std::sync::Arc;
 use streamsplat_model::reuse::{Saving, Tokens};
 use streamsplat_model::zero_output::ZeroOutput;
 use streamsplat_model::{
-    self as model, Dino, Embedding, FrameInput, LoadOptions, ModelError, Network, Sampling, Side, StaticGaussians,
-    StaticPosition,
+    self as model, Dino, DinoSession, Embedding, FrameInput, LoadOptions, ModelError, Network, Sampling, Side,
+    StaticGaussians, StaticPosition,
 };
 
 use super::reconstructor::{Motion, Session, Tiling};
@@ -78,14 +78,17 @@ impl Reconstructor for Conditioned {
     }
 
     fn session(self: Arc<Self>, saving: Option<Saving>) -> Box<dyn Session> {
-        Box::new(Stages { network: model::Session::new(self.network.clone(), saving), dino: self.dino.clone() })
+        Box::new(Stages {
+            network: model::Session::new(self.network.clone(), saving),
+            dino: self.dino.clone().map(|dino| DinoSession::new(dino, saving)),
+        })
     }
 }
 
-/// A session of the network, and DINOv2 beside it.
+/// A session of the network, and one of DINOv2.
 struct Stages {
     network: model::Session<Arc<Network>>,
-    dino: Option<Arc<Dino>>,
+    dino: Option<DinoSession<Arc<Dino>>>,
 }
 
 impl Session for Stages {
@@ -111,7 +114,7 @@ impl Session for Stages {
 
     fn condition(&mut self, frame: &FrameInput<'_>) -> Result<Option<Vec<f32>>, ModelError> {
         let resolution = self.network.network().config().resolution;
-        let features = self.dino.as_ref().map(|dino| dino.features(frame.rgb, resolution));
+        let features = self.dino.as_mut().map(|dino| dino.features(frame.rgb, resolution));
         Ok(features.transpose()?.map(|f| f.patch_tokens))
     }
 
@@ -127,11 +130,14 @@ impl Session for Stages {
         self.network.deformation_head(place, static_tokens, motion_tokens)
     }
 
-    fn tokens(&self) -> Option<[(&'static str, Tokens); 4]> {
-        self.network.cache().map(|cache| cache.tokens())
+    fn tokens(&self) -> Option<Vec<(&'static str, Tokens)>> {
+        let mut parts = self.network.cache()?.tokens().to_vec();
+        parts.extend(self.dino.as_ref().and_then(DinoSession::tokens).map(|tokens| ("dinov2", tokens)));
+        Some(parts)
     }
 
     fn forget(&mut self) {
         self.network.forget();
+        self.dino.iter_mut().for_each(DinoSession::forget);
     }
 }

@@ -109,7 +109,7 @@ pub trait Session: Send + Sync {
     fn motion(&mut self, place: usize, static_tokens: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError>;
 
     /// Tokens computed and kept so far, part by part; `None` where nothing is kept.
-    fn tokens(&self) -> Option<[(&'static str, Tokens); 4]> {
+    fn tokens(&self) -> Option<Vec<(&'static str, Tokens)>> {
         None
     }
 

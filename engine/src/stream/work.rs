@@ -107,6 +107,7 @@ impl Work {
                 "encoder" => "encoder.tokens",
                 "upsampler" => "upsampler.tokens",
                 "decoder" => "decoder.tokens",
+                "dinov2" => "dinov2.tokens",
                 _ => "heads.tokens",
             };
             let Tokens { done, avoided } = *tokens;

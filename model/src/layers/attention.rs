@@ -2,6 +2,7 @@
 
 use streamsplat_kernels::Level;
 use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as, attend_some};
+use streamsplat_kernels::gemm::Precision;
 
 use super::{Bias, HEAD, Linear, RmsNorm, Workspace, sized};
 use crate::ModelError;
@@ -22,6 +23,32 @@ fn is_left_out(weights: &Weights<'_>, d: usize) -> Result<bool, ModelError> {
     weights.check("out_proj.weight", &[d, d])?;
     weights.check("out_proj.bias", &[d])?;
     Ok(true)
+}
+
+/// Attention of the tokens `at` (`None`: all) to each other, from their queries, keys and values `[3·heads][rows][64]`. `kept` holds keys and values
+/// of all tokens, `[2·heads][n][64]`, and gets theirs; without it, tokens see those of `qkv` alone.
+pub(crate) fn attend_kept(
+    precision: Precision,
+    level: Level,
+    shape: Shape,
+    at: Option<&[u32]>,
+    qkv: &[f32],
+    kept: Option<&mut Vec<f32>>,
+    mixed: &mut [f32],
+) {
+    let (d, rows) = (shape.heads * HEAD, mixed.len() / (shape.heads * HEAD));
+    let (q, mut keys_values) = qkv.split_at(mixed.len());
+    if let Some(kept) = kept {
+        keep_heads(at, keys_values, HEAD, kept);
+        keys_values = kept;
+    }
+    let q = Rows::of_heads(q, rows, HEAD, 0);
+    let n = keys_values.len() / (2 * d);
+    let [k, v] = [0, 1].map(|part| Rows::of_heads(keys_values, n, HEAD, part * shape.heads));
+    match at {
+        None => attend_as(precision, level, shape, q, k, v, mixed),
+        Some(at) => attend_some(precision, level, shape, at, q, k, v, mixed),
+    }
 }
 
 /// Attention of tokens to each other, a residual branch.
@@ -64,23 +91,10 @@ impl SelfAttention {
         work: &mut Workspace,
     ) {
         let d = self.out_proj.k();
-        let rows = x.len() / d;
         let qkv = sized(&mut work.projected, 3 * x.len());
         self.packed_proj.heads_of_normed(level, self.norm.norm(), x, qkv);
-        let (q, mut keys_values) = qkv.split_at(x.len());
-        if let Some(kept) = kept {
-            keep_heads(at, keys_values, HEAD, kept);
-            keys_values = kept;
-        }
         let mixed = sized(&mut work.mixed, x.len());
-        let q = Rows::of_heads(q, rows, HEAD, 0);
-        let n = keys_values.len() / (2 * d);
-        let [k, v] = [0, 1].map(|part| Rows::of_heads(keys_values, n, HEAD, part * d / HEAD));
-        let (precision, shape) = (self.out_proj.precision(), shape(d, windows));
-        match at {
-            None => attend_as(precision, level, shape, q, k, v, mixed),
-            Some(at) => attend_some(precision, level, shape, at, q, k, v, mixed),
-        }
+        attend_kept(self.out_proj.precision(), level, shape(d, windows), at, qkv, kept, mixed);
         self.out_proj.accumulate(level, mixed, x);
     }
 

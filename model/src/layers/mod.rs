@@ -10,7 +10,7 @@ mod pointwise;
 mod position;
 mod workspace;
 
-pub(crate) use attention::{CrossAttention, SelfAttention};
+pub(crate) use attention::{CrossAttention, SelfAttention, attend_kept};
 pub(crate) use block::{Block, windows};
 pub(crate) use feed_forward::FeedForward;
 pub(crate) use layer_norm::LayerNorm;

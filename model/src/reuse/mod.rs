@@ -24,8 +24,9 @@
 //! frame, with it again. A new thing changes one place only, but the motion in both: a token is computed in both
 //! places when it changed in either.
 //!
-//! DINOv2 is not gated: each of its features depends on all others. They are compared as the decoder's
-//! condition.
+//! DINOv2 has a session of its own ([`DinoSession`](crate::DinoSession)), with the same gates and the decoder's tolerance, and nothing to keep exactly:
+//! each of its features depends on all others. They are compared once more as the decoder's condition. The class token and the registers enter it
+//! the same in every frame, and so are computed when everything is.
 //!
 //! # Order
 //! Which rows are computed follows from the comparison alone, whose order of operations is fixed; rows are gathered in

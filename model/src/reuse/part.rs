@@ -66,6 +66,31 @@ impl PartCache {
         PartCache::new(saving, Some(Gate::new(n, config.hidden_dim)), Vec::new(), &blocks)
     }
 
+    /// DINOv2 of this depth on `n` tokens of width `d`: each sees all others, so nothing is kept exactly.
+    pub(crate) fn features(saving: Saving, n: usize, d: usize, depth: usize) -> Option<PartCache> {
+        (saving != Saving::Exact).then(|| PartCache::new(saving.of_motion(), None, Vec::new(), &vec![[n, d]; depth]))
+    }
+
+    /// An empty one with the same counters.
+    pub(crate) fn emptied(&self) -> PartCache {
+        let block = |block: &BlockCache| BlockCache::new(block.gate.rows(), block.gate.width());
+        PartCache {
+            schedule: Schedule::default(),
+            input: None,
+            conditions: Vec::new(),
+            blocks: self.blocks.iter().map(block).collect(),
+            output: Vec::new(),
+            calls: 0,
+            latest: None,
+            ..*self
+        }
+    }
+
+    /// Tokens computed and kept so far.
+    pub(crate) fn tokens(&self) -> Tokens {
+        self.tokens
+    }
+
     pub(super) fn decoder(saving: Saving, config: &Config) -> PartCache {
         let n = config.tokens();
         let conditions = [0, 1].map(|_| Gate::new(n, config.condition_dim));
@@ -78,7 +103,7 @@ impl PartCache {
         self.schedule.moves()
     }
 
-    pub(super) fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         let gates: usize = self.input.iter().chain(&self.conditions).map(Gate::bytes).sum();
         gates + self.blocks.iter().map(BlockCache::bytes).sum::<usize>() + 4 * self.output.len()
     }

@@ -1,6 +1,6 @@
 //! The whole network once more, plain and in binary64: what the fast one is compared with.
 //!
-//! Loops over indices, no blocking, no fusion; every function is the formula of its operation. Slow on purpose.
+//! Every function is the formula of its operation, and every sum is taken in the order of its index: nothing is fused.
 
 mod dino;
 mod network;

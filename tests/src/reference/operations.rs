@@ -1,17 +1,43 @@
 //! Operations on row-major matrices of binary64.
 
+use rayon::prelude::*;
+
 use super::Tensors;
 
-/// `x · wᵀ + bias` for `x [m,k]`, `w [n,k]`.
+/// Rows and columns of a tile of [`linear`].
+const TILE: usize = 4;
+
+/// `x · wᵀ + bias` for `x [m,k]`, `w [n,k]`; each sum in ascending order of `k`. Tiles of rows and columns are taken together.
 pub fn linear(x: &[f64], w: &[f64], bias: Option<&[f64]>, k: usize) -> Vec<f64> {
-    let n = w.len() / k;
-    let mut out = Vec::with_capacity(x.len() / k * n);
-    for row in x.chunks(k) {
-        for j in 0..n {
-            let sum: f64 = row.iter().zip(&w[j * k..][..k]).map(|(a, b)| a * b).sum();
-            out.push(sum + bias.map_or(0.0, |b| b[j]));
+    let (m, n) = (x.len() / k, w.len() / k);
+    let tiles = |rows: &[f64], count: usize| -> Vec<f64> {
+        let mut tiles = vec![0.0; count.next_multiple_of(TILE) * k];
+        for (i, row) in rows.chunks(k).enumerate() {
+            for (at, value) in row.iter().enumerate() {
+                tiles[i / TILE * TILE * k + at * TILE + i % TILE] = *value;
+            }
         }
-    }
+        tiles
+    };
+    let (x, w) = (tiles(x, m), tiles(w, n));
+    let mut out = vec![0.0; m * n];
+    out.par_chunks_mut(TILE * n).zip(x.par_chunks(TILE * k)).for_each(|(out, x)| {
+        for (tile, w) in w.chunks(TILE * k).enumerate() {
+            let mut sums = [[0.0; TILE]; TILE];
+            for (x, w) in x.chunks_exact(TILE).zip(w.chunks_exact(TILE)) {
+                for i in 0..TILE {
+                    for j in 0..TILE {
+                        sums[i][j] += x[i] * w[j];
+                    }
+                }
+            }
+            for (row, sums) in out.chunks_mut(n).zip(sums) {
+                for (j, (to, sum)) in row[tile * TILE..].iter_mut().zip(sums).enumerate() {
+                    *to = sum + bias.map_or(0.0, |bias| bias[tile * TILE + j]);
+                }
+            }
+        }
+    });
     out
 }
 
@@ -48,23 +74,34 @@ pub fn layer_norm(x: &[f64], w: &[f64], b: &[f64]) -> Vec<f64> {
 
 /// Softmax attention with heads of 64 channels: `q [m,d]`, `k, v [n,d]`.
 pub fn attention(q: &[f64], k: &[f64], v: &[f64], d: usize) -> Vec<f64> {
-    let mut out = vec![0.0; q.len()];
     let keys = k.len() / d;
-    for head in (0..d).step_by(64) {
-        for i in 0..q.len() / d {
-            let q = &q[i * d + head..][..64];
-            let dot = |j: usize| q.iter().zip(&k[j * d + head..][..64]).map(|(a, b)| a * b).sum::<f64>() / 8.0;
-            let logits: Vec<f64> = (0..keys).map(dot).collect();
-            let largest = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            let weights: Vec<f64> = logits.iter().map(|l| (l - largest).exp()).collect();
-            let total: f64 = weights.iter().sum();
-            for (j, w) in weights.iter().enumerate() {
-                for c in 0..64 {
-                    out[i * d + head + c] += w / total * v[j * d + head + c];
+    // The channels of all keys.
+    let channels: Vec<Vec<f64>> = (0..d).map(|c| k.chunks(d).map(|key| key[c]).collect()).collect();
+    let mut out = vec![0.0; q.len()];
+    out.par_chunks_mut(d).zip(q.par_chunks(d)).for_each(|(out, q)| {
+        let mut logits = vec![0.0; keys];
+        for head in (0..d).step_by(64) {
+            logits.fill(0.0);
+            for four in (head..head + 64).step_by(4) {
+                let [a, b, c, d] = [0, 1, 2, 3].map(|i| &channels[four + i][..keys]);
+                for j in 0..keys {
+                    logits[j] =
+                        logits[j] + q[four] * a[j] + q[four + 1] * b[j] + q[four + 2] * c[j] + q[four + 3] * d[j];
                 }
             }
+            logits.iter_mut().for_each(|logit| *logit /= 8.0);
+            let largest = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            logits.iter_mut().for_each(|logit| *logit = (*logit - largest).exp());
+            let total: f64 = logits.iter().sum();
+            let mut sums = [0.0; 64];
+            for (j, w) in logits.iter().enumerate() {
+                for (sum, v) in sums.iter_mut().zip(&v[j * d + head..][..64]) {
+                    *sum += w / total * v;
+                }
+            }
+            out[head..head + 64].copy_from_slice(&sums);
         }
-    }
+    });
     out
 }
 

@@ -1,0 +1,47 @@
+//! DINOv2 on the frames of one stream.
+
+use std::borrow::Borrow;
+
+use crate::reuse::{PartCache, Saving, Tokens};
+use crate::{Dino, DinoFeatures, ModelError};
+
+/// A way through DINOv2 for the frames of one stream, each in turn. With [`Saving::Within`] it keeps what the next frame may
+/// need: see [`crate::reuse`].
+#[derive(Debug)]
+pub struct DinoSession<D> {
+    dino: D,
+    cache: Option<PartCache>,
+}
+
+impl<D: Borrow<Dino>> DinoSession<D> {
+    /// A session that keeps nothing yet. Without [`Saving::Within`] it never does.
+    pub fn new(dino: D, saving: Option<Saving>) -> DinoSession<D> {
+        let config = dino.borrow().config();
+        let n = 1 + config.register_tokens + config.grid().iter().product::<usize>();
+        let cache = saving.and_then(|saving| PartCache::features(saving, n, config.embed_dim, config.depth));
+        DinoSession { dino, cache }
+    }
+
+    /// [`Dino::features`], but for tokens that hardly moved.
+    ///
+    /// # Errors
+    /// As [`Dino::features`].
+    pub fn features(&mut self, rgb: &[f32], size: [usize; 2]) -> Result<DinoFeatures, ModelError> {
+        self.dino.borrow().compute(rgb, size, self.cache.as_mut())
+    }
+
+    /// Tokens computed and kept, one for every token and block; none where nothing is kept.
+    pub fn tokens(&self) -> Option<Tokens> {
+        self.cache.as_ref().map(PartCache::tokens)
+    }
+
+    /// Bytes that it keeps: at most those of one frame, for any length of the stream.
+    pub fn bytes(&self) -> usize {
+        self.cache.as_ref().map_or(0, PartCache::bytes)
+    }
+
+    /// Forgets everything but the counts: the next call is computed in full.
+    pub fn forget(&mut self) {
+        self.cache = self.cache.as_ref().map(PartCache::emptied);
+    }
+}
