@@ -113,7 +113,7 @@ def drawn_arrays(splats: streamsplat_cpu.Splats, camera: streamsplat_cpu.Camera)
     colors, alphas, meta = streamsplat_cpu.rasterization(
         splats.means, splats.quats, splats.scales, splats.opacities, splats.sh, camera.viewmat[None], camera.K[None], 64, 48, sh_degree=splats.sh_degree
     )
-    np.asarray(colors), np.asarray(alphas), meta["radii"]
+    print(np.asarray(colors), np.asarray(alphas), meta["radii"])
 
 def refused(engine: streamsplat_cpu.Engine, interval: streamsplat_cpu.Interval) -> None:
     streamsplat_cpu.Engine(fusion="both")  # type: ignore[arg-type]
