@@ -36,7 +36,7 @@ const RIDGE: f32 = 1e-3;
 const RIDGE_LIFTED: f32 = 1.8e-3;
 /// The share of the remaining sum of squares that a step must take away.
 const ENOUGH: f64 = 0.004;
-/// Weights of a Gaussian on a block of pixels that are all below this one keep the colour that they had: half of the weights, with 2.9 % of the light.
+/// Weights of a Gaussian on a block of pixels that are all below this one keep the colour that they had (docs/choosing.md has what that costs).
 const LEAST_WEIGHT: f32 = 1.0 / 64.0;
 /// Range of colours at their own key frame.
 pub(super) const RANGE: [f32; 2] = [-0.2, 1.2];

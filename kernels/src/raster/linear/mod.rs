@@ -7,8 +7,7 @@
 //! ```
 //!
 //! B is 0 but for maps [`ColourMap::from_weight`]: there a Gaussian whose weights on a block of 4×4 pixels are all below the least one is no part of A on it, and
-//! B is what such Gaussians add in the colours with which the map was prepared. Two fifths of the weights of a reconstructed frame are below 1/128,
-//! and they are 1.3 % of its light.
+//! B is what such Gaussians add in the colours with which the map was prepared.
 //!
 //! The weights A are those of the blend, by the same code, rounded to 8 bits: for each Gaussian and block of 4×4 pixels there is a unit u, the
 //! smallest power of two (at least 2⁻¹⁶) with its largest weight there below 256·u, and A is `min(⌊α·T / u + ½⌋, 255)·u` (the quotient and
