@@ -80,7 +80,7 @@ struct DepthScore {
     score: Score,
 }
 
-fn size(text: &str) -> Result<[usize; 2], String> {
+pub(crate) fn size(text: &str) -> Result<[usize; 2], String> {
     let side = |text: &str| text.parse().ok().filter(|side| (16..=4096).contains(side));
     let sides = text.split_once('x').and_then(|(width, height)| side(width).zip(side(height)));
     sides.map(|(width, height)| [width, height]).ok_or_else(|| "expected WIDTHxHEIGHT, 16 to 4096".to_owned())
@@ -141,7 +141,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 }
 
 /// The first image of a folder, at the size of the scenes.
-fn first_picture(folder: &std::path::Path, [width, height]: [usize; 2]) -> Result<Option<Vec<f32>>> {
+pub(crate) fn first_picture(folder: &std::path::Path, [width, height]: [usize; 2]) -> Result<Option<Vec<f32>>> {
     let mut source = source::Source::open(folder, &source::Options::default())?;
     let Some(frame) = source.next_frame()? else { return Ok(None) };
     let Picture { width: from_width, height: from_height, rgb } = frame.picture;
@@ -160,7 +160,7 @@ fn first_picture(folder: &std::path::Path, [width, height]: [usize; 2]) -> Resul
 }
 
 /// An image as a binary PPM file.
-fn ppm(rgb: &[f32], [width, height]: [usize; 2]) -> Vec<u8> {
+pub(crate) fn ppm(rgb: &[f32], [width, height]: [usize; 2]) -> Vec<u8> {
     let area = width * height;
     let mut bytes = format!("P6 {width} {height} 255\n").into_bytes();
     for pixel in 0..area {

@@ -22,6 +22,7 @@ mod stages;
 mod table;
 mod timing;
 mod tradeoff;
+mod turned;
 
 use std::path::{Path, PathBuf};
 
@@ -70,6 +71,8 @@ enum Command {
     Stages(stages::Options),
     /// Error against run time: precision, reuse and gap on a clip; each stage's error and time.
     Tradeoff(tradeoff::Options),
+    /// Bodies that move by themselves, from cameras led around them.
+    Turned(turned::Options),
 }
 
 /// Options of every measurement.
@@ -132,6 +135,7 @@ fn main() -> std::process::ExitCode {
         Command::Soak(options) => soak::run(&options),
         Command::Stages(options) => stages::run(&options),
         Command::Tradeoff(options) => tradeoff::run(&options),
+        Command::Turned(options) => turned::run(&options),
     };
     match result {
         Ok(()) => std::process::ExitCode::SUCCESS,

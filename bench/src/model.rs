@@ -43,16 +43,7 @@ impl Which<'_> {
 
 /// Sizes of [`Which::Seeded`].
 fn seeded_sizes() -> Sizes {
-    Sizes {
-        hidden_dim: 64,
-        encoder_layers: 1,
-        decoder_layers: 1,
-        resolution: [16, 32],
-        upsampler_window: 32,
-        encoder_window: None,
-        features: None,
-        truncated_normal: false,
-    }
+    Sizes::small([16, 32], 32)
 }
 
 fn seeded_network() -> Result<Vec<u8>> {

@@ -85,7 +85,7 @@ impl Models {
 
     /// An engine that has seen nothing.
     fn engine(&mut self, variant: &Variant) -> Result<Engine> {
-        let settings = Settings { precision: variant.precision, reuse: variant.reuse, ..self.settings.clone() };
+        let settings = Settings { precision: Some(variant.precision), reuse: variant.reuse, ..self.settings.clone() };
         let key = (variant.precision, variant.reuse == Reuse::Off);
         let loaded = self.loaded.iter().find(|(known, _)| *known == key);
         if let Some((_, model)) = loaded {

@@ -161,16 +161,7 @@ impl Film {
 
 /// The default network: small, so that ten thousand key frames take minutes.
 fn sizes() -> Sizes {
-    Sizes {
-        hidden_dim: 64,
-        encoder_layers: 1,
-        decoder_layers: 1,
-        resolution: [32, 48],
-        upsampler_window: 24,
-        encoder_window: None,
-        features: None,
-        truncated_normal: false,
-    }
+    Sizes::small([32, 48], 24)
 }
 
 /// A stream that is drawn, and the CPU time of its last steps.

@@ -229,6 +229,119 @@ pub fn score(
     }
 }
 
+/// How a body that moves by itself looks from both sides: means over scenes, at their last key frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct BodyScore {
+    /// PSNR in dB on the body and within [`AROUND`] pixels of it.
+    pub around: f64,
+    /// Share of these pixels whose colour is in neither the true view nor what is behind the body there.
+    pub invented: f64,
+    /// PSNR in dB of the key frame from its own camera, on the same pixels.
+    pub key: f64,
+    /// `around` and `invented` of the true key frame turned as a card.
+    pub card: [f64; 2],
+    /// Scenes whose depth was found by parallax.
+    pub found: usize,
+    /// Scenes.
+    pub scenes: usize,
+}
+
+/// Pixels around a body, of a picture 256 wide, that count with it.
+pub const AROUND: usize = 16;
+/// Difference of a channel from which on a colour is another one.
+const OTHER: f32 = 0.15;
+/// Pixels within which a colour may be found.
+const WITHIN: usize = 3;
+
+/// The score of scenes [with a body](Cards::with_body) at these times, views at ±`degrees`. Each image, with its name, goes to `show`.
+///
+/// # Panics
+/// When the engine refuses a valid input.
+pub fn score_bodies(
+    settings: &Settings,
+    scenes: &[Cards],
+    depth: Depth,
+    times: &[f64],
+    degrees: f64,
+    mut show: impl FnMut(&str, usize, &[f32]),
+) -> BodyScore {
+    let finds = matches!(depth, Depth::Found | Depth::FoundInScale);
+    let settings = Settings { depth_range: DepthRange::Given, find_depth: Some(finds), ..settings.clone() };
+    let model = Arc::clone(Engine::new(settings.clone()).expect("starts").model());
+    let (mut sum, mut views) = (BodyScore::default(), 0.0);
+    let options = RenderOptions::default();
+    for (index, scene) in scenes.iter().enumerate() {
+        let size = scene.size();
+        let reach = AROUND * size[1] / 256;
+        let pictures: Vec<CardPicture> = times.iter().map(|time| scene.straight(*time)).collect();
+        let (straight, time) = (pictures.last().expect("a time"), times[times.len() - 1]);
+        let start = || Engine::with_model(settings.clone(), model.clone()).expect("starts");
+        let (mut interval, found) = reconstruct(&mut start(), &pictures, size, depth == Depth::True).expect("taken");
+        sum.found += usize::from(found.is_some());
+        sum.scenes += 1;
+        let mut true_scale = depth == Depth::True;
+        if let (Depth::FoundInScale, Some(found)) = (depth, &found) {
+            let map = map_of(&in_scale(found, &straight.y));
+            interval = start().push(frame(straight, size, Some(map)), 0.0).expect("taken");
+            true_scale = true;
+        }
+        let own = interval.render(interval.end, &Camera::Canonical, &options, workers()).expect("drawn").rgb;
+        let here = around_of(&scene.shows_body(time, 0.0), size, reach);
+        sum.key += psnr(&own, &straight.rgb, |i| here[i]);
+        show("key-true", index, &straight.rgb);
+        show("key", index, &own);
+        for degrees in [degrees, -degrees] {
+            let (view, turned) = scene.turned(time, degrees);
+            let behind = scene.without_body().turned_about(time, degrees, turned);
+            let pivot = if true_scale { turned } else { middle(&interval, interval.end).expect("drawn") };
+            let camera = around(degrees, pivot, interval.placement.aspect());
+            let found = interval.render(interval.end, &camera, &options, workers()).expect("drawn").rgb;
+            let side = if degrees > 0.0 { "right" } else { "left" };
+            show(&format!("{side}-true"), index, &view.rgb);
+            show(side, index, &found);
+            let card = flat(&straight.rgb, size, degrees);
+            let here = around_of(&scene.shows_body(time, degrees), size, reach);
+            sum.around += psnr(&found, &view.rgb, |i| here[i]);
+            sum.card[0] += psnr(&card, &view.rgb, |i| here[i]);
+            let invented = |image: &[f32]| {
+                let all = here.iter().filter(|here| **here).count().max(1) as f64;
+                let known = |pixel: usize| [&view.rgb, &behind.rgb].iter().any(|rgb| holds(rgb, size, image, pixel));
+                (0..here.len()).filter(|i| here[*i] && !known(*i)).count() as f64 / all
+            };
+            sum.invented += invented(&found);
+            sum.card[1] += invented(&card);
+            views += 1.0;
+        }
+    }
+    BodyScore {
+        around: sum.around / views,
+        invented: sum.invented / views,
+        key: sum.key / sum.scenes as f64,
+        card: sum.card.map(|sum| sum / views),
+        ..sum
+    }
+}
+
+/// True where one of the pixels to `reach` in rows and columns is in `mask`.
+fn around_of(mask: &[bool], [height, width]: [usize; 2], reach: usize) -> Vec<bool> {
+    let near = |i: usize, side: usize| i.saturating_sub(reach)..(i + reach + 1).min(side);
+    let rows: Vec<bool> =
+        (0..mask.len()).map(|i| near(i % width, width).any(|x| mask[i / width * width + x])).collect();
+    (0..mask.len()).map(|i| near(i / width, height).any(|y| rows[y * width + i % width])).collect()
+}
+
+/// True if `rgb` has the colour of a pixel of `image` near that pixel.
+fn holds(rgb: &[f32], [height, width]: [usize; 2], image: &[f32], pixel: usize) -> bool {
+    let area = width * height;
+    let near = |i: usize, side: usize| i.saturating_sub(WITHIN)..(i + WITHIN + 1).min(side);
+    near(pixel / width, height).any(|y| {
+        near(pixel % width, width).any(|x| {
+            let at = y * width + x;
+            (0..3).all(|c| (rgb[c * area + at] - image[c * area + pixel].clamp(0.0, 1.0)).abs() < OTHER)
+        })
+    })
+}
+
 /// PSNR over the pixels that `counts`, in dB; at most 100.
 fn psnr(a: &[f32], b: &[f32], counts: impl Fn(usize) -> bool) -> f64 {
     let area = a.len() / 3;

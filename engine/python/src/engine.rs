@@ -5,7 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use streamsplat::stream::{Decibels, MaxAge, ModelSource, Quality};
+use streamsplat::stream::{Decibels, MaxAge, ModelSource};
 use streamsplat::{Frame, Settings};
 use streamsplat_kernels::Level;
 
@@ -72,10 +72,6 @@ impl Engine {
         };
         let mut settings = match quality {
             Some(name) => Settings { model, ..Settings::of_quality(choice("quality", name)?) },
-            // The defaults of `run`.
-            None if matches!(model, ModelSource::Embedded) => {
-                Settings { precision: Quality::default().preset().precision, ..Settings::default() }
-            }
             None => Settings::with_model(model),
         };
         settings.fusion = choice("fusion", fusion)?;
@@ -95,7 +91,7 @@ impl Engine {
             settings.reuse = choice("reuse", text)?;
         }
         if let Some(text) = precision {
-            settings.precision = choice("precision", text)?;
+            settings.precision = Some(choice("precision", text)?);
         }
         if let Some(text) = resolution {
             settings.resolution = Some(choice("resolution", text)?);

@@ -66,6 +66,15 @@ pub(super) fn options(options: &Options<'_>) -> Result<(), RasterError> {
     range("eps2d", "a finite number from 0 on", eps2d >= 0.0 && eps2d.is_finite(), eps2d)
 }
 
+/// Values of images of `[width, height]` pixels, all 0, or an error where there is no memory for them.
+pub(super) fn zeros(len: usize, [width, height]: [usize; 2]) -> Result<Vec<f32>, RasterError> {
+    let mut values = Vec::new();
+    let bytes = len.saturating_mul(size_of::<f32>());
+    values.try_reserve_exact(len).map_err(|_| RasterError::Memory { width, height, bytes })?;
+    values.resize(len, 0.0);
+    Ok(values)
+}
+
 /// Fails where there are more channels than are drawn.
 pub(super) fn channels(found: usize) -> Result<(), RasterError> {
     some("channels", MAX_CHANNELS, found)

@@ -44,6 +44,10 @@ impl Planes {
         check::length("keys", splats.len(), keys.len())?;
         check::finite("splats", splats.as_flattened())?;
         check::finite("keys", keys)?;
+        if let Some(&found) = splats.iter().flat_map(|splat| &splat[2..4]).find(|variance| **variance < 0.0) {
+            let (name, expected) = ("splats", "variances from 0 on");
+            return Err(RasterError::Range { name, expected, found: found.into() });
+        }
         let view = WorldView {
             projection: WorldProjection::Orthographic,
             near: 0.0,
@@ -85,7 +89,7 @@ impl Planes {
     /// The images `[M, H, W, D]` and their alphas `[M, H, W]` in `colours [M, N, D]` on `backgrounds [M, D]`.
     ///
     /// # Errors
-    /// Slices of another length.
+    /// Slices of another length, and images for which there is no memory.
     pub fn draw(
         &self,
         colours: &[f32],
@@ -94,8 +98,8 @@ impl Planes {
     ) -> Result<(Vec<f32>, Vec<f32>), RasterError> {
         self.check(colours, channels, backgrounds)?;
         let pixels = self.size[0] * self.size[1];
-        let (mut images, mut alphas) =
-            (vec![0.0; self.images.len() * pixels * channels], vec![0.0; self.images.len() * pixels]);
+        let mut images = check::zeros(self.images.len() * pixels * channels, self.size)?;
+        let mut alphas = check::zeros(self.images.len() * pixels, self.size)?;
         let to = images.par_chunks_mut(pixels * channels).zip(alphas.par_chunks_mut(pixels));
         let from = colours.par_chunks(self.count * channels).zip(backgrounds.par_chunks(channels));
         self.images.par_iter().zip(from).zip(to).for_each(|((image, (colours, background)), (to, alpha))| {

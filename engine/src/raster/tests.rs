@@ -313,4 +313,7 @@ fn planes_are_orthographic_views_and_have_their_gradients() {
     }
     let refused = Planes::new(vec![[0.0; 5]; 3], &[1.0; 3], 2, SIZE, 0.99).expect_err("half an image");
     assert_eq!(refused.to_string(), "splats: expected 4 values, found 3");
+    let refused =
+        Planes::new(vec![[0.0, 0.0, 1.0, -2.0, 0.5]], &[1.0], 1, SIZE, 0.99).expect_err("a negative variance");
+    assert_eq!(refused.to_string(), "splats: expected variances from 0 on, found -2");
 }

@@ -136,15 +136,8 @@ impl View {
     ) -> Result<(Vec<f32>, Vec<f32>), RasterError> {
         let drawing = self.drawing(colours, channels, background)?;
         let pixels = self.pixels();
-        let reserve = |len: usize| {
-            let mut values = Vec::new();
-            let [width, height] = self.rasteriser.size();
-            let bytes = len.saturating_mul(size_of::<f32>());
-            values.try_reserve_exact(len).map_err(|_| RasterError::Memory { width, height, bytes })?;
-            values.resize(len, 0.0_f32);
-            Ok(values)
-        };
-        let (mut image, mut alpha) = (reserve(pixels * channels)?, reserve(pixels)?);
+        let size = self.rasteriser.size();
+        let (mut image, mut alpha) = (check::zeros(pixels * channels, size)?, check::zeros(pixels, size)?);
         self.rasteriser.draw(&drawing, &mut image, &mut alpha);
         Ok((image, alpha))
     }

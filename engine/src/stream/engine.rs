@@ -60,7 +60,7 @@ impl Engine {
         let workers = Workers::new(settings.level.unwrap_or_else(Level::detect), settings.threads)?;
         let options = LoadOptions {
             level: workers.level(),
-            precision: settings.precision,
+            precision: settings.precision(),
             compute_zero_output: settings.reuse == Reuse::Off,
         };
         let model = workers.install(|| settings.model.load(&options))?;

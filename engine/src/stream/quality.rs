@@ -129,7 +129,7 @@ impl Settings {
             refine: Some(refine),
             refine_every: Some(refine_every),
             refine_to: Some(refine_to),
-            precision,
+            precision: Some(precision),
             reuse,
             still: Some(still),
             ..Self::default()
@@ -152,8 +152,7 @@ mod tests {
         assert_eq!(balanced.refine(), default.refine());
         assert_eq!(balanced.refine_every(), default.refine_every());
         assert_eq!(balanced.close(), default.close());
-        // Other models' products are exact unless something else is wanted.
-        assert_eq!((balanced.precision, default.precision), (Precision::Int8, Precision::F32));
+        assert_eq!(balanced.precision(), default.precision());
         assert_eq!(balanced.reuse, default.reuse);
         assert_eq!(balanced.still(), default.still());
     }

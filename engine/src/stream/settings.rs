@@ -57,8 +57,8 @@ pub struct Settings {
     pub seed: u64,
     /// Which work is left out.
     pub reuse: Reuse,
-    /// The arithmetic of the large matrix products.
-    pub precision: Precision,
+    /// The arithmetic of the large matrix products; `None`: [`Precision::Int8`] for the model inside the library, [`Precision::F32`] for any other.
+    pub precision: Option<Precision>,
     /// The instruction-set level; `None` is the machine's highest. It changes no output bit.
     pub level: Option<Level>,
     /// Threads; 0 is one per processor. It changes no output bit.
@@ -163,6 +163,14 @@ impl Settings {
         self.still.unwrap_or(match self.model {
             ModelSource::Embedded => StaticRegions::Keep,
             _ => StaticRegions::Off,
+        })
+    }
+
+    /// The arithmetic of the large matrix products.
+    pub fn precision(&self) -> Precision {
+        self.precision.unwrap_or(match self.model {
+            ModelSource::Embedded => Precision::Int8,
+            _ => Precision::F32,
         })
     }
 

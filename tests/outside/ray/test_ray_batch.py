@@ -17,18 +17,13 @@ FRAMES = 9
 
 
 @pytest.fixture(scope="module")
-def clips(tmp_path_factory):
+def clips(procedural, tmp_path_factory):
     """Eight clips of nine frames each, cut from the procedural one at different places."""
-    data = (ROOT / "fixtures/clips/moving.y4m").read_bytes()
-    header, rest = data.split(b"\n", 1)
-    width, height = (int(next(t[1:] for t in header.split() if t[:1] == key)) for key in (b"W", b"H"))
-    frame = len(b"FRAME\n") + width * height * 3 // 2
-    assert b"420" in header and len(rest) % frame == 0
-    count = len(rest) // frame
+    header, frames = procedural
     folder = tmp_path_factory.mktemp("clips")
     for i in range(8):
-        first = i * (count - FRAMES) // 7
-        (folder / f"clip-{i}.y4m").write_bytes(header + b"\n" + rest[first * frame : (first + FRAMES) * frame])
+        first = i * (len(frames) - FRAMES) // 7
+        (folder / f"clip-{i}.y4m").write_bytes(header + b"".join(frames[first : first + FRAMES]))
     return folder
 
 

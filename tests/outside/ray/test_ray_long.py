@@ -14,17 +14,14 @@ PART = 9
 
 
 @pytest.fixture(scope="module")
-def video(tmp_path_factory):
+def video(procedural, tmp_path_factory):
     """Three parts of nine frames: the procedural clip, its negative, and the clip again."""
-    data = (ROOT / "fixtures/clips/moving.y4m").read_bytes()
-    header, rest = data.split(b"\n", 1)
-    width, height = (int(next(t[1:] for t in header.split() if t[:1] == key)) for key in (b"W", b"H"))
-    mark, pixels = len(b"FRAME\n"), width * height * 3 // 2
-    frames = [rest[i * (mark + pixels) + mark : (i + 1) * (mark + pixels)] for i in range(PART)]
+    header, frames = procedural
+    frames, mark = frames[:PART], len(b"FRAME\n")
     negative = bytes(255 - byte for byte in range(256))
     path = tmp_path_factory.mktemp("video") / "long.y4m"
-    parts = [*frames, *(frame.translate(negative) for frame in frames), *frames]
-    path.write_bytes(header + b"\n" + b"".join(b"FRAME\n" + frame for frame in parts))
+    parts = [*frames, *(frame[:mark] + frame[mark:].translate(negative) for frame in frames), *frames]
+    path.write_bytes(header + b"".join(parts))
     return path
 
 

@@ -173,7 +173,7 @@ impl StreamOptions {
             sampling: self.sampling.unwrap_or_default(),
             seed: self.seed,
             reuse: self.reuse.unwrap_or_default(),
-            precision: self.model.precision.unwrap_or_default(),
+            precision: self.model.precision,
             level: Some(machine.level()),
             threads: machine.threads(),
             ..Settings::with_model(self.model.source())

@@ -126,7 +126,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         }
     }
     if let Some(path) = &args.json {
-        let (fusion, precision) = (settings.fusion.to_string(), settings.precision.to_string());
+        let (fusion, precision) = (settings.fusion.to_string(), settings.precision().to_string());
         let (motion, fade, refine) = (settings.motion().name(), settings.fade().name(), settings.refine());
         let quality = stream.quality.map(|quality| quality.to_string());
         let (seen, resolution) = (args.seen, settings.resolution().to_string());
