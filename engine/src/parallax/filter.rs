@@ -3,7 +3,7 @@
 use streamsplat_kernels::{Level, resize};
 
 use super::triangulate::Cell;
-use super::{CELL, Sight, fill};
+use super::{CELL, Sight, bodies, fill};
 use crate::stream::{map_value, scene_depth};
 
 /// Largest inverse depth kept, in units of the first median.
@@ -26,6 +26,8 @@ pub struct Found {
     pub inverse: Vec<f32>,
     /// Per cell; 0: no value.
     pub confidence: Vec<f32>,
+    /// Per cell, from 0 to 1: 1 where a body is that moves by itself, less the longer ago that was seen.
+    pub body: Vec<f32>,
     /// Inverse depth that counts as nearest.
     pub nearest: f32,
 }
@@ -37,7 +39,8 @@ impl Found {
         // 1/z of the nearest place of a lifted scene.
         let unit = 1.0 / scene_depth(1.0) / self.nearest.max(f32::MIN_POSITIVE);
         let value = |inverse: &f32| map_value(1.0 / (unit * inverse).max(1e-3)).clamp(0.0, 1.0);
-        let filled: Vec<f32> = self.filled(rgb, [height, width]).iter().map(value).collect();
+        let filled: Vec<f32> =
+            filled(&self.inverse, &self.confidence, rgb, [height, width], self.grid).iter().map(value).collect();
         let [rows, columns] = self.grid;
         let [tall, wide] = [rows * CELL, columns * CELL];
         let mut large = vec![0.0; tall * wide];
@@ -45,40 +48,48 @@ impl Found {
         large.chunks(wide).take(height).flat_map(|row| &row[..width]).copied().collect()
     }
 
-    /// Inverse depth with its holes filled.
-    fn filled(&self, rgb: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
-        let area = height * width;
-        let colour = |cell: usize| {
-            let (row, column) = (cell / self.grid[1] * CELL, cell % self.grid[1] * CELL);
-            std::array::from_fn(|channel| {
-                let (mut sum, mut count) = (0.0, 0.0);
-                for y in row..(row + CELL).min(height) {
-                    for x in column..(column + CELL).min(width) {
-                        sum += rgb[channel * area + y * width + x];
-                        count += 1.0;
-                    }
-                }
-                sum / count
-            })
-        };
-        let colours: Vec<[f32; 3]> = (0..self.inverse.len()).map(colour).collect();
-        fill::fill(&self.inverse, &self.confidence, &colours, self.grid)
-    }
-
     /// Expected and found values, if this cannot be a result of [`find`](super::find) for pictures of this size.
     pub fn contradiction(&self, size: [usize; 2]) -> Option<String> {
         let grid = size.map(|side| side.div_ceil(CELL));
         let count = grid[0].checked_mul(grid[1]);
-        if self.grid != grid || count != Some(self.inverse.len()) || count != Some(self.confidence.len()) {
+        if self.grid != grid
+            || [&self.inverse, &self.confidence, &self.body].iter().any(|plane| count != Some(plane.len()))
+        {
             return Some(format!(
                 "expected inverse depth of {}x{} cells, found {}x{}",
                 grid[0], grid[1], self.grid[0], self.grid[1]
             ));
         }
         let sound = |values: &[f32]| values.iter().all(|v| v.is_finite() && *v >= 0.0);
-        (!(sound(&self.inverse) && sound(&self.confidence) && sound(&[self.nearest])))
+        (!(sound(&self.inverse) && sound(&self.confidence) && sound(&self.body) && sound(&[self.nearest])))
             .then(|| "expected inverse depth that is finite and not negative".to_owned())
     }
+}
+
+/// Inverse depth with its holes filled along the picture `[3, H, W]`.
+pub(super) fn filled(
+    inverse: &[f32],
+    confidence: &[f32],
+    rgb: &[f32],
+    [height, width]: [usize; 2],
+    grid: [usize; 2],
+) -> Vec<f32> {
+    let area = height * width;
+    let colour = |cell: usize| {
+        let (row, column) = (cell / grid[1] * CELL, cell % grid[1] * CELL);
+        std::array::from_fn(|channel| {
+            let (mut sum, mut count) = (0.0, 0.0);
+            for y in row..(row + CELL).min(height) {
+                for x in column..(column + CELL).min(width) {
+                    sum += rgb[channel * area + y * width + x];
+                    count += 1.0;
+                }
+            }
+            sum / count
+        })
+    };
+    let colours: Vec<[f32; 3]> = (0..inverse.len()).map(colour).collect();
+    fill::fill(inverse, confidence, &colours, grid)
 }
 
 /// Cells of the earlier picture at the places of this one's cells, and the nearest inverse depth.
@@ -100,7 +111,8 @@ pub(super) fn carry(found: &Found, sight: &Sight<'_>) -> Option<(Vec<Cell>, f32)
         Cell {
             inverse: found.inverse[from],
             confidence: KEEPS * found.confidence[from] / (1.0 + astray * astray),
-            moves: false,
+            body: KEEPS * found.body[from],
+            ..Cell::default()
         }
     });
     Some((cells.collect(), found.nearest))
@@ -127,7 +139,10 @@ pub(super) fn join(
                 Some(scale) => {
                     for (now, then) in now.iter_mut().zip(&carried) {
                         let whole = now.confidence + then.confidence;
-                        if whole > 0.0 {
+                        if now.body >= 1.0 || then.body >= bodies::STILL_BODY {
+                            // A body's depth includes that of the key frame before; what was a body's is no other thing's.
+                            now.inverse = (now.inverse * scale).min(NEAREST);
+                        } else if whole > 0.0 {
                             let sum = (now.inverse * scale).mul_add(now.confidence, then.inverse * then.confidence);
                             now.inverse = (sum / whole).min(NEAREST);
                             now.confidence = whole.min(MOST);
@@ -147,9 +162,11 @@ pub(super) fn join(
         grid: sight.grid,
         inverse: cells.iter().map(|c| c.inverse).collect(),
         confidence: cells.iter().map(|c| c.confidence).collect(),
+        body: cells.iter().map(|c| c.body).collect(),
         nearest: 0.0,
     };
-    let mut filled = found.filled(sight.evidence.rgb, sight.evidence.there.size);
+    let (rgb, size) = (sight.evidence.rgb, sight.evidence.there.size);
+    let mut filled = filled(&found.inverse, &found.confidence, rgb, size, found.grid);
     filled.sort_by(f32::total_cmp);
     let part = |share: usize| filled[(filled.len() - 1) * share / 100];
     let [far, near] = [part(1), part(99)];

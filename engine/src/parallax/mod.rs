@@ -15,7 +15,7 @@
 //! 3. The camera's motion by a search of random samples with a fixed number of draws, refined on all matches with robust weights (ibid. 11.4.3, 11.6): `ransac`, `epipolar`.
 //! 4. Inverse depth of every cell of a grid of 2×2 pixels, linear in `ρ` (ibid. 12.2), with a confidence: texture, length of the parallax, distance from the epipolar line, and how
 //!    well the flow back undoes the flow: `triangulate`.
-//! 5. Things that move by themselves fit no epipolar line; they take the depth of the ground under them: `moving`.
+//! 5. Things that move by themselves fit no epipolar line; each takes one depth, that of the ground under it: `bodies`.
 //! 6. The inverse depth of the frame before is carried along the flow, brought to one scale, and averaged by confidence: `filter`.
 //! 7. Holes are filled by smoothing that stops at edges of the picture (Gastal & Oliveira, *Domain transform*, SIGGRAPH 2011): `fill`.
 //!
@@ -33,13 +33,13 @@
 //! The focal length is unknown; [`FOCAL`] of the picture's longer side is taken. Where it is wrong depth is bent but keeps its order.
 //! All arithmetic is in binary64 or binary32 in one order on one thread, with +, −, ×, / and √ and the exponential of [`streamsplat_kernels::math`].
 
+mod bodies;
 mod epipolar;
 mod fill;
 mod filter;
 mod homography;
 mod linear;
 mod matches;
-mod moving;
 mod ransac;
 mod triangulate;
 mod turning;
@@ -118,7 +118,8 @@ pub fn find(level: Level, evidence: Evidence<'_>, before: Option<&Found>, stream
     let carried = before.map(|found| filter::carry(found, &sight));
     let now = sight.camera(stream).ok().map(|motion| {
         let mut cells = triangulate::cells(&sight, &motion);
-        moving::to_the_ground(&mut cells, sight.grid);
+        let before = carried.as_ref().and_then(|carried| carried.as_ref());
+        bodies::settle(&mut cells, before.map(|(cells, _)| &cells[..]), &sight);
         cells
     });
     filter::join(now, carried, &sight)

@@ -164,6 +164,40 @@ fn what_moves_by_itself_takes_the_depth_of_the_ground_under_it() {
     assert!((thing - ground).abs() < (thing - above).abs(), "{thing}, ground {ground}, above {above}");
 }
 
+/// A body over ground that comes nearer downwards: its sides slide across the epipolar lines, a strip in its middle along them.
+fn body(x: f64, y: f64) -> (f64, [f64; 2]) {
+    let inside = (60.0..100.0).contains(&x) && (30.0..60.0).contains(&y);
+    let own = match inside {
+        true if (75.0..85.0).contains(&x) && y < 50.0 => [3.0, 0.0],
+        true => [0.0, 5.0],
+        false => [0.0; 2],
+    };
+    (0.2 + 0.006 * y + if x < 50.0 { 0.3 } else { 0.0 }, own)
+}
+
+/// The largest and least inverse depth of cells inside the body.
+fn of_body(found: &Found) -> [f32; 2] {
+    let cells = (17..28).flat_map(|row| (32..48).map(move |column| row * found.grid[1] + column));
+    cells.fold([0.0, f32::INFINITY], |[most, least], cell| {
+        let here = found.inverse[cell];
+        [f32::max(most, here), f32::min(least, here)]
+    })
+}
+
+#[test]
+fn a_body_has_one_depth_with_its_parts_that_move_along_the_epipolar_lines() {
+    let right = motion([0.0; 3], [1.0, 0.0, 0.0]);
+    let first = found(body, right, 0.12, None).expect("parallax");
+    let [most, least] = of_body(&first);
+    assert!(least > 0.0 && most == least, "{least} to {most}");
+    assert!(first.body[22 * first.grid[1] + 40] == 1.0 && first.body[5 * first.grid[1] + 40] == 0.0);
+    // Where it rests for a key frame it still is a body, of the depth it had; not for ever.
+    let resting: Scene = |x, y| (body(x, y).0, [0.0; 2]);
+    let second = found(resting, right, 0.12, Some(&first)).expect("parallax");
+    let [most, least] = of_body(&second);
+    assert!(most == least && second.body[22 * second.grid[1] + 40] == 1.0, "{least} to {most}");
+}
+
 #[test]
 fn what_was_found_is_carried_on_while_the_camera_rests() {
     let first = found(planes, motion([0.0; 3], [1.0, 0.0, 0.0]), 0.1, None).expect("parallax");

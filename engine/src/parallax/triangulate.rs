@@ -5,6 +5,14 @@ use glam::DVec3;
 use super::matches::Match;
 use super::{Motion, Sight};
 
+/// Pixels, of a picture 512 wide, from the epipolar line from which on a match fits no thing at rest, certainly and likely; and the part of the flow's length by
+/// which more is allowed, since long flow is less exact.
+const SEED: f64 = 2.5;
+const HINT: f64 = 1.0;
+const TRAVEL: f64 = 0.08;
+/// How far behind the camera, in those pixels, counts as much.
+const BEHIND: f64 = 0.7;
+
 /// Inverse depth and confidence of a cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Cell {
@@ -12,6 +20,10 @@ pub(super) struct Cell {
     pub(super) confidence: f32,
     /// True if a certain match fits no place of a thing at rest.
     pub(super) moves: bool,
+    /// True if this is likely.
+    pub(super) hint: bool,
+    /// From 0 to 1: 1 where the cell is a body's that moves by itself, less the longer ago that was seen.
+    pub(super) body: f32,
 }
 
 /// For a match: ρ by least squares, the length of parallax that a ρ of 1 makes, and the distance from the epipolar line.
@@ -41,12 +53,18 @@ pub(super) fn cells(sight: &Sight<'_>, motion: &Motion) -> Vec<Cell> {
             let (astray, texture) = (f64::from(sight.astray[pixel]) / sight.unit, f64::from(sight.texture[pixel]));
             let (beside, length) = (beside * pixels, length * pixels);
             lengths.push(length);
-            let moves = astray < 1.0 && texture > 0.3 && (beside > 3.0 || inverse * length < -2.0);
+            let travel = f64::from((u * u + v * v).sqrt()) / sight.unit;
+            let off = |least: f64| {
+                let limit = TRAVEL.mul_add(travel, least);
+                beside > limit || inverse * length < -BEHIND * limit
+            };
+            let moves = astray < 1.0 && texture > 0.3 && off(SEED);
+            let hint = astray < 2.0 && texture > 0.1 && off(HINT);
             let soft = 1.0 + beside * beside;
             let trust = texture / (soft * soft * (1.0 + astray * astray));
             let known = inverse > 0.0 && inverse.is_finite() && trust.is_finite() && astray < 4.0 && !moves;
             let confidence = if known { trust as f32 } else { 0.0 };
-            (Cell { inverse: if known { inverse as f32 } else { 0.0 }, confidence, moves }, length)
+            (Cell { inverse: if known { inverse as f32 } else { 0.0 }, confidence, moves, hint, body: 0.0 }, length)
         })
         .collect();
     lengths.sort_by(f64::total_cmp);

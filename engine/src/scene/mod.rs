@@ -24,6 +24,7 @@
 mod container;
 mod frames;
 mod interval;
+mod join;
 mod read;
 mod records;
 mod resume_point;
@@ -39,6 +40,7 @@ use crate::output::OutputError;
 pub(crate) use container::{COARSENESS, ImageChunks};
 pub use container::{CONTAINER_VERSION, ContainerWriter, MAGIC, intervals_from_container};
 pub use interval::{from_safetensors, to_safetensors};
+pub use join::{Join, Joined};
 pub use read::Scene;
 pub use resume_point::{resume_point_from_safetensors, resume_point_to_safetensors};
 pub use write::SceneWriter;

@@ -10,6 +10,7 @@
 //! | `key_frame`, `next_identity` | U64 `[1]` | the key frame; the first unused identity |
 //! | `depth` | F32 `[2]` | factor and offset of the key frame's depth map, where there is one |
 //! | `found_inverse`, `found_confidence` | F32 `[R,C]` | depth found by parallax for the key frame's cells, where there is any |
+//! | `found_body` | F32 `[R,C]` | 1 where a body is that moves by itself, less the longer ago that was seen |
 //! | `found_nearest` | F32 `[1]` | inverse depth that counts as nearest |
 //! | `covered_cell` | U32 `[C]` | cells of the key frame whose foreground hides what earlier frames saw, where there are any |
 //! | `covered_at`, `covered_rgb` | F32 `[C,2]`, `[C,3]` | its place in pixels and its colour |
@@ -89,7 +90,8 @@ pub fn resume_point_to_safetensors(point: Option<&ResumePoint>, note: &str) -> R
         let shape = found.grid.to_vec();
         tensors.extend([
             ("found_inverse", Dtype::F32, shape.clone(), float_bytes(&found.inverse)),
-            ("found_confidence", Dtype::F32, shape, float_bytes(&found.confidence)),
+            ("found_confidence", Dtype::F32, shape.clone(), float_bytes(&found.confidence)),
+            ("found_body", Dtype::F32, shape, float_bytes(&found.body)),
             ("found_nearest", Dtype::F32, vec![1], float_bytes(&[found.nearest])),
         ]);
     }
@@ -154,6 +156,7 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
                 grid: [rows, columns],
                 inverse: plane("found_inverse")?,
                 confidence: plane("found_confidence")?,
+                body: plane("found_body")?,
                 nearest: nearest[0][0],
             })
         }

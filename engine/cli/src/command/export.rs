@@ -8,7 +8,7 @@ use streamsplat::fit::Placement;
 use streamsplat::import::{self, FORMATS, Opened};
 use streamsplat::output::{prepare_folder, write_file};
 use streamsplat::render::Snapshot;
-use streamsplat::scene::{ContainerWriter, Scene};
+use streamsplat::scene::{ContainerWriter, Join, Scene};
 use streamsplat::stream::{Interval, Workers};
 
 use crate::command::still;
@@ -243,24 +243,16 @@ fn container(scenes: &[Scene], args: &ExportArgs, workers: &Workers, console: &C
     let entries = || scenes.iter().flat_map(|scene| &scene.index().intervals);
     let mut writer = ContainerWriter::create(&args.out, fps)?;
     let mut progress = Progress::new("intervals", Some(entries().count()), console);
-    let mut after = After::default();
+    let mut join = Join::default();
     for scene in scenes {
-        let place = after.place(scene, fps);
-        // An interval lists its frames where its own scene's rate does not; another place in time has others.
-        let mut frames = scene.index().frames().unwrap_or_default().into_iter().peekable();
-        for (i, entry) in scene.index().intervals.iter().enumerate() {
+        for (joined, entry) in join.follow(scene, fps).zip(&scene.index().intervals) {
             if console.stop.asked() {
                 return Err(Failure::work(format!("{}: stopped by the user; nothing was written", args.out.display())));
             }
-            let mut interval = scene.interval(i)?;
-            after.moved(&mut interval, &place);
-            let own: Vec<f64> = std::iter::from_fn(|| frames.next_if(|time| *time <= entry.end)).collect();
-            let listed = if scenes.len() == 1 {
-                entry.frames.clone()
-            } else {
-                own.iter().map(|time| time + place.time).collect()
-            };
-            writer.push_with(&interval, &listed, workers)?;
+            let (interval, frames) = joined?;
+            // An interval lists its frames where its own scene's rate does not; another place in time has others.
+            let listed = if scenes.len() == 1 { &entry.frames } else { &frames };
+            writer.push_with(&interval, listed, workers)?;
             progress.step();
         }
     }
@@ -272,45 +264,6 @@ fn container(scenes: &[Scene], args: &ExportArgs, workers: &Workers, console: &C
         say(format!("{}: {intervals}, {bytes} bytes of {of}", args.out.display()))?;
     }
     Ok(())
-}
-
-/// What scenes before have: one that follows begins after it.
-#[derive(Default)]
-struct After {
-    end: Option<f64>,
-    identities: u64,
-    key_frames: u64,
-}
-
-/// What is added to a scene's times, identities and key frames.
-struct Shift {
-    time: f64,
-    identities: u64,
-    key_frames: u64,
-}
-
-impl After {
-    /// The place of a scene: its own times, unless they begin before the end of what is there.
-    fn place(&self, scene: &Scene, fps: f64) -> Shift {
-        let start = scene.span().0;
-        let time = self.end.filter(|end| start <= *end).map_or(0.0, |end| end + 1.0 / fps - start);
-        Shift { time, identities: self.identities, key_frames: self.key_frames }
-    }
-
-    /// Moves an interval there, and counts it.
-    fn moved(&mut self, interval: &mut Interval, place: &Shift) {
-        interval.start += place.time;
-        interval.end += place.time;
-        interval.index += place.key_frames;
-        let gaussians = &mut interval.gaussians;
-        let merged = interval.merges.iter_mut().flat_map(|merge| [&mut merge.identity, &mut merge.into]);
-        for identity in gaussians.identity.iter_mut().chain(merged) {
-            *identity += place.identities;
-            self.identities = self.identities.max(*identity + 1);
-        }
-        gaussians.birth.iter_mut().chain(&mut gaussians.frame).for_each(|frame| *frame += place.key_frames);
-        (self.end, self.key_frames) = (Some(interval.end), interval.index + 1);
-    }
 }
 
 /// Files of a longer export in the same folder would pass for this one's.

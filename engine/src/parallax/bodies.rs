@@ -1,0 +1,308 @@
+//! Bodies: connected parts of the picture that move by themselves. Each has one depth.
+//!
+//! Two views do not show how far a thing is that moves by itself: its own motion looks like parallax. What shows is that it moves, where its flow
+//! lies off the epipolar lines; and that it stands on something.
+//!
+//! 1. *Seeds* are cells whose match certainly fits no place of a thing at rest, *hints* those where this is likely, and cells that were a body's
+//!    key frames before, by a score that falls with time. Hints that are connected through gaps of [`GAP`] cells and hold enough seeds are a body.
+//! 2. A body grows, by at most a part of its size, over cells whose flow is nearer to its own (an affine field by least squares) than to that of the
+//!    surroundings in the same rows.
+//! 3. Its inverse depth is that of the ground right under its lowest cells; where none is known there, that of the nearest quarter of what is
+//!    around it. What it had at the key frame before is followed with half the weight. Where nothing is known at all it stays a hole.
+//! 4. Parts that seem nearer than the body they touch, and do not reach below it, are its own: they move along the epipolar lines.
+//!
+//! A body that moves along the epipolar lines as a whole is not found: two views do not tell it from a thing at rest at another distance.
+
+use super::filter::weighted_median;
+use super::triangulate::Cell;
+use super::{CELL, Sight};
+
+/// Least share of the picture of a body.
+const LEAST: f64 = 0.002;
+/// Cells between connected hints.
+const GAP: usize = 2;
+/// Least share of a body's cells that are seeds, or were a body's. Errors of flow over things at rest make hints, and few seeds among them.
+const SEEDS: f64 = 0.25;
+/// Rows of cells under a body in which the ground is looked for.
+const UNDER: usize = 6;
+/// Confidence of a body's depth.
+const CONFIDENCE: f32 = 0.5;
+/// Score from which on a cell still is a body's.
+pub(super) const STILL_BODY: f32 = 0.4;
+/// Ratio of inverse depths from which on a part is nearer than its body, and the largest part in those of the body that is its own all the same.
+const NEARER: f32 = 1.2;
+const PART: f64 = 0.4;
+/// Rows of the surroundings that are compared with a row, to both sides.
+const BAND: usize = 3;
+
+/// Gives each body its depth, from this interval's cells and those of the frame before, carried along the flow.
+pub(super) fn settle(cells: &mut [Cell], carried: Option<&[Cell]>, sight: &Sight<'_>) {
+    let [rows, columns] = sight.grid;
+    let was = |at: usize| carried.is_some_and(|carried| carried[at].body >= STILL_BODY);
+    let hints: Vec<bool> = (0..cells.len()).map(|at| cells[at].hint || cells[at].moves || was(at)).collect();
+    let joined = eroded(&spread(&hints, sight.grid, GAP), sight.grid, GAP);
+    let mut taken = vec![false; cells.len()];
+    let mut bodies = Vec::new();
+    for first in 0..cells.len() {
+        if !joined[first] || taken[first] {
+            continue;
+        }
+        let body = connected(&joined, &mut taken, first, [rows, columns]);
+        let seeds = body.iter().filter(|at| cells[**at].moves || was(**at)).count();
+        if body.len() as f64 >= LEAST * cells.len() as f64 && seeds as f64 >= SEEDS * body.len() as f64 {
+            bodies.push(body);
+        }
+    }
+    let mut owner = vec![usize::MAX; cells.len()];
+    for (index, body) in bodies.iter().enumerate() {
+        body.iter().for_each(|at| owner[*at] = index);
+    }
+    for (index, body) in bodies.iter_mut().enumerate() {
+        grow(body, &mut owner, index, sight);
+    }
+    let depths: Vec<Option<f32>> = bodies.iter().map(|body| depth(cells, body, &owner, carried, sight.grid)).collect();
+    for (index, (body, depth)) in bodies.iter_mut().zip(&depths).enumerate() {
+        if let Some(depth) = depth {
+            nearer_parts(cells, body, &mut owner, index, *depth, [rows, columns]);
+        }
+    }
+    for (body, depth) in bodies.iter().zip(depths) {
+        for &at in body {
+            let (inverse, confidence) = depth.map_or((0.0, 0.0), |inverse| (inverse, CONFIDENCE));
+            cells[at] = Cell { inverse, confidence, body: 1.0, ..cells[at] };
+        }
+    }
+}
+
+/// Cells with one of the mask within `reach` rows and columns.
+fn spread(mask: &[bool], grid: [usize; 2], reach: usize) -> Vec<bool> {
+    within(mask, grid, reach, true)
+}
+
+/// Cells with nothing but the mask within `reach` rows and columns.
+fn eroded(mask: &[bool], grid: [usize; 2], reach: usize) -> Vec<bool> {
+    within(mask, grid, reach, false)
+}
+
+fn within(mask: &[bool], [rows, columns]: [usize; 2], reach: usize, any: bool) -> Vec<bool> {
+    let near = |i: usize, side: usize| i.saturating_sub(reach)..(i + reach + 1).min(side);
+    let of = |mask: &[bool], at: &dyn Fn(usize) -> usize, mut range: std::ops::Range<usize>| {
+        if any { range.any(|i| mask[at(i)]) } else { range.all(|i| mask[at(i)]) }
+    };
+    let across: Vec<bool> = (0..mask.len())
+        .map(|at| of(mask, &|column| at / columns * columns + column, near(at % columns, columns)))
+        .collect();
+    (0..mask.len()).map(|at| of(&across, &|row| row * columns + at % columns, near(at / columns, rows))).collect()
+}
+
+/// The cells of the mask that are connected with `first`, ascending.
+fn connected(mask: &[bool], taken: &mut [bool], first: usize, [rows, columns]: [usize; 2]) -> Vec<usize> {
+    let (mut body, mut next) = (Vec::new(), vec![first]);
+    taken[first] = true;
+    while let Some(at) = next.pop() {
+        body.push(at);
+        for to in around(at, [rows, columns]) {
+            if mask[to] && !taken[to] {
+                taken[to] = true;
+                next.push(to);
+            }
+        }
+    }
+    body.sort_unstable();
+    body
+}
+
+/// The four neighbours of a cell.
+fn around(at: usize, [rows, columns]: [usize; 2]) -> impl Iterator<Item = usize> {
+    let (row, column) = (at / columns, at % columns);
+    [
+        (row > 0).then(|| at - columns),
+        (row + 1 < rows).then(|| at + columns),
+        (column > 0).then(|| at - 1),
+        (column + 1 < columns).then(|| at + 1),
+    ]
+    .into_iter()
+    .flatten()
+}
+
+/// The flow at a cell, in pixels of a picture 512 wide.
+fn flow(at: usize, sight: &Sight<'_>) -> [f64; 2] {
+    let [x, y] = sight.middle(at);
+    sight.evidence.there.at(x, y).map(|d| f64::from(d) / sight.unit)
+}
+
+/// Adds cells around a body that move with it rather than with what is around it.
+fn grow(body: &mut Vec<usize>, owner: &mut [usize], index: usize, sight: &Sight<'_>) {
+    let [rows, columns] = sight.grid;
+    let place = |at: usize| [(at % columns * CELL) as f64 / sight.unit, (at / columns * CELL) as f64 / sight.unit];
+    let points: Vec<_> = body.iter().map(|&at| (place(at), flow(at, sight))).collect();
+    let Some(own) = affine(&points) else { return };
+    let rows_of = || body.iter().map(|at| at / columns);
+    let columns_of = || body.iter().map(|at| at % columns);
+    let [top, bottom] = [rows_of().min(), rows_of().max()].map(Option::unwrap_or_default);
+    let [left, right] = [columns_of().min(), columns_of().max()].map(Option::unwrap_or_default);
+    let size = (bottom - top).min(right - left) + 1;
+    let reach = (size / 3).clamp(2, columns / 16 + 2);
+    // Mean flow of the surroundings, row by row.
+    let near = |i: usize, side: usize, reach: usize| i.saturating_sub(reach)..(i + reach + 1).min(side);
+    let (from, to) = (left.saturating_sub(3 * reach), (right + 3 * reach + 1).min(columns));
+    let mut outside: Vec<[f64; 3]> = Vec::with_capacity(rows);
+    for row in 0..rows {
+        let mut sum = [0.0; 3];
+        for at in (from..to).map(|column| row * columns + column).filter(|at| owner[*at] == usize::MAX) {
+            let [u, v] = flow(at, sight);
+            if u.is_finite() && v.is_finite() {
+                sum = [sum[0] + u, sum[1] + v, sum[2] + 1.0];
+            }
+        }
+        outside.push(sum);
+    }
+    let ground = |row: usize| {
+        let sum = near(row, rows, BAND).fold([0.0; 3], |sum, row| [0, 1, 2].map(|k| sum[k] + outside[row][k]));
+        (sum[2] > 0.0).then(|| [sum[0] / sum[2], sum[1] / sum[2]])
+    };
+    let apart = |a: [f64; 2], b: [f64; 2]| ((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1])).sqrt();
+    let mut edge = body.clone();
+    for _ in 0..reach {
+        let mut next = Vec::new();
+        for &at in &edge {
+            for to in around(at, [rows, columns]) {
+                if owner[to] != usize::MAX {
+                    continue;
+                }
+                let (here, expected) = (flow(to, sight), own(place(to)));
+                let Some(ground) = ground(to / columns) else { continue };
+                let between = apart(expected, ground);
+                if between > 1.0 && apart(here, expected) < (0.4 * between).min(2.0) {
+                    owner[to] = index;
+                    next.push(to);
+                }
+            }
+        }
+        next.sort_unstable();
+        body.extend(&next);
+        edge = next;
+    }
+    body.sort_unstable();
+}
+
+/// Adds what touches a body and seems nearer than it without standing nearer: connected cells of at most [`PART`] of its size that end above its lowest row.
+fn nearer_parts(
+    cells: &[Cell],
+    body: &mut Vec<usize>,
+    owner: &mut [usize],
+    index: usize,
+    depth: f32,
+    grid @ [_, columns]: [usize; 2],
+) {
+    let bottom = body.last().map_or(0, |last| last / columns);
+    let nearer: Vec<bool> = (0..cells.len())
+        .map(|at| owner[at] == usize::MAX && cells[at].confidence > 0.0 && cells[at].inverse > NEARER * depth)
+        .collect();
+    let mut taken = vec![false; cells.len()];
+    let mut added = Vec::new();
+    for &at in body.iter() {
+        for first in around(at, grid) {
+            if nearer[first] && !taken[first] {
+                let part = connected(&nearer, &mut taken, first, grid);
+                let ends = part.last().map_or(0, |last| last / columns);
+                if part.len() as f64 <= PART * body.len() as f64 && ends <= bottom {
+                    added.extend(part);
+                }
+            }
+        }
+    }
+    added.iter().for_each(|at| owner[*at] = index);
+    body.extend(added);
+    body.sort_unstable();
+}
+
+/// The affine field nearest to some flow at some places; `None` where these do not determine it.
+fn affine(points: &[([f64; 2], [f64; 2])]) -> Option<impl Fn([f64; 2]) -> [f64; 2] + use<>> {
+    let (mut x, mut y) = (super::linear::Normal::<3>::new(), super::linear::Normal::<3>::new());
+    let (mut count, mut middle) = (0.0, [0.0; 2]);
+    for (place, _) in points {
+        count += 1.0;
+        middle = [middle[0] + place[0], middle[1] + place[1]];
+    }
+    let middle = middle.map(|sum| sum / f64::max(count, 1.0));
+    for (place, flow) in points {
+        let j = [1.0, place[0] - middle[0], place[1] - middle[1]];
+        if flow.iter().all(|d| d.is_finite()) {
+            x.add(1.0, &j, flow[0]);
+            y.add(1.0, &j, flow[1]);
+        }
+    }
+    let (x, y) = (x.solve()?, y.solve()?);
+    Some(move |place: [f64; 2]| {
+        let [dx, dy] = [place[0] - middle[0], place[1] - middle[1]];
+        [x, y].map(|[a, b, c]| a + b * dx + c * dy)
+    })
+}
+
+/// The inverse depth of a body.
+fn depth(
+    cells: &[Cell],
+    body: &[usize],
+    owner: &[usize],
+    carried: Option<&[Cell]>,
+    [rows, columns]: [usize; 2],
+) -> Option<f32> {
+    let (first, last) = (body.first()?, body.last()?);
+    let (top, bottom) = (first / columns, last / columns);
+    let low = bottom - (bottom - top) / 5;
+    let mut ground = Vec::new();
+    for &at in body.iter().filter(|at| **at / columns >= low) {
+        for row in at / columns + 1..(at / columns + 1 + UNDER).min(rows) {
+            let under = row * columns + at % columns;
+            if owner[under] != usize::MAX {
+                break;
+            }
+            ground.push((cells[under].inverse, cells[under].confidence));
+        }
+    }
+    let now = weighted_median(ground.into_iter()).or_else(|| {
+        let mut seen = vec![false; cells.len()];
+        body.iter().for_each(|at| seen[*at] = true);
+        let mut ring: Vec<(f32, f32)> = Vec::new();
+        let mut edge = body.to_vec();
+        for _ in 0..UNDER {
+            let mut next = Vec::new();
+            for &at in &edge {
+                for to in around(at, [rows, columns]) {
+                    if !seen[to] {
+                        seen[to] = true;
+                        next.push(to);
+                        if owner[to] == usize::MAX {
+                            ring.push((cells[to].inverse, cells[to].confidence));
+                        }
+                    }
+                }
+            }
+            edge = next;
+        }
+        // The nearest quarter of what is around it, or the nearest eighth where the picture cuts off its feet.
+        for _ in 0..if bottom + 1 == rows { 2 } else { 1 } {
+            let half = weighted_median(ring.iter().copied())?;
+            ring.retain(|(inverse, _)| *inverse >= half);
+        }
+        weighted_median(ring.into_iter())
+    });
+    // In this interval's scale: the ratio of what surrounds bodies, now and then.
+    let before = carried.and_then(|carried| {
+        let ratio = |at: usize| {
+            let (now, then) = (cells[at], carried[at]);
+            (now.inverse / then.inverse.max(1e-6), now.confidence.min(then.confidence))
+        };
+        let scale = weighted_median((0..cells.len()).filter(|at| owner[*at] == usize::MAX).map(ratio))?;
+        let was = |at: &usize| carried[*at].body >= STILL_BODY;
+        let known = body.iter().filter(|at| was(at)).map(|at| (carried[*at].inverse, carried[*at].confidence));
+        let of_body = body.iter().filter(|at| was(at)).count();
+        let then = weighted_median(known)?;
+        (2 * of_body >= body.len()).then_some(then * scale)
+    });
+    match (now, before) {
+        (Some(now), Some(before)) => Some(0.5 * (now + before)),
+        (now, before) => now.or(before),
+    }
+}
