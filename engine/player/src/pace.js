@@ -1,12 +1,14 @@
 // The pace of pictures: where they come too slowly while things move, they are drawn with fewer pixels, until things rest.
 
+import { clamp } from "./camera.js";
+
 /** The longest time from one picture to the next, in milliseconds, and the fewest pixels a side of all there are. */
 const SLOW = 36;
 const LEAST = 0.3;
 /** How long nothing moves before the picture is drawn with all pixels again, in milliseconds. */
 const REST = 400;
 
-class Pace {
+export class Pace {
   constructor() {
     this.detail = 1;
     /** The detail that was found to be quick enough. */
