@@ -136,7 +136,7 @@ export class Drawing {
   }
 
   /** The view's uniforms, and the records in their order. */
-  look(at, view, order, mode) {
+  setView(at, view, order, mode) {
     const { gl } = this;
     this.bind(this.records, 0);
     gl.uniform1i(at.records, 0);
@@ -152,7 +152,7 @@ export class Drawing {
   }
 
   /** Takes a still scene's program into use. */
-  stand(packet, order, view, mode) {
+  useStill(packet, order, view, mode) {
     const { gl } = this;
     const { program, at } = (this.still ??= this.program("still.vert", "splat.frag"));
     gl.useProgram(program);
@@ -161,12 +161,12 @@ export class Drawing {
     gl.uniform1i(at.degree, packet.degree);
     gl.uniform1i(at.antialiased, packet.antialiased ? 1 : 0);
     gl.uniform2fv(at.ends, view.ends);
-    this.look(at, view, order, mode);
+    this.setView(at, view, order, mode);
     return at;
   }
 
   /** Prepares a packet's records, and takes the program into use that draws them. */
-  move(packet, order, t, view, mode) {
+  useMoving(packet, order, t, view, mode) {
     const { gl, prepare: { program, at } } = this;
     gl.useProgram(program);
     this.bind(this.rates, 2);
@@ -176,7 +176,7 @@ export class Drawing {
     gl.uniform1f(at.t, t);
     gl.uniform2fv(at.own, view.own);
     gl.uniform1f(at.units, view.units);
-    this.look(at, view, order, mode);
+    this.setView(at, view, order, mode);
     const rows = Math.ceil(order.length / PER_ROW);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.preparing);
     if (rows > this.preparedRows) {
@@ -243,7 +243,7 @@ export class Drawing {
     let at = null;
     if (order.length) {
       this.upload(packet);
-      at = packet.still ? this.stand(packet, order, view, mode) : this.move(packet, order, t, view, mode);
+      at = packet.still ? this.useStill(packet, order, view, mode) : this.useMoving(packet, order, t, view, mode);
     }
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);

@@ -50,6 +50,11 @@ const shown = (page) => page.waitForFunction(() => window.first);
 /** The canvas at a time, as PNG bytes. */
 async function at(page, time) {
   await page.evaluate((time) => window.element.seek(time), time);
+  // With all pixels, in the order of this very time and view.
+  await page.waitForFunction(() => {
+    const { detail, shown, stale, due } = window.element.player;
+    return detail === 1 && shown.exact && !stale && !due;
+  });
   let last = null;
   for (let i = 0; i < 50; i++) {
     const now = await page.screenshot();
