@@ -1,4 +1,5 @@
-"""compare_container.py STREAMSPLAT SCENE-FOLDER CONTAINER: what read_container.py reads, beside the scene's own files; and a picture of it beside ours."""
+"""compare_container.py STREAMSPLAT SCENE-FOLDER CONTAINER [CONTAINER…]: what read_container.py reads, beside the scene's own files; and a picture of it beside ours. Other
+containers, of every version, are read whole."""
 
 import json
 import struct
@@ -110,7 +111,7 @@ def check(holds, what):
         sys.exit(what)
 
 
-def main(streamsplat, folder, path):
+def main(streamsplat, folder, path, *others):
     # Test vectors of BLAKE3: bytes 0 to 250, over and over.
     data = bytes(i % 251 for i in range(102400))
     for length, digest in ((0, 'af1349b9f5f9a1a6'), (1, '2d3adedff11b61f1'), (1025, 'd00278ae47eb27b3'), (102400, 'bc3e3d41a1146b06')):
@@ -156,6 +157,14 @@ def main(streamsplat, folder, path):
             except Broken:
                 continue
             sys.exit(f'byte {at}: expected an error, found none')
+    versions = {container.version}
+    for other in map(Container, others):
+        versions.add(other.version)
+        for i, entry in enumerate(other.intervals):
+            check(len(other.records(i)['opacity']) == entry['gaussians'], f'{other.file.name}: interval {i}')
+            check(other.version == 4 or not entry['frames'], f'{other.file.name}: interval {i}: times of frames')
+        check(other.version < 4 or any(entry['frames'] for entry in other.intervals), f'{other.file.name}: expected times of frames')
+    check(not others or versions == {1, 2, 3, 4}, f'expected containers of every version, found {versions}')
     lines = len(Path(__file__).with_name('read_container.py').read_text().splitlines())
     check(lines <= 200, f'read_container.py: expected at most 200 lines, found {lines}')
     print(f'a reader of {lines} lines in Python: {numbers} numbers of {len(index["intervals"])} intervals as in the folder, a picture at {-10 * np.log10(off):.1f} dB')
