@@ -15,7 +15,7 @@ import { Contained, Store } from "./store.js";
 const [ROOM, AHEAD] = [64 * 2 ** 20, 2];
 /** Intervals that are on their way at once, of those read ahead. */
 const COMING = 2;
-/** How long an interval that did not come is left alone, in milliseconds. */
+/** Milliseconds after a failure until the next attempt. */
 const RETRY = 2000;
 /** Bytes of a Gaussian in a packet at most. */
 const EACH = RECORD + 5;
@@ -91,7 +91,7 @@ export class Clip {
     this.placed = true;
   }
 
-  /** Asks for an interval; where it does not come, not again for a while. */
+  /** Requests an interval; after a failure, not again for RETRY milliseconds. */
   load(interval) {
     if (performance.now() < this.again) return;
     this.packet(interval).then(
@@ -104,7 +104,7 @@ export class Clip {
     );
   }
 
-  /** Asks for the intervals that are shown soon, if not too many are on their way. */
+  /** Requests the intervals that are shown soon, if not too many are on their way. */
   readAhead(interval, time, loop) {
     const { store, intervals } = this;
     let bytes = 0;

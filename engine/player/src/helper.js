@@ -61,7 +61,7 @@ export class Orders {
     return last ? { order: last.order, exact: last.t === t && sameView(last.view, view) } : null;
   }
 
-  /** Asks for the order at t; and for the following interval's first one, if that has none. */
+  /** Requests the order at t; and for the following interval's first one, if that has none. */
   want(interval, t, view, following) {
     const { eye, axes, units, pinhole, still } = view;
     const seen = { eye, axes, units, pinhole, still };

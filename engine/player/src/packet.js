@@ -5,7 +5,7 @@ export const RECORD = 32;
 export const WORDS = RECORD / 4;
 export const SHORTS = RECORD / 2;
 
-/** The number that 16 bits of IEEE binary16 stand for. */
+/** The number of which these are the 16 bits in IEEE binary16. */
 export function half(bits) {
   const sign = bits & 0x8000 ? -1 : 1;
   const exponent = (bits >> 10) & 31;

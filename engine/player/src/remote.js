@@ -16,7 +16,7 @@ export class RemoteFile {
   static async open(address, { signal } = {}) {
     const file = new RemoteFile(address, signal);
     const answer = await file.ask({ Range: `bytes=0-${BLOCK - 1}` });
-    // A server says so where a file is empty.
+    // The answer of servers for an empty file.
     if (answer.status === 416) throw wrong("file", "a container", "no bytes");
     if (answer.status === 200) return file.whole(answer);
     file.tag = answer.headers.get("etag");
@@ -32,7 +32,7 @@ export class RemoteFile {
     [this.address, this.signal, this.size, this.tag] = [address, signal, 0, null];
     /** Bytes that are at hand: the file's beginning and its end. */
     this.parts = [];
-    /** What was asked for so far: requests, and bytes of their answers. */
+    /** Requests made so far, and bytes received. */
     this.traffic = { requests: 0, bytes: 0 };
   }
 
@@ -68,7 +68,7 @@ export class RemoteFile {
     return bytes;
   }
 
-  /** A body whose length nobody said. */
+  /** A body without a Content-Length. */
   async counted(answer, length) {
     const [bytes, reader] = [new Uint8Array(length), answer.body.getReader()];
     for (let at = 0; ; ) {

@@ -73,7 +73,7 @@ export class Contained extends Chunked {
   }
 }
 
-/** The list of intervals, and the packets that were asked for last. */
+/** The list of intervals, and the packets used last. */
 export class Store {
   /** `left`: what is done with an interval that is no longer kept; `room`: the most bytes of packets kept. */
   constructor(source, left, room = KEPT) {
@@ -87,7 +87,7 @@ export class Store {
     this.bytes = 0;
   }
 
-  /** Asks for intervals that are not on the list yet. Returns how many there were. */
+  /** Requests the intervals that are not on the list yet. Returns how many there were. */
   async refresh() {
     const known = this.times.length;
     const { intervals, from, ...about } = await this.source.describe(known);

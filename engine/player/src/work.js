@@ -41,7 +41,7 @@ export const WORK = {
   },
 };
 
-/** Does what a question says. */
+/** Does the task of a question. */
 export function answer({ data }) {
   try {
     WORK[data.kind](data);

@@ -1,4 +1,4 @@
-"""compare_container.py STREAMSPLAT SCENE-FOLDER CONTAINER [CONTAINER…]: what read_container.py reads, beside the scene's own files; and a picture of it beside ours. Other
+"""compare_container.py STREAMSPLAT SCENE-FOLDER CONTAINER [CONTAINER…]: what read_container.py reads, compared with the scene's own files; and a picture of it with the program's. Other
 containers, of every version, are read whole."""
 
 import json
@@ -143,7 +143,7 @@ def main(streamsplat, folder, path, *others):
             check(ratio <= 0.5 + 1e-4, f'interval {i}: {name}: {ratio} steps off')
     size = (128, 72)
     off = ((drawn(container, 0.3, *size) - rendered(streamsplat, path, 0.3, *size)) ** 2).mean()
-    check(off < 10 ** -4.5, f'a picture: expected 45 dB beside ours, found {-10 * np.log10(off):.1f}')
+    check(off < 10 ** -4.5, f'a picture: expected 45 dB from the program's, found {-10 * np.log10(off):.1f}')
     # What a reader refuses: a bit changed anywhere that counts, and a file cut anywhere.
     data = Path(path).read_bytes()
     damaged = Path(path).with_name('damaged.ssz')

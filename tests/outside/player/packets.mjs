@@ -1,4 +1,4 @@
-// packets.mjs STREAMSPLAT CONTAINER…: packets that the player makes of containers, in Node, beside those that `streamsplat view` serves.
+// packets.mjs STREAMSPLAT CONTAINER…: packets that the player makes of containers, in Node, compared with those that `streamsplat view` serves.
 
 import { openAsBlob, readFileSync } from "node:fs";
 import { deflateRawSync } from "node:zlib";

@@ -1,4 +1,4 @@
-// A server of files with ranges, which counts what it is asked for.
+// A server of files with ranges, which lists requests.
 
 import { closeSync, fstatSync, openSync, readSync } from "node:fs";
 import { createServer } from "node:http";

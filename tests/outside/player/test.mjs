@@ -10,9 +10,9 @@ import { serve } from "./server.mjs";
 const [modules, streamsplat, scratch, name] = process.argv.slice(2);
 const CLIP = "fixtures/clips/moving.y4m";
 const SIZE = [512, 288];
-/** The player's pictures beside ours, in dB: those of its own drawing, and those of three.js, which blends bytes. */
+/** PSNR of the player's pictures with those of `render`, in dB: of its own drawing, and of other engines, which blend bytes. */
 const [ENOUGH, BLENDED] = [45, 36];
-/** Pictures a second that are asked for on two cores at rest; a machine with other work gets three times as long. */
+/** Pictures a second on two free cores; a third of them are enough on a machine with other work. */
 const RATE = 30;
 /** Bytes of packets that the long clip may keep, and by how much the browser's memory may grow while it plays. */
 const ROOM = 24 * 2 ** 20;
@@ -79,7 +79,7 @@ async function streaming(page) {
   const [first, size] = [await page.evaluate(() => window.first), readFileSync(long).length];
   // The header, the index at the end, the rest of the first chunk, and up to two that are read ahead.
   check(first.requests <= 6 && first.bytes < size / 20, `first picture: expected it after six requests, found ${first.requests} and ${first.bytes} of ${size} bytes`);
-  check(server.asked.every(({ range }) => range), "only parts of the file are asked for");
+  check(server.asked.every(({ range }) => range), "requests have a range");
   const events = await page.evaluate(() => window.events);
   check(events.slice(0, 2).join() === "loadedmetadata,loadeddata", `expected loadedmetadata and loadeddata, found ${events}`);
   console.log(`${name}: first picture of a minute (${(size / 1e6).toFixed(0)} MB) after ${first.requests} requests and ${(first.bytes / 1e6).toFixed(2)} MB`);
@@ -91,7 +91,7 @@ async function seeking(page) {
   const place = entries.findIndex(({ start, back }) => start > 40 && back === 3);
   const { start, at: begin, bytes } = entries[place];
   const from = entries[place - 3].at;
-  /** Until nothing was asked for in two seconds. */
+  /** Until two seconds pass without a request. */
   const rests = async () => {
     for (let last = -1; last !== server.asked.length; await pause(2000)) last = server.asked.length;
   };
@@ -122,8 +122,8 @@ async function pictures(page) {
   // Not in order: chunks need those before them.
   for (const time of [0.45, 0.1, 0.3]) {
     const dB = await psnr(other, await at(page, time), ours(time));
-    console.log(`${name}: ${time} s beside our render: ${dB.toFixed(1)} dB`);
-    check(dB >= ENOUGH, `${time} s: expected ${ENOUGH} dB beside our render, found ${dB}`);
+    console.log(`${name}: ${time} s from our render: ${dB.toFixed(1)} dB`);
+    check(dB >= ENOUGH, `${time} s: expected ${ENOUGH} dB from our render, found ${dB}`);
   }
   const before = await at(page, 0.3);
   await page.evaluate(() => window.element.look({ yaw: 12, pitch: -5, zoom: 1.2, lens: "perspective" }));
@@ -179,7 +179,7 @@ async function playing(page) {
   check(turns === 2, "a loop begins again");
 }
 
-/** What goes wrong is said in a line; a server without ranges will do. */
+/** Errors are one line; a server without ranges will do. */
 async function errors(page) {
   const whole = readFileSync(short);
   const damaged = Buffer.from(whole);
@@ -213,7 +213,7 @@ async function errors(page) {
   await put(page, { src: "/scratch/scene.ssz", background: "0.5" });
   await shown(page);
   const dB = await psnr(other, await at(page, 0.3), ours(0.3));
-  check(dB >= ENOUGH, `a server without ranges: expected ${ENOUGH} dB beside our render, found ${dB}`);
+  check(dB >= ENOUGH, `a server without ranges: expected ${ENOUGH} dB from our render, found ${dB}`);
   server.ranges = true;
   // Bytes at hand, and nonsense.
   const said = await page.evaluate(async () => {
@@ -297,7 +297,7 @@ async function rate(page) {
   const each = (1000 * (worked - work)) / pictures;
   const { gaussians } = index.entries[1];
   console.log(`${name}: ${second.toFixed(1)} pictures a second of ${SIZE.join("x")}, ${gaussians} Gaussians, sides at ${after[1].toFixed(2)}; ${each.toFixed(0)} ms of processors' time each`);
-  check(second >= RATE / 3, `expected ${RATE} pictures a second, a third of them beside other work, found ${second}`);
+  check(second >= RATE / 3, `expected ${RATE} pictures a second, a third of them on a machine with other work, found ${second}`);
 }
 
 /** Until an engine has drawn what came. */
@@ -320,7 +320,7 @@ const coloursOf = (png, places) => other.evaluate(async ([png, places]) => {
 }, [png.toString("base64"), places]);
 
 /** The example of another engine: the scene and two boxes hide each other. Returns its page. */
-async function beside(engine, hide) {
+async function among(engine, hide) {
   const page = await opened([800, 500]);
   await page.goto(`${server.address}/player/examples/${engine}.html?src=/scratch/scene.ssz&t=0.4&turn=10`);
   await page.waitForFunction(() => window.video?.packet);
@@ -347,13 +347,13 @@ async function fromSource(page, engine, draw) {
   const picture = Buffer.from(await page.evaluate(() => (window.draw(), window.canvas.toDataURL("image/png").split(",")[1])), "base64");
   writeFileSync(`${scratch}/${name}-${engine}-source.png`, picture);
   const dB = await psnr(other, picture, ours(0.3));
-  console.log(`${name}: ${engine} from the source's camera beside our render: ${dB.toFixed(1)} dB`);
-  check(dB >= BLENDED, `${engine}: expected ${BLENDED} dB beside our render, found ${dB}`);
+  console.log(`${name}: ${engine} from the source's camera from our render: ${dB.toFixed(1)} dB`);
+  check(dB >= BLENDED, `${engine}: expected ${BLENDED} dB from our render, found ${dB}`);
   await page.close();
 }
 
 async function three() {
-  const page = await beside("three", (on) => (window.video.visible = on));
+  const page = await among("three", (on) => (window.video.visible = on));
   await fromSource(page, "three", ([width, height]) => {
     const { THREE, renderer, video } = window;
     renderer.setAnimationLoop(null);
@@ -372,7 +372,7 @@ async function three() {
 }
 
 async function playcanvas() {
-  const page = await beside("playcanvas", (on) => (window.video.entity.enabled = on));
+  const page = await among("playcanvas", (on) => (window.video.entity.enabled = on));
   await fromSource(page, "playcanvas", ([width, height]) => {
     const { pc, app, camera, video, front, behind } = window;
     for (const entity of [front, behind]) entity.destroy();
