@@ -29,11 +29,12 @@ function sizeOf(path) {
 }
 
 /**
- * Serves `folders`, by how their addresses begin. `asked` has every request for a `.ssz`: { path, from, length, range }. `change` may alter an answer to
+ * Serves `folders`, by how their addresses begin. `asked` has every request for a `.ssz`: { path, from, length, range, method }. `change` may alter an answer to
  * one: a function of these and of the file's `size` that returns { status, headers, bytes } or nothing. Without `ranges`, files are sent whole.
+ * Other sites may use all of it, and read the headers that `exposed` lists.
  */
 export async function serve(folders) {
-  const state = { asked: [], change: null, ranges: true };
+  const state = { asked: [], change: null, ranges: true, exposed: "Content-Range, ETag" };
   const server = createServer((request, response) => {
     const path = decodeURIComponent(new URL(request.url, "http://localhost").pathname);
     const begins = Object.keys(folders).filter((name) => path.startsWith(`/${name}/`)).sort((a, b) => b.length - a.length)[0];
@@ -56,9 +57,10 @@ export async function serve(folders) {
       response.writeHead(416, { "Content-Range": `bytes */${size}` }).end();
       return;
     }
-    const headers = { "Content-Type": TYPES[extname(file)] ?? "application/octet-stream", "Cache-Control": "no-store", ETag: `"${size}"` };
+    const shared = { "Access-Control-Allow-Origin": "*", "Access-Control-Expose-Headers": state.exposed };
+    const headers = { ...shared, "Content-Type": TYPES[extname(file)] ?? "application/octet-stream", "Cache-Control": "no-store", ETag: `"${size}"` };
     if (range) headers["Content-Range"] = `bytes ${from}-${from + length - 1}/${size}`;
-    if (file.endsWith(".ssz")) state.asked.push({ path, from, length, range: Boolean(range) });
+    if (file.endsWith(".ssz")) state.asked.push({ path, from, length, range: Boolean(range), method: request.method });
     const changed = file.endsWith(".ssz") && state.change?.({ path, from, length, size, headers });
     const { status = range ? 206 : 200, bytes = null } = changed || {};
     const body = bytes ?? part(file, from, length);

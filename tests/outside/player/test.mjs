@@ -300,6 +300,26 @@ async function rate(page) {
   check(second >= RATE / 3, `expected ${RATE} pictures a second, a third of them on a machine with other work, found ${second}`);
 }
 
+/** The package and the clip on another site, whose headers the page may read or not. */
+async function elsewhere(page) {
+  const far = await serve({ player: "engine/player", scratch });
+  for (const exposed of ["Content-Range, ETag", ""]) {
+    far.exposed = exposed;
+    far.asked.length = 0;
+    await page.goto(`${server.address}/test/page.html?player=${encodeURIComponent(`${far.address}/player/src/index.js`)}`);
+    await page.waitForFunction(() => window.ready);
+    await put(page, { src: `${far.address}/scratch/scene.ssz`, background: "0.5" });
+    await shown(page);
+    const dB = await psnr(other, await at(page, 0.3), ours(0.3));
+    check(dB >= ENOUGH, `another site: expected ${ENOUGH} dB from our render, found ${dB}`);
+    const heads = far.asked.filter(({ method }) => method === "HEAD").length;
+    check(heads === (exposed ? 0 : 1), `another site: expected ${exposed ? "no" : "one"} question about the file's size, found ${heads}`);
+  }
+  far.close();
+  await page.goto(`${server.address}/test/page.html`);
+  await page.waitForFunction(() => window.ready);
+}
+
 /** Until an engine has drawn what came. */
 const settled = (page) => page.evaluate(async () => {
   const turns = async () => {
@@ -407,6 +427,7 @@ await playing(page);
 await rate(page);
 await minute(page);
 check([...log.said, ...(browser.log ?? [])].length === 0, `the console is not clean: ${[...log.said, ...(browser.log ?? [])].join("; ")}`);
+await elsewhere(page);
 await errors(page);
 log.said.length = 0;
 if (browser.log) browser.log.length = 0;
