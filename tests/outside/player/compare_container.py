@@ -143,7 +143,7 @@ def main(streamsplat, folder, path, *others):
             check(ratio <= 0.5 + 1e-4, f'interval {i}: {name}: {ratio} steps off')
     size = (128, 72)
     off = ((drawn(container, 0.3, *size) - rendered(streamsplat, path, 0.3, *size)) ** 2).mean()
-    check(off < 10 ** -4.5, f'a picture: expected 45 dB from the program's, found {-10 * np.log10(off):.1f}')
+    check(off < 10 ** -4.5, f'a picture: expected 45 dB from our render, found {-10 * np.log10(off):.1f}')
     # What a reader refuses: a bit changed anywhere that counts, and a file cut anywhere.
     data = Path(path).read_bytes()
     damaged = Path(path).with_name('damaged.ssz')
