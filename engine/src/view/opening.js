@@ -8,13 +8,13 @@ let reading = null;
 /** Shows a file in place of the scene; where that cannot be, says why, and the scene stays. */
 async function openFile(file) {
   reading?.end();
-  const own = (reading = new Helper());
+  const own = (reading = new Helper(ownWorker()));
   say(`${file.name}: reading …`);
   try {
     await begun;
     if (!drawing) throw new Error("this browser offers no WebGL2");
-    const { buffer, still, about, chunks } = await own.ask({ kind: "file", file, most: Math.min(MOST, drawing.room), axes: saidAxes() });
-    const source = about ? new Contained(file, about, chunks, own) : new Local(file.name, packetIn(buffer), still);
+    const { buffer, still, scene } = await own.ask({ kind: "file", file, most: Math.min(MOST, drawing.room), axes: saidAxes() });
+    const source = scene ? new Contained(new BlobFile(file), scene, own, file.name) : new Local(file.name, packetIn(buffer), still);
     const packet = await source.packet(0);
     if (reading !== own) return;
     drawing.upload(packet);

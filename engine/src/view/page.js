@@ -21,6 +21,9 @@ const pace = new Pace();
 let drawing = null;
 let [orders, store] = [null, null];
 
+/** A worker that runs the page's own script. */
+const ownWorker = () => new Worker(URL.createObjectURL(new Blob([find("worker").textContent], { type: "text/javascript" })));
+
 /** Takes a source of intervals and its worker into use, in place of those before. */
 function use(helper, source) {
   orders?.helper.end();
@@ -441,61 +444,13 @@ function listenToButtons() {
   find("time").addEventListener("input", () => (jump(Number(find("time").value)), changed()));
 }
 
-/** Degrees that a pixel of a drag turns. */
-const perPixel = () => (camera.bounded ? 0.12 : 0.3);
-
-/** One finger or button turns (or, with Shift or another button, moves); two move and zoom; a click picks. */
+/** Drags move the camera; a click picks. */
 function listenToPointers() {
-  const down = new Map();
-  let travelled = 0;
-  const place = (e) => [e.clientX, e.clientY];
-  const spread = () => {
-    const [a, b] = [...down.values()];
-    return { middle: [0, 1].map((i) => (a[i] + b[i]) / 2), width: Math.hypot(a[0] - b[0], a[1] - b[1]) };
-  };
-  canvas.addEventListener("pointerdown", (e) => {
+  const begun = () => {
     sway.stop();
     state.springing = false;
-    canvas.setPointerCapture(e.pointerId);
-    canvas.focus({ preventScroll: true });
-    if (!down.size) travelled = 0;
-    down.set(e.pointerId, place(e));
-    canvas.classList.add("held");
-  });
-  canvas.addEventListener("pointermove", (e) => {
-    const last = down.get(e.pointerId);
-    if (!last) return;
-    const earlier = down.size === 2 ? spread() : null;
-    down.set(e.pointerId, place(e));
-    let [right, below] = place(e).map((x, i) => x - last[i]);
-    travelled += Math.hypot(right, below);
-    if (earlier) {
-      const { middle, width } = spread();
-      [right, below] = middle.map((x, i) => x - earlier.middle[i]);
-      camera.magnify(width / Math.max(1, earlier.width));
-    }
-    const scale = canvas.width / canvas.clientWidth;
-    if (earlier || e.shiftKey || e.buttons > 1) camera.pan(right * scale, below * scale, camera.view(canvas.width, canvas.height));
-    else if (travelled > 4) camera.turn(right * perPixel(), -below * perPixel());
-    changed();
-  });
-  const up = (e) => {
-    if (!down.delete(e.pointerId)) return;
-    if (!down.size) {
-      canvas.classList.remove("held");
-      if (travelled > 4) release();
-    }
-    if (e.type === "pointerup" && !down.size && travelled <= 4 && e.button === 0) choose(place(e));
   };
-  canvas.addEventListener("pointerup", up);
-  canvas.addEventListener("pointercancel", up);
-  canvas.addEventListener("contextmenu", (e) => e.preventDefault());
-  const wheel = (e) => {
-    e.preventDefault();
-    camera.magnify(Math.exp(-e.deltaY * (e.deltaMode ? 0.05 : 0.0015)));
-    changed();
-  };
-  canvas.addEventListener("wheel", wheel, { passive: false });
+  followPointers(canvas, () => camera, { begun, changed, released: release, tapped: choose });
 }
 
 function listen() {
@@ -601,7 +556,7 @@ function enter() {
 }
 
 async function begin() {
-  const helper = new Helper();
+  const helper = new Helper(ownWorker());
   use(helper, embedded ? new Embedded(embedded, helper) : new Served(helper));
   play(false);
   listen();

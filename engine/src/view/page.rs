@@ -15,35 +15,37 @@ use crate::scene::{COARSENESS, SceneError};
 const TEMPLATE: &str = include_str!("page.html");
 /// Placeholders in the template, one per part.
 const STYLE: &str = "/* page.css */";
-const SHADERS: &str = "<!-- shaders -->";
 const WORKER: &str = "/* worker */";
 const SCRIPT: &str = "/* scripts */";
 const SCENE: &str = "<!-- scene -->";
 const LINK: &str = "<!-- link -->";
 const INTERVALS: &str = "<!-- intervals -->";
 
-/// Programs of the graphics processor, by the names that the scripts use.
-const SHADER_FILES: [(&str, &str); 5] = [
-    ("splat.vert", concat!(include_str!("shaders/splat.vert"), include_str!("shaders/footprint.vert"))),
-    ("still.vert", concat!(include_str!("shaders/still.vert"), include_str!("shaders/footprint.vert"))),
-    ("splat.frag", include_str!("shaders/splat.frag")),
-    ("resolve.vert", include_str!("shaders/resolve.vert")),
-    ("resolve.frag", include_str!("shaders/resolve.frag")),
-];
+/// A script of the player (`engine/player`), which other pages import as a module.
+macro_rules! player {
+    ($name:literal) => {
+        include_str!(concat!("../../player/src/", $name))
+    };
+}
 
 /// The scripts, joined to one module in this order.
-const SCRIPT_FILES: [&str; 15] = [
+const SCRIPT_FILES: [&str; 20] = [
+    player!("errors.js"),
+    player!("packet.js"),
+    player!("camera.js"),
+    player!("motion.js"),
+    player!("shaders.js"),
+    player!("draw.js"),
+    player!("store.js"),
+    player!("blob.js"),
+    player!("helper.js"),
+    player!("pace.js"),
+    player!("pointers.js"),
     include_str!("text.js"),
-    include_str!("packet.js"),
     include_str!("still.js"),
-    include_str!("store.js"),
-    include_str!("helper.js"),
-    include_str!("motion.js"),
-    include_str!("camera.js"),
-    include_str!("draw.js"),
+    include_str!("sources.js"),
     include_str!("pick.js"),
     include_str!("sway.js"),
-    include_str!("pace.js"),
     include_str!("address.js"),
     include_str!("opening.js"),
     include_str!("actions.js"),
@@ -51,14 +53,18 @@ const SCRIPT_FILES: [&str; 15] = [
 ];
 
 /// The scripts of the worker, likewise.
-const WORKER_FILES: [&str; 17] = [
+const WORKER_FILES: [&str; 20] = [
+    player!("errors.js"),
+    player!("packet.js"),
+    player!("camera.js"),
+    player!("motion.js"),
+    player!("chunk.js"),
+    player!("blob.js"),
+    player!("container.js"),
+    player!("sort.js"),
+    player!("work.js"),
     include_str!("text.js"),
-    include_str!("packet.js"),
     include_str!("still.js"),
-    include_str!("motion.js"),
-    include_str!("camera.js"),
-    include_str!("chunk.js"),
-    include_str!("sort.js"),
     include_str!("dropped/file.js"),
     include_str!("dropped/writer.js"),
     include_str!("dropped/ply.js"),
@@ -66,10 +72,15 @@ const WORKER_FILES: [&str; 17] = [
     include_str!("dropped/splat.js"),
     include_str!("dropped/zstd.js"),
     include_str!("dropped/spz.js"),
-    include_str!("dropped/container.js"),
     include_str!("dropped/formats.js"),
     include_str!("worker.js"),
 ];
+
+/// Modules as one script: without their imports, which are among the others, and without what they export.
+fn joined(files: &[&str]) -> String {
+    let lines = files.iter().flat_map(|file| file.lines()).filter(|line| !line.starts_with("import "));
+    lines.map(|line| line.strip_prefix("export ").unwrap_or(line)).flat_map(|line| [line, "\n"]).collect()
+}
 
 /// The page without a scene.
 pub(super) fn bare() -> String {
@@ -78,15 +89,8 @@ pub(super) fn bare() -> String {
 
 /// The page with places for a scene.
 fn filled() -> String {
-    let shaders: Vec<String> = SHADER_FILES
-        .iter()
-        .map(|(name, text)| format!("<script type=\"text/plain\" id=\"{name}\">{text}</script>"))
-        .collect();
-    TEMPLATE
-        .replacen(STYLE, include_str!("page.css"), 1)
-        .replacen(SHADERS, &shaders.join("\n"), 1)
-        .replacen(WORKER, &WORKER_FILES.join("\n"), 1)
-        .replacen(SCRIPT, &SCRIPT_FILES.join("\n"), 1)
+    let page = TEMPLATE.replacen(STYLE, include_str!("page.css"), 1);
+    page.replacen(WORKER, &joined(&WORKER_FILES), 1).replacen(SCRIPT, &joined(&SCRIPT_FILES), 1)
 }
 
 /// Why a page could not be written.
@@ -229,17 +233,23 @@ pub fn write_page<S: Whole>(source: &S, link: &Link, out: &mut dyn Write) -> Res
 mod tests {
     use super::*;
 
-    const MARKS: [&str; 7] = [STYLE, SHADERS, WORKER, SCRIPT, SCENE, LINK, INTERVALS];
+    const MARKS: [&str; 6] = [STYLE, WORKER, SCRIPT, SCENE, LINK, INTERVALS];
 
     #[test]
     fn every_part_has_its_place_and_ends_no_element_early() {
         for mark in MARKS {
             assert_eq!(TEMPLATE.matches(mark).count(), 1, "{mark}");
         }
-        let shaders = SHADER_FILES.iter().map(|(_, text)| *text);
-        for part in shaders.chain(SCRIPT_FILES).chain(WORKER_FILES).chain([include_str!("page.css")]) {
+        for part in SCRIPT_FILES.into_iter().chain(WORKER_FILES).chain([include_str!("page.css")]) {
             assert!(!part.contains("</script") && !part.contains("</style"));
             assert!(MARKS.iter().all(|mark| !part.contains(mark)));
+        }
+    }
+
+    #[test]
+    fn the_player_is_joined_without_imports_and_exports() {
+        for script in [joined(&SCRIPT_FILES), joined(&WORKER_FILES)] {
+            assert!(!script.lines().any(|line| line.starts_with("import ") || line.starts_with("export ")));
         }
     }
 

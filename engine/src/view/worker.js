@@ -1,27 +1,24 @@
-// The worker: takes chunks apart and keeps records in order, so that the page only draws.
+// The page's worker: what the player's does, packets as they come from the server, still scenes, and files that were opened.
 
-const chunks = new Chunks();
-const sorters = new Map();
-/** Chunks are taken apart one after another. */
-let queue = Promise.resolve();
+/** A packet of either kind. */
+const packed = (ticket, interval, buffer, more) => taken(ticket, interval, packetIn(buffer), buffer, more);
 
-function taken(ticket, interval, buffer, more = {}) {
-  sorters.set(interval, new Sorter(packetIn(buffer)));
-  postMessage({ ticket, buffer, ...more }, [buffer]);
+async function stillOf(text) {
+  const bytes = bytesOf(text);
+  const stream = new Blob([bytes.subarray(4, 4 + new DataView(bytes.buffer).getUint32(0, true))]).stream();
+  return new Response(stream.pipeThrough(new DecompressionStream("deflate-raw"))).arrayBuffer();
 }
 
-const WORK = {
+Object.assign(WORK, {
   /** A packet as it came from the server. */
   packet({ ticket, interval, buffer }) {
-    taken(ticket, interval, buffer);
+    packed(ticket, interval, buffer);
   },
 
   /** The text of a still scene: the length of what follows, and that, compressed. */
   still({ ticket, interval, text }) {
-    const bytes = bytesOf(text);
-    const length = new DataView(bytes.buffer).getUint32(0, true);
-    inflated(bytes.subarray(4, 4 + length)).then(
-      (packet) => taken(ticket, interval, packet.buffer),
+    stillOf(text).then(
+      (buffer) => packed(ticket, interval, buffer),
       (e) => postMessage({ ticket, error: e.message }),
     );
   },
@@ -29,37 +26,10 @@ const WORK = {
   /** A file that was opened on the page. */
   file({ ticket, file, most, axes }) {
     opened(file, most, axes).then(
-      ({ buffer, about, chunks, ...still }) => (buffer ? taken(ticket, 0, buffer, { still }) : postMessage({ ticket, about, chunks })),
+      ({ buffer, scene, ...still }) => (buffer ? packed(ticket, 0, buffer, { still }) : postMessage({ ticket, scene })),
       (e) => postMessage({ ticket, error: e.message }),
     );
   },
+});
 
-  /** The chunks of the intervals that end with this one, as texts or bytes. */
-  parts({ ticket, interval, ...rest }) {
-    queue = queue.then(async () => {
-      try {
-        taken(ticket, interval, await chunks.take(rest));
-      } catch (e) {
-        chunks.place = -1;
-        postMessage({ ticket, error: e.message });
-      }
-    });
-  },
-
-  sort({ ticket, interval, t, view }) {
-    const { order, work } = sorters.get(interval)?.sort(t, view) ?? { order: null };
-    postMessage({ ticket, order, work }, order ? [order.buffer] : []);
-  },
-
-  forget({ interval }) {
-    sorters.delete(interval);
-  },
-};
-
-onmessage = ({ data }) => {
-  try {
-    WORK[data.kind](data);
-  } catch (e) {
-    postMessage({ ticket: data.ticket, error: e.message });
-  }
-};
+onmessage = answer;

@@ -5,14 +5,16 @@ import { readFileSync } from "node:fs";
 import { deflateRawSync, gzipSync } from "node:zlib";
 
 const VIEW = "engine/src/view";
+const PLAYER = "engine/player/src";
 /** The most Gaussians of a file that the page is told to take. */
 const MOST = 1 << 20;
 
-/** What the worker's scripts define, in the order in which page.rs joins them. */
+/** What the worker's scripts define, as page.rs joins them. */
 function scripts() {
   const list = /const WORKER_FILES[^=]*= \[(.*?)\];/s.exec(readFileSync(`${VIEW}/page.rs`, "utf8"))[1];
-  const files = [...list.matchAll(/include_str!\("(.*?)"\)/g)].map(([, name]) => name).filter((name) => name !== "worker.js");
-  const text = files.map((name) => readFileSync(`${VIEW}/${name}`, "utf8")).join("\n");
+  const files = [...list.matchAll(/(player|include_str)!\("(.*?)"\)/g)].filter(([, , name]) => name !== "worker.js");
+  const lines = files.flatMap(([, kind, name]) => readFileSync(`${kind === "player" ? PLAYER : VIEW}/${name}`, "utf8").split("\n"));
+  const text = lines.filter((line) => !line.startsWith("import ")).map((line) => line.replace(/^export /, "")).join("\n");
   return new Function(`"use strict";\n${text}\nreturn { opened, unzstd, Packet, packetIn, decode, packetOf, HEADER, RECORD };`)();
 }
 
@@ -126,7 +128,7 @@ function chunk(count) {
   return Buffer.concat(
     Array.from({ length: 29 }, (_, column) => {
       const empty = column === 1 || column > 25;
-      const values = Uint8Array.from({ length: empty ? 0 : count }, (_, i) => (column < 6 ? 0 : (i * 5 + column) & 15));
+      const values = Uint8Array.from({ length: empty ? 0 : count }, (_, i) => (column < 6 ? 0 : (i * 5 + column) & 14));
       const lengths = Buffer.alloc(8);
       const deflated = empty ? Buffer.alloc(0) : deflateRawSync(values);
       [values.length, deflated.length].forEach((length, k) => lengths.writeUInt32LE(length, 4 * k));
@@ -156,8 +158,7 @@ function container(chunks, backs) {
   return Buffer.concat([header, ...chunks, index, trailer]);
 }
 
-const ONES = new Array(21).fill(1);
-const PLACE = { index: 3, start: 0, end: 1, coarseness: ONES };
+const PLACE = { index: 3n, start: 0, end: 1 };
 const whole = (bytes) => new Uint8Array(bytes).buffer;
 
 /** All readers by name. */
@@ -195,8 +196,9 @@ export function readers() {
       seeds: [container([chunk(1)], [0]), container([chunk(40), chunk(40), chunk(40)], [0, 1, 0])],
       refusal: own,
       async read(bytes) {
-        const { about, chunks } = await opened(new Bytes(bytes, "a.ssz"), MOST);
-        check(chunks.length === about.intervals.length && chunks[0].alone, "an interval for each chunk, the first of which needs none");
+        const { scene } = await opened(new Bytes(bytes, "a.ssz"), MOST);
+        const { about, chunks } = scene;
+        check(chunks.length === about.intervals.length && chunks[0].back === 0, "an interval for each chunk, the first of which needs none");
         check(chunks.every(({ at, bytes: length }) => at >= 16 && at + length <= bytes.length - 48), "chunks inside of the file");
         check(about.intervals.every(({ start, end, gaussians }) => start <= end && gaussians <= MOST), "intervals in order");
       },
@@ -209,15 +211,16 @@ export function readers() {
       },
     },
     others: file("a.bin", [plain(1, 0), ...[spz(2, 1, 0)].map((bytes) => gzipSync(bytes))]),
-    // Chunks and packets come from the program itself: any error will do that ends soon, and no packet may hold together only in part.
+    // With the count that an index has, and as a page's text, without one.
     chunk: {
-      seeds: [chunk(1), chunk(40)],
-      refusal: () => true,
+      seeds: [chunk(40)],
+      refusal: own,
       async read(bytes, chance) {
-        const records = await decode(bytes, chance(2) ? await first : null);
+        const records = await decode(bytes, chance(2) ? await first : null, { count: chance(2) ? 40 : null });
         new Packet(packetOf(records, PLACE));
       },
     },
+    // Packets come from the program itself: any error will do that ends soon, and no packet may hold together only in part.
     packet: {
       seeds: [],
       refusal: (error) => error.constructor === Error && /interval/.test(error.message),

@@ -67,7 +67,7 @@ def steps_of(page: Path) -> list[tuple[str, str]]:
 
 def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
     """Fills the scratch folder; gives the environment in which commands run."""
-    for name in ("fixtures", "bench", "tests", "examples", "docs"):
+    for name in ("fixtures", "bench", "tests", "examples", "docs", "engine"):
         (scratch / name).symlink_to(root / name)
     clip = root / "fixtures/clips/moving.y4m"
     shutil.copy(clip, scratch / "clip.y4m")

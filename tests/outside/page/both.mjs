@@ -197,12 +197,13 @@ async function containers(page) {
   const changed = (at, value) => ((bytes) => ((bytes[at] = value), bytes))(Buffer.from(whole));
   const place = Number(whole.readBigUInt64LE(whole.length - 48));
   for (const [file, bytes, expected] of [
-    ["cut.ssz", whole.subarray(0, -9), "trailer: expected the place of an index"],
-    ["short.ssz", whole.subarray(0, 40), "file: expected an index and a trailer"],
-    ["old.ssz", changed(8, 2), "version: expected 3 or 4 (open it with: streamsplat view FILE), found 2"],
-    ["many.ssz", changed(place + 43, 0x40), "index: expected as many intervals as it has room for"],
-    ["far.ssz", changed(place + 44 + 96 + 1, 0x7f), "interval 1: expected a chunk from byte"],
-    ["huge.ssz", changed(place + 44 + 51, 0x7f), "interval 0: expected at most"],
+    ["cut.ssz", whole.subarray(0, -9), "trailer: expected an index that ends where it begins"],
+    ["short.ssz", whole.subarray(0, 40), "container: expected at least 64 bytes, found 40"],
+    ["new.ssz", changed(8, 9), "header: expected version 1 to 4, found version 9"],
+    ["many.ssz", changed(place + 43, 0x40), "index: expected 44 bytes and 96 for each of at least one interval"],
+    ["far.ssz", changed(place + 44 + 96 + 1, 0x7f), "index: interval 1: place: expected its chunk after the one before"],
+    ["huge.ssz", changed(place + 44 + 51, 0x7f), "index: interval 0: counts: expected at most 2^24"],
+    ["short-column.ssz", changed(16, whole[16] ^ 1), "interval 0: column kind: expected"],
   ]) {
     await drop(file, bytes);
     await page.waitForFunction((file) => new RegExp(`^${file}: (?!reading)`).test(document.getElementById("message").textContent), file);

@@ -4,9 +4,6 @@
 const BLOCK = 4 * 2 ** 20;
 const Y0 = 0.28209479177387814;
 
-/** An error that names the part of the file. */
-const wrong = (part, expected, found) => new Error(`${part}: expected ${expected}, found ${found}`);
-
 /** Text as it can be shown in a message of one line. */
 const quoted = (text) => JSON.stringify(text.slice(0, 40));
 

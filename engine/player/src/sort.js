@@ -1,11 +1,15 @@
 // Front to back: a counting sort by depth, and after it only what moved.
 
+import { dot, nearest } from "./camera.js";
+import { depthOf } from "./motion.js";
+import { SHORTS, WORDS } from "./packet.js";
+
 const BINS = 1 << 16;
 /** The part of all records that is moved one by one at most; where more moved, all are sorted. */
 const FEW = 1 / 8;
 
 /** Keeps a packet's records in order, from one time and view to the next. */
-class Sorter {
+export class Sorter {
   constructor(packet) {
     const { count, shorts, positionLow, positionStep, velocityLow, velocityStep } = packet;
     this.count = count;

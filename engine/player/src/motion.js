@@ -1,15 +1,17 @@
 // Gaussians in time, as in splat.vert, for sorting and picking.
 
+import { SHORTS } from "./packet.js";
+
 const HANDOVER = 0.125;
 
 /** Scene-space depth of a normalised inverse depth. */
-const depthOf = (y) => 1 / (9.8 * y + 0.200001);
+export const depthOf = (y) => 1 / (9.8 * y + 0.200001);
 
 /**
  * Normalised inverse depths of a packet (of 4096 records at most): `middle`, and the ends of a scale, `far` and `near`, between
  * which 98 % of them lie. A flat scene's scale is not narrower than a tenth.
  */
-function inverseDepths(packet) {
+export function inverseDepths(packet) {
   const all = [];
   for (let i = 0; i < packet.count; i += Math.ceil(packet.count / 4096)) {
     const y = worldAt(packet, i, packet.reference(i))[1];
@@ -22,10 +24,10 @@ function inverseDepths(packet) {
 }
 
 /** The same, found once. */
-const depthsOf = (packet) => (packet.depths ??= inverseDepths(packet));
+export const depthsOf = (packet) => (packet.depths ??= inverseDepths(packet));
 
 /** The world position of record i at t in [0, 1] of its interval. */
-function worldAt(packet, i, t) {
+export function worldAt(packet, i, t) {
   const tau = t - packet.reference(i);
   const q = packet.shorts.subarray(i * SHORTS, i * SHORTS + 6);
   return [0, 1, 2].map((axis) => {
@@ -35,14 +37,14 @@ function worldAt(packet, i, t) {
 }
 
 /** The same in scene space; null where nothing is drawn. */
-function sceneAt(packet, i, t) {
+export function sceneAt(packet, i, t) {
   if (packet.still) return packet.place(i);
   const [x, y, z] = worldAt(packet, i, t);
   return y >= 0 && y <= 1 ? [x, -z, depthOf(y)] : null;
 }
 
 /** o · (1 + e^(−γ₀γ₁)) / (1 + e^(γ₀(|τ| − γ₁))) · handover, at t in [0, 1]. */
-function opacityAt(packet, i, t) {
+export function opacityAt(packet, i, t) {
   if (packet.still) return packet.opacity(i);
   const [steepness, width] = packet.gamma(i);
   const x = steepness * (Math.abs(t - packet.reference(i)) - width);
@@ -53,7 +55,7 @@ function opacityAt(packet, i, t) {
 }
 
 /** Red, green and blue of record i at t in [0, 1] of its interval as a view shows it, whole numbers in [0, 255]. */
-function colourAt(packet, i, t, view) {
+export function colourAt(packet, i, t, view) {
   if (packet.still) {
     const away = packet.place(i).map((x, axis) => x - view.eye[axis]);
     return packet.colour(i, view.pinhole ? away.map((x) => x / Math.hypot(...away)) : view.axes[2]);

@@ -1,12 +1,12 @@
 // Packets: one interval's Gaussians as the server sends them. packet.rs describes the layout.
 
-const HEADER = 96;
-const RECORD = 32;
-const WORDS = RECORD / 4;
-const SHORTS = RECORD / 2;
+export const HEADER = 96;
+export const RECORD = 32;
+export const WORDS = RECORD / 4;
+export const SHORTS = RECORD / 2;
 
-/** The number that 16 bits of IEEE binary16 stand for. */
-function half(bits) {
+/** The number of which these are the 16 bits in IEEE binary16. */
+export function half(bits) {
   const sign = bits & 0x8000 ? -1 : 1;
   const exponent = (bits >> 10) & 31;
   const fraction = bits & 1023;
@@ -16,7 +16,7 @@ function half(bits) {
 }
 
 /** The bits of the binary16 number nearest to one, halves to even, at most the largest. */
-function halfBits(value) {
+export function halfBits(value) {
   const size = Math.min(Math.abs(value), 65504);
   const exponent = Math.max(-14, Math.floor(Math.log2(size)));
   const steps = size / 2 ** (exponent - 10) + 2 ** 52 - 2 ** 52;
@@ -24,7 +24,7 @@ function halfBits(value) {
 }
 
 /** One interval. `words`, `shorts` and `bytes` look at the same records. */
-class Packet {
+export class Packet {
   constructor(buffer) {
     const view = new DataView(buffer);
     const magic = buffer.byteLength >= HEADER ? view.getUint32(0) : 0;

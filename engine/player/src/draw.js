@@ -1,19 +1,37 @@
 // Drawing with WebGL2: splats front to back into sums of colour and alpha, then those onto the background.
 
-const MODES = ["colour", "depth", "identity"];
-/** Records in a row of the textures; each has two texels of 16 bytes, and one of its rates of colour. */
-const PER_ROW = 1024;
+import { SHADERS } from "./shaders.js";
 
-class Drawing {
+export const MODES = ["colour", "depth", "identity"];
+/** Records in a row of the textures; each has two texels of 16 bytes, one of its rates of colour, and one in the order. */
+export const PER_ROW = 1024;
+
+/** Whether a program draws in place of a graphics processor: SwiftShader, which takes twice as long for 16-bit floats as for others. */
+function isSwiftShader(gl) {
+  const name = gl.getParameter(gl.RENDERER);
+  // Chromium has the name behind an extension, of which Firefox warns.
+  const more = /^WebKit/.test(name) && gl.getExtension("WEBGL_debug_renderer_info");
+  return /SwiftShader/.test(more ? gl.getParameter(more.UNMASKED_RENDERER_WEBGL) : name);
+}
+
+/** Format and kind of the sums: floats of 16 bits, in software of 32, or bytes where none can be drawn into. */
+function sumsOf(gl) {
+  const float = gl.getExtension("EXT_color_buffer_float");
+  if (float && isSwiftShader(gl) && gl.getExtension("EXT_float_blend")) return [gl.RGBA32F, gl.FLOAT];
+  if (float ?? gl.getExtension("EXT_color_buffer_half_float")) return [gl.RGBA16F, gl.HALF_FLOAT];
+  return [gl.RGBA8, gl.UNSIGNED_BYTE];
+}
+
+export class Drawing {
   constructor(canvas) {
     const options = { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" };
     const gl = canvas.getContext("webgl2", options);
     if (!gl) throw new Error("this browser offers no WebGL2");
     this.canvas = canvas;
     this.gl = gl;
-    // Sums in 16-bit floats where they can be drawn into, else in bytes.
-    this.deep = Boolean(gl.getExtension("EXT_color_buffer_float") ?? gl.getExtension("EXT_color_buffer_half_float"));
-    this.splat = this.program("splat.vert", "splat.frag");
+    this.sums = sumsOf(gl);
+    this.prepare = this.program("resolve.vert", "prepare.frag");
+    this.splat = this.program("quad.vert", "splat.frag");
     this.still = null; // its program, once there is a still scene
     this.resolve = this.program("resolve.vert", "resolve.frag");
     /** Gaussians of a packet at most. */
@@ -22,17 +40,22 @@ class Drawing {
     this.largest = Math.min(gl.getParameter(gl.MAX_TEXTURE_SIZE), ...gl.getParameter(gl.MAX_VIEWPORT_DIMS));
     this.packet = null;
     this.ordered = null;
+    this.orderRows = 0;
     this.records = gl.createTexture();
     this.rates = gl.createTexture();
     this.rows = gl.createTexture();
-    this.order = gl.createBuffer();
+    this.order = gl.createTexture();
+    // Four corners of each record in a row of the order, as two triangles.
+    const corners = Uint16Array.from({ length: 6 * PER_ROW }, (_, k) => 4 * Math.floor(k / 6) + [0, 1, 2, 2, 1, 3][k % 6]);
     this.splats = gl.createVertexArray();
     gl.bindVertexArray(this.splats);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    gl.enableVertexAttribArray(0);
-    gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
-    gl.vertexAttribDivisor(0, 1);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
     this.nothing = gl.createVertexArray();
+    /** What prepare.frag makes of the records in the order. */
+    this.prepared = [gl.createTexture(), gl.createTexture()];
+    this.preparing = gl.createFramebuffer();
+    this.preparedRows = 0;
     this.blended = gl.createTexture();
     this.target = gl.createFramebuffer();
     this.size = [0, 0];
@@ -43,7 +66,7 @@ class Drawing {
     const program = gl.createProgram();
     for (const [kind, name] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
       const shader = gl.createShader(kind);
-      gl.shaderSource(shader, document.getElementById(name).textContent);
+      gl.shaderSource(shader, SHADERS[name]);
       gl.compileShader(shader);
       gl.attachShader(program, shader);
     }
@@ -112,20 +135,39 @@ class Drawing {
     put(whole, each * (count % PER_ROW), 1, words.subarray(cut));
   }
 
-  /** Chooses the program for a packet and gives it what it needs of that. */
-  choose(packet, t, view) {
+  /** The view's uniforms, and the records in their order. */
+  setView(at, view, order, mode) {
     const { gl } = this;
-    if (packet.still) {
-      const { program, at } = (this.still ??= this.program("still.vert", "splat.frag"));
-      gl.useProgram(program);
-      this.bind(this.rows, 2);
-      gl.uniform1i(at.rows, 2);
-      gl.uniform1i(at.degree, packet.degree);
-      gl.uniform1i(at.antialiased, packet.antialiased ? 1 : 0);
-      gl.uniform2fv(at.ends, view.ends);
-      return at;
-    }
-    const { program, at } = this.splat;
+    this.bind(this.records, 0);
+    gl.uniform1i(at.records, 0);
+    gl.uniform3fv(at.eye, view.eye);
+    gl.uniformMatrix3fv(at.turn, false, view.axes.flat());
+    gl.uniform2fv(at.focal, view.focal);
+    gl.uniform1i(at.pinhole, view.pinhole ? 1 : 0);
+    gl.uniform1i(at.mode, mode);
+    if (this.ordered !== order) this.arrange(order);
+    this.bind(this.order, 3);
+    gl.uniform1i(at.order, 3);
+    gl.uniform1i(at.total, order.length);
+  }
+
+  /** Takes a still scene's program into use. */
+  useStill(packet, order, view, mode) {
+    const { gl } = this;
+    const { program, at } = (this.still ??= this.program("still.vert", "splat.frag"));
+    gl.useProgram(program);
+    this.bind(this.rows, 2);
+    gl.uniform1i(at.rows, 2);
+    gl.uniform1i(at.degree, packet.degree);
+    gl.uniform1i(at.antialiased, packet.antialiased ? 1 : 0);
+    gl.uniform2fv(at.ends, view.ends);
+    this.setView(at, view, order, mode);
+    return at;
+  }
+
+  /** Prepares a packet's records, and takes the program into use that draws them. */
+  useMoving(packet, order, t, view, mode) {
+    const { gl, prepare: { program, at } } = this;
     gl.useProgram(program);
     this.bind(this.rates, 2);
     gl.uniform1i(at.rates, 2);
@@ -134,7 +176,51 @@ class Drawing {
     gl.uniform1f(at.t, t);
     gl.uniform2fv(at.own, view.own);
     gl.uniform1f(at.units, view.units);
-    return at;
+    this.setView(at, view, order, mode);
+    const rows = Math.ceil(order.length / PER_ROW);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.preparing);
+    if (rows > this.preparedRows) {
+      this.prepared.forEach((texture, i) => {
+        this.bind(texture, 4 + i);
+        gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, PER_ROW, rows, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, null);
+        gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, texture, 0);
+      });
+      gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
+      this.preparedRows = rows;
+    }
+    // They are not read where they are written.
+    for (const unit of [4, 5]) {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, null);
+    }
+    gl.viewport(0, 0, PER_ROW, rows);
+    gl.bindVertexArray(this.nothing);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.useProgram(this.splat.program);
+    this.prepared.forEach((texture, i) => this.bind(texture, 4 + i));
+    gl.uniform1i(this.splat.at.places, 4);
+    gl.uniform1i(this.splat.at.others, 5);
+    gl.uniform1i(this.splat.at.total, order.length);
+    gl.uniform1i(this.splat.at.mode, mode);
+    return this.splat.at;
+  }
+
+  /** Takes an order to the graphics processor. */
+  arrange(order) {
+    const { gl } = this;
+    const rows = Math.ceil(order.length / PER_ROW);
+    this.bind(this.order, 3);
+    if (rows > this.orderRows) {
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32UI, PER_ROW, rows, 0, gl.RED_INTEGER, gl.UNSIGNED_INT, null);
+      this.orderRows = rows;
+    }
+    const whole = Math.floor(order.length / PER_ROW);
+    const put = (row, width, height, part) => {
+      if (width && height) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, width, height, gl.RED_INTEGER, gl.UNSIGNED_INT, part);
+    };
+    put(0, PER_ROW, whole, order.subarray(0, whole * PER_ROW));
+    put(whole, order.length % PER_ROW, 1, order.subarray(whole * PER_ROW));
+    this.ordered = order;
   }
 
   /** Sums as large as the canvas. */
@@ -144,7 +230,7 @@ class Drawing {
     if (width === canvas.width && height === canvas.height) return;
     this.size = [canvas.width, canvas.height];
     this.bind(this.blended, 1);
-    const [kept, kind] = this.deep ? [gl.RGBA16F, gl.HALF_FLOAT] : [gl.RGBA8, gl.UNSIGNED_BYTE];
+    const [kept, kind] = this.sums;
     gl.texImage2D(gl.TEXTURE_2D, 0, kept, canvas.width, canvas.height, 0, gl.RGBA, kind, null);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.blended, 0);
@@ -154,28 +240,21 @@ class Drawing {
   draw(packet, order, t, view, { mode, background, range }) {
     const { gl, resolve, canvas } = this;
     this.resize();
+    let at = null;
+    if (order.length) {
+      this.upload(packet);
+      at = packet.still ? this.useStill(packet, order, view, mode) : this.useMoving(packet, order, t, view, mode);
+    }
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    if (order.length) {
-      this.upload(packet);
-      const at = this.choose(packet, t, view);
-      this.bind(this.records, 0);
-      gl.uniform1i(at.records, 0);
-      gl.uniform3fv(at.eye, view.eye);
-      gl.uniformMatrix3fv(at.turn, false, view.axes.flat());
-      gl.uniform2fv(at.focal, view.focal);
-      gl.uniform1i(at.pinhole, view.pinhole ? 1 : 0);
+    if (at) {
       gl.uniform2f(at.size, canvas.width, canvas.height);
-      gl.uniform1i(at.mode, mode);
       gl.bindVertexArray(this.splats);
-      gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-      if (this.ordered !== order) gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
-      this.ordered = order;
       gl.enable(gl.BLEND);
       gl.blendFunc(gl.ONE_MINUS_DST_ALPHA, gl.ONE);
-      gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, order.length);
+      gl.drawElementsInstanced(gl.TRIANGLES, 6 * Math.min(PER_ROW, order.length), gl.UNSIGNED_SHORT, 0, Math.ceil(order.length / PER_ROW));
       gl.disable(gl.BLEND);
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);

@@ -1,17 +1,21 @@
-// The page's side of the worker: questions with numbers, and the orders that came last.
+// The worker's other side: questions with numbers, and the orders that came last.
 
-class Helper {
-  constructor() {
-    const source = new Blob([document.getElementById("worker").textContent], { type: "text/javascript" });
-    const address = URL.createObjectURL(source);
-    this.worker = new Worker(address);
+export class Helper {
+  constructor(worker) {
+    this.worker = worker;
     this.asked = new Map();
     this.last = 0;
-    this.worker.onmessage = ({ data: { ticket, error, ...answer } }) => {
+    worker.onmessage = ({ data: { ticket, error, ...answer } }) => {
       const { done, failed } = this.asked.get(ticket);
       this.asked.delete(ticket);
       if (error === undefined) done(answer);
       else failed(new Error(error));
+    };
+    // A worker that cannot start, or has no memory left, answers nothing.
+    worker.onerror = (event) => {
+      const error = new Error(`worker: ${event.message || "it cannot be started"}`);
+      for (const { failed } of this.asked.values()) failed(error);
+      this.asked.clear();
     };
   }
 
@@ -38,7 +42,7 @@ const sameOrder = (a, b) => a.interval === b.interval && a.t === b.t && sameView
 const sameView = (a, b) => a.eye.every((x, i) => x === b.eye[i]) && a.axes.flat().every((x, i) => x === b.axes.flat()[i]) && a.pinhole === b.pinhole;
 
 /** Orders of records: one question is under way at a time, and the last one that was wanted comes next. */
-class Orders {
+export class Orders {
   constructor(helper, came) {
     this.helper = helper;
     this.came = came;
@@ -57,7 +61,7 @@ class Orders {
     return last ? { order: last.order, exact: last.t === t && sameView(last.view, view) } : null;
   }
 
-  /** Asks for the order at t; and for the following interval's first one, if that has none. */
+  /** Requests the order at t; and for the following interval's first one, if that has none. */
   want(interval, t, view, following) {
     const { eye, axes, units, pinhole, still } = view;
     const seen = { eye, axes, units, pinhole, still };

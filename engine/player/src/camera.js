@@ -7,7 +7,7 @@
 // A still scene has no such view: it is seen in perspective from where still/framing.rs puts the camera, in the file's own units.
 
 const TURN = Math.PI / 180;
-const STEEPEST = 85;
+export const STEEPEST = 85;
 /** Distance of parallel rays' start, in half widths: behind everything, as depths end at 5. */
 const BEHIND = 12;
 /** Distance of a perspective camera, in half longer sides: they fill 45 degrees. */
@@ -22,17 +22,17 @@ const GIVE = 15;
 /** Seconds in which most of what is beyond springs back. */
 const SPRING = 0.15;
 
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
+export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+export const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
 
 /** A camera's right, down and forward. */
-function axesOf({ yaw, pitch }) {
+export function axesOf({ yaw, pitch }) {
   const [sy, cy] = [Math.sin(yaw * TURN), Math.cos(yaw * TURN)];
   const [sp, cp] = [Math.sin(pitch * TURN), Math.cos(pitch * TURN)];
   return [[cy, 0, -sy], [-sp * sy, cp, -sp * cy], [sy * cp, sp, cy * cp]];
 }
 
-class Camera {
+export class Camera {
   constructor() {
     this.half = [16 / 9, 1]; // half extents of the content, in square units
     this.own = [1, 1];
@@ -171,10 +171,10 @@ class Camera {
 }
 
 /** The depth beyond which a view shows things. */
-const nearest = ({ pinhole, still }) => (!pinhole ? 0 : still ? 1e-6 : 1e-3);
+export const nearest = ({ pinhole, still }) => (!pinhole ? 0 : still ? 1e-6 : 1e-3);
 
 /** Where a view shows a scene-space point: pixels from the upper left corner, and depth. */
-function project({ width, height, axes, eye, focal, units, pinhole }, [right, down, forward]) {
+export function project({ width, height, axes, eye, focal, units, pinhole }, [right, down, forward]) {
   const away = [units * right - eye[0], down - eye[1], units * forward - eye[2]];
   const [x, y, z] = axes.map((axis) => dot(axis, away));
   const near = pinhole ? 1 / z : 1;
@@ -182,7 +182,7 @@ function project({ width, height, axes, eye, focal, units, pinhole }, [right, do
 }
 
 /** The view as `streamsplat render --camera` reads it. */
-function cameraFile({ width, height, axes, eye, focal, pinhole }) {
+export function cameraFile({ width, height, axes, eye, focal, pinhole }) {
   const numbers = (list) => list.map((x) => Number(x.toPrecision(12)) + 0);
   const pose = { units: "square", position: numbers(eye), look_at: numbers(eye.map((x, i) => x + axes[2][i])) };
   return pinhole

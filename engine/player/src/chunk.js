@@ -1,0 +1,355 @@
+// Chunks of a container, or of a page, made into packets. Columns: docs/container.md; differences of a page's: scene/container/images.rs.
+
+import { wrong } from "./errors.js";
+import { HEADER, RECORD, SHORTS, WORDS, halfBits } from "./packet.js";
+
+const NAMES = (
+  "kind link code identity birth frame mean_x mean_y mean_z offset_x offset_y offset_z opacity scale_x scale_z green red blue " +
+  "velocity_x velocity_y velocity_z gamma_0 gamma_1 green_rate red_rate blue_rate thickness merge merge_into"
+).split(" ");
+const [KIND, LINK, CODE, IDENTITY, BIRTH, FRAME, FIRST, MERGE] = [0, 1, 2, 3, 4, 5, 6, 27];
+const FRESH = 0;
+const CARRIED = 1;
+/** Numbers per record, and where they are. */
+export const VALUES = 21;
+const [OFFSET_AT, OPACITY_AT, SCALE_AT, GREEN_AT, VELOCITY_AT, GAMMA_AT, RATE_AT, THICKNESS_AT] = [3, 6, 7, 9, 12, 15, 17, 20];
+/** Those that the record before predicts, and those that a record of the interval before does. Offsets are in no packet. */
+const SINCE_LAST = Array.from({ length: THICKNESS_AT - VELOCITY_AT }, (_, k) => VELOCITY_AT + k);
+const SINCE_LINK = [0, 1, 2, 6, 7, 8, 9, 10, 11, THICKNESS_AT];
+/** Columns that are empty where all their differences are 0. */
+const isRare = (column) => column >= FIRST + RATE_AT && column < MERGE;
+/** Columns of which only the lengths are read. */
+const isSkipped = (column) => column >= MERGE || (column >= FIRST + OFFSET_AT && column < FIRST + OPACITY_AT);
+/** World units to their whole numbers; the largest magnitude of those; the ranges of logarithms. */
+const LENGTH = 8192;
+const LIMIT = 2 ** 46;
+const [LEAST_SCALE, MOST_SCALE, MOST_GAMMA] = [-9664, 8128, 4092];
+/** Gaussians of an interval at most; bytes that deflate makes of one; bytes of a number. */
+export const MOST_GAUSSIANS = 2 ** 24;
+const INFLATION = 1032;
+const LONGEST = 10;
+const SEEN_AT = Math.fround(1 / 255);
+
+/** The bytes of a deflate stream, which are `length`. */
+async function inflated(bytes, length, name) {
+  const other = (found) => wrong(name, `a deflated stream of ${length} bytes`, found);
+  const reader = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw")).getReader();
+  let [whole, at] = [null, 0];
+  for (;;) {
+    const { done, value } = await reader.read().catch(() => {
+      throw other("another one");
+    });
+    if (done) break;
+    if (at + value.length > length) {
+      reader.cancel().catch(() => {});
+      throw other("a longer one");
+    }
+    if (!whole && value.length === length) whole = value;
+    else (whole ??= new Uint8Array(length)).set(value, at);
+    at += value.length;
+  }
+  if (at !== length) throw other(`one of ${at}`);
+  return whole ?? new Uint8Array(0);
+}
+
+/** The first `most` numbers that a column's bytes hold, as two words each, the low one first: [low, high, where the next one begins]. */
+function wordsAt(bytes, from, name) {
+  let [low, high, at] = [0, 0, from];
+  for (let shift = 0; shift < 70; shift += 7) {
+    const byte = bytes[at++];
+    if (byte === undefined) throw wrong(name, "another number", "its end");
+    const bits = byte & 127;
+    if ((shift === 63 && bits > 1) || (byte === 0 && shift > 0)) break;
+    if (shift < 28) low |= bits << shift;
+    else if (shift === 28) [low, high] = [low | (bits << 28), bits >>> 4];
+    else high |= bits << (shift - 32);
+    if (byte < 128) return [low >>> 0, high >>> 0, at];
+  }
+  throw wrong(name, "another number", "one too long");
+}
+
+/** The numbers of a column. Magnitudes above 2⁵³ are rounded: no value may be as large. */
+function numbersOf(bytes, count, name, signed) {
+  if (bytes.length < count) throw wrong(name, `${count} values`, `${bytes.length} bytes`);
+  const numbers = new Float64Array(count);
+  let at = 0;
+  for (let i = 0; i < count; i++) {
+    let value = bytes[at];
+    if (value < 128) at++;
+    else {
+      const [low, high, next] = wordsAt(bytes, at, name);
+      [value, at] = [high * 2 ** 32 + low, next];
+    }
+    numbers[i] = signed ? (value % 2 ? -(value + 1) / 2 : value / 2) : value;
+  }
+  if (at !== bytes.length) throw wrong(name, "its end", `${bytes.length - at} more bytes`);
+  return numbers;
+}
+
+/** A column of signed 64-bit numbers that are taken one by one, into `low` and `high`. */
+class Wide {
+  constructor(bytes, name) {
+    [this.bytes, this.name, this.at] = [bytes, name, 0];
+    [this.low, this.high] = [0, 0];
+  }
+
+  next() {
+    const [low, high, at] = wordsAt(this.bytes, this.at, this.name);
+    const sign = -(low & 1);
+    this.low = (((low >>> 1) | (high << 31)) ^ sign) >>> 0;
+    this.high = ((high >>> 1) ^ sign) >>> 0;
+    this.at = at;
+    return this;
+  }
+
+  end() {
+    if (this.at !== this.bytes.length) throw wrong(this.name, "its end", `${this.bytes.length - this.at} more bytes`);
+  }
+}
+
+/** Writes a + sign·b, modulo 2⁶⁴, to place i of `out`, which holds two words for each number. */
+function putSum(out, i, low, high, { low: l, high: h }, sign) {
+  const sum = low + sign * l;
+  out[2 * i] = sum;
+  out[2 * i + 1] = high + sign * h + Math.floor(sum / 2 ** 32);
+}
+
+/** Whether a version has a column. */
+const isStored = (version, column) => (version === 1 ? !isRare(column) : version > 2 || column !== FIRST + THICKNESS_AT);
+
+/** The columns of a chunk as bytes; those that are skipped are empty. */
+async function columnsOf(chunk, version, counted) {
+  const count = counted ?? MOST_GAUSSIANS;
+  const view = new DataView(chunk.buffer, chunk.byteOffset, chunk.byteLength);
+  const columns = NAMES.map(() => new Uint8Array(0));
+  const taken = [];
+  let at = 0;
+  for (const [column, short] of NAMES.entries()) {
+    const name = `column ${short}`;
+    if (!isStored(version, column)) continue;
+    const room = chunk.length - at - 8;
+    const [whole, stored] = room < 0 ? [0, 0] : [view.getUint32(at, true), view.getUint32(at + 4, true)];
+    if (room < stored) throw wrong(name, "its two lengths and as many bytes", `${chunk.length - at} bytes`);
+    if (whole > stored * INFLATION) throw wrong(name, `at most ${INFLATION} bytes from one`, `${whole} from ${stored}`);
+    if (column < MERGE && whole > count * LONGEST) throw wrong(name, `at most ${LONGEST} bytes for each of ${count} numbers`, whole);
+    if (whole && !isSkipped(column)) taken.push({ column, name, whole, deflated: chunk.subarray(at + 8, at + 8 + stored) });
+    at += 8 + stored;
+  }
+  // The text of a page's chunk may end in a byte of its last digits.
+  if (counted !== null && at !== chunk.length) throw wrong("chunk", "its end after the last column", `${chunk.length - at} more bytes`);
+  // Nothing is inflated before all lengths are known.
+  const bytes = await Promise.all(taken.map(({ deflated, whole, name }) => inflated(deflated, whole, name)));
+  taken.forEach(({ column }, k) => (columns[column] = bytes[k]));
+  return columns;
+}
+
+/** The records of an interval before an independent one. */
+const NONE = { count: 0 };
+
+/**
+ * The records of a chunk, as columns of numbers. `before` are those of the interval before, null for an independent one; `count` is how many the
+ * index has, or null for a chunk of a page, whose numbers are in other steps (`coarseness`).
+ */
+export async function decode(chunk, before, { version = 4, count = null, coarseness = null } = {}) {
+  const bytes = await columnsOf(chunk, version, count);
+  count ??= bytes[KIND].length;
+  if (count > MOST_GAUSSIANS) throw wrong("chunk", `at most ${MOST_GAUSSIANS} Gaussians`, count);
+  before ??= NONE;
+  const named = (column) => `column ${NAMES[column]}`;
+  const columns = bytes.map((bytes, column) => {
+    if (isSkipped(column) || column === LINK || (column >= IDENTITY && column <= FRAME)) return null;
+    if (isRare(column) && !bytes.length) return null;
+    return numbersOf(bytes, count, named(column), column !== KIND && column !== CODE);
+  });
+  const [link, identities, births, frames] = [LINK, IDENTITY, BIRTH, FRAME].map((column) => new Wide(bytes[column], named(column)));
+  const [identity, birth, frame] = [0, 0, 0].map(() => new Uint32Array(2 * count));
+  const linked = new Int32Array(count);
+  const next = [0, 0, 0];
+  let [expected, last] = [new Uint32Array(2), new Uint32Array(2)];
+  const copy = (to, i, from, j) => ([to[2 * i], to[2 * i + 1]] = [from[2 * j], from[2 * j + 1]]);
+  for (let i = 0; i < count; i++) {
+    const kind = columns[KIND][i];
+    if (kind > 2) throw wrong(named(KIND), "0, 1 or 2", kind);
+    if (columns[CODE][i] > 5) throw wrong(named(CODE), "0 to 5", columns[CODE][i]);
+    if (kind !== CARRIED) {
+      putSum(frame, i, last[0], last[1], frames.next(), 1);
+      copy(last, 0, frame, i);
+    }
+    if (kind === FRESH) {
+      putSum(identity, i, expected[0], expected[1], identities.next(), 1);
+      putSum(birth, i, frame[2 * i], frame[2 * i + 1], births.next(), -1);
+      putSum(expected, 0, identity[2 * i], identity[2 * i + 1], { low: 1, high: 0 }, 1);
+      continue;
+    }
+    const { low, high } = link.next();
+    const j = next[kind] + low + (high | 0) * 2 ** 32;
+    const from = kind === CARRIED ? before : { count: i, identity, birth };
+    if (!(j >= 0 && j < from.count)) throw wrong(named(LINK), "a record before", j);
+    linked[i] = j;
+    next[kind] = j + 1;
+    copy(identity, i, from.identity, j);
+    copy(birth, i, from.birth, j);
+    if (kind === CARRIED) copy(frame, i, from.frame, j);
+  }
+  for (const column of [link, identities, births, frames]) column.end();
+  const values = Array.from({ length: VALUES }, () => null);
+  for (const k of [...SINCE_LINK, ...SINCE_LAST]) values[k] = new Float64Array(count);
+  for (const k of SINCE_LINK) {
+    const [differences, mine, theirs, kinds] = [columns[FIRST + k], values[k], before.values?.[k], columns[KIND]];
+    for (let i = 0, own = 0; i < count; i++) {
+      const difference = differences ? differences[i] : 0;
+      mine[i] = kinds[i] === CARRIED ? theirs[linked[i]] + difference : (own += difference);
+    }
+  }
+  for (const k of SINCE_LAST) {
+    const differences = columns[FIRST + k];
+    if (differences) for (let i = 0, last = 0; i < count; i++) last = values[k][i] = last + differences[i];
+  }
+  for (const [k, column] of values.entries()) if (column) checkRange(column, k, coarseness?.[k] ?? 1);
+  return { count, code: columns[CODE], identity, birth, frame, values };
+}
+
+/** Refuses whole numbers that no record has. */
+function checkRange(column, k, unit) {
+  let [low, high] = [0, 0];
+  for (const value of column) {
+    if (value < low) low = value;
+    else if (value > high) high = value;
+  }
+  const name = `column ${NAMES[FIRST + k]}`;
+  if (low * unit < -LIMIT || high * unit > LIMIT) throw wrong(name, "magnitudes up to 2^46", "a larger one");
+  const isLogarithm = k === SCALE_AT || k === SCALE_AT + 1 || k === THICKNESS_AT;
+  const least = isLogarithm ? LEAST_SCALE : k === OPACITY_AT || k === GAMMA_AT || k === GAMMA_AT + 1 ? 0 : -Infinity;
+  const most = isLogarithm ? MOST_SCALE : k === GAMMA_AT ? MOST_GAMMA : Infinity;
+  if (low * unit < least) throw wrong(name, `at least ${least}`, low * unit);
+  if (high * unit > most) throw wrong(name, `at most ${most}`, high * unit);
+}
+
+/** What a function has of each whole number of a column: there are few different ones. */
+function byNumber(column, value) {
+  const known = new Map();
+  return (i) => {
+    let found = known.get(column[i]);
+    if (found === undefined) known.set(column[i], (found = value(column[i])));
+    return found;
+  };
+}
+
+/** A value of [0, 1] in steps, rounded half up; others are moved to the end. */
+const unit = (value, steps) => Math.floor(Math.min(1, Math.max(0, value)) * steps + 0.5);
+
+/** Round half away from zero. */
+const nearestTo = (x) => (x < 0 ? -Math.round(-x) : Math.round(x));
+
+/** The lowest of some values, and a step of which 65,535 reach the highest. */
+function gridOf(values, shown) {
+  let [low, high] = [Infinity, -Infinity];
+  for (const i of shown) {
+    const value = values[i];
+    if (value < low) low = value;
+    if (value > high) high = value;
+  }
+  return high < low ? [0, 0] : [low, Math.fround((high - low) / 65535)];
+}
+
+/** The packet of a chunk's records, as packet.rs makes it of the interval. `index`: the key frame at its end, as a BigInt. */
+export function packetOf({ count, code, identity, birth, values }, { index, start, end, coarseness }) {
+  const step = (k) => coarseness?.[k] ?? 1;
+  /** A column, or the sum of two, in binary32. */
+  const scaled = (steps, k, other = null) => {
+    const [out, a, b, first] = [new Float32Array(count), values[k], other === null ? null : values[other], step(k)];
+    const second = b ? step(other) : 0;
+    for (let i = 0; i < count; i++) out[i] = (a[i] * first + (b ? b[i] * second : 0)) / steps;
+    return out;
+  };
+  const coloured = (at, steps) => [scaled(steps, at + 1, at), scaled(steps, at), scaled(steps, at + 2, at)];
+  const lengths = [0, 1, 2, VELOCITY_AT, VELOCITY_AT + 1, VELOCITY_AT + 2].map((k) => scaled(LENGTH, k));
+  const [opacity, colours, rates] = [scaled(1023, OPACITY_AT), coloured(GREEN_AT, 511), coloured(RATE_AT, 255)];
+  const [y, vy] = [lengths[1], lengths[4]];
+  const shown = [];
+  for (let i = 0; i < count; i++) {
+    const other = Math.fround(code[i] & 1 ? y[i] - vy[i] : y[i] + vy[i]);
+    if (opacity[i] >= SEEN_AT && Math.max(y[i], other) >= 0 && Math.min(y[i], other) <= 1) shown.push(i);
+  }
+  let most = 0;
+  for (const channel of rates) for (const i of shown) most = Math.max(most, Math.abs(channel[i]));
+  const rateStep = Math.fround(most / 127);
+  const total = shown.length;
+  const buffer = new ArrayBuffer(HEADER + total * (RECORD + 2 + (rateStep > 0 ? 3 : 0)));
+  const view = new DataView(buffer);
+  view.setUint32(0, 0x7373706b);
+  view.setUint32(4, 3, true);
+  view.setBigUint64(8, index, true);
+  view.setFloat64(16, start, true);
+  view.setFloat64(24, end, true);
+  view.setUint32(32, total, true);
+  const grids = lengths.map((values) => [values, ...gridOf(values, shown)]);
+  grids.forEach(([, low, step], place) => {
+    const offset = 40 + (place % 3) * 4 + (place > 2 ? 24 : 0);
+    view.setFloat32(offset, low, true);
+    view.setFloat32(offset + 12, step, true);
+  });
+  view.setFloat32(88, rateStep, true);
+  const words = new Uint32Array(buffer, HEADER, total * WORDS);
+  const shorts = new Uint16Array(buffer, HEADER, total * SHORTS);
+  const bytes = new Uint8Array(buffer, HEADER, total * RECORD);
+  const ages = new Uint16Array(buffer, HEADER + total * RECORD, total);
+  const binary16 = (k, value) => byNumber(values[k], (q) => halfBits(Math.fround(value(q * step(k)))));
+  const octaves = (q) => Math.exp((q / 64) * Math.LN2);
+  const steepness = binary16(GAMMA_AT, (q) => Math.expm1((q / 32) * Math.LN2));
+  const widths = byNumber(values[GAMMA_AT + 1], (q) => unit(Math.fround((q * step(GAMMA_AT + 1)) / 256), 65535));
+  const scales = [0, 1].map((k) => binary16(SCALE_AT + k, octaves));
+  const thickness = byNumber(values[THICKNESS_AT], (q) => {
+    const quarters = nearestTo(4 * (Math.log(Math.fround(octaves(q * step(THICKNESS_AT)))) * Math.LOG2E));
+    return Math.min(15, Math.max(-16, quarters)) & 31;
+  });
+  const [indexLow, indexHigh] = [Number(index & 0xffffffffn), Number(index >> 32n)];
+  shown.forEach((i, place) => {
+    const [word, short, byte] = [place * WORDS, place * SHORTS, place * RECORD];
+    for (let k = 0; k < 6; k++) {
+      const [values, low, step] = grids[k];
+      shorts[short + k] = step > 0 ? Math.min(65535, Math.round((values[i] - low) / step)) : 0;
+    }
+    shorts[short + 6] = steepness(i);
+    shorts[short + 7] = widths(i);
+    for (let k = 0; k < 3; k++) bytes[byte + 16 + k] = unit(colours[k][i], 255);
+    bytes[byte + 19] = unit(opacity[i], 255);
+    shorts[short + 10] = scales[0](i);
+    shorts[short + 11] = scales[1](i);
+    words[word + 6] = identity[2 * i];
+    words[word + 7] = (identity[2 * i + 1] & 0xffffff) | (code[i] << 24) | (thickness(i) << 27);
+    const age = (indexHigh - birth[2 * i + 1]) * 2 ** 32 + indexLow - birth[2 * i];
+    ages[place] = Math.min(65535, Math.max(0, age));
+    if (!(rateStep > 0)) return;
+    for (let k = 0; k < 3; k++) {
+      const steps = nearestTo(rates[k][i] / rateStep);
+      view.setInt8(HEADER + total * (RECORD + 2) + 3 * place + k, Math.min(127, Math.max(-128, steps)));
+    }
+  });
+  return buffer;
+}
+
+/** Chunks one after another: each may need the one before it. */
+export class Chunks {
+  constructor() {
+    this.place = -1;
+    this.records = null;
+  }
+
+  /** The packet of the last of some chunks that follow each other: { bytes, index, alone, count } each; null where the one before them is not at hand. */
+  async take({ place, parts, times, version, coarseness }) {
+    let packet = null;
+    for (const [k, { bytes, index, alone, count }] of parts.entries()) {
+      const i = place + k;
+      if (!alone && this.place !== i - 1) return null;
+      try {
+        this.records = await decode(bytes, alone ? null : this.records, { version, count, coarseness });
+      } catch (e) {
+        throw new Error(`interval ${i}: ${e.message}`);
+      }
+      this.place = i;
+      if (k === parts.length - 1) packet = packetOf(this.records, { index, ...times, coarseness });
+    }
+    return packet;
+  }
+}

@@ -1,0 +1,2 @@
+/** An error that names the part of the file. */
+export const wrong = (part, expected, found) => new Error(`${part}: expected ${expected}, found ${found}`);

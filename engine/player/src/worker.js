@@ -1,0 +1,5 @@
+// The player's worker.
+
+import { answer } from "./work.js";
+
+onmessage = answer;
