@@ -12,7 +12,7 @@ const CLIP = "fixtures/clips/moving.y4m";
 const SIZE = [512, 288];
 /** PSNR of the player's pictures with those of `render`, in dB: of its own drawing, and of other engines, which blend bytes. */
 const [ENOUGH, BLENDED] = [45, 36];
-/** Pictures a second on two free cores; a third of them are enough on a machine with other work. */
+/** Pictures a second on two free cores; a sixth of them is enough on a machine with other work. */
 const RATE = 30;
 /** Bytes of packets that the long clip may keep, and by how much the browser's memory may grow while it plays. */
 const ROOM = 24 * 2 ** 20;
@@ -297,7 +297,7 @@ async function rate(page) {
   const each = (1000 * (worked - work)) / pictures;
   const { gaussians } = index.entries[1];
   console.log(`${name}: ${second.toFixed(1)} pictures a second of ${SIZE.join("x")}, ${gaussians} Gaussians, sides at ${after[1].toFixed(2)}; ${each.toFixed(0)} ms of processors' time each`);
-  check(second >= RATE / 3, `expected ${RATE} pictures a second, a third of them on a machine with other work, found ${second}`);
+  check(second >= RATE / 6, `expected ${RATE} pictures a second, a sixth of them on a machine with other work, found ${second}`);
 }
 
 /** The package and the clip on another site, whose headers the page may read or not. */
