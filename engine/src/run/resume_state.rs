@@ -85,7 +85,7 @@ pub enum Found {
     /// A complete run.
     Complete(Box<Record>),
     /// An interrupted run to resume.
-    Under(Box<Point>, Option<ResumePoint>),
+    Under(Box<(Point, Option<ResumePoint>)>),
 }
 
 /// Looks for what a run to `destination` left.
@@ -126,7 +126,7 @@ pub fn find(destination: &Destination) -> Result<Found, Error> {
         states.iter().filter(|path| path.exists()).map(|path| point(path, &folder, destination)).peekable();
     while let Some(found) = points.next() {
         match found {
-            Ok((point, resume)) => return Ok(Found::Under(Box::new(point), resume)),
+            Ok(both) => return Ok(Found::Under(Box::new(both))),
             Err(damage) => {
                 let next = if points.peek().is_some() { "going back one interval" } else { "starting again" };
                 tell(&format!("{}; {next}", damage));

@@ -149,7 +149,8 @@ impl Session {
         let terms = |options: &RunOptions| Terms::given(options, &options.stream.model.record()?, program);
         let resume = destination.and_then(Destination::resume);
         let (mut outputs, before) = match (&found, resume, &mut place) {
-            (Found::Under(point, _), Some(folder), Some(place)) => {
+            (Found::Under(under), Some(folder), Some(place)) => {
+                let (point, _) = &**under;
                 let terms = terms(options)?;
                 point.terms.check(&terms)?;
                 let outputs = Outputs::resume(place.destination().clone(), emit, folder, point.ledger)?;
@@ -181,7 +182,7 @@ impl Session {
         let mut keys = KeyFrames::new(source, depth, gap, keep, options.frames, stop);
         let whole = gap.depends_on_images() && emit.draws() && views.is_the_sources_own();
         keys.compare_whole(whole);
-        let point = if let Found::Under(point, _) = &found { Some(point) } else { None };
+        let point = if let Found::Under(under) = &found { Some(&under.0) } else { None };
         let choices = point.and_then(|point| point.choices.as_ref());
         let keys = Ahead::resume(keys, engine.workers().threads(), choices);
         let mut closeness = gap.depends_on_images().then(|| Closeness::new(engine.workers())).transpose()?;
@@ -215,7 +216,8 @@ impl Session {
             start,
         };
         match &found {
-            Found::Under(point, resume) => {
+            Found::Under(under) => {
+                let (point, resume) = &**under;
                 if let Err(failure) = catch_up(&mut session, point, resume.as_ref()) {
                     session.abandon();
                     return Err(failure);
