@@ -71,7 +71,7 @@ enum Command {
     Stages(stages::Options),
     /// Error against run time: precision, reuse and gap on a clip; each stage's error and time.
     Tradeoff(tradeoff::Options),
-    /// Bodies that move by themselves, from cameras led around them.
+    /// Scenes with one moving body, rendered from the side.
     Turned(turned::Options),
 }
 

@@ -1,4 +1,4 @@
-//! `turned`: bodies that move by themselves before a camera that moves or stands, seen from cameras led around them, compared with the true views.
+//! `turned`: scenes with one moving body, rendered from the side and compared with the true views.
 
 use std::path::PathBuf;
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use streamsplat::camera::{Pose, Rotation};
-use streamsplat::stream::{DepthRange, FAR, Interval, NEAR};
+use streamsplat::stream::{DepthRange, FAR, Interval, NEAR, Reconstructor};
 use streamsplat::{Camera, Engine, EngineError, Frame, RenderOptions, Settings};
 use streamsplat_fixtures::clip::cards::{CardPicture, Cards};
 use streamsplat_kernels::Level;
@@ -136,6 +136,65 @@ fn in_scale(map: &[f32], truth: &[f32]) -> Vec<f32> {
     map.iter().map(|d| ((found(*d) * product / square - 0.2) / 9.8) as f32).collect()
 }
 
+/// Engines of one model, for scenes one after another.
+struct Engines {
+    settings: Settings,
+    model: Arc<dyn Reconstructor>,
+    depth: Depth,
+}
+
+/// The last key frame of a scene.
+struct LastKey {
+    /// The true picture.
+    straight: CardPicture,
+    interval: Interval,
+    /// True if depth was found by parallax.
+    found: bool,
+    /// True if the interval's depth is in the true scale.
+    true_scale: bool,
+}
+
+impl Engines {
+    fn new(settings: &Settings, depth: Depth) -> Self {
+        let finds = matches!(depth, Depth::Found | Depth::FoundInScale);
+        let settings = Settings { depth_range: DepthRange::Given, find_depth: Some(finds), ..settings.clone() };
+        let model = Arc::clone(Engine::new(settings.clone()).expect("starts").model());
+        Self { settings, model, depth }
+    }
+
+    fn start(&self) -> Engine {
+        Engine::with_model(self.settings.clone(), self.model.clone()).expect("starts")
+    }
+
+    /// Takes the pictures of a scene at these times through an engine.
+    fn last_key(&self, scene: &Cards, times: &[f64]) -> LastKey {
+        let mut pictures: Vec<CardPicture> = times.iter().map(|time| scene.straight(*time)).collect();
+        let (mut interval, map) =
+            reconstruct(&mut self.start(), &pictures, scene.size(), self.depth == Depth::True).expect("taken");
+        let straight = pictures.pop().expect("a time");
+        let mut true_scale = self.depth == Depth::True;
+        if let (Depth::FoundInScale, Some(map)) = (self.depth, &map) {
+            let map = map_of(&in_scale(map, &straight.y));
+            interval = self.start().push(frame(&straight, scene.size(), Some(map)), 0.0).expect("taken");
+            true_scale = true;
+        }
+        LastKey { straight, interval, found: map.is_some(), true_scale }
+    }
+}
+
+impl LastKey {
+    /// The image of a camera turned by `degrees` about the true distance, or the interval's own if its scale is another.
+    fn turned(&self, degrees: f64, true_pivot: f64) -> Vec<f32> {
+        let Self { interval, true_scale, .. } = self;
+        let pivot = if *true_scale { true_pivot } else { middle(interval, interval.end).expect("drawn") };
+        self.drawn(&around(degrees, pivot, interval.placement.aspect()))
+    }
+
+    fn drawn(&self, camera: &Camera) -> Vec<f32> {
+        self.interval.render(self.interval.end, camera, &RenderOptions::default(), workers()).expect("drawn").rgb
+    }
+}
+
 /// The score of the last key frames of `scenes`, which are seen at `times`, views at ±`degrees`. Each image, with its
 /// name, goes to `show`.
 ///
@@ -149,31 +208,21 @@ pub fn score(
     degrees: f64,
     mut show: impl FnMut(&str, usize, &[f32]),
 ) -> Score {
-    let finds = matches!(depth, Depth::Found | Depth::FoundInScale);
-    let settings = Settings { depth_range: DepthRange::Given, find_depth: Some(finds), ..settings.clone() };
-    let model = Arc::clone(Engine::new(settings.clone()).expect("starts").model());
+    let engines = Engines::new(settings, depth);
     let (mut sum, mut hidden, mut covered, mut halfway) = (Score::default(), 0, 0, 0);
     for (index, scene) in scenes.iter().enumerate() {
-        let pictures: Vec<CardPicture> = times.iter().map(|time| scene.straight(*time)).collect();
-        let (straight, time) = (pictures.last().expect("a time"), times[times.len() - 1]);
-        if straight.foreground.iter().filter(|front| **front).count() < 50 {
+        let time = times[times.len() - 1];
+        if scene.straight(time).foreground.iter().filter(|front| **front).count() < 50 {
             continue;
         }
-        let start = || Engine::with_model(settings.clone(), model.clone()).expect("starts");
-        let (mut interval, found) =
-            reconstruct(&mut start(), &pictures, scene.size(), depth == Depth::True).expect("taken");
-        sum.found += usize::from(found.is_some());
+        let last = engines.last_key(scene, times);
+        let straight = &last.straight;
+        sum.found += usize::from(last.found);
         sum.scenes += 1;
-        let mut true_scale = depth == Depth::True;
-        if let (Depth::FoundInScale, Some(found)) = (depth, &found) {
-            let map = map_of(&in_scale(found, &straight.y));
-            interval = start().push(frame(straight, scene.size(), Some(map)), 0.0).expect("taken");
-            true_scale = true;
-        }
         let options = RenderOptions::default();
         if depth == Depth::True && times.len() > 1 {
             let half = 0.5 * (times[times.len() - 2] + time);
-            let seen = seen_between(&mut start(), scene, times).expect("taken");
+            let seen = seen_between(&mut engines.start(), scene, times).expect("taken");
             for degrees in [degrees, -degrees] {
                 let (view, pivot) = scene.turned(half, degrees);
                 let camera = around(degrees, pivot, seen.placement.aspect());
@@ -183,14 +232,12 @@ pub fn score(
                 halfway += 1;
             }
         }
-        let own = interval.render(interval.end, &Camera::Canonical, &options, workers()).expect("drawn").rgb;
+        let own = last.drawn(&Camera::Canonical);
         show("key-true", index, &straight.rgb);
         show("key", index, &own);
         for degrees in [degrees, -degrees] {
             let (view, turned) = scene.turned(time, degrees);
-            let pivot = if true_scale { turned } else { middle(&interval, interval.end).expect("drawn") };
-            let camera = around(degrees, pivot, interval.placement.aspect());
-            let found = interval.render(interval.end, &camera, &options, workers()).expect("drawn").rgb;
+            let found = last.turned(degrees, turned);
             let side = if degrees > 0.0 { "right" } else { "left" };
             show(&format!("{side}-true"), index, &view.rgb);
             show(side, index, &found);
@@ -265,27 +312,16 @@ pub fn score_bodies(
     degrees: f64,
     mut show: impl FnMut(&str, usize, &[f32]),
 ) -> BodyScore {
-    let finds = matches!(depth, Depth::Found | Depth::FoundInScale);
-    let settings = Settings { depth_range: DepthRange::Given, find_depth: Some(finds), ..settings.clone() };
-    let model = Arc::clone(Engine::new(settings.clone()).expect("starts").model());
+    let engines = Engines::new(settings, depth);
     let (mut sum, mut views) = (BodyScore::default(), 0.0);
-    let options = RenderOptions::default();
     for (index, scene) in scenes.iter().enumerate() {
-        let size = scene.size();
+        let (size, time) = (scene.size(), times[times.len() - 1]);
         let reach = AROUND * size[1] / 256;
-        let pictures: Vec<CardPicture> = times.iter().map(|time| scene.straight(*time)).collect();
-        let (straight, time) = (pictures.last().expect("a time"), times[times.len() - 1]);
-        let start = || Engine::with_model(settings.clone(), model.clone()).expect("starts");
-        let (mut interval, found) = reconstruct(&mut start(), &pictures, size, depth == Depth::True).expect("taken");
-        sum.found += usize::from(found.is_some());
+        let last = engines.last_key(scene, times);
+        let straight = &last.straight;
+        sum.found += usize::from(last.found);
         sum.scenes += 1;
-        let mut true_scale = depth == Depth::True;
-        if let (Depth::FoundInScale, Some(found)) = (depth, &found) {
-            let map = map_of(&in_scale(found, &straight.y));
-            interval = start().push(frame(straight, size, Some(map)), 0.0).expect("taken");
-            true_scale = true;
-        }
-        let own = interval.render(interval.end, &Camera::Canonical, &options, workers()).expect("drawn").rgb;
+        let own = last.drawn(&Camera::Canonical);
         let here = around_of(&scene.shows_body(time, 0.0), size, reach);
         sum.key += psnr(&own, &straight.rgb, |i| here[i]);
         show("key-true", index, &straight.rgb);
@@ -293,9 +329,7 @@ pub fn score_bodies(
         for degrees in [degrees, -degrees] {
             let (view, turned) = scene.turned(time, degrees);
             let behind = scene.without_body().turned_about(time, degrees, turned);
-            let pivot = if true_scale { turned } else { middle(&interval, interval.end).expect("drawn") };
-            let camera = around(degrees, pivot, interval.placement.aspect());
-            let found = interval.render(interval.end, &camera, &options, workers()).expect("drawn").rgb;
+            let found = last.turned(degrees, turned);
             let side = if degrees > 0.0 { "right" } else { "left" };
             show(&format!("{side}-true"), index, &view.rgb);
             show(side, index, &found);

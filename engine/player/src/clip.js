@@ -13,7 +13,7 @@ import { Contained, Store } from "./store.js";
 
 /** Bytes of packets that are kept, and seconds that are read ahead. */
 const [ROOM, AHEAD] = [64 * 2 ** 20, 2];
-/** Intervals that are on their way at once, of those read ahead. */
+/** Intervals read ahead at once. */
 const COMING = 2;
 /** Milliseconds after a failure until the next attempt. */
 const RETRY = 2000;
@@ -62,7 +62,7 @@ export class Clip {
     this.camera.place(about.placement);
     this.orders = new Orders(helper, () => this.came());
     this.store = new Store(new Contained(file, index, helper, ""), (interval) => this.orders.forget(interval), room);
-    /** Called when something came that may change the picture, and when an interval cannot be had. */
+    /** Called when something was loaded that may change the picture, and when an interval cannot be loaded. */
     this.came = () => {};
     this.failed = () => {};
     this.again = 0;
@@ -74,7 +74,7 @@ export class Clip {
     return { ...(this.file.traffic ?? { requests: 0, bytes: 0 }) };
   }
 
-  /** Bytes of packets at hand. */
+  /** Bytes of packets in memory. */
   get kept() {
     return this.store.bytes;
   }
@@ -84,7 +84,7 @@ export class Clip {
     return this.store.fetch(interval);
   }
 
-  /** Lets the camera turn about the middle of the first interval, whichever is shown: one view is the same picture wherever one came from. */
+  /** Lets the camera turn about the middle of the first interval, whichever is shown, so that a view does not depend on what was shown before. */
   async place() {
     if (this.placed) return;
     this.camera.depth = depthOf(depthsOf(await this.packet(0)).middle);
@@ -111,7 +111,7 @@ export class Clip {
     for (let i = interval + 1; i < intervals.length + (loop ? interval : 0); i++) {
       const [k, laps] = [i % intervals.length, i < intervals.length ? 0 : this.end - this.start];
       bytes += HEADER + EACH * intervals[k].gaussians;
-      // What is read ahead leaves room for what is shown, or it would drop that.
+      // What is read ahead must not displace what is shown.
       if (intervals[k].start + laps > time + AHEAD || bytes > this.room / 2 || store.coming.size >= COMING) return;
       if (!store.kept.has(k) && !store.coming.has(k)) this.load(k);
     }
@@ -136,7 +136,7 @@ export class Clip {
     return found && { packet, interval, t, ...found };
   }
 
-  /** Whether the interval at a time is at hand. */
+  /** Whether the interval at a time is loaded. */
   has(time) {
     return this.store.kept.has(this.store.find(time));
   }

@@ -7,7 +7,7 @@ export class Clock {
     [this.playing, this.loop, this.rate] = [false, true, 1];
   }
 
-  /** Takes the time further by some seconds. */
+  /** Advances the time by some seconds. */
   advance(seconds) {
     if (!this.playing || this.end === this.start) return;
     const next = this.time + seconds * this.rate;

@@ -11,7 +11,7 @@ export class Helper {
       if (error === undefined) done(answer);
       else failed(new Error(error));
     };
-    // A worker that cannot start, or has no memory left, answers nothing.
+    // A worker that cannot start, or has no memory left, does not answer.
     worker.onerror = (event) => {
       const error = new Error(`worker: ${event.message || "it cannot be started"}`);
       for (const { failed } of this.asked.values()) failed(error);

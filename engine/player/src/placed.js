@@ -65,3 +65,41 @@ export function inFours(triples, into) {
     into[j + 2] = triples[i + 2];
   }
 }
+
+/** A class with a `clip` and a `clock` that another program's loop drives, over `Base`. */
+export const playback = (Base) =>
+  class extends Base {
+    /** Width and height of the source's frames in the object's own units. */
+    get size() {
+      return this.clip.camera.half.map((half) => 2 * half);
+    }
+
+    get duration() {
+      return this.clip.end - this.clip.start;
+    }
+
+    get currentTime() {
+      return this.clock.current;
+    }
+
+    set currentTime(seconds) {
+      this.clock.current = seconds;
+    }
+
+    get playing() {
+      return this.clock.playing;
+    }
+
+    play() {
+      this.clock.playing = true;
+    }
+
+    pause() {
+      this.clock.playing = false;
+    }
+
+    /** Advances the time by some seconds while it plays. It waits for intervals that are not loaded yet. */
+    update(seconds) {
+      if (this.clip.has(this.clock.time)) this.clock.advance(seconds);
+    }
+  };

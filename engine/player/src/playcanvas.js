@@ -3,7 +3,7 @@
 import { Clip } from "./clip.js";
 import { Clock } from "./clock.js";
 import { PER_ROW } from "./draw.js";
-import { FRAGMENT, VERTEX, backToFront, inFours, viewOf } from "./placed.js";
+import { FRAGMENT, VERTEX, backToFront, inFours, playback, viewOf } from "./placed.js";
 
 /** A texture of whole numbers that is read texel by texel. */
 function texture(pc, device, name, width, height, format) {
@@ -12,7 +12,7 @@ function texture(pc, device, name, width, height, format) {
   return new pc.Texture(device, options);
 }
 
-/** Fills a texture's array, and takes it to the graphics processor. */
+/** Fills a texture's array and uploads it to the GPU. */
 function fill(texture, put) {
   put(texture.lock());
   texture.unlock();
@@ -34,11 +34,12 @@ export async function load(pc, app, source, options = {}) {
   return video;
 }
 
-class Splats {
+class Splats extends playback(Object) {
   constructor(pc, app, clip) {
+    super();
     const device = app.graphicsDevice;
     [this.pc, this.app, this.clip, this.clock] = [pc, app, clip, new Clock(clip.start, clip.end)];
-    /** Called where something came that changes the picture, and where an interval cannot be had. */
+    /** Called when something was loaded that changes the picture, and when an interval cannot be loaded. */
     [this.onchange, this.onerror] = [() => {}, () => {}];
     const rows = Math.max(1, Math.ceil(clip.most / PER_ROW));
     this.textures = {
@@ -72,40 +73,6 @@ class Splats {
     this.listening = app.scene.on("prerender", (camera) => this.prepare(camera));
   }
 
-  /** Width and height of the source's frames in the entity's own units. */
-  get size() {
-    return this.clip.camera.half.map((half) => 2 * half);
-  }
-
-  get duration() {
-    return this.clip.end - this.clip.start;
-  }
-
-  get currentTime() {
-    return this.clock.current;
-  }
-
-  set currentTime(seconds) {
-    this.clock.current = seconds;
-  }
-
-  get playing() {
-    return this.clock.playing;
-  }
-
-  play() {
-    this.clock.playing = true;
-  }
-
-  pause() {
-    this.clock.playing = false;
-  }
-
-  /** Takes the time further by some seconds while it plays; waits for intervals that are still to come. */
-  update(seconds) {
-    if (this.clip.has(this.clock.time)) this.clock.advance(seconds);
-  }
-
   /** Before a camera draws. */
   prepare(component) {
     const { camera } = component;
@@ -121,7 +88,7 @@ class Splats {
     for (const [name, value] of Object.entries({ ...numbers, ...lists })) material.setParameter(name, value);
   }
 
-  /** Takes what is drawn to the graphics processor. */
+  /** Uploads what is drawn to the GPU. */
   take({ packet, order, t }) {
     const { material, textures } = this;
     if (packet !== this.packet) {
@@ -140,7 +107,7 @@ class Splats {
     material.setParameter("t", t);
   }
 
-  /** Ends the worker and frees what the graphics processor holds. */
+  /** Ends the worker and frees GPU memory. */
   destroy() {
     this.listening.off();
     this.entity.destroy();

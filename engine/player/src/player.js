@@ -30,7 +30,7 @@ export class Player extends EventTarget {
     this.colour = colourOf(background);
     [this.loop, this.playbackRate, this.shownMode] = [loop, rate, 0];
     [this.time, this.playing, this.springing, this.waiting, this.seekingNow] = [0, false, false, false, false];
-    /** True where a frame must be drawn although nothing plays; true where a better order came for what is on the screen. */
+    /** True if a frame must be drawn although nothing plays; true if a better order was loaded for what is on the screen. */
     [this.stale, this.due] = [true, false];
     this.clip = null;
     this.opening = null;
@@ -268,7 +268,7 @@ export class Player extends EventTarget {
     if (this.pace.turn(now, this.playing || this.stale)) this.stale = true;
     this.fit();
     if (!this.clip.placed) return;
-    // Time waits for an interval that is still to come.
+    // Time waits for an interval that is not loaded yet.
     const has = this.clip.has(this.time);
     if (has) this.advance(seconds);
     if (this.playing && this.waiting === has) {
@@ -285,7 +285,7 @@ export class Player extends EventTarget {
     }
   }
 
-  /** Draws what the clip has of the time; false where that is still to come. */
+  /** Draws what the clip has for the time; false if that is not loaded yet. */
   draw() {
     const { canvas, clip, drawing, playing, time } = this;
     const view = clip.camera.view(canvas.width, canvas.height);
@@ -298,7 +298,7 @@ export class Player extends EventTarget {
     const first = !this.shown;
     this.shown = { ...found, view, time };
     if (first) this.say("loadeddata");
-    // The order of a moment ago serves while things move; where they rest, the picture is exact.
+    // While things move an earlier order is used; once they stop, the picture is exact.
     if (this.seekingNow && (playing || exact)) {
       this.seekingNow = false;
       this.say("seeked");

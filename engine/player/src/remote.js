@@ -30,7 +30,7 @@ export class RemoteFile {
 
   constructor(address, signal) {
     [this.address, this.signal, this.size, this.tag] = [address, signal, 0, null];
-    /** Bytes that are at hand: the file's beginning and its end. */
+    /** Bytes in memory: the file's beginning and its end. */
     this.parts = [];
     /** Requests made so far, and bytes received. */
     this.traffic = { requests: 0, bytes: 0 };
@@ -114,7 +114,7 @@ export class RemoteFile {
     return this.bytesOf(answer, length);
   }
 
-  /** Lets go of the file's end, which the index was in. */
+  /** Drops the file's end, which held the index. */
   indexed() {
     this.parts.length = Math.min(1, this.parts.length);
   }

@@ -1,4 +1,4 @@
-// Programs of the graphics processor, by name.
+// GLSL programs, by name.
 
 // Records in drawing order.
 const ORDER = /* glsl */ `
@@ -53,21 +53,21 @@ vec3 lower(vec3 m1, vec3 m2) {
 float radius(float opacity) { return sqrt(2.0 * log(255.0 * opacity)); }
 `;
 
-// Four vertices are a record's, 1024 records an instance's: renderers in software take a while for each instance.
+// Each record has four vertices and each instance 1024 records, because software renderers spend time on every instance.
 const CORNER = /* glsl */ `
 out vec2 w;
 flat out vec4 splat;  // what is blended, and the opacity
 
 int placeOfVertex() { return gl_InstanceID * 1024 + (gl_VertexID >> 2); }
 
-// Outside, until it is known to be seen.
+// Outside the image unless the record is visible.
 void hide() {
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   w = vec2(0.0);
   splat = vec4(0.0);
 }
 
-// A corner of the footprint around centre, in pixels from the middle of an image of so many.
+// A corner of the footprint around its centre, in pixels from the image's middle.
 void corner(vec2 centre, vec3 l, float r, vec4 value, vec2 size) {
   w = r * (vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0);
   vec2 pixel = centre + vec2(l.x * w.x, l.y * w.x + l.z * w.y);

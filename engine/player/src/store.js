@@ -10,7 +10,7 @@ export class Chunked {
   constructor(description, helper) {
     this.description = description;
     this.helper = helper;
-    /** The interval whose chunk the worker is given last, on from which it goes without those before. */
+    /** The interval of the worker's last chunk; the next one needs none of those before. */
     this.given = -1;
     /** The question before. */
     this.line = Promise.resolve();
@@ -34,7 +34,7 @@ export class Chunked {
       } catch (e) {
         this.given = -1;
         if (!e.lost) throw e;
-        // What it was to follow did not come.
+        // The interval that it follows was not loaded.
         return this.taken(interval, await this.parts(interval, 0));
       }
     })();
@@ -123,7 +123,7 @@ export class Store {
     return longer && this.times[low + 1].start <= time ? low + 1 : low;
   }
 
-  /** Packet i if it is at hand. */
+  /** Packet i if it is loaded. */
   held(i) {
     const packet = this.kept.get(i);
     if (packet) {

@@ -3,7 +3,7 @@
 import { Clip } from "./clip.js";
 import { Clock } from "./clock.js";
 import { PER_ROW } from "./draw.js";
-import { FRAGMENT, VERTEX, backToFront, inFours, viewOf } from "./placed.js";
+import { FRAGMENT, VERTEX, backToFront, inFours, playback, viewOf } from "./placed.js";
 
 /** A texture of whole numbers that is read texel by texel. */
 function texture(THREE, data, width, height, format, type, internalFormat) {
@@ -26,7 +26,7 @@ export async function load(THREE, source, options = {}) {
   const clip = await Clip.open(source, options);
   await clip.place();
 
-  return new (class Splats extends THREE.Mesh {
+  return new (class Splats extends playback(THREE.Mesh) {
     constructor() {
       const rows = Math.max(1, Math.ceil(clip.most / PER_ROW));
       const words = new Uint32Array(2 * PER_ROW * rows * 4);
@@ -65,45 +65,11 @@ export async function load(THREE, source, options = {}) {
       this.frustumCulled = false;
       this.clip = clip;
       this.clock = new Clock(clip.start, clip.end);
-      /** Called where something came that changes the picture: a program that draws on demand draws then. */
+      /** Called when something was loaded that changes the picture. A program that draws on demand draws then. */
       this.onchange = () => {};
       clip.came = () => this.onchange();
       clip.failed = (error) => this.dispatchEvent({ type: "error", error });
       [this.packet, this.ordered, this.modelView, this.viewport] = [null, null, new THREE.Matrix4(), new THREE.Vector4()];
-    }
-
-    /** Width and height of the source's frames in the object's own units. */
-    get size() {
-      return clip.camera.half.map((half) => 2 * half);
-    }
-
-    get duration() {
-      return clip.end - clip.start;
-    }
-
-    get currentTime() {
-      return this.clock.current;
-    }
-
-    set currentTime(seconds) {
-      this.clock.current = seconds;
-    }
-
-    get playing() {
-      return this.clock.playing;
-    }
-
-    play() {
-      this.clock.playing = true;
-    }
-
-    pause() {
-      this.clock.playing = false;
-    }
-
-    /** Takes the time further by some seconds while it plays; waits for intervals that are still to come. */
-    update(seconds) {
-      if (clip.has(this.clock.time)) this.clock.advance(seconds);
     }
 
     onBeforeRender(renderer, scene, camera) {
@@ -122,7 +88,7 @@ export async function load(THREE, source, options = {}) {
       this.material.uniformsNeedUpdate = true;
     }
 
-    /** Takes what is drawn to the graphics processor. */
+    /** Uploads what is drawn to the GPU. */
     take({ packet, order, t }) {
       const { uniforms } = this.material;
       if (packet !== this.packet) {
@@ -143,7 +109,7 @@ export async function load(THREE, source, options = {}) {
       uniforms.t.value = t;
     }
 
-    /** Ends the worker and frees what the graphics processor holds. */
+    /** Ends the worker and frees GPU memory. */
     dispose() {
       clip.close();
       this.geometry.dispose();

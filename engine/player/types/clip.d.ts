@@ -30,9 +30,9 @@ export class Clip {
   readonly intervals: { start: number; end: number; gaussians: number }[];
   /** Requests made and bytes received so far. */
   readonly traffic: { requests: number; bytes: number };
-  /** Bytes of packets at hand. */
+  /** Bytes of packets in memory. */
   readonly kept: number;
-  /** Whether the interval at a time is at hand. */
+  /** Whether the interval at a time is loaded. */
   has(time: number): boolean;
   /** Ends the worker. */
   close(): void;

@@ -1,23 +1,12 @@
-import type { Clip, ClipOptions, Source } from "./clip.js";
+import type { ClipOptions, Source } from "./clip.js";
+import type { Playback } from "./placed.js";
 
 /** A scene in time, and the entity that shows it. */
-export interface Splats {
+export interface Splats extends Playback {
   /** A `pc.Entity`. */
   readonly entity: any;
-  readonly clip: Clip;
-  /** Width and height of the source's frames in the entity's own units. */
-  readonly size: [number, number];
-  readonly duration: number;
-  currentTime: number;
-  readonly playing: boolean;
-  readonly clock: { loop: boolean; rate: number };
-  /** Called where something came that changes the picture, and where an interval cannot be had. */
-  onchange: () => void;
+  /** Called when an interval cannot be loaded. */
   onerror: (error: Error) => void;
-  play(): void;
-  pause(): void;
-  /** Takes the time further by some seconds while it plays. */
-  update(seconds: number): void;
   destroy(): void;
 }
 

@@ -43,7 +43,7 @@ export interface PlayerEvents {
   loadeddata: Event;
   play: Event;
   pause: Event;
-  /** An interval that is needed is still to come; it came. */
+  /** An interval that is needed is not loaded yet; it was loaded. */
   waiting: Event;
   playing: Event;
   seeking: Event;

@@ -1,17 +1,20 @@
 //! Bodies: connected parts of the picture that move by themselves. Each has one depth.
 //!
-//! Two views do not show how far a thing is that moves by itself: its own motion looks like parallax. What shows is that it moves, where its flow
-//! lies off the epipolar lines; and that it stands on something.
+//! The distance of a thing that moves by itself cannot be computed from two views, because its own motion looks like parallax. That it moves can be
+//! detected where its flow is off the epipolar lines, and its distance follows from the ground under it.
 //!
-//! 1. *Seeds* are cells whose match certainly fits no place of a thing at rest, *hints* those where this is likely, and cells that were a body's
-//!    key frames before, by a score that falls with time. Hints that are connected through gaps of [`GAP`] cells and hold enough seeds are a body.
+//! 1. *Seeds* are cells whose match certainly fits no place of a thing at rest; *hints* are those where this is likely. A component of hints, with gaps
+//!    of up to twice [`GAP`] cells closed, is a body if [`SEEDS`] of it are seeds. Cells that belonged to a body at the key frame before count as seeds
+//!    until their score, which falls by a fifth with each key frame without enough seeds of its own, is below [`STILL_BODY`].
 //! 2. A body grows, by at most a part of its size, over cells whose flow is nearer to its own (an affine field by least squares) than to that of the
 //!    surroundings in the same rows.
 //! 3. Its inverse depth is that of the ground right under its lowest cells; where none is known there, that of the nearest quarter of what is
 //!    around it. What it had at the key frame before is followed with half the weight. Where nothing is known at all it stays a hole.
 //! 4. Parts that seem nearer than the body they touch, and do not reach below it, are its own: they move along the epipolar lines.
 //!
-//! A body that moves along the epipolar lines as a whole is not found: two views do not tell it from a thing at rest at another distance.
+//! A body that moves along the epipolar lines as a whole is not detected: in two views it equals a thing at rest at another distance.
+
+use std::ops::Range;
 
 use super::filter::weighted_median;
 use super::triangulate::Cell;
@@ -19,18 +22,19 @@ use super::{CELL, Sight};
 
 /// Least share of the picture of a body.
 const LEAST: f64 = 0.002;
-/// Cells between connected hints.
+/// Half the width of the gaps that are closed between hints, in cells.
 const GAP: usize = 2;
-/// Least share of a body's cells that are seeds, or were a body's. Errors of flow over things at rest make hints, and few seeds among them.
+/// Least share of a body's cells that are seeds. Errors of flow over things at rest cause many hints and few seeds.
 const SEEDS: f64 = 0.25;
 /// Rows of cells under a body in which the ground is looked for.
 const UNDER: usize = 6;
 /// Confidence of a body's depth.
 const CONFIDENCE: f32 = 0.5;
-/// Score from which on a cell still is a body's.
+/// Least score of a cell that still counts as a body's.
 pub(super) const STILL_BODY: f32 = 0.4;
-/// Ratio of inverse depths from which on a part is nearer than its body, and the largest part in those of the body that is its own all the same.
+/// Ratio of inverse depths from which on a part seems nearer than its body.
 const NEARER: f32 = 1.2;
+/// Largest size of such a part, in sizes of the body.
 const PART: f64 = 0.4;
 /// Rows of the surroundings that are compared with a row, to both sides.
 const BAND: usize = 3;
@@ -40,16 +44,20 @@ pub(super) fn settle(cells: &mut [Cell], carried: Option<&[Cell]>, sight: &Sight
     let [rows, columns] = sight.grid;
     let was = |at: usize| carried.is_some_and(|carried| carried[at].body >= STILL_BODY);
     let hints: Vec<bool> = (0..cells.len()).map(|at| cells[at].hint || cells[at].moves || was(at)).collect();
-    let joined = eroded(&spread(&hints, sight.grid, GAP), sight.grid, GAP);
+    let joined = closed(&hints, sight.grid, GAP);
     let mut taken = vec![false; cells.len()];
-    let mut bodies = Vec::new();
+    let (mut bodies, mut scores) = (Vec::new(), Vec::new());
     for first in 0..cells.len() {
         if !joined[first] || taken[first] {
             continue;
         }
         let body = connected(&joined, &mut taken, first, [rows, columns]);
+        let enough = |count: usize| count as f64 >= SEEDS * body.len() as f64;
+        let moving = body.iter().filter(|at| cells[**at].moves).count();
         let seeds = body.iter().filter(|at| cells[**at].moves || was(**at)).count();
-        if body.len() as f64 >= LEAST * cells.len() as f64 && seeds as f64 >= SEEDS * body.len() as f64 {
+        if body.len() as f64 >= LEAST * cells.len() as f64 && enough(seeds) {
+            let then = body.iter().map(|at| carried.map_or(0.0, |carried| carried[*at].body)).fold(0.0, f32::max);
+            scores.push(if enough(moving) { 1.0 } else { then });
             bodies.push(body);
         }
     }
@@ -66,33 +74,31 @@ pub(super) fn settle(cells: &mut [Cell], carried: Option<&[Cell]>, sight: &Sight
             nearer_parts(cells, body, &mut owner, index, *depth, [rows, columns]);
         }
     }
-    for (body, depth) in bodies.iter().zip(depths) {
+    for ((body, depth), score) in bodies.iter().zip(depths).zip(scores) {
         for &at in body {
             let (inverse, confidence) = depth.map_or((0.0, 0.0), |inverse| (inverse, CONFIDENCE));
-            cells[at] = Cell { inverse, confidence, body: 1.0, ..cells[at] };
+            cells[at] = Cell { inverse, confidence, body: score, ..cells[at] };
         }
     }
 }
 
+/// Numbers of `0..side` at most `reach` from `i`.
+fn near(i: usize, side: usize, reach: usize) -> Range<usize> {
+    i.saturating_sub(reach)..(i + reach + 1).min(side)
+}
+
 /// Cells with one of the mask within `reach` rows and columns.
-fn spread(mask: &[bool], grid: [usize; 2], reach: usize) -> Vec<bool> {
-    within(mask, grid, reach, true)
-}
-
-/// Cells with nothing but the mask within `reach` rows and columns.
-fn eroded(mask: &[bool], grid: [usize; 2], reach: usize) -> Vec<bool> {
-    within(mask, grid, reach, false)
-}
-
-fn within(mask: &[bool], [rows, columns]: [usize; 2], reach: usize, any: bool) -> Vec<bool> {
-    let near = |i: usize, side: usize| i.saturating_sub(reach)..(i + reach + 1).min(side);
-    let of = |mask: &[bool], at: &dyn Fn(usize) -> usize, mut range: std::ops::Range<usize>| {
-        if any { range.any(|i| mask[at(i)]) } else { range.all(|i| mask[at(i)]) }
-    };
+fn spread(mask: &[bool], [rows, columns]: [usize; 2], reach: usize) -> Vec<bool> {
     let across: Vec<bool> = (0..mask.len())
-        .map(|at| of(mask, &|column| at / columns * columns + column, near(at % columns, columns)))
+        .map(|at| near(at % columns, columns, reach).any(|column| mask[at / columns * columns + column]))
         .collect();
-    (0..mask.len()).map(|at| of(&across, &|row| row * columns + at % columns, near(at / columns, rows))).collect()
+    (0..mask.len()).map(|at| near(at / columns, rows, reach).any(|row| across[row * columns + at % columns])).collect()
+}
+
+/// The mask with its gaps of at most twice `reach` filled: spread, and taken back by as much (a morphological closing).
+fn closed(mask: &[bool], grid: [usize; 2], reach: usize) -> Vec<bool> {
+    let outside: Vec<bool> = spread(mask, grid, reach).into_iter().map(|inside| !inside).collect();
+    spread(&outside, grid, reach).into_iter().map(|outside| !outside).collect()
 }
 
 /// The cells of the mask that are connected with `first`, ascending.
@@ -144,7 +150,6 @@ fn grow(body: &mut Vec<usize>, owner: &mut [usize], index: usize, sight: &Sight<
     let size = (bottom - top).min(right - left) + 1;
     let reach = (size / 3).clamp(2, columns / 16 + 2);
     // Mean flow of the surroundings, row by row.
-    let near = |i: usize, side: usize, reach: usize| i.saturating_sub(reach)..(i + reach + 1).min(side);
     let (from, to) = (left.saturating_sub(3 * reach), (right + 3 * reach + 1).min(columns));
     let mut outside: Vec<[f64; 3]> = Vec::with_capacity(rows);
     for row in 0..rows {
@@ -186,7 +191,7 @@ fn grow(body: &mut Vec<usize>, owner: &mut [usize], index: usize, sight: &Sight<
     body.sort_unstable();
 }
 
-/// Adds what touches a body and seems nearer than it without standing nearer: connected cells of at most [`PART`] of its size that end above its lowest row.
+/// Adds connected cells that touch a body and seem nearer than it, if they are at most [`PART`] of its size and end above its lowest row.
 fn nearer_parts(
     cells: &[Cell],
     body: &mut Vec<usize>,
@@ -262,25 +267,11 @@ fn depth(
         }
     }
     let now = weighted_median(ground.into_iter()).or_else(|| {
-        let mut seen = vec![false; cells.len()];
-        body.iter().for_each(|at| seen[*at] = true);
-        let mut ring: Vec<(f32, f32)> = Vec::new();
-        let mut edge = body.to_vec();
-        for _ in 0..UNDER {
-            let mut next = Vec::new();
-            for &at in &edge {
-                for to in around(at, [rows, columns]) {
-                    if !seen[to] {
-                        seen[to] = true;
-                        next.push(to);
-                        if owner[to] == usize::MAX {
-                            ring.push((cells[to].inverse, cells[to].confidence));
-                        }
-                    }
-                }
-            }
-            edge = next;
-        }
+        let mut inside = vec![false; cells.len()];
+        body.iter().for_each(|at| inside[*at] = true);
+        let around = spread(&inside, [rows, columns], UNDER);
+        let outside = (0..cells.len()).filter(|at| around[*at] && owner[*at] == usize::MAX);
+        let mut ring: Vec<(f32, f32)> = outside.map(|at| (cells[at].inverse, cells[at].confidence)).collect();
         // The nearest quarter of what is around it, or the nearest eighth where the picture cuts off its feet.
         for _ in 0..if bottom + 1 == rows { 2 } else { 1 } {
             let half = weighted_median(ring.iter().copied())?;

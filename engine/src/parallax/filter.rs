@@ -26,7 +26,7 @@ pub struct Found {
     pub inverse: Vec<f32>,
     /// Per cell; 0: no value.
     pub confidence: Vec<f32>,
-    /// Per cell, from 0 to 1: 1 where a body is that moves by itself, less the longer ago that was seen.
+    /// Per cell, from 0 to 1: 1 where a body moves by itself, less for each key frame since.
     pub body: Vec<f32>,
     /// Inverse depth that counts as nearest.
     pub nearest: f32,
@@ -39,13 +39,32 @@ impl Found {
         // 1/z of the nearest place of a lifted scene.
         let unit = 1.0 / scene_depth(1.0) / self.nearest.max(f32::MIN_POSITIVE);
         let value = |inverse: &f32| map_value(1.0 / (unit * inverse).max(1e-3)).clamp(0.0, 1.0);
-        let filled: Vec<f32> =
-            filled(&self.inverse, &self.confidence, rgb, [height, width], self.grid).iter().map(value).collect();
+        let filled: Vec<f32> = self.filled(rgb, [height, width]).iter().map(value).collect();
         let [rows, columns] = self.grid;
         let [tall, wide] = [rows * CELL, columns * CELL];
         let mut large = vec![0.0; tall * wide];
         resize::bilinear(level, &filled, 1, rows, columns, tall, wide, &mut large);
         large.chunks(wide).take(height).flat_map(|row| &row[..width]).copied().collect()
+    }
+
+    /// Inverse depth with its holes filled.
+    fn filled(&self, rgb: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
+        let area = height * width;
+        let colour = |cell: usize| {
+            let (row, column) = (cell / self.grid[1] * CELL, cell % self.grid[1] * CELL);
+            std::array::from_fn(|channel| {
+                let (mut sum, mut count) = (0.0, 0.0);
+                for y in row..(row + CELL).min(height) {
+                    for x in column..(column + CELL).min(width) {
+                        sum += rgb[channel * area + y * width + x];
+                        count += 1.0;
+                    }
+                }
+                sum / count
+            })
+        };
+        let colours: Vec<[f32; 3]> = (0..self.inverse.len()).map(colour).collect();
+        fill::fill(&self.inverse, &self.confidence, &colours, self.grid)
     }
 
     /// Expected and found values, if this cannot be a result of [`find`](super::find) for pictures of this size.
@@ -64,32 +83,6 @@ impl Found {
         (!(sound(&self.inverse) && sound(&self.confidence) && sound(&self.body) && sound(&[self.nearest])))
             .then(|| "expected inverse depth that is finite and not negative".to_owned())
     }
-}
-
-/// Inverse depth with its holes filled along the picture `[3, H, W]`.
-pub(super) fn filled(
-    inverse: &[f32],
-    confidence: &[f32],
-    rgb: &[f32],
-    [height, width]: [usize; 2],
-    grid: [usize; 2],
-) -> Vec<f32> {
-    let area = height * width;
-    let colour = |cell: usize| {
-        let (row, column) = (cell / grid[1] * CELL, cell % grid[1] * CELL);
-        std::array::from_fn(|channel| {
-            let (mut sum, mut count) = (0.0, 0.0);
-            for y in row..(row + CELL).min(height) {
-                for x in column..(column + CELL).min(width) {
-                    sum += rgb[channel * area + y * width + x];
-                    count += 1.0;
-                }
-            }
-            sum / count
-        })
-    };
-    let colours: Vec<[f32; 3]> = (0..inverse.len()).map(colour).collect();
-    fill::fill(inverse, confidence, &colours, grid)
 }
 
 /// Cells of the earlier picture at the places of this one's cells, and the nearest inverse depth.
@@ -139,7 +132,7 @@ pub(super) fn join(
                 Some(scale) => {
                     for (now, then) in now.iter_mut().zip(&carried) {
                         let whole = now.confidence + then.confidence;
-                        if now.body >= 1.0 || then.body >= bodies::STILL_BODY {
+                        if now.body > 0.0 || then.body >= bodies::STILL_BODY {
                             // A body's depth includes that of the key frame before; what was a body's is no other thing's.
                             now.inverse = (now.inverse * scale).min(NEAREST);
                         } else if whole > 0.0 {
@@ -165,8 +158,7 @@ pub(super) fn join(
         body: cells.iter().map(|c| c.body).collect(),
         nearest: 0.0,
     };
-    let (rgb, size) = (sight.evidence.rgb, sight.evidence.there.size);
-    let mut filled = filled(&found.inverse, &found.confidence, rgb, size, found.grid);
+    let mut filled = found.filled(sight.evidence.rgb, sight.evidence.there.size);
     filled.sort_by(f32::total_cmp);
     let part = |share: usize| filled[(filled.len() - 1) * share / 100];
     let [far, near] = [part(1), part(99)];

@@ -5,12 +5,13 @@ use glam::DVec3;
 use super::matches::Match;
 use super::{Motion, Sight};
 
-/// Pixels, of a picture 512 wide, from the epipolar line from which on a match fits no thing at rest, certainly and likely; and the part of the flow's length by
-/// which more is allowed, since long flow is less exact.
+/// Distance from the epipolar line, in pixels of a picture 512 wide, from which on a match certainly fits no thing at rest.
 const SEED: f64 = 2.5;
+/// The same where that is likely.
 const HINT: f64 = 1.0;
+/// Part of the flow's length that is added to these, since long flow is less exact.
 const TRAVEL: f64 = 0.08;
-/// How far behind the camera, in those pixels, counts as much.
+/// Part of these that is enough for a place behind the camera.
 const BEHIND: f64 = 0.7;
 
 /// Inverse depth and confidence of a cell.
@@ -22,7 +23,7 @@ pub(super) struct Cell {
     pub(super) moves: bool,
     /// True if this is likely.
     pub(super) hint: bool,
-    /// From 0 to 1: 1 where the cell is a body's that moves by itself, less the longer ago that was seen.
+    /// From 0 to 1: 1 where a body moves by itself, less for each key frame since.
     pub(super) body: f32,
 }
 

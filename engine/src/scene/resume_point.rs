@@ -10,7 +10,7 @@
 //! | `key_frame`, `next_identity` | U64 `[1]` | the key frame; the first unused identity |
 //! | `depth` | F32 `[2]` | factor and offset of the key frame's depth map, where there is one |
 //! | `found_inverse`, `found_confidence` | F32 `[R,C]` | depth found by parallax for the key frame's cells, where there is any |
-//! | `found_body` | F32 `[R,C]` | 1 where a body is that moves by itself, less the longer ago that was seen |
+//! | `found_body` | F32 `[R,C]` | 1 where a body moves by itself, less for each key frame since |
 //! | `found_nearest` | F32 `[1]` | inverse depth that counts as nearest |
 //! | `covered_cell` | U32 `[C]` | cells of the key frame whose foreground hides what earlier frames saw, where there are any |
 //! | `covered_at`, `covered_rgb` | F32 `[C,2]`, `[C,3]` | its place in pixels and its colour |
