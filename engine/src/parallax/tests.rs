@@ -168,7 +168,7 @@ fn what_moves_by_itself_takes_the_depth_of_the_ground_under_it() {
 fn body(x: f64, y: f64) -> (f64, [f64; 2]) {
     let inside = (60.0..100.0).contains(&x) && (30.0..60.0).contains(&y);
     let own = match inside {
-        true if (75.0..85.0).contains(&x) && y < 50.0 => [3.0, 0.0],
+        true if (73.0..87.0).contains(&x) && y < 48.0 => [5.0, 0.0],
         true => [0.0, 5.0],
         false => [0.0; 2],
     };
