@@ -223,42 +223,48 @@ export class Drawing {
     this.ordered = order;
   }
 
-  /** Sums as large as the canvas. */
-  resize() {
-    const { gl, canvas } = this;
-    const [width, height] = this.size;
-    if (width === canvas.width && height === canvas.height) return;
-    this.size = [canvas.width, canvas.height];
+  /** Sums of width × height pixels. */
+  resize(width, height) {
+    const { gl } = this;
+    if (this.size[0] === width && this.size[1] === height) return;
+    this.size = [width, height];
     this.bind(this.blended, 1);
     const [kept, kind] = this.sums;
-    gl.texImage2D(gl.TEXTURE_2D, 0, kept, canvas.width, canvas.height, 0, gl.RGBA, kind, null);
+    gl.texImage2D(gl.TEXTURE_2D, 0, kept, width, height, 0, gl.RGBA, kind, null);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.blended, 0);
   }
 
-  /** Draws a packet's records in `order` at t in [0, 1]; `range` are the ends of the scale of inverse depths. */
-  draw(packet, order, t, view, { mode, background, range }) {
-    const { gl, resolve, canvas } = this;
-    this.resize();
+  /**
+   * Draws a packet's records in `order` at t in [0, 1]; `range` are the ends of the scale of inverse depths. The picture is as large as the view says; it
+   * comes to the canvas, or into another framebuffer with its lower left corner at x, y.
+   */
+  draw(packet, order, t, view, { mode, background, range }, { framebuffer = null, x = 0, y = 0 } = {}) {
+    const { gl, resolve } = this;
+    const { width, height } = view;
+    this.resize(width, height);
     let at = null;
     if (order.length) {
       this.upload(packet);
       at = packet.still ? this.useStill(packet, order, view, mode) : this.useMoving(packet, order, t, view, mode);
     }
-    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.viewport(0, 0, width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
     if (at) {
-      gl.uniform2f(at.size, canvas.width, canvas.height);
+      gl.uniform2f(at.size, width, height);
+      gl.uniform2fv(at.middle, view.middle ?? [0, 0]);
       gl.bindVertexArray(this.splats);
       gl.enable(gl.BLEND);
       gl.blendFunc(gl.ONE_MINUS_DST_ALPHA, gl.ONE);
       gl.drawElementsInstanced(gl.TRIANGLES, 6 * Math.min(PER_ROW, order.length), gl.UNSIGNED_SHORT, 0, Math.ceil(order.length / PER_ROW));
       gl.disable(gl.BLEND);
     }
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+    gl.viewport(x, y, width, height);
     gl.useProgram(resolve.program);
+    gl.uniform2i(resolve.at.corner, x, y);
     this.bind(this.blended, 1);
     gl.uniform1i(resolve.at.blended, 1);
     gl.uniform3fv(resolve.at.background, background);

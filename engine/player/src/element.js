@@ -1,5 +1,6 @@
 // <streamsplat-player src="clip.ssz" autoplay loop controls></streamsplat-player>
 
+import { offersHeadset } from "./headset.js";
 import { Player } from "./player.js";
 
 const STYLE = `
@@ -18,6 +19,7 @@ canvas.held { cursor: grabbing; }
 .message { position: absolute; inset: 0 0 auto; margin: 0; padding: 8px 12px; background: #000b; overflow-wrap: anywhere; }
 [hidden] { display: none; }
 `;
+const HEADSET = "M2 5h16v10h-5l-2-3H9l-2 3H2zM6 8a1.5 1.5 0 100 3 1.5 1.5 0 000-3M14 8a1.5 1.5 0 100 3 1.5 1.5 0 000-3";
 const [PLAY, PAUSE] = ["M5 3l12 7-12 7z", "M5 3h3.5v14H5zM11.5 3H15v14h-3.5z"];
 const BODY = `
 <canvas tabindex="0" role="img" aria-label="A scene that can be turned" part="canvas"></canvas>
@@ -26,9 +28,13 @@ const BODY = `
 <div class="bar" part="controls" hidden>
 <button type="button" aria-label="Play"><svg viewBox="0 0 20 20" aria-hidden="true"><path d="${PLAY}"/></svg></button>
 <input type="range" aria-label="Time" min="0" max="1" step="any" value="0"><span></span>
+<button type="button" class="vr" aria-label="Show in a headset" hidden><svg viewBox="0 0 20 20" aria-hidden="true"><path d="${HEADSET}"/></svg></button>
 </div>`;
 /** Events of the player that the element has as well. */
-const EVENTS = ["loadedmetadata", "loadeddata", "play", "pause", "waiting", "playing", "seeking", "seeked", "timeupdate", "ended", "error", "viewchange"];
+const EVENTS = [
+  ...["loadedmetadata", "loadeddata", "play", "pause", "waiting", "playing", "seeking", "seeked", "timeupdate", "ended", "error", "viewchange"],
+  ...["vrenter", "vrleave"],
+];
 
 export class StreamsplatPlayer extends HTMLElement {
   static observedAttributes = ["src", "loop", "controls", "background", "playbackrate", "mode"];
@@ -43,6 +49,9 @@ export class StreamsplatPlayer extends HTMLElement {
     [this.canvas, this.bar, this.message, this.poster] = ["canvas", ".bar", ".message", ".poster"].map((part) => root.querySelector(part));
     [this.button, this.slider, this.clock] = ["button", "input", "span"].map((part) => this.bar.querySelector(part));
     this.button.addEventListener("click", () => this.toggle());
+    const vr = this.bar.querySelector(".vr");
+    vr.addEventListener("click", () => this.enterVR().catch((error) => this.show(error)));
+    offersHeadset().then((has) => (vr.hidden = !has));
     this.slider.addEventListener("input", () => (this.currentTime = Number(this.slider.value)));
     this.canvas.addEventListener("keydown", (e) => this.pressed(e));
     /** The player, while the element is in a page. */
@@ -124,6 +133,14 @@ export class StreamsplatPlayer extends HTMLElement {
 
   home() {
     this.player?.home();
+  }
+
+  async enterVR() {
+    await this.player?.enterVR();
+  }
+
+  async leaveVR() {
+    await this.player?.leaveVR();
   }
 
   get view() {

@@ -2,4 +2,5 @@
 
 export { Clip } from "./clip.js";
 export { StreamsplatPlayer } from "./element.js";
+export { offersHeadset } from "./headset.js";
 export { Player } from "./player.js";

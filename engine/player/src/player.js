@@ -3,6 +3,7 @@
 import { clamp, STEEPEST } from "./camera.js";
 import { Clip } from "./clip.js";
 import { Drawing, MODES } from "./draw.js";
+import { Headset } from "./headset.js";
 import { depthsOf } from "./motion.js";
 import { Pace } from "./pace.js";
 import { followPointers } from "./pointers.js";
@@ -38,6 +39,8 @@ export class Player extends EventTarget {
     this.shown = null;
     this.pace = new Pace();
     this.drawing = new Drawing(canvas);
+    /** The headset that the scene is shown in, if any. */
+    this.headset = null;
     this.until = new AbortController();
     const { signal } = this.until;
     canvas.addEventListener("webglcontextlost", (e) => (e.preventDefault(), (this.drawing = null)), { signal });
@@ -257,10 +260,19 @@ export class Player extends EventTarget {
     [canvas.width, canvas.height, this.stale] = [width, height, true];
   }
 
+  /** Takes the time further, unless it waits for an interval that is not loaded yet. */
+  pass(seconds) {
+    const has = this.clip.has(this.time);
+    if (has) this.advance(seconds);
+    if (!this.playing || this.waiting !== has) return;
+    this.waiting = !has;
+    this.say(has ? "playing" : "waiting");
+  }
+
   turn(now) {
     const seconds = clamp((now - this.before) / 1000, 0, 0.1);
     this.before = now;
-    if (!this.clip || !this.drawing) return;
+    if (!this.clip || !this.drawing || this.headset) return;
     if (this.springing) {
       this.springing = this.clip.camera.settle(seconds);
       if (this.springing) this.turned();
@@ -268,13 +280,7 @@ export class Player extends EventTarget {
     if (this.pace.turn(now, this.playing || this.stale)) this.stale = true;
     this.fit();
     if (!this.clip.placed) return;
-    // Time waits for an interval that is not loaded yet.
-    const has = this.clip.has(this.time);
-    if (has) this.advance(seconds);
-    if (this.playing && this.waiting === has) {
-      this.waiting = !has;
-      this.say(has ? "playing" : "waiting");
-    }
+    this.pass(seconds);
     if (!this.stale && !this.due) return;
     this.due = false;
     try {
@@ -285,15 +291,22 @@ export class Player extends EventTarget {
     }
   }
 
+  /** What the clip has for the time, seen from a view, and how it is drawn; null while that is not loaded yet. */
+  found(view) {
+    const found = this.clip.at(this.time, view, { moving: this.playing, loop: this.loop });
+    if (!found) return null;
+    const { far, near } = depthsOf(found.packet);
+    return { ...found, looks: { mode: this.shownMode, background: this.colour, range: [far, near] } };
+  }
+
   /** Draws what the clip has for the time; false if that is not loaded yet. */
   draw() {
     const { canvas, clip, drawing, playing, time } = this;
     const view = clip.camera.view(canvas.width, canvas.height);
-    const found = clip.at(time, view, { moving: playing, loop: this.loop });
+    const found = this.found(view);
     if (!found) return false;
-    const { packet, order, t, exact } = found;
-    const { far, near } = depthsOf(packet);
-    drawing.draw(packet, order, t, view, { mode: this.shownMode, background: this.colour, range: [far, near] });
+    const { packet, order, t, exact, looks } = found;
+    drawing.draw(packet, order, t, view, looks);
     this.pace.drew();
     const first = !this.shown;
     this.shown = { ...found, view, time };
@@ -307,10 +320,38 @@ export class Player extends EventTarget {
     return true;
   }
 
+  // ---- A headset ----------------------------------------------------------------------------------------------------------------
+
+  /**
+   * Shows the scene in a headset, two metres ahead; a trigger or a pinch plays and pauses. Browsers allow it in answer to a click alone. Resolves when it is
+   * entered. Events `vrenter` and `vrleave`.
+   */
+  async enterVR() {
+    if (!this.clip?.placed || !this.drawing) throw new Error("headset: expected a scene, found none yet (wait for loadeddata)");
+    if (this.headset) return;
+    this.headset = await Headset.enter(this.drawing, this.clip.camera, {
+      advance: (seconds) => this.clip && this.pass(seconds),
+      found: (view) => this.clip && this.found(view),
+      selected: () => (this.playing ? this.pause() : this.play()),
+      left: () => {
+        this.headset = null;
+        this.stale = true;
+        this.say("vrleave");
+      },
+    });
+    this.say("vrenter");
+  }
+
+  /** Back to the canvas. */
+  async leaveVR() {
+    await this.headset?.leave();
+  }
+
   /** Ends everything. The canvas keeps its last picture. */
   close() {
     this.opening?.abort();
     this.until.abort();
+    this.headset?.leave();
     this.clip?.close();
     [this.clip, this.playing] = [null, false];
   }

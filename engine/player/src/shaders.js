@@ -55,6 +55,7 @@ float radius(float opacity) { return sqrt(2.0 * log(255.0 * opacity)); }
 
 // Each record has four vertices and each instance 1024 records, because software renderers spend time on every instance.
 const CORNER = /* glsl */ `
+uniform vec2 middle;  // where the camera's forward is seen, in pixels from the image's middle
 out vec2 w;
 flat out vec4 splat;  // what is blended, and the opacity
 
@@ -67,10 +68,10 @@ void hide() {
   splat = vec4(0.0);
 }
 
-// A corner of the footprint around its centre, in pixels from the image's middle.
+// A corner of the footprint around its centre, in pixels from where the camera's forward is seen.
 void corner(vec2 centre, vec3 l, float r, vec4 value, vec2 size) {
   w = r * (vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0);
-  vec2 pixel = centre + vec2(l.x * w.x, l.y * w.x + l.z * w.y);
+  vec2 pixel = centre + middle + vec2(l.x * w.x, l.y * w.x + l.z * w.y);
   splat = value;
   gl_Position = vec4(2.0 * pixel.x / size.x, -2.0 * pixel.y / size.y, 0.0, 1.0);
 }
@@ -118,7 +119,7 @@ float opacityFactor(vec2 gamma, float tau) {
   return x > VANISHED ? 0.0 : min(1.0, (1.0 + exp(-gamma.x * gamma.y)) / (1.0 + exp(x)));
 }
 
-// The record's place in pixels from the image's middle, M's rows, and what is blended; false where it is not seen.
+// The record's place in pixels from where the camera's forward is seen, M's rows, and what is blended; false where it is not seen.
 bool splatOf(out vec2 centre, out vec3 m1, out vec3 m2, out vec3 value, out float opacity) {
   ivec2 place = ivec2(int(record % PER_ROW) * 2, int(record / PER_ROW));
   uvec4 a = texelFetch(records, place, 0);
@@ -360,6 +361,7 @@ uniform sampler2D blended;  // premultiplied: Σ c α T, Σ α T
 uniform vec3 background;
 uniform int mode;
 uniform vec2 range;         // inverse depths of the scale's ends, far and near
+uniform ivec2 corner;       // lower left, of the picture in what is drawn into
 
 out vec4 colour;
 
@@ -374,7 +376,7 @@ vec3 scale(float x) {
 }
 
 void main() {
-  vec4 sum = texelFetch(blended, ivec2(gl_FragCoord.xy), 0);
+  vec4 sum = texelFetch(blended, ivec2(gl_FragCoord.xy) - corner, 0);
   vec3 shown = sum.rgb;
   if (mode == 1) {
     float nearness = sum.r / max(sum.a, 1e-4);

@@ -4,6 +4,9 @@ import type { Player, View } from "./player.js";
 export { Clip, type ClipOptions, type Placement, type Source } from "./clip.js";
 export { Player, type Colour, type Mode, type PlayerErrorEvent, type PlayerEvents, type PlayerOptions, type View } from "./player.js";
 
+/** Whether this browser has a headset that a scene can be shown in. */
+export function offersHeadset(): Promise<boolean>;
+
 /** `<streamsplat-player src="clip.ssz" autoplay loop controls>`: importing the package defines it. */
 export class StreamsplatPlayer extends HTMLElement {
   src: string;
@@ -21,6 +24,8 @@ export class StreamsplatPlayer extends HTMLElement {
   seek(seconds: number): Promise<void>;
   look(view: Partial<View>): void;
   home(): void;
+  enterVR(): Promise<void>;
+  leaveVR(): Promise<void>;
 }
 
 declare global {

@@ -55,6 +55,9 @@ export interface PlayerEvents {
   viewchange: Event;
   /** The canvas was touched without a drag. */
   tap: Event;
+  /** The scene is shown in a headset; it is no longer. */
+  vrenter: Event;
+  vrleave: Event;
 }
 
 /** A scene in time on a canvas. */
@@ -70,6 +73,9 @@ export class Player extends EventTarget {
   look(view?: Partial<View>): void;
   /** Back to the source's own view. */
   home(): void;
+  /** Shows the scene in a headset (WebXR), two metres ahead; in answer to a click. Resolves when it is entered. */
+  enterVR(): Promise<void>;
+  leaveVR(): Promise<void>;
   /** Ends everything. */
   close(): void;
   currentTime: number;

@@ -60,6 +60,8 @@ function listenToActions() {
   find("whole").addEventListener("click", toggleFullscreen);
   find("save").addEventListener("click", askSize);
   find("link").addEventListener("click", copyLink);
+  find("headset").addEventListener("click", wear);
+  offersHeadset().then((has) => (find("headset").hidden = !has));
   find("more").addEventListener("click", () => {
     find("more").setAttribute("aria-expanded", String(find("interface").classList.toggle("more")));
   });
@@ -67,4 +69,19 @@ function listenToActions() {
     if (find("picture").returnValue === "save") savePicture(Number(find("across").value), Number(find("down").value));
     find("picture").returnValue = "";
   });
+}
+
+/** Shows the scene in a headset until its wearer takes it off. */
+async function wear() {
+  if (!state.shown || headset) return;
+  const selected = () => play(!state.playing);
+  const left = () => {
+    headset = null;
+    stale = true;
+  };
+  try {
+    headset = await Headset.enter(drawing, camera, { advance: pass, found: sceneFrom, selected, left });
+  } catch (e) {
+    refuse(`headset: ${e.message}`);
+  }
 }

@@ -44,6 +44,8 @@ const state = {
   shown: null, // { packet, interval, order, t, view } of the picture on the screen
 };
 
+/** The headset that the scene is shown in, if any. */
+let headset = null;
 /** True if the next frame must be drawn although nothing plays: something changed. */
 let stale = true;
 /** True if a better order came for what is on the screen: it is drawn again, and nothing moved. */
@@ -191,32 +193,39 @@ function appearance(packet) {
   return { mode: state.mode, background: state.background, range: [far, near] };
 }
 
-/** Draws the scene at the state's time; false where its interval, or what places the camera, is still to come. */
-function picture() {
+/** The packet at the state's time with its order from a view, and how it is drawn; null where its interval, or what places the camera, is still to come. */
+function sceneFrom(view) {
   const interval = store.find(state.time);
   const packet = store.held(interval);
   if (!packet) {
     load(interval);
-    return false;
+    return null;
   }
   if (interval + 1 < store.times.length) store.fetch(interval + 1).catch(() => {});
   if (!placed) {
     place();
-    return false;
+    return null;
   }
   const t = packet.end > packet.start ? clamp((state.time - packet.start) / (packet.end - packet.start), 0, 1) : 0;
-  const view = camera.view(canvas.width, canvas.height);
-  const moving = state.playing || state.following;
-  orders.want(interval, t, view, moving && store.kept.has(interval + 1) ? interval + 1 : null);
+  orders.want(interval, t, view, moving() && store.kept.has(interval + 1) ? interval + 1 : null);
   const found = orders.of(interval, t, view);
+  return found && { packet, interval, t, ...found, looks: appearance(packet) };
+}
+
+const moving = () => state.playing || state.following;
+
+/** Draws the scene at the state's time; false where that is still to come. */
+function picture() {
+  const view = camera.view(canvas.width, canvas.height);
+  const found = sceneFrom(view);
   if (!found) return false;
   // The order of a moment ago serves while things move; where they rest, the picture is exact.
-  const { order, exact } = found;
-  drawing.draw(packet, order, t, view, appearance(packet));
+  const { packet, interval, t, order, exact, looks } = found;
+  drawing.draw(packet, order, t, view, looks);
   state.shown = { packet, interval, order, t, view };
   pace.drew();
   find("poster")?.remove();
-  if (moving || (exact && pace.detail === 1)) canvas.dataset.shown = String(state.time);
+  if (moving() || (exact && pace.detail === 1)) canvas.dataset.shown = String(state.time);
   describe();
   mark();
   // An order that is still to come makes it due again.
@@ -266,18 +275,24 @@ function mark() {
   }
 }
 
+/** Takes the time further, unless it waits for an interval that is still to come. */
+function pass(seconds) {
+  if (!state.shown || store.held(store.find(state.time))) advance(seconds);
+}
+
 /** One turn of the browser's clock. */
 let before = performance.now();
 function turn(now) {
   const seconds = Math.min(0.1, Math.max(0, (now - before) / 1000));
   before = now;
+  requestAnimationFrame(turn);
+  if (headset) return;
   if (sway.advance(seconds)) stale = true;
   if (state.springing) spring(seconds);
   if (pace.turn(now, state.playing || state.following || sway.on || stale)) stale = true;
   fit();
   if (store.times.length && drawing) {
-    // Time waits for an interval that is still to come.
-    if (!state.shown || store.held(store.find(state.time))) advance(seconds);
+    pass(seconds);
     if (stale || due) {
       due = false;
       try {
@@ -288,7 +303,6 @@ function turn(now) {
       }
     }
   }
-  requestAnimationFrame(turn);
 }
 
 // ---- Picking --------------------------------------------------------------------------------------------------------------------

@@ -29,7 +29,7 @@ macro_rules! player {
 }
 
 /// The scripts, joined to one module in this order.
-const SCRIPT_FILES: [&str; 20] = [
+const SCRIPT_FILES: [&str; 21] = [
     player!("errors.js"),
     player!("packet.js"),
     player!("camera.js"),
@@ -41,6 +41,7 @@ const SCRIPT_FILES: [&str; 20] = [
     player!("helper.js"),
     player!("pace.js"),
     player!("pointers.js"),
+    player!("headset.js"),
     include_str!("text.js"),
     include_str!("still.js"),
     include_str!("sources.js"),

@@ -408,6 +408,106 @@ async function playcanvas() {
   });
 }
 
+/** A headset, emulated by iwer: each eye's picture is our render from there; time goes on, a trigger stops it, and the canvas is back at the end. */
+async function headset() {
+  const [width, height] = SIZE;
+  const page = await opened([2 * width, height]);
+  await page.goto(`${server.address}/test/page.html`);
+  await page.addScriptTag({ url: "/player/examples/node_modules/iwer/build/iwer.min.js" });
+  await page.evaluate(async ([width, height]) => {
+    const { XRDevice, metaQuest3 } = window.IWER;
+    const device = (window.device = new XRDevice(metaQuest3, { stereoEnabled: true, fovy: 0.9 }));
+    device.installRuntime({ forceInstall: true });
+    const { Player, offersHeadset } = await import("/player/src/index.js");
+    if (!(await offersHeadset())) throw new Error("expected a headset, found none");
+    document.body.innerHTML = `<div><canvas style="display: block; width: ${width}px; height: ${height}px"></canvas></div>`;
+    const player = (window.player = new Player(document.querySelector("canvas"), { background: 0.5 }));
+    window.events = [];
+    for (const name of ["vrenter", "vrleave"]) player.addEventListener(name, () => window.events.push(name));
+    await player.load("/scratch/scene.ssz");
+    await player.seek(0.3);
+    const { draw } = player.drawing;
+    player.drawing.draw = function (...all) {
+      (window.views ??= []).push(all[3]);
+      draw.apply(this, all);
+    };
+    await player.enterVR();
+    const { x, y, z } = device.position;
+    device.position.set(x + 0.3, y - 0.1, z + 0.2);
+    device.quaternion.set(0.02988, 0.08984, -0.0027, 0.9955); // turned and raised, not rolled
+  }, [2 * width, height]);
+  await settled(page);
+  const both = await page.screenshot();
+  await keep(page, "headset");
+  const views = await page.evaluate(async () => {
+    const { cameraFile } = await import("/player/src/camera.js");
+    return window.views.slice(-2).map(cameraFile);
+  });
+  const apart = Math.hypot(...views[0].position.map((x, i) => x - views[1].position[i]));
+  check(apart > 0.01 && apart < 1, `eyes: expected them apart, found ${apart}`);
+  for (const [eye, camera] of views.entries()) {
+    writeFileSync(`${scratch}/eye.json`, JSON.stringify(camera));
+    const dB = await psnr(other, await cut(both, eye * width), ours(0.3, ["--camera", `${scratch}/eye.json`]));
+    console.log(`${name}: eye ${eye} from our render: ${dB.toFixed(1)} dB`);
+    check(dB >= ENOUGH, `eye ${eye}: expected ${ENOUGH} dB from our render, found ${dB}`);
+  }
+  const times = await page.evaluate(async () => {
+    const { player, device } = window;
+    const turns = async () => {
+      for (let i = 0; i < 10; i++) await new Promise(requestAnimationFrame);
+    };
+    player.loop = true;
+    const before = player.currentTime;
+    const pressed = async () => {
+      device.controllers.right.updateButtonValue("trigger", 1);
+      await turns();
+      device.controllers.right.updateButtonValue("trigger", 0);
+      await turns();
+      return !player.paused;
+    };
+    const [on, moved, off] = [await pressed(), player.currentTime !== before, await pressed()];
+    await player.leaveVR();
+    return [on, moved, off, window.events.join(), player.headset];
+  });
+  check(times.join() === "true,true,false,vrenter,vrleave,", `a headset: found ${times}`);
+  // Eyes look past the middle of their pictures: the same picture, so many pixels to the side.
+  const shifts = await page.evaluate(async ([width, height]) => {
+    const { roomOf, viewFrom } = await import("/player/src/headset.js");
+    const { clip, drawing, shown } = window.player;
+    const [matrix, looks] = [[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], window.player.found(shown.view).looks];
+    const drawn = (across, up) => {
+      const projection = [2, 0, 0, 0, 0, 2, 0, 0, (2 * across) / width, (2 * up) / height, -1, -1, 0, 0, 0, 0];
+      drawing.draw(shown.packet, shown.order, shown.t, viewFrom(roomOf(clip.camera), { matrix, projection }, width, height), looks);
+      const pixels = new Uint8Array(width * height * 4);
+      drawing.gl.readPixels(0, 0, width, height, drawing.gl.RGBA, drawing.gl.UNSIGNED_BYTE, pixels);
+      return pixels;
+    };
+    const [plain, moved] = [drawn(0, 0), drawn(40, 20)];
+    // Rows are from below: to the left, and down.
+    let [most, spread] = [0, 0];
+    for (let y = 60; y < height - 60; y++) {
+      for (let x = 80; x < 4 * (width - 80); x++) {
+        most = Math.max(most, Math.abs(plain[4 * width * y + x + 160] - moved[4 * width * (y - 20) + x]));
+        spread = Math.max(spread, Math.abs(plain[4 * width * y + x] - moved[4 * width * y + x]));
+      }
+    }
+    return [most, spread];
+  }, SIZE);
+  check(shifts[0] <= 2 && shifts[1] > 40, `past the middle: expected the same picture 40 and 20 pixels away, found levels ${shifts} apart`);
+  await page.close();
+}
+
+/** Part of a picture of two, from its left end on. */
+async function cut(png, left) {
+  const cut = await other.evaluate(async ([png, left, [width, height]]) => {
+    const bytes = Uint8Array.from(atob(png), (c) => c.charCodeAt(0));
+    const canvas = Object.assign(document.createElement("canvas"), { width, height });
+    canvas.getContext("2d").drawImage(await createImageBitmap(new Blob([bytes], { type: "image/png" })), -left, 0);
+    return canvas.toDataURL("image/png").split(",")[1];
+  }, [png.toString("base64"), left, SIZE]);
+  return Buffer.from(cut, "base64");
+}
+
 /** The example of the element. */
 async function example() {
   const page = await opened([960, 700]);
@@ -435,6 +535,8 @@ await page.close();
 await three();
 await playcanvas();
 await example();
+// Firefox is driven without scripts of other addresses; the headset's code is the same.
+if (name === "chromium") await headset();
 await browser.close();
 if (browser !== compared) await compared.close();
 server.close();
