@@ -16,6 +16,7 @@ pub mod attention;
 pub mod change;
 pub mod exposure;
 pub mod feed_forward;
+pub mod fill;
 pub mod flow;
 pub mod gemm;
 pub mod harmonics;

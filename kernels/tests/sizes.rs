@@ -14,6 +14,7 @@ use streamsplat_kernels::attention::{Rows, Shape, Windows, attend, attend_as, at
 use streamsplat_kernels::change::{Tolerance, moved};
 use streamsplat_kernels::exposure::Exposure;
 use streamsplat_kernels::feed_forward::FeedForward;
+use streamsplat_kernels::fill::fill;
 use streamsplat_kernels::flow::{self, Blend, Field, Options, Pyramid, Step, between};
 use streamsplat_kernels::gemm::{Activation, Epilogue, Input, Precision, Weights, linear};
 use streamsplat_kernels::harmonics::{Eye, Gradients, adjoint, colours, rest};
@@ -461,6 +462,7 @@ fn wrapping_calls() -> Vec<(&'static str, Box<dyn FnOnce()>)> {
         "attention::attend_some": attend_some(Precision::Int8, level, wide, &[0], rows(), rows(), rows(), &mut []);
         "change::moved": moved(level, Tolerance::Bits, HALF, &[], &[], None, &mut [false; 4]);
         "exposure::Exposure::add": Exposure::new(level, false).add(&image(HALF, HALF));
+        "fill::fill": fill(&mut image(HALF, HALF), [0.5; 3]);
         "flow::Blend::new": Blend::new(level, [&[], &[]], [&field([HALF; 2]), &field([HALF; 2])]).at(0.5);
         "flow::Field::round_trip": field([HALF; 2]).round_trip(level, &field([HALF; 2]));
         "flow::Field::then": field([HALF; 2]).then(level, &field([HALF; 2]));

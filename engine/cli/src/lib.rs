@@ -69,6 +69,31 @@ fn finish(result: Result<(), Failure>) -> u8 {
     }
 }
 
+/// What was meant by a word that other programs know.
+fn hint(error: &clap::Error) -> Option<String> {
+    let word = |kind| error.get(kind).map(ToString::to_string);
+    if error.kind() == ErrorKind::InvalidSubcommand {
+        let found = word(ContextKind::InvalidSubcommand)?;
+        if std::path::Path::new(&found).exists() {
+            return Some(format!(
+                "for a video or images: streamsplat run {found}; for splats or a scene: streamsplat view {found}"
+            ));
+        }
+        return (found == "convert").then(|| "files are converted by streamsplat export IN --out OUT".to_owned());
+    }
+    if error.kind() != ErrorKind::UnknownArgument {
+        return None;
+    }
+    let found = word(ContextKind::InvalidArg)?;
+    let hint = match found.split('=').next()? {
+        "--fov" => "an angle is fov_y_degrees in a --camera file (docs/cameras.md)",
+        "--width" | "--height" | "--resolution" => "the size of images is --size WIDTHxHEIGHT",
+        "--gpu" | "--cuda" | "--device" => "a graphics card is --renderer wgpu, in a build with that feature",
+        _ => return None,
+    };
+    Some(hint.to_owned())
+}
+
 /// Error message of clap in one line, without usage and hints.
 fn one_line(error: &clap::Error) -> String {
     let text = error.to_string();
@@ -89,6 +114,9 @@ fn one_line(error: &clap::Error) -> String {
         let (cause, value) = (cause.to_string(), error.get(ContextKind::InvalidValue).map(ToString::to_string));
         let found = value.filter(|value| !cause.contains(value.as_str()));
         return format!("{option}: {cause}{}", found.map(|value| format!(", found {value:?}")).unwrap_or_default());
+    }
+    if let Some(hint) = hint(error) {
+        return format!("{}; {hint}", words.join(" "));
     }
     let tip = text.lines().find_map(|line| line.trim().strip_prefix("tip: "));
     words.extend(tip.filter(|tip| tip.contains("similar")).map(|_| ";"));

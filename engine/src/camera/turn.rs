@@ -96,6 +96,21 @@ pub fn turned(placement: &Placement, pivot: [f64; 3], angles: Angles) -> Camera 
     Camera::Posed { pose: Pose { position, rotation }, lens }
 }
 
+/// A turned view that shows `part` of the sides of the source's picture, around its middle.
+pub fn cropped(camera: &Camera, placement: &Placement, pivot: [f64; 3], part: f64) -> Camera {
+    let half_extent = Some(extent(placement).1.map(|half| part * half));
+    let pose = match *camera {
+        Camera::Canonical => own_pose(placement, pivot),
+        Camera::Posed { pose, .. } => pose,
+    };
+    Camera::Posed { pose, lens: Lens::Orthographic { half_extent } }
+}
+
+/// Where the source's own view has its camera, in front of `pivot`.
+fn own_pose(placement: &Placement, [x, y, z]: [f64; 3]) -> Pose {
+    Pose { position: [x, y, z - DISTANCE * placement.aspect()], rotation: Rotation::IDENTITY }
+}
+
 /// The views of a left and a right eye in place of `camera`, `apart` times as far from each other as they are from the plane through `pivot`
 /// that the camera faces. Points in that plane are at the same place in both images.
 ///
@@ -104,9 +119,8 @@ pub fn turned(placement: &Placement, pivot: [f64; 3], angles: Angles) -> Camera 
 pub fn eyes(camera: &Camera, placement: Option<&Placement>, pivot: [f64; 3], apart: f64) -> Option<[Camera; 2]> {
     let (pose, lens) = match *camera {
         Camera::Canonical => {
-            let ([x, y, z], placement) = (pivot, placement?);
-            let lens = Lens::Orthographic { half_extent: Some(extent(placement).1) };
-            (Pose { position: [x, y, z - DISTANCE * placement.aspect()], rotation: Rotation::IDENTITY }, lens)
+            let placement = placement?;
+            (own_pose(placement, pivot), Lens::Orthographic { half_extent: Some(extent(placement).1) })
         }
         Camera::Posed { pose, lens } => (pose, lens),
     };

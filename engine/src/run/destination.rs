@@ -30,7 +30,7 @@ impl Destination {
             Destination::Folder(_) if FOREIGN.contains(&ending.as_str()) && !out.is_dir() => {
                 let found = out.display();
                 Err(Error::usage(format!(
-                    "--out: expected a folder, - or a video (.{}), found {found}",
+                    "--out: expected a folder, - or a video (.{}), for one image of render also .png or .exr, found {found}",
                     VIDEOS.join(", .")
                 )))
             }

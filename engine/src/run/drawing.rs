@@ -8,11 +8,13 @@ use crate::camera::{Camera, turn};
 use crate::render::{Backend, Exposure, Renderer, View};
 use crate::still::Drawable;
 use crate::stream::{Interval, Workers};
-use crate::{Image, RenderError};
+use crate::{Image, RenderError, RenderOptions};
 use serde::{Deserialize, Serialize};
+use streamsplat_kernels::fill::{fill, uncovered};
 use streamsplat_kernels::raster::Projection;
 
 use crate::run::Error;
+use crate::run::options::Fill;
 use crate::run::options::motion::Course;
 use crate::run::record::{Counts, RendererRecord, WorkRecord};
 use crate::run::views::Views;
@@ -80,18 +82,52 @@ impl Drawing {
     /// [`Self::draw`], between two images where `index` has a part.
     pub fn draw_at(&mut self, interval: &Interval, index: f64, time: f64, views: &Views) -> Result<Image, Error> {
         if views.course.is_none() && views.eyes.is_none() {
-            return self.seen(interval, time, &views.camera.at(time), views);
+            return self.seen(interval, time, &views.camera.at(time), &views.options);
         }
         let placement = &interval.placement;
         let anchor = self.anchored(interval, time)?;
-        let camera = match &views.course {
+        let angles = views.course.as_ref().map(|course| course.at(index, time - anchor.time));
+        let camera = match angles {
             None => views.camera.at(time),
-            Some(course) => turn::turned(placement, anchor.pivot, course.at(index, time - anchor.time)),
+            Some(angles) => match turn::turned(placement, anchor.pivot, angles) {
+                whole if views.part == 1.0 => whole,
+                whole => turn::cropped(&whole, placement, anchor.pivot, views.part),
+            },
         };
-        let Some(apart) = views.eyes else { return self.seen(interval, time, &camera, views) };
+        let mut seen = |camera: &Camera| match angles {
+            Some(angles) if *camera != Camera::Canonical => self.filled(interval, time, camera, views, angles),
+            _ => self.seen(interval, time, camera, &views.options),
+        };
+        let Some(apart) = views.eyes else { return seen(&camera) };
         let [left, right] = turn::eyes(&camera, Some(placement), anchor.pivot, apart).ok_or_else(behind)?;
-        let [left, right] = [self.seen(interval, time, &left, views)?, self.seen(interval, time, &right, views)?];
+        let [left, right] = [seen(&left)?, seen(&right)?];
         Ok(self.beside(left, right))
+    }
+
+    /// An image of a camera that is turned by these angles; what was never filmed is counted, and filled.
+    fn filled(
+        &mut self,
+        interval: &Interval,
+        time: f64,
+        camera: &Camera,
+        views: &Views,
+        angles: turn::Angles,
+    ) -> Result<Image, Error> {
+        let options = RenderOptions { alpha: true, ..views.options };
+        let mut image = self.seen(interval, time, camera, &options)?;
+        let start = Instant::now();
+        let share = if views.fill == Fill::None || views.transparent {
+            uncovered(&image)
+        } else {
+            self.workers.install(|| fill(&mut image, options.background))
+        };
+        self.render += start.elapsed();
+        let pixels = (image.width * image.height) as u64;
+        self.counts.unfilmed.add(pixels, share, angles.right.hypot(angles.up));
+        if !views.options.alpha {
+            image.alpha = None;
+        }
+        Ok(image)
     }
 
     /// The first image's time, and the scene's middle then; `time` is the first's where none was drawn.
@@ -102,10 +138,16 @@ impl Drawing {
         })
     }
 
-    fn seen(&mut self, interval: &Interval, time: f64, camera: &Camera, views: &Views) -> Result<Image, Error> {
+    fn seen(
+        &mut self,
+        interval: &Interval,
+        time: f64,
+        camera: &Camera,
+        options: &RenderOptions,
+    ) -> Result<Image, Error> {
         let view = View::new(camera, &interval.placement, [1; 2]);
         let turned = view.rotation().is_some() || !matches!(view.projection(), Projection::Orthographic { .. });
-        self.drawn(turned, |renderer| renderer.render(interval, time, camera, &views.options))
+        self.drawn(turned, |renderer| renderer.render(interval, time, camera, options))
     }
 
     /// Draws a still scene from where the camera is at `time`.
@@ -247,6 +289,10 @@ impl Drawing {
             ("render.turned", turned, "images"),
         ] {
             work.insert(stage.to_owned(), WorkRecord { done, avoided, unit: unit.to_owned() });
+        }
+        if self.counts.unfilmed.worst.is_some() {
+            let [done, avoided] = self.counts.unfilmed.pixels;
+            work.insert("render.unfilmed".to_owned(), WorkRecord { done, avoided, unit: "pixels".to_owned() });
         }
         seconds.insert("render".to_owned(), self.render.as_secs_f64());
         seconds.insert("write".to_owned(), self.write.as_secs_f64());

@@ -19,6 +19,7 @@ pub mod ahead;
 mod catch_up;
 mod choices;
 pub mod closeness;
+pub mod crop;
 pub mod destination;
 pub mod digest;
 pub mod drawing;

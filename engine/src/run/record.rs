@@ -154,6 +154,51 @@ pub struct Counts {
     pub raster: [[u64; 2]; 6],
     /// Gaussians left out because a number of theirs was not finite.
     pub dropped: u64,
+    /// How much of turned images was never filmed.
+    #[serde(default)]
+    pub unfilmed: Unfilmed,
+}
+
+/// How much of turned images of a scene in time shows nothing that was filmed.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Unfilmed {
+    /// Pixels of which less than half is covered, and the others.
+    pub pixels: [u64; 2],
+    /// The angle to the source's own view, in degrees, and the share of pixels, of the image with most of them.
+    pub worst: Option<[f64; 2]>,
+    /// The widest angle of an image with at most [`Unfilmed::LITTLE`] of them, in degrees.
+    pub holds: f64,
+}
+
+impl Unfilmed {
+    /// A share of pixels that is hardly seen.
+    pub const LITTLE: f64 = 0.02;
+
+    /// Adds an image: pixels, the share of them that is not covered, and its angle in degrees.
+    pub fn add(&mut self, pixels: u64, share: f64, degrees: f64) {
+        let missing = (share * pixels as f64).round() as u64;
+        self.pixels[0] += missing;
+        self.pixels[1] += pixels - missing.min(pixels);
+        if self.worst.is_none_or(|[_, worst]| share > worst) {
+            self.worst = Some([degrees, share]);
+        }
+        if share <= Self::LITTLE {
+            self.holds = self.holds.max(degrees);
+        }
+    }
+
+    /// What a user should know of it, if anything.
+    pub fn note(&self, filled: bool) -> Option<String> {
+        let [degrees, share] = self.worst.filter(|[_, share]| *share > Self::LITTLE)?;
+        let shows = if filled { "the colours around it (--fill)" } else { "the background" };
+        let found = format!(
+            "at {degrees:.0} degrees from the filmed view {:.0} % of an image was never filmed and shows {shows}",
+            100.0 * share
+        );
+        let holds = self.holds.floor();
+        let most = 100.0 * Self::LITTLE;
+        Some(if holds > 0.0 { format!("{found}; up to {holds:.0} degrees it is at most {most:.0} %") } else { found })
+    }
 }
 
 /// Renderer of the images.

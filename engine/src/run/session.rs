@@ -10,7 +10,7 @@ use super::destination::Destination;
 use super::drawing::Drawing;
 use super::keydepth::KeyDepth;
 use super::keyframes::{Keep, KeyFrames};
-use super::options::{Machine, NamedMatrix, RunOptions};
+use super::options::{Fill, Machine, NamedMatrix, RunOptions};
 use super::outputs::{Emit, Finished, Outputs};
 use super::place::Place;
 use super::record::{Account, Build, Invocation, NetworkRecord, PROGRAM, Record, Timing, WorkRecord};
@@ -425,12 +425,14 @@ impl Session {
             self.abandon();
             return Err(Error::usage(format!("--times: {time} s lies outside the video ({first} s to {last} s)")));
         }
+        let filled = self.views.fill != Fill::None;
         let Session { mut task, keys, engine, outputs, place, mut drawing, closeness, whole, account, .. } = self;
         task.observer.finishing();
         let finished = outputs.map(|outputs| drawing.writing(|| outputs.finish())).transpose()?;
         let Finished { outputs, notes } = finished.unwrap_or_default();
         task.observer.finished();
         task.observer.notes(&notes);
+        task.observer.notes(drawing.counts.unfilmed.note(filled).as_slice());
 
         let mut work = account.of(engine.work());
         // The time of a stage's part is in the stage's.

@@ -2,7 +2,7 @@
 
 use super::Error;
 use super::options::motion::Course;
-use super::options::{Background, Times, ViewOptions};
+use super::options::{Background, Fill, Times, ViewOptions};
 use crate::camera::{self, CameraFile, CameraPath};
 use crate::import::FormatError;
 use crate::render::Backend;
@@ -27,6 +27,10 @@ pub struct Views {
     pub transparent: bool,
     /// Where the camera stands around the middle of a scene in time, in place of `camera`.
     pub course: Option<Course>,
+    /// What images of a moved camera show where nothing was filmed.
+    pub fill: Fill,
+    /// The part of the picture's sides that images of a moved camera show.
+    pub part: f64,
     /// Distance between the eyes, where there are two.
     pub eyes: Option<f64>,
     /// The middle of a still scene; that of a scene in time follows from its first image.
@@ -73,6 +77,8 @@ impl Views {
             own_rate: None,
             transparent: false,
             course: None,
+            fill: Fill::None,
+            part: 1.0,
             eyes: None,
             pivot: None,
             shutter: None,

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use streamsplat::import::Opened;
 use streamsplat::output::{Pace, WEBP_SIDE, folder_of, storage, write_file};
-use streamsplat::run::options::Machine;
+use streamsplat::run::options::{Fill, Machine};
 use streamsplat::scene::Scene;
 use streamsplat::stream::{Interval, Workers};
 use streamsplat::{Image, Size, run};
@@ -19,6 +19,7 @@ use crate::console::{Console, say, stop, version};
 use crate::options::antialias::Antialias;
 use crate::options::args::{RenderArgs, RenderOptions};
 use crate::options::times;
+use streamsplat::run::crop;
 use streamsplat::run::drawing::Drawing;
 use streamsplat::run::options::motion::Course;
 use streamsplat::run::outputs::{Destination, Emit, Finished, Outputs};
@@ -194,6 +195,9 @@ pub fn render(
     let own = options.fps.is_none() && views.times.is_none();
     let due = options.due(&scene, &mut views, fps)?;
     options.check_single(due.len())?;
+    if views.fill == Fill::Crop {
+        views.part = shown_part(&scene, &due, &views, fps, &workers)?;
+    }
     let mut drawing = Drawing::new(&workers, views.backend)?;
     let mut outputs = Outputs::create(place, emit)?;
     outputs.drawn_by(views.backend);
@@ -224,6 +228,7 @@ pub fn render(
     let Finished { outputs, notes } = drawing.writing(|| outputs.finish())?;
     progress.finish();
     console.note(&notes);
+    console.note(drawing.counts.unfilmed.note(views.fill != Fill::None).as_slice());
 
     let [height, width] = scene.placement().source;
     let input = InputRecord {
@@ -235,6 +240,30 @@ pub fn render(
         damage: None,
     };
     record(options, input, &drawing, Rendered { outputs, complete, read: stretch.read, start }, &workers)
+}
+
+/// The part of the sides that all images of a motion can show without the picture's edges.
+fn shown_part(
+    scene: &Scene,
+    due: &[(f64, usize)],
+    views: &Views,
+    fps: f64,
+    workers: &Workers,
+) -> Result<f64, run::Error> {
+    let [height, width] = scene.placement().content;
+    let rows = (height * crop::COLUMNS).div_ceil(width.max(1)).max(1);
+    let size = Size::Exact { width: crop::COLUMNS, height: rows };
+    let options = streamsplat::RenderOptions { size, alpha: true, ..views.options };
+    let small = Views { options, fill: Fill::None, eyes: None, shutter: None, ..views.clone() };
+    let mut drawing = Drawing::new(workers, small.backend)?;
+    let mut stretch = Stretch::of(scene);
+    let step = due.len().div_ceil(crop::IMAGES).max(1);
+    let last = due.len().saturating_sub(1);
+    let mut part = 1.0_f64;
+    for (index, &at) in due.iter().enumerate().filter(|(index, _)| index % step == 0 || *index == last) {
+        part = part.min(crop::shown_part(&stretch.image(&mut drawing, index, at, &small, fps)?));
+    }
+    Ok(part)
 }
 
 /// The part of a scene that is being drawn.

@@ -22,7 +22,7 @@ use crate::console::{Console, count, say};
 use crate::options::args::{ExportArgs, RenderOptions};
 use streamsplat::run::drawing::Drawing;
 use streamsplat::run::options::Times;
-use streamsplat::run::outputs::{Emit, Finished, Outputs};
+use streamsplat::run::outputs::{Destination, Emit, Finished, Outputs};
 use streamsplat::run::place::Place;
 use streamsplat::run::record::{InputRecord, Record, absolute};
 use streamsplat::run::views::Views;
@@ -81,6 +81,11 @@ impl Plan {
         views.pivot = framing.map(|framing| framing.middle());
         if options.motion.moves() && views.times.is_some() {
             return Err(Failure::usage(format!("--times: expected none beside a camera that moves; {kind}")));
+        }
+        if let Some(fill) = options.motion.fill {
+            return Err(Failure::usage(format!(
+                "--fill {fill}: expected a scene in time; {kind}, of which nothing was left out"
+            )));
         }
         if views.options.size == Size::Source {
             return Err(Failure::usage(format!("--size source: expected WIDTHxHEIGHT; {kind}, which has no source")));
@@ -243,6 +248,7 @@ pub fn render(
     let count = file.still.len();
     let scene = plan.prepare(file, workers)?;
     let mut drawing = Drawing::new(workers, views.backend)?;
+    let video = matches!(place.destination(), Destination::Video(path, _) if path != Path::new("-"));
     let mut outputs = Outputs::create(place, emit)?;
     outputs.drawn_by(views.backend);
     outputs.keep_alpha(views.transparent)?;
@@ -275,6 +281,9 @@ pub fn render(
     }
     if complete && !shown {
         lines.push(format!("nothing drawn: the camera sees none of {count} Gaussians"));
+    }
+    if video && plan.count() == 1 {
+        lines.push("a video of one image: the camera moves with --turntable, --orbit or --sway, or along the path of a --camera file".to_owned());
     }
     say_of(&path, &lines, console);
     progress.phase("images; finishing the files");

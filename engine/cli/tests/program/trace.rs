@@ -161,8 +161,9 @@ fn every_operation_of_the_kernels_has_spans() {
     found.extend(operations(&spans));
     // And a shutter, which averages images.
     let out = scratch.path("out");
-    let (_, spans) =
-        traced(&scratch, "shutter", &["render".as_ref(), &out, "--times=0.05".as_ref(), "--shutter=180".as_ref()]);
+    // From the side, where what was not filmed is filled.
+    let words = ["--times=0.05", "--shutter=180", "--orbit=20:0.1"].map(Path::new);
+    let (_, spans) = traced(&scratch, "shutter", &[&[Path::new("render"), &out], &words[..]].concat());
     found.extend(operations(&spans));
 
     // One operation, one folder. Three hold what operations are made of; the rasteriser has three passes, its map of colours three more, and their fit one.

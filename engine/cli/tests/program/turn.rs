@@ -74,6 +74,69 @@ fn at_an_angle_of_zero_the_image_is_the_sources_own_view() {
     assert_eq!(equal, [6]);
 }
 
+/// Share of an image's pixels that are near pure blue, the background.
+fn blue(out: &Path, name: &str) -> f64 {
+    let image = image::open(out.join(name)).expect("an image").into_rgb8();
+    let blue = image.pixels().filter(|p| p[2] > 200 && p[0] < 55 && p[1] < 55).count();
+    blue as f64 / f64::from(image.width() * image.height())
+}
+
+#[test]
+fn what_was_not_filmed_shows_the_colours_around_it_or_is_cropped() {
+    let scratch = Scratch::new();
+    // The embedded model's scene, whose camera moves.
+    let scene = scratch.path("run");
+    let clip = fixtures::path("clips/moving.y4m");
+    let mut run = command();
+    run.arg("run").arg(clip).args(["--frames", "13", "--gap", "4", "--quiet", "--out"]).arg(&scene);
+    ok(&run.output().expect("the program starts"));
+    let turned = |name: &str, more: &[&str]| {
+        let out = scratch.path(name);
+        let options = ["--times", "0.25", "--fps", "8", "--orbit", "50:0.375", "--background", "0,0,1"];
+        let output = render(&scene, &out, &[&options[..], more].concat());
+        ok(&output);
+        let text = String::from_utf8(output.stderr).expect("text");
+        let note = text.lines().find(|line| line.contains("was never filmed")).unwrap_or_default().to_owned();
+        let image = image::open(out.join("frames/000000.png")).expect("an image").into_rgb8();
+        (blue(&out, "frames/000000.png"), note, image)
+    };
+    let (none, note, plain) = turned("none", &["--fill", "none"]);
+    assert!(none > 0.05 && note.contains("at 25 degrees") && note.contains("shows the background"), "{none}: {note}");
+    let (extended, note, same) = turned("extend", &[]);
+    assert!(extended < 0.001 && note.contains("shows the colours around it (--fill)"), "{extended}: {note}");
+    // What was filmed is where it was, but for what showed through.
+    let (x, y) = (plain.width() / 2, plain.height() / 2);
+    let apart = |a: u8, b: u8| a.abs_diff(b);
+    assert!((0..3).all(|c| apart(plain.get_pixel(x, y)[c], same.get_pixel(x, y)[c]) < 12), "the middle");
+    let (cropped, after, larger) = turned("crop", &["--fill", "crop"]);
+    assert!(cropped < 0.001 && note.contains("11 %") && !after.contains("11 %"), "{cropped}: {after}");
+    assert_eq!((larger.dimensions(), larger == same), (same.dimensions(), false));
+    // Its alpha is the scene's.
+    let out = scratch.path("alpha");
+    ok(&render(&scene, &out, &["--times", "0.25", "--fps", "8", "--orbit", "50:0.25", "--emit", "rgb,alpha"]));
+    let alpha = image::open(out.join("alpha/000000.png")).expect("an image").into_luma8();
+    assert!(alpha.pixels().any(|p| p[0] < 20));
+    // The record counts it.
+    let work = &json(&out.join("run.json"))["work"]["render.unfilmed"];
+    assert!(work["done"].as_u64().expect("pixels") > 0 && work["unit"] == "pixels", "{work}");
+}
+
+#[test]
+fn words_of_other_programs_have_a_hint() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 32, 32).display().to_string();
+    for (words, hint) in [
+        (&[&*clip][..], "streamsplat run"),
+        (&["convert", "a.ply", "b.spz"], "streamsplat export IN --out OUT"),
+        (&["render", "a.ply", "--fov", "60"], "fov_y_degrees"),
+        (&["render", "a.ply", "--width=60"], "--size WIDTHxHEIGHT"),
+        (&["run", "a.mp4", "--gpu"], "--renderer wgpu"),
+    ] {
+        let text = fails(&command().args(words).output().expect("the program starts"), 2);
+        assert!(text.contains(hint) && text.lines().count() == 1, "{words:?}: {text}");
+    }
+}
+
 #[test]
 fn a_held_sway_is_a_loop_and_shows_what_is_near_and_far_move() {
     let scratch = Scratch::new();
@@ -122,7 +185,8 @@ fn stereo_images_are_twice_as_wide_and_differ_by_the_distance_of_the_eyes() {
     assert!(near > 0 && far > 2 * near, "{near} {far}");
     // The left eye stands on the left, at atan(0.1) degrees.
     let angle = -2.0 * 0.1f64.atan().to_degrees();
-    let orbit = ["--times", "0.25", "--size", "64x36", "--fps", "2", "--orbit", &format!("{}:1", -angle)];
+    let orbit =
+        ["--times", "0.25", "--size", "64x36", "--fps", "2", "--fill", "none", "--orbit", &format!("{}:1", -angle)];
     let orbit = drawn(&scratch, &scene, "orbit", &orbit);
     let image = image::load_from_memory(frames(&orbit)[0]).expect("an image").into_rgb8();
     let most = image.as_raw().iter().zip(&left).map(|(a, b)| a.abs_diff(*b)).max();
@@ -163,6 +227,8 @@ fn motions_that_cannot_be_are_wrong_use() {
         &["--sway=4:0"],
         &["--sway=90"],
         &["--turntable", "-1"],
+        &["--sway", "--fill", "grow"],
+        &["--fill", "crop"],
         &["--times", "0.25", "--turntable", "1e9"],
         &["--stereo", "--eye-distance", "2"],
         &["--stereo", "--eye-distance", "nan"],

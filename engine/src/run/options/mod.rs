@@ -25,7 +25,7 @@ use streamsplat_model::Precision;
 
 pub use presets::defaults;
 pub use settings::DepthFrom;
-pub use values::{Background, DepthModel, DepthScale, DepthSource, Isa, NamedMatrix, Swing, Threads, Times};
+pub use values::{Background, DepthModel, DepthScale, DepthSource, Fill, Isa, NamedMatrix, Swing, Threads, Times};
 
 /// Options that are set by name from text, as on the command line.
 trait Named {
@@ -333,6 +333,11 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "SECONDS", conflicts_with_all = ["camera", "orbit", "sway"], allow_negative_numbers = true))]
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub turntable: Option<f64>,
+        /// What images of a moved camera show of a scene in time where nothing was filmed: extend (the colours around go on), crop (for render: magnified until
+        /// the picture's edges are outside, then as extend) or none (the background) [default: extend]
+        #[cfg_attr(feature = "clap", arg(long, value_name = "WAY"))]
+        #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
+        pub fill: Option<Fill>,
         /// The views of a left and a right eye side by side, in images twice as wide
         #[cfg_attr(feature = "clap", arg(long))]
         #[serde(default, skip_serializing_if = "std::ops::Not::not")]

@@ -3,7 +3,7 @@
 use crate::camera::turn::{Angles, Turn};
 
 use crate::run::Error;
-use crate::run::options::{Motion, Swing};
+use crate::run::options::{Fill, Motion, Swing};
 use crate::run::views::Views;
 
 /// Seconds of a motion of which only the angle is said.
@@ -157,6 +157,7 @@ impl Motion {
     ) -> Result<(), Error> {
         views.refuse_cameras()?;
         views.eyes = self.eyes()?;
+        views.fill = self.filling()?;
         views.course = match (self.asked()?, &due[..]) {
             (None, _) => None,
             (Some(asked), &[only]) => {
@@ -172,6 +173,16 @@ impl Motion {
         Ok(())
     }
 
+    /// What is shown where nothing was filmed; without a motion, the background.
+    fn filling(&self) -> Result<Fill, Error> {
+        match self.fill {
+            Some(fill) if !self.moves() => Err(Error::usage(format!(
+                "--fill {fill}: expected --orbit, --sway or --turntable of a scene in time as well"
+            ))),
+            fill => Ok(if self.moves() { fill.unwrap_or_default() } else { Fill::None }),
+        }
+    }
+
     /// Gives `views` its motion for a video of `fps` frames a second whose end is not known.
     pub fn follow(&self, views: &mut Views, fps: f64) -> Result<(), Error> {
         if let Some(mut times) = views.times.take() {
@@ -180,6 +191,12 @@ impl Motion {
             return Ok(());
         }
         views.eyes = self.eyes()?;
+        views.fill = self.filling()?;
+        if views.fill == Fill::Crop {
+            return Err(Error::usage(
+                "--fill crop: expected extend or none, as a video's end is not known; render has it",
+            ));
+        }
         views.course = self.asked()?.map(|asked| asked.running(None)).transpose()?.map(Course::Running);
         Ok(())
     }

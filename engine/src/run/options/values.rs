@@ -354,6 +354,19 @@ impl FromStr for Swing {
     }
 }
 
+named! {
+    /// What turned images of a scene in time show where nothing was filmed.
+    Fill: "filling" {
+        /// The colours around, going on.
+        #[default]
+        Extend = "extend",
+        /// As little of it as magnification avoids, and there the colours around.
+        Crop = "crop",
+        /// The background.
+        None = "none",
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -40,6 +40,7 @@ struct Entry {
     orbit: Option<Word>,
     sway: Option<Word>,
     turntable: Option<f64>,
+    fill: Option<String>,
     antialias: Option<bool>,
     #[serde(default)]
     stereo: bool,
@@ -138,7 +139,8 @@ impl Entry {
         };
         let Entry { turntable, stereo, eye_distance, antialias, .. } = self;
         let (orbit, sway) = (value("orbit", self.orbit.map(Word::text))?, value("sway", self.sway.map(Word::text))?);
-        let motion = Motion { orbit, sway, turntable, stereo, eye_distance };
+        let fill = value("fill", self.fill)?;
+        let motion = Motion { orbit, sway, turntable, fill, stereo, eye_distance };
         let antialias = antialias.into();
         let options = RenderOptions { view, fps: self.fps, motion, antialias, optics, ..RenderOptions::default() };
         Ok(Render { name: self.name, scene: folder.join(self.scene), options })
