@@ -89,9 +89,14 @@ pub fn is_camera(value: &Bound<'_, PyAny>) -> bool {
 pub fn places(time: &Bound<'_, PyAny>, camera_at: Option<&Bound<'_, PyAny>>) -> PyResult<(Vec<Place>, bool)> {
     let times = match time.extract::<f64>() {
         Ok(time) => Err(time),
-        Err(_) => Ok(time
-            .extract::<Vec<f64>>()
-            .map_err(|_| mistyped(format!("time: expected seconds or a list of them, found {time}")))?),
+        Err(_) => Ok(time.extract::<Vec<f64>>().map_err(|_| {
+            let hint = if time.hasattr("ndim").unwrap_or(false) {
+                "; a matrix is Camera(viewmat, K, width, height)"
+            } else {
+                ""
+            };
+            mistyped(format!("time: expected seconds or a list of them, found {time}{hint}"))
+        })?),
     };
     at(times, camera_at)
 }

@@ -96,9 +96,10 @@ impl Camera {
         let [[fx, skew, cx], [other, fy, cy], last] = matrix::<3>("K", K)?;
         let size = checked(width, height)?;
         if skew != 0.0 || other != 0.0 || last != [0.0, 0.0, 1.0] {
-            return Err(wrong(
-                "K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], found other numbers off the diagonal",
-            ));
+            let [a, b, c] = last;
+            return Err(wrong(format!(
+                "K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], found {skew} and {other} in place of the zeros and [{a}, {b}, {c}] below"
+            )));
         }
         if !(fx > 0.0 && fy > 0.0) {
             return Err(wrong(format!("K: expected focal lengths above 0, found {fx} and {fy}")));

@@ -99,13 +99,14 @@ impl Splats {
         let size = if given { options.size } else { Size::Exact { width, height } };
         let options = RenderOptions { antialias, size, ..*options };
         let workers = self.workers()?;
-        py.detach(|| {
+        let mut empty = 0;
+        let images: PyResult<Vec<Image>> = py.detach(|| {
             let mut scene = Cow::Borrowed(&*self.scene);
             if places.len() >= MANY {
                 scene = Cow::Owned(self.scene.as_ref().clone().grouped(workers));
             }
             let mut renderer = Renderer::new(workers);
-            let draw = |place: &Place| {
+            let mut draw = |place: &Place| {
                 let options = place.options(&options, given);
                 let camera = match (own_view, options.size) {
                     (true, Size::Exact { width, height }) if height > 0 => {
@@ -113,11 +114,21 @@ impl Splats {
                     }
                     _ => place.camera,
                 };
-                let image = renderer.render_still(&scene, &camera, &options).map_err(not_drawn)?;
-                Ok(Image::from(image.clone()))
+                let image = Image::from(renderer.render_still(&scene, &camera, &options).map_err(not_drawn)?.clone());
+                empty += usize::from(renderer.work().entries == 0);
+                Ok(image)
             };
-            places.iter().map(draw).collect()
-        })
+            places.iter().map(&mut draw).collect()
+        });
+        if empty > 0 {
+            let of = if places.len() == 1 { String::new() } else { format!(" in {empty} of {} images", places.len()) };
+            let seen = "a matrix is one from the world to the camera";
+            warn(
+                py,
+                &[format!("nothing drawn{of}: the camera sees none of {} Gaussians ({seen})", self.still().len())],
+            )?;
+        }
+        images
     }
 
     /// PNG of the scene's own view.

@@ -458,11 +458,15 @@ class Image:
     def dropped(self) -> int: ...
     @property
     def rgb(self) -> NDArray[np.float32]:
-        """Display-space colour, [height, width, 3]: a read-only view; `.copy()` makes an array that can be written to."""
+        """Display-space colour, [height, width, 3]: a read-only view; `.copy()` makes an array that can be written to.
+
+        From 0 to about 1: harmonics and rounding may exceed 1, and nothing is clamped before `rgb8`."""
     @property
-    def depth(self) -> NDArray[np.float32] | None: ...
+    def depth(self) -> NDArray[np.float32] | None:
+        """Σ z·α·T, [height, width]: over `alpha` the mean depth. None unless `render(depth=True)`."""
     @property
-    def alpha(self) -> NDArray[np.float32] | None: ...
+    def alpha(self) -> NDArray[np.float32] | None:
+        """Σ α·T, [height, width]. None unless `render(alpha=True)`."""
     def png(self) -> bytes: ...
     def _repr_png_(self) -> bytes: ...
     def rgb8(self) -> NDArray[np.uint8]:

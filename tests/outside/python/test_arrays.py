@@ -217,6 +217,21 @@ def test_cameras_look_and_go_around(garden, tmp_path):
     assert repr(around[0]).startswith("Camera(pinhole at (") and repr(around[0]).endswith("64×36)")
 
 
+def test_an_empty_picture_warns(garden):
+    scene = Scene(garden)
+    K = [[300, 0, 64], [0, 300, 48], [0, 0, 1]]
+    away = np.eye(4)
+    away[2, 3] = -9  # the scene lies behind
+    with pytest.warns(UserWarning, match="nothing drawn: the camera sees none of 300 Gaussians"):
+        scene.render(Camera(away, K, 128, 96))
+    away[2, 3] = 9
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene.render(Camera(away, K, 128, 96))
+    with pytest.raises(TypeError, match=r"a matrix is Camera\(viewmat, K, width, height\)"):
+        scene.render(away)
+
+
 def test_arrays_become_a_scene_that_is_drawn_saved_and_pickled(tmp_path):
     arrays = values()
     splats = Splats(**arrays)

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use streamsplat::import::Opened;
-use streamsplat::output::{Partial, write_whole};
+use streamsplat::output::{Partial, folder_of, write_whole};
 use streamsplat::view::{Link, PageError, Recorded, Server, StillSource, Whole, poster, write_page};
 
 use crate::console::failure::Failure;
@@ -46,12 +46,25 @@ fn is_address(url: &str) -> bool {
 fn show(source: impl Whole + 'static, args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     if let Some(file) = &args.html {
         let image = file.with_extension("png");
+        if image.exists() && !file.exists() {
+            let found = image.display();
+            return Err(Failure::usage(format!(
+                "--html {}: expected no {found}, where the page's poster goes, found one without its page: it is left as it is",
+                file.display()
+            )));
+        }
+        let folder = folder_of(file);
+        std::fs::create_dir_all(folder)
+            .map_err(|e| Failure::work(format!("{}: cannot create: {e}", folder.display())))?;
         let link = link(title(&args.scene), args.url.as_deref(), file, &image);
         let bytes = write_file(&source, &link, file)?;
         write_whole(&image, &poster(&source)?.0)?;
         if !console.quiet {
             let (page, image) = (file.display(), image.display());
-            say(format!("{page}: {:.1} MB; {image}: what a link to it shows", bytes as f64 / 1e6))?;
+            say(format!("{page}: {:.1} MB; {image}: what a link to it shows, in the same folder", bytes as f64 / 1e6))?;
+            if args.url.is_none() {
+                say("Most programs that show links need the address: --url https://…/PAGE.html")?;
+            }
         }
         return Ok(());
     }

@@ -64,6 +64,12 @@ fn the_page_of_options_is_what_the_program_says() {
             format!("```text\n{}\n```", help(&[command, "--help"]))
         };
         write!(page, "\n## {command}\n\n{text}\n").expect("a string");
+        if command == "golden" {
+            for part in ["record", "check"] {
+                write!(page, "\n### {command} {part}\n\n```text\n{}\n```\n", help(&[command, part, "--help"]))
+                    .expect("a string");
+            }
+        }
     }
     assert_generated("docs/cli.md", &page);
 }

@@ -57,6 +57,23 @@ fn a_record_holds_on_every_level_and_thread_count() {
 }
 
 #[test]
+fn a_recording_says_what_it_changed() {
+    let scratch = Scratch::new();
+    let list = recorded(&scratch);
+    let again = |list: &Path| String::from_utf8(golden("record", list, &[]).stdout).expect("text");
+    let text = again(&list);
+    assert!(text.contains("front: 1 image, unchanged") && text.contains("turn: 3 images, unchanged"), "{text}");
+    let other = LIST.replace("64x48", "64x50") + "[[render]]\nname = 'more'\nscene = 'scene.ply'\nsize = '8x8'\n";
+    std::fs::write(&list, other).expect("writable");
+    let text = fails(&golden("check", &list, &[]), 1);
+    assert!(text.contains("checks failed"), "{text}");
+    let table = String::from_utf8(golden("check", &list, &[]).stdout).expect("text");
+    assert!(table.contains("expected 64x48 pixels, found 64x50\n"), "{table}");
+    let text = again(&list);
+    assert!(text.contains("turn: 3 images, 3 changed") && text.contains("more: 1 image, new"), "{text}");
+}
+
+#[test]
 fn one_bit_of_one_colour_is_found() {
     let scratch = Scratch::new();
     let list = recorded(&scratch);

@@ -269,9 +269,20 @@ fn what_cannot_be_served_is_said() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     let port = taken.local_addr().expect("bound").port().to_string();
     assert!(fails(&view(&["--port", &port]), 1).contains(&format!("cannot serve on 127.0.0.1:{port}")));
-    let html = scratch.path("no/such/folder.html");
-    let text = fails(&view(&["--html", &html.display().to_string()]), 1);
-    assert!(text.contains("folder.html"), "{text}");
+    // A folder that is missing is made; one that cannot be is an error.
+    let html = scratch.path("new/folder/page.html");
+    let output = view(&["--html", &html.display().to_string()]);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success() && html.exists() && text.contains("--url https://"), "{text}");
+    std::fs::write(scratch.path("file"), b"").expect("writable");
+    let text = fails(&view(&["--html", &scratch.path("file/page.html").display().to_string()]), 1);
+    assert!(text.contains("file: cannot create"), "{text}");
+    // Somebody's picture is not replaced by a poster; the page's own is.
+    std::fs::write(scratch.path("new/folder/other.png"), b"mine").expect("writable");
+    let text = fails(&view(&["--html", &scratch.path("new/folder/other.html").display().to_string()]), 2);
+    assert!(text.contains("other.png") && text.contains("found one without its page"), "{text}");
+    assert_eq!(std::fs::read(scratch.path("new/folder/other.png")).expect("there"), b"mine");
+    assert!(view(&["--html", &html.display().to_string()]).status.success());
     // A broken interval leaves no page behind.
     let interval = scene.join("scene/interval-000001.safetensors");
     std::fs::write(&interval, b"broken").expect("writable");

@@ -99,7 +99,8 @@ fn record(args: &GoldenRecordArgs, console: &Console) -> Result<(), Failure> {
         })
         .map_err(|e| named(&render.name, e))?;
         if !console.quiet {
-            say(format!("{}: {}", render.name, count(images.len(), "image")))?;
+            let before = earlier.as_ref().and_then(|earlier| earlier.renders.get(&render.name));
+            say(format!("{}: {}, {}", render.name, count(images.len(), "image"), against(before, &scene, &images)))?;
         }
         golden.renders.insert(render.name.clone(), GoldenRender { scene, images });
     }
@@ -124,6 +125,20 @@ fn record(args: &GoldenRecordArgs, console: &Console) -> Result<(), Failure> {
         say(format!("{}: {renders}, bit contract {}", folder.display(), golden.bit_contract))?;
     }
     Ok(())
+}
+
+/// How a render's images differ from an earlier recording's.
+fn against(before: Option<&GoldenRender>, scene: &str, images: &[GoldenImage]) -> String {
+    let Some(before) = before else { return "new".to_owned() };
+    let same = |(old, new): (&GoldenImage, &GoldenImage)| {
+        (old.size, &old.blake3, old.time.to_bits()) == (new.size, &new.blake3, new.time.to_bits())
+    };
+    let equal = before.images.iter().zip(images).filter(|pair| same(*pair)).count();
+    match images.len().max(before.images.len()) - equal {
+        0 if before.scene == scene => "unchanged".to_owned(),
+        0 => "unchanged, of a scene that changed".to_owned(),
+        changed => format!("{changed} changed"),
+    }
 }
 
 fn named(name: &str, failure: Failure) -> Failure {
@@ -233,13 +248,14 @@ fn compare(
             Some(wanted) if wanted.blake3 != found => Some("the image differs".to_owned()),
             Some(_) => None,
         };
+        let other_size = wanted.is_some_and(|wanted| wanted.size != size);
         let mut value = json!({ "size": size, "blake3": found, "expected": wanted.map(|wanted| &wanted.blake3) });
         let failure = match cause {
             None => None,
             Some(cause) => {
                 let (far, preview) = failures.write(&format!("{}-{at:06}", render.name), &picture(image), wanted)?;
                 value["preview"] = preview;
-                Some(format!("{cause} {far}").trim_end().to_owned())
+                Some(if other_size || far.is_empty() { cause } else { format!("{cause} {far}") })
             }
         };
         let seconds = begun.elapsed().as_secs_f64();
@@ -309,7 +325,7 @@ fn check(args: &GoldenCheckArgs, console: &Console) -> Result<(), Failure> {
         let xml = junit::xml(&suite, &rows.iter().map(case).collect::<Vec<_>>()).map_err(Failure::work)?;
         write_file(path, &xml)?;
     }
-    show(args, console, &golden, &rows, contract.as_deref())?;
+    show(args, console, &golden, &rows, contract.as_deref().filter(|_| failed > 0))?;
     if failed == 0 {
         return Ok(());
     }
