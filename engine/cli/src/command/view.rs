@@ -49,7 +49,7 @@ fn show(source: impl Whole + 'static, args: &ViewArgs, console: &Console) -> Res
         if image.exists() && !file.exists() {
             let found = image.display();
             return Err(Failure::usage(format!(
-                "--html {}: expected no {found}, where the page's poster goes, found one without its page: it is left as it is",
+                "--html {}: expected no {found}, where the page's poster goes, found one without its page, which is left: name the page otherwise",
                 file.display()
             )));
         }
