@@ -63,7 +63,7 @@ export class Headset {
   }
 
   constructor(session, layer, space, drawing, camera, calls) {
-    Object.assign(this, { session, layer, space, drawing, camera, calls });
+    Object.assign(this, { session, layer, space, drawing, calls });
     this.room = roomOf(camera);
     this.before = null;
     this.picture = null;

@@ -30,7 +30,7 @@ mod tests;
 /// Colour times coverage, and coverage.
 type Pixel = [f32; 4];
 
-/// A level of the pyramid.
+/// A level of the pyramid above the image.
 struct Plane {
     width: usize,
     pixels: Vec<Pixel>,
@@ -44,49 +44,62 @@ pub fn uncovered(image: &Image) -> f64 {
 
 /// Puts colours of what lies around in place of an image's background. Returns [`uncovered`].
 ///
-/// Alpha, depth and the other planes stay.
+/// Alpha, depth and the other planes stay. Takes 5 bytes and a third per pixel while it works.
 ///
 /// # Panics
 /// When the image has no alpha, or planes of other sizes.
 pub fn fill(image: &mut Image, background: [f32; 3]) -> f64 {
     let _span = debug_span!("fill", width = image.width, height = image.height).entered();
     let (width, count) = (image.width, product([image.width, image.height]));
+    let share = uncovered(image);
     let alpha = image.alpha.as_deref().expect("alpha, which says where colours are missing");
     assert!(alpha.len() == count && image.rgb.len() == 3 * count, "planes of {width}×{}", image.height);
     if count == 0 {
         return 0.0;
     }
-    let share = uncovered(image);
-    let [red, green, blue] = [0, 1, 2].map(|c| &image.rgb[c * count..][..count]);
-    let bottom = (0..count).into_par_iter().map(|i| {
-        let weight = if alpha[i] < 1.0 { alpha[i] } else { 1.0 };
+    let (red, others) = image.rgb.split_at_mut(count);
+    let (green, blue) = others.split_at_mut(count);
+    let pixel = |[red, green, blue]: [f32; 3], alpha: f32| {
+        let weight = if alpha < 1.0 { alpha } else { 1.0 };
         let under = 1.0 - weight;
-        [red[i] - under * background[0], green[i] - under * background[1], blue[i] - under * background[2], weight]
+        [red - under * background[0], green - under * background[1], blue - under * background[2], weight]
+    };
+    let mut levels = Vec::new();
+    if count > 1 {
+        levels.push(pull(width, count, |i| pixel([red[i], green[i], blue[i]], alpha[i])));
+    }
+    while let Some(below) = levels.last().filter(|below| below.pixels.len() > 1) {
+        levels.push(pull(below.width, below.pixels.len(), |i| below.pixels[i]));
+    }
+    let mut above: Option<Plane> = None;
+    for mut level in levels.into_iter().rev() {
+        level.pixels.par_chunks_exact_mut(level.width).enumerate().for_each(|(y, row)| {
+            for (x, pixel) in row.iter_mut().enumerate() {
+                *pixel = over(*pixel, above.as_ref(), [x, y], background);
+            }
+        });
+        above = Some(level);
+    }
+    let rows = red.par_chunks_mut(width).zip(green.par_chunks_mut(width)).zip(blue.par_chunks_mut(width));
+    rows.zip(alpha.par_chunks(width)).enumerate().for_each(|(y, (((red, green), blue), alpha))| {
+        for x in 0..width {
+            let pixel = pixel([red[x], green[x], blue[x]], alpha[x]);
+            [red[x], green[x], blue[x], _] = over(pixel, above.as_ref(), [x, y], background);
+        }
     });
-    let mut levels = vec![Plane { width, pixels: bottom.collect() }];
-    while levels[levels.len() - 1].pixels.len() > 1 {
-        levels.push(pull(&levels[levels.len() - 1]));
-    }
-    let mut above = Plane { width: 1, pixels: Vec::new() };
-    for level in levels.into_iter().rev() {
-        above = push(level, &above, background);
-    }
-    for (c, plane) in image.rgb.chunks_exact_mut(count).enumerate() {
-        plane.par_iter_mut().zip(&above.pixels).for_each(|(value, pixel)| *value = pixel[c]);
-    }
     share
 }
 
-/// The level above.
-fn pull(below: &Plane) -> Plane {
-    let (width, height) = (below.width, below.pixels.len() / below.width);
-    let half = width.div_ceil(2);
+/// The level above `count` pixels in rows of `width`.
+fn pull(width: usize, count: usize, pixel: impl Fn(usize) -> Pixel + Sync) -> Plane {
+    let (height, half) = (count / width, width.div_ceil(2));
     let mut pixels = vec![[0.0; 4]; half * height.div_ceil(2)];
     pixels.par_chunks_exact_mut(half).enumerate().for_each(|(y, row)| {
         for (x, to) in row.iter_mut().enumerate() {
             let mut sum = [0.0; 4];
-            for from in below.pixels.chunks_exact(width).skip(2 * y).take(2) {
-                for pixel in from.iter().skip(2 * x).take(2) {
+            for below in 2 * y..(2 * y + 2).min(height) {
+                for beside in 2 * x..(2 * x + 2).min(width) {
+                    let pixel = pixel(below * width + beside);
                     sum = std::array::from_fn(|i| sum[i] + pixel[i]);
                 }
             }
@@ -97,34 +110,28 @@ fn pull(below: &Plane) -> Plane {
     Plane { width: half, pixels }
 }
 
-/// A level whose pixels are wholly covered, as the fourth number has it.
-fn push(mut level: Plane, above: &Plane, background: [f32; 3]) -> Plane {
-    if level.pixels.len() == 1 {
-        let [red, green, blue, weight] = level.pixels[0];
-        let [r, g, b] = if weight > 0.0 { [red / weight, green / weight, blue / weight] } else { background };
-        level.pixels[0] = [r, g, b, 1.0];
-        return level;
+/// A pixel over what the level above has at its place; at the top by itself.
+#[inline]
+fn over(pixel: Pixel, above: Option<&Plane>, [x, y]: [usize; 2], background: [f32; 3]) -> Pixel {
+    let [red, green, blue, weight] = pixel;
+    if weight >= 1.0 {
+        return pixel;
     }
+    let Some(above) = above else {
+        let [r, g, b] = if weight > 0.0 { [red / weight, green / weight, blue / weight] } else { background };
+        return [r, g, b, 1.0];
+    };
     let height = above.pixels.len() / above.width;
     let row = |y: usize| &above.pixels[y * above.width..][..above.width];
-    level.pixels.par_chunks_exact_mut(level.width).enumerate().for_each(|(y, to)| {
-        let (near, far) = (row(y / 2), row(other(y, height)));
-        for (x, pixel) in to.iter_mut().enumerate() {
-            let [red, green, blue, weight] = *pixel;
-            if weight >= 1.0 {
-                continue;
-            }
-            let (left, right) = (x / 2, other(x, above.width));
-            let under = 1.0 - weight;
-            let color = |i: usize, value: f32| {
-                let along = |row: &[Pixel]| row[left][i] + 0.25 * (row[right][i] - row[left][i]);
-                let (near, far) = (along(near), along(far));
-                value + under * (near + 0.25 * (far - near))
-            };
-            *pixel = [color(0, red), color(1, green), color(2, blue), 1.0];
-        }
-    });
-    level
+    let (near, far) = (row(y / 2), row(other(y, height)));
+    let (left, right) = (x / 2, other(x, above.width));
+    let under = 1.0 - weight;
+    let colour = |i: usize, value: f32| {
+        let along = |row: &[Pixel]| row[left][i] + 0.25 * (row[right][i] - row[left][i]);
+        let (near, far) = (along(near), along(far));
+        value + under * (near + 0.25 * (far - near))
+    };
+    [colour(0, red), colour(1, green), colour(2, blue), 1.0]
 }
 
 /// The other pixel of the level above that a pixel lies between.

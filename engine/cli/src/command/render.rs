@@ -195,9 +195,7 @@ pub fn render(
     let own = options.fps.is_none() && views.times.is_none();
     let due = options.due(&scene, &mut views, fps)?;
     options.check_single(due.len())?;
-    if views.fill == Fill::Crop {
-        views.part = shown_part(&scene, &due, &views, fps, &workers)?;
-    }
+    crop(&scene, &due, &mut views, fps, &workers)?;
     let mut drawing = Drawing::new(&workers, views.backend)?;
     let mut outputs = Outputs::create(place, emit)?;
     outputs.drawn_by(views.backend);
@@ -242,14 +240,17 @@ pub fn render(
     record(options, input, &drawing, Rendered { outputs, complete, read: stretch.read, start }, &workers)
 }
 
-/// The part of the sides that all images of a motion can show without the picture's edges.
-fn shown_part(
+/// With `--fill crop`, lets all images of a motion show the part of the sides that they can without the picture's edges.
+pub(super) fn crop(
     scene: &Scene,
     due: &[(f64, usize)],
-    views: &Views,
+    views: &mut Views,
     fps: f64,
     workers: &Workers,
-) -> Result<f64, run::Error> {
+) -> Result<(), run::Error> {
+    if views.fill != Fill::Crop {
+        return Ok(());
+    }
     let [height, width] = scene.placement().content;
     let rows = (height * crop::COLUMNS).div_ceil(width.max(1)).max(1);
     let size = Size::Exact { width: crop::COLUMNS, height: rows };
@@ -263,7 +264,8 @@ fn shown_part(
     for (index, &at) in due.iter().enumerate().filter(|(index, _)| index % step == 0 || *index == last) {
         part = part.min(crop::shown_part(&stretch.image(&mut drawing, index, at, &small, fps)?));
     }
-    Ok(part)
+    views.part = part;
+    Ok(())
 }
 
 /// The part of a scene that is being drawn.

@@ -111,6 +111,24 @@ fn what_was_not_filmed_shows_the_colours_around_it_or_is_cropped() {
     let (cropped, after, larger) = turned("crop", &["--fill", "crop"]);
     assert!(cropped < 0.001 && note.contains("11 %") && !after.contains("11 %"), "{cropped}: {after}");
     assert_eq!((larger.dimensions(), larger == same), (same.dimensions(), false));
+    // In a list of golden images as well; a run, whose images are drawn as they come, refuses it.
+    let list = scratch.path("list.toml");
+    let entry = |fill: &str| {
+        format!(
+            "[[render]]\nname = '{fill}'\nscene = 'run'\ntimes = 0.25\nfps = 8\norbit = '50:0.375'\nfill = '{fill}'\n"
+        )
+    };
+    std::fs::write(&list, entry("extend") + &entry("crop")).expect("writable");
+    ok(&command().args(["golden", "record"]).arg(&list).output().expect("the program starts"));
+    let renders = &json(&scratch.path("list.golden/record.json"))["renders"];
+    let digest = |fill: &str| renders[fill]["images"][0]["blake3"].as_str().expect("a digest").to_owned();
+    assert!(digest("extend") != digest("crop"));
+    for more in [&[][..], &["--times", "0.25"]] {
+        let mut run = command();
+        run.arg("run").arg(fixtures::path("clips/moving.y4m")).args(["--orbit", "9", "--fill", "crop", "--out"]);
+        let text = fails(&run.arg(scratch.path("none-of-it")).args(more).output().expect("the program starts"), 2);
+        assert!(text.contains("render has it"), "{text}");
+    }
     // Its alpha is the scene's.
     let out = scratch.path("alpha");
     ok(&render(&scene, &out, &["--times", "0.25", "--fps", "8", "--orbit", "50:0.25", "--emit", "rgb,alpha"]));

@@ -185,6 +185,11 @@ impl Motion {
 
     /// Gives `views` its motion for a video of `fps` frames a second whose end is not known.
     pub fn follow(&self, views: &mut Views, fps: f64) -> Result<(), Error> {
+        if self.fill == Some(Fill::Crop) {
+            return Err(Error::usage(
+                "--fill crop: expected extend or none, as images are drawn as they come; render has it",
+            ));
+        }
         if let Some(mut times) = views.times.take() {
             self.along(views, &mut times, |time| time, fps)?;
             views.times = Some(times);
@@ -192,11 +197,6 @@ impl Motion {
         }
         views.eyes = self.eyes()?;
         views.fill = self.filling()?;
-        if views.fill == Fill::Crop {
-            return Err(Error::usage(
-                "--fill crop: expected extend or none, as a video's end is not known; render has it",
-            ));
-        }
         views.course = self.asked()?.map(|asked| asked.running(None)).transpose()?.map(Course::Running);
         Ok(())
     }

@@ -21,7 +21,7 @@ use streamsplat::stream::Workers;
 use self::junit::Case;
 use self::list::Render;
 use self::record::{Golden, GoldenImage, GoldenRender, PreviewFile};
-use crate::command::render::Stretch;
+use crate::command::render::{Stretch, crop};
 use crate::command::still;
 use crate::console::failure::Failure;
 use crate::console::{Console, count, print, say};
@@ -67,6 +67,7 @@ fn draw(
     };
     let fps = options.fps.unwrap_or(scene.index().fps);
     let due = options.due(&scene, &mut views, fps)?;
+    crop(&scene, &due, &mut views, fps, workers)?;
     let mut stretch = Stretch::of(&scene);
     for (index, due) in due.into_iter().enumerate() {
         // Images of one instant are told apart by when they are shown.
