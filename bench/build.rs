@@ -1,4 +1,5 @@
-//! Passes build information to the program: the compiler, and settings of the release profile that are not the workspace's own.
+//! Passes build information to the program: the compiler, and settings of the release profile that are not the
+//! workspace's own.
 
 use std::process::Command;
 

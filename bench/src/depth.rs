@@ -35,14 +35,15 @@ pub(crate) struct Options {
     /// Let surfaces lean: distances change over each.
     #[arg(long, conflicts_with = "travel")]
     leaning: bool,
-    /// Pixels, of a picture 256 wide, that the camera moves sideways before the nearest things until the views are taken; depth is then also
-    /// found by parallax.
+    /// Pixels, of a picture 256 wide, that the camera moves sideways before the nearest things until the views are
+    /// taken; depth is then also found by parallax.
     #[arg(long, default_value_t = 0.0)]
     travel: f64,
     /// Key frames on the way.
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(2..=64))]
     key_frames: u32,
-    /// Clips with a sensor's depth, folders with rgb/ and depth/ (16-bit PNG, millimetres): compare found depth with it instead.
+    /// Clips with a sensor's depth, folders with rgb/ and depth/ (16-bit PNG, millimetres): compare found depth with it
+    /// instead.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     sensor: Vec<PathBuf>,
     /// Pose of the colour camera of that sensor, for depth that is not registered (sensors/seven-scenes.json).

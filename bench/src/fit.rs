@@ -1,4 +1,5 @@
-//! `fit`: optical flow between two frames of 512×288, and the map from colours to an image that a fit of colours steps on.
+//! `fit`: optical flow between two frames of 512×288, and the map from colours to an image that a fit of colours steps
+//! on.
 
 use anyhow::{Result, ensure};
 use clap::Args;
@@ -85,7 +86,8 @@ fn flow_rows(common: &Common) -> Result<Vec<FitTiming>> {
     ])
 }
 
-/// Checks an image of a map, whose weights are rounded to 8 bits, against the rasteriser's: 2/255 at most, and a thousandth in the mean.
+/// Checks an image of a map, whose weights are rounded to 8 bits, against the rasteriser's: 2/255 at most, and a
+/// thousandth in the mean.
 pub(crate) fn ensure_near(linear: &[f32], drawn: &[f32]) -> Result<()> {
     ensure!(linear.len() == drawn.len(), "the map's image: expected {} samples, found {}", drawn.len(), linear.len());
     let apart: Vec<f64> = linear.iter().zip(drawn).map(|(a, b)| f64::from((a - b).abs())).collect();

@@ -1,7 +1,9 @@
-//! `stages --instructions`: instructions of each stage, counted by valgrind's callgrind. They do not depend on the machine's load.
+//! `stages --instructions`: instructions of each stage, counted by valgrind's callgrind. They do not depend on the
+//! machine's load.
 //!
-//! The program runs itself under valgrind, once per precision, with a small network of seeded weights on one thread. Callgrind's counts of the
-//! calls of [`counted`] are used; each stage has a function of its own there. Valgrind does not support AVX-512, so x86-64 is counted at AVX2.
+//! The program runs itself under valgrind, once per precision, with a small network of seeded weights on one thread.
+//! Callgrind's counts of the calls of [`counted`] are used; each stage has a function of its own there. Valgrind does
+//! not support AVX-512, so x86-64 is counted at AVX2.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -25,7 +25,8 @@ pub(crate) struct Peak {
 }
 
 impl Machine {
-    /// This machine with the threads of the current pool. `seen` is a peak measured on the way: clocks move, the best counts.
+    /// This machine with the threads of the current pool. `seen` is a peak measured on the way: clocks move, the best
+    /// counts.
     pub(crate) fn new(level: Level, seen: (Precision, f64)) -> Machine {
         let best = |precision| {
             let start = if seen.0 == precision { seen.1 } else { 0.0 };
@@ -51,9 +52,11 @@ pub(crate) fn cpu() -> String {
     line.and_then(|l| l.split_once(':')).map_or_else(|| std::env::consts::ARCH.to_owned(), |(_, n)| n.trim().to_owned())
 }
 
-/// Chains of a precision's multiply-add in as many accumulators as the level's register block has. Returns operations done.
+/// Chains of a precision's multiply-add in as many accumulators as the level's register block has. Returns operations
+/// done.
 ///
-/// Where a level has no dot products of words, bf16 runs on f32's instruction and 8-bit integers on that of 16-bit pairs.
+/// Where a level has no dot products of words, bf16 runs on f32's instruction and 8-bit integers on that of 16-bit
+/// pairs.
 struct Chains(Precision, usize);
 
 impl Operation for Chains {
@@ -99,7 +102,8 @@ fn chains<S: Simd, const N: usize>(s: S, precision: Precision, steps: usize) -> 
     lanes * if dot { 4.0 } else { 2.0 }
 }
 
-/// Billions of a precision's operations a second on all threads of the current pool, measured once (some ten milliseconds).
+/// Billions of a precision's operations a second on all threads of the current pool, measured once (some ten
+/// milliseconds).
 pub(crate) fn peak(level: Level, precision: Precision) -> f64 {
     let steps = if level == Level::scalar() { 10_000 } else { 200_000 };
     let mut done = 0.0;

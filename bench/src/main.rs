@@ -1,7 +1,7 @@
 //! `streamsplat-bench`: measurements of the kernels, the network's stages and the rasteriser.
 //!
-//! Every measurement checks its answer before it is timed and reports the fraction of the machine's peak, which is measured
-//! in the same run.
+//! Every measurement checks its answer before it is timed and reports the fraction of the machine's peak, which is
+//! measured in the same run.
 
 mod compare;
 mod depth;

@@ -52,7 +52,8 @@ fn seeded_network() -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Times from a model's files, in the system's cache, to the tokens of a first frame, `repeat` of them. Nothing for models in memory.
+/// Times from a model's files, in the system's cache, to the tokens of a first frame, `repeat` of them. Nothing for
+/// models in memory.
 pub(crate) fn loading(which: Which<'_>, load: &LoadOptions, repeat: usize) -> Result<Vec<Spent>> {
     let time = |checkpoint: &Path, dinov2: Option<&Path>| -> Result<Vec<Spent>> {
         let mut spent = Vec::new();

@@ -1,5 +1,5 @@
-//! Ways through a clip: engines that differ in precision, reuse or gap and take the same frames in turn, key frame by key frame, so that
-//! what disturbs the machine disturbs all of them alike.
+//! Ways through a clip: engines that differ in precision, reuse or gap and take the same frames in turn, key frame by
+//! key frame, so that what disturbs the machine disturbs all of them alike.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -1,9 +1,9 @@
 //! `reuse`: cost and saving of skipped work on a set of clips.
 //!
-//! Every variant (a choice of reuse and of gap) takes the same frames through an engine of its own, in turn, key frame by key frame:
-//! what disturbs the machine disturbs all of them alike. Times are those of the processor where available (Linux), else of the
-//! clock. The former, too, move by some per cent with what else runs; `--rounds` takes the clips several times and keeps the least of
-//! every key frame, whose images must be the same bits each time.
+//! Every variant (a choice of reuse and of gap) takes the same frames through an engine of its own, in turn, key frame
+//! by key frame: what disturbs the machine disturbs all of them alike. Times are those of the processor where available
+//! (Linux), else of the clock. The former, too, move by some per cent with what else runs; `--rounds` takes the clips
+//! several times and keeps the least of every key frame, whose images must be the same bits each time.
 
 mod table;
 

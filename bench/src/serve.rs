@@ -1,8 +1,9 @@
 //! Stages of the network on request, for comparisons that are driven from outside.
 //!
-//! Reads one JSON object per line on standard input, `{"stage": "encoder|upsampler|decoder|dinov2"}`, runs that stage once on its
-//! input, and answers with `{"seconds": …, "processor": …}`, the latter of all threads. With `"write": FILE` the output goes there as the tensor `out`. Served is either a
-//! StreamSplat model or a DINOv2 file, whose only stage is `dinov2`: frame to patch tokens.
+//! Reads one JSON object per line on standard input, `{"stage": "encoder|upsampler|decoder|dinov2"}`, runs that stage
+//! once on its input, and answers with `{"seconds": …, "processor": …}`, the latter of all threads. With `"write":
+//! FILE` the output goes there as the tensor `out`. Served is either a StreamSplat model or a DINOv2 file, whose only
+//! stage is `dinov2`: frame to patch tokens.
 
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
@@ -26,7 +27,8 @@ pub(crate) struct Options {
     /// DINOv2's own file.
     #[arg(long)]
     dinov2: Option<PathBuf>,
-    /// Inputs: `encoder [N,D]`, `upsampler [N,D]`, `decoder [2N,D]`, `condition [2,M,D]`; or `frame [3,H,W]` for DINOv2; f32.
+    /// Inputs: `encoder [N,D]`, `upsampler [N,D]`, `decoder [2N,D]`, `condition [2,M,D]`; or `frame [3,H,W]` for
+    /// DINOv2; f32.
     #[arg(long)]
     input: PathBuf,
     /// f32, bf16 or int8.

@@ -1,20 +1,20 @@
 //! A stream of thousands of key frames: bounded memory, no slowdown, no identity twice, no drift.
 //!
-//! The input is a procedural clip, forward and backward without end: it repeats itself every [`PERIOD`] key frames, so that what is compared
-//! saw the same pictures. The network is a small one of seeded weights. As in a run, motion and colours are taken from the frames between key
-//! frames as well.
+//! The input is a procedural clip, forward and backward without end: it repeats itself every [`PERIOD`] key frames, so
+//! that what is compared saw the same pictures. The network is a small one of seeded weights. As in a run, motion and
+//! colours are taken from the frames between key frames as well.
 //!
-//! Memory is measured in two ways, over whole periods: the first tenth of the stream is compared with the rest. *Live* bytes are those the
-//! process holds on the heap, the most at any moment: they depend on the program alone. *Resident* ones are those of the process in
-//! memory, after each step, the median of a period: to these the system's allocator adds what it keeps for later, now and then half a
-//! mebibyte more for some steps.
+//! Memory is measured in two ways, over whole periods: the first tenth of the stream is compared with the rest. *Live*
+//! bytes are those the process holds on the heap, the most at any moment: they depend on the program alone. *Resident*
+//! ones are those of the process in memory, after each step, the median of a period: to these the system's allocator
+//! adds what it keeps for later, now and then half a mebibyte more for some steps.
 //!
-//! Time is the time that all threads of this process spent on a CPU. Because that, too, depends on the machine's load, the
-//! long stream is compared twice: its last hundred steps alone with its second hundred, by their lower quartiles; and the hundred after with the
-//! second hundred of a *young* stream, fed the same frames in turn, which other load disturbs alike. That figure has no
-//! limit: glibc returns the heap of one of the two threads to the system after every step, which one is chance, and that costs some per cent
-//! (0.90 to 1.05 were seen). Memory is measured until the young stream
-//! starts.
+//! Time is the time that all threads of this process spent on a CPU. Because that, too, depends on the machine's load,
+//! the long stream is compared twice: its last hundred steps alone with its second hundred, by their lower quartiles;
+//! and the hundred after with the second hundred of a *young* stream, fed the same frames in turn, which other load
+//! disturbs alike. That figure has no limit: glibc returns the heap of one of the two threads to the system after every
+//! step, which one is chance, and that costs some per cent (0.90 to 1.05 were seen). Memory is measured until the young
+//! stream starts.
 
 use std::path::PathBuf;
 
@@ -50,7 +50,8 @@ pub(crate) struct Options {
     /// Key frames: hundreds, at least 400.
     #[arg(long, default_value_t = 10_000)]
     key_frames: u64,
-    /// Frames between two key frames, from which motion and colours are taken as a run takes them; 0: the network's own motion and colours.
+    /// Frames between two key frames, from which motion and colours are taken as a run takes them; 0: the network's own
+    /// motion and colours.
     #[arg(long, default_value_t = 3)]
     between: u64,
     /// Checkpoint [default: a small one of seeded weights].
@@ -234,8 +235,8 @@ impl Growth {
     }
 }
 
-/// How much longer the steps `a` took than the paired steps `b`, which ran first in every second pair: the geometric mean of the
-/// medians over either half.
+/// How much longer the steps `a` took than the paired steps `b`, which ran first in every second pair: the geometric
+/// mean of the medians over either half.
 fn slower(a: &[f64], b: &[f64]) -> f64 {
     let half = |turn| {
         let ratios: Vec<f64> = a.iter().zip(b).skip(turn).step_by(2).map(|(a, b)| a / b).collect();

@@ -1,7 +1,8 @@
 //! `stages`: one call of each stage of the network, and one new key frame as a whole.
 //!
-//! `small` is the checkpoint inside the library; `paper` has the published model's sizes and weights from a seed, written to
-//! a temporary file; loading it, from its files in the system's cache to the tokens of a first frame, is the first row. Before a stage is timed, its result is compared in bits with that of another number of threads.
+//! `small` is the checkpoint inside the library; `paper` has the published model's sizes and weights from a seed,
+//! written to a temporary file; loading it, from its files in the system's cache to the tokens of a first frame, is the
+//! first row. Before a stage is timed, its result is compared in bits with that of another number of threads.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,5 @@
-//! `streamsplat-bench tradeoff` on a small model and a few frames: its files are whole, agree with one another, and mark the front.
+//! `streamsplat-bench tradeoff` on a small model and a few frames: its files are whole, agree with one another, and
+//! mark the front.
 
 use std::path::Path;
 use std::process::{Command, Output};

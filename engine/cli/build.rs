@@ -1,4 +1,5 @@
-//! Tells the program which commit it is made from: `STREAMSPLAT_COMMIT` where that is set, else what git says, else `unknown`.
+//! Tells the program which commit it is made from: `STREAMSPLAT_COMMIT` where that is set, else what git says, else
+//! `unknown`.
 
 use std::path::Path;
 use std::process::Command;

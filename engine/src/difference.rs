@@ -2,8 +2,9 @@
 //!
 //! Samples are compared in one order, in binary64 where they are added, so the figures are the same on every machine.
 //!
-//! Distances are in one scale for every type ([`Samples::values`]): 1 is the full range of whole numbers (255, 65535, 2³²−1), and 1 for floats and
-//! for whole numbers without a range. A sample that is no number is infinitely far from one that is.
+//! Distances are in one scale for every type ([`Samples::values`]): 1 is the full range of whole numbers (255, 65535,
+//! 2³²−1), and 1 for floats and for whole numbers without a range. A sample that is no number is infinitely far from
+//! one that is.
 
 use crate::metrics;
 use crate::picture::Picture;
@@ -27,7 +28,8 @@ pub struct Place {
 pub struct Difference {
     /// Greatest distance of two samples.
     pub largest: f64,
-    /// The first place with that difference. `None` where all samples are equal: bit for bit where both are of one type, and as numbers where not.
+    /// The first place with that difference. `None` where all samples are equal: bit for bit where both are of one
+    /// type, and as numbers where not.
     pub place: Option<Place>,
     /// Share of pixels with a sample that differs, from 0 to 1.
     pub share: f64,
@@ -35,7 +37,8 @@ pub struct Difference {
     pub error: f64,
     /// Peak signal-to-noise ratio in dB, peak 1 ([`metrics::psnr_of`]).
     pub psnr: f64,
-    /// Structural similarity ([`metrics::ssim`]), mean over the channels; `None` under 11 samples a side or where one is not finite.
+    /// Structural similarity ([`metrics::ssim`]), mean over the channels; `None` under 11 samples a side or where one
+    /// is not finite.
     pub ssim: Option<f64>,
 }
 
@@ -132,8 +135,9 @@ const HOTTEST: f64 = 0.5;
 /// How bright the picture is under its heat map.
 const UNDER: f32 = 0.3;
 
-/// A picture of where two pictures differ: over the first in dark grey, from violet (the least difference) through red to
-/// pale yellow (half of the range and more). The ramp follows the square root, so that one step of 8 bits can be seen.
+/// A picture of where two pictures differ: over the first in dark grey, from violet (the least difference) through red
+/// to pale yellow (half of the range and more). The ramp follows the square root, so that one step of 8 bits can be
+/// seen.
 ///
 /// # Panics
 /// When the channels are not alike.

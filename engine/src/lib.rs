@@ -1,9 +1,9 @@
 //! The stream: ordinary video in, a dynamic scene of 3D Gaussians out, one key frame at a time.
 //!
-//! An [`Engine`] takes key frames with time stamps. Each returns an [`Interval`]: the Gaussians that can be seen between the
-//! key frame before and this one, which can be drawn at any time in between, from any [`Camera`], at any size.
-//! Nothing of this needs a file system, and nothing depends on the machine: the output bits are one function of the model,
-//! the frames and the [`Settings`], on every instruction-set level and for any number of threads.
+//! An [`Engine`] takes key frames with time stamps. Each returns an [`Interval`]: the Gaussians that can be seen
+//! between the key frame before and this one, which can be drawn at any time in between, from any [`Camera`], at any
+//! size. Nothing of this needs a file system, and nothing depends on the machine: the output bits are one function of
+//! the model, the frames and the [`Settings`], on every instruction-set level and for any number of threads.
 //!
 //! ```
 //! use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
@@ -29,12 +29,13 @@
 //!
 //! A splat file becomes an image in eight lines: [`still`].
 //!
-//! Around it: [`source`] reads videos, [`gap`] chooses key frames, [`depth`] returns their depth maps, from files or a network ([`onnx`]), [`output`]
-//! and [`scene`] write and read results, [`export`] writes them for viewers, [`import`] reads the still scenes of others, [`view`] shows them in a
-//! browser, [`metrics`] and [`lpips`] measure them, [`track`] follows points through time, [`difference`] measures how far two pictures are apart and
-//! where.
+//! Around it: [`source`] reads videos, [`gap`] chooses key frames, [`depth`] returns their depth maps, from files or a
+//! network ([`onnx`]), [`output`] and [`scene`] write and read results, [`export`] writes them for viewers, [`import`]
+//! reads the still scenes of others, [`view`] shows them in a browser, [`metrics`] and [`lpips`] measure them,
+//! [`track`] follows points through time, [`difference`] measures how far two pictures are apart and where.
 //!
-//! Features: `onnx` ([`onnx`], [`lpips`], networks of [`depth`]) and `viewer` ([`view`]) are on unless turned off; `wgpu` draws on graphics cards, outside of the bit contract.
+//! Features: `onnx` ([`onnx`], [`lpips`], networks of [`depth`]) and `viewer` ([`view`]) are on unless turned off;
+//! `wgpu` draws on graphics cards, outside of the bit contract.
 #![deny(unsafe_code)]
 
 pub mod camera;
@@ -77,6 +78,6 @@ pub use streamsplat_kernels::Level;
 /// The crates whose types appear in this one's functions, in the versions it was built with.
 pub use {streamsplat_kernels as kernels, streamsplat_model as model};
 
-/// The version of the bit contract that this library keeps: the same model, frames and options produce the same bytes wherever
-/// this number is the same. A release that changes an output bit changes this number (`docs/bit-contract.md`).
+/// The version of the bit contract that this library keeps: the same model, frames and options produce the same bytes
+/// wherever this number is the same. A release that changes an output bit changes this number (`docs/bit-contract.md`).
 pub const BIT_CONTRACT: u32 = 8;

@@ -1,8 +1,8 @@
 //! LPIPS (Zhang et al., CVPR 2018) of two pictures, by a network in an ONNX file.
 //!
-//! Any network with two images in, each float `[1, 3, height, width]` with values in [−1, 1], and one number out: LPIPS as it is
-//! exported from PyTorch. Pictures of another size than the network fixes are brought to it bilinearly. [`crate::onnx`]
-//! lists which arithmetic is the runtime's.
+//! Any network with two images in, each float `[1, 3, height, width]` with values in [−1, 1], and one number out: LPIPS
+//! as it is exported from PyTorch. Pictures of another size than the network fixes are brought to it bilinearly.
+//! [`crate::onnx`] lists which arithmetic is the runtime's.
 
 use std::path::Path;
 
@@ -36,7 +36,8 @@ impl Lpips {
     /// Loads the network in the ONNX file `path`.
     ///
     /// # Errors
-    /// No ONNX Runtime, or one that cannot be used; a file that is no network, or none with two images in and one output.
+    /// No ONNX Runtime, or one that cannot be used; a file that is no network, or none with two images in and one
+    /// output.
     pub fn open(path: &Path) -> Result<Lpips, LpipsError> {
         let model = Model::open(path)?;
         let [a, b] = model.inputs() else {

@@ -1,11 +1,12 @@
 //! How close two pictures are: PSNR and SSIM, in f64, in one fixed order of operations.
 //!
-//! - `PSNR = −10 log₁₀(MSE)` over all samples of the three channels, peak 1, at most [`PSNR_CAP`]: what identical pictures have.
-//! - SSIM after Wang et al. (2004) as scikit-image 0.26 computes
-//!   `structural_similarity(win_size=11, gaussian_weights=True, channel_axis=2, data_range=1)`: Gaussian window of σ = 1.5 cut
-//!   at radius 5 and normalised, sample covariance (factor `n/(n−1)` with n = 11², its default), `C1 = 0.01²`, `C2 = 0.03²`,
-//!   mean over the pixels at least 5 away from every border, then over the channels. (Away from the border its reflected
-//!   padding plays no part.)
+//! - `PSNR = −10 log₁₀(MSE)` over all samples of the three channels, peak 1, at most [`PSNR_CAP`]: what identical
+//!   pictures have.
+//! - SSIM after Wang et al. (2004) as scikit-image 0.26 computes `structural_similarity(win_size=11,
+//!   gaussian_weights=True, channel_axis=2, data_range=1)`: Gaussian window of σ = 1.5 cut at radius 5 and normalised,
+//!   sample covariance (factor `n/(n−1)` with n = 11², its default), `C1 = 0.01²`, `C2 = 0.03²`, mean over the pixels
+//!   at least 5 away from every border, then over the channels. (Away from the border its reflected padding plays no
+//!   part.)
 
 use crate::picture::Picture;
 
@@ -186,8 +187,8 @@ mod tests {
 
     #[test]
     fn psnr_and_ssim_are_those_of_scikit_image() {
-        // skimage.metrics 0.26: peak_signal_noise_ratio(a, b, data_range=1) and structural_similarity(a, b, win_size=11,
-        // gaussian_weights=True, channel_axis=2, data_range=1) of these pictures in float64.
+        // skimage.metrics 0.26: peak_signal_noise_ratio(a, b, data_range=1) and structural_similarity(a, b,
+        // win_size=11, gaussian_weights=True, channel_axis=2, data_range=1) of these pictures in float64.
         for (width, height, psnr_expected, ssim_expected) in SKIMAGE {
             let (a, b) = pair(width, height);
             let (p, s) = (psnr(&a, &b).expect("one size"), ssim(&a, &b).expect("large enough"));

@@ -81,7 +81,8 @@ impl Picture {
     }
 }
 
-/// Planes of `[height, width]` brought to another size bilinearly (half-pixel centres), as frames are brought to a model's size.
+/// Planes of `[height, width]` brought to another size bilinearly (half-pixel centres), as frames are brought to a
+/// model's size.
 ///
 /// # Panics
 /// When a side is zero or `planes` does not hold a whole number of planes.

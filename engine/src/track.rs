@@ -1,9 +1,10 @@
 //! Following a point of the scene through time.
 //!
-//! [`Interval::pick`] finds the Gaussian that shows most at a pixel; a [`Track`] then moves with its identity: with the velocity
-//! of the identity's record inside an interval, with the record that carries the identity from one interval to the next, and with the
-//! identity it [merged](crate::stream::Merge) into where it ended in another. The point keeps its place relative to the motion, not
-//! to the Gaussians' lattice, so that motions smaller than a cell add up. A track is lost where the identity is gone.
+//! [`Interval::pick`] finds the Gaussian that shows most at a pixel; a [`Track`] then moves with its identity: with the
+//! velocity of the identity's record inside an interval, with the record that carries the identity from one interval to
+//! the next, and with the identity it [merged](crate::stream::Merge) into where it ended in another. The point keeps
+//! its place relative to the motion, not to the Gaussians' lattice, so that motions smaller than a cell add up. A track
+//! is lost where the identity is gone.
 
 use streamsplat_kernels::raster::Projection;
 
@@ -50,8 +51,8 @@ pub struct Track {
 }
 
 impl Interval {
-    /// The Gaussian that shows most at a pixel of the source's image (centres at whole numbers) at `time`: the largest αT, the
-    /// lowest index among equals. `None` where nothing is drawn.
+    /// The Gaussian that shows most at a pixel of the source's image (centres at whole numbers) at `time`: the largest
+    /// αT, the lowest index among equals. `None` where nothing is drawn.
     ///
     /// # Errors
     /// As [`Snapshot::of`].
@@ -130,8 +131,8 @@ impl Interval {
         })
     }
 
-    /// The record that moves an identity: the one seen forward in time where there are two. One with a number that is not finite
-    /// moves nothing.
+    /// The record that moves an identity: the one seen forward in time where there are two. One with a number that is
+    /// not finite moves nothing.
     fn record_of(&self, identity: u64) -> Option<Record> {
         let find = |reference| {
             let g = &self.gaussians;
@@ -153,8 +154,8 @@ impl Track {
         self.identity
     }
 
-    /// Moves forward through an interval that holds the track's time: its places at `times` (inside the interval, not before the
-    /// track's time), and the track at the interval's end, ready for the next one. `None` when it is lost.
+    /// Moves forward through an interval that holds the track's time: its places at `times` (inside the interval, not
+    /// before the track's time), and the track at the interval's end, ready for the next one. `None` when it is lost.
     pub fn forward(&self, interval: &Interval, times: &[f64]) -> Option<(Vec<TrackPoint>, Track)> {
         let (points, end) = self.along(interval, times, interval.end)?;
         // Where the identity itself continues, nothing merged.
@@ -162,8 +163,9 @@ impl Track {
         Some((points, Track { identity: merged.map_or(self.identity, |m| m.into), ..end }))
     }
 
-    /// Moves backward through an interval that holds the track's time: its places at `times` (inside the interval, not after
-    /// the track's time), and the track at the interval's start, ready for the one before. `None` when it was not there yet.
+    /// Moves backward through an interval that holds the track's time: its places at `times` (inside the interval, not
+    /// after the track's time), and the track at the interval's start, ready for the one before. `None` when it was not
+    /// there yet.
     pub fn backward(&self, interval: &Interval, times: &[f64]) -> Option<(Vec<TrackPoint>, Track)> {
         self.along(interval, times, interval.start)
     }

@@ -65,7 +65,8 @@ fn normal_cdf(x: f64) -> f64 {
     0.5 * math::f64::erfc(-x * std::f64::consts::FRAC_1_SQRT_2)
 }
 
-/// References where a few terms determine the value: |x| < 2⁻³⁰, x ≤ −128, x ≥ 128. They save the sweep most of its time.
+/// References where a few terms determine the value: |x| < 2⁻³⁰, x ≤ −128, x ≥ 128. They save the sweep most of its
+/// time.
 #[derive(Clone, Copy)]
 struct Ends {
     tiny: fn(f64) -> f64,

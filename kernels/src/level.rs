@@ -13,9 +13,9 @@ use std::fmt;
 /// | `avx512bf16` | and AVX-512 BF16: dot products of bf16 |
 /// | `neon` | NEON of 64-bit ARM |
 ///
-/// A level includes those before it (of its architecture), and is ordered after them. A value proves that the CPU running the program has the
-/// bundle: the only ways to get one are [`Level::scalar`], [`Level::detect`], [`Level::available`] and [`Level::named`]. Every level computes the
-/// same bits.
+/// A level includes those before it (of its architecture), and is ordered after them. A value proves that the CPU
+/// running the program has the bundle: the only ways to get one are [`Level::scalar`], [`Level::detect`],
+/// [`Level::available`] and [`Level::named`]. Every level computes the same bits.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Level(pub(crate) InstructionSet);
 
@@ -86,8 +86,9 @@ impl InstructionSet {
         }
     }
 
-    /// Returns true if the level's added instructions are slower on this CPU than those that they replace: on Intel's cores (Emerald Rapids was
-    /// measured) the dot product of bf16 takes as long as four fused multiply-adds, where two do as much.
+    /// Returns true if the level's added instructions are slower on this CPU than those that they replace: on Intel's
+    /// cores (Emerald Rapids was measured) the dot product of bf16 takes as long as four fused multiply-adds, where two
+    /// do as much.
     pub(crate) fn is_slow(self) -> bool {
         match self {
             #[cfg(target_arch = "x86_64")]

@@ -1,7 +1,8 @@
 //! Sizes of slices: products that cannot overflow.
 //!
-//! Unsafe code relies on a slice having the length of its shape. Plain products of sizes overflow in release builds, and a shape
-//! of 2⁶⁰ rows of 16 values would fit an empty slice; every size assertion of this crate multiplies here instead.
+//! Unsafe code relies on a slice having the length of its shape. Plain products of sizes overflow in release builds,
+//! and a shape of 2⁶⁰ rows of 16 values would fit an empty slice; every size assertion of this crate multiplies here
+//! instead.
 
 /// The largest size: no slice has more elements of a byte or more.
 const MOST: usize = isize::MAX.cast_unsigned();

@@ -36,8 +36,8 @@ pub(crate) fn levels() -> Vec<Level> {
     levels
 }
 
-/// Result of `compute` on the scalar level with one thread, after it has written the same bits on every level with 1, 2, 3
-/// and 8 threads. The output holds 0.5 before.
+/// Result of `compute` on the scalar level with one thread, after it has written the same bits on every level with 1,
+/// 2, 3 and 8 threads. The output holds 0.5 before.
 pub(crate) fn on_every_level_and_thread_count(len: usize, compute: impl Fn(Level, &mut [f32]) + Sync) -> Vec<f32> {
     let run = |level, threads| {
         let mut out = vec![0.5; len];

@@ -1,7 +1,7 @@
 //! No circle of imports between the files of this crate, tests aside.
 //!
-//! A file imports another if it names something that the other defines, by `use` or by a path from `crate`, `super` or a child. A module
-//! that passes names on (`pub use`) does not define them, and declaring a child is no import.
+//! A file imports another if it names something that the other defines, by `use` or by a path from `crate`, `super` or
+//! a child. A module that passes names on (`pub use`) does not define them, and declaring a child is no import.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

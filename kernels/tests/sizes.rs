@@ -1,6 +1,6 @@
-//! Sizes that no slice has, handed to every public function that takes sizes and slices: products that wrap around to the length of a
-//! slice that is there, and sizes near the largest number. All of it safe code, so none of it may end in anything but a result or a
-//! panic; and where the true product is not the length, only the panic is right.
+//! Sizes that no slice has, handed to every public function that takes sizes and slices: products that wrap around to
+//! the length of a slice that is there, and sizes near the largest number. All of it safe code, so none of it may end
+//! in anything but a result or a panic; and where the true product is not the length, only the panic is right.
 
 #![forbid(unsafe_code)]
 
@@ -115,8 +115,8 @@ fn is_small(sizes: &[usize]) -> bool {
     exact(sizes) <= 4096 && sizes.iter().all(|&size| size <= 4096)
 }
 
-/// A call with these sizes and a slice of the wrapped length: it must succeed with small sizes, and panic where the true product is
-/// not the length. With a 0 among the sizes, a large one may do either.
+/// A call with these sizes and a slice of the wrapped length: it must succeed with small sizes, and panic where the
+/// true product is not the length. With a 0 among the sizes, a large one may do either.
 fn check<R>(sizes: &[usize], call: impl FnOnce(&mut [f32]) -> R) {
     if wrapped(sizes) > MOST {
         return;
@@ -420,8 +420,9 @@ fn without_result<R>(call: impl FnOnce() -> R + 'static) -> Box<dyn FnOnce()> {
     })
 }
 
-/// Every public function that takes sizes, directly or in a structure, with sizes for which no memory exists: 2³² rows of 2³² values are no
-/// values at all in 64 bits. `engine/cli/tests/program/trust.rs` compares the names with `docs/api/kernels.txt`.
+/// Every public function that takes sizes, directly or in a structure, with sizes for which no memory exists: 2³² rows
+/// of 2³² values are no values at all in 64 bits. `engine/cli/tests/program/trust.rs` compares the names with
+/// `docs/api/kernels.txt`.
 fn wrapping_calls() -> Vec<(&'static str, Box<dyn FnOnce()>)> {
     const HALF: usize = 1 << 32;
     let level = Level::detect();

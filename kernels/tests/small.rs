@@ -1,6 +1,6 @@
-//! Every kernel at small shapes, on every level with one thread and with three: what sanitizers and Miri run (`tests/checked/run`), and a first
-//! look at a new level. Sizes are those at the ends of vectors, register blocks, tiles and tasks; values are checked by the kernels'
-//! own tests, here levels and threads have to agree.
+//! Every kernel at small shapes, on every level with one thread and with three: what sanitizers and Miri run
+//! (`tests/checked/run`), and a first look at a new level. Sizes are those at the ends of vectors, register blocks,
+//! tiles and tasks; values are checked by the kernels' own tests, here levels and threads have to agree.
 
 #![forbid(unsafe_code)]
 

@@ -59,8 +59,8 @@ impl std::fmt::Debug for Dino {
 }
 
 impl Dino {
-    /// Loads a file of DINOv2 in any [`DinoLayout`], safetensors or what `torch.save` writes. A JSON file of the same name may state another input
-    /// size (`resized_to`).
+    /// Loads a file of DINOv2 in any [`DinoLayout`], safetensors or what `torch.save` writes. A JSON file of the same
+    /// name may state another input size (`resized_to`).
     ///
     /// # Errors
     /// As [`crate::Network::open`].

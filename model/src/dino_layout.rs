@@ -40,7 +40,8 @@ const OUTSIDE: [(&str, &str); 6] = [
     ("mask_token", "embeddings.mask_token"),
 ];
 
-/// Names inside a block, official and of transformers. The official file holds `attn.q`, `attn.k` and `attn.v` as one layer, `attn.qkv`.
+/// Names inside a block, official and of transformers. The official file holds `attn.q`, `attn.k` and `attn.v` as one
+/// layer, `attn.qkv`.
 const INSIDE: [(&str, &str); 6] = [
     ("attn.q.", "attention.attention.query."),
     ("attn.k.", "attention.attention.key."),

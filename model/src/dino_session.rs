@@ -5,8 +5,8 @@ use std::borrow::Borrow;
 use crate::reuse::{PartCache, Saving, Tokens};
 use crate::{Dino, DinoFeatures, ModelError};
 
-/// A way through DINOv2 for the frames of one stream, each in turn. With [`Saving::Within`] it keeps what the next frame may
-/// need: see [`crate::reuse`].
+/// A way through DINOv2 for the frames of one stream, each in turn. With [`Saving::Within`] it keeps what the next
+/// frame may need: see [`crate::reuse`].
 #[derive(Debug)]
 pub struct DinoSession<D> {
     dino: D,

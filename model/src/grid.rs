@@ -1,20 +1,23 @@
 //! The same network for smaller frames: part of its patch grid.
 //!
-//! A token's place reaches the network through position tables alone. With the tables' rows of the grid's upper left `rows × columns` places, the same weights take frames of that many
-//! patches; a token's neighbours are then as far from it, in the tables, as they were in training. Scales and velocities, which are parts of a frame's sides, grow by the ratio of the sides. This needs attention that sees every token of the frame, or none: windows are
-//! runs of tokens of a whole grid, and have no meaning in a part of it.
+//! A token's place reaches the network through position tables alone. With the tables' rows of the grid's upper left
+//! `rows × columns` places, the same weights take frames of that many patches; a token's neighbours are then as far
+//! from it, in the tables, as they were in training. Scales and velocities, which are parts of a frame's sides, grow by
+//! the ratio of the sides. This needs attention that sees every token of the frame, or none: windows are runs of tokens
+//! of a whole grid, and have no meaning in a part of it.
 
 use crate::Network;
 use crate::layers::Workspaces;
 
 impl Network {
-    /// Returns true if [`Network::on_grid`] takes every grid that is not larger than this network's: neither encoder and decoder nor the upsamplers mix tokens within windows.
+    /// Returns true if [`Network::on_grid`] takes every grid that is not larger than this network's: neither encoder
+    /// and decoder nor the upsamplers mix tokens within windows.
     pub fn takes_part_of_its_grid(&self) -> bool {
         self.config.encoder_window.is_none() && self.upsamplers_are_local
     }
 
-    /// This network for frames of `grid` patches (rows, columns), sharing its weights. `None` when a side is zero or larger than this network's, or where it must be the whole
-    /// grid ([`Network::takes_part_of_its_grid`]).
+    /// This network for frames of `grid` patches (rows, columns), sharing its weights. `None` when a side is zero or
+    /// larger than this network's, or where it must be the whole grid ([`Network::takes_part_of_its_grid`]).
     pub fn on_grid(&self, grid: [usize; 2]) -> Option<Network> {
         let [whole_rows, whole_columns] = self.config.grid();
         let [rows, columns] = grid;

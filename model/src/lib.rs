@@ -11,9 +11,9 @@
 //! A [`Session`] takes frames through it. [`reuse`] leaves out what did not change between frames, [`zero_output`] what
 //! adds nothing.
 //!
-//! Arrays are row-major `f32`; a frame's tokens run over the patch grid row by row. World axes: x right, y away from the
-//! camera (0 near, 1 far: normalised inverse depth), z up. Every output obeys the bit contract of the kernels: it is the
-//! same on every instruction-set level and for any number of threads.
+//! Arrays are row-major `f32`; a frame's tokens run over the patch grid row by row. World axes: x right, y away from
+//! the camera (0 near, 1 far: normalised inverse depth), z up. Every output obeys the bit contract of the kernels: it
+//! is the same on every instruction-set level and for any number of threads.
 //!
 //! The library never prints, and never panics on data: errors of a file or an input are returned as a [`ModelError`].
 

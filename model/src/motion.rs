@@ -1,17 +1,17 @@
 //! Gaussians in time: position and opacity at any instant of an interval.
 //!
-//! With τ = t − t₀ the time since the Gaussian's own frame, in units of the pair's interval (the frame before has τ ≥ 0,
-//! the frame after τ ≤ 0):
+//! With τ = t − t₀ the time since the Gaussian's own frame, in units of the pair's interval (the frame before has τ ≥
+//! 0, the frame after τ ≤ 0):
 //!
 //! ```text
 //! position(τ) = position + velocity · τ
 //! opacity(τ)  = opacity · σ(−γ₀(|τ| − γ₁)) / σ(γ₀ γ₁)
 //! ```
 //!
-//! The quotient is evaluated as `(1 + e^{−a}) / (1 + e^{x})` with `a = γ₀·γ₁` and `x = γ₀·(|τ| − γ₁)`. Nothing overflows:
-//! `−a ≤ 0`, and where `x > 87` the quotient, below 2e−38, is zero. At τ = 0, `x = −a` exactly (rounding is symmetric), so
-//! the quotient is exactly 1 and opacity is the static one. Sums and quotients are monotone under rounding, so the whole
-//! falls with |τ| as far as the exponential rises.
+//! The quotient is evaluated as `(1 + e^{−a}) / (1 + e^{x})` with `a = γ₀·γ₁` and `x = γ₀·(|τ| − γ₁)`. Nothing
+//! overflows: `−a ≤ 0`, and where `x > 87` the quotient, below 2e−38, is zero. At τ = 0, `x = −a` exactly (rounding is
+//! symmetric), so the quotient is exactly 1 and opacity is the static one. Sums and quotients are monotone under
+//! rounding, so the whole falls with |τ| as far as the exponential rises.
 //!
 //! StreamSplat (ICLR 2026), deformation field.
 
@@ -44,7 +44,8 @@ pub fn position_at(position: &[[f32; 3]], velocity: &[[f32; 3]], tau: f32, out: 
 
 /// The factor that takes a static opacity to the one at `τ`: in [0, 1], 1 at τ = 0, falling with |τ|.
 ///
-/// Preconditions: γ₀ ≥ 0 and γ₁ in [0, 1], both finite; τ finite. For other values the result is some factor in [0, 1], or NaN.
+/// Preconditions: γ₀ ≥ 0 and γ₁ in [0, 1], both finite; τ finite. For other values the result is some factor in [0, 1],
+/// or NaN.
 pub fn opacity_factor([gamma0, gamma1]: [f32; 2], tau: f32) -> f32 {
     let x = gamma0 * (tau.abs() - gamma1);
     let fading = 1.0 + math::scalar::exp(if x < VANISHED { x } else { VANISHED });

@@ -41,8 +41,8 @@ impl std::fmt::Debug for Network {
 }
 
 impl Network {
-    /// Loads the checkpoint at `path` (safetensors, official layout); settings that shapes do not determine come from the JSON file of
-    /// the same name in the same folder, or have the published values.
+    /// Loads the checkpoint at `path` (safetensors, official layout); settings that shapes do not determine come from
+    /// the JSON file of the same name in the same folder, or have the published values.
     ///
     /// # Errors
     /// When a file cannot be read or is malformed, when a tensor is missing, has another shape than the others need or

@@ -12,7 +12,8 @@ pub struct LoadOptions {
     pub level: Level,
     /// The arithmetic of the large matrix products.
     pub precision: Precision,
-    /// True if residual branches that add nothing are computed all the same. It changes no output bit: see [`crate::zero_output`].
+    /// True if residual branches that add nothing are computed all the same. It changes no output bit: see
+    /// [`crate::zero_output`].
     pub compute_zero_output: bool,
 }
 
@@ -31,8 +32,8 @@ pub enum Precision {
     F32,
     /// Weights and activations of matrix products in bfloat16, accumulated in f32.
     Bf16,
-    /// Weights per output channel and activations per token in 8 bits, accumulated in integers; all of attention's products in 8 bits; the
-    /// encoder's first block and the widening layers of the upsamplers in bfloat16.
+    /// Weights per output channel and activations per token in 8 bits, accumulated in integers; all of attention's
+    /// products in 8 bits; the encoder's first block and the widening layers of the upsamplers in bfloat16.
     Int8,
 }
 
@@ -40,8 +41,8 @@ impl Precision {
     /// All modes, most exact first.
     pub const ALL: [Precision; 3] = [Precision::F32, Precision::Bf16, Precision::Int8];
 
-    /// The operands of the products inside blocks and upsamplers. Everything else multiplies in f32: the convolutions of
-    /// pixels, the projection of the condition, the heads.
+    /// The operands of the products inside blocks and upsamplers. Everything else multiplies in f32: the convolutions
+    /// of pixels, the projection of the condition, the heads.
     pub(crate) const fn of_blocks(self) -> gemm::Precision {
         match self {
             Precision::F32 => gemm::Precision::F32,
@@ -50,8 +51,8 @@ impl Precision {
         }
     }
 
-    /// The operands of the products that 8 bits spoil: the first block of the encoder, whose outlying channels carry a patch's colours, and
-    /// the layers that spread a token over finer ones. They are bf16 in [`Precision::Int8`].
+    /// The operands of the products that 8 bits spoil: the first block of the encoder, whose outlying channels carry a
+    /// patch's colours, and the layers that spread a token over finer ones. They are bf16 in [`Precision::Int8`].
     pub(crate) const fn of_edges(self) -> gemm::Precision {
         match self {
             Precision::Int8 => gemm::Precision::Bf16,

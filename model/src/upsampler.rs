@@ -1,7 +1,8 @@
 //! From one token per patch to one per 2×2 pixels.
 //!
-//! Two stages; in each a linear layer widens a token to four sub-tokens and writes them on a grid twice as fine (a pixel shuffle), and a pair of
-//! window blocks mixes them: the first with the windows as they are, the second rolled by half a window.
+//! Two stages; in each a linear layer widens a token to four sub-tokens and writes them on a grid twice as fine (a
+//! pixel shuffle), and a pair of window blocks mixes them: the first with the windows as they are, the second rolled by
+//! half a window.
 
 use streamsplat_kernels::Level;
 

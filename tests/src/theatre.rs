@@ -1,8 +1,8 @@
 //! A scene with ground truth: a replacement of the network that reconstructs a sprite moving before a backdrop.
 //!
-//! Every pixel of a frame holds the sprite's position as its red value; [`Theatre`] reads it there and returns the exact Gaussians
-//! and motion, on the same kind of lattice as the network does. Nothing is learned and nothing is slow, so that long streams can
-//! be tested.
+//! Every pixel of a frame holds the sprite's position as its red value; [`Theatre`] reads it there and returns the
+//! exact Gaussians and motion, on the same kind of lattice as the network does. Nothing is learned and nothing is slow,
+//! so that long streams can be tested.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};

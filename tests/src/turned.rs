@@ -37,7 +37,8 @@ pub struct Score {
     pub found: usize,
 }
 
-/// A camera turned by `degrees` about a vertical axis at the distance `pivot`, in half widths of a picture of `aspect` = width / height.
+/// A camera turned by `degrees` about a vertical axis at the distance `pivot`, in half widths of a picture of `aspect`
+/// = width / height.
 ///
 /// # Panics
 /// Never: a turn about an axis is a rotation.
@@ -183,7 +184,8 @@ impl Engines {
 }
 
 impl LastKey {
-    /// The image of a camera turned by `degrees` about the true distance, or the interval's own if its scale is another.
+    /// The image of a camera turned by `degrees` about the true distance, or the interval's own if its scale is
+    /// another.
     fn turned(&self, degrees: f64, true_pivot: f64) -> Vec<f32> {
         let Self { interval, true_scale, .. } = self;
         let pivot = if *true_scale { true_pivot } else { middle(interval, interval.end).expect("drawn") };
@@ -300,7 +302,8 @@ const OTHER: f32 = 0.15;
 /// Pixels within which a colour may be found.
 const WITHIN: usize = 3;
 
-/// The score of scenes [with a body](Cards::with_body) at these times, views at ±`degrees`. Each image, with its name, goes to `show`.
+/// The score of scenes [with a body](Cards::with_body) at these times, views at ±`degrees`. Each image, with its name,
+/// goes to `show`.
 ///
 /// # Panics
 /// When the engine refuses a valid input.

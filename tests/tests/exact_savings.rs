@@ -172,8 +172,9 @@ fn gaussians_beside_a_still_image_are_counted_and_change_no_bit() {
 
 #[test]
 fn a_gaussian_beside_the_frustum_whose_footprint_reaches_the_image_is_drawn() {
-    // 1.4 units aside and one ahead, with a deviation of ⅓: its centre lies 54° from the axis of a camera that sees 20°, and its affine
-    // footprint, formed as if 15 % of the image's size beyond its edge, is 3.33/3·√(1 + 0.42²) = 1.2 tangents long.
+    // 1.4 units aside and one ahead, with a deviation of ⅓: its centre lies 54° from the axis of a camera that sees
+    // 20°, and its affine footprint, formed as if 15 % of the image's size beyond its edge, is 3.33/3·√(1 + 0.42²) =
+    // 1.2 tangents long.
     let one = |mean: [f32; 3]| Still {
         mean: vec![mean],
         log_scale: vec![[(1.0_f32 / 3.0).ln(); 3]],
@@ -313,7 +314,8 @@ fn dinov2_is_not_opened_by_a_model_that_does_not_read_it() {
 
 #[test]
 fn residual_branches_that_add_nothing_are_counted_and_change_no_bit() {
-    // The small checkpoint has them: the static upsampler's attention, half of the decoder, all of the deformation upsampler's.
+    // The small checkpoint has them: the static upsampler's attention, half of the decoder, all of the deformation
+    // upsampler's.
     let run = |reuse| {
         let mut engine =
             Engine::new(Settings { reuse, fade: Some(Fade::Network), ..Settings::default() }).expect("starts");

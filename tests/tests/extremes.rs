@@ -1,5 +1,5 @@
-//! Every extreme on every level and thread count: bits agree, promises hold, and no error is worse than in `tests/extremes/record.json`.
-//! `tests/extremes/REPORT.md` describes how both are written.
+//! Every extreme on every level and thread count: bits agree, promises hold, and no error is worse than in
+//! `tests/extremes/record.json`. `tests/extremes/REPORT.md` describes how both are written.
 
 use std::collections::BTreeSet;
 

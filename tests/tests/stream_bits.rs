@@ -1,5 +1,5 @@
-//! Intervals and images are the same bits on every level, for any number of threads and in every run; pairwise fusion is the
-//! model's own definition of an interval.
+//! Intervals and images are the same bits on every level, for any number of threads and in every run; pairwise fusion
+//! is the model's own definition of an interval.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,5 @@
-//! The embedded model with its defaults: tiles, motion from flow and fitted colours leave no seam, change no bit where they save work, and hold at odd sizes.
+//! The embedded model with its defaults: tiles, motion from flow and fitted colours leave no seam, change no bit where
+//! they save work, and hold at odd sizes.
 
 use std::time::{Duration, Instant};
 

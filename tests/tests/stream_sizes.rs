@@ -1,5 +1,5 @@
-//! Images larger than the size at which the model sees frames: at most 0.2 dB below the model-size image, enlarged, and with found
-//! depth at most 0.1 dB below those without.
+//! Images larger than the size at which the model sees frames: at most 0.2 dB below the model-size image, enlarged, and
+//! with found depth at most 0.1 dB below those without.
 
 use streamsplat::picture::Picture;
 use streamsplat::stream::Resolution;

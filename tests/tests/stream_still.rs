@@ -1,5 +1,5 @@
-//! Static regions of the picture keep their Gaussians: the same bits on every level, thread count and after a resumption, no seam at key
-//! frames, no error that grows.
+//! Static regions of the picture keep their Gaussians: the same bits on every level, thread count and after a
+//! resumption, no seam at key frames, no error that grows.
 
 use streamsplat::stream::{Handover, StaticRegions};
 use streamsplat::{Camera, Engine, Frame, Image, Interval, RenderOptions, Settings};
@@ -8,7 +8,8 @@ use streamsplat_tests::workers;
 
 const SIZE: [usize; 2] = [256, 144];
 
-/// Frame `k` of a static camera: a room with noise of 1.5/255 whose light is `light`, and a disc that moves where `mover` is true.
+/// Frame `k` of a static camera: a room with noise of 1.5/255 whose light is `light`, and a disc that moves where
+/// `mover` is true.
 fn frame(k: usize, light: f32, mover: bool) -> Frame {
     let [width, height] = SIZE;
     let mut state = (k as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;

@@ -1,6 +1,6 @@
-//! How far tracked points are from where they are, on clips of known motion: the engine alone (with a reconstructor that has
-//! the truth) and with the embedded model. The figures are printed (`cargo test --release -p streamsplat-tests --test track_accuracy --
-//! --nocapture`) and may not get worse than the bounds here.
+//! How far tracked points are from where they are, on clips of known motion: the engine alone (with a reconstructor
+//! that has the truth) and with the embedded model. The figures are printed (`cargo test --release -p streamsplat-tests
+//! --test track_accuracy -- --nocapture`) and may not get worse than the bounds here.
 
 use std::sync::Arc;
 
@@ -160,7 +160,8 @@ fn the_engine_alone_keeps_points_on_a_fast_sprite_that_turns() {
     theatre("true motion, fast", place, &[(10, 0.01, 0.91), (30, 0.01, 0.76), (100, 0.01, 0.84)]);
 }
 
-/// With the embedded model as it runs by default, which is held to `bounds`, and to half of the median error of the network's own motion.
+/// With the embedded model as it runs by default, which is held to `bounds`, and to half of the median error of the
+/// network's own motion.
 fn embedded(kind: ClipKind, what: &str, bounds: &[Bound]) {
     let clip = Clip::new(kind, 1, WIDTH, HEIGHT);
     let mut ours = followed_by(Settings::default(), &clip, FPS, bounds).0;

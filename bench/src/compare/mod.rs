@@ -1,9 +1,10 @@
-//! `--compare BASE.json`: a measurement against an earlier one, for machines without a graphics card or a quiet hour, such as those of continuous
-//! integration.
+//! `--compare BASE.json`: a measurement against an earlier one, for machines without a graphics card or a quiet hour,
+//! such as those of continuous integration.
 //!
-//! Counted instructions differ only where the code does, under any load of the machine. Times are compared only between runs on the same processor,
-//! with as many threads and the same instruction set; a row is worse when its median lies more than the limit above the one before **and** its
-//! fastest run was slower than half of the runs before. A difference above the limit that is less clear is listed and is no failure.
+//! Counted instructions differ only where the code does, under any load of the machine. Times are compared only between
+//! runs on the same processor, with as many threads and the same instruction set; a row is worse when its median lies
+//! more than the limit above the one before **and** its fastest run was slower than half of the runs before. A
+//! difference above the limit that is less clear is listed and is no failure.
 
 mod record;
 mod report;
@@ -28,8 +29,8 @@ const TIMES: f64 = 10.0;
 #[derive(Args)]
 #[group(multiple = true, requires = "compare")]
 pub(crate) struct Options {
-    /// Compare with this record, which stages, stages --instructions, kernels or raster wrote with --json: measure the same again and fail
-    /// where something got worse by more than the limit.
+    /// Compare with this record, which stages, stages --instructions, kernels or raster wrote with --json: measure the
+    /// same again and fail where something got worse by more than the limit.
     #[arg(long, value_name = "BASE.json", required = true)]
     compare: Option<PathBuf>,
     /// Compare this record instead of measuring.

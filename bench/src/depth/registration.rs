@@ -5,8 +5,8 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use serde::Deserialize;
 
-/// From the depth camera to the colour camera: `p ↦ R·p + t`, in millimetres, x right, y down, z ahead. Both look through
-/// the middle of the picture.
+/// From the depth camera to the colour camera: `p ↦ R·p + t`, in millimetres, x right, y down, z ahead. Both look
+/// through the middle of the picture.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Registration {
@@ -28,8 +28,8 @@ impl Registration {
         serde_json::from_str(&text).with_context(|| path.display().to_string())
     }
 
-    /// Inverse depth in 1/mm `[H, W]`, NaN where there is none, moved to the colour camera's pixels: each value falls on the
-    /// four pixels around its place, the nearest one counts.
+    /// Inverse depth in 1/mm `[H, W]`, NaN where there is none, moved to the colour camera's pixels: each value falls
+    /// on the four pixels around its place, the nearest one counts.
     pub(super) fn apply(&self, inverse: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
         let mut out = vec![f32::NAN; inverse.len()];
         let longer = height.max(width) as f64;

@@ -1,4 +1,5 @@
-//! `raster`: drawing whole scenes, redrawing after a change, images of a part of a scene, and growth with the number of Gaussians.
+//! `raster`: drawing whole scenes, redrawing after a change, images of a part of a scene, and growth with the number of
+//! Gaussians.
 
 #[cfg(feature = "wgpu")]
 mod card;
@@ -220,7 +221,8 @@ const GROWTH: Table<'_> = Table(&[
     Column::Number("blend", 11),
 ]);
 
-/// Draws the scenes in turn, `repeat` times over; from nothing each, or (`keep`) redrawing what changed from one to the next.
+/// Draws the scenes in turn, `repeat` times over; from nothing each, or (`keep`) redrawing what changed from one to the
+/// next.
 fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize) -> Result<SceneTiming> {
     let mut rasteriser = Rasteriser::new(level);
     let mut error = 0.0_f64;
@@ -253,7 +255,8 @@ const SAMPLES: usize = 16;
 /// One value in this many is compared with the reference.
 const COMPARED: usize = 97;
 
-/// Moving, rotated Gaussians during an exposure: [`SAMPLES`] images and their mean in linear light. Stages are those of one image.
+/// Moving, rotated Gaussians during an exposure: [`SAMPLES`] images and their mean in linear light. Stages are those of
+/// one image.
 fn shutter(level: Level, repeat: usize) -> Result<SceneTiming> {
     let still = Scene::anisotropic_720p();
     let all: Vec<usize> = (0..still.splats.mean.len()).collect();
@@ -318,7 +321,8 @@ fn check(rasteriser: &Rasteriser, scene: &Scene) -> Result<f64> {
     let pixels = scene.request.width * scene.request.height;
     let found = &rasteriser.image().rgb;
     ensure!(found.len() == expected.rgb.len(), "{} values, expected {}", found.len(), expected.rgb.len());
-    // Rays of a panorama are formed in binary32: an α may be off by a thousandth, as in the kernel's own tests, which decides more thresholds.
+    // Rays of a panorama are formed in binary32: an α may be off by a thousandth, as in the kernel's own tests, which
+    // decides more thresholds.
     let around = scene.projection == Projection::Equirectangular;
     let (doubt, share) = if around { (2e-3, 10) } else { (1e-5, 100) };
     let (mut worst, mut undecided) = (0.0_f64, 0);

@@ -178,8 +178,8 @@ fn still(workers: &Workers, repeat: usize) -> Result<PartTiming> {
     Ok(PartTiming::new("part-of-still", &sums, prepare, hierarchy))
 }
 
-/// An interval in view of the canonical camera, for cameras of 5 degrees that see parts. It is drawn whole; the cost of grouping is
-/// measured on its snapshot at one time.
+/// An interval in view of the canonical camera, for cameras of 5 degrees that see parts. It is drawn whole; the cost of
+/// grouping is measured on its snapshot at one time.
 fn interval(workers: &Workers, repeat: usize) -> Result<PartTiming> {
     let mut random = Random::new(7);
     let gaussians: DynamicGaussians = (0..COUNT as u64)

@@ -51,7 +51,8 @@ impl Scene {
         self.push_pixels(centre, sigma, depth, opacity, rgb);
     }
 
-    /// Scene with the statistics of the paper's model's prediction for two frames: one Gaussian per cell of 2×2 pixels and frame.
+    /// Scene with the statistics of the paper's model's prediction for two frames: one Gaussian per cell of 2×2 pixels
+    /// and frame.
     pub(crate) fn paper_grid() -> Self {
         let (mut scene, mut random) = (Self::canonical(512, 288), Random::new(1));
         for _ in 0..2 {
@@ -126,8 +127,8 @@ impl Scene {
         self
     }
 
-    /// Prediction of the model inside the library for two frames of a procedural clip, halfway between them, drawn at twice
-    /// the model's size in each direction.
+    /// Prediction of the model inside the library for two frames of a procedural clip, halfway between them, drawn at
+    /// twice the model's size in each direction.
     pub(crate) fn predicted() -> Result<Self> {
         let clip = Clip::new(ClipKind::Moving, 1, 512, 288);
         let mut engine = Engine::new(Settings::default())?;

@@ -1,5 +1,5 @@
-//! Scenes as training from many pictures makes them: anisotropic Gaussians with harmonics of degree 3, seen at 1920×1080
-//! ([`streamsplat_fixtures::trained`]).
+//! Scenes as training from many pictures makes them: anisotropic Gaussians with harmonics of degree 3, seen at
+//! 1920×1080 ([`streamsplat_fixtures::trained`]).
 
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};

@@ -1,12 +1,13 @@
-//! `tradeoff`: error against run time on one clip, over precision, reuse and gap; and each stage's error and time per precision. On a
-//! folder of clips ([`clips`]): over resolution, motion, colours, gap and quality.
+//! `tradeoff`: error against run time on one clip, over precision, reuse and gap; and each stage's error and time per
+//! precision. On a folder of clips ([`clips`]): over resolution, motion, colours, gap and quality.
 //!
-//! One run writes CSV, JSON, Markdown and plots. All configurations go through the clip in turn, key frame by key frame, and that
-//! several times, so that what disturbs the machine disturbs all of them alike. Before anything is timed, f32 must compute the same bits on
-//! another number of threads and exact reuse those of none; in every later round every configuration must repeat its bits.
+//! One run writes CSV, JSON, Markdown and plots. All configurations go through the clip in turn, key frame by key
+//! frame, and that several times, so that what disturbs the machine disturbs all of them alike. Before anything is
+//! timed, f32 must compute the same bits on another number of threads and exact reuse those of none; in every later
+//! round every configuration must repeat its bits.
 //!
-//! A checkpoint runs at one number of tokens, because its decoder stores a row per token of two frames; so the resolution is the model's
-//! own. Other resolutions are other checkpoints (`--model`).
+//! A checkpoint runs at one number of tokens, because its decoder stores a row per token of two frames; so the
+//! resolution is the model's own. Other resolutions are other checkpoints (`--model`).
 
 mod clips;
 mod front;
@@ -37,8 +38,8 @@ use crate::passage::read;
 pub(crate) struct Options {
     #[command(flatten)]
     common: Common,
-    /// A folder of images or a video [default: fixtures/clips/moving.y4m]; or a folder of clips: time and error of resolution, motion,
-    /// colours and `--quality` on them, with the options' defaults.
+    /// A folder of images or a video [default: fixtures/clips/moving.y4m]; or a folder of clips: time and error of
+    /// resolution, motion, colours and `--quality` on them, with the options' defaults.
     input: Option<PathBuf>,
     /// For a folder of clips: put the table into this page, and the plot next to it as tradeoff.svg.
     #[arg(long, value_name = "FILE")]
@@ -49,8 +50,8 @@ pub(crate) struct Options {
     /// Where tradeoff.{csv,json,md,svg} and tradeoff-stages.{csv,svg} go.
     #[arg(long, value_name = "DIR", default_value = "tradeoff")]
     out: PathBuf,
-    /// `small`: the embedded model, or `--model`. `paper`: the published sizes with weights from a seed; of these, whose pictures
-    /// mean nothing, the stages alone, and key frames of a standing camera with and without reuse.
+    /// `small`: the embedded model, or `--model`. `paper`: the published sizes with weights from a seed; of these,
+    /// whose pictures mean nothing, the stages alone, and key frames of a standing camera with and without reuse.
     #[arg(long, value_enum, default_value_t = Size::Small)]
     size: Size,
     /// Checkpoint [default: the embedded one].
@@ -74,8 +75,8 @@ pub(crate) struct Options {
     /// Times every configuration goes through the clip.
     #[arg(long, default_value_t = 3)]
     rounds: usize,
-    /// Reference of the stages' errors: f64 (plain loops in binary64, seconds for the embedded model, some minutes for the paper's size),
-    /// or f32 (the f32 network).
+    /// Reference of the stages' errors: f64 (plain loops in binary64, seconds for the embedded model, some minutes for
+    /// the paper's size), or f32 (the f32 network).
     #[arg(long, value_enum, default_value_t = Yardstick::F64)]
     against: Yardstick,
     /// The time on the plot and of the Pareto front.

@@ -1,8 +1,8 @@
-//! The plots. Of configurations: quality over time, twice: against the true frames with the Pareto front, and against f32 without reuse. Of
-//! stages: error over time.
+//! The plots. Of configurations: quality over time, twice: against the true frames with the Pareto front, and against
+//! f32 without reuse. Of stages: error over time.
 //!
-//! Colours are precisions, shapes are gaps, and a shape is the more open the more is reused. Members of the front carry a number that a
-//! list below spells out. In the plot of stages, shapes are stages.
+//! Colours are precisions, shapes are gaps, and a shape is the more open the more is reused. Members of the front carry
+//! a number that a list below spells out. In the plot of stages, shapes are stages.
 
 use anyhow::{Context, Result, anyhow};
 use plotters::chart::MeshStyle;

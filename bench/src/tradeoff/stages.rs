@@ -14,7 +14,8 @@ use crate::timing::{Seconds, Spent, Stopwatch};
 
 /// Frames between the two that are compared, where the clip has as many.
 const APART: usize = 4;
-/// Values below this fraction of the largest are left out of [`StageError::worst_ulp`]: their rounding is that of the larger terms they are sums of.
+/// Values below this fraction of the largest are left out of [`StageError::worst_ulp`]: their rounding is that of the
+/// larger terms they are sums of.
 const COUNTED: f64 = 0.01;
 /// Stages, in the order of the computation.
 const STAGES: [&str; 4] = ["encoder", "upsampler", "decoder", "heads"];
@@ -30,7 +31,8 @@ pub(super) struct StageRun<'a> {
     pub(super) rounds: usize,
 }
 
-/// A stage at a precision. Its input is what the stages before gave at the same precision, so that errors add up as in a stream.
+/// A stage at a precision. Its input is what the stages before gave at the same precision, so that errors add up as in
+/// a stream.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct StageError {
     pub(super) precision: &'static str,
@@ -39,8 +41,9 @@ pub(crate) struct StageError {
     pub(super) relative_l2: f64,
     /// max |found − expected| / max |expected|
     pub(super) worst: f64,
-    /// max |found − expected| in units in the last place of f32 at `expected`, over all values of a hundredth of the largest or more. None for
-    /// lower precisions, whose operands do not have these places, and where f32 is compared with itself.
+    /// max |found − expected| in units in the last place of f32 at `expected`, over all values of a hundredth of the
+    /// largest or more. None for lower precisions, whose operands do not have these places, and where f32 is compared
+    /// with itself.
     pub(super) worst_ulp: Option<f64>,
     /// Times of a call.
     pub(super) wall: Seconds,
@@ -137,7 +140,8 @@ pub(super) fn fitted(clip: &[TimedPicture], size: [usize; 2], level: Level) -> R
     Ok([fit(0)?, fit(APART.min(clip.len() - 1))?])
 }
 
-/// Results of the stages in binary64: those of [`Model::stage`], which are the later frame's, and both frames' from the decoder on. Where the network is conditioned on DINOv2, its features are those of `model`.
+/// Results of the stages in binary64: those of [`Model::stage`], which are the later frame's, and both frames' from the
+/// decoder on. Where the network is conditioned on DINOv2, its features are those of `model`.
 fn binary64(which: Which<'_>, model: &Model) -> Result<Vec<Vec<f64>>> {
     let mut tensors = None;
     which.with_checkpoint(|checkpoint| tensors = Some(Tensors::new(checkpoint)))?;

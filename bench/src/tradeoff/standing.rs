@@ -1,8 +1,8 @@
 //! Key frames of a standing camera: time and error of reuse, in every precision.
 //!
-//! A frame of the clip at the model's size, of which a rectangle has its colours inverted in every other key frame: so that share of
-//! the patches changes from each key frame to the next. All choices of reuse take the same key frames in turn. The first two are not
-//! timed: they fill the caches. Errors are those of the last one.
+//! A frame of the clip at the model's size, of which a rectangle has its colours inverted in every other key frame: so
+//! that share of the patches changes from each key frame to the next. All choices of reuse take the same key frames in
+//! turn. The first two are not timed: they fill the caches. Errors are those of the last one.
 
 use anyhow::{Context, Result, ensure};
 use serde::Serialize;
@@ -49,7 +49,8 @@ pub(crate) struct StandingRow {
     pub(super) processor: Option<Seconds>,
     /// The median time (of the processor, where known) relative to that without reuse.
     pub(super) cost: f64,
-    /// Relative L2 error of embedding, static tokens, deformation tokens, and positions with velocities; at the first share alone.
+    /// Relative L2 error of embedding, static tokens, deformation tokens, and positions with velocities; at the first
+    /// share alone.
     pub(super) errors: Option<[f64; 4]>,
 }
 
@@ -133,7 +134,8 @@ fn frame(base: &[f32], [height, width]: [usize; 2], patch: usize, share: f64, in
     rgb
 }
 
-/// Rows and columns of the smallest rectangle of the grid's shape, or a little wider, that is at least `share` of the grid.
+/// Rows and columns of the smallest rectangle of the grid's shape, or a little wider, that is at least `share` of the
+/// grid.
 fn rectangle([rows, columns]: [usize; 2], share: f64) -> [usize; 2] {
     let of_rows = ((share.sqrt() * rows as f64).round() as usize).clamp(1, rows);
     let wanted = share * (rows * columns) as f64 / of_rows as f64;

@@ -1,7 +1,7 @@
 //! The `streamsplat` program: commands, exit codes, messages.
 //!
-//! Exit codes: 0 done, 1 the work failed, 2 wrong use, 130 stopped by the user. An error is one line on standard error that names the file, the tensor
-//! or the option, what was expected and what was found.
+//! Exit codes: 0 done, 1 the work failed, 2 wrong use, 130 stopped by the user. An error is one line on standard error
+//! that names the file, the tensor or the option, what was expected and what was found.
 #![deny(unsafe_code)]
 
 mod command;

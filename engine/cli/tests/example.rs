@@ -1,4 +1,5 @@
-//! The example program of the README writes what the command line writes. Alone in its process, whose working folder it changes.
+//! The example program of the README writes what the command line writes. Alone in its process, whose working folder it
+//! changes.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -151,7 +151,8 @@ pub fn pixels(size: &Bound<'_, PyAny>) -> PyResult<[usize; 2]> {
     }
 }
 
-/// Options of an image, from `size` ("model", "source", "WIDTHxHEIGHT" or (width, height)) and `background` (grey, or red, green, blue).
+/// Options of an image, from `size` ("model", "source", "WIDTHxHEIGHT" or (width, height)) and `background` (grey, or
+/// red, green, blue).
 pub fn options(
     size: Option<&Bound<'_, PyAny>>,
     background: Option<&Bound<'_, PyAny>>,

@@ -30,9 +30,9 @@ const TAKEN: &str = "an array [height, width, 3] of uint8 or of floats in [0, 1]
 
 /// A frame's pixels as planes `[3, H, W]`, with its height and width.
 ///
-/// Grey frames are `[H, W]` or `[H, W, 1]`; those with alpha, `[H, W, 4]`, are laid over mid grey, as files are. Floats of other sizes become 32
-/// bits. Other objects that convert to NumPy arrays, such as PIL images and torch tensors, are converted first; these may also have torch's layout
-/// `[3, H, W]`.
+/// Grey frames are `[H, W]` or `[H, W, 1]`; those with alpha, `[H, W, 4]`, are laid over mid grey, as files are. Floats
+/// of other sizes become 32 bits. Other objects that convert to NumPy arrays, such as PIL images and torch tensors, are
+/// converted first; these may also have torch's layout `[3, H, W]`.
 pub fn planes(frame: &Bound<'_, PyAny>) -> PyResult<(Vec<f32>, [usize; 2])> {
     let is_array = frame.is_instance_of::<PyUntypedArray>();
     if !is_array && !frame.hasattr("__array__")? && !frame.hasattr("__array_interface__")? {

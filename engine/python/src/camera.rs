@@ -14,8 +14,9 @@ use crate::failure::{no_cameras, present, wrong};
 
 /// A view of a scene: a pose, a lens, and the size of its image in pixels, if it has one.
 ///
-/// `Camera(viewmat, K, width, height)` takes gsplat's matrices: `viewmat` [4, 4] from the world to the camera, which looks along +z with +x to the
-/// right and +y down, and `K` [3, 3] in pixels, counted from the corner of the first one. `cameras(path)` reads the files of other programs.
+/// `Camera(viewmat, K, width, height)` takes gsplat's matrices: `viewmat` [4, 4] from the world to the camera, which
+/// looks along +z with +x to the right and +y down, and `K` [3, 3] in pixels, counted from the corner of the first one.
+/// `cameras(path)` reads the files of other programs.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 #[derive(Clone)]
 pub struct Camera {
@@ -119,7 +120,8 @@ impl Camera {
         Ok(Camera { inner, size: Some(size), name: name.to_owned(), time: None })
     }
 
-    /// A pinhole at `position` that looks at `target`, with `up` upwards in its image and a vertical field of view of `fov_y` degrees.
+    /// A pinhole at `position` that looks at `target`, with `up` upwards in its image and a vertical field of view of
+    /// `fov_y` degrees.
     #[staticmethod]
     #[pyo3(signature = (position, target, *, up=[0.0, -1.0, 0.0], fov_y=45.0, width=1280, height=720))]
     fn look_at(
@@ -160,7 +162,8 @@ impl Camera {
         Ok(array::<4>(py, rows))
     }
 
-    /// Focal lengths and principal point in pixels, counted from the corner of the first one, float32 [3, 3]. Of parallel rays: pixels per unit.
+    /// Focal lengths and principal point in pixels, counted from the corner of the first one, float32 [3, 3]. Of
+    /// parallel rays: pixels per unit.
     #[getter]
     #[pyo3(name = "K")]
     fn intrinsics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
@@ -228,9 +231,9 @@ impl Camera {
     }
 }
 
-/// The cameras of a file or a folder, in its order: this program's own JSON, cameras.json of 3D Gaussian splatting, transforms.json of nerfstudio,
-/// instant-ngp and Blender, nerfstudio's camera_path.json, SuperSplat's settings.json, or a COLMAP model (docs/cameras.md). `size` ("WIDTHxHEIGHT" or
-/// (width, height)) is that of files that have none.
+/// The cameras of a file or a folder, in its order: this program's own JSON, cameras.json of 3D Gaussian splatting,
+/// transforms.json of nerfstudio, instant-ngp and Blender, nerfstudio's camera_path.json, SuperSplat's settings.json,
+/// or a COLMAP model (docs/cameras.md). `size` ("WIDTHxHEIGHT" or (width, height)) is that of files that have none.
 #[pyfunction]
 #[pyo3(signature = (path, *, size=None))]
 pub fn cameras(py: Python<'_>, path: PathBuf, size: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Camera>> {

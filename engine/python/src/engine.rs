@@ -122,12 +122,12 @@ impl Engine {
 
     /// Takes the next key frame, `time` seconds into the video, and gives the interval it ends.
     ///
-    /// `frame` is `[height, width, 3]`, uint8 or floats in [0, 1]; grey is `[height, width]`, and alpha a fourth channel, laid over mid grey; `depth`
-    /// is `[height, width]` float32, inverse depth of any scale. The first frame gives its static scene, an interval of no length. After an error the
-    /// stream is as it was before.
+    /// `frame` is `[height, width, 3]`, uint8 or floats in [0, 1]; grey is `[height, width]`, and alpha a fourth
+    /// channel, laid over mid grey; `depth` is `[height, width]` float32, inverse depth of any scale. The first frame
+    /// gives its static scene, an interval of no length. After an error the stream is as it was before.
     ///
-    /// `between` holds the frames since the key frame before with their times, `[(frame, time), …]`, ascending: motion and colours are taken from them
-    /// (`motion="between"`).
+    /// `between` holds the frames since the key frame before with their times, `[(frame, time), …]`, ascending: motion
+    /// and colours are taken from them (`motion="between"`).
     #[pyo3(signature = (frame, time, depth=None, *, between=None))]
     fn push(
         &self,

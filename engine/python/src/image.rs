@@ -93,7 +93,8 @@ impl Image {
         self.picture.height
     }
 
-    /// Display-space colour, float32 [height, width, 3]: a read-only view of three planes; `.copy()` gives an array that can be written to.
+    /// Display-space colour, float32 [height, width, 3]: a read-only view of three planes; `.copy()` gives an array
+    /// that can be written to.
     #[getter]
     fn rgb<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray3<f32>>> {
         let Picture { width, height, rgb } = &this.get().picture;
@@ -132,7 +133,8 @@ impl Image {
         Ok(samples.into_any())
     }
 
-    /// The samples of the PNG file, by which NumPy and Pillow take the image: uint8 [height, width, 3], a copy each time.
+    /// The samples of the PNG file, by which NumPy and Pillow take the image: uint8 [height, width, 3], a copy each
+    /// time.
     #[getter]
     fn __array_interface__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let samples = self.rgb8(py)?;
@@ -157,8 +159,8 @@ impl Image {
         PyBytes::new(py, &bytes)
     }
 
-    /// Writes the image: whole or not at all. `.png`, `.webp` (both without loss) and `.exr` (32-bit floats, with depth and alpha where the image has
-    /// them) are written here, other endings (.jpg, .tif, …) by Pillow.
+    /// Writes the image: whole or not at all. `.png`, `.webp` (both without loss) and `.exr` (32-bit floats, with depth
+    /// and alpha where the image has them) are written here, other endings (.jpg, .tif, …) by Pillow.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         let own = py.detach(|| match ending.as_str() {

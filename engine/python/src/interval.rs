@@ -103,8 +103,8 @@ impl Interval {
         format!("Interval({index}: {start:.3} s to {end:.3} s, {} Gaussians)", gaussians.len())
     }
 
-    /// Writes the Gaussians at `time`, by default the interval's end, as a still scene, in the format that the name ends in: `.ply`,
-    /// `.compressed.ply`, `.spz`, `.sog`, `.glb` or `.splat`.
+    /// Writes the Gaussians at `time`, by default the interval's end, as a still scene, in the format that the name
+    /// ends in: `.ply`, `.compressed.ply`, `.spz`, `.sog`, `.glb` or `.splat`.
     #[pyo3(signature = (path, time=None))]
     fn save(&self, py: Python<'_>, path: PathBuf, time: Option<f64>) -> PyResult<()> {
         let format = format_of(&path)?;
@@ -118,7 +118,8 @@ impl Interval {
         warn(py, &notes)
     }
 
-    /// The Gaussians at `time`, by default the interval's end, in the world: the numbers of the file that `save` writes.
+    /// The Gaussians at `time`, by default the interval's end, in the world: the numbers of the file that `save`
+    /// writes.
     #[pyo3(signature = (time=None))]
     pub fn at(&self, py: Python<'_>, time: Option<f64>) -> PyResult<Splats> {
         let workers = self.workers()?;
@@ -157,8 +158,9 @@ impl Interval {
 
     /// The scene at `time` seconds: an image, or a list of them where `time` or `camera` is a list.
     ///
-    /// `camera` is None (the source's own view), a Camera, a dictionary in the JSON form of cameras, or the path of a file with one; `size` is
-    /// 'model' (the default, where the camera has none), 'source', 'WIDTHxHEIGHT' or (width, height); `background` is a grey or a colour in [0, 1].
+    /// `camera` is None (the source's own view), a Camera, a dictionary in the JSON form of cameras, or the path of a
+    /// file with one; `size` is 'model' (the default, where the camera has none), 'source', 'WIDTHxHEIGHT' or (width,
+    /// height); `background` is a grey or a colour in [0, 1].
     #[pyo3(signature = (time, camera=None, *, size=None, background=None, depth=false, alpha=false, antialias=false))]
     pub fn render(
         &self,
@@ -187,14 +189,16 @@ impl Interval {
         Drawn::of(images, many)
     }
 
-    /// The Gaussian that shows most at a pixel (column, row) of the source's frame: (identity, index, weight, world position), or None where nothing is drawn.
+    /// The Gaussian that shows most at a pixel (column, row) of the source's frame: (identity, index, weight, world
+    /// position), or None where nothing is drawn.
     fn pick(&self, py: Python<'_>, time: f64, pixel: [f64; 2]) -> PyResult<Option<(u64, usize, f64, [f32; 3])>> {
         let picked = py.detach(|| self.inner.pick(time, pixel, self.workers()?).map_err(failed))?;
         Ok(picked.map(|p| (p.identity, p.index, p.weight, p.position)))
     }
 }
 
-/// The Gaussians of an interval, one read-only array per property, in drawing order. The arrays show the interval's own memory.
+/// The Gaussians of an interval, one read-only array per property, in drawing order. The arrays show the interval's own
+/// memory.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Gaussians {
     interval: Py<Interval>,
@@ -234,7 +238,8 @@ macro_rules! arrays {
                 format!("Gaussians({} of interval {index}: arrays mean, velocity, opacity, scale, rgb, identity, …)", self.__len__())
             }
 
-            /// Which end of the interval `mean`, `opacity` and `rgb` belong to, uint8 [N]: 0 its start, 1 its end. A copy.
+            /// Which end of the interval `mean`, `opacity` and `rgb` belong to, uint8 [N]: 0 its start, 1 its end. A
+            /// copy.
             #[getter]
             fn reference<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u8>> {
                 PyArray1::from_iter(py, self.records().reference.iter().map(|&r| r as u8))

@@ -1,4 +1,5 @@
-//! One camera's view of arrays of Gaussians: images in any colours, and gradients. `streamsplat_cpu/raster.py` composes gsplat's call of it.
+//! One camera's view of arrays of Gaussians: images in any colours, and gradients. `streamsplat_cpu/raster.py` composes
+//! gsplat's call of it.
 
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
@@ -121,7 +122,8 @@ impl View {
         Ok(Self { inner, size: [height, width] })
     }
 
-    /// Centres `[N, 2]`, depths `[N]`, conics `[N, 3]`, opacities `[N]`, radii `[N, 2]`, and the place of the eye `[3]`.
+    /// Centres `[N, 2]`, depths `[N]`, conics `[N, 3]`, opacities `[N]`, radii `[N, 2]`, and the place of the eye
+    /// `[3]`.
     fn projected<'py>(&self, py: Python<'py>) -> PyResult<ProjectedArrays<'py>> {
         let all = self.inner.projected();
         let n = all.depth.len();
@@ -187,8 +189,8 @@ impl View {
         ))
     }
 
-    /// Gradients by means, quaternions, scales, opacities and the view matrix, from those by footprints `[N, 6]`, depths `[N]` (or of no values) and the
-    /// place of the eye `[3]`.
+    /// Gradients by means, quaternions, scales, opacities and the view matrix, from those by footprints `[N, 6]`,
+    /// depths `[N]` (or of no values) and the place of the eye `[3]`.
     #[expect(clippy::too_many_arguments, reason = "Gaussians, and three gradients")]
     fn gradients<'py>(
         &self,

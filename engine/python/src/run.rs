@@ -35,9 +35,9 @@ impl Observer for Caller {
     }
 }
 
-/// Reconstructs `input`, a path or an iterable of frames, into `out` and returns the record in JSON. `options` are names and texts of the options of
-/// `run`. `progress(done, total)` is called as frames are done; an exception in it, or Ctrl-C, ends the run after the interval at hand and is raised
-/// here.
+/// Reconstructs `input`, a path or an iterable of frames, into `out` and returns the record in JSON. `options` are
+/// names and texts of the options of `run`. `progress(done, total)` is called as frames are done; an exception in it,
+/// or Ctrl-C, ends the run after the interval at hand and is raised here.
 #[pyfunction]
 pub fn run(
     py: Python<'_>,

@@ -21,8 +21,8 @@ use crate::interval::Interval;
 use crate::splats::{Splats, warn};
 use crate::view::Viewer;
 
-/// A scene on disk: one in time, that the command line or a SceneWriter wrote (its intervals are read when they are needed), or a still one, a splat
-/// file in any format that is read (docs/formats.md), which is read as a whole.
+/// A scene on disk: one in time, that the command line or a SceneWriter wrote (its intervals are read when they are
+/// needed), or a still one, a splat file in any format that is read (docs/formats.md), which is read as a whole.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Scene {
     path: PathBuf,
@@ -208,7 +208,8 @@ impl Scene {
 
     /// Images: one, or a list where `time` or `camera` is a list.
     ///
-    /// Of a scene in time `render(time, camera)`, as Interval.render; of a still one `render(camera)`, as Splats.render.
+    /// Of a scene in time `render(time, camera)`, as Interval.render; of a still one `render(camera)`, as
+    /// Splats.render.
     #[pyo3(signature = (time=None, camera=None, *, size=None, background=None, depth=false, alpha=false, antialias=None))]
     fn render(
         &self,
@@ -262,7 +263,8 @@ impl Scene {
         }
     }
 
-    /// Opens the page of `streamsplat view` in the browser (unless `open` is False). It is served to this machine alone until the Viewer is closed.
+    /// Opens the page of `streamsplat view` in the browser (unless `open` is False). It is served to this machine alone
+    /// until the Viewer is closed.
     #[pyo3(signature = (*, port=0, open=true))]
     fn view(&self, py: Python<'_>, port: u16, open: bool) -> PyResult<Viewer> {
         let title = self.path.file_name().unwrap_or_default().to_string_lossy().into_owned();

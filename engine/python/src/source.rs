@@ -12,7 +12,8 @@ use crate::failure::{not_read, present};
 
 /// The frames of a video: pairs (frame, time), frame float32 [height, width, 3] in [0, 1], time in seconds.
 ///
-/// `input` is a folder of images, an image, a .y4m file, or any video where an ffmpeg program is installed; decoded as the command line does.
+/// `input` is a folder of images, an image, a .y4m file, or any video where an ffmpeg program is installed; decoded as
+/// the command line does.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Frames {
     path: PathBuf,

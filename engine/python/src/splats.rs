@@ -34,11 +34,12 @@ pub const SHOWN: [usize; 2] = [640, 360];
 /// Images for which Gaussians are grouped.
 const MANY: usize = 8;
 
-/// Gaussians in the world at one instant: the numbers of a splat file, as read-only arrays for gsplat, viser, Rerun and nerfstudio.
+/// Gaussians in the world at one instant: the numbers of a splat file, as read-only arrays for gsplat, viser, Rerun and
+/// nerfstudio.
 ///
-/// Units are square; axes are those of docs/cameras.md, x to the right, y down and z to the front. `Splats(means, scales, opacities, quats=…,
-/// colors=…)` makes one of arrays or tensors: `colors` [N, 3] are seen from every direction, `sh` [N, K, 3] are coefficients of harmonics (K = 1, 4,
-/// 9 or 16).
+/// Units are square; axes are those of docs/cameras.md, x to the right, y down and z to the front. `Splats(means,
+/// scales, opacities, quats=…, colors=…)` makes one of arrays or tensors: `colors` [N, 3] are seen from every
+/// direction, `sh` [N, K, 3] are coefficients of harmonics (K = 1, 4, 9 or 16).
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Splats {
     pub scene: Arc<Drawable>,
@@ -292,7 +293,8 @@ impl Splats {
         unsafe { borrowed(&ArrayView2::from(this.get().scene.scale()), this.clone().into_any()) }
     }
 
-    /// Covariances R·diag(s²)·Rᵀ, float32 [N, 3, 3], as viser takes them. In binary64, sums from left to right, rounded once. A copy.
+    /// Covariances R·diag(s²)·Rᵀ, float32 [N, 3, 3], as viser takes them. In binary64, sums from left to right, rounded
+    /// once. A copy.
     #[getter]
     fn covariances<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
         let all = py.detach(|| {
@@ -345,7 +347,8 @@ impl Splats {
         self.still().degree
     }
 
-    /// Which Gaussian each is, uint64 [N]: of a video's scene the identity that lasts from interval to interval, else its number.
+    /// Which Gaussian each is, uint64 [N]: of a video's scene the identity that lasts from interval to interval, else
+    /// its number.
     #[getter]
     fn identities<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray1<u64>>> {
         // SAFETY: as in `means`.
@@ -373,8 +376,9 @@ impl Splats {
 
     /// Images: one, or a list where `camera` is a list.
     ///
-    /// `camera` is a Camera, a dictionary in the JSON form of cameras, or the path of a file with one; without it the scene is framed by itself.
-    /// `size` is "WIDTHxHEIGHT" or (width, height), by default the camera's, else 1280×720; `antialias` is by default that of the file.
+    /// `camera` is a Camera, a dictionary in the JSON form of cameras, or the path of a file with one; without it the
+    /// scene is framed by itself. `size` is "WIDTHxHEIGHT" or (width, height), by default the camera's, else 1280×720;
+    /// `antialias` is by default that of the file.
     #[pyo3(signature = (camera=None, *, size=None, background=None, depth=false, alpha=false, antialias=None))]
     fn render(
         &self,
@@ -392,7 +396,8 @@ impl Splats {
         Drawn::of(images, many)
     }
 
-    /// The camera that sees most of the scene, `degrees` around it (0: from its widest side, which is the front or the right; 90: from the right of that).
+    /// The camera that sees most of the scene, `degrees` around it (0: from its widest side, which is the front or the
+    /// right; 90: from the right of that).
     #[pyo3(signature = (degrees=0.0, *, size=None))]
     fn camera(&self, degrees: f64, size: Option<&Bound<'_, PyAny>>) -> PyResult<Camera> {
         let [width, height] = size.map_or(Ok(SIZE), arguments::pixels)?;
@@ -413,7 +418,8 @@ impl Splats {
         Ok(around.into_iter().map(|camera| Camera::sized(camera, [width, height])).collect())
     }
 
-    /// Writes the scene in the format that the name ends in: `.ply`, `.compressed.ply`, `.spz`, `.sog`, `.glb` or `.splat`. Losses are warnings.
+    /// Writes the scene in the format that the name ends in: `.ply`, `.compressed.ply`, `.spz`, `.sog`, `.glb` or
+    /// `.splat`. Losses are warnings.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let format = format_of(&path)?;
         let written = py.detach(|| {

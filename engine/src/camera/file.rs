@@ -29,8 +29,9 @@
 //!
 //! A pinhole view has exactly one of the lens's three forms. Unknown keys are errors.
 //!
-//! Units are those of exported files: half the height of the picture, along every axis (of a still scene: its own). The page of `streamsplat view`
-//! writes `"units": "square"`; files that it wrote before it did so had x in half widths and are read as if they had not.
+//! Units are those of exported files: half the height of the picture, along every axis (of a still scene: its own). The
+//! page of `streamsplat view` writes `"units": "square"`; files that it wrote before it did so had x in half widths and
+//! are read as if they had not.
 
 use serde::Deserialize;
 

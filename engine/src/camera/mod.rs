@@ -1,10 +1,11 @@
 //! Cameras: the canonical orthographic one, and any rigid pose, orthographic, pinhole or all around.
 //!
-//! *Scene space* is what the canonical camera sees (StreamSplat (ICLR 2026), camera and image): x right, y down, z forward,
-//! with x and y in [−1, 1] over the model's input and `z = 1 / (9.8·y_w + 0.2 + 10⁻⁶)` of a Gaussian's normalised inverse
-//! depth `y_w` in [0, 1] (z from 0.1 to 5). Other cameras are rigid poses in *square units*, in which x and z are multiplied by the
-//! input's [aspect](crate::fit::Placement::aspect), as in exported files: a unit is half the input's height along every axis. The units of a
-//! still scene are its own. A camera at the origin with no rotation looks along +z with +x right and +y down, as the canonical one does.
+//! *Scene space* is what the canonical camera sees (StreamSplat (ICLR 2026), camera and image): x right, y down, z
+//! forward, with x and y in [−1, 1] over the model's input and `z = 1 / (9.8·y_w + 0.2 + 10⁻⁶)` of a Gaussian's
+//! normalised inverse depth `y_w` in [0, 1] (z from 0.1 to 5). Other cameras are rigid poses in *square units*, in
+//! which x and z are multiplied by the input's [aspect](crate::fit::Placement::aspect), as in exported files: a unit is
+//! half the input's height along every axis. The units of a still scene are its own. A camera at the origin with no
+//! rotation looks along +z with +x right and +y down, as the canonical one does.
 //!
 //! Lenses are measured in parts of the image, not pixels, so that one camera serves every size:
 //!
@@ -14,8 +15,8 @@
 //! all around:    u = (λ/2π + ½)·W − ½   v = (φ/π + ½)·H − ½  longitude λ = atan2(X, Z), latitude φ = asin(Y/√(X² + Y² + Z²))
 //! ```
 //!
-//! with pixel centres at whole numbers. [`mod@file`] describes the JSON form, [`CameraPath`] cameras that move, [`mod@set`] the files of other
-//! programs, [`turn`] cameras around one point.
+//! with pixel centres at whole numbers. [`mod@file`] describes the JSON form, [`CameraPath`] cameras that move,
+//! [`mod@set`] the files of other programs, [`turn`] cameras around one point.
 
 pub mod file;
 mod path;
@@ -50,7 +51,8 @@ pub enum Camera {
 pub enum Lens {
     /// Parallel rays.
     Orthographic {
-        /// Units from the centre of the view to its right and to its lower edge; `None`: 1 to the lower edge, and pixels are square.
+        /// Units from the centre of the view to its right and to its lower edge; `None`: 1 to the lower edge, and
+        /// pixels are square.
         half_extent: Option<[f64; 2]>,
     },
     /// Rays through one point.

@@ -4,8 +4,9 @@ use super::{Camera, Lens};
 
 /// Views at increasing times, in seconds of the video.
 ///
-/// Between two views of the same kind position, lens and (on the shorter way) orientation are interpolated linearly; between
-/// different kinds (also with and without half extents) the earlier one holds. Before the first and after the last view those hold.
+/// Between two views of the same kind position, lens and (on the shorter way) orientation are interpolated linearly;
+/// between different kinds (also with and without half extents) the earlier one holds. Before the first and after the
+/// last view those hold.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraPath {
     views: Vec<(f64, Camera)>,
@@ -25,8 +26,8 @@ impl From<Camera> for CameraPath {
 }
 
 impl CameraPath {
-    /// A path through `views`. `None` when there is none, a time is not finite or not after the one before, or a camera is
-    /// not usable.
+    /// A path through `views`. `None` when there is none, a time is not finite or not after the one before, or a camera
+    /// is not usable.
     pub fn new(views: Vec<(f64, Camera)>) -> Option<Self> {
         let usable = !views.is_empty()
             && views.iter().all(|(time, camera)| time.is_finite() && camera.is_usable())

@@ -97,8 +97,8 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// A camera at `eye` looking at `target`, with `up` upwards in its image (scene space: up is −y). `None` when the two
-    /// points coincide, `up` points along the view, or a number is not finite.
+    /// A camera at `eye` looking at `target`, with `up` upwards in its image (scene space: up is −y). `None` when the
+    /// two points coincide, `up` points along the view, or a number is not finite.
     pub fn look_at(eye: [f64; 3], target: [f64; 3], up: [f64; 3]) -> Option<Self> {
         let forward = unit(std::array::from_fn(|i| target[i] - eye[i]))?;
         let right = unit(cross(forward, up))?;

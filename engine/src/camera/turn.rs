@@ -1,8 +1,8 @@
 //! Cameras around one point: turns in time, and the two views of a pair of eyes.
 //!
-//! The point, the *pivot*, stays where it is in the image. For a scene in time it is the middle of the source's picture at the median depth of
-//! the Gaussians that are seen at one instant ([`pivot`]). The source's own view is turned with parallel rays, so that at an angle of 0 it is
-//! [`Camera::Canonical`] itself.
+//! The point, the *pivot*, stays where it is in the image. For a scene in time it is the middle of the source's picture
+//! at the median depth of the Gaussians that are seen at one instant ([`pivot`]). The source's own view is turned with
+//! parallel rays, so that at an angle of 0 it is [`Camera::Canonical`] itself.
 
 use streamsplat_kernels::math::f64::sin_cos;
 
@@ -11,7 +11,8 @@ use crate::fit::Placement;
 use crate::render::{RenderError, Snapshot, to_scene};
 use crate::stream::{Interval, Workers};
 
-/// Distance of a turned camera from the pivot in half widths of the model's input: depths end at 5, so that everything lies in front of it.
+/// Distance of a turned camera from the pivot in half widths of the model's input: depths end at 5, so that everything
+/// lies in front of it.
 const DISTANCE: f64 = 12.0;
 
 /// Position of a camera around the pivot, in degrees.
@@ -66,8 +67,8 @@ impl Turn {
     }
 }
 
-/// The middle of the source's picture in square units, at the median depth of the Gaussians that are seen at `time`: of an even number the farther of the
-/// two in the middle. Where none is seen, at an inverse depth of one half.
+/// The middle of the source's picture in square units, at the median depth of the Gaussians that are seen at `time`: of
+/// an even number the farther of the two in the middle. Where none is seen, at an inverse depth of one half.
 ///
 /// # Errors
 /// As [`Interval::render`].
@@ -111,11 +112,12 @@ fn own_pose(placement: &Placement, [x, y, z]: [f64; 3]) -> Pose {
     Pose { position: [x, y, z - DISTANCE * placement.aspect()], rotation: Rotation::IDENTITY }
 }
 
-/// The views of a left and a right eye in place of `camera`, `apart` times as far from each other as they are from the plane through `pivot`
-/// that the camera faces. Points in that plane are at the same place in both images.
+/// The views of a left and a right eye in place of `camera`, `apart` times as far from each other as they are from the
+/// plane through `pivot` that the camera faces. Points in that plane are at the same place in both images.
 ///
-/// Parallel rays are turned by half of the angle between the eyes; a pinhole moves sideways, and its principal point with it, so that nothing is
-/// shifted up or down. `None` where `pivot` is not in front of the camera, for images all around, and for [`Camera::Canonical`] without a `placement`.
+/// Parallel rays are turned by half of the angle between the eyes; a pinhole moves sideways, and its principal point
+/// with it, so that nothing is shifted up or down. `None` where `pivot` is not in front of the camera, for images all
+/// around, and for [`Camera::Canonical`] without a `placement`.
 pub fn eyes(camera: &Camera, placement: Option<&Placement>, pivot: [f64; 3], apart: f64) -> Option<[Camera; 2]> {
     let (pose, lens) = match *camera {
         Camera::Canonical => {

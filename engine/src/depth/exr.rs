@@ -2,8 +2,8 @@
 //!
 //! A channel is depth by its name (`Z`, `depth`, …), or by that of its layer or part (`depth.R`, `ViewLayer.Depth.Z`,
 //! `Z` of the part `depth`). A `Z` is not depth if it is a component of a vector (with `X` or `W`), or in the layer
-//! `Mist`. If no name matches, depth is the only channel of the file (if that is not alpha), its luminance `Y`, or its red channel if red,
-//! green and blue are equal. Several matching names are an error.
+//! `Mist`. If no name matches, depth is the only channel of the file (if that is not alpha), its luminance `Y`, or its
+//! red channel if red, green and blue are equal. Several matching names are an error.
 
 use super::Map;
 use crate::openexr::{File, Part};

@@ -1,16 +1,16 @@
 //! Depth maps from files, one for each frame.
 //!
 //! A map holds *inverse* depth (larger is nearer) in any scale, or depth itself ([`Values::Depth`]), which is inverted;
-//! there values that are not above zero, not finite or no numbers were not measured and become NaN. Files are EXR (the channel of depth by its name),
-//! PNG of 8 or 16 bits grey, TIFF of one sample a pixel, whole or float, or NPY (any plain number; `[H,W]` with any axes of length 1; either order).
-//! Numbers are taken as they are stored. A map of another size than its frame is brought to the frame's size bilinearly (half-pixel
-//! centres).
+//! there values that are not above zero, not finite or no numbers were not measured and become NaN. Files are EXR (the
+//! channel of depth by its name), PNG of 8 or 16 bits grey, TIFF of one sample a pixel, whole or float, or NPY (any
+//! plain number; `[H,W]` with any axes of length 1; either order). Numbers are taken as they are stored. A map of
+//! another size than its frame is brought to the frame's size bilinearly (half-pixel centres).
 //!
-//! If files of several kinds share names, such as maps and their previews, one kind is read: the first of NPY, EXR, TIFF
-//! and PNG that exists for every name. Maps are matched to frames by name if every frame is a file with a map of the
-//! same name (extensions aside), else by natural order. [`Range::Clip`] normalises all maps of the folder by the smallest
-//! and the largest value found in any of them, [`Range::Every`] by those of the key frames' maps; with [`Range::Frame`] the maps
-//! stay as they are and the engine normalises each by its own.
+//! If files of several kinds share names, such as maps and their previews, one kind is read: the first of NPY, EXR,
+//! TIFF and PNG that exists for every name. Maps are matched to frames by name if every frame is a file with a map of
+//! the same name (extensions aside), else by natural order. [`Range::Clip`] normalises all maps of the folder by the
+//! smallest and the largest value found in any of them, [`Range::Every`] by those of the key frames' maps; with
+//! [`Range::Frame`] the maps stay as they are and the engine normalises each by its own.
 
 use std::path::{Path, PathBuf};
 
@@ -33,7 +33,8 @@ pub enum Range {
     Frame,
     /// All by the smallest and the largest value of the whole folder.
     Clip,
-    /// All by the smallest and the largest value of the maps of every n-th frame and of the last one: the key frames with a gap of n. 0 is 1.
+    /// All by the smallest and the largest value of the maps of every n-th frame and of the last one: the key frames
+    /// with a gap of n. 0 is 1.
     Every(usize),
 }
 
@@ -82,12 +83,12 @@ pub struct DepthMaps {
 }
 
 impl DepthMaps {
-    /// Lists the maps of `folder` and pairs them with `frames` where the frames are files. With [`Range::Clip`] and [`Range::Every`] the
-    /// maps that decide the range are read once to find it.
+    /// Lists the maps of `folder` and pairs them with `frames` where the frames are files. With [`Range::Clip`] and
+    /// [`Range::Every`] the maps that decide the range are read once to find it.
     ///
     /// # Errors
-    /// An unreadable or empty folder, files of several kinds with none that has every name, another number of maps than of frames, an unreadable map
-    /// where all are read.
+    /// An unreadable or empty folder, files of several kinds with none that has every name, another number of maps than
+    /// of frames, an unreadable map where all are read.
     pub fn open(folder: &Path, frames: Option<&[PathBuf]>, range: Range) -> Result<DepthMaps, DepthError> {
         Self::open_as(folder, frames, range, Values::Inverse)
     }
@@ -157,7 +158,8 @@ impl DepthMaps {
         &self.notes
     }
 
-    /// Checks that there is a map for every frame that is read, and no others: as many maps as frames, or as the `limit` of them.
+    /// Checks that there is a map for every frame that is read, and no others: as many maps as frames, or as the
+    /// `limit` of them.
     ///
     /// # Errors
     /// Another number of maps.
@@ -182,7 +184,8 @@ impl DepthMaps {
     }
 
     /// The inverse depth of frame `index` at the frame's size, NaN where it was not measured; with [`Range::Clip`]
-    /// normalised to `[0, 1]`, as are with [`Range::Every`] the maps that decide the range, while others may lie outside.
+    /// normalised to `[0, 1]`, as are with [`Range::Every`] the maps that decide the range, while others may lie
+    /// outside.
     ///
     /// # Errors
     /// No such map, or an unreadable one.

@@ -1,6 +1,7 @@
 //! Inverse depth of frames: from files ([`DepthMaps`]) or from a network (`DepthNetwork`, with the feature `onnx`).
 //!
-//! Either way a map has one value for each pixel of its frame, larger is nearer, in any scale: the engine normalises it.
+//! Either way a map has one value for each pixel of its frame, larger is nearer, in any scale: the engine normalises
+//! it.
 
 mod exr;
 mod maps;

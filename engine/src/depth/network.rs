@@ -6,8 +6,8 @@
 //!   allowed, and each side may be dynamic.
 //! - Output: float `[1, height, width]` of any size, with any number of leading axes of length 1, or one trailing.
 //!
-//! The map is inverse depth, or depth with [`NetworkOptions::metric`]. [`crate::onnx`] describes which arithmetic is ONNX
-//! Runtime's and which is this crate's.
+//! The map is inverse depth, or depth with [`NetworkOptions::metric`]. [`crate::onnx`] describes which arithmetic is
+//! ONNX Runtime's and which is this crate's.
 
 use std::path::Path;
 
@@ -31,7 +31,8 @@ impl DepthNetwork {
     /// Loads the network in the ONNX file `path`; pictures are prepared on `workers`.
     ///
     /// # Errors
-    /// No ONNX Runtime, or one that cannot be used; a file that is no network, or none with one image in and one map out.
+    /// No ONNX Runtime, or one that cannot be used; a file that is no network, or none with one image in and one map
+    /// out.
     pub fn open(path: &Path, options: NetworkOptions, workers: &Workers) -> Result<DepthNetwork, DepthError> {
         let model = Model::open(path)?;
         let form = |what: &str, expected: String, found: String| OnnxError::Form {

@@ -68,7 +68,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<Map, String> {
     Ok(Map { width, height, values })
 }
 
-/// The two axes of a plane. Of three and more the first or the last may be 1; where both sides of an array are, as in `[1, 1, W]`, those behind count.
+/// The two axes of a plane. Of three and more the first or the last may be 1; where both sides of an array are, as in
+/// `[1, 1, W]`, those behind count.
 fn plane(shape: &[usize]) -> Option<(usize, usize)> {
     match shape {
         [h, w] => Some((*h, *w)),

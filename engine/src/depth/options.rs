@@ -2,8 +2,9 @@
 
 use std::str::FromStr;
 
-/// Preparation of a network's pictures. The default is that of Depth Anything and its like: the shorter side 518 pixels where
-/// the network leaves it open, sides in multiples of 14, ImageNet's mean and standard deviation, inverse depth out.
+/// Preparation of a network's pictures. The default is that of Depth Anything and its like: the shorter side 518 pixels
+/// where the network leaves it open, sides in multiples of 14, ImageNet's mean and standard deviation, inverse depth
+/// out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetworkOptions {
     /// Size of the input, where the network leaves it open.

@@ -15,9 +15,9 @@ pub(super) fn is_allowed([height, width]: [usize; 2]) -> bool {
 
 /// Height and width of the input for a frame of `[height, width]`.
 ///
-/// Axes that the network fixes are as they are; with both of them the frame is stretched. An axis that it leaves open keeps the
-/// frame's aspect ratio with the other axis where that is fixed, else with the requested shorter side; it is rounded
-/// to the nearest multiple, at least one. An exact requested size replaces both open axes.
+/// Axes that the network fixes are as they are; with both of them the frame is stretched. An axis that it leaves open
+/// keeps the frame's aspect ratio with the other axis where that is fixed, else with the requested shorter side; it is
+/// rounded to the nearest multiple, at least one. An exact requested size replaces both open axes.
 pub(super) fn input_size(frame: [usize; 2], axes: [Option<usize>; 2], options: &NetworkOptions) -> [usize; 2] {
     let multiple = options.multiple as u128;
     // length · numerator / denominator to the nearest multiple.
@@ -40,8 +40,8 @@ pub(super) fn input_size(frame: [usize; 2], axes: [Option<usize>; 2], options: &
 
 /// Planes of `[height, width]` `frame`, clamped to [0, 1], as the network's input `[3, height, width]` of size `to`.
 ///
-/// Resized with the antialiased cubic (Keys, −½), clamped again, then `(x − mean) / std` for each channel: a difference and a
-/// quotient, each rounded once.
+/// Resized with the antialiased cubic (Keys, −½), clamped again, then `(x − mean) / std` for each channel: a difference
+/// and a quotient, each rounded once.
 ///
 /// # Panics
 /// When `rgb` does not hold three planes of the frame's size, or a side is zero.
@@ -65,8 +65,8 @@ pub(super) fn image(
 
 /// The network's output of size `from` as inverse depth of the frame's size, bilinearly (half-pixel centres).
 ///
-/// Depth is inverted before it is resized. Values not above 0 have no inverse: they become NaN, which the engine counts and
-/// takes as farthest.
+/// Depth is inverted before it is resized. Values not above 0 have no inverse: they become NaN, which the engine counts
+/// and takes as farthest.
 ///
 /// # Panics
 /// When `answer` does not hold a plane of that size, or a side is zero.

@@ -23,14 +23,15 @@ pub fn of_still(still: &Still) -> Vec<u8> {
     written(still).bytes
 }
 
-/// A still scene as a binary glTF file: one point primitive with all attributes in binary32, and `COLOR_0`, linear as in glTF, for programs
-/// that draw points.
+/// A still scene as a binary glTF file: one point primitive with all attributes in binary32, and `COLOR_0`, linear as
+/// in glTF, for programs that draw points.
 ///
-/// In glTF's axes, x left, y up, z forward; the scene's offset is its node's translation. In the scene's order; Gaussians that cannot be drawn
-/// ([`Still::defect`]) are left out. [`import`](mod@crate::import) reads it.
+/// In glTF's axes, x left, y up, z forward; the scene's offset is its node's translation. In the scene's order;
+/// Gaussians that cannot be drawn ([`Still::defect`]) are left out. [`import`](mod@crate::import) reads it.
 ///
 /// # Panics
-/// When the arrays differ in length ([`Still::uneven`]), or the file would be longer than 4 GiB, which its header cannot hold.
+/// When the arrays differ in length ([`Still::uneven`]), or the file would be longer than 4 GiB, which its header
+/// cannot hold.
 pub fn written(still: &Still) -> Written {
     let kept = Order::own(still);
     let mut notes = Notes::of(still, &kept);

@@ -1,6 +1,7 @@
 //! Scenes in the formats of others.
 //!
-//! There is no open format for dynamic Gaussians; what viewers read are sequences of still ones, one [`Snapshot`] per time.
+//! There is no open format for dynamic Gaussians; what viewers read are sequences of still ones, one [`Snapshot`] per
+//! time.
 //!
 //! [`Snapshot`]: crate::render::Snapshot
 

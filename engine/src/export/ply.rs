@@ -24,9 +24,10 @@ pub fn of_still(still: &Still) -> Vec<u8> {
 
 /// A still scene as a binary PLY file.
 ///
-/// Positions in scene space (x right, y down, z forward; scene units), as doubles where the scene has an offset; normals 0; `f_dc`, `f_rest` (all
-/// of the first channel, then the second, then the third; none at degree 0), `opacity` as a logit, `scale` as logarithms, and `rot` (w first) with
-/// the scene's own bits. Records in its order. `comment SplatRenderMode: mip` where the scene was trained with anti-aliasing.
+/// Positions in scene space (x right, y down, z forward; scene units), as doubles where the scene has an offset;
+/// normals 0; `f_dc`, `f_rest` (all of the first channel, then the second, then the third; none at degree 0), `opacity`
+/// as a logit, `scale` as logarithms, and `rot` (w first) with the scene's own bits. Records in its order. `comment
+/// SplatRenderMode: mip` where the scene was trained with anti-aliasing.
 ///
 /// # Panics
 /// When the arrays differ in length ([`Still::uneven`]).

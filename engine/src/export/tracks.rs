@@ -9,12 +9,14 @@ use crate::stream::{Handover, Interval, Record, Reference};
 /// The first line.
 pub const HEADER: &str = "identity,birth,time,x,y,world_x,world_y,world_z,opacity,into";
 
-/// A line for every identity in the scene at the interval's end, ascending in identity: the identity, the key frame it was first
-/// seen in, the time in seconds, its tracked point in the source's image (pixel centres at whole numbers) and in the world, and its
-/// opacity. An identity that ends there because another shows the same place has that one as `into`.
+/// A line for every identity in the scene at the interval's end, ascending in identity: the identity, the key frame it
+/// was first seen in, the time in seconds, its tracked point in the source's image (pixel centres at whole numbers) and
+/// in the world, and its opacity. An identity that ends there because another shows the same place has that one as
+/// `into`.
 ///
-/// The tracked point is the record's position with its `offset`; [`Track`](crate::track::Track) follows the same points. Records
-/// with numbers that are not finite are left out. Numbers are the shortest that read back as the same bits.
+/// The tracked point is the record's position with its `offset`; [`Track`](crate::track::Track) follows the same
+/// points. Records with numbers that are not finite are left out. Numbers are the shortest that read back as the same
+/// bits.
 pub fn tracks(interval: &Interval) -> String {
     let mut merges: Vec<(u64, u64)> = interval.merges.iter().map(|m| (m.identity, m.into)).collect();
     merges.sort_unstable();

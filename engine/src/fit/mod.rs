@@ -1,9 +1,9 @@
 //! Fitting frames of any size into the model's input, and images back to the frame's own shape.
 //!
-//! *Letterbox* (default) keeps the shape: the frame is scaled by one factor until it touches two sides of the model's input
-//! and is placed in the middle. The border repeats the content's edge (a grey bar would be an edge that the network
-//! reconstructs, and whose Gaussians reach into the picture). Images are cropped back to the content. *Stretch* scales
-//! both axes to the model's input, whatever that does to the shape.
+//! *Letterbox* (default) keeps the shape: the frame is scaled by one factor until it touches two sides of the model's
+//! input and is placed in the middle. The border repeats the content's edge (a grey bar would be an edge that the
+//! network reconstructs, and whose Gaussians reach into the picture). Images are cropped back to the content. *Stretch*
+//! scales both axes to the model's input, whatever that does to the shape.
 //!
 //! Resizing is bilinear with half-pixel centres and no antialiasing (model input, StreamSplat (ICLR 2026)).
 
@@ -72,8 +72,8 @@ pub struct Placement {
 impl Placement {
     /// The placement of a frame of size `source` in an input of size `model`.
     ///
-    /// Under [`Fit::Letterbox`] the content's shorter side is rounded to the nearest pixel, at least one, and an odd border
-    /// has its extra pixel at the end. `None` when a side is zero or larger than 2³¹.
+    /// Under [`Fit::Letterbox`] the content's shorter side is rounded to the nearest pixel, at least one, and an odd
+    /// border has its extra pixel at the end. `None` when a side is zero or larger than 2³¹.
     pub fn new(fit: Fit, source: [usize; 2], model: [usize; 2]) -> Option<Self> {
         if source.iter().chain(&model).any(|&side| side == 0 || side > 1 << 31) {
             return None;
@@ -95,10 +95,11 @@ impl Placement {
         self.content == self.model
     }
 
-    /// Width over height of the model's input as the source shows it, whose pixels are square: `w·H_c·W / (h·W_c·H)` of the source `h×w`, the
-    /// content `H_c×W_c` and the input `H×W`, formed in binary64.
+    /// Width over height of the model's input as the source shows it, whose pixels are square: `w·H_c·W / (h·W_c·H)` of
+    /// the source `h×w`, the content `H_c×W_c` and the input `H×W`, formed in binary64.
     ///
-    /// Scene space has x and y in [−1, 1] over the input; x times this, y as it is and z times this are *square units*, of half the input's height.
+    /// Scene space has x and y in [−1, 1] over the input; x times this, y as it is and z times this are *square units*,
+    /// of half the input's height.
     pub fn aspect(&self) -> f64 {
         let [[h, w], [content_h, content_w], [model_h, model_w]] =
             [self.source, self.content, self.model].map(|size| size.map(|side| side.max(1) as f64));
@@ -157,8 +158,8 @@ pub(crate) fn cut(planes: &[f32], [height, width]: [usize; 2], [rows, columns]: 
     part
 }
 
-/// Normalises a map of inverse depth to [0, 1] by its own minimum and maximum, in place; gives the number of values that
-/// were not finite and became 0 (farthest). A constant map becomes 0.
+/// Normalises a map of inverse depth to [0, 1] by its own minimum and maximum, in place; gives the number of values
+/// that were not finite and became 0 (farthest). A constant map becomes 0.
 ///
 /// `(d − min) / (max − min)`, evaluated in f64 so that no range overflows, then rounded.
 pub fn normalise_depth(depth: &mut [f32]) -> u64 {

@@ -1,12 +1,14 @@
 //! How well the frames between two key frames follow from these, judged on small luma.
 //!
-//! A frame is averaged to [`COLUMNS`] × [`ROWS`] cells of luma. For each block of [`BLOCK`] × [`BLOCK`] cells the displacement `v` is
-//! sought, at most [`REACH`] cells along each axis, for which the first frame at `p − v` is nearest the last at `p + v`: what would pass
-//! the block half-way. Shorter displacements win unless a longer one is better by a tenth. A block of frame i of n is predicted
-//! twice: as the cross-fade `A(p)·(1−t) + B(p)·t`, and as that along the displacement, `A(p − 2v·t)·(1−t) + B(p + 2v·(1−t))·t`,
-//! `t = i/n`; the better counts, as a sum of squares. Places outside are those at the border.
+//! A frame is averaged to [`COLUMNS`] × [`ROWS`] cells of luma. For each block of [`BLOCK`] × [`BLOCK`] cells the
+//! displacement `v` is sought, at most [`REACH`] cells along each axis, for which the first frame at `p − v` is nearest
+//! the last at `p + v`: what would pass the block half-way. Shorter displacements win unless a longer one is better by
+//! a tenth. A block of frame i of n is predicted twice: as the cross-fade `A(p)·(1−t) + B(p)·t`, and as that along the
+//! displacement, `A(p − 2v·t)·(1−t) + B(p + 2v·(1−t))·t`, `t = i/n`; the better counts, as a sum of squares. Places
+//! outside are those at the border.
 //!
-//! Everything behind the averages is done in integers; the averages are plain sums in binary32, in the order of the pixels.
+//! Everything behind the averages is done in integers; the averages are plain sums in binary32, in the order of the
+//! pixels.
 
 use crate::picture::Picture;
 

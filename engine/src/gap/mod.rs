@@ -1,11 +1,13 @@
 //! Which input frames become key frames.
 //!
-//! [`Gap::Every`] takes every n-th. [`Gap::Auto`] takes as few key frames as a run's images need to be as close to its frames as is asked for: as each frame arrives, what lies
-//! between the last key frame and it is predicted from these two ([`interpolation`]), how close the interval's images would come is expected from that and from how close those of
-//! earlier intervals came ([`control`]), and where that is less than what is asked for, the frame before becomes a key frame. A cut has a key frame on both sides. A gap never leaves its range.
+//! [`Gap::Every`] takes every n-th. [`Gap::Auto`] takes as few key frames as a run's images need to be as close to its
+//! frames as is asked for: as each frame arrives, what lies between the last key frame and it is predicted from these
+//! two ([`interpolation`]), how close the interval's images would come is expected from that and from how close those
+//! of earlier intervals came ([`control`]), and where that is less than what is asked for, the frame before becomes a
+//! key frame. A cut has a key frame on both sides. A gap never leaves its range.
 //!
-//! It works online: no frame waits for more than `most − 1` later ones before its key frame is known, as with a fixed gap
-//! of `most`. The choice is a function of the frames and of what [`Chooser::learn`] was told.
+//! It works online: no frame waits for more than `most − 1` later ones before its key frame is known, as with a fixed
+//! gap of `most`. The choice is a function of the frames and of what [`Chooser::learn`] was told.
 
 pub mod control;
 pub mod interpolation;
@@ -192,8 +194,8 @@ impl Chooser {
         choice
     }
 
-    /// Takes how close the images of the next interval came, in the order of intervals, the first key frame's first, and at most [`control::LATE`] intervals late.
-    /// Where nothing is told, choices rest on predictions alone.
+    /// Takes how close the images of the next interval came, in the order of intervals, the first key frame's first,
+    /// and at most [`control::LATE`] intervals late. Where nothing is told, choices rest on predictions alone.
     pub fn learn(&mut self, found: &Found) {
         self.control.learn(found);
     }
@@ -231,7 +233,8 @@ impl Chooser {
     }
 }
 
-/// Peak signal-to-noise ratios, in dB, at which the frames in between are predicted from the first and the last of `frames`; at most [`LIKE`].
+/// Peak signal-to-noise ratios, in dB, at which the frames in between are predicted from the first and the last of
+/// `frames`; at most [`LIKE`].
 pub fn predicted(frames: &[Small]) -> Vec<f64> {
     let peak = (interpolation::PEAK * interpolation::PEAK * interpolation::CELLS as u64) as f64;
     let ratio = |miss: u64| if miss > 0 { 10.0 * ln(peak / miss as f64) / std::f64::consts::LN_10 } else { LIKE };

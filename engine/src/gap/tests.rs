@@ -49,7 +49,8 @@ fn a_still_scene_has_the_largest_gap_and_a_sudden_change_a_key_frame_on_both_sid
     assert!(found.windows(2).all(|pair| (5..=8).contains(&(pair[1] - pair[0]))), "{found:?}");
 }
 
-/// Key frames of `clip`, where an interval of n frames turns out to have `between` dB between its key frames, two intervals late.
+/// Key frames of `clip`, where an interval of n frames turns out to have `between` dB between its key frames, two
+/// intervals late.
 fn told(auto: Auto, clip: &[Picture], between: impl Fn(usize) -> f64) -> (Vec<usize>, f64) {
     let mut chooser = Chooser::new(Gap::Auto(auto));
     let (mut keys, mut waiting) = (Vec::new(), std::collections::VecDeque::new());

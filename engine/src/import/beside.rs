@@ -37,7 +37,8 @@ impl Beside {
         if below { Ok(folder.join(own)) } else { Err(wrong(name, "the name of another place".into())) }
     }
 
-    /// Bytes of a file of `own` and of those that it names, each once. Files that cannot be read have none: [`Self::read`] has the reason.
+    /// Bytes of a file of `own` and of those that it names, each once. Files that cannot be read have none:
+    /// [`Self::read`] has the reason.
     pub(crate) fn size<'n>(&self, own: u64, names: impl Iterator<Item = &'n str>) -> u64 {
         let length = |name| std::fs::metadata(self.path(name).ok()?).ok().map(|about| about.len());
         names.collect::<BTreeSet<_>>().into_iter().filter_map(length).fold(own, u64::saturating_add)

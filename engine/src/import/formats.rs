@@ -16,8 +16,8 @@ pub(super) trait Reader: Sync {
     /// Reads the whole of a file.
     fn read(&self, bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError>;
 
-    /// Reads a file with at most one block of it in memory; `None`, with nothing consumed, where this one has to be read as a
-    /// whole.
+    /// Reads a file with at most one block of it in memory; `None`, with nothing consumed, where this one has to be
+    /// read as a whole.
     fn read_blocks(&self, _file: &mut Blocks<'_>, _limits: &Limits) -> Result<Option<Still>, ReadError> {
         Ok(None)
     }

@@ -1,5 +1,5 @@
-//! `.ksplat`, the files of the web viewer GaussianSplats3D, versions 0.1 and later with the compression levels 0 to 2. All numbers are
-//! little-endian.
+//! `.ksplat`, the files of the web viewer GaussianSplats3D, versions 0.1 and later with the compression levels 0 to 2.
+//! All numbers are little-endian.
 //!
 //! | bytes of the header (4096) | value |
 //! |---|---|
@@ -19,8 +19,8 @@
 //! | 32, 36 | u32: full buckets, and those that are not |
 //! | 40 | u16: degree of the harmonics, 0 to 2 |
 //!
-//! Sections follow their headers: the lengths of the buckets that are not full (u32), the buckets' middles m (three f32 each), and the
-//! records.
+//! Sections follow their headers: the lengths of the buckets that are not full (u32), the buckets' middles m (three f32
+//! each), and the records.
 //!
 //! | record | level 0 | levels 1 and 2 |
 //! |---|---|---|

@@ -1,8 +1,8 @@
 //! How much of a file is read.
 //!
-//! A file of N bytes may hold Gaussians that take [`RATIO`]·N bytes in memory, or [`SMALL`] where that is more. What counts is the scene as it
-//! is read, all intervals of a container and all instances of a mesh together; readers need a few times that while they unpack. Measured, in
-//! bytes per byte of the file:
+//! A file of N bytes may hold Gaussians that take [`RATIO`]·N bytes in memory, or [`SMALL`] where that is more. What
+//! counts is the scene as it is read, all intervals of a container and all instances of a mesh together; readers need a
+//! few times that while they unpack. Measured, in bytes per byte of the file:
 //!
 //! | file | ratio |
 //! |---|---|
@@ -26,7 +26,8 @@ pub const RATIO: u64 = 256;
 /// Bytes in memory that any file may take.
 pub const SMALL: u64 = 16 << 20;
 
-/// How much of a file is read: limits on its content, and its level of detail. Compressed and sparse files can expand to many times their size.
+/// How much of a file is read: limits on its content, and its level of detail. Compressed and sparse files can expand
+/// to many times their size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Gaussians of an interval, or of a still scene.

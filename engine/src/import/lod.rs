@@ -9,8 +9,8 @@
 //! | `tree` | nodes with `children`, or with `lods`: for a level `{file, offset, count}`, a range of a scene's Gaussians |
 //! | `environment` | the `meta.json` of a scene that is part of every level; may be absent |
 //!
-//! The reader loads the union of one level, in the order of the files and of the ranges in them, and then the environment. Nodes without
-//! an entry for the level are skipped.
+//! The reader loads the union of one level, in the order of the files and of the ranges in them, and then the
+//! environment. Nodes without an entry for the level are skipped.
 //!
 //! Source: PlayCanvas, the streamed SOG format's description.
 
@@ -92,7 +92,8 @@ pub struct Plan {
 /// Reads the index and lists the files and ranges of a level. No other file is opened.
 ///
 /// # Errors
-/// Text of another form, a level that is not there, counts that contradict the tree, more Gaussians than the limits allow.
+/// Text of another form, a level that is not there, counts that contradict the tree, more Gaussians than the limits
+/// allow.
 pub fn plan(text: &[u8], limits: &Limits, level: usize) -> Result<Plan, FormatError> {
     if text.len() > MAX_INDEX {
         return Err(wrong("", format!("at most {MAX_INDEX} bytes"), text.len()));

@@ -7,8 +7,8 @@
 //! | a still scene in one of the [`FORMATS`], or one that is [`READ_ONLY`] | see there | a [`Still`] |
 //! | a PLY file of SpacetimeGaussians | `ply`, and its columns | a [`Spacetime`], which is a [`Still`] at any time |
 //!
-//! `.splat` and `.ksplat` have no magic bytes and are recognised by their file names. For any other file, [`crate::recognise`] names
-//! its kind in the error.
+//! `.splat` and `.ksplat` have no magic bytes and are recognised by their file names. For any other file,
+//! [`crate::recognise`] names its kind in the error.
 //!
 //! Readers allocate memory for a count in a header only after two checks: the file is long enough for it, and it is
 //! within the [`Limits`] on the number of Gaussians and on the bytes in memory for each byte of the file.
@@ -144,8 +144,8 @@ pub fn open_moving(path: &Path, limits: &Limits) -> Result<Scene, SceneError> {
     }
 }
 
-/// Reads a still scene from memory. The format follows from the content; `.splat` and `.ksplat` have no magic bytes and follow from the ending of
-/// `name`, which may be empty otherwise. Files of SpacetimeGaussians are read at the time 0.
+/// Reads a still scene from memory. The format follows from the content; `.splat` and `.ksplat` have no magic bytes and
+/// follow from the ending of `name`, which may be empty otherwise. Files of SpacetimeGaussians are read at the time 0.
 ///
 /// # Errors
 /// Bytes of another kind, broken ones, more than the limits allow, and formats whose scene is in several files.

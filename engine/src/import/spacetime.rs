@@ -21,7 +21,8 @@
 //! computes colours from `f_dc_3` …, `f_t_*` and the ray direction with a small network, which PLY files do not
 //! contain. These columns are skipped with a note.
 //!
-//! Source: Li, Chen, Li, Xu (CVPR 2024), equations 5 to 9, and the program published with it, which stores s as a logarithm.
+//! Source: Li, Chen, Li, Xu (CVPR 2024), equations 5 to 9, and the program published with it, which stores s as a
+//! logarithm.
 
 use streamsplat_kernels::harmonics::Y0;
 use streamsplat_kernels::math::f64::{exp, ln};

@@ -1,7 +1,7 @@
 //! Checks that a shared library in ELF form is complete.
 //!
-//! The system's loader maps the segments that a library's header announces, and a file that ends before they do kills the process
-//! at the first touch; it cannot report it.
+//! The system's loader maps the segments that a library's header announces, and a file that ends before they do kills
+//! the process at the first touch; it cannot report it.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
@@ -9,7 +9,8 @@ use std::io::{self, Read, Seek, SeekFrom};
 const HEADER: usize = 64;
 const ENTRY: usize = 56;
 
-/// The number of bytes that a shared library announces, where it is a 64-bit little-endian ELF file; `None` for any other form.
+/// The number of bytes that a shared library announces, where it is a 64-bit little-endian ELF file; `None` for any
+/// other form.
 ///
 /// # Errors
 /// The system's, and a file that ends within its header or segment table.

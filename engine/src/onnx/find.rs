@@ -16,8 +16,8 @@ const LIBRARY: &str = if cfg!(windows) {
     "libonnxruntime.so"
 };
 
-/// Prints the folder of the package's libraries without importing it. Python runs isolated: neither the working folder nor the folders of environment
-/// variables are searched, so that no foreign file is run; the user's own packages are.
+/// Prints the folder of the package's libraries without importing it. Python runs isolated: neither the working folder
+/// nor the folders of environment variables are searched, so that no foreign file is run; the user's own packages are.
 const ASK: &str = "import importlib.util, os, site, sys; sys.path.append(site.getusersitepackages()); \
                    s = importlib.util.find_spec('onnxruntime'); \
                    print(os.path.join(os.path.dirname(s.origin), 'capi') if s and s.origin else '')";

@@ -1,7 +1,7 @@
 //! Checks of a shared library before it is used.
 //!
-//! The loader of the `ort` crate trusts the library's entry point; a file of that name which is something else would end the
-//! process. So it is asked here first.
+//! The loader of the `ort` crate trusts the library's entry point; a file of that name which is something else would
+//! end the process. So it is asked here first.
 #![expect(unsafe_code, reason = "a foreign library is opened and its entry point called")]
 
 use std::ffi::CStr;
@@ -23,8 +23,8 @@ type GetApiBase = unsafe extern "C" fn() -> *const OrtApiBase;
 pub(super) fn version(path: &Path) -> Result<String, OnnxError> {
     let broken = |cause: String| OnnxError::Broken { path: path.to_owned(), cause };
     whole(path).map_err(broken)?;
-    // SAFETY: loading runs the library's initialisers. The file is what the user names or has installed as ONNX Runtime, whose
-    // initialisers have no conditions.
+    // SAFETY: loading runs the library's initialisers. The file is what the user names or has installed as ONNX
+    // Runtime, whose initialisers have no conditions.
     let library = unsafe { Library::new(path) }.map_err(|e| broken(reason(&e)))?;
     // SAFETY: `OrtGetApiBase` has this signature in every version of ONNX Runtime.
     let entry = unsafe { library.get::<GetApiBase>(b"OrtGetApiBase\0") };

@@ -1,18 +1,19 @@
 //! Networks in ONNX files, run by ONNX Runtime.
 //!
-//! The runtime's shared library is loaded when the first network is opened; nothing of it is linked and nothing is downloaded.
-//! It is looked for in this order:
+//! The runtime's shared library is loaded when the first network is opened; nothing of it is linked and nothing is
+//! downloaded. It is looked for in this order:
 //!
 //! 1. the file that the environment variable `ORT_DYLIB_PATH` names (nothing else is tried then);
 //! 2. in the folder of the running program;
-//! 3. in the `onnxruntime` package of Python: that of the virtual environment in `VIRTUAL_ENV`, then of `python3`, then of `python`.
+//! 3. in the `onnxruntime` package of Python: that of the virtual environment in `VIRTUAL_ENV`, then of `python3`, then
+//!    of `python`.
 //!
 //! Version [`OLDEST`] or newer is needed. A process loads one library, once.
 //!
-//! ONNX Runtime's arithmetic is outside the bit contract: it may differ between its versions and between CPUs. On one machine
-//! with one version the results are the same bits in every run and for any number of threads, because every network runs on one
-//! thread, its nodes one after another, with deterministic kernels: work that is split over several threads may be summed in
-//! another order. The processing of inputs and results is this crate's own arithmetic.
+//! ONNX Runtime's arithmetic is outside the bit contract: it may differ between its versions and between CPUs. On one
+//! machine with one version the results are the same bits in every run and for any number of threads, because every
+//! network runs on one thread, its nodes one after another, with deterministic kernels: work that is split over several
+//! threads may be summed in another order. The processing of inputs and results is this crate's own arithmetic.
 
 mod elf;
 mod find;

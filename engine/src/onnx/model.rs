@@ -111,7 +111,8 @@ impl Model {
     /// The axes of an image. Where the last one is 3 and that of the colours is not, the colours are last.
     ///
     /// # Errors
-    /// A port that is not one image, float `[1, 3, height, width]` or `[1, height, width, 3]` with any axes of length 1 in front.
+    /// A port that is not one image, float `[1, 3, height, width]` or `[1, height, width, 3]` with any axes of length 1
+    /// in front.
     pub fn image(&self, port: &Port) -> Result<Layout, OnnxError> {
         port.axes.as_deref().and_then(Layout::of).ok_or_else(|| OnnxError::Form {
             path: self.path.clone(),
@@ -121,7 +122,8 @@ impl Model {
         })
     }
 
-    /// Runs the network on a shape and row-major values for each input; returns shape and values of the output number `output`.
+    /// Runs the network on a shape and row-major values for each input; returns shape and values of the output number
+    /// `output`.
     ///
     /// # Errors
     /// Errors of the runtime: values that do not fit, memory that is not there.

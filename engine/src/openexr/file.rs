@@ -72,7 +72,8 @@ impl<'a> File<'a> {
         self.meta.headers.iter().enumerate().map(|(number, header)| Part { number, header })
     }
 
-    /// The samples of channels of a part, all at full resolution, in the display window; those outside of the data window are `outside`.
+    /// The samples of channels of a part, all at full resolution, in the display window; those outside of the data
+    /// window are `outside`.
     pub fn read(&self, part: Part<'_>, channels: &[&str], outside: f32) -> Result<Vec<Vec<f32>>, ExrError> {
         let Part { number, header } = part;
         let (shown, data) = (part.display(), part.data());

@@ -1,7 +1,8 @@
 //! OpenEXR files: planes of float samples in and out.
 //!
-//! Reading takes channels at full resolution as f32 from any stored type, in the display window: that is the picture, for any data window.
-//! Writing makes layers of f32 channels, ZIP compressed in single lines, always by one thread: the bytes are a function of the samples.
+//! Reading takes channels at full resolution as f32 from any stored type, in the display window: that is the picture,
+//! for any data window. Writing makes layers of f32 channels, ZIP compressed in single lines, always by one thread: the
+//! bytes are a function of the samples.
 
 mod file;
 
@@ -66,8 +67,8 @@ impl From<exr::error::Error> for ExrError {
     }
 }
 
-/// Decodes the first part of an EXR file that is not deep from memory, in its display window; samples outside of the data window are 0. The size is
-/// checked before memory is taken.
+/// Decodes the first part of an EXR file that is not deep from memory, in its display window; samples outside of the
+/// data window are 0. The size is checked before memory is taken.
 ///
 /// # Errors
 /// Broken, deep or oversized files.
@@ -109,7 +110,8 @@ pub struct NamedLayer<'a> {
     pub colour_space: Option<&'a str>,
 }
 
-/// Encodes layers of one size as one EXR file, a part for each in their order; readers that support one layer alone take the first.
+/// Encodes layers of one size as one EXR file, a part for each in their order; readers that support one layer alone
+/// take the first.
 ///
 /// # Errors
 /// The writer's, planes whose length is not `width · height`, and layers of different sizes.

@@ -1,7 +1,8 @@
 //! Files: pictures, depth maps, video. A file has its own name only once it is whole.
 //!
-//! A file is written under a temporary name in the same folder (`.NAME.partial`), synced, and renamed; no symbolic link is written through
-//! ([`storage`]). Every file's BLAKE3 digest is taken on the way. PNG and WebP are written with fixed encoder settings by pure-Rust code, so their bytes are a function of the pixels.
+//! A file is written under a temporary name in the same folder (`.NAME.partial`), synced, and renamed; no symbolic link
+//! is written through ([`storage`]). Every file's BLAKE3 digest is taken on the way. PNG and WebP are written with
+//! fixed encoder settings by pure-Rust code, so their bytes are a function of the pixels.
 
 pub mod storage;
 mod video;
@@ -115,7 +116,8 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<Written, OutputError> {
     Ok(Written::of(bytes))
 }
 
-/// [`write_file`] without the digest, and without waiting for the name to last: [`storage::sync_folder`] does so for all files of a folder.
+/// [`write_file`] without the digest, and without waiting for the name to last: [`storage::sync_folder`] does so for
+/// all files of a folder.
 ///
 /// # Errors
 /// As there.
@@ -186,7 +188,8 @@ fn keep(partial: &Path, target: &Path) -> Result<(), OutputError> {
     })
 }
 
-/// Creates a folder, and tries to write in it: an unwritable one is found before work is spent. The folder itself may be a link.
+/// Creates a folder, and tries to write in it: an unwritable one is found before work is spent. The folder itself may
+/// be a link.
 ///
 /// # Errors
 /// The folder cannot be created or written in.
@@ -240,8 +243,8 @@ pub fn image_png(image: &Image) -> Vec<u8> {
     picture_png(&Picture { width: image.width, height: image.height, rgb: image.rgb.clone() })
 }
 
-/// A picture that was drawn over black, and its alpha, as an 8-bit PNG file with alpha. PNG's colours are not multiplied by alpha, so
-/// they are divided by it before they are rounded.
+/// A picture that was drawn over black, and its alpha, as an 8-bit PNG file with alpha. PNG's colours are not
+/// multiplied by alpha, so they are divided by it before they are rounded.
 ///
 /// # Panics
 /// When `alpha` does not hold `width · height` values.
@@ -324,8 +327,8 @@ pub fn depth_exr(width: usize, height: usize, depth: &[f32], alpha: Option<&[f32
 /// An image as one EXR file of 32-bit floats, without loss, in three layers: `colour` (channels R, G
 /// and B), `depth` (Z, as in [`depth_exr`]) and `alpha` (A).
 ///
-/// Colours are as they are drawn: in display (gamma) space, over the background. Over a black background they are multiplied by
-/// alpha, as compositing needs them.
+/// Colours are as they are drawn: in display (gamma) space, over the background. Over a black background they are
+/// multiplied by alpha, as compositing needs them.
 ///
 /// # Errors
 /// An image without depth or alpha, or planes whose length is not `width · height`.
@@ -333,8 +336,9 @@ pub fn layered_exr(image: &Image) -> io::Result<Vec<u8>> {
     layers(image, false)
 }
 
-/// The planes that an image has as one EXR file of 32-bit floats, without loss: that of [`layered_exr`] where it has depth and alpha; else colours
-/// alone, in the channels R, G and B of the layer `colour`, and depth or alpha in their layers.
+/// The planes that an image has as one EXR file of 32-bit floats, without loss: that of [`layered_exr`] where it has
+/// depth and alpha; else colours alone, in the channels R, G and B of the layer `colour`, and depth or alpha in their
+/// layers.
 ///
 /// # Errors
 /// Planes whose length is not `width · height`.
@@ -342,8 +346,8 @@ pub fn image_exr(image: &Image) -> io::Result<Vec<u8>> {
     write_layers(image, false, [image.depth.is_some(), image.alpha.is_some()])
 }
 
-/// As [`layered_exr`], of an image that was drawn over black: `colour` holds alpha as well (channels R, G, B and A), by which its
-/// colours are multiplied, as usual in that format.
+/// As [`layered_exr`], of an image that was drawn over black: `colour` holds alpha as well (channels R, G, B and A), by
+/// which its colours are multiplied, as usual in that format.
 ///
 /// # Errors
 /// As there.

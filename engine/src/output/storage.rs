@@ -1,8 +1,8 @@
 //! File operations of everything that is written: files, names, folders, and their durability.
 //!
-//! A symbolic link is never written through: [`create`] makes a new file in the place of anything with that name, [`reopen`] and
-//! [`create_folder`] refuse links. Data survive a power loss once synced: a file's bytes by [`Output::sync`], the names
-//! in a folder by [`sync_folder`].
+//! A symbolic link is never written through: [`create`] makes a new file in the place of anything with that name,
+//! [`reopen`] and [`create_folder`] refuse links. Data survive a power loss once synced: a file's bytes by
+//! [`Output::sync`], the names in a folder by [`sync_folder`].
 //!
 //! Tests can have operations of their thread fail, or lose unsynced data: [`faults`].
 
@@ -90,8 +90,8 @@ pub fn reopen(path: &Path) -> io::Result<Output> {
     Ok(Output { file, path: path.to_owned() })
 }
 
-/// Takes note of a file that another program has written since it was [created](create). A fault leaves of it what such a program leaves that
-/// does not notice: half.
+/// Takes note of a file that another program has written since it was [created](create). A fault leaves of it what such
+/// a program leaves that does not notice: half.
 ///
 /// # Errors
 /// The system's.

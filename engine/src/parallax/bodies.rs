@@ -1,18 +1,23 @@
 //! Bodies: connected parts of the picture that move by themselves. Each has one depth.
 //!
-//! The distance of a thing that moves by itself cannot be computed from two views, because its own motion looks like parallax. That it moves can be
-//! detected where its flow is off the epipolar lines, and its distance follows from the ground under it.
+//! The distance of a thing that moves by itself cannot be computed from two views, because its own motion looks like
+//! parallax. That it moves can be detected where its flow is off the epipolar lines, and its distance follows from the
+//! ground under it.
 //!
-//! 1. *Seeds* are cells whose match certainly fits no place of a thing at rest; *hints* are those where this is likely. A component of hints, with gaps
-//!    of up to twice [`GAP`] cells closed, is a body if [`SEEDS`] of it are seeds. Cells that belonged to a body at the key frame before count as seeds
-//!    until their score, which falls by a fifth with each key frame without enough seeds of its own, is below [`STILL_BODY`].
-//! 2. A body grows, by at most a part of its size, over cells whose flow is nearer to its own (an affine field by least squares) than to that of the
-//!    surroundings in the same rows.
-//! 3. Its inverse depth is that of the ground right under its lowest cells; where none is known there, that of the nearest quarter of what is
-//!    around it. What it had at the key frame before is followed with half the weight. Where nothing is known at all it stays a hole.
-//! 4. Parts that seem nearer than the body they touch, and do not reach below it, are its own: they move along the epipolar lines.
+//! 1. *Seeds* are cells whose match certainly fits no place of a thing at rest; *hints* are those where this is likely.
+//!    A component of hints, with gaps of up to twice [`GAP`] cells closed, is a body if [`SEEDS`] of it are seeds.
+//!    Cells that belonged to a body at the key frame before count as seeds until their score, which falls by a fifth
+//!    with each key frame without enough seeds of its own, is below [`STILL_BODY`].
+//! 2. A body grows, by at most a part of its size, over cells whose flow is nearer to its own (an affine field by least
+//!    squares) than to that of the surroundings in the same rows.
+//! 3. Its inverse depth is that of the ground right under its lowest cells; where none is known there, that of the
+//!    nearest quarter of what is around it. What it had at the key frame before is followed with half the weight. Where
+//!    nothing is known at all it stays a hole.
+//! 4. Parts that seem nearer than the body they touch, and do not reach below it, are its own: they move along the
+//!    epipolar lines.
 //!
-//! A body that moves along the epipolar lines as a whole is not detected: in two views it equals a thing at rest at another distance.
+//! A body that moves along the epipolar lines as a whole is not detected: in two views it equals a thing at rest at
+//! another distance.
 
 use std::ops::Range;
 
@@ -191,7 +196,8 @@ fn grow(body: &mut Vec<usize>, owner: &mut [usize], index: usize, sight: &Sight<
     body.sort_unstable();
 }
 
-/// Adds connected cells that touch a body and seem nearer than it, if they are at most [`PART`] of its size and end above its lowest row.
+/// Adds connected cells that touch a body and seem nearer than it, if they are at most [`PART`] of its size and end
+/// above its lowest row.
 fn nearer_parts(
     cells: &[Cell],
     body: &mut Vec<usize>,

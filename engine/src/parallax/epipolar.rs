@@ -1,7 +1,9 @@
-//! Epipolar geometry: how far matches lie from where a motion of the camera allows them, and the motion of the least distance.
+//! Epipolar geometry: how far matches lie from where a motion of the camera allows them, and the motion of the least
+//! distance.
 //!
-//! With `y = R·x₁` a match fits if `e = x₂·(t × y)` is zero; Sampson's distance (Hartley & Zisserman 11.4.3) is `e / s` with `s² = (E·x₁)₁² + (E·x₁)₂² + (Eᵀ·x₂)₁² + (Eᵀ·x₂)₂²`, `E = [t]ₓR`.
-//! Motions are refined by Gauss–Newton over five numbers, a turn `δ` and two components of `t` across itself, `s` held:
+//! With `y = R·x₁` a match fits if `e = x₂·(t × y)` is zero; Sampson's distance (Hartley & Zisserman 11.4.3) is `e / s`
+//! with `s² = (E·x₁)₁² + (E·x₁)₂² + (Eᵀ·x₂)₁² + (Eᵀ·x₂)₂²`, `E = [t]ₓR`. Motions are refined by Gauss–Newton over five
+//! numbers, a turn `δ` and two components of `t` across itself, `s` held:
 //!
 //! ```text
 //! ∂e/∂δ = y × (x₂ × t)        ∂e/∂t = y × x₂

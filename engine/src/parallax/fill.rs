@@ -1,7 +1,7 @@
 //! Smoothing that stops at edges of the picture and fills cells without a value.
 //!
-//! The domain transform's recursive filter (Gastal & Oliveira 2011, section 4.2.3) runs over `c·ρ` and `c`, row by row and column by column, to and fro, three times with
-//! falling width; their quotient is the filled map.
+//! The domain transform's recursive filter (Gastal & Oliveira 2011, section 4.2.3) runs over `c·ρ` and `c`, row by row
+//! and column by column, to and fro, three times with falling width; their quotient is the filled map.
 
 use streamsplat_kernels::math::scalar::exp_nonpositive;
 

@@ -33,8 +33,8 @@ pub struct Found {
 }
 
 impl Found {
-    /// The map `[H, W]` of the frame `[3, H, W]`: holes filled, 0 farthest, 1 nearest. Inverse depth, with a known zero,
-    /// keeps its proportions in a [lifted](crate::stream) scene: `9.8·y + 0.2 ∝ ρ`.
+    /// The map `[H, W]` of the frame `[3, H, W]`: holes filled, 0 farthest, 1 nearest. Inverse depth, with a known
+    /// zero, keeps its proportions in a [lifted](crate::stream) scene: `9.8·y + 0.2 ∝ ρ`.
     pub fn map(&self, level: Level, rgb: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
         // 1/z of the nearest place of a lifted scene.
         let unit = 1.0 / scene_depth(1.0) / self.nearest.max(f32::MIN_POSITIVE);
@@ -111,7 +111,8 @@ pub(super) fn carry(found: &Found, sight: &Sight<'_>) -> Option<(Vec<Cell>, f32)
     Some((cells.collect(), found.nearest))
 }
 
-/// Joins the cells of this interval with the carried ones, in the scale of the latter where there are any; `None` where both have too little.
+/// Joins the cells of this interval with the carried ones, in the scale of the latter where there are any; `None` where
+/// both have too little.
 pub(super) fn join(
     now: Option<Vec<Cell>>,
     carried: Option<Option<(Vec<Cell>, f32)>>,
@@ -133,7 +134,8 @@ pub(super) fn join(
                     for (now, then) in now.iter_mut().zip(&carried) {
                         let whole = now.confidence + then.confidence;
                         if now.body > 0.0 || then.body >= bodies::STILL_BODY {
-                            // A body's depth includes that of the key frame before; what was a body's is no other thing's.
+                            // A body's depth includes that of the key frame before; what was a body's is no other
+                            // thing's.
                             now.inverse = (now.inverse * scale).min(NEAREST);
                         } else if whole > 0.0 {
                             let sum = (now.inverse * scale).mul_add(now.confidence, then.inverse * then.confidence);

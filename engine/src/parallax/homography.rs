@@ -6,7 +6,8 @@ use super::matches::Match;
 /// Rounds of weighting.
 const ROUNDS: usize = 10;
 
-/// The share of the matches, by weight, that the best homography brings to within `fits`; a homography is fitted by least squares with weights that fall with the distance.
+/// The share of the matches, by weight, that the best homography brings to within `fits`; a homography is fitted by
+/// least squares with weights that fall with the distance.
 pub(super) fn share(matches: &[Match], fits: f64) -> f64 {
     let mut h = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
     for round in 0..ROUNDS {

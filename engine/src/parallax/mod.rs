@@ -1,4 +1,5 @@
-//! Depth from parallax: how near the parts of a scene are, from the optical flow between two pictures by a moving camera.
+//! Depth from parallax: how near the parts of a scene are, from the optical flow between two pictures by a moving
+//! camera.
 //!
 //! A point that is seen at `x₁` (homogeneous, divided by the focal length) in one picture is seen at
 //!
@@ -9,15 +10,20 @@
 //! in the other, `R` and `t` being the camera's motion. [`find`] goes these steps, each in a module of its own:
 //!
 //! 1. Matches of a sparse grid, weighted by texture, where the flow back undoes the flow.
-//! 2. Model selection. A camera that does not move, one that only turns, or one plane show no parallax (Hartley & Zisserman, *Multiple View
-//!    Geometry*, 13.1): `homography`. Things that move by themselves before a camera that only turns look like parallax; where most matches
-//!    fit a homography that is no turn the camera moves, and the residual is parallax: `turning`.
-//! 3. The camera's motion by a search of random samples with a fixed number of draws, refined on all matches with robust weights (ibid. 11.4.3, 11.6): `ransac`, `epipolar`.
-//! 4. Inverse depth of every cell of a grid of 2×2 pixels, linear in `ρ` (ibid. 12.2), with a confidence: texture, length of the parallax, distance from the epipolar line, and how
-//!    well the flow back undoes the flow: `triangulate`.
+//! 2. Model selection. A camera that does not move, one that only turns, or one plane show no parallax (Hartley &
+//!    Zisserman, *Multiple View Geometry*, 13.1): `homography`. Things that move by themselves before a camera that
+//!    only turns look like parallax; where most matches fit a homography that is no turn the camera moves, and the
+//!    residual is parallax: `turning`.
+//! 3. The camera's motion by a search of random samples with a fixed number of draws, refined on all matches with
+//!    robust weights (ibid. 11.4.3, 11.6): `ransac`, `epipolar`.
+//! 4. Inverse depth of every cell of a grid of 2×2 pixels, linear in `ρ` (ibid. 12.2), with a confidence: texture,
+//!    length of the parallax, distance from the epipolar line, and how well the flow back undoes the flow:
+//!    `triangulate`.
 //! 5. Things that move by themselves fit no epipolar line; each takes one depth, that of the ground under it: `bodies`.
-//! 6. The inverse depth of the frame before is carried along the flow, brought to one scale, and averaged by confidence: `filter`.
-//! 7. Holes are filled by smoothing that stops at edges of the picture (Gastal & Oliveira, *Domain transform*, SIGGRAPH 2011): `fill`.
+//! 6. The inverse depth of the frame before is carried along the flow, brought to one scale, and averaged by
+//!    confidence: `filter`.
+//! 7. Holes are filled by smoothing that stops at edges of the picture (Gastal & Oliveira, *Domain transform*, SIGGRAPH
+//!    2011): `fill`.
 //!
 //! # Without parallax
 //!
@@ -28,10 +34,12 @@
 //! | flow that is no number | none |
 //! | one inverse depth all over | none |
 //!
-//! A stream's first key frame has no flow. Its depth is found with the second one's, along the flow to it, and joined with that.
+//! A stream's first key frame has no flow. Its depth is found with the second one's, along the flow to it, and joined
+//! with that.
 //!
-//! The focal length is unknown; [`FOCAL`] of the picture's longer side is taken. Where it is wrong depth is bent but keeps its order.
-//! All arithmetic is in binary64 or binary32 in one order on one thread, with +, −, ×, / and √ and the exponential of [`streamsplat_kernels::math`].
+//! The focal length is unknown; [`FOCAL`] of the picture's longer side is taken. Where it is wrong depth is bent but
+//! keeps its order. All arithmetic is in binary64 or binary32 in one order on one thread, with +, −, ×, / and √ and the
+//! exponential of [`streamsplat_kernels::math`].
 
 mod bodies;
 mod epipolar;
@@ -112,7 +120,8 @@ pub fn camera(level: Level, evidence: Evidence<'_>, stream: Stream) -> Result<Mo
     sight.camera(stream)
 }
 
-/// Inverse depth of the picture's cells from this interval and `before`, the result for the earlier picture. `None` where neither has any.
+/// Inverse depth of the picture's cells from this interval and `before`, the result for the earlier picture. `None`
+/// where neither has any.
 pub fn find(level: Level, evidence: Evidence<'_>, before: Option<&Found>, stream: Stream) -> Option<Found> {
     let sight = Sight::new(level, evidence);
     let carried = before.map(|found| filter::carry(found, &sight));

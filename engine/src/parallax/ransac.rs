@@ -16,13 +16,14 @@ const SAMPLE: usize = 40;
 const JURY: usize = 400;
 /// Motions that are refined on all matches.
 const BEST: usize = 3;
-/// Distance within which a match counts in that, in those within which it fits. Flow's errors reach over whole regions: of
-/// a short parallax a narrow distance keeps those regions that agree by chance.
+/// Distance within which a match counts in that, in those within which it fits. Flow's errors reach over whole regions:
+/// of a short parallax a narrow distance keeps those regions that agree by chance.
 const WITHIN: f64 = 2.0;
 /// Elements of the random stream that a draw has to itself.
 const ELEMENTS: u64 = 64;
 
-/// The motion that most matches fit. Each draw starts from the turn that explains all matches best and a random direction, and is refined on a sample.
+/// The motion that most matches fit. Each draw starts from the turn that explains all matches best and a random
+/// direction, and is refined on a sample.
 pub(super) fn motion(matches: &[Match], fits: f64, stream: Stream) -> Option<Motion> {
     let turn = rotation(matches, 4.0 * fits)?;
     let every = matches.len().div_ceil(JURY);

@@ -164,7 +164,8 @@ fn what_moves_by_itself_takes_the_depth_of_the_ground_under_it() {
     assert!((thing - ground).abs() < (thing - above).abs(), "{thing}, ground {ground}, above {above}");
 }
 
-/// A body over ground that comes nearer downwards: its sides slide across the epipolar lines, a strip in its middle along them.
+/// A body over ground that comes nearer downwards: its sides slide across the epipolar lines, a strip in its middle
+/// along them.
 fn body(x: f64, y: f64) -> (f64, [f64; 2]) {
     let inside = (60.0..100.0).contains(&x) && (30.0..60.0).contains(&y);
     let own = match inside {

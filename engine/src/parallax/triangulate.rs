@@ -5,7 +5,8 @@ use glam::DVec3;
 use super::matches::Match;
 use super::{Motion, Sight};
 
-/// Distance from the epipolar line, in pixels of a picture 512 wide, from which on a match certainly fits no thing at rest.
+/// Distance from the epipolar line, in pixels of a picture 512 wide, from which on a match certainly fits no thing at
+/// rest.
 const SEED: f64 = 2.5;
 /// The same where that is likely.
 const HINT: f64 = 1.0;
@@ -27,7 +28,8 @@ pub(super) struct Cell {
     pub(super) body: f32,
 }
 
-/// For a match: ρ by least squares, the length of parallax that a ρ of 1 makes, and the distance from the epipolar line.
+/// For a match: ρ by least squares, the length of parallax that a ρ of 1 makes, and the distance from the epipolar
+/// line.
 ///
 /// From `x₂·(y₃ + ρ·t₃) = (y + ρ·t)₁₂` with `y = R·x₁`: `ρ·a = b`, `a = t₁₂ − x₂·t₃`, `b = x₂·y₃ − y₁₂`.
 pub(super) fn inverse_depth(motion: &Motion, one: DVec3, other: DVec3) -> (f64, f64, f64) {

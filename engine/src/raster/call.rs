@@ -170,7 +170,8 @@ impl Rasterisation<'_> {
         self.cameras.iter().map(|camera| camera.view.projected())
     }
 
-    /// Gradients of a loss from those by [`Rasterisation::colours`] and [`Rasterisation::alphas`]. Cameras are added in ascending order.
+    /// Gradients of a loss from those by [`Rasterisation::colours`] and [`Rasterisation::alphas`]. Cameras are added in
+    /// ascending order.
     ///
     /// # Errors
     /// Slices of another length.

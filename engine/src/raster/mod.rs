@@ -1,9 +1,10 @@
 //! A renderer of Gaussians in world space that is called with arrays, by gsplat's conventions, and its gradients.
 //!
-//! [`rasterise`] takes what gsplat's `rasterization` takes, with its shapes: `N` Gaussians, `C` cameras of one size, colours in any
-//! number of channels or as spherical harmonics, and a [`RenderMode`]. [`Rasterisation::backward`] returns the gradients of a loss from those with respect to the
-//! images. Formulas and orders of operations are those of [`streamsplat_kernels::raster::WorldRasteriser`]: every result is the same on every level and for
-//! any number of threads. [`View`] is one camera's part of it.
+//! [`rasterise`] takes what gsplat's `rasterization` takes, with its shapes: `N` Gaussians, `C` cameras of one size,
+//! colours in any number of channels or as spherical harmonics, and a [`RenderMode`]. [`Rasterisation::backward`]
+//! returns the gradients of a loss from those with respect to the images. Formulas and orders of operations are those
+//! of [`streamsplat_kernels::raster::WorldRasteriser`]: every result is the same on every level and for any number of
+//! threads. [`View`] is one camera's part of it.
 //!
 //! ```
 //! use streamsplat::raster::{Colours, Gaussians, Options, rasterise};

@@ -6,7 +6,8 @@ use streamsplat_kernels::raster::{self, Drawing, FootprintGradient, WorldProject
 
 use super::{MAX_GAUSSIANS, RasterError, check};
 
-/// A splat in an image's plane: u and v in pixels with pixel centres at whole numbers, variances along both axes in px², opacity.
+/// A splat in an image's plane: u and v in pixels with pixel centres at whole numbers, variances along both axes in
+/// px², opacity.
 pub type PlaneSplat = [f32; 5];
 
 /// Depths beyond this are not drawn: keys below it can be depths.
@@ -16,8 +17,9 @@ const WORLD_TO_VIEW: [[f32; 4]; 3] = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]
 
 /// `M` images of `N` splats each: their lists, images in any colours, and gradients. Training draws with it.
 ///
-/// A splat is `α(x, y) = o·exp(−½((x − u)²/a + (y − v)²/c))`, blended front to back in the order of keys as [`View`](super::View) does; equal keys keep the
-/// order of storage. Images are worked on at the same time; bits do not depend on it.
+/// A splat is `α(x, y) = o·exp(−½((x − u)²/a + (y − v)²/c))`, blended front to back in the order of keys as
+/// [`View`](super::View) does; equal keys keep the order of storage. Images are worked on at the same time; bits do not
+/// depend on it.
 #[derive(Debug)]
 pub struct Planes {
     images: Vec<WorldRasteriser>,
@@ -108,8 +110,8 @@ impl Planes {
         Ok((images, alphas))
     }
 
-    /// The gradients of a loss by splats `[M, N]` and colours `[M, N, D]` from those by what [`Planes::draw`] drew: `drawn` and `of` are the images and
-    /// alphas, and the gradients by them. A variance of 0 has no gradient.
+    /// The gradients of a loss by splats `[M, N]` and colours `[M, N, D]` from those by what [`Planes::draw`] drew:
+    /// `drawn` and `of` are the images and alphas, and the gradients by them. A variance of 0 has no gradient.
     ///
     /// # Errors
     /// Slices of another length.

@@ -185,7 +185,8 @@ fn gradients_are_finite_differences_of_the_images() {
                 let expected = (moved(1.0) - moved(-1.0)) / (2.0 * f64::from(step));
                 let slope: f64 = gradient.iter().zip(&direction).map(|(g, d)| f64::from(*g) * f64::from(*d)).sum();
                 let scale: f64 = gradient.iter().zip(&direction).map(|(g, d)| f64::from((g * d).abs())).sum();
-                // Footprints end where α is 1/255, and their ends move: about ln(255·o)/(255·o) of a change in size, which is no part of the gradient.
+                // Footprints end where α is 1/255, and their ends move: about ln(255·o)/(255·o) of a change in size,
+                // which is no part of the gradient.
                 assert!((slope - expected).abs() < 0.1 * scale, "case {case}, {name}: {slope}, expected {expected}");
             }
         }

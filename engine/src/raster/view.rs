@@ -51,7 +51,8 @@ fn kernel<'a>(gaussians: &Gaussians<'a>) -> raster::Gaussians<'a> {
 }
 
 impl View {
-    /// The view of a camera. Of `options`, size, planes, `radius_clip`, `eps2d`, and the kinds of rays and of anti-aliasing count.
+    /// The view of a camera. Of `options`, size, planes, `radius_clip`, `eps2d`, and the kinds of rays and of
+    /// anti-aliasing count.
     ///
     /// # Errors
     /// Arguments that cannot be drawn.
@@ -142,8 +143,9 @@ impl View {
         Ok((image, alpha))
     }
 
-    /// Gradients of a loss from those by what [`View::draw`] drew: `drawn` and `of` are image and alpha, and the gradients by them. `of_colours [N, D]` and
-    /// `of_background [D]` (or nothing) are written over. Returns the gradients by footprints.
+    /// Gradients of a loss from those by what [`View::draw`] drew: `drawn` and `of` are image and alpha, and the
+    /// gradients by them. `of_colours [N, D]` and `of_background [D]` (or nothing) are written over. Returns the
+    /// gradients by footprints.
     ///
     /// # Errors
     /// Slices of another length.
@@ -170,8 +172,8 @@ impl View {
         Ok(footprints)
     }
 
-    /// Adds to `to` the gradients by Gaussians, of those that were projected, from those by footprints, by depths `[N]` where there are any, and by
-    /// [`View::eye`]. Returns the gradient by the view matrix, whose last row is 0.
+    /// Adds to `to` the gradients by Gaussians, of those that were projected, from those by footprints, by depths `[N]`
+    /// where there are any, and by [`View::eye`]. Returns the gradient by the view matrix, whose last row is 0.
     ///
     /// # Errors
     /// Slices of another length.

@@ -1,8 +1,8 @@
 //! Recognises files of the wrong kind by their content, before a reader opens them.
 //!
-//! The message is one sentence: what was expected, what was found, and what to do with it. All commands that take scenes,
-//! videos or records of runs use this module, so that their messages agree. A kind is recognised by its first bytes. The
-//! name decides only if several kinds begin alike, or if a format has no magic number.
+//! The message is one sentence: what was expected, what was found, and what to do with it. All commands that take
+//! scenes, videos or records of runs use this module, so that their messages agree. A kind is recognised by its first
+//! bytes. The name decides only if several kinds begin alike, or if a format has no magic number.
 //!
 //! | found | recognised by | what to do |
 //! |---|---|---|

@@ -1,19 +1,19 @@
 //! From an interval, a time and a camera to an image.
 //!
 //! The Gaussians are taken to the time ([`Record::position_at`](crate::stream::Record::position_at) and
-//! [`opacity_at`](crate::stream::Record::opacity_at)), into scene space, and into the camera's view, which the kernels rasterise.
-//! Scene space is x right, y down, z forward, with x and y in [−1, 1] over the model's input and
+//! [`opacity_at`](crate::stream::Record::opacity_at)), into scene space, and into the camera's view, which the kernels
+//! rasterise. Scene space is x right, y down, z forward, with x and y in [−1, 1] over the model's input and
 //!
 //! ```text
 //! z = 1 / (9.8·y + 0.2 + 10⁻⁶)   for normalised inverse depths y in [0, 1]; Gaussians outside are not drawn
 //! ```
 //!
-//! and standard deviations (s_x, s_z, s_y) along these axes (StreamSplat (ICLR 2026), camera and image). The canonical camera is
-//! axis-aligned, so its splats need no rotation; other cameras see the scene in [square units](Snapshot::square) and turn every Gaussian by the
-//! opposite of their own rotation.
+//! and standard deviations (s_x, s_z, s_y) along these axes (StreamSplat (ICLR 2026), camera and image). The canonical
+//! camera is axis-aligned, so its splats need no rotation; other cameras see the scene in [square
+//! units](Snapshot::square) and turn every Gaussian by the opposite of their own rotation.
 //!
-//! A canonical image shows the content of the model's input, without the border that the frame's shape left. Its Gaussians
-//! are drawn at the requested size, not scaled from an image.
+//! A canonical image shows the content of the model's input, without the border that the frame's shape left. Its
+//! Gaussians are drawn at the requested size, not scaled from an image.
 
 mod backend;
 mod optics;
@@ -39,8 +39,8 @@ impl Interval {
     /// To draw many images use a [`Renderer`].
     ///
     /// # Errors
-    /// Times outside the interval, sizes that cannot be drawn, cameras that see nothing, and intervals whose arrays differ in
-    /// length.
+    /// Times outside the interval, sizes that cannot be drawn, cameras that see nothing, and intervals whose arrays
+    /// differ in length.
     pub fn render(
         &self,
         time: f64,
@@ -54,8 +54,8 @@ impl Interval {
     }
 }
 
-/// Draws one image after another; on the CPU only what changed between them. The images are those of [`Interval::render`], to the
-/// last bit on the CPU and nearly so on a graphics card ([`Backend`]).
+/// Draws one image after another; on the CPU only what changed between them. The images are those of
+/// [`Interval::render`], to the last bit on the CPU and nearly so on a graphics card ([`Backend`]).
 pub struct Renderer {
     workers: Workers,
     rasteriser: Rasteriser,
@@ -135,8 +135,8 @@ impl Renderer {
         (&self.workers, &mut self.rasteriser)
     }
 
-    /// Work done and work avoided by the last image. Gaussians that were [left out](Self::left_out) count as any others that reach no
-    /// pixel.
+    /// Work done and work avoided by the last image. Gaussians that were [left out](Self::left_out) count as any others
+    /// that reach no pixel.
     pub fn work(&self) -> raster::Work {
         let mut work = self.rasteriser.work();
         work.gaussians += self.left_out;

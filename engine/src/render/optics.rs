@@ -32,8 +32,8 @@ impl Aperture {
     /// The lens of `camera`.
     ///
     /// # Errors
-    /// Cameras without a pinhole, numbers that are not above 0 (an f-number or a distance may be infinite), and points that are not in front of the
-    /// camera.
+    /// Cameras without a pinhole, numbers that are not above 0 (an f-number or a distance may be infinite), and points
+    /// that are not in front of the camera.
     pub(crate) fn of(&self, camera: &Camera) -> Result<Defocus, RenderError> {
         let Camera::Posed { pose, lens: Lens::Pinhole { focal, .. } } = camera else {
             return Err(RenderError::NoLens);

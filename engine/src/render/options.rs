@@ -54,8 +54,8 @@ impl RenderOptions {
     /// Request to the rasteriser for an image of this size.
     ///
     /// # Errors
-    /// Sides that cannot be drawn, and images for which there is no memory. The memory is reserved here and freed at once, so that a
-    /// later allocation does not abort the process.
+    /// Sides that cannot be drawn, and images for which there is no memory. The memory is reserved here and freed at
+    /// once, so that a later allocation does not abort the process.
     pub(crate) fn request(&self, [height, width]: [usize; 2]) -> Result<Request, RenderError> {
         if [height, width].iter().any(|side| !(1..=raster::MAX_SIDE).contains(side)) {
             return Err(RenderError::Size { most: raster::MAX_SIDE, width, height });

@@ -18,8 +18,8 @@ const CHUNK: usize = 4096;
 /// Low-pass that the rasteriser adds to variances, in px².
 const LOW_PASS: f64 = 0.3;
 
-/// The Gaussians of an interval that can be seen at one time, in scene space (x right, y down, z forward), unrotated. Units are those of
-/// the model's input or [square](Snapshot::square).
+/// The Gaussians of an interval that can be seen at one time, in scene space (x right, y down, z forward), unrotated.
+/// Units are those of the model's input or [square](Snapshot::square).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Snapshot {
     /// Their places in the interval, ascending.
@@ -44,8 +44,8 @@ pub fn to_scene([x, y, z]: [f32; 3]) -> Option<[f32; 3]> {
 impl Snapshot {
     /// Gaussians that can be seen at `t` in [0, 1] of their interval.
     ///
-    /// Left out: opacities under 1/255 (they cannot be drawn), inverse depths outside [0, 1], and records with a number that is
-    /// not finite, which are counted.
+    /// Left out: opacities under 1/255 (they cannot be drawn), inverse depths outside [0, 1], and records with a number
+    /// that is not finite, which are counted.
     ///
     /// # Panics
     /// When the arrays differ in length ([`DynamicGaussians::uneven`]).
@@ -89,9 +89,10 @@ impl Snapshot {
 
     /// Gaussians of an interval that can be seen at `time` seconds, in square units: for posed cameras and exports.
     ///
-    /// Scene space has x and y in [−1, 1] over the model's input of any shape. Here x and z, and standard deviations along them, are multiplied by
-    /// [the input's width over its height](crate::fit::Placement::aspect) (in binary64, rounded once), so that a unit is half of its height along every axis.
-    /// A pinhole at the origin with a focal length of half the input's width shows things at z = 1 of scene space as large as the source's own view.
+    /// Scene space has x and y in [−1, 1] over the model's input of any shape. Here x and z, and standard deviations
+    /// along them, are multiplied by [the input's width over its height](crate::fit::Placement::aspect) (in binary64,
+    /// rounded once), so that a unit is half of its height along every axis. A pinhole at the origin with a focal
+    /// length of half the input's width shows things at z = 1 of scene space as large as the source's own view.
     ///
     /// # Errors
     /// As [`Snapshot::of`].
@@ -155,7 +156,8 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
     seen
 }
 
-/// A camera's view of scene space, for one image size: in the units of the model's input for the canonical camera, in square ones for others.
+/// A camera's view of scene space, for one image size: in the units of the model's input for the canonical camera, in
+/// square ones for others.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// Where the view's origin lies in scene space, and how it is turned.
@@ -242,16 +244,17 @@ impl View {
 
     /// Widens Gaussians in view space that this view shows larger than the model's own pixels show them.
     ///
-    /// The rasteriser adds 0.3 px² to every projected variance. Gaussians were trained, and their colours fitted, where a pixel is one of the
-    /// model's. A unit of the input has `m = side / 2` of them along an axis (in square units along x `m = width / 2` over the input's aspect); where
-    /// it has `f > m` pixels, that addition is too small and gaps open between Gaussians. To keep its size in the scene,
+    /// The rasteriser adds 0.3 px² to every projected variance. Gaussians were trained, and their colours fitted, where
+    /// a pixel is one of the model's. A unit of the input has `m = side / 2` of them along an axis (in square units
+    /// along x `m = width / 2` over the input's aspect); where it has `f > m` pixels, that addition is too small and
+    /// gaps open between Gaussians. To keep its size in the scene,
     ///
     /// ```text
     /// s' = √(s² + a)      a = 0.3·(m⁻² − f⁻²), 0 where that is not above 10⁻⁶·0.3·m⁻²      f: the focal length, for a pinhole over the Gaussian's z, all around H/π over its distance
     /// ```
     ///
-    /// along x and y, with the mean of both along z. The variance in the image is then `(f·s)² + 0.3·(f/m)²` px². `m` and `f` are formed in binary64, what follows them in
-    /// binary32. At the model's own size no bit changes.
+    /// along x and y, with the mean of both along z. The variance in the image is then `(f·s)² + 0.3·(f/m)²` px². `m`
+    /// and `f` are formed in binary64, what follows them in binary32. At the model's own size no bit changes.
     pub fn widen(&self, placement: &Placement, mean: &[[f32; 3]], scale: &mut [[f32; 3]]) {
         let (focal, around) = match self.projection {
             Projection::Orthographic { focal } | Projection::Pinhole { focal, .. } => (focal, false),

@@ -117,7 +117,8 @@ impl Ahead {
     }
 }
 
-/// A thread that holds at most one key frame that nobody has taken. It ends with the frames, or when nobody asks any more.
+/// A thread that holds at most one key frame that nobody has taken. It ends with the frames, or when nobody asks any
+/// more.
 fn start(mut keys: KeyFrames) -> Receiver<Message> {
     let (sender, receiver) = sync_channel(0);
     std::thread::spawn(move || {

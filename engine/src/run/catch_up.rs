@@ -8,8 +8,8 @@ use crate::run::record::InputRecord;
 use crate::run::resume_state::Point;
 use crate::run::session::Session;
 
-/// Brings a stream that has seen nothing to `point`: reads what was read, computes the last whole interval again, and draws its
-/// last image again, unwritten, so that what is drawn next finds the tiles it would have found.
+/// Brings a stream that has seen nothing to `point`: reads what was read, computes the last whole interval again, and
+/// draws its last image again, unwritten, so that what is drawn next finds the tiles it would have found.
 pub fn catch_up(stream: &mut Session, point: &Point, resume: Option<&ResumePoint>) -> Result<(), Error> {
     let mut before: Option<Frame> = None;
     let mut last = None;

@@ -70,7 +70,8 @@ impl Whole {
     }
 }
 
-/// 10 log₁₀(255² n / Σ (a − b)²) of n 8-bit samples, in dB; none where their numbers differ. Equal images have the PSNR of one level in one sample.
+/// 10 log₁₀(255² n / Σ (a − b)²) of n 8-bit samples, in dB; none where their numbers differ. Equal images have the PSNR
+/// of one level in one sample.
 pub fn psnr_of_samples(image: &[u8], truth: &[u8]) -> Option<f64> {
     if image.len() != truth.len() {
         return None;
@@ -86,7 +87,8 @@ fn log10(x: f64) -> f64 {
     streamsplat_kernels::math::f64::ln(x) / std::f64::consts::LN_10
 }
 
-/// Draws intervals from the video's own camera, at the size at which the model sees frames, and compares them with their frames.
+/// Draws intervals from the video's own camera, at the size at which the model sees frames, and compares them with
+/// their frames.
 pub struct Closeness {
     drawing: Drawing,
     views: Views,

@@ -11,8 +11,8 @@ const LEAST: f64 = 0.5;
 /// Alpha of what is seen.
 const SEEN: f32 = 0.5;
 
-/// The largest part of an image's sides, around its middle, that holds nothing of what lies outside of the picture: what is not covered and can be
-/// reached from the image's edge. Holes inside count for nothing. At least one half.
+/// The largest part of an image's sides, around its middle, that holds nothing of what lies outside of the picture:
+/// what is not covered and can be reached from the image's edge. Holes inside count for nothing. At least one half.
 pub fn shown_part(image: &Image) -> f64 {
     let (width, height) = (image.width, image.height);
     let Some(alpha) = image.alpha.as_deref() else { return 1.0 };

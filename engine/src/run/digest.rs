@@ -75,7 +75,8 @@ pub fn files(paths: &[std::path::PathBuf]) -> Result<String, Error> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// BLAKE3 of a scene's index. Intervals are checked against the index when they are read: one that does not match is refused.
+/// BLAKE3 of a scene's index. Intervals are checked against the index when they are read: one that does not match is
+/// refused.
 pub fn scene_index(scene: &Scene) -> Result<String, Error> {
     let text = serde_json::to_vec(scene.index()).map_err(Error::work)?;
     Ok(blake3::hash(&text).to_hex().to_string())

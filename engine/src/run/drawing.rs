@@ -236,7 +236,8 @@ impl Drawing {
         result
     }
 
-    /// Draws what is due and writes it, in order. With two threads or more, one image is drawn while the one before is written.
+    /// Draws what is due and writes it, in order. With two threads or more, one image is drawn while the one before is
+    /// written.
     pub fn pass<I, T: Send>(
         &mut self,
         due: impl ExactSizeIterator<Item = I> + Send,

@@ -9,8 +9,9 @@ use crate::run::outputs::is_inside;
 use crate::run::record::Record;
 use crate::run::{digest, ledger, resume_state};
 
-/// Removes the files that an earlier run in `folder` tells of, whole or stopped, and what tells of them, so that old and new results
-/// never mix. A file goes only if it is what was written, by length and digest; nothing is reached through a link.
+/// Removes the files that an earlier run in `folder` tells of, whole or stopped, and what tells of them, so that old
+/// and new results never mix. A file goes only if it is what was written, by length and digest; nothing is reached
+/// through a link.
 pub fn remove_earlier(folder: &Path) -> Result<(), Error> {
     let record = folder.join("run.json");
     // One that was emptied, by a power loss or by hand, names nothing.

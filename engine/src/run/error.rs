@@ -7,7 +7,8 @@ use crate::scene::SceneError;
 use crate::source::SourceError;
 use crate::{EngineError, RenderError};
 
-/// Why a run failed. Messages are one line and name the file or the option (as on the command line, `--gap`), what was expected and what was found.
+/// Why a run failed. Messages are one line and name the file or the option (as on the command line, `--gap`), what was
+/// expected and what was found.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

@@ -51,8 +51,8 @@ pub struct NetworkAccount {
 }
 
 impl KeyDepth {
-    /// Opens the folder or the network. With `reuse` a frame that repeats the key frame before has its map. Maps are counted, at most `limit` of the frames
-    /// being read.
+    /// Opens the folder or the network. With `reuse` a frame that repeats the key frame before has its map. Maps are
+    /// counted, at most `limit` of the frames being read.
     pub fn open(
         from: &DepthFrom,
         source: &Source,

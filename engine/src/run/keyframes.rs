@@ -73,7 +73,8 @@ pub enum Keep {
     Nothing,
     /// Those of the frames in between.
     Between,
-    /// Those of the frames in between and of the key frame, and frames after the last whole fixed gap are left out: for comparisons.
+    /// Those of the frames in between and of the key frame, and frames after the last whole fixed gap are left out: for
+    /// comparisons.
     Everything,
 }
 
@@ -107,7 +108,8 @@ pub struct KeyFrames {
 }
 
 impl KeyFrames {
-    /// The key frames that `gap` chooses of `source`, at most `limit` frames in all. The last frame is a key frame, but with [`Keep::Everything`].
+    /// The key frames that `gap` chooses of `source`, at most `limit` frames in all. The last frame is a key frame, but
+    /// with [`Keep::Everything`].
     pub fn new(source: Source, depth: KeyDepth, gap: Gap, keep: Keep, limit: Option<usize>, stop: &Stop) -> Self {
         let limit = limit.unwrap_or(usize::MAX);
         KeyFrames {
@@ -141,8 +143,9 @@ impl KeyFrames {
         self.groups.chooser().replay(choices.gaps.iter().copied(), choices.state.clone());
     }
 
-    /// Where it is told how close images came to frames, one message per key frame, if it wants to know. The choice of a key frame waits for what was found up to
-    /// the last key frame but one before it: whether frames are read ahead then makes no difference.
+    /// Where it is told how close images came to frames, one message per key frame, if it wants to know. The choice of
+    /// a key frame waits for what was found up to the last key frame but one before it: whether frames are read ahead
+    /// then makes no difference.
     pub fn listen(&mut self, told: Receiver<Found>) -> bool {
         let wanted = self.truths.is_some();
         self.told = Some(told).filter(|_| wanted);
@@ -211,7 +214,8 @@ impl KeyFrames {
             match source.next_frame() {
                 // What feeds us is stopped by the same Ctrl-C; its stream may end anywhere.
                 Err(SourceError::Y4m { .. }) if stop.asked() => Ok(None),
-                // What came before is whole; what is compared is refused. A stream that broke off may be given again, to be resumed.
+                // What came before is whole; what is compared is refused. A stream that broke off may be given again,
+                // to be resumed.
                 Err(e @ (SourceError::Y4m { .. } | SourceError::Damaged { .. }))
                     if *arrived > 1 && *keep != Keep::Everything && !source.is_stream() =>
                 {

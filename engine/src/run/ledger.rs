@@ -1,7 +1,7 @@
 //! `written.jsonl`: a line per file of a run under way, in the order of writing.
 //!
-//! A line is appended before its file gets its name, so that no file is without one; what counts is the part that the last
-//! [`Point`](crate::run::resume_state::Point) vouches for.
+//! A line is appended before its file gets its name, so that no file is without one; what counts is the part that the
+//! last [`Point`](crate::run::resume_state::Point) vouches for.
 
 use std::collections::BTreeMap;
 use std::fs::File;

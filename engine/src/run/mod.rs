@@ -1,8 +1,9 @@
 //! A whole run: video in, scene and images out, with its record.
 //!
-//! A [`Run`] reads a video, chooses key frames by how close the images come to the frames, finds their depth, takes them through the [`Engine`](crate::Engine), draws
-//! and writes. [`Run::finish`] does all of it and returns the [`Record`], which is also written as `run.json`. [`Run::start`] returns an iterator of
-//! intervals and their images, for programs that want to see them on the way; without [`Run::out`] nothing is written.
+//! A [`Run`] reads a video, chooses key frames by how close the images come to the frames, finds their depth, takes
+//! them through the [`Engine`](crate::Engine), draws and writes. [`Run::finish`] does all of it and returns the
+//! [`Record`], which is also written as `run.json`. [`Run::start`] returns an iterator of intervals and their images,
+//! for programs that want to see them on the way; without [`Run::out`] nothing is written.
 //!
 //! ```no_run
 //! use streamsplat::run::{Run, RunOptions};
@@ -12,8 +13,9 @@
 //! # Ok::<(), streamsplat::run::Error>(())
 //! ```
 //!
-//! The bytes are those of `streamsplat run clip.y4m --out out`: one function of input, model and options. A run into a folder or a `.y4m` file can be resumed
-//! after any interruption ([`Run::resume`]). Nothing is printed: an [`Observer`] receives notes and progress, and a [`Stop`] ends the run after the interval at hand.
+//! The bytes are those of `streamsplat run clip.y4m --out out`: one function of input, model and options. A run into a
+//! folder or a `.y4m` file can be resumed after any interruption ([`Run::resume`]). Nothing is printed: an [`Observer`]
+//! receives notes and progress, and a [`Stop`] ends the run after the interval at hand.
 
 pub mod ahead;
 mod catch_up;
@@ -67,8 +69,9 @@ use terms::Terms;
 pub struct Step {
     /// The Gaussians between two key frames.
     pub interval: Interval,
-    /// Images at the times of its frames, or at [`ViewOptions::times`](options::ViewOptions::times), in the order in which they are written. Where depth is
-    /// found by parallax, those of the first key frame are drawn from the second interval.
+    /// Images at the times of its frames, or at [`ViewOptions::times`](options::ViewOptions::times), in the order in
+    /// which they are written. Where depth is found by parallax, those of the first key frame are drawn from the second
+    /// interval.
     pub images: Vec<Shown>,
 }
 
@@ -102,7 +105,8 @@ pub struct Run {
 }
 
 impl Run {
-    /// A run of the video `input`: a folder of images, a `.y4m` file, `-` (y4m on standard input), or any video that ffmpeg reads.
+    /// A run of the video `input`: a folder of images, a `.y4m` file, `-` (y4m on standard input), or any video that
+    /// ffmpeg reads.
     pub fn new(input: impl Into<PathBuf>, options: RunOptions) -> Run {
         Run {
             input: input.into(),
@@ -120,8 +124,8 @@ impl Run {
         }
     }
 
-    /// A run of frames in memory ([`Source::of_frames`]); a rate in `options` does not change theirs. It is resumed with the same frames from the
-    /// first one on.
+    /// A run of frames in memory ([`Source::of_frames`]); a rate in `options` does not change theirs. It is resumed
+    /// with the same frames from the first one on.
     pub fn of_frames(frames: Source, options: RunOptions) -> Run {
         Run { frames: Some(frames), ..Run::new(MEMORY, options) }
     }
@@ -132,8 +136,8 @@ impl Run {
         Run { out: Some(path.into()), named: false, ..self }
     }
 
-    /// Writes the results to the working directory, named after the input: of `clip.mp4` the video `clip-scene.mp4` with the scene `clip-scene.ssz`, of
-    /// images or y4m the folder `clip-scene`.
+    /// Writes the results to the working directory, named after the input: of `clip.mp4` the video `clip-scene.mp4`
+    /// with the scene `clip-scene.ssz`, of images or y4m the folder `clip-scene`.
     ///
     /// # Errors
     /// [`Error::Usage`] where the input has no name.
@@ -166,7 +170,8 @@ impl Run {
         Run { machine, ..self }
     }
 
-    /// The build of the program, such as its commit: a run is resumed only by the build that began it. The default is the digest of the program's file.
+    /// The build of the program, such as its commit: a run is resumed only by the build that began it. The default is
+    /// the digest of the program's file.
     #[must_use]
     pub fn program<'a>(self, build: impl Into<Option<&'a str>>) -> Run {
         Run { program: build.into().map(str::to_owned), ..self }
@@ -189,10 +194,12 @@ impl Run {
         self.out.as_deref()
     }
 
-    /// Does all of it; the record is false in `complete` where the run was stopped, and has `input.damage` where the input ended early or was damaged.
+    /// Does all of it; the record is false in `complete` where the run was stopped, and has `input.damage` where the
+    /// input ended early or was damaged.
     ///
     /// # Errors
-    /// [`Error::Usage`] for wrong options and places, before anything is written; any other for failed work, after which what was written is valid.
+    /// [`Error::Usage`] for wrong options and places, before anything is written; any other for failed work, after
+    /// which what was written is valid.
     pub fn finish(self) -> Result<Record, Error> {
         self.start()?.finish()
     }
@@ -256,8 +263,8 @@ impl Run {
     }
 }
 
-/// A run under way: an iterator of its [`Step`]s, a key frame each. Dropped before [`Running::finish`], it leaves what a killed process leaves, from which it can be
-/// resumed.
+/// A run under way: an iterator of its [`Step`]s, a key frame each. Dropped before [`Running::finish`], it leaves what
+/// a killed process leaves, from which it can be resumed.
 pub struct Running(State);
 
 enum State {
@@ -339,7 +346,8 @@ fn refuse_others(
     })
 }
 
-/// A place in the working directory, named after the input: a video where the input is an encoded one and images and scene are wanted alone, else a folder.
+/// A place in the working directory, named after the input: a video where the input is an encoded one and images and
+/// scene are wanted alone, else a folder.
 fn named_after(input: &Path, emit: Option<Emit>) -> Result<PathBuf, Error> {
     let stem = input.file_stem().filter(|_| input != Path::new("-"));
     let Some(stem) = stem else {

@@ -58,7 +58,8 @@ pub struct Finished {
 }
 
 impl Outputs {
-    /// Prepares the place: what an earlier run wrote there is removed, and an unwritable place is an error before any work.
+    /// Prepares the place: what an earlier run wrote there is removed, and an unwritable place is an error before any
+    /// work.
     pub fn create(place: &mut Place, emit: Emit) -> Result<Outputs, Error> {
         place.hold()?;
         let destination = place.destination().clone();
@@ -151,7 +152,8 @@ impl Outputs {
         self
     }
 
-    /// Goes on with results of which the first `length` bytes of the ledger in `folder` tell; each file must be as it was written.
+    /// Goes on with results of which the first `length` bytes of the ledger in `folder` tell; each file must be as it
+    /// was written.
     pub fn resume(destination: Destination, emit: Emit, folder: PathBuf, length: u64) -> Result<Outputs, Error> {
         let lines = ledger::read(&folder, length)?;
         let mut outputs = Outputs::new(destination, emit);
@@ -166,8 +168,8 @@ impl Outputs {
         Ok(outputs.with_ledger())
     }
 
-    /// Opens what is gone on with, `last` being the last whole interval, computed again: it must have come out as it was written. The
-    /// record of the stopped run goes.
+    /// Opens what is gone on with, `last` being the last whole interval, computed again: it must have come out as it
+    /// was written. The record of the stopped run goes.
     pub fn take_up(&mut self, fps: f64, last: &Interval, video: Option<&VideoPoint>) -> Result<(), Error> {
         let files = match (&self.destination, video) {
             (Destination::Folder(folder), _) => {
@@ -260,8 +262,8 @@ impl Outputs {
         Ok(())
     }
 
-    /// Writes an interval of the scene with the times of its `frames`, and where its identities are, if these are wanted; `workers` code a
-    /// container.
+    /// Writes an interval of the scene with the times of its `frames`, and where its identities are, if these are
+    /// wanted; `workers` code a container.
     pub fn interval(&mut self, interval: &Interval, frames: &[f64], workers: &Workers) -> Result<(), Error> {
         if self.emit.tracks {
             self.file(format!("tracks/interval-{:06}.csv", interval.index), export::tracks(interval).as_bytes())?;
@@ -323,8 +325,8 @@ impl Outputs {
         Ok(self.file(format!("ply/{index:06}.ply"), &export::ply(snapshot))?)
     }
 
-    /// After a failure: completes the index of the intervals that were written. A y4m file stays under its temporary name where it
-    /// can be gone on with; any other video is not kept.
+    /// After a failure: completes the index of the intervals that were written. A y4m file stays under its temporary
+    /// name where it can be gone on with; any other video is not kept.
     pub fn abandon(mut self, place: &mut Place) {
         if let Some(scene) = self.scene.take() {
             // The first failure is the one to tell.

@@ -66,7 +66,8 @@ impl Place {
     }
 }
 
-/// A locked file with the holder's process id in it. The lock goes with the process, however that ends; the file goes with this value.
+/// A locked file with the holder's process id in it. The lock goes with the process, however that ends; the file goes
+/// with this value.
 #[derive(Debug)]
 struct Lock {
     path: PathBuf,
@@ -94,7 +95,8 @@ impl Lock {
             let text = format!("{} {}\n", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
             let written = file.set_len(0).and_then(|()| file.seek(SeekFrom::Start(0)));
             written.and_then(|_| file.write_all(text.as_bytes())).map_err(write)?;
-            // Whoever held it before may have removed the file between its opening and its locking: then another has the name.
+            // Whoever held it before may have removed the file between its opening and its locking: then another has
+            // the name.
             if read(&path).is_some_and(|found| found == text) {
                 return Ok(Lock { path, _file: file });
             }

@@ -20,8 +20,8 @@ const MAX_RECORD: u64 = 1 << 28;
 /// Value of `program`.
 pub const PROGRAM: &str = "streamsplat";
 
-/// The whole file. Everything but `timing` is a function of model, input, options and seed alone; where a graphics card drew, so is
-/// everything but `timing`, `renderer` and the outputs marked `outside_contract`.
+/// The whole file. Everything but `timing` is a function of model, input, options and seed alone; where a graphics card
+/// drew, so is everything but `timing`, `renderer` and the outputs marked `outside_contract`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Record {
     /// [`PROGRAM`].
@@ -149,8 +149,8 @@ pub struct Counts {
     /// Width and height of the last one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<[usize; 2]>,
-    /// Gaussians drawn and left out, tiles drawn and kept, list entries looked at and not, planes computed and not, images whose
-    /// splats are turned and images of which none is, Gaussians projected and left out before.
+    /// Gaussians drawn and left out, tiles drawn and kept, list entries looked at and not, planes computed and not,
+    /// images whose splats are turned and images of which none is, Gaussians projected and left out before.
     pub raster: [[u64; 2]; 6],
     /// Gaussians left out because a number of theirs was not finite.
     pub dropped: u64,

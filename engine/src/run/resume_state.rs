@@ -1,5 +1,5 @@
-//! State of a run under way, from which it resumes after an interruption: by the user, by a failure, or by the system at any
-//! moment.
+//! State of a run under way, from which it resumes after an interruption: by the user, by a failure, or by the system
+//! at any moment.
 //!
 //! In the folder `resume` of the results (for a video `v.y4m`, `v.y4m.resume` beside it):
 //!
@@ -7,15 +7,16 @@
 //! - `state.safetensors`, the [`Point`] and the stream's resume point, replaced by renaming after each whole interval;
 //! - `state.before.safetensors`, the one of the interval before.
 //!
-//! After an interval its files, the folders they are in, the ledger and the video are synced, and then the state is written, so that whatever a
-//! state vouches for survives a power loss. Where a state or something it vouches for is damaged all the same, the one before
-//! is taken; where that is no better, the run starts again.
+//! After an interval its files, the folders they are in, the ledger and the video are synced, and then the state is
+//! written, so that whatever a state vouches for survives a power loss. Where a state or something it vouches for is
+//! damaged all the same, the one before is taken; where that is no better, the run starts again.
 //!
-//! The point is what counts: everything it vouches for was written before it, and what came after it is written again. Of the stream it
-//! holds the resume point *before* the last whole interval. So `--resume` reads the input from its beginning (the digest of what was read must
-//! be the same), takes up the resume point at the key frame before the last one, and computes the last whole interval again, which must come
-//! out as it was written; two key frames of work. Where the resume point says too little ([`Reuse::forgets`](crate::stream::Reuse)),
-//! the stream is computed from its start. When a run is complete, the folder is removed.
+//! The point is what counts: everything it vouches for was written before it, and what came after it is written again.
+//! Of the stream it holds the resume point *before* the last whole interval. So `--resume` reads the input from its
+//! beginning (the digest of what was read must be the same), takes up the resume point at the key frame before the last
+//! one, and computes the last whole interval again, which must come out as it was written; two key frames of work.
+//! Where the resume point says too little ([`Reuse::forgets`](crate::stream::Reuse)), the stream is computed from its
+//! start. When a run is complete, the folder is removed.
 
 use std::collections::BTreeMap;
 use std::io::Write;

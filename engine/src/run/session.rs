@@ -90,7 +90,8 @@ enum State {
 }
 
 impl Session {
-    /// Starts a run, or goes on from what was `found`. What is wrong with options and files is found before anything is written.
+    /// Starts a run, or goes on from what was `found`. What is wrong with options and files is found before anything is
+    /// written.
     pub(super) fn begin(mut task: Task, mut place: Option<Place>, found: Found) -> Result<Session, Error> {
         let start = Instant::now();
         let Task { input, frames, options, machine, program, observer, stop } = &mut task;
@@ -233,9 +234,10 @@ impl Session {
         Ok(session)
     }
 
-    /// Takes the next key frame through the engine, draws and writes what is due; `None` at the end and when the run is stopped. Where depth is found,
-    /// the first key frame's results are drawn from the interval after it, as from the scene; until then there is nothing to resume from, and the run
-    /// does not stop. With `keep` the step has its images.
+    /// Takes the next key frame through the engine, draws and writes what is due; `None` at the end and when the run is
+    /// stopped. Where depth is found, the first key frame's results are drawn from the interval after it, as from the
+    /// scene; until then there is nothing to resume from, and the run does not stop. With `keep` the step has its
+    /// images.
     pub(super) fn step(&mut self, keep: bool) -> Result<Option<Step>, Error> {
         if self.state != State::Under {
             return Ok(self.ready.take());
@@ -408,7 +410,8 @@ impl Session {
         }
     }
 
-    /// Completes the files after the last step. The place is held until the record is written by the caller, who gets it back.
+    /// Completes the files after the last step. The place is held until the record is written by the caller, who gets
+    /// it back.
     pub(super) fn finish(mut self) -> Result<(Record, Option<Place>), Error> {
         while self.step(false)?.is_some() {}
         if self.state == State::Failed {
@@ -478,7 +481,8 @@ impl Session {
     }
 }
 
-/// The sound of the input, where the video that is written takes it along: at the times of the input's own frames alone.
+/// The sound of the input, where the video that is written takes it along: at the times of the input's own frames
+/// alone.
 fn taken_along(source: &Source, options: &RunOptions, destination: &Destination) -> Option<Sound> {
     let own_times = options.view.times.is_none() && options.fps.is_none();
     let wanted = !options.no_audio && own_times && holds_sound(destination.path());

@@ -46,8 +46,8 @@ impl Views {
         own_view && self.times.is_none() && self.options.size == Size::Source && !self.transparent
     }
 
-    /// Refuses what only a rendering of a still scene has: a path through another program's cameras, and, where frames are
-    /// written from a video, transparency.
+    /// Refuses what only a rendering of a still scene has: a path through another program's cameras, and, where frames
+    /// are written from a video, transparency.
     pub fn refuse_still(&self) -> Result<(), Error> {
         self.refuse_cameras()?;
         if self.transparent {
@@ -86,7 +86,8 @@ impl Views {
     }
 }
 
-/// When the images are taken that are one image's mean: parts of the time from one image to the next, ascending, from −½ to ½.
+/// When the images are taken that are one image's mean: parts of the time from one image to the next, ascending, from
+/// −½ to ½.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shutter(pub Vec<f64>);
 

@@ -1,4 +1,5 @@
-//! Every sample of a picture file, as it is stored: for comparing files, where nothing may be composited, clamped or left out.
+//! Every sample of a picture file, as it is stored: for comparing files, where nothing may be composited, clamped or
+//! left out.
 //!
 //! | format | parts | samples |
 //! |---|---|---|
@@ -10,8 +11,8 @@
 //! | OpenEXR | every part and every resolution level | f16, f32, u32 |
 //! | y4m, video files | every frame | the planes of two y4m files of one layout; else RGB as [`crate::source`] decodes it |
 //!
-//! Alpha is a channel like another. An orientation in EXIF is applied, as everything that shows the picture does. Colour profiles, comments
-//! and other metadata are not samples and are not read.
+//! Alpha is a channel like another. An orientation in EXIF is applied, as everything that shows the picture does.
+//! Colour profiles, comments and other metadata are not samples and are not read.
 
 mod exr;
 mod jpeg;
@@ -92,7 +93,8 @@ impl Samples {
         matches!(self, Samples::U8(_) | Samples::U16(_) | Samples::U32(_))
     }
 
-    /// Values in one scale: samples of a range over the largest (rounded to binary32 up to 16 bits, as frames are read), others as they are.
+    /// Values in one scale: samples of a range over the largest (rounded to binary32 up to 16 bits, as frames are
+    /// read), others as they are.
     pub fn values(&self) -> Vec<f64> {
         match self {
             Samples::U8(v) => v.iter().map(|&v| f64::from(f32::from(v) / 255.0)).collect(),
@@ -106,8 +108,8 @@ impl Samples {
         }
     }
 
-    /// Distance of two samples of one range, as a part of it; none for other types, whose distance is that of [`Self::values`]. Levels are subtracted
-    /// before they are divided, so that every level of 8 bits is 1/255.
+    /// Distance of two samples of one range, as a part of it; none for other types, whose distance is that of
+    /// [`Self::values`]. Levels are subtracted before they are divided, so that every level of 8 bits is 1/255.
     pub(crate) fn distance(&self, other: &Samples, at: usize) -> Option<f64> {
         let (levels, full) = match (self, other) {
             (Samples::U8(a), Samples::U8(b)) => (u32::from(a.get(at)?.abs_diff(*b.get(at)?)), 255.0),
@@ -307,7 +309,8 @@ fn image(head: &[u8], path: &Path) -> Option<Reader> {
 /// The parts of the file `path`.
 ///
 /// # Errors
-/// A file that cannot be read, is empty, or is of no known kind; parts that are broken or too large are errors of their own.
+/// A file that cannot be read, is empty, or is of no known kind; parts that are broken or too large are errors of their
+/// own.
 pub fn open(path: &Path) -> Result<Parts, SourceError> {
     if kind(path)? != Kind::Image {
         return video::read(path);

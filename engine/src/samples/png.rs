@@ -1,4 +1,5 @@
-//! PNG and APNG: the picture, or each frame as it is shown, with the default picture before them where the animation leaves it out.
+//! PNG and APNG: the picture, or each frame as it is shown, with the default picture before them where the animation
+//! leaves it out.
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};

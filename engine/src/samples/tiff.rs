@@ -181,8 +181,8 @@ fn planes(width: usize, height: usize, names: &[String], samples: &Samples) -> P
     part
 }
 
-/// The colours that a palette has for a picture's samples: of 16 bits, or of 8, which some programs write above a byte of zeros, or alone, as frames
-/// are read.
+/// The colours that a palette has for a picture's samples: of 16 bits, or of 8, which some programs write above a byte
+/// of zeros, or alone, as frames are read.
 fn expanded(part: &Part, map: &[u16], bits: u8) -> Option<Part> {
     let count = 1_usize.checked_shl(u32::from(bits))?;
     let places: Vec<usize> = match &part.channels.first()?.samples {

@@ -110,7 +110,8 @@ fn frames(mut y4m: Y4m<BufReader<File>>) -> Parts {
     }))
 }
 
-/// Samples of a plane; those of 9 to 15 bits are brought to the range of 16. Bits above them, which no writer sets, go below, so that none is lost.
+/// Samples of a plane; those of 9 to 15 bits are brought to the range of 16. Bits above them, which no writer sets, go
+/// below, so that none is lost.
 fn samples(plane: &[u8], bits: u32) -> Samples {
     if bits == 8 {
         return Samples::U8(plane.to_vec());

@@ -1,7 +1,7 @@
 //! Times of the source's frames.
 //!
-//! A scene's frames are where its rate puts them, counted from the scene's start, unless an interval lists its own. An interval lists them
-//! where one differs from that in any bit, so that images drawn at them are those of the run.
+//! A scene's frames are where its rate puts them, counted from the scene's start, unless an interval lists its own. An
+//! interval lists them where one differs from that in any bit, so that images drawn at them are those of the run.
 
 use super::{Index, IntervalEntry};
 
@@ -9,7 +9,8 @@ use super::{Index, IntervalEntry};
 const MOST: f64 = 1e7;
 
 impl Index {
-    /// The times of the source's frames, in seconds, in order; `None` where its rate and length make more than ten million of them.
+    /// The times of the source's frames, in seconds, in order; `None` where its rate and length make more than ten
+    /// million of them.
     pub fn frames(&self) -> Option<Vec<f64>> {
         let mut all = Vec::new();
         let start = self.intervals.first()?.start;
@@ -38,8 +39,8 @@ impl Index {
     }
 }
 
-/// The times of an interval that lists none, after `count` frames of a scene that begins at `start`, up to the interval's `end`, which
-/// is met when it is within a millionth of a frame.
+/// The times of an interval that lists none, after `count` frames of a scene that begins at `start`, up to the
+/// interval's `end`, which is met when it is within a millionth of a frame.
 fn implied(start: f64, fps: f64, count: usize, end: f64) -> Option<impl ExactSizeIterator<Item = f64>> {
     let last = (end - start) * fps;
     if !(last.is_finite() && last < MOST) {
@@ -49,8 +50,8 @@ fn implied(start: f64, fps: f64, count: usize, end: f64) -> Option<impl ExactSiz
     Some((count..after).map(move |i| (start + i as f64 / fps).min(end)))
 }
 
-/// The entry of `frames`, the frames in an interval that ends at `end`: nothing where they are implied, or where there are none. `count` is
-/// how many there are before it, and then with it.
+/// The entry of `frames`, the frames in an interval that ends at `end`: nothing where they are implied, or where there
+/// are none. `count` is how many there are before it, and then with it.
 pub(super) fn listed(start: f64, fps: f64, count: &mut usize, end: f64, frames: &[f64]) -> Vec<f64> {
     let Some(times) = implied(start, fps, *count, end) else { return frames.to_vec() };
     let length = times.len();

@@ -23,8 +23,8 @@ pub fn to_safetensors(interval: &Interval) -> Result<Vec<u8>, String> {
     records::serialize(&tensors, None)
 }
 
-/// The interval of a safetensors file. Lengths, kinds and codes are checked; numbers are not: records that are not finite are
-/// left out, and counted, where they are drawn.
+/// The interval of a safetensors file. Lengths, kinds and codes are checked; numbers are not: records that are not
+/// finite are left out, and counted, where they are drawn.
 ///
 /// # Errors
 /// Expected and found values, with the tensor's name.

@@ -1,7 +1,7 @@
 //! Scenes in time, one after another, as one.
 //!
-//! A scene that follows keeps its own times if they begin after the end of what is there; otherwise it begins one frame after that. Its identities and
-//! key frames are numbered on from those before.
+//! A scene that follows keeps its own times if they begin after the end of what is there; otherwise it begins one frame
+//! after that. Its identities and key frames are numbered on from those before.
 
 use super::{Scene, SceneError};
 use crate::stream::Interval;
@@ -22,7 +22,8 @@ struct Shift {
     key_frames: u64,
 }
 
-/// The intervals of a scene at their place after those before, with the times of their frames where the index of the whole has to list them.
+/// The intervals of a scene at their place after those before, with the times of their frames where the index of the
+/// whole has to list them.
 pub struct Joined<'a> {
     join: &'a mut Join,
     scene: &'a Scene,
@@ -32,7 +33,8 @@ pub struct Joined<'a> {
 }
 
 impl Join {
-    /// The intervals of the scene that follows, of a whole with `fps` frames a second. Those that are not taken are not part of it.
+    /// The intervals of the scene that follows, of a whole with `fps` frames a second. Those that are not taken are not
+    /// part of it.
     pub fn follow<'a>(&'a mut self, scene: &'a Scene, fps: f64) -> Joined<'a> {
         let start = scene.span().0;
         let time = self.end.filter(|end| start <= *end).map_or(0.0, |end| end + 1.0 / fps - start);

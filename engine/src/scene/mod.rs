@@ -1,8 +1,9 @@
-//! Scenes on disk: a folder with `scene.json` and one safetensors file per interval, or one compressed file, a container.
+//! Scenes on disk: a folder with `scene.json` and one safetensors file per interval, or one compressed file, a
+//! container.
 //!
-//! `scene.json` holds the placement of the source's frame in the model's input, and lists the intervals in order with their times in
-//! seconds, counts and BLAKE3 digests. It is replaced by renaming after the intervals it names are whole, so that it never
-//! names half a file; what a stopped writer leaves behind is a valid scene.
+//! `scene.json` holds the placement of the source's frame in the model's input, and lists the intervals in order with
+//! their times in seconds, counts and BLAKE3 digests. It is replaced by renaming after the intervals it names are
+//! whole, so that it never names half a file; what a stopped writer leaves behind is a valid scene.
 //!
 //! | tensor | shape | what |
 //! |---|---|---|
@@ -130,7 +131,8 @@ pub struct IntervalEntry {
     pub bytes: u64,
     /// BLAKE3 digest of the file.
     pub blake3: String,
-    /// Times of the source's frames after the interval before, in seconds, the key frame last; empty where they follow from the rate.
+    /// Times of the source's frames after the interval before, in seconds, the key frame last; empty where they follow
+    /// from the rate.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub frames: Vec<f64>,
 }

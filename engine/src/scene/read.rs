@@ -36,7 +36,8 @@ enum Place {
 }
 
 impl Scene {
-    /// Opens the scene in the folder `path` (or of the `scene.json` at `path`, or in `path/scene`), or the container `path`.
+    /// Opens the scene in the folder `path` (or of the `scene.json` at `path`, or in `path/scene`), or the container
+    /// `path`.
     ///
     /// # Errors
     /// An index that cannot be read, is of another format or version, or has impossible values.
@@ -135,10 +136,12 @@ impl Scene {
 }
 
 impl Index {
-    /// Reads the text of a `scene.json`. Lengths, times, names and the placement are checked; the files it names are not read.
+    /// Reads the text of a `scene.json`. Lengths, times, names and the placement are checked; the files it names are
+    /// not read.
     ///
     /// # Errors
-    /// Text that is no index, is of another format or version, or has impossible values: what was expected and what was found.
+    /// Text that is no index, is of another format or version, or has impossible values: what was expected and what was
+    /// found.
     pub fn from_json(text: &[u8]) -> Result<Index, String> {
         let index: Index = serde_json::from_slice(text).map_err(|e| format!("not a scene's index: {e}"))?;
         if index.format != FORMAT || index.version != VERSION {

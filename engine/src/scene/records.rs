@@ -12,8 +12,8 @@ const RGB_RATE: &str = "rgb_rate";
 /// The name of the tensor that is there only where some Gaussian is lifted to a depth map.
 const THICKNESS: &str = "thickness";
 
-/// The arrays of `g`, one tensor each; [`RGB_RATE`] only where one of its numbers is not zero, [`THICKNESS`] where one is
-/// not 1.
+/// The arrays of `g`, one tensor each; [`RGB_RATE`] only where one of its numbers is not zero, [`THICKNESS`] where one
+/// is not 1.
 ///
 /// # Errors
 /// Arrays of different lengths, and rates of colour and thicknesses that are not finite.
@@ -56,8 +56,8 @@ fn finite(name: &str, values: &[f32]) -> Result<(), String> {
     }
 }
 
-/// The records of a file. Lengths, kinds and codes are checked; of the numbers, only those of [`RGB_RATE`] and [`THICKNESS`]. Where the
-/// first is missing, colours stay; where the second is, thickness is 1.
+/// The records of a file. Lengths, kinds and codes are checked; of the numbers, only those of [`RGB_RATE`] and
+/// [`THICKNESS`]. Where the first is missing, colours stay; where the second is, thickness is 1.
 ///
 /// # Errors
 /// Expected and found values, with the tensor's name.

@@ -55,7 +55,8 @@ impl SceneWriter {
         Ok(SceneWriter { folder: folder.to_owned(), fps, index: Some(index), frames, indexed: None })
     }
 
-    /// Writes an interval: first its file, then (at most once a second) the index that names it. The source's frames are taken to follow at the scene's rate.
+    /// Writes an interval: first its file, then (at most once a second) the index that names it. The source's frames
+    /// are taken to follow at the scene's rate.
     ///
     /// # Errors
     /// Files that cannot be written.

@@ -114,7 +114,8 @@ impl Tags {
         Tags { matrix: known(matrix), primaries: known(primaries), transfer: known(transfer) }
     }
 
-    /// Conversion of pictures with these tags. `rgb`: their format is red, green and blue; `grey`: luma alone. `given` replaces the file's matrix.
+    /// Conversion of pictures with these tags. `rgb`: their format is red, green and blue; `grey`: luma alone. `given`
+    /// replaces the file's matrix.
     pub(super) fn conversion(&self, size: (usize, usize), rgb: bool, grey: bool, given: Option<Matrix>) -> Conversion {
         let tag = self.matrix.as_deref().filter(|name| rgb || *name != "gbr");
         let curve = match self.transfer.as_deref() {
@@ -211,8 +212,8 @@ mod tests {
 
     #[test]
     fn matrices_have_the_coefficients_of_their_standards() {
-        // Cr's and Cb's factors for red and blue: BT.709 1.5748 and 1.8556, BT.601 1.402 and 1.772, BT.2020 1.4746 and 1.8814,
-        // SMPTE 240M 1.576 and 1.826, FCC 1.4 and 1.78.
+        // Cr's and Cb's factors for red and blue: BT.709 1.5748 and 1.8556, BT.601 1.402 and 1.772, BT.2020 1.4746 and
+        // 1.8814, SMPTE 240M 1.576 and 1.826, FCC 1.4 and 1.78.
         for (name, red, blue) in [
             ("bt709", 1.5748, 1.8556),
             ("bt470bg", 1.402, 1.772),

@@ -18,8 +18,8 @@ pub(crate) fn ends_in(path: &Path, extensions: &[&str]) -> bool {
     path.extension().and_then(|e| e.to_str()).is_some_and(|e| extensions.contains(&e.to_ascii_lowercase().as_str()))
 }
 
-/// The files of `folder` whose names end in one of `extensions`, in natural order. Hidden files, subfolders and everything
-/// else are left out.
+/// The files of `folder` whose names end in one of `extensions`, in natural order. Hidden files, subfolders and
+/// everything else are left out.
 ///
 /// # Errors
 /// A folder that cannot be read.

@@ -9,9 +9,9 @@
 //! | any other file | decoded by an installed [`ffmpeg`] program |
 //!
 //! Frame i has the timestamp `i / fps`: the rate is [`Options::fps`] when set, else the stream's own, else
-//! [`DEFAULT_FPS`]. Frames of video files and animations have their own times where no rate is set; where those of a video are those of its rate, they
-//! are `i / fps`, too. All frames of a source have one size; a frame that differs is an error naming it and both sizes. What colours mean is decided
-//! in [`colour`].
+//! [`DEFAULT_FPS`]. Frames of video files and animations have their own times where no rate is set; where those of a
+//! video are those of its rate, they are `i / fps`, too. All frames of a source have one size; a frame that differs is
+//! an error naming it and both sizes. What colours mean is decided in [`colour`].
 
 pub mod colour;
 pub mod decode;
@@ -104,7 +104,8 @@ fn missing(input: &Path, cause: std::io::Error) -> SourceError {
     }
 }
 
-/// Returns true if `input` is a file that [`Source::open`] passes to ffmpeg: neither a folder, an image, y4m nor standard input.
+/// Returns true if `input` is a file that [`Source::open`] passes to ffmpeg: neither a folder, an image, y4m nor
+/// standard input.
 pub fn is_encoded(input: &Path) -> bool {
     let is_file = input != Path::new("-") && input.is_file() && !folder::is_image(input);
     is_file && starts_as_y4m(input).is_ok_and(|y4m| !y4m)
@@ -114,8 +115,8 @@ impl Source {
     /// Opens `input` (see the table above).
     ///
     /// # Errors
-    /// Nothing readable there, an empty folder, a stream that does not start as one, ffmpeg needed but missing, a rate that is
-    /// not positive and finite.
+    /// Nothing readable there, an empty folder, a stream that does not start as one, ffmpeg needed but missing, a rate
+    /// that is not positive and finite.
     pub fn open(input: &Path, options: &Options) -> Result<Source, SourceError> {
         if let Some(fps) = options.fps
             && !(fps.is_finite() && fps > 0.0)
@@ -185,8 +186,9 @@ impl Source {
         Ok(Source { kind, path, rate, own_times, square, next: 0, first: None, notes })
     }
 
-    /// Frames from memory: pictures of one size with their times in seconds, or without. `fps` replaces their times; without it frames are as far
-    /// apart as the first two, or follow each other at [`DEFAULT_FPS`] where they have no times. `count` is their number, if it is fixed beforehand.
+    /// Frames from memory: pictures of one size with their times in seconds, or without. `fps` replaces their times;
+    /// without it frames are as far apart as the first two, or follow each other at [`DEFAULT_FPS`] where they have no
+    /// times. `count` is their number, if it is fixed beforehand.
     ///
     /// # Errors
     /// A rate that is not positive and finite, and the first two frames' errors.
@@ -223,8 +225,8 @@ impl Source {
         }
     }
 
-    /// How many frames there are, where that is found without decoding them: [`Source::frames`], or those of a video file, counted, where some may turn
-    /// out not to be shown.
+    /// How many frames there are, where that is found without decoding them: [`Source::frames`], or those of a video
+    /// file, counted, where some may turn out not to be shown.
     pub fn counted_frames(&self) -> Option<usize> {
         match &self.kind {
             Input::Ffmpeg(video) => video.counted_frames(),
@@ -240,8 +242,8 @@ impl Source {
         }
     }
 
-    /// Conversions of the pictures on the way in and parts of the input that are left out, a line each. For image files and video files
-    /// lines are added as frames are read.
+    /// Conversions of the pictures on the way in and parts of the input that are left out, a line each. For image files
+    /// and video files lines are added as frames are read.
     pub fn notes(&self) -> &[String] {
         match &self.kind {
             Input::Images(images) => images.notes(),

@@ -4,9 +4,9 @@ use std::cmp::Ordering;
 
 /// Compares names so that runs of digits count as numbers.
 ///
-/// The names are cut into single bytes and runs of ASCII digits. Pieces are compared in turn: two runs by value (leading
-/// zeros do not count, any length), everything else by byte. Names that are equal in that sense (`a1`, `a01`) are ordered by
-/// their bytes, so the order is total: only identical names are equal.
+/// The names are cut into single bytes and runs of ASCII digits. Pieces are compared in turn: two runs by value
+/// (leading zeros do not count, any length), everything else by byte. Names that are equal in that sense (`a1`, `a01`)
+/// are ordered by their bytes, so the order is total: only identical names are equal.
 pub fn compare(left: &[u8], right: &[u8]) -> Ordering {
     let (mut a, mut b) = (left, right);
     loop {

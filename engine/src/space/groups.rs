@@ -72,8 +72,8 @@ impl Groups {
         Self { members, bounds, others, count: mean.len() }
     }
 
-    /// The places of all Gaussians that the image might show, ascending; `None` where that are more than half of them, which are drawn
-    /// sooner than taken out.
+    /// The places of all Gaussians that the image might show, ascending; `None` where that are more than half of them,
+    /// which are drawn sooner than taken out.
     pub(crate) fn seen(&self, window: &Window) -> Option<Vec<u32>> {
         let mut places: Vec<u32> = self
             .bounds

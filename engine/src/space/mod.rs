@@ -1,25 +1,26 @@
-//! Questions about space rather than pixels: which Gaussians a ray may touch, which lie in a camera's frustum, whose footprint a
-//! point is in.
+//! Questions about space rather than pixels: which Gaussians a ray may touch, which lie in a camera's frustum, whose
+//! footprint a point is in.
 //!
 //! A [`Tree`] holds axis-aligned boxes in a bounding volume hierarchy (`obvhs`). The hierarchy only proposes; each
 //! box is tested in binary64. So every result equals that of testing all boxes, in
 //! ascending order, for any shape of the hierarchy.
 //!
-//! [`Picker`] uses it for the most visible Gaussian along rays. *Matching of frames* ([`crate::stream`]) does not, because bins on the frame's
-//! lattice find the same pairs sooner.
+//! [`Picker`] uses it for the most visible Gaussian along rays. *Matching of frames* ([`crate::stream`]) does not,
+//! because bins on the frame's lattice find the same pairs sooner.
 //!
 //! # Images of a part of a scene
 //!
-//! A frustum does not bound what an image shows: the affine footprint of a Gaussian outside a pinhole's frustum can reach into the
-//! image. `Window` bounds the rasteriser's footprints instead, of one Gaussian or of a box of centres. What it
-//! misses, where that is more than half of a scene, is left out before anything of it is computed. The image keeps its bits;
-//! [`Renderer::left_out`](crate::render::Renderer::left_out) counts.
+//! A frustum does not bound what an image shows: the affine footprint of a Gaussian outside a pinhole's frustum can
+//! reach into the image. `Window` bounds the rasteriser's footprints instead, of one Gaussian or of a box of centres.
+//! What it misses, where that is more than half of a scene, is left out before anything of it is computed. The image
+//! keeps its bits; [`Renderer::left_out`](crate::render::Renderer::left_out) counts.
 //!
-//! Still scenes are drawn so ([`Drawable::grouped`](crate::still::Drawable::grouped)), for a camera path shows many images of one:
-//! their Gaussians are asked in groups of 64 neighbours along a Z-order curve. Intervals are not: each shows a few images, and grouping
-//! its Gaussians, once for all of its times, takes longer than two of them; asking every Gaussian once it has been taken to the image's time
-//! takes as long as projecting it. `streamsplat bench raster --only part` measures images, groups, and a hierarchy over the Gaussians,
-//! which takes about three times as long to make as the groups.
+//! Still scenes are drawn so ([`Drawable::grouped`](crate::still::Drawable::grouped)), for a camera path shows many
+//! images of one: their Gaussians are asked in groups of 64 neighbours along a Z-order curve. Intervals are not: each
+//! shows a few images, and grouping its Gaussians, once for all of its times, takes longer than two of them; asking
+//! every Gaussian once it has been taken to the image's time takes as long as projecting it. `streamsplat bench raster
+//! --only part` measures images, groups, and a hierarchy over the Gaussians, which takes about three times as long to
+//! make as the groups.
 
 mod groups;
 mod pick;
@@ -60,8 +61,8 @@ pub struct HalfSpace {
 }
 
 impl Bounds {
-    /// Where an unrotated Gaussian's α can reach 1/255: `|p − mean| ≤ √(2·ln(255·opacity))·scale` along each axis. `None` where it
-    /// can nowhere, or where a number is not finite.
+    /// Where an unrotated Gaussian's α can reach 1/255: `|p − mean| ≤ √(2·ln(255·opacity))·scale` along each axis.
+    /// `None` where it can nowhere, or where a number is not finite.
     pub fn of_gaussian(mean: [f32; 3], scale: [f32; 3], opacity: f32) -> Option<Self> {
         let reach = reach(opacity)?;
         let half: [f64; 3] = std::array::from_fn(|i| reach * f64::from(scale[i]).abs());
@@ -150,8 +151,8 @@ impl Tree {
         self.boxes.is_empty()
     }
 
-    /// The boxes that the ray from `origin` along `direction` meets, ascending. None where a number is not finite or the
-    /// direction is zero.
+    /// The boxes that the ray from `origin` along `direction` meets, ascending. None where a number is not finite or
+    /// the direction is zero.
     pub fn along_ray(&self, origin: [f32; 3], direction: [f32; 3]) -> Vec<u32> {
         let finite = origin.iter().chain(&direction).all(|v| v.is_finite());
         if !finite || direction == [0.0; 3] {
@@ -171,8 +172,8 @@ impl Tree {
         self.search(|bounds| sides.iter().all(|side| bounds.reaches(side)))
     }
 
-    /// The Gaussian of `snapshot` (which this tree was built from) in whose footprint `point` lies and to whose centre it is nearest, measured in
-    /// standard deviations; the lowest place among equals.
+    /// The Gaussian of `snapshot` (which this tree was built from) in whose footprint `point` lies and to whose centre
+    /// it is nearest, measured in standard deviations; the lowest place among equals.
     pub fn nearest_footprint(&self, snapshot: &Snapshot, point: [f32; 3]) -> Option<u32> {
         let mut best: Option<(f64, u32)> = None;
         for place in self.overlapping(&Bounds { least: point, greatest: point }) {
@@ -192,7 +193,8 @@ impl Tree {
         best.map(|(_, place)| place)
     }
 
-    /// The numbers of the boxes with `wanted` true, ascending. If `wanted` is true of a box, it is true of every box around it.
+    /// The numbers of the boxes with `wanted` true, ascending. If `wanted` is true of a box, it is true of every box
+    /// around it.
     fn search(&self, wanted: impl Fn(&Bounds) -> bool) -> Vec<u32> {
         let mut found = Vec::new();
         let nodes = &self.hierarchy.nodes;

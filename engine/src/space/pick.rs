@@ -25,15 +25,16 @@ pub struct Hit {
 
 /// Gaussians at one time, ready to be picked along many rays.
 ///
-/// With m and σ² the centre and the variances of a Gaussian (each widened by `blur`), e = m − origin and d the direction,
+/// With m and σ² the centre and the variances of a Gaussian (each widened by `blur`), e = m − origin and d the
+/// direction,
 ///
 /// ```text
 /// α = min(0.99, opacity·exp(−½·min_t |(e − t·d)/σ|²))     min_t |(e − t·d)/σ|² = |(e × d)·σ|² / |d·σσ|²
 /// ```
 ///
-/// with the products by components, `(d·σσ)_i = d_i·σ_j·σ_k`. Front to back by e·d (ties: lower place first), as far as T, the
-/// product of 1 − α, stays at 1e-4 or above; α under 1/255 is skipped, and so are Gaussians behind the origin. The largest αT is
-/// the answer, the frontmost among equals. Binary64, sums from left to right.
+/// with the products by components, `(d·σσ)_i = d_i·σ_j·σ_k`. Front to back by e·d (ties: lower place first), as far as
+/// T, the product of 1 − α, stays at 1e-4 or above; α under 1/255 is skipped, and so are Gaussians behind the origin.
+/// The largest αT is the answer, the frontmost among equals. Binary64, sums from left to right.
 ///
 /// For a ray along z with the blur of the pixel grid this is what a pixel of the canonical camera shows
 /// (see [`streamsplat_kernels::raster`]).

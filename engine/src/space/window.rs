@@ -1,13 +1,15 @@
-//! Test whether a pinhole's image can show any of some Gaussians, decided from where their centres are and how far they reach.
+//! Test whether a pinhole's image can show any of some Gaussians, decided from where their centres are and how far they
+//! reach.
 
 use streamsplat_kernels::raster::Projection;
 
 use crate::render::View;
 
-/// More standard deviations than α ≥ 1/255 reaches at an opacity of at most 1, √(2·ln 255) = 3.329, with what the rasteriser adds for
-/// the rounding of its own bound.
+/// More standard deviations than α ≥ 1/255 reaches at an opacity of at most 1, √(2·ln 255) = 3.329, with what the
+/// rasteriser adds for the rounding of its own bound.
 const DEVIATIONS: f64 = 3.36;
-/// Pixels: more than `DEVIATIONS` of the variance that every footprint gets for the pixel grid, √0.3 px, and a tenth of one.
+/// Pixels: more than `DEVIATIONS` of the variance that every footprint gets for the pixel grid, √0.3 px, and a tenth of
+/// one.
 const BLUR: f64 = 2.1;
 /// More than all relative errors of the projection's binary32 together.
 const ROUNDING: f64 = 1e-4;
@@ -24,19 +26,20 @@ pub(super) const LARGEST: f64 = 1e15;
 /// |u − f·x/z − c| ≤ f·(ρ/z)·√(1 + (x/z)²) + blur
 /// ```
 ///
-/// pixels, and alike for v (see [`streamsplat_kernels::raster`]): the affine approximation stretches it the more the farther from the axis
-/// it is, so that it can reach into the image although the ellipsoid is outside the frustum. With E the tangent of the image's edge,
-/// blur included, it is outside the image where
+/// pixels, and alike for v (see [`streamsplat_kernels::raster`]): the affine approximation stretches it the more the
+/// farther from the axis it is, so that it can reach into the image although the ellipsoid is outside the frustum. With
+/// E the tangent of the image's edge, blur included, it is outside the image where
 ///
 /// ```text
 /// x − E·z > ρ·√(1 + (x/z)²)
 /// ```
 ///
-/// For a box of centres the left side is linear and least in a corner; the right side is bounded by the largest |x| over the least z. A box
-/// entirely behind the eye is not drawn either. All else might be seen, above all a Gaussian nearer to the plane of the eye than its
-/// reach.
+/// For a box of centres the left side is linear and least in a corner; the right side is bounded by the largest |x|
+/// over the least z. A box entirely behind the eye is not drawn either. All else might be seen, above all a Gaussian
+/// nearer to the plane of the eye than its reach.
 ///
-/// There is none of an orthographic camera: whether its image is separable is a question about all Gaussians of the scene.
+/// There is none of an orthographic camera: whether its image is separable is a question about all Gaussians of the
+/// scene.
 pub(crate) struct Window {
     eye: [f64; 3],
     /// Right, down and forward.
@@ -60,8 +63,8 @@ impl Window {
         Some(Self { eye: pose.position, rows: pose.rotation.inverse().matrix(), focal, edges })
     }
 
-    /// Returns true if the image certainly shows nothing of Gaussians with centres in a box, `half` from its `middle` to its sides, that reach
-    /// at most `reach`. False where a number is not finite.
+    /// Returns true if the image certainly shows nothing of Gaussians with centres in a box, `half` from its `middle`
+    /// to its sides, that reach at most `reach`. False where a number is not finite.
     pub(super) fn misses(&self, middle: [f64; 3], half: [f64; 3], reach: f64) -> bool {
         let largest: f64 = (0..3).map(|i| middle[i].abs() + half[i] + self.eye[i].abs()).sum();
         let small = largest <= LARGEST && reach <= LARGEST;

@@ -7,8 +7,8 @@ use super::Axes;
 pub struct About {
     /// Whether the scene was trained with anti-aliasing: splats smaller than a pixel are drawn fainter, not wider.
     pub antialiased: bool,
-    /// Origin of the scene's coordinates: a Gaussian's place is its centre plus this. Not zero where coordinates are so large that binary32
-    /// would round them, as those of maps are.
+    /// Origin of the scene's coordinates: a Gaussian's place is its centre plus this. Not zero where coordinates are so
+    /// large that binary32 would round them, as those of maps are.
     pub offset: [f64; 3],
     /// Axes in which the file's numbers were taken.
     pub axes: Axes,
@@ -45,7 +45,8 @@ pub struct Orbit {
 }
 
 impl Orbit {
-    /// Returns true if the limits are ones: a range of elevations below the zenith, and a distance. Programs write zeros for none.
+    /// Returns true if the limits are ones: a range of elevations below the zenith, and a distance. Programs write
+    /// zeros for none.
     pub(super) fn is_set(&self) -> bool {
         let [least, most] = self.elevation;
         let steepest = 0.49 * std::f32::consts::PI;

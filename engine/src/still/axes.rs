@@ -6,8 +6,8 @@ use std::str::FromStr;
 use super::{Similarity, Still};
 use crate::camera::Rotation;
 
-/// Directions in which x, y and z grow, as three letters: R(ight) or L(eft), D(own) or U(p), F(ront) or B(ack). Those of scene space are
-/// RDF. In eight of the sixteen y is the depth, as in LFD.
+/// Directions in which x, y and z grow, as three letters: R(ight) or L(eft), D(own) or U(p), F(ront) or B(ack). Those
+/// of scene space are RDF. In eight of the sixteen y is the depth, as in LFD.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Axes {
     /// True where x grows to the right, the vertical axis down, the depth to the front.
@@ -56,7 +56,8 @@ impl Axes {
     pub fn all() -> impl Iterator<Item = Axes> {
         (0..16_u32).map(|code| {
             let bit = |k: u32| code >> k & 1 == 1;
-            // x changes fastest. Numbers from 9 on begin with the depth at the front, and with the vertical axis downwards.
+            // x changes fastest. Numbers from 9 on begin with the depth at the front, and with the vertical axis
+            // downwards.
             let along = if code < 8 { [bit(0), !bit(1), bit(2)] } else { [bit(0), !bit(1), !bit(2)] };
             Axes { along, upright: code >= 8 }
         })

@@ -23,7 +23,8 @@ const LARGEST_COEFFICIENT: f32 = 1e30;
 pub struct Drawable {
     still: Still,
     scale: Vec<[f32; 3]>,
-    /// Unit quaternions; NaN where the file's has no direction. Kept for many images only; one image computes each when needed.
+    /// Unit quaternions; NaN where the file's has no direction. Kept for many images only; one image computes each when
+    /// needed.
     rotation: Option<Vec<[f64; 4]>>,
     opacity: Vec<f32>,
     groups: Option<Groups>,
@@ -46,8 +47,8 @@ impl Drawable {
         Ok(Self { still, scale, rotation: None, opacity, groups: None })
     }
 
-    /// Prepares the scene for many images of parts of it: Gaussians that a pinhole camera's image cannot show are then left out
-    /// before their colours are formed ([`crate::space`]). The images keep their bits.
+    /// Prepares the scene for many images of parts of it: Gaussians that a pinhole camera's image cannot show are then
+    /// left out before their colours are formed ([`crate::space`]). The images keep their bits.
     pub fn grouped(mut self, workers: &Workers) -> Self {
         let Self { still, scale, opacity, .. } = &self;
         let units = || still.rotation.par_iter().with_min_len(CHUNK).map(|q| unit(*q)).collect();
@@ -83,7 +84,8 @@ impl Drawable {
         &self.opacity
     }
 
-    /// The scene, seen by `camera`, drawn by `workers`: the image of [`Renderer::render_still`]. To draw many images use a [`Renderer`].
+    /// The scene, seen by `camera`, drawn by `workers`: the image of [`Renderer::render_still`]. To draw many images
+    /// use a [`Renderer`].
     ///
     /// # Errors
     /// As there.
@@ -154,8 +156,8 @@ impl Renderer {
     /// A still scene, seen by `camera`.
     ///
     /// # Errors
-    /// The canonical camera and sizes that need a source, since a still scene has neither; sizes that cannot be drawn; cameras with an
-    /// empty view.
+    /// The canonical camera and sizes that need a source, since a still scene has neither; sizes that cannot be drawn;
+    /// cameras with an empty view.
     pub fn render_still(
         &mut self,
         scene: &Drawable,

@@ -19,7 +19,8 @@ const FLOATERS: f64 = 0.05;
 /// Margin added at either end of each axis, as a fraction of the width without floaters; it ends at the outermost
 /// centre.
 const AROUND: f64 = 0.15;
-/// How much deeper than wide the box is where the camera looks at its side. Nearly equal sides keep the axes of the file.
+/// How much deeper than wide the box is where the camera looks at its side. Nearly equal sides keep the axes of the
+/// file.
 const DEEPER: f64 = 1.25;
 /// Directions in which a whole turn is tried.
 const DIRECTIONS: u32 = 24;
@@ -36,9 +37,9 @@ pub struct Framing {
 }
 
 impl Still {
-    /// The box that holds most of the scene: along each axis the range between the 5th and the 95th of a hundred centres, and
-    /// 15 % of that width at either end as far as there are centres. Gaussians with an opacity under 0.1 do not count, where others
-    /// are. With the scene's offset. `None` where no centre is finite.
+    /// The box that holds most of the scene: along each axis the range between the 5th and the 95th of a hundred
+    /// centres, and 15 % of that width at either end as far as there are centres. Gaussians with an opacity under 0.1
+    /// do not count, where others are. With the scene's offset. `None` where no centre is finite.
     pub fn framing(&self) -> Option<Framing> {
         let finite = |m: &[f32; 3]| m.iter().all(|x| x.is_finite());
         let solid = || self.mean.iter().zip(&self.logit).filter(|(m, logit)| finite(m) && **logit >= OPAQUE);
@@ -59,8 +60,9 @@ impl Still {
 }
 
 impl Framing {
-    /// The camera at `degrees` around the scene, to the right of its widest side (the front, looking along +z, unless the box is deeper than 1.25 widths: then the right), that sees all of the box in images of `aspect` =
-    /// width / height.
+    /// The camera at `degrees` around the scene, to the right of its widest side (the front, looking along +z, unless
+    /// the box is deeper than 1.25 widths: then the right), that sees all of the box in images of `aspect` = width /
+    /// height.
     pub fn camera(&self, degrees: f64, aspect: f64) -> Camera {
         let angles = Angles { right: degrees, up: 0.0 };
         self.at(self.distance(angles, aspect), angles, aspect)
@@ -74,7 +76,8 @@ impl Framing {
         angles.iter().map(|angles| self.at(distance, *angles, aspect)).collect()
     }
 
-    /// Where the box is widest from, in degrees: 0, from the front, looking along +z; or 90, from the right, where it is deeper than wide.
+    /// Where the box is widest from, in degrees: 0, from the front, looking along +z; or 90, from the right, where it
+    /// is deeper than wide.
     fn widest(&self) -> f64 {
         let [width, _, depth] = std::array::from_fn(|i| self.greatest[i] - self.least[i]);
         if depth > DEEPER * width { 90.0 } else { 0.0 }

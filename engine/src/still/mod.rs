@@ -1,14 +1,15 @@
 //! Still scenes of 3D Gaussians, as 3D Gaussian splatting's own files hold them.
 //!
-//! A [`Still`] keeps a file's numbers unchanged, so that they survive a round trip: logarithms of scales, logits of opacities,
-//! coefficients of spherical harmonics, quaternions of any length. The values drawn are
+//! A [`Still`] keeps a file's numbers unchanged, so that they survive a round trip: logarithms of scales, logits of
+//! opacities, coefficients of spherical harmonics, quaternions of any length. The values drawn are
 //!
 //! ```text
 //! scale = e^log_scale     opacity = 1 / (1 + e^−logit)     rotation = q / |q|     rgb = colour of the harmonics from the eye
 //! ```
 //!
-//! computed in binary64 and rounded once, the harmonics by [`streamsplat_kernels::harmonics`]. Axes are those of scene space
-//! (x right, y down, z forward), units the file's own. Such a scene has no time, no camera of its own, and no identities.
+//! computed in binary64 and rounded once, the harmonics by [`streamsplat_kernels::harmonics`]. Axes are those of scene
+//! space (x right, y down, z forward), units the file's own. Such a scene has no time, no camera of its own, and no
+//! identities.
 //!
 //! A file of any [format](crate::import) that is read, a camera, an image:
 //!
@@ -117,10 +118,12 @@ pub struct Still {
 }
 
 impl Still {
-    /// The still scene of a file in one of the [formats](crate::import) that are read; at the time 0 where its Gaussians change in time.
+    /// The still scene of a file in one of the [formats](crate::import) that are read; at the time 0 where its
+    /// Gaussians change in time.
     ///
     /// # Errors
-    /// A file that cannot be read, or holds something else, something broken, or more than the default [`Limits`]; a scene in time.
+    /// A file that cannot be read, or holds something else, something broken, or more than the default [`Limits`]; a
+    /// scene in time.
     pub fn open(path: impl AsRef<Path>) -> Result<Still, SceneError> {
         match import::open(path.as_ref(), &Limits::default())? {
             Opened::Still(file) => Ok(file.still),
@@ -199,8 +202,8 @@ impl Still {
         lengths.into_iter().find(|(_, found, expected)| found != expected).map(|(name, found, _)| (name, found))
     }
 
-    /// Still scene of a snapshot. Scales under 10⁻¹² and opacities nearer than that to 0 or 1 are moved there, so that every
-    /// value is finite; colours become `(rgb − ½) / Y₀`. In drawing order.
+    /// Still scene of a snapshot. Scales under 10⁻¹² and opacities nearer than that to 0 or 1 are moved there, so that
+    /// every value is finite; colours become `(rgb − ½) / Y₀`. In drawing order.
     pub fn of(snapshot: &Snapshot) -> Self {
         let count = snapshot.mean.len();
         Self {

@@ -1,7 +1,7 @@
 //! The Gaussians of a still scene that can be drawn: one rule for images, exports, pages and statistics.
 //!
-//! The rule is about the numbers that are drawn, not those in files. An opacity whose logit is +∞ is 1, one of −∞ is 0; a
-//! logarithm of −∞ is a thickness of 0. A Gaussian cannot be drawn where
+//! The rule is about the numbers that are drawn, not those in files. An opacity whose logit is +∞ is 1, one of −∞ is 0;
+//! a logarithm of −∞ is a thickness of 0. A Gaussian cannot be drawn where
 //!
 //! - its centre, a coefficient of its harmonics or its rotation is not finite,
 //! - its opacity is not a number,

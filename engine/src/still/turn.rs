@@ -6,7 +6,8 @@ use streamsplat_kernels::math::f64::ln;
 use super::{Still, after};
 use crate::camera::Rotation;
 
-/// Directions from which the rotation of harmonics is found: more than the coefficients of a degree, none of them special.
+/// Directions from which the rotation of harmonics is found: more than the coefficients of a degree, none of them
+/// special.
 const DIRECTIONS: usize = 24;
 
 /// A similarity: `x ↦ scale·R·x + offset`.
@@ -21,8 +22,9 @@ pub struct Similarity {
 }
 
 impl Still {
-    /// Applies a similarity: centres, logarithms of scales, rotations, and the harmonics, whose coefficients c become c′ with
-    /// `Σ c′ₖ·Yₖ(R·d) = Σ cₖ·Yₖ(d)` for every direction d, degree by degree. In binary64, each number rounded once; the identity keeps all bits.
+    /// Applies a similarity: centres, logarithms of scales, rotations, and the harmonics, whose coefficients c become
+    /// c′ with `Σ c′ₖ·Yₖ(R·d) = Σ cₖ·Yₖ(d)` for every direction d, degree by degree. In binary64, each number rounded
+    /// once; the identity keeps all bits.
     pub fn transform(&mut self, by: &Similarity) {
         let Similarity { scale, rotation, offset } = *by;
         let turns = !rotation.is_identity();
@@ -76,8 +78,9 @@ impl Still {
     }
 }
 
-/// The matrix M of a degree with `Yⱼ(d) = Σₖ Mₖⱼ·Yₖ(R·d)`, by least squares over many directions: `(AᵀA)⁻¹AᵀB` for `A = Y(R·d)`, `B = Y(d)`. What is
-/// within 10⁻¹² of 0, 1 or −1 is that, so that half and quarter turns about the axes keep bits.
+/// The matrix M of a degree with `Yⱼ(d) = Σₖ Mₖⱼ·Yₖ(R·d)`, by least squares over many directions: `(AᵀA)⁻¹AᵀB` for `A =
+/// Y(R·d)`, `B = Y(d)`. What is within 10⁻¹² of 0, 1 or −1 is that, so that half and quarter turns about the axes keep
+/// bits.
 fn harmonic_rotation(degree: usize, rotation: &Rotation) -> Vec<Vec<f64>> {
     let size = 2 * degree + 1;
     let matrix = rotation.matrix();

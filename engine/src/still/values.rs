@@ -64,11 +64,12 @@ pub enum ValuesError {
 }
 
 impl Still {
-    /// The scene of these values, stored as files have them: logarithms of scales, which are at least 10⁻¹², logits of opacities, which are at least
-    /// as far from 0 and 1, and coefficients of harmonics, for colours `(rgb − ½) / Y₀`.
+    /// The scene of these values, stored as files have them: logarithms of scales, which are at least 10⁻¹², logits of
+    /// opacities, which are at least as far from 0 and 1, and coefficients of harmonics, for colours `(rgb − ½) / Y₀`.
     ///
     /// # Errors
-    /// Lengths that do not fit each other, more than 2²⁴ Gaussians, numbers that are not finite or not in their range, and the quaternion 0.
+    /// Lengths that do not fit each other, more than 2²⁴ Gaussians, numbers that are not finite or not in their range,
+    /// and the quaternion 0.
     pub fn of_values(values: Values) -> Result<Still, ValuesError> {
         let gaussians = values.mean.len();
         if gaussians > GAUSSIANS {

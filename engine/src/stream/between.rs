@@ -1,4 +1,5 @@
-//! Evidence between two key frames: the frames in between where they are seen, optical flow, and what both say of the motion and the colours of the interval.
+//! Evidence between two key frames: the frames in between where they are seen, optical flow, and what both say of the
+//! motion and the colours of the interval.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -176,8 +177,8 @@ impl Flows {
 
     /// Values of two depth maps, of the last and of the first key frame, at places that flow connects.
     ///
-    /// From every [`SPACING`]-th pixel of the last key frame, along rows and columns, the flow is followed back ([`flow::trace`]); places
-    /// that stray on the way count for nothing.
+    /// From every [`SPACING`]-th pixel of the last key frame, along rows and columns, the flow is followed back
+    /// ([`flow::trace`]); places that stray on the way count for nothing.
     pub(super) fn links(&self, level: Level, last: &DepthMap, first: &DepthMap) -> Vec<Link> {
         let [height, width] = last.resolution;
         if first.resolution != last.resolution {

@@ -1,23 +1,25 @@
 //! The canonical set: what the stream remembers of the scene, and how a key frame changes it.
 //!
-//! At key frame k the set holds *survivors* (older Gaussians that no frame continues, as they are at t_k) and the *current*
-//! Gaussians (those of frame k). [`CanonicalSet::advance`] takes frame k+1 and the pair's two deformation fields and gives
-//! interval k+1:
+//! At key frame k the set holds *survivors* (older Gaussians that no frame continues, as they are at t_k) and the
+//! *current* Gaussians (those of frame k). [`CanonicalSet::advance`] takes frame k+1 and the pair's two deformation
+//! fields and gives interval k+1:
 //!
-//! - **Update.** Current Gaussians move with their forward field. An older one that coincides with a current Gaussian has been
-//!   continued by it one key frame ago (below), so it moves with that one's field, under that one's record. What is left, the
-//!   survivors, keep their velocity in the scene's own time, the colour they had at the key frame, and fade: [`FADE`](super::fuse::FADE) as γ₀ at least,
-//!   γ₁ = 0, opacity counted from what it was there.
-//! - **Keep.** Current Gaussians of static blocks ([`keep`](super::keep)) stay as they are: one record from key frame to key frame, whose
-//!   colour may change. They meet no others, and precede the new ones in drawing order from then on.
-//! - **Fuse.** Frame k+1's Gaussians join with their backward field. Identities pass on one to one; old Gaussians that coincide with
-//!   a new one but pass on nothing end as [merged](Merge) into it. What coincides with nothing is vanishing. Where a depth map lifts either frame, depth counts for nothing here,
-//!   a tracked point takes the new Gaussian's, and those that only stand behind others meet their like and never become survivors.
-//! - **Hand over.** Old Gaussians that are continued fade out over the last eighth of the interval, new ones fade in over the
-//!   first. So at a key frame the image holds the frame's own Gaussians and the vanishing ones, whichever interval it is seen from,
-//!   and crossing it changes no bit.
-//! - **Prune.** Vanishing ones are kept while their opacity is at least 1/255 and their age at most `max_age`. Those whose age
-//!   ends fade out like continued ones, so that dropping them changes no image either.
+//! - **Update.** Current Gaussians move with their forward field. An older one that coincides with a current Gaussian
+//!   has been continued by it one key frame ago (below), so it moves with that one's field, under that one's record.
+//!   What is left, the survivors, keep their velocity in the scene's own time, the colour they had at the key frame,
+//!   and fade: [`FADE`](super::fuse::FADE) as γ₀ at least, γ₁ = 0, opacity counted from what it was there.
+//! - **Keep.** Current Gaussians of static blocks ([`keep`](super::keep)) stay as they are: one record from key frame
+//!   to key frame, whose colour may change. They meet no others, and precede the new ones in drawing order from then
+//!   on.
+//! - **Fuse.** Frame k+1's Gaussians join with their backward field. Identities pass on one to one; old Gaussians that
+//!   coincide with a new one but pass on nothing end as [merged](Merge) into it. What coincides with nothing is
+//!   vanishing. Where a depth map lifts either frame, depth counts for nothing here, a tracked point takes the new
+//!   Gaussian's, and those that only stand behind others meet their like and never become survivors.
+//! - **Hand over.** Old Gaussians that are continued fade out over the last eighth of the interval, new ones fade in
+//!   over the first. So at a key frame the image holds the frame's own Gaussians and the vanishing ones, whichever
+//!   interval it is seen from, and crossing it changes no bit.
+//! - **Prune.** Vanishing ones are kept while their opacity is at least 1/255 and their age at most `max_age`. Those
+//!   whose age ends fade out like continued ones, so that dropping them changes no image either.
 //!
 //! Pairwise fusion keeps the current Gaussians alone and hands nothing over.
 
@@ -69,8 +71,8 @@ pub(crate) struct CanonicalSet {
     pub(super) identities: Identities,
 }
 
-/// Layers of a frame's Gaussians, one after another: the model's own; those that a [lift](super::lift) adds along edges;
-/// those that it adds behind others.
+/// Layers of a frame's Gaussians, one after another: the model's own; those that a [lift](super::lift) adds along
+/// edges; those that it adds behind others.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Layers {
     /// How many are the model's own, on its lattice.
@@ -109,13 +111,15 @@ pub(crate) struct Step<'a> {
     pub(crate) backward: &'a Motion,
     /// Seconds between the two.
     pub(crate) length: f64,
-    /// True if a depth map lifts the Gaussians of either frame: a frame's map says nothing about another's, so depth does not tell them apart.
+    /// True if a depth map lifts the Gaussians of either frame: a frame's map says nothing about another's, so depth
+    /// does not tell them apart.
     pub(crate) lifted: bool,
     /// Height and width of the image the Gaussians lie on.
     pub(crate) image: [usize; 2],
     pub(crate) fusion: Fusion,
     pub(crate) max_age: u32,
-    /// What becomes of each Gaussian of the frame before; `None` where all are computed. Kept ones have the same place in both frames.
+    /// What becomes of each Gaussian of the frame before; `None` where all are computed. Kept ones have the same place
+    /// in both frames.
     pub(crate) kept: Option<&'a [Change]>,
 }
 
@@ -197,7 +201,8 @@ impl CanonicalSet {
         (set, out)
     }
 
-    /// Gives survivors the colours that they have at the end of the interval whose Gaussians these are, so that crossing it changes none.
+    /// Gives survivors the colours that they have at the end of the interval whose Gaussians these are, so that
+    /// crossing it changes none.
     pub(super) fn recolour_survivors(&mut self, gaussians: &DynamicGaussians) {
         let mut at = 0;
         for survivor in &mut self.survivors {
@@ -229,7 +234,8 @@ impl CanonicalSet {
         staying.map(record).collect()
     }
 
-    /// The old Gaussians over the new interval that are not kept: survivors, then the frame at its start; and their layers, survivors among the first.
+    /// The old Gaussians over the new interval that are not kept: survivors, then the frame at its start; and their
+    /// layers, survivors among the first.
     fn updated(&self, step: &Step<'_>, dropped: &mut u64) -> (Vec<Record>, Layers) {
         let mut old = Vec::with_capacity(self.survivors.len() + self.current.len());
         // The same velocity in the scene's own time.

@@ -1,7 +1,8 @@
 //! Colours that fit the frames.
 //!
-//! With geometry, opacity and order fixed, an image is linear in the colours of its Gaussians: `image = A·c + T·background` ([`ColourMap`]). So the colours that come nearest to
-//! given frames solve a linear least-squares problem, here with a small ridge that keeps a colour that hardly shows near what it was:
+//! With geometry, opacity and order fixed, an image is linear in the colours of its Gaussians: `image = A·c +
+//! T·background` ([`ColourMap`]). So the colours that come nearest to given frames solve a linear least-squares
+//! problem, here with a small ridge that keeps a colour that hardly shows near what it was:
 //!
 //! ```text
 //! key frame     min over c₀   |A·c₀ + T·b − frame|² + λ·|c₀ − network|²
@@ -10,8 +11,9 @@
 //!
 //! Both are solved by preconditioned conjugate gradients ([`ColourFit`]).
 //!
-//! The steps end early once one lowers the sum of squares by less than [`ENOUGH`] of what is left. Results are clamped: c₀ to [`RANGE`], c₁ so that the colour at the
-//! interval's other end, where little of the Gaussian is left to be seen, lies in [`FAR_RANGE`]. (Held to [`RANGE`] there, colours fit 3 dB worse in between.)
+//! The steps end early once one lowers the sum of squares by less than [`ENOUGH`] of what is left. Results are clamped:
+//! c₀ to [`RANGE`], c₁ so that the colour at the interval's other end, where little of the Gaussian is left to be seen,
+//! lies in [`FAR_RANGE`]. (Held to [`RANGE`] there, colours fit 3 dB worse in between.)
 
 use std::ops::Range;
 
@@ -30,13 +32,14 @@ use crate::render::{Snapshot, to_scene};
 const CHUNK: usize = 4096;
 /// Weight of the ridge, beside sums of squared weights over pixels.
 const RIDGE: f32 = 1e-3;
-/// The same over intervals whose Gaussians a depth map lifts: what hardly shows from the frames' own view does so from the side.
-/// (3e-3 gains up to 0.04 dB in views from the side halfway between key frames of procedural scenes, and takes 0.3 to 0.4 dB from
-/// images in between of two real clips.)
+/// The same over intervals whose Gaussians a depth map lifts: what hardly shows from the frames' own view does so from
+/// the side. (3e-3 gains up to 0.04 dB in views from the side halfway between key frames of procedural scenes, and
+/// takes 0.3 to 0.4 dB from images in between of two real clips.)
 const RIDGE_LIFTED: f32 = 1.8e-3;
 /// The share of the remaining sum of squares that a step must take away.
 const ENOUGH: f64 = 0.004;
-/// Weights of a Gaussian on a block of pixels that are all below this one keep the colour that they had (docs/choosing.md has what that costs).
+/// Weights of a Gaussian on a block of pixels that are all below this one keep the colour that they had
+/// (docs/choosing.md has what that costs).
 const LEAST_WEIGHT: f32 = 1.0 / 64.0;
 /// Range of colours at their own key frame.
 pub(super) const RANGE: [f32; 2] = [-0.2, 1.2];
@@ -90,8 +93,9 @@ impl Fitter {
         Self { level, maps: Vec::new(), preparation: Preparation::new(level) }
     }
 
-    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. `held`: the factor on each Gaussian's unknowns
-    /// ([`FitView`]), 0 for one that keeps its colour; none where all are free. `wanted`: the raster tiles whose pixels count.
+    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. `held`: the factor on each Gaussian's
+    /// unknowns ([`FitView`]), 0 for one that keeps its colour; none where all are free. `wanted`: the raster tiles
+    /// whose pixels count.
     pub(super) fn key(
         &mut self,
         gaussians: &StaticGaussians,
@@ -201,7 +205,8 @@ impl Fitter {
         Fitted { unknown: index, factor }
     }
 
-    /// The fit of the first maps, as many as are `fitted`, to `frames`, from the colours `from`, which the ridge keeps them near to.
+    /// The fit of the first maps, as many as are `fitted`, to `frames`, from the colours `from`, which the ridge keeps
+    /// them near to.
     fn solve(
         &self,
         fitted: &[Fitted],

@@ -27,8 +27,8 @@ use crate::parallax::{self, Evidence, Found};
 /// Turns key frames into a dynamic scene, one interval per key frame.
 ///
 /// State between key frames is bounded and independent of the stream's length: the last frame's input, embedding,
-/// tokens, condition, Gaussians and found depth, the last pair's motion, the survivors of at most `max_age` frames, and with some choices of
-/// [`Reuse`] the network's [`Cache`](streamsplat_model::reuse::Cache).
+/// tokens, condition, Gaussians and found depth, the last pair's motion, the survivors of at most `max_age` frames, and
+/// with some choices of [`Reuse`] the network's [`Cache`](streamsplat_model::reuse::Cache).
 pub struct Engine {
     settings: Settings,
     model: Arc<dyn Reconstructor>,
@@ -67,7 +67,8 @@ impl Engine {
         Ok(Self::from_parts(settings, workers, model))
     }
 
-    /// [`Engine::new`] with the model of another engine that was made with the same model, precision and reuse, and has loaded it.
+    /// [`Engine::new`] with the model of another engine that was made with the same model, precision and reuse, and has
+    /// loaded it.
     ///
     /// # Errors
     /// When the threads cannot be started.
@@ -96,8 +97,8 @@ impl Engine {
         &self.workers
     }
 
-    /// Returns true if depth is found for frames without a map of their own ([`Settings::find_depth`], and the model ignores depth). The first
-    /// key frame is then shown with depth by the interval after it alone.
+    /// Returns true if depth is found for frames without a map of their own ([`Settings::find_depth`], and the model
+    /// ignores depth). The first key frame is then shown with depth by the interval after it alone.
     pub fn finds_depth(&self) -> bool {
         self.settings.find_depth() && self.model.ignores_depth()
     }
@@ -107,19 +108,22 @@ impl Engine {
         &self.work
     }
 
-    /// Takes the next key frame, `timestamp` seconds into the video, and gives the interval it ends. The first frame gives its static
-    /// scene, an interval of no length; where depth is found ([`Engine::finds_depth`]), its Gaussians are lifted from the next interval on.
+    /// Takes the next key frame, `timestamp` seconds into the video, and gives the interval it ends. The first frame
+    /// gives its static scene, an interval of no length; where depth is found ([`Engine::finds_depth`]), its Gaussians
+    /// are lifted from the next interval on.
     ///
     /// # Errors
-    /// Frames without pixels, of another size than the first one, with buffers of the wrong length or pixels that are not
-    /// finite; time stamps that are not after the one before; what the model refuses. The stream is then as it was before, but that
-    /// after the model has refused something the next frame is computed in full. So it is after a panic of a [`Reconstructor`].
+    /// Frames without pixels, of another size than the first one, with buffers of the wrong length or pixels that are
+    /// not finite; time stamps that are not after the one before; what the model refuses. The stream is then as it was
+    /// before, but that after the model has refused something the next frame is computed in full. So it is after a
+    /// panic of a [`Reconstructor`].
     pub fn push(&mut self, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
         self.push_with(Vec::new(), frame, timestamp)
     }
 
-    /// [`Engine::push`] of a key frame together with the frames since the key frame before, with their times, ascending. They are looked at where motion is taken from them
-    /// ([`MotionFrom::Between`]) and ignored otherwise, as they are before the first key frame. Depth of theirs is not used.
+    /// [`Engine::push`] of a key frame together with the frames since the key frame before, with their times,
+    /// ascending. They are looked at where motion is taken from them ([`MotionFrom::Between`]) and ignored otherwise,
+    /// as they are before the first key frame. Depth of theirs is not used.
     ///
     /// # Errors
     /// As [`Engine::push`]; and times that do not ascend from one key frame to the other.
@@ -157,8 +161,8 @@ impl Engine {
         self.work.tokens(&tokens(&tiles));
         self.work.branches(self.model.zero_output());
         self.tiles = Some(tiles);
-        // Nothing of the reconstructor's is called from here on: where it panicked, the stream is as it was, and the next frame is computed in
-        // full.
+        // Nothing of the reconstructor's is called from here on: where it panicked, the stream is as it was, and the
+        // next frame is computed in full.
         let (state, interval) = advanced?;
         self.state = Some(state);
         Ok(interval)
@@ -315,7 +319,8 @@ impl Engine {
         between.into_iter().map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement)).collect()
     }
 
-    /// What the interval from the key frame before to this one keeps. Where something is, `view` and `seen` show the mean there.
+    /// What the interval from the key frame before to this one keeps. Where something is, `view` and `seen` show the
+    /// mean there.
     fn keep(&self, view: &mut KeyView, seen: &mut [Seen]) -> Option<Keeping> {
         let Self { settings, state, .. } = self;
         let before = &state.as_ref()?.view;
@@ -429,7 +434,8 @@ impl Engine {
         self.state = Some(state);
     }
 
-    /// The frame of `point` through its own part of the network, as if it were the first one, but for what `point` says of its depth.
+    /// The frame of `point` through its own part of the network, as if it were the first one, but for what `point` says
+    /// of its depth.
     pub(super) fn see(&mut self, frame: Frame, point: &ResumePoint) -> Result<(Placement, KeyView), EngineError> {
         let placement = self.check(None, &frame, point.frame, point.timestamp)?;
         let mut tiles = self.tiles(placement)?;

@@ -11,8 +11,8 @@ pub struct Frame {
     pub height: usize,
     /// `[3, height, width]`, display-space RGB in [0, 1] (values outside are clamped).
     pub rgb: Vec<f32>,
-    /// `[height, width]` inverse depth (larger is nearer, any scale), where there is any. Values that are not finite count as
-    /// infinitely far.
+    /// `[height, width]` inverse depth (larger is nearer, any scale), where there is any. Values that are not finite
+    /// count as infinitely far.
     pub depth: Option<Vec<f32>>,
 }
 

@@ -29,7 +29,8 @@ pub(super) struct Meeting {
     pub(super) lasting: usize,
     /// How many old and new Gaussians come before those that stand behind others.
     pub(super) seen: [usize; 2],
-    /// As [`Step::lifted`](super::canonical::Step): depth does not tell Gaussians apart, but those that stand behind others meet their like; a tracked point takes the new one's depth.
+    /// As [`Step::lifted`](super::canonical::Step): depth does not tell Gaussians apart, but those that stand behind
+    /// others meet their like; a tracked point takes the new one's depth.
     pub(super) lifted: bool,
     pub(super) max_age: u32,
 }

@@ -7,8 +7,9 @@ pub const HANDOVER: f32 = 0.125;
 
 /// Handover of a Gaussian at an end of its interval: it gives way to another, takes over from one, or neither.
 ///
-/// The factor on the opacity, with t in [0, 1] over the interval: `min(1, t/⅛)` for one that arrives, `min(1, (1−t)/⅛)` for
-/// one that leaves. It is 0 at the key frame, so that the image there does not change when the Gaussian comes or goes.
+/// The factor on the opacity, with t in [0, 1] over the interval: `min(1, t/⅛)` for one that arrives, `min(1, (1−t)/⅛)`
+/// for one that leaves. It is 0 at the key frame, so that the image there does not change when the Gaussian comes or
+/// goes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum Handover {
@@ -163,8 +164,8 @@ impl Record {
         std::array::from_fn(|axis| self.mean[axis] + self.velocity[axis] * tau)
     }
 
-    /// Colour at `t` in [0, 1]: product and sum are rounded one after the other, and a product of zero, of either sign, leaves
-    /// `rgb` as it is, to the bit.
+    /// Colour at `t` in [0, 1]: product and sum are rounded one after the other, and a product of zero, of either sign,
+    /// leaves `rgb` as it is, to the bit.
     pub fn rgb_at(&self, t: f32) -> [f32; 3] {
         let tau = self.reference.tau(t);
         std::array::from_fn(|channel| arrived(self.rgb[channel], self.rgb_rate[channel] * tau))
@@ -175,8 +176,8 @@ impl Record {
         self.opacity * motion::opacity_factor(self.gamma, self.reference.tau(t)) * self.handover.factor(t)
     }
 
-    /// Returns true if every number is finite, as [`motion::opacity_factor`] needs, the colour throughout the interval, and no scale,
-    /// thickness or opacity is negative.
+    /// Returns true if every number is finite, as [`motion::opacity_factor`] needs, the colour throughout the interval,
+    /// and no scale, thickness or opacity is negative.
     pub fn is_sound(&self) -> bool {
         // Between the ends every rounded colour lies between theirs.
         let any_sign =
@@ -189,8 +190,8 @@ impl Record {
     }
 }
 
-/// The Gaussians of an interval, in drawing order (among equals in depth): survivors, the frame at its start, the frame at
-/// its end.
+/// The Gaussians of an interval, in drawing order (among equals in depth): survivors, the frame at its start, the frame
+/// at its end.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DynamicGaussians {
     /// See [`Record::mean`].

@@ -1,8 +1,8 @@
 //! Static blocks of the picture keep their Gaussians.
 //!
-//! A picture is divided into blocks of [`BLOCK`]×[`BLOCK`] pixels. Of each, the stream remembers the mean of the frames since its Gaussians were
-//! computed. Over an interval, with d the difference of a frame from that mean, m the number of frames in it, and μ the mean of d per channel,
-//! the block
+//! A picture is divided into blocks of [`BLOCK`]×[`BLOCK`] pixels. Of each, the stream remembers the mean of the frames
+//! since its Gaussians were computed. Over an interval, with d the difference of a frame from that mean, m the number
+//! of frames in it, and μ the mean of d per channel, the block
 //!
 //! ```text
 //! rests    where in every frame   rms(d) ≤ R and rms of d's means over 4×4 pixels ≤ S
@@ -13,14 +13,15 @@
 //! R = MARGIN·σ·√(1 + 1/m) + ROUNDING     S = R/2
 //! ```
 //!
-//! σ is the camera's noise, at most [`MOST_NOISE`] where it is white and [`MOST_CHANGE`] where it is not. Means over 4×4 pixels of white noise are a quarter
-//! of it; motion, and what a codec left, change them nearly as much as the pixels. Noise is white where they are less than [`WHITE`] of it in the
-//! blocks and frames up to the percentile. A block that rests or drifts keeps its Gaussians: one record per Gaussian through the interval, without
-//! motion and without fading. The frames of a block that rests enter its mean; the mean of a block that drifts moves by μ.
+//! σ is the camera's noise, at most [`MOST_NOISE`] where it is white and [`MOST_CHANGE`] where it is not. Means over
+//! 4×4 pixels of white noise are a quarter of it; motion, and what a codec left, change them nearly as much as the
+//! pixels. Noise is white where they are less than [`WHITE`] of it in the blocks and frames up to the percentile. A
+//! block that rests or drifts keeps its Gaussians: one record per Gaussian through the interval, without motion and
+//! without fading. The frames of a block that rests enter its mean; the mean of a block that drifts moves by μ.
 //!
-//! Colours of kept Gaussians follow the mean: they are fitted to it again when the block drifts, when twice as many frames are in the mean as at the last
-//! fit, and when its means over 4×4 pixels have moved by more than [`FOLLOWED`] since. Over that interval they change linearly, so that crossing a key
-//! frame changes no bit.
+//! Colours of kept Gaussians follow the mean: they are fitted to it again when the block drifts, when twice as many
+//! frames are in the mean as at the last fit, and when its means over 4×4 pixels have moved by more than [`FOLLOWED`]
+//! since. Over that interval they change linearly, so that crossing a key frame changes no bit.
 //!
 //! # Order of operations
 //!
@@ -55,7 +56,8 @@ const DRIFT: f64 = 16.0 / 255.0;
 const MOST_FRAMES: u32 = 16;
 /// Rms change of means over cells from which on colours are fitted again.
 const FOLLOWED: f64 = 0.4 / 255.0;
-/// The least share of kept blocks among those with a texture; below, none is kept: a camera that moves keeps no flat patch behind.
+/// The least share of kept blocks among those with a texture; below, none is kept: a camera that moves keeps no flat
+/// patch behind.
 const LEAST: f64 = 0.2;
 
 /// The least standard deviation of means over cells that is a texture.
@@ -99,7 +101,8 @@ pub(super) struct Lattice {
 }
 
 impl Lattice {
-    /// The lattice of `count` Gaussians on a picture of `[height, width]`; `None` where its cells are no squares of whole pixels.
+    /// The lattice of `count` Gaussians on a picture of `[height, width]`; `None` where its cells are no squares of
+    /// whole pixels.
     pub(super) fn of(count: usize, [height, width]: [usize; 2]) -> Option<Self> {
         let side = (height * width).checked_div(count)?.isqrt();
         let whole = side > 0 && height.is_multiple_of(side) && width.is_multiple_of(side);
@@ -250,8 +253,9 @@ impl Past {
 }
 
 impl Kept {
-    /// What the interval from a key frame with this mean and past to `frames`, the last of which is its other key frame, keeps; `None` where that
-    /// is too little. `frames`: times in the interval and pictures; blocks that are kept become the mean in each of them.
+    /// What the interval from a key frame with this mean and past to `frames`, the last of which is its other key
+    /// frame, keeps; `None` where that is too little. `frames`: times in the interval and pictures; blocks that are
+    /// kept become the mean in each of them.
     pub(super) fn of(
         blocks: Blocks,
         mean: &[f32],
@@ -406,7 +410,8 @@ impl Kept {
             .any(|row| columns.clone().any(|column| wanted(self.changes[row * self.blocks.grid[1] + column])))
     }
 
-    /// The rectangle of pixels, rows and columns, around all blocks that change, with a margin for flow; `None` where none does.
+    /// The rectangle of pixels, rows and columns, around all blocks that change, with a margin for flow; `None` where
+    /// none does.
     pub(super) fn changing(&self) -> Option<[std::ops::Range<usize>; 2]> {
         let [_, columns] = self.blocks.grid;
         let changed = || (0..self.changes.len()).filter(|at| self.changes[*at] == Change::All);

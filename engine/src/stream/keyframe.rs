@@ -25,8 +25,8 @@ pub(super) struct KeyView {
     depth: Option<Vec<f32>>,
     /// `None` for tiles of which nothing was computed, because all their Gaussians are kept.
     pub(super) tiles: Vec<Option<TileView>>,
-    /// The Gaussians of all tiles, in the frame's world, lifted to the frame's depth and with colours that fit the frame where that is asked for; none before
-    /// [`Context::finish`].
+    /// The Gaussians of all tiles, in the frame's world, lifted to the frame's depth and with colours that fit the
+    /// frame where that is asked for; none before [`Context::finish`].
     pub(super) gaussians: Arc<StaticGaussians>,
     /// The last of these, which the lift added.
     pub(super) added: Added,
@@ -94,7 +94,8 @@ pub(super) struct Context<'a> {
 }
 
 impl Context<'_> {
-    /// A key frame at the model's size, of which nothing is computed yet, and the number of depth values that were not finite.
+    /// A key frame at the model's size, of which nothing is computed yet, and the number of depth values that were not
+    /// finite.
     pub(super) fn fitted(&mut self, frame: Frame, placement: Placement) -> (KeyView, u64) {
         let Frame { mut rgb, mut depth, .. } = frame;
         let (level, range, lifts) = (self.level, self.settings.depth_range, self.tiles.ignores_depth());
@@ -109,7 +110,8 @@ impl Context<'_> {
         (KeyView::of(rgb, depth, self.tiles.resolution), lost)
     }
 
-    /// Key frame `index` through its own part of the network, not [finished](Self::finish): tiles with a cell that is not kept.
+    /// Key frame `index` through its own part of the network, not [finished](Self::finish): tiles with a cell that is
+    /// not kept.
     pub(super) fn reconstruct(
         &mut self,
         view: &mut KeyView,
@@ -134,8 +136,8 @@ impl Context<'_> {
         Ok(())
     }
 
-    /// Puts the Gaussians of a frame's tiles together, lifts them to `map` and fits their colours, where either is wanted. `memory`: of what
-    /// the frame's foreground hides.
+    /// Puts the Gaussians of a frame's tiles together, lifts them to `map` and fits their colours, where either is
+    /// wanted. `memory`: of what the frame's foreground hides.
     pub(super) fn finish(&mut self, view: &mut KeyView, map: Option<AlignedMap>, memory: &Memory<'_>) {
         let unchanged = |before: &&KeyView| {
             let same = |(then, now): (&Option<TileView>, &Option<TileView>)| match (then, now) {
@@ -171,7 +173,8 @@ impl Context<'_> {
         self.tiles.gaussians(&of_tiles.collect::<Vec<_>>())
     }
 
-    /// [`Context::finish`] of a frame without a map that keeps cells of the frame before; those whose colours change get `kept`'s.
+    /// [`Context::finish`] of a frame without a map that keeps cells of the frame before; those whose colours change
+    /// get `kept`'s.
     pub(super) fn finish_kept(&mut self, view: &mut KeyView, before: &KeyView, kept: &Kept, cells: &[Change]) {
         self.work.count(Stage::Still, (kept.share()[1] - kept.share()[0]) as u64, kept.share()[0] as u64);
         view.past = Some(kept.past.clone());
@@ -195,7 +198,8 @@ impl Context<'_> {
         }
     }
 
-    /// The Gaussians with colours that fit the frame on the raster tiles that are `wanted`, where fits are wanted at all.
+    /// The Gaussians with colours that fit the frame on the raster tiles that are `wanted`, where fits are wanted at
+    /// all.
     fn coloured(
         &mut self,
         gaussians: Arc<StaticGaussians>,
@@ -294,14 +298,16 @@ impl KeyView {
         self.depth.is_some()
     }
 
-    /// The map that `found`, which has one scale in the whole stream, gives for the frame; `None` where it tells nothing.
+    /// The map that `found`, which has one scale in the whole stream, gives for the frame; `None` where it tells
+    /// nothing.
     pub(super) fn found_map(&self, level: streamsplat_kernels::Level, found: &Found) -> Option<AlignedMap> {
         let inverse = found.map(level, &self.rgb, self.resolution);
         let map = DepthMap { inverse, confidence: None, resolution: self.resolution }.filled()?;
         Some(AlignedMap { map, alignment: Alignment::default() })
     }
 
-    /// The frame's own depth map without holes, for a model that ignores depth; `None` where it has none or it tells nothing.
+    /// The frame's own depth map without holes, for a model that ignores depth; `None` where it has none or it tells
+    /// nothing.
     pub(super) fn own_map(&self, tiles: &Tiles) -> Option<DepthMap> {
         let inverse = self.depth.as_ref().filter(|_| tiles.ignores_depth())?.clone();
         DepthMap { inverse, confidence: None, resolution: self.resolution }.filled()
@@ -334,7 +340,8 @@ fn gaussians(
 }
 
 impl DepthRange {
-    /// Brings a depth map into [0, 1]; gives the number of values that were not finite. With `holes` these stay as they are, and none is counted.
+    /// Brings a depth map into [0, 1]; gives the number of values that were not finite. With `holes` these stay as they
+    /// are, and none is counted.
     fn apply(self, depth: &mut [f32], holes: bool) -> u64 {
         if holes {
             let found: Vec<usize> = (0..depth.len()).filter(|&i| !depth[i].is_finite()).collect();

@@ -1,21 +1,22 @@
 //! Which Gaussian of a new frame continues which old one.
 //!
-//! An old Gaussian *coincides* with a new one whose position lies in its footprint: with d from the old tracked point to the
-//! new position, `q = (d_x/r_x)² + (d_y/r_y)² + (d_z/r_z)² ≤ 1`. The radii r are two standard deviations, but at least one
-//! and at most two grid cells across the image, and 0.05 to 0.2 in normalised inverse depth (which every frame normalises
-//! anew, so that it shifts by some per cent).
+//! An old Gaussian *coincides* with a new one whose position lies in its footprint: with d from the old tracked point
+//! to the new position, `q = (d_x/r_x)² + (d_y/r_y)² + (d_z/r_z)² ≤ 1`. The radii r are two standard deviations, but at
+//! least one and at most two grid cells across the image, and 0.05 to 0.2 in normalised inverse depth (which every
+//! frame normalises anew, so that it shifts by some per cent).
 //!
 //! - The *host* of an old Gaussian is the coinciding new one of smallest q (ties: lower index).
-//! - Identities go one to one: all coinciding pairs in ascending q (ties: lower new, then lower old index), each taken when
-//!   neither side is taken yet. The frame before goes first; older survivors share what is left. (Found by deferred acceptance: each old one offers itself to its
-//!   candidates in ascending order, a new one keeps the best offer; no pairs are sorted.)
+//! - Identities go one to one: all coinciding pairs in ascending q (ties: lower new, then lower old index), each taken
+//!   when neither side is taken yet. The frame before goes first; older survivors share what is left. (Found by
+//!   deferred acceptance: each old one offers itself to its candidates in ascending order, a new one keeps the best
+//!   offer; no pairs are sorted.)
 //!
-//! New Gaussians are binned over the image with one cell each on average, and a query visits at most six by six bins, so the
-//! whole is near-linear. To keep it so when positions pile up, a query reads at most [`PER_BIN`] records of a bin (the lowest
-//! indices) and keeps at most [`CANDIDATES`] pairs (the smallest q).
+//! New Gaussians are binned over the image with one cell each on average, and a query visits at most six by six bins,
+//! so the whole is near-linear. To keep it so when positions pile up, a query reads at most [`PER_BIN`] records of a
+//! bin (the lowest indices) and keeps at most [`CANDIDATES`] pairs (the smallest q).
 //!
-//! The hierarchy of boxes of [`crate::space`] finds the same pairs (`by_tree.rs` tests it) but is several times slower to make and to
-//! search: positions on a lattice are binned for nothing, and a probe's footprint is a cell or two.
+//! The hierarchy of boxes of [`crate::space`] finds the same pairs (`by_tree.rs` tests it) but is several times slower
+//! to make and to search: positions on a lattice are binned for nothing, and a probe's footprint is a cell or two.
 
 use streamsplat_kernels::parallel::map_indexed;
 
@@ -106,7 +107,8 @@ pub(crate) fn match_up(lattice: Lattice, old: &[Probe], new: &[[f32; 3]]) -> Mat
     for part in &parts {
         host.extend((0..part.ends.len()).map(|at| part.of(at).first().map(|&(_, new)| new)));
     }
-    // The keys of pairs differ and both sides prefer lower ones, so the only stable matching is that of taking pairs in ascending order.
+    // The keys of pairs differ and both sides prefer lower ones, so the only stable matching is that of taking pairs in
+    // ascending order.
     let mut holder: Vec<Option<Holder>> = vec![None; new.len()];
     for (chunk, part) in parts.iter().enumerate() {
         for at in 0..part.ends.len() {
@@ -148,7 +150,8 @@ impl Candidates {
 /// The old Gaussian to which a new one is given for now.
 #[derive(Clone, Copy)]
 struct Holder {
-    /// Order among those that coincide with the new one: the frame before first, then q (non-negative floats order as their bits do), then the index.
+    /// Order among those that coincide with the new one: the frame before first, then q (non-negative floats order as
+    /// their bits do), then the index.
     key: (bool, u32, u32),
     /// Place of the new one among the old one's candidates.
     rank: u32,

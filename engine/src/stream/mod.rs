@@ -6,11 +6,11 @@
 //! the frame before (kept) ────────────────┘
 //! ```
 //!
-//! [`Engine::push`] does this; nothing of the frame before is computed again. How Gaussians live from key frame to key frame
-//! is told in `canonical`, how they find each other in `matching`.
+//! [`Engine::push`] does this; nothing of the frame before is computed again. How Gaussians live from key frame to key
+//! frame is told in `canonical`, how they find each other in `matching`.
 //!
-//! Motion and opacity inside an interval follow the deformation fields of StreamSplat (ICLR 2026) over a time that runs from 0
-//! to 1, whatever the interval's length in seconds.
+//! Motion and opacity inside an interval follow the deformation fields of StreamSplat (ICLR 2026) over a time that runs
+//! from 0 to 1, whatever the interval's length in seconds.
 
 mod between;
 mod canonical;

@@ -18,7 +18,8 @@ pub static EMBEDDED_CHECKPOINT: &[u8] = include_bytes!("../../lite/lite.safetens
 /// The configuration of [`EMBEDDED_CHECKPOINT`]: what shapes cannot say.
 pub const EMBEDDED_CONFIG: &str = include_str!("../../lite/lite.json");
 
-/// A network, with DINOv2 where it is conditioned on that, and without where its condition is the other frame's embedding.
+/// A network, with DINOv2 where it is conditioned on that, and without where its condition is the other frame's
+/// embedding.
 pub(super) struct Conditioned {
     network: Arc<Network>,
     dino: Option<Arc<Dino>>,

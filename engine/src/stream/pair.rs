@@ -24,7 +24,8 @@ struct TilePair {
 }
 
 impl Pair {
-    /// The pair of key frames `a` and `b`, of which the later is key frame `index`; what did not change since `last`, the pair before, is kept.
+    /// The pair of key frames `a` and `b`, of which the later is key frame `index`; what did not change since `last`,
+    /// the pair before, is kept.
     pub(super) fn new(
         tiles: &mut Tiles,
         work: &mut Work,

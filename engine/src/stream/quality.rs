@@ -6,8 +6,8 @@ use crate::gap::{Auto, Gap};
 use streamsplat_model::Precision;
 
 named! {
-    /// A trade of error for time: a fixed set of other settings ([`Quality::preset`]). It never looks at a clock or a CPU, so that results stay a function of model, input and
-    /// settings.
+    /// A trade of error for time: a fixed set of other settings ([`Quality::preset`]). It never looks at a clock or a
+    /// CPU, so that results stay a function of model, input and settings.
     Quality: "quality" {
         /// The least time per frame at which motion and colours still follow the frames.
         Realtime = "realtime",
@@ -104,7 +104,8 @@ impl Quality {
 }
 
 impl Settings {
-    /// The settings of the model inside the library for a [`Quality`]; which frames are key frames is for the caller to choose ([`Preset::gap`]).
+    /// The settings of the model inside the library for a [`Quality`]; which frames are key frames is for the caller to
+    /// choose ([`Preset::gap`]).
     pub fn of_quality(quality: Quality) -> Self {
         let Preset {
             gap: _,

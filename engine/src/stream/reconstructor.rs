@@ -39,8 +39,8 @@ pub trait Reconstructor: Send + Sync {
         None
     }
 
-    /// Returns true if its Gaussians do not depend on [`FrameInput::depth`]. A depth map then does not reach it: the stream
-    /// lifts the Gaussians to the map.
+    /// Returns true if its Gaussians do not depend on [`FrameInput::depth`]. A depth map then does not reach it: the
+    /// stream lifts the Gaussians to the map.
     fn ignores_depth(&self) -> bool {
         false
     }

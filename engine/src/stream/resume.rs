@@ -2,7 +2,8 @@
 //!
 //! Embedding, tokens, condition and Gaussians of the last key frame are functions of that frame: they are computed
 //! again, to the same bits. What is not a function of it is the canonical set: who survives, and which identity each of
-//! the frame's Gaussians carries, and the depth that frames before tell of it. That is a [`ResumePoint`]; it is small beside what it spares.
+//! the frame's Gaussians carries, and the depth that frames before tell of it. That is a [`ResumePoint`]; it is small
+//! beside what it spares.
 
 use std::sync::Arc;
 
@@ -29,7 +30,8 @@ pub struct ResumePoint {
     pub current: Vec<Current>,
     /// The next identity that nobody had before.
     pub next_identity: u64,
-    /// Factor and offset that bring the frame's depth map to the scale of the frames before; `None` where it is lifted to none.
+    /// Factor and offset that bring the frame's depth map to the scale of the frames before; `None` where it is lifted
+    /// to none.
     pub depth: Option<[f32; 2]>,
     /// Depth found by parallax for the frame; `None` where none was.
     pub found: Option<Found>,

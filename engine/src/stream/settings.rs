@@ -25,31 +25,37 @@ pub struct Settings {
     pub max_age: MaxAge,
     /// How frames are brought to the model's input size.
     pub fit: Fit,
-    /// The size at which the model sees frames; `None`: [`Resolution::Auto`] for the model inside the library, its own for any other.
+    /// The size at which the model sees frames; `None`: [`Resolution::Auto`] for the model inside the library, its own
+    /// for any other.
     pub resolution: Option<Resolution>,
-    /// Where motion comes from; `None`: [`MotionFrom::Between`] for the model inside the library, [`MotionFrom::Network`] for any other.
+    /// Where motion comes from; `None`: [`MotionFrom::Between`] for the model inside the library,
+    /// [`MotionFrom::Network`] for any other.
     pub motion: Option<MotionFrom>,
-    /// How Gaussians fade in and out between key frames.
-    /// `None`: [`Fade::Fixed`] for the model inside the library where motion is not the network's, [`Fade::Network`] otherwise.
+    /// How Gaussians fade in and out between key frames. `None`: [`Fade::Fixed`] for the model inside the library where
+    /// motion is not the network's, [`Fade::Network`] otherwise.
     pub fade: Option<Fade>,
     /// How much is spent on optical flow from frame to frame.
     pub flow: FlowEffort,
-    /// Steps of conjugate gradients that fit colours to the frames, 0 for none; `None`: [`Settings::REFINE`] for the model inside the library, 0
-    /// for any other.
+    /// Steps of conjugate gradients that fit colours to the frames, 0 for none; `None`: [`Settings::REFINE`] for the
+    /// model inside the library, 0 for any other.
     pub refine: Option<u32>,
-    /// Every how many of the frames between key frames are looked at where colours are fitted, 1 for all; `None`: 1. 0 is 1.
+    /// Every how many of the frames between key frames are looked at where colours are fitted, 1 for all; `None`: 1. 0
+    /// is 1.
     pub refine_every: Option<u32>,
-    /// PSNR, in dB, from which on a tile of 64×32 pixels of an image between key frames is close enough to its frame: where all frames of an interval are, no colours are
-    /// fitted. `None`: [`Settings::REFINE_TO`] for the model inside the library, [`Decibels::MOST`] for any other.
+    /// PSNR, in dB, from which on a tile of 64×32 pixels of an image between key frames is close enough to its frame:
+    /// where all frames of an interval are, no colours are fitted. `None`: [`Settings::REFINE_TO`] for the model inside
+    /// the library, [`Decibels::MOST`] for any other.
     pub refine_to: Option<Decibels>,
-    /// True if depth is found by parallax ([`crate::parallax`]) for frames that have no map of their own, where the model ignores depth
-    /// ([`Reconstructor::ignores_depth`]) and motion is taken from the frames; `None`: true for the model inside the library, false for any other.
+    /// True if depth is found by parallax ([`crate::parallax`]) for frames that have no map of their own, where the
+    /// model ignores depth ([`Reconstructor::ignores_depth`]) and motion is taken from the frames; `None`: true for the
+    /// model inside the library, false for any other.
     pub find_depth: Option<bool>,
     /// How depth maps are normalised.
     pub depth_range: DepthRange,
     /// Gaussians behind the foreground, where depth maps lift it.
     pub behind: Behind,
-    /// Static regions of the picture; `None`: [`StaticRegions::Keep`] for the model inside the library, [`StaticRegions::Off`] for any other.
+    /// Static regions of the picture; `None`: [`StaticRegions::Keep`] for the model inside the library,
+    /// [`StaticRegions::Off`] for any other.
     pub still: Option<StaticRegions>,
     /// How positions that the model gives as a distribution are drawn.
     pub sampling: SamplingMode,
@@ -57,7 +63,8 @@ pub struct Settings {
     pub seed: u64,
     /// Which work is left out.
     pub reuse: Reuse,
-    /// The arithmetic of the large matrix products; `None`: [`Precision::Int8`] for the model inside the library, [`Precision::F32`] for any other.
+    /// The arithmetic of the large matrix products; `None`: [`Precision::Int8`] for the model inside the library,
+    /// [`Precision::F32`] for any other.
     pub precision: Option<Precision>,
     /// The instruction-set level; `None` is the machine's highest. It changes no output bit.
     pub level: Option<Level>,
@@ -249,8 +256,8 @@ pub struct UnknownChoice {
 named! {
     /// Fusion of a key frame with those before.
     Fusion: "fusion" {
-        /// Gaussians keep their identity from key frame to key frame; what no frame continues lives on and fades; crossing
-        /// a key frame changes no bit of the image.
+        /// Gaussians keep their identity from key frame to key frame; what no frame continues lives on and fades;
+        /// crossing a key frame changes no bit of the image.
         #[default]
         Persistent = "persistent",
         /// Two frames at a time, and nothing else: the model's own definition of an interval.
@@ -266,8 +273,8 @@ named! {
         Network = "network",
         /// Optical flow from either key frame to the other, read at each Gaussian's centre.
         Frames = "frames",
-        /// Optical flow from frame to frame, followed through the frames between the two key frames: the line of least squares through the places it
-        /// leads to. Where no frame lies between, as [`MotionFrom::Frames`].
+        /// Optical flow from frame to frame, followed through the frames between the two key frames: the line of least
+        /// squares through the places it leads to. Where no frame lies between, as [`MotionFrom::Frames`].
         Between = "between",
     }
 }
@@ -278,8 +285,8 @@ named! {
         /// As the network says of each of them.
         #[default]
         Network = "network",
-        /// All alike, as the network does on average. Where motion is not the network's either, its dynamic half is not computed: what flow does not
-        /// tell of a Gaussian then stands still.
+        /// All alike, as the network does on average. Where motion is not the network's either, its dynamic half is not
+        /// computed: what flow does not tell of a Gaussian then stands still.
         Fixed = "fixed",
     }
 }
@@ -320,8 +327,8 @@ named! {
 named! {
     /// Static regions of the picture.
     StaticRegions: "still" {
-        /// Their Gaussians are kept while the frames differ by no more than the camera's noise. Applies where motion is not the network's,
-        /// fusion is persistent, positions are means, and no depth map lifts the frames.
+        /// Their Gaussians are kept while the frames differ by no more than the camera's noise. Applies where motion is
+        /// not the network's, fusion is persistent, positions are means, and no depth map lifts the frames.
         Keep = "keep",
         /// They are computed for each key frame, as all others.
         #[default]
@@ -345,11 +352,12 @@ named! {
 pub enum Reuse {
     /// None.
     Off,
-    /// Results of the same input bits as before, and branches that add zero ([`streamsplat_model::zero_output`]). No output bit changes.
+    /// Results of the same input bits as before, and branches that add zero ([`streamsplat_model::zero_output`]). No
+    /// output bit changes.
     #[default]
     Exact,
-    /// Also what would be computed from tokens that moved by no more than this fraction of their length, from 0 to 1. See
-    /// [`streamsplat_model::reuse`].
+    /// Also what would be computed from tokens that moved by no more than this fraction of their length, from 0 to 1.
+    /// See [`streamsplat_model::reuse`].
     Within(f32),
 }
 

@@ -1,18 +1,21 @@
 //! A frame as tiles of the size that the model takes.
 //!
-//! A network sees frames of one size; a larger frame goes through it in rectangular parts, each as a frame of its own. What it makes of a frame's border, beyond which it sees nothing,
-//! fits its neighbours badly, so a tile sees [`HALO`] patches more than it keeps wherever it has a neighbour. Along an axis there are as few tiles as can be, which keep lengths that
-//! differ by one patch at most; a network that takes no smaller grid than its own ([`Tiling::partial`]) gets tiles of its own size, which overlap by twice that at least, and of
-//! what two tiles show each keeps its half.
+//! A network sees frames of one size; a larger frame goes through it in rectangular parts, each as a frame of its own.
+//! What it makes of a frame's border, beyond which it sees nothing, fits its neighbours badly, so a tile sees [`HALO`]
+//! patches more than it keeps wherever it has a neighbour. Along an axis there are as few tiles as can be, which keep
+//! lengths that differ by one patch at most; a network that takes no smaller grid than its own ([`Tiling::partial`])
+//! gets tiles of its own size, which overlap by twice that at least, and of what two tiles show each keeps its half.
 //!
-//! Gaussians of the tile with first pixel `(x₀, y₀)` and size `w × h` in a frame of `W × H` come to the frame's world by
+//! Gaussians of the tile with first pixel `(x₀, y₀)` and size `w × h` in a frame of `W × H` come to the frame's world
+//! by
 //!
 //! ```text
 //! x' = x·(w/W) + ((2·x₀ + w)/W − 1)     z' = z·(h/H) + (1 − (2·y₀ + h)/H)     y' = y
 //! s_x' = s_x·(w/W)     s_z' = s_z·(h/H)     v_x' = v_x·(w/W)     v_z' = v_z·(h/H)
 //! ```
 //!
-//! with factors and offsets rounded from binary64, one fused multiply-add each, and stand in the frame's arrays row by row, as if there were no tiles.
+//! with factors and offsets rounded from binary64, one fused multiply-add each, and stand in the frame's arrays row by
+//! row, as if there were no tiles.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -34,7 +37,8 @@ pub(super) struct Tile {
     origin: [usize; 2],
     /// Rows and columns of pixels.
     size: [usize; 2],
-    /// The Gaussians that it keeps: their places in its own arrays and in the frame's. `None`: all of them, and the frame has no others.
+    /// The Gaussians that it keeps: their places in its own arrays and in the frame's. `None`: all of them, and the
+    /// frame has no others.
     places: Option<Vec<[u32; 2]>>,
 }
 

@@ -115,8 +115,8 @@ impl Work {
         }
     }
 
-    /// The accounts of the network's residual branches, `zero_output` telling which are left out: one for every call of a part so far, each under its stage's name and
-    /// `.branches`. None where none is left out.
+    /// The accounts of the network's residual branches, `zero_output` telling which are left out: one for every call of
+    /// a part so far, each under its stage's name and `.branches`. None where none is left out.
     pub(crate) fn branches(&mut self, zero_output: &[ZeroOutput]) {
         if zero_output.iter().all(|part| part.zero_output == 0) {
             return;

@@ -1,7 +1,7 @@
 //! One interval as the page reads it: 34 bytes per Gaussian, 37 where colours change.
 //!
-//! Little-endian. A header of 96 bytes, `count` records of 32 bytes, `count` ages of two bytes; and where the step of rates
-//! is not zero, `count` rates of three bytes.
+//! Little-endian. A header of 96 bytes, `count` records of 32 bytes, `count` ages of two bytes; and where the step of
+//! rates is not zero, `count` rates of three bytes.
 //!
 //! | header | | |
 //! |---|---|---|
@@ -24,11 +24,12 @@
 //! | 24 | u64 | identity in the low 56 bits; bit 56 reference; bits 57 and 58 handover | none below 2⁵⁶ |
 //! | | | thickness in bits 59 to 63: 2^(q/4), q a signed number | from 2⁻⁴ to 2^(15/4) an eighth of an octave |
 //!
-//! A rate is the change of red, green and blue per interval, 3 × i8: `step·q`, half a step off at most, which is a 254th of the largest.
+//! A rate is the change of red, green and blue per interval, 3 × i8: `step·q`, half a step off at most, which is a
+//! 254th of the largest.
 //!
-//! An age is the number of key frames from the identity's birth to the interval's end, at most 65,535. Left out is what no image
-//! of the interval can show: opacities under 1/255, inverse depths that leave [0, 1] on one side throughout, and records with a
-//! number that is not finite. The order is the drawing order.
+//! An age is the number of key frames from the identity's birth to the interval's end, at most 65,535. Left out is what
+//! no image of the interval can show: opacities under 1/255, inverse depths that leave [0, 1] on one side throughout,
+//! and records with a number that is not finite. The order is the drawing order.
 
 use half::f16;
 use streamsplat_kernels::math::f64::ln;

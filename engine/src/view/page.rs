@@ -187,9 +187,9 @@ pub fn poster(source: &impl Whole) -> Result<(Vec<u8>, [usize; 2]), PageError> {
 
 /// Writes the page with the whole of `source` in it: one file that needs nothing else. Returns the number of its bytes.
 ///
-/// Everything that makes the page work comes first, then the intervals in order, so that the first ones can be seen while
-/// others are still to come. Each is a container's chunk without what images do not need (`docs/container.md`, "Inside a page"), a still
-/// scene its compressed packet, as printable text.
+/// Everything that makes the page work comes first, then the intervals in order, so that the first ones can be seen
+/// while others are still to come. Each is a container's chunk without what images do not need (`docs/container.md`,
+/// "Inside a page"), a still scene its compressed packet, as printable text.
 ///
 /// # Errors
 /// A source that cannot be read, one that is too large for a browser's text, and the errors of `out`.

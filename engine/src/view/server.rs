@@ -28,8 +28,8 @@ pub struct Server {
 }
 
 impl Server {
-    /// Serves `source` on `address`; port 0 takes any free port. Requests may use these `names` for the server, as well as those of
-    /// [`Hosts::of`].
+    /// Serves `source` on `address`; port 0 takes any free port. Requests may use these `names` for the server, as well
+    /// as those of [`Hosts::of`].
     ///
     /// # Errors
     /// An address that cannot be listened on.

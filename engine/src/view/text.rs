@@ -1,4 +1,5 @@
-//! Bytes as text that HTML leaves as it is: 13 bits in two of 91 printable characters, 23 % more than the bytes (base64: 33 %).
+//! Bytes as text that HTML leaves as it is: 13 bits in two of 91 printable characters, 23 % more than the bytes
+//! (base64: 33 %).
 
 /// The characters, in ascending order: ASCII from `!` to `~` but for `&`, `<` and `\\`.
 fn digits() -> [u8; 91] {
@@ -6,7 +7,8 @@ fn digits() -> [u8; 91] {
     std::array::from_fn(|_| printable.next().unwrap_or(b'~'))
 }
 
-/// Two characters for every 13 bits, the lowest first; the last ones are filled up with zeros. A number is its digit of one, then that of 91.
+/// Two characters for every 13 bits, the lowest first; the last ones are filled up with zeros. A number is its digit of
+/// one, then that of 91.
 pub(super) fn text(bytes: &[u8]) -> String {
     let digits = digits();
     let mut out = String::with_capacity(bytes.len() * 16 / 13 + 4);

@@ -6,14 +6,14 @@
 //!
 //! # Outside of the bit contract
 //!
-//! The shading language leaves the rounding to devices: multiply-adds may be fused or not, and 2^x has an error of its own.
-//! Images therefore differ from device to device and from the CPU's, within 2/255 on all but one pixel in 2,000. They differ more
-//! where a rounding decides whether an α reaches 1/255 or a pixel is finished.
+//! The shading language leaves the rounding to devices: multiply-adds may be fused or not, and 2^x has an error of its
+//! own. Images therefore differ from device to device and from the CPU's, within 2/255 on all but one pixel in 2,000.
+//! They differ more where a rounding decides whether an α reaches 1/255 or a pixel is finished.
 //!
 //! # Memory
 //!
-//! 64 bytes for every Gaussian that can be seen, 4 for every tile it touches, 4 for every pixel of every plane. A request that does not fit one
-//! buffer of the device is refused ([`WgpuError::TooLarge`]).
+//! 64 bytes for every Gaussian that can be seen, 4 for every tile it touches, 4 for every pixel of every plane. A
+//! request that does not fit one buffer of the device is refused ([`WgpuError::TooLarge`]).
 
 mod device;
 mod error;

@@ -148,8 +148,8 @@ impl<A: Form, W: WeightedSum> Block<'_, A, W> {
 }
 
 impl<'a, A: Form, W: WeightedSum> Block<'a, A, W> {
-    /// The `present` keys from `start` on where they were written, with what follows them up to `rows`; or, where they do not follow one another
-    /// or memory ends before, in `copy`.
+    /// The `present` keys from `start` on where they were written, with what follows them up to `rows`; or, where they
+    /// do not follow one another or memory ends before, in `copy`.
     #[inline(always)]
     fn in_place<'b>(&self, start: usize, present: usize, rows: usize, copy: &'b mut Scratch) -> Keys<'b>
     where

@@ -11,8 +11,9 @@ use crate::gemm::form::{Form, Multiply};
 use crate::memory::Scratch;
 use crate::simd::{LANES, Operation, Simd};
 
-/// Converts the keys and values of one head of one window: keys as `[keys][words]` in the form `A`; values as `W` holds them, by blocks of
-/// [`KEY_BLOCK`], as `[row words of the block's keys][width]`. A part at the end of `keys` and `values` may stay as it was.
+/// Converts the keys and values of one head of one window: keys as `[keys][words]` in the form `A`; values as `W` holds
+/// them, by blocks of [`KEY_BLOCK`], as `[row words of the block's keys][width]`. A part at the end of `keys` and
+/// `values` may stay as it was.
 pub(super) struct Pack<'a, A, W> {
     pub(super) layout: &'a Layout,
     pub(super) k: Rows<'a>,

@@ -1,4 +1,5 @@
-//! The formula in binary64, every weight in memory; and in plain scalar steps of the defined order, which the kernel must equal to the bit.
+//! The formula in binary64, every weight in memory; and in plain scalar steps of the defined order, which the kernel
+//! must equal to the bit.
 
 use super::rows::{KEY_BLOCK, LARGEST_SCALE};
 use super::weight::COEFFICIENTS;
@@ -35,8 +36,8 @@ pub fn attend(
     out
 }
 
-/// [`attend`] with operands in `precision`, in the defined order of operations: the kernel's result to the bit. `keys(i)` are those that query
-/// `i` sees, in the order of its window.
+/// [`attend`] with operands in `precision`, in the defined order of operations: the kernel's result to the bit.
+/// `keys(i)` are those that query `i` sees, in the order of its window.
 pub fn attend_in_order(
     precision: Precision,
     q: &[f32],

@@ -41,7 +41,8 @@ impl<'a> Rows<'a> {
         Self { values, rows, stride, head: None, first }
     }
 
-    /// The heads from `first` on of `values [heads][rows][width]`: as [`Epilogue::in_groups_of`](crate::gemm::Epilogue::in_groups_of) writes them.
+    /// The heads from `first` on of `values [heads][rows][width]`: as
+    /// [`Epilogue::in_groups_of`](crate::gemm::Epilogue::in_groups_of) writes them.
     ///
     /// # Panics
     /// When `values` holds no whole number of heads.
@@ -71,8 +72,8 @@ impl<'a> Rows<'a> {
         &self.values[self.place(row, head, width)..][..width]
     }
 
-    /// A head's channels of `count` rows from `row` on, each `stride` after the one before, where `values` reaches so far: rows past the last
-    /// hold anything.
+    /// A head's channels of `count` rows from `row` on, each `stride` after the one before, where `values` reaches so
+    /// far: rows past the last hold anything.
     #[inline(always)]
     pub(super) fn lines(&self, row: usize, count: usize, head: usize, width: usize) -> Option<&'a [f32]> {
         self.values.get(self.place(row, head, width)..)?.get(..(count - 1) * self.stride + width)
@@ -95,8 +96,8 @@ impl<'a> Rows<'a> {
 pub enum Windows {
     /// All of them.
     Full,
-    /// The keys of its own run: the sequence rolled forward by `roll` (the last `roll` tokens wrap to the front) is cut into
-    /// consecutive runs of `length`; the last may be shorter. Needs as many queries as keys.
+    /// The keys of its own run: the sequence rolled forward by `roll` (the last `roll` tokens wrap to the front) is cut
+    /// into consecutive runs of `length`; the last may be shorter. Needs as many queries as keys.
     Runs {
         /// Tokens of a run.
         length: usize,

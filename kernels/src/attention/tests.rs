@@ -239,7 +239,8 @@ fn a_channel_of_values_that_is_not_finite_counts_as_zeros_in_its_block_in_bytes(
 
 #[test]
 fn what_another_block_outweighs_a_thousandfold_still_counts_in_bytes() {
-    // One key weighs as much as half of all others together, in a block of its own peak; each of those less than a byte of it.
+    // One key weighs as much as half of all others together, in a block of its own peak; each of those less than a byte
+    // of it.
     let (queries, keys) = (16, 12 * KEY_BLOCK);
     let v = noise(keys * 64, 3);
     let mut k = vec![0.0; keys * 64];
@@ -315,7 +316,8 @@ fn some_queries_give_the_bits_they_give_among_all() {
 
 #[test]
 fn logits_whose_rounding_is_more_than_one_give_equal_bits_and_means_of_values() {
-    // A query's reference is a rounded product: past 2²⁴ the remainder of the largest logit may be any number of either sign.
+    // A query's reference is a rounded product: past 2²⁴ the remainder of the largest logit may be any number of either
+    // sign.
     let (queries, keys) = (37, 250);
     for size in [1e4, 1e6, 1e8, 1e11, 1e15] {
         let scaled = |n: usize, seed| noise(n * 64, seed).iter().map(|x| x * size).collect::<Vec<_>>();

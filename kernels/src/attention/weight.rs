@@ -3,8 +3,8 @@
 use crate::math;
 use crate::simd::{SHIFTER, Simd};
 
-/// Weights are never below `2^LOWEST`: too little to count, and so much that its products with values are no denormal numbers, on which some
-/// CPUs spend far more time.
+/// Weights are never below `2^LOWEST`: too little to count, and so much that its products with values are no denormal
+/// numbers, on which some CPUs spend far more time.
 const LOWEST: f32 = -64.0;
 
 /// The largest `t`: what rounding leaves of `s·c − M` is more only where logits pass 2²⁴.
@@ -27,10 +27,12 @@ pub(super) fn weight<S: Simd>(s: S, t: S::F32) -> S::F32 {
     s.scale_by_pow2(s.mul_add(p, part, s.splat(1.0)), whole)
 }
 
-/// Weights of the lower precisions are never below `2^LOWEST_LOW`: there their products with values are far from the denormal numbers.
+/// Weights of the lower precisions are never below `2^LOWEST_LOW`: there their products with values are far from the
+/// denormal numbers.
 const LOWEST_LOW: f32 = -56.0;
 
-/// `2^t` for `−56 ≤ t ≤ 1`, rounded to bf16 (to nearest, ties up): within 0.52 of its last place; `2^−56` below, and for NaN; 2 above.
+/// `2^t` for `−56 ≤ t ≤ 1`, rounded to bf16 (to nearest, ties up): within 0.52 of its last place; `2^−56` below, and
+/// for NaN; 2 above.
 #[inline(always)]
 pub(super) fn weight_low<S: Simd>(s: S, t: S::F32) -> S::F32 {
     let w = s.to_bits(math::exp2_low(s, s.min(s.max(t, s.splat(LOWEST_LOW)), s.splat(HIGHEST))));
@@ -41,7 +43,8 @@ pub(super) fn weight_low<S: Simd>(s: S, t: S::F32) -> S::F32 {
 /// Offset that [`numbered`] adds to a number: the bits of [`SHIFTER`].
 pub(super) const NUMBERED: i32 = SHIFTER.to_bits().cast_signed();
 
-/// `255·2^t` for `t ≤ 0`, to the nearest integer (of a value within 7.5e-5; ties to even), [`NUMBERED`] added; 0 for values below ½, and for NaN.
+/// `255·2^t` for `t ≤ 0`, to the nearest integer (of a value within 7.5e-5; ties to even), [`NUMBERED`] added; 0 for
+/// values below ½, and for NaN.
 #[inline(always)]
 pub(super) fn numbered<S: Simd>(s: S, t: S::F32) -> S::I32 {
     let w = math::exp2_low(s, s.max(t, s.splat(-20.0)));

@@ -63,7 +63,8 @@ pub(super) trait WeightedSum: 'static {
     fn row_word<S: Simd>(s: S, i: usize, values: &Values<'_>, c: usize, inverse: S::F32) -> S::F32;
 }
 
-/// The reference moves to the block's largest logit where that is above it; earlier sums are scaled to it, the block is not.
+/// The reference moves to the block's largest logit where that is above it; earlier sums are scaled to it, the block is
+/// not.
 #[inline(always)]
 fn moved<S: Simd>(s: S, scores: &Scores<'_, S>) -> Weighed<S> {
     let before = scores.reference;

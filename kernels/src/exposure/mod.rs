@@ -7,13 +7,13 @@
 //! decode(c) = c/12.92 where c ≤ 0.04045, ((c + 0.055)/1.055)^2.4 above          encode is its inverse
 //! ```
 //!
-//! and, for images that were drawn over nothing, whose colours are multiplied by their alpha a, `c̄ = ā·encode(Σ aᵢ·decode(cᵢ/aᵢ) / (N·ā))`, where ā
-//! is the mean of the alphas. Depth, alpha and transmittance are plain means. Colours under 0 count as 0; above 1 the same
-//! formulas go on.
+//! and, for images that were drawn over nothing, whose colours are multiplied by their alpha a, `c̄ = ā·encode(Σ
+//! aᵢ·decode(cᵢ/aᵢ) / (N·ā))`, where ā is the mean of the alphas. Depth, alpha and transmittance are plain means.
+//! Colours under 0 count as 0; above 1 the same formulas go on.
 //!
 //! # Order of operations
-//! Binary32: images are added in the order in which they come, from +0; the sum is divided by N once. Powers are `exp(2.4·log(x))` and
-//! `exp(log(x)·(1/2.4))` of [`crate::math`]. One image alone goes through the formulas as well.
+//! Binary32: images are added in the order in which they come, from +0; the sum is divided by N once. Powers are
+//! `exp(2.4·log(x))` and `exp(log(x)·(1/2.4))` of [`crate::math`]. One image alone goes through the formulas as well.
 
 pub mod reference;
 #[cfg(test)]

@@ -2,9 +2,10 @@
 //!
 //! `x ← x + γ·(act(norm(x)·W₁ᵀ + b₁)·W₂ᵀ + b₂)` for `x [m,d]`, `W₁ [h,d]`, `W₂ [d,h]`; absent terms are left out.
 //!
-//! Every step is that of [`norm`](crate::norm) and [`gemm`](crate::gemm), with their orders of accumulation and their bits. A task takes a block of rows
-//! through all of them: normalised while they are packed, hidden values in memory of the task alone that stays in the second-level cache. Where there
-//! are too few rows for that, the two products are cut into tasks by themselves.
+//! Every step is that of [`norm`](crate::norm) and [`gemm`](crate::gemm), with their orders of accumulation and their
+//! bits. A task takes a block of rows through all of them: normalised while they are packed, hidden values in memory of
+//! the task alone that stays in the second-level cache. Where there are too few rows for that, the two products are cut
+//! into tasks by themselves.
 
 #[cfg(test)]
 mod tests;

@@ -1,19 +1,21 @@
 //! Colours where an image has none: what lies around goes on there, ever more smoothly.
 //!
-//! An image's pixel is `C + (1 − A)·b`: what was drawn, multiplied by its coverage A, on the background b. [`fill`] puts a colour of the surroundings in
-//! place of b, by pull and push (Gortler et al., The Lumigraph, 1996, section 3.4):
+//! An image's pixel is `C + (1 − A)·b`: what was drawn, multiplied by its coverage A, on the background b. [`fill`]
+//! puts a colour of the surroundings in place of b, by pull and push (Gortler et al., The Lumigraph, 1996, section
+//! 3.4):
 //!
 //! ```text
 //! pull    W' = ΣW   C' = ΣC   over the 2×2 (at an odd end fewer) pixels below, C' divided by W' and W' = 1 where W' is above 1
 //! push    F = C + (1 − W)·up(F')        F = C/W, b where W is 0, at the top, of one pixel
 //! ```
 //!
-//! with `W = min(A, 1)` at the bottom and `up` the bilinear interpolation of the level above. Rows and columns end at the image's edge. Covered pixels
-//! keep their colour.
+//! with `W = min(A, 1)` at the bottom and `up` the bilinear interpolation of the level above. Rows and columns end at
+//! the image's edge. Covered pixels keep their colour.
 //!
 //! # Order of operations
-//! Binary32. Sums of the pull go over the upper row, then the lower one, from the left, each from +0. `up` is, along x, then along y,
-//! `near + ¼·(far − near)`: `near` is the pixel above, `far` the one on the other side of the pixel, at the edge the same.
+//! Binary32. Sums of the pull go over the upper row, then the lower one, from the left, each from +0. `up` is, along x,
+//! then along y, `near + ¼·(far − near)`: `near` is the pixel above, `far` the one on the other side of the pixel, at
+//! the edge the same.
 //!
 //! Tracing: one span `fill` per image.
 

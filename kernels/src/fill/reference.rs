@@ -1,6 +1,7 @@
 //! [`fill`](super::fill) in binary64, without a pyramid in memory: each level is a function of the place.
 
-/// The colour of the pixel at column `x`, row `y` of an image of `width` × `height` pixels `[colour × coverage, coverage]`.
+/// The colour of the pixel at column `x`, row `y` of an image of `width` × `height` pixels `[colour × coverage,
+/// coverage]`.
 pub fn filled(pixels: &[[f64; 4]], width: usize, height: usize, background: [f64; 3], x: usize, y: usize) -> [f64; 3] {
     let image = Pulled { pixels, width, height };
     image.filled(0, x, y, background)

@@ -32,7 +32,8 @@ fn what_is_covered_stays_and_nothing_is_the_background() {
 
 #[test]
 fn an_edge_goes_on_with_its_own_colour() {
-    // The left half is of one colour, the right of another; columns at both ends are missing, and a fringe is half there.
+    // The left half is of one colour, the right of another; columns at both ends are missing, and a fringe is half
+    // there.
     let sides = [[0.8, 0.1, 0.2], [0.0, 0.5, 1.0]];
     let drawn = |x: usize, _: usize| {
         let [r, g, b] = sides[usize::from(x >= 32)];

@@ -17,9 +17,10 @@ const NEAR: usize = 7;
 
 /// Two frames to be blended along the flow between them, at any time.
 ///
-/// With frames `a` (time 0) and `b` (time 1), all `[3, h, w]`, the flow F from `a` to `b` and B from `b` to `a`, a pixel x has two motions through it at time t. One starts in
-/// `a` at p and passes x, the other starts in `b` at q. A third explanation is that nothing moves, which is worth the more, the worse the other two explain the
-/// frames around x:
+/// With frames `a` (time 0) and `b` (time 1), all `[3, h, w]`, the flow F from `a` to `b` and B from `b` to `a`, a
+/// pixel x has two motions through it at time t. One starts in `a` at p and passes x, the other starts in `b` at q. A
+/// third explanation is that nothing moves, which is worth the more, the worse the other two explain the frames around
+/// x:
 ///
 /// ```text
 /// p = x − t·F(x − t·F(x))                      sources a(p) and b(p + F(p)), error e = |p + t·F(p) − x|
@@ -32,7 +33,8 @@ const NEAR: usize = 7;
 ///           by the sum of the weights
 /// ```
 ///
-/// The sums are formed in this order by fused steps; those over the window add rows from the first, then columns from the first. At t = 0 and 1 the result is the frame.
+/// The sums are formed in this order by fused steps; those over the window add rows from the first, then columns from
+/// the first. At t = 0 and 1 the result is the frame.
 pub struct Blend<'a> {
     level: Level,
     motions: [Motion<'a>; 2],
@@ -44,7 +46,8 @@ impl<'a> Blend<'a> {
     /// Of two frames and the flow `[F, B]` between them.
     ///
     /// # Panics
-    /// When a length does not fit the fields' size, the fields' sizes differ, or a [`Pyramid`](super::Pyramid) has no such size.
+    /// When a length does not fit the fields' size, the fields' sizes differ, or a [`Pyramid`](super::Pyramid) has no
+    /// such size.
     pub fn new(level: Level, [a, b]: [&'a [f32]; 2], [forward, backward]: [&'a Field; 2]) -> Self {
         let size @ [h, w] = forward.size;
         for field in [forward, backward] {
@@ -136,7 +139,8 @@ impl Work<2> for Rows<'_> {
     }
 }
 
-/// Sums of columns in the window, of two planes padded by [`NEAR`] on either side, and the weight of no motion from them.
+/// Sums of columns in the window, of two planes padded by [`NEAR`] on either side, and the weight of no motion from
+/// them.
 struct Columns<'a> {
     size: [usize; 2],
     planes: &'a [f32],

@@ -2,8 +2,8 @@
 //!
 //! # Flow: [`Pyramid`], [`between`], [`both`]
 //!
-//! Kroeger, Timofte, Dai, Van Gool: Fast Optical Flow using Dense Inverse Search, ECCV 2016 (arXiv:1603.03590). Luma L is from 0 to 255
-//! here. At every scale, from the coarsest to [`Options::finest`]:
+//! Kroeger, Timofte, Dai, Van Gool: Fast Optical Flow using Dense Inverse Search, ECCV 2016 (arXiv:1603.03590). Luma L
+//! is from 0 to 255 here. At every scale, from the coarsest to [`Options::finest`]:
 //!
 //! ```text
 //! search    patches P of 8×8 pixels, every `stride` pixels, look for the displacement f of least cost
@@ -19,22 +19,25 @@
 //!           by the length of its gradient (0.1 is added under the root); 0 where the flow leaves the picture
 //! ```
 //!
-//! A search starts from the cheapest of: the coarser scale's flow at the patch's middle (0 at the coarsest), `start`'s, that of the patch
-//! to the left, that of the patch above. A second pass, from the last patch to the first, starts from the patch to the right, the one
-//! below or the one above where that is cheaper. The flow of the finest scale is enlarged bilinearly.
+//! A search starts from the cheapest of: the coarser scale's flow at the patch's middle (0 at the coarsest), `start`'s,
+//! that of the patch to the left, that of the patch above. A second pass, from the last patch to the first, starts from
+//! the patch to the right, the one below or the one above where that is cheaper. The flow of the finest scale is
+//! enlarged bilinearly.
 //!
 //! # Order of operations
 //!
-//! A patch is four vectors, rows 2i and 2i + 1 in vector i. Sums over a patch: lanes by fused steps in ascending order of the vectors
-//! (plain sums pair vectors 0 and 1, 2 and 3), then [`Simd::sum`]. Patches are searched in stripes of six rows of patches, row by row;
-//! in the first pass a stripe sees nothing of the others, in the second what the first pass gave there. Stripes are fixed, so threads change
-//! nothing. Pixels sum over patches in ascending order of rows, then columns. The refinement solves its systems by five steps of red-black
-//! over-relaxation (ω = 1.6), red (row + column even) first, where no pixel depends on another of its colour.
+//! A patch is four vectors, rows 2i and 2i + 1 in vector i. Sums over a patch: lanes by fused steps in ascending order
+//! of the vectors (plain sums pair vectors 0 and 1, 2 and 3), then [`Simd::sum`]. Patches are searched in stripes of
+//! six rows of patches, row by row; in the first pass a stripe sees nothing of the others, in the second what the first
+//! pass gave there. Stripes are fixed, so threads change nothing. Pixels sum over patches in ascending order of rows,
+//! then columns. The refinement solves its systems by five steps of red-black over-relaxation (ω = 1.6), red (row +
+//! column even) first, where no pixel depends on another of its colour.
 //!
 //! # Extremes
 //!
-//! Frames may have any size, smaller than a patch too. Equal or evenly lit frames do not move. The flow is finite and at most as long as the picture
-//! on either axis. Luma that is not finite is an error, and so are weights other than from 0 to 10⁶; `start` is ignored where it is not finite.
+//! Frames may have any size, smaller than a patch too. Equal or evenly lit frames do not move. The flow is finite and
+//! at most as long as the picture on either axis. Luma that is not finite is an error, and so are weights other than
+//! from 0 to 10⁶; `start` is ignored where it is not finite.
 
 mod blend;
 mod densify;
@@ -102,7 +105,8 @@ impl Operation for Luma<'_> {
 /// The flow from `first` to `second`: for every pixel of `first`, the offset of the matching place in `second`.
 ///
 /// # Panics
-/// When the pyramids have different sizes or scales, `start` another size, or `options` a weight that [`Pyramid::new`] refuses.
+/// When the pyramids have different sizes or scales, `start` another size, or `options` a weight that [`Pyramid::new`]
+/// refuses.
 pub fn between(level: Level, first: &Pyramid, second: &Pyramid, start: Option<&Field>, options: &Options) -> Field {
     assert_eq!(first.size, second.size, "frames of different sizes");
     assert!(

@@ -141,7 +141,8 @@ impl Scale {
     }
 }
 
-/// Luma of one frame at every scale with its derivatives. Made once, it serves the pairs with the frame before and after, both ways.
+/// Luma of one frame at every scale with its derivatives. Made once, it serves the pairs with the frame before and
+/// after, both ways.
 ///
 /// Scale k + 1 has half the rows and columns of scale k, rounded up; a value is the mean of 2×2, the border repeated.
 /// Derivatives are Sobel's, a central difference with the weights ¼, ½, ¼ across.
@@ -156,8 +157,8 @@ impl Pyramid {
     /// The pyramid of `luma` `[h, w]`, whose values are from 0 to 1 (others are clamped).
     ///
     /// # Errors
-    /// A value that is not finite; a picture without pixels, with a side above 2¹⁶ or with more than 2²⁸ pixels; a weight of `options`
-    /// that is not from 0 to 10⁶.
+    /// A value that is not finite; a picture without pixels, with a side above 2¹⁶ or with more than 2²⁸ pixels; a
+    /// weight of `options` that is not from 0 to 10⁶.
     ///
     /// # Panics
     /// When `luma` does not fit `size`.

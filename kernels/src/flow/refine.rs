@@ -15,8 +15,9 @@ const EPSILON: f32 = 1e-6;
 /// ζ², added to the squared gradients that normalise the data terms, and to the system's diagonal.
 const ZETA: f32 = 1e-2;
 
-/// Constants of a pixel: the flow W that the pictures were warped by, and the linearised data terms, each divided by the length of its
-/// gradient: brightness (x, y, rest), derivative along x (x, y, rest), derivative along y (x, y, rest).
+/// Constants of a pixel: the flow W that the pictures were warped by, and the linearised data terms, each divided by
+/// the length of its gradient: brightness (x, y, rest), derivative along x (x, y, rest), derivative along y (x, y,
+/// rest).
 const CONSTANTS: usize = 11;
 
 /// `flow` (`[h, w]` each) improved by `options.refinement` fixed-point iterations.
@@ -318,7 +319,8 @@ struct Edges<'a> {
 }
 
 impl Edges<'_> {
-    /// α / √(|∇u|² + |∇v|² + ε²) of row `y` with forward differences, for the edges to the right and down; 0 where there is none.
+    /// α / √(|∇u|² + |∇v|² + ε²) of row `y` with forward differences, for the edges to the right and down; 0 where
+    /// there is none.
     #[inline(always)]
     fn row<S: Simd>(&self, s: S, y: usize, right: &mut [Vec<f32>; 2], below: &mut [Vec<f32>; 2]) {
         let last = s.splat(if y + 1 < self.h { 1.0 } else { 0.0 });

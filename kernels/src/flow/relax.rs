@@ -1,8 +1,9 @@
 //! Red-black over-relaxation of the system that `refine.rs` assembles.
 //!
-//! A half-step updates the pixels of one colour, whose neighbours all have the other: no update sees another of the same half-step, so
-//! neither their order nor the tasks they are cut into change a bit. The half-steps of a solve are done in bands of rows that stay in the cache: first
-//! a trapezoid of every band that shrinks by a row on either side a half-step, then the gaps between the bands, which grow likewise.
+//! A half-step updates the pixels of one colour, whose neighbours all have the other: no update sees another of the
+//! same half-step, so neither their order nor the tasks they are cut into change a bit. The half-steps of a solve are
+//! done in bands of rows that stay in the cache: first a trapezoid of every band that shrinks by a row on either side a
+//! half-step, then the gaps between the bands, which grow likewise.
 
 #![expect(unsafe_code, reason = "tasks update rows of one field, whose neighbours are read by pointer")]
 
@@ -69,13 +70,15 @@ impl Operation for Band<'_, '_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let (places, system) = (self.places, self.system);
-        // SAFETY: tasks that run at the same time write different rows, and none reads the colour of a row that another writes.
+        // SAFETY: tasks that run at the same time write different rows, and none reads the colour of a row that another
+        // writes.
         let flow = unsafe { self.flow.parts(0, self.flow.len()) };
         for half in 0..HALF_STEPS {
             let [top, bottom] = (self.rows)(half);
             for y in top..bottom {
                 let y = y as isize;
-                // The colour that is updated: even columns of even rows first. Its neighbours to the left and right have the other parity.
+                // The colour that is updated: even columns of even rows first. Its neighbours to the left and right
+                // have the other parity.
                 let own = (y as usize + half) & 1;
                 let other = 1 - own;
                 let end = places.start(y + 1, 1, 1) + self.columns.whole + 1;
@@ -99,7 +102,8 @@ impl Operation for Band<'_, '_> {
                     right: [at(RIGHT_U), at(RIGHT_V)],
                 };
                 for column in (0..self.columns.whole).step_by(LANES) {
-                    // SAFETY: vectors of rows between zeros, inside both planes as asserted; nothing else writes these rows now.
+                    // SAFETY: vectors of rows between zeros, inside both planes as asserted; nothing else writes these
+                    // rows now.
                     unsafe { starts.step(s, system.data.as_ptr().add(column), flow.add(column)) };
                 }
             }

@@ -12,7 +12,8 @@ use crate::simd::{Operation, Simd, dispatch};
 const VECTORS: usize = PATCH / 2;
 /// Rows of patches of a task. Motion is handed on inside a task and, between the passes, across tasks.
 const STRIPE: usize = 6;
-/// Added to the diagonal of the structure tensor: 64 pixels with a gradient of 1 level per pixel. Keeps flat patches where they are.
+/// Added to the diagonal of the structure tensor: 64 pixels with a gradient of 1 level per pixel. Keeps flat patches
+/// where they are.
 const DAMPING: f32 = 64.0;
 /// The squared step in pixels² under which a patch has settled.
 const SETTLED: f32 = 1e-4;

@@ -3,8 +3,8 @@
 use crate::memory::Scratch;
 use crate::simd::LANES;
 
-/// `KINDS` values per pixel. A row holds those of the even columns, then those of the odd ones; zeros lie around the picture: a row above
-/// and below, [`LANES`] values and the rest of a vector left and right.
+/// `KINDS` values per pixel. A row holds those of the even columns, then those of the odd ones; zeros lie around the
+/// picture: a row above and below, [`LANES`] values and the rest of a vector left and right.
 pub(super) struct Split<const KINDS: usize> {
     pub places: Places<KINDS>,
     pub data: Scratch,

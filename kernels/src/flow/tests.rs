@@ -7,7 +7,8 @@ use super::search::{Found, Grid, Guess, search};
 use super::*;
 use crate::testing::{noise, on_every_level_and_thread_count};
 
-/// Sizes that are no multiple of anything, one pixel wide or high, smaller than a patch, and large enough for several scales and tasks.
+/// Sizes that are no multiple of anything, one pixel wide or high, smaller than a patch, and large enough for several
+/// scales and tasks.
 const SIZES: [[usize; 2]; 9] = [[1, 1], [1, 40], [33, 1], [2, 3], [7, 9], [8, 8], [17, 50], [61, 97], [150, 131]];
 
 /// A smooth texture at a point: noise on lattices of 5 to 40 pixels, so that no part looks like another.

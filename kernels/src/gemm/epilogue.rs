@@ -88,16 +88,18 @@ impl<'a> Epilogue<'a> {
         self
     }
 
-    /// Writes the columns in groups of `width`, each a matrix of its own: `out [n/width][m][width]`, as attention reads its heads.
+    /// Writes the columns in groups of `width`, each a matrix of its own: `out [n/width][m][width]`, as attention reads
+    /// its heads.
     #[must_use]
     pub const fn in_groups_of(mut self, width: usize) -> Self {
         self.layout = Layout::Groups(width);
         self
     }
 
-    /// Writes rows that are the tokens of a grid with this many columns, line by line, each as 2×2 tokens of a grid twice as fine (a pixel shuffle):
-    /// the columns of a product are four groups, left and right of the upper and of the lower line, so that
-    /// `out [m/columns][2][columns][2][n/4]` holds column `(2i + j)·n/4 + c` of token `(y, x)` at `[y][i][x][j][c]`.
+    /// Writes rows that are the tokens of a grid with this many columns, line by line, each as 2×2 tokens of a grid
+    /// twice as fine (a pixel shuffle): the columns of a product are four groups, left and right of the upper and of
+    /// the lower line, so that `out [m/columns][2][columns][2][n/4]` holds column `(2i + j)·n/4 + c` of token `(y, x)`
+    /// at `[y][i][x][j][c]`.
     #[must_use]
     pub const fn shuffled(mut self, columns: usize) -> Self {
         self.layout = Layout::Shuffled(columns);

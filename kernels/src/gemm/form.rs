@@ -1,9 +1,9 @@
 //! Operand format of each precision, and its products in the register block.
 //!
-//! Operands are 32-bit words: a weight panel is `[words][16]`, a group of rows `[words][MR]`. A word is one f32, two bf16 (the
-//! earlier in the high half: the instruction takes that first) or four bytes. Levels without dot products of words widen the
-//! panels in registers, and hold each row's word as two: two f32, or two pairs of i16.
-//! [`Uint8Weights`] is not a form of inputs and weights but of attention's values and weights: there the panel's bytes have no sign.
+//! Operands are 32-bit words: a weight panel is `[words][16]`, a group of rows `[words][MR]`. A word is one f32, two
+//! bf16 (the earlier in the high half: the instruction takes that first) or four bytes. Levels without dot products of
+//! words widen the panels in registers, and hold each row's word as two: two f32, or two pairs of i16. [`Uint8Weights`]
+//! is not a form of inputs and weights but of attention's values and weights: there the panel's bytes have no sign.
 
 #![expect(unsafe_code, reason = "register blocks read operands by pointer")]
 
@@ -36,12 +36,12 @@ pub(crate) trait Form: Multiply {
     /// Words of a row of `k` values on a level.
     fn row_words<S: Simd>(k: usize) -> usize;
 
-    /// Turns a row into its words; returns its scale. `largest` is the row's largest magnitude if already computed, infinite where a value is
-    /// not finite.
+    /// Turns a row into its words; returns its scale. `largest` is the row's largest magnitude if already computed,
+    /// infinite where a value is not finite.
     fn convert<S: Simd>(s: S, row: &[f32], largest: Option<f32>, values: &mut [f32], words: &mut [u32]) -> f32;
 
-    /// Turns a row into the words of one lane of a panel; returns its scale and what [`Form::of_row`] takes off. The words are the same on
-    /// every level.
+    /// Turns a row into the words of one lane of a panel; returns its scale and what [`Form::of_row`] takes off. The
+    /// words are the same on every level.
     fn convert_column<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> (f32, i32);
 
     /// Adds a block's sums to those before.
@@ -409,8 +409,8 @@ impl Uint8Weights {
     }
 }
 
-/// A row in units of its scale, `OFFSET` added, as the bytes of words, the first lowest; the rest of the last word is `OFFSET`. Returns
-/// the scale. A row of zeros, or one with a value that is not finite, is zeros.
+/// A row in units of its scale, `OFFSET` added, as the bytes of words, the first lowest; the rest of the last word is
+/// `OFFSET`. Returns the scale. A row of zeros, or one with a value that is not finite, is zeros.
 #[inline(always)]
 fn quantise_row<S: Simd, const OFFSET: u8>(s: S, row: &[f32], largest: f32, words: &mut [u32]) -> f32 {
     let (scale, inverse) = scale_of(largest);

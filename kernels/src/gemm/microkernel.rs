@@ -21,8 +21,8 @@ impl PrefetchHook for () {
     fn prefetch(&mut self) {}
 }
 
-/// The words of a register block's rows: that of row `r` in step `i` lies at `i·step + r·row`. Multiples of a compile-time distance are
-/// compile-time constants.
+/// The words of a register block's rows: that of row `r` in step `i` lies at `i·step + r·row`. Multiples of a
+/// compile-time distance are compile-time constants.
 #[derive(Clone, Copy)]
 pub(crate) struct Strided {
     at: *const u32,
@@ -31,7 +31,8 @@ pub(crate) struct Strided {
 }
 
 impl Strided {
-    /// The words of a step one after the other, those of the next `stride` further; where rows are interleaved, as many as there are rows.
+    /// The words of a step one after the other, those of the next `stride` further; where rows are interleaved, as many
+    /// as there are rows.
     #[inline(always)]
     pub(crate) fn across(at: *const u32, stride: usize) -> Self {
         Self { at, step: stride, row: 1 }
@@ -116,8 +117,8 @@ unsafe fn step<S: Simd, const MR: usize, const NV: usize>(
     }
 }
 
-/// Interleaves rows of `k` values in groups of `MR`: `to [rows/MR][k][MR]`. `row(i)` is row `i`; a last group is filled with
-/// zeros.
+/// Interleaves rows of `k` values in groups of `MR`: `to [rows/MR][k][MR]`. `row(i)` is row `i`; a last group is filled
+/// with zeros.
 #[inline(always)]
 pub(crate) fn interleave<'a, const MR: usize>(rows: usize, k: usize, row: impl Fn(usize) -> &'a [f32], to: &mut [f32]) {
     const { assert!(MR.is_multiple_of(2), "rows are transposed in fours and twos") };

@@ -20,7 +20,8 @@ pub enum Precision {
     Int8,
 }
 
-/// The scale of a row for 8-bit integers, `max|x|/127`, and its inverse; 0 and 0 for a row of zeros or one that is not finite.
+/// The scale of a row for 8-bit integers, `max|x|/127`, and its inverse; 0 and 0 for a row of zeros or one that is not
+/// finite.
 #[inline(always)]
 pub(crate) fn scale_of(most: f32) -> (f32, f32) {
     // A smaller maximum has no finite inverse.

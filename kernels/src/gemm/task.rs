@@ -52,8 +52,8 @@ struct Grid {
 }
 
 impl Grid {
-    /// Row blocks that stay in a second-level cache, fewer rows where that would leave few tasks; ranges of panels only where
-    /// there are few rows, since each range interleaves its rows again.
+    /// Row blocks that stay in a second-level cache, fewer rows where that would leave few tasks; ranges of panels only
+    /// where there are few rows, since each range interleaves its rows again.
     fn new(rows: usize, panels: usize, words: usize) -> Self {
         const TASKS: usize = 24;
         let most = if words <= 1024 { 96 } else { 48 };
@@ -265,8 +265,8 @@ impl<F: Form> Task<'_, F> {
         (affine, s.load(&self.product.weights.scales[whole]), s.from_array_i32(offsets))
     }
 
-    /// Writes a whole register block of columns from `column`, whose epilogue has no function, to the rows of a walk; `from_row` is where each panel's
-    /// columns begin in a row.
+    /// Writes a whole register block of columns from `column`, whose epilogue has no function, to the rows of a walk;
+    /// `from_row` is where each panel's columns begin in a row.
     #[inline(always)]
     fn write<S: Simd, const MR: usize, const NV: usize>(
         &self,

@@ -106,7 +106,8 @@ impl Weights {
     }
 }
 
-/// Packs a panel of up to 16 rows of `k` weights; returns their scales and offsets, as [`Form::convert_column`] has them.
+/// Packs a panel of up to 16 rows of `k` weights; returns their scales and offsets, as [`Form::convert_column`] has
+/// them.
 struct Pack<'a, F> {
     rows: &'a [f32],
     k: usize,

@@ -8,8 +8,9 @@
 //!
 //! # Order of operations
 //!
-//! Binary64, the formulas as written, k ascending, products of c_k and g summed from the first channel to the last; coefficients' gradients are rounded
-//! once, those by centres too, and then added. The eye's is summed over the Gaussians of chunks of 1024, then over the chunks, both in ascending order.
+//! Binary64, the formulas as written, k ascending, products of c_k and g summed from the first channel to the last;
+//! coefficients' gradients are rounded once, those by centres too, and then added. The eye's is summed over the
+//! Gaussians of chunks of 1024, then over the chunks, both in ascending order.
 //!
 //! At the eye itself, and along one direction, centres have no gradient. Gradients that are not finite count as +0.
 
@@ -41,8 +42,8 @@ pub struct Gradients<'a> {
     pub mean: &'a mut [[f32; 3]],
 }
 
-/// The adjoint of [`colours`](super::colours): from the gradients `of [N]` by the colours `out [N]` that it made of `higher` and `mean` to those in `to`.
-/// Returns the gradient by the eye's place.
+/// The adjoint of [`colours`](super::colours): from the gradients `of [N]` by the colours `out [N]` that it made of
+/// `higher` and `mean` to those in `to`. Returns the gradient by the eye's place.
 ///
 /// # Panics
 /// When `degree` is above 3 or a slice has another length.

@@ -73,8 +73,8 @@ pub fn exp_nonpositive<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
 /// 2^f on |f| ≤ ½; minimax in relative error, 2^−13.7. Highest power first.
 pub(crate) const EXP2_LOW: [f32; 4] = [0.055_171_67, 0.242_611_13, 0.693_260_97, 0.999_928_06];
 
-/// 2ˣ within 7.5e-5 of itself, for values then rounded to bf16 or 8 bits. `x` is from −125 to 126 (for others, and NaN, the value is
-/// unspecified and differs between levels).
+/// 2ˣ within 7.5e-5 of itself, for values then rounded to bf16 or 8 bits. `x` is from −125 to 126 (for others, and NaN,
+/// the value is unspecified and differs between levels).
 #[inline(always)]
 pub fn exp2_low<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let (whole, part) = s.split_int_frac(x);

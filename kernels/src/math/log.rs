@@ -45,7 +45,8 @@ pub fn log<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     s.select(ordinary, result, special)
 }
 
-/// ln(1 + eˣ), as max(x, 0) + ln(1 + e^−|x|): never overflows, and keeps its relative accuracy down to denormal results.
+/// ln(1 + eˣ), as max(x, 0) + ln(1 + e^−|x|): never overflows, and keeps its relative accuracy down to denormal
+/// results.
 #[inline(always)]
 pub fn softplus<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     let u = exp::exp(s, s.neg(s.abs(x)));

@@ -7,7 +7,8 @@ const RUN: u32 = 64;
 /// Places.
 const PLACES: u32 = 1 << 16;
 
-/// Runs of consecutive numbers all over the positive ones up to `last`, each with its function never below the one before.
+/// Runs of consecutive numbers all over the positive ones up to `last`, each with its function never below the one
+/// before.
 fn never_falls(name: &str, last: f32, function: impl Fn(f32) -> f32) {
     let step = last.to_bits() / PLACES;
     let mut highest = f32::NEG_INFINITY;

@@ -23,7 +23,8 @@ pub fn silu<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     s.div(s.select(s.lt(x, s.splat(0.0)), xe, x), s.add(s.splat(1.0), e))
 }
 
-/// [`silu`] within 1e-4 of itself from −87 on, for values then rounded to bf16 or 8 bits. Below, −∞ included, it is negative and above −2e-36.
+/// [`silu`] within 1e-4 of itself from −87 on, for values then rounded to bf16 or 8 bits. Below, −∞ included, it is
+/// negative and above −2e-36.
 #[inline(always)]
 pub fn silu_low<S: Elementwise>(s: S, x: S::F32) -> S::F32 {
     // NaN stays.

@@ -34,7 +34,8 @@ pub fn norm_in_order(x: &[f32], w: &[f32], b: Option<&[f32]>, epsilon: f32) -> V
     (0..x.len()).map(|i| b.map_or(x[i] * r * w[i], |b| fused_mul_add(x[i] * r, w[i], b[i]))).collect()
 }
 
-/// A sum over sixteen lanes: lane `i mod 16` takes value `i`; then lanes `i` and `i + 8`, `i + 4`, `i + 2`, `i + 1` are added.
+/// A sum over sixteen lanes: lane `i mod 16` takes value `i`; then lanes `i` and `i + 8`, `i + 4`, `i + 2`, `i + 1` are
+/// added.
 fn lanes(x: &[f32], add: impl Fn(f32, f32) -> f32) -> f32 {
     let mut lanes = [0.0; 16];
     x.iter().enumerate().for_each(|(i, &x)| lanes[i % 16] = add(lanes[i % 16], x));

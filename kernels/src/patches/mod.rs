@@ -1,14 +1,15 @@
 //! Patches of an image as rows: what turns a `p × p` convolution of stride `p` into a matrix product.
 //!
-//! `out[(y·w + x), (c·p + i)·p + j] = plane_c[y·p + i, x·p + j]` for planes `[h·p, w·p]`: the column order of a convolution
-//! weight `[n, channels, p, p]` read as `[n, channels·p·p]`.
+//! `out[(y·w + x), (c·p + i)·p + j] = plane_c[y·p + i, x·p + j]` for planes `[h·p, w·p]`: the column order of a
+//! convolution weight `[n, channels, p, p]` read as `[n, channels·p·p]`.
 
 use tracing::debug_span;
 
 use crate::parallel::for_each_chunk;
 use crate::size::product;
 
-/// The patches of `planes`, each `[height, width]` row-major, as `out [height/p · width/p, planes·p·p]`, row-major over the grid.
+/// The patches of `planes`, each `[height, width]` row-major, as `out [height/p · width/p, planes·p·p]`, row-major over
+/// the grid.
 ///
 /// # Panics
 /// When `p` does not divide `height` and `width`, or a slice has another size.

@@ -1,18 +1,19 @@
 //! Narrow linear layers on each token apart, with tokens in the lanes.
 //!
-//! `out[j,t] = activation(Σ_k w[j,k] · x[k,t] + b[j])` for a block of [`TOKENS`] tokens: `x [k, 48]`, `w [n,k]`, `out [n, 48]`, row-major.
+//! `out[j,t] = activation(Σ_k w[j,k] · x[k,t] + b[j])` for a block of [`TOKENS`] tokens: `x [k, 48]`, `w [n,k]`, `out
+//! [n, 48]`, row-major.
 //!
-//! A layer's result is laid out as the next one's input, so tokens are turned into lanes once ([`load`]), pass through all layers of a network
-//! while they stay in the first-level cache, and are turned back once ([`store`]). [`gemm`](crate::gemm) would interleave its input again for every
-//! layer, which is worth it where layers are wide.
+//! A layer's result is laid out as the next one's input, so tokens are turned into lanes once ([`load`]), pass through
+//! all layers of a network while they stay in the first-level cache, and are turned back once ([`store`]).
+//! [`gemm`](crate::gemm) would interleave its input again for every layer, which is worth it where layers are wide.
 //!
 //! # Order of accumulation
-//! That of [`gemm`](crate::gemm) in f32: `k` is cut into blocks of [`K_BLOCK`]; inside a block one fused multiply-add per step, `k` ascending, starting
-//! from +0; block sums are added in ascending order. Both compute the same bits.
+//! That of [`gemm`](crate::gemm) in f32: `k` is cut into blocks of [`K_BLOCK`]; inside a block one fused multiply-add
+//! per step, `k` ascending, starting from +0; block sums are added in ascending order. Both compute the same bits.
 //!
 //! # How it runs
-//! Weights lie in groups of 8 rows, `[n/8][k][8]`, padded with zeros. The register block is 8 rows of weights by 48 tokens, or 4 by 16 where
-//! there are fewer registers.
+//! Weights lie in groups of 8 rows, `[n/8][k][8]`, padded with zeros. The register block is 8 rows of weights by 48
+//! tokens, or 4 by 16 where there are fewer registers.
 
 #![expect(unsafe_code, reason = "register blocks read operands by pointer")]
 
@@ -103,8 +104,8 @@ impl Layer {
     }
 }
 
-/// Calls `work(first, rows)` for every block of at most [`TOKENS`] rows of `width` values of `out`, where `first` is the index of its first row:
-/// in it, a network's layers are applied one after the other.
+/// Calls `work(first, rows)` for every block of at most [`TOKENS`] rows of `width` values of `out`, where `first` is
+/// the index of its first row: in it, a network's layers are applied one after the other.
 ///
 /// # Panics
 /// When `out` is no whole number of rows.
@@ -204,7 +205,8 @@ impl Apply<'_> {
             let length = K_BLOCK.min(k - start);
             let weights = &weights[start * ROWS..][..length * ROWS];
             let x = &self.x[start * TOKENS..][..length * TOKENS];
-            // SAFETY: both hold `length` steps; MR rows from `first mod 8` on are among the 8, NV vectors from `token` on among the 48.
+            // SAFETY: both hold `length` steps; MR rows from `first mod 8` on are among the 8, NV vectors from `token`
+            // on among the 48.
             let chain = unsafe { chain(s, weights.as_ptr().add(first % ROWS), x.as_ptr().add(token), length) };
             if start == 0 {
                 sums = chain;
@@ -229,7 +231,8 @@ impl Apply<'_> {
 /// `Σ_k weights[k][r] · x[k][v]`: one fused multiply-add per step, `k` ascending, from +0.
 ///
 /// # Safety
-/// From each step's start, 8 and 48 values apart, `MR` values of `weights` and `16 NV` of `x` are readable, for `k` steps.
+/// From each step's start, 8 and 48 values apart, `MR` values of `weights` and `16 NV` of `x` are readable, for `k`
+/// steps.
 #[inline(always)]
 unsafe fn chain<S: Simd, const MR: usize, const NV: usize>(
     s: S,

@@ -79,8 +79,8 @@ impl Grid {
     }
 }
 
-/// Columns of blocks, of the `blocks` that an image has, whose last one's neighbour is its first: those up to the right edge, and those from the left
-/// one on, which may be none (first past last).
+/// Columns of blocks, of the `blocks` that an image has, whose last one's neighbour is its first: those up to the right
+/// edge, and those from the left one on, which may be none (first past last).
 #[inline(always)]
 pub(super) fn around([first, last]: [u16; 2], blocks: usize) -> [[usize; 2]; 2] {
     let (first, last) = (usize::from(first), usize::from(last));

@@ -9,8 +9,8 @@ const ALPHA_MAX: f32 = 0.99;
 /// A pixel is finished when the next splat would take its transmittance below this.
 const TRANSMITTANCE_MIN: f32 = 1e-4;
 
-/// How α falls with the distance d from a Gaussian's centre, in standard deviations: `α = min(0.99, o·g·(e^(−d²/2) − f))`, skipped where it is
-/// under 1/255.
+/// How α falls with the distance d from a Gaussian's centre, in standard deviations: `α = min(0.99, o·g·(e^(−d²/2) −
+/// f))`, skipped where it is under 1/255.
 ///
 /// The last two follow programs whose footprints fall to 0 at an edge. Both numbers are rounded to binary32 once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -63,7 +63,8 @@ impl Defocus {
     }
 }
 
-/// Least α that is drawn through a lens with a width: a Gaussian spread over many pixels is still visible where several add up.
+/// Least α that is drawn through a lens with a width: a Gaussian spread over many pixels is still visible where several
+/// add up.
 pub(super) const BLURRED_ALPHA_MIN: f32 = 1.0 / 65_536.0;
 
 /// Added to the exponent at which a footprint ends, so that no rounding in the blend reaches beyond it.
@@ -119,7 +120,8 @@ impl Cut {
 
     /// `o·g`, the exponent at which α is `least` or a little more of it, and which Gaussians can be drawn at all.
     ///
-    /// α ≥ least where `2^−e ≥ least/(o·g) + f`, that is where `e ≤ log₂(o′/least)` with `o′ = o·g / (1 + o·g·f/least)`.
+    /// α ≥ least where `2^−e ≥ least/(o·g) + f`, that is where `e ≤ log₂(o′/least)` with `o′ = o·g / (1 +
+    /// o·g·f/least)`.
     #[inline(always)]
     pub(super) fn apply<S: Simd>(&self, s: S, opacity: S::F32) -> (S::F32, S::F32, S::Mask) {
         let opaque = s.le(s.splat(self.least), opacity);

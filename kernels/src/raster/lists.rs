@@ -21,9 +21,9 @@ pub const TILE_PIXELS: [usize; 2] = [TILE[0] * BLOCK, TILE[1] * BLOCK];
 /// α(x, y) = min(0.99, opacity · 2^−(s² + t²))     s = q·(y − v)     t = p·(x − m − k·(y − anchor))
 /// ```
 ///
-/// with the centre's row v and the footprint's middle m on the row `anchor` each in two parts that add up: a whole number (where
-/// it is below 2²⁴ in size) and the rest. The anchor is the row of the image next to the centre: seen from it the footprint
-/// needs no more digits than binary32 has, however far away its centre is.
+/// with the centre's row v and the footprint's middle m on the row `anchor` each in two parts that add up: a whole
+/// number (where it is below 2²⁴ in size) and the rest. The anchor is the row of the image next to the centre: seen
+/// from it the footprint needs no more digits than binary32 has, however far away its centre is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Footprint {
@@ -91,14 +91,14 @@ pub struct Lists {
 }
 
 impl Rasteriser {
-    /// Projects, bins and sorts `gaussians` as [`Rasteriser::render`] does and leaves the blend to the caller; `to` is filled anew.
-    /// The next image starts from nothing. [`Rasteriser::work`] returns the cost; nothing counts as drawn.
+    /// Projects, bins and sorts `gaussians` as [`Rasteriser::render`] does and leaves the blend to the caller; `to` is
+    /// filled anew. The next image starts from nothing. [`Rasteriser::work`] returns the cost; nothing counts as drawn.
     ///
     /// The lists are the same for every level and number of threads.
     ///
     /// # Panics
-    /// As [`super::render`], and for equirectangular images. [`Request::falloff`] and [`Request::defocus`] shape the lists; how α falls in a footprint, and
-    /// the least that is drawn, is up to the blend.
+    /// As [`super::render`], and for equirectangular images. [`Request::falloff`] and [`Request::defocus`] shape the
+    /// lists; how α falls in a footprint, and the least that is drawn, is up to the blend.
     pub fn lists(&mut self, gaussians: &Gaussians<'_>, projection: &Projection, request: &Request, to: &mut Lists) {
         assert!(
             *projection != Projection::Equirectangular,

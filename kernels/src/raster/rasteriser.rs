@@ -144,8 +144,8 @@ impl Rasteriser {
 
     /// Draws `gaussians`; the same bits as [`super::render`].
     ///
-    /// When projection and request are those of the last call and there are as many Gaussians, tiles that no changed Gaussian
-    /// touches or touched keep their pixels.
+    /// When projection and request are those of the last call and there are as many Gaussians, tiles that no changed
+    /// Gaussian touches or touched keep their pixels.
     ///
     /// # Panics
     /// As [`super::render`].
@@ -282,8 +282,9 @@ impl Rasteriser {
                     grid.for_each_tile(splat, |tile| {
                         if !keep || dirty[tile].load(Ordering::Relaxed) {
                             let slot = counts[tile] as usize;
-                            // SAFETY: the places from `counts[tile]` on, as many as the chunk has footprints in the tile, are this chunk's
-                            // alone: they were counted by the same walk over the same splats and flags, which nothing has written since.
+                            // SAFETY: the places from `counts[tile]` on, as many as the chunk has footprints in the
+                            // tile, are this chunk's alone: they were counted by the same walk over the same splats and
+                            // flags, which nothing has written since.
                             unsafe { entries.part(slot..slot + 1)[0] = entry };
                             counts[tile] += 1;
                         }
@@ -314,7 +315,8 @@ impl Rasteriser {
         image.blended = plane(request.statistics, image.blended.take(), pixels);
     }
 
-    /// Sorts and draws the dirty tiles, longest lists first. Returns the fraction of the threads' time spent on sorting.
+    /// Sorts and draws the dirty tiles, longest lists first. Returns the fraction of the threads' time spent on
+    /// sorting.
     fn blend(&mut self, view: &Viewport, request: &Request, grid: Grid) -> f64 {
         let _span = debug_span!("blend", width = request.width, height = request.height).entered();
         let starts = &self.starts;

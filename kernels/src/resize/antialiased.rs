@@ -36,8 +36,8 @@ impl Filter {
     }
 }
 
-/// The shape of values on a grid, row-major: planar images have `outer` channels and `inner` 1, interleaved ones `outer` 1
-/// and `inner` channels.
+/// The shape of values on a grid, row-major: planar images have `outer` channels and `inner` 1, interleaved ones
+/// `outer` 1 and `inner` channels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Grid {
     /// Images.

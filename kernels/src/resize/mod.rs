@@ -10,9 +10,9 @@
 //! ```
 //!
 //! Half-pixel centres, edges clamped, two taps per axis also when the image shrinks: PyTorch's
-//! `interpolate(mode="bilinear", align_corners=False)`, including its coordinates in binary32 (a coordinate of 500 is off by
-//! up to 3e-5 pixels; exact ones would not reproduce what models were trained on). Constant images stay constant to the
-//! bit, and an axis that keeps its length is copied.
+//! `interpolate(mode="bilinear", align_corners=False)`, including its coordinates in binary32 (a coordinate of 500 is
+//! off by up to 3e-5 pixels; exact ones would not reproduce what models were trained on). Constant images stay constant
+//! to the bit, and an axis that keeps its length is copied.
 //!
 //! # Antialiased: [`antialiased`], [`bilinear_antialiased`], [`bicubic_antialiased`]
 //!
@@ -23,12 +23,12 @@
 //! value = Σ w[j]·a[j]                j ascending: a product, then fused steps
 //! ```
 //!
-//! f is the triangle 1 − |x| (r = 1) or Keys's cubic with coefficient −½ (r = 2). Weights are formed in binary64 and rounded
-//! once. The width goes first, then the height. PyTorch's `interpolate(antialias=True)` and Pillow's `resize` do the same;
-//! DINOv2 resizes its grid of position codes this way.
+//! f is the triangle 1 − |x| (r = 1) or Keys's cubic with coefficient −½ (r = 2). Weights are formed in binary64 and
+//! rounded once. The width goes first, then the height. PyTorch's `interpolate(antialias=True)` and Pillow's `resize`
+//! do the same; DINOv2 resizes its grid of position codes this way.
 //!
-//! Bits are equal on every level and for any number of threads. Infinite and NaN values reach only the outputs that have
-//! them among their taps.
+//! Bits are equal on every level and for any number of threads. Infinite and NaN values reach only the outputs that
+//! have them among their taps.
 
 mod antialiased;
 mod bilinear;

@@ -60,8 +60,8 @@ impl Level {
     }
 }
 
-/// Dot products that instructions have to reproduce before they are used: random pairs of every magnitude that products have, and
-/// sums that cancel.
+/// Dot products that instructions have to reproduce before they are used: random pairs of every magnitude that products
+/// have, and sums that cancel.
 struct Answers;
 
 impl Operation for Answers {

@@ -1,6 +1,7 @@
 //! Operations on each lane alone: what elementary functions are made of.
 
-/// Rounding constant of the shift trick, 1.5 · 2²³: added to a float below 2²² in magnitude, it leaves the nearest integer in the low bits.
+/// Rounding constant of the shift trick, 1.5 · 2²³: added to a float below 2²² in magnitude, it leaves the nearest
+/// integer in the low bits.
 pub(crate) const SHIFTER: f32 = 12_582_912.0;
 
 /// Arithmetic on every lane alone, defined to the bit (see [the module](super)), for one value or sixteen.
@@ -104,13 +105,14 @@ pub trait Elementwise: Copy + Send + Sync + 'static {
     /// Returns true if all lanes are true.
     fn all(self, a: Self::Mask) -> bool;
 
-    /// The integer `n` in the form that [`scale_by_pow2`](Elementwise::scale_by_pow2) takes, from `n` plus the rounding constant of the shift trick.
+    /// The integer `n` in the form that [`scale_by_pow2`](Elementwise::scale_by_pow2) takes, from `n` plus the rounding
+    /// constant of the shift trick.
     #[inline(always)]
     fn shifted_int(self, shifted: Self::F32) -> Self::F32 {
         shifted
     }
-    /// The integer nearest to `t` (ties to even), in the form that [`scale_by_pow2`](Elementwise::scale_by_pow2) takes, and `t` less that
-    /// integer, for |t| < 2²².
+    /// The integer nearest to `t` (ties to even), in the form that [`scale_by_pow2`](Elementwise::scale_by_pow2) takes,
+    /// and `t` less that integer, for |t| < 2²².
     #[inline(always)]
     fn split_int_frac(self, t: Self::F32) -> (Self::F32, Self::F32) {
         let shifter = self.splat(SHIFTER);

@@ -1,6 +1,7 @@
 //! Hints to the caches and to the compiler about memory.
 
-/// Brings the cache line at `at` into the second-level cache. A hint: nothing is read through the pointer, which may be any.
+/// Brings the cache line at `at` into the second-level cache. A hint: nothing is read through the pointer, which may be
+/// any.
 #[inline(always)]
 pub(crate) fn prefetch<T>(at: *const T) {
     #[cfg(all(target_arch = "x86_64", not(miri)))]
@@ -26,7 +27,8 @@ pub(crate) fn prefetch_near<T>(at: *const T) {
 
 /// The same pointer, opaque to the compiler: a second read through it stays a read.
 ///
-/// Where a register block fills all registers, reading an operand again from the nearest cache is cheaper than keeping it.
+/// Where a register block fills all registers, reading an operand again from the nearest cache is cheaper than keeping
+/// it.
 #[inline(always)]
 pub(crate) fn again<T>(mut at: *const T) -> *const T {
     #[cfg(all(any(target_arch = "x86_64", target_arch = "aarch64"), not(miri)))]

@@ -1,4 +1,5 @@
-//! The level every machine has, which defines the bits of the others: every operation on one value, and sixteen of them.
+//! The level every machine has, which defines the bits of the others: every operation on one value, and sixteen of
+//! them.
 
 use super::bf16;
 use super::elementwise::Elementwise;
@@ -6,9 +7,9 @@ use super::vector::{LANES, Registers, Simd};
 
 /// `a·b + c`, rounded once, without an FMA instruction.
 ///
-/// The product is exact in binary64. Its sum with `c` is rounded to odd (an inexact sum gets an odd last bit), after which
-/// the conversion to binary32 rounds as if the sum had been exact: binary64 has more than two bits to spare, also where
-/// the result is denormal. Infinite and NaN operands pass through.
+/// The product is exact in binary64. Its sum with `c` is rounded to odd (an inexact sum gets an odd last bit), after
+/// which the conversion to binary32 rounds as if the sum had been exact: binary64 has more than two bits to spare, also
+/// where the result is denormal. Infinite and NaN operands pass through.
 #[inline(always)]
 pub fn fused_mul_add(a: f32, b: f32, c: f32) -> f32 {
     let product = f64::from(a) * f64::from(b);

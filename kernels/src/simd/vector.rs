@@ -24,15 +24,18 @@ pub enum Registers {
 pub trait Simd: Elementwise {
     /// The registers that hold vectors.
     const REGISTERS: Registers;
-    /// True if [`Simd::dot_bf16`] is a single instruction. Only an [`Operation`] with [`Operation::DOT_PRODUCTS`] meets such a level.
+    /// True if [`Simd::dot_bf16`] is a single instruction. Only an [`Operation`] with [`Operation::DOT_PRODUCTS`] meets
+    /// such a level.
     const BF16_DOT: bool = false;
-    /// True if [`Simd::dot_bytes`] is a single instruction. Only an [`Operation`] with [`Operation::DOT_PRODUCTS`] meets such a level.
+    /// True if [`Simd::dot_bytes`] is a single instruction. Only an [`Operation`] with [`Operation::DOT_PRODUCTS`]
+    /// meets such a level.
     const BYTE_DOT: bool = false;
 
-    /// `acc + a₁b₁ + a₀b₀` in every lane for pairs of bf16: a fused step of the high halves, then one of the low halves.
+    /// `acc + a₁b₁ + a₀b₀` in every lane for pairs of bf16: a fused step of the high halves, then one of the low
+    /// halves.
     ///
-    /// Precondition: every bf16 is zero, infinite, NaN or at least 2⁻⁵⁶ in magnitude, and `acc` is +0 or the result of such
-    /// steps. Then no step is near the denormal numbers, where the instruction departs from a fused multiply-add.
+    /// Precondition: every bf16 is zero, infinite, NaN or at least 2⁻⁵⁶ in magnitude, and `acc` is +0 or the result of
+    /// such steps. Then no step is near the denormal numbers, where the instruction departs from a fused multiply-add.
     fn dot_bf16(self, acc: Self::F32, a: Self::I32, b: Self::I32) -> Self::F32;
     /// `acc + Σ a·b` in every lane for four unsigned bytes `a` and four signed bytes `b`, wrapping.
     fn dot_bytes(self, acc: Self::I32, a: Self::I32, b: Self::I32) -> Self::I32;
@@ -40,8 +43,8 @@ pub trait Simd: Elementwise {
     fn dot_i16(self, a: Self::I32, b: Self::I32) -> Self::I32;
     /// The signed bytes 0 and 2, and the signed bytes 1 and 3, of every lane as pairs of i16.
     fn split_bytes(self, a: Self::I32) -> [Self::I32; 2];
-    /// 32 values rounded to bf16, in pairs of neighbours, the earlier in the high half: those of `a`, then those of `b`. Magnitudes below
-    /// 2⁻⁵⁶ become 0.
+    /// 32 values rounded to bf16, in pairs of neighbours, the earlier in the high half: those of `a`, then those of
+    /// `b`. Magnitudes below 2⁻⁵⁶ become 0.
     fn pairs_of_bf16(self, a: Self::F32, b: Self::F32) -> Self::I32;
     /// The lowest byte of every lane.
     #[inline(always)]
@@ -157,8 +160,8 @@ pub trait Simd: Elementwise {
 ///
 /// `run` and everything it calls should be `#[inline(always)]`, so that all of it is compiled for the level.
 pub trait Operation {
-    /// True if the computation uses [`Simd::dot_bf16`] or [`Simd::dot_bytes`]: it is then compiled for each level that has them as instructions,
-    /// else once for all levels that differ in nothing else.
+    /// True if the computation uses [`Simd::dot_bf16`] or [`Simd::dot_bytes`]: it is then compiled for each level that
+    /// has them as instructions, else once for all levels that differ in nothing else.
     const DOT_PRODUCTS: bool = false;
     /// Result of the computation.
     type Output;

@@ -20,14 +20,14 @@
 //! - q = (1−u)·erfc A + u·erfc B, where w > ¾, the upper tail: m + σ√2·erfc⁻¹(q);
 //! - p = (1−u)·erfc(−A) + u·erfc(−B), where w < −¾, the lower tail: m − σ√2·erfc⁻¹(p).
 //!
-//! As A ≤ 0 ≤ B, the sums of the tails are of one sign, and w only cancels where the result is near m. The limit for σ → ∞ is the
-//! uniform distribution, for σ → 0 the mean.
+//! As A ≤ 0 ≤ B, the sums of the tails are of one sign, and w only cancels where the result is near m. The limit for σ
+//! → ∞ is the uniform distribution, for σ → 0 the mean.
 //!
 //! Over the published formula's own range the two differ by its rounding: 1.3e-5 at most over the 60,000 values of the
 //! parity table (where σ is large or u near 1).
 //!
-//! [`sample`] keeps the three choices of the published implementation, because checkpoints were trained with them:
-//! u is first clamped to [ε, 1−ε]; where Δ ≤ ε (σ from about 797 on) the value is the lower bound; where s ≤ −5 it is m.
+//! [`sample`] keeps the three choices of the published implementation, because checkpoints were trained with them: u is
+//! first clamped to [ε, 1−ε]; where Δ ≤ ε (σ from about 797 on) the value is the lower bound; where s ≤ −5 it is m.
 //! [`quantile`] has none of them.
 //!
 //! Every value is inside the bounds. Nothing here depends on the instruction-set level or on the number of threads.
@@ -147,11 +147,11 @@ fn sample_one(mean: f32, log_scale: f32, uniform: f32) -> f32 {
     }
 }
 
-/// `out[i]` = the draw from the truncated normal of `mean[i]` and e^`log_scale[i]` for the uniform number `uniform[i]` in
-/// [0, 1), with the choices of the published implementation (see the module).
+/// `out[i]` = the draw from the truncated normal of `mean[i]` and e^`log_scale[i]` for the uniform number `uniform[i]`
+/// in [0, 1), with the choices of the published implementation (see the module).
 ///
-/// Inside the bounds for all parameters, infinite ones too; a mean outside is moved to the nearer bound. An element with
-/// a NaN among its three numbers is NaN, for the caller to drop.
+/// Inside the bounds for all parameters, infinite ones too; a mean outside is moved to the nearer bound. An element
+/// with a NaN among its three numbers is NaN, for the caller to drop.
 ///
 /// # Panics
 /// When the lengths differ.

@@ -35,7 +35,8 @@ impl Checkpoint {
     /// Maps the file at `path` and checks its header.
     ///
     /// # Errors
-    /// When the file cannot be read or is neither a well-formed safetensors file nor tensors by name as `torch.save` writes them.
+    /// When the file cannot be read or is neither a well-formed safetensors file nor tensors by name as `torch.save`
+    /// writes them.
     pub fn open(path: impl AsRef<Path>) -> Result<Checkpoint, ModelError> {
         let file = path.as_ref().display().to_string();
         let storage = Storage::map(path.as_ref()).map_err(|source| ModelError::Io { file: file.clone(), source })?;
@@ -125,7 +126,8 @@ impl Checkpoint {
         self.tensors.get(name).map(|info| &self.storage.bytes()[self.data..][info.range.clone()])
     }
 
-    /// Advises the system that a tensor's pages of a mapped file are not needed for now; it reads them again if they are.
+    /// Advises the system that a tensor's pages of a mapped file are not needed for now; it reads them again if they
+    /// are.
     pub(crate) fn release(&self, name: &str) {
         if let Some(info) = self.tensors.get(name) {
             self.storage.release(self.data + info.range.start..self.data + info.range.end);

@@ -52,7 +52,8 @@ impl<'a> Weights<'a> {
         Weights { compute_zero_output: true, ..self }
     }
 
-    /// Returns true if the residual branch whose last layer is `name`, with a bias or without, is to be left out: it adds zeros.
+    /// Returns true if the residual branch whose last layer is `name`, with a bias or without, is to be left out: it
+    /// adds zeros.
     pub(crate) fn leaves_out(&self, name: &str) -> bool {
         !self.compute_zero_output && self.is_zero_output(name)
     }

@@ -17,7 +17,8 @@ pub enum StaticPosition {
 
 /// The sizes of a StreamSplat network.
 ///
-/// Everything but `resolution`, `upsampler_window`, `encoder_window`, `use_dino` and `ignores_depth` follows from the tensors' shapes.
+/// Everything but `resolution`, `upsampler_window`, `encoder_window`, `use_dino` and `ignores_depth` follows from the
+/// tensors' shapes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Config {
     /// Channels of a token, `D`: a multiple of 64.

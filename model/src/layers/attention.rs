@@ -25,8 +25,9 @@ fn is_left_out(weights: &Weights<'_>, d: usize) -> Result<bool, ModelError> {
     Ok(true)
 }
 
-/// Attention of the tokens `at` (`None`: all) to each other, from their queries, keys and values `[3·heads][rows][64]`. `kept` holds keys and values
-/// of all tokens, `[2·heads][n][64]`, and gets theirs; without it, tokens see those of `qkv` alone.
+/// Attention of the tokens `at` (`None`: all) to each other, from their queries, keys and values `[3·heads][rows][64]`.
+/// `kept` holds keys and values of all tokens, `[2·heads][n][64]`, and gets theirs; without it, tokens see those of
+/// `qkv` alone.
 pub(crate) fn attend_kept(
     precision: Precision,
     level: Level,

@@ -36,7 +36,8 @@ impl FeedForward {
         }))
     }
 
-    /// `x += feed_forward(norm(x))`; `after_zero_output`: to what a zero-output branch before it left to be done, `x += 0`.
+    /// `x += feed_forward(norm(x))`; `after_zero_output`: to what a zero-output branch before it left to be done, `x +=
+    /// 0`.
     pub(crate) fn accumulate(&self, level: Level, after_zero_output: bool, x: &mut [f32]) {
         if after_zero_output {
             add_zero(x);

@@ -45,7 +45,8 @@ impl Linear {
         Ok(layer)
     }
 
-    /// One layer of several with the same input, `names[i].weight [n, k]` and `names[i].bias [n]`: their outputs one after the other.
+    /// One layer of several with the same input, `names[i].weight [n, k]` and `names[i].bias [n]`: their outputs one
+    /// after the other.
     pub(crate) fn load_joined(weights: &Weights<'_>, names: &[&str], n: usize, k: usize) -> Result<Linear, ModelError> {
         let mut weight = Vec::with_capacity(names.len() * n * k);
         let mut bias = Vec::with_capacity(names.len() * n);
@@ -58,8 +59,9 @@ impl Linear {
         Ok(Linear::new(weights.level(), weights.precision(), &weight, Some(bias), names.len() * n, k))
     }
 
-    /// The layer of the tensors `name.weight [4·width, k]` and `name.bias [4·width]` that widens a token to 2×2 sub-tokens. Files have the sub-tokens'
-    /// values of a channel side by side; here come all channels of the first, then of the second, and so on: what [`Linear::shuffled`] writes.
+    /// The layer of the tensors `name.weight [4·width, k]` and `name.bias [4·width]` that widens a token to 2×2
+    /// sub-tokens. Files have the sub-tokens' values of a channel side by side; here come all channels of the first,
+    /// then of the second, and so on: what [`Linear::shuffled`] writes.
     pub(crate) fn load_sub_tokens(
         weights: &Weights<'_>,
         name: &str,

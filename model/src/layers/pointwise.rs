@@ -7,7 +7,8 @@ use super::Bias;
 use crate::ModelError;
 use crate::checkpoint::Weights;
 
-/// Layers with the same input as one, their outputs one after the other: each is a name, its output channels and whether it has a bias.
+/// Layers with the same input as one, their outputs one after the other: each is a name, its output channels and
+/// whether it has a bias.
 pub(crate) fn load_pointwise(
     weights: &Weights<'_>,
     layers: &[(&str, usize, Bias)],

@@ -22,7 +22,8 @@ pub(crate) fn sinusoid(n: usize, d: usize) -> Vec<f32> {
     table
 }
 
-/// `x += 0`: −0 becomes +0, and no other bit changes. This is all that is left of a zero-output branch: see [`crate::zero_output`].
+/// `x += 0`: −0 becomes +0, and no other bit changes. This is all that is left of a zero-output branch: see
+/// [`crate::zero_output`].
 pub(crate) fn add_zero(x: &mut [f32]) {
     x.par_chunks_mut(1 << 14).for_each(|x| x.iter_mut().for_each(|x| *x += 0.0));
 }

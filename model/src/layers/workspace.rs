@@ -14,7 +14,8 @@ pub(crate) struct Workspace {
     pub(crate) mixed: Aligned<f32>,
 }
 
-/// Free workspaces: as many as the most concurrent calls so far. Fresh memory is slow, as the system clears it page by page.
+/// Free workspaces: as many as the most concurrent calls so far. Fresh memory is slow, as the system clears it page by
+/// page.
 #[derive(Default)]
 pub(crate) struct Workspaces(Mutex<Vec<Workspace>>);
 

@@ -1,7 +1,7 @@
 //! Leaving out what did not change since the key frame before.
 //!
-//! A [`Session`](crate::Session) may keep, for every part of a network, the part's last input and output: its [`Cache`].
-//! With it the part computes only rows (tokens) whose input changed, and takes the rest from there:
+//! A [`Session`](crate::Session) may keep, for every part of a network, the part's last input and output: its
+//! [`Cache`]. With it the part computes only rows (tokens) whose input changed, and takes the rest from there:
 //!
 //! - [`Saving::Exact`]: no output bit changes. A block whose attention runs in windows computes the windows with a
 //!   token whose bits changed. Without windows every token depends on all others, and nothing can be
@@ -24,9 +24,10 @@
 //! frame, with it again. A new thing changes one place only, but the motion in both: a token is computed in both
 //! places when it changed in either.
 //!
-//! DINOv2 has a session of its own ([`DinoSession`](crate::DinoSession)), with the same gates and the decoder's tolerance, and nothing to keep exactly:
-//! each of its features depends on all others. They are compared once more as the decoder's condition. The class token and the registers enter it
-//! the same in every frame, and so are computed when everything is.
+//! DINOv2 has a session of its own ([`DinoSession`](crate::DinoSession)), with the same gates and the decoder's
+//! tolerance, and nothing to keep exactly: each of its features depends on all others. They are compared once more as
+//! the decoder's condition. The class token and the registers enter it the same in every frame, and so are computed
+//! when everything is.
 //!
 //! # Order
 //! Which rows are computed follows from the comparison alone, whose order of operations is fixed; rows are gathered in

@@ -191,8 +191,8 @@ impl<'a> Pass<'a> {
         Some(at)
     }
 
-    /// Leaves in `rows` those that block `index` has to compute, keeps its input, and returns its cache. `mixed` are the
-    /// windows in which the block mixes tokens, if it does.
+    /// Leaves in `rows` those that block `index` has to compute, keeps its input, and returns its cache. `mixed` are
+    /// the windows in which the block mixes tokens, if it does.
     pub(crate) fn admit(&mut self, index: usize, mixed: Option<Windows>, rows: &mut Rows) -> Option<&mut BlockCache> {
         let cache = self.cache.as_deref_mut()?;
         let block = &mut cache.blocks[index];

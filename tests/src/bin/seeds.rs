@@ -1,5 +1,5 @@
-//! `seeds FOLDER`: writes the seeds and regressions of every fuzz target into `FOLDER/NAME/`, for libFuzzer to start from, and prints the
-//! targets' names with the longest input worth trying.
+//! `seeds FOLDER`: writes the seeds and regressions of every fuzz target into `FOLDER/NAME/`, for libFuzzer to start
+//! from, and prints the targets' names with the longest input worth trying.
 
 use std::path::Path;
 use std::process::ExitCode;

@@ -1,7 +1,9 @@
-//! One digest per thing the project computes, for the bit contract: the same on every level, thread count, run and machine.
+//! One digest per thing the project computes, for the bit contract: the same on every level, thread count, run and
+//! machine.
 //!
-//! Each [`Thing`] is small, so that all of them run in a minute on a real CPU and in some on an emulated one. Between them they
-//! reach every kernel, the network in each kind of configuration, and a short stream through both fusion modes.
+//! Each [`Thing`] is small, so that all of them run in a minute on a real CPU and in some on an emulated one. Between
+//! them they reach every kernel, the network in each kind of configuration, and a short stream through both fusion
+//! modes.
 
 mod kernels;
 mod network;

@@ -24,7 +24,8 @@ pub(super) fn things() -> Vec<Thing> {
     images.into_iter().chain(maps).chain([world]).collect()
 }
 
-/// The linear map of the colours: adjoint, normal operator, residual and sums, of the scene's colours and its image in negative.
+/// The linear map of the colours: adjoint, normal operator, residual and sums, of the scene's colours and its image in
+/// negative.
 fn linear(level: Level, digest: &mut Digest, scene: &Splats) {
     let (gaussians, background) = (scene.gaussians(), scene.request.background);
     let size = [scene.request.width, scene.request.height];

@@ -25,7 +25,8 @@ fn attend(precision: Precision, input: &Input, level: streamsplat_kernels::Level
     out
 }
 
-/// Queries along one axis, so that key j has the logit `8 · size · logit(j)` for query 0 and parts of it for the others.
+/// Queries along one axis, so that key j has the logit `8 · size · logit(j)` for query 0 and parts of it for the
+/// others.
 fn along(logit: impl Fn(usize) -> f32) -> Input {
     let mut input = Input { q: vec![0.0; QUERIES * WIDTH], k: vec![0.0; KEYS * WIDTH], v: noise(KEYS * WIDTH, 3) };
     for (i, q) in input.q.chunks_mut(WIDTH).enumerate() {

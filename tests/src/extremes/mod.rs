@@ -1,8 +1,9 @@
 //! Extremes: every case on every instruction-set level of the machine and with 1, 2, 3 and 8 threads, its error against
 //! binary64, and whether the bits agree.
 //!
-//! A [`Case`] computes values and judges them: the worst error, the value that has it, and properties that must hold for any
-//! error. [`record`] keeps the errors: tests compare with `tests/extremes/record.json`; `tests/extremes/REPORT.md` is for readers.
+//! A [`Case`] computes values and judges them: the worst error, the value that has it, and properties that must hold
+//! for any error. [`record`] keeps the errors: tests compare with `tests/extremes/record.json`;
+//! `tests/extremes/REPORT.md` is for readers.
 
 mod attention;
 mod images;
@@ -201,8 +202,8 @@ impl Case {
         format!("{}: {}", self.group, self.name)
     }
 
-    /// Computes it on every level and thread count and judges the first; places whose bits differ from the first's are broken.
-    /// The long form runs on the highest level alone: the short one compares bits.
+    /// Computes it on every level and thread count and judges the first; places whose bits differ from the first's are
+    /// broken. The long form runs on the highest level alone: the short one compares bits.
     ///
     /// # Panics
     /// When threads cannot be started.

@@ -60,7 +60,8 @@ fn steady(name: &str, fusion: Fusion, start: f64, length: f64) -> Case {
     )
 }
 
-/// Lengths that change by eighteen orders of magnitude from one interval to the next: what survivors do with their velocity is finite.
+/// Lengths that change by eighteen orders of magnitude from one interval to the next: what survivors do with their
+/// velocity is finite.
 fn stiff(fusion: Fusion) -> Case {
     let times = [0.0, 1e-9, 1e9, 1e9 + 1e-6, 2e9, 2e9 + 1.0, 3e9];
     Case::new(

@@ -93,8 +93,8 @@ fn quantiles(mean: f64, log_scale: f64, part: Part, label: &str) -> Case {
     Case { long: true, ..Case::new(GROUP, format!("quantile, m = {mean}, σ = e^{log_scale}{label}"), compute, judge) }
 }
 
-/// Draws of the engine, in binary32, with the published choices: u clamped to [ε, 1−ε], the mean where s ≤ −5, the lower bound where
-/// the mass inside the bounds is at most ε.
+/// Draws of the engine, in binary32, with the published choices: u clamped to [ε, 1−ε], the mean where s ≤ −5, the
+/// lower bound where the mass inside the bounds is at most ε.
 fn sampled(mean: f32, log_scale: f32) -> Case {
     let compute = move |place: super::Place| {
         let n = draws(place.form).min(1_000_000);
@@ -197,8 +197,8 @@ fn held(mean: f32, log_scale: f32, ends: [f32; 2], value: impl Fn(f32) -> f32) -
     Held { different: bits.len(), ..held }
 }
 
-/// Where the published formula collapses, and our result there. The reference is [`quantile`], which the cases above try against the
-/// exact distribution.
+/// Where the published formula collapses, and our result there. The reference is [`quantile`], which the cases above
+/// try against the exact distribution.
 pub fn collapse() -> Vec<Collapse> {
     let row = |(mean, log_scale): (f32, f32)| {
         let draw = |u| {

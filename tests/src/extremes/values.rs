@@ -1,4 +1,5 @@
-//! Denormal, infinite and NaN values in every input: the record that carries one is dropped and counted, nothing spreads.
+//! Denormal, infinite and NaN values in every input: the record that carries one is dropped and counted, nothing
+//! spreads.
 
 use std::sync::Arc;
 

@@ -1,8 +1,8 @@
 //! Targets of hostile bytes: one function per reader, shared by libFuzzer (`tests/fuzz`) and by the tests, which replay
 //! seeds, earlier findings, and mutations of both.
 //!
-//! A function takes any bytes. An error from the reader is an answer; a panic, a wrong property of the result, or memory that the
-//! bytes do not justify is a finding.
+//! A function takes any bytes. An error from the reader is an answer; a panic, a wrong property of the result, or
+//! memory that the bytes do not justify is a finding.
 //!
 //! To add a target: a function in `targets.rs`, its seeds in `seeds.rs`, a line in [`TARGETS`], and
 //! `tests/fuzz/fuzz_targets/NAME.rs` with a `[[bin]]` in `tests/fuzz/Cargo.toml`.

@@ -417,7 +417,8 @@ pub(super) fn sog() -> Vec<Vec<u8>> {
 
 pub(super) fn spz() -> Vec<Vec<u8>> {
     let mut files: Vec<Vec<u8>> = (0..=3).map(|degree| export::still::spz(&still(degree))).collect();
-    // Versions 2 and 3, whose attributes follow the header in one gzip stream: here in stored blocks, so that mutations reach them.
+    // Versions 2 and 3, whose attributes follow the header in one gzip stream: here in stored blocks, so that mutations
+    // reach them.
     for (version, bytes) in [(2_u32, 19), (3, 20)] {
         let attributes: Vec<u8> = (0..3 * bytes).map(|i| (i * 53 % 251) as u8).collect();
         let content =

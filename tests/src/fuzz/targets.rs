@@ -80,8 +80,8 @@ pub(super) fn scene_index(bytes: &[u8]) {
     }
 }
 
-/// A camera or a path of cameras, and their images of a scene; or cameras of another program: JSON, or the two files of a COLMAP
-/// or four files of a COLMAP model with `%%` between them.
+/// A camera or a path of cameras, and their images of a scene; or cameras of another program: JSON, or the two files of
+/// a COLMAP or four files of a COLMAP model with `%%` between them.
 pub(super) fn camera(bytes: &[u8]) {
     if let Some(files) = colmap(bytes) {
         [set::colmap::text(&files), set::colmap::binary(&files)].iter().flatten().for_each(assert_usable);

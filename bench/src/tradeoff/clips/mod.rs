@@ -1,8 +1,9 @@
-//! Error against run time on a folder of clips: time and error of each option, the qualities, and a grid of options around them.
+//! Error against run time on a folder of clips: time and error of each option, the qualities, and a grid of options
+//! around them.
 //!
-//! Every row is one run of `streamsplat eval` on all clips, with the options that it names. *Seen* rows have the frames between key
-//! frames as input, the others do not: the two kinds are never compared. From the record come the table of a page and a plot, which
-//! `--record` makes again without measuring.
+//! Every row is one run of `streamsplat eval` on all clips, with the options that it names. *Seen* rows have the frames
+//! between key frames as input, the others do not: the two kinds are never compared. From the record come the table of
+//! a page and a plot, which `--record` makes again without measuring.
 
 mod page;
 mod plot;

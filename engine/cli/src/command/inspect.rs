@@ -132,7 +132,8 @@ fn model(path: &Path) -> Result<Value, Failure> {
         _ => ("model", Value::Null),
     };
     let formats: Map<String, Value> = report.formats.iter().map(|(name, count)| (name.clone(), json!(count))).collect();
-    // Weights of a matrix take four, two or one byte each in the three modes; the little that always stays f32 is not told apart. Zero-output ones take none.
+    // Weights of a matrix take four, two or one byte each in the three modes; the little that always stays f32 is not
+    // told apart. Zero-output ones take none.
     let held = report.parameters() - report.zero_output.iter().map(|part| part.parameters).sum::<usize>();
     let memory = |bytes: usize| held * bytes;
     let thousandths = |x: f64| (x * 1e3).round() / 1e3;

@@ -1,5 +1,5 @@
-//! Power losses, full disks and failing devices at every operation of a short run: `--resume` always ends with the bytes of a run that nothing
-//! stopped.
+//! Power losses, full disks and failing devices at every operation of a short run: `--resume` always ends with the
+//! bytes of a run that nothing stopped.
 //!
 //! Every ninth operation by default; `STREAMSPLAT_EVERY=1 cargo test --release -p streamsplat-cli power` tries all.
 
@@ -92,7 +92,8 @@ fn sweep(name: &str) {
     }
 }
 
-/// Stands in ffmpeg's place: writes what it gets and an end, exit code 0 whatever becomes of the file; counts the frames of a file with its end.
+/// Stands in ffmpeg's place: writes what it gets and an end, exit code 0 whatever becomes of the file; counts the
+/// frames of a file with its end.
 #[cfg(unix)]
 const ENCODER: &str = r#"#!/bin/sh
 case $* in

@@ -240,7 +240,8 @@ pub fn render(
     record(options, input, &drawing, Rendered { outputs, complete, read: stretch.read, start }, &workers)
 }
 
-/// With `--fill crop`, lets all images of a motion show the part of the sides that they can without the picture's edges.
+/// With `--fill crop`, lets all images of a motion show the part of the sides that they can without the picture's
+/// edges.
 pub(super) fn crop(
     scene: &Scene,
     due: &[(f64, usize)],

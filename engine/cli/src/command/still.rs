@@ -29,8 +29,8 @@ use streamsplat::run::views::Views;
 
 /// Frames per second of a video of a scene that has no time.
 const FPS: f64 = 24.0;
-/// Images for which the scene's Gaussians are grouped. That takes about as long as an image, and saves more than half of each that shows a
-/// tenth of the scene (`streamsplat bench raster --only part`).
+/// Images for which the scene's Gaussians are grouped. That takes about as long as an image, and saves more than half
+/// of each that shows a tenth of the scene (`streamsplat bench raster --only part`).
 const MANY: usize = 8;
 
 /// Size of images of which nothing says it.
@@ -192,8 +192,8 @@ impl Plan {
     }
 }
 
-/// The options with the camera that was exported with the file at `path`, where there is one and no option asks for another view; `views` follows. The size
-/// of its images is the camera file's, unless one was given.
+/// The options with the camera that was exported with the file at `path`, where there is one and no option asks for
+/// another view; `views` follows. The size of its images is the camera file's, unless one was given.
 pub fn seen_as_exported(
     options: &RenderOptions,
     path: &Path,

@@ -117,8 +117,8 @@ enum Direction {
     Backward,
 }
 
-/// The track's places at the times `due` (ascending, each with its interval), all on one side of the track's own time, which
-/// interval `from` shows. Ends where the track does, or with the last time wanted; reads no interval beyond.
+/// The track's places at the times `due` (ascending, each with its interval), all on one side of the track's own time,
+/// which interval `from` shows. Ends where the track does, or with the last time wanted; reads no interval beyond.
 fn follow(
     scene: &Scene,
     mut track: Track,
@@ -148,7 +148,8 @@ fn follow(
     Ok(parts.into_iter().flatten().collect())
 }
 
-/// A line per point, with the units in the names of the columns. Numbers are the shortest that read back as the same bits.
+/// A line per point, with the units in the names of the columns. Numbers are the shortest that read back as the same
+/// bits.
 fn csv(path: &[PathPoint]) -> String {
     let mut text = String::from("time_s,identity,x_px,y_px,x_half_widths,inverse_depth,z_half_heights,opacity\n");
     for PathPoint { time, identity, pixel: [x, y], world: [wx, wy, wz], opacity } in path {

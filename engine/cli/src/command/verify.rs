@@ -15,7 +15,8 @@ use streamsplat::run::record::{Invocation, Record};
 use streamsplat::run::{digest, report};
 use streamsplat::source::MEMORY;
 
-/// Compares the files that are there with their digests, then repeats the work and compares again. Fails where one differs.
+/// Compares the files that are there with their digests, then repeats the work and compares again. Fails where one
+/// differs.
 pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
     let (record_path, folder) = if !args.dir.is_file() {
         (args.dir.join("run.json"), args.dir.clone())
@@ -170,7 +171,8 @@ fn record_of(file: &Path) -> Result<PathBuf, Failure> {
     if beside.is_file() { Ok(beside) } else { Err(Failure::work(format!("{}: {wrong}", file.display()))) }
 }
 
-/// Files in a folder of results that its record does not name, and a report that is not the record's; each with what is wrong.
+/// Files in a folder of results that its record does not name, and a report that is not the record's; each with what is
+/// wrong.
 fn beside(folder: &Path, record: &Record) -> Result<Vec<(String, String)>, Failure> {
     let mut wrong = Vec::new();
     let mut folders = vec![(folder.to_owned(), String::new())];

@@ -35,7 +35,8 @@ pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     }
 }
 
-/// Returns true for an `http` or `https` address, which a browser opens as a page, and false for others, such as a script's.
+/// Returns true for an `http` or `https` address, which a browser opens as a page, and false for others, such as a
+/// script's.
 fn is_address(url: &str) -> bool {
     let lower = url.to_ascii_lowercase();
     let rest = lower.strip_prefix("https://").or_else(|| lower.strip_prefix("http://"));
@@ -84,8 +85,8 @@ fn show(source: impl Whole + 'static, args: &ViewArgs, console: &Console) -> Res
     Ok(())
 }
 
-/// An address by which a server is reached that listens on `address`: of one that listens on all, this machine's own in its network, else of this
-/// machine alone.
+/// An address by which a server is reached that listens on `address`: of one that listens on all, this machine's own in
+/// its network, else of this machine alone.
 fn reached(address: SocketAddr) -> SocketAddr {
     if !address.ip().is_unspecified() {
         return address;
@@ -99,8 +100,8 @@ fn reached(address: SocketAddr) -> SocketAddr {
     SocketAddr::new(own().unwrap_or(Ipv4Addr::LOCALHOST.into()), address.port())
 }
 
-/// How another machine gets to the page through ssh: of a server that others may reach, and of one that was started through ssh, whose environment has
-/// `SSH_CONNECTION` (the other side's address and port, then this side's).
+/// How another machine gets to the page through ssh: of a server that others may reach, and of one that was started
+/// through ssh, whose environment has `SSH_CONNECTION` (the other side's address and port, then this side's).
 fn tunnel(address: SocketAddr, connection: Option<&str>) -> Option<String> {
     let here = connection.and_then(|connection| connection.split(' ').nth(2)).map(str::to_owned);
     if address.ip().is_loopback() && here.is_none() {

@@ -15,8 +15,8 @@ const LONG: u64 = 1 << 26;
 /// Bytes of what is counted.
 const MEGABYTE: u64 = 1_000_000;
 
-/// Opens a scene of any kind with `workers`; the default is a thread per processor. `axes` overrides the axes of a still scene's numbers. Prints
-/// notes on what was left out or assumed.
+/// Opens a scene of any kind with `workers`; the default is a thread per processor. `axes` overrides the axes of a
+/// still scene's numbers. Prints notes on what was left out or assumed.
 pub fn open_along(
     path: &Path,
     limits: &Limits,

@@ -18,8 +18,8 @@ pub fn count(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }
 
-/// Text for a terminal: control characters, which names and tags of files may hold, are written as escapes, and what is very long is cut.
-/// Lines and tabs stay.
+/// Text for a terminal: control characters, which names and tags of files may hold, are written as escapes, and what is
+/// very long is cut. Lines and tabs stay.
 pub fn visible(text: &str) -> String {
     let mut out = String::with_capacity(text.len().min(4 * LONGEST));
     for (at, c) in text.chars().enumerate() {

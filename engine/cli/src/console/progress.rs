@@ -1,5 +1,5 @@
-//! A progress bar on a terminal, plain lines otherwise, nothing with `--quiet`. A plain line is written where something new was done, and the time left
-//! never climbs.
+//! A progress bar on a terminal, plain lines otherwise, nothing with `--quiet`. A plain line is written where something
+//! new was done, and the time left never climbs.
 
 use std::io::{IsTerminal, Write};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
@@ -53,8 +53,8 @@ impl Estimate {
         }
     }
 
-    /// Seconds left, `passed` seconds after the start: at most what was said before. `None` where nothing is known, and where what was said before turned
-    /// out to be less than half of it.
+    /// Seconds left, `passed` seconds after the start: at most what was said before. `None` where nothing is known, and
+    /// where what was said before turned out to be less than half of it.
     fn left(&mut self, passed: f64) -> Option<f64> {
         let (then, left) = self.last?;
         let now = (left - (passed - then)).max(0.0);
@@ -178,7 +178,8 @@ impl State {
         self.estimate.left(passed)
     }
 
-    /// A plain line, unless there is nothing new: what is done, the share and the time left where the number is known, the time of each.
+    /// A plain line, unless there is nothing new: what is done, the share and the time left where the number is known,
+    /// the time of each.
     fn line(&mut self) -> Option<String> {
         let now = (self.done, self.what);
         if self.done == 0 || self.said == Some(now) {

@@ -5,7 +5,8 @@ use std::str::FromStr;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use streamsplat::still::Still;
 
-/// Whether what is smaller than a pixel gets fainter in place of larger. Recorded as `true` or `false`; the default is not recorded.
+/// Whether what is smaller than a pixel gets fainter in place of larger. Recorded as `true` or `false`; the default is
+/// not recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Antialias {
     /// Where the scene's file has a mark of such training.

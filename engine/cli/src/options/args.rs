@@ -85,8 +85,8 @@ pub enum Command {
     },
     /// Repeat what DIR/run.json describes; exit code 1 where a digest differs
     Verify(VerifyArgs),
-    /// Difference of two images, videos, folders or scenes: none, or how far apart and where; exit code 1 where they differ. SSIM is that of
-    /// scikit-image with gaussian_weights=True, its sample covariance and data_range=1
+    /// Difference of two images, videos, folders or scenes: none, or how far apart and where; exit code 1 where they
+    /// differ. SSIM is that of scikit-image with gaussian_weights=True, its sample covariance and data_range=1
     Compare(CompareArgs),
     /// Golden images: record a list of renders, and check them with zero tolerance
     Golden(GoldenArgs),
@@ -107,8 +107,9 @@ pub enum Command {
 pub struct RunArgs {
     /// Folder of images, .y4m file, - (y4m on standard input), or any video file ffmpeg reads
     pub input: PathBuf,
-    /// Folder for the results, or a video file (.y4m, .mp4, .webm, .mkv, .mov, .m4v, .gif, .webp, .avif), or - (y4m on standard output) [default: here, named after the input: of
-    /// clip.mp4 the video clip-scene.mp4 with the scene clip-scene.ssz beside it, of images or y4m the folder clip-scene]
+    /// Folder for the results, or a video file (.y4m, .mp4, .webm, .mkv, .mov, .m4v, .gif, .webp, .avif), or - (y4m on
+    /// standard output) [default: here, named after the input: of clip.mp4 the video clip-scene.mp4 with the scene
+    /// clip-scene.ssz beside it, of images or y4m the folder clip-scene]
     #[arg(long, short, value_name = "DIR")]
     pub out: Option<PathBuf>,
     #[command(flatten)]
@@ -131,9 +132,11 @@ pub struct RunArgs {
 
 #[derive(Args, Clone)]
 pub struct RenderArgs {
-    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG, glTF, .splat)
+    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG,
+    /// glTF, .splat)
     pub scene: PathBuf,
-    /// Folder for the images, or a video file, or - (y4m on standard output); for a single image a .png, .exr or .webp file (WebP without loss; of several images a video)
+    /// Folder for the images, or a video file, or - (y4m on standard output); for a single image a .png, .exr or .webp
+    /// file (WebP without loss; of several images a video)
     #[arg(long, short, value_name = "DIR")]
     pub out: PathBuf,
     #[command(flatten)]
@@ -156,17 +159,19 @@ pub struct RenderOptions {
     /// Images per second of the scene, where no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
-    /// Quality of an encoded video, as ffmpeg's -crf: less is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to 63 for .webm and .avif [default: 6;
-    /// 18 for .webm and .avif]
+    /// Quality of an encoded video, as ffmpeg's -crf: less is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to 63
+    /// for .webm and .avif [default: 6; 18 for .webm and .avif]
     #[arg(long, value_name = "N")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crf: Option<u8>,
-    /// Outputs: rgb, webp (colours without loss), depth, alpha, exr (colour, depth and alpha as layers of one file) [default: rgb]
+    /// Outputs: rgb, webp (colours without loss), depth, alpha, exr (colour, depth and alpha as layers of one file)
+    /// [default: rgb]
     #[arg(long, value_name = "LIST")]
     #[serde(default, with = "streamsplat::run::options::text")]
     pub emit: Option<Emit>,
-    /// Let what is smaller than a pixel get fainter in place of larger, as scenes that were trained with anti-aliasing ask for (Mip-Splatting's
-    /// 2D filter, "antialiased" in gsplat): on, off, or auto, where the file has a mark of such training [default: auto; on without a MODE]
+    /// Let what is smaller than a pixel get fainter in place of larger, as scenes that were trained with anti-aliasing
+    /// ask for (Mip-Splatting's 2D filter, "antialiased" in gsplat): on, off, or auto, where the file has a mark of
+    /// such training [default: auto; on without a MODE]
     #[arg(long, value_name = "MODE", num_args = 0..=1, default_value = "auto", default_missing_value = "on", hide_default_value = true)]
     #[serde(default, skip_serializing_if = "Antialias::is_auto")]
     pub antialias: Antialias,
@@ -188,8 +193,8 @@ pub struct RenderOptions {
 /// How the numbers of a still scene are taken.
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Reading {
-    /// Axes of a still scene's coordinates: where x, y and z point, a letter each of Right or Left, Down or Up, Front or Back; rdf in PLY, rub by
-    /// SPZ's own description [default: what the file names, else its format's]
+    /// Axes of a still scene's coordinates: where x, y and z point, a letter each of Right or Left, Down or Up, Front
+    /// or Back; rdf in PLY, rub by SPZ's own description [default: what the file names, else its format's]
     #[arg(long, value_name = "AXES")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub axes: Option<String>,
@@ -238,7 +243,8 @@ pub struct EvalArgs {
     pub input: PathBuf,
     #[command(flatten)]
     pub stream: StreamOptions,
-    /// Give the frames between key frames as well, and measure them as seen; without it nothing but the comparison reads them
+    /// Give the frames between key frames as well, and measure them as seen; without it nothing but the comparison
+    /// reads them
     #[arg(long)]
     pub seen: bool,
     /// Fit of frames into the model's input: stretch or letterbox
@@ -250,7 +256,8 @@ pub struct EvalArgs {
     /// Matrix of the input's luma and chroma, as for run
     #[arg(long, value_name = "NAME")]
     pub matrix: Option<NamedMatrix>,
-    /// Size of the images that are compared at 256x256: model, source or WIDTHxHEIGHT; PSNR at the source's own size is measured as well
+    /// Size of the images that are compared at 256x256: model, source or WIDTHxHEIGHT; PSNR at the source's own size is
+    /// measured as well
     #[arg(long, value_name = "SIZE", default_value_t = Size::Model)]
     pub size: Size,
     /// LPIPS as well, by this ONNX file: two images in [-1,1] in, one number out; run by ONNX Runtime
@@ -311,13 +318,15 @@ pub struct InspectArgs {
 
 #[derive(Args, Clone)]
 pub struct ExportArgs {
-    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG, glTF, .splat)
+    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG,
+    /// glTF, .splat)
     pub scene: PathBuf,
-    /// Scenes in time that follow it, for --format ssz: all become one scene. One that begins before the end of the one before follows it a frame later
+    /// Scenes in time that follow it, for --format ssz: all become one scene. One that begins before the end of the one
+    /// before follows it a frame later
     #[arg(value_name = "SCENE")]
     pub more: Vec<PathBuf>,
-    /// Format: ply (the layout of 3D Gaussian splatting), compressed-ply, spz, sog, glb, splat (32-byte records), or ssz (the whole scene,
-    /// compressed) [default: what the name of the output ends in]
+    /// Format: ply (the layout of 3D Gaussian splatting), compressed-ply, spz, sog, glb, splat (32-byte records), or
+    /// ssz (the whole scene, compressed) [default: what the name of the output ends in]
     #[arg(long, value_name = "NAME")]
     pub format: Option<String>,
     /// Folder for 000000.ply and so on; for a single time, a file with the format's name as its ending; for ssz, a file
@@ -370,8 +379,8 @@ pub struct TrackArgs {
 
 #[derive(Args, Clone)]
 pub struct ViewArgs {
-    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG, glTF, .splat), whose
-    /// colours depend on the view as in the file
+    /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG,
+    /// glTF, .splat), whose colours depend on the view as in the file
     pub scene: PathBuf,
     /// Port to serve on; 0 takes any free one [default: 8707]
     #[arg(long, value_name = "N")]
@@ -385,7 +394,8 @@ pub struct ViewArgs {
     /// Serve nothing: write the page with the scene in it as this file, which opens by itself
     #[arg(long, value_name = "FILE", conflicts_with_all = ["port", "host", "allow_host"])]
     pub html: Option<PathBuf>,
-    /// Address of the page of --html on the web, for the tags that programs read which show links; its poster is FILE.png beside it
+    /// Address of the page of --html on the web, for the tags that programs read which show links; its poster is
+    /// FILE.png beside it
     #[arg(long, value_name = "URL", requires = "html")]
     pub url: Option<String>,
     #[command(flatten)]
@@ -410,11 +420,12 @@ pub struct CompareArgs {
     pub a: PathBuf,
     /// Another of the same kind
     pub b: PathBuf,
-    /// Pass where no sample of any channel differs by more than N steps of 8 bits: N/255 of the range of whole numbers, N/255 for floats; parts
-    /// of a step are allowed
+    /// Pass where no sample of any channel differs by more than N steps of 8 bits: N/255 of the range of whole numbers,
+    /// N/255 for floats; parts of a step are allowed
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub max_abs: Option<f64>,
-    /// Pass where every picture has at least this PSNR over all its channels, peak 1, in dB; with --max-abs both must hold
+    /// Pass where every picture has at least this PSNR over all its channels, peak 1, in dB; with --max-abs both must
+    /// hold
     #[arg(long, value_name = "DB", allow_negative_numbers = true)]
     pub psnr: Option<f64>,
     /// Write a PNG that shows where the two pictures that are farthest apart differ

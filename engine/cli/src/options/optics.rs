@@ -18,13 +18,13 @@ const TURN: f64 = 360.0;
 /// Footprints, lens and shutter.
 #[derive(Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Optics {
-    /// Footprints: gaussian, splat-transform (0 from three standard deviations on) or playcanvas (0 from √8 on), as those programs draw
-    /// [default: gaussian]
+    /// Footprints: gaussian, splat-transform (0 from three standard deviations on) or playcanvas (0 from √8 on), as
+    /// those programs draw [default: gaussian]
     #[arg(long, value_name = "NAME")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub footprint: Option<String>,
-    /// All around the camera, in place of what its lens sees: longitudes across the image, latitudes down [default: from the middle of a still
-    /// scene, 2048x1024]
+    /// All around the camera, in place of what its lens sees: longitudes across the image, latitudes down [default:
+    /// from the middle of a still scene, 2048x1024]
     #[arg(long, conflicts_with = "stereo")]
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub panorama: bool,
@@ -32,7 +32,8 @@ pub struct Optics {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub f_stop: Option<f64>,
-    /// Distance of what is in focus, along the camera's axis, in the scene's units, or inf [default: that of a still scene's middle]
+    /// Distance of what is in focus, along the camera's axis, in the scene's units, or inf [default: that of a still
+    /// scene's middle]
     #[arg(long, value_name = "DISTANCE", requires = "f_stop", allow_hyphen_values = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focus: Option<String>,
@@ -40,8 +41,8 @@ pub struct Optics {
     #[arg(long, value_name = "UNITS", requires = "f_stop", allow_negative_numbers = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor_height: Option<f64>,
-    /// Motion blur: each image is the mean, in linear light, of several over this part of the time from one image to the next, of which 360 is all;
-    /// 0 is none
+    /// Motion blur: each image is the mean, in linear light, of several over this part of the time from one image to
+    /// the next, of which 360 is all; 0 is none
     #[arg(long, value_name = "DEGREES", allow_negative_numbers = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shutter: Option<f64>,

@@ -4,8 +4,8 @@ use streamsplat::scene::{Scene, SceneError};
 
 use crate::console::failure::Failure;
 
-/// The times of images, each with the interval that shows it: `asked`, else `fps` a second, else the source's frames. A time outside the
-/// scene is a usage error, found before any work.
+/// The times of images, each with the interval that shows it: `asked`, else `fps` a second, else the source's frames. A
+/// time outside the scene is a usage error, found before any work.
 pub fn of_scene(scene: &Scene, asked: Option<&[f64]>, fps: Option<f64>) -> Result<Vec<(f64, usize)>, Failure> {
     let times = match (asked, fps, scene.index().frames()) {
         (Some(times), ..) => times.to_vec(),
@@ -31,7 +31,8 @@ pub fn check_rate(fps: Option<f64>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Times from the scene's start, `fps` to the second, up to its end. The end is met when it is within a millionth of a step.
+/// Times from the scene's start, `fps` to the second, up to its end. The end is met when it is within a millionth of a
+/// step.
 fn grid((start, end): (f64, f64), fps: f64) -> Result<Vec<f64>, Failure> {
     let steps = (end - start) * fps;
     if !(steps.is_finite() && steps < 1e7) {

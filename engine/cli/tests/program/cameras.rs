@@ -7,7 +7,8 @@ use std::process::Output;
 use crate::still::prepared;
 use crate::support::{Scratch, command, fails, files};
 
-/// World to camera: quaternion and translation of two images, with principal points off centre and pixels that are not square.
+/// World to camera: quaternion and translation of two images, with principal points off centre and pixels that are not
+/// square.
 const IMAGES: [(&str, [f64; 4], [f64; 3]); 2] = [
     ("left.png", [0.9833474432563559, 0.03427, 0.17825, 0.00631], [0.31, -0.12, 3.1]),
     ("right.png", [0.9721, -0.0532, -0.2217, 0.0431], [-0.2, 0.17, 2.7]),

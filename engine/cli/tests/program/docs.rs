@@ -1,7 +1,7 @@
 //! Pages under `docs/` and the README say what the program and the records say.
 //!
-//! `STORE_DOCS=1 cargo test --release -p streamsplat-cli --test program docs` writes the generated parts: `docs/cli.md`, and the tables of records in the README and
-//! `docs/performance.md`.
+//! `STORE_DOCS=1 cargo test --release -p streamsplat-cli --test program docs` writes the generated parts:
+//! `docs/cli.md`, and the tables of records in the README and `docs/performance.md`.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -74,7 +74,8 @@ fn the_page_of_options_is_what_the_program_says() {
     assert_generated("docs/cli.md", &page);
 }
 
-/// The default that the help of `run` prints for each option, up to a `;` after which others than the embedded model's follow.
+/// The default that the help of `run` prints for each option, up to a `;` after which others than the embedded model's
+/// follow.
 fn defaults(help: &str) -> BTreeMap<String, String> {
     let mut found = BTreeMap::new();
     let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -149,7 +150,8 @@ fn table(name: &str, record: &Value) -> String {
     }
 }
 
-/// A row per quality: median over clips of frames a second, with the least and the most, and the mean over clips of PSNR.
+/// A row per quality: median over clips of frames a second, with the least and the most, and the mean over clips of
+/// PSNR.
 fn qualities(record: &Value) -> String {
     let mut page = "| `--quality` | frames a second | PSNR |\n|---|---:|---:|\n".to_owned();
     for quality in ["realtime", "balanced", "best"] {

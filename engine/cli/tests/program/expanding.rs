@@ -1,4 +1,5 @@
-//! Small files of packed formats that unpack to gigabytes: refused within 100 MB and five seconds, and read where they are small.
+//! Small files of packed formats that unpack to gigabytes: refused within 100 MB and five seconds, and read where they
+//! are small.
 
 use std::ffi::OsString;
 use std::io::{Cursor, Write};

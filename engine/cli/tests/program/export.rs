@@ -209,7 +209,8 @@ fn an_exported_file_is_rendered_from_where_its_scene_was_filmed() {
             let square: f64 = scene.iter().zip(&image).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2)).sum();
             let decibels = 20.0 * 255f64.log10() - 10.0 * (square / scene.len() as f64).max(1e-9).log10();
             println!("{width}x{height}: {decibels:.1} dB");
-            // Of the upright clip the source is larger than the model saw it: the scene is widened, which a file cannot be.
+            // Of the upright clip the source is larger than the model saw it: the scene is widened, which a file cannot
+            // be.
             assert!(decibels > 40.0, "{width}x{height}: {decibels:.1} dB");
         }
         // Other views are those that options ask for, and a rendering can be repeated.

@@ -1,7 +1,7 @@
 //! Killed at any moment, or out of room: what is there is whole, and `--resume` ends with the same bytes.
 //!
-//! `STREAMSPLAT_KILLS=50 STREAMSPLAT_SEED=7 cargo test --release -p streamsplat-cli --test program killed -- --nocapture` kills oftener, at
-//! other moments.
+//! `STREAMSPLAT_KILLS=50 STREAMSPLAT_SEED=7 cargo test --release -p streamsplat-cli --test program killed --
+//! --nocapture` kills oftener, at other moments.
 
 use std::io::Read;
 use std::path::Path;
@@ -35,7 +35,8 @@ fn run(input: &Path, out: &Path) -> Command {
     command
 }
 
-/// Checks what a kill must leave: every interval of the index whole, every file under its own name readable. Gives their numbers.
+/// Checks what a kill must leave: every interval of the index whole, every file under its own name readable. Gives
+/// their numbers.
 fn check(out: &Path) -> (usize, usize) {
     let mut intervals = 0;
     if out.join("scene/scene.json").exists() {
@@ -92,7 +93,8 @@ fn killed_with_a_folder_of_images_as_its_input_it_ends_with_the_same_bytes() {
     endure(&scratch.clip("clip", 12, 40, 24), "out", &["--emit", "rgb,scene,exr,tracks", "--quiet"], 4);
 }
 
-/// Kills runs of `input` to a place of this name, and resumed ones, the given number of times; the last one runs to its end.
+/// Kills runs of `input` to a place of this name, and resumed ones, the given number of times; the last one runs to its
+/// end.
 fn endure(input: &Path, name: &str, options: &[&str], kills: u64) {
     let kills = number("STREAMSPLAT_KILLS", kills);
     let mut seed = number("STREAMSPLAT_SEED", 1);

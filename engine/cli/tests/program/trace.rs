@@ -1,7 +1,7 @@
 //! `--trace`: trace events as Chrome and Perfetto read them, with a span for every call of every stage and operation.
 //!
-//! The rules are those of "Trace Event Format" (Chromium): an array of objects; `B` and `E` events that nest on their thread, with `ts` in
-//! microseconds; `M` events that name the threads.
+//! The rules are those of "Trace Event Format" (Chromium): an array of objects; `B` and `E` events that nest on their
+//! thread, with `ts` in microseconds; `M` events that name the threads.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -166,7 +166,8 @@ fn every_operation_of_the_kernels_has_spans() {
     let (_, spans) = traced(&scratch, "shutter", &[&[Path::new("render"), &out], &words[..]].concat());
     found.extend(operations(&spans));
 
-    // One operation, one folder. Three hold what operations are made of; the rasteriser has three passes, its map of colours three more, and their fit one.
+    // One operation, one folder. Three hold what operations are made of; the rasteriser has three passes, its map of
+    // colours three more, and their fit one.
     let folders =
         std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../kernels/src")).expect("the sources");
     let folders = folders.map(|entry| entry.expect("a listed file").path()).filter(|path| path.is_dir());

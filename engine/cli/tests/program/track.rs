@@ -38,8 +38,9 @@ fn workers() -> Workers {
     Workers::new(Level::scalar(), 1).expect("one thread")
 }
 
-/// Frames of 80×48; intervals of one second; one Gaussian that starts in the middle. In the first second it moves a quarter
-/// to the right, then it merges into another identity, which moves half up; what follows is `last`, an interval each.
+/// Frames of 80×48; intervals of one second; one Gaussian that starts in the middle. In the first second it moves a
+/// quarter to the right, then it merges into another identity, which moves half up; what follows is `last`, an interval
+/// each.
 fn scene(scratch: &Scratch, name: &str, last: &[&[Record]]) -> PathBuf {
     let still = Record {
         mean: [0.0, 0.5, 0.0],

@@ -1,4 +1,5 @@
-//! `docs/trust.md` names tests and mutations that exist, and every mutation has its promise; `docs/formats.md` names tests that exist.
+//! `docs/trust.md` names tests and mutations that exist, and every mutation has its promise; `docs/formats.md` names
+//! tests that exist.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -106,8 +107,9 @@ fn every_kernel_that_takes_sizes_is_given_impossible_ones() {
         .collect();
     assert!(structures.contains("Field") && structures.contains("Grid") && structures.len() > 7, "{structures:?}");
     let takes = |arguments: &str| words(arguments).any(|word| word == "usize" || structures.contains(word));
-    // These read no memory by their sizes: `uncovered` counts values of one plane, `rest` is a formula, `Request::colour` and `with_budget` store it; loops are
-    // tested at any length; `Disjoint::part` is unsafe, its range is checked.
+    // These read no memory by their sizes: `uncovered` counts values of one plane, `rest` is a formula,
+    // `Request::colour` and `with_budget` store it; loops are tested at any length; `Disjoint::part` is unsafe, its
+    // range is checked.
     let others = [
         "fill::uncovered",
         "harmonics::rest",

@@ -9,9 +9,9 @@
 //! | a folder, or a file in it, with `cameras` and `images` as `.bin` or `.txt` | a COLMAP model ([`colmap`]) | x right, y down, z forward | poses, rigs, cameras `SIMPLE_PINHOLE` and `PINHOLE` |
 //! | a JSON object with `type` or `views` | this program's own ([`super::file`]) | x right, y down, z forward | a camera or a path |
 //!
-//! World axes and units are those of the file, which are those of a scene that was trained with it: nothing is turned or scaled, but
-//! SuperSplat's, which shows scenes turned. A view through a lens with distortion is refused by name, and the others are drawn.
-//! Where other programs count pixels from the corner of the first pixel, so does
+//! World axes and units are those of the file, which are those of a scene that was trained with it: nothing is turned
+//! or scaled, but SuperSplat's, which shows scenes turned. A view through a lens with distortion is refused by name,
+//! and the others are drawn. Where other programs count pixels from the corner of the first pixel, so does
 //! [`Lens::Pinhole`]: the middle of the first pixel is at half a pixel.
 
 pub mod camera_path;

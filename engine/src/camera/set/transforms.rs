@@ -7,8 +7,8 @@
 //! `p2` or as `distortion_params`, and so are `is_fisheye` and instant-ngp's marks of other lenses. Values of 0 or
 //! false are accepted.
 //!
-//! Poses are used unchanged: nerfstudio's `applied_transform` is in them already, and instant-ngp's `scale` and `offset` move
-//! them into its own unit cube, in which no file of Gaussians lies.
+//! Poses are used unchanged: nerfstudio's `applied_transform` is in them already, and instant-ngp's `scale` and
+//! `offset` move them into its own unit cube, in which no file of Gaussians lies.
 
 use serde::Deserialize;
 use serde_json::Value;

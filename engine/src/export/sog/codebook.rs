@@ -13,8 +13,9 @@ pub(super) struct Codebook {
 }
 
 impl Codebook {
-    /// The values themselves where there are at most 256 different ones. Otherwise the rounds start from quantiles, half from those of the values, half from equal steps;
-    /// values of equal distance go to the smaller; means are formed in binary64 from sums in ascending order.
+    /// The values themselves where there are at most 256 different ones. Otherwise the rounds start from quantiles,
+    /// half from those of the values, half from equal steps; values of equal distance go to the smaller; means are
+    /// formed in binary64 from sums in ascending order.
     pub(super) fn of(values: impl Iterator<Item = f32>) -> Codebook {
         let mut sorted: Vec<f32> = values.collect();
         sorted.sort_unstable_by(f32::total_cmp);
@@ -87,7 +88,8 @@ mod tests {
         let few = [3.0, -1.0, 3.0, 0.5];
         let codebook = Codebook::of(few.into_iter());
         assert!(few.iter().all(|x| codebook.values[usize::from(codebook.nearest(*x))] == *x));
-        // A normal distribution by sums of uniform values: the error is close to the optimum's, 2.7 / n² of the variance.
+        // A normal distribution by sums of uniform values: the error is close to the optimum's, 2.7 / n² of the
+        // variance.
         let mut state = 1_u32;
         let mut next = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);

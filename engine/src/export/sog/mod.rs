@@ -36,10 +36,12 @@ pub fn of_still(still: &Still) -> Vec<u8> {
 
 /// A still scene as a SOG file.
 ///
-/// Along a Z-order curve, so that neighbouring pixels are alike. Centres have 16 bits per axis on a logarithmic scale, scales and first coefficients one of 256 values, rotations 8 bits per
-/// component, opacities 8 bits; the further coefficients of a Gaussian are one of 1,024 to 65,536 rows, found by splitting
-/// the Gaussians in two at the mean of the coefficient that varies most, where that lowers the error most. Gaussians that cannot be drawn
-/// ([`Still::defect`]) are left out. `"model": "antialiased"` where the scene was trained so. The bytes are a function of the scene alone.
+/// Along a Z-order curve, so that neighbouring pixels are alike. Centres have 16 bits per axis on a logarithmic scale,
+/// scales and first coefficients one of 256 values, rotations 8 bits per component, opacities 8 bits; the further
+/// coefficients of a Gaussian are one of 1,024 to 65,536 rows, found by splitting the Gaussians in two at the mean of
+/// the coefficient that varies most, where that lowers the error most. Gaussians that cannot be drawn
+/// ([`Still::defect`]) are left out. `"model": "antialiased"` where the scene was trained so. The bytes are a function
+/// of the scene alone.
 ///
 /// # Panics
 /// When the arrays differ in length ([`Still::uneven`]).

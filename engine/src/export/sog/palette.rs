@@ -27,8 +27,9 @@ struct Cell {
 }
 
 impl Palette {
-    /// Splits the cell of the largest error, the first of equals, in two, at the mean of its widest coefficient, until there are as many as wanted or all rows of
-    /// every cell are the same. Sums in binary64 in the order of the members.
+    /// Splits the cell of the largest error, the first of equals, in two, at the mean of its widest coefficient, until
+    /// there are as many as wanted or all rows of every cell are the same. Sums in binary64 in the order of the
+    /// members.
     pub(super) fn of(rows: &[f32], width: usize) -> Palette {
         let count = rows.len() / width;
         let wanted = ((count + 1).next_power_of_two() / 2).clamp(LEAST, MOST);

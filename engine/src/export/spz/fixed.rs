@@ -1,9 +1,10 @@
 //! Centres in fixed point: how many bits go after the point.
 //!
-//! A centre has 24 bits. The more of them are after the point, the finer it is, and the nearer is the end of the range. For each number of bits,
-//! a Gaussian costs 1 where it would be cut off, and else `min(1, (ε/σ)²)`, with ε half a step and σ the largest standard deviation: what is
-//! rounded by as much as it is wide is as good as lost. The number of least cost is taken, of equal ones the one that cuts off least. So a few
-//! floaters cost no precision of other Gaussians, and a wide scene is not cut off.
+//! A centre has 24 bits. The more of them are after the point, the finer it is, and the nearer is the end of the range.
+//! For each number of bits, a Gaussian costs 1 where it would be cut off, and else `min(1, (ε/σ)²)`, with ε half a step
+//! and σ the largest standard deviation: what is rounded by as much as it is wide is as good as lost. The number of
+//! least cost is taken, of equal ones the one that cuts off least. So a few floaters cost no precision of other
+//! Gaussians, and a wide scene is not cut off.
 
 use super::Notes;
 use crate::still::{Still, middle};

@@ -42,12 +42,14 @@ pub fn of_still(still: &Still) -> Vec<u8> {
 
 /// A still scene as an SPZ file: see [`import`](mod@crate::import) for the precision of each value.
 ///
-/// Numbers are along the scene's own axes (RDF). Version 4 stores the axes in a record, version 3 in the comment of its gzip stream.
+/// Numbers are along the scene's own axes (RDF). Version 4 stores the axes in a record, version 3 in the comment of its
+/// gzip stream.
 ///
-/// Positions have 12 bits after the point, or fewer where more Gaussians would suffer from what is cut off than from what is rounded; what is
-/// farther than the others is moved to the end of the range. The harmonics' coefficients are rounded to 5 bits at degree 1 and 4 above, as the
-/// format's own program does. Gaussians that cannot be drawn ([`Still::defect`]) are left out. Everything is compressed by pure-Rust code, so the
-/// bytes are a function of the scene alone.
+/// Positions have 12 bits after the point, or fewer where more Gaussians would suffer from what is cut off than from
+/// what is rounded; what is farther than the others is moved to the end of the range. The harmonics' coefficients are
+/// rounded to 5 bits at degree 1 and 4 above, as the format's own program does. Gaussians that cannot be drawn
+/// ([`Still::defect`]) are left out. Everything is compressed by pure-Rust code, so the bytes are a function of the
+/// scene alone.
 ///
 /// # Panics
 /// When the arrays differ in length ([`Still::uneven`]), or there are 2³² Gaussians.

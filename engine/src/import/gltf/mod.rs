@@ -1,6 +1,7 @@
 //! glTF 2.0 with Gaussians: `.glb` and `.gltf` files, extension `KHR_gaussian_splatting`.
 //!
-//! Every point primitive with the extension in the default scene (in all meshes, where a file has no scene), with the transforms of its nodes:
+//! Every point primitive with the extension in the default scene (in all meshes, where a file has no scene), with the
+//! transforms of its nodes:
 //!
 //! | attribute | type | value |
 //! |---|---|---|
@@ -20,8 +21,9 @@
 //! Translations of nodes that binary32 would not keep to 1/4096 become the scene's offset. Buffers are in the file, in
 //! `data:` URIs, or in files in its folder or subfolders.
 //!
-//! Refused: other extensions that a file requires, but those of materials, textures, lights and metadata, which do not matter here; other colour spaces,
-//! sparse accessors, nodes that shear or stretch, negative scales (drafts of the extension stored logarithms).
+//! Refused: other extensions that a file requires, but those of materials, textures, lights and metadata, which do not
+//! matter here; other colour spaces, sparse accessors, nodes that shear or stretch, negative scales (drafts of the
+//! extension stored logarithms).
 //!
 //! Source: Khronos, glTF 2.0 and `KHR_gaussian_splatting`.
 

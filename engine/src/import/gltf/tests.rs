@@ -71,7 +71,8 @@ fn a_scene_comes_back() {
 fn nodes_move_turn_and_scale_what_hangs_below_them() {
     let (mut document, binary) = taken_apart(&export::still::glb(&still(3, 1)));
     let plain = glb(&together(&document, &binary)).expect("plain");
-    // A quarter turn about y, then to x + 1, all twice as large: two nodes with the same mesh, one of them below another.
+    // A quarter turn about y, then to x + 1, all twice as large: two nodes with the same mesh, one of them below
+    // another.
     let half = 0.5_f64.sqrt();
     document["nodes"] = json!([
         { "children": [1], "scale": [2, 2, 2] },

@@ -9,7 +9,8 @@ pub(in crate::import) type Column = Option<Vec<f32>>;
 /// Columns named in a message.
 const NAMED: usize = 8;
 
-/// A line about the columns of a file's vertices that no reader takes, where there are some; normals, which are zeros, do not count.
+/// A line about the columns of a file's vertices that no reader takes, where there are some; normals, which are zeros,
+/// do not count.
 pub(in crate::import) fn left_out(head: &[u8]) -> Option<String> {
     let (header, _) = head.starts_with(b"ply").then(|| Header::read(head).ok()).flatten()?;
     let vertices = header.vertices().ok()?;

@@ -222,7 +222,8 @@ impl Header {
         Ok(&body[place.start as usize..place.end as usize])
     }
 
-    /// Where they are after the header, in a file that has `length` bytes there; and how many follow the last element, for [`check_after`].
+    /// Where they are after the header, in a file that has `length` bytes there; and how many follow the last element,
+    /// for [`check_after`].
     pub(super) fn place(&self, name: &str, length: u64) -> Result<(Range<u64>, usize), FormatError> {
         let (mut at, mut found) = (0_u64, 0..0);
         for element in &self.elements {

@@ -7,8 +7,8 @@
 //! | `packed_scale` | 11, 10, 11 | logarithms between `min_scale_x` and `max_scale_x`, … |
 //! | `packed_color` | 8, 8, 8, 8 | red, green and blue, between `min_r` and `max_r`, … where the chunks have them, and opacity |
 //!
-//! Fields from the high bits down, `min + (max − min)·b / (2ⁿ − 1)`. A further element `sh` has 9, 24 or 45 bytes per vertex, in the order of `f_rest`:
-//! `8·((b + ½) / 256 − ½)`, with 0 as −4 and 255 as 4.
+//! Fields from the high bits down, `min + (max − min)·b / (2ⁿ − 1)`. A further element `sh` has 9, 24 or 45 bytes per
+//! vertex, in the order of `f_rest`: `8·((b + ½) / 256 − ½)`, with 0 as −4 and 255 as 4.
 //!
 //! Source: the layout that PlayCanvas's SuperSplat and splat-transform write.
 

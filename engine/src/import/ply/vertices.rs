@@ -87,7 +87,8 @@ impl Layout {
     }
 }
 
-/// Whole numbers to take off doubles so that binary32 keeps them to 1/4096; zeros where it does so anyway. The median of some centres.
+/// Whole numbers to take off doubles so that binary32 keeps them to 1/4096; zeros where it does so anyway. The median
+/// of some centres.
 fn offset_of(centres: &[[f64; 3]]) -> [f64; 3] {
     let along =
         |axis: usize| centres.iter().filter(|m| m.iter().all(|x| x.is_finite())).map(|m| m[axis] as f32).collect();

@@ -14,8 +14,9 @@
 //! | `shN`: centroids, labels | labels: red, green | `256·green + red`, a row of coefficients |
 //! | | centroids: red, green, blue | `cb[N]`; coefficient k of row r in column `(r mod 64)·K + k` of line `⌊r / 64⌋`, for the K of the degree |
 //!
-//! `"model": "antialiased"` in `meta.json` marks scenes trained with anti-aliasing; this program adds the scene's `offset`. Version 1 has no number, and a
-//! least and a greatest value per channel instead of codebooks, between which bytes lie evenly; its opacities are logits.
+//! `"model": "antialiased"` in `meta.json` marks scenes trained with anti-aliasing; this program adds the scene's
+//! `offset`. Version 1 has no number, and a least and a greatest value per channel instead of codebooks, between which
+//! bytes lie evenly; its opacities are logits.
 //!
 //! Source: PlayCanvas, the SOG format's description.
 

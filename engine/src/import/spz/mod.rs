@@ -1,4 +1,5 @@
-//! SPZ, version 4 (a plain header and one zstd frame per attribute) and versions 1 to 3 (everything in one gzip stream).
+//! SPZ, version 4 (a plain header and one zstd frame per attribute) and versions 1 to 3 (everything in one gzip
+//! stream).
 //!
 //! | attribute | bytes per Gaussian | value |
 //! |---|---|---|
@@ -9,13 +10,14 @@
 //! | rotations | 4 (3 before version 3) | the three smallest components in ten bits each, and which is the largest (x, y and z in eight bits each) |
 //! | harmonics | 9, 24, 45 or 72 | `128·(c + 1)`, coefficients outermost; of degree 4 those up to degree 3 are kept |
 //!
-//! Opacities of 0 and 255 stay within 10⁻¹² of 0 and 1. Version 1 has the rotations of version 2 and positions of three binary16, or of fixed point: @adobe/spz
-//! writes such files. The length of the file decides between them.
+//! Opacities of 0 and 255 stay within 10⁻¹² of 0 and 1. Version 1 has the rotations of version 2 and positions of three
+//! binary16, or of fixed point: @adobe/spz writes such files. The length of the file decides between them.
 //!
 //! [`records`] declare the axes of the numbers. The default is RUB (x right, y up, z back), as in the format's
 //! description; programs that store PLY's numbers unchanged write RDF. [`Still::taken_along`] overrides the axes.
 //!
-//! Refused: harmonics above degree 4, flags but those of anti-aliasing and of extensions, lengths that do not fit each other.
+//! Refused: harmonics above degree 4, flags but those of anti-aliasing and of extensions, lengths that do not fit each
+//! other.
 //!
 //! Source: the format's description and its reference implementation, nianticlabs/spz.
 

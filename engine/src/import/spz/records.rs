@@ -1,6 +1,7 @@
 //! Metadata of an SPZ file: extension records, and the comment of a gzip stream.
 //!
-//! A record is a type (u32), the length of the payload (u32), and the payload. Unknown types are skipped by their length.
+//! A record is a type (u32), the length of the payload (u32), and the payload. Unknown types are skipped by their
+//! length.
 //!
 //! | type | holds |
 //! |---|---|

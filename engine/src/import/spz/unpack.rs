@@ -53,7 +53,8 @@ fn first_three(bytes: [u8; 3]) -> [f32; 4] {
     [w, x, y, z].map(|c| c as f32)
 }
 
-/// The three smallest components of x, y, z, w, in ascending order from the high bits, each a sign and nine bits; the number of the largest above.
+/// The three smallest components of x, y, z, w, in ascending order from the high bits, each a sign and nine bits; the
+/// number of the largest above.
 fn smallest_three(mut bits: u32) -> [f32; 4] {
     let largest = (bits >> 30) as usize;
     let (mut q, mut squares) = ([0.0; 4], 0.0);

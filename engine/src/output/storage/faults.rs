@@ -1,9 +1,10 @@
 //! Faults for tests: operations that fail, and power losses.
 //!
-//! Nothing happens outside of [`inject`], which works on the calling thread alone. A power loss is simulated as the worst case of a file
-//! system: from one operation on everything fails, and then all unsynced data are lost. File systems differ in what they lose first, so
-//! there are two kinds: names last and bytes do not ([`Fault::LosesBytes`]: files are there, cut to what was synced), or names do not last
-//! either ([`Fault::LosesNames`]: what was created, renamed or removed since its folder was synced is undone).
+//! Nothing happens outside of [`inject`], which works on the calling thread alone. A power loss is simulated as the
+//! worst case of a file system: from one operation on everything fails, and then all unsynced data are lost. File
+//! systems differ in what they lose first, so there are two kinds: names last and bytes do not ([`Fault::LosesBytes`]:
+//! files are there, cut to what was synced), or names do not last either ([`Fault::LosesNames`]: what was created,
+//! renamed or removed since its folder was synced is undone).
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -96,8 +97,8 @@ fn with<T>(f: impl FnOnce(&mut Plan) -> T) -> Option<T> {
     PLAN.with_borrow_mut(|plan| plan.as_mut().map(f))
 }
 
-/// Does `work` with `fault` at this operation of the thread, counted from 1; returns its result and the number of operations. The
-/// data lost by a power loss are removed before it returns.
+/// Does `work` with `fault` at this operation of the thread, counted from 1; returns its result and the number of
+/// operations. The data lost by a power loss are removed before it returns.
 pub fn inject<T>(fault: Option<(Fault, u64)>, work: impl FnOnce() -> T) -> (T, u64) {
     inject_with(fault, None, work)
 }

@@ -48,8 +48,8 @@ fn no_end() -> String {
     "expected a whole file, found one without its end".to_owned()
 }
 
-/// The packets of the stream that has most of them, in a list that begins each line with the stream. An animated AVIF has its first picture as
-/// a stream of its own.
+/// The packets of the stream that has most of them, in a list that begins each line with the stream. An animated AVIF
+/// has its first picture as a stream of its own.
 fn most_packets(list: &str) -> usize {
     let mut counts = std::collections::BTreeMap::<&str, usize>::new();
     for line in list.lines().filter(|line| !line.starts_with('#')) {

@@ -8,8 +8,8 @@
 //! | webp | VP8 | 4:2:0, BT.601, limited range: the format has no other | 90 of 100 |
 //! | gif | GIF | 256 colours of each frame's own | |
 //!
-//! Frames that do not follow at a constant rate are encoded in the order in which they are shown: reordered ones have the length of their
-//! neighbours in an mp4, which makes it too short.
+//! Frames that do not follow at a constant rate are encoded in the order in which they are shown: reordered ones have
+//! the length of their neighbours in an mp4, which makes it too short.
 
 use std::ffi::OsString;
 use std::io::{self, Read, Write};
@@ -22,8 +22,8 @@ use super::y4m::fraction;
 use super::{Pace, VideoFormat, matroska};
 use crate::output::{OutputError, partial_name, storage};
 
-/// Default rate factors. That of H.264 is chosen so that the decoded video is as close to the source's frames as the images that went in but for
-/// half a decibel, by the mean squared error over all frames of a clip.
+/// Default rate factors. That of H.264 is chosen so that the decoded video is as close to the source's frames as the
+/// images that went in but for half a decibel, by the mean squared error over all frames of a clip.
 const H264_QUALITY: u8 = 6;
 const VP9_QUALITY: u8 = 18;
 const AV1_QUALITY: u8 = 18;
@@ -52,7 +52,8 @@ pub fn qualities(path: &Path) -> Option<RangeInclusive<u8>> {
     }
 }
 
-/// The file as ffmpeg takes it: a name that starts with a dash or holds a colon must not be taken as an option or a protocol.
+/// The file as ffmpeg takes it: a name that starts with a dash or holds a colon must not be taken as an option or a
+/// protocol.
 pub(super) fn url(path: &Path) -> OsString {
     let mut url = OsString::from("file:");
     url.push(path);
@@ -162,8 +163,8 @@ impl Encoder {
         })
     }
 
-    /// Closes ffmpeg's input and waits for its exit. The error is its first message, or its exit status. Its input is written
-    /// by this program and valid, so any message is a failure.
+    /// Closes ffmpeg's input and waits for its exit. The error is its first message, or its exit status. Its input is
+    /// written by this program and valid, so any message is a failure.
     pub(super) fn finish(mut self) -> Result<(), String> {
         drop(self.child.stdin.take());
         let status = self.child.wait().map_err(|e| e.to_string())?;
@@ -205,7 +206,8 @@ fn ticks(fps: f64) -> u64 {
 fn arguments(kind: &str, uneven: bool, quality: Option<u8>) -> Vec<String> {
     const EXACT: &str = "flags=bicubic+accurate_rnd+full_chroma_int+full_chroma_inp";
     const SAME: &str = "setparams=color_primaries=bt709:color_trc=bt709";
-    // Pictures have neither primaries nor a transfer; since ffmpeg 9 an encoder takes those of the pictures, not those of its options.
+    // Pictures have neither primaries nor a transfer; since ffmpeg 9 an encoder takes those of the pictures, not those
+    // of its options.
     let scale = |matrix: &str, range: &str| {
         format!("-vf scale=out_color_matrix={matrix}:out_range={range}:{EXACT},{SAME} -pix_fmt yuv420p")
     };

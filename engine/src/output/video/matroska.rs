@@ -1,4 +1,5 @@
-//! Frames with their times as ffmpeg takes them from a pipe: Matroska (RFC 9559) with uncompressed RGB, one cluster per frame.
+//! Frames with their times as ffmpeg takes them from a pipe: Matroska (RFC 9559) with uncompressed RGB, one cluster per
+//! frame.
 //!
 //! y4m and raw video have only a frame rate. In Matroska each frame has its own time, here in whole nanoseconds. The
 //! default duration, from which ffmpeg takes the rate and the length of the last frame, is that of the mean rate.

@@ -1,8 +1,8 @@
 //! Video out: y4m written here (to a file or to standard output), anything else by an installed `ffmpeg` program.
 //!
 //! ffmpeg reads 8-bit RGB, each frame with its own time ([`matroska`]), and encodes it as 4:2:0 video ([`encode`]). The
-//! matrix is BT.601 in WebP, whose format has no other, and in AVIF; it is BT.709 elsewhere. Formats with colour tags are
-//! tagged. Sound from the source is added after the last picture, so that both end together ([`sound`]). A file is
+//! matrix is BT.601 in WebP, whose format has no other, and in AVIF; it is BT.709 elsewhere. Formats with colour tags
+//! are tagged. Sound from the source is added after the last picture, so that both end together ([`sound`]). A file is
 //! renamed to its final name once its trailer and all of its frames are found in it ([`check`]).
 
 mod check;
@@ -131,7 +131,8 @@ impl Video {
         self
     }
 
-    /// The same with sound, where files of this kind hold any ([`holds_sound`]): copied where such a file takes its codec, else encoded again.
+    /// The same with sound, where files of this kind hold any ([`holds_sound`]): copied where such a file takes its
+    /// codec, else encoded again.
     pub fn with_sound(mut self, sound: Option<Sound>) -> Video {
         self.sound = sound.filter(|_| holds_sound(&self.path));
         self
@@ -163,12 +164,12 @@ impl Video {
         OutputError::Ffmpeg { path: self.path.clone(), cause: cause.into() }
     }
 
-    /// Appends a frame that is shown at `time`, in seconds. y4m stores only a rate and ignores `time`. Elsewhere a frame is
-    /// shown at least a millisecond after the one before.
+    /// Appends a frame that is shown at `time`, in seconds. y4m stores only a rate and ignores `time`. Elsewhere a
+    /// frame is shown at least a millisecond after the one before.
     ///
     /// # Errors
-    /// A frame of another size than the first; errors of the system or of ffmpeg. On standard output the earlier frames stay
-    /// readable; a file is not kept.
+    /// A frame of another size than the first; errors of the system or of ffmpeg. On standard output the earlier frames
+    /// stay readable; a file is not kept.
     pub fn push(&mut self, picture: &Picture, time: f64) -> Result<(), OutputError> {
         let found = (picture.width, picture.height);
         let expected = *self.size.get_or_insert(found);
@@ -207,8 +208,8 @@ impl Video {
     /// Completes the file and renames it to its final name.
     ///
     /// # Errors
-    /// Errors of the system or of ffmpeg, and an incomplete file. The new file is then not kept, and an earlier one of the
-    /// same name is unchanged.
+    /// Errors of the system or of ffmpeg, and an incomplete file. The new file is then not kept, and an earlier one of
+    /// the same name is unchanged.
     pub fn finish(mut self) -> Result<Finished, OutputError> {
         let partial = partial_name(&self.path);
         let mut notes = Vec::new();
@@ -242,8 +243,8 @@ impl Video {
         Ok(Finished { file, samples: self.samples.finalize().to_hex().to_string(), frames: self.frames, notes })
     }
 
-    /// Adds the sound to the pictures in the file `partial` and checks that all frames are there. Returns ffmpeg's message on
-    /// the sound, if any.
+    /// Adds the sound to the pictures in the file `partial` and checks that all frames are there. Returns ffmpeg's
+    /// message on the sound, if any.
     fn complete(&self, partial: &Path) -> Result<Option<String>, String> {
         storage::foreign(partial).map_err(|e| e.to_string())?;
         let kind = encode::container(&self.path);

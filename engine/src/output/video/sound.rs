@@ -33,8 +33,8 @@ fn encoder(kind: &str, codec: &str) -> &'static str {
 }
 
 impl Sound {
-    /// Replaces the file `pictures` of this kind by one with `seconds` of the sound as well. ffmpeg's message, where the file is
-    /// there all the same, is the sound's own faults.
+    /// Replaces the file `pictures` of this kind by one with `seconds` of the sound as well. ffmpeg's message, where
+    /// the file is there all the same, is the sound's own faults.
     pub(super) fn join(&self, pictures: &Path, kind: &str, seconds: f64) -> Result<Option<String>, String> {
         let joined = pictures.with_extension("sound.partial");
         storage::create(&joined).map_err(|e| e.to_string())?;

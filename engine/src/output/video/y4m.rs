@@ -1,4 +1,5 @@
-//! y4m, written here: 4:4:4, 8 bits, full range, with the matrix that [`crate::source::y4m`] reads pictures of their size with.
+//! y4m, written here: 4:4:4, 8 bits, full range, with the matrix that [`crate::source::y4m`] reads pictures of their
+//! size with.
 
 use crate::picture::Picture;
 use crate::source::y4m::convert::Matrix;

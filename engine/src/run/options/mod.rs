@@ -87,7 +87,8 @@ macro_rules! options {
         }
 
         impl $name {
-            /// Sets the option of this name (`refine_every` or `refine-every`) from its text on the command line; false where there is none of this name.
+            /// Sets the option of this name (`refine_every` or `refine-every`) from its text on the command line; false
+            /// where there is none of this name.
             ///
             /// # Errors
             /// [`Error::Usage`] for a text that is no value of the option.
@@ -121,10 +122,12 @@ options! {
     #[derive(Clone, Debug, Default, Serialize, Deserialize)]
     #[cfg_attr(feature = "clap", derive(clap::Args))]
     pub struct ModelOptions {
-        /// Checkpoint (safetensors, official layout; FILE.json beside it for what shapes cannot say) [default: the small embedded one]
+        /// Checkpoint (safetensors, official layout; FILE.json beside it for what shapes cannot say) [default: the
+        /// small embedded one]
         #[cfg_attr(feature = "clap", arg(long, value_name = "FILE"))]
         pub model: Option<PathBuf>,
-        /// Weights of DINOv2 with registers, for models conditioned on them: dinov2_vitb14_reg4_pretrain.pth, or the file of transformers or timm
+        /// Weights of DINOv2 with registers, for models conditioned on them: dinov2_vitb14_reg4_pretrain.pth, or the
+        /// file of transformers or timm
         #[cfg_attr(feature = "clap", arg(long, value_name = "FILE"))]
         pub dinov2: Option<PathBuf>,
         /// Arithmetic of the large matrix products: f32, bf16 or int8
@@ -142,45 +145,52 @@ options! {
         /// The model.
         #[cfg_attr(feature = "clap", command(flatten))]
         pub model: ModelOptions,
-        /// Trade-off of error and time: realtime, balanced or best; sets depth, gap, resolution, motion, flow, fade, refine, refine-every, refine-to, precision,
-        /// reuse and still where they are not given
+        /// Trade-off of error and time: realtime, balanced or best; sets depth, gap, resolution, motion, flow, fade,
+        /// refine, refine-every, refine-to, precision, reuse and still where they are not given
         #[cfg_attr(feature = "clap", arg(long, value_name = "NAME"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub quality: Option<Quality>,
-        /// The steps of the authors' own script for whole clips: the default of each option names its value there, and images have the model's size
+        /// The steps of the authors' own script for whole clips: the default of each option names its value there, and
+        /// images have the model's size
         #[cfg_attr(feature = "clap", arg(long, conflicts_with = "quality"))]
         #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         pub like_paper: bool,
-        /// Inverse depth: none, auto (found by parallax where the camera moves, for models that ignore depth), a folder of EXR, TIFF, 16-bit PNG or
-        /// NPY files, one per frame, or onnx:FILE, a network that ONNX Runtime runs
+        /// Inverse depth: none, auto (found by parallax where the camera moves, for models that ignore depth), a folder
+        /// of EXR, TIFF, 16-bit PNG or NPY files, one per frame, or onnx:FILE, a network that ONNX Runtime runs
         #[cfg_attr(feature = "clap", arg(long, value_name = "auto|DIR|onnx:FILE"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub depth: Option<DepthSource>,
-        /// Properties of the depth network that its file does not give: size=N or WxH, multiple=N, mean=R/G/B, std=R/G/B, metric, output=NAME, separated by
-        /// commas; with a folder metric alone: its files hold depth, not inverse depth, and 0, infinity or no number where there is none [default: size=518,multiple=14 and ImageNet's mean and std]
+        /// Properties of the depth network that its file does not give: size=N or WxH, multiple=N, mean=R/G/B,
+        /// std=R/G/B, metric, output=NAME, separated by commas; with a folder metric alone: its files hold depth, not
+        /// inverse depth, and 0, infinity or no number where there is none [default: size=518,multiple=14 and
+        /// ImageNet's mean and std]
         #[cfg_attr(feature = "clap", arg(long, value_name = "LIST"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub depth_model: Option<DepthModel>,
-        /// Depth is normalised by each frame's own range (frame), the range of all maps (clip), or that of the key frames' maps (keys, with a fixed gap)
+        /// Depth is normalised by each frame's own range (frame), the range of all maps (clip), or that of the key
+        /// frames' maps (keys, with a fixed gap)
         #[cfg_attr(feature = "clap", arg(long, value_name = "RANGE"))]
         #[serde(default, with = "text")]
         pub depth_range: Option<DepthScale>,
-        /// Gaussians behind what stands in front, where depth maps lift Gaussians: on adds them, off leaves nothing there [default: on]
+        /// Gaussians behind what stands in front, where depth maps lift Gaussians: on adds them, off leaves nothing
+        /// there [default: on]
         #[cfg_attr(feature = "clap", arg(long, value_name = "on|off"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub behind: Option<Behind>,
-        /// Every N-th frame is a key frame; or auto, auto:MOST, auto:LEAST-MOST or auto:LEAST-MOST:DB: as few as the images of all frames need for a mean PSNR of DB
-        /// decibels at 256x256, LEAST to MOST frames apart; frames wait for at most MOST-1 later ones; auto alone is auto:3-12:38
+        /// Every N-th frame is a key frame; or auto, auto:MOST, auto:LEAST-MOST or auto:LEAST-MOST:DB: as few as the
+        /// images of all frames need for a mean PSNR of DB decibels at 256x256, LEAST to MOST frames apart; frames wait
+        /// for at most MOST-1 later ones; auto alone is auto:3-12:38
         #[cfg_attr(feature = "clap", arg(long, value_name = "N"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub gap: Option<Gap>,
-        /// Size at which the model sees frames: HEIGHTxWIDTH in whole patches (8 pixels), native (the model's own), or auto (four times its area in the
-        /// source's shape, never more than the source)
+        /// Size at which the model sees frames: HEIGHTxWIDTH in whole patches (8 pixels), native (the model's own), or
+        /// auto (four times its area in the source's shape, never more than the source)
         #[cfg_attr(feature = "clap", arg(long, value_name = "SIZE"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub resolution: Option<Resolution>,
-        /// Motion between key frames: network (as the model predicts it), frames (optical flow between the key frames) or between (optical flow
-        /// through the frames in between); with network given, fade is network and depth none by default
+        /// Motion between key frames: network (as the model predicts it), frames (optical flow between the key frames)
+        /// or between (optical flow through the frames in between); with network given, fade is network and depth none
+        /// by default
         #[cfg_attr(feature = "clap", arg(long, value_name = "FROM"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub motion: Option<MotionFrom>,
@@ -188,8 +198,8 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "EFFORT"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub flow: Option<FlowEffort>,
-        /// Fading of Gaussians between key frames: network (each as the model predicts it) or fixed (all alike; where motion is not the
-        /// model's either, nothing of its prediction between key frames is computed)
+        /// Fading of Gaussians between key frames: network (each as the model predicts it) or fixed (all alike; where
+        /// motion is not the model's either, nothing of its prediction between key frames is computed)
         #[cfg_attr(feature = "clap", arg(long, value_name = "HOW"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub fade: Option<Fade>,
@@ -201,11 +211,13 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..)))]
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub refine_every: Option<u32>,
-        /// PSNR, in dB, from which on a part of the images between key frames is close enough to its frames: no colours are fitted there; 20 to 100
+        /// PSNR, in dB, from which on a part of the images between key frames is close enough to its frames: no colours
+        /// are fitted there; 20 to 100
         #[cfg_attr(feature = "clap", arg(long, value_name = "DB", allow_negative_numbers = true))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub refine_to: Option<Decibels>,
-        /// Gaussians carried over a key frame: persistent (identities go on and survivors fade) or pairwise (each interval by itself)
+        /// Gaussians carried over a key frame: persistent (identities go on and survivors fade) or pairwise (each
+        /// interval by itself)
         #[cfg_attr(feature = "clap", arg(long, value_name = "MODE"))]
         #[serde(default, with = "text")]
         pub fusion: Option<Fusion>,
@@ -216,16 +228,17 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "MODE"))]
         #[serde(default, with = "text")]
         pub sampling: Option<SamplingMode>,
-        /// Static regions of the picture: keep (their Gaussians are kept while frames differ by no more than the camera's
-        /// noise; where no depth lifts the frames) or off (they are computed for each key frame)
+        /// Static regions of the picture: keep (their Gaussians are kept while frames differ by no more than the
+        /// camera's noise; where no depth lifts the frames) or off (they are computed for each key frame)
         #[cfg_attr(feature = "clap", arg(long, value_name = "keep|off"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub still: Option<StaticRegions>,
         /// Seed of everything drawn at random
         #[cfg_attr(feature = "clap", arg(long, value_name = "N", default_value_t = 0))]
         pub seed: u64,
-        /// Work left out: off, exact (what was computed from the same bits before or adds nothing; no output bit changes), or a tolerance from 0 to 1:
-        /// tokens that moved by less than this fraction keep what was computed for them
+        /// Work left out: off, exact (what was computed from the same bits before or adds nothing; no output bit
+        /// changes), or a tolerance from 0 to 1: tokens that moved by less than this fraction keep what was computed
+        /// for them
         #[cfg_attr(feature = "clap", arg(long, value_name = "MODE", allow_negative_numbers = true))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub reuse: Option<Reuse>,
@@ -247,8 +260,8 @@ options! {
         /// Frames per second of the input [default: its own, or 24]
         #[cfg_attr(feature = "clap", arg(long, value_name = "RATE", allow_negative_numbers = true))]
         pub fps: Option<f64>,
-        /// Matrix of the input's luma and chroma: bt709, bt601, bt2020, fcc or smpte240m [default: what the file names, else bt709 above 1024x576, bt601
-        /// below]
+        /// Matrix of the input's luma and chroma: bt709, bt601, bt2020, fcc or smpte240m [default: what the file names,
+        /// else bt709 above 1024x576, bt601 below]
         #[cfg_attr(feature = "clap", arg(long, value_name = "NAME"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub matrix: Option<NamedMatrix>,
@@ -266,8 +279,8 @@ options! {
         /// Stop after this many input frames
         #[cfg_attr(feature = "clap", arg(long, value_name = "N"))]
         pub frames: Option<usize>,
-        /// Quality of an encoded video, as ffmpeg's -crf: less is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to 63 for .webm and .avif [default: 6;
-        /// 18 for .webm and .avif]
+        /// Quality of an encoded video, as ffmpeg's -crf: less is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to
+        /// 63 for .webm and .avif [default: 6; 18 for .webm and .avif]
         #[cfg_attr(feature = "clap", arg(long, value_name = "N"))]
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub crf: Option<u8>,
@@ -287,20 +300,22 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "TIMES", allow_hyphen_values = true))]
         #[serde(default, with = "text")]
         pub times: Option<Times>,
-        /// Size of the images: model, source or WIDTHxHEIGHT [default: model; source where `run` writes a video; of still scenes the
-        /// camera's own, or 1280x720]
+        /// Size of the images: model, source or WIDTHxHEIGHT [default: model; source where `run` writes a video; of
+        /// still scenes the camera's own, or 1280x720]
         #[cfg_attr(feature = "clap", arg(long, value_name = "SIZE"))]
         #[serde(default, with = "text")]
         pub size: Option<Size>,
-        /// Camera or camera path (JSON); for still scenes also cameras.json of 3D Gaussian splatting, transforms.json, or the folder of a
-        /// COLMAP model [default: the source's own view; for a still scene one from which it is seen whole]
+        /// Camera or camera path (JSON); for still scenes also cameras.json of 3D Gaussian splatting, transforms.json,
+        /// or the folder of a COLMAP model [default: the source's own view; for a still scene one from which it is seen
+        /// whole]
         #[cfg_attr(feature = "clap", arg(long, value_name = "FILE"))]
         pub camera: Option<PathBuf>,
         /// Camera of another program's file: its number from 0, or its image's name [default: all, one a second from 0]
         #[cfg_attr(feature = "clap", arg(long, value_name = "N|NAME", requires = "camera"))]
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub view: Option<String>,
-        /// Colour behind everything: grey level or R,G,B, from 0 to 1; for render also transparent (PNG and EXR with alpha)
+        /// Colour behind everything: grey level or R,G,B, from 0 to 1; for render also transparent (PNG and EXR with
+        /// alpha)
         #[cfg_attr(feature = "clap", arg(long, value_name = "COLOUR", default_value_t, allow_hyphen_values = true))]
         #[serde(with = "text::one")]
         pub background: Background,
@@ -316,16 +331,17 @@ options! {
     #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
     #[cfg_attr(feature = "clap", derive(clap::Args))]
     pub struct Motion {
-        /// Move the camera by so many degrees around the scene, from left to right, in so many seconds; where time runs on, then back, and so
-        /// on [default: 4 seconds; render of a scene in time: once in all of it]
+        /// Move the camera by so many degrees around the scene, from left to right, in so many seconds; where time runs
+        /// on, then back, and so on [default: 4 seconds; render of a scene in time: once in all of it]
         #[cfg_attr(
             feature = "clap",
             arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with = "camera", allow_hyphen_values = true)
         )]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub orbit: Option<Swing>,
-        /// Move the camera on a circle, so many degrees from the middle, once in so many seconds; the last image goes on into the first
-        /// [default: 4 degrees, 4 seconds; render of a scene in time: about 4 seconds, so that whole circles fit]
+        /// Move the camera on a circle, so many degrees from the middle, once in so many seconds; the last image goes
+        /// on into the first [default: 4 degrees, 4 seconds; render of a scene in time: about 4 seconds, so that whole
+        /// circles fit]
         #[cfg_attr(feature = "clap", arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with_all = ["camera", "orbit"], num_args = 0..=1, require_equals = true, default_missing_value = Motion::SWAY))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub sway: Option<Swing>,
@@ -333,8 +349,9 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "SECONDS", conflicts_with_all = ["camera", "orbit", "sway"], allow_negative_numbers = true))]
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub turntable: Option<f64>,
-        /// What images of a moved camera show of a scene in time where nothing was filmed: extend (the colours around go on), crop (for render: magnified until
-        /// the picture's edges are outside, then as extend) or none (the background) [default: extend]
+        /// What images of a moved camera show of a scene in time where nothing was filmed: extend (the colours around
+        /// go on), crop (for render: magnified until the picture's edges are outside, then as extend) or none (the
+        /// background) [default: extend]
         #[cfg_attr(feature = "clap", arg(long, value_name = "WAY"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub fill: Option<Fill>,

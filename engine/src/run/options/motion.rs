@@ -131,7 +131,8 @@ impl Motion {
         self.sway.is_some() || self.turntable.is_some()
     }
 
-    /// The places of the camera around a scene that stands still, `fps` of them a second; `None` where it does not move.
+    /// The places of the camera around a scene that stands still, `fps` of them a second; `None` where it does not
+    /// move.
     pub fn held(&self, fps: f64) -> Result<Option<Vec<Angles>>, Error> {
         self.asked()?.map(|asked| asked.held(fps)).transpose()
     }
@@ -147,7 +148,8 @@ impl Motion {
         Ok(self.stereo.then_some(distance))
     }
 
-    /// Gives `views` its motion for images at the times of `due`, which becomes as many as the motion has where it is a single one.
+    /// Gives `views` its motion for images at the times of `due`, which becomes as many as the motion has where it is a
+    /// single one.
     pub fn along<T: Copy>(
         &self,
         views: &mut Views,
@@ -232,7 +234,8 @@ mod tests {
         };
         let orbit = Motion { orbit: Some("20".parse().expect("an angle")), ..Motion::default() };
         assert_eq!(course(&orbit, 81), Some(Course::Running(Turn::Orbit { degrees: 20.0, seconds: 10.0 })));
-        // 80 images of an eighth of a second: ten seconds, in which two circles or three come nearest to 4 seconds each.
+        // 80 images of an eighth of a second: ten seconds, in which two circles or three come nearest to 4 seconds
+        // each.
         let Some(Course::Running(Turn::Sway { seconds, .. })) = course(&sway("4"), 80) else { panic!("a circle") };
         assert!((seconds - 10.0 / 3.0).abs() < 1e-9, "{seconds}");
         let Some(Course::Running(Turn::Sway { seconds, .. })) = course(&sway("4"), 8) else { panic!("a circle") };

@@ -101,8 +101,8 @@ impl StreamOptions {
         }
     }
 
-    /// These options, with those of the preset where they are not given: `--like-paper`, or the quality (`balanced` by default for the model inside the
-    /// library, none for other models).
+    /// These options, with those of the preset where they are not given: `--like-paper`, or the quality (`balanced` by
+    /// default for the model inside the library, none for other models).
     #[must_use]
     pub fn resolved(&self) -> StreamOptions {
         let mut stream = self.clone();
@@ -121,7 +121,8 @@ impl StreamOptions {
     }
 }
 
-/// Options that presets set, by their names on the command line, each with its default in words: that of the model inside the library, then what differs from it.
+/// Options that presets set, by their names on the command line, each with its default in words: that of the model
+/// inside the library, then what differs from it.
 pub fn defaults() -> Vec<(String, String)> {
     let texts = |column: Column| -> Map<String, Value> {
         let RunOptions { stream, fit, .. } = column.values();

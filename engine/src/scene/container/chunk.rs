@@ -2,14 +2,16 @@
 //!
 //! A record is of one of three kinds:
 //!
-//! - *carried*: the interval before holds a record of the same identity, key frame and birth, which predicts mean, offset, opacity, scale,
-//!   thickness and colour;
-//! - *following*: an earlier record of this interval has the same identity and birth. Where its tracked point is at the interval's end predicts
-//!   this one's; the rest as for a fresh one;
-//! - *fresh*: the last record that is not carried predicts mean, opacity, scale, thickness and colour (zeros before the first); nothing predicts
-//!   the offset; the identity is expected to be the last fresh one's plus one, the birth the key frame.
+//! - *carried*: the interval before holds a record of the same identity, key frame and birth, which predicts mean,
+//!   offset, opacity, scale, thickness and colour;
+//! - *following*: an earlier record of this interval has the same identity and birth. Where its tracked point is at the
+//!   interval's end predicts this one's; the rest as for a fresh one;
+//! - *fresh*: the last record that is not carried predicts mean, opacity, scale, thickness and colour (zeros before the
+//!   first); nothing predicts the offset; the identity is expected to be the last fresh one's plus one, the birth the
+//!   key frame.
 //!
-//! The last record of any kind predicts velocity, γ and change of colour; the last one that is not carried the key frame.
+//! The last record of any kind predicts velocity, γ and change of colour; the last one that is not carried the key
+//! frame.
 
 use super::MOST;
 use super::columns::{Column, Values};
@@ -63,8 +65,8 @@ const BIRTH: usize = 4;
 const FRAME: usize = 5;
 /// The first column of the quantised numbers.
 const FIRST: usize = 6;
-/// The columns that are empty where no difference in them differs from 0: those of the change of colour, not there in version
-/// 1, and that of thickness, not there before version 3.
+/// The columns that are empty where no difference in them differs from 0: those of the change of colour, not there in
+/// version 1, and that of thickness, not there before version 3.
 const RARE: std::ops::Range<usize> = FIRST + RATE_AT..MERGE;
 const THICKNESS: usize = FIRST + THICKNESS_AT;
 const MERGE: usize = 27;

@@ -1,7 +1,8 @@
 //! Columns: whole numbers as bytes, deflated.
 //!
-//! A number is taken apart into groups of seven bits, the lowest first, each in a byte whose highest bit is 1 if another follows
-//! (LEB128, at most ten bytes, no superfluous last byte of zero). Signed numbers are folded first: 0, −1, 1, −2, 2 … become 0, 1, 2, 3, 4 …
+//! A number is taken apart into groups of seven bits, the lowest first, each in a byte whose highest bit is 1 if
+//! another follows (LEB128, at most ten bytes, no superfluous last byte of zero). Signed numbers are folded first: 0,
+//! −1, 1, −2, 2 … become 0, 1, 2, 3, 4 …
 
 use flate2::{Compress, Compression, Decompress, FlushCompress, FlushDecompress, Status};
 

@@ -32,8 +32,8 @@ const MOST_GAMMA0: i64 = 4092;
 
 /// Numbers per record that are quantised.
 pub(super) const VALUES: usize = 21;
-/// Where they are: mean, offset, opacity, scale, and colour as green, red − green, blue − green; then velocity, γ, and the change of
-/// colour in the same three parts; then thickness.
+/// Where they are: mean, offset, opacity, scale, and colour as green, red − green, blue − green; then velocity, γ, and
+/// the change of colour in the same three parts; then thickness.
 pub(super) const MEAN: usize = 0;
 pub(super) const OFFSET: usize = 3;
 pub(super) const OPACITY_AT: usize = 6;
@@ -59,7 +59,8 @@ fn whole(x: f64) -> i64 {
     (x.round_ties_even() as i64).clamp(-LIMIT, LIMIT)
 }
 
-/// Green, red − green, blue − green, in steps. Differences of two stay inside the limit's double; a colour that large is none.
+/// Green, red − green, blue − green, in steps. Differences of two stay inside the limit's double; a colour that large
+/// is none.
 fn parts(rgb: [f32; 3], steps: f64) -> [i64; 3] {
     let [red, green, blue] = rgb.map(|c| whole(f64::from(c) * steps));
     [green, red - green, blue - green].map(|c| c.clamp(-LIMIT, LIMIT))

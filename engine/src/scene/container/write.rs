@@ -29,7 +29,8 @@ pub struct ContainerWriter {
 }
 
 impl ContainerWriter {
-    /// Begins a container under a temporary name; it gets its own when it is [finished](Self::finish), and goes away when it is not.
+    /// Begins a container under a temporary name; it gets its own when it is [finished](Self::finish), and goes away
+    /// when it is not.
     ///
     /// # Errors
     /// A file that cannot be written.
@@ -57,11 +58,12 @@ impl ContainerWriter {
         self.file.write_all(bytes).map_err(OutputError::write(&self.path))
     }
 
-    /// Appends an interval, coded by `workers`, whose frames follow at the scene's rate. Records with numbers that are not finite are left out, and counted.
+    /// Appends an interval, coded by `workers`, whose frames follow at the scene's rate. Records with numbers that are
+    /// not finite are left out, and counted.
     ///
     /// # Errors
-    /// Files that cannot be written; arrays of different lengths; more than 2²⁴ records or merges; another placement than before; intervals that do
-    /// not follow each other in time.
+    /// Files that cannot be written; arrays of different lengths; more than 2²⁴ records or merges; another placement
+    /// than before; intervals that do not follow each other in time.
     pub fn push(&mut self, interval: &Interval, workers: &Workers) -> Result<(), SceneError> {
         self.push_with(interval, &[], workers)
     }

@@ -85,8 +85,8 @@ pub(super) fn check_length(
     }
 }
 
-/// Returns true if a PNG file of this length can hold its pixels, with the bits per pixel of its header. A byte of deflate
-/// data expands to at most 1032 bytes.
+/// Returns true if a PNG file of this length can hold its pixels, with the bits per pixel of its header. A byte of
+/// deflate data expands to at most 1032 bytes.
 pub(crate) fn png_can_hold(bytes: &[u8], width: u64, height: u64) -> bool {
     const DEFLATE: u64 = 1032;
     let Some(&[depth, colour]) = bytes.get(24..26).and_then(|b| b.first_chunk::<2>()) else { return false };

@@ -1,8 +1,8 @@
 //! Files with several frames: animated PNG and WebP, and TIFF with several pages.
 //!
-//! Frames of an animation have the durations stored in the file. The decoder composites each frame over those before it,
-//! so that each is a whole picture. A frame with a duration of zero is shown for a tenth of a second, as in browsers.
-//! Pages have no times.
+//! Frames of an animation have the durations stored in the file. The decoder composites each frame over those before
+//! it, so that each is a whole picture. A frame with a duration of zero is shown for a tenth of a second, as in
+//! browsers. Pages have no times.
 
 use std::io::{BufRead, Cursor, Seek};
 use std::path::{Path, PathBuf};

@@ -1,8 +1,9 @@
 //! JPEG, by integer arithmetic without vector instructions: every CPU has the same bytes.
 //!
 //! Headers are read leniently, picture data strictly: codes that do not exist are an error, as is a file without its
-//! end-of-image marker, and a baseline image whose codes are not those of a whole picture ([`super::jpeg_scan`]). Damage that
-//! leaves as many codes is not detected, nor most damage of progressive images. CMYK is converted without a colour profile, `(1 − ink)·(1 − black)`.
+//! end-of-image marker, and a baseline image whose codes are not those of a whole picture ([`super::jpeg_scan`]).
+//! Damage that leaves as many codes is not detected, nor most damage of progressive images. CMYK is converted without a
+//! colour profile, `(1 − ink)·(1 − black)`.
 
 use std::path::Path;
 

@@ -1,9 +1,10 @@
 //! Test that the codes of a baseline JPEG image are those of a whole picture.
 //!
-//! The decoder of pictures accepts damaged data: it stops at a block's last coefficient and leaves missing parts grey. This module reads the
-//! Huffman codes once more (ITU-T T.81, F.2.2), without their values. Refused are codes that do not exist, runs past the 63rd coefficient, restart markers
-//! that are missing, and data that end before the last block. Extra bytes after it are accepted: cameras write them. Damage that leaves valid codes for
-//! the same number of blocks is not found. Progressive and arithmetic-coded images are not read here.
+//! The decoder of pictures accepts damaged data: it stops at a block's last coefficient and leaves missing parts grey.
+//! This module reads the Huffman codes once more (ITU-T T.81, F.2.2), without their values. Refused are codes that do
+//! not exist, runs past the 63rd coefficient, restart markers that are missing, and data that end before the last
+//! block. Extra bytes after it are accepted: cameras write them. Damage that leaves valid codes for the same number of
+//! blocks is not found. Progressive and arithmetic-coded images are not read here.
 
 /// The marker that ends an image.
 pub(super) const END: u8 = 0xd9;
@@ -12,7 +13,8 @@ const QUICK: u32 = 9;
 /// Most bits of a code.
 const LONGEST: usize = 16;
 
-/// A table of codes: `quick` has the length and the symbol for each beginning of [`QUICK`] bits, 0 where the code is longer.
+/// A table of codes: `quick` has the length and the symbol for each beginning of [`QUICK`] bits, 0 where the code is
+/// longer.
 struct Table {
     quick: Vec<(u8, u8)>,
     /// For each length: what to add to a code to find its symbol's place, and the first number that is no code.
@@ -42,7 +44,8 @@ impl Table {
     }
 }
 
-/// Bits of a scan, the most significant first. A zero byte after 0xff is left out; another one is a marker, which ends them.
+/// Bits of a scan, the most significant first. A zero byte after 0xff is left out; another one is a marker, which ends
+/// them.
 struct Bits<'a> {
     bytes: &'a [u8],
     at: usize,

@@ -2,14 +2,14 @@
 //!
 //! The format is detected by the file's first bytes, not by its name.
 //!
-//! - Integer samples of b bits become `value / (2^b − 1)`. Float samples of TIFF are taken as display-referred. Those of
-//!   EXR are linear light unless the file declares another space, and become sRGB (`exr`). Both are clamped to `[0, 1]`
-//!   with a note; a NaN or infinite sample is an error with the pixel's position.
-//! - Grey is copied to the three channels. Alpha is composited over mid grey (0.5), the default background of the renderer:
-//!   `c·a + 0.5·(1 − a)`. Premultiplied colours, which are those of EXR and of TIFF with associated alpha, become
-//!   `c + 0.5·(1 − a)`.
-//! - JPEG is decoded by integer arithmetic without vector instructions, so that every CPU has the same bytes (the decoder is
-//!   built without its SIMD features).
+//! - Integer samples of b bits become `value / (2^b − 1)`. Float samples of TIFF are taken as display-referred. Those
+//!   of EXR are linear light unless the file declares another space, and become sRGB (`exr`). Both are clamped to `[0,
+//!   1]` with a note; a NaN or infinite sample is an error with the pixel's position.
+//! - Grey is copied to the three channels. Alpha is composited over mid grey (0.5), the default background of the
+//!   renderer: `c·a + 0.5·(1 − a)`. Premultiplied colours, which are those of EXR and of TIFF with associated alpha,
+//!   become `c + 0.5·(1 − a)`.
+//! - JPEG is decoded by integer arithmetic without vector instructions, so that every CPU has the same bytes (the
+//!   decoder is built without its SIMD features).
 //! - Orientation is applied in JPEG, PNG, WebP and TIFF. Colour profiles and tags of a space other than sRGB are not
 //!   applied; they add a note.
 //! - Files that are cut off or damaged are refused. So are those of several frames, where one picture is expected.

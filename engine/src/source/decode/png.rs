@@ -23,7 +23,8 @@ fn numbers(data: &[u8]) -> Vec<u32> {
     data.as_chunks::<4>().0.iter().map(|b| u32::from_be_bytes(*b)).collect()
 }
 
-/// The line about tags by which colours are not sRGB's: `cICP`, or `gAMA` and `cHRM` where neither a profile nor `sRGB` overrides them.
+/// The line about tags by which colours are not sRGB's: `cICP`, or `gAMA` and `cHRM` where neither a profile nor `sRGB`
+/// overrides them.
 pub(super) fn colour_note(bytes: &[u8]) -> Option<String> {
     let (mut gamma, mut chromaticities) = (None, None);
     for (name, data) in chunks(bytes).take_while(|(name, _)| *name != b"IDAT") {

@@ -1,9 +1,10 @@
-//! TIFF and BigTIFF: grey, RGB, palette and CMYK of unsigned or float samples, strips or tiles, planes interleaved or one after the other.
+//! TIFF and BigTIFF: grey, RGB, palette and CMYK of unsigned or float samples, strips or tiles, planes interleaved or
+//! one after the other.
 //!
-//! Uncompressed, LZW, deflate and PackBits. JPEG inside TIFF is not supported: its decoder would bring vector instructions
-//! back into the JPEG path. Tags that are applied: `Orientation`, `ExtraSamples` (colours that are multiplied by alpha,
-//! and those that are not), `NewSubfileType` (reduced copies and masks are not pages). Further samples are left out with
-//! a note.
+//! Uncompressed, LZW, deflate and PackBits. JPEG inside TIFF is not supported: its decoder would bring vector
+//! instructions back into the JPEG path. Tags that are applied: `Orientation`, `ExtraSamples` (colours that are
+//! multiplied by alpha, and those that are not), `NewSubfileType` (reduced copies and masks are not pages). Further
+//! samples are left out with a note.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -353,7 +354,8 @@ fn unpack(bytes: &[u8], width: usize, height: usize, depth: u16) -> Samples {
     Samples::Whole(samples, most)
 }
 
-/// The place of the 8 bits that every colour of a palette has: 0 if they are written alone, 8 above a byte of zeros; `None` for colours of 16 bits.
+/// The place of the 8 bits that every colour of a palette has: 0 if they are written alone, 8 above a byte of zeros;
+/// `None` for colours of 16 bits.
 pub(crate) fn eight_bits_at(palette: &[u16]) -> Option<u32> {
     [(0, 0xff00), (8, 0x00ff)].into_iter().find(|(_, others)| palette.iter().all(|v| v & others == 0)).map(|(at, _)| at)
 }

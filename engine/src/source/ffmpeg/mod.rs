@@ -3,18 +3,20 @@
 //! - **Which stream**: the one that moves (`streams`); covers and stills are left out with a line.
 //! - **Times**: every frame comes once, at its own time (`times`); none is made up or dropped.
 //! - **Colour**: planes are passed as they are, and [`super::colour`] decides what their tags mean.
-//! - **Shape**: ffmpeg applies the file's rotation. Pixels that are not square are made so by [`super::Source`]. Interlaced frames are deinterlaced.
-//! - **High dynamic range** (HLG, PQ) becomes BT.709 of standard range: display light of 203 cd/m² is white (ITU-R BT.2408) and what is brighter is
-//!   rolled off, or 100 cd/m² where a video has hardly anything brighter.
-//! - **Damage**: what can be decoded is read; an error message of ffmpeg is an error after the last frame, also with exit status 0, as is a file that is
-//!   shorter than its container declares (`whole`).
+//! - **Shape**: ffmpeg applies the file's rotation. Pixels that are not square are made so by [`super::Source`].
+//!   Interlaced frames are deinterlaced.
+//! - **High dynamic range** (HLG, PQ) becomes BT.709 of standard range: display light of 203 cd/m² is white (ITU-R
+//!   BT.2408) and what is brighter is rolled off, or 100 cd/m² where a video has hardly anything brighter.
+//! - **Damage**: what can be decoded is read; an error message of ffmpeg is an error after the last frame, also with
+//!   exit status 0, as is a file that is shorter than its container declares (`whole`).
 //!
-//! [`Ffmpeg::notes`] lists conversions of the pictures and parts of the file that are left out. Decoders differ between versions
-//! of ffmpeg, so equal digests of a run require equal output of ffmpeg: compare the input digests in `run.json`.
+//! [`Ffmpeg::notes`] lists conversions of the pictures and parts of the file that are left out. Decoders differ between
+//! versions of ffmpeg, so equal digests of a run require equal output of ffmpeg: compare the input digests in
+//! `run.json`.
 //!
 //! Opening starts ffmpeg twice, to list the streams and to decode. A third start follows if the first frame needs other
-//! filters than the list implied. Packets are counted, without decoding, only if there are several streams to choose from,
-//! the mean rate is unknown, or the file is Matroska, whose rate is a declaration.
+//! filters than the list implied. Packets are counted, without decoding, only if there are several streams to choose
+//! from, the mean rate is unknown, or the file is Matroska, whose rate is a declaration.
 
 mod bright;
 mod chain;
@@ -180,7 +182,8 @@ impl Ffmpeg {
         self.counted.or_else(|| counts().first().map(|(_, count)| count.frames)).filter(|frames| *frames > 0)
     }
 
-    /// Frames per second as a fraction: the nominal rate of the stream, or, where frames have another one in the mean, that.
+    /// Frames per second as a fraction: the nominal rate of the stream, or, where frames have another one in the mean,
+    /// that.
     pub fn rate(&self) -> Option<(f64, f64)> {
         self.rate
     }
@@ -195,7 +198,8 @@ impl Ffmpeg {
         self.first.0.map_or(0.0, |time| self.clock.seconds(time))
     }
 
-    /// Conversions of the pictures and parts of the file that are left out, a line each. Findings during decoding are added at the end.
+    /// Conversions of the pictures and parts of the file that are left out, a line each. Findings during decoding are
+    /// added at the end.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }

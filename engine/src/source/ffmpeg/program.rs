@@ -10,7 +10,8 @@ use super::streams::{Count, Counter};
 /// Most bytes that are read of the list of a file's streams.
 const MAX_LIST: u64 = 1 << 20;
 
-/// The file as ffmpeg takes it: a name that starts with a dash or holds a colon must not be taken as an option or a protocol.
+/// The file as ffmpeg takes it: a name that starts with a dash or holds a colon must not be taken as an option or a
+/// protocol.
 pub(super) fn url(path: &Path) -> OsString {
     let mut url = OsString::from("file:");
     url.push(path);
@@ -70,8 +71,8 @@ pub(super) struct Decoding {
 }
 
 impl Decoding {
-    /// Starts ffmpeg, which decodes to y4m on its standard output and writes the messages for [`super::shown::Message`] to its
-    /// standard error. Every frame is passed once; the first filter prints the times.
+    /// Starts ffmpeg, which decodes to y4m on its standard output and writes the messages for [`super::shown::Message`]
+    /// to its standard error. Every frame is passed once; the first filter prints the times.
     pub(super) fn start(&self, path: &Path) -> std::io::Result<Child> {
         let parts: &[&str] = if self.parts { &[] } else { &["-fflags", "+discardcorrupt"] };
         let sync = if self.old { "-vsync" } else { "-fps_mode" };

@@ -27,7 +27,8 @@ pub(super) struct Running {
     complaints: Option<JoinHandle<Complaints>>,
 }
 
-/// Numbers of frames since the start. ffmpeg restarts its count when it rebuilds its filters, for example for frames of another size.
+/// Numbers of frames since the start. ffmpeg restarts its count when it rebuilds its filters, for example for frames of
+/// another size.
 #[derive(Clone, Copy, Debug, Default)]
 struct Numbers {
     /// The number of the first frame since then.

@@ -80,8 +80,8 @@ fn starts_a_frame(text: &str) -> bool {
     rest.starts_with(" pts:") && text.contains(" fmt:")
 }
 
-/// The messages on a line. The filter writes a line in several pieces, between which other threads of ffmpeg may write messages of their own: a context
-/// after other text, or a frame's number, begins a message.
+/// The messages on a line. The filter writes a line in several pieces, between which other threads of ffmpeg may write
+/// messages of their own: a context after other text, or a frame's number, begins a message.
 pub(super) fn messages(line: &str) -> Vec<&str> {
     let mut parts = Vec::new();
     let mut start = 0;

@@ -1,8 +1,8 @@
 //! Streams of a file, as ffmpeg lists them, and which of them is the video.
 //!
-//! `ffmpeg -i FILE` is all that this needs, so installations without ffprobe read the same frames. Its list is meant for people, but its lines have
-//! kept their form for many versions; what a frame's format and colours are is taken from the first decoded frame
-//! ([`super::shown`]), the list's words only being a guess that spares a second start.
+//! `ffmpeg -i FILE` is all that this needs, so installations without ffprobe read the same frames. Its list is meant
+//! for people, but its lines have kept their form for many versions; what a frame's format and colours are is taken
+//! from the first decoded frame ([`super::shown`]), the list's words only being a guess that spares a second start.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -126,7 +126,8 @@ impl Listing {
         }
     }
 
-    /// The stream to read, and a line for each that is left out. `count` counts frames, stream by stream, which is done where there is a choice.
+    /// The stream to read, and a line for each that is left out. `count` counts frames, stream by stream, which is done
+    /// where there is a choice.
     pub(super) fn choose(&self, count: impl FnOnce() -> Vec<(usize, Count)>) -> Option<(&Stream, Vec<String>)> {
         let candidates: Vec<&Stream> = self.videos.iter().filter(|stream| stream.may_move()).collect();
         let counts = if candidates.len() > 1 { count() } else { Vec::new() };
@@ -154,8 +155,8 @@ impl Listing {
         Some((chosen, left_out.collect()))
     }
 
-    /// Estimated number of frames in a stream, from the duration of the file, the stream's mean rate and the time of its first frame, if already
-    /// read.
+    /// Estimated number of frames in a stream, from the duration of the file, the stream's mean rate and the time of
+    /// its first frame, if already read.
     pub(super) fn frames(&self, stream: &Stream, first: Option<f64>) -> Option<usize> {
         let own = first.or(stream.start);
         let late = own.zip(self.start).map_or(0.0, |(own, file)| (own - file).max(0.0));
@@ -292,7 +293,8 @@ const REORDERED: usize = 32;
 /// Ticks by which rounding makes one length of an even rate differ from another.
 const ROUNDED: i64 = 2;
 
-/// Frames of streams, as the lines of the `framecrc` muxer count them: `0, DTS, PTS, DURATION, SIZE, CRC` after `#tb 0: 1/1000`.
+/// Frames of streams, as the lines of the `framecrc` muxer count them: `0, DTS, PTS, DURATION, SIZE, CRC` after `#tb 0:
+/// 1/1000`.
 #[derive(Debug, Default)]
 pub(super) struct Counter {
     streams: Vec<Counted>,

@@ -5,9 +5,10 @@ const JITTER: f64 = 0.25;
 
 /// Seconds since the first frame of one frame after the other, from their time stamps.
 ///
-/// A time that differs by at most a tick from its place in the stream's nominal rate is that place: containers round times to their ticks. A frame
-/// without a time stamp follows the frame before at the nominal rate; one with a time that is not after that frame's, as closely as ticks allow. Time stamps
-/// that jump back by more than a frame count on from there.
+/// A time that differs by at most a tick from its place in the stream's nominal rate is that place: containers round
+/// times to their ticks. A frame without a time stamp follows the frame before at the nominal rate; one with a time
+/// that is not after that frame's, as closely as ticks allow. Time stamps that jump back by more than a frame count on
+/// from there.
 #[derive(Clone, Debug)]
 pub(super) struct Clock {
     tick: (u32, u32),

@@ -1,7 +1,8 @@
 //! Test that a file is as long as its container declares.
 //!
-//! ffmpeg does not complain of every file that was cut: where the cut is between two packets, or the container is one of those that it reads to
-//! at any place, the frames are fewer and its exit status is 0. The container's own declaration is checked here:
+//! ffmpeg does not complain of every file that was cut: where the cut is between two packets, or the container is one
+//! of those that it reads to at any place, the frames are fewer and its exit status is 0. The container's own
+//! declaration is checked here:
 //!
 //! | container | check |
 //! |---|---|
@@ -91,7 +92,8 @@ fn chunks(file: &mut File, length: u64) -> Option<u64> {
     Some(at)
 }
 
-/// Where the segment of a Matroska file ends: EBML's head and the segment's, each an identity and a length of variable size.
+/// Where the segment of a Matroska file ends: EBML's head and the segment's, each an identity and a length of variable
+/// size.
 fn segment(start: &[u8]) -> Option<u64> {
     let (head, at) = variable(start, 4)?;
     let at = at.checked_add(usize::try_from(head?).ok()?)?;

@@ -47,8 +47,8 @@ pub struct Header {
     pub chroma: Chroma,
     /// Bits per sample: 8 to 16. More than 8 are stored in two bytes, little end first.
     pub bits: u32,
-    /// True if samples span the full range (`XCOLORRANGE=FULL`). Without that parameter it is true for luma alone (`Cmono`),
-    /// as ffmpeg writes it.
+    /// True if samples span the full range (`XCOLORRANGE=FULL`). Without that parameter it is true for luma alone
+    /// (`Cmono`), as ffmpeg writes it.
     pub full_range: bool,
     /// True if the header states the range.
     pub range_stated: bool,

@@ -60,8 +60,8 @@ impl<R: BufRead> Y4m<R> {
         self.header.aspect = aspect;
     }
 
-    /// What a stream's header alone decides, with `matrix` in place of that of its size if there is one: a line on everything that is done or taken as
-    /// such.
+    /// What a stream's header alone decides, with `matrix` in place of that of its size if there is one: a line on
+    /// everything that is done or taken as such.
     pub(super) fn take_in(&mut self, matrix: Option<Matrix>) -> Vec<String> {
         if matrix.is_some() {
             self.set_matrix(matrix);

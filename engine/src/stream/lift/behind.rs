@@ -7,9 +7,10 @@
 //! SLOPE·(z_farther − z_own)        in half widths of the picture
 //! ```
 //!
-//! away, stands another Gaussian: [`BACK`] behind the farthest of what is seen within [`AROUND`] pixels of it and of the
-//! farther surface. Its colour is what earlier frames [saw there](super::covered); where they saw nothing, the mean of the first
-//! three pixels beyond the edge. From the frame's own camera it is hidden. It moves as what is seen beyond the edge does.
+//! away, stands another Gaussian: [`BACK`] behind the farthest of what is seen within [`AROUND`] pixels of it and of
+//! the farther surface. Its colour is what earlier frames [saw there](super::covered); where they saw nothing, the mean
+//! of the first three pixels beyond the edge. From the frame's own camera it is hidden. It moves as what is seen beyond
+//! the edge does.
 
 use streamsplat_model::StaticGaussians;
 
@@ -102,7 +103,8 @@ mod tests {
 
     const SIZE: [usize; 2] = [4, 128];
 
-    /// Gaussians added behind rows that are all alike, near things red before green: column, y, colour and where they move from.
+    /// Gaussians added behind rows that are all alike, near things red before green: column, y, colour and where they
+    /// move from.
     fn added(inverse: impl Fn(usize) -> f32, covered: &[Covered]) -> Vec<(usize, f32, [f32; 3], f32)> {
         let plane = |of: &dyn Fn(usize) -> f32| -> Vec<f32> { (0..4 * 128).map(|at| of(at % 128)).collect() };
         let map = DepthMap { inverse: plane(&inverse), confidence: None, resolution: SIZE };

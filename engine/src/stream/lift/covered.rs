@@ -1,12 +1,12 @@
 //! Colours that earlier frames saw where something now stands in front.
 //!
-//! A thing that moves, or a camera that does, covers what was in sight a key frame ago. Each [cell](super::beyond) before an edge
-//! asks the key frame before for what lies behind it: the place is moved as the surface beyond the edge moves, along the
-//! flow back. There the picture shows that surface, at its depth, or it was covered then too and is remembered from
-//! before that, or it was never seen.
+//! A thing that moves, or a camera that does, covers what was in sight a key frame ago. Each [cell](super::beyond)
+//! before an edge asks the key frame before for what lies behind it: the place is moved as the surface beyond the edge
+//! moves, along the flow back. There the picture shows that surface, at its depth, or it was covered then too and is
+//! remembered from before that, or it was never seen.
 //!
-//! Bounded by the picture: a cell remembers one colour. What lies more than a [reach](super::beyond) from all edges, or comes into
-//! sight, is forgotten.
+//! Bounded by the picture: a cell remembers one colour. What lies more than a [reach](super::beyond) from all edges, or
+//! comes into sight, is forgotten.
 
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
@@ -134,7 +134,8 @@ mod tests {
 
     const SIZE: [usize; 2] = [8, 64];
 
-    /// A thing from column `near` on, 24 wide, before a ground whose red tells its place when it has moved by `ground` pixels.
+    /// A thing from column `near` on, 24 wide, before a ground whose red tells its place when it has moved by `ground`
+    /// pixels.
     fn picture(near: usize, ground: f32) -> (DepthMap, Vec<f32>) {
         let plane = |of: &dyn Fn(usize) -> f32| -> Vec<f32> { (0..8 * 64).map(|at| of(at % 64)).collect() };
         let thing = |x: usize| (near..near + 24).contains(&x);

@@ -10,9 +10,9 @@
 //! ```
 //!
 //! The place belongs to the side of its own value unless the other one weighs [`DECISIVE`] times as much. Its depth is
-//! its own value where that is no edge away from the weighted median of its side, else that median. Its slope is the line
-//! of least squares through it and up to [`ALONG`] pixels before and behind, as far as there is no edge. Sums run over the
-//! window row by row, those of the median over ascending values, in binary32.
+//! its own value where that is no edge away from the weighted median of its side, else that median. Its slope is the
+//! line of least squares through it and up to [`ALONG`] pixels before and behind, as far as there is no edge. Sums run
+//! over the window row by row, those of the median over ascending values, in binary32.
 
 use rayon::prelude::*;
 use streamsplat_kernels::Level;

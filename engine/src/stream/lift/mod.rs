@@ -9,17 +9,18 @@
 //! y = FAR + (NEAR − FAR)·d        d: the map, 0 farthest to 1 nearest
 //! ```
 //!
-//! Standard deviations s_x and s_z become [`NARROWER`], and before an edge so narrow that little of a Gaussian reaches over it; what
-//! the picture loses by that Gaussians of a pixel's size along its [outline] give back. Along the axis of view they become
+//! Standard deviations s_x and s_z become [`NARROWER`], and before an edge so narrow that little of a Gaussian reaches
+//! over it; what the picture loses by that Gaussians of a pixel's size along its [outline] give back. Along the axis of
+//! view they become
 //!
 //! ```text
 //! √((THIN·(s_x + s_z)/2)² + (a·s_x)² + (b·s_z)²)
 //! ```
 //!
-//! with the [slopes](Surfaces::slope) a and b of the map: a surface is thinner than its Gaussians are wide, except where
-//! it falls away. Where a turned view looks past an
-//! edge, Gaussians are added [behind] it, in the colours that earlier frames [saw](covered) there. Colours of what is
-//! seen are fitted afterwards; beside edges they start from the picture's and are [held](HELD) to it.
+//! with the [slopes](Surfaces::slope) a and b of the map: a surface is thinner than its Gaussians are wide, except
+//! where it falls away. Where a turned view looks past an edge, Gaussians are added [behind] it, in the colours that
+//! earlier frames [saw](covered) there. Colours of what is seen are fitted afterwards; beside edges they start from the
+//! picture's and are [held](HELD) to it.
 //!
 //! # Maps that tell little
 //!
@@ -69,9 +70,9 @@ const LEAST: f32 = 0.3;
 const THIN: f32 = 0.5;
 /// Pixels from an edge within which colours are held.
 const BESIDE: f32 = 3.0;
-/// Factors on the unknowns of the fit for colours beside an edge, on its farther and on its nearer side: the ridge holds
-/// them as many times as strongly as the square's inverse. Free, they would undo what reaches over the edge, and a view
-/// that turns shows them without it.
+/// Factors on the unknowns of the fit for colours beside an edge, on its farther and on its nearer side: the ridge
+/// holds them as many times as strongly as the square's inverse. Free, they would undo what reaches over the edge, and
+/// a view that turns shows them without it.
 const HELD: [f32; 2] = [0.6, 0.8];
 
 /// Inverse depth of a key frame, at the size at which the model sees it.
@@ -179,7 +180,8 @@ pub(super) fn lift(
     added
 }
 
-/// Thickness of a Gaussian of these standard deviations on a surface that has these slopes; [`THIN`] where it has no width.
+/// Thickness of a Gaussian of these standard deviations on a surface that has these slopes; [`THIN`] where it has no
+/// width.
 fn across([sx, sz]: [f32; 2], [a, b]: [f32; 2]) -> f32 {
     let mean = 0.5 * (sx + sz);
     let falls = (a * sx / mean).mul_add(a * sx / mean, (b * sz / mean) * (b * sz / mean));

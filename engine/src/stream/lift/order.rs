@@ -1,9 +1,9 @@
 //! Depths at which neighbours on one surface keep the model's order.
 //!
 //! A key frame's picture is made of Gaussians that overlap, drawn in the order of the model's own y. On a surface that
-//! slopes their depths are in another order, and a camera that turns sorts them anew. So neighbours are moved until there
-//! is as much room between them in depth as it takes that a camera turned by up to [`SLOPE`] draws them in the model's
-//! order:
+//! slopes their depths are in another order, and a camera that turns sorts them anew. So neighbours are moved until
+//! there is as much room between them in depth as it takes that a camera turned by up to [`SLOPE`] draws them in the
+//! model's order:
 //!
 //! ```text
 //! z_j − z_i ≥ SLOPE·|p_i − p_j|        for i before j in the model's order, |p_i − p_j| ≤ WIDE·(σ_i + σ_j),
@@ -63,9 +63,9 @@ impl Lifted {
 #[derive(Clone, Copy)]
 struct Neighbours {
     index: [u32; LANES],
-    /// Least distance in depth; negative, at least −0, where the neighbour is in front. A Gaussian with fewer neighbours
-    /// than others of the vector has itself as one, at 0: there nothing is lacking. Lanes past the last Gaussian are
-    /// not read.
+    /// Least distance in depth; negative, at least −0, where the neighbour is in front. A Gaussian with fewer
+    /// neighbours than others of the vector has itself as one, at 0: there nothing is lacking. Lanes past the last
+    /// Gaussian are not read.
     room: [f32; LANES],
 }
 

@@ -105,8 +105,8 @@ fn write_piece(stream: &mut TcpStream, mut piece: &[u8], end: Instant) -> io::Re
     Ok(())
 }
 
-/// Waits until the client has read the answer and closes. Closing while bytes of a client lie unread resets the connection, and the answer may be
-/// lost with it.
+/// Waits until the client has read the answer and closes. Closing while bytes of a client lie unread resets the
+/// connection, and the answer may be lost with it.
 fn linger(stream: &mut TcpStream) {
     let (time, mut bytes) = LINGER;
     let end = Instant::now() + time;

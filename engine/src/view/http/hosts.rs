@@ -4,9 +4,9 @@ use std::net::{IpAddr, SocketAddr};
 
 /// The names of a server that requests may have in their `Host` header.
 ///
-/// A foreign web page can make its own name resolve to the address of this server (DNS rebinding), and would be allowed to read what
-/// the browser fetches under that name. Its requests carry its name, so names are refused unless they were allowed; addresses and
-/// `localhost` cannot be redirected like that.
+/// A foreign web page can make its own name resolve to the address of this server (DNS rebinding), and would be allowed
+/// to read what the browser fetches under that name. Its requests carry its name, so names are refused unless they were
+/// allowed; addresses and `localhost` cannot be redirected like that.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hosts {
     loopback: bool,
@@ -14,8 +14,8 @@ pub struct Hosts {
 }
 
 impl Hosts {
-    /// For a server that listens on `address`: on a loopback address, loopback addresses; on any other, all addresses; on both
-    /// `localhost` and these `names`.
+    /// For a server that listens on `address`: on a loopback address, loopback addresses; on any other, all addresses;
+    /// on both `localhost` and these `names`.
     pub fn of(address: IpAddr, names: &[String]) -> Hosts {
         Hosts { loopback: address.is_loopback(), names: names.to_vec() }
     }

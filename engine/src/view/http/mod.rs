@@ -8,8 +8,8 @@
 //! | threads | one for each of [`MAX_CONNECTIONS`] connections; more are closed at once |
 //! | time | [`HEAD_TIME`] to send the head, [`ANSWER_TIME`] and a second for each [`ANSWER_RATE`] bytes to take the answer |
 //!
-//! A panic while a request is answered ends its connection alone. Where no thread can be started the connection is closed and the next one accepted.
-//! [`Hosts`] lists the names of the server that requests may have.
+//! A panic while a request is answered ends its connection alone. Where no thread can be started the connection is
+//! closed and the next one accepted. [`Hosts`] lists the names of the server that requests may have.
 
 mod connection;
 mod hosts;

@@ -1,7 +1,7 @@
 //! A still scene as the page reads it: 36 bytes per Gaussian, and 16 more per degree of its harmonics.
 //!
-//! Little-endian. A header of 16 bytes, `count` records of 32 bytes, `count` rows of harmonics of 16·degree bytes, `count` numbers of
-//! four bytes.
+//! Little-endian. A header of 16 bytes, `count` records of 32 bytes, `count` rows of harmonics of 16·degree bytes,
+//! `count` numbers of four bytes.
 //!
 //! | header | | |
 //! |---|---|---|
@@ -19,13 +19,16 @@
 //! | 20 | 3 × f16 | red, green, blue of the harmonics' first coefficients, within ±65,504 | 2⁻¹¹ of it |
 //! | 26 | 3 × u16 | rotation: a unit quaternion (w, x, y, z), three components of it | 10⁻⁴ |
 //!
-//! The sign of the quaternion is chosen so that its largest component is positive. That component is left out; the highest bit of
-//! the first word, and twice that of the second, are its number. The others follow in order, in 15 bits each: `√½·(q / 16383.5 − 1)`.
+//! The sign of the quaternion is chosen so that its largest component is positive. That component is left out; the
+//! highest bit of the first word, and twice that of the second, are its number. The others follow in order, in 15 bits
+//! each: `√½·(q / 16383.5 − 1)`.
 //!
-//! A row of harmonics is the coefficients above the first, channels innermost, in i8: `step·q`, half a step off at most, where `step`, an
-//! f16 in the row's last two bytes, is at least a 127th of the row's largest. A number is a Gaussian's place in its file.
+//! A row of harmonics is the coefficients above the first, channels innermost, in i8: `step·q`, half a step off at
+//! most, where `step`, an f16 in the row's last two bytes, is at least a 127th of the row's largest. A number is a
+//! Gaussian's place in its file.
 //!
-//! Left out is what no image shows: opacities under 1/255, and what [`Still::defect`](crate::still::Still::defect) names.
+//! Left out is what no image shows: opacities under 1/255, and what [`Still::defect`](crate::still::Still::defect)
+//! names.
 
 use half::f16;
 use rayon::prelude::*;

@@ -63,7 +63,8 @@ fn tail(a: f64) -> f64 {
     let d = a + 3.0;
     let t = 1.0 / d;
     let scaled = t * polynomial(t - 0.156_25, &TAIL);
-    // The relative change of t by both roundings is corrected in the result through (e^(a²) erfc a)' = 2a e^(a²) erfc a − 2/√π.
+    // The relative change of t by both roundings is corrected in the result through (e^(a²) erfc a)' = 2a e^(a²) erfc a
+    // − 2/√π.
     let (p, lost) = product(t, d);
     let moved = ((1.0 - p) - lost) - t * (a - (d - 3.0));
     let scaled = scaled - (2.0 * a * scaled - SLOPE) * d * moved;

@@ -10,14 +10,16 @@ use crate::simd::{LANES, Simd};
 
 /// Directions of a tile's columns and rows, and what of a splat's footprint falls to each.
 ///
-/// The pixel (u, v) is seen along `d = (cos φ·sin λ, sin φ, cos φ·cos λ)` with `λ = 2π·((u + ½)/W − ½)` and `φ = π·((v + ½)/H − ½)`. With n, e and s
-/// of the splat (`project/sphere.rs`), `a = p·(e − k·s)` and `b = q·s`, rounded to binary32,
+/// The pixel (u, v) is seen along `d = (cos φ·sin λ, sin φ, cos φ·cos λ)` with `λ = 2π·((u + ½)/W − ½)` and `φ = π·((v
+/// + ½)/H − ½)`. With n, e and s of the splat (`project/sphere.rs`), `a = p·(e − k·s)` and `b = q·s`, rounded to
+/// binary32,
 ///
 /// ```text
 /// e(u, v) = ((a·d)² + (b·d)²) / (n·d)²     where n·d > 0     a·d = cos φ·(a_x·sin λ + a_z·cos λ) + a_y·sin φ
 /// ```
 ///
-/// in binary32: a product `a_z·cos λ`, two fused steps, and the same for b and n; sines and cosines are rounded from binary64.
+/// in binary32: a product `a_z·cos λ`, two fused steps, and the same for b and n; sines and cosines are rounded from
+/// binary64.
 pub(super) struct Sphere {
     /// Sines and cosines of longitudes and latitudes.
     longitude: [Pixels; 2],
@@ -66,7 +68,8 @@ impl Sphere {
         {
             let mut at = columns[0] * BLOCK;
             while at < columns[1] * BLOCK {
-                // The mask does not change the index. It lets the compiler drop bounds checks: a vector from there ends inside the arrays.
+                // The mask does not change the index. It lets the compiler drop bounds checks: a vector from there ends
+                // inside the arrays.
                 let from = at & (PIXELS - LANES - 1);
                 let level = s.mul(s.splat(z), s.load(&cos[from..]));
                 s.store(s.mul_add(s.splat(x), s.load(&sin[from..]), level), &mut across[from..]);

@@ -45,8 +45,8 @@ pub(super) fn nearest<S: Simd>(s: S, centre: [f32; 2], scale: f32, pixels: &Pixe
     s.mul(t, t)
 }
 
-/// `factor·2^−(scale·d)²` for every pixel of the blocks `span`, with d its distance from the centre along one axis. `span[1]` is at most the
-/// blocks of the tile on this axis.
+/// `factor·2^−(scale·d)²` for every pixel of the blocks `span`, with d its distance from the centre along one axis.
+/// `span[1]` is at most the blocks of the tile on this axis.
 #[inline(always)]
 pub(super) fn factors<S: Simd>(
     s: S,
@@ -81,7 +81,8 @@ fn rim<S: Simd>(s: S, reach: &Reach, dy: S::F32) -> S::F32 {
     s.sqrt(s.max(s.neg_mul_add(t, t, s.splat(reach.exponent)), s.splat(0.0)))
 }
 
-/// First and last block column that a footprint can reach in each row of blocks of the tile at (`left`, `top`), inside `columns`.
+/// First and last block column that a footprint can reach in each row of blocks of the tile at (`left`, `top`), inside
+/// `columns`.
 #[inline(always)]
 pub(super) fn strips<S: Simd>(
     s: S,
@@ -108,7 +109,8 @@ pub(super) fn strips<S: Simd>(
     (s.to_array_i32(s.to_i32(first)), s.to_array_i32(s.to_i32(last)))
 }
 
-/// Coordinates of a tile's pixels, and what a splat's lanes are made of, by column and by row of pixels; with a vector to spare.
+/// Coordinates of a tile's pixels, and what a splat's lanes are made of, by column and by row of pixels; with a vector
+/// to spare.
 pub(super) struct Tables {
     pub(super) columns: Pixels,
     pub(super) rows: Pixels,

@@ -27,8 +27,8 @@ impl Lanes {
     pub(in super::super) const ZERO: Self = Self([0.0; LANES]);
 }
 
-/// A block of a tile, counted row by row. An index of it lies in an array of [`BLOCKS`] values by the mask, so that the compiler leaves
-/// out the check.
+/// A block of a tile, counted row by row. An index of it lies in an array of [`BLOCKS`] values by the mask, so that the
+/// compiler leaves out the check.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Block(usize);
 
@@ -118,8 +118,8 @@ pub(in super::super) trait Sink<S: Simd> {
     fn hit(&mut self, s: S, at: Block, hit: &Hit<S>, paint: &Self::Paint) {
         self.add(s, at, hit.weight, paint);
     }
-    /// Weights of the splat on the block `at`: `α·T`, zero where it is not drawn. A block comes once at most between [`Sink::begin`] and
-    /// [`Sink::end`], which alternate.
+    /// Weights of the splat on the block `at`: `α·T`, zero where it is not drawn. A block comes once at most between
+    /// [`Sink::begin`] and [`Sink::end`], which alternate.
     fn add(&mut self, s: S, at: Block, weight: S::F32, paint: &Self::Paint);
     /// The splat has no other blocks; `entry` is its place in the list.
     fn end(&mut self, entry: &Entry) {
@@ -191,7 +191,8 @@ impl BlockBox {
 }
 
 impl BlockBox {
-    /// The blocks of `splat` in the tile of this column and row, in an image whose left and right edges meet, with this number of blocks across.
+    /// The blocks of `splat` in the tile of this column and row, in an image whose left and right edges meet, with this
+    /// number of blocks across.
     #[inline(always)]
     fn around(splat: &Splat, tile: [usize; 2], blocks: usize) -> Self {
         let Self { columns: _, rows } = Self::new(splat, tile);
@@ -309,7 +310,8 @@ impl<'a> Canvas<'a> {
         Self { left, finished, done, open, least: cut.least, most: cut.most, end: cut.end, dip: cut.dip() }
     }
 
-    /// Weights of a splat on its box, with `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)² − o·f)`, fused. Returns the number of blocks.
+    /// Weights of a splat on its box, with `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)² − o·f)`, fused. Returns the number
+    /// of blocks.
     #[inline(always)]
     fn separable<S: Simd, K: Sink<S>>(
         &mut self,
@@ -348,7 +350,8 @@ impl<'a> Canvas<'a> {
         count
     }
 
-    /// Weights of a splat on its box, with `α = min(0.99, o·2^−((p·(x − m(y)))² + (q·dy)²) − o·f)`, fused. Returns the number of blocks.
+    /// Weights of a splat on its box, with `α = min(0.99, o·2^−((p·(x − m(y)))² + (q·dy)²) − o·f)`, fused. Returns the
+    /// number of blocks.
     #[inline(always)]
     fn general<S: Simd, K: Sink<S>>(
         &mut self,
@@ -414,7 +417,8 @@ impl<'a> Canvas<'a> {
         count
     }
 
-    /// Weights of a splat on its box, with `α = min(0.99, o·2^−e − o·f)`, fused, where [`Sphere`] has the exponent e. Returns the number of blocks.
+    /// Weights of a splat on its box, with `α = min(0.99, o·2^−e − o·f)`, fused, where [`Sphere`] has the exponent e.
+    /// Returns the number of blocks.
     #[inline(always)]
     fn spherical<S: Simd, K: Sink<S>>(
         &mut self,
@@ -447,8 +451,8 @@ impl<'a> Canvas<'a> {
         self.done[at.index()] == ALL
     }
 
-    /// Weights of one splat on the blocks `columns` (first and end) of a row, separably. No row comes twice between [`Sink::begin`] and
-    /// [`Sink::end`].
+    /// Weights of one splat on the blocks `columns` (first and end) of a row, separably. No row comes twice between
+    /// [`Sink::begin`] and [`Sink::end`].
     #[inline(always)]
     fn walk_row<S: Simd, K: Sink<S>>(
         &mut self,

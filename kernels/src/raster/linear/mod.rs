@@ -6,19 +6,20 @@
 //! image = A·c + B + T·background      A[p, i] = α_ip·T_ip      T[p] = light left behind all Gaussians
 //! ```
 //!
-//! B is 0 but for maps [`ColourMap::from_weight`]: there a Gaussian whose weights on a block of 4×4 pixels are all below the least one is no part of A on it, and
-//! B is what such Gaussians add in the colours with which the map was prepared.
+//! B is 0 but for maps [`ColourMap::from_weight`]: there a Gaussian whose weights on a block of 4×4 pixels are all
+//! below the least one is no part of A on it, and B is what such Gaussians add in the colours with which the map was
+//! prepared.
 //!
-//! The weights A are those of the blend, by the same code, rounded to 8 bits: for each Gaussian and block of 4×4 pixels there is a unit u, the
-//! smallest power of two (at least 2⁻¹⁶) with its largest weight there below 256·u, and A is `min(⌊α·T / u + ½⌋, 255)·u` (the quotient and
-//! sum fused). Where α is below 1/255, and behind a finished pixel, a Gaussian has weight 0. An image of the map is therefore within `½·Σ u·|c|`
-//! over a pixel's Gaussians of the rasteriser's (`u` instead of `½·u` where a weight is 255 units). B is made of weights that are not rounded.
+//! The weights A are those of the blend, by the same code, rounded to 8 bits: for each Gaussian and block of 4×4 pixels
+//! there is a unit u, the smallest power of two (at least 2⁻¹⁶) with its largest weight there below 256·u, and A is
+//! `min(⌊α·T / u + ½⌋, 255)·u` (the quotient and sum fused). Where α is below 1/255, and behind a finished pixel, a
+//! Gaussian has weight 0. An image of the map is therefore within `½·Σ u·|c|` over a pixel's Gaussians of the
+//! rasteriser's (`u` instead of `½·u` where a weight is 255 units). B is made of weights that are not rounded.
 //!
 //! # Order of operations
 //!
-//! Everything is binary32. A pixel of `A·c` and one of B are summed front to back, one fused multiply-add per Gaussian; `T·background` is added to the first (fused),
-//! then B. A sum over
-//! pixels (the adjoint) is made in three steps:
+//! Everything is binary32. A pixel of `A·c` and one of B are summed front to back, one fused multiply-add per Gaussian;
+//! `T·background` is added to the first (fused), then B. A sum over pixels (the adjoint) is made in three steps:
 //!
 //! 1. on each of the 16 lanes of a block of 4×4 pixels, over those blocks of a tile on which the Gaussian has a weight,
 //!    row-major, a fused multiply-add each, from +0;
@@ -90,8 +91,8 @@ pub struct ColourMap {
     spare: Mutex<Spare>,
 }
 
-/// Memory in which maps are prepared one after another: projected Gaussians and the tiles' lists, which a map that keeps all its weights needs no
-/// longer.
+/// Memory in which maps are prepared one after another: projected Gaussians and the tiles' lists, which a map that
+/// keeps all its weights needs no longer.
 #[derive(Debug)]
 pub struct Preparation(Rasteriser);
 
@@ -160,14 +161,16 @@ impl ColourMap {
         }
     }
 
-    /// The map without what hardly shows: the weights of a Gaussian on a block of 4×4 pixels are left out where all of them are below `weight`. What they add in
-    /// the colours with which the map is prepared is the constant B of its images.
+    /// The map without what hardly shows: the weights of a Gaussian on a block of 4×4 pixels are left out where all of
+    /// them are below `weight`. What they add in the colours with which the map is prepared is the constant B of its
+    /// images.
     #[must_use]
     pub fn from_weight(self, weight: f32) -> Self {
         Self { least: weight, ..self }
     }
 
-    /// Makes this the map of a scene onto an image of `[width, height]` pixels. Without a least weight `Gaussians::rgb` is ignored and may be empty.
+    /// Makes this the map of a scene onto an image of `[width, height]` pixels. Without a least weight `Gaussians::rgb`
+    /// is ignored and may be empty.
     ///
     /// # Panics
     /// As [`super::render`], colours aside.
@@ -175,8 +178,8 @@ impl ColourMap {
         self.prepare_tiles(gaussians, projection, size, |_| true);
     }
 
-    /// [`ColourMap::prepare_tiles`] in memory that other maps are prepared in as well, to the same bits. A map that cannot keep all its weights keeps the
-    /// memory.
+    /// [`ColourMap::prepare_tiles`] in memory that other maps are prepared in as well, to the same bits. A map that
+    /// cannot keep all its weights keeps the memory.
     ///
     /// # Panics
     /// As [`ColourMap::prepare`].
@@ -331,8 +334,8 @@ impl ColourMap {
         assert_eq!(image.len(), 3 * width * height, "three planes of {width}×{height} pixels");
     }
 
-    /// `image = A·colours + B + T·background`, `[3, H, W]`: [`super::render`]'s image of the Gaussians with these colours but for the rounding
-    /// of the weights, when colours are finite.
+    /// `image = A·colours + B + T·background`, `[3, H, W]`: [`super::render`]'s image of the Gaussians with these
+    /// colours but for the rounding of the weights, when colours are finite.
     ///
     /// # Panics
     /// When there is not one colour per Gaussian, or `image` is not of the map's size.

@@ -11,7 +11,8 @@ use crate::simd::{LANES, Operation, Simd};
 /// Channels of a tile's blocks.
 pub(super) type Pixels<const C: usize> = [[Lanes; C]; BLOCKS];
 
-/// A block's pixels in channel `c`: what its hits have added up to, the background behind them, and what is below the least weight.
+/// A block's pixels in channel `c`: what its hits have added up to, the background behind them, and what is below the
+/// least weight.
 #[inline(always)]
 fn whole<S: Simd>(s: S, record: &Record, block: usize, c: usize, sum: &Lanes, background: f32) -> S::F32 {
     let value = s.mul_add(s.load(&record.light[block].0), s.splat(background), s.load(&sum.0));

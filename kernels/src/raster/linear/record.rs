@@ -17,8 +17,8 @@ const MOST: f32 = 255.0;
 
 /// Unit of the stored weights of a hit, a power of two: the biased exponent of its binary32.
 ///
-/// An image of stored weights differs from that of the blend by half a unit per Gaussian and pixel (a whole one where a weight would be 256
-/// units); little more than a quarter of the memory of binary32 is read in each step of a fit.
+/// An image of stored weights differs from that of the blend by half a unit per Gaussian and pixel (a whole one where a
+/// weight would be 256 units); little more than a quarter of the memory of binary32 is read in each step of a fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Unit(u8);
 
@@ -39,8 +39,8 @@ impl Unit {
     }
 }
 
-/// Weights `α·T` of a tile. A *hit* is a splat and a block of 4×4 pixels with a nonzero stored weight on at least one pixel, and a weight that is not below
-/// the least on one of them.
+/// Weights `α·T` of a tile. A *hit* is a splat and a block of 4×4 pixels with a nonzero stored weight on at least one
+/// pixel, and a weight that is not below the least on one of them.
 #[derive(Debug, Default)]
 pub(super) struct Record {
     /// Gaussian of each splat that has hits, in drawing order.
@@ -55,7 +55,8 @@ pub(super) struct Record {
     pub units: Vec<Unit>,
     /// Transmittance behind all splats, one value per block; zero outside the image.
     pub light: Vec<Lanes>,
-    /// Red, green and blue of what is below the least weight, one value per block; empty where there is no least weight.
+    /// Red, green and blue of what is below the least weight, one value per block; empty where there is no least
+    /// weight.
     pub rest: Vec<[Lanes; 3]>,
 }
 

@@ -1,23 +1,25 @@
 //! Colours of least squares: conjugate gradients on the normal equations of several views of the same Gaussians.
 //!
-//! Unknowns are changes x of colours, one per Gaussian and channel. In view k Gaussian i has colour `c_i + τ_ki·x_i`; with A_k the
-//! [`ColourMap`] of the view and r_k the residual of its frame at x = 0,
+//! Unknowns are changes x of colours, one per Gaussian and channel. In view k Gaussian i has colour `c_i + τ_ki·x_i`;
+//! with A_k the [`ColourMap`] of the view and r_k the residual of its frame at x = 0,
 //!
 //! ```text
 //! min over x   Σ_k |A_k·(τ_k∘x) − r_k|² + λ·|x|²
 //! (Σ_k τ_k∘A_kᵀA_k∘τ_k + λ)·x = Σ_k τ_k∘A_kᵀ·r_k
 //! ```
 //!
-//! is solved channel by channel by preconditioned conjugate gradients (Hestenes and Stiefel 1952; Saad, Iterative Methods for Sparse Linear
-//! Systems, algorithm 9.1). The preconditioner is the inverse of the row sums of the matrix of magnitudes. The lists of a view are walked once per step.
+//! is solved channel by channel by preconditioned conjugate gradients (Hestenes and Stiefel 1952; Saad, Iterative
+//! Methods for Sparse Linear Systems, algorithm 9.1). The preconditioner is the inverse of the row sums of the matrix
+//! of magnitudes. The lists of a view are walked once per step.
 //!
-//! Tiles of a view whose image is [close](Effort::close) enough to its frame at x = 0 are left out of the sums over pixels.
+//! Tiles of a view whose image is [close](Effort::close) enough to its frame at x = 0 are left out of the sums over
+//! pixels.
 //!
 //! # Order of operations
 //!
-//! Vectors are binary32. A product with the matrix is `λ·x_i`, then per view in ascending order a fused `τ·Σ + …`, Σ the sum over tiles of
-//! [`ColourMap::normal`]. Steps along a direction are fused. Inner products are binary64, summed in chunks of [`CHUNK`] Gaussians, chunk after
-//! chunk.
+//! Vectors are binary32. A product with the matrix is `λ·x_i`, then per view in ascending order a fused `τ·Σ + …`, Σ
+//! the sum over tiles of [`ColourMap::normal`]. Steps along a direction are fused. Inner products are binary64, summed
+//! in chunks of [`CHUNK`] Gaussians, chunk after chunk.
 
 #![expect(unsafe_code, reason = "tasks write sums of tiles into one array")]
 
@@ -186,7 +188,8 @@ impl<'a> ColourFit<'a> {
     /// The problem of `unknowns` colours seen in `views`, with `ridge` for λ.
     ///
     /// # Panics
-    /// When a view has not one unknown per Gaussian of its map, or neither none nor one factor; when unknowns do not ascend to less than `unknowns`.
+    /// When a view has not one unknown per Gaussian of its map, or neither none nor one factor; when unknowns do not
+    /// ascend to less than `unknowns`.
     pub fn new(level: Level, views: Vec<FitView<'a>>, unknowns: usize, ridge: f32) -> Self {
         let mut starts = vec![0];
         for FitView { map, unknown, factor } in &views {

@@ -16,16 +16,16 @@ pub(super) const LOW_PASS: f64 = 0.3;
 /// `½·log₂e`: the footprint is kept so that α = opacity · 2^−(t² + s²), without a factor.
 pub(super) const HALF_LOG2_E: f64 = 0.721_347_520_444_481_7;
 pub(super) const ROOT_HALF_LOG2_E: f32 = 0.849_321_8;
-/// Centres farther out than this many pixels are brought in to it, together with their footprints: seen from the image, which
-/// is at most 2¹⁶ pixels wide, that changes the distance measured in standard deviations by less than one part in 10⁴, and
-/// far less where images are smaller. It keeps binary32 from overflowing.
+/// Centres farther out than this many pixels are brought in to it, together with their footprints: seen from the image,
+/// which is at most 2¹⁶ pixels wide, that changes the distance measured in standard deviations by less than one part in
+/// 10⁴, and far less where images are smaller. It keeps binary32 from overflowing.
 pub(super) const FARTHEST: f64 = 1_073_741_824.0;
 
 /// A projected Gaussian: one cache line.
 ///
-/// `α(x, y) = min(0.99, opacity · 2^−(s² + t²))` with `s = q·(y − v)` and `t = p·(x − m(y))`, where `m(y) = u + k·(y − v)` is
-/// the middle of the footprint on row y: a triangular factor of the conic. Rows' middles are binary64, so that long
-/// needles and far centres keep their place.
+/// `α(x, y) = min(0.99, opacity · 2^−(s² + t²))` with `s = q·(y − v)` and `t = p·(x − m(y))`, where `m(y) = u + k·(y −
+/// v)` is the middle of the footprint on row y: a triangular factor of the conic. Rows' middles are binary64, so that
+/// long needles and far centres keep their place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct Splat {
@@ -41,8 +41,8 @@ pub(super) struct Splat {
     pub reach: f32,
     pub rgb: [f32; 3],
     pub depth: f32,
-    /// Blocks that the footprint can touch, first and last, by column and by row; empty when the first is past the last. On the sphere columns past
-    /// the image's last continue at its first.
+    /// Blocks that the footprint can touch, first and last, by column and by row; empty when the first is past the
+    /// last. On the sphere columns past the image's last continue at its first.
     pub columns: [u16; 2],
     pub rows: [u16; 2],
 }
@@ -120,7 +120,8 @@ pub(super) enum Form {
 /// A lens with a width: σ = f·share·|1/z − nearness| pixels of blur.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Blur {
-    /// A quarter of its diameter: the disc of the blur has half of that as its radius, and half of its radius as its standard deviation along an axis.
+    /// A quarter of its diameter: the disc of the blur has half of that as its radius, and half of its radius as its
+    /// standard deviation along an axis.
     share: f64,
     /// One over the depth in focus.
     nearness: f64,
@@ -254,7 +255,8 @@ impl<S: Simd> Loaded<S> {
     }
 }
 
-/// First and last block of the pixels within `radius` of `centre` in an image of `size` pixels, and whether there are any.
+/// First and last block of the pixels within `radius` of `centre` in an image of `size` pixels, and whether there are
+/// any.
 #[inline(always)]
 pub(super) fn blocks<S: Simd>(s: S, centre: S::F32, radius: S::F32, size: usize) -> ([[i32; LANES]; 2], S::Mask) {
     let (zero, last) = (s.splat(0.0), s.splat(size as f32 - 1.0));
@@ -272,7 +274,8 @@ pub(super) fn blocks<S: Simd>(s: S, centre: S::F32, radius: S::F32, size: usize)
     ([s.to_array_i32(from), s.to_array_i32(to)], some)
 }
 
-/// The standard deviation of a separable footprint along one axis, `√((f·s)² + 0.3)` in binary32, and the share `|f·s|` of it.
+/// The standard deviation of a separable footprint along one axis, `√((f·s)² + 0.3)` in binary32, and the share `|f·s|`
+/// of it.
 #[inline(always)]
 fn deviation<S: Simd>(s: S, scale: &Lanes, focal: f32) -> (S::F32, S::F32) {
     let sigma = s.mul(s.splat(focal), s.from_array(*scale));
@@ -283,8 +286,8 @@ fn deviation<S: Simd>(s: S, scale: &Lanes, focal: f32) -> (S::F32, S::F32) {
     (s.select(long, s.abs(sigma), root), share)
 }
 
-/// One axis of a separable footprint with the standard deviation `root`, in binary32: the centre `f·x + (size − 1)/2` in two parts
-/// by fused multiply-adds, `√(½log₂e) / root`, the blocks it can touch, and whether there are any.
+/// One axis of a separable footprint with the standard deviation `root`, in binary32: the centre `f·x + (size − 1)/2`
+/// in two parts by fused multiply-adds, `√(½log₂e) / root`, the blocks it can touch, and whether there are any.
 #[inline(always)]
 fn along<S: Simd>(
     s: S,

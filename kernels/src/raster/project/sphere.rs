@@ -1,8 +1,9 @@
 //! Footprints on the sphere of directions around the eye, for equirectangular images.
 //!
-//! A footprint lies in the plane that touches the sphere in the direction n of its centre. In that plane a direction d is seen at
-//! `(e·d, s·d) / n·d`, where e points east and s south, and the Gaussian is projected onto it as by a pinhole that looks along n. So a footprint
-//! has the shape that it has on the sphere, on the seam and on the poles as well, and needs no copies.
+//! A footprint lies in the plane that touches the sphere in the direction n of its centre. In that plane a direction d
+//! is seen at `(e·d, s·d) / n·d`, where e points east and s south, and the Gaussian is projected onto it as by a
+//! pinhole that looks along n. So a footprint has the shape that it has on the sphere, on the seam and on the poles as
+//! well, and needs no copies.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -12,9 +13,11 @@ use crate::simd::{LANES, Simd};
 
 /// Gaussians nearer to the eye are not drawn.
 const NEAREST: f64 = 1e-6;
-/// Least cosine of the latitude by which the low-pass narrows along the latitude: nearer to the poles pixels are narrower than it.
+/// Least cosine of the latitude by which the low-pass narrows along the latitude: nearer to the poles pixels are
+/// narrower than it.
 pub(in super::super) const POLE: f64 = 0.0625;
-/// Added to the tangents that bound a footprint, relative and absolute, and to the pixels that they lead to: more than all rounding.
+/// Added to the tangents that bound a footprint, relative and absolute, and to the pixels that they lead to: more than
+/// all rounding.
 const SLACK: [f64; 3] = [1e-4, 1e-6, 0.02];
 
 /// East and south at a direction; at a pole as at longitude 0.
@@ -42,8 +45,8 @@ fn angle(y: f64, x: f64) -> f64 {
     if y < 0.0 { -upper } else { upper }
 }
 
-/// Least and greatest latitude of the rectangle that reaches so far east and south of the direction n, and how far it reaches in longitude;
-/// `None` for all around.
+/// Least and greatest latitude of the rectangle that reaches so far east and south of the direction n, and how far it
+/// reaches in longitude; `None` for all around.
 fn extent([_, sin, _]: [f64; 3], cos: f64, [east, south]: [f64; 2]) -> ([f64; 2], Option<f64>) {
     // The southern half; the northern is its mirror image.
     let (down, sign) = (sin.abs(), if sin < 0.0 { -1.0 } else { 1.0 });
@@ -68,8 +71,8 @@ fn whole(from: f64, to: f64, last: f64) -> Option<[i32; 2]> {
     (from <= to).then_some([from as i32, to as i32])
 }
 
-/// Blocks of columns around a longitude, first and last; columns beyond the right edge are counted on from there and appear at the left
-/// one.
+/// Blocks of columns around a longitude, first and last; columns beyond the right edge are counted on from there and
+/// appear at the left one.
 fn columns(longitude: f64, wide: Option<f64>, width: usize) -> Option<[i32; 2]> {
     let (blocks, size) = (width.div_ceil(BLOCK) as i32, width as f64);
     let all = Some([0, blocks - 1]);
@@ -103,8 +106,9 @@ fn columns(longitude: f64, wide: Option<f64>, width: usize) -> Option<[i32; 2]> 
 impl Batch {
     /// Projects Gaussians `first ..` (as many as there are, at most sixteen) onto the sphere.
     ///
-    /// Binary64 in the order written here; the direction of the centre is rounded to binary32 first. The determinant is that of
-    /// [`Batch::general`], with a low-pass of `0.3·(cos φ·2H/W)²` along the latitude, in pixels of the meridian.
+    /// Binary64 in the order written here; the direction of the centre is rounded to binary32 first. The determinant is
+    /// that of [`Batch::general`], with a low-pass of `0.3·(cos φ·2H/W)²` along the latitude, in pixels of the
+    /// meridian.
     #[inline(always)]
     pub(in super::super) fn spherical<S: Simd>(s: S, gaussians: &Gaussians<'_>, first: usize, view: &Viewport) -> Self {
         let Loaded { mean, scale, turn, opacity, finite } = Loaded::of(s, gaussians, first);

@@ -63,7 +63,8 @@ fn what_is_out_of_focus_is_wider_and_fainter_and_adds_up_to_the_same() {
 
 #[test]
 fn a_blur_is_as_wide_as_the_disc_of_a_thin_lens() {
-    // A point at depth 4, in focus 2: a disc with a radius of ½·0.4·100·(1/2 − 1/4) = 5 px, with a variance of 25/4 along an axis.
+    // A point at depth 4, in focus 2: a disc with a radius of ½·0.4·100·(1/2 − 1/4) = 5 px, with a variance of 25/4
+    // along an axis.
     let mut scene = OwnedGaussians { rotation: Some(Vec::new()), ..OwnedGaussians::default() };
     scene.push([0.0, 0.0, 4.0], [0.0; 3], [1.0, 0.0, 0.0, 0.0], 0.9, [1.0; 3]);
     let projection = Projection::Pinhole { focal: [100.0; 2], centre: [63.5; 2] };

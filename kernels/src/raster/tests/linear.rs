@@ -79,8 +79,8 @@ fn scenes() -> Vec<OwnedGaussians> {
     vec![ordinary(3000, false, 3), ordinary(3000, true, 4), extreme(500, 5), deep, clear, OwnedGaussians::default()]
 }
 
-/// The unit in which the map stores each weight: the smallest power of two, at least 2⁻¹⁶, with the Gaussian's largest weight on the block of
-/// 4×4 pixels below 256 units. That weight may be larger by the part `doubt`.
+/// The unit in which the map stores each weight: the smallest power of two, at least 2⁻¹⁶, with the Gaussian's largest
+/// weight on the block of 4×4 pixels below 256 units. That weight may be larger by the part `doubt`.
 fn units(weights: &[reference::Weight], size: [usize; 2], doubt: f64) -> Vec<f64> {
     let block = |w: &reference::Weight| (w.gaussian, w.pixel % size[0] / BLOCK, w.pixel / size[0] / BLOCK);
     let mut most: HashMap<_, f64> = HashMap::new();

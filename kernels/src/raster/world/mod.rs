@@ -2,7 +2,8 @@
 //!
 //! # What is computed
 //!
-//! A Gaussian with mean w, quaternion q, scales S = diag(s), opacity o and channels c is seen by a camera with the world-to-view matrix [V | t]:
+//! A Gaussian with mean w, quaternion q, scales S = diag(s), opacity o and channels c is seen by a camera with the
+//! world-to-view matrix [V | t]:
 //!
 //! ```text
 //! (x, y, z) = V·w + t                R = rotation of q/|q|
@@ -15,44 +16,51 @@
 //! image = Σ α·T·c + T·background     alpha = 1 − T
 //! ```
 //!
-//! Pixel centres are halves: c_x and u count from the image's left edge. `h_x` is x/z held between `(−0.15·W − c_x)/f_x` and `(1.15·W − c_x)/f_x`.
-//! A Gaussian's radius along an axis is `⌈min(3.33, √(2·ln(255·o′)))·√a⌉` pixels; 0, and the Gaussian left out, where its box of radii lies outside the
-//! image, where both radii are at most `least_radius`, and where o′ is under 1/255.
+//! Pixel centres are halves: c_x and u count from the image's left edge. `h_x` is x/z held between `(−0.15·W −
+//! c_x)/f_x` and `(1.15·W − c_x)/f_x`. A Gaussian's radius along an axis is `⌈min(3.33, √(2·ln(255·o′)))·√a⌉` pixels;
+//! 0, and the Gaussian left out, where its box of radii lies outside the image, where both radii are at most
+//! `least_radius`, and where o′ is under 1/255.
 //!
 //! The adjoint takes a loss's gradients with respect to image and alpha to those with respect to everything above, of
-//! the formulas as they are written: an α at its bound 0.999, a held h_x and skipped Gaussians have no gradient of their own.
+//! the formulas as they are written: an α at its bound 0.999, a held h_x and skipped Gaussians have no gradient of
+//! their own.
 //!
 //! # Order of operations
 //!
-//! Projection is binary64 in the order written in `project.rs`, from the numbers as they are in binary32; its results are rounded once. Lists and α are those of
-//! [`super`] (form *general*). A pixel's channel is summed front to back, one fused multiply-add per Gaussian.
+//! Projection is binary64 in the order written in `project.rs`, from the numbers as they are in binary32; its results
+//! are rounded once. Lists and α are those of [`super`] (form *general*). A pixel's channel is summed front to back,
+//! one fused multiply-add per Gaussian.
 //!
-//! The adjoint walks the same lists front to back with the same α and T. With g the gradients of a pixel's channels and g_α that of alpha,
-//! `G = g_α + Σ_c g_c·c_c` (fused, channels ascending, from g_α), and `B` what lies behind the Gaussian, from `B₀ = g_α·alpha + Σ_c g_c·image_c` (alike):
+//! The adjoint walks the same lists front to back with the same α and T. With g the gradients of a pixel's channels and
+//! g_α that of alpha, `G = g_α + Σ_c g_c·c_c` (fused, channels ascending, from g_α), and `B` what lies behind the
+//! Gaussian, from `B₀ = g_α·alpha + Σ_c g_c·image_c` (alike):
 //!
 //! ```text
 //! B −= (α·T)·G        v = α·∂L/∂α = (α·T)·G − α/(1 − α)·B
 //! ```
 //!
-//! B is a difference: v is as exact as 2⁻²² of B₀, divided by 1 − α. Channels are taken in groups of four, and of the remaining ones;
-//! g_α counts with the first group. With `s = q·(y − v)`, `t = p·(x − m)` of the footprint's triangular factor, a Gaussian's sums
-//! `Σv, Σvt, Σvs, Σvt², Σvts, Σvs²` and `Σ α·T·g_c` are made in three steps:
+//! B is a difference: v is as exact as 2⁻²² of B₀, divided by 1 − α. Channels are taken in groups of four, and of the
+//! remaining ones; g_α counts with the first group. With `s = q·(y − v)`, `t = p·(x − m)` of the footprint's triangular
+//! factor, a Gaussian's sums `Σv, Σvt, Σvs, Σvt², Σvts, Σvs²` and `Σ α·T·g_c` are made in three steps:
 //!
-//! 1. on each of the 16 lanes of a block of 4×4 pixels, over those blocks of a tile on which the Gaussian is drawn, row-major, from +0;
+//! 1. on each of the 16 lanes of a block of 4×4 pixels, over those blocks of a tile on which the Gaussian is drawn,
+//!    row-major, from +0;
 //! 2. the lanes, folded as [`Simd::sum`](crate::simd::Simd::sum) does;
 //! 3. the tiles of [`TILE_PIXELS`](super::TILE_PIXELS), added in ascending order, row-major, from +0.
 //!
-//! Groups of channels are added in ascending order. A background's gradient is the sum of T·g in binary64: over a block's lanes, the blocks of a tile, the
-//! tiles, each in ascending order. The rest is binary64 in the order written in `adjoint.rs`; a camera's gradient is summed over the
-//! Gaussians of chunks of 2048, then over the chunks, both in ascending order.
+//! Groups of channels are added in ascending order. A background's gradient is the sum of T·g in binary64: over a
+//! block's lanes, the blocks of a tile, the tiles, each in ascending order. The rest is binary64 in the order written
+//! in `adjoint.rs`; a camera's gradient is summed over the Gaussians of chunks of 2048, then over the chunks, both in
+//! ascending order.
 //!
 //! # Values that are not finite
 //!
-//! A Gaussian with a NaN or an infinity in mean, scale, quaternion or opacity is left out; its gradients are 0. Channels, backgrounds and gradients of pixels that
-//! are not finite count as +0. A quaternion shorter than 1e-12 is divided by 1e-12, as gsplat does, and has no gradient. So has
-//! an opacity that anti-aliasing lowers to 0.
+//! A Gaussian with a NaN or an infinity in mean, scale, quaternion or opacity is left out; its gradients are 0.
+//! Channels, backgrounds and gradients of pixels that are not finite count as +0. A quaternion shorter than 1e-12 is
+//! divided by 1e-12, as gsplat does, and has no gradient. So has an opacity that anti-aliasing lowers to 0.
 //!
-//! Source: Ye et al., "gsplat: An Open-Source Library for Gaussian Splatting" (2024), version 1.5.3, for the conventions; Kerbl et al. (2023) for the formulas.
+//! Source: Ye et al., "gsplat: An Open-Source Library for Gaussian Splatting" (2024), version 1.5.3, for the
+//! conventions; Kerbl et al. (2023) for the formulas.
 
 mod adjoint;
 mod blend;
@@ -149,7 +157,8 @@ pub struct Projected {
 pub struct FootprintGradient {
     /// By u and v, per px.
     pub centre: [f32; 2],
-    /// By ln p, by `k·p/q` and by ln q of the triangular factor of `½log₂e·Σ⁻¹`, whose columns are (p, −k·p) and (0, q).
+    /// By ln p, by `k·p/q` and by ln q of the triangular factor of `½log₂e·Σ⁻¹`, whose columns are (p, −k·p) and (0,
+    /// q).
     pub shape: [f32; 3],
     /// By o′.
     pub opacity: f32,

@@ -81,12 +81,13 @@ impl WorldRasteriser {
         size_of_val(&self.rasteriser.splats[..]) + size_of_val(&self.rasteriser.entries[..]) + 44 * self.gaussians()
     }
 
-    /// Projects, bins and sorts `gaussians`, whose means and rotations are in world space and whose colours are ignored (they may be empty).
+    /// Projects, bins and sorts `gaussians`, whose means and rotations are in world space and whose colours are ignored
+    /// (they may be empty).
     ///
     /// # Panics
-    /// When the slices of `gaussians` differ in length, when there are 2³² Gaussians or more, when a side of the image is longer than [`MAX_SIDE`](crate::raster::MAX_SIDE),
-    /// when `view.near` is not at least 0,
-    /// or when `view.largest_alpha` is not above 0 and below 1.
+    /// When the slices of `gaussians` differ in length, when there are 2³² Gaussians or more, when a side of the image
+    /// is longer than [`MAX_SIDE`](crate::raster::MAX_SIDE), when `view.near` is not at least 0, or when
+    /// `view.largest_alpha` is not above 0 and below 1.
     pub fn project(&mut self, gaussians: &Gaussians<'_>, view: &WorldView) {
         let n = gaussians.len();
         let _span = debug_span!("world_project", gaussians = n, width = view.width, height = view.height).entered();
@@ -212,8 +213,9 @@ impl WorldRasteriser {
         );
     }
 
-    /// Gradients of a loss from those by image and alpha: `of_image [H, W, D]` and `of_alpha [H, W]` take it to `footprints [N]`, `of_colours [N, D]` and
-    /// `of_background [D]` (or nothing), which are written over. `image` and `alpha` are what [`WorldRasteriser::draw`] drew.
+    /// Gradients of a loss from those by image and alpha: `of_image [H, W, D]` and `of_alpha [H, W]` take it to
+    /// `footprints [N]`, `of_colours [N, D]` and `of_background [D]` (or nothing), which are written over. `image` and
+    /// `alpha` are what [`WorldRasteriser::draw`] drew.
     ///
     /// # Panics
     /// When a slice has another length.
@@ -314,8 +316,8 @@ impl WorldRasteriser {
         }
     }
 
-    /// Adds to `to` the gradients with respect to Gaussians from those by their footprints and, where there are any, `of_depth [N]` by their depths z.
-    /// Returns the gradient by [V | t]. `gaussians` are those that were projected.
+    /// Adds to `to` the gradients with respect to Gaussians from those by their footprints and, where there are any,
+    /// `of_depth [N]` by their depths z. Returns the gradient by [V | t]. `gaussians` are those that were projected.
     ///
     /// # Panics
     /// When a slice has another length.

@@ -1,4 +1,5 @@
-//! The plain version: binary64, no tiles, no vectors, every pixel against every Gaussian, and covariances as products of matrices.
+//! The plain version: binary64, no tiles, no vectors, every pixel against every Gaussian, and covariances as products
+//! of matrices.
 
 use super::{WorldProjection, WorldView};
 
@@ -32,7 +33,8 @@ pub struct ReferenceImage {
     pub alpha: Vec<f64>,
     /// `[N]`: depths z.
     pub depth: Vec<f64>,
-    /// The smallest relative distance of an α from 1/255 or the largest, of a transmittance from 1e-4, and of a tangent from its bound.
+    /// The smallest relative distance of an α from 1/255 or the largest, of a transmittance from 1e-4, and of a tangent
+    /// from its bound.
     pub margin: f64,
 }
 

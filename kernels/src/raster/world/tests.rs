@@ -212,7 +212,8 @@ fn images_agree_with_the_plain_version() {
     assert!(compared > 20, "{compared} scenes are away from thresholds");
 }
 
-/// The largest distance of two vectors of `len` numbers each, relative to the expected vector's length and to a hundredth of the longest.
+/// The largest distance of two vectors of `len` numbers each, relative to the expected vector's length and to a
+/// hundredth of the longest.
 fn relative(found: &[f64], expected: &[f64], len: usize) -> f64 {
     assert_eq!(found.len(), expected.len());
     let length = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();

@@ -6,8 +6,8 @@
 //! NAME/byteorder     "little" or "big"; little where it is missing
 //! ```
 //!
-//! [`pickle`] reads tensors and nothing else: it imports nothing and calls nothing. Tensors have to be dense and row-major; they are read from the mapped
-//! file in place.
+//! [`pickle`] reads tensors and nothing else: it imports nothing and calls nothing. Tensors have to be dense and
+//! row-major; they are read from the mapped file in place.
 //!
 //! Source: PyTorch, `torch/serialization.py`, "Serialization semantics".
 
@@ -40,7 +40,8 @@ pub(super) fn is_torch(bytes: &[u8]) -> bool {
         || bytes.starts_with(b"\x80\x04")
 }
 
-/// Returns true if the first bytes of a file are those of a zip archive in which the pickle of `torch.save` comes first.
+/// Returns true if the first bytes of a file are those of a zip archive in which the pickle of `torch.save` comes
+/// first.
 pub fn is_archive(head: &[u8]) -> bool {
     // Local header: 26 bytes, lengths of the name and of the extra field, the name.
     let name = head.get(26..28).map(|length| usize::from(u16::from_le_bytes([length[0], length[1]])));
@@ -56,8 +57,9 @@ pub(super) fn parse(bytes: &[u8]) -> Result<BTreeMap<String, TensorInfo>, String
     if !bytes.starts_with(ZIP) {
         return Err("a plain pickle: expected a zip archive, as torch.save writes, or safetensors".to_owned());
     }
-    // The archive begins where the file does. Looking for its start, the crate takes the second entry for the first in files of torch.save whose first entry has a
-    // name of 30 bytes: 76 bytes before the end of the directory, which are those of the records of 64 bits, would then be a whole entry.
+    // The archive begins where the file does. Looking for its start, the crate takes the second entry for the first in
+    // files of torch.save whose first entry has a name of 30 bytes: 76 bytes before the end of the directory, which are
+    // those of the records of 64 bits, would then be a whole entry.
     let config = Config { archive_offset: ArchiveOffset::Known(0) };
     let mut archive = ZipArchive::with_config(config, Cursor::new(bytes))
         .map_err(|e| format!("not a whole zip archive, as torch.save writes: {e}"))?;

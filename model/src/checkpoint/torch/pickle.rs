@@ -4,8 +4,8 @@
 //! supports only the four calls by which PyTorch describes tensors, and implements them itself. Anything else is an
 //! error: no class is looked up, no code is run.
 //!
-//! Values lie in one list in the order of their making; the stack, the memo and containers hold their numbers. So every byte of a pickle makes
-//! one value at most, for any number of references to it.
+//! Values lie in one list in the order of their making; the stack, the memo and containers hold their numbers. So every
+//! byte of a pickle makes one value at most, for any number of references to it.
 //!
 //! Source: CPython, `Lib/pickletools.py` (opcodes of protocols 0 to 5).
 

@@ -90,7 +90,8 @@ fn whole() -> Vec<u8> {
     end(writer.text("empty").tensor("HalfStorage", "0", 0, &[0, 3], &[3, 1]))
 }
 
-/// The archive with the records that torch.save writes before its end: the directory's size and place in 64 bits, and where that is.
+/// The archive with the records that torch.save writes before its end: the directory's size and place in 64 bits, and
+/// where that is.
 fn with_64_bits(mut bytes: Vec<u8>) -> Vec<u8> {
     let end = bytes.windows(4).rposition(|four| four == b"PK\x05\x06").expect("an end");
     let word = |at: usize, length: usize| {

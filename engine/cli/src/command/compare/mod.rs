@@ -1,4 +1,5 @@
-//! `compare`: whether two images, folders of images, videos or scenes are the same, and else how far they are apart and where.
+//! `compare`: whether two images, folders of images, videos or scenes are the same, and else how far they are apart and
+//! where.
 
 mod account;
 mod folders;

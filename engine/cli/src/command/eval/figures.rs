@@ -207,8 +207,8 @@ pub(super) struct GroupScore {
     pub(super) psnr: Option<f64>,
 }
 
-/// PSNR of the cross-fade, in dB, from which on a clip belongs to the group `still`: its neighbouring frames are alike. A camera held by hand may be among
-/// them.
+/// PSNR of the cross-fade, in dB, from which on a clip belongs to the group `still`: its neighbouring frames are alike.
+/// A camera held by hand may be among them.
 pub(super) const MOVING: f64 = 26.0;
 
 impl Group {

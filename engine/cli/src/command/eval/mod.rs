@@ -1,10 +1,12 @@
-//! `eval`: key frames in, the frames between held out; how close the scene comes to them, and simple baselines beside it.
+//! `eval`: key frames in, the frames between held out; how close the scene comes to them, and simple baselines beside
+//! it.
 //!
-//! Every `gap`-th frame is a key frame, or what `--gap auto` chooses. The scene is drawn at every frame's time and compared with the true frame twice: at the
-//! source's own size, sample by sample in 8 bits, as in `run`; and by the protocol of the paper, drawn at `--size` and both resized to 256×256
-//! bilinearly. *Key* frames are inputs. *Middle* frames are inputs only with `--seen`. Baselines for the middle
-//! frames: the cross-fade of the key frames around, the nearer one, and the key frames blended along the optical flow between them. Frames after the last whole interval are left out.
-//! Said beside it is how the image jumps at key frames, and how far it goes from frame to frame.
+//! Every `gap`-th frame is a key frame, or what `--gap auto` chooses. The scene is drawn at every frame's time and
+//! compared with the true frame twice: at the source's own size, sample by sample in 8 bits, as in `run`; and by the
+//! protocol of the paper, drawn at `--size` and both resized to 256×256 bilinearly. *Key* frames are inputs. *Middle*
+//! frames are inputs only with `--seen`. Baselines for the middle frames: the cross-fade of the key frames around, the
+//! nearer one, and the key frames blended along the optical flow between them. Frames after the last whole interval are
+//! left out. Said beside it is how the image jumps at key frames, and how far it goes from frame to frame.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -302,7 +304,8 @@ fn compared(image: &Image) -> Picture {
     Picture { width: image.width, height: image.height, rgb: image.rgb.clone() }.resized(SIDE, SIDE)
 }
 
-/// PSNR at the source's own size, in dB. `drawn` is the image of this time at the other size, used if it has the frame's size.
+/// PSNR at the source's own size, in dB. `drawn` is the image of this time at the other size, used if it has the
+/// frame's size.
 fn own_size(
     drawing: &mut Drawing,
     interval: &Interval,

@@ -180,8 +180,8 @@ struct Failures {
 }
 
 impl Failures {
-    /// Writes `NAME.actual.png`, and where a preview was recorded `NAME.expected.png` and `NAME.heat.png`; says how far both are
-    /// apart.
+    /// Writes `NAME.actual.png`, and where a preview was recorded `NAME.expected.png` and `NAME.heat.png`; says how far
+    /// both are apart.
     fn write(
         &mut self,
         name: &str,

@@ -63,8 +63,8 @@ pub struct PreviewFile {
     pub blake3: String,
 }
 
-/// BLAKE3 of an image before anything is rounded to 8 bits: width and height (64 bits each), then red, green and blue planes
-/// (and alpha, where it is drawn) as binary32; everything in little-endian order.
+/// BLAKE3 of an image before anything is rounded to 8 bits: width and height (64 bits each), then red, green and blue
+/// planes (and alpha, where it is drawn) as binary32; everything in little-endian order.
 pub fn digest(image: &Image) -> String {
     let mut hasher = blake3::Hasher::new();
     for side in [image.width, image.height] {

@@ -1,12 +1,12 @@
 //! The cameras and images of a COLMAP model, as text or binary.
 //!
-//! An image has the rotation (quaternion w, x, y, z) and the translation that take the world into the camera (x right, y down, z
-//! forward); its centre is −Rᵀt. Cameras are `SIMPLE_PINHOLE` (f, cx, cy) or `PINHOLE` (fx, fy, cx, cy), in pixels counted from the corner
-//! of the first one; a view through any other model is refused by name, and only that view. Images are ordered by their names, numbers in
-//! them by value.
+//! An image has the rotation (quaternion w, x, y, z) and the translation that take the world into the camera (x right,
+//! y down, z forward); its centre is −Rᵀt. Cameras are `SIMPLE_PINHOLE` (f, cx, cy) or `PINHOLE` (fx, fy, cx, cy), in
+//! pixels counted from the corner of the first one; a view through any other model is refused by name, and only that
+//! view. Images are ordered by their names, numbers in them by value.
 //!
-//! COLMAP 4 stores poses of *frames* as well, one pose for all cameras of a *rig*, in `rigs` and `frames`. Where both hold something, they
-//! decide, as in COLMAP itself, and the poses of `images` are ignored:
+//! COLMAP 4 stores poses of *frames* as well, one pose for all cameras of a *rig*, in `rigs` and `frames`. Where both
+//! hold something, they decide, as in COLMAP itself, and the poses of `images` are ignored:
 //!
 //! ```text
 //! camera_from_world = sensor_from_rig · rig_from_world
@@ -89,7 +89,8 @@ pub fn text(files: &Files<'_>) -> Result<CameraSet, FormatError> {
 /// Reads a model whose files are binary.
 ///
 /// # Errors
-/// Files that end early and camera models of unknown length. A view that cannot be drawn is an error of its own in the set.
+/// Files that end early and camera models of unknown length. A view that cannot be drawn is an error of its own in the
+/// set.
 pub fn binary(files: &Files<'_>) -> Result<CameraSet, FormatError> {
     let rigs = files.rigs.map(binary::rigs).transpose()?;
     join(&binary::cameras(files.cameras)?, binary::images(files.images)?, rigs)

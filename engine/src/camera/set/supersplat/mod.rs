@@ -5,12 +5,13 @@
 //! | none | `camera`: `position`, `target`, `fov` (75 where it is left out) | `animTracks` (`fov` is the camera's, or 60) |
 //! | 2 | `cameras`, each with `initial`: `position`, `target`, `fov` | `animTracks` |
 //!
-//! The viewer shows a file's scene turned by half a turn about z and has y up, so the point (x, y, z) of the settings is (−x, −y, z) of
-//! the file, and up is −y. `fov` is in degrees, across the longer side of the image: the horizontal one unless the image is upright.
-//! The settings have no image size. The caller sets it; the default is 1280×720.
+//! The viewer shows a file's scene turned by half a turn about z and has y up, so the point (x, y, z) of the settings
+//! is (−x, −y, z) of the file, and up is −y. `fov` is in degrees, across the longer side of the image: the horizontal
+//! one unless the image is upright. The settings have no image size. The caller sets it; the default is 1280×720.
 //!
-//! The first animation, where there is one, is the path: `duration` seconds of `frameRate` images a second along the viewer's own
-//! spline (`spline.rs`). The first camera is then found as `initial`, and the cameras of `annotations` by their titles.
+//! The first animation, where there is one, is the path: `duration` seconds of `frameRate` images a second along the
+//! viewer's own spline (`spline.rs`). The first camera is then found as `initial`, and the cameras of `annotations` by
+//! their titles.
 
 mod spline;
 

@@ -1,6 +1,7 @@
 //! Colours in linear light, as pictures of the display.
 //!
-//! Curves are computed by additions, products, quotients and square roots in binary64, which every CPU rounds alike: roots are Newton's.
+//! Curves are computed by additions, products, quotients and square roots in binary64, which every CPU rounds alike:
+//! roots are Newton's.
 
 use std::sync::OnceLock;
 
@@ -95,7 +96,8 @@ fn root(degree: u8, x: f64) -> f64 {
 
 type Matrix = [[f64; 3]; 3];
 
-/// From colours of these primaries to those of sRGB, white to white; `None` where they are sRGB's, and for primaries that span nothing.
+/// From colours of these primaries to those of sRGB, white to white; `None` where they are sRGB's, and for primaries
+/// that span nothing.
 ///
 /// # Errors
 /// Primaries that are on a line, or a white without luminance.

@@ -115,8 +115,8 @@ impl Colours<'_> {
     }
 }
 
-/// Chooses the colour channels: those of the only layer that has any; of several, those without a layer's name, else those
-/// of the layer with a name in `WHOLE`. Other layers are listed in a note.
+/// Chooses the colour channels: those of the only layer that has any; of several, those without a layer's name, else
+/// those of the layer with a name in `WHOLE`. Other layers are listed in a note.
 fn choose<'a>(file: &'a File<'_>, notes: &mut Vec<String>) -> Result<Colours<'a>, String> {
     let mut found: Vec<Colours<'a>> = Vec::new();
     let mut names = Vec::new();
