@@ -21,6 +21,7 @@ WIDTH, AVERAGE, LONGEST = 120, 20, 45
 WORN = re.compile(r'\b(gone\s+on|asked\s+for|besides?|nobody|whoever|gives)\b', re.IGNORECASE)
 # Written by tests or programs from text that is elsewhere, or a record of the past.
 GENERATED = re.compile(r'docs/api/.*|docs/cli\.md|tests/extremes/REPORT\.md|CHANGELOG\.md|(.*/)?LICENSE.*')
+WRITTEN = re.compile(r'<!-- (?:table of .*?|.* from here) -->.*?<!-- (?:end|to here) -->', re.DOTALL)
 FENCE = re.compile(r'^[ ]*(```+|~~~+).*?^[ ]*\1[ ]*$', re.MULTILINE | re.DOTALL)
 STRINGS = r'r(#+)".*?"\1|"(?:\\.|[^"\\])*"'
 RUST = re.compile(STRINGS + r"|b?'(?:\\[^\n]+?|[^'\\\n])'|(?P<comment>//[^\n]*|/\*.*?\*/)", re.DOTALL)
@@ -92,7 +93,7 @@ def sentences(page):
 
 def check(name, text):
     """What is wrong in a file, a line each."""
-    page = without_code(text) if name.endswith('.md') else None
+    page = without_code(WRITTEN.sub(lambda block: blank(block[0]), text)) if name.endswith('.md') else None
     prose = comments(name, text) if page is None else page
     if prose is None:
         return
