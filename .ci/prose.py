@@ -23,10 +23,11 @@ WORN = re.compile(r'\b(gone\s+on|asked\s+for|besides?|nobody|whoever|gives)\b', 
 GENERATED = re.compile(r'docs/api/.*|docs/cli\.md|tests/extremes/REPORT\.md|CHANGELOG\.md|(.*/)?LICENSE.*')
 WRITTEN = re.compile(r'<!-- (?:table of .*?|.* from here) -->.*?<!-- (?:end|to here) -->', re.DOTALL)
 FENCE = re.compile(r'^[ ]*(```+|~~~+).*?^[ ]*\1[ ]*$', re.MULTILINE | re.DOTALL)
-STRINGS = r'r(#+)".*?"\1|"(?:\\.|[^"\\])*"'
+STRINGS = r'(?<!\w)b?r(#*)".*?"\1|"(?:\\.|[^"\\])*"'
 RUST = re.compile(STRINGS + r"|b?'(?:\\[^\n]+?|[^'\\\n])'|(?P<comment>//[^\n]*|/\*.*?\*/)", re.DOTALL)
 SCRIPT = re.compile(r"'(?:\\.|[^'\\\n])*'" + r'|"(?:\\.|[^"\\\n])*"|`(?:\\.|[^`\\\n])*`|(?P<comment>(?<![:\\/\w])//[^\n]*|/\*.*?\*/)', re.DOTALL)
 SHELL = re.compile(r'(?P<comment>(?:^|(?<=\s))#[^\n]*)', re.MULTILINE)
+ITEM = re.compile(r'[ ]*(?:(?:[-*]|\d+\.)[ ]+)?')
 MARKER = re.compile(r'^[ ]*(//[/!]?|/\*+|\*+/?(?=\s|$)|#+!?)', re.MULTILINE)
 
 
@@ -41,12 +42,24 @@ def parts(text, spans):
     for first, last in spans:
         kept += blank(text[end:first]) + text[first:last]
         end = last
-    return kept
+    return kept + blank(text[end:])
 
 
 def without_code(text):
     text = FENCE.sub(lambda fence: blank(fence[0]), text)
     return re.sub(r'(`+)(?:(?!\n\s*\n)[^`])+?\1', lambda code: 'code' + blank(code[0]), text)
+
+
+def without_blocks(page):
+    """A page without what a test writes and without indented code, which lists do not have."""
+    lines, in_list, before = WRITTEN.sub(lambda block: blank(block[0]), page).split('\n'), False, ''
+    for i, line in enumerate(lines):
+        if line.strip():
+            in_list = bool(re.match(r'[ ]*(?:[-*]|\d+\.)[ ]', line)) or in_list and line.startswith(' ')
+            if line.startswith('    ') and not before.strip() and not in_list:
+                line = lines[i] = ''
+        before = line
+    return '\n'.join(lines)
 
 
 def python(text):
@@ -80,12 +93,14 @@ def sentences(page):
     """The sentences of a page without code: line number and words of each."""
     page = re.sub(r'<!--.*?-->|<[^<>]+>', lambda html: blank(html[0]), page, flags=re.DOTALL)
     page = re.sub(r'!?\[([^\]]*)\]\([^)]*\)', r'\1', page)
-    page = re.sub(r'^(#.*|[ ]*\|.*| {4,}(?![-*\d]|.*\w\. ).*)$', '', page, flags=re.MULTILINE)
-    for block in re.finditer(r'(?:^[ ]*(?:[-*]|\d+\.)[ ]+)?(?:^|(?<=\s))\S.*(?:\n(?![ ]*(?:[-*]|\d+\.)[ ])[ ]*\S.*)*', page, re.MULTILINE):
-        end = block.start()
+    page = re.sub(r'^(#|[ ]*\|).*$', '', page, flags=re.MULTILINE)
+    for block in re.finditer(r'^[ ]*\S.*(?:\n(?![ ]*(?:[-*]|\d+\.)[ ])[ ]*\S.*)*', page, re.MULTILINE):
+        end = block.start() + len(ITEM.match(block[0])[0])
         for stop in [*re.finditer(r'(?<!e\.g)(?<!i\.e)[.!?][)"”*]*(?=\s)', block[0]), re.search(r'\Z', block[0])]:
+            if block.start() + stop.end() <= end:
+                continue
             sentence = page[end:block.start() + stop.end()]
-            words = [word for word in re.sub(r'^\s*(?:[-*]|\d+\.)\s', '', sentence).split() if re.search(r'\w', word)]
+            words = [word for word in sentence.split() if re.search(r'\w', word)]
             if words:
                 yield page.count('\n', 0, end + len(sentence) - len(sentence.lstrip())) + 1, words
             end = block.start() + stop.end()
@@ -93,7 +108,7 @@ def sentences(page):
 
 def check(name, text):
     """What is wrong in a file, a line each."""
-    page = without_code(WRITTEN.sub(lambda block: blank(block[0]), text)) if name.endswith('.md') else None
+    page = without_blocks(without_code(text)) if name.endswith('.md') else None
     prose = comments(name, text) if page is None else page
     if prose is None:
         return
