@@ -207,9 +207,9 @@ struct Bins {
     columns: usize,
     starts: Vec<u32>,
     members: Vec<u32>,
-    /// Column, row, standard deviation, z and rank of the members, with room for a vector after the last.
-    values: [Vec<f32>; 5],
     /// Column, row, standard deviation, z and rank of the members, padded by a vector after the last.
+    values: [Vec<f32>; 5],
+    /// Largest standard deviation of the members.
     largest: f32,
 }
 
