@@ -10,8 +10,8 @@
 //! | `focal` | `[2]` | an orthographic view; pixels per unit |
 //! | `intrinsics` | `[4]` | if there is no `focal`: a pinhole's f_x, f_y, c_x, c_y in pixels |
 //!
-//! Numbers may be floats of 16 to 64 bits or integers. They are not checked for finiteness here: drawing leaves such
-//! splats out and counts them.
+//! Numbers may be floats of 16 to 64 bits or integers. They are not checked for finiteness here: drawing leaves out
+//! splats with other numbers and counts them.
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use streamsplat_kernels::raster::{self, Gaussians, OwnedGaussians, Projection, Request};

@@ -55,7 +55,7 @@ pub fn pair(mut a: Part, mut b: Part) -> Result<Pair, String> {
     if first != second {
         return Err(format!("expected the same channels, found {} and {}", first.join(", "), second.join(", ")));
     }
-    // Names within a part are different, or else the order decides.
+    // Names within a part are different, or the order decides.
     if first.windows(2).all(|pair| pair[0] != pair[1]) {
         let order = |channel: &Channel| a.channels.iter().position(|other| other.name == channel.name);
         b.channels.sort_by_key(order);

@@ -144,7 +144,7 @@ impl From<Placement> for PlacementRecord {
 }
 
 impl PlacementRecord {
-    /// The placement, if the content is not empty and lies inside the model's input.
+    /// The placement, if the content is not empty and is inside the model's input.
     pub fn placement(&self) -> Option<Placement> {
         let inside = (0..2).all(|i| {
             self.source[i] >= 1

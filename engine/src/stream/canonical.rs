@@ -116,7 +116,7 @@ pub(crate) struct Step<'a> {
     /// True if a depth map lifts the Gaussians of either frame. Maps of two frames are not comparable, so matching then
     /// ignores depth.
     pub(crate) lifted: bool,
-    /// Height and width of the image the Gaussians lie on.
+    /// Height and width of the image that the Gaussians belong to.
     pub(crate) image: [usize; 2],
     pub(crate) fusion: Fusion,
     pub(crate) max_age: u32,

@@ -5,7 +5,7 @@ use streamsplat_model::motion;
 /// Part of an interval over which a Gaussian fades in or out at a key frame.
 pub const HANDOVER: f32 = 0.125;
 
-/// Handover of a Gaussian at an end of its interval: it gives way to another, takes over from one, or neither.
+/// Handover of a Gaussian at an end of its interval: it leaves for another, arrives for one, or neither.
 ///
 /// The factor on the opacity, with t in [0, 1] over the interval: `min(1, t/⅛)` for one that arrives, `min(1, (1−t)/⅛)`
 /// for one that leaves. It is 0 at the key frame, so that the image there does not change when the Gaussian comes or

@@ -23,7 +23,7 @@ pub struct Interval {
     pub end: f64,
     /// Gaussians that can be seen.
     pub gaussians: DynamicGaussians,
-    /// Where the source's frame lies in the model's input.
+    /// Placement of the source's frame in the model's input.
     pub placement: Placement,
     /// Identities that ended in others.
     pub merges: Vec<Merge>,

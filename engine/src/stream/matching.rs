@@ -29,7 +29,7 @@ const CANDIDATES: usize = 8;
 /// Smallest and largest radius along the normalised inverse depth.
 const DEPTH_RADIUS: [f32; 2] = [0.05, 0.2];
 
-/// The lattice on which a frame's Gaussians lie, one per cell on average, over [−1, 1]².
+/// The lattice of a frame's Gaussians, one per cell on average, over [−1, 1]².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Lattice {
     columns: usize,

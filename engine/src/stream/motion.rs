@@ -30,7 +30,7 @@ pub(super) fn fixed(counts: [usize; 2]) -> [Arc<Motion>; 2] {
     [0, 1].map(|side| Arc::new((vec![[0.0; 3]; counts[side]], vec![FIXED; counts[side]])))
 }
 
-/// The network's motion, extended to `count` Gaussians: the added ones stand still and fade as [`FIXED`].
+/// The network's motion, extended to `count` Gaussians: the added ones do not move and fade as [`FIXED`].
 pub(super) fn completed(motion: Arc<Motion>, count: usize) -> Arc<Motion> {
     if motion.0.len() == count {
         return motion;

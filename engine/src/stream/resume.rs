@@ -35,7 +35,7 @@ pub struct ResumePoint {
     pub depth: Option<[f32; 2]>,
     /// Depth found by parallax for the frame; `None` where none was.
     pub found: Option<Found>,
-    /// Colours that earlier frames saw where something now stands in front, ascending in `cell`.
+    /// Colours of surfaces that earlier frames saw and that are now covered, ascending in `cell`.
     pub covered: Vec<Covered>,
     /// State kept from earlier key frames; `None` where there is none.
     pub kept: Option<Box<KeptState>>,

@@ -285,7 +285,7 @@ named! {
         #[default]
         Network = "network",
         /// All alike, with the network's average. Where motion is not the network's either, its dynamic half is not
-        /// computed: a Gaussian that flow does not follow then stands still.
+        /// computed: a Gaussian that flow does not follow then does not move.
         Fixed = "fixed",
     }
 }

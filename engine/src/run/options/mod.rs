@@ -54,7 +54,7 @@ fn with_found(e: impl Display, text: &str) -> String {
     if message.contains(text) { message } else { format!("{message}, found {text:?}") }
 }
 
-/// A single value of its own type.
+/// An option that is a single value of its type.
 macro_rules! values {
     ($($kind:ty),+) => { $(impl Named for $kind {
         fn fill(&mut self, _: &Self) {}

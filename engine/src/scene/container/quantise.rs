@@ -59,8 +59,8 @@ fn whole(x: f64) -> i64 {
     (x.round_ties_even() as i64).clamp(-LIMIT, LIMIT)
 }
 
-/// Green, red − green, blue − green, in steps. Differences of two stay within twice the limit; such large values are
-/// not colours.
+/// Green, red − green, blue − green, in steps. Differences of two stay within twice the limit; values that large
+/// are not colours.
 fn parts(rgb: [f32; 3], steps: f64) -> [i64; 3] {
     let [red, green, blue] = rgb.map(|c| whole(f64::from(c) * steps));
     [green, red - green, blue - green].map(|c| c.clamp(-LIMIT, LIMIT))

@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn what_stands_behind_stands_behind_all_that_is_seen_beside_it() {
-        // Something narrow stands between a near thing and the ground.
+        // Something narrow is between a near thing and the ground.
         let inverse = |x: usize| match x {
             20..40 => 1.0,
             17..20 => 0.15,

@@ -1,4 +1,4 @@
-//! Colours that earlier frames saw where something now stands in front.
+//! Colours of surfaces that earlier frames saw and that are now covered.
 //!
 //! A moving object, or a moving camera, covers surfaces that were in sight at the key frame before. Each
 //! [cell](super::beyond) in front of an edge looks up the surface behind it there: its place is moved along the flow

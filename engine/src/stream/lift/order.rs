@@ -336,7 +336,7 @@ mod tests {
 
     #[test]
     fn every_level_gives_the_bits_of_the_definition() {
-        // In the narrow picture neighbours lie at the end of one row of bins and at the start of the next.
+        // In the narrow picture neighbours are at the end of one row of bins and at the start of the next.
         for (width, largest) in [(SIZE[1], 1.5), (SIZE[1] / 4, LARGEST)] {
             let mut lifted = slope(0.01);
             // Not whole vectors, in all or in a row of bins; several sizes, some equal ranks.
