@@ -3,9 +3,10 @@
 //! - `PSNR = −10 log₁₀(MSE)` over all samples of the three channels, peak 1, at most [`PSNR_CAP`], the value of
 //!   identical pictures.
 //! - SSIM after Wang et al. (2004) as scikit-image 0.26 computes `structural_similarity(win_size=11,
-//!   gaussian_weights=True, channel_axis=2, data_range=1)`: Gaussian window of σ = 1.5 cut at radius 5 and normalised,
-//!   sample covariance (factor `n/(n−1)` with n = 11², its default), `C1 = 0.01²`, `C2 = 0.03²`, mean over the pixels
-//!   at least 5 away from every border, then over the channels. (Its reflected padding has no effect on these pixels.)
+//!   gaussian_weights=True, channel_axis=2, data_range=1)`. The window is a Gaussian of σ = 1.5, cut at radius 5 and
+//!   normalised; covariances are sample covariances (factor `n/(n−1)` with n = 11², its default); `C1 = 0.01²`, `C2 =
+//!   0.03²`. The result is the mean over the pixels at least 5 away from every border, then over the channels. (Its
+//!   reflected padding has no effect on these pixels.)
 
 use crate::picture::Picture;
 

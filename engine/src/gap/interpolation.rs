@@ -1,8 +1,8 @@
 //! How well the frames between two key frames can be predicted from these, in low-resolution luma.
 //!
 //! A frame is averaged to [`COLUMNS`] × [`ROWS`] cells of luma. For each block of [`BLOCK`] × [`BLOCK`] cells a
-//! displacement `v` of at most [`REACH`] cells along each axis is searched: the one for which the first frame at `p −
-//! v` is nearest to the last at `p + v`, as for an object that passes the block half-way. Shorter displacements win
+//! displacement `v` is searched, at most [`REACH`] cells along each axis. It is the one for which the first frame at `p
+//! − v` is nearest to the last at `p + v`, as for an object that passes the block half-way. Shorter displacements win
 //! unless a longer one is better by a tenth. A block of frame i of n is predicted twice, with `t = i/n`: as the
 //! cross-fade `A(p)·(1−t) + B(p)·t`, and as that along the displacement, `A(p − 2v·t)·(1−t) + B(p + 2v·(1−t))·t`. The
 //! smaller sum of squared errors counts. Places outside have the values at the border.

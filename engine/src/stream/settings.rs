@@ -44,9 +44,9 @@ pub struct Settings {
     /// Where all tiles of an interval's frames are, no colours are fitted. `None`: [`Settings::REFINE_TO`] for the
     /// model inside the library, [`Decibels::MOST`] for any other.
     pub refine_to: Option<Decibels>,
-    /// True if depth is found by parallax ([`crate::parallax`]) for frames that have no map of their own, where the
-    /// model ignores depth ([`Reconstructor::ignores_depth`]) and motion is taken from the frames; `None`: true for the
-    /// model inside the library, false for any other.
+    /// True if depth is found by parallax ([`crate::parallax`]) for frames that have no map of their own. Applies where
+    /// the model ignores depth ([`Reconstructor::ignores_depth`]) and motion is taken from the frames. `None`: true for
+    /// the model inside the library, false for any other.
     pub find_depth: Option<bool>,
     /// How depth maps are normalised.
     pub depth_range: DepthRange,

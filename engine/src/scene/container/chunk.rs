@@ -7,7 +7,7 @@
 //! - *following*: an earlier record of this interval has the same identity and birth. The position of its tracked point
 //!   at the interval's end predicts this one's; everything else is predicted as for a fresh one;
 //! - *fresh*: the last record that is not carried predicts mean, opacity, scale, thickness and colour (zeros before the
-//!   first); the offset is predicted as 0; the identity is expected to be the last fresh one's plus one, the birth the
+//!   first). The offset is predicted as 0. The identity is expected to be the last fresh one's plus one, the birth the
 //!   key frame.
 //!
 //! Velocity, γ and change of colour are predicted by the last record of any kind, the key frame by the last one that is

@@ -5,9 +5,9 @@ use super::chunk::encode_for_images;
 use super::quantise::{OFFSET, Quantised, VALUES};
 use crate::stream::{Interval, Workers};
 
-/// Steps of a container's whole numbers per step of a page's, in the order of the columns from `mean_x` on: a sixteenth
-/// of a pixel of 512×288 along x and z, a 512th of inverse depth, a sixteenth of an opacity, a quarter of an octave of
-/// scale and thickness, a 64th of a colour.
+/// Steps of a container's whole numbers per step of a page's, in the order of the columns from `mean_x` on. A page's
+/// steps are a sixteenth of a pixel of 512×288 along x and z, a 512th of inverse depth, a sixteenth of an opacity, a
+/// quarter of an octave of scale and thickness, a 64th of a colour.
 pub(crate) const COARSENESS: [i64; VALUES] =
     [8, 16, 16, 1, 1, 1, 64, 16, 16, 8, 12, 12, 16, 16, 16, 1, 1, 24, 32, 32, 16];
 
