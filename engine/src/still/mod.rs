@@ -119,8 +119,8 @@ pub struct Still {
 impl Still {
     /// Opens a file in one of the supported [formats](crate::import); for Gaussians that change in time, at the time 0.
     ///
+    /// # Errors
     /// A file that cannot be read, has other content, is broken, or exceeds the default [`Limits`]; a scene in time.
-    /// scene in time.
     pub fn open(path: impl AsRef<Path>) -> Result<Still, SceneError> {
         match import::open(path.as_ref(), &Limits::default())? {
             Opened::Still(file) => Ok(file.still),

@@ -28,7 +28,7 @@
 //! |---|---|
 //! | holes: NaN, infinities, a confidence of 0 | filled from around them ([`fill`]) |
 //! | no finite value, or one value alone | as if there were no map |
-//! | values beyond [0, 1], after normalisation | held to it |
+//! | values beyond [0, 1], after normalisation | clamped |
 //! | inverted | used as given: the scene is inside out |
 //!
 //! Maps that are given are [aligned](align) with those of the frames before, along optical flow; without flow

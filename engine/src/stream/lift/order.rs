@@ -7,7 +7,7 @@
 //! ```text
 //! z_j − z_i ≥ SLOPE·|p_i − p_j|        for i before j in the model's order, |p_i − p_j| ≤ WIDE·(σ_i + σ_j),
 //!                                      both on one surface by the map's z
-//! z_i ← z_i ± mean of what is lacking  over the neighbours of i where something is, in ROUNDS rounds, all i at once
+//! z_i ← z_i ± mean missing distance    over the neighbours of i that lack some, in ROUNDS rounds, all i at once
 //! ```
 //!
 //! p: centres in the picture, in the units of z; σ: the larger standard deviation. Two Gaussians are on one surface
