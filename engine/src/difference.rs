@@ -1,10 +1,9 @@
-//! How far two pictures are apart, and where.
+//! How far two pictures differ, and where.
 //!
-//! Samples are compared in one order, in binary64 where they are added, so the figures are the same on every machine.
+//! Samples are compared in one order, and summed in binary64, so the figures are the same on every machine.
 //!
-//! Distances are in one scale for every type ([`Samples::values`]): 1 is the full range of whole numbers (255, 65535,
-//! 2³²−1), and 1 for floats and for whole numbers without a range. A sample that is no number is infinitely far from
-//! one that is.
+//! Distances have one scale for every type ([`Samples::values`]): 1 is the full range of whole numbers (255, 65535,
+//! 2³²−1), and 1 for floats and for whole numbers without a range. NaN is infinitely far from any number.
 
 use crate::metrics;
 use crate::picture::Picture;
@@ -23,13 +22,13 @@ pub struct Place {
     pub samples: [String; 2],
 }
 
-/// How far two pictures with the same channels are apart.
+/// How far two pictures with the same channels differ.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
     /// Greatest distance of two samples.
     pub largest: f64,
-    /// The first place with that difference. `None` where all samples are equal: bit for bit where both are of one
-    /// type, and as numbers where not.
+    /// The first place with that difference. `None` where all samples are equal: bit for bit if both are of one type,
+    /// otherwise as numbers.
     pub place: Option<Place>,
     /// Share of pixels with a sample that differs, from 0 to 1.
     pub share: f64,
@@ -37,8 +36,8 @@ pub struct Difference {
     pub error: f64,
     /// Peak signal-to-noise ratio in dB, peak 1 ([`metrics::psnr_of`]).
     pub psnr: f64,
-    /// Structural similarity ([`metrics::ssim`]), mean over the channels; `None` under 11 samples a side or where one
-    /// is not finite.
+    /// Structural similarity ([`metrics::ssim`]), mean over the channels; `None` under 11 samples a side or if one is
+    /// not finite.
     pub ssim: Option<f64>,
 }
 
@@ -46,7 +45,7 @@ impl Difference {
     /// Compares two parts of one size with the same channels ([`crate::samples::pair`]).
     ///
     /// # Panics
-    /// When the channels are not alike.
+    /// When numbers or sizes of the channels differ.
     pub fn between(a: &Part, b: &Part) -> Self {
         let mut differs = vec![false; a.width * a.height];
         let (mut largest, mut place, mut sum, mut count) = (-1.0, None, 0.0, 0_usize);
@@ -96,7 +95,7 @@ impl Difference {
     }
 }
 
-/// The pixel that a sample of a channel is in.
+/// The pixel that contains a sample of a channel.
 fn pixel(part: &Part, channel: &Channel, at: usize) -> usize {
     let (column, row) = (at % channel.width, at / channel.width);
     let scaled = |at: usize, side: usize, of: usize| (at * side / of.max(1)).min(side.saturating_sub(1));
@@ -130,17 +129,16 @@ impl From<&Picture> for Part {
 /// Colours of the heat map, at equal steps from the least difference to the greatest.
 const RAMP: [[f32; 3]; 5] =
     [[0.25, 0.05, 0.55], [0.65, 0.1, 0.55], [0.95, 0.3, 0.25], [1.0, 0.65, 0.1], [1.0, 1.0, 0.75]];
-/// The difference that has the ramp's last colour.
+/// The difference at which the ramp ends.
 const HOTTEST: f64 = 0.5;
-/// How bright the picture is under its heat map.
+/// Brightness of the picture under its heat map.
 const UNDER: f32 = 0.3;
 
-/// A picture of where two pictures differ: over the first in dark grey, from violet (the least difference) through red
-/// to pale yellow (half of the range and more). The ramp follows the square root, so that one step of 8 bits can be
-/// seen.
+/// Draws where two pictures differ: over the first in dark grey, from violet (the least difference) through red to pale
+/// yellow (half of the range and more). The ramp follows the square root, so that one step of 8 bits is visible.
 ///
 /// # Panics
-/// When the channels are not alike.
+/// When numbers or sizes of the channels differ.
 pub fn heat(a: &Part, b: &Part) -> Picture {
     let (width, height) = (a.width, a.height);
     let plane = width * height;

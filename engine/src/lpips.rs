@@ -1,8 +1,8 @@
-//! LPIPS (Zhang et al., CVPR 2018) of two pictures, by a network in an ONNX file.
+//! LPIPS (Zhang et al., CVPR 2018) of two pictures, computed by a network in an ONNX file.
 //!
-//! Any network with two images in, each float `[1, 3, height, width]` with values in [−1, 1], and one number out: LPIPS
-//! as it is exported from PyTorch. Pictures of another size than the network fixes are brought to it bilinearly.
-//! [`crate::onnx`] lists which arithmetic is the runtime's.
+//! Accepts any network with two images as inputs, each float `[1, 3, height, width]` with values in [−1, 1], and one
+//! number as output: LPIPS as exported from PyTorch. If the network has a fixed size, pictures of another size are
+//! resized to it bilinearly. [`crate::onnx`] lists the arithmetic that is the runtime's.
 
 use std::path::Path;
 
@@ -10,17 +10,17 @@ use crate::metrics::{MetricError, check_sizes};
 use crate::onnx::{Model, OnnxError};
 use crate::picture::Picture;
 
-/// A network that measures how different two pictures look.
+/// A network that measures the perceptual distance of two pictures.
 #[derive(Debug)]
 pub struct Lpips {
     model: Model,
     /// Axes of each input before the three of the image.
     leading: [usize; 2],
-    /// Height and width, where the network fixes them.
+    /// Height and width, if the network has fixed ones.
     axes: [Option<usize>; 2],
 }
 
-/// Why there is no distance.
+/// Why a distance cannot be computed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LpipsError {
@@ -36,8 +36,7 @@ impl Lpips {
     /// Loads the network in the ONNX file `path`.
     ///
     /// # Errors
-    /// No ONNX Runtime, or one that cannot be used; a file that is no network, or none with two images in and one
-    /// output.
+    /// No usable ONNX Runtime; a file that is not a network, or not one with two images as inputs and one output.
     pub fn open(path: &Path) -> Result<Lpips, LpipsError> {
         let model = Model::open(path)?;
         let [a, b] = model.inputs() else {
@@ -63,7 +62,7 @@ impl Lpips {
         Ok(Lpips { leading: [first.leading, second.leading], axes: first.sides, model })
     }
 
-    /// The version of the ONNX Runtime that runs it.
+    /// The version of the ONNX Runtime in use.
     pub fn runtime_version(&self) -> &str {
         self.model.runtime().version()
     }
@@ -71,7 +70,7 @@ impl Lpips {
     /// The distance of two pictures of one size.
     ///
     /// # Errors
-    /// Different sizes, the runtime's errors, an answer that is not one number.
+    /// Different sizes, the runtime's errors, a result that is not one number.
     pub fn distance(&mut self, a: &Picture, b: &Picture) -> Result<f64, LpipsError> {
         check_sizes(a, b)?;
         let [height, width] = [self.axes[0].unwrap_or(a.height), self.axes[1].unwrap_or(a.width)];

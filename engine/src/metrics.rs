@@ -1,12 +1,12 @@
 //! How close two pictures are: PSNR and SSIM, in f64, in one fixed order of operations.
 //!
-//! - `PSNR = −10 log₁₀(MSE)` over all samples of the three channels, peak 1, at most [`PSNR_CAP`]: what identical
-//!   pictures have.
+//! - `PSNR = −10 log₁₀(MSE)` over all samples of the three channels, peak 1, at most [`PSNR_CAP`], the value of
+//!   identical pictures.
 //! - SSIM after Wang et al. (2004) as scikit-image 0.26 computes `structural_similarity(win_size=11,
-//!   gaussian_weights=True, channel_axis=2, data_range=1)`: Gaussian window of σ = 1.5 cut at radius 5 and normalised,
-//!   sample covariance (factor `n/(n−1)` with n = 11², its default), `C1 = 0.01²`, `C2 = 0.03²`, mean over the pixels
-//!   at least 5 away from every border, then over the channels. (Away from the border its reflected padding plays no
-//!   part.)
+//!   gaussian_weights=True, channel_axis=2, data_range=1)`. The window is a Gaussian of σ = 1.5, cut at radius 5 and
+//!   normalised; covariances are sample covariances (factor `n/(n−1)` with n = 11², its default); `C1 = 0.01²`, `C2 =
+//!   0.03²`. The result is the mean over the pixels at least 5 away from every border, then over the channels. (Its
+//!   reflected padding has no effect on these pixels.)
 
 use crate::picture::Picture;
 
@@ -14,7 +14,7 @@ use crate::picture::Picture;
 pub const PSNR_CAP: f64 = 100.0;
 
 const RADIUS: usize = 5;
-/// Samples a side of the window of [`ssim`].
+/// Samples per side of the window of [`ssim`].
 pub(crate) const WINDOW: usize = 2 * RADIUS + 1;
 
 /// `exp(−x²/(2·1.5²))` for x = −5…5, not normalised; written out because a library's `exp` may differ between machines.
@@ -43,7 +43,7 @@ pub enum MetricError {
     TooSmall(usize, usize),
 }
 
-/// An error unless both have one size.
+/// Returns an error unless both have the same size.
 pub(crate) fn check_sizes(a: &Picture, b: &Picture) -> Result<(), MetricError> {
     let size = |p: &Picture| (p.width, p.height);
     if size(a) == size(b) { Ok(()) } else { Err(MetricError::Sizes(size(a), size(b))) }
@@ -71,7 +71,7 @@ pub fn psnr(a: &Picture, b: &Picture) -> Result<f64, MetricError> {
     mean_square_error(a, b).map(psnr_of)
 }
 
-/// The same of a mean square error; −∞ where that is not finite.
+/// PSNR of a mean square error; −∞ if that is not finite.
 pub fn psnr_of(error: f64) -> f64 {
     if !error.is_finite() {
         return f64::NEG_INFINITY;
@@ -121,7 +121,7 @@ pub(crate) fn ssim_of_plane(x: &[f64], y: &[f64], width: usize, height: usize) -
     sum / ux.len() as f64
 }
 
-/// Separable Gaussian filter where the whole window lies inside: `[height − 10, width − 10]`, down the columns first.
+/// Separable Gaussian filter where the whole window is inside: `[height − 10, width − 10]`, along the columns first.
 fn valid_blur(samples: &[f64], width: usize, height: usize, weights: &[f64; WINDOW]) -> Vec<f64> {
     let (rows, columns) = (height - 2 * RADIUS, width - 2 * RADIUS);
     let mut tall = vec![0.0; rows * width];
@@ -145,7 +145,7 @@ fn valid_blur(samples: &[f64], width: usize, height: usize, weights: &[f64; WIND
     blurred
 }
 
-/// Base-10 logarithm of a positive, normal number, by +, −, ×, ÷ alone (error under 1e-14): the same on every machine.
+/// Base-10 logarithm of a positive, normal number, by +, −, ×, ÷ only (error under 1e-14): the same on every machine.
 fn log10(value: f64) -> f64 {
     let bits = value.to_bits();
     let mut exponent = ((bits >> 52) as i64 - 1023) as f64;

@@ -1,17 +1,17 @@
-//! A set of splats in a safetensors file, with its projection and image: what the `splat` command draws.
+//! A set of splats in a safetensors file, with its projection and image: the input of the `splat` command.
 //!
 //! | tensor | shape | what |
 //! |---|---|---|
-//! | `mean`, `scale`, `rgb` | `[N,3]` | as [`Gaussians`] has them |
+//! | `mean`, `scale`, `rgb` | `[N,3]` | as in [`Gaussians`] |
 //! | `quat` | `[N,4]` | rotations w, x, y, z; absent: none is rotated |
 //! | `opacity` | `[N]` or `[N,1]` | |
 //! | `size` | `[2]` | height and width of the image |
 //! | `background` | `[3]` | |
 //! | `focal` | `[2]` | an orthographic view; pixels per unit |
-//! | `intrinsics` | `[4]` | where there is no `focal`: a pinhole's f_x, f_y, c_x, c_y in pixels |
+//! | `intrinsics` | `[4]` | if there is no `focal`: a pinhole's f_x, f_y, c_x, c_y in pixels |
 //!
-//! Numbers may be floats of 16 to 64 bits or integers. Whether they are finite is not asked here: drawing leaves such
-//! splats out and counts them.
+//! Numbers may be floats of 16 to 64 bits or integers. They are not checked for finiteness here: drawing leaves out
+//! splats with other numbers and counts them.
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use streamsplat_kernels::raster::{self, Gaussians, OwnedGaussians, Projection, Request};
@@ -29,7 +29,7 @@ pub enum SplatsError {
     /// A tensor is missing.
     #[error("tensor {0} is missing")]
     Missing(&'static str),
-    /// Neither projection is there.
+    /// Neither projection is present.
     #[error("expected a tensor focal [2] (orthographic) or intrinsics [4] (perspective), found neither")]
     Projection,
     /// A tensor has another shape than the others require.
@@ -42,7 +42,7 @@ pub enum SplatsError {
         /// The one found.
         found: Vec<usize>,
     },
-    /// A tensor's number format is not read.
+    /// A tensor has an unsupported number format.
     #[error("tensor {tensor}: expected numbers, found {found}")]
     Numbers {
         /// The tensor.
@@ -50,7 +50,7 @@ pub enum SplatsError {
         /// Its number format.
         found: String,
     },
-    /// A side of the image is no whole number from 1 to [`raster::MAX_SIDE`].
+    /// A side of the image is not a whole number from 1 to [`raster::MAX_SIDE`].
     #[error("tensor size: expected height and width from 1 to {}", raster::MAX_SIDE)]
     Side,
     /// The image has more than [`MAX_PIXELS`].
@@ -63,13 +63,13 @@ pub enum SplatsError {
     },
 }
 
-/// Splats, and how they are to be drawn.
+/// Splats, with their projection and image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Splats {
     splats: OwnedGaussians,
-    /// How they are projected.
+    /// Projection of the splats.
     pub projection: Projection,
-    /// The image wanted: all planes of it.
+    /// The requested image, with all planes.
     pub request: Request,
 }
 
@@ -77,7 +77,7 @@ impl Splats {
     /// Reads the bytes of a safetensors file.
     ///
     /// # Errors
-    /// Files of another kind, or whose tensors do not fit together.
+    /// Files of another kind, or with tensors that do not match.
     pub fn from_safetensors(bytes: &[u8]) -> Result<Splats, SplatsError> {
         let file = SafeTensors::deserialize(bytes).map_err(|e| SplatsError::Format(e.to_string()))?;
         let file = &file;

@@ -1,10 +1,10 @@
-//! Following a point of the scene through time.
+//! Tracking of a point of the scene through time.
 //!
-//! [`Interval::pick`] finds the Gaussian that shows most at a pixel; a [`Track`] then moves with its identity: with the
-//! velocity of the identity's record inside an interval, with the record that carries the identity from one interval to
-//! the next, and with the identity it [merged](crate::stream::Merge) into where it ended in another. The point keeps
-//! its place relative to the motion, not to the Gaussians' lattice, so that motions smaller than a cell add up. A track
-//! is lost where the identity is gone.
+//! [`Interval::pick`] finds the Gaussian with the largest weight at a pixel; a [`Track`] then moves with its identity.
+//! Inside an interval it moves with the velocity of the identity's record; from one interval to the next it changes to
+//! the record with the same identity. Where the identity ended, it continues with the identity that it
+//! [merged](crate::stream::Merge) into. The point keeps its position relative to the motion, not to the Gaussians'
+//! lattice, so that motions smaller than a cell add up. A track is lost where the identity is gone.
 
 use streamsplat_kernels::raster::Projection;
 
@@ -16,17 +16,17 @@ use crate::stream::{Interval, Record, Reference, Workers};
 /// A Gaussian at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Picked {
-    /// Its record in the interval.
+    /// Index of its record in the interval.
     pub index: usize,
     /// Its identity.
     pub identity: u64,
-    /// Its part of the pixel's colour: αT, at most 1.
+    /// Its weight in the pixel's colour: αT, at most 1.
     pub weight: f64,
     /// The world position under the pixel at its depth: x right, y normalised inverse depth, z up.
     pub position: [f32; 3],
 }
 
-/// A point on its way.
+/// A point of a track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackPoint {
     /// Seconds of the video.
@@ -35,9 +35,9 @@ pub struct TrackPoint {
     pub identity: u64,
     /// World position.
     pub position: [f32; 3],
-    /// Place in the source's image, in pixels with their centres at whole numbers.
+    /// Position in the source's image, in pixels with their centres at whole numbers.
     pub pixel: [f64; 2],
-    /// Opacity of the Gaussian it moves with.
+    /// Opacity of the tracked Gaussian.
     pub opacity: f32,
 }
 
@@ -45,14 +45,14 @@ pub struct TrackPoint {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Track {
     identity: u64,
-    /// Where it is, at `time`.
+    /// World position at `time`.
     position: [f32; 3],
     time: f64,
 }
 
 impl Interval {
-    /// The Gaussian that shows most at a pixel of the source's image (centres at whole numbers) at `time`: the largest
-    /// αT, the lowest index among equals. `None` where nothing is drawn.
+    /// Finds the Gaussian with the largest αT at a pixel of the source's image (centres at whole numbers) at `time`;
+    /// the lowest index among equals. `None` where nothing is drawn.
     ///
     /// # Errors
     /// As [`Snapshot::of`].
@@ -89,7 +89,7 @@ impl Interval {
         Picked { index, identity: record.identity, weight: hit.weight, position }
     }
 
-    /// The ray of a pixel of the source's image.
+    /// The ray through a pixel of the source's image.
     fn ray(&self, pixel: [f64; 2]) -> Ray {
         let [u, v] = self.project(pixel);
         Ray { origin: [u as f32, v as f32, 0.0], direction: [0.0, 0.0, 1.0] }
@@ -131,8 +131,8 @@ impl Interval {
         })
     }
 
-    /// The record that moves an identity: the one seen forward in time where there are two. One with a number that is
-    /// not finite moves nothing.
+    /// The record that moves an identity: of two, the one seen forward in time. Records with a number that is not
+    /// finite are skipped.
     fn record_of(&self, identity: u64) -> Option<Record> {
         let find = |reference| {
             let g = &self.gaussians;
@@ -154,18 +154,19 @@ impl Track {
         self.identity
     }
 
-    /// Moves forward through an interval that holds the track's time: its places at `times` (inside the interval, not
-    /// before the track's time), and the track at the interval's end, ready for the next one. `None` when it is lost.
+    /// Moves forward through an interval that contains the track's time. Returns its points at `times` (inside the
+    /// interval, not before the track's time), and the track at the interval's end, for the next one. `None` when it is
+    /// lost.
     pub fn forward(&self, interval: &Interval, times: &[f64]) -> Option<(Vec<TrackPoint>, Track)> {
         let (points, end) = self.along(interval, times, interval.end)?;
-        // Where the identity itself continues, nothing merged.
+        // An identity that continues has not merged.
         let merged = interval.merges.iter().find(|m| m.identity == self.identity);
         Some((points, Track { identity: merged.map_or(self.identity, |m| m.into), ..end }))
     }
 
-    /// Moves backward through an interval that holds the track's time: its places at `times` (inside the interval, not
-    /// after the track's time), and the track at the interval's start, ready for the one before. `None` when it was not
-    /// there yet.
+    /// Moves backward through an interval that contains the track's time. Returns its points at `times` (inside the
+    /// interval, not after the track's time), and the track at the interval's start, for the one before. `None` where
+    /// it did not exist yet.
     pub fn backward(&self, interval: &Interval, times: &[f64]) -> Option<(Vec<TrackPoint>, Track)> {
         self.along(interval, times, interval.start)
     }
@@ -176,7 +177,7 @@ impl Track {
         let place = |time: f64| -> Option<[f32; 3]> {
             let since = interval.relative(time)? - from;
             let place = std::array::from_fn(|axis| self.position[axis] + record.velocity[axis] * since);
-            // A finite velocity can still leave the numbers.
+            // A finite velocity can still overflow.
             place.iter().all(|x: &f32| x.is_finite()).then_some(place)
         };
         let mut points = Vec::with_capacity(times.len());

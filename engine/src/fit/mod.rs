@@ -1,9 +1,9 @@
 //! Fitting frames of any size into the model's input, and images back to the frame's own shape.
 //!
 //! *Letterbox* (default) keeps the shape: the frame is scaled by one factor until it touches two sides of the model's
-//! input and is placed in the middle. The border repeats the content's edge (a grey bar would be an edge that the
-//! network reconstructs, and whose Gaussians reach into the picture). Images are cropped back to the content. *Stretch*
-//! scales both axes to the model's input, whatever that does to the shape.
+//! input and is placed in the middle. The border repeats the content's edge. (With a grey border the network would
+//! reconstruct an edge there, whose Gaussians extend into the picture.) Images are cropped back to the content.
+//! *Stretch* scales both axes to the model's input, without keeping the shape.
 //!
 //! Resizing is bilinear with half-pixel centres and no antialiasing (model input, StreamSplat (ICLR 2026)).
 
@@ -13,7 +13,7 @@ use std::str::FromStr;
 
 use streamsplat_kernels::{Level, resize};
 
-/// How a frame is brought to the model's input size.
+/// How a frame is resized to the model's input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Fit {
     /// Keeps the frame's shape; repeats the content's edge into the border.
@@ -23,7 +23,7 @@ pub enum Fit {
     Stretch,
 }
 
-/// A name that is no fit's.
+/// A name that is not a fit's.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("unknown fit {0:?}: expected letterbox or stretch")]
 pub struct UnknownFit(pub String);
@@ -47,7 +47,7 @@ impl fmt::Display for Fit {
 }
 
 impl Fit {
-    /// The name by which [`Fit::from_str`] finds it.
+    /// The name that [`Fit::from_str`] parses.
     pub const fn name(self) -> &'static str {
         match self {
             Fit::Letterbox => "letterbox",
@@ -56,7 +56,7 @@ impl Fit {
     }
 }
 
-/// Where a frame lies inside the model's input. All sizes are `[height, width]`, in pixels.
+/// Placement of a frame inside the model's input. All sizes are `[height, width]`, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 pub struct Placement {
     /// The frame's own size.
@@ -95,18 +95,18 @@ impl Placement {
         self.content == self.model
     }
 
-    /// Width over height of the model's input as the source shows it, whose pixels are square: `w·H_c·W / (h·W_c·H)` of
-    /// the source `h×w`, the content `H_c×W_c` and the input `H×W`, formed in binary64.
+    /// Width over height of the model's input as the source shows it, whose pixels are square: `w·H_c·W / (h·W_c·H)`
+    /// for the source `h×w`, the content `H_c×W_c` and the input `H×W`, computed in binary64.
     ///
-    /// Scene space has x and y in [−1, 1] over the input; x times this, y as it is and z times this are *square units*,
-    /// of half the input's height.
+    /// Scene space has x and y in [−1, 1] over the input. In *square units* x and z are multiplied by this and y is
+    /// unchanged, so that a unit is half the input's height.
     pub fn aspect(&self) -> f64 {
         let [[h, w], [content_h, content_w], [model_h, model_w]] =
             [self.source, self.content, self.model].map(|size| size.map(|side| side.max(1) as f64));
         (w * content_h * model_w) / (h * content_w * model_h)
     }
 
-    /// Brings planes of the source's size to the model's: `[channels, h, w]` → `[channels, H, W]`.
+    /// Resizes planes of the source's size to the model's: `[channels, h, w]` → `[channels, H, W]`.
     ///
     /// # Panics
     /// When `planes` does not hold a whole number of planes of the source's size.
@@ -158,7 +158,7 @@ pub(crate) fn cut(planes: &[f32], [height, width]: [usize; 2], [rows, columns]: 
     part
 }
 
-/// Normalises a map of inverse depth to [0, 1] by its own minimum and maximum, in place; gives the number of values
+/// Normalises a map of inverse depth to [0, 1] by its own minimum and maximum, in place; returns the number of values
 /// that were not finite and became 0 (farthest). A constant map becomes 0.
 ///
 /// `(d − min) / (max − min)`, evaluated in f64 so that no range overflows, then rounded.

@@ -25,7 +25,7 @@ fn the_inputs_aspect_is_that_of_square_pixels_of_the_source() {
     assert_eq!(aspect(Fit::Letterbox, [144, 256], [288, 512]), 16.0 / 9.0);
     // A border belongs to the input: the content keeps the source's shape in it.
     assert_eq!(aspect(Fit::Letterbox, [256, 144], [144, 256]), 16.0 / 9.0);
-    // What is stretched is stretched back.
+    // A stretched content is stretched back.
     assert_eq!(aspect(Fit::Stretch, [256, 144], [144, 256]), 9.0 / 16.0);
     assert_eq!(aspect(Fit::Stretch, [101, 77], [40, 32]), 77.0 / 101.0);
 }

@@ -1,7 +1,7 @@
-//! Prediction of the PSNR that the next interval's images would have.
+//! Prediction of the PSNR of the next interval's images.
 //!
-//! It rests on how well the interval's frames are predicted from its key frames in low-resolution luma, and on the PSNR
-//! of earlier intervals. In dB, for an interval of n frames after its first key frame,
+//! It is based on how well the interval's frames are predicted from its key frames in low-resolution luma, and on the
+//! PSNR of earlier intervals. In dB, for an interval of n frames after its first key frame,
 //!
 //! ```text
 //! between  q = k − s·(0.86 + 0.41·max(k − p, 0))·ln(max(n, 2) / 1.85)        mean of its n − 1 frames in between
@@ -9,12 +9,12 @@
 //! ```
 //!
 //! p: mean PSNR at which the frames in between are predicted from the key frames ([`super::predicted`]); k: PSNR of the
-//! latest key frame that is known; s: a scale that starts at 1 and is multiplied after each interval by the 0.8th power
-//! of the ratio of measured to predicted `k − q`, within [1/4, 4]. Intervals of two frames or fewer, whose ratio says
-//! little, move s a tenth of the way towards 1 instead. The constants 0.86 and 0.41 are a least-squares fit to 748
-//! intervals of 12 clips (n from 2 to 12, frames between given, 16 steps of colours).
+//! latest measured key frame; s: a scale that starts at 1. After each interval s is multiplied by the 0.8th power of
+//! the ratio of measured to predicted `k − q`, within [1/4, 4]. Intervals of two frames or fewer, whose ratio carries
+//! little information, move s a tenth of the way towards 1 instead. The constants 0.86 and 0.41 are a least-squares fit
+//! to 748 intervals of 12 clips (n from 2 to 12, frames between given, 16 steps of colours).
 //!
-//! A surplus or deficit of earlier intervals against the target PSNR is made up for over 16 frames, by 4 dB at most. An
+//! A surplus or deficit of earlier intervals against the target PSNR is compensated over 16 frames, by 4 dB at most. An
 //! interval is at most three times as long as the latest one that did not end at a cut.
 
 use std::collections::VecDeque;
@@ -24,31 +24,31 @@ use streamsplat_kernels::math::f64::{exp, ln};
 
 use super::Auto;
 
-/// PSNR of key frames before any is known, in dB.
+/// PSNR of key frames before any is measured, in dB.
 const FIRST_KEY: f64 = 42.0;
-/// Frames over which a surplus is made up for.
+/// Frames over which a surplus is compensated.
 const HORIZON: f64 = 16.0;
-/// The most that is made up for, in dB.
+/// Largest compensation, in dB.
 const MOST_MADE_UP: f64 = 4.0;
 /// The largest ratio of an interval's length to that of the one before.
 const GROWTH: usize = 3;
-/// How much of a miss enters the next expectation.
+/// Part of an error that corrects the next prediction.
 const RATE: f64 = 0.8;
-/// Intervals that may have been chosen before the first of them is known.
+/// Number of intervals that may be chosen before the first of them is measured.
 pub const LATE: usize = 4;
 
-/// How close an interval's images came to its frames.
+/// Measured PSNR of an interval's images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
     /// PSNR of its last frame, the key frame, in dB.
     pub key: f64,
     /// Mean PSNR of the frames in between, in dB; `None` where there are none.
     pub between: Option<f64>,
-    /// Frames after the interval's first key frame, the last one included; 1 for the first key frame of all.
+    /// Frames after the interval's first key frame, including the last one; 1 for the very first key frame.
     pub frames: usize,
 }
 
-/// How close an interval is expected to come.
+/// Predicted PSNR of an interval's images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Expected {
     frames: usize,
@@ -58,24 +58,24 @@ struct Expected {
     all: f64,
 }
 
-/// Knowledge of the stream so far.
+/// State of the prediction.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Control {
-    /// In dB.
+    /// Target PSNR, in dB.
     asked: f64,
     key: f64,
     scale: f64,
-    /// Sum over known frames of what they have above what is asked for.
+    /// Sum of (PSNR − target) over measured frames.
     surplus: f64,
-    /// Intervals known.
+    /// Number of measured intervals.
     known: u64,
     /// Length of the latest interval that no cut ended.
     last: usize,
-    /// Chosen, and not known yet.
+    /// Intervals chosen and not yet measured.
     waiting: VecDeque<Expected>,
 }
 
-/// The same as bits, to be stored.
+/// The same state as bits, for storage.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ControlState {
     key: u64,
@@ -106,7 +106,7 @@ impl Control {
         frames > GROWTH * self.last || self.expect(frames, predicted).all < self.asked - made_up
     }
 
-    /// Takes note of an interval that was chosen; one with a `cut` says nothing of how long the next may be.
+    /// Records an interval that was chosen; the length of one with a `cut` does not limit the next.
     pub(super) fn choose(&mut self, frames: usize, predicted: Option<f64>, cut: bool) {
         self.waiting.push_back(self.expect(frames, predicted));
         self.last = if cut { self.last } else { frames };
@@ -115,9 +115,9 @@ impl Control {
         }
     }
 
-    /// Takes what is now known of the next interval.
+    /// Updates the state by the measurement of the next interval.
     pub(super) fn learn(&mut self, found: &Found) {
-        // The first key frame was not chosen.
+        // The very first key frame was not predicted.
         let expected = if self.known == 0 { None } else { self.waiting.pop_front() };
         self.known += 1;
         self.key = found.key;

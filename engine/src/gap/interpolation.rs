@@ -1,13 +1,13 @@
-//! How well the frames between two key frames follow from these, judged on small luma.
+//! How well the frames between two key frames can be predicted from these, in low-resolution luma.
 //!
-//! A frame is averaged to [`COLUMNS`] × [`ROWS`] cells of luma. For each block of [`BLOCK`] × [`BLOCK`] cells the
-//! displacement `v` is sought, at most [`REACH`] cells along each axis, for which the first frame at `p − v` is nearest
-//! the last at `p + v`: what would pass the block half-way. Shorter displacements win unless a longer one is better by
-//! a tenth. A block of frame i of n is predicted twice: as the cross-fade `A(p)·(1−t) + B(p)·t`, and as that along the
-//! displacement, `A(p − 2v·t)·(1−t) + B(p + 2v·(1−t))·t`, `t = i/n`; the better counts, as a sum of squares. Places
-//! outside are those at the border.
+//! A frame is averaged to [`COLUMNS`] × [`ROWS`] cells of luma. For each block of [`BLOCK`] × [`BLOCK`] cells a
+//! displacement `v` is searched, at most [`REACH`] cells along each axis. It is the one for which the first frame at `p
+//! − v` is nearest to the last at `p + v`, as for an object that passes the block half-way. Shorter displacements win
+//! unless a longer one is better by a tenth. A block of frame i of n is predicted twice, with `t = i/n`: as the
+//! cross-fade `A(p)·(1−t) + B(p)·t`, and as that along the displacement, `A(p − 2v·t)·(1−t) + B(p + 2v·(1−t))·t`. The
+//! smaller sum of squared errors counts. Places outside have the values at the border.
 //!
-//! Everything behind the averages is done in integers; the averages are plain sums in binary32, in the order of the
+//! All computations after the averages are in integers; the averages are plain sums in binary32, in the order of the
 //! pixels.
 
 use crate::picture::Picture;
@@ -20,17 +20,17 @@ pub const ROWS: usize = 36;
 pub const CELLS: usize = COLUMNS * ROWS;
 /// Cells along a block's side.
 pub const BLOCK: usize = 4;
-/// Cells of the largest displacement of half an interval, along an axis.
+/// Largest displacement of half an interval along an axis, in cells.
 pub const REACH: i32 = 4;
-/// The luma of white.
+/// The luma value of white.
 pub const PEAK: u64 = 1023;
 
-/// The small luma of a frame.
+/// The low-resolution luma of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Small(Vec<i32>);
 
 impl Small {
-    /// Of `picture`, whose every cell holds at least the pixel at its corner.
+    /// The luma of `picture`. In small pictures a cell holds at least the pixel at its corner.
     pub fn of(picture: &Picture) -> Small {
         let Picture { width, height, rgb } = picture;
         let plane = width * height;
@@ -64,7 +64,7 @@ impl Small {
     }
 }
 
-/// The sum of squares by which `frame` is missed by the frame before, each block of it sought there within [`REACH`].
+/// Sum of squared errors of `frame` predicted from the frame before, each block displaced there by at most [`REACH`].
 pub fn step(before: &Small, frame: &Small) -> u64 {
     let blocks =
         (0..ROWS as i32).step_by(BLOCK).flat_map(|row| (0..COLUMNS as i32).step_by(BLOCK).map(move |c| (row, c)));
@@ -76,7 +76,7 @@ pub fn step(before: &Small, frame: &Small) -> u64 {
     blocks.map(miss).sum()
 }
 
-/// The sums of squares by which the frames between the first and the last of `frames` are missed.
+/// Sums of squared errors of the predictions of the frames between the first and the last of `frames`.
 pub fn misses(frames: &[Small]) -> Vec<u64> {
     let [first, between @ .., last] = frames else { return Vec::new() };
     let n = between.len() as i32 + 1;
@@ -126,7 +126,7 @@ fn nearest(distance: impl Fn([i32; 2]) -> i32) -> [i32; 2] {
     best.0
 }
 
-/// The sum of squares by which a block of frame `i` of `n` is missed.
+/// Sum of squared errors of the prediction of a block of frame `i` of `n`.
 fn miss(first: &Small, last: &Small, frame: &Small, at: (i32, i32), v: [i32; 2], i: i32, n: i32) -> u64 {
     // 2v·t, rounded half up.
     let [dy, dx] = v.map(|v| (4 * v * i + n).div_euclid(2 * n));

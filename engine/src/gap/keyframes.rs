@@ -1,4 +1,4 @@
-//! Input frames in groups that end at key frames.
+//! Grouping of input frames that ends each group at a key frame.
 
 use std::convert::Infallible;
 use std::mem::take;
@@ -6,14 +6,14 @@ use std::mem::take;
 use super::{Choice, Chooser, Gap};
 use crate::picture::Picture;
 
-/// Groups frames as they arrive: each group is what came since the key frame before, the next key frame last.
+/// Groups frames as they arrive: each group holds the frames since the key frame before, the next key frame last.
 ///
-/// A frame may be anything that shows a picture; pictures of frames that wait may be emptied by who takes them, but for
-/// the last one's.
+/// A frame may be anything that has a picture. The caller may empty the pictures of waiting frames, except for that of
+/// the last one.
 pub struct KeyFrames<F> {
     chooser: Chooser,
     waiting: Vec<F>,
-    /// A frame whose arrival made the one before a key frame.
+    /// A frame whose arrival made the one before it a key frame.
     ahead: Option<F>,
     ended: bool,
 }
@@ -21,25 +21,25 @@ pub struct KeyFrames<F> {
 /// Frames up to a key frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Group<F> {
-    /// The frames, in their order; there is at least one.
+    /// The frames in order, at least one.
     pub frames: Vec<F>,
-    /// False for what is left at the end of the input, whose last frame is a key frame only because no other follows.
+    /// False for the rest at the end of the input, whose last frame is a key frame only because no other follows.
     pub whole: bool,
 }
 
 impl<F: AsRef<Picture>> KeyFrames<F> {
-    /// Groups that end where `gap` says.
+    /// Groups that end at the key frames of `gap`.
     pub fn new(gap: Gap) -> Self {
         KeyFrames { chooser: Chooser::new(gap), waiting: Vec::new(), ahead: None, ended: false }
     }
 
-    /// Choice of the key frames.
+    /// The chooser of key frames.
     pub fn chooser(&mut self) -> &mut Chooser {
         &mut self.chooser
     }
 
-    /// The next group. `arrive` gives the input's next frame; `taken` is called with the frames that wait whenever one
-    /// more belongs to the group, as the last of them.
+    /// Returns the next group. `arrive` returns the input's next frame. `taken` is called with the waiting frames each
+    /// time a frame joins the group, as the last of them.
     ///
     /// # Errors
     /// Those of `arrive` and `taken`.
@@ -77,7 +77,7 @@ impl<F: AsRef<Picture>> KeyFrames<F> {
     }
 }
 
-/// Groups of frames that are all there.
+/// Groups of frames that are all available.
 pub fn grouped<F: AsRef<Picture>>(gap: Gap, frames: impl IntoIterator<Item = F>) -> impl Iterator<Item = Group<F>> {
     let (mut keys, mut frames) = (KeyFrames::new(gap), frames.into_iter());
     std::iter::from_fn(move || {

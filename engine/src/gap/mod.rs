@@ -1,13 +1,13 @@
-//! Which input frames become key frames.
+//! Choice of the input frames that become key frames.
 //!
-//! [`Gap::Every`] takes every n-th. [`Gap::Auto`] takes as few key frames as a run's images need to be as close to its
-//! frames as is asked for: as each frame arrives, what lies between the last key frame and it is predicted from these
-//! two ([`interpolation`]), how close the interval's images would come is expected from that and from how close those
-//! of earlier intervals came ([`control`]), and where that is less than what is asked for, the frame before becomes a
-//! key frame. A cut has a key frame on both sides. A gap never leaves its range.
+//! [`Gap::Every`] takes every n-th. [`Gap::Auto`] takes as few key frames as a run's images require for a target PSNR.
+//! As each frame arrives, the frames between the last key frame and it are predicted from these two
+//! ([`interpolation`]). From that and from the PSNR of earlier intervals, the PSNR of the interval's images is
+//! predicted ([`control`]). Where it is below the target, the frame before becomes a key frame. A cut has a key frame
+//! on both sides. A gap never leaves its range.
 //!
 //! It works online: no frame waits for more than `most − 1` later ones before its key frame is known, as with a fixed
-//! gap of `most`. The choice is a function of the frames and of what [`Chooser::learn`] was told.
+//! gap of `most`. The choice is a function of the frames and of the calls to [`Chooser::learn`].
 
 pub mod control;
 pub mod interpolation;
@@ -30,31 +30,31 @@ use interpolation::Small;
 
 /// The largest gap.
 pub const MOST: usize = 100_000;
-/// The largest gap that is chosen by looking: every frame is compared with all since the key frame.
+/// The largest gap that is chosen automatically: every frame is compared with all since the key frame.
 pub const MOST_AUTO: usize = 64;
 
-/// Ratio, in dB, under which a frame does not follow from the one before: a cut.
+/// PSNR in dB of a frame predicted from the one before, under which there is a cut.
 const CUT: f64 = 18.0;
-/// The ratio, in dB, of a prediction that cannot be told from its frame.
+/// PSNR in dB of a prediction that is indistinguishable from its frame.
 pub const LIKE: f64 = 60.0;
 
-/// How far key frames are apart.
+/// Distances between key frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Gap {
     /// This many input frames.
     Every(usize),
-    /// As far as images stay close to the frames.
+    /// As long as images stay close to the frames.
     Auto(Auto),
 }
 
-/// The range of a gap that is chosen by looking, and how close images should come.
+/// The range of an automatic gap, and the target PSNR.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Auto {
     /// The smallest gap: it bounds the cost.
     pub least: usize,
     /// The largest gap: it bounds the latency.
     pub most: usize,
-    /// Mean peak signal-to-noise ratio that the images of all frames should have, in dB.
+    /// Mean peak signal-to-noise ratio required of the images of all frames, in dB.
     pub decibels: f64,
 }
 
@@ -80,7 +80,7 @@ impl fmt::Display for Gap {
     }
 }
 
-/// A text that is no gap.
+/// A text that is not a gap.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "expected a whole number from 1 to {MOST}, or auto[:[LEAST-]MOST[:DB]] with gaps from 1 to {MOST_AUTO} and 10 to 60 dB; found {0:?}"
@@ -114,10 +114,10 @@ impl FromStr for Gap {
     }
 }
 
-/// Decision on a frame's arrival.
+/// Decision when a frame arrives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Choice {
-    /// Nothing yet.
+    /// No key frame yet.
     Wait,
     /// This frame is a key frame.
     This,
@@ -151,7 +151,7 @@ struct Replay {
 }
 
 impl Chooser {
-    /// One that has seen nothing.
+    /// A chooser before its first frame.
     pub fn new(gap: Gap) -> Chooser {
         let control = Control::new(if let Gap::Auto(auto) = gap { auto } else { Auto::default() });
         Chooser { gap, since: None, seen: Vec::new(), cut: false, predicted: None, control, replay: None }
@@ -194,8 +194,8 @@ impl Chooser {
         choice
     }
 
-    /// Takes how close the images of the next interval came, in the order of intervals, the first key frame's first,
-    /// and at most [`control::LATE`] intervals late. Where nothing is told, choices rest on predictions alone.
+    /// Takes the measured PSNR of the next interval's images, in the order of intervals, the first key frame's first,
+    /// and at most [`control::LATE`] intervals late. Without measurements, choices depend on predictions alone.
     pub fn learn(&mut self, found: &Found) {
         self.control.learn(found);
     }
@@ -241,7 +241,7 @@ pub fn predicted(frames: &[Small]) -> Vec<f64> {
     interpolation::misses(frames).into_iter().map(|miss| ratio(miss).min(LIKE)).collect()
 }
 
-/// The sum of squares that a ratio of so many decibels allows.
+/// The sum of squares that corresponds to a PSNR of `decibels`.
 fn bound(decibels: f64) -> u64 {
     let share = exp(-decibels / 10.0 * std::f64::consts::LN_10);
     (share * (interpolation::PEAK * interpolation::PEAK) as f64 * interpolation::CELLS as f64) as u64

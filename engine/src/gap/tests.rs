@@ -2,7 +2,7 @@ use super::interpolation::{PEAK, Small, misses};
 use super::{Auto, Choice, Chooser, Found, Gap, KeyFrames, grouped};
 use crate::picture::Picture;
 
-/// A textured plane that has moved right by `shift` pixels, with a bright square where `square` says.
+/// A textured plane, moved right by `shift` pixels, with a bright square at `square`.
 fn picture(shift: i32, square: Option<usize>) -> Picture {
     let (width, height) = (256, 144);
     let pixel = |i: usize| {
@@ -13,12 +13,12 @@ fn picture(shift: i32, square: Option<usize>) -> Picture {
     Picture { width, height, rgb: (0..3 * width * height).map(pixel).collect() }
 }
 
-/// The largest miss.
+/// The largest sum of squared errors.
 fn worst(frames: &[Small]) -> u64 {
     misses(frames).into_iter().max().unwrap_or(0)
 }
 
-/// Key frames that are chosen of a clip.
+/// Key frames chosen in a clip.
 fn keys(gap: Gap, clip: &[Picture]) -> Vec<usize> {
     let ends = grouped(gap, clip).filter(|group| group.whole).scan(0, |end, group| {
         *end += group.frames.len();
@@ -49,7 +49,7 @@ fn a_still_scene_has_the_largest_gap_and_a_sudden_change_a_key_frame_on_both_sid
     assert!(found.windows(2).all(|pair| (5..=8).contains(&(pair[1] - pair[0]))), "{found:?}");
 }
 
-/// Key frames of `clip`, where an interval of n frames turns out to have `between` dB between its key frames, two
+/// Key frames of `clip`, where an interval of n frames is measured to have `between` dB between its key frames, two
 /// intervals late.
 fn told(auto: Auto, clip: &[Picture], between: impl Fn(usize) -> f64) -> (Vec<usize>, f64) {
     let mut chooser = Chooser::new(Gap::Auto(auto));
@@ -196,7 +196,7 @@ fn groups_hold_every_frame_once_and_end_with_the_last() {
         loop {
             let arrive = || Ok(arriving.next().map(|i| &clip[i]));
             let group = keys.next(arrive, |waiting| {
-                // Every frame has its turn, in its order.
+                // Each frame comes last once, in order.
                 assert!(std::ptr::eq(*waiting.last().expect("a frame"), &clip[taken]));
                 taken += 1;
                 Ok::<_, String>(())

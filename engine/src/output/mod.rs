@@ -1,8 +1,8 @@
-//! Files: pictures, depth maps, video. A file has its own name only once it is whole.
+//! Files: pictures, depth maps, video. A file gets its own name only once it is complete.
 //!
 //! A file is written under a temporary name in the same folder (`.NAME.partial`), synced, and renamed; no symbolic link
-//! is written through ([`storage`]). Every file's BLAKE3 digest is taken on the way. PNG and WebP are written with
-//! fixed encoder settings by pure-Rust code, so their bytes are a function of the pixels.
+//! is written through ([`storage`]). Every file's BLAKE3 digest is computed while it is written. PNG and WebP are
+//! written with fixed encoder settings by pure-Rust code, so their bytes are a function of the pixels.
 
 pub mod storage;
 mod video;
@@ -28,7 +28,7 @@ pub enum OutputError {
     Write {
         /// The file or folder.
         path: PathBuf,
-        /// The system's answer.
+        /// Cause reported by the system.
         cause: io::Error,
     },
     /// The `ffmpeg` program is not installed.
@@ -51,14 +51,14 @@ pub enum OutputError {
     Changed {
         /// The file.
         path: PathBuf,
-        /// Bytes of it that are compared.
+        /// Number of bytes compared.
         bytes: u64,
-        /// The digest it had.
+        /// Recorded digest.
         expected: String,
-        /// The digest it has.
+        /// Digest found.
         found: String,
     },
-    /// A frame of another size than the video's first.
+    /// A frame has another size than the video's first.
     #[error("{}: expected frames of {}×{}, found {}×{}", path.display(), expected.0, expected.1, found.0, found.1)]
     FrameSize {
         /// The video file.
@@ -93,7 +93,7 @@ impl Written {
     }
 }
 
-/// Where a file is written before it gets its name.
+/// Path of a file while it is written.
 pub fn partial_name(path: &Path) -> PathBuf {
     let mut name = std::ffi::OsString::from(".");
     name.push(path.file_name().unwrap_or_default());
@@ -101,26 +101,26 @@ pub fn partial_name(path: &Path) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// The folder that `path` is in.
+/// The folder that contains `path`.
 pub fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Writes `bytes` as the file `path`: whole or not at all. It survives a power loss.
+/// Writes `bytes` as the file `path`, completely or not at all. It survives a power loss.
 ///
 /// # Errors
-/// The system's, with the file's name; nothing is left behind.
+/// The system's, with the file's name; no partial file remains.
 pub fn write_file(path: &Path, bytes: &[u8]) -> Result<Written, OutputError> {
     write_whole(path, bytes)?;
     storage::sync_folder(folder_of(path)).map_err(OutputError::write(path))?;
     Ok(Written::of(bytes))
 }
 
-/// [`write_file`] without the digest, and without waiting for the name to last: [`storage::sync_folder`] does so for
-/// all files of a folder.
+/// [`write_file`] without the digest, and without waiting until the name is durable: [`storage::sync_folder`] does that
+/// for all files of a folder.
 ///
 /// # Errors
-/// As there.
+/// As [`write_file`].
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
     let partial = partial_name(path);
     let result = storage::create(&partial)
@@ -135,7 +135,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
     }
 }
 
-/// A file that other code writes under its temporary name; removed unless it is kept.
+/// A file that other code writes under its temporary name; removed unless it is [kept](Self::keep).
 #[derive(Debug)]
 pub struct Partial {
     target: PathBuf,
@@ -143,7 +143,7 @@ pub struct Partial {
 }
 
 impl Partial {
-    /// Creates the temporary file: an unwritable folder is found before work is spent.
+    /// Creates the temporary file, so that an unwritable folder is an error before the work starts.
     ///
     /// # Errors
     /// The file cannot be created.
@@ -153,7 +153,7 @@ impl Partial {
         Ok(Partial { target: target.to_owned(), partial: Some(partial) })
     }
 
-    /// Where to write.
+    /// Path to write to.
     pub fn path(&self) -> &Path {
         self.partial.as_deref().unwrap_or(&self.target)
     }
@@ -176,7 +176,7 @@ impl Drop for Partial {
     }
 }
 
-/// Syncs a file that is complete under its temporary name, and renames it to its own.
+/// Syncs a file that is complete under its temporary name, and renames it to its own name.
 fn keep(partial: &Path, target: &Path) -> Result<(), OutputError> {
     let kept = storage::reopen(partial)
         .and_then(|file| file.sync())
@@ -188,8 +188,8 @@ fn keep(partial: &Path, target: &Path) -> Result<(), OutputError> {
     })
 }
 
-/// Creates a folder, and tries to write in it: an unwritable one is found before work is spent. The folder itself may
-/// be a link.
+/// Creates a folder and tries to write in it, so that an unwritable one is an error before the work starts. The folder
+/// itself may be a link.
 ///
 /// # Errors
 /// The folder cannot be created or written in.
@@ -197,7 +197,7 @@ pub fn prepare_folder(path: &Path) -> Result<(), OutputError> {
     create_all(path).and_then(|()| probe(path)).map_err(OutputError::write(path))
 }
 
-/// As [`prepare_folder`], for a folder below one that results go to: a link is refused.
+/// As [`prepare_folder`], for a subfolder of results: a link is refused.
 ///
 /// # Errors
 /// The folder cannot be created or written in, or is a link.
@@ -205,14 +205,14 @@ pub fn prepare_subfolder(path: &Path) -> Result<(), OutputError> {
     storage::create_folder(path).and_then(|()| probe(path)).map_err(OutputError::write(path))
 }
 
-/// Creates a folder and those it is in.
+/// Creates a folder and its missing parents.
 fn create_all(path: &Path) -> io::Result<()> {
     if path.as_os_str().is_empty() || path.is_dir() {
         return Ok(());
     }
     create_all(folder_of(path))?;
     match storage::create_folder(path) {
-        // Someone else was sooner.
+        // Another process may have created it first.
         Err(e) if !path.is_dir() => Err(e),
         _ => storage::sync_folder(folder_of(path)),
     }
@@ -228,23 +228,23 @@ fn png(width: usize, height: usize, samples: &[u8], colour: ExtendedColorType) -
     let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive);
     match encoder.write_image(samples, width as u32, height as u32, colour) {
         Ok(()) => bytes,
-        // Into memory, with a length that fits the size, there is nothing to fail.
+        // Encoding to memory with matching lengths cannot fail.
         Err(e) => unreachable!("PNG of {width}×{height} in memory: {e}"),
     }
 }
 
-/// The picture as an 8-bit PNG file.
+/// Encodes the picture as an 8-bit PNG file.
 pub fn picture_png(picture: &Picture) -> Vec<u8> {
     png(picture.width, picture.height, &picture.to_rgb8(), ExtendedColorType::Rgb8)
 }
 
-/// The colours of an image as an 8-bit PNG file: the bytes of [`picture_png`].
+/// Encodes the colours of an image as an 8-bit PNG file, with the bytes of [`picture_png`].
 pub fn image_png(image: &Image) -> Vec<u8> {
     picture_png(&Picture { width: image.width, height: image.height, rgb: image.rgb.clone() })
 }
 
-/// A picture that was drawn over black, and its alpha, as an 8-bit PNG file with alpha. PNG's colours are not
-/// multiplied by alpha, so they are divided by it before they are rounded.
+/// Encodes a picture that was drawn over black, with its alpha, as an 8-bit PNG file. PNG's colours are not multiplied
+/// by alpha, so they are divided by it before they are rounded.
 ///
 /// # Panics
 /// When `alpha` does not hold `width · height` values.
@@ -255,7 +255,7 @@ pub fn transparent_png(picture: &Picture, alpha: &[f32]) -> Vec<u8> {
     png(*width, *height, &straight(picture, alpha), ExtendedColorType::Rgba8)
 }
 
-/// Colours that were multiplied by their alpha, divided by it and rounded, and alpha.
+/// Divides colours by the alpha that they are multiplied by; returns them with alpha, rounded to 8 bits.
 fn straight(picture: &Picture, alpha: &[f32]) -> Vec<u8> {
     let Picture { width, height, rgb } = picture;
     let plane = width * height;
@@ -274,10 +274,11 @@ fn straight(picture: &Picture, alpha: &[f32]) -> Vec<u8> {
 /// Longest side of a WebP file.
 pub const WEBP_SIDE: usize = 16_383;
 
-/// The picture as a WebP file without loss; where it was drawn over black, with its alpha, as [`transparent_png`].
+/// Encodes the picture as a lossless WebP file; with alpha, of a picture that was drawn over black, as in
+/// [`transparent_png`].
 ///
 /// # Errors
-/// Sides that WebP has no number for.
+/// Sides longer than WebP allows.
 ///
 /// # Panics
 /// When `alpha` does not hold `width · height` values.
@@ -300,7 +301,7 @@ pub fn picture_webp(picture: &Picture, alpha: Option<&[f32]>) -> io::Result<Vec<
     Ok(bytes)
 }
 
-/// A plane with values in `[0, 1]` as an 8-bit grey PNG file.
+/// Encodes a plane with values in `[0, 1]` as an 8-bit grey PNG file.
 ///
 /// # Panics
 /// When `plane` does not hold `width · height` values.
@@ -310,7 +311,7 @@ pub fn plane_png(width: usize, height: usize, plane: &[f32]) -> Vec<u8> {
     png(width, height, &samples, ExtendedColorType::L8)
 }
 
-/// A depth image (`Σ d α T`) and, if present, its alpha (`Σ α T`) as an EXR file with the channels `Z` and `A`.
+/// Encodes a depth image (`Σ d α T`) and, if present, its alpha (`Σ α T`) as an EXR file with the channels `Z` and `A`.
 ///
 /// # Errors
 /// Planes whose length is not `width · height`.
@@ -324,11 +325,11 @@ pub fn depth_exr(width: usize, height: usize, depth: &[f32], alpha: Option<&[f32
     Ok(bytes.into_inner())
 }
 
-/// An image as one EXR file of 32-bit floats, without loss, in three layers: `colour` (channels R, G
-/// and B), `depth` (Z, as in [`depth_exr`]) and `alpha` (A).
+/// Encodes an image as one lossless EXR file of 32-bit floats, in three layers: `colour` (channels R, G and B), `depth`
+/// (Z, as in [`depth_exr`]) and `alpha` (A).
 ///
-/// Colours are as they are drawn: in display (gamma) space, over the background. Over a black background they are
-/// multiplied by alpha, as compositing needs them.
+/// Colours are as drawn: in display (gamma) space, over the background. Over a black background they are multiplied by
+/// alpha, as compositing requires.
 ///
 /// # Errors
 /// An image without depth or alpha, or planes whose length is not `width · height`.
@@ -336,9 +337,9 @@ pub fn layered_exr(image: &Image) -> io::Result<Vec<u8>> {
     layers(image, false)
 }
 
-/// The planes that an image has as one EXR file of 32-bit floats, without loss: that of [`layered_exr`] where it has
-/// depth and alpha; else colours alone, in the channels R, G and B of the layer `colour`, and depth or alpha in their
-/// layers.
+/// Encodes the planes of an image as one lossless EXR file of 32-bit floats. With depth and alpha it is that of
+/// [`layered_exr`]. Otherwise it has colours in the channels R, G and B of the layer `colour`, and depth or alpha, if
+/// present, in their layers.
 ///
 /// # Errors
 /// Planes whose length is not `width · height`.
@@ -346,11 +347,11 @@ pub fn image_exr(image: &Image) -> io::Result<Vec<u8>> {
     write_layers(image, false, [image.depth.is_some(), image.alpha.is_some()])
 }
 
-/// As [`layered_exr`], of an image that was drawn over black: `colour` holds alpha as well (channels R, G, B and A), by
-/// which its colours are multiplied, as usual in that format.
+/// As [`layered_exr`], for an image that was drawn over black: `colour` holds alpha as well (channels R, G, B and A),
+/// and its colours are multiplied by it, as usual in that format.
 ///
 /// # Errors
-/// As there.
+/// As [`layered_exr`].
 pub fn transparent_exr(image: &Image) -> io::Result<Vec<u8>> {
     layers(image, true)
 }
@@ -408,7 +409,7 @@ mod tests {
         let written = write_file(&path, b"hello").expect("writable");
         assert_eq!(written.blake3, blake3::hash(b"hello").to_hex().as_str());
         assert_eq!(std::fs::read(&path).expect("readable"), b"hello");
-        // A folder has the file's name: the rename fails, and nothing is left.
+        // A folder has the file's name: the rename fails, and no file remains.
         std::fs::create_dir(folder.path().join("b.bin")).expect("writable");
         assert!(write_file(&folder.path().join("b.bin"), b"x").is_err());
         let names: Vec<_> =

@@ -1,10 +1,10 @@
-//! File operations of everything that is written: files, names, folders, and their durability.
+//! File operations for everything that is written: files, names, folders, and their durability.
 //!
-//! A symbolic link is never written through: [`create`] makes a new file in the place of anything with that name,
-//! [`reopen`] and [`create_folder`] refuse links. Data survive a power loss once synced: a file's bytes by
-//! [`Output::sync`], the names in a folder by [`sync_folder`].
+//! A symbolic link is never written through: [`create`] replaces anything of that name by a new file, [`reopen`] and
+//! [`create_folder`] refuse links. Data survive a power loss once synced: a file's bytes by [`Output::sync`], the names
+//! in a folder by [`sync_folder`].
 //!
-//! Tests can have operations of their thread fail, or lose unsynced data: [`faults`].
+//! Tests can make operations of their thread fail, or lose unsynced data: [`faults`].
 
 use std::fs::{File, Metadata};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -78,10 +78,10 @@ pub fn create(path: &Path) -> io::Result<Output> {
     Ok(Output { file, path: path.to_owned() })
 }
 
-/// Opens a regular file to read it and to write on.
+/// Opens a regular file for reading and appending.
 ///
 /// # Errors
-/// The system's; something that is no regular file, such as a link.
+/// The system's; anything that is not a regular file, such as a link.
 pub fn reopen(path: &Path) -> io::Result<Output> {
     regular(path)?;
     faults::step()?;
@@ -90,8 +90,8 @@ pub fn reopen(path: &Path) -> io::Result<Output> {
     Ok(Output { file, path: path.to_owned() })
 }
 
-/// Takes note of a file that another program has written since it was [created](create). A fault leaves of it what such
-/// a program leaves that does not notice: half.
+/// Registers a file that another program has written since it was [created](create). A fault truncates it to half, as a
+/// program leaves it that misses the error.
 ///
 /// # Errors
 /// The system's.
@@ -128,10 +128,10 @@ pub fn remove(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Creates a folder in one that is there; one that is there already is left as it is.
+/// Creates a folder in an existing one; an existing folder of that name is kept.
 ///
 /// # Errors
-/// The system's; something that is no folder, such as a link to one.
+/// The system's; anything that is not a folder, such as a link to one.
 pub fn create_folder(path: &Path) -> io::Result<()> {
     match std::fs::symlink_metadata(path) {
         Ok(found) if found.is_dir() => Ok(()),
@@ -173,7 +173,7 @@ pub fn sync_folder(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Returns true if there is something of that name, be it a link to nothing.
+/// Returns true if anything of that name exists, even a dangling link.
 pub fn exists(path: &Path) -> bool {
     std::fs::symlink_metadata(path).is_ok()
 }
@@ -181,7 +181,7 @@ pub fn exists(path: &Path) -> bool {
 /// Metadata of `path`, which must be a regular file.
 ///
 /// # Errors
-/// The system's; something else, such as a link.
+/// The system's; anything else, such as a link.
 pub fn regular(path: &Path) -> io::Result<Metadata> {
     let found = std::fs::symlink_metadata(path)?;
     if found.is_file() {

@@ -21,7 +21,7 @@ pub enum Backend {
 }
 
 impl Backend {
-    /// Both.
+    /// Both backends.
     pub const ALL: &'static [Backend] = &[Backend::Cpu, Backend::Wgpu];
 
     /// Its name in options and records.
@@ -32,7 +32,7 @@ impl Backend {
         }
     }
 
-    /// Returns true if this library was built with it.
+    /// Returns true if this library was built with the backend.
     pub fn is_built_in(self) -> bool {
         match self {
             Backend::Cpu => true,
@@ -40,7 +40,7 @@ impl Backend {
         }
     }
 
-    /// Returns true if its images are the same to the last bit everywhere.
+    /// Returns true if its images are bit-identical everywhere.
     pub fn is_within_contract(self) -> bool {
         self == Backend::Cpu
     }
@@ -61,7 +61,7 @@ impl FromStr for Backend {
     }
 }
 
-/// A request that a graphics card does not draw.
+/// Name of the first requested feature that a graphics card does not support, if any.
 #[cfg(feature = "wgpu")]
 fn cpu_alone(projection: &Projection, request: &Request) -> Option<&'static str> {
     let alone = [

@@ -1,16 +1,16 @@
 //! From an interval, a time and a camera to an image.
 //!
-//! The Gaussians are taken to the time ([`Record::position_at`](crate::stream::Record::position_at) and
-//! [`opacity_at`](crate::stream::Record::opacity_at)), into scene space, and into the camera's view, which the kernels
-//! rasterise. Scene space is x right, y down, z forward, with x and y in [−1, 1] over the model's input and
-//!
+//! The Gaussians are evaluated at the time ([`Record::position_at`](crate::stream::Record::position_at) and
+//! [`opacity_at`](crate::stream::Record::opacity_at)) and transformed into scene space and into the camera's view,
+//! which the kernels rasterise. Scene space is x right, y down, z forward, with x and y in [−1, 1] over the model's
+//! input and
 //! ```text
 //! z = 1 / (9.8·y + 0.2 + 10⁻⁶)   for normalised inverse depths y in [0, 1]; Gaussians outside are not drawn
 //! ```
 //!
 //! and standard deviations (s_x, s_z, s_y) along these axes (StreamSplat (ICLR 2026), camera and image). The canonical
-//! camera is axis-aligned, so its splats need no rotation; other cameras see the scene in [square
-//! units](Snapshot::square) and turn every Gaussian by the opposite of their own rotation.
+//! camera is axis-aligned, so its splats need no rotation. Other cameras see the scene in [square
+//! units](Snapshot::square) and rotate every Gaussian by the inverse of their own rotation.
 //!
 //! A canonical image shows the content of the model's input, without the border that the frame's shape left. Its
 //! Gaussians are drawn at the requested size, not scaled from an image.
@@ -34,7 +34,7 @@ use crate::camera::Camera;
 use crate::stream::{Interval, Workers};
 
 impl Interval {
-    /// The scene at `time` seconds, seen by `camera`, drawn by `workers`.
+    /// Draws the scene at `time` seconds, seen by `camera`, with `workers`.
     ///
     /// To draw many images use a [`Renderer`].
     ///
@@ -54,12 +54,12 @@ impl Interval {
     }
 }
 
-/// Draws one image after another; on the CPU only what changed between them. The images are those of
-/// [`Interval::render`], to the last bit on the CPU and nearly so on a graphics card ([`Backend`]).
+/// Draws one image after another; on the CPU only the parts that changed. The images are those of [`Interval::render`],
+/// to the last bit on the CPU and nearly so on a graphics card ([`Backend`]).
 pub struct Renderer {
     workers: Workers,
     rasteriser: Rasteriser,
-    /// Gaussians left out of the last image before anything of them was projected.
+    /// Gaussians of the last image that were left out before projection.
     left_out: u64,
 }
 
@@ -86,7 +86,7 @@ impl Renderer {
         self.rasteriser.adapter()
     }
 
-    /// The scene at `time` seconds, seen by `camera`.
+    /// Draws the scene at `time` seconds, seen by `camera`.
     ///
     /// # Errors
     /// As [`Interval::render`]; and where the graphics card fails.
@@ -129,13 +129,13 @@ impl Renderer {
         &self.workers
     }
 
-    /// Threads, level and rasteriser of an image with this number of Gaussians left out.
+    /// Returns threads, level and rasteriser for an image with this number of Gaussians left out.
     pub(crate) fn parts(&mut self, left_out: u64) -> (&Workers, &mut Rasteriser) {
         self.left_out = left_out;
         (&self.workers, &mut self.rasteriser)
     }
 
-    /// Work done and work avoided by the last image. Gaussians that were [left out](Self::left_out) count as any others
+    /// Work done and work avoided by the last image. Gaussians that were [left out](Self::left_out) count like others
     /// that reach no pixel.
     pub fn work(&self) -> raster::Work {
         let mut work = self.rasteriser.work();
@@ -144,7 +144,7 @@ impl Renderer {
         work
     }
 
-    /// Gaussians that the last image was found not to show before anything of them was projected ([`crate::space`]).
+    /// Gaussians of the last image that were found invisible and left out before projection ([`crate::space`]).
     pub fn left_out(&self) -> u64 {
         self.left_out
     }

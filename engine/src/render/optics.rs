@@ -1,16 +1,16 @@
-//! A lens with a width.
+//! Lenses with an aperture.
 
 use streamsplat_kernels::raster::Defocus;
 
 use super::RenderError;
 use crate::camera::{Camera, Lens};
 
-/// A lens that is open so far, and where it is in focus. Only pinhole cameras have one.
+/// Aperture and focus of a lens. Only pinhole cameras have one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aperture {
     /// The focal length over the diameter of the entrance pupil: a photographer's f-number.
     pub f_stop: f64,
-    /// Where it is in focus.
+    /// Where the lens is in focus.
     pub focus: Focus,
     /// Height of the sensor, in the scene's units: the focal length follows from it and the field of view.
     pub sensor_height: f64,
@@ -29,7 +29,7 @@ pub enum Focus {
 pub const SENSOR_HEIGHT: f64 = 0.024;
 
 impl Aperture {
-    /// The lens of `camera`.
+    /// The defocus of `camera` with this aperture.
     ///
     /// # Errors
     /// Cameras without a pinhole, numbers that are not above 0 (an f-number or a distance may be infinite), and points
@@ -53,7 +53,7 @@ impl Aperture {
                 (0..3).map(|i| forward[i] * (point[i] - pose.position[i])).sum()
             }
         };
-        // A value that binary32 rounds to 0 is none.
+        // A distance that binary32 rounds to 0 is refused.
         if distance.is_nan() || distance as f32 <= 0.0 {
             return Err(fail("distance of the focus", distance));
         }

@@ -14,20 +14,20 @@ use crate::fit::Placement;
 pub struct RenderOptions {
     /// The image's size.
     pub size: Size,
-    /// Colour behind everything.
+    /// Background colour.
     pub background: [f32; 3],
-    /// True if a depth image (Σ d α T) is wanted.
+    /// True if a depth image (Σ d α T) is requested.
     pub depth: bool,
-    /// True if an alpha image (Σ α T) is wanted.
+    /// True if an alpha image (Σ α T) is requested.
     pub alpha: bool,
-    /// True if the transmittance left and the number of splats per pixel are wanted.
+    /// True if the remaining transmittance and the number of splats per pixel are requested.
     pub statistics: bool,
     /// Whether splats smaller than a pixel are drawn fainter instead of larger, for scenes trained with anti-aliasing
     /// ([`raster::Request::antialias`]).
     pub antialias: bool,
     /// How α falls from a Gaussian's centre to its edge.
     pub falloff: Falloff,
-    /// The lens of a pinhole camera, where it has a width.
+    /// Aperture of a pinhole camera's lens, if any.
     pub aperture: Option<Aperture>,
 }
 
@@ -47,7 +47,7 @@ impl Default for RenderOptions {
     }
 }
 
-/// Bytes per pixel in addition to its planes: lists of its tile, and its samples as they are written to a file.
+/// Bytes per pixel in addition to its planes: its share of the tile's lists, and its samples in the written file.
 const BESIDE: usize = 16;
 
 impl RenderOptions {
@@ -74,7 +74,7 @@ impl RenderOptions {
     /// [`Self::request`] for an image that `camera` sees.
     ///
     /// # Errors
-    /// As there, and an aperture of a camera that has none.
+    /// As [`Self::request`], and an aperture for a camera without a lens.
     pub(crate) fn seen_by(&self, camera: &Camera, size: [usize; 2]) -> Result<Request, RenderError> {
         let defocus = self.aperture.map(|aperture| aperture.of(camera)).transpose()?;
         Ok(Request { defocus, ..self.request(size)? })
@@ -108,7 +108,7 @@ impl fmt::Display for Size {
     }
 }
 
-/// A text that is no size of an image.
+/// A text that is not a size of an image.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected model, source or WIDTHxHEIGHT up to {most} a side, found {0:?}", most = raster::MAX_SIDE)]
 pub struct UnknownSize(pub String);
@@ -144,7 +144,7 @@ impl Size {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RenderError {
-    /// The interval does not hold the time.
+    /// The time is outside of the interval.
     #[error("time {time} s: expected one between {start} s and {end} s")]
     Time {
         /// The requested time.
@@ -174,16 +174,16 @@ pub enum RenderError {
         /// Bytes of the image and of the data made from it.
         bytes: usize,
     },
-    /// The camera has numbers that are not finite, or a lens that sees nothing.
+    /// The camera has numbers that are not finite, or a lens with an empty view.
     #[error("camera: expected finite numbers, positive extents and focal lengths")]
     Camera,
-    /// The canonical camera of a scene that has none.
+    /// The canonical camera for a scene that has none.
     #[error("camera: expected an orthographic or pinhole one, found canonical: a still scene has no camera of its own")]
     NoOwnCamera,
-    /// The aperture of a camera that is no pinhole.
+    /// The aperture of a camera that is not a pinhole.
     #[error("aperture: expected a pinhole camera, found one without a lens (orthographic or all around)")]
     NoLens,
-    /// An aperture with values that no lens has.
+    /// An aperture with impossible values.
     #[error("aperture: {what}: expected more than 0, and a lens of finite width, found {found:?}")]
     Aperture {
         /// The number's name.

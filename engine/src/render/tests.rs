@@ -66,7 +66,7 @@ fn an_enlarged_image_shows_the_models_own_pixels_between_which_it_is_closed() {
             interval.render(3.0, &Camera::Canonical, &options, &workers()).expect("a size")
         };
         let (own, large) = (draw(1), draw(3));
-        // The middle of each 3×3 pixels is where the model's pixel was: the same Gaussians, equally wide.
+        // The middle of each 3×3 pixels is at the model's pixel: the same Gaussians, equally wide.
         for y in 0..height {
             for x in 0..width {
                 let (at, middle) = (y * width + x, (3 * y + 1) * 3 * width + 3 * x + 1);
@@ -105,7 +105,7 @@ fn the_canonical_camera_is_the_orthographic_one_at_the_origin() {
     let canonical = interval.render(3.5, &Camera::Canonical, &options, &workers()).unwrap();
     let origin = interval.render(3.5, &Camera::orthographic(Pose::default()), &options, &workers()).unwrap();
     assert!(difference(&origin.rgb, &canonical.rgb) < 1e-4);
-    // A rotation of nothing but rounding takes the general path to almost the same image.
+    // A rotation by no more than rounding uses the general path and draws almost the same image.
     let nearly = Rotation::from_quaternion([1.0, 0.0, 0.0, 1e-12]).unwrap();
     let turned = Camera::orthographic(Pose { rotation: nearly, ..Pose::default() });
     let turned = interval.render(3.5, &turned, &options, &workers()).unwrap();

@@ -22,7 +22,7 @@ const LOW_PASS: f64 = 0.3;
 /// Units are those of the model's input or [square](Snapshot::square).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Snapshot {
-    /// Their places in the interval, ascending.
+    /// Their indices in the interval, ascending.
     pub index: Vec<u32>,
     /// Centres.
     pub mean: Vec<[f32; 3]>,
@@ -42,7 +42,7 @@ pub fn to_scene([x, y, z]: [f32; 3]) -> Option<[f32; 3]> {
 }
 
 impl Snapshot {
-    /// Gaussians that can be seen at `t` in [0, 1] of their interval.
+    /// Returns the Gaussians that can be seen at `t` in [0, 1] of their interval.
     ///
     /// Left out: opacities under 1/255 (they cannot be drawn), inverse depths outside [0, 1], and records with a number
     /// that is not finite, which are counted.
@@ -74,7 +74,7 @@ impl Snapshot {
         }
     }
 
-    /// Gaussians of an interval that can be seen at `time` seconds.
+    /// Returns the Gaussians of an interval that can be seen at `time` seconds.
     ///
     /// # Errors
     /// Times outside the interval, and intervals whose arrays differ in length.
@@ -87,7 +87,8 @@ impl Snapshot {
         Ok(workers.install(|| Self::new(workers.level(), &interval.gaussians, t)))
     }
 
-    /// Gaussians of an interval that can be seen at `time` seconds, in square units: for posed cameras and exports.
+    /// Returns the Gaussians of an interval that can be seen at `time` seconds, in square units: for posed cameras and
+    /// exports.
     ///
     /// Scene space has x and y in [−1, 1] over the model's input of any shape. Here x and z, and standard deviations
     /// along them, are multiplied by [the input's width over its height](crate::fit::Placement::aspect) (in binary64,
@@ -157,12 +158,12 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
 }
 
 /// A camera's view of scene space, for one image size: in the units of the model's input for the canonical camera, in
-/// square ones for others.
+/// square units for others.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
-    /// Where the view's origin lies in scene space, and how it is turned.
+    /// Position and rotation of the view in scene space.
     pose: Pose,
-    /// How view space meets the image.
+    /// Projection from view space to the image.
     projection: Projection,
     /// Units along x, and along z, per unit of the model's input.
     units: f64,
@@ -214,17 +215,17 @@ impl View {
         Self { pose: *pose, projection, units: 1.0, sides }
     }
 
-    /// Where the view's origin lies in scene space, and how it is turned.
+    /// Position and rotation of the view in scene space.
     pub(crate) fn pose(&self) -> &Pose {
         &self.pose
     }
 
-    /// How view space meets the image.
+    /// Projection from view space to the image.
     pub fn projection(&self) -> &Projection {
         &self.projection
     }
 
-    /// Takes scene-space centres into view space, in place.
+    /// Transforms scene-space centres into view space, in place.
     ///
     /// `m' = Rᵀ(m − c)`, in binary64, sums from left to right, then rounded; untouched where the pose is the identity.
     pub fn apply(&self, mean: &mut [[f32; 3]]) {
@@ -242,11 +243,11 @@ impl View {
         });
     }
 
-    /// Widens Gaussians in view space that this view shows larger than the model's own pixels show them.
+    /// Widens Gaussians in view space that this view magnifies beyond the model's own pixels.
     ///
     /// The rasteriser adds 0.3 px² to every projected variance. Gaussians were trained, and their colours fitted, where
     /// a pixel is one of the model's. A unit of the input has `m = side / 2` of them along an axis (in square units
-    /// along x `m = width / 2` over the input's aspect); where it has `f > m` pixels, that addition is too small and
+    /// along x `m = width / 2` over the input's aspect). Where it has `f > m` pixels, that addition is too small and
     /// gaps open between Gaussians. To keep its size in the scene,
     ///
     /// ```text
@@ -254,11 +255,11 @@ impl View {
     /// ```
     ///
     /// along x and y, with the mean of both along z. The variance in the image is then `(f·s)² + 0.3·(f/m)²` px². `m`
-    /// and `f` are formed in binary64, what follows them in binary32. At the model's own size no bit changes.
+    /// and `f` are computed in binary64, the rest in binary32. At the model's own size no bit changes.
     pub fn widen(&self, placement: &Placement, mean: &[[f32; 3]], scale: &mut [[f32; 3]]) {
         let (focal, around) = match self.projection {
             Projection::Orthographic { focal } | Projection::Pinhole { focal, .. } => (focal, false),
-            // Pixels of a radian.
+            // Pixels per radian.
             Projection::Equirectangular => ([self.sides[1] / PI; 2].map(|f| f as f32), true),
         };
         let pinhole = !matches!(self.projection, Projection::Orthographic { .. });
@@ -286,7 +287,7 @@ impl View {
         });
     }
 
-    /// The rotation (w, x, y, z) that every Gaussian has in view space; `None` where it is the identity.
+    /// The rotation (w, x, y, z) of every Gaussian in view space; `None` where it is the identity.
     pub fn rotation(&self) -> Option<[f32; 4]> {
         let rotation = self.pose.rotation;
         (!rotation.is_identity()).then(|| rotation.inverse().quaternion().map(|c| c as f32))

@@ -1,4 +1,4 @@
-//! Key frames as they are wanted, or one ahead on a thread of its own.
+//! Key frames read on demand, or one ahead on a separate thread.
 
 use std::path::Path;
 use std::sync::mpsc::{Receiver, Sender, channel, sync_channel};
@@ -13,40 +13,40 @@ use crate::run::record::{InputRecord, absolute};
 
 type Message = Result<(Option<KeyFrame>, Reading, ControlState), Error>;
 
-/// Gives the same key frames either way.
+/// Reader of key frames. They are the same on demand and ahead.
 pub struct Ahead {
     from: From,
     total: Option<usize>,
     fps: f64,
     account: Reading,
-    /// Where it is told how close images came to frames, and what was chosen, where key frames depend on that.
+    /// PSNR sender and choices so far, where key frames depend on the PSNR; `None` for fixed gaps.
     choices: Option<(Sender<Found>, Choices)>,
     /// True if a key frame has been returned.
     started: bool,
 }
 
 enum From {
-    /// Read when asked for.
+    /// Read on demand.
     Here(Box<KeyFrames>),
-    /// The next one is read, and given its depth, while the one before is worked on.
+    /// The next one is read, and its depth computed, while the one before is processed.
     Thread(Receiver<Message>),
-    /// There are no more.
+    /// There are none left.
     Ended,
 }
 
 impl Ahead {
-    /// Frames are read ahead where there is more than one thread.
+    /// Frames are read ahead if there is more than one thread.
     pub fn new(keys: KeyFrames, threads: usize) -> Ahead {
         Ahead::resume(keys, threads, None)
     }
 
-    /// The same after these choices, which are made again.
+    /// [`Ahead::new`] after these choices, which are repeated first.
     pub fn resume(mut keys: KeyFrames, threads: usize, choices: Option<&Choices>) -> Ahead {
         let (total, fps, account) = (keys.total(), keys.fps(), keys.account());
         let (teller, told) = channel();
         if let Some(choices) = choices {
             keys.replay(choices);
-            // The receiver is at hand.
+            // The receiver still exists here.
             choices.recent().for_each(|found| _ = teller.send(found));
         }
         let before = choices.map(Choices::replayed).unwrap_or_default();
@@ -58,12 +58,12 @@ impl Ahead {
         Ahead { from, total, fps, account, choices, started: false }
     }
 
-    /// Tells how close the images of the latest key frame's interval came to its frames.
+    /// Sends how close the images of the latest key frame's interval are to its frames.
     pub fn tell(&mut self, found: &Found, closeness: &Closeness) {
         if let Some((teller, choices)) = &mut self.choices {
             let (sum, frames) = closeness.compared();
             choices.found(found, sum, frames);
-            // Where it has ended there is nothing left to choose.
+            // Once the reader has ended there is nothing left to choose.
             let _ = teller.send(*found);
         }
     }
@@ -73,7 +73,7 @@ impl Ahead {
         self.choices.as_ref().map(|(_, choices)| choices)
     }
 
-    /// Frames there will be, where that is known.
+    /// Number of frames, where it is known.
     pub fn total(&self) -> Option<usize> {
         self.total
     }
@@ -88,14 +88,14 @@ impl Ahead {
         &self.account
     }
 
-    /// The record of it, `path` being where it came from.
+    /// The input's record; `path` is where it was read.
     pub fn input(&self, path: &Path) -> InputRecord {
         let Reading { frames, blake3, size, damage, .. } = &self.account;
         let (path, blake3, damage) = (absolute(path), blake3.clone(), damage.clone());
         InputRecord { path, blake3, count: *frames, size: *size, fps: self.fps, damage }
     }
 
-    /// The next key frame.
+    /// Returns the next key frame.
     pub fn next_key(&mut self) -> Result<Option<KeyFrame>, Error> {
         let message = match &mut self.from {
             From::Here(keys) => keys.next_key().map(|key| (key, keys.account(), keys.state())),
@@ -117,8 +117,8 @@ impl Ahead {
     }
 }
 
-/// A thread that holds at most one key frame that nobody has taken. It ends with the frames, or when nobody asks any
-/// more.
+/// Starts the reader thread. It holds at most one undelivered key frame, and exits at the end of the input or when the
+/// receiver is dropped.
 fn start(mut keys: KeyFrames) -> Receiver<Message> {
     let (sender, receiver) = sync_channel(0);
     std::thread::spawn(move || {

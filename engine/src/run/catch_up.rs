@@ -1,4 +1,4 @@
-//! From the start of the input to where a run was stopped.
+//! Resuming: from the start of the input to the point at which a run was stopped.
 
 use crate::Frame;
 use crate::stream::{Interval, ResumePoint};
@@ -8,8 +8,8 @@ use crate::run::record::InputRecord;
 use crate::run::resume_state::Point;
 use crate::run::session::Session;
 
-/// Brings a stream that has seen nothing to `point`: reads what was read, computes the last whole interval again, and
-/// draws its last image again, unwritten, so that what is drawn next finds the tiles it would have found.
+/// Brings a new session to `point`. Reads the input up to there and computes the last whole interval again. Also draws
+/// its last image again, without writing it, so that the next image finds the same tiles to reuse.
 pub fn catch_up(stream: &mut Session, point: &Point, resume: Option<&ResumePoint>) -> Result<(), Error> {
     let mut before: Option<Frame> = None;
     let mut last = None;
@@ -67,7 +67,7 @@ fn holds(interval: &Interval, time: f64) -> bool {
     interval.relative(time).is_some()
 }
 
-/// The frames read so far must be those that were read.
+/// Returns an error unless the frames read so far are those of the stopped run.
 fn check_input(stream: &Session, point: &Point) -> Result<(), Error> {
     let (expected, found) = (&point.input, stream.keys.input(&point.input.path));
     if expected.blake3 == found.blake3 && expected.count == found.count && expected.fps == found.fps {

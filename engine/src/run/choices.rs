@@ -1,4 +1,4 @@
-//! Key frames chosen by how close images come to frames, as a stopped run keeps them.
+//! Key frames chosen by how close images are to frames, in the form that a stopped run keeps.
 
 use std::collections::VecDeque;
 
@@ -19,19 +19,19 @@ pub struct Choices {
 }
 
 impl Choices {
-    /// The same before its choices are made again.
+    /// The same, before its choices are repeated.
     pub fn replayed(&self) -> Choices {
         Choices { gaps: Vec::new(), ..self.clone() }
     }
 
-    /// Another key frame was chosen, `gap` frames after the one before; `None` for the first.
+    /// Adds a key frame, `gap` frames after the one before; `None` for the first.
     pub fn add(&mut self, gap: Option<usize>, state: ControlState) {
         self.gaps.extend(gap);
         self.state = state;
     }
 
-    /// Records the result of an interval; the last two are kept, since a choice may not know them yet. `sum` is the sum
-    /// of PSNR over all frames compared so far, `frames` their number.
+    /// Records the result of an interval. The last two are kept, since the next choice may not have used them yet.
+    /// `sum` is the sum of PSNR over all frames compared so far, `frames` their number.
     pub fn found(&mut self, found: &Found, sum: f64, frames: usize) {
         self.recent.push_back((found.key.to_bits(), found.between.map(f64::to_bits), found.frames));
         if self.recent.len() > 2 {

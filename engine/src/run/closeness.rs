@@ -1,4 +1,4 @@
-//! How close images come to frames, for choosing key frames.
+//! How close images are to frames, for choosing key frames.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -18,7 +18,7 @@ use crate::run::views::Views;
 /// Side of the pictures that are compared.
 pub const SIDE: usize = 256;
 
-/// A frame as it is compared.
+/// A frame in the form in which it is compared.
 #[derive(Clone, Debug)]
 pub struct Truth {
     /// Its time, in seconds.
@@ -32,7 +32,7 @@ pub struct Truth {
 /// PSNR of images of the source's own size, as they are written. Samples of 8 bits are compared.
 #[derive(Debug, Default)]
 pub struct Whole {
-    /// Frames whose images are not there yet, by their numbers.
+    /// Frames whose images are not drawn yet, by their numbers.
     waiting: BTreeMap<usize, Vec<u8>>,
     /// Sum over all frames of PSNR, in dB.
     sum: f64,
@@ -40,22 +40,22 @@ pub struct Whole {
 }
 
 impl Whole {
-    /// Goes on from a sum, as bits, over so many frames.
+    /// Continues from a sum of PSNR, as bits, over `frames` frames.
     pub fn resume((sum, frames): (u64, usize)) -> Whole {
         Whole { waiting: BTreeMap::new(), sum: f64::from_bits(sum), frames }
     }
 
-    /// What [`Whole::resume`] takes.
+    /// Returns the argument for [`Whole::resume`].
     pub fn compared(&self) -> (u64, usize) {
         (self.sum.to_bits(), self.frames)
     }
 
-    /// Keeps a frame until its image is there.
+    /// Keeps a frame until its image is drawn.
     pub fn expect(&mut self, index: usize, samples: Vec<u8>) {
         self.waiting.insert(index, samples);
     }
 
-    /// Compares the image of a frame with it.
+    /// Compares an image with its frame.
     pub fn compare(&mut self, index: usize, image: &Picture) {
         let Some(truth) = self.waiting.remove(&index) else { return };
         if let Some(psnr) = psnr_of_samples(&image.to_rgb8(), &truth) {
@@ -70,8 +70,8 @@ impl Whole {
     }
 }
 
-/// 10 log₁₀(255² n / Σ (a − b)²) of n 8-bit samples, in dB; none where their numbers differ. Equal images have the PSNR
-/// of one level in one sample.
+/// 10 log₁₀(255² n / Σ (a − b)²) of n 8-bit samples, in dB; `None` where their numbers differ. For equal images the sum
+/// is taken as 1, a difference of one level in one sample.
 pub fn psnr_of_samples(image: &[u8], truth: &[u8]) -> Option<f64> {
     if image.len() != truth.len() {
         return None;
@@ -82,17 +82,16 @@ pub fn psnr_of_samples(image: &[u8], truth: &[u8]) -> Option<f64> {
     Some(10.0 * log10(peak / sum.max(1) as f64))
 }
 
-/// The same on every machine.
+/// Base-10 logarithm with the same bits on every machine.
 fn log10(x: f64) -> f64 {
     streamsplat_kernels::math::f64::ln(x) / std::f64::consts::LN_10
 }
 
-/// Draws intervals from the video's own camera, at the size at which the model sees frames, and compares them with
-/// their frames.
+/// Draws intervals from the video's own camera, at the model's size, and compares them with their frames.
 pub struct Closeness {
     drawing: Drawing,
     views: Views,
-    /// Images that were drawn for other ends as they are drawn here, by time, and their PSNR.
+    /// Times and PSNR of images that were drawn for output with the same settings as here.
     drawn: Vec<(f64, f64)>,
     /// Sum over all frames of PSNR, in dB.
     sum: f64,
@@ -106,13 +105,14 @@ fn compared(image: &Picture, truth: &Picture) -> Result<f64, Error> {
 }
 
 impl Closeness {
-    /// Nothing compared yet. A graphics card's images are outside of the bit contract, so that it never draws here.
+    /// No comparisons yet. Images are always drawn on the CPU here, because a graphics card's are outside of the bit
+    /// contract.
     pub fn new(workers: &Workers) -> Result<Closeness, Error> {
         let drawing = Drawing::new(workers, Backend::Cpu)?;
         Ok(Closeness { drawing, views: Views::own(), drawn: Vec::new(), sum: 0.0, frames: 0, time: Duration::ZERO })
     }
 
-    /// Compares an image that `views` show with its frame among `truths`, if [`Closeness::of`] would draw the same one.
+    /// Compares an image of `views` with its frame among `truths`, if [`Closeness::of`] would draw the same image.
     pub fn take(
         &mut self,
         interval: &Interval,
@@ -135,7 +135,7 @@ impl Closeness {
         Ok(())
     }
 
-    /// Compares the images of `interval` with its frames, the key frame last.
+    /// Compares the images of `interval` with its frames, the last of which is the key frame.
     pub fn of(&mut self, interval: &Interval, truths: &[Truth]) -> Result<Option<Found>, Error> {
         let start = Instant::now();
         let mut ratios = Vec::with_capacity(truths.len());
@@ -170,12 +170,12 @@ impl Closeness {
 }
 
 impl Closeness {
-    /// Goes on from these choices.
+    /// Continues from these choices.
     pub fn resume(&mut self, choices: &Choices) {
         (self.sum, self.frames) = choices.compared();
     }
 
-    /// Adds what was compared.
+    /// Adds the comparisons to the account.
     pub fn account(&self, work: &mut BTreeMap<String, WorkRecord>, seconds: &mut BTreeMap<String, f64>) {
         let record = WorkRecord { done: self.frames as u64, avoided: 0, unit: "frames".to_owned() };
         work.insert("compare".to_owned(), record);

@@ -1,18 +1,18 @@
-//! How far turned images of a scene in time are magnified so that the picture's edges are outside of them.
+//! Magnification of turned images of a scene in time, so that the picture's edges are outside of them.
 
 use crate::Image;
 
-/// Columns of the images in which edges are looked for.
+/// Columns of the images in which edges are searched.
 pub const COLUMNS: usize = 128;
-/// Images of a motion that are looked at, at most, evenly apart.
+/// Most images of a motion that are examined, evenly spaced.
 pub const IMAGES: usize = 25;
 /// The least part of the sides that is shown.
 const LEAST: f64 = 0.5;
-/// Alpha of what is seen.
+/// Least alpha of a covered pixel.
 const SEEN: f32 = 0.5;
 
-/// The largest part of an image's sides, around its middle, that holds nothing of what lies outside of the picture:
-/// what is not covered and can be reached from the image's edge. Holes inside count for nothing. At least one half.
+/// The largest part of an image's sides, around its middle, without pixels outside of the picture: those that are
+/// uncovered and connected to the image's edge. Holes inside are ignored. At least one half.
 pub fn shown_part(image: &Image) -> f64 {
     let (width, height) = (image.width, image.height);
     let Some(alpha) = image.alpha.as_deref() else { return 1.0 };
@@ -27,7 +27,7 @@ pub fn shown_part(image: &Image) -> f64 {
         }
         outside[i] = true;
         let (x, y) = (i % width, i / width);
-        // The pixel's side that is nearest to the middle.
+        // The side of the pixel nearest to the middle.
         let near = |place: usize, side: usize| ((2 * place + 1).abs_diff(side) as f64 - 1.0) / side as f64;
         part = part.min(near(x, width).max(near(y, height)));
         let around = [(x > 0, i.wrapping_sub(1)), (x + 1 < width, i + 1)];

@@ -6,7 +6,7 @@ use crate::output::{VIDEOS, VideoFormat, qualities};
 
 use crate::run::Error;
 
-/// Endings of files that nobody means as the name of a folder.
+/// Endings of files that are not meant as names of folders.
 const FOREIGN: [&str; 31] = [
     "3gp", "asf", "avi", "flv", "m2ts", "mpeg", "mpg", "mts", "ogv", "ts", "vob", "wmv", "mp3", "wav", "bmp", "exr",
     "jpeg", "jpg", "png", "tga", "tif", "tiff", "heic", "ply", "spz", "ssz", "zip", "sog", "glb", "gltf", "splat",
@@ -49,7 +49,7 @@ impl Destination {
         }
     }
 
-    /// Where a run under way keeps what it needs to go on after it was stopped; `None` where it cannot.
+    /// Where a run keeps its resume state; `None` where it cannot be resumed.
     pub fn resume(&self) -> Option<PathBuf> {
         match self {
             Destination::Folder(folder) => Some(folder.join("resume")),
@@ -62,7 +62,7 @@ impl Destination {
         }
     }
 
-    /// Refuses a rate factor where there is no such thing, or none like this.
+    /// Refuses a rate factor for outputs without one, and values out of range.
     pub fn check_crf(&self, crf: Option<u8>) -> Result<(), Error> {
         let Some(crf) = crf else { return Ok(()) };
         let allowed = if self.is_video() { qualities(self.path()) } else { None };
@@ -86,7 +86,7 @@ impl Destination {
         matches!(self, Destination::Video(..))
     }
 
-    /// The file of the scene beside an encoded video.
+    /// The file of the scene next to an encoded video.
     pub fn container(&self) -> Option<PathBuf> {
         match self {
             Destination::Video(path, format) if *format != VideoFormat::Y4m => Some(path.with_extension("ssz")),
@@ -100,7 +100,7 @@ impl Destination {
         path
     }
 
-    /// The file by which a process holds the place; `None` for standard output.
+    /// The file that locks the place for one process; `None` for standard output.
     pub fn lock(&self) -> Option<PathBuf> {
         match self {
             Destination::Folder(folder) => Some(folder.join(".streamsplat.lock")),
@@ -114,7 +114,7 @@ impl Destination {
         }
     }
 
-    /// Where the record of the run goes; `None` for standard output.
+    /// The file of the run's record; `None` for standard output.
     pub fn record(&self) -> Option<PathBuf> {
         match self {
             Destination::Folder(folder) => Some(folder.join("run.json")),

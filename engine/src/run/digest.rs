@@ -1,4 +1,4 @@
-//! Digests of what goes in.
+//! Digests of inputs.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use crate::scene::Scene;
 
 use crate::run::Error;
 
-/// BLAKE3 over the frames as they are read: of each its index, its size, the bits of its time stamp, and its samples.
+/// BLAKE3 over the frames as they are read: for each its index, its size, the bits of its time stamp, and its samples.
 #[derive(Default)]
 pub struct InputDigest {
     hasher: blake3::Hasher,
@@ -20,7 +20,7 @@ impl InputDigest {
         let sizes = [self.frames as u64, picture.width as u64, picture.height as u64, timestamp.to_bits()];
         sizes.iter().for_each(|v| self.bytes_of(&v.to_le_bytes()));
         for samples in [Some(picture.rgb.as_slice()), depth].into_iter().flatten() {
-            // In blocks, so that no copy of the whole frame is made.
+            // In blocks, without a copy of the whole frame.
             for block in samples.chunks(1 << 14) {
                 let bytes: Vec<u8> = block.iter().flat_map(|v| v.to_le_bytes()).collect();
                 self.bytes_of(&bytes);
@@ -33,7 +33,7 @@ impl InputDigest {
         self.hasher.update(bytes);
     }
 
-    /// Frames added.
+    /// Number of frames added.
     pub fn frames(&self) -> usize {
         self.frames
     }
@@ -53,7 +53,7 @@ pub fn file(path: &Path) -> Result<String, Error> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// BLAKE3 over parts in memory: of each its length, then its bytes.
+/// BLAKE3 over parts in memory: for each its length, then its bytes.
 pub fn bytes(parts: &[&[u8]]) -> String {
     let mut hasher = blake3::Hasher::new();
     for part in parts {
@@ -63,7 +63,7 @@ pub fn bytes(parts: &[&[u8]]) -> String {
     hasher.finalize().to_hex().to_string()
 }
 
-/// As [`bytes`], of files.
+/// As [`bytes`], for files.
 pub fn files(paths: &[std::path::PathBuf]) -> Result<String, Error> {
     let mut hasher = blake3::Hasher::new();
     for path in paths {
@@ -75,8 +75,8 @@ pub fn files(paths: &[std::path::PathBuf]) -> Result<String, Error> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// BLAKE3 of a scene's index. Intervals are checked against the index when they are read: one that does not match is
-/// refused.
+/// BLAKE3 of a scene's index. Intervals are checked against the index when they are read, and refused if they do not
+/// match.
 pub fn scene_index(scene: &Scene) -> Result<String, Error> {
     let text = serde_json::to_vec(scene.index()).map_err(Error::work)?;
     Ok(blake3::hash(&text).to_hex().to_string())

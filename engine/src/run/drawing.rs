@@ -1,4 +1,4 @@
-//! Images at times, of intervals as they come.
+//! Images of intervals at given times.
 
 use std::collections::BTreeMap;
 use std::sync::mpsc::sync_channel;
@@ -19,7 +19,7 @@ use crate::run::options::motion::Course;
 use crate::run::record::{Counts, RendererRecord, WorkRecord};
 use crate::run::views::Views;
 
-/// Colour, depth and alpha.
+/// Number of planes: colour, depth and alpha.
 const PLANES: u64 = 3;
 
 /// First image of a camera that moves around a scene in time; the motion is relative to it.
@@ -31,14 +31,14 @@ pub struct Anchor {
     pub pivot: [f64; 3],
 }
 
-/// Draws and writes images; keeps the account.
+/// Draws and writes images, and counts the work.
 pub struct Drawing {
     workers: Workers,
     renderer: Renderer,
     backend: Backend,
-    /// Known from the first image on that needs it.
+    /// Set by the first image that needs it.
     pub anchor: Option<Anchor>,
-    /// The account.
+    /// Counts of the work.
     pub counts: Counts,
     /// Time spent drawing.
     pub render: Duration,
@@ -47,7 +47,7 @@ pub struct Drawing {
 }
 
 impl Drawing {
-    /// Nothing drawn yet.
+    /// A drawing without images yet.
     pub fn new(workers: &Workers, backend: Backend) -> Result<Drawing, Error> {
         Ok(Drawing {
             workers: workers.clone(),
@@ -60,12 +60,12 @@ impl Drawing {
         })
     }
 
-    /// Its threads and level.
+    /// Threads and level.
     pub fn workers(&self) -> &Workers {
         &self.workers
     }
 
-    /// Renderer, for the record.
+    /// The renderer, for the record.
     pub fn renderer(&self) -> RendererRecord {
         RendererRecord {
             name: self.backend.to_string(),
@@ -74,12 +74,12 @@ impl Drawing {
         }
     }
 
-    /// Draws the interval at `time` from where the camera is then, as the image with the number `index`.
+    /// Draws the interval at `time` from the camera's position at that time, as image number `index`.
     pub fn draw(&mut self, interval: &Interval, index: usize, time: f64, views: &Views) -> Result<Image, Error> {
         self.draw_at(interval, index as f64, time, views)
     }
 
-    /// [`Self::draw`], between two images where `index` has a part.
+    /// [`Self::draw`], where a fractional `index` is between two images.
     pub fn draw_at(&mut self, interval: &Interval, index: f64, time: f64, views: &Views) -> Result<Image, Error> {
         if views.course.is_none() && views.eyes.is_none() {
             return self.seen(interval, time, &views.camera.at(time), &views.options);
@@ -104,7 +104,7 @@ impl Drawing {
         Ok(self.beside(left, right))
     }
 
-    /// An image of a camera that is turned by these angles; what was never filmed is counted, and filled.
+    /// Draws from a camera turned by these angles; counts the pixels that were never filmed, and fills them.
     fn filled(
         &mut self,
         interval: &Interval,
@@ -130,7 +130,7 @@ impl Drawing {
         Ok(image)
     }
 
-    /// The first image's time, and the scene's middle then; `time` is the first's where none was drawn.
+    /// Time of the first image and the scene's middle then; sets them from `time` if there was none yet.
     pub fn anchored(&mut self, interval: &Interval, time: f64) -> Result<Anchor, Error> {
         Ok(match self.anchor {
             Some(anchor) => anchor,
@@ -150,9 +150,9 @@ impl Drawing {
         self.drawn(turned, |renderer| renderer.render(interval, time, camera, options))
     }
 
-    /// Draws a still scene from where the camera is at `time`.
+    /// Draws a still scene from the camera's position at `time`.
     pub fn still(&mut self, scene: &Drawable, time: f64, views: &Views) -> Result<Image, Error> {
-        // Its Gaussians have rotations of their own.
+        // Its Gaussians have their own rotations.
         let mut seen =
             |camera: &Camera| self.drawn(true, |renderer| renderer.render_still(scene, camera, &views.options));
         match (views.camera.at(time), views.eyes.zip(views.pivot)) {
@@ -165,7 +165,7 @@ impl Drawing {
         }
     }
 
-    /// The mean of what `draw` draws at each part of the shutter; what it draws at 0 where there is no shutter.
+    /// The mean of the images that `draw` returns at each part of the shutter; without a shutter its image at 0.
     pub fn exposed(
         &mut self,
         views: &Views,
@@ -185,7 +185,7 @@ impl Drawing {
         Ok(image)
     }
 
-    /// Draws and counts; `turned`: whether the view needs splats that are turned.
+    /// Draws and counts; `turned`: true if the view needs turned splats.
     fn drawn(
         &mut self,
         turned: bool,
@@ -220,14 +220,14 @@ impl Drawing {
         self.counts.raster[2] != [0; 2]
     }
 
-    /// The images of two eyes as one.
+    /// Joins the images of two eyes side by side.
     fn beside(&mut self, left: Image, right: Image) -> Image {
         let image = beside(left, right);
         self.counts.size = Some([image.width, image.height]);
         image
     }
 
-    /// Runs `work` as writing.
+    /// Runs `work` in the time and the span of writing.
     pub fn writing<R>(&mut self, work: impl FnOnce() -> Result<R, Error>) -> Result<R, Error> {
         let _span = tracing::info_span!("write").entered();
         let start = Instant::now();
@@ -236,8 +236,8 @@ impl Drawing {
         result
     }
 
-    /// Draws what is due and writes it, in order. With two threads or more, one image is drawn while the one before is
-    /// written.
+    /// Draws the items that are due and writes them, in order. With two threads or more, an image is drawn while the
+    /// one before is written.
     pub fn pass<I, T: Send>(
         &mut self,
         due: impl ExactSizeIterator<Item = I> + Send,
@@ -277,7 +277,7 @@ impl Drawing {
         result
     }
 
-    /// Adds what was drawn and what was not needed.
+    /// Adds the work done and avoided, and the times.
     pub fn account(&self, work: &mut BTreeMap<String, WorkRecord>, seconds: &mut BTreeMap<String, f64>) {
         let [gaussians, tiles, entries, planes, turned, projected] = self.counts.raster;
         for (stage, [done, avoided], unit) in [
@@ -301,7 +301,7 @@ impl Drawing {
 }
 
 impl Course {
-    /// Where the camera stands at the image with the number `index`, so many seconds after the first.
+    /// The camera's angles at image number `index`, `time` seconds after the first.
     fn at(&self, index: f64, time: f64) -> turn::Angles {
         match self {
             Course::Held(angles) => between(angles, index),
@@ -310,7 +310,7 @@ impl Course {
     }
 }
 
-/// The angles at a place among them, of which parts are between two; the first and the last hold outside.
+/// The angles at a fractional index, interpolated; outside, those of the first or the last.
 fn between(angles: &[turn::Angles], index: f64) -> turn::Angles {
     let place = index.clamp(0.0, angles.len().saturating_sub(1) as f64);
     let (whole, part) = (place.floor(), place - place.floor());
@@ -329,7 +329,7 @@ fn behind() -> Error {
     )
 }
 
-/// The images of the left and of the right eye as one, twice as wide.
+/// Joins the images of the left and of the right eye side by side, twice as wide.
 fn beside(left: Image, right: Image) -> Image {
     let (width, height) = (left.width, left.height);
     let rows = |left: &[f32], right: &[f32]| -> Vec<f32> {

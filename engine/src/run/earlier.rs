@@ -9,12 +9,12 @@ use crate::run::outputs::is_inside;
 use crate::run::record::Record;
 use crate::run::{digest, ledger, resume_state};
 
-/// Removes the files that an earlier run in `folder` tells of, whole or stopped, and what tells of them, so that old
-/// and new results never mix. A file goes only if it is what was written, by length and digest; nothing is reached
-/// through a link.
+/// Removes the files listed by an earlier run in `folder`, complete or stopped, and then its lists, so that old and new
+/// results never mix. A listed file is removed only if its length and digest are unchanged; nothing is reached through
+/// a link.
 pub fn remove_earlier(folder: &Path) -> Result<(), Error> {
     let record = folder.join("run.json");
-    // One that was emptied, by a power loss or by hand, names nothing.
+    // A record that is empty, after a power loss or by hand, lists nothing.
     let emptied = std::fs::symlink_metadata(&record).is_ok_and(|found| found.is_file() && found.len() == 0);
     if storage::exists(&record) && !emptied {
         let earlier = Record::read(&record)
@@ -33,7 +33,7 @@ pub fn remove_earlier(folder: &Path) -> Result<(), Error> {
         }
     }
     if !lines.is_empty() {
-        // The index and whatever was being written when the run was stopped have no line.
+        // The index and the file that was being written when the run stopped are not listed.
         let index = Path::new("scene").join(crate::scene::INDEX);
         let names = lines.iter().map(|line| PathBuf::from(&line.file)).chain([index.clone()]);
         let mut files: Vec<PathBuf> = names.map(|name| partial_name(&name)).collect();
@@ -43,7 +43,7 @@ pub fn remove_earlier(folder: &Path) -> Result<(), Error> {
         }
     }
     resume_state::remove(&resume)?;
-    // The record goes last: what is stopped halfway can be cleared later.
+    // The record goes last, so that an interrupted removal can be completed later.
     [folder.join("report.md"), record].iter().try_for_each(|file| remove_file(file))?;
     storage::sync_folder(folder).map_err(|cause| OutputError::Write { path: folder.to_owned(), cause })?;
     Ok(())
@@ -75,7 +75,7 @@ fn is_file_inside(folder: &Path, name: &Path) -> bool {
     true
 }
 
-/// Removes a file, if it is there.
+/// Removes a file, if it exists.
 pub fn remove_file(file: &Path) -> Result<(), Error> {
     match storage::remove(file) {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => {

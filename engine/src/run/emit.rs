@@ -13,9 +13,9 @@ pub struct Kind {
     pub name: &'static str,
     /// The folder of its files.
     pub folder: &'static str,
-    /// True if an image is drawn for it: what a graphics card draws is outside of the bit contract.
+    /// True if an image is drawn for it; a graphics card's images are outside of the bit contract.
     pub drawn: bool,
-    /// True if a run has it; a rendering has what is drawn.
+    /// True if `run` can write it; `render` writes the drawn kinds.
     pub of_run: bool,
 }
 
@@ -31,12 +31,12 @@ macro_rules! kinds {
             &[$(Kind { name: stringify!($name), folder: $folder, drawn: $drawn, of_run: $of_run },)+];
 
         impl Emit {
-            /// One bool per kind, in the order of the table.
+            /// Whether each kind is selected, in the order of the table.
             fn wanted(self) -> impl Iterator<Item = bool> {
                 [$(self.$name,)+].into_iter()
             }
 
-            /// Those that are in a list.
+            /// The kinds in a list.
             fn among(list: &BTreeSet<&str>) -> Emit {
                 Emit { $($name: list.contains(stringify!($name)),)+ }
             }
@@ -72,7 +72,7 @@ impl Emit {
     /// Refuses kinds that are not `allowed` by a command.
     ///
     /// # Errors
-    /// [`Error::Usage`] with the kinds that are.
+    /// [`Error::Usage`] with the allowed kinds.
     pub fn check(self, allowed: impl Fn(&Kind) -> bool) -> Result<(), Error> {
         let Some(kind) = self.kinds().find(|kind| !allowed(kind)) else { return Ok(()) };
         let names: Vec<&str> = KINDS.iter().filter(|kind| allowed(kind)).map(|kind| kind.name).collect();
@@ -85,7 +85,7 @@ impl Emit {
         self.kinds().any(|kind| kind.drawn)
     }
 
-    /// The planes beside colour that must be drawn: depth and alpha.
+    /// Whether depth and alpha must be drawn in addition to colour.
     pub fn planes(&self) -> [bool; 2] {
         [self.depth || self.exr, self.depth || self.alpha || self.exr]
     }
@@ -96,7 +96,7 @@ impl Emit {
     }
 }
 
-/// Returns true if the file of this name, inside a folder of results, is drawn.
+/// Returns true if the file of this name, inside a folder of results, holds a drawn image.
 pub fn is_drawn(name: &str) -> bool {
     KINDS.iter().any(|kind| kind.drawn && name.split('/').next() == Some(kind.folder))
 }
@@ -107,7 +107,7 @@ impl fmt::Display for Emit {
     }
 }
 
-/// A list with a kind of output that does not exist.
+/// A list with an unknown kind of output.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnknownOutput(pub String);
 

@@ -7,15 +7,15 @@ use crate::scene::SceneError;
 use crate::source::SourceError;
 use crate::{EngineError, RenderError};
 
-/// Why a run failed. Messages are one line and name the file or the option (as on the command line, `--gap`), what was
-/// expected and what was found.
+/// Why a run failed. Messages are one line and contain the file or the option (as on the command line, `--gap`), the
+/// expected and the found value.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// Wrong use: an option or a place that the run cannot have.
+    /// Wrong use: an option or a place that is not possible for the run.
     #[error("{0}")]
     Usage(String),
-    /// The work failed in a way that no other variant names.
+    /// Failed work of any other kind.
     #[error("{0}")]
     Work(String),
     /// The engine refused a model, its settings or a frame.

@@ -22,16 +22,16 @@ pub enum KeyDepth {
     None,
     /// Every frame has a file, which belongs to the input.
     Maps(DepthMaps),
-    /// A network looks at key frames.
+    /// A network estimates the depth of key frames.
     #[cfg(feature = "onnx")]
     Network(Box<Looker>),
 }
 
-/// A network, what it was shown last, and its account.
+/// A network, its last input, and its account.
 #[cfg(feature = "onnx")]
 pub struct Looker {
     network: DepthNetwork,
-    /// The latest frame's samples and its map, where a repeated frame is not shown again.
+    /// The latest frame's samples and map: a repeated frame is not evaluated again.
     latest: Option<(Vec<f32>, Vec<f32>)>,
     reuse: bool,
     account: NetworkAccount,
@@ -44,15 +44,15 @@ pub struct NetworkAccount {
     pub runtime: String,
     /// Frames evaluated.
     pub done: u64,
-    /// Key frames that repeat the one before.
+    /// Key frames equal to the one before.
     pub avoided: u64,
     /// Time spent.
     pub time: Duration,
 }
 
 impl KeyDepth {
-    /// Opens the folder or the network. With `reuse` a frame that repeats the key frame before has its map. Maps are
-    /// counted, at most `limit` of the frames being read.
+    /// Opens the folder or the network. With `reuse` a frame equal to the key frame before gets its map. The number of
+    /// maps is checked against that of the frames, of which at most `limit` are read.
     pub fn open(
         from: &DepthFrom,
         source: &Source,
@@ -64,11 +64,11 @@ impl KeyDepth {
             DepthFrom::None | DepthFrom::Found => KeyDepth::None,
             DepthFrom::Folder(folder, range, values) => {
                 let maps = DepthMaps::open_as(folder, source.files(), *range, *values)?;
-                // Maps of image files were paired with them by name.
+                // Maps of image files were matched with them by name.
                 match (source.files(), source.frames()) {
                     (Some(_), _) => {}
                     (None, Some(frames)) => maps.check(frames, limit)?,
-                    // The length in a file's header may be that of its sound: the check allows for it.
+                    // The number of frames in a file's header may come from its sound track; the check allows for that.
                     (None, None) => source.counted_frames().map_or(Ok(()), |frames| maps.check_about(frames, limit))?,
                 }
                 KeyDepth::Maps(maps)
@@ -81,7 +81,7 @@ impl KeyDepth {
             }
             #[cfg(feature = "onnx")]
             DepthFrom::Network(path, options) => {
-                // One thread, as the network itself: it works beside those of the engine.
+                // One thread, like the network itself: it works in parallel with those of the engine.
                 let network = DepthNetwork::open(path, options.clone(), &Workers::new(level, 1)?)?;
                 let runtime = network.runtime_version().to_owned();
                 let account = NetworkAccount { runtime, ..NetworkAccount::default() };
@@ -90,7 +90,7 @@ impl KeyDepth {
         })
     }
 
-    /// Files that are left out, a line.
+    /// Files that are left out, one per line.
     pub fn notes(&self) -> &[String] {
         match self {
             KeyDepth::Maps(maps) => maps.notes(),
@@ -98,7 +98,7 @@ impl KeyDepth {
         }
     }
 
-    /// Checks that no map is left when the input has ended after so many frames.
+    /// Checks that no map is left over after the input ended with `frames` frames.
     pub fn ended(&self, source: &Source, frames: usize) -> Result<(), Error> {
         match self {
             KeyDepth::Maps(maps) if source.files().is_none() => Ok(maps.check(frames, None)?),

@@ -15,13 +15,14 @@ use crate::run::closeness::{SIDE, Truth};
 use crate::run::digest::InputDigest;
 use crate::run::keydepth::{KeyDepth, NetworkAccount};
 
-/// A key frame and what came since the one before.
+/// A key frame and the frames since the one before.
 pub struct KeyFrame {
     /// The key frame's picture and depth.
     pub frame: Frame,
-    /// Input frames after the key frame before, this one last. Their pictures are empty unless they were asked for.
+    /// Input frames after the key frame before, this one last. Their pictures are empty unless they are kept
+    /// ([`Keep`]).
     pub shown: Vec<TimedPicture>,
-    /// The same as they are compared, where key frames depend on that.
+    /// The same frames in the form in which they are compared, where the choice of key frames requires it.
     pub truths: Vec<Truth>,
 }
 
@@ -38,9 +39,9 @@ pub struct Reading {
     pub time: Duration,
     /// Work done by the depth network, if there is one.
     pub network: Option<NetworkAccount>,
-    /// What ended it early or was not as it should be; what came before is kept.
+    /// Why the input ended early or what was irregular in it; the frames before are kept.
     pub damage: Option<String>,
-    /// What was done to the pictures and left out, a line each: those known when the source was opened, then others.
+    /// Conversions of the pictures and files left out, one per line: first those known when the source was opened.
     pub notes: Vec<String>,
 }
 
@@ -66,15 +67,15 @@ impl KeyFrame {
     }
 }
 
-/// Which pictures come with a key frame besides its own.
+/// Pictures kept in addition to the key frame's own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Keep {
     /// None.
     Nothing,
     /// Those of the frames in between.
     Between,
-    /// Those of the frames in between and of the key frame, and frames after the last whole fixed gap are left out: for
-    /// comparisons.
+    /// Those of the frames in between and of the key frame, for comparisons. Frames after the last whole fixed gap are
+    /// left out.
     Everything,
 }
 
@@ -89,27 +90,28 @@ pub struct KeyFrames {
     limit: usize,
     digest: InputDigest,
     size: [usize; 2],
-    /// Frames that arrived.
+    /// Number of frames that arrived.
     arrived: usize,
-    /// The latest frame's place and its map, where it has a file.
+    /// Index of the latest frame and its map, where it has a file.
     latest: (usize, Option<Vec<f32>>),
-    /// All frames since the key frame before as they are compared, where key frames depend on that.
+    /// All frames since the key frame before in the form in which they are compared, where the choice of key frames
+    /// requires it.
     truths: Option<Vec<Truth>>,
     /// True if frames are also kept at their own size to be compared.
     whole: bool,
-    /// How close images came to frames.
+    /// PSNR of the images of earlier key frames' intervals.
     told: Option<Receiver<Found>>,
-    /// What ended the input early.
+    /// Why the input ended early.
     damage: Option<String>,
-    /// Key frames given.
+    /// Number of key frames returned.
     given: usize,
     time: Duration,
     stop: Stop,
 }
 
 impl KeyFrames {
-    /// The key frames that `gap` chooses of `source`, at most `limit` frames in all. The last frame is a key frame, but
-    /// with [`Keep::Everything`].
+    /// The key frames of `source` that `gap` chooses, from at most `limit` frames. The last frame is a key frame,
+    /// except with [`Keep::Everything`].
     pub fn new(source: Source, depth: KeyDepth, gap: Gap, keep: Keep, limit: Option<usize>, stop: &Stop) -> Self {
         let limit = limit.unwrap_or(usize::MAX);
         KeyFrames {
@@ -133,19 +135,19 @@ impl KeyFrames {
         }
     }
 
-    /// Keeps frames at their own size as well, where images are compared with frames at all.
+    /// Keeps frames at their own size as well, if images are compared with frames at all.
     pub fn compare_whole(&mut self, whole: bool) {
         self.whole = whole;
     }
 
-    /// Makes the choices of before again, then goes on.
+    /// Repeats the choices of a stopped run, then continues.
     pub fn replay(&mut self, choices: &Choices) {
         self.groups.chooser().replay(choices.gaps.iter().copied(), choices.state.clone());
     }
 
-    /// Where it is told how close images came to frames, one message per key frame, if it wants to know. The choice of
-    /// a key frame waits for what was found up to the last key frame but one before it: whether frames are read ahead
-    /// then makes no difference.
+    /// Sets the channel of measured PSNR, one message per key frame; returns whether it is used. The choice of a key
+    /// frame uses the results up to the last key frame but one, and waits for them. So it does not depend on whether
+    /// frames are read ahead.
     pub fn listen(&mut self, told: Receiver<Found>) -> bool {
         let wanted = self.truths.is_some();
         self.told = Some(told).filter(|_| wanted);
@@ -157,7 +159,7 @@ impl KeyFrames {
         self.groups.chooser().state()
     }
 
-    /// Frames there may be, where that is known.
+    /// Number of frames that can be expected, where it is known.
     pub fn total(&self) -> Option<usize> {
         match self.source.expected_frames() {
             Some(frames) => Some(frames.min(self.limit)),
@@ -185,13 +187,13 @@ impl KeyFrames {
         }
     }
 
-    /// The next key frame.
+    /// Returns the next key frame.
     pub fn next_key(&mut self) -> Result<Option<KeyFrame>, Error> {
         if let Some(told) = &self.told
             && self.given >= 2
             && !self.groups.chooser().is_replaying()
         {
-            // Nobody tells any more when nobody takes key frames any more.
+            // The sender is dropped once the consumer stops.
             told.recv().iter().for_each(|found| self.groups.chooser().learn(found));
         }
         let start = Instant::now();
@@ -212,10 +214,10 @@ impl KeyFrames {
             }
             *arrived += 1;
             match source.next_frame() {
-                // What feeds us is stopped by the same Ctrl-C; its stream may end anywhere.
+                // The process that feeds us is stopped by the same Ctrl-C; its stream may end anywhere.
                 Err(SourceError::Y4m { .. }) if stop.asked() => Ok(None),
-                // What came before is whole; what is compared is refused. A stream that broke off may be given again,
-                // to be resumed.
+                // The frames before are complete and are kept, except for comparisons. A stream that broke off may be
+                // sent again, to resume.
                 Err(e @ (SourceError::Y4m { .. } | SourceError::Damaged { .. }))
                     if *arrived > 1 && *keep != Keep::Everything && !source.is_stream() =>
                 {
@@ -235,7 +237,7 @@ impl KeyFrames {
                 let samples = whole.then(|| frame.picture.to_rgb8());
                 truths.push(Truth { time: frame.timestamp, picture: frame.picture.resized(SIDE, SIDE), samples });
             }
-            // Only the last of them may still become a key frame.
+            // Only the last of them can still become a key frame.
             if *keep == Keep::Nothing
                 && let Some(before) = before.last_mut()
             {

@@ -1,7 +1,7 @@
-//! `written.jsonl`: a line per file of a run under way, in the order of writing.
+//! `written.jsonl`: one line per file of a run under way, in the order of writing.
 //!
-//! A line is appended before its file gets its name, so that no file is without one; what counts is the part that the
-//! last [`Point`](crate::run::resume_state::Point) vouches for.
+//! A line is appended before its file gets its name, so that every file has a line. Only the part covered by the last
+//! [`Point`](crate::run::resume_state::Point) counts.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -41,12 +41,12 @@ pub struct Ledger {
 }
 
 impl Ledger {
-    /// A new one in `folder`, which is made with the first line.
+    /// A new ledger in `folder`, created with the first line.
     pub fn new(folder: PathBuf) -> Ledger {
         Ledger { folder, file: None, length: 0 }
     }
 
-    /// The first `length` bytes of an old one, to be gone on with; the rest is cut off.
+    /// Reopens a ledger, truncated to `length` bytes.
     pub fn resume(folder: PathBuf, length: u64) -> Result<Ledger, OutputError> {
         let path = folder.join(NAME);
         let write = |cause| OutputError::Write { path: path.clone(), cause };
@@ -55,7 +55,7 @@ impl Ledger {
         Ok(Ledger { folder, file: Some(file), length })
     }
 
-    /// Where it is.
+    /// Folder of the ledger.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
@@ -86,7 +86,7 @@ impl Ledger {
 }
 
 impl Ledger {
-    /// Waits until what was added would survive a power loss.
+    /// Waits until the added lines would survive a power loss.
     pub fn sync(&self) -> Result<(), OutputError> {
         let synced = self.file.as_ref().map_or(Ok(()), Output::sync);
         synced.map_err(|cause| OutputError::Write { path: self.folder.join(NAME), cause })
@@ -113,16 +113,16 @@ pub fn read(folder: &Path, length: u64) -> Result<Vec<Line>, Error> {
     }
 }
 
-/// Longest ledger read where nothing says how much of it counts, in bytes.
+/// Longest ledger read where the valid length is unknown, in bytes.
 const MAX_LEDGER: u64 = 1 << 28;
 
-/// All files that the ledger in `folder` may have named, whatever state it is in.
+/// All files that the ledger in `folder` may list, in whatever state it is.
 pub fn all(folder: &Path) -> Vec<Line> {
     let (path, mut text) = (folder.join(NAME), Vec::new());
     if storage::regular(&path).is_err() {
         return Vec::new();
     }
-    // What cannot be read names nothing.
+    // An unreadable ledger lists nothing.
     let _ = File::open(path).and_then(|file| file.take(MAX_LEDGER).read_to_end(&mut text));
     let lines = text.split(|byte| *byte == b'\n').filter_map(|line| serde_json::from_slice::<Line>(line).ok());
     lines.filter(|line| is_inside(&line.file)).collect()
@@ -136,7 +136,7 @@ pub fn remove(folder: &Path) -> std::io::Result<()> {
     }
 }
 
-/// The records of the files of `lines`, each of which must be in `folder` as it was written.
+/// The records of the files of `lines`; each file must be in `folder` unchanged.
 pub fn verified(folder: &Path, lines: &[Line]) -> Result<BTreeMap<String, OutputRecord>, Error> {
     let mut records = BTreeMap::new();
     for Line { file, bytes, blake3, .. } in lines {

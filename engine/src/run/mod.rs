@@ -1,9 +1,9 @@
 //! A whole run: video in, scene and images out, with its record.
 //!
-//! A [`Run`] reads a video, chooses key frames by how close the images come to the frames, finds their depth, takes
+//! A [`Run`] reads a video, chooses key frames by how close the images are to the frames, finds their depth, passes
 //! them through the [`Engine`](crate::Engine), draws and writes. [`Run::finish`] does all of it and returns the
 //! [`Record`], which is also written as `run.json`. [`Run::start`] returns an iterator of intervals and their images,
-//! for programs that want to see them on the way; without [`Run::out`] nothing is written.
+//! for programs that use them on the way; without [`Run::out`] nothing is written.
 //!
 //! ```no_run
 //! use streamsplat::run::{Run, RunOptions};
@@ -13,9 +13,9 @@
 //! # Ok::<(), streamsplat::run::Error>(())
 //! ```
 //!
-//! The bytes are those of `streamsplat run clip.y4m --out out`: one function of input, model and options. A run into a
-//! folder or a `.y4m` file can be resumed after any interruption ([`Run::resume`]). Nothing is printed: an [`Observer`]
-//! receives notes and progress, and a [`Stop`] ends the run after the interval at hand.
+//! The output bytes are those of `streamsplat run clip.y4m --out out`: one function of input, model and options. A run
+//! into a folder or a `.y4m` file can be resumed after any interruption ([`Run::resume`]). Nothing is printed: an
+//! [`Observer`] receives notes and progress, and a [`Stop`] ends the run after the current interval.
 
 pub mod ahead;
 mod catch_up;
@@ -70,8 +70,8 @@ pub struct Step {
     /// The Gaussians between two key frames.
     pub interval: Interval,
     /// Images at the times of its frames, or at [`ViewOptions::times`](options::ViewOptions::times), in the order in
-    /// which they are written. Where depth is found by parallax, those of the first key frame are drawn from the second
-    /// interval.
+    /// which they are written. Where depth is found by parallax, the images of the first key frame are drawn from the
+    /// second interval.
     pub images: Vec<Shown>,
 }
 
@@ -124,8 +124,8 @@ impl Run {
         }
     }
 
-    /// A run of frames in memory ([`Source::of_frames`]); a rate in `options` does not change theirs. It is resumed
-    /// with the same frames from the first one on.
+    /// A run of frames in memory ([`Source::of_frames`]); a rate in `options` does not change theirs. To resume it,
+    /// pass the same frames from the first one on.
     pub fn of_frames(frames: Source, options: RunOptions) -> Run {
         Run { frames: Some(frames), ..Run::new(MEMORY, options) }
     }
@@ -136,8 +136,8 @@ impl Run {
         Run { out: Some(path.into()), named: false, ..self }
     }
 
-    /// Writes the results to the working directory, named after the input: of `clip.mp4` the video `clip-scene.mp4`
-    /// with the scene `clip-scene.ssz`, of images or y4m the folder `clip-scene`.
+    /// Writes the results to the working directory, named after the input: for `clip.mp4` the video `clip-scene.mp4`
+    /// with the scene `clip-scene.ssz`, for images or y4m the folder `clip-scene`.
     ///
     /// # Errors
     /// [`Error::Usage`] where the input has no name.
@@ -158,7 +158,7 @@ impl Run {
         Run { overwrite, ..self }
     }
 
-    /// Writes the record here as well.
+    /// Also writes the record to this file.
     #[must_use]
     pub fn json(self, path: Option<PathBuf>) -> Run {
         Run { json: path, ..self }
@@ -170,8 +170,8 @@ impl Run {
         Run { machine, ..self }
     }
 
-    /// The build of the program, such as its commit: a run is resumed only by the build that began it. The default is
-    /// the digest of the program's file.
+    /// The build of the program, such as its commit: a run is resumed only by the same build. The default is the digest
+    /// of the program's file.
     #[must_use]
     pub fn program<'a>(self, build: impl Into<Option<&'a str>>) -> Run {
         Run { program: build.into().map(str::to_owned), ..self }
@@ -183,7 +183,7 @@ impl Run {
         Run { observer: Box::new(observer), ..self }
     }
 
-    /// Ends the run after the interval at hand when `stop` is asked.
+    /// Ends the run after the current interval when `stop` is requested.
     #[must_use]
     pub fn stop(self, stop: Stop) -> Run {
         Run { stop, ..self }
@@ -194,17 +194,17 @@ impl Run {
         self.out.as_deref()
     }
 
-    /// Does all of it; the record is false in `complete` where the run was stopped, and has `input.damage` where the
-    /// input ended early or was damaged.
+    /// Runs to the end. The record has `complete` false where the run was stopped, and `input.damage` where the input
+    /// ended early or was damaged.
     ///
     /// # Errors
-    /// [`Error::Usage`] for wrong options and places, before anything is written; any other for failed work, after
-    /// which what was written is valid.
+    /// [`Error::Usage`] for wrong options and places, before anything is written; any other for failed work. Files
+    /// written until then are valid.
     pub fn finish(self) -> Result<Record, Error> {
         self.start()?.finish()
     }
 
-    /// Checks options and input, takes the place, loads the model.
+    /// Checks options and input, locks the place and loads the model.
     ///
     /// # Errors
     /// As [`Run::finish`].
@@ -213,7 +213,7 @@ impl Run {
         for path in self.out.iter().chain([&self.input]).chain(&self.options.view.camera).chain(model) {
             check_name(path)?;
         }
-        // Held until everything is written.
+        // Locked until everything is written.
         let mut place = self.out.as_deref().map(|out| Destination::asked(out).map(Place::new)).transpose()?;
         self.fill(place.as_ref().map(Place::destination));
         let found = match &mut place {
@@ -245,11 +245,11 @@ impl Run {
         Ok(Running(State::Now(Box::new(Session::begin(task, place, found)?), json)))
     }
 
-    /// Options that depend on where results go.
+    /// Sets options that depend on where results go.
     fn fill(&mut self, destination: Option<&Destination>) {
         let scene = destination.zip(destination.and_then(Destination::container));
         if let Some((destination, scene)) = scene.filter(|_| self.options.emit.is_none()) {
-            // Videos of several formats under one name have one scene, the first one's.
+            // Videos of several formats under one name share one scene, that of the first.
             let chosen = !self.named && !self.overwrite && !self.resume;
             let taken = chosen && is_anothers(&scene, destination);
             if taken {
@@ -263,24 +263,24 @@ impl Run {
     }
 }
 
-/// A run under way: an iterator of its [`Step`]s, a key frame each. Dropped before [`Running::finish`], it leaves what
-/// a killed process leaves, from which it can be resumed.
+/// A run under way: an iterator of its [`Step`]s, one per key frame. Dropped before [`Running::finish`], it leaves the
+/// same state as a killed process, and can be resumed from it.
 pub struct Running(State);
 
 enum State {
-    /// Done by this process, with the file of a second copy of the record.
+    /// Done by this process; the path is that of a second copy of the record.
     Now(Box<Session>, Option<PathBuf>),
     /// Done before.
     Before(Box<Record>),
 }
 
 impl Running {
-    /// Returns true if the run was complete already and nothing is to be resumed.
+    /// Returns true if the run was complete already and nothing is left to do.
     pub fn was_complete(&self) -> bool {
         matches!(self.0, State::Before(_))
     }
 
-    /// Does what is left, completes the files and writes the record and the report.
+    /// Does the remaining work, completes the files and writes the record and the report.
     ///
     /// # Errors
     /// As [`Run::finish`], and a run that has failed before.
@@ -318,7 +318,7 @@ fn is_anothers(scene: &Path, destination: &Destination) -> bool {
     storage::exists(scene) && record.is_none_or(|record| !record.outputs.contains_key(&*name))
 }
 
-/// An error where the place holds the finished results of another input or of other options.
+/// Returns an error where the place holds the complete results of another input or of other options.
 fn refuse_others(
     input: &Path,
     destination: &Destination,
@@ -334,7 +334,7 @@ fn refuse_others(
             scene.display(),
         )));
     }
-    // A record that cannot be read, or of a run that was stopped, names no results to keep.
+    // A record that cannot be read, or that of a stopped run, lists no results to keep.
     let record = record.and_then(|path| Record::read(&path).ok()).filter(|record| record.complete);
     let Some(record) = record else { return Ok(()) };
     let given = given()?.built_as(&record);
@@ -346,8 +346,8 @@ fn refuse_others(
     })
 }
 
-/// A place in the working directory, named after the input: a video where the input is an encoded one and images and
-/// scene are wanted alone, else a folder.
+/// A place in the working directory, named after the input: a video where the input is an encoded one and only images
+/// and scene are requested, else a folder.
 fn named_after(input: &Path, emit: Option<Emit>) -> Result<PathBuf, Error> {
     let stem = input.file_stem().filter(|_| input != Path::new("-"));
     let Some(stem) = stem else {

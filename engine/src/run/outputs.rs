@@ -1,4 +1,4 @@
-//! Where results go: a folder, a video file, or standard output.
+//! Destinations of results: a folder, a video file, or standard output.
 
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
@@ -24,42 +24,41 @@ use crate::run::record::OutputRecord;
 use crate::run::resume_state::Point;
 use crate::run::{emit, ledger, resume_state};
 
-/// Writes results and remembers their digests.
+/// Writes results and keeps their digests.
 pub struct Outputs {
     destination: Destination,
     emit: Emit,
     video: Option<Video>,
     scene: Option<SceneWriter>,
-    /// The scene beside a video.
+    /// The scene next to a video.
     container: Option<ContainerWriter>,
     written: BTreeMap<String, OutputRecord>,
     ledger: Option<Ledger>,
-    /// Intervals of a scene that is resumed.
+    /// Intervals of a resumed scene.
     intervals: Vec<IntervalEntry>,
     /// True if images are outside of the bit contract.
     outside: bool,
     /// True if images keep their alpha.
     alpha: bool,
-    /// Sound that goes with the video.
+    /// Sound for the video.
     sound: Option<Sound>,
-    /// The video's rate factor, where it has another than the default.
+    /// The video's rate factor, if not the default.
     quality: Option<u8>,
     /// Folders of kinds that were created for these results.
     made: Vec<PathBuf>,
 }
 
-/// What was written.
+/// Results of a finished output.
 #[derive(Default)]
 pub struct Finished {
     /// The files, by their names.
     pub outputs: BTreeMap<String, OutputRecord>,
-    /// How a video differs from what went in, a line each.
+    /// Differences of a video from the input, one per line.
     pub notes: Vec<String>,
 }
 
 impl Outputs {
-    /// Prepares the place: what an earlier run wrote there is removed, and an unwritable place is an error before any
-    /// work.
+    /// Prepares the place: removes results of an earlier run there, and fails early if the place cannot be written.
     pub fn create(place: &mut Place, emit: Emit) -> Result<Outputs, Error> {
         place.hold()?;
         let destination = place.destination().clone();
@@ -91,7 +90,7 @@ impl Outputs {
         Ok(Outputs { made, ..Outputs::new(destination, emit) })
     }
 
-    /// Gives the place up: folders that were created for it go, as far as they are empty.
+    /// Releases the place, and removes the folders that were created for it and are empty.
     pub fn withdraw(self, place: &mut Place) {
         for folder in &self.made {
             let _ = std::fs::remove_dir(folder);
@@ -120,17 +119,17 @@ impl Outputs {
         }
     }
 
-    /// Takes sound for the video.
+    /// Sets the sound of the video.
     pub fn sound(&mut self, sound: Option<Sound>) {
         self.sound = sound;
     }
 
-    /// Takes the rate factor of an encoded video.
+    /// Sets the rate factor of an encoded video.
     pub fn quality(&mut self, crf: Option<u8>) {
         self.quality = crf;
     }
 
-    /// Says that there is nothing behind the scene: colour images are written with their alpha.
+    /// Sets whether there is no background and colour images are written with their alpha.
     pub fn keep_alpha(&mut self, keep: bool) -> Result<(), Error> {
         if keep && matches!(self.destination, Destination::Video(..)) {
             return Err(Error::usage(
@@ -141,19 +140,19 @@ impl Outputs {
         Ok(())
     }
 
-    /// Says what draws the images.
+    /// Sets the backend that draws the images.
     pub fn drawn_by(&mut self, backend: Backend) {
         self.outside = !backend.is_within_contract();
     }
 
-    /// Keeps a ledger from now on, where the results can be gone on with.
+    /// Starts a ledger if the destination supports `--resume`.
     pub fn with_ledger(mut self) -> Outputs {
         self.ledger = self.destination.resume().map(Ledger::new);
         self
     }
 
-    /// Goes on with results of which the first `length` bytes of the ledger in `folder` tell; each file must be as it
-    /// was written.
+    /// Resumes with the results listed in the first `length` bytes of the ledger in `folder`. In a folder of results
+    /// each file must be unchanged.
     pub fn resume(destination: Destination, emit: Emit, folder: PathBuf, length: u64) -> Result<Outputs, Error> {
         let lines = ledger::read(&folder, length)?;
         let mut outputs = Outputs::new(destination, emit);
@@ -168,8 +167,8 @@ impl Outputs {
         Ok(outputs.with_ledger())
     }
 
-    /// Opens what is gone on with, `last` being the last whole interval, computed again: it must have come out as it
-    /// was written. The record of the stopped run goes.
+    /// Reopens the outputs of a resumed run; fails unless the recomputed `last` interval equals the stored one. Removes
+    /// the record of the stopped run.
     pub fn take_up(&mut self, fps: f64, last: &Interval, video: Option<&VideoPoint>) -> Result<(), Error> {
         let files = match (&self.destination, video) {
             (Destination::Folder(folder), _) => {
@@ -193,7 +192,7 @@ impl Outputs {
         files.iter().try_for_each(|file| remove_file(file))
     }
 
-    /// Makes the interval at hand one to go on from; `point` is completed with how far the files have come.
+    /// Makes the interval just written a point to resume from; completes `point` with the state of ledger and video.
     pub fn commit(&mut self, mut point: Point, resume: Option<&ResumePoint>) -> Result<(), Error> {
         let Some(ledger) = &self.ledger else { return Ok(()) };
         point.ledger = ledger.length();
@@ -227,7 +226,7 @@ impl Outputs {
         self.ledger.is_some()
     }
 
-    /// Opens what needs the frame rate: that of the scene, and how images follow each other.
+    /// Opens the outputs that depend on the frame rate: `fps` is that of the scene, `pace` that of the images.
     pub fn start(&mut self, fps: f64, pace: Pace) -> Result<(), Error> {
         match &self.destination {
             Destination::Folder(folder) if self.emit.scene => {
@@ -262,8 +261,8 @@ impl Outputs {
         Ok(())
     }
 
-    /// Writes an interval of the scene with the times of its `frames`, and where its identities are, if these are
-    /// wanted; `workers` code a container.
+    /// Writes an interval of the scene with the times of its `frames`, and the positions of its identities, if
+    /// requested. `workers` encode a container.
     pub fn interval(&mut self, interval: &Interval, frames: &[f64], workers: &Workers) -> Result<(), Error> {
         if self.emit.tracks {
             self.file(format!("tracks/interval-{:06}.csv", interval.index), export::tracks(interval).as_bytes())?;
@@ -283,7 +282,7 @@ impl Outputs {
         Ok(())
     }
 
-    /// Writes an image under the number `index`, shown at `time` where that is a video's.
+    /// Writes image number `index`, shown at `time` in a video.
     pub fn image(&mut self, index: usize, time: f64, image: Image) -> Result<(), Error> {
         if self.emit.exr {
             let bytes = if self.alpha { transparent_exr(&image) } else { layered_exr(&image) };
@@ -320,16 +319,16 @@ impl Outputs {
         Ok(())
     }
 
-    /// Writes the Gaussians of one time under the number `index`.
+    /// Writes the Gaussians of one time as number `index`.
     pub fn snapshot(&mut self, index: usize, snapshot: &Snapshot) -> Result<(), Error> {
         Ok(self.file(format!("ply/{index:06}.ply"), &export::ply(snapshot))?)
     }
 
-    /// After a failure: completes the index of the intervals that were written. A y4m file stays under its temporary
-    /// name where it can be gone on with; any other video is not kept.
+    /// Ends after a failure: completes the index of the intervals that were written. A y4m file keeps its temporary
+    /// name where it can be resumed; any other video is discarded.
     pub fn abandon(mut self, place: &mut Place) {
         if let Some(scene) = self.scene.take() {
-            // The first failure is the one to tell.
+            // Only the first failure is reported.
             let _ = scene.finish();
         }
         if let Some(video) = self.video.take_if(|_| self.ledger.is_some()) {
@@ -373,7 +372,7 @@ impl Outputs {
     }
 }
 
-/// Returns true if `name` stays inside the folder it is joined to.
+/// Returns true if `name` stays inside the folder that it is joined to.
 pub fn is_inside(name: &str) -> bool {
     !name.is_empty() && Path::new(name).components().all(|c| matches!(c, Component::Normal(_)))
 }
@@ -382,7 +381,7 @@ fn prepare_kinds(folder: &Path, emit: Emit) -> Result<(), OutputError> {
     emit.folders().into_iter().try_for_each(|name| prepare_subfolder(&folder.join(name)))
 }
 
-/// An error unless `last` is the last of `intervals`, bit for bit.
+/// Returns an error unless `last` equals the last of `intervals`, bit for bit.
 fn check_again(intervals: &[IntervalEntry], last: &Interval) -> Result<(), Error> {
     let bytes = to_safetensors(last).map_err(Error::work)?;
     let found = Written::of(&bytes).blake3;

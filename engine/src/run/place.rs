@@ -1,4 +1,4 @@
-//! The place of a command's results, held by one process at a time.
+//! The place of a command's results, locked by one process at a time.
 
 use std::fs::{File, TryLockError};
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -10,30 +10,31 @@ use crate::output::{OutputError, prepare_folder, storage};
 use crate::run::Error;
 use crate::run::destination::Destination;
 
-/// Longest text of a lock that is read.
+/// Longest text of a lock file that is read.
 const MAX_TEXT: u64 = 64;
 
-/// A destination, and the lock on it once it is taken.
+/// A destination and, while it is held, the lock on it.
 #[derive(Debug)]
 pub struct Place {
     destination: Destination,
     lock: Option<Lock>,
-    /// Folders that [`Place::hold`] created, the innermost first.
+    /// Folders that [`Place::hold`] created, innermost first.
     made: Vec<PathBuf>,
 }
 
 impl Place {
-    /// One that nobody holds yet.
+    /// A place without a lock.
     pub fn new(destination: Destination) -> Place {
         Place { destination, lock: None, made: Vec::new() }
     }
 
-    /// Where it is.
+    /// Destination of the place.
     pub fn destination(&self) -> &Destination {
         &self.destination
     }
 
-    /// Holds the place until this value goes; creates the folder, if there is none. Standard output is not held.
+    /// Locks the place until this value is dropped; creates the folder if it does not exist. Standard output is not
+    /// locked.
     pub fn hold(&mut self) -> Result<(), Error> {
         let Some(path) = self.destination.lock().filter(|_| self.lock.is_none()) else { return Ok(()) };
         if let Destination::Folder(folder) = &self.destination {
@@ -45,16 +46,16 @@ impl Place {
         Ok(())
     }
 
-    /// Gives the place up and removes the folders that were created to hold it, as far as they are empty.
+    /// Releases the place and removes the folders that were created for it and are empty.
     pub fn withdraw(&mut self) {
         self.lock = None;
         for folder in self.made.drain(..) {
-            // One that others use by now stays.
+            // A folder that others use by now stays.
             let _ = std::fs::remove_dir(folder);
         }
     }
 
-    /// As [`Place::hold`], where something is there to be held.
+    /// As [`Place::hold`], if the place exists.
     pub fn hold_existing(&mut self) -> Result<(), Error> {
         let there = match &self.destination {
             Destination::Folder(folder) => folder.is_dir(),
@@ -66,8 +67,8 @@ impl Place {
     }
 }
 
-/// A locked file with the holder's process id in it. The lock goes with the process, however that ends; the file goes
-/// with this value.
+/// A locked file with the holder's process id in it. The lock ends with the process, however that ends; the file is
+/// removed when this value is dropped.
 #[derive(Debug)]
 struct Lock {
     path: PathBuf,
@@ -82,7 +83,7 @@ impl Lock {
             if storage::exists(&path) {
                 storage::regular(&path).map_err(write)?;
             }
-            // A lock that a killed process left is nobody's.
+            // A killed process leaves its file, but no lock.
             let opened = File::options().read(true).write(true).create(true).truncate(false).open(&path);
             let mut file = opened.map_err(write)?;
             match file.try_lock() {
@@ -95,8 +96,7 @@ impl Lock {
             let text = format!("{} {}\n", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
             let written = file.set_len(0).and_then(|()| file.seek(SeekFrom::Start(0)));
             written.and_then(|_| file.write_all(text.as_bytes())).map_err(write)?;
-            // Whoever held it before may have removed the file between its opening and its locking: then another has
-            // the name.
+            // The previous holder may have deleted the file between open and lock; then retry.
             if read(&path).is_some_and(|found| found == text) {
                 return Ok(Lock { path, _file: file });
             }
@@ -106,7 +106,7 @@ impl Lock {
 
 impl Drop for Lock {
     fn drop(&mut self) {
-        // While it is still locked, so that nobody else's is removed.
+        // While it is still locked, so that no other process's file is removed.
         let _ = std::fs::remove_file(&self.path);
     }
 }

@@ -1,4 +1,4 @@
-//! `run.json`: what was done, so that it can be done again and compared.
+//! `run.json`: the record of a run, by which it can be repeated and compared.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -17,18 +17,18 @@ use crate::source::MEMORY;
 /// Longest record read, in bytes.
 const MAX_RECORD: u64 = 1 << 28;
 
-/// Value of `program`.
+/// Value of the field `program`.
 pub const PROGRAM: &str = "streamsplat";
 
-/// The whole file. Everything but `timing` is a function of model, input, options and seed alone; where a graphics card
-/// drew, so is everything but `timing`, `renderer` and the outputs marked `outside_contract`.
+/// Content of the file. Everything but `timing` is a function of model, input, options and seed alone. Where a graphics
+/// card drew, so is everything but `timing`, `renderer` and the outputs marked `outside_contract`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Record {
     /// [`PROGRAM`].
     pub program: String,
     /// The program's version.
     pub version: String,
-    /// Inputs of the program's bytes besides its version.
+    /// Properties of the program, in addition to its version, that determine output bytes.
     #[serde(flatten)]
     pub build: Build,
     /// The command, with every option that affects the output.
@@ -46,13 +46,13 @@ pub struct Record {
     /// Renderer of the images.
     #[serde(default)]
     pub renderer: RendererRecord,
-    /// False when the user stopped it; what was written is valid.
+    /// False when the user stopped it; the files written are valid.
     pub complete: bool,
     /// Every file written, by its path inside the folder.
     pub outputs: BTreeMap<String, OutputRecord>,
     /// Work done and work avoided.
     pub work: BTreeMap<String, WorkRecord>,
-    /// Gaussians left out because a number of theirs was not finite.
+    /// Gaussians left out because one of their numbers was not finite.
     pub dropped: u64,
     /// Width and height of the images.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -66,23 +66,23 @@ pub struct Record {
     /// Mean PSNR of the same images at the source's own size, in dB, where they are of that size.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_source_size: Option<f64>,
-    /// Differs from run to run.
+    /// Measurements that differ from run to run.
     pub timing: Timing,
 }
 
-/// Inputs of the program's bytes besides its version.
+/// Properties of the program, in addition to its version, that determine output bytes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Build {
     /// Version of the bit contract ([`crate::BIT_CONTRACT`]); 0 in records without it.
     #[serde(default)]
     pub bit_contract: u32,
-    /// The commit that the program was made from; where that is not known, the digest of its file.
+    /// The commit that the program was built from; where that is not known, the digest of its file.
     #[serde(default, rename = "build")]
     pub program: String,
 }
 
 impl Build {
-    /// Of the program that was made from this commit; where that is not known, its file's digest identifies it.
+    /// The build from this commit; without one, the digest of the program's file identifies it.
     pub fn of(commit: Option<&str>) -> Build {
         static PROGRAM: LazyLock<String> = LazyLock::new(|| {
             std::env::current_exe().ok().and_then(|file| digest::file(&file).ok()).unwrap_or_default()
@@ -111,25 +111,25 @@ pub struct ModelRecord {
     pub blake3: String,
 }
 
-/// A network that ONNX Runtime ran. Its arithmetic is the runtime's: another version may give other bits.
+/// A network that ONNX Runtime ran. Its arithmetic is the runtime's: another version may produce other bits.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NetworkRecord {
     /// Its file.
     pub path: String,
-    /// BLAKE3 of the file, and of its weights where they lie beside it.
+    /// BLAKE3 of the file, and of its weights where they are in a file next to it.
     pub blake3: String,
     /// Name and version of the runtime.
     pub runtime: String,
 }
 
 impl NetworkRecord {
-    /// Of the network in `file`, run by this version of the runtime.
+    /// The record of the network in `file`, run by this version of the runtime.
     pub fn of(file: &Path, runtime: &str) -> Result<NetworkRecord, Error> {
         let (path, blake3) = (absolute(file).display().to_string(), NetworkRecord::digest(file)?);
         Ok(NetworkRecord { path, blake3, runtime: format!("ONNX Runtime {runtime}") })
     }
 
-    /// BLAKE3 of a network, whose weights may lie in a file beside it.
+    /// BLAKE3 of a network, whose weights may be in a file next to it.
     pub fn digest(file: &Path) -> Result<String, Error> {
         let mut files = vec![file.to_owned()];
         for ending in [".data", "_data"] {
@@ -149,32 +149,33 @@ pub struct Counts {
     /// Width and height of the last one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<[usize; 2]>,
-    /// Gaussians drawn and left out, tiles drawn and kept, list entries looked at and not, planes computed and not,
-    /// images whose splats are turned and images of which none is, Gaussians projected and left out before.
+    /// Gaussians drawn and left out; tiles drawn and reused; list entries blended and skipped; planes computed and not;
+    /// images with turned splats and without; Gaussians projected and left out before projection.
     pub raster: [[u64; 2]; 6],
-    /// Gaussians left out because a number of theirs was not finite.
+    /// Gaussians left out because one of their numbers was not finite.
     pub dropped: u64,
-    /// How much of turned images was never filmed.
+    /// Parts of turned images that were never filmed.
     #[serde(default)]
     pub unfilmed: Unfilmed,
 }
 
-/// How much of turned images of a scene in time shows nothing that was filmed.
+/// Parts of turned images of a scene in time that were never filmed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Unfilmed {
-    /// Pixels of which less than half is covered, and the others.
+    /// Pixels that are less than half covered, and the others.
     pub pixels: [u64; 2],
-    /// The angle to the source's own view, in degrees, and the share of pixels, of the image with most of them.
+    /// Of the image with the largest share of these pixels: the angle to the source's own view, in degrees, and the
+    /// share.
     pub worst: Option<[f64; 2]>,
-    /// The widest angle of an image with at most [`Unfilmed::LITTLE`] of them, in degrees.
+    /// The widest angle, in degrees, of an image whose share is at most [`Unfilmed::LITTLE`].
     pub holds: f64,
 }
 
 impl Unfilmed {
-    /// A share of pixels that is hardly seen.
+    /// A share of pixels that is hardly noticed.
     pub const LITTLE: f64 = 0.02;
 
-    /// Adds an image: pixels, the share of them that is not covered, and its angle in degrees.
+    /// Adds an image: number of pixels, uncovered share, and angle in degrees.
     pub fn add(&mut self, pixels: u64, share: f64, degrees: f64) {
         let missing = (share * pixels as f64).round() as u64;
         self.pixels[0] += missing;
@@ -187,7 +188,7 @@ impl Unfilmed {
         }
     }
 
-    /// What a user should know of it, if anything.
+    /// A note for the user, if a notable part was never filmed.
     pub fn note(&self, filled: bool) -> Option<String> {
         let [degrees, share] = self.worst.filter(|[_, share]| *share > Self::LITTLE)?;
         let shows = if filled { "the colours around it (--fill)" } else { "the background" };
@@ -232,7 +233,7 @@ impl std::fmt::Display for RendererRecord {
 pub struct InputRecord {
     /// The input as an absolute path, `-`, or [`MEMORY`].
     pub path: PathBuf,
-    /// BLAKE3 of the frames as they were decoded, or of the scene's index.
+    /// BLAKE3 of the decoded frames, or of the scene's index.
     pub blake3: String,
     /// Frames or intervals read.
     pub count: usize,
@@ -240,7 +241,7 @@ pub struct InputRecord {
     pub size: [usize; 2],
     /// Frames per second.
     pub fps: f64,
-    /// What ended it early, or was not as it should be; what came before was used.
+    /// Why the input ended early or what was irregular in it; the frames before were used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub damage: Option<String>,
 }
@@ -252,10 +253,10 @@ pub struct OutputRecord {
     pub bytes: u64,
     /// BLAKE3 of the file.
     pub blake3: String,
-    /// For a video: BLAKE3 of the samples that were encoded, which is what a repetition is compared by.
+    /// For a video: BLAKE3 of the samples that were encoded, by which a repetition is compared.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub samples: Option<String>,
-    /// A graphics card drew it: a repetition gives other bytes.
+    /// True if a graphics card drew it: a repetition produces other bytes.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub outside_contract: bool,
 }
@@ -278,7 +279,7 @@ pub struct Timing {
     pub total: f64,
     /// Seconds per stage.
     pub seconds: BTreeMap<String, f64>,
-    /// The most memory held.
+    /// Peak resident memory in bytes.
     pub peak_resident_bytes: Option<u64>,
     /// Threads.
     pub threads: usize,
@@ -287,7 +288,7 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// Of work that began at `start` and ends now.
+    /// Timing of work that began at `start` and ends now.
     pub fn of(start: Instant, seconds: BTreeMap<String, f64>, workers: &Workers) -> Timing {
         Timing {
             total: start.elapsed().as_secs_f64(),
@@ -299,7 +300,7 @@ impl Timing {
     }
 }
 
-/// The most memory this process has held, in bytes, where the system has the number.
+/// Peak resident memory of this process in bytes, where the system reports it.
 fn peak_resident_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
@@ -317,13 +318,13 @@ pub struct Account {
 }
 
 impl Account {
-    /// Counts from here on, `before` being done.
+    /// Starts counting here, after the work `before`.
     pub fn restart(&mut self, before: BTreeMap<String, WorkRecord>, now: &Work) {
         self.before = before;
         self.caught_up = records(now);
     }
 
-    /// The whole run's.
+    /// The account of the whole run.
     pub fn of(&self, now: &Work) -> BTreeMap<String, WorkRecord> {
         let mut all = records(now);
         for (stage, work) in &mut all {
@@ -346,7 +347,7 @@ fn records(work: &Work) -> BTreeMap<String, WorkRecord> {
 }
 
 impl Record {
-    /// As text.
+    /// Returns the record as JSON text.
     pub fn to_json(&self) -> Result<String, Error> {
         serde_json::to_string_pretty(self).map(|text| text + "\n").map_err(|e| Error::work(format!("run.json: {e}")))
     }
@@ -376,7 +377,7 @@ pub fn check_name(path: &Path) -> Result<(), Error> {
     }
 }
 
-/// `path` as it can be found from anywhere; `-` and [`MEMORY`] stay.
+/// Makes `path` absolute; `-` and [`MEMORY`] stay.
 pub fn absolute(path: &Path) -> PathBuf {
     if path == Path::new("-") || path == Path::new(MEMORY) {
         return path.to_owned();
@@ -392,7 +393,7 @@ mod tests {
     use super::*;
     use crate::run::options::{StreamOptions, ViewOptions};
 
-    /// Records with everything that one can hold.
+    /// Records in which every optional field is set.
     fn texts() -> [String; 2] {
         let output = |samples: Option<&str>, outside_contract| OutputRecord {
             bytes: 900,

@@ -9,7 +9,7 @@ use crate::run::Error;
 use crate::run::destination::Destination;
 use crate::run::record::{Invocation, Record};
 
-/// Writes the record (and, in a folder, the report). The record comes last: where it is, everything is.
+/// Writes the record (and, in a folder, the report). The record comes last: if it exists, all files do.
 pub fn finish(record: &Record, destination: Option<&Destination>, json: Option<&Path>) -> Result<(), Error> {
     let text = record.to_json()?;
     if let Some(path) = json {
@@ -62,7 +62,7 @@ pub fn summary(record: &Record, out: &Path) -> String {
     )
 }
 
-/// The text of a folder's `report.md`, which is a function of its record.
+/// Text of a folder's `report.md`, a function of its record.
 pub fn markdown(record: &Record) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.

@@ -1,22 +1,22 @@
 //! State of a run under way, from which it resumes after an interruption: by the user, by a failure, or by the system
 //! at any moment.
 //!
-//! In the folder `resume` of the results (for a video `v.y4m`, `v.y4m.resume` beside it):
+//! In the folder `resume` of the results (for a video `v.y4m`, `v.y4m.resume` next to it):
 //!
-//! - `written.jsonl`, the [ledger](crate::run::ledger): a line per file before the file gets its name;
+//! - `written.jsonl`, the [ledger](crate::run::ledger): one line per file, appended before the file gets its name;
 //! - `state.safetensors`, the [`Point`] and the stream's resume point, replaced by renaming after each whole interval;
-//! - `state.before.safetensors`, the one of the interval before.
+//! - `state.before.safetensors`, the same for the interval before.
 //!
-//! After an interval its files, the folders they are in, the ledger and the video are synced, and then the state is
-//! written, so that whatever a state vouches for survives a power loss. Where a state or something it vouches for is
-//! damaged all the same, the one before is taken; where that is no better, the run starts again.
+//! After an interval its files, their folders, the ledger and the video are synced, and only then the state is written.
+//! So everything that a state covers survives a power loss. If a state or something it covers is damaged nevertheless,
+//! the previous one is used; if that is damaged too, the run starts again.
 //!
-//! The point is what counts: everything it vouches for was written before it, and what came after it is written again.
-//! Of the stream it holds the resume point *before* the last whole interval. So `--resume` reads the input from its
-//! beginning (the digest of what was read must be the same), takes up the resume point at the key frame before the last
-//! one, and computes the last whole interval again, which must come out as it was written; two key frames of work.
-//! Where the resume point says too little ([`Reuse::forgets`](crate::stream::Reuse)), the stream is computed from its
-//! start. When a run is complete, the folder is removed.
+//! The point is decisive: everything it covers was written before it, and everything later is written again. It holds
+//! the stream's resume point *before* the last whole interval. So `--resume` reads the input from its beginning (the
+//! digest of the frames read must be the same) and restores the resume point at the last key frame but one. It then
+//! computes the last whole interval again, which must equal the stored one: two key frames of work. Where a resume
+//! point does not suffice ([`Reuse::forgets`](crate::stream::Reuse)), the stream is computed from its start. When a run
+//! is complete, the folder is removed.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -39,9 +39,9 @@ use crate::run::terms::Terms;
 
 /// The point's file.
 const STATE: &str = "state.safetensors";
-/// The file of the point before.
+/// The file of the previous point.
 const BEFORE: &str = "state.before.safetensors";
-/// Largest one read, in bytes.
+/// Longest file of a point that is read, in bytes.
 const MAX_STATE: u64 = 1 << 32;
 
 /// Progress of a run.
@@ -51,13 +51,13 @@ pub struct Point {
     pub terms: Terms,
     /// Input read so far.
     pub input: InputRecord,
-    /// The last key frame whose interval is whole, with everything due in it.
+    /// The last key frame whose interval is complete, with all its outputs.
     pub key: u64,
     /// First and last time of the scene so far, in seconds.
     pub span: (f64, f64),
-    /// How many of the times asked for are done.
+    /// Number of requested times that are done.
     pub times: usize,
-    /// The key frames chosen, where they depend on how close images come to frames.
+    /// The key frames chosen so far, where they depend on how close images are to frames.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub choices: Option<Choices>,
     /// The sum of PSNR at the source's size over all frames compared, as bits, and their number.
@@ -72,7 +72,7 @@ pub struct Point {
     /// First image of a moving camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub anchor: Option<Anchor>,
-    /// Bytes of the ledger that count.
+    /// Valid length of the ledger in bytes.
     pub ledger: u64,
     /// The video, where the result is one.
     pub video: Option<VideoPoint>,
@@ -137,7 +137,7 @@ pub fn find(destination: &Destination) -> Result<Found, Error> {
     Ok(Found::Nothing)
 }
 
-/// The point in the file `path`, if all that it vouches for is there.
+/// The point in the file `path`, if everything that it covers is intact.
 fn point(path: &Path, folder: &Path, destination: &Destination) -> Result<(Point, Option<ResumePoint>), Error> {
     let wrong = |e: &dyn std::fmt::Display| Error::work(format!("{}: {e}", path.display()));
     storage::regular(path).map_err(|e| wrong(&e))?;
@@ -157,7 +157,7 @@ fn point(path: &Path, folder: &Path, destination: &Destination) -> Result<(Point
     Ok((point, resume))
 }
 
-/// Every file of a record must have the length and the digest that it names.
+/// Checks that every file of a record has the recorded length and digest.
 fn check_outputs(record: &Record, destination: &Destination) -> Result<(), Error> {
     let folder = match destination {
         Destination::Folder(folder) => folder,
@@ -178,7 +178,7 @@ fn tell(message: &str) {
     tracing::warn!("--resume: {message}");
 }
 
-/// Writes the point, with the stream's resume point before its interval, when all that it vouches for is synced.
+/// Writes the point, with the stream's resume point before its interval. Everything that it covers must be synced.
 pub fn commit(folder: &Path, point: &Point, resume: Option<&ResumePoint>) -> Result<(), Error> {
     let note = serde_json::to_string(point).map_err(Error::work)?;
     let bytes = resume_point_to_safetensors(resume, &note).map_err(Error::work)?;
@@ -190,7 +190,7 @@ pub fn commit(folder: &Path, point: &Point, resume: Option<&ResumePoint>) -> Res
         file.sync()?;
         if state.exists() {
             storage::rename(&state, &before)?;
-            // Until the next line has lasted as well, the state before is the one to go on from.
+            // Until the next rename is durable, the previous state is the one to resume from.
             storage::sync_folder(folder)?;
         }
         storage::rename(&partial, &state)?;
@@ -202,7 +202,7 @@ pub fn commit(folder: &Path, point: &Point, resume: Option<&ResumePoint>) -> Res
     })
 }
 
-/// Takes away what the run no longer needs; the point goes first.
+/// Removes the files that a complete run does not need; the point goes first.
 pub fn remove(folder: &Path) -> Result<(), OutputError> {
     let done = |result: std::io::Result<()>| match result {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
@@ -210,7 +210,7 @@ pub fn remove(folder: &Path) -> Result<(), OutputError> {
         }
         _ => Ok(()),
     };
-    // Nothing below a link is the run's.
+    // Files behind a link do not belong to the run.
     if std::fs::symlink_metadata(folder).is_ok_and(|found| !found.is_dir()) {
         return Err(OutputError::Write {
             path: folder.to_owned(),
@@ -224,14 +224,14 @@ pub fn remove(folder: &Path) -> Result<(), OutputError> {
     if !folder.exists() {
         return Ok(());
     }
-    // Whatever else someone put there keeps it.
+    // The folder stays if it contains anything else.
     match storage::remove_folder(folder) {
         Err(e) if e.kind() == std::io::ErrorKind::DirectoryNotEmpty => Ok(()),
         other => done(other),
     }
 }
 
-/// A complete run is only said to be one when it is the run asked for.
+/// Returns an error unless the complete run of `record` is the requested one.
 pub fn check_complete(record: &Record, input: &Path, given: &Terms) -> Result<(), Error> {
     let Invocation::Run(options) = &record.task else {
         return Err(Error::usage("--resume: --out holds the results of render, not of run"));

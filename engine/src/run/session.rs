@@ -1,4 +1,4 @@
-//! A run under way: key frames through the engine, intervals to images, results to where they go.
+//! A run under way: key frames pass through the engine, intervals become images, results go to their destination.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -25,11 +25,11 @@ use crate::source::{self, Source};
 use crate::stream::{Interval, MotionFrom, ResumePoint, Reuse};
 use crate::{Engine, Image};
 
-/// What a run is made of.
+/// The input, options and environment of a run.
 pub(super) struct Task {
-    /// Where frames come from.
+    /// The input's path.
     pub input: PathBuf,
-    /// The frames, where they are in memory.
+    /// The frames, if they are in memory.
     pub frames: Option<Source>,
     /// Options, with those of presets and defaults.
     pub options: RunOptions,
@@ -44,54 +44,53 @@ pub(super) struct Session {
     task: Task,
     pub keys: Ahead,
     pub engine: Engine,
-    /// Where results go; `None` where they go to the caller alone, and after a failure.
+    /// Destination of the results; `None` where only the caller receives them, and after a failure.
     pub outputs: Option<Outputs>,
     place: Option<Place>,
     pub drawing: Drawing,
-    /// Where key frames depend on it.
+    /// PSNR at 256×256, where key frames depend on it.
     pub closeness: Option<Closeness>,
-    /// Where images of the source's size are compared with the frames.
+    /// PSNR at the source's size, where the images have that size.
     whole: Option<Whole>,
     pub account: Account,
     pub emit: Emit,
     pub views: Views,
     /// Gaussians left out by the engine.
     pub dropped: u64,
-    /// First and last time seen.
+    /// First and last time so far.
     pub span: Option<(f64, f64)>,
     /// The next key frame.
     pub key: u64,
-    /// How many of the times asked for are done.
+    /// Number of requested times that are done.
     pub times: usize,
     terms: Terms,
-    /// The first interval and what is due in it, where that waits for the second.
+    /// The first interval and the images due in it, while they wait for the second.
     first: Option<(Interval, Vec<(usize, f64)>)>,
-    /// A step that is done and waits for its caller.
+    /// A step that is done but not returned yet.
     ready: Option<Step>,
-    /// Frames done.
+    /// Number of frames done.
     done: usize,
     state: State,
-    /// Notes of the source that were passed on.
+    /// Number of the source's notes that were passed on.
     noted: usize,
     start: Instant,
 }
 
-/// How far a run has come.
+/// State of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    /// There are frames left.
+    /// Frames are left.
     Under,
     /// All frames are done.
     Complete,
-    /// It was stopped before that.
+    /// It was stopped earlier.
     Stopped,
     /// It has failed.
     Failed,
 }
 
 impl Session {
-    /// Starts a run, or goes on from what was `found`. What is wrong with options and files is found before anything is
-    /// written.
+    /// Starts a run, or resumes the one `found`. Errors in options and files are reported before anything is written.
     pub(super) fn begin(mut task: Task, mut place: Option<Place>, found: Found) -> Result<Session, Error> {
         let start = Instant::now();
         let Task { input, frames, options, machine, program, observer, stop } = &mut task;
@@ -165,7 +164,7 @@ impl Session {
             outputs.sound(sound);
             outputs.quality(options.crf);
         }
-        // The place is taken before the model is loaded, which takes time.
+        // The place is locked before the model is loaded, which takes time.
         let loaded = Engine::new(settings).map_err(Error::from).and_then(|engine| {
             let drawing = Drawing::new(engine.workers(), views.backend)?;
             let terms = before.map_or_else(|| terms(options), Ok)?;
@@ -234,10 +233,10 @@ impl Session {
         Ok(session)
     }
 
-    /// Takes the next key frame through the engine, draws and writes what is due; `None` at the end and when the run is
-    /// stopped. Where depth is found, the first key frame's results are drawn from the interval after it, as from the
-    /// scene; until then there is nothing to resume from, and the run does not stop. With `keep` the step has its
-    /// images.
+    /// Passes the next key frame through the engine, then draws and writes the images that are due. Returns `None` at
+    /// the end and when the run is stopped. Where depth is found by parallax, the first key frame's results are drawn
+    /// from the interval after it, as `render` draws them from the scene. Until then there is nothing to resume from,
+    /// and the run does not stop. With `keep` the step has its images.
     pub(super) fn step(&mut self, keep: bool) -> Result<Option<Step>, Error> {
         if self.state != State::Under {
             return Ok(self.ready.take());
@@ -255,7 +254,7 @@ impl Session {
             return Ok(Some(step));
         }
         loop {
-            // The first interval is always done.
+            // The first interval is always completed.
             if self.task.stop.asked() && self.first.is_none() && self.key > 0 {
                 self.state = State::Stopped;
                 return Ok(None);
@@ -307,13 +306,13 @@ impl Session {
             return Ok(Some(Step { interval: first, images }));
         }
         self.state = State::Complete;
-        // It was the only one.
+        // There was only one key frame.
         let Some((interval, due)) = self.first.take() else { return Ok(None) };
         let images = self.draw(&interval, &due, &[], keep)?;
         Ok(Some(Step { interval, images }))
     }
 
-    /// One more frame is done.
+    /// Counts one more finished frame.
     pub(super) fn progress(&mut self) {
         self.done += 1;
         self.task.observer.progress(self.done, self.keys.total());
@@ -323,7 +322,8 @@ impl Session {
         self.outputs.as_ref().is_some_and(Outputs::can_resume)
     }
 
-    /// Numbers and times of the images of `interval`: the input frames' own, or what of the times asked for it holds.
+    /// Numbers and times of the images of `interval`: the input frames' own, or those of the requested times that are
+    /// in it.
     fn due(&mut self, interval: &Interval, frames: impl Iterator<Item = (usize, f64)>) -> Vec<(usize, f64)> {
         let Some(asked) = &self.views.times else { return frames.collect() };
         let mut due = Vec::new();
@@ -337,7 +337,7 @@ impl Session {
         due
     }
 
-    /// Draws and writes what is due in an interval.
+    /// Draws and writes the images that are due in an interval.
     fn draw(
         &mut self,
         interval: &Interval,
@@ -347,7 +347,7 @@ impl Session {
     ) -> Result<Vec<Shown>, Error> {
         let Session { outputs, drawing, emit, keys, whole, closeness, views, .. } = self;
         let (emit, views, mut kept) = (*emit, &*views, Vec::new());
-        // With `--times`, images follow each other at a constant rate.
+        // With `--times`, images have a constant rate.
         let rate = views.times.as_ref().map(|_| keys.fps());
         drawing.pass(
             due.iter(),
@@ -379,7 +379,7 @@ impl Session {
         Ok(kept)
     }
 
-    /// Makes the interval just written one to resume from.
+    /// Makes the interval just written a point to resume from.
     fn commit(&mut self, resume: Option<&ResumePoint>) -> Result<(), Error> {
         if !self.can_resume() {
             return Ok(());
@@ -403,15 +403,15 @@ impl Session {
         outputs.as_mut().map_or(Ok(()), |outputs| drawing.writing(|| outputs.commit(point, resume)))
     }
 
-    /// After a failure: what was written stays valid, and the place is free again.
+    /// Ends after a failure: files written so far stay valid, and the place is released.
     fn abandon(&mut self) {
         if let (Some(outputs), Some(place)) = (self.outputs.take(), &mut self.place) {
             outputs.abandon(place);
         }
     }
 
-    /// Completes the files after the last step. The place is held until the record is written by the caller, who gets
-    /// it back.
+    /// Completes the files after the last step. Returns the place to the caller, who writes the record before it is
+    /// released.
     pub(super) fn finish(mut self) -> Result<(Record, Option<Place>), Error> {
         while self.step(false)?.is_some() {}
         if self.state == State::Failed {
@@ -438,7 +438,7 @@ impl Session {
         task.observer.notes(drawing.counts.unfilmed.note(filled).as_slice());
 
         let mut work = account.of(engine.work());
-        // The time of a stage's part is in the stage's.
+        // The time of a stage's part is included in the stage's.
         let stages = engine.work().stages().iter().filter(|stage| !stage.stage.contains('.'));
         let mut seconds = stages.map(|stage| (stage.stage.to_owned(), stage.time.as_secs_f64())).collect();
         drawing.account(&mut work, &mut seconds);
@@ -446,7 +446,7 @@ impl Session {
             closeness.account(&mut work, &mut seconds);
         }
         let read = keys.account();
-        // What was found on the way.
+        // Notes added while reading.
         task.observer.notes(read.notes.get(self.noted..).unwrap_or_default());
         seconds.insert("decode".into(), read.time.as_secs_f64());
         if let Some(network) = &read.network {
@@ -481,8 +481,7 @@ impl Session {
     }
 }
 
-/// The sound of the input, where the video that is written takes it along: at the times of the input's own frames
-/// alone.
+/// The sound of the input, if the output video can hold it and has the times of the input's own frames.
 fn taken_along(source: &Source, options: &RunOptions, destination: &Destination) -> Option<Sound> {
     let own_times = options.view.times.is_none() && options.fps.is_none();
     let wanted = !options.no_audio && own_times && holds_sound(destination.path());
@@ -496,7 +495,7 @@ struct Drawn {
 }
 
 impl Drawn {
-    /// Those of `interval` at `time` that `emit` asks for.
+    /// The results of `interval` at `time` that `emit` selects.
     fn of(
         drawing: &mut Drawing,
         interval: &Interval,
@@ -507,7 +506,7 @@ impl Drawn {
         let image = emit.draws().then(|| drawing.draw(interval, index, time, views)).transpose()?;
         let snapshot = emit.ply.then(|| Snapshot::square(interval, time, drawing.workers())).transpose()?;
         if let Some(snapshot) = &snapshot {
-            // Where an image is drawn as well, they are counted with it.
+            // Where an image is drawn as well, its count includes them.
             drawing.counts.dropped += if emit.draws() { 0 } else { snapshot.dropped };
         }
         Ok(Self { image, snapshot })

@@ -15,7 +15,7 @@ const BY_CONTENT: [&str; 2] = ["model", "dinov2"];
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Terms {
     version: String,
-    /// Inputs of the program's bytes besides its version.
+    /// Properties of the program, in addition to its version, that determine output bytes.
     #[serde(flatten)]
     build: Build,
     /// [`RunOptions`], with absolute paths.
@@ -42,7 +42,7 @@ impl Terms {
         })
     }
 
-    /// The terms of a recorded run, which does not say what was in the camera's file.
+    /// The terms of a recorded run. The record does not contain the digest of the camera's file.
     pub fn recorded(record: &Record, options: &RunOptions) -> Result<Terms, Error> {
         let model = record.model.clone().ok_or_else(|| Error::work("run.json: expected a model, found none"))?;
         let options = serde_json::to_value(options).map_err(Error::work)?;
@@ -57,12 +57,12 @@ impl Terms {
         })
     }
 
-    /// The same terms, as if the program that left `record` were this one: for telling runs apart, whatever made them.
+    /// The same terms with the build of `record`, for comparing runs regardless of the program that made them.
     pub fn built_as(self, record: &Record) -> Terms {
         Terms { build: record.build.clone(), ..self }
     }
 
-    /// An error that names what of `given` differs.
+    /// Returns an error that names the first difference to `given`.
     pub fn check(&self, given: &Terms) -> Result<(), Error> {
         let work = |what: &str, recorded: &str, given: &str| {
             Err(Error::work(format!("--resume: {what}: recorded {recorded}, given {given}")))
@@ -81,7 +81,7 @@ impl Terms {
             let of = |model: &ModelRecord| format!("{} with the digest {}", model.path, model.blake3);
             return work("the model", &of(&self.model), &of(&given.model));
         }
-        // Defaults of options depend on the model, so that comes first.
+        // Defaults of options depend on the model, so the model is compared first.
         if let Some((option, recorded, given)) = difference("", &self.options, &given.options) {
             let message = format!("--resume: --{option}: the run was started with {recorded}, given {given}");
             return Err(Error::usage(message));
@@ -99,7 +99,7 @@ impl Terms {
     }
 }
 
-/// The options with paths that can be found from anywhere.
+/// Returns the options with absolute paths.
 pub fn with_absolute_paths(options: &RunOptions) -> RunOptions {
     let mut options = options.clone();
     for path in [&mut options.stream.model.model, &mut options.stream.model.dinov2, &mut options.view.camera] {
@@ -111,7 +111,7 @@ pub fn with_absolute_paths(options: &RunOptions) -> RunOptions {
     options
 }
 
-/// The first option that differs, with both its values.
+/// The name of the first option that differs, with both values.
 fn difference(name: &str, recorded: &Value, given: &Value) -> Option<(String, String, String)> {
     if let (Value::Object(a), Value::Object(b)) = (recorded, given) {
         let names = a.keys().chain(b.keys().filter(|key| !a.contains_key(*key)));

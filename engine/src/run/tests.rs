@@ -1,4 +1,4 @@
-//! Runs as a program that uses the library sees them.
+//! Runs as used by a program that calls the library.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -9,7 +9,7 @@ use super::*;
 use crate::output::picture_png;
 use crate::picture::Picture;
 
-/// Five frames, every second a key frame, of a small model.
+/// Five frames, every second one a key frame, with a small model.
 fn run(frames: &str) -> Run {
     let mut options = RunOptions::default();
     let model = fixtures::path("parity/tiny-nodino.safetensors").display().to_string();
@@ -24,7 +24,7 @@ fn png(shown: &Shown) -> Vec<u8> {
     picture_png(&Picture { width, height, rgb })
 }
 
-/// Keeps what it is told.
+/// Records the calls it receives.
 #[derive(Clone, Default)]
 struct Log(Arc<Mutex<Vec<String>>>);
 

@@ -1,4 +1,4 @@
-//! What images show, and how: times, cameras, size, background.
+//! Contents of images: times, cameras, size, background.
 
 use super::Error;
 use super::options::motion::Course;
@@ -11,43 +11,43 @@ use crate::{RenderOptions, Size};
 /// Options of the images, their times and their cameras.
 #[derive(Clone, Debug)]
 pub struct Views {
-    /// Size, background, and which planes.
+    /// Size, background and planes.
     pub options: RenderOptions,
-    /// The camera at any time.
+    /// The camera as a function of time.
     pub camera: CameraPath,
-    /// Times asked for, ascending.
+    /// Requested times, ascending.
     pub times: Option<Vec<f64>>,
     /// Backend that renders the images.
     pub backend: Backend,
-    /// Width and height of the images of a camera file of another program.
+    /// Width and height of the images in another program's camera file.
     pub own_sizes: Vec<[usize; 2]>,
-    /// Images of a second where such a file is a video's; else one follows the other each second.
+    /// Images per second where that file belongs to a video; `None`: one per second.
     pub own_rate: Option<f64>,
     /// True if the background is transparent: the scene is drawn over black, and alpha is kept.
     pub transparent: bool,
-    /// Where the camera stands around the middle of a scene in time, in place of `camera`.
+    /// The camera's motion around the middle of a scene in time, instead of `camera`.
     pub course: Option<Course>,
-    /// What images of a moved camera show where nothing was filmed.
+    /// Filling of parts of a moved camera's images that were never filmed.
     pub fill: Fill,
     /// The part of the picture's sides that images of a moved camera show.
     pub part: f64,
     /// Distance between the eyes, where there are two.
     pub eyes: Option<f64>,
-    /// The middle of a still scene; that of a scene in time follows from its first image.
+    /// The middle of a still scene; for a scene in time it follows from the first image.
     pub pivot: Option<[f64; 3]>,
-    /// When the images are taken of which each is the mean.
+    /// Times of the images that are averaged into one.
     pub shutter: Option<Shutter>,
 }
 
 impl Views {
-    /// Returns true for images of the source's frames as they were filmed: their times, their size, their view.
+    /// Returns true if images have the times, the size and the view of the source's frames.
     pub fn is_the_sources_own(&self) -> bool {
         let own_view = self.camera == CameraPath::default() && self.course.is_none() && self.eyes.is_none();
         own_view && self.times.is_none() && self.options.size == Size::Source && !self.transparent
     }
 
-    /// Refuses what only a rendering of a still scene has: a path through another program's cameras, and, where frames
-    /// are written from a video, transparency.
+    /// Refuses options that only a rendering of a still scene supports: a path through another program's cameras, and
+    /// transparency where the frames come from a video.
     pub fn refuse_still(&self) -> Result<(), Error> {
         self.refuse_cameras()?;
         if self.transparent {
@@ -56,7 +56,7 @@ impl Views {
         Ok(())
     }
 
-    /// Refuses several cameras of another program, which are no path through a scene in time.
+    /// Refuses several cameras of another program, which do not form a path through a scene in time.
     pub fn refuse_cameras(&self) -> Result<(), Error> {
         match self.own_sizes.len() {
             0 | 1 => Ok(()),
@@ -66,7 +66,7 @@ impl Views {
 }
 
 impl Views {
-    /// The video's own, at the size at which the model sees frames.
+    /// The video's own view, at the model's size.
     pub fn own() -> Views {
         Views {
             options: RenderOptions::default(),
@@ -86,8 +86,8 @@ impl Views {
     }
 }
 
-/// When the images are taken that are one image's mean: parts of the time from one image to the next, ascending, from
-/// −½ to ½.
+/// Times of the images that are averaged into one, as parts of the time from one image to the next: ascending, from −½
+/// to ½.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shutter(pub Vec<f64>);
 
@@ -102,17 +102,17 @@ impl Shutter {
 #[derive(Default)]
 struct Cameras {
     path: CameraPath,
-    /// Width and height of each one's image, where the file is another program's.
+    /// Width and height of each camera's image, where the file is another program's.
     sizes: Vec<[usize; 2]>,
-    /// Images of a second, where they are a video's.
+    /// Images per second, where they are a video's.
     rate: Option<f64>,
 }
 
 impl ViewOptions {
-    /// Checks everything that can be checked before work is spent.
+    /// Checks everything that can be checked before the work starts.
     ///
     /// # Errors
-    /// [`Error::Usage`] for options that cannot be, [`Error::Camera`] for a camera's file.
+    /// [`Error::Usage`] for options that are not possible, [`Error::Camera`] for a camera's file.
     pub fn resolve(&self) -> Result<Views, Error> {
         let (background, transparent) = match self.background {
             Background::Colour(colour) => (colour, false),

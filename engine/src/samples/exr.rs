@@ -1,4 +1,4 @@
-//! OpenEXR: every part, every channel and every resolution level, with the windows they lie in.
+//! OpenEXR: every part, every channel and every resolution level, with their windows.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -68,7 +68,7 @@ fn levels(
     for channel in channels {
         let AnyChannel { name: channel, sample_data, sampling, .. } = channel;
         let channel = channel.to_string();
-        // Sizes of the levels, largest first; of rip maps, row by row.
+        // Sizes of the levels, largest first; for rip maps, row by row.
         let full = [windows.data[2] as usize, windows.data[3] as usize];
         let smaller = |side: usize, level: usize, up: bool| {
             let divisor = 1_usize << level;
@@ -110,7 +110,8 @@ fn levels(
                 FlatSamples::U32(v) => Samples::Whole(v),
             };
             let (width, height) = (width.div_ceil(sampling.0.max(1)), height.div_ceil(sampling.1.max(1)));
-            // A data window that begins between the samples of a channel holds one less of them a side.
+            // If a data window begins between the samples of a subsampled channel, the channel has one sample less per
+            // side.
             let (width, height) = if samples.len() == width * height { (width, height) } else { (samples.len(), 1) };
             parts[first + level].channels.push(Channel { name: channel.clone(), width, height, samples });
         }

@@ -1,4 +1,4 @@
-//! JPEG: one picture, grey, RGB or CMYK, decoded as frames are.
+//! JPEG: one picture, grey, RGB or CMYK, decoded like frames of a video.
 
 use std::path::Path;
 

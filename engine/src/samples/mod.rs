@@ -1,5 +1,4 @@
-//! Every sample of a picture file, as it is stored: for comparing files, where nothing may be composited, clamped or
-//! left out.
+//! Every sample of a picture file, as it is stored: for comparing files, without compositing, clamping or omissions.
 //!
 //! | format | parts | samples |
 //! |---|---|---|
@@ -11,7 +10,7 @@
 //! | OpenEXR | every part and every resolution level | f16, f32, u32 |
 //! | y4m, video files | every frame | the planes of two y4m files of one layout; else RGB as [`crate::source`] decodes it |
 //!
-//! Alpha is a channel like another. An orientation in EXIF is applied, as everything that shows the picture does.
+//! Alpha is a channel like any other. An orientation in EXIF is applied, as by all programs that show the picture.
 //! Colour profiles, comments and other metadata are not samples and are not read.
 
 mod exr;
@@ -88,13 +87,13 @@ impl Samples {
         }
     }
 
-    /// Returns true for whole numbers of a range whose largest value means 1.
+    /// Returns true for whole numbers whose largest value means 1.
     pub fn is_scaled(&self) -> bool {
         matches!(self, Samples::U8(_) | Samples::U16(_) | Samples::U32(_))
     }
 
-    /// Values in one scale: samples of a range over the largest (rounded to binary32 up to 16 bits, as frames are
-    /// read), others as they are.
+    /// Values on one scale: samples with a full value divided by it (rounded to binary32 up to 16 bits, as frames are
+    /// read), others unchanged.
     pub fn values(&self) -> Vec<f64> {
         match self {
             Samples::U8(v) => v.iter().map(|&v| f64::from(f32::from(v) / 255.0)).collect(),
@@ -108,7 +107,7 @@ impl Samples {
         }
     }
 
-    /// Distance of two samples of one range, as a part of it; none for other types, whose distance is that of
+    /// Distance of two samples of one range, as a part of it; `None` for other types, whose distance is that of
     /// [`Self::values`]. Levels are subtracted before they are divided, so that every level of 8 bits is 1/255.
     pub(crate) fn distance(&self, other: &Samples, at: usize) -> Option<f64> {
         let (levels, full) = match (self, other) {
@@ -136,7 +135,7 @@ impl Samples {
         }
     }
 
-    /// As many samples of the same type that all are the largest of their range, or 1.
+    /// The same number of samples of the same type, all at the largest value of their range, or 1.
     fn full(&self) -> Samples {
         match self {
             Samples::U8(v) => Samples::U8(vec![u8::MAX; v.len()]),
@@ -164,7 +163,7 @@ impl Samples {
         }
     }
 
-    /// Where both have one type: whether the samples at `at` have the same bits.
+    /// For equal types: true if the samples at `at` have the same bits.
     pub(crate) fn same_bits(&self, other: &Samples, at: usize) -> Option<bool> {
         Some(match (self, other) {
             (Samples::U8(a), Samples::U8(b)) => a[at] == b[at],
@@ -192,12 +191,12 @@ pub struct Channel {
     pub samples: Samples,
 }
 
-/// Where an OpenEXR part lies: corner and size in pixels.
+/// Windows of an OpenEXR part: corner and size in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Windows {
-    /// The pixels that are stored: left, top, width, height.
+    /// The stored pixels: left, top, width, height.
     pub data: [i64; 4],
-    /// The pixels that are shown.
+    /// The displayed pixels.
     pub display: [i64; 4],
 }
 
@@ -216,7 +215,7 @@ pub struct Part {
     pub premultiplied: bool,
     /// Windows of an OpenEXR part.
     pub windows: Option<Windows>,
-    /// When it is shown, in seconds, and its duration, if known.
+    /// Time at which it is shown, in seconds, and its duration, if known.
     pub shown: Option<(f64, Option<f64>)>,
 }
 
@@ -293,7 +292,7 @@ pub fn kind(path: &Path) -> Result<Kind, SourceError> {
 /// Reader of an image file.
 type Reader = fn(Vec<u8>, &Path) -> Result<Parts, SourceError>;
 
-/// The reader of an image file that begins so.
+/// The reader of an image file with these first bytes.
 fn image(head: &[u8], path: &Path) -> Option<Reader> {
     Some(match head {
         [0xff, 0xd8, ..] => jpeg::read,
@@ -309,19 +308,18 @@ fn image(head: &[u8], path: &Path) -> Option<Reader> {
 /// The parts of the file `path`.
 ///
 /// # Errors
-/// A file that cannot be read, is empty, or is of no known kind; parts that are broken or too large are errors of their
-/// own.
+/// A file that cannot be read, is empty, or is of an unknown kind; broken or too large parts are separate errors.
 pub fn open(path: &Path) -> Result<Parts, SourceError> {
     if kind(path)? != Kind::Image {
         return video::read(path);
     }
     let bytes = read_file(path)?;
-    // A file that ends as an image and begins as none is refused in its kind's words.
+    // A file named as an image that does not begin like one is refused with its kind's message.
     let reader = image(&bytes, path).unwrap_or(plain::read);
     reader(bytes, path)
 }
 
-/// The parts of two files that are to be compared: of two y4m files of one layout their planes.
+/// The parts of two files for comparison: for two y4m files of one layout their planes.
 ///
 /// # Errors
 /// As [`open`].

@@ -4,7 +4,7 @@ use image::metadata::Orientation;
 
 use super::{Channel, Part};
 
-/// The part as it is to be shown.
+/// Applies the orientation to a part.
 pub(super) fn oriented(mut part: Part, orientation: Orientation) -> Part {
     if orientation == Orientation::NoTransforms {
         return part;

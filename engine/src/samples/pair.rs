@@ -1,4 +1,4 @@
-//! Two parts brought to the same channels, where that loses nothing.
+//! Conversion of two parts to the same channels, where that loses nothing.
 //!
 //! Two OpenEXR parts must have the same windows and the same channels. Otherwise grey becomes RGB with three equal
 //! channels, a picture without alpha becomes opaque, and colours are multiplied by alpha if the other's are. Each
@@ -13,11 +13,11 @@ pub struct Pair {
     pub a: Part,
     /// The second.
     pub b: Part,
-    /// Conversions that made them comparable, and types that differ; a line each.
+    /// Conversions that made them comparable, and differences of type; one per line.
     pub notes: Vec<String>,
 }
 
-/// Brings two parts together.
+/// Converts two parts to the same channels.
 ///
 /// # Errors
 /// Reason why they cannot be compared: expected and found values in one line.
@@ -74,7 +74,7 @@ pub fn pair(mut a: Part, mut b: Part) -> Result<Pair, String> {
     Ok(Pair { a, b, notes })
 }
 
-/// Brings an OpenEXR part to the pixels that are shown; outside of the stored window every sample is 0.
+/// Extends an OpenEXR part to its displayed pixels; outside of the stored window every sample is 0.
 fn displayed(part: &mut Part) -> Option<String> {
     let windows = part.windows.take()?;
     let ([x, y, w, h], [left, top, width, height]) = (windows.data, windows.display);
@@ -101,7 +101,7 @@ fn displayed(part: &mut Part) -> Option<String> {
     Some("the EXR picture is compared within its display window, 0 where it stores nothing".to_owned())
 }
 
-/// Grey as RGB, no alpha as opaque, and colours multiplied by alpha where the other's are.
+/// Converts grey to RGB, adds opaque alpha, and multiplies colours by alpha, where the other part has these.
 fn same_colours(a: &mut Part, b: &mut Part, notes: &mut Vec<String>) {
     let colours = |part: &Part| -> Vec<String> {
         part.channels.iter().map(|channel| channel.name.clone()).filter(|name| name != "A").collect()
@@ -138,7 +138,7 @@ fn same_colours(a: &mut Part, b: &mut Part, notes: &mut Vec<String>) {
     }
 }
 
-/// Multiplies colours by alpha; false where nothing is transparent.
+/// Multiplies colours by alpha; returns false where nothing is transparent.
 fn multiply(part: &mut Part) -> bool {
     let Some(alpha) = part.channel("A").map(|channel| channel.samples.values()) else { return false };
     if alpha.iter().all(|alpha| *alpha == 1.0) {
@@ -216,7 +216,7 @@ mod tests {
             pair(part(1, "Z"), part(1, "Y")).expect_err("channels"),
             "expected the same channels, found Z and Y"
         );
-        // Against another format the pixels that are shown count.
+        // Compared with another format, only the displayed pixels count.
         let found = pair(part(1, "Y"), grey(&[0, 255, 0, 0, 0, 0, 0, 0])).expect("two pictures");
         assert_eq!(found.a.channels[0].samples.values(), [0.0, 1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     }

@@ -8,7 +8,7 @@ use super::{Part, Parts, Samples, one};
 use crate::source::SourceError;
 use crate::source::decode::{decode_dynamic, decode_error};
 
-/// Returns true if a file that begins so is one of these, or is called TGA, which has no first bytes of its own.
+/// Returns true if a file with these first bytes is one of these, or is named as TGA, which has no fixed first bytes.
 pub(super) fn is(head: &[u8], path: &Path) -> bool {
     match image::guess_format(head) {
         Ok(format) => matches!(format, ImageFormat::Bmp | ImageFormat::Pnm | ImageFormat::Qoi | ImageFormat::Tga),

@@ -1,5 +1,5 @@
-//! PNG and APNG: the picture, or each frame as it is shown, with the default picture before them where the animation
-//! leaves it out.
+//! PNG and APNG: the picture, or each frame as it is shown. A default picture that is not part of the animation comes
+//! first.
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -54,7 +54,7 @@ pub(super) fn read(bytes: Vec<u8>, path: &Path) -> Result<Parts, SourceError> {
     }))
 }
 
-/// The next picture of a file, and its control.
+/// Reads the next picture of a file, and its frame control.
 fn picture(reader: &mut Reader<Cursor<Vec<u8>>>) -> Result<(Part, Option<FrameControl>), DecodingError> {
     let size = reader.output_buffer_size().ok_or(DecodingError::LimitsExceeded)?;
     let mut bytes = vec![0; size];
@@ -76,7 +76,7 @@ struct Frames {
     orientation: Orientation,
     /// The canvas before the next frame.
     canvas: Option<Part>,
-    /// True if the next picture is none of the animation.
+    /// True if the next picture is not part of the animation.
     lonely: bool,
     next: u32,
     count: u32,
@@ -155,7 +155,7 @@ fn blank(like: &Part, [width, height]: [usize; 2]) -> Part {
     Part::interleaved(width, height, channels, &samples)
 }
 
-/// Lays a frame onto the canvas.
+/// Draws a frame onto the canvas.
 fn lay(canvas: &mut Part, frame: &Part, control: &FrameControl) {
     let colours = canvas.channels.len() - 1;
     let (width, height) = (canvas.width, canvas.height);

@@ -68,7 +68,7 @@ impl Pages {
         let (width, height) = (width as usize, height as usize);
         check_size(&path, width, height)?;
         let mut tag = |tag| self.decoder.find_tag_unsigned_vec::<u16>(tag).map_err(wrong);
-        // 1: associated alpha, by which colours are multiplied; 2: not; 0: unspecified.
+        // 1: associated alpha, by which colours are multiplied; 2: unassociated; 0: unspecified.
         let extra = tag(Tag::ExtraSamples)?.unwrap_or_default();
         let orientation = tag(Tag::Orientation)?.and_then(|v| v.first().copied());
         let map = tag(Tag::ColorMap)?;
@@ -79,7 +79,7 @@ impl Pages {
             .flatten()
             .and_then(|at| tiff_palette_as_grey(&self.bytes, at));
         let (colour, layout) = match grey {
-            // The decoder refuses palettes; their indices are read like levels of grey.
+            // The decoder refuses palettes; their indices are read as grey levels.
             Some(grey) => {
                 let mut decoder = open(grey.into(), &path)?;
                 decoder.seek_to_image(self.next).map_err(wrong)?;
@@ -151,7 +151,7 @@ fn samples(result: DecodingResult, path: &Path) -> Result<Samples, SourceError> 
     }
 }
 
-/// Samples of 1, 2 or 4 bits, packed several to a byte, as bytes of the full range (of palettes: as they are).
+/// Expands samples of 1, 2 or 4 bits, several to a byte, to bytes of the full range (indices of palettes: unchanged).
 fn unpacked(samples: Samples, colour: ColorType, width: usize, height: usize, channels: usize) -> Samples {
     let bits = usize::from(colour.bit_depth());
     let (Samples::U8(bytes), 1 | 2 | 4) = (&samples, bits) else { return samples };
@@ -181,8 +181,8 @@ fn planes(width: usize, height: usize, names: &[String], samples: &Samples) -> P
     part
 }
 
-/// The colours that a palette has for a picture's samples: of 16 bits, or of 8, which some programs write above a byte
-/// of zeros, or alone, as frames are read.
+/// The colours of a palette for a picture's samples: of 16 bits, or of 8. Some programs write 8 bits above a byte of
+/// zeros, or alone, as frames are read.
 fn expanded(part: &Part, map: &[u16], bits: u8) -> Option<Part> {
     let count = 1_usize.checked_shl(u32::from(bits))?;
     let places: Vec<usize> = match &part.channels.first()?.samples {

@@ -49,7 +49,7 @@ pub(super) fn read(path: &Path) -> Result<Parts, SourceError> {
     })))
 }
 
-/// The frames of two y4m files as their planes, where both have one layout.
+/// The frames of two y4m files as planes, if both have one layout.
 pub(super) fn planes(paths: [&Path; 2]) -> Result<Option<[Parts; 2]>, SourceError> {
     let open = |path: &Path| -> Result<Y4m<BufReader<File>>, SourceError> {
         let file = File::open(path).map_err(SourceError::read(path))?;
@@ -57,7 +57,7 @@ pub(super) fn planes(paths: [&Path; 2]) -> Result<Option<[Parts; 2]>, SourceErro
     };
     let [a, b] = [open(paths[0])?, open(paths[1])?];
     let mut other = b.header().clone();
-    // Rates are compared as the times of frames are.
+    // Rates are compared by the times of frames instead.
     other.rate = a.header().rate;
     if *a.header() != other {
         return Ok(None);
@@ -110,8 +110,8 @@ fn frames(mut y4m: Y4m<BufReader<File>>) -> Parts {
     }))
 }
 
-/// Samples of a plane; those of 9 to 15 bits are brought to the range of 16. Bits above them, which no writer sets, go
-/// below, so that none is lost.
+/// Samples of a plane; those of 9 to 15 bits are scaled to the range of 16. Bits above them, which no writer sets, move
+/// below them, so that none is lost.
 fn samples(plane: &[u8], bits: u32) -> Samples {
     if bits == 8 {
         return Samples::U8(plane.to_vec());

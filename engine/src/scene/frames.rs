@@ -1,16 +1,16 @@
 //! Times of the source's frames.
 //!
-//! A scene's frames are where its rate puts them, counted from the scene's start, unless an interval lists its own. An
-//! interval lists them where one differs from that in any bit, so that images drawn at them are those of the run.
+//! A scene's frames follow from its rate, counted from the scene's start, unless an interval lists its own. An interval
+//! lists them where one differs from that in any bit, so that images drawn at them are those of the run.
 
 use super::{Index, IntervalEntry};
 
-/// Most frames that are counted where nothing lists them.
+/// Largest number of frames that are computed from the rate.
 const MOST: f64 = 1e7;
 
 impl Index {
-    /// The times of the source's frames, in seconds, in order; `None` where its rate and length make more than ten
-    /// million of them.
+    /// The times of the source's frames, in seconds, in order; `None` where rate and length imply more than ten million
+    /// of them.
     pub fn frames(&self) -> Option<Vec<f64>> {
         let mut all = Vec::new();
         let start = self.intervals.first()?.start;
@@ -23,7 +23,7 @@ impl Index {
         Some(all)
     }
 
-    /// Returns true if frames do not follow each other at a constant rate.
+    /// Returns true if frames do not have a constant rate.
     pub fn is_uneven(&self) -> bool {
         let start = self.intervals.first().map_or(0.0, |first| first.start);
         let mut count = 0;
@@ -40,7 +40,7 @@ impl Index {
 }
 
 /// The times of an interval that lists none, after `count` frames of a scene that begins at `start`, up to the
-/// interval's `end`, which is met when it is within a millionth of a frame.
+/// interval's `end`. A frame within a millionth of a frame's duration of `end` has the time `end`.
 fn implied(start: f64, fps: f64, count: usize, end: f64) -> Option<impl ExactSizeIterator<Item = f64>> {
     let last = (end - start) * fps;
     if !(last.is_finite() && last < MOST) {
@@ -50,8 +50,8 @@ fn implied(start: f64, fps: f64, count: usize, end: f64) -> Option<impl ExactSiz
     Some((count..after).map(move |i| (start + i as f64 / fps).min(end)))
 }
 
-/// The entry of `frames`, the frames in an interval that ends at `end`: nothing where they are implied, or where there
-/// are none. `count` is how many there are before it, and then with it.
+/// The index entry for `frames`, the frames of an interval that ends at `end`; empty where they are implied, or where
+/// there are none. `count` is the number of frames before the interval, and is increased by them.
 pub(super) fn listed(start: f64, fps: f64, count: &mut usize, end: f64, frames: &[f64]) -> Vec<f64> {
     let Some(times) = implied(start, fps, *count, end) else { return frames.to_vec() };
     let length = times.len();
@@ -60,7 +60,7 @@ pub(super) fn listed(start: f64, fps: f64, count: &mut usize, end: f64, frames: 
     if same { Vec::new() } else { frames.to_vec() }
 }
 
-/// An error unless the `frames` that an interval from `start` to `end` lists ascend in it and are finite.
+/// Returns an error unless the `frames` listed by an interval from `start` to `end` ascend, are in it and are finite.
 pub(super) fn check(frames: &[f64], start: f64, end: f64) -> Result<(), String> {
     let mut before = start;
     for (i, time) in frames.iter().enumerate() {
@@ -124,7 +124,7 @@ mod tests {
         assert!(even.intervals.iter().all(|entry| entry.frames.is_empty()) && !even.is_uneven());
         let uneven = index(3.0, &[&[0.0], &[0.1, 0.5], &[0.52, 2.0]]);
         assert!(uneven.is_uneven());
-        // An ulp is listed, and no unevenness.
+        // A difference of an ulp is listed, but does not count as uneven.
         let thirds: Vec<f64> = (0..40).map(|i| f64::from(i) * 1001.0 / 30000.0).collect();
         assert!(!index(30000.0 / 1001.0, &[&thirds[..1], &thirds[1..]]).is_uneven());
     }

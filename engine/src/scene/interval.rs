@@ -6,7 +6,7 @@ use super::records::{self, tensor, word_bytes, words};
 use crate::fit::Placement;
 use crate::stream::{Interval, Merge};
 
-/// The interval as a safetensors file.
+/// Converts the interval to a safetensors file.
 ///
 /// # Errors
 /// Arrays of different lengths.
@@ -23,8 +23,8 @@ pub fn to_safetensors(interval: &Interval) -> Result<Vec<u8>, String> {
     records::serialize(&tensors, None)
 }
 
-/// The interval of a safetensors file. Lengths, kinds and codes are checked; numbers are not: records that are not
-/// finite are left out, and counted, where they are drawn.
+/// Reads the interval of a safetensors file. Lengths, types and codes are checked; numbers are not: records that are
+/// not finite are left out and counted when they are drawn.
 ///
 /// # Errors
 /// Expected and found values, with the tensor's name.

@@ -1,12 +1,12 @@
-//! Scenes in time, one after another, as one.
+//! Scenes in time, joined one after another.
 //!
-//! A scene that follows keeps its own times if they begin after the end of what is there; otherwise it begins one frame
-//! after that. Its identities and key frames are numbered on from those before.
+//! A following scene keeps its own times if they begin after the end of the scenes before; otherwise it begins one
+//! frame after that end. Its identities and key frames are numbered on from theirs.
 
 use super::{Scene, SceneError};
 use crate::stream::Interval;
 
-/// What the scenes so far have: one that follows begins after it.
+/// State after the scenes so far, which the next one continues.
 #[derive(Clone, Debug, Default)]
 pub struct Join {
     end: Option<f64>,
@@ -14,7 +14,7 @@ pub struct Join {
     key_frames: u64,
 }
 
-/// What is added to a scene's times, identities and key frames.
+/// Offsets of a scene's times, identities and key frames.
 #[derive(Clone, Copy, Debug)]
 struct Shift {
     time: f64,
@@ -22,8 +22,8 @@ struct Shift {
     key_frames: u64,
 }
 
-/// The intervals of a scene at their place after those before, with the times of their frames where the index of the
-/// whole has to list them.
+/// The intervals of a scene, moved after those before, with the times of their frames where the index of the whole has
+/// to list them.
 pub struct Joined<'a> {
     join: &'a mut Join,
     scene: &'a Scene,
@@ -33,8 +33,8 @@ pub struct Joined<'a> {
 }
 
 impl Join {
-    /// The intervals of the scene that follows, of a whole with `fps` frames a second. Those that are not taken are not
-    /// part of it.
+    /// The intervals of the following scene, in a whole with `fps` frames per second. Intervals that are not taken from
+    /// the iterator do not become part of it.
     pub fn follow<'a>(&'a mut self, scene: &'a Scene, fps: f64) -> Joined<'a> {
         let start = scene.span().0;
         let time = self.end.filter(|end| start <= *end).map_or(0.0, |end| end + 1.0 / fps - start);
@@ -43,7 +43,7 @@ impl Join {
         Joined { join: self, scene, shift, frames, next: 0 }
     }
 
-    /// Moves an interval to its place, and counts it.
+    /// Moves an interval to its place, and counts its identities and key frames.
     fn moved(&mut self, interval: &mut Interval, shift: Shift) {
         interval.start += shift.time;
         interval.end += shift.time;

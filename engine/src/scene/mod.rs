@@ -2,8 +2,8 @@
 //! container.
 //!
 //! `scene.json` holds the placement of the source's frame in the model's input, and lists the intervals in order with
-//! their times in seconds, counts and BLAKE3 digests. It is replaced by renaming after the intervals it names are
-//! whole, so that it never names half a file; what a stopped writer leaves behind is a valid scene.
+//! their times in seconds, counts and BLAKE3 digests. It is replaced by renaming after the listed intervals are
+//! complete, so that it never lists an incomplete file. An interrupted writer leaves a valid scene.
 //!
 //! | tensor | shape | what |
 //! |---|---|---|
@@ -14,13 +14,13 @@
 //! | `thickness` | F32 `[N]` | that along y, in scene space, over the mean of the two; only where one is not 1 |
 //! | `rgb` | F32 `[N,3]` | display-space colour at the reference time |
 //! | `rgb_rate` | F32 `[N,3]` | change of colour per interval; only where one is not zero |
-//! | `identity`, `birth`, `frame` | U64 `[N]` | who it is; the key frame it was first seen in; the one that reconstructed this record |
+//! | `identity`, `birth`, `frame` | U64 `[N]` | the identity; the key frame in which it was first seen; the one that reconstructed this record |
 //! | `offset` | F32 `[N,3]` | from `mean` to the identity's tracked point |
 //! | `reference` | U8 `[N]` | 0: seen forward from the interval's start; 1: backward from its end |
 //! | `handover` | U8 `[N]` | 0 stays; 1 fades in after the start; 2 fades out before the end |
-//! | `merges` | U64 `[M,2]` | identities that ended, and the one that continues in each one's place |
+//! | `merges` | U64 `[M,2]` | identities that ended, and the one that continues instead of each |
 //! | `time` | F64 `[2]` | start and end in seconds |
-//! | `index`, `dropped` | U64 `[1]` | the key frame at the end; Gaussians left out for numbers that are not finite |
+//! | `index`, `dropped` | U64 `[1]` | the key frame at the end; Gaussians left out because a number was not finite |
 
 mod container;
 mod frames;
@@ -62,10 +62,10 @@ pub enum SceneError {
     Read {
         /// The file.
         path: PathBuf,
-        /// The system's answer.
+        /// Cause reported by the system.
         cause: std::io::Error,
     },
-    /// A file is no part of a scene, or a broken one.
+    /// A file that is not part of a scene, or a broken one.
     #[error("{}: {cause}", path.display())]
     Broken {
         /// The file.
@@ -76,7 +76,7 @@ pub enum SceneError {
     /// A file cannot be written.
     #[error(transparent)]
     Write(#[from] OutputError),
-    /// No interval holds the time.
+    /// The time is outside of the scene.
     #[error("time {time} s: expected one between {start} s and {end} s, the times of this scene")]
     Time {
         /// The requested time.
@@ -144,7 +144,7 @@ impl From<Placement> for PlacementRecord {
 }
 
 impl PlacementRecord {
-    /// The placement, if the content is not empty and lies inside the model's input.
+    /// The placement, if the content is not empty and is inside the model's input.
     pub fn placement(&self) -> Option<Placement> {
         let inside = (0..2).all(|i| {
             self.source[i] >= 1

@@ -13,7 +13,7 @@ use crate::stream::Interval;
 
 /// Largest index read, in bytes.
 const MAX_INDEX: u64 = 1 << 26;
-/// Bytes that an interval's file needs beyond those of its records.
+/// Bytes of an interval's file in addition to its records, at most.
 const MAX_OVERHEAD: u64 = 1 << 20;
 /// Bytes of one Gaussian's record.
 pub(super) const RECORD: u64 = 110;
@@ -36,8 +36,8 @@ enum Place {
 }
 
 impl Scene {
-    /// Opens the scene in the folder `path` (or of the `scene.json` at `path`, or in `path/scene`), or the container
-    /// `path`.
+    /// Opens the scene in the folder `path` (or that of the `scene.json` at `path`, or in `path/scene`), or the
+    /// container `path`.
     ///
     /// # Errors
     /// An index that cannot be read, is of another format or version, or has impossible values.
@@ -48,7 +48,7 @@ impl Scene {
     /// As [`Scene::open`], within other limits.
     ///
     /// # Errors
-    /// As there, and intervals of more Gaussians than allowed.
+    /// As [`Scene::open`], and intervals of more Gaussians than allowed.
     pub fn open_within(path: &Path, limits: &Limits) -> Result<Scene, SceneError> {
         let file = if path.is_file() {
             path.to_owned()
@@ -66,7 +66,7 @@ impl Scene {
         let text = read_file(&file, MAX_INDEX).map_err(unreadable(&file))?;
         let index = Index::from_json(&text).map_err(broken)?;
         index.check_counts(limits).map_err(broken)?;
-        // It was found to have one.
+        // `Index::from_json` has checked it.
         let placement = index.placement.placement().ok_or_else(|| broken("no placement".into()))?;
         let folder = file.parent().unwrap_or(Path::new("")).to_owned();
         Ok(Scene { place: Place::Folder(folder), index, placement })
@@ -77,7 +77,7 @@ impl Scene {
         &self.index
     }
 
-    /// Where the source's frame lies in the model's input.
+    /// Placement of the source's frame in the model's input.
     pub fn placement(&self) -> Placement {
         self.placement
     }
@@ -88,7 +88,8 @@ impl Scene {
         (intervals[0].start, intervals[intervals.len() - 1].end)
     }
 
-    /// The interval that shows `time`: where two meet, the earlier one that has a length (the image is the same).
+    /// The interval that shows `time`: at a common end of two, the earlier one that has a length (the image is the
+    /// same).
     ///
     /// # Errors
     /// Times outside the scene.
@@ -105,7 +106,7 @@ impl Scene {
     /// Reads interval `i` of the index.
     ///
     /// # Errors
-    /// A file that cannot be read, has another digest than in the index, or is no interval.
+    /// A file that cannot be read, has another digest than in the index, or is not an interval.
     ///
     /// # Panics
     /// When `i` is out of range.
@@ -136,12 +137,11 @@ impl Scene {
 }
 
 impl Index {
-    /// Reads the text of a `scene.json`. Lengths, times, names and the placement are checked; the files it names are
-    /// not read.
+    /// Reads the text of a `scene.json`. Lengths, times, names and the placement are checked; the listed files are not
+    /// read.
     ///
     /// # Errors
-    /// Text that is no index, is of another format or version, or has impossible values: what was expected and what was
-    /// found.
+    /// Text that is not an index, is of another format or version, or has impossible values: expected and found values.
     pub fn from_json(text: &[u8]) -> Result<Index, String> {
         let index: Index = serde_json::from_slice(text).map_err(|e| format!("not a scene's index: {e}"))?;
         if index.format != FORMAT || index.version != VERSION {
@@ -179,7 +179,7 @@ impl Index {
 }
 
 impl Index {
-    /// An error where an interval has more Gaussians than allowed.
+    /// Returns an error where an interval has more Gaussians than allowed.
     fn check_counts(&self, limits: &Limits) -> Result<(), String> {
         let check = |(i, entry): (usize, &IntervalEntry)| limits.check_count(&format!("interval {i}"), entry.gaussians);
         self.intervals.iter().enumerate().try_for_each(check).map_err(|e| e.to_string())
@@ -187,7 +187,8 @@ impl Index {
 }
 
 impl IntervalEntry {
-    /// An error unless it follows the time `before`, names a file in the scene's folder, and counts what can be read.
+    /// Returns an error unless the interval follows the time `before`, its file is in the scene's folder, and its
+    /// counts are within the limits of reading.
     fn check(&self, before: f64) -> Result<(), String> {
         let Self { file, start, end, gaussians, frames, .. } = self;
         if !(start.is_finite() && end.is_finite() && before <= *start && start <= end) {

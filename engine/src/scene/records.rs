@@ -7,12 +7,12 @@ use crate::stream::{DynamicGaussians, Handover, Reference};
 /// A tensor to be written: name, kind, shape, bytes.
 pub(super) type Tensor = (&'static str, Dtype, Vec<usize>, Vec<u8>);
 
-/// The name of the tensor that is there only where some colour changes.
+/// The name of the tensor that is present only where some colour changes.
 const RGB_RATE: &str = "rgb_rate";
-/// The name of the tensor that is there only where some Gaussian is lifted to a depth map.
+/// The name of the tensor that is present only where some Gaussian is lifted to a depth map.
 const THICKNESS: &str = "thickness";
 
-/// The arrays of `g`, one tensor each; [`RGB_RATE`] only where one of its numbers is not zero, [`THICKNESS`] where one
+/// The arrays of `g`, one tensor each; [`RGB_RATE`] only if one of its numbers is not zero, [`THICKNESS`] only if one
 /// is not 1.
 ///
 /// # Errors
@@ -48,7 +48,7 @@ pub(super) fn write(g: &DynamicGaussians) -> Result<Vec<Tensor>, String> {
     Ok(tensors)
 }
 
-/// An error that names the first of the numbers of tensor `name` that is not finite.
+/// Returns an error that names the first number of tensor `name` that is not finite.
 fn finite(name: &str, values: &[f32]) -> Result<(), String> {
     match values.iter().position(|v| !v.is_finite()) {
         Some(at) => Err(format!("tensor {name}: expected finite numbers, found {} at {at}", values[at])),
@@ -56,8 +56,8 @@ fn finite(name: &str, values: &[f32]) -> Result<(), String> {
     }
 }
 
-/// The records of a file. Lengths, kinds and codes are checked; of the numbers, only those of [`RGB_RATE`] and
-/// [`THICKNESS`]. Where the first is missing, colours stay; where the second is, thickness is 1.
+/// Reads the records of a file. Lengths, types and codes are checked; of the numbers, only those of [`RGB_RATE`] and
+/// [`THICKNESS`]. Where the first is missing, colours do not change; where the second is, thickness is 1.
 ///
 /// # Errors
 /// Expected and found values, with the tensor's name.
@@ -114,7 +114,7 @@ pub(super) fn serialize(
     safetensors::serialize(views, metadata).map_err(|e| e.to_string())
 }
 
-/// The bytes of tensor `name`, which must be of this kind and shape (`None`: any length).
+/// The bytes of tensor `name`, which must be of this type and shape (`None`: any length).
 pub(super) fn tensor<'a>(
     file: &SafeTensors<'a>,
     name: &str,

@@ -4,19 +4,19 @@
 //!
 //! | tensor | shape | what |
 //! |---|---|---|
-//! | `current_cell` | U32 `[M]` | places of the last key frame's own Gaussians in its arrays |
+//! | `current_cell` | U32 `[M]` | indices of the last key frame's own Gaussians in its arrays |
 //! | `current_identity`, `current_birth` | U64 `[M]` | those of the same Gaussians |
 //! | `current_offset` | F32 `[M,3]` | those of the same Gaussians |
 //! | `key_frame`, `next_identity` | U64 `[1]` | the key frame; the first unused identity |
 //! | `depth` | F32 `[2]` | factor and offset of the key frame's depth map, where there is one |
-//! | `found_inverse`, `found_confidence` | F32 `[R,C]` | depth found by parallax for the key frame's cells, where there is any |
+//! | `found_inverse`, `found_confidence` | F32 `[R,C]` | depth found by parallax for the key frame's cells, if any |
 //! | `found_body` | F32 `[R,C]` | 1 where a body moves by itself, less for each key frame since |
 //! | `found_nearest` | F32 `[1]` | inverse depth that counts as nearest |
-//! | `covered_cell` | U32 `[C]` | cells of the key frame whose foreground hides what earlier frames saw, where there are any |
-//! | `covered_at`, `covered_rgb` | F32 `[C,2]`, `[C,3]` | its place in pixels and its colour |
+//! | `covered_cell` | U32 `[C]` | cells of the key frame whose foreground hides surfaces that earlier frames saw, if any |
+//! | `covered_at`, `covered_rgb` | F32 `[C,2]`, `[C,3]` | the surface's place in pixels and its colour |
 //! | `kept_rgb` | F32 `[P]` | the key frame's picture, where it keeps Gaussians of those before |
-//! | `kept_count`, `kept_fitted` | U32 `[B]` | frames in the mean of each block; those in it when colours were fitted |
-//! | `kept_anchor` | F32 `[A]` | means over cells of blocks then |
+//! | `kept_count`, `kept_fitted` | U32 `[B]` | frames in the mean of each block; frames in it when colours were last fitted |
+//! | `kept_anchor` | F32 `[A]` | means over cells of blocks at that fit |
 //! | `kept_position`, `kept_scale`, `kept_thickness`, `kept_opacity`, `kept_colour` | F32 `[N,3]`, `[N,2]`, `[N]`, `[N]`, `[N,3]` | its Gaussians |
 //! | `seconds` | F64 `[2]` | the key frame's time, the length of the interval before it |
 
@@ -34,10 +34,10 @@ use crate::stream::{Covered, Current, KeptState, Past, ResumePoint};
 /// The key under which the note is stored.
 const NOTE: &str = "note";
 
-/// A resume point (where there is one) and a note in words as a safetensors file.
+/// Converts a resume point (if there is one) and a note in words to a safetensors file.
 ///
 /// # Errors
-/// None for points that an engine gave.
+/// None for points that an engine returned.
 pub fn resume_point_to_safetensors(point: Option<&ResumePoint>, note: &str) -> Result<Vec<u8>, String> {
     let mut tensors = Vec::new();
     if let Some(point) = point {
@@ -98,7 +98,7 @@ pub fn resume_point_to_safetensors(point: Option<&ResumePoint>, note: &str) -> R
     records::serialize(&tensors, Some(HashMap::from([(NOTE.to_owned(), note.to_owned())])))
 }
 
-/// The resume point and the note of such a file.
+/// Reads the resume point and the note from such a file.
 ///
 /// # Errors
 /// Expected and found values.
@@ -176,7 +176,7 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
     Ok((Some(point), note))
 }
 
-/// What a key frame keeps of those before.
+/// State that a key frame keeps from earlier ones.
 fn kept(file: &SafeTensors<'_>) -> Result<Option<KeptState>, String> {
     if file.tensor("kept_rgb").is_err() {
         return Ok(None);

@@ -1,4 +1,4 @@
-//! Scenes go to disk and come back.
+//! Scenes are written to disk and read again.
 
 use std::path::Path;
 

@@ -9,10 +9,10 @@ use crate::fit::Placement;
 use crate::output::{OutputError, Written, prepare_folder, storage, write_file, write_whole};
 use crate::stream::Interval;
 
-/// The index is rewritten at most this often while intervals come, so that a long stream does not spend its time on it.
+/// The index is rewritten at most this often, so that a long stream does not spend its time on it.
 const INDEX_EVERY: Duration = Duration::from_secs(1);
 
-/// A scene's folder being filled.
+/// A scene's folder being written.
 pub struct SceneWriter {
     folder: PathBuf,
     fps: f64,
@@ -23,7 +23,7 @@ pub struct SceneWriter {
 }
 
 impl SceneWriter {
-    /// Prepares the folder and takes an earlier scene's index away, which the new files would not match.
+    /// Prepares the folder and removes an earlier scene's index, which would not match the new files.
     ///
     /// # Errors
     /// A folder that cannot be written.
@@ -55,8 +55,8 @@ impl SceneWriter {
         Ok(SceneWriter { folder: folder.to_owned(), fps, index: Some(index), frames, indexed: None })
     }
 
-    /// Writes an interval: first its file, then (at most once a second) the index that names it. The source's frames
-    /// are taken to follow at the scene's rate.
+    /// Writes an interval: first its file, then (at most once a second) the index that lists it. The source's frames
+    /// are assumed to have the scene's rate.
     ///
     /// # Errors
     /// Files that cannot be written.
@@ -112,7 +112,7 @@ impl SceneWriter {
         Ok(Some(written))
     }
 
-    /// Writes the index of all intervals; `None` when there was none.
+    /// Writes the index of all intervals; `None` if there was none.
     ///
     /// # Errors
     /// Files that cannot be written.

@@ -5,14 +5,14 @@ use super::Axes;
 /// Metadata of a scene from its file, and notes on how it was read.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct About {
-    /// Whether the scene was trained with anti-aliasing: splats smaller than a pixel are drawn fainter, not wider.
+    /// True if the scene was trained with anti-aliasing: splats smaller than a pixel are drawn fainter, not wider.
     pub antialiased: bool,
-    /// Origin of the scene's coordinates: a Gaussian's place is its centre plus this. Not zero where coordinates are so
-    /// large that binary32 would round them, as those of maps are.
+    /// Origin of the scene's coordinates: a Gaussian's position is its centre plus this. Nonzero where coordinates are
+    /// so large that binary32 would round them, such as those of maps.
     pub offset: [f64; 3],
-    /// Axes in which the file's numbers were taken.
+    /// Axes by which the file's numbers were interpreted.
     pub axes: Axes,
-    /// Whether the axes were assumed because the file declares none and its format allows several.
+    /// True if the axes were assumed because the file declares none and its format allows several.
     pub axes_assumed: bool,
     /// Limits of a camera that orbits the scene.
     pub orbit: Option<Orbit>,
@@ -45,8 +45,8 @@ pub struct Orbit {
 }
 
 impl Orbit {
-    /// Returns true if the limits are ones: a range of elevations below the zenith, and a distance. Programs write
-    /// zeros for none.
+    /// Returns true if the limits are set: a range of elevations below the zenith, and a distance. Programs write zeros
+    /// where they are not.
     pub(super) fn is_set(&self) -> bool {
         let [least, most] = self.elevation;
         let steepest = 0.49 * std::f32::consts::PI;

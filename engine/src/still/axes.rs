@@ -7,19 +7,19 @@ use super::{Similarity, Still};
 use crate::camera::Rotation;
 
 /// Directions in which x, y and z grow, as three letters: R(ight) or L(eft), D(own) or U(p), F(ront) or B(ack). Those
-/// of scene space are RDF. In eight of the sixteen y is the depth, as in LFD.
+/// of scene space are RDF. In eight of the sixteen, y is the depth, as in LFD.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Axes {
-    /// True where x grows to the right, the vertical axis down, the depth to the front.
+    /// True for x to the right, the vertical axis down, the depth to the front.
     along: [bool; 3],
-    /// True where y is the depth and z vertical.
+    /// True if y is the depth and z vertical.
     upright: bool,
 }
 
-/// Letters of the directions along which scene space's axes grow, and against them.
+/// Letters of scene space's directions, and of the opposite ones.
 const LETTERS: [[char; 2]; 3] = [['R', 'L'], ['D', 'U'], ['F', 'B']];
 
-/// Axes that each coefficient of the harmonics above the first is odd in: x, y, z.
+/// Which of the axes x, y, z each coefficient above the harmonics' first is odd in.
 const ODD: [[bool; 3]; 15] = {
     const X: [bool; 3] = [true, false, false];
     const Y: [bool; 3] = [false, true, false];
@@ -45,19 +45,18 @@ const ODD: [[bool; 3]; 15] = {
 };
 
 impl Axes {
-    /// Those of scene space, of COLMAP and of PLY files: right, down, front.
+    /// Axes of scene space, of COLMAP and of PLY files: right, down, front.
     pub const RDF: Axes = Axes { along: [true, true, true], upright: false };
-    /// Those of OpenGL, and of SPZ's description: right, up, back.
+    /// Axes of OpenGL, and of SPZ's description: right, up, back.
     pub const RUB: Axes = Axes { along: [true, false, false], upright: false };
-    /// Those of glTF: left, up, front.
+    /// Axes of glTF: left, up, front.
     pub const LUF: Axes = Axes { along: [false, false, true], upright: false };
 
-    /// All sixteen, in the order in which SPZ numbers them from 1.
+    /// All sixteen, in the order of SPZ's numbers from 1.
     pub fn all() -> impl Iterator<Item = Axes> {
         (0..16_u32).map(|code| {
             let bit = |k: u32| code >> k & 1 == 1;
-            // x changes fastest. Numbers from 9 on begin with the depth at the front, and with the vertical axis
-            // downwards.
+            // x changes fastest. From 9 on, the order starts with the depth at the front and the vertical axis down.
             let along = if code < 8 { [bit(0), !bit(1), bit(2)] } else { [bit(0), !bit(1), !bit(2)] };
             Axes { along, upright: code >= 8 }
         })
@@ -73,7 +72,7 @@ impl Axes {
         Axes::all().position(|axes| axes == self).map_or(0, |place| place as u32 + 1)
     }
 
-    /// Signs by which numbers become those of scene space, after the quarter turn where there is one.
+    /// Signs that convert numbers to scene space, after the quarter turn if there is one.
     fn signs(self) -> [f32; 3] {
         let [x, y, z] = self.along.map(|along| if along { 1.0 } else { -1.0 });
         if self.upright { [x, -y, z] } else { [x, y, z] }
@@ -113,7 +112,7 @@ impl FromStr for Axes {
 }
 
 impl Still {
-    /// The scene if its file's numbers are along other axes than those in which they were taken.
+    /// Interprets the file's numbers by other axes than those assumed so far.
     pub fn taken_along(&mut self, axes: Axes) {
         let before = std::mem::replace(&mut self.about.axes, axes);
         self.about.axes_assumed = false;
@@ -131,19 +130,19 @@ impl Still {
         }
     }
 
-    /// Numbers along these axes brought into scene space.
+    /// Converts numbers along these axes to scene space.
     pub(crate) fn bring_from(&mut self, axes: Axes) {
         self.about.axes = Axes::RDF;
         self.taken_along(axes);
     }
 
-    /// Numbers of scene space along other axes.
+    /// Converts numbers of scene space to other axes.
     pub(crate) fn bring_to(&mut self, axes: Axes) {
         self.about.axes = axes;
         self.taken_along(Axes::RDF);
     }
 
-    /// Multiplies coordinates by signs, and what follows from them: rotations, and the harmonics. Exact.
+    /// Multiplies coordinates by signs, and adapts rotations and harmonics. Exact.
     fn mirror(&mut self, signs: [f32; 3]) {
         if signs == [1.0; 3] {
             return;
@@ -151,7 +150,7 @@ impl Still {
         let [x, y, z] = signs;
         self.mean.iter_mut().for_each(|m| *m = [m[0] * x, m[1] * y, m[2] * z]);
         (0..3).for_each(|k| self.about.offset[k] *= f64::from(signs[k]));
-        // S·R·S, the Gaussian's own axes mirrored as well.
+        // S·R·S: the Gaussian's own axes are mirrored as well.
         self.rotation.iter_mut().for_each(|q| *q = [q[0], q[1] * (y * z), q[2] * (x * z), q[3] * (x * y)]);
         let rest = self.rest();
         if rest > 0 {
@@ -164,7 +163,7 @@ impl Still {
     }
 }
 
-/// (x, y, z) to (x, −z, y); the other way with −1.
+/// (x, y, z) to (x, −z, y); the inverse with −1.
 fn quarter_turn(sign: f64) -> Similarity {
     let half = std::f64::consts::FRAC_1_SQRT_2;
     let rotation = Rotation::from_quaternion([half, sign * half, 0.0, 0.0]).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Still scenes as images.
+//! Images of still scenes.
 
 use std::borrow::Cow;
 
@@ -18,13 +18,13 @@ const CHUNK: usize = 4096;
 /// Largest coefficient with finite colours from every direction.
 const LARGEST_COEFFICIENT: f32 = 1e30;
 
-/// A still scene with what every image of it needs.
+/// A still scene with the values that all its images share.
 #[derive(Clone, Debug)]
 pub struct Drawable {
     still: Still,
     scale: Vec<[f32; 3]>,
-    /// Unit quaternions; NaN where the file's has no direction. Kept for many images only; one image computes each when
-    /// needed.
+    /// Unit quaternions; NaN where the file's has no direction. Stored only for many images; for a single image each is
+    /// computed when it is used.
     rotation: Option<Vec<[f64; 4]>>,
     opacity: Vec<f32>,
     groups: Option<Groups>,
@@ -48,7 +48,7 @@ impl Drawable {
     }
 
     /// Prepares the scene for many images of parts of it: Gaussians that a pinhole camera's image cannot show are then
-    /// left out before their colours are formed ([`crate::space`]). The images keep their bits.
+    /// left out before their colours are computed ([`crate::space`]). The images keep their bits.
     pub fn grouped(mut self, workers: &Workers) -> Self {
         let Self { still, scale, opacity, .. } = &self;
         let units = || still.rotation.par_iter().with_min_len(CHUNK).map(|q| unit(*q)).collect();
@@ -84,11 +84,11 @@ impl Drawable {
         &self.opacity
     }
 
-    /// The scene, seen by `camera`, drawn by `workers`: the image of [`Renderer::render_still`]. To draw many images
+    /// Draws the scene, seen by `camera`, with `workers`: the image of [`Renderer::render_still`]. To draw many images
     /// use a [`Renderer`].
     ///
     /// # Errors
-    /// As there.
+    /// As [`Renderer::render_still`].
     pub fn render(&self, camera: &Camera, options: &RenderOptions, workers: &Workers) -> Result<Image, RenderError> {
         let mut renderer = Renderer::new(workers);
         renderer.render_still(self, camera, options).cloned()
@@ -106,7 +106,7 @@ pub(crate) fn grown(x: f32) -> f32 {
 
 /// 1 / (1 + e^−x), rounded once.
 pub(super) fn sigmoid(x: f32) -> f32 {
-    // Beyond, the result is 0 or 1 in binary32 for any exponential.
+    // Outside this range the result is 0 or 1 in binary32 for any exponential.
     let x = f64::from(x);
     if x.is_nan() { f32::NAN } else { (1.0 / (1.0 + exp(-x.clamp(-200.0, 200.0)))) as f32 }
 }
@@ -126,13 +126,13 @@ pub(crate) fn after([aw, ax, ay, az]: [f64; 4], [bw, bx, by, bz]: [f64; 4]) -> [
     .map(|c| c as f32)
 }
 
-/// The elements at `places`; all of them where none are chosen.
+/// The elements at `places`; all if `places` is `None`.
 fn chosen<'a, T: Copy + Send + Sync>(all: &'a [T], places: Option<&[u32]>) -> Cow<'a, [T]> {
     let Some(places) = places else { return Cow::Borrowed(all) };
     Cow::Owned(places.par_iter().with_min_len(CHUNK).map(|&i| all[i as usize]).collect())
 }
 
-/// The same of rows of `width` elements.
+/// The same for rows of `width` elements.
 fn chosen_rows<'a>(all: &'a [f32], width: usize, places: Option<&[u32]>) -> Cow<'a, [f32]> {
     let Some(places) = places else { return Cow::Borrowed(all) };
     let mut rows = vec![0.0; places.len() * width];
@@ -144,7 +144,7 @@ fn chosen_rows<'a>(all: &'a [f32], width: usize, places: Option<&[u32]>) -> Cow<
     Cow::Owned(rows)
 }
 
-/// Where a camera sees colours from.
+/// The position from which a camera sees colours.
 pub(super) fn eye(pose: &Pose, lens: &Lens) -> Eye {
     match lens {
         Lens::Pinhole { .. } | Lens::Equirectangular => Eye::At(pose.position.map(|x| x as f32)),
@@ -153,7 +153,7 @@ pub(super) fn eye(pose: &Pose, lens: &Lens) -> Eye {
 }
 
 impl Renderer {
-    /// A still scene, seen by `camera`.
+    /// Draws a still scene, seen by `camera`.
     ///
     /// # Errors
     /// The canonical camera and sizes that need a source, since a still scene has neither; sizes that cannot be drawn;
@@ -171,7 +171,7 @@ impl Renderer {
         let Size::Exact { width, height } = options.size else { return Err(RenderError::NoOwnSize) };
         let request = Request { bounded: true, ..options.seen_by(camera, [height, width])? };
         let Drawable { still, scale, rotation, opacity, groups } = scene;
-        // Cameras are in the scene's coordinates, centres relative to its offset.
+        // Cameras are in the scene's coordinates, centres are relative to its offset.
         let position = std::array::from_fn(|k| pose.position[k] - still.about.offset[k]);
         let pose = &Pose { position, ..*pose };
         let view = View::posed(pose, lens, [height, width]);

@@ -10,19 +10,19 @@ use streamsplat_kernels::math::f64::sin_cos;
 const FIELD: f64 = 45.0;
 /// Elevation of the camera above the middle, in degrees.
 const ELEVATION: f64 = 12.0;
-/// How much of the image's half the scene may fill.
+/// Largest part of the image's half that the scene fills.
 const FILL: f64 = 0.8;
 /// Logit of the least opacity that counts: 0.1.
 const OPAQUE: f32 = -2.2;
-/// Share of the centres beyond either end, along each axis, that may be floaters.
+/// Share of the centres at either end of each axis that may be floaters.
 const FLOATERS: f64 = 0.05;
-/// Margin added at either end of each axis, as a fraction of the width without floaters; it ends at the outermost
+/// Margin added at either end of each axis, as a fraction of the width without floaters; limited by the outermost
 /// centre.
 const AROUND: f64 = 0.15;
-/// How much deeper than wide the box is where the camera looks at its side. Nearly equal sides keep the axes of the
-/// file.
+/// Least ratio of depth to width at which the camera looks at the side of the box. Nearly equal sides keep the axes of
+/// the file.
 const DEEPER: f64 = 1.25;
-/// Directions in which a whole turn is tried.
+/// Number of directions tried over a whole turn.
 const DIRECTIONS: u32 = 24;
 
 /// The box that holds most of a scene, and cameras that see it. Up is −y, as in scenes trained from COLMAP's cameras.
@@ -32,14 +32,14 @@ pub struct Framing {
     pub least: [f64; 3],
     /// Greatest coordinates.
     pub greatest: [f64; 3],
-    /// Limits that the file sets to cameras around the scene.
+    /// The file's limits for cameras around the scene.
     pub orbit: Option<Orbit>,
 }
 
 impl Still {
-    /// The box that holds most of the scene: along each axis the range between the 5th and the 95th of a hundred
-    /// centres, and 15 % of that width at either end as far as there are centres. Gaussians with an opacity under 0.1
-    /// do not count, where others are. With the scene's offset. `None` where no centre is finite.
+    /// The box that holds most of the scene: along each axis the range between the 5th and 95th percentiles of the
+    /// centres, and 15 % of that width at either end, limited by the outermost centres. Gaussians with an opacity under
+    /// 0.1 are ignored if there are others. With the scene's offset. `None` where no centre is finite.
     pub fn framing(&self) -> Option<Framing> {
         let finite = |m: &[f32; 3]| m.iter().all(|x| x.is_finite());
         let solid = || self.mean.iter().zip(&self.logit).filter(|(m, logit)| finite(m) && **logit >= OPAQUE);
@@ -60,15 +60,15 @@ impl Still {
 }
 
 impl Framing {
-    /// The camera at `degrees` around the scene, to the right of its widest side (the front, looking along +z, unless
-    /// the box is deeper than 1.25 widths: then the right), that sees all of the box in images of `aspect` = width /
-    /// height.
+    /// The camera at `degrees` around the scene that sees all of the box in images of `aspect` = width / height. Angles
+    /// count to the right from the widest side: the front, looking along +z, or the right if the box is deeper than
+    /// 1.25 widths.
     pub fn camera(&self, degrees: f64, aspect: f64) -> Camera {
         let angles = Angles { right: degrees, up: 0.0 };
         self.at(self.distance(angles, aspect), angles, aspect)
     }
 
-    /// Cameras at several angles, all from one distance, from which the box is seen whole all around.
+    /// Cameras at several angles, all at one distance, from which the whole box is visible all around.
     pub fn around(&self, angles: &[Angles], aspect: f64) -> Vec<Camera> {
         let step = 360.0 / f64::from(DIRECTIONS);
         let tried = (0..DIRECTIONS).map(|i| self.distance(Angles { right: step * f64::from(i), up: 0.0 }, aspect));
@@ -76,8 +76,8 @@ impl Framing {
         angles.iter().map(|angles| self.at(distance, *angles, aspect)).collect()
     }
 
-    /// Where the box is widest from, in degrees: 0, from the front, looking along +z; or 90, from the right, where it
-    /// is deeper than wide.
+    /// Angle of the widest side, in degrees: 0, the front, looking along +z; or 90, the right, where the box is deeper
+    /// than wide.
     fn widest(&self) -> f64 {
         let [width, _, depth] = std::array::from_fn(|i| self.greatest[i] - self.least[i]);
         if depth > DEEPER * width { 90.0 } else { 0.0 }
@@ -99,7 +99,7 @@ impl Framing {
         [sin * along, -up, -cos * along]
     }
 
-    /// How far from the middle a camera has to be.
+    /// Distance of a camera from the middle at which it sees the whole box.
     fn distance(&self, angles: Angles, aspect: f64) -> f64 {
         let unit = self.at(1.0, angles, aspect);
         let Camera::Posed { pose, lens: Lens::Pinhole { focal, .. } } = unit else { return 1.0 };
@@ -111,7 +111,7 @@ impl Framing {
             let [x, y, z] = rows.map(|row| row[0] * d[0] + row[1] * d[1] + row[2] * d[2]);
             distance = distance.max(2.0 * focal[0] * x.abs() / FILL - z).max(2.0 * focal[1] * y.abs() / FILL - z);
         }
-        // A scene of one point.
+        // The scene may be one point.
         let distance = if distance > 1e-6 { distance } else { 1.0 };
         self.orbit.map_or(distance, |orbit| distance.max(orbit.radius.into()))
     }
@@ -199,7 +199,7 @@ mod tests {
         assert!(pose.position[0].abs() < 1e-9 && pose.position[1] < 0.0 && pose.position[2] < -1.0, "{pose:?}");
         let Camera::Posed { pose, .. } = framing.camera(90.0, 1.0) else { panic!("posed") };
         assert!(pose.position[0] > 1.0 && pose.position[2].abs() < 1e-6, "{pose:?}");
-        // A deep box is seen from its side, which is then as wide in the image as that of a wide one from the front.
+        // A deep box is seen from its side, which is then as wide in the image as a wide box from the front.
         let of = |greatest: [f64; 3]| {
             let framing = Framing { least: greatest.map(|x| -x), greatest, orbit: None };
             let Camera::Posed { pose, .. } = framing.camera(0.0, 16.0 / 9.0) else { panic!("posed") };

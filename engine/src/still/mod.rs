@@ -1,17 +1,16 @@
-//! Still scenes of 3D Gaussians, as 3D Gaussian splatting's own files hold them.
+//! Still scenes of 3D Gaussians, as stored in 3D Gaussian splatting's own files.
 //!
 //! A [`Still`] keeps a file's numbers unchanged, so that they survive a round trip: logarithms of scales, logits of
-//! opacities, coefficients of spherical harmonics, quaternions of any length. The values drawn are
-//!
+//! opacities, coefficients of spherical harmonics, quaternions of any length. The drawn values are
 //! ```text
 //! scale = e^log_scale     opacity = 1 / (1 + e^−logit)     rotation = q / |q|     rgb = colour of the harmonics from the eye
 //! ```
 //!
 //! computed in binary64 and rounded once, the harmonics by [`streamsplat_kernels::harmonics`]. Axes are those of scene
-//! space (x right, y down, z forward), units the file's own. Such a scene has no time, no camera of its own, and no
+//! space (x right, y down, z forward), units the file's own. A still scene has no time, no camera of its own, and no
 //! identities.
 //!
-//! A file of any [format](crate::import) that is read, a camera, an image:
+//! From a file of any supported [format](crate::import) and a camera to an image:
 //!
 //! ```no_run
 //! use streamsplat::still::{Drawable, Still};
@@ -26,7 +25,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Nothing of it needs a file system. A scene is read from bytes, or made of arrays; cameras are poses with a lens:
+//! No file system is required. A scene is read from bytes, or made from arrays; cameras are poses with a lens:
 //!
 //! ```
 //! use streamsplat::camera::{Camera, Pose};
@@ -77,10 +76,10 @@ use crate::import::{self, FormatError, Limits, Opened};
 use crate::render::Snapshot;
 use crate::scene::SceneError;
 
-/// The least scale and the distance of opacities from 0 and 1 that survive a logarithm.
+/// The least scale, and the least distance of opacities from 0 and 1, before a logarithm.
 pub(crate) const LEAST: f64 = 1e-12;
 
-/// ln s, of at least [`LEAST`].
+/// ln s, for s of at least [`LEAST`].
 fn log_of(scale: f32) -> f32 {
     ln(f64::from(scale).max(LEAST)) as f32
 }
@@ -91,12 +90,12 @@ fn logit_of(opacity: f32) -> f32 {
     (ln(opacity) - ln(1.0 - opacity)) as f32
 }
 
-/// The first coefficient of a colour.
+/// The first coefficient of the harmonics for a colour.
 fn first_of(colour: f32) -> f32 {
     ((f64::from(colour) - 0.5) / harmonics::Y0) as f32
 }
 
-/// Gaussians that do not move. All arrays are equally long.
+/// Gaussians that do not move. All arrays have the same length.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Still {
     /// Centres.
@@ -118,12 +117,10 @@ pub struct Still {
 }
 
 impl Still {
-    /// The still scene of a file in one of the [formats](crate::import) that are read; at the time 0 where its
-    /// Gaussians change in time.
+    /// Opens a file in one of the supported [formats](crate::import); for Gaussians that change in time, at the time 0.
     ///
     /// # Errors
-    /// A file that cannot be read, or holds something else, something broken, or more than the default [`Limits`]; a
-    /// scene in time.
+    /// A file that cannot be read, has other content, is broken, or exceeds the default [`Limits`]; a scene in time.
     pub fn open(path: impl AsRef<Path>) -> Result<Still, SceneError> {
         match import::open(path.as_ref(), &Limits::default())? {
             Opened::Still(file) => Ok(file.still),
@@ -134,10 +131,10 @@ impl Still {
         }
     }
 
-    /// The still scene of a file in memory: [`import::read`] with the default [`Limits`] and without a name.
+    /// Reads the still scene of a file in memory: [`import::read`] with the default [`Limits`] and without a name.
     ///
     /// # Errors
-    /// As there.
+    /// As [`import::read`].
     pub fn read(bytes: &[u8]) -> Result<Still, FormatError> {
         import::read(bytes, "", &Limits::default())
     }
@@ -155,12 +152,12 @@ impl Still {
         still
     }
 
-    /// Bytes in memory of a Gaussian whose harmonics have this degree.
+    /// Bytes in memory per Gaussian with harmonics of this degree.
     pub(crate) fn bytes_each(degree: usize) -> u64 {
         4 * (3 + 3 + 4 + 1 + 3 + 3 * harmonics::rest(degree)) as u64
     }
 
-    /// A scene of `count` Gaussians of zeros. Memory is taken as they are filled.
+    /// A scene of `count` Gaussians of zeros. Memory is committed as they are written.
     pub(crate) fn zeros(count: usize, degree: usize) -> Self {
         Still {
             mean: vec![[0.0; 3]; count],
@@ -184,12 +181,12 @@ impl Still {
         self.mean.is_empty()
     }
 
-    /// Coefficients above the first, per Gaussian and channel.
+    /// Number of coefficients above the first, per Gaussian and channel.
     pub fn rest(&self) -> usize {
         harmonics::rest(self.degree)
     }
 
-    /// The name and length of an array that does not fit `mean`, if there is one.
+    /// The name and length of an array that does not fit `mean`, if any.
     pub fn uneven(&self) -> Option<(&'static str, usize)> {
         let n = self.len();
         let lengths = [
@@ -202,8 +199,8 @@ impl Still {
         lengths.into_iter().find(|(_, found, expected)| found != expected).map(|(name, found, _)| (name, found))
     }
 
-    /// Still scene of a snapshot. Scales under 10⁻¹² and opacities nearer than that to 0 or 1 are moved there, so that
-    /// every value is finite; colours become `(rgb − ½) / Y₀`. In drawing order.
+    /// The still scene of a snapshot, in drawing order. Scales under 10⁻¹² and opacities nearer than that to 0 or 1 are
+    /// clamped, so that every value is finite; colours become `(rgb − ½) / Y₀`.
     pub fn of(snapshot: &Snapshot) -> Self {
         let count = snapshot.mean.len();
         Self {
@@ -218,7 +215,7 @@ impl Still {
         }
     }
 
-    /// Least and greatest coordinates of the centres that are finite, with the scene's offset.
+    /// Least and greatest coordinates of the finite centres, with the scene's offset.
     pub fn bounds(&self) -> Option<[[f64; 3]; 2]> {
         let finite = self.mean.iter().filter(|m| m.iter().all(|x| x.is_finite()));
         let bounds = finite.fold(None, |bounds: Option<[[f32; 3]; 2]>, m| {

@@ -1,11 +1,11 @@
 //! The Gaussians of a still scene that can be drawn: one rule for images, exports, pages and statistics.
 //!
-//! The rule is about the numbers that are drawn, not those in files. An opacity whose logit is +∞ is 1, one of −∞ is 0;
-//! a logarithm of −∞ is a thickness of 0. A Gaussian cannot be drawn where
+//! The rule applies to the drawn numbers, not those in files. An opacity whose logit is +∞ is 1, one of −∞ is 0; a
+//! logarithm of −∞ is a standard deviation of 0. A Gaussian cannot be drawn if
 //!
 //! - its centre, a coefficient of its harmonics or its rotation is not finite,
-//! - its opacity is not a number,
-//! - a standard deviation is not a number, or more than binary32 holds,
+//! - its opacity is NaN,
+//! - a standard deviation is NaN or exceeds the range of binary32,
 //! - its rotation is the quaternion 0.
 
 use super::Still;
@@ -16,14 +16,14 @@ const LARGEST_LOG: f32 = 88.722_83;
 /// Reason why a Gaussian cannot be drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Defect {
-    /// A number that is not finite where it is drawn.
+    /// A drawn number is not finite.
     NotFinite,
-    /// The quaternion 0 as its rotation.
+    /// The rotation is the quaternion 0.
     NoRotation,
 }
 
 impl Still {
-    /// Why Gaussian `i` cannot be drawn; `None` where it can.
+    /// Returns why Gaussian `i` cannot be drawn; `None` if it can.
     pub fn defect(&self, i: usize) -> Option<Defect> {
         let finite = |v: &[f32]| v.iter().all(|x| x.is_finite());
         let width = 3 * self.rest();

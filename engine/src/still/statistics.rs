@@ -10,29 +10,29 @@ const FAINTEST: f32 = -5.537_334;
 /// Quantiles in [`Spread`].
 const SHARES: [f64; 5] = [0.0, 0.05, 0.5, 0.95, 1.0];
 
-/// The least value, those at 5, 50 and 95 of a hundred, and the greatest.
+/// The minimum, the 5th, 50th and 95th percentiles, and the maximum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread(pub [f64; 5]);
 
-/// Sizes and opacities of a scene, and the Gaussians that no viewer shows.
+/// Sizes and opacities of a scene, and the Gaussians that are not shown.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Statistics {
     /// The greatest of a Gaussian's three standard deviations, in the scene's unit.
     pub size: Option<Spread>,
-    /// The least of them over the greatest.
+    /// The ratio of the least to the greatest of them.
     pub flatness: Option<Spread>,
     /// Opacities.
     pub opacity: Option<Spread>,
-    /// Gaussians with a number that is not finite where it is drawn ([`Still::defect`]).
+    /// Gaussians with a drawn number that is not finite ([`Still::defect`]).
     pub not_finite: usize,
-    /// Others whose rotation is the quaternion 0 ([`Still::defect`]).
+    /// Other Gaussians whose rotation is the quaternion 0 ([`Still::defect`]).
     pub no_rotation: usize,
-    /// Others with an opacity under 1/255, which change no pixel.
+    /// Other Gaussians with an opacity under 1/255, which change no pixel.
     pub faint: usize,
 }
 
 impl Still {
-    /// Sizes and opacities of the Gaussians whose numbers are finite where they are drawn.
+    /// Sizes and opacities of the Gaussians whose drawn numbers are finite.
     pub fn statistics(&self) -> Statistics {
         let (finite, not_finite): (Vec<u32>, Vec<u32>) =
             (0..self.len() as u32).into_par_iter().partition(|&i| self.defect(i as usize) != Some(Defect::NotFinite));
@@ -58,7 +58,7 @@ impl Still {
     }
 }
 
-/// The median of each axis, in whole numbers; `None` of no places.
+/// The median of each axis, rounded to a whole number; `None` if there are no places.
 pub(crate) fn middle(along: [Vec<f32>; 3]) -> Option<[f64; 3]> {
     let mut middle = [0.0; 3];
     for (middle, along) in middle.iter_mut().zip(along) {
@@ -68,18 +68,18 @@ pub(crate) fn middle(along: [Vec<f32>; 3]) -> Option<[f64; 3]> {
     Some(middle)
 }
 
-/// e^x, also of a thickness of 0.
+/// e^x, also for a standard deviation of 0.
 fn length(x: f64) -> f64 {
     if x == f64::NEG_INFINITY { 0.0 } else { exp(x) }
 }
 
-/// The values below which these shares of all lie, each one of them; shares ascend. `None` where there are no values.
+/// The quantiles at these ascending shares, each one of the values. `None` if there are no values.
 pub(super) fn quantiles<const N: usize>(mut values: Vec<f32>, shares: [f64; N]) -> Option<[f32; N]> {
     let last = values.len().checked_sub(1)?;
     let (mut rest, mut from) = (values.as_mut_slice(), 0);
     Some(shares.map(|share| {
         let at = (share * last as f64).round() as usize - from;
-        // Values before a share's value are not above it, and the next share's is not before it.
+        // Values before a quantile are not above it, and the next quantile is not among them.
         let value = *rest.select_nth_unstable_by(at, f32::total_cmp).1;
         rest = &mut std::mem::take(&mut rest)[at..];
         from += at;

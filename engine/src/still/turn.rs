@@ -6,8 +6,8 @@ use streamsplat_kernels::math::f64::ln;
 use super::{Still, after};
 use crate::camera::Rotation;
 
-/// Directions from which the rotation of harmonics is found: more than the coefficients of a degree, none of them
-/// special.
+/// Number of directions from which the rotation of harmonics is computed: more than the coefficients of a degree, in
+/// general position.
 const DIRECTIONS: usize = 24;
 
 /// A similarity: `x ↦ scale·R·x + offset`.
@@ -22,7 +22,7 @@ pub struct Similarity {
 }
 
 impl Still {
-    /// Applies a similarity: centres, logarithms of scales, rotations, and the harmonics, whose coefficients c become
+    /// Applies a similarity to centres, logarithms of scales, rotations, and the harmonics, whose coefficients c become
     /// c′ with `Σ c′ₖ·Yₖ(R·d) = Σ cₖ·Yₖ(d)` for every direction d, degree by degree. In binary64, each number rounded
     /// once; the identity keeps all bits.
     pub fn transform(&mut self, by: &Similarity) {
@@ -63,7 +63,7 @@ impl Still {
         let mut turned = vec![0.0; width];
         for own in self.higher.chunks_exact_mut(width) {
             for (degree, matrix) in (1..).zip(&matrices) {
-                // Coefficients of lower degrees, without the first.
+                // Number of coefficients of lower degrees, without the first.
                 let before: usize = degree * degree - 1;
                 for (k, row) in matrix.iter().enumerate() {
                     for channel in 0..3 {
@@ -79,8 +79,8 @@ impl Still {
 }
 
 /// The matrix M of a degree with `Yⱼ(d) = Σₖ Mₖⱼ·Yₖ(R·d)`, by least squares over many directions: `(AᵀA)⁻¹AᵀB` for `A =
-/// Y(R·d)`, `B = Y(d)`. What is within 10⁻¹² of 0, 1 or −1 is that, so that half and quarter turns about the axes keep
-/// bits.
+/// Y(R·d)`, `B = Y(d)`. Entries within 10⁻¹² of 0, 1 or −1 are rounded to it, so that half and quarter turns about the
+/// axes keep bits.
 fn harmonic_rotation(degree: usize, rotation: &Rotation) -> Vec<Vec<f64>> {
     let size = 2 * degree + 1;
     let matrix = rotation.matrix();

@@ -1,4 +1,4 @@
-//! Still scenes made of the values that are drawn.
+//! Still scenes made from drawn values.
 
 use streamsplat_kernels::harmonics;
 
@@ -8,7 +8,7 @@ use crate::import::GAUSSIANS;
 /// Highest degree of harmonics.
 const DEGREE: usize = 3;
 
-/// The values of Gaussians, as renderers take them. `rotation` may be empty: then none is turned.
+/// Values of Gaussians in the form that renderers use. `rotation` may be empty: then no Gaussian is rotated.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Values {
     /// Centres.
@@ -19,15 +19,15 @@ pub struct Values {
     pub rotation: Vec<[f32; 4]>,
     /// Opacities in [0, 1].
     pub opacity: Vec<f32>,
-    /// Colours, the same from every direction; empty where `harmonics` has them.
+    /// Colours, the same from every direction; empty if `harmonics` has them.
     pub rgb: Vec<[f32; 3]>,
     /// Degree of `harmonics`, 0 to 3.
     pub degree: usize,
-    /// Coefficients of the harmonics, the first among them: `[N, (degree + 1)², 3]`; empty where `rgb` has the colours.
+    /// Coefficients of the harmonics, including the first: `[N, (degree + 1)², 3]`; empty if `rgb` has the colours.
     pub harmonics: Vec<[f32; 3]>,
 }
 
-/// Why values are no scene.
+/// Why values do not form a scene.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ValuesError {
@@ -36,20 +36,20 @@ pub enum ValuesError {
     Length {
         /// The array.
         array: &'static str,
-        /// Rows for so many centres.
+        /// Rows required for this number of centres.
         expected: usize,
-        /// Centres.
+        /// Number of centres.
         gaussians: usize,
         /// Rows found.
         found: usize,
     },
-    /// More Gaussians than a scene has.
+    /// More Gaussians than a scene can have.
     #[error("mean: expected at most {GAUSSIANS} Gaussians, found {0}")]
     Many(usize),
-    /// A degree of harmonics that does not exist here.
+    /// An unsupported degree of harmonics.
     #[error("harmonics: expected a degree from 0 to {DEGREE}, found {0}")]
     Degree(usize),
-    /// A value that is not finite or not in its range.
+    /// A value that is not finite or out of range.
     #[error("{array}: expected {expected}, found {found} at Gaussian {gaussian}")]
     Value {
         /// The array.
@@ -64,12 +64,13 @@ pub enum ValuesError {
 }
 
 impl Still {
-    /// The scene of these values, stored as files have them: logarithms of scales, which are at least 10⁻¹², logits of
-    /// opacities, which are at least as far from 0 and 1, and coefficients of harmonics, for colours `(rgb − ½) / Y₀`.
+    /// Makes a scene from these values, stored as in files: logarithms of scales, which are at least 10⁻¹², logits of
+    /// opacities, which have at least that distance from 0 and 1, and coefficients of harmonics, for colours `(rgb − ½)
+    /// / Y₀`.
     ///
     /// # Errors
-    /// Lengths that do not fit each other, more than 2²⁴ Gaussians, numbers that are not finite or not in their range,
-    /// and the quaternion 0.
+    /// Lengths that do not match, more than 2²⁴ Gaussians, numbers that are not finite or out of range, and the
+    /// quaternion 0.
     pub fn of_values(values: Values) -> Result<Still, ValuesError> {
         let gaussians = values.mean.len();
         if gaussians > GAUSSIANS {
@@ -123,7 +124,7 @@ impl Still {
     }
 }
 
-/// An error for the first number that does not hold, in rows of `width`.
+/// Returns an error for the first wrong number, in rows of `width`.
 fn check(
     array: &'static str,
     expected: &'static str,

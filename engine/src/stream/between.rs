@@ -1,4 +1,4 @@
-//! Evidence between two key frames: the frames in between where they are seen, optical flow, and what both say of the
+//! Evidence between two key frames: the frames in between where they are known, and optical flow. Both determine the
 //! motion and the colours of the interval.
 
 use std::borrow::Cow;
@@ -17,13 +17,13 @@ use super::work::Stage;
 use super::{EngineError, FlowEffort, Frame, Work};
 use crate::fit::{Placement, cut};
 
-/// Times in an interval whose pictures are predicted from its key frames where no frame in between is seen.
+/// Times in an interval at which images are predicted from its key frames, where no frame in between is known.
 const PREDICTED: [f32; 4] = [0.2, 0.4, 0.6, 0.8];
 
-/// Pixels from one place at which depth is compared to the next, along rows and columns.
+/// Step in pixels, along rows and columns, of the grid of places at which depths are compared.
 const SPACING: usize = 4;
 
-/// A frame as flow sees it.
+/// A frame prepared for optical flow.
 pub(super) struct FlowView {
     pyramid: Pyramid,
 }
@@ -46,7 +46,7 @@ pub(super) struct Flows {
 }
 
 impl FlowView {
-    /// Of a frame `[3, H, W]`.
+    /// Prepares a frame `[3, H, W]`.
     pub(super) fn new(
         level: Level,
         rgb: &[f32],
@@ -70,7 +70,7 @@ impl Seen {
         Self { t, rgb, flow: None }
     }
 
-    /// Prepares it for flow, as a frame of the interval that ends with key frame `index`.
+    /// Prepares the frame for flow, as one of the interval that ends with key frame `index`.
     pub(super) fn prepare_flow(
         &mut self,
         level: Level,
@@ -84,7 +84,7 @@ impl Seen {
     }
 }
 
-/// A field of this size that is zero outside a rectangle.
+/// Returns a field of this size that holds `field` inside a rectangle and is zero outside.
 fn placed(field: &Field, size: [usize; 2], [rows, columns]: &[Range<usize>; 2]) -> Field {
     let mut whole = Field::zero(size);
     for (at, row) in rows.clone().enumerate() {
@@ -96,7 +96,7 @@ fn placed(field: &Field, size: [usize; 2], [rows, columns]: &[Range<usize>; 2]) 
 }
 
 impl Flows {
-    /// Flow from frame to frame of `between`, from key frame `a` to key frame `b`.
+    /// Flow through the frames of `between`, from key frame `a` to key frame `b`.
     pub(super) fn new(
         level: Level,
         work: &mut Work,
@@ -127,7 +127,8 @@ impl Flows {
         Some(Self { steps, times: times(between) })
     }
 
-    /// The same where nothing moves outside a rectangle of pixels, rows and columns, or nothing at all (`None`).
+    /// The same, with flow computed inside a rectangle of pixels (rows and columns) and zero outside. `None`: zero
+    /// everywhere.
     pub(super) fn within(
         level: Level,
         work: &mut Work,
@@ -159,7 +160,7 @@ impl Flows {
         Ok(Self { steps: steps.collect(), times })
     }
 
-    /// The motion of the Gaussians of both key frames; what flow does not tell is the network's.
+    /// The motion of the Gaussians of both key frames, the network's where flow has none.
     pub(super) fn motion(&self, level: Level, [a, b]: [&KeyView; 2], network: &[Arc<Motion>; 2]) -> [Arc<Motion>; 2] {
         let count = self.steps.len();
         let step = |i: usize, way: usize, distance: f32| Step {
@@ -175,10 +176,10 @@ impl Flows {
         ]
     }
 
-    /// Values of two depth maps, of the last and of the first key frame, at places that flow connects.
+    /// Pairs of values of two depth maps, those of the last and of the first key frame, at places that flow connects.
     ///
-    /// From every [`SPACING`]-th pixel of the last key frame, along rows and columns, the flow is followed back
-    /// ([`flow::trace`]); places that stray on the way count for nothing.
+    /// Every [`SPACING`]-th pixel of the last key frame, along rows and columns, is followed back along the flow
+    /// ([`flow::trace`]). Places whose path fails are left out.
     pub(super) fn links(&self, level: Level, last: &DepthMap, first: &DepthMap) -> Vec<Link> {
         let [height, width] = last.resolution;
         if first.resolution != last.resolution {
@@ -222,7 +223,7 @@ impl Flows {
         Some(Cow::Owned(work.measure(Stage::Flow, || flow::both(level, one, other, [None; 2], &options))))
     }
 
-    /// Pictures of the interval as flow predicts them from its key frames; none where there are frames in between.
+    /// Images of the interval that flow predicts from its key frames; none where frames in between are known.
     pub(super) fn predicted(&self, level: Level, [a, b]: [&KeyView; 2]) -> Vec<(f32, Vec<f32>)> {
         let [[forward, backward]] = &self.steps[..] else { return Vec::new() };
         let blend = Blend::new(level, [&a.rgb, &b.rgb], [forward, backward]);
@@ -238,12 +239,12 @@ fn options(effort: FlowEffort) -> flow::Options {
     }
 }
 
-/// Times of the frames of an interval, its key frames' among them.
+/// Times of the frames of an interval, including its key frames.
 fn times(between: &[Seen]) -> Vec<f32> {
     [0.0].into_iter().chain(between.iter().map(|seen| seen.t)).chain([1.0]).collect()
 }
 
-/// Every `every`-th of the frames in between as a target of colours, from the middle of the first `every` on.
+/// Every `every`-th frame in between as a target of the colour fit, from the middle of the first `every` on.
 pub(super) fn targets(between: &[Seen], every: usize) -> Vec<Target<'_>> {
     let first = (every / 2).min(between.len().saturating_sub(1) / 2);
     between.iter().skip(first).step_by(every).map(|seen| Target { t: seen.t, rgb: &seen.rgb }).collect()

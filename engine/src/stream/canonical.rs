@@ -1,25 +1,27 @@
-//! The canonical set: what the stream remembers of the scene, and how a key frame changes it.
+//! The canonical set: the Gaussians that the stream remembers, and how a key frame changes them.
 //!
 //! At key frame k the set holds *survivors* (older Gaussians that no frame continues, as they are at t_k) and the
 //! *current* Gaussians (those of frame k). [`CanonicalSet::advance`] takes frame k+1 and the pair's two deformation
-//! fields and gives interval k+1:
+//! fields and returns interval k+1:
 //!
 //! - **Update.** Current Gaussians move with their forward field. An older one that coincides with a current Gaussian
-//!   has been continued by it one key frame ago (below), so it moves with that one's field, under that one's record.
-//!   What is left, the survivors, keep their velocity in the scene's own time, the colour they had at the key frame,
-//!   and fade: [`FADE`](super::fuse::FADE) as γ₀ at least, γ₁ = 0, opacity counted from what it was there.
+//!   was continued by it one key frame ago (below), so it moves with that one's field, under that one's record. The
+//!   rest, the survivors, keep their velocity in the scene's own time and the colour that they had at the key frame.
+//!   They fade: γ₀ is at least [`FADE`](super::fuse::FADE), γ₁ = 0, and their opacity at the key frame is the starting
+//!   value.
 //! - **Keep.** Current Gaussians of static blocks ([`keep`](super::keep)) stay as they are: one record from key frame
-//!   to key frame, whose colour may change. They meet no others, and precede the new ones in drawing order from then
-//!   on.
-//! - **Fuse.** Frame k+1's Gaussians join with their backward field. Identities pass on one to one; old Gaussians that
-//!   coincide with a new one but pass on nothing end as [merged](Merge) into it. What coincides with nothing is
-//!   vanishing. Where a depth map lifts either frame, depth counts for nothing here, a tracked point takes the new
-//!   Gaussian's, and those that only stand behind others meet their like and never become survivors.
+//!   to key frame, whose colour may change. They are not matched with others, and from then on precede the new ones in
+//!   drawing order.
+//! - **Fuse.** Frame k+1's Gaussians join with their backward field. Identities pass on one to one. Old Gaussians that
+//!   coincide with a new one but pass on no identity end as [merged](Merge) into it. Those that coincide with none are
+//!   vanishing. Where a depth map lifts either frame, matching ignores depth and a tracked point takes the new
+//!   Gaussian's depth. Gaussians added behind others are then matched only among themselves, and no added Gaussian
+//!   becomes a survivor.
 //! - **Hand over.** Old Gaussians that are continued fade out over the last eighth of the interval, new ones fade in
 //!   over the first. So at a key frame the image holds the frame's own Gaussians and the vanishing ones, whichever
 //!   interval it is seen from, and crossing it changes no bit.
 //! - **Prune.** Vanishing ones are kept while their opacity is at least 1/255 and their age at most `max_age`. Those
-//!   whose age ends fade out like continued ones, so that dropping them changes no image either.
+//!   that reach `max_age` fade out like continued ones, so that dropping them changes no image either.
 //!
 //! Pairwise fusion keeps the current Gaussians alone and hands nothing over.
 
@@ -41,10 +43,10 @@ use super::{DynamicGaussians, Fusion, Merge, Record, Reference};
 /// Gaussians per task.
 pub(super) const CHUNK: usize = 2048;
 
-/// One Gaussian of the last key frame, as a stream remembers it.
+/// One Gaussian of the last key frame, as the stream remembers it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Current {
-    /// Its place in the frame's arrays.
+    /// Its index in the frame's arrays.
     pub cell: u32,
     /// See [`Record::identity`].
     pub identity: u64,
@@ -66,18 +68,18 @@ pub(crate) struct CanonicalSet {
     pub(super) current: Vec<Current>,
     /// The frame's arrays.
     pub(super) gaussians: Arc<StaticGaussians>,
-    /// In which layers they lie.
+    /// The layers they belong to.
     pub(super) layers: Layers,
     pub(super) identities: Identities,
 }
 
-/// Layers of a frame's Gaussians, one after another: the model's own; those that a [lift](super::lift) adds along
-/// edges; those that it adds behind others.
+/// Layers of a frame's Gaussians, one after another: the model's own, those that a [lift](super::lift) adds along
+/// edges, and those that it adds behind others.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Layers {
-    /// How many are the model's own, on its lattice.
+    /// Number of the model's own, on its lattice.
     pub(crate) cells: usize,
-    /// How many do not stand behind others.
+    /// Number of those that are not behind others.
     pub(crate) seen: usize,
 }
 
@@ -93,7 +95,7 @@ impl Layers {
 #[derive(Debug, Default)]
 pub(crate) struct Advance {
     pub(crate) gaussians: DynamicGaussians,
-    /// Which of these are kept.
+    /// Range of the kept ones.
     pub(crate) kept: Range<usize>,
     pub(crate) merges: Vec<Merge>,
     pub(crate) dropped: u64,
@@ -103,7 +105,7 @@ pub(crate) struct Advance {
 pub(crate) struct Step<'a> {
     /// The new key frame's Gaussians.
     pub(crate) gaussians: &'a Arc<StaticGaussians>,
-    /// In which layers they lie.
+    /// The layers they belong to.
     pub(crate) layers: Layers,
     /// Motion of the frame before.
     pub(crate) forward: &'a Motion,
@@ -111,14 +113,14 @@ pub(crate) struct Step<'a> {
     pub(crate) backward: &'a Motion,
     /// Seconds between the two.
     pub(crate) length: f64,
-    /// True if a depth map lifts the Gaussians of either frame: a frame's map says nothing about another's, so depth
-    /// does not tell them apart.
+    /// True if a depth map lifts the Gaussians of either frame. Maps of two frames are not comparable, so matching then
+    /// ignores depth.
     pub(crate) lifted: bool,
-    /// Height and width of the image the Gaussians lie on.
+    /// Height and width of the image that the Gaussians belong to.
     pub(crate) image: [usize; 2],
     pub(crate) fusion: Fusion,
     pub(crate) max_age: u32,
-    /// What becomes of each Gaussian of the frame before; `None` where all are computed. Kept ones have the same place
+    /// What happens to each Gaussian of the frame before; `None` where all are computed. A kept one has the same index
     /// in both frames.
     pub(crate) kept: Option<&'a [Change]>,
 }
@@ -147,7 +149,7 @@ impl CanonicalSet {
         (set, out)
     }
 
-    /// The set after the next key frame, and the interval up to it. `self` is left as it was.
+    /// Returns the set after the next key frame, and the interval up to it. `self` is unchanged.
     pub(crate) fn advance(&self, step: &Step<'_>) -> (Self, Advance) {
         let frame = self.frame + 1;
         let mut out = Advance::default();
@@ -201,8 +203,8 @@ impl CanonicalSet {
         (set, out)
     }
 
-    /// Gives survivors the colours that they have at the end of the interval whose Gaussians these are, so that
-    /// crossing it changes none.
+    /// Sets the survivors' colours to those at the end of the interval `gaussians`, so that crossing the key frame
+    /// changes none.
     pub(super) fn recolour_survivors(&mut self, gaussians: &DynamicGaussians) {
         let mut at = 0;
         for survivor in &mut self.survivors {
@@ -217,7 +219,7 @@ impl CanonicalSet {
         }
     }
 
-    /// The Gaussians that are kept, from one key frame to the other.
+    /// The Gaussians that are kept, over the new interval.
     fn kept(&self, step: &Step<'_>) -> Vec<Record> {
         let staying = self.current.iter().filter(|current| step.keeps(current.cell));
         let record = |current: &Current| {
@@ -234,8 +236,8 @@ impl CanonicalSet {
         staying.map(record).collect()
     }
 
-    /// The old Gaussians over the new interval that are not kept: survivors, then the frame at its start; and their
-    /// layers, survivors among the first.
+    /// The old Gaussians over the new interval that are not kept: survivors, then the Gaussians of the frame at its
+    /// start. Also their layers, where survivors count among the first.
     fn updated(&self, step: &Step<'_>, dropped: &mut u64) -> (Vec<Record>, Layers) {
         let mut old = Vec::with_capacity(self.survivors.len() + self.current.len());
         // The same velocity in the scene's own time.
@@ -256,7 +258,7 @@ impl CanonicalSet {
                 ..still(&self.gaussians, cell, self.frame)
             }
         }));
-        // Layers follow each other where a frame has more than one: nothing is kept there.
+        // Layers are contiguous: a frame with more than one layer keeps no Gaussian.
         let before = |end: usize| leaving.iter().filter(|current| (current.cell as usize) < end).count();
         let mut ends = [self.layers.cells, self.layers.seen].map(|end| self.survivors.len() + before(end));
         let all = old.len();
@@ -278,7 +280,7 @@ pub(super) struct Arrival {
     shown: bool,
 }
 
-/// The new frame's Gaussians with their backward field, without identities.
+/// The new frame's Gaussians with their backward field, not yet with identities.
 fn arriving(step: &Step<'_>, frame: u64, dropped: &mut u64) -> Vec<Arrival> {
     let count = step.gaussians.position.len();
     let parts = map_indexed(count.div_ceil(CHUNK), |chunk| {

@@ -1,8 +1,8 @@
 //! Colours that fit the frames.
 //!
 //! With geometry, opacity and order fixed, an image is linear in the colours of its Gaussians: `image = A·c +
-//! T·background` ([`ColourMap`]). So the colours that come nearest to given frames solve a linear least-squares
-//! problem, here with a small ridge that keeps a colour that hardly shows near what it was:
+//! T·background` ([`ColourMap`]). So the colours that best match given frames solve a linear least-squares problem. A
+//! small ridge keeps a colour that hardly shows near its former value:
 //!
 //! ```text
 //! key frame     min over c₀   |A·c₀ + T·b − frame|² + λ·|c₀ − network|²
@@ -11,9 +11,9 @@
 //!
 //! Both are solved by preconditioned conjugate gradients ([`ColourFit`]).
 //!
-//! The steps end early once one lowers the sum of squares by less than [`ENOUGH`] of what is left. Results are clamped:
-//! c₀ to [`RANGE`], c₁ so that the colour at the interval's other end, where little of the Gaussian is left to be seen,
-//! lies in [`FAR_RANGE`]. (Held to [`RANGE`] there, colours fit 3 dB worse in between.)
+//! The steps end early once one lowers the sum of squares by less than [`ENOUGH`] of the remainder. Results are
+//! clamped: c₀ to [`RANGE`], and c₁ so that the colour at the interval's other end, where little of the Gaussian is
+//! visible, is in [`FAR_RANGE`]. (Clamped to [`RANGE`] there, colours fit 3 dB worse in between.)
 
 use std::ops::Range;
 
@@ -30,16 +30,16 @@ use crate::render::{Snapshot, to_scene};
 
 /// Gaussians per task.
 const CHUNK: usize = 4096;
-/// Weight of the ridge, beside sums of squared weights over pixels.
+/// Weight of the ridge, relative to sums of squared weights over pixels.
 const RIDGE: f32 = 1e-3;
-/// The same over intervals whose Gaussians a depth map lifts: what hardly shows from the frames' own view does so from
-/// the side. (3e-3 gains up to 0.04 dB in views from the side halfway between key frames of procedural scenes, and
-/// takes 0.3 to 0.4 dB from images in between of two real clips.)
+/// The same over intervals whose Gaussians a depth map lifts: a Gaussian that hardly shows from the frames' own view
+/// shows from the side. (3e-3 gains up to 0.04 dB in views from the side halfway between key frames of procedural
+/// scenes, and costs 0.3 to 0.4 dB in images in between of two real clips.)
 const RIDGE_LIFTED: f32 = 1.8e-3;
-/// The share of the remaining sum of squares that a step must take away.
+/// Least share of the remaining sum of squares that a step must remove.
 const ENOUGH: f64 = 0.004;
-/// Weights of a Gaussian on a block of pixels that are all below this one keep the colour that they had
-/// (docs/choosing.md has what that costs).
+/// A Gaussian whose weights on a block of pixels are all below this keeps its colour there (docs/choosing.md has the
+/// cost).
 const LEAST_WEIGHT: f32 = 1.0 / 64.0;
 /// Range of colours at their own key frame.
 pub(super) const RANGE: [f32; 2] = [-0.2, 1.2];
@@ -59,7 +59,7 @@ pub(super) struct Fitter {
     preparation: Preparation,
 }
 
-/// The unknowns of one view: which of them each Gaussian that is seen there has, and its factor ([`FitView`]).
+/// The unknowns of one view: the index and the factor of each Gaussian visible there ([`FitView`]).
 struct Fitted {
     unknown: Vec<u32>,
     factor: Vec<f32>,
@@ -68,18 +68,18 @@ struct Fitted {
 /// An interval whose colour rates are fitted.
 pub(super) struct Rates<'a> {
     pub(super) gaussians: &'a DynamicGaussians,
-    /// Those that have their rates already.
+    /// Those whose rates are fixed already.
     pub(super) kept: Range<usize>,
     pub(super) targets: &'a [Target<'a>],
     /// True if a depth map lifts Gaussians of it.
     pub(super) lifted: bool,
-    /// The mean square up to which a tile of an image is close enough to its frame.
+    /// The mean square error up to which a tile of an image is close enough to its frame.
     pub(super) close: f64,
     /// The raster tiles whose pixels count.
     pub(super) wanted: &'a dyn Fn(Pixels) -> bool,
 }
 
-/// A frame to come near to.
+/// A frame that colours are fitted to.
 pub(super) struct Target<'a> {
     /// Its time in the interval, 0 to 1.
     pub(super) t: f32,
@@ -88,14 +88,14 @@ pub(super) struct Target<'a> {
 }
 
 impl Fitter {
-    /// A fitter that has no memory yet.
+    /// A fitter without buffers yet.
     pub(super) fn new(level: Level) -> Self {
         Self { level, maps: Vec::new(), preparation: Preparation::new(level) }
     }
 
-    /// The colours c₀ of a key frame `[3, H, W]`, and the steps they took. `held`: the factor on each Gaussian's
-    /// unknowns ([`FitView`]), 0 for one that keeps its colour; none where all are free. `wanted`: the raster tiles
-    /// whose pixels count.
+    /// Fits the colours c₀ of a key frame `[3, H, W]`; returns them with the number of steps taken. `held`: the factor
+    /// on each Gaussian's unknowns ([`FitView`]), 0 for one that keeps its colour; empty where all are free. `wanted`:
+    /// the raster tiles whose pixels count.
     pub(super) fn key(
         &mut self,
         gaussians: &StaticGaussians,
@@ -127,7 +127,7 @@ impl Fitter {
         let mut colours = gaussians.rgb.clone();
         for (i, (colour, change)) in colours.iter_mut().zip(change).enumerate() {
             let change = held.get(i).map_or(change, |held| change.map(|c| c * held));
-            // What is not finite is dropped later; it is not made finite here.
+            // Values that are not finite are dropped later, and must not become finite here.
             *colour = std::array::from_fn(|i| match change[i] == 0.0 {
                 true => colour[i],
                 false => (colour[i] + change[i]).clamp(RANGE[0], RANGE[1]),
@@ -136,13 +136,13 @@ impl Fitter {
         (colours, taken)
     }
 
-    /// The colour rates c₁ of an interval, from frames in it, and the steps they took.
+    /// Fits the colour rates c₁ of an interval to frames in it; returns them with the number of steps taken.
     pub(super) fn rates(&mut self, fit: Rates<'_>, resolution: [usize; 2], steps: u32) -> (Colours, u32) {
         let Rates { gaussians, kept, targets, lifted, close, wanted } = fit;
         if targets.is_empty() {
             return (gaussians.rgb_rate.clone(), 0);
         }
-        // One after another: only the weights of a view are kept.
+        // One view after another: only the weights of a view are kept.
         let fitted: Vec<Fitted> = targets
             .iter()
             .enumerate()
@@ -156,7 +156,7 @@ impl Fitter {
                 self.prepare(place, view, factor, resolution, wanted)
             })
             .collect();
-        // Colours that change already count as they are halfway.
+        // Colours that change already enter with their value halfway.
         let halfway = |i: usize| match kept.contains(&i) {
             true => std::array::from_fn(|c| 0.5f32.mul_add(gaussians.rgb_rate[i][c], gaussians.rgb[i][c])),
             false => gaussians.rgb[i],
@@ -170,7 +170,7 @@ impl Fitter {
                 *rate = gaussians.rgb_rate[i];
                 return;
             }
-            // At the other end of the interval the colour is rgb + rate or rgb − rate.
+            // The colour at the other end of the interval is rgb + rate or rgb − rate.
             let sign: f32 = if gaussians.reference[i] == Reference::Start { 1.0 } else { -1.0 };
             for (rate, rgb) in rate.iter_mut().zip(gaussians.rgb[i]) {
                 let end = sign.mul_add(*rate, rgb);
@@ -182,7 +182,7 @@ impl Fitter {
         (rates, taken)
     }
 
-    /// Makes the map at a place that of a view.
+    /// Prepares map `place` for a view.
     fn prepare(
         &mut self,
         place: usize,
@@ -205,8 +205,8 @@ impl Fitter {
         Fitted { unknown: index, factor }
     }
 
-    /// The fit of the first maps, as many as are `fitted`, to `frames`, from the colours `from`, which the ridge keeps
-    /// them near to.
+    /// Fits the first maps, one per entry of `fitted`, to `frames`. The ridge pulls towards the starting colours
+    /// `from`.
     fn solve(
         &self,
         fitted: &[Fitted],

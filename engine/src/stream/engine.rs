@@ -27,8 +27,8 @@ use crate::parallax::{self, Evidence, Found};
 /// Turns key frames into a dynamic scene, one interval per key frame.
 ///
 /// State between key frames is bounded and independent of the stream's length: the last frame's input, embedding,
-/// tokens, condition, Gaussians and found depth, the last pair's motion, the survivors of at most `max_age` frames, and
-/// with some choices of [`Reuse`] the network's [`Cache`](streamsplat_model::reuse::Cache).
+/// tokens, condition, Gaussians and found depth, the last pair's motion, and the survivors of at most `max_age` frames.
+/// Some choices of [`Reuse`] add the network's [`Cache`](streamsplat_model::reuse::Cache).
 pub struct Engine {
     settings: Settings,
     model: Arc<dyn Reconstructor>,
@@ -52,7 +52,7 @@ pub(super) struct State {
 }
 
 impl Engine {
-    /// An engine that has seen nothing yet.
+    /// An engine before its first key frame.
     ///
     /// # Errors
     /// When the model cannot be loaded or the threads cannot be started.
@@ -67,8 +67,7 @@ impl Engine {
         Ok(Self::from_parts(settings, workers, model))
     }
 
-    /// [`Engine::new`] with the model of another engine that was made with the same model, precision and reuse, and has
-    /// loaded it.
+    /// [`Engine::new`] with the loaded model of another engine, made with the same model, precision and reuse.
     ///
     /// # Errors
     /// When the threads cannot be started.
@@ -82,51 +81,50 @@ impl Engine {
         Self { settings, model, workers, work: Work::default(), tiles: None, fitter, state: None }
     }
 
-    /// Settings it was made with.
+    /// Settings of the engine.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// Model that reconstructs its frames; other engines may share it.
+    /// Model that reconstructs the frames; other engines may share it.
     pub fn model(&self) -> &Arc<dyn Reconstructor> {
         &self.model
     }
 
-    /// Its threads and instruction-set level.
+    /// Threads and instruction-set level.
     pub fn workers(&self) -> &Workers {
         &self.workers
     }
 
-    /// Returns true if depth is found for frames without a map of their own ([`Settings::find_depth`], and the model
-    /// ignores depth). The first key frame is then shown with depth by the interval after it alone.
+    /// Returns true if depth is found for frames without a map of their own: [`Settings::find_depth`] is set and the
+    /// model ignores depth. The first key frame then has depth only in the interval after it.
     pub fn finds_depth(&self) -> bool {
         self.settings.find_depth() && self.model.ignores_depth()
     }
 
-    /// Work done and work avoided since it was made.
+    /// Work done and work avoided since the engine was made.
     pub fn work(&self) -> &Work {
         &self.work
     }
 
-    /// Takes the next key frame, `timestamp` seconds into the video, and gives the interval it ends. The first frame
-    /// gives its static scene, an interval of no length; where depth is found ([`Engine::finds_depth`]), its Gaussians
-    /// are lifted from the next interval on.
+    /// Takes the next key frame, `timestamp` seconds into the video, and returns the interval that it ends. The first
+    /// frame returns its static scene, an interval of length 0; where depth is found ([`Engine::finds_depth`]), its
+    /// Gaussians are lifted from the next interval on.
     ///
     /// # Errors
     /// Frames without pixels, of another size than the first one, with buffers of the wrong length or pixels that are
-    /// not finite; time stamps that are not after the one before; what the model refuses. The stream is then as it was
-    /// before, but that after the model has refused something the next frame is computed in full. So it is after a
-    /// panic of a [`Reconstructor`].
+    /// not finite; time stamps that are not after the previous one; input that the model refuses. The stream is then as
+    /// before. After an error of the model, or a panic of a [`Reconstructor`], the next frame is computed in full.
     pub fn push(&mut self, frame: Frame, timestamp: f64) -> Result<Interval, EngineError> {
         self.push_with(Vec::new(), frame, timestamp)
     }
 
-    /// [`Engine::push`] of a key frame together with the frames since the key frame before, with their times,
-    /// ascending. They are looked at where motion is taken from them ([`MotionFrom::Between`]) and ignored otherwise,
-    /// as they are before the first key frame. Depth of theirs is not used.
+    /// [`Engine::push`] with the frames since the last key frame and their times, ascending. They are used where motion
+    /// is taken from them ([`MotionFrom::Between`]), and ignored otherwise and before the first key frame. Their depth
+    /// is not used.
     ///
     /// # Errors
-    /// As [`Engine::push`]; and times that do not ascend from one key frame to the other.
+    /// As [`Engine::push`]; and times that do not ascend between the two key frames.
     pub fn push_with(
         &mut self,
         between: Vec<(Frame, f64)>,
@@ -161,14 +159,14 @@ impl Engine {
         self.work.tokens(&tokens(&tiles));
         self.work.branches(self.model.zero_output());
         self.tiles = Some(tiles);
-        // Nothing of the reconstructor's is called from here on: where it panicked, the stream is as it was, and the
-        // next frame is computed in full.
+        // No call to the reconstructor follows: after a panic of it the stream is as before, and the next frame is
+        // computed in full.
         let (state, interval) = advanced?;
         self.state = Some(state);
         Ok(interval)
     }
 
-    /// Takes a frame that was found good; returns the state after it.
+    /// Processes a frame that passed the checks; returns the state after it.
     fn advance(
         &mut self,
         tiles: &mut Tiles,
@@ -196,7 +194,7 @@ impl Engine {
         if depths.found.is_some()
             && let Some(Keeping { taken, .. }) = keeping.take()
         {
-            // What is lifted is not kept: all frames are as they came.
+            // Lifted Gaussians are not kept: restore all frames as they came.
             let places = seen.iter_mut().map(|seen| &mut seen.rgb).chain([&mut view.rgb]);
             places.zip(taken).for_each(|(rgb, taken)| *rgb = taken);
             view.flow = None;
@@ -205,7 +203,7 @@ impl Engine {
         let cells = keeping.as_ref().map(|keeping| &keeping.cells[..]);
         let Self { settings, workers, work, fitter, state, .. } = self;
         Context::new(settings, workers, work, fitter, tiles, state.as_ref()).reconstruct(&mut view, cells, index)?;
-        // All that can be refused comes before the state changes.
+        // All steps that can fail come before the state changes.
         let next_pair = match &self.state {
             Some(state) if self.settings.deforms() => {
                 let views = [&state.view, &view];
@@ -319,8 +317,8 @@ impl Engine {
         between.into_iter().map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement)).collect()
     }
 
-    /// What the interval from the key frame before to this one keeps. Where something is, `view` and `seen` show the
-    /// mean there.
+    /// The part of the picture that the interval keeps from the key frame before. Kept blocks of `view` and `seen` are
+    /// replaced by their mean.
     fn keep(&self, view: &mut KeyView, seen: &mut [Seen]) -> Option<Keeping> {
         let Self { settings, state, .. } = self;
         let before = &state.as_ref()?.view;
@@ -362,7 +360,7 @@ impl Engine {
         Ok(Flows::new(level, work, [&state.view, view], seen, effort))
     }
 
-    /// Flow through what changes.
+    /// Flow through the changing part of the picture.
     fn flows_within(
         &mut self,
         kept: &Kept,
@@ -376,7 +374,7 @@ impl Engine {
         Flows::within(level, &mut self.work, views, seen, effort, rectangle.as_ref(), index).map(Some)
     }
 
-    /// Depth found by parallax for key frame `index`, where that is asked for and the frame has no map of its own.
+    /// Finds depth by parallax for key frame `index`, where that is requested and the frame has no map of its own.
     fn found(
         &mut self,
         tiles: &Tiles,
@@ -399,7 +397,7 @@ impl Engine {
         let Some(flow) = flows.whole(level, work, [&state.view, view], settings.flow) else {
             return Ok(Depths::default());
         };
-        // From the key frame before and back.
+        // From the key frame before to this one, and back.
         let [forth, back] = &*flow;
         let evidence = Evidence { rgb: &view.rgb, there: back, back: forth };
         let stream = |frame: u64| Stream { seed: settings.seed, frame };
@@ -412,7 +410,7 @@ impl Engine {
         Ok(Depths { found, first })
     }
 
-    /// Lifts the stream's first key frame, which nothing was found for when it came.
+    /// Lifts the stream's first key frame, which had no depth when it came.
     fn lift_first(&mut self, tiles: &mut Tiles, found: Found) {
         let Self { settings, workers, work, fitter, state, .. } = self;
         let Some(state) = state else { return };
@@ -429,13 +427,13 @@ impl Engine {
         self.state.as_ref()
     }
 
-    /// Goes on from there.
+    /// Resumes from `state`.
     pub(super) fn set_state(&mut self, state: State) {
         self.state = Some(state);
     }
 
-    /// The frame of `point` through its own part of the network, as if it were the first one, but for what `point` says
-    /// of its depth.
+    /// Puts the frame of `point` through its own part of the network, as if it were the first one. Its depth is that of
+    /// `point`.
     pub(super) fn see(&mut self, frame: Frame, point: &ResumePoint) -> Result<(Placement, KeyView), EngineError> {
         let placement = self.check(None, &frame, point.frame, point.timestamp)?;
         let mut tiles = self.tiles(placement)?;
@@ -462,7 +460,7 @@ impl Engine {
         view.map(|view| (placement, view))
     }
 
-    /// The frame's placement, when frame and time stamp can be taken.
+    /// Returns the frame's placement, or why frame or time stamp are refused.
     fn check(
         &self,
         state: Option<&State>,
@@ -500,7 +498,7 @@ impl Engine {
         }
     }
 
-    /// The tiles of frames of this placement, taken out of the engine or laid anew.
+    /// The tiles of frames of this placement: the engine's own, taken out of it, or new ones.
     fn tiles(&mut self, placement: Placement) -> Result<Tiles, EngineError> {
         let found = placement.model;
         if let Some(tiles) = self.tiles.take().filter(|tiles| tiles.resolution == found) {
@@ -538,12 +536,12 @@ impl<'a> Context<'a> {
     }
 }
 
-/// What an interval keeps.
+/// The kept part of an interval.
 struct Keeping {
     kept: Kept,
-    /// What becomes of each Gaussian of the key frame before.
+    /// What happens to each Gaussian of the key frame before.
     cells: Vec<Change>,
-    /// The frames as they came, those in between first, where depth may be found after all.
+    /// The frames as they came, those in between first: restored if depth is found after all.
     taken: Vec<Vec<f32>>,
 }
 
@@ -556,7 +554,7 @@ struct Depths {
     first: Option<Found>,
 }
 
-/// The map of a frame in the scale of the frame before, along the flow from it.
+/// Aligns the map of a frame with the scale of the frame before, along the flow from it.
 fn aligned(level: Level, map: DepthMap, view: &KeyView, state: Option<&State>, flows: Option<&Flows>) -> AlignedMap {
     let before = state.and_then(|state| state.view.map.as_ref().map(|map| (&state.view, map)));
     let alignment = match before {
@@ -570,7 +568,7 @@ fn aligned(level: Level, map: DepthMap, view: &KeyView, state: Option<&State>, f
     AlignedMap { map: alignment.apply(map), alignment }
 }
 
-/// The tokens computed and kept by all tiles, part by part; nothing where no tile keeps any.
+/// Sums of the tokens computed and kept over all tiles, part by part; empty where no tile keeps any.
 fn tokens(tiles: &Tiles) -> Vec<(&'static str, Tokens)> {
     let mut sums: Vec<(&'static str, Tokens)> = Vec::new();
     for part in tiles.tiles.iter().filter_map(|tile| tile.session.tokens()).flatten() {

@@ -11,8 +11,8 @@ pub struct Frame {
     pub height: usize,
     /// `[3, height, width]`, display-space RGB in [0, 1] (values outside are clamped).
     pub rgb: Vec<f32>,
-    /// `[height, width]` inverse depth (larger is nearer, any scale), where there is any. Values that are not finite
-    /// count as infinitely far.
+    /// `[height, width]` inverse depth (larger is nearer, any scale), if known. Values that are not finite count as
+    /// infinitely far.
     pub depth: Option<Vec<f32>>,
 }
 
@@ -21,7 +21,7 @@ fn seconds(time: Option<f64>) -> String {
     time.map_or_else(|| "any".to_owned(), |time| time.to_string())
 }
 
-/// The size of vision transformer that has so many channels, in brackets, where there is a usual name.
+/// The usual name of the vision transformer of this width, in brackets; empty where there is none.
 fn vision_transformer(channels: usize) -> &'static str {
     match channels {
         384 => " (ViT-S)",
@@ -32,7 +32,7 @@ fn vision_transformer(channels: usize) -> &'static str {
     }
 }
 
-/// Why an engine could not be made, or a frame not be taken. The stream goes on as if the frame had not been pushed.
+/// Why an engine could not be made, or refused a frame. The stream continues as if the frame had not been pushed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EngineError {
@@ -58,7 +58,7 @@ pub enum EngineError {
     /// The thread pool could not be started.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {
-        /// Threads asked for; 0 is one per processor.
+        /// Threads requested; 0 is one per processor.
         threads: usize,
         /// Why.
         reason: String,
@@ -96,22 +96,22 @@ pub enum EngineError {
         /// The time found.
         found: f64,
     },
-    /// The model takes no frames of the resolution asked for.
+    /// The model takes no frames of the requested resolution.
     #[error("resolution {}x{}: expected {expected}", found[0], found[1])]
     Resolution {
         /// Sizes that the model takes.
         expected: String,
-        /// Height and width asked for.
+        /// Height and width requested.
         found: [usize; 2],
     },
-    /// A buffer has another length than the frame's size says.
+    /// A buffer has another length than the frame's size requires.
     #[error("frame {index}: {what}: expected {expected} values, found {found}")]
     Length {
         /// The key frame's index.
         index: u64,
         /// `rgb` or `depth`.
         what: &'static str,
-        /// Values the size asks for.
+        /// Values that the size requires.
         expected: usize,
         /// Values there are.
         found: usize,
@@ -131,7 +131,7 @@ pub enum EngineError {
     NonFinite {
         /// The key frame's index.
         index: u64,
-        /// The first bad value's place.
+        /// Index of the first bad value.
         position: usize,
         /// The value.
         value: f32,
@@ -146,7 +146,7 @@ pub enum EngineError {
         /// This one.
         found: f64,
     },
-    /// A resume point that cannot be of this frame.
+    /// A resume point that does not fit this frame.
     #[error("resume point of frame {index}: {reason}")]
     ResumePoint {
         /// The key frame's index.
@@ -154,7 +154,7 @@ pub enum EngineError {
         /// Expected and found values.
         reason: String,
     },
-    /// The reconstructor gave arrays of other lengths than one Gaussian each.
+    /// The reconstructor returned arrays of other lengths than one record per Gaussian.
     #[error("frame {index}: {what}: expected {expected} records, found {found}")]
     Records {
         /// The key frame's index.

@@ -1,4 +1,4 @@
-//! Where two frames meet: identities pass on, the continued hand over, the rest survives for a while.
+//! Fusion of two frames: identities pass on, continued Gaussians hand over, the rest survives for a while.
 
 use rayon::prelude::*;
 use streamsplat_kernels::raster::ALPHA_MIN;
@@ -11,31 +11,31 @@ use super::{Handover, Merge, Record, Reference};
 /// The least γ₀ of a survivor: ln 3, which halves its opacity in every interval (`2·σ(−ln 3) = ½`).
 pub(crate) const FADE: f32 = 1.098_612_3;
 
-/// Results of fusion beside the records themselves.
+/// Results of fusion, except for the records themselves.
 #[derive(Debug, Default)]
 pub(super) struct Fused {
     pub(super) merges: Vec<Merge>,
-    /// The vanishing that are kept, as they are at the key frame.
+    /// The vanishing Gaussians that are kept, as they are at the key frame.
     pub(super) survivors: Vec<Record>,
 }
 
-/// Where and how frames meet.
+/// Where two frames meet, and the limits of their fusion.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Meeting {
     /// Index of the new key frame.
     pub(super) frame: u64,
     pub(super) lattice: Lattice,
-    /// How many old Gaussians are the model's own: what a [lift](super::lift) adds is not kept.
+    /// Number of old Gaussians of the model's own; those that a [lift](super::lift) adds do not survive.
     pub(super) lasting: usize,
-    /// How many old and new Gaussians come before those that stand behind others.
+    /// Number of old and of new Gaussians before those that are behind others.
     pub(super) seen: [usize; 2],
-    /// As [`Step::lifted`](super::canonical::Step): depth does not tell Gaussians apart, but those that stand behind
-    /// others meet their like; a tracked point takes the new one's depth.
+    /// As [`Step::lifted`](super::canonical::Step): matching ignores depth but separates Gaussians behind others from
+    /// the rest, and a tracked point takes the new Gaussian's depth.
     pub(super) lifted: bool,
     pub(super) max_age: u32,
 }
 
-/// Matches old and new Gaussians at a key frame; gives the new ones their identities and both their handovers.
+/// Matches old and new Gaussians at a key frame; sets the identities of the new ones and the handovers of both.
 pub(super) fn fuse(
     Meeting { frame, lattice, lasting, seen, lifted, max_age }: Meeting,
     old: &mut [Record],
@@ -121,7 +121,7 @@ pub(super) fn fuse(
     out
 }
 
-/// A vanishing Gaussian as it is at the key frame, while it can be seen.
+/// Returns a vanishing Gaussian as it is at the key frame; `None` where it can no longer be seen.
 fn survivor(record: &Record, end: [f32; 3]) -> Option<Record> {
     let opacity = record.opacity_at(1.0);
     (opacity >= ALPHA_MIN).then(|| Record {

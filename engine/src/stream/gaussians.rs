@@ -2,10 +2,10 @@
 
 use streamsplat_model::motion;
 
-/// Part of an interval in which a Gaussian that fades in or out at a key frame does so.
+/// Part of an interval over which a Gaussian fades in or out at a key frame.
 pub const HANDOVER: f32 = 0.125;
 
-/// Handover of a Gaussian at an end of its interval: it gives way to another, takes over from one, or neither.
+/// Handover of a Gaussian at an end of its interval: it leaves for another, arrives for one, or neither.
 ///
 /// The factor on the opacity, with t in [0, 1] over the interval: `min(1, t/⅛)` for one that arrives, `min(1, (1−t)/⅛)`
 /// for one that leaves. It is 0 at the key frame, so that the image there does not change when the Gaussian comes or
@@ -91,7 +91,7 @@ pub(super) fn reached(start: f32, end: f32) -> f32 {
     start
 }
 
-/// Standard deviations along x, y and z of scene space: s_x, s_z, and their mean times the thickness.
+/// Standard deviations along x, y and z of scene space: s_x, s_z, and the mean of both times the thickness.
 pub(super) fn deviations([sx, sz]: [f32; 2], thickness: f32) -> [f32; 3] {
     [sx, sz, (sx + sz) * 0.5 * thickness]
 }
@@ -109,14 +109,14 @@ pub struct Record {
     pub opacity: f32,
     /// Standard deviations (s_x, s_z).
     pub scale: [f32; 2],
-    /// The standard deviation along the axis of view, in scene space, over the mean of the other two: 1 as the network
-    /// gives it.
+    /// The standard deviation along the axis of view, in scene space, over the mean of the other two; the network's is
+    /// 1.
     pub thickness: f32,
     /// Display-space colour at the reference time.
     pub rgb: [f32; 3],
-    /// Change of colour per interval; the network itself gives zero.
+    /// Change of colour per interval; the network's is zero.
     pub rgb_rate: [f32; 3],
-    /// Identity of the thing that it shows: 64-bit, never reused.
+    /// Identity of the object that it shows: 64-bit, never reused.
     pub identity: u64,
     /// The key frame in which the identity was first seen.
     pub birth: u64,
@@ -131,7 +131,7 @@ pub struct Record {
 }
 
 impl Default for Record {
-    /// A record of zeros, as thick as the network's.
+    /// A record of zeros, except for the network's thickness.
     fn default() -> Self {
         Self {
             mean: [0.0; 3],
@@ -164,8 +164,8 @@ impl Record {
         std::array::from_fn(|axis| self.mean[axis] + self.velocity[axis] * tau)
     }
 
-    /// Colour at `t` in [0, 1]: product and sum are rounded one after the other, and a product of zero, of either sign,
-    /// leaves `rgb` as it is, to the bit.
+    /// Colour at `t` in [0, 1]: product and sum are rounded one after the other. A product of zero, of either sign,
+    /// leaves `rgb` unchanged to the bit.
     pub fn rgb_at(&self, t: f32) -> [f32; 3] {
         let tau = self.reference.tau(t);
         std::array::from_fn(|channel| arrived(self.rgb[channel], self.rgb_rate[channel] * tau))
@@ -176,10 +176,10 @@ impl Record {
         self.opacity * motion::opacity_factor(self.gamma, self.reference.tau(t)) * self.handover.factor(t)
     }
 
-    /// Returns true if every number is finite, as [`motion::opacity_factor`] needs, the colour throughout the interval,
-    /// and no scale, thickness or opacity is negative.
+    /// Returns true if every number is finite, as [`motion::opacity_factor`] requires, the colour is finite throughout
+    /// the interval, and no scale, thickness or opacity is negative.
     pub fn is_sound(&self) -> bool {
-        // Between the ends every rounded colour lies between theirs.
+        // Between the ends every rounded colour is between theirs.
         let any_sign =
             [self.mean, self.velocity, self.rgb, self.rgb_rate, self.rgb_at(0.0), self.rgb_at(1.0), self.offset];
         let [sx, sz] = self.scale;
@@ -301,7 +301,7 @@ impl DynamicGaussians {
         self.handover.push(r.handover);
     }
 
-    /// Record `i`. Panics when there are fewer, or when an array is shorter than `mean`.
+    /// Returns record `i`. Panics when there are fewer, or when an array is shorter than `mean`.
     pub fn get(&self, i: usize) -> Record {
         Record {
             mean: self.mean[i],
@@ -326,7 +326,7 @@ impl DynamicGaussians {
         (0..self.len()).map(|i| self.get(i))
     }
 
-    /// The name and length of an array that is not as long as `mean`, if there is one.
+    /// The name and length of an array that has another length than `mean`, if any.
     pub fn uneven(&self) -> Option<(&'static str, usize)> {
         let lengths = [
             ("velocity", self.velocity.len()),

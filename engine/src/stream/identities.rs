@@ -18,7 +18,7 @@ impl Identities {
         self.next
     }
 
-    /// An identity nobody had before.
+    /// Returns a new identity.
     pub(crate) fn fresh(&mut self) -> u64 {
         let identity = self.next;
         self.next += 1;

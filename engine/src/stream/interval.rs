@@ -8,11 +8,11 @@ use crate::fit::Placement;
 pub struct Merge {
     /// The identity that ended.
     pub identity: u64,
-    /// The identity that goes on in its place.
+    /// The identity that continues.
     pub into: u64,
 }
 
-/// The scene from one key frame to the next: valid for good, independent of the engine that made it.
+/// The scene from one key frame to the next. It stays valid, independent of the engine that made it.
 #[derive(Clone, Debug)]
 pub struct Interval {
     /// The key frame at its end.
@@ -23,16 +23,17 @@ pub struct Interval {
     pub end: f64,
     /// Gaussians that can be seen.
     pub gaussians: DynamicGaussians,
-    /// Where the source's frame lies in the model's input.
+    /// Placement of the source's frame in the model's input.
     pub placement: Placement,
     /// Identities that ended in others.
     pub merges: Vec<Merge>,
-    /// Gaussians left out because a number of theirs was not finite.
+    /// Gaussians left out because one of their numbers was not finite.
     pub dropped: u64,
 }
 
 impl Interval {
-    /// Where `time` lies in the interval: 0 at its start, 1 at its end; 0 throughout one of no length. `None` outside.
+    /// The relative place of `time` in the interval: 0 at its start, 1 at its end; 0 throughout an interval of length
+    /// 0. `None` outside.
     pub fn relative(&self, time: f64) -> Option<f32> {
         if !(self.start <= time && time <= self.end) {
             return None;
@@ -40,7 +41,7 @@ impl Interval {
         if self.end == self.start {
             return Some(0.0);
         }
-        // Halves, so that no span of finite times overflows; but those of the smallest numbers are nothing.
+        // Halves, so that no difference of finite times overflows; half of the smallest difference rounds to 0.
         let half = 0.5 * self.end - 0.5 * self.start;
         let t = match half > 0.0 {
             true => (0.5 * time - 0.5 * self.start) / half,

@@ -1,8 +1,8 @@
 //! Static blocks of the picture keep their Gaussians.
 //!
-//! A picture is divided into blocks of [`BLOCK`]×[`BLOCK`] pixels. Of each, the stream remembers the mean of the frames
-//! since its Gaussians were computed. Over an interval, with d the difference of a frame from that mean, m the number
-//! of frames in it, and μ the mean of d per channel, the block
+//! A picture is divided into blocks of [`BLOCK`]×[`BLOCK`] pixels. For each block the stream holds the mean of the
+//! frames since its Gaussians were computed. Over an interval, let d be the difference of a frame from that mean, m the
+//! number of frames in the mean, and μ the mean of d per channel. Then the block
 //!
 //! ```text
 //! rests    where in every frame   rms(d) ≤ R and rms of d's means over 4×4 pixels ≤ S
@@ -13,14 +13,15 @@
 //! R = MARGIN·σ·√(1 + 1/m) + ROUNDING     S = R/2
 //! ```
 //!
-//! σ is the camera's noise, at most [`MOST_NOISE`] where it is white and [`MOST_CHANGE`] where it is not. Means over
-//! 4×4 pixels of white noise are a quarter of it; motion, and what a codec left, change them nearly as much as the
-//! pixels. Noise is white where they are less than [`WHITE`] of it in the blocks and frames up to the percentile. A
-//! block that rests or drifts keeps its Gaussians: one record per Gaussian through the interval, without motion and
-//! without fading. The frames of a block that rests enter its mean; the mean of a block that drifts moves by μ.
+//! σ estimates the camera's noise, at most [`MOST_NOISE`] where it is white and [`MOST_CHANGE`] where it is not. Means
+//! over 4×4 pixels of white noise have a quarter of its deviation; motion and a codec's artefacts change them nearly as
+//! much as the pixels. Noise counts as white where their ratio is less than [`WHITE`], over the blocks and frames up to
+//! the percentile. A block that rests or drifts keeps its Gaussians: one record per Gaussian through the interval,
+//! without motion and without fading. The frames of a block that rests enter its mean; the mean of a block that drifts
+//! moves by μ.
 //!
-//! Colours of kept Gaussians follow the mean: they are fitted to it again when the block drifts, when twice as many
-//! frames are in the mean as at the last fit, and when its means over 4×4 pixels have moved by more than [`FOLLOWED`]
+//! Colours of kept Gaussians follow the mean. They are fitted to it again when the block drifts, when the mean holds
+//! twice as many frames as at the last fit, and when its means over 4×4 pixels have moved by more than [`FOLLOWED`]
 //! since. Over that interval they change linearly, so that crossing a key frame changes no bit.
 //!
 //! # Order of operations
@@ -38,32 +39,32 @@ use super::keyframe::KeyView;
 pub(super) const BLOCK: usize = 16;
 /// Side of the cells of a block whose means are compared.
 const CELL: usize = 4;
-/// The share of blocks and frames that is quieter than the noise.
+/// The share of blocks and frames whose changes are taken for noise.
 const QUIET: f64 = 0.4;
 /// Highest standard deviation taken for noise where it is white.
 const MOST_NOISE: f64 = 8.0 / 255.0;
 /// Highest standard deviation taken for noise where it is not.
 const MOST_CHANGE: f64 = 0.5 / 255.0;
-/// The ratio of means over cells to pixels below which noise is white.
+/// The ratio of the deviation of means over cells to that of pixels, below which noise is white.
 const WHITE: f64 = 0.35;
-/// The ratio of a difference that still counts as noise to the noise.
+/// The greatest difference that counts as noise, in standard deviations of it.
 const MARGIN: f64 = 1.35;
 /// Rounding of 8-bit frames.
 const ROUNDING: f64 = 0.4 / 255.0;
-/// Most that a block drifts in one interval.
+/// Largest drift of a block in one interval.
 const DRIFT: f64 = 16.0 / 255.0;
-/// Most frames in a mean; older ones are forgotten.
+/// Largest number of frames in a mean; older ones lose their weight.
 const MOST_FRAMES: u32 = 16;
-/// Rms change of means over cells from which on colours are fitted again.
+/// Rms change of means over cells above which colours are fitted again.
 const FOLLOWED: f64 = 0.4 / 255.0;
-/// The least share of kept blocks among those with a texture; below, none is kept: a camera that moves keeps no flat
-/// patch behind.
+/// The least share of kept blocks among those with a texture; below it none is kept, because flat patches look static
+/// even when the camera moves.
 const LEAST: f64 = 0.2;
 
-/// The least standard deviation of means over cells that is a texture.
+/// Standard deviation of means over cells above which a block has a texture.
 const TEXTURE: f64 = 4.0 / 255.0;
 
-/// What becomes of a block over an interval.
+/// What happens to a block over an interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Change {
     /// Its Gaussians are kept with their colours.
@@ -81,18 +82,18 @@ pub(super) struct Blocks {
     grid: [usize; 2],
 }
 
-/// The past of each block of the picture of a key frame, which is the mean itself.
+/// The past of each block of a key frame's picture, where that picture is the mean itself.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Past {
     /// Frames in the mean.
     pub count: Vec<u32>,
-    /// Frames in it when colours were fitted to it.
+    /// Frames in the mean when colours were last fitted to it.
     pub fitted: Vec<u32>,
-    /// Its means over cells then, `[3, H/4, W/4]`.
+    /// The means over cells at that fit, `[3, H/4, W/4]`.
     pub anchor: Vec<f32>,
 }
 
-/// The model's Gaussians, one for each square of pixels.
+/// The model's Gaussians, one per square of pixels.
 #[derive(Debug)]
 pub(super) struct Lattice {
     side: usize,
@@ -101,7 +102,7 @@ pub(super) struct Lattice {
 }
 
 impl Lattice {
-    /// The lattice of `count` Gaussians on a picture of `[height, width]`; `None` where its cells are no squares of
+    /// The lattice of `count` Gaussians on a picture of `[height, width]`; `None` where its cells are not squares of
     /// whole pixels.
     pub(super) fn of(count: usize, [height, width]: [usize; 2]) -> Option<Self> {
         let side = (height * width).checked_div(count)?.isqrt();
@@ -110,12 +111,12 @@ impl Lattice {
     }
 }
 
-/// What an interval keeps.
+/// The kept part of an interval.
 #[derive(Debug)]
 pub(super) struct Kept {
     blocks: Blocks,
     pub(super) changes: Vec<Change>,
-    /// The past at its end.
+    /// The past at the interval's end.
     pub(super) past: Past,
 }
 
@@ -131,7 +132,7 @@ struct Difference {
 }
 
 impl Blocks {
-    /// Blocks of pictures of `[height, width]`; `None` where these are no multiples of a cell's side.
+    /// Blocks of pictures of `[height, width]`; `None` where these are not multiples of a cell's side.
     pub(super) fn of(size: [usize; 2]) -> Option<Self> {
         let whole = size.iter().all(|side| *side > 0 && side.is_multiple_of(CELL));
         whole.then(|| Self { size, grid: size.map(|side| side.div_ceil(BLOCK)) })
@@ -237,7 +238,7 @@ impl Past {
         Self { count: vec![1; blocks.count()], fitted: vec![1; blocks.count()], anchor }
     }
 
-    /// Why it cannot be the past of a picture of this size.
+    /// Returns why this cannot be the past of a picture of this size.
     pub(super) fn contradiction(&self, size: [usize; 2]) -> Option<String> {
         let Some(blocks) = Blocks::of(size) else {
             return Some(format!("expected no past of blocks of a picture of {}x{}", size[1], size[0]));
@@ -253,9 +254,9 @@ impl Past {
 }
 
 impl Kept {
-    /// What the interval from a key frame with this mean and past to `frames`, the last of which is its other key
-    /// frame, keeps; `None` where that is too little. `frames`: times in the interval and pictures; blocks that are
-    /// kept become the mean in each of them.
+    /// Returns the part that the interval keeps, from a key frame with this mean and past to the last of `frames`;
+    /// `None` where that is too little. `frames`: times in the interval and pictures, the last of them the key frame at
+    /// its end. Kept blocks become the mean in each of them.
     pub(super) fn of(
         blocks: Blocks,
         mean: &[f32],
@@ -281,7 +282,7 @@ impl Kept {
             .flat_map(|(at, all)| all.iter().map(move |d| [d.square, d.cells].map(|square| square / wider(at))))
             .collect();
         let quiet = (levels.len() as f64 * QUIET) as usize;
-        // Ties by the second, so that the order is one.
+        // Ties by the second value, so that the order is unique.
         let ascending = |a: &[f64; 2], b: &[f64; 2]| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]));
         levels.sort_unstable_by(ascending);
         let [square, cells] =
@@ -308,7 +309,7 @@ impl Kept {
                 if near && all.iter().zip(frames.iter()).all(drifts) { Change::Colours } else { Change::All }
             })
             .collect();
-        // What is flat looks the same wherever the camera is.
+        // Flat blocks look the same wherever the camera is.
         let textured: Vec<bool> = map_indexed(blocks.count(), |at| blocks.deviation(at, mean) > TEXTURE);
         let flat = !textured.contains(&true);
         let counted = |at: usize| flat || textured[at];
@@ -378,19 +379,19 @@ impl Kept {
         Self { blocks, changes, past }
     }
 
-    /// Kept blocks and all of them.
+    /// Numbers of kept blocks and of all.
     pub(super) fn share(&self) -> [usize; 2] {
         let kept = self.changes.iter().filter(|change| **change != Change::All).count();
         [kept, self.changes.len()]
     }
 
-    /// Returns true if so much of the picture is kept that the camera is static.
+    /// Returns true if more than three quarters of the blocks are kept: the camera is then static.
     pub(super) fn mostly(&self) -> bool {
         let [kept, all] = self.share();
         4 * kept > 3 * all
     }
 
-    /// What becomes of each Gaussian.
+    /// What happens to each Gaussian.
     pub(super) fn of_cells(&self, Lattice { side, columns, count }: &Lattice) -> Vec<Change> {
         let block = |cell: usize| {
             let [y, x] = [cell / columns, cell % columns].map(|at| at * side / BLOCK);
@@ -399,7 +400,8 @@ impl Kept {
         (0..*count).map(|cell| self.changes[block(cell)]).collect()
     }
 
-    /// Whether pixels of a rectangle, rows and columns, or next to it, belong to blocks for which `wanted` is true.
+    /// Returns true if `wanted` holds for a block that meets a rectangle of pixels (rows and columns) widened by
+    /// [`REACH`].
     pub(super) fn any_in(&self, pixels: [std::ops::Range<usize>; 2], wanted: impl Fn(Change) -> bool) -> bool {
         let [rows, columns] = [0, 1].map(|axis| {
             let range = &pixels[axis];
@@ -410,8 +412,8 @@ impl Kept {
             .any(|row| columns.clone().any(|column| wanted(self.changes[row * self.blocks.grid[1] + column])))
     }
 
-    /// The rectangle of pixels, rows and columns, around all blocks that change, with a margin for flow; `None` where
-    /// none does.
+    /// The rectangle of pixels (rows and columns) around all blocks that change, with a margin for flow; `None` where
+    /// none changes.
     pub(super) fn changing(&self) -> Option<[std::ops::Range<usize>; 2]> {
         let [_, columns] = self.blocks.grid;
         let changed = || (0..self.changes.len()).filter(|at| self.changes[*at] == Change::All);
@@ -426,15 +428,15 @@ impl Kept {
     }
 }
 
-/// Pixels beyond a block that its Gaussians reach.
+/// Pixels that a block's Gaussians extend beyond it.
 const REACH: usize = 4;
-/// Pixels around what changes that flow looks at.
+/// Pixels around the changing blocks that flow reads.
 const MARGIN_OF_FLOW: usize = 32;
 
-/// State of a key frame that keeps parts of the one before: what is no function of its frame.
+/// State of a key frame that keeps parts of the one before, as far as it is not a function of its frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct KeptState {
-    /// Its picture, the mean where something is kept: `[3, H, W]`.
+    /// Its picture, with the mean in kept blocks: `[3, H, W]`.
     pub rgb: Vec<f32>,
     /// The past of its blocks.
     pub past: Past,
@@ -443,20 +445,20 @@ pub struct KeptState {
 }
 
 impl KeptState {
-    /// The state of a key frame; `None` where it keeps nothing.
+    /// The state of a key frame; `None` where it has kept nothing.
     pub(super) fn of(view: &KeyView) -> Option<Self> {
         let past = view.past.clone()?;
         Some(Self { rgb: view.rgb.clone(), past, gaussians: StaticGaussians::clone(&view.gaussians) })
     }
 
-    /// Restores the state of a frame; it has no [contradiction](Self::contradiction).
+    /// Restores the state of a frame; there must be no [contradiction](Self::contradiction).
     pub(super) fn restore(&self, view: &mut KeyView) {
         view.rgb.clone_from(&self.rgb);
         view.past = Some(self.past.clone());
         view.gaussians = Arc::new(self.gaussians.clone());
     }
 
-    /// Returns true if every number of a Gaussian is one that can be drawn.
+    /// Returns true if all numbers of a Gaussian can be drawn.
     pub(super) fn is_sound(&self, cell: usize) -> bool {
         let StaticGaussians { position, scale, thickness, opacity, rgb } = &self.gaussians;
         let not_negative = [scale[cell][0], scale[cell][1], thickness[cell], opacity[cell]];
@@ -464,7 +466,7 @@ impl KeptState {
             && position[cell].iter().chain(&rgb[cell]).all(|x| x.is_finite())
     }
 
-    /// Why it cannot be the state of a key frame of this size.
+    /// Returns why this cannot be the state of a key frame of this size.
     pub(super) fn contradiction(&self, size: [usize; 2]) -> Option<String> {
         let Self { rgb, past, gaussians: g } = self;
         if rgb.len() != 3 * size[0] * size[1] || !rgb.iter().all(|x| (0.0..=1.0).contains(x)) {
@@ -478,7 +480,7 @@ impl KeptState {
     }
 }
 
-/// The Gaussians of `now` with those of `before` in the cells that are kept.
+/// Replaces the kept cells of `now` by those of `before`.
 pub(super) fn with_kept(now: &mut StaticGaussians, before: &StaticGaussians, cells: &[Change]) {
     for (cell, _) in cells.iter().enumerate().filter(|(_, change)| **change != Change::All) {
         now.position[cell] = before.position[cell];
@@ -553,7 +555,7 @@ mod tests {
         let kept = keep(&mean, None, &mut frames).expect("the rest of it");
         let changed: Vec<usize> = (0..kept.changes.len()).filter(|at| kept.changes[*at] == Change::All).collect();
         assert_eq!(changed, [6]);
-        // That block is as it was seen, the others show the mean in all frames.
+        // That block is as it came, the others show the mean in all frames.
         assert!(frames[1][20 * SIZE[1] + 20] != frames[2][20 * SIZE[1] + 20]);
         assert!(frames[1][0] == frames[2][0]);
         assert_eq!(kept.changing().expect("a rectangle"), [0..64, 0..64]);

@@ -1,4 +1,4 @@
-//! A key frame by itself: its pixels through the static half of the network, tile by tile.
+//! A key frame alone: its pixels go through the static half of the network, tile by tile.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -17,36 +17,36 @@ use super::{Behind, DepthRange, EngineError, FlowEffort, Frame, SamplingMode, Se
 use crate::fit::{self, Placement};
 use crate::parallax::Found;
 
-/// A key frame as the model sees it, and what the model makes of it.
+/// A key frame at the model's size, and the model's results for it.
 pub(super) struct KeyView {
     /// `[3, H, W]`
     pub(super) rgb: Vec<f32>,
     /// `[H, W]`
     depth: Option<Vec<f32>>,
-    /// `None` for tiles of which nothing was computed, because all their Gaussians are kept.
+    /// `None` for tiles that were not computed, because all their Gaussians are kept.
     pub(super) tiles: Vec<Option<TileView>>,
-    /// The Gaussians of all tiles, in the frame's world, lifted to the frame's depth and with colours that fit the
-    /// frame where that is asked for; none before [`Context::finish`].
+    /// The Gaussians of all tiles, in the frame's world; lifted to the frame's depth and with colours that fit the
+    /// frame where that is requested. None before [`Context::finish`].
     pub(super) gaussians: Arc<StaticGaussians>,
-    /// The last of these, which the lift added.
+    /// Those that the lift added, last in `gaussians`.
     pub(super) added: Added,
-    /// The map that they are lifted to, in the scale of the frames before.
+    /// The map that they are lifted to, in the scale of the stream.
     pub(super) map: Option<AlignedMap>,
-    /// Where motion is taken from frames.
+    /// Pyramid for flow, where motion is taken from frames.
     pub(super) flow: Option<FlowView>,
-    /// The past of its blocks, where some are kept from the key frame before; `rgb` is then the mean in them.
+    /// The past of the blocks, where some are kept from the key frame before; `rgb` is then the mean in them.
     pub(super) past: Option<Past>,
     resolution: [usize; 2],
 }
 
 impl KeyView {
-    /// Numbers of the model's own Gaussians and of those that are seen.
+    /// Numbers of the model's own Gaussians and of those not behind others.
     pub(super) fn layers(&self) -> Layers {
         let cells = self.gaussians.position.len() - self.added.moving.len();
         Layers { cells, seen: cells + self.added.outline }
     }
 
-    /// Places at which the motion of each Gaussian is seen.
+    /// The places whose motion each Gaussian takes.
     pub(super) fn moving(&self) -> Cow<'_, [[f32; 3]]> {
         if self.added.moving.is_empty() {
             return Cow::Borrowed(&self.gaussians.position);
@@ -60,14 +60,14 @@ impl KeyView {
     }
 }
 
-/// A depth map without holes, and what brought it to the scale of the frames before.
+/// A depth map without holes, and the alignment that brought it to the scale of the stream.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct AlignedMap {
     pub(super) map: DepthMap,
     pub(super) alignment: Alignment,
 }
 
-/// A tile of it.
+/// A tile of the frame.
 #[derive(Clone)]
 pub(super) struct TileView {
     pub(super) features: Arc<Features>,
@@ -89,13 +89,13 @@ pub(super) struct Context<'a> {
     pub(super) work: &'a mut Work,
     pub(super) tiles: &'a mut Tiles,
     pub(super) fitter: &'a mut Fitter,
-    /// The key frame before, where its results may be kept.
+    /// The key frame before, where results of it may be reused.
     pub(super) before: Option<&'a KeyView>,
 }
 
 impl Context<'_> {
-    /// A key frame at the model's size, of which nothing is computed yet, and the number of depth values that were not
-    /// finite.
+    /// Returns a key frame at the model's size, of which nothing is computed yet, and the number of depth values that
+    /// were not finite.
     pub(super) fn fitted(&mut self, frame: Frame, placement: Placement) -> (KeyView, u64) {
         let Frame { mut rgb, mut depth, .. } = frame;
         let (level, range, lifts) = (self.level, self.settings.depth_range, self.tiles.ignores_depth());
@@ -110,8 +110,8 @@ impl Context<'_> {
         (KeyView::of(rgb, depth, self.tiles.resolution), lost)
     }
 
-    /// Key frame `index` through its own part of the network, not [finished](Self::finish): tiles with a cell that is
-    /// not kept.
+    /// Puts key frame `index` through its own part of the network, except for tiles whose cells are all kept. It is not
+    /// [finished](Self::finish) yet.
     pub(super) fn reconstruct(
         &mut self,
         view: &mut KeyView,
@@ -137,14 +137,14 @@ impl Context<'_> {
     }
 
     /// Puts the Gaussians of a frame's tiles together, lifts them to `map` and fits their colours, where either is
-    /// wanted. `memory`: of what the frame's foreground hides.
+    /// requested. `memory`: colours of surfaces that the frame's foreground hides.
     pub(super) fn finish(&mut self, view: &mut KeyView, map: Option<AlignedMap>, memory: &Memory<'_>) {
         let unchanged = |before: &&KeyView| {
             let same = |(then, now): (&Option<TileView>, &Option<TileView>)| match (then, now) {
                 (Some(then), Some(now)) => Arc::ptr_eq(&then.gaussians, &now.gaussians),
                 _ => false,
             };
-            // What was kept is no function of the frame.
+            // Kept parts are not a function of the frame.
             before.past.is_none() && before.map == map && before.tiles.iter().zip(&view.tiles).all(same)
         };
         if let Some(before) = self.before.filter(unchanged) {
@@ -173,8 +173,8 @@ impl Context<'_> {
         self.tiles.gaussians(&of_tiles.collect::<Vec<_>>())
     }
 
-    /// [`Context::finish`] of a frame without a map that keeps cells of the frame before; those whose colours change
-    /// get `kept`'s.
+    /// [`Context::finish`] for a frame without a map that keeps cells of the frame before. Cells marked
+    /// [`Change::Colours`] get colours that the kept record reaches to the bit.
     pub(super) fn finish_kept(&mut self, view: &mut KeyView, before: &KeyView, kept: &Kept, cells: &[Change]) {
         self.work.count(Stage::Still, (kept.share()[1] - kept.share()[0]) as u64, kept.share()[0] as u64);
         view.past = Some(kept.past.clone());
@@ -198,8 +198,7 @@ impl Context<'_> {
         }
     }
 
-    /// The Gaussians with colours that fit the frame on the raster tiles that are `wanted`, where fits are wanted at
-    /// all.
+    /// Fits the colours to the frame on the raster tiles that are `wanted`, where fits are requested at all.
     fn coloured(
         &mut self,
         gaussians: Arc<StaticGaussians>,
@@ -218,7 +217,7 @@ impl Context<'_> {
         Arc::new(StaticGaussians { rgb, ..Arc::unwrap_or_clone(gaussians) })
     }
 
-    /// Tile `at` of the frame.
+    /// Reconstructs tile `at` of the frame.
     fn tile(&mut self, at: usize, rgb: &[f32], depth: Option<&[f32]>, index: u64) -> Result<TileView, EngineError> {
         let resolution = self.tiles.resolution;
         let same = |before: &&KeyView| {
@@ -233,7 +232,7 @@ impl Context<'_> {
         let before = self.before.filter(same).and_then(|view| view.tiles[at].clone());
         let sampling = match self.settings.sampling {
             SamplingMode::Mean => Sampling::Mean,
-            // Each tile draws from a stream of its own.
+            // Each tile draws from its own random stream.
             SamplingMode::Sample => Sampling::Sample { seed: self.settings.seed ^ (at as u64) << 40, frame: index },
         };
         let work = &mut *self.work;
@@ -257,7 +256,7 @@ impl Context<'_> {
         let tile = &mut self.tiles.tiles[at];
         let embedding = work.measure(Stage::Encoder, || tile.session.embed(&input))?;
         let tokens = work.measure(Stage::Upsampler, || tile.session.upsample(&embedding))?;
-        // The decoder alone reads it.
+        // Only the decoder reads it.
         let condition = match self.settings.deforms() && tile.session.reads_condition() {
             true => work.measure(Stage::Condition, || tile.session.condition(&input))?,
             false => {
@@ -272,7 +271,7 @@ impl Context<'_> {
 }
 
 impl KeyView {
-    /// Prepares it for flow in the interval that ends with key frame `index`, unless it is prepared.
+    /// Prepares the frame for flow in the interval that ends with key frame `index`, unless it is prepared already.
     pub(super) fn prepare_flow(
         &mut self,
         level: streamsplat_kernels::Level,
@@ -298,16 +297,16 @@ impl KeyView {
         self.depth.is_some()
     }
 
-    /// The map that `found`, which has one scale in the whole stream, gives for the frame; `None` where it tells
-    /// nothing.
+    /// The map of the frame by `found`, which has one scale in the whole stream; `None` where no two of its values
+    /// differ.
     pub(super) fn found_map(&self, level: streamsplat_kernels::Level, found: &Found) -> Option<AlignedMap> {
         let inverse = found.map(level, &self.rgb, self.resolution);
         let map = DepthMap { inverse, confidence: None, resolution: self.resolution }.filled()?;
         Some(AlignedMap { map, alignment: Alignment::default() })
     }
 
-    /// The frame's own depth map without holes, for a model that ignores depth; `None` where it has none or it tells
-    /// nothing.
+    /// The frame's own depth map without holes, for a model that ignores depth; `None` where it has none or no two of
+    /// its values differ.
     pub(super) fn own_map(&self, tiles: &Tiles) -> Option<DepthMap> {
         let inverse = self.depth.as_ref().filter(|_| tiles.ignores_depth())?.clone();
         DepthMap { inverse, confidence: None, resolution: self.resolution }.filled()
@@ -340,8 +339,8 @@ fn gaussians(
 }
 
 impl DepthRange {
-    /// Brings a depth map into [0, 1]; gives the number of values that were not finite. With `holes` these stay as they
-    /// are, and none is counted.
+    /// Brings a depth map into [0, 1]; returns the number of values that were not finite. With `holes` these become NaN
+    /// and are not counted.
     fn apply(self, depth: &mut [f32], holes: bool) -> u64 {
         if holes {
             let found: Vec<usize> = (0..depth.len()).filter(|&i| !depth[i].is_finite()).collect();
@@ -366,7 +365,7 @@ impl DepthRange {
     }
 }
 
-/// An error unless every array has one record per Gaussian.
+/// Returns an error unless every array has one record per Gaussian.
 fn check_records(index: u64, expected: usize, g: &StaticGaussians) -> Result<(), EngineError> {
     let lengths = [
         ("scale", g.scale.len()),

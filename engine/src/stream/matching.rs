@@ -1,22 +1,22 @@
-//! Which Gaussian of a new frame continues which old one.
+//! Matching of a new frame's Gaussians with the old ones that they continue.
 //!
-//! An old Gaussian *coincides* with a new one whose position lies in its footprint: with d from the old tracked point
-//! to the new position, `q = (d_x/r_x)² + (d_y/r_y)² + (d_z/r_z)² ≤ 1`. The radii r are two standard deviations, but at
-//! least one and at most two grid cells across the image, and 0.05 to 0.2 in normalised inverse depth (which every
-//! frame normalises anew, so that it shifts by some per cent).
+//! An old Gaussian *coincides* with a new one whose position is in its footprint: with d from the old tracked point to
+//! the new position, `q = (d_x/r_x)² + (d_y/r_y)² + (d_z/r_z)² ≤ 1`. The radii r are two standard deviations, limited
+//! to one to two grid cells across the image, and to 0.05 to 0.2 in normalised inverse depth (which every frame
+//! normalises anew, so that it shifts by some per cent).
 //!
 //! - The *host* of an old Gaussian is the coinciding new one of smallest q (ties: lower index).
-//! - Identities go one to one: all coinciding pairs in ascending q (ties: lower new, then lower old index), each taken
-//!   when neither side is taken yet. The frame before goes first; older survivors share what is left. (Found by
-//!   deferred acceptance: each old one offers itself to its candidates in ascending order, a new one keeps the best
-//!   offer; no pairs are sorted.)
+//! Identities go one to one: all coinciding pairs in ascending q (ties: lower new, then lower old index), each accepted
+//! when neither side is matched yet. The frame before goes first; older survivors share the rest. (Found by deferred
+//! acceptance: each old one offers itself to its candidates in ascending order, a new one keeps the best offer; no
+//! pairs are sorted.)
 //!
 //! New Gaussians are binned over the image with one cell each on average, and a query visits at most six by six bins,
-//! so the whole is near-linear. To keep it so when positions pile up, a query reads at most [`PER_BIN`] records of a
-//! bin (the lowest indices) and keeps at most [`CANDIDATES`] pairs (the smallest q).
+//! so the cost is near-linear. To keep it so when many positions coincide, a query reads at most [`PER_BIN`] records of
+//! a bin (the lowest indices) and keeps at most [`CANDIDATES`] pairs (the smallest q).
 //!
 //! The hierarchy of boxes of [`crate::space`] finds the same pairs (`by_tree.rs` tests it) but is several times slower
-//! to make and to search: positions on a lattice are binned for nothing, and a probe's footprint is a cell or two.
+//! to build and to search: positions on a lattice are already binned, and a probe's footprint is a cell or two.
 
 use streamsplat_kernels::parallel::map_indexed;
 
@@ -29,7 +29,7 @@ const CANDIDATES: usize = 8;
 /// Smallest and largest radius along the normalised inverse depth.
 const DEPTH_RADIUS: [f32; 2] = [0.05, 0.2];
 
-/// The lattice on which a frame's Gaussians lie, one per cell on average, over [−1, 1]².
+/// The lattice of a frame's Gaussians, one per cell on average, over [−1, 1]².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Lattice {
     columns: usize,
@@ -48,7 +48,7 @@ impl Lattice {
         [2.0 / self.columns as f32, 2.0 / self.rows as f32]
     }
 
-    /// The footprint's radii of a Gaussian of this scale.
+    /// Radii of the footprint of a Gaussian of this scale.
     pub(crate) fn radii(&self, [sx, sz]: [f32; 2]) -> [f32; 3] {
         let [cx, cz] = self.cell();
         let [least, most] = DEPTH_RADIUS;
@@ -67,14 +67,14 @@ impl Lattice {
     }
 }
 
-/// An old Gaussian to find again.
+/// An old Gaussian to match.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Probe {
     /// Its tracked point at the key frame.
     pub(crate) point: [f32; 3],
     /// Its footprint's radii.
     pub(crate) radii: [f32; 3],
-    /// True if it was born in the frame before: these go first.
+    /// True if it is from the frame before: these go first.
     pub(crate) recent: bool,
 }
 
@@ -107,8 +107,8 @@ pub(crate) fn match_up(lattice: Lattice, old: &[Probe], new: &[[f32; 3]]) -> Mat
     for part in &parts {
         host.extend((0..part.ends.len()).map(|at| part.of(at).first().map(|&(_, new)| new)));
     }
-    // The keys of pairs differ and both sides prefer lower ones, so the only stable matching is that of taking pairs in
-    // ascending order.
+    // The keys of pairs differ and both sides prefer lower ones. So there is one stable matching, the one that accepts
+    // pairs in ascending order.
     let mut holder: Vec<Option<Holder>> = vec![None; new.len()];
     for (chunk, part) in parts.iter().enumerate() {
         for at in 0..part.ends.len() {
@@ -131,29 +131,29 @@ pub(crate) fn match_up(lattice: Lattice, old: &[Probe], new: &[[f32; 3]]) -> Mat
     Matches { host, parent: holder.into_iter().map(|holder| holder.map(|holder| holder.key.2)).collect() }
 }
 
-/// Coinciding new Gaussians of some old ones, (bits of q, index), ascending for each.
+/// New Gaussians that coincide with some old ones: (bits of q, index), ascending for each.
 #[derive(Default)]
 struct Candidates {
     of_all: Vec<(u32, u32)>,
-    /// End of each old one's.
+    /// End of each old one's candidates.
     ends: Vec<usize>,
 }
 
 impl Candidates {
-    /// Those of old Gaussian `at` of the chunk.
+    /// The candidates of old Gaussian `at` of the chunk.
     fn of(&self, at: usize) -> &[(u32, u32)] {
         let start = if at == 0 { 0 } else { self.ends[at - 1] };
         &self.of_all[start..self.ends[at]]
     }
 }
 
-/// The old Gaussian to which a new one is given for now.
+/// The old Gaussian that a new one is matched with so far.
 #[derive(Clone, Copy)]
 struct Holder {
     /// Order among those that coincide with the new one: the frame before first, then q (non-negative floats order as
     /// their bits do), then the index.
     key: (bool, u32, u32),
-    /// Place of the new one among the old one's candidates.
+    /// Index of the new one among the old one's candidates.
     rank: u32,
 }
 

@@ -6,8 +6,8 @@
 //! the frame before (kept) ────────────────┘
 //! ```
 //!
-//! [`Engine::push`] does this; nothing of the frame before is computed again. How Gaussians live from key frame to key
-//! frame is told in `canonical`, how they find each other in `matching`.
+//! [`Engine::push`] does this; results of the frame before are never computed again. `canonical` describes how
+//! Gaussians live from key frame to key frame, `matching` how they are matched.
 //!
 //! Motion and opacity inside an interval follow the deformation fields of StreamSplat (ICLR 2026) over a time that runs
 //! from 0 to 1, whatever the interval's length in seconds.

@@ -1,13 +1,13 @@
 //! Motion of Gaussians taken from optical flow.
 //!
 //! A Gaussian of a key frame starts at its centre and follows the flow from frame to frame ([`follow`], in pixels at
-//! the model's size); its velocity is that of the straight line that comes nearest to its places, in world units:
-//! `v_x·2/W`, `−v_z·2/H`. The velocity along the depth stays the network's, and so does all of it where a Gaussian's
-//! place is not finite.
+//! the model's size). Its velocity is that of the straight line that best fits its places, in world units: `v_x·2/W`,
+//! `−v_z·2/H`. The velocity along the depth is the network's, and so is the whole velocity where a Gaussian's place is
+//! not finite.
 //!
-//! A chain of several steps ends before the first one that leaves the picture or that the flow back does not undo: what
-//! was hidden there is not followed any farther. Where that is the first step, the network's motion stays. (A single
-//! step, from key frame to key frame, is taken as it is: what the network says instead was no better.)
+//! A chain of several steps ends before the first one that leaves the picture or that the flow back does not undo,
+//! because the surface is hidden there. Where that is the first step, the network's motion stays. (A single step, from
+//! key frame to key frame, is taken as it is: the network's motion was no better.)
 
 use std::sync::Arc;
 
@@ -20,18 +20,17 @@ use super::reconstructor::Motion;
 /// Gaussians per task.
 const CHUNK: usize = 4096;
 
-/// γ of all Gaussians where they fade alike: half of their opacity is left at half time, 3 % at the other key frame
-/// ([`opacity_factor`](streamsplat_model::motion::opacity_factor)). Found on clips that train the embedded model, where
-/// the error is that of the network's own γ.
+/// γ of all Gaussians with [`Fade::Fixed`](super::Fade::Fixed): half of their opacity is left at half time, 3 % at the
+/// other key frame ([`opacity_factor`](streamsplat_model::motion::opacity_factor)). Found on clips that train the
+/// embedded model, where its error equals that of the network's own γ.
 const FIXED: [f32; 2] = [7.0, 0.5];
 
-/// The motion of Gaussians of which only the count is known: none, and γ that is [`FIXED`].
+/// Motion where the network's is unknown: no velocity, and [`FIXED`] γ.
 pub(super) fn fixed(counts: [usize; 2]) -> [Arc<Motion>; 2] {
     [0, 1].map(|side| Arc::new((vec![[0.0; 3]; counts[side]], vec![FIXED; counts[side]])))
 }
 
-/// The motion of all of `count` Gaussians of which the network gives that of the first: the others stand still and fade
-/// as [`fixed`] has it.
+/// The network's motion, extended to `count` Gaussians: the added ones do not move and fade as [`FIXED`].
 pub(super) fn completed(motion: Arc<Motion>, count: usize) -> Arc<Motion> {
     if motion.0.len() == count {
         return motion;
@@ -42,8 +41,8 @@ pub(super) fn completed(motion: Arc<Motion>, count: usize) -> Arc<Motion> {
     Arc::new(motion)
 }
 
-/// Velocities of Gaussians at these places along `steps`, whose first leaves from the key frame; `sign` is 1 for the
-/// interval's first key frame and −1 for its last. γ and the velocity along the depth are those of `network`.
+/// Velocities of Gaussians at these places along `steps`, the first of which starts at the key frame. `sign` is 1 for
+/// the interval's first key frame and −1 for its last. γ and the velocity along the depth are those of `network`.
 pub(super) fn along_flow(
     level: Level,
     positions: &[[f32; 3]],

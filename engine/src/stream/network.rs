@@ -15,18 +15,17 @@ use super::{EngineError, Reconstructor};
 
 /// The small checkpoint that is part of the library: a safetensors file in the official layout.
 pub static EMBEDDED_CHECKPOINT: &[u8] = include_bytes!("../../lite/lite.safetensors");
-/// The configuration of [`EMBEDDED_CHECKPOINT`]: what shapes cannot say.
+/// The configuration of [`EMBEDDED_CHECKPOINT`], as far as shapes do not determine it.
 pub const EMBEDDED_CONFIG: &str = include_str!("../../lite/lite.json");
 
-/// A network, with DINOv2 where it is conditioned on that, and without where its condition is the other frame's
-/// embedding.
+/// A network. If its condition is DINOv2 features, with DINOv2; if it is the other frame's embedding, without.
 pub(super) struct Conditioned {
     network: Arc<Network>,
     dino: Option<Arc<Dino>>,
 }
 
 impl Conditioned {
-    /// The network of `source` (`None`: of the library), with DINOv2 from `dinov2` where it needs that.
+    /// Loads the network of `source` (`None`: of the library), with DINOv2 from `dinov2` where it is required.
     pub(super) fn load(
         source: Option<&Path>,
         dinov2: Option<&Path>,

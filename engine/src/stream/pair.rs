@@ -1,4 +1,4 @@
-//! The motion between two key frames, as the dynamic half of the network gives it, tile by tile.
+//! The motion between two key frames from the dynamic half of the network, tile by tile.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use super::tiles::{Tile, Tiles};
 use super::work::Stage;
 use super::{EngineError, Work};
 
-/// The motion of a pair of frames, and which pair that was.
+/// The motion of a pair of frames, and the inputs that it was computed from.
 pub(super) struct Pair {
     tiles: Vec<TilePair>,
     /// The motion of both frames' Gaussians, in the frame's world.
@@ -24,8 +24,8 @@ struct TilePair {
 }
 
 impl Pair {
-    /// The pair of key frames `a` and `b`, of which the later is key frame `index`; what did not change since `last`,
-    /// the pair before, is kept.
+    /// The pair of key frames `a` and `b`, the later of which is key frame `index`. Tiles whose inputs are those of
+    /// `last`, the pair before, keep its motion.
     pub(super) fn new(
         tiles: &mut Tiles,
         work: &mut Work,
@@ -59,7 +59,7 @@ impl Pair {
         Ok(Pair { tiles: pairs, motion })
     }
 
-    /// Counts a pair whose motion nothing needs.
+    /// Counts a pair whose motion is not needed.
     pub(super) fn leave_out(tiles: &Tiles, work: &mut Work) {
         let count = tiles.tiles.len() as u64;
         work.count(Stage::Decoder, 0, count);

@@ -1,4 +1,4 @@
-//! Named trades of error for time.
+//! Presets that trade error for time.
 
 use super::settings::named;
 use super::{Decibels, Fade, FlowEffort, MotionFrom, Resolution, Reuse, Settings, StaticRegions};
@@ -6,7 +6,7 @@ use crate::gap::{Auto, Gap};
 use streamsplat_model::Precision;
 
 named! {
-    /// A trade of error for time: a fixed set of other settings ([`Quality::preset`]). It never looks at a clock or a
+    /// A trade of error for time: a preset of other settings ([`Quality::preset`]). It never depends on a clock or a
     /// CPU, so that results stay a function of model, input and settings.
     Quality: "quality" {
         /// The least time per frame at which motion and colours still follow the frames.
@@ -19,7 +19,7 @@ named! {
     }
 }
 
-/// Settings that a [`Quality`] stands for.
+/// Settings of a [`Quality`].
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Preset {
@@ -50,7 +50,7 @@ pub struct Preset {
 }
 
 impl Quality {
-    /// Settings it stands for.
+    /// Returns its settings.
     ///
     /// | | `realtime` | `balanced` | `best` |
     /// |---|---|---|---|
@@ -104,8 +104,8 @@ impl Quality {
 }
 
 impl Settings {
-    /// The settings of the model inside the library for a [`Quality`]; which frames are key frames is for the caller to
-    /// choose ([`Preset::gap`]).
+    /// The settings of a [`Quality`] for the model inside the library. They do not include the choice of key frames,
+    /// which is [`Preset::gap`].
     pub fn of_quality(quality: Quality) -> Self {
         let Preset {
             gap: _,

@@ -1,4 +1,4 @@
-//! Reconstructors, which turn frames into Gaussians and motion: a network, or anything that can stand in for one.
+//! Reconstructors, which turn frames into Gaussians and motion: a network, or anything with the same interface.
 
 use std::sync::Arc;
 
@@ -14,32 +14,33 @@ pub type Motion = (Vec<[f32; 3]>, Vec<[f32; 2]>);
 pub struct Tiling {
     /// Sides of frames are multiples of this many pixels.
     pub patch: usize,
-    /// Gaussians along a patch's side; a frame's are given row by row.
+    /// Gaussians along a patch's side; those of a frame are in row order.
     pub cells: usize,
-    /// True if frames may be smaller than its own; otherwise a larger picture is covered by frames of its own size.
+    /// True if frames may be smaller than its own size; otherwise a larger picture is covered by frames of its own
+    /// size.
     pub partial: bool,
 }
 
 /// Turns frames into static Gaussians, and pairs of frames into motion, stage by stage.
 ///
-/// The results must be functions of the arguments alone (in a session that keeps results: of those of all calls): the
-/// stream keeps and reuses them.
+/// The results must be functions of the arguments alone, or, in a session that keeps results, of the arguments of all
+/// calls so far: the stream keeps and reuses them.
 pub trait Reconstructor: Send + Sync {
     /// Height and width of the frames it takes.
     fn resolution(&self) -> [usize; 2];
 
-    /// How larger frames can be put together from frames that it takes; `None`: not at all.
+    /// How larger frames can be composed of frames that it takes; `None` where they cannot.
     fn tiling(&self) -> Option<Tiling> {
         None
     }
 
-    /// The same reconstructor for frames of this height and width, which [`Reconstructor::tiling`] must allow.
+    /// Returns the same reconstructor for frames of this height and width, which [`Reconstructor::tiling`] must allow.
     fn at(&self, resolution: [usize; 2]) -> Option<Arc<dyn Reconstructor>> {
         let _ = resolution;
         None
     }
 
-    /// Returns true if its Gaussians do not depend on [`FrameInput::depth`]. A depth map then does not reach it: the
+    /// Returns true if its Gaussians do not depend on [`FrameInput::depth`]. A depth map is then not passed to it: the
     /// stream lifts the Gaussians to the map.
     fn ignores_depth(&self) -> bool {
         false
@@ -50,12 +51,11 @@ pub trait Reconstructor: Send + Sync {
         &[]
     }
 
-    /// A session for one stream of frames. With `saving` it may leave out work from frame to frame.
+    /// Starts a session for one stream of frames. With `saving` it may leave out work from frame to frame.
     fn session(self: Arc<Self>, saving: Option<Saving>) -> Box<dyn Session>;
 }
 
-/// The way of one stream's frames through a [`Reconstructor`]: its stages, which a stream calls in the order of its
-/// frames.
+/// One stream of frames through a [`Reconstructor`], in stages that a stream calls in the order of its frames.
 ///
 /// Work is done on the calling thread and its rayon pool.
 pub trait Session: Send + Sync {
@@ -77,13 +77,13 @@ pub trait Session: Send + Sync {
     /// Whatever the reconstructor refuses.
     fn gaussians(&mut self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError>;
 
-    /// Returns true if [`Session::gaussians`] gives other Gaussians for another [`Sampling`].
+    /// Returns true if [`Session::gaussians`] depends on its [`Sampling`].
     fn draws_positions(&self) -> bool;
 
-    /// Returns true if [`Session::condition`] gives anything; it is not called otherwise.
+    /// Returns true if [`Session::condition`] returns features; it is not called otherwise.
     fn reads_condition(&self) -> bool;
 
-    /// Features of a frame that [`Session::decode`] needs beyond its embedding, if any.
+    /// Features of a frame that [`Session::decode`] requires in addition to its embedding, if any.
     ///
     /// # Errors
     /// Whatever the reconstructor refuses.
@@ -95,14 +95,14 @@ pub trait Session: Send + Sync {
     /// Whatever the reconstructor refuses.
     fn decode(&mut self, a: &Side<'_>, b: &Side<'_>) -> Result<[Vec<f32>; 2], ModelError>;
 
-    /// The deformation upsampler: the tokens of the pair's earlier (0) or later (1) frame, one per Gaussian.
+    /// The deformation upsampler: the tokens, one per Gaussian, of the pair's earlier (`place` 0) or later (1) frame.
     ///
     /// # Errors
     /// Whatever the reconstructor refuses.
     fn upsample_motion(&mut self, place: usize, d: &[f32]) -> Result<Vec<f32>, ModelError>;
 
-    /// The deformation head: the motion of the Gaussians of the pair's earlier (0) or later (1) frame, from both kinds
-    /// of tokens, of which the latter are the latest.
+    /// The deformation head: the motion of the Gaussians of the pair's earlier (`place` 0) or later (1) frame, from its
+    /// static and its latest motion tokens.
     ///
     /// # Errors
     /// Whatever the reconstructor refuses.
@@ -113,6 +113,6 @@ pub trait Session: Send + Sync {
         None
     }
 
-    /// Forgets what it keeps: what comes next is computed in full.
+    /// Discards kept results: the next call is computed in full.
     fn forget(&mut self) {}
 }

@@ -13,8 +13,8 @@ const LONGEST: usize = 8192;
 /// The size of the frames that the model sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Resolution {
-    /// Four times the area that the model was made for, in the source's own shape, and never more than the source:
-    /// nothing is computed for a border. Models that take frames of one size only see that size.
+    /// Four times the area that the model was made for, in the source's own shape, at most the source's size: nothing
+    /// is computed for a border. Models that take frames of one size only see that size.
     Auto,
     /// The size that the model was made for.
     Native,
@@ -53,8 +53,8 @@ impl FromStr for Resolution {
 }
 
 impl Resolution {
-    /// Where frames of `source` pixels lie in what `model` sees; `None` when a side of the source is zero or too large
-    /// to address.
+    /// Places frames of `source` pixels in the model's input; `None` when a side of the source is zero or too large to
+    /// address.
     pub(super) fn place(self, source: [usize; 2], fit: Fit, model: &dyn Reconstructor) -> Option<Placement> {
         let tiling = model.tiling().filter(|tiling| tiling.partial);
         match (self, tiling) {
@@ -68,10 +68,11 @@ impl Resolution {
     }
 }
 
-/// Rows and columns of about `most` patches in the shape of `source`, which has at least as many pixels a side.
+/// Returns rows and columns of about `most` patches in the shape of `source`, and at most as many pixels a side as that
+/// has.
 ///
-/// Of the row counts near √(most·h/w), each with the nearest column count, the one of smallest `e(columns·h / (rows·w))
-/// + e(rows·columns / most) / 10` with `e(x) = max(x, 1/x) − 1`; the lower among equals.
+/// Tries the row counts near √(most·h/w), each with the nearest column count. It takes the one of smallest `e(columns·h
+/// / (rows·w)) + e(rows·columns / most) / 10` with `e(x) = max(x, 1/x) − 1`; the lower among equals.
 fn grid(source: [usize; 2], patch: usize, most: usize) -> [usize; 2] {
     let longest = source.map(|side| (side / patch).max(1));
     let [h, w] = source.map(|side| side.max(1) as f64);

@@ -1,9 +1,9 @@
 //! State that a stream needs to resume.
 //!
 //! Embedding, tokens, condition and Gaussians of the last key frame are functions of that frame: they are computed
-//! again, to the same bits. What is not a function of it is the canonical set: who survives, and which identity each of
-//! the frame's Gaussians carries, and the depth that frames before tell of it. That is a [`ResumePoint`]; it is small
-//! beside what it spares.
+//! again, to the same bits. A [`ResumePoint`] holds the rest: the canonical set, which is the survivors and the
+//! identities of the frame's Gaussians, and the depth that earlier frames determine. It is small compared with the
+//! results that need not be stored.
 
 use std::sync::Arc;
 
@@ -15,35 +15,35 @@ use super::lift::{Covered, contradiction};
 use super::{Engine, EngineError, Frame, Record, Reuse};
 use crate::parallax::Found;
 
-/// State of a stream at a key frame: with that frame, enough to go on ([`Engine::resume`]).
+/// State of a stream at a key frame. With that frame it suffices to resume the stream ([`Engine::resume`]).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ResumePoint {
     /// The key frame.
     pub frame: u64,
     /// Its time, in seconds.
     pub timestamp: f64,
-    /// Seconds of the interval that it ends.
+    /// Seconds of the interval that the key frame ends.
     pub length: f64,
     /// Older Gaussians that no frame continues, as they are at the key frame, oldest first.
     pub survivors: Vec<Record>,
     /// The frame's own Gaussians in the order in which they are drawn: ascending in `cell`, those that are kept first.
     pub current: Vec<Current>,
-    /// The next identity that nobody had before.
+    /// The next unused identity.
     pub next_identity: u64,
-    /// Factor and offset that bring the frame's depth map to the scale of the frames before; `None` where it is lifted
-    /// to none.
+    /// Factor and offset that bring the frame's depth map to the scale of the stream; `None` where it is not
+    /// lifted.
     pub depth: Option<[f32; 2]>,
     /// Depth found by parallax for the frame; `None` where none was.
     pub found: Option<Found>,
-    /// Colours that earlier frames saw where something now stands in front, ascending in `cell`.
+    /// Colours of surfaces that earlier frames saw and that are now covered, ascending in `cell`.
     pub covered: Vec<Covered>,
-    /// What it keeps of the key frames before; `None` where that is nothing.
+    /// State kept from earlier key frames; `None` where there is none.
     pub kept: Option<Box<KeptState>>,
 }
 
 impl Engine {
-    /// State at the last key frame; `None` before the first one, and where what it computes next depends on more than
-    /// that frame ([`Reuse::forgets`]).
+    /// State at the last key frame; `None` before the first one, and where later results depend on more than that frame
+    /// ([`Reuse::forgets`]).
     pub fn resume_point(&self) -> Option<ResumePoint> {
         self.state().filter(|_| self.settings().reuse.forgets()).map(|state| {
             let CanonicalSet { length, survivors, current, identities, .. } = &state.set;
@@ -62,8 +62,8 @@ impl Engine {
         })
     }
 
-    /// Goes on from `point`, whose key frame was `frame`: what is pushed next gives the intervals that the engine which
-    /// gave this point would have given, bit for bit, as long as settings and model are the same.
+    /// Resumes from `point`, whose key frame was `frame`. The intervals of later frames are bit for bit those of the
+    /// engine that returned this point, as long as settings and model are the same.
     ///
     /// # Errors
     /// As [`Engine::push`]; and a point that does not fit the frame's Gaussians. The stream is then as it was before.
@@ -95,13 +95,13 @@ impl Engine {
 }
 
 impl ResumePoint {
-    /// Returns true if no place is taken twice.
+    /// Returns true if no index occurs twice.
     fn each_once(&self, gaussians: usize) -> bool {
         let mut taken = vec![false; gaussians];
         self.current.iter().all(|current| !std::mem::replace(&mut taken[current.cell as usize], true))
     }
 
-    /// Why it cannot be the state at a frame of so many Gaussians.
+    /// Returns why this cannot be the state at a frame with this number of Gaussians.
     fn contradiction(&self, gaussians: usize) -> Option<String> {
         if !(self.length.is_finite() && self.length >= 0.0) {
             return Some(format!("expected an interval of some length, found {} s", self.length));
@@ -130,7 +130,7 @@ impl ResumePoint {
 }
 
 impl Reuse {
-    /// Returns true if what is computed from a key frame depends on nothing but that frame and a [`ResumePoint`].
+    /// Returns true if results computed from a key frame depend only on that frame and a [`ResumePoint`].
     pub fn forgets(self) -> bool {
         match self {
             Reuse::Off | Reuse::Exact => true,

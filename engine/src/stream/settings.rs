@@ -13,15 +13,14 @@ use super::network::Conditioned;
 use super::{EngineError, Reconstructor, Resolution};
 use crate::fit::Fit;
 
-/// Settings of an engine. [`Settings::default`] is the model inside the library, and everything else as the program's
-/// defaults.
+/// Settings of an engine. [`Settings::default`] uses the model inside the library and the program's defaults.
 #[derive(Clone, Debug, Default)]
 pub struct Settings {
     /// The model.
     pub model: ModelSource,
     /// Fusion of a key frame with those before.
     pub fusion: Fusion,
-    /// Key frames after which a Gaussian that nothing continues is dropped at the latest.
+    /// Number of key frames after which a Gaussian that nothing continues is dropped at the latest.
     pub max_age: MaxAge,
     /// How frames are brought to the model's input size.
     pub fit: Fit,
@@ -34,21 +33,20 @@ pub struct Settings {
     /// How Gaussians fade in and out between key frames. `None`: [`Fade::Fixed`] for the model inside the library where
     /// motion is not the network's, [`Fade::Network`] otherwise.
     pub fade: Option<Fade>,
-    /// How much is spent on optical flow from frame to frame.
+    /// Effort of optical flow from frame to frame.
     pub flow: FlowEffort,
     /// Steps of conjugate gradients that fit colours to the frames, 0 for none; `None`: [`Settings::REFINE`] for the
     /// model inside the library, 0 for any other.
     pub refine: Option<u32>,
-    /// Every how many of the frames between key frames are looked at where colours are fitted, 1 for all; `None`: 1. 0
-    /// is 1.
+    /// Colours are fitted to every n-th of the frames between key frames, 1 for all; `None`: 1. 0 is 1.
     pub refine_every: Option<u32>,
-    /// PSNR, in dB, from which on a tile of 64×32 pixels of an image between key frames is close enough to its frame:
-    /// where all frames of an interval are, no colours are fitted. `None`: [`Settings::REFINE_TO`] for the model inside
-    /// the library, [`Decibels::MOST`] for any other.
+    /// PSNR, in dB, from which on a tile of 64×32 pixels of an image between key frames is close enough to its frame.
+    /// Where all tiles of an interval's frames are, no colours are fitted. `None`: [`Settings::REFINE_TO`] for the
+    /// model inside the library, [`Decibels::MOST`] for any other.
     pub refine_to: Option<Decibels>,
-    /// True if depth is found by parallax ([`crate::parallax`]) for frames that have no map of their own, where the
-    /// model ignores depth ([`Reconstructor::ignores_depth`]) and motion is taken from the frames; `None`: true for the
-    /// model inside the library, false for any other.
+    /// True if depth is found by parallax ([`crate::parallax`]) for frames that have no map of their own. Applies where
+    /// the model ignores depth ([`Reconstructor::ignores_depth`]) and motion is taken from the frames. `None`: true for
+    /// the model inside the library, false for any other.
     pub find_depth: Option<bool>,
     /// How depth maps are normalised.
     pub depth_range: DepthRange,
@@ -57,11 +55,11 @@ pub struct Settings {
     /// Static regions of the picture; `None`: [`StaticRegions::Keep`] for the model inside the library,
     /// [`StaticRegions::Off`] for any other.
     pub still: Option<StaticRegions>,
-    /// How positions that the model gives as a distribution are drawn.
+    /// How positions are drawn, where the model predicts a distribution.
     pub sampling: SamplingMode,
     /// The seed of everything drawn.
     pub seed: u64,
-    /// Which work is left out.
+    /// Work that is left out.
     pub reuse: Reuse,
     /// The arithmetic of the large matrix products; `None`: [`Precision::Int8`] for the model inside the library,
     /// [`Precision::F32`] for any other.
@@ -79,7 +77,8 @@ pub enum ModelSource {
     /// The small checkpoint inside the library.
     #[default]
     Embedded,
-    /// A checkpoint in the official layout, with a JSON of the same name beside it for what shapes cannot say.
+    /// A checkpoint in the official layout, with a JSON file of the same name next to it for the properties that shapes
+    /// do not determine.
     File {
         /// The safetensors file.
         checkpoint: PathBuf,
@@ -91,7 +90,7 @@ pub enum ModelSource {
 }
 
 impl ModelSource {
-    /// The model, ready to reconstruct.
+    /// Loads the model.
     pub(crate) fn load(&self, options: &LoadOptions) -> Result<Arc<dyn Reconstructor>, EngineError> {
         let conditioned = match self {
             ModelSource::Shared(model) => return Ok(model.clone()),
@@ -105,10 +104,10 @@ impl ModelSource {
 }
 
 impl Settings {
-    /// Steps that fit colours of the model inside the library where nothing else is said.
+    /// Default number of steps that fit colours, for the model inside the library.
     pub const REFINE: u32 = 16;
 
-    /// PSNR, in dB, that is close enough, of the model inside the library.
+    /// Default PSNR, in dB, that is close enough, for the model inside the library.
     pub const REFINE_TO: Decibels = Decibels(43.0);
 
     /// The program's defaults with another model.
@@ -140,7 +139,7 @@ impl Settings {
         })
     }
 
-    /// Every how many of the frames between key frames are looked at where colours are fitted.
+    /// Colours are fitted to every n-th of the frames between key frames.
     pub fn refine_every(&self) -> u32 {
         self.refine_every.unwrap_or(1).max(1)
     }
@@ -156,7 +155,7 @@ impl Settings {
         self.motion() == MotionFrom::Network || self.fade() == Fade::Network
     }
 
-    /// The mean square at which a tile of an image is close enough to its frame.
+    /// The mean square error at which a tile of an image is close enough to its frame.
     pub(super) fn close(&self) -> f64 {
         let decibels = self.refine_to.unwrap_or(match self.model {
             ModelSource::Embedded => Self::REFINE_TO,
@@ -165,7 +164,7 @@ impl Settings {
         exp(-f64::from(decibels.0) / 10.0 * std::f64::consts::LN_10)
     }
 
-    /// What becomes of static regions of the picture.
+    /// Handling of static regions of the picture.
     pub fn still(&self) -> StaticRegions {
         self.still.unwrap_or(match self.model {
             ModelSource::Embedded => StaticRegions::Keep,
@@ -256,11 +255,11 @@ pub struct UnknownChoice {
 named! {
     /// Fusion of a key frame with those before.
     Fusion: "fusion" {
-        /// Gaussians keep their identity from key frame to key frame; what no frame continues lives on and fades;
+        /// Gaussians keep their identity from key frame to key frame; those that no frame continues persist and fade;
         /// crossing a key frame changes no bit of the image.
         #[default]
         Persistent = "persistent",
-        /// Two frames at a time, and nothing else: the model's own definition of an interval.
+        /// Two frames at a time, without memory: the model's own definition of an interval.
         Pairwise = "pairwise",
     }
 }
@@ -273,8 +272,8 @@ named! {
         Network = "network",
         /// Optical flow from either key frame to the other, read at each Gaussian's centre.
         Frames = "frames",
-        /// Optical flow from frame to frame, followed through the frames between the two key frames: the line of least
-        /// squares through the places it leads to. Where no frame lies between, as [`MotionFrom::Frames`].
+        /// Optical flow from frame to frame, followed through the frames between the two key frames; the velocity is a
+        /// least-squares line through the places. Where there is no frame in between, as [`MotionFrom::Frames`].
         Between = "between",
     }
 }
@@ -282,17 +281,17 @@ named! {
 named! {
     /// How Gaussians fade in and out between two key frames.
     Fade: "fade" {
-        /// As the network says of each of them.
+        /// By the network, for each of them.
         #[default]
         Network = "network",
-        /// All alike, as the network does on average. Where motion is not the network's either, its dynamic half is not
-        /// computed: what flow does not tell of a Gaussian then stands still.
+        /// All alike, with the network's average. Where motion is not the network's either, its dynamic half is not
+        /// computed: a Gaussian that flow does not follow then does not move.
         Fixed = "fixed",
     }
 }
 
 named! {
-    /// How much is spent on optical flow through the frames between key frames ([`MotionFrom::Between`]).
+    /// Effort of optical flow through the frames between key frames ([`MotionFrom::Between`]).
     FlowEffort: "flow" {
         /// Half of the resolution, smoothed in five iterations.
         #[default]
@@ -330,14 +329,14 @@ named! {
         /// Their Gaussians are kept while the frames differ by no more than the camera's noise. Applies where motion is
         /// not the network's, fusion is persistent, positions are means, and no depth map lifts the frames.
         Keep = "keep",
-        /// They are computed for each key frame, as all others.
+        /// They are computed for each key frame, like all others.
         #[default]
         Off = "off",
     }
 }
 
 named! {
-    /// How positions that the model gives as a distribution are drawn.
+    /// How positions are drawn, where the model predicts a distribution.
     SamplingMode: "sampling" {
         /// The distribution's mean.
         #[default]
@@ -347,7 +346,7 @@ named! {
     }
 }
 
-/// Which work is left out.
+/// Work that is left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Reuse {
     /// None.
@@ -356,8 +355,8 @@ pub enum Reuse {
     /// output bit changes.
     #[default]
     Exact,
-    /// Also what would be computed from tokens that moved by no more than this fraction of their length, from 0 to 1.
-    /// See [`streamsplat_model::reuse`].
+    /// Also results of tokens that moved by no more than this fraction of their length, from 0 to 1. See
+    /// [`streamsplat_model::reuse`].
     Within(f32),
 }
 
@@ -394,15 +393,15 @@ impl FromStr for Reuse {
 pub struct Decibels(f32);
 
 impl Decibels {
-    /// 100 dB: what no image reaches.
+    /// 100 dB, above any image.
     pub const MOST: Decibels = Decibels(100.0);
 
-    /// That of `decibels`; `None` unless that is from 20 to 100.
+    /// Returns `decibels`; `None` unless it is from 20 to 100.
     pub fn new(decibels: f32) -> Option<Self> {
         (20.0..=100.0).contains(&decibels).then_some(Self(decibels))
     }
 
-    /// In dB.
+    /// The value in dB.
     pub fn get(self) -> f32 {
         self.0
     }
@@ -427,12 +426,12 @@ impl FromStr for Decibels {
     }
 }
 
-/// Key frames after which a Gaussian that nothing continues is dropped at the latest.
+/// Number of key frames after which a Gaussian that nothing continues is dropped at the latest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct MaxAge(pub u32);
 
 impl Default for MaxAge {
-    /// Eight: a survivor's opacity halves in every interval, so that little is left of it then.
+    /// Eight: a survivor's opacity halves in every interval, so that little of it is left then.
     fn default() -> Self {
         Self(8)
     }

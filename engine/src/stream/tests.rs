@@ -33,11 +33,11 @@ struct Stream {
     gaussians: Arc<StaticGaussians>,
     max_age: u32,
     lifted: bool,
-    /// How many of a frame's Gaussians, after the model's own, are seen along edges.
+    /// Number of a frame's Gaussians, after the model's own, that are seen along edges.
     outline: usize,
-    /// How many, the last, stand behind others.
+    /// Number of those at the end that are behind others.
     behind: usize,
-    /// What becomes of each Gaussian in the next interval.
+    /// What happens to each Gaussian in the next interval.
     kept: Option<Vec<Change>>,
 }
 
@@ -48,7 +48,7 @@ impl Stream {
         (Self { set, gaussians, max_age, lifted: false, outline: 0, behind: 0, kept: None }, advance)
     }
 
-    /// The next frame, with the velocities of the Gaussians of the one before.
+    /// Pushes the next frame, with the velocities of the Gaussians of the one before.
     fn push(&mut self, places: &[[f32; 3]], forward: &[[f32; 3]], length: f64) -> Advance {
         assert_eq!(forward.len(), self.gaussians.position.len());
         let gaussians = frame(places);
@@ -102,7 +102,7 @@ fn what_nothing_continues_keeps_its_pace_and_halves_in_every_interval() {
             (Handover::None, Reference::Start, 0, 0)
         );
     }
-    // Forward through its own interval without fading (γ₀ = 0), then a half of it in each.
+    // Forward through its own interval without fading (γ₀ = 0), then halved in each.
     close(found[0].opacity_at(1.0), 0.8);
     close(found[1].opacity_at(0.0), 0.8);
     close(found[1].opacity_at(1.0), 0.4);
@@ -164,7 +164,7 @@ fn identities_pass_on_emerge_and_merge() {
     assert_eq!(ends.len(), 102);
     assert!(ends.iter().all(|r| r.handover == Handover::Arrives && r.frame == 1));
     assert!(ends[..100].iter().zip(&first.gaussians.identity).all(|(r, i)| r.identity == *i && r.birth == 0));
-    // Both are 0.01 from the new one as far as binary32 can tell; whoever is nearer passes on, the other ends in it.
+    // In binary32 both are 0.01 from the new one; the nearer one passes its identity on, the other ends in it.
     let heir = ends[100].identity;
     assert!(heir == left || heir == right);
     assert_eq!(advance.merges, [Merge { identity: if heir == left { right } else { left }, into: heir }]);
@@ -191,7 +191,7 @@ fn identities_pass_on_to_a_frame_that_is_lifted_and_take_its_depth() {
 
 #[test]
 fn what_stands_behind_others_meets_its_like_and_is_not_kept() {
-    // Ten of the floor, and as many behind these; behind the last one there is nothing any more.
+    // Ten of the floor, and as many behind these; then there is none behind the last one any more.
     let front = floor();
     let places = |behind: usize| -> Vec<[f32; 3]> {
         front.iter().copied().chain(front[..behind].iter().map(|[x, _, z]| [*x, 0.2, *z])).collect()
@@ -210,7 +210,7 @@ fn what_stands_behind_others_meets_its_like_and_is_not_kept() {
 
 #[test]
 fn what_is_seen_along_edges_meets_what_is_seen_and_is_not_kept() {
-    // One of the floor is followed by one along an edge; another one along an edge goes away.
+    // One of the floor is followed by one along an edge; another one along an edge disappears.
     let front = floor();
     let [last, away] = [front[front.len() - 1], [0.0, 0.5, 5.0]];
     let start: Vec<[f32; 3]> = front.iter().copied().chain([away]).collect();
@@ -251,7 +251,7 @@ fn a_kept_gaussian_is_one_record_without_motion_or_fading() {
         // Drawing order over the key frame: kept ones, then those that arrived.
         assert!(stream.set.current[..50].iter().all(|current| current.cell % 2 == 0));
     }
-    // And all of them are there when nothing is kept any more.
+    // All of them remain when nothing is kept any more.
     stream.kept = None;
     let advance = stream.push(&floor(), &[STILL; 100], 1.0);
     assert!(advance.kept.is_empty());

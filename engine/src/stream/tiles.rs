@@ -1,21 +1,22 @@
 //! A frame as tiles of the size that the model takes.
 //!
-//! A network sees frames of one size; a larger frame goes through it in rectangular parts, each as a frame of its own.
-//! What it makes of a frame's border, beyond which it sees nothing, fits its neighbours badly, so a tile sees [`HALO`]
-//! patches more than it keeps wherever it has a neighbour. Along an axis there are as few tiles as can be, which keep
-//! lengths that differ by one patch at most; a network that takes no smaller grid than its own ([`Tiling::partial`])
-//! gets tiles of its own size, which overlap by twice that at least, and of what two tiles show each keeps its half.
+//! A network takes frames of one size; a larger frame goes through it in rectangular parts, each as a frame of its own.
+//! The network has no context beyond a frame's border, so results there fit the neighbouring tile badly. So on each
+//! side with a neighbour a tile takes in [`HALO`] patches more than it keeps. Along an axis there are as few tiles as
+//! possible, and the lengths that they keep differ by at most one patch. A network that takes no smaller grid than its
+//! own ([`Tiling::partial`]) gets tiles of its own size, which overlap by at least twice the halo; of an overlap each
+//! tile keeps its half.
 //!
-//! Gaussians of the tile with first pixel `(x₀, y₀)` and size `w × h` in a frame of `W × H` come to the frame's world
-//! by
+//! Gaussians of the tile with first pixel `(x₀, y₀)` and size `w × h` in a frame of `W × H` are mapped to the frame's
+//! world by
 //!
 //! ```text
 //! x' = x·(w/W) + ((2·x₀ + w)/W − 1)     z' = z·(h/H) + (1 − (2·y₀ + h)/H)     y' = y
 //! s_x' = s_x·(w/W)     s_z' = s_z·(h/H)     v_x' = v_x·(w/W)     v_z' = v_z·(h/H)
 //! ```
 //!
-//! with factors and offsets rounded from binary64, one fused multiply-add each, and stand in the frame's arrays row by
-//! row, as if there were no tiles.
+//! with factors and offsets rounded from binary64, one fused multiply-add each. In the frame's arrays they are in row
+//! order, as if there were no tiles.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -27,7 +28,7 @@ use streamsplat_model::reuse::Saving;
 use super::reconstructor::{Motion, Reconstructor, Session, Tiling};
 use crate::fit::cut;
 
-/// Patches that a tile sees beyond what it keeps.
+/// Patches that a tile takes in beyond those that it keeps.
 const HALO: usize = 1;
 
 /// A part of the frame, and a session of the model for frames of its size.
@@ -37,7 +38,7 @@ pub(super) struct Tile {
     origin: [usize; 2],
     /// Rows and columns of pixels.
     size: [usize; 2],
-    /// The Gaussians that it keeps: their places in its own arrays and in the frame's. `None`: all of them, and the
+    /// The Gaussians that it keeps: their indices in its own arrays and in the frame's. `None`: all of them, and the
     /// frame has no others.
     places: Option<Vec<[u32; 2]>>,
 }
@@ -50,7 +51,7 @@ pub(super) struct Tiles {
     ignores_depth: bool,
 }
 
-/// One axis of a tile, in patches: what it sees, and what of it it keeps.
+/// One axis of a tile, in patches: the span that it takes in, and the part of it that it keeps.
 #[derive(Clone, Debug, PartialEq)]
 struct Span {
     seen: Range<usize>,
@@ -110,7 +111,7 @@ impl Tiles {
         self.ignores_depth
     }
 
-    /// Returns true if tile `at` has a cell for which `wanted` is true, by its place among all the frame's.
+    /// Returns true if `wanted` holds for a cell of tile `at`; it is indexed by the frame's cells.
     pub(super) fn has(&self, at: usize, wanted: &[bool]) -> bool {
         match &self.tiles[at].places {
             None => wanted.contains(&true),
@@ -118,7 +119,7 @@ impl Tiles {
         }
     }
 
-    /// The frame's Gaussians from those of its tiles; those of tiles without any are zeros.
+    /// Composes the frame's Gaussians from those of its tiles; cells of tiles without Gaussians are zeros.
     pub(super) fn gaussians(&self, of_tiles: &[Option<Arc<StaticGaussians>>]) -> Arc<StaticGaussians> {
         if let [Some(only)] = of_tiles
             && self.tiles[0].places.is_none()
@@ -149,7 +150,7 @@ impl Tiles {
         Arc::new(frame)
     }
 
-    /// The motion of the frame's Gaussians from that of its tiles'.
+    /// Composes the motion of the frame's Gaussians from that of its tiles.
     pub(super) fn motion(&self, of_tiles: &[Arc<Motion>]) -> Arc<Motion> {
         if let [only] = of_tiles
             && self.tiles[0].places.is_none()
@@ -191,7 +192,7 @@ impl Tiles {
 }
 
 impl Tile {
-    /// Returns true if what it sees is the same in both frames, whose planes are `[C, H, W]`.
+    /// Returns true if the tile's pixels are the same in both frames, whose planes are `[C, H, W]`.
     pub(super) fn sees_the_same(&self, resolution: [usize; 2], a: &[f32], b: &[f32]) -> bool {
         let ([top, left], [rows, columns]) = (self.origin, self.size);
         let same = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
@@ -204,12 +205,12 @@ impl Tile {
     }
 }
 
-/// Tiles along an axis of `total` patches for a model of `most`; `partial`: whether they may be shorter.
+/// Tiles along an axis of `total` patches for a model of `most`; `partial`: true if they may be shorter.
 fn spans(total: usize, most: usize, partial: bool) -> Option<Vec<Span>> {
     if most == 0 || total == 0 || (!partial && total < most) {
         return None;
     }
-    // Where a tile could keep nothing beside its halos, there are none.
+    // No halos where a tile would keep nothing within them.
     let halo = if most > 2 * HALO { HALO } else { 0 };
     if partial {
         let spans = |count: usize| -> Vec<Span> {

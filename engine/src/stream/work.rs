@@ -12,11 +12,11 @@ pub struct StageWork {
     pub stage: &'static str,
     /// Work done, in `unit`.
     pub done: u64,
-    /// Work that was not needed, in `unit`.
+    /// Work that was left out, in `unit`.
     pub avoided: u64,
     /// Unit of the counts.
     pub unit: &'static str,
-    /// Time spent in the stage; zero where it is another's part.
+    /// Time spent in the stage; zero for a part of another stage.
     pub time: Duration,
 }
 
@@ -100,7 +100,7 @@ impl Work {
         self.stages.iter().find(|s| s.stage == name)
     }
 
-    /// The accounts of the network's parts in tokens, each under its stage's name and `.tokens`.
+    /// Sets the accounts of the network's parts in tokens, each under its stage's name and `.tokens`.
     pub(crate) fn tokens(&mut self, parts: &[(&'static str, Tokens)]) {
         for (part, tokens) in parts {
             let name = match *part {
@@ -115,15 +115,15 @@ impl Work {
         }
     }
 
-    /// The accounts of the network's residual branches, `zero_output` telling which are left out: one for every call of
-    /// a part so far, each under its stage's name and `.branches`. None where none is left out.
+    /// Sets the accounts of the network's residual branches, each under its stage's name and `.branches`: one branch
+    /// for every call of a part so far. `zero_output` has the ones left out; without any, nothing is set.
     pub(crate) fn branches(&mut self, zero_output: &[ZeroOutput]) {
         if zero_output.iter().all(|part| part.zero_output == 0) {
             return;
         }
         let calls = |stage: Stage| self.stages[stage as usize].done;
         let accounts = [
-            // Every embedding is upsampled, and both halves of what the decoder gives.
+            // Upsampled are every embedding and both outputs of the decoder.
             ("encoder.branches", [("encoder", calls(Stage::Encoder)), ("", 0)]),
             (
                 "upsampler.branches",
@@ -142,7 +142,7 @@ impl Work {
         }
     }
 
-    /// An account that belongs to no stage of the stream.
+    /// Sets an account that belongs to no stage of the stream.
     fn replace(&mut self, account: StageWork) {
         match self.stages.iter_mut().find(|stage| stage.stage == account.stage) {
             Some(stage) => *stage = account,
@@ -164,7 +164,7 @@ impl Work {
         result
     }
 
-    /// Runs `work` in the time and the span of a stage, of which it is no unit.
+    /// Runs `work` in the time and the span of a stage, without counting it as a unit.
     pub(crate) fn time<R>(&mut self, stage: Stage, work: impl FnOnce() -> R) -> R {
         let entry = &mut self.stages[stage as usize];
         let _span = stage.span().entered();

@@ -1,4 +1,4 @@
-//! The threads and the instruction set that work is done with.
+//! The threads and the instruction set of an engine.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ pub struct Workers {
 }
 
 impl Workers {
-    /// A pool of `threads` threads (0: one per processor) that work on `level`.
+    /// A pool of `threads` threads (0: one per processor) that work at `level`.
     ///
     /// # Errors
     /// When the system refuses to start them.

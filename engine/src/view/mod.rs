@@ -1,14 +1,14 @@
 //! A page that shows a scene in a browser: splats drawn with WebGL2, at any time, from any side.
 //!
-//! [`Server`] serves the page and the scene's intervals on demand; [`write_page`] puts both into one file that opens by
-//! itself. The page contacts no other server. Its content comes from a [`Source`]: a scene on disk ([`Recorded`]), a
-//! stream under way ([`Live`]) or a still scene ([`StillSource`]). [`mod@packet`] is the form in which an interval
-//! travels; a still scene has one of its own. What draws, sorts, unpacks and keeps intervals there is the player's code
-//! (`engine/player`), which other pages load as a package; the page adds its controls. Files that are opened on the
-//! page are read there, by the scripts in `dropped`, into the packets that a [`StillSource`] has of them.
+//! [`Server`] serves the page and the scene's intervals on demand; [`write_page`] puts both into one file that opens
+//! alone. The page contacts no other server. Its content comes from a [`Source`]: a scene on disk ([`Recorded`]), a
+//! stream under way ([`Live`]) or a still scene ([`StillSource`]). [`mod@packet`] is the transfer format of an
+//! interval; a still scene has a format of its own. The player (`engine/player`) unpacks, caches, sorts and draws;
+//! other pages load it as a package, and this page adds its controls. Files opened on the page are read there, by the
+//! scripts in `dropped`, into the packets of a [`StillSource`].
 //!
-//! The page draws in the browser's arithmetic: its image is close to
-//! [`Interval::render`](crate::stream::Interval::render)'s, and outside the contract of equal bits.
+//! The page draws in the browser's arithmetic: its image is close to that of
+//! [`Interval::render`](crate::stream::Interval::render), and outside of the bit contract.
 
 pub mod http;
 pub mod packet;

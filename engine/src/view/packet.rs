@@ -1,6 +1,6 @@
-//! One interval as the page reads it: 34 bytes per Gaussian, 37 where colours change.
+//! One interval in the page's format: 34 bytes per Gaussian, 37 where colours change.
 //!
-//! Little-endian. A header of 96 bytes, `count` records of 32 bytes, `count` ages of two bytes; and where the step of
+//! Little-endian. A header of 96 bytes, `count` records of 32 bytes, `count` ages of two bytes; and if the step of
 //! rates is not zero, `count` rates of three bytes.
 //!
 //! | header | | |
@@ -24,12 +24,12 @@
 //! | 24 | u64 | identity in the low 56 bits; bit 56 reference; bits 57 and 58 handover | none below 2⁵⁶ |
 //! | | | thickness in bits 59 to 63: 2^(q/4), q a signed number | from 2⁻⁴ to 2^(15/4) an eighth of an octave |
 //!
-//! A rate is the change of red, green and blue per interval, 3 × i8: `step·q`, half a step off at most, which is a
-//! 254th of the largest.
+//! A rate is the change of red, green and blue per interval, 3 × i8: `step·q`, with an error of half a step at most,
+//! which is a 254th of the largest.
 //!
-//! An age is the number of key frames from the identity's birth to the interval's end, at most 65,535. Left out is what
-//! no image of the interval can show: opacities under 1/255, inverse depths that leave [0, 1] on one side throughout,
-//! and records with a number that is not finite. The order is the drawing order.
+//! An age is the number of key frames from the identity's birth to the interval's end, at most 65,535. Omitted are
+//! Gaussians that no image of the interval can show: opacities under 1/255, inverse depths that stay on one side
+//! outside of [0, 1], and records with a number that is not finite. The order is the drawing order.
 
 use half::f16;
 use streamsplat_kernels::math::f64::ln;
@@ -88,7 +88,7 @@ pub fn packet(interval: &Interval) -> Vec<u8> {
         out.extend_from_slice(&age.to_le_bytes());
     }
     if rate > 0.0 {
-        // A conversion saturates.
+        // The conversion saturates.
         let steps = |change: f32| (f64::from(change) / f64::from(rate)).round() as i8;
         out.extend(shown.iter().flat_map(|r| r.rgb_rate).flat_map(|change| steps(change).to_le_bytes()));
     }
@@ -108,7 +108,7 @@ struct Grid {
 }
 
 impl Grid {
-    /// Over finite values; 0 where there are none.
+    /// A grid over finite values; 0 if there are none.
     fn over(values: impl Iterator<Item = [f32; 3]>) -> Grid {
         let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
         for v in values {
@@ -129,7 +129,7 @@ impl Grid {
         std::array::from_fn(|axis| {
             let step = f64::from(self.step[axis]);
             let above = f64::from(v[axis]) - f64::from(self.low[axis]);
-            // A conversion saturates: 65535 at most.
+            // The conversion saturates: 65535 at most.
             if step > 0.0 { (above / step).round() as u16 } else { 0 }
         })
     }
@@ -143,11 +143,11 @@ fn half(value: f32) -> u16 {
 /// Thickness in quarters of an octave, the lowest five bits of a signed number.
 fn thickness(thickness: f32) -> u64 {
     let octaves = ln(f64::from(thickness)) * std::f64::consts::LOG2_E;
-    // A conversion saturates.
+    // The conversion saturates.
     ((4.0 * octaves).round() as i64).clamp(-16, 15).cast_unsigned() & 31
 }
 
-/// A value of [0, 1] in steps, rounded half up; values outside are moved to the end.
+/// A value of [0, 1] in steps, rounded half up; values outside are clamped.
 fn unit(value: f32, steps: f64) -> u32 {
     (f64::from(value.clamp(0.0, 1.0)) * steps + 0.5) as u32
 }

@@ -1,4 +1,4 @@
-//! The page's parts put together.
+//! Assembly of the page from its parts.
 
 use std::io::{self, Write};
 
@@ -28,7 +28,7 @@ macro_rules! player {
     };
 }
 
-/// The scripts, joined to one module in this order.
+/// The scripts, joined into one module in this order.
 const SCRIPT_FILES: [&str; 21] = [
     player!("errors.js"),
     player!("packet.js"),
@@ -53,7 +53,7 @@ const SCRIPT_FILES: [&str; 21] = [
     include_str!("page.js"),
 ];
 
-/// The scripts of the worker, likewise.
+/// The scripts of the worker, joined likewise.
 const WORKER_FILES: [&str; 20] = [
     player!("errors.js"),
     player!("packet.js"),
@@ -77,7 +77,7 @@ const WORKER_FILES: [&str; 20] = [
     include_str!("worker.js"),
 ];
 
-/// Modules as one script: without their imports, which are among the others, and without what they export.
+/// Joins modules into one script: without imports, which refer to modules among them, and without exports.
 fn joined(files: &[&str]) -> String {
     let lines = files.iter().flat_map(|file| file.lines()).filter(|line| !line.starts_with("import "));
     lines.map(|line| line.strip_prefix("export ").unwrap_or(line)).flat_map(|line| [line, "\n"]).collect()
@@ -88,7 +88,7 @@ pub(super) fn bare() -> String {
     filled().replacen(SCENE, "", 1).replacen(LINK, "", 1).replacen(INTERVALS, "", 1)
 }
 
-/// The page with places for a scene.
+/// The page with placeholders for a scene.
 fn filled() -> String {
     let page = TEMPLATE.replacen(STYLE, include_str!("page.css"), 1);
     page.replacen(WORKER, &joined(&WORKER_FILES), 1).replacen(SCRIPT, &joined(&SCRIPT_FILES), 1)
@@ -104,7 +104,7 @@ pub enum PageError {
     /// A listed interval is no longer available.
     #[error("interval {0}: expected all that the scene lists, found it gone")]
     Gone(usize),
-    /// A part has more characters than a browser's text can have.
+    /// A part has more characters than a browser's string can have.
     #[error(
         "--html: expected at most {LONGEST} characters of one part, found {0}: \
          a scene as large is shown without --html, where the program serves it"
@@ -121,21 +121,21 @@ pub enum PageError {
     Write(#[from] io::Error),
 }
 
-/// Characters of a text in a browser: 2²⁹ − 24 in Chromium, the fewest of all.
+/// Most characters of a string in a browser: 2²⁹ − 24 in Chromium, the lowest limit.
 const LONGEST: usize = (1 << 29) - 24;
 
-/// A source whose whole content goes into one file.
+/// A source whose whole content is written into one file.
 pub trait Whole: Source {
     /// Description for programs that show links.
     const ABOUT: &str;
 
-    /// Its first picture.
+    /// Draws the first image of the scene.
     ///
     /// # Errors
     /// A scene that cannot be read or drawn.
     fn poster(&self) -> Result<Picture, PageError>;
 
-    /// Passes its intervals to `put` one after another, in the form that the file's scripts read.
+    /// Passes its intervals to `put` one after another, in the format of the file's scripts.
     ///
     /// # Errors
     /// A scene that cannot be read, and the errors of `put`.
@@ -149,12 +149,12 @@ pub struct Link {
     pub title: String,
     /// Address of the page, if known.
     pub url: Option<String>,
-    /// Where its poster will be: an address, or one relative to the page.
+    /// Address of the poster, absolute or relative to the page.
     pub image: String,
 }
 
 impl Link {
-    /// The page's title, and the tags of Open Graph, which programs that show links read.
+    /// The page's title, and the Open Graph tags, which programs that show links read.
     fn tags(&self, about: &str, [width, height]: [usize; 2]) -> String {
         let url = self.url.as_ref().map(|url| ("og:url", url.clone()));
         let properties = [
@@ -176,7 +176,7 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
 }
 
-/// The scene's first picture as PNG, and its width and height.
+/// The scene's first image as PNG, and its width and height.
 ///
 /// # Errors
 /// A scene that cannot be read or drawn.
@@ -185,11 +185,11 @@ pub fn poster(source: &impl Whole) -> Result<(Vec<u8>, [usize; 2]), PageError> {
     Ok((picture_png(&picture), [picture.width, picture.height]))
 }
 
-/// Writes the page with the whole of `source` in it: one file that needs nothing else. Returns the number of its bytes.
+/// Writes the page with all of `source` in it: one file without dependencies. Returns its length in bytes.
 ///
-/// Everything that makes the page work comes first, then the intervals in order, so that the first ones can be seen
-/// while others are still to come. Each is a container's chunk without what images do not need (`docs/container.md`,
-/// "Inside a page"), a still scene its compressed packet, as printable text.
+/// Everything that makes the page work comes first, then the intervals in order, so that the first ones can be shown
+/// while others are still loading. Each is a container's chunk with only the columns that images require
+/// (`docs/container.md`, "Inside a page"). A still scene is its compressed packet. Both are printable text.
 ///
 /// # Errors
 /// A source that cannot be read, one that is too large for a browser's text, and the errors of `out`.
@@ -202,11 +202,11 @@ pub fn write_page<S: Whole>(source: &S, link: &Link, out: &mut dyn Write) -> Res
     let (poster, size) = poster(source)?;
     let mut json = serde_json::to_value(source.describe(0))?;
     json["coarseness"] = COARSENESS.to_vec().into();
-    // No text inside can end the element.
+    // Text inside must not end the element.
     let json = serde_json::to_string(&json)?.replace('<', "\\u003c");
     let image = format!("<img id=\"poster\" alt=\"\" src=\"data:image/png;base64,{}\">\n", STANDARD.encode(poster));
     let scene = format!("{image}<script type=\"application/json\" id=\"scene\">{json}</script>");
-    // The scene's own words are put in last, so that none of them is taken for a mark.
+    // The scene's own text is inserted last, so that it is not taken for a placeholder.
     let page = filled();
     let (head, rest) = page.split_once(LINK).unwrap_or((&page, ""));
     let (body, rest) = rest.split_once(SCENE).unwrap_or((rest, ""));
@@ -257,7 +257,7 @@ mod tests {
     #[test]
     fn the_page_names_no_other_place() {
         let page = bare();
-        // Names of namespaces are no addresses.
+        // Names of namespaces are not addresses.
         let page = page.replace("http://www.w3.org/2000/svg", "");
         for address in ["http:", "https:", "src=", "@import", "url(", "import("] {
             assert!(!page.contains(address), "{address}");

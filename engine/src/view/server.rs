@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::http::{Answer, Hosts, Listener, Request};
 use super::{Source, page};
 
-/// Nothing is served: the address is taken, or not ours, or there is no thread.
+/// The server cannot start: the address is in use or not available, or there is no thread.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot serve on {address}: {cause}")]
 pub struct ServeError {
@@ -14,22 +14,22 @@ pub struct ServeError {
     cause: std::io::Error,
 }
 
-/// Serves a page until it is dropped; an answer under way may take longer.
+/// Serves a page until it is dropped; an answer in progress may take longer.
 ///
 /// | path | answer |
 /// |---|---|
 /// | `/` | the page |
-/// | `/scene.json?from=N` | the [`Description`](super::Description), its intervals from number N on |
+/// | `/scene.json?from=N` | the [`Description`](super::Description) with its intervals from number N on |
 /// | `/interval/N` | a [`packet`](mod@super::packet) |
 ///
-/// Anything else is not found. [`mod@super::http`] lists what is refused, and the limits of clients.
+/// Anything else is not found. [`mod@super::http`] lists what is refused, and the limits for clients.
 pub struct Server {
     listener: Listener,
 }
 
 impl Server {
-    /// Serves `source` on `address`; port 0 takes any free port. Requests may use these `names` for the server, as well
-    /// as those of [`Hosts::of`].
+    /// Serves `source` on `address`; port 0 takes any free port. Requests may use these `names` for the server, and
+    /// those of [`Hosts::of`].
     ///
     /// # Errors
     /// An address that cannot be listened on.
@@ -45,7 +45,7 @@ impl Server {
         Ok(Server { listener })
     }
 
-    /// Where it listens.
+    /// The address on which it listens.
     pub fn address(&self) -> SocketAddr {
         self.listener.address()
     }

@@ -1,4 +1,4 @@
-//! Where the page's intervals come from.
+//! Sources of the page's intervals.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -22,9 +22,9 @@ pub struct Description {
     pub title: String,
     /// Frames per second of the source.
     pub fps: f64,
-    /// Where the source's frame lies in the model's input; unknown before a stream's first interval.
+    /// Placement of the source's frame in the model's input; unknown before a stream's first interval.
     pub placement: Option<PlacementRecord>,
-    /// The scene's nature where it has no time: then its one interval is an instant.
+    /// Description of a still scene, which has one interval: an instant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub still: Option<StillDescription>,
     /// True if this is a live stream, false if it is a recording.
@@ -33,9 +33,9 @@ pub struct Description {
     pub complete: bool,
     /// Number of the first interval that is still available.
     pub first: usize,
-    /// The number of the first one listed.
+    /// The number of the first listed interval.
     pub from: usize,
-    /// The intervals from there on.
+    /// The intervals from that number on.
     pub intervals: Vec<IntervalTimes>,
 }
 
@@ -52,10 +52,10 @@ pub struct IntervalTimes {
 
 /// Source of the scene that a page shows.
 pub trait Source: Send + Sync {
-    /// The scene, with its intervals from number `from` on.
+    /// Describes the scene, with its intervals from number `from` on.
     fn describe(&self, from: usize) -> Description;
 
-    /// Interval `i` as a [`packet`](mod@super::packet); `None` when there is none of that number (any more, or yet).
+    /// Interval `i` as a [`packet`](mod@super::packet); `None` if there is none of that number, no longer or not yet.
     ///
     /// # Errors
     /// A scene that cannot be read.
@@ -111,14 +111,14 @@ impl Source for Recorded {
 impl Whole for Recorded {
     const ABOUT: &str = "A video as a scene that can be turned: dynamic 3D Gaussians";
 
-    /// A picture of the model's input size.
+    /// An image of the model's input size.
     fn poster(&self) -> Result<Picture, PageError> {
         let interval = self.interval(0)?;
         let image = interval.render(interval.start, &Camera::Canonical, &RenderOptions::default(), &self.workers)?;
         Ok(Picture { width: image.width, height: image.height, rgb: image.rgb })
     }
 
-    /// Each as the key frame at its end, a byte that is 1 for an independent chunk, and the chunk.
+    /// Each part is the key frame at its end, a byte that is 1 for an independent chunk, and the chunk.
     fn parts(&self, put: &mut dyn FnMut(&[u8]) -> Result<(), PageError>) -> Result<(), PageError> {
         let mut chunks = ImageChunks::default();
         for i in 0..self.scene.index().intervals.len() {
@@ -139,7 +139,7 @@ pub struct Live {
     state: Mutex<Stream>,
 }
 
-/// Part of a stream that has arrived so far.
+/// The part of a stream that has arrived so far.
 #[derive(Debug, Default)]
 struct Stream {
     placement: Option<Placement>,
@@ -150,7 +150,7 @@ struct Stream {
 }
 
 impl Live {
-    /// A stream that has not begun; of its packets at most `most` bytes are kept (but always the last one).
+    /// A stream that has not begun. At most `most` bytes of its packets are kept, but always the last packet.
     pub fn new(title: impl Into<String>, fps: f64, most: usize) -> Live {
         Live { title: title.into(), fps, most, state: Mutex::default() }
     }

@@ -1,14 +1,14 @@
-//! Bytes as text that HTML leaves as it is: 13 bits in two of 91 printable characters, 23 % more than the bytes
-//! (base64: 33 %).
+//! Bytes as text without characters that HTML interprets: 13 bits in two of 91 printable characters, 23 % more than the
+//! bytes (base64: 33 %).
 
-/// The characters, in ascending order: ASCII from `!` to `~` but for `&`, `<` and `\\`.
+/// The characters, in ascending order: ASCII from `!` to `~` except `&`, `<` and `\\`.
 fn digits() -> [u8; 91] {
     let mut printable = (b'!'..=b'~').filter(|c| !b"&<\\".contains(c));
     std::array::from_fn(|_| printable.next().unwrap_or(b'~'))
 }
 
-/// Two characters for every 13 bits, the lowest first; the last ones are filled up with zeros. A number is its digit of
-/// one, then that of 91.
+/// Encodes 13 bits as two characters, the lowest bits first; the last ones are padded with zeros. The first character
+/// of a number is its digit of ones, the second that of 91s.
 pub(super) fn text(bytes: &[u8]) -> String {
     let digits = digits();
     let mut out = String::with_capacity(bytes.len() * 16 / 13 + 4);

@@ -1,10 +1,10 @@
 //! Faults for tests: operations that fail, and power losses.
 //!
-//! Nothing happens outside of [`inject`], which works on the calling thread alone. A power loss is simulated as the
-//! worst case of a file system: from one operation on everything fails, and then all unsynced data are lost. File
-//! systems differ in what they lose first, so there are two kinds: names last and bytes do not ([`Fault::LosesBytes`]:
-//! files are there, cut to what was synced), or names do not last either ([`Fault::LosesNames`]: what was created,
-//! renamed or removed since its folder was synced is undone).
+//! Nothing happens outside of [`inject`], which affects only the calling thread. A power loss is simulated as the worst
+//! case of a file system: from one operation on everything fails, and then all unsynced data are lost. File systems
+//! differ in what they lose first, so there are two kinds. In [`Fault::LosesBytes`] names persist and bytes do not:
+//! files exist, cut to their synced length. In [`Fault::LosesNames`] names do not persist either: files created,
+//! renamed or removed since their folder was synced are restored to their former state.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -16,9 +16,9 @@ use std::path::{Path, PathBuf};
 pub enum Fault {
     /// One operation fails: there is no room (ENOSPC).
     NoSpace,
-    /// One operation fails: the device does (EIO).
+    /// One operation fails: a device error (EIO).
     Device,
-    /// One write takes half of the bytes, and the operation after it fails as the disk is full.
+    /// One write accepts half of the bytes, and the next operation fails because the disk is full.
     ShortWrite,
     /// The power fails; unsynced bytes are lost.
     LosesBytes,
@@ -61,7 +61,7 @@ impl Change {
     }
 
     fn undo(self) {
-        // A change that cannot be undone was undone with its folder.
+        // A change that cannot be undone was undone already with its folder.
         let _ = match self {
             Change::Created(path) => std::fs::remove_file(path),
             Change::Renamed { from, to, replaced } => {
@@ -77,15 +77,15 @@ impl Change {
 #[derive(Debug)]
 struct Plan {
     fault: Option<(Fault, u64)>,
-    /// The program that is run as ffmpeg.
+    /// The program that is run instead of ffmpeg.
     ffmpeg: Option<PathBuf>,
     operations: u64,
     /// Operations fail from now on.
     dead: bool,
     short: bool,
-    /// Files with bytes that are not synced, and how many are.
+    /// Files with unsynced bytes, and their synced lengths.
     files: BTreeMap<PathBuf, u64>,
-    /// Names that are not synced.
+    /// Unsynced changes of names.
     changes: Vec<Change>,
 }
 
@@ -97,13 +97,13 @@ fn with<T>(f: impl FnOnce(&mut Plan) -> T) -> Option<T> {
     PLAN.with_borrow_mut(|plan| plan.as_mut().map(f))
 }
 
-/// Does `work` with `fault` at this operation of the thread, counted from 1; returns its result and the number of
-/// operations. The data lost by a power loss are removed before it returns.
+/// Runs `work` with `fault` at this operation of the thread, counted from 1; returns its result and the number of
+/// operations. Data lost by a power loss are removed before it returns.
 pub fn inject<T>(fault: Option<(Fault, u64)>, work: impl FnOnce() -> T) -> (T, u64) {
     inject_with(fault, None, work)
 }
 
-/// As [`inject`], with another program in ffmpeg's place.
+/// As [`inject`], with another program instead of ffmpeg.
 pub fn inject_with<T>(fault: Option<(Fault, u64)>, ffmpeg: Option<PathBuf>, work: impl FnOnce() -> T) -> (T, u64) {
     let plan =
         Plan { fault, ffmpeg, operations: 0, dead: false, short: false, files: BTreeMap::new(), changes: Vec::new() };
@@ -120,7 +120,7 @@ pub fn inject_with<T>(fault: Option<(Fault, u64)>, ffmpeg: Option<PathBuf>, work
 impl Plan {
     fn lose(self) {
         for (path, length) in &self.files {
-            // A file that was removed since has nothing to lose.
+            // A file that was removed since has no bytes to lose.
             let _ = std::fs::File::options().write(true).open(path).and_then(|file| {
                 let shorter = file.metadata()?.len() > *length;
                 if shorter { file.set_len(*length) } else { Ok(()) }
@@ -155,12 +155,12 @@ impl Plan {
     }
 }
 
-/// Counts an operation; an error where one is due.
+/// Counts an operation; returns an error if it is the one to fail.
 pub(super) fn step() -> io::Result<()> {
     with(|plan| plan.step(false)).unwrap_or(Ok(Room::Enough)).map(drop)
 }
 
-/// As [`step`], of a write.
+/// As [`step`], for a write.
 pub(super) fn write_step() -> io::Result<Room> {
     with(|plan| plan.step(true)).unwrap_or(Ok(Room::Enough))
 }
@@ -169,7 +169,7 @@ pub(super) fn write_step() -> io::Result<Room> {
 pub(super) fn foreign_step() -> io::Result<Room> {
     with(|plan| match plan.step(true) {
         Err(_) if !plan.dead => Ok(Room::Half),
-        // A short write truncates the file, too; the next operation does not fail.
+        // A short write truncates the file as well; the next operation does not fail.
         room => {
             plan.short = false;
             room
@@ -183,12 +183,12 @@ pub fn ffmpeg() -> PathBuf {
     with(|plan| plan.ffmpeg.clone()).flatten().unwrap_or_else(|| PathBuf::from("ffmpeg"))
 }
 
-/// A change about to be made, where one is to be kept.
+/// A change to be recorded, before it is made; `None` outside of [`inject`].
 pub(super) fn before(change: impl FnOnce() -> Change) -> Option<Change> {
     PLAN.with_borrow(Option::is_some).then(change)
 }
 
-/// Keeps a change that was made.
+/// Records a change after it was made.
 pub(super) fn changed(change: impl FnOnce() -> Change) {
     changed_to(before(change));
 }
@@ -222,14 +222,14 @@ pub(super) fn synced(path: &Path) {
     with(|plan| plan.files.insert(path.to_owned(), std::fs::metadata(path).map_or(0, |found| found.len())));
 }
 
-/// A file of this length is written on.
+/// Registers that a file of this length is appended to.
 pub(super) fn reopened(path: &Path, length: u64) {
     with(|plan| {
         plan.files.entry(path.to_owned()).or_insert(length);
     });
 }
 
-/// A folder's names are synced.
+/// Marks a folder's names as synced.
 pub(super) fn synced_folder(path: &Path) {
     with(|plan| plan.changes.retain(|change| change.folder() != Some(path)));
 }

@@ -1,6 +1,6 @@
-//! Checks that a file written by ffmpeg is complete: it has its trailer and as many frames as went in.
+//! Checks that a file written by ffmpeg is complete: it has its trailer and as many frames as were written.
 //!
-//! The exit code is not enough: ffmpeg 5.1 exits with 0 after the error that no space is left.
+//! The exit code does not suffice: ffmpeg 5.1 exits with 0 after the error that no space is left.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -9,11 +9,11 @@ use std::process::Stdio;
 
 use super::encode::{ffmpeg, first_line, url};
 
-/// An error unless the file `path` of this kind holds `frames` frames.
+/// Returns an error unless the file `path` of this kind holds `frames` frames.
 pub(super) fn whole(path: &Path, kind: &str, frames: usize) -> Result<(), String> {
     let unreadable = |e: std::io::Error| e.to_string();
     match kind {
-        // ffmpeg 5.1 does not read it. Frames like the one before are a longer showing of that one.
+        // ffmpeg 5.1 cannot read it. In WebP repeated frames extend the duration of the first of them.
         "webp" => {
             let found = webp_frames(path).map_err(unreadable)?;
             return match found {
@@ -48,8 +48,8 @@ fn no_end() -> String {
     "expected a whole file, found one without its end".to_owned()
 }
 
-/// The packets of the stream that has most of them, in a list that begins each line with the stream. An animated AVIF
-/// has its first picture as a stream of its own.
+/// The largest number of packets of a stream, in a list whose lines begin with the stream's number. An animated AVIF
+/// has its first picture as a separate stream.
 fn most_packets(list: &str) -> usize {
     let mut counts = std::collections::BTreeMap::<&str, usize>::new();
     for line in list.lines().filter(|line| !line.starts_with('#')) {
@@ -97,7 +97,7 @@ fn webp_frames(path: &Path) -> std::io::Result<Option<usize>> {
     Ok((at == length).then_some(if moving > 0 { moving } else { still }))
 }
 
-/// Returns true if a Matroska file's segment has a length, which its writer fills in at the end, and is as long.
+/// Returns true if a Matroska file's segment has a length, which its writer fills in at the end, and is that long.
 fn segment_is_whole(path: &Path) -> std::io::Result<bool> {
     let mut file = File::open(path)?;
     let length = file.metadata()?.len();

@@ -2,14 +2,14 @@
 //!
 //! | file | codec | colours | quality |
 //! |---|---|---|---|
-//! | mp4, m4v, mov, mkv | H.264 | 4:2:0, BT.709, limited range, tagged; odd sides get one more row or column like their last | `-crf` [`H264_QUALITY`] |
+//! | mp4, m4v, mov, mkv | H.264 | 4:2:0, BT.709, limited range, tagged; odd sides get one more row or column that repeats the last | `-crf` [`H264_QUALITY`] |
 //! | webm | VP9 | 4:2:0, BT.709, limited range, tagged | `-crf` [`VP9_QUALITY`] |
-//! | avif | AV1 | 4:2:0, BT.601, full range, tagged: readers of still images compute these right, and not all of them BT.709 | `-crf` [`AV1_QUALITY`] |
+//! | avif | AV1 | 4:2:0, BT.601, full range, tagged: all readers of still images convert these correctly, but not all convert BT.709 | `-crf` [`AV1_QUALITY`] |
 //! | webp | VP8 | 4:2:0, BT.601, limited range: the format has no other | 90 of 100 |
-//! | gif | GIF | 256 colours of each frame's own | |
+//! | gif | GIF | 256 colours, chosen for each frame | |
 //!
-//! Frames that do not follow at a constant rate are encoded in the order in which they are shown: reordered ones have
-//! the length of their neighbours in an mp4, which makes it too short.
+//! Frames without a constant rate are encoded in the order in which they are shown: in an mp4, reordered ones would get
+//! the duration of their neighbours, which makes the video too short.
 
 use std::ffi::OsString;
 use std::io::{self, Read, Write};
@@ -22,17 +22,17 @@ use super::y4m::fraction;
 use super::{Pace, VideoFormat, matroska};
 use crate::output::{OutputError, partial_name, storage};
 
-/// Default rate factors. That of H.264 is chosen so that the decoded video is as close to the source's frames as the
-/// images that went in but for half a decibel, by the mean squared error over all frames of a clip.
+/// Default rate factors. That of H.264 is chosen so that the decoded video is only half a decibel less close to the
+/// source's frames than the encoded images are, by the mean squared error over all frames of a clip.
 const H264_QUALITY: u8 = 6;
 const VP9_QUALITY: u8 = 18;
 const AV1_QUALITY: u8 = 18;
-/// Least ticks a second.
+/// Least number of ticks per second.
 const TICKS: u64 = 90_000;
-/// Most bytes of messages that are kept.
+/// Longest messages that are kept, in bytes.
 const MESSAGES: u64 = 1 << 16;
 
-/// ffmpeg's name of the kind of file that a path names.
+/// ffmpeg's name for the kind of file that a path has.
 pub(super) fn container(path: &Path) -> String {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     match extension.as_str() {
@@ -52,15 +52,15 @@ pub fn qualities(path: &Path) -> Option<RangeInclusive<u8>> {
     }
 }
 
-/// The file as ffmpeg takes it: a name that starts with a dash or holds a colon must not be taken as an option or a
-/// protocol.
+/// The file in the form passed to ffmpeg: a name that starts with a dash or contains a colon must not be read as an
+/// option or a protocol.
 pub(super) fn url(path: &Path) -> OsString {
     let mut url = OsString::from("file:");
     url.push(path);
     url
 }
 
-/// ffmpeg in a process group of its own, so that Ctrl-C in the terminal does not stop it before the caller has finished
+/// ffmpeg in a separate process group, so that Ctrl-C in the terminal does not stop it before the caller has finished
 /// the file.
 pub(super) fn ffmpeg() -> Command {
     let mut command = Command::new(storage::faults::ffmpeg());
@@ -77,7 +77,7 @@ pub(super) struct Encoder {
     size: (usize, usize),
     /// Width and height of the pictures in the file.
     even: (usize, usize),
-    /// Nanoseconds of the last frame.
+    /// Time of the last frame in nanoseconds.
     last: Option<u64>,
     name: String,
 }
@@ -92,13 +92,13 @@ impl Encoder {
     ) -> Result<Encoder, OutputError> {
         let failed = |cause: String| OutputError::Ffmpeg { path: path.to_owned(), cause };
         let kind = &container(path)[..];
-        // ffmpeg writes into the file that is there, which is no link then.
+        // ffmpeg writes into the existing file, which then is not a link.
         storage::create(&partial_name(path)).map_err(OutputError::write(path))?;
         let halved = ["mp4", "mov", "matroska"].contains(&kind);
         let (width, height) = size;
         let even = if halved { (width.next_multiple_of(2), height.next_multiple_of(2)) } else { size };
         let child = ffmpeg()
-            // Everything about the stream is in its head; nothing is to be guessed from the first frames.
+            // The stream's head is complete, so ffmpeg need not probe the first frames.
             .args(["-y", "-f", "matroska", "-probesize", "32", "-fpsprobesize", "0", "-i", "-"])
             .args([
                 "-fps_mode",
@@ -152,7 +152,7 @@ impl Encoder {
         }
     }
 
-    /// How pictures in the file differ from those that went in.
+    /// How pictures in the file differ from those pushed.
     pub(super) fn note(&self) -> Option<String> {
         let ((width, height), (wide, high)) = (self.size, self.even);
         let name = &self.name;
@@ -179,7 +179,7 @@ impl Encoder {
 
 impl Drop for Encoder {
     fn drop(&mut self) {
-        // No effect on one that has ended.
+        // No effect after it has exited.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -190,7 +190,7 @@ pub(super) fn first_line(text: &str) -> Option<String> {
     text.lines().map(str::trim).find(|line| !line.is_empty()).map(str::to_owned)
 }
 
-/// Ticks a second that places of frames at a rate of `fps` are whole numbers of.
+/// Ticks per second such that frames at a rate of `fps` have whole numbers of ticks.
 fn ticks(fps: f64) -> u64 {
     let (numerator, denominator) = fraction(fps);
     let (mut divisor, mut rest) = (numerator, denominator);
@@ -206,8 +206,8 @@ fn ticks(fps: f64) -> u64 {
 fn arguments(kind: &str, uneven: bool, quality: Option<u8>) -> Vec<String> {
     const EXACT: &str = "flags=bicubic+accurate_rnd+full_chroma_int+full_chroma_inp";
     const SAME: &str = "setparams=color_primaries=bt709:color_trc=bt709";
-    // Pictures have neither primaries nor a transfer; since ffmpeg 9 an encoder takes those of the pictures, not those
-    // of its options.
+    // Frames carry neither primaries nor a transfer function. Since ffmpeg 9 an encoder takes those of the frames, not
+    // those of its options.
     let scale = |matrix: &str, range: &str| {
         format!("-vf scale=out_color_matrix={matrix}:out_range={range}:{EXACT},{SAME} -pix_fmt yuv420p")
     };
@@ -216,10 +216,10 @@ fn arguments(kind: &str, uneven: bool, quality: Option<u8>) -> Vec<String> {
     };
     let quality = |default: u8| format!("-crf {}", quality.unwrap_or(default));
     let how = match kind {
-        // 256 colours of each frame's own.
+        // 256 colours, chosen for each frame.
         "gif" => "-vf split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1".to_owned(),
         "webp" => scale("bt601", "limited").replace(SAME, "null") + " -c:v libwebp_anim -quality 90 -loop 0",
-        // Without a rate of bits, quality alone decides.
+        // Without a bit rate, the quality alone decides.
         "avif" => scale("bt601", "full") + &tags("smpte170m", "pc") + &quality(AV1_QUALITY) + " -b:v 0 -cpu-used 8",
         "webm" => scale("bt709", "limited") + &tags("bt709", "tv") + &quality(VP9_QUALITY) + " -b:v 0 -row-mt 1",
         _ => {
@@ -230,7 +230,7 @@ fn arguments(kind: &str, uneven: bool, quality: Option<u8>) -> Vec<String> {
     how.split(' ').map(str::to_owned).collect()
 }
 
-/// 8-bit RGB of width and height `size` with its last column and row once more where `even` is larger.
+/// 8-bit RGB of width and height `size`, with its last column and row repeated where `even` is larger.
 fn evened(samples: Vec<u8>, size: (usize, usize), even: (usize, usize)) -> Vec<u8> {
     if size == even || size.0 == 0 {
         return samples;

@@ -1,8 +1,7 @@
-//! Frames with their times as ffmpeg takes them from a pipe: Matroska (RFC 9559) with uncompressed RGB, one cluster per
-//! frame.
+//! Frames with their times for ffmpeg's input pipe: Matroska (RFC 9559) with uncompressed RGB, one cluster per frame.
 //!
 //! y4m and raw video have only a frame rate. In Matroska each frame has its own time, here in whole nanoseconds. The
-//! default duration, from which ffmpeg takes the rate and the length of the last frame, is that of the mean rate.
+//! default duration is that of the mean rate; ffmpeg takes the rate and the duration of the last frame from it.
 
 /// The head of a stream of 8-bit RGB frames.
 pub(super) fn head(width: usize, height: usize, fps: f64) -> Vec<u8> {
@@ -18,7 +17,7 @@ pub(super) fn head(width: usize, height: usize, fps: f64) -> Vec<u8> {
     let mut out = element(&[0x1A, 0x45, 0xDF, 0xA3], &ebml.concat());
     // The segment, of unknown length.
     out.extend([0x18, 0x53, 0x80, 0x67, 0x01, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF]);
-    // A tick of one nanosecond, and who writes.
+    // A tick of one nanosecond, and the name of the writer.
     let info = [
         element(&[0x2A, 0xD7, 0xB1], &number(1)),
         element(&[0x4D, 0x80], b"streamsplat"),
@@ -61,7 +60,7 @@ fn length(bytes: usize) -> [u8; 8] {
     ((1 << 56) | bytes as u64).to_be_bytes()
 }
 
-/// A whole number in as few bytes as it needs.
+/// A whole number in as few bytes as possible.
 fn number(value: u64) -> Vec<u8> {
     let bytes = value.to_be_bytes();
     let zeros = bytes.iter().take_while(|byte| **byte == 0).count().min(7);

@@ -1,4 +1,4 @@
-//! Video out: y4m written here (to a file or to standard output), anything else by an installed `ffmpeg` program.
+//! Video output: y4m is written here (to a file or to standard output), anything else by an installed `ffmpeg` program.
 //!
 //! ffmpeg reads 8-bit RGB, each frame with its own time ([`matroska`]), and encodes it as 4:2:0 video ([`encode`]). The
 //! matrix is BT.601 in WebP, whose format has no other, and in AVIF; it is BT.709 elsewhere. Formats with colour tags
@@ -23,7 +23,7 @@ pub use encode::qualities;
 pub use resume::VideoPoint;
 pub use sound::{Sound, holds_sound};
 
-/// Endings of the videos that are written, the first by this library, the others by ffmpeg.
+/// Endings of video files, the first written by this library, the others by ffmpeg.
 pub const VIDEOS: [&str; 9] = ["y4m", "mp4", "webm", "mkv", "mov", "m4v", "gif", "webp", "avif"];
 
 /// Kinds of video.
@@ -36,7 +36,7 @@ pub enum VideoFormat {
 }
 
 impl VideoFormat {
-    /// The format of a file of this name; `None` when it is no video's name.
+    /// The format of a file of this name; `None` for other names.
     pub fn of(path: &Path) -> Option<VideoFormat> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
         match extension.as_str() {
@@ -49,22 +49,22 @@ impl VideoFormat {
 /// A finished video.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finished {
-    /// The file, when it is one.
+    /// The file, unless the video went to standard output.
     pub file: Option<Written>,
-    /// Digest of the 8-bit samples that went in: equal on every machine, with any ffmpeg.
+    /// Digest of the 8-bit samples that were pushed: equal on every machine, with any ffmpeg.
     pub samples: String,
     /// Frames.
     pub frames: usize,
-    /// Differences between the file and what went in, a line each.
+    /// Differences between the file and the pushed frames, one per line.
     pub notes: Vec<String>,
 }
 
-/// How frames follow each other.
+/// Timing of frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pace {
     /// Frames per second, on average.
     pub fps: f64,
-    /// False if every frame has its place at this rate.
+    /// False if every frame has its time at this rate.
     pub uneven: bool,
 }
 
@@ -97,8 +97,8 @@ enum Sink {
 }
 
 impl Video {
-    /// A video at `path`; `-` is y4m on standard output. Nothing is created before the first frame,
-    /// but a folder that cannot be written is an error now.
+    /// A video at `path`; `-` is y4m on standard output. Nothing is created before the first frame, but a folder that
+    /// cannot be written is an error at once.
     ///
     /// # Errors
     /// The folder cannot be written.
@@ -125,14 +125,14 @@ impl Video {
         }
     }
 
-    /// The same encoded at this constant rate factor, one of [`qualities`], in place of the default.
+    /// Encodes at this constant rate factor, one of [`qualities`], instead of the default.
     pub fn with_quality(mut self, quality: Option<u8>) -> Video {
         self.quality = quality;
         self
     }
 
-    /// The same with sound, where files of this kind hold any ([`holds_sound`]): copied where such a file takes its
-    /// codec, else encoded again.
+    /// Adds sound, if files of this kind can hold it ([`holds_sound`]): copied if the kind supports its codec,
+    /// otherwise encoded again.
     pub fn with_sound(mut self, sound: Option<Sound>) -> Video {
         self.sound = sound.filter(|_| holds_sound(&self.path));
         self
@@ -169,7 +169,7 @@ impl Video {
     ///
     /// # Errors
     /// A frame of another size than the first; errors of the system or of ffmpeg. On standard output the earlier frames
-    /// stay readable; a file is not kept.
+    /// stay readable; a file is discarded.
     pub fn push(&mut self, picture: &Picture, time: f64) -> Result<(), OutputError> {
         let found = (picture.width, picture.height);
         let expected = *self.size.get_or_insert(found);
@@ -208,7 +208,7 @@ impl Video {
     /// Completes the file and renames it to its final name.
     ///
     /// # Errors
-    /// Errors of the system or of ffmpeg, and an incomplete file. The new file is then not kept, and an earlier one of
+    /// Errors of the system or of ffmpeg, and an incomplete file. The new file is then discarded, and an earlier one of
     /// the same name is unchanged.
     pub fn finish(mut self) -> Result<Finished, OutputError> {
         let partial = partial_name(&self.path);
@@ -287,7 +287,7 @@ impl Sink {
     }
 }
 
-/// Length and digest of a file that is there.
+/// Length and digest of an existing file.
 fn of_file(path: &Path) -> std::io::Result<Written> {
     let file = std::fs::File::open(path)?;
     let bytes = file.metadata()?.len();

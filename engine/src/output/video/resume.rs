@@ -9,7 +9,7 @@ use super::{Pace, Sink, Video, VideoFormat};
 use crate::output::storage::{self};
 use crate::output::{OutputError, partial_name};
 
-/// How far a y4m file has come: whole frames, all of them with the system.
+/// State of a y4m file: complete frames that were passed to the system.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VideoPoint {
     /// Frames.
@@ -23,11 +23,11 @@ pub struct VideoPoint {
 }
 
 impl Video {
-    /// Resumes a y4m file at `point`: under its temporary name, or its own, which it loses again. The part
-    /// beyond is cut off.
+    /// Resumes a y4m file at `point`, under its temporary name; a file that has its own name already is renamed back.
+    /// The part beyond `point` is cut off.
     ///
     /// # Errors
-    /// A file that cannot be read and written, or holds something else up to `point`.
+    /// A file that cannot be read and written, or that differs before `point`.
     pub fn resume(path: &Path, fps: f64, point: &VideoPoint) -> Result<Video, OutputError> {
         let mut video = Video::create_beside(path, VideoFormat::Y4m, Pace::even(fps));
         let partial = partial_name(path);
@@ -60,8 +60,8 @@ impl Video {
         read.is_ok() && digest.finalize().to_hex().as_str() == point.blake3
     }
 
-    /// Syncs what was pushed and returns the point reached; `None` before the first frame, and where the video cannot
-    /// be resumed (ffmpeg's, standard output).
+    /// Syncs the frames pushed so far and returns the point reached; `None` before the first frame, and where the video
+    /// cannot be resumed (ffmpeg's, standard output).
     ///
     /// # Errors
     /// Errors of the system.
@@ -77,7 +77,7 @@ impl Video {
     /// Leaves a y4m file under its temporary name, to be resumed.
     pub fn leave(mut self) {
         if let Some(Sink::File { file, .. }) = self.sink.take() {
-            // Frames that do not fit lie beyond the last point.
+            // Frames that could not be written are beyond the last point.
             drop(file);
         }
     }

@@ -6,23 +6,23 @@ use std::process::Stdio;
 use super::encode::{container, ffmpeg, first_line, is_encoded, url};
 use crate::output::storage;
 
-/// Sound to go with a video.
+/// Sound for a video.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sound {
-    /// The file with the sound; its first track is taken.
+    /// The file with the sound; its first track is used.
     pub file: PathBuf,
     /// Its codec, in ffmpeg's names.
     pub codec: String,
-    /// Where in the file the first picture is shown, in seconds after the file's beginning.
+    /// Time in the file at which the first picture is shown, in seconds after the file's beginning.
     pub start: f64,
 }
 
-/// Returns true if video files of this name are written with the source's sound, where it has any.
+/// Returns true if video files of this name get the source's sound, if it has any.
 pub fn holds_sound(path: &Path) -> bool {
     is_encoded(path) && !["gif", "webp", "avif"].contains(&&container(path)[..])
 }
 
-/// The encoder of sound for a kind of file: `copy` where the codec is one of its own.
+/// The encoder of sound for a kind of file: `copy` where the kind supports the codec.
 fn encoder(kind: &str, codec: &str) -> &'static str {
     match kind {
         "webm" if ["opus", "vorbis"].contains(&codec) => "copy",
@@ -33,8 +33,8 @@ fn encoder(kind: &str, codec: &str) -> &'static str {
 }
 
 impl Sound {
-    /// Replaces the file `pictures` of this kind by one with `seconds` of the sound as well. ffmpeg's message, where
-    /// the file is there all the same, is the sound's own faults.
+    /// Replaces the file `pictures` of this kind by one with `seconds` of the sound as well. If the file is written but
+    /// ffmpeg printed a message, returns that message: it is about faults of the sound.
     pub(super) fn join(&self, pictures: &Path, kind: &str, seconds: f64) -> Result<Option<String>, String> {
         let joined = pictures.with_extension("sound.partial");
         storage::create(&joined).map_err(|e| e.to_string())?;

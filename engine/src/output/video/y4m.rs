@@ -1,5 +1,5 @@
-//! y4m, written here: 4:4:4, 8 bits, full range, with the matrix that [`crate::source::y4m`] reads pictures of their
-//! size with.
+//! The y4m writer: 4:4:4, 8 bits, full range, with the matrix by which [`crate::source::y4m`] reads pictures of their
+//! size.
 
 use crate::picture::Picture;
 use crate::source::y4m::convert::Matrix;

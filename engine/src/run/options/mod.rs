@@ -29,10 +29,10 @@ pub use values::{Background, DepthModel, DepthScale, DepthSource, Fill, Isa, Nam
 
 /// Options that are set by name from text, as on the command line.
 trait Named {
-    /// Sets what is called `name` if that is `own` or lies within; `None` where it is not found.
+    /// Sets the option `name` if that is `own` or within this structure; `None` where there is no such option.
     fn put(&mut self, own: &str, name: &str, text: &str) -> Option<Result<(), String>>;
 
-    /// Takes what is not given from `other`.
+    /// Takes unset values from `other`.
     fn fill(&mut self, other: &Self);
 }
 
@@ -48,13 +48,13 @@ impl<T: FromStr<Err: Display> + Clone> Named for Option<T> {
     }
 }
 
-/// The message with the text, unless that is in it.
+/// Appends the text to the message, unless it contains it.
 fn with_found(e: impl Display, text: &str) -> String {
     let message = e.to_string();
     if message.contains(text) { message } else { format!("{message}, found {text:?}") }
 }
 
-/// A single value of its own type.
+/// An option that is a single value of its type.
 macro_rules! values {
     ($($kind:ty),+) => { $(impl Named for $kind {
         fn fill(&mut self, _: &Self) {}
@@ -67,7 +67,7 @@ macro_rules! values {
 
 values!(bool, u64, Isa, Background);
 
-/// Structures of options, whose fields are found by their names.
+/// Structures of options whose fields can be set by name.
 macro_rules! options {
     ($(#[$meta:meta])* pub struct $name:ident { $($(#[$field_meta:meta])* pub $field:ident: $kind:ty,)+ }) => {
         $(#[$meta])*
@@ -87,11 +87,11 @@ macro_rules! options {
         }
 
         impl $name {
-            /// Sets the option of this name (`refine_every` or `refine-every`) from its text on the command line; false
-            /// where there is none of this name.
+            /// Sets the option of this name (`refine_every` or `refine-every`) from its text on the command line;
+            /// returns false for an unknown name.
             ///
             /// # Errors
-            /// [`Error::Usage`] for a text that is no value of the option.
+            /// [`Error::Usage`] for a text that is not a value of the option.
             pub fn set(&mut self, name: &str, text: &str) -> Result<bool, Error> {
                 match Named::put(self, "", &name.replace('-', "_"), text) {
                     Some(Ok(())) => Ok(true),

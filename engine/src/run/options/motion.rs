@@ -6,25 +6,25 @@ use crate::run::Error;
 use crate::run::options::{Fill, Motion, Swing};
 use crate::run::views::Views;
 
-/// Seconds of a motion of which only the angle is said.
+/// Seconds of a motion given without seconds.
 const SECONDS: f64 = 4.0;
 /// Widest circle, in degrees from its middle.
 const WIDEST: f64 = 80.0;
-/// Distance between the eyes where none is said, as a part of their distance from the scene's middle.
+/// Default distance between the eyes, as a part of their distance from the scene's middle.
 const EYE_DISTANCE: f64 = 0.06;
-/// Most images of a motion.
+/// Largest number of images of a motion.
 const MOST: f64 = 1e6;
 
-/// Where the camera stands at each image.
+/// The camera's angles at each image.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Course {
-    /// One place per image, all at one instant of the scene.
+    /// One pair of angles per image, all at one instant of the scene.
     Held(Vec<Angles>),
-    /// A place per time since the first image.
+    /// Angles by the time since the first image.
     Running(Turn),
 }
 
-/// A motion as it was asked for, with the seconds if they were said.
+/// A motion as given by the options, with seconds where they are given.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Asked {
     Orbit(f64, Option<f64>),
@@ -32,7 +32,7 @@ enum Asked {
     Turntable(f64),
 }
 
-/// Seconds from the first image to the last, and how many there are.
+/// Seconds from the first image to the last, and the number of images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Whole {
     span: f64,
@@ -48,7 +48,7 @@ impl Asked {
         }
     }
 
-    /// Angles of the images of one instant, `fps` of them a second.
+    /// Angles of the images of a motion at one instant, `fps` of them a second.
     fn held(self, fps: f64) -> Result<Vec<Angles>, Error> {
         let (Asked::Orbit(_, seconds) | Asked::Sway(_, seconds)) = self else {
             let Asked::Turntable(seconds) = self else { return Ok(Vec::new()) };
@@ -78,7 +78,7 @@ impl Asked {
         Ok(count as usize)
     }
 
-    /// The motion while time runs on, through all images where it is known how many there are.
+    /// The motion while time advances, over all images where their number is known.
     fn running(self, whole: Option<Whole>) -> Result<Turn, Error> {
         let (said, turn): (Option<f64>, &dyn Fn(f64) -> Turn) = match self {
             Asked::Orbit(degrees, seconds) => (seconds, &move |seconds| Turn::Orbit { degrees, seconds }),
@@ -94,7 +94,7 @@ impl Asked {
         let seconds = match (self, whole) {
             (Asked::Orbit(..), Some(Whole { span, .. })) => span,
             (Asked::Sway(..), Some(Whole { span, images })) => {
-                // The image that would follow the last is the first again.
+                // The image after the last would be the first again.
                 let all = span * images as f64 / images.saturating_sub(1).max(1) as f64;
                 all / (all / SECONDS).round().max(1.0)
             }
@@ -105,7 +105,7 @@ impl Asked {
 }
 
 impl Motion {
-    /// The circle of `--sway` without a value, in degrees.
+    /// Degrees of the circle for `--sway` without a value.
     pub const SWAY: &str = "4";
 
     fn asked(&self) -> Result<Option<Asked>, Error> {
@@ -126,18 +126,17 @@ impl Motion {
         self.orbit.is_some() || self.sway.is_some() || self.turntable.is_some()
     }
 
-    /// Returns true if the last image goes on into the first.
+    /// Returns true if the motion is a loop: the last image leads into the first.
     pub fn closes(&self) -> bool {
         self.sway.is_some() || self.turntable.is_some()
     }
 
-    /// The places of the camera around a scene that stands still, `fps` of them a second; `None` where it does not
-    /// move.
+    /// The camera's angles around a static scene, `fps` of them a second; `None` where it does not move.
     pub fn held(&self, fps: f64) -> Result<Option<Vec<Angles>>, Error> {
         self.asked()?.map(|asked| asked.held(fps)).transpose()
     }
 
-    /// Distance between the eyes; `None` for a single one.
+    /// Distance between the eyes; `None` for a single view.
     pub fn eyes(&self) -> Result<Option<f64>, Error> {
         let distance = self.eye_distance.unwrap_or(EYE_DISTANCE);
         if !(distance > 0.0 && distance <= 1.0) {
@@ -148,8 +147,8 @@ impl Motion {
         Ok(self.stereo.then_some(distance))
     }
 
-    /// Gives `views` its motion for images at the times of `due`, which becomes as many as the motion has where it is a
-    /// single one.
+    /// Sets the motion of `views` for images at the times of `due`. A single time in `due` is repeated for all images
+    /// of the motion.
     pub fn along<T: Copy>(
         &self,
         views: &mut Views,
@@ -175,7 +174,7 @@ impl Motion {
         Ok(())
     }
 
-    /// What is shown where nothing was filmed; without a motion, the background.
+    /// The filling of parts that were never filmed; without a motion, the background.
     fn filling(&self) -> Result<Fill, Error> {
         match self.fill {
             Some(fill) if !self.moves() => Err(Error::usage(format!(
@@ -185,7 +184,7 @@ impl Motion {
         }
     }
 
-    /// Gives `views` its motion for a video of `fps` frames a second whose end is not known.
+    /// Sets the motion of `views` for a video of `fps` frames a second whose end is unknown.
     pub fn follow(&self, views: &mut Views, fps: f64) -> Result<(), Error> {
         if self.fill == Some(Fill::Crop) {
             return Err(Error::usage(
@@ -234,8 +233,7 @@ mod tests {
         };
         let orbit = Motion { orbit: Some("20".parse().expect("an angle")), ..Motion::default() };
         assert_eq!(course(&orbit, 81), Some(Course::Running(Turn::Orbit { degrees: 20.0, seconds: 10.0 })));
-        // 80 images of an eighth of a second: ten seconds, in which two circles or three come nearest to 4 seconds
-        // each.
+        // 80 images of an eighth of a second: ten seconds. Two or three circles come nearest to 4 seconds each.
         let Some(Course::Running(Turn::Sway { seconds, .. })) = course(&sway("4"), 80) else { panic!("a circle") };
         assert!((seconds - 10.0 / 3.0).abs() < 1e-9, "{seconds}");
         let Some(Course::Running(Turn::Sway { seconds, .. })) = course(&sway("4"), 8) else { panic!("a circle") };

@@ -1,4 +1,4 @@
-//! The table of presets: values of options that are not given.
+//! The table of presets: values of unset options.
 
 use serde_json::{Map, Value};
 
@@ -16,7 +16,7 @@ use streamsplat_model::Precision;
 enum Column {
     /// A quality.
     Of(Quality),
-    /// Models from files of which no quality is given: as the paper says.
+    /// Models from files without a quality: as in the paper.
     OtherModel,
     /// The authors' script for whole clips.
     LikePaper,
@@ -91,7 +91,7 @@ impl Column {
 }
 
 impl StreamOptions {
-    /// The column of these options.
+    /// The column that applies to these options.
     fn column(&self) -> Column {
         match (self.like_paper, self.quality, self.model.source()) {
             (true, ..) => Column::LikePaper,
@@ -101,13 +101,13 @@ impl StreamOptions {
         }
     }
 
-    /// These options, with those of the preset where they are not given: `--like-paper`, or the quality (`balanced` by
-    /// default for the model inside the library, none for other models).
+    /// Returns these options with unset ones filled from the preset: that of `--like-paper`, or of the quality
+    /// (`balanced` by default for the model inside the library, none for other models).
     #[must_use]
     pub fn resolved(&self) -> StreamOptions {
         let mut stream = self.clone();
         let mut preset = self.column().values().stream;
-        // Motion by the network comes with its fading, and without parallax.
+        // Motion by the network implies its fading and excludes parallax.
         if self.motion == Some(MotionFrom::Network) {
             (preset.fade, preset.depth) = (Some(Fade::Network), Some(DepthSource::None));
         }
@@ -115,14 +115,14 @@ impl StreamOptions {
         stream
     }
 
-    /// The fit of frames where none is given.
+    /// The default fit of frames.
     pub(super) fn fit(&self) -> Option<Fit> {
         self.column().values().fit
     }
 }
 
-/// Options that presets set, by their names on the command line, each with its default in words: that of the model
-/// inside the library, then what differs from it.
+/// Options that presets set, by their names on the command line, each with its default in words: first that of the
+/// model inside the library, then those that differ from it.
 pub fn defaults() -> Vec<(String, String)> {
     let texts = |column: Column| -> Map<String, Value> {
         let RunOptions { stream, fit, .. } = column.values();

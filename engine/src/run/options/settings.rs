@@ -12,7 +12,7 @@ use crate::run::record::ModelRecord;
 use crate::run::{Error, digest};
 use crate::stream::{DepthRange, MaxAge, ModelSource, Settings, Workers};
 
-/// Where depth comes from.
+/// Source of depth.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DepthFrom {
     /// There is none.
@@ -26,7 +26,7 @@ pub enum DepthFrom {
 }
 
 impl ModelOptions {
-    /// The model that is meant.
+    /// The source of the model.
     pub fn source(&self) -> ModelSource {
         match &self.model {
             None => ModelSource::Embedded,
@@ -36,7 +36,7 @@ impl ModelOptions {
 }
 
 impl ModelOptions {
-    /// Which model it is, for the record of a run.
+    /// The model's record in that of a run.
     pub fn record(&self) -> Result<ModelRecord, Error> {
         let Some(path) = &self.model else {
             let parts = [crate::stream::EMBEDDED_CHECKPOINT, crate::stream::EMBEDDED_CONFIG.as_bytes()];
@@ -50,7 +50,7 @@ impl ModelOptions {
 }
 
 impl RunOptions {
-    /// These options, with those of presets and defaults where they are unset ([`StreamOptions::resolved`]).
+    /// Returns these options with unset ones filled from presets and defaults ([`StreamOptions::resolved`]).
     ///
     /// # Errors
     /// [`Error::Usage`] for options that exclude each other, and for unknown names.
@@ -61,7 +61,7 @@ impl RunOptions {
         Ok(options)
     }
 
-    /// An error for options that exclude or require each other.
+    /// Returns an error for options that exclude or require each other.
     fn check(&self) -> Result<(), Error> {
         let (view, motion) = (&self.view, &self.motion);
         let moves = [("--orbit", motion.orbit.is_some()), ("--sway", motion.sway.is_some())];
@@ -84,7 +84,7 @@ impl RunOptions {
 }
 
 impl StreamOptions {
-    /// How far key frames are apart.
+    /// Distances between key frames.
     pub fn gap(&self) -> Gap {
         self.gap.unwrap_or(Gap::Every(1))
     }
@@ -97,13 +97,13 @@ impl StreamOptions {
         }
     }
 
-    /// Where depth comes from.
+    /// The source of depth.
     ///
     /// # Errors
-    /// [`Error::Usage`] for options that do not go together, and for a folder that is not there.
+    /// [`Error::Usage`] for options that cannot be combined, and for a folder that does not exist.
     pub fn depth_from(&self) -> Result<DepthFrom, Error> {
         let scale = self.depth_range.unwrap_or_default();
-        // The key frames of a gap that depends on the frames are not known beforehand.
+        // The key frames of an automatic gap are not known in advance.
         let range = match (scale, self.gap()) {
             (DepthScale::Frame, _) => Some(Range::Frame),
             (DepthScale::Clip, _) => Some(Range::Clip),
@@ -192,10 +192,10 @@ impl Machine {
         self.threads.map_or(0, Threads::get)
     }
 
-    /// A pool of them.
+    /// A pool of these threads.
     ///
     /// # Errors
-    /// [`Error::Engine`] where the system has no more threads.
+    /// [`Error::Engine`] where the system cannot start the threads.
     pub fn workers(&self) -> Result<Workers, Error> {
         Ok(Workers::new(self.level(), self.threads())?)
     }

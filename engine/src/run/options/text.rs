@@ -14,7 +14,7 @@ pub fn serialize<T: Display, S: Serializer>(value: &Option<T>, to: S) -> Result<
     }
 }
 
-/// Reads it.
+/// Reads the text, or null.
 pub fn deserialize<'de, T: FromStr<Err: Display>, D: Deserializer<'de>>(from: D) -> Result<Option<T>, D::Error> {
     let text = Option::<String>::deserialize(from)?;
     text.map(|text| text.parse().map_err(D::Error::custom)).transpose()

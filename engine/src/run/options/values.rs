@@ -1,4 +1,4 @@
-//! Types of options that are a run's alone, each with its text form.
+//! Types of a run's own options, each with its text form.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -11,13 +11,13 @@ use crate::depth::{NetworkOptions, WrongOption};
 use crate::source::colour::Matrix;
 use crate::stream::settings::named;
 
-/// A text that is no value of an option.
+/// A text that is not a value of an option.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected {expected}, found {found:?}")]
 pub struct Unknown {
-    /// Values that it can have.
+    /// Allowed values.
     pub expected: String,
-    /// The text.
+    /// The text found.
     pub found: String,
 }
 
@@ -25,15 +25,15 @@ fn unknown(expected: impl Into<String>, found: &str) -> Unknown {
     Unknown { expected: expected.into(), found: found.to_owned() }
 }
 
-/// How many threads work.
+/// Number of threads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Threads(usize);
 
 impl Threads {
-    /// Most of them.
+    /// Largest number of threads.
     pub const MOST: usize = 1024;
 
-    /// So many threads, from 1 to [`Threads::MOST`].
+    /// Checks a number of threads, from 1 to [`Threads::MOST`].
     pub fn new(count: usize) -> Option<Threads> {
         (1..=Threads::MOST).contains(&count).then_some(Threads(count))
     }
@@ -93,14 +93,14 @@ impl FromStr for Isa {
     }
 }
 
-/// Where depth maps come from.
+/// Source of depth maps.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum DepthSource {
     /// There are none.
     None,
     /// Parallax, where the camera moves and the model ignores depth.
     Auto,
-    /// A folder of maps, one a frame.
+    /// A folder of maps, one per frame.
     Folder(PathBuf),
     /// A network in an ONNX file.
     Network(PathBuf),
@@ -144,7 +144,7 @@ impl DepthModel {
         &self.options
     }
 
-    /// Returns true for `metric` alone, which a folder of maps can have as well.
+    /// Returns true for `metric` alone, which is also allowed with a folder of maps.
     pub fn is_metric_alone(&self) -> bool {
         self.text == "metric"
     }
@@ -159,7 +159,7 @@ impl fmt::Display for DepthModel {
 impl FromStr for DepthModel {
     type Err = WrongOption;
 
-    /// As [`NetworkOptions`].
+    /// Parses [`NetworkOptions`].
     fn from_str(text: &str) -> Result<Self, WrongOption> {
         Ok(DepthModel { text: text.to_owned(), options: text.parse()? })
     }
@@ -202,7 +202,7 @@ impl FromStr for NamedMatrix {
     type Err = Unknown;
 
     fn from_str(text: &str) -> Result<Self, Unknown> {
-        // ffmpeg's other name of the same.
+        // ffmpeg's other name for it.
         let name = if text == "bt2020nc" { "bt2020" } else { text };
         let found = Matrix::NAMES.iter().find(|known| **known == name);
         let found = found.and_then(|name| Some(NamedMatrix { name, matrix: Matrix::named(name)? }));
@@ -213,21 +213,21 @@ impl FromStr for NamedMatrix {
 /// Times in seconds, ascending.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Times {
-    /// These.
+    /// A list of times.
     List(Vec<f64>),
-    /// `count` of them from `start` to `end`.
+    /// `count` times, evenly spaced from `start` to `end`.
     Range {
         /// The first.
         start: f64,
         /// The last, where there is more than one.
         end: f64,
-        /// How many there are.
+        /// Number of times.
         count: usize,
     },
 }
 
 impl Times {
-    /// All of them.
+    /// Returns all times.
     pub fn list(&self) -> Vec<f64> {
         match *self {
             Times::List(ref times) => times.clone(),
@@ -279,12 +279,12 @@ impl FromStr for Times {
     }
 }
 
-/// What is behind a scene.
+/// Background of a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Background {
     /// A colour: red, green and blue in [0, 1].
     Colour([f32; 3]),
-    /// Nothing: images have alpha.
+    /// None: images have alpha.
     Transparent,
 }
 
@@ -323,12 +323,12 @@ impl FromStr for Background {
     }
 }
 
-/// A camera's motion by an angle, in a time of its own where that is given.
+/// A camera's motion by an angle, with its own duration if one is given.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Swing {
     /// The angle.
     pub degrees: f64,
-    /// Seconds that it takes.
+    /// Seconds that the motion takes.
     pub seconds: Option<f64>,
 }
 
@@ -355,12 +355,12 @@ impl FromStr for Swing {
 }
 
 named! {
-    /// What turned images of a scene in time show where nothing was filmed.
+    /// Filling of parts of turned images of a scene in time that were never filmed.
     Fill: "filling" {
-        /// The colours around, going on.
+        /// The surrounding colours, extended.
         #[default]
         Extend = "extend",
-        /// As little of it as magnification avoids, and there the colours around.
+        /// The surrounding colours, in images magnified until the picture's edges are outside.
         Crop = "crop",
         /// The background.
         None = "none",

@@ -4,14 +4,14 @@
 //!
 //! - *carried*: the interval before holds a record of the same identity, key frame and birth, which predicts mean,
 //!   offset, opacity, scale, thickness and colour;
-//! - *following*: an earlier record of this interval has the same identity and birth. Where its tracked point is at the
-//!   interval's end predicts this one's; the rest as for a fresh one;
+//! - *following*: an earlier record of this interval has the same identity and birth. The position of its tracked point
+//!   at the interval's end predicts this one's; everything else is predicted as for a fresh one;
 //! - *fresh*: the last record that is not carried predicts mean, opacity, scale, thickness and colour (zeros before the
-//!   first); nothing predicts the offset; the identity is expected to be the last fresh one's plus one, the birth the
+//!   first). The offset is predicted as 0. The identity is expected to be the last fresh one's plus one, the birth the
 //!   key frame.
 //!
-//! The last record of any kind predicts velocity, γ and change of colour; the last one that is not carried the key
-//! frame.
+//! Velocity, γ and change of colour are predicted by the last record of any kind, the key frame by the last one that is
+//! not carried.
 
 use super::MOST;
 use super::columns::{Column, Values};
@@ -25,7 +25,7 @@ const FRESH: u64 = 0;
 const CARRIED: u64 = 1;
 const FOLLOWING: u64 = 2;
 
-/// The columns, in the order they are stored in.
+/// The columns, in storage order.
 pub(super) const COLUMNS: [&str; 29] = [
     "kind",
     "link",
@@ -65,29 +65,29 @@ const BIRTH: usize = 4;
 const FRAME: usize = 5;
 /// The first column of the quantised numbers.
 const FIRST: usize = 6;
-/// The columns that are empty where no difference in them differs from 0: those of the change of colour, not there in
-/// version 1, and that of thickness, not there before version 3.
+/// The columns that are empty where all their differences are 0: those of the change of colour, absent in version 1,
+/// and that of thickness, absent before version 3.
 const RARE: std::ops::Range<usize> = FIRST + RATE_AT..MERGE;
 const THICKNESS: usize = FIRST + THICKNESS_AT;
 const MERGE: usize = 27;
 const MERGE_INTO: usize = 28;
 const _: () = assert!(FIRST + VALUES == MERGE);
 
-/// State of the predictions, which writer and reader build from the records before.
+/// State of the predictions, which writer and reader derive from the records before.
 #[derive(Default)]
 struct Predictor {
     /// The last record of any kind.
     last: Quantised,
     /// The last one that was not carried.
     own: Quantised,
-    /// The identity a fresh record is expected to have.
+    /// The expected identity of a fresh record.
     fresh: u64,
-    /// Where the next link of a carried and of a following record is expected to point.
+    /// The expected next links of a carried and of a following record.
     next: [u64; 2],
 }
 
 impl Predictor {
-    /// The prediction of the quantised numbers, from the record that is linked to.
+    /// The prediction of the quantised numbers, from the linked record.
     fn prediction(&self, kind: u64, linked: &Quantised) -> [i64; VALUES] {
         let mut p = if kind == CARRIED { linked.values } else { self.own.values };
         p[VELOCITY..THICKNESS_AT].copy_from_slice(&self.last.values[VELOCITY..THICKNESS_AT]);
@@ -97,7 +97,7 @@ impl Predictor {
         p
     }
 
-    /// After a record of a kind.
+    /// Updates the state after a record of a kind.
     fn remember(&mut self, kind: u64, record: &Quantised) {
         self.last = *record;
         if kind != CARRIED {
@@ -109,18 +109,18 @@ impl Predictor {
     }
 }
 
-/// Predicted offset of a following record, by where its tracked point is and by its own mean.
+/// Predicted offset of a following record, from its tracked point and its own mean.
 fn following_offset(parent: &Quantised, mean: &[i64]) -> [i64; 3] {
     let point = parent.point_at_end();
     std::array::from_fn(|axis| (point[axis] - mean[axis]).clamp(-LIMIT, LIMIT))
 }
 
-/// An interval's chunk. `before`: the records of the interval before, empty for an independent chunk.
+/// Encodes an interval's chunk. `before`: the records of the interval before, empty for an independent chunk.
 pub(super) fn encode(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> Vec<u8> {
     stored(&columns(before, records, merges))
 }
 
-/// The columns of [`encode`] that an image needs; those of tracked points and of merges are empty.
+/// The columns of [`encode`] that images require; those of tracked points and of merges are empty.
 #[cfg(feature = "viewer")]
 pub(super) fn encode_for_images(before: &[Quantised], records: &[Quantised]) -> Vec<u8> {
     let mut columns = columns(before, records, &[]);
@@ -189,7 +189,7 @@ fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Co
     columns
 }
 
-/// The `count` records and `merges` merges of a chunk of `version`.
+/// Decodes the `count` records and `merges` merges of a chunk of `version`.
 pub(super) fn decode(
     version: u32,
     before: &[Quantised],
@@ -218,7 +218,7 @@ pub(super) fn decode(
     if !rest.is_empty() {
         return Err(FormatError::new("chunk", "its end after the last column", format!("{} more bytes", rest.len())));
     }
-    // Every record has a byte in each of these at least: nothing is reserved that the chunk does not hold.
+    // Every record has at least a byte in each of these, so no more is reserved than the chunk holds.
     for (column, expected) in [(KIND, count), (CODE, count), (FIRST, count), (MERGE, merges)] {
         let found = columns[column].remaining();
         if found < expected || expected > MOST {
@@ -243,7 +243,7 @@ pub(super) fn decode(
     Ok((records, found))
 }
 
-/// The next record; `written`: which of its quantised numbers have a column.
+/// Reads the next record; `written`: which of its quantised numbers have a column.
 fn next(
     columns: &mut [Values],
     written: &[bool; VALUES],
@@ -294,7 +294,7 @@ fn next(
         }
         let difference = if written[k] { columns[FIRST + k].next_signed()? } else { 0 };
         record.values[k] = prediction[k].wrapping_add(difference);
-        // Before it is added to others: sums of a few stay far from overflow.
+        // Checked before it is added to others: sums of a few stay far from overflow.
         if record.values[k].unsigned_abs() > LIMIT.unsigned_abs() {
             return Err(FormatError::new(
                 format!("column {}", COLUMNS[FIRST + k]),

@@ -1,8 +1,8 @@
 //! Columns: whole numbers as bytes, deflated.
 //!
-//! A number is taken apart into groups of seven bits, the lowest first, each in a byte whose highest bit is 1 if
-//! another follows (LEB128, at most ten bytes, no superfluous last byte of zero). Signed numbers are folded first: 0,
-//! −1, 1, −2, 2 … become 0, 1, 2, 3, 4 …
+//! A number is split into groups of seven bits, the lowest first, each in a byte whose highest bit is 1 if another
+//! follows (LEB128, at most ten bytes, no superfluous last byte of zero). Signed numbers are folded first: 0, −1, 1,
+//! −2, 2 … become 0, 1, 2, 3, 4 …
 
 use flate2::{Compress, Compression, Decompress, FlushCompress, FlushDecompress, Status};
 
@@ -50,7 +50,7 @@ impl Column {
     /// The column as it is stored: lengths of the plain and the deflated bytes, then the deflated bytes.
     pub(super) fn stored(&self) -> Vec<u8> {
         let mut compress = Compress::new(Compression::best(), false);
-        // Stored blocks add five bytes to 65,535, so that this is always enough.
+        // Stored blocks add five bytes per 65,535, so this always suffices.
         let mut deflated = Vec::with_capacity(self.0.len() + self.0.len() / 1000 + 64);
         let status = compress.compress_vec(&self.0, &mut deflated, FlushCompress::Finish);
         assert!(matches!(status, Ok(Status::StreamEnd)), "deflating into memory with room: {status:?}");
@@ -73,7 +73,7 @@ impl Values {
         Values { name, bytes: Vec::new(), at: 0 }
     }
 
-    /// The column of at most `most` numbers that `rest` begins with; `rest` is moved past it.
+    /// Reads the column of at most `most` numbers at the start of `rest`, and moves `rest` past it.
     pub(super) fn read(name: &'static str, most: usize, rest: &mut &[u8]) -> Result<Values, FormatError> {
         let wrong = |expected: &str, found: String| FormatError::new(format!("column {name}"), expected, found);
         let short = |found: usize| wrong("its two lengths and as many bytes", format!("{found} bytes"));
@@ -100,12 +100,12 @@ impl Values {
         Ok(Values { name, bytes, at: 0 })
     }
 
-    /// Bytes that remain: at least as many as values.
+    /// Number of bytes left: at least as many as values.
     pub(super) fn remaining(&self) -> usize {
         self.bytes.len() - self.at
     }
 
-    /// The next number.
+    /// Reads the next number.
     pub(super) fn next(&mut self) -> Result<u64, FormatError> {
         let wrong = |found: &str| FormatError::new(format!("column {}", self.name), "another number", found);
         let mut value = 0_u64;
@@ -124,12 +124,12 @@ impl Values {
         Err(wrong("one too long"))
     }
 
-    /// The next signed number.
+    /// Reads the next signed number.
     pub(super) fn next_signed(&mut self) -> Result<i64, FormatError> {
         self.next().map(unfold)
     }
 
-    /// Nothing may remain.
+    /// Returns an error if bytes are left.
     pub(super) fn end(self) -> Result<(), FormatError> {
         match self.remaining() {
             0 => Ok(()),

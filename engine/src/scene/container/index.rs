@@ -1,4 +1,4 @@
-//! The index: place and content of each interval's chunk.
+//! The index: position and properties of each interval's chunk.
 
 use super::{ALONE_EVERY, CONTAINER_VERSION, MAGIC, MOST, WITHOUT_FRAMES};
 use crate::import::FormatError;
@@ -7,7 +7,7 @@ use crate::scene::frames::check;
 
 /// Bytes before the first chunk.
 pub(super) const HEADER: usize = 16;
-/// Bytes after the index: its place, its length, its digest.
+/// Bytes after the index: its position, its length, its digest.
 pub(super) const TRAILER: usize = 48;
 /// Bytes of the index before its entries.
 const BEFORE_ENTRIES: usize = 44;
@@ -22,10 +22,10 @@ pub(super) fn header(version: u32) -> [u8; HEADER] {
     out
 }
 
-/// The version of a container that begins so.
+/// The version of a container with this header.
 ///
 /// # Errors
-/// Bytes that no container of a version this program reads begins with.
+/// Bytes that are not the header of a container, or of one whose version this program does not read.
 pub(super) fn version(bytes: &[u8]) -> Result<u32, FormatError> {
     let wrong = |expected: String, found: String| Err(FormatError::new("header", expected, found));
     if bytes.len() < HEADER || bytes[..8] != MAGIC {
@@ -50,10 +50,10 @@ pub(super) struct Entry {
     pub(super) dropped: u64,
     pub(super) gaussians: usize,
     pub(super) merges: usize,
-    /// Chunks back to the last independent one.
+    /// Number of chunks back to the last independent one.
     pub(super) back: usize,
     pub(super) blake3: [u8; 32],
-    /// Times of the source's frames in it, where it lists them.
+    /// Times of the source's frames in it, if they are listed.
     pub(super) frames: Vec<f64>,
 }
 
@@ -92,7 +92,7 @@ impl Table {
         out
     }
 
-    /// The index of a container of this `version` whose chunks end at `end`.
+    /// Reads the index of a container of this `version` whose chunks end at `end`.
     pub(super) fn from_bytes(version: u32, bytes: &[u8], end: u64) -> Result<Table, FormatError> {
         let wrong = |what: String, expected: &str, found: String| Err(FormatError::new(what, expected, found));
         let mut fields = Fields(bytes);
@@ -195,7 +195,7 @@ impl Fields<'_> {
         self.take().map(u32::from_le_bytes)
     }
 
-    /// An entry, and how many times of frames it has.
+    /// Reads an entry, and its number of times of frames.
     fn entry(&mut self) -> Option<(Entry, usize)> {
         let [at, bytes, start, end, index, dropped] =
             [self.word()?, self.word()?, self.word()?, self.word()?, self.word()?, self.word()?];

@@ -1,4 +1,4 @@
-//! Records in whole numbers.
+//! Records as whole numbers.
 //!
 //! | value | whole number |
 //! |---|---|
@@ -22,7 +22,7 @@ const GAMMA1: f64 = 256.0;
 const OPACITY: f64 = 1023.0;
 const SCALE: f64 = 64.0;
 const COLOUR: f64 = 511.0;
-/// Coarser than colours: it is weighed by the time from the reference, and most of it is seen where its Gaussian fades.
+/// Coarser than colours: it is multiplied by the time from the reference, and mostly visible where its Gaussian fades.
 const RATE: f64 = 255.0;
 /// The largest magnitude of a whole number.
 pub(super) const LIMIT: i64 = 1 << 46;
@@ -32,8 +32,8 @@ const MOST_GAMMA0: i64 = 4092;
 
 /// Numbers per record that are quantised.
 pub(super) const VALUES: usize = 21;
-/// Where they are: mean, offset, opacity, scale, and colour as green, red − green, blue − green; then velocity, γ, and
-/// the change of colour in the same three parts; then thickness.
+/// Their order: mean, offset, opacity, scale, and colour as green, red − green, blue − green; then velocity, γ, and the
+/// change of colour in the same three parts; then thickness.
 pub(super) const MEAN: usize = 0;
 pub(super) const OFFSET: usize = 3;
 pub(super) const OPACITY_AT: usize = 6;
@@ -59,8 +59,8 @@ fn whole(x: f64) -> i64 {
     (x.round_ties_even() as i64).clamp(-LIMIT, LIMIT)
 }
 
-/// Green, red − green, blue − green, in steps. Differences of two stay inside the limit's double; a colour that large
-/// is none.
+/// Green, red − green, blue − green, in steps. Differences of two stay within twice the limit; values that large
+/// are not colours.
 fn parts(rgb: [f32; 3], steps: f64) -> [i64; 3] {
     let [red, green, blue] = rgb.map(|c| whole(f64::from(c) * steps));
     [green, red - green, blue - green].map(|c| c.clamp(-LIMIT, LIMIT))
@@ -72,7 +72,7 @@ fn log2(x: f64) -> f64 {
 }
 
 impl Quantised {
-    /// A sound record in whole numbers.
+    /// Converts a sound record to whole numbers.
     pub(super) fn of(r: &Record) -> Self {
         let length = |x: f32| whole(f64::from(x) * LENGTH);
         let scale = |s: f32| match s > 0.0 {
@@ -96,7 +96,7 @@ impl Quantised {
         Self { values, identity, birth, frame, reference, handover }
     }
 
-    /// The record of these whole numbers.
+    /// Converts the whole numbers back to a record.
     pub(super) fn record(&self) -> Record {
         let v = |i: usize| self.values[i] as f64;
         let triple = |from: usize| std::array::from_fn(|axis| (v(from + axis) / LENGTH) as f32);
@@ -124,7 +124,7 @@ impl Quantised {
         }
     }
 
-    /// Where the identity's tracked point is at the interval's end.
+    /// The identity's tracked point at the interval's end.
     pub(super) fn point_at_end(&self) -> [i64; 3] {
         std::array::from_fn(|axis| {
             let moved = if self.reference == Reference::Start { self.values[VELOCITY + axis] } else { 0 };

@@ -24,12 +24,12 @@ pub(in crate::scene) struct Container {
     path: PathBuf,
     version: u32,
     entries: Vec<Entry>,
-    /// The interval that was read last, for the one after it.
+    /// The interval that was read last, required by the one after it.
     last: Arc<Mutex<Option<(usize, Vec<Quantised>)>>>,
 }
 
 impl Container {
-    /// Returns true if a file that begins so is a container.
+    /// Returns true if a file with these first bytes is a container.
     pub(in crate::scene) fn begins(head: &[u8]) -> bool {
         head.starts_with(&MAGIC)
     }
@@ -77,10 +77,11 @@ impl Container {
         Ok((Container { path: path.to_owned(), version, entries: table.entries, last: Arc::default() }, index))
     }
 
-    /// Reads interval `i`, and those before it that it is coded against, unless the last one read is among them.
+    /// Reads interval `i`, and the ones before it that its coding requires, starting from the last one read if
+    /// possible.
     pub(in crate::scene) fn interval(&self, i: usize, placement: Placement) -> Result<Interval, SceneError> {
         let alone = i - self.entries[i].back;
-        // A thread that panicked while it held this left it whole: it is only ever replaced.
+        // The value is only ever replaced, so it is valid even after a panic of a thread that held the lock.
         let kept = self.last.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         let (from, mut records) = match kept {
             Some((at, records)) if (alone..i).contains(&at) => (at + 1, records),
@@ -101,7 +102,7 @@ impl Container {
         let broken =
             |cause: String| SceneError::Broken { path: self.path.clone(), cause: format!("interval {i}: {cause}") };
         let mut file = File::open(&self.path).map_err(read)?;
-        // The index was seen to lie after the chunk, in a file of that length; it may have been cut since.
+        // The index was checked against the file's length, but the file may have been truncated since.
         let mut bytes = Vec::new();
         file.seek(SeekFrom::Start(entry.at)).map_err(read)?;
         file.take(entry.bytes).read_to_end(&mut bytes).map_err(read)?;
@@ -112,7 +113,7 @@ impl Container {
     }
 }
 
-/// Where the index of a file of `size` bytes is, and its length.
+/// Position and length of the index in a file of `size` bytes.
 fn locate(trailer: &[u8], size: u64) -> Result<(u64, u64), FormatError> {
     let [at, length] = [0, 8].map(|i| trailer[i..].first_chunk().map_or(0, |b| u64::from_le_bytes(*b)));
     if at.checked_add(length) != size.checked_sub(TRAILER as u64) || length > MAX_INDEX || at < HEADER as u64 {
@@ -122,8 +123,8 @@ fn locate(trailer: &[u8], size: u64) -> Result<(u64, u64), FormatError> {
     Ok((at, length))
 }
 
-/// All intervals of a container in memory. Digests are not compared: they keep files from
-/// decaying unseen, and the caller is responsible for bytes in memory.
+/// Reads all intervals of a container in memory. Digests are not compared: they detect decay of files, and bytes in
+/// memory are the caller's responsibility.
 ///
 /// # Errors
 /// Expected and found values.
@@ -162,7 +163,7 @@ impl Table {
 }
 
 impl Entry {
-    /// Its interval, of these records.
+    /// The interval with these records.
     fn interval(&self, records: &[Quantised], merges: Vec<Merge>, placement: Placement) -> Interval {
         let gaussians: DynamicGaussians = records.iter().map(Quantised::record).collect();
         let Entry { index, start, end, dropped, .. } = *self;

@@ -1,4 +1,4 @@
-//! Scenes go into a container and come back.
+//! Scenes are written to a container and read again.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ fn workers(threads: usize) -> Workers {
     Workers::new(Level::scalar(), threads).expect("threads start")
 }
 
-/// A scene whose records carry over, follow and begin as an engine's do.
+/// A scene whose records are carried, following and fresh, as an engine's are.
 fn intervals(count: u64) -> Vec<Interval> {
     let noise = |seed: u64| (seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f32 / (1 << 24) as f32;
     let record = |frame: u64, cell: u64| {
@@ -29,7 +29,7 @@ fn intervals(count: u64) -> Vec<Interval> {
             gamma: [5.0 * noise(seed + 3), noise(seed + 4)],
             opacity: noise(seed + 5),
             scale: [0.01 + 0.1 * noise(seed + 6), 0.02],
-            // Every second key frame is lifted to no map.
+            // Every second key frame is not lifted.
             thickness: if frame.is_multiple_of(2) { 1.0 } else { 0.5 + noise(seed + 11) },
             rgb: [noise(seed + 7), noise(seed + 8), 0.3],
             // Every third key frame's colours stay.
@@ -135,13 +135,13 @@ fn a_container_of_version_1_is_read_as_it_was() {
     let snapshot = crate::render::Snapshot::of(&intervals[1], 0.02, &workers(1)).expect("inside");
     let digest = blake3::hash(&crate::export::ply(&snapshot)).to_hex();
     assert_eq!(digest.as_str(), "6698c4d4cec34629b96221bcd90d85bc07e801dcd367fd30a83886b8b2880eed");
-    // Written anew it is one of version 3 with the same records, and four empty columns more in each chunk.
+    // Written again it is of version 3 with the same records, and four empty columns more in each chunk.
     let folder = tempfile::tempdir().expect("a temporary folder");
     let anew = written(&folder.path().join("scene.ssz"), &intervals);
     assert_eq!(anew.len(), bytes.len() + 2 * 4 * 10);
     let again = intervals_from_container(&anew).expect("just written");
     assert!(again.iter().zip(&intervals).all(|(a, b)| a.gaussians == b.gaussians && a.merges == b.merges));
-    // Either's chunks under the other's version are refused, and so are versions that there are not.
+    // Chunks under another version's header are refused, and so are unknown versions.
     for (bytes, version) in [(&bytes, 2), (&bytes, 3), (&anew, 1), (&anew, 2), (&bytes, 0), (&bytes, 4)] {
         let mut other = bytes.clone();
         other[8] = version;
@@ -339,7 +339,7 @@ fn times_of_frames_come_back_in_a_file_of_version_4() {
     let scene = Scene::open(&path).expect("just written");
     assert_eq!(scene.index().frames(), Some(frames.concat()));
     assert!(scene.index().is_uneven());
-    // Chunks are the same: three times of frames more, where the first follows from the rate.
+    // Chunks are the same; there are three times of frames more, where the first follows from the rate.
     assert_eq!(bytes.len(), even.len() + 3 * 8);
     assert_eq!(intervals_from_container(&bytes).expect("valid").len(), 3);
     // Version 3 has no list of times, and in version 4 its length must match the count.

@@ -13,7 +13,7 @@ use crate::scene::frames::listed;
 use crate::scene::{PlacementRecord, SceneError};
 use crate::stream::{Interval, Workers};
 
-/// A container being filled. It holds two intervals at most, however long the scene.
+/// A container being written. It holds two intervals at most, however long the scene.
 pub struct ContainerWriter {
     path: PathBuf,
     partial: Partial,
@@ -29,8 +29,8 @@ pub struct ContainerWriter {
 }
 
 impl ContainerWriter {
-    /// Begins a container under a temporary name; it gets its own when it is [finished](Self::finish), and goes away
-    /// when it is not.
+    /// Begins a container under a temporary name. It gets its own name when it is [finished](Self::finish), and is
+    /// removed otherwise.
     ///
     /// # Errors
     /// A file that cannot be written.
@@ -58,8 +58,8 @@ impl ContainerWriter {
         self.file.write_all(bytes).map_err(OutputError::write(&self.path))
     }
 
-    /// Appends an interval, coded by `workers`, whose frames follow at the scene's rate. Records with numbers that are
-    /// not finite are left out, and counted.
+    /// Appends an interval, encoded by `workers`, whose frames have the scene's rate. Records with numbers that are not
+    /// finite are left out and counted.
     ///
     /// # Errors
     /// Files that cannot be written; arrays of different lengths; more than 2²⁴ records or merges; another placement
@@ -68,10 +68,11 @@ impl ContainerWriter {
         self.push_with(interval, &[], workers)
     }
 
-    /// The same of an interval with these times of `frames` after the interval before, in seconds, or with none.
+    /// As [`push`](Self::push), with the times of the interval's `frames` after the interval before, in seconds, or
+    /// with none.
     ///
     /// # Errors
-    /// As there.
+    /// As [`push`](Self::push).
     pub fn push_with(&mut self, interval: &Interval, frames: &[f64], workers: &Workers) -> Result<(), SceneError> {
         let broken = |cause: String| SceneError::Broken { path: self.path.clone(), cause };
         let g = &interval.gaussians;
@@ -134,7 +135,8 @@ impl ContainerWriter {
         self.write(&(index.len() as u64).to_le_bytes())?;
         self.write(digest.as_bytes())?;
         if version != WITHOUT_FRAMES {
-            // Only the end shows whether times have to be listed; the digest is that of the file with the other head.
+            // Only now it is known whether times have to be listed. The digest is that of the file with the final
+            // header.
             let again = self.file.flush().and_then(|()| self.file.seek(SeekFrom::Start(0)));
             again.and_then(|_| self.file.write_all(&header(version))).map_err(OutputError::write(&self.path))?;
         }

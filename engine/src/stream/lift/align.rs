@@ -1,8 +1,8 @@
 //! Scale and shift that bring a frame's depth map to the scale of the frames before.
 //!
 //! A map is known up to a scale and a shift, which flicker from frame to frame: every frame is normalised by its own
-//! nearest and farthest place, and a network has its moods. Of [`Link`]s, places that optical flow connects, with d now
-//! and D then, the line `D ≈ scale·d + shift` is found that most of them lie on:
+//! nearest and farthest place, and a network's output varies. [`Link`]s are places that optical flow connects, with d
+//! in the new map and D in the one before. The line `D ≈ scale·d + shift` that fits most of them is found as follows:
 //!
 //! ```text
 //! forward   D ≈ a·d + b by least squares of weights w = 1/(1 + (e/E)²)²      e: distance from the line of the round before, E: twice their median, not under 0.02
@@ -11,16 +11,16 @@
 //! shift     the median of D − scale·d
 //! ```
 //!
-//! in [`ROUNDS`] rounds each, sums over links in their order, in binary64. Noise makes the slope of a regression too
-//! small; of the two ways either falls on another side, so that scales do not shrink over a long stream. The first
-//! round starts from the medians of both sides and of the distances from them. The result is pulled by [`PULL`] towards
-//! the map as it is given, so that a drift ends.
+//! in [`ROUNDS`] rounds each; sums run over links in their order, in binary64. Noise makes the slope of a regression
+//! too small. In the two directions the errors have opposite effects on the scale, so that scales do not shrink over a
+//! long stream. The first round starts from the medians of both sides and of the distances from them. The result is
+//! pulled by [`PULL`] towards the given map, so that a drift ends.
 
 /// Rounds of reweighting.
 const ROUNDS: usize = 12;
-/// Fewest links of which a line is found.
+/// Fewest links that determine a line.
 const FEWEST: usize = 32;
-/// Part of the way back to the map as it is given.
+/// Part of the way back to the given map.
 const PULL: f64 = 0.01;
 /// Least and largest scale.
 const SCALES: [f64; 2] = [0.25, 4.0];
@@ -35,9 +35,9 @@ pub(in crate::stream) struct Alignment {
 /// Depth of one place in a frame and in the one before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::stream) struct Link {
-    /// As the frame's map gives it.
+    /// Value of the frame's own map.
     pub(in crate::stream) now: f32,
-    /// As it was, in the scale of the stream.
+    /// Value in the frame before, in the scale of the stream.
     pub(in crate::stream) then: f32,
 }
 
@@ -60,7 +60,7 @@ impl From<Option<[f32; 2]>> for Alignment {
 }
 
 impl Alignment {
-    /// The map in the scale of the stream, held to [0, 1].
+    /// Returns the map in the scale of the stream, clamped to [0, 1].
     pub(in crate::stream) fn apply(self, mut map: super::DepthMap) -> super::DepthMap {
         if self != Self::default() {
             map.inverse.iter_mut().for_each(|d| *d = self.scale.mul_add(*d, self.shift).clamp(0.0, 1.0));
@@ -69,9 +69,9 @@ impl Alignment {
     }
 }
 
-/// The alignment of a map, from its links with the one before, which had the alignment `last`.
+/// Aligns a map by its links with the one before, whose alignment was `last`.
 pub(in crate::stream) fn align(links: &[Link], last: Alignment) -> Alignment {
-    // What was held to the ends of the range says nothing of the scale.
+    // Values clamped to the ends of the range carry no information about the scale.
     let inner = |x: f32| x > 0.0 && x < 1.0;
     let links: Vec<[f64; 2]> = links
         .iter()
@@ -88,7 +88,7 @@ pub(in crate::stream) fn align(links: &[Link], last: Alignment) -> Alignment {
     Alignment { scale: (scale + PULL * (1.0 - scale)) as f32, shift: (shift - PULL * shift) as f32 }
 }
 
-/// Slope of the line on which most of the points lie; `None` where they have no spread or it does not ascend.
+/// Slope of the line that fits most of the points; `None` where they have no spread or it does not ascend.
 fn slope(points: &[[f64; 2]]) -> Option<f64> {
     let middle = |side: usize| median(points.iter().map(|point| point[side]).collect());
     let middles = [middle(0), middle(1)];
@@ -127,7 +127,7 @@ fn slope(points: &[[f64; 2]]) -> Option<f64> {
     Some(line[0])
 }
 
-/// The upper median of some values, of which there is one.
+/// The upper median of some values, at least one.
 fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
@@ -137,7 +137,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 mod tests {
     use super::*;
 
-    /// Links of `count` places of which every fourth has gone its own way.
+    /// Links of `count` places, a fourth of which move on their own.
     fn links(count: u32, scale: f32, shift: f32) -> Vec<Link> {
         let place = |i: u32| (i.wrapping_mul(2_654_435_761) >> 8) as f32 / 16_777_216.0;
         (0..count)
@@ -153,7 +153,7 @@ mod tests {
     fn a_scale_and_a_shift_are_found_among_places_that_move() {
         for (scale, shift) in [(0.8, 0.1), (0.5, 0.3), (1.2, -0.1), (1.0, 0.0)] {
             let found = align(&links(2000, scale, shift), Alignment::default());
-            // But for the pull.
+            // Except for the pull.
             let (expected, moved) = (scale + 0.01 * (1.0 - scale), 0.99 * shift);
             assert!((found.scale - expected).abs() < 0.01 && (found.shift - moved).abs() < 0.01, "{found:?}");
         }

@@ -1,16 +1,16 @@
 //! Gaussians behind the edges of near things, for views that look past them.
 //!
-//! A key frame shows nothing of what its foreground hides. So behind every [cell](super::beyond) that a view turned by
-//! [`SLOPE`] would look past, since an edge to something farther is no more than
+//! A key frame shows nothing of the surfaces that its foreground hides. A view turned by [`SLOPE`] looks past a
+//! [cell](super::beyond) where an edge to something farther is no more than
 //!
 //! ```text
 //! SLOPE·(z_farther − z_own)        in half widths of the picture
 //! ```
 //!
-//! away, stands another Gaussian: [`BACK`] behind the farthest of what is seen within [`AROUND`] pixels of it and of
-//! the farther surface. Its colour is what earlier frames [saw there](super::covered); where they saw nothing, the mean
-//! of the first three pixels beyond the edge. From the frame's own camera it is hidden. It moves as what is seen beyond
-//! the edge does.
+//! away. Behind each of these cells another Gaussian is added: [`BACK`] behind the farthest surface seen within
+//! [`AROUND`] pixels of it, and behind the farther surface. Its colour is the one that earlier frames [saw
+//! there](super::covered), otherwise the mean of the first three pixels beyond the edge. It is hidden from the frame's
+//! own camera. It moves like the surface beyond the edge.
 
 use streamsplat_model::StaticGaussians;
 
@@ -24,15 +24,15 @@ use super::y_at;
 const OPACITY: f32 = 0.95;
 /// Standard deviation in pixels.
 const SCALE: f32 = 1.2;
-/// Pixels around a Gaussian that may be seen beside the one before it.
+/// Pixels around a Gaussian that a turned view may show next to the one in front of it.
 const AROUND: usize = 4;
-/// Distance behind what is seen there, in pixels: more than the model's Gaussians are [moved](super::order).
+/// Distance in pixels behind the surfaces seen there: more than the model's Gaussians are [moved](super::order).
 const BACK: f32 = 10.0;
-/// Pixels by which views look farther past an edge than its middle.
+/// Pixels that a view looks past an edge in addition to the distance from its middle.
 const MARGIN: f32 = 1.5;
 
-/// Adds Gaussians behind what stands before something, in the colours that are `covered` there where they are known;
-/// gives for each the place whose motion is its own, and how many are known.
+/// Adds Gaussians behind the foreground, in the `covered` colours where they are known. Returns for each the place
+/// whose motion it takes, and the number of known colours.
 pub(super) fn add(
     gaussians: &mut StaticGaussians,
     surfaces: &Surfaces<'_>,
@@ -62,14 +62,14 @@ pub(super) fn add(
 }
 
 impl Beyond {
-    /// Returns true if a turned view of a picture of this width looks past the edge as far as here.
+    /// Returns true if a turned view of a picture of this width looks past the edge as far as this cell.
     fn is_looked_past(&self, width: usize) -> bool {
         self.distance as f32 <= (0.5 * width as f32 * SLOPE).mul_add(self.farther - self.z, MARGIN)
     }
 }
 
 impl Surfaces<'_> {
-    /// y of a Gaussian behind all that is seen around it.
+    /// y of a Gaussian behind all surfaces seen around it.
     fn behind(&self, beyond: &Beyond) -> f32 {
         let [height, width] = self.resolution();
         let [row, column] = beyond.own;
@@ -103,8 +103,8 @@ mod tests {
 
     const SIZE: [usize; 2] = [4, 128];
 
-    /// Gaussians added behind rows that are all alike, near things red before green: column, y, colour and where they
-    /// move from.
+    /// Gaussians added behind rows that are all alike, near things red before green: column, y, colour, and x of the
+    /// place whose motion they take.
     fn added(inverse: impl Fn(usize) -> f32, covered: &[Covered]) -> Vec<(usize, f32, [f32; 3], f32)> {
         let plane = |of: &dyn Fn(usize) -> f32| -> Vec<f32> { (0..4 * 128).map(|at| of(at % 128)).collect() };
         let map = DepthMap { inverse: plane(&inverse), confidence: None, resolution: SIZE };
@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn what_stands_behind_stands_behind_all_that_is_seen_beside_it() {
-        // Something narrow stands between a near thing and the ground.
+        // Something narrow is between a near thing and the ground.
         let inverse = |x: usize| match x {
             20..40 => 1.0,
             17..20 => 0.15,

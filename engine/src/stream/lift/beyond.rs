@@ -1,7 +1,7 @@
 //! Surfaces beyond the edges of near things.
 //!
-//! The picture is divided in cells of [`CELL`]×[`CELL`] pixels. From a cell's first pixel the nearest edge to something
-//! farther is looked for to the left, to the right, up and down, up to [`REACH`] of a row's length away.
+//! The picture is divided into cells of [`CELL`]×[`CELL`] pixels. From a cell's first pixel the nearest edge to
+//! something farther is searched to the left, to the right, up and down, over at most a [`REACH`]-th of a row's length.
 
 use rayon::prelude::*;
 
@@ -10,9 +10,9 @@ use super::scene_depth;
 
 /// Pixels of a cell's side.
 pub(super) const CELL: usize = 2;
-/// Largest distance from an edge, as a part of a row: a row has so many of it.
+/// Largest distance from an edge: a row's length divided by this.
 const REACH: usize = 4;
-/// Pixels past the edge at which motion is looked up: flow runs over edges.
+/// Pixels past the edge at which motion is looked up, because flow blurs across edges.
 const AWAY: usize = 9;
 
 /// The surface beyond the edge that is nearest to a cell.
@@ -20,7 +20,7 @@ const AWAY: usize = 9;
 pub(super) struct Beyond {
     /// Row and column of the cell's first pixel.
     pub(super) own: [usize; 2],
-    /// z in the scene of that pixel's side.
+    /// z in the scene on the side of that pixel.
     pub(super) z: f32,
     /// Pixels to the edge.
     pub(super) distance: usize,
@@ -64,12 +64,12 @@ impl Surfaces<'_> {
         (0..rows * columns).into_par_iter().with_min_len(256).map(cell).collect()
     }
 
-    /// The surface past the nearest edge to something farther than `own`.
+    /// Returns the surface past the nearest edge to something farther than `own`.
     fn past_edge(&self, row: usize, column: usize, own: f32) -> Option<Beyond> {
         let [height, width] = self.resolution();
         let z = self.z();
         let start = row * width + column;
-        // Places from one pixel to the next, and how many pixels there are.
+        // Index steps from pixel to pixel, and numbers of pixels.
         let ways =
             [(-1, column), (1, width - 1 - column), (-(width as isize), row), (width as isize, height - 1 - row)];
         let at = |(step, count): (isize, usize), n: usize| {
@@ -142,7 +142,7 @@ mod tests {
 
     #[test]
     fn a_slope_has_nothing_beyond_it() {
-        // By less than a tear from pixel to pixel, by much more than one over the row.
+        // The slope is less than a tear from pixel to pixel, much more than one over the row.
         with(
             |x| 0.05 + 0.002 * x as f32,
             |surfaces| {

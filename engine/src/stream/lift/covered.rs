@@ -1,12 +1,12 @@
-//! Colours that earlier frames saw where something now stands in front.
+//! Colours of surfaces that earlier frames saw and that are now covered.
 //!
-//! A thing that moves, or a camera that does, covers what was in sight a key frame ago. Each [cell](super::beyond)
-//! before an edge asks the key frame before for what lies behind it: the place is moved as the surface beyond the edge
-//! moves, along the flow back. There the picture shows that surface, at its depth, or it was covered then too and is
-//! remembered from before that, or it was never seen.
+//! A moving object, or a moving camera, covers surfaces that were in sight at the key frame before. Each
+//! [cell](super::beyond) in front of an edge looks up the surface behind it there: its place is moved along the flow
+//! back, as the surface beyond the edge moves. There the picture shows that surface at its depth, or the surface was
+//! covered already and is remembered from earlier, or it was never seen.
 //!
-//! Bounded by the picture: a cell remembers one colour. What lies more than a [reach](super::beyond) from all edges, or
-//! comes into sight, is forgotten.
+//! Memory is bounded by the picture: a cell remembers one colour. Surfaces more than a [reach](super::beyond) from all
+//! edges, and those that come into sight, are forgotten.
 
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
@@ -16,12 +16,12 @@ use super::beyond::{Beyond, CELL, grid, middle};
 use super::edges::Surfaces;
 use super::{DepthMap, scene_depth};
 
-/// The colour of a surface where something stands before it.
+/// The colour of a surface where something is in front of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Covered {
     /// Cell of the picture, row by row.
     pub cell: u32,
-    /// Its place in pixels, not farther than a cell's side from the middle of the cell.
+    /// Its place in pixels, along each axis at most a cell's side from the middle of the cell.
     pub at: [f32; 2],
     /// Its colour.
     pub rgb: [f32; 3],
@@ -38,7 +38,7 @@ pub(in crate::stream) struct Past<'a> {
     pub(in crate::stream) back: Vec<Step<'a>>,
 }
 
-/// The memory that a key frame has of surfaces it hides.
+/// A key frame's memory of the surfaces that it hides.
 pub(in crate::stream) enum Memory<'a> {
     /// Nothing: there is no frame before.
     None,
@@ -48,7 +48,7 @@ pub(in crate::stream) enum Memory<'a> {
     Known(&'a [Covered]),
 }
 
-/// Reasons why these cannot be remembered at a frame of this size.
+/// Returns why these cannot be remembered at a frame of this size.
 pub(in crate::stream) fn contradiction(covered: &[Covered], resolution: [usize; 2]) -> Option<String> {
     let cells = grid(resolution).iter().product::<usize>();
     let ascending = covered.windows(2).all(|pair| pair[0].cell < pair[1].cell);
@@ -60,7 +60,7 @@ pub(in crate::stream) fn contradiction(covered: &[Covered], resolution: [usize; 
 }
 
 impl Memory<'_> {
-    /// Covered places of the cells that have something `beyond` them, ascending in cells.
+    /// Covered places of the cells that have a surface `beyond` them, ascending in cells.
     pub(super) fn recall(&self, surfaces: &Surfaces<'_>, beyond: &[Option<Beyond>]) -> Vec<Covered> {
         match self {
             Memory::None => Vec::new(),
@@ -77,7 +77,7 @@ impl Past<'_> {
             return Vec::new();
         }
         let [rows, columns] = grid(resolution);
-        // One more than its place in the list.
+        // One more than its index in the list.
         let mut before = vec![0u32; rows * columns];
         for (place, covered) in (1..).zip(self.covered) {
             before[covered.cell as usize] = place;
@@ -110,7 +110,7 @@ impl Past<'_> {
         asked.par_iter().with_min_len(256).zip(&starts).zip(&ends).filter_map(recalled).collect()
     }
 
-    /// The colour at a place of the frame before, next to this pixel, where all around it is at the depth z.
+    /// The colour at a place of the frame before, in this pixel, where all pixels around it have depth z.
     fn seen(&self, [column, row]: [usize; 2], [x, y]: [f32; 2], z: f32, tear: f32) -> Option<[f32; 3]> {
         let [height, width] = self.map.resolution;
         let around = |at: usize, side: usize| at.saturating_sub(1)..(at + 2).min(side);
@@ -134,7 +134,7 @@ mod tests {
 
     const SIZE: [usize; 2] = [8, 64];
 
-    /// A thing from column `near` on, 24 wide, before a ground whose red tells its place when it has moved by `ground`
+    /// A thing from column `near` on, 24 wide, in front of a ground whose red encodes the place, moved by `ground`
     /// pixels.
     fn picture(near: usize, ground: f32) -> (DepthMap, Vec<f32>) {
         let plane = |of: &dyn Fn(usize) -> f32| -> Vec<f32> { (0..8 * 64).map(|at| of(at % 64)).collect() };
@@ -177,7 +177,8 @@ mod tests {
                 let truth = (x - 0.5 * key as f32) / 128.0;
                 assert!((rgb[0] - truth).abs() < 1e-4 && rgb[1] == 0.0, "{x}: {rgb:?}, not {truth}");
             }
-            // From its left edge as far as it has come; what was beside its edge at first has mixed colours.
+            // From its left edge to the farthest column it has covered; the pixels next to its first edge have mixed
+            // colours.
             let first = 28 - 4 * key;
             assert!(columns.first().is_some_and(|x| x.abs_diff(first) <= 1), "{key}: {columns:?}");
             assert!(columns.last().is_some_and(|x| (20..28).contains(x)), "{key}: {columns:?}");

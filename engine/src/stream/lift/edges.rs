@@ -1,18 +1,18 @@
-//! Edges of depth, and which side of one a place belongs to.
+//! Edges of depth, and the side of an edge that a place belongs to.
 //!
-//! A map from a network or a sensor runs over its edges as a ramp, a few pixels beside the picture's own. A Gaussian on
-//! the ramp would stand in the air between two surfaces and tear when the view turns. So within [`REACH`] pixels of an
-//! edge the values around a place are divided in two, nearer and farther than the middle of their range, and
-//! [weighed](super::sides) by how like the place's own colour theirs is:
+//! In a map from a network or a sensor an edge is a ramp, a few pixels off the edge in the picture. A Gaussian on the
+//! ramp would float between two surfaces and tear when the view turns. So within [`REACH`] pixels of an edge the values
+//! around a place are divided into two sides, nearer and farther than the middle of their range. They are
+//! [weighted](super::sides) by the similarity of their colour to the place's own:
 //!
 //! ```text
 //! w = 1/(1 + |c − c₀|²/C²)² · 1/(1 + r²/R²)        r: distance in pixels
 //! ```
 //!
 //! The place belongs to the side of its own value unless the other one weighs [`DECISIVE`] times as much. Its depth is
-//! its own value where that is no edge away from the weighted median of its side, else that median. Its slope is the
-//! line of least squares through it and up to [`ALONG`] pixels before and behind, as far as there is no edge. Sums run
-//! over the window row by row, those of the median over ascending values, in binary32.
+//! its own value where that is no edge away from the weighted median of its side, otherwise that median. Its slope is
+//! that of the line of least squares through it and up to [`ALONG`] pixels on both sides, as far as there is no edge.
+//! Sums run over the window row by row, those of the median over ascending values, in binary32.
 
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
@@ -20,19 +20,19 @@ use streamsplat_kernels::Level;
 use super::sides::{Picture, Weights};
 use super::{DepthMap, scene_depth};
 
-/// Pixels around a place that are looked at, along rows and columns.
+/// Pixels around a place that are read, along rows and columns.
 pub(super) const REACH: usize = 4;
-/// Pixels along a row or a column through which a slope is laid, to both sides.
+/// Pixels along a row or a column, on both sides, that a slope is fitted to.
 const ALONG: isize = 3;
 /// The steepest slope.
 const STEEPEST: f32 = 3.0;
-/// How many times more the other side must weigh.
+/// Factor by which the other side must weigh more.
 const DECISIVE: f32 = 3.0;
-/// Part of a side's weight beyond which what is close to a place holds the median: half, and room for the rounding of
-/// sums in any order.
+/// Part of a side's weight above which the values close to a place contain the median: half, and a margin for the
+/// rounding of sums in any order.
 const MOST: f32 = 0.501;
-/// Difference of z at which two neighbours are of different surfaces, times pixels of a row: seen from 10° to the side
-/// they come apart by a pixel.
+/// Difference of z at which two neighbours belong to different surfaces, times pixels of a row: seen from 10° to the
+/// side they come apart by a pixel.
 const TEAR: f32 = 11.5;
 
 /// A key frame's depth and colours.
@@ -47,7 +47,7 @@ pub(super) struct Surfaces<'a> {
     /// `[3, H, W]`
     frame: &'a [f32],
     picture: Picture,
-    /// Around each pixel with an edge in reach.
+    /// Around each pixel with an edge within reach.
     weights: Vec<Weights>,
 }
 
@@ -58,12 +58,12 @@ pub(super) struct Place {
     pub(super) inverse: f32,
     /// True if it is on the nearer side.
     pub(super) near: bool,
-    /// Pixels from the pixel's middle to the nearest edge along rows and columns; infinite where there is none in
+    /// Pixels from the pixel's middle to the nearest edge along rows and columns; infinite where there is none within
     /// reach.
     pub(super) clear: [f32; 2],
 }
 
-/// Difference of z between two neighbours of different surfaces, in a row of so many pixels.
+/// Difference of z between two neighbours of different surfaces, in rows of `width` pixels.
 pub(super) fn tear(width: usize) -> f32 {
     TEAR / width as f32
 }
@@ -103,13 +103,13 @@ impl<'a> Surfaces<'a> {
         std::array::from_fn(|channel| self.frame[channel * self.z.len() + pixel])
     }
 
-    /// Returns true if an edge lies within [`REACH`] of a pixel.
+    /// Returns true if there is an edge within [`REACH`] of a pixel.
     pub(super) fn edge_around(&self, pixel: usize) -> bool {
         let [near, far] = self.around[pixel];
         self.edge(near, far)
     }
 
-    /// Returns true if an edge lies within so many pixels along the row or the column.
+    /// Returns true if there is an edge within `pixels` along the row or the column.
     pub(super) fn edge_within(&self, row: usize, column: usize, pixels: f32) -> bool {
         let at = row * self.map.resolution[1] + column;
         let [near, far] = self.around[at];
@@ -134,7 +134,7 @@ impl<'a> Surfaces<'a> {
         let side = if other_weighs_more { 1 - own_side } else { own_side };
         let total = weights.sides[side];
         let inverse = if side == own_side && weights.own > MOST * total {
-            // The median, whatever it is, is no edge away.
+            // The median, whatever its value, is no edge away.
             self.map.inverse[own]
         } else {
             let z = self.picture.on_side([row, column], side, middle).median(total);
@@ -173,7 +173,7 @@ impl<'a> Surfaces<'a> {
         ]
     }
 
-    /// Pixels from a pixel's middle to the nearest one on another surface than z, less half a pixel, along rows and
+    /// Pixels from a pixel's middle to the nearest pixel on another surface than z, less half a pixel, along rows and
     /// columns.
     fn clear(&self, row: usize, column: usize, z: f32) -> [f32; 2] {
         let [height, width] = self.map.resolution;
@@ -222,7 +222,7 @@ mod tests {
 
     const SIZE: [usize; 2] = [21, 149];
 
-    /// The value at a place by the definition.
+    /// The value at a place, computed directly from the definition.
     fn plainly(surfaces: &Surfaces<'_>, row: usize, column: usize) -> (f32, bool) {
         let [height, width] = SIZE;
         let own = row * width + column;
@@ -267,7 +267,7 @@ mod tests {
     fn every_level_gives_the_bits_of_the_definition() {
         let [height, width] = SIZE;
         let noise = |i: usize| ((i as u32 + 1).wrapping_mul(2_654_435_761) >> 8) as f32 / 16_777_216.0;
-        // Things with a ramp around them, bumps, and colours whose edge lies beside the ramp.
+        // Things with a ramp around them, bumps, and colours whose edge is next to the ramp.
         let distance = |at: usize, x0: f32| ((at % width % 37) as f32 - x0).hypot((at / width) as f32 - 9.0);
         let inverse = |at: usize| (0.12 * (9.0 - distance(at, 15.0))).clamp(0.0, 0.6) + 0.35 * noise(at).powi(3);
         let map = DepthMap { inverse: (0..height * width).map(inverse).collect(), confidence: None, resolution: SIZE };
@@ -292,7 +292,7 @@ mod tests {
     #[test]
     fn slopes_are_those_of_the_surface_up_to_its_edge() {
         let [height, width] = SIZE;
-        // A plane, and one that stands before it from column 80 on and falls away steeply.
+        // A plane, and one in front of it from column 80 on that falls away steeply.
         let z = |at: usize| {
             let [x, y] = [(at % width) as f32 * 2.0 / width as f32, (at / width) as f32 * 2.0 / height as f32];
             if at % width < 80 { 0.2f32.mul_add(x, 0.5) - 0.1 * y } else { 2.5f32.mul_add(x - 1.07, 0.15) }
@@ -310,7 +310,7 @@ mod tests {
                 assert_eq!(surfaces.slope(row, column, z + 0.2), [0.0; 2], "another surface");
             }
         }
-        // As steep as is told apart from an edge, and no neighbour at all.
+        // The steepest slope that differs from an edge, and a single row without neighbours.
         let steep = (0..4 * 64).map(|at| map_value(0.1 + 0.3 * TEAR / 64.0 * (at % 64).min(12) as f32)).collect();
         let steep = DepthMap { inverse: steep, confidence: None, resolution: [4, 64] };
         let surfaces = Surfaces::new(Level::scalar(), &steep, &[0.5; 3 * 4 * 64]);

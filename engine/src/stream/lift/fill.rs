@@ -1,4 +1,4 @@
-//! Holes of a depth map, filled from around them.
+//! Holes of a depth map, filled from the values around them.
 //!
 //! Means weighted by confidence are pulled up a pyramid of halves, `v' = Σ w·v / Σ w` and `w' = min(1, Σ w)` over 2×2
 //! values, and pushed down again where a value is not trusted: `v = w·v + (1 − w)·coarser`. Sums run along rows, in
@@ -6,13 +6,13 @@
 
 use super::DepthMap;
 
-/// One in so many of a map's values, on either side, does not count for its range.
+/// One in this many of a map's values, at either end, does not count for its range.
 const OUTLIERS: usize = 200;
-/// Part of the range beyond that is left for them.
+/// Part of the range added at either end for them.
 const ROOM: f64 = 0.03;
 
-/// Brings a map into [0, 1] by the range of all but the nearest and the farthest 200th of its finite values, with a
-/// little room for these; by the range of all where it has none without them. A map of one value becomes 0. Formed in
+/// Brings a map into [0, 1] by the range of its finite values without the nearest and the farthest 200th, plus a small
+/// margin for these. Where that range is empty, by the range of all. A map of one value becomes 0. Computed in
 /// binary64, then rounded.
 pub(in crate::stream) fn normalise_most(depth: &mut [f32]) {
     let mut known: Vec<f64> = depth.iter().filter(|d| d.is_finite()).map(|d| f64::from(*d)).collect();
@@ -70,7 +70,7 @@ impl DepthMap {
 }
 
 impl Layer {
-    /// The level of half the size; `None` above one value.
+    /// The level of half the size; `None` for a level of one value.
     fn halved(&self) -> Option<Layer> {
         let [rows, columns] = self.size;
         if rows * columns <= 1 {
@@ -95,11 +95,11 @@ impl Layer {
         Some(Layer { size, value, weight })
     }
 
-    /// Takes what it does not know from the level of half its size, bilinearly.
+    /// Replaces untrusted values by those of the level of half its size, bilinearly.
     fn take(&mut self, coarse: &Layer) {
         let [rows, columns] = self.size;
         let [coarse_rows, coarse_columns] = coarse.size;
-        // The centre of a value lies a quarter of a coarse one before or behind the coarse one's centre.
+        // The centre of a value is a quarter of a coarse value before or behind the coarse one's centre.
         let near = |i: usize, side: usize| {
             let own = (i / 2).min(side - 1);
             let other = if i.is_multiple_of(2) { own.saturating_sub(1) } else { (own + 1).min(side - 1) };

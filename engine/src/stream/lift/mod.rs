@@ -1,17 +1,17 @@
-//! Gaussians lifted to a depth map, for models whose own depth is little more than an order.
+//! Gaussians lifted to a depth map, for models whose own depth is little more than a drawing order.
 //!
-//! A model that ignores depth ([`Reconstructor::ignores_depth`](super::Reconstructor::ignores_depth)) gives every
-//! Gaussian of a frame a place on a nearly flat card, in an order that makes the picture. Where the frame has a
-//! [`DepthMap`], each Gaussian takes the map's depth at its centre instead, on its own side of an [edge](edges), moved
-//! by what it takes to keep that [order] among its neighbours on one surface:
+//! A model that ignores depth ([`Reconstructor::ignores_depth`](super::Reconstructor::ignores_depth)) places every
+//! Gaussian of a frame on a nearly flat card, in an order that makes the picture. Where the frame has a [`DepthMap`],
+//! each Gaussian takes the map's depth at its centre instead, on its own side of an [edge](edges). It is then moved
+//! just enough to keep that [order] among its neighbours on one surface:
 //!
 //! ```text
 //! y = FAR + (NEAR − FAR)·d        d: the map, 0 farthest to 1 nearest
 //! ```
 //!
-//! Standard deviations s_x and s_z become [`NARROWER`], and before an edge so narrow that little of a Gaussian reaches
-//! over it; what the picture loses by that Gaussians of a pixel's size along its [outline] give back. Along the axis of
-//! view they become
+//! Standard deviations s_x and s_z are multiplied by [`NARROWER`], and limited in front of an edge so that little of a
+//! Gaussian extends over it. Gaussians of a pixel's size along its [outline] restore what the picture loses by that.
+//! Along the axis of view the standard deviation becomes
 //!
 //! ```text
 //! √((THIN·(s_x + s_z)/2)² + (a·s_x)² + (b·s_z)²)
@@ -19,20 +19,20 @@
 //!
 //! with the [slopes](Surfaces::slope) a and b of the map: a surface is thinner than its Gaussians are wide, except
 //! where it falls away. Where a turned view looks past an edge, Gaussians are added [behind] it, in the colours that
-//! earlier frames [saw](covered) there. Colours of what is seen are fitted afterwards; beside edges they start from the
-//! picture's and are [held](HELD) to it.
+//! earlier frames [saw](covered) there. Colours of visible Gaussians are fitted afterwards; next to edges they start
+//! from the picture's colours and are [held](HELD) to them.
 //!
-//! # Maps that tell little
+//! # Maps with little information
 //!
 //! | map | result |
 //! |---|---|
 //! | holes: NaN, infinities, a confidence of 0 | filled from around them ([`fill`]) |
 //! | no finite value, or one value alone | as if there were no map |
-//! | values beyond [0, 1], after normalisation | held to it |
-//! | inverted | taken at its word: the scene is inside out |
+//! | values beyond [0, 1], after normalisation | clamped |
+//! | inverted | used as given: the scene is inside out |
 //!
 //! Maps that are given are [aligned](align) with those of the frames before, along optical flow; without flow
-//! (`--motion network`) each is taken as it is. Depth [found](crate::parallax) in the stream has one scale already.
+//! (`--motion network`) each is used as it is. Depth [found](crate::parallax) in the stream has one scale already.
 
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
@@ -55,32 +55,32 @@ pub use covered::Covered;
 pub(super) use covered::{Memory, Past, contradiction};
 pub(super) use fill::normalise_most;
 
-/// y of what a map calls farthest.
+/// y of a map's farthest value.
 pub const FAR: f32 = 0.1;
-/// y of what a map calls nearest.
+/// y of a map's nearest value.
 pub const NEAR: f32 = 0.95;
 
 /// Factor on standard deviations: Gaussians that overlap less depend less on their order.
 const NARROWER: f32 = 0.95;
-/// Standard deviation of a Gaussian before an edge per pixel to the edge from its pixel's far side, and the least one
-/// in pixels.
+/// Standard deviation of a Gaussian in front of an edge, per pixel from its pixel's far side to the edge; and the least
+/// one, in pixels.
 const TO_EDGE: f32 = 0.4;
 const LEAST: f32 = 0.3;
 /// Standard deviation across a surface over the mean of those along it.
 const THIN: f32 = 0.5;
 /// Pixels from an edge within which colours are held.
 const BESIDE: f32 = 3.0;
-/// Factors on the unknowns of the fit for colours beside an edge, on its farther and on its nearer side: the ridge
-/// holds them as many times as strongly as the square's inverse. Free, they would undo what reaches over the edge, and
-/// a view that turns shows them without it.
+/// Factors on the unknowns of the fit for colours next to an edge, on its farther and on its nearer side. The ridge
+/// holds these colours more strongly, by the inverse square of the factor. Without that the fit would cancel the parts
+/// of Gaussians that extend over the edge, and a turned view would show the cancelling colours alone.
 const HELD: [f32; 2] = [0.6, 0.8];
 
-/// Inverse depth of a key frame, at the size at which the model sees it.
+/// Inverse depth of a key frame, at the model's size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthMap {
     /// `[H, W]`, 0 farthest to 1 nearest. Values that are not finite are holes.
     pub inverse: Vec<f32>,
-    /// `[H, W]`, how far each value can be trusted, 0 not at all to 1; `None`: every value alike.
+    /// `[H, W]`, confidence in each value, 0 none to 1 full; `None`: the same for all.
     pub confidence: Option<Vec<f32>>,
     /// Height and width.
     pub resolution: [usize; 2],
@@ -92,7 +92,7 @@ pub(crate) fn scene_depth(d: f32) -> f32 {
     1.0 / 9.8f32.mul_add(y, 0.2)
 }
 
-/// The map's value of a z in the scene.
+/// The map's value for a z in the scene.
 pub(crate) fn map_value(z: f32) -> f32 {
     (y_of(z) - FAR) / (NEAR - FAR)
 }
@@ -102,7 +102,7 @@ fn y_of(z: f32) -> f32 {
     (1.0 / z - 0.2) / 9.8
 }
 
-/// The same held to [0, 1].
+/// The same clamped to [0, 1].
 fn y_at(z: f32) -> f32 {
     y_of(z).clamp(0.0, 1.0)
 }
@@ -110,21 +110,20 @@ fn y_at(z: f32) -> f32 {
 /// Gaussians that a lift adds after the model's own.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Added {
-    /// How many are seen along edges; the others stand behind these and the model's own.
+    /// Number of those seen along edges; the others are behind these and the model's own.
     pub(super) outline: usize,
-    /// The places whose motion they have.
+    /// The places whose motion they take.
     pub(super) moving: Vec<[f32; 3]>,
     /// Colours remembered of surfaces that the foreground hides.
     pub(super) covered: Vec<Covered>,
     /// For each Gaussian of the frame the factor on the unknowns of its colour, as [`HELD`]; 0 for those behind others.
     pub(super) held: Vec<f32>,
-    /// How many of those behind others have colours from there.
+    /// Number of those behind others whose colour is in `covered`.
     pub(super) known: usize,
 }
 
 /// Lifts the Gaussians of a key frame `[3, H, W]` to its map and makes its [outline] sharp; with a `memory`, adds
-/// [Gaussians behind](behind) its foreground. Where the map tells nothing, since no two of its values differ, the
-/// Gaussians stay as they are.
+/// [Gaussians behind](behind) its foreground. Where no two values of the map differ, the Gaussians stay as they are.
 pub(super) fn lift(
     level: Level,
     gaussians: &mut StaticGaussians,
@@ -180,8 +179,7 @@ pub(super) fn lift(
     added
 }
 
-/// Thickness of a Gaussian of these standard deviations on a surface that has these slopes; [`THIN`] where it has no
-/// width.
+/// Thickness of a Gaussian of these standard deviations on a surface of these slopes; [`THIN`] where it has no width.
 fn across([sx, sz]: [f32; 2], [a, b]: [f32; 2]) -> f32 {
     let mean = 0.5 * (sx + sz);
     let falls = (a * sx / mean).mul_add(a * sx / mean, (b * sz / mean) * (b * sz / mean));
@@ -190,7 +188,7 @@ fn across([sx, sz]: [f32; 2], [a, b]: [f32; 2]) -> f32 {
 }
 
 impl edges::Place {
-    /// Returns true beside an edge.
+    /// Returns true next to an edge.
     fn is_held(&self) -> bool {
         self.clear[0].min(self.clear[1]) < BESIDE
     }

@@ -1,19 +1,18 @@
-//! Depths at which neighbours on one surface keep the model's order.
+//! Depths at which neighbours on one surface keep the model's drawing order.
 //!
-//! A key frame's picture is made of Gaussians that overlap, drawn in the order of the model's own y. On a surface that
-//! slopes their depths are in another order, and a camera that turns sorts them anew. So neighbours are moved until
-//! there is as much room between them in depth as it takes that a camera turned by up to [`SLOPE`] draws them in the
-//! model's order:
+//! A key frame's picture is made of overlapping Gaussians, drawn in the order of the model's own y. On a sloping
+//! surface their depths are in another order, and a turning camera sorts them anew. So neighbours are moved apart in
+//! depth until a camera turned by up to [`SLOPE`] draws them in the model's order:
 //!
 //! ```text
 //! z_j − z_i ≥ SLOPE·|p_i − p_j|        for i before j in the model's order, |p_i − p_j| ≤ WIDE·(σ_i + σ_j),
 //!                                      both on one surface by the map's z
-//! z_i ← z_i ± mean of what is lacking  over the neighbours of i where something is, in ROUNDS rounds, all i at once
+//! z_i ← z_i ± mean missing distance    over the neighbours of i that lack some, in ROUNDS rounds, all i at once
 //! ```
 //!
-//! p: centres in the picture, in the units of z; σ: the larger standard deviation. Two Gaussians lie on one surface
-//! where their z differ by less than [`SURFACE`] times what is an edge. The rounds do not reach all of it, which they
-//! must not: long rows of neighbours, each a little behind the one before, would bend the surface.
+//! p: centres in the picture, in the units of z; σ: the larger standard deviation. Two Gaussians are on one surface
+//! where their z differ by less than [`SURFACE`] times the difference that makes an edge. The rounds deliberately stop
+//! before convergence: long rows of neighbours, each a little behind the previous one, would bend the surface.
 //!
 //! Sums run over bins of [`BIN`] pixels row by row, in a bin by index, in binary32.
 
@@ -25,14 +24,15 @@ use streamsplat_kernels::simd::{LANES, Operation, Simd, dispatch};
 
 /// Change of depth per distance in the picture: the tangent of 10°.
 pub(super) const SLOPE: f32 = 0.18;
-/// Gaussians are neighbours where their centres are no more than so many of their standard deviations apart.
+/// Gaussians are neighbours where their centres are no farther apart than this multiple of the sum of their standard
+/// deviations.
 const WIDE: f32 = 2.0;
-/// Differences of depth within one surface, in those of an edge.
+/// Largest difference of depth within one surface, relative to that of an edge.
 const SURFACE: f32 = 2.0;
 const ROUNDS: usize = 16;
 /// Pixels of a bin's side.
 const BIN: usize = 4;
-/// Gaussians of a bin that others look at; bins of the model's lattice hold four.
+/// Most Gaussians of a bin that count as neighbours; bins of the model's lattice hold four.
 const CROWD: usize = 32;
 /// Largest standard deviation that counts, in pixels.
 const LARGEST: f32 = 4.0;
@@ -63,9 +63,9 @@ impl Lifted {
 #[derive(Clone, Copy)]
 struct Neighbours {
     index: [u32; LANES],
-    /// Least distance in depth; negative, at least −0, where the neighbour is in front. A Gaussian with fewer
-    /// neighbours than others of the vector has itself as one, at 0: there nothing is lacking. Lanes past the last
-    /// Gaussian are not read.
+    /// Least distance in depth; negative, or −0, where the neighbour is in front. A Gaussian with fewer neighbours than
+    /// others of the vector is padded with itself at distance 0, where nothing is lacking. Lanes past the last Gaussian
+    /// are not read.
     room: [f32; LANES],
 }
 
@@ -73,12 +73,12 @@ struct Neighbours {
 #[derive(Default)]
 struct Part {
     all: Vec<Neighbours>,
-    /// Where those of each vector end.
+    /// End of each vector's neighbours in `all`.
     ends: Vec<usize>,
 }
 
-/// z of each Gaussian of a picture of this height and width, of which all numbers are finite; `edge`: difference of z
-/// at an edge.
+/// Returns z of each Gaussian of a picture of this height and width. All numbers must be finite. `edge`: difference of
+/// z at an edge.
 pub(super) fn keep(level: Level, lifted: &[Lifted], [height, width]: [usize; 2], edge: f32) -> Vec<f32> {
     let bins = Bins::new(lifted, [height, width]);
     let (unit, surface) = (2.0 / width as f32, SURFACE * edge);
@@ -164,7 +164,7 @@ impl Search<'_> {
     }
 }
 
-/// A round for the Gaussians of a task.
+/// One round for the Gaussians of a task.
 struct Round<'a> {
     part: &'a Part,
     z: &'a [f32],
@@ -201,15 +201,15 @@ impl Operation for Round<'_> {
     }
 }
 
-/// Gaussians by the bin that their centre lies in.
+/// Gaussians by the bin that contains their centre.
 struct Bins {
     rows: usize,
     columns: usize,
     starts: Vec<u32>,
     members: Vec<u32>,
-    /// Column, row, standard deviation, z and rank of the members, with room for a vector after the last.
+    /// Column, row, standard deviation, z and rank of the members, padded by a vector after the last.
     values: [Vec<f32>; 5],
-    /// Largest standard deviation of them.
+    /// Largest standard deviation of the members.
     largest: f32,
 }
 
@@ -240,7 +240,7 @@ impl Bins {
         bins
     }
 
-    // Both saturate below zero and far above.
+    // Both casts saturate below zero and far above.
     fn column(&self, x: f32) -> usize {
         (x as usize / BIN).min(self.columns - 1)
     }
@@ -249,7 +249,7 @@ impl Bins {
         (y as usize / BIN).min(self.rows - 1)
     }
 
-    /// The members of all bins that the square around a place meets, row by row.
+    /// The members of all bins that meet the square around a place, row by row.
     fn around(&self, [x, y]: [f32; 2], reach: f32) -> impl Iterator<Item = Range<usize>> {
         let columns = [self.column(x - reach), self.column(x + reach) + 1];
         let bin = move |row: usize, column: usize| self.starts[row * self.columns + column] as usize;
@@ -263,7 +263,7 @@ mod tests {
 
     const SIZE: [usize; 2] = [32, 64];
 
-    /// A lattice of Gaussians on a slope of so much depth per pixel, in a scattered order.
+    /// A lattice of Gaussians on a slope of `of` in depth per pixel, in a scattered order.
     fn slope(of: f32) -> Vec<Lifted> {
         (0..16 * 32u32)
             .map(|i| {
@@ -274,7 +274,7 @@ mod tests {
             .collect()
     }
 
-    /// The share of neighbours that are not in their order.
+    /// The share of neighbours that are out of order.
     fn wrong(lifted: &[Lifted], z: &[f32]) -> f64 {
         let (mut wrong, mut all) = (0, 0);
         for i in 0..z.len() {
@@ -305,7 +305,7 @@ mod tests {
         }
     }
 
-    /// z by the definition, one neighbour after another; no bin is crowded.
+    /// z computed directly from the definition, one neighbour after another; no bin is crowded.
     fn plainly(lifted: &[Lifted], width: usize, edge: f32) -> Vec<f32> {
         let unit = 2.0 / width as f32;
         let bin = |own: &Lifted| [own.at[1], own.at[0]].map(|x| x as usize / BIN);
@@ -336,10 +336,10 @@ mod tests {
 
     #[test]
     fn every_level_gives_the_bits_of_the_definition() {
-        // In the narrow picture neighbours lie at the end of one row of bins and at the start of the next.
+        // In the narrow picture neighbours are at the end of one row of bins and at the start of the next.
         for (width, largest) in [(SIZE[1], 1.5), (SIZE[1] / 4, LARGEST)] {
             let mut lifted = slope(0.01);
-            // Not whole vectors of them, in all and in a row of bins; of several sizes, some of one rank.
+            // Not whole vectors, in all or in a row of bins; several sizes, some equal ranks.
             let mut count = 0;
             lifted.retain(|_| {
                 count += 1;
@@ -363,7 +363,7 @@ mod tests {
         let edge = 0.1;
         let mut lifted = slope(0.0);
         for (i, own) in lifted.iter_mut().enumerate() {
-            // In front the order says otherwise.
+            // In front of the others, where the order is the opposite.
             (own.z, own.rank) = if i % 2 == 0 { (0.2, 0.0) } else { (0.5, 1.0) };
         }
         let z = keep(Level::scalar(), &lifted, SIZE, edge);

@@ -1,9 +1,9 @@
 //! Gaussians of a pixel's size along edges of depth.
 //!
-//! Where the model puts Gaussians across an edge, the picture needs them in an order in which near and far ones mix;
-//! lifted, all near ones cover the far ones. So along edges each pixel gets a Gaussian of its own, on its own side, in
-//! its own colour, within [`BAND`] pixels of the edge and where the picture has some contrast. Their colours are fitted
-//! with all others.
+//! Where the model's Gaussians cross an edge, the picture needs an order in which near and far ones mix; lifted, all
+//! near ones cover the far ones. So along edges each pixel gets a Gaussian of its own, on its own side and in its own
+//! colour, if it is within [`BAND`] pixels of the edge and the picture has some contrast there. Their colours are
+//! fitted with all others.
 
 use rayon::prelude::*;
 use streamsplat_model::StaticGaussians;
@@ -13,13 +13,14 @@ use super::{THIN, scene_depth, y_at};
 
 /// Pixels from an edge.
 const BAND: f32 = 3.0;
-/// Range of a channel over 3×3 pixels from which on a pixel is not left to the model's Gaussians.
+/// Range of a channel over 3×3 pixels from which on a pixel gets its own Gaussian.
 const CONTRAST: f32 = 0.02;
 /// Standard deviation in pixels.
 const SCALE: f32 = 0.3;
 const OPACITY: f32 = 0.3;
 
-/// Adds the Gaussians of all pixels along edges, row by row; gives for each how its colour is [held](super::HELD).
+/// Adds the Gaussians of all pixels along edges, row by row; returns for each the factor by which its colour is
+/// [held](super::HELD).
 pub(super) fn add(gaussians: &mut StaticGaussians, surfaces: &Surfaces<'_>) -> Vec<f32> {
     let [height, width] = surfaces.resolution();
     let along = |pixel: usize| {
@@ -41,7 +42,7 @@ pub(super) fn add(gaussians: &mut StaticGaussians, surfaces: &Surfaces<'_>) -> V
 }
 
 impl Surfaces<'_> {
-    /// The largest range of a channel over the pixels around one and itself.
+    /// The largest range of a channel over the 3×3 pixels around one.
     fn contrast(&self, row: usize, column: usize) -> f32 {
         let [height, width] = self.resolution();
         let (mut least, mut most) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);

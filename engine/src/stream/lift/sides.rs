@@ -1,7 +1,7 @@
 //! Weights of the two sides of an [edge](super::edges) around each pixel, sixteen pixels of a row at once.
 //!
-//! The picture's planes are padded with colours at infinity, whose weight is 0, so that a sum over a window that leaves
-//! the picture has the bits of the sum over what lies inside.
+//! The picture's planes are padded with colours at infinity, whose weight is 0. So the sum over a window that leaves
+//! the picture has the bits of the sum over its part inside.
 
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
@@ -19,9 +19,9 @@ const NEARBY: f32 = 2.0 * 2.0;
 /// Sums of weights over the window around a pixel, row by row.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Weights {
-    /// Of what is nearer than the middle of the range around it, and of what is not.
+    /// Of the pixels nearer than the middle of the depth range around the pixel, and of the rest.
     pub(super) sides: [f32; 2],
-    /// Of what is on the pixel's own side and no [tear](super::edges::tear) away from its depth.
+    /// Of the pixels on the pixel's own side and no [tear](super::edges::tear) away from its depth.
     pub(super) own: f32,
 }
 
@@ -38,7 +38,7 @@ pub(super) struct Picture {
 impl Picture {
     /// The picture of a frame `[3, H, W]` and its z `[H, W]`.
     pub(super) fn new(level: Level, frame: &[f32], z: &[f32], [height, width]: [usize; 2]) -> Self {
-        // The last vector of a row starts within it and reads as far as the window.
+        // The last vector of a row starts within it and reads up to the end of the window.
         let stride = width.next_multiple_of(LANES) + LANES;
         let padded = |plane: &[f32]| {
             let mut out = vec![f32::INFINITY; height * stride];
@@ -69,12 +69,12 @@ impl Picture {
         members
     }
 
-    /// Rows of the window around one, with their distance.
+    /// Rows of the window around `row`, with their distances.
     fn rows(&self, row: usize) -> impl Iterator<Item = (usize, usize)> {
         (row.saturating_sub(REACH)..(row + REACH + 1).min(self.size[0])).map(move |y| (y, y.abs_diff(row)))
     }
 
-    /// Sixteen colours and z from a place in the padded planes on.
+    /// Sixteen colours and z, from a place in the padded planes on.
     #[inline(always)]
     fn load<S: Simd>(&self, s: S, row: usize, column: usize) -> ([S::F32; 3], S::F32) {
         let [r, g, b, z] = &self.planes;
@@ -96,7 +96,7 @@ fn weight<S: Simd>(s: S, c: [S::F32; 3], c0: [S::F32; 3], distant: S::F32) -> S:
     s.div(s.mul(alike, alike), distant)
 }
 
-/// The denominator `1 + r²/R²` at a distance of so many rows and columns.
+/// The denominator `1 + r²/R²` at a distance of `dy` rows and `dx` columns.
 #[inline(always)]
 fn distant(dy: usize, dx: usize) -> f32 {
     1.0 + (dx * dx + dy * dy) as f32 / NEARBY
@@ -147,15 +147,15 @@ impl Operation for Row<'_> {
     }
 }
 
-/// z and weight of the pixels of one side in a window. Both are positive, so that their bits are in their order: those
-/// of z above those of the weight.
+/// z and weight of the pixels of one side in a window. Both are positive, so that their bits have the same order: those
+/// of z in the upper half, those of the weight in the lower.
 pub(super) struct Members {
     all: [u64; SIDE * SIDE],
     count: usize,
 }
 
 impl Members {
-    /// The z at which half of the weight `total` is reached, ascending; equal ones by their weights.
+    /// The z at which half of the weight `total` is reached, ascending; equal values in order of their weights.
     pub(super) fn median(&mut self, total: f32) -> f32 {
         let members = &mut self.all[..self.count];
         members.sort_unstable();

@@ -1,4 +1,4 @@
-//! The same pairs through the hierarchy of boxes ([`crate::space::Tree`]): what the bins are compared with.
+//! The same pairs by the hierarchy of boxes ([`crate::space::Tree`]), which the bins are compared with.
 
 use proptest::prelude::*;
 
@@ -61,7 +61,7 @@ fn bins_and_tree_timed_on_two_frames_of_the_papers_size() {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (state >> 8) as f32 / (1 << 24) as f32
     };
-    // One per cell, a cell's jitter, and depth in two sheets.
+    // One per cell with jitter within the cell, and depth in two sheets.
     let mut frame = |shift: f32| -> Vec<[f32; 3]> {
         let jitter = |i: usize, n: usize, r: f32| (2.0 * (i as f32 + r) + 1.0) / n as f32 - 1.0;
         (0..144 * 256)

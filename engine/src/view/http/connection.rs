@@ -1,4 +1,4 @@
-//! One connection: a request read, an answer written, each within its time.
+//! One connection: a request is read and answered, each within its time limit.
 
 use std::io::{self, Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -9,10 +9,10 @@ use super::{ANSWER_RATE, ANSWER_TIME, Answer, HEAD_TIME, Hosts, MAX_HEAD, Refusa
 
 /// Bytes written at once.
 const PIECE: usize = 64 << 10;
-/// Time and bytes for which a client is still read after its answer.
+/// Time and bytes for which a client's data are still read after its answer.
 const LINGER: (Duration, usize) = (Duration::from_millis(500), 256 << 10);
 
-/// Reads one request and answers it. A client that has disconnected is no error.
+/// Reads one request and answers it. A client that has disconnected is not an error.
 pub(super) fn serve(mut stream: TcpStream, hosts: &Hosts, answer: &impl Fn(&Request) -> Answer) {
     let Ok(request) = read(&mut stream) else { return };
     let refused = |refusal: Refusal| Answer::text(refusal.status(), &format!("{refusal}\n"));
@@ -30,7 +30,7 @@ pub(super) fn serve(mut stream: TcpStream, hosts: &Hosts, answer: &impl Fn(&Requ
     }
 }
 
-/// The time left until `end`; an error when there is none.
+/// Returns the time left until `end`; an error if there is none.
 fn left(end: Instant) -> io::Result<Duration> {
     let left = end.saturating_duration_since(Instant::now());
     if left.is_zero() { Err(io::ErrorKind::TimedOut.into()) } else { Ok(left) }
@@ -41,7 +41,7 @@ fn is_late(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock)
 }
 
-/// The request, or why there is none; an error where the client has disconnected.
+/// Reads the request, or returns why there is none; an error where the client has disconnected.
 fn read(stream: &mut TcpStream) -> io::Result<Result<Request, Refusal>> {
     let end = Instant::now() + HEAD_TIME;
     let mut head = [0; MAX_HEAD];
@@ -105,8 +105,8 @@ fn write_piece(stream: &mut TcpStream, mut piece: &[u8], end: Instant) -> io::Re
     Ok(())
 }
 
-/// Waits until the client has read the answer and closes. Closing while bytes of a client lie unread resets the
-/// connection, and the answer may be lost with it.
+/// Waits until the client has read the answer and closes. Closing with unread bytes of a client resets the connection,
+/// and the answer may be lost with it.
 fn linger(stream: &mut TcpStream) {
     let (time, mut bytes) = LINGER;
     let end = Instant::now() + time;

@@ -2,11 +2,11 @@
 
 use std::net::{IpAddr, SocketAddr};
 
-/// The names of a server that requests may have in their `Host` header.
+/// The names of a server that are allowed in the `Host` header of requests.
 ///
-/// A foreign web page can make its own name resolve to the address of this server (DNS rebinding), and would be allowed
-/// to read what the browser fetches under that name. Its requests carry its name, so names are refused unless they were
-/// allowed; addresses and `localhost` cannot be redirected like that.
+/// A foreign web page can make its own name resolve to the address of this server (DNS rebinding). It could then read
+/// the browser's requests to that name. Those requests carry the foreign name, so only allowed names are accepted;
+/// addresses and `localhost` cannot be redirected like that.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hosts {
     loopback: bool,
@@ -14,13 +14,13 @@ pub struct Hosts {
 }
 
 impl Hosts {
-    /// For a server that listens on `address`: on a loopback address, loopback addresses; on any other, all addresses;
-    /// on both `localhost` and these `names`.
+    /// Names of a server that listens on `address`: loopback addresses if it is one of them, otherwise all addresses;
+    /// in both cases `localhost` and these `names`.
     pub fn of(address: IpAddr, names: &[String]) -> Hosts {
         Hosts { loopback: address.is_loopback(), names: names.to_vec() }
     }
 
-    /// Returns true if requests may name this host, with or without a port.
+    /// Returns true if requests may use this host name, with or without a port.
     pub fn contain(&self, host: &str) -> bool {
         let allowed = |address: IpAddr| !self.loopback || address.is_loopback();
         if let Ok(address) = host.parse::<SocketAddr>() {

@@ -1,6 +1,6 @@
-//! A small HTTP/1.1 server: one request per connection, GET and HEAD alone, nothing of a request held but its head.
+//! A small HTTP/1.1 server: one request per connection, only GET and HEAD, and only the head of a request in memory.
 //!
-//! Clients are not trusted. For anything that one sends, or does not send:
+//! Clients are not trusted. Whatever a client sends or omits:
 //!
 //! | it takes at most | |
 //! |---|---|
@@ -8,8 +8,8 @@
 //! | threads | one for each of [`MAX_CONNECTIONS`] connections; more are closed at once |
 //! | time | [`HEAD_TIME`] to send the head, [`ANSWER_TIME`] and a second for each [`ANSWER_RATE`] bytes to take the answer |
 //!
-//! A panic while a request is answered ends its connection alone. Where no thread can be started the connection is
-//! closed and the next one accepted. [`Hosts`] lists the names of the server that requests may have.
+//! A panic while a request is answered ends only its connection. If no thread can be started, the connection is closed
+//! and the next one accepted. [`Hosts`] lists the server names that requests may use.
 
 mod connection;
 mod hosts;
@@ -31,15 +31,15 @@ pub const MAX_HEAD: usize = 8 << 10;
 pub const MAX_HEADERS: usize = 64;
 /// Connections at the same time.
 pub const MAX_CONNECTIONS: usize = 32;
-/// How long a client may take to send its request's head.
+/// Time for a client to send its request's head.
 pub const HEAD_TIME: Duration = Duration::from_secs(5);
-/// How long a client may take for its answer, in addition to the time for its length.
+/// Time for a client to take its answer, in addition to the time for its length.
 pub const ANSWER_TIME: Duration = Duration::from_secs(10);
-/// The slowest client that gets a long answer, in bytes per second.
+/// The lowest rate at which a client can receive a long answer, in bytes per second.
 pub const ANSWER_RATE: u64 = 64 << 10;
-/// How long accepting rests after the system refused it, which it does while file descriptors are short.
+/// Pause after the system refused to accept a connection, as it does when file descriptors are short.
 const REST: Duration = Duration::from_millis(50);
-/// How long the listener is waited for when it ends.
+/// Longest wait for the acceptor when the listener ends.
 const LAST_CALL: Duration = Duration::from_millis(200);
 
 /// Response to a request.
@@ -49,7 +49,7 @@ pub struct Answer {
     pub status: u16,
     /// The media type of the body.
     pub media_type: &'static str,
-    /// The body, which HEAD does not get.
+    /// The body, which is not sent for HEAD.
     pub body: Arc<[u8]>,
 }
 
@@ -60,7 +60,7 @@ impl Answer {
     }
 }
 
-/// Listens and answers until it is dropped; answers under way end by themselves.
+/// Listens and answers until it is dropped; answers in progress are completed.
 #[derive(Debug)]
 pub struct Listener {
     address: SocketAddr,
@@ -72,7 +72,7 @@ impl Listener {
     /// Answers requests to `address` whose `Host` is a name of `hosts`; port 0 takes any free one.
     ///
     /// # Errors
-    /// The system's: an address that cannot be listened on, no thread.
+    /// Errors of the system: an address that cannot be listened on, no thread.
     pub fn start(
         address: SocketAddr,
         hosts: Hosts,
@@ -88,7 +88,7 @@ impl Listener {
         Ok(Listener { address, ending, acceptor: Some(acceptor) })
     }
 
-    /// Where it listens.
+    /// The address on which it listens.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -97,7 +97,7 @@ impl Listener {
 impl Drop for Listener {
     fn drop(&mut self) {
         self.ending.store(true, Ordering::SeqCst);
-        // A connection of its own wakes the acceptor. Where none can be made it ends with the next one.
+        // A connection to itself wakes the acceptor. If that fails, the acceptor ends with the next connection.
         let mut own = self.address;
         match own.ip() {
             IpAddr::V4(ip) if ip.is_unspecified() => own.set_ip(Ipv4Addr::LOCALHOST.into()),
@@ -140,7 +140,7 @@ fn accept(listener: &TcpListener, ending: &AtomicBool, serve: &Arc<impl Fn(TcpSt
         };
         let Some(counted) = Counted::take(&count) else { continue };
         let serve = serve.clone();
-        // Without a thread the closure goes, and the connection and its count with it.
+        // Without a thread the closure is dropped, and the connection and its count with it.
         let _ = std::thread::Builder::new().name("http connection".into()).spawn(move || {
             let _counted = counted;
             serve(stream);

@@ -22,10 +22,10 @@ pub enum Refusal {
     /// It is not HTTP/1.
     #[error("expected a request of HTTP/1.1")]
     Malformed,
-    /// It names no host, or several.
+    /// It has no host, or several.
     #[error("expected one Host header")]
     Host,
-    /// It names a host that this server is not called.
+    /// Its host is not a name of this server.
     #[error("this server does not answer to that name")]
     Name,
     /// It is neither GET nor HEAD.
@@ -53,10 +53,10 @@ impl Refusal {
 }
 
 impl Request {
-    /// The request whose head `bytes` begin with; none where the head is incomplete.
+    /// Parses the request whose head `bytes` begin with; `None` if the head is incomplete.
     ///
     /// # Errors
-    /// Anything but one well-formed GET or HEAD with one `Host`.
+    /// Anything other than one well-formed GET or HEAD with one `Host`.
     pub fn parse(bytes: &[u8]) -> Result<Option<Request>, Refusal> {
         let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
         let mut head = httparse::Request::new(&mut headers);

@@ -18,7 +18,7 @@ fn connect(listener: &Listener) -> TcpStream {
     stream
 }
 
-/// Everything that comes; resets end it as well.
+/// Reads to the end; a reset ends it as well.
 fn rest(mut stream: TcpStream) -> String {
     let (mut text, mut bytes) = (Vec::new(), [0; 4096]);
     while let Ok(read @ 1..) = stream.read(&mut bytes) {
@@ -65,7 +65,7 @@ fn heads_without_an_end_are_refused_in_length_and_in_time() {
     let listener = start(hello);
     let long = [b"GET /".as_slice(), &[b'a'; 2 * MAX_HEAD]].concat();
     assert!(ask(&listener, &long).starts_with("HTTP/1.1 431 "));
-    // A byte now and then keeps a connection no longer than its time.
+    // A byte now and then keeps a connection no longer than its time limit.
     let (start, mut slow) = (Instant::now(), connect(&listener));
     while start.elapsed() < HEAD_TIME {
         if slow.write_all(b"a").is_err() {

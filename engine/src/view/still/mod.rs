@@ -1,4 +1,4 @@
-//! A still scene as a page shows it: one packet, seen from the camera of [`Framing`].
+//! A still scene on a page: one packet, seen from the camera of [`Framing`].
 
 mod packet;
 
@@ -28,15 +28,15 @@ const LENGTH: usize = 4;
 pub struct StillDescription {
     /// The name of the file's format.
     pub format: &'static str,
-    /// Degree of its harmonics.
+    /// Degree of the scene's harmonics.
     pub degree: usize,
-    /// The box that holds most of it ([`Framing`]).
+    /// The box that holds most of the scene ([`Framing`]).
     pub least: [f64; 3],
-    /// Its other corner.
+    /// The box's other corner.
     pub greatest: [f64; 3],
 }
 
-/// A still scene under a title.
+/// A still scene with a title.
 #[derive(Debug)]
 pub struct StillSource {
     title: String,
@@ -54,7 +54,7 @@ pub enum StillError {
     /// No centre is finite.
     #[error("{0}: expected Gaussians at finite places, found none to look at")]
     Nowhere(String),
-    /// Its arrays do not fit each other.
+    /// The scene's arrays differ in length.
     #[error(transparent)]
     Uneven(#[from] RenderError),
 }
@@ -110,12 +110,12 @@ impl Whole for StillSource {
         Ok(Picture { width: image.width, height: image.height, rgb: image.rgb.clone() })
     }
 
-    /// The packet: its length when compressed (u32) and its bytes as a raw stream of deflate.
+    /// The packet: its compressed length (u32) and its bytes as a raw deflate stream.
     fn parts(&self, put: &mut dyn FnMut(&[u8]) -> Result<(), PageError>) -> Result<(), PageError> {
         let mut deflated = DeflateEncoder::new(vec![0; LENGTH], Compression::default());
         deflated.write_all(&self.packet)?;
         let mut deflated = deflated.finish()?;
-        // The limit of a text is lower: the page reports it.
+        // The limit of a string is lower: the page reports it.
         let length = u32::try_from(deflated.len() - LENGTH).unwrap_or(u32::MAX);
         deflated[..LENGTH].copy_from_slice(&length.to_le_bytes());
         put(&deflated)

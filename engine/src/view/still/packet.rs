@@ -1,4 +1,4 @@
-//! A still scene as the page reads it: 36 bytes per Gaussian, and 16 more per degree of its harmonics.
+//! A still scene in the page's format: 36 bytes per Gaussian, and 16 more per degree of its harmonics.
 //!
 //! Little-endian. A header of 16 bytes, `count` records of 32 bytes, `count` rows of harmonics of 16·degree bytes,
 //! `count` numbers of four bytes.
@@ -19,16 +19,16 @@
 //! | 20 | 3 × f16 | red, green, blue of the harmonics' first coefficients, within ±65,504 | 2⁻¹¹ of it |
 //! | 26 | 3 × u16 | rotation: a unit quaternion (w, x, y, z), three components of it | 10⁻⁴ |
 //!
-//! The sign of the quaternion is chosen so that its largest component is positive. That component is left out; the
-//! highest bit of the first word, and twice that of the second, are its number. The others follow in order, in 15 bits
-//! each: `√½·(q / 16383.5 − 1)`.
+//! The sign of the quaternion is chosen so that its largest component is positive. That component is left out: its
+//! number has its low bit in the highest bit of the first word, and its high bit in that of the second. The others
+//! follow in order, in 15 bits each: `√½·(q / 16383.5 − 1)`.
 //!
-//! A row of harmonics is the coefficients above the first, channels innermost, in i8: `step·q`, half a step off at
-//! most, where `step`, an f16 in the row's last two bytes, is at least a 127th of the row's largest. A number is a
-//! Gaussian's place in its file.
+//! A row of harmonics has the coefficients above the first, channels innermost, in i8: `step·q`, with an error of half
+//! a step at most. `step`, an f16 in the row's last two bytes, is at least a 127th of the row's largest. A number is
+//! the index of a Gaussian in its file.
 //!
-//! Left out is what no image shows: opacities under 1/255, and what [`Still::defect`](crate::still::Still::defect)
-//! names.
+//! Omitted are Gaussians that no image shows: opacities under 1/255, and those with a
+//! [`Still::defect`](crate::still::Still::defect).
 
 use half::f16;
 use rayon::prelude::*;
@@ -50,7 +50,7 @@ pub(super) const ROW: usize = 16;
 const NUMBER: usize = 4;
 /// Smallest opacity that is drawn.
 const VISIBLE: f32 = 1.0 / 255.0;
-/// Logarithms of standard deviations lie between this and its negative.
+/// Logarithms of standard deviations are between this and its negative.
 const WIDEST: f64 = 24.0;
 /// Steps of 16 bits, and half of those of 15 bits.
 const STEPS: f64 = 65535.0;
@@ -111,12 +111,12 @@ fn record(scene: &Drawable, i: usize) -> [u8; RECORD] {
     out
 }
 
-/// Three components of a unit quaternion, and which is left out.
+/// Three components of a unit quaternion, and the number of the omitted one.
 fn turn(q: [f64; 4]) -> [u16; 3] {
     let largest = (1..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best });
     let sign = if q[largest] < 0.0 { -1.0 } else { 1.0 };
     let mut kept = (0..4).filter(|i| *i != largest).map(|i| {
-        // At most √½, as another is at least as large; a conversion saturates.
+        // At most √½, as another component is at least as large; the conversion saturates.
         let steps = ((sign * q[i] * std::f64::consts::SQRT_2 + 1.0) * HALF_STEPS).round() as u16;
         steps.min(0x7fff)
     });
@@ -126,14 +126,14 @@ fn turn(q: [f64; 4]) -> [u16; 3] {
 /// A row of harmonics in steps.
 fn harmonics(row: &[f32], out: &mut [u8]) {
     let largest = row.iter().fold(0.0, |most: f32, c| most.max(c.abs()));
-    // The next binary16 number up, so that the largest coefficient has no more than 127 steps.
+    // Rounds up to the next binary16 number, so that the largest coefficient has at most 127 steps.
     let mut step = f16::from_f32((largest / 127.0).min(f16::MAX.to_f32()));
     if f64::from(step) * 127.0 < f64::from(largest) && step < f16::MAX {
         step = f16::from_bits(step.to_bits() + 1);
     }
     let size = f32::from(step);
     if size > 0.0 {
-        // A conversion saturates.
+        // The conversion saturates.
         row.iter().zip(out.iter_mut()).for_each(|(c, out)| *out = ((c / size).round() as i8).cast_unsigned());
     }
     let end = out.len() - 2;
@@ -146,7 +146,7 @@ fn half(value: f32) -> u16 {
     f16::from_f32(value.clamp(-most, most)).to_bits()
 }
 
-/// A value of [0, 1] in steps; values outside are moved to the end.
+/// A value of [0, 1] in steps; values outside are clamped.
 fn unit(value: f64) -> u16 {
     (value.clamp(0.0, 1.0) * STEPS).round() as u16
 }
@@ -229,7 +229,7 @@ mod tests {
         }
     }
 
-    /// As still.vert takes it apart.
+    /// Decodes like still.vert.
     fn check_rotation(words: [u16; 3], expected: [f32; 4]) {
         let left_out = usize::from(words[0] >> 15 | words[1] >> 15 << 1);
         let kept = words.map(|w| (f64::from(w & 0x7fff) / 16383.5 - 1.0) * std::f64::consts::FRAC_1_SQRT_2);
