@@ -38,7 +38,7 @@ impl Memory {
         Ok(Some(second - first))
     }
 
-    /// The next frame; `None` at the end.
+    /// Returns the next frame; `None` at the end.
     pub(super) fn next_frame(&mut self) -> Result<Option<(Picture, Option<f64>)>, SourceError> {
         let Some(frame) = self.ahead.pop_front().or_else(|| self.frames.next()) else { return Ok(None) };
         let (picture, time) = frame.map_err(wrong)?;

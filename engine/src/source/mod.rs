@@ -302,7 +302,7 @@ impl Source {
         self.own_times && known
     }
 
-    /// The next frame; `None` at the end.
+    /// Returns the next frame; `None` at the end.
     ///
     /// # Errors
     /// A frame that cannot be read or has another size than the first.

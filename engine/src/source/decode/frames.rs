@@ -109,7 +109,7 @@ impl Sequence {
         times.as_deref()
     }
 
-    /// The next frame; `None` after the last.
+    /// Returns the next frame; `None` after the last.
     ///
     /// # Errors
     /// A broken frame, or fewer frames than the file declares.

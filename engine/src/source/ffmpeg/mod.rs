@@ -203,7 +203,7 @@ impl Ffmpeg {
         &self.notes
     }
 
-    /// The next frame with its time in seconds since the first; `None` at the end of the video.
+    /// Returns the next frame with its time in seconds since the first; `None` at the end of the video.
     ///
     /// # Errors
     /// A frame that cannot be read; at the end, [`SourceError::Damaged`] if ffmpeg reported errors.

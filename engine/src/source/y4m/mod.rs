@@ -86,7 +86,7 @@ impl<R: BufRead> Y4m<R> {
         self.header_bytes
     }
 
-    /// The next frame; `None` at the end of the stream.
+    /// Returns the next frame; `None` at the end of the stream.
     ///
     /// # Errors
     /// An unreadable stream, a malformed frame header, a frame that ends early.
@@ -97,7 +97,7 @@ impl<R: BufRead> Y4m<R> {
         Ok(Some(convert::to_picture(&self.bytes, &self.header)))
     }
 
-    /// The planes of the next frame as they are stored; `None` at the end of the stream.
+    /// Returns the planes of the next frame as they are stored; `None` at the end of the stream.
     ///
     /// # Errors
     /// As [`Y4m::next_picture`].
