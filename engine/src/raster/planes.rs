@@ -10,7 +10,8 @@ use super::{MAX_GAUSSIANS, RasterError, check};
 /// opacity.
 pub type PlaneSplat = [f32; 5];
 
-/// Splats with depths beyond this are not drawn, so keys must be smaller.
+/// Splats with depths beyond this are not drawn. Keys from the smallest positive normal number up to it serve as depths
+/// themselves; if any key is outside, ranks replace the keys.
 const FAR: f32 = 3e38;
 /// An orthographic camera with one pixel per unit.
 const WORLD_TO_VIEW: [[f32; 4]; 3] = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
