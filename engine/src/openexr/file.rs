@@ -219,7 +219,7 @@ fn window([left, top]: [i32; 2], [width, height]: [usize; 2]) -> Window {
 
 /// Returns the code of the first header's compression if it is not supported here.
 fn foreign_compression(bytes: &[u8]) -> Option<u8> {
-    /// Number of known codes, up to DWAB.
+    /// Code of DWAB, the last known one.
     const KNOWN: u8 = 9;
     let mut rest = bytes.get(8..)?;
     loop {

@@ -82,7 +82,7 @@ pub fn written(still: &Still) -> Written {
         add("means_l.webp", &mut order.iter().map(|&i| byte(0)(fixed(i)))),
         add("means_u.webp", &mut order.iter().map(|&i| byte(1)(fixed(i)))),
     ];
-    // A scale of 0 becomes the least scale of the other Gaussians.
+    // A scale of 0 is stored as [`LEAST`], as in other formats.
     let log_scale = |i: usize| still.log_scale[i].map(|s| if s == f32::NEG_INFINITY { ln(LEAST) as f32 } else { s });
     let scales = Codebook::of(order.iter().flat_map(|&i| log_scale(i)));
     let [x, y, z] = [0, 1, 2];
